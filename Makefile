@@ -1,0 +1,33 @@
+# make setup | demo | test | check | bench
+PYTHON ?= python3
+BIN := .venv/bin
+# The CPU build is enough; set TORCH='torch==2.13.0' with a pip index of your own for another build.
+TORCH ?= torch==2.13.0
+export MUJOCO_GL ?= egl
+# One thread per process in numerical pools: several pools on few cores fight each other.
+export OPENBLAS_NUM_THREADS ?= 1
+
+.PHONY: setup demo test check bench
+setup: .venv/.complete
+
+.venv/.complete: pyproject.toml requirements.lock
+	@bash .ci/system-libraries
+	$(PYTHON) -m venv .venv
+	$(BIN)/pip install --quiet --upgrade-strategy only-if-needed "$(TORCH)"
+	$(BIN)/pip install --quiet -c requirements.lock -e '.[sim,train,eval,dev]'
+	@touch $@
+
+demo: setup
+	$(BIN)/nodeslam pack --objects 6 --seed 1 --out runs/demo
+
+test: setup
+	$(BIN)/python -m pytest -n 2 -m "not slow"
+
+check: setup
+	$(BIN)/ruff check .
+	$(BIN)/ruff format --check .
+	$(BIN)/pyright
+	$(BIN)/lint-imports
+
+bench: setup
+	$(BIN)/nodeslam bench

@@ -1,0 +1,84 @@
+"""The one interface between planning and a robot, simulated or real, and what describes its arm."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from typing import Protocol
+
+import numpy as np
+from jaxtyping import Float
+
+from perception.types import RgbdFrame
+
+
+@dataclass(frozen=True)
+class ArmDescription:
+    """Kinematics and limits of an arm with a parallel gripper.
+
+    Attributes:
+        mjcf: the arm alone as MJCF text (no scene), collision geoms in group 3, for kinematics and collision.
+        joint_names: the n arm joints, base to wrist.
+        finger_joint_names: the two finger joints, each opening over [0, max_width / 2] in [m].
+        tcp_site: site between the finger pads; z points out of the hand, y is the closing direction.
+        camera_site: the wrist camera's optical frame (OpenCV axes).
+        q_home: (n,) a comfortable posture in [rad].
+        velocity_limit, acceleration_limit, jerk_limit: (n,) in [rad/s], [rad/s^2], [rad/s^3].
+        max_width: largest opening between the pads in [m].
+    """
+
+    mjcf: str
+    joint_names: tuple[str, ...]
+    finger_joint_names: tuple[str, str]
+    tcp_site: str
+    camera_site: str
+    q_home: Float[np.ndarray, "n"]
+    velocity_limit: Float[np.ndarray, "n"]
+    acceleration_limit: Float[np.ndarray, "n"]
+    jerk_limit: Float[np.ndarray, "n"]
+    max_width: float = 0.08
+
+
+@dataclass(frozen=True)
+class JointTrajectory:
+    """Joint motion sampled at a fixed period.
+
+    Attributes:
+        period: time between samples in [s].
+        positions, velocities, accelerations: (T, n) in [rad], [rad/s], [rad/s^2]; the last sample is at rest.
+    """
+
+    period: float
+    positions: Float[np.ndarray, "t n"]
+    velocities: Float[np.ndarray, "t n"]
+    accelerations: Float[np.ndarray, "t n"]
+
+    @property
+    def duration(self) -> float:
+        return self.period * (len(self.positions) - 1)
+
+
+class Robot(Protocol):
+    """What a planner may ask of a robot. Nothing here tells where objects are: for that one must look."""
+
+    @property
+    def arm(self) -> ArmDescription: ...
+
+    def joint_positions(self) -> Float[np.ndarray, "n"]:
+        """Measured arm joint positions in [rad]."""
+        ...
+
+    def gripper_width(self) -> float:
+        """Measured opening between the pads in [m]."""
+        ...
+
+    def follow(self, trajectory: JointTrajectory) -> None:
+        """Execute the motion and settle; raises RobotError if it does not start where the arm is."""
+        ...
+
+    def move_gripper(self, width: float) -> float:
+        """Open or close toward ``width`` in [m] (0 closes with full force) and return the width reached."""
+        ...
+
+    def capture(self) -> RgbdFrame:
+        """One registered RGB-D image of the wrist camera, with its pose from the measured joint positions."""
+        ...

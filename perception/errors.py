@@ -1,0 +1,9 @@
+"""Errors of the perception package: one root, messages a person can act on."""
+
+
+class PerceptionError(Exception):
+    """Root of everything that perception raises on purpose."""
+
+
+class InvalidInputError(PerceptionError, ValueError):
+    """A value or a file from outside is unusable; the message says what, where, and what to do."""

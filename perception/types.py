@@ -1,0 +1,236 @@
+"""What the packages share: frames, detections and object estimates, as frozen values.
+
+Conventions: metres, radians, seconds. ``T_world_camera`` maps camera coordinates into the world and is the
+camera's pose there. Cameras follow OpenCV (x right, y down, z forward). A depth of 0 is no measurement.
+Objects live in a canonical frame (z up, origin at the centre of the occupancy grid, mug handle along +x);
+``scale`` holds the metres per canonical unit along the object's axes, so that
+
+    p_world = T_world_object @ (scale * p_canonical),    p_canonical in [-1, 1]^3.
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass, field
+from typing import Literal, get_args
+
+import numpy as np
+from jaxtyping import Bool, Float, Int, UInt8
+
+from perception.errors import InvalidInputError
+
+Category = Literal["mug", "bowl", "bottle", "can"]
+CATEGORIES: tuple[Category, ...] = get_args(Category)
+GRID_RESOLUTION = 32
+CODE_SIZE = 16
+
+FitStatus = Literal["converged", "not_converged", "implausible"]
+
+
+def _frozen(array: np.ndarray, dtype: type | None = None) -> np.ndarray:
+    """A read-only view of the array, cast if asked; the caller's own array stays writable."""
+    view = np.asarray(array, dtype=dtype).view()
+    view.flags.writeable = False
+    return view
+
+
+def _require(condition: bool, message: str) -> None:
+    if not condition:
+        raise InvalidInputError(message)
+
+
+def check_rigid(T: np.ndarray, name: str) -> np.ndarray:
+    """The transform as read-only float64, or InvalidInputError if it is not a 4x4 rigid motion."""
+    T = np.asarray(T, dtype=np.float64)
+    _require(T.shape == (4, 4) and bool(np.isfinite(T).all()), f"{name} must be a finite 4x4 matrix")
+    rotation = T[:3, :3]
+    rigid = np.allclose(rotation @ rotation.T, np.eye(3), atol=1e-4) and np.linalg.det(rotation) > 0
+    _require(
+        rigid and np.allclose(T[3], (0, 0, 0, 1)), f"{name} must be a rigid motion (rotation, translation)"
+    )
+    return _frozen(T)
+
+
+@dataclass(frozen=True)
+class CameraIntrinsics:
+    """Pinhole camera without distortion: (u, v) = (fx x/z + cx, fy y/z + cy), pixel centres at integers."""
+
+    width: int
+    height: int
+    fx: float
+    fy: float
+    cx: float
+    cy: float
+
+    def __post_init__(self) -> None:
+        _require(
+            self.width > 0 and self.height > 0, f"image size {self.width}x{self.height} must be positive"
+        )
+        numbers = (self.fx, self.fy, self.cx, self.cy)
+        _require(bool(np.isfinite(numbers).all()), f"camera intrinsics {numbers} must be finite")
+        _require(self.fx > 0 and self.fy > 0, f"focal lengths {self.fx}, {self.fy} px must be positive")
+        inside = -self.width <= self.cx <= 2 * self.width and -self.height <= self.cy <= 2 * self.height
+        _require(inside, f"principal point ({self.cx}, {self.cy}) is far outside the image")
+
+    @property
+    def matrix(self) -> Float[np.ndarray, "3 3"]:
+        return np.array([[self.fx, 0, self.cx], [0, self.fy, self.cy], [0, 0, 1]], dtype=np.float64)
+
+
+@dataclass(frozen=True)
+class RgbdFrame:
+    """One RGB-D image with the camera that took it.
+
+    Attributes:
+        time: capture time in [s].
+        rgb: (H, W, 3) uint8.
+        depth: (H, W) float32 along the optical axis in [m]; 0 where nothing was measured.
+        intrinsics: shared by colour and depth, which are registered.
+        T_world_camera: (4, 4) camera pose, or None where it is unknown.
+    """
+
+    time: float
+    rgb: UInt8[np.ndarray, "h w 3"]
+    depth: Float[np.ndarray, "h w"]
+    intrinsics: CameraIntrinsics
+    T_world_camera: Float[np.ndarray, "4 4"] | None = None
+
+    def __post_init__(self) -> None:
+        size = (self.intrinsics.height, self.intrinsics.width)
+        _require(self.rgb.dtype == np.uint8, f"colour must be uint8, got {self.rgb.dtype}")
+        _require(self.rgb.shape == (*size, 3), f"colour image is {self.rgb.shape}, camera says {(*size, 3)}")
+        _require(self.depth.shape == size, f"depth image is {self.depth.shape}, camera says {size}")
+        _require(self.depth.dtype.kind == "f", f"depth must be float metres, got {self.depth.dtype}")
+        depth = np.asarray(self.depth, dtype=np.float32)
+        _require(
+            bool(np.isfinite(depth).all()), "depth has NaN or infinite pixels; mark missing depth with 0"
+        )
+        _require(bool((depth >= 0).all()), "depth has negative pixels; mark missing depth with 0")
+        object.__setattr__(self, "rgb", _frozen(self.rgb))
+        object.__setattr__(self, "depth", _frozen(depth))
+        if self.T_world_camera is not None:
+            object.__setattr__(self, "T_world_camera", check_rigid(self.T_world_camera, "T_world_camera"))
+
+
+@dataclass(frozen=True)
+class SupportPlane:
+    """The plane that objects stand on, in the world frame: ``normal . p = offset``, normal pointing up."""
+
+    normal: Float[np.ndarray, "3"] = field(default_factory=lambda: np.array([0.0, 0.0, 1.0]))
+    offset: float = 0.0
+
+    def height_above(self, points_world: Float[np.ndarray, "*n 3"]) -> Float[np.ndarray, "*n"]:
+        """Signed distance of points above the plane in [m]."""
+        return points_world @ self.normal - self.offset
+
+
+@dataclass(frozen=True)
+class ObjectDetection:
+    """One object in one image.
+
+    Attributes:
+        category: the most probable class.
+        score: its confidence in 0..1.
+        mask: (H, W) bool.
+        class_probabilities: (5,) over CATEGORIES and, last, 'other' (of no class); empty where unknown.
+        yaw_probabilities: (B,) over B equal bins of the handle's direction, seen in the world frame: bin k is
+            centred at yaw 2 pi k / B about the support normal. Empty where unknown or for symmetric classes.
+        instance_id: ties one object across images; None where nobody has tied it yet.
+    """
+
+    category: Category
+    score: float
+    mask: Bool[np.ndarray, "h w"]
+    class_probabilities: Float[np.ndarray, "k"] = field(default_factory=lambda: np.zeros(0))
+    yaw_probabilities: Float[np.ndarray, "b"] = field(default_factory=lambda: np.zeros(0))
+    instance_id: int | None = None
+
+    def __post_init__(self) -> None:
+        _require(
+            self.category in CATEGORIES, f"category '{self.category}' is none of {', '.join(CATEGORIES)}"
+        )
+        _require(self.mask.dtype == np.bool_ and self.mask.ndim == 2, "mask must be a 2-D bool image")
+        _require(bool(self.mask.any()), f"the mask of a {self.category} is empty")
+        object.__setattr__(self, "mask", _frozen(self.mask))
+
+
+@dataclass(frozen=True)
+class TriangleMesh:
+    """Vertices in [m] and triangles wound outwards."""
+
+    vertices: Float[np.ndarray, "v 3"]
+    faces: Int[np.ndarray, "f 3"]
+
+    def __post_init__(self) -> None:
+        object.__setattr__(self, "vertices", _frozen(self.vertices, np.float64))
+        object.__setattr__(self, "faces", _frozen(self.faces, np.int64))
+
+    def transformed(self, T_target_source: Float[np.ndarray, "4 4"]) -> TriangleMesh:
+        """The mesh mapped by a rigid transform."""
+        return TriangleMesh(self.vertices @ T_target_source[:3, :3].T + T_target_source[:3, 3], self.faces)
+
+
+@dataclass(frozen=True)
+class ObjectEstimate:
+    """A whole object: class, shape, pose, and how sure perception is of it.
+
+    Attributes:
+        id: unique in its object map.
+        category: its class.
+        code: (16,) shape code of the class-conditional VAE.
+        T_world_object: (4, 4) pose; object z up, mug handle along object +x.
+        scale: (3,) metres per canonical unit along the object's axes.
+        mesh: watertight surface in the object frame, in [m] (scale applied, pose not).
+        score: class confidence in 0..1, over the views.
+        n_views: in how many images it was seen.
+        residual: root mean square of the inlier depth residuals in [m].
+        status: how the fit ended.
+        covariance: (25, 25) of (code 16, rotation 3, translation 3, log scale 3), or None.
+    """
+
+    id: int
+    category: Category
+    code: Float[np.ndarray, "16"]
+    T_world_object: Float[np.ndarray, "4 4"]
+    scale: Float[np.ndarray, "3"]
+    mesh: TriangleMesh
+    score: float = 1.0
+    n_views: int = 1
+    residual: float = 0.0
+    status: FitStatus = "converged"
+    covariance: Float[np.ndarray, "25 25"] | None = None
+
+    def __post_init__(self) -> None:
+        _require(
+            self.category in CATEGORIES, f"category '{self.category}' is none of {', '.join(CATEGORIES)}"
+        )
+        object.__setattr__(self, "code", _frozen(self.code, np.float32))
+        object.__setattr__(self, "scale", _frozen(self.scale, np.float64))
+        object.__setattr__(self, "T_world_object", check_rigid(self.T_world_object, "T_world_object"))
+
+    @property
+    def name(self) -> str:
+        return f"{self.category}_{self.id}"
+
+    @property
+    def mesh_world(self) -> TriangleMesh:
+        return self.mesh.transformed(self.T_world_object)
+
+    @property
+    def height(self) -> float:
+        """Extent along the object's z in [m]."""
+        return float(np.ptp(self.mesh.vertices[:, 2]))
+
+    @property
+    def radius(self) -> float:
+        """Half the extent along the object's y in [m]: the body's radius, the handle of a mug left out."""
+        return float(np.ptp(self.mesh.vertices[:, 1]) / 2)
+
+    @property
+    def size(self) -> float:
+        """What sorting compares, in [m]: the diagonal of the upright profile, sqrt(height^2 + (2 radius)^2)."""
+        return profile_size(self.height, self.radius)
+
+
+def profile_size(height: float, radius: float) -> float:
+    """Diagonal of an upright profile in [m]: one length for height and radius together."""
+    return float(np.hypot(height, 2 * radius))
