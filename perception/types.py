@@ -227,7 +227,7 @@ class ObjectEstimate:
 
     @property
     def size(self) -> float:
-        """What sorting compares, in [m]: the diagonal of the upright profile, sqrt(height^2 + (2 radius)^2)."""
+        """What sorting compares, in [m]: the diagonal of the upright profile."""
         return profile_size(self.height, self.radius)
 
 
