@@ -33,7 +33,7 @@ def _frozen(array: np.ndarray, dtype: type | None = None) -> np.ndarray:
     return view
 
 
-def _require(condition: bool, message: str) -> None:
+def _require(condition: bool | np.bool_, message: str) -> None:
     if not condition:
         raise InvalidInputError(message)
 
@@ -89,8 +89,8 @@ class RgbdFrame:
     """
 
     time: float
-    rgb: UInt8[np.ndarray, "h w 3"]
-    depth: Float[np.ndarray, "h w"]
+    rgb: UInt8[np.ndarray, "_h _w 3"]
+    depth: Float[np.ndarray, "_h _w"]
     intrinsics: CameraIntrinsics
     T_world_camera: Float[np.ndarray, "4 4"] | None = None
 

@@ -1,0 +1,91 @@
+import numpy as np
+import pytest
+
+from perception.errors import InvalidInputError
+from perception.types import (
+    CameraIntrinsics,
+    ObjectDetection,
+    ObjectEstimate,
+    RgbdFrame,
+    SupportPlane,
+    TriangleMesh,
+    check_rigid,
+)
+
+CAMERA = CameraIntrinsics(width=8, height=6, fx=10.0, fy=10.0, cx=3.5, cy=2.5)
+
+
+def frame(**changes):
+    fields = {
+        "time": 0.0,
+        "rgb": np.zeros((6, 8, 3), np.uint8),
+        "depth": np.ones((6, 8), np.float32),
+        "intrinsics": CAMERA,
+        "T_world_camera": np.eye(4),
+    }
+    return RgbdFrame(**(fields | changes))
+
+
+def test_intrinsics_matrix_projects_the_optical_axis_to_the_principal_point():
+    u, v, w = CAMERA.matrix @ (0, 0, 2.0)
+    assert (u / w, v / w) == (3.5, 2.5)
+
+
+@pytest.mark.parametrize("change", [{"fx": 0.0}, {"fy": float("nan")}, {"cx": 1e6}, {"width": 0}])
+def test_absurd_intrinsics_are_refused(change):
+    good = {"width": 8, "height": 6, "fx": 10.0, "fy": 10.0, "cx": 3.5, "cy": 2.5}
+    with pytest.raises(InvalidInputError):
+        CameraIntrinsics(**(good | change))
+
+
+def test_frame_is_read_only_and_leaves_the_callers_array_alone():
+    depth = np.ones((6, 8), np.float32)
+    kept = frame(depth=depth)
+    with pytest.raises(ValueError, match="read-only"):
+        kept.depth[0, 0] = 2.0
+    depth[0, 0] = 3.0
+
+
+@pytest.mark.parametrize(
+    ("change", "message"),
+    [
+        ({"depth": np.full((6, 8), np.nan, np.float32)}, "NaN"),
+        ({"depth": -np.ones((6, 8), np.float32)}, "negative"),
+        ({"depth": np.ones((6, 7), np.float32)}, "camera says"),
+        ({"rgb": np.zeros((6, 7, 3), np.uint8)}, "camera says"),
+        ({"T_world_camera": 2 * np.eye(4)}, "rigid"),
+    ],
+)
+def test_bad_frames_say_what_is_wrong(change, message):
+    with pytest.raises(InvalidInputError, match=message):
+        frame(**change)
+
+
+def test_mirrored_transform_is_no_rigid_motion():
+    with pytest.raises(InvalidInputError, match="rigid"):
+        check_rigid(np.diag([1.0, 1.0, -1.0, 1.0]), "T")
+
+
+def test_empty_mask_and_unknown_class_are_refused():
+    with pytest.raises(InvalidInputError, match="empty"):
+        ObjectDetection("mug", 0.9, np.zeros((6, 8), bool))
+
+
+def test_plane_height():
+    plane = SupportPlane(offset=0.5)
+    np.testing.assert_allclose(plane.height_above(np.array([[9.0, 9.0, 0.75]])), [0.25])
+
+
+def test_estimate_measures_leave_the_handle_out():
+    # A box 2 x 4 x 6 cm, with a spike along +x in the place of a handle.
+    corners = np.array([[x, y, z] for x in (-0.01, 0.01) for y in (-0.02, 0.02) for z in (-0.03, 0.03)])
+    spike = np.array([[0.08, 0.0, 0.0]])
+    mesh = TriangleMesh(np.vstack((corners, spike)), np.array([[0, 1, 8]]))
+    T = np.eye(4)
+    T[:3, 3] = (1.0, 0.0, 0.0)
+    mug = ObjectEstimate(3, "mug", np.zeros(16), T, np.full(3, 0.05), mesh)
+    assert mug.name == "mug_3"
+    assert mug.height == pytest.approx(0.06)
+    assert mug.radius == pytest.approx(0.02)
+    assert mug.size == pytest.approx(np.hypot(0.06, 0.04))
+    np.testing.assert_allclose(mug.mesh_world.vertices[-1], (1.08, 0.0, 0.0))
