@@ -11,7 +11,7 @@ export OPENBLAS_NUM_THREADS ?= 1
 setup: .venv/.complete
 
 .venv/.complete: pyproject.toml requirements.lock
-	@bash .ci/system-libraries
+	@PYTHON=$(PYTHON) bash .ci/system-libraries
 	$(PYTHON) -m venv .venv
 	$(BIN)/pip install --quiet --upgrade-strategy only-if-needed "$(TORCH)"
 	$(BIN)/pip install --quiet -c requirements.lock -e '.[sim,train,eval,dev]'
