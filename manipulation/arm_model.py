@@ -1,0 +1,74 @@
+"""The arm's own MuJoCo model, stripped to what kinematics and collision checking need.
+
+It is built from ``ArmDescription.mjcf`` alone and never sees a scene: the planner knows of the world only what
+perception tells it.
+"""
+
+from __future__ import annotations
+
+import mujoco
+import numpy as np
+from jaxtyping import Float
+
+from manipulation.errors import ManipulationError
+from manipulation.robot import ArmDescription
+
+COLLISION_GROUP = 3
+
+
+def collision_spec(arm: ArmDescription) -> mujoco.MjSpec:
+    """The arm as an editable specification with its collision geoms (group 3) and nothing for show or physics."""
+    spec = mujoco.MjSpec.from_string(arm.mjcf)
+    for elements in (spec.keys, spec.sensors, spec.actuators, spec.equalities, spec.tendons, spec.excludes):
+        for element in list(elements):
+            spec.delete(element)
+    for geom in list(spec.geoms):
+        if geom.group != COLLISION_GROUP:
+            spec.delete(geom)
+    used = {geom.meshname for geom in spec.geoms if geom.type == mujoco.mjtGeom.mjGEOM_MESH}
+    for mesh in list(spec.meshes):
+        if mesh.name not in used:
+            spec.delete(mesh)
+    for light in list(spec.lights):
+        spec.delete(light)
+    # Links that drew their inertia from deleted geoms must still compile; no dynamics is ever computed here.
+    spec.compiler.boundmass = 1e-3
+    spec.compiler.boundinertia = 1e-6
+    return spec
+
+
+def kinematic_model(arm: ArmDescription) -> mujoco.MjModel:
+    """The bare kinematic chain: arm joints and sites, fingers fixed, no geoms."""
+    spec = collision_spec(arm)
+    for geom in list(spec.geoms):
+        spec.delete(geom)
+    for mesh in list(spec.meshes):
+        spec.delete(mesh)
+    for joint in list(spec.joints):
+        if joint.name not in arm.joint_names:
+            spec.delete(joint)
+    return spec.compile()
+
+
+def joint_addresses(model: mujoco.MjModel, names: tuple[str, ...]) -> np.ndarray:
+    """Indices into qpos of the named hinge or slide joints, in the order of the names."""
+    addresses = []
+    for name in names:
+        index = mujoco.mj_name2id(model, mujoco.mjtObj.mjOBJ_JOINT, name)
+        if index < 0:
+            raise ManipulationError(f"the arm's MJCF has no joint '{name}'")
+        addresses.append(model.jnt_qposadr[index])
+    return np.asarray(addresses, dtype=np.int64)
+
+
+def site_index(model: mujoco.MjModel, name: str) -> int:
+    index = mujoco.mj_name2id(model, mujoco.mjtObj.mjOBJ_SITE, name)
+    if index < 0:
+        raise ManipulationError(f"the arm's MJCF has no site '{name}'")
+    return index
+
+
+def joint_range(model: mujoco.MjModel, names: tuple[str, ...]) -> Float[np.ndarray, "2 n"]:
+    """Lower and upper position limits in [rad] of the named joints."""
+    limits = [model.joint(name).range for name in names]
+    return np.asarray(limits, dtype=np.float64).T

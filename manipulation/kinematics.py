@@ -1,0 +1,222 @@
+"""Forward and inverse kinematics of the arm, by differential IK (mink) iterated to convergence.
+
+Each step solves the QP  min |J dq - e|^2 + lm |e|^2 |dq|^2 + posture + damping  within the joint limits; the
+tiny posture cost picks one of the redundant solutions without biasing the pose.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import dataclass
+from typing import Literal
+
+import mink
+import mujoco
+import numpy as np
+from jaxtyping import Float
+
+from manipulation.arm_model import joint_addresses, joint_range, kinematic_model, site_index
+from manipulation.errors import ManipulationError
+from manipulation.robot import ArmDescription
+
+Frame = Literal["tcp", "camera"]
+IkStatus = Literal["converged", "not_converged"]
+
+
+@dataclass(frozen=True)
+class IkConfig:
+    """Settings of the solver.
+
+    Attributes:
+        position_tolerance: accepted distance from the target in [m].
+        rotation_tolerance: accepted rotation from the target in [rad].
+        max_iterations: steps tried from one seed.
+        patience: steps without progress (an error 10 % smaller) after which a seed is given up.
+        limit_margin: distance kept from the joint limits in [rad].
+        dt, lm_damping, damping, posture_cost: of the differential IK.
+    """
+
+    position_tolerance: float = 1e-4
+    rotation_tolerance: float = 1e-3
+    max_iterations: int = 40
+    patience: int = 6
+    limit_margin: float = 0.05
+    dt: float = 0.1
+    lm_damping: float = 1e-3
+    damping: float = 1e-6
+    posture_cost: float = 1e-4
+
+
+@dataclass(frozen=True)
+class IkResult:
+    """Where the solver ended: the best posture found and how far from the target it is.
+
+    Attributes:
+        q: (n,) in [rad].
+        status: "converged" when both errors are within the tolerances.
+        position_error: in [m].
+        rotation_error: in [rad].
+        iterations: over all seeds.
+    """
+
+    q: Float[np.ndarray, "n"]
+    status: IkStatus
+    position_error: float
+    rotation_error: float
+    iterations: int
+
+    @property
+    def converged(self) -> bool:
+        return self.status == "converged"
+
+
+class Kinematics:
+    """Kinematics of one arm. Frames are the TCP and the wrist camera, in the arm's base frame = world."""
+
+    def __init__(self, arm: ArmDescription, config: IkConfig | None = None) -> None:
+        self.arm = arm
+        self.config = config or IkConfig()
+        self._model = kinematic_model(arm)
+        if self._model.nv != len(arm.joint_names):
+            raise ManipulationError(
+                f"the arm's MJCF has {self._model.nv} joints besides its fingers, "
+                f"but {len(arm.joint_names)} are named"
+            )
+        self._address = joint_addresses(self._model, arm.joint_names)
+        self.lower, self.upper = joint_range(self._model, arm.joint_names)
+        self._sites: dict[Frame, str] = {"tcp": arm.tcp_site, "camera": arm.camera_site}
+        self._site_ids = {frame: site_index(self._model, name) for frame, name in self._sites.items()}
+        self._data = mujoco.MjData(self._model)
+        self._configuration = mink.Configuration(self._model)
+        # A hair wider than the seeds are clipped to: a start exactly on the bound must stay feasible.
+        self._limit = mink.ConfigurationLimit(
+            self._model, min_distance_from_limits=self.config.limit_margin - 1e-6
+        )
+        self._posture = mink.PostureTask(self._model, cost=self.config.posture_cost)
+        self._tasks = {
+            frame: mink.FrameTask(
+                name, "site", position_cost=1.0, orientation_cost=1.0, lm_damping=self.config.lm_damping
+            )
+            for frame, name in self._sites.items()
+        }
+
+    @property
+    def n_joints(self) -> int:
+        return len(self._address)
+
+    def forward(self, q: Float[np.ndarray, "n"], frame: Frame = "tcp") -> Float[np.ndarray, "4 4"]:
+        """``T_world_frame`` at joint positions ``q`` in [rad]."""
+        self._data.qpos[self._address] = q
+        mujoco.mj_kinematics(self._model, self._data)
+        site = self._site_ids[frame]
+        T = np.eye(4)
+        T[:3, :3] = self._data.site_xmat[site].reshape(3, 3)
+        T[:3, 3] = self._data.site_xpos[site]
+        return T
+
+    def within_limits(self, q: Float[np.ndarray, "n"], margin: float = 0.0) -> bool:
+        """Whether all joints keep ``margin`` [rad] from their limits."""
+        return bool(np.all(q >= self.lower + margin) and np.all(q <= self.upper - margin))
+
+    def limit_distance(self, q: Float[np.ndarray, "n"]) -> float:
+        """Distance of the closest joint from its limit in [rad]."""
+        return float(min(np.min(q - self.lower), np.min(self.upper - q)))
+
+    def inverse(
+        self,
+        T_world_target: Float[np.ndarray, "4 4"],
+        seeds: Sequence[Float[np.ndarray, "n"]],
+        frame: Frame = "tcp",
+        name: str = "target",
+    ) -> IkResult:
+        """Joint positions that bring the frame to the target; the first seed that converges wins.
+
+        Args:
+            T_world_target: wanted pose of the frame.
+            seeds: start postures in [rad], tried in order; clipped into the limits.
+            frame: what is to reach the target.
+            name: of the target, for error messages.
+
+        Raises:
+            ManipulationError: the target is not a finite rigid transform, or there is no seed. An unreachable
+                target is no error: the result says ``not_converged``.
+        """
+        _check_target(T_world_target, name)
+        if not seeds:
+            raise ManipulationError(f"no start posture for the inverse kinematics of {name}")
+        target = mink.SE3.from_matrix(np.asarray(T_world_target, dtype=np.float64))
+        best: IkResult | None = None
+        iterations = 0
+        for seed in seeds:
+            result = self._descend(target, np.asarray(seed, dtype=np.float64), frame)
+            iterations += result.iterations
+            result = IkResult(
+                result.q, result.status, result.position_error, result.rotation_error, iterations
+            )
+            if result.converged:
+                return result
+            if best is None or _error(result) < _error(best):
+                best = result
+        assert best is not None
+        return IkResult(best.q, best.status, best.position_error, best.rotation_error, iterations)
+
+    def seeds_toward(
+        self, T_world_target: Float[np.ndarray, "4 4"], count: int = 4
+    ) -> list[Float[np.ndarray, "n"]]:
+        """Start postures for a target far from the present one: home turned toward it, then spread copies."""
+        home = np.array(self.arm.q_home, dtype=np.float64)
+        home[0] = np.arctan2(T_world_target[1, 3], T_world_target[0, 3])
+        spread = np.random.default_rng(0).normal(scale=0.5, size=(count - 1, self.n_joints))
+        # The wrist alone can turn by half a turn for the same approach: give both turns a start.
+        wrist = home.copy()
+        wrist[-1] += np.pi / 2 if wrist[-1] < 0 else -np.pi / 2
+        return [home, wrist, *(home + offset for offset in spread)][:count]
+
+    def _descend(self, target: mink.SE3, seed: np.ndarray, frame: Frame) -> IkResult:
+        """Differential IK from one seed until the tolerances hold or progress stops."""
+        c = self.config
+        margin = c.limit_margin
+        q = np.zeros(self._model.nq)
+        q[self._address] = np.clip(seed, self.lower + margin, self.upper - margin)
+        configuration = self._configuration
+        configuration.update(q)
+        task = self._tasks[frame]
+        task.set_target(target)
+        self._posture.set_target(q)
+        best, stalled, iteration = np.inf, 0, 0
+        position_error = rotation_error = np.inf
+        for iteration in range(c.max_iterations + 1):
+            error = task.compute_error(configuration)
+            position_error = float(np.linalg.norm(error[:3]))
+            rotation_error = float(np.linalg.norm(error[3:]))
+            if position_error <= c.position_tolerance and rotation_error <= c.rotation_tolerance:
+                q_arm = configuration.q[self._address].copy()
+                return IkResult(q_arm, "converged", position_error, rotation_error, iteration)
+            total = position_error + 0.1 * rotation_error
+            stalled = 0 if total < 0.9 * best else stalled + 1
+            best = min(best, total)
+            if stalled > c.patience or iteration == c.max_iterations:
+                break
+            try:
+                velocity = mink.solve_ik(
+                    configuration, [task, self._posture], c.dt, "daqp", damping=c.damping, limits=[self._limit]
+                )
+            except mink.NoSolutionFound:
+                break
+            configuration.integrate_inplace(velocity, c.dt)
+        q_arm = configuration.q[self._address].copy()
+        return IkResult(q_arm, "not_converged", position_error, rotation_error, iteration)
+
+
+def _error(result: IkResult) -> float:
+    return result.position_error + 0.1 * result.rotation_error
+
+
+def _check_target(T: np.ndarray, name: str) -> None:
+    """Refuse what the solver would silently turn into NaN velocities."""
+    T = np.asarray(T)
+    if T.shape != (4, 4) or not np.isfinite(T).all():
+        raise ManipulationError(f"the pose of {name} must be a finite 4x4 matrix, got {T.tolist()}")
+    rotation = T[:3, :3]
+    if not np.allclose(rotation @ rotation.T, np.eye(3), atol=1e-5) or np.linalg.det(rotation) < 0:
+        raise ManipulationError(f"the pose of {name} is not a rigid motion: its rotation is not orthonormal")
