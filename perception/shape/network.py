@@ -1,0 +1,155 @@
+"""Class-conditional variational autoencoder of occupancy grids (NodeSLAM, Class-Level Object Shape Descriptors).
+
+    encoder   grid 32^3 and class  ->  5 convolutions, kernel 4, stride 2  ->  mean and log variance of 16 codes
+    decoder   16 codes and class   ->  linear, 5 transposed convolutions   ->  32^3 logits of occupancy
+
+ReLU everywhere, no normalisation layers. Conditional VAE: Kingma and Welling 2014; Sohn et al. 2015.
+
+Three layers are written in another, mathematically equal form, because it is faster (tests compare them with
+the plain ones):
+- Concatenating the one-hot class to every voxel adds to the first convolution a map that depends on the class
+  alone, and is constant but for the border (``class_bias_maps``).
+- A convolution of kernel 4, stride 2, padding 1 between 2^3 and 1^3 voxels has eight live taps: it is linear.
+- The last transposed convolution is one of kernel 2 over the corners between voxels, whose eight outputs are
+  the eight fine voxels around each corner (``corner_weight``, ``depth_to_space``).
+"""
+
+from __future__ import annotations
+
+import math
+
+import torch
+import torch.nn.functional as F
+from jaxtyping import Float, Int
+from torch import Tensor, nn
+
+from perception.types import CATEGORIES, CODE_SIZE, GRID_RESOLUTION
+
+CHANNELS = (16, 32, 64, 128, 256)  # after each halving of the resolution: 16^3, 8^3, 4^3, 2^3, 1^3
+# Initial logit of every voxel: about a tenth of the cube is occupied.
+_EMPTY_LOGIT = -2.2
+
+Grids = Float[Tensor, "batch x y z"]
+Codes = Float[Tensor, "batch code"]
+OneHot = Float[Tensor, "batch category"]
+
+
+class ShapeVae(nn.Module):
+    """Encoder and decoder over the four categories; grids are indexed [x, y, z] in the canonical frame."""
+
+    def __init__(self) -> None:
+        super().__init__()
+        self.encoder = Encoder()
+        self.decoder = Decoder()
+
+    def forward(self, grids: Grids, one_hot: OneHot, noise: Codes) -> tuple[Grids, Codes, Codes]:
+        """Logits of the reconstruction, mean and log variance; ``noise`` is standard normal (or zero)."""
+        mean, log_variance = self.encoder(grids, one_hot)
+        codes = mean + noise * torch.exp(0.5 * log_variance)
+        return self.decoder(codes, one_hot), mean, log_variance
+
+    def initialise(self, generator: torch.Generator) -> ShapeVae:
+        """Random weights that keep the variance of ReLU layers (He et al. 2015), drawn from the generator."""
+        for name, parameter in self.named_parameters():
+            nn.init.zeros_(parameter)
+            if name.endswith("weight"):
+                # each output of a transposed convolution of stride 2 sees 8 of its 64 taps
+                transposed = parameter.ndim == 5 and name.startswith("decoder")
+                fan_in = 8 * parameter.shape[0] if transposed else parameter[0].numel()
+                nn.init.normal_(parameter, std=math.sqrt(2.0 / fan_in), generator=generator)
+        with torch.no_grad():
+            self.encoder.to_code.weight.mul_(0.1)  # start close to the prior N(0, 1)
+            self.decoder.out.weight.mul_(0.1)
+            self.decoder.out.bias.fill_(_EMPTY_LOGIT)
+        return self
+
+
+class Encoder(nn.Module):
+    """Occupancy grid and class to the mean and log variance of the shape code."""
+
+    def __init__(self) -> None:
+        super().__init__()
+        c1, c2, c3, c4, c5 = CHANNELS
+        self.conv1 = nn.Conv3d(1 + len(CATEGORIES), c1, 4, stride=2, padding=1)
+        self.conv2 = nn.Conv3d(c1, c2, 4, stride=2, padding=1)
+        self.conv3 = nn.Conv3d(c2, c3, 4, stride=2, padding=1)
+        self.conv4 = nn.Conv3d(c3, c4, 4, stride=2, padding=1)
+        self.linear5 = nn.Linear(8 * c4, c5)  # convolution 2^3 -> 1^3, inputs flattened as (channel, x, y, z)
+        self.to_code = nn.Linear(c5, 2 * CODE_SIZE)
+
+    def forward(self, grids: Grids, one_hot: OneHot) -> tuple[Codes, Codes]:
+        x = F.conv3d(grids[:, None], self.conv1.weight[:, :1], self.conv1.bias, stride=2, padding=1)
+        bias_maps = class_bias_maps(self.conv1.weight[:, 1:], GRID_RESOLUTION)  # (category, c1, 16, 16, 16)
+        x = x + bias_maps[one_hot.argmax(1)]
+        x = F.relu(x)  # (batch, c1, 16, 16, 16)
+        x = F.relu(self.conv2(x))  # (batch, c2, 8, 8, 8)
+        x = F.relu(self.conv3(x))  # (batch, c3, 4, 4, 4)
+        x = F.relu(self.conv4(x))  # (batch, c4, 2, 2, 2)
+        x = F.relu(self.linear5(x.flatten(1)))  # (batch, c5)
+        mean, log_variance = self.to_code(x).chunk(2, dim=1)
+        return mean, log_variance
+
+
+class Decoder(nn.Module):
+    """Shape code and class to logits of occupancy."""
+
+    def __init__(self) -> None:
+        super().__init__()
+        c1, c2, c3, c4, c5 = CHANNELS
+        self.linear0 = nn.Linear(CODE_SIZE + len(CATEGORIES), c5)
+        self.linear1 = nn.Linear(c5, 8 * c4)  # transposed convolution 1^3 -> 2^3, outputs (channel, x, y, z)
+        self.up2 = nn.ConvTranspose3d(c4, c3, 4, stride=2, padding=1)
+        self.up3 = nn.ConvTranspose3d(c3, c2, 4, stride=2, padding=1)
+        self.up4 = nn.ConvTranspose3d(c2, c1, 4, stride=2, padding=1)
+        self.out = nn.ConvTranspose3d(c1, 1, 4, stride=2, padding=1)
+
+    def forward(self, codes: Codes, one_hot: OneHot) -> Grids:
+        x = F.relu(self.linear0(torch.cat([codes, one_hot], dim=1)))  # (batch, c5)
+        x = F.relu(self.linear1(x)).unflatten(1, (-1, 2, 2, 2))  # (batch, c4, 2, 2, 2)
+        x = F.relu(self.up2(x))  # (batch, c3, 4, 4, 4)
+        x = F.relu(self.up3(x))  # (batch, c2, 8, 8, 8)
+        x = F.relu(self.up4(x))  # (batch, c1, 16, 16, 16)
+        corners = F.conv3d(x, corner_weight(self.out.weight), padding=1)  # (batch, 8, 17, 17, 17)
+        return depth_to_space(corners)[:, 0, 1:-1, 1:-1, 1:-1] + self.out.bias  # (batch, 32, 32, 32)
+
+
+def class_one_hot(category_index: Int[Tensor, "batch"]) -> OneHot:
+    """One-hot classes in the order of CATEGORIES, as float."""
+    return F.one_hot(category_index, len(CATEGORIES)).float()
+
+
+def class_bias_maps(
+    weight: Float[Tensor, "out category 4 4 4"], resolution: int
+) -> Float[Tensor, "category out half half half"]:
+    """What a kernel-4, stride-2, padding-1 convolution makes of a grid filled with ones, for every class.
+
+    A row of such an output is (first, middle, ..., middle, last): computed on 6^3 voxels, then spread.
+    """
+    ones = torch.eye(weight.shape[1], device=weight.device, dtype=weight.dtype)
+    small = F.conv3d(ones[:, :, None, None, None].expand(-1, -1, 6, 6, 6), weight, stride=2, padding=1)
+    spread = torch.ones(resolution // 2, dtype=torch.long, device=weight.device)
+    spread[0], spread[-1] = 0, 2
+    return small[:, :, spread][:, :, :, spread][:, :, :, :, spread]
+
+
+def corner_weight(weight: Float[Tensor, "inp out 4 4 4"]) -> Float[Tensor, "out8 inp 2 2 2"]:
+    """Kernel-2 weight over voxel corners that equals a kernel-4, stride-2, padding-1 transposed convolution.
+
+    In one dimension corner c lies between the coarse voxels c - 1 and c, and between the fine voxels 2c - 1 and
+    2c. Fine voxel f takes coarse voxel i through tap f + 1 - 2i: phase p = 0 (f = 2c - 1) sees the voxels
+    c - 1 and c through taps 2 and 0, phase 1 (f = 2c) through taps 3 and 1.
+    """
+    inputs, outputs = weight.shape[:2]
+    taps = weight.reshape(inputs, outputs, 2, 2, 2, 2, 2, 2).flip(
+        2, 4, 6
+    )  # (i, o, voxel x, phase x, voxel y..)
+    return taps.permute(1, 3, 5, 7, 0, 2, 4, 6).reshape(8 * outputs, inputs, 2, 2, 2)
+
+
+def depth_to_space(
+    x: Float[Tensor, "batch channel8 x y z"],
+) -> Float[Tensor, "batch channel x2 y2 z2"]:
+    """Spread eight channels over 2^3 finer voxels: channel (c, px, py, pz) goes to (2x+px, 2y+py, 2z+pz)."""
+    batch, channels, nx, ny, nz = x.shape
+    x = x.reshape(batch, channels // 8, 2, 2, 2, nx, ny, nz).permute(0, 1, 5, 2, 6, 3, 7, 4)
+    return x.reshape(batch, channels // 8, 2 * nx, 2 * ny, 2 * nz)

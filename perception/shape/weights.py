@@ -1,0 +1,58 @@
+"""The weights file of the shape prior: safetensors in half precision, with what made it as metadata."""
+
+from __future__ import annotations
+
+import hashlib
+import os
+from collections.abc import Mapping
+from pathlib import Path
+
+import torch
+from safetensors import SafetensorError, safe_open
+from safetensors.torch import save_file
+
+from perception.errors import PerceptionError
+from perception.shape.network import ShapeVae
+
+SHIPPED_WEIGHTS = Path(__file__).parents[1] / "weights" / "shape.safetensors"
+FORMAT = "nodeslam-shape-1"
+_REMEDY = "restore perception/weights/shape.safetensors from the repository, or run `nodeslam train shape`"
+
+
+def save_weights(model: ShapeVae, path: Path, metadata: Mapping[str, str]) -> None:
+    """Write encoder and decoder in float16; a killed process leaves no half-written file under this name."""
+    tensors = {name: value.detach().half().cpu().contiguous() for name, value in model.state_dict().items()}
+    temporary = path.with_suffix(".tmp")
+    save_file(tensors, temporary, metadata={"format": FORMAT, **metadata})
+    os.replace(temporary, path)
+
+
+def load_weights(path: Path | None = None, device: str | torch.device = "cpu") -> ShapeVae:
+    """The trained network in float32, in evaluation mode, without gradients.
+
+    Raises:
+        PerceptionError: the file is missing, corrupt or of another network; the message says what to do.
+    """
+    path = SHIPPED_WEIGHTS if path is None else Path(path)
+    if not path.is_file():
+        raise PerceptionError(f"shape weights {path} are missing; {_REMEDY}")
+    try:
+        with safe_open(path, framework="pt", device=str(device)) as file:
+            found = (file.metadata() or {}).get("format")
+            tensors = {name: file.get_tensor(name).float() for name in file.keys()}  # noqa: SIM118
+    except (SafetensorError, OSError) as error:
+        raise PerceptionError(f"shape weights {path} cannot be read ({error}); {_REMEDY}") from error
+    if found != FORMAT:
+        raise PerceptionError(f"shape weights {path} have format {found!r}, expected {FORMAT!r}; {_REMEDY}")
+    with torch.device("meta"):
+        model = ShapeVae()
+    try:
+        model.load_state_dict(tensors, assign=True)
+    except RuntimeError as error:
+        raise PerceptionError(f"shape weights {path} do not fit the network ({error}); {_REMEDY}") from error
+    return model.eval().requires_grad_(False).to(memory_format=torch.channels_last_3d)
+
+
+def weights_checksum(path: Path) -> str:
+    """SHA-256 of the file."""
+    return hashlib.sha256(path.read_bytes()).hexdigest()
