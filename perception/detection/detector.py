@@ -1,0 +1,97 @@
+"""From one RGB-D frame to the objects in it: geometry finds the instances, networks say what they are."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass, field
+from pathlib import Path
+
+import numpy as np
+import torch
+
+from perception.detection import network as nets
+from perception.detection.crops import crop, filtered_geometry
+from perception.detection.geometry import heading_angle
+from perception.detection.segmentation import SegmentationConfig, segment
+from perception.detection.yaw import turned
+from perception.types import CATEGORIES, ObjectDetection, RgbdFrame, SupportPlane
+
+_MUG = CATEGORIES.index("mug")
+
+
+@dataclass(frozen=True)
+class DetectorConfig:
+    """What becomes a detection.
+
+    Attributes:
+        segmentation: how instances are found.
+        max_other: an instance whose probability of being of no class is above this is left out. Well over
+            one half, so that several views can still vote (``association.associate``); the score of a
+            doubtful instance is low all the same.
+        min_mug: yaw is estimated from this probability of being a mug on.
+    """
+
+    segmentation: SegmentationConfig = field(default_factory=SegmentationConfig)
+    max_other: float = 0.8
+    min_mug: float = 0.05
+
+
+@dataclass(frozen=True)
+class Detector:
+    """Finds mugs, bowls, bottles and cans in RGB-D frames. Make one with ``load``."""
+
+    class_network: nets.CropNet
+    class_temperature: float
+    yaw_network: nets.CropNet
+    yaw_temperature: float
+    config: DetectorConfig = DetectorConfig()
+
+    @staticmethod
+    def load(
+        device: str | torch.device = "cpu",
+        directory: Path | None = None,
+        config: DetectorConfig = DetectorConfig(),
+    ) -> Detector:
+        """The detector with the shipped weights, or those in ``directory``.
+
+        Raises:
+            PerceptionError: weights are missing or damaged.
+        """
+        paths = {task: None if directory is None else directory / f for task, f in nets.WEIGHTS_FILES.items()}
+        return Detector(
+            *nets.load_network("class", paths["class"], device),
+            *nets.load_network("yaw", paths["yaw"], device),
+            config,
+        )
+
+    def __call__(self, frame: RgbdFrame, plane: SupportPlane) -> list[ObjectDetection]:
+        """Objects of the frame, most certain first; instances of no class are left out.
+
+        The score is the calibrated probability of the category. Yaw distributions are over world yaw.
+        """
+        geometry = filtered_geometry(frame, plane)
+        masks = [m for m in segment(frame, plane, self.config.segmentation) if (m & (geometry[0] > 0)).any()]
+        if not masks:
+            return []
+        crops = [crop(frame, mask, plane, geometry) for mask in masks]
+        images = np.stack([c.image for c in crops])
+        context = np.stack([c.context for c in crops])
+        classes = nets.predict(self.class_network, self.class_temperature, images, context)
+        mugs = np.flatnonzero(classes[:, _MUG] >= self.config.min_mug)
+        yaws = nets.predict(self.yaw_network, self.yaw_temperature, images[mugs], context[mugs])
+        yaw_of = {int(i): yaw for i, yaw in zip(mugs, yaws)}
+        detections = []
+        for i, (mask, piece, probabilities) in enumerate(zip(masks, crops, classes)):
+            if probabilities[nets.OTHER] > self.config.max_other:
+                continue
+            best = int(probabilities[: nets.OTHER].argmax())
+            yaw = turned(yaw_of[i], heading_angle(piece.heading, plane)) if i in yaw_of else np.zeros(0)
+            detections.append(
+                ObjectDetection(
+                    category=CATEGORIES[best],
+                    score=float(probabilities[best]),
+                    mask=mask,
+                    class_probabilities=probabilities,
+                    yaw_probabilities=yaw,
+                )
+            )
+        return sorted(detections, key=lambda detection: -detection.score)

@@ -1,0 +1,108 @@
+"""Where the pixels of a frame lie relative to the support plane: heights, plan coordinates, headings."""
+
+from __future__ import annotations
+
+import cv2
+import numpy as np
+from jaxtyping import Bool, Float, Int
+
+from perception.types import RgbdFrame, SupportPlane
+
+
+def camera_pose(frame: RgbdFrame) -> Float[np.ndarray, "4 4"]:
+    """T_world_camera; a frame without a pose defines the world itself."""
+    return np.eye(4) if frame.T_world_camera is None else frame.T_world_camera
+
+
+def plane_axes(plane: SupportPlane) -> Float[np.ndarray, "2 3"]:
+    """Orthonormal axes in the plane from which yaw is counted: world x laid onto the plane, and normal x it.
+
+    A plane that faces along world x (a camera-frame world seen sideways) takes world y instead.
+    """
+    seed = np.array([1.0, 0.0, 0.0]) if abs(plane.normal[0]) < 0.9 else np.array([0.0, 1.0, 0.0])
+    first = seed - (seed @ plane.normal) * plane.normal
+    first /= np.linalg.norm(first)
+    return np.stack([first, np.cross(plane.normal, first)])
+
+
+def _linear_in_depth(frame: RgbdFrame, direction: Float[np.ndarray, "3"]) -> tuple[np.ndarray, float]:
+    """(per-pixel slope (H, W), constant) such that ``direction . p_world = slope * depth + constant``."""
+    T = camera_pose(frame)
+    camera, k = T[:3, :3].T @ direction, frame.intrinsics
+    x = (np.arange(k.width) - k.cx) / k.fx * camera[0]
+    y = (np.arange(k.height) - k.cy) / k.fy * camera[1] + camera[2]
+    return np.add.outer(y, x).astype(np.float32), float(direction @ T[:3, 3])
+
+
+def height_image(
+    frame: RgbdFrame, plane: SupportPlane, depth: Float[np.ndarray, "h w"] | None = None
+) -> Float[np.ndarray, "h w"]:
+    """Height of every pixel's point above the plane in [m]; meaningless where depth is 0.
+
+    ``depth`` stands in for the frame's own, filtered for instance.
+    """
+    slope, constant = _linear_in_depth(frame, plane.normal)
+    return (frame.depth if depth is None else depth) * slope + np.float32(constant - plane.offset)
+
+
+def window_of(mask: Bool[np.ndarray, "h w"], margin: int = 0) -> tuple[slice, slice]:
+    """Rows and columns of the mask's bounding box, widened by ``margin`` within the image."""
+    x, y, w, h = cv2.boundingRect(mask.view(np.uint8))
+    return slice(max(y - margin, 0), y + h + margin), slice(max(x - margin, 0), x + w + margin)
+
+
+def points_of(
+    frame: RgbdFrame,
+    mask: Bool[np.ndarray, "h w"],
+    depth: Float[np.ndarray, "h w"] | None = None,
+) -> Float[np.ndarray, "n 3"]:
+    """World points of the mask's measured pixels in [m], in row-major pixel order."""
+    depth = frame.depth if depth is None else depth
+    window = window_of(mask)
+    v, u = np.nonzero(mask[window] & (depth[window] > 0))
+    v, u = v + window[0].start, u + window[1].start
+    z, k, T = depth[v, u].astype(np.float64), frame.intrinsics, camera_pose(frame)
+    points_camera = np.stack([(u - k.cx) / k.fx * z, (v - k.cy) / k.fy * z, z], axis=1)
+    return points_camera @ T[:3, :3].T + T[:3, 3]
+
+
+def plan_coordinates(points_world: Float[np.ndarray, "n 3"], plane: SupportPlane) -> Float[np.ndarray, "n 2"]:
+    """Coordinates of points along the plane's axes in [m]."""
+    return points_world @ plane_axes(plane).T
+
+
+def project(
+    frame: RgbdFrame, points_world: Float[np.ndarray, "n 3"]
+) -> tuple[Int[np.ndarray, "n 2"], Float[np.ndarray, "n"]]:
+    """Pixels (u, v) of world points, rounded, and their depth in [m]; pixels may lie outside the image."""
+    T, k = camera_pose(frame), frame.intrinsics
+    points_camera = (points_world - T[:3, 3]) @ T[:3, :3]
+    z = points_camera[:, 2]
+    safe = np.where(z > 1e-6, z, 1.0)  # behind the camera: any pixel will do, the depth tells
+    u = points_camera[:, 0] / safe * k.fx + k.cx
+    v = points_camera[:, 1] / safe * k.fy + k.cy
+    return np.rint(np.stack([u, v], axis=1)).astype(np.int64), z
+
+
+def view_heading(
+    frame: RgbdFrame, plane: SupportPlane, point_world: Float[np.ndarray, "3"]
+) -> Float[np.ndarray, "3"]:
+    """Unit direction in the plane that points away from the camera at the point, upwards in its image.
+
+    The plane's normal and this direction project onto one line through the point's pixel: both go up in an
+    image turned gravity-upright. From straight above, where the ray has no direction in the plane, the
+    direction of the image's own top takes its place.
+    """
+    T, n = camera_pose(frame), plane.normal
+    ray = point_world - T[:3, 3]
+    ray = ray / np.linalg.norm(ray)
+    heading = ray - (ray @ n) * n
+    if np.linalg.norm(heading) < np.sin(np.radians(3.0)):
+        heading = -T[:3, 1] + (T[:3, 1] @ n) * n
+    return heading / np.linalg.norm(heading)
+
+
+def heading_angle(heading: Float[np.ndarray, "3"], plane: SupportPlane) -> float:
+    """Angle of a direction in the plane about its normal, counted from ``plane_axes``, in [rad]."""
+    along = plane_axes(plane) @ heading
+    return float(np.arctan2(along[1], along[0]))

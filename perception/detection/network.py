@@ -1,0 +1,136 @@
+"""The small convolutional network behind classes and yaw, and its weights on disk.
+
+One architecture, two trainings: ``detector.safetensors`` answers with the class, ``yaw.safetensors`` with
+the bin of the handle's direction relative to the view (both log-probabilities after a softmax).
+"""
+
+from __future__ import annotations
+
+import itertools
+import json
+from pathlib import Path
+from typing import Literal
+
+import numpy as np
+import torch
+from jaxtyping import Float, UInt8
+from safetensors import SafetensorError, safe_open
+from safetensors.torch import save_file
+from torch import Tensor, nn
+from torch.nn import functional
+
+from perception.detection.crops import CHANNELS, CONTEXT
+from perception.detection.yaw import YAW_BINS
+from perception.errors import PerceptionError
+from perception.types import CATEGORIES
+
+Task = Literal["class", "yaw"]
+LABELS: tuple[str, ...] = (*CATEGORIES, "other")
+OTHER = len(CATEGORIES)
+OUTPUTS: dict[Task, int] = {"class": len(LABELS), "yaw": YAW_BINS}
+WEIGHTS_DIRECTORY = Path(__file__).parents[1] / "weights"
+WEIGHTS_FILES: dict[Task, str] = {"class": "detector.safetensors", "yaw": "yaw.safetensors"}
+_REMEDY = "reinstall the package, or train them anew with `nodeslam train {command}`"
+
+
+class CropNet(nn.Module):
+    """Four stages of stride two, pooled mean and maximum, two layers on top; 0.46 M parameters.
+
+    Args:
+        outputs: number of logits.
+    """
+
+    def __init__(self, outputs: int) -> None:
+        super().__init__()
+        widths = (CHANNELS, 24, 48, 96, 128)
+        stages = []
+        for narrow, wide in itertools.pairwise(widths):
+            stages += [_convolution(narrow, wide, stride=2), _convolution(wide, wide, stride=1)]
+        stages.pop(1)  # at 32 x 32 a second layer costs most and helps least
+        self.features = nn.Sequential(*stages)
+        self.head = nn.Sequential(nn.Linear(2 * widths[-1] + CONTEXT, 128), nn.ReLU(), nn.Dropout(0.2))
+        self.logits = nn.Linear(128, outputs)
+
+    def forward(
+        self, images: Float[Tensor, "n 6 side side"], context: Float[Tensor, "n 2"]
+    ) -> Float[Tensor, "n outputs"]:
+        """Logits of prepared crops (``prepared``)."""
+        features = self.features(images)  # (n, 128, 4, 4)
+        pooled = torch.cat([features.mean((2, 3)), features.amax((2, 3)), context], dim=1)
+        return self.logits(self.head(pooled))
+
+
+def _convolution(narrow: int, wide: int, stride: int) -> nn.Module:
+    return nn.Sequential(
+        nn.Conv2d(narrow, wide, 3, stride, 1, bias=False), nn.BatchNorm2d(wide), nn.ReLU(inplace=True)
+    )
+
+
+def prepared(images: UInt8[Tensor, "n side side 6"]) -> Float[Tensor, "n 6 side side"]:
+    """Crop images as the network takes them: floats around zero, depth counted from the median."""
+    x = images.permute(0, 3, 1, 2).float() / 255.0
+    mask = x[:, 3:4]
+    rgb = (x[:, :3] - 0.45 * mask) * 2.0
+    height = 3.0 * x[:, 4:5]  # metres above the plane, over 0.1
+    depth = 4.0 * (x[:, 5:6] - 0.5 * mask)  # metres behind the median, over 0.1
+    return torch.cat([rgb, mask, height, depth], dim=1)
+
+
+def save_network(
+    network: CropNet, path: Path, task: Task, temperature: float, notes: dict[str, str] | None = None
+) -> None:
+    """Write weights and what is needed to use them to a safetensors file.
+
+    Args:
+        temperature: divides the logits so that probabilities are calibrated.
+        notes: further metadata, such as how it was trained.
+    """
+    about = {**(notes or {}), "task": task, "temperature": repr(float(temperature))}
+    about |= {"outputs": str(OUTPUTS[task]), "labels": json.dumps(LABELS if task == "class" else [])}
+    tensors = {name: value.detach().cpu().contiguous() for name, value in network.state_dict().items()}
+    path.parent.mkdir(parents=True, exist_ok=True)
+    save_file(tensors, path, metadata=about)
+
+
+def load_network(
+    task: Task, path: Path | None = None, device: str | torch.device = "cpu"
+) -> tuple[CropNet, float]:
+    """(network in evaluation mode, its temperature), by default the shipped weights.
+
+    Raises:
+        PerceptionError: the file is missing, damaged, or holds another network.
+    """
+    path = WEIGHTS_DIRECTORY / WEIGHTS_FILES[task] if path is None else path
+    remedy = _REMEDY.format(command="detector" if task == "class" else "yaw")
+    if not path.is_file():
+        raise PerceptionError(f"weights {path} are missing; {remedy}")
+    network = CropNet(OUTPUTS[task])
+    try:
+        with safe_open(path, framework="pt") as file:
+            about = file.metadata() or {}
+            if about.get("task") != task:
+                raise PerceptionError(f"weights {path} are for '{about.get('task')}', not '{task}'; {remedy}")
+            network.load_state_dict({name: file.get_tensor(name) for name in file.keys()})  # noqa: SIM118
+            temperature = float(about["temperature"])
+    except (SafetensorError, RuntimeError, KeyError, ValueError) as error:
+        reason = str(error).splitlines()[0]
+        raise PerceptionError(f"weights {path} cannot be read ({reason}); {remedy}") from error
+    return network.to(device).eval(), temperature
+
+
+@torch.inference_mode()
+def predict(
+    network: CropNet,
+    temperature: float,
+    images: UInt8[np.ndarray, "n side side 6"],
+    context: Float[np.ndarray, "n 2"],
+    batch: int = 256,
+) -> Float[np.ndarray, "n outputs"]:
+    """Calibrated probabilities of crops."""
+    device = next(network.parameters()).device
+    rows = []
+    for start in range(0, len(images), batch):
+        x = prepared(torch.from_numpy(images[start : start + batch]).to(device))
+        logits = network(x, torch.from_numpy(context[start : start + batch]).to(device))
+        rows.append(functional.softmax(logits.double() / temperature, dim=1).cpu().numpy())
+    return np.concatenate(rows) if rows else np.zeros((0, network.logits.out_features))

@@ -1,0 +1,127 @@
+"""The support plane from depth images: RANSAC over three-point planes, then least squares on the inliers.
+
+Works on frames with known poses together (the plane comes out in the world) or on a single frame without
+one (its camera is the world). Objects, the packing box and its floor stand out of the plane by more than the
+measurement noise left after a median filter and drop out in the refinement.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import dataclass
+
+import cv2
+import numpy as np
+from jaxtyping import Float
+
+from perception.detection.geometry import camera_pose, points_of
+from perception.errors import InvalidInputError, PerceptionError
+from perception.types import RgbdFrame, SupportPlane
+
+
+@dataclass(frozen=True)
+class PlaneConfig:
+    """How the plane is searched.
+
+    Attributes:
+        max_points: depth points used, over all frames.
+        iterations: three-point hypotheses tried.
+        threshold: distance in [m] within which a point supports a hypothesis.
+        min_share: support a plane needs, as a share of the points.
+        max_tilt: largest angle in [rad] between the normal and world z, for frames with poses.
+        max_depth: points farther away in [m] are left out.
+    """
+
+    max_points: int = 20_000
+    iterations: int = 300
+    threshold: float = 0.006
+    min_share: float = 0.1
+    max_tilt: float = 0.35
+    max_depth: float = 3.0
+
+
+def fit_support_plane(
+    frames: Sequence[RgbdFrame], config: PlaneConfig = PlaneConfig(), seed: int = 0
+) -> SupportPlane:
+    """The plane that most depth points lie on, its normal towards the cameras.
+
+    Raises:
+        InvalidInputError: no frame, or several of which one lacks its pose.
+        PerceptionError: too few depth points, or no plane holds enough of them.
+    """
+    if not frames:
+        raise InvalidInputError("no support plane without a frame; give at least one RGB-D frame")
+    posed = all(frame.T_world_camera is not None for frame in frames)
+    if len(frames) > 1 and not posed:
+        raise InvalidInputError(
+            f"a support plane from {len(frames)} frames needs T_world_camera of each; give one frame or poses"
+        )
+    rng = np.random.default_rng(seed)
+    points = np.concatenate([_sample(f, config, config.max_points // len(frames), rng) for f in frames])
+    if len(points) < 100:
+        raise PerceptionError(
+            f"No support plane: only {len(points)} depth points within {config.max_depth:g} m; "
+            "check the depth images and their scale"
+        )
+    centres = np.stack([camera_pose(frame)[:3, 3] for frame in frames])
+    min_up = np.cos(config.max_tilt) if posed else -1.0
+    normal, offset = _ransac(points, centres.mean(0), min_up, config, rng)
+    normal, offset = _refine(points, normal, offset, config)
+    if (centres.mean(0) @ normal) < offset:
+        normal, offset = -normal, -offset
+    return SupportPlane(normal=normal, offset=float(offset))
+
+
+def _sample(
+    frame: RgbdFrame, config: PlaneConfig, count: int, rng: np.random.Generator
+) -> Float[np.ndarray, "n 3"]:
+    """Random world points of the median-filtered depth image."""
+    depth = cv2.medianBlur(np.ascontiguousarray(frame.depth), 5)
+    usable = np.flatnonzero((depth > 0) & (depth < config.max_depth))
+    chosen = np.zeros(depth.size, dtype=bool)
+    chosen[rng.choice(usable, size=min(count, len(usable)), replace=False)] = True
+    return points_of(frame, chosen.reshape(depth.shape), depth)
+
+
+def _ransac(
+    points: Float[np.ndarray, "n 3"],
+    centre: Float[np.ndarray, "3"],
+    min_up: float,
+    config: PlaneConfig,
+    rng: np.random.Generator,
+) -> tuple[Float[np.ndarray, "3"], float]:
+    """The best supported plane through three points, facing ``centre``, its normal's z over ``min_up``."""
+    a, b, c = points[rng.integers(len(points), size=(3, config.iterations))]
+    normals = np.cross(b - a, c - a)
+    length = np.linalg.norm(normals, axis=1)
+    normals = normals / np.maximum(length, 1e-12)[:, None]
+    offsets = np.einsum("ij,ij->i", normals, a)
+    flip = np.where(normals @ centre < offsets, -1.0, 1.0)
+    normals, offsets = normals * flip[:, None], offsets * flip
+    usable = (length > 1e-6) & (normals[:, 2] >= min_up)  # three points in line span no plane
+    distance = (points @ normals.T - offsets).astype(np.float32)
+    support = np.where(usable, (np.abs(distance) < config.threshold).mean(0), 0.0)
+    best = int(support.argmax())
+    if support[best] < config.min_share:
+        raise PerceptionError(
+            f"No support plane: the best of {config.iterations} holds {support[best]:.0%} of {len(points)} "
+            f"depth points, {config.min_share:.0%} are needed; show more of the table, or check the poses"
+        )
+    return normals[best], float(offsets[best])
+
+
+def _refine(
+    points: Float[np.ndarray, "n 3"], normal: Float[np.ndarray, "3"], offset: float, config: PlaneConfig
+) -> tuple[Float[np.ndarray, "3"], float]:
+    """Total least squares on the inliers, their band narrowing to three robust standard deviations."""
+    band = config.threshold
+    for _ in range(6):
+        distance = points @ normal - offset
+        inliers = points[np.abs(distance) < band]
+        mean = inliers.mean(0)
+        refined = np.linalg.svd((inliers - mean).T @ (inliers - mean))[0][:, 2]
+        normal = refined if refined @ normal > 0 else -refined
+        offset = float(normal @ mean)
+        spread = 1.4826 * float(np.median(np.abs(inliers @ normal - offset)))
+        band = float(np.clip(3.0 * spread, 0.001, config.threshold))
+    return normal, offset
