@@ -17,7 +17,7 @@ from dataclasses import dataclass
 import numpy as np
 
 from manipulation.robot import ArmDescription
-from sim_assets.headless import mujoco
+from sim_assets.headless import MjsBody, MjSpec, mujoco
 
 ARM_JOINTS = tuple(f"joint{i}" for i in range(1, 8))
 FINGER_JOINTS = ("finger_joint1", "finger_joint2")
@@ -130,10 +130,10 @@ HAND_CAPSULES = (
 FINGER_STEM_BOX = ((0.0, 0.0105, 0.018), (0.0095, 0.008, 0.018))
 FINGER_PAD_BOX = ((0.0, 0.005, 0.0445), (0.0085, 0.005, 0.0092))
 
-Decorate = Callable[[mujoco.MjSpec], None]
+Decorate = Callable[[MjSpec], None]
 
 
-def build_arm(decorate: Decorate | None = None) -> mujoco.MjSpec:
+def build_arm(decorate: Decorate | None = None) -> MjSpec:
     """The arm as a specification to attach to a scene or to compile alone.
 
     Args:
@@ -174,7 +174,7 @@ def arm_description() -> ArmDescription:
     )
 
 
-def _add_capsules(body: mujoco.MjsBody, capsules: tuple[Capsule, ...]) -> None:
+def _add_capsules(body: MjsBody, capsules: tuple[Capsule, ...]) -> None:
     for index, capsule in enumerate(capsules):
         body.add_geom(
             name=f"{body.name}_collision{index}",
@@ -191,7 +191,7 @@ _COLLISION = {
 }  # fmt: skip
 
 
-def _add_link(spec: mujoco.MjSpec, parent: mujoco.MjsBody, number: int, link: Link) -> mujoco.MjsBody:
+def _add_link(spec: MjSpec, parent: MjsBody, number: int, link: Link) -> MjsBody:
     body = parent.add_body(
         name=f"link{number}",
         pos=link.position,
@@ -215,7 +215,7 @@ def _add_link(spec: mujoco.MjSpec, parent: mujoco.MjsBody, number: int, link: Li
     return body
 
 
-def _add_hand(spec: mujoco.MjSpec, link7: mujoco.MjsBody) -> None:
+def _add_hand(spec: MjSpec, link7: MjsBody) -> None:
     half = np.pi / 8  # the hand is mounted turned by -45 degrees about z
     hand = link7.add_body(
         name="hand", pos=(0, 0, 0.107), quat=(np.cos(half), 0, 0, -np.sin(half)), gravcomp=1,
@@ -237,7 +237,7 @@ def _add_hand(spec: mujoco.MjSpec, link7: mujoco.MjsBody) -> None:
     _couple_fingers(spec)
 
 
-def _add_finger(hand: mujoco.MjsBody, side: str, joint: str, turn: tuple[float, ...]) -> None:
+def _add_finger(hand: MjsBody, side: str, joint: str, turn: tuple[float, ...]) -> None:
     """A finger that slides outwards along its own +y over half the opening."""
     finger = hand.add_body(
         name=f"{side}_finger", pos=(0, 0, 0.0584), quat=turn, gravcomp=1,
@@ -259,7 +259,7 @@ def _add_finger(hand: mujoco.MjsBody, side: str, joint: str, turn: tuple[float, 
     )  # fmt: skip
 
 
-def _couple_fingers(spec: mujoco.MjSpec) -> None:
+def _couple_fingers(spec: MjSpec) -> None:
     """Both fingers move alike, driven through a tendon as long as their mean opening."""
     equality = spec.add_equality(
         type=mujoco.mjtEq.mjEQ_JOINT, objtype=mujoco.mjtObj.mjOBJ_JOINT,

@@ -10,7 +10,7 @@ import ctypes
 import importlib
 import os
 import sys
-from typing import Any
+from typing import TYPE_CHECKING, Any, TypeAlias
 
 _EGL_PLATFORM_DEVICE = 0x313F  # EGL_EXT_platform_device: a display without a screen
 _INSTALL = "install Mesa's software renderer: apt-get install libegl1 libgl1 libosmesa6"
@@ -76,11 +76,23 @@ def require_rendering() -> None:
 
 choose_backend()
 
-# After the choice, on purpose. Any, because MuJoCo's extension modules come without type stubs.
+# After the choice, on purpose. MuJoCo's extension modules come without type stubs: for checkers they are Any.
 mujoco: Any = importlib.import_module("mujoco")
+
+if TYPE_CHECKING:
+    MjSpec: TypeAlias = Any
+    MjsBody: TypeAlias = Any
+    MjModel: TypeAlias = Any
+    MjData: TypeAlias = Any
+else:
+    MjSpec, MjsBody, MjModel, MjData = mujoco.MjSpec, mujoco.MjsBody, mujoco.MjModel, mujoco.MjData
 
 __all__ = [
     "GraphicsError",
+    "MjData",
+    "MjModel",
+    "MjSpec",
+    "MjsBody",
     "choose_backend",
     "egl_works",
     "mujoco",

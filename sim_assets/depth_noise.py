@@ -1,0 +1,107 @@
+"""How a depth camera errs: not at all, by a constant Gaussian, or as a RealSense-like stereo camera does.
+
+The stereo model measures disparity ``d = f b / z``: an error of ``s`` pixels in d is one of ``s z^2 / (f b)``
+in depth, correlated over neighbouring pixels by the matching window, and d comes in steps. Matching fails on
+surfaces seen at a grazing angle, along depth edges, now and then for no reason, and closer than the minimum
+range.
+"""
+
+from __future__ import annotations
+
+from typing import Literal, get_args
+
+import cv2
+import numpy as np
+from jaxtyping import Bool, Float
+
+from perception.types import CameraIntrinsics
+
+DepthNoise = Literal["none", "gaussian", "realsense"]
+DEPTH_NOISES: tuple[DepthNoise, ...] = get_args(DepthNoise)
+
+GAUSSIAN_SIGMA = 0.002  # [m]
+BASELINE = 0.05  # [m] between the stereo imagers
+DISPARITY_SIGMA = 0.08  # [px]
+DISPARITY_STEP = 1 / 32  # [px]
+MATCHING_BLUR = 1.0  # [px], correlation of the disparity error
+RANGE = (0.17, 6.0)  # [m]
+DROPOUT = 0.002  # share of pixels lost at random
+EDGE_STEP = 0.02  # [m] per pixel of depth: beyond it, an edge
+EDGE_LOSS = 0.6  # share of the pixels beside an edge that are lost
+GRAZING = (
+    np.radians(72.0),
+    np.radians(86.0),
+)  # incidence where matching begins to fail, and where it always does
+
+
+def add_depth_noise(
+    depth: Float[np.ndarray, "h w"],
+    noise: DepthNoise,
+    intrinsics: CameraIntrinsics,
+    rng: np.random.Generator,
+) -> Float[np.ndarray, "h w"]:
+    """A noisy copy of a perfect depth image in [m]; pixels at 0 (nothing there) stay at 0.
+
+    Raises:
+        ValueError: for an unknown noise model.
+    """
+    if noise not in DEPTH_NOISES:
+        raise ValueError(f"depth noise '{noise}' is none of {', '.join(DEPTH_NOISES)}")
+    depth = depth.astype(np.float32)
+    if noise == "none":
+        return depth
+    if noise == "gaussian":
+        noisy = depth + GAUSSIAN_SIGMA * rng.standard_normal(depth.shape, dtype=np.float32)
+        return np.where(depth > 0, np.maximum(noisy, 1e-3), 0).astype(np.float32)
+    return _stereo(depth, intrinsics, rng)
+
+
+def _stereo(
+    depth: Float[np.ndarray, "h w"], intrinsics: CameraIntrinsics, rng: np.random.Generator
+) -> Float[np.ndarray, "h w"]:
+    focal_baseline = intrinsics.fx * BASELINE
+    valid = (depth > RANGE[0]) & (depth < RANGE[1])
+    disparity = focal_baseline / np.where(valid, depth, 1.0)
+    disparity += DISPARITY_SIGMA * _correlated(depth.shape, rng)
+    disparity = np.maximum(np.round(disparity / DISPARITY_STEP), 1) * DISPARITY_STEP
+    lost = rng.random(depth.shape, dtype=np.float32) < DROPOUT
+    lost |= beside_edges(depth) & (_patchy(depth.shape, rng) < EDGE_LOSS)
+    start, end = GRAZING
+    failure = np.clip((incidence(depth, intrinsics) - start) / (end - start), 0, 1)
+    lost |= _patchy(depth.shape, rng) < failure
+    return np.where(valid & ~lost, focal_baseline / disparity, 0).astype(np.float32)
+
+
+def _correlated(shape: tuple[int, ...], rng: np.random.Generator) -> Float[np.ndarray, "h w"]:
+    """Standard normal noise, smooth over the matching window."""
+    blurred = cv2.GaussianBlur(rng.standard_normal(shape, dtype=np.float32), (0, 0), MATCHING_BLUR)
+    return blurred * (2 * np.sqrt(np.pi) * MATCHING_BLUR)  # the blur divides the deviation by this
+
+
+def _patchy(shape: tuple[int, ...], rng: np.random.Generator) -> Float[np.ndarray, "h w"]:
+    """Uniform numbers in 0..1, constant over patches of 2 x 2 pixels: holes come in clumps."""
+    half = rng.random(((shape[0] + 1) // 2, (shape[1] + 1) // 2), dtype=np.float32)
+    return np.repeat(np.repeat(half, 2, axis=0), 2, axis=1)[: shape[0], : shape[1]]
+
+
+def beside_edges(depth: Float[np.ndarray, "h w"]) -> Bool[np.ndarray, "h w"]:
+    """Pixels within two of a jump in depth."""
+    kernel = np.ones((3, 3), np.uint8)
+    jump = cv2.dilate(depth, kernel) - cv2.erode(depth, kernel) > 2 * EDGE_STEP
+    return cv2.dilate(jump.astype(np.uint8), kernel) > 0
+
+
+def incidence(depth: Float[np.ndarray, "h w"], intrinsics: CameraIntrinsics) -> Float[np.ndarray, "h w"]:
+    """Angle in [rad] between each pixel's ray and the normal of the surface it meets.
+
+    With inverse depth q = 1/z over normalised image coordinates (x, y), a plane is q = a x + b y + c and its
+    normal (a, b, c): the gradient of q alone gives the normal.
+    """
+    q = 1 / np.where(depth > 0, depth, 1e3).astype(np.float32)
+    a = intrinsics.fx * cv2.Sobel(q, cv2.CV_32F, 1, 0, scale=1 / 8)
+    b = intrinsics.fy * cv2.Sobel(q, cv2.CV_32F, 0, 1, scale=1 / 8)
+    x = (np.arange(depth.shape[1], dtype=np.float32) - intrinsics.cx)[None, :] / intrinsics.fx
+    y = (np.arange(depth.shape[0], dtype=np.float32) - intrinsics.cy)[:, None] / intrinsics.fy
+    c = q - a * x - b * y
+    cosine = np.abs(q) / (np.sqrt(a**2 + b**2 + c**2) * np.sqrt(1 + x**2 + y**2))
+    return np.arccos(np.clip(cosine, 0, 1))

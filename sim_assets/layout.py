@@ -1,0 +1,162 @@
+"""Random places on the table, judged by the true horizontal outlines of the objects (handles included)."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import dataclass
+
+import cv2
+import numpy as np
+import trimesh
+from jaxtyping import Float
+
+OUTLINE_CELL = 0.001  # [m] raster on which an outline is traced
+
+
+class LayoutError(ValueError):
+    """The objects do not fit; the message says how many do."""
+
+
+@dataclass(frozen=True)
+class Region:
+    """Where object centres may lie: a rectangle on the table, within reach of the base at the origin, in [m]."""
+
+    x: tuple[float, float] = (0.30, 0.62)
+    y: tuple[float, float] = (-0.50, -0.05)
+    max_radius: float = 0.70
+
+
+@dataclass(frozen=True)
+class PlanarPose:
+    """A place on the table: position in [m], angle about z in [rad]."""
+
+    x: float
+    y: float
+    yaw: float
+
+    def transform(self, points: Float[np.ndarray, "n 2"]) -> Float[np.ndarray, "n 2"]:
+        """Points of the object frame, in the world."""
+        c, s = np.cos(self.yaw), np.sin(self.yaw)
+        return points @ np.array([[c, s], [-s, c]]) + (self.x, self.y)
+
+    @property
+    def matrix(self) -> Float[np.ndarray, "4 4"]:
+        """T_world_object of an object standing there."""
+        c, s = np.cos(self.yaw), np.sin(self.yaw)
+        return np.array([[c, -s, 0, self.x], [s, c, 0, self.y], [0, 0, 1, 0], [0, 0, 0, 1]], dtype=np.float64)
+
+
+def outline(mesh: trimesh.Trimesh) -> Float[np.ndarray, "n 2"]:
+    """The outer boundary of a mesh seen from above, as a polygon in the object frame, to half a millimetre."""
+    low = mesh.bounds[0, :2] - 3 * OUTLINE_CELL
+    size = np.ceil((mesh.bounds[1, :2] - low) / OUTLINE_CELL).astype(int) + 3
+    triangles = (mesh.vertices[mesh.faces][..., :2] - low) / OUTLINE_CELL
+    image = np.zeros((size[1], size[0]), dtype=np.uint8)
+    fraction = 4  # cv2 takes fixed-point corners
+    for triangle in np.round(triangles * 2**fraction).astype(np.int32):
+        cv2.fillConvexPoly(image, triangle, 255, shift=fraction)
+    contours, _ = cv2.findContours(image, cv2.RETR_EXTERNAL, cv2.CHAIN_APPROX_NONE)
+    largest = max(contours, key=len)[:, 0, :]
+    polygon = cv2.approxPolyDP(largest.astype(np.int32), 0.5, True)[:, 0, :]
+    return polygon * OUTLINE_CELL + low
+
+
+def gap(first: Float[np.ndarray, "n 2"], second: Float[np.ndarray, "m 2"]) -> float:
+    """Smallest distance between two polygons in [m]; 0 where they overlap."""
+    if _contains(first, second[0]) or _contains(second, first[0]):
+        return 0.0
+    if _edges_cross(first, second):
+        return 0.0
+    return float(min(_distances(first, second).min(), _distances(second, first).min()))
+
+
+def _contains(polygon: Float[np.ndarray, "n 2"], point: Float[np.ndarray, "2"]) -> bool:
+    a, b = polygon, np.roll(polygon, -1, axis=0)
+    crosses = (a[:, 1] > point[1]) != (b[:, 1] > point[1])
+    run = np.where(crosses, b[:, 1] - a[:, 1], 1.0)
+    x = a[:, 0] + (point[1] - a[:, 1]) / run * (b[:, 0] - a[:, 0])
+    return bool(np.count_nonzero(crosses & (point[0] < x)) % 2)
+
+
+def _edges_cross(first: Float[np.ndarray, "n 2"], second: Float[np.ndarray, "m 2"]) -> bool:
+    a, b = first[:, None], np.roll(first, -1, axis=0)[:, None]
+    c, d = second[None], np.roll(second, -1, axis=0)[None]
+
+    def side(p: np.ndarray, q: np.ndarray, r: np.ndarray) -> np.ndarray:
+        u, v = q - p, r - p
+        return u[..., 0] * v[..., 1] - u[..., 1] * v[..., 0] > 0
+
+    return bool(((side(a, b, c) != side(a, b, d)) & (side(c, d, a) != side(c, d, b))).any())
+
+
+def _distances(points: Float[np.ndarray, "n 2"], polygon: Float[np.ndarray, "m 2"]) -> np.ndarray:
+    """(n, m) distances of points to a polygon's edges."""
+    a, edge = polygon[None], (np.roll(polygon, -1, axis=0) - polygon)[None]
+    to_point = points[:, None] - a
+    along = np.clip((to_point * edge).sum(-1) / np.maximum((edge**2).sum(-1), 1e-18), 0, 1)
+    return np.linalg.norm(to_point - along[..., None] * edge, axis=-1)
+
+
+def sample_layout(
+    meshes: Sequence[trimesh.Trimesh],
+    rng: np.random.Generator,
+    region: Region | None = None,
+    min_gap: float = 0.04,
+    restarts: int = 60,
+    tries: int = 120,
+) -> tuple[PlanarPose, ...]:
+    """Place upright objects at random, at any yaw, with at least ``min_gap`` [m] between their outlines.
+
+    Objects are dropped one by one, the widest first, each wherever it is free; a dead end starts over.
+
+    Args:
+        meshes: object meshes, z up, standing on z = 0.
+        restarts, tries: layouts begun, and places tried for each object in one of them.
+
+    Raises:
+        LayoutError: if no layout was found; the message says how many objects fitted.
+    """
+    region = region or Region()
+    outlines = [outline(mesh) for mesh in meshes]
+    reach = [float(np.linalg.norm(polygon, axis=1).max()) for polygon in outlines]
+    order = sorted(range(len(meshes)), key=lambda i: -reach[i])
+    most = 0
+    for _ in range(restarts):
+        placed: dict[int, PlanarPose] = {}
+        for index in order:
+            pose = _free_place(index, outlines, reach, placed, rng, region, min_gap, tries)
+            if pose is None:
+                break
+            placed[index] = pose
+        else:
+            return tuple(placed[i] for i in range(len(meshes)))
+        most = max(most, len(placed))
+    raise LayoutError(
+        f"{len(meshes)} objects do not fit on the table with {1000 * min_gap:.0f} mm between them: "
+        f"{most} did in the best of {restarts} attempts; use fewer or smaller objects, or a smaller gap"
+    )
+
+
+def _free_place(
+    index: int,
+    outlines: list[np.ndarray],
+    reach: list[float],
+    placed: dict[int, PlanarPose],
+    rng: np.random.Generator,
+    region: Region,
+    min_gap: float,
+    tries: int,
+) -> PlanarPose | None:
+    for _ in range(tries):
+        pose = PlanarPose(rng.uniform(*region.x), rng.uniform(*region.y), rng.uniform(-np.pi, np.pi))
+        if np.hypot(pose.x, pose.y) > region.max_radius:
+            continue
+        polygon = pose.transform(outlines[index])
+        for other, there in placed.items():
+            if np.hypot(pose.x - there.x, pose.y - there.y) > reach[index] + reach[other] + min_gap:
+                continue
+            if gap(polygon, there.transform(outlines[other])) < min_gap:
+                break
+        else:
+            return pose
+    return None
