@@ -1,0 +1,390 @@
+"""Probabilistic renderer as one fused Warp kernel: depth, variance, mask and the whole Jacobian in one pass.
+
+The same source runs on the CPU and with CUDA; ``reference.py`` is the plain version of the same equations
+(NodeSLAM, section "Probabilistic Rendering"). With o_i the occupancy at sample i, T_i the probability to reach
+it and E_i the expected depth from there on,
+
+    E_{M+1} = escape depth,    E_i = o_i delta_i + (1 - o_i) E_{i+1},    D = E_1,
+    dD/do_i = w_i = T_i (delta_i - E_{i+1}),
+
+without any division. The Jacobian then needs three sums along the ray: w_i do_i/dcode (16 numbers), and
+w_i grad o_i and w_i delta_i grad o_i (3 each), from which ``pose.py`` makes the derivative by any pose.
+
+Samples outside the grid, and those in cells where nothing is and which no code moves, are skipped.
+"""
+
+from __future__ import annotations
+
+import logging
+import os
+import tempfile
+from dataclasses import dataclass
+from functools import cache
+from typing import no_type_check
+
+import numpy as np
+import warp as wp
+from jaxtyping import Float, Int
+
+from perception.types import CODE_SIZE, GRID_RESOLUTION
+
+ESCAPE_FACTOR = 1.1  # escape depth over the farthest sample's depth (paper, "Aggregation")
+_VOXELS = (GRID_RESOLUTION + 2) ** 3
+
+# Constants of the kernels. Inside, the grid is flat and has a border of empty voxels, where interpolation ends.
+_SIDE = wp.constant(GRID_RESOLUTION + 2)
+_SLAB = wp.constant((GRID_RESOLUTION + 2) ** 2)
+_HALF = wp.constant(GRID_RESOLUTION / 2.0)
+_END = wp.constant(GRID_RESOLUTION + 1.0)
+_MARGIN = wp.constant(1e-3)  # [voxel] keeps rounding from indexing outside
+_ESCAPE = wp.constant(ESCAPE_FACTOR)
+_OPAQUE = wp.constant(1e-6)  # a ray less likely than this to go on is at its end
+_OCCUPIED = wp.constant(1)  # flags of cells
+_CODE_MOVES = wp.constant(2)
+
+wp.config.log_level = wp.LOG_ERROR  # no banner on standard output
+wp.set_module_options(
+    {
+        "enable_backward": False,  # the derivatives are written out below
+        "optimization_level": 3,
+        "cpu_compiler_flags": "-march=native -ffp-contract=fast",  # fused multiply-add: a sixth faster
+    }
+)
+
+logger = logging.getLogger(__name__)
+
+_vec16 = wp.types.vector(length=CODE_SIZE, dtype=wp.float32)
+
+
+@dataclass(frozen=True)
+class ShapeGrid:
+    """An occupancy grid, where wanted its Jacobian by the code, and the flags of its cells, on one device."""
+
+    occupancy: wp.array
+    jacobian: wp.array | None
+    cells: wp.array
+    device: str
+
+    @staticmethod
+    def upload(
+        occupancy: Float[np.ndarray, "r r r"],
+        jacobian: Float[np.ndarray, "r r r 16"] | None = None,
+        device: str = "cpu",
+        skip_occupancy: float = 0.0,
+        skip_jacobian: float = 0.0,
+    ) -> ShapeGrid:
+        """Brings a grid to the device; on the CPU the arrays are shared, not copied, so leave them alone.
+
+        Args:
+            occupancy: G[ix, iy, iz] in 0..1.
+            jacobian: d occupancy / d code.
+            device: "cpu" or "cuda:0".
+            skip_occupancy: cells with no corner above this count as empty.
+            skip_jacobian: cells with no derivative above this count as unmoved by the code.
+        """
+        _start_warp()
+        grid = wp.from_numpy(np.ascontiguousarray(occupancy, np.float32), dtype=wp.float32, device=device)
+        moves, padded_moves = None, None
+        if jacobian is not None:
+            moves = wp.from_numpy(np.ascontiguousarray(jacobian, np.float32), dtype=_vec16, device=device)
+            padded_moves = wp.zeros(_VOXELS, dtype=_vec16, device=device)
+        padded = wp.zeros(_VOXELS, dtype=wp.float32, device=device)
+        voxels, cells = (wp.zeros(_VOXELS, dtype=wp.uint8, device=device) for _ in range(2))
+        wp.launch(
+            _pad,
+            dim=grid.shape,
+            inputs=[grid, moves, int(moves is not None), float(skip_occupancy), float(skip_jacobian)],
+            outputs=[padded, padded_moves, voxels],
+            device=device,
+        )
+        side = GRID_RESOLUTION + 1
+        wp.launch(_flag_cells, dim=(side, side, side), inputs=[voxels], outputs=[cells], device=device)
+        return ShapeGrid(padded, padded_moves, cells, device)
+
+
+@dataclass(frozen=True)
+class RayBundle:
+    """Pixels of one or several views to be rendered: everything that stays the same over a fit.
+
+    Attributes:
+        directions: (n, 3) back-projected pixels in their camera's frame, z = 1, so that depth scales them.
+        view: (n,) index of each ray's camera.
+        depth_range: (v, 2) nearest and farthest depth for each camera in [m].
+        samples: M, the number of samples between the two.
+    """
+
+    directions: Float[np.ndarray, "n 3"]
+    view: Int[np.ndarray, "n"]
+    depth_range: Float[np.ndarray, "v 2"]
+    samples: int
+
+    @property
+    def escape_depth(self) -> Float[np.ndarray, "v"]:
+        """Depth of rays that miss the object, by view in [m]."""
+        return ESCAPE_FACTOR * self.depth_range[:, 1]
+
+
+@dataclass(frozen=True)
+class Rendering:
+    """What the rays see, and how it changes.
+
+    Attributes:
+        depth: (n,) expected depth in [m].
+        variance: (n,) its variance in [m^2].
+        mask: (n,) probability to hit the object.
+        d_code: (n, 16) derivative of depth by the code, or None.
+        sum_gradient: (n, 3) sum of w_i grad o_i, by canonical coordinates, or None.
+        sum_depth_gradient: (n, 3) sum of w_i delta_i grad o_i, or None.
+    """
+
+    depth: Float[np.ndarray, "n"]
+    variance: Float[np.ndarray, "n"]
+    mask: Float[np.ndarray, "n"]
+    d_code: Float[np.ndarray, "n 16"] | None = None
+    sum_gradient: Float[np.ndarray, "n 3"] | None = None
+    sum_depth_gradient: Float[np.ndarray, "n 3"] | None = None
+
+
+def render(
+    shape: ShapeGrid,
+    rays: RayBundle,
+    A_canonical_camera: Float[np.ndarray, "v 3 4"],
+    gradients: bool = True,
+) -> Rendering:
+    """Renders the shape along the rays.
+
+    Args:
+        shape: the grid on its device.
+        rays: pixels and depth ranges.
+        A_canonical_camera: affine maps from the cameras' frames to the canonical cube (``pose.py`` makes them).
+        gradients: whether the Jacobian is wanted too.
+    """
+    n, device = len(rays.directions), shape.device
+    with_code = gradients and shape.jacobian is not None
+    depth, variance, mask = (wp.empty(n, dtype=wp.float32, device=device) for _ in range(3))
+    sums = wp.empty((n, 2) if gradients else (1, 2), dtype=wp.vec3, device=device)
+    d_code = wp.empty(n if with_code else 1, dtype=_vec16, device=device)
+    wp.launch(
+        _render_kernel,
+        dim=n,
+        inputs=[
+            shape.occupancy,
+            shape.jacobian,
+            shape.cells,
+            _to_device(rays.directions, wp.vec3, device),
+            _to_device(rays.view, wp.int32, device),
+            _to_device(A_canonical_camera[:, :, :3], wp.mat33, device),
+            _to_device(A_canonical_camera[:, :, 3], wp.vec3, device),
+            _to_device(rays.depth_range, wp.vec2, device),
+            rays.samples,
+            int(gradients),
+            int(with_code),
+            wp.empty((n, rays.samples), dtype=wp.vec3, device=device),
+        ],
+        outputs=[depth, variance, mask, sums, d_code],
+        device=device,
+    )
+    sums_host = sums.numpy() if gradients else None
+    return Rendering(
+        depth=depth.numpy(),
+        variance=variance.numpy(),
+        mask=mask.numpy(),
+        d_code=d_code.numpy() if with_code else None,
+        sum_gradient=None if sums_host is None else sums_host[:, 0],
+        sum_depth_gradient=None if sums_host is None else sums_host[:, 1],
+    )
+
+
+@cache
+def _start_warp() -> None:
+    """Initialises Warp. On machines without CUDA it writes to standard error itself: that goes to the log."""
+    with tempfile.TemporaryFile("w+") as words:
+        stderr = os.dup(2)
+        os.dup2(words.fileno(), 2)
+        try:
+            wp.init()
+        finally:
+            os.dup2(stderr, 2)
+            os.close(stderr)
+        words.seek(0)
+        logger.debug("Warp: %s", words.read().strip())
+
+
+def _to_device(values: np.ndarray, dtype: type, device: str) -> wp.array:
+    scalar = np.int32 if dtype is wp.int32 else np.float32
+    return wp.from_numpy(np.ascontiguousarray(values, scalar), dtype=dtype, device=device)
+
+
+@wp.kernel
+@no_type_check  # for the run-time checker of the tests: these are Warp types
+def _pad(
+    occupancy: wp.array3d(dtype=wp.float32),
+    jacobian: wp.array3d(dtype=_vec16),
+    with_code: int,
+    skip_occupancy: float,
+    skip_jacobian: float,
+    padded_occupancy: wp.array(dtype=wp.float32),
+    padded_jacobian: wp.array(dtype=_vec16),
+    flags: wp.array(dtype=wp.uint8),
+):
+    """Voxels into a flat grid with an empty border one voxel wide, and what is worth knowing about each."""
+    i, j, k = wp.tid()
+    to = ((i + 1) * _SIDE + j + 1) * _SIDE + k + 1
+    o = occupancy[i, j, k]
+    flag = int(0)
+    if o > skip_occupancy:
+        flag = _OCCUPIED
+    if with_code != 0:
+        row = jacobian[i, j, k]
+        padded_jacobian[to] = row
+        if wp.max(wp.max(row), -wp.min(row)) > skip_jacobian:
+            flag = flag | _CODE_MOVES
+    padded_occupancy[to] = o
+    flags[to] = wp.uint8(flag)
+
+
+@wp.kernel
+@no_type_check  # for the run-time checker of the tests: these are Warp types
+def _flag_cells(voxels: wp.array(dtype=wp.uint8), cells: wp.array(dtype=wp.uint8)):
+    """What the eight voxels around a cell have between them; a cell has the index of its lowest voxel."""
+    i, j, k = wp.tid()
+    low = (i * _SIDE + j) * _SIDE + k
+    flag = int(0)
+    for a in range(2):
+        for b in range(2):
+            for c in range(2):
+                flag = flag | int(voxels[low + (a * _SIDE + b) * _SIDE + c])
+    cells[low] = wp.uint8(flag)
+
+
+@wp.kernel
+@no_type_check  # for the run-time checker of the tests: these are Warp types
+def _render_kernel(
+    occupancy: wp.array(dtype=wp.float32),
+    jacobian: wp.array(dtype=_vec16),
+    cells: wp.array(dtype=wp.uint8),
+    directions: wp.array(dtype=wp.vec3),
+    views: wp.array(dtype=wp.int32),
+    rotations: wp.array(dtype=wp.mat33),
+    origins: wp.array(dtype=wp.vec3),
+    depth_range: wp.array(dtype=wp.vec2),
+    samples: int,
+    gradients: int,
+    with_code: int,
+    stack: wp.array2d(dtype=wp.vec3),
+    depth: wp.array(dtype=wp.float32),
+    variance: wp.array(dtype=wp.float32),
+    mask: wp.array(dtype=wp.float32),
+    sums: wp.array2d(dtype=wp.vec3),
+    d_code: wp.array(dtype=_vec16),
+):
+    ray = wp.tid()
+    view = views[ray]
+    # In voxels of the padded grid, whose corner voxel has its centre at 0.
+    direction = _HALF * (rotations[view] * directions[ray])
+    origin = _HALF * origins[view] + wp.vec3(_HALF + 0.5, _HALF + 0.5, _HALF + 0.5)
+    near = depth_range[view][0]
+    far = depth_range[view][1]
+    step = (far - near) / float(samples)
+
+    # The samples inside the grid: those i with 0 < origin + delta_i direction < _SIDE - 1 along all axes.
+    enter = near
+    leave = far
+    for axis in range(3):
+        d = direction[axis]
+        if wp.abs(d) > 1.0e-9:
+            a = (_MARGIN - origin[axis]) / d
+            b = (_END - _MARGIN - origin[axis]) / d
+            enter = wp.max(enter, wp.min(a, b))
+            leave = wp.min(leave, wp.max(a, b))
+        elif origin[axis] < _MARGIN or origin[axis] > _END - _MARGIN:
+            leave = near - 1.0
+    first = wp.max(int(wp.ceil((enter - near) / step)), 1)
+    last = wp.min(int(wp.floor((leave - near) / step)), samples)
+
+    # Forwards: occupancy and the probability to get there, of the samples that matter, onto a stack.
+    count = int(0)
+    reaching = float(1.0)
+    for i in range(first, last + 1):
+        delta = near + float(i) * step
+        p = origin + delta * direction
+        ix = int(p[0])
+        iy = int(p[1])
+        iz = int(p[2])
+        at = (ix * _SIDE + iy) * _SIDE + iz
+        if cells[at] != wp.uint8(0):
+            x = p[0] - float(ix)
+            y = p[1] - float(iy)
+            z = p[2] - float(iz)
+            o00 = wp.lerp(occupancy[at], occupancy[at + 1], z)
+            o01 = wp.lerp(occupancy[at + _SIDE], occupancy[at + _SIDE + 1], z)
+            o10 = wp.lerp(occupancy[at + _SLAB], occupancy[at + _SLAB + 1], z)
+            o11 = wp.lerp(occupancy[at + _SLAB + _SIDE], occupancy[at + _SLAB + _SIDE + 1], z)
+            o = wp.lerp(wp.lerp(o00, o01, y), wp.lerp(o10, o11, y), x)
+            stack[ray, count] = wp.vec3(delta, o, reaching)
+            count += 1
+            reaching = reaching * (1.0 - o)
+            if reaching < _OPAQUE:
+                break
+
+    # Backwards: expected depth behind each sample; depths from the middle, so that squares stay small.
+    middle = 0.5 * (near + far)
+    mean = _ESCAPE * far - middle
+    square = mean * mean
+    code = _vec16()
+    sum_gradient = wp.vec3()
+    sum_depth_gradient = wp.vec3()
+    for n in range(count):
+        entry = stack[ray, count - 1 - n]
+        delta = entry[0]
+        o = entry[1]
+        weight = entry[2] * (delta - middle - mean)
+        mean = wp.lerp(mean, delta - middle, o)
+        square = wp.lerp(square, (delta - middle) * (delta - middle), o)
+        if gradients != 0:
+            p = origin + delta * direction
+            ix = int(p[0])
+            iy = int(p[1])
+            iz = int(p[2])
+            at = (ix * _SIDE + iy) * _SIDE + iz
+            x = p[0] - float(ix)
+            y = p[1] - float(iy)
+            z = p[2] - float(iz)
+            o000 = occupancy[at]
+            o001 = occupancy[at + 1]
+            o010 = occupancy[at + _SIDE]
+            o011 = occupancy[at + _SIDE + 1]
+            o100 = occupancy[at + _SLAB]
+            o101 = occupancy[at + _SLAB + 1]
+            o110 = occupancy[at + _SLAB + _SIDE]
+            o111 = occupancy[at + _SLAB + _SIDE + 1]
+            o00 = wp.lerp(o000, o001, z)
+            o01 = wp.lerp(o010, o011, z)
+            o10 = wp.lerp(o100, o101, z)
+            o11 = wp.lerp(o110, o111, z)
+            slope = (weight * _HALF) * wp.vec3(
+                wp.lerp(o10, o11, y) - wp.lerp(o00, o01, y),
+                wp.lerp(o01, o11, x) - wp.lerp(o00, o10, x),
+                wp.lerp(wp.lerp(o001 - o000, o011 - o010, y), wp.lerp(o101 - o100, o111 - o110, y), x),
+            )
+            sum_gradient += slope
+            sum_depth_gradient += delta * slope
+            if with_code != 0 and (int(cells[at]) & _CODE_MOVES) != 0:
+                w0 = weight * (1.0 - x)
+                w1 = weight * x
+                code += (w0 * (1.0 - y) * (1.0 - z)) * jacobian[at]
+                code += (w0 * (1.0 - y) * z) * jacobian[at + 1]
+                code += (w0 * y * (1.0 - z)) * jacobian[at + _SIDE]
+                code += (w0 * y * z) * jacobian[at + _SIDE + 1]
+                code += (w1 * (1.0 - y) * (1.0 - z)) * jacobian[at + _SLAB]
+                code += (w1 * (1.0 - y) * z) * jacobian[at + _SLAB + 1]
+                code += (w1 * y * (1.0 - z)) * jacobian[at + _SLAB + _SIDE]
+                code += (w1 * y * z) * jacobian[at + _SLAB + _SIDE + 1]
+    depth[ray] = mean + middle
+    variance[ray] = wp.max(square - mean * mean, 0.0)
+    mask[ray] = 1.0 - reaching
+    if gradients != 0:
+        sums[ray, 0] = sum_gradient
+        sums[ray, 1] = sum_depth_gradient
+    if with_code != 0:
+        d_code[ray] = code

@@ -1,0 +1,84 @@
+"""The object's 9-DoF pose: how cameras see the canonical cube, and how the depth changes with the pose.
+
+A pose changes locally: R <- R exp(omega), t <- t + v (world), s <- s * exp(sigma). Its nine parameters are
+ordered (omega [rad], object frame; v [m], world frame; sigma, log scale along the object's axes).
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+import numpy as np
+from jaxtyping import Float, Int
+
+from perception.geometry import so3_exp
+from perception.rendering.kernel import Rendering
+
+POSE_SIZE = 9
+
+
+@dataclass(frozen=True)
+class ObjectPose:
+    """p_world = rotation @ (scale * p_canonical) + translation.
+
+    Attributes:
+        rotation: (3, 3), object to world.
+        translation: (3,) of the object's origin, the grid's centre, in the world [m].
+        scale: (3,) metres per canonical unit along the object's axes.
+    """
+
+    rotation: Float[np.ndarray, "3 3"]
+    translation: Float[np.ndarray, "3"]
+    scale: Float[np.ndarray, "3"]
+
+    @property
+    def T_world_object(self) -> Float[np.ndarray, "4 4"]:
+        T = np.eye(4)
+        T[:3, :3], T[:3, 3] = self.rotation, self.translation
+        return T
+
+    @staticmethod
+    def of(T_world_object: Float[np.ndarray, "4 4"], scale: Float[np.ndarray, "3"]) -> ObjectPose:
+        return ObjectPose(np.array(T_world_object[:3, :3]), np.array(T_world_object[:3, 3]), np.array(scale))
+
+    def moved(self, step: Float[np.ndarray, "9"]) -> ObjectPose:
+        """The pose after a step (omega, v, sigma); its rotation stays orthonormal."""
+        rotation = self.rotation @ so3_exp(step[:3])
+        u, _, vt = np.linalg.svd(rotation)
+        return ObjectPose(u @ vt, self.translation + step[3:6], self.scale * np.exp(step[6:]))
+
+
+def canonical_from_camera(
+    pose: ObjectPose, Ts_world_camera: Float[np.ndarray, "v 4 4"]
+) -> Float[np.ndarray, "v 3 4"]:
+    """Affine maps from each camera's frame into the canonical cube: S^-1 R^T (T_world_camera p - t)."""
+    A = np.empty((len(Ts_world_camera), 3, 4))
+    to_canonical = pose.rotation.T / pose.scale[:, None]
+    A[:, :, :3] = to_canonical @ Ts_world_camera[:, :3, :3]
+    A[:, :, 3] = (Ts_world_camera[:, :3, 3] - pose.translation) @ to_canonical.T
+    return A
+
+
+def pose_jacobian(
+    pose: ObjectPose,
+    A_canonical_camera: Float[np.ndarray, "v 3 4"],
+    directions: Float[np.ndarray, "n 3"],
+    view: Int[np.ndarray, "n"],
+    rendering: Rendering,
+) -> Float[np.ndarray, "n 9"]:
+    """Derivative of the rendered depth by (omega, v, sigma).
+
+    With a sample at g = alpha + delta beta in canonical coordinates, q = S g in the object's:
+    dg/dv = -S^-1 R^T, dg/domega = S^-1 hat(q), dg/dsigma = -diag(g); the kernel's two sums carry them through.
+    """
+    if rendering.sum_gradient is None or rendering.sum_depth_gradient is None:
+        raise ValueError("the rendering has no gradients: call render(..., gradients=True)")
+    alpha = A_canonical_camera[view, :, 3].astype(np.float32)
+    beta = np.einsum("nij,nj->ni", A_canonical_camera[view, :, :3], directions).astype(np.float32)
+    g1, g2, scale = rendering.sum_gradient, rendering.sum_depth_gradient, pose.scale.astype(np.float32)
+    h1, h2 = g1 / scale, g2 / scale
+    out = np.empty((len(directions), POSE_SIZE), dtype=np.float32)
+    out[:, :3] = np.cross(h1, alpha * scale) + np.cross(h2, beta * scale)
+    out[:, 3:6] = -h1 @ pose.rotation.T.astype(np.float32)
+    out[:, 6:] = -(g1 * alpha + g2 * beta)
+    return out

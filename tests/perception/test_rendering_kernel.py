@@ -1,0 +1,118 @@
+"""The fused kernel against the plain renderer and against finite differences."""
+
+import numpy as np
+import pytest
+import torch
+
+from perception.geometry import rigid, so3_exp
+from perception.rendering.kernel import RayBundle, Rendering, ShapeGrid, render
+from perception.rendering.pose import ObjectPose, canonical_from_camera, pose_jacobian
+from perception.rendering.reference import render_reference
+
+POSE = ObjectPose(
+    so3_exp(np.array([0.2, -0.1, 0.7])), np.array([0.02, -0.01, 0.03]), np.array([0.05, 0.06, 0.07])
+)
+
+
+def _smooth_noise(rng: np.random.Generator, *shape: int) -> np.ndarray:
+    """Random fields on the grid, smooth over about four voxels, border included."""
+    coarse = torch.from_numpy(rng.normal(size=(1, int(np.prod(shape, dtype=int)), 8, 8, 8)))
+    fine = torch.nn.functional.interpolate(coarse, size=32, mode="trilinear", align_corners=True)
+    return np.moveaxis(fine[0].numpy(), 0, -1).reshape(32, 32, 32, *shape)
+
+
+@pytest.fixture(scope="module")
+def scene() -> tuple[np.ndarray, np.ndarray, RayBundle, np.ndarray]:
+    """A soft random blob with a made-up code Jacobian, and two cameras half a metre away."""
+    rng = np.random.default_rng(0)
+    grid = 1 / (1 + np.exp(-(2 * _smooth_noise(rng) - 2)))
+    jacobian = (grid * (1 - grid))[..., None] * _smooth_noise(rng, 16)
+    u, v = np.meshgrid(np.linspace(-0.2, 0.2, 24), np.linspace(-0.2, 0.2, 24))
+    pixels = np.stack([u.ravel(), v.ravel(), np.ones(u.size)], axis=-1)
+    view = np.repeat([0, 1], len(pixels))
+    depth_range = np.array([[0.4, 0.6], [0.41, 0.62]])
+    rays = RayBundle(np.tile(pixels, (2, 1)), view, depth_range, samples=64)
+    Ts_world_camera = np.stack(
+        [
+            rigid(so3_exp(np.array([np.pi, 0, 0])), np.array([0.02, 0.0, 0.52])),
+            rigid(so3_exp(np.array([np.pi / 2, 0, 0])), np.array([0.0, 0.5, 0.03])),
+        ]
+    )
+    return grid.astype(np.float32), jacobian.astype(np.float32), rays, Ts_world_camera
+
+
+def _reference(grid: np.ndarray, rays: RayBundle, A: np.ndarray):
+    directions, view = torch.from_numpy(rays.directions), torch.from_numpy(rays.view)
+    ranges = torch.from_numpy(rays.depth_range)
+    cube = torch.from_numpy(np.asarray(grid, np.float64))
+    return render_reference(cube, directions, view, torch.from_numpy(A), ranges, rays.samples)
+
+
+def _rendered(scene, pose: ObjectPose = POSE, **skip: float) -> tuple[Rendering, np.ndarray]:
+    grid, jacobian, rays, cameras = scene
+    A = canonical_from_camera(pose, cameras)
+    return render(ShapeGrid.upload(grid, jacobian, **skip), rays, A), A
+
+
+def test_agrees_with_the_plain_renderer(scene) -> None:
+    rendering, A = _rendered(scene)
+    expected = _reference(scene[0], scene[2], A)
+    assert 0.2 < rendering.mask.mean() < 0.99  # the scene has hits and misses
+    np.testing.assert_allclose(rendering.depth, expected.depth.numpy(), atol=1e-4)
+    np.testing.assert_allclose(rendering.variance, expected.variance.numpy(), atol=1e-5)
+    np.testing.assert_allclose(rendering.mask, expected.mask.numpy(), atol=1e-4)
+
+
+def test_skipping_what_does_not_matter_changes_little(scene) -> None:
+    exact, _ = _rendered(scene)
+    skipped, _ = _rendered(scene, skip_occupancy=1e-3, skip_jacobian=1e-3)
+    np.testing.assert_allclose(skipped.depth, exact.depth, atol=1e-3)
+
+
+def test_empty_grid_escapes_without_gradient(scene) -> None:
+    _, _, rays, cameras = scene
+    empty = ShapeGrid.upload(np.zeros((32, 32, 32), np.float32), np.zeros((32, 32, 32, 16), np.float32))
+    rendering = render(empty, rays, canonical_from_camera(POSE, cameras))
+    np.testing.assert_allclose(rendering.depth, rays.escape_depth[rays.view], rtol=1e-6)
+    assert not rendering.mask.any() and not rendering.variance.any()
+    assert rendering.d_code is not None and not rendering.d_code.any()
+
+
+def test_code_jacobian_by_finite_differences(scene) -> None:
+    grid, jacobian, rays, _ = scene
+    rendering, A = _rendered(scene)
+    for k in range(16):
+        step = 1e-3
+        ahead = _reference(grid + step * jacobian[..., k].astype(np.float64), rays, A)
+        behind = _reference(grid - step * jacobian[..., k].astype(np.float64), rays, A)
+        numeric = (ahead.depth - behind.depth).numpy() / (2 * step)
+        assert rendering.d_code is not None
+        np.testing.assert_allclose(rendering.d_code[:, k], numeric, atol=2e-4 * np.abs(numeric).max() + 2e-6)
+
+
+@pytest.mark.parametrize("k", range(9))
+def test_pose_jacobian_by_finite_differences(scene, k: int) -> None:
+    grid, _, rays, cameras = scene
+    rendering, A = _rendered(scene)
+    analytic = pose_jacobian(POSE, A, rays.directions, rays.view, rendering)[:, k]
+    step = np.zeros(9)
+    step[k] = 1e-6
+    ahead, behind = (
+        _reference(grid, rays, canonical_from_camera(POSE.moved(s), cameras)).depth.numpy()
+        for s in (step, -step)
+    )
+    numeric = (ahead - behind) / (2 * step[k])
+    # Trilinear interpolation has kinks at cell borders: single rays may straddle one.
+    error = np.abs(analytic - numeric) / np.abs(numeric).max()
+    assert np.median(error) < 1e-5
+    assert np.quantile(error, 0.99) < 1e-3
+
+
+def test_image_alone_is_the_same_image(scene) -> None:
+    grid, _, rays, cameras = scene
+    A = canonical_from_camera(POSE, cameras)
+    image = render(ShapeGrid.upload(grid), rays, A, gradients=False)
+    assert image.d_code is None and image.sum_gradient is None
+    np.testing.assert_allclose(image.depth, _rendered(scene)[0].depth, atol=1e-6)
+    with pytest.raises(ValueError, match="gradients=True"):
+        pose_jacobian(POSE, A, rays.directions, rays.view, image)
