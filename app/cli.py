@@ -1,0 +1,137 @@
+"""The command line: options in, exit code out.
+
+0 done and successful, 1 ran but the task failed, 2 bad usage or input (one line on standard
+error), 130 interrupted.
+"""
+
+from __future__ import annotations
+
+import contextlib
+import importlib
+import io
+import logging
+import os
+import re
+import sys
+from collections.abc import Callable, Iterator, Sequence
+from functools import reduce
+from typing import Annotated, Any
+
+import tyro
+
+from app.errors import AppError
+from app.options import COMMANDS, CommonOptions
+from app.screen import Screen
+
+DESCRIPTION = "A robot arm looks at a table, understands whole objects, and packs or sorts them."
+DONE, TASK_FAILED, BAD_INPUT, INTERRUPTED = 0, 1, 2, 130
+
+# Imported only when called, so that each command loads what it needs and no more.
+HANDLERS = {
+    "pack": "app.task",
+    "sort": "app.task",
+    "scan": "app.scan",
+    "reconstruct": "app.reconstruct",
+    "train": "app.train",
+    "evaluate": "app.evaluate_tasks",
+    "doctor": "app.doctor",
+}
+
+
+def run(arguments: Sequence[str]) -> int:
+    """Run one command and return its exit code."""
+    try:
+        options = parse(arguments)
+    except AppError as error:
+        return _complain(str(error))
+    except SystemExit as end:  # --help
+        return int(end.code or 0)
+    command = next(name for name, kind in COMMANDS.items() if type(options) is kind)
+    screen = Screen(quiet=options.quiet or options.json, json=options.json)
+    level = logging.ERROR if options.quiet else logging.WARNING
+    logging.basicConfig(level=level, format="nodeslam: %(levelname)s: %(message)s", stream=sys.stderr)
+    try:
+        with _stdout_reserved(options.json):
+            report = _handler(command)(options, screen)
+    except KeyboardInterrupt:
+        return _complain("interrupted; what was finished is kept", INTERRUPTED)
+    except _input_errors() as error:
+        return _complain(str(error))
+    if options.json:
+        sys.stdout.write(report.to_json() + "\n")
+    return DONE if report.success else TASK_FAILED
+
+
+def parse(arguments: Sequence[str]) -> CommonOptions:
+    """The options of a command line.
+
+    Raises:
+        UsageError: it makes no sense; one line says why.
+        SystemExit: help was asked for and printed.
+    """
+    from app.errors import UsageError
+
+    kinds = [
+        Annotated[kind, tyro.conf.subcommand(name, prefix_name=False)] for name, kind in COMMANDS.items()
+    ]
+    config = (tyro.conf.FlagCreatePairsOff, tyro.conf.OmitArgPrefixes)
+    commands: Any = reduce(lambda union, kind: union | kind, kinds)
+    errors = io.StringIO()
+    try:
+        with contextlib.redirect_stderr(errors):
+            return tyro.cli(commands, prog="nodeslam", description=DESCRIPTION, args=arguments, config=config)
+    except SystemExit as end:
+        if not end.code:
+            raise
+        raise UsageError(_one_line(errors.getvalue())) from None
+
+
+def _one_line(boxed: str) -> str:
+    """The message inside tyro's framed error: what stands above its first rule."""
+    lines = [re.sub(r"[│╭╮╰╯]", "", line).strip() for line in boxed.splitlines()]
+    text = "\n".join(line for line in lines if line and not line.startswith("─ "))  # without the title
+    message = " ".join(re.split("─+", text)[0].split()).rstrip(".")
+    suggestion = re.search(r"Perhaps you meant\S*\s+(--[\w-]+)", text)
+    if suggestion:
+        message += f" (did you mean {suggestion.group(1)}?)"
+    page = re.search(r"nodeslam[\w ]* --help", boxed)
+    return f"{message}; see {page.group() if page else 'nodeslam --help'}"
+
+
+def _handler(command: str) -> Callable[[Any, Screen], Any]:
+    return importlib.import_module(HANDLERS[command]).run
+
+
+def _input_errors() -> tuple[type[Exception], ...]:
+    """What counts as bad usage or input, of the packages that were loaded."""
+    kinds: list[type[Exception]] = [AppError]
+    for module, names in {
+        "perception.errors": ("PerceptionError",),
+        "sim_assets.errors": ("SimAssetsError",),
+        "sim_assets.headless": ("GraphicsError",),
+    }.items():
+        if module in sys.modules:
+            kinds += [getattr(sys.modules[module], name) for name in names]
+    return tuple(kinds)
+
+
+def _complain(message: str, code: int = BAD_INPUT) -> int:
+    sys.stderr.write(f"nodeslam: {' '.join(message.split())}\n")
+    return code
+
+
+@contextlib.contextmanager
+def _stdout_reserved(reserve: bool) -> Iterator[None]:
+    """Send everything that libraries print, native ones too, to standard error: the report stays alone."""
+    if not reserve:
+        yield
+        return
+    sys.stdout.flush()
+    kept = os.dup(1)
+    os.dup2(2, 1)
+    try:
+        with contextlib.redirect_stdout(sys.stderr):
+            yield
+    finally:
+        os.dup2(kept, 1)
+        os.close(kept)

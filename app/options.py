@@ -1,0 +1,138 @@
+"""What every command accepts: frozen records that the command line is made from.
+
+Nothing heavy is imported here, so that ``--help`` and bad usage answer at once.
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from pathlib import Path
+from typing import Annotated, Literal
+
+from tyro.conf import Positional, arg
+
+Device = Literal["auto", "cpu", "cuda"]
+Shapes = Literal["nodeslam", "tsdf", "oracle"]
+Task = Literal["pack", "sort"]
+DepthNoise = Literal["none", "gaussian", "realsense"]
+
+
+@dataclass(frozen=True, kw_only=True)
+class CommonOptions:
+    """What every command accepts."""
+
+    seed: int = 0
+    """Everything random derives from it."""
+    out: Annotated[
+        Path | None, arg(metavar="DIR", help_behavior_hint="default: runs/<time>_<command>_seed<N>")
+    ] = None
+    """Run folder to write."""
+    device: Device = "auto"
+    """Where networks and the optimiser run; auto takes CUDA where there is one."""
+    quiet: bool = False
+    """No progress and no tables."""
+    json: bool = False
+    """Print the report, and nothing else, on standard output."""
+
+
+@dataclass(frozen=True, kw_only=True)
+class CellOptions(CommonOptions):
+    """The simulated cell: what lies on its table, and how well its camera sees."""
+
+    objects: Annotated[str, arg(metavar="N|CLASS=N,...")] = "6"
+    """How many objects, or how many of each class: mug=2,bowl=2,bottle=1,can=1."""
+    object_meshes: Annotated[
+        Path | None, arg(metavar="DIR", help_behavior_hint="default: generated objects")
+    ] = None
+    """Own objects: DIR/<class>/*.{ply,obj,glb,stl}, metric, z up."""
+    box: Annotated[str, arg(metavar="L,W,H")] = "0.34,0.30,0.08"
+    """Inner size of the box in metres."""
+    depth_noise: DepthNoise = "gaussian"
+    """Depth camera: exact, 2 mm of noise, or noise growing with distance, holes and quantisation."""
+
+
+@dataclass(frozen=True, kw_only=True)
+class TaskOptions(CellOptions):
+    """What a task needs to know, run once or many times."""
+
+    shapes: Shapes = "nodeslam"
+    """Which reconstruction the planner gets; oracle hands it the true meshes and poses."""
+
+
+@dataclass(frozen=True, kw_only=True)
+class RunTaskOptions(TaskOptions):
+    """What pack and sort accept."""
+
+    video: bool = False
+    """Write video.mp4."""
+
+
+@dataclass(frozen=True, kw_only=True)
+class PackOptions(RunTaskOptions):
+    """Scan the table, reconstruct every object, pack them all into the box, and look again."""
+
+
+@dataclass(frozen=True, kw_only=True)
+class SortOptions(RunTaskOptions):
+    """Scan the table, reconstruct every object, line them up by size, and look again."""
+
+
+@dataclass(frozen=True, kw_only=True)
+class ScanOptions(CellOptions):
+    """Move the wrist camera around the table and write a scan folder."""
+
+
+@dataclass(frozen=True, kw_only=True)
+class ReconstructOptions(CommonOptions):
+    """Reconstruct the objects of a scan folder; needs no simulator."""
+
+    scan: Positional[Path]
+    """Scan folder (BOP scene layout); its detections are used where it has them."""
+
+
+@dataclass(frozen=True, kw_only=True)
+class TrainOptions(CommonOptions):
+    """Reproduce the shipped weights, or train on own mesh folders."""
+
+    network: Positional[Literal["shape", "detector", "yaw"]]
+    """Which network."""
+    object_meshes: Annotated[
+        Path | None, arg(metavar="DIR", help_behavior_hint="default: generated objects")
+    ] = None
+    """Train shapes on own meshes too: DIR/<class>/*.{ply,obj,glb,stl}, metric, z up."""
+    minutes: Annotated[float | None, arg(help_behavior_hint="default: the full schedule")] = None
+    """Stop training after this long."""
+
+
+@dataclass(frozen=True, kw_only=True)
+class EvaluateOptions(TaskOptions):
+    """Measure success over many episodes with seeds --seed, --seed + 1, ..."""
+
+    what: Positional[Literal["tasks"]]
+    """What to evaluate."""
+    task: Task = "pack"
+    """Which task."""
+    episodes: int = 20
+    """How many episodes."""
+    workers: int = 1
+    """Processes, each with one thread."""
+    resume: bool = False
+    """Go on with the finished episodes of --out."""
+    ray: Annotated[str | None, arg(metavar="ADDRESS", help_behavior_hint="default: this machine")] = None
+    """Ray cluster to run on (extra: cluster)."""
+
+
+@dataclass(frozen=True, kw_only=True)
+class DoctorOptions(CommonOptions):
+    """What this machine has: OpenGL, CUDA, weights, versions; what to do about what is missing."""
+
+
+COMMANDS: dict[str, type[CommonOptions]] = {
+    "pack": PackOptions,
+    "sort": SortOptions,
+    "scan": ScanOptions,
+    "reconstruct": ReconstructOptions,
+    "train": TrainOptions,
+    "evaluate": EvaluateOptions,
+    "doctor": DoctorOptions,
+}

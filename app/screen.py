@@ -1,0 +1,45 @@
+"""What a person sees while a command runs: progress on standard error, results on standard output."""
+
+from __future__ import annotations
+
+import time
+from collections.abc import Iterator
+from contextlib import contextmanager
+from dataclasses import dataclass, field
+from typing import Any
+
+from rich.console import Console
+from rich.markup import escape
+
+
+@dataclass
+class Screen:
+    """Progress lines, tables and warnings; silent when quiet."""
+
+    quiet: bool = False
+    json: bool = False
+    _progress: Console = field(default_factory=lambda: Console(stderr=True, highlight=False))
+    _results: Console = field(default_factory=lambda: Console(highlight=False))
+
+    @contextmanager
+    def stage(self, title: str) -> Iterator[None]:
+        """Show a stage with a spinner while it runs, and how long it took afterwards."""
+        if self.quiet:
+            yield
+            return
+        begin = time.perf_counter()
+        with self._progress.status(f"{escape(title)} ..."):
+            yield
+        self._progress.print(
+            f"[green]✓[/green] {escape(title):<44} [dim]{time.perf_counter() - begin:6.1f} s[/dim]"
+        )
+
+    def note(self, text: str) -> None:
+        """One line of progress."""
+        if not self.quiet:
+            self._progress.print(f"  {escape(text)}", style="dim")
+
+    def show(self, renderable: Any) -> None:
+        """A table or a line of results."""
+        if not self.quiet:
+            self._results.print(renderable)
