@@ -1,8 +1,8 @@
-"""Probabilistic renderer as one fused Warp kernel: depth, variance, mask and the whole Jacobian in one pass.
+# ruff: noqa: UP018, RUF046  -- int(0) and float(1) declare variables in Warp, literals are constants
+"""The kernels of the probabilistic renderer, in Warp: one source for CPU and CUDA.
 
-The same source runs on the CPU and with CUDA; ``reference.py`` is the plain version of the same equations
-(NodeSLAM, section "Probabilistic Rendering"). With o_i the occupancy at sample i, T_i the probability to reach
-it and E_i the expected depth from there on,
+Depth, variance, mask and the whole Jacobian in one pass. With o_i the occupancy at sample i, T_i the
+probability to reach it and E_i the expected depth from there on,
 
     E_{M+1} = escape depth,    E_i = o_i delta_i + (1 - o_i) E_{i+1},    D = E_1,
     dD/do_i = w_i = T_i (delta_i - E_{i+1}),
@@ -10,28 +10,20 @@ it and E_i the expected depth from there on,
 without any division. The Jacobian then needs three sums along the ray: w_i do_i/dcode (16 numbers), and
 w_i grad o_i and w_i delta_i grad o_i (3 each), from which ``pose.py`` makes the derivative by any pose.
 
-Samples outside the grid, and those in cells where nothing is and which no code moves, are skipped.
+Samples outside the grid are never visited; those in cells where nothing is and which no code moves are
+skipped.
 """
 
-from __future__ import annotations
-
-import logging
-import os
-import tempfile
-from dataclasses import dataclass
-from functools import cache
 from typing import no_type_check
 
-import numpy as np
 import warp as wp
-from jaxtyping import Float, Int
 
 from perception.types import CODE_SIZE, GRID_RESOLUTION
 
 ESCAPE_FACTOR = 1.1  # escape depth over the farthest sample's depth (paper, "Aggregation")
-_VOXELS = (GRID_RESOLUTION + 2) ** 3
+PADDED_VOXELS = (GRID_RESOLUTION + 2) ** 3
 
-# Constants of the kernels. Inside, the grid is flat and has a border of empty voxels, where interpolation ends.
+# Inside the kernels the grid is flat, with a border of empty voxels, where interpolation fades out.
 _SIDE = wp.constant(GRID_RESOLUTION + 2)
 _SLAB = wp.constant((GRID_RESOLUTION + 2) ** 2)
 _HALF = wp.constant(GRID_RESOLUTION / 2.0)
@@ -42,7 +34,6 @@ _OPAQUE = wp.constant(1e-6)  # a ray less likely than this to go on is at its en
 _OCCUPIED = wp.constant(1)  # flags of cells
 _CODE_MOVES = wp.constant(2)
 
-wp.config.log_level = wp.LOG_ERROR  # no banner on standard output
 wp.set_module_options(
     {
         "enable_backward": False,  # the derivatives are written out below
@@ -51,180 +42,19 @@ wp.set_module_options(
     }
 )
 
-logger = logging.getLogger(__name__)
-
-_vec16 = wp.types.vector(length=CODE_SIZE, dtype=wp.float32)
-
-
-@dataclass(frozen=True)
-class ShapeGrid:
-    """An occupancy grid, where wanted its Jacobian by the code, and the flags of its cells, on one device."""
-
-    occupancy: wp.array
-    jacobian: wp.array | None
-    cells: wp.array
-    device: str
-
-    @staticmethod
-    def upload(
-        occupancy: Float[np.ndarray, "r r r"],
-        jacobian: Float[np.ndarray, "r r r 16"] | None = None,
-        device: str = "cpu",
-        skip_occupancy: float = 0.0,
-        skip_jacobian: float = 0.0,
-    ) -> ShapeGrid:
-        """Brings a grid to the device; on the CPU the arrays are shared, not copied, so leave them alone.
-
-        Args:
-            occupancy: G[ix, iy, iz] in 0..1.
-            jacobian: d occupancy / d code.
-            device: "cpu" or "cuda:0".
-            skip_occupancy: cells with no corner above this count as empty.
-            skip_jacobian: cells with no derivative above this count as unmoved by the code.
-        """
-        _start_warp()
-        grid = wp.from_numpy(np.ascontiguousarray(occupancy, np.float32), dtype=wp.float32, device=device)
-        moves, padded_moves = None, None
-        if jacobian is not None:
-            moves = wp.from_numpy(np.ascontiguousarray(jacobian, np.float32), dtype=_vec16, device=device)
-            padded_moves = wp.zeros(_VOXELS, dtype=_vec16, device=device)
-        padded = wp.zeros(_VOXELS, dtype=wp.float32, device=device)
-        voxels, cells = (wp.zeros(_VOXELS, dtype=wp.uint8, device=device) for _ in range(2))
-        wp.launch(
-            _pad,
-            dim=grid.shape,
-            inputs=[grid, moves, int(moves is not None), float(skip_occupancy), float(skip_jacobian)],
-            outputs=[padded, padded_moves, voxels],
-            device=device,
-        )
-        side = GRID_RESOLUTION + 1
-        wp.launch(_flag_cells, dim=(side, side, side), inputs=[voxels], outputs=[cells], device=device)
-        return ShapeGrid(padded, padded_moves, cells, device)
-
-
-@dataclass(frozen=True)
-class RayBundle:
-    """Pixels of one or several views to be rendered: everything that stays the same over a fit.
-
-    Attributes:
-        directions: (n, 3) back-projected pixels in their camera's frame, z = 1, so that depth scales them.
-        view: (n,) index of each ray's camera.
-        depth_range: (v, 2) nearest and farthest depth for each camera in [m].
-        samples: M, the number of samples between the two.
-    """
-
-    directions: Float[np.ndarray, "n 3"]
-    view: Int[np.ndarray, "n"]
-    depth_range: Float[np.ndarray, "v 2"]
-    samples: int
-
-    @property
-    def escape_depth(self) -> Float[np.ndarray, "v"]:
-        """Depth of rays that miss the object, by view in [m]."""
-        return ESCAPE_FACTOR * self.depth_range[:, 1]
-
-
-@dataclass(frozen=True)
-class Rendering:
-    """What the rays see, and how it changes.
-
-    Attributes:
-        depth: (n,) expected depth in [m].
-        variance: (n,) its variance in [m^2].
-        mask: (n,) probability to hit the object.
-        d_code: (n, 16) derivative of depth by the code, or None.
-        sum_gradient: (n, 3) sum of w_i grad o_i, by canonical coordinates, or None.
-        sum_depth_gradient: (n, 3) sum of w_i delta_i grad o_i, or None.
-    """
-
-    depth: Float[np.ndarray, "n"]
-    variance: Float[np.ndarray, "n"]
-    mask: Float[np.ndarray, "n"]
-    d_code: Float[np.ndarray, "n 16"] | None = None
-    sum_gradient: Float[np.ndarray, "n 3"] | None = None
-    sum_depth_gradient: Float[np.ndarray, "n 3"] | None = None
-
-
-def render(
-    shape: ShapeGrid,
-    rays: RayBundle,
-    A_canonical_camera: Float[np.ndarray, "v 3 4"],
-    gradients: bool = True,
-) -> Rendering:
-    """Renders the shape along the rays.
-
-    Args:
-        shape: the grid on its device.
-        rays: pixels and depth ranges.
-        A_canonical_camera: affine maps from the cameras' frames to the canonical cube (``pose.py`` makes them).
-        gradients: whether the Jacobian is wanted too.
-    """
-    n, device = len(rays.directions), shape.device
-    with_code = gradients and shape.jacobian is not None
-    depth, variance, mask = (wp.empty(n, dtype=wp.float32, device=device) for _ in range(3))
-    sums = wp.empty((n, 2) if gradients else (1, 2), dtype=wp.vec3, device=device)
-    d_code = wp.empty(n if with_code else 1, dtype=_vec16, device=device)
-    wp.launch(
-        _render_kernel,
-        dim=n,
-        inputs=[
-            shape.occupancy,
-            shape.jacobian,
-            shape.cells,
-            _to_device(rays.directions, wp.vec3, device),
-            _to_device(rays.view, wp.int32, device),
-            _to_device(A_canonical_camera[:, :, :3], wp.mat33, device),
-            _to_device(A_canonical_camera[:, :, 3], wp.vec3, device),
-            _to_device(rays.depth_range, wp.vec2, device),
-            rays.samples,
-            int(gradients),
-            int(with_code),
-            wp.empty((n, rays.samples), dtype=wp.vec3, device=device),
-        ],
-        outputs=[depth, variance, mask, sums, d_code],
-        device=device,
-    )
-    sums_host = sums.numpy() if gradients else None
-    return Rendering(
-        depth=depth.numpy(),
-        variance=variance.numpy(),
-        mask=mask.numpy(),
-        d_code=d_code.numpy() if with_code else None,
-        sum_gradient=None if sums_host is None else sums_host[:, 0],
-        sum_depth_gradient=None if sums_host is None else sums_host[:, 1],
-    )
-
-
-@cache
-def _start_warp() -> None:
-    """Initialises Warp. On machines without CUDA it writes to standard error itself: that goes to the log."""
-    with tempfile.TemporaryFile("w+") as words:
-        stderr = os.dup(2)
-        os.dup2(words.fileno(), 2)
-        try:
-            wp.init()
-        finally:
-            os.dup2(stderr, 2)
-            os.close(stderr)
-        words.seek(0)
-        logger.debug("Warp: %s", words.read().strip())
-
-
-def _to_device(values: np.ndarray, dtype: type, device: str) -> wp.array:
-    scalar = np.int32 if dtype is wp.int32 else np.float32
-    return wp.from_numpy(np.ascontiguousarray(values, scalar), dtype=dtype, device=device)
+vec16 = wp.types.vector(length=CODE_SIZE, dtype=wp.float32)
 
 
 @wp.kernel
 @no_type_check  # for the run-time checker of the tests: these are Warp types
-def _pad(
+def pad_kernel(
     occupancy: wp.array3d(dtype=wp.float32),
-    jacobian: wp.array3d(dtype=_vec16),
+    jacobian: wp.array3d(dtype=vec16),
     with_code: int,
     skip_occupancy: float,
     skip_jacobian: float,
     padded_occupancy: wp.array(dtype=wp.float32),
-    padded_jacobian: wp.array(dtype=_vec16),
+    padded_jacobian: wp.array(dtype=vec16),
     flags: wp.array(dtype=wp.uint8),
 ):
     """Voxels into a flat grid with an empty border one voxel wide, and what is worth knowing about each."""
@@ -245,7 +75,7 @@ def _pad(
 
 @wp.kernel
 @no_type_check  # for the run-time checker of the tests: these are Warp types
-def _flag_cells(voxels: wp.array(dtype=wp.uint8), cells: wp.array(dtype=wp.uint8)):
+def flag_cells_kernel(voxels: wp.array(dtype=wp.uint8), cells: wp.array(dtype=wp.uint8)):
     """What the eight voxels around a cell have between them; a cell has the index of its lowest voxel."""
     i, j, k = wp.tid()
     low = (i * _SIDE + j) * _SIDE + k
@@ -259,9 +89,9 @@ def _flag_cells(voxels: wp.array(dtype=wp.uint8), cells: wp.array(dtype=wp.uint8
 
 @wp.kernel
 @no_type_check  # for the run-time checker of the tests: these are Warp types
-def _render_kernel(
+def render_kernel(
     occupancy: wp.array(dtype=wp.float32),
-    jacobian: wp.array(dtype=_vec16),
+    jacobian: wp.array(dtype=vec16),
     cells: wp.array(dtype=wp.uint8),
     directions: wp.array(dtype=wp.vec3),
     views: wp.array(dtype=wp.int32),
@@ -276,7 +106,7 @@ def _render_kernel(
     variance: wp.array(dtype=wp.float32),
     mask: wp.array(dtype=wp.float32),
     sums: wp.array2d(dtype=wp.vec3),
-    d_code: wp.array(dtype=_vec16),
+    d_code: wp.array(dtype=vec16),
 ):
     ray = wp.tid()
     view = views[ray]
@@ -331,7 +161,7 @@ def _render_kernel(
     middle = 0.5 * (near + far)
     mean = _ESCAPE * far - middle
     square = mean * mean
-    code = _vec16()
+    code = vec16()
     sum_gradient = wp.vec3()
     sum_depth_gradient = wp.vec3()
     for n in range(count):

@@ -12,7 +12,7 @@ import numpy as np
 from jaxtyping import Float, Int
 
 from perception.geometry import so3_exp
-from perception.rendering.kernel import Rendering
+from perception.rendering.renderer import Rendering
 
 POSE_SIZE = 9
 
@@ -69,7 +69,7 @@ def pose_jacobian(
     """Derivative of the rendered depth by (omega, v, sigma).
 
     With a sample at g = alpha + delta beta in canonical coordinates, q = S g in the object's:
-    dg/dv = -S^-1 R^T, dg/domega = S^-1 hat(q), dg/dsigma = -diag(g); the kernel's two sums carry them through.
+    dg/dv = -S^-1 R^T, dg/domega = S^-1 hat(q), dg/dsigma = -diag(g); two sums along the ray carry them over.
     """
     if rendering.sum_gradient is None or rendering.sum_depth_gradient is None:
         raise ValueError("the rendering has no gradients: call render(..., gradients=True)")

@@ -75,7 +75,7 @@ def render_reference(
     depth_range: Float[Tensor, "v 2"],
     samples: int,
 ) -> ReferenceRendering:
-    """Renders a grid; arguments as in ``kernel.render`` and ``kernel.RayBundle``."""
+    """Renders a grid; arguments as in ``renderer.render`` and ``renderer.RayBundle``."""
     depths = sample_depths(depth_range[view], samples)
     points_camera = depths[..., None] * directions[:, None]
     A = A_canonical_camera[view]

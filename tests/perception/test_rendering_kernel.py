@@ -5,9 +5,9 @@ import pytest
 import torch
 
 from perception.geometry import rigid, so3_exp
-from perception.rendering.kernel import RayBundle, Rendering, ShapeGrid, render
 from perception.rendering.pose import ObjectPose, canonical_from_camera, pose_jacobian
 from perception.rendering.reference import render_reference
+from perception.rendering.renderer import RayBundle, Rendering, ShapeGrid, render
 
 POSE = ObjectPose(
     so3_exp(np.array([0.2, -0.1, 0.7])), np.array([0.02, -0.01, 0.03]), np.array([0.05, 0.06, 0.07])

@@ -1,0 +1,198 @@
+"""Probabilistic renderer: host side of the fused kernels, arrays in and arrays out.
+
+``reference.py`` is the plain version of the same equations (NodeSLAM, section "Probabilistic Rendering").
+"""
+
+from __future__ import annotations
+
+import logging
+import os
+import tempfile
+from dataclasses import dataclass
+from functools import cache
+from typing import Any
+
+import numpy as np
+import warp as wp
+from jaxtyping import Float, Int
+
+from perception.rendering.kernel import (
+    ESCAPE_FACTOR,
+    PADDED_VOXELS,
+    flag_cells_kernel,
+    pad_kernel,
+    render_kernel,
+    vec16,
+)
+from perception.types import GRID_RESOLUTION
+
+logger = logging.getLogger(__name__)
+
+wp.config.log_level = wp.LOG_ERROR  # no banner on standard output
+
+
+@dataclass(frozen=True)
+class ShapeGrid:
+    """An occupancy grid, where wanted its Jacobian by the code, and the flags of its cells, on one device."""
+
+    occupancy: wp.array
+    jacobian: wp.array | None
+    cells: wp.array
+    device: str
+
+    @staticmethod
+    def upload(
+        occupancy: Float[np.ndarray, "r r r"],
+        jacobian: Float[np.ndarray, "r r r 16"] | None = None,
+        device: str = "cpu",
+        skip_occupancy: float = 0.0,
+        skip_jacobian: float = 0.0,
+    ) -> ShapeGrid:
+        """Brings a grid to the device, with a border of empty voxels, and flags the cells worth a visit.
+
+        Args:
+            occupancy: G[ix, iy, iz] in 0..1.
+            jacobian: d occupancy / d code.
+            device: "cpu" or "cuda:0".
+            skip_occupancy: cells with no corner above this count as empty.
+            skip_jacobian: cells with no derivative above this count as unmoved by the code.
+        """
+        _start_warp()
+        grid = wp.from_numpy(np.ascontiguousarray(occupancy, np.float32), dtype=wp.float32, device=device)
+        moves, padded_moves = None, None
+        if jacobian is not None:
+            moves = wp.from_numpy(np.ascontiguousarray(jacobian, np.float32), dtype=vec16, device=device)
+            padded_moves = _zeros(PADDED_VOXELS, dtype=vec16, device=device)
+        padded = _zeros(PADDED_VOXELS, dtype=wp.float32, device=device)
+        voxels, cells = (_zeros(PADDED_VOXELS, dtype=wp.uint8, device=device) for _ in range(2))
+        wp.launch(
+            pad_kernel,
+            dim=grid.shape,
+            inputs=[grid, moves, int(moves is not None), float(skip_occupancy), float(skip_jacobian)],
+            outputs=[padded, padded_moves, voxels],
+            device=device,
+        )
+        side = GRID_RESOLUTION + 1
+        wp.launch(flag_cells_kernel, dim=(side, side, side), inputs=[voxels], outputs=[cells], device=device)
+        return ShapeGrid(padded, padded_moves, cells, device)
+
+
+@dataclass(frozen=True)
+class RayBundle:
+    """Pixels of one or several views to be rendered: everything that stays the same over a fit.
+
+    Attributes:
+        directions: (n, 3) back-projected pixels in their camera's frame, z = 1, so that depth scales them.
+        view: (n,) index of each ray's camera.
+        depth_range: (v, 2) nearest and farthest depth for each camera in [m].
+        samples: M, the number of samples between the two.
+    """
+
+    directions: Float[np.ndarray, "n 3"]
+    view: Int[np.ndarray, "n"]
+    depth_range: Float[np.ndarray, "v 2"]
+    samples: int
+
+    @property
+    def escape_depth(self) -> Float[np.ndarray, "v"]:
+        """Depth of rays that miss the object, by view in [m]."""
+        return ESCAPE_FACTOR * self.depth_range[:, 1]
+
+
+@dataclass(frozen=True)
+class Rendering:
+    """What the rays see, and how it changes.
+
+    Attributes:
+        depth: (n,) expected depth in [m].
+        variance: (n,) its variance in [m^2].
+        mask: (n,) probability to hit the object.
+        d_code: (n, 16) derivative of depth by the code, or None.
+        sum_gradient: (n, 3) sum of w_i grad o_i, by canonical coordinates, or None.
+        sum_depth_gradient: (n, 3) sum of w_i delta_i grad o_i, or None.
+    """
+
+    depth: Float[np.ndarray, "n"]
+    variance: Float[np.ndarray, "n"]
+    mask: Float[np.ndarray, "n"]
+    d_code: Float[np.ndarray, "n 16"] | None = None
+    sum_gradient: Float[np.ndarray, "n 3"] | None = None
+    sum_depth_gradient: Float[np.ndarray, "n 3"] | None = None
+
+
+def render(
+    shape: ShapeGrid,
+    rays: RayBundle,
+    A_canonical_camera: Float[np.ndarray, "v 3 4"],
+    gradients: bool = True,
+) -> Rendering:
+    """Renders the shape along the rays.
+
+    Args:
+        shape: the grid on its device.
+        rays: pixels and depth ranges.
+        A_canonical_camera: affine maps from the cameras' frames to the canonical cube (see ``pose.py``).
+        gradients: whether the Jacobian is wanted too.
+    """
+    n, device = len(rays.directions), shape.device
+    with_code = gradients and shape.jacobian is not None
+    depth, variance, mask = (_empty(n, dtype=wp.float32, device=device) for _ in range(3))
+    sums = _empty((n, 2) if gradients else (1, 2), dtype=wp.vec3, device=device)
+    d_code = _empty(n if with_code else 1, dtype=vec16, device=device)
+    wp.launch(
+        render_kernel,
+        dim=n,
+        inputs=[
+            shape.occupancy,
+            shape.jacobian,
+            shape.cells,
+            _to_device(rays.directions, wp.vec3, device),
+            _to_device(rays.view, wp.int32, device),
+            _to_device(A_canonical_camera[:, :, :3], wp.mat33, device),
+            _to_device(A_canonical_camera[:, :, 3], wp.vec3, device),
+            _to_device(rays.depth_range, wp.vec2, device),
+            rays.samples,
+            int(gradients),
+            int(with_code),
+            _empty((n, rays.samples), dtype=wp.vec3, device=device),
+        ],
+        outputs=[depth, variance, mask, sums, d_code],
+        device=device,
+    )
+    sums_host = sums.numpy() if gradients else None
+    return Rendering(
+        depth=depth.numpy(),
+        variance=variance.numpy(),
+        mask=mask.numpy(),
+        d_code=d_code.numpy() if with_code else None,
+        sum_gradient=None if sums_host is None else sums_host[:, 0],
+        sum_depth_gradient=None if sums_host is None else sums_host[:, 1],
+    )
+
+
+@cache
+def _start_warp() -> None:
+    """Initialises Warp. On machines without CUDA it writes to standard error itself: that goes to the log."""
+    with tempfile.TemporaryFile("w+") as words:
+        stderr = os.dup(2)
+        os.dup2(words.fileno(), 2)
+        try:
+            wp.init()
+        finally:
+            os.dup2(stderr, 2)
+            os.close(stderr)
+        words.seek(0)
+        logger.debug("Warp: %s", words.read().strip())
+
+
+def _zeros(shape: int | tuple[int, ...], dtype: Any, device: str) -> wp.array:
+    return wp.zeros(shape, dtype=dtype, device=device)
+
+
+def _empty(shape: int | tuple[int, ...], dtype: Any, device: str) -> wp.array:
+    return wp.empty(shape, dtype=dtype, device=device)
+
+
+def _to_device(values: np.ndarray, dtype: Any, device: str) -> wp.array:
+    scalar = np.int32 if dtype is wp.int32 else np.float32
+    return wp.from_numpy(np.ascontiguousarray(values, scalar), dtype=dtype, device=device)
