@@ -199,7 +199,12 @@ class Kinematics:
                 break
             try:
                 velocity = mink.solve_ik(
-                    configuration, [task, self._posture], c.dt, "daqp", damping=c.damping, limits=[self._limit]
+                    configuration,
+                    [task, self._posture],
+                    c.dt,
+                    "daqp",
+                    damping=c.damping,
+                    limits=[self._limit],
                 )
             except mink.NoSolutionFound:
                 break

@@ -37,9 +37,9 @@ class MotionConfig:
         max_line_joint_step: largest joint step between two supports in [rad]; more is a flip of the arm.
     """
 
-    velocity_share: float = 0.8
-    acceleration_share: float = 0.45
-    jerk_share: float = 0.06
+    velocity_share: float = 1.0
+    acceleration_share: float = 1.0
+    jerk_share: float = 1.0
     line_speed: float = 0.25
     line_acceleration: float = 1.0
     line_jerk: float = 15.0

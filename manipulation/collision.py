@@ -1,0 +1,298 @@
+"""The planner's own collision world: the arm, the perceived objects as convex pieces, the fixed furniture.
+
+It is a scratch MuJoCo model built from the arm's MJCF and from perceived meshes; nothing of the simulated scene
+enters. Every object exists twice, standing in the world and carried by the hand; one of the two is switched on.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Iterable, Sequence
+from dataclasses import dataclass
+
+import mujoco
+import numpy as np
+from jaxtyping import Float
+from scipy.spatial import ConvexHull, QhullError
+from scipy.spatial.transform import Rotation
+
+from manipulation.arm_model import collision_spec, joint_addresses, site_index
+from manipulation.errors import ManipulationError
+from manipulation.robot import ArmDescription
+from perception.types import ObjectEstimate
+
+_OFF, _ROBOT, _WORLD = 0, 1, 2  # contype bits: robot and carried geoms meet world geoms, nothing else
+NOTHING: frozenset[str] = frozenset()
+
+
+@dataclass(frozen=True)
+class Furniture:
+    """A fixed upright box, such as the table or a wall: centre and half sizes in [m], world frame."""
+
+    name: str
+    center: tuple[float, float, float]
+    half_size: tuple[float, float, float]
+
+
+@dataclass(frozen=True)
+class Body:
+    """An object as convex pieces: vertices (k, 3) in the object frame in [m], and where it stands."""
+
+    name: str
+    pieces: tuple[Float[np.ndarray, "_k 3"], ...]
+    T_world_object: Float[np.ndarray, "4 4"]
+
+
+@dataclass(frozen=True)
+class CollisionConfig:
+    """Margins and sampling of the checks.
+
+    Attributes:
+        robot_margin: distance the robot keeps from everything in [m].
+        carried_margin: distance the carried object keeps in transit in [m].
+        joint_step: largest joint step between two checked postures of a path in [rad].
+        max_hull_vertices: of each convex piece.
+    """
+
+    robot_margin: float = 0.004
+    carried_margin: float = 0.004
+    joint_step: float = 0.03
+    max_hull_vertices: int = 48
+
+
+def convex_pieces(estimate: ObjectEstimate) -> tuple[Float[np.ndarray, "_k 3"], ...]:
+    """The object as few convex pieces: its hull, or body and handle of a mug."""
+    vertices = estimate.mesh.vertices
+    if estimate.category != "mug":
+        return (_hull_vertices(vertices),)
+    beyond = vertices[:, 0] > 0.9 * estimate.radius + np.median(vertices[:, 0]) * 0
+    if beyond.sum() < 8:
+        return (_hull_vertices(vertices),)
+    handle = vertices[vertices[:, 0] > 0.75 * estimate.radius]
+    near_handle = np.abs(handle[:, 1]) < np.abs(vertices[beyond, 1]).max() + 1e-3
+    return (_hull_vertices(vertices[~beyond]), _hull_vertices(handle[near_handle]))
+
+
+def body_of(estimate: ObjectEstimate) -> Body:
+    return Body(estimate.name, convex_pieces(estimate), estimate.T_world_object)
+
+
+class CollisionWorld:
+    """Answers whether the arm, with or without an object in hand, meets anything.
+
+    The world is mutable on purpose: objects move, appear in the hand and leave it as a plan unfolds.
+    """
+
+    def __init__(
+        self,
+        arm: ArmDescription,
+        bodies: Sequence[Body],
+        furniture: Sequence[Furniture],
+        config: CollisionConfig | None = None,
+    ) -> None:
+        self.config = config or CollisionConfig()
+        self._arm = arm
+        self._model = self._build(bodies, furniture).compile()
+        self._data = mujoco.MjData(self._model)
+        self._address = joint_addresses(self._model, arm.joint_names)
+        self._fingers = joint_addresses(self._model, arm.finger_joint_names)
+        self._owner = [self._owner_of(geom) for geom in range(self._model.ngeom)]
+        self._geoms = [np.flatnonzero(self._model.geom_bodyid == body) for body in range(self._model.nbody)]
+        self._carried: str | None = None
+        self._poses = {b.name: np.array(b.T_world_object) for b in bodies}
+        self._T_hand_tcp = self._tcp_in_hand()
+        for body in bodies:
+            self.move(body.name, body.T_world_object)
+
+    @property
+    def names(self) -> tuple[str, ...]:
+        return tuple(self._poses)
+
+    def pose(self, name: str) -> Float[np.ndarray, "4 4"]:
+        """Where the object last stood, in the world."""
+        return self._poses[name].copy()
+
+    def move(self, name: str, T_world_object: Float[np.ndarray, "4 4"]) -> None:
+        """Stand the object somewhere else."""
+        self._known(name)
+        self._poses[name] = np.array(T_world_object, dtype=np.float64)
+        self._set_body_pose(f"world/{name}", self._poses[name])
+
+    def set_present(self, name: str, present: bool) -> None:
+        """Take a standing object out of the world, or put it back."""
+        self._known(name)
+        self._switch(f"world/{name}", *((_WORLD, _ROBOT) if present else (_OFF, _OFF)))
+
+    def carry(self, name: str, T_tcp_object: Float[np.ndarray, "4 4"]) -> None:
+        """Put the object into the hand; it no longer stands in the world."""
+        self.release()
+        self.set_present(name, False)
+        self._set_body_pose(f"carried/{name}", self._T_hand_tcp @ T_tcp_object)
+        self._switch(f"carried/{name}", _ROBOT, _WORLD)
+        self._carried = name
+
+    def release(self) -> None:
+        """Let go of what the hand carries; it stands in the world again, where it last stood."""
+        if self._carried is None:
+            return
+        self._switch(f"carried/{self._carried}", _OFF, _OFF)
+        self.set_present(self._carried, True)
+        self._carried = None
+
+    def contact(
+        self,
+        q: Float[np.ndarray, "n"],
+        width: float,
+        ignore: Iterable[str] = NOTHING,
+        ignore_carried: Iterable[str] = NOTHING,
+        carried_margin: float | None = None,
+    ) -> str | None:
+        """What the posture touches: "hand meets bowl_2", or None if it is free.
+
+        Args:
+            q: (n,) arm joints in [rad].
+            width: opening between the pads in [m].
+            ignore: objects or furniture the robot may touch.
+            ignore_carried: objects or furniture that the carried object may touch.
+            carried_margin: in [m]; the configured one if None.
+        """
+        data, model = self._data, self._model
+        if self._carried is not None:
+            margin = self.config.carried_margin if carried_margin is None else carried_margin
+            body = self._body_id(f"carried/{self._carried}")
+            model.geom_margin[self._geoms[body]] = margin
+            model.body_margin[body] = margin
+        data.qpos[self._address] = q
+        data.qpos[self._fingers] = width / 2
+        mujoco.mj_kinematics(model, data)
+        mujoco.mj_comPos(model, data)
+        mujoco.mj_collision(model, data)
+        if data.ncon == 0:
+            return None
+        for first, second in data.contact.geom:
+            mover, thing = self._owner[first], self._owner[second]
+            if mover.startswith("world/"):
+                mover, thing = thing, mover
+            thing = thing.removeprefix("world/")
+            carried = mover.startswith("carried/")
+            if thing in (ignore_carried if carried else ignore):
+                continue
+            return f"{mover.removeprefix('carried/')} meets {thing}"
+        return None
+
+    def path_contact(
+        self,
+        postures: Float[np.ndarray, "k n"],
+        width: float,
+        ignore: Iterable[str] = NOTHING,
+        ignore_carried: Iterable[str] = NOTHING,
+        carried_margin: float | None = None,
+    ) -> str | None:
+        """The first contact along the straight joint segments between the postures, or None."""
+        ignore, ignore_carried = frozenset(ignore), frozenset(ignore_carried)
+        for q in densify(postures, self.config.joint_step):
+            contact = self.contact(q, width, ignore, ignore_carried, carried_margin)
+            if contact is not None:
+                return contact
+        return None
+
+    def _build(self, bodies: Sequence[Body], furniture: Sequence[Furniture]) -> mujoco.MjSpec:
+        spec = collision_spec(self._arm)
+        for geom in spec.geoms:
+            # What is bolted to the table always touches it.
+            movable = geom.parent.name != "world" and _has_joint_above(geom.parent)
+            geom.contype, geom.conaffinity = (_ROBOT, _WORLD) if movable else (_OFF, _OFF)
+            geom.margin = self.config.robot_margin
+        hand = spec.site(self._arm.tcp_site).parent
+        for piece in furniture:
+            body = spec.worldbody.add_body(name=f"world/{piece.name}", pos=piece.center)
+            body.add_geom(
+                type=mujoco.mjtGeom.mjGEOM_BOX, size=piece.half_size, contype=_WORLD, conaffinity=_ROBOT
+            )
+        for body in bodies:
+            standing = spec.worldbody.add_body(name=f"world/{body.name}")
+            carried = hand.add_body(name=f"carried/{body.name}")
+            for index, vertices in enumerate(body.pieces):
+                name = f"{body.name}/{index}"
+                mesh = spec.add_mesh(name=name, uservert=vertices.ravel(), userface=_faces(vertices))
+                mesh.inertia = mujoco.mjtMeshInertia.mjMESH_INERTIA_CONVEX
+                mesh_type = mujoco.mjtGeom.mjGEOM_MESH
+                standing.add_geom(type=mesh_type, meshname=name, contype=_WORLD, conaffinity=_ROBOT, mass=0)
+                carried.add_geom(type=mesh_type, meshname=name, contype=_OFF, conaffinity=_OFF, mass=0)
+        return spec
+
+    def _owner_of(self, geom: int) -> str:
+        body = self._model.body(self._model.geom_bodyid[geom]).name
+        return body if body.startswith(("world/", "carried/")) else "arm"
+
+    def _body_id(self, name: str) -> int:
+        return self._model.body(name).id
+
+    def _switch(self, body: str, contype: int, conaffinity: int) -> None:
+        """Set what a body meets; MuJoCo's broad phase keeps its own copy of the bits for each body."""
+        index = self._body_id(body)
+        self._model.geom_contype[self._geoms[index]] = self._model.body_contype[index] = contype
+        self._model.geom_conaffinity[self._geoms[index]] = self._model.body_conaffinity[index] = conaffinity
+
+    def _known(self, name: str) -> None:
+        if name not in self._poses:
+            raise ManipulationError(
+                f"no object '{name}' in the collision world; it has {', '.join(self.names)}"
+            )
+
+    def _set_body_pose(self, body: str, T: np.ndarray) -> None:
+        index = self._body_id(body)
+        self._model.body_pos[index] = T[:3, 3]
+        self._model.body_quat[index] = Rotation.from_matrix(T[:3, :3]).as_quat(scalar_first=True)
+
+    def _tcp_in_hand(self) -> np.ndarray:
+        site = site_index(self._model, self._arm.tcp_site)
+        T = np.eye(4)
+        T[:3, 3] = self._model.site_pos[site]
+        T[:3, :3] = Rotation.from_quat(self._model.site_quat[site], scalar_first=True).as_matrix()
+        return T
+
+
+def densify(postures: Float[np.ndarray, "k n"], step: float) -> Float[np.ndarray, "m n"]:
+    """Straight joint segments between the postures, sampled so that no joint moves more than ``step`` [rad]."""
+    pieces = [postures[:1]]
+    for start, end in zip(postures[:-1], postures[1:]):
+        count = max(int(np.ceil(np.abs(end - start).max() / step)), 1)
+        pieces.append(start + (end - start) * (np.arange(1, count + 1) / count)[:, None])
+    return np.concatenate(pieces)
+
+
+def _has_joint_above(body: mujoco.MjsBody) -> bool:
+    while body is not None and body.name != "world":
+        if len(body.joints) > 0:
+            return True
+        body = body.parent
+    return False
+
+
+def _hull_vertices(points: np.ndarray, limit: int = 48) -> np.ndarray:
+    """Corners of the convex hull, thinned to the extremes along evenly spread directions."""
+    try:
+        corners = points[ConvexHull(points).vertices]
+    except QhullError as error:
+        raise ManipulationError("an object's mesh is flat or too small to have a convex hull") from error
+    if len(corners) <= limit:
+        return corners
+    directions = _fibonacci_sphere(2 * limit)
+    return corners[np.unique(np.argmax(corners @ directions.T, axis=0))]
+
+
+def _fibonacci_sphere(count: int) -> np.ndarray:
+    index = np.arange(count) + 0.5
+    z = 1 - 2 * index / count
+    azimuth = np.pi * (1 + 5**0.5) * index
+    return np.stack([np.sqrt(1 - z**2) * np.cos(azimuth), np.sqrt(1 - z**2) * np.sin(azimuth), z], axis=1)
+
+
+def _faces(vertices: np.ndarray) -> np.ndarray:
+    """Triangles of the convex hull of the vertices, wound outwards."""
+    hull = ConvexHull(vertices)
+    faces = hull.simplices.copy()
+    a, b, c = (vertices[faces[:, i]] for i in range(3))
+    inward = np.einsum("ij,ij->i", np.cross(b - a, c - a), hull.equations[:, :3]) < 0
+    faces[inward] = faces[inward][:, ::-1]
+    return faces.ravel()

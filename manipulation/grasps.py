@@ -1,0 +1,284 @@
+"""Grasp candidates by class, measured on the reconstructed mesh.
+
+Hollow objects (mugs, bowls, open tumblers) are held by the rim with one finger inside, the hand tilted to the
+slope of the wall where the pads touch. Cans and bottles are held from above around body, neck or cap, where the
+section fits between the fingers and changes little over the height of the pads.
+"""
+
+from __future__ import annotations
+
+from collections import Counter
+from dataclasses import dataclass, replace
+
+import numpy as np
+from jaxtyping import Float
+
+from manipulation.sections import SectionCache, Span, radial_hits, span
+from manipulation.standing import HANDLE_HALF_ANGLE
+from manipulation.types import Grasp, StandingObject
+
+
+@dataclass(frozen=True)
+class GripperGeometry:
+    """The parallel gripper as grasp heuristics need it, in [m].
+
+    Attributes:
+        max_width: largest opening between the pads.
+        pad_half_height: half the height of a pad along the approach.
+        tip: how far the fingertips reach beyond the TCP.
+        finger_thickness: of a finger above its pad, along the closing direction.
+        palm: distance from the TCP back to the palm.
+    """
+
+    max_width: float = 0.08
+    pad_half_height: float = 0.0085
+    tip: float = 0.0095
+    finger_thickness: float = 0.0185
+    palm: float = 0.037
+
+
+@dataclass(frozen=True)
+class GraspConfig:
+    """Where grasps are tried.
+
+    Attributes:
+        gripper: its geometry.
+        n_azimuths: directions about the object's axis.
+        mug_depth, bowl_depth: of the TCP below the rim, along the wall, in [m].
+        top_depths: of the TCP below the top of cans and bottles in [m].
+        max_wall: thickest rim to close over in [m].
+        default_wall: assumed thickness in [m] where the mesh has no cavity.
+        half_opening: preferred distance of each pad from the middle of the wall before closing in [m].
+        min_half_opening: least such distance in [m].
+        release_gap: by which each finger lets go in [m].
+        max_tilt: largest tilt of the hand in [rad].
+        top_clearance: room at each finger before closing around a body in [m].
+        max_taper: largest change of a body's width over the height of the pads, as a share.
+        fingertip_clearance: kept above the support in [m].
+    """
+
+    gripper: GripperGeometry = GripperGeometry()
+    n_azimuths: int = 24
+    mug_depth: float = 0.013
+    bowl_depth: float = 0.0155
+    top_depths: tuple[float, ...] = (0.022, 0.016, 0.028, 0.012, 0.032)
+    max_wall: float = 0.02
+    default_wall: float = 0.005
+    half_opening: float = 0.016
+    min_half_opening: float = 0.010
+    release_gap: float = 0.0045
+    max_tilt: float = np.deg2rad(25.0)
+    top_clearance: float = 0.004
+    max_taper: float = 0.25
+    fingertip_clearance: float = 0.006
+
+
+@dataclass(frozen=True)
+class GraspSet:
+    """Candidates, best first, and why the others were dropped (reason: count)."""
+
+    grasps: tuple[Grasp, ...]
+    rejected: Counter[str]
+
+    @property
+    def n_tried(self) -> int:
+        return len(self.grasps) + sum(self.rejected.values())
+
+
+def find_grasps(item: StandingObject, config: GraspConfig | None = None) -> GraspSet:
+    """All grasps the object's class and shape offer, best first."""
+    config = config or GraspConfig()
+    rejected: Counter[str] = Counter()
+    sections = SectionCache(item.vertices, item.faces)
+    if item.category in ("mug", "bowl"):
+        grasps = _rim_grasps(item, sections, config, rejected)
+    else:
+        grasps = _top_grasps(item, sections, config, rejected)
+        if not grasps and _is_open(item, sections):
+            grasps = _rim_grasps(item, sections, config, rejected)
+    return GraspSet(tuple(sorted(grasps, key=lambda grasp: -grasp.score)), rejected)
+
+
+def _rim_grasps(
+    item: StandingObject, sections: SectionCache, config: GraspConfig, rejected: Counter[str]
+) -> list[Grasp]:
+    grasps = []
+    for azimuth in 2 * np.pi * np.arange(config.n_azimuths) / config.n_azimuths:
+        wrapped = np.angle(np.exp(1j * azimuth))
+        if item.category == "mug" and abs(wrapped) < HANDLE_HALF_ANGLE - np.deg2rad(10):
+            rejected["at the handle"] += 1
+            continue
+        grasp = _rim_grasp(item, sections, float(wrapped), config)
+        if isinstance(grasp, str):
+            rejected[grasp] += 1
+            continue
+        grasps += [grasp, _turned(grasp)]
+    return grasps
+
+
+@dataclass(frozen=True)
+class Wall:
+    """A wall cut by a vertical half plane at one height: distances from the axis in [m].
+
+    ``across`` is the distance from the inner side over the cavity to the opposite wall.
+    """
+
+    inner: float
+    outer: float
+    across: float
+
+    @property
+    def middle(self) -> float:
+        return 0.5 * (self.inner + self.outer)
+
+    @property
+    def thickness(self) -> float:
+        return self.outer - self.inner
+
+
+def wall_at(sections: SectionCache, z: float, azimuth: float, config: GraspConfig) -> Wall | None:
+    """The wall at a height and direction; where the mesh has no cavity, a wall of the default thickness."""
+    segments = sections.at(z)
+    hits = radial_hits(segments, np.zeros(2), azimuth)
+    if len(hits) == 0:
+        return None
+    opposite = radial_hits(segments, np.zeros(2), azimuth + np.pi)
+    across = opposite[0] if len(opposite) else hits[0]
+    if len(hits) >= 2 and hits[1] - hits[0] <= config.max_wall:
+        return Wall(float(hits[0]), float(hits[1]), float(hits[0] + across))
+    if len(hits) == 1:
+        inner = float(hits[0]) - config.default_wall
+        return Wall(inner, float(hits[0]), float(2 * inner))
+    return None
+
+
+def _rim_height(item: StandingObject, azimuth: float) -> float:
+    """Height of the rim near a direction: the highest vertex in a sector of 20 degrees."""
+    angle = np.arctan2(item.vertices[:, 1], item.vertices[:, 0])
+    near = np.abs(np.angle(np.exp(1j * (angle - azimuth)))) < np.deg2rad(20)
+    return float(item.vertices[near, 2].max()) if near.any() else item.top
+
+
+def _rim_grasp(
+    item: StandingObject, sections: SectionCache, azimuth: float, config: GraspConfig
+) -> Grasp | str:
+    """The grasp over the rim at an azimuth, or why there is none."""
+    gripper = config.gripper
+    depth = config.bowl_depth if item.category == "bowl" else config.mug_depth
+    rim = _rim_height(item, azimuth)
+    wall = wall_at(sections, rim - depth, azimuth, config)
+    if wall is None:
+        return "too thick at the rim"
+    above = wall_at(sections, rim - depth + 0.007, azimuth, config)
+    below = wall_at(sections, rim - depth - 0.007, azimuth, config)
+    slope = 0.0
+    if above is not None and below is not None:
+        slope = float(np.arctan2(above.outer - below.outer, 0.014))
+    tilt = float(np.clip(slope, -0.15, config.max_tilt))
+    if abs(tilt) < np.deg2rad(2):
+        tilt = 0.0
+    pad_height = rim - depth * np.cos(tilt)
+    wall = wall_at(sections, pad_height, azimuth, config) or wall
+    if pad_height - gripper.tip < config.fingertip_clearance:
+        return "too low"
+    room = wall.across - gripper.finger_thickness - 0.003
+    half = min(config.half_opening, room - 0.5 * wall.thickness, 0.5 * gripper.max_width)
+    if half - 0.5 * wall.thickness < 0.5 * config.min_half_opening or half < config.min_half_opening:
+        return "too narrow inside"
+    outward = np.array([np.cos(azimuth), np.sin(azimuth), 0.0])
+    up = np.array([0.0, 0.0, 1.0])
+    along_wall = np.sin(tilt) * outward + np.cos(tilt) * up
+    across = np.cos(tilt) * outward - np.sin(tilt) * up
+    T = _tcp_pose(wall.middle * outward + pad_height * up, approach=-along_wall, closing=across)
+    score = 1.0 - 2.0 * abs(slope - tilt) - 0.5 * abs(tilt)
+    return Grasp(
+        kind="rim",
+        T_stand_tcp=T,
+        opening=min(2 * half, gripper.max_width),
+        closed_width=(0.0008, max(wall.thickness + 0.008, 0.012)),
+        release_opening=min(wall.thickness + 2 * config.release_gap, 2 * half),
+        depth=item.top - pad_height,
+        azimuth=azimuth,
+        score=score,
+    )
+
+
+def _top_grasps(
+    item: StandingObject, sections: SectionCache, config: GraspConfig, rejected: Counter[str]
+) -> list[Grasp]:
+    grasps = []
+    for rank, depth in enumerate(config.top_depths):
+        for azimuth in np.pi * np.arange(config.n_azimuths // 2) / (config.n_azimuths // 2):
+            grasp = _top_grasp(item, sections, float(azimuth), depth, config)
+            if isinstance(grasp, str):
+                rejected[grasp] += 1
+                continue
+            grasp = replace(grasp, score=grasp.score - 0.05 * rank)
+            grasps += [grasp, _turned(grasp)]
+    return grasps
+
+
+def _top_grasp(
+    item: StandingObject, sections: SectionCache, azimuth: float, depth: float, config: GraspConfig
+) -> Grasp | str:
+    """The grasp from above that closes along an azimuth, or why there is none."""
+    gripper = config.gripper
+    z = item.top - depth
+    if z - gripper.tip < config.fingertip_clearance:
+        return "too low"
+    heights = z + gripper.pad_half_height * np.array([-1.0, -0.5, 0.0, 0.5, 1.0])
+    heights = heights[heights < item.top - 1e-4]
+    spans = _spans(sections, heights, azimuth)
+    above = _spans(sections, np.linspace(z - gripper.tip - 0.003, item.top - 1e-3, 10), azimuth)
+    if len(spans) < 3 or not above:
+        return "nothing to hold"
+    widths = np.array([s.width for s in spans])
+    middle = float(np.median([s.middle for s in spans]))
+    reach = max(max(s.high - middle, middle - s.low) for s in above)
+    if 2 * (reach + config.top_clearance) > gripper.max_width:
+        return f"too wide for {gripper.max_width:.2f} m"
+    taper = float(np.ptp(widths) / widths.max())
+    if taper > config.max_taper:
+        return "too tapered"
+    across = span(sections.at(z), azimuth + np.pi / 2)
+    offset = across.middle if across is not None else 0.0
+    closing = np.array([np.cos(azimuth), np.sin(azimuth), 0.0])
+    sideways = np.array([-closing[1], closing[0], 0.0])
+    position = middle * closing + offset * sideways + np.array([0.0, 0.0, z])
+    width = float(widths.max())
+    opening = min(gripper.max_width, 2 * (reach + 0.012))
+    return Grasp(
+        kind="top",
+        T_stand_tcp=_tcp_pose(position, approach=np.array([0.0, 0.0, -1.0]), closing=closing),
+        opening=opening,
+        closed_width=(0.5 * width, min(1.25 * width + 0.004, gripper.max_width - 0.0005)),
+        release_opening=min(2 * (reach + config.release_gap), gripper.max_width),
+        depth=depth,
+        azimuth=azimuth,
+        score=1.0 - 2.0 * taper - 2.0 * max(width - 0.066, 0.0) / 0.01,
+    )
+
+
+def _spans(sections: SectionCache, heights: Float[np.ndarray, "_k"], azimuth: float) -> list[Span]:
+    spans = (span(sections.at(z), azimuth) for z in heights)
+    return [s for s in spans if s is not None]
+
+
+def _is_open(item: StandingObject, sections: SectionCache) -> bool:
+    """Whether the object has a wide cavity below its top, such as a tumbler."""
+    hits = radial_hits(sections.at(item.top - 0.012), np.zeros(2), 0.1)
+    return len(hits) >= 2 and hits[0] > 0.02
+
+
+def _tcp_pose(position: np.ndarray, approach: np.ndarray, closing: np.ndarray) -> Float[np.ndarray, "4 4"]:
+    """TCP frame: z along the approach, y along the closing direction."""
+    T = np.eye(4)
+    T[:3, 2], T[:3, 1] = approach, closing
+    T[:3, 0] = np.cross(closing, approach)
+    T[:3, 3] = position
+    return T
+
+
+def _turned(grasp: Grasp) -> Grasp:
+    """The same grasp with the hand turned by half a turn about its approach, the fingers swapped."""
+    return replace(grasp, T_stand_tcp=grasp.T_stand_tcp @ np.diag([-1.0, -1.0, 1.0, 1.0]))

@@ -1,0 +1,107 @@
+"""From an estimated object to a standing one: upright, on the support, its frame below the body's axis."""
+
+from __future__ import annotations
+
+import numpy as np
+from jaxtyping import Float
+
+from manipulation.errors import PlanningError
+from manipulation.sections import fit_circle, section, span
+from manipulation.types import StandingObject
+from perception.types import Category, ObjectEstimate, SupportPlane
+
+HANDLE_HALF_ANGLE = np.deg2rad(60.0)  # of the sector around a mug's +x that never counts as body
+_ROUND_TOLERANCE = 0.12  # of the width over all directions, before a body counts as not round
+
+
+def stand(estimate: ObjectEstimate, support: SupportPlane | None = None) -> StandingObject:
+    """The object in its stand frame.
+
+    The fitted pose keeps its yaw and its place; its tilt is dropped, and the height of its lowest point is
+    taken from the support, because the object stood there when it was seen.
+
+    Raises:
+        PlanningError: the mesh is empty, or the object lies on its side.
+    """
+    vertices, faces = estimate.mesh.vertices, estimate.mesh.faces
+    if len(vertices) < 4 or len(faces) < 4:
+        raise PlanningError(f"{estimate.name} has an empty mesh: look again, or leave it out")
+    support = support or SupportPlane()
+    T = estimate.T_world_object
+    tilt = float(np.arccos(np.clip(T[:3, 2] @ support.normal, -1.0, 1.0)))
+    if tilt > np.deg2rad(45):
+        raise PlanningError(f"{estimate.name} lies on its side (tilt {np.rad2deg(tilt):.0f} degrees)")
+    axis = body_axis(vertices, faces, estimate.category)
+    in_stand = vertices - np.array([*axis, 0.0])
+    is_round = estimate.category != "mug" and _is_round(in_stand, faces)
+    turn = 0.0 if is_round or estimate.category == "mug" else _narrow_direction(in_stand, faces)
+    yaw = float(np.arctan2(T[1, 0] - T[0, 1], T[0, 0] + T[1, 1]))
+    origin = yaw_pose(yaw, T[:3, 3]) @ np.array([*axis, 0.0, 1.0])
+    origin = origin[:3]
+    height = T[2, 3]
+    origin[2] = support.offset / support.normal[2] - support.normal[:2] @ origin[:2] / support.normal[2]
+    in_stand = in_stand @ yaw_pose(turn, np.zeros(3))[:3, :3]
+    in_stand[:, 2] += height - origin[2]
+    return StandingObject(
+        id=estimate.id,
+        name=estimate.name,
+        category=estimate.category,
+        vertices=in_stand,
+        faces=faces,
+        T_world_stand=yaw_pose(yaw + turn, origin),
+        size=estimate.size,
+        is_round=is_round,
+    )
+
+
+def yaw_pose(yaw: float, position: Float[np.ndarray, "3"]) -> Float[np.ndarray, "4 4"]:
+    """Upright pose turned by ``yaw`` [rad] about z."""
+    T = np.eye(4)
+    c, s = np.cos(yaw), np.sin(yaw)
+    T[:2, :2] = ((c, -s), (s, c))
+    T[:3, 3] = position
+    return T
+
+
+def body_axis(
+    vertices: Float[np.ndarray, "v 3"], faces: np.ndarray, category: Category
+) -> Float[np.ndarray, "2"]:
+    """(x, y) of the body's upright axis; a mug's handle is left out of it."""
+    low, high = vertices[:, 2].min(), vertices[:, 2].max()
+    if category != "mug":
+        return 0.5 * (vertices[:, :2].min(axis=0) + vertices[:, :2].max(axis=0))
+    middle = 0.5 * (vertices[:, 1].min() + vertices[:, 1].max())
+    radius = np.ptp(vertices[:, 1]) / 2
+    center = np.array([vertices[:, 0].min() + radius, middle])
+    points = np.concatenate(
+        [section(vertices, faces, low + share * (high - low)).reshape(-1, 2) for share in (0.6, 0.75, 0.9)]
+    )
+    for _ in range(3):
+        relative = points - center
+        distance = np.linalg.norm(relative, axis=1)
+        body = np.abs(np.arctan2(relative[:, 1], relative[:, 0])) > HANDLE_HALF_ANGLE
+        outer = distance > 0.9 * np.median(distance[body]) if body.any() else body
+        if (body & outer).sum() < 12:
+            break
+        fitted, fitted_radius = fit_circle(points[body & outer])
+        if np.linalg.norm(fitted - center) > 0.3 * radius or not 0.5 < fitted_radius / radius < 1.5:
+            break
+        center = fitted
+    return center
+
+
+def _widths(vertices: np.ndarray, faces: np.ndarray, azimuths: np.ndarray) -> np.ndarray:
+    """Widths of the section at mid height along the azimuths; empty if the section is."""
+    middle = section(vertices, faces, 0.5 * (vertices[:, 2].min() + vertices[:, 2].max()) + 1e-5)
+    return np.array([s.width for s in (span(middle, azimuth) for azimuth in azimuths) if s is not None])
+
+
+def _is_round(vertices: np.ndarray, faces: np.ndarray) -> bool:
+    widths = _widths(vertices, faces, np.arange(0.0, np.pi, np.pi / 8))
+    return len(widths) == 0 or bool(np.ptp(widths) <= _ROUND_TOLERANCE * widths.max())
+
+
+def _narrow_direction(vertices: np.ndarray, faces: np.ndarray) -> float:
+    """Direction in [rad] along which the body is narrowest: the stand frame's x of a flat bottle."""
+    azimuths = np.deg2rad(np.arange(0.0, 180.0, 3.0))
+    return float(azimuths[np.argmin(_widths(vertices, faces, azimuths))])
