@@ -1,0 +1,139 @@
+"""The simulated cell of a run: what the options ask for, checked, and built."""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Sequence
+from typing import TYPE_CHECKING, get_args
+
+import numpy as np
+
+from app.errors import MissingExtraError, UsageError
+from app.options import CellOptions
+from perception.types import CATEGORIES, Category
+
+if TYPE_CHECKING:
+    from sim_assets.objects import ObjectModel
+    from sim_assets.world import World
+
+MAX_OBJECTS = 20
+BOX_LIMITS = {"L": (0.10, 0.60), "W": (0.10, 0.50), "H": (0.02, 0.20)}  # [m] that fit on the table
+
+
+def parse_objects(text: str, rng: np.random.Generator) -> list[Category]:
+    """The classes asked for: ``6`` draws six as evenly as it goes, ``mug=2,can=1`` names them.
+
+    Raises:
+        UsageError: it is neither.
+    """
+    usage = f"--objects takes a number (6) or counts by class ({','.join(f'{c}=1' for c in CATEGORIES)})"
+    if text.strip().isascii() and text.strip().isdigit():
+        return _bounded(_mixture(int(text), rng))
+    classes: list[Category] = []
+    for part in text.split(","):
+        name, _, count = (piece.strip() for piece in part.partition("="))
+        known = next((category for category in CATEGORIES if category == name), None)
+        if known is None:
+            raise UsageError(f"{usage}; '{name}' is none of {', '.join(CATEGORIES)}")
+        if not (count.isascii() and count.isdigit()):
+            raise UsageError(f"{usage}; '{part.strip()}' has no count")
+        classes += [known] * min(int(count), MAX_OBJECTS + 1)
+    return _bounded(classes)
+
+
+def _mixture(count: int, rng: np.random.Generator) -> list[Category]:
+    rounds = math.ceil(min(count, MAX_OBJECTS + 1) / len(CATEGORIES))
+    drawn = [CATEGORIES[i] for _ in range(rounds) for i in rng.permutation(len(CATEGORIES))]
+    return drawn[:count]
+
+
+def _bounded(classes: list[Category]) -> list[Category]:
+    if not 1 <= len(classes) <= MAX_OBJECTS:
+        raise UsageError(f"--objects asks for {len(classes)} objects; the table holds 1 to about 10")
+    return classes
+
+
+def parse_box(text: str) -> tuple[float, float, float]:
+    """Inner length, width, height of the box in [m].
+
+    Raises:
+        UsageError: these are no three lengths, or no such box fits on the table.
+    """
+    try:
+        length, width, height = (float(part) for part in text.split(","))
+    except ValueError:
+        raise UsageError(
+            f"--box takes three lengths in metres such as 0.34,0.30,0.08, not '{text}'"
+        ) from None
+    for (name, (low, high)), value in zip(BOX_LIMITS.items(), (length, width, height), strict=True):
+        if not low <= value <= high:
+            raise UsageError(f"--box {name} = {value:g} m must be in {low:g}..{high:g} m")
+    return length, width, height
+
+
+def build_world(options: CellOptions, task: str | None) -> World:
+    """The cell with its objects settled on the table; a box for packing, a tape for sorting.
+
+    Raises:
+        UsageError: the options cannot be met; the message says what to change.
+        MissingExtraError: the simulator is not installed.
+    """
+    layout_seed, shape_seed = np.random.SeedSequence(options.seed).spawn(2)
+    rng = np.random.default_rng(shape_seed)
+    classes = parse_objects(options.objects, rng)
+    inner = parse_box(options.box)
+    try:
+        from sim_assets.layout import LayoutError
+        from sim_assets.scene import BoxConfig
+        from sim_assets.world import CellConfig, World
+    except ImportError as error:
+        raise MissingExtraError(
+            f"the simulator is not installed ({error.name} is missing): pip install 'nodeslam[sim]'"
+        ) from None
+    models = tuple(_draw_models(options, classes, rng))
+    config = CellConfig(
+        objects=models,
+        box=None if task == "sort" else BoxConfig(inner=inner),
+        line=_tape() if task == "sort" else None,
+        depth_noise=options.depth_noise,
+        seed=int(layout_seed.generate_state(1)[0]),
+    )
+    try:
+        return World(config)
+    except LayoutError as error:
+        raise UsageError(f"--objects {options.objects}: {error}") from None
+
+
+def _draw_models(
+    options: CellOptions, classes: Sequence[Category], rng: np.random.Generator
+) -> list[ObjectModel]:
+    from sim_assets.objects import load_user_objects, sample_object
+
+    if options.object_meshes is None:
+        return [sample_object(category, "test", rng) for category in classes]
+    owned: dict[Category, list[ObjectModel]] = {category: [] for category in get_args(Category)}
+    for model in load_user_objects(options.object_meshes):
+        owned[model.category].append(model)
+    if options.objects.strip().isdigit():
+        pool = [model for models in owned.values() for model in models]
+        return _draw(pool, len(classes), rng)
+    drawn = []
+    for category in CATEGORIES:
+        wanted = classes.count(category)
+        if wanted and not owned[category]:
+            raise UsageError(f"--objects asks for a {category} but {options.object_meshes} has none")
+        drawn += _draw(owned[category], wanted, rng)
+    return drawn
+
+
+def _draw(pool: Sequence[ObjectModel], count: int, rng: np.random.Generator) -> list[ObjectModel]:
+    """Without repetition until the pool is used up, then again."""
+    order = [i for _ in range(math.ceil(count / max(len(pool), 1))) for i in rng.permutation(len(pool))]
+    return [pool[i] for i in order[:count]]
+
+
+def _tape() -> tuple[tuple[float, float], tuple[float, float]]:
+    from manipulation.types import Line
+
+    line = Line()
+    return line.start, line.end
