@@ -26,6 +26,7 @@ class PlaneConfig:
     Attributes:
         max_points: depth points used, over all frames.
         iterations: three-point hypotheses tried.
+        judges: points on which each hypothesis is judged.
         threshold: distance in [m] within which a point supports a hypothesis.
         min_share: support a plane needs, as a share of the points.
         max_tilt: largest angle in [rad] between the normal and world z, for frames with poses.
@@ -33,7 +34,8 @@ class PlaneConfig:
     """
 
     max_points: int = 20_000
-    iterations: int = 300
+    iterations: int = 1000
+    judges: int = 3000
     threshold: float = 0.006
     min_share: float = 0.1
     max_tilt: float = 0.35
@@ -99,7 +101,8 @@ def _ransac(
     flip = np.where(normals @ centre < offsets, -1.0, 1.0)
     normals, offsets = normals * flip[:, None], offsets * flip
     usable = (length > 1e-6) & (normals[:, 2] >= min_up)  # three points in line span no plane
-    distance = (points @ normals.T - offsets).astype(np.float32)
+    judges = points[rng.permutation(len(points))[: config.judges]].astype(np.float32)
+    distance = judges @ normals.T.astype(np.float32) - offsets.astype(np.float32)
     support = np.where(usable, (np.abs(distance) < config.threshold).mean(0), 0.0)
     best = int(support.argmax())
     if support[best] < config.min_share:

@@ -175,4 +175,4 @@ def _small_holes(mask: np.ndarray, max_pixels: int = 40) -> np.ndarray:
     _, holes, stats, _ = cv2.connectedComponentsWithStats(1 - mask, connectivity=4)
     small = np.asarray(stats)[:, cv2.CC_STAT_AREA] <= max_pixels
     small[0] = False  # number 0 is the mask itself
-    return small[np.asarray(holes)].astype(np.uint8)
+    return small[np.asarray(holes, dtype=np.int32)].astype(np.uint8)

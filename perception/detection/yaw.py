@@ -62,19 +62,16 @@ def modes(
 ) -> list[tuple[float, float]]:
     """Up to ``count`` peaks (yaw [rad], mass), most probable first.
 
-    A peak's yaw is the circular mean of the three bins around a local maximum, its mass their sum; peaks
-    below ``min_ratio`` of the first are left out. A uniform distribution has no peak and yields bin 0.
+    A peak's yaw is the mean of the five bins around a local maximum, its mass their sum; peaks below
+    ``min_ratio`` of the first are left out. A uniform distribution has no peak and yields bin 0.
     """
-    p = probabilities
-    mass = p + np.roll(p, 1) + np.roll(p, -1)
-    peaks = np.flatnonzero((p > np.roll(p, 1)) & (p >= np.roll(p, -1)))
+    p, bins = probabilities, len(probabilities)
+    near = np.stack([np.roll(p, -shift) for shift in range(-2, 3)])  # row 2 is p itself
+    mass = near.sum(0)
+    peaks = np.flatnonzero((p > near[1]) & (p >= near[3]))
     if len(peaks) == 0:
         peaks = np.array([int(p.argmax())])
     peaks = peaks[np.argsort(-mass[peaks])]
     peaks = peaks[mass[peaks] >= min_ratio * mass[peaks[0]]][:count]
-    step = _TAU / len(p)
-    result = []
-    for k in peaks:
-        lean = (p[(k + 1) % len(p)] - p[k - 1]) / mass[k]
-        result.append((float((k + lean) * step % _TAU), float(mass[k])))
-    return result
+    lean = np.arange(-2, 3) @ near / np.maximum(mass, 1e-12)  # in bins
+    return [(float((k + lean[k]) * _TAU / bins % _TAU), float(mass[k])) for k in peaks]

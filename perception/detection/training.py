@@ -1,0 +1,290 @@
+"""Training of the crop networks: classes by cross-entropy, yaw by cross-entropy with soft bins.
+
+Pure tensors in, weights out: where crops come from is not decided here (``app.labels`` makes them from
+renders). The last checkpoint holds everything needed to go on after an interruption.
+"""
+
+from __future__ import annotations
+
+import logging
+import math
+from collections.abc import Callable
+from dataclasses import dataclass
+from pathlib import Path
+
+import numpy as np
+import torch
+from jaxtyping import Float, Int, UInt8
+from torch import Tensor
+from torch.nn import functional
+
+from perception.detection.network import OUTPUTS, CropNet, Task, prepared
+from perception.detection.yaw import YAW_BINS
+from perception.errors import InvalidInputError, PerceptionError
+
+logger = logging.getLogger(__name__)
+Progress = Callable[[int, int, dict[str, float]], None]
+
+
+@dataclass(frozen=True)
+class CropSet:
+    """Labelled crops.
+
+    Attributes:
+        images: (n, SIDE, SIDE, 6) uint8 as in ``crops.Crop``.
+        context: (n, 2) float32 as in ``crops.Crop``.
+        targets: (n, k) float32 rows that sum to one: one-hot classes, or soft yaw bins.
+    """
+
+    images: UInt8[np.ndarray, "n side side 6"]
+    context: Float[np.ndarray, "n 2"]
+    targets: Float[np.ndarray, "n k"]
+
+    def __len__(self) -> int:
+        return len(self.images)
+
+    def subset(self, rows: Int[np.ndarray, "m"]) -> CropSet:
+        return CropSet(self.images[rows], self.context[rows], self.targets[rows])
+
+
+@dataclass(frozen=True)
+class TrainingConfig:
+    """How a crop network is trained.
+
+    Attributes:
+        epochs: passes over the crops.
+        batch: crops per step.
+        learning_rate: peak of the cosine schedule, after ``warmup`` (a share of all steps).
+        weight_decay: of AdamW.
+        label_smoothing: share of the target spread evenly, for the class network.
+        seed: of initialisation, order and augmentation.
+        device: torch device.
+        tensorboard: also log curves to the output directory (needs the extra `train`).
+    """
+
+    epochs: int = 10
+    batch: int = 128
+    learning_rate: float = 2e-3
+    warmup: float = 0.05
+    weight_decay: float = 1e-2
+    label_smoothing: float = 0.02
+    seed: int = 0
+    device: str = "cpu"
+    tensorboard: bool = False
+
+
+def train_crop_network(
+    task: Task,
+    training: CropSet,
+    validation: CropSet,
+    config: TrainingConfig,
+    directory: Path,
+    progress: Progress | None = None,
+) -> tuple[CropNet, float]:
+    """Train a network, resuming from ``directory/checkpoint_<task>.pt`` if an earlier run left one.
+
+    Args:
+        progress: called after every epoch with (epoch, epochs, figures).
+
+    Returns:
+        The network in evaluation mode and the temperature that calibrates it on the validation crops.
+
+    Raises:
+        InvalidInputError: a set is empty or its targets have the wrong width.
+        PerceptionError: the checkpoint there belongs to another configuration.
+    """
+    for name, crops in (("training", training), ("validation", validation)):
+        if not len(crops) or crops.targets.shape[1] != OUTPUTS[task]:
+            raise InvalidInputError(f"{name} crops for '{task}' must be (n > 0, {OUTPUTS[task]}) targets")
+    generator = torch.Generator().manual_seed(config.seed)
+    with torch.random.fork_rng(devices=[]):
+        torch.manual_seed(config.seed)
+        network = CropNet(OUTPUTS[task])
+    network = network.to(config.device)
+    network.to(memory_format=torch.channels_last)  # type: ignore[call-overload]
+    optimizer = torch.optim.AdamW(
+        network.parameters(), config.learning_rate, weight_decay=config.weight_decay
+    )
+    steps = config.epochs * math.ceil(len(training) / config.batch)
+    schedule = torch.optim.lr_scheduler.LambdaLR(
+        optimizer, lambda step: _schedule(step / steps, config.warmup)
+    )
+    checkpoint = directory / f"checkpoint_{task}.pt"
+    start = _resume(checkpoint, config, network, optimizer, schedule, generator)
+    writer = _summary_writer(directory) if config.tensorboard else None
+
+    for epoch in range(start, config.epochs):
+        loss = _one_epoch(task, network, training, config, optimizer, schedule, generator)
+        figures = {"loss": loss, **validation_figures(task, network, validation)}
+        _save(checkpoint, config, epoch + 1, network, optimizer, schedule, generator)
+        logger.info("%s epoch %d: %s", task, epoch + 1, figures)
+        if writer:
+            for name, value in figures.items():
+                writer.add_scalar(f"{task}/{name}", value, epoch + 1)
+        if progress:
+            progress(epoch + 1, config.epochs, figures)
+    return network.eval(), calibrated_temperature(network, validation)
+
+
+def _schedule(done: float, warmup: float) -> float:
+    """Learning rate as a share of its peak: linear warm-up, then a cosine to one hundredth."""
+    if done < warmup:
+        return (done + 1e-3) / (warmup + 1e-3)
+    return 0.01 + 0.99 * 0.5 * (1 + math.cos(math.pi * min(1.0, (done - warmup) / (1 - warmup))))
+
+
+def _one_epoch(
+    task: Task,
+    network: CropNet,
+    crops: CropSet,
+    config: TrainingConfig,
+    optimizer: torch.optim.Optimizer,
+    schedule: torch.optim.lr_scheduler.LRScheduler,
+    generator: torch.Generator,
+) -> float:
+    network.train()
+    order = torch.randperm(len(crops), generator=generator).numpy()
+    total = 0.0
+    for rows in np.array_split(order, max(1, round(len(order) / config.batch))):
+        batch = crops.subset(np.sort(rows))
+        images = torch.from_numpy(batch.images).to(config.device)
+        context, targets = (torch.from_numpy(a).to(config.device) for a in (batch.context, batch.targets))
+        images, targets = mirrored(task, images, targets, generator)
+        inputs, context = disturbed(prepared(images), context, generator)
+        if task == "class":
+            targets = (1 - config.label_smoothing) * targets + config.label_smoothing / targets.shape[1]
+        loss = functional.cross_entropy(network(inputs, context), targets)
+        optimizer.zero_grad(set_to_none=True)
+        loss.backward()
+        torch.nn.utils.clip_grad_norm_(network.parameters(), 5.0)
+        optimizer.step()
+        schedule.step()
+        total += loss.item() * len(rows)
+    return total / len(order)
+
+
+def mirrored(
+    task: Task, images: Tensor, targets: Tensor, generator: torch.Generator
+) -> tuple[Tensor, Tensor]:
+    """Half of the crops flipped left to right; their yaw, counted from the view's heading, changes sign."""
+    flip = torch.rand(len(images), generator=generator).to(images.device) < 0.5
+    images = torch.where(flip[:, None, None, None], images.flip(2), images)
+    if task == "yaw":  # bin k becomes bin -k
+        targets = torch.where(flip[:, None], targets.roll(-1, 1).flip(1), targets)
+    return images, targets
+
+
+def disturbed(
+    inputs: Float[Tensor, "n 6 side side"], context: Float[Tensor, "n 2"], generator: torch.Generator
+) -> tuple[Float[Tensor, "n 6 side side"], Float[Tensor, "n 2"]]:
+    """Colour gain, tint and contrast, heights and depths with noise and patches missing, a shift of 4 pixels.
+
+    What they teach: colour is a hint, geometry has noise and holes, the mask's box is not exact.
+    """
+
+    def uniform(*shape: int, low: float = -1.0, high: float = 1.0) -> Tensor:
+        return torch.rand(*shape, generator=generator).to(inputs.device) * (high - low) + low
+
+    n, _, side, _ = inputs.shape
+    mask = inputs[:, 3:4]
+    rgb = inputs[:, :3] * (1 + 0.3 * uniform(n, 1, 1, 1)) + mask * (
+        0.15 * uniform(n, 1, 1, 1) + 0.1 * uniform(n, 3, 1, 1)
+    )
+    rgb = torch.where(uniform(n, 1, 1, 1) > 0.8, rgb[:, torch.tensor([1, 2, 0])], rgb)
+    noise = torch.randn(n, 2, side, side, generator=generator).to(inputs.device)
+    geometry = inputs[:, 4:] + mask * noise * uniform(n, 1, 1, 1, low=0.0, high=0.03)
+    out = torch.cat([rgb, mask, geometry], dim=1)
+    dx, dy = (int(v) for v in torch.randint(-4, 5, (2,), generator=generator))
+    out = torch.roll(out, (dy, dx), dims=(2, 3))
+    out = _with_patch_missing(out, uniform(n, 4, low=0.0, high=1.0))
+    return out.contiguous(memory_format=torch.channels_last), context + 0.03 * uniform(n, 2)
+
+
+def _with_patch_missing(x: Tensor, draw: Float[Tensor, "n 4"]) -> Tensor:
+    """In 3 of 10 crops a band from one side is cut off, as by an occluder or the image border."""
+    side = x.shape[2]
+    depth = draw[:, 0] * 0.35 * side  # pixels cut
+    ramp = torch.arange(side, device=x.device, dtype=x.dtype)
+    ramp = torch.where((draw[:, 1] < 0.5)[:, None], ramp, side - 1 - ramp)  # from either end
+    keep = (ramp >= depth[:, None]) | (draw[:, 3] > 0.3)[:, None]  # (n, side)
+    along_rows = (draw[:, 2] < 0.5)[:, None, None]
+    kept = torch.where(along_rows, keep[:, :, None], keep[:, None, :])
+    return x * kept[:, None]
+
+
+@torch.inference_mode()
+def _logits(network: CropNet, crops: CropSet, batch: int = 512) -> Tensor:
+    network.eval()
+    device = next(network.parameters()).device
+    rows = []
+    for start in range(0, len(crops), batch):
+        images = prepared(torch.from_numpy(crops.images[start : start + batch]).to(device))
+        context = torch.from_numpy(crops.context[start : start + batch]).to(device)
+        rows.append(network(images, context).float().cpu())
+    return torch.cat(rows)
+
+
+def validation_figures(task: Task, network: CropNet, crops: CropSet) -> dict[str, float]:
+    """Cross-entropy and accuracy; for yaw the median distance of the best bin from the true one [rad]."""
+    logits, targets = _logits(network, crops), torch.from_numpy(crops.targets)
+    figures = {"validation_loss": float(functional.cross_entropy(logits, targets))}
+    best, true = logits.argmax(1), targets.argmax(1)
+    if task == "class":
+        return figures | {"accuracy": float((best == true).double().mean())}
+    apart = ((best - true + YAW_BINS // 2) % YAW_BINS - YAW_BINS // 2).abs() * (2 * math.pi / YAW_BINS)
+    return figures | {"yaw_median": float(apart.median())}
+
+
+def calibrated_temperature(network: CropNet, crops: CropSet) -> float:
+    """Temperature of least cross-entropy on held-out crops, by search over 0.3 .. 3."""
+    logits, targets = _logits(network, crops), torch.from_numpy(crops.targets)
+    grid = np.geomspace(0.3, 3.0, 60)
+    losses = [float(functional.cross_entropy(logits / t, targets)) for t in grid]
+    return float(grid[int(np.argmin(losses))])
+
+
+def _save(path: Path, config: TrainingConfig, epoch: int, network: CropNet, *parts: object) -> None:
+    optimizer, schedule, generator = parts
+    path.parent.mkdir(parents=True, exist_ok=True)
+    state = {
+        "config": repr(config),
+        "epoch": epoch,
+        "network": network.state_dict(),
+        "optimizer": optimizer.state_dict(),  # type: ignore[attr-defined]
+        "schedule": schedule.state_dict(),  # type: ignore[attr-defined]
+        "generator": generator.get_state(),  # type: ignore[attr-defined]
+    }
+    partial = path.with_suffix(".partial")
+    torch.save(state, partial)
+    partial.replace(path)
+
+
+def _resume(
+    path: Path,
+    config: TrainingConfig,
+    network: CropNet,
+    optimizer: torch.optim.Optimizer,
+    schedule: torch.optim.lr_scheduler.LRScheduler,
+    generator: torch.Generator,
+) -> int:
+    """Epochs already done according to the checkpoint, whose state the arguments take on."""
+    if not path.is_file():
+        return 0
+    state = torch.load(path, weights_only=True, map_location=config.device)
+    if state["config"] != repr(config):
+        raise PerceptionError(
+            f"checkpoint {path} is of another configuration; use another --out or remove it"
+        )
+    network.load_state_dict(state["network"])
+    optimizer.load_state_dict(state["optimizer"])
+    schedule.load_state_dict(state["schedule"])
+    generator.set_state(state["generator"].cpu())
+    return int(state["epoch"])
+
+
+def _summary_writer(directory: Path):
+    try:
+        from torch.utils.tensorboard import SummaryWriter
+    except ImportError as error:
+        raise PerceptionError("training curves need tensorboard; install the extra `train`") from error
+    return SummaryWriter(str(directory))
