@@ -11,7 +11,6 @@ capsules (boxes for the finger pads) in group 3; the visible shell is in ``arm_v
 from __future__ import annotations
 
 import functools
-from collections.abc import Callable
 from dataclasses import dataclass
 
 import numpy as np
@@ -130,18 +129,9 @@ HAND_CAPSULES = (
 FINGER_STEM_BOX = ((0.0, 0.0105, 0.018), (0.0095, 0.008, 0.018))
 FINGER_PAD_BOX = ((0.0, 0.005, 0.0445), (0.0085, 0.005, 0.0092))
 
-Decorate = Callable[[MjSpec], None]
 
-
-def build_arm(decorate: Decorate | None = None) -> MjSpec:
-    """The arm as a specification to attach to a scene or to compile alone.
-
-    Args:
-        decorate: called with the finished specification, to add the visible shell.
-    """
-    spec = mujoco.MjSpec()
-    spec.modelname = "arm"
-    spec.compiler.degree = False
+def add_arm(spec: MjSpec) -> None:
+    """Add the arm to a specification, its base at the world's origin. Angles of ``spec`` must be in radians."""
     base = spec.worldbody.add_body(name="link0", mass=0.629769, ipos=(-0.041018, -0.00014, 0.049974))
     base.fullinertia = (0.00315, 0.00388, 0.004285, 8.29e-7, 0.00015, 8.23e-6)
     base.explicitinertial = True
@@ -150,15 +140,15 @@ def build_arm(decorate: Decorate | None = None) -> MjSpec:
     for number, link in enumerate(LINKS, start=1):
         body = _add_link(spec, body, number, link)
     _add_hand(spec, body)
-    if decorate is not None:
-        decorate(spec)
-    return spec
 
 
 @functools.cache
 def arm_description() -> ArmDescription:
     """Kinematics, collision shapes and limits of the arm, without its visible shell."""
-    spec = build_arm()
+    spec = mujoco.MjSpec()
+    spec.modelname = "arm"
+    spec.compiler.degree = False
+    add_arm(spec)
     spec.compile()
     return ArmDescription(
         mjcf=spec.to_xml(),

@@ -12,11 +12,13 @@ import os
 import sys
 from typing import TYPE_CHECKING, Any, TypeAlias
 
+from sim_assets.errors import SimAssetsError
+
 _EGL_PLATFORM_DEVICE = 0x313F  # EGL_EXT_platform_device: a display without a screen
 _INSTALL = "install Mesa's software renderer: apt-get install libegl1 libgl1 libosmesa6"
 
 
-class GraphicsError(RuntimeError):
+class GraphicsError(SimAssetsError, RuntimeError):
     """This machine cannot render; the message says what to install."""
 
 

@@ -10,16 +10,18 @@ import numpy as np
 import trimesh
 from jaxtyping import Float
 
+from sim_assets.errors import SimAssetsError
+
 OUTLINE_CELL = 0.001  # [m] raster on which an outline is traced
 
 
-class LayoutError(ValueError):
+class LayoutError(SimAssetsError, ValueError):
     """The objects do not fit; the message says how many do."""
 
 
 @dataclass(frozen=True)
 class Region:
-    """Where object centres may lie: a rectangle on the table, within reach of the base at the origin, in [m]."""
+    """Where object centres may lie, in [m]: a rectangle on the table, within reach of the base."""
 
     x: tuple[float, float] = (0.30, 0.62)
     y: tuple[float, float] = (-0.50, -0.05)
@@ -47,7 +49,7 @@ class PlanarPose:
 
 
 def outline(mesh: trimesh.Trimesh) -> Float[np.ndarray, "n 2"]:
-    """The outer boundary of a mesh seen from above, as a polygon in the object frame, to half a millimetre."""
+    """The outer boundary of a mesh seen from above: a polygon in the object frame, to half a millimetre."""
     low = mesh.bounds[0, :2] - 3 * OUTLINE_CELL
     size = np.ceil((mesh.bounds[1, :2] - low) / OUTLINE_CELL).astype(int) + 3
     triangles = (mesh.vertices[mesh.faces][..., :2] - low) / OUTLINE_CELL

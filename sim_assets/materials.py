@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import colorsys
+import itertools
 from collections.abc import Callable
 from dataclasses import dataclass
 
@@ -181,7 +182,7 @@ def wood(rng: np.random.Generator, color: Color, size: tuple[int, int] = (512, 5
     image = np.empty((rows, columns, 3), dtype=np.float32)
     base = np.array(color, dtype=np.float32)
     bounds = np.linspace(0, rows, planks + 1).astype(int)
-    for start, stop in zip(bounds[:-1], bounds[1:]):
+    for start, stop in itertools.pairwise(bounds):
         noise = rng.standard_normal((stop - start, columns), dtype=np.float32)
         grain = cv2.GaussianBlur(
             noise, (0, 0), sigmaX=columns / 10, sigmaY=1.1, borderType=cv2.BORDER_REFLECT
@@ -219,10 +220,10 @@ def around(mesh: trimesh.Trimesh) -> Float[np.ndarray, "c 2"]:
 def add_material(spec: MjSpec, name: str, finish: Finish, repeat: tuple[float, float] = (1.0, 1.0)) -> str:
     """Add a finish to a specification as texture and material of one name, and return it."""
     rows, columns, _ = finish.texture.shape
-    spec.add_texture(
-        name=name, type=mujoco.mjtTexture.mjTEXTURE_2D, width=columns, height=rows, nchannel=3,
-        data=np.ascontiguousarray(finish.texture).tobytes(),
-    )  # fmt: skip
+    texture = spec.add_texture(
+        name=name, type=mujoco.mjtTexture.mjTEXTURE_2D, width=columns, height=rows, nchannel=3
+    )
+    texture.data = np.ascontiguousarray(finish.texture).tobytes()
     material = spec.add_material(
         name=name, specular=finish.specular, shininess=finish.shininess, reflectance=finish.reflectance,
         texrepeat=repeat, rgba=(1, 1, 1, 1),
