@@ -1,0 +1,13 @@
+"""Errors of the sim_assets package: one root, messages a person can act on."""
+
+
+class SimAssetsError(Exception):
+    """Root of everything that sim_assets raises on purpose."""
+
+
+class ObjectFileError(SimAssetsError, ValueError):
+    """A user's mesh file or folder is unusable; the message names the file, the reason and the remedy."""
+
+
+class ObjectParameterError(SimAssetsError, ValueError):
+    """Parameters of an object family that no such object can have."""

@@ -1,0 +1,64 @@
+"""The four object families behind one door: parameters, solids, and training grids."""
+
+from __future__ import annotations
+
+from typing import Literal
+
+import numpy as np
+from jaxtyping import Float, UInt8
+
+from perception.types import Category
+from sim_assets.errors import ObjectParameterError
+from sim_assets.objects.bottle import BottleParameters, bottle_solid, sample_bottle
+from sim_assets.objects.bowl import BowlParameters, bowl_solid, sample_bowl
+from sim_assets.objects.can import CanParameters, can_solid, sample_can
+from sim_assets.objects.grids import solid_counts, solid_grid
+from sim_assets.objects.mug import MugParameters, mug_solid, sample_mug
+from sim_assets.objects.solids import Solid
+
+Split = Literal["train", "test"]
+SPLITS: tuple[Split, ...] = ("train", "test")
+Parameters = MugParameters | BowlParameters | BottleParameters | CanParameters
+
+_SAMPLERS = {"mug": sample_mug, "bowl": sample_bowl, "bottle": sample_bottle, "can": sample_can}
+
+
+def sample_parameters(category: Category, split: Split, rng: np.random.Generator) -> Parameters:
+    """Draw an object of a category from the families of a split."""
+    if category not in _SAMPLERS:
+        raise ObjectParameterError(f"category '{category}' is none of {', '.join(_SAMPLERS)}")
+    if split not in SPLITS:
+        raise ObjectParameterError(f"split '{split}' is none of {', '.join(SPLITS)}")
+    return _SAMPLERS[category](split, rng)
+
+
+def make_solid(parameters: Parameters) -> Solid:
+    """The solid that the parameters describe."""
+    match parameters:
+        case MugParameters():
+            return mug_solid(parameters)
+        case BowlParameters():
+            return bowl_solid(parameters)
+        case BottleParameters():
+            return bottle_solid(parameters)
+        case CanParameters():
+            return can_solid(parameters)
+
+
+def occupancy_grid_of(
+    parameters: Parameters, resolution: int = 32, supersample: int = 4
+) -> Float[np.ndarray, "r r r"]:
+    """Occupancy grid in [0, 1] straight from parameters; conventions in grids.py."""
+    return solid_grid(make_solid(parameters), resolution, supersample)
+
+
+def sample_training_grids(
+    category: Category, count: int, seed: int | np.random.SeedSequence, split: Split = "train"
+) -> UInt8[np.ndarray, "n 32 32 32"]:
+    """`count` random grids of a category, occupancy 0..1 as 0..255. A few ms each on one core."""
+    rng = np.random.default_rng(seed)
+    grids = np.empty((count, 32, 32, 32), dtype=np.uint8)
+    to_byte = np.round(np.arange(65) * 255 / 64).astype(np.uint8)
+    for grid in grids:
+        grid[:] = to_byte[solid_counts(make_solid(sample_parameters(category, split, rng)))]
+    return grids
