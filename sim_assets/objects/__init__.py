@@ -9,13 +9,27 @@ from sim_assets.objects.families import (
     sample_parameters,
     sample_training_grids,
 )
+from sim_assets.objects.model import (
+    CollisionPiece,
+    ObjectModel,
+    canonical_scale,
+    make_object,
+    occupancy_grid,
+    sample_object,
+)
 
 __all__ = [
     "SPLITS",
+    "CollisionPiece",
+    "ObjectModel",
     "Parameters",
     "Split",
+    "canonical_scale",
+    "make_object",
     "make_solid",
+    "occupancy_grid",
     "occupancy_grid_of",
+    "sample_object",
     "sample_parameters",
     "sample_training_grids",
 ]

@@ -7,8 +7,10 @@ its supersamples (4³) inside the solid.
 
 from __future__ import annotations
 
+from collections.abc import Callable
+
 import numpy as np
-from jaxtyping import Float, UInt8
+from jaxtyping import Bool, Float, UInt8
 
 from sim_assets.objects.profiles import radial_crossings
 from sim_assets.objects.solids import Solid
@@ -89,3 +91,21 @@ def _add_handle(inside: np.ndarray, solid: Solid, x: np.ndarray, y: np.ndarray, 
     core2 = solid.core_radius(z[rows]) ** 2
     block = inside[rows, :reach, columns]
     block |= (y[None, :reach, None] < half_width[:, None]) & (r2 > core2[:, None, None])
+
+
+def sampled_grid(
+    inside: Callable[[Float[np.ndarray, "n 3"]], Bool[np.ndarray, "n"]],
+    bounds: Float[np.ndarray, "2 3"],
+    resolution: int = 32,
+    supersample: int = 4,
+) -> Float[np.ndarray, "r r r"]:
+    """The same grid from any inside test, slab by slab."""
+    scale, centre = canonical_frame(bounds)
+    at = axis_samples(resolution * supersample)
+    y, z = np.meshgrid(at, at, indexing="ij")
+    grid = np.zeros((resolution,) * 3, dtype=np.float32)
+    for i, x in enumerate(at):
+        slab = np.stack([np.full(y.size, x), y.ravel(), z.ravel()], axis=1)
+        hits = inside(centre + scale * slab).reshape(resolution, supersample, resolution, supersample)
+        grid[i // supersample] += hits.sum(axis=(1, 3), dtype=np.float32)
+    return grid / supersample**3
