@@ -71,7 +71,7 @@ def parse(arguments: Sequence[str]) -> CommonOptions:
     """
     from app.errors import UsageError
 
-    kinds = [
+    kinds: list[Any] = [
         Annotated[kind, tyro.conf.subcommand(name, prefix_name=False)] for name, kind in COMMANDS.items()
     ]
     config = (tyro.conf.FlagCreatePairsOff, tyro.conf.OmitArgPrefixes)

@@ -1,0 +1,236 @@
+"""What success means, judged on true poses and shapes; plain geometry without a simulator.
+
+Pack: every object upright (tilt < 10 degrees) and fully inside the box, bowls nested with the largest lowest,
+mugs' centres in line, their handles within 15 degrees of each other, nothing toppled or off the table.
+Sort: all objects upright on one line (within 2 cm of it), ascending by true size; where two differ by less
+than 3 mm either order counts.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Sequence
+from dataclasses import dataclass
+from itertools import combinations
+
+import numpy as np
+from jaxtyping import Float
+
+from perception.types import Category, profile_size
+
+
+@dataclass(frozen=True)
+class Criteria:
+    """Tolerances of the judgement.
+
+    Attributes:
+        tilt: largest angle between an object's axis and the vertical in [rad].
+        inside: how far an outline may reach into the wall in [m]: contact is soft.
+        standing: how far above the floor an object that is in no nest may have its base in [m].
+        mug_line: how far a mug's centre may be from the row of mugs in [m].
+        handles: largest difference between two handles' directions in [rad].
+        nest: how far apart the axes of nested bowls may be in [m].
+        same_size: difference in size below which either order counts in [m].
+        line: how far from the line a sorted object's centre may be in [m].
+    """
+
+    tilt: float = np.deg2rad(10.0)
+    inside: float = 0.002
+    standing: float = 0.015
+    mug_line: float = 0.02
+    handles: float = np.deg2rad(15.0)
+    nest: float = 0.03
+    same_size: float = 0.003
+    line: float = 0.02
+
+
+@dataclass(frozen=True)
+class TrueObject:
+    """An object as it really is and stands.
+
+    Attributes:
+        category: its class.
+        vertices: (v, 3) of its surface in the object frame [m]: base on z = 0, axis x = y = 0, handle +x.
+        height, radius: as ObjectEstimate defines them, in [m].
+        T_world_object: (4, 4) where it stands now.
+    """
+
+    category: Category
+    vertices: Float[np.ndarray, "v 3"]
+    height: float
+    radius: float
+    T_world_object: Float[np.ndarray, "4 4"]
+
+    @property
+    def size(self) -> float:
+        return profile_size(self.height, self.radius)
+
+    @property
+    def tilt(self) -> float:
+        """Angle between the object's axis and the vertical in [rad]."""
+        return float(np.arccos(np.clip(self.T_world_object[2, 2], -1, 1)))
+
+    @property
+    def yaw(self) -> float:
+        """Direction of the handle about the vertical in [rad]."""
+        return float(np.arctan2(self.T_world_object[1, 0], self.T_world_object[0, 0]))
+
+    @property
+    def base(self) -> Float[np.ndarray, "3"]:
+        """The middle of the base in the world in [m]."""
+        return self.T_world_object[:3, 3]
+
+    @property
+    def vertices_world(self) -> Float[np.ndarray, "v 3"]:
+        return self.vertices @ self.T_world_object[:3, :3].T + self.T_world_object[:3, 3]
+
+
+@dataclass(frozen=True)
+class BoxSpace:
+    """The inside of the box: middle (x, y), inner length and width, height of its floor, in [m]."""
+
+    center: tuple[float, float]
+    size: tuple[float, float]
+    floor: float
+
+
+def judge_standing(objects: Sequence[TrueObject], criteria: Criteria = Criteria()) -> list[str]:
+    """For each object why it does not stand, or an empty string."""
+    reasons = []
+    for item in objects:
+        if item.base[2] < -0.05:
+            reasons.append("fell off the table")
+        elif item.tilt > criteria.tilt:
+            toppled = item.tilt > np.deg2rad(45)
+            reasons.append(f"{'toppled' if toppled else 'tilted'} by {np.rad2deg(item.tilt):.0f} deg")
+        else:
+            reasons.append("")
+    return reasons
+
+
+def judge_pack(
+    objects: Sequence[TrueObject], box: BoxSpace, nests: int = 1, criteria: Criteria = Criteria()
+) -> list[str]:
+    """For each object why it is not packed as it should be, or an empty string.
+
+    Args:
+        nests: how many nests the bowls need at least; more than one where their shapes do not go together.
+    """
+    reasons = judge_standing(objects, criteria)
+    for i, item in enumerate(objects):
+        reasons[i] = reasons[i] or _outside(item, box, criteria)
+    bowls = [i for i, item in enumerate(objects) if item.category == "bowl" and not reasons[i]]
+    for i, reason in _judge_nests([objects[i] for i in bowls], box, nests, criteria).items():
+        reasons[bowls[i]] = reason
+    mugs = [i for i, item in enumerate(objects) if item.category == "mug" and not reasons[i]]
+    for i, reason in _judge_row([objects[i] for i in mugs], criteria).items():
+        reasons[mugs[i]] = reason
+    return reasons
+
+
+def judge_sort(
+    objects: Sequence[TrueObject],
+    start: tuple[float, float],
+    end: tuple[float, float],
+    criteria: Criteria = Criteria(),
+) -> list[str]:
+    """For each object why it is not sorted, or an empty string; sizes ascend from start to end."""
+    reasons = judge_standing(objects, criteria)
+    origin, along = np.array(start), np.array(end) - np.array(start)
+    length = float(np.linalg.norm(along))
+    along = along / length
+    offsets = np.array([item.base[:2] - origin for item in objects]).reshape(-1, 2)
+    distance = np.abs(offsets @ np.array([-along[1], along[0]]))
+    position = offsets @ along
+    for i in range(len(objects)):
+        off = max(distance[i], -position[i], position[i] - length)
+        if not reasons[i] and off > criteria.line:
+            reasons[i] = f"off the line by {100 * off:.1f} cm"
+    on_line = sorted((i for i in range(len(objects)) if not reasons[i]), key=lambda i: position[i])
+    kept = _largest_ascending([objects[i].size for i in on_line], criteria.same_size)
+    for rank, i in enumerate(on_line):
+        if rank not in kept:
+            reasons[i] = "out of order by size"
+    return reasons
+
+
+def _outside(item: TrueObject, box: BoxSpace, criteria: Criteria) -> str:
+    reach = np.abs(item.vertices_world[:, :2] - box.center).max(axis=0) - np.array(box.size) / 2
+    if reach.max() > criteria.inside:
+        return f"outside the box by {1000 * reach.max():.0f} mm"
+    if item.category != "bowl" and item.base[2] > box.floor + criteria.standing:
+        return f"not on the floor of the box but {1000 * (item.base[2] - box.floor):.0f} mm above"
+    return ""
+
+
+def _judge_nests(
+    bowls: Sequence[TrueObject], box: BoxSpace, nests: int, criteria: Criteria
+) -> dict[int, str]:
+    """Bowls nested, the largest lowest: wrong are those beside the nests or on a smaller one."""
+    wrong: dict[int, str] = {}
+    for rank, nest in enumerate(_nests(bowls, criteria.nest)):
+        if rank >= nests:
+            wrong |= dict.fromkeys(nest, "bowl beside the nest")
+            continue
+        if bowls[nest[0]].base[2] > box.floor + criteria.standing:
+            wrong[nest[0]] = "bowl on something that is no bowl"
+        kept = _largest_ascending([-bowls[i].radius for i in nest], criteria.same_size)
+        for position, i in enumerate(nest):
+            if position not in kept:
+                wrong.setdefault(i, "bowl nested in the wrong order")
+    return wrong
+
+
+def _nests(bowls: Sequence[TrueObject], distance: float) -> list[list[int]]:
+    """Groups of bowls around one axis, each from the lowest up, the largest group first."""
+    free, groups = set(range(len(bowls))), []
+    while free:
+        around = {
+            i: [j for j in free if np.linalg.norm((bowls[i].base - bowls[j].base)[:2]) <= distance]
+            for i in sorted(free)
+        }
+        group = max(around.values(), key=len)
+        groups.append(sorted(group, key=lambda i: bowls[i].base[2]))
+        free -= set(group)
+    return groups
+
+
+def _judge_row(mugs: Sequence[TrueObject], criteria: Criteria) -> dict[int, str]:
+    """Mugs in a row with handles alike: wrong are those outside the largest group that agrees."""
+    wrong: dict[int, str] = {}
+    if len(mugs) < 2:
+        return wrong
+    yaws = np.array([mug.yaw for mug in mugs])
+    turn = np.abs((yaws[:, None] - yaws + np.pi) % (2 * np.pi) - np.pi)
+    alike = _largest_subset(len(mugs), lambda group: turn[np.ix_(group, group)].max() <= criteria.handles)
+    for i in set(range(len(mugs))) - set(alike):
+        wrong[i] = f"handle {np.rad2deg(turn[i, list(alike)].max()):.0f} deg from the others'"
+    centres = np.array([mug.base[:2] for mug in mugs])
+    in_row = _largest_subset(
+        len(mugs), lambda group: _line_distances(centres[list(group)]).max() <= criteria.mug_line
+    )
+    for i in set(range(len(mugs))) - set(in_row):
+        wrong.setdefault(i, "mug out of the row of mugs")
+    return wrong
+
+
+def _line_distances(points: Float[np.ndarray, "n 2"]) -> Float[np.ndarray, "n"]:
+    """Distances from the points' own best line in [m]."""
+    centred = points - points.mean(axis=0)
+    normal = np.linalg.svd(centred, full_matrices=True)[2][1]
+    return np.abs(centred @ normal)
+
+
+def _largest_ascending(sizes: Sequence[float], tolerance: float) -> tuple[int, ...]:
+    """The largest subset in which nothing follows what is larger by the tolerance or more."""
+    return _largest_subset(
+        len(sizes),
+        lambda group: all(sizes[a] < sizes[b] + tolerance for a, b in combinations(group, 2)),
+    )
+
+
+def _largest_subset(count: int, accepted: Callable[[tuple[int, ...]], bool]) -> tuple[int, ...]:
+    for size in range(count, 1, -1):
+        for group in combinations(range(count), size):
+            if accepted(group):
+                return group
+    return tuple(range(min(count, 1)))

@@ -1,0 +1,80 @@
+import sys
+
+import numpy as np
+import pytest
+import trimesh
+
+from perception.fusion.tsdf import FusionUnavailableError, masked_cloud, reconstruct_tsdf
+from perception.types import CameraIntrinsics, ObjectDetection, RgbdFrame, SupportPlane
+
+CAMERA = CameraIntrinsics(width=160, height=120, fx=145.0, fy=145.0, cx=79.5, cy=59.5)
+CENTER, RADIUS, HEIGHT = np.array([0.4, -0.2]), 0.035, 0.12
+
+
+def camera_at(position, target=(0.4, -0.2, 0.05)):
+    z = np.array(target) - position
+    z = z / np.linalg.norm(z)
+    x = np.cross(z, (0, 0, 1.0))
+    x = x / np.linalg.norm(x)
+    T = np.eye(4)
+    T[:3, :3] = np.stack([x, np.cross(z, x), z], axis=1)
+    T[:3, 3] = position
+    return T
+
+
+def view_of_a_can(T_world_camera):
+    """Depth and mask of an upright closed cylinder on the table, by ray casting in closed form."""
+    v, u = np.indices((CAMERA.height, CAMERA.width))
+    rays = np.stack([(u - CAMERA.cx) / CAMERA.fx, (v - CAMERA.cy) / CAMERA.fy, np.ones(u.shape)], axis=-1)
+    rays = rays @ T_world_camera[:3, :3].T
+    origin = T_world_camera[:3, 3]
+    table, top = (-origin[2] / rays[..., 2], (HEIGHT - origin[2]) / rays[..., 2])
+    on_top = np.linalg.norm(origin[:2] + top[..., None] * rays[..., :2] - CENTER, axis=-1) <= RADIUS
+    offset = origin[:2] - CENTER
+    a = (rays[..., :2] ** 2).sum(-1)
+    b = rays[..., :2] @ offset
+    root = b**2 - a * (offset @ offset - RADIUS**2)
+    side = (-b - np.sqrt(np.maximum(root, 0))) / a
+    z = origin[2] + side * rays[..., 2]
+    on_side = (root > 0) & (side > 0) & (z >= 0) & (z <= HEIGHT)
+    depth = np.where(on_top, top, np.where(on_side, side, table)).astype(np.float32)
+    frame = RgbdFrame(0.0, np.zeros((120, 160, 3), np.uint8), depth, CAMERA, T_world_camera)
+    return frame, ObjectDetection("can", 0.9, on_top | on_side, instance_id=5)
+
+
+@pytest.fixture(scope="module")
+def views():
+    angles = np.deg2rad((0, 120, 240))
+    return [view_of_a_can(camera_at((0.4 + 0.3 * np.cos(a), -0.2 + 0.3 * np.sin(a), 0.4))) for a in angles]
+
+
+def test_masked_cloud_lies_on_the_surface(views):
+    frame, found = views[0]
+    points = masked_cloud(frame, found.mask)
+    on_side = np.abs(np.linalg.norm(points[:, :2] - CENTER, axis=1) - RADIUS) < 1e-3
+    on_top = np.abs(points[:, 2] - HEIGHT) < 1e-3
+    assert len(points) == found.mask.sum() and (on_side | on_top).all()
+
+
+def test_three_views_give_a_closed_can_of_the_right_size(views):
+    frames, found = zip(*views, strict=True)
+    (can,) = reconstruct_tsdf(frames, [[f] for f in found], SupportPlane())
+    mesh = trimesh.Trimesh(can.mesh_world.vertices, can.mesh_world.faces)
+    assert can.id == 5 and can.category == "can" and can.n_views == 3
+    assert mesh.is_watertight and mesh.volume == pytest.approx(np.pi * RADIUS**2 * HEIGHT, rel=0.1)
+    assert can.height == pytest.approx(HEIGHT, abs=0.004) and can.radius == pytest.approx(RADIUS, abs=0.003)
+    np.testing.assert_allclose(can.T_world_object[:2, 3], CENTER, atol=0.002)
+    np.testing.assert_allclose(can.mesh.vertices.min(0) + can.mesh.vertices.max(0), 0, atol=1e-9)
+
+
+def test_an_object_without_depth_is_left_out(views, caplog):
+    frame, found = views[0]
+    hole = RgbdFrame(0.0, frame.rgb, np.where(found.mask, 0, frame.depth), CAMERA, frame.T_world_camera)
+    assert reconstruct_tsdf([hole], [[found]], SupportPlane()) == []
+    assert "can 5 has too little depth" in caplog.text
+
+
+def test_missing_open3d_says_what_to_install(views, monkeypatch):
+    monkeypatch.setitem(sys.modules, "open3d", None)
+    with pytest.raises(FusionUnavailableError, match=r"pip install 'nodeslam\[eval\]'"):
+        reconstruct_tsdf([views[0][0]], [[views[0][1]]], SupportPlane())
