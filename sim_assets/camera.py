@@ -14,7 +14,7 @@ import numpy as np
 from jaxtyping import Float, Int, UInt8
 
 from perception.types import CameraIntrinsics
-from sim_assets.headless import MjData, MjModel, mujoco, require_rendering
+from sim_assets.headless import MjData, MjModel, gl_context, mujoco
 
 OPENCV_FROM_MUJOCO = np.diag([1.0, -1.0, -1.0])  # the one flip between the two conventions; its own inverse
 MAX_DEPTH = 10.0  # [m], beyond it nothing is measured
@@ -53,60 +53,106 @@ def look_at(
 
 
 class OffscreenRenderer:
-    """Renders one model, at any image size; keeps a GL context per size until ``close``.
+    """MuJoCo's classic renderer for one model, at any image size, in one GL context opened on first use.
 
-    Contexts that nobody closed are freed when the interpreter ends, before MuJoCo's own modules go.
+    Depth and geom ids come from one pass without antialiasing, so no pixel mixes two surfaces. Contexts that
+    nobody closed are freed when the interpreter ends, before MuJoCo's own modules go.
     """
 
     def __init__(self, model: MjModel) -> None:
-        require_rendering()
         self._model = model
-        self._renderers: dict[tuple[int, int], Any] = {}
+        self._gl: Any = None
+        self._context: Any = None
+        self._size = (0, 0)
+        self._scene: Any = mujoco.MjvScene(model, maxgeom=4000)
+        self._option = _visible_option()
         _open.add(self)
 
-    def of_size(self, width: int, height: int) -> Any:
-        """The classic ``mujoco.Renderer`` for one image size, created on first use."""
-        if (width, height) not in self._renderers:
-            self._renderers[width, height] = mujoco.Renderer(self._model, height, width)
-        return self._renderers[width, height]
+    def color(
+        self, data: MjData, camera: str, width: int, height: int, shadows: bool = True
+    ) -> UInt8[np.ndarray, "h w 3"]:
+        """Colour image, with reflections and, if asked, shadows."""
+        self._scene.flags[mujoco.mjtRndFlag.mjRND_SHADOW] = shadows
+        image = np.empty((height, width, 3), dtype=np.uint8)
+        self._draw(data, camera, width, height)
+        mujoco.mjr_readPixels(image, None, mujoco.MjrRect(0, 0, width, height), self._context)
+        return np.flipud(image).copy()
 
-    def color(self, data: MjData, camera: str, width: int, height: int) -> UInt8[np.ndarray, "h w 3"]:
-        """Colour image, with shadows and reflections."""
-        renderer = self.of_size(width, height)
-        renderer.update_scene(data, camera, _visible())
-        return renderer.render().copy()
+    def depth_and_ids(
+        self, data: MjData, camera: str, width: int, height: int
+    ) -> tuple[Float[np.ndarray, "h w"], Int[np.ndarray, "h w"]]:
+        """What each pixel's ray meets.
 
-    def depth(self, data: MjData, camera: str, width: int, height: int) -> Float[np.ndarray, "h w"]:
-        """Depth along the optical axis in [m], without noise; 0 where there is nothing within MAX_DEPTH."""
-        renderer = self.of_size(width, height)
-        renderer.update_scene(data, camera, _visible())
-        renderer.enable_depth_rendering()
-        try:
-            depth = renderer.render().copy()
-        finally:
-            renderer.disable_depth_rendering()
-        depth[depth > MAX_DEPTH] = 0
-        return depth
+        Returns:
+            Depth along the optical axis in [m], without noise, 0 where nothing is within MAX_DEPTH; and the
+            id of the geom, -1 for none.
+        """
+        flags = self._scene.flags.copy()
+        self._scene.flags[mujoco.mjtRndFlag.mjRND_SEGMENT] = True
+        self._scene.flags[mujoco.mjtRndFlag.mjRND_IDCOLOR] = True
+        code = np.empty((height, width, 3), dtype=np.uint8)
+        buffer = np.empty((height, width), dtype=np.float32)
+        self._draw(data, camera, width, height)
+        mujoco.mjr_readPixels(code, buffer, mujoco.MjrRect(0, 0, width, height), self._context)
+        np.copyto(self._scene.flags, flags)
+        return np.flipud(self._metric(buffer)).copy(), np.flipud(self._geom_ids(code)).copy()
 
-    def geometry_ids(self, data: MjData, camera: str, width: int, height: int) -> Int[np.ndarray, "h w"]:
-        """The id of the geom that each pixel shows, -1 for the sky."""
-        renderer = self.of_size(width, height)
-        renderer.update_scene(data, camera, _visible())
-        renderer.enable_segmentation_rendering()
-        try:
-            ids, kinds = np.moveaxis(renderer.render(), -1, 0)
-        finally:
-            renderer.disable_segmentation_rendering()
-        return np.where(kinds == int(mujoco.mjtObj.mjOBJ_GEOM), ids, -1).astype(np.int32)
+    def upload_texture(self, texture: int) -> None:
+        """Send a texture of the model that was edited in place to the GL context, if there is one yet."""
+        if self._gl is not None:
+            self._gl.make_current()
+            mujoco.mjr_uploadTexture(self._model, self._context, texture)
 
     def close(self) -> None:
-        """Free the GL contexts; a later image opens new ones."""
-        for renderer in self._renderers.values():
-            renderer.close()
-        self._renderers.clear()
+        """Free the GL context; a later image opens a new one."""
+        if self._gl is not None:
+            self._gl.make_current()
+            self._context.free()
+            self._gl.free()
+        self._gl = self._context = None
+
+    def _draw(self, data: MjData, camera: str, width: int, height: int) -> None:
+        self._prepare(width, height)
+        view = mujoco.MjvCamera()
+        view.type = mujoco.mjtCamera.mjCAMERA_FIXED
+        view.fixedcamid = self._model.camera(camera).id
+        category = int(mujoco.mjtCatBit.mjCAT_ALL)
+        mujoco.mjv_updateScene(self._model, data, self._option, None, view, category, self._scene)
+        mujoco.mjr_render(mujoco.MjrRect(0, 0, width, height), self._scene, self._context)
+
+    def _prepare(self, width: int, height: int) -> None:
+        """A current GL context with an offscreen buffer of this size."""
+        if self._gl is None:
+            self._gl = gl_context(width, height)
+            self._gl.make_current()
+            self._context = mujoco.MjrContext(self._model, mujoco.mjtFontScale.mjFONTSCALE_100)
+            mujoco.mjr_setBuffer(mujoco.mjtFramebuffer.mjFB_OFFSCREEN, self._context)
+            self._context.readDepthMap = mujoco.mjtDepthMap.mjDEPTH_ZEROFAR
+            self._size = (0, 0)
+        self._gl.make_current()
+        if self._size != (width, height):
+            mujoco.mjr_resizeOffscreen(width, height, self._context)
+            self._size = (width, height)
+
+    def _metric(self, buffer: Float[np.ndarray, "h w"]) -> Float[np.ndarray, "h w"]:
+        """Depth buffer (1 at the near plane, 0 at the far one, linear in inverse depth) in [m]."""
+        extent = self._model.stat.extent
+        near, far = self._model.vis.map.znear * extent, self._model.vis.map.zfar * extent
+        inverse = 1 / far + buffer.astype(np.float64) * (1 / near - 1 / far)
+        return np.where(inverse > 1 / MAX_DEPTH, 1 / inverse, 0).astype(np.float32)
+
+    def _geom_ids(self, code: UInt8[np.ndarray, "h w 3"]) -> Int[np.ndarray, "h w"]:
+        """Undo MuJoCo's colour code, 1 + index in the scene in three bytes; 0 is the background."""
+        index = code.astype(np.int32) @ np.array([1, 1 << 8, 1 << 16], dtype=np.int32)
+        geom = int(mujoco.mjtObj.mjOBJ_GEOM)
+        ids = np.full(self._scene.ngeom + 1, -1, dtype=np.int32)
+        for shown in self._scene.geoms[: self._scene.ngeom]:
+            if shown.objtype == geom and shown.segid >= 0:
+                ids[shown.segid + 1] = shown.objid
+        return ids[index]
 
 
-def _visible() -> Any:
+def _visible_option() -> Any:
     """Scene option that shows what a camera would see: no collision shapes, sites or tendons."""
     option = mujoco.MjvOption()
     option.geomgroup[3:] = 0

@@ -89,6 +89,13 @@ if TYPE_CHECKING:
 else:
     MjSpec, MjsBody, MjModel, MjData = mujoco.MjSpec, mujoco.MjsBody, mujoco.MjModel, mujoco.MjData
 
+
+def gl_context(width: int, height: int) -> Any:
+    """A new OpenGL context with the chosen backend."""
+    require_rendering()
+    return importlib.import_module("mujoco.gl_context").GLContext(width, height)
+
+
 __all__ = [
     "GraphicsError",
     "MjData",
@@ -97,6 +104,7 @@ __all__ = [
     "MjsBody",
     "choose_backend",
     "egl_works",
+    "gl_context",
     "mujoco",
     "osmesa_works",
     "require_rendering",

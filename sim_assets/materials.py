@@ -203,6 +203,30 @@ def cardboard(rng: np.random.Generator, color: Color, size: tuple[int, int] = (1
     return (255 * np.clip(np.array(color) * tone[..., None], 0, 1)).astype(np.uint8)
 
 
+def random_ground(rng: np.random.Generator, size: tuple[int, int]) -> Texture:
+    """Planks, card, stone, tiles or plain paint, of usual or any colours (training of detectors)."""
+    if rng.random() < 0.6:  # tables are mostly brown, grey or white
+        warm, cold = rng.uniform(0.2, 1.0), rng.uniform(0.6, 1.0)
+        color, other = (warm, warm * rng.uniform(0.65, 1.0), warm * cold * 0.8), (0.9 * warm,) * 3
+    else:
+        color, other = _color(rng, True), _color(rng, True)
+    rows, columns = size
+    kind = rng.integers(5)
+    if kind == 0:
+        return wood(rng, color, size)
+    if kind == 1:
+        return cardboard(rng, color, size)
+    if kind == 2:  # stone: smooth noise between two colours
+        field = cv2.GaussianBlur(rng.standard_normal(size, dtype=np.float32), (0, 0), rng.uniform(1, 12))
+        share = np.clip(0.5 + 0.25 * field / field.std(), 0, 1)[..., None]
+        return (share * _byte(color) + (1 - share) * _byte(other)).astype(np.uint8)
+    if kind == 3:  # tiles or checks
+        row, column = np.mgrid[:rows, :columns]
+        side = int(rng.integers(12, 64))
+        return _mix(color, other, (row // side + column // side) % 2 == 0)
+    return np.broadcast_to(_byte(color), (rows, columns, 3)).copy()
+
+
 def around(mesh: trimesh.Trimesh) -> Float[np.ndarray, "c 2"]:
     """Texture coordinates of a mesh's face corners: once around z horizontally, bottom to top vertically.
 

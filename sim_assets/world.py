@@ -150,7 +150,7 @@ class World:
         T_world_camera[:3, :3] = optical.xmat.reshape(3, 3)
         T_world_camera[:3, 3] = optical.xpos
         intrinsics = intrinsics_of(width, height, WRIST_FOVY)
-        depth = self._renderer.depth(self._data, WRIST_CAMERA, width, height)
+        depth, _ = self._renderer.depth_and_ids(self._data, WRIST_CAMERA, width, height)
         return RgbdFrame(
             time=self.time,
             rgb=self._renderer.color(self._data, WRIST_CAMERA, width, height),

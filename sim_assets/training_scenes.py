@@ -1,0 +1,362 @@
+"""Many labelled pictures of random table tops, fast: what the detector is trained on. No arm, no physics.
+
+A pool of objects and distractors is compiled once; for every picture some of them are shown and moved by
+editing the model in place, the others hidden. Textures are drawn anew every few pictures, the whole pool now
+and then. One process renders 20 pictures a second and more; shards belong in processes of their own.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Iterator
+from dataclasses import dataclass
+from typing import Literal
+
+import numpy as np
+import trimesh
+from jaxtyping import Float, Int
+
+from perception.types import CATEGORIES, Category, RgbdFrame
+from sim_assets.camera import OPENCV_FROM_MUJOCO, OffscreenRenderer, intrinsics_of, look_at
+from sim_assets.depth_noise import DEPTH_NOISES, add_depth_noise
+from sim_assets.distractors import random_distractor
+from sim_assets.headless import MjSpec, mujoco
+from sim_assets.layout import PlanarPose, outline
+from sim_assets.materials import (
+    Finish,
+    add_material,
+    add_mesh,
+    random_finish,
+    random_ground,
+)
+from sim_assets.objects import sample_object
+
+Split = Literal["train", "test"]
+CAMERA = "eye"
+GROUND_SIZE = (256, 256)
+SHOWN, HIDDEN = 2, 4  # geom groups
+_OUTLINE_POINTS = 20
+
+
+@dataclass(frozen=True)
+class TrainingSceneConfig:
+    """How the pictures vary.
+
+    Attributes:
+        width, height: in pixels.
+        pool, distractors: objects (evenly over the classes) and things of no class compiled together.
+        pictures_per_pool: how often the pool is replaced.
+        pictures_per_texture, textures_redrawn: how often the ground and how many things get a new texture.
+        objects, extras: smallest and largest number shown of each kind.
+        gap: smallest and largest least distance between neighbours in [m]; drawn per picture.
+        spread: half side of the square they stand in, in [m].
+        distance, elevation, fovy: camera ranges in [m], [rad], [deg].
+        shadows: share of pictures with cast shadows (slower).
+    """
+
+    width: int = 320
+    height: int = 240
+    pool: int = 40
+    distractors: int = 14
+    pictures_per_pool: int = 400
+    pictures_per_texture: int = 8
+    textures_redrawn: int = 12
+    objects: tuple[int, int] = (3, 10)
+    extras: tuple[int, int] = (0, 3)
+    gap: tuple[float, float] = (0.008, 0.06)
+    spread: tuple[float, float] = (0.18, 0.30)
+    distance: tuple[float, float] = (0.35, 0.85)
+    elevation: tuple[float, float] = (np.radians(30), np.radians(90))
+    fovy: tuple[float, float] = (42.0, 50.0)
+    shadows: float = 0.3
+
+
+@dataclass(frozen=True)
+class InstanceLabel:
+    """One thing in a picture.
+
+    Attributes:
+        category: its class; None for a thing of no class.
+        T_world_object: (4, 4) pose, origin at the centre of its base, mug handle along +x.
+        pixels: how many pixels show it.
+        height: of the thing in [m].
+    """
+
+    category: Category | None
+    T_world_object: Float[np.ndarray, "4 4"]
+    pixels: int
+    height: float
+
+    @property
+    def yaw(self) -> float:
+        """Angle of the object's +x about the world's z in [rad]."""
+        return float(np.arctan2(self.T_world_object[1, 0], self.T_world_object[0, 0]))
+
+
+@dataclass(frozen=True)
+class LabelledImage:
+    """A picture with the truth about it; the table is the plane z = 0 of the world.
+
+    Attributes:
+        frame: colour, noisy depth, intrinsics and pose of the camera.
+        instances: (H, W) index into ``labels`` of what each pixel shows, -1 for table and background.
+        labels: everything on the table, seen or not.
+    """
+
+    frame: RgbdFrame
+    instances: Int[np.ndarray, "h w"]
+    labels: tuple[InstanceLabel, ...]
+
+
+@dataclass(frozen=True)
+class _Thing:
+    category: Category | None
+    mesh: trimesh.Trimesh
+    outline: Float[np.ndarray, "n 2"]
+    reach: float
+
+
+class TrainingScenes:
+    """Renders labelled pictures of objects of one split; the same seed gives the same pictures."""
+
+    def __init__(self, split: Split, seed: int, config: TrainingSceneConfig | None = None) -> None:
+        self.config = config or TrainingSceneConfig()
+        self.split: Split = split
+        self._rng = np.random.default_rng(seed)
+        self._pool: _Pool | None = None
+
+    def render(self, count: int) -> Iterator[LabelledImage]:
+        """The next ``count`` pictures."""
+        config, rng = self.config, self._rng
+        for number in range(count):
+            if number % config.pictures_per_pool == 0:
+                self.close()
+                self._pool = _Pool(_draw_things(self.split, config, rng), config, rng)
+            assert self._pool is not None
+            if number % config.pictures_per_texture == 0:
+                self._pool.redraw_textures(rng)
+            yield self._pool.picture(rng)
+
+    def close(self) -> None:
+        """Free the GL context."""
+        if self._pool is not None:
+            self._pool.close()
+            self._pool = None
+
+    def __enter__(self) -> TrainingScenes:
+        return self
+
+    def __exit__(self, *_: object) -> None:
+        self.close()
+
+
+def _draw_things(split: Split, config: TrainingSceneConfig, rng: np.random.Generator) -> list[_Thing]:
+    things = []
+    for index in range(config.pool):
+        category = CATEGORIES[index % len(CATEGORIES)]
+        things.append(_thing(category, sample_object(category, split, rng).mesh))
+    things += [_thing(None, random_distractor(rng)) for _ in range(config.distractors)]
+    return things
+
+
+def _thing(category: Category | None, mesh: trimesh.Trimesh) -> _Thing:
+    polygon = outline(mesh)
+    steps = np.cumsum(np.linalg.norm(np.diff(polygon, axis=0, append=polygon[:1]), axis=1))
+    even = np.linspace(0, steps[-1], _OUTLINE_POINTS, endpoint=False)
+    closed, at = np.concatenate([polygon, polygon[:1]]), np.concatenate([[0], steps])
+    points = np.stack([np.interp(even, at, closed[:, 0]), np.interp(even, at, closed[:, 1])], axis=1)
+    return _Thing(category, mesh, points, float(np.linalg.norm(points, axis=1).max()))
+
+
+class _Pool:
+    """One compiled model with everything that may appear."""
+
+    def __init__(self, things: list[_Thing], config: TrainingSceneConfig, rng: np.random.Generator) -> None:
+        self.things, self.config = things, config
+        self.model = _build(things, rng).compile()
+        self.data = mujoco.MjData(self.model)
+        self.renderer = OffscreenRenderer(self.model)
+        self.geoms = np.array([self.model.geom(f"thing{i}").id for i in range(len(things))])
+        self.thing_of_geom = np.full(self.model.ngeom + 1, -1, dtype=np.int32)  # last: geom -1, the sky
+        self.thing_of_geom[self.geoms] = np.arange(len(things))
+
+    def close(self) -> None:
+        self.renderer.close()
+
+    def redraw_textures(self, rng: np.random.Generator) -> None:
+        """New finishes for some of the things and a new ground, in the existing model."""
+        for index in rng.choice(len(self.things), self.config.textures_redrawn, replace=False):
+            thing = self.things[index]
+            finish = random_finish(rng, thing.category or "", wild=0.5)
+            self._set_texture(f"thing{index}", finish.texture)
+            material = self.model.material(f"thing{index}").id
+            self.model.mat_specular[material], self.model.mat_shininess[material] = (
+                finish.specular,
+                finish.shininess,
+            )
+        for name in ("table", "wall"):
+            self._set_texture(name, random_ground(rng, GROUND_SIZE))
+
+    def _set_texture(self, name: str, image: np.ndarray) -> None:
+        texture = self.model.texture(name).id
+        start = self.model.tex_adr[texture]
+        self.model.tex_data[start : start + image.size] = image.ravel()
+        self.renderer.upload_texture(texture)
+
+    def picture(self, rng: np.random.Generator) -> LabelledImage:
+        config = self.config
+        chosen = self._choose(rng)
+        poses = _scatter([self.things[i] for i in chosen], rng, config)
+        shown = [index for index, pose in zip(chosen, poses, strict=True) if pose is not None]
+        placed = [pose for pose in poses if pose is not None]
+        self._show(shown, placed)
+        self._light(rng)
+        fovy = rng.uniform(*config.fovy)
+        T_world_camera = self._aim(placed, fovy, rng)
+        mujoco.mj_kinematics(self.model, self.data)
+        mujoco.mj_camlight(self.model, self.data)
+        view = (self.data, CAMERA, config.width, config.height)
+        rgb = self.renderer.color(*view, shadows=rng.random() < config.shadows)
+        depth, ids = self.renderer.depth_and_ids(*view)
+        intrinsics = intrinsics_of(config.width, config.height, fovy)
+        noise = DEPTH_NOISES[rng.integers(len(DEPTH_NOISES))]
+        depth = add_depth_noise(depth, noise, intrinsics, rng)
+        row = np.full(len(self.things) + 1, -1, dtype=np.int32)
+        row[shown] = np.arange(len(shown))
+        instances = row[self.thing_of_geom[ids]]
+        pixels = np.bincount(instances[instances >= 0], minlength=len(shown))
+        labels = tuple(
+            InstanceLabel(
+                self.things[i].category, pose.matrix, int(n), float(self.things[i].mesh.bounds[1, 2])
+            )
+            for i, pose, n in zip(shown, placed, pixels, strict=True)
+        )
+        return LabelledImage(RgbdFrame(0.0, rgb, depth, intrinsics, T_world_camera), instances, labels)
+
+    def _choose(self, rng: np.random.Generator) -> list[int]:
+        kind = np.array([thing.category is not None for thing in self.things])
+        low, high = self.config.objects
+        objects = rng.choice(np.flatnonzero(kind), rng.integers(low, high + 1), replace=False)
+        low, high = self.config.extras
+        extras = rng.choice(np.flatnonzero(~kind), rng.integers(low, high + 1), replace=False)
+        return [int(i) for i in rng.permutation(np.concatenate([objects, extras]))]
+
+    def _show(self, shown: list[int], placed: list[PlanarPose]) -> None:
+        self.model.geom_group[self.geoms] = HIDDEN
+        self.model.geom_group[self.geoms[shown]] = SHOWN
+        for index, pose in zip(shown, placed, strict=True):
+            body = self.model.body(f"thing{index}").id
+            self.model.body_pos[body] = (pose.x, pose.y, 0)
+            self.model.body_quat[body] = (np.cos(pose.yaw / 2), 0, 0, np.sin(pose.yaw / 2))
+
+    def _light(self, rng: np.random.Generator) -> None:
+        angle, tilt = rng.uniform(-np.pi, np.pi), rng.uniform(0.1, 1.0)
+        away = np.array([np.sin(tilt) * np.cos(angle), np.sin(tilt) * np.sin(angle), np.cos(tilt)])
+        self.model.light_pos[0] = 1.8 * away
+        self.model.light_dir[0] = -away
+        tint = rng.normal(1, 0.06, 3)
+        self.model.light_diffuse[0] = np.clip(rng.uniform(0.4, 0.95) * tint, 0, 1)
+        self.model.light_specular[0] = rng.uniform(0.0, 0.6)
+        headlight = self.model.vis.headlight
+        headlight.ambient[:] = rng.uniform(0.2, 0.55)
+        headlight.diffuse[:] = rng.uniform(0.0, 0.4)
+
+    def _aim(
+        self, placed: list[PlanarPose], fovy: float, rng: np.random.Generator
+    ) -> Float[np.ndarray, "4 4"]:
+        """Point the camera somewhere among the objects and return its pose (OpenCV)."""
+        azimuth, elevation = rng.uniform(-np.pi, np.pi), rng.uniform(*self.config.elevation)
+        distance = rng.uniform(*self.config.distance)
+        seen = placed[rng.integers(len(placed))] if placed else PlanarPose(0, 0, 0)
+        target = rng.uniform(0.3, 1.0) * np.array([seen.x, seen.y, 0]) + (0, 0, rng.uniform(0, 0.08))
+        away = np.array([
+            np.cos(elevation) * np.cos(azimuth), np.cos(elevation) * np.sin(azimuth), np.sin(elevation)
+        ])  # fmt: skip
+        T_world_camera = look_at(target + distance * away, target, roll=rng.normal(0, 0.15))
+        eye = self.model.camera(CAMERA).id
+        self.model.cam_pos[eye] = T_world_camera[:3, 3]
+        mujoco.mju_mat2Quat(self.model.cam_quat[eye], (T_world_camera[:3, :3] @ OPENCV_FROM_MUJOCO).ravel())
+        self.model.cam_fovy[eye] = fovy
+        return T_world_camera
+
+
+def _scatter(
+    things: list[_Thing], rng: np.random.Generator, config: TrainingSceneConfig
+) -> list[PlanarPose | None]:
+    """A free place for each thing, None for one that found no room."""
+    least, spread = rng.uniform(*config.gap), rng.uniform(*config.spread)
+    poses: list[PlanarPose | None] = []
+    taken: list[np.ndarray] = []
+    centers: list[tuple[float, float, float]] = []
+    for thing in things:
+        found = None
+        for _ in range(30):
+            x, y = rng.uniform(-spread, spread, 2)
+            pose = PlanarPose(x, y, rng.uniform(-np.pi, np.pi))
+            points = pose.transform(thing.outline)
+            if _free(points, pose, thing.reach, taken, centers, least):
+                found = pose
+                taken.append(points)
+                centers.append((pose.x, pose.y, thing.reach))
+                break
+        poses.append(found)
+    return poses
+
+
+def _free(
+    points: np.ndarray,
+    pose: PlanarPose,
+    reach: float,
+    taken: list[np.ndarray],
+    centers: list[tuple[float, float, float]],
+    least: float,
+) -> bool:
+    for other, (x, y, radius) in zip(taken, centers, strict=True):
+        apart = np.hypot(pose.x - x, pose.y - y)
+        if apart > reach + radius + least:
+            continue
+        if apart < 0.6 * (reach + radius) - 0.02:
+            return False
+        if np.linalg.norm(points[:, None] - other[None], axis=-1).min() < least + 0.004:
+            return False
+    return True
+
+
+def _build(things: list[_Thing], rng: np.random.Generator) -> MjSpec:
+    spec = mujoco.MjSpec()
+    spec.modelname = "table_top"
+    spec.compiler.degree = False
+    spec.stat.extent, spec.stat.center = 1.0, (0, 0, 0)
+    spec.visual.map.znear, spec.visual.map.zfar = 0.05, 20
+    spec.visual.quality.shadowsize = 1024
+    spec.visual.quality.offsamples = 4
+    blank = Finish(np.zeros((*GROUND_SIZE, 3), dtype=np.uint8), specular=0.1, shininess=0.2)
+    spec.add_texture(
+        name="sky", type=mujoco.mjtTexture.mjTEXTURE_SKYBOX, builtin=mujoco.mjtBuiltin.mjBUILTIN_GRADIENT,
+        rgb1=rng.uniform(0.2, 0.9, 3), rgb2=rng.uniform(0, 0.6, 3), width=128, height=128,
+    )  # fmt: skip
+    add_material(spec, "table", blank, (1, 1))
+    add_material(spec, "wall", blank, (2, 2))
+    world = spec.worldbody
+    box, plane = mujoco.mjtGeom.mjGEOM_BOX, mujoco.mjtGeom.mjGEOM_PLANE
+    world.add_geom(name="table", type=box, size=(0.75, 0.65, 0.02), pos=(0, 0, -0.02), material="table")
+    world.add_geom(name="floor", type=plane, size=(5, 5, 0.1), pos=(0, 0, -0.7), material="wall")
+    for sign in (-1, 1):
+        world.add_geom(type=box, size=(0.02, 3, 1.2), pos=(sign * 2.2, 0, 0.5), material="wall")
+    world.add_light(
+        name="key",
+        type=mujoco.mjtLightType.mjLIGHT_SPOT,
+        castshadow=True,
+        cutoff=60,
+        exponent=1,
+        ambient=(0, 0, 0),
+    )
+    world.add_camera(name=CAMERA)
+        for index, thing in enumerate(things):
+        name = f"thing{index}"
+        add_mesh(spec, name, thing.mesh)
+        add_material(spec, name, random_finish(rng, thing.category or "", wild=0.5))
+        body = world.add_body(name=name)
+        body.add_geom(
+            name=name, type=mujoco.mjtGeom.mjGEOM_MESH, meshname=name, material=name, contype=0, conaffinity=0
+        )
+    return spec
