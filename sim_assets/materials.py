@@ -207,7 +207,8 @@ def random_ground(rng: np.random.Generator, size: tuple[int, int]) -> Texture:
     """Planks, card, stone, tiles or plain paint, of usual or any colours (training of detectors)."""
     if rng.random() < 0.6:  # tables are mostly brown, grey or white
         warm, cold = rng.uniform(0.2, 1.0), rng.uniform(0.6, 1.0)
-        color, other = (warm, warm * rng.uniform(0.65, 1.0), warm * cold * 0.8), (0.9 * warm,) * 3
+        grey = 0.9 * warm
+        color, other = (warm, warm * rng.uniform(0.65, 1.0), warm * cold * 0.8), (grey, grey, grey)
     else:
         color, other = _color(rng, True), _color(rng, True)
     rows, columns = size

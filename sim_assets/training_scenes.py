@@ -351,7 +351,7 @@ def _build(things: list[_Thing], rng: np.random.Generator) -> MjSpec:
         ambient=(0, 0, 0),
     )
     world.add_camera(name=CAMERA)
-        for index, thing in enumerate(things):
+    for index, thing in enumerate(things):
         name = f"thing{index}"
         add_mesh(spec, name, thing.mesh)
         add_material(spec, name, random_finish(rng, thing.category or "", wild=0.5))
