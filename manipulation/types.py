@@ -26,15 +26,20 @@ class Box:
 
     Attributes:
         center: (x, y) of its middle in [m], world frame.
-        size: inner length (x), width (y) and height of the walls above the table (z) in [m].
+        size: inner length (x), width (y) and depth (z) in [m].
         floor: height of its floor above the table in [m].
         wall: thickness of the walls in [m].
     """
 
     center: tuple[float, float] = (0.50, 0.27)
     size: tuple[float, float, float] = (0.34, 0.30, 0.08)
-    floor: float = 0.0
+    floor: float = 0.004
     wall: float = 0.008
+
+    @property
+    def top(self) -> float:
+        """Height of its walls above the table in [m]."""
+        return self.floor + self.size[2]
 
 
 @dataclass(frozen=True)

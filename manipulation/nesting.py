@@ -1,0 +1,82 @@
+"""How bowls stand in one another, from the radial profiles of their reconstructed meshes."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import dataclass
+
+import numpy as np
+from jaxtyping import Float
+
+from manipulation.sections import SectionCache, radial_hits
+from manipulation.types import StandingObject
+
+_STEP = 0.002
+_AZIMUTHS = 2 * np.pi * np.arange(8) / 8
+
+
+@dataclass(frozen=True)
+class RadialProfile:
+    """Walls of an upright object of revolution at heights ``_STEP`` apart.
+
+    Attributes:
+        heights: (k,) above its support in [m].
+        outer: (k,) outer radius in [m].
+        inner: (k,) radius of the cavity in [m]; 0 where there is none.
+    """
+
+    heights: Float[np.ndarray, "k"]
+    outer: Float[np.ndarray, "k"]
+    inner: Float[np.ndarray, "k"]
+
+    @property
+    def rim(self) -> float:
+        return float(self.heights[-1])
+
+
+def radial_profile(item: StandingObject) -> RadialProfile:
+    """Median over eight directions of the walls at every height."""
+    sections = SectionCache(item.vertices, item.faces)
+    low, high = item.vertices[:, 2].min(), item.vertices[:, 2].max()
+    heights = np.arange(max(low, 0.0) + 0.001, high - 0.0005, _STEP)
+    outer, inner = np.zeros(len(heights)), np.zeros(len(heights))
+    for index, z in enumerate(heights):
+        hits = [radial_hits(sections.at(z), np.zeros(2), azimuth) for azimuth in _AZIMUTHS]
+        # Even numbers of crossings mean that the axis is in the cavity, outside the material.
+        outer[index] = np.median([h[-1] if len(h) else 0.0 for h in hits])
+        inner[index] = np.median([h[0] if len(h) >= 2 and len(h) % 2 == 0 else 0.0 for h in hits])
+    return RadialProfile(heights, outer, inner)
+
+
+def resting_height(upper: RadialProfile, lower: RadialProfile, clearance: float = 0.0005) -> float | None:
+    """Height of the upper bowl's base above the lower one's when it stands inside; None if it does not fit in.
+
+    The smallest lift d for which, at every height z, outer_upper(z - d) <= inner_lower(z).
+    """
+    for lift in np.arange(0.0, lower.rim, 0.001):
+        z = upper.heights + lift
+        inside = z <= lower.rim
+        cavity = np.interp(z[inside], lower.heights, lower.inner, left=0.0)
+        if np.all(upper.outer[inside] + clearance <= cavity):
+            return float(lift)
+    return None
+
+
+def nests(upper: RadialProfile, lower: RadialProfile) -> float | None:
+    """The resting height if the upper bowl sits safely: at most 70 % of the lower one's height up."""
+    lift = resting_height(upper, lower)
+    return lift if lift is not None and lift <= 0.7 * lower.rim else None
+
+
+def stack_bowls(bowls: Sequence[StandingObject]) -> list[list[StandingObject]]:
+    """Bowls sorted into as few stacks as they nest in, each from the largest up."""
+    stacks: list[list[StandingObject]] = []
+    profiles = {bowl.name: radial_profile(bowl) for bowl in bowls}
+    for bowl in sorted(bowls, key=lambda b: -float(profiles[b.name].outer.max())):
+        for stack in stacks:
+            if nests(profiles[bowl.name], profiles[stack[-1].name]) is not None:
+                stack.append(bowl)
+                break
+        else:
+            stacks.append([bowl])
+    return stacks
