@@ -169,7 +169,7 @@ def _closed(
     distance[~seen] = np.where(inside[~seen], -1.0, 1.0)
     near = np.asarray(ndimage.binary_dilation(inside, iterations=3), dtype=bool)
     distance[~near | (plane.height_above(centres) < 0)] = 1.0  # neighbours, and the table itself
-    labels = label(distance < 0, connectivity=1)
+    labels: np.ndarray = np.asarray(label(distance < 0, connectivity=1))
     count = int(labels.max())
     if count == 0:
         return None

@@ -1,0 +1,122 @@
+"""Pictures of what perception found: masks and reconstructed meshes drawn over camera images."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from functools import cache
+from pathlib import Path
+
+import cv2
+import numpy as np
+from jaxtyping import Float, UInt8
+from PIL import ImageFont
+
+from perception.types import ObjectDetection, ObjectEstimate, RgbdFrame
+
+Image = UInt8[np.ndarray, "h w 3"]
+
+# Colours that stay apart for most eyes (Okabe and Ito), then lighter ones.
+PALETTE = (
+    (0, 158, 115), (230, 159, 0), (86, 180, 233), (213, 94, 0), (204, 121, 167),
+    (0, 114, 178), (240, 228, 66), (148, 103, 189), (140, 200, 90), (220, 150, 150),
+)  # fmt: skip
+_LIGHT = np.array([0.3, -0.5, 0.81])
+
+
+def color_of(number: int) -> tuple[int, int, int]:
+    """The colour of an object, the same in every picture of a run."""
+    return PALETTE[number % len(PALETTE)]
+
+
+@cache
+def font(size: int, bold: bool = False) -> ImageFont.FreeTypeFont:
+    """The font that comes with matplotlib, at a size in pixels."""
+    import matplotlib
+
+    name = "DejaVuSans-Bold.ttf" if bold else "DejaVuSans.ttf"
+    return ImageFont.truetype(str(Path(matplotlib.get_data_path()) / "fonts" / "ttf" / name), size)
+
+
+def draw_detections(frame: RgbdFrame, detections: Sequence[ObjectDetection]) -> Image:
+    """The image with each mask tinted and outlined in its object's colour, and its class and score."""
+    image = np.array(frame.rgb)
+    for order, found in enumerate(detections):
+        color = color_of(found.instance_id if found.instance_id is not None else order)
+        image[found.mask] = (0.55 * image[found.mask] + 0.45 * np.array(color)).astype(np.uint8)
+        contours = cv2.findContours(found.mask.astype(np.uint8), cv2.RETR_EXTERNAL, cv2.CHAIN_APPROX_SIMPLE)[
+            0
+        ]
+        cv2.drawContours(image, contours, -1, color, 2, cv2.LINE_AA)
+    for found in detections:
+        v, u = np.nonzero(found.mask)
+        _label(image, f"{found.category} {100 * found.score:.0f}%", (int(u.mean()), int(v.min()) - 6))
+    return image
+
+
+def draw_estimates(frame: RgbdFrame, estimates: Sequence[ObjectEstimate], opacity: float = 0.85) -> Image:
+    """The image with the reconstructed meshes, shaded, at their estimated poses."""
+    painted = np.array(frame.rgb)
+    triangles, depths, colors = [], [], []
+    for estimate in estimates:
+        corners, depth, shade = _visible_triangles(frame, estimate)
+        triangles.append(corners)
+        depths.append(depth)
+        colors.append(shade[:, None] * np.array(color_of(estimate.id), dtype=np.float64))
+    if triangles:
+        flat, depth, color = np.concatenate(triangles), np.concatenate(depths), np.concatenate(colors)
+        fraction = 3  # cv2 takes fixed-point corners
+        fixed = np.rint(np.clip(flat, -1e4, 1e4) * 2**fraction).astype(np.int32)
+        for i in np.argsort(-depth):  # the painter's algorithm: far to near
+            cv2.fillConvexPoly(painted, fixed[i], color[i].tolist(), cv2.LINE_8, fraction)
+    changed = (painted != frame.rgb).any(axis=-1, keepdims=True)
+    image = np.where(changed, opacity * painted + (1 - opacity) * frame.rgb, frame.rgb).astype(np.uint8)
+    for estimate in estimates:
+        _label_estimate(image, frame, estimate)
+    return image
+
+
+def _visible_triangles(
+    frame: RgbdFrame, estimate: ObjectEstimate
+) -> tuple[Float[np.ndarray, "n 3 2"], Float[np.ndarray, "n"], Float[np.ndarray, "n"]]:
+    """Corners in pixels, depth in [m] and brightness 0..1 of the triangles that face the camera."""
+    assert frame.T_world_camera is not None
+    mesh = estimate.mesh_world
+    corners = mesh.vertices[mesh.faces]
+    normals = np.cross(corners[:, 1] - corners[:, 0], corners[:, 2] - corners[:, 0])
+    normals /= np.maximum(np.linalg.norm(normals, axis=1, keepdims=True), 1e-12)
+    middle = corners.mean(axis=1)
+    facing = ((middle - frame.T_world_camera[:3, 3]) * normals).sum(axis=1) < 0
+    points = (corners[facing] - frame.T_world_camera[:3, 3]) @ frame.T_world_camera[:3, :3]
+    in_front = (points[..., 2] > 0.05).all(axis=1)
+    points = points[in_front]
+    pixels = _project(frame, points.reshape(-1, 3)).reshape(-1, 3, 2)
+    shade = 0.45 + 0.55 * np.clip(normals[facing][in_front] @ _LIGHT, 0, 1)
+    return pixels, points[..., 2].mean(axis=1), shade
+
+
+def _project(frame: RgbdFrame, points_camera: Float[np.ndarray, "n 3"]) -> Float[np.ndarray, "n 2"]:
+    camera = frame.intrinsics
+    x, y, z = points_camera.T
+    return np.stack([camera.fx * x / z + camera.cx, camera.fy * y / z + camera.cy], axis=1)
+
+
+def _label_estimate(image: Image, frame: RgbdFrame, estimate: ObjectEstimate) -> None:
+    assert frame.T_world_camera is not None
+    vertices = estimate.mesh_world.vertices
+    points = (vertices - frame.T_world_camera[:3, 3]) @ frame.T_world_camera[:3, :3]
+    if (points[:, 2] < 0.05).any():
+        return
+    pixels = _project(frame, points)
+    u, v = pixels[:, 0].mean(), pixels[:, 1].min()
+    if 0 <= u < frame.intrinsics.width and -40 <= v < frame.intrinsics.height:
+        _label(image, estimate.name.replace("_", " "), (int(u), int(v) - 6))
+
+
+def _label(image: Image, text: str, at: tuple[int, int]) -> None:
+    """White text with a dark rim, centred above a pixel and kept inside the image."""
+    size, thickness = 0.5, 1
+    (width, height), _ = cv2.getTextSize(text, cv2.FONT_HERSHEY_SIMPLEX, size, thickness)
+    x = int(np.clip(at[0] - width / 2, 2, max(2, image.shape[1] - width - 2)))
+    y = int(np.clip(at[1], height + 3, image.shape[0] - 4))
+    cv2.putText(image, text, (x, y), cv2.FONT_HERSHEY_SIMPLEX, size, (20, 20, 20), 3, cv2.LINE_AA)
+    cv2.putText(image, text, (x, y), cv2.FONT_HERSHEY_SIMPLEX, size, (255, 255, 255), 1, cv2.LINE_AA)

@@ -1,0 +1,87 @@
+"""From frames to objects: detect, associate, reconstruct. Perception alone; no simulator, no robot."""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Sequence
+from dataclasses import dataclass
+
+from app.errors import UsageError
+from app.options import Device
+from perception.detection.association import associate
+from perception.detection.detector import Detector
+from perception.inference.reconstruct import reconstruct
+from perception.shape.decoder import ShapeDecoder
+from perception.support_plane import fit_support_plane
+from perception.types import ObjectDetection, ObjectEstimate, RgbdFrame, SupportPlane
+
+Progress = Callable[[int, int], None]
+
+
+@dataclass(frozen=True)
+class Perception:
+    """The networks that perception runs on."""
+
+    detector: Detector
+    decoder: ShapeDecoder
+
+
+@dataclass(frozen=True)
+class Detections:
+    """What the frames show.
+
+    Attributes:
+        plane: what the objects stand on, in the world frame.
+        per_frame: for each frame its detections; one object has one ``instance_id`` in all of them.
+    """
+
+    plane: SupportPlane
+    per_frame: tuple[tuple[ObjectDetection, ...], ...]
+
+    @property
+    def n_objects(self) -> int:
+        return len({found.instance_id for frame in self.per_frame for found in frame})
+
+
+def resolve_device(device: Device) -> str:
+    """``auto`` resolved; asking for CUDA where there is none is refused.
+
+    Raises:
+        UsageError: no CUDA device.
+    """
+    import torch
+
+    if device == "cuda" and not torch.cuda.is_available():
+        raise UsageError("--device cuda: this machine has no usable CUDA device; use --device cpu")
+    return ("cuda" if torch.cuda.is_available() else "cpu") if device == "auto" else device
+
+
+def load_perception(device: Device) -> Perception:
+    """The shipped networks.
+
+    Raises:
+        PerceptionError: weights are missing or damaged.
+    """
+    where = resolve_device(device)
+    return Perception(Detector.load(where), ShapeDecoder.load(device=where))
+
+
+def detect(
+    frames: Sequence[RgbdFrame], detector: Detector, progress: Progress = lambda *_: None
+) -> Detections:
+    """Find the support plane and the objects in every frame, and tie them together over the frames."""
+    plane = fit_support_plane(frames)
+    found = []
+    for index, frame in enumerate(frames):
+        found.append(detector(frame, plane))
+        progress(index + 1, len(frames))
+    return Detections(plane, tuple(map(tuple, associate(frames, found, plane))))
+
+
+def reconstruct_objects(
+    frames: Sequence[RgbdFrame],
+    detections: Detections,
+    decoder: ShapeDecoder,
+    progress: Progress = lambda *_: None,
+) -> list[ObjectEstimate]:
+    """Whole shapes and poses of the detected objects."""
+    return reconstruct(frames, detections.per_frame, decoder, detections.plane, progress=progress)
