@@ -18,7 +18,8 @@ from scipy.spatial.transform import Rotation
 from manipulation.arm_model import collision_spec, joint_addresses, site_index
 from manipulation.errors import ManipulationError
 from manipulation.robot import ArmDescription
-from perception.types import ObjectEstimate
+from manipulation.standing import split_handle
+from manipulation.types import StandingObject
 
 _OFF, _ROBOT, _WORLD = 0, 1, 2  # contype bits: robot and carried geoms meet world geoms, nothing else
 NOTHING: frozenset[str] = frozenset()
@@ -59,21 +60,9 @@ class CollisionConfig:
     max_hull_vertices: int = 48
 
 
-def convex_pieces(estimate: ObjectEstimate) -> tuple[Float[np.ndarray, "_k 3"], ...]:
-    """The object as few convex pieces: its hull, or body and handle of a mug."""
-    vertices = estimate.mesh.vertices
-    if estimate.category != "mug":
-        return (_hull_vertices(vertices),)
-    beyond = vertices[:, 0] > 0.9 * estimate.radius + np.median(vertices[:, 0]) * 0
-    if beyond.sum() < 8:
-        return (_hull_vertices(vertices),)
-    handle = vertices[vertices[:, 0] > 0.75 * estimate.radius]
-    near_handle = np.abs(handle[:, 1]) < np.abs(vertices[beyond, 1]).max() + 1e-3
-    return (_hull_vertices(vertices[~beyond]), _hull_vertices(handle[near_handle]))
-
-
-def body_of(estimate: ObjectEstimate) -> Body:
-    return Body(estimate.name, convex_pieces(estimate), estimate.T_world_object)
+def convex_pieces(item: StandingObject) -> tuple[Float[np.ndarray, "_k 3"], ...]:
+    """The object as few convex pieces in its stand frame: its hull, or body and handle of a mug."""
+    return tuple(_hull_vertices(part) for part in split_handle(item.vertices, item.category))
 
 
 class CollisionWorld:

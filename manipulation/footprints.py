@@ -10,6 +10,7 @@ from jaxtyping import Bool, Float
 from scipy.signal import fftconvolve
 from scipy.spatial import ConvexHull
 
+from manipulation.standing import split_handle
 from manipulation.types import Box, StandingObject
 
 _DIRECTIONS = 2 * np.pi * np.arange(32) / 32
@@ -44,15 +45,8 @@ class Footprint:
 
 def footprint(item: StandingObject) -> Footprint:
     """Hull of the object seen from above; body and handle apart for a mug."""
-    plan = item.vertices[:, :2]
-    if item.category == "mug":
-        radius = np.ptp(plan[:, 1]) / 2
-        handle = plan[:, 0] > 0.95 * radius
-        if handle.sum() >= 8:
-            width = np.abs(plan[handle, 1]).max() + 1e-3
-            arm = (plan[:, 0] > 0.6 * radius) & (np.abs(plan[:, 1]) <= width)
-            return Footprint((_hull(plan[~handle]), _hull(plan[arm])), item.top)
-    return Footprint((_hull(plan),), item.top)
+    parts = split_handle(item.vertices, item.category)
+    return Footprint(tuple(_hull(part[:, :2]) for part in parts), item.top)
 
 
 def _hull(points: np.ndarray) -> np.ndarray:

@@ -84,6 +84,11 @@ class GraspSet:
     def n_tried(self) -> int:
         return len(self.grasps) + sum(self.rejected.values())
 
+    def why_none(self, name: str) -> str:
+        """One line for an object without a grasp: counts and a remedy."""
+        counts = ", ".join(f"{count} {reason}" for reason, count in self.rejected.most_common(4))
+        return f"No grasp for {name}: of {self.n_tried} tried, {counts}; leave it out or use a wider gripper"
+
 
 def find_grasps(item: StandingObject, config: GraspConfig | None = None) -> GraspSet:
     """All grasps the object's class and shape offer, best first."""

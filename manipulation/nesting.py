@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import itertools
 from collections.abc import Sequence
 from dataclasses import dataclass
 
@@ -80,3 +81,13 @@ def stack_bowls(bowls: Sequence[StandingObject]) -> list[list[StandingObject]]:
         else:
             stacks.append([bowl])
     return stacks
+
+
+def nest_heights(stack: Sequence[StandingObject]) -> list[float]:
+    """Height of each bowl's base above the lowest one's, for bowls standing in one another."""
+    profiles = [radial_profile(bowl) for bowl in stack]
+    heights = [0.0]
+    for lower, upper in itertools.pairwise(profiles):
+        lift = nests(upper, lower)
+        heights.append(heights[-1] + (lower.rim if lift is None else lift))
+    return heights

@@ -17,7 +17,7 @@ from jaxtyping import Float
 from manipulation.errors import PlanningError
 from manipulation.footprints import BoxRaster, Footprint, Stencil, bounding_area, footprint
 from manipulation.grasps import GraspConfig, find_grasps
-from manipulation.nesting import nests, radial_profile, stack_bowls
+from manipulation.nesting import nest_heights, stack_bowls
 from manipulation.types import Box, Grasp, Placement, StandingObject
 
 
@@ -147,16 +147,6 @@ def pack(
         "use a larger box or fewer objects"
     )
     return _placements(problem, best), {name: reason for name in best.left_out}
-
-
-def nest_heights(stack: Sequence[StandingObject]) -> list[float]:
-    """Height of each bowl's base above the lowest one's, for bowls standing in one another."""
-    profiles = [radial_profile(bowl) for bowl in stack]
-    heights = [0.0]
-    for lower, upper in itertools.pairwise(profiles):
-        lift = nests(upper, lower)
-        heights.append(heights[-1] + (lower.rim if lift is None else lift))
-    return heights
 
 
 def nest_drop(stack: Sequence[StandingObject], depth: float, config: PackingConfig) -> float:

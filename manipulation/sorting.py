@@ -63,9 +63,7 @@ def sort_line(
         )
         progress += before + after + gap
     order = sorted(kept, key=lambda item: item.top)
-    reason = (
-        f"line too short: {len(kept)} of {len(items)} fit on {line.length:.2f} m; use fewer objects"
-    )
+    reason = f"line too short: {len(kept)} of {len(items)} fit on {line.length:.2f} m; use fewer objects"
     return tuple(placements[item.name] for item in order), {name: reason for name in left_out}
 
 

@@ -90,6 +90,23 @@ def body_axis(
     return center
 
 
+def split_handle(
+    vertices: Float[np.ndarray, "v 3"], category: Category
+) -> tuple[Float[np.ndarray, "_k 3"], ...]:
+    """Vertices (stand frame) in parts whose hulls are close to the object: body and handle of a mug, else all."""
+    if category != "mug":
+        return (vertices,)
+    radius = np.ptp(vertices[:, 1]) / 2
+    beyond = vertices[:, 0] > 0.95 * radius
+    if beyond.sum() < 8 or np.ptp(vertices[beyond, 0]) < 1e-3:
+        return (vertices,)
+    width = np.abs(vertices[beyond, 1]).max() + 1e-3
+    low, high = vertices[beyond, 2].min(), vertices[beyond, 2].max()
+    arm = (vertices[:, 0] > 0.6 * radius) & (np.abs(vertices[:, 1]) <= width)
+    arm &= (vertices[:, 2] >= low - 0.01) & (vertices[:, 2] <= high + 0.01)
+    return (vertices[~beyond], vertices[arm | beyond])
+
+
 def _widths(vertices: np.ndarray, faces: np.ndarray, azimuths: np.ndarray) -> np.ndarray:
     """Widths of the section at mid height along the azimuths; empty if the section is."""
     middle = section(vertices, faces, 0.5 * (vertices[:, 2].min() + vertices[:, 2].max()) + 1e-5)

@@ -1,0 +1,454 @@
+"""Motions that take one object from where it stands to where it shall stand.
+
+Grasps and placements are tried in pairs, best first. A pair is taken when the arm reaches every pose on the way
+and nothing is touched: approach, lift and transfer with the object in hand, release, retreat.
+"""
+
+from __future__ import annotations
+
+import logging
+from collections import Counter
+from collections.abc import Collection, Iterator, Mapping, Sequence
+from dataclasses import dataclass, field
+
+import numpy as np
+from jaxtyping import Float
+
+from manipulation.collision import Body, CollisionConfig, CollisionWorld, Furniture, convex_pieces
+from manipulation.errors import PlanningError
+from manipulation.grasps import GraspConfig, GraspSet, find_grasps
+from manipulation.kinematics import IkConfig, Kinematics
+from manipulation.nesting import nest_heights
+from manipulation.robot import ArmDescription
+from manipulation.standing import yaw_pose
+from manipulation.trajectories import (
+    JointLimits,
+    MotionConfig,
+    concatenate,
+    joint_path,
+    line_motion,
+    line_postures,
+)
+from manipulation.types import Box, Grasp, PickPlacePlan, Placement, StandingObject
+
+log = logging.getLogger(__name__)
+
+TABLE = Furniture("table", (0.45, 0.0, -0.025), (0.65, 0.60, 0.025))
+
+
+@dataclass(frozen=True)
+class PickPlaceConfig:
+    """Heights, margins and effort of the search.
+
+    Attributes:
+        ik, motion, collision, grasp: of the parts.
+        approach_heights: lengths of the straight approach to try, in [m].
+        lift_heights: straight up from the grasp, in [m], tried in order.
+        raise_heights: above the goal from which the object is lowered, in [m], tried in order.
+        via_heights: TCP heights of the points a blocked transit is led over, in [m].
+        placing_margin: kept between the carried object and its neighbours while it is lowered, in [m].
+        max_pairs: pairs of grasp and yaw to examine at the goal before giving up.
+        max_plans: complete plans to compare; the quickest is taken.
+    """
+
+    ik: IkConfig = IkConfig()
+    motion: MotionConfig = MotionConfig()
+    collision: CollisionConfig = CollisionConfig()
+    grasp: GraspConfig = GraspConfig()
+    approach_heights: tuple[float, ...] = (0.10, 0.06)
+    lift_heights: tuple[float, ...] = (0.20, 0.12, 0.28)
+    raise_heights: tuple[float, ...] = (0.12, 0.18, 0.25, 0.08)
+    via_heights: tuple[float, ...] = (0.35, 0.45, 0.55)
+    placing_margin: float = 0.001
+    max_pairs: int = 150
+    max_plans: int = 2
+
+
+@dataclass
+class _Pick:
+    """A reachable, free way to take the object: postures of the approach and of the lift."""
+
+    grasp: Grasp
+    approach: np.ndarray
+    lift: np.ndarray
+
+
+@dataclass
+class _Place:
+    """A reachable, free way to set the object down: postures of the lowering and of the retreat."""
+
+    T_world_stand_goal: np.ndarray
+    lowering: np.ndarray
+    retreat: np.ndarray
+
+
+@dataclass
+class _Tally:
+    """What was tried and why it failed, for the message when nothing works."""
+
+    tried: int = 0
+    reasons: Counter[str] = field(default_factory=Counter)
+
+    def fail(self, reason: str) -> None:
+        self.tried += 1
+        self.reasons[reason] += 1
+
+    def text(self, limit: int = 5) -> str:
+        return ", ".join(f"{count} {reason}" for reason, count in self.reasons.most_common(limit))
+
+
+class PickPlacePlanner:
+    """Plans one object after the other in a world that changes as objects are moved and seen anew."""
+
+    def __init__(
+        self,
+        arm: ArmDescription,
+        items: Mapping[str, StandingObject],
+        box: Box | None = None,
+        config: PickPlaceConfig | None = None,
+        furniture: Sequence[Furniture] = (TABLE,),
+    ) -> None:
+        self.config = config or PickPlaceConfig()
+        self.arm = arm
+        self.items = dict(items)
+        self.kinematics = Kinematics(arm, self.config.ik)
+        self.limits = JointLimits.of(arm, self.config.motion)
+        self._furniture = (*furniture, *(box_walls(box) if box is not None else ()))
+        self._grasps: dict[str, GraspSet] = {}
+        self._build_world()
+
+    def _build_world(self) -> None:
+        bodies = [Body(item.name, convex_pieces(item), item.T_world_stand) for item in self.items.values()]
+        self.world = CollisionWorld(self.arm, bodies, self._furniture, self.config.collision)
+
+    def observe(self, item: StandingObject) -> None:
+        """Take over a new estimate of an object."""
+        poses = {name: self.world.pose(name) for name in self.world.names if name != item.name}
+        self.items[item.name] = item
+        self._grasps.pop(item.name, None)
+        self._build_world()
+        for name, T in poses.items():
+            self.world.move(name, T)
+
+    def moved(self, name: str, T_world_stand: Float[np.ndarray, "4 4"]) -> None:
+        """Note that an object now stands elsewhere."""
+        self.world.move(name, T_world_stand)
+
+    def forget(self, name: str) -> None:
+        """Take an object that is nowhere to be seen out of the collision world."""
+        self.world.set_present(name, False)
+
+    def grasps(self, name: str) -> GraspSet:
+        """Grasp candidates of an object, computed once per estimate."""
+        if name not in self._grasps:
+            self._grasps[name] = find_grasps(self.items[name], self.config.grasp)
+        return self._grasps[name]
+
+    def resting_pose(self, placement: Placement, yaw: float) -> Float[np.ndarray, "4 4"]:
+        """``T_world_stand`` at rest: on the floor, or on the bowls of its stack."""
+        stack = [self.items[name] for name in (*placement.stack, placement.name)]
+        lift = nest_heights(stack)[-1] if len(stack) > 1 else 0.0
+        return yaw_pose(yaw, np.array(placement.position) + (0.0, 0.0, lift))
+
+    def plan(
+        self,
+        placement: Placement,
+        q_start: Float[np.ndarray, "n"],
+        tried: Collection[Grasp] = (),
+    ) -> PickPlacePlan:
+        """Motions for one object from the present posture.
+
+        Args:
+            placement: where it shall stand.
+            q_start: (n,) present joint positions in [rad].
+            tried: grasps that failed; they and those close to them are left out.
+
+        Raises:
+            PlanningError: no pair of grasp and placement works; the message counts why.
+        """
+        tally = _Tally()
+        plans: list[PickPlacePlan] = []
+        try:
+            for pick in self._picks(placement.name, tried, tally):
+                plan = self._complete(pick, placement, q_start, tally)
+                if plan is not None:
+                    plans.append(plan)
+                if len(plans) >= self.config.max_plans or tally.tried > self.config.max_pairs:
+                    break
+        finally:
+            self.world.release()
+        if not plans:
+            raise PlanningError(self._no_plan(placement.name, tally))
+        return min(plans, key=lambda plan: plan.duration)
+
+    def reachable_grasp(self, name: str) -> bool:
+        """Whether inverse kinematics reaches any grasp of the object, whatever stands around it."""
+        T = self.world.pose(name)
+        for grasp in self.grasps(name).grasps[::4]:
+            T_goal = T @ grasp.T_stand_tcp
+            if self.kinematics.inverse(T_goal, self.kinematics.seeds_toward(T_goal, 2), name=name).converged:
+                return True
+        return False
+
+    def _no_plan(self, name: str, tally: _Tally) -> str:
+        found = self.grasps(name)
+        if not found.grasps:
+            return found.why_none(name)
+        remedy = "clear its surroundings or move the box"
+        if tally.reasons and tally.reasons.most_common(1)[0][0] == "out of reach":
+            remedy = "move it closer to the arm"
+        return f"No plan for {name}: of {tally.tried} ways tried, {tally.text()}; {remedy}"
+
+    def _picks(self, name: str, tried: Collection[Grasp], tally: _Tally) -> Iterator[_Pick]:
+        """Ways to take the object, best grasp first, spread over the azimuths."""
+        for grasp in self.grasps(name).grasps:
+            if any(_alike(grasp, other) for other in tried):
+                continue
+            pick = self._pick(name, grasp)
+            if isinstance(pick, str):
+                tally.fail(pick)
+            else:
+                yield pick
+
+    def _pick(self, name: str, grasp: Grasp) -> _Pick | str:
+        """Approach and lift for one grasp, or why it fails."""
+        world, config = self.world, self.config
+        world.release()
+        T_grasp = world.pose(name) @ grasp.T_stand_tcp
+        result = self.kinematics.inverse(T_grasp, self.kinematics.seeds_toward(T_grasp, 3), name=name)
+        if not result.converged:
+            return "out of reach"
+        own = {name}
+        contact = world.contact(result.q, grasp.opening, own)
+        if contact:
+            return _short(contact, name)
+        approach = self._free_line(
+            result.q, [_backed(T_grasp, h) for h in config.approach_heights], grasp.opening, ignore=own
+        )
+        if isinstance(approach, str):
+            return _short(approach, name)
+        world.carry(name, np.linalg.inv(grasp.T_stand_tcp))
+        lift = self._free_line(
+            result.q,
+            [_raised(T_grasp, h) for h in config.lift_heights],
+            np.mean(grasp.closed_width),
+            ignore_carried={TABLE.name},
+            carried_margin=0.5 * config.collision.carried_margin,
+        )
+        if isinstance(lift, str):
+            return _short(lift, name)
+        return _Pick(grasp, approach[::-1], lift)
+
+    def _complete(
+        self, pick: _Pick, placement: Placement, q_start: np.ndarray, tally: _Tally
+    ) -> PickPlacePlan | None:
+        """A whole plan for one way to take the object: the first yaw at the goal that works."""
+        name, grasp = placement.name, pick.grasp
+        for yaw in self._ordered_yaws(pick, placement)[:6]:
+            T_rest = self.resting_pose(placement, yaw)
+            place = self._place(pick, placement, T_rest)
+            if isinstance(place, str):
+                tally.fail(place)
+                continue
+            self.world.carry(name, np.linalg.inv(grasp.T_stand_tcp))
+            carry = self.free_way(pick.lift[-1], place.lowering[0], float(np.mean(grasp.closed_width)))
+            if carry is None:
+                tally.fail("blocked on the way to the goal")
+                continue
+            self.world.release()
+            start = self.free_way(q_start, pick.approach[0], grasp.opening)
+            if start is None:
+                tally.fail("blocked on the way to the object")
+                return None
+            return self._timed(pick, place, placement, T_rest, start, carry)
+        return None
+
+    def _place(self, pick: _Pick, placement: Placement, T_rest: np.ndarray) -> _Place | str:
+        """Lowering, release and retreat for one yaw at the goal, or why it fails."""
+        world, config, grasp, name = self.world, self.config, pick.grasp, placement.name
+        T_goal = _raised(T_rest, placement.release_height)
+        T_place = T_goal @ grasp.T_stand_tcp
+        seeds = [pick.lift[-1], *self.kinematics.seeds_toward(T_place, 2)]
+        result = self.kinematics.inverse(T_place, seeds, name=f"the goal of {name}")
+        if not result.converged:
+            return "with the goal out of reach"
+        stack = set(placement.stack)
+        world.release()
+        retreat = self._free_line(
+            result.q,
+            [_backed(T_place, h) for h in config.approach_heights],
+            grasp.release_opening,
+            ignore=stack | {name},
+        )
+        if isinstance(retreat, str):
+            return f"letting go: {_short(retreat, name)}"
+        world.carry(name, np.linalg.inv(grasp.T_stand_tcp))
+        lowering = self._free_line(
+            result.q,
+            [_raised(T_place, h) for h in config.raise_heights],
+            float(np.mean(grasp.closed_width)),
+            ignore=stack,
+            ignore_carried=stack | {TABLE.name, "box_floor"},
+            carried_margin=config.placing_margin,
+        )
+        if isinstance(lowering, str):
+            return f"placing: {_short(lowering, name)}"
+        return _Place(T_goal, lowering[::-1], retreat)
+
+    def _ordered_yaws(self, pick: _Pick, placement: Placement) -> list[float]:
+        """Yaws at the goal, those first that turn the hand no further than the arm's base turns anyway."""
+        T_stand_tcp = pick.grasp.T_stand_tcp
+        T_now = self.world.pose(placement.name)
+        now, goal = T_now[:2, 3], np.array(placement.position[:2])
+        swing = np.arctan2(goal[1], goal[0]) - np.arctan2(now[1], now[0])
+        hand_now = _heading(T_now @ T_stand_tcp)
+
+        def turn(yaw: float) -> float:
+            hand = _heading(yaw_pose(yaw, np.zeros(3)) @ T_stand_tcp)
+            return abs(float(np.angle(np.exp(1j * (hand - hand_now - swing)))))
+
+        return sorted(placement.yaws, key=turn)
+
+    def _free_line(
+        self,
+        q: np.ndarray,
+        targets: Sequence[np.ndarray],
+        width: float | np.floating,
+        ignore: Collection[str] = (),
+        ignore_carried: Collection[str] = (),
+        carried_margin: float | None = None,
+    ) -> np.ndarray | str:
+        """Postures of the first straight line from ``q`` to one of the targets that is free, or the last reason."""
+        reason = "out of reach"
+        for T in targets:
+            postures = line_postures(self.kinematics, q, T, self.config.motion)
+            if postures is None:
+                continue
+            contact = self.world.path_contact(postures, float(width), ignore, ignore_carried, carried_margin)
+            if contact is None:
+                return postures
+            reason = contact
+        return reason
+
+    def free_way(self, q_start: np.ndarray, q_goal: np.ndarray, width: float) -> list[np.ndarray] | None:
+        """Way points of a free joint motion, through points high above if the direct way is blocked."""
+        if self._is_free([q_start, q_goal], width):
+            return [q_start, q_goal]
+        for via in self._vias(q_start, q_goal):
+            way = [q_start, *via, q_goal]
+            if self._is_free(way, width):
+                return way
+        return None
+
+    def _is_free(self, way: Sequence[np.ndarray], width: float) -> bool:
+        return self.world.path_contact(np.stack(way), width) is None
+
+    def _vias(self, q_start: np.ndarray, q_goal: np.ndarray) -> Iterator[list[np.ndarray]]:
+        """Points above start, goal and the middle between them, at growing heights."""
+        T_start, T_goal = self.kinematics.forward(q_start), self.kinematics.forward(q_goal)
+        for height in self.config.via_heights:
+            over_start = self._above(T_start, T_start[:2, 3], height, q_start)
+            over_goal = self._above(T_goal, T_goal[:2, 3], height, q_goal)
+            angle = 0.5 * sum(np.arctan2(T[1, 3], T[0, 3]) for T in (T_start, T_goal))
+            middle = 0.45 * np.array([np.cos(angle), np.sin(angle)])
+            over_middle = self._above(T_goal, middle, height, q_goal)
+            for via in ([over_start], [over_goal], [over_middle], [over_start, over_goal]):
+                if all(q is not None for q in via):
+                    yield [q for q in via if q is not None]
+
+    def _above(self, T: np.ndarray, xy: np.ndarray, height: float, q_seed: np.ndarray) -> np.ndarray | None:
+        """Posture with the TCP above a point, the hand oriented as in ``T``; None if out of reach."""
+        T_above = T.copy()
+        T_above[:2, 3], T_above[2, 3] = xy, max(height, T[2, 3])
+        result = self.kinematics.inverse(T_above, [q_seed], name="via point")
+        return result.q if result.converged else None
+
+    def _timed(
+        self,
+        pick: _Pick,
+        place: _Place,
+        placement: Placement,
+        T_rest: np.ndarray,
+        start: list[np.ndarray],
+        carry: list[np.ndarray],
+    ) -> PickPlacePlan | None:
+        """The plan with all its motions timed."""
+        limits = self.limits
+        approach = [self._line(pick.approach)]
+        if np.abs(start[0] - start[-1]).max() > 1e-6:
+            approach.insert(0, joint_path(start, limits))
+        return PickPlacePlan(
+            name=placement.name,
+            grasp=pick.grasp,
+            placement=placement,
+            T_world_stand_goal=place.T_world_stand_goal,
+            T_world_stand_rest=T_rest,
+            approach=concatenate(approach),
+            lift=self._line(pick.lift),
+            transfer=concatenate([joint_path(carry, limits), self._line(place.lowering)]),
+            retreat=self._line(place.retreat),
+        )
+
+    def _line(self, postures: np.ndarray):
+        ends = [self.kinematics.forward(q)[:3, 3] for q in (postures[0], postures[-1])]
+        return line_motion(
+            postures, float(np.linalg.norm(ends[1] - ends[0])), self.limits, self.config.motion
+        )
+
+
+def box_walls(box: Box) -> tuple[Furniture, ...]:
+    """Floor and walls of a box as furniture."""
+    (x, y), (length, width, _), wall = box.center, box.size, box.wall
+    middle, half = box.top / 2, box.top / 2
+    along, across = length / 2 + wall, width / 2 + wall
+    walls = [
+        Furniture("box_floor", (x, y, box.floor / 2), (along, across, box.floor / 2)),
+    ]
+    for side in (-1, 1):
+        walls.append(
+            Furniture(
+                f"box_wall_x{side:+d}",
+                (x + side * (length / 2 + wall / 2), y, middle),
+                (wall / 2, across, half),
+            )
+        )
+        walls.append(
+            Furniture(
+                f"box_wall_y{side:+d}",
+                (x, y + side * (width / 2 + wall / 2), middle),
+                (along, wall / 2, half),
+            )
+        )
+    return tuple(walls)
+
+
+def _alike(first: Grasp, second: Grasp) -> bool:
+    """Whether two grasps would meet the same fate: the same hold within 20 degrees and 3 mm of depth."""
+    turn = abs(np.angle(np.exp(1j * (first.azimuth - second.azimuth))))
+    return bool(
+        first.kind == second.kind and turn < np.deg2rad(20) and abs(first.depth - second.depth) < 0.003
+    )
+
+
+def _backed(T: np.ndarray, distance: float) -> np.ndarray:
+    """The TCP pose drawn back along the approach."""
+    back = T.copy()
+    back[:3, 3] -= distance * T[:3, 2]
+    return back
+
+
+def _raised(T: np.ndarray, height: float) -> np.ndarray:
+    raised = T.copy()
+    raised[2, 3] += height
+    return raised
+
+
+def _heading(T_world_tcp: np.ndarray) -> float:
+    """Direction of the hand's x about the vertical in [rad]."""
+    return float(np.arctan2(T_world_tcp[1, 0], T_world_tcp[0, 0]))
+
+
+def _short(contact: str, name: str) -> str:
+    """A contact as a countable reason: "arm meets bowl_2" becomes "collide with bowl_2"."""
+    thing = contact.split(" meets ")[-1]
+    return contact if thing == contact else f"collide with {thing}"
