@@ -52,7 +52,10 @@ def outline(mesh: trimesh.Trimesh) -> Float[np.ndarray, "n 2"]:
     """The outer boundary of a mesh seen from above: a polygon in the object frame, to half a millimetre."""
     low = mesh.bounds[0, :2] - 3 * OUTLINE_CELL
     size = np.ceil((mesh.bounds[1, :2] - low) / OUTLINE_CELL).astype(int) + 3
-    triangles = (mesh.vertices[mesh.faces][..., :2] - low) / OUTLINE_CELL
+    upward = (
+        mesh.faces[mesh.face_normals[:, 2] > 0] if mesh.is_watertight else mesh.faces
+    )  # they cover the rest
+    triangles = (mesh.vertices[upward][..., :2] - low) / OUTLINE_CELL
     image = np.zeros((size[1], size[0]), dtype=np.uint8)
     fraction = 4  # cv2 takes fixed-point corners
     for triangle in np.round(triangles * 2**fraction).astype(np.int32):
