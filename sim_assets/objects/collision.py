@@ -14,12 +14,12 @@ from jaxtyping import Float
 
 from sim_assets.objects.profiles import Curve
 from sim_assets.objects.solids import Handle, Section
-from sim_assets.objects.vessel import Vessel
+from sim_assets.objects.vessel import RIM_SEGMENTS, Vessel
 
 PieceKind = Literal["box", "cylinder", "capsule", "mesh"]
 CLEARANCE = 0.0018  # height of the lowest ring segment above the base [m]
 IDENTITY = np.array([1.0, 0.0, 0.0, 0.0])
-HANDLE_PIECES = 6
+HANDLE_PIECES = 8
 
 
 @dataclass(frozen=True)
@@ -53,7 +53,7 @@ def cylinder(radius: float, bottom: float, top: float) -> CollisionPiece:
 
 
 def frustum(
-    bottom: tuple[float, float], top: tuple[float, float], section: Section | None = None, around: int = 24
+    bottom: tuple[float, float], top: tuple[float, float], section: Section | None = None, around: int = 32
 ) -> CollisionPiece:
     """The hull of two rings (radius, z), of the section's shape where there is one."""
     angle = 2 * np.pi * (np.arange(around) + 0.5) / around
@@ -67,15 +67,19 @@ def frustum(
     return hull(np.concatenate(rings))
 
 
-def breakpoints(curve: Curve, tolerance: float, most: int) -> np.ndarray:
-    """Indices of the points that a polyline needs to follow a curve: the farthest point splits, repeatedly."""
+def breakpoints(curve: Float[np.ndarray, "k d"], tolerance: float, most: int) -> np.ndarray:
+    """Indices of the points that a polyline of at most `most` segments needs to follow a curve.
+
+    The point farthest from its chord splits it, until all are within the tolerance [m].
+    """
     chosen = [0, len(curve) - 1]
     while len(chosen) <= most:
         worst, where = tolerance, -1
         for first, last in zip(chosen[:-1], chosen[1:]):
             chord = curve[last] - curve[first]
             offset = curve[first : last + 1] - curve[first]
-            away = np.abs(chord[0] * offset[:, 1] - chord[1] * offset[:, 0]) / max(np.hypot(*chord), 1e-9)
+            along = offset @ chord / max(float(chord @ chord), 1e-12)
+            away = np.linalg.norm(offset - along[:, None] * chord, axis=1)
             if away.max() > worst:
                 worst, where = float(away.max()), first + int(away.argmax())
         if where < 0:
@@ -85,51 +89,56 @@ def breakpoints(curve: Curve, tolerance: float, most: int) -> np.ndarray:
 
 
 def vessel_pieces(vessel: Vessel, around: int, levels: int, tolerance: float = 8e-4) -> list[CollisionPiece]:
-    """Wall of `around` pieces on up to `levels` levels, and the base under the floor."""
+    """The base under the floor, and a wall of `around` pieces on each of up to `levels` levels.
+
+    The wall follows inner and outer curve up to where the rim's rounding starts, and keeps that width on top.
+    """
     start = max(vessel.floor, CLEARANCE)
-    z = np.concatenate([[start], vessel.inner[vessel.inner[:, 1] > start + 1e-5, 1]])
-    inner = np.stack([vessel.inner_radius(z), z], axis=1)
-    chosen = z[breakpoints(inner, tolerance, levels)]
-    stretch = 1.0 / np.sqrt(np.cos(np.pi / around))  # half the sagitta outside, half inside
-    pieces = []
-    for low, high in zip(chosen[:-1], chosen[1:]):
-        ends = np.array([low, high])
-        r_inner, r_outer = vessel.inner_radius(ends) * stretch, vessel.outer_radius(ends) * stretch
-        if high == chosen[-1]:  # at the rim both curves meet: keep the wall's thickness just below it
-            below = np.array([vessel.height - _rim_height(vessel)])
-            r_inner[1], r_outer[1] = vessel.inner_radius(below)[0], vessel.outer_radius(below)[0]
-            r_inner[1], r_outer[1] = r_inner[1] * stretch, r_outer[1] * stretch
-        pieces += _ring(r_inner, r_outer, ends, around)
-    return [*_base(vessel, start), *pieces]
+    shoulder = vessel.height - _rim_height(vessel)
+    between = vessel.inner[:, 1]
+    z = np.concatenate([[start], between[(between > start + 1e-5) & (between < shoulder - 1e-5)], [shoulder]])
+    wall = np.stack([vessel.inner_radius(z), vessel.outer_radius(z), z], axis=1)
+    wall[-1, 2] = vessel.height
+    wall = wall[breakpoints(wall, tolerance, levels)]
+    wall[:, :2] /= np.sqrt(np.cos(np.pi / around))  # chords: as much outside as inside the circles
+    pieces = _base(vessel, start)
+    for low, high in zip(wall[:-1], wall[1:]):
+        pieces += _ring(low, high, around)
+    return pieces
 
 
 def _rim_height(vessel: Vessel) -> float:
     """How far below the top the rim's rounding starts [m]."""
-    apex = vessel.inner[-1]
-    full = np.abs(vessel.inner_radius(vessel.inner[:, 1]) - vessel.outer_radius(vessel.inner[:, 1]))
-    at = int(np.argmax(full[::-1] > 0.8 * np.median(full)))
-    return float(apex[1] - vessel.inner[len(vessel.inner) - 1 - at, 1])
+    z = vessel.inner[:, 1]
+    thickness = vessel.outer_radius(z) - vessel.inner_radius(z)
+    full = thickness > 0.85 * thickness[-2 * RIM_SEGMENTS]
+    return vessel.height - float(z[np.flatnonzero(full)[-1]])
 
 
-def _ring(r_inner: np.ndarray, r_outer: np.ndarray, z: np.ndarray, around: int) -> list[CollisionPiece]:
-    """Pieces with 8 corners around the axis: boxes where the wall is upright enough, hulls elsewhere."""
-    pieces = []
+def _ring(low: np.ndarray, high: np.ndarray, around: int) -> list[CollisionPiece]:
+    """Pieces around the axis between two levels (inner radius, outer radius, z): boxes where upright."""
     half = np.pi / around
-    upright = np.ptp(r_inner) < 5e-4 and np.ptp(r_outer) < 5e-4
-    for azimuth in 2 * np.pi * np.arange(around) / around:
-        if upright:
-            face_in, face_out = r_inner.mean() * np.cos(half), r_outer.mean() * np.cos(half)
-            middle = 0.5 * (face_in + face_out)
-            position = np.array([middle * np.cos(azimuth), middle * np.sin(azimuth), z.mean()])
-            turn = np.array([np.cos(azimuth / 2), 0.0, 0.0, np.sin(azimuth / 2)])
-            size = (0.5 * (face_out - face_in), middle * np.tan(half), 0.5 * (z[1] - z[0]))
-            pieces.append(CollisionPiece("box", position, turn, size))
-            continue
+    azimuths = 2 * np.pi * np.arange(around) / around
+    if np.abs(high[:2] - low[:2]).max() < 5e-4:
+        face_in, face_out = 0.5 * (low + high)[:2] * np.cos(half)
+        middle, z = 0.5 * (face_in + face_out), 0.5 * (low[2] + high[2])
+        size = (0.5 * (face_out - face_in), middle * np.tan(half), 0.5 * (high[2] - low[2]))
+        return [
+            CollisionPiece(
+                "box",
+                np.array([middle * np.cos(azimuth), middle * np.sin(azimuth), z]),
+                np.array([np.cos(azimuth / 2), 0.0, 0.0, np.sin(azimuth / 2)]),
+                size,
+            )
+            for azimuth in azimuths
+        ]
+    pieces = []
+    for azimuth in azimuths:
         corners = [
-            (r * np.cos(azimuth + side), r * np.sin(azimuth + side), height)
+            (r * np.cos(azimuth + side), r * np.sin(azimuth + side), level[2])
             for side in (-half, half)
-            for radii in (r_inner, r_outer)
-            for r, height in zip(radii, z)
+            for level in (low, high)
+            for r in level[:2]
         ]
         pieces.append(hull(np.array(corners)))
     return pieces
@@ -170,7 +179,7 @@ def _capsule(start: np.ndarray, end: np.ndarray, y: float, radius: float) -> Col
     return CollisionPiece("capsule", position, turn, (radius, 0.5 * float(np.hypot(*step))))
 
 
-def stacked_pieces(profile: Curve, section: Section | None, most: int = 7) -> list[CollisionPiece]:
+def stacked_pieces(profile: Curve, section: Section | None, most: int = 9) -> list[CollisionPiece]:
     """A closed body as a stack of cylinders and frusta along the outside of its profile."""
     z = profile[:, 1]
     first, last = int(np.flatnonzero(z <= 1e-9)[-1]), int(np.flatnonzero(z >= z.max() - 1e-9)[0])

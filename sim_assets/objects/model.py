@@ -108,9 +108,9 @@ def collision_pieces(parameters: Parameters, solid: Solid) -> list[CollisionPiec
     if isinstance(parameters, MugParameters):
         vessel = mug_vessel(parameters)
         assert solid.handle is not None
-        return vessel_pieces(vessel, around=16, levels=3) + handle_pieces(solid.handle, vessel)
+        return vessel_pieces(vessel, around=16, levels=4) + handle_pieces(solid.handle, vessel)
     if isinstance(parameters, BowlParameters):
-        return vessel_pieces(bowl_vessel(parameters), around=24, levels=4)
+        return vessel_pieces(bowl_vessel(parameters), around=24, levels=5)
     return stacked_pieces(solid.body.profile, solid.body.section)
 
 

@@ -15,8 +15,8 @@ from jaxtyping import Bool, Float
 
 from sim_assets.objects.profiles import Curve, inside_profile, radial_crossings, smoothstep
 
-AROUND = 96  # vertices on a ring of a visual mesh
-HANDLE_AROUND = 28  # vertices around a handle's section
+AROUND = 80  # vertices on a ring of a visual mesh
+HANDLE_AROUND = 24  # vertices around a handle's section
 
 
 def closed_tube(
