@@ -58,8 +58,6 @@ class TrainingConfig:
         weight_decay: of AdamW.
         label_smoothing: share of the target spread evenly, for the class network.
         seed: of initialisation, order and augmentation.
-        device: torch device.
-        tensorboard: also log curves to the output directory (needs the extra `train`).
     """
 
     epochs: int = 10
@@ -69,8 +67,6 @@ class TrainingConfig:
     weight_decay: float = 1e-2
     label_smoothing: float = 0.02
     seed: int = 0
-    device: str = "cpu"
-    tensorboard: bool = False
 
 
 def train_crop_network(
@@ -79,6 +75,7 @@ def train_crop_network(
     validation: CropSet,
     config: TrainingConfig,
     directory: Path,
+    device: str | torch.device = "cpu",
     progress: Progress | None = None,
 ) -> tuple[CropNet, float]:
     """Train a network, resuming from ``directory/checkpoint_<task>.pt`` if an earlier run left one.
@@ -100,7 +97,7 @@ def train_crop_network(
     with torch.random.fork_rng(devices=[]):
         torch.manual_seed(config.seed)
         network = CropNet(OUTPUTS[task])
-    network = network.to(config.device)
+    network = network.to(device)
     network.to(memory_format=torch.channels_last)  # type: ignore[call-overload]
     optimizer = torch.optim.AdamW(
         network.parameters(), config.learning_rate, weight_decay=config.weight_decay
@@ -111,16 +108,12 @@ def train_crop_network(
     )
     checkpoint = directory / f"checkpoint_{task}.pt"
     start = _resume(checkpoint, config, network, optimizer, schedule, generator)
-    writer = _summary_writer(directory) if config.tensorboard else None
 
     for epoch in range(start, config.epochs):
         loss = _one_epoch(task, network, training, config, optimizer, schedule, generator)
         figures = {"loss": loss, **validation_figures(task, network, validation)}
         _save(checkpoint, config, epoch + 1, network, optimizer, schedule, generator)
         logger.info("%s epoch %d: %s", task, epoch + 1, figures)
-        if writer:
-            for name, value in figures.items():
-                writer.add_scalar(f"{task}/{name}", value, epoch + 1)
         if progress:
             progress(epoch + 1, config.epochs, figures)
     return network.eval(), calibrated_temperature(network, validation)
@@ -143,14 +136,15 @@ def _one_epoch(
     generator: torch.Generator,
 ) -> float:
     network.train()
+    device = next(network.parameters()).device
     order = torch.randperm(len(crops), generator=generator).numpy()
     total = 0.0
     for rows in np.array_split(order, max(1, round(len(order) / config.batch))):
         batch = crops.subset(np.sort(rows))
-        images = torch.from_numpy(batch.images).to(config.device)
-        context, targets = (torch.from_numpy(a).to(config.device) for a in (batch.context, batch.targets))
+        images = torch.from_numpy(batch.images).to(device)
+        context, targets = (torch.from_numpy(a).to(device) for a in (batch.context, batch.targets))
         images, targets = mirrored(task, images, targets, generator)
-        inputs, context = disturbed(prepared(images), context, generator)
+        inputs, context = disturbed(prepared(displaced(images, generator)), context, generator)
         if task == "class":
             targets = (1 - config.label_smoothing) * targets + config.label_smoothing / targets.shape[1]
         loss = functional.cross_entropy(network(inputs, context), targets)
@@ -174,42 +168,40 @@ def mirrored(
     return images, targets
 
 
+def displaced(
+    images: UInt8[Tensor, "n side side 6"], generator: torch.Generator
+) -> UInt8[Tensor, "n side side 6"]:
+    """Shifted by up to 4 pixels; in 3 of 10 crops a band along one side is cut off.
+
+    So an occluder or the image border would do it, and the mask's box is never exact.
+    """
+    dx, dy = (int(v) for v in torch.randint(-4, 5, (2,), generator=generator))
+    images = torch.roll(images, (dy, dx), dims=(1, 2))
+    n, side = images.shape[:2]
+    draw = torch.rand(n, 4, generator=generator).to(images.device)
+    ramp = torch.arange(side, device=images.device)
+    ramp = torch.where((draw[:, 1] < 0.5)[:, None], ramp, side - 1 - ramp)  # counted from either end
+    kept = (ramp >= (0.35 * side * draw[:, 0])[:, None]) | (draw[:, 3] > 0.3)[:, None]  # (n, side)
+    along_rows = (draw[:, 2] < 0.5)[:, None, None]
+    return images * torch.where(along_rows, kept[:, :, None], kept[:, None, :])[..., None]
+
+
 def disturbed(
     inputs: Float[Tensor, "n 6 side side"], context: Float[Tensor, "n 2"], generator: torch.Generator
 ) -> tuple[Float[Tensor, "n 6 side side"], Float[Tensor, "n 2"]]:
-    """Colour gain, tint and contrast, heights and depths with noise and patches missing, a shift of 4 pixels.
-
-    What they teach: colour is a hint, geometry has noise and holes, the mask's box is not exact.
-    """
-
-    def uniform(*shape: int, low: float = -1.0, high: float = 1.0) -> Tensor:
-        return torch.rand(*shape, generator=generator).to(inputs.device) * (high - low) + low
-
+    """Brightness, tint and channel order changed, noise on heights and depths: colour is only a hint."""
     n, _, side, _ = inputs.shape
-    mask = inputs[:, 3:4]
-    rgb = inputs[:, :3] * (1 + 0.3 * uniform(n, 1, 1, 1)) + mask * (
-        0.15 * uniform(n, 1, 1, 1) + 0.1 * uniform(n, 3, 1, 1)
-    )
-    rgb = torch.where(uniform(n, 1, 1, 1) > 0.8, rgb[:, torch.tensor([1, 2, 0])], rgb)
-    noise = torch.randn(n, 2, side, side, generator=generator).to(inputs.device)
-    geometry = inputs[:, 4:] + mask * noise * uniform(n, 1, 1, 1, low=0.0, high=0.03)
-    out = torch.cat([rgb, mask, geometry], dim=1)
-    dx, dy = (int(v) for v in torch.randint(-4, 5, (2,), generator=generator))
-    out = torch.roll(out, (dy, dx), dims=(2, 3))
-    out = _with_patch_missing(out, uniform(n, 4, low=0.0, high=1.0))
-    return out.contiguous(memory_format=torch.channels_last), context + 0.03 * uniform(n, 2)
-
-
-def _with_patch_missing(x: Tensor, draw: Float[Tensor, "n 4"]) -> Tensor:
-    """In 3 of 10 crops a band from one side is cut off, as by an occluder or the image border."""
-    side = x.shape[2]
-    depth = draw[:, 0] * 0.35 * side  # pixels cut
-    ramp = torch.arange(side, device=x.device, dtype=x.dtype)
-    ramp = torch.where((draw[:, 1] < 0.5)[:, None], ramp, side - 1 - ramp)  # from either end
-    keep = (ramp >= depth[:, None]) | (draw[:, 3] > 0.3)[:, None]  # (n, side)
-    along_rows = (draw[:, 2] < 0.5)[:, None, None]
-    kept = torch.where(along_rows, keep[:, :, None], keep[:, None, :])
-    return x * kept[:, None]
+    draw = torch.rand(n, 8, generator=generator).to(inputs.device) * 2 - 1  # uniform in -1..1
+    ones, zeros = torch.ones_like(draw[:, :3]), torch.zeros_like(draw[:, :4])
+    gain = torch.cat([1 + 0.3 * draw[:, :1] * ones, ones], dim=1)[..., None, None]
+    tint = torch.cat([0.15 * draw[:, 1:2] + 0.1 * draw[:, 2:5], zeros[:, :3]], dim=1)[..., None, None]
+    sigma = 0.03 * draw[:, 5:6].abs()  # of 0.1 m
+    sigma = torch.cat([zeros, -sigma, sigma], dim=1)[..., None, None]  # farther is lower
+    noise = torch.randn(n, 1, side, side, generator=generator).to(inputs.device)
+    out = inputs * gain + inputs[:, 3:4] * (tint + sigma * noise)
+    if torch.rand(1, generator=generator) < 0.3:
+        out = out[:, [*torch.randperm(3, generator=generator).tolist(), 3, 4, 5]]
+    return out.contiguous(memory_format=torch.channels_last), context + 0.03 * draw[:, 6:8]
 
 
 @torch.inference_mode()
@@ -270,7 +262,7 @@ def _resume(
     """Epochs already done according to the checkpoint, whose state the arguments take on."""
     if not path.is_file():
         return 0
-    state = torch.load(path, weights_only=True, map_location=config.device)
+    state = torch.load(path, weights_only=True, map_location=next(network.parameters()).device)
     if state["config"] != repr(config):
         raise PerceptionError(
             f"checkpoint {path} is of another configuration; use another --out or remove it"
@@ -280,11 +272,3 @@ def _resume(
     schedule.load_state_dict(state["schedule"])
     generator.set_state(state["generator"].cpu())
     return int(state["epoch"])
-
-
-def _summary_writer(directory: Path):
-    try:
-        from torch.utils.tensorboard import SummaryWriter
-    except ImportError as error:
-        raise PerceptionError("training curves need tensorboard; install the extra `train`") from error
-    return SummaryWriter(str(directory))

@@ -1,0 +1,175 @@
+"""Crop networks: they learn, resume where they stopped, survive the disk, and refuse what is not theirs."""
+
+import numpy as np
+import pytest
+import torch
+from safetensors.torch import save_file
+
+from perception.detection.crops import SIDE
+from perception.detection.network import OUTPUTS, CropNet, load_network, predict, prepared, save_network
+from perception.detection.training import (
+    CropSet,
+    TrainingConfig,
+    calibrated_temperature,
+    disturbed,
+    mirrored,
+    train_crop_network,
+    validation_figures,
+)
+from perception.detection.yaw import YAW_BINS, bin_centres, soft_labels
+from perception.errors import InvalidInputError, PerceptionError
+
+SMALL = TrainingConfig(epochs=3, batch=16, learning_rate=2e-3)
+
+
+def synthetic(count, seed=0):
+    """Discs with a notch on one side: of five heights for the class, the notch's direction for the yaw."""
+    rng = np.random.default_rng(seed)
+    label, yaw = rng.integers(5, size=count), rng.uniform(0, 2 * np.pi, count)
+    v, u = np.mgrid[:SIDE, :SIDE] - (SIDE - 1) / 2
+    images = np.zeros((count, SIDE, SIDE, 6), np.uint8)
+    for image, k, angle in zip(images, label, yaw):
+        disc = np.hypot(u, v) < 20
+        # Counted from up in the crop, counter-clockwise: up is -v, left is -u.
+        notch = np.hypot(u + 22 * np.sin(angle), v + 22 * np.cos(angle)) < 8
+        image[disc | notch, 3] = 255
+        image[disc | notch, 0] = rng.integers(80, 255)
+        image[disc | notch, 4] = 40 + 45 * k
+        image[disc | notch, 5] = 127
+    context = np.zeros((count, 2), np.float32)
+    one_hot = np.eye(5, dtype=np.float32)[label]
+    return CropSet(images, context, one_hot), CropSet(images, context, soft_labels(yaw)), yaw
+
+
+@pytest.mark.parametrize("task", ["class", "yaw"])
+def test_it_learns_a_simple_task(task, tmp_path):
+    which = 0 if task == "class" else 1
+    training, validation = synthetic(256)[which], synthetic(64, seed=1)[which]
+    told = []
+    network, temperature = train_crop_network(
+        task, training, validation, SMALL, tmp_path, progress=lambda *a: told.append(a)
+    )
+    assert [(epoch, of) for epoch, of, _ in told] == [(1, 3), (2, 3), (3, 3)]
+    assert told[-1][2]["validation_loss"] < 0.95 * np.log(OUTPUTS[task])
+    assert told[-1][2]["loss"] < told[0][2]["loss"]
+    assert 0.3 <= temperature <= 3.0 and not network.training
+
+
+def test_an_interrupted_run_ends_like_an_uninterrupted_one(tmp_path):
+    training, validation = synthetic(64)[0], synthetic(32, seed=1)[0]
+    config = TrainingConfig(epochs=2, batch=32)
+
+    class Interrupted(Exception):
+        pass
+
+    def stop(epoch, epochs, figures):
+        raise Interrupted
+
+    whole, _ = train_crop_network("class", training, validation, config, tmp_path / "a")
+    with pytest.raises(Interrupted):
+        train_crop_network("class", training, validation, config, tmp_path / "b", progress=stop)
+    resumed, _ = train_crop_network("class", training, validation, config, tmp_path / "b")
+    assert resumed.features[0][1].num_batches_tracked == whole.features[0][1].num_batches_tracked
+    x = prepared(torch.from_numpy(validation.images)), torch.from_numpy(validation.context)
+    # Dropout draws from the global generator, so weights agree only nearly.
+    assert torch.allclose(whole(*x), resumed(*x), atol=0.5)
+
+
+def test_a_checkpoint_of_another_configuration_is_refused(tmp_path):
+    crops = synthetic(32)[0]
+    train_crop_network("class", crops, crops, TrainingConfig(epochs=1, batch=32), tmp_path)
+    with pytest.raises(PerceptionError, match="another configuration"):
+        train_crop_network("class", crops, crops, TrainingConfig(epochs=2, batch=32), tmp_path)
+
+
+def test_wrong_targets_are_refused(tmp_path):
+    crops = synthetic(8)[0]
+    with pytest.raises(InvalidInputError, match="for 'yaw' must be"):
+        train_crop_network("yaw", crops, crops, SMALL, tmp_path)
+
+
+def test_mirroring_negates_the_yaw_that_the_picture_shows():
+    _, crops, yaw = synthetic(40)
+    images, targets = mirrored(
+        "yaw",
+        torch.from_numpy(crops.images),
+        torch.from_numpy(crops.targets),
+        torch.Generator().manual_seed(0),
+    )
+    flipped = (images != torch.from_numpy(crops.images)).flatten(1).any(1).numpy()
+    assert 5 < flipped.sum() < 35
+    mean = np.angle(targets.numpy() @ np.exp(1j * bin_centres()))
+    expected = np.where(flipped, -yaw, yaw)
+    assert np.abs((mean - expected + np.pi) % (2 * np.pi) - np.pi).max() < 1e-3
+    u = np.arange(SIDE) - (SIDE - 1) / 2
+    leftward = -(images[..., 3].numpy() > 0).sum(1) @ u  # the notch pulls the mask to its side
+    assert np.sign(leftward) == pytest.approx(np.sign(np.sin(expected)))
+
+
+def test_disturbances_keep_shape_and_stay_finite():
+    crops = synthetic(16)[0]
+    inputs = prepared(torch.from_numpy(crops.images))
+    out, context = disturbed(inputs, torch.from_numpy(crops.context), torch.Generator().manual_seed(0))
+    assert out.shape == inputs.shape and torch.isfinite(out).all() and torch.isfinite(context).all()
+    assert not torch.equal(out, inputs)
+
+
+def test_prepared_inputs_are_zero_outside_the_mask_and_at_the_median():
+    x = prepared(torch.from_numpy(synthetic(2)[0].images))
+    outside = x[:, 3] == 0
+    assert not x.permute(0, 2, 3, 1)[outside].any()
+    assert x[:, 5][~outside].abs().max() < 0.01
+
+
+def test_the_temperature_undoes_overconfidence():
+    """Logits that claim 99 % and are right 3 times of 4 want one near 2.6."""
+    crops = synthetic(200)[0]
+    targets = crops.targets.copy()
+    targets[:50] = np.roll(targets[:50], 1, axis=1)
+
+    class Sure(CropNet):
+        def forward(self, images, context):
+            return 6.0 * torch.from_numpy(crops.targets)
+
+    expected = 6.0 / np.log(0.75 / (0.25 / 4))
+    found = calibrated_temperature(Sure(5), CropSet(crops.images, crops.context, targets))
+    assert found == pytest.approx(expected, rel=0.15)
+
+
+def test_weights_survive_the_disk(tmp_path):
+    torch.manual_seed(0)
+    network = CropNet(OUTPUTS["yaw"]).eval()
+    save_network(network, tmp_path / "yaw.safetensors", "yaw", 1.3, {"seed": "0"})
+    loaded, temperature = load_network("yaw", tmp_path / "yaw.safetensors")
+    crops = synthetic(4)[1]
+    assert temperature == 1.3
+    assert np.allclose(
+        predict(network, 1.3, crops.images, crops.context), predict(loaded, 1.3, crops.images, crops.context)
+    )
+    assert predict(loaded, 1.0, crops.images[:0], crops.context[:0]).shape == (0, YAW_BINS)
+    assert (tmp_path / "yaw.safetensors").stat().st_size < 3e6
+
+
+def test_unusable_weights_say_what_to_do(tmp_path):
+    with pytest.raises(PerceptionError, match=r"are missing; .*nodeslam train detector"):
+        load_network("class", tmp_path / "none.safetensors")
+    path = tmp_path / "broken.safetensors"
+    path.write_bytes(b"\x10\0\0\0")
+    with pytest.raises(PerceptionError, match=r"cannot be read .*nodeslam train yaw"):
+        load_network("yaw", path)
+    save_network(CropNet(5), path, "class", 1.0)
+    with pytest.raises(PerceptionError, match="are for 'class', not 'yaw'"):
+        load_network("yaw", path)
+    save_file({"x": torch.zeros(1)}, path, metadata={"task": "yaw", "temperature": "1.0"})
+    with pytest.raises(PerceptionError, match="cannot be read"):
+        load_network("yaw", path)
+
+
+def test_figures_of_a_perfect_network():
+    crops = synthetic(16)[1]
+
+    class Oracle(CropNet):
+        def forward(self, images, context):
+            return torch.log(torch.from_numpy(crops.targets) + 1e-9)
+
+    assert validation_figures("yaw", Oracle(YAW_BINS), crops)["yaw_median"] == 0.0
