@@ -11,6 +11,7 @@ from collections.abc import Iterator
 from dataclasses import dataclass
 from typing import Literal
 
+import cv2
 import manifold3d
 import numpy as np
 import trimesh
@@ -227,7 +228,7 @@ class _Pool:
         mujoco.mj_kinematics(self.model, self.data)
         mujoco.mj_camlight(self.model, self.data)
         view = (self.data, CAMERA, config.width, config.height)
-        rgb = self.renderer.color(*view, shadows=rng.random() < config.shadows)
+        rgb = cv2.GaussianBlur(self.renderer.color(*view, shadows=rng.random() < config.shadows), (3, 3), 0.5)
         depth, ids = self.renderer.depth_and_ids(*view)
         intrinsics = intrinsics_of(config.width, config.height, fovy)
         noise = DEPTH_NOISES[rng.integers(len(DEPTH_NOISES))]
@@ -340,7 +341,7 @@ def _build(things: list[_Thing], rng: np.random.Generator) -> MjSpec:
     spec.stat.extent, spec.stat.center = 1.0, (0, 0, 0)
     spec.visual.map.znear, spec.visual.map.zfar = 0.05, 20
     spec.visual.quality.shadowsize = 1024
-    spec.visual.quality.offsamples = 4
+    spec.visual.quality.offsamples = 0  # twice as fast; a slight blur stands in for antialiasing
     blank = Finish(np.zeros((*GROUND_SIZE, 3), dtype=np.uint8), specular=0.1, shininess=0.2)
     spec.add_texture(
         name="sky", type=mujoco.mjtTexture.mjTEXTURE_SKYBOX, builtin=mujoco.mjtBuiltin.mjBUILTIN_GRADIENT,
