@@ -62,16 +62,16 @@ def _inside_body(solid: Solid, x: np.ndarray, y: np.ndarray, z: np.ndarray) -> n
     if not len(rows):
         return inside
     rows = slice(rows[0], rows[-1] + 1)  # one block: views instead of copies
+    block, crossings = inside[rows], crossings[rows].transpose(1, 0, 2, 3)
     section = solid.body.section
     if section is None:
-        radius = r[None]
-    else:
-        modulation = section.modulation(x / r, y[:, None] / r).astype(np.float32)
-        weight = section.weight(z[rows]).astype(np.float32)[:, None, None]
-        radius = r / (1.0 + weight * modulation)
-    block = inside[rows]
-    for crossing in crossings[rows].transpose(1, 0, 2, 3):
-        block ^= radius < crossing
+        for crossing in crossings:
+            block ^= r < crossing
+        return inside
+    modulation = section.modulation(x / r, y[:, None] / r).astype(np.float32)
+    weight = section.weight(z[rows]).astype(np.float32)[:, None, None]
+    for crossing in crossings:  # r / (1 + weight * modulation) < crossing, without dividing volumes
+        block ^= r < crossing + (crossing * weight) * modulation
     return inside
 
 

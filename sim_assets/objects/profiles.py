@@ -23,17 +23,17 @@ def fillet(vertices: Curve, radii: Float[np.ndarray, "k"], segments: int = 5) ->
 
     An arc never takes more than 45 % of either neighbouring edge: a radius too large for its corner shrinks.
     """
-    points = [vertices[:1]]
-    for previous, corner, following, radius in zip(vertices[:-2], vertices[1:-1], vertices[2:], radii[1:-1]):
+    points = []
+    done = 0  # vertices before this one are in `points`
+    for i in 1 + np.flatnonzero(radii[1:-1] > 0):
+        previous, corner, following, radius = vertices[i - 1], vertices[i], vertices[i + 1], radii[i]
         back, ahead = previous - corner, following - corner
         length_back, length_ahead = np.hypot(*back), np.hypot(*ahead)
-        if radius <= 0 or min(length_back, length_ahead) < 1e-9:
-            points.append(corner[None])
+        if min(length_back, length_ahead) < 1e-9:
             continue
         back, ahead = back / length_back, ahead / length_ahead
         half_angle = 0.5 * np.arccos(np.clip(back @ ahead, -1.0, 1.0))  # of the corner's interior
-        if half_angle > np.pi / 2 - 1e-3 or half_angle < 1e-3:
-            points.append(corner[None])
+        if not 1e-3 < half_angle < np.pi / 2 - 1e-3:
             continue
         reach = min(radius / np.tan(half_angle), 0.45 * min(length_back, length_ahead))
         bisector = (back + ahead) / np.linalg.norm(back + ahead)
@@ -42,8 +42,9 @@ def fillet(vertices: Curve, radii: Float[np.ndarray, "k"], segments: int = 5) ->
         turn = np.arctan2(start[0] * end[1] - start[1] * end[0], start @ end)
         angles = np.linspace(0.0, turn, segments + 1)[:, None]
         quarter = np.array([-start[1], start[0]])
-        points.append(centre + np.cos(angles) * start + np.sin(angles) * quarter)
-    points.append(vertices[-1:])
+        points += [vertices[done:i], centre + np.cos(angles) * start + np.sin(angles) * quarter]
+        done = i + 1
+    points.append(vertices[done:])
     return np.concatenate(points)
 
 

@@ -12,6 +12,7 @@ from functools import cached_property
 import numpy as np
 import trimesh
 from jaxtyping import Bool, Float
+from scipy.spatial import cKDTree
 
 from sim_assets.objects.profiles import Curve, inside_profile, radial_crossings, smoothstep
 
@@ -112,18 +113,34 @@ class Handle:
     exponent: float
 
     def half_width(self, x: Float[np.ndarray, "n"], z: Float[np.ndarray, "n"]) -> Float[np.ndarray, "n"]:
-        """How far the handle reaches along ±y over the points (x, z) [m]; 0 beside it."""
-        start, step = self.centreline[:-1], np.diff(self.centreline, axis=0)
-        dx, dz = x[:, None] - start[:, 0], z[:, None] - start[:, 1]
-        along = np.clip((dx * step[:, 0] + dz * step[:, 1]) / (step**2).sum(axis=1), 0.0, 1.0)
-        distance2 = (dx - along * step[:, 0]) ** 2 + (dz - along * step[:, 1]) ** 2
-        nearest = distance2.argmin(axis=1)
-        rows = np.arange(len(x))
-        at = nearest + along[rows, nearest]  # position along the curve, in segments
-        knots = np.arange(len(self.centreline))
-        ratio = np.sqrt(distance2[rows, nearest]) / np.interp(at, knots, self.thickness)
+        """How far the handle reaches along ±y over the points (x, z) [m]; 0 beside it.
+
+        The centreline's points are so close together that the nearest segment starts or ends at the nearest.
+        """
+        points = np.stack([x, z], axis=1)
+        last = len(self.centreline) - 1
+        reach = self.thickness.max() + np.hypot(*np.diff(self.centreline, axis=0).T).max()
+        _, nearest = self._tree.query(points, distance_upper_bound=reach)
+        result = np.zeros(len(x))
+        near = np.flatnonzero(nearest <= last)  # cKDTree marks misses with the number of its points
+        points, nearest = points[near], nearest[near]
+        best, at = np.full(len(near), np.inf), np.zeros(len(near))
+        for first in (np.maximum(nearest - 1, 0), np.minimum(nearest, last - 1)):
+            start, step = self.centreline[first], self.centreline[first + 1] - self.centreline[first]
+            offset = points - start
+            along = np.clip((offset * step).sum(axis=1) / (step**2).sum(axis=1), 0.0, 1.0)
+            distance = np.linalg.norm(offset - along[:, None] * step, axis=1)
+            at = np.where(distance < best, first + along, at)
+            best = np.minimum(distance, best)
+        knots = np.arange(last + 1)
+        ratio = best / np.interp(at, knots, self.thickness)
         room = np.maximum(1.0 - ratio**self.exponent, 0.0)
-        return np.interp(at, knots, self.width) * room ** (1.0 / self.exponent)
+        result[near] = np.interp(at, knots, self.width) * room ** (1.0 / self.exponent)
+        return result
+
+    @cached_property
+    def _tree(self) -> cKDTree:
+        return cKDTree(self.centreline)
 
     def inside(self, points: Float[np.ndarray, "n 3"]) -> Bool[np.ndarray, "n"]:
         inside = np.zeros(len(points), dtype=bool)
