@@ -107,10 +107,12 @@ def build_world(options: CellOptions, task: str | None) -> World:
 def _draw_models(
     options: CellOptions, classes: Sequence[Category], rng: np.random.Generator
 ) -> list[ObjectModel]:
-    from sim_assets.objects import load_user_objects, sample_object
-
     if options.object_meshes is None:
+        from sim_assets.objects import sample_object
+
         return [sample_object(category, "test", rng) for category in classes]
+    from sim_assets.objects import load_user_objects
+
     owned: dict[Category, list[ObjectModel]] = {category: [] for category in get_args(Category)}
     for model in load_user_objects(options.object_meshes):
         owned[model.category].append(model)

@@ -69,6 +69,12 @@ LINE_VIEWS = (
 )
 
 
+def close_views(spot: tuple[float, float, float]) -> tuple[Viewpoint, ...]:
+    """Two views on one object, from above and from a reachable side."""
+    side = -1.0 if spot[1] > 0 else 1.0
+    return around(spot, [(side * 90, 80, 0.45), (side * 70, 58, 0.50)])
+
+
 def posture_for(
     kinematics: Kinematics, view: Viewpoint, q_near: Float[np.ndarray, "n"]
 ) -> Float[np.ndarray, "n"] | None:

@@ -12,7 +12,6 @@ from typing import Any
 
 import numpy as np
 from jaxtyping import Float
-from perception.metrics import recall, reconstruction_metrics
 from scipy.optimize import linear_sum_assignment
 
 from app.criteria import BoxSpace, TrueObject, judge_pack, judge_sort
@@ -20,6 +19,7 @@ from app.report import ObjectReport
 from manipulation.nesting import stack_bowls
 from manipulation.standing import stand
 from manipulation.types import Line, ObjectOutcome, TaskPlan
+from perception.metrics import point_recall, reconstruction_metrics, sample_surface
 from perception.types import CODE_SIZE, ObjectEstimate, TriangleMesh
 from sim_assets import ground_truth
 from sim_assets.objects import ObjectModel, canonical_scale
@@ -27,7 +27,6 @@ from sim_assets.scene import BoxConfig
 from sim_assets.world import World
 
 MATCH_DISTANCE = 0.05  # [m] between the axes of an estimate and of the object it is of
-SURFACE_SAMPLES = 20_000
 HANDLE_WITHIN = 0.005  # [m]
 
 
@@ -116,16 +115,14 @@ def _surface_metrics(
     estimate: ObjectEstimate, model: ObjectModel, T_world_true: np.ndarray, rng: np.random.Generator
 ) -> dict[str, float]:
     true_mesh = TriangleMesh(np.asarray(model.mesh.vertices), np.asarray(model.mesh.faces))
-    figures = reconstruction_metrics(
-        estimate.mesh_world, true_mesh.transformed(T_world_true), rng, n=SURFACE_SAMPLES
-    )
+    figures = reconstruction_metrics(estimate.mesh_world, true_mesh.transformed(T_world_true), rng)
     result = {name: float(getattr(figures, name)) for name in ("accuracy", "chamfer_l1", "completion")}
     if model.category == "mug":
-        points = model.mesh.sample(SURFACE_SAMPLES // 4, seed=rng)
+        points = sample_surface(true_mesh, rng)
         handle = points[model.is_handle(points)]
         if len(handle):
             world = handle @ T_world_true[:3, :3].T + T_world_true[:3, 3]
-            result["handle_recall"] = float(recall(estimate.mesh_world, world, HANDLE_WITHIN))
+            result["handle_recall"] = point_recall(estimate.mesh_world, world, rng, HANDLE_WITHIN)
     return result
 
 

@@ -10,6 +10,7 @@ from typing import Any
 
 from rich.console import Console
 from rich.markup import escape
+from rich.status import Status
 
 
 @dataclass
@@ -18,6 +19,8 @@ class Screen:
 
     quiet: bool = False
     json: bool = False
+    _status: Status | None = None
+    _title: str = ""
     _progress: Console = field(default_factory=lambda: Console(stderr=True, highlight=False))
     _results: Console = field(default_factory=lambda: Console(highlight=False))
 
@@ -28,11 +31,18 @@ class Screen:
             yield
             return
         begin = time.perf_counter()
-        with self._progress.status(f"{escape(title)} ..."):
+        with self._progress.status(f"{escape(title)} ...") as status:
+            self._status, self._title = status, title
             yield
+        self._status = None
         self._progress.print(
             f"[green]✓[/green] {escape(title):<44} [dim]{time.perf_counter() - begin:6.1f} s[/dim]"
         )
+
+    def update(self, detail: str) -> None:
+        """How far the present stage has come."""
+        if self._status is not None:
+            self._status.update(f"{escape(self._title)} ... {escape(detail)}")
 
     def note(self, text: str) -> None:
         """One line of progress."""

@@ -1,0 +1,176 @@
+"""``nodeslam doctor``: what this machine has, and what to do about what is missing."""
+
+from __future__ import annotations
+
+import importlib.metadata
+import platform
+import re
+import subprocess
+import sys
+import time
+from collections.abc import Callable
+from dataclasses import dataclass
+from pathlib import Path
+from typing import Literal
+
+from rich.markup import escape
+from rich.table import Table
+
+from app.options import DoctorOptions
+from app.report import Report, package_version
+from app.run_folder import RunFolder
+from app.screen import Screen
+
+Status = Literal["ok", "missing", "optional"]
+
+ROOT = Path(__file__).parents[1]
+WEIGHTS = {
+    "shape": ("perception/weights/shape.safetensors", "perception/weights/shape.md"),
+    "detector": ("perception/weights/detector.safetensors", "perception/weights/detector.md"),
+    "yaw": ("perception/weights/yaw.safetensors", "perception/weights/yaw.md"),
+}
+NEEDED = ("numpy", "scipy", "torch", "warp-lang", "safetensors", "trimesh", "scikit-image", "tyro", "rich")
+SIMULATOR = ("mujoco", "mink", "daqp", "ruckig", "coacd")
+OPTIONAL = {"open3d-cpu": "eval", "tensorboard": "train", "ray": "cluster"}
+PROBE_SECONDS = 60
+_PROBE = """
+import os, sys
+from sim_assets.headless import mujoco
+scene = '<mujoco><worldbody><light pos="0 0 2"/><geom size=".1"/></worldbody></mujoco>'
+model = mujoco.MjModel.from_xml_string(scene)
+data = mujoco.MjData(model)
+mujoco.mj_forward(model, data)
+with mujoco.Renderer(model, 48, 64) as renderer:
+    renderer.update_scene(data)
+    image = renderer.render()
+print(os.environ["MUJOCO_GL"])
+sys.exit(0 if image.any() else 3)
+"""
+
+
+@dataclass(frozen=True)
+class Finding:
+    """One thing that was looked at."""
+
+    name: str
+    status: Status
+    found: str
+    remedy: str = ""
+
+
+def run(options: DoctorOptions, screen: Screen) -> Report:
+    """Look at everything; successful when nothing needed is missing."""
+    begin = time.perf_counter()
+    folder = RunFolder.create(options, "doctor")
+    findings = examine()
+    missing = [finding.name for finding in findings if finding.status == "missing"]
+    report = Report(
+        command="doctor",
+        seed=options.seed,
+        success=not missing,
+        reason=f"missing: {', '.join(missing)}" if missing else "everything that is needed is here",
+        timings={"total": time.perf_counter() - begin},
+        metrics={"findings": [vars(finding) for finding in findings]},
+    )
+    folder.write_report(report)
+    screen.show(_table(findings))
+    screen.show(escape(report.reason))
+    return report
+
+
+def examine() -> list[Finding]:
+    """All findings, the basic ones first."""
+    findings = [
+        Finding("nodeslam", "ok", package_version()),
+        Finding("python", "ok" if sys.version_info >= (3, 11) else "missing", platform.python_version()),
+    ]
+    lock = locked_versions()
+    findings += [check_version(name, lock, "missing", "make setup") for name in NEEDED]
+    findings += [check_version(name, lock, "missing", "pip install 'nodeslam[sim]'") for name in SIMULATOR]
+    findings += [
+        check_version(name, lock, "optional", f"pip install 'nodeslam[{extra}]'")
+        for name, extra in OPTIONAL.items()
+    ]
+    return [*findings, check_gl(), check_cuda(), *(check_weights(name) for name in WEIGHTS)]
+
+
+def locked_versions(path: Path = ROOT / "requirements.lock") -> dict[str, str]:
+    """The versions that were tested, by name; empty where the lock is not at hand."""
+    if not path.is_file():
+        return {}
+    pairs = re.findall(r"^([\w.-]+)==([\w.+!-]+)", path.read_text(encoding="utf-8"), re.MULTILINE)
+    return {_canonical(name): version for name, version in pairs}
+
+
+def check_version(name: str, lock: dict[str, str], absent: Status, remedy: str) -> Finding:
+    """Whether a distribution is installed, in the version that was tested."""
+    try:
+        version = importlib.metadata.version(name)
+    except importlib.metadata.PackageNotFoundError:
+        return Finding(name, absent, "not installed", remedy)
+    if name == "mujoco" and version == "4.0.0":
+        return Finding(
+            name, "missing", "4.0.0 has a wrong Newton Hessian", "pip install 'mujoco>=3.17,!=4.0.0'"
+        )
+    tested = lock.get(_canonical(name), version.split("+")[0])
+    differs = tested != version.split("+")[0]  # +cpu and the like name a build
+    return Finding(name, "ok", version + (f" (tested with {tested})" if differs else ""))
+
+
+def check_gl(command: Callable[[], list[str]] = lambda: [sys.executable, "-c", _PROBE]) -> Finding:
+    """Render a small image in another process: a wrong OpenGL ends the process that tries it."""
+    remedy = "apt-get install libegl1 libgl1 libgl1-mesa-dri (or libosmesa6 and MUJOCO_GL=osmesa)"
+    try:
+        probe = subprocess.run(command(), cwd=ROOT, capture_output=True, text=True, timeout=PROBE_SECONDS)
+    except subprocess.TimeoutExpired:
+        return Finding("rendering", "missing", f"no image within {PROBE_SECONDS} s", remedy)
+    if probe.returncode == 0:
+        return Finding("rendering", "ok", f"MUJOCO_GL={probe.stdout.strip()}")
+    last = (probe.stderr.strip().splitlines() or [f"exit code {probe.returncode}"])[-1]
+    return Finding("rendering", "missing", last[:100], remedy)
+
+
+def check_cuda() -> Finding:
+    """Whether torch sees a CUDA device; none is needed."""
+    try:
+        import torch
+
+        if torch.cuda.is_available():
+            return Finding("cuda", "ok", torch.cuda.get_device_name(0))
+        return Finding(
+            "cuda", "optional", "no device; the CPU is enough", "a CUDA build of torch and a driver"
+        )
+    except ImportError as error:
+        return Finding("cuda", "optional", str(error), "make setup")
+
+
+def check_weights(name: str, root: Path = ROOT) -> Finding:
+    """Whether shipped weights are there and are the ones their model card describes."""
+    from hashlib import sha256
+
+    weights, card = (root / path for path in WEIGHTS[name])
+    remedy = f"git checkout {WEIGHTS[name][0]}, or nodeslam train {name}"
+    if not weights.is_file():
+        return Finding(f"weights: {name}", "missing", "no file", remedy)
+    checksum = sha256(weights.read_bytes()).hexdigest()
+    stated = re.search(r"\b[0-9a-f]{64}\b", card.read_text(encoding="utf-8")) if card.is_file() else None
+    if stated is None:
+        return Finding(f"weights: {name}", "ok", f"sha256 {checksum[:12]}..., no card to compare with")
+    if stated.group() != checksum:
+        return Finding(f"weights: {name}", "missing", "checksum differs from the model card's", remedy)
+    return Finding(f"weights: {name}", "ok", f"sha256 {checksum[:12]}...")
+
+
+def _canonical(name: str) -> str:
+    return re.sub(r"[-_.]+", "-", name).lower()
+
+
+def _table(findings: list[Finding]) -> Table:
+    table = Table(title="nodeslam doctor", title_justify="left", show_edge=False)
+    for heading in ("", "what", "found", "what to do"):
+        table.add_column(heading)
+    marks = {"ok": "[green]✓[/green]", "missing": "[red]✗[/red]", "optional": "[yellow]–[/yellow]"}
+    for finding in findings:
+        remedy = finding.remedy if finding.status != "ok" else ""
+        table.add_row(marks[finding.status], escape(finding.name), escape(finding.found), escape(remedy))
+    return table

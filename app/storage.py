@@ -1,0 +1,150 @@
+"""Stores a run while it happens: each stage's result is on disk as soon as the stage is done."""
+
+from __future__ import annotations
+
+import time
+from collections.abc import Iterator
+from contextlib import contextmanager
+from typing import Any
+
+import numpy as np
+
+from app.drawing import draw_detections, draw_estimates
+from app.options import RunTaskOptions, Task
+from app.overview import Pictures, write_overview
+from app.pipeline import Outcome, Watcher
+from app.replay import Recorder
+from app.report import Report
+from app.run_folder import RunFolder
+from app.screen import Screen
+from app.video import FPS, SPEED, VideoWriter
+from manipulation.execution import TaskEvent
+from manipulation.types import TaskPlan
+from perception.object_map import write_object_map
+from perception.scan_folder import write_detections, write_scan
+from sim_assets.world import World
+
+TITLES = {
+    "scan": "Looking at the table",
+    "detect": "Finding objects",
+    "reconstruct": "Reconstructing whole shapes",
+    "plan": "Planning",
+    "execute": "Moving objects",
+    "verify": "Looking again",
+}
+REPLAY_RATE = 30.0  # [Hz] of simulated time
+CLOSE_CAMERA: dict[Task, str] = {"pack": "box", "sort": "line"}
+
+
+class Storage(Watcher):
+    """Watches a run: shows its progress, writes its folder, records replay and video."""
+
+    def __init__(
+        self, options: RunTaskOptions, task: Task, folder: RunFolder, screen: Screen, world: World
+    ) -> None:
+        super().__init__()
+        self._options, self._task = options, task
+        self._folder, self._screen, self._world = folder, screen, world
+        self._begin = time.perf_counter()
+        self._recorder = Recorder()
+        self._made: dict[str, Any] = {}
+        self._before = world.overview_image()
+        self._video = VideoWriter(folder.path / "video.mp4", task.capitalize()) if options.video else None
+        self._samples = 0
+        world.observe(self._sample, REPLAY_RATE)
+
+    @contextmanager
+    def stage(self, name: str) -> Iterator[None]:
+        self._write_progress(f"stopped while {TITLES[name].lower()}")
+        self._recorder.event(self._world.time, name)
+        if self._video is not None:
+            self._video.stage(name)
+        with self._screen.stage(TITLES[name]), super().stage(name):
+            yield
+
+    def progress(self, done: int, total: int) -> None:
+        self._screen.update(f"{done} of {total}")
+
+    def event(self, event: TaskEvent) -> None:
+        text = f"{event.phase} {event.name}".replace("_", " ")
+        self._recorder.event(self._world.time, text)
+        self._screen.update(f"{event.done} of {event.total}: {text}")
+        if event.phase in ("retry", "failed", "deferred"):
+            self._screen.note(f"{text}: {event.message}")
+        if self._video is not None:
+            self._video.stage("execute", text)
+
+    def made(self, name: str, value: Any) -> None:
+        """Write what a stage made; the folder stays readable at any moment."""
+        self._made[name] = value
+        if name == "frames":
+            write_scan(self._folder.scan, value)
+        elif name == "detections":
+            write_detections(self._folder.scan, value.per_frame)
+            self._hold(draw_detections(self._made["frames"][0], value.per_frame[0]))
+        elif name == "objects":
+            write_object_map(self._folder.path, value)
+            self._hold(draw_estimates(self._made["frames"][0], value))
+        elif name == "plan":
+            self._folder.write_json("plan.json", plan_as_json(value))
+
+    def close(self) -> None:
+        """Finish replay and video, also after an interruption."""
+        self._world.observe(None)
+        self._recorder.write(self._folder.path / "replay.npz")
+        if self._video is not None:
+            self._video.hold(2.0)
+            self._video.close()
+
+    def draw(self, report: Report, outcome: Outcome) -> None:
+        """Compose ``overview.png``."""
+        done = "done" if report.success else "not done"
+        counts = f"{report.metrics['n_placed']} of {len(report.objects)} objects in place"
+        times = (
+            f"{report.timings['total']:.0f} s wall, {report.metrics['simulated_seconds']:.0f} s robot time"
+        )
+        pictures = Pictures(
+            title=f"{self._task.capitalize()}: {counts}",
+            subtitle=f"{done} · seed {report.seed} · {times}",
+            before=self._before,
+            after=self._world.overview_image(),
+            after_close=self._world.overview_image(camera=CLOSE_CAMERA[self._task]),
+            frames=outcome.frames,
+            detections=outcome.detections,
+            objects=outcome.objects,
+            plan=outcome.plan,
+            reports=report.objects,
+        )
+        write_overview(self._folder.path / "overview.png", pictures)
+
+    def _write_progress(self, reason: str) -> None:
+        timings = self.timings | {"total": time.perf_counter() - self._begin}
+        self._folder.write_report(Report(self._task, self._options.seed, reason=reason, timings=timings))
+
+    def _hold(self, wrist: np.ndarray) -> None:
+        if self._video is not None:
+            self._video.hold(1.5, wrist)
+
+    def _sample(self, world: World) -> None:
+        self._recorder.sample(world.time, world.joint_positions(), world.gripper_width())
+        if self._video is not None and self._samples % round(REPLAY_RATE * SPEED / FPS) == 0:
+            self._video.frame(world.overview_image(), world.overview_image(480, 360, camera="wrist"))
+        self._samples += 1
+
+
+def plan_as_json(plan: TaskPlan) -> dict[str, Any]:
+    """``plan.json``: placements in the order of execution, in metres and radians."""
+    return {
+        "task": plan.task,
+        "placements": [
+            {
+                "name": placement.name,
+                "from": plan.objects[placement.name].T_world_stand[:3, 3].tolist(),
+                "position": [float(x) for x in placement.position],
+                "yaws": [float(yaw) for yaw in placement.yaws],
+                "stack": list(placement.stack),
+            }
+            for placement in plan.placements
+        ],
+        "left_out": dict(plan.left_out),
+    }
