@@ -1,0 +1,212 @@
+"""Shape and pose of one object from its views: MAP estimate by Levenberg-Marquardt, coarse to fine.
+
+NodeSLAM, section "Object Shape and Pose Inference": the code is decoded to a grid, the grid rendered into
+every view, and the weighted difference to the measured depth moves code and 9-DoF pose.
+"""
+
+from __future__ import annotations
+
+import logging
+from collections.abc import Sequence
+from dataclasses import dataclass, field, replace
+
+import numpy as np
+from jaxtyping import Float
+
+from perception.errors import InvalidInputError
+from perception.inference.initialise import initial_poses
+from perception.inference.levenberg_marquardt import Evaluation, LmConfig, LmIteration, minimise
+from perception.inference.meshing import MeshConfig, mesh_from_grid
+from perception.inference.observation import ObjectObservation, PixelConfig, gather_pixels
+from perception.inference.problem import FitProblem, FitState, NoiseConfig, SupportCamera
+from perception.inference.shape_model import Decoder, LinearisedShape, decode, extent_of, linearise
+from perception.rendering.pose import ObjectPose
+from perception.types import CODE_SIZE, Category, FitStatus, ObjectEstimate, SupportPlane
+
+logger = logging.getLogger(__name__)
+
+
+@dataclass(frozen=True)
+class Stage:
+    """Iterations at one crop size [pixel] and pyramid level (how often residuals are blurred and halved)."""
+
+    crop: int
+    level: int
+    iterations: int
+
+
+@dataclass(frozen=True)
+class FitConfig:
+    """How a fit is run. The first stage is run for every yaw hypothesis, the others for the best of them."""
+
+    stages: tuple[Stage, ...] = (Stage(32, 1, 6), Stage(64, 1, 10), Stage(64, 0, 14))
+    relinearise_every: int = 4
+    pixels: PixelConfig = field(default_factory=PixelConfig)
+    noise: NoiseConfig = field(default_factory=NoiseConfig)
+    lm: LmConfig = field(default_factory=LmConfig)
+    mesh: MeshConfig = field(default_factory=MeshConfig)
+    step_limit_code: float = 0.7
+    step_limit_turn: float = 0.2
+    step_limit_move: float = 0.02
+    step_limit_scale: float = 0.12
+
+
+@dataclass(frozen=True)
+class Fit:
+    """A fit before it becomes an ObjectEstimate."""
+
+    state: FitState
+    evaluation: Evaluation
+    residual_object: Float[np.ndarray, "n"]
+    residual_background: Float[np.ndarray, "b"]
+    trace: tuple[LmIteration, ...]
+    converged: bool
+
+
+def fit_object(
+    observations: Sequence[ObjectObservation],
+    category: Category,
+    decoder: Decoder,
+    plane: SupportPlane,
+    config: FitConfig | None = None,
+    object_id: int = 0,
+    score: float = 1.0,
+) -> ObjectEstimate:
+    """Reconstructs one object.
+
+    Args:
+        observations: its views, at least one.
+        category: its class.
+        decoder: the shape prior.
+        plane: what it stands on, in the world.
+        config: budget and weights.
+        object_id: for the estimate.
+        score: class confidence, for the estimate.
+
+    Raises:
+        InvalidInputError: no view shows anything of the object above the plane.
+    """
+    config = config or FitConfig()
+    if not observations:
+        raise InvalidInputError(f"a {category} without any view cannot be reconstructed")
+    fit = _Fitter(observations, category, decoder, plane, config).run()
+    return _estimate(fit, observations, category, decoder, plane, config, object_id, score)
+
+
+class _Fitter:
+    """The stages of one fit; the decoder's linearisation is shared by the hypotheses while codes agree."""
+
+    def __init__(self, observations, category, decoder, plane, config) -> None:
+        self.observations, self.plane, self.config = observations, plane, config
+        self.linearise = lambda code: linearise(decoder, category, code)
+        self.mean_shape = self.linearise(np.zeros(CODE_SIZE))
+        self.poses = initial_poses(observations, category, plane, extent_of(self.mean_shape.grid))
+        extent = extent_of(self.mean_shape.grid) * self.poses[0].scale
+        self.reach = 0.65 * float(np.linalg.norm(extent)) + 0.01
+        self.support = SupportCamera.under(
+            self.poses[0], plane, 0.6 * float(max(extent[:2])), max(float(extent[2]), 0.04)
+        )
+
+    def run(self) -> Fit:
+        first, *others = self.config.stages
+        starts = [FitState(pose, np.zeros(CODE_SIZE)) for pose in self.poses]
+        fits = [self._stage(first, state, self.mean_shape, self.config.lm.damping) for state in starts]
+        best, shape, damping = min(fits, key=lambda entry: _misfit(entry[0]))
+        for stage in others:
+            fit, shape, damping = self._stage(stage, best.state, shape, damping)
+            best = replace(fit, trace=best.trace + fit.trace)
+        return best
+
+    def _stage(
+        self, stage: Stage, state: FitState, shape: LinearisedShape, damping: float
+    ) -> tuple[Fit, LinearisedShape, float]:
+        config = self.config
+        pixels = gather_pixels(
+            self.observations, self.poses[0].translation, self.reach, stage.crop, stage.level, config.pixels
+        )
+        limit = np.concatenate(
+            [
+                np.full(CODE_SIZE, config.step_limit_code),
+                np.full(3, config.step_limit_turn),
+                np.full(3, config.step_limit_move),
+                np.full(3, config.step_limit_scale),
+            ]
+        )
+        trace: tuple[LmIteration, ...] = ()
+        left = stage.iterations
+        while True:
+            budget = min(left, config.relinearise_every)
+            problem = FitProblem(pixels, shape, self.plane, self.support, config.noise)
+            lm = replace(config.lm, max_iterations=budget, damping=damping)
+            result = minimise(problem, FitState.moved, state, lm, limit)
+            state, damping, trace = result.state, result.damping, trace + result.trace
+            left -= max(len(result.trace), 1)
+            if left <= 0 or result.status in ("stuck", "not_finite"):
+                break
+            if result.status == "converged" and np.allclose(state.code, shape.code, atol=1e-3):
+                break
+            shape = self.linearise(state.code)
+        converged = result.status == "converged" or _settled(trace)
+        m = len(pixels.target) if pixels.operator is None else pixels.operator.shape[0]
+        return (
+            Fit(state, result.evaluation, result.evaluation.residuals[:m], trace, converged),
+            shape,
+            damping,
+        )
+
+
+def _settled(trace: tuple[LmIteration, ...]) -> bool:
+    """Whether the last accepted step gained next to nothing."""
+    accepted = [line for line in trace if line.accepted]
+    return bool(accepted) and accepted[-1].cost - accepted[-1].cost_after < 0.01 * accepted[-1].cost
+
+
+def _misfit(fit: Fit) -> float:
+    """Mean capped residual [m]: compares hypotheses, whatever variance they render."""
+    residuals = np.concatenate([fit.residual_object, fit.residual_background])
+    return float(np.mean(np.minimum(np.abs(residuals), 0.03)))
+
+
+def _estimate(
+    fit: Fit,
+    observations: Sequence[ObjectObservation],
+    category: Category,
+    decoder: Decoder,
+    plane: SupportPlane,
+    config: FitConfig,
+    object_id: int,
+    score: float,
+) -> ObjectEstimate:
+    pose, code = fit.state.pose, fit.state.code
+    grid = decode(decoder, category, code)
+    hessian, _ = fit.evaluation.normal_equations()
+    inliers = np.abs(fit.residual_object) < config.noise.huber * config.noise.depth_sigma
+    residual = float(np.sqrt(np.mean(fit.residual_object[inliers] ** 2))) if inliers.any() else float("inf")
+    return ObjectEstimate(
+        id=object_id,
+        category=category,
+        code=code,
+        T_world_object=pose.T_world_object,
+        scale=pose.scale,
+        mesh=mesh_from_grid(grid, pose.scale, category, config.mesh),
+        score=score,
+        n_views=len(observations),
+        residual=residual,
+        status=_status(fit, pose, plane, float(inliers.mean())),
+        covariance=np.linalg.pinv(hessian, hermitian=True),
+    )
+
+
+def _status(fit: Fit, pose: ObjectPose, plane: SupportPlane, inlier_share: float) -> FitStatus:
+    tilt = np.arccos(np.clip(pose.rotation[:, 2] @ plane.normal, -1, 1))
+    plausible = (
+        inlier_share > 0.5
+        and pose.scale.min() > 0.01
+        and pose.scale.max() < 0.4
+        and np.linalg.norm(fit.state.code) < 8.0
+        and tilt < np.deg2rad(15)
+        and np.isfinite(fit.evaluation.cost)
+    )
+    if not plausible:
+        return "implausible"
+    return "converged" if fit.converged else "not_converged"

@@ -1,0 +1,142 @@
+"""Where to start: centre, size and upright orientation from the masked clouds and the support plane.
+
+Every view tells its own: across the line of sight the cloud's extent is the object's, along it only the
+near side is seen, so the centre is pushed behind it by the radius. Least squares over the views brings
+these together.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import dataclass
+
+import cv2
+import numpy as np
+from jaxtyping import Float
+
+from perception.errors import InvalidInputError
+from perception.geometry import upright_rotation
+from perception.inference.observation import ObjectObservation
+from perception.rendering.pose import ObjectPose
+from perception.types import Category, SupportPlane
+
+_MIN_HEIGHT = 0.003  # [m] points lower than this belong to the plane
+_MIN_POINTS = 30
+_STEEP = np.deg2rad(68.0)  # views from above this elevation see near and far side
+_MAX_MODES = 3
+_BLIND_YAWS = 6  # hypotheses for a mug of which nobody knows the handle's direction
+
+
+@dataclass(frozen=True)
+class CloudMeasures:
+    """What the clouds say in [m]: ``centre`` and ``outline`` (all points) in the plane's basis, radius, height."""
+
+    centre: Float[np.ndarray, "2"]
+    radius: float
+    height: float
+    outline: Float[np.ndarray, "n 2"]
+
+
+def initial_poses(
+    observations: Sequence[ObjectObservation],
+    category: Category,
+    plane: SupportPlane,
+    mean_extent: Float[np.ndarray, "3"],
+) -> list[ObjectPose]:
+    """Upright poses to start from, the likeliest yaw first.
+
+    Args:
+        observations: the object's views.
+        category: decides which yaws are tried.
+        plane: what the object stands on.
+        mean_extent: (3,) extent of the class's mean shape in canonical units.
+    """
+    basis = plane_basis(plane)
+    measures = measure_clouds(observations, plane, basis)
+    log_scale = (np.log(measures.height / mean_extent[2]) + np.log(2 * measures.radius / mean_extent[1])) / 2
+    scale = float(np.exp(log_scale))
+    foot = basis[:2].T @ measures.centre + plane.normal * plane.offset
+    centre = foot + plane.normal * (scale * mean_extent[2] / 2)
+    return [
+        ObjectPose(upright_rotation(plane.normal, yaw), centre, np.full(3, scale))
+        for yaw in yaw_hypotheses(observations, category, measures)
+    ]
+
+
+def plane_basis(plane: SupportPlane) -> Float[np.ndarray, "3 3"]:
+    """Rows: two directions in the plane, the first near world x, and the normal."""
+    return upright_rotation(plane.normal, 0.0).T
+
+
+def measure_clouds(
+    observations: Sequence[ObjectObservation], plane: SupportPlane, basis: Float[np.ndarray, "3 3"]
+) -> CloudMeasures:
+    """Centre, radius and height of what the masks show; InvalidInputError if nothing is above the plane."""
+    rows, values, weights, radii, heights, outline = [], [], [], [], [], []
+    for seen in observations:
+        points = seen.points_world()
+        height = plane.height_above(points)
+        above = height > _MIN_HEIGHT
+        if above.sum() < _MIN_POINTS:
+            continue
+        flat = points[above] @ basis[:2].T
+        outline.append(flat)
+        heights.append(np.quantile(height[above], 0.998))
+        camera = seen.T_world_camera[:3, 3]
+        towards = flat.mean(axis=0) - basis[:2] @ camera
+        elevation = np.arctan2(plane.height_above(camera), np.linalg.norm(towards))
+        steep = elevation > _STEEP
+        ahead = towards / np.linalg.norm(towards) if not steep else np.array([1.0, 0.0])
+        across = np.array([-ahead[1], ahead[0]])
+        low, high = np.quantile(flat @ across, (0.003, 0.997))
+        near, far = np.quantile(flat @ ahead, (0.003, 0.997))
+        radius = (high - low) / 2
+        behind = (near + far) / 2 if steep else max(near + radius, (near + far) / 2)
+        rows += [across, ahead]
+        values += [(low + high) / 2, behind]
+        weights += [1.0, 1.0 if steep else 0.3]
+        radii.append(radius)
+    if not rows:
+        raise InvalidInputError(
+            f"no view has {_MIN_POINTS} measured points {_MIN_HEIGHT * 1000:.0f} mm above the support plane "
+            "inside the object's mask; check the mask, the depth and the plane"
+        )
+    w = np.array(weights)
+    centre = np.linalg.lstsq(np.array(rows) * w[:, None], np.array(values) * w, rcond=None)[0]
+    return CloudMeasures(
+        centre,
+        max(float(np.median(radii)), 0.005),
+        max(float(np.median(heights)), 0.01),
+        np.concatenate(outline),
+    )
+
+
+def yaw_hypotheses(
+    observations: Sequence[ObjectObservation], category: Category, measures: CloudMeasures
+) -> list[float]:
+    """Yaws about the plane's normal [rad] to try, likeliest first."""
+    if category == "mug":
+        return _modes([o.yaw_probabilities for o in observations if o.yaw_probabilities.size])
+    if category == "bottle":  # may have a rectangular section, long or short side along x
+        (_, (along, across), degrees) = cv2.minAreaRect(measures.outline.astype(np.float32))
+        yaw = np.deg2rad(degrees) + (0.0 if along >= across else np.pi / 2)
+        return [yaw, yaw + np.pi / 2]
+    return [0.0]
+
+
+def _modes(distributions: list[np.ndarray]) -> list[float]:
+    """Peaks of the fused yaw distribution that matter, or evenly spread yaws where there is none."""
+    if not distributions:
+        return [2 * np.pi * k / _BLIND_YAWS for k in range(_BLIND_YAWS)]
+    bins = len(distributions[0])
+    log_p = np.mean([np.log(np.maximum(p, 1e-4)) for p in distributions], axis=0)
+    p = np.exp(log_p - log_p.max())
+    peaks = [k for k in range(bins) if p[k] >= p[k - 1] and p[k] > p[(k + 1) % bins] and p[k] > 0.1]
+    peaks = sorted(peaks, key=lambda k: -p[k])[:_MAX_MODES] or [int(p.argmax())]
+    return [2 * np.pi * (k + _vertex(p[k - 1], p[k], p[(k + 1) % bins])) / bins for k in peaks]
+
+
+def _vertex(left: float, middle: float, right: float) -> float:
+    """Offset of a parabola's top through three neighbours, in bins."""
+    curvature = left - 2 * middle + right
+    return 0.0 if curvature >= 0 else float(np.clip(0.5 * (left - right) / curvature, -0.5, 0.5))

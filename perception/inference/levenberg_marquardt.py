@@ -1,0 +1,137 @@
+"""Levenberg-Marquardt for weighted least squares on a manifold: generic, failure is data.
+
+At a state x with residuals r, Jacobian J and weights w it solves the damped normal equations
+
+    (J^T W J + lambda diag(J^T W J)) step = -J^T W r
+
+and accepts the step if sum w r^2 falls, **with the weights of the linearisation**: weights may depend on
+the state (robust, or by a predicted variance), and letting them change within the comparison would reward
+large variances.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+from dataclasses import dataclass
+from typing import Generic, Literal, TypeVar
+
+import numpy as np
+from jaxtyping import Float
+
+State = TypeVar("State")
+LmStatus = Literal["converged", "max_iterations", "stuck", "not_finite"]
+
+_FLOOR = 1e-9  # of the largest diagonal entry: keeps directions that no residual sees solvable, at step 0
+
+
+@dataclass(frozen=True)
+class Evaluation:
+    """A weighted least-squares problem at one state: cost sum_i w_i r_i^2."""
+
+    residuals: Float[np.ndarray, "n"]
+    jacobian: Float[np.ndarray, "n p"]
+    weights: Float[np.ndarray, "n"]
+
+    @property
+    def cost(self) -> float:
+        return float(self.weights @ self.residuals.astype(np.float64) ** 2)
+
+    def normal_equations(self) -> tuple[Float[np.ndarray, "p p"], Float[np.ndarray, "p"]]:
+        """J^T W J and J^T W r, in float64."""
+        weighted = self.jacobian * self.weights[:, None].astype(self.jacobian.dtype)
+        hessian = (weighted.T @ self.jacobian).astype(np.float64)
+        return hessian, (weighted.T @ self.residuals.astype(self.jacobian.dtype)).astype(np.float64)
+
+
+@dataclass(frozen=True)
+class LmConfig:
+    """Damping starts at ``damping``; an accepted step multiplies it by ``down``, a rejected one by ``up``."""
+
+    max_iterations: int = 30
+    damping: float = 1e-2
+    down: float = 0.3
+    up: float = 5.0
+    min_damping: float = 1e-7
+    max_damping: float = 1e6
+    tolerance: float = 1e-5  # converged when an accepted step lowers the cost by less than this share, twice
+
+
+@dataclass(frozen=True)
+class LmIteration:
+    """One line of the trace: costs under the weights of the linearisation, before and after the step."""
+
+    cost: float
+    cost_after: float
+    damping: float
+    step_norm: float
+    accepted: bool
+
+
+@dataclass(frozen=True)
+class LmResult(Generic[State]):
+    """Where the search ended and how. ``evaluation`` is the problem there; ``damping`` allows to go on."""
+
+    state: State
+    evaluation: Evaluation
+    status: LmStatus
+    damping: float
+    trace: tuple[LmIteration, ...]
+
+
+def minimise(
+    evaluate: Callable[[State], Evaluation],
+    retract: Callable[[State, np.ndarray], State],
+    state: State,
+    config: LmConfig | None = None,
+    step_limit: Float[np.ndarray, "p"] | None = None,
+) -> LmResult[State]:
+    """Minimises the weighted squared residuals.
+
+    Args:
+        evaluate: residuals, Jacobian and weights at a state.
+        retract: the state after a step in its tangent space.
+        state: where to start.
+        config: damping and limits.
+        step_limit: largest step in each direction; longer steps are shortened as a whole.
+    """
+    config = config or LmConfig()
+    damping, small_gains, trace = config.damping, 0, []
+    current = evaluate(state)
+    hessian, gradient = current.normal_equations()
+    status: LmStatus = "max_iterations"
+    for _ in range(config.max_iterations):
+        if not (np.isfinite(hessian).all() and np.isfinite(gradient).all()):
+            status = "not_finite"
+            break
+        step = _damped_step(hessian, gradient, damping, step_limit)
+        candidate = retract(state, step)
+        there = evaluate(candidate)
+        cost = current.cost
+        cost_after = float(current.weights @ there.residuals.astype(np.float64) ** 2)
+        accepted = bool(cost_after < cost)
+        trace.append(LmIteration(cost, cost_after, damping, float(np.linalg.norm(step)), accepted))
+        if not accepted:
+            damping *= config.up
+            if damping > config.max_damping:
+                status = "stuck"
+                break
+            continue
+        damping = max(damping * config.down, config.min_damping)
+        state, current = candidate, there
+        hessian, gradient = current.normal_equations()
+        small_gains = small_gains + 1 if cost - cost_after <= config.tolerance * cost else 0
+        if small_gains == 2 or cost_after == 0.0:
+            status = "converged"
+            break
+    return LmResult(state, current, status, damping, tuple(trace))
+
+
+def _damped_step(
+    hessian: np.ndarray, gradient: np.ndarray, damping: float, step_limit: np.ndarray | None
+) -> np.ndarray:
+    diagonal = np.diag(hessian)
+    scale = diagonal * damping + _FLOOR * max(float(diagonal.max()), 1e-12)
+    step = -np.linalg.solve(hessian + np.diag(scale), gradient)
+    if step_limit is not None:
+        step = step / max(1.0, float(np.max(np.abs(step) / step_limit)))
+    return step

@@ -1,0 +1,189 @@
+"""What a fit looks at: one object's pixels in its views, cropped, sampled, sorted into object and background.
+
+Pixels outside the mask, in a ring around it, are measurements too: there the ray must miss the object, so
+their target is the escape depth. A band along the mask's border, where masks are wrong first, says nothing,
+nor do depth holes and pixels that something else covers.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import dataclass, field
+from functools import cached_property
+
+import cv2
+import numpy as np
+from jaxtyping import Bool, Float
+from scipy import sparse
+
+from perception.errors import InvalidInputError
+from perception.geometry import invert, transform_points
+from perception.rendering.pyramid import pyramid_operator
+from perception.rendering.renderer import RayBundle
+from perception.types import RgbdFrame
+
+
+@dataclass(frozen=True)
+class ObjectObservation:
+    """One object in one view.
+
+    Attributes:
+        frame: the image; its camera pose must be known.
+        mask: (H, W) the object's pixels.
+        ignore: (H, W) pixels that say nothing about the object (covered by something else), or None.
+        yaw_probabilities: (B,) as in ObjectDetection; empty where unknown.
+    """
+
+    frame: RgbdFrame
+    mask: Bool[np.ndarray, "h w"]
+    ignore: Bool[np.ndarray, "h w"] | None = None
+    yaw_probabilities: Float[np.ndarray, "b"] = field(default_factory=lambda: np.zeros(0))
+
+    def __post_init__(self) -> None:
+        if self.frame.T_world_camera is None:
+            raise InvalidInputError(
+                "a frame without camera pose cannot be fitted; track or calibrate it first"
+            )
+        if self.mask.shape != self.frame.depth.shape:
+            raise InvalidInputError(f"mask is {self.mask.shape}, its image {self.frame.depth.shape}")
+
+    @property
+    def T_world_camera(self) -> Float[np.ndarray, "4 4"]:
+        assert self.frame.T_world_camera is not None
+        return self.frame.T_world_camera
+
+    def points_world(self, erode: int = 1) -> Float[np.ndarray, "n 3"]:
+        """The mask's pixels, border left out, back-projected into the world."""
+        mask = self.mask & (self.frame.depth > 0)
+        if self.ignore is not None:
+            mask &= ~self.ignore
+        inner = cv2.erode(mask.astype(np.uint8), np.ones((2 * erode + 1,) * 2, np.uint8)) > 0
+        v, u = np.nonzero(inner if inner.sum() >= 20 else mask)
+        rays = pixel_rays(self.frame, u, v)
+        return transform_points(
+            self.T_world_camera, rays * self.frame.depth[v, u][:, None].astype(np.float64)
+        )
+
+
+@dataclass(frozen=True)
+class PixelConfig:
+    """Which pixels take part.
+
+    Attributes:
+        samples: M of the renderer.
+        ring: width of the background ring as a share of the object's larger side in the image.
+        band: half width of the border band that is left out, in pixels of the full image.
+        background_weight: weight of a background pixel; one of the object has 1.
+    """
+
+    samples: int = 96
+    ring: float = 0.2
+    band: float = 1.0
+    background_weight: float = 0.2
+
+
+@dataclass(frozen=True)
+class PixelSet:
+    """Pixels of all views at one size and pyramid level.
+
+    Attributes:
+        rays: the n pixels that are rendered.
+        Ts_world_camera: (v, 4, 4).
+        target: (n,) measured depth; the escape depth on the background [m].
+        weight: (n,) 1 on the object, ``background_weight`` outside.
+        operator: (m, n) pyramid matrix from pixels to residuals, or None at level 0.
+    """
+
+    rays: RayBundle
+    Ts_world_camera: Float[np.ndarray, "v 4 4"]
+    target: Float[np.ndarray, "n"]
+    weight: Float[np.ndarray, "n"]
+    operator: sparse.csr_matrix | None
+
+    @cached_property
+    def is_object(self) -> Bool[np.ndarray, "m"]:
+        """Which residuals are mostly on the object."""
+        weight = self.weight if self.operator is None else self.operator @ self.weight
+        return weight > 0.6
+
+
+def pixel_rays(frame: RgbdFrame, u: np.ndarray, v: np.ndarray) -> Float[np.ndarray, "*n 3"]:
+    """Back-projected pixels in the camera frame, z = 1."""
+    camera = frame.intrinsics
+    return np.stack([(u - camera.cx) / camera.fx, (v - camera.cy) / camera.fy, np.ones(np.shape(u))], axis=-1)
+
+
+def gather_pixels(
+    observations: Sequence[ObjectObservation],
+    centre: Float[np.ndarray, "3"],
+    reach: float,
+    crop: int,
+    level: int,
+    config: PixelConfig,
+) -> PixelSet:
+    """Samples every view's surroundings of the mask on a grid of at most crop x crop pixels.
+
+    Args:
+        observations: the views.
+        centre: of the object in the world [m], roughly.
+        reach: half of the depth range around the centre [m].
+        crop: pixels along the longer side of the crop.
+        level: pyramid level: the residuals are blurred and halved so often.
+        config: which pixels take part.
+    """
+    directions, view, target, weight, operators, depth_range = [], [], [], [], [], []
+    for index, seen in enumerate(observations):
+        z = float(transform_points(invert(seen.T_world_camera), centre[None])[0, 2])
+        near, far = max(z - reach, 0.02), z + reach
+        rays = RayBundle(np.empty((0, 3)), np.empty(0, np.int64), np.array([[near, far]]), config.samples)
+        u, v, is_object, is_background = _classify(seen, crop, config, near, far)
+        valid = is_object | is_background
+        measured = np.where(is_object, seen.frame.depth[v, u], rays.escape_depth[0])
+        directions.append(pixel_rays(seen.frame, u, v)[valid])
+        view.append(np.full(int(valid.sum()), index))
+        target.append(measured[valid])
+        weight.append(np.where(is_object, 1.0, config.background_weight)[valid])
+        operators.append(pyramid_operator(valid, level))
+        depth_range.append((near, far))
+    bundle = RayBundle(
+        np.concatenate(directions).astype(np.float32),
+        np.concatenate(view),
+        np.array(depth_range),
+        config.samples,
+    )
+    return PixelSet(
+        rays=bundle,
+        Ts_world_camera=np.stack([seen.T_world_camera for seen in observations]),
+        target=np.concatenate(target).astype(np.float32),
+        weight=np.concatenate(weight).astype(np.float32),
+        operator=sparse.csr_matrix(sparse.block_diag(operators)) if level else None,
+    )
+
+
+def _classify(
+    seen: ObjectObservation, crop: int, config: PixelConfig, near: float, far: float
+) -> tuple[np.ndarray, np.ndarray, np.ndarray, np.ndarray]:
+    """The crop's pixel coordinates u, v, and which of them show the object or the background."""
+    rows, columns = np.nonzero(seen.mask)
+    height, width = seen.mask.shape
+    size = max(np.ptp(rows), np.ptp(columns)) + 1
+    ring = max(4, round(config.ring * size))
+    top, bottom = max(rows.min() - ring, 0), min(rows.max() + ring, height - 1)
+    left, right = max(columns.min() - ring, 0), min(columns.max() + ring, width - 1)
+    pitch = max(1.0, (max(bottom - top, right - left) + 1) / crop)
+    v = np.unique(np.round(np.arange(top, bottom + 0.5, pitch)).astype(int).clip(top, bottom))
+    u = np.unique(np.round(np.arange(left, right + 0.5, pitch)).astype(int).clip(left, right))
+    u, v = np.meshgrid(u, v)
+
+    window = (slice(top, bottom + 1), slice(left, right + 1))
+    mask = np.ascontiguousarray(seen.mask[window]).astype(np.uint8)
+    inwards = cv2.distanceTransform(np.pad(mask, 1), cv2.DIST_L2, 3)[1:-1, 1:-1]
+    outwards = cv2.distanceTransform(1 - mask, cv2.DIST_L2, 3)
+    inwards, outwards = inwards[v - top, u - left], outwards[v - top, u - left]
+    depth = seen.frame.depth[v, u]
+    usable = depth > 0
+    if seen.ignore is not None:
+        usable &= ~seen.ignore[v, u]
+    is_object = usable & (inwards > config.band) & (depth > near) & (depth < far)
+    is_background = usable & (outwards > config.band) & (outwards <= ring)
+    return u, v, is_object, is_background

@@ -1,0 +1,162 @@
+"""The least-squares problem of a fit: render residuals, code prior, and what standing on a plane means.
+
+Parameters, 25 in this order: code (16), rotation (3, object frame), translation (3, world), log scale (3).
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+import numpy as np
+from jaxtyping import Float
+
+from perception.geometry import hat, rigid
+from perception.inference.levenberg_marquardt import Evaluation
+from perception.inference.observation import PixelSet
+from perception.inference.shape_model import LinearisedShape
+from perception.rendering.pose import POSE_SIZE, ObjectPose, canonical_from_camera, pose_jacobian
+from perception.rendering.renderer import RayBundle, render
+from perception.types import CODE_SIZE, SupportPlane
+
+PARAMETERS = CODE_SIZE + POSE_SIZE
+_CODE, _TURN, _SCALE = slice(0, 16), slice(16, 19), slice(22, 25)
+
+
+@dataclass(frozen=True)
+class NoiseConfig:
+    """How much each residual counts.
+
+    Attributes:
+        depth_sigma: floor of the depth's uncertainty [m], beside the rendered variance.
+        huber: residuals larger than this many sigma count linearly.
+        data_weight: of all render residuals together, against the priors.
+        code_prior: weight of the squared code.
+        tilt_sigma: of the object's axis against the plane's normal [rad].
+        support_sigma: of the object's lowest part against the plane [m].
+        section_sigma, aspect_sigma: of the log ratio of the scales along x and y, and along z and both.
+    """
+
+    depth_sigma: float = 0.005
+    huber: float = 3.0
+    data_weight: float = 1.0
+    code_prior: float = 0.3
+    tilt_sigma: float = 0.02
+    support_sigma: float = 0.0015
+    section_sigma: float = 0.03
+    aspect_sigma: float = 0.15
+
+
+@dataclass(frozen=True)
+class FitState:
+    """Pose and shape of one object."""
+
+    pose: ObjectPose
+    code: Float[np.ndarray, "16"]
+
+    def moved(self, step: Float[np.ndarray, "25"]) -> FitState:
+        return FitState(self.pose.moved(step[CODE_SIZE:]), self.code + step[:CODE_SIZE])
+
+
+@dataclass(frozen=True)
+class SupportCamera:
+    """The paper's virtual camera under the object: it looks up through the plane at the object's bottom."""
+
+    rays: RayBundle
+    T_world_camera: Float[np.ndarray, "4 4"]
+    distance: float
+
+    @staticmethod
+    def under(
+        pose: ObjectPose, plane: SupportPlane, half_width: float, height: float, pixels: int = 14
+    ) -> SupportCamera:
+        """A camera below the pose that sees ``half_width`` [m] to each side and ``height`` [m] deep."""
+        distance = 4 * half_width
+        foot = pose.translation - (plane.normal @ pose.translation - plane.offset) * plane.normal
+        x = np.cross([0.0, 1.0, 0.0], plane.normal)
+        x = x / np.linalg.norm(x) if np.linalg.norm(x) > 1e-6 else np.array([1.0, 0.0, 0.0])
+        rotation = np.stack([x, np.cross(plane.normal, x), plane.normal], axis=1)
+        line = np.linspace(-half_width, half_width, pixels) / distance
+        u, v = np.meshgrid(line, line)
+        directions = np.stack([u.ravel(), v.ravel(), np.ones(u.size)], axis=-1).astype(np.float32)
+        depth_range = np.array([[distance - 0.25 * height, distance + 0.75 * height]])
+        rays = RayBundle(directions, np.zeros(u.size, np.int64), depth_range, samples=64)
+        return SupportCamera(rays, rigid(rotation, foot - distance * plane.normal), distance)
+
+
+class FitProblem:
+    """Residuals, Jacobian and weights of one object at a state; callable for ``minimise``."""
+
+    def __init__(
+        self,
+        pixels: PixelSet,
+        shape: LinearisedShape,
+        plane: SupportPlane | None,
+        support: SupportCamera | None,
+        noise: NoiseConfig,
+    ) -> None:
+        self.pixels, self.shape, self.plane, self.support, self.noise = pixels, shape, plane, support, noise
+
+    def __call__(self, state: FitState) -> Evaluation:
+        grid = self.shape.at(state.code)
+        blocks = [self._render_rows(state, grid), self._code_rows(state), self._scale_rows(state)]
+        if self.plane is not None:
+            blocks.append(self._tilt_rows(state, self.plane))
+        if self.support is not None:
+            blocks.append(self._support_rows(state, grid, self.support))
+        residuals, jacobians, weights = zip(*blocks)
+        return Evaluation(np.concatenate(residuals), np.concatenate(jacobians), np.concatenate(weights))
+
+    def _render_rows(self, state: FitState, grid) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
+        """Rendered minus measured depth, weighted by its variance, Huber's weight and the pixel's own."""
+        pixels, noise = self.pixels, self.noise
+        A = canonical_from_camera(state.pose, pixels.Ts_world_camera)
+        image = render(grid, pixels.rays, A)
+        assert image.d_code is not None
+        poses = pose_jacobian(state.pose, A, pixels.rays.directions, pixels.rays.view, image)
+        jacobian = np.concatenate([image.d_code, poses], axis=1)
+        residual, variance, weight = image.depth - pixels.target, image.variance, pixels.weight
+        if pixels.operator is not None:
+            stacked = np.column_stack([residual, variance, weight])
+            residual, variance, weight = (pixels.operator @ stacked).T
+            jacobian = pixels.operator @ jacobian
+        sigma2 = variance + noise.depth_sigma**2
+        robust = np.minimum(1.0, noise.huber * np.sqrt(sigma2) / np.maximum(np.abs(residual), 1e-9))
+        return residual, jacobian, noise.data_weight * weight * robust / sigma2
+
+    def _code_rows(self, state: FitState) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
+        jacobian = np.zeros((CODE_SIZE, PARAMETERS), np.float32)
+        jacobian[:, _CODE] = np.eye(CODE_SIZE)
+        return state.code, jacobian, np.full(CODE_SIZE, self.noise.code_prior)
+
+    def _scale_rows(self, state: FitState) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
+        """Scales along the axes differ little: the code shapes, the scale sizes."""
+        ratios = np.array([[1.0, -1.0, 0.0], [-0.5, -0.5, 1.0]])
+        jacobian = np.zeros((2, PARAMETERS), np.float32)
+        jacobian[:, _SCALE] = ratios
+        sigmas = np.array([self.noise.section_sigma, self.noise.aspect_sigma])
+        return ratios @ np.log(state.pose.scale), jacobian, sigmas**-2
+
+    def _tilt_rows(self, state: FitState, plane: SupportPlane) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
+        """The plane's normal in the object frame has no x and y: R^T n changes by hat(R^T n) omega."""
+        normal = state.pose.rotation.T @ plane.normal
+        jacobian = np.zeros((2, PARAMETERS), np.float32)
+        jacobian[:, _TURN] = hat(normal)[:2]
+        return normal[:2], jacobian, np.full(2, self.noise.tilt_sigma**-2)
+
+    def _support_rows(
+        self, state: FitState, grid, camera: SupportCamera
+    ) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
+        """The lowest parts that the camera underneath sees lie on the plane: their mean height, one residual."""
+        A = canonical_from_camera(state.pose, camera.T_world_camera[None])
+        image = render(grid, camera.rays, A)
+        height = image.depth - camera.distance
+        hit = image.mask > 0.5
+        jacobian = np.zeros((1, PARAMETERS), np.float32)
+        if hit.sum() < 4:
+            return np.zeros(1), jacobian, np.zeros(1)
+        voxel = state.pose.scale[2] / 16
+        lowest = hit & (height < np.quantile(height[hit], 0.1) + 0.3 * voxel)
+        poses = pose_jacobian(state.pose, A, camera.rays.directions, camera.rays.view, image)
+        assert image.d_code is not None
+        jacobian[0] = np.concatenate([image.d_code, poses], axis=1)[lowest].mean(axis=0)
+        return height[lowest].mean(keepdims=True), jacobian, np.full(1, self.noise.support_sigma**-2)

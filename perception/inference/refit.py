@@ -1,0 +1,247 @@
+"""Looks again at an object of known shape: is it where it should be, and how exactly?
+
+No detector is needed: the object is rendered where it is expected, and the measured depth within reach of
+the rendering corrects its pose by Levenberg-Marquardt. What then agrees with the measurement, what is seen
+through it, and what something else hides, tells whether it is there at all.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import dataclass
+from typing import Literal
+
+import numpy as np
+from jaxtyping import Bool, Float
+
+from perception.geometry import hat, invert, transform_points
+from perception.inference.levenberg_marquardt import Evaluation, LmConfig, minimise
+from perception.inference.observation import pixel_rays
+from perception.inference.voxelise import voxelise
+from perception.rendering.pose import ObjectPose, canonical_from_camera, pose_jacobian
+from perception.rendering.renderer import RayBundle, ShapeGrid, render
+from perception.types import ObjectEstimate, RgbdFrame, SupportPlane
+
+PoseStatus = Literal["seen", "not_there", "hidden"]
+
+
+@dataclass(frozen=True)
+class RefitConfig:
+    """How a pose is checked.
+
+    Attributes:
+        crop: pixels along the longer side of each view's crop.
+        samples: of the renderer, along the rays.
+        margin: how far around the expected place is looked [m].
+        reaches: measured depth farther than this from the rendering is no evidence for the pose, pass by
+            pass [m].
+        iterations: of each pass.
+        depth_sigma: of a measurement [m].
+        tilt_sigma: of the weak belief that the object stands upright [rad].
+        agree: measured within this of the rendering counts as the object [m].
+        min_pixels: visible pixels, of the full image, under which nothing can be said.
+        min_share: of the visible pixels that must agree.
+        starts: offsets from the expected place that are tried if the first one fails [m].
+    """
+
+    crop: int = 64
+    samples: int = 96
+    margin: float = 0.03
+    reaches: tuple[float, ...] = (0.03, 0.015)
+    iterations: int = 10
+    depth_sigma: float = 0.003
+    tilt_sigma: float = 0.3
+    agree: float = 0.008
+    min_pixels: int = 80
+    min_share: float = 0.6
+    starts: float = 0.02
+
+
+@dataclass(frozen=True)
+class PoseCheck:
+    """The outcome of looking again.
+
+    Attributes:
+        T_world_object: refined pose; the expected one where nothing was seen.
+        status: "seen"; "not_there" if the camera sees through where it should be; "hidden" if too little of
+            its place is visible to tell.
+        inlier_share: of the visible pixels of the object, those that agree with the measurement.
+        visible_pixels: of all views together, in pixels of the full images.
+        tilt: of the object's axis against the plane's normal [rad].
+        shift: distance from the expected position [m].
+    """
+
+    T_world_object: Float[np.ndarray, "4 4"]
+    status: PoseStatus
+    inlier_share: float
+    visible_pixels: int
+    tilt: float
+    shift: float
+
+
+def refit_pose(
+    estimate: ObjectEstimate,
+    frames: Sequence[RgbdFrame],
+    T_expected: Float[np.ndarray, "4 4"],
+    others: Sequence[ObjectEstimate] = (),
+    plane: SupportPlane | None = None,
+    config: RefitConfig | None = None,
+) -> PoseCheck:
+    """Finds the object near its expected pose.
+
+    Args:
+        estimate: its shape; any watertight mesh does.
+        frames: views of the place, with camera poses.
+        T_expected: where it should stand.
+        others: objects around it at their poses: depth that they explain better is not this object's.
+        plane: whose normal is up; the world's z by default.
+        config: limits and budgets.
+    """
+    config, plane = config or RefitConfig(), plane or SupportPlane()
+    search = _Search(estimate, frames, T_expected, others, plane, config)
+    expected = ObjectPose.of(T_expected, search.scale)
+    best = search.refine(expected)
+    if search.share(best) < config.min_share:
+        offsets = [(dx, dy, 0.0) for dx, dy in ((1, 0), (-1, 0), (0, 1), (0, -1))]
+        starts = [
+            expected.moved(np.array([0, 0, 0, *(config.starts * np.array(o)), 0, 0, 0])) for o in offsets
+        ]
+        best = max([best, *(search.refine(start) for start in starts)], key=search.share)
+    agree, through = search.evidence(best)
+    visible = agree + through
+    status: PoseStatus = "seen"
+    if visible < config.min_pixels:
+        status = "hidden"
+    elif agree / visible < config.min_share:
+        status = "not_there"
+    found = best if status == "seen" else expected
+    return PoseCheck(
+        T_world_object=found.T_world_object,
+        status=status,
+        inlier_share=float(agree / max(visible, 1)),
+        visible_pixels=int(visible),
+        tilt=float(np.arccos(np.clip(found.rotation[:, 2] @ plane.normal, -1, 1))),
+        shift=float(np.linalg.norm(found.translation - expected.translation)),
+    )
+
+
+class _Search:
+    """Pixels around the expected place, what other objects explain of them, and the fit to the rest."""
+
+    def __init__(self, estimate, frames, T_expected, others, plane, config: RefitConfig) -> None:
+        self.config, self.plane = config, plane
+        mesh = estimate.mesh
+        # Any mesh goes: the cube is put around it, with the grid's usual margin, wherever its origin is.
+        self.scale = np.maximum(np.abs(mesh.vertices).max(axis=0) / 0.9, 1e-3)
+        self.shape = ShapeGrid.upload(voxelise(mesh, self.scale), skip_occupancy=1e-3)
+        self.radius = float(np.linalg.norm(np.abs(mesh.vertices).max(axis=0)))
+        centre = np.asarray(T_expected)[:3, 3]
+        self.rays, self.measured, self.area, self.cameras = self._gather(frames, centre)
+        self.explained = self._explained_by(others)
+
+    def _gather(self, frames, centre) -> tuple[RayBundle, np.ndarray, np.ndarray, np.ndarray]:
+        config, reach = self.config, self.radius + self.config.margin
+        directions, view, measured, area, depth_range, cameras = [], [], [], [], [], []
+        for frame in frames:
+            p = transform_points(invert(frame.T_world_camera), centre[None])[0]
+            if p[2] <= 0.05:
+                continue
+            camera = frame.intrinsics
+            half = reach * camera.fx / p[2]
+            middle = np.array([camera.fx * p[0], camera.fy * p[1]]) / p[2] + (camera.cx, camera.cy)
+            low = np.clip(middle - half, 0, (camera.width - 1, camera.height - 1))
+            high = np.clip(middle + half, 0, (camera.width - 1, camera.height - 1))
+            pitch = max(1.0, float((high - low).max()) / config.crop)
+            u, v = np.meshgrid(
+                np.arange(low[0], high[0], pitch).round().astype(int),
+                np.arange(low[1], high[1], pitch).round().astype(int),
+            )
+            depth = frame.depth[v, u]
+            valid = depth > 0
+            if not valid.any():
+                continue
+            directions.append(pixel_rays(frame, u, v)[valid])
+            view.append(np.full(int(valid.sum()), len(cameras)))
+            measured.append(depth[valid])
+            area.append(np.full(int(valid.sum()), pitch**2))
+            depth_range.append((max(p[2] - reach, 0.02), p[2] + reach))
+            cameras.append(frame.T_world_camera)
+        if not cameras:
+            none = np.zeros(0, np.float32)
+            rays = RayBundle(
+                np.zeros((0, 3), np.float32), np.zeros(0, np.int64), np.ones((1, 2)), config.samples
+            )
+            return rays, none, none, np.eye(4)[None]
+        rays = RayBundle(
+            np.concatenate(directions).astype(np.float32),
+            np.concatenate(view),
+            np.array(depth_range),
+            config.samples,
+        )
+        return rays, np.concatenate(measured), np.concatenate(area), np.stack(cameras)
+
+    def _explained_by(self, others: Sequence[ObjectEstimate]) -> Float[np.ndarray, "n"]:
+        """Distance of the measurement from the nearest rendering of another object [m]; infinite off them."""
+        nearest = np.full(len(self.measured), np.inf, np.float32)
+        if not len(self.measured):
+            return nearest
+        for other in others:
+            scale = np.maximum(np.abs(other.mesh.vertices).max(axis=0) / 0.9, 1e-3)
+            pose = ObjectPose.of(other.T_world_object, scale)
+            shape = ShapeGrid.upload(voxelise(other.mesh, scale), skip_occupancy=1e-3)
+            centres = [transform_points(invert(T), pose.translation[None])[0, 2] for T in self.cameras]
+            reach = float(np.linalg.norm(0.9 * scale)) + 0.01
+            ranges = np.array([(max(z - reach, 0.01), max(z + reach, 0.02)) for z in centres])
+            rays = RayBundle(self.rays.directions, self.rays.view, ranges, self.rays.samples)
+            image = render(shape, rays, canonical_from_camera(pose, self.cameras), gradients=False)
+            distance = np.where(image.mask > 0.5, np.abs(image.depth - self.measured), np.inf)
+            nearest = np.minimum(nearest, distance)
+        return nearest
+
+    def refine(self, pose: ObjectPose) -> ObjectPose:
+        """The pose that agrees best with the depth within reach, starting at the given one."""
+        limit = np.array([0.1, 0.1, 0.1, 0.01, 0.01, 0.01])
+        if not len(self.measured):
+            return pose
+        for reach in self.config.reaches:
+            result = minimise(
+                lambda p, reach=reach: self._evaluate(p, reach),
+                lambda p, step: p.moved(np.concatenate([step, np.zeros(3)])),
+                pose,
+                LmConfig(max_iterations=self.config.iterations, damping=1e-3),
+                limit,
+            )
+            pose = result.state
+        return pose
+
+    def _evaluate(self, pose: ObjectPose, reach: float) -> Evaluation:
+        config = self.config
+        A = canonical_from_camera(pose, self.cameras)
+        image = render(self.shape, self.rays, A)
+        jacobian = pose_jacobian(pose, A, self.rays.directions, self.rays.view, image)[:, :6]
+        residual = image.depth - self.measured
+        own = (image.mask > 0.7) & (np.abs(residual) < reach) & (np.abs(residual) <= self.explained + 0.002)
+        sigma2 = image.variance + config.depth_sigma**2
+        robust = np.minimum(1.0, 2 * np.sqrt(sigma2) / np.maximum(np.abs(residual), 1e-9))
+        normal = pose.rotation.T @ self.plane.normal
+        upright = np.zeros((2, 6), np.float32)
+        upright[:, :3] = hat(normal)[:2]
+        return Evaluation(
+            np.concatenate([residual, normal[:2]]),
+            np.concatenate([jacobian, upright]),
+            np.concatenate([own * robust / sigma2, np.full(2, config.tilt_sigma**-2)]),
+        )
+
+    def evidence(self, pose: ObjectPose) -> tuple[float, float]:
+        """Pixels, of the full images, that agree with the object there, and those that see through it."""
+        if not len(self.measured):
+            return 0.0, 0.0
+        image = render(self.shape, self.rays, canonical_from_camera(pose, self.cameras), gradients=False)
+        behind = self.measured - image.depth
+        on: Bool[np.ndarray, "n"] = image.mask > 0.8
+        own = on & (np.abs(behind) < self.config.agree) & (np.abs(behind) <= self.explained + 0.002)
+        return float(self.area[own].sum()), float(self.area[on & (behind >= self.config.agree)].sum())
+
+    def share(self, pose: ObjectPose) -> float:
+        agree, through = self.evidence(pose)
+        return agree / max(agree + through, 1.0)

@@ -1,0 +1,85 @@
+"""The decoder near one code: a grid for every small step without running the network again.
+
+Decoding with derivatives is the dearest part of an iteration. Log odds of occupancy are smooth in the code,
+so
+between two decodings grids come from their linearisation: logit(o) + d logit/dz dz.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+from typing import Protocol
+
+import numpy as np
+import torch
+from jaxtyping import Float
+from torch import Tensor
+
+from perception.rendering.renderer import ShapeGrid
+from perception.types import Category
+
+_LOGIT_CLIP = 1e-4  # occupancies closer than this to 0 or 1 stay where they are
+SKIP_OCCUPANCY = 2e-3  # cells less occupied, and less moved by the code, are not visited
+SKIP_JACOBIAN = 2e-3
+
+
+class Decoder(Protocol):
+    """Codes to occupancy grids; ``perception.shape.decoder.ShapeDecoder`` is one."""
+
+    def __call__(self, category: Category, codes: Tensor) -> Tensor: ...
+
+    def with_jacobian(self, category: Category, code: Tensor) -> tuple[Tensor, Tensor]: ...
+
+
+class LinearisedShape:
+    """Grids of codes near ``code``, ready to be rendered with Jacobian."""
+
+    def __init__(
+        self,
+        grid: Float[np.ndarray, "r r r"],
+        jacobian: Float[np.ndarray, "r r r 16"],
+        code: Float[np.ndarray, "16"],
+    ) -> None:
+        self.code = np.array(code, dtype=np.float64)
+        self.grid = grid
+        clipped = np.clip(grid, _LOGIT_CLIP, 1 - _LOGIT_CLIP)
+        self._logit = np.log(clipped / (1 - clipped)).reshape(-1)
+        self._slope = (clipped * (1 - clipped)).reshape(-1)
+        self._jacobian = jacobian.reshape(-1, jacobian.shape[-1])
+        self._shape = ShapeGrid.upload(grid, jacobian, "cpu", SKIP_OCCUPANCY, SKIP_JACOBIAN)
+
+    def at(self, code: Float[np.ndarray, "16"]) -> ShapeGrid:
+        """The shape of a code nearby, with the Jacobian of ``self.code``."""
+        step = code - self.code
+        if not step.any():
+            return self._shape
+        change = self._jacobian @ step.astype(np.float32)
+        logit = self._logit + change / self._slope
+        grid = (1 / (1 + np.exp(-np.clip(logit, -30, 30)))).reshape(self.grid.shape)
+        return self._shape.with_occupancy(grid, SKIP_OCCUPANCY)
+
+
+def linearise(decoder: Decoder, category: Category, code: Float[np.ndarray, "16"]) -> LinearisedShape:
+    """Decodes a code with its derivatives."""
+    grid, jacobian = decoder.with_jacobian(category, torch.as_tensor(code, dtype=torch.float32))
+    return LinearisedShape(grid.cpu().numpy(), jacobian.cpu().numpy(), code)
+
+
+def decode(decoder: Decoder, category: Category, code: Float[np.ndarray, "16"]) -> Float[np.ndarray, "r r r"]:
+    """The occupancy grid of one code."""
+    with torch.no_grad():
+        return decoder(category, torch.as_tensor(code, dtype=torch.float32)[None])[0].cpu().numpy()
+
+
+def extent_of(grid: Float[np.ndarray, "r r r"], iso: float = 0.4) -> Float[np.ndarray, "3"]:
+    """Extent of what is occupied, along the axes in canonical units."""
+    size = grid.shape[0]
+    out = np.empty(3)
+    for axis in range(3):
+        others = tuple(a for a in range(3) if a != axis)
+        full = np.nonzero(grid.max(axis=others) > iso)[0]
+        out[axis] = (np.ptp(full) + 1) * 2 / size if len(full) else 0.0
+    return out
+
+
+Linearise = Callable[[np.ndarray], LinearisedShape]
