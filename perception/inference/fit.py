@@ -147,12 +147,9 @@ class _Fitter:
                 break
             shape = self.linearise(state.code)
         converged = result.status == "converged" or _settled(trace)
-        m = len(pixels.target) if pixels.operator is None else pixels.operator.shape[0]
-        return (
-            Fit(state, result.evaluation, result.evaluation.residuals[:m], trace, converged),
-            shape,
-            damping,
-        )
+        residual = result.evaluation.residuals[: len(pixels.is_object)]
+        on, off = residual[pixels.is_object], residual[~pixels.is_object]
+        return Fit(state, result.evaluation, on, off, trace, converged), shape, damping
 
 
 def _settled(trace: tuple[LmIteration, ...]) -> bool:

@@ -29,7 +29,7 @@ _BLIND_YAWS = 6  # hypotheses for a mug of which nobody knows the handle's direc
 
 @dataclass(frozen=True)
 class CloudMeasures:
-    """What the clouds say in [m]: ``centre`` and ``outline`` (all points) in the plane's basis, radius, height."""
+    """What the clouds say in [m]: ``centre`` and ``outline`` (all points) in the plane, radius, height."""
 
     centre: Float[np.ndarray, "2"]
     radius: float

@@ -146,7 +146,7 @@ class FitProblem:
     def _support_rows(
         self, state: FitState, grid, camera: SupportCamera
     ) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
-        """The lowest parts that the camera underneath sees lie on the plane: their mean height, one residual."""
+        """The lowest parts that the lower camera sees lie on the plane: one residual, their mean height."""
         A = canonical_from_camera(state.pose, camera.T_world_camera[None])
         image = render(grid, camera.rays, A)
         height = image.depth - camera.distance

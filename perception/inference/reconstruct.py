@@ -18,7 +18,7 @@ from perception.errors import PerceptionError
 from perception.inference.fit import FitConfig, fit_object
 from perception.inference.observation import ObjectObservation
 from perception.inference.shape_model import Decoder
-from perception.types import Category, ObjectDetection, ObjectEstimate, RgbdFrame, SupportPlane
+from perception.types import CATEGORIES, Category, ObjectDetection, ObjectEstimate, RgbdFrame, SupportPlane
 
 logger = logging.getLogger(__name__)
 
@@ -98,7 +98,7 @@ def gather_instances(
     for key in sorted(views):
         seen = sorted(views[key], key=lambda view: -int(view[1].mask.sum()))[:max_views]
         votes = [detection.category for _, detection, _ in seen]
-        category = max(sorted(set(votes)), key=votes.count)
+        category = max(CATEGORIES, key=votes.count)
         score = float(np.mean([d.score for _, d, _ in seen if d.category == category]))
         observations = tuple(
             ObjectObservation(frame, detection.mask, ignore, detection.yaw_probabilities)

@@ -1,0 +1,92 @@
+"""Levenberg-Marquardt on problems with known minima."""
+
+import numpy as np
+import pytest
+
+from perception.inference.levenberg_marquardt import Evaluation, LmConfig, minimise
+
+
+def _rosenbrock(x: np.ndarray) -> Evaluation:
+    residuals = np.array([10 * (x[1] - x[0] ** 2), 1 - x[0]])
+    return Evaluation(residuals, np.array([[-20 * x[0], 10.0], [-1.0, 0.0]]), np.ones(2))
+
+
+def _powell(x: np.ndarray) -> Evaluation:
+    """Powell's singular function: the Jacobian loses rank at the minimum, 0."""
+    a, b, c, d = x
+    residuals = np.array([a + 10 * b, np.sqrt(5) * (c - d), (b - 2 * c) ** 2, np.sqrt(10) * (a - d) ** 2])
+    jacobian = np.array(
+        [
+            [1, 10, 0, 0],
+            [0, 0, np.sqrt(5), -np.sqrt(5)],
+            [0, 2 * (b - 2 * c), -4 * (b - 2 * c), 0],
+            [2 * np.sqrt(10) * (a - d), 0, 0, -2 * np.sqrt(10) * (a - d)],
+        ]
+    )
+    return Evaluation(residuals, jacobian, np.ones(4))
+
+
+PROBLEMS = {
+    "rosenbrock": (_rosenbrock, np.array([-1.2, 1.0]), np.array([1.0, 1.0]), 1e-6),
+    "powell": (_powell, np.array([3.0, -1.0, 0.0, 1.0]), np.zeros(4), 2e-2),
+}
+
+
+@pytest.mark.parametrize("name", PROBLEMS)
+def test_finds_the_known_minimum(name: str) -> None:
+    evaluate, start, minimum, tolerance = PROBLEMS[name]
+    result = minimise(evaluate, np.add, start, LmConfig(max_iterations=200, tolerance=0.0))
+    np.testing.assert_allclose(result.state, minimum, atol=tolerance)
+    assert result.trace[0].cost == pytest.approx(evaluate(start).cost)
+
+
+def test_weighted_linear_problem_in_few_steps() -> None:
+    rng = np.random.default_rng(0)
+    A, b, w = rng.normal(size=(30, 4)), rng.normal(size=30), rng.uniform(0.1, 2, 30)
+    expected = np.linalg.solve(A.T @ (w[:, None] * A), A.T @ (w * b))
+    result = minimise(lambda x: Evaluation(A @ x - b, A, w), np.add, np.zeros(4))
+    assert result.status == "converged"
+    np.testing.assert_allclose(result.state, expected, atol=1e-6)
+
+
+def test_weights_are_frozen_while_costs_are_compared() -> None:
+    # With weights that fade with x, the weighted cost falls for ever; with frozen weights only x = 0 is better.
+    def fading(x: np.ndarray) -> Evaluation:
+        return Evaluation(x + 0.0, np.eye(1), 1 / (1 + np.abs(x)) ** 4)
+
+    result = minimise(fading, np.add, np.array([1.0]))
+    np.testing.assert_allclose(result.state, 0.0, atol=1e-4)
+
+
+def test_costs_of_accepted_steps_fall() -> None:
+    trace = minimise(_rosenbrock, np.add, np.array([-1.2, 1.0])).trace
+    assert any(line.accepted for line in trace)
+    assert all(line.cost_after < line.cost for line in trace if line.accepted)
+
+
+def test_step_limit_shortens_the_step() -> None:
+    config, limit = LmConfig(max_iterations=1), np.array([0.5])
+    result = minimise(lambda x: Evaluation(x - 100, np.eye(1), np.ones(1)), np.add, np.zeros(1), config, limit)
+    assert result.state[0] == pytest.approx(0.5)
+    assert result.status == "max_iterations"
+
+
+def test_blind_directions_do_not_move() -> None:
+    result = minimise(
+        lambda x: Evaluation(x[:1] - 1, np.array([[1.0, 0.0]]), np.ones(1)), np.add, np.array([0.0, 7.0])
+    )
+    np.testing.assert_allclose(result.state, [1.0, 7.0], atol=1e-6)
+
+
+def test_nan_is_a_status() -> None:
+    result = minimise(lambda x: Evaluation(x * np.nan, np.eye(2), np.ones(2)), np.add, np.zeros(2))
+    assert result.status == "not_finite"
+    np.testing.assert_array_equal(result.state, np.zeros(2))
+
+
+def test_wrong_jacobian_ends_stuck() -> None:
+    result = minimise(
+        lambda x: Evaluation(x, -np.eye(2), np.ones(2)), np.add, np.ones(2), LmConfig(max_iterations=100)
+    )
+    assert result.status == "stuck"
+    np.testing.assert_array_equal(result.state, np.ones(2))
