@@ -1,4 +1,4 @@
-"""Occupancy grids with their classes, kept in eight bits, and the augmentation that leaves conventions alone."""
+"""Occupancy grids with their classes, kept in eight bits, and mirroring that leaves conventions alone."""
 
 from __future__ import annotations
 
@@ -26,7 +26,7 @@ class ShapeDataset:
         categories: (n,) index into CATEGORIES.
     """
 
-    grids: UInt8[np.ndarray, "n 32 32 32"]
+    grids: UInt8[np.ndarray, "n x y z"]
     categories: Int[np.ndarray, "n"]
 
     def __post_init__(self) -> None:
@@ -68,7 +68,7 @@ class ShapeDataset:
     def load(path: Path) -> ShapeDataset:
         """Read what ``save`` wrote; InvalidInputError if the file is something else."""
         try:
-            with np.load(path, allow_pickle=False) as arrays:
+            with path.open("rb") as file, np.load(file, allow_pickle=False) as arrays:
                 return ShapeDataset(arrays["grids"], arrays["categories"])
         except (OSError, KeyError, ValueError, zipfile.BadZipFile) as error:
             raise InvalidInputError(

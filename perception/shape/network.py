@@ -1,7 +1,7 @@
-"""Class-conditional variational autoencoder of occupancy grids (NodeSLAM, Class-Level Object Shape Descriptors).
+"""Class-conditional variational autoencoder of occupancy grids (NodeSLAM, Class-Level Shape Descriptors).
 
-    encoder   grid 32^3 and class  ->  5 convolutions, kernel 4, stride 2  ->  mean and log variance of 16 codes
-    decoder   16 codes and class   ->  linear, 5 transposed convolutions   ->  32^3 logits of occupancy
+    encoder  grid 32^3 and class  ->  5 convolutions, kernel 4, stride 2  ->  mean, log variance of 16 codes
+    decoder  16 codes and class   ->  linear, 5 transposed convolutions   ->  32^3 logits of occupancy
 
 ReLU everywhere, no normalisation layers. Conditional VAE: Kingma and Welling 2014; Sohn et al. 2015.
 
@@ -59,8 +59,8 @@ class ShapeVae(nn.Module):
                 nn.init.normal_(parameter, std=math.sqrt(2.0 / fan_in), generator=generator)
         with torch.no_grad():
             self.encoder.to_code.weight.mul_(0.1)  # start close to the prior N(0, 1)
-            self.decoder.out.weight.mul_(0.1)
-            self.decoder.out.bias.fill_(_EMPTY_LOGIT)
+            self.decoder.out_weight.mul_(0.1)
+            self.decoder.out_bias.fill_(_EMPTY_LOGIT)
         return self
 
 
@@ -80,12 +80,12 @@ class Encoder(nn.Module):
     def forward(self, grids: Grids, one_hot: OneHot) -> tuple[Codes, Codes]:
         x = F.conv3d(grids[:, None], self.conv1.weight[:, :1], self.conv1.bias, stride=2, padding=1)
         bias_maps = class_bias_maps(self.conv1.weight[:, 1:], GRID_RESOLUTION)  # (category, c1, 16, 16, 16)
-        x = x + bias_maps[one_hot.argmax(1)]
-        x = F.relu(x)  # (batch, c1, 16, 16, 16)
-        x = F.relu(self.conv2(x))  # (batch, c2, 8, 8, 8)
-        x = F.relu(self.conv3(x))  # (batch, c3, 4, 4, 4)
-        x = F.relu(self.conv4(x))  # (batch, c4, 2, 2, 2)
-        x = F.relu(self.linear5(x.flatten(1)))  # (batch, c5)
+        x += bias_maps[one_hot.argmax(1)]
+        x = F.relu_(x)  # (batch, c1, 16, 16, 16)
+        x = F.relu_(self.conv2(x))  # (batch, c2, 8, 8, 8)
+        x = F.relu_(self.conv3(x))  # (batch, c3, 4, 4, 4)
+        x = F.relu_(self.conv4(x))  # (batch, c4, 2, 2, 2)
+        x = F.relu_(self.linear5(x.flatten(1)))  # (batch, c5)
         mean, log_variance = self.to_code(x).chunk(2, dim=1)
         return mean, log_variance
 
@@ -101,16 +101,25 @@ class Decoder(nn.Module):
         self.up2 = nn.ConvTranspose3d(c4, c3, 4, stride=2, padding=1)
         self.up3 = nn.ConvTranspose3d(c3, c2, 4, stride=2, padding=1)
         self.up4 = nn.ConvTranspose3d(c2, c1, 4, stride=2, padding=1)
-        self.out = nn.ConvTranspose3d(c1, 1, 4, stride=2, padding=1)
+        self.out_weight = nn.Parameter(torch.zeros(c1, 1, 4, 4, 4))  # of a fifth transposed convolution
+        self.out_bias = nn.Parameter(torch.zeros(1))
 
     def forward(self, codes: Codes, one_hot: OneHot) -> Grids:
-        x = F.relu(self.linear0(torch.cat([codes, one_hot], dim=1)))  # (batch, c5)
-        x = F.relu(self.linear1(x)).unflatten(1, (-1, 2, 2, 2))  # (batch, c4, 2, 2, 2)
-        x = F.relu(self.up2(x))  # (batch, c3, 4, 4, 4)
-        x = F.relu(self.up3(x))  # (batch, c2, 8, 8, 8)
-        x = F.relu(self.up4(x))  # (batch, c1, 16, 16, 16)
-        corners = F.conv3d(x, corner_weight(self.out.weight), padding=1)  # (batch, 8, 17, 17, 17)
-        return depth_to_space(corners)[:, 0, 1:-1, 1:-1, 1:-1] + self.out.bias  # (batch, 32, 32, 32)
+        x = F.relu_(self.linear0(torch.cat([codes, one_hot], dim=1)))  # (batch, c5)
+        x = F.relu_(self.linear1(x)).unflatten(1, (-1, 2, 2, 2))  # (batch, c4, 2, 2, 2)
+        x = F.relu_(self.up2(x))  # (batch, c3, 4, 4, 4)
+        x = F.relu_(self.up3(x))  # (batch, c2, 8, 8, 8)
+        x = F.relu_(self.up4(x))  # (batch, c1, 16, 16, 16)
+        corners = F.conv3d(x, corner_weight(self.out_weight), padding=1)  # (batch, 8, 17, 17, 17)
+        return depth_to_space(corners)[:, 0, 1:-1, 1:-1, 1:-1] + self.out_bias  # (batch, 32, 32, 32)
+
+
+def channels_last(module: nn.Module, device: str | torch.device) -> None:
+    """Move a network to a device, in place, its convolutions in the memory layout fastest for them."""
+    module.to(device)
+    for parameter in module.parameters():
+        if parameter.ndim == 5:
+            parameter.data = parameter.data.contiguous(memory_format=torch.channels_last_3d)
 
 
 def class_one_hot(category_index: Int[Tensor, "batch"]) -> OneHot:
@@ -135,8 +144,8 @@ def class_bias_maps(
 def corner_weight(weight: Float[Tensor, "inp out 4 4 4"]) -> Float[Tensor, "out8 inp 2 2 2"]:
     """Kernel-2 weight over voxel corners that equals a kernel-4, stride-2, padding-1 transposed convolution.
 
-    In one dimension corner c lies between the coarse voxels c - 1 and c, and between the fine voxels 2c - 1 and
-    2c. Fine voxel f takes coarse voxel i through tap f + 1 - 2i: phase p = 0 (f = 2c - 1) sees the voxels
+    In one dimension corner c lies between the coarse voxels c - 1 and c, and between the fine voxels 2c - 1
+    and 2c. Fine voxel f takes coarse voxel i through tap f + 1 - 2i: phase 0 (f = 2c - 1) sees the voxels
     c - 1 and c through taps 2 and 0, phase 1 (f = 2c) through taps 3 and 1.
     """
     inputs, outputs = weight.shape[:2]

@@ -21,7 +21,7 @@ import torch
 from perception.errors import InvalidInputError, PerceptionError
 from perception.shape.dataset import ShapeDataset, occupancies
 from perception.shape.losses import LossConfig, shape_loss, voxel_weights
-from perception.shape.network import ShapeVae, class_one_hot
+from perception.shape.network import ShapeVae, channels_last, class_one_hot
 from perception.types import CODE_SIZE
 
 log = logging.getLogger(__name__)
@@ -42,9 +42,9 @@ class TrainingConfig:
     """
 
     epochs: int = 40
-    batch_size: int = 32
-    learning_rate: float = 1e-3
-    warmup_steps: int = 100
+    batch_size: int = 16
+    learning_rate: float = 2e-3
+    warmup_steps: int = 200
     gradient_norm: float = 0.0
     loss: LossConfig = field(default_factory=LossConfig)
     seed: int = 0
@@ -91,7 +91,7 @@ def train(
     if not len(data):
         raise InvalidInputError("there are no shapes to train on")
     model = ShapeVae().initialise(torch.Generator().manual_seed(config.seed))
-    model = model.to(device, memory_format=torch.channels_last_3d)
+    channels_last(model, device)
     optimizer = torch.optim.Adam(model.parameters(), lr=config.learning_rate, fused=True)
     done = 0
     if checkpoint is not None and checkpoint.exists():
@@ -180,7 +180,8 @@ def load_checkpoint(
             model.load_state_dict(state["model"])
             optimizer.load_state_dict(state["optimizer"])
     except Exception as error:  # torch raises many kinds for a file that is not one of its own
-        raise PerceptionError(f"checkpoint {path} cannot be read ({error}); {remedy}") from error
+        kind = type(error).__name__
+        raise PerceptionError(f"checkpoint {path} cannot be read ({kind}); {remedy}") from error
     if saved_config != json.dumps(asdict(config)):
         raise PerceptionError(
             f"checkpoint {path} belongs to another configuration ({saved_config}); {remedy}"

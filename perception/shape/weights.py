@@ -12,7 +12,7 @@ from safetensors import SafetensorError, safe_open
 from safetensors.torch import save_file
 
 from perception.errors import PerceptionError
-from perception.shape.network import ShapeVae
+from perception.shape.network import ShapeVae, channels_last
 
 SHIPPED_WEIGHTS = Path(__file__).parents[1] / "weights" / "shape.safetensors"
 FORMAT = "nodeslam-shape-1"
@@ -50,7 +50,8 @@ def load_weights(path: Path | None = None, device: str | torch.device = "cpu") -
         model.load_state_dict(tensors, assign=True)
     except RuntimeError as error:
         raise PerceptionError(f"shape weights {path} do not fit the network ({error}); {_REMEDY}") from error
-    return model.eval().requires_grad_(False).to(memory_format=torch.channels_last_3d)
+    channels_last(model, device)
+    return model.eval().requires_grad_(False)
 
 
 def weights_checksum(path: Path) -> str:
