@@ -131,7 +131,7 @@ FINGER_PAD_BOX = ((0.0, 0.005, 0.0445), (0.0085, 0.005, 0.0092))
 
 
 def add_arm(spec: MjSpec) -> None:
-    """Add the arm to a specification, its base at the world's origin. Angles of ``spec`` must be in radians."""
+    """Add the arm to a specification whose angles are in radians, its base at the world's origin."""
     base = spec.worldbody.add_body(name="link0", mass=0.629769, ipos=(-0.041018, -0.00014, 0.049974))
     base.fullinertia = (0.00315, 0.00388, 0.004285, 8.29e-7, 0.00015, 8.23e-6)
     base.explicitinertial = True

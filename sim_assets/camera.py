@@ -69,10 +69,17 @@ class OffscreenRenderer:
         _open.add(self)
 
     def color(
-        self, data: MjData, camera: str, width: int, height: int, shadows: bool = True
+        self,
+        data: MjData,
+        camera: str,
+        width: int,
+        height: int,
+        shadows: bool = True,
+        reflections: bool = True,
     ) -> UInt8[np.ndarray, "h w 3"]:
-        """Colour image, with reflections and, if asked, shadows."""
+        """Colour image; shadows and reflections each about double its cost."""
         self._scene.flags[mujoco.mjtRndFlag.mjRND_SHADOW] = shadows
+        self._scene.flags[mujoco.mjtRndFlag.mjRND_REFLECTION] = reflections
         image = np.empty((height, width, 3), dtype=np.uint8)
         self._draw(data, camera, width, height)
         mujoco.mjr_readPixels(image, None, mujoco.MjrRect(0, 0, width, height), self._context)

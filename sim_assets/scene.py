@@ -1,7 +1,7 @@
 """The cell: floor, table, open box, lights, cameras, the arm, and the objects as free bodies, in one MjSpec.
 
-World frame: the robot's base, z up, table top at z = 0. Contact parameters are measured choices: stiff pads and
-elliptic cones keep a gripped mug within a degree, softer or pyramidal ones let it turn.
+World frame: the robot's base, z up, table top at z = 0. Contact parameters are measured choices: stiff pads
+and elliptic cones keep a gripped mug within a degree, softer or pyramidal ones let it turn.
 """
 
 from __future__ import annotations
@@ -64,10 +64,10 @@ class View:
 
 
 VIEWS = {
-    "overview": View((1.42, -0.62, 0.92), (0.40, 0.01, 0.10), 42.0),
-    "box": View((0.95, -0.12, 0.62), (0.50, 0.25, 0.05), 40.0),
-    "line": View((1.02, 0.98, 0.62), (0.28, 0.30, 0.06), 42.0),
-    "side": View((0.50, -1.55, 0.62), (0.40, 0.0, 0.20), 42.0),
+    "overview": View((1.52, -0.62, 0.88), (0.34, 0.02, 0.20), 45.0),
+    "box": View((0.98, -0.10, 0.58), (0.48, 0.25, 0.05), 38.0),
+    "line": View((1.02, 1.12, 0.66), (0.25, 0.27, 0.10), 42.0),
+    "side": View((0.55, -1.55, 0.62), (0.38, 0.0, 0.22), 43.0),
 }
 
 
@@ -81,7 +81,7 @@ def build_scene(
     """Everything in the cell, ready to compile.
 
     Args:
-        objects, places: what stands on the table and where, in the same order; object i is body ``object<i>``.
+        objects, places: what stands on the table and where, in one order; object i is body ``object<i>``.
         box: the open box, if there is one.
         rng: draws colours, patterns and grain.
         line: ends of a tape on the table that marks where to sort, for people to see.
@@ -116,8 +116,9 @@ def _set_options(spec: MjSpec) -> None:
     spec.stat.center = (0.45, 0, 0.2)
     visual = spec.visual
     visual.map.znear, visual.map.zfar = 0.01, 30
-    visual.quality.shadowsize = 4096
-    visual.quality.offsamples = 8
+    visual.map.shadowscale = 0.58  # the shadow map covers the table, the light more
+    visual.quality.shadowsize = 2048
+    visual.quality.offsamples = 4
     visual.headlight.ambient, visual.headlight.diffuse = (0.34, 0.34, 0.36), (0.16, 0.16, 0.16)
     visual.headlight.specular = (0, 0, 0)
     getattr(visual, "global").offwidth, getattr(visual, "global").offheight = IMAGE_MAX
@@ -137,17 +138,17 @@ def _add_surroundings(spec: MjSpec) -> None:
     floor.textures[int(mujoco.mjtTextureRole.mjTEXROLE_RGB)] = "tiles"
     world = spec.worldbody
     world.add_geom(
-        name="floor", type=mujoco.mjtGeom.mjGEOM_PLANE, size=(6, 6, 0.1), pos=(0, 0, -TABLE_HEIGHT), material="floor",
-        **SCENERY_CONTACT,
+        name="floor", type=mujoco.mjtGeom.mjGEOM_PLANE, size=(6, 6, 0.1), pos=(0, 0, -TABLE_HEIGHT),
+        material="floor", **SCENERY_CONTACT,
     )  # fmt: skip
     spot = mujoco.mjtLightType.mjLIGHT_SPOT
     world.add_light(
-        name="key", type=spot, pos=(1.15, -1.0, 2.5), dir=(-0.33, 0.43, -1.05), castshadow=True, cutoff=45,
+        name="key", type=spot, pos=(1.15, -1.0, 2.5), dir=(-0.33, 0.43, -1.05), castshadow=True, cutoff=62,
         exponent=1, diffuse=(0.62, 0.60, 0.57), specular=(0.45, 0.45, 0.45), ambient=(0, 0, 0),
     )  # fmt: skip
     world.add_light(
-        name="fill", type=mujoco.mjtLightType.mjLIGHT_DIRECTIONAL, pos=(-1.5, 1.5, 2.5), dir=(0.6, -0.5, -0.8),
-        castshadow=False, diffuse=(0.20, 0.21, 0.24), specular=(0.05, 0.05, 0.05),
+        name="fill", type=mujoco.mjtLightType.mjLIGHT_DIRECTIONAL,
+        pos=(-1.5, 1.5, 2.5), dir=(0.6, -0.5, -0.8), castshadow=False, diffuse=(0.20, 0.21, 0.24), specular=(0.05, 0.05, 0.05),
     )  # fmt: skip
 
 
@@ -211,7 +212,8 @@ def _add_tape(spec: MjSpec, start: np.ndarray, end: np.ndarray) -> None:
     angle = np.arctan2(along[1], along[0]) / 2
     spec.worldbody.add_geom(
         name="tape", type=mujoco.mjtGeom.mjGEOM_BOX, size=(np.linalg.norm(along) / 2, 0.006, 0.0002),
-        pos=(*(start + end) / 2, 0.0002), quat=(np.cos(angle), 0, 0, np.sin(angle)), material="tape", **_UNTOUCHABLE,
+        pos=(*(start + end) / 2, 0.0002), quat=(np.cos(angle), 0, 0, np.sin(angle)), material="tape",
+        **_UNTOUCHABLE,
     )  # fmt: skip
 
 
@@ -226,7 +228,7 @@ def _add_camera(spec: MjSpec, name: str, view: View) -> None:
 
 
 def add_object(spec: MjSpec, name: str, model: ObjectModel, place: PlanarPose, finish: Finish) -> MjsBody:
-    """Add an object as a free body: the true mesh to look at, its convex pieces to touch, the mesh's inertia."""
+    """Add an object as a free body: its mesh to look at, its convex pieces to touch, the mesh's inertia."""
     half = place.yaw / 2
     center, inertia = _mass_properties(model)
     body = spec.worldbody.add_body(

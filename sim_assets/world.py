@@ -153,7 +153,7 @@ class World:
         depth, _ = self._renderer.depth_and_ids(self._data, WRIST_CAMERA, width, height)
         return RgbdFrame(
             time=self.time,
-            rgb=self._renderer.color(self._data, WRIST_CAMERA, width, height),
+            rgb=self._renderer.color(self._data, WRIST_CAMERA, width, height, reflections=False),
             depth=add_depth_noise(depth, self.config.depth_noise, intrinsics, self._noise),
             intrinsics=intrinsics,
             T_world_camera=T_world_camera,
