@@ -68,7 +68,7 @@ class GraspConfig:
     min_half_opening: float = 0.010
     release_gap: float = 0.0045
     max_tilt: float = np.deg2rad(25.0)
-    top_clearance: float = 0.004
+    top_clearance: float = 0.0015
     max_taper: float = 0.25
     fingertip_clearance: float = 0.006
 

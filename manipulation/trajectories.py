@@ -1,8 +1,9 @@
 """Jerk-limited motions: joint-space moves and straight lines of the TCP.
 
-Joint moves are time-optimal under the (scaled) velocity, acceleration and jerk limits, phase-synchronised, so
-that they stay on the straight joint line that was checked for collisions. Straight TCP lines run a 1-D
-jerk-limited profile along a path that inverse kinematics supports every few millimetres.
+Every motion is a 1-D time-optimal profile (ruckig) along a path: the straight line between two postures, or the
+spline through postures that inverse kinematics finds every few millimetres of a straight TCP line. So the arm
+stays on the very path that was checked for collisions. (Ruckig's own phase synchronisation of several joints
+falls back to time synchronisation now and then, and strays by 0.05 rad.)
 
 Ruckig sends paths with intermediate positions to a remote service. They are never set here: moves through
 several points are chained, each ending at rest.
@@ -78,7 +79,21 @@ def joint_move(
             f"a joint move from {q_start.shape} to {q_goal.shape} positions does not fit "
             f"{len(limits.velocity)} joints"
         )
-    return _rest_to_rest(q_start, q_goal, limits)
+    if not (np.isfinite(q_start).all() and np.isfinite(q_goal).all()):
+        raise PlanningError(f"a joint move from {q_start.tolist()} to {q_goal.tolist()} is not finite")
+    step = q_goal - q_start
+    if np.abs(step).max() < 1e-9:
+        still = np.zeros((1, len(q_goal)))
+        return JointTrajectory(PERIOD, q_goal[None], still, still)
+    share = np.maximum(np.abs(step), 1e-9)
+    s, ds, dds = _profile(
+        float((limits.velocity / share).min()),
+        float((limits.acceleration / share).min()),
+        float((limits.jerk / share).min()),
+    )
+    return JointTrajectory(
+        PERIOD, q_start + s[:, None] * step, ds[:, None] * step, dds[:, None] * step
+    )
 
 
 def joint_path(waypoints: Sequence[Float[np.ndarray, "n"]], limits: JointLimits) -> JointTrajectory:
@@ -127,17 +142,11 @@ def line_motion(
     length = max(length, 1e-6)
     slowdown = 1.0
     for _ in range(8):
-        profile = _rest_to_rest(
-            np.zeros(1),
-            np.ones(1),
-            JointLimits(
-                np.array([config.line_speed / length / slowdown]),
-                np.array([config.line_acceleration / length / slowdown**2]),
-                np.array([config.line_jerk / length / slowdown**3]),
-            ),
+        s, ds, dds = _profile(
+            config.line_speed / length / slowdown,
+            config.line_acceleration / length / slowdown**2,
+            config.line_jerk / length / slowdown**3,
         )
-        s, ds, dds = (a[:, 0] for a in (profile.positions, profile.velocities, profile.accelerations))
-        s = np.clip(s, 0.0, 1.0)
         tangent, curvature = spline(s, 1), spline(s, 2)
         velocities = tangent * ds[:, None]
         accelerations = tangent * dds[:, None] + curvature * (ds**2)[:, None]
@@ -164,32 +173,20 @@ def concatenate(parts: Sequence[JointTrajectory]) -> JointTrajectory:
     )
 
 
-def _rest_to_rest(start: np.ndarray, goal: np.ndarray, limits: JointLimits) -> JointTrajectory:
-    """Ruckig's state-to-state profile, sampled at ``PERIOD``; the last sample is exactly the goal at rest."""
-    n = len(start)
-    request = ruckig.InputParameter(n)
-    request.current_position, request.target_position = start.tolist(), goal.tolist()
-    request.current_velocity = request.current_acceleration = [0.0] * n
-    request.target_velocity = request.target_acceleration = [0.0] * n
-    request.max_velocity = limits.velocity.tolist()
-    request.max_acceleration = limits.acceleration.tolist()
-    request.max_jerk = limits.jerk.tolist()
-    request.synchronization = ruckig.Synchronization.Phase
-    otg = ruckig.Ruckig(n)
-    motion = ruckig.Trajectory(n)
+def _profile(velocity: float, acceleration: float, jerk: float) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
+    """From 0 to 1 and from rest to rest within the limits: (t,) position, velocity, acceleration per sample."""
+    request = ruckig.InputParameter(1)
+    request.current_position, request.target_position = [0.0], [1.0]
+    request.max_velocity, request.max_acceleration, request.max_jerk = [velocity], [acceleration], [jerk]
+    otg, motion = ruckig.Ruckig(1), ruckig.Trajectory(1)
     try:
         otg.validate_input(request, check_current_state_within_limits=True)
         result = otg.calculate(request, motion)
     except ruckig.RuckigError as error:
-        reason = str(error).strip()
-    else:
-        reason = "" if result in (ruckig.Result.Working, ruckig.Result.Finished) else str(result)
-    if reason:
-        raise PlanningError(
-            f"no motion from {np.round(start, 3).tolist()} to {np.round(goal, 3).tolist()}: {reason}"
-        )
+        raise PlanningError(f"no motion profile: {str(error).strip()}") from error
+    if result not in (ruckig.Result.Working, ruckig.Result.Finished):
+        raise PlanningError(f"no motion profile: {result}")
     times = PERIOD * np.arange(int(np.ceil(motion.duration / PERIOD)) + 1)
-    states = np.array([motion.at_time(t)[:3] for t in times], dtype=np.float64).reshape(len(times), 3, n)
-    positions, velocities, accelerations = states[:, 0], states[:, 1], states[:, 2]
-    positions[-1], velocities[-1], accelerations[-1] = goal, 0.0, 0.0
-    return JointTrajectory(PERIOD, positions, velocities, accelerations)
+    states = np.array([motion.at_time(t)[:3] for t in times], dtype=np.float64).reshape(len(times), 3)
+    states[-1] = 1.0, 0.0, 0.0
+    return states[:, 0].clip(0.0, 1.0), states[:, 1], states[:, 2]
