@@ -96,7 +96,7 @@ class LabelledCrops:
     @staticmethod
     def load(path: Path) -> LabelledCrops:
         try:
-            with np.load(path, allow_pickle=False) as file:
+            with path.open("rb") as stream, np.load(stream, allow_pickle=False) as file:
                 seen, found, iou_sum, masks = file["counts"].tolist()
                 counts = SegmentationCounts(int(seen), int(found), iou_sum, int(masks))
                 return LabelledCrops(**{name: file[name] for name in _COLUMNS}, counts=counts)
@@ -190,7 +190,7 @@ def cached_crops(
     split: Split,
     pictures: int,
     seed: int,
-    width: int = 480,
+    width: int = 320,
     progress: Progress | None = None,
 ) -> LabelledCrops:
     """Crops of random scenes, from files where they exist: each shard of pictures is one file.
@@ -214,7 +214,15 @@ def _render_shard(split: Split, count: int, seed: np.random.SeedSequence, width:
     from sim_assets.training_scenes import TrainingSceneConfig, TrainingScenes
 
     rng = np.random.default_rng(seed.spawn(1)[0])
-    config = TrainingSceneConfig(width=width, height=width * 3 // 4, pictures_per_pool=PICTURES_PER_POOL)
+    config = TrainingSceneConfig(
+        width=width,
+        height=width * 3 // 4,
+        pool=32,
+        distractors=12,
+        pictures_per_pool=PICTURES_PER_POOL,
+        distance=(0.30, 0.70),
+        elevation=(np.radians(35), np.radians(90)),
+    )
     with TrainingScenes(split, int(seed.generate_state(1)[0]), config) as scenes:
         crops = LabelledCrops.joined([
             labelled_crops(image, jittered_plane(rng)) for image in scenes.render(count)

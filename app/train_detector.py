@@ -42,7 +42,7 @@ class TrainDetectorConfig:
     pictures: int = 6000
     validation: int = 250
     test: int = 500
-    width: int = 480
+    width: int = 320
     training: TrainingConfig = field(default_factory=TrainingConfig)
     tensorboard: bool = False
     device: str = "cpu"

@@ -55,8 +55,9 @@ def yaw_set(crops: LabelledCrops) -> CropSet:
 def yaw_metrics(crops: LabelledCrops, probabilities: Float[np.ndarray, "n b"]) -> dict[str, Any]:
     """Errors of the first mode in [rad], and how often one of three modes is right, by visibility."""
     found = [modes(p, count=3, min_ratio=0.02) for p in probabilities]
-    error = np.array([_apart(peaks[0][0], yaw) for peaks, yaw in zip(found, crops.yaw)])
-    closest = np.array([min(_apart(y, yaw) for y, _ in peaks) for peaks, yaw in zip(found, crops.yaw)])
+    truth = crops.yaw.tolist()
+    error = np.array([_apart(peaks[0][0], yaw) for peaks, yaw in zip(found, truth)])
+    closest = np.array([min(_apart(y, yaw) for y, _ in peaks) for peaks, yaw in zip(found, truth)])
     entropies = -(probabilities * np.log(np.clip(probabilities, 1e-12, None))).sum(1)
     metrics: dict[str, Any] = {"mugs": len(crops)}
     for name, rows in {
