@@ -84,7 +84,7 @@ def measure_clouds(
         heights.append(np.quantile(height[above], 0.998))
         camera = seen.T_world_camera[:3, 3]
         towards = flat.mean(axis=0) - basis[:2] @ camera
-        elevation = np.arctan2(plane.height_above(camera), np.linalg.norm(towards))
+        elevation = np.arctan2(plane.height_above(camera[None])[0], np.linalg.norm(towards))
         steep = elevation > _STEEP
         ahead = towards / np.linalg.norm(towards) if not steep else np.array([1.0, 0.0])
         across = np.array([-ahead[1], ahead[0]])

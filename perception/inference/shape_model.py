@@ -7,8 +7,7 @@ between two decodings grids come from their linearisation: logit(o) + d logit/dz
 
 from __future__ import annotations
 
-from collections.abc import Callable
-from typing import Protocol
+from typing import Protocol, runtime_checkable
 
 import numpy as np
 import torch
@@ -23,6 +22,7 @@ SKIP_OCCUPANCY = 2e-3  # cells less occupied, and less moved by the code, are no
 SKIP_JACOBIAN = 2e-3
 
 
+@runtime_checkable
 class Decoder(Protocol):
     """Codes to occupancy grids; ``perception.shape.decoder.ShapeDecoder`` is one."""
 
@@ -71,15 +71,12 @@ def decode(decoder: Decoder, category: Category, code: Float[np.ndarray, "16"]) 
         return decoder(category, torch.as_tensor(code, dtype=torch.float32)[None])[0].cpu().numpy()
 
 
-def extent_of(grid: Float[np.ndarray, "r r r"], iso: float = 0.4) -> Float[np.ndarray, "3"]:
-    """Extent of what is occupied, along the axes in canonical units."""
+def extent_of(grid: Float[np.ndarray, "r r r"]) -> Float[np.ndarray, "3"]:
+    """Extent along the axes that holds 98 % of the occupancy, in canonical units; mean shapes are blurred."""
     size = grid.shape[0]
     out = np.empty(3)
     for axis in range(3):
-        others = tuple(a for a in range(3) if a != axis)
-        full = np.nonzero(grid.max(axis=others) > iso)[0]
-        out[axis] = (np.ptp(full) + 1) * 2 / size if len(full) else 0.0
+        mass = np.cumsum(grid.sum(axis=tuple(a for a in range(3) if a != axis)))
+        low, high = np.searchsorted(mass, np.array([0.01, 0.99]) * mass[-1])
+        out[axis] = (high - low + 1) * 2 / size
     return out
-
-
-Linearise = Callable[[np.ndarray], LinearisedShape]

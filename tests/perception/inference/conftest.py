@@ -1,0 +1,116 @@
+"""A decoder one can write down, and a table with what it makes, seen by cameras."""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+from dataclasses import dataclass
+
+import numpy as np
+import pytest
+import torch
+from torch import Tensor
+
+from perception.geometry import invert, rigid, transform_points, upright_rotation
+from perception.inference.observation import ObjectObservation, pixel_rays
+from perception.rendering.pose import ObjectPose, canonical_from_camera
+from perception.rendering.renderer import RayBundle, ShapeGrid, render
+from perception.types import CameraIntrinsics, RgbdFrame
+
+CAMERA = CameraIntrinsics(width=320, height=240, fx=290.0, fy=290.0, cx=159.5, cy=119.5)
+
+
+class CupDecoder:
+    """Solid cylinders with a knob on the +x side; code 0 sets the radius, code 1 the height, code 2 the knob."""
+
+    def __init__(self) -> None:
+        line = torch.linspace(-31 / 32, 31 / 32, 32)
+        self._points = torch.stack(torch.meshgrid(line, line, line, indexing="ij"), dim=-1)
+
+    def _grid(self, code: Tensor, knob: float) -> Tensor:
+        x, y, z = self._points.unbind(-1)
+        radius, height, reach = 0.55 + 0.08 * code[0], 0.75 + 0.08 * code[1], 0.22 + 0.04 * code[2]
+        body = torch.maximum(torch.sqrt(x**2 + y**2 + 1e-6) - radius, z.abs() - height)
+        side = torch.sqrt((x - radius) ** 2 + y**2 + z**2 + 1e-6) - reach
+        distance = torch.minimum(body, side) if knob else body
+        return torch.sigmoid(-30 * distance)
+
+    def __call__(self, category: str, codes: Tensor) -> Tensor:
+        return torch.stack([self._grid(code, category == "mug") for code in codes])
+
+    def with_jacobian(self, category: str, code: Tensor) -> tuple[Tensor, Tensor]:
+        knob = category == "mug"
+        return self._grid(code, knob), torch.func.jacfwd(lambda c: self._grid(c, knob))(code).contiguous()
+
+
+@dataclass(frozen=True)
+class Table:
+    """One object on the plane z = 0 and the frames that see it."""
+
+    decoder: CupDecoder
+    category: str
+    code: np.ndarray
+    pose: ObjectPose
+
+    def camera(self, azimuth: float, elevation: float = 0.7, distance: float = 0.5) -> np.ndarray:
+        """Pose of a camera that looks at the object."""
+        ahead = -np.array(
+            [
+                np.cos(azimuth) * np.cos(elevation),
+                np.sin(azimuth) * np.cos(elevation),
+                np.sin(elevation),
+            ]
+        )
+        right = np.cross(ahead, [0.0, 0.0, 1.0])
+        right /= np.linalg.norm(right)
+        rotation = np.stack([right, np.cross(ahead, right), ahead], axis=1)
+        return rigid(rotation, self.pose.translation - distance * ahead)
+
+    def frame(
+        self, T_world_camera: np.ndarray, rng: np.random.Generator, present: bool = True
+    ) -> tuple[RgbdFrame, np.ndarray]:
+        """Depth with 1 mm noise, and the object's mask."""
+        u, v = np.meshgrid(np.arange(CAMERA.width), np.arange(CAMERA.height))
+        blank = np.zeros((CAMERA.height, CAMERA.width), np.float32)
+        rgb = np.zeros((*blank.shape, 3), np.uint8)
+        rays = pixel_rays(RgbdFrame(0.0, rgb, blank, CAMERA), u, v)
+        down = (rays @ T_world_camera[:3, :3].T)[..., 2]
+        table = np.where(down < -1e-3, -T_world_camera[2, 3] / np.minimum(down, -1e-3), 0.0)
+        mask = np.zeros(blank.shape, bool)
+        depth = np.where(table < 3.0, table, 0.0)
+        if present:
+            z = transform_points(invert(T_world_camera), self.pose.translation[None])[0, 2]
+            ranges = np.array([[z - 0.15, z + 0.15]])
+            flat = rays.reshape(-1, 3).astype(np.float32)
+            grid = self.decoder(self.category, torch.tensor(self.code, dtype=torch.float32)[None])[0].numpy()
+            bundle = RayBundle(flat, np.zeros(len(flat), np.int64), ranges, samples=300)
+            A = canonical_from_camera(self.pose, T_world_camera[None])
+            image = render(ShapeGrid.upload(grid), bundle, A, gradients=False)
+            mask = (image.mask > 0.9).reshape(blank.shape)
+            depth = np.where(mask, image.depth.reshape(blank.shape), depth)
+        noisy = np.where(depth > 0, depth + rng.normal(0, 0.001, depth.shape), 0).clip(0)
+        return RgbdFrame(0.0, rgb, noisy.astype(np.float32), CAMERA, T_world_camera), mask
+
+    def observations(self, azimuths: tuple[float, ...], seed: int = 0) -> list[ObjectObservation]:
+        rng = np.random.default_rng(seed)
+        seen = [self.frame(self.camera(azimuth), rng) for azimuth in azimuths]
+        return [ObjectObservation(frame, mask) for frame, mask in seen]
+
+
+@pytest.fixture(scope="session")
+def decoder() -> CupDecoder:
+    return CupDecoder()
+
+
+@pytest.fixture(scope="session")
+def make_table(decoder: CupDecoder) -> Callable[..., Table]:
+    """Puts an object with the first codes given on the table."""
+
+    def make(category: str, codes: tuple[float, ...], yaw: float, scale: float = 0.05) -> Table:
+        code = np.zeros(16)
+        code[: len(codes)] = codes
+        height = scale * (0.75 + 0.08 * code[1])
+        rotation = upright_rotation(np.array([0.0, 0.0, 1.0]), yaw)
+        pose = ObjectPose(rotation, np.array([0.4, -0.1, height]), np.full(3, scale))
+        return Table(decoder, category, code, pose)
+
+    return make
