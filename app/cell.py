@@ -32,18 +32,18 @@ def parse_objects(text: str, rng: np.random.Generator) -> list[Category]:
     classes: list[Category] = []
     for part in text.split(","):
         name, _, count = (piece.strip() for piece in part.partition("="))
-        known = next((category for category in CATEGORIES if category == name), None)
+        known: Category | None = next((c for c in CATEGORIES if c == name), None)
         if known is None:
             raise UsageError(f"{usage}; '{name}' is none of {', '.join(CATEGORIES)}")
         if not (count.isascii() and count.isdigit()):
             raise UsageError(f"{usage}; '{part.strip()}' has no count")
-        classes += [known] * min(int(count), MAX_OBJECTS + 1)
+        classes.extend(known for _ in range(min(int(count), MAX_OBJECTS + 1)))
     return _bounded(classes)
 
 
 def _mixture(count: int, rng: np.random.Generator) -> list[Category]:
     rounds = math.ceil(min(count, MAX_OBJECTS + 1) / len(CATEGORIES))
-    drawn = [CATEGORIES[i] for _ in range(rounds) for i in rng.permutation(len(CATEGORIES))]
+    drawn: list[Category] = [CATEGORIES[i] for _ in range(rounds) for i in rng.permutation(len(CATEGORIES))]
     return drawn[:count]
 
 

@@ -92,16 +92,12 @@ class ReconstructOptions(CommonOptions):
 
 @dataclass(frozen=True, kw_only=True)
 class TrainOptions(CommonOptions):
-    """Reproduce the shipped weights, or train on own mesh folders."""
+    """Reproduce the shipped weights; the same command and --out again goes on after an interruption."""
 
     network: Positional[Literal["shape", "detector", "yaw"]]
     """Which network."""
-    object_meshes: Annotated[
-        Path | None, arg(metavar="DIR", help_behavior_hint="default: generated objects")
-    ] = None
-    """Train shapes on own meshes too: DIR/<class>/*.{ply,obj,glb,stl}, metric, z up."""
-    minutes: Annotated[float | None, arg(help_behavior_hint="default: the full schedule")] = None
-    """Stop training after this long."""
+    epochs: Annotated[int | None, arg(help_behavior_hint="default: the shipped weights' schedule")] = None
+    """Train this long instead."""
 
 
 @dataclass(frozen=True, kw_only=True)

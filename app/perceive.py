@@ -14,7 +14,7 @@ from perception.shape.decoder import ShapeDecoder
 from perception.support_plane import fit_support_plane
 from perception.types import ObjectDetection, ObjectEstimate, RgbdFrame, SupportPlane
 
-Progress = Callable[[int, int], None]
+Progress = Callable[..., None]  # (done, total, and perhaps what)
 
 
 @dataclass(frozen=True)
@@ -61,8 +61,15 @@ def load_perception(device: Device) -> Perception:
     Raises:
         PerceptionError: weights are missing or damaged.
     """
-    where = resolve_device(device)
-    return Perception(Detector.load(where), ShapeDecoder.load(device=where))
+    return Perception(load_detector(device), load_decoder(device))
+
+
+def load_detector(device: Device) -> Detector:
+    return Detector.load(resolve_device(device))
+
+
+def load_decoder(device: Device) -> ShapeDecoder:
+    return ShapeDecoder.load(device=resolve_device(device))
 
 
 def detect(

@@ -16,9 +16,11 @@ import logging
 import time
 from collections.abc import Callable, Iterator, Sequence
 from contextlib import contextmanager
-from dataclasses import dataclass, field
+from dataclasses import dataclass, field, replace
 from typing import Any
 
+import numpy as np
+from jaxtyping import Float
 
 from app.looking import BOX_VIEWS, LINE_VIEWS, SCAN_VIEWS, close_views, look
 from app.perceive import Detections, Perception, detect, reconstruct_objects
@@ -98,7 +100,7 @@ class Watcher:
         finally:
             self.timings[name] = time.perf_counter() - begin
 
-    def progress(self, done: int, total: int) -> None:
+    def progress(self, done: int, total: int, what: str = "") -> None:
         """Within a stage."""
 
     def event(self, event: TaskEvent) -> None:
@@ -135,7 +137,7 @@ def run(robot: Robot, perception: Perception, goal: Goal, watcher: Watcher | Non
         with watcher.stage("verify"):
             views = BOX_VIEWS if goal.task == "pack" else LINE_VIEWS
             final_frames = keep("final_frames", look(robot, kinematics, views, watcher.progress))
-            keep("checks", verify(objects, outcomes, final_frames))
+            keep("checks", verify(objects, plan, outcomes, final_frames))
     except (ManipulationError, PerceptionError) as error:
         made["problem"] = str(error)
     return Outcome(**made, timings=dict(watcher.timings))
@@ -176,13 +178,33 @@ def look_again(
         except (ManipulationError, PerceptionError) as error:
             _log.info("looking again at %s: %s", estimate.name, error)
             return None
-        return moved(estimate, check)
+        return replace(estimate, T_world_object=check.T_world_object) if check.status == "seen" else None
 
     return again
 
 
 def verify(
-    objects: Sequence[ObjectEstimate], outcomes: Sequence[ObjectOutcome], frames: Sequence[RgbdFrame]
+    objects: Sequence[ObjectEstimate],
+    plan: TaskPlan,
+    outcomes: Sequence[ObjectOutcome],
+    frames: Sequence[RgbdFrame],
 ) -> dict[int, PoseCheck]:
     """Fit the known shapes, pose only, to images of where they should stand now; by object id."""
-    raise NotImplementedError
+    by_id = {estimate.id: estimate for estimate in objects}
+    expected = {
+        outcome.id: replace(by_id[outcome.id], T_world_object=_carried(by_id[outcome.id], plan, outcome))
+        for outcome in outcomes
+        if outcome.placed
+    }
+    checks = {}
+    for number, estimate in expected.items():
+        others = [other for other in expected.values() if other is not estimate]
+        checks[number] = refit_pose(estimate, frames, estimate.T_world_object, others)
+    return checks
+
+
+def _carried(estimate: ObjectEstimate, plan: TaskPlan, outcome: ObjectOutcome) -> Float[np.ndarray, "4 4"]:
+    """T_world_object after the object was carried from where it stood to where it was put."""
+    assert outcome.T_world_stand is not None
+    T_stand_object = np.linalg.inv(plan.objects[outcome.name].T_world_stand) @ estimate.T_world_object
+    return outcome.T_world_stand @ T_stand_object

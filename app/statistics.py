@@ -1,8 +1,14 @@
-"""Rates with their uncertainty."""
+"""What many episodes say together: rates with their uncertainty, reasons with counts, medians."""
 
 from __future__ import annotations
 
 import math
+import re
+from collections import Counter, defaultdict
+from collections.abc import Iterable, Mapping, Sequence
+from typing import Any
+
+import numpy as np
 
 Z_95 = 1.959963984540054  # two-sided 95 % quantile of the normal distribution
 
@@ -20,3 +26,83 @@ def wilson_interval(successes: int, trials: int, z: float = Z_95) -> tuple[float
     centre = (p + ratio / 2) / (1 + ratio)
     half = z * math.sqrt(p * (1 - p) / trials + ratio / (4 * trials)) / (1 + ratio)
     return max(0.0, centre - half), min(1.0, centre + half)
+
+
+def summarise(lines: Sequence[Mapping[str, Any]]) -> dict[str, Any]:
+    """Rates with their Wilson 95 % intervals, reasons with counts, times; reconstruction medians by class."""
+    objects = [entry for line in lines for entry in line["objects"]]
+    n_successes, n_placed = sum(bool(line["success"]) for line in lines), _count_placed(objects)
+    by_class: dict[str, list[Any]] = defaultdict(list)
+    for entry in objects:
+        by_class[entry["category"]].append(entry)
+    return {
+        "n_episodes": len(lines),
+        "n_successes": n_successes,
+        "success_rate": n_successes / max(len(lines), 1),
+        "success_rate_ci": wilson_interval(n_successes, len(lines)),
+        "n_objects": len(objects),
+        "n_placed": n_placed,
+        "object_success_rate": n_placed / max(len(objects), 1),
+        "object_success_rate_ci": wilson_interval(n_placed, len(objects)),
+        "per_class": {name: _class_rate(entries) for name, entries in sorted(by_class.items())},
+        "failures": _failures(lines, objects),
+        "simulated_seconds": _median(line.get("metrics", {}).get("simulated_seconds") for line in lines),
+        "wall_seconds": _median(line.get("wall_seconds") for line in lines),
+        "stage_seconds": _stages(lines),
+        "reconstruction": _reconstruction(lines),
+        "rows": [
+            {key: line.get(key) for key in ("seed", "success", "reason", "wall_seconds")} for line in lines
+        ],
+    }
+
+
+def _count_placed(objects: Iterable[Mapping[str, Any]]) -> int:
+    return sum(bool(entry["placed"]) for entry in objects)
+
+
+def _class_rate(entries: Sequence[Mapping[str, Any]]) -> dict[str, Any]:
+    n_placed = _count_placed(entries)
+    return {
+        "n_objects": len(entries),
+        "success_rate": n_placed / len(entries),
+        "success_rate_ci": wilson_interval(n_placed, len(entries)),
+    }
+
+
+def _failures(lines: Sequence[Mapping[str, Any]], objects: Sequence[Mapping[str, Any]]) -> dict[str, int]:
+    """Reasons with counts, most frequent first; without numbers and names, so that like joins like."""
+    reasons = [f"{entry['category']}: {kind_of(entry['reason'])}" for entry in objects if not entry["placed"]]
+    reasons += [kind_of(line["reason"]) for line in lines if not line["objects"]]
+    return dict(Counter(reasons).most_common())
+
+
+def kind_of(reason: str) -> str:
+    """A reason without its particulars."""
+    general = re.sub(r"\b(mug|bowl|bottle|can)_\d+\b", "it", reason)
+    general = re.sub(r"\([^)]*\)", "", general)
+    general = re.sub(r"-?\d+(\.\d+)?", "N", general)
+    return " ".join(general.split())[:120]
+
+
+def _stages(lines: Sequence[Mapping[str, Any]]) -> dict[str, float | None]:
+    names = dict.fromkeys(name for line in lines for name in line.get("timings", {}))
+    return {name: _median(line.get("timings", {}).get(name) for line in lines) for name in names}
+
+
+def _reconstruction(lines: Sequence[Mapping[str, Any]]) -> dict[str, dict[str, float | None]]:
+    """Medians by class of what the reconstructions were worth."""
+    rows: dict[str, list[Any]] = defaultdict(list)
+    for line in lines:
+        for row in line.get("metrics", {}).get("reconstruction", ()):
+            rows[row["category"]].append(row)
+    figures = ("accuracy", "chamfer_l1", "completion", "handle_recall")
+    return {
+        name: {"n": len(entries), "found": sum(row["found"] for row in entries) / len(entries)}
+        | {figure: _median(row.get(figure) for row in entries) for figure in figures}
+        for name, entries in sorted(rows.items())
+    }
+
+
+def _median(values: Iterable[float | None]) -> float | None:
+    known = [value for value in values if value is not None]
+    return float(np.median(known)) if known else None

@@ -33,7 +33,7 @@ TITLES = {
     "verify": "Looking again",
 }
 REPLAY_RATE = 30.0  # [Hz] of simulated time
-CLOSE_CAMERA: dict[Task, str] = {"pack": "box", "sort": "line"}
+CLOSE_CAMERA: dict[str, str] = {"pack": "box", "sort": "line"}
 
 
 class Storage(Watcher):
@@ -62,8 +62,8 @@ class Storage(Watcher):
         with self._screen.stage(TITLES[name]), super().stage(name):
             yield
 
-    def progress(self, done: int, total: int) -> None:
-        self._screen.update(f"{done} of {total}")
+    def progress(self, done: int, total: int, what: str = "") -> None:
+        self._screen.update(f"{done} of {total} {what.replace('_', ' ')}")
 
     def event(self, event: TaskEvent) -> None:
         text = f"{event.phase} {event.name}".replace("_", " ")

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import numpy as np
+from rich.console import Group
 from rich.markup import escape
 from rich.table import Table
 
@@ -51,3 +52,27 @@ def _row(entry: ObjectReport, accuracy: float | None) -> tuple[str, ...]:
 
 def _millimetres(length: float | None, digits: int = 0) -> str:
     return "" if length is None else f"{1000 * length:.{digits}f} mm"
+
+
+def evaluation_table(report: Report) -> Group:
+    """Rates by class with their intervals, then what went wrong and how often."""
+    metrics = report.metrics
+    rates = Table(title=f"{report.reason}", title_justify="left", show_edge=False, pad_edge=False)
+    for heading in ("", "rate", "95 % interval", "of"):
+        rates.add_column(heading, justify="left" if not heading else "right")
+    rows = {"episodes complete": (metrics["success_rate"], metrics["success_rate_ci"], metrics["n_episodes"])}
+    rows["objects in place"] = (
+        metrics["object_success_rate"],
+        metrics["object_success_rate_ci"],
+        metrics["n_objects"],
+    )
+    for name, entry in metrics["per_class"].items():
+        rows[f"  {name}"] = (entry["success_rate"], entry["success_rate_ci"], entry["n_objects"])
+    for name, (rate, (low, high), count) in rows.items():
+        rates.add_row(name, f"{100 * rate:.0f} %", f"{100 * low:.0f} to {100 * high:.0f} %", str(count))
+    reasons = Table(title="what went wrong", title_justify="left", show_edge=False, pad_edge=False)
+    reasons.add_column("times", justify="right")
+    reasons.add_column("why", overflow="fold")
+    for reason, count in metrics["failures"].items():
+        reasons.add_row(str(count), escape(reason))
+    return Group(rates, "", reasons) if metrics["failures"] else Group(rates)

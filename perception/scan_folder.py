@@ -68,8 +68,8 @@ def write_scan(
     for index, frame in enumerate(frames):
         raw = np.rint(np.asarray(frame.depth, np.float64) * (1000 / DEPTH_SCALE))
         raw[raw > np.iinfo(np.uint16).max] = 0  # beyond what 16 bits hold: not measured
-        write_atomically(folder / "rgb" / f"{index:06d}.png", _png(frame.rgb))
-        write_atomically(folder / "depth" / f"{index:06d}.png", _png(raw.astype(np.uint16)))
+        write_atomically(folder / "rgb" / f"{index:06d}.png", png_bytes(frame.rgb))
+        write_atomically(folder / "depth" / f"{index:06d}.png", png_bytes(raw.astype(np.uint16)))
     if detections is not None:
         write_detections(folder, detections)
     cameras = {str(index): _camera_entry(frame) for index, frame in enumerate(frames)}
@@ -213,7 +213,8 @@ def _read_png(folder: Path, kind: str, image_id: int, modes: tuple[str, ...], wa
     return pixels
 
 
-def _png(image: np.ndarray) -> bytes:
+def png_bytes(image: np.ndarray) -> bytes:
+    """The image as a PNG file: (H, W, 3) uint8, or (H, W) uint8 or uint16."""
     buffer = io.BytesIO()
     Image.fromarray(image).save(buffer, format="PNG", compress_level=3)
     return buffer.getvalue()

@@ -1,0 +1,46 @@
+"""``nodeslam scan``: move the wrist camera around the table and write a scan folder."""
+
+from __future__ import annotations
+
+import time
+
+from rich.markup import escape
+
+from app.cell import build_world
+from app.looking import SCAN_VIEWS, look
+from app.options import ScanOptions
+from app.report import Report
+from app.run_folder import RunFolder
+from app.screen import Screen
+from manipulation.kinematics import Kinematics
+from perception.scan_folder import write_scan
+
+
+def run(options: ScanOptions, screen: Screen) -> Report:
+    """Take the scripted views and store them with their camera poses."""
+    folder = RunFolder.create(options, "scan")
+    begin = time.perf_counter()
+    with screen.stage("Building the cell"):
+        world = build_world(options, "pack")
+    with world:
+        started = time.perf_counter()
+        with screen.stage("Looking at the table"):
+            frames = look(
+                world,
+                Kinematics(world.arm),
+                SCAN_VIEWS,
+                lambda done, total: screen.update(f"{done} of {total}"),
+            )
+        seconds = time.perf_counter() - started
+        write_scan(folder.scan, frames)
+    report = Report(
+        command="scan",
+        seed=options.seed,
+        success=True,
+        reason=f"{len(frames)} images",
+        timings={"scan": seconds, "total": time.perf_counter() - begin},
+        metrics={"n_images": len(frames), "scan": str(folder.scan)},
+    )
+    folder.write_report(report)
+    screen.show(escape(f"{len(frames)} images in {folder.scan}"))
+    return report

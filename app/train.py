@@ -1,0 +1,69 @@
+"""``nodeslam train``: reproduce the shipped weights of one network."""
+
+from __future__ import annotations
+
+import time
+from dataclasses import replace
+from typing import Any
+
+from rich.markup import escape
+
+from app.errors import MissingExtraError, UsageError
+from app.options import TrainOptions
+from app.perceive import resolve_device
+from app.report import Report
+from app.run_folder import RunFolder
+from app.screen import Screen
+
+
+def run(options: TrainOptions, screen: Screen) -> Report:
+    """Train into the run folder; the shipped weights are not touched."""
+    if options.epochs is not None and options.epochs < 1:
+        raise UsageError(f"--epochs {options.epochs} must be at least 1")
+    device = resolve_device(options.device)
+    train, config = _job(options)
+    changes: dict[str, Any] = {"seed": options.seed}
+    if options.epochs is not None:
+        changes["epochs"] = options.epochs
+    config = replace(config, device=device, training=replace(config.training, **changes))
+    folder = RunFolder.create(options, f"train-{options.network}")
+    begin = time.perf_counter()
+    with screen.stage(f"Training {options.network}"):
+        metrics = train(
+            config, folder.path, lambda what, share: screen.update(f"{100 * share:.0f} %, {what}")
+        )
+    report = Report(
+        command="train",
+        seed=options.seed,
+        success=True,
+        reason=f"trained {options.network}",
+        timings={"total": time.perf_counter() - begin},
+        metrics=metrics,
+        settings={"network": options.network, "device": device, "epochs": config.training.epochs},
+    )
+    folder.write_report(report)
+    screen.show(
+        escape(f"weights and model card in {folder.path}; copy them to perception/weights to use them")
+    )
+    return report
+
+
+def _job(options: TrainOptions) -> tuple[Any, Any]:
+    """The training function of a network, and its default configuration."""
+    try:
+        if options.network == "shape":
+            from app.train_shape import TrainShapeConfig
+            from app.train_shape import run as train
+
+            return train, TrainShapeConfig()
+        if options.network == "detector":
+            from app.train_detector import TrainDetectorConfig
+            from app.train_detector import run as train
+
+            return train, TrainDetectorConfig()
+        from app.train_yaw import TrainYawConfig
+        from app.train_yaw import run as train
+
+        return train, TrainYawConfig()
+    except ImportError as error:
+        raise MissingExtraError(f"training needs {error.name}: pip install 'nodeslam[sim,train]'") from None
