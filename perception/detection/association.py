@@ -40,6 +40,7 @@ class AssociationConfig:
             to see it.
         missed: probability that a view which should see an object of a class has no detection of it; the
             same for 'other' is its complement, since the detector leaves those out.
+        cut: weight of the vote of a view in which the image border cuts the object.
         independence: views err alike; their summed log-probabilities count as n^independence views.
     """
 
@@ -50,6 +51,7 @@ class AssociationConfig:
     lone_score: float = 0.8
     visible: float = 0.6
     missed: float = 0.2
+    cut: float = 0.5
     independence: float = 0.5
 
 
@@ -195,7 +197,7 @@ def _voted(group: list[_Seen], frames: Sequence[RgbdFrame], config: AssociationC
     if len(group) == 1 and missing >= 2 and best_score < config.lone_score:
         return None
 
-    log = sum(_log_probabilities(s.detection) for s in group)
+    log = np.sum([_weight(s.detection, config) * _log_probabilities(s.detection) for s in group], axis=0)
     log = log + missing * np.log([config.missed] * _OTHER + [1 - config.missed])
     views = len(group) + missing
     if int(log.argmax()) == _OTHER:
@@ -211,6 +213,12 @@ def _voted(group: list[_Seen], frames: Sequence[RgbdFrame], config: AssociationC
         "yaw_probabilities": fused(yaws) if yaws and category == "mug" else np.zeros(0),
     }
     return [replace(s, detection=replace(s.detection, **changes)) for s in group]
+
+
+def _weight(detection: ObjectDetection, config: AssociationConfig) -> float:
+    mask = detection.mask
+    cut = mask[0].any() or mask[-1].any() or mask[:, 0].any() or mask[:, -1].any()
+    return config.cut if cut else 1.0
 
 
 def _log_probabilities(detection: ObjectDetection) -> Float[np.ndarray, "5"]:
