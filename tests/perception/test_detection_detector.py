@@ -1,0 +1,87 @@
+"""The detector with the shipped weights on scenes in closed form, and its contract with any weights."""
+
+import numpy as np
+import pytest
+import torch
+
+from perception.detection.detector import Detector
+from perception.detection.network import OUTPUTS, CropNet, save_network
+from perception.errors import PerceptionError
+from perception.types import CATEGORIES, RgbdFrame, SupportPlane
+
+PLANE = SupportPlane()
+
+
+class Fixed(CropNet):
+    """Answers every crop with the same logits."""
+
+    def __init__(self, logits):
+        super().__init__(len(logits))
+        self.answer = torch.tensor(logits, dtype=torch.float32)
+
+    def forward(self, images, context):
+        return self.answer.expand(len(images), -1)
+
+
+def fixed_detector(class_logits, yaw_bin=0):
+    yaw = np.where(np.arange(OUTPUTS["yaw"]) == yaw_bin, 20.0, 0.0)
+    return Detector(Fixed(class_logits), 1.0, Fixed(yaw), 1.0)
+
+
+@pytest.fixture(scope="module")
+def shipped():
+    return Detector.load()
+
+
+@pytest.fixture
+def two(scenes):
+    solids = [
+        scenes.Solid(0.40, -0.25, 0.12, radius=0.033),
+        scenes.Solid(0.52, -0.20, 0.06, half=(0.06, 0.04)),
+    ]
+    return scenes.render(solids, scenes.orbit((0.46, -0.22, 0.05), 0.5, 50, 70), 0.002, size=(640, 480))
+
+
+def test_the_shipped_detector_tells_a_can_from_a_carton(shipped, two):
+    detections = [d for d in shipped(two.frame, PLANE) if d.score > 0.5]
+    assert [d.category for d in detections] == ["can"]
+    true = two.instances == 0
+    assert (detections[0].mask & true).sum() / (detections[0].mask | true).sum() > 0.9
+    assert detections[0].class_probabilities.sum() == pytest.approx(1.0)
+
+
+def test_nothing_in_view_is_no_detection(shipped, scenes):
+    frame = scenes.render([], scenes.orbit((0.46, -0.22, 0.05), 0.5, 50, 70)).frame
+    assert shipped(frame, PLANE) == []
+    blind = RgbdFrame(0.0, frame.rgb, 0 * frame.depth, frame.intrinsics, frame.T_world_camera)
+    assert shipped(blind, PLANE) == []
+
+
+def test_doubtful_instances_stay_with_a_low_score_and_certain_others_go(two):
+    doubtful = fixed_detector([1.0, 0.0, 0.0, 0.0, 1.5])(two.frame, PLANE)
+    assert len(doubtful) == 2
+    assert all(d.category == "mug" and d.score < 0.5 for d in doubtful)
+    assert fixed_detector([0.0, 0.0, 0.0, 0.0, 9.0])(two.frame, PLANE) == []
+
+
+def test_yaw_is_given_in_the_world_for_what_may_be_a_mug(two):
+    (first, _) = fixed_detector([3.0, 0.0, 0.0, 0.0, 0.0])(two.frame, PLANE)
+    # The handle points straight away from the camera, which stands at azimuth 70 degrees: yaw 250.
+    peak = first.yaw_probabilities.argmax() * 360 / OUTPUTS["yaw"]
+    assert peak == pytest.approx(250, abs=15)
+    assert first.yaw_probabilities.sum() == pytest.approx(1.0)
+    (can, _) = fixed_detector([0.0, 0.0, 0.0, 9.0, 0.0])(two.frame, PLANE)
+    assert can.category == CATEGORIES[3] and len(can.yaw_probabilities) == 0
+
+
+def test_most_certain_first(shipped, two):
+    scores = [d.score for d in shipped(two.frame, PLANE)]
+    assert scores == sorted(scores, reverse=True)
+
+
+def test_weights_from_a_folder(tmp_path):
+    for task, name in (("class", "detector"), ("yaw", "yaw")):
+        save_network(CropNet(OUTPUTS[task]), tmp_path / f"{name}.safetensors", task, 1.5)
+    assert Detector.load(directory=tmp_path).class_temperature == 1.5
+    with pytest.raises(PerceptionError, match="are missing"):
+        Detector.load(directory=tmp_path / "elsewhere")
