@@ -71,6 +71,20 @@ def parse_box(text: str) -> tuple[float, float, float]:
     return length, width, height
 
 
+def check_options(options: CellOptions) -> None:
+    """Refuse impossible cells at once, before the simulator is loaded.
+
+    Raises:
+        UsageError: the options cannot be met; the message says what to change.
+    """
+    parse_objects(options.objects, np.random.default_rng(0))
+    parse_box(options.box)
+    if options.object_meshes is not None and not options.object_meshes.is_dir():
+        raise UsageError(
+            f"--object-meshes {options.object_meshes} is no folder; give DIR of DIR/<class>/*.ply"
+        )
+
+
 def build_world(options: CellOptions, task: str | None) -> World:
     """The cell with its objects settled on the table; a box for packing, a tape for sorting.
 

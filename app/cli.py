@@ -19,8 +19,8 @@ from typing import Annotated, Any
 
 import tyro
 
-from app.errors import AppError
-from app.options import COMMANDS, CommonOptions
+from app.errors import AppError, UsageError
+from app.options import COMMANDS, CellOptions, CommonOptions
 from app.screen import Screen
 
 DESCRIPTION = "A robot arm looks at a table, understands whole objects, and packs or sorts them."
@@ -42,6 +42,7 @@ def run(arguments: Sequence[str]) -> int:
     """Run one command and return its exit code."""
     try:
         options = parse(arguments)
+        check(options)
     except AppError as error:
         return _complain(str(error))
     except SystemExit as end:  # --help
@@ -69,8 +70,6 @@ def parse(arguments: Sequence[str]) -> CommonOptions:
         UsageError: it makes no sense; one line says why.
         SystemExit: help was asked for and printed.
     """
-    from app.errors import UsageError
-
     kinds: list[Any] = [
         Annotated[kind, tyro.conf.subcommand(name, prefix_name=False)] for name, kind in COMMANDS.items()
     ]
@@ -84,6 +83,22 @@ def parse(arguments: Sequence[str]) -> CommonOptions:
         if not end.code:
             raise
         raise UsageError(_one_line(errors.getvalue())) from None
+
+
+def check(options: CommonOptions) -> None:
+    """Refuse what makes no sense before anything heavy is loaded.
+
+    Raises:
+        UsageError: one line says why.
+    """
+    if isinstance(options, CellOptions):
+        from app.cell import check_options
+
+        check_options(options)
+    for name in ("episodes", "workers", "epochs"):
+        value = getattr(options, name, None)
+        if value is not None and value < 1:
+            raise UsageError(f"--{name} {value} must be at least 1")
 
 
 def _one_line(boxed: str) -> str:

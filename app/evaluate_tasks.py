@@ -12,6 +12,7 @@ import os
 import time
 from collections.abc import Iterator, Mapping, Sequence
 from concurrent.futures import ProcessPoolExecutor, as_completed
+from dataclasses import replace
 from functools import cache
 from pathlib import Path
 from typing import Any
@@ -32,9 +33,6 @@ SETTINGS = "evaluation.json"
 
 def run(options: EvaluateOptions, screen: Screen) -> Report:
     """Run the episodes that are still to be run, and report on all."""
-    for name in ("episodes", "workers"):
-        if getattr(options, name) < 1:
-            raise UsageError(f"--{name} {getattr(options, name)} must be at least 1")
     begin = time.perf_counter()
     folder, finished = _open(options)
     seeds = range(options.seed, options.seed + options.episodes)

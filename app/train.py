@@ -8,7 +8,7 @@ from typing import Any
 
 from rich.markup import escape
 
-from app.errors import MissingExtraError, UsageError
+from app.errors import MissingExtraError
 from app.options import TrainOptions
 from app.perceive import resolve_device
 from app.report import Report
@@ -18,8 +18,6 @@ from app.screen import Screen
 
 def run(options: TrainOptions, screen: Screen) -> Report:
     """Train into the run folder; the shipped weights are not touched."""
-    if options.epochs is not None and options.epochs < 1:
-        raise UsageError(f"--epochs {options.epochs} must be at least 1")
     device = resolve_device(options.device)
     train, config = _job(options)
     changes: dict[str, Any] = {"seed": options.seed}

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from dataclasses import dataclass
-from typing import Protocol
+from typing import Protocol, runtime_checkable
 
 import numpy as np
 from jaxtyping import Float
@@ -57,6 +57,7 @@ class JointTrajectory:
         return self.period * (len(self.positions) - 1)
 
 
+@runtime_checkable
 class Robot(Protocol):
     """What a planner may ask of a robot. Nothing here tells where objects are: for that one must look."""
 
