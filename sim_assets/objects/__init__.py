@@ -17,6 +17,7 @@ from sim_assets.objects.model import (
     occupancy_grid,
     sample_object,
 )
+from sim_assets.objects.user import load_user_object, load_user_objects
 
 __all__ = [
     "SPLITS",
@@ -25,6 +26,8 @@ __all__ = [
     "Parameters",
     "Split",
     "canonical_scale",
+    "load_user_object",
+    "load_user_objects",
     "make_object",
     "make_solid",
     "occupancy_grid",

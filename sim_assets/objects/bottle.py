@@ -1,4 +1,4 @@
-"""Bottles and other closed tall vessels: round, rectangular and waisted bodies, shoulders, necks, caps; tumblers.
+"""Bottles: round, rectangular and waisted bodies with shoulders, necks and caps; squeeze bottles; tumblers.
 
 All are solid to the outside world (closed). Every one can be held from above by an 80 mm gripper: its cap and
 neck, or for tumblers its lid, or for rectangular ones the narrow side, are at most 70 mm wide.
@@ -32,6 +32,7 @@ BottleKind = Literal[
     "round", "tapered", "waisted", "rectangular", "squeeze", "tumbler", "bulged", "oval", "shaker"
 ]
 Shoulder = Literal["round", "cone", "ogee"]
+_SHOULDERS: tuple[Shoulder, ...] = ("round", "cone", "ogee")
 Top = Literal["screw", "flip", "lid", "dome"]
 KINDS: dict[str, tuple[BottleKind, ...]] = {
     "train": ("round", "tapered", "waisted", "rectangular", "squeeze", "tumbler"),
@@ -42,7 +43,7 @@ WIDEST_GRIP = 0.070  # [m]
 
 @dataclass(frozen=True)
 class BottleParameters:
-    """Lengths in [m]; radii are half-widths along x, `aspect` times that along y where the section is not round.
+    """Lengths in [m]; radii are half-widths along x, times `aspect` along y where not round.
 
     Attributes:
         bend: of the body's side: its family's k, see `_relative_radius`.
@@ -162,7 +163,7 @@ def sample_bottle(split: str, rng: np.random.Generator) -> BottleParameters:
     neck_height = cap_bottom * (rng.uniform(0.0, 0.22) if not flip else rng.uniform(0.0, 0.03))
     neck_height = max(neck_height, 0.026 - cap_height, 0.001)  # long enough for fingers
     shoulder: Shoulder = {"waisted": "round", "squeeze": "round", "bulged": "ogee", "oval": "ogee"}.get(
-        kind, rng.choice(("round", "cone", "ogee"))
+        kind, _SHOULDERS[rng.integers(3)]
     )
     neck_bottom = cap_bottom - neck_height
     shoulder_height = min((radius - neck_radius) * rng.uniform(0.5, 1.9), 0.45 * neck_bottom)

@@ -2,16 +2,16 @@
 
 Held out for testing are the kinds below the line, which combine features of the training kinds.
 
-| kind      | split | body                                   | ends                                              |
-| --------- | ----- | -------------------------------------- | ------------------------------------------------- |
-| food      | train | straight                               | seamed rims standing out, sunk panels, both ends  |
-| drink     | train | straight                               | necked top with a seam, chamfered bottom, dome    |
-| plain     | train | straight                               | flat, rounded edges                               |
-| canister  | train | straight                               | lid wider than the body                           |
-| --------- | ----- | -------------------------------------- | ------------------------------------------------- |
-| beaded    | test  | shallow ribs around the middle         | seamed rim above, stackable (drawn in) below      |
-| stackable | test  | straight, drawn in below               | seamed rim, sunk panel                            |
-| necked    | test  | straight                               | necked both ends, seamed rim                      |
+| kind      | split | body                           | ends                                             |
+| --------- | ----- | ------------------------------ | ------------------------------------------------ |
+| food      | train | straight                       | seamed rims standing out, sunk panels, both ends |
+| drink     | train | straight                       | necked top with a seam, chamfered bottom, dome   |
+| plain     | train | straight                       | flat, rounded edges                              |
+| canister  | train | straight                       | lid wider than the body                          |
+| --------- | ----- | ------------------------------ | ------------------------------------------------ |
+| beaded    | test  | shallow ribs around the middle | seamed rim above, stackable (drawn in) below     |
+| stackable | test  | straight, drawn in below       | seamed rim, sunk panel                           |
+| necked    | test  | straight                       | necked both ends, seamed rim                     |
 """
 
 from __future__ import annotations

@@ -7,6 +7,7 @@ pieces whose cavity stays free, and only the base touches the table (rings start
 from __future__ import annotations
 
 from dataclasses import dataclass, field
+from itertools import pairwise
 from typing import Literal
 
 import numpy as np
@@ -75,7 +76,7 @@ def breakpoints(curve: Float[np.ndarray, "k d"], tolerance: float, most: int) ->
     chosen = [0, len(curve) - 1]
     while len(chosen) <= most:
         worst, where = tolerance, -1
-        for first, last in zip(chosen[:-1], chosen[1:]):
+        for first, last in pairwise(chosen):
             chord = curve[last] - curve[first]
             offset = curve[first : last + 1] - curve[first]
             along = offset @ chord / max(float(chord @ chord), 1e-12)
@@ -102,7 +103,7 @@ def vessel_pieces(vessel: Vessel, around: int, levels: int, tolerance: float = 8
     wall = wall[breakpoints(wall, tolerance, levels)]
     wall[:, :2] /= np.sqrt(np.cos(np.pi / around))  # chords: as much outside as inside the circles
     pieces = _base(vessel, start)
-    for low, high in zip(wall[:-1], wall[1:]):
+    for low, high in pairwise(wall):
         pieces += _ring(low, high, around)
     return pieces
 
@@ -151,17 +152,17 @@ def _base(vessel: Vessel, top: float) -> list[CollisionPiece]:
     if np.ptp(outer[:, 0]) < 5e-4:
         return [cylinder(float(outer[:, 0].mean()), 0.0, top)]
     chosen = outer[breakpoints(outer, 8e-4, 2)]
-    return [frustum(tuple(low), tuple(high)) for low, high in zip(chosen[:-1], chosen[1:])]
+    return [frustum(tuple(low), tuple(high)) for low, high in pairwise(chosen)]
 
 
 def handle_pieces(handle: Handle, vessel: Vessel) -> list[CollisionPiece]:
-    """Capsules along the part of the handle outside the wall. A strap is wider than thick: pairs beside y = 0."""
+    """Capsules along the handle outside the wall, in pairs beside y = 0 where it is wider than thick."""
     clear = handle.centreline[:, 0] > vessel.outer_radius(handle.centreline[:, 1]) - 0.5 * handle.thickness
     points = np.flatnonzero(clear)
     line = handle.centreline[points[0] : points[-1] + 1]
     chosen = breakpoints(line, 5e-4, HANDLE_PIECES)
     pieces = []
-    for first, last in zip(chosen[:-1], chosen[1:]):
+    for first, last in pairwise(chosen):
         part = slice(points[0] + first, points[0] + last + 1)
         radius = float(handle.thickness[part].mean())
         beside = max(float(handle.width[part].mean()) - radius, 0.0)
@@ -186,7 +187,7 @@ def stacked_pieces(profile: Curve, section: Section | None, most: int = 9) -> li
     outside = profile[first : last + 1]
     chosen = outside[breakpoints(outside, 7e-4, most)]
     pieces = []
-    for low, high in zip(chosen[:-1], chosen[1:]):
+    for low, high in pairwise(chosen):
         if high[1] - low[1] < 1e-5:
             continue
         if section is None and abs(high[0] - low[0]) < 4e-4:

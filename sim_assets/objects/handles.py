@@ -103,7 +103,7 @@ def _ring(parameters: HandleParameters) -> Curve:
 
 
 def _slanted(parameters: HandleParameters) -> Curve:
-    """Upper arm and upright straight, the lower arm running down into the body from `shape` above the root."""
+    """Upper arm and upright straight, the lower arm slanting down from `shape` above its root."""
     corners = np.array([(0.0, 1.0), (1.0, 1.0), (1.0, -1.0 + parameters.shape), (0.0, -1.0)])
     return fillet(corners, np.array([0.0, 0.5, 0.5, 0.0]), segments=10)
 

@@ -1,7 +1,7 @@
 """Plane curves that objects are turned from: profiles in (r, z), fillets, and their radial crossings.
 
-A profile is a polygon in the half-plane r >= 0. It starts and ends on the axis (r = 0) and runs upwards on the
-outside, so that revolving it gives a closed surface wound outwards. All lengths in [m].
+A profile is a polygon in the half-plane r >= 0. It starts and ends on the axis (r = 0) and runs upwards on
+the outside, so that revolving it gives a closed surface wound outwards. All lengths in [m].
 """
 
 from __future__ import annotations

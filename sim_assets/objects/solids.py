@@ -39,7 +39,7 @@ def closed_tube(
 
 @dataclass(frozen=True)
 class Section:
-    """Horizontal cross-section of a body that is not round: a superellipse that turns into a circle at the neck.
+    """Horizontal section of a body that is not round: a superellipse that turns into a circle at the neck.
 
     The radius at azimuth θ is the profile's times 1 + w(z) (m(θ) - 1), with
     m(θ) = (|cos θ|ⁿ + |sin θ / aspect|ⁿ)^(-1/n), and w falling from 1 at z_section to 0 at z_round.

@@ -38,7 +38,7 @@ class Wall:
 
 @dataclass(frozen=True)
 class Vessel:
-    """A hollow body of revolution. `outer` and `inner` are curves (r, z) rising from base and floor to the rim."""
+    """A hollow body of revolution; `outer` and `inner` are curves (r, z) up from base and floor to the rim."""
 
     outer: Curve
     inner: Curve
@@ -92,7 +92,7 @@ def make_vessel(side: Curve, height: float, wall: Wall) -> Vessel:
     rim_outer, rim_inner = _rim(side[-1], offset[-1], tangent[-1])
     outer = np.concatenate([side[:-1], rim_outer])
     inner = np.concatenate([offset[:-1], rim_inner])
-    outer = _rising(outer) * (1.0, 1.0)
+    outer = _rising(outer)
     stretch = (height - wall.foot_height) / outer[:, 1].max()
     outer[:, 1] *= stretch
     inner = _from_floor(_rising(inner * (1.0, stretch)), wall.floor, wall.inner_fillet)

@@ -1,0 +1,139 @@
+"""Convex pieces of arbitrary meshes, cut first so that decomposition is quick and cavities stay free.
+
+A hollow vessel is cut into wedges around its axis and levels of height, a closed one into slices: the hulls of
+most parts will do as they are; coacd decomposes the others. The lowest 2 mm of a vessel become one piece, so
+that only the base touches the table. Results are cached by the content of the mesh.
+"""
+
+from __future__ import annotations
+
+import hashlib
+import logging
+import os
+import time
+from itertools import pairwise
+from pathlib import Path
+
+import numpy as np
+import trimesh
+from jaxtyping import Float
+
+from perception.types import Category
+
+log = logging.getLogger(__name__)
+
+VERSION = "2"  # of this recipe: part of the cache's key
+WEDGES = {"mug": 16, "bowl": 20}
+LEVELS = (0.0, 0.08, 0.18, 0.32, 0.5, 0.75, 1.0)  # of a vessel, over the height above its base
+SLICES = 12  # of a closed body
+BASE = 0.002  # [m]
+EXCESS = 8e-4  # what a hull may add to the thickness of a part, on average [m]
+HULL_VERTICES = 32
+
+
+def cache_folder() -> Path:
+    """Where decompositions are kept: $XDG_CACHE_HOME/nodeslam, else ~/.cache/nodeslam."""
+    root = os.environ.get("XDG_CACHE_HOME") or str(Path.home() / ".cache")
+    return Path(root) / "nodeslam"
+
+
+def convex_pieces(mesh: trimesh.Trimesh, category: Category, name: str) -> list[Float[np.ndarray, "n 3"]]:
+    """Corners of the convex pieces of a watertight mesh in its object frame, from the cache where it has them."""
+    content = (
+        np.ascontiguousarray(mesh.vertices, "<f8").tobytes()
+        + np.ascontiguousarray(mesh.faces, "<i8").tobytes()
+    )
+    key = hashlib.sha256(f"{VERSION} {category}".encode() + content).hexdigest()[:32]
+    path = cache_folder() / f"convex_{key}.npz"
+    if path.exists():
+        try:
+            with np.load(path, allow_pickle=False) as stored:
+                return np.split(stored["vertices"], np.cumsum(stored["counts"])[:-1])
+        except (OSError, ValueError, KeyError) as error:
+            log.warning("The cached decomposition %s is unreadable (%s); making it again", path, error)
+    log.info("Decomposing %s into convex pieces, once; this takes up to a minute", name)
+    start = time.perf_counter()
+    pieces = _decompose(mesh, category)
+    log.info("%s: %d convex pieces in %.0f s", name, len(pieces), time.perf_counter() - start)
+    _store(path, pieces)
+    return pieces
+
+
+def _store(path: Path, pieces: list[np.ndarray]) -> None:
+    """Write whole or not at all; a cache that cannot be written costs time, nothing else."""
+    partial = path.with_suffix(f".{os.getpid()}.tmp")
+    try:
+        path.parent.mkdir(parents=True, exist_ok=True)
+        with partial.open("wb") as file:
+            np.savez_compressed(
+                file, vertices=np.concatenate(pieces), counts=[len(piece) for piece in pieces]
+            )
+        partial.replace(path)
+    except OSError as error:
+        log.warning("Could not cache the decomposition in %s: %s", path, error)
+
+
+def _decompose(mesh: trimesh.Trimesh, category: Category) -> list[np.ndarray]:
+    if category not in WEDGES:
+        slices = (_part(mesh, cutter) for cutter in _slices(mesh.bounds))
+        return [piece for part in slices for piece in _pieces_of(part, excess=5 * EXCESS)]
+    height = float(mesh.bounds[1, 2])
+    base = _part(mesh, _slab(mesh.bounds, -0.01, BASE))
+    pieces = [np.asarray(base.convex_hull.vertices)]
+    edges = BASE + (height - BASE) * np.array(LEVELS)
+    for low, high in pairwise(edges):
+        level = _part(mesh, _slab(mesh.bounds, low, high))
+        for wedge in _wedges(level.bounds, WEDGES[category]):
+            for lump in _part(level, wedge).split(only_watertight=True):
+                if lump.volume > 1e-9:
+                    pieces += _pieces_of(lump, EXCESS)
+    return pieces
+
+
+def _part(mesh: trimesh.Trimesh, cutter: trimesh.Trimesh) -> trimesh.Trimesh:
+    return trimesh.boolean.intersection([mesh, cutter], engine="manifold")
+
+
+def _slab(bounds: np.ndarray, low: float, high: float) -> trimesh.Trimesh:
+    """A horizontal slab wider than the object."""
+    reach = 2.0 * float(np.abs(bounds).max())
+    return trimesh.creation.box(bounds=[(-reach, -reach, low), (reach, reach, high)])
+
+
+def _slices(bounds: np.ndarray) -> list[trimesh.Trimesh]:
+    return [_slab(bounds, low, high) for low, high in pairwise(np.linspace(*bounds[:, 2], SLICES + 1))]
+
+
+def _wedges(bounds: np.ndarray, count: int) -> list[trimesh.Trimesh]:
+    """Wedges around the axis, the first centred on +x, where a mug has its handle."""
+    reach = 2.0 * float(np.abs(bounds).max())
+    wedges = []
+    for k in range(count):
+        angles = 2 * np.pi * (k + np.array([-0.5, 0.5])) / count
+        triangle = np.concatenate([[(0.0, 0.0)], reach * np.stack([np.cos(angles), np.sin(angles)], axis=1)])
+        corners = [(x, y, z) for x, y in triangle for z in bounds[:, 2] + (-0.01, 0.01)]
+        wedges.append(trimesh.convex.convex_hull(np.array(corners)))
+    return wedges
+
+
+def _pieces_of(lump: trimesh.Trimesh, excess: float) -> list[np.ndarray]:
+    """The hull where it adds little, coacd's pieces elsewhere."""
+    hull = lump.convex_hull
+    if hull.volume - lump.volume < excess * 0.5 * lump.area:
+        return [np.asarray(hull.vertices)]
+    import coacd  # slow to import, and only users' meshes need it
+
+    coacd.set_log_level("error")
+    parts = coacd.run_coacd(
+        coacd.Mesh(lump.vertices, lump.faces),
+        threshold=0.1,
+        preprocess_mode="off",  # the parts are manifold already
+        mcts_nodes=10,
+        mcts_iterations=20,
+        mcts_max_depth=2,
+        resolution=300,
+        decimate=True,
+        max_ch_vertex=HULL_VERTICES,
+        seed=0,
+    )
+    return [np.asarray(vertices) for vertices, _ in parts]

@@ -1,0 +1,124 @@
+"""Users' own meshes as objects: DIR/<class>/*.{ply,obj,glb,stl}, in metres, z up.
+
+A mesh is moved so that its base lies on z = 0 and its axis on x = y = 0: the middle of its bounding box, for
+mugs the middle of the rim. A mug is turned so that its farthest point, the handle, lies along +x. An axis that
+is right within 2 mm, or a handle within 0.2 rad, stays as it is.
+"""
+
+from __future__ import annotations
+
+from pathlib import Path
+from typing import get_args
+
+import numpy as np
+import trimesh
+
+from perception.types import Category
+from sim_assets.errors import ObjectFileError
+from sim_assets.objects.collision import hull
+from sim_assets.objects.decomposition import convex_pieces
+from sim_assets.objects.mesh_shape import MeshShape
+from sim_assets.objects.model import HEAVIEST, LIGHTEST, ObjectModel
+
+SUFFIXES = (".ply", ".obj", ".glb", ".stl")
+SMALLEST, LARGEST = 0.02, 0.5  # longest side of what the cell can handle [m]
+DENSITIES = {"mug": 2300.0, "bowl": 2000.0, "bottle": 500.0, "can": 700.0}  # [kg/m³], contents included
+SNUG = 0.002  # [m]
+
+
+def load_user_objects(directory: Path | str) -> list[ObjectModel]:
+    """Every mesh under a folder, by class and file name.
+
+    Raises:
+        ObjectFileError: no such folder, a folder that is no class, no meshes, or an unusable mesh.
+    """
+    directory = Path(directory)
+    if not directory.is_dir():
+        raise ObjectFileError(f"{directory} is not a folder; expected DIR/<class>/*.{{ply,obj,glb,stl}}")
+    classes = get_args(Category)
+    files = []
+    for folder in sorted(path for path in directory.iterdir() if path.is_dir() and path.name[0] != "."):
+        if folder.name not in classes:
+            raise ObjectFileError(f"{folder}: '{folder.name}' is none of the classes {', '.join(classes)}")
+        files += [path for path in sorted(folder.iterdir()) if path.suffix.lower() in SUFFIXES]
+    if not files:
+        raise ObjectFileError(
+            f"{directory} holds no meshes; expected {directory}/<class>/*.{{ply,obj,glb,stl}} "
+            f"with a class of {', '.join(classes)}"
+        )
+    return [load_user_object(path, next(c for c in classes if c == path.parent.name)) for path in files]
+
+
+def load_user_object(path: Path | str, category: Category) -> ObjectModel:
+    """One mesh file as an object.
+
+    Raises:
+        ObjectFileError: the file is unreadable, empty, not watertight, or of an absurd size.
+    """
+    path = Path(path)
+    mesh = _in_object_frame(_read(path), category)
+    pieces = tuple(hull(vertices) for vertices in convex_pieces(mesh, category, path.name))
+    mass = float(np.clip(mesh.volume * DENSITIES[category], LIGHTEST, HEAVIEST))
+    return ObjectModel(category, "user", path.stem, mesh, pieces, mass, None, MeshShape(mesh, category))
+
+
+def _read(path: Path) -> trimesh.Trimesh:
+    """The file's mesh in its own frame, checked."""
+    if not path.is_file():
+        raise ObjectFileError(f"{path}: no such file")
+    try:
+        mesh = trimesh.load(path, force="mesh")
+    except Exception as error:  # trimesh's readers raise whatever their parsers raise
+        raise ObjectFileError(f"{path} cannot be read as a mesh ({error}); export it again") from error
+    # a corrupt OBJ or STL comes back empty rather than as an error
+    if not isinstance(mesh, trimesh.Trimesh) or len(mesh.faces) == 0:
+        raise ObjectFileError(f"{path} holds no triangles; the file is empty or corrupt, export it again")
+    if not np.isfinite(mesh.vertices).all():
+        raise ObjectFileError(f"{path} has vertices that are not finite; export it again")
+    _check_size(path, float(mesh.extents.max()))
+    mesh = trimesh.Trimesh(mesh.vertices, mesh.faces, process=True)  # geometry alone, vertices merged
+    if not mesh.is_watertight:
+        mesh.fill_holes()
+    if not mesh.is_watertight:
+        sides = np.bincount(mesh.edges_unique_inverse)
+        raise ObjectFileError(
+            f"{path} is not watertight ({int((sides != 2).sum())} edges without exactly two triangles); "
+            "close its holes in a mesh editor"
+        )
+    if not mesh.is_winding_consistent or mesh.volume < 0:
+        mesh.fix_normals()
+    if mesh.volume < 1e-7:
+        raise ObjectFileError(f"{path} encloses no volume; give its surface a thickness")
+    return mesh
+
+
+def _check_size(path: Path, longest: float) -> None:
+    if SMALLEST <= longest <= LARGEST:
+        return
+    for unit, metres in (("millimetres", 1e-3), ("centimetres", 1e-2), ("inches", 0.0254)):
+        if longest > LARGEST and SMALLEST <= longest * metres <= LARGEST:
+            raise ObjectFileError(
+                f"{path} is {longest:.4g} m long: looks like {unit}; scale it by {metres:g} to metres"
+            )
+    raise ObjectFileError(
+        f"{path} is {longest:.4g} m long; objects of {SMALLEST:g} to {LARGEST:g} m are possible, in metres"
+    )
+
+
+def _in_object_frame(mesh: trimesh.Trimesh, category: Category) -> trimesh.Trimesh:
+    """A copy of the mesh with base, axis and handle where the conventions want them."""
+    vertices = np.array(mesh.vertices)
+    vertices[:, 2] -= vertices[:, 2].min()
+    around = vertices
+    if category == "mug":
+        around = vertices[vertices[:, 2] > 0.95 * vertices[:, 2].max()]
+    centre = 0.5 * (around[:, :2].min(axis=0) + around[:, :2].max(axis=0))
+    if np.abs(centre).max() > SNUG:
+        vertices[:, :2] -= centre
+    if category == "mug":
+        farthest = vertices[np.hypot(vertices[:, 0], vertices[:, 1]).argmax()]
+        if abs(np.arctan2(farthest[1], farthest[0])) > 0.2:  # a handle is that wide
+            direction = farthest[:2] / np.hypot(*farthest[:2])
+            rotation = np.array([direction, (-direction[1], direction[0])])
+            vertices[:, :2] = vertices[:, :2] @ rotation.T
+    return trimesh.Trimesh(vertices, mesh.faces, process=False)
