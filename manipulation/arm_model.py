@@ -1,23 +1,34 @@
 """The arm's own MuJoCo model, stripped to what kinematics and collision checking need.
 
-It is built from ``ArmDescription.mjcf`` alone and never sees a scene: the planner knows of the world only what
-perception tells it.
+It is built from ``ArmDescription.mjcf`` alone and never sees a scene: the planner knows of the world only
+what perception tells it. MuJoCo's extension modules come without type stubs; for checkers they are Any.
 """
 
 from __future__ import annotations
 
-import mujoco
+import importlib
+from typing import TYPE_CHECKING, Any, TypeAlias
+
 import numpy as np
 from jaxtyping import Float
 
 from manipulation.errors import ManipulationError
 from manipulation.robot import ArmDescription
 
+mujoco: Any = importlib.import_module("mujoco")
+
+if TYPE_CHECKING:
+    MjSpec: TypeAlias = Any
+    MjsBody: TypeAlias = Any
+    MjModel: TypeAlias = Any
+else:
+    MjSpec, MjsBody, MjModel = mujoco.MjSpec, mujoco.MjsBody, mujoco.MjModel
+
 COLLISION_GROUP = 3
 
 
-def collision_spec(arm: ArmDescription) -> mujoco.MjSpec:
-    """The arm as an editable specification with its collision geoms (group 3) and nothing for show or physics."""
+def collision_spec(arm: ArmDescription) -> MjSpec:
+    """The arm as an editable specification: its collision geoms (group 3), nothing for show or physics."""
     spec = mujoco.MjSpec.from_string(arm.mjcf)
     for elements in (spec.keys, spec.sensors, spec.actuators, spec.equalities, spec.tendons, spec.excludes):
         for element in list(elements):
@@ -37,7 +48,7 @@ def collision_spec(arm: ArmDescription) -> mujoco.MjSpec:
     return spec
 
 
-def kinematic_model(arm: ArmDescription) -> mujoco.MjModel:
+def kinematic_model(arm: ArmDescription) -> MjModel:
     """The bare kinematic chain: arm joints and sites, fingers fixed, no geoms."""
     spec = collision_spec(arm)
     for geom in list(spec.geoms):
@@ -50,7 +61,7 @@ def kinematic_model(arm: ArmDescription) -> mujoco.MjModel:
     return spec.compile()
 
 
-def joint_addresses(model: mujoco.MjModel, names: tuple[str, ...]) -> np.ndarray:
+def joint_addresses(model: MjModel, names: tuple[str, ...]) -> np.ndarray:
     """Indices into qpos of the named hinge or slide joints, in the order of the names."""
     addresses = []
     for name in names:
@@ -61,14 +72,14 @@ def joint_addresses(model: mujoco.MjModel, names: tuple[str, ...]) -> np.ndarray
     return np.asarray(addresses, dtype=np.int64)
 
 
-def site_index(model: mujoco.MjModel, name: str) -> int:
+def site_index(model: MjModel, name: str) -> int:
     index = mujoco.mj_name2id(model, mujoco.mjtObj.mjOBJ_SITE, name)
     if index < 0:
         raise ManipulationError(f"the arm's MJCF has no site '{name}'")
     return index
 
 
-def joint_range(model: mujoco.MjModel, names: tuple[str, ...]) -> Float[np.ndarray, "2 n"]:
+def joint_range(model: MjModel, names: tuple[str, ...]) -> Float[np.ndarray, "2 n"]:
     """Lower and upper position limits in [rad] of the named joints."""
     limits = [model.joint(name).range for name in names]
     return np.asarray(limits, dtype=np.float64).T

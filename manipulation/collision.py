@@ -1,37 +1,27 @@
 """The planner's own collision world: the arm, the perceived objects as convex pieces, the fixed furniture.
 
-It is a scratch MuJoCo model built from the arm's MJCF and from perceived meshes; nothing of the simulated scene
-enters. Every object exists twice, standing in the world and carried by the hand; one of the two is switched on.
+It is a scratch MuJoCo model built from the arm's MJCF and from perceived meshes; nothing of the simulated
+scene enters. Every object exists twice, standing in the world and carried by the hand; one is switched on.
 """
 
 from __future__ import annotations
 
+import itertools
 from collections.abc import Iterable, Sequence
 from dataclasses import dataclass
 
-import mujoco
 import numpy as np
 from jaxtyping import Float
-from scipy.spatial import ConvexHull, QhullError
 from scipy.spatial.transform import Rotation
 
-from manipulation.arm_model import collision_spec, joint_addresses, site_index
+from manipulation.arm_model import MjsBody, MjSpec, collision_spec, joint_addresses, mujoco, site_index
 from manipulation.errors import ManipulationError
+from manipulation.furniture import Furniture
+from manipulation.hulls import hull_faces
 from manipulation.robot import ArmDescription
-from manipulation.standing import split_handle
-from manipulation.types import StandingObject
 
 _OFF, _ROBOT, _WORLD = 0, 1, 2  # contype bits: robot and carried geoms meet world geoms, nothing else
 NOTHING: frozenset[str] = frozenset()
-
-
-@dataclass(frozen=True)
-class Furniture:
-    """A fixed upright box, such as the table or a wall: centre and half sizes in [m], world frame."""
-
-    name: str
-    center: tuple[float, float, float]
-    half_size: tuple[float, float, float]
 
 
 @dataclass(frozen=True)
@@ -51,18 +41,11 @@ class CollisionConfig:
         robot_margin: distance the robot keeps from everything in [m].
         carried_margin: distance the carried object keeps in transit in [m].
         joint_step: largest joint step between two checked postures of a path in [rad].
-        max_hull_vertices: of each convex piece.
     """
 
     robot_margin: float = 0.004
     carried_margin: float = 0.004
     joint_step: float = 0.03
-    max_hull_vertices: int = 48
-
-
-def convex_pieces(item: StandingObject) -> tuple[Float[np.ndarray, "_k 3"], ...]:
-    """The object as few convex pieces in its stand frame: its hull, or body and handle of a mug."""
-    return tuple(_hull_vertices(part) for part in split_handle(item.vertices, item.category))
 
 
 class CollisionWorld:
@@ -184,7 +167,7 @@ class CollisionWorld:
                 return contact
         return None
 
-    def _build(self, bodies: Sequence[Body], furniture: Sequence[Furniture]) -> mujoco.MjSpec:
+    def _build(self, bodies: Sequence[Body], furniture: Sequence[Furniture]) -> MjSpec:
         spec = collision_spec(self._arm)
         for geom in spec.geoms:
             # What is bolted to the table always touches it.
@@ -202,7 +185,7 @@ class CollisionWorld:
             carried = hand.add_body(name=f"carried/{body.name}")
             for index, vertices in enumerate(body.pieces):
                 name = f"{body.name}/{index}"
-                mesh = spec.add_mesh(name=name, uservert=vertices.ravel(), userface=_faces(vertices))
+                mesh = spec.add_mesh(name=name, uservert=vertices.ravel(), userface=hull_faces(vertices))
                 mesh.inertia = mujoco.mjtMeshInertia.mjMESH_INERTIA_CONVEX
                 mesh_type = mujoco.mjtGeom.mjGEOM_MESH
                 standing.add_geom(type=mesh_type, meshname=name, contype=_WORLD, conaffinity=_ROBOT, mass=0)
@@ -242,46 +225,17 @@ class CollisionWorld:
 
 
 def densify(postures: Float[np.ndarray, "k n"], step: float) -> Float[np.ndarray, "m n"]:
-    """Straight joint segments between the postures, sampled so that no joint moves more than ``step`` [rad]."""
+    """Straight joint segments between the postures, in steps of at most ``step`` [rad] of any joint."""
     pieces = [postures[:1]]
-    for start, end in zip(postures[:-1], postures[1:]):
+    for start, end in itertools.pairwise(postures):
         count = max(int(np.ceil(np.abs(end - start).max() / step)), 1)
         pieces.append(start + (end - start) * (np.arange(1, count + 1) / count)[:, None])
     return np.concatenate(pieces)
 
 
-def _has_joint_above(body: mujoco.MjsBody) -> bool:
+def _has_joint_above(body: MjsBody) -> bool:
     while body is not None and body.name != "world":
         if len(body.joints) > 0:
             return True
         body = body.parent
     return False
-
-
-def _hull_vertices(points: np.ndarray, limit: int = 48) -> np.ndarray:
-    """Corners of the convex hull, thinned to the extremes along evenly spread directions."""
-    try:
-        corners = points[ConvexHull(points).vertices]
-    except QhullError as error:
-        raise ManipulationError("an object's mesh is flat or too small to have a convex hull") from error
-    if len(corners) <= limit:
-        return corners
-    directions = _fibonacci_sphere(2 * limit)
-    return corners[np.unique(np.argmax(corners @ directions.T, axis=0))]
-
-
-def _fibonacci_sphere(count: int) -> np.ndarray:
-    index = np.arange(count) + 0.5
-    z = 1 - 2 * index / count
-    azimuth = np.pi * (1 + 5**0.5) * index
-    return np.stack([np.sqrt(1 - z**2) * np.cos(azimuth), np.sqrt(1 - z**2) * np.sin(azimuth), z], axis=1)
-
-
-def _faces(vertices: np.ndarray) -> np.ndarray:
-    """Triangles of the convex hull of the vertices, wound outwards."""
-    hull = ConvexHull(vertices)
-    faces = hull.simplices.copy()
-    a, b, c = (vertices[faces[:, i]] for i in range(3))
-    inward = np.einsum("ij,ij->i", np.cross(b - a, c - a), hull.equations[:, :3]) < 0
-    faces[inward] = faces[inward][:, ::-1]
-    return faces.ravel()

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import itertools
 import logging
 from collections import deque
 from collections.abc import Callable
@@ -15,7 +16,7 @@ from manipulation.pick_place import PickPlacePlanner
 from manipulation.planner import ManipulationConfig
 from manipulation.robot import Robot
 from manipulation.standing import stand
-from manipulation.trajectories import joint_move, line_motion, line_postures
+from manipulation.trajectories import joint_move, line_postures
 from manipulation.types import Grasp, ObjectOutcome, PickPlacePlan, Placement, TaskPlan
 from perception.types import ObjectEstimate
 
@@ -64,7 +65,7 @@ def execute(
     """Place the objects of a task one by one, in its order as far as the world allows.
 
     An object that cannot be planned for now is deferred until others have moved. After a failed grasp
-    ``look_again(object id)`` may give a new estimate (None: nothing new); other grasps are then tried, at most
+    ``look_again(object id)`` may give a new estimate (None: nothing new); other grasps are then tried, up to
     ``config.max_retries`` times.
 
     Returns:
@@ -193,7 +194,7 @@ class _Execution:
         return width
 
     def _back_off(self) -> None:
-        """Open, and rise straight up out of the way, wherever the hand is; stay there if that is impossible."""
+        """Open, and rise straight up out of the way, if that is possible."""
         robot, planner = self.robot, self.planner
         robot.move_gripper(robot.arm.max_width)
         q = robot.joint_positions()
@@ -201,10 +202,10 @@ class _Execution:
         for height in (0.15, 0.08):
             T_goal = T_up.copy()
             T_goal[2, 3] += height
-            postures = line_postures(planner.kinematics, q, T_goal, self.config.pick_place.motion)
+            postures = line_postures(planner.kinematics, q, T_goal, planner.motions.config)
             if postures is not None:
                 try:
-                    robot.follow(line_motion(postures, height, planner.limits, self.config.pick_place.motion))
+                    robot.follow(planner.motions.timed_line(postures))
                 except RobotError as error:
                     log.warning("could not back off: %s", error)
                 return
@@ -225,10 +226,10 @@ class _Execution:
         q, home = robot.joint_positions(), np.asarray(robot.arm.q_home, dtype=np.float64)
         if np.abs(q - home).max() < 1e-3:
             return
-        way = self.planner.free_way(q, home, robot.gripper_width()) or [q, home]
+        way = self.planner.motions.free_way(q, home, robot.gripper_width()) or [q, home]
         try:
-            for start, goal in zip(way[:-1], way[1:], strict=True):
-                robot.follow(joint_move(start, goal, self.planner.limits))
+            for start, goal in itertools.pairwise(way):
+                robot.follow(joint_move(start, goal, self.planner.motions.limits))
         except RobotError as error:
             log.warning("could not return home: %s", error)
 

@@ -18,7 +18,7 @@ _DIRECTIONS = 2 * np.pi * np.arange(32) / 32
 
 @dataclass(frozen=True)
 class Footprint:
-    """What an object covers of its support: convex outlines (k, 2) in the stand frame in [m], and how high."""
+    """What an object covers: convex outlines (k, 2) in the stand frame in [m], and how high it is."""
 
     outlines: tuple[Float[np.ndarray, "_k 2"], ...]
     top: float
@@ -73,8 +73,8 @@ class Stencil:
 class BoxRaster:
     """A box from above in cells: which are taken, and how high things stand in and around it.
 
-    Coordinates are relative to the box's centre; heights reach past the walls, so that a hand above them can be
-    checked.
+    Coordinates are relative to the box's centre; heights reach past the walls, so that a hand above them can
+    be checked.
     """
 
     def __init__(self, box: Box, wall_gap: float, cell: float = 0.005, around: float = 0.12) -> None:
@@ -84,13 +84,13 @@ class BoxRaster:
         self.x, self.y = (cell * (np.arange(-n, n) + 0.5) for n in count)
         self.centers = np.stack(np.meshgrid(self.x, self.y, indexing="ij"), axis=-1)
         distance = np.abs(self.centers)
-        self.taken = ~(distance <= half - wall_gap).all(axis=-1)
+        self.taken = np.asarray((distance > half - wall_gap).any(axis=-1))
         inside = (distance <= half).all(axis=-1)
         within = (distance <= half + box.wall + cell).all(axis=-1)
         self.heights = np.where(inside, box.floor, np.where(within, box.top, 0.0))
         # Nothing stands outside the walls: the search for places looks at the inside alone.
-        rows, columns = (np.flatnonzero(~self.taken.all(axis=axis)) for axis in (1, 0))
-        self._inner = slice(rows[0], rows[-1] + 1), slice(columns[0], columns[-1] + 1)
+        rows, columns = np.nonzero(~self.taken)
+        self._inner = slice(rows.min(), rows.max() + 1), slice(columns.min(), columns.max() + 1)
 
     def copy(self) -> BoxRaster:
         """An independent raster with the same contents."""

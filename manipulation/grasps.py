@@ -1,8 +1,8 @@
 """Grasp candidates by class, measured on the reconstructed mesh.
 
 Hollow objects (mugs, bowls, open tumblers) are held by the rim with one finger inside, the hand tilted to the
-slope of the wall where the pads touch. Cans and bottles are held from above around body, neck or cap, where the
-section fits between the fingers and changes little over the height of the pads.
+slope of the wall where the pads touch. Cans and bottles are held from above around body, neck or cap, where
+the section fits between the fingers and changes little over the height of the pads.
 """
 
 from __future__ import annotations
@@ -45,6 +45,7 @@ class GraspConfig:
         gripper: its geometry.
         n_azimuths: directions about the object's axis.
         mug_depth, bowl_depth: of the TCP below the rim, along the wall, in [m].
+        least_depth: for objects so low that the fingertips would meet the support, in [m].
         top_depths: of the TCP below the top of cans and bottles in [m].
         max_wall: thickest rim to close over in [m].
         default_wall: assumed thickness in [m] where the mesh has no cavity.
@@ -61,6 +62,7 @@ class GraspConfig:
     n_azimuths: int = 24
     mug_depth: float = 0.013
     bowl_depth: float = 0.0155
+    least_depth: float = 0.009
     top_depths: tuple[float, ...] = (0.022, 0.016, 0.028, 0.012, 0.032)
     max_wall: float = 0.02
     default_wall: float = 0.005
@@ -171,6 +173,9 @@ def _rim_grasp(
     gripper = config.gripper
     depth = config.bowl_depth if item.category == "bowl" else config.mug_depth
     rim = _rim_height(item, azimuth)
+    depth = min(depth, rim - gripper.tip - config.fingertip_clearance)
+    if depth < config.least_depth:
+        return "too low"
     wall = wall_at(sections, rim - depth, azimuth, config)
     if wall is None:
         return "too thick at the rim"
@@ -184,8 +189,6 @@ def _rim_grasp(
         tilt = 0.0
     pad_height = rim - depth * np.cos(tilt)
     wall = wall_at(sections, pad_height, azimuth, config) or wall
-    if pad_height - gripper.tip < config.fingertip_clearance:
-        return "too low"
     room = wall.across - gripper.finger_thickness - 0.003
     half = min(config.half_opening, room - 0.5 * wall.thickness, 0.5 * gripper.max_width)
     if half - 0.5 * wall.thickness < 0.5 * config.min_half_opening or half < config.min_half_opening:

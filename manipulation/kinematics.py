@@ -11,11 +11,10 @@ from dataclasses import dataclass
 from typing import Literal
 
 import mink
-import mujoco
 import numpy as np
 from jaxtyping import Float
 
-from manipulation.arm_model import joint_addresses, joint_range, kinematic_model, site_index
+from manipulation.arm_model import joint_addresses, joint_range, kinematic_model, mujoco, site_index
 from manipulation.errors import ManipulationError
 from manipulation.robot import ArmDescription
 

@@ -50,7 +50,7 @@ def radial_profile(item: StandingObject) -> RadialProfile:
 
 
 def resting_height(upper: RadialProfile, lower: RadialProfile, clearance: float = 0.0005) -> float | None:
-    """Height of the upper bowl's base above the lower one's when it stands inside; None if it does not fit in.
+    """Height of the upper bowl's base above the lower one's when it stands inside; None if it does not fit.
 
     The smallest lift d for which, at every height z, outer_upper(z - d) <= inner_lower(z).
     """

@@ -1,8 +1,8 @@
-"""Where objects go in a box: bowls nested, mugs in a line with handles alike, cans and bottles in what is left.
+"""Where objects go in a box: bowls nested, mugs in a line with handles alike, cans and bottles around them.
 
-Layouts are laid out greedily on a raster for many choices (line of the mugs, direction of their handles, corner to
-fill from, gaps) and judged by how much fits, how freely the hand can let go of everything in the order of
-execution, and how little room it takes.
+Objects are laid out greedily on a raster for many choices (line of the mugs, direction of their handles,
+corner to fill from, gaps). Layouts are judged by how much fits, how freely the hand can let go of everything
+in the order of execution, and how little room they take.
 """
 
 from __future__ import annotations
@@ -18,6 +18,7 @@ from manipulation.errors import PlanningError
 from manipulation.footprints import BoxRaster, Footprint, Stencil, bounding_area, footprint
 from manipulation.grasps import GraspConfig, find_grasps
 from manipulation.nesting import nest_heights, stack_bowls
+from manipulation.release_room import count_releases
 from manipulation.types import Box, Grasp, Placement, StandingObject
 
 
@@ -150,7 +151,7 @@ def pack(
 
 
 def nest_drop(stack: Sequence[StandingObject], depth: float, config: PackingConfig) -> float:
-    """How far above its rest the last bowl of a stack is let go: the outer finger stays above all lower rims."""
+    """How far above its rest the last bowl of a stack is let go: the outer finger clears all lower rims."""
     heights = nest_heights(stack)
     upper = stack[-1]
     rims = max(height + bowl.top for height, bowl in zip(heights[:-1], stack[:-1]))
@@ -260,54 +261,10 @@ def _judge_releases(layout: _Layout, problem: _Problem) -> None:
     for name in problem.order:
         yaw = layout.yaws[name]
         if name not in nested:  # a nested bowl is let go above all rims
-            count = _count_releases(raster, problem.grasps[name], layout.positions[name], yaw, base)
+            count = count_releases(raster, problem.grasps[name], layout.positions[name], yaw, base)
             layout.n_blocked += count == 0
             layout.freedom += min(count, problem.config.wanted_releases)
         raster.add(problem.shapes.stencil(name, yaw, 0.0), layout.cells[name], problem.box.floor)
-
-
-def _count_releases(
-    raster: BoxRaster, grasps: Sequence[Grasp], position: np.ndarray, yaw: float, base: float
-) -> int:
-    """Grasps whose open fingers and palm meet nothing that stands already."""
-    if not grasps:
-        return 0
-    T = np.stack([grasp.T_stand_tcp for grasp in grasps])
-    c, s = np.cos(yaw), np.sin(yaw)
-    closing, sideways = T[:, :2, 1] @ [[c, s], [-s, c]], T[:, :2, 0] @ [[c, s], [-s, c]]
-    origin = T[:, :2, 3] @ [[c, s], [-s, c]] + position
-    height = T[:, 2, 3] + base
-    opening = np.array([grasp.release_opening / 2 for grasp in grasps])
-    free = np.ones(len(grasps), dtype=bool)
-    gripper = GraspConfig().gripper
-    # Fingers: the footprint of each between the pad's face and the finger's back; palm: 0.2 x 0.066 m.
-    for side in (-1, 1):
-        along = side * (opening[:, None] + np.linspace(0, gripper.finger_thickness + 0.002, 4))  # (g, 4)
-        free &= _highest_under(raster, origin, closing, sideways, along, (-0.01, 0.0, 0.01)) < (
-            height - gripper.tip - 0.003
-        )
-    along = np.broadcast_to(np.linspace(-0.105, 0.105, 15), (len(grasps), 15))
-    free &= _highest_under(raster, origin, closing, sideways, along, (-0.035, -0.015, 0.015, 0.035)) < (
-        height + gripper.palm - 0.006
-    )
-    return int(free.sum())
-
-
-def _highest_under(
-    raster: BoxRaster,
-    origin: np.ndarray,
-    closing: np.ndarray,
-    sideways: np.ndarray,
-    along: np.ndarray,
-    across: tuple[float, ...],
-) -> Float[np.ndarray, "g"]:
-    """Greatest height under a grid of points, ``along`` (g, a) and ``across`` the closing direction of grasps."""
-    points = (
-        origin[:, None, None]
-        + closing[:, None, None] * along[:, :, None, None]
-        + sideways[:, None, None] * np.array(across)[:, None]
-    )
-    return raster.highest(points).max(axis=(1, 2))
 
 
 def _rank(layout: _Layout, problem: _Problem) -> tuple[float, ...]:

@@ -1,7 +1,7 @@
 """Motions that take one object from where it stands to where it shall stand.
 
-Grasps and placements are tried in pairs, best first. A pair is taken when the arm reaches every pose on the way
-and nothing is touched: approach, lift and transfer with the object in hand, release, retreat.
+Grasps and placements are tried in pairs, best first. A pair is taken when the arm reaches every pose on the
+way and nothing is touched: approach, lift and transfer with the object in hand, release, retreat.
 """
 
 from __future__ import annotations
@@ -14,26 +14,20 @@ from dataclasses import dataclass, field
 import numpy as np
 from jaxtyping import Float
 
-from manipulation.collision import Body, CollisionConfig, CollisionWorld, Furniture, convex_pieces
+from manipulation.collision import Body, CollisionConfig, CollisionWorld
 from manipulation.errors import PlanningError
+from manipulation.furniture import BOX_FLOOR, TABLE, Furniture, box_walls
 from manipulation.grasps import GraspConfig, GraspSet, find_grasps
+from manipulation.hulls import convex_pieces
 from manipulation.kinematics import IkConfig, Kinematics
+from manipulation.motions import Motions
 from manipulation.nesting import nest_heights
 from manipulation.robot import ArmDescription
 from manipulation.standing import yaw_pose
-from manipulation.trajectories import (
-    JointLimits,
-    MotionConfig,
-    concatenate,
-    joint_path,
-    line_motion,
-    line_postures,
-)
+from manipulation.trajectories import MotionConfig, concatenate
 from manipulation.types import Box, Grasp, PickPlacePlan, Placement, StandingObject
 
 log = logging.getLogger(__name__)
-
-TABLE = Furniture("table", (0.45, 0.0, -0.025), (0.65, 0.60, 0.025))
 
 
 @dataclass(frozen=True)
@@ -51,10 +45,10 @@ class PickPlaceConfig:
         max_plans: complete plans to compare; the quickest is taken.
     """
 
-    ik: IkConfig = IkConfig()
-    motion: MotionConfig = MotionConfig()
-    collision: CollisionConfig = CollisionConfig()
-    grasp: GraspConfig = GraspConfig()
+    ik: IkConfig = field(default_factory=IkConfig)
+    motion: MotionConfig = field(default_factory=MotionConfig)
+    collision: CollisionConfig = field(default_factory=CollisionConfig)
+    grasp: GraspConfig = field(default_factory=GraspConfig)
     approach_heights: tuple[float, ...] = (0.10, 0.06)
     lift_heights: tuple[float, ...] = (0.20, 0.12, 0.28)
     raise_heights: tuple[float, ...] = (0.12, 0.18, 0.25, 0.08)
@@ -112,7 +106,6 @@ class PickPlacePlanner:
         self.arm = arm
         self.items = dict(items)
         self.kinematics = Kinematics(arm, self.config.ik)
-        self.limits = JointLimits.of(arm, self.config.motion)
         self._furniture = (*furniture, *(box_walls(box) if box is not None else ()))
         self._grasps: dict[str, GraspSet] = {}
         self._build_world()
@@ -120,6 +113,7 @@ class PickPlacePlanner:
     def _build_world(self) -> None:
         bodies = [Body(item.name, convex_pieces(item), item.T_world_stand) for item in self.items.values()]
         self.world = CollisionWorld(self.arm, bodies, self._furniture, self.config.collision)
+        self.motions = Motions(self.kinematics, self.world, self.config.motion, self.config.via_heights)
 
     def observe(self, item: StandingObject) -> None:
         """Take over a new estimate of an object."""
@@ -148,7 +142,7 @@ class PickPlacePlanner:
         """``T_world_stand`` at rest: on the floor, or on the bowls of its stack."""
         stack = [self.items[name] for name in (*placement.stack, placement.name)]
         lift = nest_heights(stack)[-1] if len(stack) > 1 else 0.0
-        return yaw_pose(yaw, np.array(placement.position) + (0.0, 0.0, lift))
+        return yaw_pose(yaw, np.add(placement.position, (0.0, 0.0, lift)))
 
     def plan(
         self,
@@ -222,16 +216,16 @@ class PickPlacePlanner:
         contact = world.contact(result.q, grasp.opening, own)
         if contact:
             return _short(contact, name)
-        approach = self._free_line(
+        approach = self.motions.free_line(
             result.q, [_backed(T_grasp, h) for h in config.approach_heights], grasp.opening, ignore=own
         )
         if isinstance(approach, str):
             return _short(approach, name)
         world.carry(name, np.linalg.inv(grasp.T_stand_tcp))
-        lift = self._free_line(
+        lift = self.motions.free_line(
             result.q,
             [_raised(T_grasp, h) for h in config.lift_heights],
-            np.mean(grasp.closed_width),
+            _held_width(grasp),
             ignore_carried={TABLE.name},
             carried_margin=0.5 * config.collision.carried_margin,
         )
@@ -251,12 +245,12 @@ class PickPlacePlanner:
                 tally.fail(place)
                 continue
             self.world.carry(name, np.linalg.inv(grasp.T_stand_tcp))
-            carry = self.free_way(pick.lift[-1], place.lowering[0], float(np.mean(grasp.closed_width)))
+            carry = self.motions.free_way(pick.lift[-1], place.lowering[0], _held_width(grasp))
             if carry is None:
                 tally.fail("blocked on the way to the goal")
                 continue
             self.world.release()
-            start = self.free_way(q_start, pick.approach[0], grasp.opening)
+            start = self.motions.free_way(q_start, pick.approach[0], grasp.opening)
             if start is None:
                 tally.fail("blocked on the way to the object")
                 return None
@@ -274,7 +268,7 @@ class PickPlacePlanner:
             return "with the goal out of reach"
         stack = set(placement.stack)
         world.release()
-        retreat = self._free_line(
+        retreat = self.motions.free_line(
             result.q,
             [_backed(T_place, h) for h in config.approach_heights],
             grasp.release_opening,
@@ -283,12 +277,12 @@ class PickPlacePlanner:
         if isinstance(retreat, str):
             return f"letting go: {_short(retreat, name)}"
         world.carry(name, np.linalg.inv(grasp.T_stand_tcp))
-        lowering = self._free_line(
+        lowering = self.motions.free_line(
             result.q,
             [_raised(T_place, h) for h in config.raise_heights],
-            float(np.mean(grasp.closed_width)),
+            _held_width(grasp),
             ignore=stack,
-            ignore_carried=stack | {TABLE.name, "box_floor"},
+            ignore_carried=stack | {TABLE.name, BOX_FLOOR},
             carried_margin=config.placing_margin,
         )
         if isinstance(lowering, str):
@@ -309,60 +303,6 @@ class PickPlacePlanner:
 
         return sorted(placement.yaws, key=turn)
 
-    def _free_line(
-        self,
-        q: np.ndarray,
-        targets: Sequence[np.ndarray],
-        width: float | np.floating,
-        ignore: Collection[str] = (),
-        ignore_carried: Collection[str] = (),
-        carried_margin: float | None = None,
-    ) -> np.ndarray | str:
-        """Postures of the first straight line from ``q`` to one of the targets that is free, or the last reason."""
-        reason = "out of reach"
-        for T in targets:
-            postures = line_postures(self.kinematics, q, T, self.config.motion)
-            if postures is None:
-                continue
-            contact = self.world.path_contact(postures, float(width), ignore, ignore_carried, carried_margin)
-            if contact is None:
-                return postures
-            reason = contact
-        return reason
-
-    def free_way(self, q_start: np.ndarray, q_goal: np.ndarray, width: float) -> list[np.ndarray] | None:
-        """Way points of a free joint motion, through points high above if the direct way is blocked."""
-        if self._is_free([q_start, q_goal], width):
-            return [q_start, q_goal]
-        for via in self._vias(q_start, q_goal):
-            way = [q_start, *via, q_goal]
-            if self._is_free(way, width):
-                return way
-        return None
-
-    def _is_free(self, way: Sequence[np.ndarray], width: float) -> bool:
-        return self.world.path_contact(np.stack(way), width) is None
-
-    def _vias(self, q_start: np.ndarray, q_goal: np.ndarray) -> Iterator[list[np.ndarray]]:
-        """Points above start, goal and the middle between them, at growing heights."""
-        T_start, T_goal = self.kinematics.forward(q_start), self.kinematics.forward(q_goal)
-        for height in self.config.via_heights:
-            over_start = self._above(T_start, T_start[:2, 3], height, q_start)
-            over_goal = self._above(T_goal, T_goal[:2, 3], height, q_goal)
-            angle = 0.5 * sum(np.arctan2(T[1, 3], T[0, 3]) for T in (T_start, T_goal))
-            middle = 0.45 * np.array([np.cos(angle), np.sin(angle)])
-            over_middle = self._above(T_goal, middle, height, q_goal)
-            for via in ([over_start], [over_goal], [over_middle], [over_start, over_goal]):
-                if all(q is not None for q in via):
-                    yield [q for q in via if q is not None]
-
-    def _above(self, T: np.ndarray, xy: np.ndarray, height: float, q_seed: np.ndarray) -> np.ndarray | None:
-        """Posture with the TCP above a point, the hand oriented as in ``T``; None if out of reach."""
-        T_above = T.copy()
-        T_above[:2, 3], T_above[2, 3] = xy, max(height, T[2, 3])
-        result = self.kinematics.inverse(T_above, [q_seed], name="via point")
-        return result.q if result.converged else None
-
     def _timed(
         self,
         pick: _Pick,
@@ -373,10 +313,9 @@ class PickPlacePlanner:
         carry: list[np.ndarray],
     ) -> PickPlacePlan | None:
         """The plan with all its motions timed."""
-        limits = self.limits
-        approach = [self._line(pick.approach)]
+        approach = [self.motions.timed_line(pick.approach)]
         if np.abs(start[0] - start[-1]).max() > 1e-6:
-            approach.insert(0, joint_path(start, limits))
+            approach.insert(0, self.motions.timed_way(start))
         return PickPlacePlan(
             name=placement.name,
             grasp=pick.grasp,
@@ -384,42 +323,10 @@ class PickPlacePlanner:
             T_world_stand_goal=place.T_world_stand_goal,
             T_world_stand_rest=T_rest,
             approach=concatenate(approach),
-            lift=self._line(pick.lift),
-            transfer=concatenate([joint_path(carry, limits), self._line(place.lowering)]),
-            retreat=self._line(place.retreat),
+            lift=self.motions.timed_line(pick.lift),
+            transfer=concatenate([self.motions.timed_way(carry), self.motions.timed_line(place.lowering)]),
+            retreat=self.motions.timed_line(place.retreat),
         )
-
-    def _line(self, postures: np.ndarray):
-        ends = [self.kinematics.forward(q)[:3, 3] for q in (postures[0], postures[-1])]
-        return line_motion(
-            postures, float(np.linalg.norm(ends[1] - ends[0])), self.limits, self.config.motion
-        )
-
-
-def box_walls(box: Box) -> tuple[Furniture, ...]:
-    """Floor and walls of a box as furniture."""
-    (x, y), (length, width, _), wall = box.center, box.size, box.wall
-    middle, half = box.top / 2, box.top / 2
-    along, across = length / 2 + wall, width / 2 + wall
-    walls = [
-        Furniture("box_floor", (x, y, box.floor / 2), (along, across, box.floor / 2)),
-    ]
-    for side in (-1, 1):
-        walls.append(
-            Furniture(
-                f"box_wall_x{side:+d}",
-                (x + side * (length / 2 + wall / 2), y, middle),
-                (wall / 2, across, half),
-            )
-        )
-        walls.append(
-            Furniture(
-                f"box_wall_y{side:+d}",
-                (x, y + side * (width / 2 + wall / 2), middle),
-                (along, wall / 2, half),
-            )
-        )
-    return tuple(walls)
 
 
 def _alike(first: Grasp, second: Grasp) -> bool:
@@ -428,6 +335,11 @@ def _alike(first: Grasp, second: Grasp) -> bool:
     return bool(
         first.kind == second.kind and turn < np.deg2rad(20) and abs(first.depth - second.depth) < 0.003
     )
+
+
+def _held_width(grasp: Grasp) -> float:
+    """Width expected between the pads while they hold, in [m]."""
+    return 0.5 * (grasp.closed_width[0] + grasp.closed_width[1])
 
 
 def _backed(T: np.ndarray, distance: float) -> np.ndarray:

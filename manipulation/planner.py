@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import logging
 from collections.abc import Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, field
 
 from manipulation.errors import PlanningError
 from manipulation.packing import PackingConfig, pack
@@ -29,9 +29,9 @@ class ManipulationConfig:
         max_retries: further attempts on an object after a failed one.
     """
 
-    pick_place: PickPlaceConfig = PickPlaceConfig()
-    packing: PackingConfig = PackingConfig()
-    sorting: SortingConfig = SortingConfig()
+    pick_place: PickPlaceConfig = field(default_factory=PickPlaceConfig)
+    packing: PackingConfig = field(default_factory=PackingConfig)
+    sorting: SortingConfig = field(default_factory=SortingConfig)
     support: SupportPlane | None = None
     max_retries: int = 2
 
@@ -95,7 +95,7 @@ def _usable(
         elif not planner.reachable_grasp(name):
             x, y = item.T_world_stand[:2, 3]
             left_out[name] = f"{name} at ({x:.2f}, {y:.2f}) m is out of the arm's reach; move it closer"
-    for name, reason in left_out.items():
+    for reason in left_out.values():
         log.warning("left out: %s", reason)
     usable = [item for name, item in items.items() if name not in left_out]
     if not usable:

@@ -75,7 +75,7 @@ class Span:
 
 
 def span(segments: Float[np.ndarray, "s 2 2"], azimuth: float) -> Span | None:
-    """Extent of the section along a direction, measured from the frame's origin; None for an empty section."""
+    """Extent of the section along a direction, from the frame's origin; None for an empty section."""
     if len(segments) == 0:
         return None
     along = segments.reshape(-1, 2) @ np.array([np.cos(azimuth), np.sin(azimuth)])

@@ -93,7 +93,7 @@ def body_axis(
 def split_handle(
     vertices: Float[np.ndarray, "v 3"], category: Category
 ) -> tuple[Float[np.ndarray, "_k 3"], ...]:
-    """Vertices (stand frame) in parts whose hulls are close to the object: body and handle of a mug, else all."""
+    """Vertices (stand frame) in parts with tight hulls: body and handle of a mug, all of anything else."""
     if category != "mug":
         return (vertices,)
     radius = np.ptp(vertices[:, 1]) / 2

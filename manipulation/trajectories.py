@@ -1,9 +1,9 @@
 """Jerk-limited motions: joint-space moves and straight lines of the TCP.
 
-Every motion is a 1-D time-optimal profile (ruckig) along a path: the straight line between two postures, or the
-spline through postures that inverse kinematics finds every few millimetres of a straight TCP line. So the arm
-stays on the very path that was checked for collisions. (Ruckig's own phase synchronisation of several joints
-falls back to time synchronisation now and then, and strays by 0.05 rad.)
+Every motion is a 1-D time-optimal profile (ruckig) along a path: the straight line between two postures, or
+the spline through postures that inverse kinematics finds every few millimetres of a straight TCP line. So the
+arm stays on the very path that was checked for collisions. (Ruckig's own phase synchronisation of several
+joints falls back to time synchronisation now and then, and strays by 0.05 rad.)
 
 Ruckig sends paths with intermediate positions to a remote service. They are never set here: moves through
 several points are chained, each ending at rest.
@@ -11,6 +11,7 @@ several points are chained, each ending at rest.
 
 from __future__ import annotations
 
+import itertools
 from collections.abc import Sequence
 from dataclasses import dataclass
 
@@ -91,14 +92,12 @@ def joint_move(
         float((limits.acceleration / share).min()),
         float((limits.jerk / share).min()),
     )
-    return JointTrajectory(
-        PERIOD, q_start + s[:, None] * step, ds[:, None] * step, dds[:, None] * step
-    )
+    return JointTrajectory(PERIOD, q_start + s[:, None] * step, ds[:, None] * step, dds[:, None] * step)
 
 
 def joint_path(waypoints: Sequence[Float[np.ndarray, "n"]], limits: JointLimits) -> JointTrajectory:
     """Joint moves through the waypoints, at rest in each of them."""
-    moves = [joint_move(a, b, limits) for a, b in zip(waypoints[:-1], waypoints[1:])]
+    moves = [joint_move(a, b, limits) for a, b in itertools.pairwise(waypoints)]
     if not moves:
         raise PlanningError("a joint path needs at least two waypoints")
     return concatenate(moves)
@@ -162,7 +161,7 @@ def line_motion(
 
 def concatenate(parts: Sequence[JointTrajectory]) -> JointTrajectory:
     """One trajectory from several that meet at rest."""
-    for before, after in zip(parts[:-1], parts[1:]):
+    for before, after in itertools.pairwise(parts):
         if not np.allclose(before.positions[-1], after.positions[0], atol=1e-4):
             raise PlanningError("trajectories to be chained do not meet")
     return JointTrajectory(
@@ -174,7 +173,7 @@ def concatenate(parts: Sequence[JointTrajectory]) -> JointTrajectory:
 
 
 def _profile(velocity: float, acceleration: float, jerk: float) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
-    """From 0 to 1 and from rest to rest within the limits: (t,) position, velocity, acceleration per sample."""
+    """From 0 to 1, rest to rest, within the limits: (t,) position, velocity, acceleration per sample."""
     request = ruckig.InputParameter(1)
     request.current_position, request.target_position = [0.0], [1.0]
     request.max_velocity, request.max_acceleration, request.max_jerk = [velocity], [acceleration], [jerk]

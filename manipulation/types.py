@@ -1,7 +1,8 @@
-"""What manipulation plans with: standing objects, grasps, placements, plans and outcomes, as frozen values.
+"""What manipulation plans with: standing objects, grasps, placements, plans, outcomes; all frozen.
 
-Every object is handled in its *stand frame*: origin on the support below the axis of its body, z up, x towards
-the handle of a mug. It takes the tilt and the hover of a fitted pose out of the plan: the object was standing.
+Every object is handled in its *stand frame*: origin on the support below the axis of its body, z up, x
+towards the handle of a mug or along the narrow side of a flat bottle. It keeps the tilt and the hover of a
+fitted pose out of the plan: the object was standing when it was seen.
 """
 
 from __future__ import annotations
