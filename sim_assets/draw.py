@@ -27,12 +27,12 @@ def class_counts(request: int | Mapping[Category, int], rng: np.random.Generator
     if isinstance(request, int):
         each, remainder = divmod(request, len(CATEGORIES))
         lucky = set(rng.permutation(len(CATEGORIES))[:remainder].tolist())
-        counts = {category: each + (i in lucky) for i, category in enumerate(CATEGORIES)}
+        counts: dict[Category, int] = {c: each + (i in lucky) for i, c in enumerate(CATEGORIES)}
     else:
         unknown = [name for name in request if name not in CATEGORIES]
         if unknown:
             raise RequestError(f"class '{unknown[0]}' is none of {', '.join(CATEGORIES)}")
-        counts = {category: int(request.get(category, 0)) for category in CATEGORIES}
+        counts = {c: int(request.get(c, 0)) for c in CATEGORIES}
     if min(counts.values()) < 0 or sum(counts.values()) < 1:
         raise RequestError(
             f"asked for {request}: counts must not be negative, and at least one object is needed"
@@ -70,15 +70,15 @@ def nestable(draw: Callable[[], ObjectModel], count: int) -> list[ObjectModel]:
     After enough tries the bowl that differs most is taken.
     """
     bowls: list[ObjectModel] = []
+
+    def step(bowl: ObjectModel) -> float:
+        return min((abs(bowl.radius - other.radius) for other in bowls), default=np.inf)
+
     for _ in range(count):
-        best, best_step = draw(), -1.0
+        best = draw()
         for _ in range(_TRIES):
-            step = min((abs(best.radius - bowl.radius) for bowl in bowls), default=np.inf)
-            if step >= NESTING_STEP:
+            if step(best) >= NESTING_STEP:
                 break
-            other = draw()
-            other_step = min(abs(other.radius - bowl.radius) for bowl in bowls)
-            if other_step > max(step, best_step):
-                best, best_step = other, other_step
+            best = max(best, draw(), key=step)
         bowls.append(best)
     return bowls

@@ -148,7 +148,8 @@ def _add_surroundings(spec: MjSpec) -> None:
     )  # fmt: skip
     world.add_light(
         name="fill", type=mujoco.mjtLightType.mjLIGHT_DIRECTIONAL,
-        pos=(-1.5, 1.5, 2.5), dir=(0.6, -0.5, -0.8), castshadow=False, diffuse=(0.20, 0.21, 0.24), specular=(0.05, 0.05, 0.05),
+        pos=(-1.5, 1.5, 2.5), dir=(0.6, -0.5, -0.8), castshadow=False,
+        diffuse=(0.20, 0.21, 0.24), specular=(0.05, 0.05, 0.05),
     )  # fmt: skip
 
 

@@ -298,7 +298,7 @@ class World:
 
     def _fingers_stalled(self, command: float) -> bool:
         """Whether the fingers met something: still, well behind their command."""
-        return self.gripper_width() / 2 - command > 0.004 and self._finger_speed() < 0.005
+        return bool(self.gripper_width() / 2 - command > 0.004 and self._finger_speed() < 0.005)
 
     def _wait_for_fingers(self) -> None:
         """Until they have been still for 0.15 s, 1 s at most."""

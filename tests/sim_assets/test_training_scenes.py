@@ -1,0 +1,79 @@
+"""Training pictures: labels agree with pictures, seeds repeat, kinds vary."""
+
+import numpy as np
+import pytest
+
+from perception.types import CATEGORIES
+from sim_assets.distractors import random_distractor
+from sim_assets.training_scenes import TrainingSceneConfig, TrainingScenes
+
+SMALL = TrainingSceneConfig(
+    width=160,
+    height=120,
+    pool=8,
+    distractors=4,
+    objects=(3, 6),
+    extras=(1, 2),
+    textures_redrawn=3,
+    shadows=0.0,
+)
+
+
+@pytest.fixture(scope="module")
+def pictures():
+    with TrainingScenes("train", 5, SMALL) as scenes:
+        return list(scenes.render(6))
+
+
+def test_pictures_are_frames_with_pose_and_labels(pictures):
+    for picture in pictures:
+        assert picture.frame.rgb.shape == (120, 160, 3)
+        assert picture.instances.shape == (120, 160)
+        assert picture.instances.max() < len(picture.labels)
+        assert {label.category for label in picture.labels} <= {None, *CATEGORIES}
+        assert picture.frame.T_world_camera is not None
+        counts = np.bincount(picture.instances[picture.instances >= 0], minlength=len(picture.labels))
+        assert [label.pixels for label in picture.labels] == counts.tolist()
+
+
+def test_depth_of_an_instance_lies_where_its_label_says(pictures):
+    """Points of an instance, seen from its object's frame, lie on the table within the object's height."""
+    checked = 0
+    for picture in pictures:
+        frame = picture.frame
+        v, u = np.indices(frame.depth.shape)
+        k, T = frame.intrinsics, frame.T_world_camera
+        rays = np.stack([(u - k.cx) / k.fx, (v - k.cy) / k.fy, np.ones(u.shape)], axis=-1)
+        points = (rays * frame.depth[..., None]) @ T[:3, :3].T + T[:3, 3]
+        for index, label in enumerate(picture.labels):
+            mine = points[(picture.instances == index) & (frame.depth > 0)]
+            if len(mine) < 100:
+                continue
+            local = mine - label.T_world_object[:3, 3]
+            assert np.median(np.linalg.norm(local[:, :2], axis=1)) < 0.2
+            assert -0.02 < np.median(local[:, 2]) < label.height + 0.02
+            checked += 1
+    assert checked > 10
+
+
+def test_yaw_is_the_angle_of_the_handle(pictures):
+    label = pictures[0].labels[0]
+    handle = label.T_world_object[:3, :3] @ [1, 0, 0]
+    assert np.angle(np.exp(1j * (label.yaw - np.arctan2(handle[1], handle[0])))) == pytest.approx(0, abs=1e-9)
+
+
+def test_same_seed_same_pictures(pictures):
+    with TrainingScenes("train", 5, SMALL) as scenes:
+        again = list(scenes.render(2))
+    for first, second in zip(pictures[:2], again, strict=True):
+        assert np.array_equal(first.instances, second.instances)
+        assert np.array_equal(first.frame.rgb, second.frame.rgb)
+        assert np.array_equal(first.frame.depth, second.frame.depth)
+
+
+def test_distractors_rest_on_the_table_and_are_of_a_size_to_stand_there():
+    rng = np.random.default_rng(0)
+    for _ in range(40):
+        bounds = random_distractor(rng).bounds
+        assert bounds[0, 2] == pytest.approx(0, abs=1e-9)
+        assert np.all(np.ptp(bounds, axis=0) < 0.45) and np.all(np.ptp(bounds, axis=0) > 0.002)
