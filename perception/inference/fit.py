@@ -21,7 +21,7 @@ from perception.inference.observation import ObjectObservation, PixelConfig, gat
 from perception.inference.problem import FitProblem, FitState, NoiseConfig, SupportCamera
 from perception.inference.shape_model import Decoder, LinearisedShape, decode, extent_of, linearise
 from perception.rendering.pose import ObjectPose
-from perception.types import CODE_SIZE, Category, FitStatus, ObjectEstimate, SupportPlane
+from perception.types import CODE_SIZE, GRID_RESOLUTION, Category, FitStatus, ObjectEstimate, SupportPlane
 
 logger = logging.getLogger(__name__)
 
@@ -121,8 +121,15 @@ class _Fitter:
         self, stage: Stage, state: FitState, shape: LinearisedShape, damping: float
     ) -> tuple[Fit, LinearisedShape, float]:
         config = self.config
+        start = self.poses[0]
         pixels = gather_pixels(
-            self.observations, self.poses[0].translation, self.reach, stage.crop, stage.level, config.pixels
+            self.observations,
+            start.translation,
+            self.reach,
+            2 * float(start.scale.mean()) / GRID_RESOLUTION,
+            stage.crop,
+            stage.level,
+            config.pixels,
         )
         limit = np.concatenate(
             [

@@ -70,16 +70,21 @@ class PixelConfig:
     """Which pixels take part.
 
     Attributes:
-        samples: M of the renderer.
+        step: of the renderer's samples along the ray, in voxels. The rendered surface of a grid lies behind the
+            true one for long steps, in front for short ones, and at it in between: 0.6 is best for all classes.
         ring: width of the background ring as a share of the object's larger side in the image.
         band: half width of the border band that is left out, in pixels of the full image.
         background_weight: weight of a background pixel; one of the object has 1.
     """
 
-    samples: int = 96
+    step: float = 0.6
     ring: float = 0.2
     band: float = 1.0
     background_weight: float = 0.2
+
+    def samples(self, reach: float, voxel: float) -> int:
+        """M for a depth range of twice ``reach`` [m] through voxels of this size [m]."""
+        return int(np.clip(round(2 * reach / (self.step * voxel)), 24, 192))
 
 
 @dataclass(frozen=True)
@@ -117,6 +122,7 @@ def gather_pixels(
     observations: Sequence[ObjectObservation],
     centre: Float[np.ndarray, "3"],
     reach: float,
+    voxel: float,
     crop: int,
     level: int,
     config: PixelConfig,
@@ -127,15 +133,17 @@ def gather_pixels(
         observations: the views.
         centre: of the object in the world [m], roughly.
         reach: half of the depth range around the centre [m].
+        voxel: size of the grid's voxels, roughly [m].
         crop: pixels along the longer side of the crop.
         level: pyramid level: the residuals are blurred and halved so often.
         config: which pixels take part.
     """
+    samples = config.samples(reach, voxel)
     directions, view, target, weight, operators, depth_range = [], [], [], [], [], []
     for index, seen in enumerate(observations):
         z = float(transform_points(invert(seen.T_world_camera), centre[None])[0, 2])
         near, far = max(z - reach, 0.02), z + reach
-        rays = RayBundle(np.empty((0, 3)), np.empty(0, np.int64), np.array([[near, far]]), config.samples)
+        rays = RayBundle(np.empty((0, 3)), np.empty(0, np.int64), np.array([[near, far]]), samples)
         u, v, is_object, is_background = _classify(seen, crop, config, near, far)
         valid = is_object | is_background
         measured = np.where(is_object, seen.frame.depth[v, u], rays.escape_depth[0])
@@ -149,7 +157,7 @@ def gather_pixels(
         np.concatenate(directions).astype(np.float32),
         np.concatenate(view),
         np.array(depth_range),
-        config.samples,
+        samples,
     )
     return PixelSet(
         rays=bundle,

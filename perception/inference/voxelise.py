@@ -50,9 +50,9 @@ def _crossings(
     a, b, c = corners[face, 0], corners[face, 1], corners[face, 2]
     x, y = ix + _JITTER[0], iy + _JITTER[1]
     area = _cross(b - a, c - a)
-    with np.errstate(divide="ignore", invalid="ignore"):
-        wb = ((x - a[:, 0]) * (c - a)[:, 1] - (y - a[:, 1]) * (c - a)[:, 0]) / area
-        wc = ((b - a)[:, 0] * (y - a[:, 1]) - (b - a)[:, 1] * (x - a[:, 0])) / area
+    safe = np.where(area == 0, 1.0, area)  # triangles seen edge-on are never hit
+    wb = ((x - a[:, 0]) * (c - a)[:, 1] - (y - a[:, 1]) * (c - a)[:, 0]) / safe
+    wc = ((b - a)[:, 0] * (y - a[:, 1]) - (b - a)[:, 1] * (x - a[:, 0])) / safe
     hit = (area != 0) & (wb >= 0) & (wc >= 0) & (wb + wc <= 1)
     z = a[:, 2] + wb * (b - a)[:, 2] + wc * (c - a)[:, 2]
     return (ix * n + iy)[hit], z[hit]

@@ -20,7 +20,7 @@ CAMERA = CameraIntrinsics(width=320, height=240, fx=290.0, fy=290.0, cx=159.5, c
 
 
 class CupDecoder:
-    """Solid cylinders with a knob on the +x side; code 0 sets the radius, code 1 the height, code 2 the knob."""
+    """Solid cylinders, mugs with a knob on the +x side; codes 0, 1, 2: radius, height, knob."""
 
     def __init__(self) -> None:
         line = torch.linspace(-31 / 32, 31 / 32, 32)

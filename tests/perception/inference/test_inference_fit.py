@@ -35,7 +35,9 @@ def can_estimate(can, decoder):
 
 
 def test_recovers_a_known_object(can, can_estimate) -> None:
-    assert _surface_error(can_estimate, can) < 0.0015  # 5000 samples of a can this size differ by 1 mm themselves
+    assert (
+        _surface_error(can_estimate, can) < 0.0015
+    )  # 5000 samples of a can this size differ by 1 mm themselves
     np.testing.assert_allclose(can_estimate.T_world_object[:2, 3], can.pose.translation[:2], atol=0.0015)
     assert can_estimate.height == pytest.approx(2 * 0.67 * 0.05, abs=0.002)
     assert can_estimate.radius == pytest.approx(0.67 * 0.05, abs=0.0015)

@@ -50,7 +50,7 @@ def test_weighted_linear_problem_in_few_steps() -> None:
 
 
 def test_weights_are_frozen_while_costs_are_compared() -> None:
-    # With weights that fade with x, the weighted cost falls for ever; with frozen weights only x = 0 is better.
+    # With weights that fade with x, the weighted cost falls for ever; with frozen ones only x = 0 is better.
     def fading(x: np.ndarray) -> Evaluation:
         return Evaluation(x + 0.0, np.eye(1), 1 / (1 + np.abs(x)) ** 4)
 
@@ -66,7 +66,9 @@ def test_costs_of_accepted_steps_fall() -> None:
 
 def test_step_limit_shortens_the_step() -> None:
     config, limit = LmConfig(max_iterations=1), np.array([0.5])
-    result = minimise(lambda x: Evaluation(x - 100, np.eye(1), np.ones(1)), np.add, np.zeros(1), config, limit)
+    result = minimise(
+        lambda x: Evaluation(x - 100, np.eye(1), np.ones(1)), np.add, np.zeros(1), config, limit
+    )
     assert result.state[0] == pytest.approx(0.5)
     assert result.status == "max_iterations"
 

@@ -1,0 +1,72 @@
+"""Starting poses from clouds."""
+
+import numpy as np
+import pytest
+
+from perception.errors import InvalidInputError
+from perception.geometry import yaw_of
+from perception.inference.initialise import initial_poses, measure_clouds, plane_basis, yaw_hypotheses
+from perception.inference.observation import ObjectObservation
+from perception.types import SupportPlane
+
+PLANE = SupportPlane()
+
+
+def _peaked(*yaws: float, bins: int = 36) -> np.ndarray:
+    k = np.arange(bins) * 2 * np.pi / bins
+    p = sum(np.exp(8 * np.cos(k - yaw)) for yaw in yaws)
+    return p / p.sum()
+
+
+@pytest.mark.parametrize("azimuths", [(0.7,), (0.0, 2.0, 4.0)])
+def test_centre_size_and_height_of_a_cylinder(make_table, azimuths) -> None:
+    table = make_table("can", (0.0, 0.0), yaw=0.0)
+    measures = measure_clouds(table.observations(azimuths), PLANE, plane_basis(PLANE))
+    np.testing.assert_allclose(measures.centre, table.pose.translation[:2], atol=0.006)
+    assert measures.radius == pytest.approx(0.55 * 0.05, abs=0.004)
+    assert measures.height == pytest.approx(1.5 * 0.05, abs=0.005)
+
+
+def test_pose_stands_on_the_plane(make_table) -> None:
+    table = make_table("can", (), yaw=0.0)
+    (pose,) = initial_poses(table.observations((0.0, 2.0)), "can", PLANE, np.array([1.1, 1.1, 1.5]))
+    assert pose.translation[2] == pytest.approx(0.75 * pose.scale[2])
+    np.testing.assert_allclose(pose.rotation[:, 2], [0, 0, 1])
+    np.testing.assert_allclose(pose.scale, 0.05, rtol=0.15)
+
+
+def test_mug_yaws_are_the_peaks_likeliest_first(make_table) -> None:
+    seen = make_table("mug", (), yaw=1.0).observations((0.0,))[0]
+    both = _peaked(1.03) + 0.5 * _peaked(-2.0)
+    told = ObjectObservation(seen.frame, seen.mask, None, both / both.sum())
+    measures = measure_clouds([told], PLANE, plane_basis(PLANE))
+    yaws = yaw_hypotheses([told], "mug", measures)
+    assert np.cos(np.array(yaws) - [1.03, -2.0]) == pytest.approx([1, 1], abs=0.01)
+    blind = yaw_hypotheses([seen], "mug", measures)
+    assert len(blind) >= 4
+
+
+def test_bottles_try_both_ways_of_a_rectangle(make_table) -> None:
+    table = make_table("mug", (0.0, 0.0, 2.0), yaw=0.6)  # the knob makes the outline oblong along the yaw
+    measures = measure_clouds(table.observations((0.0, 1.5, 3.0, 4.5)), PLANE, plane_basis(PLANE))
+    yaws = yaw_hypotheses([], "bottle", measures)
+    assert len(yaws) == 2
+    assert abs(np.cos(yaws[0] - 0.6)) > 0.97
+    assert abs(np.cos(yaws[1] - yaws[0])) < 1e-6
+
+
+def test_tilted_plane_gives_tilted_objects(make_table) -> None:
+    normal = np.array([0.1, 0.0, 1.0]) / np.linalg.norm([0.1, 0.0, 1.0])
+    table = make_table("can", (), yaw=0.0)
+    plane = SupportPlane(normal, offset=float(normal @ [0.4, -0.1, 0.0]))
+    (pose, *_) = initial_poses(table.observations((0.0, 2.0)), "can", plane, np.array([1.1, 1.1, 1.5]))
+    np.testing.assert_allclose(pose.rotation[:, 2], normal, atol=1e-9)
+    assert abs(yaw_of(pose.rotation)) < 0.1
+
+
+def test_a_mask_on_the_table_is_an_error(make_table) -> None:
+    seen = make_table("can", (), yaw=0.0).observations((0.0,))[0]
+    flat = np.zeros_like(seen.mask)
+    flat[-20:, :40] = True
+    with pytest.raises(InvalidInputError, match="check the mask, the depth and the plane"):
+        initial_poses([ObjectObservation(seen.frame, flat)], "can", PLANE, np.ones(3))

@@ -1,0 +1,64 @@
+"""Whole scans: instances over frames, hidden pixels, parallel and repeatable."""
+
+import numpy as np
+import pytest
+
+from perception.inference.fit import FitConfig, Stage
+from perception.inference.reconstruct import gather_instances, hidden_by, reconstruct
+from perception.types import ObjectDetection, SupportPlane
+
+QUICK = FitConfig(stages=(Stage(24, 1, 3), Stage(32, 0, 5)))
+
+
+@pytest.fixture(scope="module")
+def scan(make_table):
+    """Two frames; instance 4 is a can seen in both, instance 2 a sliver that holds no surface."""
+    seen = make_table("can", (0.5,), yaw=0.0).observations((0.0, 2.0))
+    frames = [observation.frame for observation in seen]
+    sliver = np.zeros_like(seen[0].mask)
+    sliver[-12:, :20] = True
+    detections = [
+        [
+            ObjectDetection("can", 0.8, seen[0].mask, instance_id=4),
+            ObjectDetection("mug", 0.5, sliver, instance_id=2),
+        ],
+        [ObjectDetection("can", 0.6, seen[1].mask, instance_id=4), ObjectDetection("mug", 0.5, sliver)],
+    ]
+    return frames, detections
+
+
+def test_instances_gather_their_views(scan) -> None:
+    mug, can = gather_instances(*scan)
+    assert (mug.id, mug.category, len(mug.observations)) == (2, "mug", 1)
+    assert (can.id, can.category, len(can.observations)) == (4, "can", 2)
+    assert can.score == pytest.approx(0.7)
+    assert len(gather_instances(*scan, max_views=1)[1].observations) == 1
+
+
+def test_reconstruct_goes_on_without_what_cannot_be_fitted(scan, decoder, caplog) -> None:
+    calls = []
+    estimates = reconstruct(*scan, decoder, SupportPlane(), QUICK, progress=lambda *args: calls.append(args))
+    assert [estimate.name for estimate in estimates] == ["can_4"]
+    assert estimates[0].n_views == 2
+    assert "mug_2 cannot be reconstructed" in caplog.text
+    assert [call[:2] for call in calls] == [(1, 2), (2, 2)]
+
+
+def test_workers_do_not_change_the_result(scan, decoder) -> None:
+    one, two = (reconstruct(*scan, decoder, SupportPlane(), QUICK, workers=n)[0] for n in (1, 2))
+    np.testing.assert_array_equal(one.code, two.code)
+    np.testing.assert_array_equal(one.mesh.vertices, two.mesh.vertices)
+
+
+def test_what_is_clearly_behind_hides_nothing(scan) -> None:
+    frame, mask = scan[0][0], scan[1][0][0].mask
+    own = float(np.quantile(frame.depth[mask], 0.98))
+    depth = frame.depth.copy()
+    near, far = np.zeros_like(mask), np.zeros_like(mask)
+    near[10:20, 10:20], far[40:50, 10:20] = True, True
+    depth[near], depth[far] = own - 0.1, own + 0.1
+    changed = type(frame)(0.0, frame.rgb, depth, frame.intrinsics, frame.T_world_camera)
+    hidden = hidden_by(changed, mask, [near, far])
+    assert hidden[15, 15] and not hidden[45, 15]
+    assert not (hidden & mask).any()
+    assert not hidden_by(changed, mask, []).any()

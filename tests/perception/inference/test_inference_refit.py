@@ -1,0 +1,87 @@
+"""Looking again: found, moved, gone, hidden."""
+
+import numpy as np
+import pytest
+
+from perception.geometry import rigid, so3_exp
+from perception.inference.meshing import mesh_from_code
+from perception.inference.refit import refit_pose
+from perception.types import ObjectEstimate, RgbdFrame
+
+AZIMUTHS = (0.3, 1.5, 2.7)
+
+
+@pytest.fixture(scope="module")
+def mug(make_table):
+    return make_table("mug", (0.0, 0.0, 1.0), yaw=0.8)
+
+
+@pytest.fixture(scope="module")
+def estimate(mug) -> ObjectEstimate:
+    mesh = mesh_from_code(mug.decoder, mug.category, mug.code, mug.pose.scale)
+    return ObjectEstimate(0, "mug", mug.code, mug.pose.T_world_object, mug.pose.scale, mesh)
+
+
+def _frames(table, present: bool = True) -> list[RgbdFrame]:
+    rng = np.random.default_rng(5)
+    return [table.frame(table.camera(azimuth), rng, present)[0] for azimuth in AZIMUTHS]
+
+
+def test_object_in_place_is_seen_there(mug, estimate) -> None:
+    check = refit_pose(estimate, _frames(mug), mug.pose.T_world_object)
+    assert check.status == "seen"
+    assert check.inlier_share > 0.9
+    assert check.visible_pixels > 2000
+    assert check.shift < 0.002
+    assert check.tilt < np.deg2rad(1.5)
+
+
+def test_moved_object_is_found(mug, estimate) -> None:
+    T_expected = rigid(so3_exp(np.array([0, 0, 0.2])), np.array([0.012, -0.01, 0.0])) @ np.eye(4)
+    T_expected[:3, :3] = T_expected[:3, :3] @ mug.pose.rotation
+    T_expected[:3, 3] += mug.pose.translation
+    check = refit_pose(estimate, _frames(mug), T_expected)
+    assert check.status == "seen"
+    np.testing.assert_allclose(check.T_world_object[:3, 3], mug.pose.translation, atol=0.002)
+    np.testing.assert_allclose(check.T_world_object[:3, :3], mug.pose.rotation, atol=0.06)
+    assert check.shift == pytest.approx(np.hypot(0.012, 0.01), abs=0.002)
+
+
+def test_tilt_is_measured(mug, estimate, make_table) -> None:
+    leaning = type(mug)(
+        mug.decoder, mug.category, mug.code, mug.pose.moved(np.array([0.15, 0, 0] + [0.0] * 6))
+    )
+    check = refit_pose(estimate, _frames(leaning), mug.pose.T_world_object)
+    assert check.status == "seen"
+    assert check.tilt == pytest.approx(0.15, abs=0.03)
+
+
+def test_absent_object_is_not_there(mug, estimate) -> None:
+    check = refit_pose(estimate, _frames(mug, present=False), mug.pose.T_world_object)
+    assert check.status == "not_there"
+    np.testing.assert_array_equal(check.T_world_object, mug.pose.T_world_object)
+
+
+def test_covered_object_is_hidden(mug, estimate) -> None:
+    covered = []
+    for frame in _frames(mug):
+        depth = np.full_like(frame.depth, 0.25)
+        covered.append(RgbdFrame(0.0, frame.rgb, depth, frame.intrinsics, frame.T_world_camera))
+    check = refit_pose(estimate, covered, mug.pose.T_world_object)
+    assert check.status == "hidden"
+    assert check.visible_pixels < 80
+
+
+def test_no_view_of_the_place_is_hidden(estimate, mug) -> None:
+    check = refit_pose(estimate, [], mug.pose.T_world_object)
+    assert (check.status, check.visible_pixels) == ("hidden", 0)
+
+
+def test_a_neighbour_is_not_taken_for_the_object(mug, estimate) -> None:
+    """The place is empty, but the same shape stands 5 cm farther: it explains its own depth."""
+    beside = type(mug)(
+        mug.decoder, mug.category, mug.code, mug.pose.moved(np.array([0, 0, 0, 0.05, 0, 0, 0, 0, 0]))
+    )
+    neighbour = ObjectEstimate(1, "mug", mug.code, beside.pose.T_world_object, mug.pose.scale, estimate.mesh)
+    check = refit_pose(estimate, _frames(beside), mug.pose.T_world_object, [neighbour])
+    assert check.status == "not_there"
