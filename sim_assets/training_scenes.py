@@ -12,9 +12,7 @@ from dataclasses import dataclass
 from typing import Literal
 
 import cv2
-import manifold3d
 import numpy as np
-import trimesh
 from jaxtyping import Float, Int
 
 from perception.types import CATEGORIES, Category, RgbdFrame
@@ -22,7 +20,7 @@ from sim_assets.camera import OPENCV_FROM_MUJOCO, OffscreenRenderer, intrinsics_
 from sim_assets.depth_noise import DEPTH_NOISES, add_depth_noise
 from sim_assets.distractors import random_distractor
 from sim_assets.headless import MjSpec, mujoco
-from sim_assets.layout import PlanarPose, outline
+from sim_assets.layout import PlanarPose
 from sim_assets.materials import (
     Finish,
     add_material,
@@ -31,12 +29,12 @@ from sim_assets.materials import (
     random_ground,
 )
 from sim_assets.objects import sample_object
+from sim_assets.scatter import Thing, make_thing, scatter, simplified
 
 Split = Literal["train", "test"]
 CAMERA = "eye"
 GROUND_SIZE = (256, 256)
 SHOWN, HIDDEN = 2, 4  # geom groups
-_OUTLINE_POINTS = 20
 
 
 @dataclass(frozen=True)
@@ -109,14 +107,6 @@ class LabelledImage:
     labels: tuple[InstanceLabel, ...]
 
 
-@dataclass(frozen=True)
-class _Thing:
-    category: Category | None
-    mesh: trimesh.Trimesh
-    outline: Float[np.ndarray, "n 2"]
-    reach: float
-
-
 class TrainingScenes:
     """Renders labelled pictures of objects of one split; the same seed gives the same pictures."""
 
@@ -151,39 +141,19 @@ class TrainingScenes:
         self.close()
 
 
-def _draw_things(split: Split, config: TrainingSceneConfig, rng: np.random.Generator) -> list[_Thing]:
+def _draw_things(split: Split, config: TrainingSceneConfig, rng: np.random.Generator) -> list[Thing]:
     things = []
     for index in range(config.pool):
         category = CATEGORIES[index % len(CATEGORIES)]
-        things.append(_thing(category, _simplified(sample_object(category, split, rng).mesh)))
-    things += [_thing(None, random_distractor(rng)) for _ in range(config.distractors)]
+        things.append(make_thing(category, simplified(sample_object(category, split, rng).mesh)))
+    things += [make_thing(None, random_distractor(rng)) for _ in range(config.distractors)]
     return things
-
-
-def _simplified(mesh: trimesh.Trimesh, tolerance: float = 0.00015) -> trimesh.Trimesh:
-    """The same solid within ``tolerance`` [m], of far fewer triangles: they are what rendering here costs."""
-    solid = manifold3d.Manifold(
-        manifold3d.Mesh(np.asarray(mesh.vertices, np.float32), np.asarray(mesh.faces, np.uint32))
-    )
-    reduced = solid.simplify(tolerance).to_mesh()
-    if len(reduced.tri_verts) == 0:  # a mesh file that is no solid
-        return mesh
-    return trimesh.Trimesh(reduced.vert_properties[:, :3], reduced.tri_verts, process=False)
-
-
-def _thing(category: Category | None, mesh: trimesh.Trimesh) -> _Thing:
-    polygon = outline(mesh)
-    steps = np.cumsum(np.linalg.norm(np.diff(polygon, axis=0, append=polygon[:1]), axis=1))
-    even = np.linspace(0, steps[-1], _OUTLINE_POINTS, endpoint=False)
-    closed, at = np.concatenate([polygon, polygon[:1]]), np.concatenate([[0], steps])
-    points = np.stack([np.interp(even, at, closed[:, 0]), np.interp(even, at, closed[:, 1])], axis=1)
-    return _Thing(category, mesh, points, float(np.linalg.norm(points, axis=1).max()))
 
 
 class _Pool:
     """One compiled model with everything that may appear."""
 
-    def __init__(self, things: list[_Thing], config: TrainingSceneConfig, rng: np.random.Generator) -> None:
+    def __init__(self, things: list[Thing], config: TrainingSceneConfig, rng: np.random.Generator) -> None:
         self.things, self.config = things, config
         self.model = _build(things, rng).compile()
         self.data = mujoco.MjData(self.model)
@@ -218,7 +188,9 @@ class _Pool:
     def picture(self, rng: np.random.Generator) -> LabelledImage:
         config = self.config
         chosen = self._choose(rng)
-        poses = _scatter([self.things[i] for i in chosen], rng, config)
+        poses = scatter(
+            [self.things[i] for i in chosen], rng, rng.uniform(*config.gap), rng.uniform(*config.spread)
+        )
         shown = [index for index, pose in zip(chosen, poses, strict=True) if pose is not None]
         placed = [pose for pose in poses if pose is not None]
         self._show(shown, placed)
@@ -292,49 +264,7 @@ class _Pool:
         return T_world_camera
 
 
-def _scatter(
-    things: list[_Thing], rng: np.random.Generator, config: TrainingSceneConfig
-) -> list[PlanarPose | None]:
-    """A free place for each thing, None for one that found no room."""
-    least, spread = rng.uniform(*config.gap), rng.uniform(*config.spread)
-    poses: list[PlanarPose | None] = []
-    taken: list[np.ndarray] = []
-    centers: list[tuple[float, float, float]] = []
-    for thing in things:
-        found = None
-        for _ in range(30):
-            x, y = rng.uniform(-spread, spread, 2)
-            pose = PlanarPose(x, y, rng.uniform(-np.pi, np.pi))
-            points = pose.transform(thing.outline)
-            if _free(points, pose, thing.reach, taken, centers, least):
-                found = pose
-                taken.append(points)
-                centers.append((pose.x, pose.y, thing.reach))
-                break
-        poses.append(found)
-    return poses
-
-
-def _free(
-    points: np.ndarray,
-    pose: PlanarPose,
-    reach: float,
-    taken: list[np.ndarray],
-    centers: list[tuple[float, float, float]],
-    least: float,
-) -> bool:
-    for other, (x, y, radius) in zip(taken, centers, strict=True):
-        apart = np.hypot(pose.x - x, pose.y - y)
-        if apart > reach + radius + least:
-            continue
-        if apart < 0.6 * (reach + radius) - 0.02:
-            return False
-        if np.linalg.norm(points[:, None] - other[None], axis=-1).min() < least + 0.004:
-            return False
-    return True
-
-
-def _build(things: list[_Thing], rng: np.random.Generator) -> MjSpec:
+def _build(things: list[Thing], rng: np.random.Generator) -> MjSpec:
     spec = mujoco.MjSpec()
     spec.modelname = "table_top"
     spec.compiler.degree = False
