@@ -1,8 +1,8 @@
 """Convex pieces of arbitrary meshes, cut first so that decomposition is quick and cavities stay free.
 
-A hollow vessel is cut into wedges around its axis and levels of height, a closed one into slices: the hulls of
-most parts will do as they are; coacd decomposes the others. The lowest 2 mm of a vessel become one piece, so
-that only the base touches the table. Results are cached by the content of the mesh.
+A hollow vessel is cut into wedges around its axis and levels of height, a closed one into slices: the hulls
+of most parts will do as they are; coacd decomposes the others. The lowest 2 mm of a vessel become one piece,
+so that only the base touches the table. Results are cached by the content of the mesh.
 """
 
 from __future__ import annotations
@@ -22,13 +22,14 @@ from perception.types import Category
 
 log = logging.getLogger(__name__)
 
-VERSION = "2"  # of this recipe: part of the cache's key
+VERSION = "3"  # of this recipe: part of the cache's key
 WEDGES = {"mug": 16, "bowl": 20}
-LEVELS = (0.0, 0.08, 0.18, 0.32, 0.5, 0.75, 1.0)  # of a vessel, over the height above its base
+LEVELS = (0.0, 0.12, 0.3, 0.6, 1.0)  # of a vessel, over the height above its base
 SLICES = 12  # of a closed body
 BASE = 0.002  # [m]
-EXCESS = 8e-4  # what a hull may add to the thickness of a part, on average [m]
+EXCESS = 1.2e-3  # what a hull may add to the thickness of a part, on average [m]
 HULL_VERTICES = 32
+MOST_HULLS = 4  # that coacd may make of one part
 
 
 def cache_folder() -> Path:
@@ -38,7 +39,7 @@ def cache_folder() -> Path:
 
 
 def convex_pieces(mesh: trimesh.Trimesh, category: Category, name: str) -> list[Float[np.ndarray, "n 3"]]:
-    """Corners of the convex pieces of a watertight mesh in its object frame, from the cache where it has them."""
+    """Corners of the convex pieces of a watertight mesh in its object frame, cached."""
     content = (
         np.ascontiguousarray(mesh.vertices, "<f8").tobytes()
         + np.ascontiguousarray(mesh.faces, "<i8").tobytes()
@@ -127,6 +128,7 @@ def _pieces_of(lump: trimesh.Trimesh, excess: float) -> list[np.ndarray]:
     parts = coacd.run_coacd(
         coacd.Mesh(lump.vertices, lump.faces),
         threshold=0.1,
+        max_convex_hull=MOST_HULLS,
         preprocess_mode="off",  # the parts are manifold already
         mcts_nodes=10,
         mcts_iterations=20,

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from dataclasses import dataclass
-from typing import Literal, Protocol
+from typing import Literal, Protocol, runtime_checkable
 
 import numpy as np
 import trimesh
@@ -22,6 +22,7 @@ from sim_assets.objects.solids import Solid
 LIGHTEST, HEAVIEST = 0.05, 0.6  # [kg] what the gripper is asked to carry
 
 
+@runtime_checkable
 class Shape(Protocol):
     """What a model asks of its geometry; solids and mesh files both answer."""
 

@@ -9,7 +9,7 @@ from __future__ import annotations
 import numpy as np
 from jaxtyping import Bool, Float
 
-Curve = Float[np.ndarray, "k 2"]
+Curve = Float[np.ndarray, "_ 2"]  # any number of points: functions change it
 
 
 def smoothstep(x: Float[np.ndarray, "*n"]) -> Float[np.ndarray, "*n"]:
@@ -18,7 +18,7 @@ def smoothstep(x: Float[np.ndarray, "*n"]) -> Float[np.ndarray, "*n"]:
     return x * x * (3.0 - 2.0 * x)
 
 
-def fillet(vertices: Curve, radii: Float[np.ndarray, "k"], segments: int = 5) -> Curve:
+def fillet(vertices: Curve, radii: Float[np.ndarray, "_"], segments: int = 5) -> Curve:
     """Round the inner corners of an open polyline with arcs, ends untouched.
 
     An arc never takes more than 45 % of either neighbouring edge: a radius too large for its corner shrinks.

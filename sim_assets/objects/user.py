@@ -1,8 +1,8 @@
 """Users' own meshes as objects: DIR/<class>/*.{ply,obj,glb,stl}, in metres, z up.
 
 A mesh is moved so that its base lies on z = 0 and its axis on x = y = 0: the middle of its bounding box, for
-mugs the middle of the rim. A mug is turned so that its farthest point, the handle, lies along +x. An axis that
-is right within 2 mm, or a handle within 0.2 rad, stays as it is.
+mugs the middle of the rim. A mug is turned so that its farthest point, the handle, lies along +x. An axis
+that is right within 2 mm, or a handle within 0.2 rad, stays as it is.
 """
 
 from __future__ import annotations

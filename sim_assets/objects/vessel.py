@@ -38,7 +38,7 @@ class Wall:
 
 @dataclass(frozen=True)
 class Vessel:
-    """A hollow body of revolution; `outer` and `inner` are curves (r, z) up from base and floor to the rim."""
+    """A hollow body of revolution; `outer` and `inner` are curves (r, z) from base and floor to the rim."""
 
     outer: Curve
     inner: Curve
