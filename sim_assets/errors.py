@@ -7,7 +7,3 @@ class SimAssetsError(Exception):
 
 class ObjectFileError(SimAssetsError, ValueError):
     """A user's mesh file or folder is unusable; the message names the file, the reason and the remedy."""
-
-
-class ObjectParameterError(SimAssetsError, ValueError):
-    """Parameters of an object family that no such object can have."""

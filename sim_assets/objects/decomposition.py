@@ -76,6 +76,8 @@ def _store(path: Path, pieces: list[np.ndarray]) -> None:
 
 def _decompose(mesh: trimesh.Trimesh, category: Category) -> list[np.ndarray]:
     if category not in WEDGES:
+        if _nearly_convex(mesh, EXCESS):
+            return [np.asarray(mesh.convex_hull.vertices)]
         slices = (_part(mesh, cutter) for cutter in _slices(mesh.bounds))
         return [piece for part in slices for piece in _pieces_of(part, excess=5 * EXCESS)]
     height = float(mesh.bounds[1, 2])
@@ -89,6 +91,11 @@ def _decompose(mesh: trimesh.Trimesh, category: Category) -> list[np.ndarray]:
                 if lump.volume > 1e-9:
                     pieces += _pieces_of(lump, EXCESS)
     return pieces
+
+
+def _nearly_convex(mesh: trimesh.Trimesh, excess: float) -> bool:
+    """Whether the hull adds less than `excess` [m] to the thickness, on average over the part's face."""
+    return bool(mesh.convex_hull.volume - mesh.volume < excess * 0.5 * mesh.area)
 
 
 def _part(mesh: trimesh.Trimesh, cutter: trimesh.Trimesh) -> trimesh.Trimesh:
@@ -119,9 +126,8 @@ def _wedges(bounds: np.ndarray, count: int) -> list[trimesh.Trimesh]:
 
 def _pieces_of(lump: trimesh.Trimesh, excess: float) -> list[np.ndarray]:
     """The hull where it adds little, coacd's pieces elsewhere."""
-    hull = lump.convex_hull
-    if hull.volume - lump.volume < excess * 0.5 * lump.area:
-        return [np.asarray(hull.vertices)]
+    if _nearly_convex(lump, excess):
+        return [np.asarray(lump.convex_hull.vertices)]
     import coacd  # slow to import, and only users' meshes need it
 
     coacd.set_log_level("error")

@@ -1,8 +1,8 @@
 """Users' own meshes as objects: DIR/<class>/*.{ply,obj,glb,stl}, in metres, z up.
 
 A mesh is moved so that its base lies on z = 0 and its axis on x = y = 0: the middle of its bounding box, for
-mugs the middle of the rim. A mug is turned so that its farthest point, the handle, lies along +x. An axis
-that is right within 2 mm, or a handle within 0.2 rad, stays as it is.
+mugs the centre of the circle that their upper part lies on. A mug is turned so that its farthest point, the
+handle, lies along +x. An axis right within 2 mm, or a handle within 0.2 rad, stays as it is.
 """
 
 from __future__ import annotations
@@ -12,6 +12,7 @@ from typing import get_args
 
 import numpy as np
 import trimesh
+from scipy.optimize import least_squares
 
 from perception.types import Category
 from sim_assets.errors import ObjectFileError
@@ -109,10 +110,9 @@ def _in_object_frame(mesh: trimesh.Trimesh, category: Category) -> trimesh.Trime
     """A copy of the mesh with base, axis and handle where the conventions want them."""
     vertices = np.array(mesh.vertices)
     vertices[:, 2] -= vertices[:, 2].min()
-    around = vertices
+    centre = 0.5 * (vertices[:, :2].min(axis=0) + vertices[:, :2].max(axis=0))
     if category == "mug":
-        around = vertices[vertices[:, 2] > 0.95 * vertices[:, 2].max()]
-    centre = 0.5 * (around[:, :2].min(axis=0) + around[:, :2].max(axis=0))
+        centre = _circle_centre(mesh, centre)
     if np.abs(centre).max() > SNUG:
         vertices[:, :2] -= centre
     if category == "mug":
@@ -122,3 +122,16 @@ def _in_object_frame(mesh: trimesh.Trimesh, category: Category) -> trimesh.Trime
             rotation = np.array([direction, (-direction[1], direction[0])])
             vertices[:, :2] = vertices[:, :2] @ rotation.T
     return trimesh.Trimesh(vertices, mesh.faces, process=False)
+
+
+def _circle_centre(mesh: trimesh.Trimesh, start: np.ndarray) -> np.ndarray:
+    """Centre of the circle that the upper part of a mug lies on; a handle there is an outlier."""
+    points = trimesh.sample.sample_surface(mesh, 20_000, seed=0)[0]
+    low, high = mesh.bounds[:, 2]
+    rim = points[points[:, 2] > low + 0.85 * (high - low), :2]
+
+    def residual(circle: np.ndarray) -> np.ndarray:
+        return np.hypot(*(rim - circle[:2]).T) - circle[2]
+
+    guess = np.array([*start, np.median(np.hypot(*(rim - start).T))])
+    return least_squares(residual, guess, loss="soft_l1", f_scale=1e-3).x[:2]

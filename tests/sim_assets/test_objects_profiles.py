@@ -37,14 +37,16 @@ def test_cup_has_a_cavity(r, z, inside):
 
 
 def test_fillet_of_a_right_angle_is_its_circle():
-    rounded = fillet(np.array([(0, 0), (10, 0), (10, 10)], dtype=float), np.array([0, 2, 0]), segments=8)
+    rounded = fillet(
+        np.array([(0, 0), (10, 0), (10, 10)], dtype=float), np.array([0.0, 2.0, 0.0]), segments=8
+    )
     arc = rounded[1:-1]
     np.testing.assert_allclose(np.linalg.norm(arc - (8, 2), axis=1), 2.0)
     np.testing.assert_allclose(arc[[0, -1]], [(8, 0), (10, 2)], atol=1e-12)
 
 
 def test_fillet_too_large_for_its_edges_shrinks():
-    rounded = fillet(np.array([(0, 0), (1, 0), (1, 1)], dtype=float), np.array([0, 50, 0]))
+    rounded = fillet(np.array([(0, 0), (1, 0), (1, 1)], dtype=float), np.array([0.0, 50.0, 0.0]))
     assert rounded.min() >= 0 and rounded.max() <= 1
 
 
