@@ -23,10 +23,12 @@ def object_poses(world: World) -> dict[int, Float[np.ndarray, "4 4"]]:
     """T_world_object of every object now, in the frame of its model (origin at the centre of the base)."""
     poses = {}
     for index in object_models(world):
-        body = world._data.body(f"object{index}")
+        state = world._data.joint(f"object{index}").qpos  # position, quaternion
+        rotation = np.empty(9)
+        mujoco.mju_quat2Mat(rotation, state[3:])
         T_world_object = np.eye(4)
-        T_world_object[:3, :3] = body.xmat.reshape(3, 3)
-        T_world_object[:3, 3] = body.xpos
+        T_world_object[:3, :3] = rotation.reshape(3, 3)
+        T_world_object[:3, 3] = state[:3]
         poses[index] = T_world_object
     return poses
 
@@ -56,8 +58,3 @@ def touching(world: World, index: int) -> set[str]:
 def held(world: World, index: int) -> bool:
     """Whether an object touches both fingers."""
     return {"left_finger", "right_finger"} <= touching(world, index)
-
-
-def settle_forward(world: World) -> None:
-    """Bring derived quantities (poses, contacts) up to date with the joint positions."""
-    mujoco.mj_forward(world._model, world._data)
