@@ -63,7 +63,7 @@ class Stencil:
 
     @staticmethod
     def of(shape: Footprint, gap: float, cell: float) -> Stencil:
-        size = max(shape.reach(np.array(d)) for d in ((1, 0), (-1, 0), (0, 1), (0, -1)))
+        size = max(shape.reach(direction) for direction in np.concatenate([np.eye(2), -np.eye(2)]))
         count = int(np.ceil((size + gap) / cell)) + 1
         offsets = cell * np.arange(-count, count + 1)
         cells = np.stack(np.meshgrid(offsets, offsets, indexing="ij"), axis=-1)

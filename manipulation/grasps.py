@@ -52,8 +52,10 @@ class GraspConfig:
         half_opening: preferred distance of each pad from the middle of the wall before closing in [m].
         min_half_opening: least such distance in [m].
         release_gap: by which each finger lets go in [m].
-        max_tilt: largest tilt of the hand in [rad].
-        top_clearance: room at each finger before closing around a body in [m].
+        max_tilt, max_inward_tilt: of the hand, for walls that widen or narrow upwards, in [rad].
+        pad_thickness: of a finger at its tip, along the closing direction, in [m].
+        top_clearance: room at each finger before closing around a body in [m]; a little below 0, because the
+            body may have been estimated too wide.
         max_taper: largest change of a body's width over the height of the pads, as a share.
         fingertip_clearance: kept above the support in [m].
     """
@@ -70,9 +72,11 @@ class GraspConfig:
     min_half_opening: float = 0.010
     release_gap: float = 0.0045
     max_tilt: float = np.deg2rad(25.0)
-    top_clearance: float = 0.0015
-    max_taper: float = 0.25
-    fingertip_clearance: float = 0.006
+    max_inward_tilt: float = 0.15
+    pad_thickness: float = 0.010
+    top_clearance: float = -0.0015
+    max_taper: float = 0.35
+    fingertip_clearance: float = 0.005
 
 
 @dataclass(frozen=True)
@@ -146,6 +150,7 @@ class Wall:
 def wall_at(sections: SectionCache, z: float, azimuth: float, config: GraspConfig) -> Wall | None:
     """The wall at a height and direction; where the mesh has no cavity, a wall of the default thickness."""
     segments = sections.at(z)
+    azimuth += 0.003  # beside the round angles at which meshes have their edges
     hits = radial_hits(segments, np.zeros(2), azimuth)
     if len(hits) == 0:
         return None
@@ -173,9 +178,6 @@ def _rim_grasp(
     gripper = config.gripper
     depth = config.bowl_depth if item.category == "bowl" else config.mug_depth
     rim = _rim_height(item, azimuth)
-    depth = min(depth, rim - gripper.tip - config.fingertip_clearance)
-    if depth < config.least_depth:
-        return "too low"
     wall = wall_at(sections, rim - depth, azimuth, config)
     if wall is None:
         return "too thick at the rim"
@@ -184,9 +186,10 @@ def _rim_grasp(
     slope = 0.0
     if above is not None and below is not None:
         slope = float(np.arctan2(above.outer - below.outer, 0.014))
-    tilt = float(np.clip(slope, -0.15, config.max_tilt))
-    if abs(tilt) < np.deg2rad(2):
-        tilt = 0.0
+    hold = _depth_and_tilt(rim, depth, slope, config)
+    if hold is None:
+        return "too low"
+    depth, tilt = hold
     pad_height = rim - depth * np.cos(tilt)
     wall = wall_at(sections, pad_height, azimuth, config) or wall
     room = wall.across - gripper.finger_thickness - 0.003
@@ -209,6 +212,25 @@ def _rim_grasp(
         azimuth=azimuth,
         score=score,
     )
+
+
+def _depth_and_tilt(
+    rim: float, depth: float, slope: float, config: GraspConfig
+) -> tuple[float, float] | None:
+    """Depth below the rim [m] and tilt of the hand [rad] that keep the lower fingertip off the support.
+
+    The wall's slope and the wanted depth if possible; else shallower, then less tilted; None if too low.
+    """
+    tilt = float(np.clip(slope, -config.max_inward_tilt, config.max_tilt))
+    if abs(tilt) < np.deg2rad(2):
+        tilt = 0.0
+    reach = config.half_opening + config.pad_thickness  # of the finger that a tilt lowers
+    for share in (1.0, 0.5, 0.0):
+        sine, cosine = abs(np.sin(share * tilt)), np.cos(share * tilt)
+        room = rim - config.gripper.tip * cosine - reach * sine - config.fingertip_clearance
+        if room / cosine >= config.least_depth:
+            return min(depth, float(room / cosine)), share * tilt
+    return None
 
 
 def _top_grasps(
@@ -275,7 +297,7 @@ def _spans(sections: SectionCache, heights: Float[np.ndarray, "_k"], azimuth: fl
 def _is_open(item: StandingObject, sections: SectionCache) -> bool:
     """Whether the object has a wide cavity below its top, such as a tumbler."""
     hits = radial_hits(sections.at(item.top - 0.012), np.zeros(2), 0.1)
-    return len(hits) >= 2 and hits[0] > 0.02
+    return len(hits) >= 2 and bool(hits[0] > 0.02)
 
 
 def _tcp_pose(position: np.ndarray, approach: np.ndarray, closing: np.ndarray) -> Float[np.ndarray, "4 4"]:

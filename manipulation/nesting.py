@@ -13,7 +13,7 @@ from manipulation.sections import SectionCache, radial_hits
 from manipulation.types import StandingObject
 
 _STEP = 0.002
-_AZIMUTHS = 2 * np.pi * np.arange(8) / 8
+_AZIMUTHS = 2 * np.pi * np.arange(8) / 8 + 0.05  # beside the round angles at which meshes have their edges
 
 
 @dataclass(frozen=True)

@@ -1,9 +1,13 @@
-"""A small arm for the tests: the chain of the Franka Emika Panda with capsules for links, written inline."""
+"""What the tests handle: the chain of the Franka Emika Panda with capsules for links, and analytic objects."""
+
+from types import SimpleNamespace
 
 import numpy as np
 import pytest
+import trimesh
 
 from manipulation.robot import ArmDescription
+from perception.types import ObjectEstimate, TriangleMesh
 
 _LINKS = [  # position, quaternion, lower and upper limit of each joint, collision capsule from-to in the link
     ("0 0 .333", "1 0 0 0", -2.8973, 2.8973, "0 0 -.19 0 0 -.02", 0.06),
@@ -56,4 +60,75 @@ def arm() -> ArmDescription:
         velocity_limit=np.array([2.175, 2.175, 2.175, 2.175, 2.61, 2.61, 2.61]),
         acceleration_limit=np.array([15, 7.5, 10, 12.5, 15, 20, 20]),
         jerk_limit=np.array([7500.0, 3750, 5000, 6250, 7500, 10000, 10000]),
+    )
+
+
+def _revolved(profile) -> trimesh.Trimesh:
+    mesh = trimesh.creation.revolve(np.array(profile), sections=48)
+    if mesh.volume < 0:
+        mesh.invert()
+    return mesh
+
+
+def cup(radius=0.04, height=0.095, wall=0.004, base=0.006) -> trimesh.Trimesh:
+    inner = radius - wall
+    return _revolved([(0, 0), (radius, 0), (radius, height), (inner, height), (inner, base), (0, base)])
+
+
+def mug(radius=0.04, height=0.095, wall=0.004) -> trimesh.Trimesh:
+    """A cup with a square handle along +x that reaches 25 mm beyond the body."""
+    half = height / 2
+    bars = [
+        ((0.028, 0.01, 0.008), (radius + 0.011, 0, half + 0.021)),
+        ((0.028, 0.01, 0.008), (radius + 0.011, 0, half - 0.021)),
+        ((0.008, 0.01, 0.05), (radius + 0.021, 0, half)),
+    ]
+    boxes = [trimesh.creation.box(size).apply_translation(place) for size, place in bars]
+    return trimesh.boolean.union([cup(radius, height, wall), *boxes])
+
+
+def bowl(radius=0.075, height=0.06, wall=0.004, slope=np.deg2rad(10)) -> trimesh.Trimesh:
+    """Straight walls that lean outwards by ``slope``, a flat floor."""
+    foot = radius - height * np.tan(slope)
+    across = wall / np.cos(slope)
+    inner_foot = foot - across + 0.005 * np.tan(slope)
+    outline = [
+        (0, 0),
+        (foot, 0),
+        (radius, height),
+        (radius - across, height),
+        (inner_foot, 0.005),
+        (0, 0.005),
+    ]
+    return _revolved(outline)
+
+
+def can(radius=0.033, height=0.12) -> trimesh.Trimesh:
+    return _revolved([(0, 0), (radius, 0), (radius, height), (0, height)])
+
+
+def bottle(radius=0.038, height=0.22, neck=0.014) -> trimesh.Trimesh:
+    shoulder = [(radius, 0.55 * height), (neck, 0.72 * height)]
+    return _revolved([(0, 0), (radius, 0), *shoulder, (neck, height), (0, height)])
+
+
+def flat_bottle(narrow=0.05, wide=0.09, height=0.2) -> trimesh.Trimesh:
+    return trimesh.creation.box((narrow, wide, height)).apply_translation((0, 0, height / 2))
+
+
+def estimate(number, category, mesh, x=0.45, y=-0.3, yaw=0.0, lift=0.0) -> ObjectEstimate:
+    """The object as perception would hand it over: frame in the middle of the bounding box, handle along +x."""
+    centre = mesh.bounds.mean(axis=0)
+    c, s = np.cos(yaw), np.sin(yaw)
+    T = np.array([[c, -s, 0, x], [s, c, 0, y], [0, 0, 1, lift], [0, 0, 0, 1]])
+    T[:3, 3] += T[:3, :3] @ centre
+    surface = TriangleMesh(mesh.vertices - centre, mesh.faces)
+    return ObjectEstimate(number, category, np.zeros(16), T, np.ones(3), surface)
+
+
+@pytest.fixture(scope="session")
+def shapes() -> SimpleNamespace:
+    """Analytic meshes: base on z = 0, axis x = y = 0, lengths in [m]; and ``estimate`` to stand them somewhere."""
+    return SimpleNamespace(
+        cup=cup, mug=mug, bowl=bowl, can=can, bottle=bottle, flat_bottle=flat_bottle, estimate=estimate
     )

@@ -1,0 +1,81 @@
+import numpy as np
+import pytest
+from scipy.spatial.transform import Rotation
+
+from manipulation.errors import ManipulationError
+from manipulation.kinematics import Kinematics
+
+
+@pytest.fixture(scope="module")
+def kinematics(arm):
+    return Kinematics(arm)
+
+
+def top_down(x, y, z, yaw=0.0):
+    T = np.eye(4)
+    T[:3, :3] = Rotation.from_euler("z", yaw).as_matrix() @ np.diag([1.0, -1.0, -1.0])
+    T[:3, 3] = x, y, z
+    return T
+
+
+def test_forward_gives_the_published_check_pose(kinematics, arm):
+    T = kinematics.forward(arm.q_home)
+    assert T[:3, 3] == pytest.approx([0.3069, 0, 0.4869], abs=1e-4)
+    assert T[:3, 2] == pytest.approx([0, 0, -1], abs=1e-9)
+
+
+def test_camera_looks_along_the_hand(kinematics, arm):
+    T_tcp, T_camera = kinematics.forward(arm.q_home), kinematics.forward(arm.q_home, "camera")
+    assert T_camera[:3, 2] == pytest.approx(T_tcp[:3, 2], abs=1e-9)
+    offset = T_tcp[:3, :3].T @ (T_camera[:3, 3] - T_tcp[:3, 3])
+    assert offset == pytest.approx([0.065, 0, 0.052 - 0.1034], abs=1e-9)
+
+
+@pytest.mark.parametrize("frame", ["tcp", "camera"])
+def test_inverse_of_forward_reaches_the_same_pose(kinematics, arm, frame):
+    rng = np.random.default_rng(3)
+    middle, spread = (kinematics.lower + kinematics.upper) / 2, (kinematics.upper - kinematics.lower) / 2
+    for _ in range(15):
+        q = middle + rng.uniform(-0.6, 0.6, 7) * spread
+        T = kinematics.forward(q, frame)
+        result = kinematics.inverse(T, [q + rng.normal(scale=0.2, size=7)], frame)
+        assert result.converged
+        assert kinematics.forward(result.q, frame) == pytest.approx(T, abs=2e-3)
+        assert result.position_error <= 1e-4
+
+
+def test_work_space_is_reached_from_general_seeds_within_the_joint_margin(kinematics):
+    rng = np.random.default_rng(4)
+    for _ in range(20):
+        radius, azimuth = rng.uniform(0.35, 0.68), rng.uniform(-1.2, 1.2)
+        T = top_down(
+            radius * np.cos(azimuth), radius * np.sin(azimuth), rng.uniform(0.02, 0.3), rng.uniform(-3, 3)
+        )
+        result = kinematics.inverse(T, kinematics.seeds_toward(T))
+        assert result.converged
+        assert kinematics.limit_distance(result.q) >= 0.05 - 1e-5
+        assert kinematics.within_limits(result.q, margin=0.049)
+
+
+def test_unreachable_target_is_a_status_with_the_distance_left(kinematics):
+    T = top_down(1.5, 0, 0.1)
+    result = kinematics.inverse(T, kinematics.seeds_toward(T, 2))
+    assert result.status == "not_converged" and not result.converged
+    assert 0.4 < result.position_error < 1.5
+    assert np.isfinite(result.q).all()
+
+
+def test_seed_outside_the_limits_is_clipped(kinematics):
+    T = top_down(0.5, 0.1, 0.1)
+    assert kinematics.inverse(T, [np.full(7, 9.0), *kinematics.seeds_toward(T)]).converged
+
+
+@pytest.mark.parametrize("bad", [np.full((4, 4), np.nan), np.diag([2.0, 2, 2, 1]), np.diag([1.0, 1, -1, 1])])
+def test_targets_that_are_no_poses_are_refused_by_name(kinematics, arm, bad):
+    with pytest.raises(ManipulationError, match="the pose of mug_3"):
+        kinematics.inverse(bad, [arm.q_home], name="mug_3")
+
+
+def test_no_seed_is_an_error_that_names_the_target(kinematics):
+    with pytest.raises(ManipulationError, match="no start posture.*can_1"):
+        kinematics.inverse(np.eye(4), [], name="can_1")

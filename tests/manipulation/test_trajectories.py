@@ -1,0 +1,157 @@
+from pathlib import Path
+
+import numpy as np
+import pytest
+import ruckig
+from hypothesis import given, settings
+from hypothesis import strategies as st
+
+import manipulation
+from manipulation.errors import PlanningError
+from manipulation.kinematics import Kinematics
+from manipulation.trajectories import (
+    PERIOD,
+    JointLimits,
+    MotionConfig,
+    concatenate,
+    joint_move,
+    joint_path,
+    line_motion,
+    line_postures,
+)
+
+CONFIG = MotionConfig()
+
+
+@pytest.fixture(scope="module")
+def limits(arm):
+    # Shares of the published limits, as for a robot at work.
+    full = JointLimits.of(arm, CONFIG)
+    return JointLimits(0.8 * full.velocity, 0.45 * full.acceleration, 0.06 * full.jerk)
+
+
+def at_1_khz(trajectory):
+    """Positions resampled at 1 kHz by cubic Hermite interpolation of the 2 ms samples."""
+    q, qd, h = trajectory.positions, trajectory.velocities, trajectory.period
+    middle = (q[:-1] + q[1:]) / 2 + h * (qd[:-1] - qd[1:]) / 8
+    out = np.empty((2 * len(q) - 1, q.shape[1]))
+    out[::2], out[1::2] = q, middle
+    return out
+
+
+def assert_within(trajectory, limits):
+    q = at_1_khz(trajectory)
+    velocity = np.diff(q, axis=0) / 1e-3
+    acceleration = np.diff(velocity, axis=0) / 1e-3
+    assert (np.abs(velocity) <= 1.005 * limits.velocity + 1e-4).all()
+    assert (np.abs(acceleration) <= 1.02 * limits.acceleration + 0.05).all()
+    jerk = np.diff(trajectory.accelerations, axis=0) / trajectory.period
+    assert np.isfinite(jerk).all()
+    return jerk
+
+
+postures = st.lists(st.floats(-1.5, 1.5), min_size=7, max_size=7).map(np.array)
+
+
+@settings(max_examples=25, deadline=None)
+@given(start=postures, goal=postures)
+def test_joint_moves_keep_all_limits_and_the_straight_line(limits, start, goal):
+    move = joint_move(start, goal, limits)
+    jerk = assert_within(move, limits)
+    assert (np.abs(jerk) <= 1.01 * limits.jerk + 1.0).all()
+    assert move.positions[0] == pytest.approx(start) and move.positions[-1] == pytest.approx(goal)
+    assert not move.velocities[[0, -1]].any() and not move.accelerations[-1].any()
+    step = goal - start
+    if np.linalg.norm(step) > 1e-6:
+        along = (move.positions - start) @ step / (step @ step)
+        assert np.abs(move.positions - start - along[:, None] * step).max() < 1e-9
+
+
+def test_joint_moves_are_as_fast_as_one_joint_allows(limits):
+    goal = np.zeros(7)
+    goal[3] = 2.0
+    move = joint_move(np.zeros(7), goal, limits)
+    assert move.velocities[:, 3].max() == pytest.approx(limits.velocity[3], rel=1e-3)
+    assert move.period == PERIOD and move.duration == pytest.approx(PERIOD * (len(move.positions) - 1))
+
+
+def test_no_move_at_all_is_one_sample(limits):
+    assert joint_move(np.ones(7), np.ones(7), limits).duration == 0
+
+
+@pytest.mark.parametrize(
+    ("goal", "message"), [(np.zeros(6), "does not fit 7 joints"), (np.full(7, np.nan), "not finite")]
+)
+def test_impossible_requests_are_refused(limits, goal, message):
+    with pytest.raises(PlanningError, match=message):
+        joint_move(np.zeros(len(goal)), goal, limits)
+
+
+def test_path_rests_in_its_way_points(limits):
+    way = [np.zeros(7), np.full(7, 0.3), np.full(7, -0.2)]
+    path = joint_path(way, limits)
+    resting = np.flatnonzero(np.abs(path.velocities).max(axis=1) == 0)
+    assert np.abs(path.positions[resting] - way[1]).max(axis=1).min() < 1e-12
+    assert_within(path, limits)
+    with pytest.raises(PlanningError, match="two waypoints"):
+        joint_path(way[:1], limits)
+
+
+def test_chained_parts_must_meet(limits):
+    first = joint_move(np.zeros(7), np.ones(7), limits)
+    with pytest.raises(PlanningError, match="do not meet"):
+        concatenate([first, first])
+
+
+def test_straight_line_stays_straight_upright_and_within_limits(arm, limits):
+    kinematics = Kinematics(arm)
+    T = kinematics.forward(arm.q_home)
+    T_goal = T.copy()
+    T_goal[:3, 3] += (0.15, 0.1, -0.25)
+    postures = line_postures(kinematics, arm.q_home, T_goal, CONFIG)
+    length = float(np.linalg.norm(T_goal[:3, 3] - T[:3, 3]))
+    line = line_motion(postures, length, limits, CONFIG)
+    assert_within(line, limits)
+    poses = np.array([kinematics.forward(q) for q in line.positions[::25]])
+    direction = (T_goal[:3, 3] - T[:3, 3]) / length
+    offset = poses[:, :3, 3] - T[:3, 3]
+    away = offset - (offset @ direction)[:, None] * direction
+    assert np.linalg.norm(away, axis=1).max() < 3e-4
+    assert poses[:, 2, 2].max() < -0.99999
+    speed = np.linalg.norm(np.diff(poses[:, :3, 3], axis=0), axis=1) / (25 * PERIOD)
+    assert speed.max() <= 1.02 * CONFIG.line_speed
+    assert poses[-1][:3, 3] == pytest.approx(T_goal[:3, 3], abs=3e-4)
+
+
+def test_line_is_slowed_down_where_a_joint_would_be_too_fast(arm, limits):
+    slow = JointLimits(0.05 * limits.velocity, limits.acceleration, limits.jerk)
+    kinematics = Kinematics(arm)
+    T_goal = kinematics.forward(arm.q_home)
+    T_goal[2, 3] -= 0.2
+    postures = line_postures(kinematics, arm.q_home, T_goal, CONFIG)
+    line = line_motion(postures, 0.2, slow, CONFIG)
+    assert_within(line, slow)
+    assert line.duration > line_motion(postures, 0.2, limits, CONFIG).duration
+
+
+def test_line_out_of_reach_is_none(arm):
+    kinematics = Kinematics(arm)
+    T_goal = kinematics.forward(arm.q_home)
+    T_goal[0, 3] += 1.0
+    assert line_postures(kinematics, arm.q_home, T_goal, CONFIG) is None
+
+
+def test_intermediate_positions_are_never_set(limits, monkeypatch):
+    """Ruckig sends paths with intermediate positions to a remote server in plain HTTP."""
+    seen = []
+
+    class Watched(ruckig.InputParameter):
+        def __setattr__(self, name, value):
+            seen.append(name)
+            super().__setattr__(name, value)
+
+    monkeypatch.setattr(ruckig, "InputParameter", Watched)
+    joint_path([np.zeros(7), np.ones(7), np.zeros(7)], limits)
+    assert "target_position" in seen and "intermediate_positions" not in seen
+    for source in Path(manipulation.__file__).parent.glob("*.py"):
+        assert "intermediate_positions" not in source.read_text(), source
