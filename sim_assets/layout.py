@@ -13,6 +13,7 @@ from jaxtyping import Float
 from sim_assets.errors import SimAssetsError
 
 OUTLINE_CELL = 0.001  # [m] raster on which an outline is traced
+LOOSE_ATTEMPTS = 10  # layouts at random before the objects are moved together
 
 
 class LayoutError(SimAssetsError, ValueError):
@@ -102,17 +103,34 @@ def _distances(points: Float[np.ndarray, "n 2"], polygon: Float[np.ndarray, "m 2
     return np.linalg.norm(to_point - along[..., None] * edge, axis=-1)
 
 
+@dataclass(frozen=True)
+class _Footprint:
+    """An outline with the circles about the origin that contain it and that it contains."""
+
+    outline: Float[np.ndarray, "n 2"]
+    outer: float
+    inner: float
+
+    @classmethod
+    def of(cls, mesh: trimesh.Trimesh) -> _Footprint:
+        polygon = outline(mesh)
+        edges = _distances(np.zeros((1, 2)), polygon)
+        inner = float(edges.min()) if _contains(polygon, np.zeros(2)) else 0.0
+        return cls(polygon, float(np.linalg.norm(polygon, axis=1).max()), inner)
+
+
 def sample_layout(
     meshes: Sequence[trimesh.Trimesh],
     rng: np.random.Generator,
     region: Region | None = None,
     min_gap: float = 0.04,
     restarts: int = 60,
-    tries: int = 120,
+    tries: int = 200,
 ) -> tuple[PlanarPose, ...]:
     """Place upright objects at random, at any yaw, with at least ``min_gap`` [m] between their outlines.
 
-    Objects are dropped one by one, the widest first, each wherever it is free; a dead end starts over.
+    Objects are dropped one by one, the widest first, each wherever it is free; a dead end starts over. After
+    LOOSE_ATTEMPTS of them the table is full, and each takes the free place nearest to the others instead.
 
     Args:
         meshes: object meshes, z up, standing on z = 0.
@@ -121,15 +139,16 @@ def sample_layout(
     Raises:
         LayoutError: if no layout was found; the message says how many objects fitted.
     """
-    region = region or Region()
-    outlines = [outline(mesh) for mesh in meshes]
-    reach = [float(np.linalg.norm(polygon, axis=1).max()) for polygon in outlines]
-    order = sorted(range(len(meshes)), key=lambda i: -reach[i])
+    footprints = [_Footprint.of(mesh) for mesh in meshes]
+    order = sorted(range(len(meshes)), key=lambda i: -footprints[i].outer)
     most = 0
-    for _ in range(restarts):
+    for attempt in range(restarts):
         placed: dict[int, PlanarPose] = {}
         for index in order:
-            pose = _free_place(index, outlines, reach, placed, rng, region, min_gap, tries)
+            others = [(footprints[i], pose) for i, pose in placed.items()]
+            candidates = _candidates(rng, region or Region(), tries)
+            tight = attempt >= LOOSE_ATTEMPTS
+            pose = _free_place(footprints[index], candidates, others, min_gap, tight)
             if pose is None:
                 break
             placed[index] = pose
@@ -142,26 +161,33 @@ def sample_layout(
     )
 
 
+def _candidates(rng: np.random.Generator, region: Region, count: int) -> Float[np.ndarray, "n 3"]:
+    """Random (x, y, yaw) within the region and reach."""
+    low, high = (region.x[0], region.y[0], -np.pi), (region.x[1], region.y[1], np.pi)
+    poses = rng.uniform(low, high, (count, 3))
+    return poses[np.hypot(poses[:, 0], poses[:, 1]) <= region.max_radius]
+
+
 def _free_place(
-    index: int,
-    outlines: list[np.ndarray],
-    reach: list[float],
-    placed: dict[int, PlanarPose],
-    rng: np.random.Generator,
-    region: Region,
+    footprint: _Footprint,
+    candidates: Float[np.ndarray, "n 3"],
+    placed: list[tuple[_Footprint, PlanarPose]],
     min_gap: float,
-    tries: int,
+    tight: bool,
 ) -> PlanarPose | None:
-    for _ in range(tries):
-        pose = PlanarPose(rng.uniform(*region.x), rng.uniform(*region.y), rng.uniform(-np.pi, np.pi))
-        if np.hypot(pose.x, pose.y) > region.max_radius:
-            continue
-        polygon = pose.transform(outlines[index])
-        for other, there in placed.items():
-            if np.hypot(pose.x - there.x, pose.y - there.y) > reach[index] + reach[other] + min_gap:
-                continue
-            if gap(polygon, there.transform(outlines[other])) < min_gap:
-                break
-        else:
+    """The first candidate that is free or, if ``tight``, the free one nearest to what is placed."""
+    centers = np.array([(pose.x, pose.y) for _, pose in placed]).reshape(-1, 2)
+    distance = np.linalg.norm(candidates[:, None, :2] - centers[None], axis=-1)  # (candidates, placed)
+    inner = np.array([other.inner for other, _ in placed])
+    outer = np.array([other.outer for other, _ in placed])
+    order = np.flatnonzero((distance > footprint.inner + inner + min_gap).all(axis=1))
+    if tight and placed:
+        order = order[np.argsort((distance - outer)[order].sum(axis=1))]
+    unsure = distance <= footprint.outer + outer + min_gap
+    for row in order:
+        pose = PlanarPose(*(float(value) for value in candidates[row]))
+        polygon = pose.transform(footprint.outline)
+        near = (placed[i] for i in np.flatnonzero(unsure[row]))
+        if all(gap(polygon, there.transform(other.outline)) >= min_gap for other, there in near):
             return pose
     return None
