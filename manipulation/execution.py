@@ -170,14 +170,11 @@ class _Execution:
         robot.follow(plan.transfer)
         self._tell("place", name)
         self._require_held(grasp, f"{name} was lost on the way")
-        robot.move_gripper(min(robot.gripper_width() + self._release(grasp), robot.arm.max_width))
+        release = robot.gripper_width() + 2 * self.config.pick_place.grasp.release_gap
+        robot.move_gripper(min(max(release, grasp.release_opening), robot.arm.max_width))
         self.planner.moved(name, plan.T_world_stand_rest)
         self._tell("retreat", name)
         robot.follow(plan.retreat)
-
-    def _release(self, grasp: Grasp) -> float:
-        """How much wider than now the hand opens to let go, in [m]."""
-        return 2 * self.config.pick_place.grasp.release_gap
 
     def _require_held(self, grasp: Grasp, message: str) -> float:
         """The width between the pads if it fits the grasp.

@@ -75,7 +75,7 @@ class _Problem:
     box: Box
     config: PackingConfig
     shapes: _Shapes
-    empty: BoxRaster
+    cell: float
 
     @property
     def order(self) -> list[str]:
@@ -124,14 +124,17 @@ def pack(
         raise PlanningError("there is nothing to pack: no object was perceived")
     grasps = {item.name: find_grasps(item, grasp_config).grasps for item in items}
     stacks = stack_bowls([item for item in items if item.category == "bowl"])
-    empty = BoxRaster(box, config.wall_gap)
+    # Objects keep ``gap`` from all that is taken; the walls stand back, for ``wall_gap`` is enough there.
+    empties = {gap: BoxRaster(box, config.wall_gap - gap) for gap in config.gaps}
+    cell = empties[config.gaps[0]].cell
     problem = _Problem(
-        {item.name: item for item in items}, stacks, grasps, box, config, _Shapes(items, empty.cell), empty
+        {item.name: item for item in items}, stacks, grasps, box, config, _Shapes(items, cell), cell
     )
     best: _Layout | None = None
-    for gap in config.gaps:
+    for gap, empty in empties.items():
         for choice in _choices(problem):
-            layout = _lay_out(problem, choice, gap, len(items) if best is None else len(best.left_out))
+            allowed = len(items) if best is None else len(best.left_out)
+            layout = _lay_out(problem, choice, gap, empty, allowed)
             if best is None or _rank(layout, problem) < _rank(best, problem):
                 best = layout
         if best is not None and not best.left_out and not best.n_blocked:
@@ -175,7 +178,7 @@ def _choices(problem: _Problem) -> list[_Choice]:
             wall = np.zeros(2)
             wall[axis] = side
             # A cell to spare, for the raster's rounding.
-            point = wall * (half[axis] - problem.empty.cell - max(mug.reach(wall) for mug in turned))
+            point = wall * (half[axis] - problem.cell - max(mug.reach(wall) for mug in turned))
             along = (0.0, 1.0) if axis == 0 else (1.0, 0.0)
             # The others start from the wall opposite the mugs.
             for sign in (-1.0, 1.0):
@@ -189,12 +192,12 @@ def _choices(problem: _Problem) -> list[_Choice]:
     return choices
 
 
-def _lay_out(problem: _Problem, choice: _Choice, gap: float, allowed: int) -> _Layout:
+def _lay_out(problem: _Problem, choice: _Choice, gap: float, empty: BoxRaster, allowed: int) -> _Layout:
     """Stand everything greedily: the line of mugs, then bowls, bottles and cans, wide ones first.
 
     Given up half-way where more than ``allowed`` objects do not fit.
     """
-    layout = _Layout(problem.empty.copy())
+    layout = _Layout(empty.copy())
     items = problem.items.values()
     line_cost = _line_cost(layout.raster, choice)
     for mug in sorted((i for i in items if i.category == "mug"), key=lambda i: -i.size):
@@ -256,7 +259,7 @@ def _plan_size(item: StandingObject) -> float:
 def _judge_releases(layout: _Layout, problem: _Problem) -> None:
     """Count, in the order of execution, the grasps with which the hand can let go of each object."""
     nested = {bowl.name for stack in problem.stacks for bowl in stack[1:]}
-    raster = problem.empty.copy()
+    raster = BoxRaster(problem.box, problem.config.wall_gap, problem.cell)
     base = problem.box.floor + problem.config.release_height
     for name in problem.order:
         yaw = layout.yaws[name]
