@@ -13,6 +13,7 @@ import numpy as np
 import trimesh
 from jaxtyping import Float
 from scipy import ndimage
+from scipy.spatial import KDTree
 from skimage import measure
 
 from perception.errors import PerceptionError
@@ -33,14 +34,14 @@ class MeshConfig:
     Attributes:
         iso: level of the normalised grid.
         ridge: smallest local maximum that still makes a surface; weaker structure is noise.
+        solid: largest local maximum that is divided by: a weak handle must not lose its end at a solid body.
         reach: radius, in voxels, in which the local maximum is looked for.
-        upsample: finer grid points for each voxel before marching cubes.
     """
 
     iso: float = 0.5
     ridge: float = 0.3
+    solid: float = 0.9
     reach: int = 1
-    upsample: int = 1
 
 
 def mesh_from_code(
@@ -73,13 +74,27 @@ def mesh_from_grid(
     parts = mesh.split(only_watertight=True)
     if not len(parts):
         raise EmptyShapeError(f"the decoded {category} has no closed surface")
-    whole = max(parts, key=lambda part: abs(part.volume))
-    if whole.volume < 0:
-        whole.invert()
-    return TriangleMesh(np.array(whole.vertices), np.array(whole.faces))
+    body = max(parts, key=lambda part: abs(part.volume))
+    kept = [body]
+    if category == "mug":  # a handle that is cut off by a faint voxel or two still belongs to it
+        kept += [
+            part for part in parts if part is not body and _is_attached(part, body, 4 * scale.max() / 32)
+        ]
+    vertices = np.concatenate([part.vertices for part in kept])
+    starts = np.cumsum([0] + [len(part.vertices) for part in kept[:-1]])
+    indices = np.concatenate([part.faces + start for part, start in zip(kept, starts)])
+    return TriangleMesh(vertices, indices if body.volume > 0 else indices[:, ::-1])
+
+
+def _is_attached(part: trimesh.Trimesh, body: trimesh.Trimesh, distance: float) -> bool:
+    """Whether a piece of some size outside the body comes near it."""
+    if part.volume * body.volume < 0 or abs(part.volume) < 0.005 * abs(body.volume):
+        return False  # a cavity, or a crumb
+    nearest, _ = KDTree(body.vertices).query(part.vertices)
+    return bool(nearest.min() < distance)
 
 
 def sharpen(grid: Float[np.ndarray, "r r r"], config: MeshConfig) -> Float[np.ndarray, "r r r"]:
     """The grid over its local maximum, where that is a ridge at all."""
     local = ndimage.maximum_filter(grid, size=2 * config.reach + 1)
-    return grid / np.maximum(local, 2 * config.ridge * config.iso)
+    return grid / np.clip(local, 2 * config.ridge * config.iso, config.solid)

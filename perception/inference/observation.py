@@ -70,8 +70,8 @@ class PixelConfig:
     """Which pixels take part.
 
     Attributes:
-        step: of the renderer's samples along the ray, in voxels. The rendered surface of a grid lies behind the
-            true one for long steps, in front for short ones, and at it in between: 0.6 is best for all classes.
+        step: of the renderer's samples along the ray, in voxels. The rendered surface of a grid lies behind
+            the true one for long steps and in front of it for short ones.
         ring: width of the background ring as a share of the object's larger side in the image.
         band: half width of the border band that is left out, in pixels of the full image.
         background_weight: weight of a background pixel; one of the object has 1.

@@ -38,7 +38,7 @@ class NoiseConfig:
 
     depth_sigma: float = 0.005
     huber: float = 3.0
-    data_weight: float = 0.03
+    data_weight: float = 0.05
     code_prior: float = 0.3
     tilt_sigma: float = 0.02
     support_sigma: float = 0.0015

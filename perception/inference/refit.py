@@ -20,7 +20,7 @@ from perception.inference.observation import pixel_rays
 from perception.inference.voxelise import voxelise
 from perception.rendering.pose import ObjectPose, canonical_from_camera, pose_jacobian
 from perception.rendering.renderer import RayBundle, ShapeGrid, render
-from perception.types import ObjectEstimate, RgbdFrame, SupportPlane
+from perception.types import GRID_RESOLUTION, ObjectEstimate, RgbdFrame, SupportPlane
 
 PoseStatus = Literal["seen", "not_there", "hidden"]
 
@@ -31,7 +31,7 @@ class RefitConfig:
 
     Attributes:
         crop: pixels along the longer side of each view's crop.
-        samples: of the renderer, along the rays.
+        step: of the renderer's samples along the rays, in voxels.
         margin: how far around the expected place is looked [m].
         reaches: measured depth farther than this from the rendering is no evidence for the pose, pass by
             pass [m].
@@ -45,7 +45,7 @@ class RefitConfig:
     """
 
     crop: int = 64
-    samples: int = 96
+    step: float = 0.45
     margin: float = 0.03
     reaches: tuple[float, ...] = (0.03, 0.015)
     iterations: int = 10
@@ -134,7 +134,9 @@ class _Search:
         # Any mesh goes: the cube is put around it, with the grid's usual margin, wherever its origin is.
         self.scale = np.maximum(np.abs(mesh.vertices).max(axis=0) / 0.9, 1e-3)
         self.shape = ShapeGrid.upload(voxelise(mesh, self.scale), skip_occupancy=1e-3)
+        voxel = 2 * float(self.scale.mean()) / GRID_RESOLUTION
         self.radius = float(np.linalg.norm(np.abs(mesh.vertices).max(axis=0)))
+        self.samples = int(np.clip(2 * (self.radius + config.margin) / (config.step * voxel), 24, 256))
         centre = np.asarray(T_expected)[:3, 3]
         self.rays, self.measured, self.area, self.cameras = self._gather(frames, centre)
         self.explained = self._explained_by(others)
@@ -169,14 +171,14 @@ class _Search:
         if not cameras:
             none = np.zeros(0, np.float32)
             rays = RayBundle(
-                np.zeros((0, 3), np.float32), np.zeros(0, np.int64), np.ones((1, 2)), config.samples
+                np.zeros((0, 3), np.float32), np.zeros(0, np.int64), np.ones((1, 2)), self.samples
             )
             return rays, none, none, np.eye(4)[None]
         rays = RayBundle(
             np.concatenate(directions).astype(np.float32),
             np.concatenate(view),
             np.array(depth_range),
-            config.samples,
+            self.samples,
         )
         return rays, np.concatenate(measured), np.concatenate(area), np.stack(cameras)
 

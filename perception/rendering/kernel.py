@@ -47,29 +47,38 @@ vec16 = wp.types.vector(length=CODE_SIZE, dtype=wp.float32)
 
 @wp.kernel
 @no_type_check  # for the run-time checker of the tests: these are Warp types
-def pad_kernel(
-    occupancy: wp.array3d(dtype=wp.float32),
+def pad_jacobian_kernel(
     jacobian: wp.array3d(dtype=vec16),
-    with_code: int,
-    skip_occupancy: float,
-    skip_jacobian: float,
-    padded_occupancy: wp.array(dtype=wp.float32),
-    padded_jacobian: wp.array(dtype=vec16),
+    skip_below: float,
+    padded: wp.array(dtype=vec16),
+    moves: wp.array(dtype=wp.uint8),
+):
+    """Derivatives by the code into the flat grid with its border, and which voxels the code moves at all."""
+    i, j, k = wp.tid()
+    to = ((i + 1) * _SIDE + j + 1) * _SIDE + k + 1
+    row = jacobian[i, j, k]
+    padded[to] = row
+    if wp.max(wp.max(row), -wp.min(row)) > skip_below:
+        moves[to] = wp.uint8(_CODE_MOVES)
+
+
+@wp.kernel
+@no_type_check
+def pad_occupancy_kernel(
+    occupancy: wp.array3d(dtype=wp.float32),
+    moves: wp.array(dtype=wp.uint8),
+    skip_below: float,
+    padded: wp.array(dtype=wp.float32),
     flags: wp.array(dtype=wp.uint8),
 ):
-    """Voxels into a flat grid with an empty border one voxel wide, and what is worth knowing about each."""
+    """Occupancies into the flat grid with its border, and what is worth knowing about each voxel."""
     i, j, k = wp.tid()
     to = ((i + 1) * _SIDE + j + 1) * _SIDE + k + 1
     o = occupancy[i, j, k]
-    flag = int(0)
-    if o > skip_occupancy:
-        flag = _OCCUPIED
-    if with_code != 0:
-        row = jacobian[i, j, k]
-        padded_jacobian[to] = row
-        if wp.max(wp.max(row), -wp.min(row)) > skip_jacobian:
-            flag = flag | _CODE_MOVES
-    padded_occupancy[to] = o
+    padded[to] = o
+    flag = int(moves[to])
+    if o > skip_below:
+        flag = flag | _OCCUPIED
     flags[to] = wp.uint8(flag)
 
 

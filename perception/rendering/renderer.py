@@ -20,7 +20,8 @@ from perception.rendering.kernel import (
     ESCAPE_FACTOR,
     PADDED_VOXELS,
     flag_cells_kernel,
-    pad_kernel,
+    pad_jacobian_kernel,
+    pad_occupancy_kernel,
     render_kernel,
     vec16,
 )
@@ -28,15 +29,26 @@ from perception.types import GRID_RESOLUTION
 
 logger = logging.getLogger(__name__)
 
+_VOXELS = (GRID_RESOLUTION,) * 3
+
 wp.config.log_level = wp.LOG_ERROR  # no banner on standard output
 
 
 @dataclass(frozen=True)
 class ShapeGrid:
-    """An occupancy grid, where wanted its Jacobian by the code, and the flags of its cells, on one device."""
+    """An occupancy grid and, where wanted, its Jacobian by the code, on one device.
+
+    Attributes:
+        occupancy: flat, with a border of empty voxels.
+        jacobian: d occupancy / d code in the same layout, or None.
+        moves: flags of the voxels that the code moves.
+        cells: flags of the cells between eight voxels, by their lowest one.
+        device: "cpu" or "cuda:0".
+    """
 
     occupancy: wp.array
     jacobian: wp.array | None
+    moves: wp.array
     cells: wp.array
     device: str
 
@@ -48,7 +60,7 @@ class ShapeGrid:
         skip_occupancy: float = 0.0,
         skip_jacobian: float = 0.0,
     ) -> ShapeGrid:
-        """Brings a grid to the device, with a border of empty voxels, and flags the cells worth a visit.
+        """Brings a grid to the device and flags the cells worth a visit.
 
         Args:
             occupancy: G[ix, iy, iz] in 0..1.
@@ -58,23 +70,38 @@ class ShapeGrid:
             skip_jacobian: cells with no derivative above this count as unmoved by the code.
         """
         _start_warp()
-        grid = wp.from_numpy(np.ascontiguousarray(occupancy, np.float32), dtype=wp.float32, device=device)
-        moves, padded_moves = None, None
+        padded, moves = None, _zeros(PADDED_VOXELS, wp.uint8, device)
         if jacobian is not None:
-            moves = wp.from_numpy(np.ascontiguousarray(jacobian, np.float32), dtype=vec16, device=device)
-            padded_moves = _zeros(PADDED_VOXELS, dtype=vec16, device=device)
-        padded = _zeros(PADDED_VOXELS, dtype=wp.float32, device=device)
-        voxels, cells = (_zeros(PADDED_VOXELS, dtype=wp.uint8, device=device) for _ in range(2))
+            padded = _zeros(PADDED_VOXELS, vec16, device)
+            wp.launch(
+                pad_jacobian_kernel,
+                dim=_VOXELS,
+                inputs=[_to_device(jacobian, vec16, device), float(skip_jacobian)],
+                outputs=[padded, moves],
+                device=device,
+            )
+        bare = ShapeGrid(moves, padded, moves, moves, device)
+        return bare.with_occupancy(occupancy, skip_occupancy)
+
+    def with_occupancy(self, occupancy: Float[np.ndarray, "r r r"], skip_occupancy: float = 0.0) -> ShapeGrid:
+        """Another grid with the same Jacobian: what a small step of the code needs."""
+        padded = _zeros(PADDED_VOXELS, wp.float32, self.device)
+        voxels, cells = (_zeros(PADDED_VOXELS, wp.uint8, self.device) for _ in range(2))
         wp.launch(
-            pad_kernel,
-            dim=grid.shape,
-            inputs=[grid, moves, int(moves is not None), float(skip_occupancy), float(skip_jacobian)],
-            outputs=[padded, padded_moves, voxels],
-            device=device,
+            pad_occupancy_kernel,
+            dim=_VOXELS,
+            inputs=[_to_device(occupancy, wp.float32, self.device), self.moves, float(skip_occupancy)],
+            outputs=[padded, voxels],
+            device=self.device,
         )
-        side = GRID_RESOLUTION + 1
-        wp.launch(flag_cells_kernel, dim=(side, side, side), inputs=[voxels], outputs=[cells], device=device)
-        return ShapeGrid(padded, padded_moves, cells, device)
+        wp.launch(
+            flag_cells_kernel,
+            dim=(GRID_RESOLUTION + 1,) * 3,
+            inputs=[voxels],
+            outputs=[cells],
+            device=self.device,
+        )
+        return ShapeGrid(padded, self.jacobian, self.moves, cells, self.device)
 
 
 @dataclass(frozen=True)

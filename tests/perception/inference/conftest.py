@@ -10,10 +10,9 @@ import pytest
 import torch
 from torch import Tensor
 
-from perception.geometry import invert, rigid, transform_points, upright_rotation
+from perception.geometry import rigid, upright_rotation
 from perception.inference.observation import ObjectObservation, pixel_rays
 from perception.rendering.pose import ObjectPose, canonical_from_camera
-from perception.rendering.renderer import RayBundle, ShapeGrid, render
 from perception.types import CameraIntrinsics, RgbdFrame
 
 CAMERA = CameraIntrinsics(width=320, height=240, fx=290.0, fy=290.0, cx=159.5, cy=119.5)
@@ -26,20 +25,29 @@ class CupDecoder:
         line = torch.linspace(-31 / 32, 31 / 32, 32)
         self._points = torch.stack(torch.meshgrid(line, line, line, indexing="ij"), dim=-1)
 
-    def _grid(self, code: Tensor, knob: float) -> Tensor:
-        x, y, z = self._points.unbind(-1)
+    @staticmethod
+    def distance(points: Tensor, code: Tensor, knob: bool) -> Tensor:
+        """Signed distance to the surface in canonical units, a lower bound of it outside."""
+        x, y, z = points.unbind(-1)
         radius, height, reach = 0.55 + 0.08 * code[0], 0.75 + 0.08 * code[1], 0.22 + 0.04 * code[2]
         body = torch.maximum(torch.sqrt(x**2 + y**2 + 1e-6) - radius, z.abs() - height)
         side = torch.sqrt((x - radius) ** 2 + y**2 + z**2 + 1e-6) - reach
-        distance = torch.minimum(body, side) if knob else body
-        return torch.sigmoid(-30 * distance)
+        return torch.minimum(body, side) if knob else body
+
+    def _grid(self, code: Tensor, knob: bool) -> Tensor:
+        return torch.sigmoid(-64 * self.distance(self._points, code, knob))
 
     def __call__(self, category: str, codes: Tensor) -> Tensor:
         return torch.stack([self._grid(code, category == "mug") for code in codes])
 
     def with_jacobian(self, category: str, code: Tensor) -> tuple[Tensor, Tensor]:
-        knob = category == "mug"
-        return self._grid(code, knob), torch.func.jacfwd(lambda c: self._grid(c, knob))(code).contiguous()
+        knob, code = category == "mug", code.double()
+        jacobian = torch.zeros((32, 32, 32, 16))
+        for k in range(3):  # central differences in double: functorch's forward mode is not safe in threads
+            step = torch.zeros(16, dtype=torch.float64)
+            step[k] = 1e-5
+            jacobian[..., k] = (self._grid(code + step, knob) - self._grid(code - step, knob)) / 2e-5
+        return self._grid(code, knob).float(), jacobian
 
 
 @dataclass(frozen=True)
@@ -78,17 +86,23 @@ class Table:
         mask = np.zeros(blank.shape, bool)
         depth = np.where(table < 3.0, table, 0.0)
         if present:
-            z = transform_points(invert(T_world_camera), self.pose.translation[None])[0, 2]
-            ranges = np.array([[z - 0.15, z + 0.15]])
-            flat = rays.reshape(-1, 3).astype(np.float32)
-            grid = self.decoder(self.category, torch.tensor(self.code, dtype=torch.float32)[None])[0].numpy()
-            bundle = RayBundle(flat, np.zeros(len(flat), np.int64), ranges, samples=300)
-            A = canonical_from_camera(self.pose, T_world_camera[None])
-            image = render(ShapeGrid.upload(grid), bundle, A, gradients=False)
-            mask = (image.mask > 0.9).reshape(blank.shape)
-            depth = np.where(mask, image.depth.reshape(blank.shape), depth)
+            hit = self._trace(rays.reshape(-1, 3), T_world_camera).reshape(blank.shape)
+            mask = hit > 0
+            depth = np.where(mask, hit, depth)
         noisy = np.where(depth > 0, depth + rng.normal(0, 0.001, depth.shape), 0).clip(0)
         return RgbdFrame(0.0, rgb, noisy.astype(np.float32), CAMERA, T_world_camera), mask
+
+    def _trace(self, rays: np.ndarray, T_world_camera: np.ndarray) -> np.ndarray:
+        """Depth of the true surface along rays by sphere tracing, 0 where they miss."""
+        A = torch.from_numpy(canonical_from_camera(self.pose, T_world_camera[None])[0]).float()
+        directions = torch.from_numpy(rays).float() @ A[:, :3].T
+        speed = directions.norm(dim=-1)
+        depth = torch.full((len(rays),), 0.2)
+        code, knob = torch.tensor(self.code, dtype=torch.float32), self.category == "mug"
+        for _ in range(60):
+            gap = self.decoder.distance(depth[:, None] * directions + A[:, 3], code, knob)
+            depth = depth + gap / speed
+        return torch.where((gap < 1e-3) & (depth < 2.0), depth, 0.0).numpy()
 
     def observations(self, azimuths: tuple[float, ...], seed: int = 0) -> list[ObjectObservation]:
         rng = np.random.default_rng(seed)

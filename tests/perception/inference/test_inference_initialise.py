@@ -1,5 +1,7 @@
 """Starting poses from clouds."""
 
+from dataclasses import replace
+
 import numpy as np
 import pytest
 
@@ -47,8 +49,10 @@ def test_mug_yaws_are_the_peaks_likeliest_first(make_table) -> None:
 
 
 def test_bottles_try_both_ways_of_a_rectangle(make_table) -> None:
-    table = make_table("mug", (0.0, 0.0, 2.0), yaw=0.6)  # the knob makes the outline oblong along the yaw
-    measures = measure_clouds(table.observations((0.0, 1.5, 3.0, 4.5)), PLANE, plane_basis(PLANE))
+    seen = make_table("can", (), yaw=0.0).observations((0.0,))
+    x, y = np.random.default_rng(0).uniform(-1, 1, (2, 500)) * [[0.03], [0.015]]
+    turned = np.stack([np.cos(0.6) * x - np.sin(0.6) * y, np.sin(0.6) * x + np.cos(0.6) * y], axis=-1)
+    measures = replace(measure_clouds(seen, PLANE, plane_basis(PLANE)), outline=turned)
     yaws = yaw_hypotheses([], "bottle", measures)
     assert len(yaws) == 2
     assert abs(np.cos(yaws[0] - 0.6)) > 0.97
