@@ -10,14 +10,15 @@ import logging
 from collections.abc import Callable
 from dataclasses import asdict, dataclass, field
 from pathlib import Path
-from typing import Any
+from typing import Any, Literal
 
 import numpy as np
 import torch
 
 from perception.errors import PerceptionError
+from perception.files import write_atomically, write_json
 from perception.shape.dataset import ShapeDataset
-from perception.shape.evaluation import ShapeScores, describe, evaluate
+from perception.shape.evaluation import OBJECT_VOXELS, ShapeScores, describe, evaluate
 from perception.shape.network import ShapeVae
 from perception.shape.training import EpochRecord, TrainingConfig, train
 from perception.shape.weights import save_weights, weights_checksum
@@ -25,6 +26,7 @@ from perception.types import CATEGORIES, Category
 
 log = logging.getLogger(__name__)
 
+Split = Literal["train", "test"]
 Progress = Callable[[str, float], None]  # what is going on, and the share of the whole job done
 
 
@@ -91,16 +93,16 @@ def run(config: TrainShapeConfig, out_dir: Path, progress: Progress | None = Non
         "config": json.dumps(asdict(config)),
     }
     save_weights(model, weights, metadata)
-    (out_dir / "shape.md").write_text(model_card(config, scores, weights), encoding="utf-8")
+    write_atomically(out_dir / "shape.md", model_card(config, scores, weights))
     return {
         "weights": str(weights),
         "sha256": weights_checksum(weights),
-        "held_out": {category: asdict(s) for category, s in scores.items()},
+        "held_out": held_out(scores),
     }
 
 
-def cached_shapes(path: Path, counts: dict[Category, int], split: str, seed: int) -> ShapeDataset:
-    """Shapes of the families, from the file where it holds them already."""
+def cached_shapes(path: Path, counts: dict[Category, int], split: Split, seed: int) -> ShapeDataset:
+    """Shapes of the families, from the file where an earlier start of the same job left them."""
     if path.exists():
         data = ShapeDataset.load(path)
         if {category: len(data.of(category)) for category in CATEGORIES} == counts:
@@ -108,12 +110,19 @@ def cached_shapes(path: Path, counts: dict[Category, int], split: str, seed: int
         raise PerceptionError(f"{path} holds other shapes than asked for; delete it or choose another --out")
     from sim_assets.objects.families import sample_training_grids
 
-    grids: dict[Category, np.ndarray] = {
-        category: sample_training_grids(category, n, seed, split=split) for category, n in counts.items()
-    }
-    data = ShapeDataset.from_grids(grids)
+    data = ShapeDataset.from_grids(
+        {category: sample_training_grids(category, n, seed, split) for category, n in counts.items()}
+    )
     data.save(path)
     return data
+
+
+def held_out(scores: dict[Category, ShapeScores]) -> dict[str, dict[str, float | None]]:
+    """The scores as JSON; null where a class has no handles."""
+    return {
+        category: {name: None if np.isnan(value) else value for name, value in asdict(s).items()}
+        for category, s in scores.items()
+    }
 
 
 class _Watcher:
@@ -131,10 +140,10 @@ class _Watcher:
         entry: dict[str, Any] = asdict(record)
         if record.epoch % self._config.evaluate_every == 0:
             scores = evaluate(model, self._test_data, self._config.device, max_surfaces=40)
-            entry["held_out"] = {category: asdict(s) for category, s in scores.items()}
+            entry["held_out"] = held_out(scores)
             log.info("epoch %d: loss %.1f; %s", record.epoch, record.loss, describe(scores))
         self._history.append(entry)
-        self._path.write_text(json.dumps(self._history, indent=1), encoding="utf-8")
+        write_json(self._path, self._history)
         if self._curves is not None:
             self._curves.add_scalar("loss", record.loss, record.epoch)
             self._curves.add_scalar("divergence", record.divergence, record.epoch)
@@ -155,47 +164,57 @@ def _summary_writer(out_dir: Path) -> Any:
 
 def model_card(config: TrainShapeConfig, scores: dict[Category, ShapeScores], weights: Path) -> str:
     """Markdown that says what the weights are, where they come from and how good they are."""
-    counts = ", ".join(f"{n} {category}s" for category, n in config.counts.items())
-    training = config.training
-    rows = "\n".join(
-        f"| {category} | {s.iou:.3f} | {s.surface:.2f} | {s.surface * 100 / 28.8:.2f} | "
-        + ("–" if np.isnan(s.handle_recall) else f"{100 * s.handle_recall:.0f} %")
-        + f" | {s.code_spread:.2f} |"
-        for category, s in scores.items()
-    )
+    rows = []
+    for category, s in scores.items():
+        recall = "–" if np.isnan(s.handle_recall) else f"{100 * s.handle_recall:.0f} %"
+        millimetres = 100 * s.surface / OBJECT_VOXELS
+        cells = (
+            category,
+            f"{s.iou:.3f}",
+            f"{s.surface:.2f}",
+            f"{millimetres:.2f}",
+            recall,
+            f"{s.code_spread:.2f}",
+        )
+        rows.append(f"| {' | '.join(cells)} |")
     return _CARD.format(
-        parameters=sum(p.numel() for p in ShapeVae().parameters()),
+        parameters=sum(parameter.numel() for parameter in ShapeVae().parameters()),
         megabytes=weights.stat().st_size / 1e6,
         checksum=weights_checksum(weights),
-        counts=counts,
-        held_out=config.held_out,
-        training=training,
-        loss=training.loss,
+        counts=", ".join(f"{n} {category}s" for category, n in config.counts.items()),
+        config=config,
+        training=config.training,
+        loss=config.training.loss,
         torch=torch.__version__.split("+")[0],
-        rows=rows,
+        rows="\n".join(rows),
     )
 
 
 _CARD = """# Shape prior
 
-Class-conditional variational autoencoder of 32³ occupancy grids for mug, bowl, bottle and can, 16 code entries
-(`perception/shape/network.py`). Encoder and decoder, {parameters} parameters, float16 safetensors,
+Class-conditional variational autoencoder of 32³ occupancy grids for mug, bowl, bottle and can, 16 code
+entries (`perception/shape/network.py`). Encoder and decoder, {parameters} parameters, float16 safetensors,
 {megabytes:.1f} MB, SHA-256 `{checksum}`.
 
 **Made by** `nodeslam train shape --seed {training.seed}` with torch {torch}: {training.epochs} epochs, Adam
-{training.learning_rate} with a cosine schedule, batch {training.batch_size}, float32, KL weight {loss.beta}, voxels near thin
-structures weighted 1 + {loss.thin}, near mug handles a further {loss.handle}.
+{training.learning_rate} falling along a cosine, batch {training.batch_size}, float32. KL weight {loss.beta}; voxels at structures thinner than three voxels weigh 1 + {loss.thin}, those at
+the handles of mugs a further {loss.handle}.
 
-**Data**: {counts}, sampled from the training families of `sim_assets/objects` with the seed above: procedural
-shapes only, no scanned object. No grid is shared with the test families (other handle styles and profiles).
+**Data**: {counts}, sampled with the seed above from the
+training families of `sim_assets/objects`: procedural shapes only, no scanned object. Bowls, bottles and cans
+are mirrored at random.
 
-**Held out**, {held_out} shapes of each class from the test families, encoded and decoded. Medians; surfaces at
-occupancy 0.5, of 100 shapes a class. One voxel is 1/28.8 of the longest side: 3.5 mm of a 100 mm object.
+**Held out**: {config.held_out} shapes of each class from the test families (other handle styles and
+profiles), encoded and decoded. Medians, but the mean for handles; surfaces at occupancy 0.5, of 100 shapes a
+class. A voxel is 1/28.8 of the longest side, 3.5 mm of a 100 mm object. The code's root mean square is 1
+where codes follow the prior.
 
-| class | IoU | surface error [voxel] | at 100 mm [mm] | handle within 1.5 voxels (mean) | code RMS |
+| class | IoU | surface error [voxel] | the same at 100 mm [mm] | handle within 1.5 voxels | code RMS |
 | --- | --- | --- | --- | --- | --- |
 {rows}
 
-**Limits**: walls under about a voxel (3.5 mm of 100 mm) and handles far from the families' blur; shapes whose top
-and bottom differ from everything in the families are approximated by the nearest that exist.
+IoU is low where walls are about a voxel thick: a quarter of a voxel is then a quarter of the shape.
+
+**Limits**: walls under half a voxel (1.7 mm of 100 mm) decode to occupancies below 0.5; handles unlike the
+families' blur; ribs, spouts, lugs, lids and anything not upright are not in the families.
 """

@@ -84,8 +84,11 @@ class ShapeDecoder:
         return self._one_hot[CATEGORIES.index(category)]
 
 
-def _add_bias(x: Float[Tensor, "row channel *space"], bias: Tensor) -> Float[Tensor, "row channel *space"]:
+def _add_bias(
+    x: Float[Tensor, "row channel *space"], bias: Tensor | None
+) -> Float[Tensor, "row channel *space"]:
     """Add the bias, in place, to the value alone: it is constant, so derivatives don't see it."""
+    assert bias is not None
     x[0] += bias.reshape(-1, *(1,) * (x.ndim - 2))
     return x
 

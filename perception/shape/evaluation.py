@@ -20,6 +20,7 @@ from perception.shape.network import ShapeVae, class_one_hot
 from perception.types import CATEGORIES, Category
 
 ISO = 0.5
+OBJECT_VOXELS = 28.8  # of the longest side: 0.9 of the grid
 # 5 mm on a mug of 100 mm.
 HANDLE_TOLERANCE = 1.5
 

@@ -1,4 +1,4 @@
-"""Training of the shape prior: Adam with cosine cycles, one checkpoint an epoch, resumable to the bit.
+"""Training of the shape prior: Adam with a cosine schedule, one checkpoint an epoch, resumable to the bit.
 
 Everything random in an epoch comes from (seed, epoch), so that a run interrupted and resumed equals one that
 was not. The loop knows nothing of where shapes come from or who watches: it takes datasets and a callback.
@@ -32,31 +32,24 @@ class TrainingConfig:
     """How to train.
 
     Attributes:
-        cycles: passes over the data in each cosine cycle of the learning rate (warm restarts, Loshchilov and
-            Hutter 2017): at the end of every cycle it has fallen to zero, and the weights are good to use.
+        epochs: passes over the data; the learning rate falls to zero over them.
         batch_size: shapes in a step.
         learning_rate: of Adam, at the top of the schedule.
         warmup_steps: steps of linear rise at the start.
-        gradient_norm: longer gradients are shortened to this; 0 leaves all as they are.
         loss: weights of the loss terms.
         seed: of the initial weights, the order of the shapes, mirroring and the latent noise.
     """
 
-    cycles: tuple[int, ...] = (8, 13)
+    epochs: int = 8
     batch_size: int = 16
     learning_rate: float = 2e-3
     warmup_steps: int = 200
-    gradient_norm: float = 0.0
     loss: LossConfig = field(default_factory=LossConfig)
     seed: int = 0
 
     def __post_init__(self) -> None:
-        if not self.cycles or min(*self.cycles, self.batch_size, self.learning_rate) <= 0:
-            raise InvalidInputError("cycles, batch size and learning rate must be positive")
-
-    @property
-    def epochs(self) -> int:
-        return sum(self.cycles)
+        if min(self.epochs, self.batch_size, self.learning_rate) <= 0:
+            raise InvalidInputError("epochs, batch size and learning rate must be positive")
 
 
 @dataclass(frozen=True)
@@ -129,7 +122,7 @@ def train_epoch(
     model.train()
     for index, (grids, categories) in enumerate(data.batches(config.batch_size, rng)):
         for group in optimizer.param_groups:
-            group["lr"] = learning_rate(config, epoch * n_batches + index, n_batches)
+            group["lr"] = learning_rate(config, epoch * n_batches + index, config.epochs * n_batches)
         noise = torch.randn(len(grids), CODE_SIZE, generator=noise_generator).to(device)
         targets = torch.from_numpy(occupancies(grids)).to(device)
         weights = torch.from_numpy(voxel_weights(grids, categories, config.loss)).to(device)
@@ -138,8 +131,6 @@ def train_epoch(
         loss, divergence = shape_loss(logits, targets, weights, mean, log_variance, config.loss.beta)
         optimizer.zero_grad(set_to_none=True)
         loss.backward()
-        if config.gradient_norm > 0:
-            torch.nn.utils.clip_grad_norm_(model.parameters(), config.gradient_norm)
         optimizer.step()
         losses.append(loss.detach())
         divergences.append(divergence)
@@ -151,15 +142,10 @@ def train_epoch(
     return EpochRecord(epoch + 1, mean_loss, mean_divergence, time.monotonic() - started)
 
 
-def learning_rate(config: TrainingConfig, step: int, steps_per_epoch: int) -> float:
-    """Half a cosine to zero in every cycle; a linear rise at the very start."""
+def learning_rate(config: TrainingConfig, step: int, n_steps: int) -> float:
+    """Linear rise, then half a cosine to zero."""
     rise = min(1.0, (step + 1) / max(1, config.warmup_steps))
-    for cycle in config.cycles:
-        n_steps = cycle * steps_per_epoch
-        if step < n_steps:
-            return config.learning_rate * rise * 0.5 * (1.0 + math.cos(math.pi * step / n_steps))
-        step -= n_steps
-    return 0.0
+    return config.learning_rate * rise * 0.5 * (1.0 + math.cos(math.pi * step / n_steps))
 
 
 def save_checkpoint(
