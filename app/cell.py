@@ -8,7 +8,7 @@ from typing import TYPE_CHECKING, get_args
 
 import numpy as np
 
-from app.errors import MissingExtraError, UsageError
+from app.errors import UsageError
 from app.options import CellOptions
 from perception.types import CATEGORIES, Category
 
@@ -90,20 +90,15 @@ def build_world(options: CellOptions, task: str | None) -> World:
 
     Raises:
         UsageError: the options cannot be met; the message says what to change.
-        MissingExtraError: the simulator is not installed.
     """
     layout_seed, shape_seed = np.random.SeedSequence(options.seed).spawn(2)
     rng = np.random.default_rng(shape_seed)
     classes = parse_objects(options.objects, rng)
     inner = parse_box(options.box)
-    try:
-        from sim_assets.layout import LayoutError
-        from sim_assets.scene import BoxConfig
-        from sim_assets.world import CellConfig, World
-    except ImportError as error:
-        raise MissingExtraError(
-            f"the simulator is not installed ({error.name} is missing): pip install 'nodeslam[sim]'"
-        ) from None
+    from sim_assets.layout import LayoutError
+    from sim_assets.scene import BoxConfig
+    from sim_assets.world import CellConfig, World
+
     models = tuple(_draw_models(options, classes, rng))
     config = CellConfig(
         objects=models,

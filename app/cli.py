@@ -37,6 +37,9 @@ HANDLERS = {
     "doctor": "app.doctor",
 }
 
+# Which extra brings a library that not every command needs.
+EXTRA_OF = dict.fromkeys(("mujoco", "mink", "daqp", "ruckig", "coacd"), "sim") | {"tensorboard": "train"}
+
 
 def run(arguments: Sequence[str]) -> int:
     """Run one command and return its exit code."""
@@ -58,6 +61,11 @@ def run(arguments: Sequence[str]) -> int:
         return _complain("interrupted; what was finished is kept", INTERRUPTED)
     except _input_errors() as error:
         return _complain(str(error))
+    except ModuleNotFoundError as error:
+        extra = EXTRA_OF.get((error.name or "").split(".")[0])
+        if extra is None:
+            raise
+        return _complain(f"{command} needs {error.name}: pip install 'nodeslam[{extra}]'")
     if options.json:
         sys.stdout.write(report.to_json() + "\n")
     return DONE if report.success else TASK_FAILED

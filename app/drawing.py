@@ -8,8 +8,10 @@ from pathlib import Path
 
 import cv2
 import numpy as np
+import PIL.Image
+import PIL.ImageDraw
+import PIL.ImageFont
 from jaxtyping import Float, UInt8
-from PIL import ImageFont
 
 from perception.types import ObjectDetection, ObjectEstimate, RgbdFrame
 
@@ -29,12 +31,12 @@ def color_of(number: int) -> tuple[int, int, int]:
 
 
 @cache
-def font(size: int, bold: bool = False) -> ImageFont.FreeTypeFont:
+def font(size: int, bold: bool = False) -> PIL.ImageFont.FreeTypeFont:
     """The font that comes with matplotlib, at a size in pixels."""
     import matplotlib
 
     name = "DejaVuSans-Bold.ttf" if bold else "DejaVuSans.ttf"
-    return ImageFont.truetype(str(Path(matplotlib.get_data_path()) / "fonts" / "ttf" / name), size)
+    return PIL.ImageFont.truetype(str(Path(matplotlib.get_data_path()) / "fonts" / "ttf" / name), size)
 
 
 def draw_detections(frame: RgbdFrame, detections: Sequence[ObjectDetection]) -> Image:
@@ -113,10 +115,12 @@ def _label_estimate(image: Image, frame: RgbdFrame, estimate: ObjectEstimate) ->
 
 
 def _label(image: Image, text: str, at: tuple[int, int]) -> None:
-    """White text with a dark rim, centred above a pixel and kept inside the image."""
-    size, thickness = 0.5, 1
-    (width, height), _ = cv2.getTextSize(text, cv2.FONT_HERSHEY_SIMPLEX, size, thickness)
-    x = int(np.clip(at[0] - width / 2, 2, max(2, image.shape[1] - width - 2)))
-    y = int(np.clip(at[1], height + 3, image.shape[0] - 4))
-    cv2.putText(image, text, (x, y), cv2.FONT_HERSHEY_SIMPLEX, size, (20, 20, 20), 3, cv2.LINE_AA)
-    cv2.putText(image, text, (x, y), cv2.FONT_HERSHEY_SIMPLEX, size, (255, 255, 255), 1, cv2.LINE_AA)
+    """White text with a dark rim, its bottom centred at a pixel, kept inside the image."""
+    picture = PIL.Image.fromarray(image)
+    pen = PIL.ImageDraw.Draw(picture)
+    letters = font(17, bold=True)
+    left, _, right, bottom = pen.textbbox((0, 0), text, font=letters)
+    x = float(np.clip(at[0] - (right - left) / 2, 3, max(3, image.shape[1] - right - 3)))
+    y = float(np.clip(at[1] - bottom, 3, max(3, image.shape[0] - bottom - 3)))
+    pen.text((x, y), text, fill=(255, 255, 255), font=letters, stroke_width=2, stroke_fill=(25, 25, 25))
+    image[:] = np.asarray(picture)

@@ -17,7 +17,7 @@ from app.replay import Recorder
 from app.report import Report
 from app.run_folder import RunFolder
 from app.screen import Screen
-from app.video import FPS, SPEED, VideoWriter
+from app.video import FPS, SPEED, WRIST, VideoWriter
 from manipulation.execution import TaskEvent
 from manipulation.types import TaskPlan
 from perception.object_map import write_object_map
@@ -51,6 +51,7 @@ class Storage(Watcher):
         self._before = world.overview_image()
         self._video = VideoWriter(folder.path / "video.mp4", task.capitalize()) if options.video else None
         self._samples = 0
+        self._wrist: np.ndarray | None = None
         world.observe(self._sample, REPLAY_RATE)
 
     @contextmanager
@@ -128,7 +129,9 @@ class Storage(Watcher):
     def _sample(self, world: World) -> None:
         self._recorder.sample(world.time, world.joint_positions(), world.gripper_width())
         if self._video is not None and self._samples % round(REPLAY_RATE * SPEED / FPS) == 0:
-            self._video.frame(world.overview_image(), world.overview_image(480, 360, camera="wrist"))
+            if self._wrist is None or self._video.n_frames % 2:  # every other one: rendering takes its time
+                self._wrist = world.overview_image(*WRIST, camera="wrist")
+            self._video.frame(world.overview_image(800, 600), self._wrist)
         self._samples += 1
 
 

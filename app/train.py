@@ -8,7 +8,6 @@ from typing import Any
 
 from rich.markup import escape
 
-from app.errors import MissingExtraError
 from app.options import TrainOptions
 from app.perceive import resolve_device
 from app.report import Report
@@ -48,20 +47,17 @@ def run(options: TrainOptions, screen: Screen) -> Report:
 
 def _job(options: TrainOptions) -> tuple[Any, Any]:
     """The training function of a network, and its default configuration."""
-    try:
-        if options.network == "shape":
-            from app.train_shape import TrainShapeConfig
-            from app.train_shape import run as train
+    if options.network == "shape":
+        from app.train_shape import TrainShapeConfig
+        from app.train_shape import run as train
 
-            return train, TrainShapeConfig()
-        if options.network == "detector":
-            from app.train_detector import TrainDetectorConfig
-            from app.train_detector import run as train
+        return train, TrainShapeConfig()
+    if options.network == "detector":
+        from app.train_detector import TrainDetectorConfig
+        from app.train_detector import run as train
 
-            return train, TrainDetectorConfig()
-        from app.train_yaw import TrainYawConfig
-        from app.train_yaw import run as train
+        return train, TrainDetectorConfig()
+    from app.train_yaw import TrainYawConfig
+    from app.train_yaw import run as train
 
-        return train, TrainYawConfig()
-    except ImportError as error:
-        raise MissingExtraError(f"training needs {error.name}: pip install 'nodeslam[sim,train]'") from None
+    return train, TrainYawConfig()

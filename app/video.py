@@ -16,7 +16,7 @@ from app.drawing import font
 _log = logging.getLogger(__name__)
 
 FPS = 30
-SPEED = 4.0  # simulated seconds per second of video
+SPEED = 5.0  # simulated seconds per second of video
 SCENE = (960, 720)  # [px]
 SIDE = 400
 WRIST = (SIDE, SIDE * 3 // 4)
@@ -40,6 +40,7 @@ class VideoWriter:
         self._path = path
         self._partial = path.with_name(f".{path.name}.partial.mp4")
         self._title = title
+        self.n_frames = 0
         self._stage = ""
         self._detail = ""
         self._last: tuple[np.ndarray, np.ndarray] | None = None
@@ -54,6 +55,7 @@ class VideoWriter:
     def frame(self, scene: UInt8[np.ndarray, "h w 3"], wrist: UInt8[np.ndarray, "k l 3"]) -> None:
         """Add one frame."""
         self._last = (scene, wrist)
+        self.n_frames += 1
         self._writer.append_data(self._compose(scene, wrist))
 
     def hold(self, seconds: float, wrist: UInt8[np.ndarray, "k l 3"] | None = None) -> None:
@@ -77,8 +79,8 @@ class VideoWriter:
     def _compose(self, scene: np.ndarray, wrist: np.ndarray) -> np.ndarray:
         width, height = SCENE
         canvas = np.full((height, width + SIDE, 3), _BACKGROUND, np.uint8)
-        canvas[:, :width] = cv2.resize(scene, SCENE, interpolation=cv2.INTER_AREA)
-        canvas[: WRIST[1], width:] = cv2.resize(wrist, WRIST, interpolation=cv2.INTER_AREA)
+        canvas[:, :width] = cv2.resize(scene, SCENE, interpolation=cv2.INTER_CUBIC)
+        canvas[: WRIST[1], width:] = cv2.resize(wrist, WRIST, interpolation=cv2.INTER_CUBIC)
         image = Image.fromarray(canvas)
         pen = ImageDraw.Draw(image)
         left, top = width + 24, WRIST[1] + 14
