@@ -130,7 +130,7 @@ def sample_layout(
     """Place upright objects at random, at any yaw, with at least ``min_gap`` [m] between their outlines.
 
     Objects are dropped one by one, the widest first, each wherever it is free; a dead end starts over. After
-    LOOSE_ATTEMPTS of them the table is full, and each takes the free place nearest to the others instead.
+    LOOSE_ATTEMPTS of them the table is full, and each is pushed as far as it goes to one side instead.
 
     Args:
         meshes: object meshes, z up, standing on z = 0.
@@ -144,11 +144,14 @@ def sample_layout(
     most = 0
     for attempt in range(restarts):
         placed: dict[int, PlanarPose] = {}
+        angle = rng.uniform(-np.pi, np.pi)
+        toward = np.array([np.cos(angle), np.sin(angle)])
         for index in order:
             others = [(footprints[i], pose) for i, pose in placed.items()]
             candidates = _candidates(rng, region or Region(), tries)
-            tight = attempt >= LOOSE_ATTEMPTS
-            pose = _free_place(footprints[index], candidates, others, min_gap, tight)
+            if attempt >= LOOSE_ATTEMPTS:
+                candidates = candidates[np.argsort(candidates[:, :2] @ toward)]
+            pose = _free_place(footprints[index], candidates, others, min_gap)
             if pose is None:
                 break
             placed[index] = pose
@@ -173,18 +176,15 @@ def _free_place(
     candidates: Float[np.ndarray, "n 3"],
     placed: list[tuple[_Footprint, PlanarPose]],
     min_gap: float,
-    tight: bool,
 ) -> PlanarPose | None:
-    """The first candidate that is free or, if ``tight``, the free one nearest to what is placed."""
+    """The first candidate that is free."""
     centers = np.array([(pose.x, pose.y) for _, pose in placed]).reshape(-1, 2)
     distance = np.linalg.norm(candidates[:, None, :2] - centers[None], axis=-1)  # (candidates, placed)
     inner = np.array([other.inner for other, _ in placed])
     outer = np.array([other.outer for other, _ in placed])
-    order = np.flatnonzero((distance > footprint.inner + inner + min_gap).all(axis=1))
-    if tight and placed:
-        order = order[np.argsort((distance - outer)[order].sum(axis=1))]
+    possible = np.flatnonzero((distance > footprint.inner + inner + min_gap).all(axis=1))
     unsure = distance <= footprint.outer + outer + min_gap
-    for row in order:
+    for row in possible:
         pose = PlanarPose(*(float(value) for value in candidates[row]))
         polygon = pose.transform(footprint.outline)
         near = (placed[i] for i in np.flatnonzero(unsure[row]))
