@@ -199,7 +199,7 @@ def wood(rng: np.random.Generator, color: Color, size: tuple[int, int] = (512, 5
 def cardboard(rng: np.random.Generator, color: Color, size: tuple[int, int] = (128, 128)) -> Texture:
     """Fine fibres, hardly any contrast."""
     noise = cv2.GaussianBlur(rng.standard_normal(size, dtype=np.float32), (0, 0), sigmaX=4, sigmaY=0.8)
-    tone = 1 + 0.03 * noise / noise.std()
+    tone = 1 + 0.018 * noise / noise.std()
     return (255 * np.clip(np.array(color) * tone[..., None], 0, 1)).astype(np.uint8)
 
 

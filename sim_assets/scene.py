@@ -187,13 +187,12 @@ def _add_box(spec: MjSpec, box: BoxConfig, rng: np.random.Generator) -> None:
     (length, width, depth), wall = box.inner, box.wall
     body = spec.worldbody.add_body(name="box", pos=(*box.center, 0))
     height = (depth + box.floor) / 2
-    outer = length / 2 + wall
     panels = {
-        "floor": ((0, 0, box.floor / 2), (length / 2 + wall, width / 2 + wall, box.floor / 2)),
+        "floor": ((0, 0, box.floor / 2), (length / 2, width / 2, box.floor / 2)),
         "front": ((length / 2 + wall / 2, 0, height), (wall / 2, width / 2 + wall, height)),
         "back": ((-length / 2 - wall / 2, 0, height), (wall / 2, width / 2 + wall, height)),
-        "left": ((0, width / 2 + wall / 2, height), (outer, wall / 2, height)),
-        "right": ((0, -width / 2 - wall / 2, height), (outer, wall / 2, height)),
+        "left": ((0, width / 2 + wall / 2, height), (length / 2, wall / 2, height)),
+        "right": ((0, -width / 2 - wall / 2, height), (length / 2, wall / 2, height)),
     }
     for name, (center, half) in panels.items():
         body.add_geom(
