@@ -32,6 +32,12 @@ BottleKind = Literal[
     "round", "tapered", "waisted", "rectangular", "squeeze", "tumbler", "bulged", "oval", "shaker"
 ]
 Shoulder = Literal["round", "cone", "ogee"]
+_USUAL_SHOULDER: dict[BottleKind, Shoulder] = {
+    "waisted": "round",
+    "squeeze": "round",
+    "bulged": "ogee",
+    "oval": "ogee",
+}
 _SHOULDERS: tuple[Shoulder, ...] = ("round", "cone", "ogee")
 Top = Literal["screw", "flip", "lid", "dome"]
 KINDS: dict[str, tuple[BottleKind, ...]] = {
@@ -162,9 +168,7 @@ def sample_bottle(split: str, rng: np.random.Generator) -> BottleParameters:
     cap_bottom = height - cap_height
     neck_height = cap_bottom * (rng.uniform(0.0, 0.22) if not flip else rng.uniform(0.0, 0.03))
     neck_height = max(neck_height, 0.026 - cap_height, 0.001)  # long enough for fingers
-    shoulder: Shoulder = {"waisted": "round", "squeeze": "round", "bulged": "ogee", "oval": "ogee"}.get(
-        kind, _SHOULDERS[rng.integers(3)]
-    )
+    shoulder = _USUAL_SHOULDER.get(kind, _SHOULDERS[rng.integers(3)])
     neck_bottom = cap_bottom - neck_height
     shoulder_height = min((radius - neck_radius) * rng.uniform(0.5, 1.9), 0.45 * neck_bottom)
     bend = {

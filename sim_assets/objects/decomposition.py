@@ -22,14 +22,17 @@ from perception.types import Category
 
 log = logging.getLogger(__name__)
 
-VERSION = "3"  # of this recipe: part of the cache's key
+VERSION = "6"  # of this recipe: part of the cache's key
 WEDGES = {"mug": 16, "bowl": 20}
-LEVELS = (0.0, 0.12, 0.3, 0.6, 1.0)  # of a vessel, over the height above its base
+LEVELS = {
+    "mug": (0.0, 0.12, 0.3, 0.6, 1.0),
+    "bowl": (0.0, 0.06, 0.15, 0.3, 0.55, 1.0),
+}  # of a vessel, over the height above its base
 SLICES = 12  # of a closed body
 BASE = 0.002  # [m]
 EXCESS = 1.2e-3  # what a hull may add to the thickness of a part, on average [m]
 HULL_VERTICES = 32
-MOST_HULLS = 4  # that coacd may make of one part
+MOST_HULLS = 3  # that coacd may make of one part
 
 
 def cache_folder() -> Path:
@@ -109,7 +112,8 @@ def _slab(bounds: np.ndarray, low: float, high: float) -> trimesh.Trimesh:
 
 
 def _slices(bounds: np.ndarray) -> list[trimesh.Trimesh]:
-    return [_slab(bounds, low, high) for low, high in pairwise(np.linspace(*bounds[:, 2], SLICES + 1))]
+    edges = np.linspace(bounds[0, 2], bounds[1, 2], SLICES + 1)
+    return [_slab(bounds, low, high) for low, high in pairwise(edges)]
 
 
 def _wedges(bounds: np.ndarray, count: int) -> list[trimesh.Trimesh]:

@@ -22,7 +22,7 @@ class MeshShape:
     mesh: trimesh.Trimesh
     category: Category
 
-    @cached_property
+    @property
     def bounds(self) -> Float[np.ndarray, "2 3"]:
         return np.asarray(self.mesh.bounds, dtype=np.float64)
 
@@ -47,17 +47,21 @@ class MeshShape:
         """Largest radius in bands of height, of the half that faces away from the handle."""
         points = trimesh.sample.sample_surface(self.mesh, 20_000, seed=0)[0]
         away = points[points[:, 0] < 0]
-        edges = np.linspace(*self.bounds[:, 2], 25)
+        edges = np.linspace(self.bounds[0, 2], self.bounds[1, 2], 25)
         band = np.clip(np.digitize(away[:, 2], edges) - 1, 0, 23)
         radius = np.zeros(24)
         np.maximum.at(radius, band, np.hypot(away[:, 0], away[:, 1]))
         return 0.5 * (edges[:-1] + edges[1:]), radius
 
     @cached_property
+    def _triangles(self) -> Float[np.ndarray, "f 3 3"]:
+        return np.asarray(self.mesh.triangles, dtype=np.float64)
+
+    @cached_property
     def _buckets(self) -> tuple[np.ndarray, np.ndarray]:
         """Triangles by horizontal cell: (offsets (CELLS² + 1,), triangle indices)."""
-        low = self._cell(self.mesh.triangles[:, :, :2].min(axis=1))
-        high = self._cell(self.mesh.triangles[:, :, :2].max(axis=1))
+        low = self._cell(self._triangles[:, :, :2].min(axis=1))
+        high = self._cell(self._triangles[:, :, :2].max(axis=1))
         spans = high - low + 1
         counts = spans.prod(axis=1)
         triangle = np.repeat(np.arange(len(counts)), counts)
@@ -76,11 +80,12 @@ class MeshShape:
     def _crossings_above(self, points: np.ndarray) -> np.ndarray:
         offsets, triangles = self._buckets
         xy = points[:, :2] + NUDGE
-        cell = self._cell(xy) @ (CELLS, 1)
+        column, row = self._cell(xy).T
+        cell = column * CELLS + row
         counts = offsets[cell + 1] - offsets[cell]
         point = np.repeat(np.arange(len(points)), counts)
         rank = np.arange(len(point)) - np.repeat(np.cumsum(counts) - counts, counts)
-        corner = self.mesh.triangles[triangles[offsets[cell[point]] + rank]]
+        corner = self._triangles[triangles[offsets[cell[point]] + rank]]
         a, b, c = (corner[:, i, :2] - xy[point] for i in range(3))
         weights = np.stack([_cross(b, c), _cross(c, a), _cross(a, b)], axis=1)
         total = weights.sum(axis=1)

@@ -12,7 +12,7 @@ from functools import cached_property
 import numpy as np
 import trimesh
 from jaxtyping import Bool, Float
-from scipy.spatial import cKDTree
+from scipy.spatial import KDTree
 
 from sim_assets.objects.profiles import Curve, inside_profile, radial_crossings, smoothstep
 
@@ -120,9 +120,9 @@ class Handle:
         points = np.stack([x, z], axis=1)
         last = len(self.centreline) - 1
         reach = self.thickness.max() + np.hypot(*np.diff(self.centreline, axis=0).T).max()
-        _, nearest = self._tree.query(points, distance_upper_bound=reach)
+        nearest = np.asarray(self._tree.query(points, distance_upper_bound=reach)[1])
         result = np.zeros(len(x))
-        near = np.flatnonzero(nearest <= last)  # cKDTree marks misses with the number of its points
+        near = np.flatnonzero(nearest <= last)  # KDTree marks misses with the number of its points
         points, nearest = points[near], nearest[near]
         best, at = np.full(len(near), np.inf), np.zeros(len(near))
         for first in (np.maximum(nearest - 1, 0), np.minimum(nearest, last - 1)):
@@ -139,8 +139,8 @@ class Handle:
         return result
 
     @cached_property
-    def _tree(self) -> cKDTree:
-        return cKDTree(self.centreline)
+    def _tree(self) -> KDTree:
+        return KDTree(self.centreline)
 
     def inside(self, points: Float[np.ndarray, "n 3"]) -> Bool[np.ndarray, "n"]:
         inside = np.zeros(len(points), dtype=bool)
@@ -219,7 +219,7 @@ class Solid:
         crossings = radial_crossings(self.body.profile, z)
         return crossings[:, 0] if crossings.shape[1] else np.zeros(len(z))
 
-    @cached_property
+    @property
     def bounds(self) -> Float[np.ndarray, "2 3"]:
         """(2, 3) corners of the bounding box [m]."""
         bounds = self.body.bounds.copy()
