@@ -7,7 +7,7 @@ every view, and the weighted difference to the measured depth moves code and 9-D
 from __future__ import annotations
 
 import logging
-from collections.abc import Sequence
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, field, replace
 
 import numpy as np
@@ -19,7 +19,7 @@ from perception.inference.levenberg_marquardt import Evaluation, LmConfig, LmIte
 from perception.inference.meshing import MeshConfig, mesh_from_grid
 from perception.inference.observation import ObjectObservation, PixelConfig, gather_pixels
 from perception.inference.problem import FitProblem, FitState, NoiseConfig, SupportCamera
-from perception.inference.shape_model import Decoder, LinearisedShape, decode, extent_of, linearise
+from perception.inference.shape_model import Decoder, LinearisedShape, decode, linearise
 from perception.rendering.pose import ObjectPose
 from perception.types import CODE_SIZE, GRID_RESOLUTION, Category, FitStatus, ObjectEstimate, SupportPlane
 
@@ -39,6 +39,11 @@ class Stage:
 class FitConfig:
     """How a fit is run. The first stage is run for every yaw hypothesis, the others for the best of them."""
 
+    # Length of the renderer's steps along a ray [voxel], by class. A grid's rendered surface lies behind the true
+    # one for long steps, in front of it for short ones; where both agree depends on walls and the decoder's blur.
+    step: Mapping[Category, float] = field(
+        default_factory=lambda: {"mug": 0.55, "bowl": 0.4, "bottle": 0.65, "can": 0.65}
+    )
     stages: tuple[Stage, ...] = (Stage(32, 1, 6), Stage(64, 1, 10), Stage(64, 0, 14))
     relinearise_every: int = 4
     pixels: PixelConfig = field(default_factory=PixelConfig)
@@ -100,12 +105,12 @@ class _Fitter:
         self.observations, self.plane, self.config = observations, plane, config
         self.linearise = lambda code: linearise(decoder, category, code)
         self.mean_shape = self.linearise(np.zeros(CODE_SIZE))
-        self.poses = initial_poses(observations, category, plane, extent_of(self.mean_shape.grid))
-        extent = extent_of(self.mean_shape.grid) * self.poses[0].scale
-        self.reach = 0.65 * float(np.linalg.norm(extent)) + 0.01
-        self.support = SupportCamera.under(
-            self.poses[0], plane, 0.6 * float(max(extent[:2])), max(float(extent[2]), 0.04)
-        )
+        self.poses, size = initial_poses(observations, category, plane)
+        self.voxel = 2 * float(self.poses[0].scale[0]) / GRID_RESOLUTION
+        self.reach = 1.25 * float(np.hypot(size.radius, size.height / 2)) + 0.015
+        self.support = SupportCamera.under(self.poses[0], plane, 1.2 * size.radius, max(size.height, 0.04))
+        step = config.step[category]
+        self.samples = int(np.clip(round(2 * self.reach / (step * self.voxel)), 24, 192))
 
     def run(self) -> Fit:
         first, *others = self.config.stages
@@ -121,12 +126,11 @@ class _Fitter:
         self, stage: Stage, state: FitState, shape: LinearisedShape, damping: float
     ) -> tuple[Fit, LinearisedShape, float]:
         config = self.config
-        start = self.poses[0]
         pixels = gather_pixels(
             self.observations,
-            start.translation,
+            self.poses[0].translation,
             self.reach,
-            2 * float(start.scale.mean()) / GRID_RESOLUTION,
+            self.samples,
             stage.crop,
             stage.level,
             config.pixels,

@@ -20,6 +20,8 @@ from perception.inference.observation import ObjectObservation
 from perception.rendering.pose import ObjectPose
 from perception.types import Category, SupportPlane
 
+LONGEST_SIDE = 1.8  # of the canonical cube's 2
+
 _MIN_HEIGHT = 0.003  # [m] points lower than this belong to the plane
 _MIN_POINTS = 30
 _STEEP = np.deg2rad(68.0)  # views from above this elevation see near and far side
@@ -38,29 +40,23 @@ class CloudMeasures:
 
 
 def initial_poses(
-    observations: Sequence[ObjectObservation],
-    category: Category,
-    plane: SupportPlane,
-    mean_extent: Float[np.ndarray, "3"],
-) -> list[ObjectPose]:
-    """Upright poses to start from, the likeliest yaw first.
+    observations: Sequence[ObjectObservation], category: Category, plane: SupportPlane
+) -> tuple[list[ObjectPose], CloudMeasures]:
+    """Upright poses to start from, the likeliest yaw first, and the measures they come from.
 
-    Args:
-        observations: the object's views.
-        category: decides which yaws are tried.
-        plane: what the object stands on.
-        mean_extent: (3,) extent of the class's mean shape in canonical units.
+    The shape prior's grids hold bounding boxes that are centred and ``LONGEST_SIDE`` long, so the cloud's
+    height and width give centre and scale.
     """
     basis = plane_basis(plane)
     measures = measure_clouds(observations, plane, basis)
-    log_scale = (np.log(measures.height / mean_extent[2]) + np.log(2 * measures.radius / mean_extent[1])) / 2
-    scale = float(np.exp(log_scale))
     foot = basis[:2].T @ measures.centre + plane.normal * plane.offset
-    centre = foot + plane.normal * (scale * mean_extent[2] / 2)
-    return [
+    centre = foot + plane.normal * (measures.height / 2)
+    scale = max(measures.height, 2 * measures.radius) / LONGEST_SIDE
+    poses = [
         ObjectPose(upright_rotation(plane.normal, yaw), centre, np.full(3, scale))
         for yaw in yaw_hypotheses(observations, category, measures)
     ]
+    return poses, measures
 
 
 def plane_basis(plane: SupportPlane) -> Float[np.ndarray, "3 3"]:

@@ -70,21 +70,14 @@ class PixelConfig:
     """Which pixels take part.
 
     Attributes:
-        step: of the renderer's samples along the ray, in voxels. The rendered surface of a grid lies behind
-            the true one for long steps and in front of it for short ones.
         ring: width of the background ring as a share of the object's larger side in the image.
         band: half width of the border band that is left out, in pixels of the full image.
         background_weight: weight of a background pixel; one of the object has 1.
     """
 
-    step: float = 0.6
     ring: float = 0.2
     band: float = 1.0
     background_weight: float = 0.2
-
-    def samples(self, reach: float, voxel: float) -> int:
-        """M for a depth range of twice ``reach`` [m] through voxels of this size [m]."""
-        return int(np.clip(round(2 * reach / (self.step * voxel)), 24, 192))
 
 
 @dataclass(frozen=True)
@@ -122,7 +115,7 @@ def gather_pixels(
     observations: Sequence[ObjectObservation],
     centre: Float[np.ndarray, "3"],
     reach: float,
-    voxel: float,
+    samples: int,
     crop: int,
     level: int,
     config: PixelConfig,
@@ -133,12 +126,11 @@ def gather_pixels(
         observations: the views.
         centre: of the object in the world [m], roughly.
         reach: half of the depth range around the centre [m].
-        voxel: size of the grid's voxels, roughly [m].
+        samples: M of the renderer.
         crop: pixels along the longer side of the crop.
         level: pyramid level: the residuals are blurred and halved so often.
         config: which pixels take part.
     """
-    samples = config.samples(reach, voxel)
     directions, view, target, weight, operators, depth_range = [], [], [], [], [], []
     for index, seen in enumerate(observations):
         z = float(transform_points(invert(seen.T_world_camera), centre[None])[0, 2])

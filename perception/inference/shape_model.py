@@ -69,14 +69,3 @@ def decode(decoder: Decoder, category: Category, code: Float[np.ndarray, "16"]) 
     """The occupancy grid of one code."""
     with torch.no_grad():
         return decoder(category, torch.as_tensor(code, dtype=torch.float32)[None])[0].cpu().numpy()
-
-
-def extent_of(grid: Float[np.ndarray, "r r r"]) -> Float[np.ndarray, "3"]:
-    """Extent along the axes that holds 98 % of the occupancy, in canonical units; mean shapes are blurred."""
-    size = grid.shape[0]
-    out = np.empty(3)
-    for axis in range(3):
-        mass = np.cumsum(grid.sum(axis=tuple(a for a in range(3) if a != axis)))
-        low, high = np.searchsorted(mass, np.array([0.01, 0.99]) * mass[-1])
-        out[axis] = (high - low + 1) * 2 / size
-    return out

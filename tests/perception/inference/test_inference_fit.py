@@ -103,7 +103,7 @@ def test_problem_jacobian_by_finite_differences(make_table, decoder) -> None:
     """All rows of the problem at once, with weights aside: renders, priors, and the camera underneath."""
     table = make_table("mug", (0.3,), yaw=0.4)
     observations = table.observations((0.0,))
-    pixels = gather_pixels(observations, table.pose.translation, 0.1, 0.003, 24, 1, PixelConfig(step=0.2))
+    pixels = gather_pixels(observations, table.pose.translation, 0.1, 300, 24, 1, PixelConfig())
     code = table.code + 0.1
     shape = linearise(decoder, "mug", code)
     support = SupportCamera.under(table.pose, PLANE, 0.04, 0.08)
