@@ -24,10 +24,7 @@ log = logging.getLogger(__name__)
 
 VERSION = "6"  # of this recipe: part of the cache's key
 WEDGES = {"mug": 16, "bowl": 20}
-LEVELS = {
-    "mug": (0.0, 0.12, 0.3, 0.6, 1.0),
-    "bowl": (0.0, 0.06, 0.15, 0.3, 0.55, 1.0),
-}  # of a vessel, over the height above its base
+LEVELS = (0.0, 0.12, 0.3, 0.6, 1.0)  # of a vessel, over the height above its base
 SLICES = 12  # of a closed body
 BASE = 0.002  # [m]
 EXCESS = 1.2e-3  # what a hull may add to the thickness of a part, on average [m]
