@@ -10,7 +10,7 @@ from manipulation.errors import ManipulationError
 from manipulation.standing import split_handle
 from manipulation.types import StandingObject
 
-MAX_CORNERS = 48
+MAX_CORNERS = 48  # about: twice as many directions are tried
 
 
 def convex_pieces(item: StandingObject) -> tuple[Float[np.ndarray, "_k 3"], ...]:

@@ -1,4 +1,4 @@
-"""What the tests handle: the chain of the Franka Emika Panda with capsules for links, and analytic objects."""
+"""What the tests handle: the chain of the Franka Panda with capsules for links, and analytic objects."""
 
 from types import SimpleNamespace
 
@@ -87,7 +87,7 @@ def mug(radius=0.04, height=0.095, wall=0.004) -> trimesh.Trimesh:
     return trimesh.boolean.union([cup(radius, height, wall), *boxes])
 
 
-def bowl(radius=0.075, height=0.06, wall=0.004, slope=np.deg2rad(10)) -> trimesh.Trimesh:
+def bowl(radius=0.075, height=0.06, wall=0.004, slope=0.1745) -> trimesh.Trimesh:
     """Straight walls that lean outwards by ``slope``, a flat floor."""
     foot = radius - height * np.tan(slope)
     across = wall / np.cos(slope)
@@ -117,7 +117,7 @@ def flat_bottle(narrow=0.05, wide=0.09, height=0.2) -> trimesh.Trimesh:
 
 
 def estimate(number, category, mesh, x=0.45, y=-0.3, yaw=0.0, lift=0.0) -> ObjectEstimate:
-    """The object as perception would hand it over: frame in the middle of the bounding box, handle along +x."""
+    """The object as perception hands it over: frame in the middle of the bounding box, handle along +x."""
     centre = mesh.bounds.mean(axis=0)
     c, s = np.cos(yaw), np.sin(yaw)
     T = np.array([[c, -s, 0, x], [s, c, 0, y], [0, 0, 1, lift], [0, 0, 0, 1]])
@@ -128,7 +128,7 @@ def estimate(number, category, mesh, x=0.45, y=-0.3, yaw=0.0, lift=0.0) -> Objec
 
 @pytest.fixture(scope="session")
 def shapes() -> SimpleNamespace:
-    """Analytic meshes: base on z = 0, axis x = y = 0, lengths in [m]; and ``estimate`` to stand them somewhere."""
+    """Analytic meshes (base on z = 0, axis x = y = 0, in [m]) and ``estimate`` to stand them somewhere."""
     return SimpleNamespace(
         cup=cup, mug=mug, bowl=bowl, can=can, bottle=bottle, flat_bottle=flat_bottle, estimate=estimate
     )

@@ -1,0 +1,143 @@
+import time
+
+import numpy as np
+import pytest
+
+from manipulation.collision import Body, CollisionConfig, CollisionWorld, densify
+from manipulation.errors import ManipulationError
+from manipulation.furniture import BOX_FLOOR, TABLE, box_walls
+from manipulation.hulls import convex_pieces, hull_corners, hull_faces
+from manipulation.kinematics import Kinematics
+from manipulation.standing import stand
+from manipulation.types import Box
+
+WIDTH = 0.08
+
+
+def above(kinematics, x, y, z):
+    T = np.diag([1.0, -1.0, -1.0, 1.0])
+    T[:3, 3] = x, y, z
+    result = kinematics.inverse(T, kinematics.seeds_toward(T))
+    assert result.converged
+    return result.q
+
+
+def body(shapes, number, category, mesh, x, y):
+    item = stand(shapes.estimate(number, category, mesh, x=x, y=y))
+    return Body(item.name, convex_pieces(item), item.T_world_stand)
+
+
+@pytest.fixture(scope="module")
+def kinematics(arm):
+    return Kinematics(arm)
+
+
+@pytest.fixture
+def world(arm, shapes):
+    bodies = [
+        body(shapes, 1, "can", shapes.can(0.033, 0.12), 0.5, -0.3),
+        body(shapes, 2, "bottle", shapes.bottle(0.035, 0.25), 0.5, 0.2),
+        body(shapes, 3, "mug", shapes.mug(), 0.35, 0.0),
+    ]
+    return CollisionWorld(arm, bodies, [TABLE, *box_walls(Box(center=(0.4, 0.4)))])
+
+
+def test_free_space_is_free_and_the_table_is_not(world, kinematics):
+    assert world.contact(above(kinematics, 0.5, -0.1, 0.2), WIDTH) is None
+    assert world.contact(above(kinematics, 0.5, -0.1, 0.005), WIDTH) == "arm meets table"
+
+
+def test_robot_keeps_its_margin(arm, kinematics):
+    world = CollisionWorld(arm, [], [TABLE], CollisionConfig(robot_margin=0.004))
+    # Fingertips reach 9 mm beyond the TCP: .0584 + .054 - .1034.
+    assert world.contact(above(kinematics, 0.5, 0.0, 0.0090 + 0.0045), WIDTH) is None
+    assert world.contact(above(kinematics, 0.5, 0.0, 0.0090 + 0.0035), WIDTH) == "arm meets table"
+
+
+def test_hand_in_an_object_is_seen_unless_it_may_touch_it(world, kinematics):
+    q = above(kinematics, 0.5, -0.3, 0.06)
+    assert world.contact(q, WIDTH) == "arm meets can_1"
+    assert world.contact(q, WIDTH, ignore={"can_1"}) is None
+
+
+def test_fingers_open_around_a_can_are_free_and_closed_are_not(world, kinematics):
+    q = above(kinematics, 0.5, -0.3, 0.1)
+    assert world.contact(q, 0.08) is None  # 7 mm between pad and can, more than the margin
+    assert world.contact(q, 0.072) == "arm meets can_1"
+
+
+def test_moved_and_absent_objects(world, kinematics):
+    q = above(kinematics, 0.5, -0.3, 0.06)
+    T = world.pose("can_1")
+    T[0, 3] -= 0.2
+    world.move("can_1", T)
+    assert world.contact(q, WIDTH) is None
+    assert world.contact(above(kinematics, 0.3, -0.3, 0.06), WIDTH) == "arm meets can_1"
+    world.set_present("can_1", False)
+    assert world.contact(above(kinematics, 0.3, -0.3, 0.06), WIDTH) is None
+
+
+def test_carried_object_meets_neighbours_with_its_own_margin(world, kinematics):
+    T_tcp_stand = np.diag([1.0, -1.0, -1.0, 1.0])
+    T_tcp_stand[2, 3] = 0.1  # the can's base is 10 cm below the TCP
+    world.carry("can_1", T_tcp_stand)
+    assert world.contact(above(kinematics, 0.5, -0.3, 0.2), WIDTH) is None
+    q = above(kinematics, 0.5, 0.2 - 0.035 - 0.033 - 0.002, 0.15)
+    may_touch = {"ignore": {"bottle_2"}}
+    assert world.contact(q, 0.06, carried_margin=0.004, **may_touch) == "can_1 meets bottle_2"
+    assert world.contact(q, 0.06, carried_margin=0.0, **may_touch) is None
+    assert world.contact(q, 0.06, ignore_carried={"bottle_2"}, **may_touch) is None
+    low = above(kinematics, 0.5, -0.3, 0.1)
+    assert world.contact(low, 0.06) == "can_1 meets table"
+    world.release()
+    assert world.contact(above(kinematics, 0.5, -0.3, 0.06), WIDTH) == "arm meets can_1"
+
+
+def test_path_through_a_bottle_is_blocked_though_its_ends_are_free(world, kinematics):
+    start, end = above(kinematics, 0.5, -0.05, 0.15), above(kinematics, 0.42, 0.42, 0.15)
+    assert world.contact(start, WIDTH) is None and world.contact(end, WIDTH) is None
+    assert world.path_contact(np.stack([start, end]), WIDTH) == "arm meets bottle_2"
+
+
+def test_box_walls_stand_around_the_inside():
+    parts = {part.name: part for part in box_walls(Box(center=(0.5, 0.2), size=(0.3, 0.2, 0.08)))}
+    assert len(parts) == 5
+    assert parts["box_wall_x_far"].center[0] - parts["box_wall_x_far"].half_size[0] == pytest.approx(0.65)
+    assert parts["box_wall_y_near"].center[1] + parts["box_wall_y_near"].half_size[1] == pytest.approx(0.1)
+    assert 2 * parts["box_wall_x_far"].half_size[2] == pytest.approx(0.084)
+    assert 2 * parts[BOX_FLOOR].half_size[2] == pytest.approx(0.004)
+
+
+def test_mug_has_body_and_handle_as_pieces(shapes):
+    body_piece, handle = convex_pieces(stand(shapes.estimate(1, "mug", shapes.mug())))
+    assert body_piece[:, 0].max() < 0.042 and handle[:, 0].max() > 0.06
+    assert len(body_piece) <= 96
+
+
+def test_hull_of_a_sphere_is_thinned_and_wound_outwards():
+    directions = np.random.default_rng(0).normal(size=(3000, 3))
+    corners = hull_corners(directions / np.linalg.norm(directions, axis=1, keepdims=True), limit=48)
+    assert 40 <= len(corners) <= 96
+    a, b, c = (corners[hull_faces(corners).reshape(-1, 3)[:, i]] for i in range(3))
+    volume = np.einsum("ij,ij->i", a, np.cross(b, c)).sum() / 6
+    assert 0.85 * 4.19 < volume < 4.19
+
+
+def test_flat_meshes_and_unknown_names_are_errors(world):
+    with pytest.raises(ManipulationError, match="flat or too small"):
+        hull_corners(np.zeros((8, 3)))
+    with pytest.raises(ManipulationError, match="no object 'mug_9'.*can_1, bottle_2, mug_3"):
+        world.move("mug_9", np.eye(4))
+
+
+def test_densify_keeps_the_ends_and_the_step():
+    path = densify(np.array([[0.0, 0.0], [0.1, 0.0], [0.1, 0.31]]), 0.05)
+    assert np.abs(np.diff(path, axis=0)).max() <= 0.05 + 1e-12
+    assert path[0] == pytest.approx([0, 0]) and path[-1] == pytest.approx([0.1, 0.31])
+
+
+def test_a_check_takes_well_under_a_millisecond(world, arm):
+    start = time.process_time()
+    for _ in range(200):
+        world.contact(np.asarray(arm.q_home), WIDTH)
+    assert (time.process_time() - start) / 200 < 1e-3

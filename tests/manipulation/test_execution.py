@@ -1,0 +1,249 @@
+import numpy as np
+import pytest
+
+from manipulation.errors import PlanningError, RobotError
+from manipulation.execution import execute
+from manipulation.grasps import GraspConfig
+from manipulation.kinematics import Kinematics
+from manipulation.packing import PackingConfig
+from manipulation.pick_place import PickPlaceConfig, PickPlacePlanner
+from manipulation.planner import ManipulationConfig, plan_pack, plan_sort
+from manipulation.standing import stand
+from manipulation.trajectories import MotionConfig
+from manipulation.types import Box, Line, Placement
+
+# Coarser than the defaults, for speed alone.
+CONFIG = ManipulationConfig(
+    pick_place=PickPlaceConfig(
+        max_plans=1,
+        motion=MotionConfig(line_step=0.03),
+        grasp=GraspConfig(n_azimuths=8, top_depths=(0.02, 0.03)),
+    ),
+    packing=PackingConfig(gaps=(0.012,), n_handle_directions=2),
+)
+
+
+class FakeRobot:
+    """Follows every motion exactly; ``closing`` lists what each closing of the gripper ends at."""
+
+    def __init__(self, arm, closing=()):
+        self.arm = arm
+        self.q = np.array(arm.q_home)
+        self.width = arm.max_width
+        self.closing = list(closing)
+        self.expected = 0.01
+        self.blocked_motions = set()
+        self.motions = []
+
+    def joint_positions(self):
+        return self.q.copy()
+
+    def gripper_width(self):
+        return self.width
+
+    def follow(self, trajectory):
+        assert np.abs(trajectory.positions[0] - self.q).max() < 1e-3, "motions must chain"
+        self.motions.append(trajectory)
+        if len(self.motions) in self.blocked_motions:
+            raise RobotError("the arm is blocked: joint4")
+        self.q = trajectory.positions[-1].copy()
+
+    def move_gripper(self, width):
+        assert 0 <= width <= self.arm.max_width
+        closes = width == 0
+        self.width = (self.closing.pop(0) if self.closing else self.expected) if closes else width
+        return self.width
+
+    def capture(self):
+        raise NotImplementedError
+
+
+class Watcher:
+    """Collects events and tells the fake robot how wide the object is."""
+
+    def __init__(self, robot):
+        self.robot, self.events = robot, []
+
+    def __call__(self, event):
+        self.events.append(event)
+        if event.plan is not None:
+            self.robot.expected = float(np.mean(event.plan.grasp.closed_width))
+
+    def phases(self, name):
+        return [event.phase for event in self.events if event.name == name]
+
+    @property
+    def plans(self):
+        return {event.name: event.plan for event in self.events if event.plan is not None}
+
+
+@pytest.fixture(scope="module")
+def scene(shapes):
+    return [
+        shapes.estimate(1, "can", shapes.can(), x=0.55, y=-0.2),
+        shapes.estimate(2, "bowl", shapes.bowl(), x=0.4, y=-0.15),
+        shapes.estimate(3, "bowl", shapes.bowl(0.06, 0.045), x=0.56, y=-0.38),
+    ]
+
+
+@pytest.fixture(scope="module")
+def packing(scene, arm):
+    return plan_pack(scene, Box(), arm, CONFIG)
+
+
+def test_everything_is_placed_where_it_was_planned(packing, arm):
+    robot = FakeRobot(arm)
+    watcher = Watcher(robot)
+    outcomes = execute(packing, robot, on_event=watcher, config=CONFIG)
+    assert [outcome.placed for outcome in outcomes] == [True] * 3
+    assert {outcome.attempts for outcome in outcomes} == {1}
+    assert robot.q == pytest.approx(arm.q_home)
+    goals = {placement.name: placement for placement in packing.placements}
+    kinematics = Kinematics(arm)
+    for outcome in outcomes:
+        assert outcome.T_world_stand[:2, 3] == pytest.approx(goals[outcome.name].position[:2])
+        plan = watcher.plans[outcome.name]
+        T_tcp = plan.T_world_stand_goal @ plan.grasp.T_stand_tcp
+        assert kinematics.forward(plan.transfer.positions[-1]) == pytest.approx(T_tcp, abs=2e-3)
+        assert plan.duration > 2
+    phases = ["plan", "approach", "grasp", "transfer", "place", "retreat", "placed"]
+    assert watcher.phases("can_1") == phases
+    assert outcomes[1].T_world_stand[2, 3] > outcomes[0].T_world_stand[2, 3], "nested bowl stands higher"
+
+
+def test_motions_are_free_of_contact_in_the_planners_world(packing, arm):
+    planner = PickPlacePlanner(arm, packing.objects, packing.box, CONFIG.pick_place)
+    placement = next(p for p in packing.placements if p.name == "can_1")
+    plan = planner.plan(placement, np.asarray(arm.q_home))
+    world, grasp = planner.world, plan.grasp
+    near = world.path_contact(plan.approach.positions[::20], grasp.opening, ignore={"can_1"})
+    assert near is None
+    world.carry("can_1", np.linalg.inv(grasp.T_stand_tcp))
+    held = float(np.mean(grasp.closed_width))
+    floor = {"table", "box_floor"}
+    way = np.concatenate([plan.lift.positions, plan.transfer.positions])[::20]
+    assert world.path_contact(way, held, ignore_carried=floor, carried_margin=0.0) is None
+
+
+def test_empty_grasp_is_retried_elsewhere_after_looking_again(packing, arm, scene):
+    robot = FakeRobot(arm, closing=[0.0])
+    looked = []
+
+    def look_again(number):
+        looked.append(number)
+        return next(estimate for estimate in scene if estimate.id == number)
+
+    watcher = Watcher(robot)
+    outcomes = execute(packing, robot, look_again, watcher, CONFIG)
+    first = packing.placements[0].name
+    outcome = next(o for o in outcomes if o.name == first)
+    assert outcome.placed and outcome.attempts == 2
+    assert looked == [packing.objects[first].id]
+    tried = [event.plan.grasp for event in watcher.events if event.name == first and event.plan]
+    turn = np.angle(np.exp(1j * (tried[0].azimuth - tried[1].azimuth)))
+    assert abs(turn) > np.deg2rad(15) or abs(tried[0].depth - tried[1].depth) > 0.002
+
+
+def test_object_that_cannot_be_held_is_given_up_after_two_retries(packing, arm):
+    robot = FakeRobot(arm, closing=[0.0, 0.0, 0.0])
+    outcomes = execute(packing, robot, None, Watcher(robot), CONFIG)
+    failed = [outcome for outcome in outcomes if not outcome.placed]
+    assert len(failed) == 1 and failed[0].attempts == 3 and failed[0].T_world_stand is None
+    assert "nothing between the fingers after closing on bowl_2 (width 0.0 mm, expected" in failed[0].reason
+    # The bowl that was to stand in it now stands on the floor of the box.
+    nested = next(outcome for outcome in outcomes if outcome.name == "bowl_3")
+    assert nested.placed and nested.T_world_stand[2, 3] == pytest.approx(Box().floor)
+
+
+def test_blocked_arm_counts_as_a_failed_attempt(packing, arm):
+    robot = FakeRobot(arm)
+    robot.blocked_motions = {1}
+    outcomes = execute(packing, robot, None, Watcher(robot), CONFIG)
+    assert outcomes[0].placed and outcomes[0].attempts == 2
+
+
+def test_object_lost_on_the_way_is_noticed(packing, arm):
+    robot = FakeRobot(arm)
+    watcher = Watcher(robot)
+    lost = []
+
+    def drop_once(event):
+        watcher(event)
+        if event.phase == "place" and not lost:
+            lost.append(event.name)
+            robot.width = 0.0
+
+    outcomes = execute(packing, robot, None, drop_once, CONFIG)
+    assert all(outcome.placed for outcome in outcomes)
+    assert [event.message for event in watcher.events if event.phase == "retry"][0].startswith(
+        f"{lost[0]} was lost on the way"
+    )
+
+
+def test_blocked_object_is_deferred_until_the_others_have_gone(packing, arm, monkeypatch):
+    planned = []
+    plan = PickPlacePlanner.plan
+
+    def blocked_at_first(self, placement, q_start, tried=()):
+        planned.append(placement.name)
+        if placement.name == "bowl_2" and planned.count("bowl_2") == 1:
+            raise PlanningError("No plan for bowl_2: of 9 ways tried, 9 collide with can_1; clear it")
+        return plan(self, placement, q_start, tried)
+
+    monkeypatch.setattr(PickPlacePlanner, "plan", blocked_at_first)
+    robot = FakeRobot(arm)
+    watcher = Watcher(robot)
+    outcomes = execute(packing, robot, None, watcher, CONFIG)
+    assert all(outcome.placed for outcome in outcomes)
+    # The bowl that nests in it waits for it.
+    assert [o.name for o in outcomes] == ["can_1", "bowl_2", "bowl_3"]
+    deferred = [event for event in watcher.events if event.phase == "deferred"]
+    assert [event.name for event in deferred] == ["bowl_2"] and "9 collide with can_1" in deferred[0].message
+
+
+def test_object_that_stays_blocked_fails_and_frees_those_that_wait_for_it(packing, arm, monkeypatch):
+    plan = PickPlacePlanner.plan
+
+    def never(self, placement, q_start, tried=()):
+        if placement.name == "bowl_2":
+            raise PlanningError("No plan for bowl_2")
+        return plan(self, placement, q_start, tried)
+
+    monkeypatch.setattr(PickPlacePlanner, "plan", never)
+    robot = FakeRobot(arm)
+    outcomes = {o.name: o for o in execute(packing, robot, None, Watcher(robot), CONFIG)}
+    assert not outcomes["bowl_2"].placed and outcomes["bowl_2"].attempts == 0
+    assert outcomes["bowl_2"].reason == "No plan for bowl_2"
+    assert outcomes["can_1"].placed and outcomes["bowl_3"].placed
+    assert outcomes["bowl_3"].T_world_stand[2, 3] == pytest.approx(Box().floor)
+
+
+def test_unreachable_object_is_named_and_left_out(scene, shapes, arm):
+    far = shapes.estimate(9, "can", shapes.can(), x=1.05, y=0.1)
+    task = plan_pack([scene[0], far], Box(), arm, CONFIG)
+    assert task.left_out == {"can_9": "can_9 at (1.05, 0.10) m is out of the arm's reach; move it closer"}
+    assert "can_9" in task.objects and all(p.name != "can_9" for p in task.placements)
+    with pytest.raises(PlanningError, match="none of 1 objects can be handled: can_9"):
+        plan_pack([far], Box(), arm, CONFIG)
+
+
+def test_unreachable_goal_is_reported_with_counts(scene, arm):
+    items = {item.name: item for item in map(stand, scene)}
+    config = PickPlaceConfig(grasp=GraspConfig(n_azimuths=4, top_depths=(0.02,)))
+    planner = PickPlacePlanner(arm, items, config=config)
+    with pytest.raises(PlanningError, match=r"No plan for can_1: of \d+ ways tried, .*goal out of reach"):
+        planner.plan(Placement("can_1", (1.3, 0.2, 0.0), (0.0,)), np.asarray(arm.q_home))
+
+
+def test_nothing_perceived_is_an_error(arm):
+    with pytest.raises(PlanningError, match="no object was perceived; scan again"):
+        plan_sort([], Line(), arm)
+
+
+def test_sorting_takes_mugs_too(scene, shapes, arm):
+    mug = shapes.estimate(0, "mug", shapes.mug(), x=0.38, y=-0.38, yaw=2.0)
+    task = plan_sort([mug, *scene[:2]], Line(), arm, CONFIG)
+    robot = FakeRobot(arm)
+    outcomes = execute(task, robot, None, Watcher(robot), CONFIG)
+    assert len(outcomes) == 3 and all(outcome.placed for outcome in outcomes)
+    assert all(outcome.T_world_stand[2, 3] == 0 for outcome in outcomes)
