@@ -27,7 +27,7 @@ HANDLE_VISIBLE = 0.01  # share of a mug's visible points on its handle from whic
 class TrainYawConfig(TrainDetectorConfig):
     """As for the class network; mugs are a fifth of the crops, so they are passed over more often."""
 
-    training: TrainingConfig = field(default_factory=lambda: TrainingConfig(epochs=30))
+    training: TrainingConfig = field(default_factory=lambda: TrainingConfig(epochs=8))
 
 
 def run(config: TrainYawConfig, out_dir: Path, progress: Progress | None = None) -> dict[str, Any]:

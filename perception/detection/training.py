@@ -60,7 +60,7 @@ class TrainingConfig:
         seed: of initialisation, order and augmentation.
     """
 
-    epochs: int = 10
+    epochs: int = 5
     batch: int = 128
     learning_rate: float = 2e-3
     warmup: float = 0.05
