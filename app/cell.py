@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import math
+from collections import Counter
 from collections.abc import Sequence
 from typing import TYPE_CHECKING, get_args
 
@@ -117,9 +118,9 @@ def _draw_models(
     options: CellOptions, classes: Sequence[Category], rng: np.random.Generator
 ) -> list[ObjectModel]:
     if options.object_meshes is None:
-        from sim_assets.objects import sample_object
+        from sim_assets.draw import draw_objects
 
-        return [sample_object(category, "test", rng) for category in classes]
+        return list(draw_objects(Counter(classes), "test", rng))
     from sim_assets.objects import load_user_objects
 
     owned: dict[Category, list[ObjectModel]] = {category: [] for category in get_args(Category)}
