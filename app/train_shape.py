@@ -197,8 +197,9 @@ entries (`perception/shape/network.py`). Encoder and decoder, {parameters} param
 {megabytes:.1f} MB, SHA-256 `{checksum}`.
 
 **Made by** `nodeslam train shape --seed {training.seed}` with torch {torch}: {training.epochs} epochs, Adam
-{training.learning_rate} falling along a cosine, batch {training.batch_size}, float32. KL weight {loss.beta}; voxels at structures thinner than three voxels weigh 1 + {loss.thin}, those at
-the handles of mugs a further {loss.handle}.
+{training.learning_rate} falling along a cosine, batch {training.batch_size}, float32. KL weight {loss.beta};
+voxels at structures thinner than three voxels weigh 1 + {loss.thin}, those at the handles of mugs a further
+{loss.handle}.
 
 **Data**: {counts}, sampled with the seed above from the
 training families of `sim_assets/objects`: procedural shapes only, no scanned object. Bowls, bottles and cans
