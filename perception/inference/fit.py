@@ -19,7 +19,7 @@ from perception.inference.levenberg_marquardt import Evaluation, LmConfig, LmIte
 from perception.inference.meshing import MeshConfig, mesh_from_grid
 from perception.inference.observation import ObjectObservation, PixelConfig, gather_pixels
 from perception.inference.problem import FitProblem, FitState, NoiseConfig, SupportCamera
-from perception.inference.shape_model import Decoder, LinearisedShape, decode, linearise
+from perception.inference.shape_model import Decoder, LinearisedShape, decode, linearise, mean_shape
 from perception.rendering.pose import ObjectPose
 from perception.types import CODE_SIZE, GRID_RESOLUTION, Category, FitStatus, ObjectEstimate, SupportPlane
 
@@ -39,8 +39,8 @@ class Stage:
 class FitConfig:
     """How a fit is run. The first stage is run for every yaw hypothesis, the others for the best of them."""
 
-    # Length of the renderer's steps along a ray [voxel], by class. A grid's rendered surface lies behind the true
-    # one for long steps, in front of it for short ones; where both agree depends on walls and the decoder's blur.
+    # Length of the renderer's steps along a ray [voxel], by class. A grid's rendered surface lies behind the
+    # true one for long steps, in front of it for short ones; where they agree depends on walls and blur.
     step: Mapping[Category, float] = field(
         default_factory=lambda: {"mug": 0.55, "bowl": 0.4, "bottle": 0.65, "can": 0.65}
     )
@@ -104,7 +104,7 @@ class _Fitter:
     def __init__(self, observations, category, decoder, plane, config) -> None:
         self.observations, self.plane, self.config = observations, plane, config
         self.linearise = lambda code: linearise(decoder, category, code)
-        self.mean_shape = self.linearise(np.zeros(CODE_SIZE))
+        self.mean_shape = mean_shape(decoder, category)
         self.poses, size = initial_poses(observations, category, plane)
         self.voxel = 2 * float(self.poses[0].scale[0]) / GRID_RESOLUTION
         self.reach = 1.25 * float(np.hypot(size.radius, size.height / 2)) + 0.015

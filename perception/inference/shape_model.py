@@ -7,6 +7,7 @@ between two decodings grids come from their linearisation: logit(o) + d logit/dz
 
 from __future__ import annotations
 
+from functools import lru_cache
 from typing import Protocol, runtime_checkable
 
 import numpy as np
@@ -15,9 +16,10 @@ from jaxtyping import Float
 from torch import Tensor
 
 from perception.rendering.renderer import ShapeGrid
-from perception.types import Category
+from perception.types import CATEGORIES, CODE_SIZE, Category
 
-_LOGIT_CLIP = 1e-4  # occupancies closer than this to 0 or 1 stay where they are
+_LOGIT_CLIP = 1e-4  # occupancies closer than this to 0 or 1 are taken to be so close
+_STILL = 1e-4  # voxels that no code moves faster than this stay as they are
 SKIP_OCCUPANCY = 2e-3  # cells less occupied, and less moved by the code, are not visited
 SKIP_JACOBIAN = 2e-3
 
@@ -42,21 +44,28 @@ class LinearisedShape:
     ) -> None:
         self.code = np.array(code, dtype=np.float64)
         self.grid = grid
-        clipped = np.clip(grid, _LOGIT_CLIP, 1 - _LOGIT_CLIP)
-        self._logit = np.log(clipped / (1 - clipped)).reshape(-1)
-        self._slope = (clipped * (1 - clipped)).reshape(-1)
-        self._jacobian = jacobian.reshape(-1, jacobian.shape[-1])
         self._shape = ShapeGrid.upload(grid, jacobian, "cpu", SKIP_OCCUPANCY, SKIP_JACOBIAN)
+        rows = jacobian.reshape(-1, jacobian.shape[-1])
+        self._moving = np.flatnonzero(np.abs(rows).max(axis=1) > _STILL)
+        clipped = np.clip(grid.reshape(-1)[self._moving], _LOGIT_CLIP, 1 - _LOGIT_CLIP)
+        self._logit = np.log(clipped / (1 - clipped))
+        self._logit_jacobian = rows[self._moving] / (clipped * (1 - clipped))[:, None]
 
     def at(self, code: Float[np.ndarray, "16"]) -> ShapeGrid:
         """The shape of a code nearby, with the Jacobian of ``self.code``."""
-        step = code - self.code
+        step = (code - self.code).astype(np.float32)
         if not step.any():
             return self._shape
-        change = self._jacobian @ step.astype(np.float32)
-        logit = self._logit + change / self._slope
-        grid = (1 / (1 + np.exp(-np.clip(logit, -30, 30)))).reshape(self.grid.shape)
-        return self._shape.with_occupancy(grid, SKIP_OCCUPANCY)
+        logit = np.clip(self._logit + self._logit_jacobian @ step, -30, 30)
+        grid = self.grid.reshape(-1).copy()
+        grid[self._moving] = 1 / (1 + np.exp(-logit))
+        return self._shape.with_occupancy(grid.reshape(self.grid.shape), SKIP_OCCUPANCY)
+
+
+@lru_cache(maxsize=2 * len(CATEGORIES))
+def mean_shape(decoder: Decoder, category: Category) -> LinearisedShape:
+    """The shape of code 0, where every fit of a class begins."""
+    return linearise(decoder, category, np.zeros(CODE_SIZE))
 
 
 def linearise(decoder: Decoder, category: Category, code: Float[np.ndarray, "16"]) -> LinearisedShape:

@@ -68,17 +68,22 @@ def pose_jacobian(
 ) -> Float[np.ndarray, "n 9"]:
     """Derivative of the rendered depth by (omega, v, sigma).
 
-    With a sample at g = alpha + delta beta in canonical coordinates, q = S g in the object's:
+    With a sample at q = a + delta b in the object's frame [m], g = S^-1 q in canonical coordinates:
     dg/dv = -S^-1 R^T, dg/domega = S^-1 hat(q), dg/dsigma = -diag(g); two sums along the ray carry them over.
     """
     if rendering.sum_gradient is None or rendering.sum_depth_gradient is None:
         raise ValueError("the rendering has no gradients: call render(..., gradients=True)")
-    alpha = A_canonical_camera[view, :, 3].astype(np.float32)
-    beta = np.einsum("nij,nj->ni", A_canonical_camera[view, :, :3], directions).astype(np.float32)
-    g1, g2, scale = rendering.sum_gradient, rendering.sum_depth_gradient, pose.scale.astype(np.float32)
+    scale = pose.scale.astype(np.float32)
+    A = A_canonical_camera.astype(np.float32) * scale[:, None]  # to the object's frame, in [m]
+    g1, g2 = rendering.sum_gradient, rendering.sum_depth_gradient
     h1, h2 = g1 / scale, g2 / scale
     out = np.empty((len(directions), POSE_SIZE), dtype=np.float32)
-    out[:, :3] = np.cross(h1, alpha * scale) + np.cross(h2, beta * scale)
     out[:, 3:6] = -h1 @ pose.rotation.T.astype(np.float32)
-    out[:, 6:] = -(g1 * alpha + g2 * beta)
+    a, b = A[view, :, 3], np.empty_like(h1)
+    for index in range(len(A)):
+        rows = view == index
+        b[rows] = directions[rows] @ A[index, :, :3].T
+    for k, (i, j) in enumerate(((1, 2), (2, 0), (0, 1))):
+        out[:, k] = h1[:, i] * a[:, j] - h1[:, j] * a[:, i] + h2[:, i] * b[:, j] - h2[:, j] * b[:, i]
+    out[:, 6:] = -(h1 * a + h2 * b)
     return out

@@ -9,7 +9,7 @@ import logging
 import os
 import tempfile
 from dataclasses import dataclass
-from functools import cache
+from functools import cache, cached_property
 from typing import Any
 
 import numpy as np
@@ -105,8 +105,20 @@ class ShapeGrid:
 
 
 @dataclass(frozen=True)
+class _RayBuffers:
+    """A ray bundle's arrays on one device, and room for every ray's samples."""
+
+    directions: wp.array
+    view: wp.array
+    depth_range: wp.array
+    stack: wp.array
+
+
+@dataclass(frozen=True)
 class RayBundle:
     """Pixels of one or several views to be rendered: everything that stays the same over a fit.
+
+    Rendered in one thread at a time: its arrays on the device, scratch space too, are kept between calls.
 
     Attributes:
         directions: (n, 3) back-projected pixels in their camera's frame, z = 1, so that depth scales them.
@@ -119,6 +131,22 @@ class RayBundle:
     view: Int[np.ndarray, "n"]
     depth_range: Float[np.ndarray, "v 2"]
     samples: int
+
+    @cached_property
+    def _buffers(self) -> dict[str, _RayBuffers]:
+        return {}
+
+    def on_device(self, device: str) -> _RayBuffers:
+        """The rays on a device, brought there by the first call."""
+        if device not in self._buffers:
+            n = len(self.directions)
+            self._buffers[device] = _RayBuffers(
+                directions=_to_device(self.directions, wp.vec3, device),
+                view=_to_device(self.view, wp.int32, device),
+                depth_range=_to_device(self.depth_range, wp.vec2, device),
+                stack=_empty((n, self.samples), wp.vec3, device),
+            )
+        return self._buffers[device]
 
     @property
     def escape_depth(self) -> Float[np.ndarray, "v"]:
@@ -162,6 +190,7 @@ def render(
         gradients: whether the Jacobian is wanted too.
     """
     n, device = len(rays.directions), shape.device
+    on_device = rays.on_device(device)
     with_code = gradients and shape.jacobian is not None
     depth, variance, mask = (_empty(n, dtype=wp.float32, device=device) for _ in range(3))
     sums = _empty((n, 2) if gradients else (1, 2), dtype=wp.vec3, device=device)
@@ -173,15 +202,15 @@ def render(
             shape.occupancy,
             shape.jacobian,
             shape.cells,
-            _to_device(rays.directions, wp.vec3, device),
-            _to_device(rays.view, wp.int32, device),
+            on_device.directions,
+            on_device.view,
             _to_device(A_canonical_camera[:, :, :3], wp.mat33, device),
             _to_device(A_canonical_camera[:, :, 3], wp.vec3, device),
-            _to_device(rays.depth_range, wp.vec2, device),
+            on_device.depth_range,
             rays.samples,
             int(gradients),
             int(with_code),
-            _empty((n, rays.samples), dtype=wp.vec3, device=device),
+            on_device.stack,
         ],
         outputs=[depth, variance, mask, sums, d_code],
         device=device,
