@@ -36,7 +36,7 @@ _REMEDY = "reinstall the package, or train them anew with `nodeslam train {comma
 
 
 class CropNet(nn.Module):
-    """Four stages of stride two, squeezed and flattened (where things are matters), two layers; 0.4 M weights.
+    """Four stages of stride two, squeezed, flattened (where things are matters), two layers; 0.4 M weights.
 
     Args:
         outputs: number of logits.
