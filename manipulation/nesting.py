@@ -46,7 +46,10 @@ def radial_profile(item: StandingObject) -> RadialProfile:
         # Even numbers of crossings mean that the axis is in the cavity, outside the material.
         outer[index] = np.median([h[-1] if len(h) else 0.0 for h in hits])
         inner[index] = np.median([h[0] if len(h) >= 2 and len(h) % 2 == 0 else 0.0 for h in hits])
-    return RadialProfile(heights, outer, inner)
+    # The top of a reconstructed rim is ragged: sections there miss the wall in half of the directions.
+    open_rows = np.flatnonzero(inner)
+    rows = slice(int(open_rows[-1]) + 1) if len(open_rows) else slice(None)
+    return RadialProfile(heights[rows], outer[rows], inner[rows])
 
 
 def resting_height(upper: RadialProfile, lower: RadialProfile, clearance: float = 0.0005) -> float | None:
