@@ -20,6 +20,8 @@ from perception.types import ObjectEstimate, RgbdFrame
 from sim_assets.scene import BoxConfig
 from sim_assets.world import World
 
+# What the robot itself calls in place when it looks again: this upright [rad] and this near its goal [m].
+MAX_TILT, MAX_SHIFT = np.deg2rad(10), 0.03
 NOT_SETTINGS = {"seed", "out", "quiet", "json"}
 
 
@@ -96,10 +98,13 @@ def _with_check(entry: ObjectReport, outcome: Outcome) -> ObjectReport:
     check = outcome.checks.get(entry.id)
     if check is None:
         return entry
+    in_place = check.status == "seen" and check.tilt < MAX_TILT and check.shift < MAX_SHIFT
     seen = {
-        "seen_pixels": check.visible_pixels,
-        "seen_inlier_share": check.inlier_share,
+        "seen": check.status,
+        "seen_in_place": in_place,
+        "seen_shift": check.shift,
         "seen_tilt": check.tilt,
+        "seen_inlier_share": check.inlier_share,
     }
     return replace(entry, details={**entry.details, **seen})
 

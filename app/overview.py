@@ -8,6 +8,7 @@ from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
 
+import cv2
 import numpy as np
 from jaxtyping import Float, UInt8
 from scipy.spatial import ConvexHull
@@ -53,7 +54,7 @@ def write_overview(path: Path, pictures: Pictures) -> None:
     from matplotlib.backends.backend_agg import FigureCanvasAgg
     from matplotlib.figure import Figure
 
-    figure = Figure(figsize=(18, 13.6), dpi=100, facecolor="white")
+    figure = Figure(figsize=(16.2, 13.6), dpi=100, facecolor="white")
     FigureCanvasAgg(figure)
     grid = figure.add_gridspec(
         3, 3, left=0.015, right=0.985, top=0.915, bottom=0.015, hspace=0.12, wspace=0.03
@@ -73,12 +74,12 @@ def write_overview(path: Path, pictures: Pictures) -> None:
             _picture(axes[1][column], note, draw_estimates(frame, pictures.objects))
     _draw_plan(axes[1][0], pictures.plan)
     _picture(axes[2][0], "5  After", pictures.after)
-    _picture(axes[2][1], "5  After, from near", pictures.after_close)
+    _picture(axes[2][1], "    After, from near", pictures.after_close)
     _table(axes[2][2], pictures.reports)
     for axis in (axis for row in axes for axis in row if not axis.has_data()):
         axis.set_axis_off()
     buffer = io.BytesIO()
-    figure.savefig(buffer, format="png")
+    figure.savefig(buffer, format="png", pil_kwargs={"compress_level": 3})
     write_atomically(path, buffer.getvalue())
 
 
@@ -108,7 +109,10 @@ def _picture(axis: Any, title: str, image: Image | None) -> None:
     _title(axis, title)
     axis.set_axis_off()
     if image is not None:
-        axis.imshow(image, interpolation="lanczos")
+        extent = axis.get_window_extent()
+        scale = min(extent.width / image.shape[1], extent.height / image.shape[0])
+        size = (round(scale * image.shape[1]), round(scale * image.shape[0]))
+        axis.imshow(cv2.resize(image, size, interpolation=cv2.INTER_AREA), interpolation="nearest")
     else:
         axis.text(0.5, 0.5, "not reached", ha="center", color=_FAINT, fontsize=14, transform=axis.transAxes)
 
