@@ -150,7 +150,9 @@ class _Execution:
             tried.append(plan.grasp)
             self._tell("retry", name, reason)
             self._back_off()
-            self._look(item.id, name)
+            hopeless = self._look(item.id, name)
+            if hopeless:
+                return ObjectOutcome(item.id, name, False, attempt + 1, f"{reason}; {hopeless}")
         return ObjectOutcome(item.id, name, False, 1 + self.config.max_retries, reason)
 
     def _carry_out(self, plan: PickPlacePlan) -> None:
@@ -207,15 +209,17 @@ class _Execution:
                     log.warning("could not back off: %s", error)
                 return
 
-    def _look(self, object_id: int, name: str) -> None:
-        """Take over what looking again finds."""
+    def _look(self, object_id: int, name: str) -> str:
+        """Take over what looking again finds; why trying again is no use, or an empty string."""
         estimate = self.look_again(object_id)
         if estimate is None:
-            return
+            return ""
         try:
             self.planner.observe(replace(stand(estimate, self.config.support), id=object_id, name=name))
         except PlanningError as error:
-            log.info("looking again at %s: %s", name, error)
+            self.planner.forget(name)
+            return str(error)
+        return ""
 
     def _go_home(self) -> None:
         """Back to the home posture, over a point high above if need be."""

@@ -45,6 +45,7 @@ class GraspConfig:
         gripper: its geometry.
         n_azimuths: directions about the object's axis.
         mug_depth, bowl_depth: of the TCP below the rim, along the wall, in [m].
+        depth_shares: of these depths to try, for shallow cavities.
         least_depth: for objects so low that the fingertips would meet the support, in [m].
         top_depths: of the TCP below the top of cans and bottles in [m].
         max_wall: thickest rim to close over in [m].
@@ -64,7 +65,8 @@ class GraspConfig:
     n_azimuths: int = 24
     mug_depth: float = 0.013
     bowl_depth: float = 0.0155
-    least_depth: float = 0.009
+    depth_shares: tuple[float, ...] = (1.0, 0.8, 0.6)
+    least_depth: float = 0.008
     top_depths: tuple[float, ...] = (0.022, 0.016, 0.028, 0.012, 0.032)
     max_wall: float = 0.02
     default_wall: float = 0.005
@@ -131,12 +133,14 @@ def _rim_grasps(
 class Wall:
     """A wall cut by a vertical half plane at one height: distances from the axis in [m].
 
-    ``across`` is the distance from the inner side over the cavity to the opposite wall.
+    ``across`` is the distance from the inner side over the cavity to the opposite wall; ``hollow`` is False
+    where the mesh has no cavity and the thickness is assumed.
     """
 
     inner: float
     outer: float
     across: float
+    hollow: bool = True
 
     @property
     def middle(self) -> float:
@@ -160,7 +164,7 @@ def wall_at(sections: SectionCache, z: float, azimuth: float, config: GraspConfi
         return Wall(float(hits[0]), float(hits[1]), float(hits[0] + across))
     if len(hits) == 1:
         inner = float(hits[0]) - config.default_wall
-        return Wall(inner, float(hits[0]), float(2 * inner))
+        return Wall(inner, float(hits[0]), float(2 * inner), hollow=False)
     return None
 
 
@@ -174,9 +178,39 @@ def _rim_height(item: StandingObject, azimuth: float) -> float:
 def _rim_grasp(
     item: StandingObject, sections: SectionCache, azimuth: float, config: GraspConfig
 ) -> Grasp | str:
-    """The grasp over the rim at an azimuth, or why there is none."""
+    """The deepest grasp over the rim at an azimuth that leaves room for the inner fingertip, or why none."""
+    wanted = config.bowl_depth if item.category == "bowl" else config.mug_depth
+    found: Grasp | str = "too low"
+    for share in config.depth_shares:
+        grasp = _rim_grasp_at(item, sections, azimuth, share * wanted, config)
+        if isinstance(grasp, str):
+            found = found if isinstance(found, Grasp) else grasp
+            continue
+        if _fingertip_fits(sections, grasp, config):
+            return grasp
+        # The floor of the cavity may only look too high: keep it as a last resort.
+        found = replace(grasp, score=grasp.score - 0.5)
+    return found
+
+
+def _fingertip_fits(sections: SectionCache, grasp: Grasp, config: GraspConfig) -> bool:
+    """Whether the cavity reaches down to the inner fingertip; nobody knows where the mesh has none."""
+    T = grasp.T_stand_tcp
+    tip = T[:3, 3] + config.gripper.tip * T[:3, 2]
+    at_pad = wall_at(sections, float(T[2, 3]), grasp.azimuth, config)
+    if at_pad is None or not at_pad.hollow:
+        return True
+    wall = wall_at(sections, float(tip[2]) - 0.001, grasp.azimuth, config)
+    return (
+        wall is not None and wall.hollow and wall.inner > float(np.linalg.norm(tip[:2])) - 0.5 * grasp.opening
+    )
+
+
+def _rim_grasp_at(
+    item: StandingObject, sections: SectionCache, azimuth: float, depth: float, config: GraspConfig
+) -> Grasp | str:
+    """The grasp over the rim at an azimuth and a depth, or why there is none."""
     gripper = config.gripper
-    depth = config.bowl_depth if item.category == "bowl" else config.mug_depth
     rim = _rim_height(item, azimuth)
     wall = wall_at(sections, rim - depth, azimuth, config)
     if wall is None:
@@ -206,9 +240,9 @@ def _rim_grasp(
         kind="rim",
         T_stand_tcp=T,
         opening=min(2 * half, gripper.max_width),
-        closed_width=(0.0008, max(wall.thickness + 0.008, 0.012)),
+        closed_width=(0.0008, max(min(wall.thickness + 0.014, 2 * half - 0.004), 0.012)),
         release_opening=min(wall.thickness + 2 * config.release_gap, 2 * half),
-        depth=item.top - pad_height,
+        depth=float(item.top - pad_height),
         azimuth=azimuth,
         score=score,
     )

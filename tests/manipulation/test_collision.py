@@ -126,7 +126,7 @@ def test_hull_of_a_sphere_is_thinned_and_wound_outwards():
 def test_flat_meshes_and_unknown_names_are_errors(world):
     with pytest.raises(ManipulationError, match="flat or too small"):
         hull_corners(np.zeros((8, 3)))
-    with pytest.raises(ManipulationError, match="no object 'mug_9'.*can_1, bottle_2, mug_3"):
+    with pytest.raises(ManipulationError, match=r"no object 'mug_9'.*can_1, bottle_2, mug_3"):
         world.move("mug_9", np.eye(4))
 
 

@@ -1,3 +1,5 @@
+from dataclasses import replace
+
 import numpy as np
 import pytest
 
@@ -155,6 +157,17 @@ def test_object_that_cannot_be_held_is_given_up_after_two_retries(packing, arm):
     assert nested.placed and nested.T_world_stand[2, 3] == pytest.approx(Box().floor)
 
 
+def test_toppled_object_is_given_up_at_once(packing, arm, scene):
+    bowl = next(estimate for estimate in scene if estimate.id == 2)
+    T = np.array(bowl.T_world_object)
+    T[:3, :3] = [[0, 0, 1], [0, 1, 0], [-1, 0, 0]]
+    lying = replace(bowl, T_world_object=T)
+    robot = FakeRobot(arm, closing=[0.0])
+    outcomes = execute(packing, robot, lambda number: lying, Watcher(robot), CONFIG)
+    failed = next(outcome for outcome in outcomes if outcome.name == "bowl_2")
+    assert not failed.placed and failed.attempts == 1 and "bowl_2 lies on its side" in failed.reason
+
+
 def test_blocked_arm_counts_as_a_failed_attempt(packing, arm):
     robot = FakeRobot(arm)
     robot.blocked_motions = {1}
@@ -175,7 +188,7 @@ def test_object_lost_on_the_way_is_noticed(packing, arm):
 
     outcomes = execute(packing, robot, None, drop_once, CONFIG)
     assert all(outcome.placed for outcome in outcomes)
-    assert [event.message for event in watcher.events if event.phase == "retry"][0].startswith(
+    assert next(event.message for event in watcher.events if event.phase == "retry").startswith(
         f"{lost[0]} was lost on the way"
     )
 

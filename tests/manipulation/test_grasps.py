@@ -68,7 +68,7 @@ def test_lying_and_empty_objects_cannot_be_handled(shapes):
     T = np.array(upright.T_world_object)
     T[:3, :3] = [[0, 0, 1], [0, 1, 0], [-1, 0, 0]]
     lying = ObjectEstimate(7, "bottle", np.zeros(16), T, np.ones(3), upright.mesh)
-    with pytest.raises(PlanningError, match="bottle_7 lies on its side.*90 degrees"):
+    with pytest.raises(PlanningError, match=r"bottle_7 lies on its side.*90 degrees"):
         stand(lying)
     nothing = TriangleMesh(np.zeros((0, 3)), np.zeros((0, 3), np.int64))
     empty = ObjectEstimate(7, "can", np.zeros(16), np.eye(4), np.ones(3), nothing)
@@ -126,6 +126,14 @@ def test_low_bowls_are_held_shallower_and_flatter(shapes):
         assert lowest >= CONFIG.fingertip_clearance - 1e-6
     none = find_grasps(standing(shapes, "bowl", shapes.bowl(radius=0.05, height=0.018)), CONFIG)
     assert not none.grasps and none.rejected["too low"] == CONFIG.n_azimuths
+
+
+def test_shallow_cavity_is_grasped_less_deep(shapes):
+    """A thick floor 20 mm below the rim: the fingertip, 9.5 mm beyond the TCP, stays above it."""
+    item = standing(shapes, "bowl", shapes.cup(radius=0.05, height=0.045, wall=0.004, base=0.025))
+    for grasp in find_grasps(item, CONFIG).grasps:
+        assert grasp.T_stand_tcp[2, 3] - CONFIG.gripper.tip > 0.025
+        assert grasp.depth < CONFIG.bowl_depth
 
 
 def test_can_is_held_around_its_axis_from_above(shapes):

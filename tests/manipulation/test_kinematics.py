@@ -77,5 +77,5 @@ def test_targets_that_are_no_poses_are_refused_by_name(kinematics, arm, bad):
 
 
 def test_no_seed_is_an_error_that_names_the_target(kinematics):
-    with pytest.raises(ManipulationError, match="no start posture.*can_1"):
+    with pytest.raises(ManipulationError, match=r"no start posture.*can_1"):
         kinematics.inverse(np.eye(4), [], name="can_1")
