@@ -44,7 +44,7 @@ class FitConfig:
     step: Mapping[Category, float] = field(
         default_factory=lambda: {"mug": 0.55, "bowl": 0.4, "bottle": 0.65, "can": 0.65}
     )
-    stages: tuple[Stage, ...] = (Stage(32, 1, 6), Stage(64, 1, 10), Stage(64, 0, 14))
+    stages: tuple[Stage, ...] = (Stage(32, 1, 8), Stage(48, 0, 22))
     relinearise_every: int = 4
     pixels: PixelConfig = field(default_factory=PixelConfig)
     noise: NoiseConfig = field(default_factory=NoiseConfig)

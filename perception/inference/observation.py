@@ -76,7 +76,7 @@ class PixelConfig:
     """
 
     ring: float = 0.2
-    band: float = 1.0
+    band: float = 2.0
     background_weight: float = 0.2
 
 

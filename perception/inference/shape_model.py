@@ -20,8 +20,8 @@ from perception.types import CATEGORIES, CODE_SIZE, Category
 
 _LOGIT_CLIP = 1e-4  # occupancies closer than this to 0 or 1 are taken to be so close
 _STILL = 1e-4  # voxels that no code moves faster than this stay as they are
-SKIP_OCCUPANCY = 2e-3  # cells less occupied, and less moved by the code, are not visited
-SKIP_JACOBIAN = 2e-3
+SKIP_OCCUPANCY = 5e-3  # cells less occupied, and less moved by the code, are not visited
+SKIP_JACOBIAN = 1e-2
 
 
 @runtime_checkable
