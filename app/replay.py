@@ -36,7 +36,7 @@ class Recorder:
         np.savez_compressed(
             buffer,
             time=np.array(self.times),
-            joint_positions=np.array(self.joints).reshape(len(self.times), -1),
+            joint_positions=np.array(self.joints) if self.joints else np.zeros((0, 0)),
             gripper_width=np.array(self.widths),
             event_time=np.array([time for time, _ in self.events]),
             event=np.array([text for _, text in self.events], dtype=np.str_),

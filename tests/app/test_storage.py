@@ -1,0 +1,158 @@
+"""What is on disk at each moment of a run, and the pictures made from it."""
+
+import json
+
+import imageio.v3 as imageio
+import numpy as np
+import pytest
+import trimesh
+from PIL import Image
+
+from app.drawing import draw_detections, draw_estimates
+from app.options import PackOptions
+from app.overview import Pictures, write_overview
+from app.perceive import Detections
+from app.replay import Recorder
+from app.report import ObjectReport
+from app.run_folder import RunFolder
+from app.screen import Screen
+from app.storage import Storage
+from app.video import FPS, SCENE, SIDE, VideoWriter
+from manipulation.standing import stand
+from manipulation.types import Box, Placement, TaskPlan
+from perception.scan_folder import read_scan
+from perception.types import (
+    CameraIntrinsics,
+    ObjectDetection,
+    ObjectEstimate,
+    RgbdFrame,
+    SupportPlane,
+    TriangleMesh,
+)
+from sim_assets.world import World
+
+CAMERA = CameraIntrinsics(160, 120, 150.0, 150.0, 79.5, 59.5)
+
+
+def frame():
+    """From half a metre straight above the object, image x along world x."""
+    T = np.diag([1.0, -1.0, -1.0, 1.0])
+    T[:3, 3] = (0.4, -0.2, 0.55)
+    rgb = np.full((120, 160, 3), 100, np.uint8)
+    return RgbdFrame(0.0, rgb, np.full((120, 160), 0.55, np.float32), CAMERA, T)
+
+
+def can(id=0, x=0.4):
+    mesh = trimesh.creation.cylinder(radius=0.035, height=0.1, sections=24)
+    T = np.eye(4)
+    T[:3, 3] = (x, -0.2, 0.05)
+    shape = TriangleMesh(mesh.vertices, mesh.faces)
+    return ObjectEstimate(id, "can", np.zeros(16), T, np.full(3, 0.055), shape)
+
+
+def test_a_mesh_is_painted_where_the_camera_sees_it():
+    image = draw_estimates(frame(), [can()])
+    columns = np.nonzero((image[55:] != 100).any(axis=-1))[1]  # the label stands above
+    assert abs(columns.mean() - 79.5) < 2
+    radius = 150 * 0.035 / 0.45  # the can's top is 45 cm from the camera
+    assert np.ptp(columns) / 2 == pytest.approx(radius, abs=2)
+    behind = draw_estimates(frame(), [can(x=-3.0)])
+    np.testing.assert_array_equal(behind, frame().rgb)
+
+
+def test_near_objects_hide_far_ones():
+    low, high = can(0), can(1)
+    T = np.array(high.T_world_object)
+    T[2, 3] = 0.2
+    image = draw_estimates(
+        frame(), [ObjectEstimate(1, "can", np.zeros(16), T, high.scale, high.mesh), low], 1.0
+    )
+    alone = draw_estimates(frame(), [ObjectEstimate(1, "can", np.zeros(16), T, high.scale, high.mesh)], 1.0)
+    np.testing.assert_array_equal(image[60, 80], alone[60, 80])
+
+
+def test_masks_are_tinted_in_a_copy():
+    mask = np.zeros((120, 160), bool)
+    mask[50:70, 70:90] = True
+    shot = frame()
+    image = draw_detections(shot, [ObjectDetection("mug", 0.8, mask, instance_id=3)])
+    assert (image[60, 80] != 100).any() and (image[110, 10] == 100).all() and (shot.rgb == 100).all()
+
+
+def plan():
+    items = {estimate.name: stand(estimate) for estimate in (can(0), can(1, 0.5))}
+    placements = (Placement("can_0", (0.5, 0.27, 0.004), (0.0,)),)
+    return TaskPlan("pack", items, placements, {"can_1": "too far"}, box=Box())
+
+
+def test_overview_is_written_whole_or_of_what_there_is(tmp_path):
+    mask = np.zeros((120, 160), bool)
+    mask[50:70, 70:90] = True
+    found = Detections(SupportPlane(), ((ObjectDetection("can", 0.8, mask, instance_id=0),),))
+    scene = np.zeros((72, 96, 3), np.uint8)
+    reports = [
+        ObjectReport(0, "can", True, 0.001, 0.0, 1),
+        ObjectReport(-1, "mug", False, reason="not perceived " * 9),
+    ]
+    whole = Pictures("Pack", "seed 1", scene, scene, scene, [frame()], found, [can()], plan(), reports)
+    for name, pictures in {"whole.png": whole, "nothing.png": Pictures("Pack", "stopped early")}.items():
+        write_overview(tmp_path / name, pictures)
+        with Image.open(tmp_path / name) as image:
+            assert min(image.size) > 1000
+    assert (tmp_path / "whole.png").stat().st_size > (tmp_path / "nothing.png").stat().st_size
+
+
+def test_replay_round_trip(tmp_path):
+    recorder = Recorder()
+    for step in range(3):
+        recorder.sample(0.1 * step, np.full(7, step, dtype=np.float64), 0.04)
+    recorder.event(0.1, "grasp mug 2")
+    recorder.write(tmp_path / "replay.npz")
+    with np.load(tmp_path / "replay.npz") as replay:  # no pickle needed
+        assert replay["joint_positions"].shape == (3, 7)
+        assert list(replay["event"]) == ["grasp mug 2"] and replay["event_time"] == [0.1]
+    Recorder().write(tmp_path / "empty.npz")
+
+
+def test_video_has_its_length_and_appears_only_when_complete(tmp_path):
+    video = VideoWriter(tmp_path / "video.mp4", "Pack")
+    video.stage("scan")
+    video.hold(1.0)  # nothing to hold yet
+    for _ in range(4):
+        video.frame(np.zeros((60, 80, 3), np.uint8), np.full((30, 40, 3), 200, np.uint8))
+    video.hold(0.2)
+    assert not (tmp_path / "video.mp4").exists()
+    video.close()
+    frames = imageio.imread(tmp_path / "video.mp4")
+    assert len(frames) == 4 + round(0.2 * FPS) and frames.shape[1:] == (SCENE[1], SCENE[0] + SIDE, 3)
+    assert [path.name for path in tmp_path.iterdir()] == ["video.mp4"]
+
+
+class StillWorld(World):
+    """As much of the cell as storing a run needs."""
+
+    def __init__(self):
+        pass
+
+    time = 1.5
+
+    def overview_image(self, *size, camera="overview"):
+        return np.zeros((72, 96, 3), np.uint8)
+
+    def observe(self, observer, rate=0.0):
+        self.observer = observer
+
+
+def test_a_run_that_is_killed_leaves_what_was_finished(tmp_path):
+    options = PackOptions(out=tmp_path / "run", seed=4)
+    folder = RunFolder.create(options, "pack")
+    watcher = Storage(options, "pack", folder, Screen(quiet=True), StillWorld())
+    with watcher.stage("scan"):
+        watcher.made("frames", [frame()])
+    with pytest.raises(KeyboardInterrupt), watcher.stage("detect"):
+        report = json.loads((folder.path / "report.json").read_text())
+        assert report["reason"] == "stopped while finding objects" and "scan" in report["timings"]
+        raise KeyboardInterrupt
+    watcher.close()
+    assert len(read_scan(folder.scan).frames) == 1
+    assert (folder.path / "replay.npz").exists()
