@@ -99,10 +99,6 @@ class Kinematics:
             for frame, name in self._sites.items()
         }
 
-    @property
-    def n_joints(self) -> int:
-        return len(self._address)
-
     def forward(self, q: Float[np.ndarray, "n"], frame: Frame = "tcp") -> Float[np.ndarray, "4 4"]:
         """``T_world_frame`` at joint positions ``q`` in [rad]."""
         self._data.qpos[self._address] = q
@@ -165,7 +161,7 @@ class Kinematics:
         """Start postures for a target far from the present one: home turned toward it, then spread copies."""
         home = np.array(self.arm.q_home, dtype=np.float64)
         home[0] = np.arctan2(T_world_target[1, 3], T_world_target[0, 3])
-        spread = np.random.default_rng(0).normal(scale=0.5, size=(count - 1, self.n_joints))
+        spread = np.random.default_rng(0).normal(scale=0.5, size=(count - 1, len(home)))
         # The wrist alone can turn by half a turn for the same approach: give both turns a start.
         wrist = home.copy()
         wrist[-1] += np.pi / 2 if wrist[-1] < 0 else -np.pi / 2

@@ -154,7 +154,7 @@ class TaskPlan:
 
 @dataclass(frozen=True)
 class PickPlacePlan:
-    """All motions for one object. The gripper opens before ``approach`` and acts between the motions.
+    """All motions for one object; the gripper opens before ``approach`` and acts between the motions.
 
     Attributes:
         name: of the object.
