@@ -118,9 +118,9 @@ def cached_shapes(path: Path, counts: dict[Category, int], split: Split, seed: i
 
 
 def held_out(scores: dict[Category, ShapeScores]) -> dict[str, dict[str, float | None]]:
-    """The scores as JSON; null where a class has no handles."""
+    """The scores as JSON; null where a class has no handles, or a shape no surface yet."""
     return {
-        category: {name: None if np.isnan(value) else value for name, value in asdict(s).items()}
+        category: {name: value if np.isfinite(value) else None for name, value in asdict(s).items()}
         for category, s in scores.items()
     }
 

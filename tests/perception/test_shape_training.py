@@ -27,12 +27,12 @@ def mug(radius: float) -> np.ndarray:
 
 @pytest.fixture(scope="module")
 def shapes() -> ShapeDataset:
-    radii = np.linspace(6, 10, 16)
+    radii = np.linspace(6, 10, 16)  # [voxel]
     grids = {"mug": [mug(radius) for radius in radii], "can": [cylinder(radius) for radius in radii]}
     return ShapeDataset.from_grids({name: np.array(value, np.float32) for name, value in grids.items()})
 
 
-CONFIG = TrainingConfig(epochs=3, batch_size=8, warmup_steps=4, seed=7)
+CONFIG = TrainingConfig(epochs=3, batch_size=4, warmup_steps=4, seed=7)
 
 
 def test_training_on_32_shapes_reduces_the_loss(shapes):
@@ -40,21 +40,22 @@ def test_training_on_32_shapes_reduces_the_loss(shapes):
     batches = []
     train(
         shapes,
-        TrainingConfig(epochs=6, batch_size=4, warmup_steps=4),
+        TrainingConfig(epochs=4, batch_size=4, learning_rate=4e-3, warmup_steps=4),
         on_epoch=lambda record, model: records.append(record),
         on_batch=lambda *counts: batches.append(counts),
     )
-    assert [record.epoch for record in records] == [1, 2, 3, 4, 5, 6]
+    assert [record.epoch for record in records] == [1, 2, 3, 4]
     assert records[-1].loss < 0.85 * records[0].loss
     assert batches[0] == (1, 1, 8)
-    assert batches[-1] == (6, 8, 8)
+    assert batches[-1] == (4, 8, 8)
 
 
 def test_a_resumed_run_equals_an_uninterrupted_one(shapes, tmp_path):
+    shapes = ShapeDataset(shapes.grids[::4], shapes.categories[::4])
     whole = train(shapes, CONFIG)
 
     def interrupt(epoch: int, done: int, batches: int) -> None:
-        if (epoch, done) == (2, 2):
+        if (epoch, done) == (2, 1):
             raise KeyboardInterrupt
 
     checkpoint = tmp_path / "run" / "checkpoint.pt"
