@@ -110,6 +110,7 @@ class _Fitter:
         self.reach = 1.25 * float(np.hypot(size.radius, size.height / 2)) + 0.015
         self.support = SupportCamera.under(self.poses[0], plane, 1.2 * size.radius, max(size.height, 0.04))
         step = config.step[category]
+        self.size_sigma = config.noise.mug_size_sigma if category == "mug" else config.noise.size_sigma
         self.samples = int(np.clip(round(2 * self.reach / (step * self.voxel)), 24, 192))
 
     def run(self) -> Fit:
@@ -147,7 +148,9 @@ class _Fitter:
         left = stage.iterations
         while True:
             budget = min(left, config.relinearise_every)
-            problem = FitProblem(pixels, shape, self.plane, self.support, config.noise)
+            problem = FitProblem(
+                pixels, shape, self.plane, self.support, config.noise, self.poses[0].scale, self.size_sigma
+            )
             lm = replace(config.lm, max_iterations=budget, damping=damping)
             result = minimise(problem, FitState.moved, state, lm, limit)
             state, damping, trace = result.state, result.damping, trace + result.trace

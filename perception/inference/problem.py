@@ -33,6 +33,8 @@ class NoiseConfig:
         code_prior: weight of the squared code.
         tilt_sigma: of the object's axis against the plane's normal [rad].
         support_sigma: of the object's lowest part against the plane [m].
+        size_sigma: of the log scale against the cloud's size: the longest side is known in canonical units.
+        mug_size_sigma: the same for mugs, whose handle, part of the longest side, may be hidden.
         section_sigma, aspect_sigma: of the log ratio of the scales along x and y, and along z and both.
     """
 
@@ -42,6 +44,8 @@ class NoiseConfig:
     code_prior: float = 0.3
     tilt_sigma: float = 0.02
     support_sigma: float = 0.0015
+    size_sigma: float = 0.04
+    mug_size_sigma: float = 0.1
     section_sigma: float = 0.03
     aspect_sigma: float = 0.15
 
@@ -93,8 +97,12 @@ class FitProblem:
         plane: SupportPlane | None,
         support: SupportCamera | None,
         noise: NoiseConfig,
+        scale: Float[np.ndarray, "3"] | None = None,
+        size_sigma: float = 1.0,
     ) -> None:
+        """``scale``, if given, is what the cloud's size says about the object's, true to ``size_sigma``."""
         self.pixels, self.shape, self.plane, self.support, self.noise = pixels, shape, plane, support, noise
+        self.scale, self.size_sigma = scale, size_sigma
 
     def __call__(self, state: FitState) -> Evaluation:
         grid = self.shape.at(state.code)
@@ -134,7 +142,16 @@ class FitProblem:
         jacobian = np.zeros((2, PARAMETERS), np.float32)
         jacobian[:, _SCALE] = ratios
         sigmas = np.array([self.noise.section_sigma, self.noise.aspect_sigma])
-        return ratios @ np.log(state.pose.scale), jacobian, sigmas**-2
+        residual, weight = ratios @ np.log(state.pose.scale), sigmas**-2
+        if self.scale is None:
+            return residual, jacobian, weight
+        size = np.zeros((3, PARAMETERS), np.float32)
+        size[:, _SCALE] = np.eye(3)
+        return (
+            np.concatenate([residual, np.log(state.pose.scale / self.scale)]),
+            np.concatenate([jacobian, size]),
+            np.concatenate([weight, np.full(3, self.size_sigma**-2)]),
+        )
 
     def _tilt_rows(self, state: FitState, plane: SupportPlane) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
         """The plane's normal in the object frame has no x and y: R^T n changes by hat(R^T n) omega."""

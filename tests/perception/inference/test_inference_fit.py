@@ -6,6 +6,7 @@ import pytest
 from perception.errors import InvalidInputError
 from perception.geometry import yaw_of
 from perception.inference.fit import FitConfig, fit_object
+from perception.inference.meshing import mesh_from_code
 from perception.inference.observation import ObjectObservation, PixelConfig, gather_pixels
 from perception.inference.problem import FitProblem, FitState, NoiseConfig, SupportCamera
 from perception.inference.shape_model import linearise
@@ -17,8 +18,6 @@ PLANE = SupportPlane()
 
 
 def _surface_error(estimate, table) -> float:
-    from perception.inference.meshing import mesh_from_code
-
     truth = mesh_from_code(table.decoder, table.category, table.code, table.pose.scale)
     truth = truth.transformed(table.pose.T_world_object)
     return reconstruction_metrics(estimate.mesh_world, truth, np.random.default_rng(0), n=5000).chamfer_l1
@@ -107,7 +106,7 @@ def test_problem_jacobian_by_finite_differences(make_table, decoder) -> None:
     code = table.code + 0.1
     shape = linearise(decoder, "mug", code)
     support = SupportCamera.under(table.pose, PLANE, 0.04, 0.08)
-    problem = FitProblem(pixels, shape, PLANE, support, NoiseConfig())
+    problem = FitProblem(pixels, shape, PLANE, support, NoiseConfig(), 1.1 * table.pose.scale, 0.1)
     state = FitState(ObjectPose(table.pose.rotation, table.pose.translation + 0.003, table.pose.scale), code)
     here = problem(state)
     data = here.weights > 0
