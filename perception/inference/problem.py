@@ -44,8 +44,8 @@ class NoiseConfig:
     code_prior: float = 0.3
     tilt_sigma: float = 0.02
     support_sigma: float = 0.0015
-    size_sigma: float = 0.04
-    mug_size_sigma: float = 0.1
+    size_sigma: float = 0.08
+    mug_size_sigma: float = 1.0
     section_sigma: float = 0.03
     aspect_sigma: float = 0.15
 
