@@ -163,11 +163,10 @@ class _Execution:
         robot.follow(plan.approach)
         self._tell("grasp", name)
         robot.move_gripper(0.0)
-        closed = self._require_held(grasp, f"nothing between the fingers after closing on {name}")
+        self._require_held(grasp, f"nothing between the fingers after closing on {name}")
         robot.follow(plan.lift)
-        lifted = self._require_held(grasp, f"{name} was lost while lifting")
-        if abs(lifted - closed) > 0.004:
-            raise _GraspFailed(f"{name} slipped while lifting")
+        # An object that settles between the pads changes the width and is still held: letting go would drop it.
+        self._require_held(grasp, f"{name} was lost while lifting")
         self._tell("transfer", name)
         robot.follow(plan.transfer)
         self._tell("place", name)
@@ -178,19 +177,14 @@ class _Execution:
         self._tell("retreat", name)
         robot.follow(plan.retreat)
 
-    def _require_held(self, grasp: Grasp, message: str) -> float:
-        """The width between the pads if it fits the grasp.
-
-        Raises:
-            _GraspFailed: it does not.
-        """
+    def _require_held(self, grasp: Grasp, message: str) -> None:
+        """Raise _GraspFailed if the width between the pads does not fit the grasp."""
         width = self.robot.gripper_width()
         low, high = grasp.closed_width
         if not low <= width <= high:
             raise _GraspFailed(
                 f"{message} (width {1e3 * width:.1f} mm, expected {1e3 * low:.1f} to {1e3 * high:.1f})"
             )
-        return width
 
     def _back_off(self) -> None:
         """Open, and rise straight up out of the way, if that is possible."""
