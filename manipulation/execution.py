@@ -165,7 +165,7 @@ class _Execution:
         robot.move_gripper(0.0)
         self._require_held(grasp, f"nothing between the fingers after closing on {name}")
         robot.follow(plan.lift)
-        # An object that settles between the pads changes the width and is still held: letting go would drop it.
+        # An object that settles between the pads changes the width and is still held; letting go drops it.
         self._require_held(grasp, f"{name} was lost while lifting")
         self._tell("transfer", name)
         robot.follow(plan.transfer)
