@@ -66,18 +66,26 @@ class Motions:
         return reason
 
     def free_way(
-        self, q_start: Float[np.ndarray, "n"], q_goal: Float[np.ndarray, "n"], width: float
+        self,
+        q_start: Float[np.ndarray, "n"],
+        q_goal: Float[np.ndarray, "n"],
+        width: float,
+        carried_margins: Sequence[float | None] = (None,),
     ) -> list[Float[np.ndarray, "n"]] | None:
         """Way points of free straight joint moves from start to goal, both included; None if none is found.
 
         Where the direct move is blocked, it is led over points high above start, goal and between them.
+
+        Args:
+            q_start, q_goal: postures in [rad].
+            width: between the pads in [m].
+            carried_margins: what the carried object should keep, in [m], the first that some way allows; None
+                is the world's own.
         """
-        if self._is_free([q_start, q_goal], width):
-            return [q_start, q_goal]
-        for via in self._vias(q_start, q_goal):
-            way = [q_start, *via, q_goal]
-            if self._is_free(way, width):
-                return way
+        for margin in carried_margins:
+            for way in self._ways(q_start, q_goal):
+                if self.world.path_contact(np.stack(way), width, carried_margin=margin) is None:
+                    return way
         return None
 
     def timed_way(self, way: Sequence[Float[np.ndarray, "n"]]) -> JointTrajectory:
@@ -89,8 +97,10 @@ class Motions:
         start, end = (self.kinematics.forward(q)[:3, 3] for q in (postures[0], postures[-1]))
         return line_motion(postures, float(np.linalg.norm(end - start)), self.limits, self.config)
 
-    def _is_free(self, way: Sequence[np.ndarray], width: float) -> bool:
-        return self.world.path_contact(np.stack(way), width) is None
+    def _ways(self, q_start: np.ndarray, q_goal: np.ndarray) -> Iterator[list[np.ndarray]]:
+        yield [q_start, q_goal]
+        for via in self._vias(q_start, q_goal):
+            yield [q_start, *via, q_goal]
 
     def _vias(self, q_start: np.ndarray, q_goal: np.ndarray) -> Iterator[list[np.ndarray]]:
         """Way points to try: above the start, the goal, the middle, and above both ends, ever higher."""
