@@ -69,6 +69,9 @@ class CollisionWorld:
         self._fingers = joint_addresses(self._model, arm.finger_joint_names)
         self._owner = [self._owner_of(geom) for geom in range(self._model.ngeom)]
         self._geoms = [np.flatnonzero(self._model.geom_bodyid == body) for body in range(self._model.nbody)]
+        self._robot_bodies = [
+            body for body in range(1, self._model.nbody) if "/" not in self._model.body(body).name
+        ]
         self._carried: str | None = None
         self._poses = {b.name: np.array(b.T_world_object) for b in bodies}
         self._T_hand_tcp = self._tcp_in_hand()
@@ -117,6 +120,7 @@ class CollisionWorld:
         ignore: Iterable[str] = NOTHING,
         ignore_carried: Iterable[str] = NOTHING,
         carried_margin: float | None = None,
+        robot_margin: float | None = None,
     ) -> str | None:
         """What the posture touches: "hand meets bowl_2", or None if it is free.
 
@@ -125,14 +129,13 @@ class CollisionWorld:
             width: opening between the pads in [m].
             ignore: objects or furniture the robot may touch.
             ignore_carried: objects or furniture that the carried object may touch.
-            carried_margin: in [m]; the configured one if None.
+            carried_margin, robot_margin: in [m]; the configured ones if None.
         """
-        data, model = self._data, self._model
+        data, model, config = self._data, self._model, self.config
+        self._set_margin(self._robot_bodies, config.robot_margin if robot_margin is None else robot_margin)
         if self._carried is not None:
-            margin = self.config.carried_margin if carried_margin is None else carried_margin
-            body = self._body_id(f"carried/{self._carried}")
-            model.geom_margin[self._geoms[body]] = margin
-            model.body_margin[body] = margin
+            carried = [self._body_id(f"carried/{self._carried}")]
+            self._set_margin(carried, config.carried_margin if carried_margin is None else carried_margin)
         data.qpos[self._address] = q
         data.qpos[self._fingers] = width / 2
         mujoco.mj_kinematics(model, data)
@@ -158,14 +161,20 @@ class CollisionWorld:
         ignore: Iterable[str] = NOTHING,
         ignore_carried: Iterable[str] = NOTHING,
         carried_margin: float | None = None,
+        robot_margin: float | None = None,
     ) -> str | None:
         """The first contact along the straight joint segments between the postures, or None."""
         ignore, ignore_carried = frozenset(ignore), frozenset(ignore_carried)
         for q in densify(postures, self.config.joint_step):
-            contact = self.contact(q, width, ignore, ignore_carried, carried_margin)
+            contact = self.contact(q, width, ignore, ignore_carried, carried_margin, robot_margin)
             if contact is not None:
                 return contact
         return None
+
+    def _set_margin(self, bodies: Sequence[int], margin: float) -> None:
+        for body in bodies:
+            self._model.geom_margin[self._geoms[body]] = margin
+            self._model.body_margin[body] = margin
 
     def _build(self, bodies: Sequence[Body], furniture: Sequence[Furniture]) -> MjSpec:
         spec = collision_spec(self._arm)
@@ -173,7 +182,6 @@ class CollisionWorld:
             # What is bolted to the table always touches it.
             movable = geom.parent.name != "world" and _has_joint_above(geom.parent)
             geom.contype, geom.conaffinity = (_ROBOT, _WORLD) if movable else (_OFF, _OFF)
-            geom.margin = self.config.robot_margin
         hand = spec.site(self._arm.tcp_site).parent
         for piece in furniture:
             body = spec.worldbody.add_body(name=f"world/{piece.name}", pos=piece.center)

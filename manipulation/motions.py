@@ -70,7 +70,7 @@ class Motions:
         q_start: Float[np.ndarray, "n"],
         q_goal: Float[np.ndarray, "n"],
         width: float,
-        carried_margins: Sequence[float | None] = (None,),
+        margins: Sequence[float | None] = (None,),
     ) -> list[Float[np.ndarray, "n"]] | None:
         """Way points of free straight joint moves from start to goal, both included; None if none is found.
 
@@ -79,12 +79,14 @@ class Motions:
         Args:
             q_start, q_goal: postures in [rad].
             width: between the pads in [m].
-            carried_margins: what the carried object should keep, in [m], the first that some way allows; None
-                is the world's own.
+            margins: what arm and carried object should keep, in [m], the first that some way allows; None is
+                the world's own.
         """
-        for margin in carried_margins:
+        for margin in margins:
             for way in self._ways(q_start, q_goal):
-                if self.world.path_contact(np.stack(way), width, carried_margin=margin) is None:
+                postures = np.stack(way)
+                contact = self.world.path_contact(postures, width, carried_margin=margin, robot_margin=margin)
+                if contact is None:
                     return way
         return None
 

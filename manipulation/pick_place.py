@@ -40,8 +40,8 @@ class PickPlaceConfig:
         lift_heights: straight up from the grasp, in [m], tried in order.
         raise_heights: above the goal from which the object is lowered, in [m], tried in order.
         via_heights: TCP heights of the points a blocked transit is led over, in [m].
-        carry_margins: kept between the carried object and everything else on the way, in [m]; less is only
-            tried where no way allows more. Wide, because a bowl may sag by some degrees in the fingers.
+        transit_margins: kept from everything on the way from start to goal, in [m]; less is only tried where
+            no way allows more. Wide, because shapes are estimates and a bowl may sag in the fingers.
         placing_margin: kept between the carried object and its neighbours while it is lowered, in [m].
         max_pairs: pairs of grasp and yaw to examine at the goal before giving up.
         max_plans: complete plans to compare; the quickest is taken.
@@ -55,7 +55,7 @@ class PickPlaceConfig:
     lift_heights: tuple[float, ...] = (0.20, 0.12, 0.28)
     raise_heights: tuple[float, ...] = (0.12, 0.18, 0.25, 0.08)
     via_heights: tuple[float, ...] = (0.35, 0.45, 0.55)
-    carry_margins: tuple[float, ...] = (0.03, 0.012, 0.004)
+    transit_margins: tuple[float, ...] = (0.03, 0.012, 0.004)
     placing_margin: float = 0.001
     max_pairs: int = 150
     max_plans: int = 2
@@ -249,13 +249,15 @@ class PickPlacePlanner:
                 continue
             self.world.carry(name, np.linalg.inv(grasp.T_stand_tcp))
             carry = self.motions.free_way(
-                pick.lift[-1], place.lowering[0], _held_width(grasp), self.config.carry_margins
+                pick.lift[-1], place.lowering[0], _held_width(grasp), self.config.transit_margins
             )
             if carry is None:
                 tally.fail("blocked on the way to the goal")
                 continue
             self.world.release()
-            start = self.motions.free_way(q_start, pick.approach[0], grasp.opening)
+            start = self.motions.free_way(
+                q_start, pick.approach[0], grasp.opening, self.config.transit_margins
+            )
             if start is None:
                 tally.fail("blocked on the way to the object")
                 return None
