@@ -40,7 +40,7 @@ class TrainingConfig:
         seed: of the initial weights, the order of the shapes, mirroring and the latent noise.
     """
 
-    epochs: int = 8
+    epochs: int = 18
     batch_size: int = 16
     learning_rate: float = 2e-3
     warmup_steps: int = 200

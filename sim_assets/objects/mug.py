@@ -99,8 +99,9 @@ def sample_mug(split: str, rng: np.random.Generator) -> MugParameters:
         "barrel": rng.uniform(0.08, 0.24),
         "stepped": rng.uniform(0.08, 0.26),
     }[body]
-    rim = rng.uniform(0.0022, 0.0055)
-    base = float(np.clip(rim * rng.uniform(1.0, 1.5), 0.0025, 0.006))
+    thin = split == "train" and rng.random() < 0.2  # as pressed steel and scanned mugs have them
+    rim = rng.uniform(0.0014, 0.0022) if thin else rng.uniform(0.0022, 0.0055)
+    base = float(np.clip(rim * rng.uniform(1.0, 1.5), 0.0014 if thin else 0.0025, 0.006))
     fillet = radius * (rng.uniform(0.35, 0.85) if body == "rounded" else rng.uniform(0.04, 0.22))
     inner_fillet = max(fillet - base, 0.1 * radius) if body == "rounded" else radius * rng.uniform(0.06, 0.25)
     ring = rng.random() < 0.3
