@@ -1,0 +1,97 @@
+"""The renderers that ours is compared with, behind the interface of ``renderer.render``.
+
+``render_first_crossing`` is the depth of Differentiable Volumetric Rendering (Niemeyer, Mescheder, Oechsle,
+Geiger, CVPR 2020): where each ray first enters the occupancy level, found by the secant method, with the
+implicit derivative. ``render_silhouette`` sees the mask alone.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+from typing import Literal
+
+import numpy as np
+import warp as wp
+from jaxtyping import Float
+
+from perception.rendering.comparison_kernels import first_crossing_kernel, silhouette_kernel
+from perception.rendering.kernel import vec16
+from perception.rendering.renderer import RayBundle, Rendering, ShapeGrid, render
+
+RendererName = Literal["probabilistic", "first_crossing", "silhouette"]
+RenderFunction = Callable[[ShapeGrid, RayBundle, np.ndarray, bool], Rendering]
+
+LEVEL = 0.5  # occupancy that counts as the surface, as in DVR
+BACKDROP = 0.1  # [m] depth of what a silhouette stands before; the silhouette itself is at 0
+
+
+def render_first_crossing(
+    shape: ShapeGrid, rays: RayBundle, A_canonical_camera: Float[np.ndarray, "v 3 4"], gradients: bool = True
+) -> Rendering:
+    """Depth of the first crossing [m]; the escape depth, without derivative, where a ray finds none.
+
+    Its variance is zero: a surface is taken for certain.
+    """
+    return _launch(first_crossing_kernel, LEVEL, shape, rays, A_canonical_camera, gradients)
+
+
+def render_silhouette(
+    shape: ShapeGrid, rays: RayBundle, A_canonical_camera: Float[np.ndarray, "v 3 4"], gradients: bool = True
+) -> Rendering:
+    """Depth [m] of a silhouette at 0 in front of a backdrop at BACKDROP: BACKDROP times the escape probability.
+
+    Its variance is zero.
+    """
+    return _launch(silhouette_kernel, BACKDROP, shape, rays, A_canonical_camera, gradients)
+
+
+RENDERERS: dict[RendererName, RenderFunction] = {
+    "probabilistic": render,
+    "first_crossing": render_first_crossing,
+    "silhouette": render_silhouette,
+}
+
+
+def _launch(
+    kernel: wp.Kernel,
+    parameter: float,
+    shape: ShapeGrid,
+    rays: RayBundle,
+    A_canonical_camera: np.ndarray,
+    gradients: bool,
+) -> Rendering:
+    n, device = len(rays.directions), shape.device
+    on_device = rays.on_device(device)
+    with_code = gradients and shape.jacobian is not None
+    depth, mask = (wp.zeros(n, dtype=wp.float32, device=device) for _ in range(2))
+    sums = wp.zeros((n if gradients else 1, 2), dtype=wp.vec3, device=device)
+    d_code = wp.zeros(n if with_code else 1, dtype=vec16, device=device)
+    A = np.ascontiguousarray(A_canonical_camera, np.float32)
+    wp.launch(
+        kernel,
+        dim=n,
+        inputs=[
+            shape.occupancy,
+            shape.jacobian,
+            on_device.directions,
+            on_device.view,
+            wp.from_numpy(np.ascontiguousarray(A[:, :, :3]), dtype=wp.mat33, device=device),
+            wp.from_numpy(np.ascontiguousarray(A[:, :, 3]), dtype=wp.vec3, device=device),
+            on_device.depth_range,
+            rays.samples,
+            float(parameter),
+            int(gradients),
+            int(with_code),
+        ],
+        outputs=[depth, mask, sums, d_code],
+        device=device,
+    )
+    sums_host = sums.numpy() if gradients else None
+    return Rendering(
+        depth=depth.numpy(),
+        variance=np.zeros(n, np.float32),
+        mask=mask.numpy(),
+        d_code=d_code.numpy() if with_code else None,
+        sum_gradient=None if sums_host is None else sums_host[:, 0],
+        sum_depth_gradient=None if sums_host is None else sums_host[:, 1],
+    )
