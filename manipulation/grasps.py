@@ -73,7 +73,7 @@ class GraspConfig:
     half_opening: float = 0.016
     min_half_opening: float = 0.010
     release_gap: float = 0.0045
-    max_tilt: float = np.deg2rad(25.0)
+    max_tilt: float = np.deg2rad(32.0)
     max_inward_tilt: float = 0.15
     pad_thickness: float = 0.010
     top_clearance: float = -0.0015
@@ -215,11 +215,7 @@ def _rim_grasp_at(
     wall = wall_at(sections, rim - depth, azimuth, config)
     if wall is None:
         return "too thick at the rim"
-    above = wall_at(sections, rim - depth + 0.007, azimuth, config)
-    below = wall_at(sections, rim - depth - 0.007, azimuth, config)
-    slope = 0.0
-    if above is not None and below is not None:
-        slope = float(np.arctan2(above.outer - below.outer, 0.014))
+    slope = _slope(sections, rim, depth, azimuth)
     hold = _depth_and_tilt(rim, depth, slope, config)
     if hold is None:
         return "too low"
@@ -246,6 +242,26 @@ def _rim_grasp_at(
         azimuth=azimuth,
         score=score,
     )
+
+
+def _slope(sections: SectionCache, rim: float, depth: float, azimuth: float) -> float:
+    """Angle of the outer side from the vertical below the rim [rad], positive where it widens upwards.
+
+    Taken over the height of the pads, but not at the rim, which is rounded and need not be level.
+    """
+
+    def outer(steps: Float[np.ndarray, "_k"]) -> tuple[float, float] | None:
+        for z in rim - depth + steps:
+            hits = radial_hits(sections.at(z), np.zeros(2), azimuth + 0.003)
+            if len(hits):
+                return z, float(hits[-1])
+        return None
+
+    above = outer(min(0.007, 0.5 * depth) * np.array([1.0, 0.7, 0.4]))
+    below = outer(np.array([-0.007, -0.005]))
+    if above is None or below is None:
+        return 0.0
+    return float(np.arctan2(above[1] - below[1], above[0] - below[0]))
 
 
 def _depth_and_tilt(

@@ -1,5 +1,6 @@
 import numpy as np
 import pytest
+import trimesh
 
 from manipulation.errors import PlanningError
 from manipulation.grasps import GraspConfig, find_grasps
@@ -74,6 +75,19 @@ def test_lying_and_empty_objects_cannot_be_handled(shapes):
     empty = ObjectEstimate(7, "can", np.zeros(16), np.eye(4), np.ones(3), nothing)
     with pytest.raises(PlanningError, match="can_7 has an empty mesh"):
         stand(empty)
+
+
+def test_hand_follows_the_wall_of_a_low_bowl_with_an_uneven_rim(shapes):
+    mesh = shapes.bowl(radius=0.065, height=0.038, wall=0.006, slope=0.45)
+    vertices = np.array(mesh.vertices)
+    dented = (vertices[:, 2] > 0.03) & (np.sin(3 * np.arctan2(vertices[:, 1], vertices[:, 0])) > 0)
+    vertices[dented, 2] -= 0.002
+    grasps = find_grasps(
+        standing(shapes, "bowl", trimesh.Trimesh(vertices, mesh.faces, process=False))
+    ).grasps
+    tilts = np.array([np.arccos(-grasp.T_stand_tcp[2, 2]) for grasp in grasps])
+    assert len(grasps) > 20
+    assert tilts == pytest.approx(0.45, abs=np.deg2rad(6))
 
 
 def test_mug_rim_is_straddled_away_from_the_handle(shapes):
