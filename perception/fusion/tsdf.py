@@ -3,13 +3,14 @@
 Each object's masked depth is fused into a truncated signed distance volume (Curless and Levoy, 1996), as the
 Fusion++ line of systems does. What no camera saw has no surface; so that a planner can use the mesh it is
 closed as well as that goes without knowing shapes: unseen space above the points' outline counts as solid.
+For a comparison of surfaces the plain, open one is taken (``closed=False``).
 """
 
 from __future__ import annotations
 
 import logging
 from collections.abc import Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from typing import Any
 
 import numpy as np
@@ -44,12 +45,14 @@ class TsdfConfig:
         truncation: distance at which the signed distance is cut off in [m].
         margin: free space around the object's cloud in [m].
         min_points: depth points that an object needs.
+        closed: whether what no camera saw is made up, so that the mesh is closed.
     """
 
     voxel: float = 0.002
     truncation: float = 0.008
     margin: float = 0.02
     min_points: int = 200
+    closed: bool = True
 
 
 def reconstruct_tsdf(
@@ -131,8 +134,11 @@ def _fuse(
         color_type=open3d.pipelines.integration.TSDFVolumeColorType.RGB8,
         origin=corner.reshape(3, 1),
     )
-    for frame, _ in views:  # whole images: what is seen behind the object carves the space beside it
-        _integrate(open3d, volume, frame)
+    for frame, found in views:  # whole images: what is seen behind the object carves the space beside it
+        _integrate(open3d, volume, frame if config.closed else _masked(frame, found.mask))
+    if not config.closed:
+        seen = _open(volume, plane)
+        return None if seen is None else _estimate(instance_id, seen, views)
     values = np.asarray(volume.extract_volume_tsdf()).reshape((resolution,) * 3 + (2,))
     mesh = _closed(values, corner, side / resolution, points, plane)
     return None if mesh is None else _estimate(instance_id, mesh, views)
@@ -151,6 +157,21 @@ def _integrate(open3d: Any, volume: Any, frame: RgbdFrame) -> None:
         camera.width, camera.height, camera.fx, camera.fy, camera.cx, camera.cy
     )
     volume.integrate(image, pinhole, np.linalg.inv(np.asarray(frame.T_world_camera)))
+
+
+def _masked(frame: RgbdFrame, mask: Bool[np.ndarray, "h w"]) -> RgbdFrame:
+    """The frame with nothing measured outside the mask."""
+    return replace(frame, depth=np.where(mask, frame.depth, 0).astype(np.float32))
+
+
+def _open(volume: Any, plane: SupportPlane) -> TriangleMesh | None:
+    """The surface where it was seen, without what masks too wide brought in of the table."""
+    mesh = volume.extract_triangle_mesh()
+    vertices, faces = np.asarray(mesh.vertices), np.asarray(mesh.triangles)
+    above = plane.height_above(vertices) > 0.003 if len(vertices) else np.zeros(0, bool)
+    kept = faces[above[faces].all(axis=1)] if len(faces) else faces
+    used, index = np.unique(kept, return_inverse=True)
+    return TriangleMesh(vertices[used], index.reshape(-1, 3)) if len(kept) else None
 
 
 def _closed(

@@ -20,6 +20,7 @@ from perception.inference.meshing import MeshConfig, mesh_from_grid
 from perception.inference.observation import ObjectObservation, PixelConfig, gather_pixels
 from perception.inference.problem import FitProblem, FitState, NoiseConfig, SupportCamera
 from perception.inference.shape_model import Decoder, LinearisedShape, decode, linearise, mean_shape
+from perception.rendering.comparison import RendererName
 from perception.rendering.pose import ObjectPose
 from perception.types import CODE_SIZE, GRID_RESOLUTION, Category, FitStatus, ObjectEstimate, SupportPlane
 
@@ -45,6 +46,8 @@ class FitConfig:
         default_factory=lambda: {"mug": 0.55, "bowl": 0.4, "bottle": 0.65, "can": 0.65}
     )
     stages: tuple[Stage, ...] = (Stage(32, 1, 8), Stage(48, 0, 22))
+    renderer: RendererName = "probabilistic"
+    start_views: int | None = None  # how many views the start is taken from; all by default
     relinearise_every: int = 4
     pixels: PixelConfig = field(default_factory=PixelConfig)
     noise: NoiseConfig = field(default_factory=NoiseConfig)
@@ -105,7 +108,7 @@ class _Fitter:
         self.observations, self.plane, self.config = observations, plane, config
         self.linearise = lambda code: linearise(decoder, category, code)
         self.mean_shape = mean_shape(decoder, category)
-        self.poses, size = initial_poses(observations, category, plane)
+        self.poses, size = initial_poses(observations[: config.start_views], category, plane)
         self.voxel = 2 * float(self.poses[0].scale[0]) / GRID_RESOLUTION
         self.reach = 1.25 * float(np.hypot(size.radius, size.height / 2)) + 0.015
         self.support = SupportCamera.under(self.poses[0], plane, 1.2 * size.radius, max(size.height, 0.04))
@@ -149,7 +152,14 @@ class _Fitter:
         while True:
             budget = min(left, config.relinearise_every)
             problem = FitProblem(
-                pixels, shape, self.plane, self.support, config.noise, self.poses[0].scale, self.size_sigma
+                pixels,
+                shape,
+                self.plane,
+                self.support,
+                config.noise,
+                self.poses[0].scale,
+                self.size_sigma,
+                config.renderer,
             )
             lm = replace(config.lm, max_iterations=budget, damping=damping)
             result = minimise(problem, FitState.moved, state, lm, limit)

@@ -88,6 +88,7 @@ class PixelSet:
         rays: the n pixels that are rendered.
         Ts_world_camera: (v, 4, 4).
         target: (n,) measured depth; the escape depth on the background [m].
+        inside: (n,) whether the pixel is in the object's mask.
         weight: (n,) 1 on the object, ``background_weight`` outside.
         operator: (m, n) pyramid matrix from pixels to residuals, or None at level 0.
     """
@@ -95,14 +96,14 @@ class PixelSet:
     rays: RayBundle
     Ts_world_camera: Float[np.ndarray, "v 4 4"]
     target: Float[np.ndarray, "n"]
+    inside: Bool[np.ndarray, "n"]
     weight: Float[np.ndarray, "n"]
     operator: sparse.csr_matrix | None
 
     @cached_property
     def is_object(self) -> Bool[np.ndarray, "m"]:
         """Which residuals are mostly on the object."""
-        weight = self.weight if self.operator is None else self.operator @ self.weight
-        return weight > 0.6
+        return self.inside if self.operator is None else self.operator @ self.inside.astype(np.float32) > 0.5
 
 
 def pixel_rays(frame: RgbdFrame, u: np.ndarray, v: np.ndarray) -> Float[np.ndarray, "*n 3"]:
@@ -131,7 +132,7 @@ def gather_pixels(
         level: pyramid level: the residuals are blurred and halved so often.
         config: which pixels take part.
     """
-    directions, view, target, weight, operators, depth_range = [], [], [], [], [], []
+    directions, view, target, inside, operators, depth_range = [], [], [], [], [], []
     for index, seen in enumerate(observations):
         z = float(transform_points(invert(seen.T_world_camera), centre[None])[0, 2])
         near, far = max(z - reach, 0.02), z + reach
@@ -142,7 +143,7 @@ def gather_pixels(
         directions.append(pixel_rays(seen.frame, u, v)[valid])
         view.append(np.full(int(valid.sum()), index))
         target.append(measured[valid])
-        weight.append(np.where(is_object, 1.0, config.background_weight)[valid])
+        inside.append(is_object[valid])
         operators.append(pyramid_operator(valid, level))
         depth_range.append((near, far))
     bundle = RayBundle(
@@ -151,11 +152,13 @@ def gather_pixels(
         np.array(depth_range),
         samples,
     )
+    on_object = np.concatenate(inside)
     return PixelSet(
         rays=bundle,
         Ts_world_camera=np.stack([seen.T_world_camera for seen in observations]),
         target=np.concatenate(target).astype(np.float32),
-        weight=np.concatenate(weight).astype(np.float32),
+        inside=on_object,
+        weight=np.where(on_object, 1.0, config.background_weight).astype(np.float32),
         operator=sparse.csr_matrix(sparse.block_diag(operators)) if level else None,
     )
 

@@ -14,6 +14,7 @@ from perception.geometry import hat, rigid
 from perception.inference.levenberg_marquardt import Evaluation
 from perception.inference.observation import PixelSet
 from perception.inference.shape_model import LinearisedShape
+from perception.rendering.comparison import BACKDROP, RENDERERS, RendererName
 from perception.rendering.pose import POSE_SIZE, ObjectPose, canonical_from_camera, pose_jacobian
 from perception.rendering.renderer import RayBundle, render
 from perception.types import CODE_SIZE, SupportPlane
@@ -29,6 +30,7 @@ class NoiseConfig:
     Attributes:
         depth_sigma: floor of the depth's uncertainty [m], beside the rendered variance.
         huber: residuals larger than this many sigma count linearly.
+        rendered_variance: whether a pixel's rendered variance counts, beside ``depth_sigma``.
         data_weight: of all render residuals together, against the priors.
         code_prior: weight of the squared code.
         tilt_sigma: of the object's axis against the plane's normal [rad].
@@ -40,6 +42,7 @@ class NoiseConfig:
 
     depth_sigma: float = 0.005
     huber: float = 3.0
+    rendered_variance: bool = True
     data_weight: float = 0.05
     code_prior: float = 0.3
     tilt_sigma: float = 0.02
@@ -99,8 +102,13 @@ class FitProblem:
         noise: NoiseConfig,
         scale: Float[np.ndarray, "3"] | None = None,
         size_sigma: float = 1.0,
+        renderer: RendererName = "probabilistic",
     ) -> None:
         """``scale``, if given, is what the cloud's size says about the object's, true to ``size_sigma``."""
+        self._render = RENDERERS[renderer]
+        self._target = pixels.target
+        if renderer == "silhouette":
+            self._target = np.where(pixels.inside, 0.0, BACKDROP).astype(np.float32)
         self.pixels, self.shape, self.plane, self.support, self.noise = pixels, shape, plane, support, noise
         self.scale, self.size_sigma = scale, size_sigma
 
@@ -118,16 +126,16 @@ class FitProblem:
         """Rendered minus measured depth, weighted by its variance, Huber's weight and the pixel's own."""
         pixels, noise = self.pixels, self.noise
         A = canonical_from_camera(state.pose, pixels.Ts_world_camera)
-        image = render(grid, pixels.rays, A)
+        image = self._render(grid, pixels.rays, A, True)
         assert image.d_code is not None
         poses = pose_jacobian(state.pose, A, pixels.rays.directions, pixels.rays.view, image)
         jacobian = np.concatenate([image.d_code, poses], axis=1)
-        residual, variance, weight = image.depth - pixels.target, image.variance, pixels.weight
+        residual, variance, weight = image.depth - self._target, image.variance, pixels.weight
         if pixels.operator is not None:
             stacked = np.column_stack([residual, variance, weight])
             residual, variance, weight = (pixels.operator @ stacked).T
             jacobian = pixels.operator @ jacobian
-        sigma2 = variance + noise.depth_sigma**2
+        sigma2 = variance * noise.rendered_variance + noise.depth_sigma**2
         robust = np.minimum(1.0, noise.huber * np.sqrt(sigma2) / np.maximum(np.abs(residual), 1e-9))
         return residual, jacobian, noise.data_weight * weight * robust / sigma2
 

@@ -38,7 +38,7 @@ def render_first_crossing(
 def render_silhouette(
     shape: ShapeGrid, rays: RayBundle, A_canonical_camera: Float[np.ndarray, "v 3 4"], gradients: bool = True
 ) -> Rendering:
-    """Depth [m] of a silhouette at 0 in front of a backdrop at BACKDROP: BACKDROP times the escape probability.
+    """Depth [m] of a silhouette at 0 before a backdrop: BACKDROP times the escape probability.
 
     Its variance is zero.
     """

@@ -1,4 +1,4 @@
-# ruff: noqa: UP018, RUF046  -- int(0) and float(1) declare variables in Warp, literals are constants
+# ruff: noqa: UP018  -- int(0) and float(1) declare variables in Warp, literals are constants
 """Kernels of the two renderers that the probabilistic one is compared with, in Warp, for CPU and CUDA.
 
 Both walk the rays as ``kernel.render_kernel`` does and leave the same three sums behind, with other weights
@@ -61,7 +61,7 @@ def add_sample(
     sums: wp.array2d(dtype=wp.vec3),
     d_code: wp.array(dtype=vec16),
 ):
-    """Adds w grad o, w delta grad o (canonical coordinates) and w do/dcode of one sample to its ray's sums."""
+    """Adds one sample's w grad o, w delta grad o (canonical coordinates) and w do/dcode to its ray's sums."""
     ix = int(p[0])
     iy = int(p[1])
     iz = int(p[2])

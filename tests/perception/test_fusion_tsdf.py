@@ -4,7 +4,7 @@ import numpy as np
 import pytest
 import trimesh
 
-from perception.fusion.tsdf import FusionUnavailableError, masked_cloud, reconstruct_tsdf
+from perception.fusion.tsdf import FusionUnavailableError, TsdfConfig, masked_cloud, reconstruct_tsdf
 from perception.types import CameraIntrinsics, ObjectDetection, RgbdFrame, SupportPlane
 
 CAMERA = CameraIntrinsics(width=160, height=120, fx=145.0, fy=145.0, cx=79.5, cy=59.5)
@@ -65,6 +65,18 @@ def test_three_views_give_a_closed_can_of_the_right_size(views):
     assert can.height == pytest.approx(HEIGHT, abs=0.004) and can.radius == pytest.approx(RADIUS, abs=0.003)
     np.testing.assert_allclose(can.T_world_object[:2, 3], CENTER, atol=0.002)
     np.testing.assert_allclose(can.mesh.vertices.min(0) + can.mesh.vertices.max(0), 0, atol=1e-9)
+
+
+def test_the_open_surface_ends_where_nothing_was_seen(views):
+    frame, found = views[0]
+    (can,) = reconstruct_tsdf([frame], [[found]], SupportPlane(), TsdfConfig(closed=False))
+    points = can.mesh_world.vertices
+    off_side = np.abs(np.linalg.norm(points[:, :2] - CENTER, axis=1) - RADIUS)
+    off_top = np.abs(points[:, 2] - HEIGHT)
+    assert np.quantile(np.minimum(off_side, off_top), 0.95) < 0.002
+    towards_camera = (points[:, :2] - CENTER) @ (1.0, 0.0)  # the camera stands on the +x side
+    low = points[:, 2] < 0.08
+    assert low.any() and towards_camera[low].min() > -0.01 and points[:, 2].min() > 0.002
 
 
 def test_an_object_without_depth_is_left_out(views, caplog):
