@@ -7,7 +7,7 @@ scene enters. Every object exists twice, standing in the world and carried by th
 from __future__ import annotations
 
 import itertools
-from collections.abc import Iterable, Sequence
+from collections.abc import Sequence
 from dataclasses import dataclass
 
 import numpy as np
@@ -21,7 +21,6 @@ from manipulation.hulls import hull_faces
 from manipulation.robot import ArmDescription
 
 _OFF, _ROBOT, _WORLD = 0, 1, 2  # contype bits: robot and carried geoms meet world geoms, nothing else
-NOTHING: frozenset[str] = frozenset()
 
 
 @dataclass(frozen=True)
@@ -46,6 +45,25 @@ class CollisionConfig:
     robot_margin: float = 0.004
     carried_margin: float = 0.004
     joint_step: float = 0.03
+
+
+@dataclass(frozen=True)
+class Allowance:
+    """What a motion may touch, and how near it may come to everything else.
+
+    Attributes:
+        touch: objects or furniture the robot may touch.
+        touch_carried: objects or furniture that the carried object may touch.
+        robot_margin, carried_margin: kept from everything else in [m]; the configured ones if None.
+    """
+
+    touch: frozenset[str] = frozenset()
+    touch_carried: frozenset[str] = frozenset()
+    robot_margin: float | None = None
+    carried_margin: float | None = None
+
+
+NOTHING = Allowance()
 
 
 class CollisionWorld:
@@ -113,29 +131,16 @@ class CollisionWorld:
         self.set_present(self._carried, True)
         self._carried = None
 
-    def contact(
-        self,
-        q: Float[np.ndarray, "n"],
-        width: float,
-        ignore: Iterable[str] = NOTHING,
-        ignore_carried: Iterable[str] = NOTHING,
-        carried_margin: float | None = None,
-        robot_margin: float | None = None,
-    ) -> str | None:
-        """What the posture touches: "hand meets bowl_2", or None if it is free.
+    def contact(self, q: Float[np.ndarray, "n"], width: float, allow: Allowance = NOTHING) -> str | None:
+        """What the posture touches: "arm meets bowl_2", or None if it is free.
 
         Args:
             q: (n,) arm joints in [rad].
             width: opening between the pads in [m].
-            ignore: objects or furniture the robot may touch.
-            ignore_carried: objects or furniture that the carried object may touch.
-            carried_margin, robot_margin: in [m]; the configured ones if None.
+            allow: what may be touched.
         """
-        data, model, config = self._data, self._model, self.config
-        self._set_margin(self._robot_bodies, config.robot_margin if robot_margin is None else robot_margin)
-        if self._carried is not None:
-            carried = [self._body_id(f"carried/{self._carried}")]
-            self._set_margin(carried, config.carried_margin if carried_margin is None else carried_margin)
+        self._apply_margins(allow)
+        data, model = self._data, self._model
         data.qpos[self._address] = q
         data.qpos[self._fingers] = width / 2
         mujoco.mj_kinematics(model, data)
@@ -148,28 +153,25 @@ class CollisionWorld:
             if mover.startswith("world/"):
                 mover, thing = thing, mover
             thing = thing.removeprefix("world/")
-            carried = mover.startswith("carried/")
-            if thing in (ignore_carried if carried else ignore):
-                continue
-            return f"{mover.removeprefix('carried/')} meets {thing}"
+            if thing not in (allow.touch_carried if mover.startswith("carried/") else allow.touch):
+                return f"{mover.removeprefix('carried/')} meets {thing}"
         return None
 
     def path_contact(
-        self,
-        postures: Float[np.ndarray, "k n"],
-        width: float,
-        ignore: Iterable[str] = NOTHING,
-        ignore_carried: Iterable[str] = NOTHING,
-        carried_margin: float | None = None,
-        robot_margin: float | None = None,
+        self, postures: Float[np.ndarray, "k n"], width: float, allow: Allowance = NOTHING
     ) -> str | None:
         """The first contact along the straight joint segments between the postures, or None."""
-        ignore, ignore_carried = frozenset(ignore), frozenset(ignore_carried)
-        for q in densify(postures, self.config.joint_step):
-            contact = self.contact(q, width, ignore, ignore_carried, carried_margin, robot_margin)
-            if contact is not None:
-                return contact
-        return None
+        contacts = (self.contact(q, width, allow) for q in densify(postures, self.config.joint_step))
+        return next((contact for contact in contacts if contact is not None), None)
+
+    def _apply_margins(self, allow: Allowance) -> None:
+        def either(asked: float | None, configured: float) -> float:
+            return configured if asked is None else asked
+
+        self._set_margin(self._robot_bodies, either(allow.robot_margin, self.config.robot_margin))
+        if self._carried is not None:
+            carried = self._body_id(f"carried/{self._carried}")
+            self._set_margin([carried], either(allow.carried_margin, self.config.carried_margin))
 
     def _set_margin(self, bodies: Sequence[int], margin: float) -> None:
         for body in bodies:

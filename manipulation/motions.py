@@ -2,12 +2,12 @@
 
 from __future__ import annotations
 
-from collections.abc import Collection, Iterator, Sequence
+from collections.abc import Iterator, Sequence
 
 import numpy as np
 from jaxtyping import Float
 
-from manipulation.collision import CollisionWorld
+from manipulation.collision import NOTHING, Allowance, CollisionWorld
 from manipulation.kinematics import Kinematics
 from manipulation.robot import JointTrajectory
 from manipulation.trajectories import JointLimits, MotionConfig, joint_path, line_motion, line_postures
@@ -41,9 +41,7 @@ class Motions:
         q: Float[np.ndarray, "n"],
         targets: Sequence[Float[np.ndarray, "4 4"]],
         width: float,
-        ignore: Collection[str] = (),
-        ignore_carried: Collection[str] = (),
-        carried_margin: float | None = None,
+        allow: Allowance = NOTHING,
     ) -> Float[np.ndarray, "k n"] | str:
         """Postures of the first free straight line from ``q`` to a TCP target, or why there is none.
 
@@ -51,15 +49,14 @@ class Motions:
             q: start posture in [rad].
             targets: TCP poses, the preferred one first.
             width: between the pads in [m].
-            ignore, ignore_carried: what hand and carried object may touch.
-            carried_margin: kept by the carried object in [m]; the world's own if None.
+            allow: what hand and carried object may touch.
         """
         reason = "out of reach"
         for T_world_target in targets:
             postures = line_postures(self.kinematics, q, T_world_target, self.config)
             if postures is None:
                 continue
-            contact = self.world.path_contact(postures, width, ignore, ignore_carried, carried_margin)
+            contact = self.world.path_contact(postures, width, allow)
             if contact is None:
                 return postures
             reason = contact
@@ -83,10 +80,9 @@ class Motions:
                 the world's own.
         """
         for margin in margins:
+            allow = Allowance(robot_margin=margin, carried_margin=margin)
             for way in self._ways(q_start, q_goal):
-                postures = np.stack(way)
-                contact = self.world.path_contact(postures, width, carried_margin=margin, robot_margin=margin)
-                if contact is None:
+                if self.world.path_contact(np.stack(way), width, allow) is None:
                     return way
         return None
 

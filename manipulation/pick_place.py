@@ -14,7 +14,7 @@ from dataclasses import dataclass, field
 import numpy as np
 from jaxtyping import Float
 
-from manipulation.collision import Body, CollisionConfig, CollisionWorld
+from manipulation.collision import Allowance, Body, CollisionConfig, CollisionWorld
 from manipulation.errors import PlanningError
 from manipulation.furniture import BOX_FLOOR, TABLE, Furniture, box_walls
 from manipulation.grasps import GraspConfig, GraspSet, find_grasps
@@ -215,12 +215,12 @@ class PickPlacePlanner:
         result = self.kinematics.inverse(T_grasp, self.kinematics.seeds_toward(T_grasp, 3), name=name)
         if not result.converged:
             return "out of reach"
-        own = {name}
+        own = Allowance(touch=frozenset({name}))
         contact = world.contact(result.q, grasp.opening, own)
         if contact:
             return _short(contact, name)
         approach = self.motions.free_line(
-            result.q, [_backed(T_grasp, h) for h in config.approach_heights], grasp.opening, ignore=own
+            result.q, [_backed(T_grasp, h) for h in config.approach_heights], grasp.opening, own
         )
         if isinstance(approach, str):
             return _short(approach, name)
@@ -228,9 +228,10 @@ class PickPlacePlanner:
         lift = self.motions.free_line(
             result.q,
             [_raised(T_grasp, h) for h in config.lift_heights],
-            _held_width(grasp),
-            ignore_carried={TABLE.name},
-            carried_margin=0.5 * config.collision.carried_margin,
+            grasp.held_width,
+            Allowance(
+                touch_carried=frozenset({TABLE.name}), carried_margin=0.5 * config.collision.carried_margin
+            ),
         )
         if isinstance(lift, str):
             return _short(lift, name)
@@ -249,7 +250,7 @@ class PickPlacePlanner:
                 continue
             self.world.carry(name, np.linalg.inv(grasp.T_stand_tcp))
             carry = self.motions.free_way(
-                pick.lift[-1], place.lowering[0], _held_width(grasp), self.config.transit_margins
+                pick.lift[-1], place.lowering[0], grasp.held_width, self.config.transit_margins
             )
             if carry is None:
                 tally.fail("blocked on the way to the goal")
@@ -273,13 +274,13 @@ class PickPlacePlanner:
         result = self.kinematics.inverse(T_place, seeds, name=f"the goal of {name}")
         if not result.converged:
             return "with the goal out of reach"
-        stack = set(placement.stack)
+        stack = frozenset(placement.stack)
         world.release()
         retreat = self.motions.free_line(
             result.q,
             [_backed(T_place, h) for h in config.approach_heights],
             grasp.release_opening,
-            ignore=stack | {name},
+            Allowance(touch=stack | {name}),
         )
         if isinstance(retreat, str):
             return f"letting go: {_short(retreat, name)}"
@@ -287,10 +288,8 @@ class PickPlacePlanner:
         lowering = self.motions.free_line(
             result.q,
             [_raised(T_place, h) for h in config.raise_heights],
-            _held_width(grasp),
-            ignore=stack,
-            ignore_carried=stack | {TABLE.name, BOX_FLOOR},
-            carried_margin=config.placing_margin,
+            grasp.held_width,
+            Allowance(stack, stack | {TABLE.name, BOX_FLOOR}, carried_margin=config.placing_margin),
         )
         if isinstance(lowering, str):
             return f"placing: {_short(lowering, name)}"
@@ -342,11 +341,6 @@ def _alike(first: Grasp, second: Grasp) -> bool:
     return bool(
         first.kind == second.kind and turn < np.deg2rad(20) and abs(first.depth - second.depth) < 0.003
     )
-
-
-def _held_width(grasp: Grasp) -> float:
-    """Width expected between the pads while they hold, in [m]."""
-    return 0.5 * (grasp.closed_width[0] + grasp.closed_width[1])
 
 
 def _backed(T: np.ndarray, distance: float) -> np.ndarray:

@@ -95,7 +95,9 @@ class Grasp:
         kind: over the rim of a hollow object, or around a body or neck from above.
         T_stand_tcp: (4, 4) TCP pose in the object's stand frame.
         opening: width between the pads before closing in [m].
-        closed_width: smallest and largest width between the pads that means the object is held, in [m].
+        held_width: expected between the pads while they hold, in [m].
+        closed_width: smallest and largest width between the pads that means that something is held, in [m].
+            Generous: shapes are estimates, and fingers that stop well inside their opening hold something.
         release_opening: width that lets go of the object without sweeping its neighbours, in [m].
         depth: how far the TCP is below the top of the object in [m].
         azimuth: direction of the grasp about the stand frame's z in [rad].
@@ -105,6 +107,7 @@ class Grasp:
     kind: GraspKind
     T_stand_tcp: Float[np.ndarray, "4 4"]
     opening: float
+    held_width: float
     closed_width: tuple[float, float]
     release_opening: float
     depth: float

@@ -3,6 +3,7 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
+from manipulation.collision import Allowance
 from manipulation.errors import PlanningError, RobotError
 from manipulation.execution import execute
 from manipulation.grasps import GraspConfig
@@ -69,7 +70,7 @@ class Watcher:
     def __call__(self, event):
         self.events.append(event)
         if event.plan is not None:
-            self.robot.expected = float(np.mean(event.plan.grasp.closed_width))
+            self.robot.expected = event.plan.grasp.held_width
 
     def phases(self, name):
         return [event.phase for event in self.events if event.name == name]
@@ -118,13 +119,13 @@ def test_motions_are_free_of_contact_in_the_planners_world(packing, arm):
     placement = next(p for p in packing.placements if p.name == "can_1")
     plan = planner.plan(placement, np.asarray(arm.q_home))
     world, grasp = planner.world, plan.grasp
-    near = world.path_contact(plan.approach.positions[::20], grasp.opening, ignore={"can_1"})
+    near = world.path_contact(plan.approach.positions[::20], grasp.opening, Allowance(frozenset({"can_1"})))
     assert near is None
     world.carry("can_1", np.linalg.inv(grasp.T_stand_tcp))
-    held = float(np.mean(grasp.closed_width))
-    floor = {"table", "box_floor"}
+    held = grasp.held_width
+    floor = Allowance(touch_carried=frozenset({"table", "box_floor"}), carried_margin=0.0)
     way = np.concatenate([plan.lift.positions, plan.transfer.positions])[::20]
-    assert world.path_contact(way, held, ignore_carried=floor, carried_margin=0.0) is None
+    assert world.path_contact(way, held, floor) is None
 
 
 def test_empty_grasp_is_retried_elsewhere_after_looking_again(packing, arm, scene):
