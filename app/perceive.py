@@ -2,7 +2,9 @@
 
 from __future__ import annotations
 
+import os
 from collections.abc import Callable, Sequence
+from concurrent.futures import ThreadPoolExecutor
 from dataclasses import dataclass
 
 import numpy as np
@@ -11,7 +13,7 @@ from app.errors import UsageError
 from app.options import Device
 from perception.detection.association import associate
 from perception.detection.detector import Detector
-from perception.inference.reconstruct import reconstruct
+from perception.inference.reconstruct import OnFitStep, reconstruct, single_threaded_torch
 from perception.rendering.renderer import ShapeGrid
 from perception.shape.decoder import ShapeDecoder
 from perception.support_plane import fit_support_plane
@@ -78,14 +80,21 @@ def load_decoder(device: Device) -> ShapeDecoder:
 
 
 def detect(
-    frames: Sequence[RgbdFrame], detector: Detector, progress: Progress = lambda *_: None
+    frames: Sequence[RgbdFrame],
+    detector: Detector,
+    progress: Progress = lambda *_: None,
+    workers: int | None = None,
 ) -> Detections:
-    """Find the support plane and the objects in every frame, and tie them together over the frames."""
+    """Find the support plane and the objects in every frame, and tie them together over the frames.
+
+    ``workers`` frames are looked at at a time, by default one on each core.
+    """
     plane = fit_support_plane(frames)
     found = []
-    for index, frame in enumerate(frames):
-        found.append(detector(frame, plane))
-        progress(index + 1, len(frames))
+    with single_threaded_torch(), ThreadPoolExecutor(workers or os.cpu_count() or 1) as pool:
+        for detections in pool.map(lambda frame: detector(frame, plane), frames):
+            found.append(detections)
+            progress(len(found), len(frames))
     return Detections(plane, tuple(map(tuple, associate(frames, found, plane))))
 
 
@@ -94,6 +103,9 @@ def reconstruct_objects(
     detections: Detections,
     decoder: ShapeDecoder,
     progress: Progress = lambda *_: None,
+    on_step: OnFitStep | None = None,
 ) -> list[ObjectEstimate]:
     """Whole shapes and poses of the detected objects."""
-    return reconstruct(frames, detections.per_frame, decoder, detections.plane, progress=progress)
+    return reconstruct(
+        frames, detections.per_frame, decoder, detections.plane, progress=progress, on_step=on_step
+    )

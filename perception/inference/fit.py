@@ -7,7 +7,7 @@ every view, and the weighted difference to the measured depth moves code and 9-D
 from __future__ import annotations
 
 import logging
-from collections.abc import Mapping, Sequence
+from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass, field, replace
 
 import numpy as np
@@ -71,6 +71,25 @@ class Fit:
     converged: bool
 
 
+@dataclass(frozen=True)
+class FitStep:
+    """Where a fit stands, for those who watch it.
+
+    Attributes:
+        iteration: of the optimiser, 0 before the first.
+        pose, code: of the object so far.
+        residual: mean capped depth residual in [m]; NaN before the first iteration.
+    """
+
+    iteration: int
+    pose: ObjectPose
+    code: Float[np.ndarray, "16"]
+    residual: float
+
+
+OnStep = Callable[[FitStep], None]
+
+
 def fit_object(
     observations: Sequence[ObjectObservation],
     category: Category,
@@ -79,6 +98,7 @@ def fit_object(
     config: FitConfig | None = None,
     object_id: int = 0,
     score: float = 1.0,
+    on_step: OnStep | None = None,
 ) -> ObjectEstimate:
     """Reconstructs one object.
 
@@ -90,6 +110,7 @@ def fit_object(
         config: budget and weights.
         object_id: for the estimate.
         score: class confidence, for the estimate.
+        on_step: is told how the fit goes on.
 
     Raises:
         InvalidInputError: no view shows anything of the object above the plane.
@@ -97,15 +118,16 @@ def fit_object(
     config = config or FitConfig()
     if not observations:
         raise InvalidInputError(f"a {category} without any view cannot be reconstructed")
-    fit = _Fitter(observations, category, decoder, plane, config).run()
+    fit = _Fitter(observations, category, decoder, plane, config, on_step).run()
     return _estimate(fit, observations, category, decoder, plane, config, object_id, score)
 
 
 class _Fitter:
     """The stages of one fit; the decoder's linearisation is shared by the hypotheses while codes agree."""
 
-    def __init__(self, observations, category, decoder, plane, config) -> None:
+    def __init__(self, observations, category, decoder, plane, config, on_step: OnStep | None) -> None:
         self.observations, self.plane, self.config = observations, plane, config
+        self.on_step = on_step or (lambda step: None)
         self.linearise = lambda code: linearise(decoder, category, code)
         self.mean_shape = mean_shape(decoder, category)
         self.poses, size = initial_poses(observations[: config.start_views], category, plane)
@@ -119,15 +141,22 @@ class _Fitter:
     def run(self) -> Fit:
         first, *others = self.config.stages
         starts = [FitState(pose, np.zeros(CODE_SIZE)) for pose in self.poses]
+        self.on_step(FitStep(0, starts[0].pose, starts[0].code, float("nan")))
         fits = [self._stage(first, state, self.mean_shape, self.config.lm.damping) for state in starts]
         best, shape, damping = min(fits, key=lambda entry: _misfit(entry[0]))
+        self.on_step(FitStep(len(best.trace), best.state.pose, best.state.code, _misfit(best)))
         for stage in others:
-            fit, shape, damping = self._stage(stage, best.state, shape, damping)
+            fit, shape, damping = self._stage(stage, best.state, shape, damping, len(best.trace))
             best = replace(fit, trace=best.trace + fit.trace)
         return best
 
     def _stage(
-        self, stage: Stage, state: FitState, shape: LinearisedShape, damping: float
+        self,
+        stage: Stage,
+        state: FitState,
+        shape: LinearisedShape,
+        damping: float,
+        watched_from: int | None = None,
     ) -> tuple[Fit, LinearisedShape, float]:
         config = self.config
         pixels = gather_pixels(
@@ -164,6 +193,9 @@ class _Fitter:
             lm = replace(config.lm, max_iterations=budget, damping=damping)
             result = minimise(problem, FitState.moved, state, lm, limit)
             state, damping, trace = result.state, result.damping, trace + result.trace
+            if watched_from is not None:
+                misfit = _capped_mean(result.evaluation.residuals[: len(pixels.is_object)])
+                self.on_step(FitStep(watched_from + len(trace), state.pose, state.code, misfit))
             left -= max(len(result.trace), 1)
             if left <= 0 or result.status in ("stuck", "not_finite"):
                 break
@@ -183,8 +215,12 @@ def _settled(trace: tuple[LmIteration, ...]) -> bool:
 
 
 def _misfit(fit: Fit) -> float:
-    """Mean capped residual [m]: compares hypotheses, whatever variance they render."""
-    residuals = np.concatenate([fit.residual_object, fit.residual_background])
+    """Compares hypotheses, whatever variance they render."""
+    return _capped_mean(np.concatenate([fit.residual_object, fit.residual_background]))
+
+
+def _capped_mean(residuals: Float[np.ndarray, "n"]) -> float:
+    """Mean absolute residual in [m], single ones capped."""
     return float(np.mean(np.minimum(np.abs(residuals), 0.03)))
 
 

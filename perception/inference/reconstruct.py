@@ -8,6 +8,7 @@ from collections.abc import Callable, Sequence
 from concurrent.futures import ThreadPoolExecutor, as_completed
 from contextlib import contextmanager
 from dataclasses import dataclass
+from functools import partial
 
 import cv2
 import numpy as np
@@ -15,7 +16,7 @@ import torch
 from jaxtyping import Bool
 
 from perception.errors import PerceptionError
-from perception.inference.fit import FitConfig, fit_object
+from perception.inference.fit import FitConfig, FitStep, fit_object
 from perception.inference.observation import ObjectObservation
 from perception.inference.shape_model import Decoder
 from perception.types import CATEGORIES, Category, ObjectDetection, ObjectEstimate, RgbdFrame, SupportPlane
@@ -23,6 +24,7 @@ from perception.types import CATEGORIES, Category, ObjectDetection, ObjectEstima
 logger = logging.getLogger(__name__)
 
 Progress = Callable[[int, int, str], None]
+OnFitStep = Callable[[int, Category, FitStep], None]
 
 _BEHIND = 0.03  # [m] what lies this far behind the object does not hide it
 
@@ -46,6 +48,7 @@ def reconstruct(
     progress: Progress | None = None,
     workers: int | None = None,
     max_views: int = 6,
+    on_step: OnFitStep | None = None,
 ) -> list[ObjectEstimate]:
     """Reconstructs every instance, ordered by id. The same input gives the same output, whatever the workers.
 
@@ -58,14 +61,23 @@ def reconstruct(
         progress: called with (objects done, objects in all, name of the last one).
         workers: objects fitted at a time; the number of cores by default.
         max_views: of one object; those with the largest masks are taken.
+        on_step: called with (id, class, step) of a fit, from several threads.
     """
     config = config or FitConfig()
     instances = gather_instances(frames, detections_per_frame, max_views)
     estimates: dict[int, ObjectEstimate] = {}
-    with _single_threaded_torch(), ThreadPoolExecutor(workers or os.cpu_count() or 1) as pool:
+    with single_threaded_torch(), ThreadPoolExecutor(workers or os.cpu_count() or 1) as pool:
         jobs = {
             pool.submit(
-                fit_object, one.observations, one.category, decoder, plane, config, one.id, one.score
+                fit_object,
+                one.observations,
+                one.category,
+                decoder,
+                plane,
+                config,
+                one.id,
+                one.score,
+                on_step and partial(on_step, one.id, one.category),
             ): one
             for one in instances
         }
@@ -124,7 +136,7 @@ def hidden_by(
 
 
 @contextmanager
-def _single_threaded_torch():
+def single_threaded_torch():
     """One thread for each object: several pools on the same cores fight (measured 15 times slower)."""
     threads = torch.get_num_threads()
     torch.set_num_threads(1)
