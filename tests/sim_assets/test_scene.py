@@ -4,7 +4,7 @@ import numpy as np
 import pytest
 import trimesh
 
-from sim_assets.draw import NESTING_STEP, RequestError, class_counts, nestable
+from sim_assets.draw import NESTING_STEP, draw_objects, nestable
 from sim_assets.headless import mujoco
 from sim_assets.layout import PlanarPose
 from sim_assets.materials import TEXTURE_SIZE, Finish, around, random_finish, random_ground, solid, wood
@@ -103,25 +103,9 @@ def test_wood_keeps_its_colour():
     assert Finish(solid((1, 0, 0))).texture[0, 0].tolist() == [255, 0, 0]
 
 
-def test_counts_are_even_with_a_random_rest():
-    drawn = [class_counts(6, np.random.default_rng(seed)) for seed in range(8)]
-    assert all(sum(counts.values()) == 6 and set(counts.values()) == {1, 2} for counts in drawn)
-    assert len({tuple(counts.values()) for counts in drawn}) > 1
-    rng = np.random.default_rng(0)
-    assert class_counts({"mug": 2, "can": 1}, rng) == {"mug": 2, "bowl": 0, "bottle": 0, "can": 1}
-
-
-@pytest.mark.parametrize(
-    ("request_", "message"),
-    [
-        ({"jug": 1}, "class 'jug' is none of mug, bowl, bottle, can"),
-        (0, "at least one object"),
-        ({"mug": -1, "can": 3}, "must not be negative"),
-    ],
-)
-def test_impossible_requests_say_why(request_, message):
-    with pytest.raises(RequestError, match=message):
-        class_counts.__wrapped__(request_, np.random.default_rng(0))
+def test_as_many_are_drawn_as_asked_for():
+    drawn = draw_objects({"mug": 2, "can": 1}, "test", np.random.default_rng(0))
+    assert sorted(model.category for model in drawn) == ["can", "mug", "mug"]
 
 
 def test_bowls_of_a_set_differ_in_size():
