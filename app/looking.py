@@ -9,16 +9,27 @@ from dataclasses import dataclass
 import numpy as np
 from jaxtyping import Float
 
+from manipulation.collision import CollisionWorld
 from manipulation.errors import PlanningError
+from manipulation.furniture import TABLE, Furniture
 from manipulation.kinematics import Kinematics
+from manipulation.motions import Motions
 from manipulation.robot import Robot
-from manipulation.trajectories import JointLimits, MotionConfig, joint_move
+from manipulation.trajectories import MotionConfig
 from perception.types import RgbdFrame
 
 _log = logging.getLogger(__name__)
 
 ROLLS = np.deg2rad(np.arange(0, 360, 45))  # of the camera about its optical axis; all see the same
 MIN_LIMIT_DISTANCE = 0.1  # [rad] that each joint keeps from its limits
+# Where anything may stand counts as filled while the arm only looks: objects on one side, box or line on the
+# other. Higher than most objects, lower than every view.
+FILLED = (
+    Furniture("objects", (0.46, -0.275, 0.14), (0.20, 0.27, 0.14)),
+    Furniture("goal", (0.32, 0.37, 0.14), (0.42, 0.24, 0.14)),
+)
+MARGINS = (0.03, 0.004)  # [m] kept on the way, less only where no way allows more
+VIA_HEIGHTS = (0.45, 0.55)  # [m] of the TCP, over which a blocked move is led
 
 
 @dataclass(frozen=True)
@@ -96,21 +107,32 @@ def look(
     views: Sequence[Viewpoint],
     progress: Callable[[int, int], None] = lambda done, total: None,
     motion: MotionConfig | None = None,
+    on_frame: Callable[[RgbdFrame], None] = lambda frame: None,
 ) -> list[RgbdFrame]:
     """Move the wrist camera to each viewpoint and take an image there; unreachable ones are passed over.
+
+    The moves stay out of the space where objects may be, known or not; only a first move that starts inside
+    it (above an object that was let go) leaves it the straight way.
 
     Raises:
         PlanningError: no viewpoint can be reached.
     """
-    limits = JointLimits.of(robot.arm, motion or MotionConfig())
+    world = CollisionWorld(robot.arm, [], (TABLE, *FILLED))
+    motions = Motions(kinematics, world, motion or MotionConfig(), VIA_HEIGHTS)
+    width = robot.gripper_width()
     frames: list[RgbdFrame] = []
     for index, view in enumerate(views):
-        q = posture_for(kinematics, view, robot.joint_positions())
-        if q is None:
+        q_now = robot.joint_positions()
+        q = posture_for(kinematics, view, q_now)
+        way = None if q is None else motions.free_way(q_now, q, width, MARGINS)
+        if way is None and q is not None and world.contact(q_now, width) is not None:
+            way = [q_now, q]
+        if way is None:
             _log.warning("viewpoint %d of %d cannot be reached and is left out", index + 1, len(views))
             continue
-        robot.follow(joint_move(robot.joint_positions(), q, limits))
+        robot.follow(motions.timed_way(way))
         frames.append(robot.capture())
+        on_frame(frames[-1])
         progress(index + 1, len(views))
     if not frames:
         raise PlanningError(f"none of {len(views)} viewpoints can be reached: look at a nearer spot")

@@ -1,9 +1,22 @@
 import numpy as np
 import pytest
 
-from app.looking import BOX_VIEWS, LINE_VIEWS, ROLLS, SCAN_VIEWS, Viewpoint, close_views, look, posture_for
+from app.looking import (
+    BOX_VIEWS,
+    FILLED,
+    LINE_VIEWS,
+    ROLLS,
+    SCAN_VIEWS,
+    Viewpoint,
+    close_views,
+    look,
+    posture_for,
+)
+from manipulation.collision import CollisionWorld
 from manipulation.errors import PlanningError
+from manipulation.furniture import TABLE
 from manipulation.kinematics import Kinematics
+from perception.types import CameraIntrinsics, RgbdFrame
 from sim_assets.arm import arm_description
 
 
@@ -38,6 +51,48 @@ def test_the_scripted_views_are_within_reach(kinematics, views):
         np.testing.assert_allclose(T[:3, 3], view.camera_pose()[:3, 3], atol=2e-4)
         np.testing.assert_allclose(T[:3, 2], view.camera_pose()[:3, 2], atol=2e-3)
         q = found
+
+
+class Moving:
+    """A robot that only remembers where it went."""
+
+    arm = arm_description()
+
+    def __init__(self, q):
+        self.q, self.tracks = np.array(q), []
+
+    def joint_positions(self):
+        return self.q
+
+    def gripper_width(self):
+        return 0.08
+
+    def follow(self, trajectory):
+        np.testing.assert_allclose(trajectory.positions[0], self.q, atol=1e-6)
+        self.q = np.array(trajectory.positions[-1])
+        self.tracks.append(trajectory.positions)
+
+    def move_gripper(self, width):
+        return width
+
+    def capture(self):
+        camera = CameraIntrinsics(4, 3, 4.0, 4.0, 1.5, 1.0)
+        return RgbdFrame(0.0, np.zeros((3, 4, 3), np.uint8), np.ones((3, 4)), camera)
+
+
+@pytest.mark.parametrize("views", [SCAN_VIEWS, BOX_VIEWS, LINE_VIEWS])
+def test_no_look_leads_through_the_space_of_objects(kinematics, views):
+    robot = Moving(kinematics.arm.q_home)
+    assert len(look(robot, kinematics, views)) == len(views)
+    world = CollisionWorld(robot.arm, [], (TABLE, *FILLED))
+    assert all(world.path_contact(track[::10], 0.08) is None for track in robot.tracks)
+
+
+def test_a_look_that_begins_among_objects_leaves_them_first(kinematics):
+    low = kinematics.forward(np.array(kinematics.arm.q_home))
+    low[:3, 3] = (0.45, -0.25, 0.2)
+    robot = Moving(kinematics.inverse(low, kinematics.seeds_toward(low, 3)).q)
+    assert len(look(robot, kinematics, SCAN_VIEWS)) == len(SCAN_VIEWS)
 
 
 class Still:
