@@ -7,7 +7,7 @@ and then. One process renders 20 pictures a second and more; shards belong in pr
 
 from __future__ import annotations
 
-from collections.abc import Iterator
+from collections.abc import Iterator, Sequence
 from dataclasses import dataclass
 from typing import Literal
 
@@ -17,7 +17,7 @@ from jaxtyping import Float, Int
 
 from perception.types import CATEGORIES, Category, RgbdFrame
 from sim_assets.camera import OPENCV_FROM_MUJOCO, OffscreenRenderer, intrinsics_of, look_at
-from sim_assets.depth_noise import DEPTH_NOISES, add_depth_noise
+from sim_assets.depth_noise import DEPTH_NOISES, DepthNoise, add_depth_noise
 from sim_assets.distractors import random_distractor
 from sim_assets.headless import MjSpec, mujoco
 from sim_assets.layout import PlanarPose
@@ -114,7 +114,7 @@ class TrainingScenes:
         self.config = config or TrainingSceneConfig()
         self.split: Split = split
         self._rng = np.random.default_rng(seed)
-        self._pool: _Pool | None = None
+        self._pool: TableTop | None = None
 
     def render(self, count: int) -> Iterator[LabelledImage]:
         """The next ``count`` pictures."""
@@ -122,7 +122,7 @@ class TrainingScenes:
         for number in range(count):
             if number % config.pictures_per_pool == 0:
                 self.close()
-                self._pool = _Pool(_draw_things(self.split, config, rng), config, rng)
+                self._pool = TableTop(_draw_things(self.split, config, rng), config, rng)
             assert self._pool is not None
             if number % config.pictures_per_texture == 0:
                 self._pool.redraw_textures(rng)
@@ -150,8 +150,8 @@ def _draw_things(split: Split, config: TrainingSceneConfig, rng: np.random.Gener
     return things
 
 
-class _Pool:
-    """One compiled model with everything that may appear."""
+class TableTop:
+    """One compiled model of a table with everything that may appear on it."""
 
     def __init__(self, things: list[Thing], config: TrainingSceneConfig, rng: np.random.Generator) -> None:
         self.things, self.config = things, config
@@ -193,21 +193,15 @@ class _Pool:
         )
         shown = [index for index, pose in zip(chosen, poses, strict=True) if pose is not None]
         placed = [pose for pose in poses if pose is not None]
-        self._show(shown, placed)
-        self._light(rng)
+        self.show(shown, placed)
+        self.light(rng)
         fovy = rng.uniform(*config.fovy)
-        T_world_camera = self._aim(placed, fovy, rng)
-        mujoco.mj_kinematics(self.model, self.data)
-        mujoco.mj_camlight(self.model, self.data)
-        view = (self.data, CAMERA, config.width, config.height)
-        rgb = cv2.GaussianBlur(self.renderer.color(*view, shadows=rng.random() < config.shadows), (3, 3), 0.5)
-        depth, ids = self.renderer.depth_and_ids(*view)
-        intrinsics = intrinsics_of(config.width, config.height, fovy)
-        noise = DEPTH_NOISES[rng.integers(len(DEPTH_NOISES))]
-        depth = add_depth_noise(depth, noise, intrinsics, rng)
+        T_world_camera = self._aim(placed, rng)
+        shadows = rng.random() < config.shadows
+        frame, ids = self.capture(T_world_camera, fovy, shadows, rng)
         row = np.full(len(self.things) + 1, -1, dtype=np.int32)
         row[shown] = np.arange(len(shown))
-        instances = row[self.thing_of_geom[ids]]
+        instances = row[ids]
         pixels = np.bincount(instances[instances >= 0], minlength=len(shown))
         labels = tuple(
             InstanceLabel(
@@ -215,7 +209,39 @@ class _Pool:
             )
             for i, pose, n in zip(shown, placed, pixels, strict=True)
         )
-        return LabelledImage(RgbdFrame(0.0, rgb, depth, intrinsics, T_world_camera), instances, labels)
+        return LabelledImage(frame, instances, labels)
+
+    def capture(
+        self,
+        T_world_camera: Float[np.ndarray, "4 4"],
+        fovy: float,
+        shadows: bool,
+        rng: np.random.Generator,
+        noise: DepthNoise | None = None,
+    ) -> tuple[RgbdFrame, Int[np.ndarray, "h w"]]:
+        """What a camera sees of the things that are shown, and which thing each pixel shows (-1: none).
+
+        Args:
+            T_world_camera: the camera's pose.
+            fovy: its vertical field of view in [deg].
+            shadows: whether they are drawn.
+            rng: draws the noise.
+            noise: of the depth; a random kind by default.
+        """
+        width, height = self.config.width, self.config.height
+        eye = self.model.camera(CAMERA).id
+        self.model.cam_pos[eye] = T_world_camera[:3, 3]
+        mujoco.mju_mat2Quat(self.model.cam_quat[eye], (T_world_camera[:3, :3] @ OPENCV_FROM_MUJOCO).ravel())
+        self.model.cam_fovy[eye] = fovy
+        mujoco.mj_kinematics(self.model, self.data)
+        mujoco.mj_camlight(self.model, self.data)
+        view = (self.data, CAMERA, width, height)
+        rgb = cv2.GaussianBlur(self.renderer.color(*view, shadows=shadows), (3, 3), 0.5)
+        depth, ids = self.renderer.depth_and_ids(*view)
+        intrinsics = intrinsics_of(width, height, fovy)
+        noise = noise or DEPTH_NOISES[rng.integers(len(DEPTH_NOISES))]
+        depth = add_depth_noise(depth, noise, intrinsics, rng)
+        return RgbdFrame(0.0, rgb, depth, intrinsics, T_world_camera), self.thing_of_geom[ids]
 
     def _choose(self, rng: np.random.Generator) -> list[int]:
         kind = np.array([thing.category is not None for thing in self.things])
@@ -225,15 +251,17 @@ class _Pool:
         extras = rng.choice(np.flatnonzero(~kind), rng.integers(low, high + 1), replace=False)
         return [int(i) for i in rng.permutation(np.concatenate([objects, extras]))]
 
-    def _show(self, shown: list[int], placed: list[PlanarPose]) -> None:
+    def show(self, shown: Sequence[int], placed: Sequence[PlanarPose]) -> None:
+        """Put some of the things somewhere and hide all others."""
         self.model.geom_group[self.geoms] = HIDDEN
-        self.model.geom_group[self.geoms[shown]] = SHOWN
+        self.model.geom_group[self.geoms[list(shown)]] = SHOWN
         for index, pose in zip(shown, placed, strict=True):
             body = self.model.body(f"thing{index}").id
             self.model.body_pos[body] = (pose.x, pose.y, 0)
             self.model.body_quat[body] = (np.cos(pose.yaw / 2), 0, 0, np.sin(pose.yaw / 2))
 
-    def _light(self, rng: np.random.Generator) -> None:
+    def light(self, rng: np.random.Generator) -> None:
+        """Another light."""
         angle, tilt = rng.uniform(-np.pi, np.pi), rng.uniform(0.1, 1.0)
         away = np.array([np.sin(tilt) * np.cos(angle), np.sin(tilt) * np.sin(angle), np.cos(tilt)])
         self.model.light_pos[0] = 1.8 * away
@@ -245,10 +273,8 @@ class _Pool:
         headlight.ambient[:] = rng.uniform(0.2, 0.55)
         headlight.diffuse[:] = rng.uniform(0.0, 0.4)
 
-    def _aim(
-        self, placed: list[PlanarPose], fovy: float, rng: np.random.Generator
-    ) -> Float[np.ndarray, "4 4"]:
-        """Point the camera somewhere among the objects and return its pose (OpenCV)."""
+    def _aim(self, placed: list[PlanarPose], rng: np.random.Generator) -> Float[np.ndarray, "4 4"]:
+        """A camera pose (OpenCV) that looks somewhere among the objects."""
         azimuth, elevation = rng.uniform(-np.pi, np.pi), rng.uniform(*self.config.elevation)
         distance = rng.uniform(*self.config.distance)
         seen = placed[rng.integers(len(placed))] if placed else PlanarPose(0, 0, 0)
@@ -256,12 +282,7 @@ class _Pool:
         away = np.array([
             np.cos(elevation) * np.cos(azimuth), np.cos(elevation) * np.sin(azimuth), np.sin(elevation)
         ])  # fmt: skip
-        T_world_camera = look_at(target + distance * away, target, roll=rng.normal(0, 0.15))
-        eye = self.model.camera(CAMERA).id
-        self.model.cam_pos[eye] = T_world_camera[:3, 3]
-        mujoco.mju_mat2Quat(self.model.cam_quat[eye], (T_world_camera[:3, :3] @ OPENCV_FROM_MUJOCO).ravel())
-        self.model.cam_fovy[eye] = fovy
-        return T_world_camera
+        return look_at(target + distance * away, target, roll=rng.normal(0, 0.15))
 
 
 def _build(things: list[Thing], rng: np.random.Generator) -> MjSpec:
