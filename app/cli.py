@@ -32,8 +32,10 @@ HANDLERS = {
     "sort": "app.task",
     "scan": "app.scan",
     "reconstruct": "app.reconstruct",
+    "export": "app.export",
     "train": "app.train",
     "evaluate": "app.evaluate_tasks",
+    "bench": "app.bench",
     "doctor": "app.doctor",
 }
 
@@ -103,7 +105,7 @@ def check(options: CommonOptions) -> None:
         from app.cell import check_options
 
         check_options(options)
-    for name in ("episodes", "workers", "epochs"):
+    for name in ("episodes", "workers", "epochs", "repeats"):
         value = getattr(options, name, None)
         if value is not None and value < 1:
             raise UsageError(f"--{name} {value} must be at least 1")

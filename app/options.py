@@ -91,6 +91,16 @@ class ReconstructOptions(CommonOptions):
 
 
 @dataclass(frozen=True, kw_only=True)
+class ExportOptions(CommonOptions):
+    """Write the reconstructed scene of a run as meshes or as a simulation-ready model."""
+
+    run: Positional[Path]
+    """Run folder that pack, sort or reconstruct wrote."""
+    format: Literal["glb", "mjcf", "urdf"] = "glb"
+    """glb: meshes to look at; mjcf, urdf: with mass, inertia and convex collision pieces."""
+
+
+@dataclass(frozen=True, kw_only=True)
 class TrainOptions(CommonOptions):
     """Reproduce the shipped weights; the same command and --out again goes on after an interruption."""
 
@@ -119,6 +129,16 @@ class EvaluateOptions(TaskOptions):
 
 
 @dataclass(frozen=True, kw_only=True)
+class BenchOptions(CommonOptions):
+    """How fast each part is, beside a reference timed in the same run."""
+
+    scan: Annotated[Path | None, arg(help_behavior_hint="default: six objects in the simulated cell")] = None
+    """Scan folder to work on."""
+    repeats: int = 5
+    """How often each part is timed at least; the dearest half as often."""
+
+
+@dataclass(frozen=True, kw_only=True)
 class DoctorOptions(CommonOptions):
     """What this machine has: OpenGL, CUDA, weights, versions; what to do about what is missing."""
 
@@ -128,7 +148,9 @@ COMMANDS: dict[str, type[CommonOptions]] = {
     "sort": SortOptions,
     "scan": ScanOptions,
     "reconstruct": ReconstructOptions,
+    "export": ExportOptions,
     "train": TrainOptions,
     "evaluate": EvaluateOptions,
+    "bench": BenchOptions,
     "doctor": DoctorOptions,
 }

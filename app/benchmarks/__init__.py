@@ -1,0 +1,1 @@
+"""Benchmarks of `nodeslam bench`; figures of the past, with machine and versions, are in RESULTS.md."""

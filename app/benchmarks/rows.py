@@ -1,0 +1,222 @@
+"""The rows of the speed table, in the order of the pipeline."""
+
+from __future__ import annotations
+
+import os
+from collections.abc import Iterator
+from dataclasses import replace
+
+import numpy as np
+import torch
+from skimage import measure
+
+from app.benchmarks.plain import (
+    gradient_step,
+    plain_decoder,
+    plain_jacobian_rows,
+    plain_render,
+)
+from app.benchmarks.scene import BenchScene, square_view
+from app.benchmarks.timing import Benchmark
+from app.perceive import detect
+from perception.inference.fit import FitConfig, Stage, fit_object
+from perception.inference.initialise import initial_poses
+from perception.inference.levenberg_marquardt import Evaluation, LmConfig, minimise
+from perception.inference.meshing import mesh_from_grid
+from perception.inference.observation import ObjectObservation, gather_pixels
+from perception.inference.problem import FitProblem, FitState, SupportCamera
+from perception.inference.reconstruct import reconstruct
+from perception.inference.shape_model import SKIP_JACOBIAN, SKIP_OCCUPANCY, decode, mean_shape
+from perception.rendering.renderer import RayBundle, ShapeGrid, render
+from perception.shape.decoder import ShapeDecoder
+from perception.shape.weights import load_weights
+from perception.types import CODE_SIZE
+
+FIT_ITERATIONS = 30
+AUTOGRAD_ROWS = 16  # rays of the autograd Jacobian that are timed; the time of all follows
+FIT_CROP = 64
+
+
+def benchmarks(scene: BenchScene, device: str, seed: int) -> Iterator[Benchmark]:
+    """All rows; the last ones only where there is CUDA."""
+    yield from _rendering(scene.decoder)
+    yield from _decoding(scene.decoder)
+    yield from _fitting(scene, seed)
+    yield from _scanning(scene)
+    if device == "cuda":
+        yield from _on_cuda(scene.decoder)
+
+
+def _rendering(decoder: ShapeDecoder) -> Iterator[Benchmark]:
+    rays, A = square_view()
+    grid, jacobian = _mean_mug(decoder)
+    shape = _uploaded(grid, jacobian, "cpu")
+    plain_grid, plain_A = torch.from_numpy(grid), torch.from_numpy(A).float()
+    yield Benchmark(
+        "render 64² × 50",
+        "plain torch renderer",
+        lambda: render(shape, rays, A, gradients=False),
+        lambda: plain_render(plain_grid, rays, plain_A),
+    )
+    few = np.linspace(0, len(rays.directions) - 1, AUTOGRAD_ROWS).astype(int)
+    sparse = RayBundle(rays.directions[few], rays.view[few], rays.depth_range, rays.samples)
+    yield Benchmark(
+        "render + variance + Jacobian, 64² × 50",
+        f"plain torch with autograd, from {AUTOGRAD_ROWS} of 4096 rows",
+        lambda: render(shape, rays, A),
+        plain_jacobian_rows(grid, jacobian, sparse, A),
+        reference_scale=len(rays.directions) / AUTOGRAD_ROWS,
+    )
+
+
+def _decoding(decoder: ShapeDecoder) -> Iterator[Benchmark]:
+    code = torch.zeros(CODE_SIZE, device=decoder.device)
+    plain_code = torch.zeros(CODE_SIZE)
+    plain = plain_decoder(load_weights(), "mug")
+
+    @torch.no_grad()
+    def plainly() -> torch.Tensor:
+        return plain(plain_code[None])
+
+    yield Benchmark(
+        "decode one code",
+        "plain torch layers",
+        lambda: decode(decoder, "mug", np.zeros(CODE_SIZE)),
+        plainly,
+    )
+    yield Benchmark(
+        "decoder Jacobian",
+        "torch.func.jacfwd, plain layers",
+        lambda: decoder.with_jacobian("mug", code),
+        lambda: torch.func.jacfwd(lambda c: plain(c[None])[0])(plain_code),
+    )
+
+
+def _fitting(scene: BenchScene, seed: int) -> Iterator[Benchmark]:
+    one, three = scene.subject.observations[:1], scene.subject.observations[:3]
+    iterate, descend = _iteration(scene, one, seed)
+    yield Benchmark(
+        f"LM iteration, one view, {FIT_CROP}² crop",
+        "one gradient by autograd, plain torch",
+        iterate,
+        descend,
+    )
+    iterate_three, _ = _iteration(scene, three, seed)
+    yield Benchmark(f"LM iteration, {len(three)} views", "one view", iterate_three, iterate)
+    yield Benchmark(
+        f"fit, one view, {FIT_ITERATIONS} iterations",
+        f"{FIT_ITERATIONS} gradients by autograd, plain torch",
+        _fit(scene, one),
+        descend,
+        reference_scale=FIT_ITERATIONS,
+        expensive=True,
+    )
+    yield Benchmark(
+        f"fit, {len(three)} views, {FIT_ITERATIONS} iterations",
+        "one view",
+        _fit(scene, three),
+        _fit(scene, one),
+        expensive=True,
+    )
+
+
+def _scanning(scene: BenchScene) -> Iterator[Benchmark]:
+    grid, scale = decode(scene.decoder, "mug", np.zeros(CODE_SIZE)), np.full(3, 0.05)
+    yield Benchmark(
+        "mesh from a grid",
+        "marching cubes alone",
+        lambda: mesh_from_grid(grid, scale, "mug"),
+        lambda: measure.marching_cubes(grid, 0.5),
+    )
+    frames, found, cores = scene.frames, scene.detections, os.cpu_count() or 1
+    yield Benchmark(
+        f"detect the objects of a frame, {cores} cores",
+        "one core",
+        lambda: detect(frames, scene.detector),
+        lambda: detect(frames, scene.detector, workers=1),
+        scale=1 / len(frames),
+        reference_scale=1 / len(frames),
+        expensive=True,
+    )
+    yield Benchmark(
+        f"reconstruct {found.n_objects} objects from {len(frames)} views, {cores} cores",
+        "one core",
+        lambda: reconstruct(frames, found.per_frame, scene.decoder, found.plane),
+        lambda: reconstruct(frames, found.per_frame, scene.decoder, found.plane, workers=1),
+        expensive=True,
+    )
+
+
+def _on_cuda(decoder: ShapeDecoder) -> Iterator[Benchmark]:
+    rays, A = square_view()
+    grid, jacobian = _mean_mug(decoder)
+    on_cpu, on_cuda = (_uploaded(grid, jacobian, device) for device in ("cpu", "cuda:0"))
+    yield Benchmark(
+        "CUDA: render + variance + Jacobian, 64² × 50",
+        "one core",
+        lambda: render(on_cuda, rays, A),
+        lambda: render(on_cpu, rays, A),
+    )
+    host, code = ShapeDecoder.load(), torch.zeros(CODE_SIZE, device="cuda")
+
+    def decode_on_cuda() -> None:
+        decoder.with_jacobian("mug", code)
+        torch.cuda.synchronize()
+
+    yield Benchmark(
+        "CUDA: decoder Jacobian",
+        "one core",
+        decode_on_cuda,
+        lambda: host.with_jacobian("mug", code.cpu()),
+    )
+
+
+def _mean_mug(decoder: ShapeDecoder) -> tuple[np.ndarray, np.ndarray]:
+    grid, jacobian = decoder.with_jacobian("mug", torch.zeros(CODE_SIZE))
+    return grid.cpu().numpy(), jacobian.cpu().numpy()
+
+
+def _uploaded(grid: np.ndarray, jacobian: np.ndarray, device: str) -> ShapeGrid:
+    return ShapeGrid.upload(grid, jacobian, device, SKIP_OCCUPANCY, SKIP_JACOBIAN)
+
+
+def _fit(scene: BenchScene, observations: tuple[ObjectObservation, ...]):
+    """A fit of the product's schedule that is not allowed to stop early; its first yaw hypothesis alone."""
+    known = tuple(replace(seen, yaw_probabilities=_certain(seen)) for seen in observations)
+    config = FitConfig()
+    config = replace(
+        config,
+        stages=(Stage(FIT_CROP // 2, 1, 8), Stage(FIT_CROP, 0, FIT_ITERATIONS - 8)),
+        lm=replace(config.lm, tolerance=-1.0),
+    )
+    category, plane = scene.subject.category, scene.detections.plane
+    return lambda: fit_object(known, category, scene.decoder, plane, config)
+
+
+def _certain(seen: ObjectObservation) -> np.ndarray:
+    """The likeliest yaw and no other."""
+    p = seen.yaw_probabilities
+    return np.eye(len(p))[p.argmax()] if p.size else p
+
+
+def _iteration(scene: BenchScene, observations: tuple[ObjectObservation, ...], seed: int):
+    """One LM iteration without a new linearisation, and a gradient of the same cost by autograd."""
+    config, category, plane = FitConfig(), scene.subject.category, scene.detections.plane
+    poses, size = initial_poses(observations, category, plane)
+    reach = 1.25 * float(np.hypot(size.radius, size.height / 2)) + 0.015
+    samples = round(32 * reach / float(poses[0].scale[0]) / config.step[category])
+    pixels = gather_pixels(observations, poses[0].translation, reach, samples, FIT_CROP, 0, config.pixels)
+    support = SupportCamera.under(poses[0], plane, 1.2 * size.radius, max(size.height, 0.04))
+    shape = mean_shape(scene.decoder, category)
+    problem = FitProblem(pixels, shape, plane, support, config.noise)
+    code = 0.1 * np.random.default_rng(seed).standard_normal(CODE_SIZE)
+    state = FitState(poses[0], code)
+    once, current = LmConfig(max_iterations=1, damping=1.0), problem(state)
+
+    def evaluate(at: FitState) -> Evaluation:
+        return current if at is state else problem(at)  # of the iteration before
+
+    return (
+        lambda: minimise(evaluate, FitState.moved, state, once),
+        gradient_step(scene.decoder, category, pixels, state, config.noise),
+    )

@@ -1,0 +1,77 @@
+"""What the benchmarks work on: a scan of six objects, and one of them seen by one and by three cameras."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from pathlib import Path
+
+import numpy as np
+
+from app.options import Device, ScanOptions
+from app.perceive import Detections, detect, load_perception
+from perception.detection.detector import Detector
+from perception.errors import InvalidInputError
+from perception.inference.reconstruct import Instance, gather_instances
+from perception.rendering.pose import ObjectPose, canonical_from_camera
+from perception.rendering.renderer import RayBundle
+from perception.scan_folder import read_scan
+from perception.shape.decoder import ShapeDecoder
+from perception.types import RgbdFrame
+
+OBJECTS = "mug=2,bowl=2,bottle=1,can=1"
+
+
+@dataclass(frozen=True)
+class BenchScene:
+    """A scan, what was found in it, and the networks.
+
+    Attributes:
+        frames: the images of the scan.
+        detections: what they show.
+        subject: the object that single fits are timed on: a mug seen at least three times where there is one.
+    """
+
+    frames: tuple[RgbdFrame, ...]
+    detections: Detections
+    subject: Instance
+    detector: Detector
+    decoder: ShapeDecoder
+
+
+def prepare(scan: Path | None, seed: int, device: Device) -> BenchScene:
+    """The benchmarks' input: a scan folder, or a scan of the simulated cell.
+
+    Raises:
+        InvalidInputError: nothing is found in the scan folder.
+    """
+    frames = _simulated(seed) if scan is None else read_scan(scan).frames
+    networks = load_perception(device)
+    detections = detect(frames, networks.detector)
+    instances = gather_instances(frames, detections.per_frame)
+    if not instances:
+        raise InvalidInputError(f"no object is found in {scan or 'the simulated cell'}: nothing to time")
+    subject = max(instances, key=lambda one: (one.category == "mug", min(len(one.observations), 3)))
+    return BenchScene(frames, detections, subject, networks.detector, networks.decoder)
+
+
+def _simulated(seed: int) -> tuple[RgbdFrame, ...]:
+    from app.cell import build_world
+    from app.looking import SCAN_VIEWS, look
+    from manipulation.kinematics import Kinematics
+
+    with build_world(ScanOptions(objects=OBJECTS, seed=seed), "pack") as world:
+        return tuple(look(world, Kinematics(world.arm), SCAN_VIEWS))
+
+
+def square_view(side: int = 64, samples: int = 50) -> tuple[RayBundle, np.ndarray]:
+    """One camera that looks down at 45 degrees on an object 0.1 m long from 0.5 m: rays, camera map."""
+    line = np.linspace(-0.11, 0.11, side)
+    u, v = np.meshgrid(line, line)
+    directions = np.stack([u.ravel(), v.ravel(), np.ones(u.size)], axis=-1).astype(np.float32)
+    rays = RayBundle(directions, np.zeros(u.size, np.int64), np.array([[0.4, 0.6]]), samples)
+    half = np.sqrt(0.5)
+    T_world_camera = np.eye(4)
+    T_world_camera[:3, :3] = [[0, half, -half], [1, 0, 0], [0, -half, -half]]
+    T_world_camera[:3, 3] = [0.5 * half, 0, 0.5 * half]
+    pose = ObjectPose(np.eye(3), np.zeros(3), np.full(3, 0.1 / 1.8))
+    return rays, canonical_from_camera(pose, T_world_camera[None])
