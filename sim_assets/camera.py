@@ -7,6 +7,7 @@ z forward). Pixel centres are at integers, so the principal point of a W x H ima
 from __future__ import annotations
 
 import atexit
+import functools
 import weakref
 from typing import Any
 
@@ -131,6 +132,7 @@ class OffscreenRenderer:
         """A current GL context with an offscreen buffer of this size."""
         if self._gl is None:
             self._gl = gl_context(width, height)
+            _close_at_exit()
             self._gl.make_current()
             self._context = mujoco.MjrContext(self._model, mujoco.mjtFontScale.mjFONTSCALE_100)
             mujoco.mjr_setBuffer(mujoco.mjtFramebuffer.mjFB_OFFSCREEN, self._context)
@@ -171,7 +173,12 @@ def _visible_option() -> Any:
 _open: weakref.WeakSet[OffscreenRenderer] = weakref.WeakSet()
 
 
-@atexit.register
+@functools.cache
+def _close_at_exit() -> None:
+    """Registered after the first context was made: MuJoCo ends EGL at exit, and what comes later runs first."""
+    atexit.register(_close_all)
+
+
 def _close_all() -> None:
     for renderer in list(_open):
         renderer.close()

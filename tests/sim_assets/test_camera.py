@@ -1,5 +1,8 @@
 """The camera against closed form: projection, metric depth, ids, poses."""
 
+import subprocess
+import sys
+
 import numpy as np
 import pytest
 
@@ -107,3 +110,19 @@ def test_look_at_puts_the_target_on_the_optical_axis():
     assert T[2, 1] < 0, "the image's down is not up in the world"
     np.testing.assert_allclose(T[:3, :3] @ T[:3, :3].T, np.eye(3), atol=1e-12)
     assert np.linalg.det(T[:3, :3]) == pytest.approx(1)
+
+
+def test_a_renderer_left_open_ends_quietly():
+    program = """
+from sim_assets.headless import mujoco
+from sim_assets.camera import OffscreenRenderer
+model = mujoco.MjModel.from_xml_string(
+    '<mujoco><worldbody><camera name="eye" pos="0 0 1"/><geom size=".1"/></worldbody></mujoco>')
+data = mujoco.MjData(model)
+mujoco.mj_forward(model, data)
+kept = OffscreenRenderer(model)
+kept.color(data, "eye", 32, 24)
+"""
+    ended = subprocess.run([sys.executable, "-c", program], capture_output=True, text=True, timeout=120)
+    assert ended.returncode == 0
+    assert ended.stderr == ""
