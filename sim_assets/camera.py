@@ -175,7 +175,7 @@ _open: weakref.WeakSet[OffscreenRenderer] = weakref.WeakSet()
 
 @functools.cache
 def _close_at_exit() -> None:
-    """After the first context was made, where MuJoCo registers the end of EGL: the last registered runs first."""
+    """After the first context was made, where MuJoCo registers the end of EGL: last registered, first run."""
     atexit.register(_close_all)
 
 
