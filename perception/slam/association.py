@@ -1,0 +1,174 @@
+"""Which mask shows which landmark: by the previous frame's masks first, then by those the map renders.
+
+NodeSLAM, section "Data association and Object Initialisation". A match must also lie where its landmark is:
+masks that swap names, or jump to a neighbour, must not pull the map along.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass
+
+import numpy as np
+from jaxtyping import Float, Int, UInt8
+from scipy.optimize import linear_sum_assignment
+
+from perception.detection.geometry import points_of
+from perception.geometry import invert
+from perception.inference.observation import pixel_rays
+from perception.rendering.many import RayPairs, nearest_pair, render_pairs
+from perception.rendering.pose import canonical_from_camera
+from perception.slam.landmarks import LandmarkMap
+from perception.types import ObjectDetection, RgbdFrame
+
+LabelImage = UInt8[np.ndarray, "h w"]
+
+
+@dataclass(frozen=True)
+class AssociationConfig:
+    """When a mask is a landmark's.
+
+    Attributes:
+        min_iou: with the previous frame's mask, or the rendered one.
+        slack: how far outside the landmark's sphere the middle of the mask's points may lie [m].
+        pitch: the rendered masks are this many times smaller than the image.
+    """
+
+    min_iou: float = 0.2
+    slack: float = 0.03
+    pitch: int = 4
+
+
+@dataclass(frozen=True)
+class RenderedMasks:
+    """What the map expects to see, on a coarse grid.
+
+    Attributes:
+        index: (h, w) landmark id of each pixel, -1 for none.
+        whole: for each landmark in view its pixels without occlusion.
+        visible: for each the pixels that nothing of the map hides.
+        pitch: pixels of the image for each one here.
+    """
+
+    index: Int[np.ndarray, "h w"]
+    whole: Mapping[int, int]
+    visible: Mapping[int, int]
+    pitch: int
+
+
+def associate_masks(
+    frame: RgbdFrame,
+    detections: Sequence[ObjectDetection],
+    labels: LabelImage,
+    previous: tuple[LabelImage, Mapping[int, int]] | None,
+    rendered: RenderedMasks,
+    world: LandmarkMap,
+    config: AssociationConfig = AssociationConfig(),
+) -> dict[int, int]:
+    """Label to landmark for every mask that has one.
+
+    Args:
+        frame: with about the camera's pose.
+        detections: detection k has label k + 1.
+        labels: their image.
+        previous: the last frame's label image and its association.
+        rendered: what the map expects.
+        world: the map.
+        config: thresholds.
+    """
+    allowed = _allowed(frame, detections, world, config.slack)
+    matches: dict[int, int] = {}
+    if previous is not None and previous[0].shape == labels.shape:
+        ids = np.full(256, -1)
+        for label, landmark in previous[1].items():
+            ids[label] = landmark
+        matches = _matched(labels, ids[previous[0]], allowed, config.min_iou)
+    left = {label for label in allowed if label not in matches}
+    if left:
+        taken = set(matches.values())
+        open_pairs = {label: allowed[label] - taken for label in left}
+        small = labels[:: config.pitch, :: config.pitch]
+        matches |= _matched(
+            small, rendered.index[: small.shape[0], : small.shape[1]], open_pairs, config.min_iou
+        )
+    return matches
+
+
+def _allowed(
+    frame: RgbdFrame, detections: Sequence[ObjectDetection], world: LandmarkMap, slack: float
+) -> dict[int, set[int]]:
+    """For each label the landmarks that its points lie at."""
+    allowed = {}
+    centres = np.array([world.landmarks[i].state.pose.translation for i in world.ids]).reshape(-1, 3)
+    reach = np.array([world.landmarks[i].reach for i in world.ids]) + slack
+    for label, found in enumerate(detections, start=1):
+        points = points_of(frame, found.mask)
+        if not len(points):
+            continue
+        middle = np.median(points[:: max(1, len(points) // 100)], axis=0)
+        near = np.linalg.norm(centres - middle, axis=1) < reach
+        allowed[label] = {world.ids[k] for k in np.flatnonzero(near)}
+    return allowed
+
+
+def _matched(
+    labels: np.ndarray, ids: np.ndarray, allowed: Mapping[int, set[int]], min_iou: float
+) -> dict[int, int]:
+    """The one-to-one assignment of labels to landmark ids with the most overlap, none under the threshold."""
+    wanted = [label for label, options in allowed.items() if options]
+    known = [int(i) for i in np.unique(ids) if i >= 0]
+    if not wanted or not known:
+        return {}
+    row = np.zeros(256, np.int64)
+    row[wanted] = np.arange(1, len(wanted) + 1)
+    column = np.zeros(max(known) + 2, np.int64)
+    column[known] = np.arange(1, len(known) + 1)  # the last entry stands for -1
+    width = len(known) + 1
+    pairs = row[labels] * width + column[ids]
+    count = np.bincount(pairs.ravel(), minlength=(len(wanted) + 1) * width).reshape(-1, width)
+    both = count[1:, 1:]
+    union = count[1:].sum(axis=1)[:, None] + count[:, 1:].sum(axis=0) - both
+    iou = both / np.maximum(union, 1)
+    for r, label in enumerate(wanted):
+        for c, one in enumerate(known):
+            if one not in allowed[label]:
+                iou[r, c] = 0.0
+    rows, columns = linear_sum_assignment(-iou)
+    return {wanted[r]: known[c] for r, c in zip(rows, columns) if iou[r, c] > min_iou}
+
+
+def render_masks(
+    world: LandmarkMap, frame: RgbdFrame, T_world_camera: Float[np.ndarray, "4 4"], pitch: int = 4
+) -> RenderedMasks:
+    """Renders the landmarks' masks on every ``pitch``-th pixel; the least depth wins."""
+    height, width = frame.depth.shape
+    u, v = np.meshgrid(np.arange(0, width, pitch), np.arange(0, height, pitch))
+    shape = u.shape
+    directions = pixel_rays(frame, u.ravel(), v.ravel())
+    index = np.full(u.size, -1)
+    if not world.ids:
+        return RenderedMasks(index.reshape(shape), {}, {}, pitch)
+    landmarks = [world.landmarks[i] for i in world.ids]
+    T_camera_world = invert(T_world_camera)
+    centres = np.array([one.state.pose.translation for one in landmarks])
+    centres = centres @ T_camera_world[:3, :3].T + T_camera_world[:3, 3]
+    reach = np.array([one.reach for one in landmarks])
+    unit = directions / np.linalg.norm(directions, axis=1, keepdims=True)
+    along = unit @ centres.T
+    miss2 = (centres**2).sum(axis=1) - along**2
+    ray, k = np.nonzero((along > 0) & (miss2 < reach**2) & (centres[:, 2] > 0.1))
+    z = centres[:, 2]
+    ranges = np.stack([np.maximum(z - reach, 0.02), np.maximum(z + reach, 0.05)], axis=1)
+    step = 1.5 * np.array([one.sample_distance for one in landmarks])
+    rays, compact = np.unique(ray, return_inverse=True)
+    pairs = RayPairs(directions[rays], compact, k, ranges, step)
+    A = np.concatenate([canonical_from_camera(one.state.pose, T_world_camera[None]) for one in landmarks])
+    image = render_pairs(world.stack, pairs, A, gradients=False)
+    hit = image.mask > 0.5
+    ids = np.array(world.ids)
+    if len(rays):
+        shown = nearest_pair(pairs, np.ones(len(k), bool), np.where(hit, image.depth, 1e3), image.mask)
+        index[rays] = np.where(hit[shown], ids[k[shown]], -1)
+    whole = {int(ids[i]): int((hit & (k == i)).sum()) for i in range(len(ids))}
+    visible = {one: int((index == one).sum()) for one in whole}
+    return RenderedMasks(index.reshape(shape), whole, visible, pitch)

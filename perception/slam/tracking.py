@@ -1,0 +1,214 @@
+"""Where the camera is: Levenberg-Marquardt on one frame's pose against the map, which stands still.
+
+NodeSLAM, section "Camera Tracking": all matched objects are rendered, the least depth wins, and the weighted
+difference to the measured depth moves the camera. The support plane can help as one more landmark.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Mapping
+from dataclasses import dataclass, field
+
+import numpy as np
+from jaxtyping import Float
+
+from perception.geometry import invert, se3_exp, se3_log
+from perception.inference.levenberg_marquardt import Evaluation, LmConfig, minimise
+from perception.rendering.many import RayPairs, nearest_pair, render_pairs
+from perception.rendering.pose import canonical_from_camera
+from perception.slam.landmarks import LandmarkMap
+from perception.slam.pixels import TrackingPixels
+
+
+@dataclass(frozen=True)
+class TrackingConfig:
+    """How a pose is found.
+
+    Attributes:
+        depth_sigma: floor of the depth's uncertainty [m], beside the rendered variance.
+        huber: residuals larger than this many sigma count linearly.
+        data_weight: of pixels, which err together, against the prior.
+        background_weight: of a ring's pixel; one of the object has 1.
+        use_uncertainty: weights by the rendered variance; otherwise all pixels count alike.
+        use_plane: the plane is a landmark.
+        plane_sigma: of a point of the plane [m].
+        iterations: of Levenberg-Marquardt.
+        turn_sigma, move_sigma: of the predicted pose [rad], [m].
+        inlier: residuals within this many sigma agree with the map.
+        outcast: objects with less than this share of the best one's inliers are left out.
+        min_pixels: of an object, to judge it.
+    """
+
+    depth_sigma: float = 0.005
+    huber: float = 3.0
+    data_weight: float = 0.05
+    background_weight: float = 0.2
+    use_uncertainty: bool = True
+    use_plane: bool = True
+    plane_sigma: float = 0.005
+    iterations: int = 3
+    turn_sigma: float = np.radians(2.0)
+    move_sigma: float = 0.03
+    inlier: float = 3.0
+    outcast: float = 0.5
+    min_pixels: int = 25
+    lm: LmConfig = field(default_factory=lambda: LmConfig(damping=1e-3))
+
+
+@dataclass(frozen=True)
+class TrackedPose:
+    """Where the camera was found.
+
+    Attributes:
+        T_world_camera: its pose.
+        shares: of each landmark with enough pixels, those that agree with the map.
+        used: landmarks that took part.
+        information: (6, 6) of the pose (rotation, translation, in the camera's frame), without the prior.
+    """
+
+    T_world_camera: Float[np.ndarray, "4 4"]
+    shares: Mapping[int, float]
+    used: frozenset[int]
+    information: Float[np.ndarray, "6 6"]
+
+    @property
+    def share(self) -> float:
+        """Median share of agreeing pixels; 0 where nothing could be judged."""
+        return float(np.median(list(self.shares.values()))) if self.shares else 0.0
+
+
+def track(
+    world: LandmarkMap,
+    pixels: TrackingPixels,
+    T_predicted: Float[np.ndarray, "4 4"],
+    config: TrackingConfig,
+    suspects: frozenset[int] = frozenset(),
+) -> TrackedPose:
+    """Finds the camera near its predicted pose.
+
+    Args:
+        world: the map.
+        pixels: what the frame shows of it.
+        T_predicted: where the camera should be.
+        config: weights and budgets.
+        suspects: landmarks that have disagreed lately: judged, but not used.
+    """
+    problem = _PoseProblem(world, pixels, T_predicted, config)
+    use = frozenset(problem.seen - suspects) or frozenset(problem.seen)
+    pose, evaluation, shares = problem.solve(T_predicted, use, config.iterations)
+    best = max((shares[i] for i in use if i in shares), default=0.0)
+    outcasts = {i for i in use if shares.get(i, best) < config.outcast * best}
+    if outcasts and len(use) > len(outcasts):
+        use = use - outcasts
+        pose, evaluation, shares = problem.solve(pose, use, config.iterations)
+    information = evaluation.normal_equations()[0]
+    information = information - np.diag(problem.prior_weights)
+    return TrackedPose(pose, shares, use, information)
+
+
+class _PoseProblem:
+    """Residuals of one frame at a pose; depth ranges and the pairs of rays and objects stay as predicted."""
+
+    def __init__(
+        self, world: LandmarkMap, pixels: TrackingPixels, T_predicted: np.ndarray, config: TrackingConfig
+    ) -> None:
+        self.world, self.pixels, self.config, self.T_predicted = world, pixels, config, T_predicted
+        known = np.isin(pixels.owner, world.ids)
+        order = {one: k for k, one in enumerate(world.ids)}
+        self.owner = pixels.owner[known]
+        self.own_index = np.array([order[i] for i in self.owner], dtype=np.int64)
+        self.directions, self.depth = pixels.directions[known], pixels.depth[known]
+        self.is_object = pixels.is_object[known]
+        self.seen = {int(i) for i in np.unique(self.owner)}
+        self.poses = [world.landmarks[i].state.pose for i in world.ids]
+        self.pairs, self.own = self._pair_up()
+        escape = self.pairs.escape_depth[self.own_index] if len(self.owner) else np.zeros(0)
+        self.target = np.where(self.is_object, self.depth, escape)
+        self.prior_weights = np.repeat([config.turn_sigma**-2, config.move_sigma**-2], 3)
+
+    def _pair_up(self) -> tuple[RayPairs, np.ndarray]:
+        """Each ray with its own object and with those whose sphere it meets no farther away."""
+        landmarks = [self.world.landmarks[i] for i in self.world.ids]
+        T_camera_world = invert(self.T_predicted)
+        centres = np.array([pose.translation for pose in self.poses]).reshape(-1, 3)
+        centres = centres @ T_camera_world[:3, :3].T + T_camera_world[:3, 3]
+        reach = np.array([one.reach for one in landmarks]) + 0.01
+        z = centres[:, 2]
+        depth_range = np.stack([np.maximum(z - reach, 0.02), np.maximum(z + reach, 0.05)], axis=1)
+        step = np.array([one.sample_distance for one in landmarks])
+        own = np.zeros((len(self.owner), len(landmarks)), bool)
+        own[np.arange(len(self.owner)), self.own_index] = True
+        unit = self.directions / np.linalg.norm(self.directions, axis=1, keepdims=True)
+        along = unit @ centres.T
+        miss2 = (centres**2).sum(axis=1) - along**2
+        nearer = z[None] < z[self.own_index][:, None] if len(self.owner) else np.zeros((0, len(z)), bool)
+        meets = own | (nearer & (along > 0) & (miss2 < reach**2))
+        ray, index = np.nonzero(meets)
+        return RayPairs(self.directions, ray, index, depth_range, step), own[ray, index]
+
+    def solve(
+        self, start: np.ndarray, use: frozenset[int], iterations: int
+    ) -> tuple[np.ndarray, Evaluation, dict[int, float]]:
+        result = minimise(
+            lambda T: self.evaluate(T, use),
+            lambda T, step: _orthonormal(T @ se3_exp(step)),
+            start,
+            LmConfig(max_iterations=iterations, damping=self.config.lm.damping),
+        )
+        return result.state, result.evaluation, self.shares(result.evaluation)
+
+    def evaluate(self, T_world_camera: np.ndarray, use: frozenset[int]) -> Evaluation:
+        blocks = [self._object_rows(T_world_camera, use), self._prior_rows(T_world_camera)]
+        if self.config.use_plane and len(self.pixels.plane_points):
+            blocks.append(self._plane_rows(T_world_camera))
+        residuals, jacobians, weights = zip(*blocks)
+        return Evaluation(np.concatenate(residuals), np.concatenate(jacobians), np.concatenate(weights))
+
+    def _object_rows(self, T: np.ndarray, use: frozenset[int]) -> tuple[np.ndarray, ...]:
+        config, n = self.config, len(self.owner)
+        if not n:
+            return np.zeros(0), np.zeros((0, 6)), np.zeros(0)
+        A = np.concatenate([canonical_from_camera(pose, T[None]) for pose in self.poses])
+        image = render_pairs(self.world.stack, self.pairs, A)
+        assert image.jacobian is not None
+        shown = nearest_pair(self.pairs, self.own, image.depth, image.mask)
+        residual = image.depth[shown] - self.target
+        variance = image.variance[shown] if config.use_uncertainty else 0.0
+        sigma = np.sqrt(variance + config.depth_sigma**2)
+        self._agrees = np.abs(residual) < config.inlier * sigma
+        robust = np.minimum(1.0, config.huber * sigma / np.maximum(np.abs(residual), 1e-9))
+        weight = np.where(self.is_object, 1.0, config.background_weight) * robust / sigma**2
+        weight = weight * np.isin(self.owner, list(use)) * config.data_weight
+        return residual.astype(np.float64), image.jacobian[shown].astype(np.float64), weight
+
+    def _plane_rows(self, T: np.ndarray) -> tuple[np.ndarray, ...]:
+        """Heights of the plane's points: n . (R p + t) - offset."""
+        config, points, plane = self.config, self.pixels.plane_points, self.world.plane
+        normal = T[:3, :3].T @ plane.normal
+        residual = points @ normal + T[:3, 3] @ plane.normal - plane.offset
+        jacobian = np.concatenate([np.cross(points, normal), np.broadcast_to(normal, points.shape)], axis=1)
+        robust = np.minimum(1.0, config.huber * config.plane_sigma / np.maximum(np.abs(residual), 1e-9))
+        return residual, jacobian, config.data_weight * robust / config.plane_sigma**2
+
+    def _prior_rows(self, T: np.ndarray) -> tuple[np.ndarray, ...]:
+        """The pose is near the predicted one; to first order the step is the difference's change."""
+        return se3_log(invert(self.T_predicted) @ T), np.eye(6), self.prior_weights
+
+    def shares(self, evaluation: Evaluation) -> dict[int, float]:
+        """Of every landmark with enough pixels on it: how many of them agree with the rendering."""
+        shares = {}
+        residual = evaluation.residuals[: len(self.owner)]
+        for one in self.seen:
+            own = self.is_object & (self.owner == one)
+            if own.sum() >= self.config.min_pixels:
+                shares[one] = float(
+                    (np.abs(residual[own]) < self.config.inlier * self.config.depth_sigma).mean()
+                )
+        return shares
+
+
+def _orthonormal(T: np.ndarray) -> np.ndarray:
+    u, _, vt = np.linalg.svd(T[:3, :3])
+    out = np.array(T)
+    out[:3, :3] = u @ vt
+    return out
