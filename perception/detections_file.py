@@ -40,26 +40,52 @@ def read_detections(
     Raises:
         InvalidInputError: naming the file, the entry, what is wrong and what to do.
     """
+    grouped = group_detections(folder, known_ids)
+    if grouped is None:
+        return None
+    return tuple(
+        tuple(decode_detections(folder, grouped.get(i, []), i, frame)) for i, frame in frames.items()
+    )
+
+
+def group_detections(folder: Path, known_ids: set[int]) -> dict[int, list[Any]] | None:
+    """The entries of each image as they stand in the file, masks still encoded; None where there is no file.
+
+    Raises:
+        InvalidInputError: the file is no list, or an entry belongs to no image.
+    """
     path = folder / "detections.json"
     if not path.exists():
         return None
     entries = read_json(path, REMEDY)
     if not isinstance(entries, list):
         raise InvalidInputError(f"{path} must be a list of detections: {REMEDY}")
-    per_frame: dict[int, list[ObjectDetection]] = {image_id: [] for image_id in frames}
+    grouped: dict[int, list[Any]] = {}
     for index, entry in enumerate(entries):
         image_id = entry.get("image_id") if isinstance(entry, dict) else None
         if type(image_id) is not int or image_id not in known_ids:
             problem = f"image_id {image_id!r} is not in scene_camera.json"
             raise InvalidInputError(f"{path}, entry {index}: {problem}: {REMEDY}")
-        if image_id not in frames:
-            continue  # its image was left out with a warning already
+        grouped.setdefault(image_id, []).append((index, entry))
+    return grouped
+
+
+def decode_detections(
+    folder: Path, entries: Sequence[tuple[int, Any]], image_id: int, frame: RgbdFrame
+) -> list[ObjectDetection]:
+    """Detections of one image from its numbered entries.
+
+    Raises:
+        InvalidInputError: naming the entry and what is wrong.
+    """
+    found = []
+    for index, entry in entries:
         try:
-            per_frame[image_id].append(_detection(entry, frames[image_id]))
+            found.append(_detection(entry, frame))
         except InvalidInputError as error:
-            message = f"{path}, entry {index} (image {image_id}): {error}: {REMEDY}"
+            message = f"{folder / 'detections.json'}, entry {index} (image {image_id}): {error}: {REMEDY}"
             raise InvalidInputError(message) from None
-    return tuple(tuple(found) for found in per_frame.values())
+    return found
 
 
 def _detection_entry(image_id: int, found: ObjectDetection) -> dict[str, Any]:

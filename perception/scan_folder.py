@@ -89,7 +89,9 @@ def read_scan(folder: str | Path) -> Scan:
             f"{folder} is not a folder: give the scan folder that holds scene_camera.json"
         )
     cameras = _read_cameras(folder)
-    posed = any("cam_R_w2c" in camera for camera in cameras.values() if isinstance(camera, dict))
+    # A pose of the first image alone only says where a sequence begins.
+    later = any(_has_pose(camera) for key, camera in cameras.items() if key != min(cameras))
+    posed = later or (len(cameras) == 1 and any(map(_has_pose, cameras.values())))
     frames: dict[int, RgbdFrame] = {}
     problems: list[str] = []
     for image_id, camera in sorted(cameras.items()):
@@ -103,6 +105,32 @@ def read_scan(folder: str | Path) -> Scan:
         _log.warning("image left out: %s", problem)
     detections = read_detections(folder, frames, set(cameras))
     return Scan(tuple(frames.values()), detections, tuple(frames), tuple(problems))
+
+
+@dataclass(frozen=True)
+class ScanIndex:
+    """A scan folder whose images are read one at a time: for sequences too long to be held in memory."""
+
+    folder: Path
+    cameras: dict[int, Any]
+
+    @staticmethod
+    def of(folder: Path) -> ScanIndex:
+        """Reads ``scene_camera.json``; raises InvalidInputError as ``read_scan`` does."""
+        return ScanIndex(folder, _read_cameras(folder))
+
+    @property
+    def ids(self) -> list[int]:
+        return sorted(self.cameras)
+
+    def read(self, image_id: int) -> RgbdFrame:
+        """One image, with its pose where it has one; InvalidInputError names what is wrong with it."""
+        camera = self.cameras[image_id]
+        return _read_frame(self.folder, image_id, camera, _has_pose(camera))
+
+
+def _has_pose(camera: Any) -> bool:
+    return isinstance(camera, dict) and "cam_R_w2c" in camera
 
 
 def _read_cameras(folder: Path) -> dict[int, Any]:
@@ -122,8 +150,8 @@ def _read_frame(folder: Path, image_id: int, camera: Any, posed: bool) -> RgbdFr
     scale = float(_numbers(camera, "depth_scale", 1, where)[0])
     if not 0 < scale <= 1000:
         raise InvalidInputError(f"{where}: depth_scale {scale} must be in 0..1000 (millimetres per unit)")
-    rgb = _read_png(folder, "rgb", image_id, ("RGB",), "8-bit RGB")
-    raw = _read_png(folder, "depth", image_id, ("I;16", "I;16B", "I"), "16-bit grey")
+    rgb = read_png(folder, f"rgb/{image_id:06d}.png", ("RGB",), "8-bit RGB")
+    raw = read_png(folder, f"depth/{image_id:06d}.png", ("I;16", "I;16B", "I"), "16-bit grey")
     if raw.shape != rgb.shape[:2]:
         raise InvalidInputError(
             f"{folder / 'depth'}/{image_id:06d}.png is {raw.shape[1]}x{raw.shape[0]} but the colour image is "
@@ -186,12 +214,15 @@ def _numbers(camera: Any, key: str, count: int, where: str) -> np.ndarray:
     return numbers
 
 
-def _read_png(folder: Path, kind: str, image_id: int, modes: tuple[str, ...], wanted: str) -> np.ndarray:
-    path = folder / kind / f"{image_id:06d}.png"
+def read_png(folder: Path, name: str, modes: tuple[str, ...], wanted: str) -> np.ndarray:
+    """An image of a folder by its name in it, checked: of the wanted kind, whole, and inside the folder.
+
+    Raises:
+        InvalidInputError: naming the file, what is wrong and what to do.
+    """
+    path = folder / name
     if not path.exists():
-        raise InvalidInputError(
-            f"{path} is missing: add it or remove image {image_id} from scene_camera.json"
-        )
+        raise InvalidInputError(f"{path} is missing: add it, or take it out of the folder's list of images")
     if not path.resolve().is_relative_to(folder.resolve()):
         raise InvalidInputError(f"{path} leads out of the scan folder: copy the image into it")
     try:
