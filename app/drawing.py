@@ -13,7 +13,7 @@ import PIL.ImageDraw
 import PIL.ImageFont
 from jaxtyping import Float, UInt8
 
-from perception.types import ObjectDetection, ObjectEstimate, RgbdFrame
+from perception.types import CATEGORIES, Category, ObjectDetection, ObjectEstimate, RgbdFrame
 
 Image = UInt8[np.ndarray, "h w 3"]
 
@@ -22,6 +22,9 @@ PALETTE = (
     (0, 158, 115), (230, 159, 0), (86, 180, 233), (213, 94, 0), (204, 121, 167),
     (0, 114, 178), (240, 228, 66), (148, 103, 189), (140, 200, 90), (220, 150, 150),
 )  # fmt: skip
+CLASS_COLORS: dict[Category, tuple[int, int, int]] = {
+    category: color for category, color in zip(CATEGORIES, PALETTE, strict=False)
+}
 _LIGHT = np.array([0.3, -0.5, 0.81])
 
 

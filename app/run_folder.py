@@ -13,8 +13,11 @@ from app.options import CommonOptions
 from app.report import Report
 from perception.files import write_json
 
-_OWN_FILES = ("report.json", "objects.json", "plan.json", "replay.npz", "overview.png", "video.mp4")
-_OWN_FOLDERS = ("scan", "objects")
+_OWN_FILES = (
+    "report.json", "objects.json", "plan.json", "replay.npz", "replay.json", "replay.glb",
+    "overview.png", "video.mp4", "scene.glb", "scene.xml",
+)  # fmt: skip
+_OWN_FOLDERS = ("scan", "objects", "meshes", "urdf", "pictures")
 
 
 @dataclass(frozen=True)

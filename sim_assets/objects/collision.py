@@ -63,7 +63,7 @@ def frustum(
     for radius, z in (bottom, top):
         r = np.full(around, radius / np.sqrt(np.cos(np.pi / around)))  # as much outside as inside the circle
         if section is not None:
-            r = radius * (1.0 + section.weight(np.array(z)) * section.modulation(cos, sin))
+            r = radius * (1.0 + section.weight(np.array([z])) * section.modulation(cos, sin))
         rings.append(np.stack([r * cos, r * sin, np.full(around, z)], axis=1))
     return hull(np.concatenate(rings))
 
