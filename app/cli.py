@@ -33,6 +33,7 @@ HANDLERS = {
     "scan": "app.scan",
     "reconstruct": "app.reconstruct",
     "export": "app.export",
+    "slam": "app.slam",
     "train": "app.train",
     "evaluate": "app.evaluate_tasks",
     "bench": "app.bench",

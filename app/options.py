@@ -101,6 +101,16 @@ class ExportOptions(CommonOptions):
 
 
 @dataclass(frozen=True, kw_only=True)
+class SlamOptions(CommonOptions):
+    """Map whole objects and track the camera through a sequence; needs no simulator."""
+
+    sequence: Positional[Path]
+    """Scan folder (BOP scene layout; poses are ignored, but for the first) or TUM RGB-D recording."""
+    objects_only: bool = False
+    """Track by objects alone, as the paper does; otherwise the support plane helps."""
+
+
+@dataclass(frozen=True, kw_only=True)
 class TrainOptions(CommonOptions):
     """Reproduce the shipped weights; the same command and --out again goes on after an interruption."""
 
@@ -149,6 +159,7 @@ COMMANDS: dict[str, type[CommonOptions]] = {
     "scan": ScanOptions,
     "reconstruct": ReconstructOptions,
     "export": ExportOptions,
+    "slam": SlamOptions,
     "train": TrainOptions,
     "evaluate": EvaluateOptions,
     "bench": BenchOptions,

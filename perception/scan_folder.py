@@ -64,16 +64,33 @@ def write_scan(
 
     ``scene_camera.json`` is written last, so a folder that has one is complete.
     """
-    folder = Path(folder)
-    for index, frame in enumerate(frames):
-        raw = np.rint(np.asarray(frame.depth, np.float64) * (1000 / DEPTH_SCALE))
-        raw[raw > np.iinfo(np.uint16).max] = 0  # beyond what 16 bits hold: not measured
-        write_atomically(folder / "rgb" / f"{index:06d}.png", png_bytes(frame.rgb))
-        write_atomically(folder / "depth" / f"{index:06d}.png", png_bytes(raw.astype(np.uint16)))
+    writer = ScanWriter(Path(folder))
+    for frame in frames:
+        writer.add(frame)
     if detections is not None:
         write_detections(folder, detections)
-    cameras = {str(index): _camera_entry(frame) for index, frame in enumerate(frames)}
-    write_json(folder / "scene_camera.json", cameras)
+    writer.close()
+
+
+class ScanWriter:
+    """Writes a scan folder image by image; ``close`` makes it one."""
+
+    def __init__(self, folder: Path) -> None:
+        self.folder = folder
+        self._cameras: dict[str, Any] = {}
+
+    def add(self, frame: RgbdFrame) -> None:
+        """Writes the next image."""
+        index = len(self._cameras)
+        raw = np.rint(np.asarray(frame.depth, np.float64) * (1000 / DEPTH_SCALE))
+        raw[raw > np.iinfo(np.uint16).max] = 0  # beyond what 16 bits hold: not measured
+        write_atomically(self.folder / "rgb" / f"{index:06d}.png", png_bytes(frame.rgb))
+        write_atomically(self.folder / "depth" / f"{index:06d}.png", png_bytes(raw.astype(np.uint16)))
+        self._cameras[str(index)] = _camera_entry(frame)
+
+    def close(self) -> None:
+        """Writes ``scene_camera.json``."""
+        write_json(self.folder / "scene_camera.json", self._cameras)
 
 
 def read_scan(folder: str | Path) -> Scan:

@@ -96,6 +96,7 @@ class TableSequence:
         rng = np.random.default_rng(scene)
         self.objects = _draw_objects(self.config, rng)
         self.Ts_world_camera = sample_trajectory(self.config, np.random.default_rng(path))
+        self.rate = RATE
         self._model = _build(self.objects, self.config.fovy, rng).compile()
 
     def render(self) -> Iterator[SequenceFrame]:
@@ -152,7 +153,7 @@ def perturbed_poses(
     sigma_move: float = 0.001,
     sigma_turn: float = np.radians(0.1),
 ) -> Float[np.ndarray, "n 4 4"]:
-    """Poses with Gaussian errors along and about every axis, in [m] and [rad]: those of the paper's Fusion++."""
+    """Poses with Gaussian errors along and about every axis, [m] and [rad]: those of the paper's Fusion++."""
     noisy = np.array(Ts_world_camera)
     for T in noisy:
         x, y, z = rng.normal(0, sigma_turn, 3)

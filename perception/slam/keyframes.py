@@ -114,7 +114,7 @@ def shows_new_view(
 def window_of(
     newest: Keyframe, keyframes: Sequence[Keyframe], landmarks: Mapping[int, Landmark], size: int = 3
 ) -> list[Keyframe]:
-    """The keyframe and those nearest to it, by the mean viewing angle on what they see in common; oldest first."""
+    """The keyframe and those nearest to it, by the mean viewing angle on what both see; oldest first."""
 
     def distance(other: Keyframe) -> float:
         common = [one for one in newest.landmarks & other.landmarks if one in landmarks]

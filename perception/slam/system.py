@@ -27,7 +27,7 @@ from perception.slam.association import (
     associate_masks,
     render_masks,
 )
-from perception.slam.initialise import initialise_landmark, renewed, touches_border
+from perception.slam.initialise import initialise_landmark
 from perception.slam.joint import JointConfig, optimise_jointly
 from perception.slam.keyframes import Keyframe, make_keyframe, shows_new_view, window_of, with_pose
 from perception.slam.landmarks import Landmark, LandmarkMap

@@ -1,0 +1,27 @@
+"""What is true about a sequence, where somebody knows it: for scoring and pictures alone."""
+
+from __future__ import annotations
+
+from pathlib import Path
+
+from perception.files import read_json
+from perception.object_map import read_ply
+from perception.recordings.trajectory import Trajectory, read_trajectory
+from perception.types import TriangleMesh
+
+TRUTH = "ground_truth"  # folder inside a sequence's own
+
+
+def read_true_trajectory(folder: Path) -> Trajectory | None:
+    """The true trajectory of a sequence, or None where nobody knows it."""
+    path = folder / TRUTH / "trajectory.txt"
+    if path.is_file():
+        return read_trajectory(path)
+    path = folder / "groundtruth.txt"  # TUM RGB-D
+    return read_trajectory(path) if path.is_file() else None
+
+
+def read_true_objects(folder: Path) -> list[tuple[str, TriangleMesh]]:
+    """Class and surface of every true object, in the world frame."""
+    entries = read_json(folder / TRUTH / "objects.json", "give a sequence that was generated here")
+    return [(entry["category"], read_ply(folder / TRUTH / entry["mesh"])) for entry in entries]

@@ -1,0 +1,42 @@
+"""Landmarks as object estimates: what the rest of the product reads."""
+
+from __future__ import annotations
+
+import logging
+
+import numpy as np
+
+from perception.inference.meshing import EmptyShapeError, MeshConfig, mesh_from_code
+from perception.inference.shape_model import Decoder
+from perception.slam.landmarks import Landmark, LandmarkMap
+from perception.types import CATEGORIES, ObjectEstimate
+
+logger = logging.getLogger(__name__)
+
+
+def object_estimate(landmark: Landmark, decoder: Decoder, config: MeshConfig | None = None) -> ObjectEstimate:
+    """The landmark with its mesh; EmptyShapeError if its shape has no surface."""
+    pose = landmark.state.pose
+    votes = np.exp(landmark.log_votes - landmark.log_votes.max())
+    return ObjectEstimate(
+        id=landmark.id,
+        category=landmark.category,
+        code=landmark.state.code,
+        T_world_object=pose.T_world_object,
+        scale=pose.scale,
+        mesh=mesh_from_code(decoder, landmark.category, landmark.state.code, pose.scale, config),
+        score=float(votes[CATEGORIES.index(landmark.category)] / votes.sum()),
+        n_views=landmark.hits,
+        residual=landmark.residual,
+    )
+
+
+def object_estimates(world: LandmarkMap, decoder: Decoder) -> list[ObjectEstimate]:
+    """All landmarks that have a surface, by id."""
+    estimates = []
+    for one in world.ids:
+        try:
+            estimates.append(object_estimate(world.landmarks[one], decoder))
+        except EmptyShapeError as error:
+            logger.warning("landmark %d is left out: %s", one, error)
+    return estimates
