@@ -40,9 +40,9 @@ def mjcf(models: Sequence[RigidModel], plane: SupportPlane) -> str:
     _defaults(root)
     assets, world = xml.SubElement(root, "asset"), xml.SubElement(root, "worldbody")
     _surroundings(assets, world, models, plane)
-    for category in sorted({model.estimate.category for model in models}):
-        color = numbers(np.array([*CLASS_COLORS[category], 255]) / 255, 4)
-        xml.SubElement(assets, "material", name=category, rgba=color, specular="0.4", shininess="0.5")
+    for category, color in CLASS_COLORS.items():
+        rgba = numbers(np.array([*color, 255]) / 255, 4)
+        xml.SubElement(assets, "material", name=category, rgba=rgba, specular="0.4", shininess="0.5")
     for model in models:
         _body(assets, world, model)
     xml.indent(root)
@@ -72,9 +72,8 @@ def _surroundings(
     middle = vertices.mean(axis=0)
     middle += (min(plane.offset, lowest) - middle @ plane.normal) * plane.normal
     pose = {"pos": numbers(middle), "quat": numbers(wxyz(upright(plane.normal)))}
-    xml.SubElement(
-        world, "geom", name="support", type="plane", size="2 2 0.1", rgba="0.75 0.72 0.68 1", **pose
-    )
+    look = {"type": "plane", "size": "2 2 0.1", "rgba": "0.75 0.72 0.68 1"}
+    xml.SubElement(world, "geom", pose | look, name="support")
     above = middle + 1.5 * plane.normal
     xml.SubElement(world, "light", pos=numbers(above), dir=numbers(-plane.normal), diffuse="0.7 0.7 0.7")
 
