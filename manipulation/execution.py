@@ -37,6 +37,7 @@ class TaskEvent:
         done, total: objects settled so far and in all.
         message: what to tell, or empty.
         plan: the plan about to be carried out, at "approach".
+        candidates: the grasps it was chosen from.
     """
 
     phase: Phase
@@ -45,6 +46,7 @@ class TaskEvent:
     total: int
     message: str = ""
     plan: PickPlacePlan | None = None
+    candidates: tuple[Grasp, ...] = ()
 
 
 LookAgain = Callable[[int], ObjectEstimate | None]
@@ -171,11 +173,19 @@ class _Execution:
         robot.follow(plan.transfer)
         self._tell("place", name)
         self._require_held(grasp, f"{name} was lost on the way")
-        release = robot.gripper_width() + 2 * self.config.pick_place.grasp.release_gap
-        robot.move_gripper(min(max(release, grasp.release_opening), robot.arm.max_width))
+        self._let_go(plan)
         self.planner.moved(name, plan.T_world_stand_rest)
         self._tell("retreat", name)
         robot.follow(plan.retreat)
+
+    def _let_go(self, plan: PickPlacePlan) -> None:
+        """Loosen the grip, sink past the lip of a bowl that hangs on a pad, then open."""
+        robot, gap = self.robot, self.config.pick_place.grasp.release_gap
+        held = robot.gripper_width()
+        if plan.settle is not None:
+            robot.move_gripper(min(held + gap, robot.arm.max_width))
+            robot.follow(plan.settle)
+        robot.move_gripper(min(max(held + 2 * gap, plan.release_opening), robot.arm.max_width))
 
     def _require_held(self, grasp: Grasp, message: str) -> None:
         """Raise _GraspFailed if the width between the pads does not fit the grasp."""
@@ -230,4 +240,5 @@ class _Execution:
 
     def _tell(self, phase: Phase, name: str, message: str = "", plan: PickPlacePlan | None = None) -> None:
         total = len(self.task.placements)
-        self.on_event(TaskEvent(phase, name, len(self.outcomes), total, message, plan))
+        candidates = tuple(self.planner.grasps(name).grasps) if plan else ()
+        self.on_event(TaskEvent(phase, name, len(self.outcomes), total, message, plan, candidates))

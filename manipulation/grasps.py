@@ -57,7 +57,8 @@ class GraspConfig:
         pad_thickness: of a finger at its tip, along the closing direction, in [m].
         top_clearance: room at each finger before closing around a body in [m]; a little below 0, because the
             body may have been estimated too wide.
-        max_taper: largest change of a body's width over the height of the pads, as a share.
+        max_taper: largest angle of a body's sides against the vertical, mean over the pads' height, in [rad]:
+            friction holds cones up to it.
         fingertip_clearance: kept above the support in [m].
     """
 
@@ -77,7 +78,7 @@ class GraspConfig:
     max_inward_tilt: float = 0.15
     pad_thickness: float = 0.010
     top_clearance: float = -0.0015
-    max_taper: float = 0.35
+    max_taper: float = np.deg2rad(27.0)
     fingertip_clearance: float = 0.005
 
 
@@ -231,10 +232,12 @@ def _rim_grasp_at(
     along_wall = np.sin(tilt) * outward + np.cos(tilt) * up
     across = np.cos(tilt) * outward - np.sin(tilt) * up
     T = _tcp_pose(wall.middle * outward + pad_height * up, approach=-along_wall, closing=across)
+    leaving = _leaving_angle(sections, rim, pad_height, azimuth, tilt)
     score = 1.0 - 2.0 * abs(slope - tilt) - 0.5 * abs(tilt)
     return Grasp(
         kind="rim",
         T_stand_tcp=T,
+        away=np.sin(leaving) * outward + np.cos(leaving) * up,
         opening=min(2 * half, gripper.max_width),
         held_width=wall.thickness,
         closed_width=(0.0008, max(min(wall.thickness + 0.014, 2 * half - 0.004), 0.012)),
@@ -263,6 +266,21 @@ def _slope(sections: SectionCache, rim: float, depth: float, azimuth: float) -> 
     if above is None or below is None:
         return 0.0
     return float(np.arctan2(above[1] - below[1], above[0] - below[0]))
+
+
+def _leaving_angle(
+    sections: SectionCache, rim: float, pad_height: float, azimuth: float, tilt: float
+) -> float:
+    """Angle from the vertical [rad] at which fingers slide out past the wall above the pads.
+
+    Walls bend upright towards the rim: a hand that left along its own tilt would drag the rim outwards.
+    """
+    at_pad = radial_hits(sections.at(pad_height), np.zeros(2), azimuth + 0.003)
+    near_rim = radial_hits(sections.at(rim - 0.003), np.zeros(2), azimuth + 0.003)
+    if len(at_pad) == 0 or len(near_rim) == 0 or rim - 0.003 - pad_height < 0.002:
+        return tilt
+    chord = float(np.arctan2(near_rim[-1] - at_pad[-1], rim - 0.003 - pad_height))
+    return float(np.clip(chord, min(tilt, 0.0), max(tilt, 0.0)))
 
 
 def _depth_and_tilt(
@@ -318,7 +336,7 @@ def _top_grasp(
     reach = max(max(s.high - middle, middle - s.low) for s in above)
     if 2 * (reach + config.top_clearance) > gripper.max_width:
         return f"too wide for {gripper.max_width:.2f} m"
-    taper = float(np.ptp(widths) / widths.max())
+    taper = float(np.arctan2(np.ptp(widths) / 2, np.ptp(heights)))
     if taper > config.max_taper:
         return "too tapered"
     across = span(sections.at(z), azimuth + np.pi / 2)
@@ -328,16 +346,18 @@ def _top_grasp(
     position = middle * closing + offset * sideways + np.array([0.0, 0.0, z])
     width = float(widths.max())
     opening = min(gripper.max_width, 2 * (reach + 0.012))
+    up = np.array([0.0, 0.0, 1.0])
     return Grasp(
         kind="top",
-        T_stand_tcp=_tcp_pose(position, approach=np.array([0.0, 0.0, -1.0]), closing=closing),
+        T_stand_tcp=_tcp_pose(position, approach=-up, closing=closing),
+        away=up,
         opening=opening,
         held_width=width,
         closed_width=(0.5 * width, opening - 0.002),
         release_opening=min(2 * (reach + config.release_gap), gripper.max_width),
         depth=depth,
         azimuth=azimuth,
-        score=1.0 - 2.0 * taper - 2.0 * max(width - 0.066, 0.0) / 0.01,
+        score=1.0 - 1.5 * taper - 2.0 * max(width - 0.066, 0.0) / 0.01,
     )
 
 

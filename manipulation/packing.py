@@ -35,7 +35,7 @@ class PackingConfig:
         n_handle_directions: directions of the handles tried.
     """
 
-    gaps: tuple[float, ...] = (0.016, 0.011, 0.007, 0.005)
+    gaps: tuple[float, ...] = (0.024, 0.020, 0.016, 0.012, 0.008, 0.005)
     wall_gap: float = 0.008
     release_height: float = 0.003
     max_drop: float = 0.044

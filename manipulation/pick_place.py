@@ -42,6 +42,9 @@ class PickPlaceConfig:
         via_heights: TCP heights of the points a blocked transit is led over, in [m].
         transit_margins: kept from everything on the way from start to goal, in [m]; less is only tried where
             no way allows more. Wide, because shapes are estimates and a bowl may sag in the fingers.
+        settle_depth: by which the loose pads sink before they open wide at a bowl, in [m].
+        release_extras: by how much further than it must each finger opens to let go, in [m], tried in order:
+            a finger that stays near a sloping wall may drag the object along.
         placing_margin: kept between the carried object and its neighbours while it is lowered, in [m].
         max_pairs: pairs of grasp and yaw to examine at the goal before giving up.
         max_plans: complete plans to compare; the quickest is taken.
@@ -56,6 +59,8 @@ class PickPlaceConfig:
     raise_heights: tuple[float, ...] = (0.12, 0.18, 0.25, 0.08)
     via_heights: tuple[float, ...] = (0.35, 0.45, 0.55)
     transit_margins: tuple[float, ...] = (0.03, 0.012, 0.004)
+    settle_depth: float = 0.004
+    release_extras: tuple[float, ...] = (0.008, 0.004, 0.0)
     placing_margin: float = 0.001
     max_pairs: int = 150
     max_plans: int = 2
@@ -72,10 +77,12 @@ class _Pick:
 
 @dataclass
 class _Place:
-    """A reachable, free way to set the object down: postures of the lowering and of the retreat."""
+    """A reachable, free way to set the object down: postures of lowering, settling (or None) and retreat."""
 
     T_world_stand_goal: np.ndarray
     lowering: np.ndarray
+    release_opening: float
+    settle: np.ndarray | None
     retreat: np.ndarray
 
 
@@ -220,7 +227,7 @@ class PickPlacePlanner:
         if contact:
             return _short(contact, name)
         approach = self.motions.free_line(
-            result.q, [_backed(T_grasp, h) for h in config.approach_heights], grasp.opening, own
+            result.q, _backed(T_grasp, grasp, config.approach_heights), grasp.opening, own
         )
         if isinstance(approach, str):
             return _short(approach, name)
@@ -276,12 +283,10 @@ class PickPlacePlanner:
             return "with the goal out of reach"
         stack = frozenset(placement.stack)
         world.release()
-        retreat = self.motions.free_line(
-            result.q,
-            [_backed(T_place, h) for h in config.approach_heights],
-            grasp.release_opening,
-            Allowance(touch=stack | {name}),
-        )
+        touch = Allowance(touch=stack | {name})
+        settle = None if stack else self._settling(name, grasp, result.q, T_place, touch)
+        q_loose = result.q if settle is None else settle[-1]
+        release_opening, retreat = self._letting_go(grasp, q_loose, T_place, touch)
         if isinstance(retreat, str):
             return f"letting go: {_short(retreat, name)}"
         world.carry(name, np.linalg.inv(grasp.T_stand_tcp))
@@ -293,7 +298,31 @@ class PickPlacePlanner:
         )
         if isinstance(lowering, str):
             return f"placing: {_short(lowering, name)}"
-        return _Place(T_goal, lowering[::-1], retreat)
+        return _Place(T_goal, lowering[::-1], release_opening, settle, retreat)
+
+    def _settling(
+        self, name: str, grasp: Grasp, q: np.ndarray, T_place: np.ndarray, allow: Allowance
+    ) -> np.ndarray | None:
+        """Postures that lower the loose pads past the lip of a bowl; None where there is no need, or room."""
+        if self.items[name].category != "bowl":
+            return None
+        target = _raised(T_place, -self.config.settle_depth)
+        settle = self.motions.free_line(q, [target], grasp.release_opening, allow)
+        return None if isinstance(settle, str) else settle
+
+    def _letting_go(
+        self, grasp: Grasp, q: np.ndarray, T_place: np.ndarray, allow: Allowance
+    ) -> tuple[float, np.ndarray | str]:
+        """The widest opening with which the hand is free to leave, and postures of the retreat from ``q``."""
+        targets = _backed(T_place, grasp, self.config.approach_heights)
+        least, most = grasp.release_opening, max(grasp.opening, grasp.release_opening)
+        width, retreat = least, "out of reach"
+        for extra in self.config.release_extras:
+            width = min(least + 2 * extra, most)
+            retreat = self.motions.free_line(q, targets, width, allow)
+            if not isinstance(retreat, str):
+                break
+        return width, retreat
 
     def _ordered_yaws(self, pick: _Pick, placement: Placement) -> list[float]:
         """Yaws at the goal, those first that turn the hand no further than the arm's base turns anyway."""
@@ -328,9 +357,11 @@ class PickPlacePlanner:
             placement=placement,
             T_world_stand_goal=place.T_world_stand_goal,
             T_world_stand_rest=T_rest,
+            release_opening=place.release_opening,
             approach=concatenate(approach),
             lift=self.motions.timed_line(pick.lift),
             transfer=concatenate([self.motions.timed_way(carry), self.motions.timed_line(place.lowering)]),
+            settle=None if place.settle is None else self.motions.timed_line(place.settle),
             retreat=self.motions.timed_line(place.retreat),
         )
 
@@ -343,11 +374,13 @@ def _alike(first: Grasp, second: Grasp) -> bool:
     )
 
 
-def _backed(T: np.ndarray, distance: float) -> np.ndarray:
-    """The TCP pose drawn back along the approach."""
-    back = T.copy()
-    back[:3, 3] -= distance * T[:3, 2]
-    return back
+def _backed(T_world_tcp: np.ndarray, grasp: Grasp, distances: Sequence[float]) -> list[np.ndarray]:
+    """The TCP pose of a grasp drawn back by each distance [m] the way the hand leaves."""
+    away = T_world_tcp[:3, :3] @ grasp.T_stand_tcp[:3, :3].T @ grasp.away
+    backed = [T_world_tcp.copy() for _ in distances]
+    for T, distance in zip(backed, distances):
+        T[:3, 3] += distance * away
+    return backed
 
 
 def _raised(T: np.ndarray, height: float) -> np.ndarray:

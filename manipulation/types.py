@@ -94,11 +94,12 @@ class Grasp:
     Attributes:
         kind: over the rim of a hollow object, or around a body or neck from above.
         T_stand_tcp: (4, 4) TCP pose in the object's stand frame.
+        away: (3,) unit vector in the stand frame along which the hand leaves, and, reversed, comes.
         opening: width between the pads before closing in [m].
         held_width: expected between the pads while they hold, in [m].
         closed_width: smallest and largest width between the pads that means that something is held, in [m].
             Generous: shapes are estimates, and fingers that stop well inside their opening hold something.
-        release_opening: width that lets go of the object without sweeping its neighbours, in [m].
+        release_opening: the least width that lets go of the object, in [m].
         depth: how far the TCP is below the top of the object in [m].
         azimuth: direction of the grasp about the stand frame's z in [rad].
         score: preference before the arm and the neighbours are considered; higher is better.
@@ -106,6 +107,7 @@ class Grasp:
 
     kind: GraspKind
     T_stand_tcp: Float[np.ndarray, "4 4"]
+    away: Float[np.ndarray, "3"]
     opening: float
     held_width: float
     closed_width: tuple[float, float]
@@ -164,10 +166,12 @@ class PickPlacePlan:
         grasp, placement: the pair that was chosen.
         T_world_stand_goal: (4, 4) where the object is let go.
         T_world_stand_rest: (4, 4) where it then rests.
+        release_opening: width between the pads that lets go of it there, in [m].
         approach: from the start posture to the grasp.
         lift: from the grasp up.
         transfer: from there to above the goal and down to it.
-        retreat: from the goal up, without the object.
+        settle: a little further down with the pads loose, so that a lip on a pad comes free; None for none.
+        retreat: from there up, without the object.
     """
 
     name: str
@@ -175,15 +179,18 @@ class PickPlacePlan:
     placement: Placement
     T_world_stand_goal: Float[np.ndarray, "4 4"]
     T_world_stand_rest: Float[np.ndarray, "4 4"]
+    release_opening: float
     approach: JointTrajectory
     lift: JointTrajectory
     transfer: JointTrajectory
+    settle: JointTrajectory | None
     retreat: JointTrajectory
 
     @property
     def duration(self) -> float:
         """Of the motions together, in [s]."""
-        return sum(part.duration for part in (self.approach, self.lift, self.transfer, self.retreat))
+        parts = (self.approach, self.lift, self.transfer, self.settle, self.retreat)
+        return sum(part.duration for part in parts if part is not None)
 
 
 @dataclass(frozen=True)

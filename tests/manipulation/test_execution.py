@@ -109,6 +109,14 @@ def test_everything_is_placed_where_it_was_planned(packing, arm):
         T_tcp = plan.T_world_stand_goal @ plan.grasp.T_stand_tcp
         assert kinematics.forward(plan.transfer.positions[-1]) == pytest.approx(T_tcp, abs=2e-3)
         assert plan.duration > 2
+        assert (plan.settle is not None) == (outcome.name == "bowl_2"), (
+            "a bowl on the floor may hang on a pad"
+        )
+        if plan.settle is not None:
+            sunk = T_tcp.copy()
+            sunk[2, 3] -= CONFIG.pick_place.settle_depth
+            assert kinematics.forward(plan.settle.positions[-1]) == pytest.approx(sunk, abs=2e-3)
+            assert plan.retreat.positions[0] == pytest.approx(plan.settle.positions[-1])
     phases = ["plan", "approach", "grasp", "transfer", "place", "retreat", "placed"]
     assert watcher.phases("can_1") == phases
     assert outcomes[1].T_world_stand[2, 3] > outcomes[0].T_world_stand[2, 3], "nested bowl stands higher"

@@ -131,6 +131,19 @@ def test_hand_leans_with_the_bowls_wall(shapes, slope):
         assert T[2, 3] - CONFIG.gripper.tip > CONFIG.fingertip_clearance
 
 
+def test_the_hand_leaves_past_a_wall_that_bends_upright(shapes):
+    """A round bowl leans where the pads hold it and is upright at its rim: the hand leaves in between."""
+    angle = np.linspace(0.0, np.pi / 2, 40)
+    outer = np.stack([0.08 * np.sin(angle), 0.06 * (1 - np.cos(angle))], axis=1)
+    inner = outer[::-1] * (0.95, 0.93) + (0.0, 0.0042)
+    mesh = trimesh.creation.revolve(np.concatenate([outer, inner]), sections=64)
+    grasps = find_grasps(standing(shapes, "bowl", mesh)).grasps
+    assert len(grasps) == 2 * CONFIG.n_azimuths
+    for grasp in grasps:
+        tilt, leaving = np.arccos(-grasp.T_stand_tcp[2, 2]), np.arccos(grasp.away[2])
+        assert np.deg2rad(2) < leaving < tilt - np.deg2rad(2)
+
+
 def test_low_bowls_are_held_shallower_and_flatter(shapes):
     item = standing(shapes, "bowl", shapes.bowl(radius=0.05, height=0.028, slope=np.deg2rad(20)))
     grasps = find_grasps(item, CONFIG).grasps
