@@ -14,10 +14,11 @@ from dataclasses import dataclass, field
 import numpy as np
 from jaxtyping import Float
 
-from manipulation.collision import Allowance, Body, CollisionConfig, CollisionWorld
+from manipulation.collision import Body, CollisionConfig, CollisionWorld
 from manipulation.errors import PlanningError
-from manipulation.furniture import BOX_FLOOR, TABLE, Furniture, box_walls
+from manipulation.furniture import TABLE, Furniture, box_walls
 from manipulation.grasps import GraspConfig, GraspSet, find_grasps
+from manipulation.handling import HandlingConfig, Pick, Place, find_pick, find_place
 from manipulation.hulls import convex_pieces
 from manipulation.kinematics import IkConfig, Kinematics
 from manipulation.motions import Motions
@@ -35,17 +36,10 @@ class PickPlaceConfig:
     """Heights, margins and effort of the search.
 
     Attributes:
-        ik, motion, collision, grasp: of the parts.
-        approach_heights: lengths of the straight approach to try, in [m].
-        lift_heights: straight up from the grasp, in [m], tried in order.
-        raise_heights: above the goal from which the object is lowered, in [m], tried in order.
+        ik, motion, collision, grasp, handling: of the parts.
         via_heights: TCP heights of the points a blocked transit is led over, in [m].
         transit_margins: kept from everything on the way from start to goal, in [m]; less is only tried where
             no way allows more. Wide, because shapes are estimates and a bowl may sag in the fingers.
-        settle_depth: by which the loose pads sink before they open wide at a bowl, in [m].
-        release_extras: by how much further than it must each finger opens to let go, in [m], tried in order:
-            a finger that stays near a sloping wall may drag the object along.
-        placing_margin: kept between the carried object and its neighbours while it is lowered, in [m].
         max_pairs: pairs of grasp and yaw to examine at the goal before giving up.
         max_plans: complete plans to compare; the quickest is taken.
     """
@@ -54,36 +48,11 @@ class PickPlaceConfig:
     motion: MotionConfig = field(default_factory=MotionConfig)
     collision: CollisionConfig = field(default_factory=CollisionConfig)
     grasp: GraspConfig = field(default_factory=GraspConfig)
-    approach_heights: tuple[float, ...] = (0.10, 0.06)
-    lift_heights: tuple[float, ...] = (0.20, 0.12, 0.28)
-    raise_heights: tuple[float, ...] = (0.12, 0.18, 0.25, 0.08)
+    handling: HandlingConfig = field(default_factory=HandlingConfig)
     via_heights: tuple[float, ...] = (0.35, 0.45, 0.55)
     transit_margins: tuple[float, ...] = (0.03, 0.012, 0.004)
-    settle_depth: float = 0.004
-    release_extras: tuple[float, ...] = (0.008, 0.004, 0.0)
-    placing_margin: float = 0.001
     max_pairs: int = 150
     max_plans: int = 2
-
-
-@dataclass
-class _Pick:
-    """A reachable, free way to take the object: postures of the approach and of the lift."""
-
-    grasp: Grasp
-    approach: np.ndarray
-    lift: np.ndarray
-
-
-@dataclass
-class _Place:
-    """A reachable, free way to set the object down: postures of lowering, settling (or None) and retreat."""
-
-    T_world_stand_goal: np.ndarray
-    lowering: np.ndarray
-    release_opening: float
-    settle: np.ndarray | None
-    retreat: np.ndarray
 
 
 @dataclass
@@ -203,55 +172,25 @@ class PickPlacePlanner:
             remedy = "move it closer to the arm"
         return f"No plan for {name}: of {tally.tried} ways tried, {tally.text()}; {remedy}"
 
-    def _picks(self, name: str, tried: Collection[Grasp], tally: _Tally) -> Iterator[_Pick]:
+    def _picks(self, name: str, tried: Collection[Grasp], tally: _Tally) -> Iterator[Pick]:
         """Ways to take the object, best grasp first, spread over the azimuths."""
         for grasp in self.grasps(name).grasps:
             if any(_alike(grasp, other) for other in tried):
                 continue
-            pick = self._pick(name, grasp)
+            pick = find_pick(self.motions, name, grasp, self.config.handling)
             if isinstance(pick, str):
                 tally.fail(pick)
             else:
                 yield pick
 
-    def _pick(self, name: str, grasp: Grasp) -> _Pick | str:
-        """Approach and lift for one grasp, or why it fails."""
-        world, config = self.world, self.config
-        world.release()
-        T_grasp = world.pose(name) @ grasp.T_stand_tcp
-        result = self.kinematics.inverse(T_grasp, self.kinematics.seeds_toward(T_grasp, 3), name=name)
-        if not result.converged:
-            return "out of reach"
-        own = Allowance(touch=frozenset({name}))
-        contact = world.contact(result.q, grasp.opening, own)
-        if contact:
-            return _short(contact, name)
-        approach = self.motions.free_line(
-            result.q, _backed(T_grasp, grasp, config.approach_heights), grasp.opening, own
-        )
-        if isinstance(approach, str):
-            return _short(approach, name)
-        world.carry(name, np.linalg.inv(grasp.T_stand_tcp))
-        lift = self.motions.free_line(
-            result.q,
-            [_raised(T_grasp, h) for h in config.lift_heights],
-            grasp.held_width,
-            Allowance(
-                touch_carried=frozenset({TABLE.name}), carried_margin=0.5 * config.collision.carried_margin
-            ),
-        )
-        if isinstance(lift, str):
-            return _short(lift, name)
-        return _Pick(grasp, approach[::-1], lift)
-
     def _complete(
-        self, pick: _Pick, placement: Placement, q_start: np.ndarray, tally: _Tally
+        self, pick: Pick, placement: Placement, q_start: np.ndarray, tally: _Tally
     ) -> PickPlacePlan | None:
         """A whole plan for one way to take the object: the first yaw at the goal that works."""
         name, grasp = placement.name, pick.grasp
         for yaw in self._ordered_yaws(pick, placement)[:6]:
             T_rest = self.resting_pose(placement, yaw)
-            place = self._place(pick, placement, T_rest)
+            place = find_place(self.motions, pick, self.items[name], placement, T_rest, self.config.handling)
             if isinstance(place, str):
                 tally.fail(place)
                 continue
@@ -272,59 +211,7 @@ class PickPlacePlanner:
             return self._timed(pick, place, placement, T_rest, start, carry)
         return None
 
-    def _place(self, pick: _Pick, placement: Placement, T_rest: np.ndarray) -> _Place | str:
-        """Lowering, release and retreat for one yaw at the goal, or why it fails."""
-        world, config, grasp, name = self.world, self.config, pick.grasp, placement.name
-        T_goal = _raised(T_rest, placement.release_height)
-        T_place = T_goal @ grasp.T_stand_tcp
-        seeds = [pick.lift[-1], *self.kinematics.seeds_toward(T_place, 2)]
-        result = self.kinematics.inverse(T_place, seeds, name=f"the goal of {name}")
-        if not result.converged:
-            return "with the goal out of reach"
-        stack = frozenset(placement.stack)
-        world.release()
-        touch = Allowance(touch=stack | {name})
-        settle = None if stack else self._settling(name, grasp, result.q, T_place, touch)
-        q_loose = result.q if settle is None else settle[-1]
-        release_opening, retreat = self._letting_go(grasp, q_loose, T_place, touch)
-        if isinstance(retreat, str):
-            return f"letting go: {_short(retreat, name)}"
-        world.carry(name, np.linalg.inv(grasp.T_stand_tcp))
-        lowering = self.motions.free_line(
-            result.q,
-            [_raised(T_place, h) for h in config.raise_heights],
-            grasp.held_width,
-            Allowance(stack, stack | {TABLE.name, BOX_FLOOR}, carried_margin=config.placing_margin),
-        )
-        if isinstance(lowering, str):
-            return f"placing: {_short(lowering, name)}"
-        return _Place(T_goal, lowering[::-1], release_opening, settle, retreat)
-
-    def _settling(
-        self, name: str, grasp: Grasp, q: np.ndarray, T_place: np.ndarray, allow: Allowance
-    ) -> np.ndarray | None:
-        """Postures that lower the loose pads past the lip of a bowl; None where there is no need, or room."""
-        if self.items[name].category != "bowl":
-            return None
-        target = _raised(T_place, -self.config.settle_depth)
-        settle = self.motions.free_line(q, [target], grasp.release_opening, allow)
-        return None if isinstance(settle, str) else settle
-
-    def _letting_go(
-        self, grasp: Grasp, q: np.ndarray, T_place: np.ndarray, allow: Allowance
-    ) -> tuple[float, np.ndarray | str]:
-        """The widest opening with which the hand is free to leave, and postures of the retreat from ``q``."""
-        targets = _backed(T_place, grasp, self.config.approach_heights)
-        least, most = grasp.release_opening, max(grasp.opening, grasp.release_opening)
-        width, retreat = least, "out of reach"
-        for extra in self.config.release_extras:
-            width = min(least + 2 * extra, most)
-            retreat = self.motions.free_line(q, targets, width, allow)
-            if not isinstance(retreat, str):
-                break
-        return width, retreat
-
-    def _ordered_yaws(self, pick: _Pick, placement: Placement) -> list[float]:
+    def _ordered_yaws(self, pick: Pick, placement: Placement) -> list[float]:
         """Yaws at the goal, those first that turn the hand no further than the arm's base turns anyway."""
         T_stand_tcp = pick.grasp.T_stand_tcp
         T_now = self.world.pose(placement.name)
@@ -340,8 +227,8 @@ class PickPlacePlanner:
 
     def _timed(
         self,
-        pick: _Pick,
-        place: _Place,
+        pick: Pick,
+        place: Place,
         placement: Placement,
         T_rest: np.ndarray,
         start: list[np.ndarray],
@@ -374,27 +261,6 @@ def _alike(first: Grasp, second: Grasp) -> bool:
     )
 
 
-def _backed(T_world_tcp: np.ndarray, grasp: Grasp, distances: Sequence[float]) -> list[np.ndarray]:
-    """The TCP pose of a grasp drawn back by each distance [m] the way the hand leaves."""
-    away = T_world_tcp[:3, :3] @ grasp.T_stand_tcp[:3, :3].T @ grasp.away
-    backed = [T_world_tcp.copy() for _ in distances]
-    for T, distance in zip(backed, distances):
-        T[:3, 3] += distance * away
-    return backed
-
-
-def _raised(T: np.ndarray, height: float) -> np.ndarray:
-    raised = T.copy()
-    raised[2, 3] += height
-    return raised
-
-
 def _heading(T_world_tcp: np.ndarray) -> float:
     """Direction of the hand's x about the vertical in [rad]."""
     return float(np.arctan2(T_world_tcp[1, 0], T_world_tcp[0, 0]))
-
-
-def _short(contact: str, name: str) -> str:
-    """A contact as a countable reason: "arm meets bowl_2" becomes "collide with bowl_2"."""
-    thing = contact.split(" meets ")[-1]
-    return contact if thing == contact else f"collide with {thing}"

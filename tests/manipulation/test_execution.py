@@ -114,7 +114,7 @@ def test_everything_is_placed_where_it_was_planned(packing, arm):
         )
         if plan.settle is not None:
             sunk = T_tcp.copy()
-            sunk[2, 3] -= CONFIG.pick_place.settle_depth
+            sunk[2, 3] -= CONFIG.pick_place.handling.settle_depth
             assert kinematics.forward(plan.settle.positions[-1]) == pytest.approx(sunk, abs=2e-3)
             assert plan.retreat.positions[0] == pytest.approx(plan.settle.positions[-1])
     phases = ["plan", "approach", "grasp", "transfer", "place", "retreat", "placed"]
