@@ -16,7 +16,8 @@ from jaxtyping import Float
 
 from manipulation.errors import PlanningError
 from manipulation.footprints import BoxRaster, Footprint, Stencil, bounding_area, footprint
-from manipulation.grasps import GraspConfig, find_grasps
+from manipulation.grasp_config import GraspConfig
+from manipulation.grasps import find_grasps
 from manipulation.nesting import nest_heights, stack_bowls
 from manipulation.release_room import count_releases
 from manipulation.types import Box, Grasp, Placement, StandingObject

@@ -17,7 +17,8 @@ from jaxtyping import Float
 from manipulation.collision import Body, CollisionConfig, CollisionWorld
 from manipulation.errors import PlanningError
 from manipulation.furniture import TABLE, Furniture, box_walls
-from manipulation.grasps import GraspConfig, GraspSet, find_grasps
+from manipulation.grasp_config import GraspConfig
+from manipulation.grasps import GraspSet, find_grasps
 from manipulation.handling import HandlingConfig, Pick, Place, find_pick, find_place
 from manipulation.hulls import convex_pieces
 from manipulation.kinematics import IkConfig, Kinematics

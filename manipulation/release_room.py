@@ -8,7 +8,7 @@ import numpy as np
 from jaxtyping import Float
 
 from manipulation.footprints import BoxRaster
-from manipulation.grasps import GripperGeometry
+from manipulation.grasp_config import GripperGeometry
 from manipulation.types import Grasp
 
 # Sample points of the hand's outline in [m], along and across the closing axis: finger behind its pad, palm.

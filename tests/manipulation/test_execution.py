@@ -6,7 +6,7 @@ import pytest
 from manipulation.collision import Allowance
 from manipulation.errors import PlanningError, RobotError
 from manipulation.execution import execute
-from manipulation.grasps import GraspConfig
+from manipulation.grasp_config import GraspConfig
 from manipulation.kinematics import Kinematics
 from manipulation.packing import PackingConfig
 from manipulation.pick_place import PickPlaceConfig, PickPlacePlanner

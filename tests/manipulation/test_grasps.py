@@ -3,7 +3,8 @@ import pytest
 import trimesh
 
 from manipulation.errors import PlanningError
-from manipulation.grasps import GraspConfig, find_grasps
+from manipulation.grasp_config import GraspConfig
+from manipulation.grasps import find_grasps
 from manipulation.sections import fit_circle, radial_hits, section, span
 from manipulation.standing import split_handle, stand
 from perception.types import ObjectEstimate, SupportPlane, TriangleMesh
