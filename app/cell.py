@@ -21,15 +21,17 @@ MAX_OBJECTS = 20
 BOX_LIMITS = {"L": (0.10, 0.60), "W": (0.10, 0.50), "H": (0.02, 0.20)}  # [m] that fit on the table
 
 
-def parse_objects(text: str, rng: np.random.Generator) -> list[Category]:
+def parse_objects(text: str, rng: np.random.Generator, most: int = MAX_OBJECTS) -> list[Category]:
     """The classes asked for: ``6`` draws six as evenly as it goes, ``mug=2,can=1`` names them.
+
+    ``most`` is how many there may be.
 
     Raises:
         UsageError: it is neither.
     """
     usage = f"--objects takes a number (6) or counts by class ({','.join(f'{c}=1' for c in CATEGORIES)})"
     if text.strip().isascii() and text.strip().isdigit():
-        return _bounded(_mixture(int(text), rng))
+        return _bounded(_mixture(min(int(text), most + 1), rng), most)
     classes: list[Category] = []
     for part in text.split(","):
         name, _, count = (piece.strip() for piece in part.partition("="))
@@ -38,19 +40,20 @@ def parse_objects(text: str, rng: np.random.Generator) -> list[Category]:
             raise UsageError(f"{usage}; '{name}' is none of {', '.join(CATEGORIES)}")
         if not (count.isascii() and count.isdigit()):
             raise UsageError(f"{usage}; '{part.strip()}' has no count")
-        classes.extend(known for _ in range(min(int(count), MAX_OBJECTS + 1)))
-    return _bounded(classes)
+        classes.extend(known for _ in range(min(int(count), most + 1)))
+    return _bounded(classes, most)
 
 
 def _mixture(count: int, rng: np.random.Generator) -> list[Category]:
-    rounds = math.ceil(min(count, MAX_OBJECTS + 1) / len(CATEGORIES))
+    rounds = math.ceil(count / len(CATEGORIES))
     drawn: list[Category] = [CATEGORIES[i] for _ in range(rounds) for i in rng.permutation(len(CATEGORIES))]
     return drawn[:count]
 
 
-def _bounded(classes: list[Category]) -> list[Category]:
-    if not 1 <= len(classes) <= MAX_OBJECTS:
-        raise UsageError(f"--objects asks for {len(classes)} objects; the table holds 1 to about 10")
+def _bounded(classes: list[Category], most: int) -> list[Category]:
+    if not 1 <= len(classes) <= most:
+        room = "the table holds 1 to about 10" if most == MAX_OBJECTS else f"1 to {most} are possible"
+        raise UsageError(f"--objects asks for {len(classes)} objects; {room}")
     return classes
 
 

@@ -32,16 +32,19 @@ HANDLERS = {
     "sort": "app.task",
     "scan": "app.scan",
     "reconstruct": "app.reconstruct",
+    "ar": "app.ar",
     "export": "app.export",
     "slam": "app.slam",
     "train": "app.train",
-    "evaluate": "app.evaluate_tasks",
+    "evaluate": "app.evaluate",
     "bench": "app.bench",
+    "view": "app.view",
     "doctor": "app.doctor",
 }
 
 # Which extra brings a library that not every command needs.
-EXTRA_OF = dict.fromkeys(("mujoco", "mink", "daqp", "ruckig", "coacd"), "sim") | {"tensorboard": "train"}
+_SIMULATOR = ("mujoco", "mjviser", "mink", "daqp", "ruckig", "coacd")
+EXTRA_OF = dict.fromkeys(_SIMULATOR, "sim") | {"tensorboard": "train"}
 
 
 def run(arguments: Sequence[str]) -> int:
@@ -102,11 +105,11 @@ def check(options: CommonOptions) -> None:
     Raises:
         UsageError: one line says why.
     """
-    if isinstance(options, CellOptions):
+    if isinstance(options, CellOptions) and getattr(options, "what", None) != "reconstruction":
         from app.cell import check_options
 
         check_options(options)
-    for name in ("episodes", "workers", "epochs", "repeats"):
+    for name in ("episodes", "workers", "epochs", "repeats", "drops"):
         value = getattr(options, name, None)
         if value is not None and value < 1:
             raise UsageError(f"--{name} {value} must be at least 1")

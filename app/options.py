@@ -7,7 +7,7 @@ from __future__ import annotations
 
 from dataclasses import dataclass
 from pathlib import Path
-from typing import Annotated, Literal
+from typing import Annotated, Literal, get_args
 
 from tyro.conf import Positional, arg
 
@@ -15,6 +15,8 @@ Device = Literal["auto", "cpu", "cuda"]
 Shapes = Literal["nodeslam", "tsdf", "oracle"]
 Task = Literal["pack", "sort"]
 DepthNoise = Literal["none", "gaussian", "realsense"]
+Method = Literal["full", "no_refinement", "no_uncertainty", "no_pyramid", "dvr", "mask_only", "tsdf"]
+METHODS: tuple[Method, ...] = get_args(Method)
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -111,6 +113,18 @@ class SlamOptions(CommonOptions):
 
 
 @dataclass(frozen=True, kw_only=True)
+class ArOptions(CommonOptions):
+    """Drop simulated toys onto the reconstructed objects of a run, seen in its recorded images."""
+
+    run: Positional[Path]
+    """Run folder, or a scan folder with an object map (objects.json)."""
+    drops: int = 16
+    """How many toys fall."""
+    seconds: float = 4.0
+    """How long the video lets them fall and roll."""
+
+
+@dataclass(frozen=True, kw_only=True)
 class TrainOptions(CommonOptions):
     """Reproduce the shipped weights; the same command and --out again goes on after an interruption."""
 
@@ -122,10 +136,15 @@ class TrainOptions(CommonOptions):
 
 @dataclass(frozen=True, kw_only=True)
 class EvaluateOptions(TaskOptions):
-    """Measure success over many episodes with seeds --seed, --seed + 1, ..."""
+    """Measure: task success over many episodes with seeds --seed, --seed + 1, ...; or reconstruction, by the
+    paper's protocol, of --objects alone on a table."""
 
-    what: Positional[Literal["tasks"]]
+    what: Positional[Literal["reconstruction", "tasks"]]
     """What to evaluate."""
+    views: tuple[int, ...] = (1, 2, 3)
+    """Reconstruction: from how many random views."""
+    methods: tuple[Method, ...] = METHODS
+    """Reconstruction: which methods are compared."""
     task: Task = "pack"
     """Which task."""
     episodes: int = 20
@@ -149,6 +168,24 @@ class BenchOptions(CommonOptions):
 
 
 @dataclass(frozen=True, kw_only=True)
+class ViewerOptions:
+    """Where the viewer listens."""
+
+    host: str = "127.0.0.1"
+    """Interface to listen on; anybody who reaches another one than the default may watch and click."""
+    port: Annotated[int | None, arg(help_behavior_hint="default: 8080 or the next free one")] = None
+    """Port to listen on; 0 takes any."""
+
+
+@dataclass(frozen=True, kw_only=True)
+class ViewOptions(CommonOptions, ViewerOptions):
+    """Watch in the browser: the replay of a run folder."""
+
+    run: Annotated[Positional[Path | None], arg(metavar="RUN")] = None
+    """Run folder, or any folder with an object map or a scan."""
+
+
+@dataclass(frozen=True, kw_only=True)
 class DoctorOptions(CommonOptions):
     """What this machine has: OpenGL, CUDA, weights, versions; what to do about what is missing."""
 
@@ -158,10 +195,12 @@ COMMANDS: dict[str, type[CommonOptions]] = {
     "sort": SortOptions,
     "scan": ScanOptions,
     "reconstruct": ReconstructOptions,
+    "ar": ArOptions,
     "export": ExportOptions,
     "slam": SlamOptions,
     "train": TrainOptions,
     "evaluate": EvaluateOptions,
     "bench": BenchOptions,
+    "view": ViewOptions,
     "doctor": DoctorOptions,
 }

@@ -12,10 +12,11 @@ nearest of the other set:
 from __future__ import annotations
 
 from dataclasses import dataclass
+from functools import cached_property
 
 import numpy as np
 import trimesh
-from jaxtyping import Float
+from jaxtyping import Float, Int
 from scipy.spatial import KDTree
 
 from perception.types import TriangleMesh
@@ -35,12 +36,58 @@ class ReconstructionMetrics:
     completion: float
 
 
+@dataclass(frozen=True)
+class SurfaceSamples:
+    """Points spread uniformly over a surface.
+
+    Attributes:
+        points: (n, 3) in [m].
+        normals: (n, 3) of the triangles they lie on, of length 1.
+        faces: (n,) these triangles.
+    """
+
+    points: Float[np.ndarray, "n 3"]
+    normals: Float[np.ndarray, "n 3"]
+    faces: Int[np.ndarray, "n"]
+
+    @staticmethod
+    def of(mesh: TriangleMesh, rng: np.random.Generator, n: int = SAMPLES) -> SurfaceSamples:
+        surface = trimesh.Trimesh(mesh.vertices, mesh.faces, process=False)
+        points, faces = trimesh.sample.sample_surface(surface, n, seed=rng)[:2]
+        return SurfaceSamples(np.asarray(points), surface.face_normals[faces], np.asarray(faces))
+
+    @cached_property
+    def tree(self) -> KDTree:
+        return KDTree(self.points)
+
+    def distance(self, points: Float[np.ndarray, "m 3"]) -> Float[np.ndarray, "m"]:
+        """Of points to the nearest sample [m]."""
+        return np.asarray(self.tree.query(points)[0])
+
+    def distance_along_normal(self, points: Float[np.ndarray, "m 3"]) -> Float[np.ndarray, "m"]:
+        """Of points to the plane through the nearest sample [m]: free of the samples' own spacing."""
+        nearest = self.tree.query(points)[1]
+        return np.abs(((points - self.points[nearest]) * self.normals[nearest]).sum(axis=1))
+
+
 def sample_surface(
     mesh: TriangleMesh, rng: np.random.Generator, n: int = SAMPLES
 ) -> Float[np.ndarray, "n 3"]:
     """Points uniform over the surface."""
-    surface = trimesh.Trimesh(mesh.vertices, mesh.faces, process=False)
-    return np.asarray(trimesh.sample.sample_surface(surface, n, seed=rng)[0])
+    return SurfaceSamples.of(mesh, rng, n).points
+
+
+def compare_surfaces(
+    estimate: SurfaceSamples, truth: SurfaceSamples, threshold: float = COMPLETION_DISTANCE
+) -> ReconstructionMetrics:
+    """The metrics of two sampled surfaces; true points within ``threshold`` [m] count as reconstructed."""
+    to_truth, to_estimate = truth.distance(estimate.points), estimate.distance(truth.points)
+    return ReconstructionMetrics(
+        accuracy=float(to_truth.mean()),
+        completeness=float(to_estimate.mean()),
+        chamfer_l1=float((to_truth.mean() + to_estimate.mean()) / 2),
+        completion=float((to_estimate < threshold).mean()),
+    )
 
 
 def reconstruction_metrics(
@@ -59,26 +106,12 @@ def reconstruction_metrics(
         n: points on each.
         threshold: distance within which a true point counts as reconstructed [m].
     """
-    estimate, truth = sample_surface(mesh_estimate, rng, n), sample_surface(mesh_truth, rng, n)
-    to_truth, _ = KDTree(truth).query(estimate)
-    to_estimate, _ = KDTree(estimate).query(truth)
-    return ReconstructionMetrics(
-        accuracy=float(to_truth.mean()),
-        completeness=float(to_estimate.mean()),
-        chamfer_l1=float((to_truth.mean() + to_estimate.mean()) / 2),
-        completion=float((to_estimate < threshold).mean()),
-    )
+    estimate, truth = (SurfaceSamples.of(mesh, rng, n) for mesh in (mesh_estimate, mesh_truth))
+    return compare_surfaces(estimate, truth, threshold)
 
 
 def point_recall(
-    mesh_estimate: TriangleMesh,
-    points: Float[np.ndarray, "m 3"],
-    rng: np.random.Generator,
-    distance: float = RECALL_DISTANCE,
-    n: int = SAMPLES,
+    estimate: SurfaceSamples, points: Float[np.ndarray, "m 3"], distance: float = RECALL_DISTANCE
 ) -> float:
-    """Share of the given true surface points (a handle's, say) within a distance of the reconstruction."""
-    if not len(points):
-        return float("nan")
-    nearest, _ = KDTree(sample_surface(mesh_estimate, rng, n)).query(points)
-    return float((nearest < distance).mean())
+    """Share of true surface points (a handle's, say) within a distance of the reconstruction; NaN of none."""
+    return float((estimate.distance(points) < distance).mean()) if len(points) else float("nan")

@@ -44,6 +44,7 @@ class TsdfConfig:
         voxel: edge of a voxel in [m].
         truncation: distance at which the signed distance is cut off in [m].
         margin: free space around the object's cloud in [m].
+        largest: extent of an object [m]; what a mask too wide shows farther away is left out.
         min_points: depth points that an object needs.
         closed: whether what no camera saw is made up, so that the mesh is closed.
     """
@@ -51,6 +52,7 @@ class TsdfConfig:
     voxel: float = 0.002
     truncation: float = 0.008
     margin: float = 0.02
+    largest: float = 0.6
     min_points: int = 200
     closed: bool = True
 
@@ -120,6 +122,9 @@ def _fuse(
     config: TsdfConfig,
 ) -> ObjectEstimate | None:
     points = np.concatenate([masked_cloud(frame, found.mask) for frame, found in views])
+    if not len(points):
+        return None
+    points = points[np.linalg.norm(points - np.median(points, axis=0), axis=1) < config.largest / 2]
     points = points[plane.height_above(points) > 0.003]
     if len(points) < config.min_points:
         return None

@@ -14,11 +14,13 @@ import numpy as np
 from jaxtyping import Float
 
 from perception.errors import InvalidInputError
+from perception.geometry import invert
 from perception.inference.initialise import initial_poses
 from perception.inference.levenberg_marquardt import Evaluation, LmConfig, LmIteration, minimise
 from perception.inference.meshing import MeshConfig, mesh_from_grid
 from perception.inference.observation import ObjectObservation, PixelConfig, gather_pixels
 from perception.inference.problem import FitProblem, FitState, NoiseConfig, SupportCamera
+from perception.inference.refine import RefineConfig, refine_mesh
 from perception.inference.shape_model import Decoder, LinearisedShape, decode, linearise, mean_shape
 from perception.rendering.comparison import RendererName
 from perception.rendering.pose import ObjectPose
@@ -53,6 +55,7 @@ class FitConfig:
     noise: NoiseConfig = field(default_factory=NoiseConfig)
     lm: LmConfig = field(default_factory=LmConfig)
     mesh: MeshConfig = field(default_factory=MeshConfig)
+    refine: RefineConfig | None = field(default_factory=RefineConfig)  # None leaves the mesh as decoded
     step_limit_code: float = 0.7
     step_limit_turn: float = 0.2
     step_limit_move: float = 0.02
@@ -236,6 +239,11 @@ def _estimate(
 ) -> ObjectEstimate:
     pose, code = fit.state.pose, fit.state.code
     grid = decode(decoder, category, code)
+    mesh = mesh_from_grid(grid, pose.scale, category, config.mesh)
+    if config.refine is not None:
+        T_world_object = pose.T_world_object
+        refined = refine_mesh(mesh.transformed(T_world_object), observations, plane, config.refine)
+        mesh = refined.transformed(invert(T_world_object))
     hessian, _ = fit.evaluation.normal_equations()
     inliers = np.abs(fit.residual_object) < config.noise.huber * config.noise.depth_sigma
     residual = float(np.sqrt(np.mean(fit.residual_object[inliers] ** 2))) if inliers.any() else float("inf")
@@ -245,7 +253,7 @@ def _estimate(
         code=code,
         T_world_object=pose.T_world_object,
         scale=pose.scale,
-        mesh=mesh_from_grid(grid, pose.scale, category, config.mesh),
+        mesh=mesh,
         score=score,
         n_views=len(observations),
         residual=residual,

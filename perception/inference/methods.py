@@ -15,7 +15,7 @@ from perception.inference.reconstruct import reconstruct
 from perception.inference.shape_model import Decoder
 from perception.types import ObjectDetection, ObjectEstimate, RgbdFrame, SupportPlane
 
-Method = Literal["full", "no_uncertainty", "no_pyramid", "dvr", "mask_only", "tsdf"]
+Method = Literal["full", "no_refinement", "no_uncertainty", "no_pyramid", "dvr", "mask_only", "tsdf"]
 METHODS: tuple[Method, ...] = get_args(Method)
 
 
@@ -23,11 +23,12 @@ def method_config(method: Method, base: FitConfig | None = None) -> FitConfig:
     """The fit that a method's name stands for, all else as in ``base``.
 
     full            the product.
+    no_refinement   the decoded shape as it is, as in the paper: no vertex moves to the measurements.
     no_uncertainty  every pixel counts alike, whatever variance is rendered.
     no_pyramid      the last stage's crop and level from the first iteration on.
     dvr             depth of the first crossing of the occupancy level (Niemeyer et al., CVPR 2020). It has no
-                    variance to weigh with.
-    mask_only       the rendered mask against the detected one; depth only finds the start.
+                    variance to weigh with. Not refined either, being another's.
+    mask_only       the rendered mask against the detected one; depth only finds the start. Not refined.
     tsdf            what the views show, fused, and nothing else: an open surface.
 
     Raises:
@@ -37,15 +38,17 @@ def method_config(method: Method, base: FitConfig | None = None) -> FitConfig:
     match method:
         case "full":
             return base
+        case "no_refinement":
+            return replace(base, refine=None)
         case "no_uncertainty":
             return replace(base, noise=replace(base.noise, rendered_variance=False))
         case "no_pyramid":
             crop, level = base.stages[-1].crop, base.stages[-1].level
             return replace(base, stages=tuple(Stage(crop, level, s.iterations) for s in base.stages))
         case "dvr":
-            return replace(base, renderer="first_crossing")
+            return replace(base, renderer="first_crossing", refine=None)
         case "mask_only":
-            return replace(base, renderer="silhouette")
+            return replace(base, renderer="silhouette", refine=None)
     raise ValueError(f"{method} is no configuration of the fit")
 
 

@@ -33,32 +33,43 @@ def load_user_objects(directory: Path | str) -> list[ObjectModel]:
     Raises:
         ObjectFileError: no such folder, a folder that is no class, no meshes, or an unusable mesh.
     """
+    return [load_user_object(path, category) for path, category in mesh_files(directory)]
+
+
+def mesh_files(directory: Path | str) -> list[tuple[Path, Category]]:
+    """The mesh files under a folder with their classes, by class and file name.
+
+    Raises:
+        ObjectFileError: no such folder, a folder that is no class, or no meshes.
+    """
     directory = Path(directory)
     if not directory.is_dir():
         raise ObjectFileError(f"{directory} is not a folder; expected DIR/<class>/*.{{ply,obj,glb,stl}}")
-    classes = get_args(Category)
+    classes: tuple[Category, ...] = get_args(Category)
     files = []
     for folder in sorted(path for path in directory.iterdir() if path.is_dir() and path.name[0] != "."):
-        if folder.name not in classes:
+        category = next((c for c in classes if c == folder.name), None)
+        if category is None:
             raise ObjectFileError(f"{folder}: '{folder.name}' is none of the classes {', '.join(classes)}")
-        files += [path for path in sorted(folder.iterdir()) if path.suffix.lower() in SUFFIXES]
+        meshes = (path for path in sorted(folder.iterdir()) if path.suffix.lower() in SUFFIXES)
+        files += [(path, category) for path in meshes]
     if not files:
         raise ObjectFileError(
             f"{directory} holds no meshes; expected {directory}/<class>/*.{{ply,obj,glb,stl}} "
             f"with a class of {', '.join(classes)}"
         )
-    return [load_user_object(path, next(c for c in classes if c == path.parent.name)) for path in files]
+    return files
 
 
-def load_user_object(path: Path | str, category: Category) -> ObjectModel:
-    """One mesh file as an object.
+def load_user_object(path: Path | str, category: Category, collision: bool = True) -> ObjectModel:
+    """One mesh file as an object; without its collision pieces, which take long, it cannot be simulated.
 
     Raises:
         ObjectFileError: the file is unreadable, empty, not watertight, or of an absurd size.
     """
     path = Path(path)
     mesh = _in_object_frame(_read(path), category)
-    pieces = tuple(hull(vertices) for vertices in convex_pieces(mesh, category, path.name))
+    pieces = tuple(map(hull, convex_pieces(mesh, category, path.name))) if collision else ()
     mass = float(np.clip(mesh.volume * DENSITIES[category], LIGHTEST, HEAVIEST))
     return ObjectModel(category, "user", path.stem, mesh, pieces, mass, None, MeshShape(mesh, category))
 

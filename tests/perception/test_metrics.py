@@ -4,7 +4,7 @@ import numpy as np
 import pytest
 import trimesh
 
-from perception.metrics import point_recall, reconstruction_metrics, sample_surface
+from perception.metrics import SurfaceSamples, point_recall, reconstruction_metrics, sample_surface
 from perception.types import TriangleMesh
 
 
@@ -39,11 +39,19 @@ def test_threshold_decides_completion() -> None:
 
 def test_recall_of_given_points() -> None:
     points = np.array([[0.0, 0.0, 0.053], [0.0, 0.0, 0.06]])
-    assert point_recall(sphere(0.05), points, np.random.default_rng(0)) == 0.5
-    assert np.isnan(point_recall(sphere(0.05), np.zeros((0, 3)), np.random.default_rng(0)))
+    samples = SurfaceSamples.of(sphere(0.05), np.random.default_rng(0))
+    assert point_recall(samples, points) == 0.5
+    assert np.isnan(point_recall(samples, np.zeros((0, 3))))
 
 
 def test_samples_lie_on_the_surface_and_repeat() -> None:
     a, b = (sample_surface(sphere(1.0), np.random.default_rng(3), 500) for _ in range(2))
     np.testing.assert_array_equal(a, b)
     np.testing.assert_allclose(np.linalg.norm(a, axis=1), 1.0, atol=5e-3)
+
+
+def test_distance_along_the_normal_is_free_of_the_spacing() -> None:
+    sparse = SurfaceSamples.of(sphere(0.05), np.random.default_rng(0), 3000)
+    points = sample_surface(sphere(0.052), np.random.default_rng(1), 500)
+    along = sparse.distance_along_normal(points)
+    assert np.median(np.abs(along - 0.002)) < 1e-4 < np.median(np.abs(sparse.distance(points) - 0.002))

@@ -1,0 +1,221 @@
+"""The last millimetre: the mesh of a fit moved onto the measurements, where there are any.
+
+Code and pose fit a whole object with 25 numbers; what the views show is known better than that. Every vertex
+moves along its normal by d. Where a view sees the vertex the measured depth asks for
+
+    d_v = r_v (n_v . b_v),    r_v measured minus the vertex's depth, b_v its ray (z = 1), n_v its normal,
+
+and a Gaussian prior says the rest: d is smooth over the surface, one part of it the same everywhere (a
+surface too far out or in), and small where nothing is seen. The most probable d solves a sparse system.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import dataclass
+
+import cv2
+import numpy as np
+import trimesh
+from jaxtyping import Float
+from scipy import sparse
+from scipy.sparse.linalg import cg
+
+from perception.geometry import invert, transform_points
+from perception.inference.observation import ObjectObservation, pixel_rays
+from perception.types import RgbdFrame, SupportPlane, TriangleMesh
+
+
+@dataclass(frozen=True)
+class RefineConfig:
+    """How far measurements move a mesh.
+
+    Attributes:
+        depth_sigma: of one depth measurement [m].
+        floor_sigma: of a vertex's mean measurement, whatever it averages over [m].
+        prior_sigma: of the displacement where nothing is measured [m].
+        common_sigma: of its part that is the same everywhere [m].
+        roughness: how much the displacement changes over one edge of the mesh [m].
+        reach: measurements farther from the vertex along the ray belong to something else [m].
+        steepest: least cosine between ray and normal for a vertex to be measured.
+        edge: pixels this near the mask's border are not used.
+        outline_sigma: of the outline in a view [m].
+        support_sigma: of the bottom's height over the support plane [m].
+        limit: largest displacement [m].
+    """
+
+    depth_sigma: float = 0.002
+    floor_sigma: float = 0.0005
+    prior_sigma: float = 0.003
+    common_sigma: float = 0.002
+    roughness: float = 0.0005
+    reach: float = 0.012
+    steepest: float = 0.25
+    edge: int = 3
+    outline_sigma: float = 0.001
+    support_sigma: float = 0.0007
+    limit: float = 0.006
+
+
+def refine_mesh(
+    mesh_world: TriangleMesh,
+    observations: Sequence[ObjectObservation],
+    plane: SupportPlane,
+    config: RefineConfig | None = None,
+) -> TriangleMesh:
+    """The mesh, in the world, moved towards what the views measured; faces stay as they are."""
+    config = config or RefineConfig()
+    surface = trimesh.Trimesh(mesh_world.vertices, mesh_world.faces, process=False)
+    normals = np.asarray(surface.vertex_normals)
+    n = len(normals)
+    precision, target = np.zeros(n), np.zeros(n)  # of the measurements, and weighted by it
+    for seen in observations:
+        view = _View.of(surface, normals, seen)
+        for w, d in (_measured(view, seen, config), _outlined(view, seen, plane, config)):
+            precision += w
+            target += w * d
+    height = plane.height_above(mesh_world.vertices)
+    lowest = (normals @ plane.normal < -0.7) & (height < height.min() + 0.002)
+    precision += lowest / config.support_sigma**2
+    target += lowest * height / config.support_sigma**2  # along its normal, which points down
+    d = _most_probable(surface, precision, target, config)
+    return TriangleMesh(mesh_world.vertices + d[:, None] * normals, mesh_world.faces)
+
+
+@dataclass(frozen=True)
+class _View:
+    """Vertices in one image.
+
+    Attributes:
+        at: row and column of each vertex, (0, 0) outside the image.
+        inside: whether it is in the image.
+        z: its depth [m].
+        cosine: of its normal and its ray (z = 1), negative towards the camera.
+        across: (n, 2) its normal's components along the image's x and y.
+        spacing: of the mesh in the image [px].
+    """
+
+    at: tuple[np.ndarray, np.ndarray]
+    inside: np.ndarray
+    z: np.ndarray
+    cosine: np.ndarray
+    across: np.ndarray
+    spacing: float
+
+    @staticmethod
+    def of(surface: trimesh.Trimesh, normals: np.ndarray, seen: ObjectObservation) -> _View:
+        camera, T_camera_world = seen.frame.intrinsics, invert(seen.T_world_camera)
+        points = transform_points(T_camera_world, np.asarray(surface.vertices))
+        z = np.maximum(points[:, 2], 1e-3)
+        rays = points / z[:, None]
+        u = np.rint(camera.fx * rays[:, 0] + camera.cx).astype(int)
+        v = np.rint(camera.fy * rays[:, 1] + camera.cy).astype(int)
+        inside = (u >= 0) & (u < camera.width) & (v >= 0) & (v < camera.height) & (points[:, 2] > 0.01)
+        turned = normals @ T_camera_world[:3, :3].T
+        spacing = float(np.median(surface.edges_unique_length)) * camera.fx / float(np.median(z))
+        at = (np.where(inside, v, 0), np.where(inside, u, 0))
+        return _View(at, inside, z, (rays * turned).sum(axis=1), turned[:, :2], spacing)
+
+    def nearest(self, shape: tuple[int, ...]) -> Float[np.ndarray, "h w"]:
+        """Depth of the mesh in [m], infinite beside it: splats that reach as far as its edges."""
+        image = np.full(shape, np.inf, np.float32)
+        np.minimum.at(image, self.at, np.where(self.inside, self.z, np.inf).astype(np.float32))
+        return cv2.erode(image, np.ones((2 * round(self.spacing) + 1,) * 2, np.uint8))
+
+    def covered(self, shape: tuple[int, ...]) -> np.ndarray:
+        """Where the mesh is in the image, wider by ``spacing``."""
+        return np.isfinite(self.nearest(shape)).astype(np.uint8)
+
+    def in_front(self, shape: tuple[int, ...], fx: float, steepest: float) -> np.ndarray:
+        """Which vertices no other part of the mesh hides."""
+        nearest = self.nearest(shape)
+        slant = 2 * self.spacing / fx * self.z / np.maximum(-self.cosine, steepest)  # depth within a splat
+        return self.inside & (self.z < nearest[self.at] + slant + 0.002)
+
+
+def _measured(
+    view: _View, seen: ObjectObservation, config: RefineConfig
+) -> tuple[Float[np.ndarray, "n"], Float[np.ndarray, "n"]]:
+    """Precision [1/m^2] and displacement [m] that the measured depth asks of every vertex."""
+    depth, at, cosine = seen.frame.depth, view.at, view.cosine
+    usable = seen.mask & (depth > 0)
+    if seen.ignore is not None:
+        usable &= ~seen.ignore
+    usable = cv2.erode(usable.astype(np.uint8), np.ones((2 * config.edge + 1,) * 2, np.uint8)) > 0
+    window = 2 * max(1, round(view.spacing / 2)) + 1
+    total = cv2.boxFilter(np.where(usable, depth, 0), -1, (window, window), normalize=False)
+    count = cv2.boxFilter(usable.astype(np.float32), -1, (window, window), normalize=False)
+    residual = total[at] / np.maximum(count[at], 1) - view.z
+    good = view.in_front(depth.shape, seen.frame.intrinsics.fx, config.steepest)
+    good &= (cosine < -config.steepest) & usable[at] & (count[at] > 0.5 * window**2)
+    good &= np.abs(residual) < config.reach
+    sigma2 = (config.depth_sigma * cosine) ** 2 / np.maximum(count[at], 1) + config.floor_sigma**2
+    robust = np.minimum(1.0, 0.004 / np.maximum(np.abs(residual * cosine), 1e-6))
+    return np.where(good, robust / sigma2, 0.0), residual * cosine
+
+
+def _outlined(
+    view: _View, seen: ObjectObservation, plane: SupportPlane, config: RefineConfig
+) -> tuple[Float[np.ndarray, "n"], Float[np.ndarray, "n"]]:
+    """The same for the vertices on the mesh's outline in the image, and those beyond the object's.
+
+    The object's outline lies where measured object and measured background meet; that its mask may be too
+    wide or too narrow does not matter.
+    """
+    frame, at = seen.frame, view.at
+    known = frame.depth > 0 if seen.ignore is None else (frame.depth > 0) & ~seen.ignore
+    near, far = float(view.z.min()) - config.reach, float(view.z.max()) + config.reach
+    height = _heights(frame, plane, view)
+    is_object = known & seen.mask & (frame.depth > near) & (frame.depth < far) & (height > 0.004)
+    behind = known & ~is_object & ((frame.depth > near + 0.03) | (height < 0.004))
+    inwards = cv2.distanceTransform((~behind).astype(np.uint8), cv2.DIST_L2, 3)
+    outwards = cv2.distanceTransform((~is_object).astype(np.uint8), cv2.DIST_L2, 3)
+    beyond = np.where(is_object[at], 0.5 - inwards[at], np.where(behind[at], outwards[at] - 0.5, 0.0))  # [px]
+    slope = inwards - outwards  # falls towards the background
+    fall = -np.stack([cv2.Sobel(slope, cv2.CV_32F, *d)[at] for d in ((1, 0), (0, 1))], axis=1)
+    length = np.linalg.norm(view.across, axis=1)
+    along = (view.across * fall).sum(axis=1) / np.maximum(length * np.linalg.norm(fall, axis=1), 1e-9)
+    rim = cv2.distanceTransform(view.covered(frame.depth.shape), cv2.DIST_L2, 3)[at] < view.spacing + 2.0
+    outline = rim & is_object[at] & (np.abs(view.cosine) < 0.5)
+    sticks_out = behind[at] & (frame.depth[at] > view.z + config.reach)
+    moved = -beyond * view.z / frame.intrinsics.fx / np.maximum(length, 0.3)
+    good = view.inside & (outline | sticks_out) & (along > 0.7) & (length > 0.3)
+    good &= np.abs(moved) < 2 * config.reach
+    return np.where(good, config.outline_sigma**-2, 0.0), moved
+
+
+def _heights(frame: RgbdFrame, plane: SupportPlane, view: _View) -> Float[np.ndarray, "h w"]:
+    """Height of the measured points above the plane [m], where the vertices are in the image."""
+    assert frame.T_world_camera is not None
+    heights = np.full(frame.depth.shape, np.inf, np.float32)
+    rows, columns = (index[view.inside] for index in view.at)
+    if len(rows):
+        window = np.s_[
+            max(rows.min() - 20, 0) : rows.max() + 20, max(columns.min() - 20, 0) : columns.max() + 20
+        ]
+        v, u = (index[window] for index in np.indices(frame.depth.shape))
+        points = pixel_rays(frame, u, v) * frame.depth[window][..., None]
+        heights[window] = plane.height_above(transform_points(frame.T_world_camera, points))
+    return heights
+
+
+def _most_probable(
+    surface: trimesh.Trimesh, precision: np.ndarray, target: np.ndarray, config: RefineConfig
+) -> Float[np.ndarray, "n"]:
+    """Displacement of every vertex: a smooth part of its own and one common to all."""
+    n = len(precision)
+    i, j = np.asarray(surface.edges_unique).T
+    stiff = np.full(len(i), config.roughness**-2)
+    links = sparse.coo_array((np.r_[stiff, stiff], (np.r_[i, j], np.r_[j, i])), shape=(n, n)).tocsr()
+    own = sparse.diags_array(links.sum(axis=1) + config.prior_sigma**-2 + precision) - links
+    A = sparse.block_array(
+        [
+            [own, sparse.csr_array(precision[:, None])],
+            [sparse.csr_array(precision[None]), np.array([[precision.sum() + config.common_sigma**-2]])],
+        ],
+        format="csr",
+    )
+    b = np.r_[target, target.sum()]
+    inverse_diagonal = sparse.diags_array(1 / A.diagonal())
+    x, _ = cg(A, b, rtol=1e-4, maxiter=300, M=inverse_diagonal)
+    return np.clip(x[:n] + x[n], -config.limit, config.limit)

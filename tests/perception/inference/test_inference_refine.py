@@ -1,0 +1,76 @@
+"""Meshes moved to measurements: a can drawn too small, too high and beside its place."""
+
+import numpy as np
+import pytest
+import trimesh
+
+from perception.inference.refine import RefineConfig, refine_mesh
+from perception.types import SupportPlane, TriangleMesh
+
+PLANE = SupportPlane()
+
+
+@pytest.fixture(scope="module")
+def can(make_table):
+    return make_table("can", (1.0, 0.0), yaw=0.0)
+
+
+def cylinder(can, wider: float = 0.0, higher: float = 0.0) -> TriangleMesh:
+    """A closed cylinder about the can's axis, standing on the plane, in the world."""
+    x, y = can.pose.translation[:2]
+    radius, height = 0.63 * 0.05 + wider, 2 * 0.75 * 0.05 + higher
+    mesh = trimesh.creation.cylinder(radius, height, sections=48).subdivide_to_size(0.004)
+    return TriangleMesh(mesh.vertices + (x, y, height / 2), mesh.faces)
+
+
+def on_side(mesh: TriangleMesh) -> np.ndarray:
+    return (mesh.vertices[:, 2] > 0.01) & (mesh.vertices[:, 2] < 0.06)
+
+
+def radii(mesh: TriangleMesh, can) -> np.ndarray:
+    return np.linalg.norm(mesh.vertices[:, :2] - can.pose.translation[:2], axis=1)
+
+
+def test_a_can_too_narrow_and_too_high_is_put_right(can) -> None:
+    start = cylinder(can, wider=-0.002, higher=0.003)
+    refined = refine_mesh(start, can.observations((0.0, 2.1, 4.2)), PLANE)
+    side = on_side(start)
+    assert np.median(np.abs(radii(refined, can)[side] - 0.0315)) < 0.0004
+    top = start.vertices[:, 2] > 0.0779
+    middle = top & (radii(start, can) < 0.02)
+    assert abs(np.median(refined.vertices[middle, 2]) - 0.075) < 0.0005
+    assert abs(refined.vertices[:, 2].min()) < 0.001
+    assert (refined.faces == start.faces).all()
+
+
+def test_the_hidden_side_follows_what_all_sides_share(can) -> None:
+    start = cylinder(can, wider=-0.002)
+    refined = refine_mesh(start, can.observations((0.0,)), PLANE)
+    away = on_side(start) & (start.vertices[:, 0] < can.pose.translation[0] - 0.02)
+    near = on_side(start) & (start.vertices[:, 0] > can.pose.translation[0] + 0.02)
+    seen, hidden = radii(refined, can)[near].mean(), radii(refined, can)[away].mean()
+    assert seen == pytest.approx(0.0315, abs=0.0004)
+    assert 0.030 < hidden < seen
+
+
+def test_nothing_moves_without_a_common_part_where_nothing_is_seen(can) -> None:
+    start = cylinder(can, wider=-0.002)
+    config = RefineConfig(common_sigma=1e-6, roughness=1e-3)
+    refined = refine_mesh(start, can.observations((0.0,)), PLANE, config)
+    farthest = start.vertices[:, 0] < can.pose.translation[0] - 0.028
+    assert np.abs(radii(refined, can) - radii(start, can))[farthest & on_side(start)].max() < 0.0006
+
+
+def test_background_beside_the_mask_trims_what_sticks_out(can) -> None:
+    start = cylinder(can, higher=0.02)
+    refined = refine_mesh(start, can.observations((0.0, 2.1, 4.2)), PLANE, RefineConfig(limit=0.03))
+    middle = (start.vertices[:, 2] > 0.0949) & (radii(start, can) < 0.025)
+    assert np.median(refined.vertices[middle, 2]) < 0.088
+
+
+def test_covered_pixels_say_nothing(can) -> None:
+    start = cylinder(can, wider=-0.002)
+    (seen,) = can.observations((0.0,))
+    covered = type(seen)(seen.frame, seen.mask, np.ones_like(seen.mask))
+    refined = refine_mesh(start, [covered], PLANE)
+    np.testing.assert_allclose(refined.vertices[:, :2], start.vertices[:, :2], atol=2e-4)
