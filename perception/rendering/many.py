@@ -94,29 +94,25 @@ class PairRendering:
     depth: Float[np.ndarray, "p"]
     variance: Float[np.ndarray, "p"]
     mask: Float[np.ndarray, "p"]
-    jacobian: Float[np.ndarray, "p 6"] | None
+    jacobian: Float[np.ndarray, "p 6"]
 
 
-def render_pairs(
-    stack: ShapeStack,
-    pairs: RayPairs,
-    A_canonical_camera: Float[np.ndarray, "k 3 4"],
-    gradients: bool = True,
-) -> PairRendering:
-    """Renders each pair by itself.
+class PairRenderer:
+    """Renders the same pairs from one pose after another.
 
-    Args:
-        stack: the objects' grids.
-        pairs: which ray meets which object.
-        A_canonical_camera: affine maps from the camera's frame into each object's canonical cube.
-        gradients: whether the derivative by the camera's pose is wanted.
+    Everything that stays the same is brought to the renderer once: the arrays are small, and handing one over
+    costs as much as rendering a hundred pixels. Used by one thread at a time.
     """
-    n = len(pairs.ray)
-    out = wp.empty((n, 3), dtype=wp.float32, device="cpu")
-    rows = wp.empty((n if gradients else 1, 2), dtype=wp.vec3, device="cpu")
-    if n:
-        scratch = wp.empty(3 * MAX_SAMPLES, dtype=wp.float32, device="cpu")
-        wp.launch(
+
+    def __init__(self, stack: ShapeStack, pairs: RayPairs, gradients: bool = True) -> None:
+        """``gradients``: whether the derivative by the camera's pose is wanted; without, it is left 0."""
+        self.pairs = pairs
+        n = len(pairs.ray)
+        self._out = wp.empty((n, 3), dtype=wp.float32, device="cpu")
+        self._rows = wp.zeros((n, 2), dtype=wp.vec3, device="cpu")
+        self._matrices = wp.zeros(stack.count, dtype=wp.mat33, device="cpu")
+        self._origins = wp.zeros(stack.count, dtype=wp.vec3, device="cpu")
+        self._command = wp.launch(
             pairs_kernel,
             dim=1,
             inputs=[
@@ -126,18 +122,26 @@ def render_pairs(
                 _array(pairs.directions, wp.vec3),
                 _array(pairs.ray, wp.int32),
                 _array(pairs.object, wp.int32),
-                _array(A_canonical_camera[:, :, :3], wp.mat33),
-                _array(A_canonical_camera[:, :, 3], wp.vec3),
+                self._matrices,
+                self._origins,
                 _array(pairs.depth_range, wp.vec2),
                 _array(pairs.step, wp.float32),
                 int(gradients),
-                scratch,
+                wp.empty(3 * MAX_SAMPLES, dtype=wp.float32, device="cpu"),
             ],
-            outputs=[out, rows],
+            outputs=[self._out, self._rows],
             device="cpu",
+            record_cmd=True,
         )
-    depth, variance, mask = out.numpy().T
-    return PairRendering(depth, variance, mask, rows.numpy().reshape(-1, 6) if gradients else None)
+
+    def __call__(self, A_canonical_camera: Float[np.ndarray, "k 3 4"]) -> PairRendering:
+        """Each pair by itself, with affine maps from the camera's frame into each object's canonical cube."""
+        if len(self.pairs.ray):
+            self._matrices.numpy()[:] = A_canonical_camera[:, :, :3]
+            self._origins.numpy()[:] = A_canonical_camera[:, :, 3]
+            self._command.launch()
+        depth, variance, mask = self._out.numpy().T.copy()
+        return PairRendering(depth, variance, mask, self._rows.numpy().reshape(-1, 6).copy())
 
 
 def nearest_pair(
@@ -149,16 +153,15 @@ def nearest_pair(
     """
     key = np.where(own | (mask > 0.5), depth, np.inf)
     starts = np.flatnonzero(np.diff(pairs.ray, prepend=-1))
-    least = np.minimum.reduceat(key, starts)
-    is_least = key == np.repeat(least, np.diff(np.append(starts, len(key))))
+    lengths = np.diff(np.append(starts, len(key)))
+    is_least = key == np.repeat(np.minimum.reduceat(key, starts), lengths) if len(key) else key == key
     chosen = np.flatnonzero(is_least)
-    _, first = np.unique(pairs.ray[chosen], return_index=True)
-    return chosen[first]
+    return chosen[np.flatnonzero(np.diff(pairs.ray[chosen], prepend=-1))]
 
 
 def _array(values: np.ndarray, dtype) -> wp.array:
     scalar = np.int32 if dtype is wp.int32 else np.float32
-    return wp.from_numpy(np.ascontiguousarray(values, scalar), dtype=dtype, device="cpu")
+    return wp.array(np.ascontiguousarray(values, scalar), dtype=dtype, device="cpu")
 
 
 @wp.kernel

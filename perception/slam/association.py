@@ -6,20 +6,19 @@ masks that swap names, or jump to a neighbour, must not pull the map along.
 
 from __future__ import annotations
 
-from collections.abc import Mapping, Sequence
+from collections.abc import Callable, Mapping
 from dataclasses import dataclass
 
 import numpy as np
 from jaxtyping import Float, Int, UInt8
 from scipy.optimize import linear_sum_assignment
 
-from perception.detection.geometry import points_of
-from perception.geometry import invert
+from perception.geometry import invert, transform_points
 from perception.inference.observation import pixel_rays
-from perception.rendering.many import RayPairs, nearest_pair, render_pairs
+from perception.rendering.many import PairRenderer, RayPairs, nearest_pair
 from perception.rendering.pose import canonical_from_camera
 from perception.slam.landmarks import LandmarkMap
-from perception.types import ObjectDetection, RgbdFrame
+from perception.types import RgbdFrame
 
 LabelImage = UInt8[np.ndarray, "h w"]
 
@@ -58,10 +57,9 @@ class RenderedMasks:
 
 def associate_masks(
     frame: RgbdFrame,
-    detections: Sequence[ObjectDetection],
     labels: LabelImage,
     previous: tuple[LabelImage, Mapping[int, int]] | None,
-    rendered: RenderedMasks,
+    render: Callable[[], RenderedMasks],
     world: LandmarkMap,
     config: AssociationConfig = AssociationConfig(),
 ) -> dict[int, int]:
@@ -69,45 +67,48 @@ def associate_masks(
 
     Args:
         frame: with about the camera's pose.
-        detections: detection k has label k + 1.
-        labels: their image.
+        labels: the masks.
         previous: the last frame's label image and its association.
-        rendered: what the map expects.
+        render: what the map expects; called only where previous masks leave something open.
         world: the map.
         config: thresholds.
     """
-    allowed = _allowed(frame, detections, world, config.slack)
+    allowed = _allowed(frame, labels, world, config)
     matches: dict[int, int] = {}
     if previous is not None and previous[0].shape == labels.shape:
         ids = np.full(256, -1)
         for label, landmark in previous[1].items():
             ids[label] = landmark
-        matches = _matched(labels, ids[previous[0]], allowed, config.min_iou)
+        small = (slice(None, None, 2),) * 2
+        matches = _matched(labels[small], ids[previous[0][small]], allowed, config.min_iou)
     left = {label for label in allowed if label not in matches}
     if left:
         taken = set(matches.values())
         open_pairs = {label: allowed[label] - taken for label in left}
-        small = labels[:: config.pitch, :: config.pitch]
-        matches |= _matched(
-            small, rendered.index[: small.shape[0], : small.shape[1]], open_pairs, config.min_iou
-        )
+        coarse = labels[:: config.pitch, :: config.pitch]
+        matches |= _matched(coarse, render().index, open_pairs, config.min_iou)
     return matches
 
 
 def _allowed(
-    frame: RgbdFrame, detections: Sequence[ObjectDetection], world: LandmarkMap, slack: float
+    frame: RgbdFrame, labels: LabelImage, world: LandmarkMap, config: AssociationConfig
 ) -> dict[int, set[int]]:
     """For each label the landmarks that its points lie at."""
-    allowed = {}
+    assert frame.T_world_camera is not None
+    v, u = np.nonzero((labels != 0)[:: config.pitch, :: config.pitch])
+    v, u = config.pitch * v, config.pitch * u
+    z = frame.depth[v, u]
+    label = labels[v, u]
+    points = transform_points(frame.T_world_camera, pixel_rays(frame, u, v) * z[:, None])
     centres = np.array([world.landmarks[i].state.pose.translation for i in world.ids]).reshape(-1, 3)
-    reach = np.array([world.landmarks[i].reach for i in world.ids]) + slack
-    for label, found in enumerate(detections, start=1):
-        points = points_of(frame, found.mask)
-        if not len(points):
+    reach = np.array([world.landmarks[i].reach for i in world.ids]) + config.slack
+    allowed = {}
+    for one in np.unique(label):
+        own = points[(label == one) & (z > 0)]
+        if not len(own):
             continue
-        middle = np.median(points[:: max(1, len(points) // 100)], axis=0)
-        near = np.linalg.norm(centres - middle, axis=1) < reach
-        allowed[label] = {world.ids[k] for k in np.flatnonzero(near)}
+        near = np.linalg.norm(centres - np.median(own, axis=0), axis=1) < reach
+        allowed[int(one)] = {world.ids[k] for k in np.flatnonzero(near)}
     return allowed
 
 
@@ -163,7 +164,7 @@ def render_masks(
     rays, compact = np.unique(ray, return_inverse=True)
     pairs = RayPairs(directions[rays], compact, k, ranges, step)
     A = np.concatenate([canonical_from_camera(one.state.pose, T_world_camera[None]) for one in landmarks])
-    image = render_pairs(world.stack, pairs, A, gradients=False)
+    image = PairRenderer(world.stack, pairs, gradients=False)(A)
     hit = image.mask > 0.5
     ids = np.array(world.ids)
     if len(rays):

@@ -52,7 +52,7 @@ class JointConfig:
     window: int = 3
     crop: int = 28
     iterations: int = 8
-    relinearise: float = 0.6
+    relinearise: float = 1.0
     lm: LmConfig = field(default_factory=lambda: LmConfig(damping=1e-2))
     noise: NoiseConfig = field(default_factory=lambda: NoiseConfig(data_weight=0.2))
     pixels: PixelConfig = field(default_factory=PixelConfig)
@@ -269,8 +269,8 @@ class _Window:
         return states, Ts
 
     def _refresh_shapes(self, pool: ThreadPoolExecutor, force: bool = False) -> bool:
-        """Decodes the shapes whose codes have moved far; all that are not exact with ``force``."""
-        least = 0.05 if force else self.config.relinearise
+        """Decodes the shapes whose codes have moved far; with ``force`` all that are not near."""
+        least = 0.3 * self.config.relinearise if force else self.config.relinearise
         far = [
             one
             for one, state in self.states.items()

@@ -26,20 +26,19 @@ class SelectionConfig:
     """How many pixels, and which.
 
     Attributes:
-        per_object: pixels of an object and its ring together.
+        on_object, in_ring: pixels of an object and of its ring.
         on_plane: pixels of the plane.
         band: half width of the border that is left out [pixel].
         ring: how far from the mask its ring reaches [pixel].
         plane_height: what is seen lower than this above the plane lies on it [m].
-        background_weight: of a ring's pixel; one of the object has 1.
     """
 
-    per_object: int = 300
+    on_object: int = 200
+    in_ring: int = 100
     on_plane: int = 300
     band: float = 2.0
     ring: float = 8.0
     plane_height: float = 0.012
-    background_weight: float = 0.2
 
 
 @dataclass(frozen=True)
@@ -103,36 +102,50 @@ def select_pixels(
     is_object = inside & core & valid
     outside = valid & ~inside & (distance > config.band)
     ring = outside & (distance <= config.ring)
-    us, vs, owners, on = [], [], [], []
+    flat_depth, flat_low = frame.depth.ravel(), low.ravel()
+    inner, around = _by_label(is_object, owner), _by_label(ring, owner)
+    chosen, owners, on = [], [], []
     for label, landmark in landmark_of.items():
-        own = is_object & (labels == label)
-        depths = frame.depth[own]
-        far = float(np.quantile(depths[:: max(1, len(depths) // 200)], 0.98)) if len(depths) else np.inf
-        around = ring & (owner == label) & (low | (frame.depth > far + 0.03))
-        for chosen, is_on, count in (
-            (own, True, config.per_object * 2 // 3),
-            (around, False, config.per_object // 3),
+        own = inner.get(label, _NOTHING)
+        far = float(np.quantile(flat_depth[_evenly(own, 100)], 0.98)) if len(own) else np.inf
+        beside = around.get(label, _NOTHING)
+        beside = beside[flat_low[beside] | (flat_depth[beside] > far + BEHIND)]
+        for pixels, is_on in (
+            (_evenly(own, config.on_object), True),
+            (_evenly(beside, config.in_ring), False),
         ):
-            v, u = thinned(chosen, count)
-            us.append(u)
-            vs.append(v)
-            owners.append(np.full(len(u), landmark))
-            on.append(np.full(len(u), is_on))
-    u, v = (np.concatenate(a) if a else np.zeros(0, np.int64) for a in (us, vs))
-    pv, pu = thinned(outside & low & (distance > 2 * config.band), config.on_plane)
+            chosen.append(pixels)
+            owners.append(np.full(len(pixels), landmark))
+            on.append(np.full(len(pixels), is_on))
+    v, u = np.divmod(np.concatenate([_NOTHING, *chosen]), labels.shape[1])
+    table = outside & low & (distance > 2 * config.band)
+    pv, pu = np.divmod(_evenly(np.flatnonzero(table), config.on_plane), labels.shape[1])
     plane_points = pixel_rays(frame, pu, pv) * frame.depth[pv, pu][:, None].astype(np.float64)
     return TrackingPixels(
         directions=pixel_rays(frame, u, v),
-        owner=np.concatenate(owners) if owners else np.zeros(0, np.int64),
-        is_object=np.concatenate(on) if on else np.zeros(0, bool),
+        owner=np.concatenate([_NOTHING, *owners]),
+        is_object=np.concatenate([np.zeros(0, bool), *on]),
         depth=frame.depth[v, u],
         plane_points=plane_points,
     )
 
 
-def thinned(chosen: Bool[np.ndarray, "h w"], count: int) -> tuple[np.ndarray, np.ndarray]:
-    """Rows and columns of about ``count`` of the chosen pixels, evenly in scan order on a jittered grid."""
+_NOTHING = np.zeros(0, np.int64)
+BEHIND = 0.03  # [m] what lies this far behind an object does not hide it
+
+
+def _by_label(chosen: Bool[np.ndarray, "h w"], labels: UInt8[np.ndarray, "h w"]) -> dict[int, np.ndarray]:
+    """The chosen pixels of each label, as flat indices in scan order."""
     flat = np.flatnonzero(chosen)
-    if len(flat) > count:
-        flat = flat[np.linspace(0, len(flat) - 1, count).astype(np.int64)]
-    return np.unravel_index(flat, chosen.shape)  # type: ignore[return-value]
+    label = labels.ravel()[flat]
+    order = np.argsort(label, kind="stable")
+    flat, label = flat[order], label[order]
+    starts = np.flatnonzero(np.diff(label.astype(np.int64), prepend=-1))
+    return {int(label[start]): part for start, part in zip(starts, np.split(flat, starts[1:]))}
+
+
+def _evenly(pixels: Int[np.ndarray, "n"], count: int) -> Int[np.ndarray, "m"]:
+    """At most ``count`` of them, evenly in their order."""
+    if len(pixels) <= count:
+        return pixels
+    return pixels[(np.arange(count) * (len(pixels) / count)).astype(np.int64)]

@@ -11,6 +11,7 @@ import logging
 import time
 from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass, field, replace
+from functools import cache
 from typing import Literal
 
 import numpy as np
@@ -52,7 +53,8 @@ class LifeConfig:
         min_share: of a new landmark's pixels that must agree with it.
         seen_before: frames in a row that must show an unmatched mask before it becomes a landmark.
         retry: frames until an object that could not be initialised is tried again.
-        max_misses: frames in a row that should show a landmark but do not.
+        check_every: so many frames it is looked which landmarks should be seen.
+        max_misses: such looks in a row at which a landmark should be seen but is not.
         max_bad: frames in a row in which most of its pixels disagree.
         lost_share: median share of agreeing pixels under which the camera is lost.
         weak_move: standard deviation of the camera's place from which on the pose is weak [m].
@@ -64,7 +66,8 @@ class LifeConfig:
     min_share: float = 0.5
     seen_before: int = 2
     retry: int = 8
-    max_misses: int = 15
+    check_every: int = 4
+    max_misses: int = 5
     max_bad: int = 12
     lost_share: float = 0.5
     weak_move: float = 0.01
@@ -182,10 +185,8 @@ class Slam:
             detections = list(self.detect(posed, world.plane))
         with _timed(self._clock, "track"):
             labels = label_image(detections, frame.depth.shape)
-            rendered = render_masks(world, frame, T_predicted, config.association.pitch)
-            landmark_of = associate_masks(
-                posed, detections, labels, self._previous, rendered, world, config.association
-            )
+            render = cache(lambda: render_masks(world, frame, T_predicted, config.association.pitch))
+            landmark_of = associate_masks(posed, labels, self._previous, render, world, config.association)
             pixels = select_pixels(frame, labels, landmark_of, T_predicted, world.plane, config.selection)
             suspects = frozenset(i for i, one in world.landmarks.items() if one.bad >= 2)
             tracked = track(world, pixels, T_predicted, config.tracking, suspects)
@@ -195,7 +196,8 @@ class Slam:
             logger.info("frame %d: lost", self._number)
             return self._find_again(frame, detections, labels)
         self._poses = [self._poses[-1], tracked.T_world_camera]
-        retired = self._count(detections, landmark_of, rendered, tracked)
+        checks = self._number % config.life.check_every == 0
+        retired = self._count(detections, landmark_of, render() if checks else None, tracked)
         landmark_of = {k: one for k, one in landmark_of.items() if one not in retired}
         self._remember_unmatched(detections, landmark_of)
         self._previous = (labels, landmark_of)
@@ -265,7 +267,7 @@ class Slam:
         self,
         detections: Sequence[ObjectDetection],
         landmark_of: Mapping[int, int],
-        rendered: RenderedMasks,
+        rendered: RenderedMasks | None,
         tracked: TrackedPose,
     ) -> set[int]:
         """Votes, hits and misses of the landmarks; those that are to go are taken out and returned."""
@@ -279,7 +281,7 @@ class Slam:
                 if one in tracked.shares:
                     poor = tracked.shares[one] < self.config.tracking.outcast * best
                     landmark = replace(landmark, bad=landmark.bad + 1 if poor else 0)
-            elif rendered.visible.get(one, 0) * rendered.pitch**2 > 2 * life.min_pixels:
+            elif rendered and rendered.visible.get(one, 0) * rendered.pitch**2 > 2 * life.min_pixels:
                 open_share = rendered.visible[one] / max(rendered.whole[one], 1)
                 landmark = replace(landmark, misses=landmark.misses + (open_share > 0.6))
             changed.append(landmark)

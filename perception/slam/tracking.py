@@ -14,7 +14,7 @@ from jaxtyping import Float
 
 from perception.geometry import invert, se3_exp, se3_log
 from perception.inference.levenberg_marquardt import Evaluation, LmConfig, minimise
-from perception.rendering.many import RayPairs, nearest_pair, render_pairs
+from perception.rendering.many import PairRenderer, RayPairs, nearest_pair
 from perception.rendering.pose import canonical_from_camera
 from perception.slam.landmarks import LandmarkMap
 from perception.slam.pixels import TrackingPixels
@@ -122,6 +122,7 @@ class _PoseProblem:
         self.seen = {int(i) for i in np.unique(self.owner)}
         self.poses = [world.landmarks[i].state.pose for i in world.ids]
         self.pairs, self.own = self._pair_up()
+        self.render = PairRenderer(world.stack, self.pairs) if len(self.owner) else None
         escape = self.pairs.escape_depth[self.own_index] if len(self.owner) else np.zeros(0)
         self.target = np.where(self.is_object, self.depth, escape)
         self.prior_weights = np.repeat([config.turn_sigma**-2, config.move_sigma**-2], 3)
@@ -165,17 +166,14 @@ class _PoseProblem:
         return Evaluation(np.concatenate(residuals), np.concatenate(jacobians), np.concatenate(weights))
 
     def _object_rows(self, T: np.ndarray, use: frozenset[int]) -> tuple[np.ndarray, ...]:
-        config, n = self.config, len(self.owner)
-        if not n:
+        config = self.config
+        if self.render is None:
             return np.zeros(0), np.zeros((0, 6)), np.zeros(0)
-        A = np.concatenate([canonical_from_camera(pose, T[None]) for pose in self.poses])
-        image = render_pairs(self.world.stack, self.pairs, A)
-        assert image.jacobian is not None
+        image = self.render(np.concatenate([canonical_from_camera(pose, T[None]) for pose in self.poses]))
         shown = nearest_pair(self.pairs, self.own, image.depth, image.mask)
         residual = image.depth[shown] - self.target
         variance = image.variance[shown] if config.use_uncertainty else 0.0
         sigma = np.sqrt(variance + config.depth_sigma**2)
-        self._agrees = np.abs(residual) < config.inlier * sigma
         robust = np.minimum(1.0, config.huber * sigma / np.maximum(np.abs(residual), 1e-9))
         weight = np.where(self.is_object, 1.0, config.background_weight) * robust / sigma**2
         weight = weight * np.isin(self.owner, list(use)) * config.data_weight
