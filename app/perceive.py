@@ -7,17 +7,14 @@ from collections.abc import Callable, Sequence
 from concurrent.futures import ThreadPoolExecutor
 from dataclasses import dataclass
 
-import numpy as np
-
 from app.errors import UsageError
 from app.options import Device
 from perception.detection.association import associate
 from perception.detection.detector import Detector
 from perception.inference.reconstruct import OnFitStep, reconstruct, single_threaded_torch
-from perception.rendering.renderer import ShapeGrid
 from perception.shape.decoder import ShapeDecoder
 from perception.support_plane import fit_support_plane
-from perception.types import GRID_RESOLUTION, ObjectDetection, ObjectEstimate, RgbdFrame, SupportPlane
+from perception.types import ObjectDetection, ObjectEstimate, RgbdFrame, SupportPlane
 
 Progress = Callable[..., None]  # (done, total, and perhaps what)
 
@@ -74,8 +71,6 @@ def load_detector(device: Device) -> Detector:
 
 
 def load_decoder(device: Device) -> ShapeDecoder:
-    # The renderer starts here, in the main thread: objects are fitted in several, which must not race for it.
-    ShapeGrid.upload(np.zeros((GRID_RESOLUTION,) * 3, np.float32))
     return ShapeDecoder.load(device=resolve_device(device))
 
 

@@ -5,12 +5,8 @@
 
 from __future__ import annotations
 
-import logging
-import os
-import tempfile
 from dataclasses import dataclass
-from functools import cache, cached_property
-from typing import Any
+from functools import cached_property
 
 import numpy as np
 import warp as wp
@@ -26,12 +22,9 @@ from perception.rendering.kernel import (
     vec16,
 )
 from perception.types import GRID_RESOLUTION
-
-logger = logging.getLogger(__name__)
+from perception.warp_runtime import empty, launch, start_warp, to_device, zeros
 
 _VOXELS = (GRID_RESOLUTION,) * 3
-
-wp.config.log_level = wp.LOG_ERROR  # no banner on standard output
 
 
 @dataclass(frozen=True)
@@ -69,14 +62,14 @@ class ShapeGrid:
             skip_occupancy: cells with no corner above this count as empty.
             skip_jacobian: cells with no derivative above this count as unmoved by the code.
         """
-        _start_warp()
-        padded, moves = None, _zeros(PADDED_VOXELS, wp.uint8, device)
+        start_warp()
+        padded, moves = None, zeros(PADDED_VOXELS, wp.uint8, device)
         if jacobian is not None:
-            padded = _zeros(PADDED_VOXELS, vec16, device)
-            wp.launch(
+            padded = zeros(PADDED_VOXELS, vec16, device)
+            launch(
                 pad_jacobian_kernel,
                 dim=_VOXELS,
-                inputs=[_to_device(jacobian, vec16, device), float(skip_jacobian)],
+                inputs=[to_device(jacobian, vec16, device), float(skip_jacobian)],
                 outputs=[padded, moves],
                 device=device,
             )
@@ -85,16 +78,16 @@ class ShapeGrid:
 
     def with_occupancy(self, occupancy: Float[np.ndarray, "r r r"], skip_occupancy: float = 0.0) -> ShapeGrid:
         """Another grid with the same Jacobian: what a small step of the code needs."""
-        padded = _zeros(PADDED_VOXELS, wp.float32, self.device)
-        voxels, cells = (_zeros(PADDED_VOXELS, wp.uint8, self.device) for _ in range(2))
-        wp.launch(
+        padded = zeros(PADDED_VOXELS, wp.float32, self.device)
+        voxels, cells = (zeros(PADDED_VOXELS, wp.uint8, self.device) for _ in range(2))
+        launch(
             pad_occupancy_kernel,
             dim=_VOXELS,
-            inputs=[_to_device(occupancy, wp.float32, self.device), self.moves, float(skip_occupancy)],
+            inputs=[to_device(occupancy, wp.float32, self.device), self.moves, float(skip_occupancy)],
             outputs=[padded, voxels],
             device=self.device,
         )
-        wp.launch(
+        launch(
             flag_cells_kernel,
             dim=(GRID_RESOLUTION + 1,) * 3,
             inputs=[voxels],
@@ -141,10 +134,10 @@ class RayBundle:
         if device not in self._buffers:
             n = len(self.directions)
             self._buffers[device] = _RayBuffers(
-                directions=_to_device(self.directions, wp.vec3, device),
-                view=_to_device(self.view, wp.int32, device),
-                depth_range=_to_device(self.depth_range, wp.vec2, device),
-                stack=_empty((n, self.samples), wp.vec3, device),
+                directions=to_device(self.directions, wp.vec3, device),
+                view=to_device(self.view, wp.int32, device),
+                depth_range=to_device(self.depth_range, wp.vec2, device),
+                stack=empty((n, self.samples), wp.vec3, device),
             )
         return self._buffers[device]
 
@@ -192,10 +185,10 @@ def render(
     n, device = len(rays.directions), shape.device
     on_device = rays.on_device(device)
     with_code = gradients and shape.jacobian is not None
-    depth, variance, mask = (_empty(n, dtype=wp.float32, device=device) for _ in range(3))
-    sums = _empty((n, 2) if gradients else (1, 2), dtype=wp.vec3, device=device)
-    d_code = _empty(n if with_code else 1, dtype=vec16, device=device)
-    wp.launch(
+    depth, variance, mask = (empty(n, dtype=wp.float32, device=device) for _ in range(3))
+    sums = empty((n, 2) if gradients else (1, 2), dtype=wp.vec3, device=device)
+    d_code = empty(n if with_code else 1, dtype=vec16, device=device)
+    launch(
         render_kernel,
         dim=n,
         inputs=[
@@ -204,8 +197,8 @@ def render(
             shape.cells,
             on_device.directions,
             on_device.view,
-            _to_device(A_canonical_camera[:, :, :3], wp.mat33, device),
-            _to_device(A_canonical_camera[:, :, 3], wp.vec3, device),
+            to_device(A_canonical_camera[:, :, :3], wp.mat33, device),
+            to_device(A_canonical_camera[:, :, 3], wp.vec3, device),
             on_device.depth_range,
             rays.samples,
             int(gradients),
@@ -224,31 +217,3 @@ def render(
         sum_gradient=None if sums_host is None else sums_host[:, 0],
         sum_depth_gradient=None if sums_host is None else sums_host[:, 1],
     )
-
-
-@cache
-def _start_warp() -> None:
-    """Initialises Warp. On machines without CUDA it writes to standard error itself: that goes to the log."""
-    with tempfile.TemporaryFile("w+") as words:
-        stderr = os.dup(2)
-        os.dup2(words.fileno(), 2)
-        try:
-            wp.init()
-        finally:
-            os.dup2(stderr, 2)
-            os.close(stderr)
-        words.seek(0)
-        logger.debug("Warp: %s", words.read().strip())
-
-
-def _zeros(shape: int | tuple[int, ...], dtype: Any, device: str) -> wp.array:
-    return wp.zeros(shape, dtype=dtype, device=device)
-
-
-def _empty(shape: int | tuple[int, ...], dtype: Any, device: str) -> wp.array:
-    return wp.empty(shape, dtype=dtype, device=device)
-
-
-def _to_device(values: np.ndarray, dtype: Any, device: str) -> wp.array:
-    scalar = np.int32 if dtype is wp.int32 else np.float32
-    return wp.from_numpy(np.ascontiguousarray(values, scalar), dtype=dtype, device=device)
