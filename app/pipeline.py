@@ -31,8 +31,9 @@ from manipulation.planner import ManipulationConfig, plan_pack, plan_sort
 from manipulation.robot import Robot
 from manipulation.types import Box, Line, ObjectOutcome, Task, TaskPlan
 from perception.errors import PerceptionError
+from perception.inference.fit import FitStep
 from perception.inference.refit import PoseCheck, refit_pose
-from perception.types import ObjectEstimate, RgbdFrame
+from perception.types import Category, ObjectEstimate, RgbdFrame
 
 _log = logging.getLogger(__name__)
 
@@ -103,6 +104,12 @@ class Watcher:
     def progress(self, done: int, total: int, what: str = "") -> None:
         """Within a stage."""
 
+    def looked(self, frame: RgbdFrame) -> None:
+        """The wrist camera took an image."""
+
+    def fit_step(self, object_id: int, category: Category, step: FitStep) -> None:
+        """How the fit of an object goes on; called from several threads."""
+
     def event(self, event: TaskEvent) -> None:
         """What the robot begins or has done with an object."""
 
@@ -123,7 +130,8 @@ def run(robot: Robot, perception: Perception, goal: Goal, watcher: Watcher | Non
 
     try:
         with watcher.stage("scan"):
-            frames = keep("frames", look(robot, kinematics, SCAN_VIEWS, watcher.progress))
+            seen = look(robot, kinematics, SCAN_VIEWS, watcher.progress, on_frame=watcher.looked)
+            frames = keep("frames", seen)
         with watcher.stage("detect"):
             detections = keep("detections", detect(frames, perception.detector, watcher.progress))
         with watcher.stage("reconstruct"):
@@ -136,7 +144,8 @@ def run(robot: Robot, perception: Perception, goal: Goal, watcher: Watcher | Non
             outcomes = keep("outcomes", execute(plan, robot, again, watcher.event, goal.manipulation))
         with watcher.stage("verify"):
             views = BOX_VIEWS if goal.task == "pack" else LINE_VIEWS
-            final_frames = keep("final_frames", look(robot, kinematics, views, watcher.progress))
+            seen = look(robot, kinematics, views, watcher.progress, on_frame=watcher.looked)
+            final_frames = keep("final_frames", seen)
             keep("checks", verify(objects, plan, outcomes, final_frames))
     except (ManipulationError, PerceptionError) as error:
         made["problem"] = str(error)
@@ -147,7 +156,7 @@ def prior_shapes(perception: Perception, watcher: Watcher) -> Shapes:
     """Reconstruction by the learned shape prior."""
 
     def shapes(frames: Sequence[RgbdFrame], detections: Detections) -> list[ObjectEstimate]:
-        return reconstruct_objects(frames, detections, perception.decoder, watcher.progress)
+        return reconstruct_objects(frames, detections, perception.decoder, watcher.progress, watcher.fit_step)
 
     return shapes
 

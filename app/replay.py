@@ -1,44 +1,227 @@
-"""The replay of a run: what the joints did, and when what happened, for a viewer to play back."""
+"""The recording of a run: what moved, what was thought, and when. Viewers play it, also while it grows.
+
+    replay.npz    show_time, time, joint_positions, gripper_width, body_poses; and the events as text
+    replay.json   names of the moving bodies; notes: [time, kind, {...}]
+    replay.glb    what the bodies look like: nodes <body>/<part>, each in its body's frame
+
+*Show time* orders everything. It runs with the robot's clock, and while the robot thinks by a fixed beat for
+every thought worth watching: the same run shows the same on slow and fast machines.
+"""
 
 from __future__ import annotations
 
 import io
+import json
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, field
 from pathlib import Path
+from typing import Any, Literal, get_args
 
 import numpy as np
+import trimesh
 from jaxtyping import Float
 
-from perception.files import write_atomically
+from perception.errors import InvalidInputError
+from perception.files import read_json, write_atomically
+from perception.types import ObjectDetection, ObjectEstimate, RgbdFrame
+
+NoteKind = Literal["stage", "done", "look", "found", "fit", "objects", "plan", "action", "path"]
+# How long a thought is shown, in [s].
+BEAT: dict[NoteKind, float] = {
+    "stage": 0.6,
+    "look": 0.3,
+    "found": 0.35,
+    "fit": 0.12,
+    "objects": 0.8,
+    "plan": 1.5,
+}
+Bodies = Mapping[str, tuple[trimesh.Trimesh, ...]]
+
+
+@dataclass(frozen=True)
+class Note:
+    """Something that happened at a show time in [s], as plain values:
+
+    stage   name                                     a stage begins
+    done    name, seconds                            it is over, after so many seconds of wall time
+    look    index                                    a picture was taken
+    found   index, count                             objects were found in it
+    fit     id, category, code, T_world_object, scale, residual [m], iteration
+    objects covariances: {id: upper triangle}        the object map is complete
+    plan    placements: [{name, T_world_stand, position, yaws, stack}], left_out
+    action  phase, name, message, done, total; at "approach" T_stand_tcp, T_world_stand_rest, grasps
+    path    name, points [m]                         of the tool, about to be followed
+    """
+
+    time: float
+    kind: NoteKind
+    data: Mapping[str, Any]
 
 
 @dataclass
 class Recorder:
-    """Collects joint positions over simulated time, and named events."""
+    """Collects a run. Lists only ever grow, so that a viewer may read them from another thread at any moment.
 
+    Attributes:
+        bodies: what moves, in the order of ``poses``.
+        meshes: what the bodies look like.
+        now: show time in [s].
+        show_times, times: of the samples: show time and simulated time in [s].
+        joints, widths: arm joints [rad] and gripper width [m].
+        poses: positions [m] and quaternions wxyz of the bodies.
+        notes: what happened, by time.
+        frames, detections, objects: what was seen and made; they are kept in their own files.
+    """
+
+    bodies: tuple[str, ...] = ()
+    meshes: Bodies = field(default_factory=dict)
+    now: float = 0.0
+    show_times: list[float] = field(default_factory=list)
     times: list[float] = field(default_factory=list)
-    joints: list[Float[np.ndarray, "n"]] = field(default_factory=list)
+    joints: list[Float[np.ndarray, "_j"]] = field(default_factory=list)
     widths: list[float] = field(default_factory=list)
-    events: list[tuple[float, str]] = field(default_factory=list)
+    poses: list[Float[np.ndarray, "_b 7"]] = field(default_factory=list)
+    notes: list[Note] = field(default_factory=list)
+    frames: list[RgbdFrame] = field(default_factory=list)
+    detections: Sequence[Sequence[ObjectDetection]] = ()
+    objects: Sequence[ObjectEstimate] = ()
 
-    def sample(self, time: float, joints: Float[np.ndarray, "n"], width: float) -> None:
-        """One moment: time [s], joint positions [rad], gripper width [m]."""
+    def sample(
+        self,
+        time: float,
+        joints: Float[np.ndarray, "_j"],
+        width: float,
+        poses: Float[np.ndarray, "_b 7"] | None = None,
+    ) -> None:
+        """One moment of simulated time [s]."""
+        if self.times:
+            self.now += max(time - self.times[-1], 0.0)
         self.times.append(time)
         self.joints.append(joints)
         self.widths.append(width)
+        self.poses.append(np.zeros((len(self.bodies), 7)) if poses is None else poses)
+        self.show_times.append(self.now)  # last: a reader takes as many samples as have a time
 
-    def event(self, time: float, text: str) -> None:
-        self.events.append((time, text))
+    def note(self, kind: NoteKind, **data: Any) -> None:
+        """Something happened; show time goes on by its beat."""
+        self.notes.append(Note(self.now, kind, data))
+        self.now += BEAT.get(kind, 0.0)
 
-    def write(self, path: Path) -> None:
-        """Time (t,) [s], joint_positions (t, n) [rad], gripper_width (t,) [m], and the events as text."""
+    def write(self, folder: Path) -> None:
+        """Everything but the meshes."""
+        actions = [note for note in self.notes if note.kind in ("stage", "action")]
+        labels = [note.data["name"] if note.kind == "stage" else action_text(note.data) for note in actions]
+        arrays = {
+            "show_time": np.array(self.show_times),
+            "time": np.array(self.times),
+            "joint_positions": np.array(self.joints) if self.joints else np.zeros((0, 0)),
+            "gripper_width": np.array(self.widths),
+            "body_poses": np.array(self.poses or np.zeros((0, len(self.bodies), 7)), dtype=np.float32),
+            "event_time": np.array([self.simulated(note.time) for note in actions]),
+            "event": np.array(labels, dtype=np.str_),
+        }
         buffer = io.BytesIO()
-        np.savez_compressed(
-            buffer,
-            time=np.array(self.times),
-            joint_positions=np.array(self.joints) if self.joints else np.zeros((0, 0)),
-            gripper_width=np.array(self.widths),
-            event_time=np.array([time for time, _ in self.events]),
-            event=np.array([text for _, text in self.events], dtype=np.str_),
-        )
-        write_atomically(path, buffer.getvalue())
+        np.savez_compressed(buffer, **arrays)
+        write_atomically(folder / "replay.npz", buffer.getvalue())
+        notes = [[round(note.time, 4), note.kind, _plain(note.data)] for note in self.notes]
+        text = json.dumps({"bodies": self.bodies, "notes": notes}, separators=(",", ":"))
+        write_atomically(folder / "replay.json", text.encode())
+
+    def write_meshes(self, folder: Path) -> None:
+        """What the bodies look like, as one GLB file."""
+        scene = trimesh.Scene()
+        for body, parts in self.meshes.items():
+            for index, mesh in enumerate(parts):
+                scene.add_geometry(mesh, node_name=f"{body}/{index}", geom_name=f"{body}/{index}")
+        if self.meshes:
+            write_atomically(folder / "replay.glb", scene.export(file_type="glb"))
+
+    def simulated(self, show_time: float) -> float:
+        """The robot's clock in [s] at a show time."""
+        index = np.searchsorted(self.show_times, show_time, side="right") - 1
+        return self.times[index] if index >= 0 else 0.0
+
+
+def action_text(action: Mapping[str, Any]) -> str:
+    """An action in words."""
+    return f"{action['phase']} {action['name']}".replace("_", " ")
+
+
+def read_recording(folder: Path) -> Recorder:
+    """Read what ``Recorder`` wrote.
+
+    Raises:
+        InvalidInputError: a file is missing or malformed; the message names it.
+    """
+    remedy = "give a run folder that `pack` or `sort` wrote"
+    content = read_json(folder / "replay.json", remedy)
+    arrays = _read_arrays(folder / "replay.npz", remedy)
+    try:
+        bodies = tuple(str(name) for name in content["bodies"])
+        notes = [Note(float(time), _kind(kind), dict(data)) for time, kind, data in content["notes"]]
+        count = len(arrays["show_time"])
+        poses = arrays["body_poses"].reshape(count, len(bodies), 7)
+        if not np.isfinite(poses).all():
+            raise ValueError("poses are not finite")
+    except (KeyError, TypeError, ValueError) as error:
+        raise InvalidInputError(
+            f"{folder}: replay.json and replay.npz do not belong together ({error}): run it again"
+        ) from None
+    return Recorder(
+        bodies=bodies,
+        meshes=_read_meshes(folder / "replay.glb"),
+        now=max([note.time for note in notes] + arrays["show_time"].tolist()[-1:] + [0.0]),
+        show_times=arrays["show_time"].tolist(),
+        times=arrays["time"].tolist(),
+        joints=list(arrays["joint_positions"]),
+        widths=arrays["gripper_width"].tolist(),
+        poses=list(poses.astype(np.float64)),
+        notes=notes,
+    )
+
+
+def _kind(kind: str) -> NoteKind:
+    for known in get_args(NoteKind):
+        if kind == known:
+            return known
+    raise ValueError(f"there is no note of kind {kind!r}")
+
+
+def _read_arrays(path: Path, remedy: str) -> dict[str, np.ndarray]:
+    try:
+        with np.load(path) as file:  # no pickles
+            return {name: file[name] for name in file.files}
+    except FileNotFoundError:
+        raise InvalidInputError(f"{path} is missing: {remedy}") from None
+    except Exception as error:  # zip, header and data errors of many kinds
+        raise InvalidInputError(f"{path} is not a readable replay ({error}): {remedy}") from None
+
+
+def _read_meshes(path: Path) -> dict[str, tuple[trimesh.Trimesh, ...]]:
+    """Meshes by body; none where the file is missing: poses and objects can be shown without."""
+    if not path.is_file():
+        return {}
+    try:
+        scene: Any = trimesh.load_scene(path, file_type="glb", process=False)
+        parts: dict[str, list[trimesh.Trimesh]] = {}
+        for node in sorted(scene.graph.nodes_geometry):
+            mesh = scene.geometry[scene.graph[node][1]]
+            parts.setdefault(str(node).rpartition("/")[0], []).append(mesh)
+    except Exception as error:  # whatever the parser meets
+        raise InvalidInputError(
+            f"{path} is not a readable GLB file ({error}): delete it or run again"
+        ) from None
+    return {body: tuple(meshes) for body, meshes in parts.items()}
+
+
+def _plain(value: Any) -> Any:
+    """Arrays as short lists."""
+    if isinstance(value, np.ndarray):
+        return np.round(value.astype(np.float64), 5).tolist()
+    if isinstance(value, np.generic):
+        return value.item()
+    if isinstance(value, Mapping):
+        return {str(key): _plain(entry) for key, entry in value.items()}
+    if isinstance(value, Sequence) and not isinstance(value, str):
+        return [_plain(entry) for entry in value]
+    return value

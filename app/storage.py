@@ -13,15 +13,17 @@ from app.drawing import draw_detections, draw_estimates
 from app.options import RunTaskOptions, Task
 from app.overview import Pictures, write_overview
 from app.pipeline import Outcome, Watcher
-from app.replay import Recorder
+from app.recording import RATE, CellRecorder
 from app.report import Report
 from app.run_folder import RunFolder
 from app.screen import Screen
 from app.video import FPS, SPEED, WRIST, VideoWriter
 from manipulation.execution import TaskEvent
 from manipulation.types import TaskPlan
+from perception.inference.fit import FitStep
 from perception.object_map import write_object_map
 from perception.scan_folder import write_detections, write_scan
+from perception.types import Category, RgbdFrame
 from sim_assets.world import World
 
 TITLES = {
@@ -32,7 +34,6 @@ TITLES = {
     "execute": "Moving objects",
     "verify": "Looking again",
 }
-REPLAY_RATE = 30.0  # [Hz] of simulated time
 CLOSE_CAMERA: dict[str, str] = {"pack": "box", "sort": "line"}
 
 
@@ -40,44 +41,59 @@ class Storage(Watcher):
     """Watches a run: shows its progress, writes its folder, records replay and video."""
 
     def __init__(
-        self, options: RunTaskOptions, task: Task, folder: RunFolder, screen: Screen, world: World
+        self,
+        options: RunTaskOptions,
+        task: Task,
+        folder: RunFolder,
+        screen: Screen,
+        world: World,
+        recording: CellRecorder,
     ) -> None:
         super().__init__()
         self._options, self._task = options, task
         self._folder, self._screen, self._world = folder, screen, world
         self._begin = time.perf_counter()
-        self._recorder = Recorder()
+        self._recording = recording
+        recording.recorder.write_meshes(folder.path)
         self._made: dict[str, Any] = {}
         self._before = world.overview_image()
         self._video = VideoWriter(folder.path / "video.mp4", task.capitalize()) if options.video else None
         self._samples = 0
         self._wrist: np.ndarray | None = None
-        world.observe(self._sample, REPLAY_RATE)
+        world.observe(self._sample, RATE)
 
     @contextmanager
     def stage(self, name: str) -> Iterator[None]:
         self._write_progress(f"stopped while {TITLES[name].lower()}")
-        self._recorder.event(self._world.time, name)
+        self._recording.begin(name)
         if self._video is not None:
             self._video.stage(name)
         with self._screen.stage(TITLES[name]), super().stage(name):
             yield
+        self._recording.done(name, self.timings[name])
 
     def progress(self, done: int, total: int, what: str = "") -> None:
         self._screen.update(f"{done} of {total} {what.replace('_', ' ')}")
 
     def event(self, event: TaskEvent) -> None:
         text = f"{event.phase} {event.name}".replace("_", " ")
-        self._recorder.event(self._world.time, text)
+        self._recording.event(event)
         self._screen.update(f"{event.done} of {event.total}: {text}")
         if event.phase in ("retry", "failed", "deferred"):
             self._screen.note(f"{text}: {event.message}")
         if self._video is not None:
             self._video.stage("execute", text)
 
+    def looked(self, frame: RgbdFrame) -> None:
+        self._recording.looked(frame)
+
+    def fit_step(self, object_id: int, category: Category, step: FitStep) -> None:
+        self._recording.fit_step(object_id, category, step)
+
     def made(self, name: str, value: Any) -> None:
         """Write what a stage made; the folder stays readable at any moment."""
         self._made[name] = value
+        self._recording.made(name, value)
         if name == "frames":
             write_scan(self._folder.scan, value)
         elif name == "detections":
@@ -92,7 +108,7 @@ class Storage(Watcher):
     def close(self) -> None:
         """Finish replay and video, also after an interruption."""
         self._world.observe(None)
-        self._recorder.write(self._folder.path / "replay.npz")
+        self._recording.recorder.write(self._folder.path)
         if self._video is not None:
             self._video.hold(2.0)
             self._video.close()
@@ -127,8 +143,8 @@ class Storage(Watcher):
             self._video.hold(1.5, wrist)
 
     def _sample(self, world: World) -> None:
-        self._recorder.sample(world.time, world.joint_positions(), world.gripper_width())
-        if self._video is not None and self._samples % round(REPLAY_RATE * SPEED / FPS) == 0:
+        self._recording.sample()
+        if self._video is not None and self._samples % round(RATE * SPEED / FPS) == 0:
             if self._wrist is None or self._video.n_frames % 2:  # every other one: rendering takes its time
                 self._wrist = world.overview_image(*WRIST, camera="wrist")
             self._video.frame(world.overview_image(800, 600), self._wrist)

@@ -8,6 +8,7 @@ from app.cell import build_world
 from app.episode import run_episode
 from app.options import PackOptions, RunTaskOptions, Task
 from app.perceive import load_perception
+from app.recording import CellRecorder
 from app.report import Report
 from app.run_folder import RunFolder
 from app.screen import Screen
@@ -25,7 +26,7 @@ def run(options: RunTaskOptions, screen: Screen) -> Report:
     with world:
         with screen.stage("Loading networks"):
             perception = load_perception(options.device)
-        storage = Storage(options, task, folder, screen, world)
+        storage = Storage(options, task, folder, screen, world, CellRecorder(world))
         try:
             report, outcome = run_episode(world, options, task, perception, storage)
         finally:

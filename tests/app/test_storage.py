@@ -1,6 +1,7 @@
 """What is on disk at each moment of a run, and the pictures made from it."""
 
 import json
+import threading
 
 import cv2
 import numpy as np
@@ -12,7 +13,8 @@ from app.drawing import draw_detections, draw_estimates
 from app.options import PackOptions
 from app.overview import Pictures, write_overview
 from app.perceive import Detections
-from app.replay import Recorder
+from app.recording import CellRecorder
+from app.replay import Recorder, read_recording
 from app.report import ObjectReport
 from app.run_folder import RunFolder
 from app.screen import Screen
@@ -102,18 +104,6 @@ def test_overview_is_written_whole_or_of_what_there_is(tmp_path):
     assert (tmp_path / "whole.png").stat().st_size > (tmp_path / "nothing.png").stat().st_size
 
 
-def test_replay_round_trip(tmp_path):
-    recorder = Recorder()
-    for step in range(3):
-        recorder.sample(0.1 * step, np.full(7, step, dtype=np.float64), 0.04)
-    recorder.event(0.1, "grasp mug 2")
-    recorder.write(tmp_path / "replay.npz")
-    with np.load(tmp_path / "replay.npz") as replay:  # no pickle needed
-        assert replay["joint_positions"].shape == (3, 7)
-        assert list(replay["event"]) == ["grasp mug 2"] and replay["event_time"] == [0.1]
-    Recorder().write(tmp_path / "empty.npz")
-
-
 def test_video_has_its_length_and_appears_only_when_complete(tmp_path):
     video = VideoWriter(tmp_path / "video.mp4", "Pack")
     video.stage("scan")
@@ -145,10 +135,18 @@ class StillWorld(World):
         self.observer = observer
 
 
+class StillRecorder(CellRecorder):
+    """Records that nothing moves."""
+
+    def __init__(self, world):
+        self.world, self.recorder, self._lock = world, Recorder(), threading.Lock()
+
+
 def test_a_run_that_is_killed_leaves_what_was_finished(tmp_path):
     options = PackOptions(out=tmp_path / "run", seed=4)
     folder = RunFolder.create(options, "pack")
-    watcher = Storage(options, "pack", folder, Screen(quiet=True), StillWorld())
+    world = StillWorld()
+    watcher = Storage(options, "pack", folder, Screen(quiet=True), world, StillRecorder(world))
     with watcher.stage("scan"):
         watcher.made("frames", [frame()])
     with pytest.raises(KeyboardInterrupt), watcher.stage("detect"):
@@ -157,4 +155,5 @@ def test_a_run_that_is_killed_leaves_what_was_finished(tmp_path):
         raise KeyboardInterrupt
     watcher.close()
     assert len(read_scan(folder.scan).frames) == 1
-    assert (folder.path / "replay.npz").exists()
+    replay = read_recording(folder.path)
+    assert [note.data["name"] for note in replay.notes if note.kind == "stage"] == ["scan", "detect"]

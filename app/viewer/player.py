@@ -1,0 +1,100 @@
+"""Lets show time pass: plays a story at a speed, follows one that still grows, jumps where it is told to.
+
+Drawing happens in one thread of its own at a bounded rate; whoever records never waits for it.
+"""
+
+from __future__ import annotations
+
+import logging
+import threading
+import time
+from collections.abc import Callable
+
+from app.viewer.story import Story
+
+_log = logging.getLogger(__name__)
+
+RATE = 15.0  # [Hz] of drawing
+LAG = 1.0  # [s] behind the newest moment when following; further behind, time passes faster
+
+
+class Player:
+    """The clock of a viewer.
+
+    Attributes:
+        story: what is played.
+        playing: whether time passes.
+        live: whether the story still grows.
+        following: whether it catches up with what is being recorded.
+        speed: show seconds in a second.
+        time: show time in [s].
+    """
+
+    def __init__(self, story: Story, draw: Callable[[], None], live: bool = False) -> None:
+        self.story, self._draw = story, draw
+        self.playing, self.live, self.following = True, live, live
+        self.speed, self.time = 1.0, 0.0
+        self._lock = threading.RLock()
+        self._ended = threading.Event()
+        self._thread = threading.Thread(target=self._run, name="viewer", daemon=True)
+
+    def start(self) -> None:
+        self._thread.start()
+
+    def close(self) -> None:
+        """Stop drawing."""
+        self._ended.set()
+        if self._thread is not threading.current_thread() and self._thread.is_alive():
+            self._thread.join(timeout=5)
+
+    def tell(self, story: Story, live: bool) -> None:
+        """From now on another story, from its beginning."""
+        with self._lock:
+            self.story, self.time, self.playing = story, 0.0, True
+            self.live = self.following = live
+
+    def play(self) -> None:
+        with self._lock:
+            if self.time >= self.story.end and not self.following:
+                self.time = 0.0
+            self.playing = True
+
+    def pause(self) -> None:
+        with self._lock:
+            self.playing = self.following = False
+
+    def seek(self, show_time: float) -> None:
+        """Go to a show time in [s] and, if the story still grows, no longer follow it."""
+        with self._lock:
+            self.time = min(max(show_time, 0.0), self.story.end)
+            self.following = False
+
+    def follow(self) -> None:
+        """Catch up with what is being recorded."""
+        with self._lock:
+            self.playing = self.following = True
+
+    def advance(self, seconds: float) -> None:
+        """Let ``seconds`` of real time pass."""
+        with self._lock:
+            if not self.playing:
+                return
+            end = self.story.end
+            speed = self.speed
+            if self.following:  # faster the further behind, so that it is never far from now
+                speed = max(speed, (end - self.time) / LAG)
+            self.time = min(self.time + speed * seconds, end)
+            if self.time >= end and not self.following:
+                self.playing = False
+
+    def _run(self) -> None:
+        last = time.perf_counter()
+        while not self._ended.is_set():
+            now = time.perf_counter()
+            self.advance(now - last)
+            last = now
+            try:
+                self._draw()
+            except Exception:  # a picture that fails must not end the view
+                _log.exception("the viewer could not draw")
+            self._ended.wait(max(1 / RATE - (time.perf_counter() - now), 0.5 / RATE))

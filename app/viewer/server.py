@@ -1,0 +1,181 @@
+"""A viser server that only this machine's own page may talk to.
+
+viser listens on every interface, accepts websockets from any web page, opens a public tunnel when any client
+asks for one, and moves to another port in silence. Here it listens on the loopback interface unless told
+otherwise; requests must name this server as their host (no DNS rebinding) and, where a browser says which
+page they come from, that page must be ours; the tunnel is shut; what is no message of a viewer ends its own
+connection and nothing else.
+"""
+
+from __future__ import annotations
+
+import contextlib
+import functools
+import http
+import io
+import logging
+import socket
+import threading
+from collections.abc import Awaitable, Callable, Iterator
+from typing import Any
+from urllib.parse import urlsplit
+
+import viser
+import websockets.asyncio.server
+from websockets.asyncio.server import ServerConnection
+from websockets.datastructures import Headers
+from websockets.http11 import Request, Response
+
+from app.errors import UsageError
+
+_log = logging.getLogger(__name__)
+
+LOOPBACK = "127.0.0.1"
+DEFAULT_PORT = 8080
+PORTS_TRIED = 20  # from the default one on
+_LOOPBACK_NAMES = {"localhost", "127.0.0.1", "[::1]", "::1"}
+_ANYWHERE = {"0.0.0.0", "::", ""}
+_starting = threading.Lock()
+
+
+def open_server(host: str = LOOPBACK, port: int | None = None) -> ViewerServer:
+    """Start to listen.
+
+    Args:
+        host: interface to listen on.
+        port: which one; None takes the default or the next free one after it, 0 any.
+
+    Raises:
+        UsageError: the port is taken, or there is no such interface.
+    """
+    return ViewerServer(host, _free_port(host, port))
+
+
+def _free_port(host: str, port: int | None) -> int:
+    candidates = [port] if port is not None else range(DEFAULT_PORT, DEFAULT_PORT + PORTS_TRIED)
+    problem: OSError | None = None
+    for candidate in candidates:
+        try:
+            family = socket.getaddrinfo(host or None, candidate, type=socket.SOCK_STREAM)[0][0]
+            with socket.socket(family, socket.SOCK_STREAM) as probe:
+                probe.setsockopt(socket.SOL_SOCKET, socket.SO_REUSEADDR, 1)
+                probe.bind((host, candidate))
+                return int(probe.getsockname()[1])
+        except socket.gaierror:
+            raise UsageError(f"--host {host} is no address of this machine: leave it out") from None
+        except (OSError, OverflowError) as error:
+            problem = error if isinstance(error, OSError) else OSError(0, "no such port")
+    assert problem is not None
+    reason = (problem.strerror or str(problem)).lower()
+    if port is None:
+        raise UsageError(f"ports {DEFAULT_PORT} to {DEFAULT_PORT + PORTS_TRIED - 1}: {reason}: give --port")
+    raise UsageError(f"--host {host} --port {port}: {reason}; give another --port, or none for the next free")
+
+
+class ViewerServer(viser.ViserServer):
+    """viser's server behind a guard."""
+
+    def __init__(self, host: str, port: int) -> None:
+        with _starting, _guarded(Guard(host)), _silence():
+            super().__init__(host=host, port=port, label="NodeSLAM", verbose=False)
+
+    @property
+    def url(self) -> str:
+        """Where a browser on this machine finds it."""
+        host = self.get_host()
+        shown = "localhost" if host in _ANYWHERE | _LOOPBACK_NAMES else host
+        return f"http://{shown}:{self.get_port()}"
+
+    def request_share_url(self, verbose: bool = True) -> str | None:
+        """Refused: nobody may publish this server, neither a client nor a program."""
+        _log.warning("a client asked for a public tunnel to the viewer; refused")
+        return None
+
+    def stop(self) -> None:
+        with _silence():
+            super().stop()
+
+
+def _silence() -> contextlib.redirect_stdout[io.StringIO]:
+    """For the banners that viser prints."""
+    return contextlib.redirect_stdout(io.StringIO())
+
+
+class Guard:
+    """Decides which requests are answered."""
+
+    def __init__(self, host: str) -> None:
+        self.names = set(_LOOPBACK_NAMES) | {host.lower()}
+        self.any_host = host in _ANYWHERE
+
+    def refusal(self, request: Request) -> str | None:
+        """Why a request is refused, or None."""
+        hosts, origins = request.headers.get_all("Host"), request.headers.get_all("Origin")
+        if len(hosts) != 1 or len(origins) > 1:
+            return "malformed headers"
+        if not self.any_host and _name(f"//{hosts[0]}") not in self.names:
+            return f"this server is not called {hosts[0][:80]!r}"
+        if not _is_websocket(request):
+            return None
+        if origins and urlsplit(origins[0]).netloc.lower() != hosts[0].lower():
+            return f"pages of {origins[0][:80]!r} may not connect"
+        protocols = ", ".join(request.headers.get_all("Sec-WebSocket-Protocol"))
+        if f"viser-v{viser.__version__}" not in [entry.strip() for entry in protocols.split(",")]:
+            return "not a page of this version: reload it"
+        return None
+
+
+def _is_websocket(request: Request) -> bool:
+    return request.headers.get("Upgrade", "").lower() == "websocket"
+
+
+def _name(url: str) -> str | None:
+    try:
+        return urlsplit(url).hostname
+    except ValueError:
+        return None
+
+
+@contextlib.contextmanager
+def _guarded(guard: Guard) -> Iterator[None]:
+    """While viser starts to listen, it does so behind the guard: it has no setting for that."""
+    listen = websockets.asyncio.server.serve
+
+    def guarded_listen(handler: Any, *args: Any, process_request: Any = None, **options: Any) -> Any:
+        return listen(
+            _contained(handler),
+            *args,
+            process_request=functools.partial(_answer, guard, process_request),
+            **options,
+        )
+
+    websockets.asyncio.server.serve = guarded_listen  # pyright: ignore[reportAttributeAccessIssue]
+    try:
+        yield
+    finally:
+        websockets.asyncio.server.serve = listen
+
+
+def _answer(
+    guard: Guard, next_answer: Any, connection: ServerConnection, request: Request
+) -> Response | None:
+    reason = guard.refusal(request)
+    if reason is None:
+        return next_answer(connection, request)
+    _log.warning("a connection to the viewer was refused: %s", reason)
+    return Response(http.HTTPStatus.FORBIDDEN, "Forbidden", Headers(), f"{reason}\n".encode())
+
+
+def _contained(
+    handler: Callable[[ServerConnection], Awaitable[None]],
+) -> Callable[[ServerConnection], Awaitable[None]]:
+    """The handler; what a client breaks is its own connection."""
+
+    async def contained(connection: ServerConnection) -> None:
+        try:
+            await handler(connection)
+        except Exception as error:  # whatever a malformed message sets off in the parser
+            _log.info("connection closed after a malformed message (%s)", type(error).__name__)
+            await connection.close(1007, "malformed message")
+
+    return contained

@@ -1,0 +1,87 @@
+"""How far a reconstructed surface may be off, from the covariance of its fit.
+
+The surface is where the occupancy o(g, z) keeps its level. To first order a step of code, rotation,
+translation and log scale (dz, omega, v, sigma) moves the point p of the object frame along its normal n by
+
+    (do/dz . dz) / |grad_p o|  +  omega . (p x n)  +  v . (R n)  +  sigma . (p * n)
+
+and the variance of that is a quadratic form in the covariance.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Mapping
+from dataclasses import dataclass, field
+
+import numpy as np
+import torch
+import trimesh
+from jaxtyping import Float
+from scipy.ndimage import map_coordinates
+
+from perception.inference.shape_model import Decoder
+from perception.types import GRID_RESOLUTION, Category, ObjectEstimate
+
+LEAST_SLOPE = (
+    0.1  # occupancy per voxel; a flatter one, of faint walls, would make any surface endlessly unsure
+)
+
+
+@dataclass(frozen=True)
+class BandConfig:
+    """Calibration of the bands, by class.
+
+    Attributes:
+        inflation: true errors where nothing was measured, over those the covariance predicts.
+        floor: error that is left where the surface was measured, in [m].
+    """
+
+    inflation: Mapping[Category, float] = field(
+        default_factory=lambda: {"mug": 1.0, "bowl": 1.0, "bottle": 1.0, "can": 1.0}
+    )
+    floor: Mapping[Category, float] = field(
+        default_factory=lambda: {"mug": 6e-4, "bowl": 6e-4, "bottle": 6e-4, "can": 6e-4}
+    )
+
+
+def surface_band(
+    estimate: ObjectEstimate,
+    covariance: Float[np.ndarray, "25 25"],
+    determined: Float[np.ndarray, "v"],
+    decoder: Decoder,
+    config: BandConfig | None = None,
+) -> Float[np.ndarray, "v"]:
+    """Calibrated standard deviation along the normal of each vertex, in [m].
+
+    ``determined`` says for each vertex to which share the measurements placed it (see ``refine.py``).
+    """
+    config = config or BandConfig()
+    inflation, floor = config.inflation[estimate.category], config.floor[estimate.category]
+    fitted = inflation * surface_deviation(estimate, covariance, decoder)
+    return np.hypot((1 - determined) * fitted, floor)
+
+
+def surface_deviation(
+    estimate: ObjectEstimate, covariance: Float[np.ndarray, "25 25"], decoder: Decoder
+) -> Float[np.ndarray, "v"]:
+    """One standard deviation along the normal of each vertex of the mesh, in [m]."""
+    points = estimate.mesh.vertices
+    normals = trimesh.Trimesh(points, estimate.mesh.faces, process=False).vertex_normals
+    code = torch.as_tensor(np.array(estimate.code), dtype=torch.float32)
+    grid, jacobian = (value.numpy() for value in decoder.with_jacobian(estimate.category, code))
+    voxel = 2 * estimate.scale / GRID_RESOLUTION  # [m]
+    where = ((points / estimate.scale + 1) / 2 * GRID_RESOLUTION - 0.5).T
+    slopes = np.stack([_at(values, where) for values in np.gradient(grid)], axis=1) / voxel
+    slope = np.maximum(np.linalg.norm(slopes, axis=1), LEAST_SLOPE / voxel.mean())
+    by_code = np.stack([_at(values, where) for values in np.moveaxis(jacobian, -1, 0)], axis=1)
+    rows = np.hstack([
+        by_code / slope[:, None],
+        np.cross(points, normals),
+        normals @ estimate.T_world_object[:3, :3].T,
+        points * normals,
+    ])  # fmt: skip
+    return np.sqrt(np.maximum(np.einsum("vi,ij,vj->v", rows, covariance, rows), 0.0))
+
+
+def _at(values: Float[np.ndarray, "x y z"], where: Float[np.ndarray, "3 v"]) -> Float[np.ndarray, "v"]:
+    return map_coordinates(values, where, order=1, mode="nearest")
