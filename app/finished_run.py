@@ -2,7 +2,8 @@
 
 from __future__ import annotations
 
-from dataclasses import dataclass
+from collections.abc import Sequence
+from dataclasses import dataclass, replace
 from pathlib import Path
 
 import numpy as np
@@ -12,7 +13,7 @@ from perception.errors import PerceptionError
 from perception.object_map import read_object_map
 from perception.scan_folder import Scan, read_scan
 from perception.support_plane import fit_support_plane
-from perception.types import ObjectEstimate, SupportPlane
+from perception.types import ObjectEstimate, RgbdFrame, SupportPlane
 
 
 @dataclass(frozen=True)
@@ -23,13 +24,13 @@ class FinishedRun:
         path: the folder.
         objects: the object map, at least one object.
         plane: what the objects stand on, in the world frame.
-        scan: the recorded images with their poses; None where there are none.
+        frames: the recorded images with their poses; empty where there are none.
     """
 
     path: Path
     objects: tuple[ObjectEstimate, ...]
     plane: SupportPlane
-    scan: Scan | None
+    frames: tuple[RgbdFrame, ...]
 
 
 def read_run(path: Path) -> FinishedRun:
@@ -44,16 +45,22 @@ def read_run(path: Path) -> FinishedRun:
     objects = read_object_map(path)
     if not objects:
         raise UsageError(f"{path}/objects.json holds no object: scan and reconstruct again")
-    scan = next((read_scan(p) for p in (path / "scan", path) if (p / "scene_camera.json").is_file()), None)
-    return FinishedRun(path, tuple(objects), support_of(objects, scan), scan)
+    folder = next((p for p in (path / "scan", path) if (p / "scene_camera.json").is_file()), None)
+    frames = posed_frames(read_scan(folder)) if folder else ()
+    return FinishedRun(path, tuple(objects), support_of(objects, frames), frames)
 
 
-def support_of(objects: list[ObjectEstimate], scan: Scan | None) -> SupportPlane:
+def posed_frames(scan: Scan) -> tuple[RgbdFrame, ...]:
+    """The images whose camera pose is known; where none is, the first camera is the world."""
+    posed = tuple(frame for frame in scan.frames if frame.T_world_camera is not None)
+    return posed or (replace(scan.frames[0], T_world_camera=np.eye(4)),)
+
+
+def support_of(objects: Sequence[ObjectEstimate], frames: Sequence[RgbdFrame]) -> SupportPlane:
     """The plane in the images where there are some, else the one under the objects."""
-    posed = tuple(frame for frame in scan.frames if frame.T_world_camera is not None) if scan else ()
-    if posed:
+    if frames:
         try:
-            return fit_support_plane(posed)
+            return fit_support_plane(frames)
         except PerceptionError:
             pass  # mostly objects in view: they say it as well
     up = np.mean([estimate.T_world_object[:3, 2] for estimate in objects], axis=0)

@@ -31,40 +31,29 @@ STAGES = {
 _BACKGROUND, _TEXT, _FAINT, _ACCENT = (24, 26, 30), (235, 235, 235), (120, 124, 132), (86, 180, 233)
 
 
-class VideoWriter:
-    """Composes frames and encodes them as they come; the file appears under its name when it is complete."""
+class MovieFile:
+    """Encodes images as they come; the file appears under its name when it is complete."""
 
-    def __init__(self, path: Path, title: str) -> None:
+    def __init__(self, path: Path, fps: int) -> None:
         import imageio.v2 as imageio
 
         self._path = path
         self._partial = path.with_name(f".{path.name}.partial.mp4")
-        self._title = title
-        self.n_frames = 0
-        self._stage = ""
-        self._detail = ""
-        self._last: tuple[np.ndarray, np.ndarray] | None = None
+        self._fps = fps
+        self._last: np.ndarray | None = None
         self._writer: Any = imageio.get_writer(
-            self._partial, fps=FPS, codec="libx264", quality=7, macro_block_size=8, ffmpeg_log_level="error"
+            self._partial, fps=fps, codec="libx264", quality=7, macro_block_size=8, ffmpeg_log_level="error"
         )
 
-    def stage(self, name: str, detail: str = "") -> None:
-        """What the caption says from now on."""
-        self._stage, self._detail = name, detail
+    def add(self, image: UInt8[np.ndarray, "h w 3"]) -> None:
+        """One more image, of the size of the others."""
+        self._last = image
+        self._writer.append_data(image)
 
-    def frame(self, scene: UInt8[np.ndarray, "h w 3"], wrist: UInt8[np.ndarray, "k l 3"]) -> None:
-        """Add one frame."""
-        self._last = (scene, wrist)
-        self.n_frames += 1
-        self._writer.append_data(self._compose(scene, wrist))
-
-    def hold(self, seconds: float, wrist: UInt8[np.ndarray, "k l 3"] | None = None) -> None:
-        """Stand still, with another picture in the wrist camera's place where one is given."""
-        if self._last is None:
-            return
-        composed = self._compose(self._last[0], self._last[1] if wrist is None else wrist)
-        for _ in range(round(seconds * FPS)):
-            self._writer.append_data(composed)
+    def hold(self, seconds: float) -> None:
+        """Stand still."""
+        for _ in range(round(seconds * self._fps) if self._last is not None else 0):
+            self._writer.append_data(self._last)
 
     def close(self) -> None:
         """Finish the file."""
@@ -75,6 +64,43 @@ class VideoWriter:
         """Give up what was written."""
         self._writer.close()
         self._partial.unlink(missing_ok=True)
+
+
+class VideoWriter:
+    """Composes frames and encodes them as they come; the file appears under its name when it is complete."""
+
+    def __init__(self, path: Path, title: str) -> None:
+        self._movie = MovieFile(path, FPS)
+        self._title = title
+        self.n_frames = 0
+        self._stage = ""
+        self._detail = ""
+        self._last: tuple[np.ndarray, np.ndarray] | None = None
+
+    def stage(self, name: str, detail: str = "") -> None:
+        """What the caption says from now on."""
+        self._stage, self._detail = name, detail
+
+    def frame(self, scene: UInt8[np.ndarray, "h w 3"], wrist: UInt8[np.ndarray, "k l 3"]) -> None:
+        """Add one frame."""
+        self._last = (scene, wrist)
+        self.n_frames += 1
+        self._movie.add(self._compose(scene, wrist))
+
+    def hold(self, seconds: float, wrist: UInt8[np.ndarray, "k l 3"] | None = None) -> None:
+        """Stand still, with another picture in the wrist camera's place where one is given."""
+        if self._last is None:
+            return
+        self._movie.add(self._compose(self._last[0], self._last[1] if wrist is None else wrist))
+        self._movie.hold(seconds)
+
+    def close(self) -> None:
+        """Finish the file."""
+        self._movie.close()
+
+    def discard(self) -> None:
+        """Give up what was written."""
+        self._movie.discard()
 
     def _compose(self, scene: np.ndarray, wrist: np.ndarray) -> np.ndarray:
         width, height = SCENE
