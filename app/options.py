@@ -17,6 +17,8 @@ Task = Literal["pack", "sort"]
 DepthNoise = Literal["none", "gaussian", "realsense"]
 Method = Literal["full", "no_refinement", "no_uncertainty", "no_pyramid", "dvr", "mask_only", "tsdf"]
 METHODS: tuple[Method, ...] = get_args(Method)
+Variant = Literal["with_plane", "full", "no_joint", "no_uncertainty"]
+VARIANTS: tuple[Variant, ...] = get_args(Variant)
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -62,9 +64,21 @@ class TaskOptions(CellOptions):
 
 
 @dataclass(frozen=True, kw_only=True)
-class RunTaskOptions(TaskOptions):
+class ViewerOptions:
+    """Where the viewer listens."""
+
+    host: str = "127.0.0.1"
+    """The viewer's interface; whoever can reach another one than this machine's own may watch and click."""
+    port: Annotated[int | None, arg(help_behavior_hint="default: 8080 or the next free one")] = None
+    """The viewer's port; 0 takes any."""
+
+
+@dataclass(frozen=True, kw_only=True)
+class RunTaskOptions(TaskOptions, ViewerOptions):
     """What pack and sort accept."""
 
+    view: bool = False
+    """Let the browser watch."""
     video: bool = False
     """Write video.mp4."""
 
@@ -139,12 +153,18 @@ class EvaluateOptions(TaskOptions):
     """Measure: task success over many episodes with seeds --seed, --seed + 1, ...; or reconstruction, by the
     paper's protocol, of --objects alone on a table."""
 
-    what: Positional[Literal["reconstruction", "tasks"]]
+    what: Positional[Literal["reconstruction", "slam", "tasks"]]
     """What to evaluate."""
     views: tuple[int, ...] = (1, 2, 3)
     """Reconstruction: from how many random views."""
     methods: tuple[Method, ...] = METHODS
     """Reconstruction: which methods are compared."""
+    scenes: int = 5
+    """SLAM: how many scenes of ten objects."""
+    variants: tuple[Variant, ...] = VARIANTS
+    """SLAM: which versions of the system are compared."""
+    frames: int = 150
+    """SLAM: length of the sequences."""
     task: Task = "pack"
     """Which task."""
     episodes: int = 20
@@ -168,21 +188,15 @@ class BenchOptions(CommonOptions):
 
 
 @dataclass(frozen=True, kw_only=True)
-class ViewerOptions:
-    """Where the viewer listens."""
+class ViewOptions(TaskOptions, ViewerOptions):
+    """Watch in the browser: a run folder replayed, or, without one, scenes and runs as its buttons ask."""
 
-    host: str = "127.0.0.1"
-    """Interface to listen on; anybody who reaches another one than the default may watch and click."""
-    port: Annotated[int | None, arg(help_behavior_hint="default: 8080 or the next free one")] = None
-    """Port to listen on; 0 takes any."""
-
-
-@dataclass(frozen=True, kw_only=True)
-class ViewOptions(CommonOptions, ViewerOptions):
-    """Watch in the browser: the replay of a run folder."""
-
-    run: Annotated[Positional[Path | None], arg(metavar="RUN")] = None
+    run: Annotated[Positional[Path | None], arg(metavar="[RUN]", help_behavior_hint="default: live")] = None
     """Run folder, or any folder with an object map or a scan."""
+    task: Task = "pack"
+    """Live: which task to begin with."""
+    html: Annotated[Path | None, arg(metavar="FILE", help_behavior_hint="default: serve")] = None
+    """Write the replay as one page that opens offline in any browser, and serve nothing."""
 
 
 @dataclass(frozen=True, kw_only=True)

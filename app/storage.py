@@ -10,6 +10,7 @@ from typing import Any
 import numpy as np
 
 from app.drawing import draw_detections, draw_estimates
+from app.gate import Gate
 from app.options import RunTaskOptions, Task
 from app.overview import Pictures, write_overview
 from app.pipeline import Outcome, Watcher
@@ -48,12 +49,13 @@ class Storage(Watcher):
         screen: Screen,
         world: World,
         recording: CellRecorder,
+        gate: Gate,
     ) -> None:
         super().__init__()
         self._options, self._task = options, task
         self._folder, self._screen, self._world = folder, screen, world
         self._begin = time.perf_counter()
-        self._recording = recording
+        self._recording, self._gate = recording, gate
         recording.recorder.write_meshes(folder.path)
         self._made: dict[str, Any] = {}
         self._before = world.overview_image()
@@ -66,10 +68,13 @@ class Storage(Watcher):
     def stage(self, name: str) -> Iterator[None]:
         self._write_progress(f"stopped while {TITLES[name].lower()}")
         self._recording.begin(name)
+        self._gate.mark()
+        held = self._gate.held
         if self._video is not None:
             self._video.stage(name)
         with self._screen.stage(TITLES[name]), super().stage(name):
             yield
+        self.timings[name] -= self._gate.held - held
         self._recording.done(name, self.timings[name])
 
     def progress(self, done: int, total: int, what: str = "") -> None:
@@ -78,6 +83,7 @@ class Storage(Watcher):
     def event(self, event: TaskEvent) -> None:
         text = f"{event.phase} {event.name}".replace("_", " ")
         self._recording.event(event)
+        self._gate.mark()
         self._screen.update(f"{event.done} of {event.total}: {text}")
         if event.phase in ("retry", "failed", "deferred"):
             self._screen.note(f"{text}: {event.message}")
@@ -86,9 +92,11 @@ class Storage(Watcher):
 
     def looked(self, frame: RgbdFrame) -> None:
         self._recording.looked(frame)
+        self._gate.passed()
 
     def fit_step(self, object_id: int, category: Category, step: FitStep) -> None:
         self._recording.fit_step(object_id, category, step)
+        self._gate.passed()
 
     def made(self, name: str, value: Any) -> None:
         """Write what a stage made; the folder stays readable at any moment."""
@@ -144,6 +152,7 @@ class Storage(Watcher):
 
     def _sample(self, world: World) -> None:
         self._recording.sample()
+        self._gate.passed()
         if self._video is not None and self._samples % round(RATE * SPEED / FPS) == 0:
             if self._wrist is None or self._video.n_frames % 2:  # every other one: rendering takes its time
                 self._wrist = world.overview_image(*WRIST, camera="wrist")

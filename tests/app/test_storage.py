@@ -10,6 +10,7 @@ import trimesh
 from PIL import Image
 
 from app.drawing import draw_detections, draw_estimates
+from app.gate import Gate
 from app.options import PackOptions
 from app.overview import Pictures, write_overview
 from app.perceive import Detections
@@ -146,7 +147,7 @@ def test_a_run_that_is_killed_leaves_what_was_finished(tmp_path):
     options = PackOptions(out=tmp_path / "run", seed=4)
     folder = RunFolder.create(options, "pack")
     world = StillWorld()
-    watcher = Storage(options, "pack", folder, Screen(quiet=True), world, StillRecorder(world))
+    watcher = Storage(options, "pack", folder, Screen(quiet=True), world, StillRecorder(world), Gate())
     with watcher.stage("scan"):
         watcher.made("frames", [frame()])
     with pytest.raises(KeyboardInterrupt), watcher.stage("detect"):
