@@ -6,6 +6,7 @@ from collections.abc import Iterator
 from dataclasses import dataclass, field
 
 import numpy as np
+import torch
 
 from perception.detection.detector import Detector
 from perception.errors import InvalidInputError
@@ -51,7 +52,15 @@ class SlamRun:
     _source: _Source = field(init=False, repr=False)
 
     def steps(self) -> Iterator[tuple[RgbdFrame, FrameResult]]:
-        """Frame by frame."""
+        """Frame by frame. Torch gets one thread: objects are spread over the cores instead."""
+        threads = torch.get_num_threads()
+        torch.set_num_threads(1)
+        try:
+            yield from self._steps()
+        finally:
+            torch.set_num_threads(threads)
+
+    def _steps(self) -> Iterator[tuple[RgbdFrame, FrameResult]]:
         for number, frame in self.sequence.frames():
             if isinstance(frame, InvalidInputError):
                 self.warnings.append(str(frame))
