@@ -54,7 +54,7 @@ class Sight:
     """What perception gets to see of an object, and the truth that it is scored against.
 
     Attributes:
-        frames, detections: the views; a view without detection has an empty list.
+        frames, detections: the views; one in which nothing is found has no detection.
         truth: the object as it stands.
     """
 
@@ -100,15 +100,27 @@ def load_sight(options: EvaluateOptions, subject: Subject) -> Sight:
     model = _model(options, subject)
     config = PortraitConfig(depth_noise=options.depth_noise)
     portrait = take_portrait(model, max(options.views), _rng(options, subject, 1), config)
-    detector = _detector(options.device)
-    detections = []
-    for frame in portrait.frames:
-        found = detector(frame, fit_support_plane([frame]))
-        largest = max(found, key=lambda detection: int(detection.mask.sum()), default=None)
-        known = () if largest is None else (replace(largest, category=subject.category, instance_id=0),)
-        detections.append(known)
+    detections = tuple(
+        _known(_detector(options.device)(frame, fit_support_plane([frame])), subject.category)
+        for frame in portrait.frames
+    )
     truth = TrueSurface.of(model, portrait.T_world_object, _rng(options, subject, 3))
-    return Sight(portrait.frames, tuple(detections), truth)
+    return Sight(portrait.frames, detections, truth)
+
+
+def _known(found: Sequence[ObjectDetection], category: Category) -> tuple[ObjectDetection, ...]:
+    """What is found in one image as a detection of the one object there, whose class is known.
+
+    A rim before its own far side may part an object into two instances; all that look like the class are
+    joined.
+    """
+    like = [detection.class_probabilities[CATEGORIES.index(category)] for detection in found]
+    if not found:
+        return ()
+    best = int(np.argmax(like))
+    parts = [detection.mask for detection, p in zip(found, like) if p > 0.5] or [found[best].mask]
+    mask = np.logical_or.reduce(parts)
+    return (replace(found[best], category=category, instance_id=0, mask=mask),)
 
 
 def reconstruct_subject(

@@ -68,6 +68,10 @@ def _medians(rows: Sequence[Row]) -> dict[str, Any]:
     result |= {name: _median(row[name] for row in found) for name in FIGURES}
     result["seconds"] = _median(row["seconds"] for row in found)
     result["converged"] = float(np.mean([row["status"] == "converged" for row in found])) if found else None
+    sure = [row for row in found if "surface_sigma" in row]
+    for name in ("surface_sigma", "within_1_sigma", "within_2_sigma"):
+        if sure:
+            result[name] = float(np.mean([row[name] for row in sure]))
     handles = [row for row in found if "handle_recall" in row]
     if handles:
         visible = [row["handle_recall"] for row in handles if row["handle_visible"]]
@@ -107,7 +111,26 @@ def reconstruction_tables(report: Report) -> list[Table]:
     """One table for each class: methods down, views across, the paper's figures beside ours for mugs."""
     medians = report.metrics["median"]
     categories = dict.fromkeys(entry["category"] for entry in medians)
-    return [_table(category, [m for m in medians if m["category"] == category]) for category in categories]
+    tables = [_table(category, [m for m in medians if m["category"] == category]) for category in categories]
+    calibrated = [m for m in medians if m["method"] == "full" and "surface_sigma" in m]
+    return [*tables, _calibration_table(calibrated)] if calibrated else tables
+
+
+def _calibration_table(medians: Sequence[Row]) -> Table:
+    """How well the full method knows how good it is."""
+    title = "how sure: share of the surface within the predicted deviation (ideally 68 and 95 %)"
+    table = Table(title=title, title_justify="left", show_edge=False, pad_edge=False)
+    for heading in ("", "views", "predicted 1σ", "within 1σ", "within 2σ", "converged"):
+        table.add_column(heading, justify="right" if heading else "left")
+    for entry in medians:
+        shares = (entry["within_1_sigma"], entry["within_2_sigma"], entry["converged"])
+        table.add_row(
+            entry["category"],
+            str(entry["views"]),
+            f"{1000 * entry['surface_sigma']:.2f} mm",
+            *(f"{100 * share:.0f} %" for share in shares),
+        )
+    return table
 
 
 def _table(category: str, medians: Sequence[Row]) -> Table:

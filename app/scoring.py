@@ -143,10 +143,17 @@ class TrueSurface:
         return SurfaceSamples(self.samples.points[::6], self.samples.normals[::6], self.samples.faces[::6])
 
     def score(self, estimate: ObjectEstimate, rng: np.random.Generator) -> dict[str, float]:
-        """accuracy, chamfer_l1 [m], completion at 1 cm, and of mugs the handle's recall at 5 mm."""
+        """accuracy, chamfer_l1 [m], completion at 1 cm; of mugs the handle's recall at 5 mm; and, where the
+        estimate says how sure it is, the median of that [m] and the share of its surface that keeps to it.
+        """
         samples = SurfaceSamples.of(estimate.mesh_world, rng)
         figures = compare_surfaces(samples, self.samples)
         result = {name: float(getattr(figures, name)) for name in ("accuracy", "chamfer_l1", "completion")}
+        if estimate.surface_sigma is not None:
+            sigma = estimate.surface_sigma[estimate.mesh.faces[samples.faces]].mean(axis=1)
+            error = self.samples.distance_along_normal(samples.points)
+            result["surface_sigma"] = float(np.median(sigma))
+            result |= {f"within_{k}_sigma": float((error < k * sigma).mean()) for k in (1, 2)}
         if len(self.handle):
             result["handle_recall"] = point_recall(samples, self.handle)
         return result

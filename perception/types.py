@@ -185,6 +185,7 @@ class ObjectEstimate:
         residual: root mean square of the inlier depth residuals in [m].
         status: how the fit ended.
         covariance: (25, 25) of (code 16, rotation 3, translation 3, log scale 3), or None.
+        surface_sigma: (v,) standard deviation of the mesh's vertices along their normals in [m], or None.
     """
 
     id: int
@@ -198,6 +199,7 @@ class ObjectEstimate:
     residual: float = 0.0
     status: FitStatus = "converged"
     covariance: Float[np.ndarray, "25 25"] | None = None
+    surface_sigma: Float[np.ndarray, "v"] | None = None
 
     def __post_init__(self) -> None:
         _require(

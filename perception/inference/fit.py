@@ -22,11 +22,14 @@ from perception.inference.observation import ObjectObservation, PixelConfig, gat
 from perception.inference.problem import FitProblem, FitState, NoiseConfig, SupportCamera
 from perception.inference.refine import RefineConfig, refine_mesh
 from perception.inference.shape_model import Decoder, LinearisedShape, decode, linearise, mean_shape
+from perception.inference.uncertainty import surface_band
 from perception.rendering.comparison import RendererName
 from perception.rendering.pose import ObjectPose
 from perception.types import CODE_SIZE, GRID_RESOLUTION, Category, FitStatus, ObjectEstimate, SupportPlane
 
 logger = logging.getLogger(__name__)
+
+SETTLED = 0.3  # root mean square of the last movements, in standard deviations, that counts as standing still
 
 
 @dataclass(frozen=True)
@@ -51,6 +54,7 @@ class FitConfig:
     renderer: RendererName = "probabilistic"
     start_views: int | None = None  # how many views the start is taken from; all by default
     relinearise_every: int = 4
+    settled_over: int = 8  # iterations over which a converged fit stands still
     pixels: PixelConfig = field(default_factory=PixelConfig)
     noise: NoiseConfig = field(default_factory=NoiseConfig)
     lm: LmConfig = field(default_factory=LmConfig)
@@ -180,6 +184,7 @@ class _Fitter:
             ]
         )
         trace: tuple[LmIteration, ...] = ()
+        history = [(0, state)]
         left = stage.iterations
         while True:
             budget = min(left, config.relinearise_every)
@@ -196,6 +201,7 @@ class _Fitter:
             lm = replace(config.lm, max_iterations=budget, damping=damping)
             result = minimise(problem, FitState.moved, state, lm, limit)
             state, damping, trace = result.state, result.damping, trace + result.trace
+            history.append((len(trace), state))
             if watched_from is not None:
                 misfit = _capped_mean(result.evaluation.residuals[: len(pixels.is_object)])
                 self.on_step(FitStep(watched_from + len(trace), state.pose, state.code, misfit))
@@ -205,16 +211,17 @@ class _Fitter:
             if result.status == "converged" and np.allclose(state.code, shape.code, atol=1e-3):
                 break
             shape = self.linearise(state.code)
-        converged = result.status == "converged" or _settled(trace)
+        hessian, _ = result.evaluation.normal_equations()
+        since = next(s for n, s in history if n >= len(trace) - config.settled_over)
+        converged = _settled(state.step_from(since), hessian)
         residual = result.evaluation.residuals[: len(pixels.is_object)]
         on, off = residual[pixels.is_object], residual[~pixels.is_object]
         return Fit(state, result.evaluation, on, off, trace, converged), shape, damping
 
 
-def _settled(trace: tuple[LmIteration, ...]) -> bool:
-    """Whether the last accepted step gained next to nothing."""
-    accepted = [line for line in trace if line.accepted]
-    return bool(accepted) and accepted[-1].cost - accepted[-1].cost_after < 0.01 * accepted[-1].cost
+def _settled(step: Float[np.ndarray, "25"], hessian: Float[np.ndarray, "25 25"]) -> bool:
+    """Whether the last iterations moved the estimate by little, measured by its own standard deviations."""
+    return bool(step @ hessian @ step < SETTLED**2 * len(step))
 
 
 def _misfit(fit: Fit) -> float:
@@ -240,14 +247,15 @@ def _estimate(
     pose, code = fit.state.pose, fit.state.code
     grid = decode(decoder, category, code)
     mesh = mesh_from_grid(grid, pose.scale, category, config.mesh)
+    determined = np.zeros(len(mesh.vertices))
     if config.refine is not None:
-        T_world_object = pose.T_world_object
-        refined = refine_mesh(mesh.transformed(T_world_object), observations, plane, config.refine)
-        mesh = refined.transformed(invert(T_world_object))
+        refined = refine_mesh(mesh.transformed(pose.T_world_object), observations, plane, config.refine)
+        mesh, determined = refined.mesh.transformed(invert(pose.T_world_object)), refined.determined
     hessian, _ = fit.evaluation.normal_equations()
     inliers = np.abs(fit.residual_object) < config.noise.huber * config.noise.depth_sigma
     residual = float(np.sqrt(np.mean(fit.residual_object[inliers] ** 2))) if inliers.any() else float("inf")
-    return ObjectEstimate(
+    covariance = np.linalg.pinv(hessian, hermitian=True)
+    estimate = ObjectEstimate(
         id=object_id,
         category=category,
         code=code,
@@ -258,8 +266,9 @@ def _estimate(
         n_views=len(observations),
         residual=residual,
         status=_status(fit, pose, plane, float(inliers.mean())),
-        covariance=np.linalg.pinv(hessian, hermitian=True),
+        covariance=covariance,
     )
+    return replace(estimate, surface_sigma=surface_band(estimate, covariance, determined, decoder))
 
 
 def _status(fit: Fit, pose: ObjectPose, plane: SupportPlane, inlier_share: float) -> FitStatus:

@@ -10,7 +10,7 @@ from dataclasses import dataclass
 import numpy as np
 from jaxtyping import Float
 
-from perception.geometry import hat, rigid
+from perception.geometry import hat, rigid, so3_log
 from perception.inference.levenberg_marquardt import Evaluation
 from perception.inference.observation import PixelSet
 from perception.inference.shape_model import LinearisedShape
@@ -62,6 +62,14 @@ class FitState:
 
     def moved(self, step: Float[np.ndarray, "25"]) -> FitState:
         return FitState(self.pose.moved(step[CODE_SIZE:]), self.code + step[:CODE_SIZE])
+
+    def step_from(self, other: FitState) -> Float[np.ndarray, "25"]:
+        """The step that leads here from another state."""
+        turn = so3_log(other.pose.rotation.T @ self.pose.rotation)
+        move = self.pose.translation - other.pose.translation
+        return np.concatenate(
+            [self.code - other.code, turn, move, np.log(self.pose.scale / other.pose.scale)]
+        )
 
 
 @dataclass(frozen=True)

@@ -57,13 +57,26 @@ class RefineConfig:
     limit: float = 0.006
 
 
+@dataclass(frozen=True)
+class RefinedMesh:
+    """A mesh after measurements moved it.
+
+    Attributes:
+        mesh: its faces are as they were.
+        determined: (n,) share of each vertex's place that the measurements decided, 0..1; the rest is prior.
+    """
+
+    mesh: TriangleMesh
+    determined: Float[np.ndarray, "n"]
+
+
 def refine_mesh(
     mesh_world: TriangleMesh,
     observations: Sequence[ObjectObservation],
     plane: SupportPlane,
     config: RefineConfig | None = None,
-) -> TriangleMesh:
-    """The mesh, in the world, moved towards what the views measured; faces stay as they are."""
+) -> RefinedMesh:
+    """The mesh, in the world, moved towards what the views measured."""
     config = config or RefineConfig()
     surface = trimesh.Trimesh(mesh_world.vertices, mesh_world.faces, process=False)
     normals = np.asarray(surface.vertex_normals)
@@ -78,8 +91,10 @@ def refine_mesh(
     lowest = (normals @ plane.normal < -0.7) & (height < height.min() + 0.002)
     precision += lowest / config.support_sigma**2
     target += lowest * height / config.support_sigma**2  # along its normal, which points down
-    d = _most_probable(surface, precision, target, config)
-    return TriangleMesh(mesh_world.vertices + d[:, None] * normals, mesh_world.faces)
+    d, determined = _most_probable(surface, precision, target, config)
+    moved = mesh_world.vertices + d[:, None] * normals
+    moved = moved - np.minimum(plane.height_above(moved), 0.0)[:, None] * plane.normal  # not into the plane
+    return RefinedMesh(TriangleMesh(moved, mesh_world.faces), determined)
 
 
 @dataclass(frozen=True)
@@ -201,13 +216,17 @@ def _heights(frame: RgbdFrame, plane: SupportPlane, view: _View) -> Float[np.nda
 
 def _most_probable(
     surface: trimesh.Trimesh, precision: np.ndarray, target: np.ndarray, config: RefineConfig
-) -> Float[np.ndarray, "n"]:
-    """Displacement of every vertex: a smooth part of its own and one common to all."""
+) -> tuple[Float[np.ndarray, "n"], Float[np.ndarray, "n"]]:
+    """Displacement of every vertex, a smooth part of its own and one common to all; and how determined it is.
+
+    The displacement is linear in what is measured: were every vertex's measurement 1, its own part would
+    become its share of determination.
+    """
     n = len(precision)
     i, j = np.asarray(surface.edges_unique).T
     stiff = np.full(len(i), config.roughness**-2)
     links = sparse.coo_array((np.r_[stiff, stiff], (np.r_[i, j], np.r_[j, i])), shape=(n, n)).tocsr()
-    own = sparse.diags_array(links.sum(axis=1) + config.prior_sigma**-2 + precision) - links
+    own = sparse.csr_array(sparse.diags_array(links.sum(axis=1) + config.prior_sigma**-2 + precision) - links)
     A = sparse.block_array(
         [
             [own, sparse.csr_array(precision[:, None])],
@@ -215,7 +234,11 @@ def _most_probable(
         ],
         format="csr",
     )
-    b = np.r_[target, target.sum()]
-    inverse_diagonal = sparse.diags_array(1 / A.diagonal())
-    x, _ = cg(A, b, rtol=1e-4, maxiter=300, M=inverse_diagonal)
-    return np.clip(x[:n] + x[n], -config.limit, config.limit)
+    x = _solved(A, np.r_[target, target.sum()])
+    determined = np.clip(_solved(own, precision), 0.0, 1.0)
+    return np.clip(x[:n] + x[n], -config.limit, config.limit), determined
+
+
+def _solved(A: sparse.csr_array, b: np.ndarray) -> np.ndarray:
+    """A^-1 b to four digits, A positive definite."""
+    return cg(A, b, rtol=1e-4, maxiter=300, M=sparse.diags_array(1 / A.diagonal()))[0]

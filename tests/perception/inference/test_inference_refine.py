@@ -20,7 +20,7 @@ def cylinder(can, wider: float = 0.0, higher: float = 0.0) -> TriangleMesh:
     x, y = can.pose.translation[:2]
     radius, height = 0.63 * 0.05 + wider, 2 * 0.75 * 0.05 + higher
     mesh = trimesh.creation.cylinder(radius, height, sections=48).subdivide_to_size(0.004)
-    return TriangleMesh(mesh.vertices + (x, y, height / 2), mesh.faces)
+    return TriangleMesh(mesh.vertices + np.array([x, y, height / 2]), mesh.faces)
 
 
 def on_side(mesh: TriangleMesh) -> np.ndarray:
@@ -33,7 +33,7 @@ def radii(mesh: TriangleMesh, can) -> np.ndarray:
 
 def test_a_can_too_narrow_and_too_high_is_put_right(can) -> None:
     start = cylinder(can, wider=-0.002, higher=0.003)
-    refined = refine_mesh(start, can.observations((0.0, 2.1, 4.2)), PLANE)
+    refined = refine_mesh(start, can.observations((0.0, 2.1, 4.2)), PLANE).mesh
     side = on_side(start)
     assert np.median(np.abs(radii(refined, can)[side] - 0.0315)) < 0.0004
     top = start.vertices[:, 2] > 0.0779
@@ -45,25 +45,27 @@ def test_a_can_too_narrow_and_too_high_is_put_right(can) -> None:
 
 def test_the_hidden_side_follows_what_all_sides_share(can) -> None:
     start = cylinder(can, wider=-0.002)
-    refined = refine_mesh(start, can.observations((0.0,)), PLANE)
+    result = refine_mesh(start, can.observations((0.0,)), PLANE)
+    refined = result.mesh
     away = on_side(start) & (start.vertices[:, 0] < can.pose.translation[0] - 0.02)
     near = on_side(start) & (start.vertices[:, 0] > can.pose.translation[0] + 0.02)
     seen, hidden = radii(refined, can)[near].mean(), radii(refined, can)[away].mean()
     assert seen == pytest.approx(0.0315, abs=0.0004)
     assert 0.030 < hidden < seen
+    assert result.determined[near].mean() > 0.9 and result.determined[away].mean() < 0.3
 
 
 def test_nothing_moves_without_a_common_part_where_nothing_is_seen(can) -> None:
     start = cylinder(can, wider=-0.002)
     config = RefineConfig(common_sigma=1e-6, roughness=1e-3)
-    refined = refine_mesh(start, can.observations((0.0,)), PLANE, config)
+    refined = refine_mesh(start, can.observations((0.0,)), PLANE, config).mesh
     farthest = start.vertices[:, 0] < can.pose.translation[0] - 0.028
     assert np.abs(radii(refined, can) - radii(start, can))[farthest & on_side(start)].max() < 0.0006
 
 
 def test_background_beside_the_mask_trims_what_sticks_out(can) -> None:
     start = cylinder(can, higher=0.02)
-    refined = refine_mesh(start, can.observations((0.0, 2.1, 4.2)), PLANE, RefineConfig(limit=0.03))
+    refined = refine_mesh(start, can.observations((0.0, 2.1, 4.2)), PLANE, RefineConfig(limit=0.03)).mesh
     middle = (start.vertices[:, 2] > 0.0949) & (radii(start, can) < 0.025)
     assert np.median(refined.vertices[middle, 2]) < 0.088
 
@@ -72,5 +74,5 @@ def test_covered_pixels_say_nothing(can) -> None:
     start = cylinder(can, wider=-0.002)
     (seen,) = can.observations((0.0,))
     covered = type(seen)(seen.frame, seen.mask, np.ones_like(seen.mask))
-    refined = refine_mesh(start, [covered], PLANE)
+    refined = refine_mesh(start, [covered], PLANE).mesh
     np.testing.assert_allclose(refined.vertices[:, :2], start.vertices[:, :2], atol=2e-4)
