@@ -8,7 +8,7 @@ from __future__ import annotations
 import queue
 from collections.abc import Callable
 from dataclasses import fields, replace
-from typing import Literal, cast, get_args
+from typing import Literal, get_args
 
 import viser
 
@@ -21,6 +21,7 @@ from app.recording import CellRecorder
 from app.report import Report
 from app.screen import Screen
 from app.task import run_in
+from app.viewer.panel import chosen
 from app.viewer.viewer import Viewer
 from sim_assets.world import World
 
@@ -145,7 +146,7 @@ class Session:
 
     @property
     def _task_chosen(self) -> Task:
-        return cast(Task, self._task.value)
+        return chosen(self._task, get_args(Task))
 
     def _chosen(self, seed: int) -> RunTaskOptions:
         """The options of a run, as the controls stand."""

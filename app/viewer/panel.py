@@ -6,7 +6,7 @@ A person's choices are read here and nowhere else; text goes through ``charts``,
 from __future__ import annotations
 
 from collections.abc import Mapping
-from typing import Any, cast, get_args
+from typing import Any, get_args
 
 import cv2
 import numpy as np
@@ -114,13 +114,16 @@ class Panel:
     def shown(self) -> Shown:
         """What a person chose to see."""
         flags = {name: bool(box.value) for name, box in self._boxes.items()}
-        coloring, objects = cast(Coloring, self._coloring.value), cast(Objects, self._which.value)
-        return Shown(**flags, coloring=coloring, objects=objects)
+        return Shown(
+            **flags,
+            coloring=chosen(self._coloring, get_args(Coloring)),
+            objects=chosen(self._which, get_args(Objects)),
+        )
 
     @property
     def camera(self) -> str:
         """How the view moves; one of CAMERAS."""
-        return self._camera.value
+        return chosen(self._camera, CAMERAS)
 
     def title(self, title: str, subtitle: str, results: Mapping[int, Mapping[str, Any]]) -> None:
         """What is shown, and what the report says of each object, by id."""
@@ -179,6 +182,11 @@ class Panel:
     def _set(self, handle: viser.GuiHtmlHandle, content: str) -> None:
         if handle.content != content:
             handle.content = content
+
+
+def chosen(menu: viser.GuiDropdownHandle[Any], options: tuple[Any, ...]) -> Any:
+    """What a menu says; its first option where a client has sent what is none."""
+    return menu.value if menu.value in options else options[0]
 
 
 def _millimetres(iterations: list[int], residuals: list[float]) -> tuple[list[int], list[float]]:

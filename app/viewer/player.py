@@ -36,6 +36,7 @@ class Player:
         self.speed, self.time = 1.0, 0.0
         self._lock = threading.RLock()
         self._ended = threading.Event()
+        self._problem = ""  # that was told last
         self._thread = threading.Thread(target=self._run, name="viewer", daemon=True)
 
     def start(self) -> None:
@@ -95,6 +96,8 @@ class Player:
             last = now
             try:
                 self._draw()
-            except Exception:  # a picture that fails must not end the view
-                _log.exception("the viewer could not draw")
+            except Exception as error:  # a picture that fails must not end the view
+                if repr(error) != self._problem:
+                    _log.warning("the viewer could not draw", exc_info=True)
+                self._problem = repr(error)
             self._ended.wait(max(1 / RATE - (time.perf_counter() - now), 0.5 / RATE))

@@ -17,9 +17,11 @@ import logging
 import socket
 import threading
 from collections.abc import Awaitable, Callable, Iterator
-from typing import Any
+from math import isfinite
+from typing import Any, cast
 from urllib.parse import urlsplit
 
+import msgspec.msgpack
 import viser
 import websockets.asyncio.server
 from websockets.asyncio.server import ServerConnection
@@ -32,6 +34,9 @@ _log = logging.getLogger(__name__)
 
 LOOPBACK = "127.0.0.1"
 DEFAULT_PORT = 8080
+MAX_MESSAGE = 65536  # [bytes]; cameras and clicks are far shorter
+# What pages send that anybody here listens to; everything else, share requests first, is dropped unread.
+HANDLED = frozenset({"ViewerCameraMessage", "GuiUpdateMessage"})
 PORTS_TRIED = 20  # from the default one on
 _LOOPBACK_NAMES = {"localhost", "127.0.0.1", "[::1]", "::1"}
 _ANYWHERE = {"0.0.0.0", "::", ""}
@@ -78,6 +83,7 @@ class ViewerServer(viser.ViserServer):
     def __init__(self, host: str, port: int) -> None:
         with _starting, _guarded(Guard(host)), _silence():
             super().__init__(host=host, port=port, label="NodeSLAM", verbose=False)
+        self.get_event_loop().set_exception_handler(_contain)
 
     @property
     def url(self) -> str:
@@ -94,6 +100,11 @@ class ViewerServer(viser.ViserServer):
     def stop(self) -> None:
         with _silence():
             super().stop()
+
+
+def _contain(loop: Any, context: dict[str, Any]) -> None:
+    """What a message sets off in a task of its own, such as a word where a number belongs."""
+    _log.info("a viewer's message was dropped: %s", context.get("exception") or context.get("message"))
 
 
 def _silence() -> contextlib.redirect_stdout[io.StringIO]:
@@ -173,9 +184,54 @@ def _contained(
 
     async def contained(connection: ServerConnection) -> None:
         try:
-            await handler(connection)
-        except Exception as error:  # whatever a malformed message sets off in the parser
-            _log.info("connection closed after a malformed message (%s)", type(error).__name__)
+            await handler(cast(ServerConnection, _Checked(connection)))
+        except Exception as error:  # whatever a message sets off
+            _log.info("a viewer's connection is closed (%s: %s)", type(error).__name__, error)
             await connection.close(1007, "malformed message")
 
     return contained
+
+
+class _Checked:
+    """A connection that hands on only what pages of this viewer send; anything else ends it."""
+
+    def __init__(self, connection: ServerConnection) -> None:
+        self._connection = connection
+
+    def __getattr__(self, name: str) -> Any:
+        return getattr(self._connection, name)
+
+    async def recv(self) -> bytes:
+        while True:
+            raw = await self._connection.recv()
+            message = checked_message(raw)
+            if message in HANDLED:
+                assert isinstance(raw, bytes)
+                return raw
+
+
+def checked_message(raw: bytes | str) -> str:
+    """The kind of a message.
+
+    Raises:
+        ValueError: it is none, or tries to change more of a control than its value.
+    """
+    if isinstance(raw, str) or len(raw) > MAX_MESSAGE:
+        raise ValueError("text, or too long")
+    message = msgspec.msgpack.decode(raw)
+    if not isinstance(message, dict) or not isinstance(message.get("type"), str):
+        raise ValueError("not a message")
+    kind = message["type"]
+    if kind == "GuiUpdateMessage":  # viser would set any attribute that is named here
+        updates = message.get("updates")
+        if not isinstance(updates, dict) or set(updates) != {"value"}:
+            raise ValueError("not the value of a control")
+        value = updates["value"]
+        if not isinstance(value, bool | int | str) and not (isinstance(value, float) and isfinite(value)):
+            raise ValueError("not a value")
+    if kind == "ViewerCameraMessage":
+        numbers = [message.get(name) for name in ("position", "wxyz", "look_at", "up_direction")]
+        flat = [value for vector in numbers for value in (vector if isinstance(vector, list) else [None])]
+        if not all(isinstance(value, int | float) and isfinite(value) for value in flat):
+            raise ValueError("not a camera")
+    return kind

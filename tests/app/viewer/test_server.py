@@ -1,0 +1,182 @@
+"""The guard, by requests as browsers and scripts send them."""
+
+import asyncio
+import contextlib
+import socket
+import time
+import urllib.error
+import urllib.request
+
+import msgspec.msgpack
+import numpy as np
+import pytest
+import viser
+import websockets.asyncio.client
+from websockets.exceptions import ConnectionClosed, InvalidStatus
+
+from app.errors import UsageError
+from app.viewer.server import checked_message, open_server
+from app.viewer.story import Story
+from app.viewer.viewer import Viewer
+
+PROTOCOL = f"viser-v{viser.__version__}"
+
+
+@pytest.fixture(scope="module")
+def server():
+    server = open_server(port=0)
+    yield server
+    server.stop()
+
+
+def fetch(server, host):
+    request = urllib.request.Request(f"http://127.0.0.1:{server.get_port()}/", headers={"Host": host})
+    with urllib.request.urlopen(request, timeout=10) as answer:
+        return answer.status
+
+
+def connect(server, origin=None, protocol=PROTOCOL, **options):
+    return websockets.asyncio.client.connect(
+        f"ws://127.0.0.1:{server.get_port()}", origin=origin, subprotocols=[protocol], **options
+    )
+
+
+def talk(server, messages, origin=None, protocol=PROTOCOL):
+    """Send messages on one connection; whether it stands afterwards."""
+
+    async def conversation():
+        async with connect(server, origin, protocol, max_size=None) as connection:
+            for message in messages:
+                await connection.send(message)
+            with contextlib.suppress(TimeoutError):
+                async with asyncio.timeout(0.5):
+                    while True:
+                        await connection.recv()
+            await connection.ping()
+            return True
+
+    return asyncio.run(conversation())
+
+
+def test_it_listens_on_this_machine_alone(server):
+    assert server.get_host() == "127.0.0.1"
+    addresses = {info[4][0] for info in socket.getaddrinfo(socket.gethostname(), None, socket.AF_INET)}
+    for address in addresses - {"127.0.0.1"}:
+        if not address.startswith("127."):
+            with pytest.raises(OSError):
+                socket.create_connection((address, server.get_port()), timeout=2)
+
+
+def test_only_its_own_name_is_answered(server):
+    port = server.get_port()
+    assert fetch(server, f"localhost:{port}") == fetch(server, f"127.0.0.1:{port}") == 200
+    with pytest.raises(urllib.error.HTTPError, match="403") as refused:
+        fetch(server, "evil.example")
+    refused.value.close()
+
+
+def test_only_its_own_pages_may_connect(server):
+    port = server.get_port()
+    assert talk(server, [], origin=None)  # a program of this machine
+    asyncio.run(_open_and_close(server, f"http://127.0.0.1:{port}"))
+    for origin in ("http://evil.example", "null", f"http://127.0.0.1:{port + 1}", f"http://localhost:{port}"):
+        with pytest.raises(InvalidStatus, match="403"):
+            asyncio.run(_open_and_close(server, origin))
+    with pytest.raises(InvalidStatus, match="403"):
+        talk(server, [], protocol="viser-v0.0.1")
+
+
+async def _open_and_close(server, origin):
+    async with connect(server, origin):
+        pass
+
+
+def test_nobody_gets_a_public_tunnel(server, monkeypatch):
+    asked = []
+    monkeypatch.setattr("viser._viser.ViserTunnel", lambda *args: asked.append(args))
+    assert talk(server, [msgspec.msgpack.encode({"type": "ShareUrlRequest"})])
+    time.sleep(0.2)
+    assert server.request_share_url() is None and asked == []
+
+
+def test_a_busy_port_is_named_and_the_default_moves_on(server, monkeypatch):
+    port = server.get_port()
+    with pytest.raises(UsageError, match=f"--port {port}: address already in use; give another"):
+        open_server(port=port)
+    monkeypatch.setattr("app.viewer.server.DEFAULT_PORT", port)
+    other = open_server()
+    assert port < other.get_port() < port + 20
+    other.stop()
+    with pytest.raises(UsageError, match=r"--host no\.such\.host is no address"):
+        open_server("no.such.host")
+    with pytest.raises(UsageError, match="--port 99999"):
+        open_server(port=99999)
+
+
+def encoded(**message):
+    return msgspec.msgpack.encode(message)
+
+
+CAMERA = {"position": [0, 0, 1], "wxyz": [1, 0, 0, 0], "look_at": [0, 0, 0], "up_direction": [0, 0, 1.0]}
+
+
+def test_messages_of_a_page_pass():
+    assert (
+        checked_message(encoded(type="GuiUpdateMessage", uuid="a", updates={"value": 2}))
+        == "GuiUpdateMessage"
+    )
+    assert checked_message(encoded(type="ViewerCameraMessage", **CAMERA)) == "ViewerCameraMessage"
+    assert checked_message(encoded(type="ShareUrlRequest")) == "ShareUrlRequest"
+
+
+@pytest.mark.parametrize(
+    "message",
+    [
+        "text",
+        b"",
+        b"\xc1",
+        bytes(70_000),
+        encoded(type=3),
+        encoded(kind="GuiUpdateMessage"),
+        msgspec.msgpack.encode([1, 2]),
+        encoded(type="GuiUpdateMessage", uuid="a", updates={"update_cb": []}),
+        encoded(type="GuiUpdateMessage", uuid="a", updates={"value": float("nan")}),
+        encoded(type="GuiUpdateMessage", uuid="a", updates={"value": [1]}),
+        encoded(type="ViewerCameraMessage", **CAMERA | {"position": [0, 0, float("inf")]}),
+        encoded(type="ViewerCameraMessage", **CAMERA | {"look_at": None}),
+    ],
+)
+def test_others_do_not(message):
+    with pytest.raises((ValueError, msgspec.DecodeError)):
+        checked_message(message)
+
+
+def test_a_thousand_malformed_messages_change_nothing(recording):
+    viewer = Viewer(open_server(port=0), recording)
+    viewer.start()
+    rng = np.random.default_rng(0)
+    uuids = list(viewer.server.gui._gui_input_handle_from_uuid)
+    wrong = [
+        encoded(type="GuiUpdateMessage", uuid=uuid, updates={"value": value})
+        for value in ("nonsense", -1e300, 2**40, "")
+        for uuid in uuids
+    ]
+    noise = [rng.bytes(int(rng.integers(0, 200))) for _ in range(1000 - len(wrong))]
+    try:
+        asyncio.run(_send(viewer.server, wrong))
+        for batch in range(0, len(noise), 50):
+            with contextlib.suppress(ConnectionClosed):
+                asyncio.run(_send(viewer.server, noise[batch : batch + 50]))
+        told = Story(recording)
+        assert told.end == viewer.player.story.end and told.stages == viewer.player.story.stages
+        assert viewer.player._thread.is_alive()
+        assert talk(viewer.server, [encoded(type="ViewerCameraMessage", **CAMERA, fov=1.0, near=0.1, far=9.0,
+                                            image_height=10, image_width=10)])  # fmt: skip
+    finally:
+        viewer.close()
+
+
+async def _send(server, messages):
+    async with connect(server, max_size=None) as connection:
+        for message in messages:
+            await connection.send(message)
