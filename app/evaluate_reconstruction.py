@@ -12,13 +12,13 @@ import time
 from collections import Counter
 from collections.abc import Hashable, Mapping, Sequence
 from functools import partial
-from typing import Any, get_args
+from typing import Any
 
 import numpy as np
 
 from app.cell import parse_objects
 from app.errors import UsageError
-from app.evaluate_reconstruction_object import CONVERGENCE_OBJECTS, Subject, evaluate_subject
+from app.evaluate_reconstruction_object import Subject, evaluate_subject
 from app.evaluate_reconstruction_summary import reconstruction_tables, summarise_reconstruction
 from app.evaluation import Ledger, Line, spread
 from app.options import EvaluateOptions
@@ -29,6 +29,7 @@ from perception.types import CATEGORIES, Category
 ROWS = "rows.jsonl"
 MOST_OBJECTS = 10_000
 MOST_VIEWS = 20
+FOLLOWED = 6  # so many objects make the convergence plot
 
 
 def run(options: EvaluateOptions, screen: Screen) -> Report:
@@ -36,9 +37,7 @@ def run(options: EvaluateOptions, screen: Screen) -> Report:
     begin = time.perf_counter()
     check(options)
     subjects = choose_subjects(options)
-    ledger, finished = Ledger.open(
-        options, "evaluate-reconstruction", ROWS, "object", _settings(options, subjects)
-    )
+    ledger, finished = Ledger.open(options, "evaluate-reconstruction", ROWS, "object", _settings(options))
     to_do = [subject for subject in subjects if subject.name not in finished]
     if finished:
         screen.note(f"{len(subjects) - len(to_do)} of {len(subjects)} objects are finished already")
@@ -88,23 +87,22 @@ def choose_subjects(options: EvaluateOptions) -> list[Subject]:
     """The objects: of the test families as ``--objects`` says, or every mesh of ``--object-meshes``."""
     if options.object_meshes is None:
         wanted = Counter(parse_objects(options.objects, np.random.default_rng(options.seed), MOST_OBJECTS))
-        return [Subject(c, index) for c in CATEGORIES for index in range(wanted[c])]
+        numbered = [(c, index) for c in CATEGORIES for index in range(wanted[c])]
+        return [Subject(c, index, followed=n < FOLLOWED) for n, (c, index) in enumerate(numbered)]
     from sim_assets.objects.user import mesh_files
 
     numbers: Counter[Category] = Counter()
     subjects = []
     for path, category in mesh_files(options.object_meshes):
-        subjects.append(Subject(category, numbers[category], path))
+        subjects.append(Subject(category, numbers[category], path, len(subjects) < FOLLOWED))
         numbers[category] += 1
     return subjects
 
 
-def _settings(options: EvaluateOptions, subjects: Sequence[Subject]) -> dict[str, Any]:
+def _settings(options: EvaluateOptions) -> dict[str, Any]:
     """What has to be the same in a resumed evaluation."""
     names = ("seed", "objects", "object_meshes", "depth_noise", "views", "methods", "device")
-    return {name: str(getattr(options, name)) for name in names} | {
-        "convergence": [s.name for s in subjects[:CONVERGENCE_OBJECTS]]
-    }
+    return {name: str(getattr(options, name)) for name in names}
 
 
 def _report(
@@ -118,5 +116,5 @@ def _report(
         reason=f"{len(done)} of {len(subjects)} objects",
         timings={"total": seconds},
         metrics=summarise_reconstruction(done),
-        settings=_settings(options, subjects) | {"classes": list(get_args(Category))},
+        settings=_settings(options),
     )

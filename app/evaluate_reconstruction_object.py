@@ -31,18 +31,25 @@ from perception.types import CATEGORIES, Category, ObjectDetection, ObjectEstima
 if TYPE_CHECKING:
     from sim_assets.objects import ObjectModel
 
-CONVERGENCE_OBJECTS = 6  # so many objects are followed over CONVERGENCE_ITERATIONS
 CONVERGENCE_ITERATIONS = 150
 PROTOCOL = FitConfig(start_views=1)  # the paper's: "initial object pose is predicted from the first view"
 
 
 @dataclass(frozen=True)
 class Subject:
-    """An object to be judged on: number ``index`` of its class, of the test families or from a mesh file."""
+    """An object to be judged on.
+
+    Attributes:
+        category: its class.
+        index: its number in the class.
+        path: its mesh file; None for an object of the test families.
+        followed: whether its fits are watched over CONVERGENCE_ITERATIONS.
+    """
 
     category: Category
     index: int
     path: Path | None = None
+    followed: bool = False
 
     @property
     def name(self) -> str:
@@ -88,7 +95,7 @@ def evaluate_subject(options: EvaluateOptions, subject: Subject) -> dict[str, An
                 row |= sight.truth.score(estimate, _rng(options, subject, 2))
             rows.append(row)
     line: dict[str, Any] = {"object": subject.name, "rows": rows}
-    if subject.index < CONVERGENCE_OBJECTS:
+    if subject.followed:
         line["convergence"] = _convergence(sight, options, subject, decoder)
     return line
 

@@ -42,6 +42,7 @@ class RefineConfig:
         outline_sigma: of the outline in a view [m].
         support_sigma: of the bottom's height over the support plane [m].
         limit: largest displacement [m].
+        passes: how often what is seen of the moved vertices is looked up again.
     """
 
     depth_sigma: float = 0.002
@@ -55,6 +56,7 @@ class RefineConfig:
     outline_sigma: float = 0.001
     support_sigma: float = 0.0007
     limit: float = 0.006
+    passes: int = 2
 
 
 @dataclass(frozen=True)
@@ -80,21 +82,35 @@ def refine_mesh(
     config = config or RefineConfig()
     surface = trimesh.Trimesh(mesh_world.vertices, mesh_world.faces, process=False)
     normals = np.asarray(surface.vertex_normals)
-    n = len(normals)
-    precision, target = np.zeros(n), np.zeros(n)  # of the measurements, and weighted by it
-    for seen in observations:
-        view = _View.of(surface, normals, seen)
-        for w, d in (_measured(view, seen, config), _outlined(view, seen, plane, config)):
-            precision += w
-            target += w * d
-    height = plane.height_above(mesh_world.vertices)
-    lowest = (normals @ plane.normal < -0.7) & (height < height.min() + 0.002)
-    precision += lowest / config.support_sigma**2
-    target += lowest * height / config.support_sigma**2  # along its normal, which points down
-    d, determined = _most_probable(surface, precision, target, config)
-    moved = mesh_world.vertices + d[:, None] * normals
+    d, determined = np.zeros(len(normals)), np.zeros(len(normals))
+    moved = mesh_world.vertices
+    for _ in range(config.passes):  # a vertex that has moved is seen elsewhere
+        precision, asked = _asked(surface, moved, normals, observations, plane, config)
+        d, determined = _most_probable(surface, precision, precision * d + asked, config)
+        moved = mesh_world.vertices + d[:, None] * normals
     moved = moved - np.minimum(plane.height_above(moved), 0.0)[:, None] * plane.normal  # not into the plane
     return RefinedMesh(TriangleMesh(moved, mesh_world.faces), determined)
+
+
+def _asked(
+    surface: trimesh.Trimesh,
+    vertices: Float[np.ndarray, "n 3"],
+    normals: Float[np.ndarray, "n 3"],
+    observations: Sequence[ObjectObservation],
+    plane: SupportPlane,
+    config: RefineConfig,
+) -> tuple[Float[np.ndarray, "n"], Float[np.ndarray, "n"]]:
+    """What all measurements ask of the vertices where they are: precision, and displacement times that."""
+    height = plane.height_above(vertices)
+    lowest = (normals @ plane.normal < -0.7) & (height < height.min() + 0.002)
+    precision = lowest / config.support_sigma**2
+    asked = precision * height  # along the normal, which points down
+    for seen in observations:
+        view = _View.of(surface, vertices, normals, seen)
+        for w, d in (_measured(view, seen, config), _outlined(view, seen, plane, config)):
+            precision = precision + w
+            asked = asked + w * d
+    return precision, asked
 
 
 @dataclass(frozen=True)
@@ -118,9 +134,11 @@ class _View:
     spacing: float
 
     @staticmethod
-    def of(surface: trimesh.Trimesh, normals: np.ndarray, seen: ObjectObservation) -> _View:
+    def of(
+        surface: trimesh.Trimesh, vertices: np.ndarray, normals: np.ndarray, seen: ObjectObservation
+    ) -> _View:
         camera, T_camera_world = seen.frame.intrinsics, invert(seen.T_world_camera)
-        points = transform_points(T_camera_world, np.asarray(surface.vertices))
+        points = transform_points(T_camera_world, vertices)
         z = np.maximum(points[:, 2], 1e-3)
         rays = points / z[:, None]
         u = np.rint(camera.fx * rays[:, 0] + camera.cx).astype(int)
