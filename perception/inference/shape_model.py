@@ -1,8 +1,7 @@
 """The decoder near one code: a grid for every small step without running the network again.
 
 Decoding with derivatives is the dearest part of an iteration. Log odds of occupancy are smooth in the code,
-so
-between two decodings grids come from their linearisation: logit(o) + d logit/dz dz.
+so between two decodings grids come from their linearisation: logit(o) + d logit/dz dz.
 """
 
 from __future__ import annotations
@@ -18,10 +17,9 @@ from torch import Tensor
 from perception.rendering.renderer import ShapeGrid
 from perception.types import CATEGORIES, CODE_SIZE, Category
 
-_LOGIT_CLIP = 1e-4  # occupancies closer than this to 0 or 1 are taken to be so close
-_STILL = 1e-4  # voxels that no code moves faster than this stay as they are
-SKIP_OCCUPANCY = 5e-3  # cells less occupied, and less moved by the code, are not visited
-SKIP_JACOBIAN = 1e-2
+# Cells less occupied, and less moved by the code, are not visited until the next decoding.
+SKIP_OCCUPANCY = 5e-3
+SKIP_JACOBIAN = 5e-3
 
 
 @runtime_checkable
@@ -45,21 +43,11 @@ class LinearisedShape:
         self.code = np.array(code, dtype=np.float64)
         self.grid = grid
         self._shape = ShapeGrid.upload(grid, jacobian, "cpu", SKIP_OCCUPANCY, SKIP_JACOBIAN)
-        rows = jacobian.reshape(-1, jacobian.shape[-1])
-        self._moving = np.flatnonzero(np.abs(rows).max(axis=1) > _STILL)
-        clipped = np.clip(grid.reshape(-1)[self._moving], _LOGIT_CLIP, 1 - _LOGIT_CLIP)
-        self._logit = np.log(clipped / (1 - clipped))
-        self._logit_jacobian = rows[self._moving] / (clipped * (1 - clipped))[:, None]
 
     def at(self, code: Float[np.ndarray, "16"]) -> ShapeGrid:
         """The shape of a code nearby, with the Jacobian of ``self.code``."""
         step = (code - self.code).astype(np.float32)
-        if not step.any():
-            return self._shape
-        logit = np.clip(self._logit + self._logit_jacobian @ step, -30, 30)
-        grid = self.grid.reshape(-1).copy()
-        grid[self._moving] = 1 / (1 + np.exp(-logit))
-        return self._shape.with_occupancy(grid.reshape(self.grid.shape), SKIP_OCCUPANCY)
+        return self._shape.stepped(step) if step.any() else self._shape
 
 
 @lru_cache(maxsize=2 * len(CATEGORIES))

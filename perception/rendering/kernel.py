@@ -31,8 +31,13 @@ _END = wp.constant(GRID_RESOLUTION + 1.0)
 _MARGIN = wp.constant(1e-3)  # [voxel] keeps rounding from indexing outside
 _ESCAPE = wp.constant(ESCAPE_FACTOR)
 _OPAQUE = wp.constant(1e-6)  # a ray less likely than this to go on is at its end
+_LEAST_WEIGHT = wp.constant(1e-6)  # [m] of depth by occupancy: less is no derivative worth its time
 _OCCUPIED = wp.constant(1)  # flags of cells
 _CODE_MOVES = wp.constant(2)
+_NOT_STILL = wp.constant(4)
+_CLIP = wp.constant(1e-4)  # occupancies closer than this to 0 or 1 are taken to be so close
+_FLAT = wp.constant(1e-7)  # o (1 - o) of a voxel that no code moves any more
+_STILL = wp.constant(1e-4)  # voxels that no code moves faster than this stay as they are
 
 wp.set_module_options(
     {
@@ -47,43 +52,57 @@ vec16 = wp.types.vector(length=CODE_SIZE, dtype=wp.float32)
 
 @wp.kernel
 @no_type_check  # for the run-time checker of the tests: these are Warp types
-def pad_jacobian_kernel(
-    jacobian: wp.array3d(dtype=vec16),
-    skip_below: float,
-    padded: wp.array(dtype=vec16),
-    moves: wp.array(dtype=wp.uint8),
-):
-    """Derivatives by the code into the flat grid with its border, and which voxels the code moves at all."""
-    i, j, k = wp.tid()
-    to = ((i + 1) * _SIDE + j + 1) * _SIDE + k + 1
-    row = jacobian[i, j, k]
-    padded[to] = row
-    if wp.max(wp.max(row), -wp.min(row)) > skip_below:
-        moves[to] = wp.uint8(_CODE_MOVES)
-
-
-@wp.kernel
-@no_type_check
-def pad_occupancy_kernel(
+def pad_kernel(
     occupancy: wp.array3d(dtype=wp.float32),
-    moves: wp.array(dtype=wp.uint8),
-    skip_below: float,
+    jacobian: wp.array3d(dtype=vec16),
+    with_code: int,
+    skip_occupancy: float,
+    skip_jacobian: float,
     padded: wp.array(dtype=wp.float32),
+    padded_jacobian: wp.array(dtype=vec16),
     flags: wp.array(dtype=wp.uint8),
 ):
-    """Occupancies into the flat grid with its border, and what is worth knowing about each voxel."""
+    """A grid into the flat one with its border, and what is worth knowing about each voxel."""
     i, j, k = wp.tid()
     to = ((i + 1) * _SIDE + j + 1) * _SIDE + k + 1
     o = occupancy[i, j, k]
     padded[to] = o
-    flag = int(moves[to])
-    if o > skip_below:
+    flag = int(0)
+    if o > skip_occupancy:
         flag = flag | _OCCUPIED
+    if with_code != 0:
+        row = jacobian[i, j, k]
+        padded_jacobian[to] = row
+        if o * (1.0 - o) > _FLAT:
+            fastest = wp.max(wp.max(row), -wp.min(row))
+            if fastest > skip_jacobian:
+                flag = flag | _CODE_MOVES
+            if fastest > _STILL:
+                flag = flag | _NOT_STILL
     flags[to] = wp.uint8(flag)
 
 
 @wp.kernel
-@no_type_check  # for the run-time checker of the tests: these are Warp types
+@no_type_check
+def step_kernel(
+    occupancy: wp.array(dtype=wp.float32),
+    jacobian: wp.array(dtype=vec16),
+    flags: wp.array(dtype=wp.uint8),
+    step: vec16,
+    stepped: wp.array(dtype=wp.float32),
+):
+    """Occupancies after a small step of the code, along which their log odds change linearly."""
+    at = wp.tid()
+    o = occupancy[at]
+    if (int(flags[at]) & _NOT_STILL) != 0:
+        c = wp.clamp(o, _CLIP, 1.0 - _CLIP)
+        change = wp.dot(jacobian[at], step) / (c * (1.0 - c))
+        o = c / (c + (1.0 - c) * wp.exp(-wp.clamp(change, -30.0, 30.0)))
+    stepped[at] = o
+
+
+@wp.kernel
+@no_type_check
 def flag_cells_kernel(voxels: wp.array(dtype=wp.uint8), cells: wp.array(dtype=wp.uint8)):
     """What the eight voxels around a cell have between them; a cell has the index of its lowest voxel."""
     i, j, k = wp.tid()
@@ -93,11 +112,11 @@ def flag_cells_kernel(voxels: wp.array(dtype=wp.uint8), cells: wp.array(dtype=wp
         for b in range(2):
             for c in range(2):
                 flag = flag | int(voxels[low + (a * _SIDE + b) * _SIDE + c])
-    cells[low] = wp.uint8(flag)
+    cells[low] = wp.uint8(flag & (_OCCUPIED | _CODE_MOVES))
 
 
 @wp.kernel
-@no_type_check  # for the run-time checker of the tests: these are Warp types
+@no_type_check
 def render_kernel(
     occupancy: wp.array(dtype=wp.float32),
     jacobian: wp.array(dtype=vec16),
@@ -110,14 +129,21 @@ def render_kernel(
     samples: int,
     gradients: int,
     with_code: int,
-    stack: wp.array2d(dtype=wp.vec3),
+    begin: int,
+    stack_stride: int,
+    stack: wp.array(dtype=wp.vec3),
     depth: wp.array(dtype=wp.float32),
     variance: wp.array(dtype=wp.float32),
     mask: wp.array(dtype=wp.float32),
     sums: wp.array2d(dtype=wp.vec3),
     d_code: wp.array(dtype=vec16),
 ):
-    ray = wp.tid()
+    """The rays from ``begin`` on, one in each thread.
+
+    ``stack_stride`` is ``samples``; or 0 where one thread after the other may use the same room.
+    """
+    ray = begin + wp.tid()
+    stack_begin = wp.tid() * stack_stride
     view = views[ray]
     # In voxels of the padded grid, whose corner voxel has its centre at 0.
     direction = _HALF * (rotations[view] * directions[ray])
@@ -160,7 +186,7 @@ def render_kernel(
             o10 = wp.lerp(occupancy[at + _SLAB], occupancy[at + _SLAB + 1], z)
             o11 = wp.lerp(occupancy[at + _SLAB + _SIDE], occupancy[at + _SLAB + _SIDE + 1], z)
             o = wp.lerp(wp.lerp(o00, o01, y), wp.lerp(o10, o11, y), x)
-            stack[ray, count] = wp.vec3(delta, o, reaching)
+            stack[stack_begin + count] = wp.vec3(delta, o, reaching)
             count += 1
             reaching = reaching * (1.0 - o)
             if reaching < _OPAQUE:
@@ -173,14 +199,15 @@ def render_kernel(
     code = vec16()
     sum_gradient = wp.vec3()
     sum_depth_gradient = wp.vec3()
+    wanted = wp.where(gradients != 0, float(_LEAST_WEIGHT), 1.0e9)
     for n in range(count):
-        entry = stack[ray, count - 1 - n]
+        entry = stack[stack_begin + count - 1 - n]
         delta = entry[0]
         o = entry[1]
         weight = entry[2] * (delta - middle - mean)
         mean = wp.lerp(mean, delta - middle, o)
         square = wp.lerp(square, (delta - middle) * (delta - middle), o)
-        if gradients != 0:
+        if wp.abs(weight) > wanted:
             p = origin + delta * direction
             ix = int(p[0])
             iy = int(p[1])

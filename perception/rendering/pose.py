@@ -73,17 +73,31 @@ def pose_jacobian(
     """
     if rendering.sum_gradient is None or rendering.sum_depth_gradient is None:
         raise ValueError("the rendering has no gradients: call render(..., gradients=True)")
-    scale = pose.scale.astype(np.float32)
-    A = A_canonical_camera.astype(np.float32) * scale[:, None]  # to the object's frame, in [m]
-    g1, g2 = rendering.sum_gradient, rendering.sum_depth_gradient
-    h1, h2 = g1 / scale, g2 / scale
-    out = np.empty((len(directions), POSE_SIZE), dtype=np.float32)
-    out[:, 3:6] = -h1 @ pose.rotation.T.astype(np.float32)
-    a, b = A[view, :, 3], np.empty_like(h1)
-    for index in range(len(A)):
+    n, g1, g2 = len(directions), rendering.sum_gradient, rendering.sum_depth_gradient
+    # All of it is linear in g1 and in the products of g2 with the pixel's direction (whose z is 1).
+    features = np.empty((n, 12), dtype=np.float32)
+    features[:, :3] = g1
+    np.multiply(g2[:, :, None], directions[:, None, :], out=features[:, 3:].reshape(n, 3, 3))
+    out = np.empty((n, POSE_SIZE), dtype=np.float32)
+    for index, maps in enumerate(_sum_maps(pose, A_canonical_camera)):
         rows = view == index
-        b[rows] = directions[rows] @ A[index, :, :3].T
-    for k, (i, j) in enumerate(((1, 2), (2, 0), (0, 1))):
-        out[:, k] = h1[:, i] * a[:, j] - h1[:, j] * a[:, i] + h2[:, i] * b[:, j] - h2[:, j] * b[:, i]
-    out[:, 6:] = -(h1 * a + h2 * b)
+        out[rows] = features[rows] @ maps
     return out
+
+
+def _sum_maps(
+    pose: ObjectPose, A_canonical_camera: Float[np.ndarray, "v 3 4"]
+) -> Float[np.ndarray, "v 12 9"]:
+    """For each view the matrix from (g1, g2 x direction) to the derivative by the pose."""
+    maps = np.zeros((len(A_canonical_camera), 12, POSE_SIZE))
+    A = A_canonical_camera * pose.scale[:, None]  # to the object's frame, in [m]
+    for axis in range(3):
+        inverse = 1 / pose.scale[axis]
+        maps[:, axis, 3:6] = -inverse * pose.rotation[:, axis]
+        # the axis' row of S^-1 [hat(q), -diag(q)] for q along each coordinate
+        columns = np.zeros((3, POSE_SIZE))
+        columns[:, :3] = inverse * np.cross(np.eye(3)[axis], np.eye(3))
+        columns[axis, 6 + axis] = -inverse
+        maps[:, axis] += A[:, :, 3] @ columns
+        maps[:, 3 + 3 * axis : 6 + 3 * axis] = A[:, :, :3].transpose(0, 2, 1) @ columns
+    return maps.astype(np.float32)

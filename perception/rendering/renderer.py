@@ -5,7 +5,7 @@
 
 from __future__ import annotations
 
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from functools import cached_property
 
 import numpy as np
@@ -16,15 +16,16 @@ from perception.rendering.kernel import (
     ESCAPE_FACTOR,
     PADDED_VOXELS,
     flag_cells_kernel,
-    pad_jacobian_kernel,
-    pad_occupancy_kernel,
+    pad_kernel,
     render_kernel,
+    step_kernel,
     vec16,
 )
 from perception.types import GRID_RESOLUTION
 from perception.warp_runtime import empty, launch, start_warp, to_device, zeros
 
 _VOXELS = (GRID_RESOLUTION,) * 3
+_CELLS = (GRID_RESOLUTION + 1,) * 3
 
 
 @dataclass(frozen=True)
@@ -34,15 +35,15 @@ class ShapeGrid:
     Attributes:
         occupancy: flat, with a border of empty voxels.
         jacobian: d occupancy / d code in the same layout, or None.
-        moves: flags of the voxels that the code moves.
-        cells: flags of the cells between eight voxels, by their lowest one.
+        cells: flags of the cells between eight voxels, by their lowest one; 0 where there is nothing to see.
+        flags: the same of voxels, and which of them stay as they are.
         device: "cpu" or "cuda:0".
     """
 
     occupancy: wp.array
     jacobian: wp.array | None
-    moves: wp.array
     cells: wp.array
+    flags: wp.array
     device: str
 
     @staticmethod
@@ -63,43 +64,45 @@ class ShapeGrid:
             skip_jacobian: cells with no derivative above this count as unmoved by the code.
         """
         start_warp()
-        padded, moves = None, zeros(PADDED_VOXELS, wp.uint8, device)
-        if jacobian is not None:
-            padded = zeros(PADDED_VOXELS, vec16, device)
-            launch(
-                pad_jacobian_kernel,
-                dim=_VOXELS,
-                inputs=[to_device(jacobian, vec16, device), float(skip_jacobian)],
-                outputs=[padded, moves],
-                device=device,
-            )
-        bare = ShapeGrid(moves, padded, moves, moves, device)
-        return bare.with_occupancy(occupancy, skip_occupancy)
-
-    def with_occupancy(self, occupancy: Float[np.ndarray, "r r r"], skip_occupancy: float = 0.0) -> ShapeGrid:
-        """Another grid with the same Jacobian: what a small step of the code needs."""
-        padded = zeros(PADDED_VOXELS, wp.float32, self.device)
-        voxels, cells = (zeros(PADDED_VOXELS, wp.uint8, self.device) for _ in range(2))
+        padded = zeros(PADDED_VOXELS, wp.float32, device)
+        padded_jacobian = None if jacobian is None else zeros(PADDED_VOXELS, vec16, device)
+        flags, cells = (zeros(PADDED_VOXELS, wp.uint8, device) for _ in range(2))
         launch(
-            pad_occupancy_kernel,
+            pad_kernel,
             dim=_VOXELS,
-            inputs=[to_device(occupancy, wp.float32, self.device), self.moves, float(skip_occupancy)],
-            outputs=[padded, voxels],
-            device=self.device,
+            inputs=[
+                to_device(occupancy, wp.float32, device),
+                None if jacobian is None else to_device(jacobian, vec16, device),
+                int(jacobian is not None),
+                float(skip_occupancy),
+                float(skip_jacobian),
+            ],
+            outputs=[padded, padded_jacobian, flags],
+            device=device,
         )
+        launch(flag_cells_kernel, dim=_CELLS, inputs=[flags], outputs=[cells], device=device)
+        return ShapeGrid(padded, padded_jacobian, cells, flags, device)
+
+    def stepped(self, step: Float[np.ndarray, "16"]) -> ShapeGrid:
+        """The grid after a small step of the code, with the Jacobian and the empty cells of this one.
+
+        Log odds of occupancy are smooth in the code, so it is they that change linearly.
+        """
+        assert self.jacobian is not None
+        occupancy = empty(PADDED_VOXELS, wp.float32, self.device)
         launch(
-            flag_cells_kernel,
-            dim=(GRID_RESOLUTION + 1,) * 3,
-            inputs=[voxels],
-            outputs=[cells],
+            step_kernel,
+            dim=PADDED_VOXELS,
+            inputs=[self.occupancy, self.jacobian, self.flags, vec16(*step.tolist())],
+            outputs=[occupancy],
             device=self.device,
         )
-        return ShapeGrid(padded, self.jacobian, self.moves, cells, self.device)
+        return replace(self, occupancy=occupancy)
 
 
 @dataclass(frozen=True)
 class _RayBuffers:
-    """A ray bundle's arrays on one device, and room for every ray's samples."""
+    """A ray bundle's arrays on one device, and room for the samples of every ray that is worked on."""
 
     directions: wp.array
     view: wp.array
@@ -132,12 +135,13 @@ class RayBundle:
     def on_device(self, device: str) -> _RayBuffers:
         """The rays on a device, brought there by the first call."""
         if device not in self._buffers:
-            n = len(self.directions)
+            # one after the other on the CPU, where scratch space that stays in the cache is twice as fast
+            n = 1 if device == "cpu" else len(self.directions)
             self._buffers[device] = _RayBuffers(
                 directions=to_device(self.directions, wp.vec3, device),
                 view=to_device(self.view, wp.int32, device),
                 depth_range=to_device(self.depth_range, wp.vec2, device),
-                stack=empty((n, self.samples), wp.vec3, device),
+                stack=empty(n * self.samples, wp.vec3, device),
             )
         return self._buffers[device]
 
@@ -203,6 +207,8 @@ def render(
             rays.samples,
             int(gradients),
             int(with_code),
+            0,
+            0 if device == "cpu" else rays.samples,
             on_device.stack,
         ],
         outputs=[depth, variance, mask, sums, d_code],
