@@ -58,7 +58,9 @@ def draw_detections(frame: RgbdFrame, detections: Sequence[ObjectDetection]) -> 
     return image
 
 
-def draw_estimates(frame: RgbdFrame, estimates: Sequence[ObjectEstimate], opacity: float = 0.85) -> Image:
+def draw_estimates(
+    frame: RgbdFrame, estimates: Sequence[ObjectEstimate], opacity: float = 0.85, labels: bool = True
+) -> Image:
     """The image with the reconstructed meshes, shaded, at their estimated poses."""
     painted = np.array(frame.rgb)
     triangles, depths, colors = [], [], []
@@ -75,7 +77,7 @@ def draw_estimates(frame: RgbdFrame, estimates: Sequence[ObjectEstimate], opacit
             cv2.fillConvexPoly(painted, fixed[i], color[i].tolist(), cv2.LINE_8, fraction)
     changed = (painted != frame.rgb).any(axis=-1, keepdims=True)
     image = np.where(changed, opacity * painted + (1 - opacity) * frame.rgb, frame.rgb).astype(np.uint8)
-    for estimate in estimates:
+    for estimate in estimates if labels else ():
         _label_estimate(image, frame, estimate)
     return image
 

@@ -97,6 +97,9 @@ class SortOptions(RunTaskOptions):
 class ScanOptions(CellOptions):
     """Move the wrist camera around the table and write a scan folder."""
 
+    video: bool = False
+    """Write video.mp4."""
+
 
 @dataclass(frozen=True, kw_only=True)
 class ReconstructOptions(CommonOptions):
@@ -146,6 +149,12 @@ class TrainOptions(CommonOptions):
     """Which network."""
     epochs: Annotated[int | None, arg(help_behavior_hint="default: the shipped weights' schedule")] = None
     """Train this long instead."""
+    meshes: Annotated[
+        Path | None, arg(metavar="DIR", help_behavior_hint="default: the training families; shape only")
+    ] = None
+    """Own meshes to learn from: DIR/<synset>/<id>/models/model_normalized.obj or DIR/<class>/*.obj."""
+    tensorboard: bool = False
+    """Write curves for TensorBoard into the run folder (extra: train; shape only)."""
 
 
 @dataclass(frozen=True, kw_only=True)

@@ -3,6 +3,9 @@
 from __future__ import annotations
 
 import time
+from collections.abc import Callable, Iterator
+from contextlib import contextmanager
+from typing import TYPE_CHECKING
 
 from rich.markup import escape
 
@@ -14,6 +17,28 @@ from app.run_folder import RunFolder
 from app.screen import Screen
 from manipulation.kinematics import Kinematics
 from perception.scan_folder import write_scan
+from perception.types import RgbdFrame
+
+if TYPE_CHECKING:
+    from sim_assets.world import World
+
+
+@contextmanager
+def _filmed(options: ScanOptions, folder: RunFolder, world: World) -> Iterator[Callable[[RgbdFrame], None]]:
+    """Films the motion where asked for; gives whom to tell of each image."""
+    if not options.video:
+        yield lambda frame: None
+        return
+    from app.video import Film
+
+    film = Film(folder.path / "video.mp4", "Scan", world)
+    film.begin("scan")
+    world.observe(lambda _: film.sample())
+    try:
+        yield film.looked
+    finally:
+        world.observe(None)
+        film.close()
 
 
 def run(options: ScanOptions, screen: Screen) -> Report:
@@ -24,12 +49,13 @@ def run(options: ScanOptions, screen: Screen) -> Report:
         world = build_world(options, "pack")
     with world:
         started = time.perf_counter()
-        with screen.stage("Looking at the table"):
+        with screen.stage("Looking at the table"), _filmed(options, folder, world) as looked:
             frames = look(
                 world,
                 Kinematics(world.arm),
                 SCAN_VIEWS,
                 lambda done, total: screen.update(f"{done} of {total}"),
+                on_frame=looked,
             )
         seconds = time.perf_counter() - started
         write_scan(folder.scan, frames)

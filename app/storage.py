@@ -7,9 +7,6 @@ from collections.abc import Iterator
 from contextlib import contextmanager
 from typing import Any
 
-import numpy as np
-
-from app.drawing import draw_detections, draw_estimates
 from app.gate import Gate
 from app.options import RunTaskOptions, Task
 from app.overview import Pictures, write_overview
@@ -18,7 +15,7 @@ from app.recording import RATE, CellRecorder
 from app.report import Report
 from app.run_folder import RunFolder
 from app.screen import Screen
-from app.video import FPS, SPEED, WRIST, VideoWriter
+from app.video import Film
 from manipulation.execution import TaskEvent
 from manipulation.types import TaskPlan
 from perception.inference.fit import FitStep
@@ -57,11 +54,8 @@ class Storage(Watcher):
         self._begin = time.perf_counter()
         self._recording, self._gate = recording, gate
         recording.recorder.write_meshes(folder.path)
-        self._made: dict[str, Any] = {}
         self._before = world.overview_image()
-        self._video = VideoWriter(folder.path / "video.mp4", task.capitalize()) if options.video else None
-        self._samples = 0
-        self._wrist: np.ndarray | None = None
+        self._film = Film(folder.path / "video.mp4", task.capitalize(), world) if options.video else None
         world.observe(self._sample, RATE)
 
     @contextmanager
@@ -70,8 +64,8 @@ class Storage(Watcher):
         self._recording.begin(name)
         self._gate.mark()
         held = self._gate.held
-        if self._video is not None:
-            self._video.stage(name)
+        if self._film is not None:
+            self._film.begin(name)
         with self._screen.stage(TITLES[name]), super().stage(name):
             yield
         self.timings[name] -= self._gate.held - held
@@ -87,11 +81,13 @@ class Storage(Watcher):
         self._screen.update(f"{event.done} of {event.total}: {text}")
         if event.phase in ("retry", "failed", "deferred"):
             self._screen.note(f"{text}: {event.message}")
-        if self._video is not None:
-            self._video.stage("execute", text)
+        if self._film is not None:
+            self._film.event(event)
 
     def looked(self, frame: RgbdFrame) -> None:
         self._recording.looked(frame)
+        if self._film is not None:
+            self._film.looked(frame)
         self._gate.passed()
 
     def fit_step(self, object_id: int, category: Category, step: FitStep) -> None:
@@ -100,16 +96,15 @@ class Storage(Watcher):
 
     def made(self, name: str, value: Any) -> None:
         """Write what a stage made; the folder stays readable at any moment."""
-        self._made[name] = value
         self._recording.made(name, value)
+        if self._film is not None:
+            self._film.made(name, value)
         if name == "frames":
             write_scan(self._folder.scan, value)
         elif name == "detections":
             write_detections(self._folder.scan, value.per_frame)
-            self._hold(draw_detections(self._made["frames"][0], value.per_frame[0]))
         elif name == "objects":
             write_object_map(self._folder.path, value)
-            self._hold(draw_estimates(self._made["frames"][0], value))
         elif name == "plan":
             self._folder.write_json("plan.json", plan_as_json(value))
 
@@ -117,9 +112,8 @@ class Storage(Watcher):
         """Finish replay and video, also after an interruption."""
         self._world.observe(None)
         self._recording.recorder.write(self._folder.path)
-        if self._video is not None:
-            self._video.hold(2.0)
-            self._video.close()
+        if self._film is not None:
+            self._film.close()
 
     def draw(self, report: Report, outcome: Outcome) -> None:
         """Compose ``overview.png``."""
@@ -146,18 +140,11 @@ class Storage(Watcher):
         timings = self.timings | {"total": time.perf_counter() - self._begin}
         self._folder.write_report(Report(self._task, self._options.seed, reason=reason, timings=timings))
 
-    def _hold(self, wrist: np.ndarray) -> None:
-        if self._video is not None:
-            self._video.hold(1.5, wrist)
-
     def _sample(self, world: World) -> None:
         self._recording.sample()
         self._gate.passed()
-        if self._video is not None and self._samples % round(RATE * SPEED / FPS) == 0:
-            if self._wrist is None or self._video.n_frames % 2:  # every other one: rendering takes its time
-                self._wrist = world.overview_image(*WRIST, camera="wrist")
-            self._video.frame(world.overview_image(800, 600), self._wrist)
-        self._samples += 1
+        if self._film is not None:
+            self._film.sample()
 
 
 def plan_as_json(plan: TaskPlan) -> dict[str, Any]:

@@ -1,25 +1,37 @@
-"""``video.mp4``: the cell on the left, the wrist camera and the stages on the right."""
+"""``video.mp4``: the cell, what the wrist camera sees, and what the robot believes, side by side.
+
+Rendering in software is what a film costs, so little is rendered: few images a second, without multisampling,
+the wrist camera in every other one and without shadows, and nothing while nothing moves.
+"""
 
 from __future__ import annotations
 
-import logging
+from collections.abc import Sequence
+from dataclasses import replace
 from pathlib import Path
 from typing import Any
 
 import cv2
 import numpy as np
-from jaxtyping import UInt8
+from jaxtyping import Float, UInt8
 from PIL import Image, ImageDraw
 
-from app.drawing import font
+from app.drawing import draw_detections, draw_estimates, font
+from app.pipeline import Watcher
+from manipulation.execution import TaskEvent
+from manipulation.types import TaskPlan
+from perception.types import CameraIntrinsics, ObjectEstimate, RgbdFrame
+from sim_assets.camera import look_at
+from sim_assets.world import World
 
-_log = logging.getLogger(__name__)
-
-FPS = 30
-SPEED = 5.0  # simulated seconds per second of video
-SCENE = (960, 720)  # [px]
-SIDE = 400
-WRIST = (SIDE, SIDE * 3 // 4)
+FPS = 12
+SPEED = 4.0  # simulated seconds per second of film
+SCENE = (800, 600)  # [px]
+SIDE = (400, 300)  # of the two pictures beside it
+FOOTER = 72
+WRIST = (320, 240)  # as rendered
+SHOW = 1.5  # [s] for which a stage's result stands still
+END = 2.0  # [s] for which the end does
 STAGES = {
     "scan": "Scan",
     "detect": "Detect",
@@ -28,7 +40,10 @@ STAGES = {
     "execute": "Execute",
     "verify": "Verify",
 }
+STILL = 1e-3  # [rad], [m]: what moved less is not drawn again
 _BACKGROUND, _TEXT, _FAINT, _ACCENT = (24, 26, 30), (235, 235, 235), (120, 124, 132), (86, 180, 233)
+
+Picture = UInt8[np.ndarray, "_h _w 3"]
 
 
 class MovieFile:
@@ -45,7 +60,7 @@ class MovieFile:
             self._partial, fps=fps, codec="libx264", quality=7, macro_block_size=8, ffmpeg_log_level="error"
         )
 
-    def add(self, image: UInt8[np.ndarray, "h w 3"]) -> None:
+    def add(self, image: Picture) -> None:
         """One more image, of the size of the others."""
         self._last = image
         self._writer.append_data(image)
@@ -66,58 +81,161 @@ class MovieFile:
         self._partial.unlink(missing_ok=True)
 
 
-class VideoWriter:
-    """Composes frames and encodes them as they come; the file appears under its name when it is complete."""
+class Film(Watcher):
+    """Films a run in the simulated cell; ``sample`` is to be called RATE times a simulated second or more."""
 
-    def __init__(self, path: Path, title: str) -> None:
+    def __init__(self, path: Path, title: str, world: World) -> None:
+        super().__init__()
+        self._world = world
         self._movie = MovieFile(path, FPS)
-        self._title = title
-        self.n_frames = 0
-        self._stage = ""
-        self._detail = ""
-        self._last: tuple[np.ndarray, np.ndarray] | None = None
+        self._title, self._stage, self._detail = title, "", ""
+        self._next = world.time
+        self._shown: np.ndarray | None = None  # joints and gripper width as drawn last
+        self._count = 0
+        self._scene = np.full((SCENE[1], SCENE[0], 3), _BACKGROUND, np.uint8)
+        self._wrist = np.full((SIDE[1], SIDE[0], 3), _BACKGROUND, np.uint8)
+        self._believed: dict[int, ObjectEstimate] = {}
+        self._belief = _belief_picture((), None)
+        self._frames: Sequence[RgbdFrame] = ()
+        self._plan: TaskPlan | None = None
 
-    def stage(self, name: str, detail: str = "") -> None:
-        """What the caption says from now on."""
-        self._stage, self._detail = name, detail
-
-    def frame(self, scene: UInt8[np.ndarray, "h w 3"], wrist: UInt8[np.ndarray, "k l 3"]) -> None:
-        """Add one frame."""
-        self._last = (scene, wrist)
-        self.n_frames += 1
-        self._movie.add(self._compose(scene, wrist))
-
-    def hold(self, seconds: float, wrist: UInt8[np.ndarray, "k l 3"] | None = None) -> None:
-        """Stand still, with another picture in the wrist camera's place where one is given."""
-        if self._last is None:
+    def sample(self) -> None:
+        """A moment of the simulation: an image of it, where one is due."""
+        if self._world.time < self._next:
             return
-        self._movie.add(self._compose(self._last[0], self._last[1] if wrist is None else wrist))
-        self._movie.hold(seconds)
+        self._next += SPEED / FPS
+        now = np.append(self._world.joint_positions(), self._world.gripper_width())
+        if self._shown is None or np.abs(now - self._shown).max() > STILL:
+            self._scene = self._world.overview_image(*SCENE, draft=True)
+            if self._count % 2 == 0:
+                self._wrist = self._world.overview_image(*WRIST, camera="wrist", draft=True, shadows=False)
+            self._shown = now
+            self._count += 1
+        self._movie.add(self._compose())
+
+    @property
+    def belief(self) -> Picture:
+        """What the robot believes, as drawn."""
+        return self._belief
+
+    def begin(self, stage: str) -> None:
+        """What the footer says from now on."""
+        self._stage, self._detail = stage, ""
+
+    def event(self, event: TaskEvent) -> None:
+        self._detail = f"{event.phase} {event.name}".replace("_", " ")
+        if event.phase == "placed" and self._plan is not None:
+            self._put(event.name)
+        if event.plan is not None:
+            self._resting = event.plan.T_world_stand_rest
+
+    def looked(self, frame: RgbdFrame) -> None:
+        """The wrist camera's own picture is there already."""
+        self._wrist = np.asarray(frame.rgb)
+
+    def made(self, name: str, value: Any) -> None:
+        if name == "frames":
+            self._frames = value
+        elif name == "detections":
+            self._hold(draw_detections(self._frames[0], value.per_frame[0]))
+        elif name == "objects":
+            self._believed = {estimate.id: estimate for estimate in value}
+            self._belief = _belief_picture(value, None)
+            self._hold(draw_estimates(self._frames[0], value))
+        elif name == "plan":
+            self._plan = value
+            self._belief = _belief_picture(tuple(self._believed.values()), value)
 
     def close(self) -> None:
-        """Finish the file."""
+        """Finish the film."""
+        self._movie.add(self._compose())
+        self._movie.hold(END)
         self._movie.close()
 
     def discard(self) -> None:
-        """Give up what was written."""
+        """Give it up."""
         self._movie.discard()
 
-    def _compose(self, scene: np.ndarray, wrist: np.ndarray) -> np.ndarray:
-        width, height = SCENE
-        canvas = np.full((height, width + SIDE, 3), _BACKGROUND, np.uint8)
-        canvas[:, :width] = cv2.resize(scene, SCENE, interpolation=cv2.INTER_CUBIC)
-        canvas[: WRIST[1], width:] = cv2.resize(wrist, WRIST, interpolation=cv2.INTER_CUBIC)
+    def _put(self, name: str) -> None:
+        """The robot believes that an object is where it was to be put."""
+        assert self._plan is not None
+        item = self._plan.objects[name]
+        estimate = self._believed[item.id]
+        T = self._resting @ np.linalg.inv(item.T_world_stand) @ estimate.T_world_object
+        self._believed[item.id] = replace(estimate, T_world_object=T)
+        self._belief = _belief_picture(tuple(self._believed.values()), self._plan)
+
+    def _hold(self, wrist: Picture) -> None:
+        """A stage's result over the wrist camera's picture, for a while."""
+        before, self._wrist = self._wrist, wrist
+        self._movie.add(self._compose())
+        self._movie.hold(SHOW)
+        self._wrist = before
+
+    def _compose(self) -> Picture:
+        (width, height), (side, half) = SCENE, SIDE
+        canvas = np.full((height + FOOTER, width + side, 3), _BACKGROUND, np.uint8)
+        canvas[:height, :width] = self._scene
+        canvas[:half, width:] = cv2.resize(self._wrist, SIDE, interpolation=cv2.INTER_AREA)
+        canvas[half : 2 * half, width:] = self._belief
         image = Image.fromarray(canvas)
         pen = ImageDraw.Draw(image)
-        left, top = width + 24, WRIST[1] + 14
-        pen.text((left, top), "wrist camera", fill=_FAINT, font=font(15))
-        pen.text((left, top + 34), self._title, fill=_TEXT, font=font(24, bold=True))
-        for row, (name, label) in enumerate(STAGES.items()):
+        pen.text(
+            (width + 10, 8),
+            "wrist camera",
+            fill=_TEXT,
+            font=font(14),
+            stroke_width=2,
+            stroke_fill=_BACKGROUND,
+        )
+        pen.text(
+            (width + 10, half + 8), "what it believes", fill=_TEXT, font=font(14), stroke_width=2,
+            stroke_fill=_BACKGROUND,
+        )  # fmt: skip
+        pen.text((20, height + 20), self._title, fill=_TEXT, font=font(24, bold=True))
+        x = 130
+        for name, label in STAGES.items():
             active = name == self._stage
-            y = top + 82 + 38 * row
-            if active:
-                pen.ellipse((left, y + 7, left + 12, y + 19), fill=_ACCENT)
-            pen.text((left + 24, y), label, fill=_TEXT if active else _FAINT, font=font(21, bold=active))
-        pen.text((left, height - 72), self._detail, fill=_TEXT, font=font(18))
-        pen.text((left, height - 36), f"shown at {SPEED:g}x speed", fill=_FAINT, font=font(15))
+            letters = font(18, bold=active)
+            pen.text((x, height + 25), label, fill=_ACCENT if active else _FAINT, font=letters)
+            x += 26 + round(pen.textlength(label, font=font(18, bold=True)))
+        pen.text((width, height + 14), self._detail, fill=_TEXT, font=font(18))
+        pen.text((width, height + 42), f"shown at {SPEED:g}x speed", fill=_FAINT, font=font(14))
         return np.asarray(image)
+
+
+def _belief_camera() -> RgbdFrame:
+    """An empty picture from outside, over the table."""
+    width, height = SIDE
+    lens = CameraIntrinsics(width, height, 1.05 * width, 1.05 * width, (width - 1) / 2, (height - 1) / 2)
+    fade = np.linspace(58, 30, height)[:, None, None] * np.array([0.95, 1.0, 1.1])
+    rgb = np.ascontiguousarray(np.broadcast_to(fade, (height, width, 3)).astype(np.uint8))
+    pose = look_at(np.array([1.30, -0.40, 0.78]), np.array([0.45, 0.0, 0.02]))
+    return RgbdFrame(0.0, rgb, np.zeros((height, width), np.float32), lens, pose)
+
+
+def _belief_picture(objects: Sequence[ObjectEstimate], plan: TaskPlan | None) -> Picture:
+    """The object map as the robot has it: the table, the box or line of its plan, and every whole shape."""
+    frame = _belief_camera()
+    canvas = frame.rgb.copy()
+    table = np.array([(0.12, -0.58, 0), (0.80, -0.58, 0), (0.80, 0.58, 0), (0.12, 0.58, 0)], dtype=np.float64)
+    cv2.fillConvexPoly(canvas, _pixels(frame, table), (92, 80, 70), cv2.LINE_AA)
+    if plan is not None and plan.line is not None:
+        ends = np.array([(*plan.line.start, 0.0), (*plan.line.end, 0.0)])
+        cv2.polylines(canvas, [_pixels(frame, ends)], False, (86, 140, 200), 3, cv2.LINE_AA)
+    if plan is not None and plan.box is not None:
+        (x, y), (length, width, depth) = plan.box.center, plan.box.size
+        corners = np.array([(-1, -1), (1, -1), (1, 1), (-1, 1)]) * (length / 2, width / 2) + (x, y)
+        for z in (0.0, depth):
+            rim = np.column_stack([corners, np.full(4, z)])
+            cv2.polylines(canvas, [_pixels(frame, rim)], True, (200, 166, 110), 2, cv2.LINE_AA)
+    return draw_estimates(replace(frame, rgb=canvas), objects, 1.0, labels=False)
+
+
+def _pixels(frame: RgbdFrame, points: Float[np.ndarray, "n 3"]) -> np.ndarray:
+    """Pixel coordinates of world points before the camera, whole numbers."""
+    assert frame.T_world_camera is not None
+    local = (points - frame.T_world_camera[:3, 3]) @ frame.T_world_camera[:3, :3]
+    lens = frame.intrinsics
+    pixels = local[:, :2] / local[:, 2:] * (lens.fx, lens.fy) + (lens.cx, lens.cy)
+    return np.rint(pixels).astype(np.int32)

@@ -60,8 +60,9 @@ class OffscreenRenderer:
     nobody closed are freed when the interpreter ends, before MuJoCo's own modules go.
     """
 
-    def __init__(self, model: MjModel) -> None:
-        self._model = model
+    def __init__(self, model: MjModel, draft: bool = False) -> None:
+        """A draft renderer does without multisampling and with coarser shadows, at less than half the cost."""
+        self._model, self._draft = model, draft
         self._gl: Any = None
         self._context: Any = None
         self._size = (0, 0)
@@ -134,7 +135,12 @@ class OffscreenRenderer:
             self._gl = gl_context(width, height)
             _close_at_exit()
             self._gl.make_current()
+            quality = self._model.vis.quality
+            usual = quality.offsamples, quality.shadowsize
+            if self._draft:
+                quality.offsamples, quality.shadowsize = 0, 1024
             self._context = mujoco.MjrContext(self._model, mujoco.mjtFontScale.mjFONTSCALE_100)
+            quality.offsamples, quality.shadowsize = usual
             mujoco.mjr_setBuffer(mujoco.mjtFramebuffer.mjFB_OFFSCREEN, self._context)
             self._context.readDepthMap = mujoco.mjtDepthMap.mjDEPTH_ZEROFAR
             self._size = (0, 0)

@@ -96,6 +96,7 @@ class World:
         self._model: MjModel = build_scene(config.objects, places, config.box, look, config.line).compile()
         self._data = mujoco.MjData(self._model)
         self._renderer = OffscreenRenderer(self._model)
+        self._drafts = OffscreenRenderer(self._model, draft=True)
         self._observer: Observer | None = None
         self._frame_period = np.inf
         self._next_frame = 0.0
@@ -209,16 +210,29 @@ class World:
         self._next_frame = self.time
 
     def overview_image(
-        self, width: int = 960, height: int = 720, camera: str = "overview"
+        self,
+        width: int = 960,
+        height: int = 720,
+        camera: str = "overview",
+        draft: bool = False,
+        shadows: bool = True,
     ) -> UInt8[np.ndarray, "h w 3"]:
-        """A picture of the cell from one of the fixed cameras ``scene.VIEWS`` or from the wrist."""
+        """A picture of the cell from one of the fixed cameras ``scene.VIEWS`` or from the wrist.
+
+        Args:
+            draft: a quick one, for films.
+            shadows: leave them out to be quicker still.
+        """
         if camera not in (*VIEWS, WRIST_CAMERA):
             raise SimulationError(f"camera '{camera}' is none of {', '.join((*VIEWS, WRIST_CAMERA))}")
-        return self._renderer.color(self._data, camera, width, height)
+        if draft:
+            return self._drafts.color(self._data, camera, width, height, shadows, reflections=False)
+        return self._renderer.color(self._data, camera, width, height, shadows)
 
     def close(self) -> None:
         """Free the GL contexts."""
         self._renderer.close()
+        self._drafts.close()
 
     def __enter__(self) -> World:
         return self

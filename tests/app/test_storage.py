@@ -20,9 +20,10 @@ from app.report import ObjectReport
 from app.run_folder import RunFolder
 from app.screen import Screen
 from app.storage import Storage
-from app.video import FPS, SCENE, SIDE, VideoWriter
+from app.video import END, FOOTER, FPS, SCENE, SHOW, SIDE, SPEED, Film
+from manipulation.execution import TaskEvent
 from manipulation.standing import stand
-from manipulation.types import Box, Placement, TaskPlan
+from manipulation.types import Box, PickPlacePlan, Placement, TaskPlan
 from perception.scan_folder import read_scan
 from perception.types import (
     CameraIntrinsics,
@@ -105,22 +106,6 @@ def test_overview_is_written_whole_or_of_what_there_is(tmp_path):
     assert (tmp_path / "whole.png").stat().st_size > (tmp_path / "nothing.png").stat().st_size
 
 
-def test_video_has_its_length_and_appears_only_when_complete(tmp_path):
-    video = VideoWriter(tmp_path / "video.mp4", "Pack")
-    video.stage("scan")
-    video.hold(1.0)  # nothing to hold yet
-    for _ in range(4):
-        video.frame(np.zeros((60, 80, 3), np.uint8), np.full((30, 40, 3), 200, np.uint8))
-    video.hold(0.2)
-    assert not (tmp_path / "video.mp4").exists()
-    video.close()
-    film = cv2.VideoCapture(str(tmp_path / "video.mp4"))
-    frames = [image for good, image in iter(film.read, (False, None)) if good]
-    film.release()
-    assert len(frames) == 4 + round(0.2 * FPS) and frames[0].shape == (SCENE[1], SCENE[0] + SIDE, 3)
-    assert [path.name for path in tmp_path.iterdir()] == ["video.mp4"]
-
-
 class StillWorld(World):
     """As much of the cell as storing a run needs."""
 
@@ -128,12 +113,68 @@ class StillWorld(World):
         pass
 
     time = 1.5
+    drawn = 0
 
-    def overview_image(self, *size, camera="overview"):
-        return np.zeros((72, 96, 3), np.uint8)
+    def overview_image(self, *size, camera="overview", **_):
+        self.drawn += 1
+        width, height = size or (96, 72)
+        return np.zeros((height, width, 3), np.uint8)
 
     def observe(self, observer, rate=0.0):
         self.observer = observer
+
+    def joint_positions(self):
+        return np.zeros(7)
+
+    def gripper_width(self):
+        return 0.08
+
+
+def film_of(path):
+    film = cv2.VideoCapture(str(path))
+    frames = [image for good, image in iter(film.read, (False, None)) if good]
+    film.release()
+    return frames
+
+
+def test_film_has_its_length_and_appears_only_when_complete(tmp_path):
+    world = StillWorld()
+    film = Film(tmp_path / "video.mp4", "Pack", world)
+    film.begin("scan")
+    for _ in range(4):
+        film.sample()
+        film.sample()  # no image is due yet
+        world.time += SPEED / FPS
+    film.looked(frame())
+    film.made("frames", [frame()])
+    film.made("objects", [can()])
+    assert not (tmp_path / "video.mp4").exists()
+    film.close()
+    frames = film_of(tmp_path / "video.mp4")
+    assert len(frames) == 4 + 1 + round(SHOW * FPS) + 1 + round(END * FPS)
+    assert frames[0].shape == (SCENE[1] + FOOTER, SCENE[0] + SIDE[0], 3)
+    assert [path.name for path in tmp_path.iterdir()] == ["video.mp4"]
+    assert world.drawn == 2  # cell and wrist once: nothing moved afterwards
+
+
+def test_film_shows_where_the_robot_believes_objects_to_be(tmp_path):
+    film = Film(tmp_path / "video.mp4", "Pack", StillWorld())
+    objects = [can(0), can(1, 0.5)]
+    film.made("frames", [frame()])
+    film.made("objects", objects)
+    film.made("plan", plan())
+    film.begin("execute")
+    before = film.belief.copy()
+    rest = np.eye(4)
+    rest[:3, 3] = (0.5, 0.27, 0.004)
+    moves = object.__new__(PickPlacePlan)  # all that is asked of it is where the object ends
+    object.__setattr__(moves, "T_world_stand_rest", rest)
+    film.event(TaskEvent("approach", "can_0", 0, 1, plan=moves))
+    np.testing.assert_array_equal(film.belief, before)
+    film.event(TaskEvent("placed", "can_0", 1, 1))
+    assert (film.belief != before).any()
+    film.discard()
+    assert not list(tmp_path.glob("*.mp4"))
 
 
 class StillRecorder(CellRecorder):
