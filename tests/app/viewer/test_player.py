@@ -1,0 +1,103 @@
+import threading
+import time
+
+import pytest
+
+from app.gate import Gate, Stopped
+from app.viewer.player import LAG, Player
+from app.viewer.story import Story
+
+
+@pytest.fixture
+def player(recording):
+    return Player(Story(recording), lambda: None)
+
+
+def test_time_passes_at_its_speed_and_ends_with_the_story(player):
+    player.advance(0.5)
+    assert player.time == pytest.approx(0.5)
+    player.speed = 4.0
+    player.advance(0.5)
+    assert player.time == pytest.approx(2.5)
+    player.advance(1000)
+    assert player.time == player.story.end and not player.playing
+    player.play()
+    assert player.time == 0.0 and player.playing  # from the beginning again
+
+
+def test_pausing_and_seeking(player):
+    player.pause()
+    player.advance(1.0)
+    assert player.time == 0.0
+    player.seek(3.0)
+    assert player.time == 3.0
+    player.seek(1e300)
+    assert player.time == player.story.end
+    player.seek(-5)
+    assert player.time == 0.0
+
+
+def test_following_catches_up_and_waits_for_more(recording):
+    player = Player(Story(recording), lambda: None, live=True)
+    for _ in range(200):
+        player.advance(0.1)
+    assert recording.now - player.time < 0.05 * LAG and player.playing
+    recording.now += 2.0
+    player.advance(0.1)
+    assert recording.now - 2.0 < player.time < recording.now
+    player.seek(1.0)
+    assert not player.following
+    player.follow()
+    assert player.following and player.playing
+
+
+def test_a_picture_that_fails_does_not_end_the_view(recording, caplog):
+    drawn = threading.Event()
+    attempts = []
+
+    def draw():
+        attempts.append(0)
+        if len(attempts) > 3:
+            drawn.set()
+        raise ValueError("no such colour")
+
+    player = Player(Story(recording), draw)
+    player.start()
+    assert drawn.wait(5)
+    player.close()
+    assert [record.message for record in caplog.records] == ["the viewer could not draw"]  # said once
+
+
+def test_a_run_waits_at_the_gate_steps_and_stops():
+    gate, passed = Gate(), []
+
+    def run():
+        try:
+            for moment in range(1000):
+                gate.mark() if moment % 10 == 0 else gate.passed()
+                passed.append(moment)
+                time.sleep(0.001)
+        except Stopped:
+            passed.append("stopped")
+
+    gate.pause()
+    thread = threading.Thread(target=run)
+    thread.start()
+    time.sleep(0.05)
+    assert passed == [] and gate.paused
+    gate.step()
+    _until(lambda: (gate.paused and len(passed) == 0) or len(passed) == 10)
+    gate.step()
+    _until(lambda: len(passed) % 10 == 0 and len(passed) > 0 and gate.paused)
+    gate.resume()
+    _until(lambda: len(passed) > 30)
+    gate.stop()
+    thread.join(5)
+    assert passed[-1] == "stopped" and gate.held > 0.04
+
+
+def _until(condition):
+    end = time.monotonic() + 5
+    while not condition():
+        assert time.monotonic() < end
+        time.sleep(0.002)
