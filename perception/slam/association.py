@@ -30,11 +30,13 @@ class AssociationConfig:
     Attributes:
         min_iou: with the previous frame's mask, or the rendered one.
         slack: how far outside the landmark's sphere the middle of the mask's points may lie [m].
+        part: a mask that lies in a landmark's rendered mask with this share is a part of it.
         pitch: the rendered masks are this many times smaller than the image.
     """
 
     min_iou: float = 0.2
     slack: float = 0.03
+    part: float = 0.5
     pitch: int = 4
 
 
@@ -63,7 +65,7 @@ def associate_masks(
     world: LandmarkMap,
     config: AssociationConfig = AssociationConfig(),
 ) -> dict[int, int]:
-    """Label to landmark for every mask that has one.
+    """Label to landmark for every mask that has one; several masks may be parts of one landmark.
 
     Args:
         frame: with about the camera's pose.
@@ -85,8 +87,13 @@ def associate_masks(
     if left:
         taken = set(matches.values())
         open_pairs = {label: allowed[label] - taken for label in left}
-        coarse = labels[:: config.pitch, :: config.pitch]
-        matches |= _matched(coarse, render().index, open_pairs, config.min_iou)
+        coarse, index = labels[:: config.pitch, :: config.pitch], render().index
+        matches |= _matched(coarse, index, open_pairs, config.min_iou)
+        for label in left - set(matches):
+            inside = index[coarse == label]
+            for one in allowed[label]:
+                if len(inside) and (inside == one).mean() > config.part:
+                    matches[label] = one
     return matches
 
 

@@ -15,7 +15,7 @@ from functools import cache
 from typing import Literal
 
 import numpy as np
-from jaxtyping import Float
+from jaxtyping import Float, UInt8
 
 from perception.geometry import invert
 from perception.inference.fit import FitConfig
@@ -28,6 +28,7 @@ from perception.slam.association import (
     associate_masks,
     render_masks,
 )
+from perception.slam.fragments import unite_fragments
 from perception.slam.initialise import initialise_landmark
 from perception.slam.joint import JointConfig, optimise_jointly
 from perception.slam.keyframes import Keyframe, make_keyframe, shows_new_view, window_of, with_pose
@@ -162,7 +163,7 @@ class Slam:
         self._poses = [T]
         posed = with_pose(frame, T)
         with _timed(self._clock, "detect"):
-            detections = list(self.detect(posed, plane))
+            detections = unite_fragments(posed, self.detect(posed, plane), plane)
         labels = label_image(detections, frame.depth.shape)
         self._unmatched = [(found.mask, self.config.life.seen_before) for found in detections]
         pixels = select_pixels(frame, labels, {}, T, plane, self.config.selection)
@@ -182,11 +183,12 @@ class Slam:
         assert world is not None
         posed = with_pose(frame, T_predicted)
         with _timed(self._clock, "detect"):
-            detections = list(self.detect(posed, world.plane))
+            detections = unite_fragments(posed, self.detect(posed, world.plane), world.plane)
         with _timed(self._clock, "track"):
             labels = label_image(detections, frame.depth.shape)
             render = cache(lambda: render_masks(world, frame, T_predicted, config.association.pitch))
             landmark_of = associate_masks(posed, labels, self._previous, render, world, config.association)
+            labels, landmark_of = joined_labels(labels, landmark_of)
             pixels = select_pixels(frame, labels, landmark_of, T_predicted, world.plane, config.selection)
             suspects = frozenset(i for i, one in world.landmarks.items() if one.bad >= 2)
             tracked = track(world, pixels, T_predicted, config.tracking, suspects)
@@ -199,7 +201,7 @@ class Slam:
         checks = self._number % config.life.check_every == 0
         retired = self._count(detections, landmark_of, render() if checks else None, tracked)
         landmark_of = {k: one for k, one in landmark_of.items() if one not in retired}
-        self._remember_unmatched(detections, landmark_of)
+        self._remember_unmatched(detections, labels, landmark_of)
         self._previous = (labels, landmark_of)
         posed = with_pose(frame, tracked.T_world_camera)
         return self._extend_map(posed, detections, labels, landmark_of, pixels, status, tuple(retired))
@@ -259,7 +261,8 @@ class Slam:
 
         bare = RgbdFrame(frame.time, frame.rgb, frame.depth, frame.intrinsics)
         try:
-            return list(self.detect(bare, fit_support_plane([bare])))
+            plane = fit_support_plane([bare])
+            return unite_fragments(bare, self.detect(bare, plane), plane)
         except PerceptionError:
             return []
 
@@ -293,12 +296,13 @@ class Slam:
         return retired
 
     def _remember_unmatched(
-        self, detections: Sequence[ObjectDetection], landmark_of: Mapping[int, int]
+        self, detections: Sequence[ObjectDetection], labels: np.ndarray, landmark_of: Mapping[int, int]
     ) -> None:
         """For how many frames each mask without a landmark has been there."""
         now = []
+        present = np.bincount(labels.ravel(), minlength=256) > 0
         for label, found in enumerate(detections, start=1):
-            if label in landmark_of:
+            if label in landmark_of or not present[label]:  # a part that went into another's label
                 continue
             before = [
                 count
@@ -399,6 +403,17 @@ class Slam:
         if len(self._poses) == 2:  # the last motion goes on from the corrected pose
             self._poses[0] = after @ invert(before) @ self._poses[0]
         self._poses[-1] = np.array(after)
+
+
+def joined_labels(
+    labels: UInt8[np.ndarray, "h w"], landmark_of: Mapping[int, int]
+) -> tuple[UInt8[np.ndarray, "h w"], dict[int, int]]:
+    """One label for each landmark: the parts of one take the first part's."""
+    main: dict[int, int] = {}
+    table = np.arange(256, dtype=np.uint8)
+    for label, one in landmark_of.items():
+        table[label] = main.setdefault(one, label)
+    return table[labels], {label: one for one, label in main.items()}
 
 
 class _timed:

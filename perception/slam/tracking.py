@@ -34,12 +34,12 @@ class TrackingConfig:
         plane_sigma: of a point of the plane [m].
         iterations: of Levenberg-Marquardt.
         turn_sigma, move_sigma: of the predicted pose [rad], [m].
-        inlier: residuals within this many sigma agree with the map.
+        inlier: residuals smaller than this agree with the map [m].
         outcast: objects with less than this share of the best one's inliers are left out.
         min_pixels: of an object, to judge it.
     """
 
-    depth_sigma: float = 0.005
+    depth_sigma: float = 0.003
     huber: float = 3.0
     data_weight: float = 0.05
     background_weight: float = 0.2
@@ -49,7 +49,7 @@ class TrackingConfig:
     iterations: int = 3
     turn_sigma: float = np.radians(2.0)
     move_sigma: float = 0.03
-    inlier: float = 3.0
+    inlier: float = 0.012
     outcast: float = 0.5
     min_pixels: int = 25
     lm: LmConfig = field(default_factory=lambda: LmConfig(damping=1e-3))
@@ -199,9 +199,7 @@ class _PoseProblem:
         for one in self.seen:
             own = self.is_object & (self.owner == one)
             if own.sum() >= self.config.min_pixels:
-                shares[one] = float(
-                    (np.abs(residual[own]) < self.config.inlier * self.config.depth_sigma).mean()
-                )
+                shares[one] = float((np.abs(residual[own]) < self.config.inlier).mean())
         return shares
 
 
