@@ -5,15 +5,15 @@ from __future__ import annotations
 from collections.abc import Sequence
 
 import numpy as np
-from jaxtyping import Float
+from jaxtyping import Bool, Float
 
 from manipulation.footprints import BoxRaster
 from manipulation.grasp_config import GripperGeometry
 from manipulation.types import Grasp
 
-# Sample points of the hand's outline in [m], along and across the closing axis: finger behind its pad, palm.
-_FINGER_ALONG, _FINGER_ACROSS = np.linspace(0.0, 0.0205, 4), (-0.01, 0.0, 0.01)
-_PALM_ALONG, _PALM_ACROSS = np.linspace(-0.105, 0.105, 15), (-0.035, -0.015, 0.015, 0.035)
+# Sample points of the hand in [m], along the closing axis and across it: finger behind its pad, palm.
+_FINGER_ALONG, _FINGER_ACROSS = np.linspace(0.0, 0.0205, 4), np.array([-0.01, 0.0, 0.01])
+_PALM_ALONG, _PALM_ACROSS = np.linspace(-0.105, 0.105, 15), np.array([-0.035, -0.015, 0.015, 0.035])
 _FINGER_CLEARANCE, _PALM_CLEARANCE = 0.003, 0.006
 
 
@@ -38,33 +38,31 @@ def count_releases(
         return 0
     gripper = gripper or GripperGeometry()
     c, s = np.cos(yaw), np.sin(yaw)
-    turn = np.array([[c, s], [-s, c]])
-    T = np.stack([grasp.T_stand_tcp for grasp in grasps])
-    closing, sideways = T[:, :2, 1] @ turn, T[:, :2, 0] @ turn
-    origin, height = T[:, :2, 3] @ turn + position, T[:, 2, 3] + base
+    T_box_stand = np.array([[c, -s, 0, position[0]], [s, c, 0, position[1]], [0, 0, 1, base], [0, 0, 0, 1]])
+    Ts = T_box_stand @ np.stack([grasp.T_stand_tcp for grasp in grasps])
+    palm = _points(Ts, np.broadcast_to(_PALM_ALONG, (len(Ts), 15)), _PALM_ACROSS, -gripper.palm)
+    free = _is_above(raster, palm, _PALM_CLEARANCE)
     half_opening = np.array([grasp.release_opening / 2 for grasp in grasps])
-    frame = origin, closing, sideways
-    palm = np.broadcast_to(_PALM_ALONG, (len(grasps), len(_PALM_ALONG)))
-    free = _highest_under(raster, *frame, palm, _PALM_ACROSS) < height + gripper.palm - _PALM_CLEARANCE
     for side in (-1, 1):
-        finger = side * (half_opening[:, None] + _FINGER_ALONG)
-        below = _highest_under(raster, *frame, finger, _FINGER_ACROSS)
-        free &= below < height - gripper.tip - _FINGER_CLEARANCE
+        along = side * (half_opening[:, None] + _FINGER_ALONG)
+        free &= _is_above(raster, _points(Ts, along, _FINGER_ACROSS, gripper.tip), _FINGER_CLEARANCE)
     return int(free.sum())
 
 
-def _highest_under(
-    raster: BoxRaster,
-    origin: np.ndarray,
-    closing: np.ndarray,
-    sideways: np.ndarray,
-    along: np.ndarray,
-    across: tuple[float, ...],
-) -> Float[np.ndarray, "g"]:
-    """Greatest height under points ``along`` (g, a) and ``across`` the closing directions of grasps."""
-    points = (
-        origin[:, None, None]
-        + closing[:, None, None] * along[:, :, None, None]
-        + sideways[:, None, None] * np.array(across)[:, None]
-    )
-    return raster.highest(points).max(axis=(1, 2))
+def _points(
+    Ts_box_tcp: Float[np.ndarray, "g 4 4"],
+    along: Float[np.ndarray, "g a"],
+    across: Float[np.ndarray, "c"],
+    depth: float,
+) -> Float[np.ndarray, "g a c 3"]:
+    """Points of the hand ``along`` and ``across`` the closing axis, ``depth`` [m] beyond the TCP."""
+    x, y, z, origin = (Ts_box_tcp[:, None, None, :3, column] for column in range(4))
+    return origin + along[:, :, None, None] * y + across[:, None] * x + depth * z
+
+
+def _is_above(
+    raster: BoxRaster, points: Float[np.ndarray, "g a c 3"], clearance: float
+) -> Bool[np.ndarray, "g"]:
+    """Whether all points of each hand are higher than what stands below them."""
+    free = raster.highest(points[..., :2]) < points[..., 2] - clearance
+    return np.asarray(free.all(axis=(1, 2)))
