@@ -31,6 +31,9 @@ class Viewer:
         self._scene: SceneView | None = None
         self._next: Recorder | None = self.player.story.recorder
         self._count = 0
+        self.player.playing = live  # a replay begins when somebody looks
+        self._seen = live
+        server.on_client_connect(self._welcome)
         self._hand: np.ndarray | None = None
 
     def start(self) -> None:
@@ -39,6 +42,11 @@ class Viewer:
     def close(self) -> None:
         self.player.close()
         self.server.stop()
+
+    def _welcome(self, _: object) -> None:
+        if not self._seen:
+            self._seen = True
+            self.player.play()
 
     def show(self, recorder: Recorder, live: bool) -> None:
         """From now on another recording."""

@@ -1,6 +1,7 @@
 """A small recording with everything in it, made by hand, and a browser to look at it."""
 
 import shutil
+import time
 from dataclasses import replace
 from pathlib import Path
 
@@ -115,6 +116,19 @@ def make_recording(seconds=2.0):
             move(y, y, y > 0)
     recorder.note("done", name="execute", seconds=5.0)
     return recorder
+
+
+@pytest.fixture
+def until():
+    """Wait for something to become true."""
+
+    def until_(condition, seconds=60):
+        end = time.monotonic() + seconds
+        while not condition():
+            assert time.monotonic() < end, "it never happened"
+            time.sleep(0.02)
+
+    return until_
 
 
 @pytest.fixture

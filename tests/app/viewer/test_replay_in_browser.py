@@ -1,6 +1,9 @@
-import time
+import asyncio
+import threading
 
 import pytest
+import viser
+import websockets.asyncio.client
 
 from app.viewer.load import load_run
 from app.viewer.server import open_server
@@ -17,27 +20,67 @@ def viewer(run_folder):
     viewer.close()
 
 
-def until(condition, seconds=20):
-    """Wait for something to become true."""
-    end = time.monotonic() + seconds
-    while not condition():
-        assert time.monotonic() < end, "it never happened"
-        time.sleep(0.05)
-
-
-def test_a_replay_loads_plays_and_scrubs_in_the_browser(viewer, open_page):
+def test_a_replay_loads_plays_and_scrubs_in_the_browser(viewer, open_page, until):
     page = open_page(viewer.server.url)
     page.page.get_by_text("Pack <b>").wait_for()  # escaped
     page.page.get_by_text("Reconstruct", exact=True).first.wait_for()
-    until(lambda: viewer.player.time > 0.5)
+    until(lambda: viewer.player.time > 0)  # it began when the page came
+    viewer.player.speed = 0.1
+    viewer.player.seek(0.0)
+    viewer.player.play()
     page.page.get_by_role("button", name="Pause").click()
     until(lambda: not viewer.player.playing)
+    viewer.player.speed = 4.0
     page.page.get_by_role("button", name="Act", exact=True).click()
     act = next(span.begin for span in viewer.player.story.stages if span.name == "execute")
     until(lambda: viewer.player.time == pytest.approx(act))
     page.page.get_by_text("The arm carries one object after another").wait_for()
+    slider = page.page.get_by_role("slider").first
+    slider.focus()
+    slider.press("ArrowRight")
+    until(lambda: viewer.player.time > act)
     page.page.get_by_role("button", name="Play").click()
     until(lambda: viewer.player.time >= viewer.player.story.end)
     page.page.get_by_role("tab", name="Objects").click()
     page.page.get_by_text("put down").wait_for()
     assert page.problems == []
+
+
+async def _watch(viewer, received, seconds, vanish):
+    """A viewer without a screen, which counts what it gets, and may vanish without a goodbye."""
+    url = f"ws://127.0.0.1:{viewer.server.get_port()}"
+    protocol = f"viser-v{viser.__version__}"
+    connection = await websockets.asyncio.client.connect(url, subprotocols=[protocol], max_size=None)
+    end = asyncio.get_running_loop().time() + seconds
+    while (left := end - asyncio.get_running_loop().time()) > 0:
+        try:
+            received.append(len(await asyncio.wait_for(connection.recv(), left)))
+        except TimeoutError:
+            break
+    if vanish:
+        connection.transport.abort()
+    else:
+        await connection.close()
+
+
+def test_three_viewers_at_once_one_of_them_killed(viewer, until):
+    counts = [[], [], []]
+    threads = [
+        threading.Thread(
+            target=lambda i=i: asyncio.run(_watch(viewer, counts[i], 1.0 if i == 1 else 3.0, i == 1))
+        )
+        for i in range(3)
+    ]
+    for thread in threads:
+        thread.start()
+    until(lambda: len(viewer.server.get_clients()) == 3)
+    until(lambda: len(viewer.server.get_clients()) == 2)
+    before = [len(count) for count in counts]
+    for thread in threads:
+        thread.join()
+    assert (
+        len(counts[0]) > before[0] + 5 and len(counts[2]) > before[2] + 5
+    )  # the others go on seeing it move
+    until(lambda: not viewer.server.get_clients())
+    viewer.player.speed = 8.0
+    until(lambda: viewer.player.time == viewer.player.story.end)

@@ -1,0 +1,137 @@
+"""The buttons of a live view: with a run that only pretends, and, slowly, with a real one."""
+
+import statistics
+import threading
+import time
+from types import SimpleNamespace
+
+import numpy as np
+import pytest
+
+import app.viewer.live
+from app.options import ViewOptions
+from app.replay import Recorder
+from app.report import Report
+from app.screen import Screen
+from app.viewer.live import Session
+from app.viewer.server import open_server
+from app.viewer.viewer import Viewer
+
+CLICK = """async ([from, to]) => {
+  const named = name => [...document.querySelectorAll("button")].find(b => b.innerText.trim() === name);
+  const begin = performance.now();
+  named(from).click();
+  while (!named(to)) await new Promise(done => setTimeout(done, 5));
+  return performance.now() - begin;
+}"""
+
+
+class PretendedRecording:
+    """Of a cell in which only time passes."""
+
+    def __init__(self, world):
+        self.recorder = Recorder(bodies=("tcp",))
+        self.recorder.sample(0.0, np.zeros(7), 0.0, np.array([[0.4, 0, 0.3, 1, 0, 0, 0.0]]))
+
+
+def pretended_run(world, options, perception, recording, screen, gate):
+    recorder = recording.recorder
+    for stage in ("scan", "execute"):
+        recorder.note("stage", name=stage)
+        gate.mark()
+        for moment in range(150):
+            pose = np.array([[0.4, 0.001 * moment, 0.3, 1, 0, 0, 0.0]])
+            recorder.sample(recorder.times[-1] + 0.03, np.zeros(7), 0.0, pose)
+            gate.passed()
+            time.sleep(0.01)
+        recorder.note("done", name=stage, seconds=1.5)
+    return Report(options_name(options), options.seed, success=True, reason="all pretended")
+
+
+def options_name(options):
+    return type(options).__name__.removesuffix("Options").lower()
+
+
+@pytest.fixture
+def session(monkeypatch):
+    built = []
+    monkeypatch.setattr(
+        app.viewer.live,
+        "build_world",
+        lambda options, task: built.append((task, options.seed)) or SimpleNamespace(close=lambda: None),
+    )
+    monkeypatch.setattr(app.viewer.live, "CellRecorder", PretendedRecording)
+    monkeypatch.setattr(app.viewer.live, "load_perception", lambda device: None)
+    monkeypatch.setattr(app.viewer.live, "run_in", pretended_run)
+    viewer = Viewer(open_server(port=0), live=True)
+    session = Session(ViewOptions(objects="2", seed=5), viewer, Screen(quiet=True))
+    viewer.start()
+    threading.Thread(target=session.serve, daemon=True).start()
+    yield SimpleNamespace(viewer=viewer, session=session, built=built)
+    viewer.close()
+
+
+def test_new_scene_run_pause_step_and_stop(session, open_page, until):
+    page = open_page(session.viewer.server.url)
+    button = lambda name: page.page.get_by_role("button", name=name, exact=True)  # noqa: E731
+    page.page.get_by_text("ready: press Run").wait_for()
+    button("New scene").click()
+    until(lambda: session.built == [("pack", 5), ("pack", 6)])  # the seed goes on where nobody changed it
+    button("Run").click()
+    page.page.get_by_text("the robot is at work").wait_for()
+    gate = session.session._gate
+    times = []
+    for _ in range(3):  # while everything moves
+        times.append(page.page.evaluate(CLICK, ["Pause the robot", "Let the robot go on"]))
+        assert gate.paused
+        times.append(page.page.evaluate(CLICK, ["Let the robot go on", "Pause the robot"]))
+        assert not gate.paused
+    assert statistics.median(times) < 300  # [ms]
+    gate.pause()
+    button("Step").click()
+    until(lambda: gate.paused or session.viewer.player.story.recorder.notes[-1].kind == "done")
+    gate.resume()
+    page.page.get_by_text("all pretended").wait_for()  # to its end
+    button("Run").click()  # the same scene again, made anew
+    until(lambda: len(session.built) == 3 and session.session._gate is not gate)
+    button("Stop").click()
+    page.page.get_by_text("stopped; what was finished is kept").wait_for()
+    assert session.built[-1] == ("pack", 6)
+    assert page.problems == []
+
+
+def test_what_makes_no_scene_is_said_and_the_next_one_works(session, monkeypatch, until):
+    def fail(options, task):
+        raise ValueError("10 objects do not fit")
+
+    until(lambda: len(session.built) == 1)
+    with monkeypatch.context() as patched:
+        patched.setattr(app.viewer.live, "build_world", fail)
+        session.session._commands.put("new scene")
+        until(lambda: "10 objects do not fit" in session.viewer.panel._header.content)
+    session.session._commands.put("run")
+    until(lambda: "all pretended" in session.viewer.panel._header.content)
+
+
+@pytest.mark.slow
+def test_a_real_packing_episode_plays_to_its_end_in_the_browser(open_page, tmp_path, until):
+    viewer = Viewer(open_server(port=0), live=True)
+    options = ViewOptions(objects="can=1", shapes="oracle", seed=1, out=tmp_path / "run")
+    session = Session(options, viewer, Screen(quiet=True))
+    viewer.start()
+
+    def click():
+        page = open_page(viewer.server.url)
+        page.page.get_by_text("ready: press Run").wait_for()
+        page.page.get_by_role("button", name="Run", exact=True).click()
+        return page
+
+    # The simulator belongs to one thread, the browser's driver to another: this one.
+    cell = threading.Thread(target=session.serve, daemon=True)
+    cell.start()
+    page = click()
+    page.page.get_by_text("1 of 1 objects in place").wait_for(timeout=600_000)
+    until(lambda: viewer.player.time == viewer.player.story.end)
+    assert [span.name for span in viewer.player.story.stages][-1] == "verify"
+    assert page.problems == []
+    viewer.close()
