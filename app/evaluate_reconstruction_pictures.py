@@ -32,7 +32,6 @@ COLORS = {
 }
 SIZE = 340  # [px] of each small picture
 ERROR_RANGE = 0.006  # [m] at which the error's colour ends
-_LIGHT = np.array([0.3, -0.5, 0.81])
 
 
 def write_pictures(
@@ -92,9 +91,9 @@ def _gallery(
     options: EvaluateOptions,
 ) -> Figure:
     """A row for each chosen object: first image, truth, estimate, its error; the last three from behind."""
-    figure = Figure(figsize=(15.5, 2.62 * len(chosen) + 0.5), dpi=100)
+    figure = Figure(figsize=(15.5, 2.0 * len(chosen) + 0.4), dpi=100)
     axes = figure.subplots(len(chosen), 7, squeeze=False)
-    figure.subplots_adjust(left=0.055, right=0.925, top=0.91, bottom=0.01, wspace=0.03, hspace=0.03)
+    figure.subplots_adjust(left=0.055, right=0.925, top=0.93, bottom=0.01, wspace=0.03, hspace=0.03)
     colors = ScalarMappable(Normalize(0, 1000 * ERROR_RANGE), "turbo")
     for axis_row, (rank, row) in zip(axes, chosen.items()):
         subject = subjects[row["object"]]
@@ -163,7 +162,8 @@ def _shaded(
     local = (corners[facing] - eye) @ axes.T
     focal = SIZE / 2 / (1.05 * reach) * np.linalg.norm(centre - eye)
     flat = SIZE / 2 + focal * local[..., :2] / local[..., 2:]
-    light = 0.45 + 0.55 * np.clip(normals[facing] @ _LIGHT, 0, 1)
+    towards_light = np.array([0.0, 0.0, 0.7]) - 0.7 * forward + 0.3 * right
+    light = 0.35 + 0.65 * np.clip(normals[facing] @ towards_light / np.linalg.norm(towards_light), 0, 1)
     lit = np.clip(light[:, None] * colors[facing], 0, 255)
     image = np.full((SIZE, SIZE, 3), 255, np.uint8)
     fixed = np.rint(flat * 8).astype(np.int32)

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from collections import defaultdict
-from collections.abc import Callable, Mapping, Sequence
+from collections.abc import Mapping, Sequence
 from typing import Any
 
 import numpy as np
@@ -88,7 +88,7 @@ def _median(values: Any) -> float | None:
 
 def _convergence(lines: Sequence[Mapping[str, Any]]) -> dict[str, dict[str, list[float]]]:
     """Median chamfer-L1 [m] of the followed objects at every iteration that was looked at, by method."""
-    curves: dict[str, list[list[tuple[int, float | None]]]] = defaultdict(list)
+    curves: dict[str, list[Sequence[Sequence[Any]]]] = defaultdict(list)
     for line in lines:
         for method, curve in line.get("convergence", {}).items():
             curves[method].append(curve)
@@ -100,7 +100,7 @@ def _convergence(lines: Sequence[Mapping[str, Any]]) -> dict[str, dict[str, list
     return result
 
 
-def _held(curve: Sequence[tuple[int, float | None]], at: Sequence[int]) -> list[float]:
+def _held(curve: Sequence[Sequence[Any]], at: Sequence[int]) -> list[float]:
     """A curve's values at other iterations: the last one known; one that has no surface is infinitely far."""
     iterations = [iteration for iteration, _ in curve]
     values = [np.inf if value is None else value for _, value in curve]
@@ -108,7 +108,7 @@ def _held(curve: Sequence[tuple[int, float | None]], at: Sequence[int]) -> list[
 
 
 def reconstruction_tables(report: Report) -> list[Table]:
-    """One table for each class: methods down, views across, the paper's figures beside ours for mugs."""
+    """One table for each class, the paper's figures beside ours for mugs; and how sure the full method is."""
     medians = report.metrics["median"]
     categories = dict.fromkeys(entry["category"] for entry in medians)
     tables = [_table(category, [m for m in medians if m["category"] == category]) for category in categories]
@@ -134,39 +134,35 @@ def _calibration_table(medians: Sequence[Row]) -> Table:
 
 
 def _table(category: str, medians: Sequence[Row]) -> Table:
-    views = sorted({entry["views"] for entry in medians})
-    methods = list(dict.fromkeys(entry["method"] for entry in medians))
-    title = f"{category}: medians of {medians[0]['n']} objects" + (
-        "; in brackets the paper's" if category == "mug" else ""
+    paper = "; in brackets the paper's" if category == "mug" else ""
+    table = Table(
+        title=f"{category}: medians of {medians[0]['n']} objects{paper}",
+        title_justify="left",
+        show_edge=False,
+        pad_edge=False,
     )
-    table = Table(title=title, title_justify="left", show_edge=False, pad_edge=False)
-    table.add_column("")
-    for count in views:
-        for name in ("accuracy", "chamfer", "completion") + (("handle",) if category == "mug" else ()):
-            table.add_column(f"{name}\n{count} view{'s' * (count > 1)}", justify="right")
-    for method in methods:
-        cells = [method.replace("_", " ")]
-        for count in views:
-            entry = next((m for m in medians if (m["views"], m["method"]) == (count, method)), None)
-            paper = PAPER.get(method, {}).get(count) if category == "mug" else None
-            cells += _cells(entry, paper, category == "mug")
-        table.add_row(*cells)
+    for heading in ("views", "method", "accuracy mm", "chamfer-L1 mm", "completion %"):
+        table.add_column(heading, justify="left" if heading == "method" else "right", no_wrap=True)
+    if category == "mug":
+        table.add_column("handle %", justify="right")  # of the visible ones where there is one view
+    before = None
+    for entry in sorted(medians, key=lambda m: m["views"]):
+        views = str(entry["views"]) if entry["views"] != before else ""
+        table.add_section() if views and before is not None else None
+        before = entry["views"]
+        table.add_row(views, entry["method"].replace("_", " "), *_cells(entry, category == "mug"))
     return table
 
 
-def _cells(entry: Row | None, paper: Sequence[float] | None, handle: bool) -> list[str]:
-    shown: list[Callable[[float], str]] = [
-        lambda x: f"{1000 * x:.2f} mm",
-        lambda x: f"{1000 * x:.2f} mm",
-        lambda x: f"{100 * x:.1f} %",
-    ]
+def _cells(entry: Row, with_paper: bool) -> list[str]:
+    paper = PAPER.get(entry["method"], {}).get(entry["views"]) if with_paper else None
+    factors, digits = (1000, 1000, 100), (2, 2, 1)
     cells = []
-    for index, (name, show) in enumerate(zip(FIGURES, shown)):
-        value = entry[name] if entry else None
-        beside = f" [dim]({show(paper[index]).split()[0]})[/dim]" if paper else ""
-        cells.append(("–" if value is None else show(value)) + beside)
-    if handle:
-        which = "handle_recall_visible" if entry and entry["views"] == 1 else "handle_recall"
-        value = entry.get(which) if entry else None
-        cells.append("–" if value is None else f"{100 * value:.0f} %")
+    for index, name in enumerate(FIGURES):
+        factor, form = factors[index], f".{digits[index]}f"
+        value = "–" if entry[name] is None else format(factor * entry[name], form)
+        cells.append(value + (f" [dim]({format(factor * paper[index], form)})[/dim]" if paper else ""))
+    if with_paper:
+        recall = entry.get("handle_recall_visible" if entry["views"] == 1 else "handle_recall")
+        cells.append("–" if recall is None else f"{100 * recall:.0f}")
     return cells
