@@ -18,7 +18,7 @@ from perception.geometry import invert
 from perception.inference.initialise import initial_poses
 from perception.inference.levenberg_marquardt import Evaluation, LmConfig, LmIteration, minimise
 from perception.inference.meshing import MeshConfig, mesh_from_grid
-from perception.inference.observation import ObjectObservation, PixelConfig, PixelSet, gather_pixels
+from perception.inference.observation import ObjectObservation, PixelConfig, gather_pixels
 from perception.inference.problem import FitProblem, FitState, NoiseConfig, SupportCamera
 from perception.inference.refine import RefineConfig, refine_mesh
 from perception.inference.shape_model import Decoder, LinearisedShape, decode, linearise, mean_shape
@@ -53,8 +53,7 @@ class FitConfig:
     stages: tuple[Stage, ...] = (Stage(32, 1, 8), Stage(48, 0, 22))
     renderer: RendererName = "probabilistic"
     start_views: int | None = None  # how many views the start is taken from; all by default
-    relinearise_every: int = 4  # iterations, where the code moved farther than this since the last time:
-    relinearise_beyond: float = 0.1
+    relinearise_every: int = 4
     settled_over: int = 8  # iterations over which a converged fit stands still
     pixels: PixelConfig = field(default_factory=PixelConfig)
     noise: NoiseConfig = field(default_factory=NoiseConfig)
@@ -187,9 +186,18 @@ class _Fitter:
         trace: tuple[LmIteration, ...] = ()
         history = [(0, state)]
         left = stage.iterations
-        problem = self._problem(pixels, shape)
         while True:
             budget = min(left, config.relinearise_every)
+            problem = FitProblem(
+                pixels,
+                shape,
+                self.plane,
+                self.support,
+                config.noise,
+                self.poses[0].scale,
+                self.size_sigma,
+                config.renderer,
+            )
             lm = replace(config.lm, max_iterations=budget, damping=damping)
             result = minimise(problem, FitState.moved, state, lm, limit)
             state, damping, trace = result.state, result.damping, trace + result.trace
@@ -200,29 +208,15 @@ class _Fitter:
             left -= max(len(result.trace), 1)
             if left <= 0 or result.status in ("stuck", "not_finite"):
                 break
-            if np.abs(state.code - shape.code).max() > config.relinearise_beyond:
-                shape = self.linearise(state.code)
-                problem = self._problem(pixels, shape)
-            elif result.status == "converged":
+            if result.status == "converged" and np.allclose(state.code, shape.code, atol=1e-3):
                 break
+            shape = self.linearise(state.code)
         hessian, _ = result.evaluation.normal_equations()
         since = next(s for n, s in history if n >= len(trace) - config.settled_over)
         converged = _settled(state.step_from(since), hessian)
         residual = result.evaluation.residuals[: len(pixels.is_object)]
         on, off = residual[pixels.is_object], residual[~pixels.is_object]
         return Fit(state, result.evaluation, on, off, trace, converged), shape, damping
-
-    def _problem(self, pixels: PixelSet, shape: LinearisedShape) -> FitProblem:
-        return FitProblem(
-            pixels,
-            shape,
-            self.plane,
-            self.support,
-            self.config.noise,
-            self.poses[0].scale,
-            self.size_sigma,
-            self.config.renderer,
-        )
 
 
 def _settled(step: Float[np.ndarray, "25"], hessian: Float[np.ndarray, "25 25"]) -> bool:
