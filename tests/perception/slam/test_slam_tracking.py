@@ -47,7 +47,7 @@ def test_an_object_that_was_moved_is_left_out(cylinders, T_true):
     world = cylinders.map()
     one = world.landmarks[0]
     pose = ObjectPose(
-        one.state.pose.rotation, one.state.pose.translation + [0.04, 0.02, 0], one.state.pose.scale
+        one.state.pose.rotation, one.state.pose.translation + np.array((0.04, 0.02, 0)), one.state.pose.scale
     )
     world = world.with_landmarks(one.with_state(FitState(pose, one.state.code)))
     found = track(world, observe(cylinders, T_true, T_true), T_true, TrackingConfig(iterations=6))

@@ -1,0 +1,128 @@
+"""Masks to landmarks by overlap and place; parts of one vessel; viewpoints and windows of keyframes."""
+
+import numpy as np
+import pytest
+
+from perception.slam.association import associate_masks, render_masks
+from perception.slam.fragments import touching, unite_fragments
+from perception.slam.keyframes import (
+    NEW_VIEW,
+    make_keyframe,
+    shows_new_view,
+    view_angle,
+    window_of,
+    with_pose,
+)
+from perception.slam.pixels import label_image
+from perception.types import ObjectDetection, SupportPlane
+
+
+@pytest.fixture
+def view(cylinders, scenes):
+    T = scenes.orbit((0, 0.03, 0.03), 0.55, 45, 20)
+    frame, detections, shown = cylinders.look(T)
+    return T, frame, detections, shown, label_image(detections, frame.depth.shape)
+
+
+def test_rendered_masks_are_the_true_ones(cylinders, view):
+    T, frame, detections, shown, _ = view
+    rendered = render_masks(cylinders.map(), frame, T, pitch=2)
+    for found, one in zip(detections, shown):
+        mask = found.mask[::2, ::2]
+        both = (rendered.index == one) & mask
+        assert both.sum() > 0.85 * ((rendered.index == one) | mask).sum()
+        assert 0 < rendered.visible[one] <= rendered.whole[one]
+
+
+def test_masks_find_landmarks_by_rendering(cylinders, view):
+    T, frame, _, shown, labels = view
+    world = cylinders.map()
+    found = associate_masks(frame, labels, None, lambda: render_masks(world, frame, T), world)
+    assert found == {k + 1: one for k, one in enumerate(shown)}
+
+
+def test_previous_masks_come_first_and_spare_the_rendering(cylinders, view):
+    _, frame, _, shown, labels = view
+    known = {k + 1: one for k, one in enumerate(shown)}
+
+    def never():
+        raise AssertionError("rendered")
+
+    assert associate_masks(frame, labels, (labels, known), never, cylinders.map()) == known
+
+
+def test_a_mask_far_from_its_landmark_is_not_believed(cylinders, view):
+    T, frame, _, shown, labels = view
+    swapped = {k + 1: one for k, one in enumerate(shown)}
+    swapped[1], swapped[2] = swapped[2], swapped[1]
+    world = cylinders.map()
+    found = associate_masks(frame, labels, (labels, swapped), lambda: render_masks(world, frame, T), world)
+    assert found == {k + 1: one for k, one in enumerate(shown)}
+
+
+def test_parts_of_one_mask_all_belong_to_its_landmark(cylinders, view):
+    T, frame, _, shown, labels = view
+    rows, columns = np.nonzero(labels == 1)
+    cut = np.array(labels)
+    cut[rows[rows > np.quantile(rows, 0.6)], columns[rows > np.quantile(rows, 0.6)]] = 200
+    world = cylinders.map()
+    found = associate_masks(frame, cut, None, lambda: render_masks(world, frame, T), world)
+    assert found[1] == shown[0] and found[200] == shown[0]
+
+
+def halves(found: ObjectDetection) -> list[ObjectDetection]:
+    """A mask cut across."""
+    middle = int(np.nonzero(found.mask)[0].mean())
+    top, bottom = np.array(found.mask), np.array(found.mask)
+    top[middle:], bottom[:middle] = False, False
+    return [ObjectDetection("mug", 0.9, top), ObjectDetection("mug", 0.8, bottom)]
+
+
+def test_arcs_of_one_vessel_are_united(scenes):
+    T = scenes.orbit((0, 0, 0.03), 0.5, 60, 0)
+    scene = scenes.render([scenes.Solid(0, 0, 0.08, radius=0.05)], T)
+    whole = ObjectDetection("mug", 0.9, scene.instances == 0)
+    top, bottom = halves(whole)
+    # From 60 degrees above both halves show the top face, as near wall and far wall show one rim.
+    united = unite_fragments(scene.frame, [top, bottom], SupportPlane())
+    assert len(united) == 1 and (united[0].mask == whole.mask).all()
+    bottles = [ObjectDetection("bottle", 0.9, part.mask) for part in (top, bottom)]
+    assert len(unite_fragments(scene.frame, bottles, SupportPlane())) == 2
+
+
+def test_two_vessels_one_behind_the_other_stay_two(scenes):
+    T = scenes.orbit((0, 0, 0.03), 0.5, 35, 0)
+    solids = [scenes.Solid(0.06, 0, 0.08, radius=0.04), scenes.Solid(-0.06, 0, 0.08, radius=0.04)]
+    scene = scenes.render(solids, T)
+    found = [ObjectDetection("mug", 0.9, scene.instances == k) for k in (0, 1)]
+    assert touching(label_image(found, scene.instances.shape), 8) == [(0, 1)]
+    assert len(unite_fragments(scene.frame, found, SupportPlane())) == 2
+
+
+def test_angle_between_views(scenes):
+    T = [scenes.orbit((0, 0, 0), 0.5, 0, azimuth) for azimuth in (10, 35)]
+    assert np.degrees(view_angle(np.zeros(3), *T)) == pytest.approx(25)
+
+
+def keyframe(view, number, T):
+    _, frame, detections, shown, labels = view
+    landmark_of = {k + 1: one for k, one in enumerate(shown)}
+    return make_keyframe(number, with_pose(frame, T), T, labels, landmark_of, detections)
+
+
+def test_only_new_viewpoints_make_keyframes(cylinders, scenes, view):
+    world = cylinders.map()
+    at = [scenes.orbit((0, 0.03, 0.03), 0.55, 45, 20 + turn) for turn in (0, 4, 40)]
+    kept = [keyframe(view, 0, at[0])]
+    assert not shows_new_view(at[1], world.landmarks, kept)
+    assert shows_new_view(at[2], world.landmarks, kept)
+    assert not shows_new_view(at[2], world.landmarks, [*kept, keyframe(view, 1, at[2])])
+    assert not shows_new_view(at[2], {}, kept)
+    assert np.degrees(NEW_VIEW) == pytest.approx(13)
+
+
+def test_the_window_holds_the_nearest_keyframes_oldest_first(cylinders, scenes, view):
+    azimuths = (20, 90, 45, 160, 35)
+    keys = [keyframe(view, n, scenes.orbit((0, 0.03, 0.03), 0.55, 45, a)) for n, a in enumerate(azimuths)]
+    window = window_of(keys[-1], keys, cylinders.map().landmarks, 3)
+    assert [key.number for key in window] == [0, 2, 4]
