@@ -1,3 +1,6 @@
+import subprocess
+import sys
+
 import pytest
 
 from app.errors import UsageError
@@ -36,3 +39,13 @@ def test_what_cannot_be_shown_is_named(tmp_path, run_folder):
     (run_folder / "replay.npz").unlink()
     with pytest.raises(InvalidInputError, match=r"replay\.npz is missing"):
         load_run(run_folder)
+
+
+def test_replays_need_no_simulator_installed():
+    program = """
+import sys
+sys.modules.update(dict.fromkeys(("mujoco", "mjviser", "mink", "ruckig"), None))
+import app.view
+import app.viewer.page
+"""
+    subprocess.run([sys.executable, "-c", program], check=True)
