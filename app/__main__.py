@@ -1,8 +1,12 @@
 """``python -m app``, the same as the console script ``nodeslam``."""
 
+import os
 import sys
 
-from app.cli import run
+# Before anything loads numpy: its thread pool and torch's on the same cores slow both several times.
+os.environ.setdefault("OPENBLAS_NUM_THREADS", "1")
+
+from app.cli import run  # noqa: E402
 
 
 def main() -> None:

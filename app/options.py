@@ -106,7 +106,23 @@ class ReconstructOptions(CommonOptions):
     """Reconstruct the objects of a scan folder; needs no simulator."""
 
     scan: Positional[Path]
-    """Scan folder (BOP scene layout); its detections are used where it has them."""
+    """Scan folder (BOP scene layout); its detections or masks are used where it has them."""
+    detector: Annotated[str, arg(metavar="shipped|hf:MODEL")] = "shipped"
+    """Who finds objects where the folder does not tell: the shipped networks, or a Hugging Face model."""
+
+
+@dataclass(frozen=True, kw_only=True)
+class ConvertOptions(CommonOptions):
+    """Turn a TUM RGB-D recording or NOCS-style frames into a scan folder."""
+
+    source: Positional[Path]
+    """Folder of the recording."""
+    images: int = 20
+    """How many images to take at most, evenly over the recording."""
+    camera: Annotated[
+        str | None, arg(metavar="FX,FY,CX,CY", help_behavior_hint="default: the data set's own")
+    ] = None
+    """Focal lengths and principal point in pixels of an image 640 px wide."""
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -218,6 +234,7 @@ COMMANDS: dict[str, type[CommonOptions]] = {
     "sort": SortOptions,
     "scan": ScanOptions,
     "reconstruct": ReconstructOptions,
+    "convert": ConvertOptions,
     "ar": ArOptions,
     "export": ExportOptions,
     "slam": SlamOptions,

@@ -8,6 +8,7 @@ from typing import Any
 
 from rich.markup import escape
 
+from app.errors import UsageError
 from app.options import TrainOptions
 from app.perceive import resolve_device
 from app.report import Report
@@ -23,6 +24,10 @@ def run(options: TrainOptions, screen: Screen) -> Report:
     if options.epochs is not None:
         changes["epochs"] = options.epochs
     config = replace(config, device=device, training=replace(config.training, **changes))
+    if options.network == "shape":
+        config = replace(config, meshes=options.meshes, tensorboard=options.tensorboard)
+    elif options.meshes is not None or options.tensorboard:
+        raise UsageError(f"--meshes and --tensorboard are for `train shape`, not `train {options.network}`")
     folder = RunFolder.create(options, f"train-{options.network}")
     begin = time.perf_counter()
     with screen.stage(f"Training {options.network}"):
@@ -36,9 +41,12 @@ def run(options: TrainOptions, screen: Screen) -> Report:
         reason=f"trained {options.network}",
         timings={"total": time.perf_counter() - begin},
         metrics=metrics,
+        warnings=metrics.get("skipped", ()),
         settings={"network": options.network, "device": device, "epochs": config.training.epochs},
     )
     folder.write_report(report)
+    for line in report.warnings:
+        screen.note(f"left out: {line}")
     screen.show(
         escape(f"weights and model card in {folder.path}; copy them to perception/weights to use them")
     )

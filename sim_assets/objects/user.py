@@ -68,13 +68,30 @@ def load_user_object(path: Path | str, category: Category, collision: bool = Tru
         ObjectFileError: the file is unreadable, empty, not watertight, or of an absurd size.
     """
     path = Path(path)
-    mesh = _in_object_frame(_read(path), category)
+    mesh = load_user_mesh(path, category)
     pieces = tuple(map(hull, convex_pieces(mesh, category, path.name))) if collision else ()
     mass = float(np.clip(mesh.volume * DENSITIES[category], LIGHTEST, HEAVIEST))
     return ObjectModel(category, "user", path.stem, mesh, pieces, mass, None, MeshShape(mesh, category))
 
 
-def _read(path: Path) -> trimesh.Trimesh:
+def load_user_mesh(
+    path: Path, category: Category, y_up: bool = False, length: float | None = None
+) -> trimesh.Trimesh:
+    """The mesh of a file, checked and moved into the object frame.
+
+    Args:
+        path: of the file.
+        category: what it shows.
+        y_up: whether the file's y axis points up, as in ShapeNet, and not z.
+        length: of the longest side that the mesh is scaled to [m]; as it is by default.
+
+    Raises:
+        ObjectFileError: the file is unreadable, empty, not watertight, or of an absurd size.
+    """
+    return _in_object_frame(_read(path, y_up, length), category)
+
+
+def _read(path: Path, y_up: bool, length: float | None) -> trimesh.Trimesh:
     """The file's mesh in its own frame, checked."""
     if not path.is_file():
         raise ObjectFileError(f"{path}: no such file")
@@ -87,8 +104,13 @@ def _read(path: Path) -> trimesh.Trimesh:
         raise ObjectFileError(f"{path} holds no triangles; the file is empty or corrupt, export it again")
     if not np.isfinite(mesh.vertices).all():
         raise ObjectFileError(f"{path} has vertices that are not finite; export it again")
+    if y_up:
+        mesh.vertices = mesh.vertices[:, (0, 2, 1)] * (1, -1, 1)
+    if length is not None and mesh.extents.max() > 0:
+        mesh.vertices *= length / mesh.extents.max()
     _check_size(path, float(mesh.extents.max()))
     mesh = trimesh.Trimesh(mesh.vertices, mesh.faces, process=True)  # geometry alone, vertices merged
+    mesh.update_faces((mesh.faces != np.roll(mesh.faces, 1, axis=1)).all(axis=1))  # now lines, not triangles
     if not mesh.is_watertight:
         mesh.fill_holes()
     if not mesh.is_watertight:
