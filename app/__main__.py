@@ -6,7 +6,7 @@ import sys
 # Before anything loads numpy: its thread pool and torch's on the same cores slow both several times.
 os.environ.setdefault("OPENBLAS_NUM_THREADS", "1")
 
-from app.cli import run  # noqa: E402
+from app.cli import run
 
 
 def main() -> None:

@@ -13,7 +13,6 @@ from perception.errors import InvalidInputError
 from sim_assets.objects.families import make_solid, sample_parameters
 from sim_assets.objects.grids import solid_grid
 
-
 SEED = 5
 
 
