@@ -32,6 +32,7 @@ HANDLERS = {
     "sort": "app.task",
     "scan": "app.scan",
     "reconstruct": "app.reconstruct",
+    "convert": "app.convert",
     "ar": "app.ar",
     "export": "app.export",
     "slam": "app.slam",
@@ -44,7 +45,7 @@ HANDLERS = {
 
 # Which extra brings a library that not every command needs.
 _SIMULATOR = ("mujoco", "mjviser", "mink", "daqp", "ruckig", "coacd")
-EXTRA_OF = dict.fromkeys(_SIMULATOR, "sim") | {"tensorboard": "train"}
+EXTRA_OF = dict.fromkeys(_SIMULATOR, "sim") | {"tensorboard": "train", "transformers": "hf"}
 
 
 def run(arguments: Sequence[str]) -> int:
@@ -109,7 +110,7 @@ def check(options: CommonOptions) -> None:
         from app.cell import check_options
 
         check_options(options)
-    for name in ("episodes", "workers", "epochs", "repeats", "drops"):
+    for name in ("episodes", "workers", "epochs", "repeats", "drops", "images"):
         value = getattr(options, name, None)
         if value is not None and value < 1:
             raise UsageError(f"--{name} {value} must be at least 1")

@@ -6,6 +6,7 @@ import os
 from collections.abc import Callable, Sequence
 from concurrent.futures import ThreadPoolExecutor
 from dataclasses import dataclass
+from typing import TYPE_CHECKING
 
 from app.errors import UsageError
 from app.options import Device
@@ -16,6 +17,10 @@ from perception.shape.decoder import ShapeDecoder
 from perception.support_plane import fit_support_plane
 from perception.types import ObjectDetection, ObjectEstimate, RgbdFrame, SupportPlane
 
+if TYPE_CHECKING:
+    from perception.detection.huggingface import HuggingFaceDetector
+
+SHIPPED = "shipped"  # the detector that comes along
 Progress = Callable[..., None]  # (done, total, and perhaps what)
 
 
@@ -70,6 +75,21 @@ def load_detector(device: Device) -> Detector:
     return Detector.load(resolve_device(device))
 
 
+def load_huggingface(detector: str, device: Device) -> HuggingFaceDetector:
+    """The detector of ``hf:MODEL``.
+
+    Raises:
+        UsageError: it is not of that form.
+        PerceptionError: its weights can't be had.
+    """
+    kind, _, name = detector.partition(":")
+    if kind != "hf" or not name:
+        raise UsageError(f"--detector {detector} is neither {SHIPPED} nor hf:MODEL")
+    from perception.detection.huggingface import HuggingFaceDetector
+
+    return HuggingFaceDetector.load(name, resolve_device(device))
+
+
 def load_decoder(device: Device) -> ShapeDecoder:
     return ShapeDecoder.load(device=resolve_device(device))
 
@@ -79,12 +99,13 @@ def detect(
     detector: Detector,
     progress: Progress = lambda *_: None,
     workers: int | None = None,
+    plane: SupportPlane | None = None,
 ) -> Detections:
-    """Find the support plane and the objects in every frame, and tie them together over the frames.
+    """Find the support plane, if it isn't given, and the objects in every frame, and tie them together.
 
     ``workers`` frames are looked at at a time, by default one on each core.
     """
-    plane = fit_support_plane(frames)
+    plane = plane or fit_support_plane(frames)
     found = []
     with single_threaded_torch(), ThreadPoolExecutor(workers or os.cpu_count() or 1) as pool:
         for detections in pool.map(lambda frame: detector(frame, plane), frames):

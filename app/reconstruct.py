@@ -11,7 +11,14 @@ from rich.table import Table
 
 from app.drawing import draw_detections, draw_estimates
 from app.options import ReconstructOptions
-from app.perceive import Detections, load_decoder, load_detector, reconstruct_objects
+from app.perceive import (
+    SHIPPED,
+    Detections,
+    load_decoder,
+    load_detector,
+    load_huggingface,
+    reconstruct_objects,
+)
 from app.perceive import detect as detect_objects
 from app.report import ObjectReport, Report
 from app.run_folder import RunFolder
@@ -22,14 +29,17 @@ from perception.files import write_atomically
 from perception.object_map import write_object_map
 from perception.scan_folder import Scan, png_bytes, read_scan, write_scan
 from perception.support_plane import fit_support_plane
-from perception.types import ObjectEstimate, RgbdFrame
+from perception.types import ObjectEstimate, RgbdFrame, SupportPlane
 
 
 def run(options: ReconstructOptions, screen: Screen) -> Report:
     """Detect where the folder has no detections, reconstruct, and write the object map."""
     begin = time.perf_counter()
     timings: dict[str, float] = {}
-    scan = usable(read_scan(options.scan))
+    recorded = read_scan(options.scan)
+    # Without poses nothing says which way is up: the plane may lie at any angle to the first camera.
+    plane = fit_support_plane(recorded.frames if recorded.has_poses else recorded.frames[:1])
+    scan = usable(recorded)
     folder = RunFolder.create(options, "reconstruct")
     for warning in scan.warnings:
         screen.note(f"left out: {warning}")
@@ -37,7 +47,7 @@ def run(options: ReconstructOptions, screen: Screen) -> Report:
         decoder = load_decoder(options.device)
     started = time.perf_counter()
     with screen.stage("Finding objects"):
-        detections = _detections(scan, options)
+        detections = _detections(scan, plane, options)
     timings["detect"] = time.perf_counter() - started
     started = time.perf_counter()
     with screen.stage("Reconstructing whole shapes"):
@@ -74,22 +84,29 @@ def usable(scan: Scan) -> Scan:
     note = (
         (f"the scan has no camera poses: {dropped} images after the first are not used",) if dropped else ()
     )
-    detections = scan.detections and scan.detections[:1]
-    return Scan((first,), detections, scan.image_ids[:1], (*scan.warnings, *note))
+    detections, masks = scan.detections and scan.detections[:1], scan.masks and scan.masks[:1]
+    return Scan((first,), detections, scan.image_ids[:1], (*scan.warnings, *note), masks)
 
 
-def _detections(scan: Scan, options: ReconstructOptions) -> Detections:
-    """The folder's own detections where it has them, tied over the images; else the detector's."""
-    if scan.detections is None:
-        return detect_objects(scan.frames, load_detector(options.device))
-    if not any(scan.detections):
-        raise InvalidInputError(
-            f"{options.scan}/detections.json is empty: delete it to use the shipped detector"
-        )
-    plane = fit_support_plane(scan.frames)
-    if all(found.instance_id is not None for frame in scan.detections for found in frame):
-        return Detections(plane, scan.detections)
-    return Detections(plane, tuple(map(tuple, associate(scan.frames, scan.detections, plane))))
+def _detections(scan: Scan, plane: SupportPlane, options: ReconstructOptions) -> Detections:
+    """The folder's own detections or masks where it has them, else the detector's; tied over the images."""
+    if scan.detections is not None:
+        if not any(scan.detections):
+            raise InvalidInputError(
+                f"{options.scan}/detections.json is empty: delete it to use the shipped detector"
+            )
+        if all(found.instance_id is not None for frame in scan.detections for found in frame):
+            return Detections(plane, scan.detections)
+        found = scan.detections
+    elif scan.masks is not None:
+        detector = load_detector(options.device)
+        found = [detector.classify(frame, plane, masks) for frame, masks in zip(scan.frames, scan.masks)]
+    elif options.detector != SHIPPED:
+        model = load_huggingface(options.detector, options.device)
+        found = [model(frame) for frame in scan.frames]
+    else:
+        return detect_objects(scan.frames, load_detector(options.device), plane=plane)
+    return Detections(plane, tuple(map(tuple, associate(scan.frames, found, plane))))
 
 
 def _write_pictures(

@@ -1,9 +1,10 @@
 """Scan folders: RGB-D images with camera poses on disk, in the layout of a BOP scene.
 
-    rgb/000000.png         8-bit colour
+    rgb/000000.png         8-bit colour; .jpg as well
     depth/000000.png       uint16; times ``depth_scale`` = millimetres; 0 = no measurement
     scene_camera.json      per image id: cam_K, depth_scale; cam_R_w2c, cam_t_w2c [mm] where known
     detections.json        optional; COCO results with run-length masks, plus ``instance_id`` across images
+    mask_visib/, mask/     optional; <image>_<number>.png, white where an object is, of a class unknown
 
 See https://github.com/thodan/bop_toolkit, docs/bop_datasets_format.md.
 """
@@ -20,6 +21,7 @@ from pathlib import Path
 from typing import Any
 
 import numpy as np
+from jaxtyping import Bool
 from PIL import Image
 
 from perception.detections_file import read_detections, write_detections
@@ -32,6 +34,7 @@ _log = logging.getLogger(__name__)
 DEPTH_SCALE = 0.1  # of the depth images written here: a tenth of a millimetre, up to 6.5 m
 FRAME_PERIOD = 1 / 30  # [s] between images of a folder that keeps no times
 MAX_IMAGE_SIDE = 8192
+MASK_FOLDERS = ("mask_visib", "mask")
 
 
 @dataclass(frozen=True)
@@ -41,6 +44,7 @@ class Scan:
     Attributes:
         frames: the readable images, by ascending id.
         detections: for each frame its detections, or None where the folder has none.
+        masks: for each frame masks of objects whose class nobody has told, or None where the folder has none.
         image_ids: the id of each frame in the folder.
         warnings: one line for each image that was left out, naming it and what is wrong.
     """
@@ -49,6 +53,7 @@ class Scan:
     detections: tuple[tuple[ObjectDetection, ...], ...] | None
     image_ids: tuple[int, ...]
     warnings: tuple[str, ...] = ()
+    masks: tuple[tuple[Bool[np.ndarray, "_h _w"], ...], ...] | None = None
 
     @property
     def has_poses(self) -> bool:
@@ -121,7 +126,39 @@ def read_scan(folder: str | Path) -> Scan:
     for problem in problems:
         _log.warning("image left out: %s", problem)
     detections = read_detections(folder, frames, set(cameras))
-    return Scan(tuple(frames.values()), detections, tuple(frames), tuple(problems))
+    masks = read_masks(folder, frames) if detections is None else None
+    return Scan(tuple(frames.values()), detections, tuple(frames), tuple(problems), masks)
+
+
+def read_masks(
+    folder: Path, frames: dict[int, RgbdFrame]
+) -> tuple[tuple[Bool[np.ndarray, "_h _w"], ...], ...] | None:
+    """Masks from ``mask_visib/`` (only what is visible), else ``mask/``; None where there is neither.
+
+    Raises:
+        InvalidInputError: a mask is unreadable, or of another size than its image.
+    """
+    kind = next((kind for kind in MASK_FOLDERS if (folder / kind).is_dir()), None)
+    if kind is None:
+        return None
+    found: dict[int, list[np.ndarray]] = {image_id: [] for image_id in frames}
+    for path in sorted((folder / kind).glob("*.png")):
+        number, _, rest = path.stem.partition("_")
+        if not (number.isdigit() and rest):
+            raise InvalidInputError(
+                f"{path}: masks are named <image>_<number>.png, such as 000000_000001.png"
+            )
+        if int(number) not in frames:
+            continue
+        mask = read_png(folder, f"{kind}/{path.name}", ("L", "1", "P"), "8-bit grey") > 0
+        if mask.shape != frames[int(number)].depth.shape:
+            size = frames[int(number)].depth.shape[::-1]
+            raise InvalidInputError(
+                f"{path} is {mask.shape[1]}x{mask.shape[0]} but its image is {size[0]}x{size[1]}"
+            )
+        if mask.any():
+            found[int(number)].append(mask)
+    return tuple(tuple(masks) for masks in found.values())
 
 
 @dataclass(frozen=True)
@@ -146,6 +183,12 @@ class ScanIndex:
         return _read_frame(self.folder, image_id, camera, _has_pose(camera))
 
 
+def _image_name(folder: Path, kind: str, image_id: int) -> str:
+    """Of the file that is there; PNG where there is none, to be asked for by that name."""
+    names = [f"{kind}/{image_id:06d}.{suffix}" for suffix in ("png", "jpg", "jpeg", "JPG")]
+    return next((name for name in names if (folder / name).exists()), names[0])
+
+
 def _has_pose(camera: Any) -> bool:
     return isinstance(camera, dict) and "cam_R_w2c" in camera
 
@@ -167,7 +210,7 @@ def _read_frame(folder: Path, image_id: int, camera: Any, posed: bool) -> RgbdFr
     scale = float(_numbers(camera, "depth_scale", 1, where)[0])
     if not 0 < scale <= 1000:
         raise InvalidInputError(f"{where}: depth_scale {scale} must be in 0..1000 (millimetres per unit)")
-    rgb = read_png(folder, f"rgb/{image_id:06d}.png", ("RGB",), "8-bit RGB")
+    rgb = read_png(folder, _image_name(folder, "rgb", image_id), ("RGB",), "8-bit RGB")
     raw = read_png(folder, f"depth/{image_id:06d}.png", ("I;16", "I;16B", "I"), "16-bit grey")
     if raw.shape != rgb.shape[:2]:
         raise InvalidInputError(
@@ -238,6 +281,7 @@ def read_png(folder: Path, name: str, modes: tuple[str, ...], wanted: str) -> np
         InvalidInputError: naming the file, what is wrong and what to do.
     """
     path = folder / name
+    kind = "PNG" if path.suffix == ".png" else "JPEG"
     if not path.exists():
         raise InvalidInputError(f"{path} is missing: add it, or take it out of the folder's list of images")
     if not path.resolve().is_relative_to(folder.resolve()):
@@ -246,18 +290,20 @@ def read_png(folder: Path, name: str, modes: tuple[str, ...], wanted: str) -> np
         with warnings.catch_warnings():
             warnings.simplefilter("ignore", Image.DecompressionBombWarning)
             data = path.read_bytes()
-            header = Image.open(io.BytesIO(data), formats=("PNG",))
+            header = Image.open(io.BytesIO(data), formats=(kind,))
             mode, size = header.mode, header.size
             if mode not in modes:
                 raise InvalidInputError(f"{path} must be {wanted}, its pixels are of type '{mode}'")
             if max(size) > MAX_IMAGE_SIDE:
                 raise InvalidInputError(f"{path} is {size[0]}x{size[1]}; at most {MAX_IMAGE_SIDE} px a side")
             header.verify()  # checksums of every chunk
-            pixels = np.asarray(Image.open(io.BytesIO(data), formats=("PNG",)))
+            pixels = np.asarray(Image.open(io.BytesIO(data), formats=(kind,)))
     except InvalidInputError:
         raise
     except Exception as error:  # the decoder raises a dozen kinds, struct.error and SyntaxError among them
-        raise InvalidInputError(f"{path} is not a readable PNG ({error}): record or copy it again") from None
+        raise InvalidInputError(
+            f"{path} is not a readable {kind} ({error}): record or copy it again"
+        ) from None
     return pixels
 
 

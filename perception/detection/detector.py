@@ -2,11 +2,13 @@
 
 from __future__ import annotations
 
+from collections.abc import Sequence
 from dataclasses import dataclass, field
 from pathlib import Path
 
 import numpy as np
 import torch
+from jaxtyping import Bool
 
 from perception.detection import network as nets
 from perception.detection.crops import crop, filtered_geometry
@@ -68,8 +70,14 @@ class Detector:
 
         The score is the calibrated probability of the category. Yaw distributions are over world yaw.
         """
+        return self.classify(frame, plane, segment(frame, plane, self.config.segmentation))
+
+    def classify(
+        self, frame: RgbdFrame, plane: SupportPlane, masks: Sequence[Bool[np.ndarray, "h w"]]
+    ) -> list[ObjectDetection]:
+        """What the networks say of instances that somebody else has found, as a call does of its own."""
         geometry = filtered_geometry(frame, plane)
-        masks = [m for m in segment(frame, plane, self.config.segmentation) if (m & (geometry[0] > 0)).any()]
+        masks = [mask for mask in masks if (mask & (geometry[0] > 0)).any()]
         if not masks:
             return []
         crops = [crop(frame, mask, plane, geometry) for mask in masks]
