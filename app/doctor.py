@@ -31,7 +31,7 @@ WEIGHTS = {
 }
 NEEDED = ("numpy", "scipy", "torch", "warp-lang", "safetensors", "trimesh", "scikit-image", "tyro", "rich")
 SIMULATOR = ("mujoco", "mink", "daqp", "ruckig", "coacd")
-OPTIONAL = {"open3d-cpu": "eval", "tensorboard": "train", "ray": "cluster"}
+OPTIONAL = {"open3d-cpu": "eval", "tensorboard": "train", "transformers": "hf", "ray": "cluster"}
 PROBE_SECONDS = 60
 _PROBE = """
 import os, sys
