@@ -144,7 +144,8 @@ def gather_pixels(
         view.append(np.full(int(valid.sum()), index))
         target.append(measured[valid])
         inside.append(is_object[valid])
-        operators.append(pyramid_operator(valid, level))
+        if level:
+            operators.append(pyramid_operator(valid, level))
         depth_range.append((near, far))
     bundle = RayBundle(
         np.concatenate(directions).astype(np.float32),

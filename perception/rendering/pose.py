@@ -89,15 +89,23 @@ def _sum_maps(
     pose: ObjectPose, A_canonical_camera: Float[np.ndarray, "v 3 4"]
 ) -> Float[np.ndarray, "v 12 9"]:
     """For each view the matrix from (g1, g2 x direction) to the derivative by the pose."""
-    maps = np.zeros((len(A_canonical_camera), 12, POSE_SIZE))
+    n = len(A_canonical_camera)
+    maps = np.zeros((n, 12, POSE_SIZE))
+    maps[:, :3, 3:6] = -pose.rotation.T / pose.scale[:, None]
     A = A_canonical_camera * pose.scale[:, None]  # to the object's frame, in [m]
-    for axis in range(3):
-        inverse = 1 / pose.scale[axis]
-        maps[:, axis, 3:6] = -inverse * pose.rotation[:, axis]
-        # the axis' row of S^-1 [hat(q), -diag(q)] for q along each coordinate
-        columns = np.zeros((3, POSE_SIZE))
-        columns[:, :3] = inverse * np.cross(np.eye(3)[axis], np.eye(3))
-        columns[axis, 6 + axis] = -inverse
-        maps[:, axis] += A[:, :, 3] @ columns
-        maps[:, 3 + 3 * axis : 6 + 3 * axis] = A[:, :, :3].transpose(0, 2, 1) @ columns
+    by_point = _BY_POINT / pose.scale[:, None, None]  # (axis, coordinate of q, parameter)
+    maps[:, :3] += np.einsum("vc,acp->vap", A[:, :, 3], by_point)
+    maps[:, 3:] = np.einsum("vcd,acp->vadp", A[:, :, :3], by_point).reshape(n, 9, POSE_SIZE)
     return maps.astype(np.float32)
+
+
+def _rows_by_point() -> Float[np.ndarray, "3 3 9"]:
+    """[hat(q), 0, -diag(q)] by its row and the coordinate of q: linear in q."""
+    rows = np.zeros((3, 3, POSE_SIZE))
+    for axis in range(3):
+        rows[axis, :, :3] = np.cross(np.eye(3)[axis], np.eye(3))
+        rows[axis, axis, 6 + axis] = -1.0
+    return rows
+
+
+_BY_POINT = _rows_by_point()
