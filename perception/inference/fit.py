@@ -59,6 +59,7 @@ class FitConfig:
     noise: NoiseConfig = field(default_factory=NoiseConfig)
     lm: LmConfig = field(default_factory=LmConfig)
     mesh: MeshConfig = field(default_factory=MeshConfig)
+    threads: int = 1  # cores that one fit renders on
     refine: RefineConfig | None = field(default_factory=RefineConfig)  # None leaves the mesh as decoded
     step_limit_code: float = 0.7
     step_limit_turn: float = 0.2
@@ -174,6 +175,7 @@ class _Fitter:
             stage.crop,
             stage.level,
             config.pixels,
+            config.threads,
         )
         limit = np.concatenate(
             [

@@ -120,6 +120,7 @@ def gather_pixels(
     crop: int,
     level: int,
     config: PixelConfig,
+    threads: int = 1,
 ) -> PixelSet:
     """Samples every view's surroundings of the mask on a grid of at most crop x crop pixels.
 
@@ -131,6 +132,7 @@ def gather_pixels(
         crop: pixels along the longer side of the crop.
         level: pyramid level: the residuals are blurred and halved so often.
         config: which pixels take part.
+        threads: how many cores render them.
     """
     directions, view, target, inside, operators, depth_range = [], [], [], [], [], []
     for index, seen in enumerate(observations):
@@ -152,6 +154,7 @@ def gather_pixels(
         np.concatenate(view),
         np.array(depth_range),
         samples,
+        threads,
     )
     on_object = np.concatenate(inside)
     return PixelSet(

@@ -7,7 +7,7 @@ import os
 from collections.abc import Callable, Sequence
 from concurrent.futures import ThreadPoolExecutor, as_completed
 from contextlib import contextmanager
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from functools import partial
 
 import cv2
@@ -66,7 +66,10 @@ def reconstruct(
     config = config or FitConfig()
     instances = gather_instances(frames, detections_per_frame, max_views)
     estimates: dict[int, ObjectEstimate] = {}
-    with single_threaded_torch(), ThreadPoolExecutor(workers or os.cpu_count() or 1) as pool:
+    workers = workers or os.cpu_count() or 1
+    if len(instances) < workers:  # cores without an object of their own help the others
+        config = replace(config, threads=workers // max(len(instances), 1))
+    with single_threaded_torch(), ThreadPoolExecutor(workers) as pool:
         jobs = {
             pool.submit(
                 fit_object,

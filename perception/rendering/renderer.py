@@ -5,8 +5,10 @@
 
 from __future__ import annotations
 
+import os
+from concurrent.futures import ThreadPoolExecutor
 from dataclasses import dataclass, replace
-from functools import cached_property
+from functools import cache, cached_property
 
 import numpy as np
 import warp as wp
@@ -107,7 +109,7 @@ class _RayBuffers:
     directions: wp.array
     view: wp.array
     depth_range: wp.array
-    stack: wp.array
+    stacks: tuple[wp.array, ...]
 
 
 @dataclass(frozen=True)
@@ -121,12 +123,14 @@ class RayBundle:
         view: (n,) index of each ray's camera.
         depth_range: (v, 2) nearest and farthest depth for each camera in [m].
         samples: M, the number of samples between the two.
+        threads: how many cores share the rays, on the CPU; the result is the same.
     """
 
     directions: Float[np.ndarray, "n 3"]
     view: Int[np.ndarray, "n"]
     depth_range: Float[np.ndarray, "v 2"]
     samples: int
+    threads: int = 1
 
     @cached_property
     def _buffers(self) -> dict[str, _RayBuffers]:
@@ -135,13 +139,15 @@ class RayBundle:
     def on_device(self, device: str) -> _RayBuffers:
         """The rays on a device, brought there by the first call."""
         if device not in self._buffers:
-            # one after the other on the CPU, where scratch space that stays in the cache is twice as fast
-            n = 1 if device == "cpu" else len(self.directions)
+            # rays of one thread come one after the other on the CPU: the same little room will do for all
+            room = self.samples * (1 if device == "cpu" else len(self.directions))
             self._buffers[device] = _RayBuffers(
                 directions=to_device(self.directions, wp.vec3, device),
                 view=to_device(self.view, wp.int32, device),
                 depth_range=to_device(self.depth_range, wp.vec2, device),
-                stack=empty(n * self.samples, wp.vec3, device),
+                stacks=tuple(
+                    empty(room, wp.vec3, device) for _ in range(self.threads if device == "cpu" else 1)
+                ),
             )
         return self._buffers[device]
 
@@ -192,28 +198,38 @@ def render(
     depth, variance, mask = (empty(n, dtype=wp.float32, device=device) for _ in range(3))
     sums = empty((n, 2) if gradients else (1, 2), dtype=wp.vec3, device=device)
     d_code = empty(n if with_code else 1, dtype=vec16, device=device)
-    launch(
-        render_kernel,
-        dim=n,
-        inputs=[
-            shape.occupancy,
-            shape.jacobian,
-            shape.cells,
-            on_device.directions,
-            on_device.view,
-            to_device(A_canonical_camera[:, :, :3], wp.mat33, device),
-            to_device(A_canonical_camera[:, :, 3], wp.vec3, device),
-            on_device.depth_range,
-            rays.samples,
-            int(gradients),
-            int(with_code),
-            0,
-            0 if device == "cpu" else rays.samples,
-            on_device.stack,
-        ],
-        outputs=[depth, variance, mask, sums, d_code],
-        device=device,
-    )
+    inputs = [
+        shape.occupancy,
+        shape.jacobian,
+        shape.cells,
+        on_device.directions,
+        on_device.view,
+        to_device(A_canonical_camera[:, :, :3], wp.mat33, device),
+        to_device(A_canonical_camera[:, :, 3], wp.vec3, device),
+        on_device.depth_range,
+        rays.samples,
+        int(gradients),
+        int(with_code),
+        0 if device == "cpu" else rays.samples,
+    ]
+    outputs = [depth, variance, mask, sums, d_code]
+    parts = np.linspace(0, n, len(on_device.stacks) + 1).astype(int).tolist()
+
+    def work(part: int) -> None:
+        begin, end = parts[part], parts[part + 1]
+        launch(
+            render_kernel,
+            dim=end - begin,
+            inputs=[*inputs, begin, on_device.stacks[part]],
+            outputs=outputs,
+            device=device,
+        )
+
+    # The kernel lets go of Python's lock; the first part is done by this thread itself.
+    others = [_pool().submit(work, part) for part in range(1, len(on_device.stacks))]
+    work(0)
+    for other in others:
+        other.result()
     sums_host = sums.numpy() if gradients else None
     return Rendering(
         depth=depth.numpy(),
@@ -223,3 +239,9 @@ def render(
         sum_gradient=None if sums_host is None else sums_host[:, 0],
         sum_depth_gradient=None if sums_host is None else sums_host[:, 1],
     )
+
+
+@cache
+def _pool() -> ThreadPoolExecutor:
+    """Threads for parts of renderings."""
+    return ThreadPoolExecutor(os.cpu_count() or 1, thread_name_prefix="render")

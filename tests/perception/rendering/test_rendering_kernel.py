@@ -1,5 +1,7 @@
 """The fused kernel against the plain renderer and against finite differences."""
 
+from dataclasses import replace
+
 import numpy as np
 import pytest
 import torch
@@ -106,6 +108,28 @@ def test_pose_jacobian_by_finite_differences(scene, k: int) -> None:
     error = np.abs(analytic - numeric) / np.abs(numeric).max()
     assert np.median(error) < 1e-5
     assert np.quantile(error, 0.99) < 1e-3
+
+
+def test_several_threads_render_the_same(scene) -> None:
+    grid, jacobian, rays, cameras = scene
+    A = canonical_from_camera(POSE, cameras)
+    shape = ShapeGrid.upload(grid, jacobian)
+    alone, shared = render(shape, rays, A), render(shape, replace(rays, threads=3), A)
+    for name in ("depth", "variance", "mask", "d_code", "sum_gradient", "sum_depth_gradient"):
+        np.testing.assert_array_equal(getattr(shared, name), getattr(alone, name))
+
+
+def test_steps_of_the_code_are_linear_in_the_log_odds(scene) -> None:
+    grid, jacobian, _, _ = scene
+    step = np.random.default_rng(1).normal(0, 0.1, 16).astype(np.float32)
+    stepped = ShapeGrid.upload(grid, jacobian).stepped(step).occupancy.numpy().reshape(34, 34, 34)
+    o = np.clip(grid.astype(np.float64), 1e-4, 1 - 1e-4)
+    logit = np.log(o / (1 - o)) + jacobian @ step / (o * (1 - o))
+    moving = (np.abs(jacobian).max(-1) > 1e-3) & (grid * (1 - grid) > 1e-3)
+    assert moving.mean() > 0.1
+    expected = 1 / (1 + np.exp(-logit))
+    np.testing.assert_allclose(stepped[1:-1, 1:-1, 1:-1][moving], expected[moving], atol=2e-4)
+    assert not stepped[0].any() and not stepped[:, :, -1].any()
 
 
 def test_image_alone_is_the_same_image(scene) -> None:
