@@ -42,11 +42,13 @@ def font(size: int, bold: bool = False) -> PIL.ImageFont.FreeTypeFont:
     return PIL.ImageFont.truetype(str(Path(matplotlib.get_data_path()) / "fonts" / "ttf" / name), size)
 
 
-def draw_detections(frame: RgbdFrame, detections: Sequence[ObjectDetection]) -> Image:
-    """The image with each mask tinted and outlined in its object's colour, and its class and score."""
+def draw_detections(frame: RgbdFrame, detections: Sequence[ObjectDetection], by_class: bool = False) -> Image:
+    """The image with each mask tinted and outlined in its object's colour, or its class's; named, scored."""
     image = np.array(frame.rgb)
     for order, found in enumerate(detections):
         color = color_of(found.instance_id if found.instance_id is not None else order)
+        if by_class:
+            color = CLASS_COLORS[found.category]
         image[found.mask] = (0.55 * image[found.mask] + 0.45 * np.array(color)).astype(np.uint8)
         contours = cv2.findContours(found.mask.astype(np.uint8), cv2.RETR_EXTERNAL, cv2.CHAIN_APPROX_SIMPLE)[
             0

@@ -44,9 +44,9 @@ def timeline(stages: Sequence[StageSpan], now: float, caption: str) -> str:
         bar = GOOD if index < reached else ACCENT if index == reached else "#d5d8de"
         weight = 650 if index == reached else 450
         cells.append(
-            f'<div style="flex:1;min-width:0;text-align:center">'
+            f'<div style="flex:1 1 auto;text-align:center">'
             f'<div style="height:5px;border-radius:3px;background:{bar};margin-bottom:3px"></div>'
-            f'<div style="font-size:0.72em;font-weight:{weight};overflow:hidden;text-overflow:ellipsis">'
+            f'<div style="font-size:0.72em;font-weight:{weight}">'
             f'{title}</div><div style="font-size:0.66em;color:{FAINT}">{took}</div></div>'
         )
     return (

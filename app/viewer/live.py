@@ -111,7 +111,7 @@ class Session:
         options = self._chosen(seed)
         if self._world is not None:
             self._world.close()
-            self._world = None
+        self._world, self._shown, self._fresh = None, None, False
         self._world = build_world(options, self._task_chosen)
         self._shown, self._fresh = options, True
         self._recording = CellRecorder(self._world)

@@ -13,7 +13,7 @@ from app.viewer.meshes import Meshes
 from app.viewer.scene import SceneView, Shown
 from app.viewer.server import open_server
 from app.viewer.story import STAGE_NAMES, Moment, Story
-from app.viewer.viewer import HOME
+from app.viewer.viewer import look_from_home
 from perception.files import write_atomically
 
 STEP = 0.1  # [s] between the recorded moments
@@ -30,7 +30,7 @@ def write_page(path: Path, shown: Run, title: str, subtitle: str) -> int:
     story = Story(shown.recorder)
     server = open_server(port=0)  # nobody is told of it: it only serves to record its messages
     try:
-        server.initial_camera.position, server.initial_camera.look_at = HOME["position"], HOME["look_at"]
+        look_from_home(server)
         scene = SceneView(server, shown.recorder, Meshes(shown.recorder))
         scene.draw(story.at(0.0), Shown())
         caption = server.scene.add_label("/caption", "", position=CAPTION_AT, anchor="bottom-center")

@@ -161,7 +161,7 @@ class Panel:
             return
         self._picture = (index, found)
         frame = recorder.frames[index]
-        color = draw_detections(frame, recorder.detections[index]) if found else frame.rgb
+        color = draw_detections(frame, recorder.detections[index], by_class=True) if found else frame.rgb
         self._color.image, self._depth.image = _small(np.asarray(color)), depth_picture(frame)
         self._set(self._view, charts.note(f"Image {index + 1} of the wrist camera"))
 

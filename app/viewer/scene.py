@@ -246,7 +246,7 @@ class _Cameras:
         assert frame.T_world_camera is not None
         image = frame.rgb
         if found and index < len(self._recorder.detections):
-            image = draw_detections(frame, self._recorder.detections[index])
+            image = draw_detections(frame, self._recorder.detections[index], by_class=True)
         camera = frame.intrinsics
         height = round(PICTURE_WIDTH * camera.height / camera.width)
         return self._server.scene.add_camera_frustum(

@@ -15,7 +15,7 @@ import numpy as np
 from jaxtyping import Float
 from scipy.spatial.transform import Rotation
 
-from app.replay import Note, Recorder, action_text
+from app.replay import Note, Recorder
 from perception.types import Category
 
 Status = Literal["fitting", "reconstructed", "next", "in the hand", "put down", "left"]
@@ -36,6 +36,20 @@ SENTENCES = {
     "plan": "Where everything shall go, and in which order",
     "execute": "The arm carries one object after another",
     "verify": "The camera looks again: does everything stand where it should?",
+}
+
+
+ACTIONS = {
+    "plan": "How to take {}?",
+    "approach": "The hand reaches for {}; grey are the grasps that were weighed",
+    "grasp": "The hand closes on {}",
+    "transfer": "The arm carries {} along the blue path",
+    "place": "The hand lets go of {}",
+    "retreat": "The hand withdraws from {}",
+    "placed": "{} is where it shall be",
+    "retry": "{} slipped away",
+    "deferred": "{} has to wait",
+    "failed": "{} is left",
 }
 
 
@@ -218,7 +232,7 @@ class _Chapter:
     def _act(self, action: Mapping[str, Any]) -> None:
         name, phase = action["name"], action["phase"]
         self.action = action
-        self.caption = action_text(action)
+        self.caption = _sentence(action)
         if phase == "approach":
             self.approach = action
             self._set(name, status="next")
@@ -279,6 +293,13 @@ class _Chapter:
             path=self.path,
             grasps=grasps,
         )
+
+
+def _sentence(action: Mapping[str, Any]) -> str:
+    sentence = ACTIONS.get(action["phase"], f"{action['phase']} {{}}").format(
+        action["name"].replace("_", " ")
+    )
+    return f"{sentence}: {action['message']}" if action["message"] else sentence
 
 
 def matrix(pose: Float[np.ndarray, "7"]) -> Float[np.ndarray, "4 4"]:

@@ -16,7 +16,13 @@ from app.viewer.server import ViewerServer
 from app.viewer.story import TCP, Moment, Story, matrix
 
 PANEL_EVERY = 3  # pictures of the scene for one of the panel
-HOME = {"position": (1.35, -0.95, 0.85), "look_at": (0.42, -0.02, 0.08)}  # of the view [m]
+HOME = {"position": (1.62, -0.88, 1.0), "look_at": (0.40, -0.02, 0.14), "fov": 0.80}  # of the view [m, rad]
+
+
+def look_from_home(server: ViewerServer) -> None:
+    """Where new viewers look from."""
+    for name, value in HOME.items():
+        setattr(server.initial_camera, name, value)
 
 
 class Viewer:
@@ -24,8 +30,7 @@ class Viewer:
 
     def __init__(self, server: ViewerServer, recorder: Recorder | None = None, live: bool = False) -> None:
         self.server = server
-        server.initial_camera.position = HOME["position"]
-        server.initial_camera.look_at = HOME["look_at"]
+        look_from_home(server)
         self.player = Player(Story(recorder or Recorder()), self._draw, live)
         self.panel = Panel(server, self.player)
         self._scene: SceneView | None = None
