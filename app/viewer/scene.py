@@ -161,6 +161,7 @@ class _Objects:
             opacity=0.8 if believed.iteration is not None else None,
             side="double",
             wireframe=shown.objects == "both",  # two solid surfaces in one place would flicker
+            receive_shadow=False,  # thin walls would shade themselves in streaks
         )
 
     def _label(self, believed: Believed, mesh: TriangleMesh, shown: Shown) -> None:
