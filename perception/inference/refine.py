@@ -43,6 +43,7 @@ class RefineConfig:
         support_sigma: of the bottom's height over the support plane [m].
         limit: largest displacement [m].
         passes: how often what is seen of the moved vertices is looked up again.
+        smoothing: passes of a filter that takes the voxels' staircase off the mesh first.
     """
 
     depth_sigma: float = 0.002
@@ -57,6 +58,7 @@ class RefineConfig:
     support_sigma: float = 0.0007
     limit: float = 0.006
     passes: int = 2
+    smoothing: int = 5
 
 
 @dataclass(frozen=True)
@@ -80,16 +82,34 @@ def refine_mesh(
 ) -> RefinedMesh:
     """The mesh, in the world, moved towards what the views measured."""
     config = config or RefineConfig()
-    surface = trimesh.Trimesh(mesh_world.vertices, mesh_world.faces, process=False)
+    start = _smoothed(mesh_world, config.smoothing)
+    surface = trimesh.Trimesh(start, mesh_world.faces, process=False)
     normals = np.asarray(surface.vertex_normals)
     d, determined = np.zeros(len(normals)), np.zeros(len(normals))
-    moved = mesh_world.vertices
+    moved = start
     for _ in range(config.passes):  # a vertex that has moved is seen elsewhere
         precision, asked = _asked(surface, moved, normals, observations, plane, config)
         d, determined = _most_probable(surface, precision, precision * d + asked, config)
-        moved = mesh_world.vertices + d[:, None] * normals
+        moved = start + d[:, None] * normals
     moved = moved - np.minimum(plane.height_above(moved), 0.0)[:, None] * plane.normal  # not into the plane
     return RefinedMesh(TriangleMesh(moved, mesh_world.faces), determined)
+
+
+def _smoothed(mesh: TriangleMesh, passes: int) -> Float[np.ndarray, "n 3"]:
+    """The vertices after a low-pass filter that does not shrink (Taubin, SIGGRAPH 1995)."""
+    vertices = mesh.vertices
+    links = _links(trimesh.Trimesh(vertices, mesh.faces, process=False))
+    mean = sparse.diags_array(1 / links.sum(axis=1)) @ links
+    for factor in (0.5, -0.53) * passes:
+        vertices = vertices + factor * (mean @ vertices - vertices)
+    return vertices
+
+
+def _links(surface: trimesh.Trimesh) -> sparse.csr_array:
+    """1 for every two vertices that share an edge."""
+    i, j = np.asarray(surface.edges_unique).T
+    n = len(surface.vertices)
+    return sparse.coo_array((np.ones(2 * len(i)), (np.r_[i, j], np.r_[j, i])), shape=(n, n)).tocsr()
 
 
 def _asked(
@@ -241,9 +261,7 @@ def _most_probable(
     become its share of determination.
     """
     n = len(precision)
-    i, j = np.asarray(surface.edges_unique).T
-    stiff = np.full(len(i), config.roughness**-2)
-    links = sparse.coo_array((np.r_[stiff, stiff], (np.r_[i, j], np.r_[j, i])), shape=(n, n)).tocsr()
+    links = _links(surface) * config.roughness**-2
     own = sparse.csr_array(sparse.diags_array(links.sum(axis=1) + config.prior_sigma**-2 + precision) - links)
     A = sparse.block_array(
         [

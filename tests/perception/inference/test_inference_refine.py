@@ -74,5 +74,20 @@ def test_covered_pixels_say_nothing(can) -> None:
     start = cylinder(can, wider=-0.002)
     (seen,) = can.observations((0.0,))
     covered = type(seen)(seen.frame, seen.mask, np.ones_like(seen.mask))
-    refined = refine_mesh(start, [covered], PLANE).mesh
+    refined = refine_mesh(start, [covered], PLANE, RefineConfig(smoothing=0)).mesh
     np.testing.assert_allclose(refined.vertices[:, :2], start.vertices[:, :2], atol=2e-4)
+
+
+def test_smoothing_takes_the_staircase_and_not_the_size(can) -> None:
+    start = cylinder(can)
+    rng = np.random.default_rng(0)
+    rough = TriangleMesh(start.vertices + rng.normal(0, 3e-4, start.vertices.shape), start.faces)
+    far_away = can.observations((0.0,))[:0]
+    side = on_side(start)
+    spread = []
+    for smoothing in (0, 5):
+        config = RefineConfig(smoothing=smoothing, support_sigma=1.0)
+        smooth = refine_mesh(rough, far_away, SupportPlane(offset=-0.01), config).mesh
+        spread.append(radii(smooth, can)[side].std())
+        assert radii(smooth, can)[side].mean() == pytest.approx(0.0315, abs=2e-4)
+    assert spread[1] < 0.5 * spread[0]
