@@ -10,9 +10,9 @@ from __future__ import annotations
 from dataclasses import dataclass
 
 import numpy as np
-import trimesh
-from jaxtyping import Float
-from scipy import ndimage
+from jaxtyping import Float, Int
+from scipy import ndimage, sparse
+from scipy.sparse import csgraph
 from scipy.spatial import KDTree
 from skimage import measure
 
@@ -69,29 +69,37 @@ def mesh_from_grid(
         raise EmptyShapeError(f"the decoded {category} has no voxel over {config.ridge}: nothing to mesh")
     level = config.iso + _OFF_THE_TIES
     points, faces, _, _ = measure.marching_cubes(padded, level=level, gradient_direction="ascent")
-    canonical = -1 + (2 * (points - 2) + 1) / grid.shape[0]
-    mesh = trimesh.Trimesh(canonical * scale, faces[:, ::-1], process=False)
-    parts = mesh.split(only_watertight=True)
-    if not len(parts):
+    vertices, faces = (-1 + (2 * (points - 2) + 1) / grid.shape[0]) * scale, faces[:, ::-1]
+    part_of, volumes = _parts(vertices, faces)
+    if not volumes.any():
         raise EmptyShapeError(f"the decoded {category} has no closed surface")
-    body = max(parts, key=lambda part: abs(part.volume))
-    kept = [body]
+    body = int(np.abs(volumes).argmax())
+    kept = {body}
     if category == "mug":  # a handle that is cut off by a faint voxel or two still belongs to it
-        kept += [
-            part for part in parts if part is not body and _is_attached(part, body, 4 * scale.max() / 32)
-        ]
-    vertices = np.concatenate([part.vertices for part in kept])
-    starts = np.cumsum([0] + [len(part.vertices) for part in kept[:-1]])
-    indices = np.concatenate([part.faces + start for part, start in zip(kept, starts)])
-    return TriangleMesh(vertices, indices if body.volume > 0 else indices[:, ::-1])
+        share = volumes / volumes[body]  # a cavity's is negative, a crumb's next to nothing
+        near = KDTree(vertices[part_of == body])
+        for part in np.flatnonzero(share >= 0.005):
+            if near.query(vertices[part_of == part])[0].min() < 4 * scale.max() / 32:
+                kept.add(int(part))
+    keep = np.isin(part_of, sorted(kept))
+    faces = (np.cumsum(keep) - 1)[faces[keep[faces[:, 0]]]]
+    return TriangleMesh(vertices[keep], faces if volumes[body] > 0 else faces[:, ::-1])
 
 
-def _is_attached(part: trimesh.Trimesh, body: trimesh.Trimesh, distance: float) -> bool:
-    """Whether a piece of some size outside the body comes near it."""
-    if part.volume * body.volume < 0 or abs(part.volume) < 0.005 * abs(body.volume):
-        return False  # a cavity, or a crumb
-    nearest, _ = KDTree(body.vertices).query(part.vertices)
-    return bool(nearest.min() < distance)
+def _parts(
+    vertices: Float[np.ndarray, "v 3"], faces: Int[np.ndarray, "f 3"]
+) -> tuple[Int[np.ndarray, "v"], Float[np.ndarray, "p"]]:
+    """Each vertex's connected part, and the signed volumes of the parts; 0 for one that is not closed."""
+    n = len(vertices)
+    edges = np.sort(np.concatenate([faces[:, (0, 1)], faces[:, (1, 2)], faces[:, (2, 0)]]), axis=1)
+    keys, uses = np.unique(edges[:, 0].astype(np.int64) * n + edges[:, 1], return_counts=True)
+    graph = sparse.coo_array((np.ones(len(keys), bool), (keys // n, keys % n)), shape=(n, n))
+    count, part_of = csgraph.connected_components(graph, directed=False)
+    a, b, c = vertices[faces[:, 0]], vertices[faces[:, 1]], vertices[faces[:, 2]]
+    sixfold = np.einsum("ij,ij->i", a, np.cross(b, c))
+    volumes = np.bincount(part_of[faces[:, 0]], sixfold, minlength=count) / 6
+    volumes[part_of[keys[uses != 2] // n]] = 0.0
+    return part_of, volumes
 
 
 def sharpen(grid: Float[np.ndarray, "r r r"], config: MeshConfig) -> Float[np.ndarray, "r r r"]:
