@@ -80,7 +80,7 @@ class TimingConfig:
 
     min_repeats: int = 5
     max_repeats: int = 100
-    seconds: float = 3.0
+    seconds: float = 2.0
 
 
 def measure(benchmark: Benchmark, config: TimingConfig | None = None) -> Row:
