@@ -38,7 +38,7 @@ def summarise_slam(lines: Sequence[Mapping[str, Any]]) -> dict[str, Any]:
     summary = {v: _variant([line for line in lines if line["variant"] == v]) for v in variants}
     curves = {
         v: curve_with_band(
-            [c for line in lines if line["variant"] == v for c in line["completion_by_update"]]
+            [c for line in lines if line["variant"] == v for c in line.get("completion_by_update", ())]
         )
         for v in variants
         if any("completion_by_update" in line for line in lines if line["variant"] == v)

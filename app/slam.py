@@ -24,8 +24,8 @@ from perception.object_map import write_object_map
 from perception.recordings.sequence import open_sequence
 from perception.recordings.trajectory import write_trajectory
 from perception.scan_folder import write_scan
+from perception.slam.config import SlamConfig
 from perception.slam.estimates import object_estimates
-from perception.slam.system import SlamConfig
 from perception.types import ObjectDetection, ObjectEstimate
 
 

@@ -7,6 +7,7 @@ from collections.abc import Sequence
 from pathlib import Path
 from typing import Any
 
+import cv2
 import numpy as np
 from jaxtyping import Float
 from scipy.spatial import ConvexHull
@@ -15,7 +16,7 @@ from app.drawing import color_of, draw_estimates
 from perception.files import write_atomically
 from perception.recordings.trajectory import Trajectory
 from perception.slam.keyframes import Keyframe
-from perception.types import ObjectEstimate
+from perception.types import CameraIntrinsics, ObjectEstimate, RgbdFrame
 
 TRUE, FOUND, KEY = "#7a4fa3", "#e6a100", "#1b7f5c"  # purple, yellow and green, as in the paper's figure
 _INK, _FAINT = "#22252b", "#7a7f8a"
@@ -65,13 +66,27 @@ def write_map_picture(
     )
     for k, (key, place) in enumerate(zip(chosen, (grid[0, 1], grid[0, 2], grid[1, 1]))):
         axis = figure.add_subplot(place)
-        axis.imshow(draw_estimates(key.frame, objects, opacity=0.6))
+        axis.imshow(draw_estimates(enlarged(key.frame), objects, opacity=0.6))
         axis.set_axis_off()
         name = ("first", "middle", "last")[k]
         axis.set_title(f"the map over the {name} keyframe", loc="left", fontsize=12, color=_INK)
     if truth is not None and len(found.times):
         _draw_error(figure.add_subplot(grid[1, 2]), found, truth, keyframes)
     save_figure(figure, path)
+
+
+def enlarged(frame: RgbdFrame, width: int = 960) -> RgbdFrame:
+    """The frame as a larger image would show it, so that what is drawn over it is fine enough."""
+    camera = frame.intrinsics
+    factor = max(1, round(width / camera.width))
+    size = (factor * camera.width, factor * camera.height)
+    shift = (factor - 1) / 2  # pixel centres are at integers
+    larger = CameraIntrinsics(
+        *size, factor * camera.fx, factor * camera.fy, factor * camera.cx + shift, factor * camera.cy + shift
+    )
+    rgb = np.asarray(cv2.resize(np.ascontiguousarray(frame.rgb), size, interpolation=cv2.INTER_CUBIC))
+    depth = np.asarray(cv2.resize(np.ascontiguousarray(frame.depth), size, interpolation=cv2.INTER_NEAREST))
+    return RgbdFrame(frame.time, rgb, depth, larger, frame.T_world_camera)
 
 
 def _draw_plan(

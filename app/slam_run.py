@@ -13,7 +13,8 @@ from perception.errors import InvalidInputError
 from perception.inference.shape_model import Decoder
 from perception.recordings.sequence import RgbdSequence
 from perception.recordings.trajectory import Trajectory
-from perception.slam.system import FrameResult, Slam, SlamConfig
+from perception.slam.config import SlamConfig
+from perception.slam.system import FrameResult, Slam
 from perception.types import ObjectDetection, RgbdFrame, SupportPlane
 
 

@@ -6,7 +6,7 @@ aligned to the truth before it is judged.
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+from collections.abc import Mapping, Sequence
 from dataclasses import replace
 from typing import Any
 
@@ -61,14 +61,19 @@ class TrueObjects:
         self.sparse = [SurfaceSamples.of(mesh, rng, CURVE_SAMPLES) for _, mesh in objects]
         self.middles = np.array([_middle(mesh.vertices) for _, mesh in objects])
 
-    def match(self, landmarks: Sequence[Landmark]) -> dict[int, int]:
-        """Index of the true object for each landmark's id, by place."""
-        if not landmarks:
+    def match(self, places: Mapping[int, Float[np.ndarray, "3"]]) -> dict[int, int]:
+        """Index of the true object for each landmark's id, by its place."""
+        if not places:
             return {}
-        places = np.array([one.state.pose.translation for one in landmarks])
-        distance = np.linalg.norm(places[:, None] - self.middles, axis=-1)
+        ids = list(places)
+        distance = np.linalg.norm(np.array(list(places.values()))[:, None] - self.middles, axis=-1)
         rows, columns = linear_sum_assignment(np.minimum(distance, 2 * MATCH_DISTANCE))
-        return {landmarks[r].id: int(c) for r, c in zip(rows, columns) if distance[r, c] < MATCH_DISTANCE}
+        return {ids[r]: int(c) for r, c in zip(rows, columns) if distance[r, c] < MATCH_DISTANCE}
+
+
+def places_of(landmarks: Sequence[Landmark]) -> dict[int, Float[np.ndarray, "3"]]:
+    """The landmarks' origins by id [m]."""
+    return {one.id: one.state.pose.translation for one in landmarks}
 
 
 def _middle(vertices: Float[np.ndarray, "n 3"]) -> Float[np.ndarray, "3"]:
@@ -79,7 +84,7 @@ def surface_rows(
     landmarks: Sequence[Landmark], truth: TrueObjects, decoder: Decoder, rng: np.random.Generator
 ) -> list[dict[str, Any]]:
     """One row for each landmark: class, accuracy, chamfer_l1 [m], completion at 1 cm. Some match nothing."""
-    matches = truth.match(landmarks)
+    matches = truth.match(places_of(landmarks))
     rows = []
     for one in landmarks:
         row: dict[str, Any] = {
@@ -107,7 +112,7 @@ def completion_by_update(
     history: dict[int, list[Landmark]], truth: TrueObjects, decoder: Decoder, rng: np.random.Generator
 ) -> list[list[float]]:
     """For each object of the final map the completion after its first, second, ... update."""
-    matches = truth.match([states[-1] for states in history.values()])
+    matches = truth.match(places_of([states[-1] for states in history.values()]))
     curves = []
     for one, index in matches.items():
         curve = []
@@ -136,7 +141,7 @@ def fused_by_update(
     assert run.slam.world is not None
     landmarks = [run.slam.world.landmarks[i] for i in run.slam.world.ids]
     curves: dict[str, list[list[float]]] = {"completion": [], "accuracy": []}
-    for one, index in truth.match(landmarks).items():
+    for one, index in truth.match(places_of(landmarks)).items():
         views = [k for k in run.slam.keyframes if one in k.landmarks and k.number in Ts_given]
         completion, accuracy = [], []
         for count in range(1, min(len(views), CURVE_UPDATES) + 1):

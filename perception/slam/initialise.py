@@ -63,7 +63,7 @@ def landmark_of(
     """An estimate as a landmark."""
     pose = ObjectPose.of(estimate.T_world_object, estimate.scale)
     state = FitState(pose, np.array(estimate.code, dtype=np.float64))
-    shape = linearise(decoder, estimate.category, estimate.code)
+    shape = linearise(decoder, estimate.category, state.code)
     return Landmark(
         id=estimate.id,
         category=estimate.category,

@@ -11,7 +11,7 @@ from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
 
 import numpy as np
-from jaxtyping import Float, UInt8
+from jaxtyping import Bool, Float, UInt8
 
 from perception.inference.observation import ObjectObservation
 from perception.inference.reconstruct import hidden_by
@@ -54,10 +54,13 @@ class Keyframe:
             self.number, with_pose(self.frame, T_world_camera), self.labels, self.landmark_of, self.yaw_of
         )
 
+    def mask(self, landmark: int) -> Bool[np.ndarray, "h w"]:
+        """The pixels that show a landmark."""
+        return self.labels == next(k for k, one in self.landmark_of.items() if one == landmark)
+
     def observation(self, landmark: int) -> ObjectObservation:
         """What it shows of a landmark; what other masks may hide is marked."""
-        label = next(k for k, one in self.landmark_of.items() if one == landmark)
-        mask = self.labels == label
+        mask = self.mask(landmark)
         others = (self.labels != 0) & ~mask
         ignore = hidden_by(self.frame, mask, [others]) if others.any() else None
         return ObjectObservation(self.frame, mask, ignore, self.yaw_of.get(landmark, np.zeros(0)))

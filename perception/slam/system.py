@@ -17,25 +17,18 @@ from typing import Literal
 import numpy as np
 from jaxtyping import Float, UInt8
 
-from perception.geometry import invert
-from perception.inference.fit import FitConfig
-from perception.inference.observation import ObjectObservation
-from perception.inference.reconstruct import hidden_by
+from perception.errors import PerceptionError
+from perception.geometry import invert, se3_exp, se3_log
 from perception.inference.shape_model import Decoder
-from perception.slam.association import (
-    AssociationConfig,
-    RenderedMasks,
-    associate_masks,
-    render_masks,
-)
+from perception.slam.association import RenderedMasks, associate_masks, render_masks
+from perception.slam.config import SlamConfig
 from perception.slam.fragments import unite_fragments
-from perception.slam.initialise import initialise_landmark
-from perception.slam.joint import JointConfig, optimise_jointly
-from perception.slam.keyframes import Keyframe, make_keyframe, shows_new_view, window_of, with_pose
-from perception.slam.landmarks import Landmark, LandmarkMap
-from perception.slam.pixels import SelectionConfig, TrackingPixels, label_image, select_pixels
-from perception.slam.relocalise import RelocalisationConfig, relocalise
-from perception.slam.tracking import TrackedPose, TrackingConfig, track
+from perception.slam.keyframes import Keyframe, make_keyframe, shows_new_view, with_pose
+from perception.slam.landmarks import LandmarkMap
+from perception.slam.mapping import Mapper
+from perception.slam.pixels import TrackingPixels, label_image, select_pixels
+from perception.slam.relocalise import Relocalised, relocalise
+from perception.slam.tracking import TrackedPose, track
 from perception.support_plane import fit_support_plane
 from perception.types import ObjectDetection, RgbdFrame, SupportPlane
 
@@ -43,60 +36,8 @@ logger = logging.getLogger(__name__)
 
 Detect = Callable[[RgbdFrame, SupportPlane], Sequence[ObjectDetection]]
 Status = Literal["tracked", "weak", "lost"]
-
-
-@dataclass(frozen=True)
-class LifeConfig:
-    """When landmarks come and go, and when the camera is lost.
-
-    Attributes:
-        min_pixels: of a mask that a landmark is made from.
-        min_share: of a new landmark's pixels that must agree with it.
-        seen_before: frames in a row that must show an unmatched mask before it becomes a landmark.
-        retry: frames until an object that could not be initialised is tried again.
-        check_every: so many frames it is looked which landmarks should be seen.
-        max_misses: such looks in a row at which a landmark should be seen but is not.
-        max_bad: frames in a row in which most of its pixels disagree.
-        lost_share: median share of agreeing pixels under which the camera is lost.
-        weak_move: standard deviation of the camera's place from which on the pose is weak [m].
-        max_weak: weak frames in a row after which the camera counts as lost.
-        max_move, max_turn: of the camera between two frames [m], [rad]; more is a slip.
-    """
-
-    min_pixels: int = 120
-    min_share: float = 0.5
-    seen_before: int = 2
-    retry: int = 8
-    check_every: int = 4
-    max_misses: int = 5
-    max_bad: int = 12
-    lost_share: float = 0.5
-    weak_move: float = 0.01
-    max_weak: int = 20
-    max_move: float = 0.10
-    max_turn: float = np.radians(12.0)
-
-
-@dataclass(frozen=True)
-class SlamConfig:
-    """All settings of the system."""
-
-    joint_on: bool = True
-    fit: FitConfig = field(default_factory=FitConfig)
-    tracking: TrackingConfig = field(default_factory=TrackingConfig)
-    selection: SelectionConfig = field(default_factory=SelectionConfig)
-    association: AssociationConfig = field(default_factory=AssociationConfig)
-    relocalisation: RelocalisationConfig = field(default_factory=RelocalisationConfig)
-    joint: JointConfig = field(default_factory=JointConfig)
-    life: LifeConfig = field(default_factory=LifeConfig)
-
-    def objects_only(self) -> SlamConfig:
-        """Without the plane as a landmark, as in the paper."""
-        return replace(
-            self,
-            tracking=replace(self.tracking, use_plane=False),
-            joint=replace(self.joint, use_plane=False),
-        )
+Labels = UInt8[np.ndarray, "h w"]
+_LONGEST_GAP = 5.0  # times the usual period: a motion is not carried on over more
 
 
 @dataclass(frozen=True)
@@ -126,61 +67,84 @@ class FrameResult:
     seconds: Mapping[str, float] = field(default_factory=dict)
 
 
+@dataclass(frozen=True)
+class _Seen:
+    """A frame's masks, how they fit the map, and where the camera then is."""
+
+    detections: list[ObjectDetection]
+    labels: Labels
+    landmark_of: dict[int, int]
+    pixels: TrackingPixels
+    tracked: TrackedPose
+    render: Callable[[], RenderedMasks]
+
+
 class Slam:
     """Map and camera over a sequence. The first frame's pose defines the world (the identity if unknown)."""
 
     def __init__(self, decoder: Decoder, detect: Detect, config: SlamConfig | None = None) -> None:
         self.decoder, self.detect, self.config = decoder, detect, config or SlamConfig()
-        self.world: LandmarkMap | None = None
-        self.keyframes: list[Keyframe] = []
-        self._plane_points: dict[int, np.ndarray] = {}  # of each keyframe
+        self.mapper: Mapper | None = None
         self._number = -1
-        self._poses: list[np.ndarray] = []  # of the last two frames, if both are known
-        self._lost = False
-        self._weak_frames = 0
-        self._previous: tuple[np.ndarray, dict[int, int]] | None = None
-        self._unmatched: list[tuple[np.ndarray, int]] = []  # masks of no landmark, and for how many frames
-        self._failed: dict[int, int] = {}
-        self._next_id = 0
+        self._moments: list[tuple[float, np.ndarray]] = []  # times and poses of the last two frames
+        self._lost_for = 0
+        self._weak_for = 0
+        self._previous: tuple[Labels, dict[int, int]] | None = None
         self._clock: dict[str, float] = {}
+
+    @property
+    def world(self) -> LandmarkMap | None:
+        """The map; None before the first frame."""
+        return self.mapper.world if self.mapper else None
+
+    @property
+    def keyframes(self) -> list[Keyframe]:
+        return self.mapper.keyframes if self.mapper else []
 
     def process(self, frame: RgbdFrame) -> FrameResult:
         """The next frame. Its own pose is ignored, unless it is the first."""
         self._number += 1
         self._clock = {}
-        if self.world is None:
+        if self.mapper is None:
             return self._begin(frame)
-        T_predicted = self._predicted()
-        if self._lost:
+        if self._lost_for:
             return self._find_again(frame)
-        return self._follow(frame, T_predicted)
+        T_predicted = self._predicted(frame.time)
+        seen = self._look(self.mapper, frame, T_predicted)
+        status = self._judge(seen.tracked, T_predicted)
+        if status == "lost":
+            logger.info("frame %d: lost", self._number)
+            return self._find_again(frame)
+        return self._go_on(self.mapper, frame, seen, status)
 
     def _begin(self, frame: RgbdFrame) -> FrameResult:
         """The first frame: the plane, and every object in view."""
         T = np.eye(4) if frame.T_world_camera is None else np.array(frame.T_world_camera)
-        plane = fit_support_plane([with_pose(frame, T)] if frame.T_world_camera is not None else [frame])
-        self.world = LandmarkMap(plane)
-        self._poses = [T]
+        plane = fit_support_plane([frame])
+        mapper = self.mapper = Mapper(plane, self.decoder, self.config)
+        self._moments = [(frame.time, T)]
         posed = with_pose(frame, T)
         with _timed(self._clock, "detect"):
             detections = unite_fragments(posed, self.detect(posed, plane), plane)
         labels = label_image(detections, frame.depth.shape)
-        self._unmatched = [(found.mask, self.config.life.seen_before) for found in detections]
+        mapper.unmatched = [(found.mask, self.config.life.seen_before) for found in detections]
         pixels = select_pixels(frame, labels, {}, T, plane, self.config.selection)
-        return self._extend_map(posed, detections, labels, {}, pixels, "tracked", ())
+        return self._extend_map(mapper, posed, detections, labels, {}, pixels, "tracked", ())
 
-    def _predicted(self) -> np.ndarray:
-        """Constant velocity."""
-        if len(self._poses) < 2:
-            return self._poses[-1]
-        T = self._poses[-1] @ invert(self._poses[-2]) @ self._poses[-1]
-        u, _, vt = np.linalg.svd(T[:3, :3])
-        T[:3, :3] = u @ vt
-        return T
+    def _predicted(self, now: float) -> np.ndarray:
+        """Constant velocity, over the time since the last frame."""
+        (*_, (t1, T1)) = self._moments
+        if len(self._moments) < 2 or t1 <= self._moments[0][0]:
+            return T1
+        t0, T0 = self._moments[0]
+        share = float(np.clip((now - t1) / (t1 - t0), 0.0, _LONGEST_GAP))
+        return T1 @ se3_exp(share * se3_log(invert(T0) @ T1))
 
-    def _follow(self, frame: RgbdFrame, T_predicted: np.ndarray) -> FrameResult:
-        world, config = self.world, self.config
-        assert world is not None
+    def _look(
+        self, mapper: Mapper, frame: RgbdFrame, T_predicted: np.ndarray, iterations: int | None = None
+    ) -> _Seen:
+        """Masks, their landmarks, and the pose that fits."""
+        world, config = mapper.world, self.config
         posed = with_pose(frame, T_predicted)
         with _timed(self._clock, "detect"):
             detections = unite_fragments(posed, self.detect(posed, world.plane), world.plane)
@@ -191,20 +155,25 @@ class Slam:
             labels, landmark_of = joined_labels(labels, landmark_of)
             pixels = select_pixels(frame, labels, landmark_of, T_predicted, world.plane, config.selection)
             suspects = frozenset(i for i, one in world.landmarks.items() if one.bad >= 2)
-            tracked = track(world, pixels, T_predicted, config.tracking, suspects)
-        status = self._judge(tracked, T_predicted)
-        if status == "lost":
-            self._lost = True
-            logger.info("frame %d: lost", self._number)
-            return self._find_again(frame, detections, labels)
-        self._poses = [self._poses[-1], tracked.T_world_camera]
-        checks = self._number % config.life.check_every == 0
-        retired = self._count(detections, landmark_of, render() if checks else None, tracked)
-        landmark_of = {k: one for k, one in landmark_of.items() if one not in retired}
-        self._remember_unmatched(detections, labels, landmark_of)
-        self._previous = (labels, landmark_of)
-        posed = with_pose(frame, tracked.T_world_camera)
-        return self._extend_map(posed, detections, labels, landmark_of, pixels, status, tuple(retired))
+            tracking = (
+                config.tracking if iterations is None else replace(config.tracking, iterations=iterations)
+            )
+            tracked = track(world, pixels, T_predicted, tracking, suspects)
+        return _Seen(detections, labels, landmark_of, pixels, tracked, render)
+
+    def _go_on(self, mapper: Mapper, frame: RgbdFrame, seen: _Seen, status: Status) -> FrameResult:
+        """A believed pose: the landmarks' lives go on, the map may grow."""
+        T = seen.tracked.T_world_camera
+        self._moments = [self._moments[-1], (frame.time, T)]
+        looks = self._number % self.config.life.check_every == 0
+        rendered = seen.render() if looks else None
+        retired = mapper.count(seen.detections, seen.landmark_of, rendered, seen.tracked, self._number)
+        landmark_of = {k: one for k, one in seen.landmark_of.items() if one not in retired}
+        mapper.remember_unmatched(seen.detections, seen.labels, landmark_of)
+        posed = with_pose(frame, T)
+        return self._extend_map(
+            mapper, posed, seen.detections, seen.labels, landmark_of, seen.pixels, status, tuple(retired)
+        )
 
     def _judge(self, tracked: TrackedPose, T_predicted: np.ndarray) -> Status:
         """Whether the pose can be believed."""
@@ -221,44 +190,53 @@ class Slam:
             return "lost"
         covariance = np.linalg.pinv(tracked.information + 1e-6 * np.eye(6), hermitian=True)
         spread = float(np.sqrt(max(np.linalg.eigvalsh(covariance[3:, 3:])[-1], 0.0)))
-        self._weak_frames = self._weak_frames + 1 if spread > life.weak_move else 0
-        if self._weak_frames > life.max_weak:
+        self._weak_for = self._weak_for + 1 if spread > life.weak_move else 0
+        if self._weak_for > life.max_weak:
             return "lost"
-        return "weak" if self._weak_frames else "tracked"
+        return "weak" if self._weak_for else "tracked"
 
-    def _find_again(
-        self,
-        frame: RgbdFrame,
-        detections: Sequence[ObjectDetection] | None = None,
-        labels: np.ndarray | None = None,
-    ) -> FrameResult:
-        """Relocalisation by the map, which stays as it is until that succeeds."""
-        assert self.world is not None
-        if detections is None or labels is None:
-            with _timed(self._clock, "detect"):
-                detections = self._detect_unposed(frame)
-            labels = label_image(detections, frame.depth.shape)
+    def _find_again(self, frame: RgbdFrame) -> FrameResult:
+        """Near the last pose while that is fresh, else by the map, which is frozen until one succeeds."""
+        mapper = self.mapper
+        assert mapper is not None
+        self._lost_for += 1
+        T_last = self._moments[-1][1]
+        if 1 < self._lost_for <= self.config.life.max_blind and self._weak_for == 0:
+            seen = self._look(mapper, frame, T_last, iterations=8)
+            agree = [i for i, share in seen.tracked.shares.items() if share > 0.6]
+            if self._judge(seen.tracked, T_last) == "tracked" and len(agree) >= 2:
+                return self._found(frame, seen.tracked, seen.labels, seen.landmark_of)
+        with _timed(self._clock, "detect"):
+            detections = self._detect_unposed(frame)
+        labels = label_image(detections, frame.depth.shape)
         with _timed(self._clock, "relocalise"):
-            found = relocalise(
-                self.world, frame, detections, labels,
+            found: Relocalised | None = relocalise(
+                mapper.world, frame, detections, labels,
                 self.config.tracking, self.config.selection, self.config.relocalisation,
             )  # fmt: skip
-        self._previous, self._unmatched = None, []
-        if found is None:
-            return FrameResult(self._number, frame.time, self._poses[-1], "lost", seconds=dict(self._clock))
+        if found is not None:
+            return self._found(frame, found.tracked, labels, found.landmark_of)
+        self._previous, mapper.unmatched = None, []
+        return FrameResult(self._number, frame.time, T_last, "lost", seconds=dict(self._clock))
+
+    def _found(
+        self, frame: RgbdFrame, tracked: TrackedPose, labels: Labels, landmark_of: dict[int, int]
+    ) -> FrameResult:
         logger.info("frame %d: found again", self._number)
-        self._lost, self._weak_frames = False, 0
-        self._poses = [found.tracked.T_world_camera]
-        self._previous = (labels, found.landmark_of)
+        self._lost_for, self._weak_for = 0, 0
+        self._moments = [(frame.time, tracked.T_world_camera)]
+        self._previous = (labels, landmark_of)
         return FrameResult(
-            self._number, frame.time, found.tracked.T_world_camera, "tracked", found.landmark_of,
+            self._number,
+            frame.time,
+            tracked.T_world_camera,
+            "tracked",
+            landmark_of,
             seconds=dict(self._clock),
-        )  # fmt: skip
+        )
 
     def _detect_unposed(self, frame: RgbdFrame) -> list[ObjectDetection]:
         """Detections of a frame from nobody knows where: the plane is found in the frame itself."""
-        from perception.errors import PerceptionError
-
         bare = RgbdFrame(frame.time, frame.rgb, frame.depth, frame.intrinsics)
         try:
             plane = fit_support_plane([bare])
@@ -266,143 +244,44 @@ class Slam:
         except PerceptionError:
             return []
 
-    def _count(
-        self,
-        detections: Sequence[ObjectDetection],
-        landmark_of: Mapping[int, int],
-        rendered: RenderedMasks | None,
-        tracked: TrackedPose,
-    ) -> set[int]:
-        """Votes, hits and misses of the landmarks; those that are to go are taken out and returned."""
-        assert self.world is not None
-        life, changed = self.config.life, []
-        label_of = {one: label for label, one in landmark_of.items()}
-        best = max(tracked.shares.values(), default=0.0)
-        for one, landmark in self.world.landmarks.items():
-            if one in label_of:
-                landmark = landmark.voted(detections[label_of[one] - 1])
-                if one in tracked.shares:
-                    poor = tracked.shares[one] < self.config.tracking.outcast * best
-                    landmark = replace(landmark, bad=landmark.bad + 1 if poor else 0)
-            elif rendered and rendered.visible.get(one, 0) * rendered.pitch**2 > 2 * life.min_pixels:
-                open_share = rendered.visible[one] / max(rendered.whole[one], 1)
-                landmark = replace(landmark, misses=landmark.misses + (open_share > 0.6))
-            changed.append(landmark)
-        retired = {x.id for x in changed if x.misses > life.max_misses or x.bad > life.max_bad}
-        self.world = self.world.with_landmarks(*changed)
-        if retired:
-            logger.info("frame %d: retired %s", self._number, sorted(retired))
-            self.world = self.world.without(retired)
-        return retired
-
-    def _remember_unmatched(
-        self, detections: Sequence[ObjectDetection], labels: np.ndarray, landmark_of: Mapping[int, int]
-    ) -> None:
-        """For how many frames each mask without a landmark has been there."""
-        now = []
-        present = np.bincount(labels.ravel(), minlength=256) > 0
-        for label, found in enumerate(detections, start=1):
-            if label in landmark_of or not present[label]:  # a part that went into another's label
-                continue
-            before = [
-                count
-                for mask, count in self._unmatched
-                if (mask & found.mask).sum() > 0.2 * (mask | found.mask).sum()
-            ]
-            now.append((found.mask, 1 + max(before, default=0)))
-        self._unmatched = now
-
     def _extend_map(
         self,
+        mapper: Mapper,
         posed: RgbdFrame,
         detections: Sequence[ObjectDetection],
-        labels: np.ndarray,
+        labels: Labels,
         landmark_of: Mapping[int, int],
         pixels: TrackingPixels,
         status: Status,
         retired: tuple[int, ...],
     ) -> FrameResult:
         """New landmarks, then perhaps a keyframe with its joint optimisation."""
-        assert self.world is not None
         landmark_of = dict(landmark_of)
         new: dict[int, int] = {}
         if status == "tracked":
             with _timed(self._clock, "initialise"):
-                new = self._new_landmarks(posed, detections, landmark_of)
+                new = mapper.new_landmarks(posed, detections, landmark_of, self._number)
         landmark_of |= new
         self._previous = (labels, landmark_of)
-        seen = {one: self.world.landmarks[one] for one in landmark_of.values() if one in self.world.landmarks}
+        landmarks = mapper.world.landmarks
+        seen = {one: landmarks[one] for one in landmark_of.values() if one in landmarks}
         T = np.array(posed.T_world_camera)
-        is_keyframe = status == "tracked" and (bool(new) or shows_new_view(T, seen, self.keyframes))
+        is_keyframe = status == "tracked" and (bool(new) or shows_new_view(T, seen, mapper.keyframes))
         if is_keyframe:
             key = make_keyframe(self._number, posed, T, labels, landmark_of, detections)
-            self.keyframes.append(key)
-            self._plane_points[self._number] = pixels.plane_points
+            mapper.keep(key, pixels.plane_points)
+            with _timed(self._clock, "initialise"):
+                mapper.refit_doubtful(key)
             if self.config.joint_on:
                 with _timed(self._clock, "joint"):
-                    self._optimise(key)
+                    moved = mapper.optimise(key)
+                self._moments = [
+                    (t, moved @ pose) for t, pose in self._moments
+                ]  # the motion goes on from there
         return FrameResult(
-            self._number, posed.time, self._poses[-1], status, landmark_of, tuple(new.values()), retired,
+            self._number, posed.time, self._moments[-1][1], status, landmark_of, tuple(new.values()), retired,
             is_keyframe, dict(self._clock),
         )  # fmt: skip
-
-    def _new_landmarks(
-        self, posed: RgbdFrame, detections: Sequence[ObjectDetection], landmark_of: Mapping[int, int]
-    ) -> dict[int, int]:
-        """Landmarks from masks that have had none for a while."""
-        assert self.world is not None
-        life, new = self.config.life, {}
-        ages = {id(mask): age for mask, age in self._unmatched}
-        for label, found in enumerate(detections, start=1):
-            age = ages.get(id(found.mask), 0)
-            waits = age < life.seen_before or (age - life.seen_before) % life.retry
-            if label in landmark_of or waits or found.mask.sum() < life.min_pixels:
-                continue
-            landmark = self._initialise(posed, detections, found)
-            if landmark is not None:
-                self.world = self.world.with_landmarks(landmark)
-                new[label] = landmark.id
-                self._next_id += 1
-        return new
-
-    def _initialise(
-        self, posed: RgbdFrame, detections: Sequence[ObjectDetection], found: ObjectDetection
-    ) -> Landmark | None:
-        assert self.world is not None
-        others = [other.mask for other in detections if other is not found]
-        ignore = hidden_by(posed, found.mask, others)
-        seen = ObjectObservation(posed, found.mask, ignore, found.yaw_probabilities)
-        landmark = initialise_landmark(
-            [seen], found, self.decoder, self.world.plane, self.config.fit, self._next_id, self._number
-        )
-        if landmark is None or self._overlaps(landmark):
-            return None
-        return landmark
-
-    def _overlaps(self, landmark: Landmark) -> bool:
-        """Whether another landmark stands where this one would."""
-        assert self.world is not None
-        place = landmark.state.pose.translation
-        return any(
-            np.linalg.norm(one.state.pose.translation - place) < 0.35 * (one.reach + landmark.reach)
-            for one in self.world.landmarks.values()
-        )
-
-    def _optimise(self, key: Keyframe) -> None:
-        """The newest keyframe with its nearest ones; where it moves, tracking goes on from there."""
-        assert self.world is not None
-        window = window_of(key, self.keyframes, self.world.landmarks, self.config.joint.window)
-        result = optimise_jointly(
-            window, self.world.landmarks, self.decoder, self.world.plane,
-            [self._plane_points[k.number] for k in window], self.config.joint,
-        )  # fmt: skip
-        self.world = self.world.with_landmarks(*result.landmarks.values())
-        moved = {k.number: k for k in result.keyframes}
-        self.keyframes = [moved.get(k.number, k) for k in self.keyframes]
-        before, after = self._poses[-1], moved[key.number].T_world_camera
-        if len(self._poses) == 2:  # the last motion goes on from the corrected pose
-            self._poses[0] = after @ invert(before) @ self._poses[0]
-        self._poses[-1] = np.array(after)
 
 
 def joined_labels(

@@ -6,7 +6,7 @@ from dataclasses import replace
 from typing import Literal, get_args
 
 from perception.inference.methods import method_config
-from perception.slam.system import SlamConfig
+from perception.slam.config import SlamConfig
 
 Variant = Literal["full", "no_joint", "no_uncertainty", "with_plane"]
 VARIANTS: tuple[Variant, ...] = get_args(Variant)

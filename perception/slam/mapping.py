@@ -1,0 +1,176 @@
+"""The map's keeper: landmarks come, are voted on, mended and retired; keyframes are kept and optimised."""
+
+from __future__ import annotations
+
+import logging
+from collections.abc import Mapping, Sequence
+from dataclasses import replace
+
+import numpy as np
+from jaxtyping import Float
+
+from perception.geometry import invert
+from perception.inference.observation import ObjectObservation
+from perception.inference.reconstruct import hidden_by
+from perception.inference.shape_model import Decoder
+from perception.slam.association import RenderedMasks
+from perception.slam.config import SlamConfig
+from perception.slam.initialise import initialise_landmark, renewed
+from perception.slam.joint import optimise_jointly
+from perception.slam.keyframes import Keyframe, window_of
+from perception.slam.landmarks import Landmark, LandmarkMap
+from perception.slam.tracking import TrackedPose
+from perception.types import CATEGORIES, ObjectDetection, RgbdFrame, SupportPlane
+
+logger = logging.getLogger(__name__)
+
+
+class Mapper:
+    """Map and keyframes.
+
+    Attributes:
+        world: the map; a new value whenever it changes.
+        keyframes: oldest first.
+        unmatched: masks of no landmark in the last frame, and for how many frames they have been there.
+        next_id: for the next landmark.
+    """
+
+    def __init__(self, plane: SupportPlane, decoder: Decoder, config: SlamConfig) -> None:
+        self.world = LandmarkMap(plane)
+        self.decoder, self.config = decoder, config
+        self.keyframes: list[Keyframe] = []
+        self.unmatched: list[tuple[np.ndarray, int]] = []
+        self.next_id = 0
+        self._plane_points: dict[int, np.ndarray] = {}  # of each keyframe
+
+    def count(
+        self,
+        detections: Sequence[ObjectDetection],
+        landmark_of: Mapping[int, int],
+        rendered: RenderedMasks | None,
+        tracked: TrackedPose,
+        number: int,
+    ) -> set[int]:
+        """Votes, hits and misses of the landmarks; those that are to go are taken out and returned."""
+        life, changed = self.config.life, []
+        label_of = {one: label for label, one in landmark_of.items()}
+        best = max(tracked.shares.values(), default=0.0)
+        for one, landmark in self.world.landmarks.items():
+            if one in label_of:
+                landmark = landmark.voted(detections[label_of[one] - 1])
+                if one in tracked.shares:
+                    poor = tracked.shares[one] < self.config.tracking.outcast * best
+                    landmark = replace(landmark, bad=landmark.bad + 1 if poor else 0)
+            elif rendered and rendered.visible.get(one, 0) * rendered.pitch**2 > 2 * life.min_pixels:
+                open_share = rendered.visible[one] / max(rendered.whole[one], 1)
+                landmark = replace(landmark, misses=landmark.misses + (open_share > 0.6))
+            changed.append(landmark)
+        retired = {x.id for x in changed if x.misses > life.max_misses or x.bad > life.max_bad}
+        self.world = self.world.with_landmarks(*changed)
+        if retired:
+            logger.info("frame %d: retired %s", number, sorted(retired))
+            self.world = self.world.without(retired)
+        return retired
+
+    def remember_unmatched(
+        self, detections: Sequence[ObjectDetection], labels: np.ndarray, landmark_of: Mapping[int, int]
+    ) -> None:
+        """For how many frames each mask without a landmark has been there."""
+        now = []
+        present = np.bincount(labels.ravel(), minlength=256) > 0
+        for label, found in enumerate(detections, start=1):
+            if label in landmark_of or not present[label]:  # a part that went into another's label
+                continue
+            before = [
+                count
+                for mask, count in self.unmatched
+                if (mask & found.mask).sum() > 0.2 * (mask | found.mask).sum()
+            ]
+            now.append((found.mask, 1 + max(before, default=0)))
+        self.unmatched = now
+
+    def new_landmarks(
+        self,
+        posed: RgbdFrame,
+        detections: Sequence[ObjectDetection],
+        landmark_of: Mapping[int, int],
+        number: int,
+    ) -> dict[int, int]:
+        """Landmarks from masks that have had none for a while."""
+        life, new = self.config.life, {}
+        ages = {id(mask): age for mask, age in self.unmatched}
+        for label, found in enumerate(detections, start=1):
+            age = ages.get(id(found.mask), 0)
+            waits = age < life.seen_before or (age - life.seen_before) % life.retry
+            if label in landmark_of or waits or found.mask.sum() < life.min_pixels:
+                continue
+            landmark = self._initialise(posed, detections, found, number)
+            if landmark is not None:
+                self.world = self.world.with_landmarks(landmark)
+                new[label] = landmark.id
+                self.next_id += 1
+        return new
+
+    def _initialise(
+        self, posed: RgbdFrame, detections: Sequence[ObjectDetection], found: ObjectDetection, number: int
+    ) -> Landmark | None:
+        others = [other.mask for other in detections if other is not found]
+        ignore = hidden_by(posed, found.mask, others)
+        seen = ObjectObservation(posed, found.mask, ignore, found.yaw_probabilities)
+        landmark = initialise_landmark(
+            [seen], found, self.decoder, self.world.plane, self.config.fit, self.next_id, number
+        )
+        if landmark is None or self._overlaps(landmark):
+            return None
+        return landmark
+
+    def _overlaps(self, landmark: Landmark) -> bool:
+        """Whether another landmark stands where this one would."""
+        place = landmark.state.pose.translation
+        return any(
+            np.linalg.norm(one.state.pose.translation - place) < 0.35 * (one.reach + landmark.reach)
+            for one in self.world.landmarks.values()
+        )
+
+    def keep(self, key: Keyframe, plane_points: Float[np.ndarray, "n 3"]) -> None:
+        """One more keyframe, with the plane's points in its camera's frame; the oldest make room."""
+        self.keyframes = [*self.keyframes, key][-self.config.life.max_keyframes :]
+        points = {**self._plane_points, key.number: plane_points}
+        self._plane_points = {k.number: points[k.number] for k in self.keyframes}
+
+    def refit_doubtful(self, key: Keyframe) -> None:
+        """Fits one landmark of the keyframe anew, if its start was poor.
+
+        Poor is a class that the views have voted down, or a start from a mask that the image border cut.
+        """
+        for one in sorted(key.landmarks & set(self.world.landmarks)):
+            landmark = self.world.landmarks[one]
+            lead = landmark.log_votes.max() - landmark.log_votes[CATEGORIES.index(landmark.category)]
+            outvoted = lead > self.config.life.class_margin
+            mask = key.mask(one)
+            cut = mask[0].any() or mask[-1].any() or mask[:, 0].any() or mask[:, -1].any()
+            if not outvoted and (cut or not landmark.cut):
+                continue
+            views = [k for k in self.keyframes if one in k.landmarks][-3:]
+            found = ObjectDetection(landmark.likeliest, landmark.score, mask)
+            other = initialise_landmark(
+                [k.observation(one) for k in views], found, self.decoder, self.world.plane,
+                self.config.fit, one, landmark.born,
+            )  # fmt: skip
+            if other is None:
+                continue
+            logger.info("frame %d: landmark %d fitted anew as %s", key.number, one, other.category)
+            self.world = self.world.with_landmarks(renewed(landmark, other))
+            return  # one is enough for a frame
+
+    def optimise(self, key: Keyframe) -> Float[np.ndarray, "4 4"]:
+        """The newest keyframe with its nearest ones, jointly; returns how it moved, in the world."""
+        window = window_of(key, self.keyframes, self.world.landmarks, self.config.joint.window)
+        result = optimise_jointly(
+            window, self.world.landmarks, self.decoder, self.world.plane,
+            [self._plane_points[k.number] for k in window], self.config.joint,
+        )  # fmt: skip
+        self.world = self.world.with_landmarks(*result.landmarks.values())
+        moved = {k.number: k for k in result.keyframes}
+        self.keyframes = [moved.get(k.number, k) for k in self.keyframes]
+        return moved[key.number].T_world_camera @ invert(key.T_world_camera)

@@ -1,0 +1,146 @@
+"""The whole system on cylinders: it maps, tracks, says that it is lost, finds itself, and lets go."""
+
+from dataclasses import replace
+
+import numpy as np
+import pytest
+
+from perception.inference.fit import FitConfig, Stage
+from perception.recordings.sequence import without_pose
+from perception.slam.config import SlamConfig
+from perception.slam.pixels import label_image
+from perception.slam.relocalise import level_camera, relocalise
+from perception.slam.system import Slam, joined_labels
+from perception.types import RgbdFrame, SupportPlane
+
+QUICK = FitConfig(stages=(Stage(32, 1, 5), Stage(40, 0, 6)))
+
+
+class Recording:
+    """Frames along a slow orbit, with what each shows."""
+
+    def __init__(self, cylinders, scenes, count=8, step=1.2) -> None:
+        self.truth = [scenes.orbit((0, 0.03, 0.03), 0.55, 45, 20 + step * k) for k in range(count)]
+        looks = [cylinders.look(T, noise=0.001) for T in self.truth]
+        self.frames = [
+            RgbdFrame(k / 30, frame.rgb, frame.depth, frame.intrinsics, frame.T_world_camera)
+            for k, (frame, _, _) in enumerate(looks)
+        ]
+        self.detections = [found for _, found, _ in looks]
+
+    def slam(self, decoder, config=None) -> Slam:
+        self.at = 0
+        return Slam(decoder, lambda frame, plane: self.detections[self.at], config or SlamConfig(fit=QUICK))
+
+    def feed(self, slam, number, frame=None):
+        self.at = number
+        return slam.process(self.frames[number] if frame is None else frame)
+
+    def error(self, result, number) -> float:
+        return float(np.linalg.norm(result.T_world_camera[:3, 3] - self.truth[number][:3, 3]))
+
+
+@pytest.fixture(scope="module")
+def recording(cylinders, scenes):
+    return Recording(cylinders, scenes)
+
+
+@pytest.fixture
+def mapped(recording, cylinders):
+    """A system that has seen the first frame."""
+    slam = recording.slam(cylinders.decoder)
+    return slam, recording.feed(slam, 0)
+
+
+def test_first_frame_makes_the_map(mapped, cylinders):
+    slam, result = mapped
+    assert result.keyframe and result.status == "tracked" and len(result.new) == 5
+    for landmark in slam.world.landmarks.values():
+        places = np.array([place[:2] for place in cylinders.places])
+        distance = np.linalg.norm(places - landmark.state.pose.translation[:2], axis=1)
+        assert distance.min() < 0.004
+
+
+def test_tracks_without_looking_at_the_recorded_poses(mapped, recording):
+    slam, _ = mapped
+    for number in range(1, 6):
+        wrong = np.array(recording.truth[0])
+        wrong[:3, 3] += number  # what the recording says is nonsense
+        frame = recording.frames[number]
+        lie = RgbdFrame(frame.time, frame.rgb, frame.depth, frame.intrinsics, wrong)
+        result = recording.feed(slam, number, lie)
+        assert result.status == "tracked" and recording.error(result, number) < 0.003
+    assert len(slam.world.ids) == 5 and not result.new
+
+
+def test_a_dark_moment_is_survived_and_the_map_stays(mapped, recording):
+    slam, _ = mapped
+    recording.feed(slam, 1, without_pose(recording.frames[1]))
+    before = slam.world
+    frame = recording.frames[2]
+    dark = RgbdFrame(frame.time, frame.rgb, np.zeros_like(frame.depth), frame.intrinsics)
+    assert recording.feed(slam, 2, dark).status == "lost"
+    assert slam.world is before
+    result = recording.feed(slam, 4, without_pose(recording.frames[4]))
+    assert result.status == "tracked" and recording.error(result, 4) < 0.004
+
+
+def test_a_gap_in_time_carries_the_motion_on(mapped, recording):
+    slam, _ = mapped
+    for number in (1, 2, 6):
+        result = recording.feed(slam, number, without_pose(recording.frames[number]))
+    assert result.status == "tracked" and recording.error(result, 6) < 0.003
+
+
+def test_what_is_gone_is_retired(mapped, recording):
+    slam, first = mapped
+    life = replace(slam.config.life, check_every=1, max_misses=2)
+    slam.config = slam.mapper.config = replace(slam.config, life=life)
+    gone = first.landmark_of[1]
+    kept, recording.detections = recording.detections, [found[1:] for found in recording.detections]
+    results = [recording.feed(slam, n, without_pose(recording.frames[n])) for n in range(1, 6)]
+    recording.detections = kept
+    assert gone in [one for result in results for one in result.retired]
+    assert gone not in slam.world.ids and len(slam.world.ids) == 4
+
+
+def test_relocalises_from_nowhere(cylinders, scenes):
+    world = cylinders.map()
+    config = SlamConfig()
+    T = scenes.orbit((0, 0.03, 0.03), 0.6, 50, 200)
+    frame, detections, _ = cylinders.look(T)
+    labels = label_image(detections, frame.depth.shape)
+    found = relocalise(
+        world,
+        without_pose(frame),
+        detections,
+        labels,
+        config.tracking,
+        config.selection,
+        config.relocalisation,
+    )
+    assert found is not None
+    assert np.linalg.norm(found.tracked.T_world_camera[:3, 3] - T[:3, 3]) < 0.005
+
+
+def test_too_few_objects_are_no_place(cylinders, scenes):
+    world = cylinders.map().without({0, 1, 2})
+    frame, detections, _ = cylinders.look(scenes.orbit((0, 0.03, 0.03), 0.6, 50, 200))
+    labels, config = label_image(detections, frame.depth.shape), SlamConfig()
+    args = (config.tracking, config.selection, config.relocalisation)
+    assert relocalise(world, without_pose(frame), detections, labels, *args) is None
+
+
+def test_level_camera_lays_the_plane_flat():
+    normal = np.array([0.2, -0.5, 0.7])
+    plane = SupportPlane(normal / np.linalg.norm(normal), 0.3)
+    T = level_camera(plane)
+    on_plane = plane.normal * plane.offset + np.cross(plane.normal, [0.3, 0.1, -0.4])
+    assert (T @ [*on_plane, 1])[2] == pytest.approx(0)
+    assert (T @ [*(on_plane + 0.1 * plane.normal), 1])[2] == pytest.approx(0.1)
+
+
+def test_labels_of_one_landmark_become_one():
+    labels = np.array([[0, 1, 2], [3, 3, 2]], np.uint8)
+    joined, landmark_of = joined_labels(labels, {1: 7, 2: 9, 3: 7})
+    assert joined.tolist() == [[0, 1, 2], [1, 1, 2]] and landmark_of == {1: 7, 2: 9}
