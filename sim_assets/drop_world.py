@@ -203,7 +203,7 @@ def _scenery(plane: SupportPlane, T_world_support: np.ndarray) -> MjSpec:
     spec.stat.extent, spec.stat.center = 0.7, T_world_support[:3, 3]
     visual = spec.visual
     visual.map.znear, visual.map.zfar = 0.02, 30
-    visual.map.shadowclip, visual.quality.shadowsize = 1.0, 2048
+    visual.map.shadowclip, visual.quality.shadowsize = 0.8, 4096
     visual.quality.offsamples = 4
     visual.headlight.ambient, visual.headlight.diffuse = (0.42, 0.42, 0.42), (0.1, 0.1, 0.1)
     visual.headlight.specular = (0, 0, 0)
@@ -216,7 +216,7 @@ def _scenery(plane: SupportPlane, T_world_support: np.ndarray) -> MjSpec:
     up, side = T_world_support[:3, 2], T_world_support[:3, 0]
     world.add_light(
         name="above", type=mujoco.mjtLightType.mjLIGHT_DIRECTIONAL, pos=T_world_support[:3, 3] + 1.5 * up,
-        dir=-up + 0.4 * side, castshadow=True, diffuse=(0.6, 0.6, 0.6), specular=(0.5, 0.5, 0.5),
+        dir=-up + 0.25 * side, castshadow=True, diffuse=(0.6, 0.6, 0.6), specular=(0.5, 0.5, 0.5),
     )  # fmt: skip
     return spec
 
