@@ -15,6 +15,9 @@ from app.viewer.story import Story
 _log = logging.getLogger(__name__)
 
 RATE = 15.0  # [Hz] of drawing
+# While a run computes in this process, drawing may use this share of what the run uses, and of wall time.
+SHARE_OF_RUN, SHARE_OF_TIME = 0.08, 0.02
+HEAD_START = 0.5  # [s] of processor time that drawing may use in advance
 LAG = 1.0  # [s] behind the newest moment when following; further behind, time passes faster
 
 
@@ -88,12 +91,20 @@ class Player:
             if self.time >= end and not self.following:
                 self.playing = False
 
+    def _affordable(self, wall: float) -> bool:
+        """Whether drawing has left the run enough of the processor."""
+        own, run = time.thread_time(), time.process_time()
+        return own < SHARE_OF_RUN * (run - own) + SHARE_OF_TIME * wall + HEAD_START
+
     def _run(self) -> None:
-        last = time.perf_counter()
+        begin = last = time.perf_counter()
         while not self._ended.is_set():
             now = time.perf_counter()
             self.advance(now - last)
             last = now
+            if self.live and not self._affordable(now - begin):
+                self._ended.wait(1 / RATE)
+                continue
             try:
                 self._draw()
             except Exception as error:  # a picture that fails must not end the view
