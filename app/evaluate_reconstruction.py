@@ -87,7 +87,7 @@ def choose_subjects(options: EvaluateOptions) -> list[Subject]:
     """The objects: of the test families as ``--objects`` says, or every mesh of ``--object-meshes``."""
     if options.object_meshes is None:
         wanted = Counter(parse_objects(options.objects, np.random.default_rng(options.seed), MOST_OBJECTS))
-        numbered = [(c, index) for c in CATEGORIES for index in range(wanted[c])]
+        numbered: list[tuple[Category, int]] = [(c, index) for c in CATEGORIES for index in range(wanted[c])]
         return [Subject(c, index, followed=n < FOLLOWED) for n, (c, index) in enumerate(numbered)]
     from sim_assets.objects.user import mesh_files
 

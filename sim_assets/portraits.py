@@ -62,7 +62,8 @@ def take_portrait(
     table = TableTop([thing], scene, rng)
     try:
         table.redraw_textures(rng)
-        pose = PlanarPose(*rng.uniform(-0.1, 0.1, 2), rng.uniform(-np.pi, np.pi))
+        x, y = rng.uniform(-0.1, 0.1, 2)
+        pose = PlanarPose(x, y, rng.uniform(-np.pi, np.pi))
         table.show([0], [pose])
         table.light(rng)
         longest = float(model.mesh.extents.max())

@@ -85,12 +85,15 @@ def refine_mesh(
     start = _smoothed(mesh_world, config.smoothing)
     surface = trimesh.Trimesh(start, mesh_world.faces, process=False)
     normals = np.asarray(surface.vertex_normals)
-    d, determined = np.zeros(len(normals)), np.zeros(len(normals))
+    links = _links(surface) * config.roughness**-2
+    d, precision = np.zeros(len(normals)), np.zeros(len(normals))
     moved = start
     for _ in range(config.passes):  # a vertex that has moved is seen elsewhere
         precision, asked = _asked(surface, moved, normals, observations, plane, config)
-        d, determined = _most_probable(surface, precision, precision * d + asked, config)
+        d = _most_probable(links, precision, precision * d + asked, config)
         moved = start + d[:, None] * normals
+    # Displacements are linear in what is measured: were that 1 everywhere, this much would come of it.
+    determined = np.clip(_solved(_stiffness(links, precision, config), precision), 0.0, 1.0)
     moved = moved - np.minimum(plane.height_above(moved), 0.0)[:, None] * plane.normal  # not into the plane
     return RefinedMesh(TriangleMesh(moved, mesh_world.faces), determined)
 
@@ -246,35 +249,34 @@ def _heights(frame: RgbdFrame, plane: SupportPlane, view: _View) -> Float[np.nda
         window = np.s_[
             max(rows.min() - 20, 0) : rows.max() + 20, max(columns.min() - 20, 0) : columns.max() + 20
         ]
-        v, u = (index[window] for index in np.indices(frame.depth.shape))
-        points = pixel_rays(frame, u, v) * frame.depth[window][..., None]
+        pixels = np.indices(frame.depth.shape)[:, window[0], window[1]]
+        points = pixel_rays(frame, pixels[1], pixels[0]) * frame.depth[window][..., None]
         heights[window] = plane.height_above(transform_points(frame.T_world_camera, points))
     return heights
 
 
 def _most_probable(
-    surface: trimesh.Trimesh, precision: np.ndarray, target: np.ndarray, config: RefineConfig
-) -> tuple[Float[np.ndarray, "n"], Float[np.ndarray, "n"]]:
-    """Displacement of every vertex, a smooth part of its own and one common to all; and how determined it is.
-
-    The displacement is linear in what is measured: were every vertex's measurement 1, its own part would
-    become its share of determination.
-    """
+    links: sparse.csr_array, precision: np.ndarray, target: np.ndarray, config: RefineConfig
+) -> Float[np.ndarray, "n"]:
+    """Displacement of every vertex: a smooth part of its own and one common to all."""
     n = len(precision)
-    links = _links(surface) * config.roughness**-2
-    own = sparse.csr_array(sparse.diags_array(links.sum(axis=1) + config.prior_sigma**-2 + precision) - links)
+    common = np.array([[precision.sum() + config.common_sigma**-2]])
     A = sparse.block_array(
         [
-            [own, sparse.csr_array(precision[:, None])],
-            [sparse.csr_array(precision[None]), np.array([[precision.sum() + config.common_sigma**-2]])],
-        ],
-        format="csr",
+            [_stiffness(links, precision, config), sparse.csr_array(precision[:, None])],
+            [sparse.csr_array(precision[None]), common],
+        ]
     )
-    x = _solved(A, np.r_[target, target.sum()])
-    determined = np.clip(_solved(own, precision), 0.0, 1.0)
-    return np.clip(x[:n] + x[n], -config.limit, config.limit), determined
+    x = _solved(sparse.csr_array(A), np.r_[target, target.sum()])
+    return np.clip(x[:n] + x[n], -config.limit, config.limit)
+
+
+def _stiffness(links: sparse.csr_array, precision: np.ndarray, config: RefineConfig) -> sparse.csr_array:
+    """Of vertices' own displacements: to their neighbours', to none, and to what is measured."""
+    diagonal = links.sum(axis=1) + config.prior_sigma**-2 + precision
+    return sparse.csr_array(sparse.diags_array(diagonal) - links)
 
 
 def _solved(A: sparse.csr_array, b: np.ndarray) -> np.ndarray:
-    """A^-1 b to four digits, A positive definite."""
-    return cg(A, b, rtol=1e-4, maxiter=300, M=sparse.diags_array(1 / A.diagonal()))[0]
+    """A^-1 b to three digits, A positive definite."""
+    return cg(A, b, rtol=1e-3, maxiter=300, M=sparse.diags_array(1 / A.diagonal()))[0]

@@ -17,7 +17,6 @@ import numpy as np
 import torch
 import trimesh
 from jaxtyping import Float
-from scipy.ndimage import map_coordinates
 
 from perception.inference.shape_model import Decoder
 from perception.types import GRID_RESOLUTION, Category, ObjectEstimate
@@ -69,20 +68,31 @@ def surface_deviation(
     points = estimate.mesh.vertices
     normals = trimesh.Trimesh(points, estimate.mesh.faces, process=False).vertex_normals
     code = torch.as_tensor(np.array(estimate.code), dtype=torch.float32)
-    grid, jacobian = (value.numpy() for value in decoder.with_jacobian(estimate.category, code))
+    grid, jacobian = (value.cpu().numpy() for value in decoder.with_jacobian(estimate.category, code))
     voxel = 2 * estimate.scale / GRID_RESOLUTION  # [m]
-    where = ((points / estimate.scale + 1) / 2 * GRID_RESOLUTION - 0.5).T
-    slopes = np.stack([_at(values, where) for values in np.gradient(grid)], axis=1) / voxel
+    where = (points / estimate.scale + 1) / 2 * GRID_RESOLUTION - 0.5
+    slopes = _at(np.stack([np.gradient(grid, axis=k) for k in range(3)], axis=-1), where) / voxel
     slope = np.maximum(np.linalg.norm(slopes, axis=1), LEAST_SLOPE / voxel.mean())
-    by_code = np.stack([_at(values, where) for values in np.moveaxis(jacobian, -1, 0)], axis=1)
+    by_code = _at(jacobian, where)
     rows = np.hstack([
         by_code / slope[:, None],
         np.cross(points, normals),
         normals @ estimate.T_world_object[:3, :3].T,
         points * normals,
     ])  # fmt: skip
-    return np.sqrt(np.maximum(np.einsum("vi,ij,vj->v", rows, covariance, rows), 0.0))
+    return np.sqrt(np.maximum(((rows @ covariance) * rows).sum(axis=1), 0.0))
 
 
-def _at(values: Float[np.ndarray, "x y z"], where: Float[np.ndarray, "3 v"]) -> Float[np.ndarray, "v"]:
-    return map_coordinates(values, where, order=1, mode="nearest")
+def _at(values: Float[np.ndarray, "r r r c"], where: Float[np.ndarray, "v 3"]) -> Float[np.ndarray, "v c"]:
+    """Trilinear, at points in voxels, all channels at once; outside as at the border."""
+    side = values.shape[0]
+    where = np.clip(where, 0, side - 1 - 1e-6)
+    low = where.astype(int)
+    share = where - low
+    flat = values.reshape(-1, values.shape[-1])
+    result = np.zeros((len(where), values.shape[-1]))
+    for corner in np.ndindex(2, 2, 2):
+        weight = np.where(corner, share, 1 - share).prod(axis=1)
+        at = low + corner
+        result += weight[:, None] * flat[(at[:, 0] * side + at[:, 1]) * side + at[:, 2]]
+    return result

@@ -8,7 +8,7 @@ implicit derivative. ``render_silhouette`` sees the mask alone.
 from __future__ import annotations
 
 from collections.abc import Callable
-from typing import Literal
+from typing import Any, Literal
 
 import numpy as np
 import warp as wp
@@ -53,7 +53,7 @@ RENDERERS: dict[RendererName, RenderFunction] = {
 
 
 def _launch(
-    kernel: wp.Kernel,
+    kernel: Any,
     parameter: float,
     shape: ShapeGrid,
     rays: RayBundle,
