@@ -85,7 +85,7 @@ def test_a_toy_appears_in_the_pixel_its_place_projects_to_and_casts_a_shadow() -
     np.testing.assert_allclose((u.mean(), v.mean()), expected, atol=0.7)
     assert not bare.toys.any() and bare.depth.max() == pytest.approx(0.5, abs=2e-3)
     shadow = shadow_of(Backdrop.of(table_frame(ABOVE), bare), now)
-    assert DARKEST <= shadow.min() < 0.8 and (shadow > 0.99).mean() > 0.8
+    assert DARKEST <= shadow.min() < 0.9 and (shadow > 0.99).mean() > 0.8  # the ball hides most of it
 
 
 def test_measured_depth_hides_what_lies_behind_it() -> None:
