@@ -28,6 +28,7 @@ class Player:
         story: what is played.
         playing: whether time passes.
         live: whether the story still grows.
+        yielding: whether a run computes in this process, which drawing must not slow down.
         following: whether it catches up with what is being recorded.
         speed: show seconds in a second.
         time: show time in [s].
@@ -36,7 +37,7 @@ class Player:
     def __init__(self, story: Story, draw: Callable[[], None], live: bool = False) -> None:
         self.story, self._draw = story, draw
         self.playing, self.live, self.following = True, live, live
-        self.speed, self.time = 1.0, 0.0
+        self.speed, self.time, self.yielding = 1.0, 0.0, False
         self._lock = threading.RLock()
         self._ended = threading.Event()
         self._problem = ""  # that was told last
@@ -102,7 +103,7 @@ class Player:
             now = time.perf_counter()
             self.advance(now - last)
             last = now
-            if self.live and not self._affordable(now - begin):
+            if self.yielding and not self._affordable(now - begin):
                 self._ended.wait(1 / RATE)
                 continue
             try:

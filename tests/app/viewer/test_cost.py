@@ -31,6 +31,7 @@ def episode(folder, watched):
         viewer = Viewer(open_server(port=0), recording.recorder, live=True) if watched else None
         ended = threading.Event()
         if viewer is not None:
+            viewer.player.yielding = True
             viewer.start()
             threading.Thread(target=lambda: asyncio.run(_watch(viewer, ended)), daemon=True).start()
         begin, begin_cpu = time.perf_counter(), time.process_time()

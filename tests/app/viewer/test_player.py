@@ -68,6 +68,25 @@ def test_a_picture_that_fails_does_not_end_the_view(recording, caplog):
     assert [record.message for record in caplog.records] == ["the viewer could not draw"]  # said once
 
 
+def test_drawing_leaves_a_run_its_processor_time(recording):
+    def draw():
+        end = time.thread_time() + 0.05  # far too dear
+        while time.thread_time() < end:
+            pass
+        drawn.append(0)
+
+    drawn = []
+    player = Player(Story(recording), draw, live=True)
+    player.yielding = True
+    player.start()
+    time.sleep(1.5)
+    held_back = len(drawn)
+    player.yielding = False
+    time.sleep(0.5)
+    player.close()
+    assert held_back <= 13 < len(drawn) + 13 - held_back  # a head start of half a second, then hardly any
+
+
 def test_a_run_waits_at_the_gate_steps_and_stops():
     gate, passed = Gate(), []
 
