@@ -210,7 +210,7 @@ def _belief_camera() -> RgbdFrame:
     lens = CameraIntrinsics(width, height, 1.05 * width, 1.05 * width, (width - 1) / 2, (height - 1) / 2)
     fade = np.linspace(58, 30, height)[:, None, None] * np.array([0.95, 1.0, 1.1])
     rgb = np.ascontiguousarray(np.broadcast_to(fade, (height, width, 3)).astype(np.uint8))
-    pose = look_at(np.array([1.30, -0.40, 0.78]), np.array([0.45, 0.0, 0.02]))
+    pose = look_at(np.array([1.42, -0.44, 0.86]), np.array([0.45, -0.02, 0.02]))
     return RgbdFrame(0.0, rgb, np.zeros((height, width), np.float32), lens, pose)
 
 
