@@ -13,7 +13,7 @@ from __future__ import annotations
 
 from collections.abc import Sequence
 from dataclasses import dataclass
-from typing import no_type_check
+from typing import Any, no_type_check
 
 import numpy as np
 import warp as wp
@@ -108,11 +108,11 @@ class PairRenderer:
         """``gradients``: whether the derivative by the camera's pose is wanted; without, it is left 0."""
         self.pairs = pairs
         n = len(pairs.ray)
-        self._out = wp.empty((n, 3), dtype=wp.float32, device="cpu")
+        self._out = _empty((n, 3), wp.float32)
         self._rows = wp.zeros((n, 2), dtype=wp.vec3, device="cpu")
         self._matrices = wp.zeros(stack.count, dtype=wp.mat33, device="cpu")
         self._origins = wp.zeros(stack.count, dtype=wp.vec3, device="cpu")
-        self._command = wp.launch(
+        self._command: Any = wp.launch(
             pairs_kernel,
             dim=1,
             inputs=[
@@ -127,7 +127,7 @@ class PairRenderer:
                 _array(pairs.depth_range, wp.vec2),
                 _array(pairs.step, wp.float32),
                 int(gradients),
-                wp.empty(3 * MAX_SAMPLES, dtype=wp.float32, device="cpu"),
+                _empty(3 * MAX_SAMPLES, wp.float32),
             ],
             outputs=[self._out, self._rows],
             device="cpu",
@@ -157,6 +157,10 @@ def nearest_pair(
     is_least = key == np.repeat(np.minimum.reduceat(key, starts), lengths) if len(key) else key == key
     chosen = np.flatnonzero(is_least)
     return chosen[np.flatnonzero(np.diff(pairs.ray[chosen], prepend=-1))]
+
+
+def _empty(shape: int | tuple[int, ...], dtype: Any) -> wp.array:
+    return wp.empty(shape, dtype=dtype, device="cpu")
 
 
 def _array(values: np.ndarray, dtype) -> wp.array:

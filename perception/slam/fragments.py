@@ -77,7 +77,7 @@ def unite_fragments(
     groups = connected_components(coo_array((np.ones(len(rows)), (rows, columns)), shape=(n, n)), False)[1]
     united = []
     for group in dict.fromkeys(groups):
-        own = [detections[k] for k in np.flatnonzero(groups == group)]
+        own = [detections[int(k)] for k in np.flatnonzero(groups == group)]
         main = max(own, key=lambda found: int(found.mask.sum()))
         mask = np.logical_or.reduce([found.mask for found in own])
         united.append(replace(main, mask=mask) if len(own) > 1 else main)
