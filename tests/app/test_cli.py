@@ -18,8 +18,6 @@ BAD_USAGE = {
     "no number": (["pack", "--seed", "x"], "Error parsing --seed"),
     "no such choice": (["sort", "--shapes", "perfect"], "invalid choice 'perfect'"),
     "no network": (["train"], "{shape,detector,yaw}"),
-    "later command": (["slam"], "Unrecognized options: slam"),
-    "later option": (["pack", "--view"], "Unrecognized options: --view"),
     "nothing to evaluate": (["evaluate", "everything"], "invalid choice 'everything'"),
     "no scan": (["reconstruct"], "Scan folder"),
 }
