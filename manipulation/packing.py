@@ -29,7 +29,7 @@ class PackingConfig:
 
     Attributes:
         gaps: distances between objects to try, in [m], the widest that works is used.
-        wall_gap: distance from the walls in [m].
+        wall_gaps: distances from the walls in [m]; a larger one where the hand could not let go at a wall.
         release_height: above the floor, where an object is let go, in [m].
         max_drop: largest height above its resting place from which a nested bowl is let go, in [m].
         wanted_releases: ways for the hand to let go that make an object count as free.
@@ -37,7 +37,7 @@ class PackingConfig:
     """
 
     gaps: tuple[float, ...] = (0.024, 0.020, 0.016, 0.012, 0.008, 0.005)
-    wall_gap: float = 0.008
+    wall_gaps: tuple[float, ...] = (0.008, 0.04, 0.075)
     release_height: float = 0.003
     max_drop: float = 0.044
     wanted_releases: int = 4
@@ -125,15 +125,18 @@ def pack(
         raise PlanningError("there is nothing to pack: no object was perceived")
     grasps = {item.name: find_grasps(item, grasp_config).grasps for item in items}
     stacks = stack_bowls([item for item in items if item.category == "bowl"])
-    # Objects keep ``gap`` from all that is taken; the walls stand back, for ``wall_gap`` is enough there.
-    empties = {gap: BoxRaster(box, config.wall_gap - gap) for gap in config.gaps}
-    cell = empties[config.gaps[0]].cell
+    cell = BoxRaster(box, 0.0).cell
+    narrowest = min(box.size[:2]) / 2 - 2 * cell
     problem = _Problem(
         {item.name: item for item in items}, stacks, grasps, box, config, _Shapes(items, cell), cell
     )
     best: _Layout | None = None
-    for gap, empty in empties.items():
-        for choice in _choices(problem):
+    for gap, wall_gap in itertools.product(config.gaps, config.wall_gaps):
+        if wall_gap > config.wall_gaps[0] and (best is None or best.left_out or wall_gap > narrowest):
+            continue  # more room at the walls helps only where all fits, but the hand is in the way
+        # Objects keep ``gap`` from all that is taken; the walls stand back, for ``wall_gap`` is enough there.
+        empty = BoxRaster(box, wall_gap - gap)
+        for choice in _choices(problem, wall_gap):
             allowed = len(items) if best is None else len(best.left_out)
             layout = _lay_out(problem, choice, gap, empty, allowed)
             if best is None or _rank(layout, problem) < _rank(best, problem):
@@ -163,11 +166,11 @@ def nest_drop(stack: Sequence[StandingObject], depth: float, config: PackingConf
     return float(np.clip(rims - fingertip + 0.006, config.release_height, config.max_drop))
 
 
-def _choices(problem: _Problem) -> list[_Choice]:
+def _choices(problem: _Problem, wall_gap: float) -> list[_Choice]:
     """Mug lines along each wall and both diagonals, handle directions, corners to fill from."""
     box, config = problem.box, problem.config
     mugs = [item.name for item in problem.items.values() if item.category == "mug"]
-    half = np.array(box.size[:2]) / 2 - config.wall_gap
+    half = np.array(box.size[:2]) / 2 - wall_gap
     corners = tuple(itertools.product((-1.0, 1.0), (-1.0, 1.0)))
     if not mugs:
         return [_Choice((0, 0), (1, 0), 0.0, corner) for corner in corners]
@@ -260,7 +263,7 @@ def _plan_size(item: StandingObject) -> float:
 def _judge_releases(layout: _Layout, problem: _Problem) -> None:
     """Count, in the order of execution, the grasps with which the hand can let go of each object."""
     nested = {bowl.name for stack in problem.stacks for bowl in stack[1:]}
-    raster = BoxRaster(problem.box, problem.config.wall_gap, problem.cell)
+    raster = BoxRaster(problem.box, 0.0, problem.cell)
     base = problem.box.floor + problem.config.release_height
     for name in problem.order:
         yaw = layout.yaws[name]

@@ -183,6 +183,19 @@ def test_a_tall_neighbour_takes_the_hands_room(shapes):
     assert count_releases(raster, [], np.zeros(2), 0.0, 0.0) == 0
 
 
+def test_what_is_lower_than_the_walls_stands_away_from_them(shapes):
+    (can,) = items_of(shapes, ("can", shapes.can(radius=0.03, height=0.06)))
+    box = Box()
+    (placement,), left_out = pack([can], box)
+    assert not left_out
+    raster = BoxRaster(box, 0.0)
+    position = np.array(placement.position[:2]) - box.center
+    corner = np.array(box.size[:2]) / 2 - 0.04
+    grasps = find_grasps(can).grasps
+    assert count_releases(raster, grasps, corner, 0.0, placement.position[2] + 0.003) == 0
+    assert count_releases(raster, grasps, position, 0.0, placement.position[2] + 0.003) > 0
+
+
 def test_a_tilted_hand_reaches_lower_on_one_side(shapes):
     """Over the rim of a low bowl whose wall leans by 30 degrees, the palm comes down to the wall outside."""
     (bowl,) = items_of(shapes, ("bowl", shapes.bowl(radius=0.065, height=0.04, slope=np.deg2rad(30))))
