@@ -61,7 +61,7 @@ class OffscreenRenderer:
     """
 
     def __init__(self, model: MjModel, draft: bool = False) -> None:
-        """A draft renderer does without multisampling and with coarser shadows, at less than half the cost."""
+        """A draft renderer does without multisampling and with coarser shadows, at under half the cost."""
         self._model, self._draft = model, draft
         self._gl: Any = None
         self._context: Any = None
