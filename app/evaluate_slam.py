@@ -12,6 +12,7 @@ import shutil
 import time
 from collections.abc import Hashable, Mapping, Sequence
 from functools import cache, partial
+from itertools import product
 from pathlib import Path
 from typing import Any
 
@@ -52,7 +53,7 @@ def run(options: EvaluateOptions, screen: Screen) -> Report:
 
     load_open3d()
     ledger, finished = Ledger.open(options, "evaluate-slam", ROWS, "key", _settings(options))
-    items = [(scene, variant) for scene in range(options.scenes) for variant in options.variants]
+    items: list[tuple[int, Variant]] = list(product(range(options.scenes), options.variants))
     to_do = [item for item in items if _key(*item) not in finished]
     if finished:
         screen.note(f"{len(items) - len(to_do)} of {len(items)} runs are finished already")

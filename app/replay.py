@@ -134,7 +134,9 @@ class Recorder:
             for index, mesh in enumerate(parts):
                 scene.add_geometry(mesh, node_name=f"{body}/{index}", geom_name=f"{body}/{index}")
         if self.meshes:
-            write_atomically(folder / "replay.glb", scene.export(file_type="glb"))
+            glb = scene.export(file_type="glb")
+            assert isinstance(glb, bytes)
+            write_atomically(folder / "replay.glb", glb)
 
     def simulated(self, show_time: float) -> float:
         """The robot's clock in [s] at a show time."""

@@ -71,6 +71,5 @@ def camera_mesh(size: float = 0.03) -> trimesh.Trimesh:
         [[0, 0, 0], [-0.7, -0.5, 1], [0.7, -0.5, 1], [0.7, 0.5, 1], [-0.7, 0.5, 1]], dtype=np.float64
     )
     faces = [[0, 2, 1], [0, 3, 2], [0, 4, 3], [0, 1, 4], [1, 2, 3], [1, 3, 4]]
-    mesh = trimesh.Trimesh(corners, faces, process=False)
-    mesh.visual.vertex_colors = np.tile(np.array([[40, 150, 90, 255]], np.uint8), (5, 1))
-    return mesh
+    green = np.tile(np.array([[40, 150, 90, 255]], np.uint8), (5, 1))
+    return trimesh.Trimesh(corners, faces, vertex_colors=green, process=False)

@@ -174,7 +174,7 @@ def _evenly(poses: Float[np.ndarray, "n 4 4"], config: SequenceConfig) -> Float[
 
 
 def _draw_objects(config: SequenceConfig, rng: np.random.Generator) -> tuple[PlacedObject, ...]:
-    wanted = [config.categories[i % len(config.categories)] for i in range(config.objects)]
+    wanted: list[Category] = [config.categories[i % len(config.categories)] for i in range(config.objects)]
     models = [sample_object(category, "test", rng) for category in wanted]
     side = (-config.spread, config.spread)
     region = Region(side, side, max_radius=2 * config.spread)
