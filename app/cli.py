@@ -117,10 +117,11 @@ def check(options: CommonOptions) -> None:
 
 
 def _one_line(boxed: str) -> str:
-    """The message inside tyro's framed error: what stands above its first rule."""
+    """The message inside tyro's framed error: above its first rule; in ASCII below the title's rule."""
     lines = [re.sub(r"[│╭╮╰╯]", "", line).strip() for line in boxed.splitlines()]
     text = "\n".join(line for line in lines if line and not line.startswith("─ "))  # without the title
-    message = " ".join(re.split("─+", text)[0].split()).rstrip(".")
+    above, *below = re.split("─+|-{5,}", text)
+    message = " ".join((above if "│" in boxed or not below else below[0]).split()).rstrip(".")
     suggestion = re.search(r"Perhaps you meant\S*\s+(--[\w-]+)", text)
     if suggestion:
         message += f" (did you mean {suggestion.group(1)}?)"

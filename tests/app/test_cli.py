@@ -1,6 +1,7 @@
 """Exit codes and what stands on which stream."""
 
 import json
+import os
 import subprocess
 import sys
 
@@ -29,6 +30,14 @@ def test_bad_usage_is_one_line_and_exit_code_2(arguments, message, capsys):
     out, err = capsys.readouterr()
     assert out == "" and err.count("\n") == 1
     assert err.startswith("nodeslam: ") and message in err and "--help" in err
+
+
+def test_bad_usage_is_told_in_ascii_too():
+    command = [sys.executable, "-m", "app", "export", "somewhere", "--format", "foo"]
+    environment = os.environ | {"PYTHONIOENCODING": "ascii", "LC_ALL": "C"}
+    ended = subprocess.run(command, capture_output=True, text=True, env=environment, timeout=120)
+    assert ended.returncode == 2
+    assert ended.stderr.startswith("nodeslam: invalid choice 'foo'") and ended.stderr.count("\n") == 1
 
 
 BAD_INPUT = {
