@@ -6,6 +6,7 @@ import socket
 import time
 import urllib.error
 import urllib.request
+from concurrent.futures import ThreadPoolExecutor
 
 import msgspec.msgpack
 import numpy as np
@@ -20,6 +21,12 @@ from app.viewer.story import Story
 from app.viewer.viewer import Viewer
 
 PROTOCOL = f"viser-v{viser.__version__}"
+
+
+def run_apart(conversation):
+    """The conversation's result, in a thread of its own: a browser test's event loop may run in this one."""
+    with ThreadPoolExecutor(1) as pool:
+        return pool.submit(asyncio.run, conversation).result()
 
 
 @pytest.fixture(scope="module")
@@ -55,7 +62,7 @@ def talk(server, messages, origin=None, protocol=PROTOCOL):
             await connection.ping()
             return True
 
-    return asyncio.run(conversation())
+    return run_apart(conversation())
 
 
 def test_it_listens_on_this_machine_alone(server):
@@ -78,10 +85,10 @@ def test_only_its_own_name_is_answered(server):
 def test_only_its_own_pages_may_connect(server):
     port = server.get_port()
     assert talk(server, [], origin=None)  # a program of this machine
-    asyncio.run(_open_and_close(server, f"http://127.0.0.1:{port}"))
+    run_apart(_open_and_close(server, f"http://127.0.0.1:{port}"))
     for origin in ("http://evil.example", "null", f"http://127.0.0.1:{port + 1}", f"http://localhost:{port}"):
         with pytest.raises(InvalidStatus, match="403"):
-            asyncio.run(_open_and_close(server, origin))
+            run_apart(_open_and_close(server, origin))
     with pytest.raises(InvalidStatus, match="403"):
         talk(server, [], protocol="viser-v0.0.1")
 
@@ -163,10 +170,10 @@ def test_a_thousand_malformed_messages_change_nothing(recording):
     ]
     noise = [rng.bytes(int(rng.integers(0, 200))) for _ in range(1000 - len(wrong))]
     try:
-        asyncio.run(_send(viewer.server, wrong))
+        run_apart(_send(viewer.server, wrong))
         for batch in range(0, len(noise), 50):
             with contextlib.suppress(ConnectionClosed):
-                asyncio.run(_send(viewer.server, noise[batch : batch + 50]))
+                run_apart(_send(viewer.server, noise[batch : batch + 50]))
         told = Story(recording)
         assert told.end == viewer.player.story.end and told.stages == viewer.player.story.stages
         assert viewer.player._thread.is_alive()
