@@ -92,18 +92,13 @@ class Player:
             if self.time >= end and not self.following:
                 self.playing = False
 
-    def _affordable(self, wall: float) -> bool:
-        """Whether drawing has left the run enough of the processor."""
-        own, run = time.thread_time(), time.process_time()
-        return own < SHARE_OF_RUN * (run - own) + SHARE_OF_TIME * wall + HEAD_START
-
     def _run(self) -> None:
         begin = last = time.perf_counter()
         while not self._ended.is_set():
             now = time.perf_counter()
             self.advance(now - last)
             last = now
-            if self.yielding and not self._affordable(now - begin):
+            if self.yielding and not affordable(time.thread_time(), time.process_time(), now - begin):
                 self._ended.wait(1 / RATE)
                 continue
             try:
@@ -113,3 +108,13 @@ class Player:
                     _log.warning("the viewer could not draw", exc_info=True)
                 self._problem = repr(error)
             self._ended.wait(max(1 / RATE - (time.perf_counter() - now), 0.5 / RATE))
+
+
+def affordable(own: float, process: float, wall: float) -> bool:
+    """Whether drawing has left the run enough of the processor.
+
+    Args:
+        own, process: processor time of drawing and of the whole process in [s].
+        wall: since drawing began in [s].
+    """
+    return own < SHARE_OF_RUN * (process - own) + SHARE_OF_TIME * wall + HEAD_START

@@ -4,7 +4,7 @@ import time
 import pytest
 
 from app.gate import Gate, Stopped
-from app.viewer.player import LAG, Player
+from app.viewer.player import HEAD_START, LAG, SHARE_OF_RUN, SHARE_OF_TIME, Player, affordable
 from app.viewer.story import Story
 
 
@@ -68,23 +68,29 @@ def test_a_picture_that_fails_does_not_end_the_view(recording, caplog):
     assert [record.message for record in caplog.records] == ["the viewer could not draw"]  # said once
 
 
-def test_drawing_leaves_a_run_its_processor_time(recording):
-    def draw():
-        end = time.thread_time() + 0.05  # far too dear
-        while time.thread_time() < end:
-            pass
-        drawn.append(0)
+def test_drawing_leaves_a_run_its_processor_time():
+    assert affordable(own=HEAD_START - 0.01, process=HEAD_START, wall=0.0), "a head start"
+    assert not affordable(own=HEAD_START + 0.1, process=HEAD_START + 0.1, wall=1.0), "the run got nothing"
+    busy = 100.0
+    most = HEAD_START + SHARE_OF_RUN * busy + SHARE_OF_TIME * busy
+    assert affordable(own=most - 0.1, process=busy + most - 0.1, wall=busy)
+    assert not affordable(own=most + 0.1, process=busy + most + 0.1, wall=busy)
 
-    drawn = []
-    player = Player(Story(recording), draw, live=True)
+
+def test_a_player_that_cannot_afford_to_draw_waits(recording, monkeypatch):
+    drawn, asked = [], threading.Event()
+
+    def never(own, process, wall):
+        asked.set()
+        return False
+
+    monkeypatch.setattr("app.viewer.player.affordable", never)
+    player = Player(Story(recording), lambda: drawn.append(0), live=True)
     player.yielding = True
     player.start()
-    time.sleep(1.5)
-    held_back = len(drawn)
-    player.yielding = False
-    time.sleep(0.5)
+    assert asked.wait(5)
     player.close()
-    assert held_back <= 13 < len(drawn) + 13 - held_back  # a head start of half a second, then hardly any
+    assert not drawn
 
 
 def test_a_run_waits_at_the_gate_steps_and_stops():
