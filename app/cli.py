@@ -28,18 +28,18 @@ DONE, TASK_FAILED, BAD_INPUT, INTERRUPTED = 0, 1, 2, 130
 
 # Imported only when called, so that each command loads what it needs and no more.
 HANDLERS = {
-    "pack": "app.task",
-    "sort": "app.task",
-    "scan": "app.scan",
+    "pack": "app.task.command",
+    "sort": "app.task.command",
+    "scan": "app.task.scan",
     "reconstruct": "app.reconstruct",
     "convert": "app.convert",
-    "ar": "app.ar",
-    "export": "app.export",
-    "slam": "app.slam",
-    "train": "app.train",
-    "evaluate": "app.evaluate",
-    "bench": "app.bench",
-    "view": "app.view",
+    "ar": "app.ar.command",
+    "export": "app.export.command",
+    "slam": "app.slam.command",
+    "train": "app.training.command",
+    "evaluate": "app.evaluation.command",
+    "bench": "app.benchmarks.command",
+    "view": "app.viewer.command",
     "doctor": "app.doctor",
 }
 
@@ -107,7 +107,7 @@ def check(options: CommonOptions) -> None:
         UsageError: one line says why.
     """
     if isinstance(options, CellOptions) and getattr(options, "what", None) != "reconstruction":
-        from app.cell import check_options
+        from app.task.cell import check_options
 
         check_options(options)
     for name in ("episodes", "workers", "epochs", "repeats", "drops", "images"):

@@ -12,8 +12,8 @@ from rich.markup import escape
 
 from app.errors import UsageError
 from app.options import ConvertOptions
-from app.report import Report
-from app.run_folder import RunFolder
+from app.runs.report import Report
+from app.runs.run_folder import RunFolder
 from app.screen import Screen
 from perception.errors import InvalidInputError
 from perception.recordings.nocs import REAL275, is_nocs_recording, open_nocs

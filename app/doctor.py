@@ -17,8 +17,8 @@ from rich.markup import escape
 from rich.table import Table
 
 from app.options import DoctorOptions
-from app.report import Report, package_version
-from app.run_folder import RunFolder
+from app.runs.report import Report, package_version
+from app.runs.run_folder import RunFolder
 from app.screen import Screen
 
 Status = Literal["ok", "missing", "optional"]

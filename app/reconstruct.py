@@ -20,8 +20,8 @@ from app.perceive import (
     reconstruct_objects,
 )
 from app.perceive import detect as detect_objects
-from app.report import ObjectReport, Report
-from app.run_folder import RunFolder
+from app.runs.report import ObjectReport, Report
+from app.runs.run_folder import RunFolder
 from app.screen import Screen
 from perception.detection.association import associate
 from perception.errors import InvalidInputError

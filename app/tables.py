@@ -7,7 +7,7 @@ from rich.console import Group
 from rich.markup import escape
 from rich.table import Table
 
-from app.report import ObjectReport, Report
+from app.runs.report import ObjectReport, Report
 
 
 def object_table(report: Report) -> Table:

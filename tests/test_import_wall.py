@@ -10,7 +10,7 @@ import pytest
 
 ROOT = Path(__file__).parents[1]
 PACKAGES = ("app", "perception", "manipulation", "sim_assets")
-READERS_OF_TRUTH = {"app/scoring.py", "app/labels.py"}
+READERS_OF_TRUTH = {"app/task/scoring.py", "app/training/labels.py"}
 
 
 def modules():

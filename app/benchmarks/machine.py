@@ -9,7 +9,7 @@ from importlib.metadata import version
 from pathlib import Path
 from typing import Any
 
-from app.report import package_version
+from app.runs.report import package_version
 
 LIBRARIES = ("numpy", "scipy", "torch", "warp-lang")
 

@@ -55,8 +55,8 @@ def prepare(scan: Path | None, seed: int, device: Device) -> BenchScene:
 
 
 def _simulated(seed: int) -> tuple[RgbdFrame, ...]:
-    from app.cell import build_world
-    from app.looking import SCAN_VIEWS, look
+    from app.task.cell import build_world
+    from app.task.looking import SCAN_VIEWS, look
     from manipulation.kinematics import Kinematics
 
     with build_world(ScanOptions(objects=OBJECTS, seed=seed), "pack") as world:

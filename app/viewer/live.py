@@ -12,15 +12,15 @@ from typing import Literal, get_args
 
 import viser
 
-from app.cell import MAX_OBJECTS, build_world, parse_objects
 from app.errors import AppError
-from app.gate import Gate, Stopped
 from app.options import PackOptions, RunTaskOptions, SortOptions, Task, ViewOptions
 from app.perceive import Perception, load_perception
-from app.recording import CellRecorder
-from app.report import Report
+from app.runs.report import Report
 from app.screen import Screen
-from app.task import run_in
+from app.task.cell import MAX_OBJECTS, build_world, parse_objects
+from app.task.command import run_in
+from app.task.gate import Gate, Stopped
+from app.task.recording import CellRecorder
 from app.viewer.panel import chosen
 from app.viewer.viewer import Viewer
 from sim_assets.world import World

@@ -7,7 +7,7 @@ from pathlib import Path
 from typing import Any
 
 from app.errors import UsageError
-from app.replay import Recorder, read_recording
+from app.runs.replay import Recorder, read_recording
 from perception.files import read_json
 from perception.object_map import read_object_map
 from perception.scan_folder import Scan, read_scan

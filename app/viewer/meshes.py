@@ -7,7 +7,7 @@ from functools import cached_property
 import numpy as np
 from jaxtyping import Float, UInt8
 
-from app.replay import Recorder
+from app.runs.replay import Recorder
 from app.viewer.story import Believed
 from perception.errors import PerceptionError
 from perception.inference.meshing import mesh_from_code

@@ -15,7 +15,7 @@ from jaxtyping import Float
 from scipy.spatial.transform import Rotation
 
 from app.drawing import CLASS_COLORS, draw_detections
-from app.replay import Recorder
+from app.runs.replay import Recorder
 from app.viewer.meshes import Meshes
 from app.viewer.story import Believed, Moment
 from perception.types import RgbdFrame, TriangleMesh

@@ -15,7 +15,7 @@ import numpy as np
 from jaxtyping import Float
 from scipy.spatial.transform import Rotation
 
-from app.replay import Note, Recorder
+from app.runs.replay import Note, Recorder
 from perception.types import Category
 
 Status = Literal["fitting", "reconstructed", "next", "in the hand", "put down", "left"]

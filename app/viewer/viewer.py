@@ -7,7 +7,7 @@ from typing import Any
 
 import numpy as np
 
-from app.replay import Recorder
+from app.runs.replay import Recorder
 from app.viewer.meshes import Meshes
 from app.viewer.panel import CAMERAS, Panel
 from app.viewer.player import Player

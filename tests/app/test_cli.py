@@ -10,7 +10,7 @@ import pytest
 from app import cli
 from app.cli import run
 from app.errors import UsageError
-from app.report import ObjectReport, Report
+from app.runs.report import ObjectReport, Report
 
 BAD_USAGE = {
     "no command": ([], "Expected one of {pack, sort,"),

@@ -11,7 +11,7 @@ import trimesh
 from trimesh.visual import TextureVisuals
 from trimesh.visual.material import PBRMaterial
 
-from app.replay import Recorder
+from app.runs.replay import Recorder
 from perception.object_map import write_object_map
 from perception.scan_folder import write_scan
 from perception.types import CameraIntrinsics, ObjectDetection, ObjectEstimate, RgbdFrame, TriangleMesh

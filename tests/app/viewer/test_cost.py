@@ -12,13 +12,13 @@ import viser
 import websockets.asyncio.client
 import websockets.exceptions
 
-from app.cell import build_world
-from app.gate import Gate
 from app.options import PackOptions
 from app.perceive import load_perception
-from app.recording import CellRecorder
 from app.screen import Screen
-from app.task import run_in
+from app.task.cell import build_world
+from app.task.command import run_in
+from app.task.gate import Gate
+from app.task.recording import CellRecorder
 from app.viewer.server import open_server
 from app.viewer.viewer import Viewer
 

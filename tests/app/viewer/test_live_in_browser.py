@@ -10,8 +10,8 @@ import pytest
 
 import app.viewer.live
 from app.options import ViewOptions
-from app.replay import Recorder
-from app.report import Report
+from app.runs.replay import Recorder
+from app.runs.report import Report
 from app.screen import Screen
 from app.viewer.live import Session
 from app.viewer.server import open_server

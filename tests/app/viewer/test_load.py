@@ -45,7 +45,7 @@ def test_replays_need_no_simulator_installed():
     program = """
 import sys
 sys.modules.update(dict.fromkeys(("mujoco", "mjviser", "mink", "ruckig"), None))
-import app.view
+import app.viewer.command
 import app.viewer.page
 """
     subprocess.run([sys.executable, "-c", program], check=True)

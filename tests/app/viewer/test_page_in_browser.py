@@ -3,7 +3,7 @@ import pytest
 from app.errors import UsageError
 from app.options import ViewOptions
 from app.screen import Screen
-from app.view import run
+from app.viewer.command import run
 
 
 def test_the_standalone_page_opens_from_a_file(run_folder, tmp_path, open_page):

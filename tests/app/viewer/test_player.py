@@ -3,7 +3,7 @@ import time
 
 import pytest
 
-from app.gate import Gate, Stopped
+from app.task.gate import Gate, Stopped
 from app.viewer.player import HEAD_START, LAG, SHARE_OF_RUN, SHARE_OF_TIME, Player, affordable
 from app.viewer.story import Story
 

@@ -1,0 +1,84 @@
+"""``nodeslam bench``: how fast each part is, beside a reference that is timed in the same run."""
+
+from __future__ import annotations
+
+import time
+from collections.abc import Sequence
+
+from rich.markup import escape
+from rich.table import Table
+
+from app.benchmarks.machine import describe_machine
+from app.benchmarks.rows import benchmarks
+from app.benchmarks.scene import prepare
+from app.benchmarks.timing import Row, TimingConfig, measure
+from app.options import BenchOptions
+from app.perceive import resolve_device
+from app.runs.report import Report
+from app.runs.run_folder import RunFolder
+from app.screen import Screen
+from perception.inference.reconstruct import single_threaded_torch
+
+
+def run(options: BenchOptions, screen: Screen) -> Report:
+    """Times every row and stores the table after each, so that an interruption keeps those that are done."""
+    begin = time.perf_counter()
+    device = resolve_device(options.device)
+    folder = RunFolder.create(options, "bench")
+    machine = describe_machine(device)
+    with screen.stage("Preparing a scan of six objects"):
+        scene = prepare(options.scan, options.seed, options.device)
+    rows: list[Row] = []
+    timing = TimingConfig(min_repeats=options.repeats)
+    with screen.stage("Taking times"), single_threaded_torch():
+        for benchmark in benchmarks(scene, device, options.seed):
+            screen.update(benchmark.name)
+            rows.append(measure(benchmark, timing))
+            folder.write_report(_report(options, machine, rows, time.perf_counter() - begin, done=False))
+    report = _report(options, machine, rows, time.perf_counter() - begin, done=True)
+    folder.write_report(report)
+    screen.show(_table(rows))
+    screen.show(escape(_words(machine)))
+    return report
+
+
+def _report(options: BenchOptions, machine: dict, rows: Sequence[Row], seconds: float, done: bool) -> Report:
+    busy = machine["load"] > 0.5 * machine["cores"]
+    return Report(
+        command="bench",
+        seed=options.seed,
+        success=done,
+        reason=f"{len(rows)} rows" + ("" if done else ", not all"),
+        timings={"total": seconds},
+        metrics={"rows": [row.as_json() for row in rows], "machine": machine},
+        warnings=[f"load {machine['load']} on {machine['cores']} cores: trust ratios more than times"]
+        if busy
+        else [],
+        settings={"scan": str(options.scan) if options.scan else "simulated", "repeats": options.repeats},
+    )
+
+
+def _table(rows: Sequence[Row]) -> Table:
+    title = "nodeslam bench: median times; ratio: how many times as fast as the reference"
+    table = Table(title=title, title_justify="left", title_style="", show_edge=False, pad_edge=False)
+    for heading in ("", "time", "on cores", "ratio", "to"):
+        left = heading in ("", "to")
+        table.add_column(heading, justify="left" if left else "right", no_wrap=not left)
+    for row in rows:
+        times = (_milliseconds(seconds) for seconds in (row.value, row.core_seconds))
+        reference = f"{row.reference}: {_milliseconds(row.reference_value)}"
+        table.add_row(escape(row.name), *times, f"{row.ratio:.3g} ×", escape(reference))
+    return table
+
+
+def _milliseconds(seconds: float) -> str:
+    return f"{1e3 * seconds:.2f} ms" if seconds < 0.1 else f"{1e3 * seconds:.0f} ms"
+
+
+def _words(machine: dict) -> str:
+    versions = ", ".join(f"{name} {machine[name]}" for name in ("torch", "warp-lang", "numpy"))
+    cuda = f", {machine['cuda']}" if machine["cuda"] else ""
+    return (
+        f"{machine['processor']}, {machine['cores']} cores, load {machine['load']} at the start{cuda}; "
+        f"nodeslam {machine['nodeslam']}, python {machine['python']}, {versions}"
+    )

@@ -1,0 +1,120 @@
+"""``nodeslam evaluate reconstruction``: the paper's Table 1 with our methods beside it.
+
+Each object stands alone on a table and is seen from random places. The protocol is the paper's: the class is
+known, the start comes from the first view, 30 iterations, 1, 2 and 3 views, 20,000 samples on each surface,
+medians. The masks are the product's own: what stands out of the support plane in the noisy depth.
+Each finished object is one line of ``rows.jsonl``.
+"""
+
+from __future__ import annotations
+
+import time
+from collections import Counter
+from collections.abc import Hashable, Mapping, Sequence
+from functools import partial
+from typing import Any
+
+import numpy as np
+
+from app.errors import UsageError
+from app.evaluation.reconstruction_object import Subject, evaluate_subject
+from app.evaluation.reconstruction_summary import reconstruction_tables, summarise_reconstruction
+from app.evaluation.work import Ledger, Line, spread
+from app.options import EvaluateOptions
+from app.runs.report import Report
+from app.screen import Screen
+from app.task.cell import parse_objects
+from perception.types import CATEGORIES, Category
+
+ROWS = "rows.jsonl"
+MOST_OBJECTS = 10_000
+MOST_VIEWS = 20
+FOLLOWED = 6  # so many objects make the convergence plot
+
+
+def run(options: EvaluateOptions, screen: Screen) -> Report:
+    """Reconstruct what is still to be reconstructed, and report on all."""
+    begin = time.perf_counter()
+    check(options)
+    subjects = choose_subjects(options)
+    ledger, finished = Ledger.open(options, "evaluate-reconstruction", ROWS, "object", _settings(options))
+    to_do = [subject for subject in subjects if subject.name not in finished]
+    if finished:
+        screen.note(f"{len(subjects) - len(to_do)} of {len(subjects)} objects are finished already")
+    with screen.stage(f"Reconstructing {len(to_do)} objects by {len(options.methods)} methods"):
+        for line in spread(partial(evaluate_subject, options), to_do, options):
+            finished[line["object"]] = line
+            ledger.append(line)
+            screen.update(f"{len(finished)} of {len(subjects)}: {line['object']}")
+            ledger.folder.write_report(_report(options, subjects, finished, time.perf_counter() - begin))
+    report = _report(options, subjects, finished, time.perf_counter() - begin)
+    ledger.folder.write_report(report)
+    with screen.stage("Drawing plots and pictures"):
+        from app.evaluation.reconstruction_pictures import write_pictures
+
+        by_name = {subject.name: subject for subject in subjects}
+        write_pictures(ledger.folder.path, report, by_name, options)
+    for table in reconstruction_tables(report):
+        screen.show(table)
+    screen.show(f"plots and pictures in {ledger.folder.path}")
+    return report
+
+
+def check(options: EvaluateOptions) -> None:
+    """Refuse what makes no sense.
+
+    Raises:
+        UsageError: one line says why.
+    """
+    if not options.views or min(options.views) < 1 or max(options.views) > MOST_VIEWS:
+        raise UsageError(f"--views takes numbers from 1 to {MOST_VIEWS}")
+    if not options.methods:
+        raise UsageError("--methods needs at least one method")
+    for name, values in {"views": options.views, "methods": options.methods}.items():
+        if len(set(values)) < len(values):
+            raise UsageError(f"--{name} names one twice")
+    if options.object_meshes is not None and not options.object_meshes.is_dir():
+        raise UsageError(
+            f"--object-meshes {options.object_meshes} is no folder; give DIR of DIR/<class>/*.ply"
+        )
+    if "tsdf" in options.methods:
+        from perception.fusion.tsdf import load_open3d
+
+        load_open3d()
+
+
+def choose_subjects(options: EvaluateOptions) -> list[Subject]:
+    """The objects: of the test families as ``--objects`` says, or every mesh of ``--object-meshes``."""
+    if options.object_meshes is None:
+        wanted = Counter(parse_objects(options.objects, np.random.default_rng(options.seed), MOST_OBJECTS))
+        numbered: list[tuple[Category, int]] = [(c, index) for c in CATEGORIES for index in range(wanted[c])]
+        return [Subject(c, index, followed=n < FOLLOWED) for n, (c, index) in enumerate(numbered)]
+    from sim_assets.objects.user import mesh_files
+
+    numbers: Counter[Category] = Counter()
+    subjects = []
+    for path, category in mesh_files(options.object_meshes):
+        subjects.append(Subject(category, numbers[category], path, len(subjects) < FOLLOWED))
+        numbers[category] += 1
+    return subjects
+
+
+def _settings(options: EvaluateOptions) -> dict[str, Any]:
+    """What has to be the same in a resumed evaluation."""
+    names = ("seed", "objects", "object_meshes", "depth_noise", "views", "methods", "device")
+    return {name: str(getattr(options, name)) for name in names}
+
+
+def _report(
+    options: EvaluateOptions, subjects: Sequence[Subject], lines: Mapping[Hashable, Line], seconds: float
+) -> Report:
+    done = [lines[subject.name] for subject in subjects if subject.name in lines]
+    return Report(
+        command="evaluate reconstruction",
+        seed=options.seed,
+        success=len(done) == len(subjects),
+        reason=f"{len(done)} of {len(subjects)} objects",
+        timings={"total": seconds},
+        metrics=summarise_reconstruction(done),
+        settings=_settings(options),
+    )

@@ -1,0 +1,216 @@
+"""``nodeslam evaluate slam``: the paper's scenes, its ablations and its comparison with TSDF fusion.
+
+Scene i of a seed is always the same: ten unseen objects on a table and a random smooth trajectory. Each
+finished (scene, variant) is one line of ``rows.jsonl``. Sequences, and the detections of the first variant
+that is through with one, are kept in ``sequences/`` and used by the others.
+"""
+
+from __future__ import annotations
+
+import os
+import shutil
+import time
+from collections.abc import Hashable, Mapping, Sequence
+from functools import cache, partial
+from itertools import product
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+
+from app.errors import UsageError
+from app.evaluation.slam_scoring import (
+    TrueObjects,
+    absolute_pose_error,
+    completion_by_update,
+    fused_by_update,
+    surface_rows,
+)
+from app.evaluation.slam_summary import slam_tables, summarise_slam, write_plots
+from app.evaluation.work import Ledger, Line, spread
+from app.options import EvaluateOptions
+from app.runs.report import Report
+from app.screen import Screen
+from app.slam.pictures import write_map_picture
+from app.slam.run import SlamRun
+from app.slam.sequence_truth import read_true_objects, read_true_trajectory
+from perception.detections_file import write_detections
+from perception.recordings.sequence import open_sequence
+from perception.slam.estimates import object_estimates
+from perception.slam.landmarks import Landmark
+from perception.slam.variants import Variant, variant_config
+
+ROWS = "rows.jsonl"
+CURVES_OF = ("full", "with_plane")  # variants whose shapes are followed over their updates
+
+
+def run(options: EvaluateOptions, screen: Screen) -> Report:
+    """Run what is still to be run, and report on all."""
+    begin = time.perf_counter()
+    if options.scenes < 1 or options.frames < 2 or not options.variants:
+        raise UsageError("evaluate slam needs a scene, two frames and a variant at least")
+    from perception.fusion.tsdf import load_open3d
+
+    load_open3d()
+    ledger, finished = Ledger.open(options, "evaluate-slam", ROWS, "key", _settings(options))
+    items: list[tuple[int, Variant]] = list(product(range(options.scenes), options.variants))
+    to_do = [item for item in items if _key(*item) not in finished]
+    if finished:
+        screen.note(f"{len(items) - len(to_do)} of {len(items)} runs are finished already")
+    work = partial(run_scene, options, ledger.folder.path)
+    with screen.stage(f"{len(to_do)} runs"):
+        for line in spread(work, to_do, options):
+            finished[line["key"]] = line
+            ledger.append(line)
+            ledger.folder.write_report(_report(options, items, finished, time.perf_counter() - begin))
+            screen.note(f"{line['key']}: {_brief(line)}")
+            screen.update(f"{len(finished)} of {len(items)}")
+    report = _report(options, items, finished, time.perf_counter() - begin)
+    ledger.folder.write_report(report)
+    write_plots(ledger.folder.path, report)
+    for table in slam_tables(report):
+        screen.show(table)
+    return report
+
+
+def _key(scene: int, variant: Variant) -> str:
+    return f"{scene}/{variant}"
+
+
+def _brief(line: Mapping[str, Any]) -> str:
+    if "ape_mean" not in line:
+        return str(line["reason"])
+    return f"APE {100 * line['ape_mean']:.2f} cm, {line['n_lost']} frames lost, {line['seconds']:.0f} s"
+
+
+def run_scene(options: EvaluateOptions, folder: Path, item: tuple[int, Variant]) -> Line:
+    """One variant on one scene; what breaks is its result, not the end of the evaluation."""
+    scene, variant = item
+    line: Line = {"key": _key(scene, variant), "scene": scene, "variant": variant, "seed": options.seed}
+    begin = time.perf_counter()
+    try:
+        path = ensure_sequence(options, folder, scene)
+        line |= score_variant(options, path, folder, variant, np.random.default_rng([options.seed, scene]))
+    except UsageError:
+        raise
+    except Exception as error:  # a crash of one run is a result, too
+        line["reason"] = f"crashed: {type(error).__name__}: {error}"
+    return line | {"seconds": time.perf_counter() - begin}
+
+
+def ensure_sequence(options: EvaluateOptions, folder: Path, scene: int) -> Path:
+    """The scene's sequence, rendered by whoever needs it first."""
+    from app.slam.sequences import is_complete, write_sequence
+    from sim_assets.sequences import SequenceConfig, TableSequence
+
+    path = folder / "sequences" / f"scene_{scene}"
+    if is_complete(path):
+        return path
+    config = SequenceConfig(frames=options.frames, depth_noise=options.depth_noise)
+    partial_path = path.with_name(f".{path.name}.{os.getpid()}")
+    write_sequence(partial_path, TableSequence(np.random.SeedSequence([options.seed, scene]), config))
+    try:
+        partial_path.rename(path)
+    except OSError:  # another process was faster
+        shutil.rmtree(partial_path)
+    return path
+
+
+@cache
+def _networks(device: Any) -> Any:
+    """Loaded once in each process."""
+    from app.perceive import load_perception
+
+    return load_perception(device)
+
+
+def score_variant(
+    options: EvaluateOptions, path: Path, folder: Path, variant: Variant, rng: np.random.Generator
+) -> Line:
+    """Runs a variant on a sequence and compares with the truth."""
+    networks, sequence = _networks(options.device), open_sequence(path)
+    live = sequence.entries is None
+    slam_run = SlamRun.start(sequence, networks.decoder, networks.detector, variant_config(variant), live)
+    history: dict[int, list[Landmark]] = {}
+    for _, result in slam_run.steps():
+        if result.keyframe and slam_run.slam.world is not None:
+            for one, landmark in slam_run.slam.world.landmarks.items():
+                states = history.setdefault(one, [])
+                if not states or states[-1].updates != landmark.updates:
+                    states.append(landmark)
+    if live:
+        write_detections(path, [slam_run.detections.get(number, []) for number in sequence.ids])
+    return _scores(slam_run, history, path, folder, variant, networks.decoder, rng) | {"live": live}
+
+
+def _scores(
+    slam_run: SlamRun,
+    history: dict[int, list[Landmark]],
+    path: Path,
+    folder: Path,
+    variant: Variant,
+    decoder: Any,
+    rng: np.random.Generator,
+) -> Line:
+    world, trajectory = slam_run.slam.world, slam_run.trajectory
+    true_trajectory, truth = read_true_trajectory(path), TrueObjects(read_true_objects(path), rng)
+    assert world is not None and true_trajectory is not None
+    landmarks = [world.landmarks[i] for i in world.ids]
+    line: Line = absolute_pose_error(trajectory, true_trajectory)
+    line |= {
+        "reason": "done",
+        "n_frames": len(slam_run.results),
+        "n_lost": sum(result.status == "lost" for result in slam_run.results),
+        "n_keyframes": len(slam_run.slam.keyframes),
+        "n_true": len(truth.categories),
+        "objects": surface_rows(landmarks, truth, decoder, rng),
+        "tracking_rate": slam_run.frame_rate,
+        "stage_seconds": {
+            stage: float(np.median(slam_run.seconds(stage) or [0.0]))
+            for stage in ("detect", "track", "joint", "initialise")
+        },
+    }
+    if variant in CURVES_OF:
+        kept = {i: states for i, states in history.items() if i in world.landmarks}
+        line["completion_by_update"] = completion_by_update(kept, truth, decoder, rng)
+    if variant == CURVES_OF[0]:
+        given = noisy_truth(slam_run, true_trajectory.Ts_world_camera, rng)
+        line["tsdf"] = fused_by_update(slam_run, given, truth, world.plane, rng)
+    picture = folder / "pictures" / f"{path.name}_{variant}.png"
+    title = f"{path.name.replace('_', ' ')}, {variant}: APE {100 * line['ape_mean']:.2f} cm"
+    objects = object_estimates(world, decoder)
+    write_map_picture(picture, objects, trajectory, slam_run.slam.keyframes, true_trajectory, title)
+    return line
+
+
+def noisy_truth(slam_run: SlamRun, Ts: np.ndarray, rng: np.random.Generator) -> dict[int, np.ndarray]:
+    """True keyframe poses with the paper's 1 mm and 0.1 degrees of noise, by frame number."""
+    from sim_assets.sequences import perturbed_poses
+
+    noisy = perturbed_poses(Ts, rng)
+    return {k.number: noisy[k.number] for k in slam_run.slam.keyframes}
+
+
+def _settings(options: EvaluateOptions) -> dict[str, Any]:
+    """What has to be the same in a resumed evaluation."""
+    names = ("seed", "frames", "depth_noise", "device")
+    return {name: str(getattr(options, name)) for name in names}
+
+
+def _report(
+    options: EvaluateOptions,
+    items: Sequence[tuple[int, Variant]],
+    lines: Mapping[Hashable, Line],
+    seconds: float,
+) -> Report:
+    done = [lines[_key(*item)] for item in items if _key(*item) in lines]
+    crashed = [line["key"] for line in done if "ape_mean" not in line]
+    return Report(
+        command="evaluate slam",
+        seed=options.seed,
+        success=len(done) == len(items) and not crashed,
+        reason=f"{len(done)} of {len(items)} runs" + (f", {len(crashed)} crashed" if crashed else ""),
+        timings={"total": seconds},
+        metrics=summarise_slam(done),
+        settings=_settings(options) | {"scenes": options.scenes, "variants": list(options.variants)},
+    )

@@ -1,0 +1,165 @@
+"""A SLAM run against the truth: the camera's error, every object's surface, completion by update.
+
+Nothing here goes back into a run. Errors are taken as they are: the first pose is given, so no trajectory is
+aligned to the truth before it is judged.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Mapping, Sequence
+from dataclasses import replace
+from typing import Any
+
+import numpy as np
+from jaxtyping import Float
+from scipy.optimize import linear_sum_assignment
+
+from app.errors import MissingExtraError
+from app.slam.run import SlamRun
+from perception.fusion.tsdf import TsdfConfig, reconstruct_tsdf
+from perception.inference.meshing import EmptyShapeError
+from perception.inference.shape_model import Decoder
+from perception.metrics import SurfaceSamples, compare_surfaces
+from perception.recordings.trajectory import Trajectory
+from perception.slam.estimates import object_estimate
+from perception.slam.keyframes import Keyframe
+from perception.slam.landmarks import Landmark
+from perception.types import ObjectDetection, SupportPlane, TriangleMesh
+
+MATCH_DISTANCE = 0.06  # [m] between the middles of an estimate and of the object it is of
+CURVE_SAMPLES = 4000
+CURVE_UPDATES = 8
+
+
+def absolute_pose_error(found: Trajectory, truth: Trajectory) -> dict[str, float]:
+    """``ape_mean``, ``ape_rmse``, ``ape_max`` of the camera's place [m], as evo has them, without alignment.
+
+    Raises:
+        MissingExtraError: evo is not installed.
+    """
+    try:
+        from evo.core import metrics, sync
+        from evo.core.trajectory import PoseTrajectory3D
+    except ImportError:
+        raise MissingExtraError("trajectory errors need evo: pip install 'nodeslam[eval]'") from None
+    reference, estimate = (
+        PoseTrajectory3D(timestamps=t.times, poses_se3=list(t.Ts_world_camera)) for t in (truth, found)
+    )
+    pair = sync.associate_trajectories(reference, estimate, max_diff=1e-3)
+    ape = metrics.APE(metrics.PoseRelation.translation_part)
+    ape.process_data(pair)
+    statistics = ape.get_all_statistics()
+    return {f"ape_{name}": float(statistics[name]) for name in ("mean", "rmse", "max")}
+
+
+class TrueObjects:
+    """The true surfaces of a scene, sampled."""
+
+    def __init__(self, objects: Sequence[tuple[str, TriangleMesh]], rng: np.random.Generator) -> None:
+        self.categories = [category for category, _ in objects]
+        self.samples = [SurfaceSamples.of(mesh, rng) for _, mesh in objects]
+        self.sparse = [SurfaceSamples.of(mesh, rng, CURVE_SAMPLES) for _, mesh in objects]
+        self.middles = np.array([_middle(mesh.vertices) for _, mesh in objects])
+
+    def match(self, places: Mapping[int, Float[np.ndarray, "3"]]) -> dict[int, int]:
+        """Index of the true object for each landmark's id, by its place."""
+        if not places:
+            return {}
+        ids = list(places)
+        distance = np.linalg.norm(np.array(list(places.values()))[:, None] - self.middles, axis=-1)
+        rows, columns = linear_sum_assignment(np.minimum(distance, 2 * MATCH_DISTANCE))
+        return {ids[r]: int(c) for r, c in zip(rows, columns) if distance[r, c] < MATCH_DISTANCE}
+
+
+def places_of(landmarks: Sequence[Landmark]) -> dict[int, Float[np.ndarray, "3"]]:
+    """The landmarks' origins by id [m]."""
+    return {one.id: one.state.pose.translation for one in landmarks}
+
+
+def _middle(vertices: Float[np.ndarray, "n 3"]) -> Float[np.ndarray, "3"]:
+    return (vertices.min(axis=0) + vertices.max(axis=0)) / 2
+
+
+def surface_rows(
+    landmarks: Sequence[Landmark], truth: TrueObjects, decoder: Decoder, rng: np.random.Generator
+) -> list[dict[str, Any]]:
+    """One row for each landmark: class, accuracy, chamfer_l1 [m], completion at 1 cm. Some match nothing."""
+    matches = truth.match(places_of(landmarks))
+    rows = []
+    for one in landmarks:
+        row: dict[str, Any] = {
+            "id": one.id,
+            "category": one.category,
+            "updates": one.updates,
+            "hits": one.hits,
+        }
+        index = matches.get(one.id)
+        if index is None:
+            rows.append(row | {"true_category": None})
+            continue
+        row["true_category"] = truth.categories[index]
+        try:
+            mesh = object_estimate(one, decoder).mesh_world
+        except EmptyShapeError:
+            rows.append(row)
+            continue
+        figures = compare_surfaces(SurfaceSamples.of(mesh, rng), truth.samples[index])
+        rows.append(row | {k: float(getattr(figures, k)) for k in ("accuracy", "chamfer_l1", "completion")})
+    return rows
+
+
+def completion_by_update(
+    history: dict[int, list[Landmark]], truth: TrueObjects, decoder: Decoder, rng: np.random.Generator
+) -> list[list[float]]:
+    """For each object of the final map the completion after its first, second, ... update."""
+    matches = truth.match(places_of([states[-1] for states in history.values()]))
+    curves = []
+    for one, index in matches.items():
+        curve = []
+        for state in history[one][:CURVE_UPDATES]:
+            try:
+                samples = SurfaceSamples.of(object_estimate(state, decoder).mesh_world, rng, CURVE_SAMPLES)
+                curve.append(compare_surfaces(samples, truth.sparse[index]).completion)
+            except EmptyShapeError:
+                curve.append(0.0)
+        curves.append(curve)
+    return curves
+
+
+def fused_by_update(
+    run: SlamRun,
+    Ts_given: dict[int, Float[np.ndarray, "4 4"]],
+    truth: TrueObjects,
+    plane: SupportPlane,
+    rng: np.random.Generator,
+) -> dict[str, list[list[float]]]:
+    """The same for TSDF fusion (Fusion++): keyframes that updated an object are fused, at the given poses.
+
+    Returns:
+        ``completion`` and ``accuracy`` [m] of each object of the map after 1, 2, ... keyframes.
+    """
+    assert run.slam.world is not None
+    landmarks = [run.slam.world.landmarks[i] for i in run.slam.world.ids]
+    curves: dict[str, list[list[float]]] = {"completion": [], "accuracy": []}
+    for one, index in truth.match(places_of(landmarks)).items():
+        views = [k for k in run.slam.keyframes if one in k.landmarks and k.number in Ts_given]
+        completion, accuracy = [], []
+        for count in range(1, min(len(views), CURVE_UPDATES) + 1):
+            frames = [replace(k.frame, T_world_camera=Ts_given[k.number]) for k in views[:count]]
+            masks = [[_detection(k, one)] for k in views[:count]]
+            fused = reconstruct_tsdf(frames, masks, plane, TsdfConfig(closed=False))
+            if not fused:
+                completion.append(0.0)
+                continue
+            samples = SurfaceSamples.of(fused[0].mesh_world, rng, CURVE_SAMPLES)
+            figures = compare_surfaces(samples, truth.sparse[index])
+            completion.append(figures.completion)
+            accuracy.append(figures.accuracy)
+        curves["completion"].append(completion)
+        curves["accuracy"].append(accuracy)
+    return curves
+
+
+def _detection(key: Keyframe, one: int) -> ObjectDetection:
+    label = next(k for k, landmark in key.landmark_of.items() if landmark == one)
+    return ObjectDetection("mug", 1.0, key.labels == label, instance_id=one)  # fusion knows no classes

@@ -1,0 +1,94 @@
+"""``nodeslam evaluate tasks``: success over many episodes, with its interval and the reasons of failures.
+
+Each finished episode is one line of ``episodes.jsonl``.
+"""
+
+from __future__ import annotations
+
+import time
+from collections.abc import Mapping, Sequence
+from dataclasses import replace
+from functools import cache, partial
+from typing import Any
+
+from app.errors import MissingExtraError, UsageError
+from app.evaluation.statistics import summarise
+from app.evaluation.work import Ledger, spread
+from app.options import EvaluateOptions
+from app.runs.report import Report
+from app.screen import Screen
+from app.tables import evaluation_table
+
+EPISODES = "episodes.jsonl"
+
+
+def run(options: EvaluateOptions, screen: Screen) -> Report:
+    """Run the episodes that are still to be run, and report on all."""
+    begin = time.perf_counter()
+    ledger, finished = Ledger.open(options, "evaluate-tasks", EPISODES, "seed", _settings(options))
+    folder = ledger.folder
+    seeds = range(options.seed, options.seed + options.episodes)
+    to_run = [seed for seed in seeds if seed not in finished]
+    if finished:
+        screen.note(f"{len(seeds) - len(to_run)} of {len(seeds)} episodes are finished already")
+    with screen.stage(f"{len(to_run)} episodes of {options.task}"):
+        for line in spread(partial(run_seed, options), to_run, options):
+            finished[line["seed"]] = line
+            ledger.append(line)
+            done = [finished[seed] for seed in seeds if seed in finished]
+            folder.write_report(_report(options, done, time.perf_counter() - begin))
+            screen.note(f"seed {line['seed']}: {line['reason']}")
+            screen.update(f"{len(done)} of {len(seeds)}")
+    report = _report(options, [finished[seed] for seed in seeds], time.perf_counter() - begin)
+    folder.write_report(report)
+    screen.show(evaluation_table(report))
+    return report
+
+
+def run_seed(options: EvaluateOptions, seed: int) -> dict[str, Any]:
+    """One episode, as a line of the results; what breaks is its reason, not the end of the evaluation."""
+    from app.task.cell import build_world
+    from app.task.episode import run_episode
+
+    begin = time.perf_counter()
+    episode = replace(options, seed=seed)
+    line: dict[str, Any] = {"seed": seed, "task": options.task}
+    try:
+        with build_world(episode, options.task) as world:
+            report, _ = run_episode(world, episode, options.task, _perception(options.device))
+            line |= {
+                key: report.as_json()[key] for key in ("success", "reason", "timings", "objects", "metrics")
+            }
+    except (UsageError, MissingExtraError):
+        raise
+    except Exception as error:  # a crash of one episode is a result, too
+        line |= {"success": False, "reason": f"crashed: {type(error).__name__}: {error}", "objects": []}
+    return line | {"wall_seconds": time.perf_counter() - begin}
+
+
+@cache
+def _perception(device: Any) -> Any:
+    """Networks, loaded once in each process."""
+    from app.perceive import load_perception
+
+    return load_perception(device)
+
+
+def _settings(options: EvaluateOptions) -> dict[str, Any]:
+    """What has to be the same in a resumed evaluation."""
+    names = ("task", "objects", "object_meshes", "box", "depth_noise", "shapes", "device")
+    return {name: str(getattr(options, name)) for name in names}
+
+
+def _report(options: EvaluateOptions, lines: Sequence[Mapping[str, Any]], seconds: float) -> Report:
+    metrics = summarise(lines)
+    done = len(lines) == options.episodes
+    return Report(
+        command="evaluate tasks",
+        seed=options.seed,
+        success=done,
+        reason=f"{len(lines)} of {options.episodes} episodes, {metrics['n_successes']} of them complete",
+        timings={"total": seconds},
+        metrics=metrics,
+        settings=_settings(options),
+    )

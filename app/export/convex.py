@@ -1,0 +1,205 @@
+"""Convex pieces of reconstructed meshes that keep a cavity open.
+
+Decompositions of meshes fill cavities and rock on the table. Here the mesh is measured in polar coordinates
+about its body's axis, and the pieces are made from the measured radii: a stack of frusta where the body is
+solid, rings of wall segments where it is hollow, and a chain of short pieces along a mug's handle.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import dataclass, replace
+from itertools import pairwise
+
+import numpy as np
+import trimesh
+from jaxtyping import Bool, Float
+from scipy.spatial import ConvexHull
+
+from app.export.convex_handle import handle_pieces
+from manipulation.sections import section
+from manipulation.standing import body_axis
+from perception.types import Category, TriangleMesh
+from sim_assets.objects.collision import CLEARANCE, breakpoints
+
+Piece = Float[np.ndarray, "_n 3"]
+
+AROUND = 24  # wall segments of a ring
+SAMPLES = 5  # azimuths measured for each segment
+LEVELS = 56  # heights measured
+MOST_LEVELS = 7  # of wall segments or frusta, above each other
+TOLERANCE = 4e-4  # [m] that pieces may stray from the measured profile
+LEAST_COVERED = 0.2  # of the azimuths that must meet the mesh for a height to be used
+THICKER, FATTER = (0.85, 1.15), (0.98, 1.02)  # bounds on what corrects the volume of walls, of closed bodies
+OPEN_SHARE = 0.8  # of the azimuths that must see the axis free for a height to count as cavity
+LEAST_CAVITY = 0.002  # [m] of depth: shallower hollows are filled
+THICKNESS_WEIGHT = 3.0  # a wall's thickness decides its volume: it is followed closer than its place
+HANDLE_SECTOR = np.deg2rad(50)  # around a mug's +x, where the body's radius is not measured but filled in
+FOOT = 1.2e-3  # [m] above the lowest point at which the base is measured: meshes have rounded edges
+
+
+@dataclass(frozen=True)
+class PolarBody:
+    """A body measured about its axis, handle left out.
+
+    Attributes:
+        axis: (x, y) of the axis in the object frame [m].
+        z: heights [m], ascending; the first is the mesh's lowest point, the last its highest.
+        inner: radius of the cavity at each height and segment boundary [m]; 0 where solid.
+        outer: radius of the body there [m].
+        dome: index into ``z`` of the top of a hollow under the base; 0 for a flat base.
+        floor: index of the cavity's floor; the last index for a body without one.
+    """
+
+    axis: Float[np.ndarray, "2"]
+    z: Float[np.ndarray, "z"]
+    inner: Float[np.ndarray, "z k"]
+    outer: Float[np.ndarray, "z k"]
+    dome: int
+    floor: int
+
+
+def convex_pieces(mesh: TriangleMesh, category: Category) -> list[Piece]:
+    """Corners of convex pieces, in the mesh's frame (z up), whose union is the object; see the module.
+
+    Walls, or the whole body where it has none, are made as thick as the mesh's volume asks for.
+    """
+    body = measure(mesh, category)
+    handle = handle_pieces(mesh, body.axis, body.z, body.outer[:, 0]) if category == "mug" else []
+    volume = trimesh.Trimesh(mesh.vertices, mesh.faces, process=False).volume - pieces_volume(handle)
+    solid, walls = _solids(body), _walls(body)
+    missing = volume - pieces_volume(solid + walls)
+    if body.z[-1] - body.z[body.floor] > 0.25 * np.ptp(body.z):
+        factor = np.clip(1 + missing / pieces_volume(walls), *THICKER)
+        body = replace(body, inner=body.outer - factor * (body.outer - body.inner))
+    else:
+        factor = np.sqrt(np.clip(1 + missing / pieces_volume(solid + walls), *FATTER))
+        body = replace(body, inner=factor * body.inner, outer=factor * body.outer)
+    return _solids(body) + _walls(body) + handle
+
+
+def pieces_volume(pieces: Sequence[Piece]) -> float:
+    """Sum of the pieces' volumes in [m³]; they hardly overlap."""
+    return float(sum(ConvexHull(piece).volume for piece in pieces))
+
+
+def measure(mesh: TriangleMesh, category: Category) -> PolarBody:
+    """The body in polar coordinates about its axis."""
+    axis = body_axis(mesh.vertices, mesh.faces, category)
+    low, high = float(mesh.vertices[:, 2].min()), float(mesh.vertices[:, 2].max())
+    edge = min(FOOT, 0.02 * (high - low))
+    z = np.linspace(low + edge, high - edge, LEVELS)
+    azimuths = 2 * np.pi * np.arange(AROUND * SAMPLES) / (AROUND * SAMPLES)
+    inner, outer = _radii(mesh, axis, z, azimuths)
+    covered = np.isfinite(outer).mean(axis=1)
+    usable = covered > LEAST_COVERED
+    z, inner, outer, covered = z[usable], inner[usable], outer[usable], covered[usable, None]
+    if category == "mug":
+        hidden = np.abs((azimuths + np.pi) % (2 * np.pi) - np.pi) < HANDLE_SECTOR
+        inner[:, hidden] = outer[:, hidden] = np.nan
+    opened = (np.nan_to_num(inner) > 0).sum(axis=1) > OPEN_SHARE * np.isfinite(inner).sum(axis=1)
+    floor, dome = _cavity(opened, z), len(z) - 1 - _cavity(opened[::-1], -z[::-1])
+    inner, outer = _filled(inner), _filled(outer)
+    inner[dome : floor + 1] = 0.0
+    # A ragged rim or an uneven base has gaps: closed, it would hold more than the mesh does.
+    inner, outer = (
+        np.where(inner > 0, outer - covered * (outer - inner), 0),
+        np.where(inner > 0, outer, np.sqrt(covered) * outer),
+    )
+    z[0], z[-1] = low, high
+    return PolarBody(axis, z, _by_segment(inner), _by_segment(outer), dome, floor)
+
+
+def _radii(
+    mesh: TriangleMesh, axis: np.ndarray, z: np.ndarray, azimuths: np.ndarray
+) -> tuple[np.ndarray, np.ndarray]:
+    """Radii (z, azimuths) of the cavity, 0 where the axis is in the material, and of the outside; or NaN."""
+    outward = np.stack([np.cos(azimuths), np.sin(azimuths)])
+    beside = np.stack([-outward[1], outward[0]])
+    inner = np.full((len(z), len(azimuths)), np.nan)
+    outer = inner.copy()
+    for row, height in enumerate(z):
+        ends = section(mesh.vertices, mesh.faces, float(height)) - axis
+        side, along = ends @ beside, ends @ outward  # (segments, 2, azimuths)
+        crossed = (side[:, 0] >= 0) != (side[:, 1] >= 0)
+        share = side[:, 0] / np.where(crossed, side[:, 0] - side[:, 1], 1.0)
+        hits = along[:, 0] + share * (along[:, 1] - along[:, 0])
+        hits = np.where(crossed & (hits > 0), hits, np.nan)
+        found = np.isfinite(hits).sum(axis=0)
+        some = found > 0
+        outer[row, some] = np.nanmax(hits[:, some], axis=0)
+        inner[row, some] = np.where(found[some] % 2 == 1, 0.0, np.nanmin(hits[:, some], axis=0))
+    return inner, outer
+
+
+def _cavity(opened: Bool[np.ndarray, "z"], z: Float[np.ndarray, "z"]) -> int:
+    """Index of the height at which the cavity that opens to the end begins; the last one if there is none."""
+    closed = np.flatnonzero(~opened)
+    begin = int(closed[-1]) if len(closed) else 0
+    return begin if begin < len(z) - 2 and z[-1] - z[begin] > LEAST_CAVITY else len(z) - 1
+
+
+def _filled(radii: Float[np.ndarray, "z a"]) -> Float[np.ndarray, "z a"]:
+    """Gaps in each row closed around the circle, linearly."""
+    filled = radii.copy()
+    columns = np.arange(radii.shape[1])
+    for row in filled:
+        known = np.isfinite(row)
+        row[:] = np.interp(columns, columns[known], row[known], period=len(columns))
+    return filled
+
+
+def _by_segment(radii: Float[np.ndarray, "z a"]) -> Float[np.ndarray, "z k"]:
+    """Radii at the segments' boundaries, enlarged so that the polygon has the measured area."""
+    around = radii.shape[1] // SAMPLES
+    half = SAMPLES // 4
+    windows = np.stack([np.roll(radii, shift, axis=1) for shift in range(-half, half + 1)])
+    mean = np.sqrt((windows**2).mean(axis=0))[:, ::SAMPLES]
+    step = 2 * np.pi / around
+    return mean * np.sqrt(step / np.sin(step))
+
+
+def _ring(body: PolarBody, radii: np.ndarray, z: float) -> Float[np.ndarray, "k 3"]:
+    """Points at the segment boundaries of one height."""
+    azimuths = 2 * np.pi * np.arange(len(radii)) / len(radii)
+    xy = body.axis + radii[:, None] * np.stack([np.cos(azimuths), np.sin(azimuths)], axis=1)
+    return np.column_stack([xy, np.full(len(radii), z)])
+
+
+def _levels(body: PolarBody, low: int, high: int) -> list[int]:
+    """The heights, as indices, at which the mean profile bends."""
+    rows = slice(low, high + 1)
+    inner, outer = body.inner[rows].mean(axis=1), body.outer[rows].mean(axis=1)
+    profile = np.stack([outer, THICKNESS_WEIGHT * (outer - inner), body.z[rows]], axis=1)
+    return [low + int(index) for index in breakpoints(profile, TOLERANCE, MOST_LEVELS)]
+
+
+def _solids(body: PolarBody) -> list[Piece]:
+    """Frusta where the axis is inside the material, and a flat foot under a hollow base.
+
+    The foot's ring alone would creep over the table.
+    """
+    rings = [_ring(body, body.outer[i], body.z[i]) for i in _levels(body, body.dome, body.floor)]
+    pieces = [np.concatenate(pair) for pair in pairwise(rings)]
+    if body.dome:
+        pieces.append(np.concatenate([_ring(body, body.outer[0], body.z[0] + up) for up in (0, CLEARANCE)]))
+    return pieces
+
+
+def _walls(body: PolarBody) -> list[Piece]:
+    """Rings of wall segments, off the ground, which the base alone touches."""
+    pieces: list[Piece] = []
+    for low, high in ((0, body.dome), (body.floor, len(body.z) - 1)):
+        for first, last in pairwise(_levels(body, low, high)) if high > low else ():
+            pieces += _segments(body, first, last)
+    return pieces
+
+
+def _segments(body: PolarBody, first: int, last: int) -> list[Piece]:
+    """One ring of segments between two heights."""
+    corners = []
+    for i in (first, last):
+        z = max(body.z[i], body.z[0] + CLEARANCE)
+        corners += [_ring(body, np.maximum(body.inner[i], 0.0), z), _ring(body, body.outer[i], z)]
+    around = body.inner.shape[1]
+    return [np.concatenate([ring[[k, (k + 1) % around]] for ring in corners]) for k in range(around)]

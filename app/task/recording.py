@@ -1,0 +1,138 @@
+"""Records a run in the simulated cell for viewers: what moves, what is seen and thought.
+
+It only reads. The true poses of the objects, which people may see and the robot may not, come from
+``scoring``.
+"""
+
+from __future__ import annotations
+
+import threading
+from collections.abc import Sequence
+from typing import Any
+
+import numpy as np
+from jaxtyping import Float
+from scipy.spatial.transform import Rotation
+
+from app.runs.replay import Recorder
+from app.task.pipeline import Watcher
+from app.task.scoring import read_truth
+from manipulation.execution import TaskEvent
+from manipulation.kinematics import Kinematics
+from manipulation.types import PickPlacePlan, TaskPlan
+from perception.inference.fit import FitStep
+from perception.types import Category, ObjectEstimate, RgbdFrame
+from sim_assets import visuals
+from sim_assets.world import World
+
+PATH_POINTS = 16  # of each motion of the planned path
+RATE = 30.0  # [Hz] of simulated time
+
+
+class CellRecorder(Watcher):
+    """Fills a ``Recorder``."""
+
+    def __init__(self, world: World) -> None:
+        super().__init__()
+        self.world = world
+        self._kinematics = Kinematics(world.arm)
+        self._lock = threading.Lock()  # fits tell their steps from several threads
+        objects = tuple(f"object{number}" for number in read_truth(world).models)
+        self.recorder = Recorder(
+            bodies=(*visuals.moving_bodies(world), *objects), meshes=visuals.body_meshes(world)
+        )
+        self.sample()
+
+    def sample(self) -> None:
+        """Where everything is now."""
+        world = self.world
+        truth = np.array([_position_wxyz(T) for T in read_truth(world).poses.values()]).reshape(-1, 7)
+        poses = np.concatenate([visuals.poses(world), truth])
+        with self._lock:
+            self.recorder.sample(world.time, world.joint_positions(), world.gripper_width(), poses)
+
+    def begin(self, stage: str) -> None:
+        self._note("stage", name=stage)
+
+    def done(self, stage: str, seconds: float) -> None:
+        self._note("done", name=stage, seconds=round(seconds, 2))
+
+    def looked(self, frame: RgbdFrame) -> None:
+        self.sample()
+        self.recorder.frames.append(frame)
+        self._note("look", index=len(self.recorder.frames) - 1)
+
+    def fit_step(self, object_id: int, category: Category, step: FitStep) -> None:
+        self._note(
+            "fit",
+            id=object_id,
+            category=category,
+            iteration=step.iteration,
+            code=step.code,
+            T_world_object=step.pose.T_world_object,
+            scale=step.pose.scale,
+            residual=step.residual if np.isfinite(step.residual) else None,
+        )
+
+    def event(self, event: TaskEvent) -> None:
+        details: dict[str, Any] = {}
+        if event.plan is not None:
+            plan = event.plan
+            details = {
+                "T_stand_tcp": plan.grasp.T_stand_tcp,
+                "T_world_stand_rest": plan.T_world_stand_rest,
+                "grasps": [grasp.T_stand_tcp for grasp in event.candidates],
+            }
+            self._note("path", name=plan.name, points=self._path(plan))
+        counts = {"done": event.done, "total": event.total}
+        self._note("action", phase=event.phase, name=event.name, message=event.message, **counts, **details)
+
+    def made(self, name: str, value: Any) -> None:
+        if name == "detections":
+            self.recorder.detections = value.per_frame
+            for index, found in enumerate(value.per_frame):
+                self._note("found", index=index, count=len(found))
+        elif name == "objects":
+            self.recorder.objects = tuple(value)
+            self._note("objects", covariances=_covariances(value))
+        elif name == "plan":
+            self._note("plan", placements=_placements(value), left_out=dict(value.left_out))
+
+    def _note(self, kind: Any, **data: Any) -> None:
+        with self._lock:
+            self.recorder.note(kind, **data)
+
+    def _path(self, plan: PickPlacePlan) -> Float[np.ndarray, "n 3"]:
+        """Where the tool will be led, in [m]."""
+        points = []
+        for motion in (plan.approach, plan.lift, plan.transfer, plan.retreat):
+            rows = np.linspace(0, len(motion.positions) - 1, PATH_POINTS).astype(int)
+            points += [self._kinematics.forward(motion.positions[row])[:3, 3] for row in rows]
+        return np.array(points)
+
+
+def _position_wxyz(T: Float[np.ndarray, "4 4"]) -> Float[np.ndarray, "7"]:
+    return np.concatenate([T[:3, 3], Rotation.from_matrix(T[:3, :3]).as_quat(scalar_first=True)])
+
+
+def _covariances(estimates: Sequence[ObjectEstimate]) -> dict[str, Any]:
+    """Upper triangles by id, where there are any."""
+    upper = np.triu_indices(25)
+    return {
+        str(estimate.id): [float(f"{value:.3g}") for value in estimate.covariance[upper]]
+        for estimate in estimates
+        if estimate.covariance is not None
+    }
+
+
+def _placements(plan: TaskPlan) -> list[dict[str, Any]]:
+    return [
+        {
+            "name": placement.name,
+            "T_world_stand": plan.objects[placement.name].T_world_stand,
+            "position": placement.position,
+            "yaws": placement.yaws,
+            "stack": placement.stack,
+        }
+        for placement in plan.placements
+    ]

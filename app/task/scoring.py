@@ -1,0 +1,237 @@
+"""Scores from the simulator's true state; with ``labels`` the only reader of ground truth.
+
+The robot never sees any of this. Oracle shapes, which a planner can be given on request to show what planning
+alone reaches, are made here too.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass
+from functools import cached_property
+from typing import Any
+
+import numpy as np
+from jaxtyping import Float
+from scipy.optimize import linear_sum_assignment
+
+from app.runs.report import ObjectReport
+from app.task.criteria import BoxSpace, TrueObject, judge_pack, judge_sort
+from manipulation.nesting import stack_bowls
+from manipulation.standing import stand
+from manipulation.types import Line, ObjectOutcome, TaskPlan
+from perception.metrics import SurfaceSamples, compare_surfaces, point_recall
+from perception.types import CODE_SIZE, ObjectEstimate, TriangleMesh
+from sim_assets import ground_truth
+from sim_assets.objects import ObjectModel, canonical_scale
+from sim_assets.scene import BoxConfig
+from sim_assets.world import World
+
+MATCH_DISTANCE = 0.05  # [m] between the axes of an estimate and of the object it is of
+
+
+@dataclass(frozen=True)
+class Truth:
+    """The cell's objects as they really are and stand at one moment, by number."""
+
+    models: Mapping[int, ObjectModel]
+    poses: Mapping[int, Float[np.ndarray, "4 4"]]
+
+    @property
+    def objects(self) -> dict[int, TrueObject]:
+        return {
+            i: TrueObject(m.category, np.asarray(m.mesh.vertices), m.height, m.radius, self.poses[i])
+            for i, m in self.models.items()
+        }
+
+
+def read_truth(world: World) -> Truth:
+    """The true state now."""
+    return Truth(ground_truth.object_models(world), ground_truth.object_poses(world))
+
+
+def oracle_estimates(truth: Truth) -> list[ObjectEstimate]:
+    """What perfect perception would hand to the planner."""
+    estimates = []
+    for number, model in truth.models.items():
+        scale, centre = canonical_scale(model)
+        T_true_object = np.eye(4)
+        T_true_object[:3, 3] = centre
+        mesh = TriangleMesh(np.asarray(model.mesh.vertices) - centre, np.asarray(model.mesh.faces))
+        estimates.append(
+            ObjectEstimate(
+                id=number,
+                category=model.category,
+                code=np.zeros(CODE_SIZE),
+                T_world_object=truth.poses[number] @ T_true_object,
+                scale=np.full(3, scale),
+                mesh=mesh,
+            )
+        )
+    return estimates
+
+
+def match(estimates: Sequence[ObjectEstimate], truth: Truth) -> dict[int, int]:
+    """Number of the true object that each estimate (by id) is of, by position on the table."""
+    if not estimates or not truth.models:
+        return {}
+    numbers = list(truth.models)
+    there = np.array([truth.poses[number][:2, 3] for number in numbers])
+    middles = np.array([_axis(estimate) for estimate in estimates])
+    distance = np.linalg.norm(middles[:, None] - there, axis=-1)
+    rows, columns = linear_sum_assignment(np.minimum(distance, 2 * MATCH_DISTANCE))
+    return {
+        estimates[row].id: numbers[column]
+        for row, column in zip(rows, columns)
+        if distance[row, column] <= MATCH_DISTANCE
+    }
+
+
+def _axis(estimate: ObjectEstimate) -> Float[np.ndarray, "2"]:
+    """(x, y) of the body in the world in [m]; the handle of a mug, along object +x, left out."""
+    low, high = estimate.mesh.vertices.min(axis=0), estimate.mesh.vertices.max(axis=0)
+    x = low[0] + estimate.radius if estimate.category == "mug" else (low[0] + high[0]) / 2
+    return (estimate.T_world_object @ (x, (low[1] + high[1]) / 2, 0.0, 1.0))[:2]
+
+
+def score_reconstruction(
+    estimates: Sequence[ObjectEstimate], truth: Truth, rng: np.random.Generator
+) -> list[dict[str, Any]]:
+    """One row for each true object: accuracy, chamfer_l1 [m], completion at 1 cm, handle recall at 5 mm."""
+    matches = {number: estimate_id for estimate_id, number in match(estimates, truth).items()}
+    by_id = {estimate.id: estimate for estimate in estimates}
+    rows = []
+    for number, model in truth.models.items():
+        row: dict[str, Any] = {"object": number, "category": model.category, "found": number in matches}
+        if number in matches:
+            estimate = by_id[matches[number]]
+            row |= {"id": estimate.id, "perceived": estimate.category, "status": estimate.status}
+            row |= TrueSurface.of(model, truth.poses[number], rng).score(estimate, rng)
+        rows.append(row)
+    return rows
+
+
+@dataclass(frozen=True)
+class TrueSurface:
+    """A true object where it stands, sampled: what reconstructions of it are compared with.
+
+    Attributes:
+        T_world_object: its pose.
+        mesh_world: its surface.
+        samples: on it, in the world.
+        handle: (m, 3) those on a mug's handle.
+    """
+
+    T_world_object: Float[np.ndarray, "4 4"]
+    mesh_world: TriangleMesh
+    samples: SurfaceSamples
+    handle: Float[np.ndarray, "m 3"]
+
+    @staticmethod
+    def of(
+        model: ObjectModel, T_world_object: Float[np.ndarray, "4 4"], rng: np.random.Generator
+    ) -> TrueSurface:
+        mesh = TriangleMesh(np.asarray(model.mesh.vertices), np.asarray(model.mesh.faces))
+        mesh = mesh.transformed(T_world_object)
+        samples = SurfaceSamples.of(mesh, rng)
+        local = (samples.points - T_world_object[:3, 3]) @ T_world_object[:3, :3]
+        return TrueSurface(T_world_object, mesh, samples, samples.points[model.is_handle(local)])
+
+    @cached_property
+    def sparse(self) -> SurfaceSamples:
+        """A sixth of the samples, for curves."""
+        return SurfaceSamples(self.samples.points[::6], self.samples.normals[::6], self.samples.faces[::6])
+
+    def score(self, estimate: ObjectEstimate, rng: np.random.Generator) -> dict[str, float]:
+        """accuracy, chamfer_l1 [m], completion at 1 cm; of mugs the handle's recall at 5 mm; and, where the
+        estimate says how sure it is, the median of that [m] and the share of its surface that keeps to it.
+        """
+        samples = SurfaceSamples.of(estimate.mesh_world, rng)
+        figures = compare_surfaces(samples, self.samples)
+        result = {name: float(getattr(figures, name)) for name in ("accuracy", "chamfer_l1", "completion")}
+        if estimate.surface_sigma is not None:
+            sigma = estimate.surface_sigma[estimate.mesh.faces[samples.faces]].mean(axis=1)
+            error = self.samples.distance_along_normal(samples.points)
+            result["surface_sigma"] = float(np.median(sigma))
+            result |= {f"within_{k}_sigma": float((error < k * sigma).mean()) for k in (1, 2)}
+        if len(self.handle):
+            result["handle_recall"] = point_recall(samples, self.handle)
+        return result
+
+
+def score_task(
+    plan: TaskPlan | None,
+    estimates: Sequence[ObjectEstimate],
+    outcomes: Sequence[ObjectOutcome],
+    before: Truth,
+    after: Truth,
+    box: BoxConfig | None,
+) -> list[ObjectReport]:
+    """What became of every object on the table: perceived or not, attempted or not, and how it stands now.
+
+    Args:
+        plan: what was planned; None where planning failed.
+        estimates: the object map the plan was made from.
+        outcomes: what the robot believes it did.
+        before, after: true states before the first motion and after the last.
+        box: of a packing task; None for sorting.
+    """
+    objects = after.objects
+    if box is not None:
+        space = BoxSpace(box.center, box.inner[:2], box.floor)
+        verdicts = judge_pack(list(objects.values()), space, nests=_nests_needed(before))
+    else:
+        line = (plan.line if plan else None) or Line()
+        verdicts = judge_sort(list(objects.values()), line.start, line.end)
+    judged = dict(zip(objects, verdicts))
+    estimate_of = {number: estimate_id for estimate_id, number in match(estimates, before).items()}
+    by_id = {estimate.id: estimate for estimate in estimates}
+    outcome_of = {outcome.id: outcome for outcome in outcomes}
+    reports = []
+    for number, item in objects.items():
+        estimate = by_id.get(estimate_of.get(number, -1))
+        outcome = outcome_of.get(estimate.id) if estimate else None
+        reason = judged[number]
+        if reason:
+            reason = _why(reason, plan, estimate, outcome)
+        reports.append(
+            ObjectReport(
+                id=estimate.id if estimate else -1 - number,
+                category=item.category,
+                placed=not reason,
+                error_position=_distance(item, outcome),
+                error_tilt=item.tilt,
+                attempts=outcome.attempts if outcome else 0,
+                reason=reason,
+                details={"perceived": estimate.category if estimate else None, "size": item.size},
+            )
+        )
+    return reports
+
+
+def _nests_needed(truth: Truth) -> int:
+    """How many nests the bowls make at least, by their true shapes."""
+    bowls = [stand(estimate) for estimate in oracle_estimates(truth) if estimate.category == "bowl"]
+    return max(1, len(stack_bowls(bowls)))
+
+
+def _why(
+    judged: str, plan: TaskPlan | None, estimate: ObjectEstimate | None, outcome: ObjectOutcome | None
+) -> str:
+    """The first thing that went wrong: not seen, not planned, not carried out, or not standing right."""
+    if estimate is None:
+        return f"not perceived ({judged})"
+    if plan is None:
+        return "no plan"
+    if estimate.name in plan.left_out:
+        return f"not attempted: {plan.left_out[estimate.name]}"
+    if outcome is not None and not outcome.placed:
+        return outcome.reason or judged
+    return judged
+
+
+def _distance(item: TrueObject, outcome: ObjectOutcome | None) -> float | None:
+    """Horizontal distance in [m] between where the object stands and where it was to stand."""
+    if outcome is None or outcome.T_world_stand is None:
+        return None
+    return float(np.linalg.norm((item.base - outcome.T_world_stand[:3, 3])[:2]))

@@ -1,0 +1,1 @@
+"""Training of the shipped networks: data, labels, model cards with pictures."""

@@ -1,0 +1,71 @@
+"""``nodeslam train``: reproduce the shipped weights of one network."""
+
+from __future__ import annotations
+
+import time
+from dataclasses import replace
+from typing import Any
+
+from rich.markup import escape
+
+from app.errors import UsageError
+from app.options import TrainOptions
+from app.perceive import resolve_device
+from app.runs.report import Report
+from app.runs.run_folder import RunFolder
+from app.screen import Screen
+
+
+def run(options: TrainOptions, screen: Screen) -> Report:
+    """Train into the run folder; the shipped weights are not touched."""
+    device = resolve_device(options.device)
+    train, config = _job(options)
+    changes: dict[str, Any] = {"seed": options.seed}
+    if options.epochs is not None:
+        changes["epochs"] = options.epochs
+    config = replace(config, device=device, training=replace(config.training, **changes))
+    if options.network == "shape":
+        config = replace(config, meshes=options.meshes, tensorboard=options.tensorboard)
+    elif options.meshes is not None or options.tensorboard:
+        raise UsageError(f"--meshes and --tensorboard are for `train shape`, not `train {options.network}`")
+    folder = RunFolder.create(options, f"train-{options.network}")
+    begin = time.perf_counter()
+    with screen.stage(f"Training {options.network}"):
+        metrics = train(
+            config, folder.path, lambda what, share: screen.update(f"{100 * share:.0f} %, {what}")
+        )
+    report = Report(
+        command="train",
+        seed=options.seed,
+        success=True,
+        reason=f"trained {options.network}",
+        timings={"total": time.perf_counter() - begin},
+        metrics=metrics,
+        warnings=metrics.get("skipped", ()),
+        settings={"network": options.network, "device": device, "epochs": config.training.epochs},
+    )
+    folder.write_report(report)
+    for line in report.warnings:
+        screen.note(f"left out: {line}")
+    screen.show(
+        escape(f"weights and model card in {folder.path}; copy them to perception/weights to use them")
+    )
+    return report
+
+
+def _job(options: TrainOptions) -> tuple[Any, Any]:
+    """The training function of a network, and its default configuration."""
+    if options.network == "shape":
+        from app.training.shape import TrainShapeConfig
+        from app.training.shape import run as train
+
+        return train, TrainShapeConfig()
+    if options.network == "detector":
+        from app.training.detector import TrainDetectorConfig
+        from app.training.detector import run as train
+
+        return train, TrainDetectorConfig()
+    from app.training.yaw import TrainYawConfig
+    from app.training.yaw import run as train
+
+    return train, TrainYawConfig()

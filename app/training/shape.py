@@ -1,0 +1,284 @@
+"""`nodeslam train shape`: gather shapes, train the shape prior, write weights and an illustrated model card.
+
+Shapes are sampled from the training families, or come from a user's meshes. Both live outside perception,
+which only ever sees arrays of occupancies.
+"""
+
+from __future__ import annotations
+
+import json
+import logging
+from collections.abc import Callable, Sequence
+from dataclasses import asdict, dataclass, field, replace
+from pathlib import Path
+from typing import Any, Literal
+
+import numpy as np
+import torch
+
+from app.training.shape_pictures import CODE, PIXEL, RECONSTRUCTIONS, WALK, draw_shape_pictures
+from perception.errors import PerceptionError
+from perception.files import read_json, write_atomically, write_json
+from perception.shape.dataset import ShapeDataset
+from perception.shape.evaluation import OBJECT_VOXELS, ShapeScores, describe, evaluate
+from perception.shape.network import ShapeVae
+from perception.shape.training import EpochRecord, TrainingConfig, train
+from perception.shape.weights import save_weights, weights_checksum
+from perception.types import CATEGORIES, Category
+
+log = logging.getLogger(__name__)
+
+Split = Literal["train", "test"]
+Progress = Callable[[str, float], None]  # what is going on, and the share of the whole job done
+
+
+@dataclass(frozen=True)
+class TrainShapeConfig:
+    """The job behind the shipped weights; its defaults reproduce them.
+
+    Attributes:
+        mugs: number of training shapes; mugs are the most, because their handles are hard to learn.
+        bowls: number of training shapes.
+        bottles: number of training shapes.
+        cans: number of training shapes.
+        held_out: shapes of each class from the test families, to judge by.
+        meshes: folder of a user's meshes (see ``shape_meshes.py``) to learn from instead, a tenth held out.
+        training: how to train.
+        evaluate_every: epochs between evaluations on the held-out shapes.
+        tensorboard: also write curves for TensorBoard (extra `train`).
+        device: "cpu" or "cuda".
+    """
+
+    mugs: int = 4500
+    bowls: int = 3000
+    bottles: int = 3000
+    cans: int = 1500
+    held_out: int = 200
+    meshes: Path | None = None
+    training: TrainingConfig = field(default_factory=TrainingConfig)
+    evaluate_every: int = 5
+    tensorboard: bool = False
+    device: str = "cpu"
+
+    @property
+    def counts(self) -> dict[Category, int]:
+        return {"mug": self.mugs, "bowl": self.bowls, "bottle": self.bottles, "can": self.cans}
+
+
+def run(config: TrainShapeConfig, out_dir: Path, progress: Progress | None = None) -> dict[str, Any]:
+    """Train into a folder: data, checkpoint, `history.json`, `shape.safetensors`, `shape.md` with pictures.
+
+    Run again on the same folder after an interruption, it goes on after the last whole epoch; on a finished
+    one, it only judges the weights and writes the card anew.
+
+    Returns:
+        the report's metrics: held-out scores by class, the weights' path and checksum, meshes left out.
+    """
+    tell = progress or (lambda what, share: None)
+    out_dir.mkdir(parents=True, exist_ok=True)
+    seed = config.training.seed
+    train_data, test_data, skipped = _shapes(config, out_dir, tell)
+    watcher = _Watcher(config, out_dir, test_data)
+
+    def on_batch(epoch: int, done: int, batches: int) -> None:
+        share = (epoch - 1 + done / batches) / config.training.epochs
+        tell(f"epoch {epoch} of {config.training.epochs}", share)
+
+    model = train(
+        train_data, config.training, config.device, out_dir / "checkpoint.pt", watcher.on_epoch, on_batch
+    )
+    scores = evaluate(model, test_data, config.device)
+    weights = out_dir / "shape.safetensors"
+    metadata = {
+        "seed": str(seed),
+        "epochs": str(config.training.epochs),
+        "config": json.dumps(asdict(replace(config, meshes=None)) | {"meshes": config.meshes is not None}),
+    }
+    save_weights(model, weights, metadata)
+    tell("drawing pictures", 1.0)
+    draw_shape_pictures(model, test_data if len(test_data) else train_data, out_dir, config.device)
+    write_atomically(out_dir / "shape.md", model_card(config, scores, weights, train_data))
+    return {
+        "skipped": list(skipped),
+        "weights": str(weights),
+        "sha256": weights_checksum(weights),
+        "held_out": held_out(scores),
+    }
+
+
+def _shapes(
+    config: TrainShapeConfig, out_dir: Path, tell: Progress
+) -> tuple[ShapeDataset, ShapeDataset, Sequence[str]]:
+    """Shapes to learn from and to judge by, kept in the folder for the next start, and what was left out."""
+    train_path, test_path = out_dir / "train_shapes.npz", out_dir / "test_shapes.npz"
+    seed = config.training.seed
+    if config.meshes is None:
+        tell("sampling shapes", 0.0)
+        test_counts: dict[Category, int] = dict.fromkeys(CATEGORIES, config.held_out)
+        train_data = cached_shapes(train_path, config.counts, "train", seed)
+        return train_data, cached_shapes(test_path, test_counts, "test", seed), ()
+    job = {"meshes": str(config.meshes.resolve()), "seed": seed}
+    source = out_dir / "shapes.json"
+    if source.exists() and train_path.exists() and test_path.exists():
+        remedy = "delete the folder or choose another --out"
+        found = read_json(source, remedy)
+        if not isinstance(found, dict) or {key: found.get(key) for key in job} != job:
+            raise PerceptionError(f"{source} tells of other meshes or another seed; {remedy}")
+        return ShapeDataset.load(train_path), ShapeDataset.load(test_path), found.get("skipped", ())
+    from app.training.shape_meshes import load_shapes
+
+    shapes = load_shapes(
+        config.meshes, seed, lambda done, total: tell(f"reading mesh {done} of {total}", 0.0)
+    )
+    shapes.train.save(train_path)
+    shapes.test.save(test_path)
+    write_json(source, {**job, "skipped": list(shapes.skipped)})
+    return shapes.train, shapes.test, shapes.skipped
+
+
+def cached_shapes(path: Path, counts: dict[Category, int], split: Split, seed: int) -> ShapeDataset:
+    """Shapes of the families, from the file where an earlier start of the same job left them."""
+    if path.exists():
+        data = ShapeDataset.load(path)
+        if {category: len(data.of(category)) for category in CATEGORIES} == counts:
+            return data
+        raise PerceptionError(f"{path} holds other shapes than asked for; delete it or choose another --out")
+    from sim_assets.objects.families import sample_training_grids
+
+    data = ShapeDataset.from_grids(
+        {category: sample_training_grids(category, n, seed, split) for category, n in counts.items()}
+    )
+    data.save(path)
+    return data
+
+
+def held_out(scores: dict[Category, ShapeScores]) -> dict[str, dict[str, float | None]]:
+    """The scores as JSON; null where a class has no handles, or a shape no surface yet."""
+    return {
+        category: {name: value if np.isfinite(value) else None for name, value in asdict(s).items()}
+        for category, s in scores.items()
+    }
+
+
+class _Watcher:
+    """Writes what each epoch came to: history.json, and curves where asked."""
+
+    def __init__(self, config: TrainShapeConfig, out_dir: Path, test_data: ShapeDataset) -> None:
+        self._config, self._test_data = config, test_data
+        self._path = out_dir / "history.json"
+        self._history: list[dict[str, Any]] = (
+            json.loads(self._path.read_text()) if self._path.exists() else []
+        )
+        self._curves = _summary_writer(out_dir) if config.tensorboard else None
+
+    def on_epoch(self, record: EpochRecord, model: ShapeVae) -> None:
+        entry: dict[str, Any] = asdict(record)
+        if record.epoch % self._config.evaluate_every == 0:
+            scores = evaluate(model, self._test_data, self._config.device, max_surfaces=40)
+            entry["held_out"] = held_out(scores)
+            log.info("epoch %d: loss %.1f; %s", record.epoch, record.loss, describe(scores))
+        self._history.append(entry)
+        write_json(self._path, self._history)
+        if self._curves is not None:
+            self._curves.add_scalar("loss", record.loss, record.epoch)
+            self._curves.add_scalar("divergence", record.divergence, record.epoch)
+            for category, values in entry.get("held_out", {}).items():
+                self._curves.add_scalar(f"iou/{category}", values["iou"], record.epoch)
+            self._curves.flush()
+
+
+def _summary_writer(out_dir: Path) -> Any:
+    try:
+        from torch.utils.tensorboard import SummaryWriter
+    except ImportError as error:
+        raise PerceptionError(
+            "TensorBoard is not installed; run `pip install 'nodeslam[train]'`, or leave out --tensorboard"
+        ) from error
+    return SummaryWriter(str(out_dir))
+
+
+def model_card(
+    config: TrainShapeConfig, scores: dict[Category, ShapeScores], weights: Path, data: ShapeDataset
+) -> str:
+    """Markdown that says what the weights are, where they come from and how good they are."""
+    rows = []
+    for category, s in scores.items():
+        recall = "–" if np.isnan(s.handle_recall) else f"{100 * s.handle_recall:.0f} %"
+        millimetres = 100 * s.surface / OBJECT_VOXELS
+        cells = (
+            category,
+            f"{s.iou:.3f}",
+            f"{s.surface:.2f}",
+            f"{millimetres:.2f}",
+            recall,
+            f"{s.code_spread:.2f}",
+        )
+        rows.append(f"| {' | '.join(cells)} |")
+    return _CARD.format(
+        parameters=sum(parameter.numel() for parameter in ShapeVae().parameters()),
+        megabytes=weights.stat().st_size / 1e6,
+        checksum=weights_checksum(weights),
+        counts=", ".join(f"{len(data.of(category))} {category}s" for category in CATEGORIES),
+        source=_FAMILIES if config.meshes is None else _MESHES,
+        held_out=_HELD_OUT.format(config=config) if config.meshes is None else _HELD_OUT_MESHES,
+        command="nodeslam train shape" + ("" if config.meshes is None else " --meshes DIR"),
+        pictures=(RECONSTRUCTIONS, WALK, PIXEL, CODE),
+        training=config.training,
+        loss=config.training.loss,
+        torch=torch.__version__.split("+")[0],
+        rows="\n".join(rows),
+    )
+
+
+_FAMILIES = """sampled with the seed above from the
+training families of `sim_assets/objects`: procedural shapes only, no scanned object"""
+_MESHES = "from a user's folder of meshes"
+_HELD_OUT = """{config.held_out} shapes of each class from the test families (other handle styles and
+profiles)"""
+_HELD_OUT_MESHES = "a tenth of each class"
+
+_CARD = """# Shape prior
+
+Class-conditional variational autoencoder of 32³ occupancy grids for mug, bowl, bottle and can, 16 code
+entries (`perception/shape/network.py`). Encoder and decoder, {parameters} parameters, float16 safetensors,
+{megabytes:.1f} MB, SHA-256 `{checksum}`.
+
+**Made by** `{command} --seed {training.seed}` with torch {torch}: {training.epochs} epochs, Adam
+{training.learning_rate} falling along a cosine, batch {training.batch_size}, float32. KL weight {loss.beta};
+voxels at structures thinner than three voxels weigh 1 + {loss.thin}, those at the handles of mugs a further
+{loss.handle}.
+
+**Data**: {counts}, {source}.
+Bowls, bottles and cans are mirrored at random.
+
+**Held out**: {held_out}, encoded and decoded.
+Medians, but the mean for handles; surfaces at occupancy 0.5, of 100 shapes a class. A voxel is 1/28.8 of the
+longest side, 3.5 mm of a 100 mm object. The code's root mean square is 1 where codes follow the prior.
+
+| class | IoU | surface error [voxel] | the same at 100 mm [mm] | handle within 1.5 voxels | code RMS |
+| --- | --- | --- | --- | --- | --- |
+{rows}
+
+![Held-out shapes above, what encoder and decoder make of them below]({pictures[0]})
+
+Held-out shapes (above) and what encoder and decoder make of them (below).
+
+![Nine steps between the codes of two held-out shapes, for each class]({pictures[1]})
+
+A walk along the line between the codes of two held-out shapes, for each class.
+
+![A rendered pixel and its derivative by the occupancies]({pictures[2]})
+
+The derivative of one rendered depth (red ring) by the occupancies that its ray meets, seen from the side:
+more of any of them brings the depth nearer, those in front most.
+
+![A rendered object and its derivative by the code]({pictures[3]})
+
+A rendered object: depth, its standard deviation, and the derivative of the depth by the ten entries of the
+code that move it most (red: nearer, blue: farther).
+
+IoU is low where walls are about a voxel thick: a quarter of a voxel is then a quarter of the shape.
+
+**Limits**: walls under half a voxel (1.7 mm of 100 mm) decode to occupancies below 0.5; handles unlike the
+families' blur; ribs, spouts, lugs, lids and anything not upright are not in the families.
+"""

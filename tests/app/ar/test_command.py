@@ -1,0 +1,157 @@
+"""Augmented reality: what falls is held where real things would hold it, and hidden by what is before it."""
+
+from __future__ import annotations
+
+import json
+from collections.abc import Callable
+from pathlib import Path
+
+import cv2
+import numpy as np
+import pytest
+import trimesh
+from PIL import Image
+
+from app.ar.composite import DARKEST, Backdrop, composite, shadow_of, visible_toys
+from app.ar.drop import plan_drops, rim_radius
+from app.ar.surroundings import CELL, clutter, support_frame
+from app.cli import run
+from app.export.convex import convex_pieces, measure
+from perception.object_map import write_object_map
+from perception.scan_folder import write_scan
+from perception.types import CameraIntrinsics, ObjectEstimate, RgbdFrame, SupportPlane
+from sim_assets.camera import look_at
+from sim_assets.drop_world import DropWorld, Rendering, StaticObject, Toy, View
+
+LENS = CameraIntrinsics(160, 120, 150.0, 150.0, 75.0, 65.0)
+Standing = Callable[..., ObjectEstimate]
+
+
+def static(estimate: ObjectEstimate) -> StaticObject:
+    mesh = trimesh.Trimesh(estimate.mesh.vertices, estimate.mesh.faces, process=False)
+    pieces = convex_pieces(estimate.mesh, estimate.category)
+    return StaticObject(estimate.name, mesh, pieces, estimate.T_world_object)
+
+
+def table_frame(T_world_camera: np.ndarray | None, lift: float = 0.0) -> RgbdFrame:
+    """What a camera 0.5 m straight above an empty table measures, or above a block of a height."""
+    depth = np.full((LENS.height, LENS.width), 0.5, np.float32)
+    depth[:30, :40] -= lift
+    rgb = np.full((LENS.height, LENS.width, 3), 180, np.uint8)
+    return RgbdFrame(0.0, rgb, depth, LENS, T_world_camera)
+
+
+ABOVE = look_at(np.array([0.0, 0.0, 0.5]), np.zeros(3))
+
+
+@pytest.mark.parametrize("category", ["mug", "bowl"])
+def test_balls_dropped_into_a_vessel_stay_in_it(standing: Standing, category: str) -> None:
+    vessel = standing(category, 0, (0.1, -0.2))
+    body = measure(vessel.mesh, vessel.category)
+    opening, top = rim_radius(body), vessel.mesh_world.vertices[:, 2].max()
+    axis = np.array([*body.axis, 0]) + vessel.T_world_object[:3, 3]
+    toys = [
+        Toy(
+            "ball", 0.3 * opening, axis * (1, 1, 0) + [*(0.4 * opening * turn), top + 0.1], 0.3 * i, (1, 0, 0)
+        )
+        for i, turn in enumerate(np.array([[1.0, 0.0], [-0.5, 0.8], [0.0, -1.0]]))
+    ]
+    world = DropWorld([static(vessel)], toys, SupportPlane(), np.eye(4), [])
+    world.advance(2.5)
+    away = np.linalg.norm(world.positions()[:, :2] - axis[:2], axis=1)
+    floor = body.z[body.floor] + vessel.T_world_object[2, 3]
+    assert (away < opening).all() and (world.positions()[:, 2] < top + 0.3 * opening).all()
+    assert (world.positions()[:, 2] > floor + 0.3 * opening - 2e-3).all()  # nothing sinks through
+
+
+def test_rain_falls_over_the_objects_and_rests_on_the_support(standing: Standing) -> None:
+    objects = [standing("bowl", 0), standing("can", 1, (0.15, 0.0))]
+    bodies = [measure(o.mesh, o.category) for o in objects]
+    toys = plan_drops(objects, bodies, np.array([0, 0, 1.0]), 6, np.random.default_rng(0))
+    assert len(toys) == 6 and len({toy.release for toy in toys}) == 6
+    world = DropWorld([static(o) for o in objects], toys, SupportPlane(), np.eye(4), [])
+    world.advance(2.0)
+    assert (world.positions()[:, 2] > 0.004).all()
+
+
+def test_a_toy_appears_in_the_pixel_its_place_projects_to_and_casts_a_shadow() -> None:
+    toy = Toy("ball", 0.012, np.array([0.05, 0.03, 0.06]), 0.0, (1, 0, 0))
+    world = DropWorld([], [toy], SupportPlane(), np.eye(4), [View(LENS, ABOVE)])
+    bare, now = world.render(0, toys=False), world.render(0)
+    world.close()
+    local = ABOVE[:3, :3].T @ (toy.position - ABOVE[:3, 3])
+    expected = LENS.fx * local[:2] / local[2] + (LENS.cx, LENS.cy)
+    v, u = np.nonzero(now.toys)
+    np.testing.assert_allclose((u.mean(), v.mean()), expected, atol=0.7)
+    assert not bare.toys.any() and bare.depth.max() == pytest.approx(0.5, abs=2e-3)
+    shadow = shadow_of(Backdrop.of(table_frame(ABOVE), bare), now)
+    assert DARKEST <= shadow.min() < 0.9 and (shadow > 0.99).mean() > 0.8  # the ball hides most of it
+
+
+def test_measured_depth_hides_what_lies_behind_it() -> None:
+    toys = np.zeros((LENS.height, LENS.width), bool)
+    toys[40:80, 60:100] = True
+    white = np.full((LENS.height, LENS.width, 3), 255, np.uint8)
+    red = np.where(toys[..., None], np.array([255, 0, 0], np.uint8), white)
+    near, far = np.full(toys.shape, 0.4, np.float32), np.full(toys.shape, 0.6, np.float32)
+    frame = table_frame(ABOVE)
+    backdrop = Backdrop.of(frame, Rendering(white, far, np.zeros_like(toys)))
+    assert (visible_toys(backdrop, Rendering(red, near, toys)) == toys).all()
+    assert not visible_toys(backdrop, Rendering(red, far, toys)).any()
+    shown, hidden = (composite(backdrop, Rendering(red, depth, toys)) for depth in (near, far))
+    np.testing.assert_allclose(shown[60, 80], (255, 0, 0), atol=2)
+    np.testing.assert_array_equal(hidden[60, 80], frame.rgb[60, 80])
+    np.testing.assert_array_equal(shown[5, 5], frame.rgb[5, 5])
+
+
+def test_unknown_things_on_the_table_are_obstacles_and_objects_are_not(standing: Standing) -> None:
+    estimate = standing("can", 0, (0.0, 0.0))
+    frame = table_frame(ABOVE, lift=0.08)
+    T = support_frame([estimate], SupportPlane())
+    field = clutter([frame], [estimate], T)
+    assert field.heights.max() == pytest.approx(0.08, abs=1e-3)
+    middle = field.heights.shape[0] // 2
+    assert field.heights[middle, middle] == 0
+    row, column = np.nonzero(field.heights)
+    x, y = (column - middle) * CELL + T[0, 3], (row - middle) * CELL + T[1, 3]
+    local = (np.stack([x, y, np.full(len(x), 0.08)], axis=1) - ABOVE[:3, 3]) @ ABOVE[:3, :3]
+    pixel = LENS.fx * local[:, :2] / local[:, 2:] + (LENS.cx, LENS.cy)
+    assert (pixel < (46, 36)).all()
+
+
+def test_a_single_image_without_pose_is_enough(tmp_path: Path, standing: Standing) -> None:
+    """Somebody's scan folder with an object map in it: the camera is the world."""
+    estimate = standing("bowl", 3, (0.0, 0.0))
+    T_camera_object = np.linalg.inv(ABOVE) @ estimate.T_world_object
+    seen = ObjectEstimate(3, "bowl", estimate.code, T_camera_object, estimate.scale, estimate.mesh)
+    write_scan(tmp_path / "mine", [table_frame(None)])
+    write_object_map(tmp_path / "mine", [seen])
+    out = tmp_path / "out"
+    arguments = [
+        "ar",
+        str(tmp_path / "mine"),
+        "--drops",
+        "2",
+        "--seconds",
+        "0.6",
+        "--out",
+        str(out),
+        "--quiet",
+    ]
+    assert run(arguments) == 0
+    report = json.loads((out / "report.json").read_text())
+    assert report["success"] and report["metrics"]["n_toys"] == 2
+    film = cv2.VideoCapture(str(out / "video.mp4"))
+    frames = [image for good, image in iter(film.read, (False, None)) if good]
+    film.release()
+    assert len(frames) > 15 and frames[0].shape == (120, 160, 3)
+    picture = np.asarray(Image.open(out / "pictures" / "000000.png")).astype(int)
+    assert (np.abs(picture - 180).max(axis=-1) > 30).sum() > 50  # toys, or their shadows
+
+
+def test_a_run_without_images_is_refused(
+    tmp_path: Path, standing: Standing, capsys: pytest.CaptureFixture[str]
+) -> None:
+    write_object_map(tmp_path / "bare", [standing("can")])
+    assert run(["ar", str(tmp_path / "bare"), "--out", str(tmp_path / "out")]) == 2
+    assert "has no images" in capsys.readouterr().err

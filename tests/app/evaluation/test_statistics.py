@@ -1,0 +1,72 @@
+import pytest
+
+from app.evaluation.statistics import kind_of, summarise, wilson_interval
+
+
+@pytest.mark.parametrize(
+    ("successes", "trials", "low", "high"),
+    [
+        # Newcombe, Statistics in Medicine 17 (1998), table I, method 3.
+        (81, 263, 0.2553, 0.3662),
+        (15, 148, 0.0624, 0.1605),
+        (0, 20, 0.0000, 0.1611),
+        (1, 29, 0.0061, 0.1718),
+        (20, 20, 0.8389, 1.0000),
+    ],
+)
+def test_wilson_interval_agrees_with_published_values(successes, trials, low, high):
+    assert wilson_interval(successes, trials) == pytest.approx((low, high), abs=5e-5)
+
+
+def test_wilson_interval_at_the_border():
+    assert wilson_interval(0, 0) == (0.0, 1.0)
+    with pytest.raises(ValueError, match="3 successes of 2 trials"):
+        wilson_interval(3, 2)
+
+
+def test_reasons_are_joined_by_kind():
+    first = "mug_3 at (0.61, -0.44) m is out of the arm's reach; move it closer"
+    second = "mug_12 at (0.30, -0.05) m is out of the arm's reach; move it closer"
+    assert kind_of(first) == kind_of(second) == "it at m is out of the arm's reach; move it closer"
+    assert kind_of("tilted by 12 deg") == "tilted by N deg"
+
+
+def thing(category, placed, reason=""):
+    return {"category": category, "placed": placed, "reason": reason}
+
+
+def test_summary_of_three_episodes():
+    row = {"category": "mug", "found": True, "accuracy": 0.002, "handle_recall": 0.7}
+    lines = [
+        {
+            "seed": 1,
+            "success": True,
+            "reason": "",
+            "objects": [thing("mug", True), thing("can", True)],
+            "metrics": {"simulated_seconds": 40.0, "reconstruction": [row, row | {"accuracy": 0.004}]},
+            "timings": {"scan": 4.0},
+            "wall_seconds": 70.0,
+        },
+        {
+            "seed": 2,
+            "success": False,
+            "reason": "1 of 2",
+            "objects": [thing("mug", False, "tilted by 12 deg"), thing("can", True)],
+            "metrics": {
+                "simulated_seconds": 50.0,
+                "reconstruction": [row | {"found": False, "accuracy": None}],
+            },
+            "timings": {"scan": 6.0},
+            "wall_seconds": 90.0,
+        },
+        {"seed": 3, "success": False, "reason": "crashed: ValueError: 7", "objects": [], "wall_seconds": 1.0},
+    ]
+    summary = summarise(lines)
+    assert (summary["n_episodes"], summary["n_successes"], summary["n_objects"]) == (3, 1, 4)
+    assert summary["success_rate"] == pytest.approx(1 / 3) and summary["object_success_rate"] == 0.75
+    assert summary["success_rate_ci"] == wilson_interval(1, 3)
+    assert summary["per_class"]["mug"]["success_rate"] == 0.5
+    assert summary["failures"] == {"mug: tilted by N deg": 1, "crashed: ValueError: N": 1}
+    assert summary["simulated_seconds"] == 45.0 and summary["stage_seconds"] == {"scan": 5.0}
+    mugs = summary["reconstruction"]["mug"]
+    assert mugs["accuracy"] == pytest.approx(0.003) and mugs["found"] == pytest.approx(2 / 3)

@@ -1,0 +1,95 @@
+"""Evaluation: every episode on disk as it ends, resumed where it stopped."""
+
+import json
+import sys
+import types
+
+import pytest
+
+from app.errors import MissingExtraError, UsageError
+from app.evaluation import tasks as evaluate_tasks
+from app.options import EvaluateOptions
+from app.screen import Screen
+
+
+def options(out, **changes):
+    fields = {"what": "tasks", "seed": 10, "episodes": 4, "out": out, "quiet": True}
+    return EvaluateOptions(**(fields | changes))
+
+
+@pytest.fixture
+def episodes(monkeypatch):
+    """Replaces real episodes by quick ones; records the seeds that were run, and can be interrupted."""
+    ran = []
+
+    def run_seed(options, seed):
+        if seed in interrupted:
+            raise KeyboardInterrupt
+        ran.append(seed)
+        thing = {"category": "can", "placed": seed % 2 == 0, "reason": "" if seed % 2 == 0 else "toppled"}
+        return {"seed": seed, "success": seed % 2 == 0, "reason": "", "objects": [thing], "wall_seconds": 1.0}
+
+    interrupted = set()
+    monkeypatch.setattr(evaluate_tasks, "run_seed", run_seed)
+    run_seed.ran, run_seed.interrupted = ran, interrupted
+    return run_seed
+
+
+def report_in(folder):
+    return json.loads((folder / "report.json").read_text())
+
+
+def test_report_has_what_the_design_asks_for(tmp_path, episodes):
+    report = evaluate_tasks.run(options(tmp_path), Screen(quiet=True))
+    assert episodes.ran == [10, 11, 12, 13] and report.success
+    metrics = report_in(tmp_path)["metrics"]
+    assert metrics["success_rate"] == 0.5 and metrics["object_success_rate"] == 0.5
+    low, high = metrics["success_rate_ci"]
+    assert 0 < low < 0.5 < high < 1
+    assert metrics["failures"] == {"can: toppled": 2}
+
+
+def test_interrupted_evaluation_keeps_what_is_finished_and_goes_on(tmp_path, episodes):
+    episodes.interrupted.add(12)
+    with pytest.raises(KeyboardInterrupt):
+        evaluate_tasks.run(options(tmp_path), Screen(quiet=True))
+    kept = report_in(tmp_path)
+    assert not kept["success"] and kept["metrics"]["n_episodes"] == 2 and "2 of 4 episodes" in kept["reason"]
+    with (tmp_path / "episodes.jsonl").open("a") as file:
+        file.write('{"seed": 12, "succ')  # killed while writing
+    episodes.interrupted.clear()
+    report = evaluate_tasks.run(options(tmp_path, resume=True), Screen(quiet=True))
+    assert episodes.ran == [10, 11, 12, 13]
+    assert report.success and report.metrics["n_episodes"] == 4
+    lines = [json.loads(line) for line in (tmp_path / "episodes.jsonl").read_text().splitlines()]
+    assert sorted(line["seed"] for line in lines) == [10, 11, 12, 13]
+
+
+def test_a_fresh_start_forgets_the_old_episodes(tmp_path, episodes):
+    evaluate_tasks.run(options(tmp_path, episodes=2), Screen(quiet=True))
+    evaluate_tasks.run(options(tmp_path, episodes=2), Screen(quiet=True))
+    assert episodes.ran == [10, 11, 10, 11]
+
+
+def test_resuming_with_other_settings_is_refused(tmp_path, episodes):
+    evaluate_tasks.run(options(tmp_path, episodes=1), Screen(quiet=True))
+    with pytest.raises(UsageError, match="was made with another box, task"):
+        evaluate_tasks.run(options(tmp_path, resume=True, task="sort", box="0.4,0.3,0.1"), Screen(quiet=True))
+
+
+def test_a_crash_of_one_episode_is_its_result(monkeypatch):
+    def broken(*args):
+        raise ZeroDivisionError("of all things")
+
+    monkeypatch.setitem(
+        sys.modules, "app.task.episode", types.SimpleNamespace(run_episode=None)
+    )  # loads long
+    monkeypatch.setattr("app.task.cell.build_world", broken)
+    line = evaluate_tasks.run_seed(options(None), 3)
+    assert line["success"] is False and line["reason"] == "crashed: ZeroDivisionError: of all things"
+
+
+def test_ray_without_ray_says_what_to_install(tmp_path, monkeypatch):
+    monkeypatch.setitem(sys.modules, "ray", None)
+    with pytest.raises(MissingExtraError, match=r"pip install 'nodeslam\[cluster\]'"):
+        evaluate_tasks.run(options(tmp_path, ray="auto"), Screen(quiet=True))

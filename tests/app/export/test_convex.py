@@ -1,0 +1,78 @@
+"""Convex pieces: volumes and sizes of reconstructed objects, and cavities that stay open."""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+from typing import get_args
+
+import numpy as np
+import pytest
+import trimesh
+from scipy.spatial import ConvexHull
+
+from app.export.convex import convex_pieces, measure, pieces_volume
+from perception.types import Category, TriangleMesh
+
+Decoded = Callable[[Category], TriangleMesh]
+
+
+def inside(pieces: list[np.ndarray], points: np.ndarray) -> np.ndarray:
+    """Which points lie in some piece."""
+    found = np.zeros(len(points), dtype=bool)
+    for piece in pieces:
+        equations = ConvexHull(piece).equations
+        found |= (points @ equations[:, :3].T + equations[:, 3] <= 1e-9).all(axis=1)
+    return found
+
+
+@pytest.mark.parametrize("category", get_args(Category))
+def test_volume_and_size_agree_with_the_mesh(decoded: Decoded, category: Category) -> None:
+    mesh = decoded(category)
+    pieces = convex_pieces(mesh, category)
+    truth = trimesh.Trimesh(mesh.vertices, mesh.faces)
+    assert pieces_volume(pieces) == pytest.approx(truth.volume, rel=0.02)
+    extent = np.ptp(np.concatenate(pieces), axis=0)
+    np.testing.assert_allclose(extent, truth.extents, rtol=0.025)
+    assert extent[2] == pytest.approx(truth.extents[2], rel=1e-6)
+
+
+@pytest.mark.parametrize("category", ["mug", "bowl"])
+def test_cavity_stays_open_and_walls_stay_closed(decoded: Decoded, category: Category) -> None:
+    mesh = decoded(category)
+    body = measure(mesh, category)
+    pieces = convex_pieces(mesh, category)
+    rows = range(body.floor + 2, len(body.z) - 3)
+    inner, outer = body.inner[rows].mean(axis=1), body.outer[rows].mean(axis=1)
+    away = np.deg2rad(np.arange(70, 290, 11))  # from a handle
+    for share, expected in ((0.0, False), (0.85, False)):
+        radius = share * inner[:, None] * np.ones(len(away))
+        assert inside(pieces, _polar(body, radius, away, rows)).any() == expected
+    middle = 0.5 * (inner + outer)[:, None] * np.ones(len(away))
+    assert inside(pieces, _polar(body, middle, away, rows)).mean() > 0.97
+
+
+def _polar(body, radius: np.ndarray, azimuths: np.ndarray, rows: range) -> np.ndarray:
+    xy = body.axis + radius[..., None] * np.stack([np.cos(azimuths), np.sin(azimuths)], axis=1)
+    z = np.broadcast_to(body.z[rows][:, None, None], (*radius.shape, 1))
+    return np.concatenate([xy, z], axis=-1).reshape(-1, 3)
+
+
+def test_a_mug_has_its_handle_with_a_free_hole(decoded: Decoded) -> None:
+    mesh = decoded("mug")
+    body = measure(mesh, "mug")
+    pieces = convex_pieces(mesh, "mug")
+    corners = np.concatenate(pieces)
+    assert corners[:, 0].max() == pytest.approx(mesh.vertices[:, 0].max(), abs=2e-3)
+    wall = body.axis[0] + body.outer[:, 0].max()
+    line = np.linspace(wall + 1e-3, mesh.vertices[:, 0].max(), 60)
+    height = 0.5 * (mesh.vertices[:, 2].min() + mesh.vertices[:, 2].max())
+    hits = inside(pieces, np.stack([line, np.full(60, body.axis[1]), np.full(60, height)], axis=1))
+    assert hits.any() and not hits[:3].any()
+
+
+def test_closed_bodies_are_few_pieces_and_stand_on_a_flat_base(decoded: Decoded) -> None:
+    pieces = convex_pieces(decoded("bottle"), "bottle")
+    assert len(pieces) <= 12
+    lowest = min(piece[:, 2].min() for piece in pieces)
+    feet = [piece for piece in pieces if np.isclose(piece[:, 2].min(), lowest)]
+    assert len(feet) == 1 and (np.isclose(feet[0][:, 2], lowest)).sum() >= 20

@@ -1,0 +1,59 @@
+import json
+
+import numpy as np
+import pytest
+
+from app.runs.replay import BEAT, Recorder, read_recording
+from perception.errors import InvalidInputError
+
+
+def test_show_time_follows_the_robot_and_beats_for_thoughts():
+    recorder = Recorder(bodies=("hand",))
+    recorder.sample(5.0, np.zeros(7), 0.0)
+    recorder.note("stage", name="scan")
+    recorder.sample(6.0, np.zeros(7), 0.0)
+    recorder.note("fit", id=0)
+    assert recorder.show_times == [0.0, pytest.approx(BEAT["stage"] + 1.0)]
+    assert recorder.now == pytest.approx(BEAT["stage"] + 1.0 + BEAT["fit"])
+    assert recorder.simulated(0.1) == 5.0 and recorder.simulated(99) == 6.0
+
+
+def test_a_recording_comes_back_as_it_was(tmp_path):
+    recorder = Recorder(bodies=("hand", "tcp"))
+    for step in range(3):
+        recorder.sample(0.1 * step, np.full(7, step, dtype=np.float64), 0.04, np.full((2, 7), 0.25 * step))
+    recorder.note("action", phase="grasp", name="mug_2", T=np.eye(4), message="", done=0, total=1)
+    recorder.write(tmp_path)
+    again = read_recording(tmp_path)
+    assert again.bodies == recorder.bodies and again.now == pytest.approx(recorder.now)
+    np.testing.assert_allclose(again.poses, recorder.poses)
+    np.testing.assert_allclose(again.show_times, recorder.show_times)
+    assert again.notes[0].kind == "action" and again.notes[0].data["T"] == np.eye(4).tolist()
+    with np.load(tmp_path / "replay.npz") as arrays:  # no pickle needed
+        assert arrays["joint_positions"].shape == (3, 7)
+        assert list(arrays["event"]) == ["grasp mug 2"]
+    Recorder().write(tmp_path / "empty")
+    assert read_recording(tmp_path / "empty").now == 0.0
+
+
+@pytest.mark.parametrize(
+    ("name", "content", "message"),
+    [
+        ("replay.npz", b"nothing", "no readable replay|not a readable replay"),
+        ("replay.json", b'{"bodies": ["a"], "notes": []}', "do not belong together"),
+        ("replay.json", b'{"bodies": ["hand"], "notes": [[0, "dance", {}]]}', "no note of kind 'dance'"),
+        ("replay.glb", b"glTF", "not a readable GLB"),
+    ],
+)
+def test_a_damaged_recording_is_named(tmp_path, name, content, message):
+    recorder = Recorder(bodies=("hand",))
+    recorder.sample(0.0, np.zeros(7), 0.0)
+    recorder.sample(0.1, np.zeros(7), 0.0, np.ones((1, 7)))
+    recorder.write(tmp_path)
+    bodies = json.loads((tmp_path / "replay.json").read_text())["bodies"]
+    assert bodies == ["hand"]
+    if name == "replay.json" and b'"a"' in content:
+        content = b'{"bodies": ["a", "b"], "notes": []}'
+    (tmp_path / name).write_bytes(content)
+    with pytest.raises(InvalidInputError, match=message):
+        read_recording(tmp_path)

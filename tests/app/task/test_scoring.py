@@ -1,0 +1,116 @@
+"""Scores against true states that are made up, with real object models."""
+
+from dataclasses import replace
+
+import numpy as np
+import pytest
+
+from app.task.scoring import Truth, match, oracle_estimates, score_reconstruction, score_task
+from manipulation.standing import stand
+from manipulation.types import Line, ObjectOutcome, Placement, TaskPlan
+from perception.types import TriangleMesh
+from sim_assets.objects import sample_object
+from sim_assets.scene import BoxConfig
+
+
+def at(x, y, z=0.0, yaw=0.0):
+    T = np.eye(4)
+    T[:2, :2] = [[np.cos(yaw), -np.sin(yaw)], [np.sin(yaw), np.cos(yaw)]]
+    T[:3, 3] = (x, y, z)
+    return T
+
+
+@pytest.fixture(scope="module")
+def truth():
+    rng = np.random.default_rng(0)
+    models = {i: sample_object(c, "test", rng) for i, c in enumerate(("mug", "can", "bowl"))}
+    return Truth(models, {0: at(0.4, -0.3, yaw=2.0), 1: at(0.5, -0.1), 2: at(0.55, -0.4, yaw=-1.0)})
+
+
+def moved(estimate, offset):
+    T = np.array(estimate.T_world_object)
+    T[:3, 3] += offset
+    return replace(estimate, T_world_object=T)
+
+
+def test_oracle_estimates_are_the_true_objects(truth):
+    estimates = oracle_estimates(truth)
+    for estimate in estimates:
+        model, T = truth.models[estimate.id], truth.poses[estimate.id]
+        true = np.asarray(model.mesh.vertices) @ T[:3, :3].T + T[:3, 3]
+        np.testing.assert_allclose(estimate.mesh_world.vertices, true, atol=1e-9)
+        assert estimate.height == pytest.approx(model.height, abs=1e-3)
+        assert estimate.radius == pytest.approx(model.radius, abs=1e-3)
+        assert (
+            np.abs(estimate.mesh.vertices).max() <= 0.9 * estimate.scale[0] + 1e-6
+        )  # fills the canonical cube
+
+
+def test_estimates_are_matched_by_position_whatever_their_order_and_class(truth):
+    estimates = [moved(estimate, (0.01, -0.01, 0.0)) for estimate in oracle_estimates(truth)]
+    renamed = [replace(estimates[2], id=7, category="can"), replace(estimates[0], id=8)]
+    assert match(renamed, truth) == {7: 2, 8: 0}
+    far = [moved(estimates[1], (0.2, 0.2, 0.0))]
+    assert match(far, truth) == {} and match([], truth) == {}
+
+
+def test_reconstruction_scores_know_perfect_from_shifted_and_missing(truth):
+    rng = np.random.default_rng(1)
+    mug, can, _ = oracle_estimates(truth)
+    rows = score_reconstruction([mug, moved(can, (0.0, 0.0, 0.02))], truth, rng)
+    perfect, shifted, missing = rows
+    assert perfect["accuracy"] < 0.0012 and perfect["completion"] == 1.0 and perfect["handle_recall"] > 0.99
+    assert 0.003 < shifted["accuracy"] < 0.02 and "handle_recall" not in shifted
+    assert missing["found"] is False and "accuracy" not in missing
+
+
+def test_a_handle_on_the_wrong_side_has_no_recall(truth):
+    mug = oracle_estimates(truth)[0]
+    vertices = np.array(mug.mesh.vertices) * (-1, -1, 1)
+    turned = replace(mug, mesh=TriangleMesh(vertices, mug.mesh.faces))
+    row = score_reconstruction([turned], truth, np.random.default_rng(1))[0]
+    assert row["handle_recall"] < 0.5
+
+
+def plan_for(estimates, left_out=None):
+    items = {estimate.name: stand(estimate) for estimate in estimates}
+    placements = tuple(Placement(name, (0.5, 0.3, 0.0), (0.0,)) for name in items)
+    return TaskPlan("pack", items, placements, left_out or {})
+
+
+def test_every_object_has_its_reason(truth):
+    mug, can, bowl = oracle_estimates(truth)
+    box = BoxConfig()
+    packed = {0: at(0.45, 0.25, box.floor), 1: truth.poses[1], 2: truth.poses[2]}
+    outcomes = [
+        ObjectOutcome(0, mug.name, True, 2, "", at(0.45, 0.255)),
+        ObjectOutcome(1, can.name, False, 3, "nothing between the fingers"),
+    ]
+    plan = plan_for([mug, can])
+    reports = score_task(plan, [mug, can], outcomes, truth, Truth(truth.models, packed), box)
+    first, second, third = reports
+    assert first.placed and first.error_position == pytest.approx(0.005) and first.attempts == 2
+    assert not second.placed and second.reason == "nothing between the fingers"
+    assert not third.placed and third.reason.startswith("not perceived (outside the box") and third.id == -3
+    plan = plan_for([mug, can, bowl], {can.name: "out of reach"})
+    reports = score_task(plan, [mug, can, bowl], outcomes[:1], truth, Truth(truth.models, packed), box)
+    assert reports[1].reason == "not attempted: out of reach"
+    reports = score_task(None, [mug, can, bowl], [], truth, truth, box)
+    assert {report.reason for report in reports} == {"no plan"}
+
+
+def test_what_the_robot_believes_does_not_count(truth):
+    mug, can, bowl = oracle_estimates(truth)
+    believed = [ObjectOutcome(e.id, e.name, True, 1, "", at(0.5, 0.27)) for e in (mug, can, bowl)]
+    reports = score_task(plan_for([mug, can, bowl]), [mug, can, bowl], believed, truth, truth, BoxConfig())
+    assert not any(report.placed for report in reports)
+
+
+def test_sorting_is_scored_on_the_line(truth):
+    line = Line()
+    order = sorted(truth.models, key=lambda i: truth.objects[i].size)
+    start, along = np.array(line.start), line.direction
+    poses = {i: at(*(start + (0.1 + 0.25 * rank) * along)) for rank, i in enumerate(order)}
+    estimates = oracle_estimates(truth)
+    reports = score_task(plan_for(estimates), estimates, [], truth, Truth(truth.models, poses), None)
+    assert all(report.placed for report in reports)

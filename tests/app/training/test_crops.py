@@ -1,0 +1,85 @@
+"""The training jobs end to end on crops made up here, and the figures they report."""
+
+import numpy as np
+import pytest
+
+import app.training.detector as train_detector
+import app.training.yaw as train_yaw
+from app.training.labels import LabelledCrops, SegmentationCounts
+from perception.detection.network import load_network
+from perception.detection.training import TrainingConfig
+from perception.detection.yaw import soft_labels
+from perception.errors import PerceptionError
+
+TINY = TrainingConfig(epochs=1, batch=8)
+
+
+def made_up(split, pictures, seed, **_):
+    rng = np.random.default_rng(seed)
+    n = 20
+    images = rng.integers(0, 255, (n, 64, 64, 6), dtype=np.uint8)
+    label = np.arange(n) % 5
+    yaw, handle = rng.uniform(-3, 3, n).astype(np.float32), (np.arange(n) % 2).astype(np.float32)
+    context, iou = np.zeros((n, 2), np.float32), np.ones(n, np.float32)
+    return LabelledCrops(images, context, label, yaw, handle, iou, SegmentationCounts(10, 9, 8.1, 12))
+
+
+@pytest.fixture(autouse=True)
+def no_rendering(monkeypatch):
+    monkeypatch.setattr(
+        train_detector,
+        "cached_crops",
+        lambda folder, split, n, seed, width, progress: made_up(split, n, seed),
+    )
+
+
+def test_the_detector_job_writes_weights_and_a_card(tmp_path):
+    told = []
+    metrics = train_detector.run(
+        train_detector.TrainDetectorConfig(training=TINY),
+        tmp_path,
+        lambda what, share: told.append((what, share)),
+    )
+    network, temperature = load_network("class", tmp_path / "detector.safetensors")
+    assert temperature > 0 and network.logits.out_features == 5
+    card = (tmp_path / "detector.md").read_text()
+    assert "nodeslam train detector --seed 0" in card and "| mug |" in card
+    assert told[-1] == ("epoch 1 of 1", 1.0)
+    assert metrics["mask_recall"] == 0.9 and np.sum(metrics["confusion"]) == 20
+
+
+def test_the_yaw_job_learns_from_mugs_alone(tmp_path):
+    metrics = train_yaw.run(train_yaw.TrainYawConfig(training=TINY), tmp_path)
+    load_network("yaw", tmp_path / "yaw.safetensors")
+    assert metrics["mugs"] == 4
+    assert metrics["visible"]["mugs"] == 2 and metrics["hidden"]["mugs"] == 2
+    assert "| visible | 2 |" in (tmp_path / "yaw.md").read_text()
+
+
+def test_tensorboard_missing_is_said(tmp_path, monkeypatch):
+    monkeypatch.setitem(__import__("sys").modules, "torch.utils.tensorboard", None)
+    with pytest.raises(PerceptionError, match="pip install 'nodeslam"):
+        train_detector.summary_writer(tmp_path)
+
+
+def test_class_figures_by_hand():
+    crops = made_up("test", 1, 0)
+    probabilities = np.full((20, 5), 0.05)
+    probabilities[np.arange(20), crops.label] = 0.8
+    probabilities[4] = (0.8, 0.05, 0.05, 0.05, 0.05)  # a distractor taken for a mug
+    metrics = train_detector.class_metrics(crops, probabilities)
+    assert metrics["accuracy"] == 0.95 and metrics["accuracy_objects"] == 1.0
+    assert metrics["distractors_taken_for_objects"] == 0.25
+    assert metrics["confusion"][4] == [1, 0, 0, 0, 3]
+    assert metrics["calibration_error"] == pytest.approx(0.15)
+
+
+def test_yaw_figures_by_hand():
+    crops = train_yaw.mugs_of(made_up("test", 1, 0))
+    off = crops.yaw.astype(np.float64) + np.radians([0, 20, 0, 40])
+    metrics = train_yaw.yaw_metrics(crops, soft_labels(off))
+    both = [metrics["visible"], metrics["hidden"]]
+    assert sum(m["over_15_degrees"] * m["mugs"] for m in both) == pytest.approx(2)
+    assert sum(m["over_30_degrees"] * m["mugs"] for m in both) == pytest.approx(1)
+    right = train_yaw.yaw_metrics(crops, soft_labels(crops.yaw.astype(np.float64)))
+    assert right["visible"]["median"] < np.radians(1)

@@ -1,0 +1,110 @@
+"""Crops named after the truth: which masks get a name, where handles point, what survives the disk."""
+
+from types import SimpleNamespace
+
+import numpy as np
+import pytest
+
+import app.training.labels as labels
+from app.training.labels import LabelledCrops, SegmentationCounts, cached_crops, handle_share, labelled_crops
+from perception.errors import PerceptionError
+from perception.types import CameraIntrinsics, RgbdFrame, SupportPlane
+
+K = CameraIntrinsics(320, 240, 290.0, 290.0, 159.5, 119.5)
+DOWN = np.diag([1.0, -1.0, -1.0, 1.0])  # a camera that looks straight down, image x along world x
+DOWN[2, 3] = 0.5
+
+
+def picture(things, patches):
+    """A top view; each patch is (u, v, radius, number of the thing it shows or -1), 6 cm high."""
+    v, u = np.mgrid[: K.height, : K.width]
+    depth = np.full((K.height, K.width), 0.5, np.float32)
+    instances = np.full(depth.shape, -1)
+    for x, y, radius, number in patches:
+        disc = np.hypot(u - x, v - y) < radius
+        depth[disc], instances[disc] = 0.44, number
+    frame = RgbdFrame(0.0, np.full((*depth.shape, 3), 128, np.uint8), depth, K, DOWN)
+    return SimpleNamespace(
+        frame=frame,
+        instances=instances,
+        labels=tuple(
+            SimpleNamespace(category=category, yaw=yaw, T_world_object=np.eye(4)) for category, yaw in things
+        ),
+    )
+
+
+def test_masks_are_named_after_what_they_show():
+    image = picture(
+        [("can", 0.0), (None, 0.0), ("bowl", 0.0)], [(60, 60, 25, 0), (160, 60, 25, 1), (250, 150, 40, 2)]
+    )
+    crops = labelled_crops(image, SupportPlane())
+    assert sorted(crops.label.tolist()) == [1, 3, 4]
+    assert (crops.counts.seen, crops.counts.found) == (2, 2)
+    assert crops.counts.mean_iou > 0.85 and crops.counts.masks == 3
+    assert crops.images.dtype == np.uint8 and crops.images.shape == (3, 64, 64, 6)
+
+
+def test_what_nobody_put_there_is_of_no_class():
+    crops = labelled_crops(picture([("can", 0.0)], [(100, 100, 30, -1)]), SupportPlane())
+    assert crops.label.tolist() == [4]
+    assert crops.counts.seen == 0
+
+
+def test_a_merger_has_no_name():
+    touching = [(100, 100, 25, 0), (140, 100, 25, 1)]
+    crops = labelled_crops(picture([("can", 0.0), ("bowl", 0.0)], touching), SupportPlane())
+    assert len(crops) == 0 and crops.counts.seen == 2
+
+
+def test_yaw_counts_from_the_crops_up():
+    """Seen from straight above, up in the crop is the image's top: world +y."""
+    crops = labelled_crops(picture([("mug", 0.3)], [(160, 120, 30, 0)]), SupportPlane())
+    assert crops.yaw == pytest.approx([0.3 - np.pi / 2], abs=0.02)
+
+
+def test_handle_points_are_those_outside_the_body_towards_x():
+    angle = np.linspace(-np.pi, np.pi, 400, endpoint=False)
+    body = np.stack([0.04 * np.cos(angle), 0.04 * np.sin(angle), np.full(400, 0.05)], 1)
+    handle = np.stack([np.linspace(0.05, 0.07, 100), np.zeros(100), np.full(100, 0.05)], 1)
+    T = np.eye(4)
+    T[:3, 3] = (0.4, -0.2, 0.0)
+    assert handle_share(body + T[:3, 3], T) == 0.0
+    assert handle_share(np.concatenate([body, handle]) + T[:3, 3], T) == pytest.approx(0.2)
+    assert handle_share(np.zeros((0, 3)), T) == 0.0
+
+
+def synthetic(n=3):
+    rng = np.random.default_rng(0)
+    numbers = [rng.random(n).astype(np.float32) for _ in range(3)]
+    images = rng.integers(0, 255, (n, 64, 64, 6), dtype=np.uint8)
+    counts = SegmentationCounts(4, 3, 2.7, 5)
+    return LabelledCrops(images, rng.random((n, 2)).astype(np.float32), np.arange(n), *numbers, counts)
+
+
+def test_crops_survive_the_disk_and_add_up(tmp_path):
+    crops = synthetic()
+    crops.save(tmp_path / "a.npz")
+    loaded = LabelledCrops.load(tmp_path / "a.npz")
+    both = LabelledCrops.joined([crops, loaded])
+    assert np.array_equal(loaded.images, crops.images) and loaded.counts == crops.counts
+    assert len(both) == 6 and both.counts == SegmentationCounts(8, 6, 5.4, 10)
+    assert both.counts.recall == 0.75 and both.counts.mean_iou == pytest.approx(0.9)
+
+
+def test_a_damaged_file_is_named(tmp_path):
+    (tmp_path / "a.npz").write_bytes(b"PK\x03\x04 not really")
+    with pytest.raises(PerceptionError, match=r"a\.npz holds no labelled crops"):
+        LabelledCrops.load(tmp_path / "a.npz")
+
+
+def test_finished_shards_are_not_rendered_again(tmp_path, monkeypatch):
+    rendered = []
+
+    def render(split, count, seed, width):
+        rendered.append(count)
+        return synthetic()
+
+    monkeypatch.setattr(labels, "_render_shard", render)
+    cached_crops(tmp_path, "train", labels.SHARD + 10, seed=0)
+    again = cached_crops(tmp_path, "train", labels.SHARD + 10, seed=0)
+    assert rendered == [labels.SHARD, 10] and len(again) == 6

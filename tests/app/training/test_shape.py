@@ -1,0 +1,55 @@
+"""`nodeslam train shape` on a handful of shapes: its files, going on after an interruption, its card."""
+
+import json
+
+import pytest
+
+from app.training.shape import TrainShapeConfig, cached_shapes, run
+from perception.errors import PerceptionError
+from perception.shape.decoder import ShapeDecoder
+from perception.shape.training import TrainingConfig
+from perception.shape.weights import weights_checksum
+
+TINY = TrainShapeConfig(
+    mugs=6,
+    bowls=2,
+    bottles=2,
+    cans=2,
+    held_out=2,
+    evaluate_every=1,
+    training=TrainingConfig(epochs=2, batch_size=4),
+)
+
+
+def test_an_interrupted_job_goes_on_and_leaves_weights_and_card(tmp_path):
+    steps = []
+
+    def interrupt(what: str, share: float) -> None:
+        steps.append((what, share))
+        if what == "epoch 2 of 2":
+            raise KeyboardInterrupt
+
+    with pytest.raises(KeyboardInterrupt):
+        run(TINY, tmp_path, interrupt)
+    assert len(json.loads((tmp_path / "history.json").read_text())) == 1
+    assert not (tmp_path / "shape.safetensors").exists()
+
+    metrics = run(TINY, tmp_path)
+    assert [entry["epoch"] for entry in json.loads((tmp_path / "history.json").read_text())] == [1, 2]
+    assert steps[0] == ("sampling shapes", 0.0)
+    assert set(metrics["held_out"]) == {"mug", "bowl", "bottle", "can"}
+    assert metrics["held_out"]["can"]["handle_recall"] is None
+    assert metrics["sha256"] == weights_checksum(tmp_path / "shape.safetensors")
+    ShapeDecoder.load(tmp_path / "shape.safetensors")
+    card = (tmp_path / "shape.md").read_text()
+    assert metrics["sha256"] in card
+    assert "6 mugs, 2 bowls, 2 bottles, 2 cans" in card
+
+
+def test_data_of_another_job_are_not_taken(tmp_path):
+    counts = {"mug": 1, "bowl": 0, "bottle": 0, "can": 1}
+    path = tmp_path / "shapes.npz"
+    first = cached_shapes(path, counts, "train", 0)
+    assert (cached_shapes(path, counts, "train", 0).grids == first.grids).all()
+    with pytest.raises(PerceptionError, match="other shapes than asked for; delete it"):
+        cached_shapes(path, counts | {"can": 2}, "train", 0)
