@@ -31,6 +31,7 @@ MOST_LEVELS = 7  # of wall segments or frusta, above each other
 TOLERANCE = 4e-4  # [m] that pieces may stray from the measured profile
 LEAST_COVERED = 0.2  # of the azimuths that must meet the mesh for a height to be used
 THICKER, FATTER = (0.85, 1.15), (0.98, 1.02)  # bounds on what corrects the volume of walls, of closed bodies
+STRAYED = 0.05  # of an extent: so far from their mesh are pieces of what is no body about an axis
 OPEN_SHARE = 0.8  # of the azimuths that must see the axis free for a height to count as cavity
 LEAST_CAVITY = 0.002  # [m] of depth: shallower hollows are filled
 THICKNESS_WEIGHT = 3.0  # a wall's thickness decides its volume: it is followed closer than its place
@@ -62,8 +63,15 @@ class PolarBody:
 def convex_pieces(mesh: TriangleMesh, category: Category) -> list[Piece]:
     """Corners of convex pieces, in the mesh's frame (z up), whose union is the object; see the module.
 
-    Walls, or the whole body where it has none, are made as thick as the mesh's volume asks for.
+    Walls, or the whole body where it has none, are made as thick as the mesh's volume asks for. A mesh that
+    is no body about an axis, such as a fragment of one, is cut into slices instead.
     """
+    pieces = _polar_pieces(mesh, category)
+    strays = np.abs(np.ptp(np.concatenate(pieces), axis=0) / np.ptp(mesh.vertices, axis=0) - 1).max()
+    return pieces if strays < STRAYED else _slices(mesh)
+
+
+def _polar_pieces(mesh: TriangleMesh, category: Category) -> list[Piece]:
     body = measure(mesh, category)
     handle = handle_pieces(mesh, body.axis, body.z, body.outer[:, 0]) if category == "mug" else []
     volume = trimesh.Trimesh(mesh.vertices, mesh.faces, process=False).volume - pieces_volume(handle)
@@ -76,6 +84,20 @@ def convex_pieces(mesh: TriangleMesh, category: Category) -> list[Piece]:
         factor = np.sqrt(np.clip(1 + missing / pieces_volume(solid + walls), *FATTER))
         body = replace(body, inner=factor * body.inner, outer=factor * body.outer)
     return _solids(body) + _walls(body) + handle
+
+
+def _slices(mesh: TriangleMesh) -> list[Piece]:
+    """Hulls of what lies between heights: as high and wide as the mesh, without its hollows."""
+    z = mesh.vertices[:, 2]
+    heights = np.linspace(z.min(), z.max(), MOST_LEVELS + 2)
+    cuts = [section(mesh.vertices, mesh.faces, float(height)).reshape(-1, 2) for height in heights[1:-1]]
+    rings = [np.column_stack([xy, np.full(len(xy), up)]) for xy, up in zip(cuts, heights[1:-1], strict=True)]
+    edges = [np.zeros((0, 3)), *rings, np.zeros((0, 3))]
+    between = [mesh.vertices[(z >= low) & (z <= high)] for low, high in pairwise(heights)]
+    points = [
+        np.concatenate([low, part, high]) for part, (low, high) in zip(between, pairwise(edges), strict=True)
+    ]
+    return [corners[ConvexHull(corners).vertices] for corners in points]
 
 
 def pieces_volume(pieces: Sequence[Piece]) -> float:
@@ -91,14 +113,20 @@ def measure(mesh: TriangleMesh, category: Category) -> PolarBody:
     z = np.linspace(low + edge, high - edge, LEVELS)
     azimuths = 2 * np.pi * np.arange(AROUND * SAMPLES) / (AROUND * SAMPLES)
     inner, outer = _radii(mesh, axis, z, azimuths)
-    covered = np.isfinite(outer).mean(axis=1)
-    usable = covered > LEAST_COVERED
-    z, inner, outer, covered = z[usable], inner[usable], outer[usable], covered[usable, None]
+    shown = np.ones(len(azimuths), dtype=bool)
     if category == "mug":
-        hidden = np.abs((azimuths + np.pi) % (2 * np.pi) - np.pi) < HANDLE_SECTOR
-        inner[:, hidden] = outer[:, hidden] = np.nan
+        shown = np.abs((azimuths + np.pi) % (2 * np.pi) - np.pi) >= HANDLE_SECTOR
+        inner[:, ~shown] = outer[:, ~shown] = np.nan
+    covered = np.isfinite(outer[:, shown]).mean(axis=1)
+    usable = covered > LEAST_COVERED
+    if usable.sum() < 3:
+        usable[:], outer[:] = True, np.ptp(mesh.vertices[:, :2], axis=0).mean() / 2
+        inner[:], covered[:] = 0.0, 1.0
+    z, inner, outer, covered = z[usable], inner[usable], outer[usable], covered[usable, None]
     opened = (np.nan_to_num(inner) > 0).sum(axis=1) > OPEN_SHARE * np.isfinite(inner).sum(axis=1)
     floor, dome = _cavity(opened, z), len(z) - 1 - _cavity(opened[::-1], -z[::-1])
+    if dome >= floor:  # nothing but walls: no floor to build on
+        floor, dome = len(z) - 1, 0
     inner, outer = _filled(inner), _filled(outer)
     inner[dome : floor + 1] = 0.0
     # A ragged rim or an uneven base has gaps: closed, it would hold more than the mesh does.

@@ -76,3 +76,21 @@ def test_closed_bodies_are_few_pieces_and_stand_on_a_flat_base(decoded: Decoded)
     lowest = min(piece[:, 2].min() for piece in pieces)
     feet = [piece for piece in pieces if np.isclose(piece[:, 2].min(), lowest)]
     assert len(feet) == 1 and (np.isclose(feet[0][:, 2], lowest)).sum() >= 20
+
+
+def test_what_is_no_body_about_an_axis_is_still_as_wide_and_high(decoded: Decoded) -> None:
+    ring = trimesh.creation.annulus(0.05, 0.06, 0.1, sections=40)
+    quarter = trimesh.boolean.intersection([ring, trimesh.creation.box(bounds=[(0, 0, -1), (1, 1, 1)])])
+    for mesh, category in ((quarter, "bottle"), (quarter, "bowl")):
+        pieces = convex_pieces(TriangleMesh(np.asarray(mesh.vertices), np.asarray(mesh.faces)), category)
+        np.testing.assert_allclose(np.ptp(np.concatenate(pieces), axis=0), mesh.extents, rtol=0.05)
+
+
+def test_a_rim_that_is_left_at_the_handle_alone_is_no_body(decoded: Decoded) -> None:
+    mesh = decoded("mug")
+    top = mesh.vertices[:, 2].max()
+    spike = trimesh.creation.box((0.004, 0.01, 0.012))
+    spike.apply_translation([measure(mesh, "mug").axis[0] + 0.038, 0, top + 0.004])
+    whole = trimesh.util.concatenate([trimesh.Trimesh(mesh.vertices, mesh.faces), spike])
+    pieces = convex_pieces(TriangleMesh(np.asarray(whole.vertices), np.asarray(whole.faces)), "mug")
+    assert pieces_volume(pieces) == pytest.approx(whole.volume, rel=0.03)
