@@ -19,6 +19,7 @@ Method = Literal["full", "no_refinement", "no_uncertainty", "no_pyramid", "dvr",
 METHODS: tuple[Method, ...] = get_args(Method)
 Variant = Literal["with_plane", "full", "no_joint", "no_uncertainty"]
 VARIANTS: tuple[Variant, ...] = get_args(Variant)
+SlamFault = Literal["none", "dropped", "dark", "flicker", "moved"]
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -190,6 +191,11 @@ class EvaluateOptions(TaskOptions):
     """SLAM: which versions of the system are compared."""
     frames: int = 150
     """SLAM: length of the sequences."""
+    short_runs: int = 0
+    """SLAM: instead of the scenes so many runs on other ones, every second one close up."""
+    faults: tuple[SlamFault, ...] = ("none",)
+    """SLAM, short runs: what goes wrong in them, in turn: frames missing, a second of black depth, masks
+    flickering, an object moved by hand."""
     task: Task = "pack"
     """Which task."""
     episodes: int = 20

@@ -43,6 +43,7 @@ class SequenceConfig:
         look_at: half side of the square over the table in which look-at points lie [m].
         step, turn: of the camera between frames, whichever is reached first [m], [rad].
         depth_noise: none, gaussian (2 mm) or realsense.
+        moved_at: frame from which on one object stands elsewhere, as if moved by hand; None for never.
     """
 
     width: int = 320
@@ -60,6 +61,7 @@ class SequenceConfig:
     step: float = 0.012
     turn: float = np.radians(1.2)
     depth_noise: DepthNoise = "gaussian"
+    moved_at: int | None = None
 
 
 CLOSE_UP = SequenceConfig(distance=(0.32, 0.42), look_at=0.20, frames=100, step=0.010, turn=np.radians(1.0))
@@ -87,7 +89,15 @@ class SequenceFrame:
 
 
 class TableSequence:
-    """A scene and a trajectory; the same seed gives the same images, however often they are rendered."""
+    """A scene and a trajectory; the same seed gives the same images, however often they are rendered.
+
+    Attributes:
+        config: how it was drawn.
+        objects: where they stand in the end.
+        moved: index of the one that stood elsewhere before ``config.moved_at``, or None.
+        Ts_world_camera: the true trajectory.
+        rate: of the images [Hz].
+    """
 
     def __init__(self, seed: int | np.random.SeedSequence, config: SequenceConfig | None = None) -> None:
         self.config = config or SequenceConfig()
@@ -98,6 +108,9 @@ class TableSequence:
         self.Ts_world_camera = sample_trajectory(self.config, np.random.default_rng(path))
         self.rate = RATE
         self._model = _build(self.objects, self.config.fovy, rng).compile()
+        self.moved: int | None = None
+        if self.config.moved_at is not None:
+            self.moved, self.objects = _move_one(self.objects, self.config.gap, rng)
 
     def render(self) -> Iterator[SequenceFrame]:
         """The images in order."""
@@ -108,10 +121,14 @@ class TableSequence:
             object_of_geom[model.geom(f"object{index}").id] = index
         intrinsics = intrinsics_of(config.width, config.height, config.fovy)
         view = (data, CAMERA, config.width, config.height)
+        start = np.array(model.body_pos)
         renderer = OffscreenRenderer(model)
         try:
             for index, T_world_camera in enumerate(self.Ts_world_camera):
                 _aim(model, T_world_camera)
+                if index == config.moved_at and self.moved is not None:
+                    body = model.body(f"object{self.moved}").id
+                    model.body_pos[body] = self.objects[self.moved].T_world_object[:3, 3]
                 mujoco.mj_kinematics(model, data)
                 mujoco.mj_camlight(model, data)
                 rgb = renderer.color(*view, reflections=False)
@@ -120,6 +137,7 @@ class TableSequence:
                 frame = RgbdFrame(index / RATE, rgb, depth, intrinsics, T_world_camera)
                 yield SequenceFrame(frame, object_of_geom[ids])
         finally:
+            model.body_pos[:] = start
             renderer.close()
 
 
@@ -180,6 +198,29 @@ def _draw_objects(config: SequenceConfig, rng: np.random.Generator) -> tuple[Pla
     region = Region(side, side, max_radius=2 * config.spread)
     places: Sequence[PlanarPose] = sample_layout([m.mesh for m in models], rng, region, config.gap)
     return tuple(PlacedObject(model, place.matrix) for model, place in zip(models, places, strict=True))
+
+
+_HAND = (0.09, 0.14)  # how far a hand moves an object [m]
+
+
+def _move_one(
+    objects: tuple[PlacedObject, ...], gap: float, rng: np.random.Generator
+) -> tuple[int, tuple[PlacedObject, ...]]:
+    """One of the inner objects to a free place nearby, and which it is; (index, objects afterwards)."""
+    places = np.array([item.T_world_object[:2, 3] for item in objects])
+    radii = np.array([np.abs(item.model.mesh.bounds[:, :2]).max() for item in objects])
+    while True:
+        index = int(rng.choice(np.argsort(np.linalg.norm(places, axis=1))[: (len(objects) + 1) // 2]))
+        angle, length = rng.uniform(-np.pi, np.pi), rng.uniform(*_HAND)
+        there = places[index] + length * np.array([np.cos(angle), np.sin(angle)])
+        room = np.linalg.norm(places - there, axis=1) - radii - radii[index]
+        if np.delete(room, index).min(initial=np.inf) > 0.5 * gap:
+            break
+        gap *= 0.99  # a crowded table: less and less room will do
+    T = np.array(objects[index].T_world_object)
+    T[:2, 3] = there
+    moved = PlacedObject(objects[index].model, T)
+    return index, (*objects[:index], moved, *objects[index + 1 :])
 
 
 def _aim(model, T_world_camera: np.ndarray) -> None:

@@ -19,6 +19,7 @@ from typing import Any
 import numpy as np
 
 from app.errors import UsageError
+from app.evaluation import slam_short
 from app.evaluation.slam_scoring import (
     TrueObjects,
     absolute_pose_error,
@@ -46,6 +47,8 @@ CURVES_OF = ("full", "with_plane")  # variants whose shapes are followed over th
 
 def run(options: EvaluateOptions, screen: Screen) -> Report:
     """Run what is still to be run, and report on all."""
+    if options.short_runs:
+        return slam_short.run(options, screen)
     begin = time.perf_counter()
     if options.scenes < 1 or options.frames < 2 or not options.variants:
         raise UsageError("evaluate slam needs a scene, two frames and a variant at least")

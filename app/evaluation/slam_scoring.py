@@ -59,16 +59,23 @@ class TrueObjects:
         self.categories = [category for category, _ in objects]
         self.samples = [SurfaceSamples.of(mesh, rng) for _, mesh in objects]
         self.sparse = [SurfaceSamples.of(mesh, rng, CURVE_SAMPLES) for _, mesh in objects]
-        self.middles = np.array([_middle(mesh.vertices) for _, mesh in objects])
+        self.middles = np.array([middle_of(mesh.vertices) for _, mesh in objects])
 
     def match(self, places: Mapping[int, Float[np.ndarray, "3"]]) -> dict[int, int]:
         """Index of the true object for each landmark's id, by its place."""
-        if not places:
-            return {}
-        ids = list(places)
-        distance = np.linalg.norm(np.array(list(places.values()))[:, None] - self.middles, axis=-1)
-        rows, columns = linear_sum_assignment(np.minimum(distance, 2 * MATCH_DISTANCE))
-        return {ids[r]: int(c) for r, c in zip(rows, columns) if distance[r, c] < MATCH_DISTANCE}
+        return match_places(places, self.middles)
+
+
+def match_places(
+    places: Mapping[int, Float[np.ndarray, "3"]], middles: Float[np.ndarray, "n 3"]
+) -> dict[int, int]:
+    """One to one, index of the true object near each landmark's place, by the landmark's id."""
+    if not places:
+        return {}
+    ids = list(places)
+    distance = np.linalg.norm(np.array(list(places.values()))[:, None] - middles, axis=-1)
+    rows, columns = linear_sum_assignment(np.minimum(distance, 2 * MATCH_DISTANCE))
+    return {ids[r]: int(c) for r, c in zip(rows, columns) if distance[r, c] < MATCH_DISTANCE}
 
 
 def places_of(landmarks: Sequence[Landmark]) -> dict[int, Float[np.ndarray, "3"]]:
@@ -76,7 +83,8 @@ def places_of(landmarks: Sequence[Landmark]) -> dict[int, Float[np.ndarray, "3"]
     return {one.id: one.state.pose.translation for one in landmarks}
 
 
-def _middle(vertices: Float[np.ndarray, "n 3"]) -> Float[np.ndarray, "3"]:
+def middle_of(vertices: Float[np.ndarray, "n 3"]) -> Float[np.ndarray, "3"]:
+    """The middle of the box around them."""
     return (vertices.min(axis=0) + vertices.max(axis=0)) / 2
 
 

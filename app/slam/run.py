@@ -8,13 +8,13 @@ from dataclasses import dataclass, field
 import numpy as np
 import torch
 
-from perception.detection.detector import Detector
 from perception.errors import InvalidInputError
 from perception.inference.shape_model import Decoder
-from perception.recordings.sequence import RgbdSequence
+from perception.recordings.sequence import RgbdSequence, without_pose
 from perception.recordings.trajectory import Trajectory
 from perception.slam.config import SlamConfig
-from perception.slam.system import FrameResult, Slam
+from perception.slam.relocalise import Relocalised
+from perception.slam.system import Detect, FrameResult, Slam
 from perception.types import ObjectDetection, RgbdFrame, SupportPlane
 
 
@@ -40,7 +40,7 @@ class SlamRun:
     def start(
         sequence: RgbdSequence,
         decoder: Decoder,
-        detector: Detector | None,
+        detector: Detect | None,
         config: SlamConfig,
         keep_detections: bool = False,
     ) -> SlamRun:
@@ -71,6 +71,11 @@ class SlamRun:
             self.results.append(result)
             yield frame, result
 
+    def relocalised(self, number: int, frame: RgbdFrame) -> Relocalised | None:
+        """Where a frame of the sequence was taken, by the map as it is now and nothing else."""
+        self._source.number = number
+        return self.slam.relocalised(without_pose(frame))
+
     @property
     def trajectory(self) -> Trajectory:
         """The camera's poses as they were known at each frame; frames in which it was lost are left out."""
@@ -91,7 +96,7 @@ class SlamRun:
 class _Source:
     """Detections of the frame at hand: the sequence's own, or the detector's."""
 
-    def __init__(self, sequence: RgbdSequence, detector: Detector | None, keep: bool) -> None:
+    def __init__(self, sequence: RgbdSequence, detector: Detect | None, keep: bool) -> None:
         self.sequence, self.detector, self.keep = sequence, detector, keep
         self.number = 0
         self.kept: dict[int, list[ObjectDetection]] = {}
@@ -103,7 +108,7 @@ class _Source:
                 raise InvalidInputError(
                     f"{self.sequence.path} has no detections.json, and no detector is loaded"
                 )
-            found = self.detector(frame, plane)
+            found = list(self.detector(frame, plane))
         if self.keep:
             self.kept[self.number] = found
         return found

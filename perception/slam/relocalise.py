@@ -47,9 +47,10 @@ class RelocalisationConfig:
 
 @dataclass(frozen=True)
 class Relocalised:
-    """A pose that the map and the frame agree on, and which mask shows which landmark."""
+    """A pose that the map and the frame agree on, the masks, and which of them shows which landmark."""
 
     tracked: TrackedPose
+    labels: UInt8[np.ndarray, "h w"]
     landmark_of: dict[int, int]
 
 
@@ -90,7 +91,7 @@ def relocalise(
         if tracked.share < config.min_share or agree < config.min_matches:
             continue
         if best is None or (agree, tracked.share) > (_agreeing(best, config), best.tracked.share):
-            best = Relocalised(tracked, landmark_of)
+            best = Relocalised(tracked, labels, landmark_of)
         if agree == len(matches) and tracked.share > 0.8:
             break
     return best

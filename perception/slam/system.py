@@ -206,18 +206,22 @@ class Slam:
             agree = [i for i, share in seen.tracked.shares.items() if share > 0.6]
             if self._judge(seen.tracked, T_last) == "tracked" and len(agree) >= 2:
                 return self._found(frame, seen.tracked, seen.labels, seen.landmark_of)
-        with _timed(self._clock, "detect"):
-            detections = self._detect_unposed(frame)
-        labels = label_image(detections, frame.depth.shape)
-        with _timed(self._clock, "relocalise"):
-            found: Relocalised | None = relocalise(
-                mapper.world, frame, detections, labels,
-                self.config.tracking, self.config.selection, self.config.relocalisation,
-            )  # fmt: skip
+        found = self.relocalised(frame)
         if found is not None:
-            return self._found(frame, found.tracked, labels, found.landmark_of)
+            return self._found(frame, found.tracked, found.labels, found.landmark_of)
         self._previous, mapper.unmatched = None, []
         return FrameResult(self._number, frame.time, T_last, "lost", seconds=dict(self._clock))
+
+    def relocalised(self, frame: RgbdFrame) -> Relocalised | None:
+        """Where the map says that a frame from nobody knows where was taken; changes nothing."""
+        assert self.world is not None
+        with _timed(self._clock, "detect"):
+            detections = self._detect_unposed(frame)
+        with _timed(self._clock, "relocalise"):
+            return relocalise(
+                self.world, frame, detections, label_image(detections, frame.depth.shape),
+                self.config.tracking, self.config.selection, self.config.relocalisation,
+            )  # fmt: skip
 
     def _found(
         self, frame: RgbdFrame, tracked: TrackedPose, labels: Labels, landmark_of: dict[int, int]

@@ -61,3 +61,24 @@ def test_pose_noise_is_as_large_as_asked():
     np.testing.assert_allclose(
         noisy[:, :3, :3] @ np.swapaxes(noisy[:, :3, :3], 1, 2), np.tile(np.eye(3), (2000, 1, 1)), atol=1e-9
     )
+
+
+def test_a_hand_moves_one_object_and_no_other():
+    still = TableSequence(7, replace(SMALL, frames=3))
+    sequence = TableSequence(7, replace(SMALL, frames=3, moved_at=1))
+    assert still.moved is None and sequence.moved is not None
+    for index, (before, after) in enumerate(zip(still.objects, sequence.objects)):
+        gap = np.linalg.norm(before.T_world_object[:3, 3] - after.T_world_object[:3, 3])
+        assert 0.08 < gap < 0.15 if index == sequence.moved else gap == 0
+    images, unmoved = list(sequence.render()), list(still.render())
+    np.testing.assert_array_equal(images[0].instances, unmoved[0].instances)
+    assert not np.array_equal(images[1].instances, unmoved[1].instances)
+    np.testing.assert_array_equal(images[1].instances, next(iter_from(sequence, 1)).instances)
+
+
+def iter_from(sequence, number):
+    """A second rendering, from one image on: it begins with the object where it was."""
+    images = sequence.render()
+    for _ in range(number):
+        next(images)
+    return images

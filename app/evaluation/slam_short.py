@@ -1,0 +1,258 @@
+"""``nodeslam evaluate slam --short-runs N``: short runs on scenes of their own, nothing kept but figures.
+
+Every second one is close up, where two or three objects are in view. Each run is asked whether the camera
+ever drifted without saying that it was lost, whether the map is sound in the end, and whether single frames
+are found again in it. ``--faults`` breaks the runs in turn. One line of ``short.jsonl`` for each run.
+"""
+
+from __future__ import annotations
+
+import time
+from collections.abc import Hashable, Mapping, Sequence
+from dataclasses import replace
+from functools import cache, partial
+from typing import Any
+
+import numpy as np
+from rich.table import Table
+
+from app.errors import UsageError
+from app.evaluation.slam_faults import MOVED_AT, HeldSequence, flickering, with_fault
+from app.evaluation.slam_scoring import absolute_pose_error, match_places, middle_of, places_of
+from app.evaluation.slam_summary import NAMES
+from app.evaluation.statistics import wilson_interval
+from app.evaluation.work import Ledger, Line, spread
+from app.options import EvaluateOptions, SlamFault
+from app.runs.report import Report
+from app.screen import Screen
+from app.slam.run import SlamRun
+from perception.geometry import transform_points
+from perception.recordings.trajectory import Trajectory
+from perception.slam.variants import variant_config
+from perception.types import RgbdFrame
+
+ROWS = "short.jsonl"
+DRIFT = 0.03  # [m] of error that a run must not reach without saying that it is lost
+FOUND = 0.03  # [m] within which a frame counts as found again
+_SEEDS_FROM = 1000  # scenes below are those of the full evaluation
+_IN_VIEW = 300  # pixels from which an object counts as in view
+_TRY_EVERY = 10  # frames between those that are looked for in the finished map
+_TRY_OBJECTS = 4  # in view at least
+
+
+def run(options: EvaluateOptions, screen: Screen) -> Report:
+    """Run what is still to be run, and report on all."""
+    begin = time.perf_counter()
+    if options.short_runs < 1 or options.frames < 10 or not options.variants or not options.faults:
+        raise UsageError(
+            "evaluate slam --short-runs needs a run, ten frames, a variant and a fault (or none)"
+        )
+    names = ("seed", "frames", "depth_noise", "device", "variants", "faults")
+    settings = {name: str(getattr(options, name)) for name in names}
+    ledger, finished = Ledger.open(options, "evaluate-slam-short", ROWS, "key", settings)
+    to_do = [index for index in range(options.short_runs) if index not in finished]
+    if finished:
+        screen.note(f"{options.short_runs - len(to_do)} of {options.short_runs} runs are finished already")
+    with screen.stage(f"{len(to_do)} short runs"):
+        for line in spread(partial(run_short, options), to_do, options):
+            finished[line["key"]] = line
+            ledger.append(line)
+            ledger.folder.write_report(_report(options, settings, finished, time.perf_counter() - begin))
+            screen.update(f"{len(finished)} of {options.short_runs}")
+            if line.get("reason") != "done" or any(entry["drifted"] for entry in line["variants"].values()):
+                screen.note(f"run {line['key']}, {line['fault']}: {line.get('reason')} {_brief(line)}")
+    report = _report(options, settings, finished, time.perf_counter() - begin)
+    ledger.folder.write_report(report)
+    screen.show(short_table(report))
+    return report
+
+
+def _brief(line: Mapping[str, Any]) -> str:
+    worst = {name: f"{100 * entry['drift']:.1f} cm" for name, entry in line.get("variants", {}).items()}
+    return ", ".join(f"{name} off by up to {value}" for name, value in worst.items())
+
+
+def run_short(options: EvaluateOptions, index: int) -> Line:
+    """All variants on one short sequence; what breaks is its result, not the end of the evaluation."""
+    fault = options.faults[index // 2 % len(options.faults)]
+    close_up = index % 2 == 1
+    line: Line = {"key": index, "seed": options.seed, "close_up": close_up, "fault": fault}
+    begin = time.perf_counter()
+    try:
+        line |= _run_variants(options, index, close_up, fault) | {"reason": "done"}
+    except UsageError:
+        raise
+    except Exception as error:  # a crash of one run is a result, too
+        line["reason"] = f"crashed: {type(error).__name__}: {error}"
+    return line | {"seconds": time.perf_counter() - begin}
+
+
+def _run_variants(options: EvaluateOptions, index: int, close_up: bool, fault: SlamFault) -> dict[str, Any]:
+    from sim_assets.sequences import CLOSE_UP, SequenceConfig, TableSequence
+
+    config = replace(
+        CLOSE_UP if close_up else SequenceConfig(),
+        frames=options.frames,
+        depth_noise=options.depth_noise,
+        moved_at=int(MOVED_AT * options.frames) if fault == "moved" else None,
+    )
+    root = np.random.SeedSequence([options.seed, _SEEDS_FROM + index])
+    table = TableSequence(root, config)
+    images = list(table.render())
+    in_view = [int((np.bincount(i.instances[i.instances >= 0]) >= _IN_VIEW).sum()) for i in images]
+    frames = [image.frame for image in images]
+    rng = np.random.default_rng([options.seed, _SEEDS_FROM + index])
+    sequence = with_fault(frames, fault, rng)
+    middles = np.array(
+        [middle_of(transform_points(o.T_world_object, o.model.mesh.vertices)) for o in table.objects]
+    )
+    truth = Trajectory.of([frame.time for frame in frames], list(table.Ts_world_camera))
+    found, entries = {}, {}
+    for variant in options.variants:
+        networks = _networks(options.device)
+        detect = networks.detector
+        if fault == "flicker":
+            detect = partial(_flickering, networks.detector, rng)
+        slam_run = SlamRun.start(
+            replace(sequence, found=found), networks.decoder, detect, variant_config(variant), True
+        )
+        for _ in slam_run.steps():
+            pass
+        found = found or dict(slam_run.detections)
+        entries[variant] = (
+            _drift(slam_run, truth) | _map_health(slam_run, middles, table.moved)
+            | _relocalisations(slam_run, sequence, frames, in_view, truth)
+        )  # fmt: skip
+    return {"objects_in_view": float(np.median(in_view)), "variants": entries}
+
+
+@cache
+def _networks(device: Any) -> Any:
+    """Loaded once in each process."""
+    from app.perceive import load_perception
+
+    return load_perception(device)
+
+
+def _flickering(detector: Any, rng: np.random.Generator, frame: RgbdFrame, plane: Any) -> Any:
+    return flickering(detector(frame, plane), rng)
+
+
+def _drift(slam_run: SlamRun, truth: Trajectory) -> dict[str, Any]:
+    """Errors of the frames whose pose the system stands by, and whether one is too large."""
+    lost = [result.status == "lost" for result in slam_run.results]
+    entry: dict[str, Any] = absolute_pose_error(slam_run.trajectory, truth)
+    entry["drift"] = entry["ape_max"]
+    entry["drifted"] = bool(entry["ape_max"] > DRIFT)
+    entry["n_lost"], entry["n_frames"], entry["ends_lost"] = sum(lost), len(lost), lost[-1]
+    entry["n_weak"] = sum(result.status == "weak" for result in slam_run.results)
+    return entry
+
+
+def _map_health(slam_run: SlamRun, middles: np.ndarray, moved: int | None) -> dict[str, Any]:
+    """Landmarks that stand for nothing (doubles among them), and how far off the others are [m]."""
+    world = slam_run.slam.world
+    assert world is not None
+    places = places_of([world.landmarks[i] for i in world.ids])
+    matches = match_places(places, middles)
+    errors = [float(np.linalg.norm(places[i] - middles[k])) for i, k in matches.items()]
+    return {
+        "n_landmarks": len(places),
+        "n_phantoms": len(places) - len(matches),
+        "misplaced": max(errors, default=0.0),
+        "moved_is_known": None if moved is None else moved in matches.values(),
+    }
+
+
+def _relocalisations(
+    slam_run: SlamRun,
+    sequence: HeldSequence,
+    frames: Sequence[RgbdFrame],
+    in_view: Sequence[int],
+    truth: Trajectory,
+) -> dict[str, int]:
+    """Frames with enough objects in view, given to the finished map alone: how many are found."""
+    tried = succeeded = wrong = 0
+    for number in sequence.ids[::_TRY_EVERY]:
+        frame = sequence.read(number)
+        if in_view[number] < _TRY_OBJECTS or not (frame.depth > 0).any():
+            continue
+        found = slam_run.relocalised(number, frame)
+        tried += 1
+        if found is None:
+            continue
+        T = found.tracked.T_world_camera
+        near = np.linalg.norm(T[:3, 3] - truth.Ts_world_camera[number][:3, 3]) < FOUND
+        succeeded, wrong = succeeded + bool(near), wrong + (not near)
+    return {"relocalisations": tried, "relocalised": succeeded, "relocalised_wrongly": wrong}
+
+
+def summarise_short(lines: Sequence[Mapping[str, Any]]) -> dict[str, Any]:
+    """For each variant over all runs: drifts, losses, the maps, relocalisation; lengths in [m]."""
+    variants = list(dict.fromkeys(name for line in lines for name in line.get("variants", ())))
+    return {"rows": list(lines), "variants": {name: _over_runs(lines, name) for name in variants}}
+
+
+def _over_runs(lines: Sequence[Mapping[str, Any]], variant: str) -> dict[str, Any]:
+    runs = [line["variants"][variant] for line in lines if variant in line.get("variants", {})]
+    tried, found = (sum(run[key] for run in runs) for key in ("relocalisations", "relocalised"))
+    return {
+        "n": len(runs),
+        "ape_mean": float(np.mean([run["ape_mean"] for run in runs])),
+        "drift_max": max(run["drift"] for run in runs),
+        "n_drifted": sum(run["drifted"] for run in runs),
+        "n_with_loss": sum(run["n_lost"] > 0 for run in runs),
+        "n_end_lost": sum(run["ends_lost"] for run in runs),
+        "n_phantoms": sum(run["n_phantoms"] for run in runs),
+        "n_moved_known": sum(bool(run["moved_is_known"]) for run in runs),
+        "relocalisations": tried,
+        "relocalisation_rate": found / max(tried, 1),
+        "relocalisation_rate_ci": wilson_interval(found, tried),
+        "relocalised_wrongly": sum(run["relocalised_wrongly"] for run in runs),
+    }
+
+
+def short_table(report: Report) -> Table:
+    """One row for each variant."""
+    table = Table(title=report.reason, title_justify="left", show_edge=False, pad_edge=False)
+    table.add_column("")
+    headings = (
+        "mean APE cm",
+        "worst error cm",
+        "drifted",
+        "were lost",
+        "end lost",
+        "phantoms",
+        "relocalised %",
+    )
+    for heading in headings:
+        table.add_column(heading, justify="right")
+    for name, figures in report.metrics["variants"].items():
+        table.add_row(
+            NAMES.get(name, name),
+            f"{100 * figures['ape_mean']:.2f}",
+            f"{100 * figures['drift_max']:.2f}",
+            f"{figures['n_drifted']} of {figures['n']}",
+            str(figures["n_with_loss"]),
+            str(figures["n_end_lost"]),
+            str(figures["n_phantoms"]),
+            f"{100 * figures['relocalisation_rate']:.1f} of {figures['relocalisations']}",
+        )
+    return table
+
+
+def _report(
+    options: EvaluateOptions, settings: Mapping[str, Any], lines: Mapping[Hashable, Line], seconds: float
+) -> Report:
+    done = [lines[index] for index in range(options.short_runs) if index in lines]
+    crashed = [line for line in done if line["reason"] != "done"]
+    drifted = sum(entry["drifted"] for line in done for entry in line.get("variants", {}).values())
+    return Report(
+        command="evaluate slam",
+        seed=options.seed,
+        success=len(done) == options.short_runs and not crashed and not drifted,
+        reason=f"{len(done)} of {options.short_runs} short runs, {drifted} drifted, {len(crashed)} crashed",
+        timings={"total": seconds},
+        metrics=summarise_short(done),
+        settings={**settings, "short_runs": options.short_runs},
+    )
