@@ -22,12 +22,12 @@ from app.ar.surroundings import clutter, support_frame
 from app.drawing import font
 from app.errors import UsageError
 from app.export.convex import convex_pieces, measure
+from app.movie import MovieFile
 from app.options import ArOptions
 from app.runs.finished_run import FinishedRun, read_run
 from app.runs.report import ObjectReport, Report
 from app.runs.run_folder import RunFolder
 from app.screen import Screen
-from app.task.video import MovieFile
 from perception.files import write_atomically
 from perception.scan_folder import png_bytes
 from perception.types import ObjectEstimate, RgbdFrame

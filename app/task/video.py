@@ -13,21 +13,22 @@ from typing import Any
 
 import cv2
 import numpy as np
-from jaxtyping import Float, UInt8
+from jaxtyping import Float
 from PIL import Image, ImageDraw
 
 from app.drawing import draw_detections, draw_estimates, font
+from app.movie import MovieFile, Picture
 from app.task.pipeline import Watcher
 from manipulation.execution import TaskEvent
-from manipulation.types import TaskPlan
+from manipulation.types import Box, TaskPlan
 from perception.types import CameraIntrinsics, ObjectEstimate, RgbdFrame
 from sim_assets.camera import look_at
 from sim_assets.world import World
 
 FPS = 12
-SPEED = 4.0  # simulated seconds per second of film
-SCENE = (800, 600)  # [px]
-SIDE = (400, 300)  # of the two pictures beside it
+SPEED = 5.0  # simulated seconds per second of film
+SCENE = (720, 540)  # [px]
+SIDE = (360, 270)  # of the two pictures beside it
 FOOTER = 72
 WRIST = (320, 240)  # as rendered
 SHOW = 1.5  # [s] for which a stage's result stands still
@@ -40,45 +41,9 @@ STAGES = {
     "execute": "Execute",
     "verify": "Verify",
 }
+Sides = list[tuple[np.ndarray, float]]  # polygons in pixels, and how bright they are
 STILL = 1e-3  # [rad], [m]: what moved less is not drawn again
 _BACKGROUND, _TEXT, _FAINT, _ACCENT = (24, 26, 30), (235, 235, 235), (120, 124, 132), (86, 180, 233)
-
-Picture = UInt8[np.ndarray, "_h _w 3"]
-
-
-class MovieFile:
-    """Encodes images as they come; the file appears under its name when it is complete."""
-
-    def __init__(self, path: Path, fps: int) -> None:
-        import imageio.v2 as imageio
-
-        self._path = path
-        self._partial = path.with_name(f".{path.name}.partial.mp4")
-        self._fps = fps
-        self._last: np.ndarray | None = None
-        self._writer: Any = imageio.get_writer(
-            self._partial, fps=fps, codec="libx264", quality=7, macro_block_size=8, ffmpeg_log_level="error"
-        )
-
-    def add(self, image: Picture) -> None:
-        """One more image, of the size of the others."""
-        self._last = image
-        self._writer.append_data(image)
-
-    def hold(self, seconds: float) -> None:
-        """Stand still."""
-        for _ in range(round(seconds * self._fps) if self._last is not None else 0):
-            self._writer.append_data(self._last)
-
-    def close(self) -> None:
-        """Finish the file."""
-        self._writer.close()
-        self._partial.replace(self._path)
-
-    def discard(self) -> None:
-        """Give up what was written."""
-        self._writer.close()
-        self._partial.unlink(missing_ok=True)
 
 
 class Film(Watcher):
@@ -207,10 +172,10 @@ class Film(Watcher):
 def _belief_camera() -> RgbdFrame:
     """An empty picture from outside, over the table."""
     width, height = SIDE
-    lens = CameraIntrinsics(width, height, 1.05 * width, 1.05 * width, (width - 1) / 2, (height - 1) / 2)
+    lens = CameraIntrinsics(width, height, 1.3 * width, 1.3 * width, (width - 1) / 2, (height - 1) / 2)
     fade = np.linspace(58, 30, height)[:, None, None] * np.array([0.95, 1.0, 1.1])
     rgb = np.ascontiguousarray(np.broadcast_to(fade, (height, width, 3)).astype(np.uint8))
-    pose = look_at(np.array([1.42, -0.44, 0.86]), np.array([0.45, -0.02, 0.02]))
+    pose = look_at(np.array([1.42, -0.44, 0.86]), np.array([0.47, -0.01, 0.03]))
     return RgbdFrame(0.0, rgb, np.zeros((height, width), np.float32), lens, pose)
 
 
@@ -223,13 +188,29 @@ def _belief_picture(objects: Sequence[ObjectEstimate], plan: TaskPlan | None) ->
     if plan is not None and plan.line is not None:
         ends = np.array([(*plan.line.start, 0.0), (*plan.line.end, 0.0)])
         cv2.polylines(canvas, [_pixels(frame, ends)], False, (86, 140, 200), 3, cv2.LINE_AA)
-    if plan is not None and plan.box is not None:
-        (x, y), (length, width, depth) = plan.box.center, plan.box.size
-        corners = np.array([(-1, -1), (1, -1), (1, 1), (-1, 1)]) * (length / 2, width / 2) + (x, y)
-        for z in (0.0, depth):
-            rim = np.column_stack([corners, np.full(4, z)])
-            cv2.polylines(canvas, [_pixels(frame, rim)], True, (200, 166, 110), 2, cv2.LINE_AA)
-    return draw_estimates(replace(frame, rgb=canvas), objects, 1.0, labels=False)
+    inside, before = _walls(frame, plan.box) if plan is not None and plan.box is not None else ([], [])
+    for wall, shade in inside:
+        cv2.fillConvexPoly(canvas, wall, (190 * shade, 158 * shade, 104 * shade), cv2.LINE_AA)
+    image = draw_estimates(replace(frame, rgb=canvas), objects, 1.0, labels=False)
+    veiled = image.copy()
+    for wall, shade in before:
+        cv2.fillConvexPoly(veiled, wall, (200 * shade, 166 * shade, 110 * shade), cv2.LINE_AA)
+    return cv2.addWeighted(veiled, 0.6, image, 0.4, 0)
+
+
+def _walls(frame: RgbdFrame, box: Box) -> tuple[Sides, Sides]:
+    """Floor and walls of the box that are seen from inside, and those seen from outside."""
+    assert frame.T_world_camera is not None
+    (x, y), (length, width, depth) = box.center, box.size
+    corners = np.array([(-1, -1), (1, -1), (1, 1), (-1, 1)]) * (length / 2, width / 2) + (x, y)
+    low, high = (np.column_stack([corners, np.full(4, z)]) for z in (0.0, depth))
+    inside, before = [(_pixels(frame, low), 0.8)], []
+    for a, b in ((0, 1), (1, 2), (2, 3), (3, 0)):
+        wall = np.array([low[a], low[b], high[b], high[a]])
+        outward = wall.mean(axis=0)[:2] - (x, y)
+        faces_away = (frame.T_world_camera[:2, 3] - wall.mean(axis=0)[:2]) @ outward < 0
+        (inside if faces_away else before).append((_pixels(frame, wall), 1.0 if a % 2 else 0.9))
+    return inside, before
 
 
 def _pixels(frame: RgbdFrame, points: Float[np.ndarray, "n 3"]) -> np.ndarray:

@@ -31,14 +31,16 @@ def header(title: str, subtitle: str) -> str:
     )
 
 
-def timeline(stages: Sequence[StageSpan], now: float, caption: str) -> str:
-    """The stages in a row: done, running, to come; how long each took; and what happens now."""
+def timeline(
+    stages: Sequence[StageSpan], now: float, caption: str, titles: Mapping[str, str] = STAGE_NAMES
+) -> str:
+    """The stages in a row, by ``titles``: done, running, to come; how long each took; what happens now."""
     spans = {span.name: span for span in stages}
     current = next((span.name for span in reversed(stages) if span.begin <= now), "")
-    names = list(STAGE_NAMES)
+    names = list(titles)
     reached = names.index(current) if current in names else -1
     cells = []
-    for index, (name, title) in enumerate(STAGE_NAMES.items()):
+    for index, (name, title) in enumerate(titles.items()):
         span = spans.get(name)
         took = f"{span.seconds:.0f} s" if span is not None and span.seconds is not None else "&nbsp;"
         bar = GOOD if index < reached else ACCENT if index == reached else "#d5d8de"
@@ -51,7 +53,8 @@ def timeline(stages: Sequence[StageSpan], now: float, caption: str) -> str:
         )
     return (
         f'<div style="{_FONT};padding:0 0.75em"><div style="display:flex;gap:4px">{"".join(cells)}</div>'
-        f'<div style="margin-top:4px;min-height:2.6em;font-size:0.85em">{escape(caption)}</div></div>'
+        f'<div style="margin-top:4px;min-height:2.6em;line-height:1.3;font-size:0.85em">'
+        f"{escape(caption)}</div></div>"
     )
 
 
@@ -109,6 +112,15 @@ def legend() -> str:
         for category in CATEGORIES
     )
     return f'<div style="{_FONT};padding:0 0.75em;font-size:0.85em">{entries}</div>'
+
+
+def scale(low: str, high: str, colors: Sequence[tuple[int, int, int]]) -> str:
+    """What a run of colours means, from low to high."""
+    return (
+        f'<div style="{_FONT};padding:0 0.75em;font-size:0.85em;display:flex;gap:0.6em;align-items:center">'
+        f'{escape(low)}<span style="flex:1;height:0.7em;border-radius:0.35em;background:'
+        f'linear-gradient(to right,{",".join(css(color) for color in colors)})"></span>{escape(high)}</div>'
+    )
 
 
 def curves(title: str, lines: Mapping[str, Curve], unit: str) -> str:

@@ -19,6 +19,8 @@ from app.viewer.load import Run, load_run
 from app.viewer.server import open_server
 from app.viewer.viewer import Viewer
 
+SEEDED = ("pack", "sort", "scan")  # commands whose seed decides what is seen
+
 
 def run(options: ViewOptions, screen: Screen) -> Report:
     """Serve until interrupted, or write the page."""
@@ -102,4 +104,7 @@ def show_title(viewer: Viewer, shown: Run, folder: Path) -> None:
 def titles(shown: Run, folder: Path) -> tuple[str, str]:
     """Title and subtitle of a run."""
     command, reason = (str(shown.report.get(key, "")) for key in ("command", "reason"))
-    return (f"{command.capitalize()}, seed {shown.report.get('seed')}" if command else folder.name), reason
+    if not command:
+        return folder.name, reason
+    name = "SLAM" if command == "slam" else command.capitalize()
+    return (f"{name}, seed {shown.report.get('seed')}" if command in SEEDED else name), reason

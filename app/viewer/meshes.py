@@ -17,7 +17,8 @@ from perception.types import ObjectEstimate, TriangleMesh
 
 UNSURE = 0.006  # [m] one standard deviation that gets the last colour
 # From sure to unsure: dark blue, teal, yellow, red.
-_SCALE = np.array([(46, 64, 140), (38, 146, 140), (240, 205, 70), (205, 55, 45)], dtype=np.float64)
+UNSURE_COLORS = ((46, 64, 140), (38, 146, 140), (240, 205, 70), (205, 55, 45))
+_SCALE = np.array(UNSURE_COLORS, dtype=np.float64)
 
 
 class Meshes:

@@ -12,12 +12,14 @@ from app.viewer.load import Run
 from app.viewer.meshes import Meshes
 from app.viewer.scene import SceneView, Shown
 from app.viewer.server import open_server
-from app.viewer.story import STAGE_NAMES, Moment, Story
+from app.viewer.story import MAPPING, STAGE_NAMES, Moment, Story
+from app.viewer.surroundings import surroundings_of
 from app.viewer.viewer import look_from_home
 from perception.files import write_atomically
 
 STEP = 0.1  # [s] between the recorded moments
-CAPTION_AT = (0.30, 0.0, 1.02)  # [m] above the arm
+CAPTION_AT = (0.30, 0.0, 1.02)  # [m] above the arm of a cell
+CAPTION_UP = 0.35  # [m] above the support elsewhere
 _CARD = (
     "position:fixed;left:12px;top:12px;z-index:10;max-width:min(22em,calc(100vw - 48px));padding:0.8em 0.2em;"
     "background:rgba(255,255,255,0.92);border-radius:10px;box-shadow:0 2px 12px rgba(20,25,40,0.18);"
@@ -30,10 +32,12 @@ def write_page(path: Path, shown: Run, title: str, subtitle: str) -> int:
     story = Story(shown.recorder)
     server = open_server(port=0)  # nobody is told of it: it only serves to record its messages
     try:
-        look_from_home(server)
-        scene = SceneView(server, shown.recorder, Meshes(shown.recorder))
+        around = surroundings_of(shown.recorder)
+        look_from_home(server, around)
+        scene = SceneView(server, shown.recorder, Meshes(shown.recorder), around)
         scene.draw(story.at(0.0), Shown())
-        caption = server.scene.add_label("/caption", "", position=CAPTION_AT, anchor="bottom-center")
+        at = CAPTION_AT if around.known else around.T_world_ground[:3, 3] + CAPTION_UP * around.up
+        caption = server.scene.add_label("/caption", "", position=at, anchor="bottom-center")
         serializer = server.get_scene_serializer()
         for time in np.arange(0.0, story.end + STEP, STEP):
             moment = story.at(float(time))
@@ -50,7 +54,7 @@ def write_page(path: Path, shown: Run, title: str, subtitle: str) -> int:
 
 
 def _caption(moment: Moment) -> str:
-    stage = STAGE_NAMES.get(moment.stage, "")
+    stage = (STAGE_NAMES | MAPPING).get(moment.stage, "")
     return f"{stage}: {moment.caption}" if moment.caption else stage
 
 

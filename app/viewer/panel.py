@@ -15,15 +15,16 @@ from jaxtyping import UInt8
 
 from app.drawing import draw_detections
 from app.viewer import charts
+from app.viewer.meshes import UNSURE, UNSURE_COLORS
 from app.viewer.player import Player
 from app.viewer.scene import Coloring, Objects, Shown
-from app.viewer.story import STAGE_NAMES, Moment
+from app.viewer.story import Moment
 from perception.types import RgbdFrame
 
 SPEEDS = ("0.25x", "0.5x", "1x", "2x", "4x", "8x")
-CAMERAS = ("free", "follow the hand", "through the wrist camera")
+CAMERAS = ("free", "follow the motion", "through the camera")
 IMAGE_WIDTH = 480  # [px]
-DEPTH_RANGE = (0.3, 0.9)  # [m] over which the depth picture has its colours
+DEPTH_SHARES = (1, 99)  # [%] of the measurements between which the depth picture has its colours
 _TICK = 0.05  # [s] step of the time slider
 _NOTHING = np.full((IMAGE_WIDTH * 3 // 4, IMAGE_WIDTH, 3), 236, np.uint8)
 
@@ -69,7 +70,7 @@ class Panel:
         self._play = gui.add_button("Pause", icon=viser.Icon.PLAYER_PAUSE)
         self._slider = gui.add_slider("Time [s]", 0.0, 1.0, _TICK, 0.0)
         self._speed = gui.add_dropdown("Speed", SPEEDS, initial_value="1x")
-        self._jump = gui.add_button_group("Jump to", tuple(STAGE_NAMES.values()))
+        self._jump = gui.add_button_group("Jump to", tuple(player.story.stage_titles.values()))
         self._live = gui.add_button("Back to now", icon=viser.Icon.PLAYER_SKIP_FORWARD, visible=False)
 
         @self._play.on_click
@@ -97,7 +98,7 @@ class Panel:
             player.follow()
 
     def _choices(self, gui: viser.GuiApi) -> None:
-        self._legend = gui.add_html(charts.legend())
+        gui.add_html(charts.legend())
         self._which = gui.add_dropdown(
             "Objects", get_args(Objects), hint="As reconstructed, as they truly are in the simulator, or both"
         )
@@ -108,6 +109,7 @@ class Panel:
             "labels": gui.add_checkbox("Names", True),
         }
         self._coloring = gui.add_dropdown("Colour by", get_args(Coloring))
+        gui.add_html(charts.scale("sure", f"{1000 * UNSURE:.0f} mm of deviation", UNSURE_COLORS))
         self._camera = gui.add_dropdown("View", CAMERAS)
 
     @property
@@ -133,7 +135,9 @@ class Panel:
     def draw(self, moment: Moment) -> None:
         """Bring the panel to a moment; only what has changed is sent."""
         player, story = self._player, self._player.story
-        self._set(self._timeline, charts.timeline(story.stages, moment.time, moment.caption))
+        self._set(
+            self._timeline, charts.timeline(story.stages, moment.time, moment.caption, story.stage_titles)
+        )
         self._draw_playback(player)
         self._draw_picture(moment)
         estimates = story.recorder.objects
@@ -163,7 +167,7 @@ class Panel:
         frame = recorder.frames[index]
         color = draw_detections(frame, recorder.detections[index], by_class=True) if found else frame.rgb
         self._color.image, self._depth.image = _small(np.asarray(color)), depth_picture(frame)
-        self._set(self._view, charts.note(f"Image {index + 1} of the wrist camera"))
+        self._set(self._view, charts.note(f"Image {index + 1} of {len(recorder.frames)}"))
 
     def _draw_plots(self, moment: Moment) -> None:
         story = self._player.story
@@ -195,8 +199,9 @@ def _millimetres(iterations: list[int], residuals: list[float]) -> tuple[list[in
 
 def depth_picture(frame: RgbdFrame) -> UInt8[np.ndarray, "h w 3"]:
     """Depth in colours, what was not measured in grey."""
-    near, far = DEPTH_RANGE
-    share = 1 - np.clip((frame.depth - near) / (far - near), 0, 1)
+    measured = frame.depth[frame.depth > 0]
+    near, far = np.percentile(measured, DEPTH_SHARES) if measured.size else (0.0, 1.0)
+    share = 1 - np.clip((frame.depth - near) / max(far - near, 1e-3), 0, 1)
     picture = cv2.applyColorMap((255 * share).astype(np.uint8), cv2.COLORMAP_VIRIDIS)[..., ::-1]
     picture = np.where((frame.depth > 0)[..., None], picture, 60).astype(np.uint8)
     return _small(picture)

@@ -18,6 +18,7 @@ from app.drawing import CLASS_COLORS, draw_detections
 from app.runs.replay import Recorder
 from app.viewer.meshes import Meshes
 from app.viewer.story import Believed, Moment
+from app.viewer.surroundings import Surroundings
 from perception.types import RgbdFrame, TriangleMesh
 
 Coloring = Literal["class", "uncertainty"]
@@ -49,10 +50,16 @@ class Shown:
 class SceneView:
     """The whole scene of one recording."""
 
-    def __init__(self, server: viser.ViserServer, recorder: Recorder, meshes: Meshes) -> None:
+    def __init__(
+        self, server: viser.ViserServer, recorder: Recorder, meshes: Meshes, around: Surroundings
+    ) -> None:
         self._server = server
         with server.atomic():
-            _light(server)
+            _light(server, around)
+            if not around.known:
+                server.scene.add_grid(
+                    "/ground", 2, 2, cell_size=0.1, section_size=0.5, **_look_of(around.T_world_ground)
+                )
             self._parts: tuple[Any, ...] = (
                 _Bodies(server, recorder),
                 _Objects(server, meshes),
@@ -68,18 +75,23 @@ class SceneView:
                 part.draw(moment, shown)
 
 
-def _light(server: viser.ViserServer) -> None:
+def _light(server: viser.ViserServer, around: Surroundings) -> None:
     scene = server.scene
-    scene.set_up_direction("+z")
+    scene.set_up_direction(around.up)
+    turn: Any = around.T_world_ground[:3, :3]
     scene.configure_default_lights(False)
     scene.configure_environment_map(None)  # its pictures would come from elsewhere
     scene.add_light_hemisphere(
         "/light/sky", sky_color=(235, 240, 255), ground_color=(150, 138, 125), intensity=2.2
     )
     scene.add_light_directional(
-        "/light/key", position=(1.6, -1.4, 3.0), intensity=2.4, cast_shadow=True, color=(255, 248, 238)
+        "/light/key",
+        position=turn @ (1.6, -1.4, 3.0),
+        intensity=2.4,
+        cast_shadow=True,
+        color=(255, 248, 238),
     )
-    scene.add_light_directional("/light/fill", position=(-1.5, 1.2, 1.6), intensity=0.7)
+    scene.add_light_directional("/light/fill", position=turn @ (-1.5, 1.2, 1.6), intensity=0.7)
 
 
 def _look_of(T: Float[np.ndarray, "4 4"]) -> dict[str, Any]:
@@ -105,8 +117,6 @@ class _Bodies:
                 server.scene.add_mesh_trimesh(
                     f"/cell/{body}/{index}", mesh, cast_shadow=body != "world", receive_shadow=True
                 )
-        if not recorder.meshes:
-            server.scene.add_grid("/cell/ground", 2, 2, cell_size=0.1, section_size=0.5)
 
     def draw(self, moment: Moment, shown: Shown) -> None:
         for body, frame in self._frames.items():

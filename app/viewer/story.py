@@ -19,7 +19,7 @@ from app.runs.replay import Note, Recorder
 from perception.types import Category
 
 Status = Literal["fitting", "reconstructed", "next", "in the hand", "put down", "left"]
-TCP = "tcp"
+TCP, CAMERA = "tcp", "camera"
 HELD_PHASES = ("grasp", "transfer", "place")
 STAGE_NAMES = {
     "scan": "Look",
@@ -29,6 +29,8 @@ STAGE_NAMES = {
     "execute": "Act",
     "verify": "Verify",
 }
+MAPPING = {"slam": "Track and map", "lost": "Lost"}  # stages of a camera that moves by itself
+WAY_POINTS = 150  # of such a camera's way, at most
 SENTENCES = {
     "scan": "The wrist camera looks at the table from several sides",
     "detect": "Every image is searched for objects; one colour is one object",
@@ -36,6 +38,8 @@ SENTENCES = {
     "plan": "Where everything shall go, and in which order",
     "execute": "The arm carries one object after another",
     "verify": "The camera looks again: does everything stand where it should?",
+    "slam": "The camera moves; from what it sees come whole objects, and from them its own way",
+    "lost": "The camera has lost its way and looks for objects that it knows",
 }
 
 
@@ -93,7 +97,7 @@ class StageSpan:
 
     @property
     def title(self) -> str:
-        return STAGE_NAMES.get(self.name, self.name.capitalize())
+        return (STAGE_NAMES | MAPPING).get(self.name, self.name.capitalize())
 
 
 @dataclass(frozen=True)
@@ -109,7 +113,7 @@ class Moment:
         n_found: images searched so far.
         objects: as believed, by id.
         placements: of the plan, once it is made: name to T_world_stand of the goal.
-        path: (n, 3) the tool's way in [m] while it is followed.
+        path: (n, 3) the tool's way in [m] while it is followed; of a camera that moves by itself, so far.
         grasps: (k, 4, 4) T_world_tcp of the candidates, the chosen one first, until one is taken.
     """
 
@@ -132,6 +136,7 @@ class Story:
         self.recorder = recorder
         self._told = 0  # notes that the present chapter holds
         self._chapter = _Chapter()
+        self._points = np.zeros((0, 3))
 
     @property
     def end(self) -> float:
@@ -158,7 +163,29 @@ class Story:
         for note in notes[self._told : count]:
             self._chapter.tell(note, self.recorder)
         self._told = count
-        return self._chapter.moment(time, self._poses(time), self.recorder.bodies)
+        moment = self._chapter.moment(time, self._poses(time), self.recorder.bodies)
+        way = self._way(bisect.bisect_right(self.recorder.show_times, time))
+        return moment if way is None else replace(moment, path=way)
+
+    @property
+    def stage_titles(self) -> dict[str, str]:
+        """By name, the stages that there are, and of a task that still goes on, those to come."""
+        there = {span.name: span.title for span in self.stages}
+        if TCP in self.recorder.bodies or not there:
+            return STAGE_NAMES
+        return there
+
+    def _way(self, count: int) -> Float[np.ndarray, "n 3"] | None:
+        """Where the camera has been in [m], where nothing else moves; the same array until it is longer."""
+        if TCP in self.recorder.bodies or CAMERA not in self.recorder.bodies:
+            return None
+        row = self.recorder.bodies.index(CAMERA)
+        step = max(1, len(self.recorder.poses) // WAY_POINTS)
+        if len(self._points) != count // step:
+            self._points = np.array(
+                [pose[row, :3] for pose in self.recorder.poses[:count:step]][: count // step]
+            )
+        return self._points if len(self._points) > 1 else None
 
     def residuals(self, object_id: int, until: float) -> tuple[list[int], list[float]]:
         """The fit of an object so far: iterations, and residuals in [m]."""
@@ -201,6 +228,8 @@ class _Chapter:
             self.action, self.path = {}, None
         elif note.kind == "look":
             self.n_frames = data["index"] + 1
+            if self.stage in MAPPING:  # searched as it was taken
+                self.n_found = self.n_frames
         elif note.kind == "found":
             self.n_found = data["index"] + 1
         elif note.kind == "fit":

@@ -13,16 +13,17 @@ from app.viewer.panel import CAMERAS, Panel
 from app.viewer.player import Player
 from app.viewer.scene import SceneView
 from app.viewer.server import ViewerServer
-from app.viewer.story import TCP, Moment, Story, matrix
+from app.viewer.story import CAMERA, TCP, Moment, Story, matrix
+from app.viewer.surroundings import FIELD_OF_VIEW, Surroundings, surroundings_of
 
 PANEL_EVERY = 3  # pictures of the scene for one of the panel
-HOME = {"position": (1.62, -0.88, 1.0), "look_at": (0.40, -0.02, 0.14), "fov": 0.80}  # of the view [m, rad]
 
 
-def look_from_home(server: ViewerServer) -> None:
+def look_from_home(server: ViewerServer, around: Surroundings) -> None:
     """Where new viewers look from."""
-    for name, value in HOME.items():
-        setattr(server.initial_camera, name, value)
+    camera = server.initial_camera
+    camera.position, camera.look_at, camera.up = around.position, around.target, around.up
+    camera.fov = FIELD_OF_VIEW
 
 
 class Viewer:
@@ -30,8 +31,9 @@ class Viewer:
 
     def __init__(self, server: ViewerServer, recorder: Recorder | None = None, live: bool = False) -> None:
         self.server = server
-        look_from_home(server)
-        self.player = Player(Story(recorder or Recorder()), self._draw, live)
+        recorder = recorder or Recorder()
+        look_from_home(server, surroundings_of(recorder))
+        self.player = Player(Story(recorder), self._draw, live)
         self.panel = Panel(server, self.player)
         self._scene: SceneView | None = None
         self._next: Recorder | None = self.player.story.recorder
@@ -67,7 +69,7 @@ class Viewer:
         fresh, self._next = self._next, None
         if fresh is not None:
             self.server.scene.reset()
-            self._scene = SceneView(self.server, fresh, Meshes(fresh))
+            self._scene = SceneView(self.server, fresh, Meshes(fresh), surroundings_of(fresh))
         assert self._scene is not None
         moment = self.player.story.at(self.player.time)
         self._scene.draw(moment, self.panel.shown)
@@ -79,7 +81,7 @@ class Viewer:
     def _move_cameras(self, moment: Moment) -> None:
         """Let the views of all clients follow the hand, or see what the wrist camera sees."""
         choice, bodies = self.panel.camera, self.player.story.recorder.bodies
-        name = {CAMERAS[1]: TCP, CAMERAS[2]: "camera"}.get(choice)
+        name = {CAMERAS[1]: TCP if TCP in bodies else CAMERA, CAMERAS[2]: CAMERA}.get(choice)
         if name not in bodies or len(moment.poses) <= bodies.index(name):
             self._hand = None
             return

@@ -153,7 +153,7 @@ def test_film_has_its_length_and_appears_only_when_complete(tmp_path):
     frames = film_of(tmp_path / "video.mp4")
     assert len(frames) == 4 + 1 + round(SHOW * FPS) + 1 + round(END * FPS)
     assert frames[0].shape == (SCENE[1] + FOOTER, SCENE[0] + SIDE[0], 3)
-    assert [path.name for path in tmp_path.iterdir()] == ["video.mp4"]
+    assert sorted(path.name for path in tmp_path.iterdir()) == ["video.mp4", "video.webp"]
     assert world.drawn == 2  # cell and wrist once: nothing moved afterwards
 
 

@@ -1,6 +1,7 @@
 import numpy as np
 import pytest
 
+from app.runs.replay import Recorder
 from app.viewer.story import Story, matrix
 
 
@@ -65,3 +66,20 @@ def test_the_stages_and_residuals_are_those_recorded(recording):
     assert spans["scan"].seconds == 3.0 and spans["detect"].end is None
     assert story.residuals(0, recording.now) == ([8, 30], [0.004, 0.001])
     assert story.residuals(0, spans["reconstruct"].begin) == ([], [])
+
+
+def test_a_camera_that_moves_by_itself_leaves_its_way_and_has_stages_of_its_own():
+    recorder = Recorder(bodies=("camera",))
+    for stage, xs in (("slam", (0, 1, 2)), ("lost", (2.5,)), ("slam", (3, 4))):
+        recorder.note("stage", name=stage)
+        for x in xs:
+            recorder.sample(float(x), np.zeros(0), 0.0, np.array([[x, 0, 0, 1, 0, 0, 0.0]]))
+        recorder.note("look", index=0)
+    story = Story(recorder)
+    assert story.stage_titles == {"slam": "Track and map", "lost": "Lost"}
+    lost = story.at(next(n.time for n in recorder.notes if n.data.get("name") == "lost") + 1e-6)
+    assert lost.stage == "lost" and lost.n_found == 1
+    np.testing.assert_allclose(lost.path[:, 0], (0, 1, 2))
+    end = story.at(recorder.now)
+    np.testing.assert_allclose(end.path[:, 0], (0, 1, 2, 2.5, 3, 4))
+    assert story.at(recorder.now).path is end.path  # not sent again

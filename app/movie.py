@@ -1,0 +1,76 @@
+"""Films as they are made: a video to watch, and a small animation to put into a page."""
+
+from __future__ import annotations
+
+from pathlib import Path
+from typing import Any
+
+import cv2
+import numpy as np
+from jaxtyping import UInt8
+from PIL import Image
+
+Picture = UInt8[np.ndarray, "_h _w 3"]
+
+ANIMATION_WIDTH, ANIMATION_QUALITY = 640, 70  # [px], of WebP: well below 1 MB for a packing episode
+ANIMATION_FPS = 6.0  # at most
+LONGEST = 20.0  # [s] of an animation; longer films are shown faster in it
+
+
+class MovieFile:
+    """Encodes images as they come; the file appears under its name when it is complete.
+
+    Beside it ``<name>.webp`` shows the same, smaller and with fewer images.
+    """
+
+    def __init__(self, path: Path, fps: int) -> None:
+        import imageio.v2 as imageio
+
+        self._path = path
+        self._partial = path.with_name(f".{path.name}.partial.mp4")
+        self._fps = fps
+        self._last: np.ndarray | None = None
+        self._small: list[Image.Image] = []
+        self._count = 0
+        self._writer: Any = imageio.get_writer(
+            self._partial, fps=fps, codec="libx264", quality=7, macro_block_size=8, ffmpeg_log_level="error",
+            output_params=["-preset", "veryfast"],  # a few per cent larger at half the cost
+        )  # fmt: skip
+
+    def add(self, image: Picture) -> None:
+        """One more image, of the size of the others."""
+        if self._count % max(1, round(self._fps / ANIMATION_FPS)) == 0:
+            height = round(ANIMATION_WIDTH * image.shape[0] / image.shape[1])
+            small = cv2.resize(image, (ANIMATION_WIDTH, height), interpolation=cv2.INTER_AREA)
+            self._small.append(Image.fromarray(small))
+        self._last = image
+        self._count += 1
+        self._writer.append_data(image)
+
+    def hold(self, seconds: float) -> None:
+        """Stand still."""
+        for _ in range(round(seconds * self._fps) if self._last is not None else 0):
+            self.add(self._last)  # pyright: ignore[reportArgumentType]
+
+    def close(self) -> None:
+        """Finish the files."""
+        self._writer.close()
+        self._partial.replace(self._path)
+        if self._small:
+            self._write_animation()
+
+    def discard(self) -> None:
+        """Give up what was written."""
+        self._writer.close()
+        self._partial.unlink(missing_ok=True)
+
+    def _write_animation(self) -> None:
+        """WebP, which browsers and READMEs play without being asked."""
+        seconds = min(self._count / self._fps, LONGEST)
+        first, *others = self._small
+        partial = self._path.with_name(f".{self._path.stem}.partial.webp")
+        first.save(
+            partial, save_all=True, append_images=others, duration=round(1000 * seconds / len(self._small)),
+            loop=0, quality=ANIMATION_QUALITY, method=2,
+        )  # fmt: skip
+        partial.replace(self._path.with_suffix(".webp"))
