@@ -81,8 +81,10 @@ class ViewerServer(viser.ViserServer):
     """viser's server behind a guard."""
 
     def __init__(self, host: str, port: int) -> None:
-        with _starting, _guarded(Guard(host)), _silence():
+        guard = Guard(host)
+        with _starting, _guarded(guard), _silence():
             super().__init__(host=host, port=port, label="NodeSLAM", verbose=False)
+        guard.control = lambda uuid: self.gui._gui_input_handle_from_uuid.get(uuid)
         self.get_event_loop().set_exception_handler(_contain)
 
     @property
@@ -113,9 +115,14 @@ def _silence() -> contextlib.redirect_stdout[io.StringIO]:
 
 
 class Guard:
-    """Decides which requests are answered."""
+    """Decides which requests are answered, and which messages are passed on.
+
+    Attributes:
+        control: finds a control of the viewer by its id; None where there is none.
+    """
 
     def __init__(self, host: str) -> None:
+        self.control: Callable[[str], Any] = lambda uuid: None
         self.names = set(_LOOPBACK_NAMES) | {host.lower()}
         self.any_host = host in _ANYWHERE
 
@@ -154,7 +161,7 @@ def _guarded(guard: Guard) -> Iterator[None]:
 
     def guarded_listen(handler: Any, *args: Any, process_request: Any = None, **options: Any) -> Any:
         return listen(
-            _contained(handler),
+            _contained(handler, guard),
             *args,
             process_request=functools.partial(_answer, guard, process_request),
             **options,
@@ -178,13 +185,13 @@ def _answer(
 
 
 def _contained(
-    handler: Callable[[ServerConnection], Awaitable[None]],
+    handler: Callable[[ServerConnection], Awaitable[None]], guard: Guard
 ) -> Callable[[ServerConnection], Awaitable[None]]:
     """The handler; what a client breaks is its own connection."""
 
     async def contained(connection: ServerConnection) -> None:
         try:
-            await handler(cast(ServerConnection, _Checked(connection)))
+            await handler(cast(ServerConnection, _Checked(connection, guard)))
         except Exception as error:  # whatever a message sets off
             _log.info("a viewer's connection is closed (%s: %s)", type(error).__name__, error)
             await connection.close(1007, "malformed message")
@@ -195,8 +202,8 @@ def _contained(
 class _Checked:
     """A connection that hands on only what pages of this viewer send; anything else ends it."""
 
-    def __init__(self, connection: ServerConnection) -> None:
-        self._connection = connection
+    def __init__(self, connection: ServerConnection, guard: Guard) -> None:
+        self._connection, self._guard = connection, guard
 
     def __getattr__(self, name: str) -> Any:
         return getattr(self._connection, name)
@@ -204,14 +211,14 @@ class _Checked:
     async def recv(self) -> bytes:
         while True:
             raw = await self._connection.recv()
-            message = checked_message(raw)
+            message = checked_message(raw, self._guard.control)
             if message in HANDLED:
                 assert isinstance(raw, bytes)
                 return raw
 
 
-def checked_message(raw: bytes | str) -> str:
-    """The kind of a message.
+def checked_message(raw: bytes | str, control: Callable[[str], Any] = lambda uuid: None) -> str:
+    """The kind of a message; "misfit" where it asks a control for what that cannot be.
 
     Raises:
         ValueError: it is none, or tries to change more of a control than its value.
@@ -226,12 +233,34 @@ def checked_message(raw: bytes | str) -> str:
         updates = message.get("updates")
         if not isinstance(updates, dict) or set(updates) != {"value"}:
             raise ValueError("not the value of a control")
-        value = updates["value"]
-        if not isinstance(value, bool | int | str) and not (isinstance(value, float) and isfinite(value)):
+        if not _is_plain(updates["value"]):
             raise ValueError("not a value")
+        handle = control(str(message.get("uuid")))
+        if handle is not None and not _fits(handle._impl, updates["value"]):
+            return "misfit"
     if kind == "ViewerCameraMessage":
         numbers = [message.get(name) for name in ("position", "wxyz", "look_at", "up_direction")]
         flat = [value for vector in numbers for value in (vector if isinstance(vector, list) else [None])]
         if not all(isinstance(value, int | float) and isfinite(value) for value in flat):
             raise ValueError("not a camera")
     return kind
+
+
+def _is_plain(value: Any) -> bool:
+    return isinstance(value, bool | int | str) or (isinstance(value, float) and isfinite(value))
+
+
+def _fits(state: Any, value: Any) -> bool:
+    """Whether a control may have a value: viser would cast any word to True and press a button with it."""
+    options = getattr(state.props, "options", None)
+    if options is not None:
+        return value in options
+    if isinstance(state.value, bool):
+        return isinstance(value, bool)
+    if isinstance(state.value, int | float):
+        if isinstance(value, bool | str):
+            return False
+        low, high, step = (getattr(state.props, name, None) for name in ("min", "max", "step"))
+        slack = step or 0.0  # pages round to steps
+        return (low is None or value >= low - slack) and (high is None or value <= high + slack)
+    return isinstance(value, type(state.value))

@@ -125,6 +125,8 @@ def encoded(**message):
 
 
 CAMERA = {"position": [0, 0, 1], "wxyz": [1, 0, 0, 0], "look_at": [0, 0, 0], "up_direction": [0, 0, 1.0]}
+LENS = {"fov": 1.0, "near": 0.1, "far": 9.0, "image_height": 10, "image_width": 10}
+WHOLE_CAMERA = encoded(type="ViewerCameraMessage", **CAMERA, **LENS)  # with it a page introduces itself
 
 
 def test_messages_of_a_page_pass():
@@ -158,6 +160,39 @@ def test_others_do_not(message):
         checked_message(message)
 
 
+def test_controls_take_only_what_they_can_be(server):
+    gui = server.gui
+    button, number = gui.add_button("Stop"), gui.add_number("Seed", 3, min=0, max=9, step=1)
+    box, menu = gui.add_checkbox("Names", True), gui.add_dropdown("Speed", ("1x", "2x"))
+    pressed = []
+    button.on_click(lambda _: pressed.append(1))
+    handles = {handle._impl.uuid: handle for handle in (button, number, box, menu)}
+
+    def kind(handle, value):
+        message = encoded(type="GuiUpdateMessage", uuid=handle._impl.uuid, updates={"value": value})
+        return checked_message(message, handles.get)
+
+    for handle, good, bad in (
+        (button, [True], ["nonsense", 1, ""]),
+        (number, [0, 9, 4.0], ["7", True, -5, 2**40]),
+        (box, [False, True], ["", 0]),
+        (menu, ["1x", "2x"], ["3x", 0, True]),
+    ):
+        assert {kind(handle, value) for value in good} == {"GuiUpdateMessage"}
+        assert {kind(handle, value) for value in bad} == {"misfit"}
+    wrong = [("nonsense", button), (-1e300, number), ("", box), ("3x", menu)]
+    wrong = [encoded(type="GuiUpdateMessage", uuid=handle._impl.uuid, updates={"value": value})
+             for value, handle in wrong]  # fmt: skip
+    assert talk(server, [WHOLE_CAMERA, *wrong])
+    assert not pressed and (number.value, box.value, menu.value) == (3, True, "1x")
+    press = encoded(type="GuiUpdateMessage", uuid=button._impl.uuid, updates={"value": True})
+    assert talk(server, [WHOLE_CAMERA, press])
+    end = time.monotonic() + 10
+    while not pressed:
+        assert time.monotonic() < end
+        time.sleep(0.01)
+
+
 def test_a_thousand_malformed_messages_change_nothing(recording):
     viewer = Viewer(open_server(port=0), recording)
     viewer.start()
@@ -177,8 +212,7 @@ def test_a_thousand_malformed_messages_change_nothing(recording):
         told = Story(recording)
         assert told.end == viewer.player.story.end and told.stages == viewer.player.story.stages
         assert viewer.player._thread.is_alive()
-        assert talk(viewer.server, [encoded(type="ViewerCameraMessage", **CAMERA, fov=1.0, near=0.1, far=9.0,
-                                            image_height=10, image_width=10)])  # fmt: skip
+        assert talk(viewer.server, [WHOLE_CAMERA])
     finally:
         viewer.close()
 
