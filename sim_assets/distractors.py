@@ -1,17 +1,24 @@
-"""Things of no class that lie about on tables: parcels, balls, books, tools, open crates, plates, fruit."""
+"""Things of no class that lie about on tables: parcels, balls, books, tools, crates, plates, fruit, toys.
+
+Some kinds are held out for testing: letters, benches and spoons.
+"""
 
 from __future__ import annotations
 
-from typing import cast
+from typing import Literal, cast
 
 import numpy as np
 import trimesh
 from trimesh import creation
 
 
-def random_distractor(rng: np.random.Generator) -> trimesh.Trimesh:
-    """A mesh in [m], z up, resting on z = 0. Parts may overlap: it is made to be looked at."""
-    kind = _KINDS[rng.integers(len(_KINDS))]
+def random_distractor(rng: np.random.Generator, split: Literal["train", "test"] = "train") -> trimesh.Trimesh:
+    """A mesh in [m], z up, resting on z = 0. Parts may overlap: it is made to be looked at.
+
+    Two in five of the test split are of kinds that the training split never shows.
+    """
+    kinds = _HELD_OUT if split == "test" and rng.random() < 0.4 else _KINDS
+    kind = kinds[rng.integers(len(kinds))]
     mesh = kind(rng)
     mesh.apply_translation((*-mesh.bounds[:, :2].mean(axis=0), -mesh.bounds[0, 2]))
     return mesh
@@ -133,4 +140,85 @@ def ring(rng: np.random.Generator) -> trimesh.Trimesh:
     return creation.revolve(np.array(profile), sections=40)
 
 
-_KINDS = (parcel, parcel, ball, books, hammer, screwdriver, crate, crate, plate, banana, pyramid, ring)
+def figure(rng: np.random.Generator) -> trimesh.Trimesh:
+    """A toy figure: rounded limbs at random about a body."""
+    parts = [creation.icosphere(subdivisions=2, radius=rng.uniform(0.015, 0.035))]
+    for _ in range(rng.integers(2, 7)):
+        limb = creation.capsule(
+            height=rng.uniform(0.02, 0.07), radius=rng.uniform(0.006, 0.014), count=(8, 8)
+        )
+        limb.apply_transform(trimesh.transformations.random_rotation_matrix(rng.random(3)))
+        limb.apply_translation(rng.normal(0, 0.012, 3))
+        parts.append(limb)
+    return _joined(parts)
+
+
+def blocks(rng: np.random.Generator) -> trimesh.Trimesh:
+    """Building blocks stuck together, side by side and upon each other."""
+    side = rng.uniform(0.018, 0.032)
+    cells = {(0, 0, 0)}
+    for _ in range(rng.integers(1, 7)):
+        x, y, z = list(cells)[rng.integers(len(cells))]
+        step = np.eye(3, dtype=int)[rng.integers(3)] * rng.choice((-1, 1))
+        cells.add((x + int(step[0]), y + int(step[1]), max(0, z + int(step[2]))))
+    return _joined([_box((side,) * 3, (side * x, side * y, side * z)) for x, y, z in sorted(cells)])
+
+
+def slab(rng: np.random.Generator) -> trimesh.Trimesh:
+    """Something flat: a phone, a box of chocolates, a tile; now and then a book standing upright."""
+    x, y, z = rng.uniform((0.05, 0.08, 0.006), (0.12, 0.20, 0.03)).tolist()
+    return _box((x, y, z) if rng.random() < 0.7 else (x, z, y))
+
+
+def candlestick(rng: np.random.Generator) -> trimesh.Trimesh:
+    """A turned foot, a thin stem, and a plate or a ball on top: a chess piece, a lamp, a trophy."""
+    foot, stem = rng.uniform(0.025, 0.055), rng.uniform(0.004, 0.010)
+    height, top = rng.uniform(0.08, 0.22), rng.uniform(0.012, 0.05)
+    thick = rng.uniform(0.006, 0.025)
+    profile = [
+        (0, 0), (foot, 0), (foot, 0.006), (stem, 0.03), (stem, height - thick),
+        (top, height - thick), (top * rng.uniform(0.4, 1.0), height), (0, height),
+    ]  # fmt: skip
+    return creation.revolve(np.array(profile), sections=32)
+
+
+def letter(rng: np.random.Generator) -> trimesh.Trimesh:
+    """A thick L, T, U or H, standing up or lying."""
+    long, wide, bar = rng.uniform(0.07, 0.14), rng.uniform(0.05, 0.10), rng.uniform(0.012, 0.025)
+    thick = rng.uniform(0.015, 0.04)
+    upright = _box((bar, long, thick))
+    other = _box((bar, long, thick), (wide, 0, 0))
+    across = _box((wide, bar, thick), (wide / 2, rng.choice((-1, 0)) * (long - bar) / 2, 0))
+    mesh = _joined([[upright, across], [upright, other, across]][rng.integers(2)])
+    if rng.random() < 0.5:
+        mesh.apply_transform(trimesh.transformations.rotation_matrix(np.pi / 2, (1, 0, 0)))
+    return mesh
+
+
+def bench(rng: np.random.Generator) -> trimesh.Trimesh:
+    """A board on two or four legs: doll's furniture, a stand."""
+    length, width, height = rng.uniform((0.07, 0.04, 0.03), (0.18, 0.12, 0.10))
+    thick, leg = rng.uniform(0.005, 0.015), rng.uniform(0.006, 0.014)
+    board = _box((length, width, thick), (0, 0, height))
+    places = [(x, y) for x in (-1, 1) for y in (-1, 1)]
+    legs = [
+        _box((leg, leg, height), (x * (length - leg) / 2, y * (width - leg) / 2, height / 2))
+        for x, y in places
+    ]
+    return _joined([board, *legs])
+
+
+def spoon(rng: np.random.Generator) -> trimesh.Trimesh:
+    """A ladle or a brush, lying: a long flat handle and a thick end."""
+    length, thick = rng.uniform(0.10, 0.2), rng.uniform(0.006, 0.012)
+    end = creation.icosphere(subdivisions=2, radius=1.0)
+    end.apply_scale(rng.uniform((0.025, 0.018, 0.008), (0.045, 0.032, 0.02)))
+    end.apply_translation((length / 2, 0, 0))
+    return _joined([_box((length, rng.uniform(0.01, 0.02), thick)), end])
+
+
+_KINDS = (
+    parcel, parcel, ball, books, hammer, screwdriver, crate, crate, plate, banana, pyramid, ring,
+    figure, figure, blocks, slab, candlestick,
+)  # fmt: skip
+_HELD_OUT = (letter, bench, spoon)

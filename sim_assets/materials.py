@@ -50,15 +50,17 @@ def random_finish(rng: np.random.Generator, category: str = "", wild: float = 0.
     """
     anything = rng.random() < wild
     body, accent = _color(rng, anything), _color(rng, anything)
-    if anything or category not in _PATTERNS:
+    if anything:
+        pattern = _WILD_PATTERNS[rng.integers(len(_WILD_PATTERNS))]
+    elif category not in _PATTERNS:
         pattern = _ALL_PATTERNS[rng.integers(len(_ALL_PATTERNS))]
     else:
         patterns, weights = zip(*_PATTERNS[category], strict=True)
         pattern = patterns[rng.choice(len(patterns), p=np.array(weights) / sum(weights))]
     return Finish(
         texture=pattern(body, accent, rng),
-        specular=float(rng.uniform(0.15, 0.8)),
-        shininess=float(rng.uniform(0.3, 0.9)),
+        specular=float(rng.uniform(*((0.0, 1.0) if anything else (0.15, 0.8)))),
+        shininess=float(rng.uniform(*((0.05, 1.0) if anything else (0.3, 0.9)))),
     )
 
 
@@ -163,10 +165,39 @@ def metal(body: Color, accent: Color, rng: np.random.Generator) -> Texture:
     return texture
 
 
+def writing(body: Color, accent: Color, rng: np.random.Generator) -> Texture:
+    """Lines of print of all sizes."""
+    texture = np.ascontiguousarray(solid(body))
+    letters = np.array(list("ABCDEFGHKLMNOPRSTUVXYZ&0123456789 abcdeghiklmnorstu"))
+    for _ in range(rng.integers(2, 7)):
+        text = "".join(rng.choice(letters, rng.integers(3, 14)))
+        at = int(rng.integers(-20, texture.shape[1] - 60)), int(rng.integers(12, texture.shape[0]))
+        grey = rng.random()
+        ink = _tuple(_byte(accent if rng.random() < 0.6 else (grey, grey, grey)))
+        cv2.putText(
+            texture, text, at, int(rng.integers(0, 8)), rng.uniform(0.4, 1.8), ink, int(rng.integers(1, 4))
+        )
+    return texture[::-1].copy()  # the first row is the bottom
+
+
+def collage(body: Color, accent: Color, rng: np.random.Generator) -> Texture:
+    """Patches of many colours and shades, as on a photograph or a gift wrap."""
+    rows, columns = TEXTURE_SIZE
+    texture = cv2.resize(
+        rng.integers(0, 256, (rng.integers(2, 9), rng.integers(2, 17), 3), dtype=np.uint8),
+        (columns, rows), interpolation=(cv2.INTER_NEAREST, cv2.INTER_CUBIC)[rng.integers(2)],
+    )  # fmt: skip
+    share = rng.uniform(0.2, 0.9)
+    return (share * texture + (1 - share) * (_byte(body) if rng.random() < 0.5 else _byte(accent))).astype(
+        np.uint8
+    )
+
+
 Pattern = Callable[[Color, Color, np.random.Generator], Texture]
 _ALL_PATTERNS: tuple[Pattern, ...] = (
     solid, bands, two_tone, stripes, speckle, dots, label, gradient, metal,
 )  # fmt: skip
+_WILD_PATTERNS = (*_ALL_PATTERNS, writing, collage)
 _PATTERNS: dict[str, tuple[tuple[Pattern, float], ...]] = {
     "mug": ((solid, 5), (bands, 2), (two_tone, 2), (stripes, 1), (speckle, 2), (dots, 1), (gradient, 1)),
     "bowl": ((solid, 5), (bands, 2), (two_tone, 1), (speckle, 2), (gradient, 2)),

@@ -12,9 +12,12 @@ from jaxtyping import Float
 
 from perception.types import Category
 from sim_assets.layout import PlanarPose, outline
+from sim_assets.layout import gap as gap_between
 
-OUTLINE_POINTS = 20
+OUTLINE_POINTS = 40
+TOUCHING_GAP = 0.006  # [m] at most, between neighbours that are put side by side
 _TRIES = 30
+_STEPS = 12  # towards a neighbour
 
 
 @dataclass(frozen=True)
@@ -56,7 +59,7 @@ def make_thing(category: Category | None, mesh: trimesh.Trimesh) -> Thing:
 
 
 def scatter(
-    things: Sequence[Thing], rng: np.random.Generator, gap: float, spread: float
+    things: Sequence[Thing], rng: np.random.Generator, gap: float, spread: float, touching: float = 0.0
 ) -> list[PlanarPose | None]:
     """A free place for each thing, None for one that found no room.
 
@@ -65,36 +68,61 @@ def scatter(
     Args:
         gap: least distance between neighbours in [m].
         spread: half side of the square that they are put in, in [m].
+        touching: share of the things that are pushed against one already there, whatever ``gap`` says.
     """
     poses: list[PlanarPose | None] = []
-    taken: list[tuple[PlanarPose, float, np.ndarray]] = []
+    taken: list[_Placed] = []
     for thing in things:
         poses.append(None)
+        beside = bool(taken) and rng.random() < touching
         for _ in range(_TRIES):
-            x, y = rng.uniform(-spread, spread, 2)
-            pose = PlanarPose(x, y, rng.uniform(-np.pi, np.pi))
-            points = pose.transform(thing.outline)
-            if all(_apart(pose, thing.reach, points, *other, gap) for other in taken):
+            if beside:
+                pose = _pushed_against(thing, taken[rng.integers(len(taken))], rng)
+            else:
+                x, y = rng.uniform(-spread, spread, 2)
+                pose = PlanarPose(x, y, rng.uniform(-np.pi, np.pi))
+            placed = _Placed(pose, thing.reach, pose.transform(thing.outline))
+            if all(_apart(placed, other, 0.0 if beside else gap) for other in taken):
                 poses[-1] = pose
-                taken.append((pose, thing.reach, points))
+                taken.append(placed)
                 break
     return poses
 
 
-def _apart(
-    pose: PlanarPose,
-    reach: float,
-    points: np.ndarray,
-    other: PlanarPose,
-    other_reach: float,
-    other_points: np.ndarray,
-    gap: float,
-) -> bool:
+@dataclass(frozen=True)
+class _Placed:
+    """A thing that has its place, and its outline there."""
+
+    pose: PlanarPose
+    reach: float
+    outline: Float[np.ndarray, "n 2"]
+
+
+def _pushed_against(thing: Thing, other: _Placed, rng: np.random.Generator) -> PlanarPose:
+    """Where a thing comes to stand that is pushed towards another until hardly a gap is left."""
+    direction, yaw = rng.uniform(-np.pi, np.pi, 2)
+    left = rng.uniform(0, TOUCHING_GAP)
+    away = np.array([np.cos(direction), np.sin(direction)])
+    distance = thing.reach + other.reach + TOUCHING_GAP
+    for _ in range(_STEPS):
+        x, y = distance * away + (other.pose.x, other.pose.y)
+        pose = PlanarPose(x, y, yaw)
+        excess = gap_between(pose.transform(thing.outline), other.outline) - left
+        if excess < 5e-4:
+            break
+        distance -= excess  # no farther than the gap is wide: it cannot jump across
+    return pose
+
+
+def _apart(placed: _Placed, other: _Placed, gap: float) -> bool:
     """Whether two placed things keep their distance, centres first because that is cheap."""
-    distance = np.hypot(pose.x - other.x, pose.y - other.y)
-    if distance > reach + other_reach + gap:
+    distance = np.hypot(placed.pose.x - other.pose.x, placed.pose.y - other.pose.y)
+    if distance > placed.reach + other.reach + gap:
         return True
-    if distance < 0.6 * (reach + other_reach) - 0.02:
+    if distance < 0.6 * (placed.reach + other.reach) - 0.02:
         return False
-    sampling = 0.004  # what lies between the samples of an outline, about
-    return bool(np.linalg.norm(points[:, None] - other_points, axis=-1).min() >= gap + sampling)
+    if gap == 0:
+        return gap_between(placed.outline, other.outline) > 0
+    nearest = np.linalg.norm(placed.outline[:, None] - other.outline, axis=-1).min()
+    sampling = 0.002  # what lies between the samples of an outline, about
+    return bool(nearest >= gap + sampling)

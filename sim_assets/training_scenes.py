@@ -13,12 +13,14 @@ from typing import Literal
 
 import cv2
 import numpy as np
+import trimesh
 from jaxtyping import Float, Int
 
 from perception.types import CATEGORIES, Category, RgbdFrame
 from sim_assets.camera import OPENCV_FROM_MUJOCO, OffscreenRenderer, intrinsics_of, look_at
 from sim_assets.depth_noise import DEPTH_NOISES, DepthNoise, add_depth_noise
 from sim_assets.distractors import random_distractor
+from sim_assets.filament import FilamentRenderer
 from sim_assets.headless import MjSpec, mujoco
 from sim_assets.layout import PlanarPose
 from sim_assets.materials import (
@@ -32,9 +34,11 @@ from sim_assets.objects import sample_object
 from sim_assets.scatter import Thing, make_thing, scatter, simplified
 
 Split = Literal["train", "test"]
+Renderer = Literal["classic", "filament"]
 CAMERA = "eye"
 GROUND_SIZE = (256, 256)
 SHOWN, HIDDEN = 2, 4  # geom groups
+BELOW = -3.0  # [m], where hidden things are, under the floor
 
 
 @dataclass(frozen=True)
@@ -48,9 +52,14 @@ class TrainingSceneConfig:
         pictures_per_texture, textures_redrawn: how often the ground and how many things get a new texture.
         objects, extras: smallest and largest number shown of each kind.
         gap: smallest and largest least distance between neighbours in [m]; drawn per picture.
+        crowded: share of pictures in which some things stand side by side, down to contact; which share of
+            them is drawn per picture.
         spread: half side of the square they stand in, in [m].
         distance, elevation, fovy: camera ranges in [m], [rad], [deg].
         shadows: share of pictures with cast shadows (slower).
+        upturned: share of pictures whose camera is rolled about its axis at will.
+        noises: shares of DEPTH_NOISES.
+        renderer: of the colour images; depth and instances always come from the classic one.
     """
 
     width: int = 320
@@ -61,13 +70,17 @@ class TrainingSceneConfig:
     pictures_per_texture: int = 8
     textures_redrawn: int = 12
     objects: tuple[int, int] = (3, 10)
-    extras: tuple[int, int] = (0, 3)
-    gap: tuple[float, float] = (0.008, 0.06)
+    extras: tuple[int, int] = (0, 4)
+    gap: tuple[float, float] = (0.002, 0.05)
+    crowded: float = 0.6
     spread: tuple[float, float] = (0.18, 0.30)
     distance: tuple[float, float] = (0.35, 0.85)
     elevation: tuple[float, float] = (np.radians(30), np.radians(90))
     fovy: tuple[float, float] = (42.0, 50.0)
     shadows: float = 0.3
+    upturned: float = 0.2
+    noises: tuple[float, float, float] = (0.15, 0.15, 0.7)
+    renderer: Renderer = "classic"
 
 
 @dataclass(frozen=True)
@@ -78,12 +91,14 @@ class InstanceLabel:
         category: its class; None for a thing of no class.
         T_world_object: (4, 4) pose, origin at the centre of its base, mug handle along +x.
         pixels: how many pixels show it.
+        outline_pixels: area of the hull of its whole outline, hidden parts and what is beyond the border too.
         height: of the thing in [m].
     """
 
     category: Category | None
     T_world_object: Float[np.ndarray, "4 4"]
     pixels: int
+    outline_pixels: float
     height: float
 
     @property
@@ -110,7 +125,15 @@ class LabelledImage:
 class TrainingScenes:
     """Renders labelled pictures of objects of one split; the same seed gives the same pictures."""
 
-    def __init__(self, split: Split, seed: int, config: TrainingSceneConfig | None = None) -> None:
+    def __init__(
+        self,
+        split: Split,
+        seed: int,
+        config: TrainingSceneConfig | None = None,
+        own: Sequence[tuple[Category, trimesh.Trimesh]] = (),
+    ) -> None:
+        """Own objects, if given, take the place of the generated ones; distractors stay."""
+        self._own = [make_thing(category, simplified(mesh)) for category, mesh in own]
         self.config = config or TrainingSceneConfig()
         self.split: Split = split
         self._rng = np.random.default_rng(seed)
@@ -122,7 +145,7 @@ class TrainingScenes:
         for number in range(count):
             if number % config.pictures_per_pool == 0:
                 self.close()
-                self._pool = TableTop(_draw_things(self.split, config, rng), config, rng)
+                self._pool = TableTop(_draw_things(self.split, config, rng, self._own), config, rng)
             assert self._pool is not None
             if number % config.pictures_per_texture == 0:
                 self._pool.redraw_textures(rng)
@@ -141,12 +164,14 @@ class TrainingScenes:
         self.close()
 
 
-def _draw_things(split: Split, config: TrainingSceneConfig, rng: np.random.Generator) -> list[Thing]:
-    things = []
-    for index in range(config.pool):
+def _draw_things(
+    split: Split, config: TrainingSceneConfig, rng: np.random.Generator, own: Sequence[Thing] = ()
+) -> list[Thing]:
+    things = [own[index % len(own)] for index in range(config.pool)] if own else []
+    for index in range(0 if own else config.pool):
         category = CATEGORIES[index % len(CATEGORIES)]
         things.append(make_thing(category, simplified(sample_object(category, split, rng).mesh)))
-    things += [make_thing(None, random_distractor(rng)) for _ in range(config.distractors)]
+    things += [make_thing(None, random_distractor(rng, split)) for _ in range(config.distractors)]
     return things
 
 
@@ -158,12 +183,15 @@ class TableTop:
         self.model = _build(things, rng).compile()
         self.data = mujoco.MjData(self.model)
         self.renderer = OffscreenRenderer(self.model)
+        self.filament = FilamentRenderer(self.model) if config.renderer == "filament" else None
         self.geoms = np.array([self.model.geom(f"thing{i}").id for i in range(len(things))])
         self.thing_of_geom = np.full(self.model.ngeom + 1, -1, dtype=np.int32)  # last: geom -1, the sky
         self.thing_of_geom[self.geoms] = np.arange(len(things))
 
     def close(self) -> None:
         self.renderer.close()
+        if self.filament is not None:
+            self.filament.close()
 
     def redraw_textures(self, rng: np.random.Generator) -> None:
         """New finishes for some of the things and a new ground, in the existing model."""
@@ -178,6 +206,9 @@ class TableTop:
             )
         for name in ("table", "wall"):
             self._set_texture(name, random_ground(rng, GROUND_SIZE))
+        if self.filament is not None:
+            self.model.geom_group[self.geoms] = SHOWN  # it leaves out what is hidden while it loads
+            self.filament.load()
 
     def _set_texture(self, name: str, image: np.ndarray) -> None:
         texture = self.model.texture(name).id
@@ -188,9 +219,9 @@ class TableTop:
     def picture(self, rng: np.random.Generator) -> LabelledImage:
         config = self.config
         chosen = self._choose(rng)
-        poses = scatter(
-            [self.things[i] for i in chosen], rng, rng.uniform(*config.gap), rng.uniform(*config.spread)
-        )
+        touching = rng.uniform(0.2, 0.9) if rng.random() < config.crowded else 0.0
+        gap, spread = rng.uniform(*config.gap), rng.uniform(*config.spread)
+        poses = scatter([self.things[i] for i in chosen], rng, gap, spread, touching)
         shown = [index for index, pose in zip(chosen, poses, strict=True) if pose is not None]
         placed = [pose for pose in poses if pose is not None]
         self.show(shown, placed)
@@ -204,12 +235,20 @@ class TableTop:
         instances = row[ids]
         pixels = np.bincount(instances[instances >= 0], minlength=len(shown))
         labels = tuple(
-            InstanceLabel(
-                self.things[i].category, pose.matrix, int(n), float(self.things[i].mesh.bounds[1, 2])
-            )
+            self._label(self.things[i], pose, int(n), frame)
             for i, pose, n in zip(shown, placed, pixels, strict=True)
         )
         return LabelledImage(frame, instances, labels)
+
+    def _label(self, thing: Thing, pose: PlanarPose, pixels: int, frame: RgbdFrame) -> InstanceLabel:
+        assert frame.T_world_camera is not None
+        T_camera_object = np.linalg.inv(frame.T_world_camera) @ pose.matrix
+        corners = thing.mesh.vertices @ T_camera_object[:3, :3].T + T_camera_object[:3, 3]
+        k = frame.intrinsics
+        image = corners[:, :2] / np.maximum(corners[:, 2:], 0.05) * (k.fx, k.fy)
+        hull = cv2.convexHull(image.astype(np.float32))
+        height = float(thing.mesh.bounds[1, 2])
+        return InstanceLabel(thing.category, pose.matrix, pixels, float(cv2.contourArea(hull)), height)
 
     def capture(
         self,
@@ -236,10 +275,13 @@ class TableTop:
         mujoco.mj_kinematics(self.model, self.data)
         mujoco.mj_camlight(self.model, self.data)
         view = (self.data, CAMERA, width, height)
-        rgb = cv2.GaussianBlur(self.renderer.color(*view, shadows=shadows), (3, 3), 0.5)
+        if self.filament is not None:
+            rgb = self.filament.color(*view)
+        else:
+            rgb = cv2.GaussianBlur(self.renderer.color(*view, shadows=shadows), (3, 3), 0.5)
         depth, ids = self.renderer.depth_and_ids(*view)
         intrinsics = intrinsics_of(width, height, fovy)
-        noise = noise or DEPTH_NOISES[rng.integers(len(DEPTH_NOISES))]
+        noise = noise or DEPTH_NOISES[rng.choice(len(DEPTH_NOISES), p=self.config.noises)]
         depth = add_depth_noise(depth, noise, intrinsics, rng)
         return RgbdFrame(0.0, rgb, depth, intrinsics, T_world_camera), self.thing_of_geom[ids]
 
@@ -254,6 +296,7 @@ class TableTop:
     def show(self, shown: Sequence[int], placed: Sequence[PlanarPose]) -> None:
         """Put some of the things somewhere and hide all others."""
         self.model.geom_group[self.geoms] = HIDDEN
+        self.model.body_pos[self.model.geom_bodyid[self.geoms], 2] = BELOW  # some renderers draw all groups
         self.model.geom_group[self.geoms[list(shown)]] = SHOWN
         for index, pose in zip(shown, placed, strict=True):
             body = self.model.body(f"thing{index}").id
@@ -267,11 +310,11 @@ class TableTop:
         self.model.light_pos[0] = 1.8 * away
         self.model.light_dir[0] = -away
         tint = rng.normal(1, 0.06, 3)
-        self.model.light_diffuse[0] = np.clip(rng.uniform(0.4, 0.95) * tint, 0, 1)
-        self.model.light_specular[0] = rng.uniform(0.0, 0.6)
+        self.model.light_diffuse[0] = np.clip(rng.uniform(0.4, 1.1) * tint, 0, 1)
+        self.model.light_specular[0] = rng.uniform(0.0, 0.9)
         headlight = self.model.vis.headlight
-        headlight.ambient[:] = rng.uniform(0.2, 0.55)
-        headlight.diffuse[:] = rng.uniform(0.0, 0.4)
+        headlight.ambient[:] = rng.uniform(0.2, 0.65)
+        headlight.diffuse[:] = rng.uniform(0.0, 0.6)
 
     def _aim(self, placed: list[PlanarPose], rng: np.random.Generator) -> Float[np.ndarray, "4 4"]:
         """A camera pose (OpenCV) that looks somewhere among the objects."""
@@ -282,7 +325,9 @@ class TableTop:
         away = np.array([
             np.cos(elevation) * np.cos(azimuth), np.cos(elevation) * np.sin(azimuth), np.sin(elevation)
         ])  # fmt: skip
-        return look_at(target + distance * away, target, roll=rng.normal(0, 0.15))
+        upturned = rng.random() < self.config.upturned
+        roll = rng.uniform(-np.pi, np.pi) if upturned else rng.normal(0, 0.15)
+        return look_at(target + distance * away, target, roll)
 
 
 def _build(things: list[Thing], rng: np.random.Generator) -> MjSpec:

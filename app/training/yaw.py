@@ -13,8 +13,9 @@ import numpy as np
 import torch
 from jaxtyping import Float
 
-from app.training.detector import TrainDetectorConfig, provenance, rendered, trained
+from app.training.detector import RENDERING_SHARE, TrainDetectorConfig, provenance, rendered, trained
 from app.training.labels import LabelledCrops, Progress
+from app.training.pictures import shard_crops
 from perception.detection.network import WEIGHTS_FILES, CropNet, predict, save_network
 from perception.detection.training import CropSet, TrainingConfig
 from perception.detection.yaw import modes, soft_labels
@@ -25,9 +26,9 @@ HANDLE_VISIBLE = 0.01  # share of a mug's visible points on its handle from whic
 
 @dataclass(frozen=True)
 class TrainYawConfig(TrainDetectorConfig):
-    """As for the class network; mugs are a fifth of the crops, so they are passed over more often."""
+    """As for the detector; mugs are a fifth of the crops, so they are passed over more often."""
 
-    training: TrainingConfig = field(default_factory=lambda: TrainingConfig(epochs=8))
+    training: TrainingConfig = field(default_factory=lambda: TrainingConfig(epochs=24))
 
 
 def run(config: TrainYawConfig, out_dir: Path, progress: Progress | None = None) -> dict[str, Any]:
@@ -36,8 +37,13 @@ def run(config: TrainYawConfig, out_dir: Path, progress: Progress | None = None)
     Returns:
         the report's metrics: errors of the most probable yaw in [rad], with the handle visible and hidden.
     """
-    training, validation, test = (mugs_of(crops) for crops in rendered(config, out_dir, progress))
-    network, temperature = trained("yaw", yaw_set(training), yaw_set(validation), config, out_dir, progress)
+    shards = rendered(config, out_dir, progress)
+    training, validation, test = (
+        mugs_of(shard_crops(s)) for s in (shards.training, shards.validation, shards.test)
+    )
+    network, temperature = trained(
+        "yaw", yaw_set(training), yaw_set(validation), config, out_dir, progress, RENDERING_SHARE
+    )
     metrics = yaw_metrics(test, predict(network, temperature, test.images, test.context))
     save_network(network, out_dir / WEIGHTS_FILES["yaw"], "yaw", temperature, provenance(config))
     (out_dir / "yaw.md").write_text(_card(config, metrics, network, temperature, len(training)), "utf-8")
@@ -56,8 +62,8 @@ def yaw_metrics(crops: LabelledCrops, probabilities: Float[np.ndarray, "n b"]) -
     """Errors of the first mode in [rad], and how often one of three modes is right, by visibility."""
     found = [modes(p, count=3, min_ratio=0.02) for p in probabilities]
     truth = crops.yaw.tolist()
-    error = np.array([_apart(peaks[0][0], yaw) for peaks, yaw in zip(found, truth)])
-    closest = np.array([min(_apart(y, yaw) for y, _ in peaks) for peaks, yaw in zip(found, truth)])
+    error = np.array([angle_between(peaks[0][0], yaw) for peaks, yaw in zip(found, truth)])
+    closest = np.array([min(angle_between(y, yaw) for y, _ in peaks) for peaks, yaw in zip(found, truth)])
     entropies = -(probabilities * np.log(np.clip(probabilities, 1e-12, None))).sum(1)
     metrics: dict[str, Any] = {"mugs": len(crops)}
     for name, rows in {
@@ -76,7 +82,7 @@ def yaw_metrics(crops: LabelledCrops, probabilities: Float[np.ndarray, "n b"]) -
     return metrics
 
 
-def _apart(a: float, b: float) -> float:
+def angle_between(a: float, b: float) -> float:
     return abs((a - b + np.pi) % (2 * np.pi) - np.pi)
 
 

@@ -25,7 +25,7 @@ def plane_axes(plane: SupportPlane) -> Float[np.ndarray, "2 3"]:
     return np.stack([first, np.cross(plane.normal, first)])
 
 
-def _linear_in_depth(frame: RgbdFrame, direction: Float[np.ndarray, "3"]) -> tuple[np.ndarray, float]:
+def linear_in_depth(frame: RgbdFrame, direction: Float[np.ndarray, "3"]) -> tuple[np.ndarray, float]:
     """(per-pixel slope (H, W), constant) such that ``direction . p_world = slope * depth + constant``."""
     T = camera_pose(frame)
     camera, k = T[:3, :3].T @ direction, frame.intrinsics
@@ -41,7 +41,7 @@ def height_image(
 
     ``depth`` stands in for the frame's own, filtered for instance.
     """
-    slope, constant = _linear_in_depth(frame, plane.normal)
+    slope, constant = linear_in_depth(frame, plane.normal)
     return (frame.depth if depth is None else depth) * slope + np.float32(constant - plane.offset)
 
 

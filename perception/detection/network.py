@@ -14,25 +14,21 @@ from typing import Literal
 import numpy as np
 import torch
 from jaxtyping import Float, UInt8
-from safetensors import SafetensorError, safe_open
-from safetensors.torch import save_file
 from torch import Tensor, nn
 from torch.nn import functional
 
 from perception.detection.crops import CHANNELS, CONTEXT, SIDE
+from perception.detection.weights import WEIGHTS_DIRECTORY, load_weights, save_weights
 from perception.detection.yaw import YAW_BINS
-from perception.errors import PerceptionError
 from perception.types import CATEGORIES
 
 Task = Literal["class", "yaw"]
 LABELS: tuple[str, ...] = (*CATEGORIES, "other")
 OTHER = len(CATEGORIES)
 OUTPUTS: dict[Task, int] = {"class": len(LABELS), "yaw": YAW_BINS}
-WEIGHTS_DIRECTORY = Path(__file__).parents[1] / "weights"
 WEIGHTS_FILES: dict[Task, str] = {"class": "detector.safetensors", "yaw": "yaw.safetensors"}
 _WIDTHS = (16, 32, 64, 128)
 _SQUEEZED = 48
-_REMEDY = "reinstall the package, or train them anew with `nodeslam train {command}`"
 
 
 class CropNet(nn.Module):
@@ -89,9 +85,7 @@ def save_network(
     """
     about = {**(notes or {}), "task": task, "temperature": repr(float(temperature))}
     about |= {"outputs": str(OUTPUTS[task]), "labels": json.dumps(LABELS if task == "class" else [])}
-    tensors = {name: value.detach().cpu().contiguous() for name, value in network.state_dict().items()}
-    path.parent.mkdir(parents=True, exist_ok=True)
-    save_file(tensors, path, metadata=about)
+    save_weights({name: value.detach().cpu() for name, value in network.state_dict().items()}, path, about)
 
 
 def load_network(
@@ -103,21 +97,9 @@ def load_network(
         PerceptionError: the file is missing, damaged, or holds another network.
     """
     path = WEIGHTS_DIRECTORY / WEIGHTS_FILES[task] if path is None else path
-    remedy = _REMEDY.format(command="detector" if task == "class" else "yaw")
-    if not path.is_file():
-        raise PerceptionError(f"weights {path} are missing; {remedy}")
     network = CropNet(OUTPUTS[task])
-    try:
-        with safe_open(path, framework="pt") as file:
-            about = file.metadata() or {}
-            if about.get("task") != task:
-                raise PerceptionError(f"weights {path} are for '{about.get('task')}', not '{task}'; {remedy}")
-            network.load_state_dict({name: file.get_tensor(name) for name in file.keys()})  # noqa: SIM118
-            temperature = float(about["temperature"])
-    except (SafetensorError, RuntimeError, KeyError, ValueError) as error:
-        reason = str(error).splitlines()[0]
-        raise PerceptionError(f"weights {path} cannot be read ({reason}); {remedy}") from error
-    return network.to(device).eval(), temperature
+    about = load_weights(network, path, task, "detector" if task == "class" else "yaw")
+    return network.to(device).eval(), float(about.get("temperature", 1.0))
 
 
 @torch.inference_mode()

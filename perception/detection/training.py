@@ -104,22 +104,22 @@ def train_crop_network(
     )
     steps = config.epochs * math.ceil(len(training) / config.batch)
     schedule = torch.optim.lr_scheduler.LambdaLR(
-        optimizer, lambda step: _schedule(step / steps, config.warmup)
+        optimizer, lambda step: schedule_at(step / steps, config.warmup)
     )
     checkpoint = directory / f"checkpoint_{task}.pt"
-    start = _resume(checkpoint, config, network, optimizer, schedule, generator)
+    start = resume(checkpoint, config, network, optimizer, schedule, generator)
 
     for epoch in range(start, config.epochs):
         loss = _one_epoch(task, network, training, config, optimizer, schedule, generator)
         figures = {"loss": loss, **validation_figures(task, network, validation)}
-        _save(checkpoint, config, epoch + 1, network, optimizer, schedule, generator)
+        save_checkpoint(checkpoint, config, epoch + 1, network, optimizer, schedule, generator)
         logger.info("%s epoch %d: %s", task, epoch + 1, figures)
         if progress:
             progress(epoch + 1, config.epochs, figures)
     return network.eval(), calibrated_temperature(network, validation)
 
 
-def _schedule(done: float, warmup: float) -> float:
+def schedule_at(done: float, warmup: float) -> float:
     """Learning rate as a share of its peak: linear warm-up, then a cosine to one hundredth."""
     if done < warmup:
         return (done + 1e-3) / (warmup + 1e-3)
@@ -235,34 +235,47 @@ def calibrated_temperature(network: CropNet, crops: CropSet) -> float:
     return float(grid[int(np.argmin(losses))])
 
 
-def _save(path: Path, config: TrainingConfig, epoch: int, network: CropNet, *parts: object) -> None:
-    optimizer, schedule, generator = parts
+def save_checkpoint(
+    path: Path,
+    config: object,
+    done: int,
+    network: torch.nn.Module,
+    optimizer: torch.optim.Optimizer,
+    schedule: torch.optim.lr_scheduler.LRScheduler,
+    generator: torch.Generator,
+) -> None:
+    """Everything that ``resume`` needs, written whole or not at all."""
     path.parent.mkdir(parents=True, exist_ok=True)
     state = {
         "config": repr(config),
-        "epoch": epoch,
+        "done": done,
         "network": network.state_dict(),
-        "optimizer": optimizer.state_dict(),  # type: ignore[attr-defined]
-        "schedule": schedule.state_dict(),  # type: ignore[attr-defined]
-        "generator": generator.get_state(),  # type: ignore[attr-defined]
+        "optimizer": optimizer.state_dict(),
+        "schedule": schedule.state_dict(),
+        "generator": generator.get_state(),
     }
     partial = path.with_suffix(".partial")
     torch.save(state, partial)
     partial.replace(path)
 
 
-def _resume(
+def resume(
     path: Path,
-    config: TrainingConfig,
-    network: CropNet,
+    config: object,
+    network: torch.nn.Module,
     optimizer: torch.optim.Optimizer,
     schedule: torch.optim.lr_scheduler.LRScheduler,
     generator: torch.Generator,
 ) -> int:
-    """Epochs already done according to the checkpoint, whose state the arguments take on."""
+    """How much is already done according to the checkpoint, whose state the arguments take on; 0 without one.
+
+    Raises:
+        PerceptionError: the checkpoint belongs to another configuration.
+    """
     if not path.is_file():
         return 0
-    state = torch.load(path, weights_only=True, map_location=next(network.parameters()).device)
+    device = next(network.parameters()).device
+    state = torch.load(path, weights_only=True, map_location=device)
     if state["config"] != repr(config):
         raise PerceptionError(
             f"checkpoint {path} is of another configuration; use another --out or remove it"
@@ -271,4 +284,4 @@ def _resume(
     optimizer.load_state_dict(state["optimizer"])
     schedule.load_state_dict(state["schedule"])
     generator.set_state(state["generator"].cpu())
-    return int(state["epoch"])
+    return int(state["done"])

@@ -2,9 +2,12 @@
 
 import numpy as np
 import pytest
+from trimesh import creation
 
 from perception.types import CATEGORIES
 from sim_assets.distractors import random_distractor
+from sim_assets.layout import gap
+from sim_assets.scatter import make_thing, scatter
 from sim_assets.training_scenes import TrainingSceneConfig, TrainingScenes
 
 SMALL = TrainingSceneConfig(
@@ -71,9 +74,34 @@ def test_same_seed_same_pictures(pictures):
         assert np.array_equal(first.frame.depth, second.frame.depth)
 
 
+def test_touching_neighbours_touch_and_nothing_overlaps():
+    rng = np.random.default_rng(0)
+    things = [make_thing("can", creation.cylinder(radius=r, height=0.1)) for r in rng.uniform(0.02, 0.06, 8)]
+    things += [make_thing(None, creation.box((0.1, 0.04, 0.05)))]
+    poses = scatter(things, rng, 0.05, 0.3, touching=1.0)
+    placed = [pose.transform(thing.outline) for thing, pose in zip(things, poses, strict=True) if pose]
+    assert len(placed) > 5
+    nearest = [min(gap(a, b) for j, b in enumerate(placed) if j != i) for i, a in enumerate(placed)]
+    assert min(nearest) > 0 and max(nearest) < 0.008
+
+
+def test_own_objects_take_the_place_of_generated_ones():
+    own = [("bowl", creation.cylinder(radius=0.05, height=0.05))]
+    with TrainingScenes("test", 1, SMALL, own) as scenes:
+        labels = next(scenes.render(1)).labels
+    assert {label.category for label in labels} <= {None, "bowl"}
+
+
+def test_an_unhidden_thing_fills_its_outline(pictures):
+    shares = [
+        label.pixels / label.outline_pixels for p in pictures for label in p.labels if label.pixels > 100
+    ]
+    assert 0.7 < np.quantile(shares, 0.9) < 1.15
+
+
 def test_distractors_rest_on_the_table_and_are_of_a_size_to_stand_there():
     rng = np.random.default_rng(0)
     for _ in range(40):
-        bounds = random_distractor(rng).bounds
+        bounds = random_distractor(rng, "test").bounds
         assert bounds[0, 2] == pytest.approx(0, abs=1e-9)
         assert np.all(np.ptp(bounds, axis=0) < 0.45) and np.all(np.ptp(bounds, axis=0) > 0.002)

@@ -1,0 +1,118 @@
+"""The dense network behind instances: of each pixel, whether a thing, of which class, and where that stands.
+
+Each pixel of a thing votes for the foot of the thing's axis in the support plane: an offset in the plane, in
+the image's own axes (``working_view``), in pixels of its own size, with the spread that it expects of its
+error. Votes of one thing meet in one place, and things that touch stand in places apart.
+"""
+
+from __future__ import annotations
+
+from pathlib import Path
+
+import numpy as np
+import torch
+from jaxtyping import Float
+from torch import Tensor, nn
+from torch.nn import functional
+
+from perception.detection.network import LABELS
+from perception.detection.weights import WEIGHTS_DIRECTORY, load_weights, save_weights
+from perception.detection.working_view import CHANNELS
+
+WEIGHTS_FILE = "scene.safetensors"
+VOTE_UNIT = 32.0  # pixels of offset that an output of one means
+CLASSES = len(LABELS)
+OUTPUTS = 4 + CLASSES + 2 + 1  # four sub-pixels of foreground, classes, offset, log of its spread
+_WIDTHS = (24, 48, 80, 128, 160)
+_JOINED = (32, 48, 64)  # channels on the way back, fine to coarse
+
+
+class SceneNet(nn.Module):
+    """An hourglass from a half down to a thirty-second of the resolution and back; 1.7 M weights."""
+
+    def __init__(self) -> None:
+        super().__init__()
+        a, b, c, d, e = _WIDTHS
+        fine, middle, coarse = _JOINED
+        self.down = nn.ModuleList([
+            _convolution(4 * CHANNELS, a),
+            nn.Sequential(_convolution(a, b, 2), _convolution(b, b)),
+            nn.Sequential(_convolution(b, c, 2), _Residual(c), _Residual(c)),
+            nn.Sequential(_convolution(c, d, 2), _Residual(d), _Residual(d)),
+            nn.Sequential(_convolution(d, e, 2), _Residual(e)),
+        ])  # fmt: skip
+        self.across = nn.ModuleList(
+            _lateral(wide, narrow) for wide, narrow in zip(_WIDTHS, (fine, middle, coarse, coarse, coarse))
+        )
+        self.narrower = nn.ModuleList([nn.Conv2d(middle, fine, 1), nn.Conv2d(coarse, middle, 1)])
+        self.joined = nn.ModuleList(_convolution(n, n) for n in (fine, middle, coarse))
+        self.answer = nn.Conv2d(fine, OUTPUTS, 1)
+
+    def forward(self, channels: Float[Tensor, "n 8 h w"]) -> Float[Tensor, "n 12 h2 w2"]:
+        """Answers at half the resolution; height and width must be even."""
+        x = functional.pixel_unshuffle(channels, 2)
+        levels = []
+        for stage in self.down:
+            x = stage(x)
+            levels.append(x)
+        x = self.across[4](levels[4])
+        x = self.across[3](levels[3]) + _resized(x, levels[3])
+        x = self.joined[2](self.across[2](levels[2]) + _resized(x, levels[2]))
+        x = self.joined[1](self.across[1](levels[1]) + _resized(self.narrower[1](x), levels[1]))
+        x = self.joined[0](self.across[0](levels[0]) + _resized(self.narrower[0](x), levels[0]))
+        return self.answer(x)
+
+
+class _Residual(nn.Module):
+    def __init__(self, width: int) -> None:
+        super().__init__()
+        self.first = _convolution(width, width)
+        self.second = nn.Sequential(nn.Conv2d(width, width, 3, 1, 1, bias=False), nn.BatchNorm2d(width))
+
+    def forward(self, x: Tensor) -> Tensor:
+        return functional.relu(x + self.second(self.first(x)))
+
+
+def _convolution(narrow: int, wide: int, stride: int = 1) -> nn.Module:
+    return nn.Sequential(
+        nn.Conv2d(narrow, wide, 3, stride, 1, bias=False), nn.BatchNorm2d(wide), nn.ReLU(inplace=True)
+    )
+
+
+def _lateral(wide: int, narrow: int) -> nn.Module:
+    return nn.Sequential(nn.Conv2d(wide, narrow, 1, bias=False), nn.BatchNorm2d(narrow))
+
+
+def _resized(x: Tensor, like: Tensor) -> Tensor:
+    return functional.interpolate(x, size=like.shape[-2:], mode="bilinear", align_corners=False)
+
+
+@torch.inference_mode()
+def answers(network: SceneNet, channels: Float[np.ndarray, "h w 8"]) -> Float[np.ndarray, "h2 w2 12"]:
+    """What the network says of one view; an odd row or column at the end is repeated."""
+    device = next(network.parameters()).device
+    padded = np.pad(channels, ((0, channels.shape[0] % 2), (0, channels.shape[1] % 2), (0, 0)), mode="edge")
+    x = torch.from_numpy(padded).to(device).permute(2, 0, 1)[None]  # channels last in memory
+    return network(x)[0].permute(1, 2, 0).float().cpu().numpy()
+
+
+def save_scene_network(network: SceneNet, path: Path, notes: dict[str, str] | None = None) -> None:
+    """Write the weights in half precision, with ``notes`` such as how they were trained."""
+    tensors = {
+        name: value.detach().cpu().half() if value.is_floating_point() else value.detach().cpu()
+        for name, value in network.state_dict().items()
+    }
+    save_weights(tensors, path, {**(notes or {}), "task": "scene"})
+
+
+def load_scene_network(path: Path | None = None, device: str | torch.device = "cpu") -> SceneNet:
+    """The network in evaluation mode, by default with the shipped weights.
+
+    Raises:
+        PerceptionError: the file is missing, damaged, or holds another network.
+    """
+    network = SceneNet()
+    load_weights(network, WEIGHTS_DIRECTORY / WEIGHTS_FILE if path is None else path, "scene", "detector")
+    network = network.to(device).eval()
+    network.to(memory_format=torch.channels_last)  # type: ignore[call-overload]
+    return network

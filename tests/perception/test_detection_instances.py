@@ -1,0 +1,132 @@
+"""Votes become instances: made-up answers whose instances are known, touching things among them."""
+
+from types import SimpleNamespace
+
+import numpy as np
+import pytest
+
+from perception.detection.instances import (
+    Answers,
+    InstanceConfig,
+    assigned,
+    at_full_size,
+    feet,
+    find_instances,
+    interpreted,
+)
+from perception.detection.scene_network import CLASSES, OUTPUTS, VOTE_UNIT, SceneNet
+from perception.detection.working_view import reduced, working_view
+from perception.types import RgbdFrame, SupportPlane
+
+PLANE = SupportPlane()
+TARGET = (0.48, -0.22, 0.05)
+CONFIG = InstanceConfig()
+
+
+def perfect(frame, instances, places, noise=0.0):
+    """What a flawless network would answer: (h2, w2, 12), from the true instance of each pixel."""
+    view = working_view(frame, PLANE)
+    rng = np.random.default_rng(0)
+    h, w = instances.shape
+    answer = np.zeros((h // 2, w // 2, OUTPUTS), np.float32)
+    quarters = (instances >= 0).reshape(h // 2, 2, w // 2, 2).transpose(0, 2, 1, 3)
+    answer[..., :4] = np.where(quarters.reshape(h // 2, w // 2, 4), 8, -8)
+    coarse = instances[::2, ::2]
+    answer[..., 4 + 2] = 5.0  # bottles, all of them
+    target = (np.array(places) @ view.axes[:, :2].T)[np.maximum(coarse, 0)]
+    target = target + noise * rng.standard_normal(target.shape)
+    offset = (target - view.plan[::2, ::2]) / view.pixel[::2, ::2, None] / VOTE_UNIT
+    answer[..., 4 + CLASSES : 6 + CLASSES] = np.where(coarse[..., None] >= 0, offset, 0)
+    answer[..., 6 + CLASSES] = np.log(max(100 * noise, 0.1))
+    return answer
+
+
+class Oracle(SceneNet):
+    """Answers with what it is given."""
+
+    def __init__(self, answer):
+        super().__init__()
+        self.fixed = answer
+
+    def forward(self, channels):
+        import torch
+
+        return torch.from_numpy(self.fixed).permute(2, 0, 1)[None]
+
+
+@pytest.fixture
+def touching(scenes):
+    """Three cylinders in contact, and one apart."""
+    places = [(0.40, -0.25), (0.47, -0.25), (0.435, -0.19), (0.56, -0.15)]
+    solids = [scenes.Solid(x, y, 0.10 + 0.02 * k, radius=0.035) for k, (x, y) in enumerate(places)]
+    scene = scenes.render(solids, scenes.orbit(TARGET, 0.55, 50, 70), 0.001, size=(320, 240))
+    return SimpleNamespace(frame=scene.frame, instances=scene.instances, places=places)
+
+
+@pytest.mark.parametrize("noise", [0.0, 0.006])
+def test_touching_things_part_where_their_votes_do(touching, noise):
+    frame = reduced(touching.frame)
+    network = Oracle(perfect(frame, touching.instances, touching.places, noise))
+    found = find_instances(frame, PLANE, network)
+    assert len(found) == 4
+    for k in range(4):
+        true = touching.instances == k
+        overlap = max((f.mask & true).sum() / (f.mask | true).sum() for f in found)
+        assert overlap > (0.97 if noise == 0 else 0.93)
+    assert sum(f.mask.astype(int) for f in found).max() == 1  # no pixel twice
+    assert all(f.log_classes.argmax() == 2 for f in found)
+
+
+def test_feet_are_where_the_votes_meet(touching):
+    frame = reduced(touching.frame)
+    view = working_view(frame, PLANE)
+    answer = interpreted(perfect(frame, touching.instances, touching.places, 0.004), view)
+    peaks = feet(answer, view, CONFIG) @ view.axes[:, :2]
+    assert len(peaks) == 4
+    for place in touching.places:
+        assert np.linalg.norm(peaks - place, axis=1).min() < 0.004
+
+
+def test_doubtful_votes_make_no_peak(touching):
+    frame = reduced(touching.frame)
+    view = working_view(frame, PLANE)
+    answer = interpreted(perfect(frame, touching.instances, touching.places), view)
+    doubtful = Answers(answer.foreground, answer.log_classes, answer.vote, answer.spread + 1.0)
+    assert len(feet(doubtful, view, CONFIG)) == 0
+    nothing = Answers(0 * answer.foreground, answer.log_classes, answer.vote, answer.spread)
+    assert len(feet(nothing, view, CONFIG)) == 0
+
+
+def test_crumbs_go_to_what_surrounds_them(touching):
+    frame = reduced(touching.frame)
+    view = working_view(frame, PLANE)
+    answer = interpreted(perfect(frame, touching.instances, touching.places), view)
+    peaks = feet(answer, view, CONFIG)
+    clean = assigned(answer, view, peaks, CONFIG)
+    vote = answer.vote.copy()
+    v, u = (int(c.mean()) // 2 for c in np.nonzero(touching.instances == 3))
+    vote[v - 1 : v + 2, u - 1 : u + 2] = peaks[np.argmax(np.linalg.norm(peaks - vote[v, u], axis=1))]
+    strayed = Answers(answer.foreground, answer.log_classes, vote, answer.spread)
+    assert (assigned(strayed, view, peaks, CONFIG) == clean)[touching.instances == 3].mean() > 0.99
+
+
+def test_masks_grow_to_full_size():
+    foreground, numbers = np.zeros((24, 32), np.float32), np.zeros((24, 32), np.int32)
+    foreground[6:18, 8:24], numbers[:, 16:] = 1.0, 1
+    full = at_full_size(foreground, numbers, (48, 64), CONFIG)
+    assert set(np.unique(full)) == {-1, 0, 1}
+    assert abs((full == 0).sum() - 4 * 96) < 0.15 * 4 * 96
+
+
+def test_what_towers_over_the_table_is_no_thing(scenes):
+    scene = scenes.render(
+        [scenes.Solid(0.45, -0.2, 0.6, half=(0.04, 0.04))], scenes.orbit(TARGET, 1.0, 30, 0)
+    )
+    network = Oracle(perfect(reduced(scene.frame), scene.instances, [(0.45, -0.2)]))
+    assert find_instances(scene.frame, PLANE, network) == []
+
+
+def test_no_measurement_no_instances(scenes):
+    frame = scenes.render([], scenes.orbit(TARGET, 0.5, 60, 0)).frame
+    blind = RgbdFrame(0.0, frame.rgb, 0 * frame.depth, frame.intrinsics, frame.T_world_camera)
+    assert find_instances(blind, PLANE, SceneNet().eval()) == []

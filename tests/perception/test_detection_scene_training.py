@@ -1,0 +1,112 @@
+"""Training of the scene network: samples mean what they say, losses are those in closed form, runs resume."""
+
+import numpy as np
+import pytest
+import torch
+
+from perception.detection.scene_network import (
+    CLASSES,
+    OUTPUTS,
+    VOTE_UNIT,
+    SceneNet,
+    answers,
+    load_scene_network,
+    save_scene_network,
+)
+from perception.detection.scene_training import (
+    Picture,
+    SceneTrainingConfig,
+    losses_of,
+    recoloured,
+    sampled,
+    train_scene_network,
+)
+from perception.detection.working_view import CHANNELS
+from perception.errors import PerceptionError
+
+PLACES = [(0.42, -0.25), (0.55, -0.18)]
+SMALL = SceneTrainingConfig(epochs=2, batch=2, side=96)
+
+
+@pytest.fixture(scope="module")
+def picture(scenes):
+    solids = [scenes.Solid(x, y, 0.1, radius=0.035) for x, y in PLACES]
+    scene = scenes.render(solids, scenes.orbit((0.48, -0.22, 0.05), 0.5, 50, 70))
+    return Picture(
+        scene.frame, (scene.instances + 1).astype(np.uint8), np.array([2, 4], np.uint8), np.array(PLACES)
+    )
+
+
+def test_offsets_lead_to_the_feet_mirrored_or_not(picture):
+    """Where things stand in the picture's own axes: what all pixels of one thing vote for is one place."""
+    for seed in range(6):
+        sample = sampled(picture, SceneTrainingConfig(side=192), np.random.default_rng(seed))
+        assert sample.channels.shape == (192, 192, CHANNELS) and sample.label.shape == (96, 96)
+        assert set(np.unique(sample.label)) <= {-1, 2, 4}
+        inside = sample.weight > 0
+        assert np.array_equal(inside, sample.things[::2, ::2] > 0)
+        step = np.diff(sample.offset[..., 0], axis=1)[inside[:, 1:] & inside[:, :-1]]
+        assert np.median(step) == pytest.approx(-2, abs=0.5)  # two pixels nearer, two pixels less to go
+
+
+def test_losses_in_closed_form():
+    answer = torch.zeros(1, OUTPUTS, 4, 4)
+    things = torch.zeros(1, 8, 8, dtype=torch.uint8)
+    things[:, :4] = 1
+    label = torch.full((1, 4, 4), -1)
+    label[:, :2] = 1
+    offset = torch.zeros(1, 4, 4, 2)
+    offset[:, :2, :, 0] = 10.0
+    pixel, weight = torch.full((1, 4, 4), 0.003), (label >= 0).float()
+    config = SceneTrainingConfig(foreground_weight=1, class_weight=1, vote_weight=1)
+    loss = losses_of(answer, things, label, offset, pixel, weight, config)
+    # log 2 for an undecided bit, log 5 for an undecided class, 10 pixels of 3 mm with a spread of 1 cm
+    assert loss.tolist() == pytest.approx([np.log(2), np.log(5), 3.0], rel=1e-3)
+    answer[:, 4 + CLASSES] = 10.0 / VOTE_UNIT
+    better = losses_of(answer, things, label, offset, pixel, weight, config)
+    assert better[2] < 0.02 and better[1] == loss[1]
+
+
+def test_colours_stay_colours():
+    rgb = np.random.default_rng(0).random((32, 32, 3)).astype(np.float32) - 0.5
+    drawn = [recoloured(rgb, np.random.default_rng(seed)) for seed in range(20)]
+    assert all(np.abs(image).max() <= 0.5 and image.dtype == np.float32 for image in drawn)
+    assert np.std([image.mean() for image in drawn]) > 0.03
+
+
+def test_an_interrupted_run_ends_like_an_uninterrupted_one(picture, tmp_path, monkeypatch):
+    def train(directory, progress=None, pictures=lambda _: picture):
+        return train_scene_network(pictures, 4, SMALL, directory, progress=progress)
+
+    whole = train(tmp_path / "a").state_dict()
+    seen = []
+
+    def broken(index):
+        seen.append(index)
+        if len(seen) > 6:
+            raise KeyboardInterrupt
+        return picture
+
+    monkeypatch.setattr("perception.detection.scene_training._SAVE_EVERY", 0.0)
+    with pytest.raises(KeyboardInterrupt):
+        train(tmp_path / "b", pictures=broken)
+    resumed = train(tmp_path / "b").state_dict()
+    assert all(torch.equal(whole[name], resumed[name]) for name in whole)
+    with pytest.raises(PerceptionError, match="another configuration"):
+        train_scene_network(lambda _: picture, 4, SceneTrainingConfig(), tmp_path / "b")
+
+
+def test_weights_survive_the_disk(tmp_path):
+    torch.manual_seed(0)
+    network = SceneNet().eval()
+    save_scene_network(network, tmp_path / "scene.safetensors", {"seed": "0"})
+    loaded = load_scene_network(tmp_path / "scene.safetensors")
+    channels = np.random.default_rng(0).standard_normal((47, 63, CHANNELS)).astype(np.float32)
+    mine, theirs = answers(network, channels), answers(loaded, channels)
+    assert mine.shape == (24, 32, OUTPUTS)
+    np.testing.assert_allclose(mine, theirs, atol=0.02)  # half precision
+    with pytest.raises(PerceptionError, match="are missing"):
+        load_scene_network(tmp_path / "elsewhere.safetensors")
+    (tmp_path / "scene.safetensors").write_bytes(b"not weights")
+    with pytest.raises(PerceptionError, match="cannot be read"):
+        load_scene_network(tmp_path / "scene.safetensors")
