@@ -11,6 +11,7 @@ from app.runs.replay import Recorder
 from app.viewer.story import Believed
 from perception.errors import PerceptionError
 from perception.inference.meshing import mesh_from_code
+from perception.inference.shape_model import decode_with_jacobian
 from perception.inference.uncertainty import surface_deviation
 from perception.shape.decoder import ShapeDecoder
 from perception.types import ObjectEstimate, TriangleMesh
@@ -67,7 +68,8 @@ class Meshes:
             covariance = self._recorded_covariance(estimate.id)
         if covariance is None:
             return None
-        return colors_of(surface_deviation(estimate, covariance, self._decoder))
+        decoded = decode_with_jacobian(self._decoder, estimate.category, estimate.code)
+        return colors_of(surface_deviation(estimate, covariance, *decoded))
 
     def _recorded_covariance(self, number: int) -> Float[np.ndarray, "25 25"] | None:
         for note in self._recorder.notes:

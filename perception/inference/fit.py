@@ -18,10 +18,16 @@ from perception.geometry import invert
 from perception.inference.initialise import initial_poses
 from perception.inference.levenberg_marquardt import Evaluation, LmConfig, LmIteration, minimise
 from perception.inference.meshing import MeshConfig, mesh_from_grid
-from perception.inference.observation import ObjectObservation, PixelConfig, gather_pixels
+from perception.inference.observation import ObjectObservation, PixelConfig, PixelSet, gather_pixels
 from perception.inference.problem import FitProblem, FitState, NoiseConfig, SupportCamera
 from perception.inference.refine import RefineConfig, refine_mesh
-from perception.inference.shape_model import Decoder, LinearisedShape, decode, linearise, mean_shape
+from perception.inference.shape_model import (
+    Decoder,
+    LinearisedShape,
+    decode_with_jacobian,
+    linearise,
+    mean_shape,
+)
 from perception.inference.uncertainty import surface_band
 from perception.rendering.comparison import RendererName
 from perception.rendering.pose import ObjectPose
@@ -136,7 +142,7 @@ class _Fitter:
     def __init__(self, observations, category, decoder, plane, config, on_step: OnStep | None) -> None:
         self.observations, self.plane, self.config = observations, plane, config
         self.on_step = on_step or (lambda step: None)
-        self.linearise = lambda code: linearise(decoder, category, code)
+        self.linearise = lambda code: linearise(decoder, category, code, config.threads)
         self.mean_shape = mean_shape(decoder, category)
         self.poses, size = initial_poses(observations[: config.start_views], category, plane)
         self.voxel = 2 * float(self.poses[0].scale[0]) / GRID_RESOLUTION
@@ -150,33 +156,38 @@ class _Fitter:
         first, *others = self.config.stages
         starts = [FitState(pose, np.zeros(CODE_SIZE)) for pose in self.poses]
         self.on_step(FitStep(0, starts[0].pose, starts[0].code, float("nan")))
-        fits = [self._stage(first, state, self.mean_shape, self.config.lm.damping) for state in starts]
+        pixels, damping = self._pixels(first), self.config.lm.damping
+        fits = [self._stage(first, pixels, state, self.mean_shape, damping) for state in starts]
         best, shape, damping = min(fits, key=lambda entry: _misfit(entry[0]))
         self.on_step(FitStep(len(best.trace), best.state.pose, best.state.code, _misfit(best)))
         for stage in others:
-            fit, shape, damping = self._stage(stage, best.state, shape, damping, len(best.trace))
+            pixels = self._pixels(stage)
+            fit, shape, damping = self._stage(stage, pixels, best.state, shape, damping, len(best.trace))
             best = replace(fit, trace=best.trace + fit.trace)
         return best
 
-    def _stage(
-        self,
-        stage: Stage,
-        state: FitState,
-        shape: LinearisedShape,
-        damping: float,
-        watched_from: int | None = None,
-    ) -> tuple[Fit, LinearisedShape, float]:
-        config = self.config
-        pixels = gather_pixels(
+    def _pixels(self, stage: Stage) -> PixelSet:
+        return gather_pixels(
             self.observations,
             self.poses[0].translation,
             self.reach,
             self.samples,
             stage.crop,
             stage.level,
-            config.pixels,
-            config.threads,
+            self.config.pixels,
+            self.config.threads,
         )
+
+    def _stage(
+        self,
+        stage: Stage,
+        pixels: PixelSet,
+        state: FitState,
+        shape: LinearisedShape,
+        damping: float,
+        watched_from: int | None = None,
+    ) -> tuple[Fit, LinearisedShape, float]:
+        config = self.config
         limit = np.concatenate(
             [
                 np.full(CODE_SIZE, config.step_limit_code),
@@ -247,7 +258,7 @@ def _estimate(
     score: float,
 ) -> ObjectEstimate:
     pose, code = fit.state.pose, fit.state.code
-    grid = decode(decoder, category, code)
+    grid, jacobian = decode_with_jacobian(decoder, category, code, config.threads)
     mesh = mesh_from_grid(grid, pose.scale, category, config.mesh)
     determined = np.zeros(len(mesh.vertices))
     if config.refine is not None:
@@ -270,7 +281,7 @@ def _estimate(
         status=_status(fit, pose, plane, float(inliers.mean())),
         covariance=covariance,
     )
-    return replace(estimate, surface_sigma=surface_band(estimate, covariance, determined, decoder))
+    return replace(estimate, surface_sigma=surface_band(estimate, covariance, determined, grid, jacobian))
 
 
 def _status(fit: Fit, pose: ObjectPose, plane: SupportPlane, inlier_share: float) -> FitStatus:

@@ -16,7 +16,7 @@ from perception.inference.observation import PixelSet
 from perception.inference.shape_model import LinearisedShape
 from perception.rendering.comparison import BACKDROP, RENDERERS, RendererName
 from perception.rendering.pose import POSE_SIZE, ObjectPose, canonical_from_camera, pose_jacobian
-from perception.rendering.renderer import RayBundle, render
+from perception.rendering.renderer import RayBundle, Rendering, render
 from perception.types import CODE_SIZE, SupportPlane
 
 PARAMETERS = CODE_SIZE + POSE_SIZE
@@ -135,9 +135,7 @@ class FitProblem:
         pixels, noise = self.pixels, self.noise
         A = canonical_from_camera(state.pose, pixels.Ts_world_camera)
         image = self._render(grid, pixels.rays, A, True)
-        assert image.d_code is not None
-        poses = pose_jacobian(state.pose, A, pixels.rays.directions, pixels.rays.view, image)
-        jacobian = np.concatenate([image.d_code, poses], axis=1)
+        jacobian = _jacobian(state.pose, A, pixels.rays, image)
         residual, variance, weight = image.depth - self._target, image.variance, pixels.weight
         if pixels.operator is not None:
             stacked = np.column_stack([residual, variance, weight])
@@ -188,8 +186,18 @@ class FitProblem:
         if hit.sum() < 4:
             return np.zeros(1), jacobian, np.zeros(1)
         voxel = state.pose.scale[2] / 16
-        lowest = hit & (height < np.quantile(height[hit], 0.1) + 0.3 * voxel)
-        poses = pose_jacobian(state.pose, A, camera.rays.directions, camera.rays.view, image)
-        assert image.d_code is not None
-        jacobian[0] = np.concatenate([image.d_code, poses], axis=1)[lowest].mean(axis=0)
+        low = np.partition(height[hit], hit.sum() // 10)[hit.sum() // 10]
+        lowest = hit & (height < low + 0.3 * voxel)
+        jacobian[0] = _jacobian(state.pose, A, camera.rays, image)[lowest].mean(axis=0)
         return height[lowest].mean(keepdims=True), jacobian, np.full(1, self.noise.support_sigma**-2)
+
+
+def _jacobian(
+    pose: ObjectPose, A: Float[np.ndarray, "v 3 4"], rays: RayBundle, image: Rendering
+) -> Float[np.ndarray, "n 25"]:
+    """Derivative of the rendered depth by all parameters."""
+    assert image.d_code is not None
+    rows = np.empty((len(rays.directions), PARAMETERS), np.float32)
+    rows[:, _CODE] = image.d_code
+    pose_jacobian(pose, A, rays, image, out=rows[:, CODE_SIZE:])
+    return rows

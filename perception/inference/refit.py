@@ -220,7 +220,7 @@ class _Search:
         config = self.config
         A = canonical_from_camera(pose, self.cameras)
         image = render(self.shape, self.rays, A)
-        jacobian = pose_jacobian(pose, A, self.rays.directions, self.rays.view, image)[:, :6]
+        jacobian = pose_jacobian(pose, A, self.rays, image)[:, :6]
         residual = image.depth - self.measured
         own = (image.mask > 0.7) & (np.abs(residual) < reach) & (np.abs(residual) <= self.explained + 0.002)
         sigma2 = image.variance + config.depth_sigma**2

@@ -28,7 +28,7 @@ class Decoder(Protocol):
 
     def __call__(self, category: Category, codes: Tensor) -> Tensor: ...
 
-    def with_jacobian(self, category: Category, code: Tensor) -> tuple[Tensor, Tensor]: ...
+    def with_jacobian(self, category: Category, code: Tensor, threads: int = 1) -> tuple[Tensor, Tensor]: ...
 
 
 class LinearisedShape:
@@ -56,10 +56,19 @@ def mean_shape(decoder: Decoder, category: Category) -> LinearisedShape:
     return linearise(decoder, category, np.zeros(CODE_SIZE))
 
 
-def linearise(decoder: Decoder, category: Category, code: Float[np.ndarray, "16"]) -> LinearisedShape:
-    """Decodes a code with its derivatives."""
-    grid, jacobian = decoder.with_jacobian(category, torch.as_tensor(code, dtype=torch.float32))
-    return LinearisedShape(grid.cpu().numpy(), jacobian.cpu().numpy(), code)
+def linearise(
+    decoder: Decoder, category: Category, code: Float[np.ndarray, "16"], threads: int = 1
+) -> LinearisedShape:
+    """Decodes a code with its derivatives, on so many cores."""
+    return LinearisedShape(*decode_with_jacobian(decoder, category, code, threads), code)
+
+
+def decode_with_jacobian(
+    decoder: Decoder, category: Category, code: Float[np.ndarray, "16"], threads: int = 1
+) -> tuple[Float[np.ndarray, "r r r"], Float[np.ndarray, "r r r 16"]]:
+    """The occupancy grid of one code and its derivative by the code."""
+    grid, jacobian = decoder.with_jacobian(category, torch.as_tensor(code, dtype=torch.float32), threads)
+    return grid.cpu().numpy(), jacobian.cpu().numpy()
 
 
 def decode(decoder: Decoder, category: Category, code: Float[np.ndarray, "16"]) -> Float[np.ndarray, "r r r"]:

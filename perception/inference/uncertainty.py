@@ -14,11 +14,9 @@ from collections.abc import Mapping
 from dataclasses import dataclass, field
 
 import numpy as np
-import torch
 import trimesh
 from jaxtyping import Float
 
-from perception.inference.shape_model import Decoder
 from perception.types import GRID_RESOLUTION, Category, ObjectEstimate
 
 LEAST_SLOPE = (
@@ -48,27 +46,33 @@ def surface_band(
     estimate: ObjectEstimate,
     covariance: Float[np.ndarray, "25 25"],
     determined: Float[np.ndarray, "v"],
-    decoder: Decoder,
+    grid: Float[np.ndarray, "r r r"],
+    jacobian: Float[np.ndarray, "r r r 16"],
     config: BandConfig | None = None,
 ) -> Float[np.ndarray, "v"]:
     """Calibrated standard deviation along the normal of each vertex, in [m].
 
-    ``determined`` says for each vertex to which share the measurements placed it (see ``refine.py``).
+    ``determined`` says for each vertex to which share the measurements placed it (see ``refine.py``);
+    ``grid`` and ``jacobian`` are what the estimate's code decodes to.
     """
     config = config or BandConfig()
     inflation, floor = config.inflation[estimate.category], config.floor[estimate.category]
-    fitted = inflation * surface_deviation(estimate, covariance, decoder)
+    fitted = inflation * surface_deviation(estimate, covariance, grid, jacobian)
     return np.hypot(np.sqrt(1 - determined) * fitted, floor)
 
 
 def surface_deviation(
-    estimate: ObjectEstimate, covariance: Float[np.ndarray, "25 25"], decoder: Decoder
+    estimate: ObjectEstimate,
+    covariance: Float[np.ndarray, "25 25"],
+    grid: Float[np.ndarray, "r r r"],
+    jacobian: Float[np.ndarray, "r r r 16"],
 ) -> Float[np.ndarray, "v"]:
-    """One standard deviation along the normal of each vertex of the mesh, in [m]."""
+    """One standard deviation along the normal of each vertex of the mesh, in [m].
+
+    ``grid`` and ``jacobian`` are what the estimate's code decodes to.
+    """
     points = estimate.mesh.vertices
     normals = trimesh.Trimesh(points, estimate.mesh.faces, process=False).vertex_normals
-    code = torch.as_tensor(np.array(estimate.code), dtype=torch.float32)
-    grid, jacobian = (value.cpu().numpy() for value in decoder.with_jacobian(estimate.category, code))
     voxel = 2 * estimate.scale / GRID_RESOLUTION  # [m]
     where = (points / estimate.scale + 1) / 2 * GRID_RESOLUTION - 0.5
     slopes = _at(np.stack([np.gradient(grid, axis=k) for k in range(3)], axis=-1), where) / voxel
@@ -88,11 +92,11 @@ def _at(values: Float[np.ndarray, "r r r c"], where: Float[np.ndarray, "v 3"]) -
     side = values.shape[0]
     where = np.clip(where, 0, side - 1 - 1e-6)
     low = where.astype(int)
-    share = where - low
+    share = (where - low).astype(values.dtype)
     flat = values.reshape(-1, values.shape[-1])
-    result = np.zeros((len(where), values.shape[-1]))
+    base = (low[:, 0] * side + low[:, 1]) * side + low[:, 2]
+    result = np.zeros((len(where), values.shape[-1]), values.dtype)
     for corner in np.ndindex(2, 2, 2):
         weight = np.where(corner, share, 1 - share).prod(axis=1)
-        at = low + corner
-        result += weight[:, None] * flat[(at[:, 0] * side + at[:, 1]) * side + at[:, 2]]
+        result += weight[:, None] * flat[base + (corner[0] * side + corner[1]) * side + corner[2]]
     return result

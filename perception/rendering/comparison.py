@@ -86,12 +86,14 @@ def _launch(
         outputs=[depth, mask, sums, d_code],
         device=device,
     )
-    sums_host = sums.numpy() if gradients else None
+    d_map = None
+    if gradients:
+        along, across = sums.numpy()[:, 1], sums.numpy()[:, 0]
+        d_map = np.concatenate([rays.directions[:, [k]] * along for k in range(3)] + [across], axis=1)
     return Rendering(
         depth=depth.numpy(),
         variance=np.zeros(n, np.float32),
         mask=mask.numpy(),
         d_code=d_code.numpy() if with_code else None,
-        sum_gradient=None if sums_host is None else sums_host[:, 0],
-        sum_depth_gradient=None if sums_host is None else sums_host[:, 1],
+        d_map=None if d_map is None else d_map.astype(np.float32),
     )

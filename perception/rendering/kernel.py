@@ -8,7 +8,8 @@ probability to reach it and E_i the expected depth from there on,
     dD/do_i = w_i = T_i (delta_i - E_{i+1}),
 
 without any division. The Jacobian then needs three sums along the ray: w_i do_i/dcode (16 numbers), and
-w_i grad o_i and w_i delta_i grad o_i (3 each), from which ``pose.py`` makes the derivative by any pose.
+w_i grad o_i and w_i delta_i grad o_i (3 each), which are the derivative by the affine map that brings the
+camera's points into the grid; ``pose.py`` goes on from there to any pose.
 
 Samples outside the grid are never visited; those in cells where nothing is and which no code moves are
 skipped.
@@ -48,6 +49,7 @@ wp.set_module_options(
 )
 
 vec16 = wp.types.vector(length=CODE_SIZE, dtype=wp.float32)
+mat34 = wp.types.matrix(shape=(3, 4), dtype=wp.float32)
 
 
 @wp.kernel
@@ -62,24 +64,25 @@ def pad_kernel(
     padded_jacobian: wp.array(dtype=vec16),
     flags: wp.array(dtype=wp.uint8),
 ):
-    """A grid into the flat one with its border, and what is worth knowing about each voxel."""
-    i, j, k = wp.tid()
-    to = ((i + 1) * _SIDE + j + 1) * _SIDE + k + 1
-    o = occupancy[i, j, k]
-    padded[to] = o
-    flag = int(0)
-    if o > skip_occupancy:
-        flag = flag | _OCCUPIED
-    if with_code != 0:
-        row = jacobian[i, j, k]
-        padded_jacobian[to] = row
-        if o * (1.0 - o) > _FLAT:
+    """A grid into the flat one with its border, and what is worth knowing about each voxel, by columns."""
+    i, j = wp.tid()
+    to = ((i + 1) * _SIDE + j + 1) * _SIDE
+    for k in range(GRID_RESOLUTION):
+        to += 1
+        o = occupancy[i, j, k]
+        padded[to] = o
+        flag = int(0)
+        if o > skip_occupancy:
+            flag = flag | _OCCUPIED
+        if with_code != 0 and o * (1.0 - o) > _FLAT:
+            row = jacobian[i, j, k]
+            padded_jacobian[to] = row
             fastest = wp.max(wp.max(row), -wp.min(row))
             if fastest > skip_jacobian:
                 flag = flag | _CODE_MOVES
             if fastest > _STILL:
                 flag = flag | _NOT_STILL
-    flags[to] = wp.uint8(flag)
+        flags[to] = wp.uint8(flag)
 
 
 @wp.kernel
@@ -104,50 +107,53 @@ def step_kernel(
 @wp.kernel
 @no_type_check
 def flag_cells_kernel(voxels: wp.array(dtype=wp.uint8), cells: wp.array(dtype=wp.uint8)):
-    """What the eight voxels around a cell have between them; a cell has the index of its lowest voxel."""
-    i, j, k = wp.tid()
-    low = (i * _SIDE + j) * _SIDE + k
-    flag = int(0)
-    for a in range(2):
-        for b in range(2):
-            for c in range(2):
-                flag = flag | int(voxels[low + (a * _SIDE + b) * _SIDE + c])
-    cells[low] = wp.uint8(flag & (_OCCUPIED | _CODE_MOVES))
+    """What the eight voxels around a cell have between them; a cell has the index of its lowest voxel.
+
+    A thread goes up one column of cells.
+    """
+    i, j = wp.tid()
+    low = (i * _SIDE + j) * _SIDE
+    below = int(0)
+    for k in range(_SIDE):
+        at = low + k
+        here = int(voxels[at]) | int(voxels[at + _SIDE])
+        here = (here | int(voxels[at + _SLAB]) | int(voxels[at + _SLAB + _SIDE])) & (_OCCUPIED | _CODE_MOVES)
+        if k > 0:
+            cells[at - 1] = wp.uint8(here | below)
+        below = here
 
 
 @wp.kernel
 @no_type_check
 def render_kernel(
-    occupancy: wp.array(dtype=wp.float32),
-    jacobian: wp.array(dtype=vec16),
-    cells: wp.array(dtype=wp.uint8),
     directions: wp.array(dtype=wp.vec3),
     views: wp.array(dtype=wp.int32),
-    rotations: wp.array(dtype=wp.mat33),
-    origins: wp.array(dtype=wp.vec3),
     depth_range: wp.array(dtype=wp.vec2),
+    maps: wp.array(dtype=mat34),
     samples: int,
-    gradients: int,
-    with_code: int,
     stack_stride: int,
     begin: int,
     stack: wp.array(dtype=wp.vec3),
-    depth: wp.array(dtype=wp.float32),
-    variance: wp.array(dtype=wp.float32),
-    mask: wp.array(dtype=wp.float32),
-    sums: wp.array2d(dtype=wp.vec3),
-    d_code: wp.array(dtype=vec16),
+    gradients: int,
+    with_code: int,
+    occupancy: wp.array(dtype=wp.float32),
+    jacobian: wp.array(dtype=vec16),
+    cells: wp.array(dtype=wp.uint8),
+    rows: wp.array2d(dtype=vec16),
 ):
     """The rays from ``begin`` on, one in each thread.
 
-    ``stack_stride`` is ``samples``; or 0 where one thread after the other may use the same room.
+    ``stack_stride`` is ``samples``; or 0 where one thread after the other may use the same room. A ray's row
+    is its derivative by the code; then that by its camera's map, column after column, depth, variance, mask.
     """
     ray = begin + wp.tid()
     stack_begin = wp.tid() * stack_stride
     view = views[ray]
     # In voxels of the padded grid, whose corner voxel has its centre at 0.
-    direction = _HALF * (rotations[view] * directions[ray])
-    origin = _HALF * origins[view] + wp.vec3(_HALF + 0.5, _HALF + 0.5, _HALF + 0.5)
+    pixel = directions[ray]
+    direction = _HALF * (maps[view] * wp.vec4(pixel[0], pixel[1], pixel[2], 0.0))
+    origin = _HALF * (maps[view] * wp.vec4(0.0, 0.0, 0.0, 1.0))
+    origin += wp.vec3(_HALF + 0.5, _HALF + 0.5, _HALF + 0.5)
     near = depth_range[view][0]
     far = depth_range[view][1]
     step = (far - near) / float(samples)
@@ -246,11 +252,14 @@ def render_kernel(
                 code += (w1 * (1.0 - y) * z) * jacobian[at + _SLAB + 1]
                 code += (w1 * y * (1.0 - z)) * jacobian[at + _SLAB + _SIDE]
                 code += (w1 * y * z) * jacobian[at + _SLAB + _SIDE + 1]
-    depth[ray] = mean + middle
-    variance[ray] = wp.max(square - mean * mean, 0.0)
-    mask[ray] = 1.0 - reaching
+    image = vec16()
     if gradients != 0:
-        sums[ray, 0] = sum_gradient
-        sums[ray, 1] = sum_depth_gradient
-    if with_code != 0:
-        d_code[ray] = code
+        for column in range(3):
+            for axis in range(3):
+                image[3 * column + axis] = pixel[column] * sum_depth_gradient[axis]
+            image[9 + column] = sum_gradient[column]
+    image[12] = mean + middle
+    image[13] = wp.max(square - mean * mean, 0.0)
+    image[14] = 1.0 - reaching
+    rows[ray, 0] = code
+    rows[ray, 1] = image

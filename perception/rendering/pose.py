@@ -9,10 +9,10 @@ from __future__ import annotations
 from dataclasses import dataclass
 
 import numpy as np
-from jaxtyping import Float, Int
+from jaxtyping import Float
 
 from perception.geometry import so3_exp
-from perception.rendering.renderer import Rendering
+from perception.rendering.renderer import RayBundle, Rendering
 
 POSE_SIZE = 9
 
@@ -62,50 +62,42 @@ def canonical_from_camera(
 def pose_jacobian(
     pose: ObjectPose,
     A_canonical_camera: Float[np.ndarray, "v 3 4"],
-    directions: Float[np.ndarray, "n 3"],
-    view: Int[np.ndarray, "n"],
+    rays: RayBundle,
     rendering: Rendering,
+    out: Float[np.ndarray, "n 9"] | None = None,
 ) -> Float[np.ndarray, "n 9"]:
-    """Derivative of the rendered depth by (omega, v, sigma).
+    """Derivative of the rendered depth by (omega, v, sigma): that by the camera's map, times the map's own.
 
-    With a sample at q = a + delta b in the object's frame [m], g = S^-1 q in canonical coordinates:
-    dg/dv = -S^-1 R^T, dg/domega = S^-1 hat(q), dg/dsigma = -diag(g); two sums along the ray carry them over.
+    Args:
+        pose: of the object.
+        A_canonical_camera: the maps it was rendered with.
+        rays: the rays that were rendered.
+        rendering: what they saw, with gradients.
+        out: where to write, if not into a new array.
     """
-    if rendering.sum_gradient is None or rendering.sum_depth_gradient is None:
+    if rendering.d_map is None:
         raise ValueError("the rendering has no gradients: call render(..., gradients=True)")
-    n, g1, g2 = len(directions), rendering.sum_gradient, rendering.sum_depth_gradient
-    # All of it is linear in g1 and in the products of g2 with the pixel's direction (whose z is 1).
-    features = np.empty((n, 12), dtype=np.float32)
-    features[:, :3] = g1
-    np.multiply(g2[:, :, None], directions[:, None, :], out=features[:, 3:].reshape(n, 3, 3))
-    out = np.empty((n, POSE_SIZE), dtype=np.float32)
-    for index, maps in enumerate(_sum_maps(pose, A_canonical_camera)):
-        rows = view == index
-        out[rows] = features[rows] @ maps
+    if out is None:
+        out = np.empty((len(rays.directions), POSE_SIZE), np.float32)
+    for own, by_pose in zip(rays.of_view, map_jacobian(pose, A_canonical_camera), strict=True):
+        np.matmul(rendering.d_map[own], by_pose, out=out[own])
     return out
 
 
-def _sum_maps(
+def map_jacobian(
     pose: ObjectPose, A_canonical_camera: Float[np.ndarray, "v 3 4"]
 ) -> Float[np.ndarray, "v 12 9"]:
-    """For each view the matrix from (g1, g2 x direction) to the derivative by the pose."""
-    n = len(A_canonical_camera)
-    maps = np.zeros((n, 12, POSE_SIZE))
-    maps[:, :3, 3:6] = -pose.rotation.T / pose.scale[:, None]
-    A = A_canonical_camera * pose.scale[:, None]  # to the object's frame, in [m]
-    by_point = _BY_POINT / pose.scale[:, None, None]  # (axis, coordinate of q, parameter)
-    maps[:, :3] += np.einsum("vc,acp->vap", A[:, :, 3], by_point)
-    maps[:, 3:] = np.einsum("vcd,acp->vadp", A[:, :, :3], by_point).reshape(n, 9, POSE_SIZE)
-    return maps.astype(np.float32)
+    """Derivative of the maps, one column after the other, by (omega, v, sigma).
 
-
-def _rows_by_point() -> Float[np.ndarray, "3 3 9"]:
-    """[hat(q), 0, -diag(q)] by its row and the coordinate of q: linear in q."""
-    rows = np.zeros((3, 3, POSE_SIZE))
-    for axis in range(3):
-        rows[axis, :, :3] = np.cross(np.eye(3)[axis], np.eye(3))
-        rows[axis, axis, 6 + axis] = -1.0
-    return rows
-
-
-_BY_POINT = _rows_by_point()
+    For a column a of A: da/domega = S^-1 hat(S a), da/dsigma = -diag(a); only the last, the camera's centre,
+    moves with the translation: da/dv = -S^-1 R^T.
+    """
+    columns = np.moveaxis(A_canonical_camera, 2, 1)
+    maps = np.zeros((*columns.shape, POSE_SIZE))
+    in_object = columns * pose.scale  # [m], or [m] for each metre of depth
+    for axis, (one, two) in enumerate(((1, 2), (2, 0), (0, 1))):  # rows of hat: (0, -z, y), (z, 0, -x), ...
+        maps[..., axis, one] = -in_object[..., two] / pose.scale[axis]
+        maps[..., axis, two] = in_object[..., one] / pose.scale[axis]
+        maps[..., axis, 6 + axis] = -columns[..., axis]
+    maps[:, 3, :, 3:6] = -pose.rotation.T / pose.scale[:, None]
+    return maps.reshape(len(maps), 12, POSE_SIZE).astype(np.float32)

@@ -5,10 +5,10 @@
 
 from __future__ import annotations
 
-import os
-from concurrent.futures import ThreadPoolExecutor
 from dataclasses import dataclass, replace
-from functools import cache, cached_property
+from functools import cached_property
+from itertools import pairwise
+from typing import Any
 
 import numpy as np
 import warp as wp
@@ -18,16 +18,17 @@ from perception.rendering.kernel import (
     ESCAPE_FACTOR,
     PADDED_VOXELS,
     flag_cells_kernel,
+    mat34,
     pad_kernel,
     render_kernel,
     step_kernel,
     vec16,
 )
 from perception.types import GRID_RESOLUTION
-from perception.warp_runtime import empty, launch, start_warp, to_device, zeros
+from perception.warp_runtime import empty, launch, record, run_recorded, start_warp, to_device, zeros
 
-_VOXELS = (GRID_RESOLUTION,) * 3
-_CELLS = (GRID_RESOLUTION + 1,) * 3
+_COLUMNS = (GRID_RESOLUTION,) * 2
+_CELL_COLUMNS = (GRID_RESOLUTION + 1,) * 2
 
 
 @dataclass(frozen=True)
@@ -71,7 +72,7 @@ class ShapeGrid:
         flags, cells = (zeros(PADDED_VOXELS, wp.uint8, device) for _ in range(2))
         launch(
             pad_kernel,
-            dim=_VOXELS,
+            dim=_COLUMNS,
             inputs=[
                 to_device(occupancy, wp.float32, device),
                 None if jacobian is None else to_device(jacobian, vec16, device),
@@ -82,7 +83,7 @@ class ShapeGrid:
             outputs=[padded, padded_jacobian, flags],
             device=device,
         )
-        launch(flag_cells_kernel, dim=_CELLS, inputs=[flags], outputs=[cells], device=device)
+        launch(flag_cells_kernel, dim=_CELL_COLUMNS, inputs=[flags], outputs=[cells], device=device)
         return ShapeGrid(padded, padded_jacobian, cells, flags, device)
 
     def stepped(self, step: Float[np.ndarray, "16"]) -> ShapeGrid:
@@ -104,12 +105,48 @@ class ShapeGrid:
 
 @dataclass(frozen=True)
 class _RayBuffers:
-    """A ray bundle's arrays on one device, and room for the samples of every ray that is worked on."""
+    """A ray bundle's arrays on one device, and its launches: one for each core that shares the rays.
+
+    Attributes:
+        maps: of the cameras; ``_MAP`` and the arguments after it change from rendering to rendering.
+        launches: of the render kernel, each with room for the samples of the rays it works on.
+    """
 
     directions: wp.array
     view: wp.array
     depth_range: wp.array
-    stacks: tuple[wp.array, ...]
+    maps: wp.array
+    launches: tuple[Any, ...]
+
+    @staticmethod
+    def of(rays: RayBundle, device: str) -> _RayBuffers:
+        n = len(rays.directions)
+        directions = to_device(rays.directions, wp.vec3, device)
+        view = to_device(rays.view, wp.int32, device)
+        depth_range = to_device(rays.depth_range, wp.vec2, device)
+        maps = empty(len(rays.depth_range), mat34, device)
+        on_cpu = device == "cpu"
+        parts = np.linspace(0, n, (rays.threads if on_cpu else 1) + 1).astype(int).tolist()
+        # rays of one thread come one after the other on the CPU: the same little room will do for all
+        launches = tuple(
+            record(
+                render_kernel,
+                end - begin,
+                [
+                    *(directions, view, depth_range, maps),
+                    *(rays.samples, 0 if on_cpu else rays.samples, begin),
+                    empty(rays.samples * (1 if on_cpu else n), wp.vec3, device),
+                    *(0, 0, None, None, None),
+                ],
+                [empty((1, 2), vec16, device)],
+                device,
+            )
+            for begin, end in pairwise(parts)
+        )
+        return _RayBuffers(directions, view, depth_range, maps, launches)
+
+
+_CHANGING = 8  # position of the first of the render kernel's arguments that change with every rendering
 
 
 @dataclass(frozen=True)
@@ -120,7 +157,7 @@ class RayBundle:
 
     Attributes:
         directions: (n, 3) back-projected pixels in their camera's frame, z = 1, so that depth scales them.
-        view: (n,) index of each ray's camera.
+        view: (n,) index of each ray's camera, one camera's rays after the other's.
         depth_range: (v, 2) nearest and farthest depth for each camera in [m].
         samples: M, the number of samples between the two.
         threads: how many cores share the rays, on the CPU; the result is the same.
@@ -139,17 +176,14 @@ class RayBundle:
     def on_device(self, device: str) -> _RayBuffers:
         """The rays on a device, brought there by the first call."""
         if device not in self._buffers:
-            # rays of one thread come one after the other on the CPU: the same little room will do for all
-            room = self.samples * (1 if device == "cpu" else len(self.directions))
-            self._buffers[device] = _RayBuffers(
-                directions=to_device(self.directions, wp.vec3, device),
-                view=to_device(self.view, wp.int32, device),
-                depth_range=to_device(self.depth_range, wp.vec2, device),
-                stacks=tuple(
-                    empty(room, wp.vec3, device) for _ in range(self.threads if device == "cpu" else 1)
-                ),
-            )
+            self._buffers[device] = _RayBuffers.of(self, device)
         return self._buffers[device]
+
+    @cached_property
+    def of_view(self) -> tuple[slice, ...]:
+        """Which rays are each camera's."""
+        ends = np.searchsorted(self.view, np.arange(len(self.depth_range) + 1)).tolist()
+        return tuple(slice(begin, end) for begin, end in pairwise(ends))
 
     @property
     def escape_depth(self) -> Float[np.ndarray, "v"]:
@@ -166,16 +200,14 @@ class Rendering:
         variance: (n,) its variance in [m^2].
         mask: (n,) probability to hit the object.
         d_code: (n, 16) derivative of depth by the code, or None.
-        sum_gradient: (n, 3) sum of w_i grad o_i, by canonical coordinates, or None.
-        sum_depth_gradient: (n, 3) sum of w_i delta_i grad o_i, or None.
+        d_map: (n, 12) derivative of depth by the ray's camera map, one column of it after the other, or None.
     """
 
     depth: Float[np.ndarray, "n"]
     variance: Float[np.ndarray, "n"]
     mask: Float[np.ndarray, "n"]
     d_code: Float[np.ndarray, "n 16"] | None = None
-    sum_gradient: Float[np.ndarray, "n 3"] | None = None
-    sum_depth_gradient: Float[np.ndarray, "n 3"] | None = None
+    d_map: Float[np.ndarray, "n 12"] | None = None
 
 
 def render(
@@ -195,53 +227,16 @@ def render(
     n, device = len(rays.directions), shape.device
     on_device = rays.on_device(device)
     with_code = gradients and shape.jacobian is not None
-    depth, variance, mask = (empty(n, dtype=wp.float32, device=device) for _ in range(3))
-    sums = empty((n, 2) if gradients else (1, 2), dtype=wp.vec3, device=device)
-    d_code = empty(n if with_code else 1, dtype=vec16, device=device)
-    inputs = [
-        shape.occupancy,
-        shape.jacobian,
-        shape.cells,
-        on_device.directions,
-        on_device.view,
-        to_device(A_canonical_camera[:, :, :3], wp.mat33, device),
-        to_device(A_canonical_camera[:, :, 3], wp.vec3, device),
-        on_device.depth_range,
-        rays.samples,
-        int(gradients),
-        int(with_code),
-        0 if device == "cpu" else rays.samples,
-    ]
-    outputs = [depth, variance, mask, sums, d_code]
-    parts = np.linspace(0, n, len(on_device.stacks) + 1).astype(int).tolist()
-
-    def work(part: int) -> None:
-        begin, end = parts[part], parts[part + 1]
-        launch(
-            render_kernel,
-            dim=end - begin,
-            inputs=[*inputs, begin, on_device.stacks[part]],
-            outputs=outputs,
-            device=device,
-        )
-
-    # The kernel lets go of Python's lock; the first part is done by this thread itself.
-    others = [_pool().submit(work, part) for part in range(1, len(on_device.stacks))]
-    work(0)
-    for other in others:
-        other.result()
-    sums_host = sums.numpy() if gradients else None
+    on_device.maps.assign(np.ascontiguousarray(A_canonical_camera, np.float32))
+    rows = empty((n, 2), dtype=vec16, device=device)
+    changing = [int(gradients), int(with_code), shape.occupancy, shape.jacobian, shape.cells, rows]
+    arguments = dict(enumerate(changing, start=_CHANGING))
+    run_recorded(on_device.launches, arguments)
+    code, image = rows.numpy().swapaxes(0, 1)
     return Rendering(
-        depth=depth.numpy(),
-        variance=variance.numpy(),
-        mask=mask.numpy(),
-        d_code=d_code.numpy() if with_code else None,
-        sum_gradient=None if sums_host is None else sums_host[:, 0],
-        sum_depth_gradient=None if sums_host is None else sums_host[:, 1],
+        depth=image[:, 12],
+        variance=image[:, 13],
+        mask=image[:, 14],
+        d_code=code if with_code else None,
+        d_map=image[:, :12] if gradients else None,
     )
-
-
-@cache
-def _pool() -> ThreadPoolExecutor:
-    """Threads for parts of renderings."""
-    return ThreadPoolExecutor(os.cpu_count() or 1, thread_name_prefix="render")

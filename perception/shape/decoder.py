@@ -53,14 +53,17 @@ class ShapeDecoder:
 
     @torch.no_grad()
     def with_jacobian(
-        self, category: Category, code: Float[Tensor, "code"] | Float[np.ndarray, "code"]
+        self, category: Category, code: Float[Tensor, "code"] | Float[np.ndarray, "code"], threads: int = 1
     ) -> tuple[Float[Tensor, "x y z"], Float[Tensor, "x y z code"]]:
-        """The grid of one code and its derivative d occupancy / d code, contiguous, code axis last."""
+        """The grid of one code and its derivative d occupancy / d code, contiguous, code axis last.
+
+        ``threads`` cores share the work on the CPU.
+        """
         code = torch.as_tensor(code, dtype=torch.float32, device=self.device)
         if code.shape != (CODE_SIZE,):
             raise InvalidInputError(f"the shape code is {tuple(code.shape)}, expected ({CODE_SIZE},)")
         index = CATEGORIES.index(category)
-        grid, jacobian = self._sparse(code.cpu().numpy(), index, with_jacobian=True)
+        grid, jacobian = self._sparse(code.cpu().numpy(), index, True, threads)
         assert jacobian is not None
         return grid, jacobian
 

@@ -40,7 +40,7 @@ class CupDecoder:
     def __call__(self, category: str, codes: Tensor) -> Tensor:
         return torch.stack([self._grid(code, category == "mug") for code in codes])
 
-    def with_jacobian(self, category: str, code: Tensor) -> tuple[Tensor, Tensor]:
+    def with_jacobian(self, category: str, code: Tensor, threads: int = 1) -> tuple[Tensor, Tensor]:
         knob, code = category == "mug", code.double()
         jacobian = torch.zeros((32, 32, 32, 16))
         for k in range(3):  # central differences in double: functorch's forward mode is not safe in threads

@@ -77,9 +77,7 @@ def test_derivatives_by_finite_differences(renderer, rays) -> None:
 
     A = canonical_from_camera(POSE, CAMERA)
     image = renderer(upload(code), rays, A)
-    analytic = np.concatenate(
-        [image.d_code, pose_jacobian(POSE, A, rays.directions, rays.view, image)], axis=1
-    )
+    analytic = np.concatenate([image.d_code, pose_jacobian(POSE, A, rays, image)], axis=1)
     clear = (image.mask > 0) & (image.depth < 0.46) if renderer is render_first_crossing else image.mask > -1
     for k in [*range(4), *range(16, 25)]:
         size = 3e-3 if k < 16 or k >= 22 else 3e-4 if k >= 19 else 3e-3

@@ -96,7 +96,7 @@ def test_code_jacobian_by_finite_differences(scene) -> None:
 def test_pose_jacobian_by_finite_differences(scene, k: int) -> None:
     grid, _, rays, cameras = scene
     rendering, A = _rendered(scene)
-    analytic = pose_jacobian(POSE, A, rays.directions, rays.view, rendering)[:, k]
+    analytic = pose_jacobian(POSE, A, rays, rendering)[:, k]
     step = np.zeros(9)
     step[k] = 1e-6
     ahead, behind = (
@@ -115,7 +115,7 @@ def test_several_threads_render_the_same(scene) -> None:
     A = canonical_from_camera(POSE, cameras)
     shape = ShapeGrid.upload(grid, jacobian)
     alone, shared = render(shape, rays, A), render(shape, replace(rays, threads=3), A)
-    for name in ("depth", "variance", "mask", "d_code", "sum_gradient", "sum_depth_gradient"):
+    for name in ("depth", "variance", "mask", "d_code", "d_map"):
         np.testing.assert_array_equal(getattr(shared, name), getattr(alone, name))
 
 
@@ -136,7 +136,7 @@ def test_image_alone_is_the_same_image(scene) -> None:
     grid, _, rays, cameras = scene
     A = canonical_from_camera(POSE, cameras)
     image = render(ShapeGrid.upload(grid), rays, A, gradients=False)
-    assert image.d_code is None and image.sum_gradient is None
+    assert image.d_code is None and image.d_map is None
     np.testing.assert_allclose(image.depth, _rendered(scene)[0].depth, atol=1e-6)
     with pytest.raises(ValueError, match="gradients=True"):
-        pose_jacobian(POSE, A, rays.directions, rays.view, image)
+        pose_jacobian(POSE, A, rays, image)

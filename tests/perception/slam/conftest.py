@@ -33,7 +33,7 @@ class CylinderDecoder:
     def __call__(self, category: str, codes: Tensor) -> Tensor:
         return torch.stack([self._grid(code).float() for code in codes])
 
-    def with_jacobian(self, category: str, code: Tensor) -> tuple[Tensor, Tensor]:
+    def with_jacobian(self, category: str, code: Tensor, threads: int = 1) -> tuple[Tensor, Tensor]:
         code = code.double()
         jacobian = torch.zeros((32, 32, 32, 16))
         for k in range(2):
