@@ -13,6 +13,7 @@ from __future__ import annotations
 
 from collections.abc import Sequence
 from dataclasses import dataclass
+from functools import cached_property
 
 import cv2
 import numpy as np
@@ -24,6 +25,8 @@ from scipy.sparse.linalg import cg
 from perception.geometry import invert, transform_points
 from perception.inference.observation import ObjectObservation, pixel_rays
 from perception.types import RgbdFrame, SupportPlane, TriangleMesh
+
+_MARGIN = 24  # [px] of an image around the mesh that are looked at
 
 
 @dataclass(frozen=True)
@@ -138,10 +141,11 @@ def _asked(
 
 @dataclass(frozen=True)
 class _View:
-    """Vertices in one image.
+    """Vertices in one image, of which only the window around them matters.
 
     Attributes:
-        at: row and column of each vertex, (0, 0) outside the image.
+        window: rows and columns of the image.
+        at: row and column of each vertex in the window, (0, 0) outside the image.
         inside: whether it is in the image.
         z: its depth [m].
         cosine: of its normal and its ray (z = 1), negative towards the camera.
@@ -149,6 +153,7 @@ class _View:
         spacing: of the mesh in the image [px].
     """
 
+    window: tuple[slice, slice]
     at: tuple[np.ndarray, np.ndarray]
     inside: np.ndarray
     z: np.ndarray
@@ -169,40 +174,52 @@ class _View:
         inside = (u >= 0) & (u < camera.width) & (v >= 0) & (v < camera.height) & (points[:, 2] > 0.01)
         turned = normals @ T_camera_world[:3, :3].T
         spacing = float(np.median(surface.edges_unique_length)) * camera.fx / float(np.median(z))
-        at = (np.where(inside, v, 0), np.where(inside, u, 0))
-        return _View(at, inside, z, (rays * turned).sum(axis=1), turned[:, :2], spacing)
+        rows, columns = (
+            _around(index[inside], size) for index, size in ((v, camera.height), (u, camera.width))
+        )
+        at = (np.where(inside, v - rows.start, 0), np.where(inside, u - columns.start, 0))
+        return _View((rows, columns), at, inside, z, (rays * turned).sum(axis=1), turned[:, :2], spacing)
 
-    def nearest(self, shape: tuple[int, ...]) -> Float[np.ndarray, "h w"]:
+    @cached_property
+    def nearest(self) -> Float[np.ndarray, "h w"]:
         """Depth of the mesh in [m], infinite beside it: splats that reach as far as its edges."""
-        image = np.full(shape, np.inf, np.float32)
+        rows, columns = self.window
+        image = np.full((rows.stop - rows.start, columns.stop - columns.start), np.inf, np.float32)
         np.minimum.at(image, self.at, np.where(self.inside, self.z, np.inf).astype(np.float32))
         return cv2.erode(image, np.ones((2 * round(self.spacing) + 1,) * 2, np.uint8))
 
-    def covered(self, shape: tuple[int, ...]) -> np.ndarray:
+    @property
+    def covered(self) -> np.ndarray:
         """Where the mesh is in the image, wider by ``spacing``."""
-        return np.isfinite(self.nearest(shape)).astype(np.uint8)
+        return np.isfinite(self.nearest).astype(np.uint8)
 
-    def in_front(self, shape: tuple[int, ...], fx: float, steepest: float) -> np.ndarray:
+    def in_front(self, fx: float, steepest: float) -> np.ndarray:
         """Which vertices no other part of the mesh hides."""
-        nearest = self.nearest(shape)
         slant = 2 * self.spacing / fx * self.z / np.maximum(-self.cosine, steepest)  # depth within a splat
-        return self.inside & (self.z < nearest[self.at] + slant + 0.002)
+        return self.inside & (self.z < self.nearest[self.at] + slant + 0.002)
+
+
+def _around(index: np.ndarray, size: int) -> slice:
+    """Rows or columns of an image around those given."""
+    if not len(index):
+        return slice(0, 1)
+    return slice(max(int(index.min()) - _MARGIN, 0), min(int(index.max()) + _MARGIN, size - 1) + 1)
 
 
 def _measured(
     view: _View, seen: ObjectObservation, config: RefineConfig
 ) -> tuple[Float[np.ndarray, "n"], Float[np.ndarray, "n"]]:
     """Precision [1/m^2] and displacement [m] that the measured depth asks of every vertex."""
-    depth, at, cosine = seen.frame.depth, view.at, view.cosine
-    usable = seen.mask & (depth > 0)
+    depth, at, cosine = seen.frame.depth[view.window], view.at, view.cosine
+    usable = seen.mask[view.window] & (depth > 0)
     if seen.ignore is not None:
-        usable &= ~seen.ignore
+        usable &= ~seen.ignore[view.window]
     usable = cv2.erode(usable.astype(np.uint8), np.ones((2 * config.edge + 1,) * 2, np.uint8)) > 0
     window = 2 * max(1, round(view.spacing / 2)) + 1
     total = cv2.boxFilter(np.where(usable, depth, 0), -1, (window, window), normalize=False)
     count = cv2.boxFilter(usable.astype(np.float32), -1, (window, window), normalize=False)
     residual = total[at] / np.maximum(count[at], 1) - view.z
-    good = view.in_front(depth.shape, seen.frame.intrinsics.fx, config.steepest)
+    good = view.in_front(seen.frame.intrinsics.fx, config.steepest)
     good &= (cosine < -config.steepest) & usable[at] & (count[at] > 0.5 * window**2)
     good &= np.abs(residual) < config.reach
     sigma2 = (config.depth_sigma * cosine) ** 2 / np.maximum(count[at], 1) + config.floor_sigma**2
@@ -218,12 +235,12 @@ def _outlined(
     The object's outline lies where measured object and measured background meet; that its mask may be too
     wide or too narrow does not matter.
     """
-    frame, at = seen.frame, view.at
-    known = frame.depth > 0 if seen.ignore is None else (frame.depth > 0) & ~seen.ignore
+    depth, at = seen.frame.depth[view.window], view.at
+    known = depth > 0 if seen.ignore is None else (depth > 0) & ~seen.ignore[view.window]
     near, far = float(view.z.min()) - config.reach, float(view.z.max()) + config.reach
-    height = _heights(frame, plane, view)
-    is_object = known & seen.mask & (frame.depth > near) & (frame.depth < far) & (height > 0.004)
-    behind = known & ~is_object & ((frame.depth > near + 0.03) | (height < 0.004))
+    height = _heights(seen.frame, plane, view)
+    is_object = known & seen.mask[view.window] & (depth > near) & (depth < far) & (height > 0.004)
+    behind = known & ~is_object & ((depth > near + 0.03) | (height < 0.004))
     inwards = cv2.distanceTransform((~behind).astype(np.uint8), cv2.DIST_L2, 3)
     outwards = cv2.distanceTransform((~is_object).astype(np.uint8), cv2.DIST_L2, 3)
     beyond = np.where(is_object[at], 0.5 - inwards[at], np.where(behind[at], outwards[at] - 0.5, 0.0))  # [px]
@@ -231,28 +248,21 @@ def _outlined(
     fall = -np.stack([cv2.Sobel(slope, cv2.CV_32F, *d)[at] for d in ((1, 0), (0, 1))], axis=1)
     length = np.linalg.norm(view.across, axis=1)
     along = (view.across * fall).sum(axis=1) / np.maximum(length * np.linalg.norm(fall, axis=1), 1e-9)
-    rim = cv2.distanceTransform(view.covered(frame.depth.shape), cv2.DIST_L2, 3)[at] < view.spacing + 2.0
+    rim = cv2.distanceTransform(view.covered, cv2.DIST_L2, 3)[at] < view.spacing + 2.0
     outline = rim & is_object[at] & (np.abs(view.cosine) < 0.5)
-    sticks_out = behind[at] & (frame.depth[at] > view.z + config.reach)
-    moved = -beyond * view.z / frame.intrinsics.fx / np.maximum(length, 0.3)
+    sticks_out = behind[at] & (depth[at] > view.z + config.reach)
+    moved = -beyond * view.z / seen.frame.intrinsics.fx / np.maximum(length, 0.3)
     good = view.inside & (outline | sticks_out) & (along > 0.7) & (length > 0.3)
     good &= np.abs(moved) < 2 * config.reach
     return np.where(good, config.outline_sigma**-2, 0.0), moved
 
 
 def _heights(frame: RgbdFrame, plane: SupportPlane, view: _View) -> Float[np.ndarray, "h w"]:
-    """Height of the measured points above the plane [m], where the vertices are in the image."""
+    """Height of the measured points above the plane [m]."""
     assert frame.T_world_camera is not None
-    heights = np.full(frame.depth.shape, np.inf, np.float32)
-    rows, columns = (index[view.inside] for index in view.at)
-    if len(rows):
-        window = np.s_[
-            max(rows.min() - 20, 0) : rows.max() + 20, max(columns.min() - 20, 0) : columns.max() + 20
-        ]
-        pixels = np.indices(frame.depth.shape)[:, window[0], window[1]]
-        points = pixel_rays(frame, pixels[1], pixels[0]) * frame.depth[window][..., None]
-        heights[window] = plane.height_above(transform_points(frame.T_world_camera, points))
-    return heights
+    v, u = np.mgrid[view.window]
+    points = pixel_rays(frame, u, v) * frame.depth[view.window][..., None]
+    return plane.height_above(transform_points(frame.T_world_camera, points))
 
 
 def _most_probable(
