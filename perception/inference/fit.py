@@ -65,6 +65,7 @@ class FitConfig:
     noise: NoiseConfig = field(default_factory=NoiseConfig)
     lm: LmConfig = field(default_factory=LmConfig)
     mesh: MeshConfig = field(default_factory=MeshConfig)
+    full_views: int = 3  # so many views have crops of full size; more share those views' number of pixels
     threads: int = 1  # cores that one fit renders on
     refine: RefineConfig | None = field(default_factory=RefineConfig)  # None leaves the mesh as decoded
     step_limit_code: float = 0.7
@@ -167,12 +168,13 @@ class _Fitter:
         return best
 
     def _pixels(self, stage: Stage) -> PixelSet:
+        shrink = min(1.0, np.sqrt(self.config.full_views / len(self.observations)))
         return gather_pixels(
             self.observations,
             self.poses[0].translation,
             self.reach,
             self.samples,
-            stage.crop,
+            round(shrink * stage.crop),
             stage.level,
             self.config.pixels,
             self.config.threads,
