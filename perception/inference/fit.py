@@ -137,6 +137,9 @@ def fit_object(
     return _estimate(fit, observations, category, decoder, plane, config, object_id, score)
 
 
+_Standing = tuple[Fit, LinearisedShape, float]  # a fit, the shape it was last linearised at, its damping
+
+
 class _Fitter:
     """The stages of one fit; the decoder's linearisation is shared by the hypotheses while codes agree."""
 
@@ -154,18 +157,32 @@ class _Fitter:
         self.samples = int(np.clip(round(2 * self.reach / (step * self.voxel)), 24, 192))
 
     def run(self) -> Fit:
-        first, *others = self.config.stages
+        (first, coarse), *others = [(stage, self._pixels(stage)) for stage in self.config.stages]
         starts = [FitState(pose, np.zeros(CODE_SIZE)) for pose in self.poses]
         self.on_step(FitStep(0, starts[0].pose, starts[0].code, float("nan")))
-        pixels, damping = self._pixels(first), self.config.lm.damping
-        fits = [self._stage(first, pixels, state, self.mean_shape, damping) for state in starts]
-        best, shape, damping = min(fits, key=lambda entry: _misfit(entry[0]))
+        damping = self.config.lm.damping
+        fits = [self._stage(first, coarse, state, self.mean_shape, damping) for state in starts]
+        best, shape, damping = self._best(fits, others[-1][1] if others else coarse)
         self.on_step(FitStep(len(best.trace), best.state.pose, best.state.code, _misfit(best)))
-        for stage in others:
-            pixels = self._pixels(stage)
+        for stage, pixels in others:
             fit, shape, damping = self._stage(stage, pixels, best.state, shape, damping, len(best.trace))
             best = replace(fit, trace=best.trace + fit.trace)
         return best
+
+    def _best(self, fits: Sequence[_Standing], pixels: PixelSet) -> _Standing:
+        """The hypothesis that agrees best with pixels that are not blurred: handles are thin."""
+
+        def misfit(standing: _Standing) -> float:
+            fit, shape, _ = standing
+            residuals = self._problem(pixels, shape)(fit.state).residuals
+            return _capped_mean(residuals[: len(pixels.is_object)])
+
+        return fits[0] if len(fits) == 1 else min(fits, key=misfit)
+
+    def _problem(self, pixels: PixelSet, shape: LinearisedShape) -> FitProblem:
+        noise, renderer = self.config.noise, self.config.renderer
+        scale = self.poses[0].scale
+        return FitProblem(pixels, shape, self.plane, self.support, noise, scale, self.size_sigma, renderer)
 
     def _pixels(self, stage: Stage) -> PixelSet:
         shrink = min(1.0, np.sqrt(self.config.full_views / len(self.observations)))
@@ -188,7 +205,7 @@ class _Fitter:
         shape: LinearisedShape,
         damping: float,
         watched_from: int | None = None,
-    ) -> tuple[Fit, LinearisedShape, float]:
+    ) -> _Standing:
         config = self.config
         limit = np.concatenate(
             [
@@ -203,18 +220,8 @@ class _Fitter:
         left = stage.iterations
         while True:
             budget = min(left, config.relinearise_every)
-            problem = FitProblem(
-                pixels,
-                shape,
-                self.plane,
-                self.support,
-                config.noise,
-                self.poses[0].scale,
-                self.size_sigma,
-                config.renderer,
-            )
             lm = replace(config.lm, max_iterations=budget, damping=damping)
-            result = minimise(problem, FitState.moved, state, lm, limit)
+            result = minimise(self._problem(pixels, shape), FitState.moved, state, lm, limit)
             state, damping, trace = result.state, result.damping, trace + result.trace
             history.append((len(trace), state))
             if watched_from is not None:
@@ -240,7 +247,7 @@ def _settled(step: Float[np.ndarray, "25"], hessian: Float[np.ndarray, "25 25"])
 
 
 def _misfit(fit: Fit) -> float:
-    """Compares hypotheses, whatever variance they render."""
+    """Whatever variance it renders."""
     return _capped_mean(np.concatenate([fit.residual_object, fit.residual_background]))
 
 

@@ -25,7 +25,9 @@ LONGEST_SIDE = 1.8  # of the canonical cube's 2
 _MIN_HEIGHT = 0.003  # [m] points lower than this belong to the plane
 _MIN_POINTS = 30
 _STEEP = np.deg2rad(68.0)  # views from above this elevation see near and far side
-_MAX_MODES = 3
+_MAX_YAWS = 5
+_LEAST_LIKELY = 0.3  # of the likeliest yaw's probability: less likely ones are not tried
+_YAW_REACH = np.deg2rad(25.0)  # from so far a fit finds the handle by itself
 _BLIND_YAWS = 6  # hypotheses for a mug of which nobody knows the handle's direction
 
 
@@ -121,15 +123,21 @@ def yaw_hypotheses(
 
 
 def _modes(distributions: list[np.ndarray]) -> list[float]:
-    """Peaks of the fused yaw distribution that matter, or evenly spread yaws where there is none."""
+    """Yaws that cover the fused distribution, or evenly spread ones where there is none.
+
+    A sharp distribution has one; a flat one, of a handle hardly seen, has several a fit's reach apart.
+    """
     if not distributions:
         return [2 * np.pi * k / _BLIND_YAWS for k in range(_BLIND_YAWS)]
     bins = len(distributions[0])
     log_p = np.mean([np.log(np.maximum(p, 1e-4)) for p in distributions], axis=0)
     p = np.exp(log_p - log_p.max())
-    peaks = [k for k in range(bins) if p[k] >= p[k - 1] and p[k] > p[(k + 1) % bins] and p[k] > 0.1]
-    peaks = sorted(peaks, key=lambda k: -p[k])[:_MAX_MODES] or [int(p.argmax())]
-    return [2 * np.pi * (k + _vertex(p[k - 1], p[k], p[(k + 1) % bins])) / bins for k in peaks]
+    left, reach, yaws = p.copy(), int(_YAW_REACH / (2 * np.pi) * bins), []
+    while len(yaws) < _MAX_YAWS and left.max() > _LEAST_LIKELY:
+        k = int(left.argmax())
+        yaws.append(2 * np.pi * (k + _vertex(p[k - 1], p[k], p[(k + 1) % bins])) / bins)
+        left[np.arange(k - reach, k + reach + 1) % bins] = 0.0
+    return yaws
 
 
 def _vertex(left: float, middle: float, right: float) -> float:

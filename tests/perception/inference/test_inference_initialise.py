@@ -39,13 +39,24 @@ def test_pose_stands_on_the_plane(make_table) -> None:
 
 def test_mug_yaws_are_the_peaks_likeliest_first(make_table) -> None:
     seen = make_table("mug", (), yaw=1.0).observations((0.0,))[0]
-    both = _peaked(1.03) + 0.5 * _peaked(-2.0)
+    both = _peaked(1.03) ** 8 + 0.5 * _peaked(-2.0) ** 8
     told = ObjectObservation(seen.frame, seen.mask, None, both / both.sum())
     measures = measure_clouds([told], PLANE, plane_basis(PLANE))
     yaws = yaw_hypotheses([told], "mug", measures)
     assert np.cos(np.array(yaws) - [1.03, -2.0]) == pytest.approx([1, 1], abs=0.01)
     blind = yaw_hypotheses([seen], "mug", measures)
     assert len(blind) >= 4
+
+
+def test_yaws_cover_a_flat_distribution(make_table) -> None:
+    seen = make_table("mug", (), yaw=1.0).observations((0.0,))[0]
+    flat = _peaked(1.03) ** 0.3
+    told = ObjectObservation(seen.frame, seen.mask, None, flat / flat.sum())
+    yaws = yaw_hypotheses([told], "mug", measure_clouds([told], PLANE, plane_basis(PLANE)))
+    assert np.cos(yaws[0] - 1.03) > 0.99
+    assert 3 <= len(yaws) <= 6
+    apart = np.abs((np.subtract.outer(yaws, yaws) + np.pi) % (2 * np.pi) - np.pi)
+    assert apart[np.triu_indices(len(yaws), 1)].min() > np.deg2rad(20)
 
 
 def test_bottles_try_both_ways_of_a_rectangle(make_table) -> None:
