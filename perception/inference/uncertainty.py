@@ -35,10 +35,10 @@ class BandConfig:
     """
 
     inflation: Mapping[Category, float] = field(
-        default_factory=lambda: {"mug": 0.55, "bowl": 0.4, "bottle": 0.75, "can": 0.45}
+        default_factory=lambda: {"mug": 0.55, "bowl": 0.45, "bottle": 0.75, "can": 0.45}
     )
     floor: Mapping[Category, float] = field(
-        default_factory=lambda: {"mug": 5e-4, "bowl": 1.2e-3, "bottle": 3.5e-4, "can": 4e-4}
+        default_factory=lambda: {"mug": 5.5e-4, "bowl": 1.05e-3, "bottle": 3.8e-4, "can": 4e-4}
     )
 
 
