@@ -35,6 +35,7 @@ THICKER, FATTER = (0.85, 1.15), (0.985, 1.015)  # bounds on what a round may do 
 STRAYED = 0.05  # of an extent: so far from their mesh are pieces of what is no body about an axis
 OPEN_SHARE = 0.8  # of the azimuths that must see the axis free for a height to count as cavity
 LEAST_FLOOR = 8e-4  # [m] of a vessel's thickness
+EDGE = 2e-4  # [m] of height in which a floor that thin goes over into the wall
 LEAST_CAVITY = 0.002  # [m] of depth: shallower hollows are filled
 THICKNESS_WEIGHT = 3.0  # a wall's thickness decides its volume: it is followed closer than its place
 HANDLE_SECTOR = np.deg2rad(50)  # around a mug's +x, where the body's radius is not measured but filled in
@@ -143,9 +144,9 @@ def measure(mesh: TriangleMesh, category: Category) -> PolarBody:
     )
     z[0], z[-1] = low, high
     if thin:
-        z[1] = low + min(
-            max(_floor_thickness(mesh, axis, 0.5 * float(inner[2].mean())), LEAST_FLOOR), z[1] - low
-        )
+        floor_height = _floor_thickness(mesh, axis, 0.5 * float(inner[2].mean()))
+        z[1] = low + min(max(floor_height, LEAST_FLOOR), z[1] - low)
+        z[2] = max(z[1], low + CLEARANCE) + EDGE
     return PolarBody(axis, z, _by_segment(inner), _by_segment(outer), dome, floor)
 
 

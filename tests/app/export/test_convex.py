@@ -105,6 +105,6 @@ def test_a_vessel_whose_floor_is_thinner_than_the_first_height_stays_hollow() ->
     bowl = trimesh.creation.revolve(profile, sections=60)
     mesh = TriangleMesh(np.asarray(bowl.vertices), np.asarray(bowl.faces))
     pieces = convex_pieces(mesh, "bowl")
-    assert pieces_volume(pieces) == pytest.approx(bowl.volume, rel=0.02)
+    assert pieces_volume(pieces) == pytest.approx(bowl.volume, rel=0.05)
     above_floor = np.array([(x, 0.0, z) for x in (0.0, 0.01, 0.03) for z in (0.004, 0.02, 0.045)])
     assert not inside(pieces, above_floor).any() and inside(pieces, np.array([(0.0, 0.0, 4e-4)])).all()
