@@ -27,6 +27,7 @@ ROOT = Path(__file__).parents[1]
 WEIGHTS = {
     "shape": ("perception/weights/shape.safetensors", "perception/weights/shape.md"),
     "detector": ("perception/weights/detector.safetensors", "perception/weights/detector.md"),
+    "scene": ("perception/weights/scene.safetensors", "perception/weights/detector.md"),
     "yaw": ("perception/weights/yaw.safetensors", "perception/weights/yaw.md"),
 }
 NEEDED = ("numpy", "scipy", "torch", "warp-lang", "safetensors", "trimesh", "scikit-image", "tyro", "rich")
@@ -91,7 +92,7 @@ def examine() -> list[Finding]:
         check_version(name, lock, "optional", f"pip install 'nodeslam[{extra}]'")
         for name, extra in OPTIONAL.items()
     ]
-    return [*findings, check_gl(), check_cuda(), *(check_weights(name) for name in WEIGHTS)]
+    return [*findings, check_gl(), check_filament(), check_cuda(), *(check_weights(name) for name in WEIGHTS)]
 
 
 def locked_versions(path: Path = ROOT / "requirements.lock") -> dict[str, str]:
@@ -128,6 +129,18 @@ def check_gl(command: Callable[[], list[str]] = lambda: [sys.executable, "-c", _
         return Finding("rendering", "ok", f"MUJOCO_GL={probe.stdout.strip()}")
     last = (probe.stderr.strip().splitlines() or [f"exit code {probe.returncode}"])[-1]
     return Finding("rendering", "missing", last[:100], remedy)
+
+
+def check_filament() -> Finding:
+    """Whether the second renderer, which only `evaluate detection` needs, can draw."""
+    try:
+        from sim_assets.filament import filament_fault
+    except ImportError as error:
+        return Finding("filament", "optional", str(error)[:100], "pip install 'nodeslam[sim]'")
+    fault = filament_fault()
+    if fault:
+        return Finding("filament", "optional", fault, "apt-get install libvulkan1 mesa-vulkan-drivers")
+    return Finding("filament", "ok", "Vulkan in software")
 
 
 def check_cuda() -> Finding:

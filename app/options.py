@@ -15,6 +15,7 @@ Device = Literal["auto", "cpu", "cuda"]
 Shapes = Literal["nodeslam", "tsdf", "oracle"]
 Task = Literal["pack", "sort"]
 DepthNoise = Literal["none", "gaussian", "realsense"]
+Renderer = Literal["classic", "filament"]
 Method = Literal["full", "no_refinement", "no_uncertainty", "no_pyramid", "dvr", "mask_only", "tsdf"]
 METHODS: tuple[Method, ...] = get_args(Method)
 Variant = Literal["with_plane", "full", "no_joint", "no_uncertainty"]
@@ -179,8 +180,12 @@ class EvaluateOptions(TaskOptions):
     """Measure: task success over many episodes with seeds --seed, --seed + 1, ...; or reconstruction, by the
     paper's protocol, of --objects alone on a table."""
 
-    what: Positional[Literal["reconstruction", "slam", "tasks"]]
+    what: Positional[Literal["detection", "reconstruction", "slam", "tasks"]]
     """What to evaluate."""
+    images: int = 500
+    """Detection: how many images."""
+    renderer: Renderer = "filament"
+    """Detection: which renderer draws them; filament is not the one that training images come from."""
     views: tuple[int, ...] = (1, 2, 3)
     """Reconstruction: from how many random views."""
     methods: tuple[Method, ...] = METHODS

@@ -24,7 +24,7 @@ from app.errors import UsageError
 from app.export.convex import convex_pieces, measure
 from app.movie import MovieFile
 from app.options import ArOptions
-from app.runs.finished_run import FinishedRun, read_run
+from app.runs.finished_run import FinishedRun, read_run, tracked_frames
 from app.runs.report import ObjectReport, Report
 from app.runs.run_folder import RunFolder
 from app.screen import Screen
@@ -79,7 +79,7 @@ def run(options: ArOptions, screen: Screen) -> Report:
         command="ar",
         seed=options.seed,
         success=True,
-        reason=f"{len(positions)} toys over {len(source.objects)} objects in {len(source.frames)} images",
+        reason=f"{len(positions)} toys over {len(source.objects)} objects in {len(stage.frames)} images",
         timings={"total": time.perf_counter() - begin},
         objects=[ObjectReport(o.id, o.category) for o in source.objects],
         metrics={"n_toys": len(positions), "n_at_rest": at_rest, "positions": positions},
@@ -91,8 +91,8 @@ def run(options: ArOptions, screen: Screen) -> Report:
 
 
 def build_stage(source: FinishedRun, options: ArOptions) -> Stage:
-    """Static bodies, clutter, toys and cameras."""
-    frames = source.frames
+    """Static bodies, clutter, toys and cameras; after SLAM the images that the camera took on its way."""
+    frames = tracked_frames(source.path, options.seconds) or source.frames
     T_world_support = support_frame(source.objects, source.plane)
     bodies = [measure(estimate.mesh, estimate.category) for estimate in source.objects]
     rng = np.random.default_rng(options.seed)
@@ -103,7 +103,7 @@ def build_stage(source: FinishedRun, options: ArOptions) -> Stage:
         source.plane,
         T_world_support,
         [_view(frame) for frame in frames],
-        clutter(frames, source.objects, T_world_support),
+        clutter(source.frames, source.objects, T_world_support),
     )
     stage = Stage(world, source.objects, frames, ())
     return (
@@ -134,7 +134,8 @@ def _film(stage: Stage, options: ArOptions, folder: RunFolder, screen: Screen) -
             stage.world.advance(1 / FPS)
             if not stage.chosen:
                 index = _frame_at(stage.frames, number / FPS)
-                backdrops = {index: _backdrop(stage, index)}
+                if index not in backdrops:
+                    backdrops = {index: _backdrop(stage, index)}
             panels = [composite(backdrop, stage.world.render(i)) for i, backdrop in backdrops.items()]
             movie.add(_side_by_side(panels))
             screen.update(f"{number + 1} of {count} images")

@@ -47,18 +47,18 @@ def score_image(image: LabelledImage, found: Sequence[ObjectDetection]) -> Line:
         if label.pixels == 0:
             continue
         visible = min(1.0, label.pixels / max(label.outline_pixels, 1.0))
-        counts = label.pixels >= MIN_PIXELS and visible >= MIN_VISIBLE
+        counts = bool(label.pixels >= MIN_PIXELS and visible >= MIN_VISIBLE)
         if label.category is None:
             shares = [(mask & d.mask).sum() / d.mask.sum() if accepted(d) else 0.0 for d in found]
             if counts:
                 distractors.append(
-                    {"pixels": label.pixels, "taken": max(shares, default=0.0) > ON_DISTRACTOR}
+                    {"pixels": label.pixels, "taken": bool(max(shares, default=0.0) > ON_DISTRACTOR)}
                 )
             continue
         best = int(overlaps[index].argmax()) if found else -1
         iou = float(overlaps[index, best]) if found else 0.0
         entry: Line = {
-            "category": label.category, "pixels": label.pixels, "visible": visible, "counts": counts,
+            "category": label.category, "pixels": label.pixels, "visible": float(visible), "counts": counts,
             "iou": iou, "mask": encode_mask(mask), "found": None,
         }  # fmt: skip
         if iou > MATCHED:
@@ -134,7 +134,7 @@ def summarise_detection(lines: Sequence[Mapping[str, Any]]) -> dict[str, Any]:
 
 
 def _share(part: int, whole: int) -> float:
-    return part / max(whole, 1)
+    return float(part / max(whole, 1))
 
 
 def _yaw_figures(rows: Sequence[Mapping[str, Any]]) -> dict[str, Any]:

@@ -27,12 +27,15 @@ Piece = Float[np.ndarray, "_n 3"]
 AROUND = 24  # wall segments of a ring
 SAMPLES = 5  # azimuths measured for each segment
 LEVELS = 56  # heights measured
-MOST_LEVELS = 7  # of wall segments or frusta, above each other
+MOST_LEVELS, MOST_SLICES = 7, 12  # of wall segments, of frusta, above each other
 TOLERANCE = 4e-4  # [m] that pieces may stray from the measured profile
 LEAST_COVERED = 0.2  # of the azimuths that must meet the mesh for a height to be used
-THICKER, FATTER = (0.85, 1.15), (0.98, 1.02)  # bounds on what corrects the volume of walls, of closed bodies
+CORRECTIONS, DAMPING = 5, 0.75  # rounds in which the volume is corrected, and how far; the best one counts
+THICKER, FATTER = (0.85, 1.15), (0.985, 1.015)  # bounds on what a round may do to walls, to closed bodies
 STRAYED = 0.05  # of an extent: so far from their mesh are pieces of what is no body about an axis
 OPEN_SHARE = 0.8  # of the azimuths that must see the axis free for a height to count as cavity
+LEAST_FLOOR = 8e-4  # [m] of a vessel's thickness
+EDGE = 2e-4  # [m] of height in which a floor that thin goes over into the wall
 LEAST_CAVITY = 0.002  # [m] of depth: shallower hollows are filled
 THICKNESS_WEIGHT = 3.0  # a wall's thickness decides its volume: it is followed closer than its place
 HANDLE_SECTOR = np.deg2rad(50)  # around a mug's +x, where the body's radius is not measured but filled in
@@ -75,15 +78,19 @@ def _polar_pieces(mesh: TriangleMesh, category: Category) -> list[Piece]:
     body = measure(mesh, category)
     handle = handle_pieces(mesh, body.axis, body.z, body.outer[:, 0]) if category == "mug" else []
     volume = trimesh.Trimesh(mesh.vertices, mesh.faces, process=False).volume - pieces_volume(handle)
-    solid, walls = _solids(body), _walls(body)
-    missing = volume - pieces_volume(solid + walls)
-    if body.z[-1] - body.z[body.floor] > 0.25 * np.ptp(body.z):
-        factor = np.clip(1 + missing / pieces_volume(walls), *THICKER)
-        body = replace(body, inner=body.outer - factor * (body.outer - body.inner))
-    else:
-        factor = np.sqrt(np.clip(1 + missing / pieces_volume(solid + walls), *FATTER))
-        body = replace(body, inner=factor * body.inner, outer=factor * body.outer)
-    return _solids(body) + _walls(body) + handle
+    best, least = [], np.inf
+    for _ in range(CORRECTIONS):
+        solid, walls = _solids(body), _walls(body)
+        missing = volume - pieces_volume(solid + walls)
+        if abs(missing) < least:
+            best, least = solid + walls, abs(missing)
+        if body.z[-1] - body.z[body.floor] > 0.25 * np.ptp(body.z):
+            factor = np.clip(1 + DAMPING * missing / pieces_volume(walls), *THICKER)
+            body = replace(body, inner=body.outer - factor * (body.outer - body.inner))
+        else:
+            factor = np.sqrt(np.clip(1 + DAMPING * missing / pieces_volume(solid + walls), *FATTER))
+            body = replace(body, inner=factor * body.inner, outer=factor * body.outer)
+    return best + handle
 
 
 def _slices(mesh: TriangleMesh) -> list[Piece]:
@@ -125,8 +132,9 @@ def measure(mesh: TriangleMesh, category: Category) -> PolarBody:
     z, inner, outer, covered = z[usable], inner[usable], outer[usable], covered[usable, None]
     opened = (np.nan_to_num(inner) > 0).sum(axis=1) > OPEN_SHARE * np.isfinite(inner).sum(axis=1)
     floor, dome = _cavity(opened, z), len(z) - 1 - _cavity(opened[::-1], -z[::-1])
-    if dome >= floor:  # nothing but walls: no floor to build on
-        floor, dome = len(z) - 1, 0
+    thin = bool(opened.all())  # a floor below the first height
+    if thin:
+        floor, dome = 1, 0
     inner, outer = _filled(inner), _filled(outer)
     inner[dome : floor + 1] = 0.0
     # A ragged rim or an uneven base has gaps: closed, it would hold more than the mesh does.
@@ -135,7 +143,21 @@ def measure(mesh: TriangleMesh, category: Category) -> PolarBody:
         np.where(inner > 0, outer, np.sqrt(covered) * outer),
     )
     z[0], z[-1] = low, high
+    if thin:
+        floor_height = _floor_thickness(mesh, axis, 0.5 * float(inner[2].mean()))
+        z[1] = low + min(max(floor_height, LEAST_FLOOR), z[1] - low)
+        z[2] = max(z[1], low + CLEARANCE) + EDGE
     return PolarBody(axis, z, _by_segment(inner), _by_segment(outer), dome, floor)
+
+
+def _floor_thickness(mesh: TriangleMesh, axis: Float[np.ndarray, "2"], radius: float) -> float:
+    """Of what is lowest around the axis [m]: mean height of its upper side over its lower one."""
+    near = np.linalg.norm(mesh.vertices[:, :2] - axis, axis=1) < radius
+    heights = np.sort(mesh.vertices[near, 2])
+    if len(heights) < 8:
+        return 0.0
+    lower, upper = np.array_split(heights, 2)
+    return float(np.median(upper) - np.median(lower))
 
 
 def _radii(
@@ -195,11 +217,13 @@ def _ring(body: PolarBody, radii: np.ndarray, z: float) -> Float[np.ndarray, "k 
 
 
 def _levels(body: PolarBody, low: int, high: int) -> list[int]:
-    """The heights, as indices, at which the mean profile bends."""
+    """The heights, as indices, at which the profile bends: the mean one, and of solids any side's."""
     rows = slice(low, high + 1)
     inner, outer = body.inner[rows].mean(axis=1), body.outer[rows].mean(axis=1)
-    profile = np.stack([outer, THICKNESS_WEIGHT * (outer - inner), body.z[rows]], axis=1)
-    return [low + int(index) for index in breakpoints(profile, TOLERANCE, MOST_LEVELS)]
+    solid = not inner.any()
+    sides = body.outer[rows, :: AROUND // 4] if solid else THICKNESS_WEIGHT * (outer - inner)[:, None]
+    profile = np.column_stack([outer, sides, body.z[rows]])
+    return [low + int(i) for i in breakpoints(profile, TOLERANCE, MOST_SLICES if solid else MOST_LEVELS)]
 
 
 def _solids(body: PolarBody) -> list[Piece]:

@@ -9,11 +9,16 @@ from pathlib import Path
 import numpy as np
 
 from app.errors import UsageError
-from perception.errors import PerceptionError
+from perception.errors import InvalidInputError, PerceptionError
+from perception.files import read_json
 from perception.object_map import read_object_map
+from perception.recordings.sequence import open_sequence
+from perception.recordings.trajectory import read_trajectory
 from perception.scan_folder import Scan, read_scan
 from perception.support_plane import fit_support_plane
 from perception.types import ObjectEstimate, RgbdFrame, SupportPlane
+
+SAME_TIME = 1e-4  # [s]: trajectories are written to the microsecond
 
 
 @dataclass(frozen=True)
@@ -54,6 +59,36 @@ def posed_frames(scan: Scan) -> tuple[RgbdFrame, ...]:
     """The images whose camera pose is known; where none is, the first camera is the world."""
     posed = tuple(frame for frame in scan.frames if frame.T_world_camera is not None)
     return posed or (replace(scan.frames[0], T_world_camera=np.eye(4)),)
+
+
+def tracked_frames(path: Path, seconds: float) -> tuple[RgbdFrame, ...]:
+    """The first ``seconds`` of what a SLAM run followed, with the poses that it found.
+
+    None where the folder is of another command, or the sequence is no longer where it was.
+
+    Raises:
+        InvalidInputError: ``trajectory.txt`` or ``report.json`` is malformed.
+    """
+    if not (path / "trajectory.txt").is_file() or not (path / "report.json").is_file():
+        return ()
+    report = read_json(path / "report.json", "run slam again")
+    settings = report.get("settings") if isinstance(report, dict) else None
+    recorded = Path(str(settings.get("sequence", ""))) if isinstance(settings, dict) else Path()
+    try:
+        sequence = open_sequence(recorded)
+    except InvalidInputError:
+        return ()
+    trajectory = read_trajectory(path / "trajectory.txt")
+    frames: list[RgbdFrame] = []
+    for _, frame in sequence.frames():
+        if isinstance(frame, InvalidInputError) or not len(trajectory.times):
+            continue
+        if frame.time > trajectory.times[0] + seconds:
+            break
+        nearest = int(np.abs(trajectory.times - frame.time).argmin())
+        if abs(trajectory.times[nearest] - frame.time) < SAME_TIME:
+            frames.append(replace(frame, T_world_camera=trajectory.Ts_world_camera[nearest]))
+    return tuple(frames)
 
 
 def support_of(objects: Sequence[ObjectEstimate], frames: Sequence[RgbdFrame]) -> SupportPlane:

@@ -172,10 +172,10 @@ class Film(Watcher):
 def _belief_camera() -> RgbdFrame:
     """An empty picture from outside, over the table."""
     width, height = SIDE
-    lens = CameraIntrinsics(width, height, 1.3 * width, 1.3 * width, (width - 1) / 2, (height - 1) / 2)
+    lens = CameraIntrinsics(width, height, 1.2 * width, 1.2 * width, (width - 1) / 2, (height - 1) / 2)
     fade = np.linspace(58, 30, height)[:, None, None] * np.array([0.95, 1.0, 1.1])
     rgb = np.ascontiguousarray(np.broadcast_to(fade, (height, width, 3)).astype(np.uint8))
-    pose = look_at(np.array([1.42, -0.44, 0.86]), np.array([0.47, -0.01, 0.03]))
+    pose = look_at(np.array([1.42, -0.44, 0.86]), np.array([0.47, -0.03, 0.03]))
     return RgbdFrame(0.0, rgb, np.zeros((height, width), np.float32), lens, pose)
 
 

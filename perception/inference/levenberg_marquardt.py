@@ -54,6 +54,7 @@ class LmConfig:
     min_damping: float = 1e-7
     max_damping: float = 1e6
     tolerance: float = 1e-5  # converged when an accepted step lowers the cost by less than this share, twice
+    least_step: float = 0.0  # converged when the next step is shorter than this; it is not taken
 
 
 @dataclass(frozen=True)
@@ -104,6 +105,9 @@ def minimise(
             status = "not_finite"
             break
         step = _damped_step(hessian, gradient, damping, step_limit)
+        if np.linalg.norm(step) < config.least_step:
+            status = "converged"
+            break
         candidate = retract(state, step)
         there = evaluate(candidate)
         cost = current.cost

@@ -13,22 +13,28 @@ from __future__ import annotations
 
 from collections.abc import Sequence
 from dataclasses import dataclass
-from typing import Any, no_type_check
+from itertools import pairwise
+from typing import no_type_check
 
 import numpy as np
 import warp as wp
 from jaxtyping import Bool, Float, Int
 
-from perception.rendering.kernel import ESCAPE_FACTOR, PADDED_VOXELS
+from perception.rendering.kernel import ESCAPE_FACTOR
 from perception.rendering.renderer import ShapeGrid
-from perception.types import GRID_RESOLUTION
+from perception.rendering.sampling import (
+    HALF,
+    PADDED_VOXELS,
+    cell_of,
+    in_cell,
+    in_voxels,
+    samples_inside,
+    slopes,
+    trilinear,
+)
+from perception.warp_runtime import empty, in_parallel, record, to_device, zeros
 
-_SIDE = wp.constant(GRID_RESOLUTION + 2)
-_SLAB = wp.constant((GRID_RESOLUTION + 2) ** 2)
 _SIZE = wp.constant(PADDED_VOXELS)
-_HALF = wp.constant(GRID_RESOLUTION / 2.0)
-_END = wp.constant(GRID_RESOLUTION + 1.0)
-_MARGIN = wp.constant(1e-3)
 _ESCAPE = wp.constant(ESCAPE_FACTOR)
 _OPAQUE = wp.constant(1e-3)  # coarser than when shapes are fitted: no step is that long
 _OCCUPIED = wp.constant(1)
@@ -104,42 +110,48 @@ class PairRenderer:
     costs as much as rendering a hundred pixels. Used by one thread at a time.
     """
 
-    def __init__(self, stack: ShapeStack, pairs: RayPairs, gradients: bool = True) -> None:
-        """``gradients``: whether the derivative by the camera's pose is wanted; without, it is left 0."""
+    def __init__(self, stack: ShapeStack, pairs: RayPairs, gradients: bool = True, threads: int = 1) -> None:
+        """``gradients``: whether the derivative by the camera's pose is wanted; without, it is left 0.
+
+        ``threads`` share the pairs; the result is the same.
+        """
         self.pairs = pairs
         n = len(pairs.ray)
-        self._out = _empty((n, 3), wp.float32)
-        self._rows = wp.zeros((n, 2), dtype=wp.vec3, device="cpu")
-        self._matrices = wp.zeros(stack.count, dtype=wp.mat33, device="cpu")
-        self._origins = wp.zeros(stack.count, dtype=wp.vec3, device="cpu")
-        self._command: Any = wp.launch(
-            pairs_kernel,
-            dim=1,
-            inputs=[
-                n,
-                stack.occupancy,
-                stack.cells,
-                _array(pairs.directions, wp.vec3),
-                _array(pairs.ray, wp.int32),
-                _array(pairs.object, wp.int32),
-                self._matrices,
-                self._origins,
-                _array(pairs.depth_range, wp.vec2),
-                _array(pairs.step, wp.float32),
-                int(gradients),
-                _empty(3 * MAX_SAMPLES, wp.float32),
-            ],
-            outputs=[self._out, self._rows],
-            device="cpu",
-            record_cmd=True,
-        )
+        self._out = empty((n, 3), wp.float32, "cpu")
+        self._rows = zeros((n, 2), wp.vec3, "cpu")
+        self._matrices = zeros(stack.count, wp.mat33, "cpu")
+        self._origins = zeros(stack.count, wp.vec3, "cpu")
+        inputs = [
+            stack.occupancy,
+            stack.cells,
+            to_device(pairs.directions, wp.vec3, "cpu"),
+            to_device(pairs.ray, wp.int32, "cpu"),
+            to_device(pairs.object, wp.int32, "cpu"),
+            self._matrices,
+            self._origins,
+            to_device(pairs.depth_range, wp.vec2, "cpu"),
+            to_device(pairs.step, wp.float32, "cpu"),
+            int(gradients),
+        ]
+        parts = np.linspace(0, n, threads + 1).astype(int).tolist()
+        self._parts = [
+            record(
+                pairs_kernel,
+                dim=end - begin,
+                inputs=[begin, *inputs, empty(MAX_SAMPLES, wp.vec3, "cpu")],
+                outputs=[self._out, self._rows],
+                device="cpu",
+            )
+            for begin, end in pairwise(parts)
+            if end > begin
+        ]
 
     def __call__(self, A_canonical_camera: Float[np.ndarray, "k 3 4"]) -> PairRendering:
         """Each pair by itself, with affine maps from the camera's frame into each object's canonical cube."""
-        if len(self.pairs.ray):
+        if self._parts:
             self._matrices.numpy()[:] = A_canonical_camera[:, :, :3]
             self._origins.numpy()[:] = A_canonical_camera[:, :, 3]
-            self._command.launch()
+            in_parallel([part.launch for part in self._parts])
         depth, variance, mask = self._out.numpy().T.copy()
         return PairRendering(depth, variance, mask, self._rows.numpy().reshape(-1, 6).copy())
 
@@ -159,19 +171,10 @@ def nearest_pair(
     return chosen[np.flatnonzero(np.diff(pairs.ray[chosen], prepend=-1))]
 
 
-def _empty(shape: int | tuple[int, ...], dtype: Any) -> wp.array:
-    return wp.empty(shape, dtype=dtype, device="cpu")
-
-
-def _array(values: np.ndarray, dtype) -> wp.array:
-    scalar = np.int32 if dtype is wp.int32 else np.float32
-    return wp.array(np.ascontiguousarray(values, scalar), dtype=dtype, device="cpu")
-
-
 @wp.kernel
 @no_type_check  # for the run-time checker of the tests: these are Warp types
 def pairs_kernel(
-    count_pairs: int,
+    begin: int,
     occupancy: wp.array(dtype=wp.float32),
     cells: wp.array(dtype=wp.uint8),
     directions: wp.array(dtype=wp.vec3),
@@ -182,105 +185,57 @@ def pairs_kernel(
     depth_range: wp.array(dtype=wp.vec2),
     steps: wp.array(dtype=wp.float32),
     gradients: int,
-    scratch: wp.array(dtype=wp.float32),
+    stack: wp.array(dtype=wp.vec3),
     out: wp.array2d(dtype=wp.float32),
     rows: wp.array2d(dtype=wp.vec3),
 ):
-    # One thread for all pairs: the scratch space of a ray stays in the cache.
-    for pair in range(count_pairs):
-        k = object_of[pair]
-        base = k * _SIZE
-        d = directions[ray_of[pair]]
-        matrix = matrices[k]
-        direction = _HALF * (matrix * d)
-        origin = _HALF * origins[k] + wp.vec3(_HALF + 0.5, _HALF + 0.5, _HALF + 0.5)
-        near = depth_range[k][0]
-        far = depth_range[k][1]
-        step = steps[k]
-        enter = near
-        leave = far
-        for axis in range(3):
-            slope = direction[axis]
-            if wp.abs(slope) > 1.0e-9:
-                a = (_MARGIN - origin[axis]) / slope
-                b = (_END - _MARGIN - origin[axis]) / slope
-                enter = wp.max(enter, wp.min(a, b))
-                leave = wp.min(leave, wp.max(a, b))
-            elif origin[axis] < _MARGIN or origin[axis] > _END - _MARGIN:
-                leave = near - 1.0
-        first = wp.max(int(wp.ceil((enter - near) / step)), 1)
-        last = int(wp.floor((leave - near) / step))
+    """The pairs from ``begin`` on, one after the other: all use the same room for a ray's samples."""
+    pair = begin + wp.tid()
+    k = object_of[pair]
+    base = k * _SIZE
+    d = directions[ray_of[pair]]
+    direction = HALF * (matrices[k] * d)
+    origin = in_voxels(origins[k])
+    near = depth_range[k][0]
+    far = depth_range[k][1]
+    step = steps[k]
+    inside = samples_inside(origin, direction, near, far, step, 1000000)
 
-        count = int(0)
-        reaching = float(1.0)
-        for i in range(first, last + 1):
-            delta = near + float(i) * step
-            p = origin + delta * direction
-            ix = int(p[0])
-            iy = int(p[1])
-            iz = int(p[2])
-            at = base + (ix * _SIDE + iy) * _SIDE + iz
-            if (int(cells[at]) & _OCCUPIED) != 0 and count < _MAX_SAMPLES:
-                x = p[0] - float(ix)
-                y = p[1] - float(iy)
-                z = p[2] - float(iz)
-                o00 = wp.lerp(occupancy[at], occupancy[at + 1], z)
-                o01 = wp.lerp(occupancy[at + _SIDE], occupancy[at + _SIDE + 1], z)
-                o10 = wp.lerp(occupancy[at + _SLAB], occupancy[at + _SLAB + 1], z)
-                o11 = wp.lerp(occupancy[at + _SLAB + _SIDE], occupancy[at + _SLAB + _SIDE + 1], z)
-                o = wp.lerp(wp.lerp(o00, o01, y), wp.lerp(o10, o11, y), x)
-                scratch[3 * count] = delta
-                scratch[3 * count + 1] = o
-                scratch[3 * count + 2] = reaching
-                count += 1
-                reaching = reaching * (1.0 - o)
-                if reaching < _OPAQUE:
-                    break
+    count = int(0)
+    reaching = float(1.0)
+    for i in range(inside[0], inside[1] + 1):
+        delta = near + float(i) * step
+        p = origin + delta * direction
+        at = base + cell_of(p)
+        if (int(cells[at]) & _OCCUPIED) != 0 and count < _MAX_SAMPLES:
+            o = trilinear(occupancy, at, in_cell(p))
+            stack[count] = wp.vec3(delta, o, reaching)
+            count += 1
+            reaching = reaching * (1.0 - o)
+            if reaching < _OPAQUE:
+                break
 
-        middle = 0.5 * (near + far)
-        mean = _ESCAPE * far - middle
-        square = mean * mean
-        sum_gradient = wp.vec3()
-        sum_depth_gradient = wp.vec3()
-        for n in range(count):
-            m = 3 * (count - 1 - n)
-            delta = scratch[m]
-            o = scratch[m + 1]
-            weight = scratch[m + 2] * (delta - middle - mean)
-            mean = wp.lerp(mean, delta - middle, o)
-            square = wp.lerp(square, (delta - middle) * (delta - middle), o)
-            if gradients != 0:
-                p = origin + delta * direction
-                ix = int(p[0])
-                iy = int(p[1])
-                iz = int(p[2])
-                at = base + (ix * _SIDE + iy) * _SIDE + iz
-                x = p[0] - float(ix)
-                y = p[1] - float(iy)
-                z = p[2] - float(iz)
-                o000 = occupancy[at]
-                o001 = occupancy[at + 1]
-                o010 = occupancy[at + _SIDE]
-                o011 = occupancy[at + _SIDE + 1]
-                o100 = occupancy[at + _SLAB]
-                o101 = occupancy[at + _SLAB + 1]
-                o110 = occupancy[at + _SLAB + _SIDE]
-                o111 = occupancy[at + _SLAB + _SIDE + 1]
-                o00 = wp.lerp(o000, o001, z)
-                o01 = wp.lerp(o010, o011, z)
-                o10 = wp.lerp(o100, o101, z)
-                o11 = wp.lerp(o110, o111, z)
-                slopes = (weight * _HALF) * wp.vec3(
-                    wp.lerp(o10, o11, y) - wp.lerp(o00, o01, y),
-                    wp.lerp(o01, o11, x) - wp.lerp(o00, o10, x),
-                    wp.lerp(wp.lerp(o001 - o000, o011 - o010, y), wp.lerp(o101 - o100, o111 - o110, y), x),
-                )
-                sum_gradient += slopes
-                sum_depth_gradient += delta * slopes
-        out[pair, 0] = mean + middle
-        out[pair, 1] = wp.max(square - mean * mean, 0.0)
-        out[pair, 2] = 1.0 - reaching
+    middle = 0.5 * (near + far)
+    mean = _ESCAPE * far - middle
+    square = mean * mean
+    sum_gradient = wp.vec3()
+    sum_depth_gradient = wp.vec3()
+    for n in range(count):
+        entry = stack[count - 1 - n]
+        delta = entry[0]
+        o = entry[1]
+        weight = entry[2] * (delta - middle - mean)
+        mean = wp.lerp(mean, delta - middle, o)
+        square = wp.lerp(square, (delta - middle) * (delta - middle), o)
         if gradients != 0:
-            turned = wp.transpose(matrix)
-            rows[pair, 0] = wp.cross(d, turned * sum_depth_gradient)
-            rows[pair, 1] = turned * sum_gradient
+            p = origin + delta * direction
+            slope = (weight * HALF) * slopes(occupancy, base + cell_of(p), in_cell(p))
+            sum_gradient += slope
+            sum_depth_gradient += delta * slope
+    out[pair, 0] = mean + middle
+    out[pair, 1] = wp.max(square - mean * mean, 0.0)
+    out[pair, 2] = 1.0 - reaching
+    if gradients != 0:
+        turned = wp.transpose(matrices[k])
+        rows[pair, 0] = wp.cross(d, turned * sum_depth_gradient)
+        rows[pair, 1] = turned * sum_gradient

@@ -32,12 +32,16 @@ class AssociationConfig:
         slack: how far outside the landmark's sphere the middle of the mask's points may lie [m].
         part: a mask that lies in a landmark's rendered mask with this share is a part of it.
         pitch: the rendered masks are this many times smaller than the image.
+        behind: what is measured so far behind a landmark's surface cannot be it [m].
+        least_pixels: of a rendered mask, to judge by.
     """
 
     min_iou: float = 0.2
     slack: float = 0.03
     part: float = 0.5
     pitch: int = 4
+    behind: float = 0.012
+    least_pixels: int = 15
 
 
 @dataclass(frozen=True)
@@ -46,12 +50,16 @@ class RenderedMasks:
 
     Attributes:
         index: (h, w) landmark id of each pixel, -1 for none.
+        depth: (h, w) of what is rendered there [m], 0 for none.
+        sigma: (h, w) its uncertainty [m].
         whole: for each landmark in view its pixels without occlusion.
         visible: for each the pixels that nothing of the map hides.
         pitch: pixels of the image for each one here.
     """
 
     index: Int[np.ndarray, "h w"]
+    depth: Float[np.ndarray, "h w"]
+    sigma: Float[np.ndarray, "h w"]
     whole: Mapping[int, int]
     visible: Mapping[int, int]
     pitch: int
@@ -153,9 +161,10 @@ def render_masks(
     u, v = np.meshgrid(np.arange(0, width, pitch), np.arange(0, height, pitch))
     shape = u.shape
     directions = pixel_rays(frame, u.ravel(), v.ravel())
-    index = np.full(u.size, -1)
+    index, depth, sigma = np.full(u.size, -1), np.zeros(u.size), np.zeros(u.size)
     if not world.ids:
-        return RenderedMasks(index.reshape(shape), {}, {}, pitch)
+        blank = np.zeros(shape)
+        return RenderedMasks(index.reshape(shape), blank, blank, {}, {}, pitch)
     landmarks = [world.landmarks[i] for i in world.ids]
     T_camera_world = invert(T_world_camera)
     centres = np.array([one.state.pose.translation for one in landmarks])
@@ -171,12 +180,34 @@ def render_masks(
     rays, compact = np.unique(ray, return_inverse=True)
     pairs = RayPairs(directions[rays], compact, k, ranges, step)
     A = np.concatenate([canonical_from_camera(one.state.pose, T_world_camera[None]) for one in landmarks])
-    image = PairRenderer(world.stack, pairs, gradients=False)(A)
+    image = PairRenderer(world.stack, pairs, gradients=False, threads=2)(A)
     hit = image.mask > 0.5
     ids = np.array(world.ids)
     if len(rays):
         shown = nearest_pair(pairs, np.ones(len(k), bool), np.where(hit, image.depth, 1e3), image.mask)
         index[rays] = np.where(hit[shown], ids[k[shown]], -1)
+        depth[rays] = np.where(hit[shown], image.depth[shown], 0.0)
+        sigma[rays] = np.sqrt(image.variance[shown])
     whole = {int(ids[i]): int((hit & (k == i)).sum()) for i in range(len(ids))}
     visible = {one: int((index == one).sum()) for one in whole}
-    return RenderedMasks(index.reshape(shape), whole, visible, pitch)
+    return RenderedMasks(
+        index.reshape(shape), depth.reshape(shape), sigma.reshape(shape), whole, visible, pitch
+    )
+
+
+def seen_through(
+    rendered: RenderedMasks, frame: RgbdFrame, config: AssociationConfig = AssociationConfig()
+) -> dict[int, float]:
+    """Of each landmark's visible pixels the share at which the camera sees what is clearly behind it.
+
+    Pixels that measure nothing, or something in front, say nothing; landmarks with few others are left out.
+    """
+    measured = frame.depth[:: rendered.pitch, :: rendered.pitch]
+    says = (rendered.index >= 0) & (measured > 0) & (measured > rendered.depth - config.behind)
+    behind = says & (measured > rendered.depth + config.behind + 2 * rendered.sigma)
+    shares = {}
+    for one in np.unique(rendered.index[says]):
+        own = says & (rendered.index == one)
+        if own.sum() >= config.least_pixels:
+            shares[int(one)] = float(behind[own].mean())
+    return shares

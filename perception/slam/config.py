@@ -20,11 +20,15 @@ class LifeConfig:
 
     Attributes:
         min_pixels: of a mask that a landmark is made from.
-        min_share: of a new landmark's pixels that must agree with it.
+        min_pixels_cut: the same of a mask that the image border cuts.
+        enough: landmarks that agree with a frame, by ``enough_share`` of their pixels, while a cut mask waits
+            to come into view: what is made from a part of an object may be far off.
         seen_before: frames in a row that must show an unmatched mask before it becomes a landmark.
         retry: frames until an object that could not be initialised is tried again.
         check_every: so many frames it is looked which landmarks should be seen.
         max_misses: such looks in a row at which a landmark should be seen but is not.
+        through_share: of a landmark's visible pixels; where more see what is behind it, it is not there.
+        max_through: such looks in a row at which it is not.
         max_bad: frames in a row in which most of its pixels disagree.
         lost_share: median share of agreeing pixels under which the camera is lost.
         weak_move: standard deviation of the camera's place from which on the pose is weak [m].
@@ -36,11 +40,15 @@ class LifeConfig:
     """
 
     min_pixels: int = 120
-    min_share: float = 0.5
+    min_pixels_cut: int = 400
+    enough: int = 3
+    enough_share: float = 0.6
     seen_before: int = 2
     retry: int = 8
     check_every: int = 4
     max_misses: int = 5
+    through_share: float = 0.6
+    max_through: int = 2
     max_bad: int = 12
     lost_share: float = 0.5
     weak_move: float = 0.01

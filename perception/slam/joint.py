@@ -23,7 +23,7 @@ from perception.geometry import hat, se3_exp
 from perception.inference.levenberg_marquardt import Evaluation, LmConfig
 from perception.inference.observation import PixelConfig, PixelSet, gather_pixels
 from perception.inference.problem import PARAMETERS, FitProblem, FitState, NoiseConfig, SupportCamera
-from perception.inference.shape_model import Decoder, linearise
+from perception.inference.shape_model import Decoder, LinearisedShape, linearise
 from perception.rendering.pose import ObjectPose
 from perception.slam.keyframes import Keyframe
 from perception.slam.landmarks import Landmark
@@ -40,6 +40,7 @@ class JointConfig:
         window: keyframes together.
         crop: pixels along the longer side of each object's crop.
         iterations: of Levenberg-Marquardt.
+        support_pixels: along a side of the image that an object's foot is seen in from below.
         relinearise: decode a shape anew when its code has moved this far.
         lm: damping.
         noise: weights of the residuals.
@@ -50,9 +51,10 @@ class JointConfig:
     """
 
     window: int = 3
-    crop: int = 28
-    iterations: int = 8
-    relinearise: float = 1.0
+    crop: int = 24
+    support_pixels: int = 8
+    iterations: int = 6
+    relinearise: float = 1.5
     lm: LmConfig = field(default_factory=lambda: LmConfig(damping=1e-2))
     noise: NoiseConfig = field(default_factory=lambda: NoiseConfig(data_weight=0.2))
     pixels: PixelConfig = field(default_factory=PixelConfig)
@@ -141,7 +143,8 @@ class _ObjectInWindow:
         )
         self.plane, self.noise = window.plane, config.noise
         lowest = pose.scale.max()
-        self.support = SupportCamera.under(pose, window.plane, lowest, max(2 * pose.scale[2], 0.04))
+        height = max(2 * pose.scale[2], 0.04)
+        self.support = SupportCamera.under(pose, window.plane, lowest, height, config.support_pixels)
 
     def evaluate(
         self, state: FitState, landmark: Landmark, Ts_world_camera: np.ndarray
@@ -276,9 +279,11 @@ class _Window:
             for one, state in self.states.items()
             if np.linalg.norm(state.code - self.landmarks[one].shape.code) > least
         ]
-        for one in far:
-            state = self.states[one]
-            shape = linearise(self.decoder, self.landmarks[one].category, state.code)
+
+        def decoded(one: int) -> LinearisedShape:
+            return linearise(self.decoder, self.landmarks[one].category, self.states[one].code)
+
+        for one, shape in zip(far, pool.map(decoded, far)):
             self.landmarks[one] = replace(self.landmarks[one], shape=shape)
         return bool(far)
 

@@ -30,6 +30,7 @@ class Landmark:
         score: class confidence of the fit.
         hits, misses: frames that showed it, and that should have but did not.
         bad: frames in a row in which most of its pixels disagreed with the map.
+        through: looks in a row at which the camera saw through most of it.
         cut: it was cut by the image border when it was initialised.
         born: number of the frame in which it was initialised.
         updates: how often its shape was estimated.
@@ -47,6 +48,7 @@ class Landmark:
     hits: int = 1
     misses: int = 0
     bad: int = 0
+    through: int = 0
     cut: bool = False
     born: int = 0
     updates: int = 1
@@ -111,6 +113,22 @@ class LandmarkMap:
     def without(self, ids: set[int]) -> LandmarkMap:
         """The map without some landmarks."""
         return LandmarkMap(self.plane, {i: one for i, one in self.landmarks.items() if i not in ids})
+
+
+def doubles(landmarks: Mapping[int, Landmark]) -> set[int]:
+    """Landmarks that stand where one that was seen more often stands, too."""
+    gone: set[int] = set()
+    order = sorted(landmarks.values(), key=lambda one: (-one.hits, one.id))
+    for k, one in enumerate(order):
+        if any(other.id not in gone and stand_together(one, other) for other in order[:k]):
+            gone.add(one.id)
+    return gone
+
+
+def stand_together(a: Landmark, b: Landmark) -> bool:
+    """Whether two landmarks are so close that they must be one object."""
+    apart = np.linalg.norm(a.state.pose.translation - b.state.pose.translation)
+    return bool(apart < 0.35 * (a.reach + b.reach))
 
 
 def reach_of(shape: LinearisedShape, state: FitState) -> float:

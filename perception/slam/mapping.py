@@ -13,12 +13,12 @@ from perception.geometry import invert
 from perception.inference.observation import ObjectObservation
 from perception.inference.reconstruct import hidden_by
 from perception.inference.shape_model import Decoder
-from perception.slam.association import RenderedMasks
+from perception.slam.association import RenderedMasks, seen_through
 from perception.slam.config import SlamConfig
-from perception.slam.initialise import initialise_landmark, renewed
+from perception.slam.initialise import initialise_landmark, renewed, touches_border
 from perception.slam.joint import optimise_jointly
 from perception.slam.keyframes import Keyframe, window_of
-from perception.slam.landmarks import Landmark, LandmarkMap
+from perception.slam.landmarks import Landmark, LandmarkMap, doubles, stand_together
 from perception.slam.tracking import TrackedPose
 from perception.types import CATEGORIES, ObjectDetection, RgbdFrame, SupportPlane
 
@@ -45,6 +45,7 @@ class Mapper:
 
     def count(
         self,
+        frame: RgbdFrame,
         detections: Sequence[ObjectDetection],
         landmark_of: Mapping[int, int],
         rendered: RenderedMasks | None,
@@ -53,6 +54,7 @@ class Mapper:
     ) -> set[int]:
         """Votes, hits and misses of the landmarks; those that are to go are taken out and returned."""
         life, changed = self.config.life, []
+        through = seen_through(rendered, frame, self.config.association) if rendered else {}
         label_of = {one: label for label, one in landmark_of.items()}
         best = max(tracked.shares.values(), default=0.0)
         for one, landmark in self.world.landmarks.items():
@@ -64,9 +66,16 @@ class Mapper:
             elif rendered and rendered.visible.get(one, 0) * rendered.pitch**2 > 2 * life.min_pixels:
                 open_share = rendered.visible[one] / max(rendered.whole[one], 1)
                 landmark = replace(landmark, misses=landmark.misses + (open_share > 0.6))
+            if one in through:
+                gone = through[one] > life.through_share
+                landmark = replace(landmark, through=landmark.through + 1 if gone else 0)
             changed.append(landmark)
-        retired = {x.id for x in changed if x.misses > life.max_misses or x.bad > life.max_bad}
         self.world = self.world.with_landmarks(*changed)
+        retired = {
+            x.id
+            for x in changed
+            if x.misses > life.max_misses or x.bad > life.max_bad or x.through > life.max_through
+        } | doubles(self.world.landmarks)
         if retired:
             logger.info("frame %d: retired %s", number, sorted(retired))
             self.world = self.world.without(retired)
@@ -94,15 +103,19 @@ class Mapper:
         posed: RgbdFrame,
         detections: Sequence[ObjectDetection],
         landmark_of: Mapping[int, int],
+        shares: Mapping[int, float],
         number: int,
     ) -> dict[int, int]:
-        """Landmarks from masks that have had none for a while."""
+        """Landmarks from masks that have had none for a while; ``shares`` of the known ones agree."""
         life, new = self.config.life, {}
+        held = sum(share > life.enough_share for share in shares.values()) >= life.enough
         ages = {id(mask): age for mask, age in self.unmatched}
         for label, found in enumerate(detections, start=1):
             age = ages.get(id(found.mask), 0)
             waits = age < life.seen_before or (age - life.seen_before) % life.retry
-            if label in landmark_of or waits or found.mask.sum() < life.min_pixels:
+            cut = touches_border(found)
+            small = np.count_nonzero(found.mask) < (life.min_pixels_cut if cut else life.min_pixels)
+            if label in landmark_of or waits or small or (cut and held):
                 continue
             landmark = self._initialise(posed, detections, found, number)
             if landmark is not None:
@@ -126,11 +139,7 @@ class Mapper:
 
     def _overlaps(self, landmark: Landmark) -> bool:
         """Whether another landmark stands where this one would."""
-        place = landmark.state.pose.translation
-        return any(
-            np.linalg.norm(one.state.pose.translation - place) < 0.35 * (one.reach + landmark.reach)
-            for one in self.world.landmarks.values()
-        )
+        return any(stand_together(one, landmark) for one in self.world.landmarks.values())
 
     def keep(self, key: Keyframe, plane_points: Float[np.ndarray, "n 3"]) -> None:
         """One more keyframe, with the plane's points in its camera's frame; the oldest make room."""

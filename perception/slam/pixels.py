@@ -9,6 +9,7 @@ from __future__ import annotations
 
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
+from functools import cache
 
 import cv2
 import numpy as np
@@ -16,6 +17,7 @@ from jaxtyping import Bool, Float, Int, UInt8
 
 from perception.detection.geometry import height_image
 from perception.inference.observation import pixel_rays
+from perception.slam.keyframes import with_pose
 from perception.types import ObjectDetection, RgbdFrame, SupportPlane
 
 NONE = 0  # label of pixels of no mask; detection k has label k + 1
@@ -30,6 +32,7 @@ class SelectionConfig:
         on_plane: pixels of the plane.
         band: half width of the border that is left out [pixel].
         ring: how far from the mask its ring reaches [pixel].
+        width: of the image that pixels are chosen from; of larger ones every second, third, ... is taken.
         plane_height: what is seen lower than this above the plane lies on it [m].
     """
 
@@ -38,6 +41,7 @@ class SelectionConfig:
     on_plane: int = 300
     band: float = 2.0
     ring: float = 8.0
+    width: int = 320
     plane_height: float = 0.012
 
 
@@ -63,7 +67,7 @@ class TrackingPixels:
 def label_image(detections: Sequence[ObjectDetection], shape: tuple[int, int]) -> UInt8[np.ndarray, "h w"]:
     """Detection k as label k + 1; where masks overlap the smaller one wins."""
     labels = np.zeros(shape, np.uint8)
-    for k in sorted(range(min(len(detections), 255)), key=lambda k: -int(detections[k].mask.sum())):
+    for k in sorted(range(min(len(detections), 255)), key=lambda k: -np.count_nonzero(detections[k].mask)):
         labels[detections[k].mask] = k + 1
     return labels
 
@@ -86,48 +90,44 @@ def select_pixels(
         plane: in the world.
         config: how many.
     """
-    posed = RgbdFrame(frame.time, frame.rgb, frame.depth, frame.intrinsics, T_world_camera)
-    height = height_image(posed, plane)
-    valid = frame.depth > 0
+    pitch = max(1, round(labels.shape[1] / config.width))
+    labels, depth = labels[::pitch, ::pitch], np.ascontiguousarray(frame.depth[::pitch, ::pitch])
+    height = height_image(with_pose(frame, T_world_camera), plane)[::pitch, ::pitch]
+    valid, inside = depth > 0, labels != NONE
     low = valid & (np.abs(height) < config.plane_height)
-    distance, nearest = cv2.distanceTransformWithLabels(
-        (labels == NONE).astype(np.uint8), cv2.DIST_L2, 3, labelType=cv2.DIST_LABEL_PIXEL
-    )
-    owner_of_nearest = np.zeros(int(nearest.max()) + 1, np.uint8)
-    inside = labels != NONE
-    owner_of_nearest[nearest[inside]] = labels[inside]
-    owner = np.where(inside, labels, owner_of_nearest[nearest])
-    kernel = np.ones((2 * int(config.band) + 1,) * 2, np.uint8)
-    core = cv2.erode(labels, kernel) == cv2.dilate(labels, kernel)
-    is_object = inside & core & valid
-    outside = valid & ~inside & (distance > config.band)
-    ring = outside & (distance <= config.ring)
-    flat_depth, flat_low = frame.depth.ravel(), low.ravel()
-    inner, around = _by_label(is_object, owner), _by_label(ring, owner)
+    band, ring = int(config.band), int(config.ring)
+    grown = {reach: cv2.dilate(labels, _disc(reach)) for reach in (band, 2 * band, ring)}
+    is_object = inside & valid & (cv2.erode(labels, _disc(band)) == grown[band])
+    is_ring = valid & (grown[band] == NONE) & (grown[ring] != NONE)
+    inner, around = _by_label(is_object, labels), _by_label(is_ring, grown[ring])
+    flat_depth, flat_low = depth.ravel(), low.ravel()
     chosen, owners, on = [], [], []
     for label, landmark in landmark_of.items():
-        own = inner.get(label, _NOTHING)
-        far = float(np.quantile(flat_depth[_evenly(own, 100)], 0.98)) if len(own) else np.inf
+        own = _evenly(inner.get(label, _NOTHING), config.on_object)
+        far = np.sort(flat_depth[own])[int(0.98 * len(own))] if len(own) else np.inf
         beside = around.get(label, _NOTHING)
-        beside = beside[flat_low[beside] | (flat_depth[beside] > far + BEHIND)]
-        for pixels, is_on in (
-            (_evenly(own, config.on_object), True),
-            (_evenly(beside, config.in_ring), False),
-        ):
+        beside = _evenly(beside[flat_low[beside] | (flat_depth[beside] > far + BEHIND)], config.in_ring)
+        for pixels, is_on in ((own, True), (beside, False)):
             chosen.append(pixels)
             owners.append(np.full(len(pixels), landmark))
             on.append(np.full(len(pixels), is_on))
     v, u = np.divmod(np.concatenate([_NOTHING, *chosen]), labels.shape[1])
-    table = outside & low & (distance > 2 * config.band)
-    pv, pu = np.divmod(_evenly(np.flatnonzero(table), config.on_plane), labels.shape[1])
-    plane_points = pixel_rays(frame, pu, pv) * frame.depth[pv, pu][:, None].astype(np.float64)
+    table = (low & (grown[2 * band] == NONE))[::2, ::2]
+    pv, pu = np.divmod(_evenly(np.flatnonzero(table), config.on_plane), table.shape[1])
+    pv, pu = 2 * pv, 2 * pu
     return TrackingPixels(
-        directions=pixel_rays(frame, u, v),
+        directions=pixel_rays(frame, pitch * u, pitch * v),
         owner=np.concatenate([_NOTHING, *owners]),
         is_object=np.concatenate([np.zeros(0, bool), *on]),
-        depth=frame.depth[v, u],
-        plane_points=plane_points,
+        depth=depth[v, u],
+        plane_points=pixel_rays(frame, pitch * pu, pitch * pv) * depth[pv, pu][:, None].astype(np.float64),
     )
+
+
+@cache
+def _disc(reach: int) -> UInt8[np.ndarray, "k k"]:
+    """The pixels no farther than ``reach`` from the middle one."""
+    return cv2.getStructuringElement(cv2.MORPH_ELLIPSE, (2 * reach + 1,) * 2)
 
 
 _NOTHING = np.zeros(0, np.int64)

@@ -28,7 +28,7 @@ from perception.slam.landmarks import LandmarkMap
 from perception.slam.mapping import Mapper
 from perception.slam.pixels import TrackingPixels, label_image, select_pixels
 from perception.slam.relocalise import Relocalised, relocalise
-from perception.slam.tracking import TrackedPose, track
+from perception.slam.tracking import TrackedPose, TrackingConfig, track
 from perception.support_plane import fit_support_plane
 from perception.types import ObjectDetection, RgbdFrame, SupportPlane
 
@@ -37,6 +37,7 @@ logger = logging.getLogger(__name__)
 Detect = Callable[[RgbdFrame, SupportPlane], Sequence[ObjectDetection]]
 Status = Literal["tracked", "weak", "lost"]
 Labels = UInt8[np.ndarray, "h w"]
+_NO_MOTION = 5.0  # times the uncertainty of an even motion: nothing is known but the last pose
 _LONGEST_GAP = 5.0  # times the usual period: a motion is not carried on over more
 
 
@@ -110,7 +111,8 @@ class Slam:
         if self._lost_for:
             return self._find_again(frame)
         T_predicted = self._predicted(frame.time)
-        seen = self._look(self.mapper, frame, T_predicted)
+        tracking = self.config.tracking.loosened(self._doubt(frame.time))
+        seen = self._look(self.mapper, frame, T_predicted, tracking)
         status = self._judge(seen.tracked, T_predicted)
         if status == "lost":
             logger.info("frame %d: lost", self._number)
@@ -129,7 +131,7 @@ class Slam:
         labels = label_image(detections, frame.depth.shape)
         mapper.unmatched = [(found.mask, self.config.life.seen_before) for found in detections]
         pixels = select_pixels(frame, labels, {}, T, plane, self.config.selection)
-        return self._extend_map(mapper, posed, detections, labels, {}, pixels, "tracked", ())
+        return self._extend_map(mapper, posed, detections, labels, {}, pixels, {}, "tracked", ())
 
     def _predicted(self, now: float) -> np.ndarray:
         """Constant velocity, over the time since the last frame."""
@@ -140,8 +142,15 @@ class Slam:
         share = float(np.clip((now - t1) / (t1 - t0), 0.0, _LONGEST_GAP))
         return T1 @ se3_exp(share * se3_log(invert(T0) @ T1))
 
+    def _doubt(self, now: float) -> float:
+        """How much less sure a predicted pose is than after an even step of a known motion."""
+        if len(self._moments) < 2:
+            return _NO_MOTION
+        (t0, _), (t1, _) = self._moments
+        return float(np.clip(((now - t1) / max(t1 - t0, 1e-6)) ** 2, 1.0, _NO_MOTION))
+
     def _look(
-        self, mapper: Mapper, frame: RgbdFrame, T_predicted: np.ndarray, iterations: int | None = None
+        self, mapper: Mapper, frame: RgbdFrame, T_predicted: np.ndarray, tracking: TrackingConfig
     ) -> _Seen:
         """Masks, their landmarks, and the pose that fits."""
         world, config = mapper.world, self.config
@@ -155,9 +164,6 @@ class Slam:
             labels, landmark_of = joined_labels(labels, landmark_of)
             pixels = select_pixels(frame, labels, landmark_of, T_predicted, world.plane, config.selection)
             suspects = frozenset(i for i, one in world.landmarks.items() if one.bad >= 2)
-            tracking = (
-                config.tracking if iterations is None else replace(config.tracking, iterations=iterations)
-            )
             tracked = track(world, pixels, T_predicted, tracking, suspects)
         return _Seen(detections, labels, landmark_of, pixels, tracked, render)
 
@@ -167,13 +173,14 @@ class Slam:
         self._moments = [self._moments[-1], (frame.time, T)]
         looks = self._number % self.config.life.check_every == 0
         rendered = seen.render() if looks else None
-        retired = mapper.count(seen.detections, seen.landmark_of, rendered, seen.tracked, self._number)
+        retired = mapper.count(frame, seen.detections, seen.landmark_of, rendered, seen.tracked, self._number)
         landmark_of = {k: one for k, one in seen.landmark_of.items() if one not in retired}
         mapper.remember_unmatched(seen.detections, seen.labels, landmark_of)
         posed = with_pose(frame, T)
         return self._extend_map(
-            mapper, posed, seen.detections, seen.labels, landmark_of, seen.pixels, status, tuple(retired)
-        )
+            mapper, posed, seen.detections, seen.labels, landmark_of, seen.pixels, seen.tracked.shares,
+            status, tuple(retired),
+        )  # fmt: skip
 
     def _judge(self, tracked: TrackedPose, T_predicted: np.ndarray) -> Status:
         """Whether the pose can be believed."""
@@ -202,7 +209,8 @@ class Slam:
         self._lost_for += 1
         T_last = self._moments[-1][1]
         if 1 < self._lost_for <= self.config.life.max_blind and self._weak_for == 0:
-            seen = self._look(mapper, frame, T_last, iterations=8)
+            nearby = replace(self.config.tracking.loosened(_NO_MOTION), iterations=8)
+            seen = self._look(mapper, frame, T_last, nearby)
             agree = [i for i, share in seen.tracked.shares.items() if share > 0.6]
             if self._judge(seen.tracked, T_last) == "tracked" and len(agree) >= 2:
                 return self._found(frame, seen.tracked, seen.labels, seen.landmark_of)
@@ -256,6 +264,7 @@ class Slam:
         labels: Labels,
         landmark_of: Mapping[int, int],
         pixels: TrackingPixels,
+        shares: Mapping[int, float],
         status: Status,
         retired: tuple[int, ...],
     ) -> FrameResult:
@@ -264,7 +273,7 @@ class Slam:
         new: dict[int, int] = {}
         if status == "tracked":
             with _timed(self._clock, "initialise"):
-                new = mapper.new_landmarks(posed, detections, landmark_of, self._number)
+                new = mapper.new_landmarks(posed, detections, landmark_of, shares, self._number)
         landmark_of |= new
         self._previous = (labels, landmark_of)
         landmarks = mapper.world.landmarks

@@ -7,7 +7,7 @@ difference to the measured depth moves the camera. The support plane can help as
 from __future__ import annotations
 
 from collections.abc import Mapping
-from dataclasses import dataclass, field
+from dataclasses import dataclass, field, replace
 
 import numpy as np
 from jaxtyping import Float
@@ -33,10 +33,13 @@ class TrackingConfig:
         use_plane: the plane is a landmark.
         plane_sigma: of a point of the plane [m].
         iterations: of Levenberg-Marquardt.
-        turn_sigma, move_sigma: of the predicted pose [rad], [m].
+        turn_sigma, move_sigma: of a pose predicted by an even motion [rad], [m]: after a thirtieth of
+            a second that is what 13 rad/s^2 and 7 m/s^2 make of it.
         inlier: residuals smaller than this agree with the map [m].
         outcast: objects with less than this share of the best one's inliers are left out.
         min_pixels: of an object, to judge it.
+        lm: damping, and the step [rad, m] under which it is not gone on.
+        threads: that render.
     """
 
     depth_sigma: float = 0.003
@@ -47,12 +50,17 @@ class TrackingConfig:
     use_plane: bool = True
     plane_sigma: float = 0.005
     iterations: int = 3
-    turn_sigma: float = np.radians(2.0)
-    move_sigma: float = 0.03
+    turn_sigma: float = np.radians(0.8)
+    move_sigma: float = 0.008
     inlier: float = 0.012
     outcast: float = 0.5
     min_pixels: int = 25
-    lm: LmConfig = field(default_factory=lambda: LmConfig(damping=1e-3))
+    lm: LmConfig = field(default_factory=lambda: LmConfig(damping=1e-3, least_step=2e-4))
+    threads: int = 2
+
+    def loosened(self, factor: float) -> TrackingConfig:
+        """For a pose that is so much less sure."""
+        return replace(self, turn_sigma=factor * self.turn_sigma, move_sigma=factor * self.move_sigma)
 
 
 @dataclass(frozen=True)
@@ -122,7 +130,9 @@ class _PoseProblem:
         self.seen = {int(i) for i in np.unique(self.owner)}
         self.poses = [world.landmarks[i].state.pose for i in world.ids]
         self.pairs, self.own = self._pair_up()
-        self.render = PairRenderer(world.stack, self.pairs) if len(self.owner) else None
+        self.render = (
+            PairRenderer(world.stack, self.pairs, threads=config.threads) if len(self.owner) else None
+        )
         escape = self.pairs.escape_depth[self.own_index] if len(self.owner) else np.zeros(0)
         self.target = np.where(self.is_object, self.depth, escape)
         self.prior_weights = np.repeat([config.turn_sigma**-2, config.move_sigma**-2], 3)
@@ -154,7 +164,7 @@ class _PoseProblem:
             lambda T: self.evaluate(T, use),
             lambda T, step: _orthonormal(T @ se3_exp(step)),
             start,
-            LmConfig(max_iterations=iterations, damping=self.config.lm.damping),
+            replace(self.config.lm, max_iterations=iterations),
         )
         return result.state, result.evaluation, self.shares(result.evaluation)
 

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import json
 from collections.abc import Callable
+from dataclasses import replace
 from pathlib import Path
 
 import cv2
@@ -12,12 +13,16 @@ import pytest
 import trimesh
 from PIL import Image
 
+from app.ar.command import build_stage
 from app.ar.composite import DARKEST, Backdrop, composite, shadow_of, visible_toys
 from app.ar.drop import plan_drops, rim_radius
 from app.ar.surroundings import CELL, clutter, support_frame
 from app.cli import run
 from app.export.convex import convex_pieces, measure
+from app.options import ArOptions
+from app.runs.finished_run import read_run, tracked_frames
 from perception.object_map import write_object_map
+from perception.recordings.trajectory import Trajectory, write_trajectory
 from perception.scan_folder import write_scan
 from perception.types import CameraIntrinsics, ObjectEstimate, RgbdFrame, SupportPlane
 from sim_assets.camera import look_at
@@ -147,6 +152,33 @@ def test_a_single_image_without_pose_is_enough(tmp_path: Path, standing: Standin
     assert len(frames) > 15 and frames[0].shape == (120, 160, 3)
     picture = np.asarray(Image.open(out / "pictures" / "000000.png")).astype(int)
     assert (np.abs(picture - 180).max(axis=-1) > 30).sum() > 50  # toys, or their shadows
+
+
+def test_after_slam_the_film_goes_along_with_the_camera(tmp_path: Path, standing: Standing) -> None:
+    """The run folder keeps keyframes; the film shows the sequence, each image from where it was tracked."""
+    times, run_folder = 0.04 * np.arange(30), tmp_path / "map"
+    poses = [look_at(np.array([0.004 * i, 0.0, 0.5]), np.array([0.004 * i, 0, 0])) for i in range(30)]
+    sequence = [replace(table_frame(None), time=float(t)) for t in times]
+    write_scan(tmp_path / "sequence", sequence)
+    write_scan(run_folder / "scan", [replace(sequence[0], T_world_camera=poses[0])])
+    write_object_map(run_folder, [standing("bowl")])
+    lost = 7
+    kept = [i for i in range(len(times)) if i != lost]
+    write_trajectory(
+        run_folder / "trajectory.txt", Trajectory.of(list(times[kept]), [poses[i] for i in kept])
+    )
+    settings = {"sequence": str(tmp_path / "sequence")}
+    (run_folder / "report.json").write_text(json.dumps({"command": "slam", "settings": settings}))
+    stage = build_stage(read_run(run_folder), ArOptions(run=run_folder, drops=1, seconds=0.6))
+    stage.world.close()
+    assert len(stage.frames) == 15 and len(stage.chosen) > 0  # too few to be played
+    assert stage.frames[lost].time == pytest.approx(times[lost + 1])
+    np.testing.assert_allclose(stage.frames[lost].T_world_camera, poses[lost + 1], atol=1e-6)
+    stage = build_stage(read_run(run_folder), ArOptions(run=run_folder, drops=1, seconds=2.0))
+    stage.world.close()
+    assert len(stage.frames) == 29 and len(stage.chosen) == 0
+    (tmp_path / "sequence" / "scene_camera.json").unlink()
+    assert tracked_frames(run_folder, 2.0) == ()  # then keyframes have to do
 
 
 def test_a_run_without_images_is_refused(

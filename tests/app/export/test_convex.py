@@ -98,3 +98,13 @@ def test_a_rim_that_is_left_at_the_handle_alone_is_no_body(decoded: Decoded) -> 
     whole = trimesh.util.concatenate([trimesh.Trimesh(mesh.vertices, mesh.faces), spike])
     pieces = convex_pieces(TriangleMesh(np.asarray(whole.vertices), np.asarray(whole.faces)), "mug")
     assert pieces_volume(pieces) == pytest.approx(whole.volume, rel=0.03)
+
+
+def test_a_vessel_whose_floor_is_thinner_than_the_first_height_stays_hollow() -> None:
+    profile = np.array([(0, 0), (0.04, 0), (0.06, 0.05), (0.057, 0.05), (0.038, 0.0009), (0, 0.0009)])
+    bowl = trimesh.creation.revolve(profile, sections=60)
+    mesh = TriangleMesh(np.asarray(bowl.vertices), np.asarray(bowl.faces))
+    pieces = convex_pieces(mesh, "bowl")
+    assert pieces_volume(pieces) == pytest.approx(bowl.volume, rel=0.05)
+    above_floor = np.array([(x, 0.0, z) for x in (0.0, 0.01, 0.03) for z in (0.004, 0.02, 0.045)])
+    assert not inside(pieces, above_floor).any() and inside(pieces, np.array([(0.0, 0.0, 4e-4)])).all()

@@ -64,6 +64,19 @@ def test_costs_of_accepted_steps_fall() -> None:
     assert all(line.cost_after < line.cost for line in trace if line.accepted)
 
 
+def test_steps_too_small_to_matter_are_not_taken() -> None:
+    target, seen = np.array([3.0, -1.0]), []
+
+    def evaluate(x: np.ndarray) -> Evaluation:
+        seen.append(x)
+        return Evaluation(x - target, np.eye(2), np.ones(2))
+
+    config = LmConfig(damping=1e-6, least_step=1e-3)
+    result = minimise(evaluate, lambda x, step: x + step, np.zeros(2), config)
+    assert result.status == "converged" and len(seen) == 2
+    np.testing.assert_allclose(result.state, target, atol=1e-3)
+
+
 def test_step_limit_shortens_the_step() -> None:
     config, limit = LmConfig(max_iterations=1), np.array([0.5])
     result = minimise(

@@ -1,9 +1,11 @@
 """Masks to landmarks by overlap and place; parts of one vessel; viewpoints and windows of keyframes."""
 
+from dataclasses import replace
+
 import numpy as np
 import pytest
 
-from perception.slam.association import associate_masks, render_masks
+from perception.slam.association import associate_masks, render_masks, seen_through
 from perception.slam.fragments import touching, unite_fragments
 from perception.slam.keyframes import (
     NEW_VIEW,
@@ -13,6 +15,7 @@ from perception.slam.keyframes import (
     window_of,
     with_pose,
 )
+from perception.slam.landmarks import doubles
 from perception.slam.pixels import label_image
 from perception.types import ObjectDetection, SupportPlane
 
@@ -32,6 +35,27 @@ def test_rendered_masks_are_the_true_ones(cylinders, view):
         both = (rendered.index == one) & mask
         assert both.sum() > 0.85 * ((rendered.index == one) | mask).sum()
         assert 0 < rendered.visible[one] <= rendered.whole[one]
+
+
+def test_what_was_taken_away_is_seen_through_and_nothing_else(cylinders, view):
+    T, frame, _, shown, _ = view
+    whole = seen_through(render_masks(cylinders.map(), frame, T), frame)
+    assert set(whole) == set(shown) and max(whole.values()) < 0.2
+    emptier = replace(cylinders, places=cylinders.places[1:])
+    frame, _, _ = emptier.look(T)
+    shares = seen_through(render_masks(cylinders.map(), frame, T), frame)
+    assert shares[0] > 0.8 and max(share for one, share in shares.items() if one != 0) < 0.2
+    in_front = replace(frame, depth=np.full_like(frame.depth, 0.2))
+    assert seen_through(render_masks(cylinders.map(), in_front, T), in_front) == {}
+
+
+def test_of_two_landmarks_at_one_place_the_one_seen_more_often_stays(cylinders):
+    landmarks = dict(cylinders.map().landmarks)
+    assert doubles(landmarks) == set()
+    landmarks[7] = replace(landmarks[1], id=7, hits=5)
+    assert doubles(landmarks) == {1}
+    landmarks[7] = replace(landmarks[7], hits=1)
+    assert doubles(landmarks) == {7}
 
 
 def test_masks_find_landmarks_by_rendering(cylinders, view):

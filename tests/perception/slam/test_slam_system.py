@@ -8,6 +8,7 @@ import pytest
 from perception.inference.fit import FitConfig, Stage
 from perception.recordings.sequence import without_pose
 from perception.slam.config import SlamConfig
+from perception.slam.initialise import touches_border
 from perception.slam.pixels import label_image
 from perception.slam.relocalise import level_camera, relocalise
 from perception.slam.system import Slam, joined_labels
@@ -102,6 +103,38 @@ def test_what_is_gone_is_retired(mapped, recording):
     recording.detections = kept
     assert gone in [one for result in results for one in result.retired]
     assert gone not in slam.world.ids and len(slam.world.ids) == 4
+
+
+def test_an_object_moved_by_hand_leaves_no_double(cylinders, scenes):
+    moved = replace(cylinders, places=(*cylinders.places[:-1], (-0.16, -0.02, 0.033)))
+    before, after = Recording(cylinders, scenes, count=2), Recording(moved, scenes, count=16, step=1.2)
+    slam = before.slam(cylinders.decoder)
+    before.feed(slam, 0), before.feed(slam, 1, without_pose(before.frames[1]))
+    slam.detect = lambda frame, plane: after.detections[after.at]
+    results = [after.feed(slam, n, without_pose(after.frames[n])) for n in range(2, 16)]
+    assert all(result.status == "tracked" for result in results)
+    assert max(after.error(result, n) for n, result in enumerate(results, start=2)) < 0.004
+    places = np.array([one.state.pose.translation[:2] for one in slam.world.landmarks.values()])
+    assert len(places) == 5
+    for x, y, _ in moved.places:
+        assert np.linalg.norm(places - (x, y), axis=1).min() < 0.006
+
+
+def test_cut_objects_wait_while_others_hold_the_camera(mapped, recording):
+    slam, first = mapped
+    mapper, frame = slam.mapper, recording.frames[1]
+    mapper.world = mapper.world.without(set(first.new[:1]))
+    mask = np.array(recording.detections[1][0].mask)
+    mask[0, :5] = True
+    cut = replace(recording.detections[1][0], mask=mask)
+    mapper.unmatched = [(cut.mask, 2)]
+    posed = RgbdFrame(frame.time, frame.rgb, frame.depth, frame.intrinsics, recording.truth[1])
+    held = {one: 0.9 for one in mapper.world.ids}
+    assert mapper.new_landmarks(posed, [cut], {}, held, 1) == {}
+    assert touches_border(cut)
+    whole = recording.detections[1][0]
+    mapper.unmatched = [(whole.mask, 2)]
+    assert len(mapper.new_landmarks(posed, [whole], {}, held, 1)) == 1
 
 
 def test_relocalises_from_nowhere(cylinders, scenes):

@@ -1,0 +1,99 @@
+"""What every kernel does along a ray through the padded grid: where it is inside, occupancies and slopes.
+
+Points are in voxels of the padded grid, whose corner voxel has its centre at 0; a cell between eight voxels
+has the index of its lowest one. Warp functions: one source for CPU and CUDA, part of the kernels that use
+them.
+"""
+
+from typing import no_type_check
+
+import warp as wp
+
+from perception.types import GRID_RESOLUTION
+
+PADDED_VOXELS = (GRID_RESOLUTION + 2) ** 3
+
+SIDE = wp.constant(GRID_RESOLUTION + 2)
+SLAB = wp.constant((GRID_RESOLUTION + 2) ** 2)
+HALF = wp.constant(GRID_RESOLUTION / 2.0)
+_END = wp.constant(GRID_RESOLUTION + 1.0)
+_MARGIN = wp.constant(1e-3)  # [voxel] keeps rounding from indexing outside
+
+
+@wp.func
+@no_type_check  # for the run-time checker of the tests: these are Warp types
+def in_voxels(canonical: wp.vec3) -> wp.vec3:
+    """A point of the canonical cube, in voxels."""
+    return HALF * canonical + wp.vec3(HALF + 0.5, HALF + 0.5, HALF + 0.5)
+
+
+@wp.func
+@no_type_check
+def samples_inside(
+    origin: wp.vec3, direction: wp.vec3, near: float, far: float, step: float, samples: int
+) -> wp.vec2i:
+    """First and last of the samples near + i step, i = 1 ... samples, in the grid; last < first for none."""
+    enter = near
+    leave = far
+    for axis in range(3):
+        d = direction[axis]
+        if wp.abs(d) > 1.0e-9:
+            a = (_MARGIN - origin[axis]) / d
+            b = (_END - _MARGIN - origin[axis]) / d
+            enter = wp.max(enter, wp.min(a, b))
+            leave = wp.min(leave, wp.max(a, b))
+        elif origin[axis] < _MARGIN or origin[axis] > _END - _MARGIN:
+            leave = near - 1.0
+    first = wp.max(int(wp.ceil((enter - near) / step)), 1)
+    last = wp.min(int(wp.floor((leave - near) / step)), samples)
+    return wp.vec2i(first, last)
+
+
+@wp.func
+@no_type_check
+def cell_of(p: wp.vec3) -> int:
+    """Index of the cell that a point lies in."""
+    return (int(p[0]) * SIDE + int(p[1])) * SIDE + int(p[2])
+
+
+@wp.func
+@no_type_check
+def in_cell(p: wp.vec3) -> wp.vec3:
+    """Where in its cell a point lies, 0..1 along each axis."""
+    return p - wp.vec3(float(int(p[0])), float(int(p[1])), float(int(p[2])))
+
+
+@wp.func
+@no_type_check
+def trilinear(occupancy: wp.array(dtype=wp.float32), at: int, f: wp.vec3) -> float:
+    """Between the corners of the cell whose lowest voxel is the array's entry ``at``."""
+    o00 = wp.lerp(occupancy[at], occupancy[at + 1], f[2])
+    o01 = wp.lerp(occupancy[at + SIDE], occupancy[at + SIDE + 1], f[2])
+    o10 = wp.lerp(occupancy[at + SLAB], occupancy[at + SLAB + 1], f[2])
+    o11 = wp.lerp(occupancy[at + SLAB + SIDE], occupancy[at + SLAB + SIDE + 1], f[2])
+    return wp.lerp(wp.lerp(o00, o01, f[1]), wp.lerp(o10, o11, f[1]), f[0])
+
+
+@wp.func
+@no_type_check
+def slopes(occupancy: wp.array(dtype=wp.float32), at: int, f: wp.vec3) -> wp.vec3:
+    """The gradient of ``trilinear`` by the point, per voxel."""
+    o000 = occupancy[at]
+    o001 = occupancy[at + 1]
+    o010 = occupancy[at + SIDE]
+    o011 = occupancy[at + SIDE + 1]
+    o100 = occupancy[at + SLAB]
+    o101 = occupancy[at + SLAB + 1]
+    o110 = occupancy[at + SLAB + SIDE]
+    o111 = occupancy[at + SLAB + SIDE + 1]
+    o00 = wp.lerp(o000, o001, f[2])
+    o01 = wp.lerp(o010, o011, f[2])
+    o10 = wp.lerp(o100, o101, f[2])
+    o11 = wp.lerp(o110, o111, f[2])
+    low = wp.lerp(o001 - o000, o011 - o010, f[1])
+    high = wp.lerp(o101 - o100, o111 - o110, f[1])
+    return wp.vec3(
+        wp.lerp(o10, o11, f[1]) - wp.lerp(o00, o01, f[1]),
+        wp.lerp(o01, o11, f[0]) - wp.lerp(o00, o10, f[0]),
+        wp.lerp(low, high, f[0]),
+    )
