@@ -1,4 +1,8 @@
-"""From one RGB-D frame to the objects in it: geometry finds the instances, networks say what they are."""
+"""From one RGB-D frame to the objects in it.
+
+The scene network finds the instances and tells their classes; the class network does so for instances that
+somebody else has found; the yaw network says where the handles of mugs point.
+"""
 
 from __future__ import annotations
 
@@ -8,12 +12,14 @@ from pathlib import Path
 
 import numpy as np
 import torch
-from jaxtyping import Bool
+from jaxtyping import Bool, Float
+from scipy.special import softmax
 
 from perception.detection import network as nets
 from perception.detection.crops import crop, filtered_geometry
 from perception.detection.geometry import heading_angle
-from perception.detection.segmentation import SegmentationConfig, segment
+from perception.detection.instances import InstanceConfig, find_instances
+from perception.detection.scene_network import WEIGHTS_FILE, SceneNet, load_scene_network
 from perception.detection.yaw import turned
 from perception.types import CATEGORIES, ObjectDetection, RgbdFrame, SupportPlane
 
@@ -25,14 +31,14 @@ class DetectorConfig:
     """What becomes a detection.
 
     Attributes:
-        segmentation: how instances are found.
+        instances: how instances are found.
         max_other: an instance whose probability of being of no class is above this is left out. Well over
             one half, so that several views can still vote (``association.associate``); the score of a
             doubtful instance is low all the same.
         min_mug: yaw is estimated from this probability of being a mug on.
     """
 
-    segmentation: SegmentationConfig = field(default_factory=SegmentationConfig)
+    instances: InstanceConfig = field(default_factory=InstanceConfig)
     max_other: float = 0.8
     min_mug: float = 0.05
 
@@ -41,6 +47,7 @@ class DetectorConfig:
 class Detector:
     """Finds mugs, bowls, bottles and cans in RGB-D frames. Make one with ``load``."""
 
+    scene_network: SceneNet
     class_network: nets.CropNet
     class_temperature: float
     yaw_network: nets.CropNet
@@ -59,7 +66,9 @@ class Detector:
             PerceptionError: weights are missing or damaged.
         """
         paths = {task: None if directory is None else directory / f for task, f in nets.WEIGHTS_FILES.items()}
+        scene = None if directory is None else directory / WEIGHTS_FILE
         return Detector(
+            load_scene_network(scene, device),
             *nets.load_network("class", paths["class"], device),
             *nets.load_network("yaw", paths["yaw"], device),
             config,
@@ -70,20 +79,33 @@ class Detector:
 
         The score is the calibrated probability of the category. Yaw distributions are over world yaw.
         """
-        return self.classify(frame, plane, segment(frame, plane, self.config.segmentation))
+        found = find_instances(frame, plane, self.scene_network, self.config.instances)
+        hints = [instance.log_classes for instance in found]
+        return self.classify(frame, plane, [instance.mask for instance in found], hints)
 
     def classify(
-        self, frame: RgbdFrame, plane: SupportPlane, masks: Sequence[Bool[np.ndarray, "h w"]]
+        self,
+        frame: RgbdFrame,
+        plane: SupportPlane,
+        masks: Sequence[Bool[np.ndarray, "h w"]],
+        hints: Sequence[Float[np.ndarray, "5"]] | None = None,
     ) -> list[ObjectDetection]:
-        """What the networks say of instances that somebody else has found, as a call does of its own."""
+        """What the networks say of instances that somebody else has found, as a call does of its own.
+
+        The class network tells the classes, unless ``hints`` give their log-probabilities for each instance.
+        """
         geometry = filtered_geometry(frame, plane)
-        masks = [mask for mask in masks if (mask & (geometry[0] > 0)).any()]
-        if not masks:
+        kept = [i for i, mask in enumerate(masks) if (mask & (geometry[0] > 0)).any()]
+        if not kept:
             return []
+        masks = [masks[i] for i in kept]
         crops = [crop(frame, mask, plane, geometry) for mask in masks]
         images = np.stack([c.image for c in crops])
         context = np.stack([c.context for c in crops])
-        classes = nets.predict(self.class_network, self.class_temperature, images, context)
+        if hints is None:
+            classes = nets.predict(self.class_network, self.class_temperature, images, context)
+        else:
+            classes = softmax(np.stack([hints[i] for i in kept]).astype(np.float64), axis=1)
         mugs = np.flatnonzero(classes[:, _MUG] >= self.config.min_mug)
         yaws = nets.predict(self.yaw_network, self.yaw_temperature, images[mugs], context[mugs])
         yaw_of = {int(i): yaw for i, yaw in zip(mugs, yaws)}

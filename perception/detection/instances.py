@@ -12,9 +12,10 @@ from dataclasses import dataclass
 import cv2
 import numpy as np
 from jaxtyping import Bool, Float, Int
+from scipy.spatial.distance import cdist
 from scipy.special import expit, log_softmax
 
-from perception.detection.geometry import height_image, window_of
+from perception.detection.geometry import height_image
 from perception.detection.scene_network import CLASSES, VOTE_UNIT, SceneNet, answers
 from perception.detection.working_view import WorkingView, reduced, spread_from, working_view
 from perception.types import RgbdFrame, SupportPlane
@@ -38,7 +39,7 @@ class InstanceConfig:
         near: instances closer to the camera in [m] are left out (the gripper).
     """
 
-    foreground: float = 0.45
+    foreground: float = 0.42
     cell: float = 0.005
     blur: float = 0.008
     apart: float = 0.03
@@ -142,22 +143,23 @@ def feet(answer: Answers, view: WorkingView, config: InstanceConfig) -> Float[np
 def assigned(
     answer: Answers, view: WorkingView, peaks: Float[np.ndarray, "k 2"], config: InstanceConfig
 ) -> Int[np.ndarray, "h w"]:
-    """Number of the peak that each pixel of the working view belongs to, whether foreground or not."""
+    """Number of the peak that each pixel of the working view belongs to; in the background the nearest's."""
     h, w = view.height.shape
     offset = (answer.vote - view.plan[::2, ::2]) / view.pixel[::2, ::2, None]  # smooth over the image
     fine = np.asarray(cv2.resize(offset.astype(np.float32), (2 * offset.shape[1], 2 * offset.shape[0])))[
         :h, :w
     ]
-    vote = view.plan + fine * view.pixel[..., None]
-    distance = np.stack([((vote - peak) ** 2).sum(-1) for peak in peaks.astype(np.float32)])
-    numbers = distance.argmin(0).astype(np.int32)
-    return _without_crumbs(numbers, answer.foreground > config.foreground, len(peaks))
+    shown = answer.foreground > config.foreground
+    vote = view.plan[shown] + fine[shown] * view.pixel[shown][:, None]
+    numbers = np.zeros((h, w), np.int32)
+    numbers[shown] = cdist(vote, peaks, "sqeuclidean").argmin(1)
+    return _without_crumbs(numbers, shown, len(peaks))
 
 
 def _without_crumbs(
     numbers: Int[np.ndarray, "h w"], foreground: Bool[np.ndarray, "h w"], count: int, share: float = 0.2
 ) -> Int[np.ndarray, "h w"]:
-    """Small separate pieces of an instance given to the instance that surrounds them."""
+    """Small separate pieces, and the background, given to the instance that is nearest to them."""
     loose = np.zeros(numbers.shape, bool)
     for k in range(count):
         mine = (foreground & (numbers == k)).astype(np.uint8)
@@ -168,10 +170,10 @@ def _without_crumbs(
         area[0] = 0
         loose |= ((area < share * area.max()) & (area > 0))[np.asarray(pieces)]
     firm = foreground & ~loose
-    if not loose.any() or not firm.any():
+    if not firm.any():
         return numbers
     around, distance = spread_from(numbers, firm)
-    return np.where(loose & (distance < 3), around, numbers)
+    return np.where(loose & (distance >= 3), numbers, around)
 
 
 def _classes(answer: Answers, numbers: Int[np.ndarray, "h w"], count: int) -> Float[np.ndarray, "k 5"]:
@@ -211,22 +213,18 @@ def _plausible(
     config: InstanceConfig,
 ) -> list[Instance]:
     """Instances of a table-top thing's size, largest first."""
-    height = height_image(frame, plane)
-    measured = frame.depth > 0
-    found = []
-    for k, log_classes in enumerate(classes):
-        mask = numbers == k
-        pixels = int(mask.sum())
-        if pixels < config.min_pixels:
-            continue
-        window = window_of(mask)
-        seen = mask[window] & measured[window]
-        if not seen.any():
-            continue
-        depth = frame.depth[window][seen]
-        area = pixels * float(np.median(depth)) ** 2 / (frame.intrinsics.fx * frame.intrinsics.fy)
-        too_high = (height[window][seen] > config.ceiling).mean() > 0.02
-        if area < config.min_area or too_high or np.median(depth) < config.near:
-            continue
-        found.append(Instance(mask, log_classes))
-    return sorted(found, key=lambda instance: -int(instance.mask.sum()))
+    shown = numbers >= 0
+    owner, depth, height = numbers[shown], frame.depth[shown], height_image(frame, plane)[shown]
+    measured = depth > 0
+
+    def counted(weights: np.ndarray | None = None, only: np.ndarray | slice = slice(None)) -> np.ndarray:
+        return np.bincount(owner[only], None if weights is None else weights[only], minlength=len(classes))
+
+    pixels, seen = counted(), counted(only=measured)
+    distance = counted(depth, measured) / np.maximum(seen, 1)
+    area = pixels * distance**2 / (frame.intrinsics.fx * frame.intrinsics.fy)
+    too_high = counted(only=measured & (height > config.ceiling)) > 0.02 * seen
+    keep = (pixels >= config.min_pixels) & (seen > 0) & (area >= config.min_area)
+    keep &= ~too_high & (distance >= config.near)
+    order = sorted((int(k) for k in np.flatnonzero(keep)), key=lambda k: -pixels[k])
+    return [Instance(numbers == k, classes[k]) for k in order]

@@ -14,6 +14,7 @@ import torch
 from jaxtyping import Float
 from torch import Tensor, nn
 from torch.nn import functional
+from torch.nn.utils.fusion import fuse_conv_bn_eval
 
 from perception.detection.network import LABELS
 from perception.detection.weights import WEIGHTS_DIRECTORY, load_weights, save_weights
@@ -106,13 +107,24 @@ def save_scene_network(network: SceneNet, path: Path, notes: dict[str, str] | No
 
 
 def load_scene_network(path: Path | None = None, device: str | torch.device = "cpu") -> SceneNet:
-    """The network in evaluation mode, by default with the shipped weights.
+    """The network ready to answer (not to be trained further), by default with the shipped weights.
 
     Raises:
         PerceptionError: the file is missing, damaged, or holds another network.
     """
     network = SceneNet()
     load_weights(network, WEIGHTS_DIRECTORY / WEIGHTS_FILE if path is None else path, "scene", "detector")
-    network = network.to(device).eval()
+    network = _folded(network.eval()).to(device)
     network.to(memory_format=torch.channels_last)  # type: ignore[call-overload]
+    return network
+
+
+def _folded(network: SceneNet) -> SceneNet:
+    """The same function with each normalisation folded into the convolution before it."""
+    for module in list(network.modules()):
+        if isinstance(module, nn.Sequential) and len(module) > 1 and isinstance(module[1], nn.BatchNorm2d):
+            convolution = module[0]
+            assert isinstance(convolution, nn.Conv2d)
+            module[0] = fuse_conv_bn_eval(convolution, module[1])
+            module[1] = nn.Identity()
     return network

@@ -6,6 +6,7 @@ import torch
 
 from perception.detection.detector import Detector
 from perception.detection.network import OUTPUTS, CropNet, save_network
+from perception.detection.scene_network import SceneNet, load_scene_network, save_scene_network
 from perception.errors import PerceptionError
 from perception.types import CATEGORIES, RgbdFrame, SupportPlane
 
@@ -25,7 +26,12 @@ class Fixed(CropNet):
 
 def fixed_detector(class_logits, yaw_bin=0):
     yaw = np.where(np.arange(OUTPUTS["yaw"]) == yaw_bin, 20.0, 0.0)
-    return Detector(Fixed(class_logits), 1.0, Fixed(yaw), 1.0)
+    return Detector(load_scene_network(), Fixed(class_logits), 1.0, Fixed(yaw), 1.0)
+
+
+def given(detector, scene):
+    """What the detector says of the true masks."""
+    return detector.classify(scene.frame, PLANE, [scene.instances == k for k in (0, 1)])
 
 
 @pytest.fixture(scope="module")
@@ -58,20 +64,29 @@ def test_nothing_in_view_is_no_detection(shipped, scenes):
 
 
 def test_doubtful_instances_stay_with_a_low_score_and_certain_others_go(two):
-    doubtful = fixed_detector([1.0, 0.0, 0.0, 0.0, 1.5])(two.frame, PLANE)
+    doubtful = given(fixed_detector([1.0, 0.0, 0.0, 0.0, 1.5]), two)
     assert len(doubtful) == 2
     assert all(d.category == "mug" and d.score < 0.5 for d in doubtful)
-    assert fixed_detector([0.0, 0.0, 0.0, 0.0, 9.0])(two.frame, PLANE) == []
+    assert given(fixed_detector([0.0, 0.0, 0.0, 0.0, 9.0]), two) == []
 
 
 def test_yaw_is_given_in_the_world_for_what_may_be_a_mug(two):
-    (first, _) = fixed_detector([3.0, 0.0, 0.0, 0.0, 0.0])(two.frame, PLANE)
+    (first, _) = given(fixed_detector([3.0, 0.0, 0.0, 0.0, 0.0]), two)
     # The handle points straight away from the camera, which stands at azimuth 70 degrees: yaw 250.
     peak = first.yaw_probabilities.argmax() * 360 / OUTPUTS["yaw"]
     assert peak == pytest.approx(250, abs=15)
     assert first.yaw_probabilities.sum() == pytest.approx(1.0)
-    (can, _) = fixed_detector([0.0, 0.0, 0.0, 9.0, 0.0])(two.frame, PLANE)
+    (can, _) = given(fixed_detector([0.0, 0.0, 0.0, 9.0, 0.0]), two)
     assert can.category == CATEGORIES[3] and len(can.yaw_probabilities) == 0
+
+
+def test_classes_that_are_known_are_not_asked_for(two):
+    bowl = np.log(np.array([0.02, 0.92, 0.02, 0.02, 0.02]))
+    masks = [two.instances == 0]
+    (asked,) = fixed_detector([0.0, 0.0, 9.0, 0.0, 0.0]).classify(two.frame, PLANE, masks)
+    (known,) = fixed_detector([0.0, 0.0, 9.0, 0.0, 0.0]).classify(two.frame, PLANE, masks, [bowl])
+    assert asked.category == "bottle" and known.category == "bowl"
+    assert known.score == pytest.approx(0.92)
 
 
 def test_most_certain_first(shipped, two):
@@ -80,6 +95,7 @@ def test_most_certain_first(shipped, two):
 
 
 def test_weights_from_a_folder(tmp_path):
+    save_scene_network(SceneNet(), tmp_path / "scene.safetensors")
     for task, name in (("class", "detector"), ("yaw", "yaw")):
         save_network(CropNet(OUTPUTS[task]), tmp_path / f"{name}.safetensors", task, 1.5)
     assert Detector.load(directory=tmp_path).class_temperature == 1.5

@@ -1,13 +1,26 @@
-"""Instances on analytic scenes whose true masks are known."""
+"""Instances that the shipped scene network finds on analytic scenes, unlike any it was trained on."""
 
 import numpy as np
 import pytest
 
-from perception.detection.segmentation import SegmentationConfig, segment
+from perception.detection.instances import InstanceConfig, find_instances
+from perception.detection.scene_network import load_scene_network
 from perception.types import RgbdFrame, SupportPlane
 
 PLANE = SupportPlane()
 TARGET = (0.48, -0.22, 0.05)
+
+
+@pytest.fixture(scope="module")
+def segment():
+    """Masks of the instances of a frame."""
+    network = load_scene_network()
+
+    def masks(frame, plane, config=None):
+        found = find_instances(frame, plane, network, config or InstanceConfig())
+        return [instance.mask for instance in found]
+
+    return masks
 
 
 @pytest.fixture
@@ -31,7 +44,7 @@ def matches(masks, instances, count):
 
 @pytest.mark.parametrize("noise", [0.0, 0.002])
 @pytest.mark.parametrize("view", [(90, 0, 0.6), (60, 90, 0.5), (45, 200, 0.5), (75, 300, 0.45)])
-def test_every_object_is_one_instance(scenes, table, view, noise):
+def test_every_object_is_one_instance(segment, scenes, table, view, noise):
     elevation, azimuth, distance = view
     scene = scenes.render(table, scenes.orbit(TARGET, distance, elevation, azimuth), noise, size=(640, 480))
     masks = segment(scene.frame, PLANE)
@@ -40,14 +53,14 @@ def test_every_object_is_one_instance(scenes, table, view, noise):
     assert sum(m.astype(int) for m in masks).max() == 1  # no pixel twice
 
 
-def test_masks_err_outwards(scenes, table):
+def test_masks_err_outwards(segment, scenes, table):
     scene = scenes.render(table, scenes.orbit(TARGET, 0.5, 60, 90), 0.002, size=(640, 480))
     for mask in segment(scene.frame, PLANE):
         true = scene.instances == np.bincount(scene.instances[mask & (scene.instances >= 0)]).argmax()
-        assert (mask & true).sum() > 0.99 * true.sum()
+        assert (mask & true).sum() > 0.98 * true.sum()
 
 
-def test_the_open_box_neither_swallows_nor_breaks_its_neighbours(scenes, table):
+def test_the_open_box_neither_swallows_nor_breaks_its_neighbours(segment, scenes, table):
     walls = [scenes.Solid(0.5, y, 0.08, half=(0.18, 0.003)) for y in (0.12, 0.42)]
     walls += [scenes.Solid(x, 0.27, 0.08, half=(0.003, 0.15)) for x in (0.32, 0.68)]
     floor = scenes.Solid(0.5, 0.27, 0.004, half=(0.18, 0.15))
@@ -56,7 +69,7 @@ def test_the_open_box_neither_swallows_nor_breaks_its_neighbours(scenes, table):
     assert min(matches(segment(scene.frame, PLANE), scene.instances, len(table))) > 0.9
 
 
-def test_an_object_half_hidden_is_not_joined_to_what_hides_it(scenes):
+def test_an_object_half_hidden_is_not_joined_to_what_hides_it(segment, scenes):
     solids = [scenes.Solid(0.45, -0.30, 0.12, radius=0.03), scenes.Solid(0.45, -0.18, 0.09, radius=0.04)]
     scene = scenes.render(solids, scenes.orbit((0.45, -0.25, 0.05), 0.5, 45, 270), 0.002, size=(640, 480))
     masks = segment(scene.frame, PLANE)
@@ -64,14 +77,14 @@ def test_an_object_half_hidden_is_not_joined_to_what_hides_it(scenes):
     assert min(matches(masks, scene.instances, 2)) > 0.85
 
 
-def test_objects_cut_by_the_border_count(scenes, table):
+def test_objects_cut_by_the_border_count(segment, scenes, table):
     scene = scenes.render(table, scenes.orbit((0.40, -0.30, 0.05), 0.25, 80, 90), size=(640, 480))
     masks = segment(scene.frame, PLANE)
     edge = [m for m in masks if m[0].any() or m[-1].any() or m[:, 0].any() or m[:, -1].any()]
     assert edge
 
 
-def test_holes_in_the_depth_are_part_of_the_mask(scenes):
+def test_holes_in_the_depth_are_part_of_the_mask(segment, scenes):
     scene = scenes.render([scenes.Solid(0.45, -0.2, 0.1, radius=0.05)], scenes.orbit(TARGET, 0.5, 60, 0))
     depth = scene.frame.depth.copy()
     v, u = (int(c.mean()) for c in np.nonzero(scene.instances == 0))
@@ -82,26 +95,26 @@ def test_holes_in_the_depth_are_part_of_the_mask(scenes):
 
 
 @pytest.mark.parametrize("noise", [0.0, 0.003])
-def test_a_bare_table_has_no_instances(scenes, noise):
+def test_a_bare_table_has_no_instances(segment, scenes, noise):
     assert segment(scenes.render([], scenes.orbit(TARGET, 0.5, 60, 0), noise).frame, PLANE) == []
 
 
-def test_no_measurement_no_instances(scenes):
+def test_no_measurement_no_instances(segment, scenes):
     frame = scenes.render([], scenes.orbit(TARGET, 0.5, 60, 0)).frame
     blind = RgbdFrame(0.0, frame.rgb, 0 * frame.depth, frame.intrinsics, frame.T_world_camera)
     assert segment(blind, PLANE) == []
 
 
-def test_what_towers_over_the_table_or_nears_the_lens_is_no_object(scenes):
+def test_what_towers_over_the_table_or_nears_the_lens_is_no_object(segment, scenes):
     arm = scenes.Solid(0.45, -0.2, 0.6, half=(0.04, 0.04))
     scene = scenes.render([arm], scenes.orbit(TARGET, 1.0, 30, 0))
     assert segment(scene.frame, PLANE) == []
     finger = scenes.Solid(0.48, -0.22, 0.45, radius=0.01)
     scene = scenes.render([finger], scenes.orbit(TARGET, 0.5, 90, 0))
-    assert segment(scene.frame, PLANE, SegmentationConfig(ceiling=1.0)) == []
+    assert segment(scene.frame, PLANE, InstanceConfig(ceiling=1.0)) == []
 
 
-def test_a_camera_without_a_pose_sees_the_same(scenes, table):
+def test_a_camera_without_a_pose_sees_the_same(segment, scenes, table):
     T = scenes.orbit(TARGET, 0.5, 60, 90)
     frame = scenes.render(table, T).frame
     alone = RgbdFrame(0.0, frame.rgb, frame.depth, frame.intrinsics)
