@@ -15,8 +15,8 @@ import warp as wp
 from jaxtyping import Float
 
 from perception.rendering.comparison_kernels import first_crossing_kernel, silhouette_kernel
-from perception.rendering.kernel import vec16
 from perception.rendering.renderer import RayBundle, Rendering, ShapeGrid, render
+from perception.rendering.sampling import vec16
 
 RendererName = Literal["probabilistic", "first_crossing", "silhouette"]
 RenderFunction = Callable[[ShapeGrid, RayBundle, np.ndarray, bool], Rendering]

@@ -14,14 +14,19 @@ from typing import no_type_check
 
 import warp as wp
 
-from perception.rendering.kernel import ESCAPE_FACTOR, vec16
-from perception.types import GRID_RESOLUTION
+from perception.rendering.kernel import ESCAPE_FACTOR
+from perception.rendering.sampling import (
+    HALF,
+    cell_of,
+    code_slopes,
+    in_cell,
+    in_voxels,
+    samples_inside,
+    slopes,
+    trilinear,
+    vec16,
+)
 
-_SIDE = wp.constant(GRID_RESOLUTION + 2)
-_SLAB = wp.constant((GRID_RESOLUTION + 2) ** 2)
-_HALF = wp.constant(GRID_RESOLUTION / 2.0)
-_END = wp.constant(GRID_RESOLUTION + 1.0)
-_MARGIN = wp.constant(1e-3)  # [voxel] keeps rounding from indexing outside
 _ESCAPE = wp.constant(ESCAPE_FACTOR)
 _SECANT_STEPS = wp.constant(8)
 _LEAST_SLOPE = wp.constant(0.02)  # [1/voxel] of occupancy along the ray: grazing hits get no endless weight
@@ -33,19 +38,8 @@ wp.set_module_options({"enable_backward": False, "optimization_level": 3})
 @wp.func
 @no_type_check
 def occupancy_at(occupancy: wp.array(dtype=wp.float32), p: wp.vec3) -> float:
-    """Trilinear, at a point in voxels of the padded grid."""
-    ix = int(p[0])
-    iy = int(p[1])
-    iz = int(p[2])
-    at = (ix * _SIDE + iy) * _SIDE + iz
-    x = p[0] - float(ix)
-    y = p[1] - float(iy)
-    z = p[2] - float(iz)
-    o00 = wp.lerp(occupancy[at], occupancy[at + 1], z)
-    o01 = wp.lerp(occupancy[at + _SIDE], occupancy[at + _SIDE + 1], z)
-    o10 = wp.lerp(occupancy[at + _SLAB], occupancy[at + _SLAB + 1], z)
-    o11 = wp.lerp(occupancy[at + _SLAB + _SIDE], occupancy[at + _SLAB + _SIDE + 1], z)
-    return wp.lerp(wp.lerp(o00, o01, y), wp.lerp(o10, o11, y), x)
+    """At a point in voxels."""
+    return trilinear(occupancy, cell_of(p), in_cell(p))
 
 
 @wp.func
@@ -62,54 +56,12 @@ def add_sample(
     d_code: wp.array(dtype=vec16),
 ):
     """Adds one sample's w grad o, w delta grad o (canonical coordinates) and w do/dcode to its ray's sums."""
-    ix = int(p[0])
-    iy = int(p[1])
-    iz = int(p[2])
-    at = (ix * _SIDE + iy) * _SIDE + iz
-    x = p[0] - float(ix)
-    y = p[1] - float(iy)
-    z = p[2] - float(iz)
-    gradient = wp.vec3()
-    code = vec16()
-    for a in range(2):
-        for b in range(2):
-            for c in range(2):
-                wx = x if a == 1 else 1.0 - x
-                wy = y if b == 1 else 1.0 - y
-                wz = z if c == 1 else 1.0 - z
-                corner = at + a * _SLAB + b * _SIDE + c
-                o = occupancy[corner]
-                gradient += o * wp.vec3(
-                    float(2 * a - 1) * wy * wz, float(2 * b - 1) * wx * wz, float(2 * c - 1) * wx * wy
-                )
-                if with_code != 0:
-                    code += (weight * wx * wy * wz) * jacobian[corner]
-    slope = (weight * _HALF) * gradient
+    at = cell_of(p)
+    slope = (weight * HALF) * slopes(occupancy, at, in_cell(p))
     sums[ray, 0] = sums[ray, 0] + slope
     sums[ray, 1] = sums[ray, 1] + delta * slope
     if with_code != 0:
-        d_code[ray] = d_code[ray] + code
-
-
-@wp.func
-@no_type_check
-def samples_inside(origin: wp.vec3, direction: wp.vec3, near: float, far: float, samples: int) -> wp.vec2i:
-    """First and last sample of a ray inside the padded grid; the last is before the first where none is."""
-    step = (far - near) / float(samples)
-    enter = near
-    leave = far
-    for axis in range(3):
-        d = direction[axis]
-        if wp.abs(d) > 1.0e-9:
-            a = (_MARGIN - origin[axis]) / d
-            b = (_END - _MARGIN - origin[axis]) / d
-            enter = wp.max(enter, wp.min(a, b))
-            leave = wp.min(leave, wp.max(a, b))
-        elif origin[axis] < _MARGIN or origin[axis] > _END - _MARGIN:
-            leave = near - 1.0
-    first = wp.max(int(wp.ceil((enter - near) / step)), 1)
-    last = wp.min(int(wp.floor((leave - near) / step)), samples)
-    return wp.vec2i(first, last)
+        d_code[ray] = d_code[ray] + weight * code_slopes(jacobian, at, in_cell(p))
 
 
 @wp.kernel
@@ -133,12 +85,12 @@ def first_crossing_kernel(
 ):
     ray = wp.tid()
     view = views[ray]
-    direction = _HALF * (rotations[view] * directions[ray])
-    origin = _HALF * origins[view] + wp.vec3(_HALF + 0.5, _HALF + 0.5, _HALF + 0.5)
+    direction = HALF * (rotations[view] * directions[ray])
+    origin = in_voxels(origins[view])
     near = depth_range[view][0]
     far = depth_range[view][1]
     step = (far - near) / float(samples)
-    inside = samples_inside(origin, direction, near, far, samples)
+    inside = samples_inside(origin, direction, near, far, step, samples)
     depth[ray] = _ESCAPE * far
     before = float(0.0)
     low = float(-1.0)
@@ -197,12 +149,12 @@ def silhouette_kernel(
 ):
     ray = wp.tid()
     view = views[ray]
-    direction = _HALF * (rotations[view] * directions[ray])
-    origin = _HALF * origins[view] + wp.vec3(_HALF + 0.5, _HALF + 0.5, _HALF + 0.5)
+    direction = HALF * (rotations[view] * directions[ray])
+    origin = in_voxels(origins[view])
     near = depth_range[view][0]
     far = depth_range[view][1]
     step = (far - near) / float(samples)
-    inside = samples_inside(origin, direction, near, far, samples)
+    inside = samples_inside(origin, direction, near, far, step, samples)
     passing = float(1.0)
     for i in range(inside[0], inside[1] + 1):
         o = occupancy_at(occupancy, origin + (near + float(i) * step) * direction)

@@ -19,17 +19,22 @@ from typing import no_type_check
 
 import warp as wp
 
-from perception.types import CODE_SIZE, GRID_RESOLUTION
+from perception.rendering.sampling import (
+    HALF,
+    SIDE,
+    SLAB,
+    cell_of,
+    code_slopes,
+    in_cell,
+    in_voxels,
+    samples_inside,
+    slopes,
+    trilinear,
+    vec16,
+)
+from perception.types import GRID_RESOLUTION
 
 ESCAPE_FACTOR = 1.1  # escape depth over the farthest sample's depth (paper, "Aggregation")
-PADDED_VOXELS = (GRID_RESOLUTION + 2) ** 3
-
-# Inside the kernels the grid is flat, with a border of empty voxels, where interpolation fades out.
-_SIDE = wp.constant(GRID_RESOLUTION + 2)
-_SLAB = wp.constant((GRID_RESOLUTION + 2) ** 2)
-_HALF = wp.constant(GRID_RESOLUTION / 2.0)
-_END = wp.constant(GRID_RESOLUTION + 1.0)
-_MARGIN = wp.constant(1e-3)  # [voxel] keeps rounding from indexing outside
 _ESCAPE = wp.constant(ESCAPE_FACTOR)
 _OPAQUE = wp.constant(1e-6)  # a ray less likely than this to go on is at its end
 _LEAST_WEIGHT = wp.constant(1e-6)  # [m] of depth by occupancy: less is no derivative worth its time
@@ -48,7 +53,6 @@ wp.set_module_options(
     }
 )
 
-vec16 = wp.types.vector(length=CODE_SIZE, dtype=wp.float32)
 mat34 = wp.types.matrix(shape=(3, 4), dtype=wp.float32)
 
 
@@ -66,7 +70,7 @@ def pad_kernel(
 ):
     """A grid into the flat one with its border, and what is worth knowing about each voxel, by columns."""
     i, j = wp.tid()
-    to = ((i + 1) * _SIDE + j + 1) * _SIDE
+    to = ((i + 1) * SIDE + j + 1) * SIDE
     for k in range(GRID_RESOLUTION):
         to += 1
         o = occupancy[i, j, k]
@@ -112,12 +116,12 @@ def flag_cells_kernel(voxels: wp.array(dtype=wp.uint8), cells: wp.array(dtype=wp
     A thread goes up one column of cells.
     """
     i, j = wp.tid()
-    low = (i * _SIDE + j) * _SIDE
+    low = (i * SIDE + j) * SIDE
     below = int(0)
-    for k in range(_SIDE):
+    for k in range(SIDE):
         at = low + k
-        here = int(voxels[at]) | int(voxels[at + _SIDE])
-        here = (here | int(voxels[at + _SLAB]) | int(voxels[at + _SLAB + _SIDE])) & (_OCCUPIED | _CODE_MOVES)
+        here = int(voxels[at]) | int(voxels[at + SIDE])
+        here = (here | int(voxels[at + SLAB]) | int(voxels[at + SLAB + SIDE])) & (_OCCUPIED | _CODE_MOVES)
         if k > 0:
             cells[at - 1] = wp.uint8(here | below)
         below = here
@@ -151,47 +155,22 @@ def render_kernel(
     view = views[ray]
     # In voxels of the padded grid, whose corner voxel has its centre at 0.
     pixel = directions[ray]
-    direction = _HALF * (maps[view] * wp.vec4(pixel[0], pixel[1], pixel[2], 0.0))
-    origin = _HALF * (maps[view] * wp.vec4(0.0, 0.0, 0.0, 1.0))
-    origin += wp.vec3(_HALF + 0.5, _HALF + 0.5, _HALF + 0.5)
+    direction = HALF * (maps[view] * wp.vec4(pixel[0], pixel[1], pixel[2], 0.0))
+    origin = in_voxels(maps[view] * wp.vec4(0.0, 0.0, 0.0, 1.0))
     near = depth_range[view][0]
     far = depth_range[view][1]
     step = (far - near) / float(samples)
-
-    # The samples inside the grid: those i with 0 < origin + delta_i direction < _SIDE - 1 along all axes.
-    enter = near
-    leave = far
-    for axis in range(3):
-        d = direction[axis]
-        if wp.abs(d) > 1.0e-9:
-            a = (_MARGIN - origin[axis]) / d
-            b = (_END - _MARGIN - origin[axis]) / d
-            enter = wp.max(enter, wp.min(a, b))
-            leave = wp.min(leave, wp.max(a, b))
-        elif origin[axis] < _MARGIN or origin[axis] > _END - _MARGIN:
-            leave = near - 1.0
-    first = wp.max(int(wp.ceil((enter - near) / step)), 1)
-    last = wp.min(int(wp.floor((leave - near) / step)), samples)
+    inside = samples_inside(origin, direction, near, far, step, samples)
 
     # Forwards: occupancy and the probability to get there, of the samples that matter, onto a stack.
     count = int(0)
     reaching = float(1.0)
-    for i in range(first, last + 1):
+    for i in range(inside[0], inside[1] + 1):
         delta = near + float(i) * step
         p = origin + delta * direction
-        ix = int(p[0])
-        iy = int(p[1])
-        iz = int(p[2])
-        at = (ix * _SIDE + iy) * _SIDE + iz
+        at = cell_of(p)
         if cells[at] != wp.uint8(0):
-            x = p[0] - float(ix)
-            y = p[1] - float(iy)
-            z = p[2] - float(iz)
-            o00 = wp.lerp(occupancy[at], occupancy[at + 1], z)
-            o01 = wp.lerp(occupancy[at + _SIDE], occupancy[at + _SIDE + 1], z)
-            o10 = wp.lerp(occupancy[at + _SLAB], occupancy[at + _SLAB + 1], z)
-            o11 = wp.lerp(occupancy[at + _SLAB + _SIDE], occupancy[at + _SLAB + _SIDE + 1], z)
-            o = wp.lerp(wp.lerp(o00, o01, y), wp.lerp(o10, o11, y), x)
+            o = trilinear(occupancy, at, in_cell(p))
             stack[stack_begin + count] = wp.vec3(delta, o, reaching)
             count += 1
             reaching = reaching * (1.0 - o)
@@ -215,43 +194,13 @@ def render_kernel(
         square = wp.lerp(square, (delta - middle) * (delta - middle), o)
         if wp.abs(weight) > wanted:
             p = origin + delta * direction
-            ix = int(p[0])
-            iy = int(p[1])
-            iz = int(p[2])
-            at = (ix * _SIDE + iy) * _SIDE + iz
-            x = p[0] - float(ix)
-            y = p[1] - float(iy)
-            z = p[2] - float(iz)
-            o000 = occupancy[at]
-            o001 = occupancy[at + 1]
-            o010 = occupancy[at + _SIDE]
-            o011 = occupancy[at + _SIDE + 1]
-            o100 = occupancy[at + _SLAB]
-            o101 = occupancy[at + _SLAB + 1]
-            o110 = occupancy[at + _SLAB + _SIDE]
-            o111 = occupancy[at + _SLAB + _SIDE + 1]
-            o00 = wp.lerp(o000, o001, z)
-            o01 = wp.lerp(o010, o011, z)
-            o10 = wp.lerp(o100, o101, z)
-            o11 = wp.lerp(o110, o111, z)
-            slope = (weight * _HALF) * wp.vec3(
-                wp.lerp(o10, o11, y) - wp.lerp(o00, o01, y),
-                wp.lerp(o01, o11, x) - wp.lerp(o00, o10, x),
-                wp.lerp(wp.lerp(o001 - o000, o011 - o010, y), wp.lerp(o101 - o100, o111 - o110, y), x),
-            )
+            at = cell_of(p)
+            f = in_cell(p)
+            slope = (weight * HALF) * slopes(occupancy, at, f)
             sum_gradient += slope
             sum_depth_gradient += delta * slope
             if with_code != 0 and (int(cells[at]) & _CODE_MOVES) != 0:
-                w0 = weight * (1.0 - x)
-                w1 = weight * x
-                code += (w0 * (1.0 - y) * (1.0 - z)) * jacobian[at]
-                code += (w0 * (1.0 - y) * z) * jacobian[at + 1]
-                code += (w0 * y * (1.0 - z)) * jacobian[at + _SIDE]
-                code += (w0 * y * z) * jacobian[at + _SIDE + 1]
-                code += (w1 * (1.0 - y) * (1.0 - z)) * jacobian[at + _SLAB]
-                code += (w1 * (1.0 - y) * z) * jacobian[at + _SLAB + 1]
-                code += (w1 * y * (1.0 - z)) * jacobian[at + _SLAB + _SIDE]
-                code += (w1 * y * z) * jacobian[at + _SLAB + _SIDE + 1]
+                code += weight * code_slopes(jacobian, at, f)
     image = vec16()
     if gradients != 0:
         for column in range(3):

@@ -16,14 +16,13 @@ from jaxtyping import Float, Int
 
 from perception.rendering.kernel import (
     ESCAPE_FACTOR,
-    PADDED_VOXELS,
     flag_cells_kernel,
     mat34,
     pad_kernel,
     render_kernel,
     step_kernel,
-    vec16,
 )
+from perception.rendering.sampling import PADDED_VOXELS, vec16
 from perception.types import GRID_RESOLUTION
 from perception.warp_runtime import empty, launch, record, run_recorded, start_warp, to_device, zeros
 

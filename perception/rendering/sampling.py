@@ -9,15 +9,18 @@ from typing import no_type_check
 
 import warp as wp
 
-from perception.types import GRID_RESOLUTION
+from perception.types import CODE_SIZE, GRID_RESOLUTION
 
 PADDED_VOXELS = (GRID_RESOLUTION + 2) ** 3
 
+# Inside the kernels the grid is flat, with a border of empty voxels, where interpolation fades out.
 SIDE = wp.constant(GRID_RESOLUTION + 2)
 SLAB = wp.constant((GRID_RESOLUTION + 2) ** 2)
 HALF = wp.constant(GRID_RESOLUTION / 2.0)
 _END = wp.constant(GRID_RESOLUTION + 1.0)
 _MARGIN = wp.constant(1e-3)  # [voxel] keeps rounding from indexing outside
+
+vec16 = wp.types.vector(length=CODE_SIZE, dtype=wp.float32)
 
 
 @wp.func
@@ -97,3 +100,21 @@ def slopes(occupancy: wp.array(dtype=wp.float32), at: int, f: wp.vec3) -> wp.vec
         wp.lerp(o01, o11, f[0]) - wp.lerp(o00, o10, f[0]),
         wp.lerp(low, high, f[0]),
     )
+
+
+@wp.func
+@no_type_check
+def code_slopes(jacobian: wp.array(dtype=vec16), at: int, f: wp.vec3) -> vec16:
+    """The derivative of ``trilinear`` by the code, from the corners' own."""
+    x0 = 1.0 - f[0]
+    y0 = 1.0 - f[1]
+    z0 = 1.0 - f[2]
+    total = (x0 * y0 * z0) * jacobian[at]
+    total += (x0 * y0 * f[2]) * jacobian[at + 1]
+    total += (x0 * f[1] * z0) * jacobian[at + SIDE]
+    total += (x0 * f[1] * f[2]) * jacobian[at + SIDE + 1]
+    total += (f[0] * y0 * z0) * jacobian[at + SLAB]
+    total += (f[0] * y0 * f[2]) * jacobian[at + SLAB + 1]
+    total += (f[0] * f[1] * z0) * jacobian[at + SLAB + SIDE]
+    total += (f[0] * f[1] * f[2]) * jacobian[at + SLAB + SIDE + 1]
+    return total
