@@ -216,8 +216,8 @@ instances are where votes meet (`perception/detection/instances.py`). {scene_par
 **Class network** (`detector.safetensors`): mug, bowl, bottle, can or nothing of these, from a
 gravity-upright 64 x 64 crop of one instance: masked colour, mask, height, relative depth
 (`perception/detection/crops.py`), and the crop's size and elevation. {parameters} weights, float32. Logits
-are divided by {temperature:.2f}, found on further renders of the training families. It tells the classes of masks that
-somebody else made; the detector takes the scene network's own word.
+are divided by {temperature:.2f}, found on further renders of the training families. It tells the classes of
+masks that somebody else made; the detector takes the scene network's own word.
 
 **Made by** `nodeslam train detector --seed {training.seed}` with torch {torch}: {training.epochs} epochs of
 AdamW {training.learning_rate}, cosine schedule, batch 8 (scenes) and {training.batch} (crops), float32,
