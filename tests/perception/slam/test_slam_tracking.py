@@ -8,7 +8,7 @@ from perception.inference.problem import FitState
 from perception.rendering.pose import ObjectPose
 from perception.slam.pixels import SelectionConfig, label_image, select_pixels
 from perception.slam.tracking import TrackingConfig, track
-from perception.types import ObjectDetection
+from perception.types import CameraIntrinsics, ObjectDetection, RgbdFrame
 
 
 def observe(cylinders, T, T_start):
@@ -93,3 +93,22 @@ def test_smaller_masks_win_where_labels_overlap():
     big[1:7, 1:7], small[3:5, 3:5] = True, True
     labels = label_image([ObjectDetection("mug", 1.0, small), ObjectDetection("mug", 1.0, big)], (8, 8))
     assert labels[4, 4] == 1 and labels[1, 1] == 2 and labels[0, 0] == 0
+
+
+def test_larger_images_give_the_same_pixels_from_every_second_one(cylinders, T_true):
+    frame, detections, _ = cylinders.look(T_true, noise=0.0)
+    k, labels = frame.intrinsics, label_image(detections, frame.depth.shape)
+    double = CameraIntrinsics(2 * k.width, 2 * k.height, 2 * k.fx, 2 * k.fy, 2 * k.cx, 2 * k.cy)
+    large = RgbdFrame(
+        0.0,
+        *(np.repeat(np.repeat(image, 2, axis=0), 2, axis=1) for image in (frame.rgb, frame.depth)),
+        double,
+    )
+    large_labels = np.repeat(np.repeat(labels, 2, axis=0), 2, axis=1)
+    small, big = (
+        select_pixels(image, shown, {1: 0, 2: 1}, T_true, cylinders.plane, SelectionConfig())
+        for image, shown in ((frame, labels), (large, large_labels))
+    )
+    np.testing.assert_allclose(big.directions, small.directions, atol=1e-12)
+    np.testing.assert_array_equal(big.depth, small.depth)
+    np.testing.assert_allclose(big.plane_points, small.plane_points, atol=1e-9)
