@@ -16,13 +16,13 @@ import numpy as np
 import torch
 from jaxtyping import Float, Int
 
+from app.training.files import summary_writer
 from app.training.labels import LabelledCrops, Progress
 from app.training.pictures import Pictures, rendered_shards, shard_crops, shard_pictures
 from perception.detection.network import LABELS, OTHER, WEIGHTS_FILES, CropNet, Task, predict, save_network
 from perception.detection.scene_network import WEIGHTS_FILE, SceneNet, save_scene_network
 from perception.detection.scene_training import SceneTrainingConfig, train_scene_network
 from perception.detection.training import CropSet, TrainingConfig, train_crop_network
-from perception.errors import PerceptionError
 
 logger = logging.getLogger(__name__)
 RENDERING_SHARE, SCENE_SHARE = 0.25, 0.9  # of the whole job, at the end of these stages, for the progress bar
@@ -173,16 +173,6 @@ def calibration_error(score: Float[np.ndarray, "n"], correct: np.ndarray, bins: 
 def provenance(config: TrainDetectorConfig) -> dict[str, str]:
     """Metadata of a weights file."""
     return {"seed": str(config.training.seed), "config": repr(config), "torch": torch.__version__}
-
-
-def summary_writer(out_dir: Path) -> Any:
-    try:
-        from torch.utils.tensorboard import SummaryWriter
-    except ImportError as error:
-        raise PerceptionError(
-            "TensorBoard is not installed; run `pip install 'nodeslam[train]'`, or leave out --tensorboard"
-        ) from error
-    return SummaryWriter(str(out_dir))
 
 
 def _card(

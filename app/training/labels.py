@@ -11,16 +11,15 @@ from collections.abc import Callable, Sequence
 from dataclasses import dataclass
 from pathlib import Path
 from typing import TYPE_CHECKING, Literal
-from zipfile import BadZipFile
 
 import cv2
 import numpy as np
 from jaxtyping import Bool, Float, Int, UInt8
 
+from app.training.files import load_arrays, save_arrays
 from perception.detection.crops import CHANNELS, CONTEXT, SIDE, crop, filtered_geometry
 from perception.detection.geometry import heading_angle, points_of, window_of
 from perception.detection.network import OTHER
-from perception.errors import PerceptionError
 from perception.types import CATEGORIES, SupportPlane
 
 if TYPE_CHECKING:
@@ -59,20 +58,11 @@ class LabelledCrops:
         return LabelledCrops(**{name: getattr(self, name)[rows] for name in _COLUMNS})
 
     def save(self, path: Path) -> None:
-        path.parent.mkdir(parents=True, exist_ok=True)
-        partial = path.with_suffix(".partial.npz")
-        np.savez(partial, **{name: getattr(self, name) for name in _COLUMNS})
-        partial.replace(path)
+        save_arrays(path, self, _COLUMNS)
 
     @staticmethod
     def load(path: Path) -> LabelledCrops:
-        try:
-            with path.open("rb") as stream, np.load(stream, allow_pickle=False) as file:
-                return LabelledCrops(**{name: file[name] for name in _COLUMNS})
-        except (OSError, KeyError, ValueError, BadZipFile) as error:
-            raise PerceptionError(
-                f"{path} holds no labelled crops ({error}); delete it and train again"
-            ) from error
+        return LabelledCrops(**load_arrays(path, _COLUMNS, "labelled crops"))
 
     @staticmethod
     def joined(parts: Sequence[LabelledCrops]) -> LabelledCrops:

@@ -13,11 +13,11 @@ from collections.abc import Sequence
 from dataclasses import dataclass
 from pathlib import Path
 from typing import TYPE_CHECKING
-from zipfile import BadZipFile
 
 import numpy as np
 from jaxtyping import Float, UInt8, UInt16
 
+from app.training.files import load_arrays, save_arrays
 from app.training.labels import (
     LabelledCrops,
     Progress,
@@ -29,7 +29,6 @@ from app.training.labels import (
 from perception.detection.network import OTHER
 from perception.detection.scene_training import Picture
 from perception.detection.working_view import reduced
-from perception.errors import PerceptionError
 from perception.types import CATEGORIES, CameraIntrinsics, RgbdFrame
 
 if TYPE_CHECKING:
@@ -80,18 +79,11 @@ class Pictures:
         return Picture(self.frame(index), self.things[index], self.label[index], self.foot[index])
 
     def save(self, path: Path) -> None:
-        path.parent.mkdir(parents=True, exist_ok=True)
-        partial = path.with_suffix(".partial.npz")
-        np.savez(partial, **{name: getattr(self, name) for name in _COLUMNS})
-        partial.replace(path)
+        save_arrays(path, self, _COLUMNS)
 
     @staticmethod
     def load(path: Path) -> Pictures:
-        try:
-            with path.open("rb") as stream, np.load(stream, allow_pickle=False) as file:
-                return Pictures(**{name: file[name] for name in _COLUMNS})
-        except (OSError, KeyError, ValueError, BadZipFile) as error:
-            raise PerceptionError(f"{path} holds no pictures ({error}); delete it and train again") from error
+        return Pictures(**load_arrays(path, _COLUMNS, "pictures"))
 
     @staticmethod
     def joined(parts: Sequence[Pictures]) -> Pictures:

@@ -16,6 +16,7 @@ from typing import Any, Literal
 import numpy as np
 import torch
 
+from app.training.files import summary_writer
 from app.training.shape_pictures import CODE, PIXEL, RECONSTRUCTIONS, WALK, draw_shape_pictures
 from perception.errors import PerceptionError
 from perception.files import read_json, write_atomically, write_json
@@ -169,7 +170,7 @@ class _Watcher:
         self._history: list[dict[str, Any]] = (
             json.loads(self._path.read_text()) if self._path.exists() else []
         )
-        self._curves = _summary_writer(out_dir) if config.tensorboard else None
+        self._curves = summary_writer(out_dir) if config.tensorboard else None
 
     def on_epoch(self, record: EpochRecord, model: ShapeVae) -> None:
         entry: dict[str, Any] = asdict(record)
@@ -185,16 +186,6 @@ class _Watcher:
             for category, values in entry.get("held_out", {}).items():
                 self._curves.add_scalar(f"iou/{category}", values["iou"], record.epoch)
             self._curves.flush()
-
-
-def _summary_writer(out_dir: Path) -> Any:
-    try:
-        from torch.utils.tensorboard import SummaryWriter
-    except ImportError as error:
-        raise PerceptionError(
-            "TensorBoard is not installed; run `pip install 'nodeslam[train]'`, or leave out --tensorboard"
-        ) from error
-    return SummaryWriter(str(out_dir))
 
 
 def model_card(

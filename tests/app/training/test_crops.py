@@ -5,6 +5,7 @@ import pytest
 
 import app.training.detector as train_detector
 import app.training.yaw as train_yaw
+from app.training.files import summary_writer
 from app.training.labels import LabelledCrops
 from perception.detection.network import load_network
 from perception.detection.scene_network import SceneNet, load_scene_network
@@ -63,7 +64,7 @@ def test_the_yaw_job_learns_from_mugs_alone(tmp_path):
 def test_tensorboard_missing_is_said(tmp_path, monkeypatch):
     monkeypatch.setitem(__import__("sys").modules, "torch.utils.tensorboard", None)
     with pytest.raises(PerceptionError, match="pip install 'nodeslam"):
-        train_detector.summary_writer(tmp_path)
+        summary_writer(tmp_path)
 
 
 def test_class_figures_by_hand():

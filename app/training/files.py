@@ -1,0 +1,44 @@
+"""What training jobs write beside weights: arrays of rendered data, and curves for TensorBoard."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from pathlib import Path
+from typing import Any
+from zipfile import BadZipFile
+
+import numpy as np
+
+from perception.errors import PerceptionError
+
+
+def save_arrays(path: Path, holder: Any, names: Sequence[str]) -> None:
+    """The holder's arrays of these names as an npz file, which is there whole or not at all."""
+    path.parent.mkdir(parents=True, exist_ok=True)
+    partial = path.with_suffix(".partial.npz")
+    np.savez(partial, **{name: getattr(holder, name) for name in names})
+    partial.replace(path)
+
+
+def load_arrays(path: Path, names: Sequence[str], what: str) -> dict[str, np.ndarray]:
+    """The arrays again.
+
+    Raises:
+        PerceptionError: the file is damaged or another one; ``what`` says what it should hold.
+    """
+    try:
+        with path.open("rb") as stream, np.load(stream, allow_pickle=False) as file:
+            return {name: file[name] for name in names}
+    except (OSError, KeyError, ValueError, BadZipFile) as error:
+        raise PerceptionError(f"{path} holds no {what} ({error}); delete it and train again") from error
+
+
+def summary_writer(folder: Path) -> Any:
+    """TensorBoard's writer; PerceptionError where it is not installed."""
+    try:
+        from torch.utils.tensorboard import SummaryWriter
+    except ImportError as error:
+        raise PerceptionError(
+            "TensorBoard is not installed; run `pip install 'nodeslam[train]'`, or leave out --tensorboard"
+        ) from error
+    return SummaryWriter(str(folder))
