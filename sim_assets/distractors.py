@@ -161,7 +161,7 @@ def blocks(rng: np.random.Generator) -> trimesh.Trimesh:
         x, y, z = list(cells)[rng.integers(len(cells))]
         step = np.eye(3, dtype=int)[rng.integers(3)] * rng.choice((-1, 1))
         cells.add((x + int(step[0]), y + int(step[1]), max(0, z + int(step[2]))))
-    return _joined([_box((side,) * 3, (side * x, side * y, side * z)) for x, y, z in sorted(cells)])
+    return _joined([_box((side, side, side), (side * x, side * y, side * z)) for x, y, z in sorted(cells)])
 
 
 def slab(rng: np.random.Generator) -> trimesh.Trimesh:

@@ -91,11 +91,12 @@ def _scenes(options: EvaluateOptions) -> Any:
     from sim_assets.depth_noise import DEPTH_NOISES
     from sim_assets.training_scenes import TrainingSceneConfig
 
+    none, gaussian, realsense = (float(noise == options.depth_noise) for noise in DEPTH_NOISES)
     return TrainingSceneConfig(
         width=640, height=480, pool=24, distractors=12, objects=(4, 10), extras=(1, 4),
         distance=(0.3, 0.9), elevation=(math.radians(28), math.radians(90)),
         pictures_per_pool=CHUNK, pictures_per_texture=5, renderer=options.renderer,
-        noises=tuple(float(noise == options.depth_noise) for noise in DEPTH_NOISES),
+        noises=(none, gaussian, realsense),
     )  # fmt: skip
 
 

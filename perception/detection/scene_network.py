@@ -122,9 +122,10 @@ def load_scene_network(path: Path | None = None, device: str | torch.device = "c
 def _folded(network: SceneNet) -> SceneNet:
     """The same function with each normalisation folded into the convolution before it."""
     for module in list(network.modules()):
-        if isinstance(module, nn.Sequential) and len(module) > 1 and isinstance(module[1], nn.BatchNorm2d):
-            convolution = module[0]
-            assert isinstance(convolution, nn.Conv2d)
-            module[0] = fuse_conv_bn_eval(convolution, module[1])
+        if not isinstance(module, nn.Sequential) or len(module) < 2:
+            continue
+        convolution, normalisation = module[0], module[1]
+        if isinstance(convolution, nn.Conv2d) and isinstance(normalisation, nn.BatchNorm2d):
+            module[0] = fuse_conv_bn_eval(convolution, normalisation)
             module[1] = nn.Identity()
     return network
