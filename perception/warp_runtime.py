@@ -88,12 +88,17 @@ def _pool() -> ThreadPoolExecutor:
 
 
 def _load(kernel: Any, device: str) -> None:
-    """Warp and the kernel's module, ready to be used from any thread."""
+    """Warp and the kernel's module, ready to be used from any thread.
+
+    It is loaded for the block size that launches take. They would load it themselves, two threads at once two
+    copies, of which the first goes away with its recorded launches still pointing into it.
+    """
     key = (kernel.module.name, device)
     if key not in _loaded:
         with _lock:
             start_warp()
-            kernel.module.load(wp.get_device(device))
+            there = wp.get_device(device)
+            kernel.module.load(there, 1 if there.is_cpu else 256)
             _loaded.add(key)
 
 

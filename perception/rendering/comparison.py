@@ -17,6 +17,7 @@ from jaxtyping import Float
 from perception.rendering.comparison_kernels import first_crossing_kernel, silhouette_kernel
 from perception.rendering.renderer import RayBundle, Rendering, ShapeGrid, render
 from perception.rendering.sampling import vec16
+from perception.warp_runtime import launch, to_device, zeros
 
 RendererName = Literal["probabilistic", "first_crossing", "silhouette"]
 RenderFunction = Callable[[ShapeGrid, RayBundle, np.ndarray, bool], Rendering]
@@ -63,11 +64,10 @@ def _launch(
     n, device = len(rays.directions), shape.device
     on_device = rays.on_device(device)
     with_code = gradients and shape.jacobian is not None
-    depth, mask = (wp.zeros(n, dtype=wp.float32, device=device) for _ in range(2))
-    sums = wp.zeros((n if gradients else 1, 2), dtype=wp.vec3, device=device)
-    d_code = wp.zeros(n if with_code else 1, dtype=vec16, device=device)
-    A = np.ascontiguousarray(A_canonical_camera, np.float32)
-    wp.launch(
+    depth, mask = (zeros(n, wp.float32, device) for _ in range(2))
+    sums = zeros((n if gradients else 1, 2), wp.vec3, device)
+    d_code = zeros(n if with_code else 1, vec16, device)
+    launch(
         kernel,
         dim=n,
         inputs=[
@@ -75,8 +75,8 @@ def _launch(
             shape.jacobian,
             on_device.directions,
             on_device.view,
-            wp.from_numpy(np.ascontiguousarray(A[:, :, :3]), dtype=wp.mat33, device=device),
-            wp.from_numpy(np.ascontiguousarray(A[:, :, 3]), dtype=wp.vec3, device=device),
+            to_device(A_canonical_camera[:, :, :3], wp.mat33, device),
+            to_device(A_canonical_camera[:, :, 3], wp.vec3, device),
             on_device.depth_range,
             rays.samples,
             float(parameter),
