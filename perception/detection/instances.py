@@ -33,6 +33,7 @@ class InstanceConfig:
         cell: of the grid of votes in [m].
         blur: standard deviation in [m] by which votes are spread at least.
         apart: least distance in [m] between the feet of two things.
+        astray: votes this far in [m] from all feet are no thing's.
         min_votes: visible area, seen square to the ray and discounted by doubt, that makes a peak, in [m^2].
         min_area, min_pixels: smallest visible area in [m^2] and mask.
         ceiling: instances that reach higher above the plane in [m] are no table-top things (an arm).
@@ -43,6 +44,7 @@ class InstanceConfig:
     cell: float = 0.005
     blur: float = 0.008
     apart: float = 0.03
+    astray: float = 0.15
     min_votes: float = 1e-4
     min_area: float = 2.5e-4
     min_pixels: int = 60
@@ -143,7 +145,10 @@ def feet(answer: Answers, view: WorkingView, config: InstanceConfig) -> Float[np
 def assigned(
     answer: Answers, view: WorkingView, peaks: Float[np.ndarray, "k 2"], config: InstanceConfig
 ) -> Int[np.ndarray, "h w"]:
-    """Number of the peak that each pixel of the working view belongs to; in the background the nearest's."""
+    """Number of the peak that each pixel of the working view belongs to; in the background the nearest's.
+
+    Pixels that vote for a place far from all peaks belong to none, -1.
+    """
     h, w = view.height.shape
     offset = (answer.vote - view.plan[::2, ::2]) / view.pixel[::2, ::2, None]  # smooth over the image
     fine = np.asarray(cv2.resize(offset.astype(np.float32), (2 * offset.shape[1], 2 * offset.shape[0])))[
@@ -152,8 +157,11 @@ def assigned(
     shown = answer.foreground > config.foreground
     vote = view.plan[shown] + fine[shown] * view.pixel[shown][:, None]
     numbers = np.zeros((h, w), np.int32)
-    numbers[shown] = cdist(vote, peaks, "sqeuclidean").argmin(1)
-    return _without_crumbs(numbers, shown, len(peaks))
+    distance = cdist(vote, peaks)
+    numbers[shown] = distance.argmin(1)
+    astray = shown.copy()
+    astray[shown] = distance.min(1) > config.astray
+    return np.where(astray, _NO_THING, _without_crumbs(numbers, shown & ~astray, len(peaks)))
 
 
 def _without_crumbs(
@@ -179,8 +187,8 @@ def _without_crumbs(
 def _classes(answer: Answers, numbers: Int[np.ndarray, "h w"], count: int) -> Float[np.ndarray, "k 5"]:
     """Mean log-probabilities of each instance's pixels."""
     coarse, sure = numbers[::2, ::2], answer.foreground[::2, ::2]
-    weight = np.where(sure > 0.5, sure, 1e-6)
-    flat = coarse.ravel()
+    weight = np.where(coarse >= 0, np.where(sure > 0.5, sure, 1e-6), 0.0)
+    flat = np.maximum(coarse, 0).ravel()
     total = np.bincount(flat, weights=weight.ravel(), minlength=count)
     sums = [
         np.bincount(flat, weights=(weight * answer.log_classes[..., c]).ravel(), minlength=count)

@@ -130,3 +130,19 @@ def test_no_measurement_no_instances(scenes):
     frame = scenes.render([], scenes.orbit(TARGET, 0.5, 60, 0)).frame
     blind = RgbdFrame(0.0, frame.rgb, 0 * frame.depth, frame.intrinsics, frame.T_world_camera)
     assert find_instances(blind, PLANE, SceneNet().eval()) == []
+
+
+def test_pixels_that_vote_for_nowhere_belong_to_nothing(touching):
+    frame = reduced(touching.frame)
+    answer = perfect(frame, touching.instances, touching.places)
+    corner = np.s_[:8, :16]  # no thing is there: a wall that the network takes for one, without knowing where
+    assert (touching.instances[:16, :32] < 0).all()
+    answer[corner][..., :4] = 8
+    scattered = np.random.default_rng(0).uniform(0.3, 1.0, (8, 16, 2)) / VOTE_UNIT
+    answer[corner][..., 4 + CLASSES : 6 + CLASSES] = (
+        scattered / working_view(frame, PLANE).pixel[:16:2, :32:2, None]
+    )
+    found = find_instances(frame, PLANE, Oracle(answer))
+    alone = find_instances(frame, PLANE, Oracle(perfect(frame, touching.instances, touching.places)))
+    assert len(found) == len(alone) == 4
+    assert not any(f.mask[:14, :28].any() for f in found)
