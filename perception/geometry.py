@@ -39,7 +39,7 @@ def so3_log(R: Float[np.ndarray, "3 3"]) -> Float[np.ndarray, "3"]:
     if sine > 1e-6:
         return axis2 * (angle / sine)
     # Near pi the antisymmetric part fades; the symmetric one is 2 axis axis^T - 1.
-    columns = (R + np.eye(3)) / 2
+    columns = ((R + R.T) / 2 + np.eye(3)) / 2
     axis = columns[:, int(np.argmax(np.diag(columns)))]
     axis = axis / np.linalg.norm(axis)
     return angle * axis * (1.0 if axis @ axis2 >= 0 else -1.0)
