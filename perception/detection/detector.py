@@ -8,6 +8,7 @@ from __future__ import annotations
 
 from collections.abc import Sequence
 from dataclasses import dataclass, field
+from functools import cache
 from pathlib import Path
 
 import numpy as np
@@ -99,22 +100,27 @@ class Detector:
         if not kept:
             return []
         masks = [masks[i] for i in kept]
-        crops = [crop(frame, mask, plane, geometry) for mask in masks]
-        images = np.stack([c.image for c in crops])
-        context = np.stack([c.context for c in crops])
+        pieces = cache(lambda i: crop(frame, masks[i], plane, geometry))  # each is cut once, if at all
+
+        def stacked(indices: Sequence[int]) -> tuple[np.ndarray, np.ndarray]:
+            return np.stack([pieces(i).image for i in indices]), np.stack(
+                [pieces(i).context for i in indices]
+            )
+
         if hints is None:
-            classes = nets.predict(self.class_network, self.class_temperature, images, context)
+            everything = stacked(range(len(masks)))
+            classes = nets.predict(self.class_network, self.class_temperature, *everything)
         else:
             classes = softmax(np.stack([hints[i] for i in kept]).astype(np.float64), axis=1)
-        mugs = np.flatnonzero(classes[:, _MUG] >= self.config.min_mug)
-        yaws = nets.predict(self.yaw_network, self.yaw_temperature, images[mugs], context[mugs])
-        yaw_of = {int(i): yaw for i, yaw in zip(mugs, yaws)}
+        mugs = np.flatnonzero(classes[:, _MUG] >= self.config.min_mug).tolist()
+        yaws = nets.predict(self.yaw_network, self.yaw_temperature, *stacked(mugs)) if mugs else []
+        yaw_of = dict(zip(mugs, yaws))
         detections = []
-        for i, (mask, piece, probabilities) in enumerate(zip(masks, crops, classes)):
+        for i, (mask, probabilities) in enumerate(zip(masks, classes)):
             if probabilities[nets.OTHER] > self.config.max_other:
                 continue
             best = int(probabilities[: nets.OTHER].argmax())
-            yaw = turned(yaw_of[i], heading_angle(piece.heading, plane)) if i in yaw_of else np.zeros(0)
+            yaw = turned(yaw_of[i], heading_angle(pieces(i).heading, plane)) if i in yaw_of else np.zeros(0)
             detections.append(
                 ObjectDetection(
                     category=CATEGORIES[best],

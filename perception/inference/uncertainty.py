@@ -35,7 +35,7 @@ class BandConfig:
     """
 
     inflation: Mapping[Category, float] = field(
-        default_factory=lambda: {"mug": 0.52, "bowl": 0.5, "bottle": 0.88, "can": 0.5}
+        default_factory=lambda: {"mug": 0.55, "bowl": 0.5, "bottle": 0.88, "can": 0.5}
     )
     floor: Mapping[Category, float] = field(
         default_factory=lambda: {"mug": 5.6e-4, "bowl": 9.5e-4, "bottle": 4.3e-4, "can": 4.3e-4}

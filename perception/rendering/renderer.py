@@ -107,7 +107,7 @@ class _RayBuffers:
     """A ray bundle's arrays on one device, and its launches: one for each core that shares the rays.
 
     Attributes:
-        maps: of the cameras; ``_MAP`` and the arguments after it change from rendering to rendering.
+        maps: of the cameras, overwritten by every rendering.
         launches: of the render kernel, each with room for the samples of the rays it works on.
     """
 
@@ -141,6 +141,7 @@ class _RayBuffers:
                 device,
             )
             for begin, end in pairwise(parts)
+            if end > begin  # without rays there is no launch to record
         )
         return _RayBuffers(directions, view, depth_range, maps, launches)
 

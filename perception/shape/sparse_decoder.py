@@ -1,4 +1,6 @@
-"""The decoder for one code with its 16 derivatives, exact, visiting only what the ReLUs let through.
+"""The decoder for one code with its 16 derivatives, visiting only what the ReLUs let through.
+
+Exact, but for derivatives where the sigmoid's slope is under 1e-4: those are taken for zero.
 
 A ReLU that is shut passes neither value nor derivative. About three quarters are shut at any code, before and
 after each layer, so a dense pass does sixteen times the work that is needed. Here every voxel lists its open
@@ -141,8 +143,10 @@ class _Features:
         """The open channels of a cube of one voxel."""
         channel = np.flatnonzero(total > 0)
         n = len(channel)
-        for array, values in ((self.channel, channel), (self.value, total), (self.tangent, tangent)):
-            array[:n].assign(values[channel] if values is not channel else channel)
+        for array, values in (
+            (self.channel, channel), (self.value, total[channel]), (self.tangent, tangent[channel])
+        ):  # fmt: skip
+            array[:n].assign(values)
         self.count.fill_(n)
 
 

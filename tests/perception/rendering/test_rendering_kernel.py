@@ -119,6 +119,14 @@ def test_several_threads_render_the_same(scene) -> None:
         np.testing.assert_array_equal(getattr(shared, name), getattr(alone, name))
 
 
+@pytest.mark.parametrize("count", [0, 1])
+def test_fewer_rays_than_threads(scene, count: int) -> None:
+    grid, jacobian, rays, cameras = scene
+    few = replace(rays, directions=rays.directions[:count], view=rays.view[:count], threads=2)
+    image = render(ShapeGrid.upload(grid, jacobian), few, canonical_from_camera(POSE, cameras))
+    assert image.depth.shape == (count,) and image.d_map is not None and image.d_map.shape == (count, 12)
+
+
 def test_steps_of_the_code_are_linear_in_the_log_odds(scene) -> None:
     grid, jacobian, _, _ = scene
     step = np.random.default_rng(1).normal(0, 0.1, 16).astype(np.float32)
