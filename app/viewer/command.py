@@ -52,7 +52,7 @@ def watch(options: RunTaskOptions, recorder: Recorder, gate: Gate, screen: Scree
     viewer = Viewer(open_server(options.host, options.port), recorder, live=True)
     with viewer.server.gui.add_folder("Robot", order=1):
         RunButtons(viewer.server.gui, lambda: gate).show(running=True)
-    viewer.player.yielding = True
+    viewer.player.give_way(True)
     viewer.title(f"{type(options).__name__.removesuffix('Options')}, seed {options.seed}", "happening now")
     viewer.start()
     screen.show(escape(f"Watch it at {viewer.server.url}"))

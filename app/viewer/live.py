@@ -125,7 +125,7 @@ class Session:
         assert self._world is not None and self._shown is not None
         self._gate, self._fresh = Gate(), False
         self._buttons.show(running=True)
-        self._viewer.player.yielding = True
+        self._viewer.player.give_way(True)
         title = f"{self._task_chosen.capitalize()}, seed {seed}"
         self._viewer.title(title, "the robot is at work")
         try:
@@ -138,7 +138,7 @@ class Session:
         except Stopped:
             self._viewer.title(title, "stopped; what was finished is kept")
         finally:
-            self._viewer.player.yielding = False
+            self._viewer.player.give_way(False)
             self._buttons.show(running=False)
 
     def _allow(self, free: bool) -> None:

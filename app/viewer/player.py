@@ -6,6 +6,7 @@ Drawing happens in one thread of its own at a bounded rate; whoever records neve
 from __future__ import annotations
 
 import logging
+import sys
 import threading
 import time
 from collections.abc import Callable
@@ -16,8 +17,10 @@ _log = logging.getLogger(__name__)
 
 RATE = 15.0  # [Hz] of drawing
 # While a run computes in this process, drawing may use this share of what the run uses, and of wall time.
-SHARE_OF_RUN, SHARE_OF_TIME = 0.08, 0.02
+SHARE_OF_RUN, SHARE_OF_TIME = 0.06, 0.02
 HEAD_START = 0.5  # [s] of processor time that drawing may use in advance
+# After this time in [s] drawing hands the interpreter back to a run that waits for it.
+HAND_OVER, USUAL_HAND_OVER = 5e-4, sys.getswitchinterval()
 LAG = 1.0  # [s] behind the newest moment when following; further behind, time passes faster
 
 
@@ -51,6 +54,11 @@ class Player:
         self._ended.set()
         if self._thread is not threading.current_thread() and self._thread.is_alive():
             self._thread.join(timeout=5)
+
+    def give_way(self, yielding: bool) -> None:
+        """Say whether a run computes in this process."""
+        self.yielding = yielding
+        sys.setswitchinterval(HAND_OVER if yielding else USUAL_HAND_OVER)
 
     def tell(self, story: Story, live: bool) -> None:
         """From now on another story, from its beginning."""

@@ -110,7 +110,7 @@ class _Bodies:
     def __init__(self, server: viser.ViserServer, recorder: Recorder) -> None:
         self._rows = {body: row for row, body in enumerate(recorder.bodies)}
         self._frames = {}
-        self._last: np.ndarray | None = None
+        self._drawn = np.empty((0, 7))  # poses as the browsers know them
         for body, parts in recorder.meshes.items():
             self._frames[body] = server.scene.add_frame(f"/cell/{body}", show_axes=False)
             for index, mesh in enumerate(parts):
@@ -119,16 +119,19 @@ class _Bodies:
                 )
 
     def draw(self, moment: Moment, shown: Shown) -> None:
+        if self._drawn.shape != moment.poses.shape:
+            self._drawn = np.full(moment.poses.shape, np.inf)
+        moved = np.abs(moment.poses - self._drawn).max(axis=1, initial=0.0) > 2e-5
+        self._drawn[moved] = moment.poses[moved]
         for body, frame in self._frames.items():
             row = self._rows.get(body)
             if row is None or row >= len(moment.poses):
                 continue
             if body.startswith("object"):
                 frame.visible = shown.objects != "reconstructed" or not moment.objects
-            pose = moment.poses[row]
-            if self._last is None or not np.allclose(self._last[row], pose, atol=2e-5):
+            if moved[row]:
+                pose = moment.poses[row]
                 frame.position, frame.wxyz = pose[:3], pose[3:]
-        self._last = moment.poses
 
 
 class _Objects:

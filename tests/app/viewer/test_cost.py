@@ -44,7 +44,7 @@ def episode(folder, watchers=()):
         if watchers:
             viewer = Viewer(open_server(port=0), recording.recorder, live=True)
             RunButtons(viewer.server.gui, lambda: gate).show(running=True)
-            viewer.player.yielding = True
+            viewer.player.give_way(True)
             viewer.start()
         threads = [threading.Thread(target=lambda w=w: asyncio.run(w(viewer, ended))) for w in watchers]
         for thread in threads:

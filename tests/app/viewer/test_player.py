@@ -86,7 +86,7 @@ def test_a_player_that_cannot_afford_to_draw_waits(recording, monkeypatch):
 
     monkeypatch.setattr("app.viewer.player.affordable", never)
     player = Player(Story(recording), lambda: drawn.append(0), live=True)
-    player.yielding = True
+    player.give_way(True)
     player.start()
     assert asked.wait(5)
     player.close()
