@@ -21,6 +21,7 @@ from sim_assets.world import World
 
 COLLISION_GROUP = 3  # geoms from here on are for touching, not for looking at
 TEXTURE_SIDE = 512  # [px] largest side of a texture in a viewer
+LARGEST_MESH = 4000  # [triangles] a browser without a GPU draws ten such objects and stays responsive
 SITES = {"tcp": TCP_SITE, "camera": CAMERA_SITE}
 SCENERY = "world"
 
@@ -136,9 +137,9 @@ def _placed(mesh: trimesh.Trimesh, position: np.ndarray, quat_wxyz: np.ndarray) 
 
 
 def _merged(meshes: list[trimesh.Trimesh]) -> tuple[trimesh.Trimesh, ...]:
-    """Plain meshes of one colour and gloss become one: a viewer draws each apart."""
+    """Plain meshes of one colour and gloss become one, as a viewer draws each apart; large ones become simple."""
     plain: dict[tuple[object, ...], list[trimesh.Trimesh]] = {}
-    result = []
+    result: list[trimesh.Trimesh] = []
     for mesh in meshes:
         material = _material(mesh)
         if material.baseColorTexture is not None:
@@ -152,7 +153,31 @@ def _merged(meshes: list[trimesh.Trimesh]) -> tuple[trimesh.Trimesh, ...]:
         ), process=False)  # fmt: skip
         whole.visual = TextureVisuals(material=_material(parts[0]))
         result.append(whole)
-    return tuple(result)
+    return tuple(_simplified(mesh) for mesh in result)
+
+
+def _simplified(mesh: trimesh.Trimesh) -> trimesh.Trimesh:
+    """At most ``LARGEST_MESH`` triangles; a corner keeps the texture coordinate of the nearest it stands for."""
+    import fast_simplification
+
+    if len(mesh.faces) <= LARGEST_MESH:
+        return mesh
+    _, _, collapses = fast_simplification.simplify(
+        mesh.vertices, mesh.faces, target_count=LARGEST_MESH, return_collapses=True
+    )
+    vertices, faces, became = fast_simplification.replay_simplification(
+        mesh.vertices.astype(np.float32), mesh.faces, collapses
+    )
+    simple = trimesh.Trimesh(vertices, faces, process=False)
+    assert isinstance(mesh.visual, TextureVisuals)
+    uv = mesh.visual.uv
+    if uv is not None:
+        far_first = np.argsort(-np.linalg.norm(vertices[became] - mesh.vertices, axis=1))
+        uv_simple = np.zeros((len(vertices), 2))
+        uv_simple[became[far_first]] = uv[far_first]
+        uv = uv_simple
+    simple.visual = TextureVisuals(uv=uv, material=mesh.visual.material)
+    return simple
 
 
 def _material(mesh: trimesh.Trimesh) -> Any:

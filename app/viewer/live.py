@@ -25,7 +25,7 @@ from app.viewer.panel import chosen
 from app.viewer.viewer import Viewer
 from sim_assets.world import World
 
-Command = Literal["new scene", "run"]
+Command = Literal["new scene", "run", "end"]
 MAX_SEED = 2**31 - 1
 
 
@@ -80,15 +80,21 @@ class Session:
         self._new.on_click(lambda _: self._commands.put("new scene"))
         self._run.on_click(lambda _: self._commands.put("run"))
 
+    def end(self) -> None:
+        """Let ``serve`` return when what is under way is done; from any thread."""
+        self._commands.put("end")
+
     def serve(self) -> None:
-        """Do what the buttons ask for until interrupted."""
+        """Do what the buttons ask for until interrupted, or until the end is asked for."""
         try:
             self._new_scene(self._options.seed)
             while True:
                 self._allow(True)
                 command = self._commands.get()
-                while not self._commands.empty():  # clicks from before the last one was done
+                while command != "end" and not self._commands.empty():  # clicks while the last one was done
                     command = self._commands.get()
+                if command == "end":
+                    break
                 self._allow(False)
                 self._do(command)
         finally:

@@ -107,6 +107,8 @@ class Panel:
             "motion": gui.add_checkbox("Path and grasp candidates", True),
             "cameras": gui.add_checkbox("Cameras of the scan", True),
             "labels": gui.add_checkbox("Names", True),
+            # A browser that draws without a GPU shares the processor with a run beside it.
+            "shadows": gui.add_checkbox("Shadows", not self._player.live, hint="Dear without a GPU"),
         }
         self._coloring = gui.add_dropdown("Colour by", get_args(Coloring))
         gui.add_html(charts.scale("sure", f"{1000 * UNSURE:.0f} mm of deviation", UNSURE_COLORS))

@@ -44,6 +44,7 @@ class Shown:
     cameras: bool = True
     motion: bool = True
     labels: bool = True
+    shadows: bool = True
     coloring: Coloring = "class"
 
 
@@ -55,7 +56,7 @@ class SceneView:
     ) -> None:
         self._server = server
         with server.atomic():
-            _light(server, around)
+            self._key = _light(server, around)
             if not around.known:
                 server.scene.add_grid(
                     "/ground", 2, 2, cell_size=0.1, section_size=0.5, **_look_of(around.T_world_ground)
@@ -71,11 +72,14 @@ class SceneView:
     def draw(self, moment: Moment, shown: Shown) -> None:
         """Bring the scene to a moment."""
         with self._server.atomic():
+            if self._key.cast_shadow != shown.shadows:
+                self._key.cast_shadow = shown.shadows
             for part in self._parts:
                 part.draw(moment, shown)
 
 
-def _light(server: viser.ViserServer, around: Surroundings) -> None:
+def _light(server: viser.ViserServer, around: Surroundings) -> viser.DirectionalLightHandle:
+    """Light the scene as a bright room would; returns the light that casts shadows."""
     scene = server.scene
     scene.set_up_direction(around.up)
     turn: Any = around.T_world_ground[:3, :3]
@@ -84,14 +88,14 @@ def _light(server: viser.ViserServer, around: Surroundings) -> None:
     scene.add_light_hemisphere(
         "/light/sky", sky_color=(235, 240, 255), ground_color=(150, 138, 125), intensity=2.2
     )
-    scene.add_light_directional(
+    scene.add_light_directional("/light/fill", position=turn @ (-1.5, 1.2, 1.6), intensity=0.7)
+    return scene.add_light_directional(
         "/light/key",
         position=turn @ (1.6, -1.4, 3.0),
         intensity=2.4,
         cast_shadow=True,
         color=(255, 248, 238),
     )
-    scene.add_light_directional("/light/fill", position=turn @ (-1.5, 1.2, 1.6), intensity=0.7)
 
 
 def _look_of(T: Float[np.ndarray, "4 4"]) -> dict[str, Any]:

@@ -157,7 +157,8 @@ def chromium():
     if path is None:
         pytest.skip("no Chromium on this machine: apt-get install chromium")
     with playwright.sync_playwright() as driver:
-        flags = ["--no-sandbox", "--use-angle=swiftshader", "--enable-unsafe-swiftshader"]
+        # Mesa in software, which the simulator's headless renderer uses too.
+        flags = ["--no-sandbox", "--use-gl=angle", "--use-angle=gl-egl", "--ignore-gpu-blocklist"]
         browser = driver.chromium.launch(executable_path=path, args=flags)
         yield browser
         browser.close()
