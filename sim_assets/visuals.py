@@ -137,7 +137,7 @@ def _placed(mesh: trimesh.Trimesh, position: np.ndarray, quat_wxyz: np.ndarray) 
 
 
 def _merged(meshes: list[trimesh.Trimesh]) -> tuple[trimesh.Trimesh, ...]:
-    """Plain meshes of one colour and gloss become one, as a viewer draws each apart; large ones become simple."""
+    """Plain meshes of one colour and gloss become one (a viewer draws each apart), large ones simple."""
     plain: dict[tuple[object, ...], list[trimesh.Trimesh]] = {}
     result: list[trimesh.Trimesh] = []
     for mesh in meshes:
@@ -157,7 +157,7 @@ def _merged(meshes: list[trimesh.Trimesh]) -> tuple[trimesh.Trimesh, ...]:
 
 
 def _simplified(mesh: trimesh.Trimesh) -> trimesh.Trimesh:
-    """At most ``LARGEST_MESH`` triangles; a corner keeps the texture coordinate of the nearest it stands for."""
+    """At most ``LARGEST_MESH`` triangles; corners keep texture coordinates of the nearest they stand for."""
     import fast_simplification
 
     if len(mesh.faces) <= LARGEST_MESH:
