@@ -65,7 +65,7 @@ class SlamConfig:
     """All settings of the system."""
 
     joint_on: bool = True
-    fit: FitConfig = field(default_factory=FitConfig)
+    fit: FitConfig = field(default_factory=lambda: FitConfig(refine=None))  # landmarks have no meshes
     tracking: TrackingConfig = field(default_factory=TrackingConfig)
     selection: SelectionConfig = field(default_factory=SelectionConfig)
     association: AssociationConfig = field(default_factory=AssociationConfig)
