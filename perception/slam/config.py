@@ -32,6 +32,7 @@ class LifeConfig:
         max_bad: frames in a row in which most of its pixels disagree.
         lost_share: median share of agreeing pixels under which the camera is lost.
         weak_move: standard deviation of the camera's place from which on the pose is weak [m].
+        growing_move: standard deviation up to which a weak pose may give new landmarks [m].
         max_weak: weak frames in a row after which the camera counts as lost.
         max_blind: frames for which a lost camera is looked for near its last pose first.
         max_keyframes: are kept; then the oldest go.
@@ -52,6 +53,7 @@ class LifeConfig:
     max_bad: int = 12
     lost_share: float = 0.5
     weak_move: float = 0.01
+    growing_move: float = 0.025
     max_weak: int = 20
     max_blind: int = 10
     max_keyframes: int = 80

@@ -131,8 +131,8 @@ def optimise_jointly(
         plane: what the objects stand on.
         plane_points: for each keyframe points of the plane in its camera's frame [m].
         config: weights and budgets.
-        known: information on landmarks from elsewhere, about where they are now. Without it an object of which
-            the window shows little, as the image cuts it, would forget what was seen of it before.
+        known: information on landmarks from elsewhere, about where they are now. Without it an object that
+            the window shows little of, as the image cuts it, would forget what was seen of it before.
     """
     window = _Window(keyframes, landmarks, decoder, plane, plane_points, config, known or {})
     with ThreadPoolExecutor(config.threads) as pool:

@@ -99,17 +99,21 @@ class Mapper:
             now.append((found.mask, 1 + max(before, default=0)))
         self.unmatched = now
 
+    def holds(self, shares: Mapping[int, float]) -> bool:
+        """Whether the landmarks that agree with a frame, by these shares of their pixels, are enough."""
+        life = self.config.life
+        return sum(share > life.enough_share for share in shares.values()) >= life.enough
+
     def new_landmarks(
         self,
         posed: RgbdFrame,
         detections: Sequence[ObjectDetection],
         landmark_of: Mapping[int, int],
-        shares: Mapping[int, float],
+        held: bool,
         number: int,
     ) -> dict[int, int]:
-        """Landmarks from masks that have had none for a while; ``shares`` of the known ones agree."""
+        """Landmarks from masks that have had none for a while; cut ones wait while the pose is held."""
         life, new = self.config.life, {}
-        held = sum(share > life.enough_share for share in shares.values()) >= life.enough
         ages = {id(mask): age for mask, age in self.unmatched}
         for label, found in enumerate(detections, start=1):
             age = ages.get(id(found.mask), 0)

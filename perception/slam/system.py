@@ -98,6 +98,7 @@ class Slam:
         self._moments: list[tuple[float, np.ndarray]] = []  # times and poses of the last two frames
         self._lost_for = 0
         self._weak_for = 0
+        self._may_grow = True
         self._previous: tuple[Labels, dict[int, int]] | None = None
         self._seconds: dict[str, float] = {}
 
@@ -206,6 +207,7 @@ class Slam:
         covariance = np.linalg.pinv(tracked.information + 1e-6 * np.eye(6), hermitian=True)
         spread = float(np.sqrt(max(np.linalg.eigvalsh(covariance[3:, 3:])[-1], 0.0)))
         self._weak_for = self._weak_for + 1 if spread > life.weak_move else 0
+        self._may_grow = spread < life.growing_move
         if self._weak_for > life.max_weak:
             return "lost"
         return "weak" if self._weak_for else "tracked"
@@ -283,18 +285,23 @@ class Slam:
         status: Status,
         retired: tuple[int, ...],
     ) -> FrameResult:
-        """New landmarks, then perhaps a keyframe with its joint optimisation."""
+        """New landmarks, then perhaps a keyframe with its joint optimisation.
+
+        A weak pose needs new landmarks most: while it is not too weak they are taken, cut ones as well.
+        """
         landmark_of = dict(landmark_of)
         new: dict[int, int] = {}
-        if status == "tracked":
+        if self._may_grow:
+            held = status == "tracked" and mapper.holds(shares)
             with self._timed("initialise"):
-                new = mapper.new_landmarks(posed, detections, landmark_of, shares, self._number)
+                new = mapper.new_landmarks(posed, detections, landmark_of, held, self._number)
         landmark_of |= new
         self._previous = (labels, landmark_of)
         landmarks = mapper.world.landmarks
         seen = {one: landmarks[one] for one in landmark_of.values() if one in landmarks}
         T = np.array(posed.T_world_camera)
-        is_keyframe = status == "tracked" and (bool(new) or shows_new_view(T, seen, mapper.keyframes))
+        is_new = status == "tracked" and shows_new_view(T, seen, mapper.keyframes)
+        is_keyframe = bool(new) or is_new
         if is_keyframe:
             key = make_keyframe(self._number, posed, T, labels, landmark_of, detections)
             mapper.keep(key, pixels.plane_points)
