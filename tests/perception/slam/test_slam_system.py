@@ -142,7 +142,7 @@ def test_a_weak_pose_gets_new_landmarks_unless_it_is_too_weak(recording, cylinde
     life = LifeConfig(weak_move=0.0, growing_move=growing)
     slam = recording.slam(cylinders.decoder, SlamConfig(fit=QUICK, life=life))
     first = recording.feed(slam, 0)
-    slam.mapper.world = slam.mapper.world.without(set(first.new[:1]))
+    slam.mapper.world, slam.mapper.unmatched = slam.mapper.world.without(set(first.new[:1])), []
     results = [recording.feed(slam, number) for number in (1, 2, 3)]
     assert {result.status for result in results} == {"weak"}
     assert sum(len(result.new) for result in results) == expected
