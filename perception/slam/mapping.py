@@ -204,4 +204,4 @@ class Mapper:
             if number not in window:
                 by_landmark.setdefault(one, []).append(known)
         most = self.config.joint.memory
-        return {one: min(1.0, most / len(all_)) * sum(all_) for one, all_ in by_landmark.items()}
+        return {one: min(1.0, most / len(all_)) * np.sum(all_, axis=0) for one, all_ in by_landmark.items()}
