@@ -176,7 +176,9 @@ def _draw_things(
     split: Split, config: TrainingSceneConfig, rng: np.random.Generator, own: Sequence[Thing] = ()
 ) -> list[Thing]:
     things = [own[index % len(own)] for index in range(config.pool)] if own else []
-    turns: list[Category] = [category for category, share in zip(CATEGORIES, config.shares) for _ in range(share)]
+    turns: list[Category] = [
+        category for category, share in zip(CATEGORIES, config.shares) for _ in range(share)
+    ]
     for index in range(0 if own else config.pool):
         category = turns[index % len(turns)]
         things.append(make_thing(category, simplified(_draw_mesh(category, split, config, rng))))
