@@ -26,7 +26,8 @@ class LifeConfig:
         seen_before: frames in a row that must show an unmatched mask before it becomes a landmark.
         retry: frames until an object that could not be initialised is tried again.
         check_every: so many frames it is looked which landmarks should be seen.
-        max_misses: such looks in a row at which a landmark should be seen but is not.
+        max_misses: such looks in a row at which a landmark should be seen but is not; fewer for one that was
+            seen in fewer frames.
         through_share: of a landmark's visible pixels; where more see what is behind it, it is not there.
         max_through: such looks in a row at which it is not.
         max_bad: frames in a row in which most of its pixels disagree.

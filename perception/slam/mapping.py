@@ -75,7 +75,7 @@ class Mapper:
         retired = {
             x.id
             for x in changed
-            if x.misses > life.max_misses or x.bad > life.max_bad or x.through > life.max_through
+            if x.misses > min(life.max_misses, x.hits) or x.bad > life.max_bad or x.through > life.max_through
         } | doubles(self.world.landmarks)
         if retired:
             logger.info("frame %d: retired %s", number, sorted(retired))
@@ -145,6 +145,16 @@ class Mapper:
     def _overlaps(self, landmark: Landmark) -> bool:
         """Whether another landmark stands where this one would."""
         return any(stand_together(one, landmark) for one in self.world.landmarks.values())
+
+    def completes(
+        self, detections: Sequence[ObjectDetection], landmark_of: Mapping[int, int], number: int
+    ) -> bool:
+        """Whether a frame shows a whole object of which the map has seen a part alone; not too often."""
+        if not self.keyframes or number - self.keyframes[-1].number < self.config.life.retry:
+            return False
+        landmarks = self.world.landmarks
+        cut = [label for label, one in landmark_of.items() if one in landmarks and landmarks[one].cut]
+        return any(not touches_border(detections[label - 1]) for label in cut)
 
     def keep(self, key: Keyframe, plane_points: Float[np.ndarray, "n 3"]) -> None:
         """One more keyframe, with the plane's points in its camera's frame; the oldest make room."""

@@ -300,7 +300,10 @@ class Slam:
         landmarks = mapper.world.landmarks
         seen = {one: landmarks[one] for one in landmark_of.values() if one in landmarks}
         T = np.array(posed.T_world_camera)
-        is_new = status == "tracked" and shows_new_view(T, seen, mapper.keyframes)
+        is_new = status == "tracked" and (
+            shows_new_view(T, seen, mapper.keyframes)
+            or mapper.completes(detections, landmark_of, self._number)
+        )
         is_keyframe = bool(new) or is_new
         if is_keyframe:
             key = make_keyframe(self._number, posed, T, labels, landmark_of, detections)

@@ -29,6 +29,8 @@ class TrackingConfig:
         huber: residuals larger than this many sigma count linearly.
         data_weight: of pixels, which err together, against the prior.
         background_weight: of a ring's pixel; one of the object has 1.
+        cut_weight: of the pixels of a landmark that was cut by the image when it began, until it is seen whole:
+            the part that was not in view may be far off.
         use_uncertainty: weights by the rendered variance; otherwise all pixels count alike.
         use_plane: the plane is a landmark.
         plane_sigma: of a point of the plane [m].
@@ -46,6 +48,7 @@ class TrackingConfig:
     huber: float = 3.0
     data_weight: float = 0.05
     background_weight: float = 0.2
+    cut_weight: float = 0.3
     use_uncertainty: bool = True
     use_plane: bool = True
     plane_sigma: float = 0.005
@@ -127,6 +130,7 @@ class _PoseProblem:
         self.own_index = np.array([order[i] for i in self.owner], dtype=np.int64)
         self.directions, self.depth = pixels.directions[known], pixels.depth[known]
         self.is_object = pixels.is_object[known]
+        self.cut = [(one, world.landmarks[one].cut) for one in world.ids]
         self.seen = {int(i) for i in np.unique(self.owner)}
         self.poses = [world.landmarks[i].state.pose for i in world.ids]
         self.pairs, self.own = self._pair_up()
@@ -186,7 +190,8 @@ class _PoseProblem:
         sigma = np.sqrt(variance + config.depth_sigma**2)
         robust = np.minimum(1.0, config.huber * sigma / np.maximum(np.abs(residual), 1e-9))
         weight = np.where(self.is_object, 1.0, config.background_weight) * robust / sigma**2
-        weight = weight * np.isin(self.owner, list(use)) * config.data_weight
+        part = np.array([one in use and (config.cut_weight if cut else 1.0) for one, cut in self.cut])
+        weight = weight * part[self.own_index] * config.data_weight
         return residual.astype(np.float64), image.jacobian[shown].astype(np.float64), weight
 
     def _plane_rows(self, T: np.ndarray) -> tuple[np.ndarray, ...]:

@@ -1,5 +1,7 @@
 """Tracking from disturbed starts, occlusion, outcasts, and what the pixels are."""
 
+from dataclasses import replace
+
 import numpy as np
 import pytest
 
@@ -112,3 +114,19 @@ def test_larger_images_give_the_same_pixels_from_every_second_one(cylinders, T_t
     np.testing.assert_allclose(big.directions, small.directions, atol=1e-12)
     np.testing.assert_array_equal(big.depth, small.depth)
     np.testing.assert_allclose(big.plane_points, small.plane_points, atol=1e-9)
+
+
+def test_an_object_that_began_cut_pulls_less(cylinders, T_true):
+    world, pixels = cylinders.map(), observe(cylinders, T_true, T_true)
+    one = world.landmarks[0]
+    pose = one.state.pose
+    off = ObjectPose(pose.rotation, pose.translation + np.array((0.008, 0, 0)), pose.scale)
+    wrong = one.with_state(FitState(off, one.state.code))
+
+    def error(cut):
+        changed = world.with_landmarks(replace(wrong, cut=cut))
+        found = track(changed, pixels, T_true, TrackingConfig(iterations=6, use_plane=False))
+        assert 0 in found.used
+        return np.linalg.norm(found.T_world_camera[:3, 3] - T_true[:3, 3])
+
+    assert error(True) < 0.7 * error(False)
