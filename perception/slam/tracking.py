@@ -29,7 +29,7 @@ class TrackingConfig:
         huber: residuals larger than this many sigma count linearly.
         data_weight: of pixels, which err together, against the prior.
         background_weight: of a ring's pixel; one of the object has 1.
-        cut_weight: of the pixels of a landmark that was cut by the image when it began, until it is seen whole:
+        cut_weight: of the pixels of a landmark that the image cut when it began, until it is seen whole:
             the part that was not in view may be far off.
         use_uncertainty: weights by the rendered variance; otherwise all pixels count alike.
         use_plane: the plane is a landmark.
