@@ -29,8 +29,8 @@ class TrackingConfig:
         huber: residuals larger than this many sigma count linearly.
         data_weight: of pixels, which err together, against the prior.
         background_weight: of a ring's pixel; one of the object has 1.
-        cut_weight: of the pixels of a landmark that the image cut when it began, until it is seen whole:
-            the part that was not in view may be far off.
+        cut_weight: of the pixels of a landmark that the image cut when it began, until it is seen whole: the
+            part that was not in view may be far off. Only where ``enough`` others hold the camera.
         use_uncertainty: weights by the rendered variance; otherwise all pixels count alike.
         use_plane: the plane is a landmark.
         plane_sigma: of a point of the plane [m].
@@ -49,6 +49,7 @@ class TrackingConfig:
     data_weight: float = 0.05
     background_weight: float = 0.2
     cut_weight: float = 0.3
+    enough: int = 3
     use_uncertainty: bool = True
     use_plane: bool = True
     plane_sigma: float = 0.005
@@ -190,9 +191,14 @@ class _PoseProblem:
         sigma = np.sqrt(variance + config.depth_sigma**2)
         robust = np.minimum(1.0, config.huber * sigma / np.maximum(np.abs(residual), 1e-9))
         weight = np.where(self.is_object, 1.0, config.background_weight) * robust / sigma**2
-        part = np.array([one in use and (config.cut_weight if cut else 1.0) for one, cut in self.cut])
-        weight = weight * part[self.own_index] * config.data_weight
+        weight = weight * self._trust(use)[self.own_index] * config.data_weight
         return residual.astype(np.float64), image.jacobian[shown].astype(np.float64), weight
+
+    def _trust(self, use: frozenset[int]) -> Float[np.ndarray, "o"]:
+        """How much the pixels of each landmark count."""
+        whole = sum(one in use and one in self.seen and not cut for one, cut in self.cut)
+        part = self.config.cut_weight if whole >= self.config.enough else 1.0
+        return np.array([(part if cut else 1.0) if one in use else 0.0 for one, cut in self.cut])
 
     def _plane_rows(self, T: np.ndarray) -> tuple[np.ndarray, ...]:
         """Heights of the plane's points: n . (R p + t) - offset."""
