@@ -6,7 +6,7 @@ Format: https://cocodataset.org/#format-results, with ``category_name`` in place
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+from collections.abc import Iterable, Sequence
 from pathlib import Path
 from typing import Any
 
@@ -23,8 +23,17 @@ REMEDY = "repair it, or delete it to use the shipped detector"
 
 def write_detections(folder: str | Path, detections: Sequence[Sequence[ObjectDetection]]) -> None:
     """Write ``detections.json``; the k-th sequence belongs to image id k."""
-    entries = [_detection_entry(i, found) for i, per_frame in enumerate(detections) for found in per_frame]
-    write_json(Path(folder) / "detections.json", entries)
+    write_entries(folder, [encode_detections(i, found) for i, found in enumerate(detections)])
+
+
+def write_entries(folder: str | Path, entries: Iterable[Sequence[tuple[int, Any]]]) -> None:
+    """Write ``detections.json`` from the entries of each image."""
+    write_json(Path(folder) / "detections.json", [entry for image in entries for _, entry in image])
+
+
+def encode_detections(image_id: int, detections: Sequence[ObjectDetection]) -> list[tuple[int, Any]]:
+    """The numbered entries of one image; ``decode_detections`` is the way back."""
+    return [(index, _detection_entry(image_id, found)) for index, found in enumerate(detections)]
 
 
 def read_detections(

@@ -217,6 +217,40 @@ def spoon(rng: np.random.Generator) -> trimesh.Trimesh:
     return _joined([_box((length, rng.uniform(0.01, 0.02), thick)), end])
 
 
+def odd_thing(rng: np.random.Generator) -> trimesh.Trimesh:
+    """Nothing in particular, for training alone: a pebble, a prism, or some parts stuck together anyhow."""
+    draw = rng.random()
+    if draw < 0.25:
+        mesh = trimesh.convex.convex_hull(rng.normal(size=(rng.integers(6, 20), 3)))
+        mesh.apply_scale(rng.uniform(0.03, 0.10, 3) / np.ptp(mesh.bounds, axis=0))
+    elif draw < 0.45:  # with edges all the way up, as a can has none
+        radius, height = rng.uniform(0.02, 0.05), rng.uniform(0.05, 0.22)
+        mesh = creation.cylinder(radius=radius, height=height, sections=int(rng.integers(3, 7)))
+        mesh.apply_scale((1, rng.uniform(0.5, 1.0), 1))
+    else:
+        mesh = _joined([_odd_part(rng) for _ in range(rng.integers(2, 6))])
+    mesh.apply_translation((*-mesh.bounds[:, :2].mean(axis=0), -mesh.bounds[0, 2]))
+    return mesh
+
+
+def _odd_part(rng: np.random.Generator) -> trimesh.Trimesh:
+    """A box, a cylinder, a cone or an egg, turned at will, near the middle."""
+    size = rng.uniform(0.015, 0.09, 3)
+    kind = rng.integers(4)
+    if kind == 0:
+        part = _box(tuple(size))
+    elif kind == 1:
+        part = creation.cylinder(radius=size[0] / 3, height=1.5 * size[1], sections=20)
+    elif kind == 2:
+        part = creation.cone(radius=size[0] / 2, height=size[1], sections=20)
+    else:
+        part = creation.icosphere(subdivisions=2, radius=0.5)
+        part.apply_scale(size)
+    part.apply_transform(trimesh.transformations.random_rotation_matrix(rng.random(3)))
+    part.apply_translation(rng.normal(0, 0.02, 3))
+    return part
+
+
 _KINDS = (
     parcel, parcel, ball, books, hammer, screwdriver, crate, crate, plate, banana, pyramid, ring,
     figure, figure, blocks, slab, candlestick,

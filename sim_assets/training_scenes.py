@@ -19,7 +19,7 @@ from jaxtyping import Float, Int
 from perception.types import CATEGORIES, Category, RgbdFrame
 from sim_assets.camera import OPENCV_FROM_MUJOCO, OffscreenRenderer, intrinsics_of, look_at
 from sim_assets.depth_noise import DEPTH_NOISES, DepthNoise, add_depth_noise
-from sim_assets.distractors import random_distractor
+from sim_assets.distractors import odd_thing, random_distractor
 from sim_assets.filament import FilamentRenderer
 from sim_assets.headless import MjSpec, mujoco
 from sim_assets.layout import PlanarPose
@@ -31,6 +31,7 @@ from sim_assets.materials import (
     random_ground,
 )
 from sim_assets.objects import sample_object
+from sim_assets.objects.bottle import BottleParameters
 from sim_assets.scatter import Thing, make_thing, scatter, simplified
 
 Split = Literal["train", "test"]
@@ -38,6 +39,7 @@ Renderer = Literal["classic", "filament"]
 CAMERA = "eye"
 GROUND_SIZE = (256, 256)
 SHOWN, HIDDEN = 2, 4  # geom groups
+PLAIN_BEND = 0.10  # a tumbler that widens by less of its radius has a can's sides
 BELOW = -3.0  # [m], where hidden things are, under the floor
 
 
@@ -47,7 +49,10 @@ class TrainingSceneConfig:
 
     Attributes:
         width, height: in pixels.
-        pool, distractors: objects (evenly over the classes) and things of no class compiled together.
+        pool, distractors: objects and things of no class compiled together.
+        shares: how many objects of the pool are of each of CATEGORIES, in proportion.
+        odd: share of the training split's distractors that are heaps of random parts (``odd_thing``).
+        plain_tumblers: whether straight tumblers with flat lids, which could as well be cans, are bottles.
         pictures_per_pool: how often the pool is replaced.
         pictures_per_texture, textures_redrawn: how often the ground and how many things get a new texture.
         objects, extras: smallest and largest number shown of each kind.
@@ -66,6 +71,9 @@ class TrainingSceneConfig:
     height: int = 240
     pool: int = 40
     distractors: int = 14
+    shares: tuple[int, int, int, int] = (1, 1, 1, 1)
+    odd: float = 0.0
+    plain_tumblers: bool = True
     pictures_per_pool: int = 400
     pictures_per_texture: int = 8
     textures_redrawn: int = 12
@@ -168,11 +176,27 @@ def _draw_things(
     split: Split, config: TrainingSceneConfig, rng: np.random.Generator, own: Sequence[Thing] = ()
 ) -> list[Thing]:
     things = [own[index % len(own)] for index in range(config.pool)] if own else []
+    turns: list[Category] = [
+        category for category, share in zip(CATEGORIES, config.shares) for _ in range(share)
+    ]
     for index in range(0 if own else config.pool):
-        category = CATEGORIES[index % len(CATEGORIES)]
-        things.append(make_thing(category, simplified(sample_object(category, split, rng).mesh)))
-    things += [make_thing(None, random_distractor(rng, split)) for _ in range(config.distractors)]
+        category = turns[index % len(turns)]
+        things.append(make_thing(category, simplified(_draw_mesh(category, split, config, rng))))
+    for _ in range(config.distractors):
+        odd = split == "train" and config.odd > 0 and rng.random() < config.odd
+        things.append(make_thing(None, odd_thing(rng) if odd else random_distractor(rng, split)))
     return things
+
+
+def _draw_mesh(
+    category: Category, split: Split, config: TrainingSceneConfig, rng: np.random.Generator
+) -> trimesh.Trimesh:
+    while True:
+        drawn = sample_object(category, split, rng)
+        p = drawn.parameters
+        plain = isinstance(p, BottleParameters) and p.kind == "tumbler" and p.bend < PLAIN_BEND
+        if config.plain_tumblers or not plain:
+            return drawn.mesh
 
 
 class TableTop:

@@ -21,6 +21,7 @@ import numpy as np
 from app.errors import UsageError
 from app.evaluation import slam_short
 from app.evaluation.slam_scoring import (
+    CURVE_UPDATES,
     TrueObjects,
     absolute_pose_error,
     completion_by_update,
@@ -28,20 +29,22 @@ from app.evaluation.slam_scoring import (
     surface_rows,
 )
 from app.evaluation.slam_summary import slam_tables, summarise_slam, write_plots
-from app.evaluation.work import Ledger, Line, spread
+from app.evaluation.work import Ledger, Line, resident_memory, spread
 from app.options import EvaluateOptions
 from app.runs.report import Report
 from app.screen import Screen
 from app.slam.pictures import write_map_picture
 from app.slam.run import SlamRun
 from app.slam.sequence_truth import read_true_objects, read_true_trajectory
-from perception.detections_file import write_detections
+from perception.detections_file import write_entries
 from perception.recordings.sequence import open_sequence
 from perception.slam.estimates import object_estimates
 from perception.slam.landmarks import Landmark
 from perception.slam.variants import Variant, variant_config
 
 ROWS = "rows.jsonl"
+STAGES = ("detect", "track", "initialise", "joint", "relocalise")  # their seconds are the processor's
+_RESIDENT_EVERY = 50  # frames
 CURVES_OF = ("full", "with_plane")  # variants whose shapes are followed over their updates
 
 
@@ -133,17 +136,23 @@ def score_variant(
     """Runs a variant on a sequence and compares with the truth."""
     networks, sequence = _networks(options.device), open_sequence(path)
     live = sequence.entries is None
-    slam_run = SlamRun.start(sequence, networks.decoder, networks.detector, variant_config(variant), live)
+    slam_run = SlamRun.start(
+        sequence, networks.decoder, networks.detector, variant_config(variant), live, time.process_time
+    )
     history: dict[int, list[Landmark]] = {}
+    resident = []
     for _, result in slam_run.steps():
+        if len(slam_run.results) % _RESIDENT_EVERY == 0:
+            resident.append(resident_memory())
         if result.keyframe and slam_run.slam.world is not None:
             for one, landmark in slam_run.slam.world.landmarks.items():
                 states = history.setdefault(one, [])
-                if not states or states[-1].updates != landmark.updates:
+                if len(states) < CURVE_UPDATES and (not states or states[-1].updates != landmark.updates):
                     states.append(landmark)
     if live:
-        write_detections(path, [slam_run.detections.get(number, []) for number in sequence.ids])
-    return _scores(slam_run, history, path, folder, variant, networks.decoder, rng) | {"live": live}
+        write_entries(path, [slam_run.detections.get(number, []) for number in sequence.ids])
+    line = _scores(slam_run, history, path, folder, variant, networks.decoder, rng)
+    return line | {"live": live, "resident": resident}
 
 
 def _scores(
@@ -168,10 +177,8 @@ def _scores(
         "n_true": len(truth.categories),
         "objects": surface_rows(landmarks, truth, decoder, rng),
         "tracking_rate": slam_run.frame_rate,
-        "stage_seconds": {
-            stage: float(np.median(slam_run.seconds(stage) or [0.0]))
-            for stage in ("detect", "track", "joint", "initialise")
-        },
+        "stage_seconds": {stage: float(np.median(slam_run.seconds(stage) or [0.0])) for stage in STAGES},
+        "stage_sums": {stage: float(sum(slam_run.seconds(stage))) for stage in STAGES},
     }
     if variant in CURVES_OF:
         kept = {i: states for i, states in history.items() if i in world.landmarks}

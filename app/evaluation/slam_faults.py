@@ -2,8 +2,8 @@
 
 from __future__ import annotations
 
-from collections.abc import Mapping, Sequence
-from dataclasses import dataclass, field, replace
+from collections.abc import Sequence
+from dataclasses import replace
 from pathlib import Path
 
 import numpy as np
@@ -18,22 +18,12 @@ _DROPPED, _GAP = 0.2, 5  # share of the frames that are missing, and how many in
 _FLICKER = 0.25  # share of the masks that are missing
 
 
-@dataclass(frozen=True)
-class HeldSequence(RgbdSequence):
-    """A sequence in memory, with the detections that an earlier run has made, by frame number."""
-
-    found: Mapping[int, list[ObjectDetection]] = field(default_factory=dict)
-
-    def detections(self, number: int, frame: RgbdFrame) -> list[ObjectDetection] | None:
-        return self.found.get(number)
+def held(frames: Sequence[RgbdFrame]) -> RgbdSequence:
+    """Frames in memory, numbered from 0."""
+    return RgbdSequence(Path("memory"), range(len(frames)), lambda number: frames[number])
 
 
-def held(frames: Sequence[RgbdFrame]) -> HeldSequence:
-    """Frames, numbered from 0."""
-    return HeldSequence(Path("memory"), range(len(frames)), lambda number: frames[number])
-
-
-def with_fault(frames: Sequence[RgbdFrame], fault: SlamFault, rng: np.random.Generator) -> HeldSequence:
+def with_fault(frames: Sequence[RgbdFrame], fault: SlamFault, rng: np.random.Generator) -> RgbdSequence:
     """The frames as a faulty sensor gives them; masks and moved objects are others' business.
 
     Args:

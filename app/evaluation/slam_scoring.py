@@ -105,7 +105,7 @@ def surface_rows(
         if index is None:
             rows.append(row | {"true_category": None})
             continue
-        row["true_category"] = truth.categories[index]
+        row |= {"true_category": truth.categories[index], "true_index": index}
         try:
             mesh = object_estimate(one, decoder).mesh_world
         except EmptyShapeError:

@@ -17,16 +17,17 @@ import numpy as np
 from rich.table import Table
 
 from app.errors import UsageError
-from app.evaluation.slam_faults import MOVED_AT, HeldSequence, flickering, with_fault
+from app.evaluation.slam_faults import MOVED_AT, flickering, with_fault
 from app.evaluation.slam_scoring import absolute_pose_error, match_places, middle_of, places_of
 from app.evaluation.slam_summary import NAMES
-from app.evaluation.statistics import wilson_interval
+from app.evaluation.statistics import paired_difference, wilson_interval
 from app.evaluation.work import Ledger, Line, spread
 from app.options import EvaluateOptions, SlamFault
 from app.runs.report import Report
 from app.screen import Screen
 from app.slam.run import SlamRun
 from perception.geometry import transform_points
+from perception.recordings.sequence import RgbdSequence
 from perception.recordings.trajectory import Trajectory
 from perception.slam.variants import variant_config
 from perception.types import RgbdFrame
@@ -107,22 +108,24 @@ def _run_variants(options: EvaluateOptions, index: int, close_up: bool, fault: S
         [middle_of(transform_points(o.T_world_object, o.model.mesh.vertices)) for o in table.objects]
     )
     truth = Trajectory.of([frame.time for frame in frames], list(table.Ts_world_camera))
-    found, entries = {}, {}
+    found: dict[int, list[Any]] | None = None
+    entries = {}
     for variant in options.variants:
         networks = _networks(options.device)
         detect = networks.detector
         if fault == "flicker":
             detect = partial(_flickering, networks.detector, rng)
         slam_run = SlamRun.start(
-            replace(sequence, found=found), networks.decoder, detect, variant_config(variant), True
-        )
+            replace(sequence, entries=found), networks.decoder, detect, variant_config(variant), True,
+            time.process_time,
+        )  # fmt: skip
         for _ in slam_run.steps():
             pass
-        found = found or dict(slam_run.detections)
         entries[variant] = (
             _drift(slam_run, truth) | _map_health(slam_run, middles, table.moved)
             | _relocalisations(slam_run, sequence, frames, in_view, truth)
         )  # fmt: skip
+        found = found or slam_run.detections
     return {"objects_in_view": float(np.median(in_view)), "variants": entries}
 
 
@@ -166,7 +169,7 @@ def _map_health(slam_run: SlamRun, middles: np.ndarray, moved: int | None) -> di
 
 def _relocalisations(
     slam_run: SlamRun,
-    sequence: HeldSequence,
+    sequence: RgbdSequence,
     frames: Sequence[RgbdFrame],
     in_view: Sequence[int],
     truth: Trajectory,
@@ -190,7 +193,23 @@ def _relocalisations(
 def summarise_short(lines: Sequence[Mapping[str, Any]]) -> dict[str, Any]:
     """For each variant over all runs: drifts, losses, the maps, relocalisation; lengths in [m]."""
     variants = list(dict.fromkeys(name for line in lines for name in line.get("variants", ())))
-    return {"rows": list(lines), "variants": {name: _over_runs(lines, name) for name in variants}}
+    apes = {
+        name: {
+            line["key"]: line["variants"][name]["ape_mean"]
+            for line in lines
+            if name in line.get("variants", {})
+        }
+        for name in variants
+    }
+    return {
+        "rows": list(lines),
+        "variants": {name: _over_runs(lines, name) for name in variants},
+        "against_full": {
+            name: paired_difference(apes["full"], apes[name])
+            for name in variants
+            if name != "full" and "full" in apes
+        },
+    }
 
 
 def _over_runs(lines: Sequence[Mapping[str, Any]], variant: str) -> dict[str, Any]:

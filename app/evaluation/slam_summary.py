@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from collections import defaultdict
 from collections.abc import Mapping, Sequence
 from pathlib import Path
 from typing import Any
@@ -10,7 +11,7 @@ import numpy as np
 from jaxtyping import Float
 from rich.table import Table
 
-from app.evaluation.statistics import Z_95
+from app.evaluation.statistics import Z_95, paired_difference
 from app.runs.report import Report
 from app.slam.pictures import new_figure, save_figure
 
@@ -48,13 +49,38 @@ def summarise_slam(lines: Sequence[Mapping[str, Any]]) -> dict[str, Any]:
         curves["tsdf"] = curve_with_band([c for entry in fused for c in entry["completion"]])
         last = [curve[-1] for entry in fused for curve in entry["accuracy"] if curve]
         summary["tsdf"] = {"accuracy_median": float(np.median(last)) if last else None, "accuracies": last}
-    return {"rows": rows, "variants": summary, "completion_by_update": curves}
+    return {
+        "rows": rows,
+        "variants": summary,
+        "against_full": against_full(lines),
+        "completion_by_update": curves,
+    }
+
+
+def against_full(lines: Sequence[Mapping[str, Any]]) -> dict[str, Any]:
+    """What every other variant adds to the full one's errors [m], scene by scene and object by object."""
+    apes: dict[str, dict[Any, float]] = defaultdict(dict)
+    accuracies: dict[str, dict[Any, float]] = defaultdict(dict)
+    for line in lines:
+        if "ape_mean" in line:
+            apes[line["variant"]][line["scene"]] = line["ape_mean"]
+        for one in line.get("objects", ()):
+            if "accuracy" in one:
+                accuracies[line["variant"]][line["scene"], one["true_index"]] = one["accuracy"]
+    return {
+        variant: {
+            "ape_mean": paired_difference(apes["full"], apes[variant]),
+            "accuracy": paired_difference(accuracies["full"], accuracies[variant]),
+        }
+        for variant in list(apes)
+        if variant != "full" and "full" in apes
+    }
 
 
 def _row(line: Mapping[str, Any]) -> dict[str, Any]:
     keys = (
         "scene", "variant", "ape_mean", "ape_rmse", "ape_max", "n_lost", "n_frames", "n_keyframes",
-        "tracking_rate", "stage_seconds", "live", "seconds", "reason",
+        "tracking_rate", "stage_seconds", "stage_sums", "resident", "live", "seconds", "reason",
     )  # fmt: skip
     row = {key: line.get(key) for key in keys}
     objects = line.get("objects", ())
@@ -131,7 +157,35 @@ def slam_tables(report: Report) -> list[Table]:
             _number(figures.get("chamfer_l1_median"), 1000, 2),
             _number(figures.get("completion_median"), 100, 1),
         )
-    return [ape, surfaces]
+    return [ape, surfaces, *_paired_tables(report)]
+
+
+def _paired_tables(report: Report) -> list[Table]:
+    """Whether the parts that are left out matter: differences with their intervals."""
+    against = report.metrics["against_full"]
+    if not against:
+        return []
+    table = Table(
+        title="more than full, means with 95 % intervals",
+        title_justify="left",
+        show_edge=False,
+        pad_edge=False,
+    )
+    table.add_column("")
+    table.add_column("mean APE mm, by scene", justify="right")
+    table.add_column("accuracy mm, by object", justify="right")
+    for variant, figures in against.items():
+        cells = [interval_text(figures[name], 1000) for name in ("ape_mean", "accuracy")]
+        table.add_row(NAMES.get(variant, variant), *cells)
+    return [table]
+
+
+def interval_text(difference: Mapping[str, float | None], factor: float) -> str:
+    """A paired difference for a table."""
+    mean, low, high = (difference[key] for key in ("mean", "low", "high"))
+    if mean is None or low is None or high is None:
+        return ""
+    return f"{factor * mean:+.2f} ({factor * low:+.2f} .. {factor * high:+.2f})"
 
 
 def _number(value: float | None, factor: float, digits: int) -> str:

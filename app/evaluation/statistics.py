@@ -5,10 +5,11 @@ from __future__ import annotations
 import math
 import re
 from collections import Counter, defaultdict
-from collections.abc import Iterable, Mapping, Sequence
+from collections.abc import Hashable, Iterable, Mapping, Sequence
 from typing import Any
 
 import numpy as np
+from scipy.stats import t as student_t
 
 Z_95 = 1.959963984540054  # two-sided 95 % quantile of the normal distribution
 
@@ -26,6 +27,23 @@ def wilson_interval(successes: int, trials: int, z: float = Z_95) -> tuple[float
     centre = (p + ratio / 2) / (1 + ratio)
     half = z * math.sqrt(p * (1 - p) / trials + ratio / (4 * trials)) / (1 + ratio)
     return max(0.0, centre - half), min(1.0, centre + half)
+
+
+def paired_difference(
+    first: Mapping[Hashable, float], second: Mapping[Hashable, float]
+) -> dict[str, float | None]:
+    """Mean of second minus first over the keys that both have, with Student's 95 % interval.
+
+    Returns:
+        ``mean``, ``low``, ``high`` and ``n``; the first three are None under two pairs.
+    """
+    differences = np.array([second[key] - first[key] for key in first if key in second])
+    n = len(differences)
+    if n < 2:
+        return {"mean": None, "low": None, "high": None, "n": n}
+    mean, error = float(differences.mean()), float(differences.std(ddof=1)) / math.sqrt(n)
+    half = float(student_t.ppf(0.975, n - 1)) * error
+    return {"mean": mean, "low": mean - half, "high": mean + half, "n": n}
 
 
 def summarise(lines: Sequence[Mapping[str, Any]]) -> dict[str, Any]:

@@ -98,6 +98,15 @@ def spread(work: Callable[[Item], Line], items: Sequence[Item], options: Evaluat
         yield from _in_processes(work, items, options.workers)
 
 
+def resident_memory() -> int | None:
+    """What this process holds in memory [bytes]; None where the system does not say (it is not Linux)."""
+    try:
+        pages = int(Path("/proc/self/statm").read_text(encoding="ascii").split()[1])
+    except OSError:
+        return None
+    return pages * os.sysconf("SC_PAGE_SIZE")
+
+
 def _in_processes(work: Callable[[Item], Line], items: Sequence[Item], workers: int) -> Iterator[Line]:
     os.environ.update(dict.fromkeys(THREAD_POOLS, "1"))  # inherited: pools of several processes fight
     context = multiprocessing.get_context("spawn")  # a GL context does not survive a fork

@@ -2,19 +2,22 @@
 
 from __future__ import annotations
 
+import time
 from collections.abc import Iterator
 from dataclasses import dataclass, field
+from typing import Any
 
 import numpy as np
 import torch
 
+from perception.detections_file import encode_detections
 from perception.errors import InvalidInputError
 from perception.inference.shape_model import Decoder
 from perception.recordings.sequence import RgbdSequence, without_pose
 from perception.recordings.trajectory import Trajectory
 from perception.slam.config import SlamConfig
 from perception.slam.relocalise import Relocalised
-from perception.slam.system import Detect, FrameResult, Slam
+from perception.slam.system import Clock, Detect, FrameResult, Slam
 from perception.types import ObjectDetection, RgbdFrame, SupportPlane
 
 
@@ -27,14 +30,14 @@ class SlamRun:
         slam: map and keyframes.
         results: of the frames so far; those that could not be read are missing.
         warnings: one line for each unreadable frame.
-        detections: of each frame by number, where they are kept.
+        detections: of each frame by number, where they are kept, encoded as in ``detections.json``.
     """
 
     sequence: RgbdSequence
     slam: Slam
     results: list[FrameResult] = field(default_factory=list)
     warnings: list[str] = field(default_factory=list)
-    detections: dict[int, list[ObjectDetection]] = field(default_factory=dict)
+    detections: dict[int, list[Any]] = field(default_factory=dict)
 
     @staticmethod
     def start(
@@ -43,10 +46,11 @@ class SlamRun:
         detector: Detect | None,
         config: SlamConfig,
         keep_detections: bool = False,
+        clock: Clock = time.perf_counter,
     ) -> SlamRun:
         """Ready to run; without detector the sequence must have detections of its own."""
         source = _Source(sequence, detector, keep_detections)
-        run = SlamRun(sequence, Slam(decoder, source, config), detections=source.kept)
+        run = SlamRun(sequence, Slam(decoder, source, config, clock), detections=source.kept)
         run._source = source
         return run
 
@@ -99,7 +103,7 @@ class _Source:
     def __init__(self, sequence: RgbdSequence, detector: Detect | None, keep: bool) -> None:
         self.sequence, self.detector, self.keep = sequence, detector, keep
         self.number = 0
-        self.kept: dict[int, list[ObjectDetection]] = {}
+        self.kept: dict[int, list[Any]] = {}
 
     def __call__(self, frame: RgbdFrame, plane: SupportPlane) -> list[ObjectDetection]:
         found = self.sequence.detections(self.number, frame)
@@ -110,5 +114,5 @@ class _Source:
                 )
             found = list(self.detector(frame, plane))
         if self.keep:
-            self.kept[self.number] = found
+            self.kept[self.number] = encode_detections(self.number, found)
         return found

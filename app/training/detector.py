@@ -18,7 +18,14 @@ from jaxtyping import Float, Int
 
 from app.training.files import summary_writer
 from app.training.labels import LabelledCrops, Progress
-from app.training.pictures import Pictures, rendered_shards, shard_crops, shard_pictures
+from app.training.pictures import (
+    Pictures,
+    close_up_crops,
+    close_up_shards,
+    rendered_shards,
+    shard_crops,
+    shard_pictures,
+)
 from perception.detection.network import LABELS, OTHER, WEIGHTS_FILES, CropNet, Task, predict, save_network
 from perception.detection.scene_network import WEIGHTS_FILE, SceneNet, save_scene_network
 from perception.detection.scene_training import SceneTrainingConfig, train_scene_network
@@ -34,6 +41,7 @@ class TrainDetectorConfig:
 
     Attributes:
         pictures: rendered scenes of the training families.
+        close_ups: further ones of which only crops are kept, for the class and yaw networks.
         validation: further ones of the same families, for the probabilities' calibration.
         test: rendered scenes of the test families, to judge by.
         training: how to train; seed and epochs are those of both networks.
@@ -42,6 +50,7 @@ class TrainDetectorConfig:
     """
 
     pictures: int = 3000
+    close_ups: int = 1000
     validation: int = 250
     test: int = 250
     training: TrainingConfig = field(default_factory=lambda: TrainingConfig(epochs=12))
@@ -54,8 +63,14 @@ class RenderedScenes:
     """Files of pictures and crops, by what they are for."""
 
     training: list[Path]
+    close_ups: list[Path]
     validation: list[Path]
     test: list[Path]
+
+    def crops(self) -> tuple[LabelledCrops, LabelledCrops, LabelledCrops]:
+        """For training, validation and test."""
+        training = LabelledCrops.joined([shard_crops(self.training), close_up_crops(self.close_ups)])
+        return training, shard_crops(self.validation), shard_crops(self.test)
 
 
 def run(config: TrainDetectorConfig, out_dir: Path, progress: Progress | None = None) -> dict[str, Any]:
@@ -67,7 +82,7 @@ def run(config: TrainDetectorConfig, out_dir: Path, progress: Progress | None = 
     shards = rendered(config, out_dir, progress)
     scene = trained_scene(shard_pictures(shards.training), config, out_dir, progress)
     save_scene_network(scene, out_dir / WEIGHTS_FILE, provenance(config))
-    training, validation, test = (shard_crops(s) for s in (shards.training, shards.validation, shards.test))
+    training, validation, test = shards.crops()
     network, temperature = trained(
         "class", class_set(training), class_set(validation), config, out_dir, progress, SCENE_SHARE
     )
@@ -86,9 +101,10 @@ def rendered(config: TrainDetectorConfig, out_dir: Path, progress: Progress | No
         return lambda what, share: _tell(progress, what, RENDERING_SHARE * (low + (high - low) * share))
 
     return RenderedScenes(
-        rendered_shards(folder, "train", config.pictures, seed, part(0.0, 0.8)),
-        rendered_shards(folder, "train", config.validation, seed + 1, part(0.8, 0.85)),
-        rendered_shards(folder, "test", config.test, seed, part(0.85, 1.0)),
+        rendered_shards(folder, "train", config.pictures, seed, part(0.0, 0.4)),
+        close_up_shards(folder, config.close_ups, seed, part(0.4, 0.9)),
+        rendered_shards(folder, "train", config.validation, seed + 1, part(0.9, 0.95)),
+        rendered_shards(folder, "test", config.test, seed, part(0.95, 1.0)),
     )
 
 
@@ -206,8 +222,8 @@ instances are where votes meet (`perception/detection/instances.py`). {scene_par
 **Class network** (`detector.safetensors`): mug, bowl, bottle, can or nothing of these, from a
 gravity-upright 64 x 64 crop of one instance: masked colour, mask, height, relative depth
 (`perception/detection/crops.py`), and the crop's size and elevation. {parameters} weights, float32. Logits
-are divided by {temperature:.2f}, found on further renders of the training families. It tells the classes of
-masks that somebody else made; the detector takes the scene network's own word.
+are divided by {temperature:.2f}, found on further renders of the training families. The detector takes the
+mean of both networks' log-probabilities; masks that somebody else made are told by the class network alone.
 
 **Made by** `nodeslam train detector --seed {training.seed}` with torch {torch}: {training.epochs} epochs of
 AdamW {training.learning_rate}, cosine schedule, batch 8 (scenes) and {training.batch} (crops), float32,
@@ -216,8 +232,9 @@ CPU.
 **Data**: {config.pictures} scenes of the training families and of distractors, rendered at 640 x 480 by
 MuJoCo's classic renderer (`sim_assets/training_scenes.py`: random textures, prints, gloss, light, camera
 height, tilt and roll, gaps down to contact, depth without noise, with 2 mm of noise, and as a RealSense
-errs), mirrored, recoloured and with further holes in training; {crops} crops of their true masks,
-disturbed. No photographs.
+errs), mirrored, recoloured and with further holes in training. {crops} crops of true masks, disturbed, from
+these scenes and {config.close_ups} more crowded ones with more mugs, bottles, cans and odd things of no
+class; mirrored, shifted, cut and recoloured in training. No photographs.
 
 **Class network alone**, on {m[crops]} disturbed true masks in {config.test} classic scenes of the test
 families, single views: accuracy {m[accuracy]:.3f} over all, {m[accuracy_objects]:.3f} over objects;

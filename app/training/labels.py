@@ -138,9 +138,12 @@ def handle_share(points: Float[np.ndarray, "n 3"], T_world_object: Float[np.ndar
 
 
 def disturbed_masks(
-    image: LabelledImage, rng: np.random.Generator, min_pixels: int = 2 * MIN_PIXELS
+    image: LabelledImage, rng: np.random.Generator, min_pixels: int = 2 * MIN_PIXELS, astray: float = 0.0
 ) -> list[Bool[np.ndarray, "h w"]]:
-    """The true masks with the errors that a detector makes, and now and then a patch where nothing stands."""
+    """The true masks with the errors that a detector makes, and now and then a patch where nothing stands.
+
+    A share ``astray`` of them take in a piece of a neighbour.
+    """
     masks = []
     size = np.bincount(image.instances[image.instances >= 0], minlength=len(image.labels))
     for index in np.flatnonzero(size >= min_pixels):
@@ -154,6 +157,8 @@ def disturbed_masks(
             ragged = _cut(ragged, rng)
         mask = np.zeros_like(true)
         mask[window] = ragged
+        if astray > 0 and rng.random() < astray:
+            mask |= _piece_of_a_neighbour(image, int(index), window, rng)
         masks.append(mask)
     if rng.random() < 0.15:
         height, width = image.instances.shape
@@ -163,6 +168,26 @@ def disturbed_masks(
         cv2.ellipse(patch, centre, axes, rng.uniform(0, 180), 0, 360, 1, -1)
         masks.append(patch.astype(bool) & (image.instances < 0))
     return [mask for mask in masks if mask.sum() >= min_pixels]
+
+
+def _piece_of_a_neighbour(
+    image: LabelledImage, index: int, window: tuple[slice, slice], rng: np.random.Generator
+) -> Bool[np.ndarray, "h w"]:
+    """A round piece of something else within half a width of the thing's window; empty if nothing is near."""
+    height, width = image.instances.shape
+    rows, columns = window
+    reach = max(rows.stop - rows.start, columns.stop - columns.start) // 2
+    near = np.zeros((height, width), bool)
+    top, left = max(rows.start - reach, 0), max(columns.start - reach, 0)
+    near[top : rows.stop + reach, left : columns.stop + reach] = True
+    near &= (image.instances >= 0) & (image.instances != index)
+    v, u = np.nonzero(near)
+    if not len(v):
+        return near
+    k = rng.integers(len(v))
+    disc = np.zeros((height, width), np.uint8)
+    cv2.circle(disc, (int(u[k]), int(v[k])), int(rng.integers(4, max(6, reach))), 1, -1)
+    return near & (disc > 0) & (image.instances == image.instances[v[k], u[k]])
 
 
 def _cut(mask: Bool[np.ndarray, "h w"], rng: np.random.Generator) -> Bool[np.ndarray, "h w"]:

@@ -112,12 +112,55 @@ def rendered_shards(
     return paths
 
 
+def close_up_shards(
+    directory: Path, pictures: int, seed: int, progress: Progress | None = None
+) -> list[Path]:
+    """Files of crops alone (``LabelledCrops``) from further, crowded scenes of the training families.
+
+    More of them show what is hard to tell: mugs by their handles, bottles from cans, odd things that are
+    neither; some masks take in a piece of a neighbour.
+    """
+    paths = []
+    shards = max(1, math.ceil(pictures / SHARD))
+    for shard in range(shards):
+        count = min(SHARD, pictures - shard * SHARD)
+        path = directory / f"close_ups_seed{seed}_n{count}_{shard:03d}.npz"
+        if not path.is_file():
+            if progress:
+                progress("rendering close-ups", shard / shards)
+            _render_close_ups(count, np.random.SeedSequence([seed, shard, 1])).save(path)
+        paths.append(path)
+    return paths
+
+
+def _render_close_ups(count: int, seed: np.random.SeedSequence) -> LabelledCrops:
+    from sim_assets.training_scenes import TrainingSceneConfig, TrainingScenes
+
+    rng = np.random.default_rng(seed.spawn(1)[0])
+    config = TrainingSceneConfig(
+        width=_SIZE[0], height=_SIZE[1], pool=36, distractors=16, shares=(4, 1, 2, 2), odd=0.4,
+        plain_tumblers=False, objects=(5, 12), extras=(1, 5), pictures_per_pool=PICTURES_PER_POOL,
+        distance=(0.28, 0.95), elevation=(np.radians(25), np.radians(90)), noises=(0.1, 0.1, 0.8),
+    )  # fmt: skip
+    crops = []
+    with TrainingScenes("train", int(seed.generate_state(1)[0]), config) as scenes:
+        for image in scenes.render(count):
+            masks = disturbed_masks(image, rng, astray=0.2)
+            crops.append(labelled_crops(image, jittered_plane(rng), masks))
+    logger.info("%d close-ups: %d crops", count, sum(map(len, crops)))
+    return LabelledCrops.joined(crops)
+
+
 def shard_pictures(paths: Sequence[Path]) -> Pictures:
     return Pictures.joined([Pictures.load(path) for path in paths])
 
 
 def shard_crops(paths: Sequence[Path]) -> LabelledCrops:
     return LabelledCrops.joined([LabelledCrops.load(_crops_path(path)) for path in paths])
+
+
+def close_up_crops(paths: Sequence[Path]) -> LabelledCrops:
+    return LabelledCrops.joined([LabelledCrops.load(path) for path in paths])
 
 
 def _crops_path(path: Path) -> Path:

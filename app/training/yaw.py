@@ -15,7 +15,6 @@ from jaxtyping import Float
 
 from app.training.detector import RENDERING_SHARE, TrainDetectorConfig, provenance, rendered, trained
 from app.training.labels import LabelledCrops, Progress
-from app.training.pictures import shard_crops
 from perception.detection.network import WEIGHTS_FILES, CropNet, predict, save_network
 from perception.detection.training import CropSet, TrainingConfig
 from perception.detection.yaw import modes, soft_labels
@@ -26,9 +25,9 @@ HANDLE_VISIBLE = 0.01  # share of a mug's visible points on its handle from whic
 
 @dataclass(frozen=True)
 class TrainYawConfig(TrainDetectorConfig):
-    """As for the detector; mugs are a fifth of the crops, so they are passed over more often."""
+    """As for the detector; mugs are but a part of the crops, so they are passed over more often."""
 
-    training: TrainingConfig = field(default_factory=lambda: TrainingConfig(epochs=24))
+    training: TrainingConfig = field(default_factory=lambda: TrainingConfig(epochs=36))
 
 
 def run(config: TrainYawConfig, out_dir: Path, progress: Progress | None = None) -> dict[str, Any]:
@@ -38,9 +37,7 @@ def run(config: TrainYawConfig, out_dir: Path, progress: Progress | None = None)
         the report's metrics: errors of the most probable yaw in [rad], with the handle visible and hidden.
     """
     shards = rendered(config, out_dir, progress)
-    training, validation, test = (
-        mugs_of(shard_crops(s)) for s in (shards.training, shards.validation, shards.test)
-    )
+    training, validation, test = (mugs_of(crops) for crops in shards.crops())
     network, temperature = trained(
         "yaw", yaw_set(training), yaw_set(validation), config, out_dir, progress, RENDERING_SHARE
     )
@@ -114,7 +111,8 @@ divided by {temperature:.2f}. Where the handle is hidden the distribution is wid
 {training.learning_rate}, cosine schedule, batch {training.batch}, wrapped Gaussians of 7° as soft labels,
 mirrored crops (their yaw changes sign), float32, CPU.
 
-**Data**: the {mugs} mugs in {config.pictures} rendered scenes of the training families (see `detector.md`).
+**Data**: the {mugs} mugs in {config.pictures} + {config.close_ups} rendered scenes of the training families
+(see `detector.md`).
 
 **Judged on** the mugs in {config.test} scenes of the test families (handle styles never trained on), single
 views. The handle counts as visible when at least {visible:.0%} of the mug's visible points lie on it.

@@ -1,20 +1,19 @@
 """From one RGB-D frame to the objects in it.
 
-The scene network finds the instances and tells their classes; the class network does so for instances that
-somebody else has found; the yaw network says where the handles of mugs point.
+The scene network finds the instances and says what it takes them for, the class network looks at each of them
+closely, and both words count the same; the yaw network says where the handles of mugs point.
 """
 
 from __future__ import annotations
 
 from collections.abc import Sequence
 from dataclasses import dataclass, field
-from functools import cache
 from pathlib import Path
 
 import numpy as np
 import torch
 from jaxtyping import Bool, Float
-from scipy.special import softmax
+from scipy.special import log_softmax, softmax
 
 from perception.detection import network as nets
 from perception.detection.crops import crop, filtered_geometry
@@ -93,34 +92,28 @@ class Detector:
     ) -> list[ObjectDetection]:
         """What the networks say of instances that somebody else has found, as a call does of its own.
 
-        The class network tells the classes, unless ``hints`` give their log-probabilities for each instance.
+        ``hints`` are log-probabilities of the classes that another network gives for each instance; the mean
+        of both is taken.
         """
         geometry = filtered_geometry(frame, plane)
         kept = [i for i, mask in enumerate(masks) if (mask & (geometry[0] > 0)).any()]
         if not kept:
             return []
         masks = [masks[i] for i in kept]
-        pieces = cache(lambda i: crop(frame, masks[i], plane, geometry))  # each is cut once, if at all
-
-        def stacked(indices: Sequence[int]) -> tuple[np.ndarray, np.ndarray]:
-            return np.stack([pieces(i).image for i in indices]), np.stack(
-                [pieces(i).context for i in indices]
-            )
-
-        if hints is None:
-            everything = stacked(range(len(masks)))
-            classes = nets.predict(self.class_network, self.class_temperature, *everything)
-        else:
-            classes = softmax(np.stack([hints[i] for i in kept]).astype(np.float64), axis=1)
-        mugs = np.flatnonzero(classes[:, _MUG] >= self.config.min_mug).tolist()
-        yaws = nets.predict(self.yaw_network, self.yaw_temperature, *stacked(mugs)) if mugs else []
-        yaw_of = dict(zip(mugs, yaws))
+        pieces = [crop(frame, mask, plane, geometry) for mask in masks]
+        images, context = np.stack([p.image for p in pieces]), np.stack([p.context for p in pieces])
+        classes = nets.predict(self.class_network, self.class_temperature, images, context)
+        if hints is not None:
+            classes = agreed(classes, np.stack([hints[i] for i in kept]).astype(np.float64))
+        mugs = np.flatnonzero(classes[:, _MUG] >= self.config.min_mug)
+        yaws = nets.predict(self.yaw_network, self.yaw_temperature, images[mugs], context[mugs])
+        yaw_of = dict(zip(mugs.tolist(), yaws))
         detections = []
         for i, (mask, probabilities) in enumerate(zip(masks, classes)):
             if probabilities[nets.OTHER] > self.config.max_other:
                 continue
             best = int(probabilities[: nets.OTHER].argmax())
-            yaw = turned(yaw_of[i], heading_angle(pieces(i).heading, plane)) if i in yaw_of else np.zeros(0)
+            yaw = turned(yaw_of[i], heading_angle(pieces[i].heading, plane)) if i in yaw_of else np.zeros(0)
             detections.append(
                 ObjectDetection(
                     category=CATEGORIES[best],
@@ -131,3 +124,10 @@ class Detector:
                 )
             )
         return sorted(detections, key=lambda detection: -detection.score)
+
+
+def agreed(
+    probabilities: Float[np.ndarray, "n 5"], hints: Float[np.ndarray, "n 5"]
+) -> Float[np.ndarray, "n 5"]:
+    """Probabilities from the mean of two networks' log-probabilities; neither can rule anything out alone."""
+    return softmax(0.5 * (np.log(np.clip(probabilities, 1e-5, 1.0)) + log_softmax(hints, axis=1)), axis=1)

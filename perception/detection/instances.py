@@ -33,7 +33,9 @@ class InstanceConfig:
         cell: of the grid of votes in [m].
         blur: standard deviation in [m] by which votes are spread at least.
         apart: least distance in [m] between the feet of two things.
-        astray: votes this far in [m] from all feet are no thing's.
+        astray: votes this far in [m] from all feet are no thing's: parts of something without a foot of its
+            own must not go to whatever stands next to it.
+        piece_astray: the same for half of the votes of a separate piece of a thing.
         min_votes: visible area, seen square to the ray and discounted by doubt, that makes a peak, in [m^2].
         min_area, min_pixels: smallest visible area in [m^2] and mask.
         ceiling: instances that reach higher above the plane in [m] are no table-top things (an arm).
@@ -44,7 +46,8 @@ class InstanceConfig:
     cell: float = 0.005
     blur: float = 0.008
     apart: float = 0.03
-    astray: float = 0.15
+    astray: float = 0.06
+    piece_astray: float = 0.03
     min_votes: float = 1e-4
     min_area: float = 2.5e-4
     min_pixels: int = 60
@@ -156,19 +159,28 @@ def assigned(
     ]
     shown = answer.foreground > config.foreground
     vote = view.plan[shown] + fine[shown] * view.pixel[shown][:, None]
-    numbers = np.zeros((h, w), np.int32)
-    distance = cdist(vote, peaks)
-    numbers[shown] = distance.argmin(1)
-    astray = shown.copy()
-    astray[shown] = distance.min(1) > config.astray
-    return np.where(astray, _NO_THING, _without_crumbs(numbers, shown & ~astray, len(peaks)))
+    numbers, distance = np.zeros((h, w), np.int32), np.zeros((h, w), np.float32)
+    apart = cdist(vote, peaks)
+    numbers[shown], distance[shown] = apart.argmin(1), apart.min(1)
+    astray = shown & (distance > config.astray)
+    tidy = _tidied(numbers, shown & ~astray, distance, len(peaks), config.piece_astray)
+    return np.where(astray, _NO_THING, tidy)
 
 
-def _without_crumbs(
-    numbers: Int[np.ndarray, "h w"], foreground: Bool[np.ndarray, "h w"], count: int, share: float = 0.2
+def _tidied(
+    numbers: Int[np.ndarray, "h w"],
+    foreground: Bool[np.ndarray, "h w"],
+    distance: Float[np.ndarray, "h w"],
+    count: int,
+    piece_astray: float,
+    share: float = 0.2,
 ) -> Int[np.ndarray, "h w"]:
-    """Small separate pieces, and the background, given to the instance that is nearest to them."""
-    loose = np.zeros(numbers.shape, bool)
+    """Small separate pieces, and the background, given to the instance that is nearest to them.
+
+    A piece that touches no instance stays part of its own, if its votes say so (their ``distance`` from the
+    foot in [m]); else it is no thing's.
+    """
+    loose, stray = np.zeros(numbers.shape, bool), np.zeros(numbers.shape, bool)
     for k in range(count):
         mine = (foreground & (numbers == k)).astype(np.uint8)
         n, pieces, stats, _ = cv2.connectedComponentsWithStats(mine, connectivity=8)
@@ -177,11 +189,16 @@ def _without_crumbs(
         area = np.asarray(stats)[:, cv2.CC_STAT_AREA].copy()
         area[0] = 0
         loose |= ((area < share * area.max()) & (area > 0))[np.asarray(pieces)]
-    firm = foreground & ~loose
+        for piece in range(1, n):
+            here = np.asarray(pieces) == piece
+            if np.median(distance[here]) > piece_astray:
+                stray |= here
+    firm = foreground & ~loose & ~stray
     if not firm.any():
         return numbers
-    around, distance = spread_from(numbers, firm)
-    return np.where(loose & (distance >= 3), numbers, around)
+    around, away = spread_from(numbers, firm)
+    kept = np.where(loose & (away >= 3), numbers, around)
+    return np.where(stray & ~(loose & (away < 3)), _NO_THING, kept)
 
 
 def _classes(answer: Answers, numbers: Int[np.ndarray, "h w"], count: int) -> Float[np.ndarray, "k 5"]:

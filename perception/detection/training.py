@@ -189,19 +189,40 @@ def displaced(
 def disturbed(
     inputs: Float[Tensor, "n 6 side side"], context: Float[Tensor, "n 2"], generator: torch.Generator
 ) -> tuple[Float[Tensor, "n 6 side side"], Float[Tensor, "n 2"]]:
-    """Brightness, tint and channel order changed, noise on heights and depths: colour is only a hint."""
+    """Other colours (``recoloured``), noise on heights and depths, sizes and elevations a little off."""
     n, _, side, _ = inputs.shape
-    draw = torch.rand(n, 8, generator=generator).to(inputs.device) * 2 - 1  # uniform in -1..1
-    ones, zeros = torch.ones_like(draw[:, :3]), torch.zeros_like(draw[:, :4])
-    gain = torch.cat([1 + 0.3 * draw[:, :1] * ones, ones], dim=1)[..., None, None]
-    tint = torch.cat([0.15 * draw[:, 1:2] + 0.1 * draw[:, 2:5], zeros[:, :3]], dim=1)[..., None, None]
-    sigma = 0.03 * draw[:, 5:6].abs()  # of 0.1 m
-    sigma = torch.cat([zeros, -sigma, sigma], dim=1)[..., None, None]  # farther is lower
+    draw = torch.rand(n, 3, generator=generator).to(inputs.device) * 2 - 1  # uniform in -1..1
+    mask = inputs[:, 3:4]
     noise = torch.randn(n, 1, side, side, generator=generator).to(inputs.device)
-    out = inputs * gain + inputs[:, 3:4] * (tint + sigma * noise)
+    noise = noise * mask * (0.03 * draw[:, :1].abs())[..., None, None]  # of 0.1 m; farther is lower
+    colours = recoloured(inputs[:, :3], mask, generator)
+    out = torch.cat([colours, mask, inputs[:, 4:5] - noise, inputs[:, 5:6] + noise], dim=1)
+    return out.contiguous(memory_format=torch.channels_last), context + 0.03 * draw[:, 1:]
+
+
+def recoloured(
+    colours: Float[Tensor, "n 3 side side"], mask: Float[Tensor, "n 1 side side"], generator: torch.Generator
+) -> Float[Tensor, "n 3 side side"]:
+    """Prepared colours in another light, another camera, another paint: colour is only a hint.
+
+    Gamma, gain and tint for every crop; for some a shading across it, no hue, or no picture at all.
+    """
+    n, _, side, _ = colours.shape
+    draw = torch.rand(n, 12, generator=generator).to(colours.device)
+    odds = draw[:, :, None, None, None]  # (n, 12, 1, 1, 1)
+    image = ((colours + 0.9 * mask) / 2).clamp(1e-3, 1)  # 0..1, as the camera gives it
+    image = image ** (0.5 + odds[:, 0]) * (0.5 + 1.1 * odds[:, 1])
+    image = image * (0.85 + 0.3 * draw[:, 2:5, None, None])
+    across = torch.linspace(-0.5, 0.5, side, device=colours.device)
+    slope = (2 * draw[:, 5:7, None, None] - 1) * (odds[:, 7] < 0.4)
+    shading = slope[:, :1] * across[:, None] + slope[:, 1:] * across
+    image = image * (1 + shading)
+    grey = image.mean(1, keepdim=True)
+    image = torch.where(odds[:, 8] < 0.15, grey, image)
+    image = torch.where(odds[:, 9] < 0.05, odds[:, 10], image)
     if torch.rand(1, generator=generator) < 0.3:
-        out = out[:, [*torch.randperm(3, generator=generator).tolist(), 3, 4, 5]]
-    return out.contiguous(memory_format=torch.channels_last), context + 0.03 * draw[:, 6:8]
+        image = image[:, torch.randperm(3, generator=generator)]
+    return (2 * image.clamp(0, 1) - 0.9) * mask
 
 
 @torch.inference_mode()

@@ -32,6 +32,7 @@ class LifeConfig:
         max_bad: frames in a row in which most of its pixels disagree.
         lost_share: median share of agreeing pixels under which the camera is lost.
         weak_move: standard deviation of the camera's place from which on the pose is weak [m].
+        growing_move: standard deviation up to which a weak pose may give new landmarks [m].
         max_weak: weak frames in a row after which the camera counts as lost.
         max_blind: frames for which a lost camera is looked for near its last pose first.
         max_keyframes: are kept; then the oldest go.
@@ -52,6 +53,7 @@ class LifeConfig:
     max_bad: int = 12
     lost_share: float = 0.5
     weak_move: float = 0.01
+    growing_move: float = 0.025
     max_weak: int = 20
     max_blind: int = 10
     max_keyframes: int = 80
@@ -65,7 +67,7 @@ class SlamConfig:
     """All settings of the system."""
 
     joint_on: bool = True
-    fit: FitConfig = field(default_factory=FitConfig)
+    fit: FitConfig = field(default_factory=lambda: FitConfig(refine=None))  # landmarks have no meshes
     tracking: TrackingConfig = field(default_factory=TrackingConfig)
     selection: SelectionConfig = field(default_factory=SelectionConfig)
     association: AssociationConfig = field(default_factory=AssociationConfig)

@@ -45,6 +45,8 @@ class JointConfig:
         lm: damping.
         noise: weights of the residuals.
         pixels: which pixels take part.
+        memory: so many views' worth of what earlier keyframes, outside the window, said of an object counts.
+        camera_sigma: of those keyframes' cameras (rotation, translation) [rad], [m].
         plane_sigma: of a point of the plane [m]; the plane ties cameras only where ``use_plane``.
         use_plane: whether it does.
         threads: objects evaluated at a time.
@@ -58,6 +60,8 @@ class JointConfig:
     lm: LmConfig = field(default_factory=lambda: LmConfig(damping=1e-2))
     noise: NoiseConfig = field(default_factory=lambda: NoiseConfig(data_weight=0.2))
     pixels: PixelConfig = field(default_factory=PixelConfig)
+    memory: float = 4.0
+    camera_sigma: Float[np.ndarray, "6"] = field(default_factory=lambda: np.repeat([0.005, 0.003], 3))
     plane_sigma: float = 0.005
     use_plane: bool = True
     threads: int = 2
@@ -65,10 +69,14 @@ class JointConfig:
 
 @dataclass(frozen=True)
 class JointResult:
-    """The window afterwards: keyframes and landmarks moved, costs before and after."""
+    """The window afterwards: keyframes and landmarks moved, costs before and after.
+
+    ``information`` is what each keyframe, by its number, said of each landmark: (25, 25), without priors.
+    """
 
     keyframes: tuple[Keyframe, ...]
     landmarks: Mapping[int, Landmark]
+    information: Mapping[tuple[int, int], Float[np.ndarray, "25 25"]]
     cost_before: float
     cost_after: float
     iterations: int
@@ -112,6 +120,7 @@ def optimise_jointly(
     plane: SupportPlane,
     plane_points: Sequence[Float[np.ndarray, "_n 3"]],
     config: JointConfig,
+    known: Mapping[int, Float[np.ndarray, "25 25"]] | None = None,
 ) -> JointResult:
     """Moves the cameras of all keyframes but the first, and the landmarks that they see.
 
@@ -122,8 +131,10 @@ def optimise_jointly(
         plane: what the objects stand on.
         plane_points: for each keyframe points of the plane in its camera's frame [m].
         config: weights and budgets.
+        known: information on landmarks from elsewhere, about where they are now. Without it an object that
+            the window shows little of, as the image cuts it, would forget what was seen of it before.
     """
-    window = _Window(keyframes, landmarks, decoder, plane, plane_points, config)
+    window = _Window(keyframes, landmarks, decoder, plane, plane_points, config, known or {})
     with ThreadPoolExecutor(config.threads) as pool:
         return window.run(pool)
 
@@ -178,7 +189,10 @@ def object_by_camera(pose: ObjectPose, T_world_camera: Float[np.ndarray, "4 4"])
 class _Window:
     """The state of a joint optimisation and its steps."""
 
-    def __init__(self, keyframes, landmarks, decoder, plane, plane_points, config: JointConfig) -> None:
+    def __init__(
+        self, keyframes, landmarks, decoder, plane, plane_points, config: JointConfig, known
+    ) -> None:
+        self.known: Mapping[int, np.ndarray] = known
         self.keyframes, self.decoder, self.plane, self.config = list(keyframes), decoder, plane, config
         self.plane_points = plane_points
         self.Ts = np.stack([k.T_world_camera for k in keyframes])
@@ -187,13 +201,14 @@ class _Window:
         views = {one: [k for k, key in enumerate(keyframes) if one in key.landmarks] for one in ids}
         self.objects = {one: _ObjectInWindow(landmarks[one], views[one], self) for one in ids}
         self.states = {one: landmarks[one].state for one in ids}
+        self.start = dict(self.states)
         self.free = CAMERA * (len(keyframes) - 1)
 
     def run(self, pool: ThreadPoolExecutor) -> JointResult:
         config, damping, small = self.config, self.config.lm.damping, 0
         self._refresh_shapes(pool, force=True)
         current = self._evaluate(pool, self.states, self.Ts)
-        before = after = self._cost(current, current)
+        before = after = self._cost(current, current) + self._cost_of_known(self.states)
         done = 0
         for _ in range(config.iterations):
             step_c, step_o = solve_by_schur(self._equations(current), damping)
@@ -202,16 +217,19 @@ class _Window:
             states, Ts = self._moved(step_c, step_o)
             there = self._evaluate(pool, states, Ts)
             done += 1
-            cost, cost_after = self._cost(current, current), self._cost(there, current)
+            cost = self._cost(current, current) + self._cost_of_known(self.states)
+            cost_after = self._cost(there, current) + self._cost_of_known(states)
             if cost_after >= cost:
                 damping *= config.lm.up
                 continue
             self.states, self.Ts, damping, after = states, Ts, damping * config.lm.down, cost_after
             small = small + 1 if cost - cost_after < 1e-4 * cost else 0
+            current = there
             if small == 2:
                 break
-            current = self._evaluate(pool, states, Ts) if self._refresh_shapes(pool) else there
-        return self._result(before, after, done)
+            if self._refresh_shapes(pool):
+                current = self._evaluate(pool, states, Ts)
+        return self._result(before, after, done, current)
 
     def _evaluate(self, pool: ThreadPoolExecutor, states, Ts) -> dict[str, list]:
         """Evaluations of all objects, then plane rows of the free cameras."""
@@ -238,13 +256,22 @@ class _Window:
             total += float(there.weights @ here.residuals**2)
         return total
 
+    def _cost_of_known(self, states: Mapping[int, FitState]) -> float:
+        """What it costs that landmarks are elsewhere than what is known of them says."""
+        steps = {one: states[one].step_from(self.start[one]) for one in self.known if one in states}
+        return float(sum(step @ self.known[one] @ step for one, step in steps.items()))
+
     def _equations(self, current: dict[str, list]) -> NormalEquations:
         n = len(self.objects)
         cameras, gradient = np.zeros((self.free, self.free)), np.zeros(self.free)
         objects, ties = np.zeros((n, PARAMETERS, PARAMETERS)), np.zeros((n, PARAMETERS, self.free))
         gradient_objects = np.zeros((n, PARAMETERS))
-        for i, (item, (evaluation, by_camera)) in enumerate(zip(self.objects.values(), current["objects"])):
+        for i, (one, (evaluation, by_camera)) in enumerate(zip(self.objects, current["objects"])):
+            item = self.objects[one]
             objects[i], gradient_objects[i] = evaluation.normal_equations()
+            if one in self.known:
+                objects[i] += self.known[one]
+                gradient_objects[i] += self.known[one] @ self.states[one].step_from(self.start[one])
             rows = len(by_camera)
             for k, camera in enumerate(item.views):
                 if camera == 0:
@@ -287,10 +314,19 @@ class _Window:
             self.landmarks[one] = replace(self.landmarks[one], shape=shape)
         return bool(far)
 
-    def _result(self, before: float, after: float, done: int) -> JointResult:
-        landmarks = {}
+    def _result(self, before: float, after: float, done: int, current: dict[str, list]) -> JointResult:
+        landmarks, information = {}, {}
+        for (one, item), (evaluation, by_camera) in zip(self.objects.items(), current["objects"]):
+            for k, camera in enumerate(item.views):
+                own = np.flatnonzero(item.pixels.rays.view == k)
+                J, weights = evaluation.jacobian[own].astype(np.float64), evaluation.weights[own, None]
+                J_c = by_camera[own]
+                ties = J.T @ (weights * J_c)
+                doubt = J_c.T @ (weights * J_c) + np.diag(self.config.camera_sigma**-2)
+                known = J.T @ (weights * J) - ties @ np.linalg.solve(doubt, ties.T)
+                information[self.keyframes[camera].number, one] = known
         for one, state in self.states.items():
             landmark = self.landmarks[one].with_state(state)
             landmarks[one] = replace(landmark, updates=landmark.updates + 1)
         keyframes = tuple(k.moved(T) for k, T in zip(self.keyframes, self.Ts))
-        return JointResult(keyframes, landmarks, before, after, done)
+        return JointResult(keyframes, landmarks, information, before, after, done)

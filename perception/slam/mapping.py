@@ -42,6 +42,7 @@ class Mapper:
         self.unmatched: list[tuple[np.ndarray, int]] = []
         self.next_id = 0
         self._plane_points: dict[int, np.ndarray] = {}  # of each keyframe
+        self._information: dict[tuple[int, int], np.ndarray] = {}  # of keyframes on landmarks
 
     def count(
         self,
@@ -98,17 +99,21 @@ class Mapper:
             now.append((found.mask, 1 + max(before, default=0)))
         self.unmatched = now
 
+    def holds(self, shares: Mapping[int, float]) -> bool:
+        """Whether the landmarks that agree with a frame, by these shares of their pixels, are enough."""
+        life = self.config.life
+        return sum(share > life.enough_share for share in shares.values()) >= life.enough
+
     def new_landmarks(
         self,
         posed: RgbdFrame,
         detections: Sequence[ObjectDetection],
         landmark_of: Mapping[int, int],
-        shares: Mapping[int, float],
+        held: bool,
         number: int,
     ) -> dict[int, int]:
-        """Landmarks from masks that have had none for a while; ``shares`` of the known ones agree."""
+        """Landmarks from masks that have had none for a while; cut ones wait while the pose is held."""
         life, new = self.config.life, {}
-        held = sum(share > life.enough_share for share in shares.values()) >= life.enough
         ages = {id(mask): age for mask, age in self.unmatched}
         for label, found in enumerate(detections, start=1):
             age = ages.get(id(found.mask), 0)
@@ -146,6 +151,11 @@ class Mapper:
         self.keyframes = [*self.keyframes, key][-self.config.life.max_keyframes :]
         points = {**self._plane_points, key.number: plane_points}
         self._plane_points = {k.number: points[k.number] for k in self.keyframes}
+        self._information = {
+            (number, one): known
+            for (number, one), known in self._information.items()
+            if number in self._plane_points and one in self.world.landmarks
+        }
 
     def refit_doubtful(self, key: Keyframe) -> None:
         """Fits one landmark of the keyframe anew, if its start was poor.
@@ -170,6 +180,7 @@ class Mapper:
                 continue
             logger.info("frame %d: landmark %d fitted anew as %s", key.number, one, other.category)
             self.world = self.world.with_landmarks(renewed(landmark, other))
+            self._information = {key: known for key, known in self._information.items() if key[1] != one}
             return  # one is enough for a frame
 
     def optimise(self, key: Keyframe) -> Float[np.ndarray, "4 4"]:
@@ -178,8 +189,19 @@ class Mapper:
         result = optimise_jointly(
             window, self.world.landmarks, self.decoder, self.world.plane,
             [self._plane_points[k.number] for k in window], self.config.joint,
+            self._known_outside({k.number for k in window}),
         )  # fmt: skip
+        self._information |= result.information
         self.world = self.world.with_landmarks(*result.landmarks.values())
         moved = {k.number: k for k in result.keyframes}
         self.keyframes = [moved.get(k.number, k) for k in self.keyframes]
         return moved[key.number].T_world_camera @ invert(key.T_world_camera)
+
+    def _known_outside(self, window: set[int]) -> dict[int, Float[np.ndarray, "25 25"]]:
+        """What keyframes outside a window have said of each landmark, as so many views as may count."""
+        by_landmark: dict[int, list[np.ndarray]] = {}
+        for (number, one), known in self._information.items():
+            if number not in window:
+                by_landmark.setdefault(one, []).append(known)
+        most = self.config.joint.memory
+        return {one: min(1.0, most / len(all_)) * np.sum(all_, axis=0) for one, all_ in by_landmark.items()}

@@ -9,7 +9,8 @@ from __future__ import annotations
 
 import logging
 import time
-from collections.abc import Callable, Mapping, Sequence
+from collections.abc import Callable, Iterator, Mapping, Sequence
+from contextlib import contextmanager
 from dataclasses import dataclass, field, replace
 from functools import cache
 from typing import Literal
@@ -35,6 +36,7 @@ from perception.types import ObjectDetection, RgbdFrame, SupportPlane
 logger = logging.getLogger(__name__)
 
 Detect = Callable[[RgbdFrame, SupportPlane], Sequence[ObjectDetection]]
+Clock = Callable[[], float]
 Status = Literal["tracked", "weak", "lost"]
 Labels = UInt8[np.ndarray, "h w"]
 _NO_MOTION = 5.0  # times the uncertainty of an even motion: nothing is known but the last pose
@@ -83,15 +85,22 @@ class _Seen:
 class Slam:
     """Map and camera over a sequence. The first frame's pose defines the world (the identity if unknown)."""
 
-    def __init__(self, decoder: Decoder, detect: Detect, config: SlamConfig | None = None) -> None:
-        self.decoder, self.detect, self.config = decoder, detect, config or SlamConfig()
+    def __init__(
+        self,
+        decoder: Decoder,
+        detect: Detect,
+        config: SlamConfig | None = None,
+        clock: Clock = time.perf_counter,
+    ) -> None:
+        self.decoder, self.detect, self.config, self._now = decoder, detect, config or SlamConfig(), clock
         self.mapper: Mapper | None = None
         self._number = -1
         self._moments: list[tuple[float, np.ndarray]] = []  # times and poses of the last two frames
         self._lost_for = 0
         self._weak_for = 0
+        self._may_grow = True
         self._previous: tuple[Labels, dict[int, int]] | None = None
-        self._clock: dict[str, float] = {}
+        self._seconds: dict[str, float] = {}
 
     @property
     def world(self) -> LandmarkMap | None:
@@ -105,7 +114,7 @@ class Slam:
     def process(self, frame: RgbdFrame) -> FrameResult:
         """The next frame. Its own pose is ignored, unless it is the first."""
         self._number += 1
-        self._clock = {}
+        self._seconds = {}
         if self.mapper is None:
             return self._begin(frame)
         if self._lost_for:
@@ -126,7 +135,7 @@ class Slam:
         mapper = self.mapper = Mapper(plane, self.decoder, self.config)
         self._moments = [(frame.time, T)]
         posed = with_pose(frame, T)
-        with _timed(self._clock, "detect"):
+        with self._timed("detect"):
             detections = unite_fragments(posed, self.detect(posed, plane), plane)
         labels = label_image(detections, frame.depth.shape)
         mapper.unmatched = [(found.mask, self.config.life.seen_before) for found in detections]
@@ -155,9 +164,9 @@ class Slam:
         """Masks, their landmarks, and the pose that fits."""
         world, config = mapper.world, self.config
         posed = with_pose(frame, T_predicted)
-        with _timed(self._clock, "detect"):
+        with self._timed("detect"):
             detections = unite_fragments(posed, self.detect(posed, world.plane), world.plane)
-        with _timed(self._clock, "track"):
+        with self._timed("track"):
             labels = label_image(detections, frame.depth.shape)
             render = cache(lambda: render_masks(world, frame, T_predicted, config.association.pitch))
             landmark_of = associate_masks(posed, labels, self._previous, render, world, config.association)
@@ -198,6 +207,7 @@ class Slam:
         covariance = np.linalg.pinv(tracked.information + 1e-6 * np.eye(6), hermitian=True)
         spread = float(np.sqrt(max(np.linalg.eigvalsh(covariance[3:, 3:])[-1], 0.0)))
         self._weak_for = self._weak_for + 1 if spread > life.weak_move else 0
+        self._may_grow = spread < life.growing_move
         if self._weak_for > life.max_weak:
             return "lost"
         return "weak" if self._weak_for else "tracked"
@@ -218,14 +228,14 @@ class Slam:
         if found is not None:
             return self._found(frame, found.tracked, found.labels, found.landmark_of)
         self._previous, mapper.unmatched = None, []
-        return FrameResult(self._number, frame.time, T_last, "lost", seconds=dict(self._clock))
+        return FrameResult(self._number, frame.time, T_last, "lost", seconds=dict(self._seconds))
 
     def relocalised(self, frame: RgbdFrame) -> Relocalised | None:
         """Where the map says that a frame from nobody knows where was taken; changes nothing."""
         assert self.world is not None
-        with _timed(self._clock, "detect"):
+        with self._timed("detect"):
             detections = self._detect_unposed(frame)
-        with _timed(self._clock, "relocalise"):
+        with self._timed("relocalise"):
             return relocalise(
                 self.world, frame, detections, label_image(detections, frame.depth.shape),
                 self.config.tracking, self.config.selection, self.config.relocalisation,
@@ -244,8 +254,15 @@ class Slam:
             tracked.T_world_camera,
             "tracked",
             landmark_of,
-            seconds=dict(self._clock),
+            seconds=dict(self._seconds),
         )
+
+    @contextmanager
+    def _timed(self, stage: str) -> Iterator[None]:
+        """Adds the seconds of a block to the frame's."""
+        begin = self._now()
+        yield
+        self._seconds[stage] = self._seconds.get(stage, 0.0) + self._now() - begin
 
     def _detect_unposed(self, frame: RgbdFrame) -> list[ObjectDetection]:
         """Detections of a frame from nobody knows where: the plane is found in the frame itself."""
@@ -268,32 +285,37 @@ class Slam:
         status: Status,
         retired: tuple[int, ...],
     ) -> FrameResult:
-        """New landmarks, then perhaps a keyframe with its joint optimisation."""
+        """New landmarks, then perhaps a keyframe with its joint optimisation.
+
+        A weak pose needs new landmarks most: while it is not too weak they are taken, cut ones as well.
+        """
         landmark_of = dict(landmark_of)
         new: dict[int, int] = {}
-        if status == "tracked":
-            with _timed(self._clock, "initialise"):
-                new = mapper.new_landmarks(posed, detections, landmark_of, shares, self._number)
+        if self._may_grow:
+            held = status == "tracked" and mapper.holds(shares)
+            with self._timed("initialise"):
+                new = mapper.new_landmarks(posed, detections, landmark_of, held, self._number)
         landmark_of |= new
         self._previous = (labels, landmark_of)
         landmarks = mapper.world.landmarks
         seen = {one: landmarks[one] for one in landmark_of.values() if one in landmarks}
         T = np.array(posed.T_world_camera)
-        is_keyframe = status == "tracked" and (bool(new) or shows_new_view(T, seen, mapper.keyframes))
+        is_new = status == "tracked" and shows_new_view(T, seen, mapper.keyframes)
+        is_keyframe = bool(new) or is_new
         if is_keyframe:
             key = make_keyframe(self._number, posed, T, labels, landmark_of, detections)
             mapper.keep(key, pixels.plane_points)
-            with _timed(self._clock, "initialise"):
+            with self._timed("initialise"):
                 mapper.refit_doubtful(key)
             if self.config.joint_on:
-                with _timed(self._clock, "joint"):
+                with self._timed("joint"):
                     moved = mapper.optimise(key)
                 self._moments = [
                     (t, moved @ pose) for t, pose in self._moments
                 ]  # the motion goes on from there
         return FrameResult(
             self._number, posed.time, self._moments[-1][1], status, landmark_of, tuple(new.values()), retired,
-            is_keyframe, dict(self._clock),
+            is_keyframe, dict(self._seconds),
         )  # fmt: skip
 
 
@@ -306,16 +328,3 @@ def joined_labels(
     for label, one in landmark_of.items():
         table[label] = main.setdefault(one, label)
     return table[labels], {label: one for one, label in main.items()}
-
-
-class _timed:
-    """Adds the seconds of a block to a dictionary."""
-
-    def __init__(self, clock: dict[str, float], name: str) -> None:
-        self._clock, self._name = clock, name
-
-    def __enter__(self) -> None:
-        self._begin = time.perf_counter()
-
-    def __exit__(self, *_: object) -> None:
-        self._clock[self._name] = self._clock.get(self._name, 0.0) + time.perf_counter() - self._begin

@@ -80,13 +80,15 @@ def test_yaw_is_given_in_the_world_for_what_may_be_a_mug(two):
     assert can.category == CATEGORIES[3] and len(can.yaw_probabilities) == 0
 
 
-def test_classes_that_are_known_are_not_asked_for(two):
-    bowl = np.log(np.array([0.02, 0.92, 0.02, 0.02, 0.02]))
+def test_what_another_network_says_of_the_classes_counts_as_much(two):
     masks = [two.instances == 0]
-    (asked,) = fixed_detector([0.0, 0.0, 9.0, 0.0, 0.0]).classify(two.frame, PLANE, masks)
-    (known,) = fixed_detector([0.0, 0.0, 9.0, 0.0, 0.0]).classify(two.frame, PLANE, masks, [bowl])
-    assert asked.category == "bottle" and known.category == "bowl"
-    assert known.score == pytest.approx(0.92)
+    (alone,) = fixed_detector([0.0, 0.0, 2.0, 0.0, 0.0]).classify(two.frame, PLANE, masks)
+    assert alone.category == "bottle"
+    bowl = np.array([0.0, 4.0, 0.0, 0.0, 0.0])
+    (both,) = fixed_detector([0.0, 0.0, 2.0, 0.0, 0.0]).classify(two.frame, PLANE, masks, [bowl])
+    assert both.category == "bowl"
+    mean = np.array([0.0, 2.0, 1.0, 0.0, 0.0])
+    assert both.class_probabilities == pytest.approx(np.exp(mean) / np.exp(mean).sum(), abs=1e-4)
 
 
 def test_most_certain_first(shipped, two):

@@ -110,6 +110,27 @@ def test_crumbs_go_to_what_surrounds_them(touching):
     assert (assigned(strayed, view, peaks, CONFIG) == clean)[touching.instances == 3].mean() > 0.99
 
 
+def test_what_has_no_foot_of_its_own_goes_to_nobody(touching):
+    """The lone cylinder's votes are doubtful and make no peak; no other one takes it in."""
+    frame = reduced(touching.frame)
+    view = working_view(frame, PLANE)
+    answer = interpreted(perfect(frame, touching.instances, touching.places), view)
+    lone = touching.instances == 3
+    answer.spread[lone[::2, ::2]] += 1.0
+    peaks = feet(answer, view, CONFIG)
+    assert len(peaks) == 3
+    numbers = assigned(answer, view, peaks, CONFIG)
+    assert (numbers[lone] == -1).mean() > 0.95 and (numbers[touching.instances == 1] >= 0).all()
+
+    vote = answer.vote.copy()  # not as far astray: a separate piece is judged as a whole
+    away = peaks[0] - peaks[1:].mean(0)
+    vote[lone[::2, ::2]] = peaks[0] + 0.045 * away / np.linalg.norm(away)
+    numbers = assigned(
+        Answers(answer.foreground, answer.log_classes, vote, answer.spread), view, peaks, CONFIG
+    )
+    assert (numbers[lone] == -1).mean() > 0.95
+
+
 def test_masks_grow_to_full_size():
     foreground, numbers = np.zeros((24, 32), np.float32), np.zeros((24, 32), np.int32)
     foreground[6:18, 8:24], numbers[:, 16:] = 1.0, 1

@@ -24,6 +24,7 @@ def line(scene, variant, ape, **more):
         {
             "category": "mug",
             "true_category": "mug",
+            "true_index": 0,
             "accuracy": 0.002,
             "chamfer_l1": 0.003,
             "completion": 1.0,
@@ -31,6 +32,7 @@ def line(scene, variant, ape, **more):
         {
             "category": "can",
             "true_category": "bottle",
+            "true_index": 1,
             "accuracy": 0.004,
             "chamfer_l1": 0.005,
             "completion": 0.9,
@@ -62,8 +64,20 @@ def test_rows_and_means_by_variant():
     assert metrics["variants"]["no_joint"]["n"] == 1
     assert metrics["variants"]["tsdf"]["accuracy_median"] == pytest.approx(0.002)
     assert set(metrics["completion_by_update"]) == {"full", "tsdf"}
-    ape, surfaces = slam_tables(Report("evaluate slam", 0, metrics=metrics))
-    assert ape.row_count == 2 and surfaces.row_count == 3
+    ape, surfaces, paired = slam_tables(Report("evaluate slam", 0, metrics=metrics))
+    assert ape.row_count == 2 and surfaces.row_count == 3 and paired.row_count == 1
+
+
+def test_what_a_variant_adds_is_judged_scene_by_scene_and_object_by_object():
+    lines = [line(scene, "full", 0.003 + 0.001 * scene) for scene in range(3)]
+    lines += [line(scene, "no_joint", 0.005 + 0.001 * scene) for scene in range(3)]
+    for one in lines[3:]:
+        one["objects"] = [
+            {**o, "accuracy": o["accuracy"] + 0.001} if "accuracy" in o else o for o in one["objects"]
+        ]
+    added = summarise_slam(lines)["against_full"]["no_joint"]
+    assert added["ape_mean"] == pytest.approx({"mean": 0.002, "low": 0.002, "high": 0.002, "n": 3})
+    assert added["accuracy"]["n"] == 6 and added["accuracy"]["mean"] == pytest.approx(0.001)
 
 
 def test_error_of_a_shifted_trajectory_is_the_shift():

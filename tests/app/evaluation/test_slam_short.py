@@ -10,6 +10,7 @@ from app.evaluation.slam_faults import flickering, held, with_fault
 from app.evaluation.slam_short import run_short, short_table, summarise_short
 from app.options import EvaluateOptions
 from app.runs.report import Report
+from perception.detections_file import encode_detections
 from perception.types import CameraIntrinsics, ObjectDetection, RgbdFrame
 
 CAMERA = CameraIntrinsics(8, 6, 8.0, 8.0, 4.0, 3.0)
@@ -29,8 +30,9 @@ def test_a_held_sequence_keeps_its_order_and_the_first_pose_alone(frames):
     assert read[0][1].T_world_camera is not None
     assert all(frame.T_world_camera is None for _, frame in read[1:])
     assert sequence.detections(3, frames[3]) is None
-    found = [ObjectDetection("mug", 1.0, np.ones((6, 8), bool))]
-    assert replace(sequence, found={3: found}).detections(3, frames[3]) == found
+    found = encode_detections(3, [ObjectDetection("mug", 1.0, np.ones((6, 8), bool))])
+    again = replace(sequence, entries={3: found}).detections(3, frames[3])
+    assert again is not None and again[0].mask.all() and again[0].category == "mug"
 
 
 def test_dropped_frames_leave_gaps(frames):
@@ -68,8 +70,10 @@ def test_what_the_runs_say_together():
     assert figures["n"] == 2 and figures["n_drifted"] == 1 and figures["n_with_loss"] == 1
     assert figures["drift_max"] == pytest.approx(0.05)
     assert figures["relocalisation_rate"] == pytest.approx(0.75)
+    lines[0]["variants"]["no_joint"] = entry(ape_mean=0.006)
+    assert summarise_short(lines)["against_full"]["no_joint"]["n"] == 1
     table = short_table(Report("evaluate slam", 0, metrics=summarise_short(lines)))
-    assert table.row_count == 1
+    assert table.row_count == 2
 
 
 def test_faults_go_round_and_a_crash_is_a_result(monkeypatch):

@@ -1,6 +1,6 @@
 import pytest
 
-from app.evaluation.statistics import kind_of, summarise, wilson_interval
+from app.evaluation.statistics import kind_of, paired_difference, summarise, wilson_interval
 
 
 @pytest.mark.parametrize(
@@ -70,3 +70,11 @@ def test_summary_of_three_episodes():
     assert summary["simulated_seconds"] == 45.0 and summary["stage_seconds"] == {"scan": 5.0}
     mugs = summary["reconstruction"]["mug"]
     assert mugs["accuracy"] == pytest.approx(0.003) and mugs["found"] == pytest.approx(2 / 3)
+
+
+def test_paired_differences_are_over_what_both_have():
+    first, second = {0: 1.0, 1: 2.0, 2: 3.0}, {0: 2.0, 1: 4.0, 9: 0.0}
+    found = paired_difference(first, second)
+    half = 12.706204736 * 0.5  # Student's quantile of one degree of freedom, times the mean's error
+    assert found == pytest.approx({"mean": 1.5, "low": 1.5 - half, "high": 1.5 + half, "n": 2})
+    assert paired_difference(first, {0: 1.0}) == {"mean": None, "low": None, "high": None, "n": 1}

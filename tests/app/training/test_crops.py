@@ -28,8 +28,9 @@ def made_up(seed):
 @pytest.fixture(autouse=True)
 def no_rendering(monkeypatch):
     """A shard is its number; what is in it is made up, and the scene network is not trained."""
-    for module in (train_detector, train_yaw):
-        monkeypatch.setattr(module, "shard_crops", lambda shards: made_up(len(shards)))
+    for name in ("shard_crops", "close_up_crops"):
+        monkeypatch.setattr(train_detector, name, lambda shards: made_up(len(shards)))
+    monkeypatch.setattr(train_detector, "close_up_shards", lambda folder, *_: [folder])
     monkeypatch.setattr(train_detector, "shard_pictures", lambda shards: None)
     monkeypatch.setattr(train_detector, "trained_scene", lambda *_: SceneNet())
     monkeypatch.setattr(

@@ -1,5 +1,7 @@
 """The Schur complement against the whole system, camera as object motion, and a window that mends itself."""
 
+from dataclasses import replace
+
 import numpy as np
 import pytest
 
@@ -98,3 +100,30 @@ def test_a_disturbed_window_is_mended(cylinders, window, use_plane):
         x, y, _ = cylinders.places[one]
         assert np.hypot(*(landmark.state.pose.translation[:2] - (x, y))) < 0.003
         assert landmark.updates == 2
+
+
+def test_what_is_known_from_elsewhere_holds_objects(cylinders, window):
+    _, keyframes, planes, world = window
+    args = (cylinders.decoder, cylinders.plane, planes, JointConfig(iterations=4, threads=1))
+    free = optimise_jointly(keyframes, world.landmarks, *args)
+    known = {one: 1e9 * np.eye(25) for one in world.ids[:1]}
+    held = optimise_jointly(keyframes, world.landmarks, *args, known)
+
+    def moved(result, one):
+        return np.linalg.norm(result.landmarks[one].state.step_from(world.landmarks[one].state))
+
+    assert moved(held, world.ids[0]) < 0.01 * moved(free, world.ids[0])
+    assert moved(held, world.ids[1]) > 0.5 * moved(free, world.ids[1])
+
+
+def test_each_view_says_something_and_nobody_less_than_nothing(cylinders, window):
+    _, keyframes, planes, world = window
+    config = JointConfig(iterations=2, threads=1)
+    args = (cylinders.decoder, cylinders.plane, planes)
+    result = optimise_jointly(keyframes, world.landmarks, *args, config)
+    sure = optimise_jointly(keyframes, world.landmarks, *args, replace(config, camera_sigma=np.full(6, 1e-6)))
+    assert set(result.information) == {(k.number, one) for k in keyframes for one in k.landmarks}
+    for key, known in result.information.items():
+        spectrum = np.linalg.eigvalsh(known)
+        assert spectrum[0] > -1e-6 * spectrum[-1] and spectrum[-1] > 0
+        assert np.trace(known[19:22, 19:22]) < np.trace(sure.information[key][19:22, 19:22])

@@ -7,7 +7,7 @@ import pytest
 
 from perception.inference.fit import FitConfig, Stage
 from perception.recordings.sequence import without_pose
-from perception.slam.config import SlamConfig
+from perception.slam.config import LifeConfig, SlamConfig
 from perception.slam.initialise import touches_border
 from perception.slam.pixels import label_image
 from perception.slam.relocalise import level_camera, relocalise
@@ -129,12 +129,24 @@ def test_cut_objects_wait_while_others_hold_the_camera(mapped, recording):
     cut = replace(recording.detections[1][0], mask=mask)
     mapper.unmatched = [(cut.mask, 2)]
     posed = RgbdFrame(frame.time, frame.rgb, frame.depth, frame.intrinsics, recording.truth[1])
-    held = {one: 0.9 for one in mapper.world.ids}
-    assert mapper.new_landmarks(posed, [cut], {}, held, 1) == {}
+    assert mapper.holds({one: 0.9 for one in mapper.world.ids})
+    assert mapper.new_landmarks(posed, [cut], {}, True, 1) == {}
     assert touches_border(cut)
     whole = recording.detections[1][0]
     mapper.unmatched = [(whole.mask, 2)]
-    assert len(mapper.new_landmarks(posed, [whole], {}, held, 1)) == 1
+    assert len(mapper.new_landmarks(posed, [whole], {}, True, 1)) == 1
+
+
+@pytest.mark.parametrize(("growing", "expected"), [(1.0, 1), (0.0, 0)])
+def test_a_weak_pose_gets_new_landmarks_unless_it_is_too_weak(recording, cylinders, growing, expected):
+    life = LifeConfig(weak_move=0.0, growing_move=growing)
+    slam = recording.slam(cylinders.decoder, SlamConfig(fit=QUICK, life=life))
+    first = recording.feed(slam, 0)
+    slam.mapper.world, slam.mapper.unmatched = slam.mapper.world.without(set(first.new[:1])), []
+    results = [recording.feed(slam, number) for number in (1, 2, 3)]
+    assert {result.status for result in results} == {"weak"}
+    assert sum(len(result.new) for result in results) == expected
+    assert any(result.keyframe for result in results) == bool(expected)
 
 
 def test_relocalises_from_nowhere(cylinders, scenes):
