@@ -168,7 +168,8 @@ def detection_table(m: Mapping[str, Any]) -> Table:
     table = Table(title=f"{m['objects']} objects and {m['distractors']} distractors in {m['images']} images")
     table.add_column("")
     table.add_column("", justify="right")
-    visible, hidden = m["yaw"]["visible"], m["yaw"]["hidden"]
+    visible, clear, hidden = m["yaw"]["visible"], m["yaw"]["clear"], m["yaw"]["hidden"]
+    whole = m["class_accuracy_by_visible"][-1]
     rows: Sequence[tuple[str, str]] = (
         ("mask AP50, whatever the class", f"{m['ap50']:.3f}"),
         ("mask AP50, mean over classes", f"{m['map50']:.3f}"),
@@ -176,9 +177,11 @@ def detection_table(m: Mapping[str, Any]) -> Table:
         ("found (IoU over 0.5)", f"{m['recall']:.1%}"),
         ("mean IoU of the found", f"{m['mean_iou']:.3f}"),
         ("class right, of the found", f"{m['class_accuracy']:.1%}"),
+        (f"  {whole['from']:.0%} and more in view ({whole['objects']})", f"{whole['class_accuracy']:.1%}"),
         ("distractors taken for objects", f"{m['distractors_taken_for_objects']:.1%}"),
         (f"yaw, handle in view ({visible['mugs']}): median", f"{math.degrees(visible['median']):.1f}°"),
-        ("  95 % are within", f"{math.degrees(visible['quantile_95']):.0f}°"),
+        ("  over 15°", f"{visible['over_15_degrees']:.1%}"),
+        (f"  in clear view ({clear['mugs']}): over 15°", f"{clear['over_15_degrees']:.1%}"),
         (f"yaw, handle hidden ({hidden['mugs']}): median", f"{math.degrees(hidden['median']):.0f}°"),
         ("entropy in view, hidden [nat]", f"{visible['entropy']:.2f}, {hidden['entropy']:.2f}"),
         ("CPU time for an image", f"{1000 * m['seconds']:.0f} ms"),

@@ -29,6 +29,8 @@ MIN_PIXELS = 300
 MIN_VISIBLE = 0.25
 OTHER = len(CATEGORIES)
 MATCHED = 0.5  # IoU from which on a detection is one of the object
+SHARES = (MIN_VISIBLE, 0.5, 0.75, 0.9)  # lower ends of the visible shares by which classes are counted
+IN_CLEAR_VIEW = 0.04  # share of a mug's visible points on its handle from which on it is in clear view
 ON_DISTRACTOR = 0.5  # share of a detection's pixels that lie on a distractor which is taken for an object
 
 Line = dict[str, Any]
@@ -125,12 +127,23 @@ def summarise_detection(lines: Sequence[Mapping[str, Any]]) -> dict[str, Any]:
         "recall": _share(len(matched), len(objects)),
         "mean_iou": float(np.mean([e["iou"] for e in matched])) if matched else 0.0,
         "class_accuracy": _share(len(right), len(matched)),
+        "class_accuracy_by_visible": _by_visible(matched),
         "confusion": confusion,
         "distractors": len(distractors),
         "distractors_taken_for_objects": _share(sum(d["taken"] for d in distractors), len(distractors)),
         "yaw": _yaw_figures([e["yaw"] for e in matched if "yaw" in e]),
         "seconds": float(np.median(seconds)) if seconds else 0.0,
     }
+
+
+def _by_visible(matched: Sequence[Mapping[str, Any]]) -> list[dict[str, float]]:
+    """How often classes are right by how much of the object is seen: much hidden, one view cannot tell."""
+    rows = []
+    for low, high in zip(SHARES, (*SHARES[1:], np.inf)):
+        chosen = [entry for entry in matched if low <= entry["visible"] < high]
+        right = sum(entry["found"] == entry["category"] for entry in chosen)
+        rows.append({"from": low, "objects": len(chosen), "class_accuracy": _share(right, len(chosen))})
+    return rows
 
 
 def _share(part: int, whole: int) -> float:
@@ -141,6 +154,7 @@ def _yaw_figures(rows: Sequence[Mapping[str, Any]]) -> dict[str, Any]:
     figures = {}
     for name, chosen in {
         "visible": [r for r in rows if r["handle"] >= HANDLE_VISIBLE],
+        "clear": [r for r in rows if r["handle"] >= IN_CLEAR_VIEW],
         "hidden": [r for r in rows if r["handle"] < HANDLE_VISIBLE],
     }.items():
         errors = np.array([r["error"] for r in chosen] or [0.0])

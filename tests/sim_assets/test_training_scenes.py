@@ -1,12 +1,16 @@
 """Training pictures: labels agree with pictures, seeds repeat, kinds vary."""
 
+from dataclasses import replace
+
 import numpy as np
 import pytest
 from trimesh import creation
 
+import sim_assets.training_scenes as training_scenes
 from perception.types import CATEGORIES
-from sim_assets.distractors import random_distractor
+from sim_assets.distractors import odd_thing, random_distractor
 from sim_assets.layout import gap
+from sim_assets.objects import sample_object
 from sim_assets.scatter import make_thing, scatter
 from sim_assets.training_scenes import TrainingSceneConfig, TrainingScenes
 
@@ -101,7 +105,23 @@ def test_an_unhidden_thing_fills_its_outline(pictures):
 
 def test_distractors_rest_on_the_table_and_are_of_a_size_to_stand_there():
     rng = np.random.default_rng(0)
-    for _ in range(40):
-        bounds = random_distractor(rng, "test").bounds
+    for mesh in [random_distractor(rng, "test") for _ in range(40)] + [odd_thing(rng) for _ in range(40)]:
+        bounds = mesh.bounds
         assert bounds[0, 2] == pytest.approx(0, abs=1e-9)
         assert np.all(np.ptp(bounds, axis=0) < 0.45) and np.all(np.ptp(bounds, axis=0) > 0.002)
+
+
+def test_the_pool_is_shared_out_as_asked_and_straight_tumblers_stay_out(monkeypatch):
+    config = replace(SMALL, pool=10, distractors=6, shares=(2, 0, 2, 1), odd=1.0, plain_tumblers=False)
+    drawn = []
+
+    def sample(category, split, rng):
+        drawn.append(sample_object(category, split, rng))
+        return drawn[-1]
+
+    monkeypatch.setattr(training_scenes, "sample_object", sample)
+    things = training_scenes._draw_things("train", config, np.random.default_rng(1))
+    kinds = [thing.category for thing in things]
+    assert [kinds.count(c) for c in (*CATEGORIES, None)] == [4, 0, 4, 2, 6]
+    plain = [o for o in drawn if getattr(o.parameters, "kind", "") == "tumbler" and o.parameters.bend < 0.1]
+    assert len(drawn) == 10 + len(plain)

@@ -68,6 +68,8 @@ def test_a_perfect_detector_scores_perfectly():
     for name in ("ap50", "map50", "map", "recall", "mean_iou", "class_accuracy"):
         assert m[name] == pytest.approx(1.0), name
     assert m["distractors_taken_for_objects"] == 0.0 and m["seconds"] == 0.1
+    assert [row["objects"] for row in m["class_accuracy_by_visible"]] == [0, 0, 0, 3]
+    assert m["class_accuracy_by_visible"][-1]["class_accuracy"] == 1.0
     yaw = m["yaw"]["visible"]["median"] + m["yaw"]["hidden"]["median"]
     assert yaw == pytest.approx(0.1, abs=0.02)
 
@@ -111,7 +113,7 @@ def test_a_chunk_from_rendering_to_the_table(tmp_path, monkeypatch):
     report = detection.run(options, Screen(quiet=True))
     assert report.success and report.metrics["images"] == 2 and report.metrics["objects"] > 2
     assert len(list((tmp_path / "pictures").glob("*.png"))) == 2
-    assert detection.detection_table(report.metrics).row_count == 12
+    assert detection.detection_table(report.metrics).row_count == 14
     again = detection.run(
         EvaluateOptions(
             what="detection", images=2, renderer="classic", out=tmp_path, device="cpu", seed=4, resume=True

@@ -5,7 +5,15 @@ import pytest
 
 import app.training.pictures as pictures
 from app.training.labels import LabelledCrops
-from app.training.pictures import Pictures, rendered_shards, shard_crops, shard_pictures, small_picture
+from app.training.pictures import (
+    Pictures,
+    close_up_crops,
+    close_up_shards,
+    rendered_shards,
+    shard_crops,
+    shard_pictures,
+    small_picture,
+)
 from perception.errors import PerceptionError
 from sim_assets.training_scenes import TrainingSceneConfig, TrainingScenes
 
@@ -68,3 +76,8 @@ def test_finished_shards_are_not_rendered_again(small, tmp_path, monkeypatch):
     paths = rendered_shards(tmp_path, "train", pictures.SHARD + 10, seed=0)
     assert rendered == [pictures.SHARD, 10]
     assert len(shard_pictures(paths)) == 2 and len(shard_crops(paths)) == 2
+
+    monkeypatch.setattr(pictures, "_render_close_ups", lambda count, seed: rendered.append(count) or empty)
+    close_up_shards(tmp_path, pictures.SHARD + 20, seed=0)
+    assert len(close_up_crops(close_up_shards(tmp_path, pictures.SHARD + 20, seed=0))) == 2
+    assert rendered[2:] == [pictures.SHARD, 20]
