@@ -195,7 +195,10 @@ def _has_pose(camera: Any) -> bool:
 
 def _read_cameras(folder: Path) -> dict[int, Any]:
     path = folder / "scene_camera.json"
-    entries = read_json(path, "a scan folder needs it, with cam_K and depth_scale for each image id")
+    remedy = "a scan folder needs it, with cam_K and depth_scale for each image id"
+    if (folder / "scan" / path.name).is_file():  # a run folder keeps its images in one
+        remedy = f"the scan folder is {folder / 'scan'}"
+    entries = read_json(path, remedy)
     if not isinstance(entries, dict) or not entries:
         raise InvalidInputError(f"{path} must map image ids to cameras, at least one")
     for key in entries:

@@ -145,6 +145,8 @@ def curves(title: str, lines: Mapping[str, Curve], unit: str) -> str:
             f'<circle cx="{a:.1f}" cy="{b:.1f}" r="3" fill="{color}"/><text x="{a + 5:.1f}" y="{b + 3:.1f}" '
             f'font-size="9" fill="{INK}">{escape(name.replace("_", " "))}</text>'
         )
+    if not xs:
+        shapes.append(_text(left + (width - left) / 2, height / 2 - 16, "nothing has been fitted"))
     shapes.append(_text(left + (width - left) / 2, height - 4, "iteration of the optimiser"))
     return _svg(title, width, height, shapes)
 
@@ -167,6 +169,8 @@ def bars(title: str, values: Sequence[float], category: Category) -> str:
             f'<rect x="{left + step * index + 2:.1f}" y="{top:.1f}" width="{step - 4:.1f}" '
             f'height="{size:.1f}" rx="1.5" fill="{css(CLASS_COLORS[category])}"/>'
         )
+    if not np.any(values):
+        shapes.append(_text(left + (width - left) / 2, middle - 16, "this shape came without a code"))
     shapes.append(_text(left + (width - left) / 2, height - 4, "number of the shape code"))
     return _svg(title, width, height, shapes)
 

@@ -233,6 +233,10 @@ def test_no_folder_and_no_cameras(tmp_path):
         read_scan(tmp_path / "nowhere")
     with pytest.raises(InvalidInputError, match=r"scene_camera\.json is missing"):
         read_scan(tmp_path)
+    (tmp_path / "scan").mkdir()
+    (tmp_path / "scan" / "scene_camera.json").write_text("{}")
+    with pytest.raises(InvalidInputError, match=f"the scan folder is {tmp_path / 'scan'}"):
+        read_scan(tmp_path)
 
 
 @settings(max_examples=60, deadline=None)

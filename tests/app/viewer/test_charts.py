@@ -42,4 +42,6 @@ def test_a_curve_ends_where_its_last_value_is():
     points = np.array([p.split(",") for p in re.findall(r'points="([^"]*)"', svg)[0].split()], dtype=float)
     assert points[0, 0] < points[1, 0] and points[0, 1] < points[1, 1]  # down the page is less
     assert charts.curves("fit", {"mug_0": ([], [], "mug")}, "mm").count("polyline") == 0
+    assert "nothing has been fitted" in charts.curves("fit", {"mug_0": ([], [], "mug")}, "mm")
+    assert "without a code" in charts.bars("code", [0.0, 0.0], "mug")
     assert charts.bars("code", [1.0, -2.0], "mug").count("<rect") == 2

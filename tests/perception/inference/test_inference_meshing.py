@@ -3,8 +3,15 @@
 import numpy as np
 import pytest
 import trimesh
+from skimage.measure import marching_cubes
 
-from perception.inference.meshing import EmptyShapeError, MeshConfig, mesh_from_code, mesh_from_grid
+from perception.inference.meshing import (
+    EmptyShapeError,
+    MeshConfig,
+    mesh_from_code,
+    mesh_from_grid,
+    sharpen,
+)
 from perception.inference.voxelise import voxelise
 from perception.types import TriangleMesh
 
@@ -54,6 +61,20 @@ def test_thin_handle_survives_and_walls_stay() -> None:
     assert mesh.vertices[:, 0].min() == pytest.approx(-0.5, abs=0.02)
     plain = mesh_from_grid(grid, np.ones(3), "mug", MeshConfig(ridge=1.0))
     assert plain.vertices[:, 0].max() < 0.6  # what a fixed level makes of it
+
+
+@pytest.mark.parametrize("radius", [0.52, 0.545, 0.58])
+def test_walls_thinner_than_a_voxel_have_no_holes(radius) -> None:
+    thickness, fine = 0.05, (np.arange(192) + 0.5) / 96 - 1  # 0.8 of a voxel: nearly full, or halves in two
+    x, y, z = np.meshgrid(fine, fine, fine, indexing="ij", sparse=True)
+    r = np.hypot(x, y)
+    cup = (np.abs(r - radius) < thickness / 2) & (np.abs(z) < 0.7) | (r < radius) & (np.abs(z + 0.6) < 0.1)
+    grid = cup.reshape(32, 6, 32, 6, 32, 6).mean(axis=(1, 3, 5)).astype(np.float32)
+    solid = _trimesh(mesh_from_grid(grid, np.ones(3), "bowl"))
+    assert solid.euler_number == 2  # a cup is a ball, folded
+    assert solid.volume == pytest.approx(8 * cup.mean(), rel=0.15)
+    vertices, faces, _, _ = marching_cubes(sharpen(grid, MeshConfig()), 0.5)
+    assert trimesh.Trimesh(vertices, faces, process=False).euler_number < 0  # what it would be otherwise
 
 
 def test_only_the_largest_piece_is_kept() -> None:
