@@ -9,7 +9,7 @@ from __future__ import annotations
 
 import logging
 import math
-from collections.abc import Sequence
+from collections.abc import Callable, Sequence
 from dataclasses import dataclass
 from pathlib import Path
 from typing import TYPE_CHECKING
@@ -97,19 +97,13 @@ def rendered_shards(
     directory: Path, split: Split, pictures: int, seed: int, progress: Progress | None = None
 ) -> list[Path]:
     """Files of random scenes (``shard_pictures``, ``shard_crops``), rendered where they do not exist."""
-    paths = []
-    shards = max(1, math.ceil(pictures / SHARD))
-    for shard in range(shards):
-        count = min(SHARD, pictures - shard * SHARD)
-        path = directory / f"{split}_seed{seed}_n{count}_{shard:03d}.npz"
-        if not path.is_file():
-            if progress:
-                progress(f"rendering {split} scenes", shard / shards)
-            small, crops = _render_shard(split, count, np.random.SeedSequence([seed, shard]))
-            crops.save(_crops_path(path))
-            small.save(path)  # last: it says that the shard is finished
-        paths.append(path)
-    return paths
+
+    def render(path: Path, count: int, shard: int) -> None:
+        small, crops = _render_shard(split, count, np.random.SeedSequence([seed, shard]))
+        crops.save(_crops_path(path))
+        small.save(path)  # last: it says that the shard is finished
+
+    return _shards(directory, f"{split}_seed{seed}", pictures, render, f"{split} scenes", progress)
 
 
 def close_up_shards(
@@ -120,15 +114,31 @@ def close_up_shards(
     More of them show what is hard to tell: mugs by their handles, bottles from cans, odd things that are
     neither; some masks take in a piece of a neighbour.
     """
+
+    def render(path: Path, count: int, shard: int) -> None:
+        _render_close_ups(count, np.random.SeedSequence([seed, shard, 1])).save(path)
+
+    return _shards(directory, f"close_ups_seed{seed}", pictures, render, "close-ups", progress)
+
+
+def _shards(
+    directory: Path,
+    name: str,
+    pictures: int,
+    render: Callable[[Path, int, int], None],
+    what: str,
+    progress: Progress | None,
+) -> list[Path]:
+    """A file for every SHARD pictures; those that do not exist are rendered."""
     paths = []
     shards = max(1, math.ceil(pictures / SHARD))
     for shard in range(shards):
         count = min(SHARD, pictures - shard * SHARD)
-        path = directory / f"close_ups_seed{seed}_n{count}_{shard:03d}.npz"
+        path = directory / f"{name}_n{count}_{shard:03d}.npz"
         if not path.is_file():
             if progress:
-                progress("rendering close-ups", shard / shards)
-            _render_close_ups(count, np.random.SeedSequence([seed, shard, 1])).save(path)
+                progress(f"rendering {what}", shard / shards)
+            render(path, count, shard)
         paths.append(path)
     return paths
 
