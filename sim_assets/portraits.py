@@ -13,7 +13,7 @@ from sim_assets.depth_noise import DepthNoise
 from sim_assets.layout import PlanarPose
 from sim_assets.objects import ObjectModel
 from sim_assets.scatter import make_thing, simplified
-from sim_assets.training_scenes import TableTop, TrainingSceneConfig
+from sim_assets.table_top import TableTop, TrainingSceneConfig
 
 
 @dataclass(frozen=True)

@@ -162,7 +162,7 @@ def _simplified(mesh: trimesh.Trimesh) -> trimesh.Trimesh:
 
     if len(mesh.faces) <= LARGEST_MESH:
         return mesh
-    _, _, collapses = fast_simplification.simplify(
+    *_, collapses = fast_simplification.simplify(
         mesh.vertices, mesh.faces, target_count=LARGEST_MESH, return_collapses=True
     )
     vertices, faces, became = fast_simplification.replay_simplification(

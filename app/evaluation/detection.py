@@ -89,7 +89,7 @@ def run_chunk(options: EvaluateOptions, folder: Path, chunk: int) -> Line:
 def _scenes(options: EvaluateOptions) -> Any:
     """4 to 10 objects with 1 to 4 distractors, gaps down to contact, from 0.3 to 0.9 m and 28 degrees up."""
     from sim_assets.depth_noise import DEPTH_NOISES
-    from sim_assets.training_scenes import TrainingSceneConfig
+    from sim_assets.table_top import TrainingSceneConfig
 
     none, gaussian, realsense = (float(noise == options.depth_noise) for noise in DEPTH_NOISES)
     return TrainingSceneConfig(

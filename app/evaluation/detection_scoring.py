@@ -23,7 +23,7 @@ from perception.detections_file import encode_mask
 from perception.types import CATEGORIES, ObjectDetection
 
 if TYPE_CHECKING:
-    from sim_assets.training_scenes import LabelledImage
+    from sim_assets.table_top import LabelledImage
 
 MIN_PIXELS = 300
 MIN_VISIBLE = 0.25

@@ -23,7 +23,7 @@ from perception.detection.network import OTHER
 from perception.types import CATEGORIES, SupportPlane
 
 if TYPE_CHECKING:
-    from sim_assets.training_scenes import LabelledImage  # perception alone runs without a simulator
+    from sim_assets.table_top import LabelledImage  # perception alone runs without a simulator
 
 logger = logging.getLogger(__name__)
 Progress = Callable[[str, float], None]  # what is going on, and the share of the whole job done

@@ -32,7 +32,7 @@ from perception.detection.working_view import reduced
 from perception.types import CATEGORIES, CameraIntrinsics, RgbdFrame
 
 if TYPE_CHECKING:
-    from sim_assets.training_scenes import LabelledImage
+    from sim_assets.table_top import LabelledImage
 
 logger = logging.getLogger(__name__)
 
@@ -144,7 +144,8 @@ def _shards(
 
 
 def _render_close_ups(count: int, seed: np.random.SeedSequence) -> LabelledCrops:
-    from sim_assets.training_scenes import TrainingSceneConfig, TrainingScenes
+    from sim_assets.table_top import TrainingSceneConfig
+    from sim_assets.training_scenes import TrainingScenes
 
     rng = np.random.default_rng(seed.spawn(1)[0])
     config = TrainingSceneConfig(
@@ -178,7 +179,8 @@ def _crops_path(path: Path) -> Path:
 
 
 def _render_shard(split: Split, count: int, seed: np.random.SeedSequence) -> tuple[Pictures, LabelledCrops]:
-    from sim_assets.training_scenes import TrainingSceneConfig, TrainingScenes
+    from sim_assets.table_top import TrainingSceneConfig
+    from sim_assets.training_scenes import TrainingScenes
 
     rng = np.random.default_rng(seed.spawn(1)[0])
     config = TrainingSceneConfig(

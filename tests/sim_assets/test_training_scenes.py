@@ -12,7 +12,8 @@ from sim_assets.distractors import odd_thing, random_distractor
 from sim_assets.layout import gap
 from sim_assets.objects import sample_object
 from sim_assets.scatter import make_thing, scatter
-from sim_assets.training_scenes import TrainingSceneConfig, TrainingScenes
+from sim_assets.table_top import TrainingSceneConfig
+from sim_assets.training_scenes import TrainingScenes
 
 SMALL = TrainingSceneConfig(
     width=160,

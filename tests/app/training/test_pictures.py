@@ -15,7 +15,8 @@ from app.training.pictures import (
     small_picture,
 )
 from perception.errors import PerceptionError
-from sim_assets.training_scenes import TrainingSceneConfig, TrainingScenes
+from sim_assets.table_top import TrainingSceneConfig
+from sim_assets.training_scenes import TrainingScenes
 
 CONFIG = TrainingSceneConfig(
     width=640, height=480, pool=4, distractors=2, objects=(3, 4), extras=(1, 1), textures_redrawn=2, shadows=0
