@@ -166,10 +166,10 @@ def check_weights(name: str, root: Path = ROOT) -> Finding:
     if not weights.is_file():
         return Finding(f"weights: {name}", "missing", "no file", remedy)
     checksum = sha256(weights.read_bytes()).hexdigest()
-    stated = re.search(r"\b[0-9a-f]{64}\b", card.read_text(encoding="utf-8")) if card.is_file() else None
-    if stated is None:
+    stated = re.findall(r"\b[0-9a-f]{64}\b", card.read_text(encoding="utf-8")) if card.is_file() else []
+    if not stated:
         return Finding(f"weights: {name}", "ok", f"sha256 {checksum[:12]}..., no card to compare with")
-    if stated.group() != checksum:
+    if checksum not in stated:
         return Finding(f"weights: {name}", "missing", "checksum differs from the model card's", remedy)
     return Finding(f"weights: {name}", "ok", f"sha256 {checksum[:12]}...")
 

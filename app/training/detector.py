@@ -16,7 +16,7 @@ import numpy as np
 import torch
 from jaxtyping import Float, Int
 
-from app.training.files import summary_writer
+from app.training.files import checksums, summary_writer
 from app.training.labels import LabelledCrops, Progress
 from app.training.pictures import (
     Pictures,
@@ -89,6 +89,7 @@ def run(config: TrainDetectorConfig, out_dir: Path, progress: Progress | None = 
     metrics = class_metrics(test, predict(network, temperature, test.images, test.context))
     save_network(network, out_dir / WEIGHTS_FILES["class"], "class", temperature, provenance(config))
     card = _card(config, metrics, scene, network, temperature, len(training))
+    card += checksums(out_dir / WEIGHTS_FILE, out_dir / WEIGHTS_FILES["class"])
     (out_dir / "detector.md").write_text(card, "utf-8")
     return metrics
 

@@ -10,6 +10,7 @@ from zipfile import BadZipFile
 import numpy as np
 
 from perception.errors import PerceptionError
+from perception.shape.weights import weights_checksum
 
 
 def save_arrays(path: Path, holder: Any, names: Sequence[str]) -> None:
@@ -42,3 +43,8 @@ def summary_writer(folder: Path) -> Any:
             "TensorBoard is not installed; run `pip install 'nodeslam[train]'`, or leave out --tensorboard"
         ) from error
     return SummaryWriter(str(folder))
+
+
+def checksums(*weights: Path) -> str:
+    """The last line of a model card, with which `nodeslam doctor` compares."""
+    return "\n" + ", ".join(f"SHA-256 of `{path.name}` `{weights_checksum(path)}`" for path in weights) + "\n"

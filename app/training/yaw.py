@@ -14,6 +14,7 @@ import torch
 from jaxtyping import Float
 
 from app.training.detector import RENDERING_SHARE, TrainDetectorConfig, provenance, rendered, trained
+from app.training.files import checksums
 from app.training.labels import LabelledCrops, Progress
 from perception.detection.network import WEIGHTS_FILES, CropNet, predict, save_network
 from perception.detection.training import CropSet, TrainingConfig
@@ -43,7 +44,8 @@ def run(config: TrainYawConfig, out_dir: Path, progress: Progress | None = None)
     )
     metrics = yaw_metrics(test, predict(network, temperature, test.images, test.context))
     save_network(network, out_dir / WEIGHTS_FILES["yaw"], "yaw", temperature, provenance(config))
-    (out_dir / "yaw.md").write_text(_card(config, metrics, network, temperature, len(training)), "utf-8")
+    card = _card(config, metrics, network, temperature, len(training))
+    (out_dir / "yaw.md").write_text(card + checksums(out_dir / WEIGHTS_FILES["yaw"]), "utf-8")
     return metrics
 
 

@@ -32,6 +32,7 @@ def weights(tmp_path, card):
     [
         (f"SHA-256 `{sha256(b'numbers').hexdigest()}`", "ok"),
         (f"SHA-256 `{sha256(b'other numbers').hexdigest()}`", "missing"),
+        (f"`{sha256(b'another network').hexdigest()}`, `{sha256(b'numbers').hexdigest()}`", "ok"),
         ("no checksum", "ok"),
     ],
 )

@@ -12,6 +12,7 @@ from perception.detection.scene_network import SceneNet, load_scene_network
 from perception.detection.training import TrainingConfig
 from perception.detection.yaw import soft_labels
 from perception.errors import PerceptionError
+from perception.shape.weights import weights_checksum
 
 TINY = TrainingConfig(epochs=1, batch=8)
 
@@ -49,6 +50,7 @@ def test_the_detector_job_writes_weights_and_a_card(tmp_path):
     assert temperature > 0 and network.logits.out_features == 5
     card = (tmp_path / "detector.md").read_text()
     assert "nodeslam train detector --seed 0" in card and "| mug |" in card
+    assert all(weights_checksum(tmp_path / f"{name}.safetensors") in card for name in ("scene", "detector"))
     assert told[-1] == ("epoch 1 of 1", 1.0)
     assert np.sum(metrics["confusion"]) == 20
     load_scene_network(tmp_path / "scene.safetensors")
