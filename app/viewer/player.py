@@ -52,11 +52,12 @@ class Player:
     def close(self) -> None:
         """Stop drawing."""
         self._ended.set()
+        self.give_way(False)
         if self._thread is not threading.current_thread() and self._thread.is_alive():
             self._thread.join(timeout=5)
 
     def give_way(self, yielding: bool) -> None:
-        """Say whether a run computes in this process."""
+        """Say whether a run computes in this process, whose threads take turns faster until it does not."""
         self.yielding = yielding
         sys.setswitchinterval(HAND_OVER if yielding else USUAL_HAND_OVER)
 

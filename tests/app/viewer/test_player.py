@@ -1,10 +1,20 @@
+import sys
 import threading
 import time
 
 import pytest
 
 from app.task.gate import Gate, Stopped
-from app.viewer.player import HEAD_START, LAG, SHARE_OF_RUN, SHARE_OF_TIME, Player, affordable
+from app.viewer.player import (
+    HAND_OVER,
+    HEAD_START,
+    LAG,
+    SHARE_OF_RUN,
+    SHARE_OF_TIME,
+    USUAL_HAND_OVER,
+    Player,
+    affordable,
+)
 from app.viewer.story import Story
 
 
@@ -87,10 +97,11 @@ def test_a_player_that_cannot_afford_to_draw_waits(recording, monkeypatch):
     monkeypatch.setattr("app.viewer.player.affordable", never)
     player = Player(Story(recording), lambda: drawn.append(0), live=True)
     player.give_way(True)
+    assert sys.getswitchinterval() == pytest.approx(HAND_OVER)
     player.start()
     assert asked.wait(5)
     player.close()
-    assert not drawn
+    assert not drawn and sys.getswitchinterval() == pytest.approx(USUAL_HAND_OVER)
 
 
 def test_a_run_waits_at_the_gate_steps_and_stops():
