@@ -49,14 +49,15 @@ class FrameGeometry:
     """What all crops of one frame share.
 
     Attributes:
-        depth: (H, W) median-filtered depth in [m], 0 where nothing was measured.
-        measured: (H, W) 1 where something was, 0 elsewhere.
-        height: (H, W) above the plane in [m], 0 where nothing was measured.
+        planes: (H, W, 3) 1 where depth was measured, the median-filtered depth in [m], the height above the
+            plane in [m]; all 0 elsewhere.
     """
 
-    depth: Float[np.ndarray, "h w"]
-    measured: Float[np.ndarray, "h w"]
-    height: Float[np.ndarray, "h w"]
+    planes: Float[np.ndarray, "h w 3"]
+
+    @property
+    def depth(self) -> Float[np.ndarray, "h w"]:
+        return self.planes[..., 1]
 
     def seen(self, mask: Bool[np.ndarray, "h w"]) -> bool:
         """Whether any depth was measured in the mask: what ``crop`` needs."""
@@ -67,7 +68,7 @@ def frame_geometry(frame: RgbdFrame, plane: SupportPlane) -> FrameGeometry:
     """The frame's filtered depth and heights."""
     depth = cv2.medianBlur(np.ascontiguousarray(frame.depth), 5)
     measured = (depth > 0).astype(np.float32)
-    return FrameGeometry(depth, measured, height_image(frame, plane, depth) * measured)
+    return FrameGeometry(cv2.merge([measured, depth, height_image(frame, plane, depth) * measured]))
 
 
 def crop(
@@ -109,9 +110,9 @@ def _geometry_channels(
     geometry: FrameGeometry, A: Float[np.ndarray, "2 3"], median: float
 ) -> list[UInt8[np.ndarray, "side side"]]:
     """Height and relative depth; the mean of what was measured near each pixel."""
-    share = _resampled(geometry.measured, A, beyond=1.0)
+    share, depth, height = np.moveaxis(_resampled(geometry.planes, A, beyond=(1.0, 0.0, 0.0)), 2, 0)
     known, share = share > 0.05, np.maximum(share, 0.05)
-    depth, height = _resampled(geometry.depth, A) / share, _resampled(geometry.height, A) / share
+    depth, height = depth / share, height / share
     up = np.where(known, np.clip(height / _HEIGHT_RANGE, 0, 1) * 255, 0)
     relative = np.clip((depth - median) / _DEPTH_RANGE * 0.5 + 0.5, 0, 1) * 255
     return [up.astype(np.uint8), np.where(known, relative, 127.0).astype(np.uint8)]
@@ -162,7 +163,7 @@ def _upright_warp(
 
 
 def _resampled(
-    image: Shaped[np.ndarray, "h w *c"], A: Float[np.ndarray, "2 3"], beyond: float = 0.0
+    image: Shaped[np.ndarray, "h w *c"], A: Float[np.ndarray, "2 3"], beyond: tuple[float, ...] = (0.0,) * 3
 ) -> Shaped[np.ndarray, "side side *c"]:
     """The image warped to the crop; strongly shrunk ones by way of four times the pixels, then averaged.
 
@@ -172,5 +173,5 @@ def _resampled(
     fine = factor * A
     fine[:, 2] += (factor - 1) / 2  # pixel centres at integers in both images
     size = (SIDE * factor,) * 2
-    warped = cv2.warpAffine(image, fine, size, flags=cv2.INTER_LINEAR, borderValue=(beyond,) * 4)
+    warped = cv2.warpAffine(image, fine, size, flags=cv2.INTER_LINEAR, borderValue=beyond)
     return warped if factor == 1 else cv2.resize(warped, (SIDE, SIDE), interpolation=cv2.INTER_AREA)
