@@ -40,11 +40,15 @@ SETTLED = 0.5  # root mean square of the last movements, in standard deviations,
 
 @dataclass(frozen=True)
 class Stage:
-    """Iterations at one crop size [pixel] and pyramid level (how often residuals are blurred and halved)."""
+    """Iterations at one crop size [pixel] and pyramid level (how often residuals are blurred and halved).
+
+    ``weight`` is that of a pixel against one of a crop of 48: finer ones say no more in all.
+    """
 
     crop: int
     level: int
     iterations: int
+    weight: float = 1.0
 
 
 @dataclass(frozen=True)
@@ -56,12 +60,12 @@ class FitConfig:
     step: Mapping[Category, float] = field(
         default_factory=lambda: {"mug": 0.55, "bowl": 0.4, "bottle": 0.65, "can": 0.65}
     )
-    stages: tuple[Stage, ...] = (Stage(32, 1, 8), Stage(48, 0, 22))
+    stages: tuple[Stage, ...] = (Stage(32, 1, 8), Stage(36, 0, 12, 1.78), Stage(64, 0, 10, 0.56))
     renderer: RendererName = "probabilistic"
     start_views: int | None = None  # how many views the start is taken from; all by default
     relinearise_every: int = 4
     settled_over: int = 8  # iterations over which a converged fit stands still
-    pixels: PixelConfig = field(default_factory=PixelConfig)
+    pixels: PixelConfig = field(default_factory=lambda: PixelConfig(sparse_background=True))
     noise: NoiseConfig = field(default_factory=NoiseConfig)
     lm: LmConfig = field(default_factory=LmConfig)
     mesh: MeshConfig = field(default_factory=MeshConfig)
@@ -131,10 +135,22 @@ def fit_object(
         InvalidInputError: no view shows anything of the object above the plane.
     """
     config = config or FitConfig()
+    fit = optimise_object(observations, category, decoder, plane, config, on_step)
+    return _estimate(fit, observations, category, decoder, plane, config, object_id, score)
+
+
+def optimise_object(
+    observations: Sequence[ObjectObservation],
+    category: Category,
+    decoder: Decoder,
+    plane: SupportPlane,
+    config: FitConfig | None = None,
+    on_step: OnStep | None = None,
+) -> Fit:
+    """The iterations of ``fit_object`` alone: pose and code, nothing meshed."""
     if not observations:
         raise InvalidInputError(f"a {category} without any view cannot be reconstructed")
-    fit = _Fitter(observations, category, decoder, plane, config, on_step).run()
-    return _estimate(fit, observations, category, decoder, plane, config, object_id, score)
+    return _Fitter(observations, category, decoder, plane, config or FitConfig(), on_step).run()
 
 
 _Standing = tuple[Fit, LinearisedShape, float]  # a fit, the shape it was last linearised at, its damping
@@ -162,7 +178,7 @@ class _Fitter:
         self.on_step(FitStep(0, starts[0].pose, starts[0].code, float("nan")))
         damping = self.config.lm.damping
         fits = [self._stage(first, coarse, state, self.mean_shape, damping) for state in starts]
-        best, shape, damping = self._best(fits, others[-1][1] if others else coarse)
+        best, shape, damping = self._best(fits, others[0][1] if others else coarse)
         self.on_step(FitStep(len(best.trace), best.state.pose, best.state.code, _misfit(best)))
         for stage, pixels in others:
             fit, shape, damping = self._stage(stage, pixels, best.state, shape, damping, len(best.trace))
@@ -174,13 +190,14 @@ class _Fitter:
 
         def misfit(standing: _Standing) -> float:
             fit, shape, _ = standing
-            residuals = self._problem(pixels, shape)(fit.state).residuals
+            residuals = self._problem(pixels, shape, 1.0)(fit.state).residuals
             return _capped_mean(residuals[: len(pixels.is_object)])
 
         return fits[0] if len(fits) == 1 else min(fits, key=misfit)
 
-    def _problem(self, pixels: PixelSet, shape: LinearisedShape) -> FitProblem:
+    def _problem(self, pixels: PixelSet, shape: LinearisedShape, weight: float) -> FitProblem:
         noise, renderer = self.config.noise, self.config.renderer
+        noise = replace(noise, data_weight=weight * noise.data_weight)
         scale = self.poses[0].scale
         return FitProblem(pixels, shape, self.plane, self.support, noise, scale, self.size_sigma, renderer)
 
@@ -221,7 +238,7 @@ class _Fitter:
         while True:
             budget = min(left, config.relinearise_every)
             lm = replace(config.lm, max_iterations=budget, damping=damping)
-            result = minimise(self._problem(pixels, shape), FitState.moved, state, lm, limit)
+            result = minimise(self._problem(pixels, shape, stage.weight), FitState.moved, state, lm, limit)
             state, damping, trace = result.state, result.damping, trace + result.trace
             history.append((len(trace), state))
             if watched_from is not None:

@@ -57,8 +57,9 @@ class ObjectObservation:
         mask = self.mask & (self.frame.depth > 0)
         if self.ignore is not None:
             mask &= ~self.ignore
-        inner = cv2.erode(mask.astype(np.uint8), np.ones((2 * erode + 1,) * 2, np.uint8)) > 0
-        v, u = np.nonzero(inner if inner.sum() >= 20 else mask)
+        inner = cv2.erode(mask.astype(np.uint8), np.ones((2 * erode + 1,) * 2, np.uint8))
+        at = np.flatnonzero(inner if np.count_nonzero(inner) >= 20 else mask)  # ten times as fast as in 2D
+        v, u = np.divmod(at, mask.shape[1])
         rays = pixel_rays(self.frame, u, v)
         return transform_points(
             self.T_world_camera, rays * self.frame.depth[v, u][:, None].astype(np.float64)
@@ -73,11 +74,14 @@ class PixelConfig:
         ring: width of the background ring as a share of the object's larger side in the image.
         band: half width of the border band that is left out, in pixels of the full image.
         background_weight: weight of a background pixel; one of the object has 1.
+        sparse_background: every other background pixel, like the black squares of a chessboard, stands for
+            two where nothing is blurred.
     """
 
     ring: float = 0.2
     band: float = 2.0
     background_weight: float = 0.2
+    sparse_background: bool = False
 
 
 @dataclass(frozen=True)
@@ -135,11 +139,15 @@ def gather_pixels(
         threads: how many cores render them.
     """
     directions, view, target, inside, operators, depth_range = [], [], [], [], [], []
+    sparse_background = config.sparse_background and not level
+    background_weight = config.background_weight * (2.0 if sparse_background else 1.0)
     for index, seen in enumerate(observations):
         z = float(transform_points(invert(seen.T_world_camera), centre[None])[0, 2])
         near, far = max(z - reach, 0.02), z + reach
         rays = RayBundle(np.empty((0, 3)), np.empty(0, np.int64), np.array([[near, far]]), samples)
         u, v, is_object, is_background = _classify(seen, crop, config, near, far)
+        if sparse_background:
+            is_background[::2, ::2] = is_background[1::2, 1::2] = False
         valid = is_object | is_background
         measured = np.where(is_object, seen.frame.depth[v, u], rays.escape_depth[0])
         directions.append(pixel_rays(seen.frame, u, v)[valid])
@@ -162,7 +170,7 @@ def gather_pixels(
         Ts_world_camera=np.stack([seen.T_world_camera for seen in observations]),
         target=np.concatenate(target).astype(np.float32),
         inside=on_object,
-        weight=np.where(on_object, 1.0, config.background_weight).astype(np.float32),
+        weight=np.where(on_object, 1.0, background_weight).astype(np.float32),
         operator=sparse.csr_matrix(sparse.block_diag(operators)) if level else None,
     )
 
@@ -171,12 +179,12 @@ def _classify(
     seen: ObjectObservation, crop: int, config: PixelConfig, near: float, far: float
 ) -> tuple[np.ndarray, np.ndarray, np.ndarray, np.ndarray]:
     """The crop's pixel coordinates u, v, and which of them show the object or the background."""
-    rows, columns = np.nonzero(seen.mask)
+    (top, bottom), (left, right) = (np.flatnonzero(seen.mask.any(axis=k))[[0, -1]] for k in (1, 0))
     height, width = seen.mask.shape
-    size = max(np.ptp(rows), np.ptp(columns)) + 1
+    size = max(bottom - top, right - left) + 1
     ring = max(4, round(config.ring * size))
-    top, bottom = max(rows.min() - ring, 0), min(rows.max() + ring, height - 1)
-    left, right = max(columns.min() - ring, 0), min(columns.max() + ring, width - 1)
+    top, bottom = max(top - ring, 0), min(bottom + ring, height - 1)
+    left, right = max(left - ring, 0), min(right + ring, width - 1)
     pitch = max(1.0, (max(bottom - top, right - left) + 1) / crop)
     v = np.unique(np.round(np.arange(top, bottom + 0.5, pitch)).astype(int).clip(top, bottom))
     u = np.unique(np.round(np.arange(left, right + 0.5, pitch)).astype(int).clip(left, right))

@@ -123,3 +123,18 @@ def test_problem_jacobian_by_finite_differences(make_table, decoder) -> None:
 def test_config_budget_is_kept(can, decoder) -> None:
     iterations = sum(stage.iterations for stage in FitConfig().stages)
     assert iterations == 30
+
+
+def test_every_other_background_pixel_stands_for_two(can) -> None:
+    dense, sparse = (
+        gather_pixels(can.observations((0.0, 0.8)), can.pose.translation, 0.1, 100, 48, 0, config)
+        for config in (PixelConfig(), PixelConfig(sparse_background=True))
+    )
+    outside, fewer = ~dense.inside, ~sparse.inside
+    assert fewer.sum() == pytest.approx(outside.sum() / 2, rel=0.05)
+    assert sparse.weight[fewer].sum() == pytest.approx(dense.weight[outside].sum(), rel=0.05)
+    np.testing.assert_array_equal(sparse.rays.directions[~fewer], dense.rays.directions[~outside])
+    blurred = gather_pixels(
+        can.observations((0.0,)), can.pose.translation, 0.1, 100, 48, 1, PixelConfig(sparse_background=True)
+    )
+    assert set(np.unique(blurred.weight)) == {np.float32(0.2), np.float32(1.0)}
