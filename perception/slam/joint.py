@@ -19,12 +19,12 @@ from dataclasses import dataclass, field, replace
 import numpy as np
 from jaxtyping import Float
 
-from perception.geometry import hat, se3_exp
+from perception.geometry import se3_exp
 from perception.inference.levenberg_marquardt import Evaluation, LmConfig
 from perception.inference.observation import PixelConfig, PixelSet, gather_pixels
 from perception.inference.problem import PARAMETERS, FitProblem, FitState, NoiseConfig, SupportCamera
 from perception.inference.shape_model import Decoder, LinearisedShape, linearise
-from perception.rendering.pose import ObjectPose
+from perception.rendering.pose import object_by_camera
 from perception.slam.keyframes import Keyframe
 from perception.slam.landmarks import Landmark
 from perception.types import CODE_SIZE, GRID_RESOLUTION, SupportPlane
@@ -171,19 +171,6 @@ class _ObjectInWindow:
             own = pixels.rays.view == k
             camera[own] = rows[own, :CAMERA] @ object_by_camera(state.pose, T)
         return evaluation, camera
-
-
-def object_by_camera(pose: ObjectPose, T_world_camera: Float[np.ndarray, "4 4"]) -> Float[np.ndarray, "6 6"]:
-    """The motion of an object that looks the same as a small motion Exp(xi) of the camera on its right.
-
-    Rows: the object's turn (own frame) and move (world); columns: xi = (rotation, translation), camera frame.
-    """
-    R, c = T_world_camera[:3, :3], T_world_camera[:3, 3]
-    out = np.zeros((CAMERA, CAMERA))
-    out[:3, :3] = -pose.rotation.T @ R
-    out[3:, :3] = hat(pose.translation - c) @ R
-    out[3:, 3:] = -R
-    return out
 
 
 class _Window:

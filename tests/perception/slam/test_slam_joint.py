@@ -7,12 +7,11 @@ import pytest
 
 from perception.geometry import se3_exp
 from perception.inference.problem import FitState
-from perception.rendering.pose import ObjectPose, canonical_from_camera
+from perception.rendering.pose import ObjectPose, canonical_from_camera, object_by_camera
 from perception.slam.joint import (
     CAMERA,
     JointConfig,
     NormalEquations,
-    object_by_camera,
     optimise_jointly,
     solve_by_schur,
 )
@@ -75,7 +74,9 @@ def window(cylinders, scenes):
         )
         labels = label_image(detections, frame.depth.shape)
         landmark_of = {k + 1: one for k, one in enumerate(shown)}
-        keyframes.append(make_keyframe(number, frame, T @ se3_exp(off), labels, landmark_of, detections))
+        keyframes.append(
+            make_keyframe(number, frame, T @ se3_exp(off), labels, landmark_of, detections, np.zeros((6, 6)))
+        )
         planes.append(select_pixels(frame, labels, {}, T, cylinders.plane, SelectionConfig()).plane_points)
     world = cylinders.map()
     for one in world.ids:
