@@ -167,7 +167,7 @@ def test_a_point_is_in_view_where_the_image_is(view):
 
 
 def test_what_no_keyframe_had_in_view_of_a_cut_landmark_says_nothing(cylinders, scenes, view):
-    T, frame, detections, shown, labels = view
+    T, frame, _detections, shown, labels = view
     k = frame.intrinsics
     world = cylinders.map()
     world = world.with_landmarks(replace(world.landmarks[0], cut=True))
