@@ -233,14 +233,16 @@ class _PoseProblem:
         than of itself: with H of its pixels and P the information on it, H - H (H + P)^-1 H.
         """
         total = np.zeros((6, 6))
-        for one in self.seen:
-            own = np.flatnonzero(self.owner == one)
-            J, weights = evaluation.jacobian[own].astype(np.float64), evaluation.weights[own, None]
-            H = J.T @ (weights * J)
-            landmark = self.world.landmarks[one]
-            by_camera = object_by_camera(landmark.state.pose, T)
-            known = by_camera.T @ np.linalg.solve(landmark.doubt, by_camera)
-            total += H - H @ np.linalg.solve(H + known, H)
+        if len(self.owner):
+            order = np.argsort(self.owner, kind="stable")
+            ids, starts = np.unique(self.owner[order], return_index=True)
+            J, weights = evaluation.jacobian[order].astype(np.float64), evaluation.weights[order, None]
+            H = np.add.reduceat((weights * J)[:, :, None] * J[:, None, :], starts)  # of each landmark
+            landmarks = [self.world.landmarks[int(one)] for one in ids]
+            by_camera = np.stack([object_by_camera(one.state.pose, T) for one in landmarks])
+            doubts = np.stack([one.doubt for one in landmarks])
+            known = by_camera.transpose(0, 2, 1) @ np.linalg.solve(doubts, by_camera)
+            total = (H - H @ np.linalg.solve(H + known, H)).sum(axis=0)
         if self.config.use_plane and len(self.pixels.plane_points):
             _, jacobian, weight = self._plane_rows(T)
             total += jacobian.T @ (weight[:, None] * jacobian)

@@ -120,6 +120,25 @@ def test_an_object_moved_by_hand_leaves_no_double(cylinders, scenes):
         assert np.linalg.norm(places - (x, y), axis=1).min() < 0.006
 
 
+def test_an_object_pushed_aside_is_fitted_where_it_stands_now(cylinders, scenes):
+    """Nearer than where its own masks could be another's: the same landmark, its older views forgotten."""
+    pushed = replace(cylinders, places=(*cylinders.places[:-1], (-0.135, -0.16, 0.033)))
+    before, after = Recording(cylinders, scenes, count=2), Recording(pushed, scenes, count=16)
+    slam = before.slam(cylinders.decoder, SlamConfig(fit=QUICK, life=LifeConfig(retry=4)))
+    first = before.feed(slam, 0)
+    before.feed(slam, 1, without_pose(before.frames[1]))
+    slam.detect = lambda frame, plane: after.detections[after.at]
+    results = [after.feed(slam, n, without_pose(after.frames[n])) for n in range(2, 12)]
+    assert all(result.status == "tracked" for result in results)
+    assert max(after.error(result, n) for n, result in enumerate(results, start=2)) < 0.004
+    assert slam.world.ids == tuple(sorted(first.new))
+    places = {one: mark.state.pose.translation[:2] for one, mark in slam.world.landmarks.items()}
+    (one,) = (k for k, place in places.items() if np.linalg.norm(place - pushed.places[-1][:2]) < 0.006)
+    assert all(one not in key.landmarks for key in slam.keyframes if key.number < 2)
+    for x, y, _ in cylinders.places[:-1]:
+        assert min(np.linalg.norm(place - (x, y)) for place in places.values()) < 0.004
+
+
 def test_cut_objects_wait_while_others_hold_the_camera(mapped, recording):
     slam, first = mapped
     mapper, frame = slam.mapper, recording.frames[1]
