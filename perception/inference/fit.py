@@ -40,15 +40,11 @@ SETTLED = 0.5  # root mean square of the last movements, in standard deviations,
 
 @dataclass(frozen=True)
 class Stage:
-    """Iterations at one crop size [pixel] and pyramid level (how often residuals are blurred and halved).
-
-    ``weight`` is that of a pixel against one of a crop of 48: finer ones say no more in all.
-    """
+    """Iterations at one crop size [pixel] and pyramid level (how often residuals are blurred and halved)."""
 
     crop: int
     level: int
     iterations: int
-    weight: float = 1.0
 
 
 @dataclass(frozen=True)
@@ -60,12 +56,13 @@ class FitConfig:
     step: Mapping[Category, float] = field(
         default_factory=lambda: {"mug": 0.55, "bowl": 0.4, "bottle": 0.65, "can": 0.65}
     )
-    stages: tuple[Stage, ...] = (Stage(32, 1, 8), Stage(36, 0, 12, 1.78), Stage(64, 0, 10, 0.56))
+    stages: tuple[Stage, ...] = (Stage(32, 1, 8), Stage(36, 0, 12), Stage(64, 0, 10))
     renderer: RendererName = "probabilistic"
     start_views: int | None = None  # how many views the start is taken from; all by default
     relinearise_every: int = 4
     settled_over: int = 8  # iterations over which a converged fit stands still
     pixels: PixelConfig = field(default_factory=lambda: PixelConfig(sparse_background=True))
+    reference_crop: int = 48  # a pixel's weight is 1 there; those of finer crops say no more in all
     noise: NoiseConfig = field(default_factory=NoiseConfig)
     lm: LmConfig = field(default_factory=LmConfig)
     mesh: MeshConfig = field(default_factory=MeshConfig)
@@ -190,14 +187,13 @@ class _Fitter:
 
         def misfit(standing: _Standing) -> float:
             fit, shape, _ = standing
-            residuals = self._problem(pixels, shape, 1.0)(fit.state).residuals
+            residuals = self._problem(pixels, shape)(fit.state).residuals
             return _capped_mean(residuals[: len(pixels.is_object)])
 
         return fits[0] if len(fits) == 1 else min(fits, key=misfit)
 
-    def _problem(self, pixels: PixelSet, shape: LinearisedShape, weight: float) -> FitProblem:
+    def _problem(self, pixels: PixelSet, shape: LinearisedShape) -> FitProblem:
         noise, renderer = self.config.noise, self.config.renderer
-        noise = replace(noise, data_weight=weight * noise.data_weight)
         scale = self.poses[0].scale
         return FitProblem(pixels, shape, self.plane, self.support, noise, scale, self.size_sigma, renderer)
 
@@ -212,6 +208,7 @@ class _Fitter:
             stage.level,
             self.config.pixels,
             self.config.threads,
+            None if stage.level else round(shrink * self.config.reference_crop),
         )
 
     def _stage(
@@ -238,7 +235,7 @@ class _Fitter:
         while True:
             budget = min(left, config.relinearise_every)
             lm = replace(config.lm, max_iterations=budget, damping=damping)
-            result = minimise(self._problem(pixels, shape, stage.weight), FitState.moved, state, lm, limit)
+            result = minimise(self._problem(pixels, shape), FitState.moved, state, lm, limit)
             state, damping, trace = result.state, result.damping, trace + result.trace
             history.append((len(trace), state))
             if watched_from is not None:

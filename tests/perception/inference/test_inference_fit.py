@@ -138,3 +138,15 @@ def test_every_other_background_pixel_stands_for_two(can) -> None:
         can.observations((0.0,)), can.pose.translation, 0.1, 100, 48, 1, PixelConfig(sparse_background=True)
     )
     assert set(np.unique(blurred.weight)) == {np.float32(0.2), np.float32(1.0)}
+
+
+def test_finer_crops_say_no_more(can) -> None:
+    sums = {}
+    for crop in (24, 36, 48, 4000):
+        seen, middle = can.observations((0.0, 0.8)), can.pose.translation
+        pixels = gather_pixels(seen, middle, 0.1, 100, crop, 0, PixelConfig(), reference=36)
+        sums[crop] = float(pixels.weight[pixels.inside].sum())
+        if crop == 36:
+            assert set(np.unique(pixels.weight)) == {np.float32(0.2), np.float32(1.0)}
+    for crop, total in sums.items():
+        assert total == pytest.approx(sums[36], rel=0.1), crop
