@@ -46,8 +46,8 @@ class JointConfig:
         noise: weights of the residuals.
         pixels: which pixels take part.
         memory: so many views' worth of what earlier keyframes, outside the window, said of an object counts.
-        camera_weight: of what was known of each camera's pose when its keyframe was taken: by so much more the
-            data counts here than it did then.
+        camera_weight: of what was known of each camera's pose when its keyframe was taken; the data counts by
+            so much more here than it did then.
         camera_sigma: of those keyframes' cameras (rotation, translation) [rad], [m].
         plane_sigma: of a point of the plane [m]; the plane ties cameras only where ``use_plane``.
         use_plane: whether it does.
