@@ -114,7 +114,7 @@ def empty(shape: int | tuple[int, ...], dtype: Any, device: str) -> wp.array:
 
 def to_device(values: np.ndarray, dtype: Any, device: str) -> wp.array:
     """An array of float, int32 or uint8 scalars, vectors, matrices on the device; shares memory if it can."""
-    scalar = {wp.int32: np.int32, wp.uint8: np.uint8}.get(dtype, np.float32)
+    scalar = {wp.int32: np.int32, wp.vec3i: np.int32, wp.uint8: np.uint8}.get(dtype, np.float32)
     return wp.from_numpy(np.ascontiguousarray(values, scalar), dtype=dtype, device=device)
 
 

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import os
-from collections.abc import Iterator
+from collections.abc import Callable, Iterator
 from dataclasses import replace
 
 import numpy as np
@@ -19,7 +19,7 @@ from app.benchmarks.plain import (
 from app.benchmarks.scene import BenchScene, square_view
 from app.benchmarks.timing import Benchmark
 from app.perceive import detect
-from perception.inference.fit import FitConfig, Stage, fit_object
+from perception.inference.fit import FitConfig, fit_object, optimise_object
 from perception.inference.initialise import initial_poses
 from perception.inference.levenberg_marquardt import Evaluation, LmConfig, minimise
 from perception.inference.meshing import mesh_from_grid
@@ -35,6 +35,7 @@ from perception.types import CODE_SIZE
 FIT_ITERATIONS = 30
 AUTOGRAD_ROWS = 16  # rays of the autograd Jacobian that are timed; the time of all follows
 FIT_CROP = 64
+SCAN_VIEWS = 5
 
 
 def benchmarks(scene: BenchScene, device: str, seed: int) -> Iterator[Benchmark]:
@@ -103,29 +104,30 @@ def _fitting(scene: BenchScene, seed: int) -> Iterator[Benchmark]:
     )
     iterate_three, _ = _iteration(scene, three, seed)
     yield Benchmark(f"LM iteration, {len(three)} views", "one view", iterate_three, iterate)
-    yield Benchmark(
-        f"fit, one view, {FIT_ITERATIONS} iterations",
-        f"{FIT_ITERATIONS} gradients by autograd, plain torch",
-        _fit(scene, one, 1),
-        descend,
-        reference_scale=FIT_ITERATIONS,
-        expensive=True,
-    )
-    yield Benchmark(
-        f"fit, {len(three)} views, {FIT_ITERATIONS} iterations",
-        "one view",
-        _fit(scene, three, 1),
-        _fit(scene, one, 1),
-        expensive=True,
-    )
     cores = os.cpu_count() or 1
-    yield Benchmark(
-        f"fit, {len(three)} views, {FIT_ITERATIONS} iterations, {cores} cores",
-        "one core",
-        _fit(scene, three, cores),
-        _fit(scene, three, 1),
-        expensive=True,
-    )
+    for name, views in (("one view", one), (f"{len(three)} views", three)):
+        yield Benchmark(
+            f"{FIT_ITERATIONS} iterations, {name}",
+            f"{FIT_ITERATIONS} gradients of one view by autograd, plain torch",
+            _fit(scene, views, 1, optimise_object),
+            descend,
+            reference_scale=FIT_ITERATIONS,
+            expensive=True,
+        )
+        yield Benchmark(
+            f"{FIT_ITERATIONS} iterations, {name}, {cores} cores",
+            "one core",
+            _fit(scene, views, cores, optimise_object),
+            _fit(scene, views, 1, optimise_object),
+            expensive=True,
+        )
+        yield Benchmark(
+            f"fit, {name}: iterations, mesh, deviations; {cores} cores",
+            "one core",
+            _fit(scene, views, cores, fit_object),
+            _fit(scene, views, 1, fit_object),
+            expensive=True,
+        )
 
 
 def _scanning(scene: BenchScene) -> Iterator[Benchmark]:
@@ -146,11 +148,12 @@ def _scanning(scene: BenchScene) -> Iterator[Benchmark]:
         reference_scale=1 / len(frames),
         expensive=True,
     )
+    views, masks = frames[:SCAN_VIEWS], found.per_frame[:SCAN_VIEWS]
     yield Benchmark(
-        f"reconstruct {found.n_objects} objects from {len(frames)} views, {cores} cores",
+        f"reconstruct {found.n_objects} objects from {len(views)} views, {cores} cores",
         "one core",
-        lambda: reconstruct(frames, found.per_frame, scene.decoder, found.plane),
-        lambda: reconstruct(frames, found.per_frame, scene.decoder, found.plane, workers=1),
+        lambda: reconstruct(views, masks, scene.decoder, found.plane),
+        lambda: reconstruct(views, masks, scene.decoder, found.plane, workers=1),
         expensive=True,
     )
 
@@ -188,22 +191,16 @@ def _uploaded(grid: np.ndarray, jacobian: np.ndarray, device: str) -> ShapeGrid:
     return ShapeGrid.upload(grid, jacobian, device, SKIP_OCCUPANCY, SKIP_JACOBIAN)
 
 
-def _fit(scene: BenchScene, observations: tuple[ObjectObservation, ...], threads: int):
-    """A fit of the product's schedule that may not stop early, of the likeliest yaw alone.
+def _fit(scene: BenchScene, observations: tuple[ObjectObservation, ...], threads: int, fit: Callable):
+    """A fit of the product's schedule, crops of FIT_CROP at its end, that may not stop early; of one yaw.
 
-    Decoding and meshing are in it, the refinement of the mesh on the measurements is not.
+    The mesh that ``fit_object`` makes is not refined on the measurements.
     """
     known = tuple(replace(seen, yaw_probabilities=_certain(seen)) for seen in observations)
     config = FitConfig()
-    config = replace(
-        config,
-        stages=(Stage(FIT_CROP // 2, 1, 8), Stage(FIT_CROP, 0, FIT_ITERATIONS - 8)),
-        lm=replace(config.lm, tolerance=-1.0),
-        threads=threads,
-        refine=None,
-    )
+    config = replace(config, lm=replace(config.lm, tolerance=-1.0), threads=threads, refine=None)
     category, plane = scene.subject.category, scene.detections.plane
-    return lambda: fit_object(known, category, scene.decoder, plane, config)
+    return lambda: fit(known, category, scene.decoder, plane, config)
 
 
 def _certain(seen: ObjectObservation) -> np.ndarray:

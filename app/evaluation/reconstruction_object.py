@@ -19,7 +19,7 @@ from app.training.labels import handle_share
 from app.training.yaw import HANDLE_VISIBLE
 from perception.detection.detector import Detector, DetectorConfig
 from perception.errors import PerceptionError
-from perception.inference.fit import FitConfig, FitStep, Stage, fit_object
+from perception.inference.fit import FitConfig, FitStep, fit_object
 from perception.inference.meshing import EmptyShapeError, mesh_from_code
 from perception.inference.methods import method_config, reconstruct_by
 from perception.inference.reconstruct import gather_instances
@@ -185,7 +185,7 @@ def _convergence(
         config = method_config(method, PROTOCOL)
         *first, last = config.stages
         rest = CONVERGENCE_ITERATIONS - sum(stage.iterations for stage in first)
-        config = replace(config, stages=(*first, Stage(last.crop, last.level, rest)))
+        config = replace(config, stages=(*first, replace(last, iterations=rest)))
         plane: SupportPlane = fit_support_plane(sight.frames[:1])
         instance = gather_instances(sight.frames[:1], sight.detections[:1])[0]
         try:

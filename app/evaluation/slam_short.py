@@ -18,7 +18,7 @@ from rich.table import Table
 
 from app.errors import UsageError
 from app.evaluation.slam_faults import MOVED_AT, flickering, with_fault
-from app.evaluation.slam_scoring import absolute_pose_error, match_places, middle_of, places_of
+from app.evaluation.slam_scoring import TrueObjects, absolute_pose_error, places_of, surface_rows
 from app.evaluation.slam_summary import NAMES
 from app.evaluation.statistics import paired_difference, wilson_interval
 from app.evaluation.work import Ledger, Line, spread
@@ -27,10 +27,11 @@ from app.runs.report import Report
 from app.screen import Screen
 from app.slam.run import SlamRun
 from perception.geometry import transform_points
+from perception.inference.shape_model import Decoder
 from perception.recordings.sequence import RgbdSequence
 from perception.recordings.trajectory import Trajectory
 from perception.slam.variants import variant_config
-from perception.types import RgbdFrame
+from perception.types import RgbdFrame, TriangleMesh
 
 ROWS = "short.jsonl"
 DRIFT = 0.03  # [m] of error that a run must not reach without saying that it is lost
@@ -52,6 +53,7 @@ def run(options: EvaluateOptions, screen: Screen) -> Report:
     settings = {name: str(getattr(options, name)) for name in names}
     ledger, finished = Ledger.open(options, "evaluate-slam-short", ROWS, "key", settings)
     to_do = [index for index in range(options.short_runs) if index not in finished]
+    to_do.sort(key=lambda index: (index % 2 == 0, index))  # close-ups first, which are the harder ones
     if finished:
         screen.note(f"{options.short_runs - len(to_do)} of {options.short_runs} runs are finished already")
     with screen.stage(f"{len(to_do)} short runs"):
@@ -104,9 +106,14 @@ def _run_variants(options: EvaluateOptions, index: int, close_up: bool, fault: S
     frames = [image.frame for image in images]
     rng = np.random.default_rng([options.seed, _SEEDS_FROM + index])
     sequence = with_fault(frames, fault, rng)
-    middles = np.array(
-        [middle_of(transform_points(o.T_world_object, o.model.mesh.vertices)) for o in table.objects]
-    )
+    surfaces = [
+        (
+            o.model.category,
+            TriangleMesh(transform_points(o.T_world_object, o.model.mesh.vertices), o.model.mesh.faces),
+        )
+        for o in table.objects
+    ]
+    objects = TrueObjects(surfaces, np.random.default_rng([options.seed, index]))
     truth = Trajectory.of([frame.time for frame in frames], list(table.Ts_world_camera))
     found: dict[int, list[Any]] | None = None
     entries = {}
@@ -122,7 +129,7 @@ def _run_variants(options: EvaluateOptions, index: int, close_up: bool, fault: S
         for _ in slam_run.steps():
             pass
         entries[variant] = (
-            _drift(slam_run, truth) | _map_health(slam_run, middles, table.moved)
+            _drift(slam_run, truth) | _map_health(slam_run, objects, table.moved, networks.decoder)
             | _relocalisations(slam_run, sequence, frames, in_view, truth)
         )  # fmt: skip
         found = found or slam_run.detections
@@ -148,22 +155,41 @@ def _drift(slam_run: SlamRun, truth: Trajectory) -> dict[str, Any]:
     entry["drift"] = entry["ape_max"]
     entry["drifted"] = bool(entry["ape_max"] > DRIFT)
     entry["n_lost"], entry["n_frames"], entry["ends_lost"] = sum(lost), len(lost), lost[-1]
+    entry["n_beyond"] = _beyond(slam_run, truth)
     entry["n_weak"] = sum(result.status == "weak" for result in slam_run.results)
     return entry
 
 
-def _map_health(slam_run: SlamRun, middles: np.ndarray, moved: int | None) -> dict[str, Any]:
-    """Landmarks that stand for nothing (doubles among them), and how far off the others are [m]."""
+def _beyond(slam_run: SlamRun, truth: Trajectory) -> int:
+    """Frames not lost whose error is over twice what the system takes for its standard deviation."""
+    true_place = dict(zip(truth.times, truth.Ts_world_camera[:, :3, 3]))
+    return sum(
+        bool(np.linalg.norm(one.T_world_camera[:3, 3] - true_place[one.time]) > 2 * max(one.spread, 1e-3))
+        for one in slam_run.results
+        if one.status != "lost"
+    )
+
+
+def _map_health(slam_run: SlamRun, truth: TrueObjects, moved: int | None, decoder: Decoder) -> dict[str, Any]:
+    """Landmarks that stand for nothing (doubles among them), how far off the others are, and their surfaces.
+
+    ``surfaces`` holds the accuracy [m] of each true object that is in the map, by its index, as they stand in
+    the end; ``moved`` is the index of the object that a hand moved.
+    """
     world = slam_run.slam.world
     assert world is not None
-    places = places_of([world.landmarks[i] for i in world.ids])
-    matches = match_places(places, middles)
-    errors = [float(np.linalg.norm(places[i] - middles[k])) for i, k in matches.items()]
+    landmarks = [world.landmarks[i] for i in world.ids]
+    places = places_of(landmarks)
+    matches = truth.match(places)
+    errors = [float(np.linalg.norm(places[i] - truth.middles[k])) for i, k in matches.items()]
+    rows = surface_rows(landmarks, truth, decoder, np.random.default_rng(0))
     return {
         "n_landmarks": len(places),
         "n_phantoms": len(places) - len(matches),
         "misplaced": max(errors, default=0.0),
+        "moved": moved,
         "moved_is_known": None if moved is None else moved in matches.values(),
+        "surfaces": {str(row["true_index"]): row["accuracy"] for row in rows if "accuracy" in row},
     }
 
 
@@ -214,6 +240,7 @@ def summarise_short(lines: Sequence[Mapping[str, Any]]) -> dict[str, Any]:
 
 def _over_runs(lines: Sequence[Mapping[str, Any]], variant: str) -> dict[str, Any]:
     runs = [line["variants"][variant] for line in lines if variant in line.get("variants", {})]
+    surfaces = [accuracy for run in runs for accuracy in run["surfaces"].values()]
     tried, found = (sum(run[key] for run in runs) for key in ("relocalisations", "relocalised"))
     return {
         "n": len(runs),
@@ -221,6 +248,8 @@ def _over_runs(lines: Sequence[Mapping[str, Any]], variant: str) -> dict[str, An
         "drift_max": max(run["drift"] for run in runs),
         "n_drifted": sum(run["drifted"] for run in runs),
         "n_with_loss": sum(run["n_lost"] > 0 for run in runs),
+        "lost_share": sum(run["n_lost"] for run in runs) / sum(run["n_frames"] for run in runs),
+        "n_beyond": sum(run["n_beyond"] for run in runs),
         "n_end_lost": sum(run["ends_lost"] for run in runs),
         "n_phantoms": sum(run["n_phantoms"] for run in runs),
         "n_moved_known": sum(bool(run["moved_is_known"]) for run in runs),
@@ -228,6 +257,7 @@ def _over_runs(lines: Sequence[Mapping[str, Any]], variant: str) -> dict[str, An
         "relocalisation_rate": found / max(tried, 1),
         "relocalisation_rate_ci": wilson_interval(found, tried),
         "relocalised_wrongly": sum(run["relocalised_wrongly"] for run in runs),
+        "accuracy_median": float(np.median(surfaces or [np.nan])),
     }
 
 
@@ -240,8 +270,10 @@ def short_table(report: Report) -> Table:
         "worst error cm",
         "drifted",
         "were lost",
+        "frames lost %",
         "end lost",
         "phantoms",
+        "accuracy mm",
         "relocalised %",
     )
     for heading in headings:
@@ -253,8 +285,10 @@ def short_table(report: Report) -> Table:
             f"{100 * figures['drift_max']:.2f}",
             f"{figures['n_drifted']} of {figures['n']}",
             str(figures["n_with_loss"]),
+            f"{100 * figures['lost_share']:.1f}",
             str(figures["n_end_lost"]),
             str(figures["n_phantoms"]),
+            f"{1000 * figures['accuracy_median']:.1f}",
             f"{100 * figures['relocalisation_rate']:.1f} of {figures['relocalisations']}",
         )
     return table

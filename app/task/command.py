@@ -4,20 +4,14 @@ from __future__ import annotations
 
 import contextlib
 
-from rich.markup import escape
-
-from app.options import PackOptions, RunTaskOptions, Task
-from app.perceive import Perception, load_perception
+from app.options import RunTaskOptions
+from app.perceive import load_perception
 from app.runs.report import Report
-from app.runs.run_folder import RunFolder
 from app.screen import Screen
-from app.tables import object_table
 from app.task.cell import build_world
-from app.task.episode import run_episode
 from app.task.gate import Gate
 from app.task.recording import CellRecorder
-from app.task.storage import Storage
-from sim_assets.world import World
+from app.task.run import run_in, task_of
 
 
 def run(options: RunTaskOptions, screen: Screen) -> Report:
@@ -33,37 +27,3 @@ def run(options: RunTaskOptions, screen: Screen) -> Report:
         with screen.stage("Loading networks"):
             perception = load_perception(options.device)
         return run_in(world, options, perception, recording, screen, gate)
-
-
-def run_in(
-    world: World,
-    options: RunTaskOptions,
-    perception: Perception,
-    recording: CellRecorder,
-    screen: Screen,
-    gate: Gate,
-) -> Report:
-    """One episode with everything stored: report, scan, object map, plan, replay, pictures.
-
-    Raises:
-        Stopped: the gate was told so; what was finished is kept.
-    """
-    task = task_of(options)
-    folder = RunFolder.create(options, task)
-    screen.note(f"{task}, seed {options.seed}: {folder.path}")
-    storage = Storage(options, task, folder, screen, world, recording, gate)
-    try:
-        report, outcome = run_episode(world, options, task, perception, storage)
-    finally:
-        storage.close()
-    folder.write_report(report)
-    with screen.stage("Drawing the overview"):
-        storage.draw(report, outcome)
-    screen.show(object_table(report))
-    screen.show(escape(f"{folder.path / 'overview.png'} shows what happened; report.json tells it."))
-    return report
-
-
-def task_of(options: RunTaskOptions) -> Task:
-    """Which task the options are for."""
-    return "pack" if isinstance(options, PackOptions) else "sort"

@@ -18,9 +18,9 @@ from app.perceive import Perception, load_perception
 from app.runs.report import Report
 from app.screen import Screen
 from app.task.cell import MAX_OBJECTS, build_world, parse_objects
-from app.task.command import run_in
 from app.task.gate import Gate, Stopped
 from app.task.recording import CellRecorder
+from app.task.run import run_in
 from app.viewer.panel import chosen
 from app.viewer.viewer import Viewer
 from sim_assets.world import World

@@ -10,9 +10,10 @@ import numpy as np
 from app.viewer import charts
 from app.viewer.load import Run
 from app.viewer.meshes import Meshes
+from app.viewer.moment import MAPPING, STAGE_NAMES, Moment
 from app.viewer.scene import SceneView, Shown
 from app.viewer.server import open_server
-from app.viewer.story import MAPPING, STAGE_NAMES, Moment, Story
+from app.viewer.story import Story
 from app.viewer.surroundings import surroundings_of
 from app.viewer.viewer import look_from_home
 from perception.files import write_atomically

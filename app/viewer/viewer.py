@@ -9,11 +9,12 @@ import numpy as np
 
 from app.runs.replay import Recorder
 from app.viewer.meshes import Meshes
+from app.viewer.moment import CAMERA, TCP, Moment
 from app.viewer.panel import CAMERAS, Panel
 from app.viewer.player import Player
 from app.viewer.scene import SceneView
 from app.viewer.server import ViewerServer
-from app.viewer.story import CAMERA, TCP, Moment, Story, matrix
+from app.viewer.story import Story, matrix
 from app.viewer.surroundings import FIELD_OF_VIEW, Surroundings, surroundings_of
 
 PANEL_EVERY = 3  # pictures of the scene for one of the panel

@@ -56,12 +56,13 @@ class FitConfig:
     step: Mapping[Category, float] = field(
         default_factory=lambda: {"mug": 0.55, "bowl": 0.4, "bottle": 0.65, "can": 0.65}
     )
-    stages: tuple[Stage, ...] = (Stage(32, 1, 8), Stage(48, 0, 22))
+    stages: tuple[Stage, ...] = (Stage(32, 1, 8), Stage(36, 0, 12), Stage(64, 0, 10))
     renderer: RendererName = "probabilistic"
     start_views: int | None = None  # how many views the start is taken from; all by default
     relinearise_every: int = 4
     settled_over: int = 8  # iterations over which a converged fit stands still
-    pixels: PixelConfig = field(default_factory=PixelConfig)
+    pixels: PixelConfig = field(default_factory=lambda: PixelConfig(sparse_background=True))
+    reference_crop: int = 48  # a pixel's weight is 1 there; those of finer crops say no more in all
     noise: NoiseConfig = field(default_factory=NoiseConfig)
     lm: LmConfig = field(default_factory=LmConfig)
     mesh: MeshConfig = field(default_factory=MeshConfig)
@@ -131,10 +132,22 @@ def fit_object(
         InvalidInputError: no view shows anything of the object above the plane.
     """
     config = config or FitConfig()
+    fit = optimise_object(observations, category, decoder, plane, config, on_step)
+    return _estimate(fit, observations, category, decoder, plane, config, object_id, score)
+
+
+def optimise_object(
+    observations: Sequence[ObjectObservation],
+    category: Category,
+    decoder: Decoder,
+    plane: SupportPlane,
+    config: FitConfig | None = None,
+    on_step: OnStep | None = None,
+) -> Fit:
+    """The iterations of ``fit_object`` alone: pose and code, nothing meshed."""
     if not observations:
         raise InvalidInputError(f"a {category} without any view cannot be reconstructed")
-    fit = _Fitter(observations, category, decoder, plane, config, on_step).run()
-    return _estimate(fit, observations, category, decoder, plane, config, object_id, score)
+    return _Fitter(observations, category, decoder, plane, config or FitConfig(), on_step).run()
 
 
 _Standing = tuple[Fit, LinearisedShape, float]  # a fit, the shape it was last linearised at, its damping
@@ -162,7 +175,7 @@ class _Fitter:
         self.on_step(FitStep(0, starts[0].pose, starts[0].code, float("nan")))
         damping = self.config.lm.damping
         fits = [self._stage(first, coarse, state, self.mean_shape, damping) for state in starts]
-        best, shape, damping = self._best(fits, others[-1][1] if others else coarse)
+        best, shape, damping = self._best(fits, others[0][1] if others else coarse)
         self.on_step(FitStep(len(best.trace), best.state.pose, best.state.code, _misfit(best)))
         for stage, pixels in others:
             fit, shape, damping = self._stage(stage, pixels, best.state, shape, damping, len(best.trace))
@@ -195,6 +208,7 @@ class _Fitter:
             stage.level,
             self.config.pixels,
             self.config.threads,
+            None if stage.level else round(shrink * self.config.reference_crop),
         )
 
     def _stage(
@@ -287,7 +301,7 @@ def _estimate(
         score=score,
         n_views=len(observations),
         residual=residual,
-        status=_status(fit, pose, plane, float(inliers.mean())),
+        status=_status(fit, pose, plane, float(inliers.mean()) if inliers.size else 0.0),
         covariance=covariance,
     )
     return replace(estimate, surface_sigma=surface_band(estimate, covariance, determined, grid, jacobian))

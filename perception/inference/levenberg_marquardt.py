@@ -38,9 +38,9 @@ class Evaluation:
 
     def normal_equations(self) -> tuple[Float[np.ndarray, "p p"], Float[np.ndarray, "p"]]:
         """J^T W J and J^T W r, in float64."""
-        weighted = self.jacobian * self.weights[:, None].astype(self.jacobian.dtype)
-        hessian = (weighted.T @ self.jacobian).astype(np.float64)
-        return hessian, (weighted.T @ self.residuals.astype(self.jacobian.dtype)).astype(np.float64)
+        root = np.sqrt(self.weights).astype(self.jacobian.dtype)
+        rows, residuals = self.jacobian * root[:, None], self.residuals.astype(self.jacobian.dtype) * root
+        return (rows.T @ rows).astype(np.float64), (rows.T @ residuals).astype(np.float64)
 
 
 @dataclass(frozen=True)

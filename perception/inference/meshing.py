@@ -100,10 +100,10 @@ def _surface(
     kept = {body}
     if category == "mug":  # a handle that is cut off by a faint voxel or two still belongs to it
         share = volumes / volumes[body]  # a cavity's is negative, a crumb's next to nothing
-        near = KDTree(vertices[part_of == body])
-        for part in np.flatnonzero(share >= 0.005):
-            if near.query(vertices[part_of == part])[0].min() < 4 * scale.max() / 32:
-                kept.add(int(part))
+        for part in set(np.flatnonzero(share >= 0.005).tolist()) - kept:
+            away = KDTree(vertices[part_of == body]).query(vertices[part_of == part])[0]
+            if away.min() < 4 * scale.max() / 32:
+                kept.add(part)
     keep = np.isin(part_of, sorted(kept))
     faces = (np.cumsum(keep) - 1)[faces[keep[faces[:, 0]]]]
     volume = float(np.abs(volumes[sorted(kept)].sum()))

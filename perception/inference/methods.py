@@ -10,7 +10,7 @@ from dataclasses import replace
 from typing import Literal, get_args
 
 from perception.fusion.tsdf import TsdfConfig, reconstruct_tsdf
-from perception.inference.fit import FitConfig, Stage
+from perception.inference.fit import FitConfig
 from perception.inference.reconstruct import reconstruct
 from perception.inference.shape_model import Decoder
 from perception.types import ObjectDetection, ObjectEstimate, RgbdFrame, SupportPlane
@@ -43,8 +43,8 @@ def method_config(method: Method, base: FitConfig | None = None) -> FitConfig:
         case "no_uncertainty":
             return replace(base, noise=replace(base.noise, rendered_variance=False))
         case "no_pyramid":
-            crop, level = base.stages[-1].crop, base.stages[-1].level
-            return replace(base, stages=tuple(Stage(crop, level, s.iterations) for s in base.stages))
+            last = base.stages[-1]
+            return replace(base, stages=tuple(replace(last, iterations=s.iterations) for s in base.stages))
         case "dvr":
             return replace(base, renderer="first_crossing", refine=None)
         case "mask_only":

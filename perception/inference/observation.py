@@ -57,8 +57,9 @@ class ObjectObservation:
         mask = self.mask & (self.frame.depth > 0)
         if self.ignore is not None:
             mask &= ~self.ignore
-        inner = cv2.erode(mask.astype(np.uint8), np.ones((2 * erode + 1,) * 2, np.uint8)) > 0
-        v, u = np.nonzero(inner if inner.sum() >= 20 else mask)
+        inner = cv2.erode(mask.astype(np.uint8), np.ones((2 * erode + 1,) * 2, np.uint8))
+        at = np.flatnonzero(inner if np.count_nonzero(inner) >= 20 else mask)  # ten times as fast as in 2D
+        v, u = np.divmod(at, mask.shape[1])
         rays = pixel_rays(self.frame, u, v)
         return transform_points(
             self.T_world_camera, rays * self.frame.depth[v, u][:, None].astype(np.float64)
@@ -73,11 +74,14 @@ class PixelConfig:
         ring: width of the background ring as a share of the object's larger side in the image.
         band: half width of the border band that is left out, in pixels of the full image.
         background_weight: weight of a background pixel; one of the object has 1.
+        sparse_background: every other background pixel, like the black squares of a chessboard, stands for
+            two where nothing is blurred.
     """
 
     ring: float = 0.2
     band: float = 2.0
     background_weight: float = 0.2
+    sparse_background: bool = False
 
 
 @dataclass(frozen=True)
@@ -89,7 +93,7 @@ class PixelSet:
         Ts_world_camera: (v, 4, 4).
         target: (n,) measured depth; the escape depth on the background [m].
         inside: (n,) whether the pixel is in the object's mask.
-        weight: (n,) 1 on the object, ``background_weight`` outside.
+        weight: (n,) 1 on the object, ``background_weight`` outside, both by the area that a pixel stands for.
         operator: (m, n) pyramid matrix from pixels to residuals, or None at level 0.
     """
 
@@ -121,6 +125,7 @@ def gather_pixels(
     level: int,
     config: PixelConfig,
     threads: int = 1,
+    reference: int | None = None,
 ) -> PixelSet:
     """Samples every view's surroundings of the mask on a grid of at most crop x crop pixels.
 
@@ -133,19 +138,28 @@ def gather_pixels(
         level: pyramid level: the residuals are blurred and halved so often.
         config: which pixels take part.
         threads: how many cores render them.
+        reference: crop whose pixels stand for an area of 1, so that no crop says more than another; by
+            default this one.
     """
-    directions, view, target, inside, operators, depth_range = [], [], [], [], [], []
+    directions, view, target, inside, area, operators, depth_range = [], [], [], [], [], [], []
+    sparse_background = config.sparse_background and not level
+    background_weight = config.background_weight * (2.0 if sparse_background else 1.0)
     for index, seen in enumerate(observations):
         z = float(transform_points(invert(seen.T_world_camera), centre[None])[0, 2])
         near, far = max(z - reach, 0.02), z + reach
         rays = RayBundle(np.empty((0, 3)), np.empty(0, np.int64), np.array([[near, far]]), samples)
-        u, v, is_object, is_background = _classify(seen, crop, config, near, far)
+        window = _Window.around(seen.mask, config.ring)
+        u, v, is_object, is_background = _classify(seen, window, crop, config, near, far)
+        if sparse_background:
+            is_background[::2, ::2] = is_background[1::2, 1::2] = False
         valid = is_object | is_background
         measured = np.where(is_object, seen.frame.depth[v, u], rays.escape_depth[0])
         directions.append(pixel_rays(seen.frame, u, v)[valid])
         view.append(np.full(int(valid.sum()), index))
         target.append(measured[valid])
         inside.append(is_object[valid])
+        of_pixel = (window.pitch(crop) / window.pitch(reference or crop)) ** 2
+        area.append(np.full(int(valid.sum()), of_pixel))
         if level:
             operators.append(pyramid_operator(valid, level))
         depth_range.append((near, far))
@@ -162,28 +176,47 @@ def gather_pixels(
         Ts_world_camera=np.stack([seen.T_world_camera for seen in observations]),
         target=np.concatenate(target).astype(np.float32),
         inside=on_object,
-        weight=np.where(on_object, 1.0, config.background_weight).astype(np.float32),
+        weight=(np.concatenate(area) * np.where(on_object, 1.0, background_weight)).astype(np.float32),
         operator=sparse.csr_matrix(sparse.block_diag(operators)) if level else None,
     )
 
 
+@dataclass(frozen=True)
+class _Window:
+    """What of an image is looked at: a mask with a ring around it; rows and columns, both ends included."""
+
+    top: int
+    bottom: int
+    left: int
+    right: int
+    ring: int
+
+    @staticmethod
+    def around(mask: Bool[np.ndarray, "h w"], ring_share: float) -> _Window:
+        (top, bottom), (left, right) = (np.flatnonzero(mask.any(axis=k))[[0, -1]].tolist() for k in (1, 0))
+        ring = max(4, round(ring_share * (max(bottom - top, right - left) + 1)))
+        height, width = mask.shape
+        return _Window(
+            max(top - ring, 0), min(bottom + ring, height - 1), max(left - ring, 0),
+            min(right + ring, width - 1), ring,
+        )  # fmt: skip
+
+    def pitch(self, crop: int) -> float:
+        """Pixels of the image between those of a crop; never less than one."""
+        return max(1.0, (max(self.bottom - self.top, self.right - self.left) + 1) / crop)
+
+
 def _classify(
-    seen: ObjectObservation, crop: int, config: PixelConfig, near: float, far: float
+    seen: ObjectObservation, window: _Window, crop: int, config: PixelConfig, near: float, far: float
 ) -> tuple[np.ndarray, np.ndarray, np.ndarray, np.ndarray]:
     """The crop's pixel coordinates u, v, and which of them show the object or the background."""
-    rows, columns = np.nonzero(seen.mask)
-    height, width = seen.mask.shape
-    size = max(np.ptp(rows), np.ptp(columns)) + 1
-    ring = max(4, round(config.ring * size))
-    top, bottom = max(rows.min() - ring, 0), min(rows.max() + ring, height - 1)
-    left, right = max(columns.min() - ring, 0), min(columns.max() + ring, width - 1)
-    pitch = max(1.0, (max(bottom - top, right - left) + 1) / crop)
+    top, bottom, left, right = window.top, window.bottom, window.left, window.right
+    pitch = window.pitch(crop)
     v = np.unique(np.round(np.arange(top, bottom + 0.5, pitch)).astype(int).clip(top, bottom))
     u = np.unique(np.round(np.arange(left, right + 0.5, pitch)).astype(int).clip(left, right))
     u, v = np.meshgrid(u, v)
 
-    window = (slice(top, bottom + 1), slice(left, right + 1))
-    mask = np.ascontiguousarray(seen.mask[window]).astype(np.uint8)
+    mask = np.ascontiguousarray(seen.mask[top : bottom + 1, left : right + 1]).astype(np.uint8)
     inwards = cv2.distanceTransform(np.pad(mask, 1), cv2.DIST_L2, 3)[1:-1, 1:-1]
     outwards = cv2.distanceTransform(1 - mask, cv2.DIST_L2, 3)
     inwards, outwards = inwards[v - top, u - left], outwards[v - top, u - left]
@@ -192,5 +225,5 @@ def _classify(
     if seen.ignore is not None:
         usable &= ~seen.ignore[v, u]
     is_object = usable & (inwards > config.band) & (depth > near) & (depth < far)
-    is_background = usable & (outwards > config.band) & (outwards <= ring)
+    is_background = usable & (outwards > config.band) & (outwards <= window.ring)
     return u, v, is_object, is_background

@@ -15,7 +15,13 @@ from perception.inference.levenberg_marquardt import Evaluation
 from perception.inference.observation import PixelSet
 from perception.inference.shape_model import LinearisedShape
 from perception.rendering.comparison import BACKDROP, RENDERERS, RendererName
-from perception.rendering.pose import POSE_SIZE, ObjectPose, canonical_from_camera, pose_jacobian
+from perception.rendering.pose import (
+    POSE_SIZE,
+    ObjectPose,
+    canonical_from_camera,
+    map_jacobian,
+    pose_jacobian,
+)
 from perception.rendering.renderer import RayBundle, Rendering, render
 from perception.types import CODE_SIZE, SupportPlane
 
@@ -122,28 +128,36 @@ class FitProblem:
 
     def __call__(self, state: FitState) -> Evaluation:
         grid = self.shape.at(state.code)
-        blocks = [self._render_rows(state, grid), self._code_rows(state), self._scale_rows(state)]
+        blocks = [self._code_rows(state), self._scale_rows(state)]
         if self.plane is not None:
             blocks.append(self._tilt_rows(state, self.plane))
         if self.support is not None:
-            blocks.append(self._support_rows(state, grid, self.support))
-        residuals, jacobians, weights = zip(*blocks)
-        return Evaluation(np.concatenate(residuals), np.concatenate(jacobians), np.concatenate(weights))
+            blocks.append(self._support_row(state, grid, self.support))
+        residuals, jacobians, weights = (np.concatenate(part) for part in zip(*blocks))
+        rendered = len(self.pixels.is_object)
+        jacobian = np.empty((rendered + len(residuals), PARAMETERS), np.float32)
+        residual, weight = self._render_rows(state, grid, out=jacobian[:rendered])
+        jacobian[rendered:] = jacobians
+        return Evaluation(np.concatenate([residual, residuals]), jacobian, np.concatenate([weight, weights]))
 
-    def _render_rows(self, state: FitState, grid) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
-        """Rendered minus measured depth, weighted by its variance, Huber's weight and the pixel's own."""
+    def _render_rows(self, state: FitState, grid, out: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
+        """Rendered minus measured depth, weighted by its variance, Huber's weight and the pixel's own.
+
+        The Jacobian is written to ``out``: it is large, and copying it would cost as much as making it.
+        """
         pixels, noise = self.pixels, self.noise
         A = canonical_from_camera(state.pose, pixels.Ts_world_camera)
         image = self._render(grid, pixels.rays, A, True)
-        jacobian = _jacobian(state.pose, A, pixels.rays, image)
         residual, variance, weight = image.depth - self._target, image.variance, pixels.weight
-        if pixels.operator is not None:
-            stacked = np.column_stack([residual, variance, weight])
-            residual, variance, weight = (pixels.operator @ stacked).T
-            jacobian = pixels.operator @ jacobian
+        if pixels.operator is None:
+            _jacobian(state.pose, A, pixels.rays, image, out)
+        else:
+            rows = np.empty((len(pixels.rays.directions), PARAMETERS), np.float32)
+            out[:] = pixels.operator @ _jacobian(state.pose, A, pixels.rays, image, rows)
+            residual, variance, weight = (pixels.operator @ np.column_stack([residual, variance, weight])).T
         sigma2 = variance * noise.rendered_variance + noise.depth_sigma**2
         robust = np.minimum(1.0, noise.huber * np.sqrt(sigma2) / np.maximum(np.abs(residual), 1e-9))
-        return residual, jacobian, noise.data_weight * weight * robust / sigma2
+        return residual, noise.data_weight * weight * robust / sigma2
 
     def _code_rows(self, state: FitState) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
         jacobian = np.zeros((CODE_SIZE, PARAMETERS), np.float32)
@@ -174,7 +188,7 @@ class FitProblem:
         jacobian[:, _TURN] = hat(normal)[:2]
         return normal[:2], jacobian, np.full(2, self.noise.tilt_sigma**-2)
 
-    def _support_rows(
+    def _support_row(
         self, state: FitState, grid, camera: SupportCamera
     ) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
         """The lowest parts that the lower camera sees lie on the plane: one residual, their mean height."""
@@ -188,16 +202,21 @@ class FitProblem:
         voxel = state.pose.scale[2] / 16
         low = np.partition(height[hit], hit.sum() // 10)[hit.sum() // 10]
         lowest = hit & (height < low + 0.3 * voxel)
-        jacobian[0] = _jacobian(state.pose, A, camera.rays, image)[lowest].mean(axis=0)
+        assert image.d_code is not None and image.d_map is not None
+        jacobian[0, _CODE] = image.d_code[lowest].mean(axis=0)
+        jacobian[0, CODE_SIZE:] = image.d_map[lowest].mean(axis=0) @ map_jacobian(state.pose, A)[0]
         return height[lowest].mean(keepdims=True), jacobian, np.full(1, self.noise.support_sigma**-2)
 
 
 def _jacobian(
-    pose: ObjectPose, A: Float[np.ndarray, "v 3 4"], rays: RayBundle, image: Rendering
+    pose: ObjectPose,
+    A: Float[np.ndarray, "v 3 4"],
+    rays: RayBundle,
+    image: Rendering,
+    out: Float[np.ndarray, "n 25"],
 ) -> Float[np.ndarray, "n 25"]:
-    """Derivative of the rendered depth by all parameters."""
+    """Writes the derivative of the rendered depth by all parameters, and returns it."""
     assert image.d_code is not None
-    rows = np.empty((len(rays.directions), PARAMETERS), np.float32)
-    rows[:, _CODE] = image.d_code
-    pose_jacobian(pose, A, rays, image, out=rows[:, CODE_SIZE:])
-    return rows
+    out[:, _CODE] = image.d_code
+    pose_jacobian(pose, A, rays, image, out=out[:, CODE_SIZE:])
+    return out

@@ -27,7 +27,7 @@ from perception.rendering.sampling import (
     code_slopes,
     in_cell,
     in_voxels,
-    samples_inside,
+    samples_in_box,
     slopes,
     trilinear,
     vec16,
@@ -36,11 +36,12 @@ from perception.types import GRID_RESOLUTION
 
 ESCAPE_FACTOR = 1.1  # escape depth over the farthest sample's depth (paper, "Aggregation")
 _ESCAPE = wp.constant(ESCAPE_FACTOR)
-_OPAQUE = wp.constant(1e-6)  # a ray less likely than this to go on is at its end
-_LEAST_WEIGHT = wp.constant(1e-6)  # [m] of depth by occupancy: less is no derivative worth its time
+_OPAQUE = wp.constant(1e-5)  # a ray less likely than this to go on ends at the sample where it stands
+_LEAST_WEIGHT = wp.constant(3e-6)  # [m] of depth by occupancy: less is no derivative worth its time
 _OCCUPIED = wp.constant(1)  # flags of cells
 _CODE_MOVES = wp.constant(2)
-_NOT_STILL = wp.constant(4)
+NOT_STILL = 4
+_NOT_STILL = wp.constant(NOT_STILL)
 _CLIP = wp.constant(1e-4)  # occupancies closer than this to 0 or 1 are taken to be so close
 _FLAT = wp.constant(1e-7)  # o (1 - o) of a voxel that no code moves any more
 _STILL = wp.constant(1e-4)  # voxels that no code moves faster than this stay as they are
@@ -92,39 +93,46 @@ def pad_kernel(
 @wp.kernel
 @no_type_check
 def step_kernel(
+    moving: wp.array(dtype=wp.int32),
     occupancy: wp.array(dtype=wp.float32),
     jacobian: wp.array(dtype=vec16),
-    flags: wp.array(dtype=wp.uint8),
     step: vec16,
     stepped: wp.array(dtype=wp.float32),
 ):
     """Occupancies after a small step of the code, along which their log odds change linearly."""
-    at = wp.tid()
-    o = occupancy[at]
-    if (int(flags[at]) & _NOT_STILL) != 0:
-        c = wp.clamp(o, _CLIP, 1.0 - _CLIP)
-        change = wp.dot(jacobian[at], step) / (c * (1.0 - c))
-        o = c / (c + (1.0 - c) * wp.exp(-wp.clamp(change, -30.0, 30.0)))
-    stepped[at] = o
+    at = moving[wp.tid()]
+    o = wp.clamp(occupancy[at], _CLIP, 1.0 - _CLIP)
+    change = wp.dot(jacobian[at], step) / (o * (1.0 - o))
+    stepped[at] = o / (o + (1.0 - o) * wp.exp(-wp.clamp(change, -30.0, 30.0)))
 
 
 @wp.kernel
 @no_type_check
-def flag_cells_kernel(voxels: wp.array(dtype=wp.uint8), cells: wp.array(dtype=wp.uint8)):
+def flag_cells_kernel(
+    voxels: wp.array(dtype=wp.uint8), cells: wp.array(dtype=wp.uint8), box: wp.array(dtype=wp.vec3i)
+):
     """What the eight voxels around a cell have between them; a cell has the index of its lowest voxel.
 
-    A thread goes up one column of cells.
+    A thread goes up one column of cells; the box comes to hold all that are worth a visit.
     """
     i, j = wp.tid()
     low = (i * SIDE + j) * SIDE
     below = int(0)
+    first = int(SIDE)
+    last = int(-1)
     for k in range(SIDE):
         at = low + k
         here = int(voxels[at]) | int(voxels[at + SIDE])
         here = (here | int(voxels[at + SLAB]) | int(voxels[at + SLAB + SIDE])) & (_OCCUPIED | _CODE_MOVES)
         if k > 0:
             cells[at - 1] = wp.uint8(here | below)
+            if (here | below) != 0:
+                first = wp.min(first, k - 1)
+                last = k - 1
         below = here
+    if last >= 0:
+        wp.atomic_min(box, 0, wp.vec3i(i, j, first))
+        wp.atomic_max(box, 1, wp.vec3i(i, j, last))
 
 
 @wp.kernel
@@ -143,6 +151,7 @@ def render_kernel(
     occupancy: wp.array(dtype=wp.float32),
     jacobian: wp.array(dtype=vec16),
     cells: wp.array(dtype=wp.uint8),
+    box: wp.array(dtype=wp.vec3i),
     rows: wp.array2d(dtype=vec16),
 ):
     """The rays from ``begin`` on, one in each thread.
@@ -160,11 +169,12 @@ def render_kernel(
     near = depth_range[view][0]
     far = depth_range[view][1]
     step = (far - near) / float(samples)
-    inside = samples_inside(origin, direction, near, far, step, samples)
+    inside = samples_in_box(origin, direction, near, far, step, samples, box, 0)
 
     # Forwards: occupancy and the probability to get there, of the samples that matter, onto a stack.
     count = int(0)
     reaching = float(1.0)
+    behind = float(_ESCAPE * far)
     for i in range(inside[0], inside[1] + 1):
         delta = near + float(i) * step
         p = origin + delta * direction
@@ -175,11 +185,12 @@ def render_kernel(
             count += 1
             reaching = reaching * (1.0 - o)
             if reaching < _OPAQUE:
+                behind = delta
                 break
 
     # Backwards: expected depth behind each sample; depths from the middle, so that squares stay small.
     middle = 0.5 * (near + far)
-    mean = _ESCAPE * far - middle
+    mean = behind - middle
     square = mean * mean
     code = vec16()
     sum_gradient = wp.vec3()
@@ -208,7 +219,7 @@ def render_kernel(
                 image[3 * column + axis] = pixel[column] * sum_depth_gradient[axis]
             image[9 + column] = sum_gradient[column]
     image[12] = mean + middle
-    image[13] = wp.max(square - mean * mean, 0.0)
+    image[13] = wp.where(count > 0, wp.max(square - mean * mean, 0.0), 0.0)
     image[14] = 1.0 - reaching
     rows[ray, 0] = code
     rows[ray, 1] = image

@@ -28,7 +28,7 @@ from perception.rendering.sampling import (
     cell_of,
     in_cell,
     in_voxels,
-    samples_inside,
+    samples_in_box,
     slopes,
     trilinear,
 )
@@ -56,6 +56,7 @@ class ShapeStack:
 
     occupancy: wp.array
     cells: wp.array
+    boxes: wp.array
     count: int
 
     @staticmethod
@@ -63,9 +64,11 @@ class ShapeStack:
         """Copies the grids; worth keeping until one of them changes."""
         occupancy = np.concatenate([shape.occupancy.numpy() for shape in shapes])
         cells = np.concatenate([shape.cells.numpy() for shape in shapes])
+        boxes = np.concatenate([shape.box.numpy() for shape in shapes])
         return ShapeStack(
             wp.array(occupancy, dtype=wp.float32, device="cpu"),
             wp.array(cells, dtype=wp.uint8, device="cpu"),
+            wp.array(boxes, dtype=wp.vec3i, device="cpu"),
             len(shapes),
         )
 
@@ -124,6 +127,7 @@ class PairRenderer:
         inputs = [
             stack.occupancy,
             stack.cells,
+            stack.boxes,
             to_device(pairs.directions, wp.vec3, "cpu"),
             to_device(pairs.ray, wp.int32, "cpu"),
             to_device(pairs.object, wp.int32, "cpu"),
@@ -177,6 +181,7 @@ def pairs_kernel(
     begin: int,
     occupancy: wp.array(dtype=wp.float32),
     cells: wp.array(dtype=wp.uint8),
+    boxes: wp.array(dtype=wp.vec3i),
     directions: wp.array(dtype=wp.vec3),
     ray_of: wp.array(dtype=wp.int32),
     object_of: wp.array(dtype=wp.int32),
@@ -199,7 +204,7 @@ def pairs_kernel(
     near = depth_range[k][0]
     far = depth_range[k][1]
     step = steps[k]
-    inside = samples_inside(origin, direction, near, far, step, 1000000)
+    inside = samples_in_box(origin, direction, near, far, step, 1000000, boxes, 2 * k)
 
     count = int(0)
     reaching = float(1.0)

@@ -11,7 +11,7 @@ from dataclasses import dataclass
 import numpy as np
 from jaxtyping import Float
 
-from perception.geometry import so3_exp
+from perception.geometry import hat, so3_exp
 from perception.rendering.renderer import RayBundle, Rendering
 
 POSE_SIZE = 9
@@ -46,6 +46,19 @@ class ObjectPose:
         rotation = self.rotation @ so3_exp(step[:3])
         u, _, vt = np.linalg.svd(rotation)
         return ObjectPose(u @ vt, self.translation + step[3:6], self.scale * np.exp(step[6:]))
+
+
+def object_by_camera(pose: ObjectPose, T_world_camera: Float[np.ndarray, "4 4"]) -> Float[np.ndarray, "6 6"]:
+    """The motion of an object that looks the same as a small motion Exp(xi) of the camera on its right.
+
+    Rows: the object's turn (own frame) and move (world); columns: xi = (rotation, translation), camera frame.
+    """
+    R, c = T_world_camera[:3, :3], T_world_camera[:3, 3]
+    out = np.zeros((6, 6))
+    out[:3, :3] = -pose.rotation.T @ R
+    out[3:, :3] = hat(pose.translation - c) @ R
+    out[3:, 3:] = -R
+    return out
 
 
 def canonical_from_camera(

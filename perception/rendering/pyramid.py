@@ -33,24 +33,15 @@ def pyramid_operator(valid: Bool[np.ndarray, "h w"], level: int) -> sparse.csr_m
 
 def _blur_and_halve(valid: np.ndarray) -> tuple[sparse.csr_matrix, np.ndarray]:
     """One level: 5 x 5 Gaussian at every other pixel. Returns the matrix and the valid coarse pixels."""
-    height, width = valid.shape
-    index = np.full((height, width), -1)
-    index[valid] = np.arange(int(valid.sum()))
-    v, u = np.meshgrid(np.arange(0, height, 2), np.arange(0, width, 2), indexing="ij")
-    rows, columns, weights = [], [], []
-    coarse = np.arange(v.size).reshape(v.shape)
-    for dv, wv in zip(range(-2, 3), _TAPS):
-        for du, wu in zip(range(-2, 3), _TAPS):
-            vv, uu = v + dv, u + du
-            inside = (vv >= 0) & (vv < height) & (uu >= 0) & (uu < width)
-            source = index[np.clip(vv, 0, height - 1), np.clip(uu, 0, width - 1)]
-            take = inside & (source >= 0)
-            rows.append(coarse[take])
-            columns.append(source[take])
-            weights.append(np.full(int(take.sum()), wv * wu))
-    entries = (np.concatenate(weights), (np.concatenate(rows), np.concatenate(columns)))
-    matrix = sparse.csr_matrix(entries, shape=(v.size, int(valid.sum())), dtype=np.float32)
+    blur_rows, blur_columns = (_blur_line(n) for n in valid.shape)
+    matrix = sparse.kron(blur_rows, blur_columns, format="csc")[:, np.flatnonzero(valid)].tocsr()
     support = np.asarray(matrix.sum(axis=1)).ravel()
     keep = support > _MIN_SUPPORT
     matrix = sparse.diags(1 / support[keep], dtype=np.float32) @ matrix[keep]
-    return sparse.csr_matrix(matrix), keep.reshape(v.shape)
+    return sparse.csr_matrix(matrix), keep.reshape(len(blur_rows), len(blur_columns))
+
+
+def _blur_line(length: int) -> np.ndarray:
+    """The Gaussian around every other of so many pixels in a line, cut off at its ends."""
+    away = np.abs(np.arange(length) - np.arange(0, length, 2)[:, None])
+    return np.where(away <= 2, _TAPS[2 + np.minimum(away, 2)], 0.0).astype(np.float32)

@@ -16,6 +16,7 @@ from jaxtyping import Float, Int
 
 from perception.rendering.kernel import (
     ESCAPE_FACTOR,
+    NOT_STILL,
     flag_cells_kernel,
     mat34,
     pad_kernel,
@@ -28,6 +29,7 @@ from perception.warp_runtime import empty, launch, record, run_recorded, start_w
 
 _COLUMNS = (GRID_RESOLUTION,) * 2
 _CELL_COLUMNS = (GRID_RESOLUTION + 1,) * 2
+_EMPTY_BOX = np.repeat([[GRID_RESOLUTION + 2], [-1]], 3, axis=1)
 
 
 @dataclass(frozen=True)
@@ -38,14 +40,16 @@ class ShapeGrid:
         occupancy: flat, with a border of empty voxels.
         jacobian: d occupancy / d code in the same layout, or None.
         cells: flags of the cells between eight voxels, by their lowest one; 0 where there is nothing to see.
-        flags: the same of voxels, and which of them stay as they are.
+        box: the lowest and the highest of these cells along each axis; nothing is to be seen outside.
+        moving: indices of the voxels that steps of the code change, or None without a Jacobian.
         device: "cpu" or "cuda:0".
     """
 
     occupancy: wp.array
     jacobian: wp.array | None
     cells: wp.array
-    flags: wp.array
+    box: wp.array
+    moving: wp.array | None
     device: str
 
     @staticmethod
@@ -82,20 +86,24 @@ class ShapeGrid:
             outputs=[padded, padded_jacobian, flags],
             device=device,
         )
-        launch(flag_cells_kernel, dim=_CELL_COLUMNS, inputs=[flags], outputs=[cells], device=device)
-        return ShapeGrid(padded, padded_jacobian, cells, flags, device)
+        box = to_device(_EMPTY_BOX.copy(), wp.vec3i, device)
+        launch(flag_cells_kernel, dim=_CELL_COLUMNS, inputs=[flags], outputs=[cells, box], device=device)
+        moving = None
+        if jacobian is not None:
+            moving = to_device(np.flatnonzero(flags.numpy() & NOT_STILL), wp.int32, device)
+        return ShapeGrid(padded, padded_jacobian, cells, box, moving, device)
 
     def stepped(self, step: Float[np.ndarray, "16"]) -> ShapeGrid:
         """The grid after a small step of the code, with the Jacobian and the empty cells of this one.
 
         Log odds of occupancy are smooth in the code, so it is they that change linearly.
         """
-        assert self.jacobian is not None
-        occupancy = empty(PADDED_VOXELS, wp.float32, self.device)
+        assert self.jacobian is not None and self.moving is not None
+        occupancy = wp.clone(self.occupancy)
         launch(
             step_kernel,
-            dim=PADDED_VOXELS,
-            inputs=[self.occupancy, self.jacobian, self.flags, vec16(*step.tolist())],
+            dim=len(self.moving),
+            inputs=[self.moving, self.occupancy, self.jacobian, vec16(*step.tolist())],
             outputs=[occupancy],
             device=self.device,
         )
@@ -135,7 +143,7 @@ class _RayBuffers:
                     *(directions, view, depth_range, maps),
                     *(rays.samples, 0 if on_cpu else rays.samples, begin),
                     empty(rays.samples * (1 if on_cpu else n), wp.vec3, device),
-                    *(0, 0, None, None, None),
+                    *(0, 0, None, None, None, None),
                 ],
                 [empty((1, 2), vec16, device)],
                 device,
@@ -229,7 +237,7 @@ def render(
     with_code = gradients and shape.jacobian is not None
     on_device.maps.assign(np.ascontiguousarray(A_canonical_camera, np.float32))
     rows = empty((n, 2), dtype=vec16, device=device)
-    changing = [int(gradients), int(with_code), shape.occupancy, shape.jacobian, shape.cells, rows]
+    changing = [int(gradients), int(with_code), shape.occupancy, shape.jacobian, shape.cells, shape.box, rows]
     arguments = dict(enumerate(changing, start=_CHANGING))
     run_recorded(on_device.launches, arguments)
     code, image = rows.numpy().swapaxes(0, 1)

@@ -36,16 +36,56 @@ def samples_inside(
     origin: wp.vec3, direction: wp.vec3, near: float, far: float, step: float, samples: int
 ) -> wp.vec2i:
     """First and last of the samples near + i step, i = 1 ... samples, in the grid; last < first for none."""
+    low = wp.vec3(_MARGIN, _MARGIN, _MARGIN)
+    high = wp.vec3(_END - _MARGIN, _END - _MARGIN, _END - _MARGIN)
+    return samples_between(origin, direction, near, far, step, samples, low, high)
+
+
+@wp.func
+@no_type_check
+def samples_in_box(
+    origin: wp.vec3,
+    direction: wp.vec3,
+    near: float,
+    far: float,
+    step: float,
+    samples: int,
+    boxes: wp.array(dtype=wp.vec3i),
+    at: int,
+) -> wp.vec2i:
+    """The same for the box from cell ``boxes[at]`` to cell ``boxes[at + 1]``."""
+    low = wp.vec3(boxes[at])
+    high = wp.vec3(boxes[at + 1] + wp.vec3i(1, 1, 1))
+    low = wp.max(low, wp.vec3(_MARGIN, _MARGIN, _MARGIN))
+    high = wp.min(high, wp.vec3(_END - _MARGIN, _END - _MARGIN, _END - _MARGIN))
+    return samples_between(origin, direction, near, far, step, samples, low, high)
+
+
+@wp.func
+@no_type_check
+def samples_between(
+    origin: wp.vec3,
+    direction: wp.vec3,
+    near: float,
+    far: float,
+    step: float,
+    samples: int,
+    low: wp.vec3,
+    high: wp.vec3,
+) -> wp.vec2i:
+    """The same for the box between two corners; none are in one whose corners are the wrong way round."""
     enter = near
     leave = far
     for axis in range(3):
         d = direction[axis]
-        if wp.abs(d) > 1.0e-9:
-            a = (_MARGIN - origin[axis]) / d
-            b = (_END - _MARGIN - origin[axis]) / d
+        if low[axis] > high[axis]:
+            leave = near - 1.0
+        elif wp.abs(d) > 1.0e-9:
+            a = (low[axis] - origin[axis]) / d
+            b = (high[axis] - origin[axis]) / d
             enter = wp.max(enter, wp.min(a, b))
             leave = wp.min(leave, wp.max(a, b))
-        elif origin[axis] < _MARGIN or origin[axis] > _END - _MARGIN:
+        elif origin[axis] < low[axis] or origin[axis] > high[axis]:
             leave = near - 1.0
     first = wp.max(int(wp.ceil((enter - near) / step)), 1)
     last = wp.min(int(wp.floor((leave - near) / step)), samples)

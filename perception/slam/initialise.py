@@ -6,6 +6,7 @@ import logging
 from dataclasses import replace
 
 import numpy as np
+from jaxtyping import Bool
 
 from perception.errors import PerceptionError
 from perception.inference.fit import FitConfig, fit_object
@@ -80,8 +81,12 @@ def landmark_of(
 
 
 def touches_border(detection: ObjectDetection) -> bool:
-    """Whether the image border cuts the mask."""
-    mask = detection.mask
+    """Whether the image border cuts the detection's mask."""
+    return is_cut(detection.mask)
+
+
+def is_cut(mask: Bool[np.ndarray, "h w"]) -> bool:
+    """Whether the image border cuts a mask."""
     return bool(mask[0].any() or mask[-1].any() or mask[:, 0].any() or mask[:, -1].any())
 
 

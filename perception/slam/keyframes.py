@@ -7,12 +7,13 @@ keyframe that saw it. (The paper measures from the frame of initialisation; then
 
 from __future__ import annotations
 
-from collections.abc import Mapping, Sequence
-from dataclasses import dataclass
+from collections.abc import Collection, Mapping, Sequence
+from dataclasses import dataclass, field, replace
 
 import numpy as np
 from jaxtyping import Bool, Float, UInt8
 
+from perception.geometry import invert, transform_points
 from perception.inference.observation import ObjectObservation
 from perception.inference.reconstruct import hidden_by
 from perception.slam.landmarks import Landmark
@@ -31,6 +32,7 @@ class Keyframe:
         labels: the masks; label k + 1 is detection k.
         landmark_of: label to landmark id.
         yaw_of: landmark id to the yaw probabilities of its detection here.
+        covariance: of the camera's pose when it was taken (rotation, translation, in its frame).
     """
 
     number: int
@@ -38,6 +40,7 @@ class Keyframe:
     labels: UInt8[np.ndarray, "h w"]
     landmark_of: Mapping[int, int]
     yaw_of: Mapping[int, Float[np.ndarray, "b"]]
+    covariance: Float[np.ndarray, "6 6"] = field(default_factory=lambda: np.eye(6))
 
     @property
     def T_world_camera(self) -> Float[np.ndarray, "4 4"]:
@@ -48,10 +51,25 @@ class Keyframe:
     def landmarks(self) -> set[int]:
         return set(self.landmark_of.values())
 
+    def has_in_view(self, points: Float[np.ndarray, "n 3"], margin: float = 2.0) -> Bool[np.ndarray, "n"]:
+        """Which points of the world lie in its image, ``margin`` pixels or more from the border."""
+        camera, seen = self.frame.intrinsics, transform_points(invert(self.T_world_camera), points)
+        z = np.maximum(seen[:, 2], 1e-6)
+        u, v = camera.fx * seen[:, 0] / z + camera.cx, camera.fy * seen[:, 1] / z + camera.cy
+        return (
+            (seen[:, 2] > 0)
+            & (np.abs(u - (camera.width - 1) / 2) <= (camera.width - 1) / 2 - margin)
+            & (np.abs(v - (camera.height - 1) / 2) <= (camera.height - 1) / 2 - margin)
+        )
+
     def moved(self, T_world_camera: Float[np.ndarray, "4 4"]) -> Keyframe:
         """The keyframe with another pose."""
-        return Keyframe(
-            self.number, with_pose(self.frame, T_world_camera), self.labels, self.landmark_of, self.yaw_of
+        return replace(self, frame=with_pose(self.frame, T_world_camera))
+
+    def without(self, landmarks: Collection[int]) -> Keyframe:
+        """The keyframe as if it did not know what shows these landmarks."""
+        return replace(
+            self, landmark_of={k: one for k, one in self.landmark_of.items() if one not in landmarks}
         )
 
     def mask(self, landmark: int) -> Bool[np.ndarray, "h w"]:
@@ -73,6 +91,7 @@ def make_keyframe(
     labels: UInt8[np.ndarray, "h w"],
     landmark_of: Mapping[int, int],
     detections: Sequence[ObjectDetection],
+    covariance: Float[np.ndarray, "6 6"],
 ) -> Keyframe:
     """Keeps a frame."""
     yaws = {
@@ -80,7 +99,7 @@ def make_keyframe(
         for label, one in landmark_of.items()
         if detections[label - 1].yaw_probabilities.size
     }
-    return Keyframe(number, with_pose(frame, T_world_camera), labels, dict(landmark_of), yaws)
+    return Keyframe(number, with_pose(frame, T_world_camera), labels, dict(landmark_of), yaws, covariance)
 
 
 def with_pose(frame: RgbdFrame, T_world_camera: Float[np.ndarray, "4 4"]) -> RgbdFrame:

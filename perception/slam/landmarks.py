@@ -12,7 +12,14 @@ from jaxtyping import Float
 from perception.inference.problem import FitState
 from perception.inference.shape_model import LinearisedShape
 from perception.rendering.many import ShapeStack
+from perception.rendering.pose import object_by_camera
 from perception.types import CATEGORIES, GRID_RESOLUTION, Category, ObjectDetection, SupportPlane
+
+
+def own_doubt(cut: bool) -> Float[np.ndarray, "6 6"]:
+    """Of a landmark seen by a camera whose pose is known; more if only a part of it was in view."""
+    turn, move = (np.radians(3.0), 0.006) if cut else (np.radians(1.5), 0.0025)
+    return np.diag(np.repeat([turn**2, move**2], 3))
 
 
 @dataclass(frozen=True)
@@ -35,6 +42,7 @@ class Landmark:
         born: number of the frame in which it was initialised.
         updates: how often its shape was estimated.
         residual: root mean square of its inlier residuals in the last optimisation [m].
+        doubt: covariance of where it stands (turn in its own frame, move in the world) [rad], [m].
     """
 
     id: int
@@ -53,6 +61,7 @@ class Landmark:
     born: int = 0
     updates: int = 1
     residual: float = 0.0
+    doubt: Float[np.ndarray, "6 6"] = field(default_factory=lambda: own_doubt(False))
 
     @cached_property
     def grid(self):
@@ -68,6 +77,13 @@ class Landmark:
         """The landmark elsewhere or of another shape."""
         shape = shape or self.shape
         return replace(self, state=state, shape=shape, reach=reach_of(shape, state))
+
+    def seen_from(
+        self, T_world_camera: Float[np.ndarray, "4 4"], covariance: Float[np.ndarray, "6 6"]
+    ) -> Float[np.ndarray, "6 6"]:
+        """Its doubt if it stands where a camera of such doubt sees it."""
+        by_camera = object_by_camera(self.state.pose, T_world_camera)
+        return own_doubt(self.cut) + by_camera @ covariance @ by_camera.T
 
     def voted(self, detection: ObjectDetection) -> Landmark:
         """The landmark after one more view of it."""
@@ -127,8 +143,12 @@ def doubles(landmarks: Mapping[int, Landmark]) -> set[int]:
 
 def stand_together(a: Landmark, b: Landmark) -> bool:
     """Whether two landmarks are so close that they must be one object."""
-    apart = np.linalg.norm(a.state.pose.translation - b.state.pose.translation)
-    return bool(apart < 0.35 * (a.reach + b.reach))
+    return distance(a, b) < 0.35 * (a.reach + b.reach)
+
+
+def distance(a: Landmark, b: Landmark) -> float:
+    """Between their origins [m]."""
+    return float(np.linalg.norm(a.state.pose.translation - b.state.pose.translation))
 
 
 def reach_of(shape: LinearisedShape, state: FitState) -> float:

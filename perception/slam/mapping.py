@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import logging
-from collections.abc import Mapping, Sequence
+from collections.abc import Collection, Mapping, Sequence
 from dataclasses import replace
 
 import numpy as np
@@ -15,10 +15,10 @@ from perception.inference.reconstruct import hidden_by
 from perception.inference.shape_model import Decoder
 from perception.slam.association import RenderedMasks, seen_through
 from perception.slam.config import SlamConfig
-from perception.slam.initialise import initialise_landmark, renewed, touches_border
+from perception.slam.initialise import initialise_landmark, is_cut, renewed, touches_border
 from perception.slam.joint import optimise_jointly
 from perception.slam.keyframes import Keyframe, window_of
-from perception.slam.landmarks import Landmark, LandmarkMap, doubles, stand_together
+from perception.slam.landmarks import Landmark, LandmarkMap, distance, doubles, stand_together
 from perception.slam.tracking import TrackedPose
 from perception.types import CATEGORIES, ObjectDetection, RgbdFrame, SupportPlane
 
@@ -147,17 +147,45 @@ class Mapper:
         return any(stand_together(one, landmark) for one in self.world.landmarks.values())
 
     def completes(
-        self, detections: Sequence[ObjectDetection], landmark_of: Mapping[int, int], number: int
+        self,
+        detections: Sequence[ObjectDetection],
+        landmark_of: Mapping[int, int],
+        unknown: Mapping[int, float],
+        weak: bool,
+        number: int,
     ) -> bool:
-        """Whether a frame shows a whole object of which the map has seen a part alone; not too often."""
-        if not self.keyframes or number - self.keyframes[-1].number < self.config.life.retry:
+        """Whether a frame shows much of an object of which the map saw a part alone, or one that was moved.
+
+        Not too often, as each such frame is kept; sooner where the pose is weak, which needs what is new.
+
+        Args:
+            detections, landmark_of: of the frame.
+            unknown: of each landmark the share of its pixels that no keyframe had in view.
+            weak: whether the pose is.
+            number: of the frame.
+        """
+        landmarks, life = self.world.landmarks, self.config.life
+        wait = life.retry_weak if weak else life.retry
+        if not self.keyframes or number - self.keyframes[-1].number < wait:
             return False
-        landmarks = self.world.landmarks
+        moved = any(
+            landmarks[one].bad >= life.moved_after for one in landmark_of.values() if one in landmarks
+        )
+        if moved or max(unknown.values(), default=0.0) > life.new_part:
+            return True
         cut = [label for label, one in landmark_of.items() if one in landmarks and landmarks[one].cut]
         return any(not touches_border(detections[label - 1]) for label in cut)
 
-    def keep(self, key: Keyframe, plane_points: Float[np.ndarray, "n 3"]) -> None:
-        """One more keyframe, with the plane's points in its camera's frame; the oldest make room."""
+    def keep(self, key: Keyframe, plane_points: Float[np.ndarray, "n 3"], new: Collection[int]) -> None:
+        """One more keyframe, with the plane's points in its camera's frame; the oldest make room.
+
+        What it shows stands as surely as its camera does: new landmarks, and those known less well before.
+        """
+        for one in key.landmarks & set(self.world.landmarks):
+            landmark = self.world.landmarks[one]
+            doubt = landmark.seen_from(key.T_world_camera, key.covariance)
+            if one in new or np.trace(doubt[3:, 3:]) < np.trace(landmark.doubt[3:, 3:]):
+                self.world = self.world.with_landmarks(replace(landmark, doubt=doubt))
         self.keyframes = [*self.keyframes, key][-self.config.life.max_keyframes :]
         points = {**self._plane_points, key.number: plane_points}
         self._plane_points = {k.number: points[k.number] for k in self.keyframes}
@@ -167,31 +195,51 @@ class Mapper:
             if number in self._plane_points and one in self.world.landmarks
         }
 
-    def refit_doubtful(self, key: Keyframe) -> None:
-        """Fits one landmark of the keyframe anew, if its start was poor.
+    def mend(self, key: Keyframe, unknown: Mapping[int, float]) -> Keyframe:
+        """Fits one landmark of the newest keyframe anew, if it needs that; returns what to optimise with.
 
-        Poor is a class that the views have voted down, or a start from a mask that the image border cut.
+        It needs that if the views have voted its class down; if it started from a mask that the image border
+        cut and now the whole object, or much of what was ``unknown`` (see ``completes``), is in view; or if
+        its pixels have disagreed for a while, as it was moved. Landmarks that still disagree are left out.
         """
-        for one in sorted(key.landmarks & set(self.world.landmarks)):
+        life = self.config.life
+        known = key.landmarks & set(self.world.landmarks)
+        for one in sorted(known, key=lambda one: (-unknown.get(one, 0.0), one)):
             landmark = self.world.landmarks[one]
             lead = landmark.log_votes.max() - landmark.log_votes[CATEGORIES.index(landmark.category)]
-            outvoted = lead > self.config.life.class_margin
-            mask = key.mask(one)
-            cut = mask[0].any() or mask[-1].any() or mask[:, 0].any() or mask[:, -1].any()
-            if not outvoted and (cut or not landmark.cut):
-                continue
-            views = [k for k in self.keyframes if one in k.landmarks][-3:]
-            found = ObjectDetection(landmark.likeliest, landmark.score, mask)
-            other = initialise_landmark(
-                [k.observation(one) for k in views], found, self.decoder, self.world.plane,
-                self.config.fit, one, landmark.born,
-            )  # fmt: skip
-            if other is None:
-                continue
-            logger.info("frame %d: landmark %d fitted anew as %s", key.number, one, other.category)
-            self.world = self.world.with_landmarks(renewed(landmark, other))
-            self._information = {key: known for key, known in self._information.items() if key[1] != one}
-            return  # one is enough for a frame
+            more = landmark.cut and (not is_cut(key.mask(one)) or unknown.get(one, 0.0) > life.new_part)
+            needs = lead > life.class_margin or more or landmark.bad >= life.moved_after
+            if needs and self._fit_anew(key, landmark):
+                break  # one is enough for a frame
+        aside = {one for one in known if (now := self.world.landmarks[one]).bad and not now.cut}
+        key = next(k for k in self.keyframes if k.number == key.number).without(aside)
+        self.keyframes = [key if k.number == key.number else k for k in self.keyframes]
+        return key
+
+    def _fit_anew(self, key: Keyframe, landmark: Landmark) -> bool:
+        """Another start for a landmark: by its last views, or by the newest alone if it was moved."""
+        one, life = landmark.id, self.config.life
+
+        def fitted(views: Sequence[Keyframe]) -> Landmark | None:
+            found = ObjectDetection(landmark.likeliest, landmark.score, key.mask(one))
+            seen = [k.observation(one) for k in views]
+            plane, fit = self.world.plane, self.config.fit
+            return initialise_landmark(seen, found, self.decoder, plane, fit, one, landmark.born)
+
+        other = fitted([key]) if landmark.bad >= life.moved_after else None
+        if other is not None and distance(other, landmark) > life.moved_by:
+            logger.info("frame %d: landmark %d was moved", key.number, one)
+            self.keyframes = [k if k.number == key.number else k.without({one}) for k in self.keyframes]
+        else:
+            other = fitted([k for k in self.keyframes if one in k.landmarks][-3:])
+        if other is None:
+            return False
+        logger.info("frame %d: landmark %d fitted anew as %s", key.number, one, other.category)
+        new = renewed(landmark, other)
+        doubt = new.seen_from(key.T_world_camera, key.covariance)
+        self.world = self.world.with_landmarks(replace(new, doubt=doubt))
+        self._information = {key: known for key, known in self._information.items() if key[1] != one}
+        return True
 
     def optimise(self, key: Keyframe) -> Float[np.ndarray, "4 4"]:
         """The newest keyframe with its nearest ones, jointly; returns how it moved, in the world."""

@@ -8,7 +8,7 @@ that lies on the plane, or clearly behind the object: what else stands there may
 from __future__ import annotations
 
 from collections.abc import Mapping, Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from functools import cache
 
 import cv2
@@ -16,8 +16,10 @@ import numpy as np
 from jaxtyping import Bool, Float, Int, UInt8
 
 from perception.detection.geometry import height_image
+from perception.geometry import invert, transform_points
 from perception.inference.observation import pixel_rays
-from perception.slam.keyframes import with_pose
+from perception.slam.keyframes import Keyframe, with_pose
+from perception.slam.landmarks import LandmarkMap
 from perception.types import ObjectDetection, RgbdFrame, SupportPlane
 
 NONE = 0  # label of pixels of no mask; detection k has label k + 1
@@ -62,6 +64,11 @@ class TrackingPixels:
     is_object: Bool[np.ndarray, "n"]
     depth: Float[np.ndarray, "n"]
     plane_points: Float[np.ndarray, "m 3"]
+
+    def only(self, chosen: Bool[np.ndarray, "n"]) -> TrackingPixels:
+        """Without the others of the objects' pixels."""
+        names = ("directions", "owner", "is_object", "depth")
+        return replace(self, **{name: getattr(self, name)[chosen] for name in names})
 
 
 def label_image(detections: Sequence[ObjectDetection], shape: tuple[int, int]) -> UInt8[np.ndarray, "h w"]:
@@ -149,3 +156,29 @@ def _evenly(pixels: Int[np.ndarray, "n"], count: int) -> Int[np.ndarray, "m"]:
     if len(pixels) <= count:
         return pixels
     return pixels[(np.arange(count) * (len(pixels) / count)).astype(np.int64)]
+
+
+def in_known_parts(
+    pixels: TrackingPixels,
+    world: LandmarkMap,
+    keyframes: Sequence[Keyframe],
+    T_world_camera: Float[np.ndarray, "4 4"],
+) -> Bool[np.ndarray, "n"]:
+    """Which pixels show, or pass beside, a part of their landmark that a keyframe had in view.
+
+    What the image border cut off when a landmark was made is a guess; coming into view, it would drag the
+    camera along.
+    """
+    known = np.ones(len(pixels.owner), bool)
+    for one in np.unique(pixels.owner):
+        landmark = world.landmarks.get(int(one))
+        if landmark is None or not landmark.cut:
+            continue
+        own = np.flatnonzero(pixels.owner == one)
+        depth = pixels.depth[own].astype(np.float64)
+        middle = transform_points(invert(T_world_camera), landmark.state.pose.translation[None])[0, 2]
+        depth[~pixels.is_object[own]] = middle  # a ray beside it
+        points = transform_points(T_world_camera, pixels.directions[own] * depth[:, None])
+        views = [key.has_in_view(points) for key in keyframes if one in key.landmarks]
+        known[own] = np.any(views, axis=0) if views else True
+    return known

@@ -19,7 +19,7 @@ import numpy as np
 from jaxtyping import Float, UInt8
 
 from perception.errors import PerceptionError
-from perception.geometry import invert, se3_exp, se3_log
+from perception.geometry import invert
 from perception.inference.shape_model import Decoder
 from perception.slam.association import RenderedMasks, associate_masks, render_masks
 from perception.slam.config import SlamConfig
@@ -27,9 +27,10 @@ from perception.slam.fragments import unite_fragments
 from perception.slam.keyframes import Keyframe, make_keyframe, shows_new_view, with_pose
 from perception.slam.landmarks import LandmarkMap
 from perception.slam.mapping import Mapper
-from perception.slam.pixels import TrackingPixels, label_image, select_pixels
+from perception.slam.motion import Motion
+from perception.slam.pixels import TrackingPixels, in_known_parts, label_image, select_pixels
 from perception.slam.relocalise import Relocalised, relocalise
-from perception.slam.tracking import TrackedPose, TrackingConfig, track
+from perception.slam.tracking import TrackedPose, track
 from perception.support_plane import fit_support_plane
 from perception.types import ObjectDetection, RgbdFrame, SupportPlane
 
@@ -39,8 +40,6 @@ Detect = Callable[[RgbdFrame, SupportPlane], Sequence[ObjectDetection]]
 Clock = Callable[[], float]
 Status = Literal["tracked", "weak", "lost"]
 Labels = UInt8[np.ndarray, "h w"]
-_NO_MOTION = 5.0  # times the uncertainty of an even motion: nothing is known but the last pose
-_LONGEST_GAP = 5.0  # times the usual period: a motion is not carried on over more
 
 
 @dataclass(frozen=True)
@@ -50,8 +49,9 @@ class FrameResult:
     Attributes:
         number: of the frame.
         time: its capture time [s].
-        T_world_camera: the camera's pose; the last known one while lost.
+        T_world_camera: the camera's pose; while lost the best guess.
         status: "tracked", "weak" (few landmarks hold the pose) or "lost".
+        spread: standard deviation of the camera's place in the direction that is known least [m].
         landmark_of: label (1 + index of the detection) to landmark.
         new: landmarks initialised here.
         retired: landmarks given up here.
@@ -63,6 +63,7 @@ class FrameResult:
     time: float
     T_world_camera: Float[np.ndarray, "4 4"]
     status: Status
+    spread: float = 0.0
     landmark_of: Mapping[int, int] = field(default_factory=dict)
     new: tuple[int, ...] = ()
     retired: tuple[int, ...] = ()
@@ -72,12 +73,16 @@ class FrameResult:
 
 @dataclass(frozen=True)
 class _Seen:
-    """A frame's masks, how they fit the map, and where the camera then is."""
+    """A frame's masks, how they fit the map, and where the camera then is.
+
+    ``unknown`` is of each landmark the share of its pixels that no keyframe had in view.
+    """
 
     detections: list[ObjectDetection]
     labels: Labels
     landmark_of: dict[int, int]
     pixels: TrackingPixels
+    unknown: dict[int, float]
     tracked: TrackedPose
     render: Callable[[], RenderedMasks]
 
@@ -95,10 +100,8 @@ class Slam:
         self.decoder, self.detect, self.config, self._now = decoder, detect, config or SlamConfig(), clock
         self.mapper: Mapper | None = None
         self._number = -1
-        self._moments: list[tuple[float, np.ndarray]] = []  # times and poses of the last two frames
+        self._motion: Motion | None = None  # after the last frame whose pose is believed
         self._lost_for = 0
-        self._weak_for = 0
-        self._may_grow = True
         self._previous: tuple[Labels, dict[int, int]] | None = None
         self._seconds: dict[str, float] = {}
 
@@ -117,15 +120,18 @@ class Slam:
         self._seconds = {}
         if self.mapper is None:
             return self._begin(frame)
+        assert self._motion is not None
+        predicted = self._motion.predicted(frame.time, self.config.motion)
         if self._lost_for:
-            return self._find_again(frame)
-        T_predicted = self._predicted(frame.time)
-        tracking = self.config.tracking.loosened(self._doubt(frame.time))
-        seen = self._look(self.mapper, frame, T_predicted, tracking)
-        status = self._judge(seen.tracked, T_predicted)
+            return self._find_again(self.mapper, frame, predicted)
+        seen = self._look(self.mapper, frame, predicted)
+        status, motion = self._judge(seen.tracked, predicted)
         if status == "lost":
             logger.info("frame %d: lost", self._number)
-            return self._find_again(frame)
+            self._motion = motion or self._motion
+            return self._find_again(self.mapper, frame, motion or predicted)
+        assert motion is not None
+        self._motion = motion
         return self._go_on(self.mapper, frame, seen, status)
 
     def _begin(self, frame: RgbdFrame) -> FrameResult:
@@ -133,36 +139,21 @@ class Slam:
         T = np.eye(4) if frame.T_world_camera is None else np.array(frame.T_world_camera)
         plane = fit_support_plane([frame])
         mapper = self.mapper = Mapper(plane, self.decoder, self.config)
-        self._moments = [(frame.time, T)]
+        self._motion = Motion.at(frame.time, T, self.config.motion)
         posed = with_pose(frame, T)
         with self._timed("detect"):
             detections = unite_fragments(posed, self.detect(posed, plane), plane)
         labels = label_image(detections, frame.depth.shape)
         mapper.unmatched = [(found.mask, self.config.life.seen_before) for found in detections]
         pixels = select_pixels(frame, labels, {}, T, plane, self.config.selection)
-        return self._extend_map(mapper, posed, detections, labels, {}, pixels, {}, "tracked", ())
-
-    def _predicted(self, now: float) -> np.ndarray:
-        """Constant velocity, over the time since the last frame."""
-        (*_, (t1, T1)) = self._moments
-        if len(self._moments) < 2 or t1 <= self._moments[0][0]:
-            return T1
-        t0, T0 = self._moments[0]
-        share = float(np.clip((now - t1) / (t1 - t0), 0.0, _LONGEST_GAP))
-        return T1 @ se3_exp(share * se3_log(invert(T0) @ T1))
-
-    def _doubt(self, now: float) -> float:
-        """How much less sure a predicted pose is than after an even step of a known motion."""
-        if len(self._moments) < 2:
-            return _NO_MOTION
-        (t0, _), (t1, _) = self._moments
-        return float(np.clip(((now - t1) / max(t1 - t0, 1e-6)) ** 2, 1.0, _NO_MOTION))
+        return self._extend_map(mapper, posed, detections, labels, {}, pixels, {}, {}, "tracked", ())
 
     def _look(
-        self, mapper: Mapper, frame: RgbdFrame, T_predicted: np.ndarray, tracking: TrackingConfig
+        self, mapper: Mapper, frame: RgbdFrame, predicted: Motion, iterations: int | None = None
     ) -> _Seen:
         """Masks, their landmarks, and the pose that fits."""
-        world, config = mapper.world, self.config
+        world, config, T_predicted = mapper.world, self.config, predicted.T_world_camera
+        tracking = config.tracking if iterations is None else replace(config.tracking, iterations=iterations)
         posed = with_pose(frame, T_predicted)
         with self._timed("detect"):
             detections = unite_fragments(posed, self.detect(posed, world.plane), world.plane)
@@ -172,14 +163,20 @@ class Slam:
             landmark_of = associate_masks(posed, labels, self._previous, render, world, config.association)
             labels, landmark_of = joined_labels(labels, landmark_of)
             pixels = select_pixels(frame, labels, landmark_of, T_predicted, world.plane, config.selection)
+            known = in_known_parts(pixels, world, mapper.keyframes, T_predicted)
+            unknown = {
+                int(one): 1 - float(known[pixels.is_object & (pixels.owner == one)].mean())
+                for one in np.unique(pixels.owner[pixels.is_object])
+            }
+            pixels = pixels.only(known)
             suspects = frozenset(i for i, one in world.landmarks.items() if one.bad >= 2)
-            tracked = track(world, pixels, T_predicted, tracking, suspects)
-        return _Seen(detections, labels, landmark_of, pixels, tracked, render)
+            prior = np.linalg.inv(predicted.pose_covariance)
+            tracked = track(world, pixels, T_predicted, tracking, suspects, prior)
+        return _Seen(detections, labels, landmark_of, pixels, unknown, tracked, render)
 
     def _go_on(self, mapper: Mapper, frame: RgbdFrame, seen: _Seen, status: Status) -> FrameResult:
         """A believed pose: the landmarks' lives go on, the map may grow."""
         T = seen.tracked.T_world_camera
-        self._moments = [self._moments[-1], (frame.time, T)]
         looks = self._number % self.config.life.check_every == 0
         rendered = seen.render() if looks else None
         retired = mapper.count(frame, seen.detections, seen.landmark_of, rendered, seen.tracked, self._number)
@@ -187,48 +184,50 @@ class Slam:
         mapper.remember_unmatched(seen.detections, seen.labels, landmark_of)
         posed = with_pose(frame, T)
         return self._extend_map(
-            mapper, posed, seen.detections, seen.labels, landmark_of, seen.pixels, seen.tracked.shares,
-            status, tuple(retired),
+            mapper, posed, seen.detections, seen.labels, landmark_of, seen.pixels, seen.unknown,
+            seen.tracked.shares, status, tuple(retired),
         )  # fmt: skip
 
-    def _judge(self, tracked: TrackedPose, T_predicted: np.ndarray) -> Status:
-        """Whether the pose can be believed."""
+    def _judge(self, tracked: TrackedPose, predicted: Motion) -> tuple[Status, Motion | None]:
+        """Whether the pose can be believed and is known well enough, and the motion with it if it can."""
         life = self.config.life
-        slip = invert(T_predicted) @ tracked.T_world_camera
+        slip = invert(predicted.T_world_camera) @ tracked.T_world_camera
         angle = np.arccos(np.clip((np.trace(slip[:3, :3]) - 1) / 2, -1, 1))
         believable = (
             np.isfinite(tracked.T_world_camera).all()
-            and tracked.share >= life.lost_share
+            and tracked.share_of_used >= life.lost_share
             and np.linalg.norm(slip[:3, 3]) < life.max_move
             and angle < life.max_turn
         )
         if not believable:
-            return "lost"
-        covariance = np.linalg.pinv(tracked.information + 1e-6 * np.eye(6), hermitian=True)
-        spread = float(np.sqrt(max(np.linalg.eigvalsh(covariance[3:, 3:])[-1], 0.0)))
-        self._weak_for = self._weak_for + 1 if spread > life.weak_move else 0
-        self._may_grow = spread < life.growing_move
-        if self._weak_for > life.max_weak:
-            return "lost"
-        return "weak" if self._weak_for else "tracked"
+            return "lost", None
+        motion = predicted.told(tracked.T_world_camera, tracked.information)
+        if motion.spread > life.lost_spread:
+            return "lost", motion
+        return "weak" if motion.spread > life.weak_spread else "tracked", motion
 
-    def _find_again(self, frame: RgbdFrame) -> FrameResult:
-        """Near the last pose while that is fresh, else by the map, which is frozen until one succeeds."""
-        mapper = self.mapper
-        assert mapper is not None
+    def _find_again(self, mapper: Mapper, frame: RgbdFrame, guess: Motion) -> FrameResult:
+        """Near where the camera must be while that is known, else by the map, which is frozen until then."""
         self._lost_for += 1
-        T_last = self._moments[-1][1]
-        if 1 < self._lost_for <= self.config.life.max_blind and self._weak_for == 0:
-            nearby = replace(self.config.tracking.loosened(_NO_MOTION), iterations=8)
-            seen = self._look(mapper, frame, T_last, nearby)
-            agree = [i for i, share in seen.tracked.shares.items() if share > 0.6]
-            if self._judge(seen.tracked, T_last) == "tracked" and len(agree) >= 2:
-                return self._found(frame, seen.tracked, seen.labels, seen.landmark_of)
+        if self._lost_for > 1 and guess.spread < self.config.life.search_spread:
+            seen = self._look(mapper, frame, guess, iterations=8)
+            motion = self._judge(seen.tracked, guess)[1]
+            agree = [i for i, share in seen.tracked.shares.items() if share > self.config.life.enough_share]
+            if motion is not None and motion.spread < self.config.life.found_spread and len(agree) >= 2:
+                return self._found(motion, seen.labels, seen.landmark_of)
+            if motion is not None:
+                self._motion = guess = motion
         found = self.relocalised(frame)
         if found is not None:
-            return self._found(frame, found.tracked, found.labels, found.landmark_of)
+            covariance = np.linalg.inv(found.tracked.information + 1e-3 * np.eye(6))
+            T = found.tracked.T_world_camera
+            motion = Motion.at(frame.time, T, self.config.motion, covariance, guess.period)
+            if motion.spread < self.config.life.found_spread:
+                return self._found(motion, found.labels, found.landmark_of)
         self._previous, mapper.unmatched = None, []
-        return FrameResult(self._number, frame.time, T_last, "lost", seconds=dict(self._seconds))
+        return FrameResult(
+            self._number, frame.time, guess.T_world_camera, "lost", guess.spread, seconds=dict(self._seconds)
+        )
 
     def relocalised(self, frame: RgbdFrame) -> Relocalised | None:
         """Where the map says that a frame from nobody knows where was taken; changes nothing."""
@@ -241,21 +240,14 @@ class Slam:
                 self.config.tracking, self.config.selection, self.config.relocalisation,
             )  # fmt: skip
 
-    def _found(
-        self, frame: RgbdFrame, tracked: TrackedPose, labels: Labels, landmark_of: dict[int, int]
-    ) -> FrameResult:
+    def _found(self, motion: Motion, labels: Labels, landmark_of: dict[int, int]) -> FrameResult:
         logger.info("frame %d: found again", self._number)
-        self._lost_for, self._weak_for = 0, 0
-        self._moments = [(frame.time, tracked.T_world_camera)]
+        self._lost_for, self._motion = 0, motion
         self._previous = (labels, landmark_of)
         return FrameResult(
-            self._number,
-            frame.time,
-            tracked.T_world_camera,
-            "tracked",
-            landmark_of,
+            self._number, motion.time, motion.T_world_camera, "tracked", motion.spread, landmark_of,
             seconds=dict(self._seconds),
-        )
+        )  # fmt: skip
 
     @contextmanager
     def _timed(self, stage: str) -> Iterator[None]:
@@ -281,44 +273,43 @@ class Slam:
         labels: Labels,
         landmark_of: Mapping[int, int],
         pixels: TrackingPixels,
+        unknown: Mapping[int, float],
         shares: Mapping[int, float],
         status: Status,
         retired: tuple[int, ...],
     ) -> FrameResult:
         """New landmarks, then perhaps a keyframe with its joint optimisation.
 
-        A weak pose needs new landmarks most: while it is not too weak they are taken, cut ones as well.
+        A weak pose needs new landmarks most, cut ones as well; they share its doubt.
         """
+        assert self._motion is not None
         landmark_of = dict(landmark_of)
-        new: dict[int, int] = {}
-        if self._may_grow:
-            held = status == "tracked" and mapper.holds(shares)
-            with self._timed("initialise"):
-                new = mapper.new_landmarks(posed, detections, landmark_of, held, self._number)
+        held = status == "tracked" and mapper.holds(shares)
+        with self._timed("initialise"):
+            new = mapper.new_landmarks(posed, detections, landmark_of, held, self._number)
         landmark_of |= new
         self._previous = (labels, landmark_of)
         landmarks = mapper.world.landmarks
         seen = {one: landmarks[one] for one in landmark_of.values() if one in landmarks}
         T = np.array(posed.T_world_camera)
-        is_new = status == "tracked" and (
-            shows_new_view(T, seen, mapper.keyframes)
-            or mapper.completes(detections, landmark_of, self._number)
+        is_keyframe = (
+            bool(new)
+            or (status == "tracked" and shows_new_view(T, seen, mapper.keyframes))
+            or mapper.completes(detections, landmark_of, unknown, status == "weak", self._number)
         )
-        is_keyframe = bool(new) or is_new
         if is_keyframe:
-            key = make_keyframe(self._number, posed, T, labels, landmark_of, detections)
-            mapper.keep(key, pixels.plane_points)
+            covariance = self._motion.pose_covariance
+            key = make_keyframe(self._number, posed, T, labels, landmark_of, detections, covariance)
+            mapper.keep(key, pixels.plane_points, new.values())
             with self._timed("initialise"):
-                mapper.refit_doubtful(key)
+                key = mapper.mend(key, unknown)
             if self.config.joint_on:
                 with self._timed("joint"):
                     moved = mapper.optimise(key)
-                self._moments = [
-                    (t, moved @ pose) for t, pose in self._moments
-                ]  # the motion goes on from there
+                self._motion = self._motion.moved(moved)  # goes on from there
         return FrameResult(
-            self._number, posed.time, self._moments[-1][1], status, landmark_of, tuple(new.values()), retired,
-            is_keyframe, dict(self._seconds),
+            self._number, posed.time, self._motion.T_world_camera, status, self._motion.spread, landmark_of,
+            tuple(new.values()), retired, is_keyframe, dict(self._seconds),
         )  # fmt: skip
 
 

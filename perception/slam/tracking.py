@@ -15,7 +15,7 @@ from jaxtyping import Float
 from perception.geometry import invert, se3_exp, se3_log
 from perception.inference.levenberg_marquardt import Evaluation, LmConfig, minimise
 from perception.rendering.many import PairRenderer, RayPairs, nearest_pair
-from perception.rendering.pose import canonical_from_camera
+from perception.rendering.pose import canonical_from_camera, object_by_camera
 from perception.slam.landmarks import LandmarkMap
 from perception.slam.pixels import TrackingPixels
 
@@ -35,8 +35,7 @@ class TrackingConfig:
         use_plane: the plane is a landmark.
         plane_sigma: of a point of the plane [m].
         iterations: of Levenberg-Marquardt.
-        turn_sigma, move_sigma: of a pose predicted by an even motion [rad], [m]: after a thirtieth of
-            a second that is what 13 rad/s^2 and 7 m/s^2 make of it.
+        turn_sigma, move_sigma: of a start about which nothing better is known [rad], [m].
         inlier: residuals smaller than this agree with the map [m].
         outcast: objects with less than this share of the best one's inliers are left out.
         min_pixels: of an object, to judge it.
@@ -75,7 +74,8 @@ class TrackedPose:
         T_world_camera: its pose.
         shares: of each landmark with enough pixels, those that agree with the map.
         used: landmarks that took part.
-        information: (6, 6) of the pose (rotation, translation, in the camera's frame), without the prior.
+        information: (6, 6) of the pose (rotation, translation, in the camera's frame), without the prior, as
+            far as the landmarks themselves are known.
     """
 
     T_world_camera: Float[np.ndarray, "4 4"]
@@ -88,6 +88,12 @@ class TrackedPose:
         """Median share of agreeing pixels; 0 where nothing could be judged."""
         return float(np.median(list(self.shares.values()))) if self.shares else 0.0
 
+    @property
+    def share_of_used(self) -> float:
+        """The same over the landmarks that took part: what a hand has moved says nothing of the camera."""
+        shares = [share for one, share in self.shares.items() if one in self.used]
+        return float(np.median(shares)) if shares else 0.0
+
 
 def track(
     world: LandmarkMap,
@@ -95,6 +101,7 @@ def track(
     T_predicted: Float[np.ndarray, "4 4"],
     config: TrackingConfig,
     suspects: frozenset[int] = frozenset(),
+    prior: Float[np.ndarray, "6 6"] | None = None,
 ) -> TrackedPose:
     """Finds the camera near its predicted pose.
 
@@ -104,8 +111,9 @@ def track(
         T_predicted: where the camera should be.
         config: weights and budgets.
         suspects: landmarks that have disagreed lately: judged, but not used.
+        prior: information on the predicted pose; from the config's sigmas if not given.
     """
-    problem = _PoseProblem(world, pixels, T_predicted, config)
+    problem = _PoseProblem(world, pixels, T_predicted, config, prior)
     use = frozenset(problem.seen - suspects) or frozenset(problem.seen)
     pose, evaluation, shares = problem.solve(T_predicted, use, config.iterations)
     best = max((shares[i] for i in use if i in shares), default=0.0)
@@ -113,16 +121,19 @@ def track(
     if outcasts and len(use) > len(outcasts):
         use = use - outcasts
         pose, evaluation, shares = problem.solve(pose, use, config.iterations)
-    information = evaluation.normal_equations()[0]
-    information = information - np.diag(problem.prior_weights)
-    return TrackedPose(pose, shares, use, information)
+    return TrackedPose(pose, shares, use, problem.information(pose, evaluation))
 
 
 class _PoseProblem:
     """Residuals of one frame at a pose; depth ranges and the pairs of rays and objects stay as predicted."""
 
     def __init__(
-        self, world: LandmarkMap, pixels: TrackingPixels, T_predicted: np.ndarray, config: TrackingConfig
+        self,
+        world: LandmarkMap,
+        pixels: TrackingPixels,
+        T_predicted: np.ndarray,
+        config: TrackingConfig,
+        prior: np.ndarray | None = None,
     ) -> None:
         self.world, self.pixels, self.config, self.T_predicted = world, pixels, config, T_predicted
         known = np.isin(pixels.owner, world.ids)
@@ -140,7 +151,9 @@ class _PoseProblem:
         )
         escape = self.pairs.escape_depth[self.own_index] if len(self.owner) else np.zeros(0)
         self.target = np.where(self.is_object, self.depth, escape)
-        self.prior_weights = np.repeat([config.turn_sigma**-2, config.move_sigma**-2], 3)
+        if prior is None:
+            prior = np.diag(np.repeat([config.turn_sigma**-2, config.move_sigma**-2], 3))
+        self.prior_root = np.linalg.cholesky(prior).T
 
     def _pair_up(self) -> tuple[RayPairs, np.ndarray]:
         """Each ray with its own object and with those whose sphere it meets no farther away."""
@@ -211,7 +224,29 @@ class _PoseProblem:
 
     def _prior_rows(self, T: np.ndarray) -> tuple[np.ndarray, ...]:
         """The pose is near the predicted one; to first order the step is the difference's change."""
-        return se3_log(invert(self.T_predicted) @ T), np.eye(6), self.prior_weights
+        return self.prior_root @ se3_log(invert(self.T_predicted) @ T), self.prior_root, np.ones(6)
+
+    def information(self, T: np.ndarray, evaluation: Evaluation) -> Float[np.ndarray, "6 6"]:
+        """What the frame knows of the pose, each landmark standing where it is only as surely as it is known.
+
+        A landmark's error moves all its pixels alike, so however many there are it tells no more of the pose
+        than of itself: with H of its pixels and P the information on it, H - H (H + P)^-1 H.
+        """
+        total = np.zeros((6, 6))
+        if len(self.owner):
+            order = np.argsort(self.owner, kind="stable")
+            ids, starts = np.unique(self.owner[order], return_index=True)
+            J, weights = evaluation.jacobian[order].astype(np.float64), evaluation.weights[order, None]
+            H = np.add.reduceat((weights * J)[:, :, None] * J[:, None, :], starts)  # of each landmark
+            landmarks = [self.world.landmarks[int(one)] for one in ids]
+            by_camera = np.stack([object_by_camera(one.state.pose, T) for one in landmarks])
+            doubts = np.stack([one.doubt for one in landmarks])
+            known = by_camera.transpose(0, 2, 1) @ np.linalg.solve(doubts, by_camera)
+            total = (H - H @ np.linalg.solve(H + known, H)).sum(axis=0)
+        if self.config.use_plane and len(self.pixels.plane_points):
+            _, jacobian, weight = self._plane_rows(T)
+            total += jacobian.T @ (weight[:, None] * jacobian)
+        return (total + total.T) / 2
 
     def shares(self, evaluation: Evaluation) -> dict[int, float]:
         """Of every landmark with enough pixels on it: how many of them agree with the rendering."""

@@ -56,6 +56,7 @@ def test_masks_flicker():
 def entry(**more):
     return {
         "ape_mean": 0.004, "drift": 0.01, "drifted": False, "n_lost": 0, "ends_lost": False, "n_phantoms": 0,
+        "n_frames": 50, "n_beyond": 0, "surfaces": {"0": 0.002},
         "moved_is_known": None, "relocalisations": 4, "relocalised": 4, "relocalised_wrongly": 0,
     } | more  # fmt: skip
 
@@ -68,6 +69,7 @@ def test_what_the_runs_say_together():
     ]
     figures = summarise_short(lines)["variants"]["full"]
     assert figures["n"] == 2 and figures["n_drifted"] == 1 and figures["n_with_loss"] == 1
+    assert figures["lost_share"] == pytest.approx(0.07) and figures["accuracy_median"] == 0.002
     assert figures["drift_max"] == pytest.approx(0.05)
     assert figures["relocalisation_rate"] == pytest.approx(0.75)
     lines[0]["variants"]["no_joint"] = entry(ape_mean=0.006)

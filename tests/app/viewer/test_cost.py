@@ -18,9 +18,9 @@ from app.options import PackOptions
 from app.perceive import load_perception
 from app.screen import Screen
 from app.task.cell import build_world
-from app.task.command import run_in
 from app.task.gate import Gate
 from app.task.recording import CellRecorder
+from app.task.run import run_in
 from app.viewer.live import RunButtons
 from app.viewer.server import open_server
 from app.viewer.viewer import Viewer

@@ -123,3 +123,30 @@ def test_problem_jacobian_by_finite_differences(make_table, decoder) -> None:
 def test_config_budget_is_kept(can, decoder) -> None:
     iterations = sum(stage.iterations for stage in FitConfig().stages)
     assert iterations == 30
+
+
+def test_every_other_background_pixel_stands_for_two(can) -> None:
+    dense, sparse = (
+        gather_pixels(can.observations((0.0, 0.8)), can.pose.translation, 0.1, 100, 48, 0, config)
+        for config in (PixelConfig(), PixelConfig(sparse_background=True))
+    )
+    outside, fewer = ~dense.inside, ~sparse.inside
+    assert fewer.sum() == pytest.approx(outside.sum() / 2, rel=0.05)
+    assert sparse.weight[fewer].sum() == pytest.approx(dense.weight[outside].sum(), rel=0.05)
+    np.testing.assert_array_equal(sparse.rays.directions[~fewer], dense.rays.directions[~outside])
+    blurred = gather_pixels(
+        can.observations((0.0,)), can.pose.translation, 0.1, 100, 48, 1, PixelConfig(sparse_background=True)
+    )
+    assert set(np.unique(blurred.weight)) == {np.float32(0.2), np.float32(1.0)}
+
+
+def test_finer_crops_say_no_more(can) -> None:
+    sums = {}
+    for crop in (24, 36, 48, 4000):
+        seen, middle = can.observations((0.0, 0.8)), can.pose.translation
+        pixels = gather_pixels(seen, middle, 0.1, 100, crop, 0, PixelConfig(), reference=36)
+        sums[crop] = float(pixels.weight[pixels.inside].sum())
+        if crop == 36:
+            assert set(np.unique(pixels.weight)) == {np.float32(0.2), np.float32(1.0)}
+    for crop, total in sums.items():
+        assert total == pytest.approx(sums[36], rel=0.1), crop

@@ -71,6 +71,21 @@ def test_skipping_what_does_not_matter_changes_little(scene) -> None:
     np.testing.assert_allclose(skipped.depth, exact.depth, atol=1e-3)
 
 
+@pytest.mark.parametrize("corner", [(0, 0, 0), (3, 20, 9), (29, 29, 29)])
+def test_only_the_box_around_what_is_there_is_visited(scene, corner) -> None:
+    _, _, rays, cameras = scene
+    grid, A = np.zeros((32, 32, 32), np.float32), canonical_from_camera(POSE, cameras)
+    block = tuple(slice(k, k + 3) for k in corner)
+    grid[block] = 0.7
+    shape = ShapeGrid.upload(grid)
+    # a cell has the index of its lowest voxel, counted from the border of empty ones
+    np.testing.assert_array_equal(shape.box.numpy(), [corner, np.add(corner, 3)])
+    image, expected = render(shape, rays, A, gradients=False), _reference(grid, rays, A)
+    assert image.mask.max() > 0.5
+    np.testing.assert_allclose(image.depth, expected.depth.numpy(), atol=1e-4)
+    np.testing.assert_allclose(image.mask, expected.mask.numpy(), atol=1e-4)
+
+
 def test_empty_grid_escapes_without_gradient(scene) -> None:
     _, _, rays, cameras = scene
     empty = ShapeGrid.upload(np.zeros((32, 32, 32), np.float32), np.zeros((32, 32, 32, 16), np.float32))

@@ -5,6 +5,7 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
+from perception.geometry import transform_points
 from perception.slam.association import associate_masks, render_masks, seen_through
 from perception.slam.fragments import touching, unite_fragments
 from perception.slam.keyframes import (
@@ -16,7 +17,7 @@ from perception.slam.keyframes import (
     with_pose,
 )
 from perception.slam.landmarks import doubles
-from perception.slam.pixels import label_image
+from perception.slam.pixels import SelectionConfig, in_known_parts, label_image, select_pixels
 from perception.types import ObjectDetection, SupportPlane
 
 
@@ -131,7 +132,7 @@ def test_angle_between_views(scenes):
 def keyframe(view, number, T):
     _, frame, detections, shown, labels = view
     landmark_of = {k + 1: one for k, one in enumerate(shown)}
-    return make_keyframe(number, with_pose(frame, T), T, labels, landmark_of, detections)
+    return make_keyframe(number, with_pose(frame, T), T, labels, landmark_of, detections, np.eye(6))
 
 
 def test_only_new_viewpoints_make_keyframes(cylinders, scenes, view):
@@ -150,3 +151,44 @@ def test_the_window_holds_the_nearest_keyframes_oldest_first(cylinders, scenes, 
     keys = [keyframe(view, n, scenes.orbit((0, 0.03, 0.03), 0.55, 45, a)) for n, a in enumerate(azimuths)]
     window = window_of(keys[-1], keys, cylinders.map().landmarks, 3)
     assert [key.number for key in window] == [0, 2, 4]
+
+
+def test_a_point_is_in_view_where_the_image_is(view):
+    T, frame, *_ = view
+    key, k = keyframe(view, 0, T), frame.intrinsics
+    u, v = (
+        np.array([1.0, 3.0, k.width - 4.0, 40, 40, 40]),
+        np.array([40, 40, 40, k.height - 2.0, k.height - 4, 40]),
+    )
+    depth = np.array([0.5, 0.5, 0.5, 0.5, 0.5, -0.5])  # the last one is behind the camera
+    rays = np.stack([(u - k.cx) / k.fx, (v - k.cy) / k.fy, np.ones(6)], axis=1)
+    points = transform_points(T, rays * depth[:, None])
+    assert key.has_in_view(points).tolist() == [False, True, True, False, True, False]
+
+
+def test_what_no_keyframe_had_in_view_of_a_cut_landmark_says_nothing(cylinders, scenes, view):
+    T, frame, _detections, shown, labels = view
+    k = frame.intrinsics
+    world = cylinders.map()
+    world = world.with_landmarks(replace(world.landmarks[0], cut=True))
+    pixels = select_pixels(
+        frame, labels, {n + 1: one for n, one in enumerate(shown)}, T, cylinders.plane, SelectionConfig()
+    )
+    column = pixels.directions[:, 0] * k.fx + k.cx
+    own = pixels.owner == 0
+    shift = np.median(column[own & pixels.is_object]) - (
+        k.width - 3
+    )  # so many columns to the left is its half
+    narrow = replace(
+        k, cx=k.cx - shift
+    )  # a keyframe at the same place whose image ends in the object's middle
+    key = keyframe(view, 0, T)
+    key = replace(key, frame=replace(key.frame, intrinsics=narrow))
+    known = in_known_parts(pixels, world, [key], T)
+    assert known[~own].all()  # of the others everything was seen
+    seen = column - shift <= k.width - 3
+    assert (known[own & pixels.is_object] == seen[own & pixels.is_object]).mean() > 0.98
+    assert 0.3 < known[own & pixels.is_object].mean() < 0.7
+    both = in_known_parts(pixels, world, [key, keyframe(view, 1, T)], T)
+    assert both.all()
+    assert pixels.only(known).owner.tolist() == pixels.owner[known].tolist()

@@ -7,7 +7,8 @@ import pytest
 
 from perception.geometry import se3_exp
 from perception.inference.problem import FitState
-from perception.rendering.pose import ObjectPose
+from perception.rendering.pose import ObjectPose, object_by_camera
+from perception.slam.landmarks import own_doubt
 from perception.slam.pixels import SelectionConfig, label_image, select_pixels
 from perception.slam.tracking import TrackingConfig, track
 from perception.types import CameraIntrinsics, ObjectDetection, RgbdFrame
@@ -53,7 +54,7 @@ def test_an_object_that_was_moved_is_left_out(cylinders, T_true):
     )
     world = world.with_landmarks(one.with_state(FitState(pose, one.state.code)))
     found = track(world, observe(cylinders, T_true, T_true), T_true, TrackingConfig(iterations=6))
-    assert 0 not in found.used and found.shares[0] < 0.5
+    assert 0 not in found.used and found.shares[0] < 0.5 and found.share_of_used > 0.8
     assert np.linalg.norm(found.T_world_camera[:3, 3] - T_true[:3, 3]) < 0.003
 
 
@@ -71,6 +72,35 @@ def test_information_says_how_well_the_pose_is_held(cylinders, T_true):
         cylinders.map(), observe(cylinders, T_true, T_true), T_true, TrackingConfig(use_plane=False)
     )
     assert np.linalg.eigvalsh(alone.information)[0] < np.linalg.eigvalsh(both.information)[0]
+
+
+def test_a_landmark_tells_no_more_of_the_pose_than_of_itself(cylinders, T_true):
+    pixels = observe(cylinders, T_true, T_true)
+    config, sure, vague = TrackingConfig(use_plane=False), 1e-9 * np.eye(6), own_doubt(cut=True)
+
+    def information(doubt):
+        world = cylinders.map()
+        world = world.with_landmarks(*(replace(one, doubt=doubt) for one in world.landmarks.values()))
+        return track(world, pixels, T_true, config).information
+
+    plain, shared = information(sure), information(vague)
+    assert np.linalg.eigvalsh(plain - shared)[0] > -1e-6 * np.trace(plain)
+    known = np.zeros((6, 6))
+    for one in cylinders.map().landmarks.values():
+        by_camera = object_by_camera(one.state.pose, T_true)
+        known += by_camera.T @ np.linalg.inv(vague) @ by_camera
+    assert np.linalg.eigvalsh(known - shared)[0] > -1e-6 * np.trace(known)
+
+
+def test_a_landmark_is_known_as_the_camera_that_saw_it(cylinders, T_true):
+    landmark = cylinders.landmark(1)
+    shift = np.diag([0, 0, 0, 4e-6, 4e-6, 4e-6])
+    assert landmark.seen_from(T_true, shift) - own_doubt(False) == pytest.approx(shift)
+    turn = np.diag([1e-4, 1e-4, 1e-4, 0, 0, 0])
+    doubt = landmark.seen_from(T_true, turn) - own_doubt(False)
+    away = np.linalg.norm(landmark.state.pose.translation - T_true[:3, 3])
+    assert np.trace(doubt[3:, 3:]) == pytest.approx(2e-4 * away**2)  # two of three axes move it, by the lever
+    assert np.trace(own_doubt(True)) > np.trace(own_doubt(False))
 
 
 def test_pixels_keep_off_borders_and_rings_off_other_objects(cylinders, T_true):
