@@ -199,7 +199,7 @@ def _bitten(mask: Bool[np.ndarray, "h w"], rng: np.random.Generator) -> Bool[np.
         return mask
     away = np.hypot(v - v.mean(), u - u.mean())
     far = np.flatnonzero(away >= np.quantile(away, rng.uniform(0.7, 0.99)))
-    k = rng.choice(far)
+    k = int(rng.choice(far))
     radius = rng.uniform(0.1, 0.5) * max(np.ptp(v), np.ptp(u))
     gone = np.hypot(v - v[k], u - u[k]) < radius
     result = mask.copy()

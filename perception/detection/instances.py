@@ -265,5 +265,5 @@ def without_specks(mask: Bool[np.ndarray, "H W"], share: float) -> Bool[np.ndarr
     area = np.asarray(stats)[:, cv2.CC_STAT_AREA].copy()
     area[0] = 0
     result = np.zeros_like(mask)
-    result[window] = (area >= max(1.0, share * area.max()))[np.asarray(pieces)]
+    result[window] = (area >= max(1.0, share * area.max()))[np.asarray(pieces, dtype=np.int32)]
     return result
