@@ -53,8 +53,8 @@ class TrainDetectorConfig:
     close_ups: int = 2500
     validation: int = 250
     test: int = 250
-    training: TrainingConfig = field(default_factory=lambda: TrainingConfig(epochs=16))
-    scene_passes: float = 0.75
+    training: TrainingConfig = field(default_factory=lambda: TrainingConfig(epochs=32, cycles=2))
+    scene_passes: float = 0.375
     tensorboard: bool = False
     device: str = "cpu"
 
@@ -234,7 +234,8 @@ somebody else made are told by the class network alone.
 
 **Made by** `nodeslam train detector --seed {training.seed}` with torch {torch}: {scene_epochs} epochs of the
 scene network in batches of 8, {training.epochs} of the class network in batches of {training.batch}, AdamW
-{training.learning_rate}, cosine schedule, float32, CPU.
+{training.learning_rate}, cosine schedule (run through {training.cycles} times for the class network),
+float32, CPU.
 
 **Data**: {config.pictures} scenes of the training families and of distractors for the scene network, rendered
 at 640 x 480 by MuJoCo's classic renderer (`sim_assets/training_scenes.py`: random textures, prints, gloss,
