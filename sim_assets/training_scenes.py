@@ -15,8 +15,8 @@ import trimesh
 
 from perception.types import CATEGORIES, Category
 from sim_assets.distractors import odd_thing, random_distractor
-from sim_assets.objects import sample_object
 from sim_assets.objects.bottle import BottleParameters
+from sim_assets.objects.families import make_solid, sample_parameters
 from sim_assets.scatter import Thing, make_thing, simplified
 from sim_assets.table_top import LabelledImage, TableTop, TrainingSceneConfig
 
@@ -86,8 +86,7 @@ def _draw_mesh(
     category: Category, split: Split, config: TrainingSceneConfig, rng: np.random.Generator
 ) -> trimesh.Trimesh:
     while True:
-        drawn = sample_object(category, split, rng)
-        p = drawn.parameters
+        p = sample_parameters(category, split, rng)
         plain = isinstance(p, BottleParameters) and p.kind == "tumbler" and p.bend < PLAIN_BEND
         if config.plain_tumblers or not plain:
-            return drawn.mesh
+            return make_solid(p).mesh()

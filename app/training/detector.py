@@ -17,10 +17,9 @@ import torch
 from jaxtyping import Float, Int
 
 from app.training.files import checksums, summary_writer
-from app.training.labels import LabelledCrops, Progress
+from app.training.labels import LabelledCrops, Progress, Split
 from app.training.pictures import (
     Pictures,
-    close_up_crops,
     close_up_shards,
     rendered_shards,
     shard_crops,
@@ -40,37 +39,37 @@ class TrainDetectorConfig:
     """The job behind the shipped weights; its defaults reproduce them.
 
     Attributes:
-        pictures: rendered scenes of the training families.
+        pictures: rendered scenes of the training families, for the scene network.
         close_ups: further ones of which only crops are kept, for the class and yaw networks.
         validation: further ones of the same families, for the probabilities' calibration.
-        test: rendered scenes of the test families, to judge by.
-        training: how to train; seed and epochs are those of both networks.
+        test: such scenes of the test families, to judge by.
+        training: how to train; the seed is that of both networks, the epochs are the class network's, and
+            the scene network makes ``scene_passes`` of them over its own pictures.
         tensorboard: also write curves for TensorBoard (extra `train`).
         device: "cpu" or "cuda".
     """
 
     pictures: int = 3000
-    close_ups: int = 1000
+    close_ups: int = 2500
     validation: int = 250
     test: int = 250
-    training: TrainingConfig = field(default_factory=lambda: TrainingConfig(epochs=12))
+    training: TrainingConfig = field(default_factory=lambda: TrainingConfig(epochs=16))
+    scene_passes: float = 0.75
     tensorboard: bool = False
     device: str = "cpu"
 
+    @property
+    def scene_epochs(self) -> int:
+        return max(1, round(self.scene_passes * self.training.epochs))
+
 
 @dataclass(frozen=True)
-class RenderedScenes:
-    """Files of pictures and crops, by what they are for."""
+class RenderedCrops:
+    """Crops by what they are for."""
 
-    training: list[Path]
-    close_ups: list[Path]
-    validation: list[Path]
-    test: list[Path]
-
-    def crops(self) -> tuple[LabelledCrops, LabelledCrops, LabelledCrops]:
-        """For training, validation and test."""
-        training = LabelledCrops.joined([shard_crops(self.training), close_up_crops(self.close_ups)])
-        return training, shard_crops(self.validation), shard_crops(self.test)
+    training: LabelledCrops
+    validation: LabelledCrops
+    test: LabelledCrops
 
 
 def run(config: TrainDetectorConfig, out_dir: Path, progress: Progress | None = None) -> dict[str, Any]:
@@ -79,41 +78,47 @@ def run(config: TrainDetectorConfig, out_dir: Path, progress: Progress | None = 
     Returns:
         the report's metrics: accuracy of the class network, per class too, and its confusion matrix.
     """
-    shards = rendered(config, out_dir, progress)
-    scene = trained_scene(shard_pictures(shards.training), config, out_dir, progress)
-    save_scene_network(scene, out_dir / WEIGHTS_FILE, provenance(config))
-    training, validation, test = shards.crops()
-    network, temperature = trained(
-        "class", class_set(training), class_set(validation), config, out_dir, progress, SCENE_SHARE
+    folder, seed = out_dir / "scenes", config.training.seed
+    pictures = rendered_shards(
+        folder, "train", config.pictures, seed, part(progress, 0.0, 0.5 * RENDERING_SHARE)
     )
-    metrics = class_metrics(test, predict(network, temperature, test.images, test.context))
+    crops = rendered_crops(config, folder, part(progress, 0.5 * RENDERING_SHARE, RENDERING_SHARE))
+    scene = trained_scene(shard_pictures(pictures), config, out_dir, progress)
+    save_scene_network(scene, out_dir / WEIGHTS_FILE, provenance(config))
+    sets = class_set(crops.training), class_set(crops.validation)
+    network, temperature = trained("class", *sets, config, out_dir, progress, SCENE_SHARE)
+    metrics = class_metrics(crops.test, predict(network, temperature, crops.test.images, crops.test.context))
     save_network(network, out_dir / WEIGHTS_FILES["class"], "class", temperature, provenance(config))
-    card = _card(config, metrics, scene, network, temperature, len(training))
+    card = _card(config, metrics, scene, network, temperature, len(crops.training))
     card += checksums(out_dir / WEIGHTS_FILE, out_dir / WEIGHTS_FILES["class"])
     (out_dir / "detector.md").write_text(card, "utf-8")
     return metrics
 
 
-def rendered(config: TrainDetectorConfig, out_dir: Path, progress: Progress | None) -> RenderedScenes:
-    """Training, validation and test scenes, rendered or from an earlier start of the same job."""
-    seed, folder = config.training.seed, out_dir / "scenes"
+def rendered_crops(config: TrainDetectorConfig, folder: Path, progress: Progress | None) -> RenderedCrops:
+    """Training, validation and test crops, rendered or from an earlier start of the same job."""
+    seed = config.training.seed
 
-    def part(low: float, high: float) -> Progress:
-        return lambda what, share: _tell(progress, what, RENDERING_SHARE * (low + (high - low) * share))
+    def crops(split: Split, pictures: int, seed: int, low: float, high: float) -> LabelledCrops:
+        return shard_crops(close_up_shards(folder, split, pictures, seed, part(progress, low, high)))
 
-    return RenderedScenes(
-        rendered_shards(folder, "train", config.pictures, seed, part(0.0, 0.4)),
-        close_up_shards(folder, config.close_ups, seed, part(0.4, 0.9)),
-        rendered_shards(folder, "train", config.validation, seed + 1, part(0.9, 0.95)),
-        rendered_shards(folder, "test", config.test, seed, part(0.95, 1.0)),
+    return RenderedCrops(
+        crops("train", config.close_ups, seed, 0.0, 0.8),
+        crops("train", config.validation, seed + 1, 0.8, 0.9),
+        crops("test", config.test, seed, 0.9, 1.0),
     )
+
+
+def part(progress: Progress | None, low: float, high: float) -> Progress:
+    """Progress of one part of a job, told as that of the whole."""
+    return lambda what, share: _tell(progress, what, low + (high - low) * share)
 
 
 def trained_scene(
     pictures: Pictures, config: TrainDetectorConfig, out_dir: Path, progress: Progress | None
 ) -> SceneNet:
     """The scene network, with progress."""
-    settings = SceneTrainingConfig(epochs=config.training.epochs, seed=config.training.seed)
+    settings = SceneTrainingConfig(epochs=config.scene_epochs, seed=config.training.seed)
 
     def on_step(step: int, steps: int, figures: dict[str, float]) -> None:
         del figures
@@ -209,8 +214,8 @@ def _card(
     return _CARD.format(
         scene_parameters=sum(p.numel() for p in scene.parameters()),
         parameters=sum(p.numel() for p in network.parameters()), temperature=temperature, crops=crops,
-        config=config, training=config.training, torch=torch.__version__.split("+")[0],
-        confusion=f"{header}\n{rows}", m=metrics,
+        config=config, training=config.training, scene_epochs=config.scene_epochs,
+        torch=torch.__version__.split("+")[0], confusion=f"{header}\n{rows}", m=metrics,
     )  # fmt: skip
 
 
@@ -221,23 +226,25 @@ support plane and scale, whether it shows a thing, of which class, and where in 
 instances are where votes meet (`perception/detection/instances.py`). {scene_parameters} weights, float16.
 
 **Class network** (`detector.safetensors`): mug, bowl, bottle, can or nothing of these, from a
-gravity-upright 64 x 64 crop of one instance: masked colour, mask, height, relative depth
-(`perception/detection/crops.py`), and the crop's size and elevation. {parameters} weights, float32. Logits
-are divided by {temperature:.2f}, found on further renders of the training families. The detector takes the
-mean of both networks' log-probabilities; masks that somebody else made are told by the class network alone.
+gravity-upright 64 x 64 crop about one instance: colour, mask, height, relative depth, the surroundings too
+(`perception/detection/crops.py`), and the crop's size and elevation. {parameters} weights, float32. The mean
+of the logits of the crop and of its mirror image counts, divided by {temperature:.2f}, found on further
+renders of the training families. The detector takes the mean of both networks' log-probabilities; masks that
+somebody else made are told by the class network alone.
 
-**Made by** `nodeslam train detector --seed {training.seed}` with torch {torch}: {training.epochs} epochs of
-AdamW {training.learning_rate}, cosine schedule, batch 8 (scenes) and {training.batch} (crops), float32,
-CPU.
+**Made by** `nodeslam train detector --seed {training.seed}` with torch {torch}: {scene_epochs} epochs of the
+scene network in batches of 8, {training.epochs} of the class network in batches of {training.batch}, AdamW
+{training.learning_rate}, cosine schedule, float32, CPU.
 
-**Data**: {config.pictures} scenes of the training families and of distractors, rendered at 640 x 480 by
-MuJoCo's classic renderer (`sim_assets/training_scenes.py`: random textures, prints, gloss, light, camera
-height, tilt and roll, gaps down to contact, depth without noise, with 2 mm of noise, and as a RealSense
-errs), mirrored, recoloured and with further holes in training. {crops} crops of true masks, disturbed, from
-these scenes and {config.close_ups} more crowded ones with more mugs, bottles, cans and odd things of no
-class; mirrored, shifted, cut and recoloured in training. No photographs.
+**Data**: {config.pictures} scenes of the training families and of distractors for the scene network, rendered
+at 640 x 480 by MuJoCo's classic renderer (`sim_assets/training_scenes.py`: random textures, prints, gloss,
+light, camera height, tilt and roll, gaps down to contact, depth without noise, with 2 mm of noise, and as a
+RealSense errs), mirrored, recoloured and with further holes in training. For the class network {crops} crops
+in {config.close_ups} more crowded ones with more mugs, bottles, cans and odd things of no class, about true
+masks that are ragged, cut, lack a piece or take in one of a neighbour; mirrored, warped, shifted, cut and
+recoloured in training. No photographs.
 
-**Class network alone**, on {m[crops]} disturbed true masks in {config.test} classic scenes of the test
+**Class network alone**, on {m[crops]} such masks in {config.test} classic scenes of the test
 families, single views: accuracy {m[accuracy]:.3f} over all, {m[accuracy_objects]:.3f} over objects;
 distractors taken for objects {m[distractors_taken_for_objects]:.3f}, objects for distractors
 {m[objects_taken_for_distractors]:.3f}; expected calibration error {m[calibration_error]:.3f}.

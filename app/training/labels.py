@@ -17,7 +17,7 @@ import numpy as np
 from jaxtyping import Bool, Float, Int, UInt8
 
 from app.training.files import load_arrays, save_arrays
-from perception.detection.crops import CHANNELS, CONTEXT, SIDE, crop, filtered_geometry
+from perception.detection.crops import CHANNELS, CONTEXT, SIDE, crop, frame_geometry
 from perception.detection.geometry import heading_angle, points_of, window_of
 from perception.detection.network import OTHER
 from perception.types import CATEGORIES, SupportPlane
@@ -77,9 +77,9 @@ def labelled_crops(
 ) -> LabelledCrops:
     """Crops of the masks in one picture; masks that nobody could name are left out."""
     frame, truth = image.frame, image.instances
-    geometry = filtered_geometry(frame, plane)
+    geometry = frame_geometry(frame, plane)
     size = np.bincount(truth[truth >= 0], minlength=len(image.labels))
-    masks = [mask for mask in masks if (mask & (geometry[0] > 0)).any()]
+    masks = [mask for mask in masks if geometry.seen(mask)]
     rows = []
     for mask in masks:
         inside = np.bincount(truth[mask & (truth >= 0)], minlength=len(image.labels))
@@ -92,7 +92,7 @@ def labelled_crops(
         if label == CATEGORIES.index("mug"):
             thing = image.labels[index]
             yaw = (thing.yaw - heading_angle(piece.heading, plane) + np.pi) % (2 * np.pi) - np.pi
-            handle = handle_share(points_of(frame, truth == index, geometry[0]), thing.T_world_object)
+            handle = handle_share(points_of(frame, truth == index, geometry.depth), thing.T_world_object)
         rows.append((piece.image, piece.context, label, yaw, handle))
 
     columns = zip(_COLUMNS, _DTYPES, zip(*rows) if rows else _NO_ROWS)
@@ -142,7 +142,7 @@ def disturbed_masks(
 ) -> list[Bool[np.ndarray, "h w"]]:
     """The true masks with the errors that a detector makes, and now and then a patch where nothing stands.
 
-    A share ``astray`` of them take in a piece of a neighbour.
+    A share ``astray`` of them take in a piece of a neighbour, and as many lose a piece of their own.
     """
     masks = []
     size = np.bincount(image.instances[image.instances >= 0], minlength=len(image.labels))
@@ -159,6 +159,8 @@ def disturbed_masks(
         mask[window] = ragged
         if astray > 0 and rng.random() < astray:
             mask |= _piece_of_a_neighbour(image, int(index), window, rng)
+        if astray > 0 and rng.random() < astray:
+            mask = _bitten(mask, rng)
         masks.append(mask)
     if rng.random() < 0.15:
         height, width = image.instances.shape
@@ -188,6 +190,21 @@ def _piece_of_a_neighbour(
     disc = np.zeros((height, width), np.uint8)
     cv2.circle(disc, (int(u[k]), int(v[k])), int(rng.integers(4, max(6, reach))), 1, -1)
     return near & (disc > 0) & (image.instances == image.instances[v[k], u[k]])
+
+
+def _bitten(mask: Bool[np.ndarray, "h w"], rng: np.random.Generator) -> Bool[np.ndarray, "h w"]:
+    """The mask without a disc about one of its pixels far from the middle, such as a mug's handle."""
+    v, u = np.nonzero(mask)
+    if not len(v):
+        return mask
+    away = np.hypot(v - v.mean(), u - u.mean())
+    far = np.flatnonzero(away >= np.quantile(away, rng.uniform(0.7, 0.99)))
+    k = int(rng.choice(far))
+    radius = rng.uniform(0.1, 0.5) * max(np.ptp(v), np.ptp(u))
+    gone = np.hypot(v - v[k], u - u[k]) < radius
+    result = mask.copy()
+    result[v[gone], u[gone]] = False
+    return result
 
 
 def _cut(mask: Bool[np.ndarray, "h w"], rng: np.random.Generator) -> Bool[np.ndarray, "h w"]:

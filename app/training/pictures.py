@@ -1,8 +1,8 @@
 """Rendered scenes on disk: small pictures for the scene network, and crops for the class and yaw networks.
 
-Pictures are rendered at 640 x 480, where crops are cut, and kept at the scene network's resolution. A shard
-of a few hundred is one pair of files; shards already there are taken as they are, so that an interrupted
-run goes on where it stopped.
+Scenes are rendered at 640 x 480, where crops are cut; pictures are kept at the scene network's resolution. A
+shard of a few hundred is one file; shards already there are taken as they are, so that an interrupted run
+goes on where it stopped.
 """
 
 from __future__ import annotations
@@ -96,29 +96,27 @@ _COLUMNS = ("rgb", "depth", "things", "label", "foot", "camera", "pose")
 def rendered_shards(
     directory: Path, split: Split, pictures: int, seed: int, progress: Progress | None = None
 ) -> list[Path]:
-    """Files of random scenes (``shard_pictures``, ``shard_crops``), rendered where they do not exist."""
+    """Files of random scenes (``shard_pictures``), rendered where they do not exist."""
 
     def render(path: Path, count: int, shard: int) -> None:
-        small, crops = _render_shard(split, count, np.random.SeedSequence([seed, shard]))
-        crops.save(_crops_path(path))
-        small.save(path)  # last: it says that the shard is finished
+        _render_pictures(split, count, np.random.SeedSequence([seed, shard])).save(path)
 
     return _shards(directory, f"{split}_seed{seed}", pictures, render, f"{split} scenes", progress)
 
 
 def close_up_shards(
-    directory: Path, pictures: int, seed: int, progress: Progress | None = None
+    directory: Path, split: Split, pictures: int, seed: int, progress: Progress | None = None
 ) -> list[Path]:
-    """Files of crops alone (``LabelledCrops``) from further, crowded scenes of the training families.
+    """Files of crops (``shard_crops``) from further, crowded scenes.
 
-    More of them show what is hard to tell: mugs by their handles, bottles from cans, odd things that are
-    neither; some masks take in a piece of a neighbour.
+    More of them show what is hard to tell: mugs by their handles, bottles from cans, in training odd things
+    that are neither; some masks take in a piece of a neighbour or lose one of their own.
     """
 
     def render(path: Path, count: int, shard: int) -> None:
-        _render_close_ups(count, np.random.SeedSequence([seed, shard, 1])).save(path)
+        _render_close_ups(split, count, np.random.SeedSequence([seed, shard, 1])).save(path)
 
-    return _shards(directory, f"close_ups_seed{seed}", pictures, render, "close-ups", progress)
+    return _shards(directory, f"close_ups_{split}_seed{seed}", pictures, render, "close-ups", progress)
 
 
 def _shards(
@@ -143,20 +141,20 @@ def _shards(
     return paths
 
 
-def _render_close_ups(count: int, seed: np.random.SeedSequence) -> LabelledCrops:
+def _render_close_ups(split: Split, count: int, seed: np.random.SeedSequence) -> LabelledCrops:
     from sim_assets.table_top import TrainingSceneConfig
     from sim_assets.training_scenes import TrainingScenes
 
     rng = np.random.default_rng(seed.spawn(1)[0])
     config = TrainingSceneConfig(
         width=_SIZE[0], height=_SIZE[1], pool=36, distractors=16, shares=(4, 1, 2, 2), odd=0.4,
-        plain_tumblers=False, objects=(5, 12), extras=(1, 5), pictures_per_pool=PICTURES_PER_POOL,
+        plain_tumblers=False, objects=(6, 14), extras=(1, 5), pictures_per_pool=PICTURES_PER_POOL,
         distance=(0.28, 0.95), elevation=(np.radians(25), np.radians(90)), noises=(0.1, 0.1, 0.8),
     )  # fmt: skip
     crops = []
-    with TrainingScenes("train", int(seed.generate_state(1)[0]), config) as scenes:
+    with TrainingScenes(split, int(seed.generate_state(1)[0]), config) as scenes:
         for image in scenes.render(count):
-            masks = disturbed_masks(image, rng, astray=0.2)
+            masks = disturbed_masks(image, rng, astray=0.25)
             crops.append(labelled_crops(image, jittered_plane(rng), masks))
     logger.info("%d close-ups: %d crops", count, sum(map(len, crops)))
     return LabelledCrops.joined(crops)
@@ -167,33 +165,19 @@ def shard_pictures(paths: Sequence[Path]) -> Pictures:
 
 
 def shard_crops(paths: Sequence[Path]) -> LabelledCrops:
-    return LabelledCrops.joined([LabelledCrops.load(_crops_path(path)) for path in paths])
-
-
-def close_up_crops(paths: Sequence[Path]) -> LabelledCrops:
     return LabelledCrops.joined([LabelledCrops.load(path) for path in paths])
 
 
-def _crops_path(path: Path) -> Path:
-    return path.with_name(f"crops_{path.name}")
-
-
-def _render_shard(split: Split, count: int, seed: np.random.SeedSequence) -> tuple[Pictures, LabelledCrops]:
+def _render_pictures(split: Split, count: int, seed: np.random.SeedSequence) -> Pictures:
     from sim_assets.table_top import TrainingSceneConfig
     from sim_assets.training_scenes import TrainingScenes
 
-    rng = np.random.default_rng(seed.spawn(1)[0])
     config = TrainingSceneConfig(
         width=_SIZE[0], height=_SIZE[1], pool=32, distractors=16, pictures_per_pool=PICTURES_PER_POOL,
         distance=(0.28, 0.95), elevation=(np.radians(25), np.radians(90)),
     )  # fmt: skip
-    small, crops = [], []
     with TrainingScenes(split, int(seed.generate_state(1)[0]), config) as scenes:
-        for image in scenes.render(count):
-            small.append(small_picture(image))
-            crops.append(labelled_crops(image, jittered_plane(rng), disturbed_masks(image, rng)))
-    logger.info("%s: %d pictures, %d crops", split, count, sum(map(len, crops)))
-    return Pictures.joined(small), LabelledCrops.joined(crops)
+        return Pictures.joined([small_picture(image) for image in scenes.render(count)])
 
 
 def small_picture(image: LabelledImage) -> Pictures:

@@ -1,6 +1,6 @@
 """`nodeslam train yaw`: train the network that says which way a mug's handle points, and judge it.
 
-Uses the same rendered scenes as `nodeslam train detector` when run on the same folder.
+Uses the same close-ups as `nodeslam train detector` when run on the same folder.
 """
 
 from __future__ import annotations
@@ -13,7 +13,14 @@ import numpy as np
 import torch
 from jaxtyping import Float
 
-from app.training.detector import RENDERING_SHARE, TrainDetectorConfig, provenance, rendered, trained
+from app.training.detector import (
+    RENDERING_SHARE,
+    TrainDetectorConfig,
+    part,
+    provenance,
+    rendered_crops,
+    trained,
+)
 from app.training.files import checksums
 from app.training.labels import LabelledCrops, Progress
 from perception.detection.network import WEIGHTS_FILES, CropNet, predict, save_network
@@ -28,7 +35,7 @@ HANDLE_VISIBLE = 0.01  # share of a mug's visible points on its handle from whic
 class TrainYawConfig(TrainDetectorConfig):
     """As for the detector; mugs are but a part of the crops, so they are passed over more often."""
 
-    training: TrainingConfig = field(default_factory=lambda: TrainingConfig(epochs=36))
+    training: TrainingConfig = field(default_factory=lambda: TrainingConfig(epochs=28))
 
 
 def run(config: TrainYawConfig, out_dir: Path, progress: Progress | None = None) -> dict[str, Any]:
@@ -37,8 +44,8 @@ def run(config: TrainYawConfig, out_dir: Path, progress: Progress | None = None)
     Returns:
         the report's metrics: errors of the most probable yaw in [rad], with the handle visible and hidden.
     """
-    shards = rendered(config, out_dir, progress)
-    training, validation, test = (mugs_of(crops) for crops in shards.crops())
+    crops = rendered_crops(config, out_dir / "scenes", part(progress, 0.0, RENDERING_SHARE))
+    training, validation, test = (mugs_of(c) for c in (crops.training, crops.validation, crops.test))
     network, temperature = trained(
         "yaw", yaw_set(training), yaw_set(validation), config, out_dir, progress, RENDERING_SHARE
     )
@@ -106,15 +113,15 @@ def _row(name: str, m: dict[str, Any]) -> str:
 _CARD = """# Yaw network
 
 Says which way a mug's handle points: a distribution over 36 bins of yaw counted from the viewing direction,
-from the same gravity-upright crop as the class network. {parameters} weights, float32 safetensors. Logits are
-divided by {temperature:.2f}. Where the handle is hidden the distribution is wide; multiply several views.
+from the same gravity-upright crop as the class network, and its mirror image. {parameters} weights, float32
+safetensors. Logits are divided by {temperature:.2f}. Where the handle is hidden the distribution is wide;
+multiply several views.
 
 **Made by** `nodeslam train yaw --seed {training.seed}` with torch {torch}: {training.epochs} epochs of AdamW
 {training.learning_rate}, cosine schedule, batch {training.batch}, wrapped Gaussians of 7° as soft labels,
-mirrored crops (their yaw changes sign), float32, CPU.
+mirrored crops (their yaw changes sign), warped, shifted, cut and recoloured, float32, CPU.
 
-**Data**: the {mugs} mugs in {config.pictures} + {config.close_ups} rendered scenes of the training families
-(see `detector.md`).
+**Data**: the {mugs} mugs in {config.close_ups} close-ups of the training families (see `detector.md`).
 
 **Judged on** the mugs in {config.test} scenes of the test families (handle styles never trained on), single
 views. The handle counts as visible when at least {visible:.0%} of the mug's visible points lie on it.

@@ -16,7 +16,7 @@ from jaxtyping import Bool, Float
 from scipy.special import log_softmax, softmax
 
 from perception.detection import network as nets
-from perception.detection.crops import crop, filtered_geometry
+from perception.detection.crops import crop, frame_geometry
 from perception.detection.geometry import heading_angle
 from perception.detection.instances import InstanceConfig, find_instances
 from perception.detection.scene_network import WEIGHTS_FILE, SceneNet, load_scene_network
@@ -95,8 +95,8 @@ class Detector:
         ``hints`` are log-probabilities of the classes that another network gives for each instance; the mean
         of both is taken.
         """
-        geometry = filtered_geometry(frame, plane)
-        kept = [i for i, mask in enumerate(masks) if (mask & (geometry[0] > 0)).any()]
+        geometry = frame_geometry(frame, plane)
+        kept = [i for i, mask in enumerate(masks) if geometry.seen(mask)]
         if not kept:
             return []
         masks = [masks[i] for i in kept]

@@ -15,7 +15,7 @@ from jaxtyping import Bool, Float, Int
 from scipy.spatial.distance import cdist
 from scipy.special import expit, log_softmax
 
-from perception.detection.geometry import height_image
+from perception.detection.geometry import height_image, window_of
 from perception.detection.scene_network import CLASSES, VOTE_UNIT, SceneNet, answers
 from perception.detection.working_view import WorkingView, reduced, spread_from, working_view
 from perception.types import RgbdFrame, SupportPlane
@@ -40,6 +40,7 @@ class InstanceConfig:
         min_area, min_pixels: smallest visible area in [m^2] and mask.
         ceiling: instances that reach higher above the plane in [m] are no table-top things (an arm).
         near: instances closer to the camera in [m] are left out (the gripper).
+        speck: separate pieces of a mask smaller than this share of its largest are dropped.
     """
 
     foreground: float = 0.42
@@ -53,6 +54,7 @@ class InstanceConfig:
     min_pixels: int = 60
     ceiling: float = 0.40
     near: float = 0.15
+    speck: float = 0.03
 
 
 @dataclass(frozen=True)
@@ -252,4 +254,16 @@ def _plausible(
     keep = (pixels >= config.min_pixels) & (seen > 0) & (area >= config.min_area)
     keep &= ~too_high & (distance >= config.near)
     order = sorted((int(k) for k in np.flatnonzero(keep)), key=lambda k: -pixels[k])
-    return [Instance(numbers == k, classes[k]) for k in order]
+    return [Instance(without_specks(numbers == k, config.speck), classes[k]) for k in order]
+
+
+def without_specks(mask: Bool[np.ndarray, "H W"], share: float) -> Bool[np.ndarray, "H W"]:
+    """The mask without the pieces smaller than ``share`` of its largest."""
+    window = window_of(mask)
+    inside = np.ascontiguousarray(mask[window]).view(np.uint8)
+    _, pieces, stats, _ = cv2.connectedComponentsWithStats(inside, connectivity=8)
+    area = np.asarray(stats)[:, cv2.CC_STAT_AREA].copy()
+    area[0] = 0
+    result = np.zeros_like(mask)
+    result[window] = (area >= max(1.0, share * area.max()))[np.asarray(pieces, dtype=np.int32)]
+    return result

@@ -64,14 +64,29 @@ def _convolution(narrow: int, wide: int, stride: int) -> nn.Module:
 
 
 def prepared(images: UInt8[Tensor, "n side side 6"]) -> Float[Tensor, "n 6 side side"]:
-    """Crop images as the network takes them: floats around zero, 0 outside the mask.
+    """Crop images as the network takes them: floats around zero.
 
     Colours run from -0.9 to 1.1, heights in units of 0.1 m above the plane, depths in 0.1 m off the median.
     """
     scale = torch.tensor([2.0, 2.0, 2.0, 1.0, 3.0, 4.0], device=images.device) / 255.0
     zero = torch.tensor([0.9, 0.9, 0.9, 0.0, 0.0, 2.0], device=images.device)
-    x = images.float() * scale
-    return (x - x[..., 3:4] * zero).permute(0, 3, 1, 2)  # channels last in memory, as convolutions like it
+    x = images.float() * scale - zero
+    return x.permute(0, 3, 1, 2)  # channels last in memory, as convolutions like it
+
+
+def logits_both_ways(
+    network: CropNet, images: Float[Tensor, "n 6 side side"], context: Float[Tensor, "n 2"]
+) -> Float[Tensor, "n outputs"]:
+    """Mean of the logits of prepared crops and of their mirror images, whose yaws have the other sign."""
+    seen, mirrored = network(images, context), network(images.flip(3), context)
+    if mirrored.shape[1] == YAW_BINS:
+        mirrored = mirrored_bins(mirrored)
+    return (seen + mirrored) / 2
+
+
+def mirrored_bins(rows: Float[Tensor, "n bins"]) -> Float[Tensor, "n bins"]:
+    """Bin k becomes bin -k."""
+    return rows.roll(-1, 1).flip(1)
 
 
 def save_network(
@@ -110,11 +125,11 @@ def predict(
     context: Float[np.ndarray, "n 2"],
     batch: int = 256,
 ) -> Float[np.ndarray, "n outputs"]:
-    """Calibrated probabilities of crops."""
+    """Calibrated probabilities of crops, each seen as it is and mirrored."""
     device = next(network.parameters()).device
     rows = []
     for start in range(0, len(images), batch):
         x = prepared(torch.from_numpy(images[start : start + batch]).to(device))
-        logits = network(x, torch.from_numpy(context[start : start + batch]).to(device))
+        logits = logits_both_ways(network, x, torch.from_numpy(context[start : start + batch]).to(device))
         rows.append(functional.softmax(logits.double() / temperature, dim=1).cpu().numpy())
     return np.concatenate(rows) if rows else np.zeros((0, network.logits.out_features))

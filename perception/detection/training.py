@@ -18,7 +18,14 @@ from jaxtyping import Float, Int, UInt8
 from torch import Tensor
 from torch.nn import functional
 
-from perception.detection.network import OUTPUTS, CropNet, Task, prepared
+from perception.detection.network import (
+    OUTPUTS,
+    CropNet,
+    Task,
+    logits_both_ways,
+    mirrored_bins,
+    prepared,
+)
 from perception.detection.yaw import YAW_BINS
 from perception.errors import InvalidInputError, PerceptionError
 
@@ -144,7 +151,8 @@ def _one_epoch(
         images = torch.from_numpy(batch.images).to(device)
         context, targets = (torch.from_numpy(a).to(device) for a in (batch.context, batch.targets))
         images, targets = mirrored(task, images, targets, generator)
-        inputs, context = disturbed(prepared(displaced(images, generator)), context, generator)
+        inputs = warped(prepared(cut(images, generator)), generator)
+        inputs, context = disturbed(inputs, context, generator)
         if task == "class":
             targets = (1 - config.label_smoothing) * targets + config.label_smoothing / targets.shape[1]
         loss = functional.cross_entropy(network(inputs, context), targets)
@@ -163,27 +171,39 @@ def mirrored(
     """Half of the crops flipped left to right; their yaw, counted from the view's heading, changes sign."""
     flip = torch.rand(len(images), generator=generator).to(images.device) < 0.5
     images = torch.where(flip[:, None, None, None], images.flip(2), images)
-    if task == "yaw":  # bin k becomes bin -k
-        targets = torch.where(flip[:, None], targets.roll(-1, 1).flip(1), targets)
+    if task == "yaw":
+        targets = torch.where(flip[:, None], mirrored_bins(targets), targets)
     return images, targets
 
 
-def displaced(
-    images: UInt8[Tensor, "n side side 6"], generator: torch.Generator
-) -> UInt8[Tensor, "n side side 6"]:
-    """Shifted by up to 4 pixels; in 3 of 10 crops a band along one side is cut off.
-
-    So an occluder or the image border would do it, and the mask's box is never exact.
-    """
-    dx, dy = (int(v) for v in torch.randint(-4, 5, (2,), generator=generator))
-    images = torch.roll(images, (dy, dx), dims=(1, 2))
+def cut(images: UInt8[Tensor, "n side side 6"], generator: torch.Generator) -> UInt8[Tensor, "n side side 6"]:
+    """Three crops of ten lose a band along one side, as the image's border cuts them."""
     n, side = images.shape[:2]
     draw = torch.rand(n, 4, generator=generator).to(images.device)
     ramp = torch.arange(side, device=images.device)
     ramp = torch.where((draw[:, 1] < 0.5)[:, None], ramp, side - 1 - ramp)  # counted from either end
-    kept = (ramp >= (0.35 * side * draw[:, 0])[:, None]) | (draw[:, 3] > 0.3)[:, None]  # (n, side)
+    kept = (ramp >= (0.4 * side * draw[:, 0])[:, None]) | (draw[:, 3] > 0.3)[:, None]  # (n, side)
     along_rows = (draw[:, 2] < 0.5)[:, None, None]
     return images * torch.where(along_rows, kept[:, :, None], kept[:, None, :])[..., None]
+
+
+def warped(
+    inputs: Float[Tensor, "n 6 side side"], generator: torch.Generator, most: float = 0.05
+) -> Float[Tensor, "n 6 side side"]:
+    """Other shapes: wider here and narrower there by up to ``most``, higher or lower, leaning.
+
+    Objects never trained on differ from those that were in just such ways. A mask's box is never exact, so
+    crops move, too, by up to 2.5 times as much of half their side.
+    """
+    n, _, side, _ = inputs.shape
+    draw = (2 * torch.rand(n, 9, generator=generator) - 1).to(inputs.device) * most
+    across = torch.linspace(-1, 1, side, device=inputs.device)
+    wider = functional.interpolate(draw[:, None, :5], side, mode="linear", align_corners=True)[:, 0]
+    left, lean, up, higher = (draw[:, k, None, None] for k in (5, 6, 7, 8))
+    u = across * (1 + wider[:, :, None]) + lean * across[:, None] + 2.5 * left  # (n, rows, columns)
+    v = (across[:, None] * (1 + higher) + 2.5 * up).expand_as(u)
+    grid = torch.stack([u, v], dim=-1)
+    return functional.grid_sample(inputs, grid, padding_mode="border", align_corners=True)
 
 
 def disturbed(
@@ -192,16 +212,15 @@ def disturbed(
     """Other colours (``recoloured``), noise on heights and depths, sizes and elevations a little off."""
     n, _, side, _ = inputs.shape
     draw = torch.rand(n, 3, generator=generator).to(inputs.device) * 2 - 1  # uniform in -1..1
-    mask = inputs[:, 3:4]
     noise = torch.randn(n, 1, side, side, generator=generator).to(inputs.device)
-    noise = noise * mask * (0.03 * draw[:, :1].abs())[..., None, None]  # of 0.1 m; farther is lower
-    colours = recoloured(inputs[:, :3], mask, generator)
-    out = torch.cat([colours, mask, inputs[:, 4:5] - noise, inputs[:, 5:6] + noise], dim=1)
+    noise = noise * (0.03 * draw[:, :1].abs())[..., None, None]  # of 0.1 m; farther is lower
+    colours = recoloured(inputs[:, :3], generator)
+    out = torch.cat([colours, inputs[:, 3:4], inputs[:, 4:5] - noise, inputs[:, 5:6] + noise], dim=1)
     return out.contiguous(memory_format=torch.channels_last), context + 0.03 * draw[:, 1:]
 
 
 def recoloured(
-    colours: Float[Tensor, "n 3 side side"], mask: Float[Tensor, "n 1 side side"], generator: torch.Generator
+    colours: Float[Tensor, "n 3 side side"], generator: torch.Generator
 ) -> Float[Tensor, "n 3 side side"]:
     """Prepared colours in another light, another camera, another paint: colour is only a hint.
 
@@ -210,19 +229,16 @@ def recoloured(
     n, _, side, _ = colours.shape
     draw = torch.rand(n, 12, generator=generator).to(colours.device)
     odds = draw[:, :, None, None, None]  # (n, 12, 1, 1, 1)
-    image = ((colours + 0.9 * mask) / 2).clamp(1e-3, 1)  # 0..1, as the camera gives it
-    image = image ** (0.5 + odds[:, 0]) * (0.5 + 1.1 * odds[:, 1])
-    image = image * (0.85 + 0.3 * draw[:, 2:5, None, None])
+    image = ((colours + 0.9) / 2).clamp(1e-3, 1)  # 0..1, as the camera gives it
+    image = image ** (0.5 + odds[:, 0]) * ((0.5 + 1.1 * odds[:, 1]) * (0.85 + 0.3 * draw[:, 2:5, None, None]))
     across = torch.linspace(-0.5, 0.5, side, device=colours.device)
     slope = (2 * draw[:, 5:7, None, None] - 1) * (odds[:, 7] < 0.4)
-    shading = slope[:, :1] * across[:, None] + slope[:, 1:] * across
-    image = image * (1 + shading)
-    grey = image.mean(1, keepdim=True)
-    image = torch.where(odds[:, 8] < 0.15, grey, image)
+    image = image * (1 + slope[:, :1] * across[:, None] + slope[:, 1:] * across)
+    image = torch.where(odds[:, 8] < 0.15, image.mean(1, keepdim=True), image)
     image = torch.where(odds[:, 9] < 0.05, odds[:, 10], image)
     if torch.rand(1, generator=generator) < 0.3:
         image = image[:, torch.randperm(3, generator=generator)]
-    return (2 * image.clamp(0, 1) - 0.9) * mask
+    return 2 * image.clamp(0, 1) - 0.9
 
 
 @torch.inference_mode()
@@ -233,7 +249,7 @@ def _logits(network: CropNet, crops: CropSet, batch: int = 512) -> Tensor:
     for start in range(0, len(crops), batch):
         images = prepared(torch.from_numpy(crops.images[start : start + batch]).to(device))
         context = torch.from_numpy(crops.context[start : start + batch]).to(device)
-        rows.append(network(images, context).float().cpu())
+        rows.append(logits_both_ways(network, images, context).float().cpu())
     return torch.cat(rows)
 
 

@@ -301,7 +301,7 @@ def _estimate(
         score=score,
         n_views=len(observations),
         residual=residual,
-        status=_status(fit, pose, plane, float(inliers.mean())),
+        status=_status(fit, pose, plane, float(inliers.mean()) if inliers.size else 0.0),
         covariance=covariance,
     )
     return replace(estimate, surface_sigma=surface_band(estimate, covariance, determined, grid, jacobian))

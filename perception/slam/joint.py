@@ -19,7 +19,7 @@ from dataclasses import dataclass, field, replace
 import numpy as np
 from jaxtyping import Float
 
-from perception.geometry import se3_exp
+from perception.geometry import invert, se3_exp, se3_log
 from perception.inference.levenberg_marquardt import Evaluation, LmConfig
 from perception.inference.observation import PixelConfig, PixelSet, gather_pixels
 from perception.inference.problem import PARAMETERS, FitProblem, FitState, NoiseConfig, SupportCamera
@@ -46,6 +46,8 @@ class JointConfig:
         noise: weights of the residuals.
         pixels: which pixels take part.
         memory: so many views' worth of what earlier keyframes, outside the window, said of an object counts.
+        camera_weight: of what was known of each camera's pose when its keyframe was taken; the data counts by
+            so much more here than it did then.
         camera_sigma: of those keyframes' cameras (rotation, translation) [rad], [m].
         plane_sigma: of a point of the plane [m]; the plane ties cameras only where ``use_plane``.
         use_plane: whether it does.
@@ -61,6 +63,7 @@ class JointConfig:
     noise: NoiseConfig = field(default_factory=lambda: NoiseConfig(data_weight=0.2))
     pixels: PixelConfig = field(default_factory=PixelConfig)
     memory: float = 4.0
+    camera_weight: float = 4.0
     camera_sigma: Float[np.ndarray, "6"] = field(default_factory=lambda: np.repeat([0.005, 0.003], 3))
     plane_sigma: float = 0.005
     use_plane: bool = True
@@ -190,12 +193,14 @@ class _Window:
         self.states = {one: landmarks[one].state for one in ids}
         self.start = dict(self.states)
         self.free = CAMERA * (len(keyframes) - 1)
+        self.Ts_start = self.Ts.copy()
+        self.known_cameras = [config.camera_weight * np.linalg.inv(k.covariance) for k in keyframes[1:]]
 
     def run(self, pool: ThreadPoolExecutor) -> JointResult:
         config, damping, small = self.config, self.config.lm.damping, 0
         self._refresh_shapes(pool, force=True)
         current = self._evaluate(pool, self.states, self.Ts)
-        before = after = self._cost(current, current) + self._cost_of_known(self.states)
+        before = after = self._cost(current, current) + self._cost_of_known(self.states, self.Ts)
         done = 0
         for _ in range(config.iterations):
             step_c, step_o = solve_by_schur(self._equations(current), damping)
@@ -204,8 +209,8 @@ class _Window:
             states, Ts = self._moved(step_c, step_o)
             there = self._evaluate(pool, states, Ts)
             done += 1
-            cost = self._cost(current, current) + self._cost_of_known(self.states)
-            cost_after = self._cost(there, current) + self._cost_of_known(states)
+            cost = self._cost(current, current) + self._cost_of_known(self.states, self.Ts)
+            cost_after = self._cost(there, current) + self._cost_of_known(states, Ts)
             if cost_after >= cost:
                 damping *= config.lm.up
                 continue
@@ -243,10 +248,16 @@ class _Window:
             total += float(there.weights @ here.residuals**2)
         return total
 
-    def _cost_of_known(self, states: Mapping[int, FitState]) -> float:
-        """What it costs that landmarks are elsewhere than what is known of them says."""
+    def _cost_of_known(self, states: Mapping[int, FitState], Ts: np.ndarray) -> float:
+        """What it costs that landmarks and cameras are elsewhere than what is known of them says."""
         steps = {one: states[one].step_from(self.start[one]) for one in self.known if one in states}
-        return float(sum(step @ self.known[one] @ step for one, step in steps.items()))
+        landmarks = sum(step @ self.known[one] @ step for one, step in steps.items())
+        cameras = sum(xi @ known @ xi for xi, known in zip(self._camera_steps(Ts), self.known_cameras))
+        return float(landmarks + cameras)
+
+    def _camera_steps(self, Ts: np.ndarray) -> list[np.ndarray]:
+        """How far each camera but the first is from where it started."""
+        return [se3_log(invert(start) @ T) for start, T in zip(self.Ts_start[1:], Ts[1:])]
 
     def _equations(self, current: dict[str, list]) -> NormalEquations:
         n = len(self.objects)
@@ -269,6 +280,10 @@ class _Window:
                 cameras[at, at] += weighted.T @ J_c
                 gradient[at] += weighted.T @ evaluation.residuals[:rows][own]
                 ties[i][:, at] = evaluation.jacobian[:rows][own].T @ weighted
+        for camera, (xi, known) in enumerate(zip(self._camera_steps(self.Ts), self.known_cameras)):
+            at = slice(CAMERA * camera, CAMERA * (camera + 1))
+            cameras[at, at] += known
+            gradient[at] += known @ xi
         for camera, plane in enumerate(current["planes"][1:]):
             at = slice(CAMERA * camera, CAMERA * (camera + 1))
             hessian, g = plane.normal_equations()

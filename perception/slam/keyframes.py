@@ -40,7 +40,7 @@ class Keyframe:
     labels: UInt8[np.ndarray, "h w"]
     landmark_of: Mapping[int, int]
     yaw_of: Mapping[int, Float[np.ndarray, "b"]]
-    covariance: Float[np.ndarray, "6 6"] = field(default_factory=lambda: np.zeros((6, 6)))
+    covariance: Float[np.ndarray, "6 6"] = field(default_factory=lambda: np.eye(6))
 
     @property
     def T_world_camera(self) -> Float[np.ndarray, "4 4"]:

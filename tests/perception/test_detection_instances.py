@@ -13,6 +13,7 @@ from perception.detection.instances import (
     feet,
     find_instances,
     interpreted,
+    without_specks,
 )
 from perception.detection.scene_network import CLASSES, OUTPUTS, VOTE_UNIT, SceneNet
 from perception.detection.working_view import reduced, working_view
@@ -137,6 +138,15 @@ def test_masks_grow_to_full_size():
     full = at_full_size(foreground, numbers, (48, 64), CONFIG)
     assert set(np.unique(full)) == {-1, 0, 1}
     assert abs((full == 0).sum() - 4 * 96) < 0.15 * 4 * 96
+
+
+def test_specks_are_dropped_and_halves_are_kept():
+    mask = np.zeros((60, 80), bool)
+    mask[5:25, 10:30] = mask[35:50, 10:30] = True  # parted by something in front of it
+    mask[55, 70:73] = True
+    clean = without_specks(mask, 0.03)
+    assert not clean[55].any() and clean.sum() == mask.sum() - 3
+    assert without_specks(mask, 0.0).sum() == mask.sum()
 
 
 def test_what_towers_over_the_table_is_no_thing(scenes):

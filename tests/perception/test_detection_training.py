@@ -11,10 +11,12 @@ from perception.detection.training import (
     CropSet,
     TrainingConfig,
     calibrated_temperature,
+    cut,
     disturbed,
     mirrored,
     train_crop_network,
     validation_figures,
+    warped,
 )
 from perception.detection.yaw import YAW_BINS, bin_centres, soft_labels
 from perception.errors import InvalidInputError, PerceptionError
@@ -107,6 +109,28 @@ def test_mirroring_negates_the_yaw_that_the_picture_shows():
     assert np.sign(leftward) == pytest.approx(np.sign(np.sin(expected)))
 
 
+def test_predictions_of_mirrored_crops_are_mirrored():
+    torch.manual_seed(0)
+    crops = synthetic(6)[1]
+    images, context = crops.images, crops.context
+    flipped = np.ascontiguousarray(images[:, :, ::-1])
+    for task in ("class", "yaw"):
+        network = CropNet(OUTPUTS[task]).eval()
+        seen, mirrored = (predict(network, 1.0, i, context) for i in (images, flipped))
+        if task == "yaw":
+            mirrored = np.roll(mirrored, -1, axis=1)[:, ::-1]
+        assert mirrored == pytest.approx(seen, abs=1e-6)
+
+
+def test_three_crops_of_ten_are_cut_on_one_side():
+    images = torch.full((300, SIDE, SIDE, 6), 9, dtype=torch.uint8)
+    out = cut(images, torch.Generator().manual_seed(0))
+    lost = (out == 0).all(-1)
+    whole = lost.all(1).any(1) | lost.all(2).any(1)  # rows or columns that are gone
+    assert 60 < whole.sum() < 120 and torch.equal(whole, lost.flatten(1).any(1))
+    assert lost.flatten(1).float().mean(1).max() < 0.41
+
+
 def test_disturbances_keep_shape_and_stay_finite():
     crops = synthetic(16)[0]
     inputs = prepared(torch.from_numpy(crops.images))
@@ -115,11 +139,24 @@ def test_disturbances_keep_shape_and_stay_finite():
     assert not torch.equal(out, inputs)
 
 
-def test_prepared_inputs_are_zero_outside_the_mask_and_at_the_median():
-    x = prepared(torch.from_numpy(synthetic(2)[0].images))
-    outside = x[:, 3] == 0
-    assert not x.permute(0, 2, 3, 1)[outside].any()
+def test_warped_crops_are_the_same_things_in_about_the_same_place():
+    inputs = prepared(torch.from_numpy(synthetic(16)[0].images))
+    out = warped(inputs, torch.Generator().manual_seed(0))
+    still = warped(inputs, torch.Generator().manual_seed(0), most=0.0)
+    assert torch.allclose(still, inputs, atol=1e-3)
+    one, other = inputs[:, 3] > 0.5, out[:, 3] > 0.5
+    overlap = (one & other).flatten(1).sum(1) / (one | other).flatten(1).sum(1)
+    assert overlap.min() > 0.55 and overlap.max() < 1.0
+    assert out.flatten(1).abs().max() <= inputs.abs().max() + 1e-6
+
+
+def test_prepared_inputs_are_zero_off_the_mask_on_the_table_and_at_the_median():
+    images = torch.from_numpy(synthetic(2)[0].images)
+    x = prepared(images)
+    outside = images[..., 3] == 0
+    assert not x[:, 3][outside].any() and not x[:, 4][outside].any()
     assert x[:, 5][~outside].abs().max() < 0.01
+    assert x[:, 0][~outside].max() <= 1.1 and x[:, 0].min() == pytest.approx(-0.9)
 
 
 def test_the_temperature_undoes_overconfidence():
@@ -168,6 +205,8 @@ def test_unusable_weights_say_what_to_do(tmp_path):
 
 def test_figures_of_a_perfect_network():
     crops = synthetic(16)[1]
+    ahead = soft_labels(np.pi * (np.arange(16) % 2))  # its own mirror image
+    crops = CropSet(crops.images, crops.context, ahead)
 
     class Oracle(CropNet):
         def forward(self, images, context):

@@ -10,7 +10,7 @@ import sim_assets.training_scenes as training_scenes
 from perception.types import CATEGORIES
 from sim_assets.distractors import odd_thing, random_distractor
 from sim_assets.layout import gap
-from sim_assets.objects import sample_object
+from sim_assets.objects.families import sample_parameters
 from sim_assets.scatter import make_thing, scatter
 from sim_assets.table_top import TrainingSceneConfig
 from sim_assets.training_scenes import TrainingScenes
@@ -117,12 +117,12 @@ def test_the_pool_is_shared_out_as_asked_and_straight_tumblers_stay_out(monkeypa
     drawn = []
 
     def sample(category, split, rng):
-        drawn.append(sample_object(category, split, rng))
+        drawn.append(sample_parameters(category, split, rng))
         return drawn[-1]
 
-    monkeypatch.setattr(training_scenes, "sample_object", sample)
+    monkeypatch.setattr(training_scenes, "sample_parameters", sample)
     things = training_scenes._draw_things("train", config, np.random.default_rng(1))
     kinds = [thing.category for thing in things]
     assert [kinds.count(c) for c in (*CATEGORIES, None)] == [4, 0, 4, 2, 6]
-    plain = [o for o in drawn if getattr(o.parameters, "kind", "") == "tumbler" and o.parameters.bend < 0.1]
+    plain = [o for o in drawn if getattr(o, "kind", "") == "tumbler" and o.bend < 0.1]
     assert len(drawn) == 10 + len(plain)

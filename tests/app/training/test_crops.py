@@ -29,14 +29,13 @@ def made_up(seed):
 @pytest.fixture(autouse=True)
 def no_rendering(monkeypatch):
     """A shard is its number; what is in it is made up, and the scene network is not trained."""
-    for name in ("shard_crops", "close_up_crops"):
-        monkeypatch.setattr(train_detector, name, lambda shards: made_up(len(shards)))
-    monkeypatch.setattr(train_detector, "close_up_shards", lambda folder, *_: [folder])
+    monkeypatch.setattr(train_detector, "shard_crops", lambda shards: made_up(len(shards)))
+    monkeypatch.setattr(
+        train_detector, "close_up_shards", lambda folder, split, n, seed, progress: [folder] * (1 + seed)
+    )
     monkeypatch.setattr(train_detector, "shard_pictures", lambda shards: None)
     monkeypatch.setattr(train_detector, "trained_scene", lambda *_: SceneNet())
-    monkeypatch.setattr(
-        train_detector, "rendered_shards", lambda folder, split, n, seed, progress: [folder] * (1 + seed)
-    )
+    monkeypatch.setattr(train_detector, "rendered_shards", lambda folder, *_: [folder])
 
 
 def test_the_detector_job_writes_weights_and_a_card(tmp_path):

@@ -7,7 +7,6 @@ import app.training.pictures as pictures
 from app.training.labels import LabelledCrops
 from app.training.pictures import (
     Pictures,
-    close_up_crops,
     close_up_shards,
     rendered_shards,
     shard_crops,
@@ -68,17 +67,18 @@ def test_finished_shards_are_not_rendered_again(small, tmp_path, monkeypatch):
         np.zeros(1, np.float32), np.zeros(1, np.float32),
     )  # fmt: skip
 
-    def render(split, count, seed):
-        rendered.append(count)
-        return small, empty
-
-    monkeypatch.setattr(pictures, "_render_shard", render)
+    monkeypatch.setattr(
+        pictures, "_render_pictures", lambda split, count, seed: rendered.append(count) or small
+    )
     rendered_shards(tmp_path, "train", pictures.SHARD + 10, seed=0)
     paths = rendered_shards(tmp_path, "train", pictures.SHARD + 10, seed=0)
     assert rendered == [pictures.SHARD, 10]
-    assert len(shard_pictures(paths)) == 2 and len(shard_crops(paths)) == 2
+    assert len(shard_pictures(paths)) == 2
 
-    monkeypatch.setattr(pictures, "_render_close_ups", lambda count, seed: rendered.append(count) or empty)
-    close_up_shards(tmp_path, pictures.SHARD + 20, seed=0)
-    assert len(close_up_crops(close_up_shards(tmp_path, pictures.SHARD + 20, seed=0))) == 2
+    monkeypatch.setattr(
+        pictures, "_render_close_ups", lambda split, count, seed: rendered.append(count) or empty
+    )
+    close_up_shards(tmp_path, "train", pictures.SHARD + 20, seed=0)
+    assert len(shard_crops(close_up_shards(tmp_path, "train", pictures.SHARD + 20, seed=0))) == 2
     assert rendered[2:] == [pictures.SHARD, 20]
+    assert close_up_shards(tmp_path, "test", 20, seed=0) != close_up_shards(tmp_path, "train", 20, seed=0)

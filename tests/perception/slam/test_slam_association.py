@@ -132,7 +132,7 @@ def test_angle_between_views(scenes):
 def keyframe(view, number, T):
     _, frame, detections, shown, labels = view
     landmark_of = {k + 1: one for k, one in enumerate(shown)}
-    return make_keyframe(number, with_pose(frame, T), T, labels, landmark_of, detections, np.zeros((6, 6)))
+    return make_keyframe(number, with_pose(frame, T), T, labels, landmark_of, detections, np.eye(6))
 
 
 def test_only_new_viewpoints_make_keyframes(cylinders, scenes, view):

@@ -75,7 +75,7 @@ def window(cylinders, scenes):
         labels = label_image(detections, frame.depth.shape)
         landmark_of = {k + 1: one for k, one in enumerate(shown)}
         keyframes.append(
-            make_keyframe(number, frame, T @ se3_exp(off), labels, landmark_of, detections, np.zeros((6, 6)))
+            make_keyframe(number, frame, T @ se3_exp(off), labels, landmark_of, detections, np.eye(6))
         )
         planes.append(select_pixels(frame, labels, {}, T, cylinders.plane, SelectionConfig()).plane_points)
     world = cylinders.map()
@@ -115,6 +115,20 @@ def test_what_is_known_from_elsewhere_holds_objects(cylinders, window):
 
     assert moved(held, world.ids[0]) < 0.01 * moved(free, world.ids[0])
     assert moved(held, world.ids[1]) > 0.5 * moved(free, world.ids[1])
+
+
+def test_cameras_move_no_farther_than_they_are_in_doubt(cylinders, window):
+    _, keyframes, planes, world = window
+    args = (cylinders.decoder, cylinders.plane, planes, JointConfig(iterations=4, threads=1))
+
+    def moves(sigma):
+        sure = [replace(key, covariance=sigma**2 * np.eye(6)) for key in keyframes]
+        moved = optimise_jointly(sure, world.landmarks, *args).keyframes
+        pairs = zip(moved[1:], keyframes[1:])
+        return [np.linalg.norm((a.T_world_camera - b.T_world_camera)[:3, 3]) for a, b in pairs]
+
+    assert max(moves(1e-6)) < 1e-5
+    assert min(moves(0.1)) > 0.003  # they were put wrong by about 1 cm
 
 
 def test_each_view_says_something_and_nobody_less_than_nothing(cylinders, window):
