@@ -35,10 +35,10 @@ class BandConfig:
     """
 
     inflation: Mapping[Category, float] = field(
-        default_factory=lambda: {"mug": 0.435, "bowl": 0.51, "bottle": 0.88, "can": 0.47}
+        default_factory=lambda: {"mug": 0.425, "bowl": 0.51, "bottle": 0.88, "can": 0.47}
     )
     floor: Mapping[Category, float] = field(
-        default_factory=lambda: {"mug": 5.8e-4, "bowl": 7.5e-4, "bottle": 4.3e-4, "can": 3.85e-4}
+        default_factory=lambda: {"mug": 6.0e-4, "bowl": 7.5e-4, "bottle": 4.3e-4, "can": 3.85e-4}
     )
 
 
