@@ -114,20 +114,17 @@ def _fitting(scene: BenchScene, seed: int) -> Iterator[Benchmark]:
             reference_scale=FIT_ITERATIONS,
             expensive=True,
         )
-        yield Benchmark(
-            f"{FIT_ITERATIONS} iterations, {name}, {cores} cores",
-            "one core",
-            _fit(scene, views, cores, optimise_object),
-            _fit(scene, views, 1, optimise_object),
-            expensive=True,
-        )
-        yield Benchmark(
-            f"fit, {name}: iterations, mesh, deviations; {cores} cores",
-            "one core",
-            _fit(scene, views, cores, fit_object),
-            _fit(scene, views, 1, fit_object),
-            expensive=True,
-        )
+        for what, fit in (
+            (f"{FIT_ITERATIONS} iterations, {name}", optimise_object),
+            (f"fit, {name}, with mesh and deviations", fit_object),
+        ):
+            yield Benchmark(
+                f"{what}, {cores} cores",
+                "one core",
+                _fit(scene, views, cores, fit),
+                _fit(scene, views, 1, fit),
+                expensive=True,
+            )
 
 
 def _scanning(scene: BenchScene) -> Iterator[Benchmark]:
