@@ -27,6 +27,7 @@ from perception.inference.shape_model import Decoder, LinearisedShape, linearise
 from perception.rendering.pose import object_by_camera
 from perception.slam.keyframes import Keyframe
 from perception.slam.landmarks import Landmark
+from perception.slam.memory import Memory, View
 from perception.types import CODE_SIZE, GRID_RESOLUTION, SupportPlane
 
 CAMERA = 6
@@ -48,7 +49,8 @@ class JointConfig:
         memory: so many views' worth of what earlier keyframes, outside the window, said of an object counts.
         camera_weight: of what was known of each camera's pose when its keyframe was taken; the data counts by
             so much more here than it did then.
-        camera_sigma: of those keyframes' cameras (rotation, translation) [rad], [m].
+        camera_sigma: of those keyframes' cameras (rotation, translation), unless they were known better when
+            they were taken, as the first one was [rad], [m].
         plane_sigma: of a point of the plane [m]; the plane ties cameras only where ``use_plane``.
         use_plane: whether it does.
         threads: objects evaluated at a time.
@@ -74,12 +76,12 @@ class JointConfig:
 class JointResult:
     """The window afterwards: keyframes and landmarks moved, costs before and after.
 
-    ``information`` is what each keyframe, by its number, said of each landmark: (25, 25), without priors.
+    ``views`` is what each keyframe, by its number, said of each landmark.
     """
 
     keyframes: tuple[Keyframe, ...]
     landmarks: Mapping[int, Landmark]
-    information: Mapping[tuple[int, int], Float[np.ndarray, "25 25"]]
+    views: Mapping[tuple[int, int], View]
     cost_before: float
     cost_after: float
     iterations: int
@@ -123,7 +125,7 @@ def optimise_jointly(
     plane: SupportPlane,
     plane_points: Sequence[Float[np.ndarray, "_n 3"]],
     config: JointConfig,
-    known: Mapping[int, Float[np.ndarray, "25 25"]] | None = None,
+    known: Mapping[int, Memory] | None = None,
 ) -> JointResult:
     """Moves the cameras of all keyframes but the first, and the landmarks that they see.
 
@@ -134,8 +136,8 @@ def optimise_jointly(
         plane: what the objects stand on.
         plane_points: for each keyframe points of the plane in its camera's frame [m].
         config: weights and budgets.
-        known: information on landmarks from elsewhere, about where they are now. Without it an object that
-            the window shows little of, as the image cuts it, would forget what was seen of it before.
+        known: of landmarks from elsewhere. Without it an object that the window shows little of, as the image
+            cuts it, would forget what was seen of it before.
     """
     window = _Window(keyframes, landmarks, decoder, plane, plane_points, config, known or {})
     with ThreadPoolExecutor(config.threads) as pool:
@@ -182,7 +184,7 @@ class _Window:
     def __init__(
         self, keyframes, landmarks, decoder, plane, plane_points, config: JointConfig, known
     ) -> None:
-        self.known: Mapping[int, np.ndarray] = known
+        self.known: Mapping[int, Memory] = known
         self.keyframes, self.decoder, self.plane, self.config = list(keyframes), decoder, plane, config
         self.plane_points = plane_points
         self.Ts = np.stack([k.T_world_camera for k in keyframes])
@@ -251,7 +253,7 @@ class _Window:
     def _cost_of_known(self, states: Mapping[int, FitState], Ts: np.ndarray) -> float:
         """What it costs that landmarks and cameras are elsewhere than what is known of them says."""
         steps = {one: states[one].step_from(self.start[one]) for one in self.known if one in states}
-        landmarks = sum(step @ self.known[one] @ step for one, step in steps.items())
+        landmarks = sum(self.known[one].cost_of(step) for one, step in steps.items())
         cameras = sum(xi @ known @ xi for xi, known in zip(self._camera_steps(Ts), self.known_cameras))
         return float(landmarks + cameras)
 
@@ -268,8 +270,8 @@ class _Window:
             item = self.objects[one]
             objects[i], gradient_objects[i] = evaluation.normal_equations()
             if one in self.known:
-                objects[i] += self.known[one]
-                gradient_objects[i] += self.known[one] @ self.states[one].step_from(self.start[one])
+                objects[i] += self.known[one].information
+                gradient_objects[i] += self.known[one].gradient(self.states[one].step_from(self.start[one]))
             rows = len(by_camera)
             for k, camera in enumerate(item.views):
                 if camera == 0:
@@ -317,18 +319,28 @@ class _Window:
         return bool(far)
 
     def _result(self, before: float, after: float, done: int, current: dict[str, list]) -> JointResult:
-        landmarks, information = {}, {}
-        for (one, item), (evaluation, by_camera) in zip(self.objects.items(), current["objects"]):
-            for k, camera in enumerate(item.views):
-                own = np.flatnonzero(item.pixels.rays.view == k)
-                J, weights = evaluation.jacobian[own].astype(np.float64), evaluation.weights[own, None]
-                J_c = by_camera[own]
-                ties = J.T @ (weights * J_c)
-                doubt = J_c.T @ (weights * J_c) + np.diag(self.config.camera_sigma**-2)
-                known = J.T @ (weights * J) - ties @ np.linalg.solve(doubt, ties.T)
-                information[self.keyframes[camera].number, one] = known
+        views = {
+            (self.keyframes[camera].number, one): View(self.states[one], self._said(item, k, *at))
+            for (one, item), at in zip(self.objects.items(), current["objects"])
+            for k, camera in enumerate(item.views)
+        }
+        landmarks = {}
         for one, state in self.states.items():
             landmark = self.landmarks[one].with_state(state)
             landmarks[one] = replace(landmark, updates=landmark.updates + 1)
         keyframes = tuple(k.moved(T) for k, T in zip(self.keyframes, self.Ts))
-        return JointResult(keyframes, landmarks, information, before, after, done)
+        return JointResult(keyframes, landmarks, views, before, after, done)
+
+    def _said(
+        self, item: _ObjectInWindow, k: int, evaluation: Evaluation, by_camera: np.ndarray
+    ) -> Float[np.ndarray, "25 25"]:
+        """Information on a landmark from its view k, the doubt about that view's camera taken out."""
+        own = np.flatnonzero(item.pixels.rays.view == k)
+        J, weights, J_c = (
+            evaluation.jacobian[own].astype(np.float64),
+            evaluation.weights[own, None],
+            by_camera[own],
+        )
+        ties = J.T @ (weights * J_c)
+        held = np.diag(self.config.camera_sigma**-2) + np.linalg.inv(self.keyframes[item.views[k]].covariance)
+        return J.T @ (weights * J) - ties @ np.linalg.solve(J_c.T @ (weights * J_c) + held, ties.T)

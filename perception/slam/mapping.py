@@ -19,6 +19,7 @@ from perception.slam.initialise import initialise_landmark, is_cut, renewed, tou
 from perception.slam.joint import optimise_jointly
 from perception.slam.keyframes import Keyframe, window_of
 from perception.slam.landmarks import Landmark, LandmarkMap, distance, doubles, stand_together
+from perception.slam.memory import Memory, View
 from perception.slam.tracking import TrackedPose
 from perception.types import CATEGORIES, ObjectDetection, RgbdFrame, SupportPlane
 
@@ -42,7 +43,7 @@ class Mapper:
         self.unmatched: list[tuple[np.ndarray, int]] = []
         self.next_id = 0
         self._plane_points: dict[int, np.ndarray] = {}  # of each keyframe
-        self._information: dict[tuple[int, int], np.ndarray] = {}  # of keyframes on landmarks
+        self._views: dict[tuple[int, int], View] = {}  # what keyframes said of landmarks
 
     def count(
         self,
@@ -189,9 +190,9 @@ class Mapper:
         self.keyframes = [*self.keyframes, key][-self.config.life.max_keyframes :]
         points = {**self._plane_points, key.number: plane_points}
         self._plane_points = {k.number: points[k.number] for k in self.keyframes}
-        self._information = {
-            (number, one): known
-            for (number, one), known in self._information.items()
+        self._views = {
+            (number, one): view
+            for (number, one), view in self._views.items()
             if number in self._plane_points and one in self.world.landmarks
         }
 
@@ -238,7 +239,7 @@ class Mapper:
         new = renewed(landmark, other)
         doubt = new.seen_from(key.T_world_camera, key.covariance)
         self.world = self.world.with_landmarks(replace(new, doubt=doubt))
-        self._information = {key: known for key, known in self._information.items() if key[1] != one}
+        self._views = {key: view for key, view in self._views.items() if key[1] != one}
         return True
 
     def optimise(self, key: Keyframe) -> Float[np.ndarray, "4 4"]:
@@ -249,17 +250,19 @@ class Mapper:
             [self._plane_points[k.number] for k in window], self.config.joint,
             self._known_outside({k.number for k in window}),
         )  # fmt: skip
-        self._information |= result.information
+        self._views |= result.views
         self.world = self.world.with_landmarks(*result.landmarks.values())
         moved = {k.number: k for k in result.keyframes}
         self.keyframes = [moved.get(k.number, k) for k in self.keyframes]
         return moved[key.number].T_world_camera @ invert(key.T_world_camera)
 
-    def _known_outside(self, window: set[int]) -> dict[int, Float[np.ndarray, "25 25"]]:
-        """What keyframes outside a window have said of each landmark, as so many views as may count."""
-        by_landmark: dict[int, list[np.ndarray]] = {}
-        for (number, one), known in self._information.items():
-            if number not in window:
-                by_landmark.setdefault(one, []).append(known)
-        most = self.config.joint.memory
-        return {one: min(1.0, most / len(all_)) * np.sum(all_, axis=0) for one, all_ in by_landmark.items()}
+    def _known_outside(self, window: set[int]) -> dict[int, Memory]:
+        """What keyframes outside a window have said of each landmark."""
+        by_landmark: dict[int, list[View]] = {}
+        for (number, one), view in self._views.items():
+            if number not in window and one in self.world.landmarks:
+                by_landmark.setdefault(one, []).append(view)
+        return {
+            one: Memory.of(views, self.world.landmarks[one].state, self.config.joint.memory)
+            for one, views in by_landmark.items()
+        }

@@ -16,6 +16,7 @@ from perception.slam.joint import (
     solve_by_schur,
 )
 from perception.slam.keyframes import make_keyframe
+from perception.slam.memory import Memory, View
 from perception.slam.pixels import SelectionConfig, label_image, select_pixels
 
 
@@ -107,7 +108,7 @@ def test_what_is_known_from_elsewhere_holds_objects(cylinders, window):
     _, keyframes, planes, world = window
     args = (cylinders.decoder, cylinders.plane, planes, JointConfig(iterations=4, threads=1))
     free = optimise_jointly(keyframes, world.landmarks, *args)
-    known = {one: 1e9 * np.eye(25) for one in world.ids[:1]}
+    known = {one: Memory(1e9 * np.eye(25), np.zeros(25)) for one in world.ids[:1]}
     held = optimise_jointly(keyframes, world.landmarks, *args, known)
 
     def moved(result, one):
@@ -137,8 +138,35 @@ def test_each_view_says_something_and_nobody_less_than_nothing(cylinders, window
     args = (cylinders.decoder, cylinders.plane, planes)
     result = optimise_jointly(keyframes, world.landmarks, *args, config)
     sure = optimise_jointly(keyframes, world.landmarks, *args, replace(config, camera_sigma=np.full(6, 1e-6)))
-    assert set(result.information) == {(k.number, one) for k in keyframes for one in k.landmarks}
-    for key, known in result.information.items():
+    assert set(result.views) == {(k.number, one) for k in keyframes for one in k.landmarks}
+    for key, view in result.views.items():
+        known = view.information
         spectrum = np.linalg.eigvalsh(known)
         assert spectrum[0] > -1e-6 * spectrum[-1] and spectrum[-1] > 0
-        assert np.trace(known[19:22, 19:22]) < np.trace(sure.information[key][19:22, 19:22])
+        assert np.trace(known[19:22, 19:22]) < np.trace(sure.views[key].information[19:22, 19:22])
+        assert view.state is result.landmarks[key[1]].state
+
+
+def test_a_camera_that_was_known_says_more(cylinders, window):
+    _, keyframes, planes, world = window
+    keyframes = [replace(keyframes[0], covariance=1e-8 * np.eye(6)), *keyframes[1:]]
+    config = JointConfig(iterations=1, threads=1)
+    args = (world.landmarks, cylinders.decoder, cylinders.plane, planes)
+    views = optimise_jointly(keyframes, *args, config).views
+    sure = optimise_jointly(keyframes, *args, replace(config, camera_sigma=np.full(6, 1e-6))).views
+    for one in keyframes[0].landmarks:
+        held, most = (np.trace(v[0, one].information[19:22, 19:22]) for v in (views, sure))
+        assert 0.9 * most < held <= most * (1 + 1e-6)
+        later, most = (np.trace(v[1, one].information[19:22, 19:22]) for v in (views, sure))
+        assert later < 0.7 * most
+
+
+def test_a_landmark_that_crept_away_is_pulled_back(cylinders, window):
+    _, keyframes, planes, world = window
+    one = world.ids[0]
+    start = world.landmarks[one].state
+    before = start.moved(np.concatenate([np.zeros(19), (0.01, 0.0, 0.0), np.zeros(3)]))
+    known = {one: Memory.of([View(before, 1e9 * np.eye(25))], start, 4.0)}
+    args = (cylinders.decoder, cylinders.plane, planes, JointConfig(iterations=8, threads=1))
+    result = optimise_jointly(keyframes, world.landmarks, *args, known)
+    assert np.linalg.norm(result.landmarks[one].state.step_from(before)[19:22]) < 1e-3
