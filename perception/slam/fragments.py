@@ -2,7 +2,9 @@
 
 A segmentation by geometry sees the outside of a vessel's near wall and the inside of its far wall as two
 things: between them the near rim hides the rest. Seen from above they are two arcs of one circle, and their
-rims are equally high; two vessels one behind the other reach much farther along the line of sight.
+rims are equally high; two vessels one behind the other reach much farther along the line of sight, and two
+side by side share little of their width. Of a part that is small beside the other, as handles are, less is
+asked.
 """
 
 from __future__ import annotations
@@ -31,19 +33,24 @@ class FragmentConfig:
         top: difference of their highest points [m].
         stretch: of both together, along the line of sight over across it.
         largest: across both together [m].
+        small: up to this share of the other one's pixels a part may stand beside it.
+        common: of the narrower one's width across the line of sight, that larger parts have in common.
     """
 
     border: int = 8
     top: float = 0.02
     stretch: float = 1.25
     largest: float = 0.26
+    small: float = 0.5
+    common: float = 0.6
 
 
 @dataclass(frozen=True)
 class _Part:
-    """The raised points of a mask in the plane's axes (n, 2), and how high they reach [m]."""
+    """The raised points of a mask in the plane's axes (n, 2), of how many, and how high they reach [m]."""
 
     plan: np.ndarray
+    pixels: int
     top: float
 
 
@@ -103,7 +110,8 @@ def _part(frame: RgbdFrame, found: ObjectDetection, plane: SupportPlane) -> _Par
     if raised.sum() < 20:
         return None
     step = max(1, int(raised.sum()) // 400)
-    return _Part(points[raised][::step] @ plane_axes(plane).T, float(np.quantile(height[raised], 0.97)))
+    plan = points[raised][::step] @ plane_axes(plane).T
+    return _Part(plan, int(raised.sum()), float(np.quantile(height[raised], 0.97)))
 
 
 def _is_one(a: _Part | None, b: _Part | None, eye: np.ndarray, config: FragmentConfig) -> bool:
@@ -113,7 +121,12 @@ def _is_one(a: _Part | None, b: _Part | None, eye: np.ndarray, config: FragmentC
     both = np.concatenate([a.plan, b.plan])
     ahead = both.mean(axis=0) - eye
     ahead = ahead / max(float(np.linalg.norm(ahead)), 1e-9)
-    across = both @ np.array([-ahead[1], ahead[0]])
-    width = float(np.ptp(np.quantile(across, (0.02, 0.98))))
-    length = float(np.ptp(np.quantile(both @ ahead, (0.02, 0.98))))
-    return length < config.stretch * width and max(width, length) < config.largest
+    side = np.array([-ahead[1], ahead[0]])
+    width, length = (float(np.ptp(np.quantile(both @ axis, (0.02, 0.98)))) for axis in (side, ahead))
+    if not (length < config.stretch * width and max(width, length) < config.largest):
+        return False
+    if min(a.pixels, b.pixels) <= config.small * max(a.pixels, b.pixels):
+        return True
+    (low_a, high_a), (low_b, high_b) = (np.quantile(part.plan @ side, (0.02, 0.98)) for part in (a, b))
+    narrower = min(high_a - low_a, high_b - low_b)
+    return bool(min(high_a, high_b) - max(low_a, low_b) > config.common * narrower)

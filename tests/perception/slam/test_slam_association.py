@@ -7,7 +7,7 @@ import pytest
 
 from perception.geometry import transform_points
 from perception.slam.association import associate_masks, render_masks, seen_through
-from perception.slam.fragments import touching, unite_fragments
+from perception.slam.fragments import FragmentConfig, touching, unite_fragments
 from perception.slam.keyframes import (
     NEW_VIEW,
     make_keyframe,
@@ -122,6 +122,28 @@ def test_two_vessels_one_behind_the_other_stay_two(scenes):
     found = [ObjectDetection("mug", 0.9, scene.instances == k) for k in (0, 1)]
     assert touching(label_image(found, scene.instances.shape), 8) == [(0, 1)]
     assert len(unite_fragments(scene.frame, found, SupportPlane())) == 2
+
+
+def test_two_vessels_side_by_side_stay_two(scenes):
+    T = scenes.orbit((0, 0, 0.03), 0.5, 50, 0)
+    solids = [scenes.Solid(0.03, -0.032, 0.08, radius=0.04), scenes.Solid(-0.03, 0.032, 0.08, radius=0.04)]
+    scene = scenes.render(solids, T)
+    found = [ObjectDetection("mug", 0.9, scene.instances == k) for k in (0, 1)]
+    assert touching(label_image(found, scene.instances.shape), 8) == [(0, 1)]
+    assert len(unite_fragments(scene.frame, found, SupportPlane())) == 2
+    careless = FragmentConfig(common=-1.0)
+    assert len(unite_fragments(scene.frame, found, SupportPlane(), careless)) == 1
+
+
+def test_a_small_part_may_stand_beside_the_rest(scenes):
+    T = scenes.orbit((0, 0, 0.03), 0.5, 60, 0)
+    scene = scenes.render([scenes.Solid(0, 0, 0.08, radius=0.05)], T)
+    whole = scene.instances == 0
+    edge = np.quantile(np.nonzero(whole)[1], 0.8)
+    part = whole & (np.arange(whole.shape[1]) > edge)
+    found = [ObjectDetection("mug", 0.9, whole & ~part), ObjectDetection("mug", 0.6, part)]
+    (united,) = unite_fragments(scene.frame, found, SupportPlane())
+    assert (united.mask == whole).all()
 
 
 def test_angle_between_views(scenes):
