@@ -51,6 +51,8 @@ class CellOptions(CommonOptions):
         Path | None, arg(metavar="DIR", help_behavior_hint="default: generated objects")
     ] = None
     """Own objects: DIR/<class>/*.{ply,obj,glb,stl}, metric, z up."""
+    robot: Annotated[str, arg(metavar="NAME|FILE.toml")] = "panda"
+    """The arm: panda, sixaxis, or the robot file of your own."""
     box: Annotated[str, arg(metavar="L,W,H")] = "0.34,0.30,0.08"
     """Inner size of the box in metres."""
     depth_noise: DepthNoise = "gaussian"

@@ -87,10 +87,10 @@ class _Execution:
         on_event: OnEvent | None,
         config: ManipulationConfig,
     ) -> None:
-        self.task, self.robot, self.config = task, robot, config
+        self.task, self.robot, self.config = task, robot, config.suiting(robot.arm)
         self.look_again = look_again or (lambda object_id: None)
         self.on_event = on_event or (lambda event: None)
-        self.planner = PickPlacePlanner(robot.arm, task.objects, task.box, config.pick_place)
+        self.planner = PickPlacePlanner(robot.arm, task.objects, task.box, self.config.pick_place)
         self.outcomes: dict[str, ObjectOutcome] = {}
 
     def run(self) -> list[ObjectOutcome]:

@@ -1,32 +1,14 @@
-"""The gripper, and where grasps are tried."""
+"""Where grasps are tried."""
 
 from __future__ import annotations
 
-from dataclasses import dataclass, replace
+from dataclasses import dataclass, field, replace
 
 import numpy as np
 from jaxtyping import Float
 
+from manipulation.robot import GripperGeometry
 from manipulation.types import Grasp
-
-
-@dataclass(frozen=True)
-class GripperGeometry:
-    """The parallel gripper as grasp heuristics need it, in [m].
-
-    Attributes:
-        max_width: largest opening between the pads.
-        pad_half_height: half the height of a pad along the approach.
-        tip: how far the fingertips reach beyond the TCP.
-        finger_thickness: of a finger above its pad, along the closing direction.
-        palm: distance from the TCP back to the palm.
-    """
-
-    max_width: float = 0.08
-    pad_half_height: float = 0.0085
-    tip: float = 0.0095
-    finger_thickness: float = 0.0185
-    palm: float = 0.037
 
 
 @dataclass(frozen=True)
@@ -34,7 +16,7 @@ class GraspConfig:
     """Where grasps are tried.
 
     Attributes:
-        gripper: its geometry.
+        gripper: geometry of the hand.
         n_azimuths: directions about the object's axis.
         mug_depth, bowl_depth: of the TCP below the rim, along the wall, in [m].
         depth_shares: of these depths to try, for shallow cavities.
@@ -46,7 +28,6 @@ class GraspConfig:
         min_half_opening: least such distance in [m].
         release_gap: by which each finger lets go in [m].
         max_tilt, max_inward_tilt: of the hand, for walls that widen or narrow upwards, in [rad].
-        pad_thickness: of a finger at its tip, along the closing direction, in [m].
         top_clearance: room at each finger before closing around a body in [m]; a little below 0, because the
             body may have been estimated too wide.
         max_taper: largest angle of a body's sides against the vertical, mean over the pads' height, in [rad]:
@@ -54,7 +35,7 @@ class GraspConfig:
         fingertip_clearance: kept above the support in [m].
     """
 
-    gripper: GripperGeometry = GripperGeometry()
+    gripper: GripperGeometry = field(default_factory=GripperGeometry)
     n_azimuths: int = 24
     mug_depth: float = 0.013
     bowl_depth: float = 0.0155
@@ -68,7 +49,6 @@ class GraspConfig:
     release_gap: float = 0.0045
     max_tilt: float = np.deg2rad(32.0)
     max_inward_tilt: float = 0.15
-    pad_thickness: float = 0.010
     top_clearance: float = -0.0015
     max_taper: float = np.deg2rad(27.0)
     fingertip_clearance: float = 0.005

@@ -91,6 +91,8 @@ class Kinematics:
         self._limit = mink.ConfigurationLimit(
             self._model, min_distance_from_limits=self.config.limit_margin - 1e-6
         )
+        x, y = self.forward(np.asarray(arm.q_home, dtype=np.float64))[:2, 3]
+        self._home_bearing = round(float(np.arctan2(y, x)), 6)  # of the TCP, seen from the base, in [rad]
         self._posture = mink.PostureTask(self._model, cost=self.config.posture_cost)
         self._tasks = {
             frame: mink.FrameTask(
@@ -160,7 +162,7 @@ class Kinematics:
     ) -> list[Float[np.ndarray, "n"]]:
         """Start postures for a target far from the present one: home turned toward it, then spread copies."""
         home = np.array(self.arm.q_home, dtype=np.float64)
-        home[0] = np.arctan2(T_world_target[1, 3], T_world_target[0, 3])
+        home[0] += np.arctan2(T_world_target[1, 3], T_world_target[0, 3]) - self._home_bearing
         spread = np.random.default_rng(0).normal(scale=0.5, size=(count - 1, len(home)))
         # The wrist alone can turn by half a turn for the same approach: give both turns a start.
         wrist = home.copy()

@@ -20,6 +20,7 @@ from manipulation.grasp_config import GraspConfig
 from manipulation.grasps import find_grasps
 from manipulation.nesting import nest_heights, stack_bowls
 from manipulation.release_room import count_releases
+from manipulation.robot import GripperGeometry
 from manipulation.types import Box, Grasp, Placement, StandingObject
 
 
@@ -75,6 +76,7 @@ class _Problem:
     grasps: Mapping[str, Sequence[Grasp]]
     box: Box
     config: PackingConfig
+    grasp_config: GraspConfig
     shapes: _Shapes
     cell: float
 
@@ -120,7 +122,7 @@ def pack(
     Raises:
         PlanningError: nothing fits.
     """
-    config = config or PackingConfig()
+    config, grasp_config = config or PackingConfig(), grasp_config or GraspConfig()
     if not items:
         raise PlanningError("there is nothing to pack: no object was perceived")
     grasps = {item.name: find_grasps(item, grasp_config).grasps for item in items}
@@ -128,8 +130,9 @@ def pack(
     cell = BoxRaster(box, 0.0).cell
     narrowest = min(box.size[:2]) / 2 - 2 * cell
     problem = _Problem(
-        {item.name: item for item in items}, stacks, grasps, box, config, _Shapes(items, cell), cell
-    )
+        {item.name: item for item in items},
+        stacks, grasps, box, config, grasp_config, _Shapes(items, cell), cell,
+    )  # fmt: skip
     best: _Layout | None = None
     for gap, wall_gap in itertools.product(config.gaps, config.wall_gaps):
         if wall_gap > config.wall_gaps[0] and (best is None or best.left_out or wall_gap > narrowest):
@@ -157,12 +160,14 @@ def pack(
     return _placements(problem, best), {name: reason for name in best.left_out}
 
 
-def nest_drop(stack: Sequence[StandingObject], depth: float, config: PackingConfig) -> float:
+def nest_drop(
+    stack: Sequence[StandingObject], depth: float, config: PackingConfig, gripper: GripperGeometry
+) -> float:
     """How far above its rest the last bowl of a stack is let go: the outer finger clears all lower rims."""
     heights = nest_heights(stack)
     upper = stack[-1]
     rims = max(height + bowl.top for height, bowl in zip(heights[:-1], stack[:-1]))
-    fingertip = heights[-1] + upper.top - depth - GraspConfig().gripper.tip
+    fingertip = heights[-1] + upper.top - depth - gripper.tip
     return float(np.clip(rims - fingertip + 0.006, config.release_height, config.max_drop))
 
 
@@ -268,7 +273,9 @@ def _judge_releases(layout: _Layout, problem: _Problem) -> None:
     for name in problem.order:
         yaw = layout.yaws[name]
         if name not in nested:  # a nested bowl is let go above all rims
-            count = count_releases(raster, problem.grasps[name], layout.positions[name], yaw, base)
+            count = count_releases(
+                raster, problem.grasps[name], layout.positions[name], yaw, base, problem.grasp_config.gripper
+            )
             layout.n_blocked += count == 0
             layout.freedom += min(count, problem.config.wanted_releases)
         raster.add(problem.shapes.stencil(name, yaw, 0.0), layout.cells[name], problem.box.floor)
@@ -304,8 +311,9 @@ def _placements(problem: _Problem, layout: _Layout) -> tuple[Placement, ...]:
         )
         if placement.stack:
             stack = [by_name[n] for n in (*placement.stack, name)]
-            depth = grasps[name][0].depth if grasps[name] else GraspConfig().bowl_depth
-            placement = replace(placement, release_height=nest_drop(stack, depth, config))
+            depth = grasps[name][0].depth if grasps[name] else problem.grasp_config.bowl_depth
+            drop = nest_drop(stack, depth, config, problem.grasp_config.gripper)
+            placement = replace(placement, release_height=drop)
         placements.append(placement)
     return tuple(placements)
 

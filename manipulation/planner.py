@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import logging
 from collections.abc import Sequence
-from dataclasses import dataclass, field
+from dataclasses import dataclass, field, replace
 
 from manipulation.errors import PlanningError
 from manipulation.packing import PackingConfig, pack
@@ -35,6 +35,11 @@ class ManipulationConfig:
     support: SupportPlane | None = None
     max_retries: int = 2
 
+    def suiting(self, arm: ArmDescription) -> ManipulationConfig:
+        """The same settings for the gripper of an arm."""
+        grasp = replace(self.pick_place.grasp, gripper=arm.gripper)
+        return replace(self, pick_place=replace(self.pick_place, grasp=grasp))
+
 
 def plan_pack(
     objects: Sequence[ObjectEstimate],
@@ -47,7 +52,7 @@ def plan_pack(
     Raises:
         PlanningError: not one object can be packed; the message says why.
     """
-    config = config or ManipulationConfig()
+    config = (config or ManipulationConfig()).suiting(arm)
     items, usable, left_out = _usable(objects, arm, config)
     placements, no_room = pack(usable, box, config.packing, config.pick_place.grasp)
     return TaskPlan("pack", items, placements, left_out | no_room, box=box)
@@ -68,7 +73,7 @@ def plan_sort(
     Raises:
         PlanningError: not one object can be sorted; the message says why.
     """
-    config = config or ManipulationConfig()
+    config = (config or ManipulationConfig()).suiting(arm)
     items, usable, left_out = _usable(objects, arm, config)
     placements, no_room = sort_line(usable, line, config.sorting)
     return TaskPlan("sort", items, placements, left_out | no_room, box=box, line=line)

@@ -8,12 +8,11 @@ import numpy as np
 from jaxtyping import Bool, Float
 
 from manipulation.footprints import BoxRaster
-from manipulation.grasp_config import GripperGeometry
+from manipulation.robot import GripperGeometry
 from manipulation.types import Grasp
 
-# Sample points of the hand in [m], along the closing axis and across it: finger behind its pad, palm.
-_FINGER_ALONG, _FINGER_ACROSS = np.linspace(0.0, 0.0205, 4), np.array([-0.01, 0.0, 0.01])
-_PALM_ALONG, _PALM_ACROSS = np.linspace(-0.105, 0.105, 15), np.array([-0.035, -0.015, 0.015, 0.035])
+_FINGER_ACROSS = np.array([-0.01, 0.0, 0.01])  # [m] from the middle of a finger, across the closing axis
+_PALM_SAMPLES, _PALM_INNER = 15, 0.015  # along the closing axis; [m] from the middle across it
 _FINGER_CLEARANCE, _PALM_CLEARANCE = 0.003, 0.006
 
 
@@ -33,6 +32,7 @@ def count_releases(
         position: of its stand frame, relative to the raster's centre, in [m].
         yaw: of its stand frame in [rad].
         base: height of its base while it is let go, in [m].
+        gripper: geometry of the hand.
     """
     if not grasps:
         return 0
@@ -40,11 +40,15 @@ def count_releases(
     c, s = np.cos(yaw), np.sin(yaw)
     T_box_stand = np.array([[c, -s, 0, position[0]], [s, c, 0, position[1]], [0, 0, 1, base], [0, 0, 0, 1]])
     Ts = T_box_stand @ np.stack([grasp.T_stand_tcp for grasp in grasps])
-    palm = _points(Ts, np.broadcast_to(_PALM_ALONG, (len(Ts), 15)), _PALM_ACROSS, -gripper.palm)
+    # Sample points of the hand along the closing axis and across it: palm, and fingers behind their pads.
+    palm_along = np.linspace(-gripper.palm_half_length, gripper.palm_half_length, _PALM_SAMPLES)
+    palm_across = np.array([-gripper.palm_half_width, -_PALM_INNER, _PALM_INNER, gripper.palm_half_width])
+    palm = _points(Ts, np.broadcast_to(palm_along, (len(Ts), _PALM_SAMPLES)), palm_across, -gripper.palm)
     free = _is_above(raster, palm, _PALM_CLEARANCE)
+    finger_along = np.linspace(0.0, gripper.finger_reach, 4)
     half_opening = np.array([grasp.release_opening / 2 for grasp in grasps])
     for side in (-1, 1):
-        along = side * (half_opening[:, None] + _FINGER_ALONG)
+        along = side * (half_opening[:, None] + finger_along)
         free &= _is_above(raster, _points(Ts, along, _FINGER_ACROSS, gripper.tip), _FINGER_CLEARANCE)
     return int(free.sum())
 

@@ -194,7 +194,7 @@ def _depth_and_tilt(
     tilt = float(np.clip(slope, -config.max_inward_tilt, config.max_tilt))
     if abs(tilt) < np.deg2rad(2):
         tilt = 0.0
-    reach = config.half_opening + config.pad_thickness  # of the finger that a tilt lowers
+    reach = config.half_opening + config.gripper.pad_thickness  # of the finger that a tilt lowers
     for share in (1.0, 0.5, 0.0):
         sine, cosine = abs(np.sin(share * tilt)), np.cos(share * tilt)
         room = rim - config.gripper.tip * cosine - reach * sine - config.fingertip_clearance

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from dataclasses import dataclass
+from dataclasses import dataclass, field
 from typing import Protocol, runtime_checkable
 
 import numpy as np
@@ -12,8 +12,37 @@ from perception.types import RgbdFrame
 
 
 @dataclass(frozen=True)
+class GripperGeometry:
+    """The parallel gripper as grasp heuristics need it, in [m].
+
+    Attributes:
+        max_width: largest opening between the pads.
+        pad_half_height: half the height of a pad along the approach.
+        pad_thickness: of a finger at its tip, along the closing direction.
+        tip: how far the fingertips reach beyond the TCP.
+        finger_thickness: of a finger above its pad, along the closing direction.
+        finger_reach: from a pad's face to the back of its finger, along the closing direction.
+        palm: distance from the TCP back to the palm.
+        palm_half_length, palm_half_width: of the palm, along the closing direction and across it.
+    """
+
+    max_width: float = 0.08
+    pad_half_height: float = 0.0085
+    pad_thickness: float = 0.010
+    tip: float = 0.0095
+    finger_thickness: float = 0.0185
+    finger_reach: float = 0.0205
+    palm: float = 0.037
+    palm_half_length: float = 0.105
+    palm_half_width: float = 0.035
+
+
+@dataclass(frozen=True)
 class ArmDescription:
     """Kinematics and limits of an arm with a parallel gripper.
+
+    The arm stands at the world's origin. Its first joint turns it about z, counterclockwise: from home it is
+    turned toward what it is to reach.
 
     Attributes:
         mjcf: the arm alone as MJCF text (no scene), collision geoms in group 3, for kinematics and collision.
@@ -23,7 +52,7 @@ class ArmDescription:
         camera_site: the wrist camera's optical frame (OpenCV axes).
         q_home: (n,) a comfortable posture in [rad].
         velocity_limit, acceleration_limit, jerk_limit: (n,) in [rad/s], [rad/s^2], [rad/s^3].
-        max_width: largest opening between the pads in [m].
+        gripper: its geometry.
     """
 
     mjcf: str
@@ -35,7 +64,12 @@ class ArmDescription:
     velocity_limit: Float[np.ndarray, "n"]
     acceleration_limit: Float[np.ndarray, "n"]
     jerk_limit: Float[np.ndarray, "n"]
-    max_width: float = 0.08
+    gripper: GripperGeometry = field(default_factory=GripperGeometry)
+
+    @property
+    def max_width(self) -> float:
+        """Largest opening between the pads in [m]."""
+        return self.gripper.max_width
 
 
 @dataclass(frozen=True)

@@ -68,7 +68,7 @@ def _top_grasp(
         release_opening=min(2 * (reach + config.release_gap), gripper.max_width),
         depth=depth,
         azimuth=azimuth,
-        score=1.0 - 1.5 * taper - 2.0 * max(width - 0.066, 0.0) / 0.01,
+        score=1.0 - 1.5 * taper - 2.0 * max(width - (gripper.max_width - 0.014), 0.0) / 0.01,
     )
 
 

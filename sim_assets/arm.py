@@ -15,14 +15,14 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from manipulation.robot import ArmDescription
+from manipulation.robot import ArmDescription, GripperGeometry
 from sim_assets.headless import MjsBody, MjSpec, mujoco
+from sim_assets.simulated_arm import ARM_CONTACT, PAD_CONTACT, WRIST_CAMERA
 
 ARM_JOINTS = tuple(f"joint{i}" for i in range(1, 8))
 FINGER_JOINTS = ("finger_joint1", "finger_joint2")
 TCP_SITE = "tcp"
 CAMERA_SITE = "camera_optical"
-WRIST_CAMERA = "wrist"
 WRIST_FOVY = 45.0  # [deg], as MuJoCo wants it
 GRIPPER_ACTUATOR = "gripper"
 COLLISION_GROUP = 3
@@ -38,6 +38,7 @@ CAMERA_IN_HAND = (0.065, 0.0, 0.052)
 POSITION_GAINS = np.array([4500.0, 4500, 3500, 3500, 2000, 2000, 2000])
 VELOCITY_GAINS = POSITION_GAINS / 10
 GRIPPER_GAIN = 2000.0  # [N/m] on the mean finger opening
+FULL_CLOSE = -0.1  # [m], a command the fingers never reach: they press with all their force
 
 # Published limits, and the share of them that looks like a robot at work: TCP 1.1 m/s, 59 % of J6's torque.
 _VELOCITY = np.array([2.175, 2.175, 2.175, 2.175, 2.61, 2.61, 2.61])
@@ -160,7 +161,7 @@ def arm_description() -> ArmDescription:
         velocity_limit=_VELOCITY_SHARE * _VELOCITY,
         acceleration_limit=_ACCELERATION_SHARE * _ACCELERATION,
         jerk_limit=_JERK_SHARE * _JERK,
-        max_width=MAX_WIDTH,
+        gripper=GripperGeometry(max_width=MAX_WIDTH),
     )
 
 
@@ -175,10 +176,7 @@ def _add_capsules(body: MjsBody, capsules: tuple[Capsule, ...]) -> None:
         )
 
 
-# Arm geoms meet everything but each other: objects have both bits of conaffinity set, the arm only the first.
-_COLLISION = {
-    "group": COLLISION_GROUP, "contype": 2, "conaffinity": 1, "mass": 0, "rgba": (0.9, 0.5, 0.2, 0.4),
-}  # fmt: skip
+_COLLISION = {"group": COLLISION_GROUP, "mass": 0, "rgba": (0.9, 0.5, 0.2, 0.4), **ARM_CONTACT}
 
 
 def _add_link(spec: MjSpec, parent: MjsBody, number: int, link: Link) -> MjsBody:
@@ -241,12 +239,7 @@ def _add_finger(hand: MjsBody, side: str, joint: str, turn: tuple[float, ...]) -
     center, half = FINGER_STEM_BOX
     finger.add_geom(name=f"{side}_finger_collision0", type=box, pos=center, size=half, **_COLLISION)
     center, half = FINGER_PAD_BOX
-    # Stiff pads: with MuJoCo's soft default a gripped can slips 8 mm and a mug turns by 14 degrees.
-    finger.add_geom(
-        name=f"{side}_pad", type=box, pos=center, size=half, **_COLLISION,
-        friction=(1.0, 0.01, 0.0005), condim=4, priority=1,
-        solref=(0.004, 1), solimp=(0.95, 0.99, 0.001, 0.5, 2),
-    )  # fmt: skip
+    finger.add_geom(name=f"{side}_pad", type=box, pos=center, size=half, **_COLLISION, **PAD_CONTACT)
 
 
 def _couple_fingers(spec: MjSpec) -> None:
@@ -263,6 +256,6 @@ def _couple_fingers(spec: MjSpec) -> None:
     force = 2 * FINGER_FORCE  # each finger gets half of the tendon's force
     actuator = spec.add_actuator(
         name=GRIPPER_ACTUATOR, target="fingers", trntype=mujoco.mjtTrn.mjTRN_TENDON,
-        ctrlrange=(-0.1, MAX_WIDTH / 2), forcerange=(-force, force),
+        ctrlrange=(FULL_CLOSE, MAX_WIDTH / 2), forcerange=(-force, force),
     )  # fmt: skip
     actuator.set_to_position(kp=GRIPPER_GAIN, kv=40.0)

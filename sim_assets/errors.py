@@ -7,3 +7,7 @@ class SimAssetsError(Exception):
 
 class ObjectFileError(SimAssetsError, ValueError):
     """A user's mesh file or folder is unusable; the message names the file, the reason and the remedy."""
+
+
+class RobotFileError(SimAssetsError, ValueError):
+    """A robot file or its MJCF is unusable; the message names the file, the reason and the remedy."""

@@ -8,9 +8,9 @@ from __future__ import annotations
 import numpy as np
 from jaxtyping import Float, Int
 
-from sim_assets.arm import WRIST_CAMERA
 from sim_assets.headless import mujoco
 from sim_assets.objects import ObjectModel
+from sim_assets.simulated_arm import WRIST_CAMERA
 from sim_assets.world import IMAGE_SIZE, World
 
 
@@ -57,4 +57,6 @@ def touching(world: World, index: int) -> set[str]:
 
 def held(world: World, index: int) -> bool:
     """Whether an object touches both fingers."""
-    return {"left_finger", "right_finger"} <= touching(world, index)
+    model = world._model
+    joints = (model.joint(name).id for name in world.arm.finger_joint_names)
+    return {model.body(model.jnt_bodyid[joint]).name for joint in joints} <= touching(world, index)

@@ -11,12 +11,12 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from sim_assets.arm import add_arm
-from sim_assets.arm_visuals import dress_arm
 from sim_assets.headless import MjsBody, MjSpec, mujoco
 from sim_assets.layout import PlanarPose
 from sim_assets.materials import Finish, add_material, add_mesh, cardboard, random_finish, wood
 from sim_assets.objects import CollisionPiece, ObjectModel
+from sim_assets.robots import panda
+from sim_assets.simulated_arm import SimulatedArm
 
 TIMESTEP = 0.002  # [s]
 TABLE_SIZE = (1.3, 1.2, 0.04)  # [m]
@@ -77,6 +77,7 @@ def build_scene(
     box: BoxConfig | None,
     rng: np.random.Generator,
     line: tuple[tuple[float, float], tuple[float, float]] | None = None,
+    robot: SimulatedArm | None = None,
 ) -> MjSpec:
     """Everything in the cell, ready to compile.
 
@@ -85,6 +86,7 @@ def build_scene(
         box: the open box, if there is one.
         rng: draws colours, patterns and grain.
         line: ends of a tape on the table that marks where to sort, for people to see.
+        robot: the arm; the Panda by default.
     """
     spec = mujoco.MjSpec()
     spec.modelname = "cell"
@@ -96,8 +98,7 @@ def build_scene(
         _add_box(spec, box, rng)
     if line is not None:
         _add_tape(spec, np.array(line[0]), np.array(line[1]))
-    add_arm(spec)
-    dress_arm(spec)
+    (robot or panda()).add(spec)
     for index, (model, place) in enumerate(zip(objects, places, strict=True)):
         add_object(spec, f"object{index}", model, place, random_finish(rng, model.category))
     for name, view in VIEWS.items():

@@ -15,14 +15,13 @@ from PIL import Image
 from trimesh.visual import TextureVisuals
 from trimesh.visual.material import PBRMaterial
 
-from sim_assets.arm import CAMERA_SITE, TCP_SITE
 from sim_assets.headless import MjModel, mujoco
 from sim_assets.world import World
 
 COLLISION_GROUP = 3  # geoms from here on are for touching, not for looking at
 TEXTURE_SIDE = 512  # [px] largest side of a texture in a viewer
 LARGEST_MESH = 4000  # [triangles] a browser without a GPU draws ten such objects and stays responsive
-SITES = {"tcp": TCP_SITE, "camera": CAMERA_SITE}
+SITES = ("tcp", "camera")
 SCENERY = "world"
 
 
@@ -53,7 +52,8 @@ def poses(world: World) -> Float[np.ndarray, "n 7"]:
     bodies = _arm_bodies(world._model)
     result = np.empty((len(bodies) + len(SITES), 7))
     result[: len(bodies)] = np.hstack([data.xpos[bodies], data.xquat[bodies]])
-    for row, site in enumerate(SITES.values(), start=len(bodies)):
+    sites = (world.arm.tcp_site, world.arm.camera_site)
+    for row, site in enumerate(sites, start=len(bodies)):
         result[row, :3] = data.site(site).xpos
         mujoco.mju_mat2Quat(result[row, 3:], data.site(site).xmat)
     return result

@@ -15,34 +15,21 @@ from jaxtyping import Float, UInt8
 from manipulation.errors import RobotError
 from manipulation.robot import ArmDescription, JointTrajectory
 from perception.types import RgbdFrame
-from sim_assets.arm import (
-    ARM_JOINTS,
-    CAMERA_SITE,
-    FINGER_JOINTS,
-    GRIPPER_ACTUATOR,
-    MAX_WIDTH,
-    POSITION_GAINS,
-    Q_READY,
-    VELOCITY_GAINS,
-    WRIST_CAMERA,
-    WRIST_FOVY,
-    arm_description,
-)
 from sim_assets.camera import OffscreenRenderer, intrinsics_of
 from sim_assets.depth_noise import DepthNoise, add_depth_noise
 from sim_assets.errors import SimAssetsError
 from sim_assets.headless import MjModel, mujoco
 from sim_assets.layout import Region, sample_layout
 from sim_assets.objects import ObjectModel
+from sim_assets.robots import panda
 from sim_assets.scene import TIMESTEP, VIEWS, BoxConfig, build_scene
+from sim_assets.simulated_arm import WRIST_CAMERA, SimulatedArm
 
 IMAGE_SIZE = (640, 480)
 START_TOLERANCE = 0.03  # [rad] between where a trajectory starts and where the arm is
 STOP_ERROR = 0.2  # [rad] of tracking error at which the arm stops to protect itself
 REACHED_ERROR = 0.03  # [rad] left at the end of a motion that counts as blocked
 FINGER_SPEED = 0.08  # [m/s] of one finger
-FULL_CLOSE = -0.1  # [m], a command the fingers never reach: they press with all their force
-JOINT_DAMPING = 1.0  # [Nm s/rad]
 WARNINGS_CHECKED_EVERY = 50  # steps
 
 Observer = Callable[["World"], None]
@@ -63,6 +50,7 @@ class CellConfig:
         depth_noise: of the wrist camera.
         seed: draws layout, colours and depth noise.
         region, min_gap: where objects stand and how far apart their outlines are, in [m].
+        robot: the arm that works in it.
     """
 
     objects: tuple[ObjectModel, ...]
@@ -72,6 +60,7 @@ class CellConfig:
     seed: int = 0
     region: Region = field(default_factory=Region)
     min_gap: float = 0.04
+    robot: SimulatedArm = field(default_factory=panda)
 
 
 class World:
@@ -93,7 +82,9 @@ class World:
             config.min_gap,
         )
         look = np.random.default_rng(look_seed)
-        self._model: MjModel = build_scene(config.objects, places, config.box, look, config.line).compile()
+        self._robot = config.robot
+        scene = build_scene(config.objects, places, config.box, look, config.line, config.robot)
+        self._model: MjModel = scene.compile()
         self._data = mujoco.MjData(self._model)
         self._renderer = OffscreenRenderer(self._model)
         self._drafts = OffscreenRenderer(self._model, draft=True)
@@ -105,20 +96,25 @@ class World:
         self._settle_layout()
 
     def _index(self) -> None:
-        model = self._model
-        self._q = np.array([model.joint(name).qposadr[0] for name in ARM_JOINTS])
-        self._v = np.array([model.joint(name).dofadr[0] for name in ARM_JOINTS])
-        self._u = np.array([model.actuator(name).id for name in ARM_JOINTS])
-        self._fingers = np.array([model.joint(name).qposadr[0] for name in FINGER_JOINTS])
-        self._finger_dofs = np.array([model.joint(name).dofadr[0] for name in FINGER_JOINTS])
-        self._gripper = model.actuator(GRIPPER_ACTUATOR).id
+        model, robot = self._model, self._robot
+        joints = [model.joint(name) for name in self.arm.joint_names]
+        fingers = [model.joint(name) for name in self.arm.finger_joint_names]
+        self._q = np.array([joint.qposadr[0] for joint in joints])
+        self._v = np.array([joint.dofadr[0] for joint in joints])
+        self._u = np.array([model.actuator(name).id for name in robot.actuators])
+        self._fingers = np.array([joint.qposadr[0] for joint in fingers])
+        self._finger_dofs = np.array([joint.dofadr[0] for joint in fingers])
+        self._gripper = model.actuator(robot.gripper_actuator).id
+        self._stiffness = model.actuator_gainprm[self._u, 0]  # [Nm/rad]
+        self._damping = model.dof_damping[self._v] - model.actuator_biasprm[self._u, 2]  # [Nm s/rad]
 
     def _settle_layout(self) -> None:
         data = self._data
-        data.qpos[self._q] = Q_READY
-        data.qpos[self._fingers] = MAX_WIDTH / 2
-        data.ctrl[self._u] = Q_READY
-        data.ctrl[self._gripper] = MAX_WIDTH / 2
+        half_open = self.arm.max_width / 2
+        data.qpos[self._q] = self.arm.q_home
+        data.qpos[self._fingers] = half_open
+        data.ctrl[self._u] = self.arm.q_home
+        data.ctrl[self._gripper] = self._robot.gripper_command(half_open)
         mujoco.mj_forward(self._model, data)
         self.wait(0.5)
 
@@ -126,31 +122,31 @@ class World:
 
     @property
     def arm(self) -> ArmDescription:
-        return arm_description()
+        return self._robot.description
 
     @property
     def time(self) -> float:
         """Simulated time in [s]."""
         return float(self._data.time)
 
-    def joint_positions(self) -> Float[np.ndarray, "7"]:
+    def joint_positions(self) -> Float[np.ndarray, "n"]:
         """Measured arm joint positions in [rad]."""
         return self._data.qpos[self._q].copy()
 
     def gripper_width(self) -> float:
         """Measured opening between the pads in [m]."""
-        return float(np.clip(self._data.qpos[self._fingers].sum(), 0, MAX_WIDTH))
+        return float(np.clip(self._data.qpos[self._fingers].sum(), 0, self.arm.max_width))
 
     def capture(self) -> RgbdFrame:
         """One registered RGB-D image of the wrist camera; its pose follows from the measured joints."""
         width, height = IMAGE_SIZE
         mujoco.mj_kinematics(self._model, self._data)
         mujoco.mj_camlight(self._model, self._data)
-        optical = self._data.site(CAMERA_SITE)
+        optical = self._data.site(self.arm.camera_site)
         T_world_camera = np.eye(4)
         T_world_camera[:3, :3] = optical.xmat.reshape(3, 3)
         T_world_camera[:3, 3] = optical.xpos
-        intrinsics = intrinsics_of(width, height, WRIST_FOVY)
+        intrinsics = intrinsics_of(width, height, self._robot.fovy)
         depth, _ = self._renderer.depth_and_ids(self._data, WRIST_CAMERA, width, height)
         return RgbdFrame(
             time=self.time,
@@ -183,16 +179,17 @@ class World:
 
     def move_gripper(self, width: float) -> float:
         """Open or close toward ``width`` in [m] (0 closes with full force) and return the width reached."""
-        if not (np.isfinite(width) and 0 <= width <= MAX_WIDTH + 1e-6):
-            raise RobotError(f"gripper width {width} m is outside 0..{MAX_WIDTH} m")
+        robot, widest = self._robot, self.arm.max_width
+        if not (np.isfinite(width) and 0 <= width <= widest + 1e-6):
+            raise RobotError(f"gripper width {width} m is outside 0..{widest} m")
         opening, target = self.gripper_width() / 2, width / 2
         steps = int(np.ceil(abs(target - opening) / (FINGER_SPEED * TIMESTEP)))
-        for command in np.linspace(opening, target, steps + 1)[1:]:
-            self._data.ctrl[self._gripper] = command
+        for wanted in np.linspace(opening, target, steps + 1)[1:]:
+            self._data.ctrl[self._gripper] = robot.gripper_command(wanted)
             self._step()
-            if target < opening and self._fingers_stalled(command):
+            if target < opening and self._fingers_stalled(wanted):
                 break
-        self._data.ctrl[self._gripper] = FULL_CLOSE if width == 0 else target
+        self._data.ctrl[self._gripper] = robot.press if width == 0 else robot.gripper_command(target)
         self._wait_for_fingers()
         return self.gripper_width()
 
@@ -263,10 +260,9 @@ class World:
     def _check_trajectory(self, trajectory: JointTrajectory) -> None:
         shapes = {trajectory.positions.shape, trajectory.velocities.shape, trajectory.accelerations.shape}
         count = len(trajectory.positions)
-        if shapes != {(count, len(ARM_JOINTS))} or count == 0:
-            raise RobotError(
-                f"a trajectory needs three arrays of {len(ARM_JOINTS)} columns, got {sorted(shapes)}"
-            )
+        columns = len(self.arm.joint_names)
+        if shapes != {(count, columns)} or count == 0:
+            raise RobotError(f"a trajectory needs three arrays of {columns} columns, got {sorted(shapes)}")
         if not trajectory.period > 0:
             raise RobotError(f"trajectory period {trajectory.period} s must be positive")
         values = (trajectory.positions, trajectory.velocities, trajectory.accelerations)
@@ -274,8 +270,9 @@ class World:
             raise RobotError("the trajectory has NaN or infinite samples; nothing was moved")
         away = np.abs(trajectory.positions[0] - self.joint_positions())
         if away.max() > START_TOLERANCE:
+            joint = self.arm.joint_names[away.argmax()]
             raise RobotError(
-                f"the trajectory starts {away.max():.3f} rad from where {ARM_JOINTS[away.argmax()]} is; "
+                f"the trajectory starts {away.max():.3f} rad from where {joint} is; "
                 f"plan from joint_positions()"
             )
 
@@ -285,8 +282,8 @@ class World:
         motion[self._v] = qdd
         torque = np.zeros(self._model.nv)
         mujoco.mj_mulM(self._model, self._data, torque, motion)
-        forward = torque[self._v] + (JOINT_DAMPING + VELOCITY_GAINS) * qd
-        self._data.ctrl[self._u] = q + forward / POSITION_GAINS
+        forward = torque[self._v] + self._damping * qd
+        self._data.ctrl[self._u] = q + forward / self._stiffness
 
     def _hold(self, q: np.ndarray) -> None:
         """Hold a posture until the arm is still."""
@@ -302,7 +299,7 @@ class World:
         error = np.abs(q - self.joint_positions())
         if error.max() <= limit:
             return
-        joint = ARM_JOINTS[error.argmax()]
+        joint = self.arm.joint_names[error.argmax()]
         self._data.ctrl[self._u] = self.joint_positions()
         self.wait(0.1)
         raise RobotError(f"the arm is blocked: {joint} is {error.max():.3f} rad from its command; it stopped")
@@ -310,9 +307,9 @@ class World:
     def _finger_speed(self) -> float:
         return float(np.abs(self._data.qvel[self._finger_dofs]).max())
 
-    def _fingers_stalled(self, command: float) -> bool:
-        """Whether the fingers met something: still, well behind their command."""
-        return bool(self.gripper_width() / 2 - command > 0.004 and self._finger_speed() < 0.005)
+    def _fingers_stalled(self, wanted: float) -> bool:
+        """Whether the fingers met something: still, well behind the opening [m] asked of each."""
+        return bool(self.gripper_width() / 2 - wanted > 0.004 and self._finger_speed() < 0.005)
 
     def _wait_for_fingers(self) -> None:
         """Until they have been still for 0.15 s, 1 s at most."""

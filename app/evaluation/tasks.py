@@ -76,7 +76,7 @@ def _perception(device: Any) -> Any:
 
 def _settings(options: EvaluateOptions) -> dict[str, Any]:
     """What has to be the same in a resumed evaluation."""
-    names = ("task", "objects", "object_meshes", "box", "depth_noise", "shapes", "device")
+    names = ("task", "objects", "object_meshes", "robot", "box", "depth_noise", "shapes", "device")
     return {name: str(getattr(options, name)) for name in names}
 
 

@@ -59,7 +59,9 @@ class Ledger:
             raise UsageError("--resume needs --out with the folder to go on in")
         kept = read_json(options.out / SETTINGS, "give the --out of the evaluation to be resumed")
         old = kept if isinstance(kept, dict) else {}
-        different = sorted(name for name in settings if old.get(name) != settings[name])
+        # Options that came later had their default.
+        before = {name: str(getattr(EvaluateOptions, name, None)) for name in settings} | old
+        different = sorted(name for name in settings if before[name] != settings[name])
         if different:
             raise UsageError(f"--resume: {options.out} was made with another {', '.join(different)}")
         ledger = Ledger(RunFolder(options.out), options.out / file, key)

@@ -15,6 +15,7 @@ from perception.types import CATEGORIES, Category
 
 if TYPE_CHECKING:
     from sim_assets.objects import ObjectModel
+    from sim_assets.simulated_arm import SimulatedArm
     from sim_assets.world import World
 
 MAX_OBJECTS = 20
@@ -87,6 +88,23 @@ def check_options(options: CellOptions) -> None:
         raise UsageError(
             f"--object-meshes {options.object_meshes} is no folder; give DIR of DIR/<class>/*.ply"
         )
+    if options.robot != "panda":
+        robot_of(options)
+
+
+def robot_of(options: CellOptions) -> SimulatedArm:
+    """The arm that was asked for.
+
+    Raises:
+        UsageError: there is none such, or its file is unusable; the message says why.
+    """
+    from sim_assets.errors import RobotFileError
+    from sim_assets.robots import load_robot
+
+    try:
+        return load_robot(options.robot)
+    except RobotFileError as error:
+        raise UsageError(str(error)) from None
 
 
 def build_world(options: CellOptions, task: str | None) -> World:
@@ -110,6 +128,7 @@ def build_world(options: CellOptions, task: str | None) -> World:
         line=_tape() if task == "sort" else None,
         depth_noise=options.depth_noise,
         seed=int(layout_seed.generate_state(1)[0]),
+        robot=robot_of(options),
     )
     try:
         return World(config)

@@ -51,6 +51,7 @@ BAD_INPUT = {
     "box: NaN": (["pack", "--box", "nan,0.3,0.08"], "--box L = nan m must be in"),
     "scan: nowhere": (["reconstruct", "/nowhere"], "/nowhere is not a folder"),
     "no meshes": (["pack", "--object-meshes", "/nowhere"], "--object-meshes /nowhere is no folder"),
+    "no robot": (["scan", "--robot", "/nowhere.toml"], "--robot /nowhere.toml is no robot file"),
     "epochs": (["train", "yaw", "--epochs", "0"], "--epochs 0 must be at least 1"),
     "workers": (["evaluate", "tasks", "--workers", "0"], "--workers 0 must be at least 1"),
     "resume nowhere": (["evaluate", "tasks", "--resume"], "--resume needs --out"),

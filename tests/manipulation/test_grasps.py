@@ -1,3 +1,5 @@
+from dataclasses import replace
+
 import numpy as np
 import pytest
 import trimesh
@@ -5,8 +7,11 @@ import trimesh
 from manipulation.errors import PlanningError
 from manipulation.grasp_config import GraspConfig
 from manipulation.grasps import find_grasps
+from manipulation.planner import plan_pack
+from manipulation.robot import GripperGeometry
 from manipulation.sections import fit_circle, radial_hits, section, span
 from manipulation.standing import split_handle, stand
+from manipulation.types import Box
 from perception.types import ObjectEstimate, SupportPlane, TriangleMesh
 
 CONFIG = GraspConfig()
@@ -206,3 +211,12 @@ def test_object_without_grasp_says_why(shapes):
     assert found.why_none("can_1") == (
         "No grasp for can_1: of 60 tried, 60 too wide for 0.08 m; leave it out or use a wider gripper"
     )
+
+
+def test_grasps_are_planned_for_the_arms_own_gripper(arm, shapes):
+    """A can too wide for the usual hand is taken by an arm whose hand opens wider."""
+    wide = [shapes.estimate(1, "can", shapes.can(radius=0.044))]
+    with pytest.raises(PlanningError, match=r"too wide for 0\.08 m"):
+        plan_pack(wide, Box(), arm)
+    plan = plan_pack(wide, Box(), replace(arm, gripper=GripperGeometry(max_width=0.1)))
+    assert [placement.name for placement in plan.placements] == ["can_1"] and not plan.left_out

@@ -1,3 +1,5 @@
+from dataclasses import replace
+
 import numpy as np
 import pytest
 from scipy.spatial.transform import Rotation
@@ -63,6 +65,14 @@ def test_unreachable_target_is_a_status_with_the_distance_left(kinematics):
     assert result.status == "not_converged" and not result.converged
     assert 0.4 < result.position_error < 1.5
     assert np.isfinite(result.q).all()
+
+
+def test_seeds_turn_the_hand_toward_the_target_wherever_home_points(arm):
+    turned = replace(arm, q_home=arm.q_home + np.array([0.8, 0, 0, 0, 0, 0, 0]))
+    T = top_down(0.3, 0.4, 0.1)
+    for kinematics in (Kinematics(arm), Kinematics(turned)):
+        x, y = kinematics.forward(kinematics.seeds_toward(T)[0])[:2, 3]
+        assert np.arctan2(y, x) == pytest.approx(np.arctan2(0.4, 0.3), abs=1e-5)
 
 
 def test_seed_outside_the_limits_is_clipped(kinematics):

@@ -13,6 +13,7 @@ from manipulation.grasps import find_grasps
 from manipulation.nesting import nest_heights, nests, radial_profile, stack_bowls
 from manipulation.packing import PackingConfig, pack
 from manipulation.release_room import count_releases
+from manipulation.robot import GripperGeometry
 from manipulation.sorting import SortingConfig, sort_line
 from manipulation.standing import stand
 from manipulation.types import Box, Line
@@ -181,6 +182,8 @@ def test_a_tall_neighbour_takes_the_hands_room(shapes):
     raster.add(stencil, (len(raster.x) // 2, len(raster.y) // 2 + 18))
     assert 0 < count_releases(raster, grasps, np.zeros(2), 0.0, 0.004) < free
     assert count_releases(raster, [], np.zeros(2), 0.0, 0.0) == 0
+    broad = GripperGeometry(palm_half_width=0.08)
+    assert count_releases(raster, grasps, np.zeros(2), 0.0, 0.004, broad) == 0
 
 
 def test_what_is_lower_than_the_walls_stands_away_from_them(shapes):

@@ -8,6 +8,7 @@ import pytest
 
 from app.errors import MissingExtraError, UsageError
 from app.evaluation import tasks as evaluate_tasks
+from app.evaluation.work import SETTINGS
 from app.options import EvaluateOptions
 from app.screen import Screen
 
@@ -69,6 +70,16 @@ def test_a_fresh_start_forgets_the_old_episodes(tmp_path, episodes):
     evaluate_tasks.run(options(tmp_path, episodes=2), Screen(quiet=True))
     evaluate_tasks.run(options(tmp_path, episodes=2), Screen(quiet=True))
     assert episodes.ran == [10, 11, 10, 11]
+
+
+def test_options_that_came_later_had_their_default(tmp_path, episodes):
+    evaluate_tasks.run(options(tmp_path), Screen(quiet=True))
+    settings = json.loads((tmp_path / SETTINGS).read_text())
+    assert settings.pop("robot") == "panda"
+    (tmp_path / SETTINGS).write_text(json.dumps(settings))
+    evaluate_tasks.run(options(tmp_path, resume=True), Screen(quiet=True))
+    with pytest.raises(UsageError, match="another robot"):
+        evaluate_tasks.run(options(tmp_path, resume=True, robot="sixaxis"), Screen(quiet=True))
 
 
 def test_resuming_with_other_settings_is_refused(tmp_path, episodes):

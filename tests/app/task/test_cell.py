@@ -4,7 +4,8 @@ import numpy as np
 import pytest
 
 from app.errors import UsageError
-from app.task.cell import parse_box, parse_objects
+from app.options import PackOptions
+from app.task.cell import check_options, parse_box, parse_objects, robot_of
 
 
 def rng():
@@ -38,3 +39,10 @@ def test_box():
 def test_impossible_boxes(text):
     with pytest.raises(UsageError, match="--box"):
         parse_box(text)
+
+
+def test_the_arm_that_was_asked_for():
+    assert len(robot_of(PackOptions()).description.joint_names) == 7
+    assert len(robot_of(PackOptions(robot="sixaxis")).description.joint_names) == 6
+    with pytest.raises(UsageError, match="--robot"):
+        check_options(PackOptions(robot="arm.toml"))

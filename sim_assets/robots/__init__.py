@@ -1,0 +1,56 @@
+"""The arms that come along, and users' own: ``load_robot`` gives either by its name or its robot file."""
+
+from __future__ import annotations
+
+import functools
+from pathlib import Path
+
+from sim_assets.arm import (
+    ARM_JOINTS,
+    FULL_CLOSE,
+    GRIPPER_ACTUATOR,
+    MAX_WIDTH,
+    WRIST_FOVY,
+    add_arm,
+    arm_description,
+)
+from sim_assets.arm_visuals import dress_arm
+from sim_assets.headless import MjSpec
+from sim_assets.robots.robot_file import read_robot
+from sim_assets.simulated_arm import SimulatedArm
+
+PANDA = "panda"
+ROBOT_FILE = "robot.toml"
+_FOLDER = Path(__file__).parent
+SHIPPED = (PANDA, *sorted(path.parent.name for path in _FOLDER.glob(f"*/{ROBOT_FILE}")))
+
+
+def load_robot(spec: str) -> SimulatedArm:
+    """A shipped arm by its name, or the arm of a robot file by its path.
+
+    Raises:
+        RobotFileError: there is no such arm, or its file is unusable; the message says why.
+    """
+    if spec == PANDA:
+        return panda()
+    return read_robot(_FOLDER / spec / ROBOT_FILE if spec in SHIPPED else Path(spec), SHIPPED)
+
+
+@functools.cache
+def panda() -> SimulatedArm:
+    """The arm of ``sim_assets.arm``."""
+    return SimulatedArm(
+        description=arm_description(),
+        add=_add_dressed_panda,
+        actuators=ARM_JOINTS,
+        gripper_actuator=GRIPPER_ACTUATOR,
+        open=MAX_WIDTH / 2,
+        closed=0.0,
+        press=FULL_CLOSE,
+        fovy=WRIST_FOVY,
+    )
+
+
+def _add_dressed_panda(spec: MjSpec) -> None:
+    add_arm(spec)
+    dress_arm(spec)
