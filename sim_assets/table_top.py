@@ -42,6 +42,7 @@ class TrainingSceneConfig:
         shares: how many objects of the pool are of each of CATEGORIES, in proportion.
         odd: share of the training split's distractors that are heaps of random parts (``odd_thing``).
         plain_tumblers: whether straight tumblers with flat lids, which could as well be cans, are bottles.
+        drawn_in: share of the training split's flat and lidded cans that stand on a narrower foot.
         pictures_per_pool: how often the pool is replaced.
         pictures_per_texture, textures_redrawn: how often the ground and how many things get a new texture.
         objects, extras: smallest and largest number shown of each kind.
@@ -63,6 +64,7 @@ class TrainingSceneConfig:
     shares: tuple[int, int, int, int] = (1, 1, 1, 1)
     odd: float = 0.0
     plain_tumblers: bool = True
+    drawn_in: float = 0.0
     pictures_per_pool: int = 400
     pictures_per_texture: int = 8
     textures_redrawn: int = 12

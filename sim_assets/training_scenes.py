@@ -8,6 +8,7 @@ and then. One process renders 20 pictures a second and more; shards belong in pr
 from __future__ import annotations
 
 from collections.abc import Iterator, Sequence
+from dataclasses import replace
 from typing import Literal
 
 import numpy as np
@@ -16,6 +17,7 @@ import trimesh
 from perception.types import CATEGORIES, Category
 from sim_assets.distractors import odd_thing, random_distractor
 from sim_assets.objects.bottle import BottleParameters
+from sim_assets.objects.can import FOOT, CanParameters
 from sim_assets.objects.families import make_solid, sample_parameters
 from sim_assets.scatter import Thing, make_thing, simplified
 from sim_assets.table_top import LabelledImage, TableTop, TrainingSceneConfig
@@ -87,6 +89,15 @@ def _draw_mesh(
 ) -> trimesh.Trimesh:
     while True:
         p = sample_parameters(category, split, rng)
+        if split == "train" and config.drawn_in > 0 and isinstance(p, CanParameters):
+            p = _perhaps_drawn_in(p, config.drawn_in, rng)
         plain = isinstance(p, BottleParameters) and p.kind == "tumbler" and p.bend < PLAIN_BEND
         if config.plain_tumblers or not plain:
             return make_solid(p).mesh()
+
+
+def _perhaps_drawn_in(can: CanParameters, share: float, rng: np.random.Generator) -> CanParameters:
+    """A foot under a flat or lidded can: whether a top goes with a foot is not what makes it a can."""
+    if can.kind not in ("plain", "canister") or rng.random() >= share:
+        return can
+    return replace(can, foot=float(rng.uniform(*FOOT)))

@@ -19,6 +19,7 @@ from jaxtyping import Float, Int
 from app.training.files import checksums, summary_writer
 from app.training.labels import LabelledCrops, Progress, Split
 from app.training.pictures import (
+    UPRIGHT,
     Pictures,
     close_up_shards,
     rendered_shards,
@@ -41,6 +42,7 @@ class TrainDetectorConfig:
     Attributes:
         pictures: rendered scenes of the training families, for the scene network.
         close_ups: further ones of which only crops are kept, for the class and yaw networks.
+        upright_close_ups: further ones for the class network, mostly of bottles and cans in many shapes.
         validation: further ones of the same families, for the probabilities' calibration.
         test: such scenes of the test families, to judge by.
         training: how to train; the seed is that of both networks, the epochs are the class network's, and
@@ -51,10 +53,11 @@ class TrainDetectorConfig:
 
     pictures: int = 3000
     close_ups: int = 2500
+    upright_close_ups: int = 2500
     validation: int = 250
     test: int = 250
-    training: TrainingConfig = field(default_factory=lambda: TrainingConfig(epochs=32, cycles=2))
-    scene_passes: float = 0.375
+    training: TrainingConfig = field(default_factory=lambda: TrainingConfig(epochs=24))
+    scene_passes: float = 0.5
     tensorboard: bool = False
     device: str = "cpu"
 
@@ -82,14 +85,16 @@ def run(config: TrainDetectorConfig, out_dir: Path, progress: Progress | None = 
     pictures = rendered_shards(
         folder, "train", config.pictures, seed, part(progress, 0.0, 0.5 * RENDERING_SHARE)
     )
-    crops = rendered_crops(config, folder, part(progress, 0.5 * RENDERING_SHARE, RENDERING_SHARE))
+    crops = rendered_crops(config, folder, part(progress, 0.5 * RENDERING_SHARE, 0.75 * RENDERING_SHARE))
+    upright = rendered_upright(config, folder, part(progress, 0.75 * RENDERING_SHARE, RENDERING_SHARE))
+    training = LabelledCrops.joined([crops.training, upright])
     scene = trained_scene(shard_pictures(pictures), config, out_dir, progress)
     save_scene_network(scene, out_dir / WEIGHTS_FILE, provenance(config))
-    sets = class_set(crops.training), class_set(crops.validation)
+    sets = class_set(training), class_set(crops.validation)
     network, temperature = trained("class", *sets, config, out_dir, progress, SCENE_SHARE)
     metrics = class_metrics(crops.test, predict(network, temperature, crops.test.images, crops.test.context))
     save_network(network, out_dir / WEIGHTS_FILES["class"], "class", temperature, provenance(config))
-    card = _card(config, metrics, scene, network, temperature, len(crops.training))
+    card = _card(config, metrics, scene, network, temperature, len(training))
     card += checksums(out_dir / WEIGHTS_FILE, out_dir / WEIGHTS_FILES["class"])
     (out_dir / "detector.md").write_text(card, "utf-8")
     return metrics
@@ -106,6 +111,14 @@ def rendered_crops(config: TrainDetectorConfig, folder: Path, progress: Progress
         crops("train", config.close_ups, seed, 0.0, 0.8),
         crops("train", config.validation, seed + 1, 0.8, 0.9),
         crops("test", config.test, seed, 0.9, 1.0),
+    )
+
+
+def rendered_upright(config: TrainDetectorConfig, folder: Path, progress: Progress | None) -> LabelledCrops:
+    """Further training crops of bottles and cans, rendered or from an earlier start of the same job."""
+    seed = config.training.seed
+    return shard_crops(
+        close_up_shards(folder, "train", config.upright_close_ups, seed, progress, kind=UPRIGHT)
     )
 
 
@@ -234,16 +247,17 @@ somebody else made are told by the class network alone.
 
 **Made by** `nodeslam train detector --seed {training.seed}` with torch {torch}: {scene_epochs} epochs of the
 scene network in batches of 8, {training.epochs} of the class network in batches of {training.batch}, AdamW
-{training.learning_rate}, cosine schedule (run through {training.cycles} times for the class network),
-float32, CPU.
+{training.learning_rate}, cosine schedule, float32, CPU.
 
 **Data**: {config.pictures} scenes of the training families and of distractors for the scene network, rendered
 at 640 x 480 by MuJoCo's classic renderer (`sim_assets/training_scenes.py`: random textures, prints, gloss,
 light, camera height, tilt and roll, gaps down to contact, depth without noise, with 2 mm of noise, and as a
 RealSense errs), mirrored, recoloured and with further holes in training. For the class network {crops} crops
-in {config.close_ups} more crowded ones with more mugs, bottles, cans and odd things of no class, about true
-masks that are ragged, cut, lack a piece or take in one of a neighbour; mirrored, warped, shifted, cut and
-recoloured in training. No photographs.
+in {config.close_ups} more crowded ones with more mugs, bottles, cans and odd things of no class and in
+{config.upright_close_ups} with mostly bottles and cans, of another set of shapes every 28 scenes (three in
+five of the flat and lidded cans stand on a narrower foot), about true masks that are ragged, cut, lack a
+piece or take in one of a neighbour; mirrored, warped, shifted, cut and recoloured in training. No
+photographs.
 
 **Class network alone**, on {m[crops]} such masks in {config.test} classic scenes of the test
 families, single views: accuracy {m[accuracy]:.3f} over all, {m[accuracy_objects]:.3f} over objects;

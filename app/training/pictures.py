@@ -44,6 +44,31 @@ _SIZE = (640, 480)
 
 
 @dataclass(frozen=True)
+class CloseUps:
+    """A kind of crowded scenes that crops are taken from.
+
+    Attributes:
+        name: of its files.
+        shares: how many objects are of each of CATEGORIES, in proportion.
+        pictures_per_pool: how often other shapes take over.
+        astray: share of the masks that take in a piece of a neighbour, and of those that lose one of theirs.
+        drawn_in: share of the flat and lidded cans that stand on a narrower foot.
+        stream: of random numbers.
+    """
+
+    name: str
+    shares: tuple[int, int, int, int]
+    pictures_per_pool: int
+    astray: float
+    drawn_in: float
+    stream: int
+
+
+MIXED = CloseUps("close_ups", (4, 1, 2, 2), PICTURES_PER_POOL, 0.25, 0.0, 1)
+UPRIGHT = CloseUps("upright_close_ups", (1, 1, 4, 4), 28, 0.4, 0.6, 2)  # many shapes of bottles and cans
+
+
+@dataclass(frozen=True)
 class Pictures:
     """Small pictures with their truth; n of them, k things at most in each.
 
@@ -105,7 +130,12 @@ def rendered_shards(
 
 
 def close_up_shards(
-    directory: Path, split: Split, pictures: int, seed: int, progress: Progress | None = None
+    directory: Path,
+    split: Split,
+    pictures: int,
+    seed: int,
+    progress: Progress | None = None,
+    kind: CloseUps = MIXED,
 ) -> list[Path]:
     """Files of crops (``shard_crops``) from further, crowded scenes.
 
@@ -114,9 +144,10 @@ def close_up_shards(
     """
 
     def render(path: Path, count: int, shard: int) -> None:
-        _render_close_ups(split, count, np.random.SeedSequence([seed, shard, 1])).save(path)
+        _render_close_ups(split, count, kind, np.random.SeedSequence([seed, shard, kind.stream])).save(path)
 
-    return _shards(directory, f"close_ups_{split}_seed{seed}", pictures, render, "close-ups", progress)
+    name = f"{kind.name}_{split}_seed{seed}"
+    return _shards(directory, name, pictures, render, kind.name.replace("_", "-"), progress)
 
 
 def _shards(
@@ -141,20 +172,23 @@ def _shards(
     return paths
 
 
-def _render_close_ups(split: Split, count: int, seed: np.random.SeedSequence) -> LabelledCrops:
+def _render_close_ups(
+    split: Split, count: int, kind: CloseUps, seed: np.random.SeedSequence
+) -> LabelledCrops:
     from sim_assets.table_top import TrainingSceneConfig
     from sim_assets.training_scenes import TrainingScenes
 
     rng = np.random.default_rng(seed.spawn(1)[0])
     config = TrainingSceneConfig(
-        width=_SIZE[0], height=_SIZE[1], pool=36, distractors=16, shares=(4, 1, 2, 2), odd=0.4,
-        plain_tumblers=False, objects=(6, 14), extras=(1, 5), pictures_per_pool=PICTURES_PER_POOL,
-        distance=(0.28, 0.95), elevation=(np.radians(25), np.radians(90)), noises=(0.1, 0.1, 0.8),
+        width=_SIZE[0], height=_SIZE[1], pool=36, distractors=16, shares=kind.shares, odd=0.4,
+        plain_tumblers=False, drawn_in=kind.drawn_in, objects=(6, 14), extras=(1, 5),
+        pictures_per_pool=kind.pictures_per_pool, distance=(0.28, 0.95),
+        elevation=(np.radians(25), np.radians(90)), noises=(0.1, 0.1, 0.8),
     )  # fmt: skip
     crops = []
     with TrainingScenes(split, int(seed.generate_state(1)[0]), config) as scenes:
         for image in scenes.render(count):
-            masks = disturbed_masks(image, rng, astray=0.25)
+            masks = disturbed_masks(image, rng, astray=kind.astray)
             crops.append(labelled_crops(image, jittered_plane(rng), masks))
     logger.info("%d close-ups: %d crops", count, sum(map(len, crops)))
     return LabelledCrops.joined(crops)

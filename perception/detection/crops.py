@@ -9,6 +9,7 @@ elevation it was seen from.
 
 from __future__ import annotations
 
+from collections.abc import Sequence
 from dataclasses import dataclass
 
 import cv2
@@ -22,6 +23,8 @@ from perception.types import RgbdFrame, SupportPlane
 SIDE = 64
 CHANNELS = 6
 CONTEXT = 2
+_THIN = 0.08  # radius of what counts as thin, as a share of the root of the mask's area
+_CORE = 0.6  # of a mask's pixels at least are its core
 _MARGIN = 1.35  # side of the crop over the longer side of the mask's box
 _HEIGHT_RANGE = 0.30  # [m] above the plane that 8 bits cover
 _DEPTH_RANGE = 0.20  # [m] to either side of the median depth that 8 bits cover
@@ -104,6 +107,34 @@ def crop(
     side = side_pixels * median / np.sqrt(frame.intrinsics.fx * frame.intrinsics.fy)
     context = np.array([np.log(side / 0.15), elevation], dtype=np.float32)
     return Crop(image=image, context=context, heading=heading)
+
+
+def stacked(crops: Sequence[Crop]) -> tuple[UInt8[np.ndarray, "n side side 6"], Float[np.ndarray, "n 2"]]:
+    """Images and contexts of crops as the networks take them; there may be none."""
+    images = np.array([c.image for c in crops], np.uint8).reshape(-1, SIDE, SIDE, CHANNELS)
+    return images, np.array([c.context for c in crops], np.float32).reshape(-1, CONTEXT)
+
+
+def core(mask: Bool[np.ndarray, "h w"]) -> Bool[np.ndarray, "h w"]:
+    """The mask's largest piece once all that is thin is gone, such as an arm along a neighbour's edge.
+
+    A morphological opening. Handles go, too: for the class, which the surroundings tell of, not for the yaw.
+    A mask that would lose too much, because the thing itself is thin, stays as it is.
+    """
+    size = np.count_nonzero(mask)
+    radius = max(1, round(_THIN * np.sqrt(size)))
+    window = window_of(mask, margin=radius)
+    disc = cv2.getStructuringElement(cv2.MORPH_ELLIPSE, (2 * radius + 1, 2 * radius + 1))
+    opened = cv2.morphologyEx(mask[window].astype(np.uint8), cv2.MORPH_OPEN, disc)
+    count, numbers, pieces, _ = cv2.connectedComponentsWithStats(opened)
+    if count <= 1:
+        return mask
+    largest = 1 + int(pieces[1:, cv2.CC_STAT_AREA].argmax())
+    if pieces[largest, cv2.CC_STAT_AREA] < _CORE * size:
+        return mask
+    result = np.zeros_like(mask)
+    result[window] = numbers == largest
+    return result
 
 
 def _geometry_channels(

@@ -16,7 +16,7 @@ from jaxtyping import Bool, Float
 from scipy.special import log_softmax, softmax
 
 from perception.detection import network as nets
-from perception.detection.crops import crop, frame_geometry
+from perception.detection.crops import core, crop, frame_geometry, stacked
 from perception.detection.geometry import heading_angle
 from perception.detection.instances import InstanceConfig, find_instances
 from perception.detection.scene_network import WEIGHTS_FILE, SceneNet, load_scene_network
@@ -101,12 +101,16 @@ class Detector:
             return []
         masks = [masks[i] for i in kept]
         pieces = [crop(frame, mask, plane, geometry) for mask in masks]
-        images, context = np.stack([p.image for p in pieces]), np.stack([p.context for p in pieces])
-        classes = nets.predict(self.class_network, self.class_temperature, images, context)
+        cores = [core(mask) for mask in masks]
+        closer = [
+            crop(frame, inner, plane, geometry) if inner is not mask and geometry.seen(inner) else piece
+            for inner, mask, piece in zip(cores, masks, pieces)
+        ]
+        classes = nets.predict(self.class_network, self.class_temperature, *stacked(closer))
         if hints is not None:
             classes = agreed(classes, np.stack([hints[i] for i in kept]).astype(np.float64))
         mugs = np.flatnonzero(classes[:, _MUG] >= self.config.min_mug)
-        yaws = nets.predict(self.yaw_network, self.yaw_temperature, images[mugs], context[mugs])
+        yaws = nets.predict(self.yaw_network, self.yaw_temperature, *stacked([pieces[i] for i in mugs]))
         yaw_of = dict(zip(mugs.tolist(), yaws))
         detections = []
         for i, (mask, probabilities) in enumerate(zip(masks, classes)):

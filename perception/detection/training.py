@@ -61,8 +61,7 @@ class TrainingConfig:
     Attributes:
         epochs: passes over the crops.
         batch: crops per step.
-        learning_rate: peak of the cosine schedule, after ``warmup`` (a share of a cycle's steps).
-        cycles: how often that schedule is run through, each time from where the last one ended.
+        learning_rate: peak of the cosine schedule, after ``warmup`` (a share of all steps).
         weight_decay: of AdamW.
         label_smoothing: share of the target spread evenly, for the class network.
         seed: of initialisation, order and augmentation.
@@ -72,7 +71,6 @@ class TrainingConfig:
     batch: int = 128
     learning_rate: float = 2e-3
     warmup: float = 0.05
-    cycles: int = 1
     weight_decay: float = 1e-2
     label_smoothing: float = 0.02
     seed: int = 0
@@ -113,7 +111,7 @@ def train_crop_network(
     )
     steps = config.epochs * math.ceil(len(training) / config.batch)
     schedule = torch.optim.lr_scheduler.LambdaLR(
-        optimizer, lambda step: schedule_at(step / steps * config.cycles % 1.0, config.warmup)
+        optimizer, lambda step: schedule_at(step / steps, config.warmup)
     )
     checkpoint = directory / f"checkpoint_{task}.pt"
     start = resume(checkpoint, config, network, optimizer, schedule, generator)

@@ -30,6 +30,7 @@ KINDS: dict[str, tuple[CanKind, ...]] = {
     "test": ("beaded", "stackable", "necked"),
 }
 WIDEST = 0.038  # radius that an 80 mm gripper still holds [m]
+FOOT = (0.002, 0.006)  # [m] by which a drawn-in bottom is narrower
 
 
 @dataclass(frozen=True)
@@ -139,7 +140,7 @@ def sample_can(split: str, rng: np.random.Generator) -> CanParameters:
         neck_height=float(neck * rng.uniform(1.2, 2.2)) if necked else 0.001,
         recess=0.0 if kind == "plain" else float(rng.uniform(0.0015, 0.005)),
         dome=float(rng.uniform(0.003, 0.009)) if necked else 0.0,
-        foot=float(rng.uniform(0.002, 0.006)) if drawn_in else 0.0,
+        foot=float(rng.uniform(*FOOT)) if drawn_in else 0.0,
         beads=float(rng.uniform(0.0004, 0.0011)) if kind == "beaded" else 0.0,
         density=float(rng.uniform(350.0, 1050.0)),
     )

@@ -3,7 +3,7 @@
 import numpy as np
 import pytest
 
-from perception.detection.crops import SIDE, crop
+from perception.detection.crops import SIDE, core, crop, stacked
 from perception.detection.geometry import (
     heading_angle,
     height_image,
@@ -173,3 +173,26 @@ def test_modes_list_both_of_two_candidates():
     assert (first, second) == pytest.approx((0.5, 3.6), abs=0.03)
     assert heavy > light
     assert len(modes(np.full(YAW_BINS, 1 / YAW_BINS))) == 1
+
+
+def test_the_core_of_a_mask_has_no_thin_arms_and_no_specks():
+    mask = np.zeros((120, 160), bool)
+    mask[60:, 20:80] = True  # cut by the image's border
+    body = mask.copy()
+    mask[64:67, 80:140] = True
+    mask[10:14, 100:104] = True
+    kept = core(mask)
+    assert (kept & ~body).sum() < 10
+    assert (body & ~kept).sum() < 30  # the opening rounds the corners, but not at the border
+    assert kept[-1, 20:80].all()
+
+
+def test_what_is_thin_all_over_is_its_own_core():
+    mask = np.zeros((120, 160), bool)
+    mask[50:54, 10:150] = True
+    assert core(mask) is mask
+
+
+def test_no_crops_stack_to_empty_arrays():
+    images, context = stacked([])
+    assert images.shape == (0, SIDE, SIDE, 6) and context.shape == (0, 2)

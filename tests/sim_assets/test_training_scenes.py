@@ -10,7 +10,8 @@ import sim_assets.training_scenes as training_scenes
 from perception.types import CATEGORIES
 from sim_assets.distractors import odd_thing, random_distractor
 from sim_assets.layout import gap
-from sim_assets.objects.families import sample_parameters
+from sim_assets.objects.can import FOOT, sample_can
+from sim_assets.objects.families import make_solid, sample_parameters
 from sim_assets.scatter import make_thing, scatter
 from sim_assets.table_top import TrainingSceneConfig
 from sim_assets.training_scenes import TrainingScenes
@@ -126,3 +127,19 @@ def test_the_pool_is_shared_out_as_asked_and_straight_tumblers_stay_out(monkeypa
     assert [kinds.count(c) for c in (*CATEGORIES, None)] == [4, 0, 4, 2, 6]
     plain = [o for o in drawn if getattr(o, "kind", "") == "tumbler" and o.bend < 0.1]
     assert len(drawn) == 10 + len(plain)
+
+
+def test_flat_and_lidded_training_cans_may_stand_on_a_foot_and_no_others_change():
+    rng = np.random.default_rng(2)
+    cans = [sample_can("train", rng) for _ in range(40)]
+    footed = [training_scenes._perhaps_drawn_in(can, 1.0, rng) for can in cans]
+    for before, after in zip(cans, footed):
+        if before.kind in ("plain", "canister"):
+            assert before.foot == 0 and FOOT[0] <= after.foot <= FOOT[1]
+            mesh = make_solid(after).mesh()
+            assert mesh.is_watertight
+            low = np.abs(mesh.vertices[mesh.vertices[:, 2] < 1e-4, :2]).max()
+            assert low < after.radius - 0.9 * after.foot
+        else:
+            assert after is before
+    assert [training_scenes._perhaps_drawn_in(can, 0.0, rng) for can in cans] == cans

@@ -31,7 +31,7 @@ def no_rendering(monkeypatch):
     """A shard is its number; what is in it is made up, and the scene network is not trained."""
     monkeypatch.setattr(train_detector, "shard_crops", lambda shards: made_up(len(shards)))
     monkeypatch.setattr(
-        train_detector, "close_up_shards", lambda folder, split, n, seed, progress: [folder] * (1 + seed)
+        train_detector, "close_up_shards", lambda folder, split, n, seed, *_, **__: [folder] * (1 + seed)
     )
     monkeypatch.setattr(train_detector, "shard_pictures", lambda shards: None)
     monkeypatch.setattr(train_detector, "trained_scene", lambda *_: SceneNet())

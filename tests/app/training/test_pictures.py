@@ -76,7 +76,7 @@ def test_finished_shards_are_not_rendered_again(small, tmp_path, monkeypatch):
     assert len(shard_pictures(paths)) == 2
 
     monkeypatch.setattr(
-        pictures, "_render_close_ups", lambda split, count, seed: rendered.append(count) or empty
+        pictures, "_render_close_ups", lambda split, count, kind, seed: rendered.append(count) or empty
     )
     close_up_shards(tmp_path, "train", pictures.SHARD + 20, seed=0)
     assert len(shard_crops(close_up_shards(tmp_path, "train", pictures.SHARD + 20, seed=0))) == 2
