@@ -8,7 +8,7 @@ from __future__ import annotations
 
 import logging
 from collections.abc import Callable
-from dataclasses import dataclass, field
+from dataclasses import dataclass, field, replace
 from pathlib import Path
 from typing import Any
 
@@ -26,10 +26,26 @@ from app.training.pictures import (
     shard_crops,
     shard_pictures,
 )
-from perception.detection.network import LABELS, OTHER, WEIGHTS_FILES, CropNet, Task, predict, save_network
+from perception.detection.network import (
+    LABELS,
+    MEMBERS,
+    OTHER,
+    WEIGHTS_FILES,
+    CropNet,
+    CropNetwork,
+    Task,
+    predict,
+    save_network,
+    together,
+)
 from perception.detection.scene_network import WEIGHTS_FILE, SceneNet, save_scene_network
 from perception.detection.scene_training import SceneTrainingConfig, train_scene_network
-from perception.detection.training import CropSet, TrainingConfig, train_crop_network
+from perception.detection.training import (
+    CropSet,
+    TrainingConfig,
+    calibrated_temperature,
+    train_crop_network,
+)
 
 logger = logging.getLogger(__name__)
 RENDERING_SHARE, SCENE_SHARE = 0.25, 0.9  # of the whole job, at the end of these stages, for the progress bar
@@ -149,18 +165,30 @@ def trained(
     out_dir: Path,
     progress: Progress | None,
     begin: float,
-) -> tuple[CropNet, float]:
-    """The network for a task and its temperature, with progress (from ``begin`` on) and curves."""
+) -> tuple[CropNetwork, float]:
+    """What answers for a task and its temperature, with progress (from ``begin`` on) and curves.
+
+    The members of a committee differ in their seeds; all but the first keep their checkpoints in folders
+    of their own.
+    """
     curves = summary_writer(out_dir) if config.tensorboard else None
+    count = MEMBERS[task]
 
-    def on_epoch(epoch: int, epochs: int, figures: dict[str, float]) -> None:
-        _tell(progress, f"epoch {epoch} of {epochs}", begin + (1 - begin) * epoch / epochs)
-        if curves is not None:
-            for name, value in figures.items():
-                curves.add_scalar(f"{task}/{name}", value, epoch)
-            curves.flush()
+    def train(member: int) -> CropNet:
+        def on_epoch(epoch: int, epochs: int, figures: dict[str, float]) -> None:
+            done, total = member * epochs + epoch, count * epochs
+            _tell(progress, f"epoch {done} of {total}", begin + (1 - begin) * done / total)
+            if curves is not None:
+                for name, value in figures.items():
+                    curves.add_scalar(f"{task}/{name}", value, done)
+                curves.flush()
 
-    return train_crop_network(task, training, validation, config.training, out_dir, config.device, on_epoch)
+        folder = out_dir if member == 0 else out_dir / f"member{member}"
+        settings = replace(config.training, seed=config.training.seed + member)
+        return train_crop_network(task, training, validation, settings, folder, config.device, on_epoch)
+
+    network = together([train(member) for member in range(count)])
+    return network, calibrated_temperature(network, validation)
 
 
 def _tell(progress: Callable[[str, float], None] | None, what: str, share: float) -> None:
@@ -214,7 +242,7 @@ def _card(
     config: TrainDetectorConfig,
     metrics: dict[str, Any],
     scene: SceneNet,
-    network: CropNet,
+    network: CropNetwork,
     temperature: float,
     crops: int,
 ) -> str:
@@ -227,7 +255,7 @@ def _card(
     return _CARD.format(
         scene_parameters=sum(p.numel() for p in scene.parameters()),
         parameters=sum(p.numel() for p in network.parameters()), temperature=temperature, crops=crops,
-        config=config, training=config.training, scene_epochs=config.scene_epochs,
+        members=MEMBERS["class"], config=config, training=config.training, scene_epochs=config.scene_epochs,
         torch=torch.__version__.split("+")[0], confusion=f"{header}\n{rows}", m=metrics,
     )  # fmt: skip
 
@@ -240,13 +268,14 @@ instances are where votes meet (`perception/detection/instances.py`). {scene_par
 
 **Class network** (`detector.safetensors`): mug, bowl, bottle, can or nothing of these, from a
 gravity-upright 64 x 64 crop about one instance: colour, mask, height, relative depth, the surroundings too
-(`perception/detection/crops.py`), and the crop's size and elevation. {parameters} weights, float32. The mean
-of the logits of the crop and of its mirror image counts, divided by {temperature:.2f}, found on further
-renders of the training families. The detector takes the mean of both networks' log-probabilities; masks that
-somebody else made are told by the class network alone.
+(`perception/detection/crops.py`), and the crop's size and elevation. {members} networks from different
+seeds, {parameters} weights in all, float32. The mean of their logits for the crop and for its mirror image
+counts, divided by {temperature:.2f}, found on further renders of the training families. The detector takes
+the mean of the scene's and the class network's log-probabilities; masks that somebody else made are told by
+the class network alone.
 
 **Made by** `nodeslam train detector --seed {training.seed}` with torch {torch}: {scene_epochs} epochs of the
-scene network in batches of 8, {training.epochs} of the class network in batches of {training.batch}, AdamW
+scene network in batches of 8, {training.epochs} of each class network in batches of {training.batch}, AdamW
 {training.learning_rate}, cosine schedule, float32, CPU.
 
 **Data**: {config.pictures} scenes of the training families and of distractors for the scene network, rendered

@@ -23,7 +23,7 @@ from app.training.detector import (
 )
 from app.training.files import checksums
 from app.training.labels import LabelledCrops, Progress
-from perception.detection.network import WEIGHTS_FILES, CropNet, predict, save_network
+from perception.detection.network import WEIGHTS_FILES, CropNetwork, predict, save_network
 from perception.detection.training import CropSet, TrainingConfig
 from perception.detection.yaw import modes, soft_labels
 from perception.types import CATEGORIES
@@ -93,7 +93,7 @@ def angle_between(a: float, b: float) -> float:
 
 
 def _card(
-    config: TrainYawConfig, metrics: dict[str, Any], network: CropNet, temperature: float, mugs: int
+    config: TrainYawConfig, metrics: dict[str, Any], network: CropNetwork, temperature: float, mugs: int
 ) -> str:
     """Markdown that says what the weights are, where they come from and how good they are."""
     rows = "\n".join(_row(name, m) for name, m in metrics.items() if isinstance(m, dict))

@@ -48,9 +48,9 @@ class Detector:
     """Finds mugs, bowls, bottles and cans in RGB-D frames. Make one with ``load``."""
 
     scene_network: SceneNet
-    class_network: nets.CropNet
+    class_network: nets.CropNetwork
     class_temperature: float
-    yaw_network: nets.CropNet
+    yaw_network: nets.CropNetwork
     yaw_temperature: float
     config: DetectorConfig = DetectorConfig()
 

@@ -1,13 +1,15 @@
 """The small convolutional network behind classes and yaw, and its weights on disk.
 
-One architecture, two trainings: ``detector.safetensors`` answers with the class, ``yaw.safetensors`` with
-the bin of the handle's direction relative to the view (both log-probabilities after a softmax).
+One architecture, two tasks: ``detector.safetensors`` answers with the class, ``yaw.safetensors`` with the bin
+of the handle's direction relative to the view (both log-probabilities after a softmax). The class is told by
+a committee of such networks, which err alike on what cannot be told but not on what one of them missed.
 """
 
 from __future__ import annotations
 
 import itertools
 import json
+from collections.abc import Sequence
 from pathlib import Path
 from typing import Literal
 
@@ -26,6 +28,7 @@ Task = Literal["class", "yaw"]
 LABELS: tuple[str, ...] = (*CATEGORIES, "other")
 OTHER = len(CATEGORIES)
 OUTPUTS: dict[Task, int] = {"class": len(LABELS), "yaw": YAW_BINS}
+MEMBERS: dict[Task, int] = {"class": 2, "yaw": 1}  # networks that answer together
 WEIGHTS_FILES: dict[Task, str] = {"class": "detector.safetensors", "yaw": "yaw.safetensors"}
 _WIDTHS = (16, 32, 64, 128)
 _SQUEEZED = 48
@@ -40,6 +43,7 @@ class CropNet(nn.Module):
 
     def __init__(self, outputs: int) -> None:
         super().__init__()
+        self.outputs = outputs
         stages = [_convolution(CHANNELS, _WIDTHS[0], stride=2)]  # a second layer at 32 x 32 would cost most
         for narrow, wide in itertools.pairwise(_WIDTHS):
             stages += [_convolution(narrow, wide, stride=2), _convolution(wide, wide, stride=1)]
@@ -55,6 +59,38 @@ class CropNet(nn.Module):
         """Logits of prepared crops (``prepared``)."""
         features = self.features(images).flatten(1)  # (n, 48 * 4 * 4)
         return self.logits(self.head(torch.cat([features, context], dim=1)))
+
+
+class Committee(nn.Module):
+    """Networks of one task, trained from different seeds; the mean of their logits counts.
+
+    Args:
+        members: one at least.
+    """
+
+    def __init__(self, members: Sequence[CropNet]) -> None:
+        super().__init__()
+        self.outputs = members[0].outputs
+        self.members = nn.ModuleList(members)
+
+    def forward(
+        self, images: Float[Tensor, "n 6 side side"], context: Float[Tensor, "n 2"]
+    ) -> Float[Tensor, "n outputs"]:
+        """Logits of prepared crops (``prepared``)."""
+        return torch.stack([member(images, context) for member in self.members]).mean(dim=0)
+
+
+CropNetwork = CropNet | Committee
+
+
+def untrained(task: Task) -> CropNetwork:
+    """What answers for a task: a network, or as many as ``MEMBERS`` says."""
+    return together([CropNet(OUTPUTS[task]) for _ in range(MEMBERS[task])])
+
+
+def together(members: Sequence[CropNet]) -> CropNetwork:
+    """One network as it is, several as a committee."""
+    return members[0] if len(members) == 1 else Committee(members)
 
 
 def _convolution(narrow: int, wide: int, stride: int) -> nn.Module:
@@ -75,7 +111,7 @@ def prepared(images: UInt8[Tensor, "n side side 6"]) -> Float[Tensor, "n 6 side 
 
 
 def logits_both_ways(
-    network: CropNet, images: Float[Tensor, "n 6 side side"], context: Float[Tensor, "n 2"]
+    network: CropNetwork, images: Float[Tensor, "n 6 side side"], context: Float[Tensor, "n 2"]
 ) -> Float[Tensor, "n outputs"]:
     """Mean of the logits of prepared crops and of their mirror images, whose yaws have the other sign."""
     seen, mirrored = network(images, context), network(images.flip(3), context)
@@ -90,7 +126,7 @@ def mirrored_bins(rows: Float[Tensor, "n bins"]) -> Float[Tensor, "n bins"]:
 
 
 def save_network(
-    network: CropNet, path: Path, task: Task, temperature: float, notes: dict[str, str] | None = None
+    network: CropNetwork, path: Path, task: Task, temperature: float, notes: dict[str, str] | None = None
 ) -> None:
     """Write weights and what is needed to use them to a safetensors file.
 
@@ -105,21 +141,21 @@ def save_network(
 
 def load_network(
     task: Task, path: Path | None = None, device: str | torch.device = "cpu"
-) -> tuple[CropNet, float]:
+) -> tuple[CropNetwork, float]:
     """(network in evaluation mode, its temperature), by default the shipped weights.
 
     Raises:
         PerceptionError: the file is missing, damaged, or holds another network.
     """
     path = WEIGHTS_DIRECTORY / WEIGHTS_FILES[task] if path is None else path
-    network = CropNet(OUTPUTS[task])
+    network = untrained(task)
     about = load_weights(network, path, task, "detector" if task == "class" else "yaw")
     return network.to(device).eval(), float(about.get("temperature", 1.0))
 
 
 @torch.inference_mode()
 def predict(
-    network: CropNet,
+    network: CropNetwork,
     temperature: float,
     images: UInt8[np.ndarray, "n side side 6"],
     context: Float[np.ndarray, "n 2"],
@@ -132,4 +168,4 @@ def predict(
         x = prepared(torch.from_numpy(images[start : start + batch]).to(device))
         logits = logits_both_ways(network, x, torch.from_numpy(context[start : start + batch]).to(device))
         rows.append(functional.softmax(logits.double() / temperature, dim=1).cpu().numpy())
-    return np.concatenate(rows) if rows else np.zeros((0, network.logits.out_features))
+    return np.concatenate(rows) if rows else np.zeros((0, network.outputs))

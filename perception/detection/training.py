@@ -21,6 +21,7 @@ from torch.nn import functional
 from perception.detection.network import (
     OUTPUTS,
     CropNet,
+    CropNetwork,
     Task,
     logits_both_ways,
     mirrored_bins,
@@ -84,14 +85,14 @@ def train_crop_network(
     directory: Path,
     device: str | torch.device = "cpu",
     progress: Progress | None = None,
-) -> tuple[CropNet, float]:
+) -> CropNet:
     """Train a network, resuming from ``directory/checkpoint_<task>.pt`` if an earlier run left one.
 
     Args:
         progress: called after every epoch with (epoch, epochs, figures).
 
     Returns:
-        The network in evaluation mode and the temperature that calibrates it on the validation crops.
+        The network in evaluation mode.
 
     Raises:
         InvalidInputError: a set is empty or its targets have the wrong width.
@@ -123,7 +124,7 @@ def train_crop_network(
         logger.info("%s epoch %d: %s", task, epoch + 1, figures)
         if progress:
             progress(epoch + 1, config.epochs, figures)
-    return network.eval(), calibrated_temperature(network, validation)
+    return network.eval()
 
 
 def schedule_at(done: float, warmup: float) -> float:
@@ -242,7 +243,7 @@ def recoloured(
 
 
 @torch.inference_mode()
-def _logits(network: CropNet, crops: CropSet, batch: int = 512) -> Tensor:
+def _logits(network: CropNetwork, crops: CropSet, batch: int = 512) -> Tensor:
     network.eval()
     device = next(network.parameters()).device
     rows = []
@@ -253,7 +254,7 @@ def _logits(network: CropNet, crops: CropSet, batch: int = 512) -> Tensor:
     return torch.cat(rows)
 
 
-def validation_figures(task: Task, network: CropNet, crops: CropSet) -> dict[str, float]:
+def validation_figures(task: Task, network: CropNetwork, crops: CropSet) -> dict[str, float]:
     """Cross-entropy and accuracy; for yaw the median distance of the best bin from the true one [rad]."""
     logits, targets = _logits(network, crops), torch.from_numpy(crops.targets)
     figures = {"validation_loss": float(functional.cross_entropy(logits, targets))}
@@ -264,7 +265,7 @@ def validation_figures(task: Task, network: CropNet, crops: CropSet) -> dict[str
     return figures | {"yaw_median": float(apart.median())}
 
 
-def calibrated_temperature(network: CropNet, crops: CropSet) -> float:
+def calibrated_temperature(network: CropNetwork, crops: CropSet) -> float:
     """Temperature of least cross-entropy on held-out crops, by search over 0.3 .. 3."""
     logits, targets = _logits(network, crops), torch.from_numpy(crops.targets)
     grid = np.geomspace(0.3, 3.0, 60)

@@ -6,7 +6,16 @@ import torch
 from safetensors.torch import save_file
 
 from perception.detection.crops import SIDE
-from perception.detection.network import OUTPUTS, CropNet, load_network, predict, prepared, save_network
+from perception.detection.network import (
+    MEMBERS,
+    OUTPUTS,
+    CropNet,
+    load_network,
+    predict,
+    prepared,
+    save_network,
+    together,
+)
 from perception.detection.training import (
     CropSet,
     TrainingConfig,
@@ -48,14 +57,14 @@ def test_it_learns_a_simple_task(task, tmp_path):
     which = 0 if task == "class" else 1
     training, validation = synthetic(192)[which], synthetic(32, seed=1)[which]
     told = []
-    network, temperature = train_crop_network(
+    network = train_crop_network(
         task, training, validation, SMALL, tmp_path, progress=lambda *a: told.append(a)
     )
     assert [(epoch, of) for epoch, of, _ in told] == [(1, 3), (2, 3), (3, 3)]
     assert told[-1][2]["loss"] < told[0][2]["loss"]
     if task == "class":  # the yaw of a few hundred crops takes longer to see
         assert told[-1][2]["validation_loss"] < 0.95 * np.log(OUTPUTS[task])
-    assert 0.3 <= temperature <= 3.0 and not network.training
+    assert 0.3 <= calibrated_temperature(network, validation) <= 3.0 and not network.training
 
 
 def test_an_interrupted_run_ends_like_an_uninterrupted_one(tmp_path):
@@ -68,10 +77,10 @@ def test_an_interrupted_run_ends_like_an_uninterrupted_one(tmp_path):
     def stop(epoch, epochs, figures):
         raise Interrupted
 
-    whole, _ = train_crop_network("class", training, validation, config, tmp_path / "a")
+    whole = train_crop_network("class", training, validation, config, tmp_path / "a")
     with pytest.raises(Interrupted):
         train_crop_network("class", training, validation, config, tmp_path / "b", progress=stop)
-    resumed, _ = train_crop_network("class", training, validation, config, tmp_path / "b")
+    resumed = train_crop_network("class", training, validation, config, tmp_path / "b")
     assert resumed.features[0][1].num_batches_tracked == whole.features[0][1].num_batches_tracked
     x = prepared(torch.from_numpy(validation.images)), torch.from_numpy(validation.context)
     # Dropout draws from the global generator, so weights agree only nearly.
@@ -120,6 +129,20 @@ def test_predictions_of_mirrored_crops_are_mirrored():
         if task == "yaw":
             mirrored = np.roll(mirrored, -1, axis=1)[:, ::-1]
         assert mirrored == pytest.approx(seen, abs=1e-6)
+
+
+def test_a_committee_answers_with_the_mean_of_the_logits_and_survives_the_disk(tmp_path):
+    torch.manual_seed(0)
+    members = [CropNet(OUTPUTS["class"]).eval() for _ in range(MEMBERS["class"])]
+    committee = together(members)
+    crops = synthetic(6)[0]
+    images, context = prepared(torch.from_numpy(crops.images)), torch.from_numpy(crops.context)
+    mean = sum(member(images, context) for member in members) / len(members)
+    assert torch.allclose(committee(images, context), mean, atol=1e-6)
+    save_network(committee, tmp_path / "c.safetensors", "class", 1.2)
+    loaded, temperature = load_network("class", tmp_path / "c.safetensors")
+    assert temperature == 1.2 and torch.equal(loaded(images, context), committee(images, context))
+    assert together(members[:1]) is members[0]
 
 
 def test_three_crops_of_ten_are_cut_on_one_side():

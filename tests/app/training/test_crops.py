@@ -46,12 +46,14 @@ def test_the_detector_job_writes_weights_and_a_card(tmp_path):
         lambda what, share: told.append((what, share)),
     )
     network, temperature = load_network("class", tmp_path / "detector.safetensors")
-    assert temperature > 0 and network.logits.out_features == 5
+    assert temperature > 0 and network.outputs == 5
     card = (tmp_path / "detector.md").read_text()
     assert "nodeslam train detector --seed 0" in card and "| mug |" in card
     assert all(weights_checksum(tmp_path / f"{name}.safetensors") in card for name in ("scene", "detector"))
-    assert told[-1] == ("epoch 1 of 1", 1.0)
+    assert told[-1] == ("epoch 2 of 2", 1.0)
     assert np.sum(metrics["confusion"]) == 20
+    assert (tmp_path / "checkpoint_class.pt").is_file()
+    assert (tmp_path / "member1" / "checkpoint_class.pt").is_file()
     load_scene_network(tmp_path / "scene.safetensors")
 
 
