@@ -38,9 +38,14 @@ def test_a_replay_loads_plays_and_scrubs_in_the_browser(viewer, open_page, until
     until(lambda: viewer.player.time == pytest.approx(act))
     page.page.get_by_text("The arm carries one object after another").wait_for()
     slider = page.page.get_by_role("slider").first
+    until(lambda: float(slider.get_attribute("aria-valuenow") or 0) == pytest.approx(act, abs=0.2))
     slider.focus()
-    slider.press("ArrowRight")
-    until(lambda: viewer.player.time > act)
+
+    def stepped():
+        slider.press("ArrowRight")
+        return viewer.player.time > act
+
+    until(stepped)
     page.page.get_by_role("button", name="Play").click()
     until(lambda: viewer.player.time >= viewer.player.story.end)
     page.page.get_by_role("tab", name="Objects").click()
