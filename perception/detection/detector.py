@@ -1,7 +1,7 @@
 """From one RGB-D frame to the objects in it.
 
-The scene network finds the instances and says what it takes them for, the class network looks at each of them
-closely, and both words count the same; the yaw network says where the handles of mugs point.
+The scene network finds the instances and says what it takes them for, the class network looks at the core of
+each of them closely, and both words count the same; the yaw network says where the handles of mugs point.
 """
 
 from __future__ import annotations
@@ -100,31 +100,30 @@ class Detector:
         if not kept:
             return []
         masks = [masks[i] for i in kept]
-        pieces = [crop(frame, mask, plane, geometry) for mask in masks]
-        cores = [core(mask) for mask in masks]
-        closer = [
-            crop(frame, inner, plane, geometry) if inner is not mask and geometry.seen(inner) else piece
-            for inner, mask, piece in zip(cores, masks, pieces)
-        ]
-        classes = nets.predict(self.class_network, self.class_temperature, *stacked(closer))
+        cores = [inner if geometry.seen(inner := core(mask)) else mask for mask in masks]
+        pieces = [crop(frame, inner, plane, geometry) for inner in cores]
+        classes = nets.predict(self.class_network, self.class_temperature, *stacked(pieces))
         if hints is not None:
             classes = agreed(classes, np.stack([hints[i] for i in kept]).astype(np.float64))
-        mugs = np.flatnonzero(classes[:, _MUG] >= self.config.min_mug)
-        yaws = nets.predict(self.yaw_network, self.yaw_temperature, *stacked([pieces[i] for i in mugs]))
-        yaw_of = dict(zip(mugs.tolist(), yaws))
+        # The whole mask for the yaw: its core has no handle.
+        mugs = np.flatnonzero(classes[:, _MUG] >= self.config.min_mug).tolist()
+        whole = [pieces[i] if cores[i] is masks[i] else crop(frame, masks[i], plane, geometry) for i in mugs]
+        yaws = nets.predict(self.yaw_network, self.yaw_temperature, *stacked(whole))
+        yaw_of = {
+            i: turned(yaw, heading_angle(piece.heading, plane)) for i, yaw, piece in zip(mugs, yaws, whole)
+        }
         detections = []
         for i, (mask, probabilities) in enumerate(zip(masks, classes)):
             if probabilities[nets.OTHER] > self.config.max_other:
                 continue
             best = int(probabilities[: nets.OTHER].argmax())
-            yaw = turned(yaw_of[i], heading_angle(pieces[i].heading, plane)) if i in yaw_of else np.zeros(0)
             detections.append(
                 ObjectDetection(
                     category=CATEGORIES[best],
                     score=float(probabilities[best]),
                     mask=mask,
                     class_probabilities=probabilities,
-                    yaw_probabilities=yaw,
+                    yaw_probabilities=yaw_of.get(i, np.zeros(0)),
                 )
             )
         return sorted(detections, key=lambda detection: -detection.score)
