@@ -139,7 +139,7 @@ def _input_errors() -> tuple[type[Exception], ...]:
     for module, names in {
         "perception.errors": ("PerceptionError",),
         "sim_assets.errors": ("SimAssetsError",),
-        "sim_assets.headless": ("GraphicsError",),
+        "sim_assets.rendering.headless": ("GraphicsError",),
     }.items():
         if module in sys.modules:
             kinds += [getattr(sys.modules[module], name) for name in names]

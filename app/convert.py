@@ -16,10 +16,10 @@ from app.runs.report import Report
 from app.runs.run_folder import RunFolder
 from app.screen import Screen
 from perception.errors import InvalidInputError
-from perception.recordings.nocs import REAL275, is_nocs_recording, open_nocs
-from perception.recordings.trajectory import Trajectory, read_trajectory
-from perception.recordings.tum import MAX_APART, is_tum_recording, open_tum
-from perception.scan_folder import write_scan
+from perception.io.recordings.nocs import REAL275, is_nocs_recording, open_nocs
+from perception.io.recordings.trajectory import Trajectory, read_trajectory
+from perception.io.recordings.tum import MAX_APART, is_tum_recording, open_tum
+from perception.io.scan_folder import write_scan
 from perception.types import ObjectDetection, RgbdFrame
 
 Camera = tuple[float, float, float, float]

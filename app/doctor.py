@@ -36,7 +36,7 @@ OPTIONAL = {"open3d-cpu": "eval", "tensorboard": "train", "transformers": "hf", 
 PROBE_SECONDS = 60
 _PROBE = """
 import os, sys
-from sim_assets.headless import mujoco
+from sim_assets.rendering.headless import mujoco
 scene = '<mujoco><worldbody><light pos="0 0 2"/><geom size=".1"/></worldbody></mujoco>'
 model = mujoco.MjModel.from_xml_string(scene)
 data = mujoco.MjData(model)
@@ -134,7 +134,7 @@ def check_gl(command: Callable[[], list[str]] = lambda: [sys.executable, "-c", _
 def check_filament() -> Finding:
     """Whether the second renderer, which only `evaluate detection` needs, can draw."""
     try:
-        from sim_assets.filament import filament_fault
+        from sim_assets.rendering.filament import filament_fault
     except ImportError as error:
         return Finding("filament", "optional", str(error)[:100], "pip install 'nodeslam[sim]'")
     fault = filament_fault()

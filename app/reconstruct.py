@@ -11,7 +11,15 @@ from rich.table import Table
 
 from app.drawing import draw_detections, draw_estimates
 from app.options import ReconstructOptions
-from app.perceive import (
+from app.runs.report import ObjectReport, Report
+from app.runs.run_folder import RunFolder
+from app.screen import Screen
+from perception.detection.association import associate
+from perception.errors import InvalidInputError
+from perception.io.files import write_atomically
+from perception.io.object_map import write_object_map
+from perception.io.scan_folder import Scan, png_bytes, read_scan, write_scan
+from perception.pipeline import (
     SHIPPED,
     Detections,
     load_decoder,
@@ -19,15 +27,7 @@ from app.perceive import (
     load_huggingface,
     reconstruct_objects,
 )
-from app.perceive import detect as detect_objects
-from app.runs.report import ObjectReport, Report
-from app.runs.run_folder import RunFolder
-from app.screen import Screen
-from perception.detection.association import associate
-from perception.errors import InvalidInputError
-from perception.files import write_atomically
-from perception.object_map import write_object_map
-from perception.scan_folder import Scan, png_bytes, read_scan, write_scan
+from perception.pipeline import detect as detect_objects
 from perception.support_plane import fit_support_plane
 from perception.types import ObjectEstimate, RgbdFrame, SupportPlane
 

@@ -16,8 +16,8 @@ from scipy.spatial.transform import Rotation
 
 from manipulation.arm_model import MjsBody, MjSpec, collision_spec, joint_addresses, mujoco, site_index
 from manipulation.errors import ManipulationError
-from manipulation.furniture import Furniture
 from manipulation.hulls import hull_faces
+from manipulation.obstacles import Furniture
 from manipulation.robot import ArmDescription
 
 _OFF, _ROBOT, _WORLD = 0, 1, 2  # contype bits: robot and carried geoms meet world geoms, nothing else

@@ -12,9 +12,9 @@ from dataclasses import dataclass
 
 import numpy as np
 
+from manipulation.cross_sections import SectionCache, radial_hits
 from manipulation.grasp_config import GraspConfig
 from manipulation.rim_grasps import rim_grasps
-from manipulation.sections import SectionCache, radial_hits
 from manipulation.top_grasps import top_grasps
 from manipulation.types import Grasp, StandingObject
 

@@ -9,7 +9,7 @@ from dataclasses import dataclass
 import numpy as np
 from jaxtyping import Float
 
-from manipulation.sections import SectionCache, radial_hits
+from manipulation.cross_sections import SectionCache, radial_hits
 from manipulation.types import StandingObject
 
 _STEP = 0.002

@@ -19,7 +19,7 @@ from manipulation.footprints import BoxRaster, Footprint, Stencil, bounding_area
 from manipulation.grasp_config import GraspConfig
 from manipulation.grasps import find_grasps
 from manipulation.nesting import nest_heights, stack_bowls
-from manipulation.release_room import count_releases
+from manipulation.release_clearance import count_releases
 from manipulation.robot import GripperGeometry
 from manipulation.types import Box, Grasp, Placement, StandingObject
 

@@ -16,14 +16,14 @@ from jaxtyping import Float
 
 from manipulation.collision import Body, CollisionConfig, CollisionWorld
 from manipulation.errors import PlanningError
-from manipulation.furniture import TABLE, Furniture, box_walls
 from manipulation.grasp_config import GraspConfig
 from manipulation.grasps import GraspSet, find_grasps
-from manipulation.handling import HandlingConfig, Pick, Place, find_pick, find_place
 from manipulation.hulls import convex_pieces
 from manipulation.kinematics import IkConfig, Kinematics
 from manipulation.motions import Motions
 from manipulation.nesting import nest_heights
+from manipulation.obstacles import TABLE, Furniture, box_walls
+from manipulation.pick_place_segments import HandlingConfig, Pick, Place, find_pick, find_place
 from manipulation.robot import ArmDescription
 from manipulation.standing import yaw_pose
 from manipulation.trajectories import MotionConfig, concatenate

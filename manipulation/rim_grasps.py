@@ -8,8 +8,8 @@ from dataclasses import dataclass, replace
 import numpy as np
 from jaxtyping import Float
 
+from manipulation.cross_sections import SectionCache, radial_hits
 from manipulation.grasp_config import GraspConfig, tcp_pose, turned
-from manipulation.sections import SectionCache, radial_hits
 from manipulation.standing import HANDLE_HALF_ANGLE
 from manipulation.types import Grasp, StandingObject
 

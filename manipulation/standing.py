@@ -5,8 +5,8 @@ from __future__ import annotations
 import numpy as np
 from jaxtyping import Float
 
+from manipulation.cross_sections import fit_circle, section, span
 from manipulation.errors import PlanningError
-from manipulation.sections import fit_circle, section, span
 from manipulation.types import StandingObject
 from perception.types import Category, ObjectEstimate, SupportPlane
 

@@ -8,8 +8,8 @@ from dataclasses import replace
 import numpy as np
 from jaxtyping import Float
 
+from manipulation.cross_sections import SectionCache, Span, span
 from manipulation.grasp_config import GraspConfig, tcp_pose, turned
-from manipulation.sections import SectionCache, Span, span
 from manipulation.types import Grasp, StandingObject
 
 

@@ -8,7 +8,7 @@ from pathlib import Path
 import numpy as np
 import pytest
 
-from perception.object_map import read_object_map
+from perception.io.object_map import read_object_map
 
 ROOT = Path(__file__).parents[1]
 WANTED = 0.8  # share of the objects in place over the seeds

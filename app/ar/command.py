@@ -28,10 +28,10 @@ from app.runs.finished_run import FinishedRun, read_run, tracked_frames
 from app.runs.report import ObjectReport, Report
 from app.runs.run_folder import RunFolder
 from app.screen import Screen
-from perception.files import write_atomically
-from perception.scan_folder import png_bytes
+from perception.io.files import write_atomically
+from perception.io.scan_folder import png_bytes
 from perception.types import ObjectEstimate, RgbdFrame
-from sim_assets.drop_world import DropWorld, StaticObject, View
+from sim_assets.cell.drop_world import DropWorld, StaticObject, View
 
 FPS = 25
 PANELS = 2  # views side by side in the video

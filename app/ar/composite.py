@@ -14,7 +14,7 @@ import numpy as np
 from jaxtyping import Bool, Float, UInt8
 
 from perception.types import RgbdFrame
-from sim_assets.drop_world import Rendering
+from sim_assets.cell.drop_world import Rendering
 
 Image = UInt8[np.ndarray, "_h _w 3"]
 

@@ -10,7 +10,7 @@ from jaxtyping import Float
 
 from app.export.convex import PolarBody
 from perception.types import ObjectEstimate
-from sim_assets.drop_world import Toy, ToyKind
+from sim_assets.cell.drop_world import Toy, ToyKind
 
 DROP_HEIGHT = 0.10  # [m] above what lies below
 FIRST, EVERY = 0.15, 0.11  # [s] when the first toy falls, and the others after it

@@ -11,7 +11,7 @@ from jaxtyping import Float
 from app.export.mjcf import upright
 from perception.detection.geometry import points_of
 from perception.types import ObjectEstimate, RgbdFrame, SupportPlane
-from sim_assets.drop_world import HeightField
+from sim_assets.cell.drop_world import HeightField
 
 CELL = 0.008  # [m]
 REACH = 0.35  # [m] around the objects

@@ -13,11 +13,11 @@ from app.benchmarks.rows import benchmarks
 from app.benchmarks.scene import prepare
 from app.benchmarks.timing import Row, TimingConfig, measure
 from app.options import BenchOptions
-from app.perceive import resolve_device
 from app.runs.report import Report
 from app.runs.run_folder import RunFolder
 from app.screen import Screen
 from perception.inference.reconstruct import single_threaded_torch
+from perception.pipeline import resolve_device
 
 
 def run(options: BenchOptions, screen: Screen) -> Report:

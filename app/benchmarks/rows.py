@@ -10,7 +10,7 @@ import numpy as np
 import torch
 from skimage import measure
 
-from app.benchmarks.plain import (
+from app.benchmarks.reference import (
     gradient_step,
     plain_decoder,
     plain_jacobian_rows,
@@ -18,7 +18,6 @@ from app.benchmarks.plain import (
 )
 from app.benchmarks.scene import BenchScene, square_view
 from app.benchmarks.timing import Benchmark
-from app.perceive import detect
 from perception.inference.fit import FitConfig, fit_object, optimise_object
 from perception.inference.initialise import initial_poses
 from perception.inference.levenberg_marquardt import Evaluation, LmConfig, minimise
@@ -27,6 +26,7 @@ from perception.inference.observation import ObjectObservation, gather_pixels
 from perception.inference.problem import FitProblem, FitState, SupportCamera
 from perception.inference.reconstruct import reconstruct
 from perception.inference.shape_model import SKIP_JACOBIAN, SKIP_OCCUPANCY, decode, mean_shape
+from perception.pipeline import detect
 from perception.rendering.renderer import RayBundle, ShapeGrid, render
 from perception.shape.decoder import ShapeDecoder
 from perception.shape.weights import load_weights

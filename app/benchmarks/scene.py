@@ -8,13 +8,13 @@ from pathlib import Path
 import numpy as np
 
 from app.options import Device, ScanOptions
-from app.perceive import Detections, detect, load_perception
 from perception.detection.detector import Detector
 from perception.errors import InvalidInputError
 from perception.inference.reconstruct import Instance, gather_instances
+from perception.io.scan_folder import read_scan
+from perception.pipeline import Detections, detect, load_perception
 from perception.rendering.pose import ObjectPose, canonical_from_camera
 from perception.rendering.renderer import RayBundle
-from perception.scan_folder import read_scan
 from perception.shape.decoder import ShapeDecoder
 from perception.types import RgbdFrame
 
@@ -56,8 +56,8 @@ def prepare(scan: Path | None, seed: int, device: Device) -> BenchScene:
 
 def _simulated(seed: int) -> tuple[RgbdFrame, ...]:
     from app.task.cell import build_world
-    from app.task.looking import SCAN_VIEWS, look
     from manipulation.kinematics import Kinematics
+    from manipulation.viewpoints import SCAN_VIEWS, look
 
     with build_world(ScanOptions(objects=OBJECTS, seed=seed), "pack") as world:
         return tuple(look(world, Kinematics(world.arm), SCAN_VIEWS))

@@ -20,15 +20,15 @@ from rich.table import Table
 from app.drawing import draw_detections
 from app.errors import UsageError
 from app.evaluation.detection_scoring import accepted, score_image, summarise_detection
-from app.evaluation.work import Ledger, Line, spread
+from app.evaluation.jobs import Ledger, Line, spread
 from app.options import EvaluateOptions
-from app.perceive import resolve_device
 from app.runs.report import Report
 from app.screen import Screen
 from perception.detection.detector import Detector, DetectorConfig
-from perception.files import write_atomically
 from perception.inference.reconstruct import single_threaded_torch
-from perception.scan_folder import png_bytes
+from perception.io.files import write_atomically
+from perception.io.scan_folder import png_bytes
+from perception.pipeline import resolve_device
 from perception.support_plane import fit_support_plane
 
 ROWS = "rows.jsonl"
@@ -43,7 +43,7 @@ def run(options: EvaluateOptions, screen: Screen) -> Report:
     if options.images < 1:
         raise UsageError("evaluate detection needs an image at least; give --images")
     if options.renderer == "filament":
-        from sim_assets.filament import require_filament
+        from sim_assets.rendering.filament import require_filament
 
         require_filament()
     ledger, finished = Ledger.open(options, "evaluate-detection", ROWS, "chunk", _settings(options))
@@ -64,7 +64,7 @@ def run(options: EvaluateOptions, screen: Screen) -> Report:
 
 def run_chunk(options: EvaluateOptions, folder: Path, chunk: int) -> Line:
     """Render a chunk of images, detect, and compare with the truth."""
-    from sim_assets.training_scenes import TrainingScenes
+    from sim_assets.datasets.training_scenes import TrainingScenes
 
     count = min(CHUNK, options.images - chunk * CHUNK)
     seed = int(np.random.SeedSequence([options.seed, chunk]).generate_state(1)[0])
@@ -88,8 +88,8 @@ def run_chunk(options: EvaluateOptions, folder: Path, chunk: int) -> Line:
 
 def _scenes(options: EvaluateOptions) -> Any:
     """4 to 10 objects with 1 to 4 distractors, gaps down to contact, from 0.3 to 0.9 m and 28 degrees up."""
-    from sim_assets.depth_noise import DEPTH_NOISES
-    from sim_assets.table_top import TrainingSceneConfig
+    from sim_assets.datasets.table_top import TrainingSceneConfig
+    from sim_assets.rendering.depth_noise import DEPTH_NOISES
 
     none, gaussian, realsense = (float(noise == options.depth_noise) for noise in DEPTH_NOISES)
     return TrainingSceneConfig(

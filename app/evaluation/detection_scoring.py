@@ -15,15 +15,15 @@ from typing import TYPE_CHECKING, Any
 import numpy as np
 from jaxtyping import Bool, Float
 
-from app.training.labels import handle_share
+from app.training.crop_dataset import handle_share
 from app.training.yaw import HANDLE_VISIBLE, angle_between
 from perception.detection.geometry import points_of
 from perception.detection.yaw import entropy, modes
-from perception.detections_file import encode_mask
+from perception.io.detections import encode_mask
 from perception.types import CATEGORIES, ObjectDetection
 
 if TYPE_CHECKING:
-    from sim_assets.table_top import LabelledImage
+    from sim_assets.datasets.table_top import LabelledImage
 
 MIN_PIXELS = 300
 MIN_VISIBLE = 0.25

@@ -17,9 +17,9 @@ from typing import Any
 import numpy as np
 
 from app.errors import UsageError
+from app.evaluation.jobs import Ledger, Line, spread
 from app.evaluation.reconstruction_object import Subject, evaluate_subject
 from app.evaluation.reconstruction_summary import reconstruction_tables, summarise_reconstruction
-from app.evaluation.work import Ledger, Line, spread
 from app.options import EvaluateOptions
 from app.runs.report import Report
 from app.screen import Screen

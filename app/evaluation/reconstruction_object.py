@@ -13,17 +13,17 @@ import numpy as np
 from jaxtyping import Float
 
 from app.options import Device, EvaluateOptions, Method
-from app.perceive import load_decoder, resolve_device
 from app.task.scoring import TrueSurface
-from app.training.labels import handle_share
+from app.training.crop_dataset import handle_share
 from app.training.yaw import HANDLE_VISIBLE
 from perception.detection.detector import Detector, DetectorConfig
 from perception.errors import PerceptionError
+from perception.inference.ablations import method_config, reconstruct_by
 from perception.inference.fit import FitConfig, FitStep, fit_object
 from perception.inference.meshing import EmptyShapeError, mesh_from_code
-from perception.inference.methods import method_config, reconstruct_by
 from perception.inference.reconstruct import gather_instances
 from perception.metrics import SurfaceSamples, compare_surfaces
+from perception.pipeline import load_decoder, resolve_device
 from perception.shape.decoder import ShapeDecoder
 from perception.support_plane import fit_support_plane
 from perception.types import CATEGORIES, Category, ObjectDetection, ObjectEstimate, RgbdFrame, SupportPlane
@@ -102,7 +102,7 @@ def evaluate_subject(options: EvaluateOptions, subject: Subject) -> dict[str, An
 
 def load_sight(options: EvaluateOptions, subject: Subject) -> Sight:
     """Draws the object, puts it on a table, takes the views and detects it in them."""
-    from sim_assets.portraits import PortraitConfig, take_portrait
+    from sim_assets.datasets.single_object import PortraitConfig, take_portrait
 
     model = _model(options, subject)
     config = PortraitConfig(depth_noise=options.depth_noise)

@@ -20,6 +20,7 @@ import numpy as np
 
 from app.errors import UsageError
 from app.evaluation import slam_short
+from app.evaluation.jobs import Ledger, Line, resident_memory, spread
 from app.evaluation.slam_scoring import (
     CURVE_UPDATES,
     TrueObjects,
@@ -29,18 +30,17 @@ from app.evaluation.slam_scoring import (
     surface_rows,
 )
 from app.evaluation.slam_summary import slam_tables, summarise_slam, write_plots
-from app.evaluation.work import Ledger, Line, resident_memory, spread
 from app.options import EvaluateOptions
 from app.runs.report import Report
 from app.screen import Screen
 from app.slam.pictures import write_map_picture
 from app.slam.run import SlamRun
 from app.slam.sequence_truth import read_true_objects, read_true_trajectory
-from perception.detections_file import write_entries
-from perception.recordings.sequence import open_sequence
+from perception.io.detections import write_entries
+from perception.io.recordings.sequence import open_sequence
+from perception.slam.ablations import Variant, variant_config
 from perception.slam.estimates import object_estimates
 from perception.slam.landmarks import Landmark
-from perception.slam.variants import Variant, variant_config
 
 ROWS = "rows.jsonl"
 STAGES = ("detect", "track", "initialise", "joint", "relocalise")  # their seconds are the processor's
@@ -107,7 +107,7 @@ def run_scene(options: EvaluateOptions, folder: Path, item: tuple[int, Variant])
 def ensure_sequence(options: EvaluateOptions, folder: Path, scene: int) -> Path:
     """The scene's sequence, rendered by whoever needs it first."""
     from app.slam.sequences import is_complete, write_sequence
-    from sim_assets.sequences import SequenceConfig, TableSequence
+    from sim_assets.datasets.sequences import SequenceConfig, TableSequence
 
     path = folder / "sequences" / f"scene_{scene}"
     if is_complete(path):
@@ -125,7 +125,7 @@ def ensure_sequence(options: EvaluateOptions, folder: Path, scene: int) -> Path:
 @cache
 def _networks(device: Any) -> Any:
     """Loaded once in each process."""
-    from app.perceive import load_perception
+    from perception.pipeline import load_perception
 
     return load_perception(device)
 
@@ -195,7 +195,7 @@ def _scores(
 
 def noisy_truth(slam_run: SlamRun, Ts: np.ndarray, rng: np.random.Generator) -> dict[int, np.ndarray]:
     """True keyframe poses with the paper's 1 mm and 0.1 degrees of noise, by frame number."""
-    from sim_assets.sequences import perturbed_poses
+    from sim_assets.datasets.sequences import perturbed_poses
 
     noisy = perturbed_poses(Ts, rng)
     return {k.number: noisy[k.number] for k in slam_run.slam.keyframes}

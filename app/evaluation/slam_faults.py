@@ -9,7 +9,7 @@ from pathlib import Path
 import numpy as np
 
 from app.options import SlamFault
-from perception.recordings.sequence import RgbdSequence
+from perception.io.recordings.sequence import RgbdSequence
 from perception.types import ObjectDetection, RgbdFrame
 
 MOVED_AT = 0.4  # share of the sequence after which a hand moves an object

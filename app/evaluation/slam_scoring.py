@@ -19,8 +19,8 @@ from app.slam.run import SlamRun
 from perception.fusion.tsdf import TsdfConfig, reconstruct_tsdf
 from perception.inference.meshing import EmptyShapeError
 from perception.inference.shape_model import Decoder
+from perception.io.recordings.trajectory import Trajectory
 from perception.metrics import SurfaceSamples, compare_surfaces
-from perception.recordings.trajectory import Trajectory
 from perception.slam.estimates import object_estimate
 from perception.slam.keyframes import Keyframe
 from perception.slam.landmarks import Landmark

@@ -17,20 +17,20 @@ import numpy as np
 from rich.table import Table
 
 from app.errors import UsageError
+from app.evaluation.jobs import Ledger, Line, spread
 from app.evaluation.slam_faults import MOVED_AT, flickering, with_fault
 from app.evaluation.slam_scoring import TrueObjects, absolute_pose_error, places_of, surface_rows
 from app.evaluation.slam_summary import NAMES
 from app.evaluation.statistics import paired_difference, wilson_interval
-from app.evaluation.work import Ledger, Line, spread
 from app.options import EvaluateOptions, SlamFault
 from app.runs.report import Report
 from app.screen import Screen
 from app.slam.run import SlamRun
 from perception.geometry import transform_points
 from perception.inference.shape_model import Decoder
-from perception.recordings.sequence import RgbdSequence
-from perception.recordings.trajectory import Trajectory
-from perception.slam.variants import variant_config
+from perception.io.recordings.sequence import RgbdSequence
+from perception.io.recordings.trajectory import Trajectory
+from perception.slam.ablations import variant_config
 from perception.types import RgbdFrame, TriangleMesh
 
 ROWS = "short.jsonl"
@@ -91,7 +91,7 @@ def run_short(options: EvaluateOptions, index: int) -> Line:
 
 
 def _run_variants(options: EvaluateOptions, index: int, close_up: bool, fault: SlamFault) -> dict[str, Any]:
-    from sim_assets.sequences import CLOSE_UP, SequenceConfig, TableSequence
+    from sim_assets.datasets.sequences import CLOSE_UP, SequenceConfig, TableSequence
 
     config = replace(
         CLOSE_UP if close_up else SequenceConfig(),
@@ -139,7 +139,7 @@ def _run_variants(options: EvaluateOptions, index: int, close_up: bool, fault: S
 @cache
 def _networks(device: Any) -> Any:
     """Loaded once in each process."""
-    from app.perceive import load_perception
+    from perception.pipeline import load_perception
 
     return load_perception(device)
 

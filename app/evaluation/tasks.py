@@ -12,8 +12,8 @@ from functools import cache, partial
 from typing import Any
 
 from app.errors import MissingExtraError, UsageError
+from app.evaluation.jobs import Ledger, spread
 from app.evaluation.statistics import summarise
-from app.evaluation.work import Ledger, spread
 from app.options import EvaluateOptions
 from app.runs.report import Report
 from app.screen import Screen
@@ -69,7 +69,7 @@ def run_seed(options: EvaluateOptions, seed: int) -> dict[str, Any]:
 @cache
 def _perception(device: Any) -> Any:
     """Networks, loaded once in each process."""
-    from app.perceive import load_perception
+    from perception.pipeline import load_perception
 
     return load_perception(device)
 

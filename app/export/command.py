@@ -17,7 +17,7 @@ from app.runs.finished_run import read_run
 from app.runs.report import ObjectReport, Report
 from app.runs.run_folder import RunFolder
 from app.screen import Screen
-from perception.files import write_atomically
+from perception.io.files import write_atomically
 
 
 def run(options: ExportOptions, screen: Screen) -> Report:

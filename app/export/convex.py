@@ -17,7 +17,7 @@ from jaxtyping import Bool, Float
 from scipy.spatial import ConvexHull
 
 from app.export.convex_handle import handle_pieces
-from manipulation.sections import section
+from manipulation.cross_sections import section
 from manipulation.standing import body_axis
 from perception.types import Category, TriangleMesh
 from sim_assets.objects.collision import CLEARANCE, breakpoints

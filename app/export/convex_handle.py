@@ -7,7 +7,7 @@ from itertools import pairwise
 import numpy as np
 from jaxtyping import Float
 
-from manipulation.sections import radial_hits, section
+from manipulation.cross_sections import radial_hits, section
 from perception.types import TriangleMesh
 from sim_assets.objects.collision import breakpoints
 

@@ -12,7 +12,7 @@ from scipy.spatial.transform import Rotation
 
 from app.drawing import CLASS_COLORS
 from app.export.model import FRICTION, RigidModel, numbers, obj_text
-from perception.files import write_atomically
+from perception.io.files import write_atomically
 from perception.types import SupportPlane
 
 GRAVITY = 9.81  # [m/s²]

@@ -10,11 +10,11 @@ import numpy as np
 
 from app.errors import UsageError
 from perception.errors import InvalidInputError, PerceptionError
-from perception.files import read_json
-from perception.object_map import read_object_map
-from perception.recordings.sequence import open_sequence
-from perception.recordings.trajectory import read_trajectory
-from perception.scan_folder import Scan, read_scan
+from perception.io.files import read_json
+from perception.io.object_map import read_object_map
+from perception.io.recordings.sequence import open_sequence
+from perception.io.recordings.trajectory import read_trajectory
+from perception.io.scan_folder import Scan, read_scan
 from perception.support_plane import fit_support_plane
 from perception.types import ObjectEstimate, RgbdFrame, SupportPlane
 

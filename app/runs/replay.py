@@ -22,7 +22,7 @@ import trimesh
 from jaxtyping import Float
 
 from perception.errors import InvalidInputError
-from perception.files import read_json, write_atomically
+from perception.io.files import read_json, write_atomically
 from perception.types import ObjectDetection, ObjectEstimate, RgbdFrame
 
 NoteKind = Literal["stage", "done", "look", "found", "fit", "objects", "plan", "action", "path"]

@@ -11,7 +11,7 @@ from typing import Any
 from app.errors import UsageError
 from app.options import CommonOptions
 from app.runs.report import Report
-from perception.files import write_json
+from perception.io.files import write_json
 
 _OWN_FILES = (
     "report.json", "objects.json", "plan.json", "replay.npz", "replay.json", "replay.glb",

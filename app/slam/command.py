@@ -11,7 +11,6 @@ from rich.markup import escape
 from rich.table import Table
 
 from app.options import SlamOptions
-from app.perceive import load_decoder, load_detector
 from app.runs.report import ObjectReport, Report
 from app.runs.run_folder import RunFolder
 from app.screen import Screen
@@ -19,11 +18,12 @@ from app.slam.pictures import write_map_picture
 from app.slam.recording import SlamRecorder
 from app.slam.run import SlamRun
 from app.slam.sequence_truth import read_true_trajectory
-from perception.files import write_json
-from perception.object_map import write_object_map
-from perception.recordings.sequence import open_sequence
-from perception.recordings.trajectory import write_trajectory
-from perception.scan_folder import write_scan
+from perception.io.files import write_json
+from perception.io.object_map import write_object_map
+from perception.io.recordings.sequence import open_sequence
+from perception.io.recordings.trajectory import write_trajectory
+from perception.io.scan_folder import write_scan
+from perception.pipeline import load_decoder, load_detector
 from perception.slam.config import SlamConfig
 from perception.slam.estimates import object_estimates
 from perception.types import ObjectDetection, ObjectEstimate

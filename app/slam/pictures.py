@@ -13,8 +13,8 @@ from jaxtyping import Float
 from scipy.spatial import ConvexHull
 
 from app.drawing import color_of, draw_estimates
-from perception.files import write_atomically
-from perception.recordings.trajectory import Trajectory
+from perception.io.files import write_atomically
+from perception.io.recordings.trajectory import Trajectory
 from perception.slam.keyframes import Keyframe
 from perception.types import CameraIntrinsics, ObjectEstimate, RgbdFrame
 

@@ -10,11 +10,11 @@ from typing import Any
 import numpy as np
 import torch
 
-from perception.detections_file import encode_detections
 from perception.errors import InvalidInputError
 from perception.inference.shape_model import Decoder
-from perception.recordings.sequence import RgbdSequence, without_pose
-from perception.recordings.trajectory import Trajectory
+from perception.io.detections import encode_detections
+from perception.io.recordings.sequence import RgbdSequence, without_pose
+from perception.io.recordings.trajectory import Trajectory
 from perception.slam.config import SlamConfig
 from perception.slam.relocalise import Relocalised
 from perception.slam.system import Clock, Detect, FrameResult, Slam

@@ -4,9 +4,9 @@ from __future__ import annotations
 
 from pathlib import Path
 
-from perception.files import read_json
-from perception.object_map import read_ply
-from perception.recordings.trajectory import Trajectory, read_trajectory
+from perception.io.files import read_json
+from perception.io.object_map import read_ply
+from perception.io.recordings.trajectory import Trajectory, read_trajectory
 from perception.types import TriangleMesh
 
 TRUTH = "ground_truth"  # folder inside a sequence's own

@@ -14,12 +14,12 @@ from pathlib import Path
 import numpy as np
 
 from app.slam.sequence_truth import TRUTH
-from perception.files import write_atomically, write_json
-from perception.object_map import ply_bytes
-from perception.recordings.trajectory import Trajectory, write_trajectory
-from perception.scan_folder import ScanWriter
+from perception.io.files import write_atomically, write_json
+from perception.io.object_map import ply_bytes
+from perception.io.recordings.trajectory import Trajectory, write_trajectory
+from perception.io.scan_folder import ScanWriter
 from perception.types import TriangleMesh
-from sim_assets.sequences import TableSequence
+from sim_assets.datasets.sequences import TableSequence
 
 
 def write_sequence(

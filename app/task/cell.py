@@ -14,9 +14,9 @@ from app.options import CellOptions
 from perception.types import CATEGORIES, Category
 
 if TYPE_CHECKING:
+    from sim_assets.cell.world import World
     from sim_assets.objects import ObjectModel
-    from sim_assets.simulated_arm import SimulatedArm
-    from sim_assets.world import World
+    from sim_assets.robots.simulated_arm import SimulatedArm
 
 MAX_OBJECTS = 20
 BOX_LIMITS = {"L": (0.10, 0.60), "W": (0.10, 0.50), "H": (0.02, 0.20)}  # [m] that fit on the table
@@ -117,9 +117,9 @@ def build_world(options: CellOptions, task: str | None) -> World:
     rng = np.random.default_rng(shape_seed)
     classes = parse_objects(options.objects, rng)
     inner = parse_box(options.box)
-    from sim_assets.layout import LayoutError
-    from sim_assets.scene import BoxConfig
-    from sim_assets.world import CellConfig, World
+    from sim_assets.cell.layout import LayoutError
+    from sim_assets.cell.scene import BoxConfig
+    from sim_assets.cell.world import CellConfig, World
 
     models = tuple(_draw_models(options, classes, rng))
     config = CellConfig(
@@ -140,7 +140,7 @@ def _draw_models(
     options: CellOptions, classes: Sequence[Category], rng: np.random.Generator
 ) -> list[ObjectModel]:
     if options.object_meshes is None:
-        from sim_assets.draw import draw_objects
+        from sim_assets.objects.sampling import draw_objects
 
         return list(draw_objects(Counter(classes), "test", rng))
     from sim_assets.objects import load_user_objects

@@ -5,13 +5,13 @@ from __future__ import annotations
 import contextlib
 
 from app.options import RunTaskOptions
-from app.perceive import load_perception
 from app.runs.report import Report
 from app.screen import Screen
 from app.task.cell import build_world
-from app.task.gate import Gate
 from app.task.recording import CellRecorder
 from app.task.run import run_in, task_of
+from app.task.run_control import Gate
+from perception.pipeline import load_perception
 
 
 def run(options: RunTaskOptions, screen: Screen) -> Report:

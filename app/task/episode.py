@@ -10,15 +10,15 @@ from typing import Any
 import numpy as np
 
 from app.options import Task, TaskOptions
-from app.perceive import Detections, Perception
 from app.runs.report import ObjectReport, Report
 from app.task.pipeline import Goal, Outcome, Shapes, Watcher
 from app.task.pipeline import run as run_pipeline
 from app.task.scoring import Truth, oracle_estimates, read_truth, score_reconstruction, score_task
 from manipulation.types import Box
+from perception.pipeline import Detections, Perception
 from perception.types import ObjectEstimate, RgbdFrame
-from sim_assets.scene import BoxConfig
-from sim_assets.world import World
+from sim_assets.cell.scene import BoxConfig
+from sim_assets.cell.world import World
 
 # What the robot itself calls in place when it looks again: this upright [rad] and this near its goal [m].
 MAX_TILT, MAX_SHIFT = np.deg2rad(10), 0.03

@@ -14,10 +14,10 @@ from jaxtyping import Float, UInt8
 from scipy.spatial import ConvexHull
 
 from app.drawing import color_of, draw_detections, draw_estimates
-from app.perceive import Detections
 from app.runs.report import ObjectReport
 from manipulation.types import TaskPlan
-from perception.files import write_atomically
+from perception.io.files import write_atomically
+from perception.pipeline import Detections
 from perception.types import ObjectEstimate, RgbdFrame
 
 Image = UInt8[np.ndarray, "h w 3"]

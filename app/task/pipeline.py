@@ -22,17 +22,17 @@ from typing import Any
 import numpy as np
 from jaxtyping import Float
 
-from app.perceive import Detections, Perception, detect, reconstruct_objects
-from app.task.looking import BOX_VIEWS, LINE_VIEWS, SCAN_VIEWS, close_views, look
 from manipulation.errors import ManipulationError
 from manipulation.execution import TaskEvent, execute
 from manipulation.kinematics import Kinematics
 from manipulation.planner import ManipulationConfig, plan_pack, plan_sort
 from manipulation.robot import Robot
 from manipulation.types import Box, Line, ObjectOutcome, Task, TaskPlan
+from manipulation.viewpoints import BOX_VIEWS, LINE_VIEWS, SCAN_VIEWS, close_views, look
 from perception.errors import PerceptionError
 from perception.inference.fit import FitStep
 from perception.inference.refit import PoseCheck, refit_pose
+from perception.pipeline import Detections, Perception, detect, reconstruct_objects
 from perception.types import Category, ObjectEstimate, RgbdFrame
 
 _log = logging.getLogger(__name__)

@@ -22,8 +22,8 @@ from manipulation.kinematics import Kinematics
 from manipulation.types import PickPlacePlan, TaskPlan
 from perception.inference.fit import FitStep
 from perception.types import Category, ObjectEstimate, RgbdFrame
-from sim_assets import visuals
-from sim_assets.world import World
+from sim_assets.cell.world import World
+from sim_assets.rendering import viewer_meshes
 
 PATH_POINTS = 16  # of each motion of the planned path
 RATE = 30.0  # [Hz] of simulated time
@@ -39,7 +39,7 @@ class CellRecorder(Watcher):
         self._lock = threading.Lock()  # fits tell their steps from several threads
         objects = tuple(f"object{number}" for number in read_truth(world).models)
         self.recorder = Recorder(
-            bodies=(*visuals.moving_bodies(world), *objects), meshes=visuals.body_meshes(world)
+            bodies=(*viewer_meshes.moving_bodies(world), *objects), meshes=viewer_meshes.body_meshes(world)
         )
         self.sample()
 
@@ -47,7 +47,7 @@ class CellRecorder(Watcher):
         """Where everything is now."""
         world = self.world
         truth = np.array([_position_wxyz(T) for T in read_truth(world).poses.values()]).reshape(-1, 7)
-        poses = np.concatenate([visuals.poses(world), truth])
+        poses = np.concatenate([viewer_meshes.poses(world), truth])
         with self._lock:
             self.recorder.sample(world.time, world.joint_positions(), world.gripper_width(), poses)
 

@@ -5,16 +5,16 @@ from __future__ import annotations
 from rich.markup import escape
 
 from app.options import PackOptions, RunTaskOptions, Task
-from app.perceive import Perception
 from app.runs.report import Report
 from app.runs.run_folder import RunFolder
 from app.screen import Screen
 from app.tables import object_table
 from app.task.episode import run_episode
-from app.task.gate import Gate
 from app.task.recording import CellRecorder
-from app.task.storage import Storage
-from sim_assets.world import World
+from app.task.run_control import Gate
+from app.task.run_writer import Storage
+from perception.pipeline import Perception
+from sim_assets.cell.world import World
 
 
 def run_in(

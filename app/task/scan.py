@@ -14,13 +14,13 @@ from app.runs.report import Report
 from app.runs.run_folder import RunFolder
 from app.screen import Screen
 from app.task.cell import build_world
-from app.task.looking import SCAN_VIEWS, look
 from manipulation.kinematics import Kinematics
-from perception.scan_folder import write_scan
+from manipulation.viewpoints import SCAN_VIEWS, look
+from perception.io.scan_folder import write_scan
 from perception.types import RgbdFrame
 
 if TYPE_CHECKING:
-    from sim_assets.world import World
+    from sim_assets.cell.world import World
 
 
 @contextmanager

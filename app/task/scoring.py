@@ -22,10 +22,10 @@ from manipulation.standing import stand
 from manipulation.types import Line, ObjectOutcome, TaskPlan
 from perception.metrics import SurfaceSamples, compare_surfaces, point_recall
 from perception.types import CODE_SIZE, ObjectEstimate, TriangleMesh
-from sim_assets import ground_truth
+from sim_assets.cell import ground_truth
+from sim_assets.cell.scene import BoxConfig
+from sim_assets.cell.world import World
 from sim_assets.objects import ObjectModel, canonical_scale
-from sim_assets.scene import BoxConfig
-from sim_assets.world import World
 
 MATCH_DISTANCE = 0.05  # [m] between the axes of an estimate and of the object it is of
 

@@ -22,8 +22,8 @@ from app.task.pipeline import Watcher
 from manipulation.execution import TaskEvent
 from manipulation.types import Box, TaskPlan
 from perception.types import CameraIntrinsics, ObjectEstimate, RgbdFrame
-from sim_assets.camera import look_at
-from sim_assets.world import World
+from sim_assets.cell.world import World
+from sim_assets.rendering.camera import look_at
 
 FPS = 12
 SPEED = 5.0  # simulated seconds per second of film

@@ -10,10 +10,10 @@ from rich.markup import escape
 
 from app.errors import UsageError
 from app.options import TrainOptions
-from app.perceive import resolve_device
 from app.runs.report import Report
 from app.runs.run_folder import RunFolder
 from app.screen import Screen
+from perception.pipeline import resolve_device
 
 
 def run(options: TrainOptions, screen: Screen) -> Report:

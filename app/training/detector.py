@@ -16,9 +16,9 @@ import numpy as np
 import torch
 from jaxtyping import Float, Int
 
+from app.training.crop_dataset import LabelledCrops, Progress, Split
 from app.training.files import checksums, summary_writer
-from app.training.labels import LabelledCrops, Progress, Split
-from app.training.pictures import (
+from app.training.scene_dataset import (
     UPRIGHT,
     Pictures,
     close_up_shards,
@@ -279,10 +279,10 @@ scene network in batches of 8, {training.epochs} of each class network in batche
 {training.learning_rate}, cosine schedule, float32, CPU.
 
 **Data**: {config.pictures} scenes of the training families and of distractors for the scene network, rendered
-at 640 x 480 by MuJoCo's classic renderer (`sim_assets/training_scenes.py`: random textures, prints, gloss,
-light, camera height, tilt and roll, gaps down to contact, depth without noise, with 2 mm of noise, and as a
-RealSense errs), mirrored, recoloured and with further holes in training. For the class network {crops} crops
-in {config.close_ups} more crowded ones with more mugs, bottles, cans and odd things of no class and in
+at 640 x 480 by MuJoCo's classic renderer (`sim_assets/datasets/training_scenes.py`: random textures, prints,
+gloss, light, camera height, tilt and roll, gaps down to contact, depth without noise, with 2 mm of noise, and
+as a RealSense errs), mirrored, recoloured and with further holes in training. For the class network {crops}
+crops in {config.close_ups} more crowded ones with more mugs, bottles, cans and odd things of no class and in
 {config.upright_close_ups} with mostly bottles and cans, of another set of shapes every 28 scenes (three in
 five of the flat and lidded cans stand on a narrower foot), about true masks that are ragged, cut, lack a
 piece or take in one of a neighbour; mirrored, warped, shifted, cut and recoloured in training. No

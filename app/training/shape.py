@@ -19,7 +19,7 @@ import torch
 from app.training.files import summary_writer
 from app.training.shape_pictures import CODE, PIXEL, RECONSTRUCTIONS, WALK, draw_shape_pictures
 from perception.errors import PerceptionError
-from perception.files import read_json, write_atomically, write_json
+from perception.io.files import read_json, write_atomically, write_json
 from perception.shape.dataset import ShapeDataset
 from perception.shape.evaluation import OBJECT_VOXELS, ShapeScores, describe, evaluate
 from perception.shape.network import ShapeVae

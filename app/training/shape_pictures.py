@@ -16,14 +16,14 @@ from matplotlib.backends.backend_agg import FigureCanvasAgg
 from matplotlib.figure import Figure
 
 from app.drawing import draw_estimates
-from app.task.looking import Viewpoint
+from manipulation.viewpoints import Viewpoint
 from perception.errors import PerceptionError
-from perception.files import write_atomically
 from perception.inference.meshing import mesh_from_grid
+from perception.io.files import write_atomically
+from perception.io.scan_folder import png_bytes
 from perception.rendering.pose import ObjectPose, canonical_from_camera
 from perception.rendering.reference import render_reference
 from perception.rendering.renderer import RayBundle, Rendering, ShapeGrid, render
-from perception.scan_folder import png_bytes
 from perception.shape.dataset import ShapeDataset, occupancies
 from perception.shape.decoder import ShapeDecoder
 from perception.shape.evaluation import decode, encode

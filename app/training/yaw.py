@@ -13,6 +13,7 @@ import numpy as np
 import torch
 from jaxtyping import Float
 
+from app.training.crop_dataset import LabelledCrops, Progress
 from app.training.detector import (
     RENDERING_SHARE,
     TrainDetectorConfig,
@@ -22,7 +23,6 @@ from app.training.detector import (
     trained,
 )
 from app.training.files import checksums
-from app.training.labels import LabelledCrops, Progress
 from perception.detection.network import WEIGHTS_FILES, CropNetwork, predict, save_network
 from perception.detection.training import CropSet, TrainingConfig
 from perception.detection.yaw import modes, soft_labels

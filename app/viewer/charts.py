@@ -9,7 +9,7 @@ from typing import Any
 import numpy as np
 
 from app.drawing import CLASS_COLORS
-from app.viewer.moment import STAGE_NAMES, Believed, StageSpan
+from app.viewer.snapshot import STAGE_NAMES, Believed, StageSpan
 from perception.types import CATEGORIES, Category, ObjectEstimate
 
 INK, FAINT, ACCENT, GOOD, BAD = "#22252b", "#7a7f8a", "#1f6fd0", "#1b7f5c", "#c23b22"

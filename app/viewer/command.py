@@ -14,7 +14,7 @@ from app.options import RunTaskOptions, ViewOptions
 from app.runs.replay import Recorder
 from app.runs.report import Report
 from app.screen import Screen
-from app.task.gate import Gate
+from app.task.run_control import Gate
 from app.viewer.load import Run, load_run
 from app.viewer.server import open_server
 from app.viewer.viewer import Viewer

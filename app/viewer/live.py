@@ -14,16 +14,16 @@ import viser
 
 from app.errors import AppError
 from app.options import PackOptions, RunTaskOptions, SortOptions, Task, ViewOptions
-from app.perceive import Perception, load_perception
 from app.runs.report import Report
 from app.screen import Screen
 from app.task.cell import MAX_OBJECTS, build_world, parse_objects
-from app.task.gate import Gate, Stopped
 from app.task.recording import CellRecorder
 from app.task.run import run_in
+from app.task.run_control import Gate, Stopped
 from app.viewer.panel import chosen
 from app.viewer.viewer import Viewer
-from sim_assets.world import World
+from perception.pipeline import Perception, load_perception
+from sim_assets.cell.world import World
 
 Command = Literal["new scene", "run", "end"]
 MAX_SEED = 2**31 - 1

@@ -8,9 +8,9 @@ from typing import Any
 
 from app.errors import UsageError
 from app.runs.replay import Recorder, read_recording
-from perception.files import read_json
-from perception.object_map import read_object_map
-from perception.scan_folder import Scan, read_scan
+from perception.io.files import read_json
+from perception.io.object_map import read_object_map
+from perception.io.scan_folder import Scan, read_scan
 
 
 @dataclass(frozen=True)

@@ -8,7 +8,7 @@ import numpy as np
 from jaxtyping import Float, UInt8
 
 from app.runs.replay import Recorder
-from app.viewer.moment import Believed
+from app.viewer.snapshot import Believed
 from perception.errors import PerceptionError
 from perception.inference.meshing import mesh_from_code
 from perception.inference.shape_model import decode_with_jacobian

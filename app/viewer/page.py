@@ -10,13 +10,13 @@ import numpy as np
 from app.viewer import charts
 from app.viewer.load import Run
 from app.viewer.meshes import Meshes
-from app.viewer.moment import MAPPING, STAGE_NAMES, Moment
 from app.viewer.scene import SceneView, Shown
 from app.viewer.server import open_server
-from app.viewer.story import Story
+from app.viewer.snapshot import MAPPING, STAGE_NAMES, Moment
 from app.viewer.surroundings import surroundings_of
+from app.viewer.timeline import Story
 from app.viewer.viewer import look_from_home
-from perception.files import write_atomically
+from perception.io.files import write_atomically
 
 STEP = 0.1  # [s] between the recorded moments
 CAPTION_AT = (0.30, 0.0, 1.02)  # [m] above the arm of a cell

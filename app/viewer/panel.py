@@ -16,9 +16,9 @@ from jaxtyping import UInt8
 from app.drawing import draw_detections
 from app.viewer import charts
 from app.viewer.meshes import UNSURE, UNSURE_COLORS
-from app.viewer.moment import Moment
 from app.viewer.player import Player
 from app.viewer.scene import Coloring, Objects, Shown
+from app.viewer.snapshot import Moment
 from perception.types import RgbdFrame
 
 SPEEDS = ("0.25x", "0.5x", "1x", "2x", "4x", "8x")

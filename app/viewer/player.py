@@ -11,7 +11,7 @@ import threading
 import time
 from collections.abc import Callable
 
-from app.viewer.story import Story
+from app.viewer.timeline import Story
 
 _log = logging.getLogger(__name__)
 

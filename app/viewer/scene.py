@@ -17,7 +17,7 @@ from scipy.spatial.transform import Rotation
 from app.drawing import CLASS_COLORS, draw_detections
 from app.runs.replay import Recorder
 from app.viewer.meshes import Meshes
-from app.viewer.moment import Believed, Moment
+from app.viewer.snapshot import Believed, Moment
 from app.viewer.surroundings import Surroundings
 from perception.types import RgbdFrame, TriangleMesh
 

@@ -14,8 +14,8 @@ from scipy.spatial.transform import Rotation
 
 from app.runs.finished_run import support_of
 from app.runs.replay import Recorder
-from app.viewer.moment import CAMERA
-from app.viewer.story import matrix
+from app.viewer.snapshot import CAMERA
+from app.viewer.timeline import matrix
 
 SCENERY = "world"  # the body that stands fast
 _CELL = (1.62, -0.88, 1.0), (0.40, -0.02, 0.14)  # of the view of a cell: position and target [m]

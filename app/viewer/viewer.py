@@ -9,13 +9,13 @@ import numpy as np
 
 from app.runs.replay import Recorder
 from app.viewer.meshes import Meshes
-from app.viewer.moment import CAMERA, TCP, Moment
 from app.viewer.panel import CAMERAS, Panel
 from app.viewer.player import Player
 from app.viewer.scene import SceneView
 from app.viewer.server import ViewerServer
-from app.viewer.story import Story, matrix
+from app.viewer.snapshot import CAMERA, TCP, Moment
 from app.viewer.surroundings import FIELD_OF_VIEW, Surroundings, surroundings_of
+from app.viewer.timeline import Story, matrix
 
 PANEL_EVERY = 3  # pictures of the scene for one of the panel
 

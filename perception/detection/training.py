@@ -1,7 +1,7 @@
 """Training of the crop networks: classes by cross-entropy, yaw by cross-entropy with soft bins.
 
-Pure tensors in, weights out: where crops come from is not decided here (``app.training.labels`` makes them
-from renders). The last checkpoint holds everything needed to go on after an interruption.
+Pure tensors in, weights out: where crops come from is not decided here (``app.training.crop_dataset`` makes
+them from renders). The last checkpoint holds everything needed to go on after an interruption.
 """
 
 from __future__ import annotations

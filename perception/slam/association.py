@@ -15,7 +15,7 @@ from scipy.optimize import linear_sum_assignment
 
 from perception.geometry import invert, transform_points
 from perception.inference.observation import pixel_rays
-from perception.rendering.many import PairRenderer, RayPairs, nearest_pair
+from perception.rendering.multi_object import PairRenderer, RayPairs, nearest_pair
 from perception.rendering.pose import canonical_from_camera
 from perception.slam.landmarks import LandmarkMap
 from perception.types import RgbdFrame

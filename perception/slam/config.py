@@ -8,7 +8,7 @@ import numpy as np
 
 from perception.inference.fit import FitConfig
 from perception.slam.association import AssociationConfig
-from perception.slam.joint import JointConfig
+from perception.slam.bundle_adjustment import JointConfig
 from perception.slam.motion import MotionConfig
 from perception.slam.pixels import SelectionConfig
 from perception.slam.relocalise import RelocalisationConfig

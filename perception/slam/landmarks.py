@@ -11,7 +11,7 @@ from jaxtyping import Float
 
 from perception.inference.problem import FitState
 from perception.inference.shape_model import LinearisedShape
-from perception.rendering.many import ShapeStack
+from perception.rendering.multi_object import ShapeStack
 from perception.rendering.pose import object_by_camera
 from perception.types import CATEGORIES, GRID_RESOLUTION, Category, ObjectDetection, SupportPlane
 

@@ -14,12 +14,12 @@ from perception.inference.observation import ObjectObservation
 from perception.inference.reconstruct import hidden_by
 from perception.inference.shape_model import Decoder
 from perception.slam.association import RenderedMasks, seen_through
+from perception.slam.bundle_adjustment import optimise_jointly
 from perception.slam.config import SlamConfig
 from perception.slam.initialise import initialise_landmark, is_cut, renewed, touches_border
-from perception.slam.joint import optimise_jointly
 from perception.slam.keyframes import Keyframe, window_of
 from perception.slam.landmarks import Landmark, LandmarkMap, distance, doubles, stand_together
-from perception.slam.memory import Memory, View
+from perception.slam.marginal_prior import Memory, View
 from perception.slam.tracking import TrackedPose
 from perception.types import CATEGORIES, ObjectDetection, RgbdFrame, SupportPlane
 

@@ -23,10 +23,10 @@ from perception.geometry import invert
 from perception.inference.shape_model import Decoder
 from perception.slam.association import RenderedMasks, associate_masks, render_masks
 from perception.slam.config import SlamConfig
-from perception.slam.fragments import unite_fragments
 from perception.slam.keyframes import Keyframe, make_keyframe, shows_new_view, with_pose
 from perception.slam.landmarks import LandmarkMap
 from perception.slam.mapping import Mapper
+from perception.slam.mask_merging import unite_fragments
 from perception.slam.motion import Motion
 from perception.slam.pixels import TrackingPixels, in_known_parts, label_image, select_pixels
 from perception.slam.relocalise import Relocalised, relocalise

@@ -14,7 +14,7 @@ from jaxtyping import Float
 
 from perception.geometry import invert, se3_exp, se3_log
 from perception.inference.levenberg_marquardt import Evaluation, LmConfig, minimise
-from perception.rendering.many import PairRenderer, RayPairs, nearest_pair
+from perception.rendering.multi_object import PairRenderer, RayPairs, nearest_pair
 from perception.rendering.pose import canonical_from_camera, object_by_camera
 from perception.slam.landmarks import LandmarkMap
 from perception.slam.pixels import TrackingPixels

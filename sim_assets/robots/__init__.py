@@ -5,7 +5,8 @@ from __future__ import annotations
 import functools
 from pathlib import Path
 
-from sim_assets.arm import (
+from sim_assets.rendering.headless import MjSpec
+from sim_assets.robots.panda_arm import (
     ARM_JOINTS,
     FULL_CLOSE,
     GRIPPER_ACTUATOR,
@@ -14,10 +15,9 @@ from sim_assets.arm import (
     add_arm,
     arm_description,
 )
-from sim_assets.arm_visuals import dress_arm
-from sim_assets.headless import MjSpec
+from sim_assets.robots.panda_visuals import dress_arm
 from sim_assets.robots.robot_file import read_robot
-from sim_assets.simulated_arm import SimulatedArm
+from sim_assets.robots.simulated_arm import SimulatedArm
 
 PANDA = "panda"
 ROBOT_FILE = "robot.toml"
@@ -38,7 +38,7 @@ def load_robot(spec: str) -> SimulatedArm:
 
 @functools.cache
 def panda() -> SimulatedArm:
-    """The arm of ``sim_assets.arm``."""
+    """The arm of ``sim_assets.robots.panda_arm``."""
     return SimulatedArm(
         description=arm_description(),
         add=_add_dressed_panda,

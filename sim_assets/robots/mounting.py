@@ -14,8 +14,8 @@ from jaxtyping import Float
 from scipy.spatial.transform import Rotation
 
 from sim_assets.errors import RobotFileError
-from sim_assets.headless import MjModel, MjsBody, MjSpec, mujoco
-from sim_assets.simulated_arm import ARM_CONTACT, PAD_CONTACT, WRIST_CAMERA
+from sim_assets.rendering.headless import MjModel, MjsBody, MjSpec, mujoco
+from sim_assets.robots.simulated_arm import ARM_CONTACT, PAD_CONTACT, WRIST_CAMERA
 
 COLLISION_GROUP = 3
 PREFIX = "robot_"  # of every name of the arm in scenes and in planning

@@ -8,9 +8,9 @@ from pathlib import Path
 import numpy as np
 
 from sim_assets.errors import RobotFileError
-from sim_assets.headless import MjModel, mujoco
+from sim_assets.rendering.headless import MjModel, mujoco
 from sim_assets.robots.mounting import COLLISION_GROUP, Mount, load
-from sim_assets.simulated_arm import SimulatedArm
+from sim_assets.robots.simulated_arm import SimulatedArm
 
 _TOLERANCE = 1e-4  # [m], [rad]
 

@@ -18,7 +18,7 @@ from manipulation.robot import ArmDescription, GripperGeometry
 from sim_assets.errors import RobotFileError
 from sim_assets.robots.mounting import PREFIX, Frame, Mount, add_to_scene, planning_mjcf
 from sim_assets.robots.named_parts import check_parts, compiled
-from sim_assets.simulated_arm import SimulatedArm
+from sim_assets.robots.simulated_arm import SimulatedArm
 
 _TCP, _CAMERA = "nodeslam_tcp", "nodeslam_camera"  # sites that a robot file gives by their poses
 _GEOMETRY = [field.name for field in fields(GripperGeometry)]

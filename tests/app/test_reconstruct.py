@@ -12,9 +12,9 @@ import pytest
 from app import reconstruct
 from app.errors import UsageError
 from app.options import ReconstructOptions
-from app.perceive import load_huggingface
 from perception.errors import InvalidInputError
-from perception.scan_folder import Scan
+from perception.io.scan_folder import Scan
+from perception.pipeline import load_huggingface
 from perception.support_plane import fit_support_plane
 from perception.types import CameraIntrinsics, ObjectDetection, RgbdFrame, SupportPlane
 

@@ -3,9 +3,9 @@ import pytest
 
 from manipulation.collision import Allowance, Body, CollisionConfig, CollisionWorld, densify
 from manipulation.errors import ManipulationError
-from manipulation.furniture import BOX_FLOOR, TABLE, box_walls
 from manipulation.hulls import convex_pieces, hull_corners, hull_faces
 from manipulation.kinematics import Kinematics
+from manipulation.obstacles import BOX_FLOOR, TABLE, box_walls
 from manipulation.standing import stand
 from manipulation.types import Box
 

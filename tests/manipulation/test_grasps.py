@@ -4,12 +4,12 @@ import numpy as np
 import pytest
 import trimesh
 
+from manipulation.cross_sections import fit_circle, radial_hits, section, span
 from manipulation.errors import PlanningError
 from manipulation.grasp_config import GraspConfig
 from manipulation.grasps import find_grasps
 from manipulation.planner import plan_pack
 from manipulation.robot import GripperGeometry
-from manipulation.sections import fit_circle, radial_hits, section, span
 from manipulation.standing import split_handle, stand
 from manipulation.types import Box
 from perception.types import ObjectEstimate, SupportPlane, TriangleMesh

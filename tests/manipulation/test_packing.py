@@ -12,7 +12,7 @@ from manipulation.footprints import BoxRaster, Stencil, footprint
 from manipulation.grasps import find_grasps
 from manipulation.nesting import nest_heights, nests, radial_profile, stack_bowls
 from manipulation.packing import PackingConfig, pack
-from manipulation.release_room import count_releases
+from manipulation.release_clearance import count_releases
 from manipulation.robot import GripperGeometry
 from manipulation.sorting import SortingConfig, sort_line
 from manipulation.standing import stand

@@ -21,12 +21,12 @@ from app.cli import run
 from app.export.convex import convex_pieces, measure
 from app.options import ArOptions
 from app.runs.finished_run import read_run, tracked_frames
-from perception.object_map import write_object_map
-from perception.recordings.trajectory import Trajectory, write_trajectory
-from perception.scan_folder import write_scan
+from perception.io.object_map import write_object_map
+from perception.io.recordings.trajectory import Trajectory, write_trajectory
+from perception.io.scan_folder import write_scan
 from perception.types import CameraIntrinsics, ObjectEstimate, RgbdFrame, SupportPlane
-from sim_assets.camera import look_at
-from sim_assets.drop_world import DropWorld, Rendering, StaticObject, Toy, View
+from sim_assets.cell.drop_world import DropWorld, Rendering, StaticObject, Toy, View
+from sim_assets.rendering.camera import look_at
 
 LENS = CameraIntrinsics(160, 120, 150.0, 150.0, 75.0, 65.0)
 Standing = Callable[..., ObjectEstimate]

@@ -10,7 +10,7 @@ import torch
 from app.benchmarks import command as bench
 from app.benchmarks import rows
 from app.benchmarks.machine import describe_machine
-from app.benchmarks.plain import plain_decoder, plain_jacobian_rows, plain_render
+from app.benchmarks.reference import plain_decoder, plain_jacobian_rows, plain_render
 from app.benchmarks.scene import square_view
 from app.benchmarks.timing import Benchmark, TimingConfig, measure
 from app.cli import run

@@ -101,7 +101,7 @@ def test_objects_called_other_are_found_but_of_the_wrong_class():
 
 
 def test_a_chunk_from_rendering_to_the_table(tmp_path, monkeypatch):
-    from sim_assets.table_top import TrainingSceneConfig
+    from sim_assets.datasets.table_top import TrainingSceneConfig
 
     small = TrainingSceneConfig(
         width=640, height=480, pool=4, distractors=2, objects=(3, 4), extras=(1, 1), textures_redrawn=2

@@ -18,7 +18,7 @@ from app.evaluation.reconstruction_summary import PAPER, reconstruction_tables, 
 from app.options import METHODS, EvaluateOptions
 from app.runs.report import Report
 from app.screen import Screen
-from perception.inference import methods
+from perception.inference import ablations
 from perception.types import ObjectDetection, TriangleMesh
 
 
@@ -87,19 +87,19 @@ def test_table_shows_the_paper_beside_ours() -> None:
 
 
 def test_methods_have_one_list_of_names() -> None:
-    assert METHODS == methods.METHODS and set(PAPER) < set(METHODS)
+    assert METHODS == ablations.METHODS and set(PAPER) < set(METHODS)
 
 
 @pytest.mark.parametrize("method", [m for m in METHODS if m != "tsdf"])
 def test_every_method_differs_from_the_product_and_keeps_its_budget(method) -> None:
-    config = methods.method_config(method, PROTOCOL)
+    config = ablations.method_config(method, PROTOCOL)
     assert (config == PROTOCOL) == (method == "full")
     assert sum(stage.iterations for stage in config.stages) == 30 and config.start_views == 1
 
 
 def test_fusion_is_no_configuration_of_the_fit() -> None:
     with pytest.raises(ValueError, match="no configuration"):
-        methods.method_config("tsdf")
+        ablations.method_config("tsdf")
 
 
 def test_parts_of_the_one_object_are_joined() -> None:

@@ -6,7 +6,7 @@ import pytest
 from app.evaluation.slam_scoring import TrueObjects, absolute_pose_error
 from app.evaluation.slam_summary import curve_with_band, slam_tables, summarise_slam
 from app.runs.report import Report
-from perception.recordings.trajectory import Trajectory
+from perception.io.recordings.trajectory import Trajectory
 from perception.types import TriangleMesh
 
 

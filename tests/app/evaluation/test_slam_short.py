@@ -10,7 +10,7 @@ from app.evaluation.slam_faults import flickering, held, with_fault
 from app.evaluation.slam_short import run_short, short_table, summarise_short
 from app.options import EvaluateOptions
 from app.runs.report import Report
-from perception.detections_file import encode_detections
+from perception.io.detections import encode_detections
 from perception.types import CameraIntrinsics, ObjectDetection, RgbdFrame
 
 CAMERA = CameraIntrinsics(8, 6, 8.0, 8.0, 4.0, 3.0)

@@ -8,7 +8,7 @@ import pytest
 
 from app.errors import MissingExtraError, UsageError
 from app.evaluation import tasks as evaluate_tasks
-from app.evaluation.work import SETTINGS
+from app.evaluation.jobs import SETTINGS
 from app.options import EvaluateOptions
 from app.screen import Screen
 

@@ -13,9 +13,9 @@ import trimesh
 
 from app.cli import run
 from app.export.model import DENSITIES
-from perception.object_map import write_object_map
+from perception.io.object_map import write_object_map
 from perception.types import ObjectEstimate
-from sim_assets.headless import mujoco
+from sim_assets.rendering.headless import mujoco
 
 PLACES = {"mug": (0.4, -0.3), "bowl": (0.6, -0.3), "bottle": (0.4, -0.1), "can": (0.6, -0.1)}
 DROP = 0.01  # [m]

@@ -14,7 +14,7 @@ from app.errors import UsageError
 from app.options import PackOptions
 from app.runs.report import ObjectReport, Report
 from app.runs.run_folder import RunFolder
-from perception.files import write_atomically
+from perception.io.files import write_atomically
 
 REQUIRED = {"command", "seed", "version", "success", "reason", "timings", "objects", "metrics"}
 
@@ -76,7 +76,7 @@ def test_a_failed_write_leaves_the_old_file_and_no_debris(tmp_path, monkeypatch)
     def full(*args):
         raise OSError("no space left on device")
 
-    monkeypatch.setattr("perception.files.os.replace", full)
+    monkeypatch.setattr("perception.io.files.os.replace", full)
     with pytest.raises(OSError, match="no space"):
         write_atomically(path, "new")
     assert path.read_text() == "old" and [p.name for p in tmp_path.iterdir()] == ["report.json"]
@@ -84,7 +84,7 @@ def test_a_failed_write_leaves_the_old_file_and_no_debris(tmp_path, monkeypatch)
 
 def test_a_process_killed_while_writing_leaves_readable_files(tmp_path):
     code = (
-        "import sys; from pathlib import Path; from perception.files import write_json\n"
+        "import sys; from pathlib import Path; from perception.io.files import write_json\n"
         "for i in range(10**9): write_json(Path(sys.argv[1]) / 'report.json', {'i': i, 'pad': 'x' * 200000})"
     )
     process = subprocess.Popen([sys.executable, "-c", code, str(tmp_path)])

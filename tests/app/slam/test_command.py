@@ -10,12 +10,12 @@ from app.screen import Screen
 from app.slam import command as slam
 from app.slam.sequence_truth import read_true_objects, read_true_trajectory
 from app.slam.sequences import is_complete, write_sequence
-from perception.detections_file import write_detections
-from perception.object_map import read_object_map
-from perception.recordings.trajectory import read_trajectory
-from perception.scan_folder import read_scan
+from perception.io.detections import write_detections
+from perception.io.object_map import read_object_map
+from perception.io.recordings.trajectory import read_trajectory
+from perception.io.scan_folder import read_scan
 from perception.types import ObjectDetection
-from sim_assets.sequences import SequenceConfig, TableSequence
+from sim_assets.datasets.sequences import SequenceConfig, TableSequence
 
 CONFIG = SequenceConfig(frames=3, objects=2, categories=("bottle", "bowl"), spread=0.1, distance=(0.5, 0.6))
 

@@ -9,8 +9,8 @@ from app.task.scoring import Truth, match, oracle_estimates, score_reconstructio
 from manipulation.standing import stand
 from manipulation.types import Line, ObjectOutcome, Placement, TaskPlan
 from perception.types import TriangleMesh
+from sim_assets.cell.scene import BoxConfig
 from sim_assets.objects import sample_object
-from sim_assets.scene import BoxConfig
 
 
 def at(x, y, z=0.0, yaw=0.0):

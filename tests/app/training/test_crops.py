@@ -5,8 +5,8 @@ import pytest
 
 import app.training.detector as train_detector
 import app.training.yaw as train_yaw
+from app.training.crop_dataset import LabelledCrops
 from app.training.files import summary_writer
-from app.training.labels import LabelledCrops
 from perception.detection.network import load_network
 from perception.detection.scene_network import SceneNet, load_scene_network
 from perception.detection.training import TrainingConfig

@@ -12,8 +12,8 @@ from trimesh.visual import TextureVisuals
 from trimesh.visual.material import PBRMaterial
 
 from app.runs.replay import Recorder
-from perception.object_map import write_object_map
-from perception.scan_folder import write_scan
+from perception.io.object_map import write_object_map
+from perception.io.scan_folder import write_scan
 from perception.types import CameraIntrinsics, ObjectDetection, ObjectEstimate, RgbdFrame, TriangleMesh
 
 BODIES = ("hand", "tcp", "camera", "object0")

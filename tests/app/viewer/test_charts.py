@@ -4,7 +4,7 @@ from dataclasses import replace
 import numpy as np
 
 from app.viewer import charts
-from app.viewer.story import Story
+from app.viewer.timeline import Story
 
 
 def words(html):

@@ -15,15 +15,15 @@ import websockets.asyncio.client
 import websockets.exceptions
 
 from app.options import PackOptions
-from app.perceive import load_perception
 from app.screen import Screen
 from app.task.cell import build_world
-from app.task.gate import Gate
 from app.task.recording import CellRecorder
 from app.task.run import run_in
+from app.task.run_control import Gate
 from app.viewer.live import RunButtons
 from app.viewer.server import open_server
 from app.viewer.viewer import Viewer
+from perception.pipeline import load_perception
 
 CAMERA = {
     "type": "ViewerCameraMessage", "position": [1, 0, 1], "wxyz": [1, 0, 0, 0], "look_at": [0, 0, 0],

@@ -5,9 +5,9 @@ import pytest
 
 from app.errors import UsageError
 from app.viewer.load import load_run
-from app.viewer.story import Story
+from app.viewer.timeline import Story
 from perception.errors import InvalidInputError
-from perception.object_map import write_object_map
+from perception.io.object_map import write_object_map
 
 
 def test_a_run_folder_is_shown_without_a_simulator(run_folder, recording):

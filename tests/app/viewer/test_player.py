@@ -4,7 +4,7 @@ import time
 
 import pytest
 
-from app.task.gate import Gate, Stopped
+from app.task.run_control import Gate, Stopped
 from app.viewer.player import (
     HAND_OVER,
     HEAD_START,
@@ -15,7 +15,7 @@ from app.viewer.player import (
     Player,
     affordable,
 )
-from app.viewer.story import Story
+from app.viewer.timeline import Story
 
 
 @pytest.fixture

@@ -17,7 +17,7 @@ from websockets.exceptions import ConnectionClosed, InvalidStatus
 
 from app.errors import UsageError
 from app.viewer.server import checked_message, open_server
-from app.viewer.story import Story
+from app.viewer.timeline import Story
 from app.viewer.viewer import Viewer
 
 PROTOCOL = f"viser-v{viser.__version__}"

@@ -11,12 +11,12 @@ import trimesh
 
 import sim_assets.robots
 from manipulation.collision import CollisionWorld
-from manipulation.furniture import TABLE
 from manipulation.kinematics import Kinematics
+from manipulation.obstacles import TABLE
+from sim_assets.cell.scene import build_scene
 from sim_assets.errors import RobotFileError
-from sim_assets.headless import mujoco
+from sim_assets.rendering.headless import mujoco
 from sim_assets.robots import load_robot
-from sim_assets.scene import build_scene
 
 SIXAXIS = Path(sim_assets.robots.__file__).parent / "sixaxis"
 

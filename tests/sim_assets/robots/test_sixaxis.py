@@ -6,14 +6,15 @@ import pytest
 from manipulation.kinematics import Kinematics
 from manipulation.robot import Robot
 from manipulation.trajectories import JointLimits, MotionConfig, joint_move
-from sim_assets import ground_truth, visuals
-from sim_assets.arm import ARM_JOINTS, POSITION_GAINS, VELOCITY_GAINS
-from sim_assets.headless import mujoco
-from sim_assets.layout import Region
+from sim_assets.cell import ground_truth
+from sim_assets.cell.layout import Region
+from sim_assets.cell.scene import build_scene
+from sim_assets.cell.world import CellConfig, World
 from sim_assets.objects import sample_object
+from sim_assets.rendering import viewer_meshes
+from sim_assets.rendering.headless import mujoco
 from sim_assets.robots import SHIPPED, load_robot, panda
-from sim_assets.scene import build_scene
-from sim_assets.world import CellConfig, World
+from sim_assets.robots.panda_arm import ARM_JOINTS, POSITION_GAINS, VELOCITY_GAINS
 
 # Denavit-Hartenberg of the UR5e: a [m], d [m], alpha [rad], joint by joint; its zeros in ours.
 DH = [
@@ -79,10 +80,10 @@ def test_planning_and_simulation_agree_where_hand_and_camera_are(world):
     kinematics, q = Kinematics(world.arm), world.joint_positions()
     frame = world.capture()
     np.testing.assert_allclose(kinematics.forward(q, "camera"), frame.T_world_camera, atol=1e-9)
-    names = visuals.moving_bodies(world)
-    tcp = visuals.poses(world)[names.index("tcp")]
+    names = viewer_meshes.moving_bodies(world)
+    tcp = viewer_meshes.poses(world)[names.index("tcp")]
     np.testing.assert_allclose(kinematics.forward(q)[:3, 3], tcp[:3], atol=1e-9)
-    assert "robot_hand" in names and "robot_hand" in visuals.body_meshes(world)
+    assert "robot_hand" in names and "robot_hand" in viewer_meshes.body_meshes(world)
 
 
 def test_it_lifts_a_can(world):

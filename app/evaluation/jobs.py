@@ -1,0 +1,143 @@
+"""What evaluations have in common: independent pieces of work, each a line of results on disk as it ends.
+
+An interrupted evaluation goes on with ``--resume`` where it stopped. Work runs in processes of one thread
+each, here or on a Ray cluster.
+"""
+
+from __future__ import annotations
+
+import json
+import multiprocessing
+import os
+from collections.abc import Callable, Hashable, Iterator, Mapping, Sequence
+from concurrent.futures import ProcessPoolExecutor, as_completed
+from dataclasses import dataclass
+from pathlib import Path
+from typing import Any, TypeVar
+
+from app.errors import MissingExtraError, UsageError
+from app.options import EvaluateOptions
+from app.runs.run_folder import RunFolder
+from perception.io.files import read_json, write_json
+
+THREAD_POOLS = ("OMP_NUM_THREADS", "OPENBLAS_NUM_THREADS", "MKL_NUM_THREADS")
+SETTINGS = "evaluation.json"
+
+Line = dict[str, Any]
+Item = TypeVar("Item")
+
+
+@dataclass(frozen=True)
+class Ledger:
+    """Finished lines of an evaluation: a file of its run folder, one JSON object a line.
+
+    Attributes:
+        folder: the run folder.
+        path: the file.
+        key: entry of a line that names its piece of work.
+    """
+
+    folder: RunFolder
+    path: Path
+    key: str
+
+    @staticmethod
+    def open(
+        options: EvaluateOptions, command: str, file: str, key: str, settings: Mapping[str, Any]
+    ) -> tuple[Ledger, dict[Hashable, Line]]:
+        """The ledger and its finished lines by key; a fresh one without ``--resume``.
+
+        Raises:
+            UsageError: there is nothing to resume, or it was made with other settings.
+        """
+        if not options.resume:
+            folder = RunFolder.create(options, command)
+            (folder.path / file).unlink(missing_ok=True)
+            write_json(folder.path / SETTINGS, settings)
+            return Ledger(folder, folder.path / file, key), {}
+        if options.out is None:
+            raise UsageError("--resume needs --out with the folder to go on in")
+        kept = read_json(options.out / SETTINGS, "give the --out of the evaluation to be resumed")
+        old = kept if isinstance(kept, dict) else {}
+        # Options that came later had their default.
+        before = {name: str(getattr(EvaluateOptions, name, None)) for name in settings} | old
+        different = sorted(name for name in settings if before[name] != settings[name])
+        if different:
+            raise UsageError(f"--resume: {options.out} was made with another {', '.join(different)}")
+        ledger = Ledger(RunFolder(options.out), options.out / file, key)
+        return ledger, ledger.read()
+
+    def append(self, line: Line) -> None:
+        with self.path.open("a", encoding="utf-8") as file:
+            file.write(json.dumps(line) + "\n")
+            file.flush()
+            os.fsync(file.fileno())
+
+    def read(self) -> dict[Hashable, Line]:
+        """Finished lines by key; one cut short by an interruption is dropped, its work done again."""
+        lines: dict[Hashable, Line] = {}
+        if not self.path.exists():
+            return lines
+        whole = []
+        for text in self.path.read_text(encoding="utf-8").splitlines():
+            try:
+                line = json.loads(text)
+                lines[line[self.key]] = line
+                whole.append(text)
+            except (ValueError, KeyError, TypeError):
+                continue
+        self.path.write_text("".join(text + "\n" for text in whole), encoding="utf-8")
+        return lines
+
+
+def spread(work: Callable[[Item], Line], items: Sequence[Item], options: EvaluateOptions) -> Iterator[Line]:
+    """Results in the order in which they come."""
+    if options.ray is not None:
+        yield from _on_ray(work, items, options.ray)
+    elif options.workers == 1:
+        yield from map(work, items)
+    else:
+        yield from _in_processes(work, items, options.workers)
+
+
+def resident_memory() -> int | None:
+    """What this process holds in memory [bytes]; None where the system does not say (it is not Linux)."""
+    try:
+        pages = int(Path("/proc/self/statm").read_text(encoding="ascii").split()[1])
+    except OSError:
+        return None
+    return pages * os.sysconf("SC_PAGE_SIZE")
+
+
+def _in_processes(work: Callable[[Item], Line], items: Sequence[Item], workers: int) -> Iterator[Line]:
+    os.environ.update(dict.fromkeys(THREAD_POOLS, "1"))  # inherited: pools of several processes fight
+    context = multiprocessing.get_context("spawn")  # a GL context does not survive a fork
+    with ProcessPoolExecutor(workers, mp_context=context, initializer=_single_threaded) as pool:
+        jobs = [pool.submit(work, item) for item in items]
+        try:
+            for job in as_completed(jobs):
+                yield job.result()
+        except BaseException:
+            pool.shutdown(wait=False, cancel_futures=True)
+            raise
+
+
+def _single_threaded() -> None:
+    import torch
+
+    torch.set_num_threads(1)
+
+
+def _on_ray(work: Callable[[Item], Line], items: Sequence[Item], address: str) -> Iterator[Line]:
+    try:
+        import ray
+    except ImportError:
+        raise MissingExtraError("--ray needs Ray: pip install 'nodeslam[cluster]'") from None
+    ray.init(address=address, log_to_driver=False)
+    waiting = [ray.remote(num_cpus=1)(work).remote(item) for item in items]
+    try:
+        while waiting:
+            finished, waiting = ray.wait(waiting)
+            yield from ray.get(finished)
+    finally:
+        ray.shutdown()

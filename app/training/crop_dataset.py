@@ -1,0 +1,226 @@
+"""Labelled crops from renders whose truth is known: what the class and yaw networks learn and are judged on.
+
+For training, masks are the true ones disturbed as the detector's own are: a bit too wide, ragged, cut. Given
+other masks, the truth only names them.
+"""
+
+from __future__ import annotations
+
+import logging
+from collections.abc import Callable, Sequence
+from dataclasses import dataclass
+from pathlib import Path
+from typing import TYPE_CHECKING, Literal
+
+import cv2
+import numpy as np
+from jaxtyping import Bool, Float, Int, UInt8
+
+from app.training.files import load_arrays, save_arrays
+from perception.detection.crops import CHANNELS, CONTEXT, SIDE, crop, frame_geometry
+from perception.detection.geometry import heading_angle, points_of, window_of
+from perception.detection.network import OTHER
+from perception.types import CATEGORIES, SupportPlane
+
+if TYPE_CHECKING:
+    from sim_assets.datasets.table_top import LabelledImage  # perception alone runs without a simulator
+
+logger = logging.getLogger(__name__)
+Progress = Callable[[str, float], None]  # what is going on, and the share of the whole job done
+Split = Literal["train", "test"]
+
+PURITY = 0.8  # share of a mask's object pixels that one object holds, for the mask to be named after it
+COVERAGE = 0.4  # share of an object's visible pixels that a mask holds, for the mask to be named after it
+MIN_PIXELS = 150  # true pixels of an object that count as seen
+
+
+@dataclass(frozen=True)
+class LabelledCrops:
+    """Crops with their truth.
+
+    Attributes:
+        images, context: as in ``perception.detection.crops.Crop``.
+        label: (n,) index into CATEGORIES, or 4 for things of no class.
+        yaw: (n,) angle of the object's +x counted from the crop's heading in [rad]; 0 where it means nothing.
+        handle: (n,) share of the mask's points that lie on a mug's handle; 0 for everything else.
+    """
+
+    images: UInt8[np.ndarray, "n side side 6"]
+    context: Float[np.ndarray, "n 2"]
+    label: Int[np.ndarray, "n"]
+    yaw: Float[np.ndarray, "n"]
+    handle: Float[np.ndarray, "n"]
+
+    def __len__(self) -> int:
+        return len(self.label)
+
+    def of(self, rows: Bool[np.ndarray, "n"] | Int[np.ndarray, "m"]) -> LabelledCrops:
+        return LabelledCrops(**{name: getattr(self, name)[rows] for name in _COLUMNS})
+
+    def save(self, path: Path) -> None:
+        save_arrays(path, self, _COLUMNS)
+
+    @staticmethod
+    def load(path: Path) -> LabelledCrops:
+        return LabelledCrops(**load_arrays(path, _COLUMNS, "labelled crops"))
+
+    @staticmethod
+    def joined(parts: Sequence[LabelledCrops]) -> LabelledCrops:
+        return LabelledCrops(**{n: np.concatenate([getattr(part, n) for part in parts]) for n in _COLUMNS})
+
+
+_COLUMNS = ("images", "context", "label", "yaw", "handle")
+
+
+def labelled_crops(
+    image: LabelledImage, plane: SupportPlane, masks: Sequence[Bool[np.ndarray, "h w"]]
+) -> LabelledCrops:
+    """Crops of the masks in one picture; masks that nobody could name are left out."""
+    frame, truth = image.frame, image.instances
+    geometry = frame_geometry(frame, plane)
+    size = np.bincount(truth[truth >= 0], minlength=len(image.labels))
+    masks = [mask for mask in masks if geometry.seen(mask)]
+    rows = []
+    for mask in masks:
+        inside = np.bincount(truth[mask & (truth >= 0)], minlength=len(image.labels))
+        index = int(inside.argmax()) if inside.sum() else -1
+        label = _label_of(image, mask, inside, size)
+        if label is None:
+            continue
+        piece = crop(frame, mask, plane, geometry)
+        yaw, handle = 0.0, 0.0
+        if label == CATEGORIES.index("mug"):
+            thing = image.labels[index]
+            yaw = (thing.yaw - heading_angle(piece.heading, plane) + np.pi) % (2 * np.pi) - np.pi
+            handle = handle_share(points_of(frame, truth == index, geometry.depth), thing.T_world_object)
+        rows.append((piece.image, piece.context, label, yaw, handle))
+
+    columns = zip(_COLUMNS, _DTYPES, zip(*rows) if rows else _NO_ROWS)
+    return LabelledCrops(**{name: np.array(c, dtype=t) for name, t, c in columns})
+
+
+_DTYPES = (np.uint8, np.float32, np.int64, np.float32, np.float32)  # of the columns
+_NO_ROWS = (np.zeros((0, SIDE, SIDE, CHANNELS)), np.zeros((0, CONTEXT)), *[np.zeros(0)] * 3)
+
+
+def _label_of(
+    image: LabelledImage,
+    mask: Bool[np.ndarray, "h w"],
+    inside: Int[np.ndarray, "k"],
+    size: Int[np.ndarray, "k"],
+) -> int | None:
+    """Class index of a mask, 4 for no class, None where nobody could say."""
+    if inside.sum() < 0.3 * mask.sum():
+        return OTHER  # table, wall or nothing at all
+    index = int(inside.argmax())
+    category = image.labels[index].category
+    if inside[index] < PURITY * inside.sum():
+        return None
+    if category is None:
+        return OTHER
+    return CATEGORIES.index(category) if inside[index] >= COVERAGE * size[index] else None
+
+
+def handle_share(points: Float[np.ndarray, "n 3"], T_world_object: Float[np.ndarray, "4 4"]) -> float:
+    """Share of a mug's visible points that lie on its handle.
+
+    The body's radius is that of the points well away from +x; the handle is what lies 5 mm outside it within
+    50 degrees of +x.
+    """
+    if len(points) == 0:
+        return 0.0
+    local = (points - T_world_object[:3, 3]) @ T_world_object[:3, :3]
+    radius, angle = np.hypot(local[:, 0], local[:, 1]), np.abs(np.arctan2(local[:, 1], local[:, 0]))
+    body = radius[angle > np.radians(60)]
+    if len(body) < 20:
+        return 0.0
+    return float(((radius > np.percentile(body, 99) + 0.005) & (angle < np.radians(50))).mean())
+
+
+def disturbed_masks(
+    image: LabelledImage, rng: np.random.Generator, min_pixels: int = 2 * MIN_PIXELS, astray: float = 0.0
+) -> list[Bool[np.ndarray, "h w"]]:
+    """The true masks with the errors that a detector makes, and now and then a patch where nothing stands.
+
+    A share ``astray`` of them take in a piece of a neighbour, and as many lose a piece of their own.
+    """
+    masks = []
+    size = np.bincount(image.instances[image.instances >= 0], minlength=len(image.labels))
+    for index in np.flatnonzero(size >= min_pixels):
+        true = image.instances == index
+        window = window_of(true, 8)
+        part = true[window].astype(np.float32)
+        rough = cv2.GaussianBlur(rng.standard_normal(part.shape, dtype=np.float32), (0, 0), 2.0)
+        soft = cv2.GaussianBlur(part, (0, 0), rng.uniform(0.8, 2.5))
+        ragged = (soft + rng.uniform(0, 1.0) * rough > rng.uniform(0.25, 0.5)) & (soft > 0.05)
+        if rng.random() < (0.5 if image.labels[index].category is None else 0.08):
+            ragged = _cut(ragged, rng)
+        mask = np.zeros_like(true)
+        mask[window] = ragged
+        if astray > 0 and rng.random() < astray:
+            mask |= _piece_of_a_neighbour(image, int(index), window, rng)
+        if astray > 0 and rng.random() < astray:
+            mask = _bitten(mask, rng)
+        masks.append(mask)
+    if rng.random() < 0.15:
+        height, width = image.instances.shape
+        patch = np.zeros((height, width), np.uint8)
+        centre = (int(rng.integers(width)), int(rng.integers(height)))
+        axes = (int(rng.integers(10, 60)), int(rng.integers(10, 60)))
+        cv2.ellipse(patch, centre, axes, rng.uniform(0, 180), 0, 360, 1, -1)
+        masks.append(patch.astype(bool) & (image.instances < 0))
+    return [mask for mask in masks if mask.sum() >= min_pixels]
+
+
+def _piece_of_a_neighbour(
+    image: LabelledImage, index: int, window: tuple[slice, slice], rng: np.random.Generator
+) -> Bool[np.ndarray, "h w"]:
+    """A round piece of something else within half a width of the thing's window; empty if nothing is near."""
+    height, width = image.instances.shape
+    rows, columns = window
+    reach = max(rows.stop - rows.start, columns.stop - columns.start) // 2
+    near = np.zeros((height, width), bool)
+    top, left = max(rows.start - reach, 0), max(columns.start - reach, 0)
+    near[top : rows.stop + reach, left : columns.stop + reach] = True
+    near &= (image.instances >= 0) & (image.instances != index)
+    v, u = np.nonzero(near)
+    if not len(v):
+        return near
+    k = rng.integers(len(v))
+    disc = np.zeros((height, width), np.uint8)
+    cv2.circle(disc, (int(u[k]), int(v[k])), int(rng.integers(4, max(6, reach))), 1, -1)
+    return near & (disc > 0) & (image.instances == image.instances[v[k], u[k]])
+
+
+def _bitten(mask: Bool[np.ndarray, "h w"], rng: np.random.Generator) -> Bool[np.ndarray, "h w"]:
+    """The mask without a disc about one of its pixels far from the middle, such as a mug's handle."""
+    v, u = np.nonzero(mask)
+    if not len(v):
+        return mask
+    away = np.hypot(v - v.mean(), u - u.mean())
+    far = np.flatnonzero(away >= np.quantile(away, rng.uniform(0.7, 0.99)))
+    k = int(rng.choice(far))
+    radius = rng.uniform(0.1, 0.5) * max(np.ptp(v), np.ptp(u))
+    gone = np.hypot(v - v[k], u - u[k]) < radius
+    result = mask.copy()
+    result[v[gone], u[gone]] = False
+    return result
+
+
+def _cut(mask: Bool[np.ndarray, "h w"], rng: np.random.Generator) -> Bool[np.ndarray, "h w"]:
+    """What of the mask lies on one side of a line near its middle."""
+    v, u = np.nonzero(mask)
+    if not len(v):
+        return mask
+    angle = rng.uniform(-np.pi, np.pi)
+    side = np.cos(angle) * u + np.sin(angle) * v
+    kept = side > np.quantile(side, rng.uniform(0.1, 0.5))
+    result = np.zeros_like(mask)
+    result[v[kept], u[kept]] = True
+    return result
+
+
+def jittered_plane(rng: np.random.Generator) -> SupportPlane:
+    """The table top as a fit would find it: a millimetre and a fifth of a degree off."""
+    normal = np.array([*rng.normal(0, np.radians(0.2), 2), 1.0])
+    return SupportPlane(normal=normal / np.linalg.norm(normal), offset=float(rng.normal(0, 0.001)))

@@ -1,0 +1,131 @@
+"""The object map on disk: ``objects.json`` and one watertight mesh in the world frame for each object.
+
+objects.json                 id, category, T_world_object, scale, code, height, radius, score, ... [m]
+objects/<id>_<category>.ply  the mesh in the world frame [m]
+"""
+
+from __future__ import annotations
+
+import re
+from collections.abc import Sequence
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+
+from perception.errors import InvalidInputError
+from perception.io.files import read_json, write_atomically, write_json
+from perception.types import CODE_SIZE, ObjectEstimate, TriangleMesh
+
+_MESH_NAME = re.compile(r"\d+_[a-z]+\.ply")
+
+
+def write_object_map(folder: str | Path, objects: Sequence[ObjectEstimate]) -> None:
+    """Write ``objects.json`` and the meshes into the folder, the list last; meshes of an older map go."""
+    folder = Path(folder)
+    names = {_mesh_name(estimate) for estimate in objects}
+    for estimate in objects:
+        write_atomically(folder / "objects" / _mesh_name(estimate), ply_bytes(estimate.mesh_world))
+    write_json(folder / "objects.json", [_entry(estimate) for estimate in objects])
+    for path in (folder / "objects").glob("*.ply"):
+        if _MESH_NAME.fullmatch(path.name) and path.name not in names:
+            path.unlink()
+
+
+def read_object_map(folder: str | Path) -> list[ObjectEstimate]:
+    """Read what ``write_object_map`` wrote.
+
+    Raises:
+        InvalidInputError: a file is missing or malformed; the message names it.
+    """
+    folder = Path(folder)
+    path = folder / "objects.json"
+    entries = read_json(path, "give the folder that `reconstruct`, `pack` or `sort` wrote")
+    if not isinstance(entries, list):
+        raise InvalidInputError(f"{path} must be a list of objects: reconstruct the scan again")
+    objects = []
+    for index, entry in enumerate(entries):
+        try:
+            objects.append(_estimate(folder, entry))
+        except (InvalidInputError, KeyError, TypeError, ValueError, OverflowError) as error:
+            problem = f"{error} is missing" if isinstance(error, KeyError) else error
+            message = f"{path}, object {index}: {problem}: reconstruct the scan again"
+            raise InvalidInputError(message) from None
+    return objects
+
+
+def ply_bytes(mesh: TriangleMesh) -> bytes:
+    """The mesh as a binary little-endian PLY file."""
+    vertices = np.asarray(mesh.vertices, dtype="<f4")
+    faces = np.empty(len(mesh.faces), dtype=[("count", "u1"), ("indices", "<i4", 3)])
+    faces["count"], faces["indices"] = 3, mesh.faces
+    header = (
+        "ply\nformat binary_little_endian 1.0\n"
+        f"element vertex {len(vertices)}\nproperty float x\nproperty float y\nproperty float z\n"
+        f"element face {len(faces)}\nproperty list uchar int vertex_indices\nend_header\n"
+    )
+    return header.encode() + vertices.tobytes() + faces.tobytes()
+
+
+def read_ply(path: Path) -> TriangleMesh:
+    """A triangle mesh from a PLY file.
+
+    Raises:
+        InvalidInputError: missing, corrupt, or without triangles.
+    """
+    import trimesh  # takes a while; writing needs none of it
+
+    try:
+        loaded: Any = trimesh.load(path, file_type="ply", process=False)
+        vertices, faces = np.asarray(loaded.vertices), np.asarray(loaded.faces)
+    except Exception as error:  # the reader raises whatever its parser meets
+        raise InvalidInputError(f"{path} is not a readable PLY mesh ({error})") from None
+    if not len(faces) or not np.isfinite(vertices).all() or faces.max() >= len(vertices) or faces.min() < 0:
+        raise InvalidInputError(f"{path} holds no usable triangles")
+    return TriangleMesh(vertices, faces)
+
+
+def _mesh_name(estimate: ObjectEstimate) -> str:
+    return f"{estimate.id}_{estimate.category}.ply"
+
+
+def _entry(estimate: ObjectEstimate) -> dict[str, Any]:
+    return {
+        "id": estimate.id,
+        "category": estimate.category,
+        "T_world_object": estimate.T_world_object.tolist(),
+        "scale": estimate.scale.tolist(),
+        "code": [float(c) for c in estimate.code],
+        "height": estimate.height,
+        "radius": estimate.radius,
+        "score": float(estimate.score),
+        "n_views": int(estimate.n_views),
+        "residual": float(estimate.residual),
+        "status": estimate.status,
+    }
+
+
+def _estimate(folder: Path, entry: dict[str, Any]) -> ObjectEstimate:
+    if not isinstance(entry["id"], int) or not isinstance(entry["category"], str):
+        raise InvalidInputError(f"id {entry['id']!r}, category {entry['category']!r} are no number and name")
+    code, scale = (np.asarray(entry[key], dtype=np.float64) for key in ("code", "scale"))
+    if code.shape != (CODE_SIZE,) or scale.shape != (3,) or not (scale > 0).all():
+        raise InvalidInputError(f"code must hold {CODE_SIZE} numbers and scale 3 positive ones")
+    name = f"{entry['id']}_{entry['category']}.ply"
+    if not _MESH_NAME.fullmatch(name):
+        raise InvalidInputError(f"category {entry['category']!r} is no class name")
+    T_world_object = np.asarray(entry["T_world_object"], dtype=np.float64)
+    mesh_world = read_ply(folder / "objects" / name)
+    estimate = ObjectEstimate(
+        id=entry["id"],
+        category=entry["category"],  # pyright: ignore[reportArgumentType]  # checked by ObjectEstimate
+        code=code,
+        T_world_object=T_world_object,
+        scale=scale,
+        mesh=mesh_world.transformed(np.linalg.inv(T_world_object)),
+        score=float(entry["score"]),
+        n_views=int(entry["n_views"]),
+        residual=float(entry["residual"]),
+        status=entry.get("status", "converged"),
+    )
+    return estimate

@@ -1,0 +1,71 @@
+"""Camera trajectories in the TUM RGB-D format: one line a pose, ``time tx ty tz qx qy qz qw`` [s], [m].
+
+https://cvg.cit.tum.de/data/datasets/rgbd-dataset/file_formats
+"""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import dataclass
+from pathlib import Path
+
+import numpy as np
+from jaxtyping import Float
+from scipy.spatial.transform import Rotation
+
+from perception.errors import InvalidInputError
+from perception.io.files import write_atomically
+
+
+@dataclass(frozen=True)
+class Trajectory:
+    """Camera poses over time.
+
+    Attributes:
+        times: [s].
+        Ts_world_camera: (n, 4, 4).
+    """
+
+    times: Float[np.ndarray, "n"]
+    Ts_world_camera: Float[np.ndarray, "n 4 4"]
+
+    @staticmethod
+    def of(times: Sequence[float], poses: Sequence[Float[np.ndarray, "4 4"]]) -> Trajectory:
+        return Trajectory(np.array(times, float), np.array(poses, float).reshape(-1, 4, 4))
+
+
+def write_trajectory(path: Path, trajectory: Trajectory) -> None:
+    """Write the poses, one a line."""
+    lines = ["# timestamp tx ty tz qx qy qz qw"]
+    for time, T in zip(trajectory.times, trajectory.Ts_world_camera):
+        numbers = [*T[:3, 3], *Rotation.from_matrix(T[:3, :3]).as_quat()]
+        lines.append(f"{time:.6f} " + " ".join(f"{x:.9f}" for x in numbers))
+    write_atomically(path, "\n".join(lines) + "\n")
+
+
+def read_trajectory(path: Path) -> Trajectory:
+    """Read poses.
+
+    Raises:
+        InvalidInputError: missing, or a line that holds no pose.
+    """
+    try:
+        text = path.read_text(encoding="utf-8")
+    except (OSError, UnicodeDecodeError) as error:
+        raise InvalidInputError(f"{path} cannot be read ({error}): give a TUM trajectory") from None
+    times, poses = [], []
+    for number, line in enumerate(text.splitlines(), start=1):
+        if not line.strip() or line.startswith("#"):
+            continue
+        try:
+            time, x, y, z, *quaternion = (float(word) for word in line.split())
+            T = np.eye(4)
+            T[:3, :3] = Rotation.from_quat(quaternion).as_matrix()
+            T[:3, 3] = x, y, z
+        except ValueError as error:
+            raise InvalidInputError(
+                f"{path}, line {number} is no pose ({error}): time tx ty tz qx qy qz qw"
+            ) from None
+        times.append(time)
+        poses.append(T)
+    return Trajectory.of(times, poses)

@@ -1,0 +1,62 @@
+"""What really is in a cell: poses, models, masks, contacts.
+
+For scoring and labels alone: nothing that decides what the robot does may import this.
+"""
+
+from __future__ import annotations
+
+import numpy as np
+from jaxtyping import Float, Int
+
+from sim_assets.cell.world import IMAGE_SIZE, World
+from sim_assets.objects import ObjectModel
+from sim_assets.rendering.headless import mujoco
+from sim_assets.robots.simulated_arm import WRIST_CAMERA
+
+
+def object_models(world: World) -> dict[int, ObjectModel]:
+    """The objects by id."""
+    return dict(enumerate(world.config.objects))
+
+
+def object_poses(world: World) -> dict[int, Float[np.ndarray, "4 4"]]:
+    """T_world_object of every object now, in the frame of its model (origin at the centre of the base)."""
+    poses = {}
+    for index in object_models(world):
+        state = world._data.joint(f"object{index}").qpos  # position, quaternion
+        rotation = np.empty(9)
+        mujoco.mju_quat2Mat(rotation, state[3:])
+        T_world_object = np.eye(4)
+        T_world_object[:3, :3] = rotation.reshape(3, 3)
+        T_world_object[:3, 3] = state[:3]
+        poses[index] = T_world_object
+    return poses
+
+
+def instance_mask(world: World, camera: str = WRIST_CAMERA) -> Int[np.ndarray, "h w"]:
+    """The id of the object that each pixel of a camera shows, -1 where none."""
+    model = world._model
+    of_geom = np.full(model.ngeom + 1, -1, dtype=np.int32)  # the last entry stands for geom -1, the sky
+    for index in object_models(world):
+        of_geom[model.geom(f"object{index}_visual").id] = index
+    _, ids = world._renderer.depth_and_ids(world._data, camera, *IMAGE_SIZE)
+    return of_geom[ids]
+
+
+def touching(world: World, index: int) -> set[str]:
+    """Names of the bodies that an object touches now; ``world`` stands for table, floor and other scenery."""
+    model, data = world._model, world._data
+    body = model.body(f"object{index}").id
+    names = set()
+    for contact in data.contact[: data.ncon]:
+        bodies = model.geom_bodyid[contact.geom]
+        if body in bodies:
+            names.add(model.body(bodies[0] if bodies[1] == body else bodies[1]).name)
+    return names
+
+
+def held(world: World, index: int) -> bool:
+    """Whether an object touches both fingers."""
+    model = world._model
+    joints = (model.joint(name).id for name in world.arm.finger_joint_names)
+    return {model.body(model.jnt_bodyid[joint]).name for joint in joints} <= touching(world, index)

@@ -1,0 +1,272 @@
+"""The cell: floor, table, open box, lights, cameras, the arm, and the objects as free bodies, in one MjSpec.
+
+World frame: the robot's base, z up, table top at z = 0. Contact parameters are measured choices: stiff pads
+and elliptic cones keep a gripped mug within a degree, softer or pyramidal ones let it turn.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import dataclass
+
+import numpy as np
+
+from sim_assets.cell.layout import PlanarPose
+from sim_assets.objects import CollisionPiece, ObjectModel
+from sim_assets.rendering.headless import MjsBody, MjSpec, mujoco
+from sim_assets.rendering.materials import Finish, add_material, add_mesh, cardboard, random_finish, wood
+from sim_assets.robots import panda
+from sim_assets.robots.simulated_arm import SimulatedArm
+
+TIMESTEP = 0.002  # [s]
+TABLE_SIZE = (1.3, 1.2, 0.04)  # [m]
+TABLE_CENTER = (0.45, 0.0)
+TABLE_HEIGHT = 0.75  # [m] of its top above the floor
+IMAGE_MAX = (1280, 960)  # largest image the offscreen buffer holds
+
+OBJECT_CONTACT = {
+    "friction": (0.6, 0.005, 0.0001), "condim": 4, "contype": 1, "conaffinity": 3,
+    "solref": (0.006, 1), "solimp": (0.95, 0.99, 0.001, 0.5, 2), "group": 3,
+}  # fmt: skip
+SCENERY_CONTACT = {**OBJECT_CONTACT, "group": 1}
+
+_GEOM_TYPES = {
+    "box": mujoco.mjtGeom.mjGEOM_BOX,
+    "cylinder": mujoco.mjtGeom.mjGEOM_CYLINDER,
+    "capsule": mujoco.mjtGeom.mjGEOM_CAPSULE,
+    "mesh": mujoco.mjtGeom.mjGEOM_MESH,
+}
+
+
+@dataclass(frozen=True)
+class BoxConfig:
+    """An open box on the table, its walls along x and y; lengths in [m].
+
+    Attributes:
+        inner: length (x), width (y) and depth of the inside.
+        center: of the box on the table.
+        wall, floor: thickness of its walls and its floor.
+    """
+
+    inner: tuple[float, float, float] = (0.34, 0.30, 0.08)
+    center: tuple[float, float] = (0.50, 0.27)
+    wall: float = 0.008
+    floor: float = 0.004
+
+
+@dataclass(frozen=True)
+class View:
+    """A fixed camera: where it is, what it looks at, its vertical field of view in [deg]."""
+
+    position: tuple[float, float, float]
+    target: tuple[float, float, float]
+    fovy: float = 45.0
+
+
+VIEWS = {
+    "overview": View((1.52, -0.62, 0.88), (0.34, 0.02, 0.20), 45.0),
+    "box": View((0.98, -0.10, 0.58), (0.48, 0.25, 0.05), 38.0),
+    "line": View((1.02, 1.12, 0.66), (0.25, 0.27, 0.10), 42.0),
+    "side": View((0.55, -1.55, 0.62), (0.38, 0.0, 0.22), 43.0),
+}
+
+
+def build_scene(
+    objects: Sequence[ObjectModel],
+    places: Sequence[PlanarPose],
+    box: BoxConfig | None,
+    rng: np.random.Generator,
+    line: tuple[tuple[float, float], tuple[float, float]] | None = None,
+    robot: SimulatedArm | None = None,
+) -> MjSpec:
+    """Everything in the cell, ready to compile.
+
+    Args:
+        objects, places: what stands on the table and where, in one order; object i is body ``object<i>``.
+        box: the open box, if there is one.
+        rng: draws colours, patterns and grain.
+        line: ends of a tape on the table that marks where to sort, for people to see.
+        robot: the arm; the Panda by default.
+    """
+    spec = mujoco.MjSpec()
+    spec.modelname = "cell"
+    spec.compiler.degree = False
+    _set_options(spec)
+    _add_surroundings(spec)
+    _add_table(spec, rng)
+    if box is not None:
+        _add_box(spec, box, rng)
+    if line is not None:
+        _add_tape(spec, np.array(line[0]), np.array(line[1]))
+    (robot or panda()).add(spec)
+    for index, (model, place) in enumerate(zip(objects, places, strict=True)):
+        add_object(spec, f"object{index}", model, place, random_finish(rng, model.category))
+    for name, view in VIEWS.items():
+        _add_camera(spec, name, view)
+    return spec
+
+
+def _set_options(spec: MjSpec) -> None:
+    option = spec.option
+    option.timestep = TIMESTEP
+    option.integrator = mujoco.mjtIntegrator.mjINT_IMPLICITFAST
+    option.cone = mujoco.mjtCone.mjCONE_ELLIPTIC
+    option.solver = mujoco.mjtSolver.mjSOL_NEWTON
+    option.impratio = 10
+    spec.stat.extent = 1.5
+    spec.stat.center = (0.45, 0, 0.2)
+    visual = spec.visual
+    visual.map.znear, visual.map.zfar = 0.01, 30
+    visual.map.shadowscale = 0.58  # the shadow map covers the table, the light more
+    visual.quality.shadowsize = 2048
+    visual.quality.offsamples = 4
+    visual.headlight.ambient, visual.headlight.diffuse = (0.34, 0.34, 0.36), (0.16, 0.16, 0.16)
+    visual.headlight.specular = (0, 0, 0)
+    getattr(visual, "global").offwidth, getattr(visual, "global").offheight = IMAGE_MAX
+
+
+def _add_surroundings(spec: MjSpec) -> None:
+    spec.add_texture(
+        name="sky", type=mujoco.mjtTexture.mjTEXTURE_SKYBOX, builtin=mujoco.mjtBuiltin.mjBUILTIN_GRADIENT,
+        rgb1=(0.62, 0.70, 0.80), rgb2=(0.20, 0.25, 0.34), width=512, height=512,
+    )  # fmt: skip
+    spec.add_texture(
+        name="tiles", type=mujoco.mjtTexture.mjTEXTURE_2D, builtin=mujoco.mjtBuiltin.mjBUILTIN_CHECKER,
+        rgb1=(0.62, 0.62, 0.64), rgb2=(0.54, 0.55, 0.57), width=512, height=512,
+        mark=mujoco.mjtMark.mjMARK_EDGE, markrgb=(0.50, 0.50, 0.52),
+    )  # fmt: skip
+    floor = spec.add_material(name="floor", reflectance=0.12, specular=0.2, texrepeat=(3, 3), texuniform=True)
+    floor.textures[int(mujoco.mjtTextureRole.mjTEXROLE_RGB)] = "tiles"
+    world = spec.worldbody
+    world.add_geom(
+        name="floor", type=mujoco.mjtGeom.mjGEOM_PLANE, size=(6, 6, 0.1), pos=(0, 0, -TABLE_HEIGHT),
+        material="floor", **SCENERY_CONTACT,
+    )  # fmt: skip
+    spot = mujoco.mjtLightType.mjLIGHT_SPOT
+    world.add_light(
+        name="key", type=spot, pos=(1.15, -1.0, 2.5), dir=(-0.33, 0.43, -1.05), castshadow=True, cutoff=62,
+        exponent=1, diffuse=(0.62, 0.60, 0.57), specular=(0.45, 0.45, 0.45), ambient=(0, 0, 0),
+    )  # fmt: skip
+    world.add_light(
+        name="fill", type=mujoco.mjtLightType.mjLIGHT_DIRECTIONAL,
+        pos=(-1.5, 1.5, 2.5), dir=(0.6, -0.5, -0.8), castshadow=False,
+        diffuse=(0.20, 0.21, 0.24), specular=(0.05, 0.05, 0.05),
+    )  # fmt: skip
+
+
+def _add_table(spec: MjSpec, rng: np.random.Generator) -> None:
+    grain = Finish(wood(rng, (0.62, 0.46, 0.32), (768, 768)), specular=0.12, shininess=0.3, reflectance=0.0)
+    add_material(spec, "table", grain)
+    dark = spec.add_material(name="table_frame", rgba=(0.16, 0.16, 0.18, 1), specular=0.4, shininess=0.5)
+    length, width, thickness = TABLE_SIZE
+    x, y = TABLE_CENTER
+    box = mujoco.mjtGeom.mjGEOM_BOX
+    spec.worldbody.add_geom(
+        name="table", type=box, size=(length / 2, width / 2, thickness / 2), pos=(x, y, -thickness / 2),
+        material="table", **SCENERY_CONTACT,
+    )  # fmt: skip
+    leg = (TABLE_HEIGHT - thickness) / 2
+    for sign_x in (-1, 1):
+        for sign_y in (-1, 1):
+            spec.worldbody.add_geom(
+                type=mujoco.mjtGeom.mjGEOM_CYLINDER, size=(0.025, leg, 0), material=dark.name, **_UNTOUCHABLE,
+                pos=(x + sign_x * (length / 2 - 0.07), y + sign_y * (width / 2 - 0.07), -thickness - leg),
+            )  # fmt: skip
+    spec.worldbody.add_geom(
+        type=box, size=(length / 2 - 0.05, width / 2 - 0.05, 0.02), pos=(x, y, -thickness - 0.02),
+        material=dark.name, **_UNTOUCHABLE,
+    )  # fmt: skip
+
+
+_UNTOUCHABLE = {"contype": 0, "conaffinity": 0, "group": 1}
+
+
+def _add_box(spec: MjSpec, box: BoxConfig, rng: np.random.Generator) -> None:
+    add_material(
+        spec, "box", Finish(cardboard(rng, (0.80, 0.66, 0.44)), specular=0.08, shininess=0.1), (2, 2)
+    )
+    (length, width, depth), wall = box.inner, box.wall
+    body = spec.worldbody.add_body(name="box", pos=(*box.center, 0))
+    height = (depth + box.floor) / 2
+    panels = {
+        "floor": ((0, 0, box.floor / 2), (length / 2, width / 2, box.floor / 2)),
+        "front": ((length / 2 + wall / 2, 0, height), (wall / 2, width / 2 + wall, height)),
+        "back": ((-length / 2 - wall / 2, 0, height), (wall / 2, width / 2 + wall, height)),
+        "left": ((0, width / 2 + wall / 2, height), (length / 2, wall / 2, height)),
+        "right": ((0, -width / 2 - wall / 2, height), (length / 2, wall / 2, height)),
+    }
+    for name, (center, half) in panels.items():
+        body.add_geom(
+            name=f"box_{name}",
+            type=mujoco.mjtGeom.mjGEOM_BOX,
+            pos=center,
+            size=half,
+            material="box",
+            **SCENERY_CONTACT,
+        )
+
+
+def _add_tape(spec: MjSpec, start: np.ndarray, end: np.ndarray) -> None:
+    """A flat strip that nothing can touch."""
+    spec.add_material(name="tape", rgba=(0.16, 0.36, 0.62, 1), specular=0.3)
+    along = end - start
+    angle = np.arctan2(along[1], along[0]) / 2
+    spec.worldbody.add_geom(
+        name="tape", type=mujoco.mjtGeom.mjGEOM_BOX, size=(np.linalg.norm(along) / 2, 0.006, 0.0002),
+        pos=(*(start + end) / 2, 0.0002), quat=(np.cos(angle), 0, 0, np.sin(angle)), material="tape",
+        **_UNTOUCHABLE,
+    )  # fmt: skip
+
+
+def _add_camera(spec: MjSpec, name: str, view: View) -> None:
+    position, target = np.array(view.position), np.array(view.target)
+    backward = (position - target) / np.linalg.norm(position - target)
+    right = np.cross((0, 0, 1), backward)
+    right /= np.linalg.norm(right)
+    camera = spec.worldbody.add_camera(name=name, pos=view.position, fovy=view.fovy)
+    camera.alt.type = mujoco.mjtOrientation.mjORIENTATION_XYAXES
+    camera.alt.xyaxes = (*right, *np.cross(backward, right))
+
+
+def add_object(spec: MjSpec, name: str, model: ObjectModel, place: PlanarPose, finish: Finish) -> MjsBody:
+    """Add an object as a free body: its mesh to look at, its convex pieces to touch, the mesh's inertia."""
+    half = place.yaw / 2
+    center, inertia = _mass_properties(model)
+    body = spec.worldbody.add_body(
+        name=name, pos=(place.x, place.y, 0.0005), quat=(np.cos(half), 0, 0, np.sin(half)),
+        mass=model.mass, ipos=center, explicitinertial=True,
+    )  # fmt: skip
+    body.fullinertia = inertia
+    body.add_freejoint(name=name)
+    add_mesh(spec, name, model.mesh)
+    add_material(spec, name, finish)
+    body.add_geom(
+        name=f"{name}_visual", type=mujoco.mjtGeom.mjGEOM_MESH, meshname=name, material=name,
+        contype=0, conaffinity=0, group=2, mass=0,
+    )  # fmt: skip
+    for index, piece in enumerate(model.collision):
+        _add_piece(spec, body, f"{name}_piece{index}", piece)
+    return body
+
+
+def _add_piece(spec: MjSpec, body: MjsBody, name: str, piece: CollisionPiece) -> None:
+    shape: dict[str, object] = {"size": tuple(piece.size) + (0.0,) * (3 - len(piece.size))}
+    if piece.kind == "mesh":
+        spec.add_mesh(
+            name=name, uservert=np.asarray(piece.vertices, dtype=np.float32).ravel(),
+            inertia=mujoco.mjtMeshInertia.mjMESH_INERTIA_CONVEX,
+        )  # fmt: skip
+        shape = {"meshname": name}
+    body.add_geom(
+        name=name, type=_GEOM_TYPES[piece.kind], pos=piece.position, quat=piece.quat_wxyz, mass=0,
+        rgba=(0.3, 0.7, 0.3, 0.4), **shape, **OBJECT_CONTACT,
+    )  # fmt: skip
+
+
+def _mass_properties(model: ObjectModel) -> tuple[np.ndarray, tuple[float, ...]]:
+    """Centre of mass in [m] and (Ixx, Iyy, Izz, Ixy, Ixz, Iyz) about it in [kg m^2], of an even material."""
+    mesh = model.mesh
+    inertia = mesh.moment_inertia * (model.mass / mesh.volume)
+    return np.asarray(mesh.center_mass), (
+        inertia[0, 0], inertia[1, 1], inertia[2, 2], inertia[0, 1], inertia[0, 2], inertia[1, 2],
+    )  # fmt: skip

@@ -1,0 +1,321 @@
+"""The simulated cell as a robot: it moves, grips and looks, and never tells where the objects are.
+
+Physics runs at 2 ms. After the layout has settled nothing is moved but by the arm: objects are free bodies,
+held by contact and friction. True poses are read in ``ground_truth`` alone.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+from dataclasses import dataclass, field
+
+import numpy as np
+from jaxtyping import Float, UInt8
+
+from manipulation.errors import RobotError
+from manipulation.robot import ArmDescription, JointTrajectory
+from perception.types import RgbdFrame
+from sim_assets.cell.layout import Region, sample_layout
+from sim_assets.cell.scene import TIMESTEP, VIEWS, BoxConfig, build_scene
+from sim_assets.errors import SimAssetsError
+from sim_assets.objects import ObjectModel
+from sim_assets.rendering.camera import OffscreenRenderer, intrinsics_of
+from sim_assets.rendering.depth_noise import DepthNoise, add_depth_noise
+from sim_assets.rendering.headless import MjModel, mujoco
+from sim_assets.robots import panda
+from sim_assets.robots.simulated_arm import WRIST_CAMERA, SimulatedArm
+
+IMAGE_SIZE = (640, 480)
+START_TOLERANCE = 0.03  # [rad] between where a trajectory starts and where the arm is
+STOP_ERROR = 0.2  # [rad] of tracking error at which the arm stops to protect itself
+REACHED_ERROR = 0.03  # [rad] left at the end of a motion that counts as blocked
+FINGER_SPEED = 0.08  # [m/s] of one finger
+WARNINGS_CHECKED_EVERY = 50  # steps
+
+Observer = Callable[["World"], None]
+
+
+class SimulationError(SimAssetsError, RuntimeError):
+    """The simulation cannot go on, or was asked for what it has not; the message says which."""
+
+
+@dataclass(frozen=True)
+class CellConfig:
+    """What stands in the cell and how its camera errs.
+
+    Attributes:
+        objects: what to put on the table.
+        box: the open box; None for a table without one.
+        line: ends of the tape that shows where to sort, in [m]; None for no tape.
+        depth_noise: of the wrist camera.
+        seed: draws layout, colours and depth noise.
+        region, min_gap: where objects stand and how far apart their outlines are, in [m].
+        robot: the arm that works in it.
+    """
+
+    objects: tuple[ObjectModel, ...]
+    box: BoxConfig | None = field(default_factory=BoxConfig)
+    line: tuple[tuple[float, float], tuple[float, float]] | None = None
+    depth_noise: DepthNoise = "gaussian"
+    seed: int = 0
+    region: Region = field(default_factory=Region)
+    min_gap: float = 0.04
+    robot: SimulatedArm = field(default_factory=panda)
+
+
+class World:
+    """A simulated arm over a table of objects; implements ``manipulation.robot.Robot``."""
+
+    def __init__(self, config: CellConfig) -> None:
+        """Draw the layout, build the cell and let it settle.
+
+        Raises:
+            LayoutError: if the objects do not fit on the table.
+        """
+        self.config = config
+        layout_seed, look_seed, noise_seed = np.random.SeedSequence(config.seed).spawn(3)
+        self._noise = np.random.default_rng(noise_seed)
+        places = sample_layout(
+            [model.mesh for model in config.objects],
+            np.random.default_rng(layout_seed),
+            config.region,
+            config.min_gap,
+        )
+        look = np.random.default_rng(look_seed)
+        self._robot = config.robot
+        scene = build_scene(config.objects, places, config.box, look, config.line, config.robot)
+        self._model: MjModel = scene.compile()
+        self._data = mujoco.MjData(self._model)
+        self._renderer = OffscreenRenderer(self._model)
+        self._drafts = OffscreenRenderer(self._model, draft=True)
+        self._observer: Observer | None = None
+        self._frame_period = np.inf
+        self._next_frame = 0.0
+        self._steps = 0
+        self._index()
+        self._settle_layout()
+
+    def _index(self) -> None:
+        model, robot = self._model, self._robot
+        joints = [model.joint(name) for name in self.arm.joint_names]
+        fingers = [model.joint(name) for name in self.arm.finger_joint_names]
+        self._q = np.array([joint.qposadr[0] for joint in joints])
+        self._v = np.array([joint.dofadr[0] for joint in joints])
+        self._u = np.array([model.actuator(name).id for name in robot.actuators])
+        self._fingers = np.array([joint.qposadr[0] for joint in fingers])
+        self._finger_dofs = np.array([joint.dofadr[0] for joint in fingers])
+        self._gripper = model.actuator(robot.gripper_actuator).id
+        self._stiffness = model.actuator_gainprm[self._u, 0]  # [Nm/rad]
+        self._damping = model.dof_damping[self._v] - model.actuator_biasprm[self._u, 2]  # [Nm s/rad]
+
+    def _settle_layout(self) -> None:
+        data = self._data
+        half_open = self.arm.max_width / 2
+        data.qpos[self._q] = self.arm.q_home
+        data.qpos[self._fingers] = half_open
+        data.ctrl[self._u] = self.arm.q_home
+        data.ctrl[self._gripper] = self._robot.gripper_command(half_open)
+        mujoco.mj_forward(self._model, data)
+        self.wait(0.5)
+
+    # What a robot is asked.
+
+    @property
+    def arm(self) -> ArmDescription:
+        return self._robot.description
+
+    @property
+    def time(self) -> float:
+        """Simulated time in [s]."""
+        return float(self._data.time)
+
+    def joint_positions(self) -> Float[np.ndarray, "n"]:
+        """Measured arm joint positions in [rad]."""
+        return self._data.qpos[self._q].copy()
+
+    def gripper_width(self) -> float:
+        """Measured opening between the pads in [m]."""
+        return float(np.clip(self._data.qpos[self._fingers].sum(), 0, self.arm.max_width))
+
+    def capture(self) -> RgbdFrame:
+        """One registered RGB-D image of the wrist camera; its pose follows from the measured joints."""
+        width, height = IMAGE_SIZE
+        mujoco.mj_kinematics(self._model, self._data)
+        mujoco.mj_camlight(self._model, self._data)
+        optical = self._data.site(self.arm.camera_site)
+        T_world_camera = np.eye(4)
+        T_world_camera[:3, :3] = optical.xmat.reshape(3, 3)
+        T_world_camera[:3, 3] = optical.xpos
+        intrinsics = intrinsics_of(width, height, self._robot.fovy)
+        depth, _ = self._renderer.depth_and_ids(self._data, WRIST_CAMERA, width, height)
+        return RgbdFrame(
+            time=self.time,
+            rgb=self._renderer.color(self._data, WRIST_CAMERA, width, height, reflections=False),
+            depth=add_depth_noise(depth, self.config.depth_noise, intrinsics, self._noise),
+            intrinsics=intrinsics,
+            T_world_camera=T_world_camera,
+        )
+
+    def follow(self, trajectory: JointTrajectory) -> None:
+        """Execute the motion and settle.
+
+        Raises:
+            RobotError: if the trajectory is malformed, starts elsewhere, or the arm is blocked on its way.
+        """
+        self._check_trajectory(trajectory)
+        times = np.arange(0, trajectory.duration + TIMESTEP / 2, TIMESTEP)
+        samples = np.arange(len(trajectory.positions)) * trajectory.period
+
+        def resampled(values: np.ndarray) -> np.ndarray:
+            return np.stack([np.interp(times, samples, column) for column in values.T], axis=1)
+
+        positions, velocities = resampled(trajectory.positions), resampled(trajectory.velocities)
+        accelerations = resampled(trajectory.accelerations)
+        for q, qd, qdd in zip(positions, velocities, accelerations, strict=True):
+            self._command(q, qd, qdd)
+            self._step()
+            self._stop_if_blocked(q, STOP_ERROR)
+        self._hold(trajectory.positions[-1])
+
+    def move_gripper(self, width: float) -> float:
+        """Open or close toward ``width`` in [m] (0 closes with full force) and return the width reached."""
+        robot, widest = self._robot, self.arm.max_width
+        if not (np.isfinite(width) and 0 <= width <= widest + 1e-6):
+            raise RobotError(f"gripper width {width} m is outside 0..{widest} m")
+        opening, target = self.gripper_width() / 2, width / 2
+        steps = int(np.ceil(abs(target - opening) / (FINGER_SPEED * TIMESTEP)))
+        for wanted in np.linspace(opening, target, steps + 1)[1:]:
+            self._data.ctrl[self._gripper] = robot.gripper_command(wanted)
+            self._step()
+            if target < opening and self._fingers_stalled(wanted):
+                break
+        self._data.ctrl[self._gripper] = robot.press if width == 0 else robot.gripper_command(target)
+        self._wait_for_fingers()
+        return self.gripper_width()
+
+    # What people and videos ask.
+
+    def wait(self, duration: float) -> None:
+        """Let ``duration`` [s] pass with the last command held."""
+        for _ in range(round(duration / TIMESTEP)):
+            self._step()
+
+    def observe(self, observer: Observer | None, fps: float = 25.0) -> None:
+        """Call ``observer(world)`` ``fps`` times per simulated second from now on; None ends it."""
+        self._observer = observer
+        self._frame_period = 1 / fps
+        self._next_frame = self.time
+
+    def overview_image(
+        self,
+        width: int = 960,
+        height: int = 720,
+        camera: str = "overview",
+        draft: bool = False,
+        shadows: bool = True,
+    ) -> UInt8[np.ndarray, "h w 3"]:
+        """A picture of the cell from one of the fixed cameras ``scene.VIEWS`` or from the wrist.
+
+        Args:
+            draft: a quick one, for films.
+            shadows: leave them out to be quicker still.
+        """
+        if camera not in (*VIEWS, WRIST_CAMERA):
+            raise SimulationError(f"camera '{camera}' is none of {', '.join((*VIEWS, WRIST_CAMERA))}")
+        if draft:
+            return self._drafts.color(self._data, camera, width, height, shadows, reflections=False)
+        return self._renderer.color(self._data, camera, width, height, shadows)
+
+    def close(self) -> None:
+        """Free the GL contexts."""
+        self._renderer.close()
+        self._drafts.close()
+
+    def __enter__(self) -> World:
+        return self
+
+    def __exit__(self, *_: object) -> None:
+        self.close()
+
+    # Inside.
+
+    def _step(self) -> None:
+        if not np.isfinite(self._data.ctrl).all():
+            raise RobotError("a command is not finite; nothing was sent to the motors")
+        mujoco.mj_step(self._model, self._data)
+        self._steps += 1
+        if self._steps % WARNINGS_CHECKED_EVERY == 0:
+            self._check_warnings()
+        if self._observer is not None and self.time >= self._next_frame:
+            self._next_frame += self._frame_period
+            self._observer(self)
+
+    def _check_warnings(self) -> None:
+        """MuJoCo resets a diverged state in silence but for a counter; make it loud."""
+        for kind in ("BADQPOS", "BADQVEL", "BADQACC", "BADCTRL"):
+            warning = self._data.warning[int(getattr(mujoco.mjtWarning, f"mjWARN_{kind}"))]
+            if warning.number:
+                raise SimulationError(f"the physics diverged at {self.time:.3f} s ({kind.lower()})")
+
+    def _check_trajectory(self, trajectory: JointTrajectory) -> None:
+        shapes = {trajectory.positions.shape, trajectory.velocities.shape, trajectory.accelerations.shape}
+        count = len(trajectory.positions)
+        columns = len(self.arm.joint_names)
+        if shapes != {(count, columns)} or count == 0:
+            raise RobotError(f"a trajectory needs three arrays of {columns} columns, got {sorted(shapes)}")
+        if not trajectory.period > 0:
+            raise RobotError(f"trajectory period {trajectory.period} s must be positive")
+        values = (trajectory.positions, trajectory.velocities, trajectory.accelerations)
+        if not all(np.isfinite(value).all() for value in values):
+            raise RobotError("the trajectory has NaN or infinite samples; nothing was moved")
+        away = np.abs(trajectory.positions[0] - self.joint_positions())
+        if away.max() > START_TOLERANCE:
+            joint = self.arm.joint_names[away.argmax()]
+            raise RobotError(
+                f"the trajectory starts {away.max():.3f} rad from where {joint} is; "
+                f"plan from joint_positions()"
+            )
+
+    def _command(self, q: np.ndarray, qd: np.ndarray, qdd: np.ndarray) -> None:
+        """Position command that makes the servo follow: it cancels the servo's damping and the inertia."""
+        motion = np.zeros(self._model.nv)
+        motion[self._v] = qdd
+        torque = np.zeros(self._model.nv)
+        mujoco.mj_mulM(self._model, self._data, torque, motion)
+        forward = torque[self._v] + self._damping * qd
+        self._data.ctrl[self._u] = q + forward / self._stiffness
+
+    def _hold(self, q: np.ndarray) -> None:
+        """Hold a posture until the arm is still."""
+        self._data.ctrl[self._u] = q
+        for _ in range(250):
+            self._step()
+            still = np.abs(self._data.qvel[self._v]).max() < 1e-3
+            if still and np.abs(self.joint_positions() - q).max() < 1e-3:
+                return
+        self._stop_if_blocked(q, REACHED_ERROR)
+
+    def _stop_if_blocked(self, q: np.ndarray, limit: float) -> None:
+        error = np.abs(q - self.joint_positions())
+        if error.max() <= limit:
+            return
+        joint = self.arm.joint_names[error.argmax()]
+        self._data.ctrl[self._u] = self.joint_positions()
+        self.wait(0.1)
+        raise RobotError(f"the arm is blocked: {joint} is {error.max():.3f} rad from its command; it stopped")
+
+    def _finger_speed(self) -> float:
+        return float(np.abs(self._data.qvel[self._finger_dofs]).max())
+
+    def _fingers_stalled(self, wanted: float) -> bool:
+        """Whether the fingers met something: still, well behind the opening [m] asked of each."""
+        return bool(self.gripper_width() / 2 - wanted > 0.004 and self._finger_speed() < 0.005)
+
+    def _wait_for_fingers(self) -> None:
+        """Until they have been still for 0.15 s, 1 s at most."""
+        quiet = 0
+        for _ in range(500):
+            self._step()
+            quiet = quiet + 1 if self._finger_speed() < 1e-3 else 0
+            if quiet >= 75:
+                return

@@ -1,0 +1,103 @@
+"""Many labelled pictures of random table tops, fast: what the detector is trained on. No arm, no physics.
+
+A pool of objects and distractors is compiled once; for every picture some of them are shown and moved by
+editing the model in place, the others hidden. Textures are drawn anew every few pictures, the whole pool now
+and then. One process renders 20 pictures a second and more; shards belong in processes of their own.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Iterator, Sequence
+from dataclasses import replace
+from typing import Literal
+
+import numpy as np
+import trimesh
+
+from perception.types import CATEGORIES, Category
+from sim_assets.datasets.distractors import odd_thing, random_distractor
+from sim_assets.datasets.scatter import Thing, make_thing, simplified
+from sim_assets.datasets.table_top import LabelledImage, TableTop, TrainingSceneConfig
+from sim_assets.objects.bottle import BottleParameters
+from sim_assets.objects.can import FOOT, CanParameters
+from sim_assets.objects.families import make_solid, sample_parameters
+
+Split = Literal["train", "test"]
+PLAIN_BEND = 0.10  # a tumbler that widens by less of its radius has a can's sides
+
+
+class TrainingScenes:
+    """Renders labelled pictures of objects of one split; the same seed gives the same pictures."""
+
+    def __init__(
+        self,
+        split: Split,
+        seed: int,
+        config: TrainingSceneConfig | None = None,
+        own: Sequence[tuple[Category, trimesh.Trimesh]] = (),
+    ) -> None:
+        """Own objects, if given, take the place of the generated ones; distractors stay."""
+        self._own = [make_thing(category, simplified(mesh)) for category, mesh in own]
+        self.config = config or TrainingSceneConfig()
+        self.split: Split = split
+        self._rng = np.random.default_rng(seed)
+        self._pool: TableTop | None = None
+
+    def render(self, count: int) -> Iterator[LabelledImage]:
+        """The next ``count`` pictures."""
+        config, rng = self.config, self._rng
+        for number in range(count):
+            if number % config.pictures_per_pool == 0:
+                self.close()
+                self._pool = TableTop(_draw_things(self.split, config, rng, self._own), config, rng)
+            assert self._pool is not None
+            if number % config.pictures_per_texture == 0:
+                self._pool.redraw_textures(rng)
+            yield self._pool.picture(rng)
+
+    def close(self) -> None:
+        """Free the GL context."""
+        if self._pool is not None:
+            self._pool.close()
+            self._pool = None
+
+    def __enter__(self) -> TrainingScenes:
+        return self
+
+    def __exit__(self, *_: object) -> None:
+        self.close()
+
+
+def _draw_things(
+    split: Split, config: TrainingSceneConfig, rng: np.random.Generator, own: Sequence[Thing] = ()
+) -> list[Thing]:
+    things = [own[index % len(own)] for index in range(config.pool)] if own else []
+    turns: list[Category] = [
+        category for category, share in zip(CATEGORIES, config.shares) for _ in range(share)
+    ]
+    for index in range(0 if own else config.pool):
+        category = turns[index % len(turns)]
+        things.append(make_thing(category, simplified(_draw_mesh(category, split, config, rng))))
+    for _ in range(config.distractors):
+        odd = split == "train" and config.odd > 0 and rng.random() < config.odd
+        things.append(make_thing(None, odd_thing(rng) if odd else random_distractor(rng, split)))
+    return things
+
+
+def _draw_mesh(
+    category: Category, split: Split, config: TrainingSceneConfig, rng: np.random.Generator
+) -> trimesh.Trimesh:
+    while True:
+        p = sample_parameters(category, split, rng)
+        if split == "train" and config.drawn_in > 0 and isinstance(p, CanParameters):
+            p = _perhaps_drawn_in(p, config.drawn_in, rng)
+        plain = isinstance(p, BottleParameters) and p.kind == "tumbler" and p.bend < PLAIN_BEND
+        if config.plain_tumblers or not plain:
+            return make_solid(p).mesh()
+
+
+def _perhaps_drawn_in(can: CanParameters, share: float, rng: np.random.Generator) -> CanParameters:
+    """A foot under a flat or lidded can: whether a top goes with a foot is not what makes it a can."""
+    if can.kind not in ("plain", "canister") or rng.random() >= share:
+        return can
+    return replace(can, foot=float(rng.uniform(*FOOT)))

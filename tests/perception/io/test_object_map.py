@@ -1,0 +1,86 @@
+import json
+
+import numpy as np
+import pytest
+import trimesh
+
+from perception.errors import InvalidInputError
+from perception.io.object_map import read_object_map, write_object_map
+from perception.types import ObjectEstimate, TriangleMesh
+
+
+def estimate(id=3, category="can", **changes):
+    box = trimesh.creation.box((0.06, 0.06, 0.12))
+    T = np.eye(4)
+    T[:3, :3] = [[0, -1, 0], [1, 0, 0], [0, 0, 1]]
+    T[:3, 3] = (0.4, -0.2, 0.06)
+    fields = {
+        "id": id,
+        "category": category,
+        "code": np.linspace(-1, 1, 16),
+        "T_world_object": T,
+        "scale": np.full(3, 0.066),
+        "mesh": TriangleMesh(box.vertices, box.faces),
+        "score": 0.8,
+        "n_views": 5,
+        "residual": 0.002,
+    }
+    return ObjectEstimate(**(fields | changes))
+
+
+def test_round_trip(tmp_path):
+    write_object_map(tmp_path, [estimate(), estimate(4, "mug", status="implausible")])
+    first, second = read_object_map(tmp_path)
+    sent = estimate()
+    np.testing.assert_allclose(first.mesh.vertices, sent.mesh.vertices, atol=1e-7)
+    np.testing.assert_array_equal(first.mesh.faces, sent.mesh.faces)
+    np.testing.assert_allclose(first.T_world_object, sent.T_world_object)
+    np.testing.assert_allclose(first.code, sent.code)
+    assert (first.id, first.category, first.score, first.n_views, first.residual) == (3, "can", 0.8, 5, 0.002)
+    assert (second.category, second.status) == ("mug", "implausible")
+
+
+def test_files_are_as_others_expect_them(tmp_path):
+    write_object_map(tmp_path, [estimate()])
+    entry = json.loads((tmp_path / "objects.json").read_text())[0]
+    assert entry["height"] == pytest.approx(0.12) and entry["radius"] == pytest.approx(0.03)
+    assert len(entry["code"]) == 16 and np.shape(entry["T_world_object"]) == (4, 4)
+    mesh = trimesh.load(tmp_path / "objects/3_can.ply")
+    assert mesh.is_watertight and mesh.volume == pytest.approx(0.06 * 0.06 * 0.12, rel=1e-5)
+    np.testing.assert_allclose(mesh.bounds.mean(axis=0), (0.4, -0.2, 0.06), atol=1e-7)  # world frame
+
+
+def test_a_smaller_map_leaves_no_old_meshes(tmp_path):
+    write_object_map(tmp_path, [estimate(1), estimate(2)])
+    write_object_map(tmp_path, [estimate(2)])
+    assert [path.name for path in (tmp_path / "objects").iterdir()] == ["2_can.ply"]
+
+
+BAD_ENTRIES = {
+    "scale": (lambda e: e.update(scale=[0, 1, 1]), "scale 3 positive"),
+    "code": (lambda e: e.update(code=[1, 2]), "code must hold 16"),
+    "missing": (lambda e: e.pop("T_world_object"), "'T_world_object' is missing"),
+    "pose": (lambda e: e.update(T_world_object=np.diag([2, 2, 2, 1]).tolist()), "rigid"),
+    "path": (lambda e: e.update(category="../../can"), "is no class name"),
+    "class": (lambda e: e.update(category="spoon"), "spoon.ply is not a readable PLY"),
+    "id": (lambda e: e.update(id="one"), "are no number and name"),
+}
+
+
+@pytest.mark.parametrize("damage, message", BAD_ENTRIES.values(), ids=BAD_ENTRIES)
+def test_bad_entries_are_named(tmp_path, damage, message):
+    write_object_map(tmp_path, [estimate()])
+    entries = json.loads((tmp_path / "objects.json").read_text())
+    damage(entries[0])
+    (tmp_path / "objects.json").write_text(json.dumps(entries))
+    with pytest.raises(InvalidInputError, match=message) as caught:
+        read_object_map(tmp_path)
+    assert "objects.json, object 0" in str(caught.value)
+
+
+def test_broken_mesh_is_named(tmp_path):
+    write_object_map(tmp_path, [estimate()])
+    path = tmp_path / "objects/3_can.ply"
+    path.write_bytes(path.read_bytes()[:150])
+    with pytest.raises(InvalidInputError, match=r"3_can\.ply"):
+        read_object_map(tmp_path)
