@@ -10,7 +10,6 @@ import numpy as np
 import pytest
 
 from app import reconstruct
-from app.errors import UsageError
 from app.options import ReconstructOptions
 from perception.errors import InvalidInputError
 from perception.io.scan_folder import Scan
@@ -81,5 +80,5 @@ def test_told_detections_come_before_masks_and_networks(monkeypatch: pytest.Monk
 
 
 def test_other_detectors_are_named_in_full() -> None:
-    with pytest.raises(UsageError, match="neither shipped nor hf:MODEL"):
+    with pytest.raises(InvalidInputError, match="neither shipped nor hf:MODEL"):
         load_huggingface("maskrcnn", "cpu")
