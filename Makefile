@@ -1,4 +1,4 @@
-# make setup | demo | test | check | bench
+# make setup | demo | test | check | bench | docs
 PYTHON ?= python3
 BIN := .venv/bin
 # The CPU build is enough; set TORCH='torch==2.13.0' with a pip index of your own for another build.
@@ -7,14 +7,14 @@ export MUJOCO_GL ?= egl
 # One thread per process in numerical pools: several pools on few cores fight each other.
 export OPENBLAS_NUM_THREADS ?= 1
 
-.PHONY: setup demo test check bench
+.PHONY: setup demo test check bench docs
 setup: .venv/.complete
 
 .venv/.complete: pyproject.toml requirements.lock
 	@PYTHON=$(PYTHON) bash .ci/system-libraries
 	$(PYTHON) -m venv .venv
 	$(BIN)/pip install --quiet --upgrade-strategy only-if-needed "$(TORCH)"
-	$(BIN)/pip install --quiet -c requirements.lock -e '.[sim,train,eval,hf,dev]'
+	$(BIN)/pip install --quiet -c requirements.lock -e '.[sim,train,eval,hf,docs,dev]'
 	@touch $@
 
 demo: setup
@@ -31,3 +31,7 @@ check: setup
 
 bench: setup
 	$(BIN)/nodeslam bench
+
+# -W: warnings are errors; --keep-going lists all of them.
+docs: setup
+	$(BIN)/sphinx-build -W --keep-going -b html docs docs/_build/html
