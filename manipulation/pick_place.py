@@ -25,9 +25,9 @@ from manipulation.nesting import nest_heights
 from manipulation.obstacles import TABLE, Furniture, box_walls
 from manipulation.pick_place_segments import HandlingConfig, Pick, Place, find_pick, find_place
 from manipulation.robot import ArmDescription
-from manipulation.standing import yaw_pose
 from manipulation.trajectories import MotionConfig, concatenate
 from manipulation.types import Box, Grasp, PickPlacePlan, Placement, StandingObject
+from perception.geometry import pose_from_yaw
 
 log = logging.getLogger(__name__)
 
@@ -122,7 +122,7 @@ class PickPlacePlanner:
         """``T_world_stand`` at rest: on the floor, or on the bowls of its stack."""
         stack = [self.items[name] for name in (*placement.stack, placement.name)]
         lift = nest_heights(stack)[-1] if len(stack) > 1 else 0.0
-        return yaw_pose(yaw, np.add(placement.position, (0.0, 0.0, lift)))
+        return pose_from_yaw(yaw, np.add(placement.position, (0.0, 0.0, lift)))
 
     def plan(
         self,
@@ -221,7 +221,7 @@ class PickPlacePlanner:
         hand_now = _heading(T_now @ T_stand_tcp)
 
         def turn(yaw: float) -> float:
-            hand = _heading(yaw_pose(yaw, np.zeros(3)) @ T_stand_tcp)
+            hand = _heading(pose_from_yaw(yaw, np.zeros(3)) @ T_stand_tcp)
             return abs(float(np.angle(np.exp(1j * (hand - hand_now - swing)))))
 
         return sorted(placement.yaws, key=turn)

@@ -10,6 +10,7 @@ from jaxtyping import Bool, Float
 from manipulation.footprints import BoxRaster
 from manipulation.robot import GripperGeometry
 from manipulation.types import Grasp
+from perception.geometry import pose_from_yaw
 
 _FINGER_ACROSS = np.array([-0.01, 0.0, 0.01])  # [m] from the middle of a finger, across the closing axis
 _PALM_SAMPLES, _PALM_INNER = 15, 0.015  # along the closing axis; [m] from the middle across it
@@ -37,8 +38,7 @@ def count_releases(
     if not grasps:
         return 0
     gripper = gripper or GripperGeometry()
-    c, s = np.cos(yaw), np.sin(yaw)
-    T_box_stand = np.array([[c, -s, 0, position[0]], [s, c, 0, position[1]], [0, 0, 1, base], [0, 0, 0, 1]])
+    T_box_stand = pose_from_yaw(yaw, np.array([position[0], position[1], base]))
     Ts = T_box_stand @ np.stack([grasp.T_stand_tcp for grasp in grasps])
     # Sample points of the hand along the closing axis and across it: palm, and fingers behind their pads.
     palm_along = np.linspace(-gripper.palm_half_length, gripper.palm_half_length, _PALM_SAMPLES)

@@ -8,6 +8,7 @@ from jaxtyping import Float
 from manipulation.cross_sections import fit_circle, section, span
 from manipulation.errors import PlanningError
 from manipulation.types import StandingObject
+from perception.geometry import pose_from_yaw
 from perception.types import Category, ObjectEstimate, SupportPlane
 
 HANDLE_HALF_ANGLE = np.deg2rad(60.0)  # of the sector around a mug's +x that never counts as body
@@ -36,11 +37,11 @@ def stand(estimate: ObjectEstimate, support: SupportPlane | None = None) -> Stan
     is_round = estimate.category != "mug" and _is_round(in_stand, faces)
     turn = 0.0 if is_round or estimate.category == "mug" else _narrow_direction(in_stand, faces)
     yaw = float(np.arctan2(T[1, 0] - T[0, 1], T[0, 0] + T[1, 1]))
-    origin = yaw_pose(yaw, T[:3, 3]) @ np.array([*axis, 0.0, 1.0])
+    origin = pose_from_yaw(yaw, T[:3, 3]) @ np.array([*axis, 0.0, 1.0])
     origin = origin[:3]
     height = T[2, 3]
     origin[2] = support.offset / support.normal[2] - support.normal[:2] @ origin[:2] / support.normal[2]
-    in_stand = in_stand @ yaw_pose(turn, np.zeros(3))[:3, :3]
+    in_stand = in_stand @ pose_from_yaw(turn, np.zeros(3))[:3, :3]
     in_stand[:, 2] += height - origin[2]
     return StandingObject(
         id=estimate.id,
@@ -48,19 +49,10 @@ def stand(estimate: ObjectEstimate, support: SupportPlane | None = None) -> Stan
         category=estimate.category,
         vertices=in_stand,
         faces=faces,
-        T_world_stand=yaw_pose(yaw + turn, origin),
+        T_world_stand=pose_from_yaw(yaw + turn, origin),
         size=estimate.size,
         is_round=is_round,
     )
-
-
-def yaw_pose(yaw: float, position: Float[np.ndarray, "3"]) -> Float[np.ndarray, "4 4"]:
-    """Upright pose turned by ``yaw`` [rad] about z."""
-    T = np.eye(4)
-    c, s = np.cos(yaw), np.sin(yaw)
-    T[:2, :2] = ((c, -s), (s, c))
-    T[:3, 3] = position
-    return T
 
 
 def body_axis(

@@ -80,6 +80,15 @@ def rigid(R: Float[np.ndarray, "3 3"], t: Float[np.ndarray, "3"]) -> Float[np.nd
     return T
 
 
+def pose_from_yaw(yaw: float, position: Float[np.ndarray, "3"]) -> Float[np.ndarray, "4 4"]:
+    """Rigid motion of an upright frame: a rotation by ``yaw`` [rad] about z, then a translation [m]."""
+    c, s = np.cos(yaw), np.sin(yaw)
+    T = np.eye(4)
+    T[:2, :2] = ((c, -s), (s, c))
+    T[:3, 3] = position
+    return T
+
+
 def transform_points(
     T_target_source: Float[np.ndarray, "4 4"], points: Float[np.ndarray, "*n 3"]
 ) -> Float[np.ndarray, "*n 3"]:

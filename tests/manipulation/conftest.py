@@ -7,6 +7,7 @@ import pytest
 import trimesh
 
 from manipulation.robot import ArmDescription
+from perception.geometry import pose_from_yaw
 from perception.types import ObjectEstimate, TriangleMesh
 
 _LINKS = [  # position, quaternion, lower and upper limit of each joint, collision capsule from-to in the link
@@ -119,8 +120,7 @@ def flat_bottle(narrow=0.05, wide=0.09, height=0.2) -> trimesh.Trimesh:
 def estimate(number, category, mesh, x=0.45, y=-0.3, yaw=0.0, lift=0.0) -> ObjectEstimate:
     """The object as perception hands it over: frame in the middle of the bounding box, handle along +x."""
     centre = mesh.bounds.mean(axis=0)
-    c, s = np.cos(yaw), np.sin(yaw)
-    T = np.array([[c, -s, 0, x], [s, c, 0, y], [0, 0, 1, lift], [0, 0, 0, 1]])
+    T = pose_from_yaw(yaw, np.array([x, y, lift]))
     T[:3, 3] += T[:3, :3] @ centre
     surface = TriangleMesh(mesh.vertices - centre, mesh.faces)
     return ObjectEstimate(number, category, np.zeros(16), T, np.ones(3), surface)

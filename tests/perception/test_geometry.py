@@ -72,3 +72,9 @@ def test_yaw_is_read_back() -> None:
 def test_points_move_as_the_matrix_says() -> None:
     T = geometry.rigid(geometry.so3_exp(np.array([0, 0, np.pi / 2])), np.array([1.0, 2.0, 3.0]))
     np.testing.assert_allclose(geometry.transform_points(T, np.array([[1.0, 0.0, 0.0]])), [[1.0, 3.0, 3.0]])
+
+
+def test_pose_from_yaw_turns_counterclockwise_about_z_and_then_translates() -> None:
+    T = geometry.pose_from_yaw(np.pi / 6, np.array([1.0, 2.0, 3.0]))
+    expected = [[3**0.5 / 2, -0.5, 0, 1], [0.5, 3**0.5 / 2, 0, 2], [0, 0, 1, 3], [0, 0, 0, 1]]
+    np.testing.assert_allclose(T, expected, atol=1e-15)
