@@ -20,15 +20,17 @@ from app.options import DoctorOptions
 from app.runs.report import Report, package_version
 from app.runs.run_folder import RunFolder
 from app.screen import Screen
+from perception.errors import PerceptionError
+from perception.io.weights import CHECKSUMS_FILE, WEIGHTS_DIRECTORY, expected_checksum, weights_checksum
 
 Status = Literal["ok", "missing", "optional"]
 
 ROOT = Path(__file__).parents[1]
-WEIGHTS = {
-    "shape": ("perception/weights/shape.safetensors", "perception/weights/shape.md"),
-    "detector": ("perception/weights/detector.safetensors", "perception/weights/detector.md"),
-    "scene": ("perception/weights/scene.safetensors", "perception/weights/detector.md"),
-    "yaw": ("perception/weights/yaw.safetensors", "perception/weights/yaw.md"),
+WEIGHTS = {  # weights file without extension: the command that trains it
+    "shape": "nodeslam train shape",
+    "detector": "nodeslam train detector",
+    "scene": "nodeslam train detector",
+    "yaw": "nodeslam train yaw",
 }
 NEEDED = ("numpy", "scipy", "torch", "warp-lang", "safetensors", "trimesh", "scikit-image", "tyro", "rich")
 SIMULATOR = ("mujoco", "mink", "daqp", "ruckig", "coacd")
@@ -157,20 +159,21 @@ def check_cuda() -> Finding:
         return Finding("cuda", "optional", str(error), "make setup")
 
 
-def check_weights(name: str, root: Path = ROOT) -> Finding:
-    """Whether shipped weights are there and are the ones their model card describes."""
-    from hashlib import sha256
-
-    weights, card = (root / path for path in WEIGHTS[name])
-    remedy = f"git checkout {WEIGHTS[name][0]}, or nodeslam train {name}"
+def check_weights(name: str, folder: Path = WEIGHTS_DIRECTORY) -> Finding:
+    """Whether a weights file exists and has the checksum that ``SHA256SUMS`` beside it lists."""
+    weights = folder / f"{name}.safetensors"
+    remedy = f"git checkout perception/weights/{weights.name}, or {WEIGHTS[name]}"
     if not weights.is_file():
         return Finding(f"weights: {name}", "missing", "no file", remedy)
-    checksum = sha256(weights.read_bytes()).hexdigest()
-    stated = re.findall(r"\b[0-9a-f]{64}\b", card.read_text(encoding="utf-8")) if card.is_file() else []
-    if not stated:
-        return Finding(f"weights: {name}", "ok", f"sha256 {checksum[:12]}..., no card to compare with")
-    if checksum not in stated:
-        return Finding(f"weights: {name}", "missing", "checksum differs from the model card's", remedy)
+    try:
+        expected = expected_checksum(weights)
+    except PerceptionError as error:
+        return Finding(f"weights: {name}", "missing", str(error), remedy)
+    checksum = weights_checksum(weights)
+    if expected is None:
+        return Finding(f"weights: {name}", "ok", f"sha256 {checksum[:12]}..., no {CHECKSUMS_FILE} beside it")
+    if checksum != expected:
+        return Finding(f"weights: {name}", "missing", f"checksum differs from {CHECKSUMS_FILE}", remedy)
     return Finding(f"weights: {name}", "ok", f"sha256 {checksum[:12]}...")
 
 

@@ -15,6 +15,8 @@ from app.runs.run_folder import RunFolder
 from app.screen import Screen
 from perception.pipeline import resolve_device
 
+_INSTALL = "to use them, copy them to perception/weights and run `sha256sum *.safetensors > SHA256SUMS` there"
+
 
 def run(options: TrainOptions, screen: Screen) -> Report:
     """Train into the run folder; the shipped weights are not touched."""
@@ -47,9 +49,7 @@ def run(options: TrainOptions, screen: Screen) -> Report:
     folder.write_report(report)
     for line in report.warnings:
         screen.note(f"left out: {line}")
-    screen.show(
-        escape(f"weights and model card in {folder.path}; copy them to perception/weights to use them")
-    )
+    screen.show(escape(f"weights and model card are in {folder.path}; {_INSTALL}"))
     return report
 
 

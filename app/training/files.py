@@ -10,7 +10,7 @@ from zipfile import BadZipFile
 import numpy as np
 
 from perception.errors import PerceptionError
-from perception.shape.weights import weights_checksum
+from perception.io.weights import weights_checksum
 
 
 def save_arrays(path: Path, holder: Any, names: Sequence[str]) -> None:
@@ -46,5 +46,5 @@ def summary_writer(folder: Path) -> Any:
 
 
 def checksums(*weights: Path) -> str:
-    """The last line of a model card, with which `nodeslam doctor` compares."""
+    """Return the last line of a model card: the digest of each weights file."""
     return "\n" + ", ".join(f"SHA-256 of `{path.name}` `{weights_checksum(path)}`" for path in weights) + "\n"

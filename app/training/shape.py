@@ -20,11 +20,12 @@ from app.training.files import summary_writer
 from app.training.shape_pictures import CODE, PIXEL, RECONSTRUCTIONS, WALK, draw_shape_pictures
 from perception.errors import PerceptionError
 from perception.io.files import read_json, write_atomically, write_json
+from perception.io.weights import weights_checksum
 from perception.shape.dataset import ShapeDataset
 from perception.shape.evaluation import OBJECT_VOXELS, ShapeScores, describe, evaluate
 from perception.shape.network import ShapeVae
 from perception.shape.training import EpochRecord, TrainingConfig, train
-from perception.shape.weights import save_weights, weights_checksum
+from perception.shape.weights import save_weights
 from perception.types import CATEGORIES, Category
 
 log = logging.getLogger(__name__)

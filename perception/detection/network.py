@@ -20,8 +20,9 @@ from torch import Tensor, nn
 from torch.nn import functional
 
 from perception.detection.crops import CHANNELS, CONTEXT, SIDE
-from perception.detection.weights import WEIGHTS_DIRECTORY, load_weights, save_weights
+from perception.detection.weights import load_weights, save_weights
 from perception.detection.yaw import YAW_BINS
+from perception.io.weights import WEIGHTS_DIRECTORY
 from perception.types import CATEGORIES
 
 Task = Literal["class", "yaw"]

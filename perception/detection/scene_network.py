@@ -17,8 +17,9 @@ from torch.nn import functional
 from torch.nn.utils.fusion import fuse_conv_bn_eval
 
 from perception.detection.network import LABELS
-from perception.detection.weights import WEIGHTS_DIRECTORY, load_weights, save_weights
+from perception.detection.weights import load_weights, save_weights
 from perception.detection.working_view import CHANNELS
+from perception.io.weights import WEIGHTS_DIRECTORY
 
 WEIGHTS_FILE = "scene.safetensors"
 VOTE_UNIT = 32.0  # pixels of offset that an output of one means

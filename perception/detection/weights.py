@@ -9,8 +9,7 @@ from safetensors.torch import save_file
 from torch import Tensor, nn
 
 from perception.errors import PerceptionError
-
-WEIGHTS_DIRECTORY = Path(__file__).parents[1] / "weights"
+from perception.io.weights import verify_weights
 
 
 def save_weights(tensors: dict[str, Tensor], path: Path, about: dict[str, str]) -> None:
@@ -27,11 +26,12 @@ def load_weights(network: nn.Module, path: Path, task: str, command: str) -> dic
         command: ``nodeslam train <command>`` makes such weights.
 
     Raises:
-        PerceptionError: the file is missing, damaged, or holds another network.
+        PerceptionError: the file is missing, damaged, unlike its checksum, or holds another network.
     """
     remedy = f"reinstall the package, or train them anew with `nodeslam train {command}`"
     if not path.is_file():
         raise PerceptionError(f"weights {path} are missing; {remedy}")
+    verify_weights(path, remedy)
     try:
         with safe_open(path, framework="pt") as file:
             about = file.metadata() or {}

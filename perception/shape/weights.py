@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import hashlib
 import os
 from collections.abc import Mapping
 from pathlib import Path
@@ -12,9 +11,10 @@ from safetensors import SafetensorError, safe_open
 from safetensors.torch import save_file
 
 from perception.errors import PerceptionError
+from perception.io.weights import WEIGHTS_DIRECTORY, verify_weights
 from perception.shape.network import ShapeVae, channels_last
 
-SHIPPED_WEIGHTS = Path(__file__).parents[1] / "weights" / "shape.safetensors"
+SHIPPED_WEIGHTS = WEIGHTS_DIRECTORY / "shape.safetensors"
 FORMAT = "nodeslam-shape-1"
 _REMEDY = "restore perception/weights/shape.safetensors from the repository, or run `nodeslam train shape`"
 
@@ -31,11 +31,12 @@ def load_weights(path: Path | None = None, device: str | torch.device = "cpu") -
     """The trained network in float32, in evaluation mode, without gradients.
 
     Raises:
-        PerceptionError: the file is missing, corrupt or of another network; the message says what to do.
+        PerceptionError: the file is missing, corrupt, unlike its checksum or of another network.
     """
     path = SHIPPED_WEIGHTS if path is None else Path(path)
     if not path.is_file():
         raise PerceptionError(f"shape weights {path} are missing; {_REMEDY}")
+    verify_weights(path, _REMEDY)
     try:
         with safe_open(path, framework="pt", device=str(device)) as file:
             found = (file.metadata() or {}).get("format")
@@ -52,8 +53,3 @@ def load_weights(path: Path | None = None, device: str | torch.device = "cpu") -
         raise PerceptionError(f"shape weights {path} do not fit the network ({error}); {_REMEDY}") from error
     channels_last(model, device)
     return model.eval().requires_grad_(False)
-
-
-def weights_checksum(path: Path) -> str:
-    """SHA-256 of the file."""
-    return hashlib.sha256(path.read_bytes()).hexdigest()

@@ -20,25 +20,27 @@ def test_the_lock_of_this_repository_is_read():
     assert "mujoco" in doctor.locked_versions()
 
 
-def weights(tmp_path, card):
-    path = tmp_path / doctor.WEIGHTS["yaw"][0]
-    path.parent.mkdir(parents=True)
-    path.write_bytes(b"numbers")
-    path.with_suffix(".md").write_text(card)
-
-
 @pytest.mark.parametrize(
-    ("card", "status"),
+    ("sums", "status", "found"),
     [
-        (f"SHA-256 `{sha256(b'numbers').hexdigest()}`", "ok"),
-        (f"SHA-256 `{sha256(b'other numbers').hexdigest()}`", "missing"),
-        (f"`{sha256(b'another network').hexdigest()}`, `{sha256(b'numbers').hexdigest()}`", "ok"),
-        ("no checksum", "ok"),
+        (f"{sha256(b'numbers').hexdigest()}  yaw.safetensors", "ok", sha256(b"numbers").hexdigest()[:12]),
+        (f"{sha256(b'other').hexdigest()}  yaw.safetensors", "missing", "checksum differs from SHA256SUMS"),
+        (f"{sha256(b'numbers').hexdigest()}  shape.safetensors", "missing", "lists no checksum for yaw"),
+        (None, "ok", "no SHA256SUMS beside it"),
     ],
 )
-def test_weights_are_checked_against_their_card(tmp_path, card, status):
-    weights(tmp_path, card)
-    assert doctor.check_weights("yaw", tmp_path).status == status
+def test_weights_are_compared_with_the_checksums_beside_them(tmp_path, sums, status, found):
+    (tmp_path / "yaw.safetensors").write_bytes(b"numbers")
+    if sums is not None:
+        (tmp_path / "SHA256SUMS").write_text(sums)
+    finding = doctor.check_weights("yaw", tmp_path)
+    assert finding.status == status and found in finding.found
+    assert status == "ok" or "nodeslam train yaw" in finding.remedy
+
+
+@pytest.mark.parametrize("name", doctor.WEIGHTS)
+def test_the_shipped_weights_pass(name):
+    assert doctor.check_weights(name).status == "ok"
 
 
 def test_missing_weights_say_how_to_get_them(tmp_path):

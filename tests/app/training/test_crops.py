@@ -12,7 +12,7 @@ from perception.detection.scene_network import SceneNet, load_scene_network
 from perception.detection.training import TrainingConfig
 from perception.detection.yaw import soft_labels
 from perception.errors import PerceptionError
-from perception.shape.weights import weights_checksum
+from perception.io.weights import weights_checksum
 
 TINY = TrainingConfig(epochs=1, batch=8)
 

@@ -6,9 +6,9 @@ import pytest
 
 from app.training.shape import TrainShapeConfig, cached_shapes, run
 from perception.errors import PerceptionError
+from perception.io.weights import weights_checksum
 from perception.shape.decoder import ShapeDecoder
 from perception.shape.training import TrainingConfig
-from perception.shape.weights import weights_checksum
 
 TINY = TrainShapeConfig(
     mugs=6,

@@ -1,0 +1,60 @@
+"""Weights files on disk: where the shipped ones lie, and the checksums that every load compares them with.
+
+``SHA256SUMS`` beside the weights holds one digest per file, as ``sha256sum`` writes and checks it.
+"""
+
+from __future__ import annotations
+
+import hashlib
+from pathlib import Path
+
+from perception.errors import PerceptionError
+
+WEIGHTS_DIRECTORY = Path(__file__).parents[1] / "weights"
+CHECKSUMS_FILE = "SHA256SUMS"
+
+
+def weights_checksum(path: Path) -> str:
+    """Return the SHA-256 digest of a file in lower-case hexadecimal."""
+    with path.open("rb") as file:
+        return hashlib.file_digest(file, "sha256").hexdigest()
+
+
+def expected_checksum(path: Path) -> str | None:
+    """Return the digest listed for a weights file, or None for weights outside a folder with checksums.
+
+    Raises:
+        PerceptionError: the folder's checksums do not list the file, or the shipped folder has no checksums.
+    """
+    sums = path.parent / CHECKSUMS_FILE
+    if not sums.is_file():
+        if path.parent.resolve() == WEIGHTS_DIRECTORY.resolve():
+            raise PerceptionError(f"{sums} is missing; restore it from the repository")
+        return None
+    for line in sums.read_text(encoding="utf-8").splitlines():
+        digest, _, name = line.partition(" ")
+        if name.strip().removeprefix("*") == path.name:
+            return digest.lower()
+    raise PerceptionError(
+        f"{sums} lists no checksum for {path.name}; if the weights are your own, "
+        f"add the line printed by `sha256sum {path.name}`"
+    )
+
+
+def verify_weights(path: Path, remedy: str) -> None:
+    """Compare a weights file with the checksum listed beside it; weights without checksums are accepted.
+
+    Args:
+        path: weights file, which must exist.
+        remedy: what to do about damaged weights, for the message.
+
+    Raises:
+        PerceptionError: the file cannot be read, differs from its checksum, or has none where it must.
+    """
+    try:
+        expected = expected_checksum(path)
+        matches = expected is None or weights_checksum(path) == expected
+    except OSError as error:
+        raise PerceptionError(f"weights {path} cannot be read ({error}); {remedy}") from error
+    if not matches:
+        raise PerceptionError(f"weights {path} differ from their checksum in {CHECKSUMS_FILE}; {remedy}")

@@ -1,0 +1,105 @@
+"""Weights files are compared with the checksums beside them whenever they are loaded."""
+
+import re
+import shutil
+from hashlib import sha256
+
+import pytest
+
+from perception.detection.network import load_network
+from perception.detection.scene_network import load_scene_network
+from perception.errors import PerceptionError
+from perception.io.weights import (
+    CHECKSUMS_FILE,
+    WEIGHTS_DIRECTORY,
+    expected_checksum,
+    verify_weights,
+    weights_checksum,
+)
+from perception.shape.weights import load_weights as load_shape
+
+SHIPPED = sorted(WEIGHTS_DIRECTORY.glob("*.safetensors"))
+LOADERS = {
+    "shape": load_shape,
+    "detector": lambda path: load_network("class", path),
+    "yaw": lambda path: load_network("yaw", path),
+    "scene": load_scene_network,
+}
+
+
+@pytest.fixture
+def weights(tmp_path):
+    path = tmp_path / "net.safetensors"
+    path.write_bytes(b"numbers")
+    return path
+
+
+def list_checksum(path, content=b"numbers", form="{digest}  {name}\n"):
+    sums = form.format(digest=sha256(content).hexdigest(), name=path.name)
+    (path.parent / CHECKSUMS_FILE).write_text(f"{'0' * 64}  another.safetensors\n{sums}")
+
+
+def test_checksum_of_a_known_message(tmp_path):
+    (tmp_path / "abc").write_bytes(b"abc")  # FIPS 180-4, example B.1
+    known = "ba7816bf8f01cfea414140de5dae2223b00361a396177a9cb410ff61f20015ad"
+    assert weights_checksum(tmp_path / "abc") == known
+
+
+def test_weights_in_a_folder_without_checksums_are_accepted(weights):
+    assert expected_checksum(weights) is None
+    verify_weights(weights, "retrain")
+
+
+@pytest.mark.parametrize("form", ["{digest}  {name}\n", "{digest} *{name}\n", "{digest}  {name}\r\n"])
+def test_weights_that_match_are_accepted(weights, form):
+    list_checksum(weights, form=form)
+    verify_weights(weights, "retrain")
+
+
+def test_weights_that_differ_are_refused(weights):
+    list_checksum(weights, b"Numbers")
+    with pytest.raises(PerceptionError, match=r"net\.safetensors differ from .*SHA256SUMS; retrain$"):
+        verify_weights(weights, "retrain")
+
+
+def test_weights_that_are_not_listed_are_refused(weights):
+    (weights.parent / CHECKSUMS_FILE).write_text(f"{sha256(b'numbers').hexdigest()}  net.safetensors.old\n")
+    with pytest.raises(PerceptionError, match=r"no checksum for net\.safetensors; .*`sha256sum net\.safe"):
+        verify_weights(weights, "retrain")
+
+
+def test_the_shipped_folder_must_have_checksums(weights, monkeypatch):
+    monkeypatch.setattr("perception.io.weights.WEIGHTS_DIRECTORY", weights.parent)
+    with pytest.raises(PerceptionError, match="SHA256SUMS is missing; restore it"):
+        verify_weights(weights, "retrain")
+
+
+def test_missing_weights_are_named(weights):
+    list_checksum(weights)
+    weights.unlink()
+    with pytest.raises(PerceptionError, match=r"net\.safetensors cannot be read .*; retrain$"):
+        verify_weights(weights, "retrain")
+
+
+def test_every_shipped_file_has_a_checksum_and_matches_it():
+    assert [path.stem for path in SHIPPED] == sorted(LOADERS)
+    for path in SHIPPED:
+        assert expected_checksum(path) == weights_checksum(path)
+
+
+def test_model_cards_state_the_same_checksums():
+    cards = "\n".join(card.read_text() for card in WEIGHTS_DIRECTORY.glob("*.md"))
+    stated = re.findall(r"`([0-9a-f]{64})`", cards)
+    assert sorted(stated) == sorted(weights_checksum(path) for path in SHIPPED)
+
+
+@pytest.mark.parametrize("name", LOADERS)
+def test_one_flipped_bit_of_the_numbers_is_noticed_on_load(tmp_path, name):
+    path = tmp_path / f"{name}.safetensors"
+    content = bytearray((WEIGHTS_DIRECTORY / path.name).read_bytes())
+    content[-1] ^= 1
+    path.write_bytes(content)
+    LOADERS[name](path)  # without checksums nothing is wrong with it
+    shutil.copy(WEIGHTS_DIRECTORY / CHECKSUMS_FILE, tmp_path)
+    with pytest.raises(PerceptionError, match=rf"{name}\.safetensors differ from their checksum"):
+        LOADERS[name](path)
