@@ -22,7 +22,7 @@ from perception.inference.fit import FitConfig, fit_object, optimise_object
 from perception.inference.initialise import initial_poses
 from perception.inference.levenberg_marquardt import Evaluation, LmConfig, minimise
 from perception.inference.meshing import mesh_from_grid
-from perception.inference.observation import ObjectObservation, gather_pixels
+from perception.inference.observation import ObjectObservation, gather_pixels, ray_samples, sampling_radius
 from perception.inference.problem import FitProblem, FitState, SupportCamera
 from perception.inference.reconstruct import reconstruct
 from perception.inference.shape_model import SKIP_JACOBIAN, SKIP_OCCUPANCY, decode, mean_shape
@@ -30,7 +30,7 @@ from perception.pipeline import detect
 from perception.rendering.renderer import RayBundle, ShapeGrid, render
 from perception.shape.decoder import ShapeDecoder
 from perception.shape.weights import load_weights
-from perception.types import CODE_SIZE
+from perception.types import CODE_SIZE, GRID_RESOLUTION
 
 FIT_ITERATIONS = 30
 AUTOGRAD_ROWS = 16  # rays of the autograd Jacobian that are timed; the time of all follows
@@ -210,8 +210,8 @@ def _iteration(scene: BenchScene, observations: tuple[ObjectObservation, ...], s
     """One LM iteration without a new linearisation, and a gradient of the same cost by autograd."""
     config, category, plane = FitConfig(), scene.subject.category, scene.detections.plane
     poses, size = initial_poses(observations, category, plane)
-    reach = 1.25 * float(np.hypot(size.radius, size.height / 2)) + 0.015
-    samples = round(32 * reach / float(poses[0].scale[0]) / config.step[category])
+    reach = sampling_radius(size.bounding_radius)
+    samples = ray_samples(reach, config.step[category] * 2 * float(poses[0].scale[0]) / GRID_RESOLUTION)
     pixels = gather_pixels(observations, poses[0].translation, reach, samples, FIT_CROP, 0, config.pixels)
     support = SupportCamera.under(poses[0], plane, 1.2 * size.radius, max(size.height, 0.04))
     shape = mean_shape(scene.decoder, category)

@@ -18,8 +18,15 @@ from perception.geometry import invert
 from perception.inference.initialise import initial_poses
 from perception.inference.levenberg_marquardt import Evaluation, LmConfig, LmIteration, minimise
 from perception.inference.meshing import MeshConfig, mesh_from_grid
-from perception.inference.observation import ObjectObservation, PixelConfig, PixelSet, gather_pixels
-from perception.inference.problem import FitProblem, FitState, NoiseConfig, SupportCamera
+from perception.inference.observation import (
+    ObjectObservation,
+    PixelConfig,
+    PixelSet,
+    gather_pixels,
+    ray_samples,
+    sampling_radius,
+)
+from perception.inference.problem import FitProblem, FitState, NoiseConfig, StepLimits, SupportCamera
 from perception.inference.refine import RefineConfig, refine_mesh
 from perception.inference.shape_model import (
     Decoder,
@@ -69,10 +76,7 @@ class FitConfig:
     full_views: int = 3  # so many views have crops of full size; more share those views' number of pixels
     threads: int = 1  # cores that one fit renders on
     refine: RefineConfig | None = field(default_factory=RefineConfig)  # None leaves the mesh as decoded
-    step_limit_code: float = 0.7
-    step_limit_turn: float = 0.2
-    step_limit_move: float = 0.02
-    step_limit_scale: float = 0.12
+    step_limits: StepLimits = field(default_factory=StepLimits)
 
 
 @dataclass(frozen=True)
@@ -163,11 +167,11 @@ class _Fitter:
         self.mean_shape = mean_shape(decoder, category)
         self.poses, size = initial_poses(observations[: config.start_views], category, plane)
         self.voxel = 2 * float(self.poses[0].scale[0]) / GRID_RESOLUTION
-        self.reach = 1.25 * float(np.hypot(size.radius, size.height / 2)) + 0.015
+        self.reach = sampling_radius(size.bounding_radius)
         self.support = SupportCamera.under(self.poses[0], plane, 1.2 * size.radius, max(size.height, 0.04))
         step = config.step[category]
         self.size_sigma = config.noise.mug_size_sigma if category == "mug" else config.noise.size_sigma
-        self.samples = int(np.clip(round(2 * self.reach / (step * self.voxel)), 24, 192))
+        self.samples = ray_samples(self.reach, step * self.voxel)
 
     def run(self) -> Fit:
         (first, coarse), *others = [(stage, self._pixels(stage)) for stage in self.config.stages]
@@ -221,14 +225,7 @@ class _Fitter:
         watched_from: int | None = None,
     ) -> _Standing:
         config = self.config
-        limit = np.concatenate(
-            [
-                np.full(CODE_SIZE, config.step_limit_code),
-                np.full(3, config.step_limit_turn),
-                np.full(3, config.step_limit_move),
-                np.full(3, config.step_limit_scale),
-            ]
-        )
+        limit = config.step_limits.vector
         trace: tuple[LmIteration, ...] = ()
         history = [(0, state)]
         left = stage.iterations

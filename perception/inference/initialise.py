@@ -40,6 +40,11 @@ class CloudMeasures:
     height: float
     outline: Float[np.ndarray, "n 2"]
 
+    @property
+    def bounding_radius(self) -> float:
+        """Radius of a sphere about the object's middle that holds it, with a quarter of slack [m]."""
+        return 1.25 * float(np.hypot(self.radius, self.height / 2))
+
 
 def initial_poses(
     observations: Sequence[ObjectObservation], category: Category, plane: SupportPlane

@@ -22,6 +22,19 @@ from perception.rendering.pyramid import pyramid_operator
 from perception.rendering.renderer import RayBundle
 from perception.types import RgbdFrame
 
+SAMPLING_MARGIN = 0.015  # [m] added to an object's bounding sphere, so that the renderer's rays leave it
+RAY_SAMPLES = (24, 192)  # fewest and most samples of the renderer on a ray
+
+
+def sampling_radius(bounding_radius: float) -> float:
+    """Return half of the depth range [m] about an object's centre in which rays are sampled."""
+    return bounding_radius + SAMPLING_MARGIN
+
+
+def ray_samples(radius: float, step: float) -> int:
+    """Return the number of samples on a ray through a depth range of +-``radius`` [m] at ``step`` [m]."""
+    return int(np.clip(round(2 * radius / step), *RAY_SAMPLES))
+
 
 @dataclass(frozen=True)
 class ObjectObservation:

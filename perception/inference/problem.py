@@ -60,6 +60,28 @@ class NoiseConfig:
 
 
 @dataclass(frozen=True)
+class StepLimits:
+    """Largest change of each kind of parameter in one iteration; longer steps are shortened as a whole.
+
+    Attributes:
+        code: Of each component of the code.
+        rotation: About each axis, in radians.
+        translation: Along each axis, in metres.
+        log_scale: Of the logarithm of each scale.
+    """
+
+    code: float = 0.7
+    rotation: float = 0.2
+    translation: float = 0.02
+    log_scale: float = 0.12
+
+    @property
+    def vector(self) -> Float[np.ndarray, "25"]:
+        """Limits in the order of the parameters."""
+        return np.repeat([self.code, self.rotation, self.translation, self.log_scale], [CODE_SIZE, 3, 3, 3])
+
+
+@dataclass(frozen=True)
 class FitState:
     """Pose and shape of one object."""
 

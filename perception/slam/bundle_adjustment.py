@@ -21,8 +21,21 @@ from jaxtyping import Float
 
 from perception.geometry import invert, se3_exp, se3_log
 from perception.inference.levenberg_marquardt import Evaluation, LmConfig
-from perception.inference.observation import PixelConfig, PixelSet, gather_pixels
-from perception.inference.problem import PARAMETERS, FitProblem, FitState, NoiseConfig, SupportCamera
+from perception.inference.observation import (
+    PixelConfig,
+    PixelSet,
+    gather_pixels,
+    ray_samples,
+    sampling_radius,
+)
+from perception.inference.problem import (
+    PARAMETERS,
+    FitProblem,
+    FitState,
+    NoiseConfig,
+    StepLimits,
+    SupportCamera,
+)
 from perception.inference.shape_model import Decoder, LinearisedShape, linearise
 from perception.rendering.pose import object_by_camera
 from perception.slam.keyframes import Keyframe
@@ -46,6 +59,7 @@ class JointConfig:
         lm: damping.
         noise: weights of the residuals.
         pixels: which pixels take part.
+        step_limits: of the objects in one iteration; the cameras' steps are shortened with them.
         memory: so many views' worth of what earlier keyframes, outside the window, said of an object counts.
         camera_weight: of what was known of each camera's pose when its keyframe was taken; the data counts by
             so much more here than it did then.
@@ -65,6 +79,7 @@ class JointConfig:
     noise: NoiseConfig = field(default_factory=lambda: NoiseConfig(data_weight=0.2))
     pixels: PixelConfig = field(default_factory=PixelConfig)
     memory: float = 4.0
+    step_limits: StepLimits = field(default_factory=StepLimits)
     camera_weight: float = 4.0
     camera_sigma: Float[np.ndarray, "6"] = field(default_factory=lambda: np.repeat([0.005, 0.003], 3))
     plane_sigma: float = 0.005
@@ -151,8 +166,8 @@ class _ObjectInWindow:
         self.landmark, self.views = landmark, views
         config, pose = window.config, landmark.state.pose
         voxel = 2 * float(pose.scale.max()) / GRID_RESOLUTION
-        reach = landmark.reach + 0.015
-        samples = int(np.clip(round(2 * reach / (landmark.step * voxel)), 24, 192))
+        reach = sampling_radius(landmark.reach)
+        samples = ray_samples(reach, landmark.step * voxel)
         observations = [window.keyframes[k].observation(landmark.id) for k in views]
         self.pixels = gather_pixels(
             observations, pose.translation, reach, samples, config.crop, 0, config.pixels
@@ -294,8 +309,8 @@ class _Window:
         return NormalEquations(cameras, objects, ties, gradient, gradient_objects)
 
     def _moved(self, step_c: np.ndarray, step_o: np.ndarray) -> tuple[dict[int, FitState], np.ndarray]:
-        limit = np.concatenate([np.full(CODE_SIZE, 0.7), np.full(3, 0.2), np.full(3, 0.02), np.full(3, 0.12)])
-        shrink = max(1.0, float(np.max(np.abs(step_o) / limit, initial=0.0)))
+        limits = self.config.step_limits.vector
+        shrink = max(1.0, float(np.max(np.abs(step_o) / limits, initial=0.0)))
         states = {one: self.states[one].moved(step / shrink) for one, step in zip(self.objects, step_o)}
         Ts = self.Ts.copy()
         for k, xi in enumerate(step_c.reshape(-1, CAMERA), start=1):

@@ -7,7 +7,13 @@ import pytest
 
 from perception.errors import InvalidInputError
 from perception.geometry import yaw_of
-from perception.inference.initialise import initial_poses, measure_clouds, plane_basis, yaw_hypotheses
+from perception.inference.initialise import (
+    CloudMeasures,
+    initial_poses,
+    measure_clouds,
+    plane_basis,
+    yaw_hypotheses,
+)
 from perception.inference.observation import ObjectObservation
 from perception.types import SupportPlane
 
@@ -85,3 +91,7 @@ def test_a_mask_on_the_table_is_an_error(make_table) -> None:
     flat[-20:, :40] = True
     with pytest.raises(InvalidInputError, match="check the mask, the depth and the plane"):
         initial_poses([ObjectObservation(seen.frame, flat)], "can", PLANE)
+
+
+def test_bounding_radius_has_a_quarter_of_slack():
+    assert CloudMeasures(np.zeros(2), 0.03, 0.08, np.zeros((0, 2))).bounding_radius == pytest.approx(0.0625)
