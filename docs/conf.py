@@ -1,0 +1,79 @@
+"""Sphinx configuration: Markdown pages (MyST), API reference from docstrings in Google style, furo theme."""
+
+from __future__ import annotations
+
+import logging
+import os
+import re
+import sys
+import tomllib
+from collections.abc import Iterable, Iterator
+from pathlib import Path
+from typing import Any
+
+ROOT = Path(__file__).parents[1]
+sys.path.insert(0, str(ROOT))  # the API reference describes this working copy
+sys.path.insert(0, str(ROOT / "docs"))  # for the extensions in docs/_extensions
+os.environ.setdefault("MUJOCO_GL", "egl")  # MuJoCo chooses its OpenGL when it is imported
+os.environ.setdefault("OPENBLAS_NUM_THREADS", "1")
+logging.getLogger("OpenGL").setLevel(logging.WARNING)  # it reports its optional accelerator on import
+
+_PROJECT = tomllib.loads((ROOT / "pyproject.toml").read_text(encoding="utf-8"))["project"]
+
+project = "NodeSLAM"
+author = _PROJECT["authors"][0]["name"]
+copyright = author
+version = release = _PROJECT["version"]
+
+extensions = [
+    "myst_parser",
+    "sphinx.ext.autodoc",
+    "sphinx.ext.autosummary",
+    "sphinx.ext.napoleon",
+    "sphinx.ext.viewcode",
+    "sphinx_copybutton",
+    "_extensions.command_options",
+]
+exclude_patterns = ["_build", "_templates", "_extensions"]
+templates_path = ["_templates"]
+
+myst_enable_extensions = ["colon_fence", "dollarmath", "fieldlist"]
+myst_heading_anchors = 3
+
+autosummary_generate = True
+autodoc_default_options = {"members": True, "member-order": "bysource"}
+autodoc_typehints = "signature"
+autodoc_typehints_format = "short"
+autodoc_preserve_defaults = True
+napoleon_google_docstring = True
+napoleon_numpy_docstring = False
+napoleon_use_ivar = True  # attributes documented in the class docstring are not described twice
+python_maximum_signature_line_length = 88
+suppress_warnings = ["ref.python"]  # names of dimensions in jaxtyping annotations equal those of attributes
+
+html_theme = "furo"
+html_title = f"NodeSLAM {version}"
+html_static_path = []
+copybutton_prompt_text = r"\$ |>>> "
+copybutton_prompt_is_regexp = True
+
+
+def escape_bars(lines: Iterable[str]) -> Iterator[str]:
+    """Escape the bars of absolute values, which reStructuredText would read as substitutions."""
+    literal_indent: int | None = None  # of the line that began a literal block
+    for line in lines:
+        indent = len(line) - len(line.lstrip())
+        if literal_indent is not None and line.strip() and indent <= literal_indent:
+            literal_indent = None
+        if literal_indent is None:
+            line = re.sub(r"(``.*?``|`.*?`)|\|", lambda match: match.group(1) or r"\|", line)
+            if line.endswith("::"):
+                literal_indent = indent
+        yield line
+
+
+def setup(app: Any) -> None:
+    def on_docstring(app: Any, what: str, name: str, obj: Any, options: Any, lines: list[str]) -> None:
+        lines[:] = list(escape_bars(lines))
+
+    app.connect("autodoc-process-docstring", on_docstring)
