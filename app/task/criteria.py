@@ -10,11 +10,12 @@ from __future__ import annotations
 
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass
-from itertools import combinations
+from itertools import combinations, pairwise
 
 import numpy as np
-from jaxtyping import Float
+from jaxtyping import Float, Int
 
+from app.task.bowl_nesting import min_nests, radial_envelope
 from perception.types import Category, profile_size
 
 
@@ -29,6 +30,8 @@ class Criteria:
         mug_line: how far a mug's centre may be from the row of mugs in [m].
         handles: largest difference between two handles' directions in [rad].
         nest: how far apart the axes of nested bowls may be in [m].
+        must_nest: largest resting lift, as a share of the lower bowl's height, at which bowls must be nested.
+        may_nest: largest lift, as a share of the lower bowl's height, at which a nested bowl is seated.
         same_size: difference in size below which either order counts in [m].
         line: how far from the line a sorted object's centre may be in [m].
     """
@@ -39,6 +42,8 @@ class Criteria:
     mug_line: float = 0.02
     handles: float = np.deg2rad(15.0)
     nest: float = 0.03
+    must_nest: float = 0.6
+    may_nest: float = 0.8
     same_size: float = 0.003
     line: float = 0.02
 
@@ -50,12 +55,14 @@ class TrueObject:
     Attributes:
         category: its class.
         vertices: (v, 3) of its surface in the object frame [m]: base on z = 0, axis x = y = 0, handle +x.
+        faces: (f, 3) vertex indices of its triangles.
         height, radius: as ObjectEstimate defines them, in [m].
         T_world_object: (4, 4) where it stands now.
     """
 
     category: Category
     vertices: Float[np.ndarray, "v 3"]
+    faces: Int[np.ndarray, "f 3"]
     height: float
     radius: float
     T_world_object: Float[np.ndarray, "4 4"]
@@ -107,17 +114,17 @@ def judge_standing(objects: Sequence[TrueObject], criteria: Criteria = Criteria(
     return reasons
 
 
-def judge_pack(
-    objects: Sequence[TrueObject], box: BoxSpace, nests: int = 1, criteria: Criteria = Criteria()
-) -> list[str]:
+def judge_pack(objects: Sequence[TrueObject], box: BoxSpace, criteria: Criteria = Criteria()) -> list[str]:
     """For each object why it is not packed as it should be, or an empty string.
 
-    Args:
-        nests: how many nests the bowls need at least; more than one where their shapes do not go together.
+    The bowls may form as many nests as their true shapes require; a resting lift between ``must_nest`` and
+    ``may_nest`` neither requires a nest nor forbids it.
     """
     reasons = judge_standing(objects, criteria)
     for i, item in enumerate(objects):
         reasons[i] = reasons[i] or _outside(item, box, criteria)
+    envelopes = [radial_envelope(item.vertices, item.faces) for item in objects if item.category == "bowl"]
+    nests = min_nests(envelopes, criteria.must_nest)
     bowls = [i for i, item in enumerate(objects) if item.category == "bowl" and not reasons[i]]
     for i, reason in _judge_nests([objects[i] for i in bowls], box, nests, criteria).items():
         reasons[bowls[i]] = reason
@@ -165,7 +172,7 @@ def _outside(item: TrueObject, box: BoxSpace, criteria: Criteria) -> str:
 def _judge_nests(
     bowls: Sequence[TrueObject], box: BoxSpace, nests: int, criteria: Criteria
 ) -> dict[int, str]:
-    """Bowls nested, the largest lowest: wrong are those beside the nests or on a smaller one."""
+    """Bowls nested, the largest lowest: wrong are those beside the nests, not seated, or on a smaller one."""
     wrong: dict[int, str] = {}
     for rank, nest in enumerate(_nests(bowls, criteria.nest)):
         if rank >= nests:
@@ -173,6 +180,10 @@ def _judge_nests(
             continue
         if bowls[nest[0]].base[2] > box.floor + criteria.standing:
             wrong[nest[0]] = "bowl on something that is no bowl"
+        for below, above in pairwise(nest):
+            lift = bowls[above].base[2] - bowls[below].base[2]
+            if lift > criteria.may_nest * bowls[below].height:
+                wrong[above] = f"bowl not seated in the nest but {1000 * lift:.0f} mm above the bowl beneath"
         kept = _largest_ascending([-bowls[i].radius for i in nest], criteria.same_size)
         for position, i in enumerate(nest):
             if position not in kept:

@@ -17,8 +17,6 @@ from scipy.optimize import linear_sum_assignment
 
 from app.runs.report import ObjectReport
 from app.task.criteria import BoxSpace, TrueObject, judge_pack, judge_sort
-from manipulation.nesting import stack_bowls
-from manipulation.standing import stand
 from manipulation.types import Line, ObjectOutcome, TaskPlan
 from perception.metrics import SurfaceSamples, compare_surfaces, point_recall
 from perception.types import CODE_SIZE, ObjectEstimate, TriangleMesh
@@ -40,7 +38,14 @@ class Truth:
     @property
     def objects(self) -> dict[int, TrueObject]:
         return {
-            i: TrueObject(m.category, np.asarray(m.mesh.vertices), m.height, m.radius, self.poses[i])
+            i: TrueObject(
+                category=m.category,
+                vertices=np.asarray(m.mesh.vertices),
+                faces=np.asarray(m.mesh.faces),
+                height=m.height,
+                radius=m.radius,
+                T_world_object=self.poses[i],
+            )
             for i, m in self.models.items()
         }
 
@@ -179,7 +184,7 @@ def score_task(
     objects = after.objects
     if box is not None:
         space = BoxSpace(box.center, box.inner[:2], box.floor)
-        verdicts = judge_pack(list(objects.values()), space, nests=_nests_needed(before))
+        verdicts = judge_pack(list(objects.values()), space)
     else:
         line = (plan.line if plan else None) or Line()
         verdicts = judge_sort(list(objects.values()), line.start, line.end)
@@ -207,12 +212,6 @@ def score_task(
             )
         )
     return reports
-
-
-def _nests_needed(truth: Truth) -> int:
-    """How many nests the bowls make at least, by their true shapes."""
-    bowls = [stand(estimate) for estimate in oracle_estimates(truth) if estimate.category == "bowl"]
-    return max(1, len(stack_bowls(bowls)))
 
 
 def _why(

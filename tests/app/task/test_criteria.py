@@ -1,7 +1,10 @@
 """Success on hand-made states: every reason once, and none where all is well."""
 
+from dataclasses import replace
+
 import numpy as np
 import pytest
+import trimesh
 
 from app.task.criteria import BoxSpace, TrueObject, judge_pack, judge_sort, judge_standing
 
@@ -10,15 +13,19 @@ LINE = ((0.66, 0.16), (-0.10, 0.56))
 
 
 def thing(category="can", x=0.5, y=0.27, z=0.004, radius=0.03, height=0.1, yaw_deg=0.0, tilt_deg=0.0):
-    angles = np.linspace(0, 2 * np.pi, 24, endpoint=False)
-    ring = np.stack([radius * np.cos(angles), radius * np.sin(angles)], axis=1)
-    vertices = np.concatenate([np.c_[ring, np.zeros(24)], np.c_[ring, np.full(24, height)]])
+    """A cylinder; a bowl is a cone with an opening angle of 45 degrees, a floor and a wall of 4 mm."""
+    profile = np.array([(0, 0), (radius, 0), (radius, height), (0, height)])
+    if category == "bowl":
+        height = radius - 0.02
+        profile = np.array([(0, 0), (0.02, 0), (radius, height), (radius - 0.004, height), (0.02, 0.004)])
+        profile = np.concatenate([profile, [(0, 0.004)]])
+    mesh = trimesh.creation.revolve(profile, sections=24)
     yaw, tilt = np.deg2rad(yaw_deg), np.deg2rad(tilt_deg)
     turn = np.array([[np.cos(yaw), -np.sin(yaw), 0], [np.sin(yaw), np.cos(yaw), 0], [0, 0, 1]])
     lean = np.array([[1, 0, 0], [0, np.cos(tilt), -np.sin(tilt)], [0, np.sin(tilt), np.cos(tilt)]])
     T = np.eye(4)
     T[:3, :3], T[:3, 3] = turn @ lean, (x, y, z)
-    return TrueObject(category, vertices, height, radius, T)
+    return TrueObject(category, np.asarray(mesh.vertices), np.asarray(mesh.faces), height, radius, T)
 
 
 def test_standing():
@@ -62,9 +69,37 @@ def test_bowls_must_be_nested_with_the_largest_lowest():
     assert judge_pack(alike, BOX) == ["", ""]  # 2 mm apart: either way
     beside = [thing("bowl", x=0.41, radius=0.07), thing("bowl", x=0.58, radius=0.06)]
     assert sorted(judge_pack(beside, BOX)) == ["", "bowl beside the nest"]
-    assert judge_pack(beside, BOX, nests=2) == ["", ""]  # shapes that do not go together
     hung = [thing("bowl", radius=0.05, z=0.1)]
     assert judge_pack(hung, BOX) == ["bowl on something that is no bowl"]
+
+
+def solid_bowl(**place):
+    """A bowl without a cavity: no other one can sit in it."""
+    cylinder = thing("can", **place)
+    return replace(cylinder, category="bowl")
+
+
+def test_bowls_whose_shapes_exclude_nesting_may_stand_side_by_side():
+    apart = [solid_bowl(x=0.41, radius=0.06), solid_bowl(x=0.58, radius=0.06)]
+    assert judge_pack(apart, BOX) == ["", ""]
+    three = [*apart, thing("bowl", x=0.5, y=0.36, radius=0.05)]
+    assert judge_pack(three, BOX) == ["", "", ""]
+    spare = [thing("bowl", x=0.41, y=0.2, radius=0.07), thing("bowl", x=0.58, y=0.2, radius=0.06)]
+    spare.append(solid_bowl(y=0.35, radius=0.065))
+    assert judge_pack(spare, BOX).count("bowl beside the nest") == 1  # two nests suffice for the three
+
+
+def test_a_nested_bowl_must_sit_inside_the_one_beneath():
+    lower = thing("bowl", radius=0.07)  # 50 mm high
+
+    def verdict(lift):
+        return judge_pack([lower, thing("bowl", radius=0.06, z=lower.base[2] + lift)], BOX)
+
+    assert verdict(0.039) == ["", ""]
+    assert verdict(0.041) == ["", "bowl not seated in the nest but 41 mm above the bowl beneath"]
+    middle = thing("bowl", radius=0.06, z=lower.base[2] + 0.03)  # 40 mm high
+    upper = thing("bowl", radius=0.05, z=lower.base[2] + 0.06)
+    assert judge_pack([lower, middle, upper], BOX) == ["", "", ""]  # each lift from the bowl beneath
 
 
 def test_mugs_must_point_one_way_and_stand_in_a_row():
@@ -103,6 +138,6 @@ def test_off_the_line():
     aside = on_line(0.3)
     T = np.array(aside.T_world_object)
     T[:2, 3] += 0.035 * np.array([0.466, 0.885])  # the line's normal
-    aside = TrueObject("can", aside.vertices, aside.height, aside.radius, T)
+    aside = replace(aside, T_world_object=T)
     assert judge_sort([on_line(0.1), aside], *LINE) == ["", "off the line by 3.5 cm"]
     assert judge_sort([on_line(-0.1)], *LINE) == ["off the line by 10.0 cm"]

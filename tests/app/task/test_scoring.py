@@ -106,6 +106,27 @@ def test_what_the_robot_believes_does_not_count(truth):
     assert not any(report.placed for report in reports)
 
 
+def test_bowls_that_fit_must_be_nested_and_seated():
+    rng = np.random.default_rng(0)
+    bowls = {i: sample_object("bowl", "test", rng) for i in range(2)}
+    large, small = sorted(bowls, key=lambda i: -bowls[i].radius)
+    before = Truth(bowls, {0: at(0.4, -0.3), 1: at(0.5, -0.1)})
+    box = BoxConfig()
+
+    def reasons(**small_at):
+        poses = {
+            large: at(0.43, 0.27, box.floor),
+            small: at(**{"x": 0.43, "y": 0.27, "z": box.floor} | small_at),
+        }
+        reports = score_task(None, [], [], before, Truth(bowls, poses), box)
+        return [report.reason for report in reports if report.reason]
+
+    assert reasons(z=box.floor + 0.4 * bowls[large].height) == []
+    assert reasons(x=0.58) == ["not perceived (bowl beside the nest)"]
+    (high,) = reasons(z=box.floor + 0.9 * bowls[large].height)
+    assert high.startswith("not perceived (bowl not seated in the nest")
+
+
 def test_sorting_is_scored_on_the_line(truth):
     line = Line()
     order = sorted(truth.models, key=lambda i: truth.objects[i].size)
