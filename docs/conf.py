@@ -4,12 +4,9 @@ from __future__ import annotations
 
 import logging
 import os
-import re
 import sys
 import tomllib
-from collections.abc import Iterable, Iterator
 from pathlib import Path
-from typing import Any
 
 ROOT = Path(__file__).parents[1]
 sys.path.insert(0, str(ROOT))  # the API reference describes this working copy
@@ -33,6 +30,7 @@ extensions = [
     "sphinx.ext.viewcode",
     "sphinx_copybutton",
     "_extensions.command_options",
+    "_extensions.docstring_bars",
 ]
 exclude_patterns = ["_build", "_templates", "_extensions"]
 templates_path = ["_templates"]
@@ -56,24 +54,3 @@ html_title = f"NodeSLAM {version}"
 html_static_path = []
 copybutton_prompt_text = r"\$ |>>> "
 copybutton_prompt_is_regexp = True
-
-
-def escape_bars(lines: Iterable[str]) -> Iterator[str]:
-    """Escape the bars of absolute values, which reStructuredText would read as substitutions."""
-    literal_indent: int | None = None  # of the line that began a literal block
-    for line in lines:
-        indent = len(line) - len(line.lstrip())
-        if literal_indent is not None and line.strip() and indent <= literal_indent:
-            literal_indent = None
-        if literal_indent is None:
-            line = re.sub(r"(``.*?``|`.*?`)|\|", lambda match: match.group(1) or r"\|", line)
-            if line.endswith("::"):
-                literal_indent = indent
-        yield line
-
-
-def setup(app: Any) -> None:
-    def on_docstring(app: Any, what: str, name: str, obj: Any, options: Any, lines: list[str]) -> None:
-        lines[:] = list(escape_bars(lines))
-
-    app.connect("autodoc-process-docstring", on_docstring)

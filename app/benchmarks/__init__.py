@@ -1,1 +1,1 @@
-"""Benchmarks of `nodeslam bench`; figures of the past, with machine and versions, are in RESULTS.md."""
+"""Benchmarks of `nodeslam bench`; the results are in docs/results.md."""

@@ -1,6 +1,6 @@
 """The directive ``command-options CLASS``: the options that a dataclass of `app.options` adds, as a table.
 
-The table is read from the dataclass that the command line is made from, so it cannot disagree with the parser.
+The table is read from the dataclass that the parser is built from, so the two cannot disagree.
 """
 
 from __future__ import annotations
@@ -8,6 +8,7 @@ from __future__ import annotations
 import ast
 import dataclasses
 import inspect
+from itertools import pairwise
 from pathlib import Path
 from types import UnionType
 from typing import Annotated, Any, Literal, NamedTuple, Union, get_args, get_origin, get_type_hints
@@ -94,7 +95,7 @@ def _descriptions(kind: type) -> dict[str, str]:
     body = ast.parse(inspect.getsource(kind)).body[0].body  # pyright: ignore[reportAttributeAccessIssue]
     return {
         field.target.id: " ".join(text.value.value.split())
-        for field, text in zip(body, body[1:])
+        for field, text in pairwise(body)
         if isinstance(field, ast.AnnAssign)
         and isinstance(field.target, ast.Name)
         and isinstance(text, ast.Expr)

@@ -22,14 +22,15 @@ METHODS: tuple[Method, ...] = get_args(Method)
 def method_config(method: Method, base: FitConfig | None = None) -> FitConfig:
     """The fit that a method's name stands for, all else as in ``base``.
 
-    full            the product.
-    no_refinement   the decoded shape as it is, as in the paper: no vertex moves to the measurements.
-    no_uncertainty  every pixel counts alike, whatever variance is rendered.
-    no_pyramid      the last stage's crop and level from the first iteration on.
-    dvr             depth of the first crossing of the occupancy level (Niemeyer et al., CVPR 2020). It has no
-                    variance to weigh with. Not refined either, being another's.
-    mask_only       the rendered mask against the detected one; depth only finds the start. Not refined.
-    tsdf            what the views show, fused, and nothing else: an open surface.
+    - ``full``: the default configuration.
+    - ``no_refinement``: the decoded surface, as in the paper; the mesh is not moved onto the measurements.
+    - ``no_uncertainty``: equal pixel weights instead of the rendered variance.
+    - ``no_pyramid``: the crop and the level of the last stage from the first iteration on.
+    - ``dvr``: depth of the first crossing of the occupancy level (Niemeyer et al., CVPR 2020), which has no
+      variance for the weights; without refinement.
+    - ``mask_only``: the rendered mask against the detected one; depth is used for initialisation only; without
+      refinement.
+    - ``tsdf``: TSDF fusion of the views: an open surface.
 
     Raises:
         ValueError: TSDF fusion is no fit.

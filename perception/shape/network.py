@@ -1,4 +1,4 @@
-"""Class-conditional variational autoencoder of occupancy grids (NodeSLAM, Class-Level Shape Descriptors).
+"""Class-conditional variational autoencoder of occupancy grids (NodeSLAM, Class-Level Shape Descriptors)::
 
     encoder  grid 32^3 and class  ->  5 convolutions, kernel 4, stride 2  ->  mean, log variance of 16 codes
     decoder  16 codes and class   ->  linear, 5 transposed convolutions   ->  32^3 logits of occupancy
@@ -7,6 +7,7 @@ ReLU everywhere, no normalisation layers. Conditional VAE: Kingma and Welling 20
 
 Three layers are written in another, mathematically equal form, because it is faster (tests compare them with
 the plain ones):
+
 - Concatenating the one-hot class to every voxel adds to the first convolution a map that depends on the class
   alone, and is constant but for the border (``class_bias_maps``).
 - A convolution of kernel 4, stride 2, padding 1 between 2^3 and 1^3 voxels has eight live taps: it is linear.

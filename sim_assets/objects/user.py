@@ -1,4 +1,4 @@
-"""Users' own meshes as objects: DIR/<class>/*.{ply,obj,glb,stl}, in metres, z up.
+"""Users' own meshes as objects: ``DIR/<class>/*.{ply,obj,glb,stl}``, in metres, z up.
 
 A mesh is moved so that its base lies on z = 0 and its axis on x = y = 0: the middle of its bounding box, for
 mugs the centre of the circle that their upper part lies on. A mug is turned so that its farthest point, the
