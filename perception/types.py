@@ -20,6 +20,7 @@ from perception.errors import InvalidInputError
 
 Category = Literal["mug", "bowl", "bottle", "can"]
 CATEGORIES: tuple[Category, ...] = get_args(Category)
+OTHER = len(CATEGORIES)  # index of 'other' (distractors) in class probabilities
 GRID_RESOLUTION = 32
 CODE_SIZE = 16
 

@@ -1,10 +1,11 @@
-"""Ties detections of one physical object across posed views and lets the views vote on what it is.
+"""Associates detections of one physical object across posed views and fuses their class votes.
 
-Each detection lays its footprint (the convex hull of its points in the plan view) on the support plane.
-Footprints of one object seen from different sides overlap, those of different objects do not. Where one view
-merges what others separate, or breaks apart what others hold together, the count that most views agree on
-wins. Log-probabilities of the classes are summed over the views, yaw distributions multiplied; what then is
-most probably of no class is dropped, and so is what one view alone claims to see against the others.
+Each detection leaves a footprint on the support plane: the convex hull of its points in the plan view.
+Footprints of one object from different viewpoints overlap, footprints of different objects do not. Where a
+view merges or splits objects, the object count of most views decides. Class log-probabilities are summed over
+the views, with less weight for masks truncated by the image border and with a vote against the object from
+every view that should contain it but has no detection; yaw distributions are multiplied. Objects whose most
+probable class is 'other' are dropped, as are weak detections that a single view makes against the others.
 """
 
 from __future__ import annotations
@@ -18,52 +19,51 @@ import numpy as np
 from jaxtyping import Float
 from scipy.sparse.csgraph import connected_components
 
-from perception.detection.geometry import plan_coordinates, points_of, project
+from perception.detection.geometry import plan_coordinates, points_of, project, touches_border
 from perception.detection.yaw import fused
 from perception.errors import InvalidInputError
-from perception.types import CATEGORIES, ObjectDetection, RgbdFrame, SupportPlane
-
-_OTHER = len(CATEGORIES)
+from perception.types import CATEGORIES, OTHER, ObjectDetection, RgbdFrame, SupportPlane
 
 
 @dataclass(frozen=True)
 class AssociationConfig:
-    """When detections are one object.
+    """Parameters of the association of detections across views.
 
     Attributes:
-        overlap: share of the smaller footprint that two views of one object have in common at least.
-        merged: a detection that covers this share of two objects' footprints each is a merger of both.
-        cell: resolution of the footprints in [m].
-        max_extent: an object longer than this in the plan view in [m] is none of ours.
-        lone_score: what only one view saw although at least two others should have must score this high.
-        visible: share of an object's points that must be in view and unhidden for a view to be expected
-            to see it.
-        missed: probability that a view which should see an object of a class has no detection of it; the
-            same for 'other' is its complement, since the detector leaves those out.
-        cut: weight of the vote of a view in which the image border cuts the object.
-        independence: views err alike; their summed log-probabilities count as n^independence views.
+        min_overlap: Smallest intersection of two footprints of one object, as a share of the smaller one.
+        merged_share: Share of each of two objects' footprints from which on a detection covering both is
+            taken for a merger of them and left out.
+        cell: Side of the footprint grid's cells, in metres.
+        max_extent: Largest extent of an object in the plan view, in metres.
+        single_view_score: Smallest score of an object detected in one view only, although two or more other
+            views should contain it.
+        visible_share: Share of an object's points that must be inside the image and unoccluded for the view
+            to be expected to contain a detection of it.
+        miss_probability: Probability that such a view has no detection of an object of one of the classes.
+            For 'other' it is the complement, since the detector suppresses that class.
+        truncated_weight: Weight of the class vote of a mask that is truncated by the image border.
+        independence: Exponent of the effective number of views, n^independence: views err alike.
     """
 
-    overlap: float = 0.3
-    merged: float = 0.5
+    min_overlap: float = 0.3
+    merged_share: float = 0.5
     cell: float = 0.004
     max_extent: float = 0.36
-    lone_score: float = 0.8
-    visible: float = 0.6
-    missed: float = 0.2
-    cut: float = 0.5
+    single_view_score: float = 0.8
+    visible_share: float = 0.6
+    miss_probability: float = 0.2
+    truncated_weight: float = 0.5
     independence: float = 0.5
 
 
-@dataclass(frozen=True)
-class _Seen:
+@dataclass(frozen=True, eq=False)
+class _Footprint:
     """One detection in the plan view."""
 
     view: int
-    index: int
     detection: ObjectDetection
-    points: Float[np.ndarray, "n 3"]  # a sample of its cloud in the world [m]
-    hull: Float[np.ndarray, "m 2"]  # corners of its footprint along the plane's axes [m]
+    points: Float[np.ndarray, "n 3"]  # sample of its point cloud in the world frame [m]
+    hull: Float[np.ndarray, "m 2"]  # corners along the plane's axes [m]
 
 
 def associate(
@@ -72,53 +72,62 @@ def associate(
     plane: SupportPlane,
     config: AssociationConfig = AssociationConfig(),
 ) -> list[list[ObjectDetection]]:
-    """The detections per frame, tied and voted.
+    """Return the detections of each frame with instance ids and fused classes.
 
-    Every detection returned has its ``instance_id`` (0, 1, ... by descending number of views and score), and
-    the category, score, class and yaw probabilities of all views together. Each object appears at most once
-    per frame. Works on a single frame too, where it only drops what is of no class.
+    Args:
+        frames: Views with poses; a single frame may lack its pose.
+        detections_per_frame: Detections of each frame.
+        plane: Support plane in the world frame.
+        config: Parameters.
+
+    Returns:
+        For each frame its detections with ``instance_id`` (0, 1, ... by descending number of views, then
+        score) and with the category, score, class and yaw probabilities fused over all views. An object
+        appears at most once per frame. For a single frame only objects of class 'other' are dropped.
 
     Raises:
-        InvalidInputError: numbers of frames and detection lists differ, or several frames lack poses.
+        InvalidInputError: The numbers of frames and of detection lists differ, or one of several frames has
+            no pose.
     """
     if len(frames) != len(detections_per_frame):
         raise InvalidInputError(f"{len(frames)} frames but detections for {len(detections_per_frame)}")
     if len(frames) > 1 and any(frame.T_world_camera is None for frame in frames):
         raise InvalidInputError("associating several views needs T_world_camera of every frame")
-    seen = [
-        _footprint(view, index, detection, frames[view], plane)
+    footprints = [
+        _footprint(view, detection, frames[view], plane)
         for view, detections in enumerate(detections_per_frame)
-        for index, detection in enumerate(detections)
+        for detection in detections
     ]
-    seen = [s for s in seen if len(s.points)]
-    objects = [group for cluster in _clusters(seen, config) for group in _separated(cluster, config)]
-    voted = [vote for group in objects if (vote := _voted(group, frames, config)) is not None]
-    voted.sort(key=lambda vote: (-len(vote), -vote[0].detection.score))
+    footprints = [f for f in footprints if len(f.points)]
+    objects = [group for cluster in _clusters(footprints, config) for group in _separate(cluster, config)]
+    fused_groups = [fused for group in objects if (fused := _fuse(group, frames, config)) is not None]
+    fused_groups.sort(key=lambda group: (-len(group), -group[0].detection.score))
     result: list[list[ObjectDetection]] = [[] for _ in frames]
-    for number, group in enumerate(voted):
-        for s in group:
-            result[s.view].append(replace(s.detection, instance_id=number))
+    for instance_id, group in enumerate(fused_groups):
+        for f in group:
+            result[f.view].append(replace(f.detection, instance_id=instance_id))
     return result
 
 
-def _footprint(
-    view: int, index: int, detection: ObjectDetection, frame: RgbdFrame, plane: SupportPlane
-) -> _Seen:
-    """Where a detection stands, without edge pixels and points on the plane: masks are a bit too wide."""
+def _footprint(view: int, detection: ObjectDetection, frame: RgbdFrame, plane: SupportPlane) -> _Footprint:
+    """Return the footprint of a detection, without mask-border pixels and points on the plane.
+
+    Masks are slightly too large, so both are mostly background.
+    """
     core = cv2.erode(detection.mask.astype(np.uint8), np.ones((5, 5), np.uint8)).astype(bool)
     points = points_of(frame, core if core.any() else detection.mask)
     raised = points[plane.height_above(points) > 0.005]
     points = (raised if len(raised) >= 10 else points)[:: max(1, len(points) // 2000)]
     plan = plan_coordinates(points, plane)
-    if len(plan) > 20:  # stray points at depth edges must not stretch the hull
+    if len(plan) > 20:  # outliers at depth discontinuities must not stretch the hull
         low, high = np.percentile(plan, (1, 99), axis=0)
         plan = plan[((plan >= low) & (plan <= high)).all(1)]
     hull = cv2.convexHull(plan.astype(np.float32))[:, 0] if len(plan) else np.zeros((0, 2), np.float32)
-    return _Seen(view, index, detection, points, hull)
+    return _Footprint(view, detection, points, hull)
 
 
-def _filled(hulls: Sequence[np.ndarray], cell: float) -> list[np.ndarray]:
-    """Footprints as bool images on one common plan-view grid."""
+def _rasterised(hulls: Sequence[np.ndarray], cell: float) -> list[np.ndarray]:
+    """Return footprints as bool images on one common plan-view grid."""
     corners = np.concatenate(hulls)
     low = corners.min(0) - 2 * cell
     size = np.ceil((corners.max(0) - low) / cell).astype(int) + 3
@@ -130,117 +139,123 @@ def _filled(hulls: Sequence[np.ndarray], cell: float) -> list[np.ndarray]:
     return images
 
 
-def _clusters(seen: list[_Seen], config: AssociationConfig) -> list[list[_Seen]]:
-    """Detections whose footprints overlap, across views, directly or by way of others."""
-    if not seen:
+def _clusters(footprints: list[_Footprint], config: AssociationConfig) -> list[list[_Footprint]]:
+    """Return the connected components of footprints that overlap across views."""
+    if not footprints:
         return []
-    linked = np.zeros((len(seen), len(seen)), bool)
-    for i, a in enumerate(seen):
-        for j, b in enumerate(seen[:i]):
+    linked = np.zeros((len(footprints), len(footprints)), bool)
+    for i, a in enumerate(footprints):
+        for j, b in enumerate(footprints[:i]):
             apart = (a.hull.min(0) > b.hull.max(0)).any() or (b.hull.min(0) > a.hull.max(0)).any()
             if a.view != b.view and not apart:
-                first, second = _filled((a.hull, b.hull), config.cell)
+                first, second = _rasterised((a.hull, b.hull), config.cell)
                 shared = (first & second).sum()
-                linked[i, j] = shared >= config.overlap * min(first.sum(), second.sum())
+                linked[i, j] = shared >= config.min_overlap * min(first.sum(), second.sum())
     labels = connected_components(linked, directed=False)[1]
-    return [[s for s, k in zip(seen, labels) if k == number] for number in range(labels.max() + 1)]
+    return [[f for f, k in zip(footprints, labels) if k == label] for label in range(labels.max() + 1)]
 
 
-def _separated(cluster: list[_Seen], config: AssociationConfig) -> list[list[_Seen]]:
-    """One group per physical object, each with at most one detection a view.
+def _separate(cluster: list[_Footprint], config: AssociationConfig) -> list[list[_Footprint]]:
+    """Return one group per physical object, each with at most one detection per view.
 
-    The number of objects is what most views count, the larger one in a tie: two detections in one view
-    rarely are one object. The view that shows that number in the largest footprints gives the anchors.
+    The number of objects is the mode of the views' detection counts, the larger one in a tie: two detections
+    in one view are rarely one object. Among the views with that count, the one with the largest footprints
+    provides the anchors to which the other detections are assigned.
     """
-    per_view = Counter(s.view for s in cluster)
-    if max(per_view.values()) == 1:
+    count_of_view = Counter(f.view for f in cluster)
+    if max(count_of_view.values()) == 1:
         return [cluster]
-    votes = Counter(per_view.values())
-    number = max(votes, key=lambda n: (votes[n], n))
-    images = dict(zip(map(id, cluster), _filled([s.hull for s in cluster], config.cell)))
-    views = [view for view, n in per_view.items() if n == number]
-    area = {v: sum(images[id(s)].sum() for s in cluster if s.view == v) for v in views}
-    anchors = [s for s in cluster if s.view == max(views, key=lambda v: area[v])]
+    votes = Counter(count_of_view.values())
+    n_objects = max(votes, key=lambda n: (votes[n], n))
+    images = dict(zip(cluster, _rasterised([f.hull for f in cluster], config.cell)))
+    views = [view for view, n in count_of_view.items() if n == n_objects]
+    area = {v: sum(images[f].sum() for f in cluster if f.view == v) for v in views}
+    anchors = [f for f in cluster if f.view == max(views, key=lambda v: area[v])]
 
-    groups: list[list[_Seen]] = [[anchor] for anchor in anchors]
-    for s in cluster:
-        if s in anchors:
+    groups: list[list[_Footprint]] = [[anchor] for anchor in anchors]
+    for f in cluster:
+        if f in anchors:
             continue
-        shared = np.array([(images[id(s)] & images[id(a)]).sum() for a in anchors])
-        of_anchor = shared / np.array([max(images[id(a)].sum(), 1) for a in anchors])
-        if (of_anchor > config.merged).sum() <= 1 and shared.max() > 0:  # else it merges several: not used
-            groups[int(shared.argmax())].append(s)
+        shared = np.array([(images[f] & images[anchor]).sum() for anchor in anchors])
+        covered = shared / np.array([max(images[anchor].sum(), 1) for anchor in anchors])
+        if (covered > config.merged_share).sum() <= 1 and shared.max() > 0:  # otherwise it merges several
+            groups[int(shared.argmax())].append(f)
     return [_one_per_view(group) for group in groups]
 
 
-def _one_per_view(group: list[_Seen]) -> list[_Seen]:
-    """Parts of one object in one view united: one mask, the class and yaw of the largest part."""
+def _one_per_view(group: list[_Footprint]) -> list[_Footprint]:
+    """Unite the parts of one object in each view: one mask, the class and yaw of the largest part."""
     united = []
-    for view in sorted({s.view for s in group}):
-        parts = sorted((s for s in group if s.view == view), key=lambda s: -int(s.detection.mask.sum()))
-        main = parts[0]
+    for view in sorted({f.view for f in group}):
+        parts = sorted((f for f in group if f.view == view), key=lambda f: -int(f.detection.mask.sum()))
+        largest = parts[0]
         if len(parts) > 1:
-            mask = np.logical_or.reduce([s.detection.mask for s in parts])
-            points = np.concatenate([s.points for s in parts])
-            main = replace(main, detection=replace(main.detection, mask=mask), points=points)
-        united.append(main)
+            mask = np.logical_or.reduce([f.detection.mask for f in parts])
+            points = np.concatenate([f.points for f in parts])
+            largest = replace(largest, detection=replace(largest.detection, mask=mask), points=points)
+        united.append(largest)
     return united
 
 
-def _voted(group: list[_Seen], frames: Sequence[RgbdFrame], config: AssociationConfig) -> list[_Seen] | None:
-    """The group with the views' common class, score and yaw, or None if it is no object of ours."""
-    plan = np.concatenate([s.hull for s in group])
+def _fuse(
+    group: list[_Footprint], frames: Sequence[RgbdFrame], config: AssociationConfig
+) -> list[_Footprint] | None:
+    """Return the group with its fused class, score and yaw, or None if it is rejected."""
+    plan = np.concatenate([f.hull for f in group])
     if np.ptp(plan, axis=0).max() > config.max_extent:
         return None
-    missing = _views_that_missed(group, frames, config)
-    best_score = max(s.detection.score for s in group)
-    if len(group) == 1 and missing >= 2 and best_score < config.lone_score:
+    n_missed = _count_missed_views(group, frames, config)
+    best_score = max(f.detection.score for f in group)
+    if len(group) == 1 and n_missed >= 2 and best_score < config.single_view_score:
         return None
 
-    log = np.sum([_weight(s.detection, config) * _log_probabilities(s.detection) for s in group], axis=0)
-    log = log + missing * np.log([config.missed] * _OTHER + [1 - config.missed])
-    views = len(group) + missing
-    if int(log.argmax()) == _OTHER:
+    log = np.sum([_weight(f.detection, config) * _log_probabilities(f.detection) for f in group], axis=0)
+    log = log + n_missed * np.log([config.miss_probability] * OTHER + [1 - config.miss_probability])
+    n_views = len(group) + n_missed
+    if int(log.argmax()) == OTHER:
         return None
-    weight = np.exp((log - log.max()) * views ** (config.independence - 1))
+    weight = np.exp((log - log.max()) * n_views ** (config.independence - 1))
     probabilities = weight / weight.sum()
-    category = CATEGORIES[int(probabilities[:_OTHER].argmax())]
-    yaws = [s.detection.yaw_probabilities for s in group if len(s.detection.yaw_probabilities)]
+    category = CATEGORIES[int(probabilities[:OTHER].argmax())]
+    yaws = [f.detection.yaw_probabilities for f in group if len(f.detection.yaw_probabilities)]
     changes = {
         "category": category,
-        "score": float(probabilities[:_OTHER].max()),
+        "score": float(probabilities[:OTHER].max()),
         "class_probabilities": probabilities,
         "yaw_probabilities": fused(yaws) if yaws and category == "mug" else np.zeros(0),
     }
-    return [replace(s, detection=replace(s.detection, **changes)) for s in group]
+    return [replace(f, detection=replace(f.detection, **changes)) for f in group]
 
 
 def _weight(detection: ObjectDetection, config: AssociationConfig) -> float:
-    mask = detection.mask
-    cut = mask[0].any() or mask[-1].any() or mask[:, 0].any() or mask[:, -1].any()
-    return config.cut if cut else 1.0
+    return config.truncated_weight if touches_border(detection.mask) else 1.0
 
 
 def _log_probabilities(detection: ObjectDetection) -> Float[np.ndarray, "5"]:
-    """Of the five classes, bounded from below; from category and score where a detection has no more."""
+    """Return log-probabilities of the five classes, each probability at least 0.005.
+
+    A detection without class probabilities gets its score for its category and equal shares for the others.
+    """
     p = np.asarray(detection.class_probabilities, dtype=np.float64)
-    if len(p) != _OTHER + 1:
-        p = np.full(_OTHER + 1, (1 - detection.score) / _OTHER)
+    if len(p) != OTHER + 1:
+        p = np.full(OTHER + 1, (1 - detection.score) / OTHER)
         p[CATEGORIES.index(detection.category)] = detection.score
     return np.log(np.clip(p, 0.005, 1.0))
 
 
-def _views_that_missed(group: list[_Seen], frames: Sequence[RgbdFrame], config: AssociationConfig) -> int:
-    """How many views have the object's points in the image, unhidden, and yet no detection of it."""
-    points = np.concatenate([s.points for s in group])[:: max(1, len(group))]
+def _count_missed_views(
+    group: list[_Footprint], frames: Sequence[RgbdFrame], config: AssociationConfig
+) -> int:
+    """Return the number of views with the object inside the image and unoccluded, but without a detection."""
+    points = np.concatenate([f.points for f in group])[:: max(1, len(group))]
     missed = 0
-    for view in set(range(len(frames))) - {s.view for s in group}:
+    for view in set(range(len(frames))) - {f.view for f in group}:
         frame = frames[view]
         pixels, z = project(frame, points)
         size = (frame.intrinsics.width, frame.intrinsics.height)
         inside = (z > 0) & (pixels >= 0).all(1) & (pixels < size).all(1)
         u, v = pixels[inside].T
         measured = frame.depth[v, u]
-        unhidden = (measured == 0) | (measured > z[inside] - 0.03)
-        missed += unhidden.sum() >= config.visible * len(points)
+        unoccluded = (measured == 0) | (measured > z[inside] - 0.03)
+        missed += unoccluded.sum() >= config.visible_share * len(points)
     return int(missed)

@@ -51,6 +51,11 @@ def window_of(mask: Bool[np.ndarray, "h w"], margin: int = 0) -> tuple[slice, sl
     return slice(max(y - margin, 0), y + h + margin), slice(max(x - margin, 0), x + w + margin)
 
 
+def touches_border(mask: Bool[np.ndarray, "h w"]) -> bool:
+    """Return whether the mask is truncated by the image border."""
+    return bool(mask[0].any() or mask[-1].any() or mask[:, 0].any() or mask[:, -1].any())
+
+
 def points_of(
     frame: RgbdFrame,
     mask: Bool[np.ndarray, "h w"],
