@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import time
-from dataclasses import replace
 
 import numpy as np
 from rich.markup import escape
@@ -15,7 +14,6 @@ from app.runs.report import ObjectReport, Report
 from app.runs.run_folder import RunFolder
 from app.screen import Screen
 from perception.detection.association import associate
-from perception.errors import InvalidInputError
 from perception.io.files import write_atomically
 from perception.io.object_map import write_object_map
 from perception.io.scan_folder import Scan, png_bytes, read_scan, write_scan
@@ -28,7 +26,7 @@ from perception.pipeline import (
     reconstruct_objects,
 )
 from perception.pipeline import detect as detect_objects
-from perception.support_plane import fit_support_plane
+from perception.scans import scan_detections, scan_plane, usable_part
 from perception.types import ObjectEstimate, RgbdFrame, SupportPlane
 
 
@@ -37,9 +35,7 @@ def run(options: ReconstructOptions, screen: Screen) -> Report:
     begin = time.perf_counter()
     timings: dict[str, float] = {}
     recorded = read_scan(options.scan)
-    # Without poses nothing says which way is up: the plane may lie at any angle to the first camera.
-    plane = fit_support_plane(recorded.frames if recorded.has_poses else recorded.frames[:1])
-    scan = usable(recorded)
+    plane, scan = scan_plane(recorded), usable_part(recorded)
     folder = RunFolder.create(options, "reconstruct")
     for warning in scan.warnings:
         screen.note(f"left out: {warning}")
@@ -75,37 +71,15 @@ def run(options: ReconstructOptions, screen: Screen) -> Report:
     return report
 
 
-def usable(scan: Scan) -> Scan:
-    """The scan with every frame posed: without poses the first camera is the world, the others useless."""
-    if scan.has_poses:
-        return scan
-    first = replace(scan.frames[0], T_world_camera=np.eye(4))
-    dropped = len(scan.frames) - 1
-    note = (
-        (f"the scan has no camera poses: {dropped} images after the first are not used",) if dropped else ()
-    )
-    detections, masks = scan.detections and scan.detections[:1], scan.masks and scan.masks[:1]
-    return Scan((first,), detections, scan.image_ids[:1], (*scan.warnings, *note), masks)
-
-
 def _detections(scan: Scan, plane: SupportPlane, options: ReconstructOptions) -> Detections:
-    """The folder's own detections or masks where it has them, else the detector's; tied over the images."""
-    if scan.detections is not None:
-        if not any(scan.detections):
-            raise InvalidInputError(
-                f"{options.scan}/detections.json is empty: delete it to use the shipped detector"
-            )
-        if all(found.instance_id is not None for frame in scan.detections for found in frame):
-            return Detections(plane, scan.detections)
-        found = scan.detections
-    elif scan.masks is not None:
-        detector = load_detector(options.device)
-        found = [detector.classify(frame, plane, masks) for frame, masks in zip(scan.frames, scan.masks)]
-    elif options.detector != SHIPPED:
-        model = load_huggingface(options.detector, options.device)
-        found = [model(frame) for frame in scan.frames]
-    else:
+    """Return the folder's detections or classified masks where it has them, else those of the detector."""
+    own = scan_detections(scan, plane, lambda: load_detector(options.device), options.scan)
+    if own is not None:
+        return own
+    if options.detector == SHIPPED:
         return detect_objects(scan.frames, load_detector(options.device), plane=plane)
+    model = load_huggingface(options.detector, options.device)
+    found = [model(frame) for frame in scan.frames]
     return Detections(plane, tuple(map(tuple, associate(scan.frames, found, plane))))
 
 

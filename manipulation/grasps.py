@@ -36,8 +36,8 @@ class GraspSet:
         return f"No grasp for {name}: of {self.n_tried} tried, {counts}; leave it out or use a wider gripper"
 
 
-def find_grasps(item: StandingObject, config: GraspConfig | None = None) -> GraspSet:
-    """All grasps the object's class and shape offer, best first."""
+def grasp_candidates(item: StandingObject, config: GraspConfig | None = None) -> GraspSet:
+    """Return all grasps the object's class and shape offer, best first."""
     config = config or GraspConfig()
     rejected: Counter[str] = Counter()
     sections = SectionCache(item.vertices, item.faces)

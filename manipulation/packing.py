@@ -17,7 +17,7 @@ from jaxtyping import Float
 from manipulation.errors import PlanningError
 from manipulation.footprints import BoxRaster, Footprint, Stencil, bounding_area, footprint
 from manipulation.grasp_config import GraspConfig
-from manipulation.grasps import find_grasps
+from manipulation.grasps import grasp_candidates
 from manipulation.nesting import nest_heights, stack_bowls
 from manipulation.release_clearance import count_releases
 from manipulation.robot import GripperGeometry
@@ -125,7 +125,7 @@ def pack(
     config, grasp_config = config or PackingConfig(), grasp_config or GraspConfig()
     if not items:
         raise PlanningError("there is nothing to pack: no object was perceived")
-    grasps = {item.name: find_grasps(item, grasp_config).grasps for item in items}
+    grasps = {item.name: grasp_candidates(item, grasp_config).grasps for item in items}
     stacks = stack_bowls([item for item in items if item.category == "bowl"])
     cell = BoxRaster(box, 0.0).cell
     narrowest = min(box.size[:2]) / 2 - 2 * cell

@@ -17,7 +17,7 @@ from jaxtyping import Float
 from manipulation.collision import Body, CollisionConfig, CollisionWorld
 from manipulation.errors import PlanningError
 from manipulation.grasp_config import GraspConfig
-from manipulation.grasps import GraspSet, find_grasps
+from manipulation.grasps import GraspSet, grasp_candidates
 from manipulation.hulls import convex_pieces
 from manipulation.kinematics import IkConfig, Kinematics
 from manipulation.motions import Motions
@@ -115,7 +115,7 @@ class PickPlacePlanner:
     def grasps(self, name: str) -> GraspSet:
         """Grasp candidates of an object, computed once per estimate."""
         if name not in self._grasps:
-            self._grasps[name] = find_grasps(self.items[name], self.config.grasp)
+            self._grasps[name] = grasp_candidates(self.items[name], self.config.grasp)
         return self._grasps[name]
 
     def resting_pose(self, placement: Placement, yaw: float) -> Float[np.ndarray, "4 4"]:

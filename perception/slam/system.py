@@ -21,8 +21,10 @@ from jaxtyping import Float, UInt8
 from perception.errors import PerceptionError
 from perception.geometry import invert
 from perception.inference.shape_model import Decoder
+from perception.pipeline import Device, load_perception
 from perception.slam.association import RenderedMasks, associate_masks, render_masks
 from perception.slam.config import SlamConfig
+from perception.slam.estimates import object_estimates
 from perception.slam.keyframes import Keyframe, make_keyframe, shows_new_view, with_pose
 from perception.slam.landmarks import LandmarkMap
 from perception.slam.mapping import Mapper
@@ -32,7 +34,7 @@ from perception.slam.pixels import TrackingPixels, in_known_parts, label_image, 
 from perception.slam.relocalise import Relocalised, relocalise
 from perception.slam.tracking import TrackedPose, track
 from perception.support_plane import fit_support_plane
-from perception.types import ObjectDetection, RgbdFrame, SupportPlane
+from perception.types import ObjectDetection, ObjectEstimate, RgbdFrame, SupportPlane
 
 logger = logging.getLogger(__name__)
 
@@ -104,6 +106,20 @@ class Slam:
         self._lost_for = 0
         self._previous: tuple[Labels, dict[int, int]] | None = None
         self._seconds: dict[str, float] = {}
+
+    @staticmethod
+    def load(device: Device = "auto", config: SlamConfig | None = None) -> Slam:
+        """Return a system with the shipped shape prior and detector.
+
+        Raises:
+            PerceptionError: weights are missing or damaged.
+        """
+        networks = load_perception(device)
+        return Slam(networks.decoder, networks.detector, config)
+
+    def object_estimates(self) -> list[ObjectEstimate]:
+        """Return the landmarks with their meshes, by id; those without a surface are omitted."""
+        return [] if self.world is None else object_estimates(self.world, self.decoder)
 
     @property
     def world(self) -> LandmarkMap | None:

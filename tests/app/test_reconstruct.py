@@ -14,6 +14,7 @@ from app.options import ReconstructOptions
 from perception.errors import InvalidInputError
 from perception.io.scan_folder import Scan
 from perception.pipeline import load_huggingface
+from perception.scans import usable_part
 from perception.support_plane import fit_support_plane
 from perception.types import CameraIntrinsics, ObjectDetection, RgbdFrame, SupportPlane
 
@@ -57,7 +58,7 @@ def test_masks_of_a_folder_are_classified_and_tied(monkeypatch: pytest.MonkeyPat
     monkeypatch.setattr(reconstruct, "load_detector", lambda device: classifier)
     scan = Scan((tilted_table(), tilted_table()), None, (0, 1), masks=((mask(),), ()))
     plane = SupportPlane(UP, -DISTANCE * np.sin(DOWN))
-    usable = reconstruct.usable(scan)
+    usable = usable_part(scan)
     assert len(usable.frames) == 1 and usable.masks == scan.masks[:1] and len(usable.warnings) == 1
     detections = reconstruct._detections(usable, plane, ReconstructOptions(scan=Path("mine")))
     ((found,),) = detections.per_frame

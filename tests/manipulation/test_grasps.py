@@ -7,7 +7,7 @@ import trimesh
 from manipulation.cross_sections import fit_circle, radial_hits, section, span
 from manipulation.errors import PlanningError
 from manipulation.grasp_config import GraspConfig
-from manipulation.grasps import find_grasps
+from manipulation.grasps import grasp_candidates
 from manipulation.planner import plan_pack
 from manipulation.robot import GripperGeometry
 from manipulation.standing import split_handle, stand
@@ -88,7 +88,7 @@ def test_hand_follows_the_wall_of_a_low_bowl_with_an_uneven_rim(shapes):
     vertices = np.array(mesh.vertices)
     dented = (vertices[:, 2] > 0.03) & (np.sin(3 * np.arctan2(vertices[:, 1], vertices[:, 0])) > 0)
     vertices[dented, 2] -= 0.002
-    grasps = find_grasps(
+    grasps = grasp_candidates(
         standing(shapes, "bowl", trimesh.Trimesh(vertices, mesh.faces, process=False))
     ).grasps
     tilts = np.array([np.arccos(-grasp.T_stand_tcp[2, 2]) for grasp in grasps])
@@ -98,7 +98,7 @@ def test_hand_follows_the_wall_of_a_low_bowl_with_an_uneven_rim(shapes):
 
 def test_mug_rim_is_straddled_away_from_the_handle(shapes):
     item = standing(shapes, "mug", shapes.mug(radius=0.04, height=0.095, wall=0.004), yaw=0.7)
-    found = find_grasps(item, CONFIG)
+    found = grasp_candidates(item, CONFIG)
     assert found.rejected["at the handle"] == 7
     assert found.n_tried == len(found.grasps) + 7
     for grasp in found.grasps:
@@ -116,7 +116,7 @@ def test_mug_rim_is_straddled_away_from_the_handle(shapes):
 
 
 def test_every_rim_grasp_comes_with_its_half_turn(shapes):
-    grasps = find_grasps(standing(shapes, "bowl", shapes.bowl()), CONFIG).grasps
+    grasps = grasp_candidates(standing(shapes, "bowl", shapes.bowl()), CONFIG).grasps
     for grasp in grasps:
         turned = grasp.T_stand_tcp @ np.diag([-1.0, -1, 1, 1])
         assert any(np.allclose(turned, other.T_stand_tcp, atol=1e-9) for other in grasps)
@@ -125,7 +125,7 @@ def test_every_rim_grasp_comes_with_its_half_turn(shapes):
 @pytest.mark.parametrize("slope", np.deg2rad([0, 10, 20]))
 def test_hand_leans_with_the_bowls_wall(shapes, slope):
     item = standing(shapes, "bowl", shapes.bowl(radius=0.075, height=0.06, slope=slope))
-    grasps = find_grasps(item, CONFIG).grasps
+    grasps = grasp_candidates(item, CONFIG).grasps
     assert len(grasps) == 2 * CONFIG.n_azimuths
     for grasp in grasps:
         T = grasp.T_stand_tcp
@@ -143,7 +143,7 @@ def test_the_hand_leaves_past_a_wall_that_bends_upright(shapes):
     outer = np.stack([0.08 * np.sin(angle), 0.06 * (1 - np.cos(angle))], axis=1)
     inner = outer[::-1] * (0.95, 0.93) + (0.0, 0.0042)
     mesh = trimesh.creation.revolve(np.concatenate([outer, inner]), sections=64)
-    grasps = find_grasps(standing(shapes, "bowl", mesh)).grasps
+    grasps = grasp_candidates(standing(shapes, "bowl", mesh)).grasps
     assert len(grasps) == 2 * CONFIG.n_azimuths
     for grasp in grasps:
         tilt, leaving = np.arccos(-grasp.T_stand_tcp[2, 2]), np.arccos(grasp.away[2])
@@ -152,27 +152,27 @@ def test_the_hand_leaves_past_a_wall_that_bends_upright(shapes):
 
 def test_low_bowls_are_held_shallower_and_flatter(shapes):
     item = standing(shapes, "bowl", shapes.bowl(radius=0.05, height=0.028, slope=np.deg2rad(20)))
-    grasps = find_grasps(item, CONFIG).grasps
+    grasps = grasp_candidates(item, CONFIG).grasps
     assert grasps
     for grasp in grasps:
         tilt = np.arccos(-grasp.T_stand_tcp[2, 2])
         lowest = grasp.T_stand_tcp[2, 3] - CONFIG.gripper.tip * np.cos(tilt) - 0.026 * np.sin(tilt)
         assert lowest >= CONFIG.fingertip_clearance - 1e-6
-    none = find_grasps(standing(shapes, "bowl", shapes.bowl(radius=0.05, height=0.018)), CONFIG)
+    none = grasp_candidates(standing(shapes, "bowl", shapes.bowl(radius=0.05, height=0.018)), CONFIG)
     assert not none.grasps and none.rejected["too low"] == CONFIG.n_azimuths
 
 
 def test_shallow_cavity_is_grasped_less_deep(shapes):
     """A thick floor 20 mm below the rim: the fingertip, 9.5 mm beyond the TCP, stays above it."""
     item = standing(shapes, "bowl", shapes.cup(radius=0.05, height=0.045, wall=0.004, base=0.025))
-    for grasp in find_grasps(item, CONFIG).grasps:
+    for grasp in grasp_candidates(item, CONFIG).grasps:
         assert grasp.T_stand_tcp[2, 3] - CONFIG.gripper.tip > 0.025
         assert grasp.depth < CONFIG.bowl_depth
 
 
 def test_can_is_held_around_its_axis_from_above(shapes):
     item = standing(shapes, "can", shapes.can(radius=0.033, height=0.12))
-    for grasp in find_grasps(item, CONFIG).grasps:
+    for grasp in grasp_candidates(item, CONFIG).grasps:
         assert grasp.kind == "top" and 0.012 <= grasp.depth <= 0.032
         assert grasp.T_stand_tcp[:2, 3] == pytest.approx([0, 0], abs=3e-4)
         assert grasp.T_stand_tcp[2, 3] == pytest.approx(0.12 - grasp.depth)
@@ -183,31 +183,31 @@ def test_can_is_held_around_its_axis_from_above(shapes):
 
 def test_bottle_is_held_at_its_neck(shapes):
     item = standing(shapes, "bottle", shapes.bottle(radius=0.045, height=0.22, neck=0.014))
-    best = find_grasps(item, CONFIG).grasps[0]
+    best = grasp_candidates(item, CONFIG).grasps[0]
     assert best.T_stand_tcp[2, 3] > 0.72 * 0.22 + CONFIG.gripper.tip
     assert 0.028 < best.opening < 0.06
 
 
 def test_flat_bottle_is_held_over_its_narrow_side(shapes):
     item = standing(shapes, "bottle", shapes.flat_bottle(narrow=0.05, wide=0.09), yaw=0.3)
-    found = find_grasps(item, CONFIG)
+    found = grasp_candidates(item, CONFIG)
     assert found.grasps and any(reason.startswith("too wide") for reason in found.rejected)
     assert abs(found.grasps[0].T_stand_tcp[0, 1]) > np.cos(np.deg2rad(20))
 
 
 def test_open_tumbler_too_wide_for_the_hand_is_held_by_its_rim(shapes):
-    found = find_grasps(standing(shapes, "bottle", shapes.cup(radius=0.045, height=0.15)), CONFIG)
+    found = grasp_candidates(standing(shapes, "bottle", shapes.cup(radius=0.045, height=0.15)), CONFIG)
     assert found.grasps and {grasp.kind for grasp in found.grasps} == {"rim"}
 
 
 def test_mug_whose_cavity_was_not_reconstructed_gets_a_default_wall(shapes):
     item = standing(shapes, "bowl", shapes.can(radius=0.06, height=0.07))
-    grasp = find_grasps(item, CONFIG).grasps[0]
+    grasp = grasp_candidates(item, CONFIG).grasps[0]
     assert np.linalg.norm(grasp.T_stand_tcp[:2, 3]) == pytest.approx(0.06 - CONFIG.default_wall / 2, abs=5e-4)
 
 
 def test_object_without_grasp_says_why(shapes):
-    found = find_grasps(standing(shapes, "can", shapes.can(radius=0.05)), CONFIG)
+    found = grasp_candidates(standing(shapes, "can", shapes.can(radius=0.05)), CONFIG)
     assert found.why_none("can_1") == (
         "No grasp for can_1: of 60 tried, 60 too wide for 0.08 m; leave it out or use a wider gripper"
     )

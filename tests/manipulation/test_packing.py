@@ -7,7 +7,7 @@ from hypothesis import strategies as st
 
 from manipulation.errors import PlanningError
 from manipulation.footprints import BoxRaster, footprint
-from manipulation.grasps import find_grasps
+from manipulation.grasps import grasp_candidates
 from manipulation.nesting import nests, radial_profile, stack_bowls
 from manipulation.packing import PackingConfig, pack
 from manipulation.release_clearance import count_releases
@@ -135,6 +135,6 @@ def test_what_is_lower_than_the_walls_stands_away_from_them(shapes):
     raster = BoxRaster(box, 0.0)
     position = np.array(placement.position[:2]) - box.center
     corner = np.array(box.size[:2]) / 2 - 0.04
-    grasps = find_grasps(can).grasps
+    grasps = grasp_candidates(can).grasps
     assert count_releases(raster, grasps, corner, 0.0, placement.position[2] + 0.003) == 0
     assert count_releases(raster, grasps, position, 0.0, placement.position[2] + 0.003) > 0

@@ -3,7 +3,7 @@ from dataclasses import replace
 import numpy as np
 
 from manipulation.footprints import BoxRaster, Stencil, footprint
-from manipulation.grasps import find_grasps
+from manipulation.grasps import grasp_candidates
 from manipulation.release_clearance import count_releases
 from manipulation.robot import GripperGeometry
 from manipulation.standing import stand
@@ -17,7 +17,7 @@ def items_of(shapes, *kinds):
 
 def test_a_tall_neighbour_takes_the_hands_room(shapes):
     mug, tall = items_of(shapes, ("mug", shapes.mug()), ("bottle", shapes.bottle(radius=0.04, height=0.26)))
-    grasps = find_grasps(mug).grasps
+    grasps = grasp_candidates(mug).grasps
     raster = BoxRaster(Box(), 0.008)
     free = count_releases(raster, grasps, np.zeros(2), 0.0, 0.004)
     assert free == len(grasps)
@@ -32,7 +32,7 @@ def test_a_tall_neighbour_takes_the_hands_room(shapes):
 def test_a_tilted_hand_reaches_lower_on_one_side(shapes):
     """Over the rim of a low bowl whose wall leans by 30 degrees, the palm comes down to the wall outside."""
     (bowl,) = items_of(shapes, ("bowl", shapes.bowl(radius=0.065, height=0.04, slope=np.deg2rad(30))))
-    grasps = find_grasps(bowl).grasps
+    grasps = grasp_candidates(bowl).grasps
     box = replace(Box(), size=(0.5, 0.5, 0.08))
     raster = BoxRaster(box, 0.008)
     assert count_releases(raster, grasps, np.zeros(2), 0.0, 0.004) == len(grasps)

@@ -1,0 +1,144 @@
+"""Scans in one call: support plane, detections, complete shapes and poses.
+
+The stages are in ``pipeline``; these functions choose where plane and detections come from and which frames
+can be used.
+"""
+
+from __future__ import annotations
+
+import functools
+import logging
+from collections.abc import Callable, Sequence
+from dataclasses import replace
+from pathlib import Path
+
+import numpy as np
+
+from perception.detection.association import associate
+from perception.detection.detector import Detector
+from perception.errors import InvalidInputError
+from perception.io.scan_folder import Scan, read_scan
+from perception.pipeline import Detections, Perception, detect, load_perception, reconstruct_objects
+from perception.reconstruction import Reconstruction
+from perception.support_plane import fit_support_plane
+from perception.types import RgbdFrame, SupportPlane
+
+logger = logging.getLogger(__name__)
+
+
+def reconstruct(
+    frames: Sequence[RgbdFrame], perception: Perception | None = None, detections: Detections | None = None
+) -> Reconstruction:
+    """Reconstruct all objects in the frames.
+
+    Args:
+        frames: RGB-D images with their camera poses, or a single one, whose pose may be unknown.
+        perception: the networks; the shipped ones by default, on CUDA where it is available.
+        detections: support plane and detections of the frames; found by the detector if None.
+
+    Raises:
+        InvalidInputError: no frame, or several of which one lacks its pose.
+        PerceptionError: no support plane is visible.
+    """
+    perception = perception or shipped_perception()
+    plane = detections.plane if detections else fit_support_plane(frames)
+    posed = frames[0].T_world_camera is not None
+    frames = [_in_own_frame(frame) for frame in frames]
+    detections = detections or detect(frames, perception.detector, plane=plane)
+    return Reconstruction(
+        objects=tuple(reconstruct_objects(frames, detections, perception.decoder)),
+        plane=plane,
+        detections=detections.per_frame,
+        T_world_camera=frames[0].T_world_camera if len(frames) == 1 else None,
+        posed=posed,
+    )
+
+
+def reconstruct_scan(scan: str | Path | Scan, perception: Perception | None = None) -> Reconstruction:
+    """Reconstruct all objects of a scan folder.
+
+    Detections or masks of the folder take precedence over the detector. Of a scan without camera poses only
+    the first image is used, and its camera is the world frame.
+
+    Args:
+        scan: the folder, or what ``read_scan`` read from it.
+        perception: the networks; the shipped ones by default, on CUDA where it is available.
+
+    Raises:
+        InvalidInputError: the folder is unusable; the message names the file and the problem.
+        PerceptionError: no support plane is visible.
+    """
+    perception = perception or shipped_perception()
+    folder = Path() if isinstance(scan, Scan) else Path(scan)
+    scan = scan if isinstance(scan, Scan) else read_scan(scan)
+    plane = scan_plane(scan)
+    usable = usable_part(scan)
+    for warning in usable.warnings:
+        logger.warning("%s", warning)
+    detector = perception.detector
+    detections = scan_detections(usable, plane, lambda: detector, folder)
+    detections = detections or detect(usable.frames, detector, plane=plane)
+    result = reconstruct(usable.frames, perception, detections)
+    return replace(result, posed=scan.has_poses)
+
+
+def scan_plane(scan: Scan) -> SupportPlane:
+    """Fit the support plane to all frames, or to the first alone where camera poses are unknown.
+
+    Without poses the plane may have any orientation relative to the camera.
+    """
+    return fit_support_plane(scan.frames if scan.has_poses else scan.frames[:1])
+
+
+def usable_part(scan: Scan) -> Scan:
+    """Return the scan with every frame posed: without poses the first alone, its camera as the world."""
+    if scan.has_poses:
+        return scan
+    first = _in_own_frame(scan.frames[0])
+    dropped = len(scan.frames) - 1
+    note = (
+        (f"the scan has no camera poses: {dropped} images after the first are not used",) if dropped else ()
+    )
+    detections, masks = scan.detections and scan.detections[:1], scan.masks and scan.masks[:1]
+    return Scan((first,), detections, scan.image_ids[:1], (*scan.warnings, *note), masks)
+
+
+def scan_detections(
+    scan: Scan, plane: SupportPlane, load_detector: Callable[[], Detector], folder: Path = Path()
+) -> Detections | None:
+    """Return the scan's own detections, or its masks classified; None where it has neither.
+
+    Args:
+        scan: with every frame posed.
+        plane: the support plane.
+        load_detector: called only where masks are to be classified.
+        folder: named in the error message.
+
+    Raises:
+        InvalidInputError: ``detections.json`` holds no detection.
+    """
+    if scan.detections is not None:
+        if not any(scan.detections):
+            raise InvalidInputError(
+                f"{folder / 'detections.json'} is empty: delete it to use the shipped detector"
+            )
+        if all(found.instance_id is not None for frame in scan.detections for found in frame):
+            return Detections(plane, scan.detections)
+        found = scan.detections
+    elif scan.masks is not None:
+        detector = load_detector()
+        found = [detector.classify(frame, plane, masks) for frame, masks in zip(scan.frames, scan.masks)]
+    else:
+        return None
+    return Detections(plane, tuple(map(tuple, associate(scan.frames, found, plane))))
+
+
+@functools.cache
+def shipped_perception() -> Perception:
+    """Load the shipped networks once, on CUDA where it is available."""
+    return load_perception("auto")
+
+
+def _in_own_frame(frame: RgbdFrame) -> RgbdFrame:
+    """Return a frame without pose with its camera as the world, any other as it is."""
+    return frame if frame.T_world_camera is not None else replace(frame, T_world_camera=np.eye(4))
