@@ -22,5 +22,5 @@ def command_options():
 
 
 @pytest.fixture(scope="session")
-def docstring_bars():
-    return _extension("docstring_bars")
+def docstrings():
+    return _extension("docstrings")

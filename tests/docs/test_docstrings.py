@@ -1,4 +1,4 @@
-"""Escaping the bars of absolute values for reStructuredText."""
+"""Docstrings and signatures for reStructuredText."""
 
 import pytest
 
@@ -17,5 +17,13 @@ CASES = {
 
 
 @pytest.mark.parametrize("lines, expected", CASES.values(), ids=CASES)
-def test_bars_outside_code_are_escaped(docstring_bars, lines, expected):
-    assert list(docstring_bars.escape_bars(lines)) == expected
+def test_bars_outside_code_are_escaped(docstrings, lines, expected):
+    assert list(docstrings.escape_bars(lines)) == expected
+
+
+@pytest.mark.parametrize(
+    "signature, expected",
+    [("(a: int = <factory>, b=<factory>)", "(a: int = ..., b=...)"), ("(a=1)", "(a=1)"), (None, None)],
+)
+def test_defaults_of_factories_are_ellipses(docstrings, signature, expected):
+    assert docstrings.parsable(signature) == expected

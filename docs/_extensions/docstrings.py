@@ -1,4 +1,8 @@
-"""Bars in docstrings: reStructuredText reads ``|x|`` as a substitution, the docstrings mean an absolute value."""
+"""Adapt docstrings and signatures to reStructuredText.
+
+Docstrings write ``|x|`` for absolute values, which reStructuredText reads as a substitution; signatures of
+dataclasses contain ``<factory>``, which is no Python expression and would be printed without links.
+"""
 
 from __future__ import annotations
 
@@ -28,6 +32,18 @@ def _on_docstring(app: Any, what: str, name: str, obj: Any, options: Any, lines:
     lines[:] = list(escape_bars(lines))
 
 
+def parsable(signature: str | None) -> str | None:
+    """Return the signature with an ellipsis for each default that a factory makes."""
+    return signature and signature.replace("<factory>", "...")
+
+
+def _on_signature(
+    app: Any, what: str, name: str, obj: Any, options: Any, signature: str | None, result: str | None
+) -> tuple[str | None, str | None]:
+    return parsable(signature), result
+
+
 def setup(app: Any) -> dict[str, bool]:
     app.connect("autodoc-process-docstring", _on_docstring)
+    app.connect("autodoc-process-signature", _on_signature)
     return {"parallel_read_safe": True}
