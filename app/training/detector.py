@@ -246,8 +246,8 @@ def _card(
     temperature: float,
     crops: int,
 ) -> str:
-    """Markdown that says what the weights are, where they come from and how good they are."""
-    header = "| true \\ found | " + " | ".join(LABELS) + " | right |\n|" + " --- |" * (len(LABELS) + 2)
+    """Return the model card in Markdown: architecture, training, data, evaluation and limitations."""
+    header = "| true \\ predicted | " + " | ".join(LABELS) + " | right |\n|" + " --- |" * (len(LABELS) + 2)
     rows = "\n".join(
         f"| {name} | " + " | ".join(str(n) for n in row) + f" | {metrics['accuracy_per_class'][name]:.3f} |"
         for name, row in zip(LABELS, metrics["confusion"])
@@ -260,43 +260,45 @@ def _card(
     )  # fmt: skip
 
 
-_CARD = """# Detector: scene network and class network
+_CARD = """# Detector: instance network and class network
 
-**Scene network** (`scene.safetensors`): for every pixel of a 320-pixel view of colour, height above the
-support plane and scale, whether it shows a thing, of which class, and where in the plane that thing stands;
-instances are where votes meet (`perception/detection/instances.py`). {scene_parameters} weights, float16.
+**Instance network** (`scene.safetensors`): predicts for every pixel of a 320-pixel view (colour, height
+above the support plane, and scale) whether it belongs to an object, of which class, and the position of its
+object's footprint in the plane; instances are the clusters of these votes
+(`perception/detection/instances.py`). {scene_parameters} parameters, float16.
 
-**Class network** (`detector.safetensors`): mug, bowl, bottle, can or nothing of these, from a
-gravity-upright 64 x 64 crop about one instance: colour, mask, height, relative depth, the surroundings too
-(`perception/detection/crops.py`), and the crop's size and elevation. {members} networks from different
-seeds, {parameters} weights in all, float32. The mean of their logits for the crop and for its mirror image
-counts, divided by {temperature:.2f}, found on further renders of the training families. The detector takes
-the mean of the scene's and the class network's log-probabilities; masks that somebody else made are told by
-the class network alone.
+**Class network** (`detector.safetensors`): classifies a gravity-upright crop of 64 x 64 pixels around one
+instance (colour, mask, height, relative depth, and the surroundings, `perception/detection/crops.py`, with
+the crop's size and elevation) as mug, bowl, bottle, can or other. An ensemble of {members} networks with
+different seeds, {parameters} parameters in total, float32. Logits are averaged over the ensemble and over
+the crop and its mirror image, and divided by the temperature {temperature:.2f}, which was fitted on further
+scenes of the training families. The detector averages the log-probabilities of instance and class networks;
+masks from other sources are classified by the class network alone.
 
-**Made by** `nodeslam train detector --seed {training.seed}` with torch {torch}: {scene_epochs} epochs of the
-scene network in batches of 8, {training.epochs} of each class network in batches of {training.batch}, AdamW
-{training.learning_rate}, cosine schedule, float32, CPU.
+**Training**: `nodeslam train detector --seed {training.seed}` with torch {torch}: {scene_epochs} epochs of
+the instance network with batch size 8, {training.epochs} of each class network with batch size
+{training.batch}, AdamW with learning rate {training.learning_rate} and cosine decay, float32, on a CPU.
 
-**Data**: {config.pictures} scenes of the training families and of distractors for the scene network, rendered
-at 640 x 480 by MuJoCo's classic renderer (`sim_assets/datasets/training_scenes.py`: random textures, prints,
-gloss, light, camera height, tilt and roll, gaps down to contact, depth without noise, with 2 mm of noise, and
-as a RealSense errs), mirrored, recoloured and with further holes in training. For the class network {crops}
-crops in {config.close_ups} more crowded ones with more mugs, bottles, cans and odd things of no class and in
-{config.upright_close_ups} with mostly bottles and cans, of another set of shapes every 28 scenes (three in
-five of the flat and lidded cans stand on a narrower foot), about true masks that are ragged, cut, lack a
-piece or take in one of a neighbour; mirrored, warped, shifted, cut and recoloured in training. No
-photographs.
+**Data**: for the instance network {config.pictures} scenes with objects of the training families and
+distractors, rendered at 640 x 480 by MuJoCo's classic renderer (`sim_assets/datasets/training_scenes.py`:
+random textures, prints, gloss, lights, camera height, tilt and roll, gaps down to contact; depth without
+noise, with 2 mm of noise, and with RealSense-like errors), augmented by mirroring, colour changes and
+further depth holes. For the class network {crops} crops: from {config.close_ups} denser scenes with more
+mugs, bottles, cans and distractors, and from {config.upright_close_ups} scenes with mostly bottles and
+cans, with a new set of shapes every 28 scenes (three in five of the flat and lidded cans stand on a
+narrower foot). Their true masks are made ragged, truncated, incomplete, or extended by a part of a
+neighbour; crops are mirrored, warped, shifted, truncated and recoloured. No photographs.
 
-**Class network alone**, on {m[crops]} such masks in {config.test} classic scenes of the test
-families, single views: accuracy {m[accuracy]:.3f} over all, {m[accuracy_objects]:.3f} over objects;
-distractors taken for objects {m[distractors_taken_for_objects]:.3f}, objects for distractors
+**Evaluation of the class network** on {m[crops]} such masks in {config.test} classic scenes of the test
+families, single views: accuracy {m[accuracy]:.3f}, of objects alone {m[accuracy_objects]:.3f}; distractors
+classified as objects {m[distractors_taken_for_objects]:.3f}, objects classified as other
 {m[objects_taken_for_distractors]:.3f}; expected calibration error {m[calibration_error]:.3f}.
 
 {confusion}
 
-The whole detector is judged by `nodeslam evaluate detection`.
+`nodeslam evaluate detection` evaluates the whole detector.
 
-**Limits**: things standing upright on a plane; parts cut by the image border and heavy occlusion are where
-it errs. Lying objects, stacks, clear glass and real images were not trained on.
+**Limitations**: upright objects on a plane. Most errors occur with strong occlusion and with parts
+truncated by the image border. Lying or stacked objects, clear glass and real images are not in the training
+data.
 """

@@ -192,7 +192,7 @@ class _Watcher:
 def model_card(
     config: TrainShapeConfig, scores: dict[Category, ShapeScores], weights: Path, data: ShapeDataset
 ) -> str:
-    """Markdown that says what the weights are, where they come from and how good they are."""
+    """Return the model card in Markdown: architecture, training, data, evaluation and limitations."""
     rows = []
     for category, s in scores.items():
         recall = "–" if np.isnan(s.handle_recall) else f"{100 * s.handle_recall:.0f} %"
@@ -231,46 +231,47 @@ _HELD_OUT_MESHES = "a tenth of each class"
 
 _CARD = """# Shape prior
 
-Class-conditional variational autoencoder of 32³ occupancy grids for mug, bowl, bottle and can, 16 code
-entries (`perception/shape/network.py`). Encoder and decoder, {parameters} parameters, float16 safetensors,
-{megabytes:.1f} MB, SHA-256 `{checksum}`.
+Class-conditional variational autoencoder of 32³ occupancy grids of mugs, bowls, bottles and cans, with a
+latent code of 16 entries (`perception/shape/network.py`). {parameters} parameters in encoder and decoder,
+float16 safetensors, {megabytes:.1f} MB, SHA-256 `{checksum}`.
 
-**Made by** `{command} --seed {training.seed}` with torch {torch}: {training.epochs} epochs, Adam
-{training.learning_rate} falling along a cosine, batch {training.batch_size}, float32. KL weight {loss.beta};
-voxels at structures thinner than three voxels weigh 1 + {loss.thin}, those at the handles of mugs a further
-{loss.handle}.
+**Training**: `{command} --seed {training.seed}` with torch {torch}: {training.epochs} epochs, Adam with
+learning rate {training.learning_rate} and cosine decay, batch size {training.batch_size}, float32. KL
+weight {loss.beta}; voxels at structures thinner than three voxels have weight 1 + {loss.thin}, those at mug
+handles a further {loss.handle}.
 
-**Data**: {counts}, {source}.
-Bowls, bottles and cans are mirrored at random.
+**Data**: {counts}, {source}. Bowls, bottles and cans are mirrored at random.
 
-**Held out**: {held_out}, encoded and decoded.
-Medians, but the mean for handles; surfaces at occupancy 0.5, of 100 shapes a class. A voxel is 1/28.8 of the
-longest side, 3.5 mm of a 100 mm object. The code's root mean square is 1 where codes follow the prior.
+**Evaluation**: {held_out}, encoded and decoded. Medians (handles: mean); surfaces at occupancy 0.5, for 100
+shapes of each class. A voxel is 1/28.8 of the longest side, 3.5 mm for a 100 mm object. The root mean
+square of the code is 1 where codes follow the prior.
 
-| class | IoU | surface error [voxel] | the same at 100 mm [mm] | handle within 1.5 voxels | code RMS |
+| class | IoU | surface error [voxel] | surface error at 100 mm [mm] | handle within 1.5 voxels | code RMS |
 | --- | --- | --- | --- | --- | --- |
 {rows}
 
-![Held-out shapes above, what encoder and decoder make of them below]({pictures[0]})
+![Held-out shapes above, their reconstructions by encoder and decoder below]({pictures[0]})
 
-Held-out shapes (above) and what encoder and decoder make of them (below).
+Held-out shapes (above) and their reconstructions by encoder and decoder (below).
 
 ![Nine steps between the codes of two held-out shapes, for each class]({pictures[1]})
 
-A walk along the line between the codes of two held-out shapes, for each class.
+Linear interpolation between the codes of two held-out shapes, for each class.
 
-![A rendered pixel and its derivative by the occupancies]({pictures[2]})
+![A rendered pixel and its derivative with respect to the occupancies]({pictures[2]})
 
-The derivative of one rendered depth (red ring) by the occupancies that its ray meets, seen from the side:
-more of any of them brings the depth nearer, those in front most.
+The derivative of one rendered depth (red ring) with respect to the occupancies along its ray, seen from the
+side: a higher occupancy reduces the depth, most of all in front.
 
-![A rendered object and its derivative by the code]({pictures[3]})
+![A rendered object and its derivative with respect to the code]({pictures[3]})
 
-A rendered object: depth, its standard deviation, and the derivative of the depth by the ten entries of the
-code that move it most (red: nearer, blue: farther).
+A rendered object: depth, its standard deviation, and the derivative of the depth with respect to the ten
+code entries with the largest effect (red: nearer, blue: farther).
 
-IoU is low where walls are about a voxel thick: a quarter of a voxel is then a quarter of the shape.
+The IoU is low where walls are about one voxel thick: an error of a quarter of a voxel is then a quarter of
+the volume.
 
-**Limits**: walls under half a voxel (1.7 mm of 100 mm) decode to occupancies below 0.5; handles unlike the
-families' blur; ribs, spouts, lugs, lids and anything not upright are not in the families.
+**Limitations**: walls thinner than half a voxel (1.7 mm of 100 mm) decode to occupancies below 0.5; handles
+unlike those of the training data are blurred; ribs, spouts, lugs, lids and objects that do not stand
+upright are not in the families.
 """

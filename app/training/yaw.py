@@ -95,7 +95,7 @@ def angle_between(a: float, b: float) -> float:
 def _card(
     config: TrainYawConfig, metrics: dict[str, Any], network: CropNetwork, temperature: float, mugs: int
 ) -> str:
-    """Markdown that says what the weights are, where they come from and how good they are."""
+    """Return the model card in Markdown: architecture, training, data, evaluation and limitations."""
     rows = "\n".join(_row(name, m) for name, m in metrics.items() if isinstance(m, dict))
     return _CARD.format(
         parameters=sum(p.numel() for p in network.parameters()), temperature=temperature, mugs=mugs,
@@ -112,23 +112,25 @@ def _row(name: str, m: dict[str, Any]) -> str:
 
 _CARD = """# Yaw network
 
-Says which way a mug's handle points: a distribution over 36 bins of yaw counted from the viewing direction,
-from the same gravity-upright crop as the class network, and its mirror image. {parameters} weights, float32
-safetensors. Logits are divided by {temperature:.2f}. Where the handle is hidden the distribution is wide;
-multiply several views.
+Estimates the direction of a mug's handle: a distribution over 36 bins of the yaw relative to the viewing
+direction, from the same gravity-upright crop as the class network and from its mirror image. {parameters}
+parameters, float32 safetensors. Logits are divided by the temperature {temperature:.2f}. The distribution
+is wide where the handle is hidden; distributions of several views are multiplied.
 
-**Made by** `nodeslam train yaw --seed {training.seed}` with torch {torch}: {training.epochs} epochs of AdamW
-{training.learning_rate}, cosine schedule, batch {training.batch}, wrapped Gaussians of 7° as soft labels,
-mirrored crops (their yaw changes sign), warped, shifted, cut and recoloured, float32, CPU.
+**Training**: `nodeslam train yaw --seed {training.seed}` with torch {torch}: {training.epochs} epochs of
+AdamW with learning rate {training.learning_rate} and cosine decay, batch size {training.batch}, float32, on
+a CPU. Labels are wrapped Gaussians with a standard deviation of 7°; crops are mirrored (which negates the
+yaw), warped, shifted, truncated and recoloured.
 
-**Data**: the {mugs} mugs in {config.close_ups} close-ups of the training families (see `detector.md`).
+**Data**: the {mugs} mugs in {config.close_ups} dense scenes of the training families (see `detector.md`).
 
-**Judged on** the mugs in {config.test} scenes of the test families (handle styles never trained on), single
-views. The handle counts as visible when at least {visible:.0%} of the mug's visible points lie on it.
+**Evaluation** on the mugs in {config.test} scenes of the test families (handle styles that are not in the
+training families), single views. A handle counts as visible if at least {visible:.0%} of the mug's visible
+points lie on it.
 
 | mugs | number | median error | over 15° | over 30° | none of 3 modes within 30° | median entropy [nat] |
 | --- | --- | --- | --- | --- | --- | --- |
 {rows}
 
-**Limits**: renders only; mugs standing upright; a handle cut off by the image border counts as hidden.
+**Limitations**: rendered images only; upright mugs; a handle outside the image counts as hidden.
 """
