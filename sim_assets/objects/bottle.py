@@ -26,7 +26,7 @@ from typing import Literal
 import numpy as np
 
 from sim_assets.objects.profiles import Curve, smoothstep, soften
-from sim_assets.objects.solids import Lathe, Section, Solid
+from sim_assets.objects.solids import Lathe, Solid, SuperellipseSection
 
 BottleKind = Literal[
     "round", "tapered", "waisted", "rectangular", "squeeze", "tumbler", "bulged", "oval", "shaker"
@@ -106,7 +106,7 @@ def bottle_solid(parameters: BottleParameters) -> Solid:
     p = parameters
     section = None
     if p.aspect != 1.0 or p.exponent != 2.0:
-        section = Section(
+        section = SuperellipseSection(
             p.aspect, p.exponent, p.body_top - 0.1 * (p.neck_bottom - p.body_top), p.neck_bottom
         )
     return Solid(Lathe(bottle_profile(parameters), section))
@@ -175,7 +175,7 @@ def sample_bottle(split: str, rng: np.random.Generator) -> BottleParameters:
         "tapered": rng.uniform(0.08, 0.3) * rng.choice((-1.0, 1.0)),
         "waisted": rng.uniform(0.1, 0.3),
         "squeeze": rng.uniform(0.02, 0.15),
-        "bulged": rng.uniform(0.08, 0.3),
+        "bulged": rng.uniform(0.16, 0.32),
         "oval": rng.uniform(0.05, 0.22),
     }.get(kind, 0.0)
     return BottleParameters(

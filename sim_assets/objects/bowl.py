@@ -1,18 +1,21 @@
 """Bowls: thin and thick, flat and round, with vertical, conical and flared walls, on discs and foot rings.
 
-Held out for testing are the last three side curves; each lies between training families.
+Held out for testing are the kinds below the line, whose profiles or sections no training bowl has.
 
-| side     | split | outer curve from the base radius up to the rim                          |
-| -------- | ----- | ----------------------------------------------------------------------- |
-| round    | train | superellipse quarter, exponent 1.7-2.6                                  |
-| conical  | train | superellipse quarter, exponent 1.03-1.35                                |
-| vertical | train | superellipse quarter, exponent 3.5-8                                    |
-| cap      | train | arc of a circle that ends before it is upright                          |
-| flared   | train | round below, lip turned outwards                                        |
-| -------- | ----- | ----------------------------------------------------------------------- |
-| parabola | test  | r grows as height to the power 0.4-0.65                                 |
-| bevelled | test  | cone below, near-vertical band above, rounded between                   |
-| ogee     | test  | round below, slight waist, gently opened rim                            |
+Median IoU of a grid with the nearest of 1,000 training grids: 0.73 for training draws, 0.59 (faceted), 0.64
+(lobed) and 0.70 (ogee) for test draws.
+
+| side     | split | section | outer curve from the base radius up to the rim                    |
+| -------- | ----- | ------- | ----------------------------------------------------------------- |
+| round    | train | round   | superellipse quarter, exponent 1.7-2.6                            |
+| conical  | train | round   | superellipse quarter, exponent 1.03-1.35                          |
+| vertical | train | round   | superellipse quarter, exponent 3.5-8                              |
+| cap      | train | round   | arc of a circle that ends before it is upright                    |
+| flared   | train | round   | round below, lip turned outwards                                  |
+| -------- | ----- | ------- | ----------------------------------------------------------------- |
+| faceted  | test  | octagon | r grows as height to the power 0.4-0.65                           |
+| lobed    | test  | 8 lobes | superellipse quarter, exponent 1.5-2.4                            |
+| ogee     | test  | round   | round below, waist, opened rim                                    |
 """
 
 from __future__ import annotations
@@ -22,14 +25,14 @@ from typing import Literal
 
 import numpy as np
 
-from sim_assets.objects.profiles import Curve, fillet, resample, smoothstep, superellipse_arc
-from sim_assets.objects.solids import Solid
+from sim_assets.objects.profiles import Curve, resample, smoothstep, superellipse_arc
+from sim_assets.objects.solids import Lathe, LobedSection, PolygonSection, Section, Solid
 from sim_assets.objects.vessel import Vessel, Wall, make_vessel
 
-BowlSide = Literal["round", "conical", "vertical", "cap", "flared", "parabola", "bevelled", "ogee"]
+BowlSide = Literal["round", "conical", "vertical", "cap", "flared", "faceted", "lobed", "ogee"]
 SIDES: dict[str, tuple[BowlSide, ...]] = {
     "train": ("round", "conical", "vertical", "cap", "flared"),
-    "test": ("parabola", "bevelled", "ogee"),
+    "test": ("faceted", "lobed", "ogee"),
 }
 MATERIALS = {"ceramic": 2300.0, "glass": 2500.0, "wood": 700.0, "melamine": 1500.0}  # density in [kg/m³]
 
@@ -39,7 +42,7 @@ class BowlParameters:
     """Lengths in [m].
 
     Attributes:
-        shape: the side curve's number: exponent, arc angle [rad], power, or height of the bevel.
+        shape: the side curve's number: exponent, arc angle [rad] or power.
         base_radius: where the side curve starts.
         flare: how far the lip turns out, over the radius.
     """
@@ -62,7 +65,14 @@ def bowl_vessel(parameters: BowlParameters) -> Vessel:
 
 
 def bowl_solid(parameters: BowlParameters) -> Solid:
-    return Solid(bowl_vessel(parameters).lathe)
+    return Solid(Lathe(bowl_vessel(parameters).profile, bowl_section(parameters)))
+
+
+def bowl_section(parameters: BowlParameters) -> Section | None:
+    """Return the horizontal section of a bowl, None for a circle."""
+    if parameters.side == "faceted":
+        return PolygonSection(corners=8)
+    return LobedSection(lobes=8, depth=0.06) if parameters.side == "lobed" else None
 
 
 def _unit_side(parameters: BowlParameters) -> Curve:
@@ -73,12 +83,9 @@ def _unit_side(parameters: BowlParameters) -> Curve:
             np.sin(parameters.shape),
             1.0 - np.cos(parameters.shape),
         )
-    if parameters.side == "parabola":
+    if parameters.side == "faceted":
         z = np.linspace(0.0, 1.0, 160) ** 2
         return np.stack([z**parameters.shape, z], axis=1)
-    if parameters.side == "bevelled":
-        corners = np.array([(0.0, 0.0), (0.93, parameters.shape), (1.0, 1.0)])
-        return fillet(corners, np.array([0.0, 0.5, 0.0]), segments=24)
     quarter = superellipse_arc(parameters.shape)[100:]  # (1, 0) down to (0, -1)
     curve = np.stack([quarter[:, 0], 1.0 + quarter[:, 1]], axis=1)[::-1].copy()
     z = curve[:, 1]
@@ -102,11 +109,11 @@ def sample_bowl(split: str, rng: np.random.Generator) -> BowlParameters:
         "vertical": rng.uniform(3.5, 8.0),
         "cap": rng.uniform(0.9, 1.4),
         "flared": rng.uniform(1.6, 2.3),
-        "parabola": rng.uniform(0.4, 0.65),
-        "bevelled": rng.uniform(0.3, 0.55),
+        "faceted": rng.uniform(0.4, 0.65),
+        "lobed": rng.uniform(1.5, 2.4),
         "ogee": rng.uniform(1.7, 2.2),
     }[side]
-    low, high = {"vertical": (0.35, 0.9), "cap": (0.2, 0.6), "bevelled": (0.35, 0.65)}.get(side, (0.28, 0.62))
+    low, high = {"vertical": (0.35, 0.9), "cap": (0.2, 0.6), "lobed": (0.35, 0.65)}.get(side, (0.28, 0.62))
     thin = rng.random() < 0.35
     rim = rng.uniform(0.0015 if split == "train" else 0.002, 0.003) if thin else rng.uniform(0.003, 0.007)
     base = float(np.clip(rim * rng.uniform(1.0, 1.7), 0.0015, 0.009))
@@ -122,6 +129,6 @@ def sample_bowl(split: str, rng: np.random.Generator) -> BowlParameters:
         foot_height=0.0 if foot == "none" else rng.uniform(0.003, 0.010),
         foot_ring=rng.uniform(0.003, 0.007) if foot == "ring" else 0.0,
     )
-    flare = {"flared": rng.uniform(0.08, 0.3), "ogee": rng.uniform(0.05, 0.12)}.get(side, 0.0)
+    flare = {"flared": rng.uniform(0.08, 0.3), "ogee": rng.uniform(0.10, 0.18)}.get(side, 0.0)
     density = MATERIALS[rng.choice(tuple(MATERIALS), p=(0.5, 0.2, 0.15, 0.15))]
     return BowlParameters(side, radius, height, base_radius, shape, flare, wall, density)

@@ -54,10 +54,21 @@ def cylinder(radius: float, bottom: float, top: float) -> CollisionPiece:
 
 
 def frustum(
-    bottom: tuple[float, float], top: tuple[float, float], section: Section | None = None, around: int = 32
+    bottom: tuple[float, float],
+    top: tuple[float, float],
+    section: Section | None = None,
+    around: int = 32,
+    phase: float = 0.5,
 ) -> CollisionPiece:
-    """The hull of two rings (radius, z), of the section's shape where there is one."""
-    angle = 2 * np.pi * (np.arange(around) + 0.5) / around
+    """The hull of two rings (radius, z), of the section's shape where there is one.
+
+    Args:
+        bottom, top: radius and height of the rings [m].
+        section: horizontal section; None for a circle.
+        around: number of corners of a ring.
+        phase: azimuth of the first corner, as a share of the angle between corners.
+    """
+    angle = 2 * np.pi * (np.arange(around) + phase) / around
     cos, sin = np.cos(angle), np.sin(angle)
     rings = []
     for radius, z in (bottom, top):
@@ -89,10 +100,13 @@ def breakpoints(curve: Float[np.ndarray, "k d"], tolerance: float, most: int) ->
     return np.array(chosen)
 
 
-def vessel_pieces(vessel: Vessel, around: int, levels: int, tolerance: float = 8e-4) -> list[CollisionPiece]:
+def vessel_pieces(
+    vessel: Vessel, around: int, levels: int, section: Section | None = None, tolerance: float = 8e-4
+) -> list[CollisionPiece]:
     """The base under the floor, and a wall of `around` pieces on each of up to `levels` levels.
 
     The wall follows inner and outer curve up to where the rim's rounding starts, and keeps that width on top.
+    With a section other than a circle, pieces meet at azimuth 0 and `around` is a multiple of its corners.
     """
     start = max(vessel.floor, CLEARANCE)
     shoulder = vessel.height - _rim_height(vessel)
@@ -101,11 +115,37 @@ def vessel_pieces(vessel: Vessel, around: int, levels: int, tolerance: float = 8
     wall = np.stack([vessel.inner_radius(z), vessel.outer_radius(z), z], axis=1)
     wall[-1, 2] = vessel.height
     wall = wall[breakpoints(wall, tolerance, levels)]
+    if section is not None:
+        pieces = _section_base(vessel, start, section, around)
+        for low, high in pairwise(wall):
+            pieces += _section_ring(low, high, section, around)
+        return pieces
     wall[:, :2] /= np.sqrt(np.cos(np.pi / around))  # chords: as much outside as inside the circles
     pieces = _base(vessel, start)
     for low, high in pairwise(wall):
         pieces += _ring(low, high, around)
     return pieces
+
+
+def _section_ring(low: np.ndarray, high: np.ndarray, section: Section, around: int) -> list[CollisionPiece]:
+    """Hulls around the axis between two levels (inner radius, outer radius, z), edges at azimuth 0."""
+    azimuths = 2 * np.pi * np.arange(around + 1) / around
+    cos, sin = np.cos(azimuths), np.sin(azimuths)
+    corners = []  # (around + 1, 3) each: inner and outer corners of both levels
+    for inner, outer, z in (low, high):
+        factor = 1.0 + section.weight(np.array([z])) * section.modulation(cos, sin)
+        corners += [
+            np.stack([r * factor * cos, r * factor * sin, np.full_like(cos, z)], axis=1)
+            for r in (inner, outer)
+        ]
+    return [hull(np.concatenate([ring[k : k + 2] for ring in corners])) for k in range(around)]
+
+
+def _section_base(vessel: Vessel, top: float, section: Section, around: int) -> list[CollisionPiece]:
+    """Hulls below the floor of a vessel that is not round."""
+    outer = _base_outline(vessel, top)
+    chosen = outer[breakpoints(outer, 8e-4, 2)]
+    return [frustum(tuple(low), tuple(high), section, around, 0.0) for low, high in pairwise(chosen)]
 
 
 def _rim_height(vessel: Vessel) -> float:
@@ -147,12 +187,17 @@ def _ring(low: np.ndarray, high: np.ndarray, around: int) -> list[CollisionPiece
 
 def _base(vessel: Vessel, top: float) -> list[CollisionPiece]:
     """What stands on the table: a cylinder where the base is upright, frusta along its fillet elsewhere."""
-    z = np.unique(np.concatenate([[0.0], vessel.outer[vessel.outer[:, 1] < top - 1e-5, 1], [top]]))
-    outer = np.stack([vessel.outer_radius(z), z], axis=1)
+    outer = _base_outline(vessel, top)
     if np.ptp(outer[:, 0]) < 5e-4:
         return [cylinder(float(outer[:, 0].mean()), 0.0, top)]
     chosen = outer[breakpoints(outer, 8e-4, 2)]
     return [frustum(tuple(low), tuple(high)) for low, high in pairwise(chosen)]
+
+
+def _base_outline(vessel: Vessel, top: float) -> Curve:
+    """The outer curve up to a height."""
+    z = np.unique(np.concatenate([[0.0], vessel.outer[vessel.outer[:, 1] < top - 1e-5, 1], [top]]))
+    return np.stack([vessel.outer_radius(z), z], axis=1)
 
 
 def handle_pieces(handle: Handle, vessel: Vessel) -> list[CollisionPiece]:

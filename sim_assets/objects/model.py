@@ -111,8 +111,10 @@ def collision_pieces(parameters: Parameters, solid: Solid) -> list[CollisionPiec
         assert solid.handle is not None
         return vessel_pieces(vessel, around=16, levels=4) + handle_pieces(solid.handle, vessel)
     if isinstance(parameters, BowlParameters):
-        return vessel_pieces(bowl_vessel(parameters), around=24, levels=5)
-    return stacked_pieces(solid.body.profile, solid.body.section)
+        section = solid.body.section
+        return vessel_pieces(bowl_vessel(parameters), 24 if section is None else 32, 5, section)
+    beaded = isinstance(parameters, CanParameters) and parameters.kind == "beaded"
+    return stacked_pieces(solid.body.profile, solid.body.section, most=40 if beaded else 9)
 
 
 def occupancy_grid(

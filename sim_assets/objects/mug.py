@@ -1,7 +1,6 @@
 """Mugs: espresso cups to big mugs, with C, D, ear and square handles.
 
-Held out for testing are the body families below the line (each lies between training families) and the handle
-curves of the table in handles.py.
+Held out for testing are the body families below the line and the handle curves of the table in handles.py.
 
 | body     | split | radius over height, u = z / height                              |
 | -------- | ----- | --------------------------------------------------------------- |
@@ -97,7 +96,7 @@ def sample_mug(split: str, rng: np.random.Generator) -> MugParameters:
         "waisted": rng.uniform(0.05, 0.17),
         "tulip": rng.uniform(0.06, 0.14),
         "barrel": rng.uniform(0.08, 0.24),
-        "stepped": rng.uniform(0.08, 0.26),
+        "stepped": rng.uniform(0.18, 0.30),
     }[body]
     thin = split == "train" and rng.random() < 0.2  # as pressed steel and scanned mugs have them
     rim = rng.uniform(0.0014, 0.0022) if thin else rng.uniform(0.0022, 0.0055)

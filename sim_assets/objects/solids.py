@@ -8,6 +8,7 @@ from __future__ import annotations
 
 from dataclasses import dataclass
 from functools import cached_property
+from typing import Protocol, runtime_checkable
 
 import numpy as np
 import trimesh
@@ -37,12 +38,32 @@ def closed_tube(
     return trimesh.Trimesh(vertices, np.concatenate([sides, fan_first, fan_last]), process=False)
 
 
-@dataclass(frozen=True)
-class Section:
-    """Horizontal section of a body that is not round: a superellipse that turns into a circle at the neck.
+@runtime_checkable
+class Section(Protocol):
+    """Horizontal section of a body that is not round, symmetric about the planes x = 0 and y = 0.
 
-    The radius at azimuth θ is the profile's times 1 + w(z) (m(θ) - 1), with
-    m(θ) = (|cos θ|ⁿ + |sin θ / aspect|ⁿ)^(-1/n), and w falling from 1 at z_section to 0 at z_round.
+    The radius at azimuth θ is the profile's times 1 + w(z) (m(θ) - 1), with m(0) = 1.
+    """
+
+    @property
+    def aspect(self) -> float:
+        """Extent along y over the extent along x."""
+        ...
+
+    def modulation(self, cos: np.ndarray, sin: np.ndarray) -> np.ndarray:
+        """Return m(θ) - 1, any shape."""
+        ...
+
+    def weight(self, z: np.ndarray) -> np.ndarray:
+        """Return w(z), any shape."""
+        ...
+
+
+@dataclass(frozen=True)
+class SuperellipseSection:
+    """A superellipse that turns into a circle at the neck.
+
+    m(θ) = (|cos θ|ⁿ + |sin θ / aspect|ⁿ)^(-1/n), and w falls from 1 at z_section to 0 at z_round.
     """
 
     aspect: float
@@ -51,13 +72,60 @@ class Section:
     z_round: float
 
     def modulation(self, cos: np.ndarray, sin: np.ndarray) -> np.ndarray:
-        """m(θ) - 1, any shape."""
+        """Return m(θ) - 1, any shape."""
         n = self.exponent
         return (np.abs(cos) ** n + np.abs(sin / self.aspect) ** n) ** (-1.0 / n) - 1.0
 
     def weight(self, z: np.ndarray) -> np.ndarray:
-        """w(z), any shape."""
+        """Return w(z), any shape."""
         return 1.0 - smoothstep((z - self.z_section) / max(self.z_round - self.z_section, 1e-6))
+
+
+@dataclass(frozen=True)
+class PolygonSection:
+    """A regular polygon at all heights, a corner on +x: m(θ) = cos(π/n) / cos(φ), φ from the facet's middle.
+
+    The number of corners n is a multiple of four, so that corners lie on both axes.
+    """
+
+    corners: int
+
+    @property
+    def aspect(self) -> float:
+        return 1.0
+
+    def modulation(self, cos: np.ndarray, sin: np.ndarray) -> np.ndarray:
+        """Return m(θ) - 1, any shape."""
+        facet = 2.0 * np.pi / self.corners
+        from_middle = np.arctan2(sin, cos) % facet - 0.5 * facet
+        return np.cos(0.5 * facet) / np.cos(from_middle) - 1.0
+
+    def weight(self, z: np.ndarray) -> np.ndarray:
+        """Return 1 at all heights."""
+        return np.ones_like(z)
+
+
+@dataclass(frozen=True)
+class LobedSection:
+    """A wavy circle at all heights, a lobe on +x: m(θ) = 1 - depth (1 - cos nθ) / 2.
+
+    The number of lobes n is a multiple of four, so that lobes lie on both axes.
+    """
+
+    lobes: int
+    depth: float
+
+    @property
+    def aspect(self) -> float:
+        return 1.0
+
+    def modulation(self, cos: np.ndarray, sin: np.ndarray) -> np.ndarray:
+        """Return m(θ) - 1, any shape."""
+        return -0.5 * self.depth * (1.0 - np.cos(self.lobes * np.arctan2(sin, cos)))
+
+    def weight(self, z: np.ndarray) -> np.ndarray:
+        """Return 1 at all heights."""
+        return np.ones_like(z)
 
 
 @dataclass(frozen=True)

@@ -109,6 +109,35 @@ def test_splits_share_no_family_and_use_all_of_theirs(families, field, category)
         assert {getattr(p, field) for p in many_parameters(category, split)} == set(families[split])
 
 
+KIND_FIELDS = {"mug": "body", "bowl": "side", "bottle": "kind", "can": "kind"}
+
+
+@cache
+def training_grids(category):
+    grids = sample_training_grids(category, 200, seed=101).reshape(200, -1)
+    return grids, grids.sum(axis=1, dtype=np.int64)
+
+
+def nearest_iou(category, grid):
+    """Soft intersection over union with the nearest of 200 training grids."""
+    grids, sums = training_grids(category)
+    shared = np.minimum(grids, grid.ravel()).sum(axis=1, dtype=np.int64)
+    return float((shared / (sums + int(grid.sum(dtype=np.int64)) - shared)).max())
+
+
+@pytest.mark.parametrize("category", CATEGORIES)
+def test_every_test_kind_is_farther_from_training_shapes_than_they_are_from_each_other(category):
+    fresh = sample_training_grids(category, 24, seed=102)
+    typical = np.median([nearest_iou(category, grid) for grid in fresh])
+    kinds: dict[str, list[float]] = {}
+    for parameters in many_parameters(category, "test")[:36]:
+        grid = np.round(255 * occupancy_grid_of(parameters)).astype(np.uint8)
+        kinds.setdefault(getattr(parameters, KIND_FIELDS[category]), []).append(nearest_iou(category, grid))
+    for kind, overlaps in kinds.items():
+        assert np.median(overlaps) < typical - 0.01, kind
+        assert max(overlaps) < 0.97, f"a {kind} {category} equals a training shape"
+
+
 def test_handle_styles_are_the_same_but_their_curves_are_not():
     curves = {}
     for split in SPLITS:

@@ -11,7 +11,7 @@ from sim_assets.objects.profiles import (
     soften,
     superellipse_arc,
 )
-from sim_assets.objects.solids import Handle, Lathe, Section
+from sim_assets.objects.solids import Handle, Lathe, SuperellipseSection
 
 CUP = np.array([(0, 0), (3, 0), (3, 4), (2, 4), (2, 1), (0, 1)], dtype=float)  # walls 2..3, floor 0..1
 
@@ -68,7 +68,9 @@ def test_turned_cup_has_the_volume_of_its_profile():
 
 
 def test_section_is_rectangular_below_and_round_above():
-    lathe = Lathe(np.array([(0, 0), (1, 0), (1, 4), (0, 4)], dtype=float), Section(0.5, 20.0, 1.0, 3.0))
+    lathe = Lathe(
+        np.array([(0, 0), (1, 0), (1, 4), (0, 4)], dtype=float), SuperellipseSection(0.5, 20.0, 1.0, 3.0)
+    )
     low, high = 0.5, 3.5
     points = np.array(
         [(0.9, 0.4, low), (0.1, 0.6, low), (0.9, 0.4, high), (0.1, 0.9, high), (0.0, 1.1, high)]
