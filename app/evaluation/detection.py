@@ -1,8 +1,8 @@
-"""``nodeslam evaluate detection``: masks, classes and yaw on rendered images of objects never trained on.
+"""``nodeslam evaluate detection``: masks, classes and yaw on rendered images of the test families.
 
-Images come in chunks, each with objects, textures and distractors of its own and from a seed of its own; a
-finished chunk is one line of ``rows.jsonl``. The support plane is found in each image; the camera's pose
-serves for the direction of yaw alone.
+Images are rendered in chunks, each with its own seed, objects, textures and distractors; a finished chunk is
+one line of ``rows.jsonl``. The support plane is fitted to each image; the camera pose is used only to express
+yaw in the world frame.
 """
 
 from __future__ import annotations
@@ -19,7 +19,7 @@ from rich.table import Table
 
 from app.drawing import draw_detections
 from app.errors import UsageError
-from app.evaluation.detection_scoring import accepted, score_image, summarise_detection
+from app.evaluation.detection_scoring import is_accepted, score_image, summarise_detection
 from app.evaluation.jobs import Ledger, Line, spread
 from app.options import EvaluateOptions
 from app.runs.report import Report
@@ -32,16 +32,16 @@ from perception.pipeline import resolve_device
 from perception.support_plane import fit_support_plane
 
 ROWS = "rows.jsonl"
-CHUNK = 20  # images
+CHUNK = 20  # images per chunk
 PICTURE = "detections.png"
-_TILES = 4  # best and worst images in the picture
+_TILES = 4  # images with the fewest and with the most errors in the picture
 
 
 def run(options: EvaluateOptions, screen: Screen) -> Report:
-    """Render and judge what is still to be done, and report on all."""
+    """Evaluate the chunks that are not finished yet and report on all of them."""
     begin = time.perf_counter()
     if options.images < 1:
-        raise UsageError("evaluate detection needs an image at least; give --images")
+        raise UsageError("evaluate detection needs at least one image: give --images 1 or more")
     if options.renderer == "filament":
         from sim_assets.rendering.filament import require_filament
 
@@ -63,14 +63,15 @@ def run(options: EvaluateOptions, screen: Screen) -> Report:
 
 
 def run_chunk(options: EvaluateOptions, folder: Path, chunk: int) -> Line:
-    """Render a chunk of images, detect, and compare with the truth."""
+    """Render a chunk of images of the test families, detect, and compare with the ground truth."""
     from sim_assets.datasets.training_scenes import TrainingScenes
 
     count = min(CHUNK, options.images - chunk * CHUNK)
     seed = int(np.random.SeedSequence([options.seed, chunk]).generate_state(1)[0])
     detector, lines = _detector(resolve_device(options.device)), []
-    drawn: list[tuple[int, int, np.ndarray]] = []
-    with single_threaded_torch(), TrainingScenes("test", seed, _scenes(options), _own(options)) as scenes:
+    pictures: list[tuple[int, int, np.ndarray]] = []
+    scene_config, meshes = _scene_config(options), _user_meshes(options)
+    with single_threaded_torch(), TrainingScenes("test", seed, scene_config, meshes) as scenes:
         for number, image in enumerate(scenes.render(count)):
             plane = fit_support_plane([image.frame])
             start = time.process_time()
@@ -78,16 +79,20 @@ def run_chunk(options: EvaluateOptions, folder: Path, chunk: int) -> Line:
             seconds = time.process_time() - start
             line = score_image(image, found) | {"seconds": seconds}
             lines.append(line)
-            picture = draw_detections(image.frame, [d for d in found if accepted(d)], by_class=True)
-            drawn = _extremes([*drawn, (_failures(line), number, picture)])
-    for failures, number, picture in drawn:
-        name = f"{failures:02d}_{chunk:03d}_{number:02d}.png"
+            picture = draw_detections(image.frame, [d for d in found if is_accepted(d)], by_class=True)
+            pictures = _best_and_worst([*pictures, (_count_errors(line), number, picture)])
+    for errors, number, picture in pictures:
+        name = f"{errors:02d}_{chunk:03d}_{number:02d}.png"
         write_atomically(folder / "pictures" / name, png_bytes(picture))
     return {"chunk": chunk, "images": lines}
 
 
-def _scenes(options: EvaluateOptions) -> Any:
-    """4 to 10 objects with 1 to 4 distractors, gaps down to contact, from 0.3 to 0.9 m and 28 degrees up."""
+def _scene_config(options: EvaluateOptions) -> Any:
+    """Return the configuration of the rendered scenes.
+
+    4 to 10 objects and 1 to 4 distractors with gaps down to contact, seen from 0.3 to 0.9 m at elevations of
+    at least 28 degrees.
+    """
     from sim_assets.datasets.table_top import TrainingSceneConfig
     from sim_assets.rendering.depth_noise import DEPTH_NOISES
 
@@ -100,8 +105,8 @@ def _scenes(options: EvaluateOptions) -> Any:
     )  # fmt: skip
 
 
-def _own(options: EvaluateOptions) -> list[Any]:
-    """(class, mesh) of the user's objects."""
+def _user_meshes(options: EvaluateOptions) -> list[Any]:
+    """Return (class, mesh) of each user object."""
     if options.object_meshes is None:
         return []
     from sim_assets.objects.user import load_user_mesh, mesh_files
@@ -113,24 +118,24 @@ def _own(options: EvaluateOptions) -> list[Any]:
 
 @cache
 def _detector(device: str) -> Detector:
-    """Keeps what is most probably of no class, so that its fate can be told."""
+    """Return the detector without suppression of distractors, so that misclassified objects are counted."""
     return Detector.load(device, config=DetectorConfig(max_other=1.0))
 
 
-def _failures(line: Mapping[str, Any]) -> int:
-    """Objects not found or taken for something else, and distractors taken for objects."""
+def _count_errors(line: Mapping[str, Any]) -> int:
+    """Return the number of missed or misclassified objects and of distractors taken for objects."""
     wrong = sum(entry["counts"] and entry["found"] != entry["category"] for entry in line["objects"])
     return wrong + sum(entry["taken"] for entry in line["distractors"])
 
 
-def _extremes(drawn: list[tuple[int, int, np.ndarray]]) -> list[tuple[int, int, np.ndarray]]:
-    """The pictures with the fewest and with the most failures."""
-    ordered = sorted(drawn, key=lambda entry: entry[:2])
+def _best_and_worst(pictures: list[tuple[int, int, np.ndarray]]) -> list[tuple[int, int, np.ndarray]]:
+    """Return the pictures with the fewest and with the most errors."""
+    ordered = sorted(pictures, key=lambda entry: entry[:2])
     return ordered if len(ordered) <= 2 else [ordered[0], ordered[-1]]
 
 
 def _write_picture(folder: Path) -> None:
-    """The images with the fewest and with the most failures, side by side."""
+    """Write the images with the fewest errors above those with the most."""
     import cv2
 
     paths = sorted((folder / "pictures").glob("*.png"))
@@ -145,7 +150,7 @@ def _write_picture(folder: Path) -> None:
 
 
 def _settings(options: EvaluateOptions) -> dict[str, Any]:
-    """What has to be the same in a resumed evaluation."""
+    """Return the options that must not change when an evaluation is resumed."""
     names = ("seed", "images", "renderer", "depth_noise", "object_meshes", "device")
     return {name: str(getattr(options, name)) for name in names}
 
@@ -164,27 +169,28 @@ def _report(options: EvaluateOptions, chunks: Mapping[Hashable, Line], seconds: 
 
 
 def detection_table(m: Mapping[str, Any]) -> Table:
-    """The report's figures to look at."""
+    """Return the metrics as a table for the screen."""
     table = Table(title=f"{m['objects']} objects and {m['distractors']} distractors in {m['images']} images")
     table.add_column("")
     table.add_column("", justify="right")
     visible, clear, hidden = m["yaw"]["visible"], m["yaw"]["clear"], m["yaw"]["hidden"]
-    whole = m["class_accuracy_by_visible"][-1]
+    unoccluded = m["class_accuracy_by_visible"][-1]
+    unoccluded_label = f"  at least {unoccluded['from']:.0%} visible ({unoccluded['objects']})"
     rows: Sequence[tuple[str, str]] = (
-        ("mask AP50, whatever the class", f"{m['ap50']:.3f}"),
+        ("mask AP50, class-agnostic", f"{m['ap50']:.3f}"),
         ("mask AP50, mean over classes", f"{m['map50']:.3f}"),
         ("mask AP, mean over classes", f"{m['map']:.3f}"),
-        ("found (IoU over 0.5)", f"{m['recall']:.1%}"),
-        ("mean IoU of the found", f"{m['mean_iou']:.3f}"),
-        ("class right, of the found", f"{m['class_accuracy']:.1%}"),
-        (f"  {whole['from']:.0%} and more in view ({whole['objects']})", f"{whole['class_accuracy']:.1%}"),
+        ("recall (IoU over 0.5)", f"{m['recall']:.1%}"),
+        ("mean IoU of matched objects", f"{m['mean_iou']:.3f}"),
+        ("class accuracy of matched objects", f"{m['class_accuracy']:.1%}"),
+        (unoccluded_label, f"{unoccluded['class_accuracy']:.1%}"),
         ("distractors taken for objects", f"{m['distractors_taken_for_objects']:.1%}"),
-        (f"yaw, handle in view ({visible['mugs']}): median", f"{math.degrees(visible['median']):.1f}°"),
-        ("  over 15°", f"{visible['over_15_degrees']:.1%}"),
-        (f"  in clear view ({clear['mugs']}): over 15°", f"{clear['over_15_degrees']:.1%}"),
-        (f"yaw, handle hidden ({hidden['mugs']}): median", f"{math.degrees(hidden['median']):.0f}°"),
-        ("entropy in view, hidden [nat]", f"{visible['entropy']:.2f}, {hidden['entropy']:.2f}"),
-        ("CPU time for an image", f"{1000 * m['seconds']:.0f} ms"),
+        (f"yaw, handle visible ({visible['mugs']}): median error", f"{math.degrees(visible['median']):.1f}°"),
+        ("  error over 15°", f"{visible['over_15_degrees']:.1%}"),
+        (f"  clearly visible ({clear['mugs']}): error over 15°", f"{clear['over_15_degrees']:.1%}"),
+        (f"yaw, handle hidden ({hidden['mugs']}): median error", f"{math.degrees(hidden['median']):.0f}°"),
+        ("yaw entropy, handle visible, hidden [nat]", f"{visible['entropy']:.2f}, {hidden['entropy']:.2f}"),
+        ("CPU time per image", f"{1000 * m['seconds']:.0f} ms"),
     )
     for row in rows:
         table.add_row(*row)

@@ -1,8 +1,8 @@
-"""Detections of single images beside the truth, and what many images say together.
+"""Scoring of detections in single images against ground truth, and summary over many images.
 
-A thing counts from MIN_PIXELS visible pixels (at 640 x 480) and MIN_VISIBLE of its outline on; what shows
-less is neither asked for nor held against anybody. A detection is one of an object when a class is more
-probable than 'of no class'.
+An object or distractor counts if at least MIN_PIXELS of its pixels (at 640 x 480) and MIN_VISIBLE of its
+silhouette are visible; others are ignored, neither required nor false positives. A detection is accepted as
+an object if one of the classes is more probable than 'other'.
 """
 
 from __future__ import annotations
@@ -20,27 +20,28 @@ from app.training.yaw import HANDLE_VISIBLE, angle_between
 from perception.detection.geometry import points_of
 from perception.detection.yaw import entropy, modes
 from perception.io.detections import encode_mask
-from perception.types import CATEGORIES, ObjectDetection
+from perception.types import CATEGORIES, OTHER, ObjectDetection
 
 if TYPE_CHECKING:
     from sim_assets.datasets.table_top import LabelledImage
 
 MIN_PIXELS = 300
 MIN_VISIBLE = 0.25
-OTHER = len(CATEGORIES)
-MATCHED = 0.5  # IoU from which on a detection is one of the object
-SHARES = (MIN_VISIBLE, 0.5, 0.75, 0.9)  # lower ends of the visible shares by which classes are counted
-IN_CLEAR_VIEW = 0.04  # share of a mug's visible points on its handle from which on it is in clear view
-ON_DISTRACTOR = 0.5  # share of a detection's pixels that lie on a distractor which is taken for an object
+MIN_IOU = 0.5  # a detection with a larger IoU is matched to the object
+VISIBLE_SHARES = (MIN_VISIBLE, 0.5, 0.75, 0.9)  # lower ends of the bins of class accuracy by visible share
+HANDLE_CLEARLY_VISIBLE = 0.04  # smallest share of a mug's visible points on its handle
+ON_DISTRACTOR = 0.5  # a detection with more of its pixels on a distractor is a false positive there
 
 Line = dict[str, Any]
 
 
 def score_image(image: LabelledImage, found: Sequence[ObjectDetection]) -> Line:
-    """Truth and detections of one image as a line of results, ready for JSON; masks are run-length codes.
+    """Return ground truth and detections of one image as a line of results for JSON; masks are COCO RLE.
 
-    ``found`` must hold doubtful detections, too: those that are most probably of no class say what became of
-    an object that is not found.
+    Args:
+        image: Rendered image with its labels.
+        found: All detections, including those classified as 'other': they show what a missed object was
+            taken for.
     """
     truth = [image.instances == index for index in range(len(image.labels))]
     overlaps = _overlaps(truth, [d.mask for d in found])
@@ -51,7 +52,7 @@ def score_image(image: LabelledImage, found: Sequence[ObjectDetection]) -> Line:
         visible = min(1.0, label.pixels / max(label.outline_pixels, 1.0))
         counts = bool(label.pixels >= MIN_PIXELS and visible >= MIN_VISIBLE)
         if label.category is None:
-            shares = [(mask & d.mask).sum() / d.mask.sum() if accepted(d) else 0.0 for d in found]
+            shares = [(mask & d.mask).sum() / d.mask.sum() if is_accepted(d) else 0.0 for d in found]
             if counts:
                 distractors.append(
                     {"pixels": label.pixels, "taken": bool(max(shares, default=0.0) > ON_DISTRACTOR)}
@@ -63,27 +64,29 @@ def score_image(image: LabelledImage, found: Sequence[ObjectDetection]) -> Line:
             "category": label.category, "pixels": label.pixels, "visible": float(visible), "counts": counts,
             "iou": iou, "mask": encode_mask(mask), "found": None,
         }  # fmt: skip
-        if iou > MATCHED:
-            entry["found"] = found[best].category if accepted(found[best]) else "other"
+        if iou > MIN_IOU:
+            entry["found"] = found[best].category if is_accepted(found[best]) else "other"
             if label.category == "mug" and counts and len(found[best].yaw_probabilities):
                 entry["yaw"] = _yaw(image, index, found[best])
         objects.append(entry)
     detections = [
-        {"category": d.category, "score": d.score, "mask": encode_mask(d.mask)} for d in found if accepted(d)
+        {"category": d.category, "score": d.score, "mask": encode_mask(d.mask)}
+        for d in found
+        if is_accepted(d)
     ]
     return {"objects": objects, "distractors": distractors, "detections": detections}
 
 
-def accepted(found: ObjectDetection) -> bool:
-    """Whether a class is more probable than none."""
-    p = found.class_probabilities
+def is_accepted(detection: ObjectDetection) -> bool:
+    """Return whether a class is more probable than 'other'."""
+    p = detection.class_probabilities
     return len(p) != OTHER + 1 or int(np.argmax(p)) != OTHER
 
 
 def _overlaps(
     truth: Sequence[Bool[np.ndarray, "h w"]], found: Sequence[Bool[np.ndarray, "h w"]]
 ) -> Float[np.ndarray, "t f"]:
-    """IoU of every pair."""
+    """Return the IoU of every pair of a true and a detected mask."""
     a = np.stack([m.ravel() for m in truth]).astype(np.float32) if truth else np.zeros((0, 1), np.float32)
     b = (
         np.stack([m.ravel() for m in found]).astype(np.float32)
@@ -107,7 +110,7 @@ def _yaw(image: LabelledImage, index: int, found: ObjectDetection) -> Line:
 
 
 def summarise_detection(lines: Sequence[Mapping[str, Any]]) -> dict[str, Any]:
-    """Figures over images; angles in [rad], times in [s]."""
+    """Return the metrics over all images; angles in radians, times in seconds."""
     objects = [entry for line in lines for entry in line["objects"] if entry["counts"]]
     matched = [entry for entry in objects if entry["found"] is not None]
     distractors = [entry for line in lines for entry in line["distractors"]]
@@ -137,9 +140,9 @@ def summarise_detection(lines: Sequence[Mapping[str, Any]]) -> dict[str, Any]:
 
 
 def _by_visible(matched: Sequence[Mapping[str, Any]]) -> list[dict[str, float]]:
-    """How often classes are right by how much of the object is seen: much hidden, one view cannot tell."""
+    """Return the class accuracy in bins of the visible share: occlusion makes single views ambiguous."""
     rows = []
-    for low, high in zip(SHARES, (*SHARES[1:], np.inf)):
+    for low, high in zip(VISIBLE_SHARES, (*VISIBLE_SHARES[1:], np.inf)):
         chosen = [entry for entry in matched if low <= entry["visible"] < high]
         right = sum(entry["found"] == entry["category"] for entry in chosen)
         rows.append({"from": low, "objects": len(chosen), "class_accuracy": _share(right, len(chosen))})
@@ -154,7 +157,7 @@ def _yaw_figures(rows: Sequence[Mapping[str, Any]]) -> dict[str, Any]:
     figures = {}
     for name, chosen in {
         "visible": [r for r in rows if r["handle"] >= HANDLE_VISIBLE],
-        "clear": [r for r in rows if r["handle"] >= IN_CLEAR_VIEW],
+        "clear": [r for r in rows if r["handle"] >= HANDLE_CLEARLY_VISIBLE],
         "hidden": [r for r in rows if r["handle"] < HANDLE_VISIBLE],
     }.items():
         errors = np.array([r["error"] for r in chosen] or [0.0])
@@ -170,9 +173,11 @@ def _yaw_figures(rows: Sequence[Mapping[str, Any]]) -> dict[str, Any]:
 
 
 def average_precision(lines: Sequence[Mapping[str, Any]], by_class: bool) -> tuple[float, float]:
-    """(at IoU 0.5, mean over 0.5 .. 0.95) of the masks as COCO counts it; what doesn't count is ignored.
+    """Return COCO's mask AP at IoU 0.5 and its mean over IoU 0.5 to 0.95; ignored objects are crowds.
 
-    By class: the mean over classes; else whatever the class.
+    Args:
+        lines: Results of ``score_image``.
+        by_class: Whether to take the mean over classes; otherwise AP is class-agnostic.
     """
     from pycocotools.coco import COCO
     from pycocotools.cocoeval import COCOeval
@@ -202,7 +207,7 @@ def average_precision(lines: Sequence[Mapping[str, Any]], by_class: bool) -> tup
         for annotations in (truth, results):
             side: Any = COCO()
             side.dataset = {
-                "images": [{"id": k, "height": 1, "width": 1} for k in range(len(lines))],  # codes know
+                "images": [{"id": k, "height": 1, "width": 1} for k in range(len(lines))],  # unused
                 "categories": categories,
                 "annotations": annotations,
             }

@@ -1,123 +1,137 @@
-"""Figures of the detection evaluation by hand, and one small chunk from rendering to the table."""
+"""The detection evaluation: which scenes it renders, and one small run from rendering to the table."""
 
-from types import SimpleNamespace
+from __future__ import annotations
+
+from dataclasses import replace
+from pathlib import Path
+from typing import Any
 
 import numpy as np
 import pytest
 
-import app.evaluation.detection as detection
-from app.evaluation.detection_scoring import average_precision, score_image, summarise_detection
+from app.evaluation import detection
 from app.options import EvaluateOptions
 from app.screen import Screen
-from perception.detection.yaw import soft_labels
-from perception.types import CATEGORIES, CameraIntrinsics, ObjectDetection, RgbdFrame
-
-K = CameraIntrinsics(320, 240, 290.0, 290.0, 159.5, 119.5)
-T_DOWN = np.diag([1.0, -1.0, -1.0, 1.0])
-T_DOWN[2, 3] = 0.5
+from sim_assets.datasets import training_scenes
+from sim_assets.datasets.table_top import TrainingSceneConfig
 
 
-def disc(x, y, radius):
-    v, u = np.mgrid[:240, :320]
-    return np.hypot(u - x, v - y) < radius
+def options(out: Path, **changes: Any) -> EvaluateOptions:
+    base = EvaluateOptions(
+        what="detection", images=2, renderer="classic", out=out, device="cpu", seed=4, quiet=True
+    )
+    return replace(base, **changes)
 
 
-def picture(things):
-    """Discs seen from above; a thing is (class or None, u, v, radius, yaw, area of the outline or None)."""
-    instances, labels = np.full((240, 320), -1), []
-    for k, (category, u, v, radius, yaw, outline) in enumerate(things):
-        instances[disc(u, v, radius)] = k
-        pixels = int((instances == k).sum())
-        labels.append(
-            SimpleNamespace(
-                category=category,
-                yaw=yaw,
-                pixels=pixels,
-                outline_pixels=outline or pixels,
-                T_world_object=np.eye(4),
-            )
-        )
-    depth = np.full((240, 320), 0.5, np.float32)
-    frame = RgbdFrame(0.0, np.zeros((240, 320, 3), np.uint8), depth, K, T_DOWN)
-    return SimpleNamespace(frame=frame, instances=instances, labels=tuple(labels))
+class PoolDrawn(Exception):
+    """Raised in place of rendering."""
 
 
-def found(category, mask, score=0.9, yaw=None):
-    p = np.full(5, (1 - score) / 4)
-    p[4 if category is None else CATEGORIES.index(category)] = score
-    bins = np.zeros(0) if yaw is None else soft_labels(np.array([yaw]))[0].astype(np.float64)
-    return ObjectDetection(category or "mug", float(p[:4].max()), mask, p, bins)
+def test_objects_and_distractors_are_of_the_test_split(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    """No training family and no training distractor is rendered."""
+    drawn: list[tuple[str, str]] = []
+
+    def spy(kind: str, function: Any, position: int) -> Any:
+        def call(*arguments: Any) -> Any:
+            drawn.append((kind, arguments[position]))
+            return function(*arguments)
+
+        return call
+
+    def stop(things: Any, *_: Any) -> None:
+        raise PoolDrawn([thing.category for thing in things])
+
+    monkeypatch.setattr(
+        training_scenes, "sample_parameters", spy("object", training_scenes.sample_parameters, 1)
+    )
+    monkeypatch.setattr(
+        training_scenes, "random_distractor", spy("distractor", training_scenes.random_distractor, 1)
+    )
+    monkeypatch.setattr(training_scenes, "odd_thing", spy("odd", training_scenes.odd_thing, 0))
+    monkeypatch.setattr(training_scenes, "TableTop", stop)
+    with pytest.raises(PoolDrawn) as caught:
+        detection.run_chunk(options(tmp_path), tmp_path, 0)
+    (categories,) = caught.value.args
+    assert set(drawn) == {("object", "test"), ("distractor", "test")}
+    assert categories.count(None) == 12
+    assert all(categories.count(name) == 6 for name in ("mug", "bowl", "bottle", "can"))
 
 
-THINGS = [
-    ("mug", 60, 60, 30, 1.0, None),
-    ("can", 160, 60, 25, 0.0, None),
-    ("bowl", 260, 60, 30, 0.0, None),
-    (None, 60, 180, 30, 0.0, None),
-    ("bottle", 250, 190, 12, 0.0, 5000.0),  # mostly hidden: does not count
-]
+@pytest.mark.parametrize(
+    ("noise", "shares"), [("none", (1, 0, 0)), ("gaussian", (0, 1, 0)), ("realsense", (0, 0, 1))]
+)
+def test_scenes_have_distractors_and_the_asked_depth_noise(
+    tmp_path: Path, noise: Any, shares: tuple[float, ...]
+) -> None:
+    config = detection._scene_config(options(tmp_path, depth_noise=noise))
+    assert config.noises == shares and config.renderer == "classic"
+    assert config.objects == (4, 10) and config.extras == (1, 4)
+    assert config.odd == 0 and config.drawn_in == 0  # training-only variations
 
 
-def test_a_perfect_detector_scores_perfectly():
-    image = picture(THINGS)
-    right = [
-        found(c, image.instances == k, yaw=1.1 if c == "mug" else None) for k, (c, *_) in enumerate(THINGS)
-    ]
-    m = summarise_detection([score_image(image, right) | {"seconds": 0.1}])
-    assert m["objects"] == 3 and m["distractors"] == 1
-    for name in ("ap50", "map50", "map", "recall", "mean_iou", "class_accuracy"):
-        assert m[name] == pytest.approx(1.0), name
-    assert m["distractors_taken_for_objects"] == 0.0 and m["seconds"] == 0.1
-    assert [row["objects"] for row in m["class_accuracy_by_visible"]] == [0, 0, 0, 3]
-    assert m["class_accuracy_by_visible"][-1]["class_accuracy"] == 1.0
-    yaw = m["yaw"]["visible"]["median"] + m["yaw"]["hidden"]["median"]
-    assert yaw == pytest.approx(0.1, abs=0.02)
-
-
-def test_every_kind_of_error_shows_in_its_figure():
-    image = picture(THINGS)
-    wrong = [
-        found("bowl", image.instances == 0),  # a mug taken for a bowl
-        found("can", disc(170, 60, 25)),  # shifted by 10: IoU 0.59
-        found("can", image.instances == 3),  # the distractor taken for a can; the bowl is missed
-    ]
-    line = score_image(image, wrong)
-    m = summarise_detection([line])
-    assert m["recall"] == pytest.approx(2 / 3) and m["class_accuracy"] == 0.5
-    assert m["confusion"][0] == [0, 1, 0, 0, 0] and m["distractors_taken_for_objects"] == 1.0
-    a, b = image.instances == 1, disc(170, 60, 25)
-    assert m["mean_iou"] == pytest.approx((1 + (a & b).sum() / (a | b).sum()) / 2)
-    assert m["map50"] < m["ap50"] < 1 and average_precision([line], by_class=True)[1] < m["map50"]
-
-
-def test_objects_called_other_are_found_but_of_the_wrong_class():
-    image = picture(THINGS[:2])
-    line = score_image(image, [found(None, image.instances == 0), found("can", image.instances == 1)])
-    m = summarise_detection([line])
-    assert m["recall"] == 1.0 and m["class_accuracy"] == 0.5 and m["confusion"][0][4] == 1
-    assert len(line["detections"]) == 1
-    nothing = summarise_detection([score_image(image, [])])
-    assert nothing["recall"] == nothing["ap50"] == nothing["mean_iou"] == 0.0
-
-
-def test_a_chunk_from_rendering_to_the_table(tmp_path, monkeypatch):
-    from sim_assets.datasets.table_top import TrainingSceneConfig
-
-    small = TrainingSceneConfig(
+@pytest.fixture
+def small_scenes(monkeypatch: pytest.MonkeyPatch) -> None:
+    config = TrainingSceneConfig(
         width=640, height=480, pool=4, distractors=2, objects=(3, 4), extras=(1, 1), textures_redrawn=2
     )
-    monkeypatch.setattr(detection, "_scenes", lambda _: small)
-    options = EvaluateOptions(
-        what="detection", images=2, renderer="classic", out=tmp_path, device="cpu", seed=4, quiet=True
-    )
-    report = detection.run(options, Screen(quiet=True))
+    monkeypatch.setattr(detection, "_scene_config", lambda _: config)
+
+
+@pytest.mark.usefixtures("small_scenes")
+def test_a_run_from_rendering_to_the_table(tmp_path: Path) -> None:
+    report = detection.run(options(tmp_path), Screen(quiet=True))
     assert report.success and report.metrics["images"] == 2 and report.metrics["objects"] > 2
     assert len(list((tmp_path / "pictures").glob("*.png"))) == 2
     assert detection.detection_table(report.metrics).row_count == 14
-    again = detection.run(
-        EvaluateOptions(
-            what="detection", images=2, renderer="classic", out=tmp_path, device="cpu", seed=4, resume=True
-        ),
-        Screen(quiet=True),
-    )
+    again = detection.run(options(tmp_path, resume=True), Screen(quiet=True))
     assert again.metrics["map50"] == report.metrics["map50"] and again.timings["total"] < 5
+
+
+def test_each_chunk_has_its_own_seed_and_the_last_one_the_remaining_images(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    seeds: list[int] = []
+    counts: list[int] = []
+
+    class Recorded:
+        def __init__(self, split: str, seed: int, *_: Any) -> None:
+            seeds.append(seed)
+
+        def __enter__(self) -> Recorded:
+            return self
+
+        def __exit__(self, *_: object) -> None:
+            return None
+
+        def render(self, count: int) -> list[Any]:
+            counts.append(count)
+            return []
+
+    monkeypatch.setattr(training_scenes, "TrainingScenes", Recorded)
+    asked = options(tmp_path, images=2 * detection.CHUNK + 3)
+    for chunk in (0, 1, 2):
+        detection.run_chunk(asked, tmp_path, chunk)
+    detection.run_chunk(replace(asked, seed=5), tmp_path, 0)
+    assert counts == [detection.CHUNK, detection.CHUNK, 3, detection.CHUNK]
+    assert len(set(seeds)) == 4
+
+
+def test_pictures_of_the_fewest_and_of_the_most_errors_are_kept() -> None:
+    blank = np.zeros((2, 2, 3), np.uint8)
+    pictures = [(errors, number, blank) for number, errors in enumerate((2, 0, 5, 3))]
+    assert [entry[0] for entry in detection._best_and_worst(pictures)] == [0, 5]
+
+
+def test_missed_and_misclassified_objects_and_taken_distractors_are_errors() -> None:
+    line = {
+        "objects": [
+            {"counts": True, "found": "mug", "category": "mug"},
+            {"counts": True, "found": "can", "category": "mug"},
+            {"counts": True, "found": None, "category": "mug"},
+            {"counts": False, "found": None, "category": "mug"},
+        ],
+        "distractors": [{"taken": True}, {"taken": False}],
+    }
+    assert detection._count_errors(line) == 3
