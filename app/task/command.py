@@ -9,21 +9,22 @@ from app.runs.report import Report
 from app.screen import Screen
 from app.task.cell import build_world
 from app.task.recording import CellRecorder
-from app.task.run import run_in, task_of
-from app.task.run_control import Gate
+from app.task.run import run_and_store, task_of
+from app.task.run_control import RunControl
+from app.task.run_writer import RunSession
 from perception.pipeline import load_perception
 
 
 def run(options: RunTaskOptions, screen: Screen) -> Report:
-    """One episode in a cell of its own; ``--view`` lets the browser watch."""
+    """Build a cell and run one episode in it; with ``--view``, show it in the web viewer."""
     with screen.stage("Building the cell"):
         world = build_world(options, task_of(options))
-    with world, contextlib.ExitStack() as watching:
-        recording, gate = CellRecorder(world), Gate()
+    with world, contextlib.ExitStack() as stack:
+        session = RunSession(world, CellRecorder(world), RunControl(), screen)
         if options.view:
             from app.viewer.command import watch
 
-            watching.enter_context(watch(options, recording.recorder, gate, screen))
+            stack.enter_context(watch(options, session.recording.recorder, session.control, screen))
         with screen.stage("Loading networks"):
             perception = load_perception(options.device)
-        return run_in(world, options, perception, recording, screen, gate)
+        return run_and_store(options, perception, session)

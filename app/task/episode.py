@@ -1,4 +1,4 @@
-"""One episode of a task in the simulated cell: run the pipeline, then score it from the true state."""
+"""One episode of a task in the simulated cell: run the pipeline, then score it against ground truth."""
 
 from __future__ import annotations
 
@@ -11,8 +11,9 @@ import numpy as np
 
 from app.options import Task, TaskOptions
 from app.runs.report import ObjectReport, Report
-from app.task.pipeline import Goal, Outcome, Shapes, Watcher
+from app.task.pipeline import Reconstruction, RunObserver, TaskRequest, TaskResult
 from app.task.pipeline import run as run_pipeline
+from app.task.restricted_robot import restricted
 from app.task.scoring import Truth, oracle_estimates, read_truth, score_reconstruction, score_task
 from manipulation.types import Box
 from perception.pipeline import Detections, Perception
@@ -20,7 +21,7 @@ from perception.types import ObjectEstimate, RgbdFrame
 from sim_assets.cell.scene import BoxConfig
 from sim_assets.cell.world import World
 
-# What the robot itself calls in place when it looks again: this upright [rad] and this near its goal [m].
+# Tolerances of the robot's own verification, reported beside the score: tilt [rad], distance to the goal [m].
 MAX_TILT, MAX_SHIFT = np.deg2rad(10), 0.03
 NOT_SETTINGS = {"seed", "out", "quiet", "json"}
 
@@ -30,56 +31,53 @@ def run_episode(
     options: TaskOptions,
     task: Task,
     perception: Perception,
-    watcher: Watcher | None = None,
-) -> tuple[Report, Outcome]:
-    """Carry the task out in the cell and score it.
+    observer: RunObserver | None = None,
+) -> tuple[Report, TaskResult]:
+    """Run a task in the cell and score it.
 
-    Returns:
-        The report, and what the stages made.
+    The pipeline receives the cell as a restricted robot. Ground truth is read before and after it runs, and
+    is passed to it only with ``--shapes oracle``.
     """
-    begin, simulated_begin = time.perf_counter(), world.time
+    observer = observer or RunObserver()
+    begin, paused, simulated_begin = time.perf_counter(), observer.paused_seconds, world.time
     before = read_truth(world)
     box = world.config.box if task == "pack" else None
-    goal = Goal(task, _planned_box(box), shapes=_shapes(options, before))
-    outcome = run_pipeline(world, perception, goal, watcher)
-    seconds, simulated = time.perf_counter() - begin, world.time - simulated_begin
+    request = TaskRequest(task, _planned_box(box), reconstruction=reconstruction_of(options, before))
+    result = run_pipeline(restricted(world), perception, request, observer)
+    seconds = time.perf_counter() - begin - (observer.paused_seconds - paused)
+    simulated = world.time - simulated_begin
     after = read_truth(world)
-    objects = score_task(outcome.plan, outcome.objects, outcome.outcomes, before, after, box)
-    objects = [_with_check(entry, outcome) for entry in objects]
-    rows = score_reconstruction(outcome.objects, before, np.random.default_rng(options.seed))
+    objects = score_task(result.plan, result.objects, result.outcomes, before, after, box)
+    objects = [with_check(entry, result) for entry in objects]
+    rows = score_reconstruction(result.objects, before, np.random.default_rng(options.seed))
     n_placed = sum(bool(entry.placed) for entry in objects)
     report = Report(
         command=task,
         seed=options.seed,
         success=n_placed == len(objects),
-        reason=_reason(objects, outcome),
-        timings=outcome.timings | {"total": seconds},
+        reason=summary_of(objects, result.failure),
+        timings={**result.timings, "total": seconds},
         objects=objects,
         metrics={
             "n_objects": len(objects),
-            "n_perceived": len(outcome.objects),
+            "n_perceived": len(result.objects),
             "n_placed": n_placed,
             "simulated_seconds": simulated,
             "reconstruction": rows,
         },
         settings=settings_of(options),
     )
-    return report, outcome
+    return report, result
 
 
 def settings_of(options: TaskOptions) -> dict[str, Any]:
-    """The options that decide what an episode is."""
+    """Return the options that determine an episode, by name."""
     names = {field.name for field in fields(TaskOptions)} - NOT_SETTINGS
     return {name: getattr(options, name) for name in sorted(names)}
 
 
-def _planned_box(box: BoxConfig | None) -> Box | None:
-    """The box as the planner knows it: the cell's drawing, not its state."""
-    return box and Box(center=box.center, size=box.inner, floor=box.floor, wall=box.wall)
-
-
-def _shapes(options: TaskOptions, before: Truth) -> Shapes | None:
-    """Another source of shapes where the options ask for one."""
+def reconstruction_of(options: TaskOptions, before: Truth) -> Reconstruction | None:
+    """Return the source of object estimates for ``--shapes``; None for the learned shape prior."""
     if options.shapes == "oracle":
         return lambda frames, detections: oracle_estimates(before)
     if options.shapes == "tsdf":
@@ -87,33 +85,38 @@ def _shapes(options: TaskOptions, before: Truth) -> Shapes | None:
     return None
 
 
-def _tsdf(frames: Sequence[RgbdFrame], detections: Detections) -> list[ObjectEstimate]:
-    from perception.fusion.tsdf import reconstruct_tsdf
-
-    return reconstruct_tsdf(frames, detections.per_frame, detections.plane)
-
-
-def _with_check(entry: ObjectReport, outcome: Outcome) -> ObjectReport:
-    """The entry with what the robot itself saw when it looked again."""
-    check = outcome.checks.get(entry.id)
+def with_check(entry: ObjectReport, result: TaskResult) -> ObjectReport:
+    """Return the entry with the robot's own verification of the object among its details."""
+    check = result.checks.get(entry.id)
     if check is None:
         return entry
     in_place = check.status == "seen" and check.tilt < MAX_TILT and check.shift < MAX_SHIFT
-    seen = {
+    verification = {
         "seen": check.status,
         "seen_in_place": in_place,
         "seen_shift": check.shift,
         "seen_tilt": check.tilt,
         "seen_inlier_share": check.inlier_share,
     }
-    return replace(entry, details={**entry.details, **seen})
+    return replace(entry, details={**entry.details, **verification})
 
 
-def _reason(objects: Sequence[ObjectReport], outcome: Outcome) -> str:
-    """One line that says how it went."""
+def summary_of(objects: Sequence[ObjectReport], failure: str) -> str:
+    """Return one line: the number of objects in place, and why the others are not."""
     n_placed = sum(bool(entry.placed) for entry in objects)
     summary = f"{n_placed} of {len(objects)} objects in place"
-    if outcome.problem:
-        return f"{summary}; {outcome.problem}"
+    if failure:
+        return f"{summary}; {failure}"
     wrong = [f"{entry.category} {entry.id}: {entry.reason}" for entry in objects if not entry.placed]
     return f"{summary}; {'; '.join(wrong)}" if wrong else summary
+
+
+def _planned_box(box: BoxConfig | None) -> Box | None:
+    """The nominal dimensions of the box for the planner."""
+    return box and Box(center=box.center, size=box.inner, floor=box.floor, wall=box.wall)
+
+
+def _tsdf(frames: Sequence[RgbdFrame], detections: Detections) -> list[ObjectEstimate]:
+    from perception.fusion.tsdf import reconstruct_tsdf
+
+    return reconstruct_tsdf(frames, detections.per_frame, detections.plane)

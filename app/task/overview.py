@@ -1,4 +1,4 @@
-"""``overview.png``: one picture of a run that a stranger understands, from the first look to the result."""
+"""``overview.png``: a one-page summary of a run, from the initial scene to the result."""
 
 from __future__ import annotations
 
@@ -27,14 +27,15 @@ _GOOD, _BAD = "#1b7f5c", "#c23b22"
 
 
 @dataclass(frozen=True)
-class Pictures:
-    """What the overview is made of; what a run did not reach is None or empty.
+class Overview:
+    """Content of the overview; results of stages that were not reached are None or empty.
 
     Attributes:
-        title, subtitle: above everything.
-        before, after, after_close: the cell from outside.
-        frames, detections, objects, plan: of the stages.
-        reports: what became of each object.
+        title, subtitle: Heading.
+        before, after: Images of the cell before and after the run.
+        after_close: Image of the goal region after the run.
+        frames, detections, objects, plan: Results of the stages.
+        reports: Outcome of each object.
     """
 
     title: str
@@ -49,8 +50,8 @@ class Pictures:
     reports: Sequence[ObjectReport] = ()
 
 
-def write_overview(path: Path, pictures: Pictures) -> None:
-    """Compose the picture and write it as PNG."""
+def write_overview(path: Path, overview: Overview) -> None:
+    """Draw the overview and write it as PNG."""
     from matplotlib.backends.backend_agg import FigureCanvasAgg
     from matplotlib.figure import Figure
 
@@ -59,23 +60,23 @@ def write_overview(path: Path, pictures: Pictures) -> None:
     grid = figure.add_gridspec(
         3, 3, left=0.015, right=0.985, top=0.915, bottom=0.015, hspace=0.12, wspace=0.03
     )
-    figure.text(0.015, 0.968, pictures.title, fontsize=25, fontweight="bold", color=_INK)
-    figure.text(0.015, 0.943, pictures.subtitle, fontsize=14, color=_FAINT)
+    figure.text(0.015, 0.968, overview.title, fontsize=25, fontweight="bold", color=_INK)
+    figure.text(0.015, 0.943, overview.subtitle, fontsize=14, color=_FAINT)
     axes = [[figure.add_subplot(grid[row, column]) for column in range(3)] for row in range(3)]
-    views = _clearest_views(pictures)
-    _picture(axes[0][0], "1  The table before", pictures.before)
+    views = _clearest_views(overview)
+    _picture(axes[0][0], "1  The table before", overview.before)
     for column, view in enumerate(views, start=1):
-        frame = pictures.frames[view]
-        found = pictures.detections.per_frame[view] if pictures.detections else ()
-        note = f"2  Found by the wrist camera (view {view + 1} of {len(pictures.frames)})"
+        frame = overview.frames[view]
+        found = overview.detections.per_frame[view] if overview.detections else ()
+        note = f"2  Found by the wrist camera (view {view + 1} of {len(overview.frames)})"
         _picture(axes[0][column], note, draw_detections(frame, found))
-        if pictures.objects:
+        if overview.objects:
             note = f"3  Whole shapes reconstructed (view {view + 1})"
-            _picture(axes[1][column], note, draw_estimates(frame, pictures.objects))
-    _draw_plan(axes[1][0], pictures.plan)
-    _picture(axes[2][0], "5  After", pictures.after)
-    _picture(axes[2][1], "    After, from near", pictures.after_close)
-    _table(axes[2][2], pictures.reports)
+            _picture(axes[1][column], note, draw_estimates(frame, overview.objects))
+    _draw_plan(axes[1][0], overview.plan)
+    _picture(axes[2][0], "5  After", overview.after)
+    _picture(axes[2][1], "    After, from near", overview.after_close)
+    _table(axes[2][2], overview.reports)
     for axis in (axis for row in axes for axis in row if not axis.has_data()):
         axis.set_axis_off()
     buffer = io.BytesIO()
@@ -83,19 +84,19 @@ def write_overview(path: Path, pictures: Pictures) -> None:
     write_atomically(path, buffer.getvalue())
 
 
-def _clearest_views(pictures: Pictures, count: int = 2) -> list[int]:
-    """The views with the most objects, as far as possible from different sides."""
-    if not pictures.frames:
+def _clearest_views(overview: Overview, count: int = 2) -> list[int]:
+    """Return the views with the most detections, preferring different directions."""
+    if not overview.frames:
         return []
-    seen = [len(found) for found in pictures.detections.per_frame] if pictures.detections else []
-    order = sorted(range(len(pictures.frames)), key=lambda i: -(seen[i] if i < len(seen) else 0))
+    seen = [len(found) for found in overview.detections.per_frame] if overview.detections else []
+    order = sorted(range(len(overview.frames)), key=lambda i: -(seen[i] if i < len(seen) else 0))
     first = order[0]
-    rest = sorted(order[1:4], key=lambda i: -_turn(pictures.frames[first], pictures.frames[i]))
+    rest = sorted(order[1:4], key=lambda i: -_turn(overview.frames[first], overview.frames[i]))
     return sorted([first, *rest[: count - 1]])
 
 
 def _turn(a: RgbdFrame, b: RgbdFrame) -> float:
-    """Angle between two viewing directions in [rad]."""
+    """Return the angle between two viewing directions in [rad]."""
     if a.T_world_camera is None or b.T_world_camera is None:
         return 0.0
     return float(np.arccos(np.clip(a.T_world_camera[:3, 2] @ b.T_world_camera[:3, 2], -1, 1)))
@@ -118,12 +119,12 @@ def _picture(axis: Any, title: str, image: Image | None) -> None:
 
 
 def _draw_plan(axis: Any, plan: TaskPlan | None) -> None:
-    """The plan from above, the robot's base at the left: where each object goes, and in which order."""
+    """Draw the plan in top view: the goal of each object and the order of execution."""
     from matplotlib.patches import Circle, Rectangle
 
     _title(axis, "4  Plan, from above")
     axis.set_aspect("equal")
-    # The camera outside looks along +y and -x: draw y to the right and x down, as the overview shows it.
+    # The overview camera views the table along +y and -x: draw y to the right and x downwards to match it.
     axis.set_xlim(-0.62, 0.62)
     axis.set_ylim(0.86, -0.14)
     axis.set_xticks([])
@@ -173,14 +174,14 @@ def _planar(yaw: float, position: Float[np.ndarray, "2"]) -> Float[np.ndarray, "
 
 
 def _outline(axis: Any, vertices: np.ndarray, T: np.ndarray, color: np.ndarray, alpha: float) -> None:
-    """The convex outline of an object from above."""
+    """Draw the convex outline of an object in top view."""
     points = (vertices @ T[:3, :3].T + T[:3, 3])[:, :2]
     hull = points[ConvexHull(points).vertices]
     axis.fill(hull[:, 1], hull[:, 0], facecolor=(*color, alpha), edgecolor=color, linewidth=1.2)
 
 
 def _table(axis: Any, reports: Sequence[ObjectReport]) -> None:
-    """What became of each object."""
+    """List the outcome of each object."""
     _title(axis, "Result")
     axis.set_axis_off()
     axis.set_xlim(0, 1)

@@ -1,23 +1,23 @@
-"""One task from the first look to the last: scan, detect, reconstruct, plan, execute, verify.
+"""One task from scan to verification: scan, detect, reconstruct, plan, execute, verify.
 
-Read this file first. Each stage is a function from values to a new value; data goes one way:
+Read this file first. Each stage is a function from values to a new value, and data flows in one direction:
 
     robot ──scan──▶ frames ──detect──▶ detections ──reconstruct──▶ object map
-          ──plan──▶ task plan ──execute──▶ outcomes ──verify (look again)──▶ checks
+          ──plan──▶ task plan ──execute──▶ outcomes ──verify──▶ pose checks
 
-The robot is anything that implements ``manipulation.robot.Robot``: nothing here knows of a simulator, or of
-where objects really are. A ``Watcher`` observes what each stage makes, to show and to store it, and never
-writes back.
+The robot is any implementation of ``manipulation.robot.Robot``. This module imports neither the simulator nor
+ground truth: the robot's images and joint positions are its only measurements. A ``RunObserver`` receives
+intermediate results for display and storage and never modifies them.
 """
 
 from __future__ import annotations
 
 import logging
 import time
-from collections.abc import Callable, Iterator, Sequence
+from collections.abc import Callable, Iterator, Mapping, Sequence
 from contextlib import contextmanager
 from dataclasses import dataclass, field, replace
-from typing import Any
+from typing import Literal
 
 import numpy as np
 from jaxtyping import Float
@@ -35,44 +35,45 @@ from perception.inference.refit import PoseCheck, refit_pose
 from perception.pipeline import Detections, Perception, detect, reconstruct_objects
 from perception.types import Category, ObjectEstimate, RgbdFrame
 
-_log = logging.getLogger(__name__)
+logger = logging.getLogger(__name__)
 
-Shapes = Callable[[Sequence[RgbdFrame], Detections], list[ObjectEstimate]]
+Stage = Literal["scan", "detect", "reconstruct", "plan", "execute", "verify"]
+Reconstruction = Callable[[Sequence[RgbdFrame], Detections], list[ObjectEstimate]]
 
 
 @dataclass(frozen=True)
-class Goal:
-    """What the robot is to do.
+class TaskRequest:
+    """Specification of a task.
 
     Attributes:
         task: "pack" or "sort".
-        box: where to pack; None for sorting.
-        line: where to sort.
-        shapes: another source of object estimates than reconstruction by the shape prior.
-        manipulation: settings of planning and execution.
+        box: Box to pack into, or an obstacle while sorting; None if there is no box.
+        line: Line to sort along.
+        reconstruction: Source of the object estimates; None for the learned shape prior.
+        manipulation: Settings of planning and execution.
     """
 
     task: Task
     box: Box | None = None
     line: Line = field(default_factory=Line)
-    shapes: Shapes | None = None
+    reconstruction: Reconstruction | None = None
     manipulation: ManipulationConfig = field(default_factory=ManipulationConfig)
 
 
 @dataclass(frozen=True)
-class Outcome:
-    """Everything the stages made; what comes after a failed stage is empty.
+class TaskResult:
+    """Results of all stages; those after a failed stage keep their defaults.
 
     Attributes:
-        frames: of the scan.
-        detections: of the scan.
-        objects: the object map.
-        plan: what was to be done.
-        outcomes: what the robot believes it did.
-        checks: where each placed object was seen to stand afterwards, by id.
-        final_frames: of the last look.
-        problem: why a stage failed, or an empty string.
-        timings: wall seconds of each stage.
+        frames: Images of the scan.
+        detections: Detections in the images of the scan.
+        objects: Object map.
+        plan: Placements in their order of execution.
+        outcomes: Outcome of each placement as reported by execution.
+        checks: Pose check of each object that was placed, by object id.
+        final_frames: Images of the goal region after execution.
+        failure: Message of the error that ended the task; empty if there was none.
+        timings: Wall time of each stage without pauses, in seconds.
     """
 
     frames: Sequence[RgbdFrame] = ()
@@ -80,116 +81,144 @@ class Outcome:
     objects: Sequence[ObjectEstimate] = ()
     plan: TaskPlan | None = None
     outcomes: Sequence[ObjectOutcome] = ()
-    checks: dict[int, PoseCheck] = field(default_factory=dict)
+    checks: Mapping[int, PoseCheck] = field(default_factory=dict)
     final_frames: Sequence[RgbdFrame] = ()
-    problem: str = ""
-    timings: dict[str, float] = field(default_factory=dict)
+    failure: str = ""
+    timings: Mapping[str, float] = field(default_factory=dict)
 
 
-class Watcher:
-    """Observes a run; this one only takes the time."""
+class RunObserver:
+    """Receives intermediate results of a run; the base class measures the wall time of the stages.
+
+    Attributes:
+        timings: Wall time of each finished stage without pauses, in seconds.
+    """
 
     def __init__(self) -> None:
         self.timings: dict[str, float] = {}
 
+    @property
+    def paused_seconds(self) -> float:
+        """Total wall time that the run has been paused, in seconds."""
+        return 0.0
+
     @contextmanager
-    def stage(self, name: str) -> Iterator[None]:
-        """Around each stage."""
-        begin = time.perf_counter()
+    def stage(self, name: Stage) -> Iterator[None]:
+        """Enclose a stage."""
+        begin, paused = time.perf_counter(), self.paused_seconds
         try:
             yield
         finally:
-            self.timings[name] = time.perf_counter() - begin
+            self.timings[name] = time.perf_counter() - begin - (self.paused_seconds - paused)
 
-    def progress(self, done: int, total: int, what: str = "") -> None:
-        """Within a stage."""
+    def on_progress(self, done: int, total: int, subject: str = "") -> None:
+        """Called within a stage after each of its ``total`` steps."""
 
-    def looked(self, frame: RgbdFrame) -> None:
-        """The wrist camera took an image."""
+    def on_image(self, frame: RgbdFrame) -> None:
+        """Called with each image of the wrist camera."""
 
-    def fit_step(self, object_id: int, category: Category, step: FitStep) -> None:
-        """How the fit of an object goes on; called from several threads."""
+    def on_frames(self, frames: Sequence[RgbdFrame]) -> None:
+        """Called with all images of the scan."""
 
-    def event(self, event: TaskEvent) -> None:
-        """What the robot begins or has done with an object."""
+    def on_detections(self, detections: Detections) -> None:
+        """Called with the detections in the images of the scan."""
 
-    def made(self, name: str, value: Any) -> None:
-        """What a stage made."""
+    def on_fit_step(self, object_id: int, category: Category, step: FitStep) -> None:
+        """Called after each iteration of the fit of an object, from several threads."""
+
+    def on_objects(self, objects: Sequence[ObjectEstimate]) -> None:
+        """Called with the object map."""
+
+    def on_plan(self, plan: TaskPlan) -> None:
+        """Called with the task plan."""
+
+    def on_event(self, event: TaskEvent) -> None:
+        """Called at each step of execution."""
 
 
-def run(robot: Robot, perception: Perception, goal: Goal, watcher: Watcher | None = None) -> Outcome:
-    """Carry out the whole task; a stage that fails ends it, with its problem named."""
-    watcher = watcher or Watcher()
+def run(
+    robot: Robot, perception: Perception, request: TaskRequest, observer: RunObserver | None = None
+) -> TaskResult:
+    """Carry out a task; an error of planning or perception ends it and is stored in the result."""
+    observer = observer or RunObserver()
     kinematics = Kinematics(robot.arm)
-    made: dict[str, Any] = {}
-
-    def keep(name: str, value: Any) -> Any:
-        made[name] = value
-        watcher.made(name, value)
-        return value
-
+    result = TaskResult()
     try:
-        with watcher.stage("scan"):
-            seen = look(robot, kinematics, SCAN_VIEWS, watcher.progress, on_frame=watcher.looked)
-            frames = keep("frames", seen)
-        with watcher.stage("detect"):
-            detections = keep("detections", detect(frames, perception.detector, watcher.progress))
-        with watcher.stage("reconstruct"):
-            shapes = goal.shapes or prior_shapes(perception, watcher)
-            objects = keep("objects", shapes(frames, detections))
-        with watcher.stage("plan"):
-            plan = keep("plan", plan_task(robot, goal, objects))
-        with watcher.stage("execute"):
-            again = look_again(robot, kinematics, objects)
-            outcomes = keep("outcomes", execute(plan, robot, again, watcher.event, goal.manipulation))
-        with watcher.stage("verify"):
-            views = BOX_VIEWS if goal.task == "pack" else LINE_VIEWS
-            seen = look(robot, kinematics, views, watcher.progress, on_frame=watcher.looked)
-            final_frames = keep("final_frames", seen)
-            keep("checks", verify(objects, plan, outcomes, final_frames))
+        with observer.stage("scan"):
+            frames = look(robot, kinematics, SCAN_VIEWS, observer.on_progress, on_frame=observer.on_image)
+            result = replace(result, frames=frames)
+            observer.on_frames(frames)
+        with observer.stage("detect"):
+            detections = detect(frames, perception.detector, observer.on_progress)
+            result = replace(result, detections=detections)
+            observer.on_detections(detections)
+        with observer.stage("reconstruct"):
+            reconstruct = request.reconstruction or prior_reconstruction(perception, observer)
+            objects = reconstruct(frames, detections)
+            result = replace(result, objects=objects)
+            observer.on_objects(objects)
+        with observer.stage("plan"):
+            plan = plan_task(robot, request, objects)
+            result = replace(result, plan=plan)
+            observer.on_plan(plan)
+        with observer.stage("execute"):
+            reobserve = make_reobserver(robot, kinematics, objects)
+            outcomes = execute(plan, robot, reobserve, observer.on_event, request.manipulation)
+            result = replace(result, outcomes=outcomes)
+        with observer.stage("verify"):
+            views = BOX_VIEWS if request.task == "pack" else LINE_VIEWS
+            final_frames = look(robot, kinematics, views, observer.on_progress, on_frame=observer.on_image)
+            result = replace(result, final_frames=final_frames)
+            result = replace(result, checks=verify(objects, plan, outcomes, final_frames))
     except (ManipulationError, PerceptionError) as error:
-        made["problem"] = str(error)
-    return Outcome(**made, timings=dict(watcher.timings))
+        result = replace(result, failure=str(error))
+    return replace(result, timings=dict(observer.timings))
 
 
-def prior_shapes(perception: Perception, watcher: Watcher) -> Shapes:
-    """Reconstruction by the learned shape prior."""
+def prior_reconstruction(perception: Perception, observer: RunObserver) -> Reconstruction:
+    """Return the reconstruction by the learned shape prior."""
 
-    def shapes(frames: Sequence[RgbdFrame], detections: Detections) -> list[ObjectEstimate]:
-        return reconstruct_objects(frames, detections, perception.decoder, watcher.progress, watcher.fit_step)
+    def reconstruct(frames: Sequence[RgbdFrame], detections: Detections) -> list[ObjectEstimate]:
+        return reconstruct_objects(
+            frames, detections, perception.decoder, observer.on_progress, observer.on_fit_step
+        )
 
-    return shapes
+    return reconstruct
 
 
-def plan_task(robot: Robot, goal: Goal, objects: Sequence[ObjectEstimate]) -> TaskPlan:
-    """What goes where, and in which order.
+def plan_task(robot: Robot, request: TaskRequest, objects: Sequence[ObjectEstimate]) -> TaskPlan:
+    """Plan the goal pose of each object and the order of execution.
 
     Raises:
-        PlanningError: nothing can be done; the message says why.
+        PlanningError: No object can be placed; the message gives the reasons.
     """
-    if goal.task == "pack":
-        return plan_pack(objects, goal.box or Box(), robot.arm, goal.manipulation)
-    return plan_sort(objects, goal.line, robot.arm, goal.manipulation, goal.box)
+    if request.task == "pack":
+        return plan_pack(objects, request.box or Box(), robot.arm, request.manipulation)
+    return plan_sort(objects, request.line, robot.arm, request.manipulation, request.box)
 
 
-def look_again(
+def make_reobserver(
     robot: Robot, kinematics: Kinematics, objects: Sequence[ObjectEstimate]
 ) -> Callable[[int], ObjectEstimate | None]:
-    """For a failed grasp: where the object stands now, by fitting its known shape to new images from near."""
+    """Return a function that re-estimates the pose of an object, by id, after a failed grasp.
+
+    It fits the pose of the known shape to close-up images, and returns None if the object is not visible in
+    them or no such image can be taken.
+    """
     by_id = {estimate.id: estimate for estimate in objects}
 
-    def again(object_id: int) -> ObjectEstimate | None:
+    def reobserve(object_id: int) -> ObjectEstimate | None:
         estimate = by_id[object_id]
         x, y = estimate.T_world_object[:2, 3]
         try:
             frames = look(robot, kinematics, close_views((float(x), float(y), 0.05)))
             check = refit_pose(estimate, frames, estimate.T_world_object)
         except (ManipulationError, PerceptionError) as error:
-            _log.info("looking again at %s: %s", estimate.name, error)
+            logger.info("cannot re-observe %s: %s", estimate.name, error)
             return None
         return replace(estimate, T_world_object=check.T_world_object) if check.status == "seen" else None
 
-    return again
+    return reobserve
 
 
 def verify(
@@ -198,22 +227,24 @@ def verify(
     outcomes: Sequence[ObjectOutcome],
     frames: Sequence[RgbdFrame],
 ) -> dict[int, PoseCheck]:
-    """Fit the known shapes, pose only, to images of where they should stand now; by object id."""
+    """Fit the poses of the known shapes to images of the goal region; return the checks by object id."""
     by_id = {estimate.id: estimate for estimate in objects}
     expected = {
-        outcome.id: replace(by_id[outcome.id], T_world_object=_carried(by_id[outcome.id], plan, outcome))
+        outcome.id: replace(by_id[outcome.id], T_world_object=expected_pose(by_id[outcome.id], plan, outcome))
         for outcome in outcomes
         if outcome.placed
     }
     checks = {}
-    for number, estimate in expected.items():
+    for object_id, estimate in expected.items():
         others = [other for other in expected.values() if other is not estimate]
-        checks[number] = refit_pose(estimate, frames, estimate.T_world_object, others)
+        checks[object_id] = refit_pose(estimate, frames, estimate.T_world_object, others)
     return checks
 
 
-def _carried(estimate: ObjectEstimate, plan: TaskPlan, outcome: ObjectOutcome) -> Float[np.ndarray, "4 4"]:
-    """T_world_object after the object was carried from where it stood to where it was put."""
+def expected_pose(
+    estimate: ObjectEstimate, plan: TaskPlan, outcome: ObjectOutcome
+) -> Float[np.ndarray, "4 4"]:
+    """Return T_world_object of a placed object; its pose in the stand frame is unchanged by execution."""
     assert outcome.T_world_stand is not None
     T_stand_object = np.linalg.inv(plan.objects[outcome.name].T_world_stand) @ estimate.T_world_object
     return outcome.T_world_stand @ T_stand_object

@@ -1,7 +1,6 @@
-"""Records a run in the simulated cell for viewers: what moves, what is seen and thought.
+"""Records a run in the simulated cell for viewers: motion, images, intermediate results.
 
-It only reads. The true poses of the objects, which people may see and the robot may not, come from
-``scoring``.
+The true poses of the objects come from ``scoring``: they are shown to people and never reach the pipeline.
 """
 
 from __future__ import annotations
@@ -14,29 +13,35 @@ import numpy as np
 from jaxtyping import Float
 from scipy.spatial.transform import Rotation
 
-from app.runs.replay import Recorder
-from app.task.pipeline import Watcher
+from app.runs.replay import NoteKind, Recorder
+from app.task.pipeline import RunObserver, Stage
 from app.task.scoring import read_truth
 from manipulation.execution import TaskEvent
 from manipulation.kinematics import Kinematics
 from manipulation.types import PickPlacePlan, TaskPlan
 from perception.inference.fit import FitStep
+from perception.pipeline import Detections
 from perception.types import Category, ObjectEstimate, RgbdFrame
 from sim_assets.cell.world import World
 from sim_assets.rendering import viewer_meshes
 
-PATH_POINTS = 16  # of each motion of the planned path
-RATE = 30.0  # [Hz] of simulated time
+PATH_POINTS = 16  # points drawn of each motion of a planned path
+RATE = 30.0  # samples per simulated second
 
 
-class CellRecorder(Watcher):
-    """Fills a ``Recorder``."""
+class CellRecorder(RunObserver):
+    """Fills a ``Recorder`` from a simulated cell.
+
+    Attributes:
+        world: Simulated cell.
+        recorder: The recording.
+    """
 
     def __init__(self, world: World) -> None:
         super().__init__()
         self.world = world
         self._kinematics = Kinematics(world.arm)
-        self._lock = threading.Lock()  # fits tell their steps from several threads
+        self._lock = threading.Lock()  # fits report their steps from several threads
         objects = tuple(f"object{number}" for number in read_truth(world).models)
         self.recorder = Recorder(
             bodies=(*viewer_meshes.moving_bodies(world), *objects), meshes=viewer_meshes.body_meshes(world)
@@ -44,25 +49,25 @@ class CellRecorder(Watcher):
         self.sample()
 
     def sample(self) -> None:
-        """Where everything is now."""
+        """Append the current poses."""
         world = self.world
         truth = np.array([_position_wxyz(T) for T in read_truth(world).poses.values()]).reshape(-1, 7)
         poses = np.concatenate([viewer_meshes.poses(world), truth])
         with self._lock:
             self.recorder.sample(world.time, world.joint_positions(), world.gripper_width(), poses)
 
-    def begin(self, stage: str) -> None:
+    def begin_stage(self, stage: Stage) -> None:
         self._note("stage", name=stage)
 
-    def done(self, stage: str, seconds: float) -> None:
+    def end_stage(self, stage: Stage, seconds: float) -> None:
         self._note("done", name=stage, seconds=round(seconds, 2))
 
-    def looked(self, frame: RgbdFrame) -> None:
+    def on_image(self, frame: RgbdFrame) -> None:
         self.sample()
         self.recorder.frames.append(frame)
         self._note("look", index=len(self.recorder.frames) - 1)
 
-    def fit_step(self, object_id: int, category: Category, step: FitStep) -> None:
+    def on_fit_step(self, object_id: int, category: Category, step: FitStep) -> None:
         self._note(
             "fit",
             id=object_id,
@@ -74,7 +79,7 @@ class CellRecorder(Watcher):
             residual=step.residual if np.isfinite(step.residual) else None,
         )
 
-    def event(self, event: TaskEvent) -> None:
+    def on_event(self, event: TaskEvent) -> None:
         details: dict[str, Any] = {}
         if event.plan is not None:
             plan = event.plan
@@ -87,23 +92,24 @@ class CellRecorder(Watcher):
         counts = {"done": event.done, "total": event.total}
         self._note("action", phase=event.phase, name=event.name, message=event.message, **counts, **details)
 
-    def made(self, name: str, value: Any) -> None:
-        if name == "detections":
-            self.recorder.detections = value.per_frame
-            for index, found in enumerate(value.per_frame):
-                self._note("found", index=index, count=len(found))
-        elif name == "objects":
-            self.recorder.objects = tuple(value)
-            self._note("objects", covariances=_covariances(value))
-        elif name == "plan":
-            self._note("plan", placements=_placements(value), left_out=dict(value.left_out))
+    def on_detections(self, detections: Detections) -> None:
+        self.recorder.detections = detections.per_frame
+        for index, found in enumerate(detections.per_frame):
+            self._note("found", index=index, count=len(found))
 
-    def _note(self, kind: Any, **data: Any) -> None:
+    def on_objects(self, objects: Sequence[ObjectEstimate]) -> None:
+        self.recorder.objects = tuple(objects)
+        self._note("objects", covariances=_covariances(objects))
+
+    def on_plan(self, plan: TaskPlan) -> None:
+        self._note("plan", placements=_placements(plan), left_out=dict(plan.left_out))
+
+    def _note(self, kind: NoteKind, **data: Any) -> None:
         with self._lock:
             self.recorder.note(kind, **data)
 
     def _path(self, plan: PickPlacePlan) -> Float[np.ndarray, "n 3"]:
-        """Where the tool will be led, in [m]."""
+        """Return points of the tool's path, in metres."""
         points = []
         for motion in (plan.approach, plan.lift, plan.transfer, plan.retreat):
             rows = np.linspace(0, len(motion.positions) - 1, PATH_POINTS).astype(int)
@@ -116,7 +122,7 @@ def _position_wxyz(T: Float[np.ndarray, "4 4"]) -> Float[np.ndarray, "7"]:
 
 
 def _covariances(estimates: Sequence[ObjectEstimate]) -> dict[str, Any]:
-    """Upper triangles by id, where there are any."""
+    """Return the upper triangles of the covariances by object id."""
     upper = np.triu_indices(25)
     return {
         str(estimate.id): [float(f"{value:.3g}") for value in estimate.covariance[upper]]

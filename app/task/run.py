@@ -1,4 +1,4 @@
-"""One episode in a cell that is there already, with all that is kept of it."""
+"""Run one episode in an existing cell and store everything that it produces."""
 
 from __future__ import annotations
 
@@ -7,45 +7,34 @@ from rich.markup import escape
 from app.options import PackOptions, RunTaskOptions, Task
 from app.runs.report import Report
 from app.runs.run_folder import RunFolder
-from app.screen import Screen
 from app.tables import object_table
 from app.task.episode import run_episode
-from app.task.recording import CellRecorder
-from app.task.run_control import Gate
-from app.task.run_writer import Storage
+from app.task.run_writer import RunSession, RunWriter
 from perception.pipeline import Perception
-from sim_assets.cell.world import World
 
 
-def run_in(
-    world: World,
-    options: RunTaskOptions,
-    perception: Perception,
-    recording: CellRecorder,
-    screen: Screen,
-    gate: Gate,
-) -> Report:
-    """One episode with everything stored: report, scan, object map, plan, replay, pictures.
+def run_and_store(options: RunTaskOptions, perception: Perception, session: RunSession) -> Report:
+    """Run one episode; write report, scan, object map, plan, replay and pictures into a run folder.
 
     Raises:
-        Stopped: the gate was told so; what was finished is kept.
+        RunStopped: The run was stopped by a person; finished results are kept.
     """
-    task = task_of(options)
+    task, screen = task_of(options), session.screen
     folder = RunFolder.create(options, task)
     screen.note(f"{task}, seed {options.seed}: {folder.path}")
-    storage = Storage(options, task, folder, screen, world, recording, gate)
+    writer = RunWriter(options, task, folder, session)
     try:
-        report, outcome = run_episode(world, options, task, perception, storage)
+        report, result = run_episode(session.world, options, task, perception, writer)
     finally:
-        storage.close()
+        writer.close()
     folder.write_report(report)
     with screen.stage("Drawing the overview"):
-        storage.draw(report, outcome)
+        writer.write_overview(report, result)
     screen.show(object_table(report))
-    screen.show(escape(f"{folder.path / 'overview.png'} shows what happened; report.json tells it."))
+    screen.show(escape(f"Summary: {folder.path / 'overview.png'}; details: report.json"))
     return report
 
 
 def task_of(options: RunTaskOptions) -> Task:
-    """Which task the options are for."""
+    """Return the task that the options belong to."""
     return "pack" if isinstance(options, PackOptions) else "sort"

@@ -1,4 +1,4 @@
-"""Where a run waits while a person holds it. Simulated time stands still: what comes out is the same."""
+"""Pause, step and stop of a run. Simulated time stands still during a pause, so results do not change."""
 
 from __future__ import annotations
 
@@ -6,63 +6,66 @@ import threading
 import time
 
 
-class Stopped(KeyboardInterrupt):
-    """A person stopped the run; what was finished is kept."""
+class RunStopped(KeyboardInterrupt):
+    """A person stopped the run; finished results are kept."""
 
 
-class Gate:
-    """Open unless someone pauses, steps or stops the run; the run passes it at every moment that is recorded.
+class RunControl:
+    """Thread-safe pause, step and stop of a run.
+
+    The run calls ``enter_step`` at the beginning of each stage and action, and ``wait_if_paused`` at each
+    recorded sample. The other methods are for the user interface.
 
     Attributes:
-        held: wall time in [s] that the run has waited in all.
+        paused_seconds: Total wall time that the run has been paused, in seconds.
     """
 
     def __init__(self) -> None:
-        self.held = 0.0
-        self._open = threading.Event()
-        self._open.set()
+        self.paused_seconds = 0.0
+        self._running = threading.Event()
+        self._running.set()
         self._step = self._stop = False
 
     @property
     def paused(self) -> bool:
-        return not self._open.is_set()
+        return not self._running.is_set()
 
     def pause(self) -> None:
-        self._open.clear()
+        self._running.clear()
 
     def resume(self) -> None:
         self._step = False
-        self._open.set()
+        self._running.set()
 
     def step(self) -> None:
-        """Go on to the next mark: a stage or an action."""
+        """Resume until the next stage or action begins."""
         self._step = True
-        self._open.set()
+        self._running.set()
 
     def stop(self) -> None:
         self._stop = True
-        self._open.set()
+        self._running.set()
 
-    def mark(self) -> None:
-        """The run begins a stage or an action.
+    def enter_step(self) -> None:
+        """Begin a stage or action; pause there after ``step``.
 
         Raises:
-            Stopped: it shall not.
+            RunStopped: The run has been stopped.
         """
         if self._step:
             self._step = False
-            self._open.clear()
-        self.passed()
+            self._running.clear()
+        self.wait_if_paused()
 
-    def passed(self) -> None:
-        """The run comes by.
+    def wait_if_paused(self) -> None:
+        """Block while the run is paused.
 
         Raises:
-            Stopped: it shall end.
+            RunStopped: The run has been stopped.
         """
-        if not self._open.is_set():
+        if not self._running.is_set():
             begin = time.perf_counter()
-            self._open.wait()
-            self.held += time.perf_counter() - begin
+            self._running.wait()
+            self.paused_seconds += time.perf_counter() - begin
         if self._stop:
-            raise Stopped
+            raise RunStopped

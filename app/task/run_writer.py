@@ -1,140 +1,160 @@
-"""Stores a run while it happens: each stage's result is on disk as soon as the stage is done."""
+"""Stores a run while it happens: the result of each stage is on disk as soon as the stage is finished."""
 
 from __future__ import annotations
 
 import time
-from collections.abc import Iterator
+from collections.abc import Iterator, Sequence
 from contextlib import contextmanager
+from dataclasses import dataclass
 from typing import Any
 
 from app.options import RunTaskOptions, Task
 from app.runs.report import Report
 from app.runs.run_folder import RunFolder
 from app.screen import Screen
-from app.task.overview import Pictures, write_overview
-from app.task.pipeline import Outcome, Watcher
+from app.task.overview import Overview, write_overview
+from app.task.pipeline import RunObserver, Stage, TaskResult
 from app.task.recording import RATE, CellRecorder
-from app.task.run_control import Gate
-from app.task.video import Film
+from app.task.run_control import RunControl
+from app.task.video import RunVideo
 from manipulation.execution import TaskEvent
 from manipulation.types import TaskPlan
 from perception.inference.fit import FitStep
 from perception.io.object_map import write_object_map
 from perception.io.scan_folder import write_detections, write_scan
-from perception.types import Category, RgbdFrame
+from perception.pipeline import Detections
+from perception.types import Category, ObjectEstimate, RgbdFrame
 from sim_assets.cell.world import World
 
-TITLES = {
-    "scan": "Looking at the table",
-    "detect": "Finding objects",
+TITLES: dict[Stage, str] = {
+    "scan": "Scanning the table",
+    "detect": "Detecting objects",
     "reconstruct": "Reconstructing whole shapes",
     "plan": "Planning",
     "execute": "Moving objects",
-    "verify": "Looking again",
+    "verify": "Verifying the result",
 }
-CLOSE_CAMERA: dict[str, str] = {"pack": "box", "sort": "line"}
+CLOSE_CAMERA: dict[Task, str] = {"pack": "box", "sort": "line"}
 
 
-class Storage(Watcher):
-    """Watches a run: shows its progress, writes its folder, records replay and video."""
+@dataclass(frozen=True)
+class RunSession:
+    """A cell with everything attached to it for the duration of a run.
 
-    def __init__(
-        self,
-        options: RunTaskOptions,
-        task: Task,
-        folder: RunFolder,
-        screen: Screen,
-        world: World,
-        recording: CellRecorder,
-        gate: Gate,
-    ) -> None:
+    Attributes:
+        world: Simulated cell.
+        recording: Recorder of the cell for viewers.
+        control: Pause, step and stop.
+        screen: Terminal output.
+    """
+
+    world: World
+    recording: CellRecorder
+    control: RunControl
+    screen: Screen
+
+
+class RunWriter(RunObserver):
+    """Observes a run: shows its progress, writes its folder, records replay and video."""
+
+    def __init__(self, options: RunTaskOptions, task: Task, folder: RunFolder, session: RunSession) -> None:
         super().__init__()
-        self._options, self._task = options, task
-        self._folder, self._screen, self._world = folder, screen, world
+        self._options, self._folder = options, folder
+        self._task: Task = task
+        self._screen, self._world = session.screen, session.world
+        self._recording, self._control = session.recording, session.control
         self._begin = time.perf_counter()
-        self._recording, self._gate = recording, gate
-        recording.recorder.write_meshes(folder.path)
-        self._before = world.overview_image()
-        self._film = Film(folder.path / "video.mp4", task.capitalize(), world) if options.video else None
-        world.observe(self._sample, RATE)
+        self._recording.recorder.write_meshes(folder.path)
+        self._before = self._world.overview_image()
+        self._video: RunVideo | None = None
+        if options.video:
+            self._video = RunVideo(folder.path / "video.mp4", task.capitalize(), self._world)
+        self._world.observe(self._sample, RATE)
+
+    @property
+    def paused_seconds(self) -> float:
+        return self._control.paused_seconds
 
     @contextmanager
-    def stage(self, name: str) -> Iterator[None]:
+    def stage(self, name: Stage) -> Iterator[None]:
         self._write_progress(f"stopped while {TITLES[name].lower()}")
-        self._recording.begin(name)
-        self._gate.mark()
-        held = self._gate.held
-        if self._film is not None:
-            self._film.begin(name)
+        self._recording.begin_stage(name)
+        self._control.enter_step()
+        if self._video is not None:
+            self._video.begin_stage(name)
         with self._screen.stage(TITLES[name]), super().stage(name):
             yield
-        self.timings[name] -= self._gate.held - held
-        self._recording.done(name, self.timings[name])
+        self._recording.end_stage(name, self.timings[name])
 
-    def progress(self, done: int, total: int, what: str = "") -> None:
-        self._screen.update(f"{done} of {total} {what.replace('_', ' ')}")
+    def on_progress(self, done: int, total: int, subject: str = "") -> None:
+        self._screen.update(f"{done} of {total} {subject.replace('_', ' ')}")
 
-    def event(self, event: TaskEvent) -> None:
+    def on_image(self, frame: RgbdFrame) -> None:
+        self._recording.on_image(frame)
+        if self._video is not None:
+            self._video.on_image(frame)
+        self._control.wait_if_paused()
+
+    def on_frames(self, frames: Sequence[RgbdFrame]) -> None:
+        if self._video is not None:
+            self._video.on_frames(frames)
+        write_scan(self._folder.scan, frames)
+
+    def on_detections(self, detections: Detections) -> None:
+        self._recording.on_detections(detections)
+        if self._video is not None:
+            self._video.on_detections(detections)
+        write_detections(self._folder.scan, detections.per_frame)
+
+    def on_fit_step(self, object_id: int, category: Category, step: FitStep) -> None:
+        self._recording.on_fit_step(object_id, category, step)
+        self._control.wait_if_paused()
+
+    def on_objects(self, objects: Sequence[ObjectEstimate]) -> None:
+        self._recording.on_objects(objects)
+        if self._video is not None:
+            self._video.on_objects(objects)
+        write_object_map(self._folder.path, objects)
+
+    def on_plan(self, plan: TaskPlan) -> None:
+        self._recording.on_plan(plan)
+        if self._video is not None:
+            self._video.on_plan(plan)
+        self._folder.write_json("plan.json", plan_as_json(plan))
+
+    def on_event(self, event: TaskEvent) -> None:
         text = f"{event.phase} {event.name}".replace("_", " ")
-        self._recording.event(event)
-        self._gate.mark()
+        self._recording.on_event(event)
+        self._control.enter_step()
         self._screen.update(f"{event.done} of {event.total}: {text}")
         if event.phase in ("retry", "failed", "deferred"):
             self._screen.note(f"{text}: {event.message}")
-        if self._film is not None:
-            self._film.event(event)
-
-    def looked(self, frame: RgbdFrame) -> None:
-        self._recording.looked(frame)
-        if self._film is not None:
-            self._film.looked(frame)
-        self._gate.passed()
-
-    def fit_step(self, object_id: int, category: Category, step: FitStep) -> None:
-        self._recording.fit_step(object_id, category, step)
-        self._gate.passed()
-
-    def made(self, name: str, value: Any) -> None:
-        """Write what a stage made; the folder stays readable at any moment."""
-        self._recording.made(name, value)
-        if self._film is not None:
-            self._film.made(name, value)
-        if name == "frames":
-            write_scan(self._folder.scan, value)
-        elif name == "detections":
-            write_detections(self._folder.scan, value.per_frame)
-        elif name == "objects":
-            write_object_map(self._folder.path, value)
-        elif name == "plan":
-            self._folder.write_json("plan.json", plan_as_json(value))
+        if self._video is not None:
+            self._video.on_event(event)
 
     def close(self) -> None:
         """Finish replay and video, also after an interruption."""
         self._world.observe(None)
         self._recording.recorder.write(self._folder.path)
-        if self._film is not None:
-            self._film.close()
+        if self._video is not None:
+            self._video.close()
 
-    def draw(self, report: Report, outcome: Outcome) -> None:
-        """Compose ``overview.png``."""
-        done = "done" if report.success else "not done"
-        counts = f"{report.metrics['n_placed']} of {len(report.objects)} objects in place"
-        times = (
-            f"{report.timings['total']:.0f} s wall, {report.metrics['simulated_seconds']:.0f} s robot time"
-        )
-        pictures = Pictures(
-            title=f"{self._task.capitalize()}: {counts}",
-            subtitle=f"{done} · seed {report.seed} · {times}",
+    def write_overview(self, report: Report, result: TaskResult) -> None:
+        """Write ``overview.png``."""
+        overview = Overview(
+            title=f"{self._task.capitalize()}: {report.metrics['n_placed']} of {len(report.objects)} "
+            "objects in place",
+            subtitle=subtitle_of(report),
             before=self._before,
             after=self._world.overview_image(),
             after_close=self._world.overview_image(camera=CLOSE_CAMERA[self._task]),
-            frames=outcome.frames,
-            detections=outcome.detections,
-            objects=outcome.objects,
-            plan=outcome.plan,
+            frames=result.frames,
+            detections=result.detections,
+            objects=result.objects,
+            plan=result.plan,
             reports=report.objects,
         )
-        write_overview(self._folder.path / "overview.png", pictures)
+        write_overview(self._folder.path / "overview.png", overview)
 
     def _write_progress(self, reason: str) -> None:
         timings = self.timings | {"total": time.perf_counter() - self._begin}
@@ -142,13 +162,20 @@ class Storage(Watcher):
 
     def _sample(self, world: World) -> None:
         self._recording.sample()
-        self._gate.passed()
-        if self._film is not None:
-            self._film.sample()
+        self._control.wait_if_paused()
+        if self._video is not None:
+            self._video.sample()
+
+
+def subtitle_of(report: Report) -> str:
+    """Return verdict, seed, and the wall and simulated time of the episode."""
+    verdict = "done" if report.success else "not done"
+    wall, simulated = report.timings["total"], report.metrics["simulated_seconds"]
+    return f"{verdict} · seed {report.seed} · {wall:.0f} s wall, {simulated:.0f} s robot time"
 
 
 def plan_as_json(plan: TaskPlan) -> dict[str, Any]:
-    """``plan.json``: placements in the order of execution, in metres and radians."""
+    """Return the content of ``plan.json``: placements in order of execution, in metres and radians."""
     return {
         "task": plan.task,
         "placements": [

@@ -14,6 +14,7 @@ from app.runs.report import Report
 from app.runs.run_folder import RunFolder
 from app.screen import Screen
 from app.task.cell import build_world
+from app.task.restricted_robot import restricted
 from manipulation.kinematics import Kinematics
 from manipulation.viewpoints import SCAN_VIEWS, look
 from perception.io.scan_folder import write_scan
@@ -24,38 +25,38 @@ if TYPE_CHECKING:
 
 
 @contextmanager
-def _filmed(options: ScanOptions, folder: RunFolder, world: World) -> Iterator[Callable[[RgbdFrame], None]]:
-    """Films the motion where asked for; gives whom to tell of each image."""
+def _video(options: ScanOptions, folder: RunFolder, world: World) -> Iterator[Callable[[RgbdFrame], None]]:
+    """Record a video if requested; yield the callback for each image of the wrist camera."""
     if not options.video:
         yield lambda frame: None
         return
-    from app.task.video import Film
+    from app.task.video import RunVideo
 
-    film = Film(folder.path / "video.mp4", "Scan", world)
-    film.begin("scan")
-    world.observe(lambda _: film.sample())
+    video = RunVideo(folder.path / "video.mp4", "Scan", world)
+    video.begin_stage("scan")
+    world.observe(lambda _: video.sample())
     try:
-        yield film.looked
+        yield video.on_image
     finally:
         world.observe(None)
-        film.close()
+        video.close()
 
 
 def run(options: ScanOptions, screen: Screen) -> Report:
-    """Take the scripted views and store them with their camera poses."""
+    """Take images at the scripted viewpoints and store them with their camera poses."""
     folder = RunFolder.create(options, "scan")
     begin = time.perf_counter()
     with screen.stage("Building the cell"):
         world = build_world(options, "pack")
     with world:
         started = time.perf_counter()
-        with screen.stage("Looking at the table"), _filmed(options, folder, world) as looked:
+        with screen.stage("Scanning the table"), _video(options, folder, world) as on_image:
             frames = look(
-                world,
+                restricted(world),
                 Kinematics(world.arm),
                 SCAN_VIEWS,
                 lambda done, total: screen.update(f"{done} of {total}"),
-                on_frame=looked,
+                on_frame=on_image,
             )
         seconds = time.perf_counter() - started
         write_scan(folder.scan, frames)

@@ -1,7 +1,7 @@
-"""``video.mp4``: the cell, what the wrist camera sees, and what the robot believes, side by side.
+"""``video.mp4``: the cell, the image of the wrist camera and the object map, side by side.
 
-Rendering in software is what a film costs, so little is rendered: few images a second, without multisampling,
-the wrist camera in every other one and without shadows, and nothing while nothing moves.
+Software rendering dominates the cost: few images per second are rendered, without multisampling, the wrist
+camera in every other one and without shadows, and none while nothing moves.
 """
 
 from __future__ import annotations
@@ -9,7 +9,6 @@ from __future__ import annotations
 from collections.abc import Sequence
 from dataclasses import replace
 from pathlib import Path
-from typing import Any
 
 import cv2
 import numpy as np
@@ -18,22 +17,23 @@ from PIL import Image, ImageDraw
 
 from app.drawing import draw_detections, draw_estimates, font
 from app.movie import MovieFile, Picture
-from app.task.pipeline import Watcher
+from app.task.pipeline import RunObserver, Stage
 from manipulation.execution import TaskEvent
 from manipulation.types import Box, TaskPlan
+from perception.pipeline import Detections
 from perception.types import CameraIntrinsics, ObjectEstimate, RgbdFrame
 from sim_assets.cell.world import World
 from sim_assets.rendering.camera import look_at
 
 FPS = 12
-SPEED = 5.0  # simulated seconds per second of film
+SPEED = 5.0  # simulated seconds per second of video
 SCENE = (720, 540)  # [px]
-SIDE = (360, 270)  # of the two pictures beside it
-FOOTER = 76  # together a height that the encoder need not change
-WRIST = (320, 240)  # as rendered
-SHOW = 1.5  # [s] for which a stage's result stands still
-END = 2.0  # [s] for which the end does
-STAGES = {
+SIDE = (360, 270)  # [px] of each of the two images beside it
+FOOTER = 76  # [px]; with SCENE a height that the encoder accepts unchanged
+WRIST = (320, 240)  # [px] as rendered
+SHOW = 1.5  # [s] that the result of a stage is shown
+END = 2.0  # [s] that the last image is shown
+STAGES: dict[Stage, str] = {
     "scan": "Scan",
     "detect": "Detect",
     "reconstruct": "Reconstruct",
@@ -41,13 +41,13 @@ STAGES = {
     "execute": "Execute",
     "verify": "Verify",
 }
-Sides = list[tuple[np.ndarray, float]]  # polygons in pixels, and how bright they are
-STILL = 1e-3  # [rad], [m]: what moved less is not drawn again
+Sides = list[tuple[np.ndarray, float]]  # polygons in pixels and their brightness
+STILL = 1e-3  # [rad], [m]: smaller motion is not rendered
 _BACKGROUND, _TEXT, _FAINT, _ACCENT = (24, 26, 30), (235, 235, 235), (120, 124, 132), (86, 180, 233)
 
 
-class Film(Watcher):
-    """Films a run in the simulated cell; ``sample`` is to be called RATE times a simulated second or more."""
+class RunVideo(RunObserver):
+    """Video of a run in the simulated cell; call ``sample`` at least RATE times per simulated second."""
 
     def __init__(self, path: Path, title: str, world: World) -> None:
         super().__init__()
@@ -55,17 +55,18 @@ class Film(Watcher):
         self._movie = MovieFile(path, FPS)
         self._title, self._stage, self._detail = title, "", ""
         self._next = world.time
-        self._shown: np.ndarray | None = None  # joints and gripper width as drawn last
+        self._shown: np.ndarray | None = None  # joints and gripper width of the last image
         self._count = 0
         self._scene = np.full((SCENE[1], SCENE[0], 3), _BACKGROUND, np.uint8)
         self._wrist = np.full((SIDE[1], SIDE[0], 3), _BACKGROUND, np.uint8)
-        self._believed: dict[int, ObjectEstimate] = {}
-        self._belief = _belief_picture((), None)
+        self._objects: dict[int, ObjectEstimate] = {}
+        self._map_image = _draw_map((), None)
         self._frames: Sequence[RgbdFrame] = ()
         self._plan: TaskPlan | None = None
+        self._T_world_stand_rest = np.eye(4)  # of the object that is carried
 
     def sample(self) -> None:
-        """A moment of the simulation: an image of it, where one is due."""
+        """Append an image if one is due."""
         if self._world.time < self._next:
             return
         self._next += SPEED / FPS
@@ -79,59 +80,61 @@ class Film(Watcher):
         self._movie.add(self._compose())
 
     @property
-    def belief(self) -> Picture:
-        """What the robot believes, as drawn."""
-        return self._belief
+    def map_image(self) -> Picture:
+        """Image of the object map."""
+        return self._map_image
 
-    def begin(self, stage: str) -> None:
-        """What the footer says from now on."""
+    def begin_stage(self, stage: Stage) -> None:
+        """Highlight a stage in the footer."""
         self._stage, self._detail = stage, ""
 
-    def event(self, event: TaskEvent) -> None:
+    def on_event(self, event: TaskEvent) -> None:
         self._detail = f"{event.phase} {event.name}".replace("_", " ")
         if event.phase == "placed" and self._plan is not None:
             self._put(event.name)
         if event.plan is not None:
-            self._resting = event.plan.T_world_stand_rest
+            self._T_world_stand_rest = event.plan.T_world_stand_rest
 
-    def looked(self, frame: RgbdFrame) -> None:
-        """The wrist camera's own picture is there already."""
+    def on_image(self, frame: RgbdFrame) -> None:
+        """Show the image of the wrist camera."""
         self._wrist = np.asarray(frame.rgb)
 
-    def made(self, name: str, value: Any) -> None:
-        if name == "frames":
-            self._frames = value
-        elif name == "detections":
-            self._hold(draw_detections(self._frames[0], value.per_frame[0]))
-        elif name == "objects":
-            self._believed = {estimate.id: estimate for estimate in value}
-            self._belief = _belief_picture(value, None)
-            self._hold(draw_estimates(self._frames[0], value))
-        elif name == "plan":
-            self._plan = value
-            self._belief = _belief_picture(tuple(self._believed.values()), value)
+    def on_frames(self, frames: Sequence[RgbdFrame]) -> None:
+        self._frames = frames
+
+    def on_detections(self, detections: Detections) -> None:
+        self._hold(draw_detections(self._frames[0], detections.per_frame[0]))
+
+    def on_objects(self, objects: Sequence[ObjectEstimate]) -> None:
+        self._objects = {estimate.id: estimate for estimate in objects}
+        self._map_image = _draw_map(objects, None)
+        self._hold(draw_estimates(self._frames[0], objects))
+
+    def on_plan(self, plan: TaskPlan) -> None:
+        self._plan = plan
+        self._map_image = _draw_map(tuple(self._objects.values()), plan)
 
     def close(self) -> None:
-        """Finish the film."""
+        """Finish the file."""
         self._movie.add(self._compose())
         self._movie.hold(END)
         self._movie.close()
 
     def discard(self) -> None:
-        """Give it up."""
+        """Discard the file."""
         self._movie.discard()
 
     def _put(self, name: str) -> None:
-        """The robot believes that an object is where it was to be put."""
+        """Move an object of the map to its resting pose."""
         assert self._plan is not None
         item = self._plan.objects[name]
-        estimate = self._believed[item.id]
-        T = self._resting @ np.linalg.inv(item.T_world_stand) @ estimate.T_world_object
-        self._believed[item.id] = replace(estimate, T_world_object=T)
-        self._belief = _belief_picture(tuple(self._believed.values()), self._plan)
+        estimate = self._objects[item.id]
+        T = self._T_world_stand_rest @ np.linalg.inv(item.T_world_stand) @ estimate.T_world_object
+        self._objects[item.id] = replace(estimate, T_world_object=T)
+        self._map_image = _draw_map(tuple(self._objects.values()), self._plan)
 
     def _hold(self, wrist: Picture) -> None:
-        """A stage's result over the wrist camera's picture, for a while."""
+        """Show the result of a stage in place of the wrist camera's image for a while."""
         before, self._wrist = self._wrist, wrist
         self._movie.add(self._compose())
         self._movie.hold(SHOW)
@@ -142,7 +145,7 @@ class Film(Watcher):
         canvas = np.full((height + FOOTER, width + side, 3), _BACKGROUND, np.uint8)
         canvas[:height, :width] = self._scene
         canvas[:half, width:] = cv2.resize(self._wrist, SIDE, interpolation=cv2.INTER_AREA)
-        canvas[half : 2 * half, width:] = self._belief
+        canvas[half : 2 * half, width:] = self._map_image
         image = Image.fromarray(canvas)
         pen = ImageDraw.Draw(image)
         pen.text(
@@ -154,7 +157,7 @@ class Film(Watcher):
             stroke_fill=_BACKGROUND,
         )
         pen.text(
-            (width + 10, half + 8), "what it believes", fill=_TEXT, font=font(14), stroke_width=2,
+            (width + 10, half + 8), "object map", fill=_TEXT, font=font(14), stroke_width=2,
             stroke_fill=_BACKGROUND,
         )  # fmt: skip
         pen.text((20, height + 20), self._title, fill=_TEXT, font=font(24, bold=True))
@@ -169,8 +172,8 @@ class Film(Watcher):
         return np.asarray(image)
 
 
-def _belief_camera() -> RgbdFrame:
-    """An empty picture from outside, over the table."""
+def _map_camera() -> RgbdFrame:
+    """Return an empty image of a fixed camera above the table."""
     width, height = SIDE
     lens = CameraIntrinsics(width, height, 1.2 * width, 1.2 * width, (width - 1) / 2, (height - 1) / 2)
     fade = np.linspace(58, 30, height)[:, None, None] * np.array([0.95, 1.0, 1.1])
@@ -179,9 +182,9 @@ def _belief_camera() -> RgbdFrame:
     return RgbdFrame(0.0, rgb, np.zeros((height, width), np.float32), lens, pose)
 
 
-def _belief_picture(objects: Sequence[ObjectEstimate], plan: TaskPlan | None) -> Picture:
-    """The object map as the robot has it: the table, the box or line of its plan, and every whole shape."""
-    frame = _belief_camera()
+def _draw_map(objects: Sequence[ObjectEstimate], plan: TaskPlan | None) -> Picture:
+    """Draw the object map: table, the plan's box or line, and all reconstructed shapes."""
+    frame = _map_camera()
     canvas = frame.rgb.copy()
     table = np.array([(0.12, -0.58, 0), (0.80, -0.58, 0), (0.80, 0.58, 0), (0.12, 0.58, 0)], dtype=np.float64)
     cv2.fillConvexPoly(canvas, _pixels(frame, table), (92, 80, 70), cv2.LINE_AA)
@@ -199,7 +202,7 @@ def _belief_picture(objects: Sequence[ObjectEstimate], plan: TaskPlan | None) ->
 
 
 def _walls(frame: RgbdFrame, box: Box) -> tuple[Sides, Sides]:
-    """Floor and walls of the box that are seen from inside, and those seen from outside."""
+    """Return floor and walls of the box whose inside is visible, and walls whose outside is."""
     assert frame.T_world_camera is not None
     (x, y), (length, width, depth) = box.center, box.size
     corners = np.array([(-1, -1), (1, -1), (1, 1), (-1, 1)]) * (length / 2, width / 2) + (x, y)
@@ -214,7 +217,7 @@ def _walls(frame: RgbdFrame, box: Box) -> tuple[Sides, Sides]:
 
 
 def _pixels(frame: RgbdFrame, points: Float[np.ndarray, "n 3"]) -> np.ndarray:
-    """Pixel coordinates of world points before the camera, whole numbers."""
+    """Return integer pixel coordinates of world points in front of the camera."""
     assert frame.T_world_camera is not None
     local = (points - frame.T_world_camera[:3, 3]) @ frame.T_world_camera[:3, :3]
     lens = frame.intrinsics

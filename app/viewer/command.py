@@ -14,7 +14,7 @@ from app.options import RunTaskOptions, ViewOptions
 from app.runs.replay import Recorder
 from app.runs.report import Report
 from app.screen import Screen
-from app.task.run_control import Gate
+from app.task.run_control import RunControl
 from app.viewer.load import Run, load_run
 from app.viewer.server import open_server
 from app.viewer.viewer import Viewer
@@ -45,13 +45,13 @@ def run(options: ViewOptions, screen: Screen) -> Report:
 
 
 @contextmanager
-def watch(options: RunTaskOptions, recorder: Recorder, gate: Gate, screen: Screen) -> Iterator[None]:
+def watch(options: RunTaskOptions, recorder: Recorder, control: RunControl, screen: Screen) -> Iterator[None]:
     """Let the browser watch a run; when it is over the view ends with it."""
     from app.viewer.live import RunButtons
 
     viewer = Viewer(open_server(options.host, options.port), recorder, live=True)
     with viewer.server.gui.add_folder("Robot", order=1):
-        RunButtons(viewer.server.gui, lambda: gate).show(running=True)
+        RunButtons(viewer.server.gui, lambda: control).show(running=True)
     viewer.player.give_way(True)
     viewer.title(f"{type(options).__name__.removesuffix('Options')}, seed {options.seed}", "happening now")
     viewer.start()

@@ -18,8 +18,9 @@ from app.runs.report import Report
 from app.screen import Screen
 from app.task.cell import MAX_OBJECTS, build_world, parse_objects
 from app.task.recording import CellRecorder
-from app.task.run import run_in
-from app.task.run_control import Gate, Stopped
+from app.task.run import run_and_store
+from app.task.run_control import RunControl, RunStopped
+from app.task.run_writer import RunSession
 from app.viewer.panel import chosen
 from app.viewer.viewer import Viewer
 from perception.pipeline import Perception, load_perception
@@ -30,32 +31,32 @@ MAX_SEED = 2**31 - 1
 
 
 class RunButtons:
-    """Pause, Step and Stop of the run that a gate holds."""
+    """Pause, Step and Stop of a run."""
 
-    def __init__(self, gui: viser.GuiApi, gate: Callable[[], Gate]) -> None:
-        self._gate = gate
+    def __init__(self, gui: viser.GuiApi, control: Callable[[], RunControl]) -> None:
+        self._control = control
         self._pause = gui.add_button("Pause the robot", icon=viser.Icon.HAND_STOP)
         self._step = gui.add_button("Step", icon=viser.Icon.PLAYER_TRACK_NEXT, hint="On to the next action")
         self._stop = gui.add_button("Stop", icon=viser.Icon.PLAYER_STOP, color="red")
 
         @self._pause.on_click
         def _(_: viser.GuiEvent) -> None:
-            gate().resume() if gate().paused else gate().pause()
+            control().resume() if control().paused else control().pause()
             self.show(running=True)
 
         @self._step.on_click
         def _(_: viser.GuiEvent) -> None:
-            gate().step()
+            control().step()
 
         @self._stop.on_click
         def _(_: viser.GuiEvent) -> None:
-            gate().stop()
+            control().stop()
 
     def show(self, running: bool) -> None:
         """Let the buttons say what they do."""
         for button in (self._pause, self._step, self._stop):
             button.disabled = not running
-        self._pause.label = "Let the robot go on" if running and self._gate().paused else "Pause the robot"
+        self._pause.label = "Let the robot go on" if running and self._control().paused else "Pause the robot"
 
 
 class Session:
@@ -64,7 +65,7 @@ class Session:
     def __init__(self, options: ViewOptions, viewer: Viewer, screen: Screen) -> None:
         self._options, self._viewer, self._screen = options, viewer, screen
         self._commands: queue.Queue[Command] = queue.Queue()
-        self._gate = Gate()
+        self._control = RunControl()
         self._perception: Perception | None = None
         self._world: World | None = None
         self._shown: RunTaskOptions | None = None  # what the scene was made from
@@ -76,7 +77,7 @@ class Session:
             self._seed = gui.add_number("Seed", options.seed, min=0, max=MAX_SEED, step=1)
             self._new = gui.add_button("New scene", icon=viser.Icon.REFRESH)
             self._run = gui.add_button("Run", icon=viser.Icon.ROBOT, color="green")
-            self._buttons = RunButtons(gui, lambda: self._gate)
+            self._buttons = RunButtons(gui, lambda: self._control)
         self._new.on_click(lambda _: self._commands.put("new scene"))
         self._run.on_click(lambda _: self._commands.put("run"))
 
@@ -129,7 +130,7 @@ class Session:
         if not self._fresh or self._shown != self._chosen(seed):
             self._new_scene(seed)
         assert self._world is not None and self._shown is not None
-        self._gate, self._fresh = Gate(), False
+        self._control, self._fresh = RunControl(), False
         self._buttons.show(running=True)
         self._viewer.player.give_way(True)
         title = f"{self._task_chosen.capitalize()}, seed {seed}"
@@ -137,11 +138,10 @@ class Session:
         try:
             if self._perception is None:
                 self._perception = load_perception(self._options.device)
-            report = run_in(
-                self._world, self._shown, self._perception, self._recording, self._screen, self._gate
-            )
+            session = RunSession(self._world, self._recording, self._control, self._screen)
+            report = run_and_store(self._shown, self._perception, session)
             show_result(self._viewer, report)
-        except Stopped:
+        except RunStopped:
             self._viewer.title(title, "stopped; what was finished is kept")
         finally:
             self._viewer.player.give_way(False)

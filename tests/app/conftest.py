@@ -1,4 +1,4 @@
-"""Objects as a perfect shape prior would reconstruct them."""
+"""Object estimates without noise, and an image to draw them into."""
 
 from __future__ import annotations
 
@@ -7,9 +7,10 @@ from functools import cache
 
 import numpy as np
 import pytest
+import trimesh
 
 from perception.inference.meshing import mesh_from_grid
-from perception.types import Category, ObjectEstimate, TriangleMesh
+from perception.types import CameraIntrinsics, Category, ObjectEstimate, RgbdFrame, TriangleMesh
 from sim_assets.objects import canonical_scale, occupancy_grid, sample_object
 
 
@@ -35,5 +36,29 @@ def standing() -> Callable[..., ObjectEstimate]:
         T = np.eye(4)
         T[:3, 3] = (*at, -mesh.vertices[:, 2].min())
         return ObjectEstimate(number, category, np.zeros(16), T, np.full(3, 0.1), mesh)
+
+    return estimate
+
+
+@pytest.fixture
+def overhead_frame() -> RgbdFrame:
+    """A grey image from 0.55 m above (0.4, -0.2), image x along world x."""
+    T = np.diag([1.0, -1.0, -1.0, 1.0])
+    T[:3, 3] = (0.4, -0.2, 0.55)
+    rgb, depth = np.full((120, 160, 3), 100, np.uint8), np.full((120, 160), 0.55, np.float32)
+    return RgbdFrame(0.0, rgb, depth, CameraIntrinsics(160, 120, 150.0, 150.0, 79.5, 59.5), T)
+
+
+@pytest.fixture
+def can_at() -> Callable[..., ObjectEstimate]:
+    """Cylinders of radius 35 mm and height 0.1 m that stand at (x, -0.2)."""
+
+    def estimate(id: int = 0, x: float = 0.4) -> ObjectEstimate:
+        mesh = trimesh.creation.cylinder(radius=0.035, height=0.1, sections=24)
+        T = np.eye(4)
+        T[:3, 3] = (x, -0.2, 0.05)
+        return ObjectEstimate(
+            id, "can", np.zeros(16), T, np.full(3, 0.055), TriangleMesh(mesh.vertices, mesh.faces)
+        )
 
     return estimate

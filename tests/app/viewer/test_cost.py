@@ -18,8 +18,9 @@ from app.options import PackOptions
 from app.screen import Screen
 from app.task.cell import build_world
 from app.task.recording import CellRecorder
-from app.task.run import run_in
-from app.task.run_control import Gate
+from app.task.run import run_and_store
+from app.task.run_control import RunControl
+from app.task.run_writer import RunSession
 from app.viewer.live import RunButtons
 from app.viewer.server import open_server
 from app.viewer.viewer import Viewer
@@ -40,17 +41,17 @@ def episode(folder, watchers=()):
     options = PackOptions(objects="mug=1,can=1", seed=1, out=folder)
     with build_world(options, "pack") as world:
         recording, perception = CellRecorder(world), load_perception("cpu")
-        viewer, gate, ended = None, Gate(), threading.Event()
+        viewer, control, ended = None, RunControl(), threading.Event()
         if watchers:
             viewer = Viewer(open_server(port=0), recording.recorder, live=True)
-            RunButtons(viewer.server.gui, lambda: gate).show(running=True)
+            RunButtons(viewer.server.gui, lambda: control).show(running=True)
             viewer.player.give_way(True)
             viewer.start()
         threads = [threading.Thread(target=lambda w=w: asyncio.run(w(viewer, ended))) for w in watchers]
         for thread in threads:
             thread.start()
         begin, begin_cpu = time.perf_counter(), time.process_time()
-        run_in(world, options, perception, recording, Screen(quiet=True), gate)
+        run_and_store(options, perception, RunSession(world, recording, control, Screen(quiet=True)))
         times = time.perf_counter() - begin, time.process_time() - begin_cpu
         ended.set()
         for thread in threads:

@@ -35,15 +35,20 @@ class PretendedRecording:
         self.recorder.sample(0.0, np.zeros(7), 0.0, np.array([[0.4, 0, 0.3, 1, 0, 0, 0.0]]))
 
 
-def pretended_run(world, options, perception, recording, screen, gate):
-    recorder = recording.recorder
+class PretendedSession:
+    def __init__(self, world, recording, control, screen):
+        self.recording, self.control = recording, control
+
+
+def pretended_run(options, perception, session):
+    recorder, control = session.recording.recorder, session.control
     for stage in ("scan", "execute"):
         recorder.note("stage", name=stage)
-        gate.mark()
+        control.enter_step()
         for moment in range(150):
             pose = np.array([[0.4, 0.001 * moment, 0.3, 1, 0, 0, 0.0]])
             recorder.sample(recorder.times[-1] + 0.03, np.zeros(7), 0.0, pose)
-            gate.passed()
+            control.wait_if_paused()
             time.sleep(0.01)
         recorder.note("done", name=stage, seconds=1.5)
     return Report(options_name(options), options.seed, success=True, reason="all pretended")
@@ -63,7 +68,8 @@ def session(monkeypatch):
     )
     monkeypatch.setattr(app.viewer.live, "CellRecorder", PretendedRecording)
     monkeypatch.setattr(app.viewer.live, "load_perception", lambda device: None)
-    monkeypatch.setattr(app.viewer.live, "run_in", pretended_run)
+    monkeypatch.setattr(app.viewer.live, "RunSession", PretendedSession)
+    monkeypatch.setattr(app.viewer.live, "run_and_store", pretended_run)
     viewer = Viewer(open_server(port=0), live=True)
     session = Session(ViewOptions(objects="2", seed=5), viewer, Screen(quiet=True))
     viewer.start()
@@ -80,21 +86,21 @@ def test_new_scene_run_pause_step_and_stop(session, open_page, until):
     until(lambda: session.built == [("pack", 5), ("pack", 6)])  # the seed goes on where nobody changed it
     button("Run").click()
     page.page.get_by_text("the robot is at work").wait_for()
-    gate = session.session._gate
+    control = session.session._control
     times = []
     for _ in range(3):  # while everything moves
         times.append(page.page.evaluate(CLICK, PAUSE))
-        assert gate.paused
+        assert control.paused
         times.append(page.page.evaluate(CLICK, PAUSE[::-1]))
-        assert not gate.paused
+        assert not control.paused
     assert statistics.median(times) < 300  # [ms]
-    gate.pause()
+    control.pause()
     button("Step").click()
-    until(lambda: gate.paused or session.viewer.player.story.recorder.notes[-1].kind == "done")
-    gate.resume()
+    until(lambda: control.paused or session.viewer.player.story.recorder.notes[-1].kind == "done")
+    control.resume()
     page.page.get_by_text("all pretended").wait_for()  # to its end
     button("Run").click()  # the same scene again, made anew
-    until(lambda: len(session.built) == 3 and session.session._gate is not gate)
+    until(lambda: len(session.built) == 3 and session.session._control is not control)
     button("Stop").click()
     page.page.get_by_text("stopped; what was finished is kept").wait_for()
     assert session.built[-1] == ("pack", 6)

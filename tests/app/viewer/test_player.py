@@ -1,10 +1,8 @@
 import sys
 import threading
-import time
 
 import pytest
 
-from app.task.run_control import Gate, Stopped
 from app.viewer.player import (
     HAND_OVER,
     HEAD_START,
@@ -102,38 +100,3 @@ def test_a_player_that_cannot_afford_to_draw_waits(recording, monkeypatch):
     assert asked.wait(5)
     player.close()
     assert not drawn and sys.getswitchinterval() == pytest.approx(USUAL_HAND_OVER)
-
-
-def test_a_run_waits_at_the_gate_steps_and_stops():
-    gate, passed = Gate(), []
-
-    def run():
-        try:
-            for moment in range(1000):
-                gate.mark() if moment % 10 == 0 else gate.passed()
-                passed.append(moment)
-                time.sleep(0.001)
-        except Stopped:
-            passed.append("stopped")
-
-    gate.pause()
-    thread = threading.Thread(target=run)
-    thread.start()
-    time.sleep(0.05)
-    assert passed == [] and gate.paused
-    gate.step()
-    _until(lambda: (gate.paused and len(passed) == 0) or len(passed) == 10)
-    gate.step()
-    _until(lambda: len(passed) % 10 == 0 and len(passed) > 0 and gate.paused)
-    gate.resume()
-    _until(lambda: len(passed) > 30)
-    gate.stop()
-    thread.join(5)
-    assert passed[-1] == "stopped" and gate.held > 0.04
-
-
-def _until(condition):
-    end = time.monotonic() + 5
-    while not condition():
-        assert time.monotonic() < end
-        time.sleep(0.002)

@@ -1,0 +1,41 @@
+"""Restricts a robot to its planning interface, so that ground truth is out of reach by construction."""
+
+from __future__ import annotations
+
+import numpy as np
+from jaxtyping import Float
+
+from manipulation.robot import ArmDescription, JointTrajectory, Robot
+from perception.types import RgbdFrame
+
+
+def restricted(robot: Robot) -> Robot:
+    """Return an object with exactly the members of ``Robot``, each forwarded to ``robot``.
+
+    A simulated robot has further members: its physics state, its configuration, cameras outside the arm. The
+    returned object holds none of them, nor a reference to the robot in an attribute.
+    """
+
+    class RestrictedRobot:
+        __slots__ = ()
+
+        @property
+        def arm(self) -> ArmDescription:
+            return robot.arm
+
+        def joint_positions(self) -> Float[np.ndarray, "n"]:
+            return robot.joint_positions()
+
+        def gripper_width(self) -> float:
+            return robot.gripper_width()
+
+        def follow(self, trajectory: JointTrajectory) -> None:
+            robot.follow(trajectory)
+
+        def move_gripper(self, width: float) -> float:
+            return robot.move_gripper(width)
+
+        def capture(self) -> RgbdFrame:
+            return robot.capture()
+
+    return RestrictedRobot()
