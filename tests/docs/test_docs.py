@@ -4,9 +4,11 @@ import re
 import shlex
 import tomllib
 from pathlib import Path
+from textwrap import dedent
 
 import pytest
 
+import nodeslam
 from app.cli import parse
 from app.options import COMMANDS
 
@@ -129,3 +131,16 @@ def test_every_dependency_of_the_documentation_is_pinned():
     for requirement in project["optional-dependencies"]["docs"]:
         name = re.split(r"[<>=!]", requirement)[0]
         assert re.search(rf"^{name}==", lock, re.M), f"{name} is not in requirements.lock"
+
+
+def test_the_readme_prints_the_example_of_the_public_interface():
+    example = re.search(r"::\n\n((?: {4}.*\n|\n)+)", nodeslam.__doc__).group(1)
+    assert (
+        re.search(r"^```python\n(.*?)^```", README, re.M | re.S).group(1) == dedent(example).rstrip() + "\n"
+    )
+
+
+def test_the_reference_has_every_public_name_once():
+    page = (ROOT / "docs" / "api" / "nodeslam.md").read_text("utf-8")
+    described = re.findall(r"^\.\. auto\w+:: nodeslam\.(\w+)$", page, re.M)
+    assert sorted(described) == sorted(set(nodeslam.__all__) - {"__version__"})
