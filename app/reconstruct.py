@@ -48,7 +48,7 @@ def run(options: ReconstructOptions, screen: Screen) -> Report:
     started = time.perf_counter()
     with screen.stage("Reconstructing whole shapes"):
         objects = reconstruct_objects(
-            scan.frames, detections, decoder, lambda done, total, what: screen.update(f"{done} of {total}")
+            scan.frames, detections, decoder, lambda done, total, item="": screen.update(f"{done} of {total}")
         )
     timings["reconstruct"] = time.perf_counter() - started
     write_scan(folder.scan, scan.frames, detections.per_frame)

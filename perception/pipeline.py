@@ -1,4 +1,12 @@
-"""From frames to objects: detect, associate, reconstruct. Perception alone; no simulator, no robot."""
+"""From RGB-D frames to object estimates, stage by stage: load the networks, detect, reconstruct.
+
+    perception = load_perception("auto")
+    detections = detect(frames, perception.detector)
+    objects = reconstruct_objects(frames, detections, perception.decoder)
+
+``scans`` and ``single_image`` run these stages in one call. All poses and the support plane are in the world
+frame.
+"""
 
 from __future__ import annotations
 
@@ -6,7 +14,7 @@ import os
 from collections.abc import Callable, Sequence
 from concurrent.futures import ThreadPoolExecutor
 from dataclasses import dataclass
-from typing import TYPE_CHECKING, Literal
+from typing import TYPE_CHECKING, Literal, Protocol, runtime_checkable
 
 from perception.detection.association import associate
 from perception.detection.detector import Detector
@@ -19,14 +27,31 @@ from perception.types import ObjectDetection, ObjectEstimate, RgbdFrame, Support
 if TYPE_CHECKING:
     from perception.detection.huggingface import HuggingFaceDetector
 
-Device = Literal["auto", "cpu", "cuda"]
-SHIPPED = "shipped"  # the detector that comes along
-Progress = Callable[..., None]  # (done, total, and perhaps what)
+Device = Literal["auto", "cpu", "cuda"]  # the command line's copy is app.options.Device
+SHIPPED = "shipped"  # name of the shipped detector
+FrameDetector = Callable[[RgbdFrame, SupportPlane], Sequence[ObjectDetection]]
+
+
+@runtime_checkable
+class Progress(Protocol):
+    """Callback for the progress of a stage."""
+
+    def __call__(self, done: int, total: int, item: str = "", /) -> None:
+        """Receive the numbers of finished and of all items, and the name of the item finished last."""
+
+
+def no_progress(done: int, total: int, item: str = "", /) -> None:
+    """Ignore the progress."""
 
 
 @dataclass(frozen=True)
 class Perception:
-    """The networks that perception runs on."""
+    """The networks of the pipeline.
+
+    Attributes:
+        detector: Finds and classifies objects in single frames.
+        decoder: Shape prior: decodes shape codes to occupancy grids.
+    """
 
     detector: Detector
     decoder: ShapeDecoder
@@ -34,11 +59,11 @@ class Perception:
 
 @dataclass(frozen=True)
 class Detections:
-    """What the frames show.
+    """Detections in all frames, associated across them.
 
     Attributes:
-        plane: what the objects stand on, in the world frame.
-        per_frame: for each frame its detections; one object has one ``instance_id`` in all of them.
+        plane: Support plane in the world frame.
+        per_frame: Detections of each frame; detections of one object share their ``instance_id``.
     """
 
     plane: SupportPlane
@@ -46,14 +71,15 @@ class Detections:
 
     @property
     def n_objects(self) -> int:
+        """Number of distinct objects."""
         return len({found.instance_id for frame in self.per_frame for found in frame})
 
 
 def resolve_device(device: Device) -> str:
-    """``auto`` resolved; asking for CUDA where there is none is refused.
+    """Return the torch device: ``auto`` is CUDA where it is available, else the CPU.
 
     Raises:
-        InvalidInputError: no CUDA device.
+        InvalidInputError: ``cuda`` was requested but is not available.
     """
     import torch
 
@@ -63,24 +89,35 @@ def resolve_device(device: Device) -> str:
 
 
 def load_perception(device: Device) -> Perception:
-    """The shipped networks.
+    """Load the shipped networks.
 
     Raises:
-        PerceptionError: weights are missing or damaged.
+        InvalidInputError: ``cuda`` was requested but is not available.
+        PerceptionError: Weights are missing, damaged or differ from their checksums.
     """
     return Perception(load_detector(device), load_decoder(device))
 
 
 def load_detector(device: Device) -> Detector:
+    """Load the shipped detector; raises as ``load_perception``."""
     return Detector.load(resolve_device(device))
 
 
+def load_decoder(device: Device) -> ShapeDecoder:
+    """Load the decoder of the shipped shape prior; raises as ``load_perception``."""
+    return ShapeDecoder.load(device=resolve_device(device))
+
+
 def load_huggingface(detector: str, device: Device) -> HuggingFaceDetector:
-    """The detector of ``hf:MODEL``.
+    """Load a Hugging Face instance-segmentation model as the detector.
+
+    Args:
+        detector: ``hf:MODEL``, MODEL being a name on the hub or a local folder.
+        device: Where the model runs.
 
     Raises:
-        InvalidInputError: it is not of that form.
-        PerceptionError: its weights can't be had.
+        InvalidInputError: ``detector`` is not of that form.
+        PerceptionError: The model cannot be loaded or has none of the classes.
     """
     kind, _, name = detector.partition(":")
     if kind != "hf" or not name:
@@ -90,20 +127,25 @@ def load_huggingface(detector: str, device: Device) -> HuggingFaceDetector:
     return HuggingFaceDetector.load(name, resolve_device(device))
 
 
-def load_decoder(device: Device) -> ShapeDecoder:
-    return ShapeDecoder.load(device=resolve_device(device))
-
-
 def detect(
     frames: Sequence[RgbdFrame],
-    detector: Detector,
-    progress: Progress = lambda *_: None,
+    detector: FrameDetector,
+    progress: Progress = no_progress,
     workers: int | None = None,
     plane: SupportPlane | None = None,
 ) -> Detections:
-    """Find the support plane, if it isn't given, and the objects in every frame, and tie them together.
+    """Detect the objects in every frame and associate them across the frames.
 
-    ``workers`` frames are looked at at a time, by default one on each core.
+    Args:
+        frames: Views with camera poses; a single frame may lack its pose, its camera is then the world.
+        detector: Finds the objects in one frame, given the plane: a ``Detector`` or any other callable.
+        progress: Called after each frame.
+        workers: Number of frames processed in parallel; the number of cores if None.
+        plane: Support plane in the world frame; fitted to the depth of all frames if None.
+
+    Raises:
+        InvalidInputError: There is no frame, or one of several frames has no pose.
+        PerceptionError: No support plane is visible.
     """
     plane = plane or fit_support_plane(frames)
     found = []
@@ -118,10 +160,18 @@ def reconstruct_objects(
     frames: Sequence[RgbdFrame],
     detections: Detections,
     decoder: ShapeDecoder,
-    progress: Progress = lambda *_: None,
+    progress: Progress = no_progress,
     on_step: OnFitStep | None = None,
 ) -> list[ObjectEstimate]:
-    """Whole shapes and poses of the detected objects."""
+    """Estimate the complete shape and the pose of every detected object, ordered by id.
+
+    Args:
+        frames: Views with camera poses.
+        detections: Associated detections of the same frames.
+        decoder: Shape prior.
+        progress: Called after each object with its name.
+        on_step: Called after each Levenberg-Marquardt step with object id, class and step.
+    """
     return reconstruct(
         frames, detections.per_frame, decoder, detections.plane, progress=progress, on_step=on_step
     )

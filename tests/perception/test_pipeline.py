@@ -1,0 +1,126 @@
+"""The stages with stubs for the networks: plane, order, progress, devices."""
+
+from typing import get_args
+
+import numpy as np
+import pytest
+import torch
+
+from app import options
+from perception import pipeline
+from perception.detection.detector import Detector
+from perception.errors import InvalidInputError
+from perception.pipeline import (
+    Detections,
+    detect,
+    load_huggingface,
+    load_perception,
+    reconstruct_objects,
+    resolve_device,
+)
+from perception.shape.decoder import ShapeDecoder
+from perception.types import ObjectDetection, SupportPlane
+
+TARGET = (0.45, -0.2, 0.03)
+
+
+@pytest.fixture(scope="module")
+def scan(scenes):
+    """Three posed views of two cylinders."""
+    solids = [scenes.Solid(0.42, -0.25, 0.10, radius=0.035), scenes.Solid(0.50, -0.15, 0.06, radius=0.03)]
+    return [scenes.render(solids, scenes.orbit(TARGET, 0.5, 55, a)) for a in (0, 120, 240)]
+
+
+class TruthDetector:
+    """Returns the true masks of whichever frame it gets, the second object first."""
+
+    def __init__(self, scan):
+        self.scan, self.planes = scan, []
+
+    def __call__(self, frame, plane):
+        self.planes.append(plane)
+        instances = next(s.instances for s in self.scan if s.frame is frame)
+        return [ObjectDetection("can", 0.9, instances == k) for k in (1, 0)]
+
+
+def test_detections_are_associated_and_in_the_order_of_the_frames(scan):
+    calls = []
+    found = detect([s.frame for s in scan], TruthDetector(scan), lambda *a: calls.append(a), workers=3)
+    assert calls == [(1, 3), (2, 3), (3, 3)]
+    assert found.n_objects == 2 and [len(row) for row in found.per_frame] == [2, 2, 2]
+    solid_of_id = {
+        (d.instance_id, int(np.bincount(s.instances[d.mask & (s.instances >= 0)]).argmax()))
+        for s, row in zip(scan, found.per_frame)
+        for d in row
+    }
+    assert len(solid_of_id) == 2  # masks belong to their own frame: each id is one solid in all of them
+    np.testing.assert_allclose(found.plane.normal, (0, 0, 1), atol=1e-3)
+
+
+def test_a_given_plane_is_used_instead_of_a_fit(scan, monkeypatch):
+    plane, detector = SupportPlane(offset=0.001), TruthDetector(scan)
+    monkeypatch.setattr(pipeline, "fit_support_plane", None)
+    found = detect([s.frame for s in scan], detector, plane=plane)
+    assert found.plane is plane and all(used is plane for used in detector.planes)
+
+
+@pytest.fixture(scope="module")
+def networks():
+    return load_perception("cpu")
+
+
+def test_reconstruction_gets_frames_detections_plane_and_callbacks(networks, monkeypatch):
+    received = {}
+
+    def reconstruct(frames, per_frame, decoder, plane, **callbacks):
+        received.update(per_frame=per_frame, decoder=decoder, plane=plane, callbacks=callbacks)
+        return []
+
+    def progress(done, total, item=""):
+        return None
+
+    def on_step(*_):
+        return None
+
+    monkeypatch.setattr(pipeline, "reconstruct", reconstruct)
+    detections = Detections(SupportPlane(), ((),))
+    reconstruct_objects((), detections, networks.decoder, progress, on_step)
+    assert received["per_frame"] == ((),) and received["plane"] is detections.plane
+    assert received["decoder"] is networks.decoder
+    assert progress in _flat(received["callbacks"]) and on_step in _flat(received["callbacks"])
+
+
+def _flat(callbacks):
+    values = list(callbacks.values())
+    return values + [v for value in values for v in getattr(value, "__dict__", {}).values()]
+
+
+def test_perception_holds_the_shipped_detector_and_decoder(networks):
+    assert isinstance(networks.detector, Detector) and isinstance(networks.decoder, ShapeDecoder)
+    devices = {p.device.type for p in networks.detector.scene_network.parameters()}
+    assert devices == {"cpu"}
+
+
+@pytest.mark.parametrize(
+    ("device", "available", "expected"),
+    [("auto", True, "cuda"), ("auto", False, "cpu"), ("cpu", True, "cpu"), ("cuda", True, "cuda")],
+)
+def test_auto_is_cuda_where_it_is_available(monkeypatch, device, available, expected):
+    monkeypatch.setattr(torch.cuda, "is_available", lambda: available)
+    assert resolve_device(device) == expected
+
+
+def test_cuda_is_refused_where_it_is_not_available(monkeypatch):
+    monkeypatch.setattr(torch.cuda, "is_available", lambda: False)
+    with pytest.raises(InvalidInputError, match="no usable CUDA device; use --device cpu"):
+        resolve_device("cuda")
+
+
+def test_the_command_line_has_the_same_devices():
+    assert get_args(options.Device) == get_args(pipeline.Device)
+
+
+@pytest.mark.parametrize("name", ["maskrcnn", "hf:", "HF:model"])
+def test_other_detectors_are_refused(name):
+    with pytest.raises(InvalidInputError, match="neither shipped nor hf:MODEL"):
+        load_huggingface(name, "cpu")
