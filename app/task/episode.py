@@ -22,7 +22,7 @@ from sim_assets.cell.scene import BoxConfig
 from sim_assets.cell.world import World
 
 # Tolerances of the robot's own verification, reported beside the score: tilt [rad], distance to the goal [m].
-MAX_TILT, MAX_SHIFT = np.deg2rad(10), 0.03
+MAX_TILT, MAX_SHIFT = float(np.deg2rad(10)), 0.03
 NOT_SETTINGS = {"seed", "out", "quiet", "json"}
 
 
