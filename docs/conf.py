@@ -45,7 +45,7 @@ autodoc_typehints_format = "short"
 autodoc_preserve_defaults = True
 napoleon_google_docstring = True
 napoleon_numpy_docstring = False
-napoleon_use_ivar = True  # attributes documented in the class docstring are not described twice
+napoleon_custom_sections = [("Attributes", "params_style")]  # a list, as for parameters
 python_maximum_signature_line_length = 88
 suppress_warnings = ["ref.python"]  # names of dimensions in jaxtyping annotations equal those of attributes
 
