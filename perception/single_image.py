@@ -3,12 +3,13 @@
 from __future__ import annotations
 
 import numpy as np
+from numpy.typing import ArrayLike
 
 from perception.errors import InvalidInputError
 from perception.pipeline import Perception
 from perception.reconstruction import Reconstruction
 from perception.scans import reconstruct
-from perception.types import CameraIntrinsics, RgbdFrame
+from perception.types import CameraIntrinsics, RgbdFrame, check_rigid
 
 _MAX_METRES = 100.0  # median depth beyond which the unit cannot be metres
 
@@ -16,8 +17,8 @@ _MAX_METRES = 100.0  # median depth beyond which the unit cannot be metres
 def reconstruct_image(
     color: np.ndarray,
     depth: np.ndarray,
-    K: np.ndarray,
-    T_world_camera: np.ndarray | None = None,
+    K: ArrayLike,
+    T_world_camera: ArrayLike | None = None,
     perception: Perception | None = None,
 ) -> Reconstruction:
     """Reconstruct all objects in one RGB-D image: class, complete mesh, pose and uncertainty of each.
@@ -46,14 +47,14 @@ def reconstruct_image(
 
 
 def image_frame(
-    color: np.ndarray, depth: np.ndarray, K: np.ndarray, T_world_camera: np.ndarray | None = None
+    color: np.ndarray, depth: np.ndarray, K: ArrayLike, T_world_camera: ArrayLike | None = None
 ) -> RgbdFrame:
     """Return the arrays as a validated frame; shapes and units as in ``reconstruct_image``.
 
     Raises:
         InvalidInputError: an array has the wrong shape, type or unit, or holds NaN; the message names it.
     """
-    color, depth, K = np.asarray(color), np.asarray(depth), np.asarray(K)
+    color, depth = np.asarray(color), np.asarray(depth)
     if color.ndim != 3 or color.shape[2] != 3 or color.dtype != np.uint8:
         raise InvalidInputError(f"color must be (H, W, 3) uint8 RGB, got {color.shape} {color.dtype}")
     height, width = color.shape[:2]
@@ -61,7 +62,8 @@ def image_frame(
         raise InvalidInputError(
             f"depth is {depth.shape} but color is {(height, width)}: register and resize depth to color"
         )
-    return RgbdFrame(0.0, color, _metres(depth), _intrinsics(K, width, height), T_world_camera)
+    pose = None if T_world_camera is None else check_rigid(np.asarray(T_world_camera), "T_world_camera")
+    return RgbdFrame(0.0, color, _metres(depth), _intrinsics(np.asarray(K), width, height), pose)
 
 
 def _metres(depth: np.ndarray) -> np.ndarray:
