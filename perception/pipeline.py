@@ -19,7 +19,12 @@ from typing import TYPE_CHECKING, Literal, Protocol, runtime_checkable
 from perception.detection.association import associate
 from perception.detection.detector import Detector
 from perception.errors import InvalidInputError
-from perception.inference.reconstruct import OnFitStep, reconstruct, single_threaded_torch
+from perception.inference.reconstruct import (
+    OnFitStep,
+    ReconstructOptions,
+    reconstruct,
+    single_threaded_torch,
+)
 from perception.shape.decoder import ShapeDecoder
 from perception.support_plane import fit_support_plane
 from perception.types import ObjectDetection, ObjectEstimate, RgbdFrame, SupportPlane
@@ -172,6 +177,5 @@ def reconstruct_objects(
         progress: Called after each object with its name.
         on_step: Called after each Levenberg-Marquardt step with object id, class and step.
     """
-    return reconstruct(
-        frames, detections.per_frame, decoder, detections.plane, progress=progress, on_step=on_step
-    )
+    options = ReconstructOptions(progress=progress, on_step=on_step)
+    return reconstruct(frames, detections.per_frame, decoder, detections.plane, options=options)

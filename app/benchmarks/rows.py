@@ -17,20 +17,19 @@ from app.benchmarks.reference import (
     plain_render,
 )
 from app.benchmarks.scene import BenchScene, square_view
-from app.benchmarks.timing import Benchmark
-from perception.inference.fit import FitConfig, fit_object, optimise_object
-from perception.inference.initialise import initial_poses
+from app.benchmarks.timing import Benchmark, Job
+from perception.inference.fit import FitConfig, FitStart, fit_object, optimise_object
 from perception.inference.levenberg_marquardt import Evaluation, LmConfig, minimise
 from perception.inference.meshing import mesh_from_grid
-from perception.inference.observation import ObjectObservation, gather_pixels, ray_samples, sampling_radius
-from perception.inference.problem import FitProblem, FitState, SupportCamera
-from perception.inference.reconstruct import reconstruct
+from perception.inference.observation import Crop, ObjectObservation, ObjectViews, gather_pixels
+from perception.inference.problem import FitProblem, FitState
+from perception.inference.reconstruct import ReconstructOptions, reconstruct
 from perception.inference.shape_model import SKIP_JACOBIAN, SKIP_OCCUPANCY, decode, mean_shape
 from perception.pipeline import detect
 from perception.rendering.renderer import RayBundle, ShapeGrid, render
 from perception.shape.decoder import ShapeDecoder
 from perception.shape.weights import load_weights
-from perception.types import CODE_SIZE, GRID_RESOLUTION
+from perception.types import CODE_SIZE
 
 FIT_ITERATIONS = 30
 AUTOGRAD_ROWS = 16  # rays of the autograd Jacobian that are timed; the time of all follows
@@ -94,7 +93,8 @@ def _decoding(decoder: ShapeDecoder) -> Iterator[Benchmark]:
 
 
 def _fitting(scene: BenchScene, seed: int) -> Iterator[Benchmark]:
-    one, three = scene.subject.observations[:1], scene.subject.observations[:3]
+    one, three = (replace(scene.subject, observations=scene.subject.observations[:n]) for n in (1, 3))
+    n_three = len(three.observations)
     iterate, descend = _iteration(scene, one, seed)
     yield Benchmark(
         f"LM iteration, one view, {FIT_CROP}² crop",
@@ -103,9 +103,9 @@ def _fitting(scene: BenchScene, seed: int) -> Iterator[Benchmark]:
         descend,
     )
     iterate_three, _ = _iteration(scene, three, seed)
-    yield Benchmark(f"LM iteration, {len(three)} views", "one view", iterate_three, iterate)
+    yield Benchmark(f"LM iteration, {n_three} views", "one view", iterate_three, iterate)
     cores = os.cpu_count() or 1
-    for name, views in (("one view", one), (f"{len(three)} views", three)):
+    for name, views in (("one view", one), (f"{n_three} views", three)):
         yield Benchmark(
             f"{FIT_ITERATIONS} iterations, {name}",
             f"{FIT_ITERATIONS} gradients of one view by autograd, plain torch",
@@ -150,7 +150,7 @@ def _scanning(scene: BenchScene) -> Iterator[Benchmark]:
         f"reconstruct {found.n_objects} objects from {len(views)} views, {cores} cores",
         "one core",
         lambda: reconstruct(views, masks, scene.decoder, found.plane),
-        lambda: reconstruct(views, masks, scene.decoder, found.plane, workers=1),
+        lambda: reconstruct(views, masks, scene.decoder, found.plane, options=ReconstructOptions(workers=1)),
         expensive=True,
     )
 
@@ -188,36 +188,30 @@ def _uploaded(grid: np.ndarray, jacobian: np.ndarray, device: str) -> ShapeGrid:
     return ShapeGrid.upload(grid, jacobian, device, SKIP_OCCUPANCY, SKIP_JACOBIAN)
 
 
-def _fit(scene: BenchScene, observations: tuple[ObjectObservation, ...], threads: int, fit: Callable):
-    """A fit of the product's schedule, crops of FIT_CROP at its end, that may not stop early; of one yaw.
-
-    The mesh that ``fit_object`` makes is not refined on the measurements.
-    """
-    known = tuple(replace(seen, yaw_probabilities=_certain(seen)) for seen in observations)
+def _fit(scene: BenchScene, views: ObjectViews, threads: int, fit: Callable[..., object]) -> Job:
+    """Return a fit of the product's schedule from one yaw that never stops early; the mesh is not refined."""
+    certain = tuple(replace(seen, yaw_probabilities=_certain(seen)) for seen in views.observations)
+    known = replace(views, observations=certain)
     config = FitConfig()
     config = replace(config, lm=replace(config.lm, tolerance=-1.0), threads=threads, refine=None)
-    category, plane = scene.subject.category, scene.detections.plane
-    return lambda: fit(known, category, scene.decoder, plane, config)
+    return lambda: fit(known, scene.decoder, scene.detections.plane, config)
 
 
 def _certain(seen: ObjectObservation) -> np.ndarray:
-    """The likeliest yaw and no other."""
+    """Return a yaw distribution with all probability in its most probable bin."""
     p = seen.yaw_probabilities
     return np.eye(len(p))[p.argmax()] if p.size else p
 
 
-def _iteration(scene: BenchScene, observations: tuple[ObjectObservation, ...], seed: int):
-    """One LM iteration without a new linearisation, and a gradient of the same cost by autograd."""
-    config, category, plane = FitConfig(), scene.subject.category, scene.detections.plane
-    poses, size = initial_poses(observations, category, plane)
-    reach = sampling_radius(size.bounding_radius)
-    samples = ray_samples(reach, config.step[category] * 2 * float(poses[0].scale[0]) / GRID_RESOLUTION)
-    pixels = gather_pixels(observations, poses[0].translation, reach, samples, FIT_CROP, 0, config.pixels)
-    support = SupportCamera.under(poses[0], plane, 1.2 * size.radius, max(size.height, 0.04))
+def _iteration(scene: BenchScene, views: ObjectViews, seed: int) -> tuple[Job, Job]:
+    """Return one LM iteration without relinearisation, and one gradient of the same cost by autograd."""
+    config, category = FitConfig(), views.category
+    start = FitStart.of(views, scene.detections.plane, config)
+    pixels = gather_pixels(views.observations, start.sampling, Crop(FIT_CROP), config.pixels)
     shape = mean_shape(scene.decoder, category)
-    problem = FitProblem(pixels, shape, plane, support, config.noise)
+    problem = FitProblem(pixels, shape, start.support, config.noise)
     code = 0.1 * np.random.default_rng(seed).standard_normal(CODE_SIZE)
-    state = FitState(poses[0], code)
+    state = FitState(start.poses[0], code)
     once, current = LmConfig(max_iterations=1, damping=1.0), problem(state)
 
     def evaluate(at: FitState) -> Evaluation:

@@ -10,7 +10,8 @@ import numpy as np
 from app.options import Device, ScanOptions
 from perception.detection.detector import Detector
 from perception.errors import InvalidInputError
-from perception.inference.reconstruct import Instance, gather_instances
+from perception.inference.observation import ObjectViews
+from perception.inference.reconstruct import gather_instances
 from perception.io.scan_folder import read_scan
 from perception.pipeline import Detections, detect, load_perception
 from perception.rendering.pose import ObjectPose, canonical_from_camera
@@ -33,7 +34,7 @@ class BenchScene:
 
     frames: tuple[RgbdFrame, ...]
     detections: Detections
-    subject: Instance
+    subject: ObjectViews
     detector: Detector
     decoder: ShapeDecoder
 
@@ -50,7 +51,7 @@ def prepare(scan: Path | None, seed: int, device: Device) -> BenchScene:
     instances = gather_instances(frames, detections.per_frame)
     if not instances:
         raise InvalidInputError(f"no object is found in {scan or 'the simulated cell'}: nothing to time")
-    subject = max(instances, key=lambda one: (one.category == "mug", min(len(one.observations), 3)))
+    subject = max(instances, key=lambda views: (views.category == "mug", min(len(views.observations), 3)))
     return BenchScene(frames, detections, subject, networks.detector, networks.decoder)
 
 

@@ -136,7 +136,7 @@ def reconstruct_subject(
     """The object from its first views by one method; None where nothing of it was found."""
     frames, detections = sight.frames[:views], sight.detections[:views]
     plane = fit_support_plane(frames)
-    estimates = reconstruct_by(method, frames, detections, decoder, plane, PROTOCOL, workers=1)
+    estimates = reconstruct_by(method, frames, detections, decoder, plane, PROTOCOL)
     return estimates[0] if estimates else None
 
 
@@ -187,9 +187,9 @@ def _convergence(
         rest = CONVERGENCE_ITERATIONS - sum(stage.iterations for stage in first)
         config = replace(config, stages=(*first, replace(last, iterations=rest)))
         plane: SupportPlane = fit_support_plane(sight.frames[:1])
-        instance = gather_instances(sight.frames[:1], sight.detections[:1])[0]
+        (views,) = gather_instances(sight.frames[:1], sight.detections[:1])
         try:
-            fit_object(instance.observations, subject.category, decoder, plane, config, on_step=follow)
+            fit_object(views, decoder, plane, config, follow)
         except PerceptionError:
             continue
         curves[method] = curve

@@ -24,7 +24,7 @@ from perception.io.weights import weights_checksum
 from perception.shape.dataset import ShapeDataset
 from perception.shape.evaluation import OBJECT_VOXELS, ShapeScores, describe, evaluate
 from perception.shape.network import ShapeVae
-from perception.shape.training import EpochRecord, TrainingConfig, train
+from perception.shape.training import EpochRecord, ShapeTrainingConfig, train
 from perception.shape.weights import save_weights
 from perception.types import CATEGORIES, Category
 
@@ -57,7 +57,7 @@ class TrainShapeConfig:
     cans: int = 1500
     held_out: int = 200
     meshes: Path | None = None
-    training: TrainingConfig = field(default_factory=TrainingConfig)
+    training: ShapeTrainingConfig = field(default_factory=ShapeTrainingConfig)
     evaluate_every: int = 5
     tensorboard: bool = False
     device: str = "cpu"

@@ -1,6 +1,6 @@
-"""The ways to reconstruct an object that are compared: ours, ours without one of its parts, and others'.
+"""Methods compared in the evaluation: the product, the product without one of its parts, and baselines.
 
-Each name stands for a configuration of the same fit, but for TSDF fusion, which knows no shapes.
+Each name stands for a configuration of the same fit, except for TSDF fusion, which has no shape prior.
 """
 
 from __future__ import annotations
@@ -11,7 +11,7 @@ from typing import Literal, get_args
 
 from perception.fusion.tsdf import TsdfConfig, reconstruct_tsdf
 from perception.inference.fit import FitConfig
-from perception.inference.reconstruct import reconstruct
+from perception.inference.reconstruct import ReconstructOptions, reconstruct
 from perception.inference.shape_model import Decoder
 from perception.types import ObjectDetection, ObjectEstimate, RgbdFrame, SupportPlane
 
@@ -19,8 +19,8 @@ Method = Literal["full", "no_refinement", "no_uncertainty", "no_pyramid", "dvr",
 METHODS: tuple[Method, ...] = get_args(Method)
 
 
-def method_config(method: Method, base: FitConfig | None = None) -> FitConfig:
-    """The fit that a method's name stands for, all else as in ``base``.
+def method_config(method: Method, base: FitConfig = FitConfig()) -> FitConfig:
+    """Return the configuration of a method, otherwise as ``base``.
 
     - ``full``: the default configuration.
     - ``no_refinement``: the decoded surface, as in the paper; the mesh is not moved onto the measurements.
@@ -28,14 +28,13 @@ def method_config(method: Method, base: FitConfig | None = None) -> FitConfig:
     - ``no_pyramid``: the crop and the level of the last stage from the first iteration on.
     - ``dvr``: depth of the first crossing of the occupancy level (Niemeyer et al., CVPR 2020), which has no
       variance for the weights; without refinement.
-    - ``mask_only``: the rendered mask against the detected one; depth is used for initialisation only; without
-      refinement.
+    - ``mask_only``: the rendered mask against the detected one; depth is used for initialisation
+      only; without refinement.
     - ``tsdf``: TSDF fusion of the views: an open surface.
 
     Raises:
-        ValueError: TSDF fusion is no fit.
+        ValueError: TSDF fusion is not a configuration of the fit.
     """
-    base = base or FitConfig()
     match method:
         case "full":
             return base
@@ -50,7 +49,7 @@ def method_config(method: Method, base: FitConfig | None = None) -> FitConfig:
             return replace(base, renderer="first_crossing", refine=None)
         case "mask_only":
             return replace(base, renderer="silhouette", refine=None)
-    raise ValueError(f"{method} is no configuration of the fit")
+    raise ValueError(f"{method} is not a configuration of the fit")
 
 
 def reconstruct_by(
@@ -59,16 +58,14 @@ def reconstruct_by(
     detections_per_frame: Sequence[Sequence[ObjectDetection]],
     decoder: Decoder,
     plane: SupportPlane,
-    config: FitConfig | None = None,
-    workers: int | None = None,
+    config: FitConfig = FitConfig(),
 ) -> list[ObjectEstimate]:
-    """Reconstructs every instance by a method; arguments as in ``reconstruct``.
+    """Reconstruct every instance by one method on one core; arguments as for ``reconstruct``.
 
     Raises:
         FusionUnavailableError: TSDF fusion without open3d.
     """
     if method == "tsdf":
         return reconstruct_tsdf(frames, detections_per_frame, plane, TsdfConfig(closed=False))
-    return reconstruct(
-        frames, detections_per_frame, decoder, plane, method_config(method, config), workers=workers
-    )
+    one_core = ReconstructOptions(workers=1)
+    return reconstruct(frames, detections_per_frame, decoder, plane, method_config(method, config), one_core)

@@ -1,7 +1,7 @@
 """Shape and pose of one object from its views: MAP estimate by Levenberg-Marquardt, coarse to fine.
 
-NodeSLAM, section "Object Shape and Pose Inference": the code is decoded to a grid, the grid rendered into
-every view, and the weighted difference to the measured depth moves code and 9-DoF pose.
+NodeSLAM, section "Object Shape and Pose Inference": the code is decoded to a grid, the grid is rendered into
+every view, and the weighted difference from the measured depth corrects the code and the 9-DoF pose.
 """
 
 from __future__ import annotations
@@ -11,22 +11,29 @@ from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass, field, replace
 
 import numpy as np
-from jaxtyping import Float
+from jaxtyping import Bool, Float
 
 from perception.errors import InvalidInputError
 from perception.geometry import invert
 from perception.inference.initialise import initial_poses
-from perception.inference.levenberg_marquardt import Evaluation, LmConfig, LmIteration, minimise
+from perception.inference.levenberg_marquardt import Evaluation, LmConfig, LmIteration, LmResult, minimise
 from perception.inference.meshing import MeshConfig, mesh_from_grid
 from perception.inference.observation import (
-    ObjectObservation,
+    Crop,
+    ObjectViews,
     PixelConfig,
     PixelSet,
+    SamplingRange,
     gather_pixels,
-    ray_samples,
-    sampling_radius,
 )
-from perception.inference.problem import FitProblem, FitState, NoiseConfig, StepLimits, SupportCamera
+from perception.inference.problem import (
+    FitProblem,
+    FitState,
+    NoiseConfig,
+    SizePrior,
+    StepLimits,
+    SupportCamera,
+)
 from perception.inference.refine import RefineConfig, refine_mesh
 from perception.inference.shape_model import (
     Decoder,
@@ -35,19 +42,27 @@ from perception.inference.shape_model import (
     linearise,
     mean_shape,
 )
-from perception.inference.uncertainty import surface_band
+from perception.inference.uncertainty import calibrated_deviation
 from perception.rendering.comparison import RendererName
 from perception.rendering.pose import ObjectPose
 from perception.types import CODE_SIZE, GRID_RESOLUTION, Category, FitStatus, ObjectEstimate, SupportPlane
 
 logger = logging.getLogger(__name__)
 
-SETTLED = 0.5  # root mean square of the last movements, in standard deviations, that counts as standing still
+# Root mean square of the last movements, in standard deviations, below which a fit has settled.
+SETTLED = 0.5
+RESIDUAL_CAP = 0.03  # [m] largest contribution of one residual to the mean that ranks hypotheses
 
 
 @dataclass(frozen=True)
-class Stage:
-    """Iterations at one crop size [pixel] and pyramid level (how often residuals are blurred and halved)."""
+class FitStage:
+    """Iterations at one resolution.
+
+    Attributes:
+        crop: Pixels along the longer side of the crop.
+        level: Pyramid level: number of times the residuals are blurred and halved.
+        iterations: Number of Levenberg-Marquardt iterations.
+    """
 
     crop: int
     level: int
@@ -56,49 +71,118 @@ class Stage:
 
 @dataclass(frozen=True)
 class FitConfig:
-    """How a fit is run. The first stage is run for every yaw hypothesis, the others for the best of them."""
+    """Settings of a fit.
 
-    # Length of the renderer's steps along a ray [voxel], by class. A grid's rendered surface lies behind the
-    # true one for long steps, in front of it for short ones; where they agree depends on walls and blur.
+    The first stage is run for every yaw hypothesis, the others for the best one.
+
+    Attributes:
+        step: Length of a render step along a ray, in voxels, by class. The rendered surface of a grid lies
+            behind the true one for long steps and in front of it for short ones; the unbiased length depends
+            on wall thickness and blur.
+        stages: Iterations from coarse to fine.
+        renderer: Renderer that predicts the depth.
+        start_views: Number of leading views that give the initial pose; None for all.
+        relinearise_every: Iterations between two evaluations of the decoder's Jacobian.
+        settled_over: Iterations over which a converged fit must have settled.
+        pixels: Selection and weights of the pixels.
+        reference_crop: Crop at which a pixel has weight 1, so that finer crops do not add information.
+        noise: Standard deviations and weights of the residuals.
+        lm: Damping schedule.
+        mesh: Surface extraction.
+        full_views: Number of views with crops of full size; more views share the same number of pixels.
+        threads: Number of cores that render one fit.
+        refine: Refinement of the mesh on the measurements; None leaves the decoded surface.
+        step_limits: Largest step of each parameter in one iteration.
+    """
+
     step: Mapping[Category, float] = field(
         default_factory=lambda: {"mug": 0.55, "bowl": 0.4, "bottle": 0.65, "can": 0.65}
     )
-    stages: tuple[Stage, ...] = (Stage(32, 1, 8), Stage(36, 0, 12), Stage(64, 0, 10))
+    stages: tuple[FitStage, ...] = (FitStage(32, 1, 8), FitStage(36, 0, 12), FitStage(64, 0, 10))
     renderer: RendererName = "probabilistic"
-    start_views: int | None = None  # how many views the start is taken from; all by default
+    start_views: int | None = None
     relinearise_every: int = 4
-    settled_over: int = 8  # iterations over which a converged fit stands still
+    settled_over: int = 8
     pixels: PixelConfig = field(default_factory=lambda: PixelConfig(sparse_background=True))
-    reference_crop: int = 48  # a pixel's weight is 1 there; those of finer crops say no more in all
+    reference_crop: int = 48
     noise: NoiseConfig = field(default_factory=NoiseConfig)
     lm: LmConfig = field(default_factory=LmConfig)
     mesh: MeshConfig = field(default_factory=MeshConfig)
-    full_views: int = 3  # so many views have crops of full size; more share those views' number of pixels
-    threads: int = 1  # cores that one fit renders on
-    refine: RefineConfig | None = field(default_factory=RefineConfig)  # None leaves the mesh as decoded
+    full_views: int = 3
+    threads: int = 1
+    refine: RefineConfig | None = field(default_factory=RefineConfig)
     step_limits: StepLimits = field(default_factory=StepLimits)
 
 
 @dataclass(frozen=True)
+class FitStart:
+    """Initial poses of a fit, and what stays fixed over its iterations.
+
+    Attributes:
+        poses: Initial poses, one per yaw hypothesis, the most probable first.
+        sampling: Depth range of the rays.
+        support: Virtual camera under the object.
+        size: Prior on the scale.
+    """
+
+    poses: tuple[ObjectPose, ...]
+    sampling: SamplingRange
+    support: SupportCamera
+    size: SizePrior
+
+    @staticmethod
+    def of(views: ObjectViews, plane: SupportPlane, config: FitConfig) -> FitStart:
+        """Measure the masked clouds; raises InvalidInputError if none has points above the plane."""
+        category, noise = views.category, config.noise
+        poses, cloud = initial_poses(views.observations[: config.start_views], category, plane)
+        scale, centre = poses[0].scale, poses[0].translation
+        voxel = 2 * float(scale[0]) / GRID_RESOLUTION
+        return FitStart(
+            poses=tuple(poses),
+            sampling=SamplingRange.around(centre, cloud.bounding_radius, config.step[category] * voxel),
+            support=SupportCamera.under(poses[0], plane, 1.2 * cloud.radius, max(cloud.height, 0.04)),
+            size=SizePrior(scale, noise.mug_size_sigma if category == "mug" else noise.size_sigma),
+        )
+
+
+@dataclass(frozen=True)
 class Fit:
-    """A fit before it becomes an ObjectEstimate."""
+    """Result of the optimisation, before meshing.
+
+    Attributes:
+        state: Pose and code.
+        evaluation: Residuals, Jacobian and weights at ``state``.
+        inside: For each render residual whether its pixel shows the object (or the background).
+        trace: All iterations of the winning hypothesis.
+        converged: Whether the last iterations moved the estimate little in terms of its standard deviations.
+    """
 
     state: FitState
     evaluation: Evaluation
-    residual_object: Float[np.ndarray, "n"]
-    residual_background: Float[np.ndarray, "b"]
+    inside: Bool[np.ndarray, "n"]
     trace: tuple[LmIteration, ...]
     converged: bool
+
+    @property
+    def residual_object(self) -> Float[np.ndarray, "k"]:
+        """Depth residuals of the object's pixels, in metres."""
+        return self.evaluation.residuals[: len(self.inside)][self.inside]
+
+    @property
+    def residual_background(self) -> Float[np.ndarray, "b"]:
+        """Depth residuals of the background's pixels, in metres."""
+        return self.evaluation.residuals[: len(self.inside)][~self.inside]
 
 
 @dataclass(frozen=True)
 class FitStep:
-    """Where a fit stands, for those who watch it.
+    """Progress of a fit.
 
     Attributes:
-        iteration: of the optimiser, 0 before the first.
-        pose, code: of the object so far.
-        residual: mean capped depth residual in [m]; NaN before the first iteration.
+        iteration: Number of iterations done; 0 at the initial state.
+        pose: Current pose.
+        code: Current code.
+        residual: Mean capped depth residual, in metres; NaN at the initial state.
     """
 
     iteration: int
@@ -111,203 +195,208 @@ OnStep = Callable[[FitStep], None]
 
 
 def fit_object(
-    observations: Sequence[ObjectObservation],
-    category: Category,
+    views: ObjectViews,
     decoder: Decoder,
     plane: SupportPlane,
-    config: FitConfig | None = None,
-    object_id: int = 0,
-    score: float = 1.0,
+    config: FitConfig = FitConfig(),
     on_step: OnStep | None = None,
 ) -> ObjectEstimate:
-    """Reconstructs one object.
+    """Reconstruct one object.
 
     Args:
-        observations: its views, at least one.
-        category: its class.
-        decoder: the shape prior.
-        plane: what it stands on, in the world.
-        config: budget and weights.
-        object_id: for the estimate.
-        score: class confidence, for the estimate.
-        on_step: is told how the fit goes on.
+        views: Observations of the object, at least one, with its class.
+        decoder: Shape prior.
+        plane: Support plane of the object, in the world frame.
+        config: Budget and weights.
+        on_step: Called with the progress of the fit.
 
     Raises:
-        InvalidInputError: no view shows anything of the object above the plane.
+        InvalidInputError: No view shows any point of the object above the plane.
     """
-    config = config or FitConfig()
-    fit = optimise_object(observations, category, decoder, plane, config, on_step)
-    return _estimate(fit, observations, category, decoder, plane, config, object_id, score)
+    return _estimate(optimise_object(views, decoder, plane, config, on_step), views, decoder, plane, config)
 
 
 def optimise_object(
-    observations: Sequence[ObjectObservation],
-    category: Category,
+    views: ObjectViews,
     decoder: Decoder,
     plane: SupportPlane,
-    config: FitConfig | None = None,
+    config: FitConfig = FitConfig(),
     on_step: OnStep | None = None,
 ) -> Fit:
-    """The iterations of ``fit_object`` alone: pose and code, nothing meshed."""
-    if not observations:
-        raise InvalidInputError(f"a {category} without any view cannot be reconstructed")
-    return _Fitter(observations, category, decoder, plane, config or FitConfig(), on_step).run()
+    """Run the iterations of ``fit_object`` alone: pose and code without a mesh."""
+    if not views.observations:
+        raise InvalidInputError(f"a {views.category} without any view cannot be reconstructed")
+    return _Fitter(views, decoder, plane, config, on_step).run()
 
 
-_Standing = tuple[Fit, LinearisedShape, float]  # a fit, the shape it was last linearised at, its damping
+@dataclass(frozen=True)
+class _Candidate:
+    """A fit that can be continued: with the linearisation of its shape and its damping."""
+
+    fit: Fit
+    shape: LinearisedShape
+    damping: float
 
 
 class _Fitter:
-    """The stages of one fit; the decoder's linearisation is shared by the hypotheses while codes agree."""
+    """The stages of one fit; hypotheses share the decoder's linearisation at the mean code."""
 
-    def __init__(self, observations, category, decoder, plane, config, on_step: OnStep | None) -> None:
-        self.observations, self.plane, self.config = observations, plane, config
-        self.on_step = on_step or (lambda step: None)
-        self.linearise = lambda code: linearise(decoder, category, code, config.threads)
-        self.mean_shape = mean_shape(decoder, category)
-        self.poses, size = initial_poses(observations[: config.start_views], category, plane)
-        self.voxel = 2 * float(self.poses[0].scale[0]) / GRID_RESOLUTION
-        self.reach = sampling_radius(size.bounding_radius)
-        self.support = SupportCamera.under(self.poses[0], plane, 1.2 * size.radius, max(size.height, 0.04))
-        step = config.step[category]
-        self.size_sigma = config.noise.mug_size_sigma if category == "mug" else config.noise.size_sigma
-        self.samples = ray_samples(self.reach, step * self.voxel)
+    def __init__(
+        self,
+        views: ObjectViews,
+        decoder: Decoder,
+        plane: SupportPlane,
+        config: FitConfig,
+        on_step: OnStep | None,
+    ) -> None:
+        self.views, self.decoder, self.config, self.on_step = views, decoder, config, on_step
+        self.start = FitStart.of(views, plane, config)
 
     def run(self) -> Fit:
-        (first, coarse), *others = [(stage, self._pixels(stage)) for stage in self.config.stages]
-        starts = [FitState(pose, np.zeros(CODE_SIZE)) for pose in self.poses]
-        self.on_step(FitStep(0, starts[0].pose, starts[0].code, float("nan")))
-        damping = self.config.lm.damping
-        fits = [self._stage(first, coarse, state, self.mean_shape, damping) for state in starts]
-        best, shape, damping = self._best(fits, others[0][1] if others else coarse)
-        self.on_step(FitStep(len(best.trace), best.state.pose, best.state.code, _misfit(best)))
-        for stage, pixels in others:
-            fit, shape, damping = self._stage(stage, pixels, best.state, shape, damping, len(best.trace))
-            best = replace(fit, trace=best.trace + fit.trace)
-        return best
+        first, *others = self.config.stages
+        coarse, finer = self._pixels(first), [self._pixels(stage) for stage in others]
+        starts = [FitState(pose, np.zeros(CODE_SIZE)) for pose in self.start.poses]
+        self._report(0, starts[0], float("nan"))
+        mean, damping = mean_shape(self.decoder, self.views.category), self.config.lm.damping
+        hypotheses = [self._stage(first, coarse, state, mean, damping) for state in starts]
+        best = self._best(hypotheses, finer[0] if finer else coarse)
+        fit = best.fit
+        self._report(len(fit.trace), fit.state, _misfit(fit))
+        for stage, pixels in zip(others, finer, strict=True):
+            done = fit.trace
+            best = self._stage(stage, pixels, fit.state, best.shape, best.damping, len(done))
+            fit = replace(best.fit, trace=done + best.fit.trace)
+        return fit
 
-    def _best(self, fits: Sequence[_Standing], pixels: PixelSet) -> _Standing:
-        """The hypothesis that agrees best with pixels that are not blurred: handles are thin."""
+    def _report(self, iteration: int, state: FitState, residual: float) -> None:
+        if self.on_step is not None:
+            self.on_step(FitStep(iteration, state.pose, state.code, residual))
 
-        def misfit(standing: _Standing) -> float:
-            fit, shape, _ = standing
-            residuals = self._problem(pixels, shape)(fit.state).residuals
+    def _best(self, candidates: Sequence[_Candidate], pixels: PixelSet) -> _Candidate:
+        """Return the hypothesis with the least residual on unblurred pixels: handles are thin."""
+
+        def misfit(candidate: _Candidate) -> float:
+            residuals = self._problem(pixels, candidate.shape)(candidate.fit.state).residuals
             return _capped_mean(residuals[: len(pixels.is_object)])
 
-        return fits[0] if len(fits) == 1 else min(fits, key=misfit)
+        return candidates[0] if len(candidates) == 1 else min(candidates, key=misfit)
 
     def _problem(self, pixels: PixelSet, shape: LinearisedShape) -> FitProblem:
-        noise, renderer = self.config.noise, self.config.renderer
-        scale = self.poses[0].scale
-        return FitProblem(pixels, shape, self.plane, self.support, noise, scale, self.size_sigma, renderer)
+        config, start = self.config, self.start
+        return FitProblem(pixels, shape, start.support, config.noise, start.size, config.renderer)
 
-    def _pixels(self, stage: Stage) -> PixelSet:
-        shrink = min(1.0, np.sqrt(self.config.full_views / len(self.observations)))
+    def _pixels(self, stage: FitStage) -> PixelSet:
+        config = self.config
+        shrink = min(1.0, np.sqrt(config.full_views / len(self.views.observations)))
+        reference = None if stage.level else round(shrink * config.reference_crop)
+        crop = Crop(round(shrink * stage.crop), stage.level, reference)
         return gather_pixels(
-            self.observations,
-            self.poses[0].translation,
-            self.reach,
-            self.samples,
-            round(shrink * stage.crop),
-            stage.level,
-            self.config.pixels,
-            self.config.threads,
-            None if stage.level else round(shrink * self.config.reference_crop),
+            self.views.observations, self.start.sampling, crop, config.pixels, config.threads
         )
 
     def _stage(
         self,
-        stage: Stage,
+        stage: FitStage,
         pixels: PixelSet,
         state: FitState,
         shape: LinearisedShape,
         damping: float,
-        watched_from: int | None = None,
-    ) -> _Standing:
-        config = self.config
-        limit = config.step_limits.vector
+        done: int | None = None,
+    ) -> _Candidate:
+        """Run the iterations of one stage.
+
+        Args:
+            stage: Number of iterations.
+            pixels: Measurements at the stage's resolution.
+            state: Initial pose and code.
+            shape: Linearisation of the decoder near the initial code.
+            damping: Initial damping.
+            done: Iterations before this stage, for progress; None runs it without reports.
+        """
+        config, limits = self.config, self.config.step_limits.vector
         trace: tuple[LmIteration, ...] = ()
         history = [(0, state)]
         left = stage.iterations
         while True:
             budget = min(left, config.relinearise_every)
             lm = replace(config.lm, max_iterations=budget, damping=damping)
-            result = minimise(self._problem(pixels, shape), FitState.moved, state, lm, limit)
+            result = minimise(self._problem(pixels, shape), FitState.moved, state, lm, limits)
             state, damping, trace = result.state, result.damping, trace + result.trace
             history.append((len(trace), state))
-            if watched_from is not None:
-                misfit = _capped_mean(result.evaluation.residuals[: len(pixels.is_object)])
-                self.on_step(FitStep(watched_from + len(trace), state.pose, state.code, misfit))
+            if done is not None:
+                residuals = result.evaluation.residuals[: len(pixels.is_object)]
+                self._report(done + len(trace), state, _capped_mean(residuals))
             left -= max(len(result.trace), 1)
-            if left <= 0 or result.status in ("stuck", "not_finite"):
+            if left <= 0 or _finished(result, shape):
                 break
-            if result.status == "converged" and np.allclose(state.code, shape.code, atol=1e-3):
-                break
-            shape = self.linearise(state.code)
+            shape = linearise(self.decoder, self.views.category, state.code, config.threads)
         hessian, _ = result.evaluation.normal_equations()
         since = next(s for n, s in history if n >= len(trace) - config.settled_over)
         converged = _settled(state.step_from(since), hessian)
-        residual = result.evaluation.residuals[: len(pixels.is_object)]
-        on, off = residual[pixels.is_object], residual[~pixels.is_object]
-        return Fit(state, result.evaluation, on, off, trace, converged), shape, damping
+        return _Candidate(Fit(state, result.evaluation, pixels.is_object, trace, converged), shape, damping)
+
+
+def _finished(result: LmResult[FitState], shape: LinearisedShape) -> bool:
+    """Return whether more iterations are pointless: converged at the linearisation's code, or failed."""
+    if result.status in ("stuck", "not_finite"):
+        return True
+    return result.status == "converged" and np.allclose(result.state.code, shape.code, atol=1e-3)
 
 
 def _settled(step: Float[np.ndarray, "25"], hessian: Float[np.ndarray, "25 25"]) -> bool:
-    """Whether the last iterations moved the estimate by little, measured by its own standard deviations."""
+    """Return whether a step is small, measured in the estimate's own standard deviations."""
     return bool(step @ hessian @ step < SETTLED**2 * len(step))
 
 
 def _misfit(fit: Fit) -> float:
-    """Whatever variance it renders."""
+    """Return the mean capped residual of all pixels, in metres, independent of the rendered variance."""
     return _capped_mean(np.concatenate([fit.residual_object, fit.residual_background]))
 
 
 def _capped_mean(residuals: Float[np.ndarray, "n"]) -> float:
-    """Mean absolute residual in [m], single ones capped."""
-    return float(np.mean(np.minimum(np.abs(residuals), 0.03)))
+    """Return the mean absolute residual, in metres, with each capped at ``RESIDUAL_CAP``."""
+    return float(np.mean(np.minimum(np.abs(residuals), RESIDUAL_CAP)))
 
 
 def _estimate(
-    fit: Fit,
-    observations: Sequence[ObjectObservation],
-    category: Category,
-    decoder: Decoder,
-    plane: SupportPlane,
-    config: FitConfig,
-    object_id: int,
-    score: float,
+    fit: Fit, views: ObjectViews, decoder: Decoder, plane: SupportPlane, config: FitConfig
 ) -> ObjectEstimate:
-    pose, code = fit.state.pose, fit.state.code
+    """Mesh a fit, refine the mesh on the measurements and predict its deviations."""
+    pose, code, category = fit.state.pose, fit.state.code, views.category
     grid, jacobian = decode_with_jacobian(decoder, category, code, config.threads)
     mesh = mesh_from_grid(grid, pose.scale, category, config.mesh)
     determined = np.zeros(len(mesh.vertices))
     if config.refine is not None:
-        refined = refine_mesh(mesh.transformed(pose.T_world_object), observations, plane, config.refine)
+        in_world = mesh.transformed(pose.T_world_object)
+        refined = refine_mesh(in_world, views.observations, plane, config.refine)
         mesh, determined = refined.mesh.transformed(invert(pose.T_world_object)), refined.determined
     hessian, _ = fit.evaluation.normal_equations()
     inliers = np.abs(fit.residual_object) < config.noise.huber * config.noise.depth_sigma
     residual = float(np.sqrt(np.mean(fit.residual_object[inliers] ** 2))) if inliers.any() else float("inf")
     covariance = np.linalg.pinv(hessian, hermitian=True)
     estimate = ObjectEstimate(
-        id=object_id,
+        id=views.id,
         category=category,
         code=code,
         T_world_object=pose.T_world_object,
         scale=pose.scale,
         mesh=mesh,
-        score=score,
-        n_views=len(observations),
+        score=views.score,
+        n_views=len(views.observations),
         residual=residual,
-        status=_status(fit, pose, plane, float(inliers.mean()) if inliers.size else 0.0),
+        status=_status(fit, plane, float(inliers.mean()) if inliers.size else 0.0),
         covariance=covariance,
     )
-    return replace(estimate, surface_sigma=surface_band(estimate, covariance, determined, grid, jacobian))
+    sigma = calibrated_deviation(estimate, covariance, determined, grid, jacobian)
+    return replace(estimate, surface_sigma=sigma)
 
 
-def _status(fit: Fit, pose: ObjectPose, plane: SupportPlane, inlier_share: float) -> FitStatus:
+def _status(fit: Fit, plane: SupportPlane, inlier_ratio: float) -> FitStatus:
+    """Return whether the fit converged to a plausible object: inliers, size, code, upright."""
+    pose = fit.state.pose
     tilt = np.arccos(np.clip(pose.rotation[:, 2] @ plane.normal, -1, 1))
     plausible = (
-        inlier_share > 0.5
+        inlier_ratio > 0.5
         and pose.scale.min() > 0.01
         and pose.scale.max() < 0.4
         and np.linalg.norm(fit.state.code) < 8.0

@@ -64,7 +64,6 @@ class LmIteration:
     cost: float
     cost_after: float
     damping: float
-    step_norm: float
     accepted: bool
 
 
@@ -113,7 +112,7 @@ def minimise(
         cost = current.cost
         cost_after = float(current.weights @ there.residuals.astype(np.float64) ** 2)
         accepted = bool(cost_after < cost)
-        trace.append(LmIteration(cost, cost_after, damping, float(np.linalg.norm(step)), accepted))
+        trace.append(LmIteration(cost, cost_after, damping, accepted))
         if not accepted:
             damping *= config.up
             if damping > config.max_damping:

@@ -1,8 +1,8 @@
-"""What a fit looks at: one object's pixels in its views, cropped, sampled, sorted into object and background.
+"""Pixels of a fit: crops around one object's masks, classified as object or background.
 
-Pixels outside the mask, in a ring around it, are measurements too: there the ray must miss the object, so
-their target is the escape depth. A band along the mask's border, where masks are wrong first, says nothing,
-nor do depth holes and pixels that something else covers.
+Pixels in a ring outside the mask are measurements too: the ray must miss the object there, so their target
+is the escape depth. Pixels near the mask's border, where masks are least reliable, depth holes and pixels
+covered by something else are left out.
 """
 
 from __future__ import annotations
@@ -20,7 +20,7 @@ from perception.errors import InvalidInputError
 from perception.geometry import invert, transform_points
 from perception.rendering.pyramid import pyramid_operator
 from perception.rendering.renderer import RayBundle
-from perception.types import RgbdFrame
+from perception.types import Category, RgbdFrame
 
 SAMPLING_MARGIN = 0.015  # [m] added to an object's bounding sphere, so that the renderer's rays leave it
 RAY_SAMPLES = (24, 192)  # fewest and most samples of the renderer on a ray
@@ -41,10 +41,10 @@ class ObjectObservation:
     """One object in one view.
 
     Attributes:
-        frame: the image; its camera pose must be known.
-        mask: (H, W) the object's pixels.
-        ignore: (H, W) pixels that say nothing about the object (covered by something else), or None.
-        yaw_probabilities: (B,) as in ObjectDetection; empty where unknown.
+        frame: Image with known camera pose.
+        mask: (H, W) pixels of the object.
+        ignore: (H, W) pixels without information about the object, such as occluded ones, or None.
+        yaw_probabilities: (B,) yaw distribution as in ObjectDetection; empty if unknown.
     """
 
     frame: RgbdFrame
@@ -66,7 +66,10 @@ class ObjectObservation:
         return self.frame.T_world_camera
 
     def points_world(self, erode: int = 1) -> Float[np.ndarray, "n 3"]:
-        """The mask's pixels, border left out, back-projected into the world."""
+        """Return the measured points of the mask in the world frame, without those near its border.
+
+        Masks with fewer than 20 pixels inside the border are returned whole.
+        """
         mask = self.mask & (self.frame.depth > 0)
         if self.ignore is not None:
             mask &= ~self.ignore
@@ -80,15 +83,32 @@ class ObjectObservation:
 
 
 @dataclass(frozen=True)
-class PixelConfig:
-    """Which pixels take part.
+class ObjectViews:
+    """All observations of one object instance.
 
     Attributes:
-        ring: width of the background ring as a share of the object's larger side in the image.
-        band: half width of the border band that is left out, in pixels of the full image.
-        background_weight: weight of a background pixel; one of the object has 1.
-        sparse_background: every other background pixel, like the black squares of a chessboard, stands for
-            two where nothing is blurred.
+        id: Instance id.
+        category: Class of the object.
+        score: Confidence of the class, in 0..1.
+        observations: One observation per view.
+    """
+
+    id: int
+    category: Category
+    score: float
+    observations: tuple[ObjectObservation, ...]
+
+
+@dataclass(frozen=True)
+class PixelConfig:
+    """Selection and weights of the pixels.
+
+    Attributes:
+        ring: Width of the background ring as a fraction of the object's larger side in the image.
+        band: Half width of the ignored band along the mask's border, in pixels of the full image.
+        background_weight: Weight of a background pixel relative to an object pixel.
+        sparse_background: Whether background pixels are subsampled in a chessboard pattern with doubled
+            weight where nothing is blurred (pyramid level 0).
     """
 
     ring: float = 0.2
@@ -98,15 +118,58 @@ class PixelConfig:
 
 
 @dataclass(frozen=True)
-class PixelSet:
-    """Pixels of all views at one size and pyramid level.
+class SamplingRange:
+    """Depth range around an object that is sampled along the rays of every view.
 
     Attributes:
-        rays: the n pixels that are rendered.
-        Ts_world_camera: (v, 4, 4).
-        target: (n,) measured depth; the escape depth on the background [m].
-        inside: (n,) whether the pixel is in the object's mask.
-        weight: (n,) 1 on the object, ``background_weight`` outside, both by the area that a pixel stands for.
+        centre: (3,) middle of the range in the world frame, in metres.
+        reach: Half the range along the optical axis, in metres.
+        samples: Number of render samples over the range.
+    """
+
+    centre: Float[np.ndarray, "3"]
+    reach: float
+    samples: int
+
+    @staticmethod
+    def around(centre: Float[np.ndarray, "3"], bounding_radius: float, step: float) -> SamplingRange:
+        """Return the range for an object.
+
+        Args:
+            centre: (3,) middle of the object in the world frame, in metres.
+            bounding_radius: Radius of a sphere around the centre that contains the object, in metres.
+            step: Length of a render step, in metres.
+        """
+        reach = sampling_radius(bounding_radius)
+        return SamplingRange(centre, reach, ray_samples(reach, step))
+
+
+@dataclass(frozen=True)
+class Crop:
+    """Resolution of the crops around the masks.
+
+    Attributes:
+        size: Pixels along the longer side.
+        level: Pyramid level: number of times the residuals are blurred and halved.
+        reference: Crop size whose pixels have unit area, so that finer crops do not add information; None
+            for ``size`` itself.
+    """
+
+    size: int
+    level: int = 0
+    reference: int | None = None
+
+
+@dataclass(frozen=True)
+class PixelSet:
+    """Pixels of all views at one resolution.
+
+    Attributes:
+        rays: The n rendered pixels.
+        Ts_world_camera: (v, 4, 4) camera poses.
+        target: (n,) measured depth on the object, escape depth on the background, in metres.
+        inside: (n,) whether the pixel shows the object.
+        weight: (n,) area of the pixel, times ``background_weight`` on the background.
         operator: (m, n) pyramid matrix from pixels to residuals, or None at level 0.
     """
 
@@ -119,50 +182,41 @@ class PixelSet:
 
     @cached_property
     def is_object(self) -> Bool[np.ndarray, "m"]:
-        """Which residuals are mostly on the object."""
+        """Residuals with more than half of their weight on the object."""
         return self.inside if self.operator is None else self.operator @ self.inside.astype(np.float32) > 0.5
 
 
 def pixel_rays(frame: RgbdFrame, u: np.ndarray, v: np.ndarray) -> Float[np.ndarray, "*n 3"]:
-    """Back-projected pixels in the camera frame, z = 1."""
+    """Return back-projected pixels in the camera frame, with z = 1."""
     camera = frame.intrinsics
     return np.stack([(u - camera.cx) / camera.fx, (v - camera.cy) / camera.fy, np.ones(np.shape(u))], axis=-1)
 
 
 def gather_pixels(
     observations: Sequence[ObjectObservation],
-    centre: Float[np.ndarray, "3"],
-    reach: float,
-    samples: int,
-    crop: int,
-    level: int,
+    sampling: SamplingRange,
+    crop: Crop,
     config: PixelConfig,
     threads: int = 1,
-    reference: int | None = None,
 ) -> PixelSet:
-    """Samples every view's surroundings of the mask on a grid of at most crop x crop pixels.
+    """Sample the surroundings of every view's mask on a grid of at most ``crop.size`` squared pixels.
 
     Args:
-        observations: the views.
-        centre: of the object in the world [m], roughly.
-        reach: half of the depth range around the centre [m].
-        samples: M of the renderer.
-        crop: pixels along the longer side of the crop.
-        level: pyramid level: the residuals are blurred and halved so often.
-        config: which pixels take part.
-        threads: how many cores render them.
-        reference: crop whose pixels stand for an area of 1, so that no crop says more than another; by
-            default this one.
+        observations: Views of one object.
+        sampling: Depth range of the rays.
+        crop: Resolution.
+        config: Selection and weights of the pixels.
+        threads: Number of cores that render the pixels.
     """
     directions, view, target, inside, area, operators, depth_range = [], [], [], [], [], [], []
-    sparse_background = config.sparse_background and not level
+    sparse_background = config.sparse_background and not crop.level
     background_weight = config.background_weight * (2.0 if sparse_background else 1.0)
     for index, seen in enumerate(observations):
-        z = float(transform_points(invert(seen.T_world_camera), centre[None])[0, 2])
-        near, far = max(z - reach, 0.02), z + reach
-        rays = RayBundle(np.empty((0, 3)), np.empty(0, np.int64), np.array([[near, far]]), samples)
+        z = float(transform_points(invert(seen.T_world_camera), sampling.centre[None])[0, 2])
+        near, far = max(z - sampling.reach, 0.02), z + sampling.reach
+        rays = RayBundle(np.empty((0, 3)), np.empty(0, np.int64), np.array([[near, far]]), sampling.samples)
         window = _Window.around(seen.mask, config.ring)
-        u, v, is_object, is_background = _classify(seen, window, crop, config, near, far)
+        u, v, is_object, is_background = _classify(seen, window, crop.size, config, (near, far))
         if sparse_background:
             is_background[::2, ::2] = is_background[1::2, 1::2] = False
         valid = is_object | is_background
@@ -171,16 +225,16 @@ def gather_pixels(
         view.append(np.full(int(valid.sum()), index))
         target.append(measured[valid])
         inside.append(is_object[valid])
-        of_pixel = (window.pitch(crop) / window.pitch(reference or crop)) ** 2
+        of_pixel = (window.pitch(crop.size) / window.pitch(crop.reference or crop.size)) ** 2
         area.append(np.full(int(valid.sum()), of_pixel))
-        if level:
-            operators.append(pyramid_operator(valid, level))
+        if crop.level:
+            operators.append(pyramid_operator(valid, crop.level))
         depth_range.append((near, far))
     bundle = RayBundle(
         np.concatenate(directions).astype(np.float32),
         np.concatenate(view),
         np.array(depth_range),
-        samples,
+        sampling.samples,
         threads,
     )
     on_object = np.concatenate(inside)
@@ -190,13 +244,13 @@ def gather_pixels(
         target=np.concatenate(target).astype(np.float32),
         inside=on_object,
         weight=(np.concatenate(area) * np.where(on_object, 1.0, background_weight)).astype(np.float32),
-        operator=sparse.csr_matrix(sparse.block_diag(operators)) if level else None,
+        operator=sparse.csr_matrix(sparse.block_diag(operators)) if crop.level else None,
     )
 
 
 @dataclass(frozen=True)
 class _Window:
-    """What of an image is looked at: a mask with a ring around it; rows and columns, both ends included."""
+    """Image window of a mask and the ring around it: rows and columns, both ends included, in pixels."""
 
     top: int
     bottom: int
@@ -215,14 +269,19 @@ class _Window:
         )  # fmt: skip
 
     def pitch(self, crop: int) -> float:
-        """Pixels of the image between those of a crop; never less than one."""
+        """Return the spacing of a crop's pixels in pixels of the image, at least one."""
         return max(1.0, (max(self.bottom - self.top, self.right - self.left) + 1) / crop)
 
 
 def _classify(
-    seen: ObjectObservation, window: _Window, crop: int, config: PixelConfig, near: float, far: float
+    seen: ObjectObservation,
+    window: _Window,
+    crop: int,
+    config: PixelConfig,
+    depth_range: tuple[float, float],
 ) -> tuple[np.ndarray, np.ndarray, np.ndarray, np.ndarray]:
-    """The crop's pixel coordinates u, v, and which of them show the object or the background."""
+    """Return the crop's pixel coordinates u, v, and which of them show the object or the background."""
+    near, far = depth_range
     top, bottom, left, right = window.top, window.bottom, window.left, window.right
     pitch = window.pitch(crop)
     v = np.unique(np.round(np.arange(top, bottom + 0.5, pitch)).astype(int).clip(top, bottom))

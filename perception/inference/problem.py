@@ -1,6 +1,7 @@
-"""The least-squares problem of a fit: render residuals, code prior, and what standing on a plane means.
+"""Least-squares problem of a fit: render residuals, code and scale priors, and the support plane.
 
-Parameters, 25 in this order: code (16), rotation (3, object frame), translation (3, world), log scale (3).
+The 25 parameters, in this order: code (16), rotation (3, object frame), translation (3, world frame),
+log scale (3).
 """
 
 from __future__ import annotations
@@ -22,7 +23,7 @@ from perception.rendering.pose import (
     map_jacobian,
     pose_jacobian,
 )
-from perception.rendering.renderer import RayBundle, Rendering, render
+from perception.rendering.renderer import RayBundle, Rendering, ShapeGrid, render
 from perception.types import CODE_SIZE, SupportPlane
 
 PARAMETERS = CODE_SIZE + POSE_SIZE
@@ -31,19 +32,20 @@ _CODE, _TURN, _SCALE = slice(0, 16), slice(16, 19), slice(22, 25)
 
 @dataclass(frozen=True)
 class NoiseConfig:
-    """How much each residual counts.
+    """Standard deviations and weights of the residuals.
 
     Attributes:
-        depth_sigma: floor of the depth's uncertainty [m], beside the rendered variance.
-        huber: residuals larger than this many sigma count linearly.
-        rendered_variance: whether a pixel's rendered variance counts, beside ``depth_sigma``.
-        data_weight: of all render residuals together, against the priors.
-        code_prior: weight of the squared code.
-        tilt_sigma: of the object's axis against the plane's normal [rad].
-        support_sigma: of the object's lowest part against the plane [m].
-        size_sigma: of the log scale against the cloud's size: the longest side is known in canonical units.
-        mug_size_sigma: the same for mugs, whose handle, part of the longest side, may be hidden.
-        section_sigma, aspect_sigma: of the log ratio of the scales along x and y, and along z and both.
+        depth_sigma: Standard deviation of a depth residual, in metres, in addition to the rendered variance.
+        huber: Huber threshold, in standard deviations; larger residuals are weighted linearly.
+        rendered_variance: Whether the rendered variance is added to the variance of a depth residual.
+        data_weight: Weight of all render residuals relative to the priors.
+        code_prior: Weight of the squared code.
+        tilt_sigma: Standard deviation of the angle between the object's axis and the plane's normal, in rad.
+        support_sigma: Standard deviation of the height of the object's lowest part over the plane, in metres.
+        size_sigma: Standard deviation of the log scale from the size of the observed cloud.
+        mug_size_sigma: The same for mugs, whose handle, part of the longest side, may be hidden.
+        section_sigma: Standard deviation of the log ratio of the scales along x and y.
+        aspect_sigma: Standard deviation of the log ratio of the scale along z and the mean of x and y.
     """
 
     depth_sigma: float = 0.005
@@ -83,16 +85,17 @@ class StepLimits:
 
 @dataclass(frozen=True)
 class FitState:
-    """Pose and shape of one object."""
+    """Pose and shape code of one object."""
 
     pose: ObjectPose
     code: Float[np.ndarray, "16"]
 
     def moved(self, step: Float[np.ndarray, "25"]) -> FitState:
+        """Return the state after a step in the 25 parameters."""
         return FitState(self.pose.moved(step[CODE_SIZE:]), self.code + step[:CODE_SIZE])
 
     def step_from(self, other: FitState) -> Float[np.ndarray, "25"]:
-        """The step that leads here from another state."""
+        """Return the step that moves another state to this one."""
         turn = so3_log(other.pose.rotation.T @ self.pose.rotation)
         move = self.pose.translation - other.pose.translation
         return np.concatenate(
@@ -101,18 +104,47 @@ class FitState:
 
 
 @dataclass(frozen=True)
+class SizePrior:
+    """Prior on the scale from the size of the observed cloud: the longest canonical side is known.
+
+    Attributes:
+        scale: (3,) expected scale, in metres per canonical unit.
+        sigma: Standard deviation of the log scale.
+    """
+
+    scale: Float[np.ndarray, "3"]
+    sigma: float
+
+
+@dataclass(frozen=True)
 class SupportCamera:
-    """The paper's virtual camera under the object: it looks up through the plane at the object's bottom."""
+    """The paper's virtual camera under the object, which looks up through the plane at its bottom.
+
+    Attributes:
+        rays: Pixels of the camera.
+        T_world_camera: Pose of the camera.
+        distance: Distance of the camera from the plane, in metres.
+        plane: Support plane.
+    """
 
     rays: RayBundle
     T_world_camera: Float[np.ndarray, "4 4"]
     distance: float
+    plane: SupportPlane
 
     @staticmethod
     def under(
         pose: ObjectPose, plane: SupportPlane, half_width: float, height: float, pixels: int = 14
     ) -> SupportCamera:
-        """A camera below the pose that sees ``half_width`` [m] to each side and ``height`` [m] deep."""
+        """Return a camera below a pose.
+
+        Args:
+            pose: Pose of the object.
+            plane: Support plane.
+            half_width: Half the side of the visible square of the plane, in metres.
+            height: Depth of the sampled range, a quarter of it below the plane, in metres.
+            pixels: Pixels along each side of the image.
+        """
         distance = 4 * half_width
         foot = pose.translation - (plane.normal @ pose.translation - plane.offset) * plane.normal
         x = np.cross([0.0, 1.0, 0.0], plane.normal)
@@ -123,38 +155,39 @@ class SupportCamera:
         directions = np.stack([u.ravel(), v.ravel(), np.ones(u.size)], axis=-1).astype(np.float32)
         depth_range = np.array([[distance - 0.25 * height, distance + 0.75 * height]])
         rays = RayBundle(directions, np.zeros(u.size, np.int64), depth_range, samples=64)
-        return SupportCamera(rays, rigid(rotation, foot - distance * plane.normal), distance)
+        return SupportCamera(rays, rigid(rotation, foot - distance * plane.normal), distance, plane)
+
+
+# Residuals, Jacobian and weights of one kind of residual.
+_Rows = tuple[Float[np.ndarray, "k"], Float[np.ndarray, "k 25"], Float[np.ndarray, "k"]]
 
 
 class FitProblem:
-    """Residuals, Jacobian and weights of one object at a state; callable for ``minimise``."""
+    """Residuals, Jacobian and weights of one object as a function of its state, for ``minimise``."""
 
     def __init__(
         self,
         pixels: PixelSet,
         shape: LinearisedShape,
-        plane: SupportPlane | None,
-        support: SupportCamera | None,
+        support: SupportCamera,
         noise: NoiseConfig,
-        scale: Float[np.ndarray, "3"] | None = None,
-        size_sigma: float = 1.0,
+        size: SizePrior | None = None,
         renderer: RendererName = "probabilistic",
     ) -> None:
-        """``scale``, if given, is what the cloud's size says about the object's, true to ``size_sigma``."""
         self._render = RENDERERS[renderer]
         self._target = pixels.target
         if renderer == "silhouette":
             self._target = np.where(pixels.inside, 0.0, BACKDROP).astype(np.float32)
-        self.pixels, self.shape, self.plane, self.support, self.noise = pixels, shape, plane, support, noise
-        self.scale, self.size_sigma = scale, size_sigma
+        self.pixels, self.shape, self.support, self.noise, self.size = pixels, shape, support, noise, size
 
     def __call__(self, state: FitState) -> Evaluation:
         grid = self.shape.at(state.code)
-        blocks = [self._code_rows(state), self._scale_rows(state)]
-        if self.plane is not None:
-            blocks.append(self._tilt_rows(state, self.plane))
-        if self.support is not None:
-            blocks.append(self._support_row(state, grid, self.support))
+        blocks = [
+            self._code_rows(state),
+            self._scale_rows(state),
+            self._tilt_rows(state),
+            self._support_row(state, grid),
+        ]
         residuals, jacobians, weights = (np.concatenate(part) for part in zip(*blocks))
         rendered = len(self.pixels.is_object)
         jacobian = np.empty((rendered + len(residuals), PARAMETERS), np.float32)
@@ -162,10 +195,12 @@ class FitProblem:
         jacobian[rendered:] = jacobians
         return Evaluation(np.concatenate([residual, residuals]), jacobian, np.concatenate([weight, weights]))
 
-    def _render_rows(self, state: FitState, grid, out: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
-        """Rendered minus measured depth, weighted by its variance, Huber's weight and the pixel's own.
+    def _render_rows(
+        self, state: FitState, grid: ShapeGrid, out: np.ndarray
+    ) -> tuple[np.ndarray, np.ndarray]:
+        """Return rendered minus measured depth, and weights: inverse variance, Huber and pixel weight.
 
-        The Jacobian is written to ``out``: it is large, and copying it would cost as much as making it.
+        The Jacobian is written to ``out``, which avoids copying a large array.
         """
         pixels, noise = self.pixels, self.noise
         A = canonical_from_camera(state.pose, pixels.Ts_world_camera)
@@ -181,39 +216,39 @@ class FitProblem:
         robust = np.minimum(1.0, noise.huber * np.sqrt(sigma2) / np.maximum(np.abs(residual), 1e-9))
         return residual, noise.data_weight * weight * robust / sigma2
 
-    def _code_rows(self, state: FitState) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
+    def _code_rows(self, state: FitState) -> _Rows:
+        """Return the standard normal prior of the code."""
         jacobian = np.zeros((CODE_SIZE, PARAMETERS), np.float32)
         jacobian[:, _CODE] = np.eye(CODE_SIZE)
         return state.code, jacobian, np.full(CODE_SIZE, self.noise.code_prior)
 
-    def _scale_rows(self, state: FitState) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
-        """Scales along the axes differ little: the code shapes, the scale sizes."""
+    def _scale_rows(self, state: FitState) -> _Rows:
+        """Return the priors of the scale ratios, which the code should explain, and of the size if known."""
         ratios = np.array([[1.0, -1.0, 0.0], [-0.5, -0.5, 1.0]])
         jacobian = np.zeros((2, PARAMETERS), np.float32)
         jacobian[:, _SCALE] = ratios
         sigmas = np.array([self.noise.section_sigma, self.noise.aspect_sigma])
         residual, weight = ratios @ np.log(state.pose.scale), sigmas**-2
-        if self.scale is None:
+        if self.size is None:
             return residual, jacobian, weight
         size = np.zeros((3, PARAMETERS), np.float32)
         size[:, _SCALE] = np.eye(3)
         return (
-            np.concatenate([residual, np.log(state.pose.scale / self.scale)]),
+            np.concatenate([residual, np.log(state.pose.scale / self.size.scale)]),
             np.concatenate([jacobian, size]),
-            np.concatenate([weight, np.full(3, self.size_sigma**-2)]),
+            np.concatenate([weight, np.full(3, self.size.sigma**-2)]),
         )
 
-    def _tilt_rows(self, state: FitState, plane: SupportPlane) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
-        """The plane's normal in the object frame has no x and y: R^T n changes by hat(R^T n) omega."""
-        normal = state.pose.rotation.T @ plane.normal
+    def _tilt_rows(self, state: FitState) -> _Rows:
+        """Return x and y of the plane's normal in the object frame: R^T n changes by hat(R^T n) omega."""
+        normal = state.pose.rotation.T @ self.support.plane.normal
         jacobian = np.zeros((2, PARAMETERS), np.float32)
         jacobian[:, _TURN] = hat(normal)[:2]
         return normal[:2], jacobian, np.full(2, self.noise.tilt_sigma**-2)
 
-    def _support_row(
-        self, state: FitState, grid, camera: SupportCamera
-    ) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
-        """The lowest parts that the lower camera sees lie on the plane: one residual, their mean height."""
+    def _support_row(self, state: FitState, grid: ShapeGrid) -> _Rows:
+        """Return the mean height over the plane of the lowest parts that the camera underneath sees."""
+        camera = self.support
         A = canonical_from_camera(state.pose, camera.T_world_camera[None])
         image = render(grid, camera.rays, A)
         height = image.depth - camera.distance
@@ -237,7 +272,7 @@ def _jacobian(
     image: Rendering,
     out: Float[np.ndarray, "n 25"],
 ) -> Float[np.ndarray, "n 25"]:
-    """Writes the derivative of the rendered depth by all parameters, and returns it."""
+    """Write the derivative of the rendered depth with respect to all parameters to ``out`` and return it."""
     assert image.d_code is not None
     out[:, _CODE] = image.d_code
     pose_jacobian(pose, A, rays, image, out=out[:, CODE_SIZE:])

@@ -1,14 +1,13 @@
-"""All objects of a scan: gathers every instance's views, fits each, spreads them over the cores."""
+"""All objects of a scan: gather the views of every instance and fit the instances in parallel."""
 
 from __future__ import annotations
 
 import logging
 import os
-from collections.abc import Callable, Sequence
+from collections.abc import Callable, Iterator, Sequence
 from concurrent.futures import ThreadPoolExecutor, as_completed
 from contextlib import contextmanager
 from dataclasses import dataclass, replace
-from functools import partial
 
 import cv2
 import numpy as np
@@ -17,7 +16,7 @@ from jaxtyping import Bool
 
 from perception.errors import PerceptionError
 from perception.inference.fit import FitConfig, FitStep, fit_object
-from perception.inference.observation import ObjectObservation
+from perception.inference.observation import ObjectObservation, ObjectViews
 from perception.inference.shape_model import Decoder
 from perception.types import CATEGORIES, Category, ObjectDetection, ObjectEstimate, RgbdFrame, SupportPlane
 
@@ -26,17 +25,24 @@ logger = logging.getLogger(__name__)
 Progress = Callable[[int, int, str], None]
 OnFitStep = Callable[[int, Category, FitStep], None]
 
-_BEHIND = 0.03  # [m] what lies this far behind the object does not hide it
+_OCCLUSION_MARGIN = 0.03  # [m] pixels this far behind an object do not occlude it
 
 
 @dataclass(frozen=True)
-class Instance:
-    """The views of one object."""
+class ReconstructOptions:
+    """Scheduling and progress of a reconstruction.
 
-    id: int
-    category: Category
-    score: float
-    observations: tuple[ObjectObservation, ...]
+    Attributes:
+        workers: Number of objects fitted at a time; None for the number of cores.
+        max_views: Largest number of views of one object; those with the largest masks are used.
+        progress: Called with (objects done, number of objects, name of the last one).
+        on_step: Called with (id, class, step) of a fit, from several threads.
+    """
+
+    workers: int | None = None
+    max_views: int = 6
+    progress: Progress | None = None
+    on_step: OnFitStep | None = None
 
 
 def reconstruct(
@@ -44,54 +50,47 @@ def reconstruct(
     detections_per_frame: Sequence[Sequence[ObjectDetection]],
     decoder: Decoder,
     plane: SupportPlane,
-    config: FitConfig | None = None,
-    progress: Progress | None = None,
-    workers: int | None = None,
-    max_views: int = 6,
-    on_step: OnFitStep | None = None,
+    config: FitConfig = FitConfig(),
+    options: ReconstructOptions = ReconstructOptions(),
 ) -> list[ObjectEstimate]:
-    """Reconstructs every instance, ordered by id. The same input gives the same output, whatever the workers.
+    """Reconstruct every instance; those that cannot be fitted are logged and skipped.
+
+    The result depends on neither the number of workers nor their timing.
 
     Args:
-        frames: the scan's images with their camera poses.
-        detections_per_frame: detections with ``instance_id`` set, one list for each frame.
-        decoder: the shape prior.
-        plane: what the objects stand on.
-        config: of the fits.
-        progress: called with (objects done, objects in all, name of the last one).
-        workers: objects fitted at a time; the number of cores by default.
-        max_views: of one object; those with the largest masks are taken.
-        on_step: called with (id, class, step) of a fit, from several threads.
+        frames: Images of the scan with camera poses.
+        detections_per_frame: For each frame its detections with ``instance_id``.
+        decoder: Shape prior.
+        plane: Support plane of the objects.
+        config: Settings of the fits.
+        options: Scheduling and progress.
+
+    Returns:
+        Estimates ordered by instance id.
     """
-    config = config or FitConfig()
-    instances = gather_instances(frames, detections_per_frame, max_views)
+    instances = gather_instances(frames, detections_per_frame, options.max_views)
     estimates: dict[int, ObjectEstimate] = {}
-    workers = workers or os.cpu_count() or 1
-    if len(instances) < workers:  # cores without an object of their own help the others
+    workers = options.workers or os.cpu_count() or 1
+    if len(instances) < workers:  # idle cores render for the objects there are
         config = replace(config, threads=workers // max(len(instances), 1))
+
+    def fit(views: ObjectViews) -> ObjectEstimate:
+        on_step = options.on_step
+        if on_step is None:
+            return fit_object(views, decoder, plane, config)
+        return fit_object(views, decoder, plane, config, lambda step: on_step(views.id, views.category, step))
+
     with single_threaded_torch(), ThreadPoolExecutor(workers) as pool:
-        jobs = {
-            pool.submit(
-                fit_object,
-                one.observations,
-                one.category,
-                decoder,
-                plane,
-                config,
-                one.id,
-                one.score,
-                on_step and partial(on_step, one.id, one.category),
-            ): one
-            for one in instances
-        }
+        jobs = {pool.submit(fit, views): views for views in instances}
         for done, job in enumerate(as_completed(jobs), start=1):
-            one = jobs[job]
+            views = jobs[job]
+            name = f"{views.category}_{views.id}"
             try:
-                estimates[one.id] = job.result()
+                estimates[views.id] = job.result()
             except PerceptionError as error:
-                logger.warning("%s_%d cannot be reconstructed: %s", one.category, one.id, error)
-            if progress is not None:
-                progress(done, len(jobs), f"{one.category}_{one.id}")
+                logger.warning("%s cannot be reconstructed: %s", name, error)
+            if options.progress is not None:
+                options.progress(done, len(jobs), name)
     return [estimates[key] for key in sorted(estimates)]
 
 
@@ -99,8 +98,16 @@ def gather_instances(
     frames: Sequence[RgbdFrame],
     detections_per_frame: Sequence[Sequence[ObjectDetection]],
     max_views: int = 6,
-) -> list[Instance]:
-    """The views of every instance, with what other objects hide in them marked as to be ignored."""
+) -> list[ObjectViews]:
+    """Return the views of every instance, ordered by id, with possible occluders marked to be ignored.
+
+    The class of an instance is the most frequent one of its views, its score their mean score.
+
+    Args:
+        frames: Images with camera poses.
+        detections_per_frame: For each frame its detections; those without ``instance_id`` are skipped.
+        max_views: Largest number of views of one instance; those with the largest masks are used.
+    """
     views: dict[int, list[tuple[RgbdFrame, ObjectDetection, np.ndarray]]] = {}
     for frame, detections in zip(frames, detections_per_frame, strict=True):
         for detection in detections:
@@ -119,14 +126,14 @@ def gather_instances(
             ObjectObservation(frame, detection.mask, ignore, detection.yaw_probabilities)
             for frame, detection, ignore in seen
         )
-        instances.append(Instance(key, category, score, observations))
+        instances.append(ObjectViews(key, category, score, observations))
     return instances
 
 
 def hidden_by(
     frame: RgbdFrame, mask: Bool[np.ndarray, "h w"], others: Sequence[Bool[np.ndarray, "h w"]]
 ) -> Bool[np.ndarray, "h w"]:
-    """Pixels of other objects that may hide the one in the mask: all but those clearly behind it."""
+    """Return the pixels of other objects that may occlude the one in the mask: all not clearly behind it."""
     if not others:
         return np.zeros_like(mask)
     union = np.logical_or.reduce(others).astype(np.uint8)
@@ -134,13 +141,13 @@ def hidden_by(
     own = frame.depth[mask & (frame.depth > 0)]
     if not own.size:
         return union
-    clearly_behind = frame.depth > np.quantile(own, 0.98) + _BEHIND
+    clearly_behind = frame.depth > np.quantile(own, 0.98) + _OCCLUSION_MARGIN
     return union & ~clearly_behind
 
 
 @contextmanager
-def single_threaded_torch():
-    """One thread for each object: several pools on the same cores fight (measured 15 times slower)."""
+def single_threaded_torch() -> Iterator[None]:
+    """Run torch on one thread: nested thread pools on the same cores are up to 15 times slower."""
     threads = torch.get_num_threads()
     torch.set_num_threads(1)
     try:

@@ -1,11 +1,11 @@
-"""How far a reconstructed surface may be off, from the covariance of its fit.
+"""Standard deviation of a reconstructed surface, from the covariance of its fit.
 
-The surface is where the occupancy o(g, z) keeps its level. To first order a step of code, rotation,
-translation and log scale (dz, omega, v, sigma) moves the point p of the object frame along its normal n by
+The surface is a level set of the occupancy o(g, z). To first order a step of code, rotation, translation and
+log scale (dz, omega, v, sigma) moves the point p of the object frame along its normal n by
 
-    (do/dz . dz) / |grad_p o|  +  omega . (p x n)  +  v . (R n)  +  sigma . (p * n)
+    (do/dz . dz) / |grad_p o|  +  omega . (p x n)  +  v . (R n)  +  sigma . (p * n),
 
-and the variance of that is a quadratic form in the covariance.
+whose variance is a quadratic form in the covariance.
 """
 
 from __future__ import annotations
@@ -19,19 +19,17 @@ from jaxtyping import Float
 
 from perception.types import GRID_RESOLUTION, Category, ObjectEstimate
 
-LEAST_SLOPE = (
-    0.1  # occupancy per voxel; a flatter one, of faint walls, would make any surface endlessly unsure
-)
+MIN_SLOPE = 0.1  # [1/voxel] smallest occupancy gradient; faint walls would have unbounded deviations
 
 
 @dataclass(frozen=True)
-class BandConfig:
-    """Calibration of the bands, by class.
+class CalibrationConfig:
+    """Calibration of the predicted deviations, by class.
 
     Attributes:
-        inflation: true errors where nothing was measured, over those the covariance predicts. Under 1: the
-            fit takes one pixel in twenty for independent of the others, which is too few.
-        floor: error that is left where the surface was measured, in [m].
+        inflation: Ratio of true to predicted deviations where nothing was measured. Below 1, because the
+            data weight of the fit treats one pixel in twenty as independent, which is too few.
+        floor: Standard deviation that remains where the surface was measured, in metres.
     """
 
     inflation: Mapping[Category, float] = field(
@@ -42,20 +40,24 @@ class BandConfig:
     )
 
 
-def surface_band(
+def calibrated_deviation(
     estimate: ObjectEstimate,
     covariance: Float[np.ndarray, "25 25"],
     determined: Float[np.ndarray, "v"],
     grid: Float[np.ndarray, "r r r"],
     jacobian: Float[np.ndarray, "r r r 16"],
-    config: BandConfig | None = None,
+    config: CalibrationConfig = CalibrationConfig(),
 ) -> Float[np.ndarray, "v"]:
-    """Calibrated standard deviation along the normal of each vertex, in [m].
+    """Return the calibrated standard deviation along the normal of each vertex, in metres.
 
-    ``determined`` says for each vertex to which share the measurements placed it (see ``refine.py``);
-    ``grid`` and ``jacobian`` are what the estimate's code decodes to.
+    Args:
+        estimate: Fitted object.
+        covariance: Covariance of code, rotation, translation and log scale.
+        determined: For each vertex the fraction of its position that measurements determined (``refine.py``).
+        grid: Occupancies decoded from the estimate's code.
+        jacobian: Their derivative with respect to the code.
+        config: Calibration.
     """
-    config = config or BandConfig()
     inflation, floor = config.inflation[estimate.category], config.floor[estimate.category]
     fitted = inflation * surface_deviation(estimate, covariance, grid, jacobian)
     return np.hypot(np.sqrt(1 - determined) * fitted, floor)
@@ -67,19 +69,19 @@ def surface_deviation(
     grid: Float[np.ndarray, "r r r"],
     jacobian: Float[np.ndarray, "r r r 16"],
 ) -> Float[np.ndarray, "v"]:
-    """One standard deviation along the normal of each vertex of the mesh, in [m].
+    """Return the standard deviation along the normal of each vertex that the covariance predicts, in metres.
 
-    ``grid`` and ``jacobian`` are what the estimate's code decodes to.
+    Arguments as for ``calibrated_deviation``.
     """
     points = estimate.mesh.vertices
     normals = trimesh.Trimesh(points, estimate.mesh.faces, process=False).vertex_normals
     voxel = 2 * estimate.scale / GRID_RESOLUTION  # [m]
     where = (points / estimate.scale + 1) / 2 * GRID_RESOLUTION - 0.5
-    slopes = _at(np.stack([np.gradient(grid, axis=k) for k in range(3)], axis=-1), where) / voxel
-    slope = np.maximum(np.linalg.norm(slopes, axis=1), LEAST_SLOPE / voxel.mean())
-    by_code = _at(jacobian, where)
+    gradients = _interpolated(np.stack([np.gradient(grid, axis=k) for k in range(3)], axis=-1), where) / voxel
+    slope = np.maximum(np.linalg.norm(gradients, axis=1), MIN_SLOPE / voxel.mean())
+    d_code = _interpolated(jacobian, where)
     rows = np.hstack([
-        by_code / slope[:, None],
+        d_code / slope[:, None],
         np.cross(points, normals),
         normals @ estimate.T_world_object[:3, :3].T,
         points * normals,
@@ -87,16 +89,18 @@ def surface_deviation(
     return np.sqrt(np.maximum(((rows @ covariance) * rows).sum(axis=1), 0.0))
 
 
-def _at(values: Float[np.ndarray, "r r r c"], where: Float[np.ndarray, "v 3"]) -> Float[np.ndarray, "v c"]:
-    """Trilinear, at points in voxels, all channels at once; outside as at the border."""
+def _interpolated(
+    values: Float[np.ndarray, "r r r c"], where: Float[np.ndarray, "v 3"]
+) -> Float[np.ndarray, "v c"]:
+    """Interpolate trilinearly at points in voxels, all channels at once; constant outside the grid."""
     side = values.shape[0]
     where = np.clip(where, 0, side - 1 - 1e-6)
     low = where.astype(int)
-    share = (where - low).astype(values.dtype)
+    fraction = (where - low).astype(values.dtype)
     flat = values.reshape(-1, values.shape[-1])
     base = (low[:, 0] * side + low[:, 1]) * side + low[:, 2]
     result = np.zeros((len(where), values.shape[-1]), values.dtype)
     for corner in np.ndindex(2, 2, 2):
-        weight = np.where(corner, share, 1 - share).prod(axis=1)
+        weight = np.where(corner, fraction, 1 - fraction).prod(axis=1)
         result += weight[:, None] * flat[base + (corner[0] * side + corner[1]) * side + corner[2]]
     return result

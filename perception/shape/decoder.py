@@ -14,7 +14,7 @@ from jaxtyping import Float
 from torch import Tensor
 
 from perception.errors import InvalidInputError
-from perception.shape.network import Decoder, channels_last
+from perception.shape.network import DecoderNetwork, channels_last
 from perception.shape.sparse_decoder import SparseDecoder
 from perception.shape.weights import load_weights
 from perception.types import CATEGORIES, CODE_SIZE, Category
@@ -28,7 +28,7 @@ class ShapeDecoder:
     Grids are (32, 32, 32) occupancy probabilities indexed [x, y, z] in the canonical cube [-1, 1]^3.
     """
 
-    def __init__(self, network: Decoder, device: str | torch.device = "cpu") -> None:
+    def __init__(self, network: DecoderNetwork, device: str | torch.device = "cpu") -> None:
         self.device = torch.device(device)
         channels_last(network, self.device)
         self._network = network.eval().requires_grad_(False)

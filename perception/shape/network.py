@@ -40,8 +40,8 @@ class ShapeVae(nn.Module):
 
     def __init__(self) -> None:
         super().__init__()
-        self.encoder = Encoder()
-        self.decoder = Decoder()
+        self.encoder = EncoderNetwork()
+        self.decoder = DecoderNetwork()
 
     def forward(self, grids: Grids, one_hot: OneHot, noise: Codes) -> tuple[Grids, Codes, Codes]:
         """Logits of the reconstruction, mean and log variance; ``noise`` is standard normal (or zero)."""
@@ -65,7 +65,7 @@ class ShapeVae(nn.Module):
         return self
 
 
-class Encoder(nn.Module):
+class EncoderNetwork(nn.Module):
     """Occupancy grid and class to the mean and log variance of the shape code."""
 
     def __init__(self) -> None:
@@ -91,7 +91,7 @@ class Encoder(nn.Module):
         return mean, log_variance
 
 
-class Decoder(nn.Module):
+class DecoderNetwork(nn.Module):
     """Shape code and class to logits of occupancy."""
 
     def __init__(self) -> None:

@@ -20,7 +20,7 @@ import warp as wp
 from jaxtyping import Float
 from torch import Tensor
 
-from perception.shape.network import CHANNELS, Decoder
+from perception.shape.network import CHANNELS, DecoderNetwork
 from perception.shape.sparse_kernels import (
     jacobian_kernel,
     occupancy_kernel,
@@ -40,7 +40,7 @@ _SHARED = 8  # cubes of this many voxels along each axis, and larger ones, are w
 class SparseDecoder:
     """One code at a time to its grid and the grid's derivatives; safe to call from several threads."""
 
-    def __init__(self, network: Decoder, device: str) -> None:
+    def __init__(self, network: DecoderNetwork, device: str) -> None:
         start_warp()
         self._device = device
         c1, _, _, c4, c5 = CHANNELS

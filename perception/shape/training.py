@@ -28,7 +28,7 @@ log = logging.getLogger(__name__)
 
 
 @dataclass(frozen=True)
-class TrainingConfig:
+class ShapeTrainingConfig:
     """How to train.
 
     Attributes:
@@ -75,7 +75,7 @@ OnBatch = Callable[[int, int, int], None]  # epoch, batches done, batches in an 
 
 def train(
     data: ShapeDataset,
-    config: TrainingConfig,
+    config: ShapeTrainingConfig,
     device: str = "cpu",
     checkpoint: Path | None = None,
     on_epoch: OnEpoch | None = None,
@@ -108,7 +108,7 @@ def train_epoch(
     model: ShapeVae,
     optimizer: torch.optim.Optimizer,
     data: ShapeDataset,
-    config: TrainingConfig,
+    config: ShapeTrainingConfig,
     epoch: int,
     device: str,
     on_batch: OnBatch | None = None,
@@ -142,14 +142,18 @@ def train_epoch(
     return EpochRecord(epoch + 1, mean_loss, mean_divergence, time.monotonic() - started)
 
 
-def learning_rate(config: TrainingConfig, step: int, n_steps: int) -> float:
+def learning_rate(config: ShapeTrainingConfig, step: int, n_steps: int) -> float:
     """Linear rise, then half a cosine to zero."""
     rise = min(1.0, (step + 1) / max(1, config.warmup_steps))
     return config.learning_rate * rise * 0.5 * (1.0 + math.cos(math.pi * step / n_steps))
 
 
 def save_checkpoint(
-    path: Path, config: TrainingConfig, model: ShapeVae, optimizer: torch.optim.Optimizer, epochs_done: int
+    path: Path,
+    config: ShapeTrainingConfig,
+    model: ShapeVae,
+    optimizer: torch.optim.Optimizer,
+    epochs_done: int,
 ) -> None:
     """Write weights, optimiser state and configuration; a killed process leaves the previous checkpoint."""
     state = {
@@ -165,7 +169,7 @@ def save_checkpoint(
 
 
 def load_checkpoint(
-    path: Path, config: TrainingConfig, model: ShapeVae, optimizer: torch.optim.Optimizer
+    path: Path, config: ShapeTrainingConfig, model: ShapeVae, optimizer: torch.optim.Optimizer
 ) -> int:
     """Restore what ``save_checkpoint`` wrote and return the number of epochs done."""
     remedy = "delete it to start anew, or choose another output folder"

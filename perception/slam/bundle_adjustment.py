@@ -21,13 +21,7 @@ from jaxtyping import Float
 
 from perception.geometry import invert, se3_exp, se3_log
 from perception.inference.levenberg_marquardt import Evaluation, LmConfig
-from perception.inference.observation import (
-    PixelConfig,
-    PixelSet,
-    gather_pixels,
-    ray_samples,
-    sampling_radius,
-)
+from perception.inference.observation import Crop, PixelConfig, PixelSet, SamplingRange, gather_pixels
 from perception.inference.problem import (
     PARAMETERS,
     FitProblem,
@@ -166,13 +160,10 @@ class _ObjectInWindow:
         self.landmark, self.views = landmark, views
         config, pose = window.config, landmark.state.pose
         voxel = 2 * float(pose.scale.max()) / GRID_RESOLUTION
-        reach = sampling_radius(landmark.reach)
-        samples = ray_samples(reach, landmark.step * voxel)
+        sampling = SamplingRange.around(pose.translation, landmark.reach, landmark.step * voxel)
         observations = [window.keyframes[k].observation(landmark.id) for k in views]
-        self.pixels = gather_pixels(
-            observations, pose.translation, reach, samples, config.crop, 0, config.pixels
-        )
-        self.plane, self.noise = window.plane, config.noise
+        self.pixels = gather_pixels(observations, sampling, Crop(config.crop), config.pixels)
+        self.noise = config.noise
         lowest = pose.scale.max()
         height = max(2 * pose.scale[2], 0.04)
         self.support = SupportCamera.under(pose, window.plane, lowest, height, config.support_pixels)
@@ -183,7 +174,7 @@ class _ObjectInWindow:
         """Rows by the object's parameters, and the render rows' derivatives by their own camera (n, 6)."""
         Ts = Ts_world_camera[self.views]
         pixels: PixelSet = replace(self.pixels, Ts_world_camera=Ts)
-        evaluation = FitProblem(pixels, landmark.shape, self.plane, self.support, self.noise)(state)
+        evaluation = FitProblem(pixels, landmark.shape, self.support, self.noise)(state)
         n = len(pixels.target)
         rows = evaluation.jacobian[:n, CODE_SIZE:]
         camera = np.empty((n, CAMERA))

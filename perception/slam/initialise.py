@@ -10,7 +10,7 @@ from jaxtyping import Bool
 
 from perception.errors import PerceptionError
 from perception.inference.fit import FitConfig, fit_object
-from perception.inference.observation import ObjectObservation
+from perception.inference.observation import ObjectObservation, ObjectViews
 from perception.inference.problem import FitState
 from perception.inference.shape_model import Decoder, linearise
 from perception.rendering.pose import ObjectPose
@@ -44,7 +44,8 @@ def initialise_landmark(
     """
     category = category or detection.category
     try:
-        estimate = fit_object(observations, category, decoder, plane, fit, landmark_id, detection.score)
+        views = ObjectViews(landmark_id, category, detection.score, tuple(observations))
+        estimate = fit_object(views, decoder, plane, fit)
     except PerceptionError as error:
         logger.debug("no %s from frame %d: %s", category, frame_number, error)
         return None

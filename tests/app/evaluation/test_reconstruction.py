@@ -98,7 +98,7 @@ def test_every_method_differs_from_the_product_and_keeps_its_budget(method) -> N
 
 
 def test_fusion_is_no_configuration_of_the_fit() -> None:
-    with pytest.raises(ValueError, match="no configuration"):
+    with pytest.raises(ValueError, match="not a configuration"):
         ablations.method_config("tsdf")
 
 

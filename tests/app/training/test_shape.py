@@ -8,7 +8,7 @@ from app.training.shape import TrainShapeConfig, cached_shapes, run
 from perception.errors import PerceptionError
 from perception.io.weights import weights_checksum
 from perception.shape.decoder import ShapeDecoder
-from perception.shape.training import TrainingConfig
+from perception.shape.training import ShapeTrainingConfig
 
 TINY = TrainShapeConfig(
     mugs=6,
@@ -17,7 +17,7 @@ TINY = TrainShapeConfig(
     cans=2,
     held_out=2,
     evaluate_every=1,
-    training=TrainingConfig(epochs=2, batch_size=4),
+    training=ShapeTrainingConfig(epochs=2, batch_size=4),
 )
 
 

@@ -7,14 +7,25 @@ from perception.errors import InvalidInputError
 from perception.geometry import yaw_of
 from perception.inference.fit import FitConfig, fit_object
 from perception.inference.meshing import mesh_from_code
-from perception.inference.observation import ObjectObservation, PixelConfig, gather_pixels
-from perception.inference.problem import FitProblem, FitState, NoiseConfig, SupportCamera
+from perception.inference.observation import (
+    Crop,
+    ObjectObservation,
+    ObjectViews,
+    PixelConfig,
+    SamplingRange,
+    gather_pixels,
+)
+from perception.inference.problem import FitProblem, FitState, NoiseConfig, SizePrior, SupportCamera
 from perception.inference.shape_model import linearise
 from perception.metrics import reconstruction_metrics
 from perception.rendering.pose import ObjectPose
 from perception.types import SupportPlane
 
 PLANE = SupportPlane()
+
+
+def views(observations, category: str, object_id: int = 0, score: float = 1.0) -> ObjectViews:
+    return ObjectViews(object_id, category, score, tuple(observations))
 
 
 def _surface_error(estimate, table) -> float:
@@ -30,7 +41,7 @@ def can(make_table):
 
 @pytest.fixture(scope="module")
 def can_estimate(can, decoder):
-    return fit_object(can.observations((0.0, 2.0, 4.0)), "can", decoder, PLANE, object_id=7, score=0.9)
+    return fit_object(views(can.observations((0.0, 2.0, 4.0)), "can", 7, 0.9), decoder, PLANE)
 
 
 def test_recovers_a_known_object(can, can_estimate) -> None:
@@ -58,13 +69,13 @@ def test_stands_on_the_plane(can_estimate) -> None:
 
 def test_one_view_is_enough_for_a_shape_of_the_prior(make_table, decoder) -> None:
     table = make_table("can", (1.0, 0.5), yaw=0.0)
-    estimate = fit_object(table.observations((1.0,)), "can", decoder, PLANE)
+    estimate = fit_object(views(table.observations((1.0,)), "can"), decoder, PLANE)
     assert _surface_error(estimate, table) < 0.003
 
 
 def test_finds_the_yaw_of_a_mug_that_nobody_told(make_table, decoder) -> None:
     table = make_table("mug", (0.0, 0.0, 1.0), yaw=2.4)
-    estimate = fit_object(table.observations((0.3, 2.0, 3.5)), "mug", decoder, PLANE)
+    estimate = fit_object(views(table.observations((0.3, 2.0, 3.5)), "mug"), decoder, PLANE)
     error = yaw_of(estimate.T_world_object[:3, :3]) - 2.4
     assert abs((error + np.pi) % (2 * np.pi) - np.pi) < np.deg2rad(8)
 
@@ -81,11 +92,11 @@ def test_depth_holes_and_covered_pixels_are_left_out(can, decoder) -> None:
         depth[:, middle : middle + 15] = 0.2  # something in front of the lens
         frame = type(seen.frame)(0.0, seen.frame.rgb, depth, seen.frame.intrinsics, seen.frame.T_world_camera)
         observations.append(ObjectObservation(frame, seen.mask & ~ignore, ignore))
-    assert _surface_error(fit_object(observations, "can", decoder, PLANE), can) < 0.002
+    assert _surface_error(fit_object(views(observations, "can"), decoder, PLANE), can) < 0.002
 
 
 def test_same_input_same_output(can, decoder, can_estimate) -> None:
-    again = fit_object(can.observations((0.0, 2.0, 4.0)), "can", decoder, PLANE)
+    again = fit_object(views(can.observations((0.0, 2.0, 4.0)), "can"), decoder, PLANE)
     np.testing.assert_array_equal(again.code, can_estimate.code)
     np.testing.assert_array_equal(again.T_world_object, can_estimate.T_world_object)
 
@@ -93,20 +104,22 @@ def test_same_input_same_output(can, decoder, can_estimate) -> None:
 def test_nothing_above_the_plane_is_an_error(can, decoder) -> None:
     seen = can.observations((0.0,))
     with pytest.raises(InvalidInputError, match="above the support plane"):
-        fit_object(seen, "can", decoder, SupportPlane(offset=1.0))
+        fit_object(views(seen, "can"), decoder, SupportPlane(offset=1.0))
     with pytest.raises(InvalidInputError, match="without any view"):
-        fit_object([], "can", decoder, PLANE)
+        fit_object(views([], "can"), decoder, PLANE)
 
 
 def test_problem_jacobian_by_finite_differences(make_table, decoder) -> None:
     """All rows of the problem at once, with weights aside: renders, priors, and the camera underneath."""
     table = make_table("mug", (0.3,), yaw=0.4)
     observations = table.observations((0.0,))
-    pixels = gather_pixels(observations, table.pose.translation, 0.1, 300, 24, 1, PixelConfig())
+    pixels = gather_pixels(
+        observations, SamplingRange(table.pose.translation, 0.1, 300), Crop(24, 1), PixelConfig()
+    )
     code = table.code + 0.1
     shape = linearise(decoder, "mug", code)
     support = SupportCamera.under(table.pose, PLANE, 0.04, 0.08)
-    problem = FitProblem(pixels, shape, PLANE, support, NoiseConfig(), 1.1 * table.pose.scale, 0.1)
+    problem = FitProblem(pixels, shape, support, NoiseConfig(), SizePrior(1.1 * table.pose.scale, 0.1))
     state = FitState(ObjectPose(table.pose.rotation, table.pose.translation + 0.003, table.pose.scale), code)
     here = problem(state)
     data = here.weights > 0
@@ -125,9 +138,13 @@ def test_config_budget_is_kept(can, decoder) -> None:
     assert iterations == 30
 
 
+def around(table) -> SamplingRange:
+    return SamplingRange(table.pose.translation, 0.1, 100)
+
+
 def test_every_other_background_pixel_stands_for_two(can) -> None:
     dense, sparse = (
-        gather_pixels(can.observations((0.0, 0.8)), can.pose.translation, 0.1, 100, 48, 0, config)
+        gather_pixels(can.observations((0.0, 0.8)), around(can), Crop(48), config)
         for config in (PixelConfig(), PixelConfig(sparse_background=True))
     )
     outside, fewer = ~dense.inside, ~sparse.inside
@@ -135,7 +152,7 @@ def test_every_other_background_pixel_stands_for_two(can) -> None:
     assert sparse.weight[fewer].sum() == pytest.approx(dense.weight[outside].sum(), rel=0.05)
     np.testing.assert_array_equal(sparse.rays.directions[~fewer], dense.rays.directions[~outside])
     blurred = gather_pixels(
-        can.observations((0.0,)), can.pose.translation, 0.1, 100, 48, 1, PixelConfig(sparse_background=True)
+        can.observations((0.0,)), around(can), Crop(48, 1), PixelConfig(sparse_background=True)
     )
     assert set(np.unique(blurred.weight)) == {np.float32(0.2), np.float32(1.0)}
 
@@ -143,8 +160,8 @@ def test_every_other_background_pixel_stands_for_two(can) -> None:
 def test_finer_crops_say_no_more(can) -> None:
     sums = {}
     for crop in (24, 36, 48, 4000):
-        seen, middle = can.observations((0.0, 0.8)), can.pose.translation
-        pixels = gather_pixels(seen, middle, 0.1, 100, crop, 0, PixelConfig(), reference=36)
+        seen = can.observations((0.0, 0.8))
+        pixels = gather_pixels(seen, around(can), Crop(crop, reference=36), PixelConfig())
         sums[crop] = float(pixels.weight[pixels.inside].sum())
         if crop == 36:
             assert set(np.unique(pixels.weight)) == {np.float32(0.2), np.float32(1.0)}

@@ -3,11 +3,11 @@
 import numpy as np
 import pytest
 
-from perception.inference.fit import FitConfig, Stage
-from perception.inference.reconstruct import gather_instances, hidden_by, reconstruct
+from perception.inference.fit import FitConfig, FitStage
+from perception.inference.reconstruct import ReconstructOptions, gather_instances, hidden_by, reconstruct
 from perception.types import ObjectDetection, SupportPlane
 
-QUICK = FitConfig(stages=(Stage(24, 1, 3), Stage(32, 0, 5)))
+QUICK = FitConfig(stages=(FitStage(24, 1, 3), FitStage(32, 0, 5)))
 
 
 @pytest.fixture(scope="module")
@@ -37,7 +37,8 @@ def test_instances_gather_their_views(scan) -> None:
 
 def test_reconstruct_goes_on_without_what_cannot_be_fitted(scan, decoder, caplog) -> None:
     calls = []
-    estimates = reconstruct(*scan, decoder, SupportPlane(), QUICK, progress=lambda *args: calls.append(args))
+    options = ReconstructOptions(progress=lambda *args: calls.append(args))
+    estimates = reconstruct(*scan, decoder, SupportPlane(), QUICK, options)
     assert [estimate.name for estimate in estimates] == ["can_4"]
     assert estimates[0].n_views == 2
     assert "mug_2 cannot be reconstructed" in caplog.text
@@ -45,7 +46,7 @@ def test_reconstruct_goes_on_without_what_cannot_be_fitted(scan, decoder, caplog
 
 
 def test_workers_do_not_change_the_result(scan, decoder) -> None:
-    one, two = (reconstruct(*scan, decoder, SupportPlane(), QUICK, workers=n)[0] for n in (1, 2))
+    one, two = (reconstruct(*scan, decoder, SupportPlane(), QUICK, ReconstructOptions(n))[0] for n in (1, 2))
     np.testing.assert_array_equal(one.code, two.code)
     np.testing.assert_array_equal(one.mesh.vertices, two.mesh.vertices)
 

@@ -7,7 +7,7 @@ import torch
 from perception.errors import InvalidInputError, PerceptionError
 from perception.shape.dataset import ShapeDataset, mirrored, occupancies
 from perception.shape.losses import LossConfig, handle_region, shape_loss, thin_structures, voxel_weights
-from perception.shape.training import EpochRecord, TrainingConfig, learning_rate, train
+from perception.shape.training import EpochRecord, ShapeTrainingConfig, learning_rate, train
 from perception.types import CATEGORIES
 
 AXIS = np.arange(32) - 15.5
@@ -32,7 +32,7 @@ def shapes() -> ShapeDataset:
     return ShapeDataset.from_grids({name: np.array(value, np.float32) for name, value in grids.items()})
 
 
-CONFIG = TrainingConfig(epochs=3, batch_size=4, warmup_steps=4, seed=7)
+CONFIG = ShapeTrainingConfig(epochs=3, batch_size=4, warmup_steps=4, seed=7)
 
 
 def test_training_on_32_shapes_reduces_the_loss(shapes):
@@ -40,7 +40,7 @@ def test_training_on_32_shapes_reduces_the_loss(shapes):
     batches = []
     train(
         shapes,
-        TrainingConfig(epochs=4, batch_size=4, learning_rate=4e-3, warmup_steps=4),
+        ShapeTrainingConfig(epochs=4, batch_size=4, learning_rate=4e-3, warmup_steps=4),
         on_epoch=lambda record, model: records.append(record),
         on_batch=lambda *counts: batches.append(counts),
     )
@@ -72,12 +72,12 @@ def test_a_resumed_run_equals_an_uninterrupted_one(shapes, tmp_path):
 def test_checkpoints_of_other_runs_and_broken_ones_are_refused(shapes, tmp_path):
     checkpoint = tmp_path / "checkpoint.pt"
     few = ShapeDataset(shapes.grids[:4], shapes.categories[:4])
-    train(few, TrainingConfig(epochs=1, batch_size=4), checkpoint=checkpoint)
+    train(few, ShapeTrainingConfig(epochs=1, batch_size=4), checkpoint=checkpoint)
     with pytest.raises(PerceptionError, match=r"belongs to another configuration .*delete it"):
-        train(few, TrainingConfig(epochs=2, batch_size=4), checkpoint=checkpoint)
+        train(few, ShapeTrainingConfig(epochs=2, batch_size=4), checkpoint=checkpoint)
     checkpoint.write_bytes(b"nonsense")
     with pytest.raises(PerceptionError, match=r"cannot be read .*delete it"):
-        train(few, TrainingConfig(epochs=1, batch_size=4), checkpoint=checkpoint)
+        train(few, ShapeTrainingConfig(epochs=1, batch_size=4), checkpoint=checkpoint)
 
 
 def test_no_shapes_and_no_epochs_are_refused():
@@ -85,11 +85,11 @@ def test_no_shapes_and_no_epochs_are_refused():
     with pytest.raises(InvalidInputError, match="no shapes"):
         train(empty, CONFIG)
     with pytest.raises(InvalidInputError, match="must be positive"):
-        TrainingConfig(epochs=0)
+        ShapeTrainingConfig(epochs=0)
 
 
 def test_the_learning_rate_rises_and_falls_to_zero():
-    config = TrainingConfig(learning_rate=1.0, warmup_steps=10)
+    config = ShapeTrainingConfig(learning_rate=1.0, warmup_steps=10)
     assert learning_rate(config, 0, 1000) == pytest.approx(0.1)
     assert learning_rate(config, 500, 1000) == pytest.approx(0.5)
     assert learning_rate(config, 1000, 1000) == pytest.approx(0.0)

@@ -5,7 +5,7 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
-from perception.inference.fit import FitConfig, Stage
+from perception.inference.fit import FitConfig, FitStage
 from perception.io.recordings.sequence import without_pose
 from perception.slam.config import LifeConfig, SlamConfig
 from perception.slam.initialise import touches_border
@@ -14,7 +14,7 @@ from perception.slam.relocalise import level_camera, relocalise
 from perception.slam.system import Slam, joined_labels
 from perception.types import RgbdFrame, SupportPlane
 
-QUICK = FitConfig(stages=(Stage(32, 1, 5), Stage(40, 0, 6)))
+QUICK = FitConfig(stages=(FitStage(32, 1, 5), FitStage(40, 0, 6)))
 
 
 class Recording:
