@@ -4,8 +4,13 @@ import numpy as np
 import pytest
 
 from app.errors import UsageError
-from app.options import PackOptions
-from app.task.cell import check_options, parse_box, parse_objects, robot_of
+from app.options import EvaluateOptions, PackOptions, ScanOptions, SortOptions
+from app.task.cell import build_world, check_options, parse_box, parse_objects, robot_of
+from manipulation.types import Line
+from sim_assets.cell.layout import LayoutError
+from sim_assets.cell.world import World
+from sim_assets.objects import sample_object
+from sim_assets.objects.sampling import draw_objects
 
 
 def rng():
@@ -46,3 +51,89 @@ def test_the_arm_that_was_asked_for():
     assert len(robot_of(PackOptions(robot="sixaxis")).description.joint_names) == 6
     with pytest.raises(UsageError, match="--robot"):
         check_options(PackOptions(robot="arm.toml"))
+
+
+@pytest.fixture
+def config_of(monkeypatch):
+    """Build the cell of some options without its physics; return its configuration."""
+
+    def build(options, task):
+        kept = []
+        with monkeypatch.context() as patch:
+            patch.setattr(World, "__init__", lambda self, config: kept.append(config))
+            build_world(options, task)
+        return kept[0]
+
+    return build
+
+
+def same(a, b):
+    return len(a) == len(b) and all(
+        np.array_equal(x.mesh.vertices, y.mesh.vertices) and x.category == y.category for x, y in zip(a, b)
+    )
+
+
+@pytest.mark.parametrize(
+    ("options", "task"),
+    [
+        (PackOptions(), "pack"),
+        (SortOptions(objects="mug=1,bowl=2,bottle=1,can=1"), "sort"),
+        (EvaluateOptions(what="tasks"), "pack"),
+        (ScanOptions(), "pack"),
+    ],
+)
+def test_objects_come_from_the_test_families(options, task, config_of):
+    models = config_of(options, task).objects
+    assert {model.split for model in models} == {"test"}
+    assert {model.category for model in models} == {"mug", "bowl", "bottle", "can"}
+
+
+def test_one_seed_yields_layout_and_objects_from_separate_generators(config_of):
+    layout, shapes = np.random.SeedSequence(5).spawn(2)
+    config = config_of(PackOptions(seed=5, objects="mug=1,can=2"), "pack")
+    assert config.seed == int(layout.generate_state(1)[0])
+    expected = draw_objects(Counter({"mug": 1, "can": 2}), "test", np.random.default_rng(shapes))
+    assert same(config.objects, expected)
+    other = config_of(PackOptions(seed=6, objects="mug=1,can=2"), "pack")
+    assert other.seed != config.seed and not same(other.objects, config.objects)
+
+
+def test_pack_has_a_box_and_sort_a_line(config_of):
+    pack = config_of(PackOptions(box="0.4,0.2,0.1", objects="can=1", depth_noise="none"), "pack")
+    assert pack.box.inner == (0.4, 0.2, 0.1) and pack.line is None and pack.depth_noise == "none"
+    sort = config_of(SortOptions(objects="can=1", robot="sixaxis"), "sort")
+    assert sort.box is None and sort.line == (Line().start, Line().end)
+    assert len(sort.robot.description.joint_names) == 6 and sort.depth_noise == "gaussian"
+
+
+def test_a_layout_without_room_names_the_option(monkeypatch):
+    def full(self, config):
+        raise LayoutError("9 objects do not fit on the table")
+
+    monkeypatch.setattr(World, "__init__", full)
+    with pytest.raises(UsageError, match="--objects can=9: 9 objects do not fit on the table"):
+        build_world(PackOptions(objects="can=9"), "pack")
+
+
+@pytest.fixture
+def mesh_folder(tmp_path, monkeypatch):
+    """A folder with two mugs and one can; reading it takes no time."""
+    models = [sample_object(c, "test", np.random.default_rng(i)) for i, c in enumerate(("mug", "can", "mug"))]
+    read = {tmp_path: models}
+    monkeypatch.setattr("sim_assets.objects.load_user_objects", lambda folder: read[folder])
+    return tmp_path
+
+
+def test_objects_from_mesh_files(mesh_folder, config_of):
+    by_class = config_of(PackOptions(objects="mug=3,can=1", object_meshes=mesh_folder), "pack").objects
+    assert [model.category for model in by_class] == ["mug", "mug", "mug", "can"]
+    assert len({id(model) for model in by_class[:2]}) == 2  # no repetition before all have been used
+    by_number = config_of(PackOptions(objects="3", object_meshes=mesh_folder), "pack").objects
+    assert sorted(model.category for model in by_number) == ["can", "mug", "mug"]
+    with pytest.raises(UsageError, match=r"--objects asks for a bowl but .* has none"):
+        config_of(PackOptions(objects="bowl=1", object_meshes=mesh_folder), "pack")
+
+
+def test_a_missing_mesh_folder_is_refused(tmp_path):
+    with pytest.raises(UsageError, match=r"--object-meshes .*absent is no folder"):
+        check_options(PackOptions(object_meshes=tmp_path / "absent"))

@@ -29,8 +29,16 @@ def thing(category="can", x=0.5, y=0.27, z=0.004, radius=0.03, height=0.1, yaw_d
 
 
 def test_standing():
-    objects = [thing(), thing(tilt_deg=9), thing(tilt_deg=12), thing(tilt_deg=90), thing(z=-0.7)]
+    objects = [thing(), thing(tilt_deg=9.9), thing(tilt_deg=12), thing(tilt_deg=90), thing(z=-0.7)]
     assert judge_standing(objects) == ["", "", "tilted by 12 deg", "toppled by 90 deg", "fell off the table"]
+    limits = [thing(tilt_deg=10.1), thing(tilt_deg=44), thing(tilt_deg=46), thing(z=-0.049), thing(z=-0.051)]
+    assert judge_standing(limits) == [
+        "tilted by 10 deg", "tilted by 44 deg", "toppled by 46 deg", "", "fell off the table",
+    ]  # fmt: skip
+
+
+def test_an_object_upside_down_has_toppled():
+    assert judge_standing([thing(tilt_deg=180)]) == ["toppled by 180 deg"]
 
 
 def test_a_well_packed_box():
@@ -48,16 +56,29 @@ def test_a_well_packed_box():
 @pytest.mark.parametrize(
     ("item", "reason"),
     [
-        (thing(x=0.64), "outside the box by 0 mm"),
+        (thing(x=0.64), ""),
+        (thing(x=0.6415), ""),  # 1.5 mm into the wall
+        (thing(x=0.6425), "outside the box by 2 mm"),
         (thing(x=0.67), "outside the box by 30 mm"),
+        (thing(x=0.33), "outside the box by 30 mm"),
+        (thing(y=0.3915), ""),
+        (thing(y=0.3925), "outside the box by 2 mm"),
+        (thing(y=0.1477), "outside the box by 2 mm"),
         (thing(y=0.0), "outside the box by 150 mm"),
+        (thing(z=0.0185), ""),
+        (thing(z=0.0195), "not on the floor of the box but 16 mm above"),
         (thing(z=0.05), "not on the floor of the box but 46 mm above"),
         (thing(tilt_deg=11), "tilted by 11 deg"),
     ],
 )
 def test_badly_packed(item, reason):
-    expected = "" if reason.endswith("by 0 mm") else reason
-    assert judge_pack([item], BOX) == [expected]
+    assert judge_pack([item], BOX) == [reason]
+
+
+def test_the_whole_outline_must_be_inside_not_the_base_alone():
+    """A can leaning by 9 degrees against the wall: its top edge is 15 mm beyond that of its base."""
+    assert judge_pack([thing(y=0.385, tilt_deg=-9)], BOX) == ["outside the box by 10 mm"]
+    assert judge_pack([thing(y=0.375, tilt_deg=-9)], BOX) == [""]
 
 
 def test_bowls_must_be_nested_with_the_largest_lowest():
@@ -71,6 +92,25 @@ def test_bowls_must_be_nested_with_the_largest_lowest():
     assert sorted(judge_pack(beside, BOX)) == ["", "bowl beside the nest"]
     hung = [thing("bowl", radius=0.05, z=0.1)]
     assert judge_pack(hung, BOX) == ["bowl on something that is no bowl"]
+
+
+def test_nested_bowls_share_an_axis():
+    lower = thing("bowl", x=0.45, radius=0.07)
+    for offset, reasons in ((0.029, ["", ""]), (0.031, ["", "bowl beside the nest"])):
+        assert judge_pack([lower, thing("bowl", x=0.45 + offset, radius=0.06, z=0.02)], BOX) == reasons
+
+
+def test_nest_order_has_a_tolerance_of_three_millimetres():
+    def verdict(lower, upper):
+        return judge_pack([thing("bowl", radius=lower), thing("bowl", radius=upper, z=0.02)], BOX)
+
+    assert verdict(0.060, 0.0629) == ["", ""]
+    assert verdict(0.060, 0.0631).count("bowl nested in the wrong order") == 1
+
+
+def test_the_lowest_bowl_of_a_nest_stands_on_the_floor():
+    for z, reason in ((0.0185, ""), (0.0195, "bowl on something that is no bowl")):
+        assert judge_pack([thing("bowl", radius=0.05, z=z)], BOX) == [reason]
 
 
 def solid_bowl(**place):
@@ -110,9 +150,12 @@ def test_mugs_must_point_one_way_and_stand_in_a_row():
     assert judge_pack(mugs(0, 14, 7), BOX) == ["", "", ""]
     assert judge_pack(mugs(0, 40, 5), BOX) == ["", "handle 40 deg from the others'", ""]
     assert judge_pack(mugs(0, 16), BOX) == ["", "handle 16 deg from the others'"]
-    crooked = mugs(0, 0, 0)
-    crooked[1] = thing("mug", x=0.5, y=0.34)
-    assert [bool(reason) for reason in judge_pack(crooked, BOX)].count(True) == 1
+    assert judge_pack(mugs(0, 14.9), BOX) == ["", ""] and "" in judge_pack(mugs(0, 15.1), BOX)
+    assert judge_pack(mugs(0, 15.1), BOX)[1] == "handle 15 deg from the others'"
+    # The middle mug of three is off a straight row by d: two thirds of d from the best line.
+    for offset, wrong in ((0.0295, 0), (0.0305, 1), (0.07, 1)):
+        crooked = [thing("mug", x=0.4), thing("mug", x=0.5, y=0.27 + offset), thing("mug", x=0.6)]
+        assert judge_pack(crooked, BOX).count("mug out of the row of mugs") == wrong
 
 
 def on_line(distance, **changes):
@@ -130,8 +173,25 @@ def test_a_sorted_line():
 def test_order_counts_from_three_millimetres_on():
     alike = [on_line(0.1, height=0.102), on_line(0.3, height=0.100)]
     assert judge_sort(alike, *LINE) == ["", ""]
+    for difference, wrong in ((0.0029, 0), (0.0031, 1)):
+        first, second = on_line(0.1), on_line(0.3)
+        height = np.sqrt((second.size + difference) ** 2 - (2 * second.radius) ** 2)
+        first = replace(first, height=float(height))
+        assert first.size - second.size == pytest.approx(difference)
+        assert judge_sort([first, second], *LINE).count("out of order by size") == wrong
     swapped = [on_line(0.1, height=0.12), on_line(0.3, height=0.10), on_line(0.5, height=0.15)]
     assert judge_sort(swapped, *LINE).count("out of order by size") == 1
+    reversed_line = [on_line(0.5, height=0.10), on_line(0.3, height=0.12), on_line(0.1, height=0.15)]
+    assert judge_sort(reversed_line, *LINE).count("out of order by size") == 2
+
+
+def test_order_is_that_on_the_line_whatever_the_order_of_the_list():
+    objects = [on_line(0.1 + 0.15 * i, height=0.08 + 0.03 * i) for i in (2, 0, 3, 1)]
+    assert judge_sort(objects, *LINE) == [""] * 4
+
+
+def test_a_toppled_object_is_not_sorted():
+    assert judge_sort([on_line(0.1, tilt_deg=90)], *LINE) == ["toppled by 90 deg"]
 
 
 def test_off_the_line():
@@ -140,4 +200,21 @@ def test_off_the_line():
     T[:2, 3] += 0.035 * np.array([0.466, 0.885])  # the line's normal
     aside = replace(aside, T_world_object=T)
     assert judge_sort([on_line(0.1), aside], *LINE) == ["", "off the line by 3.5 cm"]
-    assert judge_sort([on_line(-0.1)], *LINE) == ["off the line by 10.0 cm"]
+    length = float(np.hypot(LINE[1][0] - LINE[0][0], LINE[1][1] - LINE[0][1]))
+    for distance, reason in (
+        (-0.019, ""),
+        (-0.021, "off the line by 2.1 cm"),
+        (-0.1, "off the line by 10.0 cm"),
+        (length + 0.019, ""),
+        (length + 0.021, "off the line by 2.1 cm"),
+    ):
+        assert judge_sort([on_line(distance)], *LINE) == [reason]
+
+
+@pytest.mark.parametrize(("aside", "reason"), [(0.019, ""), (0.021, "off the line by 2.1 cm")])
+@pytest.mark.parametrize("side", [-1, 1])
+def test_the_line_is_two_centimetres_wide_on_either_side(aside, reason, side):
+    along = np.array(LINE[1]) - np.array(LINE[0])
+    normal = np.array([-along[1], along[0]]) / np.linalg.norm(along)
+    x, y = on_line(0.3).base[:2] + side * aside * normal
+    assert judge_sort([thing(x=x, y=y, z=0.0)], *LINE) == [reason]

@@ -54,6 +54,26 @@ def test_estimates_are_matched_by_position_whatever_their_order_and_class(truth)
     assert match(far, truth) == {} and match([], truth) == {}
 
 
+@pytest.mark.parametrize(("distance", "matched"), [(0.049, True), (0.051, False)])
+def test_estimates_farther_than_five_centimetres_are_not_matched(truth, distance, matched):
+    can = oracle_estimates(truth)[1]
+    assert match([moved(can, (0.0, distance, 0.0))], truth) == ({1: 1} if matched else {})
+
+
+def test_the_axis_of_a_mug_is_that_of_its_body(truth):
+    """The handle moves the centre of the bounding box by about 2 cm along +x."""
+    mug = oracle_estimates(truth)[0]
+    along_handle = truth.poses[0][:3, 0]
+    assert match([moved(mug, 0.045 * along_handle)], truth) == {0: 0}
+    assert match([moved(mug, -0.045 * along_handle)], truth) == {0: 0}
+
+
+def test_two_estimates_of_one_object_leave_one_unmatched(truth):
+    can = oracle_estimates(truth)[1]
+    near, far = replace(can, id=5), replace(moved(can, (0.02, 0.0, 0.0)), id=6)
+    assert match([far, near], truth) == {5: 1}
+
+
 def test_reconstruction_scores_know_perfect_from_shifted_and_missing(truth):
     rng = np.random.default_rng(1)
     mug, can, _ = oracle_estimates(truth)
@@ -104,6 +124,60 @@ def test_what_the_robot_believes_does_not_count(truth):
     believed = [ObjectOutcome(e.id, e.name, True, 1, "", at(0.5, 0.27)) for e in (mug, can, bowl)]
     reports = score_task(plan_for([mug, can, bowl]), [mug, can, bowl], believed, truth, truth, BoxConfig())
     assert not any(report.placed for report in reports)
+
+
+def test_an_object_that_toppled_or_tilted_is_not_placed(truth):
+    mug, can, bowl = oracle_estimates(truth)
+    box = BoxConfig()
+    outcome = ObjectOutcome(1, can.name, True, 1, "", at(0.45, 0.25))
+    for degrees, reason in ((9, ""), (11, "tilted by 11 deg"), (90, "toppled by 90 deg")):
+        tilt = np.deg2rad(degrees)
+        T = at(0.45, 0.25, box.floor)
+        T[:3, :3] = [[1, 0, 0], [0, np.cos(tilt), -np.sin(tilt)], [0, np.sin(tilt), np.cos(tilt)]]
+        after = Truth(truth.models, {**truth.poses, 1: T})
+        report = score_task(plan_for([mug, can, bowl]), [mug, can, bowl], [outcome], truth, after, box)[1]
+        assert (report.placed, report.reason) == (not reason, reason)
+        assert report.error_tilt == pytest.approx(tilt) and report.error_position == pytest.approx(
+            0, abs=1e-9
+        )
+
+
+def test_the_position_error_is_horizontal(truth):
+    can = oracle_estimates(truth)[1]
+    outcome = ObjectOutcome(1, can.name, True, 1, "", at(0.5, -0.1) @ at(0.003, 0.004, 0.3))
+    report = score_task(plan_for([can]), [can], [outcome], truth, truth, BoxConfig())[1]
+    assert report.error_position == pytest.approx(0.005)
+    assert score_task(plan_for([can]), [can], [], truth, truth, BoxConfig())[1].error_position is None
+
+
+def test_estimates_are_matched_where_objects_stood_and_judged_where_they_stand(truth):
+    """The true can ends in the box, the true mug where the can was before."""
+    _, can, _ = oracle_estimates(truth)
+    box = BoxConfig()
+    after = Truth(truth.models, {**truth.poses, 1: at(0.45, 0.25, box.floor), 0: truth.poses[1]})
+    reports = score_task(plan_for([can]), [can], [], truth, after, box)
+    assert reports[1].placed and reports[1].id == can.id and reports[1].details["perceived"] == "can"
+    assert not reports[0].placed and reports[0].details["perceived"] is None
+
+
+def test_uncertainty_is_scored_against_the_true_surface(truth):
+    can = oracle_estimates(truth)[1]
+
+    def row(error, sigma):
+        """A can whose surface is ``error`` outside the true one, with a standard deviation of ``sigma``."""
+        mesh = truth.models[1].mesh
+        vertices = np.asarray(mesh.vertices) + error * np.asarray(mesh.vertex_normals)
+        centre = np.asarray(mesh.vertices)[0] - np.asarray(can.mesh.vertices)[0]
+        shifted = TriangleMesh(vertices - centre, can.mesh.faces)
+        sigmas = np.full(len(vertices), sigma)
+        estimate = replace(can, mesh=shifted, surface_sigma=sigmas)
+        return score_reconstruction([estimate], truth, np.random.default_rng(0))[1]
+
+    exact = row(0.002, 0.003)
+    assert exact["surface_sigma"] == pytest.approx(0.003)
+    assert exact["within_1_sigma"] > 0.95
+    between = row(0.0045, 0.003)
+    assert between["within_1_sigma"] < 0.2 and between["within_2_sigma"] > 0.8
 
 
 def test_bowls_that_fit_must_be_nested_and_seated():
