@@ -22,6 +22,7 @@ import tyro
 from app.errors import AppError, UsageError
 from app.options import COMMANDS, CellOptions, CommonOptions
 from app.screen import Screen
+from perception.errors import install_hint
 
 DESCRIPTION = "A robot arm looks at a table, understands whole objects, and packs or sorts them."
 DONE, TASK_FAILED, BAD_INPUT, INTERRUPTED = 0, 1, 2, 130
@@ -72,7 +73,7 @@ def run(arguments: Sequence[str]) -> int:
         extra = EXTRA_OF.get((error.name or "").split(".")[0])
         if extra is None:
             raise
-        return _complain(f"{command} needs {error.name}: pip install 'nodeslam[{extra}]'")
+        return _complain(f"{command} needs {error.name}: {install_hint(extra)}")
     if options.json:
         sys.stdout.write(report.to_json() + "\n")
     return DONE if report.success else TASK_FAILED

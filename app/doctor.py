@@ -20,7 +20,7 @@ from app.options import DoctorOptions
 from app.runs.report import Report, package_version
 from app.runs.run_folder import RunFolder
 from app.screen import Screen
-from perception.errors import PerceptionError
+from perception.errors import PerceptionError, install_hint
 from perception.io.weights import CHECKSUMS_FILE, WEIGHTS_DIRECTORY, expected_checksum, weights_checksum
 
 Status = Literal["ok", "missing", "optional"]
@@ -89,10 +89,9 @@ def examine() -> list[Finding]:
     ]
     lock = locked_versions()
     findings += [check_version(name, lock, "missing", "make setup") for name in NEEDED]
-    findings += [check_version(name, lock, "missing", "pip install 'nodeslam[sim]'") for name in SIMULATOR]
+    findings += [check_version(name, lock, "missing", install_hint("sim")) for name in SIMULATOR]
     findings += [
-        check_version(name, lock, "optional", f"pip install 'nodeslam[{extra}]'")
-        for name, extra in OPTIONAL.items()
+        check_version(name, lock, "optional", install_hint(extra)) for name, extra in OPTIONAL.items()
     ]
     return [*findings, check_gl(), check_filament(), check_cuda(), *(check_weights(name) for name in WEIGHTS)]
 
@@ -138,7 +137,7 @@ def check_filament() -> Finding:
     try:
         from sim_assets.rendering.filament import filament_fault
     except ImportError as error:
-        return Finding("filament", "optional", str(error)[:100], "pip install 'nodeslam[sim]'")
+        return Finding("filament", "optional", str(error)[:100], install_hint("sim"))
     fault = filament_fault()
     if fault:
         return Finding("filament", "optional", fault, "apt-get install libvulkan1 mesa-vulkan-drivers")

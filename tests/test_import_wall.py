@@ -210,4 +210,4 @@ def test_simulated_commands_name_the_missing_extra(tmp_path):
         "from app.cli import run; sys.exit(run(['pack', '--quiet', '--out', sys.argv[1]]))", tmp_path / "run"
     )
     assert done.returncode == 2
-    assert done.stderr.count("\n") == 1 and "pip install 'nodeslam[sim]'" in done.stderr
+    assert done.stderr.count("\n") == 1 and "pip install '.[sim]'" in done.stderr

@@ -18,6 +18,7 @@ from typing import Any, TypeVar
 from app.errors import MissingExtraError, UsageError
 from app.options import EvaluateOptions
 from app.runs.run_folder import RunFolder
+from perception.errors import install_hint
 from perception.io.files import read_json, write_json
 
 THREAD_POOLS = ("OMP_NUM_THREADS", "OPENBLAS_NUM_THREADS", "MKL_NUM_THREADS")
@@ -132,7 +133,7 @@ def _on_ray(work: Callable[[Item], Line], items: Sequence[Item], address: str) -
     try:
         import ray
     except ImportError:
-        raise MissingExtraError("--ray needs Ray: pip install 'nodeslam[cluster]'") from None
+        raise MissingExtraError(f"--ray needs Ray: {install_hint('cluster')}") from None
     ray.init(address=address, log_to_driver=False)
     waiting = [ray.remote(num_cpus=1)(work).remote(item) for item in items]
     try:

@@ -16,6 +16,7 @@ from scipy.optimize import linear_sum_assignment
 
 from app.errors import MissingExtraError
 from app.slam.run import SlamRun
+from perception.errors import install_hint
 from perception.fusion.tsdf import TsdfConfig, reconstruct_tsdf
 from perception.inference.meshing import EmptyShapeError
 from perception.inference.shape_model import Decoder
@@ -41,7 +42,7 @@ def absolute_pose_error(found: Trajectory, truth: Trajectory) -> dict[str, float
         from evo.core import metrics, sync
         from evo.core.trajectory import PoseTrajectory3D
     except ImportError:
-        raise MissingExtraError("trajectory errors need evo: pip install 'nodeslam[eval]'") from None
+        raise MissingExtraError(f"trajectory errors need evo: {install_hint('eval')}") from None
     reference, estimate = (
         PoseTrajectory3D(timestamps=t.times, poses_se3=list(t.Ts_world_camera)) for t in (truth, found)
     )

@@ -9,7 +9,7 @@ from zipfile import BadZipFile
 
 import numpy as np
 
-from perception.errors import PerceptionError
+from perception.errors import PerceptionError, install_hint
 from perception.io.weights import weights_checksum
 
 
@@ -40,7 +40,7 @@ def summary_writer(folder: Path) -> Any:
         from torch.utils.tensorboard import SummaryWriter
     except ImportError as error:
         raise PerceptionError(
-            "TensorBoard is not installed; run `pip install 'nodeslam[train]'`, or leave out --tensorboard"
+            f"TensorBoard is not installed: {install_hint('train')}, or leave out --tensorboard"
         ) from error
     return SummaryWriter(str(folder))
 

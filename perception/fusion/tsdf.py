@@ -19,7 +19,7 @@ from scipy import ndimage
 from scipy.spatial import Delaunay
 from skimage.measure import label, marching_cubes
 
-from perception.errors import PerceptionError
+from perception.errors import PerceptionError, install_hint
 from perception.types import (
     CODE_SIZE,
     ObjectDetection,
@@ -99,7 +99,7 @@ def load_open3d() -> Any:
         import open3d
     except (ImportError, OSError) as error:  # OSError: its libusb is missing
         raise FusionUnavailableError(
-            f"TSDF fusion needs open3d ({error}): pip install 'nodeslam[eval]', apt-get install libusb-1.0-0"
+            f"TSDF fusion needs open3d ({error}): {install_hint('eval')}, apt-get install libusb-1.0-0"
         ) from None
     return open3d
 

@@ -102,5 +102,5 @@ def test_a_crash_of_one_episode_is_its_result(monkeypatch):
 
 def test_ray_without_ray_says_what_to_install(tmp_path, monkeypatch):
     monkeypatch.setitem(sys.modules, "ray", None)
-    with pytest.raises(MissingExtraError, match=r"pip install 'nodeslam\[cluster\]'"):
+    with pytest.raises(MissingExtraError, match=r"pip install '\.\[cluster\]'"):
         evaluate_tasks.run(options(tmp_path, ray="auto"), Screen(quiet=True))

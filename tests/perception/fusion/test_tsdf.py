@@ -88,5 +88,5 @@ def test_an_object_without_depth_is_left_out(views, caplog):
 
 def test_missing_open3d_says_what_to_install(views, monkeypatch):
     monkeypatch.setitem(sys.modules, "open3d", None)
-    with pytest.raises(FusionUnavailableError, match=r"pip install 'nodeslam\[eval\]'"):
+    with pytest.raises(FusionUnavailableError, match=r"pip install '\.\[eval\]'"):
         reconstruct_tsdf([views[0][0]], [[views[0][1]]], SupportPlane())
