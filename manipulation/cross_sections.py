@@ -7,24 +7,7 @@ from dataclasses import dataclass
 import numpy as np
 from jaxtyping import Float, Int
 
-
-def section(
-    vertices: Float[np.ndarray, "v 3"], faces: Int[np.ndarray, "f 3"], z: float
-) -> Float[np.ndarray, "s 2 2"]:
-    """Segments (two end points in x and y) in which the plane at height ``z`` cuts the triangles."""
-    height = vertices[:, 2] - z
-    # A vertex exactly on the plane counts as above it: every crossed triangle then has exactly two cut edges.
-    above = height >= 0
-    corner_above = above[faces]
-    crossed = faces[corner_above.any(axis=1) & ~corner_above.all(axis=1)]
-    if len(crossed) == 0:
-        return np.zeros((0, 2, 2))
-    edges = np.stack([crossed, np.roll(crossed, -1, axis=1)], axis=-1)  # (t, 3, 2)
-    cut = above[edges[..., 0]] != above[edges[..., 1]]  # two of three
-    a, b = edges[cut][:, 0], edges[cut][:, 1]
-    share = height[a] / (height[a] - height[b])
-    points = vertices[a, :2] + share[:, None] * (vertices[b, :2] - vertices[a, :2])
-    return points.reshape(-1, 2, 2)
+from perception.mesh_sections import section
 
 
 class SectionCache:
@@ -40,22 +23,6 @@ class SectionCache:
             # Off the round height, where meshes like to have their vertices.
             self._known[key] = section(self._vertices, self._faces, key + 1e-6)
         return self._known[key]
-
-
-def radial_hits(
-    segments: Float[np.ndarray, "s 2 2"], center: Float[np.ndarray, "2"], azimuth: float
-) -> Float[np.ndarray, "_h"]:
-    """Sorted distances at which a ray from the centre meets the section; hits closer than 0.1 mm are one."""
-    direction = np.array([np.cos(azimuth), np.sin(azimuth)])
-    normal = np.array([-direction[1], direction[0]])
-    relative = segments - center
-    side = relative @ normal  # (s, 2)
-    crossing = (side[:, 0] >= 0) != (side[:, 1] >= 0)
-    side, relative = side[crossing], relative[crossing]
-    share = side[:, 0] / (side[:, 0] - side[:, 1])
-    hits = (relative[:, 0] + share[:, None] * (relative[:, 1] - relative[:, 0])) @ direction
-    hits = np.sort(hits[hits > 0])
-    return hits[np.append(True, np.diff(hits) > 1e-4)] if len(hits) else hits
 
 
 @dataclass(frozen=True)

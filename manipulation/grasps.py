@@ -12,11 +12,12 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from manipulation.cross_sections import SectionCache, radial_hits
+from manipulation.cross_sections import SectionCache
 from manipulation.grasp_config import GraspConfig
 from manipulation.rim_grasps import rim_grasps
 from manipulation.top_grasps import top_grasps
 from manipulation.types import Grasp, StandingObject
+from perception.mesh_sections import radial_hits
 
 
 @dataclass(frozen=True)

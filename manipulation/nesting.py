@@ -9,8 +9,9 @@ from dataclasses import dataclass
 import numpy as np
 from jaxtyping import Float
 
-from manipulation.cross_sections import SectionCache, radial_hits
+from manipulation.cross_sections import SectionCache
 from manipulation.types import StandingObject
+from perception.mesh_sections import radial_hits
 
 _STEP = 0.002
 _AZIMUTHS = 2 * np.pi * np.arange(8) / 8 + 0.05  # beside the round angles at which meshes have their edges

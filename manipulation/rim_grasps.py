@@ -8,10 +8,11 @@ from dataclasses import dataclass, replace
 import numpy as np
 from jaxtyping import Float
 
-from manipulation.cross_sections import SectionCache, radial_hits
+from manipulation.cross_sections import SectionCache
 from manipulation.grasp_config import GraspConfig, tcp_pose, turned
 from manipulation.standing import HANDLE_HALF_ANGLE
 from manipulation.types import Grasp, StandingObject
+from perception.mesh_sections import radial_hits
 
 
 def rim_grasps(

@@ -5,10 +5,11 @@ from __future__ import annotations
 import numpy as np
 from jaxtyping import Float
 
-from manipulation.cross_sections import fit_circle, section, span
+from manipulation.cross_sections import fit_circle, span
 from manipulation.errors import PlanningError
 from manipulation.types import StandingObject
 from perception.geometry import pose_from_yaw
+from perception.mesh_sections import section
 from perception.types import Category, ObjectEstimate, SupportPlane
 
 HANDLE_HALF_ANGLE = np.deg2rad(60.0)  # of the sector around a mug's +x that never counts as body

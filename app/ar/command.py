@@ -21,17 +21,18 @@ from app.ar.drop import plan_drops
 from app.ar.surroundings import clutter, support_frame
 from app.drawing import font
 from app.errors import UsageError
-from app.export.convex import convex_pieces, measure
 from app.movie import MovieFile
 from app.options import ArOptions
 from app.runs.finished_run import FinishedRun, read_run, tracked_frames
 from app.runs.report import ObjectReport, Report
 from app.runs.run_folder import RunFolder
 from app.screen import Screen
+from manipulation.standing import body_axis
 from perception.io.files import write_atomically
 from perception.io.scan_folder import png_bytes
 from perception.types import ObjectEstimate, RgbdFrame
 from sim_assets.cell.drop_world import DropWorld, StaticObject, View
+from sim_assets.objects.convex.perceived_mesh import measure, perceived_pieces
 
 FPS = 25
 PANELS = 2  # views side by side in the video
@@ -94,7 +95,7 @@ def build_stage(source: FinishedRun, options: ArOptions) -> Stage:
     """Static bodies, clutter, toys and cameras; after SLAM the images that the camera took on its way."""
     frames = tracked_frames(source.path, options.seconds) or source.frames
     T_world_support = support_frame(source.objects, source.plane)
-    bodies = [measure(estimate.mesh, estimate.category) for estimate in source.objects]
+    bodies = [measure(o.mesh, o.category, _axis(o)) for o in source.objects]
     rng = np.random.default_rng(options.seed)
     toys = plan_drops(source.objects, bodies, source.plane.normal, options.drops, rng)
     world = DropWorld(
@@ -115,8 +116,12 @@ def build_stage(source: FinishedRun, options: ArOptions) -> Stage:
 
 def _static(estimate: ObjectEstimate) -> StaticObject:
     mesh = trimesh.Trimesh(estimate.mesh.vertices, estimate.mesh.faces, process=False)
-    pieces = convex_pieces(estimate.mesh, estimate.category)
+    pieces = perceived_pieces(estimate.mesh, estimate.category, _axis(estimate))
     return StaticObject(estimate.name, mesh, pieces, estimate.T_world_object)
+
+
+def _axis(estimate: ObjectEstimate) -> Float[np.ndarray, "2"]:
+    return body_axis(estimate.mesh.vertices, estimate.mesh.faces, estimate.category)
 
 
 def _view(frame: RgbdFrame) -> View:

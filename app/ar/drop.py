@@ -8,9 +8,9 @@ from collections.abc import Sequence
 import numpy as np
 from jaxtyping import Float
 
-from app.export.convex import PolarBody
 from perception.types import ObjectEstimate
 from sim_assets.cell.drop_world import Toy, ToyKind
+from sim_assets.objects.convex.perceived_mesh import PolarBody
 
 DROP_HEIGHT = 0.10  # [m] above what lies below
 FIRST, EVERY = 0.15, 0.11  # [s] when the first toy falls, and the others after it

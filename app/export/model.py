@@ -8,9 +8,10 @@ import numpy as np
 import trimesh
 from jaxtyping import Float
 
-from app.export.convex import Piece, convex_pieces
 from manipulation.hulls import hull_faces
+from manipulation.standing import body_axis
 from perception.types import ObjectEstimate
+from sim_assets.objects.convex.perceived_mesh import Piece, perceived_pieces
 from sim_assets.objects.user import DENSITIES
 
 FRICTION = (0.6, 0.005, 0.0001)  # sliding, torsional, rolling
@@ -50,10 +51,11 @@ def rigid_model(estimate: ObjectEstimate) -> RigidModel:
     """The estimate as a rigid body."""
     mesh = trimesh.Trimesh(estimate.mesh.vertices, estimate.mesh.faces, process=False)
     density = DENSITIES[estimate.category]
+    axis = body_axis(estimate.mesh.vertices, estimate.mesh.faces, estimate.category)
     return RigidModel(
         estimate=estimate,
         mesh=mesh,
-        pieces=tuple(convex_pieces(estimate.mesh, estimate.category)),
+        pieces=tuple(perceived_pieces(estimate.mesh, estimate.category, axis)),
         mass=float(density * mesh.volume),
         center=np.asarray(mesh.center_mass),
         inertia=np.asarray(density * mesh.moment_inertia),

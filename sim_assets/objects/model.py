@@ -13,7 +13,8 @@ from perception.types import Category
 from sim_assets.objects.bottle import BottleParameters
 from sim_assets.objects.bowl import BowlParameters, bowl_vessel
 from sim_assets.objects.can import CanParameters
-from sim_assets.objects.collision import CollisionPiece, handle_pieces, stacked_pieces, vessel_pieces
+from sim_assets.objects.convex.analytic import handle_pieces, stacked_pieces, vessel_pieces
+from sim_assets.objects.convex.pieces import CollisionPiece
 from sim_assets.objects.families import Parameters, Split, make_solid, sample_parameters
 from sim_assets.objects.grids import canonical_frame, sampled_grid, solid_grid
 from sim_assets.objects.mug import MugParameters, mug_vessel

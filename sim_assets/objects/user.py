@@ -16,8 +16,8 @@ from scipy.optimize import least_squares
 
 from perception.types import Category
 from sim_assets.errors import ObjectFileError
-from sim_assets.objects.collision import hull
-from sim_assets.objects.decomposition import convex_pieces
+from sim_assets.objects.convex.cad_mesh import cad_pieces
+from sim_assets.objects.convex.pieces import hull
 from sim_assets.objects.mesh_shape import MeshShape
 from sim_assets.objects.model import HEAVIEST, LIGHTEST, ObjectModel
 
@@ -69,7 +69,7 @@ def load_user_object(path: Path | str, category: Category, collision: bool = Tru
     """
     path = Path(path)
     mesh = load_user_mesh(path, category)
-    pieces = tuple(map(hull, convex_pieces(mesh, category, path.name))) if collision else ()
+    pieces = tuple(map(hull, cad_pieces(mesh, category, path.name))) if collision else ()
     mass = float(np.clip(mesh.volume * DENSITIES[category], LIGHTEST, HEAVIEST))
     return ObjectModel(category, "user", path.stem, mesh, pieces, mass, None, MeshShape(mesh, category))
 

@@ -4,7 +4,7 @@ import numpy as np
 import pytest
 import trimesh
 
-from manipulation.cross_sections import fit_circle, radial_hits, section, span
+from manipulation.cross_sections import fit_circle, span
 from manipulation.errors import PlanningError
 from manipulation.grasp_config import GraspConfig
 from manipulation.grasps import grasp_candidates
@@ -12,6 +12,7 @@ from manipulation.planner import plan_pack
 from manipulation.robot import GripperGeometry
 from manipulation.standing import split_handle, stand
 from manipulation.types import Box
+from perception.mesh_sections import radial_hits, section
 from perception.types import ObjectEstimate, SupportPlane, TriangleMesh
 
 CONFIG = GraspConfig()

@@ -18,23 +18,28 @@ from app.ar.composite import DARKEST, Backdrop, composite, shadow_of, visible_to
 from app.ar.drop import plan_drops, rim_radius
 from app.ar.surroundings import CELL, clutter, support_frame
 from app.cli import run
-from app.export.convex import convex_pieces, measure
 from app.options import ArOptions
 from app.runs.finished_run import read_run, tracked_frames
+from manipulation.standing import body_axis
 from perception.io.object_map import write_object_map
 from perception.io.recordings.trajectory import Trajectory, write_trajectory
 from perception.io.scan_folder import write_scan
 from perception.types import CameraIntrinsics, ObjectEstimate, RgbdFrame, SupportPlane
 from sim_assets.cell.drop_world import DropWorld, Rendering, StaticObject, Toy, View
+from sim_assets.objects.convex.perceived_mesh import measure, perceived_pieces
 from sim_assets.rendering.camera import look_at
 
 LENS = CameraIntrinsics(160, 120, 150.0, 150.0, 75.0, 65.0)
 Standing = Callable[..., ObjectEstimate]
 
 
+def axis_of(estimate: ObjectEstimate) -> np.ndarray:
+    return body_axis(estimate.mesh.vertices, estimate.mesh.faces, estimate.category)
+
+
 def static(estimate: ObjectEstimate) -> StaticObject:
     mesh = trimesh.Trimesh(estimate.mesh.vertices, estimate.mesh.faces, process=False)
-    pieces = convex_pieces(estimate.mesh, estimate.category)
+    pieces = perceived_pieces(estimate.mesh, estimate.category, axis_of(estimate))
     return StaticObject(estimate.name, mesh, pieces, estimate.T_world_object)
 
 
@@ -52,7 +57,7 @@ ABOVE = look_at(np.array([0.0, 0.0, 0.5]), np.zeros(3))
 @pytest.mark.parametrize("category", ["mug", "bowl"])
 def test_balls_dropped_into_a_vessel_stay_in_it(standing: Standing, category: str) -> None:
     vessel = standing(category, 0, (0.1, -0.2))
-    body = measure(vessel.mesh, vessel.category)
+    body = measure(vessel.mesh, vessel.category, axis_of(vessel))
     opening, top = rim_radius(body), vessel.mesh_world.vertices[:, 2].max()
     axis = np.array([*body.axis, 0]) + vessel.T_world_object[:3, 3]
     toys = [
@@ -71,7 +76,7 @@ def test_balls_dropped_into_a_vessel_stay_in_it(standing: Standing, category: st
 
 def test_rain_falls_over_the_objects_and_rests_on_the_support(standing: Standing) -> None:
     objects = [standing("bowl", 0), standing("can", 1, (0.15, 0.0))]
-    bodies = [measure(o.mesh, o.category) for o in objects]
+    bodies = [measure(o.mesh, o.category, axis_of(o)) for o in objects]
     toys = plan_drops(objects, bodies, np.array([0, 0, 1.0]), 6, np.random.default_rng(0))
     assert len(toys) == 6 and len({toy.release for toy in toys}) == 6
     world = DropWorld([static(o) for o in objects], toys, SupportPlane(), np.eye(4), [])

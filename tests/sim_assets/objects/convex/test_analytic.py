@@ -9,7 +9,7 @@ from scipy.spatial.transform import Rotation
 
 from perception.types import CATEGORIES
 from sim_assets.objects import sample_object
-from sim_assets.objects.collision import CLEARANCE, breakpoints, cylinder, frustum
+from sim_assets.objects.convex.pieces import CLEARANCE, breakpoints, cylinder, frustum
 
 EVERY = [(category, split) for category in CATEGORIES for split in ("train", "test")]
 

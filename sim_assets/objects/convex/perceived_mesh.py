@@ -16,11 +16,10 @@ import trimesh
 from jaxtyping import Bool, Float
 from scipy.spatial import ConvexHull
 
-from app.export.convex_handle import handle_pieces
-from manipulation.cross_sections import section
-from manipulation.standing import body_axis
+from perception.mesh_sections import section
 from perception.types import Category, TriangleMesh
-from sim_assets.objects.collision import CLEARANCE, breakpoints
+from sim_assets.objects.convex.perceived_handle import handle_pieces
+from sim_assets.objects.convex.pieces import CLEARANCE, breakpoints
 
 Piece = Float[np.ndarray, "_n 3"]
 
@@ -63,19 +62,19 @@ class PolarBody:
     floor: int
 
 
-def convex_pieces(mesh: TriangleMesh, category: Category) -> list[Piece]:
+def perceived_pieces(mesh: TriangleMesh, category: Category, axis: Float[np.ndarray, "2"]) -> list[Piece]:
     """Corners of convex pieces, in the mesh's frame (z up), whose union is the object; see the module.
 
     Walls, or the whole body where it has none, are made as thick as the mesh's volume asks for. A mesh that
     is no body about an axis, such as a fragment of one, is cut into slices instead.
     """
-    pieces = _polar_pieces(mesh, category)
+    pieces = _polar_pieces(mesh, category, axis)
     strays = np.abs(np.ptp(np.concatenate(pieces), axis=0) / np.ptp(mesh.vertices, axis=0) - 1).max()
     return pieces if strays < STRAYED else _slices(mesh)
 
 
-def _polar_pieces(mesh: TriangleMesh, category: Category) -> list[Piece]:
-    body = measure(mesh, category)
+def _polar_pieces(mesh: TriangleMesh, category: Category, axis: np.ndarray) -> list[Piece]:
+    body = measure(mesh, category, axis)
     handle = handle_pieces(mesh, body.axis, body.z, body.outer[:, 0]) if category == "mug" else []
     volume = trimesh.Trimesh(mesh.vertices, mesh.faces, process=False).volume - pieces_volume(handle)
     best, least = [], np.inf
@@ -112,9 +111,8 @@ def pieces_volume(pieces: Sequence[Piece]) -> float:
     return float(sum(ConvexHull(piece).volume for piece in pieces))
 
 
-def measure(mesh: TriangleMesh, category: Category) -> PolarBody:
+def measure(mesh: TriangleMesh, category: Category, axis: Float[np.ndarray, "2"]) -> PolarBody:
     """The body in polar coordinates about its axis."""
-    axis = body_axis(mesh.vertices, mesh.faces, category)
     low, high = float(mesh.vertices[:, 2].min()), float(mesh.vertices[:, 2].max())
     edge = min(FOOT, 0.02 * (high - low))
     z = np.linspace(low + edge, high - edge, LEVELS)

@@ -20,7 +20,7 @@ from jaxtyping import Float
 
 from perception.types import Category
 
-log = logging.getLogger(__name__)
+logger = logging.getLogger(__name__)
 
 VERSION = "6"  # of this recipe: part of the cache's key
 WEDGES = {"mug": 16, "bowl": 20}
@@ -38,7 +38,7 @@ def cache_folder() -> Path:
     return Path(root) / "nodeslam"
 
 
-def convex_pieces(mesh: trimesh.Trimesh, category: Category, name: str) -> list[Float[np.ndarray, "n 3"]]:
+def cad_pieces(mesh: trimesh.Trimesh, category: Category, name: str) -> list[Float[np.ndarray, "n 3"]]:
     """Corners of the convex pieces of a watertight mesh in its object frame, cached."""
     content = (
         np.ascontiguousarray(mesh.vertices, "<f8").tobytes()
@@ -51,11 +51,11 @@ def convex_pieces(mesh: trimesh.Trimesh, category: Category, name: str) -> list[
             with np.load(path, allow_pickle=False) as stored:
                 return np.split(stored["vertices"], np.cumsum(stored["counts"])[:-1])
         except (OSError, ValueError, KeyError) as error:
-            log.warning("The cached decomposition %s is unreadable (%s); making it again", path, error)
-    log.info("Decomposing %s into convex pieces, once; this takes up to a minute", name)
+            logger.warning("The cached decomposition %s is unreadable (%s); making it again", path, error)
+    logger.info("Decomposing %s into convex pieces, once; this takes up to a minute", name)
     start = time.perf_counter()
     pieces = _decompose(mesh, category)
-    log.info("%s: %d convex pieces in %.0f s", name, len(pieces), time.perf_counter() - start)
+    logger.info("%s: %d convex pieces in %.0f s", name, len(pieces), time.perf_counter() - start)
     _store(path, pieces)
     return pieces
 
@@ -71,7 +71,7 @@ def _store(path: Path, pieces: list[np.ndarray]) -> None:
             )
         partial.replace(path)
     except OSError as error:
-        log.warning("Could not cache the decomposition in %s: %s", path, error)
+        logger.warning("Could not cache the decomposition in %s: %s", path, error)
 
 
 def _decompose(mesh: trimesh.Trimesh, category: Category) -> list[np.ndarray]:

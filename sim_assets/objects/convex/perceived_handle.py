@@ -7,9 +7,9 @@ from itertools import pairwise
 import numpy as np
 from jaxtyping import Float
 
-from manipulation.cross_sections import radial_hits, section
+from perception.mesh_sections import radial_hits, section
 from perception.types import TriangleMesh
-from sim_assets.objects.collision import breakpoints
+from sim_assets.objects.convex.pieces import breakpoints
 
 MOST_LINKS = 8
 CORNERS = 8  # of a cross-section

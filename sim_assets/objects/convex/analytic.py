@@ -1,103 +1,28 @@
-"""Convex collision pieces, made from the same curves as the surfaces.
+"""Convex pieces of the object families, made from the same curves as their surfaces.
 
 Contact with analytic pieces is steadier than with decompositions of meshes: a wall is a ring of small convex
-pieces whose cavity stays free, and only the base touches the table (rings start `CLEARANCE` above it).
+pieces whose cavity stays free, and only the base touches the table (rings start ``CLEARANCE`` above it).
 """
 
 from __future__ import annotations
 
-from dataclasses import dataclass, field
 from itertools import pairwise
-from typing import Literal
 
 import numpy as np
-from jaxtyping import Float
 
+from sim_assets.objects.convex.pieces import (
+    CLEARANCE,
+    CollisionPiece,
+    breakpoints,
+    cylinder,
+    frustum,
+    hull,
+)
 from sim_assets.objects.profiles import Curve
 from sim_assets.objects.solids import Handle, Section
 from sim_assets.objects.vessel import RIM_SEGMENTS, Vessel
 
-PieceKind = Literal["box", "cylinder", "capsule", "mesh"]
-CLEARANCE = 0.0018  # height of the lowest ring segment above the base [m]
-IDENTITY = np.array([1.0, 0.0, 0.0, 0.0])
 HANDLE_PIECES = 8
-
-
-@dataclass(frozen=True)
-class CollisionPiece:
-    """One convex piece in the object frame.
-
-    Attributes:
-        kind: "box", "cylinder", "capsule" (both along their own z) or "mesh".
-        position: (3,) centre [m]; zero for a mesh.
-        quat_wxyz: (4,) orientation.
-        size: half-sizes as MuJoCo has them [m]: box (x, y, z), cylinder and capsule (radius, half length).
-        vertices: (n, 3) corners of a mesh, whose convex hull is the piece [m]; (0, 3) for the others.
-    """
-
-    kind: PieceKind
-    position: Float[np.ndarray, "3"]
-    quat_wxyz: Float[np.ndarray, "4"]
-    size: tuple[float, ...]
-    vertices: Float[np.ndarray, "n 3"] = field(default_factory=lambda: np.zeros((0, 3)))
-
-
-def hull(vertices: Float[np.ndarray, "n 3"]) -> CollisionPiece:
-    """The convex hull of points of the object frame."""
-    return CollisionPiece("mesh", np.zeros(3), IDENTITY, (), np.asarray(vertices, dtype=np.float64))
-
-
-def cylinder(radius: float, bottom: float, top: float) -> CollisionPiece:
-    """An upright cylinder about the object's axis."""
-    position = np.array([0.0, 0.0, 0.5 * (bottom + top)])
-    return CollisionPiece("cylinder", position, IDENTITY, (radius, 0.5 * (top - bottom)))
-
-
-def frustum(
-    bottom: tuple[float, float],
-    top: tuple[float, float],
-    section: Section | None = None,
-    around: int = 32,
-    phase: float = 0.5,
-) -> CollisionPiece:
-    """The hull of two rings (radius, z), of the section's shape where there is one.
-
-    Args:
-        bottom, top: radius and height of the rings [m].
-        section: horizontal section; None for a circle.
-        around: number of corners of a ring.
-        phase: azimuth of the first corner, as a share of the angle between corners.
-    """
-    angle = 2 * np.pi * (np.arange(around) + phase) / around
-    cos, sin = np.cos(angle), np.sin(angle)
-    rings = []
-    for radius, z in (bottom, top):
-        r = np.full(around, radius / np.sqrt(np.cos(np.pi / around)))  # as much outside as inside the circle
-        if section is not None:
-            r = radius * (1.0 + section.weight(np.array([z])) * section.modulation(cos, sin))
-        rings.append(np.stack([r * cos, r * sin, np.full(around, z)], axis=1))
-    return hull(np.concatenate(rings))
-
-
-def breakpoints(curve: Float[np.ndarray, "k d"], tolerance: float, most: int) -> np.ndarray:
-    """Indices of the points that a polyline of at most `most` segments needs to follow a curve.
-
-    The point farthest from its chord splits it, until all are within the tolerance [m].
-    """
-    chosen = [0, len(curve) - 1]
-    while len(chosen) <= most:
-        worst, where = tolerance, -1
-        for first, last in pairwise(chosen):
-            chord = curve[last] - curve[first]
-            offset = curve[first : last + 1] - curve[first]
-            along = offset @ chord / max(float(chord @ chord), 1e-12)
-            away = np.linalg.norm(offset - along[:, None] * chord, axis=1)
-            if away.max() > worst:
-                worst, where = float(away.max()), first + int(away.argmax())
-        if where < 0:
-            break
-        chosen = sorted([*chosen, where])
-    return np.array(chosen)
 
 
 def vessel_pieces(

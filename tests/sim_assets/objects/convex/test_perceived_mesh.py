@@ -10,8 +10,19 @@ import pytest
 import trimesh
 from scipy.spatial import ConvexHull
 
-from app.export.convex import convex_pieces, measure, pieces_volume
+from manipulation.standing import body_axis
 from perception.types import Category, TriangleMesh
+from sim_assets.objects.convex import perceived_mesh
+from sim_assets.objects.convex.perceived_mesh import PolarBody, pieces_volume
+
+
+def convex_pieces(mesh: TriangleMesh, category: Category) -> list[np.ndarray]:
+    return perceived_mesh.perceived_pieces(mesh, category, body_axis(mesh.vertices, mesh.faces, category))
+
+
+def measure(mesh: TriangleMesh, category: Category) -> PolarBody:
+    return perceived_mesh.measure(mesh, category, body_axis(mesh.vertices, mesh.faces, category))
+
 
 Decoded = Callable[[Category], TriangleMesh]
 
