@@ -67,7 +67,7 @@ def test_the_yaw_job_learns_from_mugs_alone(tmp_path):
 
 def test_tensorboard_missing_is_said(tmp_path, monkeypatch):
     monkeypatch.setitem(__import__("sys").modules, "torch.utils.tensorboard", None)
-    with pytest.raises(PerceptionError, match="pip install 'nodeslam"):
+    with pytest.raises(PerceptionError, match=r"pip install '\.\[train\]'"):
         summary_writer(tmp_path)
 
 
