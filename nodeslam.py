@@ -49,12 +49,12 @@ if TYPE_CHECKING:
     from manipulation import TaskEvent as TaskEvent
     from manipulation import TaskPlan as TaskPlan
     from manipulation import Viewpoint as Viewpoint
+    from manipulation import ViewpointScanner as ViewpointScanner
     from manipulation import execute as execute
     from manipulation import find_grasps as find_grasps
-    from manipulation import look as look
     from manipulation import plan_pack as plan_pack
     from manipulation import plan_sort as plan_sort
-    from manipulation import stand as stand
+    from manipulation import to_standing as to_standing
     from perception import CATEGORIES as CATEGORIES
     from perception import CameraIntrinsics as CameraIntrinsics
     from perception import Category as Category
@@ -124,9 +124,9 @@ _MODULES = {
         "find_grasps", "GraspPose", "Grasp", "GripperGeometry", "HandClearance",
         # Whole tasks: plan_pack or plan_sort, then execute on a Robot (extra `sim`: mink, ruckig).
         "Box", "Line", "StandingObject", "Placement", "TaskPlan", "ManipulationConfig",
-        "stand", "plan_pack", "plan_sort", "execute", "TaskEvent", "ObjectOutcome",
+        "to_standing", "plan_pack", "plan_sort", "execute", "TaskEvent", "ObjectOutcome",
         # The robot: implement the Protocol Robot for your arm.
-        "Robot", "ArmDescription", "JointTrajectory", "Kinematics", "Viewpoint", "look",
+        "Robot", "ArmDescription", "JointTrajectory", "Kinematics", "Viewpoint", "ViewpointScanner",
         # Errors: the root, an impossible plan, a command that the robot refused.
         "ManipulationError", "PlanningError", "RobotError",
     ),

@@ -27,7 +27,7 @@ if TYPE_CHECKING:
     from manipulation.robot import Robot as Robot
     from manipulation.scene_grasps import GraspPose as GraspPose
     from manipulation.scene_grasps import find_grasps as find_grasps
-    from manipulation.standing import stand as stand
+    from manipulation.standing import to_standing as to_standing
     from manipulation.types import Box as Box
     from manipulation.types import Grasp as Grasp
     from manipulation.types import Line as Line
@@ -36,7 +36,7 @@ if TYPE_CHECKING:
     from manipulation.types import StandingObject as StandingObject
     from manipulation.types import TaskPlan as TaskPlan
     from manipulation.viewpoints import Viewpoint as Viewpoint
-    from manipulation.viewpoints import look as look
+    from manipulation.viewpoints import ViewpointScanner as ViewpointScanner
 
 _MODULES = {
     "manipulation.types": (
@@ -46,9 +46,9 @@ _MODULES = {
     "manipulation.robot": ("ArmDescription", "GripperGeometry", "JointTrajectory", "Robot"),
     "manipulation.hand_collision": ("HandClearance",),
     "manipulation.scene_grasps": ("GraspPose", "find_grasps"),
-    "manipulation.standing": ("stand",),
+    "manipulation.standing": ("to_standing",),
     "manipulation.kinematics": ("Kinematics",),
-    "manipulation.viewpoints": ("Viewpoint", "look"),
+    "manipulation.viewpoints": ("Viewpoint", "ViewpointScanner"),
     "manipulation.planner": ("ManipulationConfig", "plan_pack", "plan_sort"),
     "manipulation.execution": ("TaskEvent", "execute"),
 }  # fmt: skip

@@ -1,7 +1,6 @@
-"""The arm's own MuJoCo model, stripped to what kinematics and collision checking need.
+"""MuJoCo models of the bare arm for kinematics and collision checking, reduced from ``ArmDescription.mjcf``.
 
-It is built from ``ArmDescription.mjcf`` alone and never sees a scene: the planner knows of the world only
-what perception tells it. MuJoCo's extension modules come without type stubs; for checkers they are Any.
+MuJoCo's extension modules have no type stubs; type checkers see them as ``Any``.
 """
 
 from __future__ import annotations
@@ -28,7 +27,10 @@ COLLISION_GROUP = 3
 
 
 def collision_spec(arm: ArmDescription) -> MjSpec:
-    """The arm as an editable specification: its collision geoms (group 3), nothing for show or physics."""
+    """Return the arm as an editable MuJoCo specification with its collision geoms (group 3) only.
+
+    Visual geoms, lights, actuators, sensors, equalities, tendons, keyframes and excludes are removed.
+    """
     spec = mujoco.MjSpec.from_string(arm.mjcf)
     for elements in (spec.keys, spec.sensors, spec.actuators, spec.equalities, spec.tendons, spec.excludes):
         for element in list(elements):
@@ -42,14 +44,14 @@ def collision_spec(arm: ArmDescription) -> MjSpec:
             spec.delete(mesh)
     for light in list(spec.lights):
         spec.delete(light)
-    # Links that drew their inertia from deleted geoms must still compile; no dynamics is ever computed here.
+    # Links whose inertia came from deleted geoms must still compile; the model is never simulated.
     spec.compiler.boundmass = 1e-3
     spec.compiler.boundinertia = 1e-6
     return spec
 
 
 def kinematic_model(arm: ArmDescription) -> MjModel:
-    """The bare kinematic chain: arm joints and sites, fingers fixed, no geoms."""
+    """Return the compiled kinematic chain: arm joints and sites, fixed fingers, no geoms."""
     spec = collision_spec(arm)
     for geom in list(spec.geoms):
         spec.delete(geom)
@@ -62,7 +64,11 @@ def kinematic_model(arm: ArmDescription) -> MjModel:
 
 
 def joint_addresses(model: MjModel, names: tuple[str, ...]) -> np.ndarray:
-    """Indices into qpos of the named hinge or slide joints, in the order of the names."""
+    """Return the qpos indices of the named hinge or slide joints, in the order of the names.
+
+    Raises:
+        ManipulationError: the model has no joint of that name.
+    """
     addresses = []
     for name in names:
         index = mujoco.mj_name2id(model, mujoco.mjtObj.mjOBJ_JOINT, name)
@@ -73,6 +79,11 @@ def joint_addresses(model: MjModel, names: tuple[str, ...]) -> np.ndarray:
 
 
 def site_index(model: MjModel, name: str) -> int:
+    """Return the index of the named site.
+
+    Raises:
+        ManipulationError: the model has no site of that name.
+    """
     index = mujoco.mj_name2id(model, mujoco.mjtObj.mjOBJ_SITE, name)
     if index < 0:
         raise ManipulationError(f"the arm's MJCF has no site '{name}'")
@@ -80,6 +91,6 @@ def site_index(model: MjModel, name: str) -> int:
 
 
 def joint_range(model: MjModel, names: tuple[str, ...]) -> Float[np.ndarray, "2 n"]:
-    """Lower and upper position limits in [rad] of the named joints."""
+    """Return the lower and upper position limits of the named joints in [rad]."""
     limits = [model.joint(name).range for name in names]
     return np.asarray(limits, dtype=np.float64).T

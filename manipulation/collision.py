@@ -1,7 +1,7 @@
-"""The planner's own collision world: the arm, the perceived objects as convex pieces, the fixed furniture.
+"""Collision checks of the arm and a carried object against perceived objects and static obstacles.
 
-It is a scratch MuJoCo model built from the arm's MJCF and from perceived meshes; nothing of the simulated
-scene enters. Every object exists twice, standing in the world and carried by the hand; one is switched on.
+The collision world is a MuJoCo model built from the arm's MJCF and the perceived meshes alone. Every object
+has two bodies, one in the world and one attached to the hand, of which at most one is enabled.
 """
 
 from __future__ import annotations
@@ -17,15 +17,21 @@ from scipy.spatial.transform import Rotation
 from manipulation.arm_model import MjsBody, MjSpec, collision_spec, joint_addresses, mujoco, site_index
 from manipulation.errors import ManipulationError
 from manipulation.hulls import hull_faces
-from manipulation.obstacles import Furniture
+from manipulation.obstacles import Obstacle
 from manipulation.robot import ArmDescription
 
-_OFF, _ROBOT, _WORLD = 0, 1, 2  # contype bits: robot and carried geoms meet world geoms, nothing else
+_OFF, _ROBOT, _WORLD = 0, 1, 2  # contype bits: robot and carried geoms collide with world geoms only
 
 
 @dataclass(frozen=True)
 class Body:
-    """An object as convex pieces: vertices (k, 3) in the object frame in [m], and where it stands."""
+    """An object as a union of convex pieces.
+
+    Attributes:
+        name: unique identifier in the collision world.
+        pieces: (k, 3) vertices of each piece in the object frame in [m].
+        T_world_object: (4, 4) initial pose.
+    """
 
     name: str
     pieces: tuple[Float[np.ndarray, "_k 3"], ...]
@@ -34,11 +40,11 @@ class Body:
 
 @dataclass(frozen=True)
 class CollisionConfig:
-    """Margins and sampling of the checks.
+    """Clearances and sampling of the checks.
 
     Attributes:
-        robot_margin: distance the robot keeps from everything in [m].
-        carried_margin: distance the carried object keeps in transit in [m].
+        robot_margin: smallest clearance of the robot in [m].
+        carried_margin: smallest clearance of the carried object in [m].
         joint_step: largest joint step between two checked postures of a path in [rad].
     """
 
@@ -48,13 +54,13 @@ class CollisionConfig:
 
 
 @dataclass(frozen=True)
-class Allowance:
-    """What a motion may touch, and how near it may come to everything else.
+class AllowedContacts:
+    """Contacts that are no collisions, and the clearances from everything else.
 
     Attributes:
-        touch: objects or furniture the robot may touch.
-        touch_carried: objects or furniture that the carried object may touch.
-        robot_margin, carried_margin: kept from everything else in [m]; the configured ones if None.
+        touch: names of objects or obstacles that the robot may touch.
+        touch_carried: names of objects or obstacles that the carried object may touch.
+        robot_margin, carried_margin: clearances in [m]; those of the configuration if None.
     """
 
     touch: frozenset[str] = frozenset()
@@ -63,25 +69,39 @@ class Allowance:
     carried_margin: float | None = None
 
 
-NOTHING = Allowance()
+NO_CONTACT = AllowedContacts()
+
+
+@dataclass(frozen=True)
+class Contact:
+    """A collision found by a check.
+
+    Attributes:
+        mover: "arm" or the name of the carried object.
+        obstacle: name of the object or obstacle that it collides with.
+    """
+
+    mover: str
+    obstacle: str
 
 
 class CollisionWorld:
-    """Answers whether the arm, with or without an object in hand, meets anything.
+    """Checks postures of the arm, with or without a carried object, for collisions.
 
-    The world is mutable on purpose: objects move, appear in the hand and leave it as a plan unfolds.
+    The world is mutable: objects are moved, attached to the hand and released in the course of a plan.
+    Collisions of the arm with itself are not checked.
     """
 
     def __init__(
         self,
         arm: ArmDescription,
         bodies: Sequence[Body],
-        furniture: Sequence[Furniture],
-        config: CollisionConfig | None = None,
+        obstacles: Sequence[Obstacle],
+        config: CollisionConfig = CollisionConfig(),
     ) -> None:
-        self.config = config or CollisionConfig()
+        self.config = config
         self._arm = arm
-        self._model = self._build(bodies, furniture).compile()
+        self._model = self._build(bodies, obstacles).compile()
         self._data = mujoco.MjData(self._model)
         self._address = joint_addresses(self._model, arm.joint_names)
         self._fingers = joint_addresses(self._model, arm.finger_joint_names)
@@ -98,25 +118,30 @@ class CollisionWorld:
 
     @property
     def names(self) -> tuple[str, ...]:
+        """Names of the objects, in the order of construction."""
         return tuple(self._poses)
 
     def pose(self, name: str) -> Float[np.ndarray, "4 4"]:
-        """Where the object last stood, in the world."""
+        """Return ``T_world_object`` of the object's last pose outside the hand."""
         return self._poses[name].copy()
 
     def move(self, name: str, T_world_object: Float[np.ndarray, "4 4"]) -> None:
-        """Stand the object somewhere else."""
-        self._known(name)
+        """Set the pose of an object.
+
+        Raises:
+            ManipulationError: there is no object of that name.
+        """
+        self._check_name(name)
         self._poses[name] = np.array(T_world_object, dtype=np.float64)
         self._set_body_pose(f"world/{name}", self._poses[name])
 
     def set_present(self, name: str, present: bool) -> None:
-        """Take a standing object out of the world, or put it back."""
-        self._known(name)
+        """Enable or disable the object in the world."""
+        self._check_name(name)
         self._switch(f"world/{name}", *((_WORLD, _ROBOT) if present else (_OFF, _OFF)))
 
     def carry(self, name: str, T_tcp_object: Float[np.ndarray, "4 4"]) -> None:
-        """Put the object into the hand; it no longer stands in the world."""
+        """Attach the object to the hand at ``T_tcp_object`` and disable it in the world."""
         self.release()
         self.set_present(name, False)
         self._set_body_pose(f"carried/{name}", self._T_hand_tcp @ T_tcp_object)
@@ -124,22 +149,24 @@ class CollisionWorld:
         self._carried = name
 
     def release(self) -> None:
-        """Let go of what the hand carries; it stands in the world again, where it last stood."""
+        """Detach the carried object, if any, and enable it in the world at its last pose there."""
         if self._carried is None:
             return
         self._switch(f"carried/{self._carried}", _OFF, _OFF)
         self.set_present(self._carried, True)
         self._carried = None
 
-    def contact(self, q: Float[np.ndarray, "n"], width: float, allow: Allowance = NOTHING) -> str | None:
-        """What the posture touches: "arm meets bowl_2", or None if it is free.
+    def contact(
+        self, q: Float[np.ndarray, "n"], width: float, allowed: AllowedContacts = NO_CONTACT
+    ) -> Contact | None:
+        """Return the first collision of a posture, or None if it is free.
 
         Args:
-            q: (n,) arm joints in [rad].
+            q: (n,) joint positions in [rad].
             width: opening between the pads in [m].
-            allow: what may be touched.
+            allowed: contacts that are no collisions.
         """
-        self._apply_margins(allow)
+        self._apply_margins(allowed)
         data, model = self._data, self._model
         data.qpos[self._address] = q
         data.qpos[self._fingers] = width / 2
@@ -149,46 +176,49 @@ class CollisionWorld:
         if data.ncon == 0:
             return None
         for first, second in data.contact.geom:
-            mover, thing = self._owner[first], self._owner[second]
+            mover, obstacle = self._owner[first], self._owner[second]
             if mover.startswith("world/"):
-                mover, thing = thing, mover
-            thing = thing.removeprefix("world/")
-            if thing not in (allow.touch_carried if mover.startswith("carried/") else allow.touch):
-                return f"{mover.removeprefix('carried/')} meets {thing}"
+                mover, obstacle = obstacle, mover
+            obstacle = obstacle.removeprefix("world/")
+            if obstacle not in (allowed.touch_carried if mover.startswith("carried/") else allowed.touch):
+                return Contact(mover.removeprefix("carried/"), obstacle)
         return None
 
     def path_contact(
-        self, postures: Float[np.ndarray, "k n"], width: float, allow: Allowance = NOTHING
-    ) -> str | None:
-        """The first contact along the straight joint segments between the postures, or None."""
-        contacts = (self.contact(q, width, allow) for q in densify(postures, self.config.joint_step))
+        self, postures: Float[np.ndarray, "k n"], width: float, allowed: AllowedContacts = NO_CONTACT
+    ) -> Contact | None:
+        """Return the first collision along the straight joint segments between postures [rad], or None."""
+        contacts = (self.contact(q, width, allowed) for q in densify(postures, self.config.joint_step))
         return next((contact for contact in contacts if contact is not None), None)
 
-    def _apply_margins(self, allow: Allowance) -> None:
-        def either(asked: float | None, configured: float) -> float:
-            return configured if asked is None else asked
+    def _apply_margins(self, allowed: AllowedContacts) -> None:
+        def either(requested: float | None, default: float) -> float:
+            return default if requested is None else requested
 
-        self._set_margin(self._robot_bodies, either(allow.robot_margin, self.config.robot_margin))
+        self._set_margin(self._robot_bodies, either(allowed.robot_margin, self.config.robot_margin))
         if self._carried is not None:
             carried = self._body_id(f"carried/{self._carried}")
-            self._set_margin([carried], either(allow.carried_margin, self.config.carried_margin))
+            self._set_margin([carried], either(allowed.carried_margin, self.config.carried_margin))
 
     def _set_margin(self, bodies: Sequence[int], margin: float) -> None:
         for body in bodies:
             self._model.geom_margin[self._geoms[body]] = margin
             self._model.body_margin[body] = margin
 
-    def _build(self, bodies: Sequence[Body], furniture: Sequence[Furniture]) -> MjSpec:
+    def _build(self, bodies: Sequence[Body], obstacles: Sequence[Obstacle]) -> MjSpec:
         spec = collision_spec(self._arm)
         for geom in spec.geoms:
-            # What is bolted to the table always touches it.
+            # Fixed links touch the table they are mounted on.
             movable = geom.parent.name != "world" and _has_joint_above(geom.parent)
             geom.contype, geom.conaffinity = (_ROBOT, _WORLD) if movable else (_OFF, _OFF)
         hand = spec.site(self._arm.tcp_site).parent
-        for piece in furniture:
-            body = spec.worldbody.add_body(name=f"world/{piece.name}", pos=piece.center)
+        for obstacle in obstacles:
+            body = spec.worldbody.add_body(name=f"world/{obstacle.name}", pos=obstacle.center)
             body.add_geom(
-                type=mujoco.mjtGeom.mjGEOM_BOX, size=piece.half_size, contype=_WORLD, conaffinity=_ROBOT
+                type=mujoco.mjtGeom.mjGEOM_BOX,
+                size=obstacle.half_size,
+                contype=_WORLD,
+                conaffinity=_ROBOT,
             )
         for body in bodies:
             standing = spec.worldbody.add_body(name=f"world/{body.name}")
@@ -210,12 +240,12 @@ class CollisionWorld:
         return self._model.body(name).id
 
     def _switch(self, body: str, contype: int, conaffinity: int) -> None:
-        """Set what a body meets; MuJoCo's broad phase keeps its own copy of the bits for each body."""
+        """Set the contact bits of a body and its geoms; MuJoCo's broad phase reads those of the body."""
         index = self._body_id(body)
         self._model.geom_contype[self._geoms[index]] = self._model.body_contype[index] = contype
         self._model.geom_conaffinity[self._geoms[index]] = self._model.body_conaffinity[index] = conaffinity
 
-    def _known(self, name: str) -> None:
+    def _check_name(self, name: str) -> None:
         if name not in self._poses:
             raise ManipulationError(
                 f"no object '{name}' in the collision world; it has {', '.join(self.names)}"
@@ -235,7 +265,7 @@ class CollisionWorld:
 
 
 def densify(postures: Float[np.ndarray, "k n"], step: float) -> Float[np.ndarray, "m n"]:
-    """Straight joint segments between the postures, in steps of at most ``step`` [rad] of any joint."""
+    """Return postures [rad] along the straight joint segments, at most ``step`` [rad] apart in any joint."""
     pieces = [postures[:1]]
     for start, end in itertools.pairwise(postures):
         count = max(int(np.ceil(np.abs(end - start).max() / step)), 1)

@@ -1,13 +1,13 @@
-"""Errors of the manipulation package."""
+"""Exceptions of the manipulation package."""
 
 
 class ManipulationError(Exception):
-    """Root of everything that manipulation raises on purpose."""
+    """Base class of all exceptions that the manipulation package raises."""
 
 
 class PlanningError(ManipulationError):
-    """No plan exists under the given settings; the message counts what failed and names a remedy."""
+    """No plan exists under the given settings; the message counts the failures and names a remedy."""
 
 
 class RobotError(ManipulationError):
-    """The robot refused or could not carry out a command."""
+    """The robot rejected a command or failed to execute it."""

@@ -1,4 +1,4 @@
-"""Objects seen from above: outlines, and a raster of the box with what stands in it and how high."""
+"""Top-view outlines of objects, and a raster of occupancy and height of a box."""
 
 from __future__ import annotations
 
@@ -18,23 +18,28 @@ _DIRECTIONS = 2 * np.pi * np.arange(32) / 32
 
 @dataclass(frozen=True)
 class Footprint:
-    """What an object covers: convex outlines (k, 2) in the stand frame in [m], and how high it is."""
+    """Area that an object covers.
+
+    Attributes:
+        outlines: (k, 2) vertices of convex outlines in the stand frame in [m].
+        top: height of the object in [m].
+    """
 
     outlines: tuple[Float[np.ndarray, "_k 2"], ...]
     top: float
 
-    def turned(self, yaw: float) -> Footprint:
-        """The footprint of the object turned about z."""
+    def rotated(self, yaw: float) -> Footprint:
+        """Return the footprint rotated by ``yaw`` [rad] about z."""
         c, s = np.cos(yaw), np.sin(yaw)
-        turn = np.array([[c, s], [-s, c]])
-        return Footprint(tuple(outline @ turn for outline in self.outlines), self.top)
+        R_T = np.array([[c, s], [-s, c]])  # transposed, for row vectors
+        return Footprint(tuple(outline @ R_T for outline in self.outlines), self.top)
 
     def reach(self, direction: Float[np.ndarray, "2"]) -> float:
-        """How far it extends from the origin in a direction, in [m]."""
+        """Return the largest distance [m] from the origin along a unit direction (support function)."""
         return max(float((outline @ direction).max()) for outline in self.outlines)
 
     def covers(self, points: Float[np.ndarray, "*n 2"], gap: float = 0.0) -> Bool[np.ndarray, "*n"]:
-        """Which points lie within ``gap`` [m] of it (corners are bevelled, not rounded)."""
+        """Return which points lie within ``gap`` [m] of the outlines (corners bevelled, not rounded)."""
         inside = np.zeros(points.shape[:-1], dtype=bool)
         normals = np.stack([np.cos(_DIRECTIONS), np.sin(_DIRECTIONS)], axis=1)
         for outline in self.outlines:
@@ -44,7 +49,7 @@ class Footprint:
 
 
 def footprint(item: StandingObject) -> Footprint:
-    """Hull of the object seen from above; body and handle apart for a mug."""
+    """Return the convex outlines of an object: body and handle of a mug, else one."""
     parts = split_handle(item.vertices, item.category)
     return Footprint(tuple(_hull(part[:, :2]) for part in parts), item.top)
 
@@ -55,7 +60,13 @@ def _hull(points: np.ndarray) -> np.ndarray:
 
 @dataclass(frozen=True)
 class Stencil:
-    """A footprint in cells around its origin: covered exactly, and covered with a gap around it."""
+    """A footprint rasterised around its origin.
+
+    Attributes:
+        exact: cells that the footprint covers.
+        widened: cells within a gap around it.
+        top: height of the object in [m].
+    """
 
     exact: Bool[np.ndarray, "m m"]
     widened: Bool[np.ndarray, "m m"]
@@ -63,6 +74,7 @@ class Stencil:
 
     @staticmethod
     def of(shape: Footprint, gap: float, cell: float) -> Stencil:
+        """Rasterise a footprint with a gap [m] in cells of a given edge length [m]."""
         size = max(shape.reach(direction) for direction in np.concatenate([np.eye(2), -np.eye(2)]))
         count = int(np.ceil((size + gap) / cell)) + 1
         offsets = cell * np.arange(-count, count + 1)
@@ -71,16 +83,27 @@ class Stencil:
 
 
 class BoxRaster:
-    """A box from above in cells: which are taken, and how high things stand in and around it.
+    """Top-view raster of a box: occupied cells and the height of the scene.
 
-    Coordinates are relative to the box's centre; heights reach past the walls, so that a hand above them can
-    be checked.
+    Coordinates are relative to the box's centre. The raster extends beyond the walls, where the palm may be.
+
+    Args:
+        box: box to rasterise.
+        wall_gap: distance from the walls within which cells are occupied, in [m].
+        cell: edge length of a cell in [m].
+        margin: extent of the raster beyond the inside of the box in [m].
+
+    Attributes:
+        x, y: (nx,), (ny,) coordinates of the cell centres in [m].
+        centers: (nx, ny, 2) cell centres in [m].
+        taken: (nx, ny) occupied cells.
+        heights: (nx, ny) height of the scene above the table in [m].
     """
 
-    def __init__(self, box: Box, wall_gap: float, cell: float = 0.005, around: float = 0.12) -> None:
+    def __init__(self, box: Box, wall_gap: float, cell: float = 0.005, margin: float = 0.12) -> None:
         self.cell = cell
         half = np.array(box.size[:2]) / 2
-        count = [int(np.ceil((h + around) / cell)) for h in half]
+        count = [int(np.ceil((h + margin) / cell)) for h in half]
         self.x, self.y = (cell * (np.arange(-n, n) + 0.5) for n in count)
         self.centers = np.stack(np.meshgrid(self.x, self.y, indexing="ij"), axis=-1)
         distance = np.abs(self.centers)
@@ -88,18 +111,18 @@ class BoxRaster:
         inside = (distance <= half).all(axis=-1)
         within = (distance <= half + box.wall + cell).all(axis=-1)
         self.heights = np.where(inside, box.floor, np.where(within, box.top, 0.0))
-        # Nothing stands outside the walls: the search for places looks at the inside alone.
+        # Objects stand inside the walls: the search is limited to the free interior.
         rows, columns = np.nonzero(~self.taken)
         self._inner = slice(rows.min(), rows.max() + 1), slice(columns.min(), columns.max() + 1)
 
     def copy(self) -> BoxRaster:
-        """An independent raster with the same contents."""
+        """Return an independent copy."""
         other = object.__new__(BoxRaster)
         other.__dict__.update(self.__dict__, taken=self.taken.copy(), heights=self.heights.copy())
         return other
 
     def free_positions(self, stencil: Stencil) -> Bool[np.ndarray, "nx ny"]:
-        """Cells on whose centre the stencil's origin may stand, gap included."""
+        """Return the cells at which the stencil, including its gap, covers no occupied cell."""
         free = ~self.taken[self._inner]
         kernel = stencil.widened[::-1, ::-1].astype(np.float32)
         covered = fftconvolve(np.pad(free, len(kernel) // 2).astype(np.float32), kernel, mode="valid")
@@ -108,7 +131,7 @@ class BoxRaster:
         return result
 
     def add(self, stencil: Stencil, cell: tuple[int, int], base: float = 0.0) -> None:
-        """Stand a stencil with its origin in a cell, its base at a height."""
+        """Occupy the cells of a stencil with its origin in a cell and its base at a height [m]."""
         reach = len(stencil.exact) // 2
         i, j = cell
         low = max(i - reach, 0), max(j - reach, 0)
@@ -121,7 +144,7 @@ class BoxRaster:
         )
 
     def highest(self, points: Float[np.ndarray, "*n 2"]) -> Float[np.ndarray, "*n"]:
-        """Height of what stands at points relative to the centre in [m]; 0 outside the raster."""
+        """Return the height [m] of the scene at points relative to the centre; 0 outside the raster."""
         nx, ny = self.heights.shape
         i = np.floor(points[..., 0] / self.cell).astype(int) + nx // 2
         j = np.floor(points[..., 1] / self.cell).astype(int) + ny // 2
@@ -130,7 +153,7 @@ class BoxRaster:
 
 
 def bounding_area(shapes: Sequence[Footprint], positions: Sequence[Float[np.ndarray, "2"]]) -> float:
-    """Area of the upright rectangle around standing shapes in [m^2]."""
+    """Return the area [m^2] of the axis-aligned bounding rectangle of footprints at positions."""
     if not shapes:
         return 0.0
     corners = np.concatenate([o + p for s, p in zip(shapes, positions) for o in s.outlines])

@@ -1,4 +1,4 @@
-"""Where grasps are tried."""
+"""Parameters of grasp generation, and the frames that all grasp types share."""
 
 from __future__ import annotations
 
@@ -13,34 +13,34 @@ from manipulation.types import Grasp
 
 @dataclass(frozen=True)
 class GraspConfig:
-    """Where grasps are tried.
+    """Parameters of grasp generation.
 
     Attributes:
         gripper: geometry of the hand.
-        n_azimuths: directions about the object's axis.
-        mug_depth, bowl_depth: of the TCP below the rim, along the wall, in [m].
-        depth_shares: of these depths to try, for shallow cavities.
-        least_depth: for objects so low that the fingertips would meet the support, in [m].
-        top_depths: of the TCP below the top of cans and bottles in [m].
-        max_wall: thickest rim to close over in [m].
-        default_wall: assumed thickness in [m] where the mesh has no cavity.
+        n_azimuths: number of directions about the object's axis.
+        mug_depth, bowl_depth: depth of the TCP below the rim, along the wall, in [m].
+        depth_fractions: multiples of that depth, tried in order, for shallow cavities.
+        min_depth: smallest depth, for objects so low that the fingertips would touch the support, in [m].
+        top_depths: depths of the TCP below the top of cans and bottles in [m].
+        max_wall: largest wall thickness of a rim grasp in [m].
+        default_wall: wall thickness in [m] assumed where the mesh has no cavity.
         half_opening: preferred distance of each pad from the middle of the wall before closing in [m].
-        min_half_opening: least such distance in [m].
-        release_gap: by which each finger lets go in [m].
-        max_tilt, max_inward_tilt: of the hand, for walls that widen or narrow upwards, in [rad].
-        top_clearance: room at each finger before closing around a body in [m]; a little below 0, because the
-            body may have been estimated too wide.
-        max_taper: largest angle of a body's sides against the vertical, mean over the pads' height, in [rad]:
-            friction holds cones up to it.
-        fingertip_clearance: kept above the support in [m].
+        min_half_opening: smallest such distance in [m].
+        release_gap: distance in [m] by which each finger opens to release the object.
+        max_tilt, max_inward_tilt: largest tilt of the hand for walls that widen or narrow upwards, in [rad].
+        top_clearance: clearance between each finger and a body before closing in [m]; slightly negative,
+            because the estimated body may be too wide.
+        max_taper: largest mean angle of a body's sides to the vertical over the pads' height, in [rad]; the
+            limit of friction.
+        fingertip_clearance: height of the fingertips above the support in [m].
     """
 
     gripper: GripperGeometry = field(default_factory=GripperGeometry)
     n_azimuths: int = 24
     mug_depth: float = 0.013
     bowl_depth: float = 0.0155
-    depth_shares: tuple[float, ...] = (1.0, 0.8, 0.6)
-    least_depth: float = 0.008
+    depth_fractions: tuple[float, ...] = (1.0, 0.8, 0.6)
+    min_depth: float = 0.008
     top_depths: tuple[float, ...] = (0.022, 0.016, 0.028, 0.012, 0.032)
     max_wall: float = 0.02
     default_wall: float = 0.005
@@ -54,8 +54,10 @@ class GraspConfig:
     fingertip_clearance: float = 0.005
 
 
-def tcp_pose(position: np.ndarray, approach: np.ndarray, closing: np.ndarray) -> Float[np.ndarray, "4 4"]:
-    """TCP frame: z along the approach, y along the closing direction."""
+def tcp_pose(
+    position: Float[np.ndarray, "3"], approach: Float[np.ndarray, "3"], closing: Float[np.ndarray, "3"]
+) -> Float[np.ndarray, "4 4"]:
+    """Return the pose of a TCP with z along the approach and y along the closing direction (unit vectors)."""
     T = np.eye(4)
     T[:3, 2], T[:3, 1] = approach, closing
     T[:3, 0] = np.cross(closing, approach)
@@ -63,6 +65,6 @@ def tcp_pose(position: np.ndarray, approach: np.ndarray, closing: np.ndarray) ->
     return T
 
 
-def turned(grasp: Grasp) -> Grasp:
-    """The same grasp with the hand turned by half a turn about its approach, the fingers swapped."""
+def half_turn(grasp: Grasp) -> Grasp:
+    """Return the grasp with the hand rotated by pi about its approach, which swaps the fingers."""
     return replace(grasp, T_stand_tcp=grasp.T_stand_tcp @ np.diag([-1.0, -1.0, 1.0, 1.0]))

@@ -1,4 +1,4 @@
-"""Convex pieces of perceived meshes, with few corners."""
+"""Convex hulls of object meshes, reduced to few vertices for collision checking."""
 
 from __future__ import annotations
 
@@ -10,24 +10,30 @@ from manipulation.errors import ManipulationError
 from manipulation.standing import split_handle
 from manipulation.types import StandingObject
 
-MAX_CORNERS = 48  # about: twice as many directions are tried
+MAX_VERTICES = 48  # target; at most twice as many remain, one for each sampled direction
 
 
 def convex_pieces(item: StandingObject) -> tuple[Float[np.ndarray, "_k 3"], ...]:
-    """The object as few convex pieces in its stand frame: its hull, or body and handle of a mug."""
-    return tuple(hull_corners(part) for part in split_handle(item.vertices, item.category))
+    """Return the object's convex pieces in its stand frame: body and handle of a mug, else one hull."""
+    return tuple(reduced_hull(part) for part in split_handle(item.vertices, item.category))
 
 
-def hull_corners(points: Float[np.ndarray, "n 3"], limit: int = MAX_CORNERS) -> Float[np.ndarray, "_k 3"]:
-    """Corners of the convex hull, thinned to the extremes along evenly spread directions."""
+def reduced_hull(points: Float[np.ndarray, "n 3"], limit: int = MAX_VERTICES) -> Float[np.ndarray, "_k 3"]:
+    """Return convex-hull vertices, reduced to extreme points along 2 * ``limit`` evenly spread directions.
+
+    A hull of at most ``limit`` vertices is returned unchanged.
+
+    Raises:
+        ManipulationError: the points span no volume.
+    """
     try:
-        corners = points[ConvexHull(points).vertices]
+        vertices = points[ConvexHull(points).vertices]
     except QhullError as error:
         raise ManipulationError("an object's mesh is flat or too small to have a convex hull") from error
-    if len(corners) <= limit:
-        return corners
+    if len(vertices) <= limit:
+        return vertices
     directions = _fibonacci_sphere(2 * limit)
-    return corners[np.unique(np.argmax(corners @ directions.T, axis=0))]
+    return vertices[np.unique(np.argmax(vertices @ directions.T, axis=0))]
 
 
 def _fibonacci_sphere(count: int) -> np.ndarray:
@@ -38,7 +44,7 @@ def _fibonacci_sphere(count: int) -> np.ndarray:
 
 
 def hull_faces(vertices: Float[np.ndarray, "k 3"]) -> Int[np.ndarray, "_f"]:
-    """Triangles of the convex hull of the vertices, wound outwards, three indices after three."""
+    """Return the hull's triangles, counterclockwise seen from outside, as a flat list of vertex indices."""
     hull = ConvexHull(vertices)
     faces = hull.simplices.copy()
     a, b, c = (vertices[faces[:, i]] for i in range(3))

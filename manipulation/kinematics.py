@@ -1,7 +1,7 @@
-"""Forward and inverse kinematics of the arm, by differential IK (mink) iterated to convergence.
+"""Forward kinematics, and inverse kinematics by differential IK (mink) iterated to convergence.
 
-Each step solves the QP  min |J dq - e|^2 + lm |e|^2 |dq|^2 + posture + damping  within the joint limits; the
-tiny posture cost picks one of the redundant solutions without biasing the pose.
+Each step solves the QP  min |J dq - e|^2 + lm |e|^2 |dq|^2 + posture + damping  within the joint limits. The
+small posture cost selects one of the redundant solutions; its bias of the pose is below the tolerances.
 """
 
 from __future__ import annotations
@@ -24,15 +24,15 @@ IkStatus = Literal["converged", "not_converged"]
 
 @dataclass(frozen=True)
 class IkConfig:
-    """Settings of the solver.
+    """Settings of the inverse kinematics.
 
     Attributes:
         position_tolerance: accepted distance from the target in [m].
         rotation_tolerance: accepted rotation from the target in [rad].
-        max_iterations: steps tried from one seed.
-        patience: steps without progress (an error 10 % smaller) after which a seed is given up.
-        limit_margin: distance kept from the joint limits in [rad].
-        dt, lm_damping, damping, posture_cost: of the differential IK.
+        max_iterations: largest number of steps from one seed.
+        patience: number of steps without progress (an error 10 % smaller) after which a seed is abandoned.
+        limit_margin: distance from the joint limits in [rad].
+        dt, lm_damping, damping, posture_cost: parameters of the differential IK.
     """
 
     position_tolerance: float = 1e-4
@@ -48,14 +48,14 @@ class IkConfig:
 
 @dataclass(frozen=True)
 class IkResult:
-    """Where the solver ended: the best posture found and how far from the target it is.
+    """Best posture that the solver found, with its residual errors.
 
     Attributes:
-        q: (n,) in [rad].
-        status: "converged" when both errors are within the tolerances.
-        position_error: in [m].
-        rotation_error: in [rad].
-        iterations: over all seeds.
+        q: (n,) joint positions in [rad].
+        status: "converged" if both errors are within the tolerances.
+        position_error: distance from the target in [m].
+        rotation_error: rotation from the target in [rad].
+        iterations: number of steps over all seeds.
     """
 
     q: Float[np.ndarray, "n"]
@@ -66,15 +66,23 @@ class IkResult:
 
     @property
     def converged(self) -> bool:
+        """Whether the posture reaches the target within the tolerances."""
         return self.status == "converged"
 
 
 class Kinematics:
-    """Kinematics of one arm. Frames are the TCP and the wrist camera, in the arm's base frame = world."""
+    """Kinematics of one arm, for its TCP and its wrist camera; the base frame is the world frame.
 
-    def __init__(self, arm: ArmDescription, config: IkConfig | None = None) -> None:
-        self.arm = arm
-        self.config = config or IkConfig()
+    Attributes:
+        arm, config: those of the constructor.
+        lower, upper: (n,) joint limits in [rad].
+
+    Raises:
+        ManipulationError: the MJCF lacks a named joint or site, or has further joints.
+    """
+
+    def __init__(self, arm: ArmDescription, config: IkConfig = IkConfig()) -> None:
+        self.arm, self.config = arm, config
         self._model = kinematic_model(arm)
         if self._model.nv != len(arm.joint_names):
             raise ManipulationError(
@@ -87,12 +95,12 @@ class Kinematics:
         self._site_ids = {frame: site_index(self._model, name) for frame, name in self._sites.items()}
         self._data = mujoco.MjData(self._model)
         self._configuration = mink.Configuration(self._model)
-        # A hair wider than the seeds are clipped to: a start exactly on the bound must stay feasible.
+        # 1 urad wider than the interval seeds are clipped to: a seed on the bound must remain feasible.
         self._limit = mink.ConfigurationLimit(
             self._model, min_distance_from_limits=self.config.limit_margin - 1e-6
         )
         x, y = self.forward(np.asarray(arm.q_home, dtype=np.float64))[:2, 3]
-        self._home_bearing = round(float(np.arctan2(y, x)), 6)  # of the TCP, seen from the base, in [rad]
+        self._home_bearing = round(float(np.arctan2(y, x)), 6)  # azimuth of the TCP at home in [rad]
         self._posture = mink.PostureTask(self._model, cost=self.config.posture_cost)
         self._tasks = {
             frame: mink.FrameTask(
@@ -102,7 +110,7 @@ class Kinematics:
         }
 
     def forward(self, q: Float[np.ndarray, "n"], frame: Frame = "tcp") -> Float[np.ndarray, "4 4"]:
-        """``T_world_frame`` at joint positions ``q`` in [rad]."""
+        """Return ``T_world_frame`` at joint positions ``q`` [rad]."""
         self._data.qpos[self._address] = q
         mujoco.mj_kinematics(self._model, self._data)
         site = self._site_ids[frame]
@@ -112,11 +120,11 @@ class Kinematics:
         return T
 
     def within_limits(self, q: Float[np.ndarray, "n"], margin: float = 0.0) -> bool:
-        """Whether all joints keep ``margin`` [rad] from their limits."""
+        """Return whether all joints are at least ``margin`` [rad] within their limits."""
         return bool(np.all(q >= self.lower + margin) and np.all(q <= self.upper - margin))
 
     def limit_distance(self, q: Float[np.ndarray, "n"]) -> float:
-        """Distance of the closest joint from its limit in [rad]."""
+        """Return the smallest distance [rad] of a joint from its limits; negative outside."""
         return float(min(np.min(q - self.lower), np.min(self.upper - q)))
 
     def inverse(
@@ -126,17 +134,18 @@ class Kinematics:
         frame: Frame = "tcp",
         name: str = "target",
     ) -> IkResult:
-        """Joint positions that bring the frame to the target; the first seed that converges wins.
+        """Return joint positions that bring the frame to the target, from the first seed that converges.
+
+        An unreachable target is not an error: the result has status ``not_converged``.
 
         Args:
-            T_world_target: wanted pose of the frame.
-            seeds: start postures in [rad], tried in order; clipped into the limits.
-            frame: what is to reach the target.
-            name: of the target, for error messages.
+            T_world_target: target pose of the frame.
+            seeds: start postures in [rad], tried in order; clipped to the limits.
+            frame: frame that is to reach the target.
+            name: name of the target in error messages.
 
         Raises:
-            ManipulationError: the target is not a finite rigid transform, or there is no seed. An unreachable
-                target is no error: the result says ``not_converged``.
+            ManipulationError: the target is not a finite rigid transform, or there is no seed.
         """
         _check_target(T_world_target, name)
         if not seeds:
@@ -160,17 +169,17 @@ class Kinematics:
     def seeds_toward(
         self, T_world_target: Float[np.ndarray, "4 4"], count: int = 4
     ) -> list[Float[np.ndarray, "n"]]:
-        """Start postures for a target far from the present one: home turned toward it, then spread copies."""
+        """Return start postures in [rad]: home rotated toward the target, with another wrist, and random."""
         home = np.array(self.arm.q_home, dtype=np.float64)
         home[0] += np.arctan2(T_world_target[1, 3], T_world_target[0, 3]) - self._home_bearing
         spread = np.random.default_rng(0).normal(scale=0.5, size=(count - 1, len(home)))
-        # The wrist alone can turn by half a turn for the same approach: give both turns a start.
+        # Rotating the wrist by pi gives the same approach: seed both branches.
         wrist = home.copy()
         wrist[-1] += np.pi / 2 if wrist[-1] < 0 else -np.pi / 2
         return [home, wrist, *(home + offset for offset in spread)][:count]
 
     def _descend(self, target: mink.SE3, seed: np.ndarray, frame: Frame) -> IkResult:
-        """Differential IK from one seed until the tolerances hold or progress stops."""
+        """Iterate differential IK from one seed until the tolerances hold or progress stops."""
         c = self.config
         margin = c.limit_margin
         q = np.zeros(self._model.nq)
@@ -215,7 +224,7 @@ def _error(result: IkResult) -> float:
 
 
 def _check_target(T: np.ndarray, name: str) -> None:
-    """Refuse what the solver would silently turn into NaN velocities."""
+    """Raise for poses that the solver would silently turn into NaN velocities."""
     T = np.asarray(T)
     if T.shape != (4, 4) or not np.isfinite(T).all():
         raise ManipulationError(f"the pose of {name} must be a finite 4x4 matrix, got {T.tolist()}")

@@ -1,4 +1,4 @@
-"""How bowls stand in one another, from the radial profiles of their reconstructed meshes."""
+"""Nesting of bowls from the radial profiles of their reconstructed meshes."""
 
 from __future__ import annotations
 
@@ -9,20 +9,21 @@ from dataclasses import dataclass
 import numpy as np
 from jaxtyping import Float
 
-from manipulation.cross_sections import SectionCache
+from manipulation.cross_sections import CrossSectionCache
 from manipulation.types import StandingObject
 from perception.mesh_sections import radial_hits
 
-_STEP = 0.002
-_AZIMUTHS = 2 * np.pi * np.arange(8) / 8 + 0.05  # beside the round angles at which meshes have their edges
+_STEP = 0.002  # [m] between heights of a profile
+_MAX_RELATIVE_LIFT = 0.7  # of a nested bowl's base, relative to the height of the lower bowl
+_AZIMUTHS = 2 * np.pi * np.arange(8) / 8 + 0.05  # offset from round angles, where meshes often have edges
 
 
 @dataclass(frozen=True)
 class RadialProfile:
-    """Walls of an upright object of revolution at heights ``_STEP`` apart.
+    """Inner and outer radii of an upright object of revolution over height.
 
     Attributes:
-        heights: (k,) above its support in [m].
+        heights: (k,) heights above its support in [m].
         outer: (k,) outer radius in [m].
         inner: (k,) radius of the cavity in [m]; 0 where there is none.
     """
@@ -33,12 +34,13 @@ class RadialProfile:
 
     @property
     def rim(self) -> float:
+        """Height of the rim in [m]."""
         return float(self.heights[-1])
 
 
 def radial_profile(item: StandingObject) -> RadialProfile:
-    """Median over eight directions of the walls at every height."""
-    sections = SectionCache(item.vertices, item.faces)
+    """Return the radii of an object, each the median over eight directions."""
+    sections = CrossSectionCache(item.vertices, item.faces)
     low, high = item.vertices[:, 2].min(), item.vertices[:, 2].max()
     heights = np.arange(max(low, 0.0) + 0.001, high - 0.0005, _STEP)
     outer, inner = np.zeros(len(heights)), np.zeros(len(heights))
@@ -47,16 +49,17 @@ def radial_profile(item: StandingObject) -> RadialProfile:
         # Even numbers of crossings mean that the axis is in the cavity, outside the material.
         outer[index] = np.median([h[-1] if len(h) else 0.0 for h in hits])
         inner[index] = np.median([h[0] if len(h) >= 2 and len(h) % 2 == 0 else 0.0 for h in hits])
-    # The top of a reconstructed rim is ragged: sections there miss the wall in half of the directions.
+    # A reconstructed rim is uneven: cross-sections at its top miss the wall in half of the directions.
     open_rows = np.flatnonzero(inner)
     rows = slice(int(open_rows[-1]) + 1) if len(open_rows) else slice(None)
     return RadialProfile(heights[rows], outer[rows], inner[rows])
 
 
 def resting_height(upper: RadialProfile, lower: RadialProfile, clearance: float = 0.0005) -> float | None:
-    """Height of the upper bowl's base above the lower one's when it stands inside; None if it does not fit.
+    """Return the height [m] of the upper bowl's base above the lower one's; None if it does not fit inside.
 
-    The smallest lift d for which, at every height z, outer_upper(z - d) <= inner_lower(z).
+    This is the smallest lift d, in steps of 1 mm, with outer_upper(z - d) + clearance <= inner_lower(z) at
+    every height z up to the lower rim.
     """
     for lift in np.arange(0.0, lower.rim, 0.001):
         z = upper.heights + lift
@@ -68,13 +71,13 @@ def resting_height(upper: RadialProfile, lower: RadialProfile, clearance: float 
 
 
 def nests(upper: RadialProfile, lower: RadialProfile) -> float | None:
-    """The resting height if the upper bowl sits safely: at most 70 % of the lower one's height up."""
+    """Return the resting height [m] if it is at most 70 % of the lower bowl's height, else None."""
     lift = resting_height(upper, lower)
-    return lift if lift is not None and lift <= 0.7 * lower.rim else None
+    return lift if lift is not None and lift <= _MAX_RELATIVE_LIFT * lower.rim else None
 
 
 def stack_bowls(bowls: Sequence[StandingObject]) -> list[list[StandingObject]]:
-    """Bowls sorted into as few stacks as they nest in, each from the largest up."""
+    """Return stacks of nesting bowls, each from the largest up, built greedily from the largest bowl."""
     stacks: list[list[StandingObject]] = []
     profiles = {bowl.name: radial_profile(bowl) for bowl in bowls}
     for bowl in sorted(bowls, key=lambda b: -float(profiles[b.name].outer.max())):
@@ -88,7 +91,10 @@ def stack_bowls(bowls: Sequence[StandingObject]) -> list[list[StandingObject]]:
 
 
 def nest_heights(stack: Sequence[StandingObject]) -> list[float]:
-    """Height of each bowl's base above the lowest one's, for bowls standing in one another."""
+    """Return the height [m] of each bowl's base above the lowest one's, for a stack from the lowest up.
+
+    A bowl that does not nest rests on the rim of the one below.
+    """
     profiles = [radial_profile(bowl) for bowl in stack]
     heights = [0.0]
     for lower, upper in itertools.pairwise(profiles):

@@ -1,6 +1,6 @@
-"""The straight parts of a pick and of a place: approach and lift, lowering, letting go and retreat.
+"""Straight TCP segments of a pick (approach, lift) and of a place (lowering, release, retreat).
 
-Each is a short TCP line that the arm must reach and on which nothing may be touched but what has to be.
+A segment is feasible if the arm reaches all of it and it has no contacts but the necessary ones.
 """
 
 from __future__ import annotations
@@ -11,27 +11,27 @@ from dataclasses import dataclass
 import numpy as np
 from jaxtyping import Float
 
-from manipulation.collision import Allowance
-from manipulation.motions import Motions
+from manipulation.collision import AllowedContacts
+from manipulation.motions import OUT_OF_REACH, MotionPlanner
 from manipulation.obstacles import BOX_FLOOR, TABLE
-from manipulation.types import Grasp, Placement, StandingObject
+from manipulation.types import Grasp, Placement, Rejected, StandingObject
 
 Postures = Float[np.ndarray, "_k n"]  # several of them in one value differ in length
 
 
 @dataclass(frozen=True)
-class HandlingConfig:
-    """Lengths and margins of the straight parts.
+class SegmentConfig:
+    """Lengths and clearances of the straight segments.
 
     Attributes:
-        approach_heights: lengths of the straight approach and retreat to try, in [m].
-        lift_heights: straight up from the grasp, in [m], tried in order.
-        raise_heights: above the goal from which the object is lowered, in [m], tried in order.
-        lift_margin: kept by the object while it is lifted out from among its neighbours, in [m].
-        placing_margin: kept between the carried object and its neighbours while it is lowered, in [m].
-        settle_depth: by which the loose pads sink before they open wide at a bowl, in [m].
-        release_extras: by how much further than it must each finger opens to let go, in [m], tried in order:
-            a finger that stays near a sloping wall may drag the object along.
+        approach_heights: lengths of approach and retreat in [m], tried in order.
+        lift_heights: heights of the vertical lift in [m], tried in order.
+        raise_heights: heights above the goal from which the object is lowered, in [m], tried in order.
+        lift_margin: clearance of the carried object from its neighbours during the lift in [m].
+        placing_margin: clearance of the carried object from its neighbours while it is lowered, in [m].
+        settle_depth: descent in [m] with loosened pads before they release a bowl.
+        release_extras: additional opening of each finger at release in [m], tried in order: a finger close to
+            a sloping wall may drag the object along.
     """
 
     approach_heights: tuple[float, ...] = (0.10, 0.06)
@@ -45,7 +45,12 @@ class HandlingConfig:
 
 @dataclass(frozen=True)
 class Pick:
-    """A reachable, free way to take an object: postures of the approach and of the lift, in [rad]."""
+    """A feasible pick.
+
+    Attributes:
+        grasp: grasp of the object.
+        approach, lift: (k, n) postures of the segments in [rad].
+    """
 
     grasp: Grasp
     approach: Postures
@@ -53,12 +58,30 @@ class Pick:
 
 
 @dataclass(frozen=True)
-class Place:
-    """A reachable, free way to set an object down: postures of lowering, settling (or None) and retreat.
+class PlaceGoal:
+    """Goal pose of one placement.
 
     Attributes:
-        T_world_stand_goal: (4, 4) of the object when it is let go.
-        release_opening: width between the pads that lets go, in [m].
+        item: object to be placed.
+        placement: its goal.
+        T_world_stand_rest: (4, 4) resting pose at one of the placement's yaws.
+    """
+
+    item: StandingObject
+    placement: Placement
+    T_world_stand_rest: Float[np.ndarray, "4 4"]
+
+
+@dataclass(frozen=True)
+class Place:
+    """A feasible place.
+
+    Attributes:
+        T_world_stand_goal: (4, 4) pose of the stand frame when the object is released.
+        lowering: (k, n) postures from above the goal down to it in [rad].
+        release_opening: width between the pads that releases the object, in [m].
+        settle: postures of the descent with loosened pads; None if there is none.
+        retreat: postures of the retreat.
     """
 
     T_world_stand_goal: Float[np.ndarray, "4 4"]
@@ -68,116 +91,97 @@ class Place:
     retreat: Postures
 
 
-def find_pick(motions: Motions, name: str, grasp: Grasp, config: HandlingConfig) -> Pick | str:
-    """Approach and lift for one grasp of an object, or why it fails; leaves the object in the hand."""
+def find_pick(motions: MotionPlanner, name: str, grasp: Grasp, config: SegmentConfig) -> Pick | Rejected:
+    """Return approach and lift of one grasp; on success the world has the object attached to the hand."""
     world, kinematics = motions.world, motions.kinematics
     world.release()
     T_grasp = world.pose(name) @ grasp.T_stand_tcp
     result = kinematics.inverse(T_grasp, kinematics.seeds_toward(T_grasp, 3), name=name)
     if not result.converged:
-        return "out of reach"
-    own = Allowance(touch=frozenset({name}))
-    contact = world.contact(result.q, grasp.opening, own)
-    if contact:
-        return _short(contact)
-    backed = _backed(T_grasp, grasp, config.approach_heights)
-    approach = motions.free_line(result.q, backed, grasp.opening, own)
-    if isinstance(approach, str):
-        return _short(approach)
+        return OUT_OF_REACH
+    touch_object = AllowedContacts(touch=frozenset({name}))
+    contact = world.contact(result.q, grasp.opening, touch_object)
+    if contact is not None:
+        return Rejected(f"collide with {contact.obstacle}")
+    starts = _retreated(T_grasp, grasp, config.approach_heights)
+    approach = motions.free_line(result.q, starts, grasp.opening, touch_object)
+    if isinstance(approach, Rejected):
+        return approach
     world.carry(name, np.linalg.inv(grasp.T_stand_tcp))
-    off_the_table = Allowance(touch_carried=frozenset({TABLE.name}), carried_margin=config.lift_margin)
-    raised = [_raised(T_grasp, height) for height in config.lift_heights]
-    lift = motions.free_line(result.q, raised, grasp.held_width, off_the_table)
-    if isinstance(lift, str):
-        return _short(lift)
+    off_the_table = AllowedContacts(touch_carried=frozenset({TABLE.name}), carried_margin=config.lift_margin)
+    lifted = [_raised(T_grasp, height) for height in config.lift_heights]
+    lift = motions.free_line(result.q, lifted, grasp.held_width, off_the_table)
+    if isinstance(lift, Rejected):
+        return lift
     return Pick(grasp, approach[::-1], lift)
 
 
 def find_place(
-    motions: Motions,
-    pick: Pick,
-    item: StandingObject,
-    placement: Placement,
-    T_rest: Float[np.ndarray, "4 4"],
-    config: HandlingConfig,
-) -> Place | str:
-    """Lowering, release and retreat for one resting pose, or why it fails; leaves the object in the hand."""
-    world, kinematics, grasp, name = motions.world, motions.kinematics, pick.grasp, item.name
-    T_goal = _raised(T_rest, placement.release_height)
+    motions: MotionPlanner, pick: Pick, goal: PlaceGoal, config: SegmentConfig
+) -> Place | Rejected:
+    """Return lowering, release and retreat at one goal; on success the object is attached to the hand."""
+    world, kinematics, grasp = motions.world, motions.kinematics, pick.grasp
+    name, placement = goal.item.name, goal.placement
+    T_goal = _raised(goal.T_world_stand_rest, placement.release_height)
     T_place = T_goal @ grasp.T_stand_tcp
     seeds = [pick.lift[-1], *kinematics.seeds_toward(T_place, 2)]
     result = kinematics.inverse(T_place, seeds, name=f"the goal of {name}")
     if not result.converged:
-        return "with the goal out of reach"
+        return Rejected("with the goal out of reach")
     stack = frozenset(placement.stack)
     world.release()
-    touch = Allowance(touch=stack | {name})
+    touch = AllowedContacts(touch=stack | {name})
     settle = None
-    if item.category == "bowl" and not stack:
-        settle = _settling(motions, grasp, result.q, T_place, touch, config)
+    if goal.item.category == "bowl" and not stack:
+        # The pads are lowered past the bowl's lip; the step is omitted where there is no room.
+        lowered = [_raised(T_place, -config.settle_depth)]
+        line = motions.free_line(result.q, lowered, grasp.release_opening, touch)
+        settle = None if isinstance(line, Rejected) else line
     q_loose = result.q if settle is None else settle[-1]
-    release_opening, retreat = _letting_go(motions, grasp, q_loose, T_place, touch, config)
-    if isinstance(retreat, str):
-        return f"letting go: {_short(retreat)}"
+    ends = _retreated(T_place, grasp, config.approach_heights)
+    release = _find_release(motions, grasp, q_loose, ends, touch, config.release_extras)
+    if isinstance(release, Rejected):
+        return Rejected(f"without a collision-free release ({release.reason})")
+    release_opening, retreat = release
     world.carry(name, np.linalg.inv(grasp.T_stand_tcp))
-    into = Allowance(stack, stack | {TABLE.name, BOX_FLOOR}, carried_margin=config.placing_margin)
+    into = AllowedContacts(stack, stack | {TABLE.name, BOX_FLOOR}, carried_margin=config.placing_margin)
     raised = [_raised(T_place, height) for height in config.raise_heights]
     lowering = motions.free_line(result.q, raised, grasp.held_width, into)
-    if isinstance(lowering, str):
-        return f"placing: {_short(lowering)}"
+    if isinstance(lowering, Rejected):
+        return Rejected(f"{lowering.reason} while lowering")
     return Place(T_goal, lowering[::-1], release_opening, settle, retreat)
 
 
-def _settling(
-    motions: Motions,
+def _find_release(
+    motions: MotionPlanner,
     grasp: Grasp,
     q: np.ndarray,
-    T_place: np.ndarray,
-    allow: Allowance,
-    config: HandlingConfig,
-) -> Postures | None:
-    """Postures that lower the loose pads past the lip of a bowl; None where there is no room."""
-    target = _raised(T_place, -config.settle_depth)
-    settle = motions.free_line(q, [target], grasp.release_opening, allow)
-    return None if isinstance(settle, str) else settle
+    targets: Sequence[np.ndarray],
+    allowed: AllowedContacts,
+    extras: Sequence[float],
+) -> tuple[float, Postures] | Rejected:
+    """Return the first opening [m] with a collision-free retreat from ``q`` to a target, and its postures."""
+    smallest, largest = grasp.release_opening, max(grasp.opening, grasp.release_opening)
+    rejected = OUT_OF_REACH
+    for extra in extras:
+        width = min(smallest + 2 * extra, largest)
+        retreat = motions.free_line(q, targets, width, allowed)
+        if not isinstance(retreat, Rejected):
+            return width, retreat
+        rejected = retreat
+    return rejected
 
 
-def _letting_go(
-    motions: Motions,
-    grasp: Grasp,
-    q: np.ndarray,
-    T_place: np.ndarray,
-    allow: Allowance,
-    config: HandlingConfig,
-) -> tuple[float, Postures | str]:
-    """The widest opening with which the hand is free to leave, and postures of the retreat from ``q``."""
-    targets = _backed(T_place, grasp, config.approach_heights)
-    least, most = grasp.release_opening, max(grasp.opening, grasp.release_opening)
-    width, retreat = least, "out of reach"
-    for extra in config.release_extras:
-        width = min(least + 2 * extra, most)
-        retreat = motions.free_line(q, targets, width, allow)
-        if not isinstance(retreat, str):
-            break
-    return width, retreat
-
-
-def _backed(T_world_tcp: np.ndarray, grasp: Grasp, distances: Sequence[float]) -> list[np.ndarray]:
-    """The TCP pose of a grasp drawn back by each distance [m] the way the hand leaves."""
+def _retreated(T_world_tcp: np.ndarray, grasp: Grasp, distances: Sequence[float]) -> list[np.ndarray]:
+    """Return the TCP pose of a grasp translated by each distance [m] along the grasp's retreat."""
     away = T_world_tcp[:3, :3] @ grasp.T_stand_tcp[:3, :3].T @ grasp.away
-    backed = [T_world_tcp.copy() for _ in distances]
-    for T, distance in zip(backed, distances):
+    retreated = [T_world_tcp.copy() for _ in distances]
+    for T, distance in zip(retreated, distances):
         T[:3, 3] += distance * away
-    return backed
+    return retreated
 
 
 def _raised(T: np.ndarray, height: float) -> np.ndarray:
     raised = T.copy()
     raised[2, 3] += height
     return raised
-
-
-def _short(contact: str) -> str:
-    """A contact as a countable reason: "arm meets bowl_2" becomes "collide with bowl_2"."""
-    thing = contact.split(" meets ")[-1]
-    return contact if thing == contact else f"collide with {thing}"

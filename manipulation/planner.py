@@ -1,4 +1,4 @@
-"""Whole tasks before the first motion: what goes where, in which order, and what has to stay out."""
+"""Task planning: goals of all objects and their order, and the objects that have to be excluded."""
 
 from __future__ import annotations
 
@@ -7,26 +7,30 @@ from collections.abc import Sequence
 from dataclasses import dataclass, field, replace
 
 from manipulation.errors import PlanningError
+from manipulation.grasps import grasp_candidates
+from manipulation.kinematics import Kinematics
 from manipulation.packing import PackingConfig, pack
-from manipulation.pick_place import PickPlaceConfig, PickPlacePlanner
+from manipulation.pick_place import PickPlaceConfig
 from manipulation.robot import ArmDescription
 from manipulation.sorting import SortingConfig, sort_line
-from manipulation.standing import stand
-from manipulation.types import Box, Line, StandingObject, TaskPlan
+from manipulation.standing import to_standing
+from manipulation.types import Box, GraspSet, Line, StandingObject, TaskPlan
 from perception.types import ObjectEstimate, SupportPlane
 
-log = logging.getLogger(__name__)
+logger = logging.getLogger(__name__)
+
+_REACH_STRIDE = 4  # every fourth grasp is checked for reachability: neighbours are similar
 
 
 @dataclass(frozen=True)
 class ManipulationConfig:
-    """Everything that manipulation can be told.
+    """Settings of manipulation.
 
     Attributes:
         pick_place: search for grasps and motions.
-        packing, sorting: where objects go.
-        support: the plane that objects stand on.
-        max_retries: further attempts on an object after a failed one.
+        packing, sorting: layout of the goals.
+        support: plane that objects stand on; the table top if None.
+        max_retries: number of further attempts on an object after a failed one.
     """
 
     pick_place: PickPlaceConfig = field(default_factory=PickPlaceConfig)
@@ -35,8 +39,8 @@ class ManipulationConfig:
     support: SupportPlane | None = None
     max_retries: int = 2
 
-    def suiting(self, arm: ArmDescription) -> ManipulationConfig:
-        """The same settings for the gripper of an arm."""
+    def for_arm(self, arm: ArmDescription) -> ManipulationConfig:
+        """Return the same settings with the gripper of an arm."""
         grasp = replace(self.pick_place.grasp, gripper=arm.gripper)
         return replace(self, pick_place=replace(self.pick_place, grasp=grasp))
 
@@ -45,64 +49,113 @@ def plan_pack(
     objects: Sequence[ObjectEstimate],
     box: Box,
     arm: ArmDescription,
-    config: ManipulationConfig | None = None,
+    config: ManipulationConfig = ManipulationConfig(),
+    kinematics: Kinematics | None = None,
 ) -> TaskPlan:
-    """Plan to pack all objects that can be grasped, reached and fitted into the box.
+    """Plan to pack all objects that can be grasped and reached and that fit into the box.
+
+    Args:
+        objects: object map.
+        box: target box.
+        arm: description of the arm.
+        config: settings.
+        kinematics: kinematics of the arm; built if None.
 
     Raises:
-        PlanningError: not one object can be packed; the message says why.
+        PlanningError: no object can be packed; the message gives the reasons.
     """
-    config = (config or ManipulationConfig()).suiting(arm)
-    items, usable, left_out = _usable(objects, arm, config)
-    placements, no_room = pack(usable, box, config.packing, config.pick_place.grasp)
-    return TaskPlan("pack", items, placements, left_out | no_room, box=box)
+    config = config.for_arm(arm)
+    usable = _find_usable(objects, kinematics or Kinematics(arm, config.pick_place.ik), config)
+    placements, no_room = pack(usable.candidates, box, config.packing, config.pick_place.grasp, usable.grasps)
+    return TaskPlan(
+        "pack", usable.items, placements, usable.left_out | no_room, box=box, grasps=usable.grasps
+    )
 
 
 def plan_sort(
     objects: Sequence[ObjectEstimate],
     line: Line,
     arm: ArmDescription,
-    config: ManipulationConfig | None = None,
+    config: ManipulationConfig = ManipulationConfig(),
     box: Box | None = None,
+    kinematics: Kinematics | None = None,
 ) -> TaskPlan:
-    """Plan to line up, ascending in size, all objects that can be grasped and reached.
+    """Plan to arrange, ascending in size, all objects that can be grasped and reached.
 
     Args:
-        box: an empty box that stands in the way, if there is one.
+        objects: object map.
+        line: target line.
+        arm: description of the arm.
+        config: settings.
+        box: empty box that is an obstacle; None if there is none.
+        kinematics: kinematics of the arm; built if None.
 
     Raises:
-        PlanningError: not one object can be sorted; the message says why.
+        PlanningError: no object can be sorted; the message gives the reasons.
     """
-    config = (config or ManipulationConfig()).suiting(arm)
-    items, usable, left_out = _usable(objects, arm, config)
-    placements, no_room = sort_line(usable, line, config.sorting)
-    return TaskPlan("sort", items, placements, left_out | no_room, box=box, line=line)
+    config = config.for_arm(arm)
+    usable = _find_usable(objects, kinematics or Kinematics(arm, config.pick_place.ik), config)
+    placements, no_room = sort_line(usable.candidates, line, config.sorting)
+    return TaskPlan("sort", usable.items, placements, usable.left_out | no_room, box, line, usable.grasps)
 
 
-def _usable(
-    objects: Sequence[ObjectEstimate], arm: ArmDescription, config: ManipulationConfig
-) -> tuple[dict[str, StandingObject], list[StandingObject], dict[str, str]]:
-    """All standing objects by name, those the arm can take, and why not the others."""
+@dataclass(frozen=True)
+class _Usable:
+    """Objects of a task.
+
+    Attributes:
+        items: all standing objects by name.
+        left_out: name and reason of each object that cannot be grasped or reached.
+        grasps: grasp candidates of all standing objects by name.
+    """
+
+    items: dict[str, StandingObject]
+    left_out: dict[str, str]
+    grasps: dict[str, GraspSet]
+
+    @property
+    def candidates(self) -> list[StandingObject]:
+        """Objects that can be grasped and reached."""
+        return [item for name, item in self.items.items() if name not in self.left_out]
+
+
+def _find_usable(
+    objects: Sequence[ObjectEstimate], kinematics: Kinematics, config: ManipulationConfig
+) -> _Usable:
+    """Separate the objects that the arm can grasp and reach from the others.
+
+    Raises:
+        PlanningError: there is no such object; the message gives the reasons.
+    """
     if not objects:
-        raise PlanningError("there is nothing to handle: no object was perceived; scan again")
+        raise PlanningError("no object was perceived: repeat the scan")
     items: dict[str, StandingObject] = {}
     left_out: dict[str, str] = {}
     for estimate in objects:
         try:
-            items[estimate.name] = stand(estimate, config.support)
+            items[estimate.name] = to_standing(estimate, config.support)
         except PlanningError as error:
             left_out[estimate.name] = str(error)
-    planner = PickPlacePlanner(arm, items, config=config.pick_place)
+    grasps = {name: grasp_candidates(item, config.pick_place.grasp) for name, item in items.items()}
     for name, item in items.items():
-        found = planner.grasps(name)
-        if not found.grasps:
-            left_out[name] = found.why_none(name)
-        elif not planner.reachable_grasp(name):
+        if not grasps[name].grasps:
+            left_out[name] = grasps[name].failure_message(name)
+        elif not _is_reachable(item, grasps[name], kinematics):
             x, y = item.T_world_stand[:2, 3]
             left_out[name] = f"{name} at ({x:.2f}, {y:.2f}) m is out of the arm's reach; move it closer"
     for reason in left_out.values():
-        log.warning("left out: %s", reason)
-    usable = [item for name, item in items.items() if name not in left_out]
-    if not usable:
-        raise PlanningError(f"none of {len(objects)} objects can be handled: {'; '.join(left_out.values())}")
-    return items, usable, left_out
+        logger.warning("excluded: %s", reason)
+    usable = _Usable(items, left_out, grasps)
+    if not usable.candidates:
+        reasons = "; ".join(left_out.values())
+        raise PlanningError(f"none of {len(objects)} objects can be manipulated: {reasons}")
+    return usable
+
+
+def _is_reachable(item: StandingObject, grasps: GraspSet, kinematics: Kinematics) -> bool:
+    """Return whether inverse kinematics reaches any grasp of the object, irrespective of collisions."""
+    for grasp in grasps.grasps[::_REACH_STRIDE]:
+        T_goal = item.T_world_stand @ grasp.T_stand_tcp
+        if kinematics.inverse(T_goal, kinematics.seeds_toward(T_goal, 2), name=item.name).converged:
+            return True
+    return False

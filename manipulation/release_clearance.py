@@ -1,8 +1,9 @@
-"""Whether the hand has room to let go: its outline seen from above against the heights of what stands."""
+"""Clearance of the hand at release: points of palm and fingers against the height raster of the scene."""
 
 from __future__ import annotations
 
 from collections.abc import Sequence
+from dataclasses import dataclass
 
 import numpy as np
 from jaxtyping import Bool, Float
@@ -12,35 +13,46 @@ from manipulation.robot import GripperGeometry
 from manipulation.types import Grasp
 from perception.geometry import pose_from_yaw
 
-_FINGER_ACROSS = np.array([-0.01, 0.0, 0.01])  # [m] from the middle of a finger, across the closing axis
-_PALM_SAMPLES, _PALM_INNER = 15, 0.015  # along the closing axis; [m] from the middle across it
-_FINGER_CLEARANCE, _PALM_CLEARANCE = 0.003, 0.006
+_FINGER_ACROSS = np.array([-0.01, 0.0, 0.01])  # [m] samples of a finger across the closing axis
+_PALM_SAMPLES = 15  # number of samples of the palm along the closing axis
+_PALM_INNER = 0.015  # [m] of the inner samples of the palm across the closing axis
+_FINGER_CLEARANCE, _PALM_CLEARANCE = 0.003, 0.006  # [m]
 
 
-def count_releases(
+@dataclass(frozen=True)
+class ReleasePose:
+    """Pose of an object's stand frame at release, relative to the centre of the box.
+
+    Attributes:
+        position: (x, y) in [m].
+        yaw: rotation about z in [rad].
+        base: height above the table in [m].
+    """
+
+    position: Float[np.ndarray, "2"]
+    yaw: float
+    base: float
+
+
+def count_free_releases(
     raster: BoxRaster,
     grasps: Sequence[Grasp],
-    position: Float[np.ndarray, "2"],
-    yaw: float,
-    base: float,
-    gripper: GripperGeometry | None = None,
+    pose: ReleasePose,
+    gripper: GripperGeometry = GripperGeometry(),
 ) -> int:
-    """Grasps whose fingers, opened to let go, and palm meet nothing that stands already.
+    """Return the number of grasps whose palm and opened fingers are above the scene at release.
 
     Args:
-        raster: what stands, and how high.
-        grasps: of the object that is being let go.
-        position: of its stand frame, relative to the raster's centre, in [m].
-        yaw: of its stand frame in [rad].
-        base: height of its base while it is let go, in [m].
+        raster: heights of the scene.
+        grasps: grasps of the released object.
+        pose: pose at release.
         gripper: geometry of the hand.
     """
     if not grasps:
         return 0
-    gripper = gripper or GripperGeometry()
-    T_box_stand = pose_from_yaw(yaw, np.array([position[0], position[1], base]))
+    T_box_stand = pose_from_yaw(pose.yaw, np.array([*pose.position, pose.base]))
     Ts = T_box_stand @ np.stack([grasp.T_stand_tcp for grasp in grasps])
-    # Sample points of the hand along the closing axis and across it: palm, and fingers behind their pads.
+    # Sample points along and across the closing axis: of the palm, and of the fingers behind their pads.
     palm_along = np.linspace(-gripper.palm_half_length, gripper.palm_half_length, _PALM_SAMPLES)
     palm_across = np.array([-gripper.palm_half_width, -_PALM_INNER, _PALM_INNER, gripper.palm_half_width])
     palm = _points(Ts, np.broadcast_to(palm_along, (len(Ts), _PALM_SAMPLES)), palm_across, -gripper.palm)
@@ -59,7 +71,7 @@ def _points(
     across: Float[np.ndarray, "c"],
     depth: float,
 ) -> Float[np.ndarray, "g a c 3"]:
-    """Points of the hand ``along`` and ``across`` the closing axis, ``depth`` [m] beyond the TCP."""
+    """Return points ``along`` and ``across`` the closing axis, ``depth`` [m] beyond the TCP."""
     x, y, z, origin = (Ts_box_tcp[:, None, None, :3, column] for column in range(4))
     return origin + along[:, :, None, None] * y + across[:, None] * x + depth * z
 
@@ -67,6 +79,6 @@ def _points(
 def _is_above(
     raster: BoxRaster, points: Float[np.ndarray, "g a c 3"], clearance: float
 ) -> Bool[np.ndarray, "g"]:
-    """Whether all points of each hand are higher than what stands below them."""
+    """Return for each grasp whether all points are at least ``clearance`` [m] above the scene."""
     free = raster.highest(points[..., :2]) < points[..., 2] - clearance
     return np.asarray(free.all(axis=(1, 2)))

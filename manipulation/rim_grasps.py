@@ -1,4 +1,4 @@
-"""Grasps over the rim of hollow objects, one finger inside, the hand tilted to the slope of the wall."""
+"""Grasps at the rim of hollow objects: one finger inside, the hand tilted to the slope of the wall."""
 
 from __future__ import annotations
 
@@ -8,16 +8,17 @@ from dataclasses import dataclass, replace
 import numpy as np
 from jaxtyping import Float
 
-from manipulation.cross_sections import SectionCache
-from manipulation.grasp_config import GraspConfig, tcp_pose, turned
+from manipulation.cross_sections import CrossSectionCache
+from manipulation.grasp_config import GraspConfig, half_turn, tcp_pose
 from manipulation.standing import HANDLE_HALF_ANGLE
-from manipulation.types import Grasp, StandingObject
+from manipulation.types import Grasp, Rejected, StandingObject
 from perception.mesh_sections import radial_hits
 
 
 def rim_grasps(
-    item: StandingObject, sections: SectionCache, config: GraspConfig, rejected: Counter[str]
+    item: StandingObject, sections: CrossSectionCache, config: GraspConfig, rejected: Counter[str]
 ) -> list[Grasp]:
+    """Return rim grasps over all azimuths; count the reasons of the others in ``rejected``."""
     grasps = []
     for azimuth in 2 * np.pi * np.arange(config.n_azimuths) / config.n_azimuths:
         wrapped = np.angle(np.exp(1j * azimuth))
@@ -25,19 +26,21 @@ def rim_grasps(
             rejected["at the handle"] += 1
             continue
         grasp = _rim_grasp(item, sections, float(wrapped), config)
-        if isinstance(grasp, str):
-            rejected[grasp] += 1
+        if isinstance(grasp, Rejected):
+            rejected[grasp.reason] += 1
             continue
-        grasps += [grasp, turned(grasp)]
+        grasps += [grasp, half_turn(grasp)]
     return grasps
 
 
 @dataclass(frozen=True)
 class Wall:
-    """A wall cut by a vertical half plane at one height: distances from the axis in [m].
+    """Cross-section of a wall with a vertical half plane at one height.
 
-    ``across`` is the distance from the inner side over the cavity to the opposite wall; ``hollow`` is False
-    where the mesh has no cavity and the thickness is assumed.
+    Attributes:
+        inner, outer: distances of its sides from the axis in [m].
+        across: distance in [m] from the inner side over the cavity to the opposite wall.
+        hollow: whether the mesh has a cavity; if not, the thickness is assumed.
     """
 
     inner: float
@@ -47,17 +50,22 @@ class Wall:
 
     @property
     def middle(self) -> float:
+        """Distance of the wall's middle from the axis in [m]."""
         return 0.5 * (self.inner + self.outer)
 
     @property
     def thickness(self) -> float:
+        """Thickness in [m]."""
         return self.outer - self.inner
 
 
-def wall_at(sections: SectionCache, z: float, azimuth: float, config: GraspConfig) -> Wall | None:
-    """The wall at a height and direction; where the mesh has no cavity, a wall of the default thickness."""
+def wall_at(sections: CrossSectionCache, z: float, azimuth: float, config: GraspConfig) -> Wall | None:
+    """Return the wall at height ``z`` [m] and ``azimuth`` [rad]; None where there is none or it is too thick.
+
+    Where the mesh has no cavity, the default thickness is assumed.
+    """
     segments = sections.at(z)
-    azimuth += 0.003  # beside the round angles at which meshes have their edges
+    azimuth += 0.003  # offset from round angles, where meshes often have edges
     hits = radial_hits(segments, np.zeros(2), azimuth)
     if len(hits) == 0:
         return None
@@ -72,32 +80,32 @@ def wall_at(sections: SectionCache, z: float, azimuth: float, config: GraspConfi
 
 
 def _rim_height(item: StandingObject, azimuth: float) -> float:
-    """Height of the rim near a direction: the highest vertex in a sector of 20 degrees."""
+    """Return the height [m] of the highest vertex within 20 degrees of the azimuth."""
     angle = np.arctan2(item.vertices[:, 1], item.vertices[:, 0])
     near = np.abs(np.angle(np.exp(1j * (angle - azimuth)))) < np.deg2rad(20)
     return float(item.vertices[near, 2].max()) if near.any() else item.top
 
 
 def _rim_grasp(
-    item: StandingObject, sections: SectionCache, azimuth: float, config: GraspConfig
-) -> Grasp | str:
-    """The deepest grasp over the rim at an azimuth that leaves room for the inner fingertip, or why none."""
-    wanted = config.bowl_depth if item.category == "bowl" else config.mug_depth
-    found: Grasp | str = "too low"
-    for share in config.depth_shares:
-        grasp = _rim_grasp_at(item, sections, azimuth, share * wanted, config)
-        if isinstance(grasp, str):
+    item: StandingObject, sections: CrossSectionCache, azimuth: float, config: GraspConfig
+) -> Grasp | Rejected:
+    """Return the deepest grasp at the rim whose inner fingertip is clear of the cavity's floor."""
+    preferred = config.bowl_depth if item.category == "bowl" else config.mug_depth
+    found: Grasp | Rejected = Rejected("too low")
+    for fraction in config.depth_fractions:
+        grasp = _rim_grasp_at(item, sections, azimuth, fraction * preferred, config)
+        if isinstance(grasp, Rejected):
             found = found if isinstance(found, Grasp) else grasp
             continue
         if _fingertip_fits(sections, grasp, config):
             return grasp
-        # The floor of the cavity may only look too high: keep it as a last resort.
+        # The reconstructed floor may be too high: keep the grasp as a last resort.
         found = replace(grasp, score=grasp.score - 0.5)
     return found
 
 
-def _fingertip_fits(sections: SectionCache, grasp: Grasp, config: GraspConfig) -> bool:
-    """Whether the cavity reaches down to the inner fingertip; nobody knows where the mesh has none."""
+def _fingertip_fits(sections: CrossSectionCache, grasp: Grasp, config: GraspConfig) -> bool:
+    """Return whether the cavity reaches down to the inner fingertip; True where the mesh has no cavity."""
     T = grasp.T_stand_tcp
     tip = T[:3, 3] + config.gripper.tip * T[:3, 2]
     at_pad = wall_at(sections, float(T[2, 3]), grasp.azimuth, config)
@@ -110,36 +118,36 @@ def _fingertip_fits(sections: SectionCache, grasp: Grasp, config: GraspConfig) -
 
 
 def _rim_grasp_at(
-    item: StandingObject, sections: SectionCache, azimuth: float, depth: float, config: GraspConfig
-) -> Grasp | str:
-    """The grasp over the rim at an azimuth and a depth, or why there is none."""
+    item: StandingObject, sections: CrossSectionCache, azimuth: float, depth: float, config: GraspConfig
+) -> Grasp | Rejected:
+    """Return the grasp at the rim at an azimuth [rad] and a depth [m]."""
     gripper = config.gripper
     rim = _rim_height(item, azimuth)
     wall = wall_at(sections, rim - depth, azimuth, config)
     if wall is None:
-        return "too thick at the rim"
+        return Rejected("too thick at the rim")
     slope = _slope(sections, rim, depth, azimuth)
     hold = _depth_and_tilt(rim, depth, slope, config)
     if hold is None:
-        return "too low"
+        return Rejected("too low")
     depth, tilt = hold
     pad_height = rim - depth * np.cos(tilt)
     wall = wall_at(sections, pad_height, azimuth, config) or wall
     room = wall.across - gripper.finger_thickness - 0.003
     half = min(config.half_opening, room - 0.5 * wall.thickness, 0.5 * gripper.max_width)
     if half - 0.5 * wall.thickness < 0.5 * config.min_half_opening or half < config.min_half_opening:
-        return "too narrow inside"
+        return Rejected("too narrow inside")
     outward = np.array([np.cos(azimuth), np.sin(azimuth), 0.0])
     up = np.array([0.0, 0.0, 1.0])
     along_wall = np.sin(tilt) * outward + np.cos(tilt) * up
     across = np.cos(tilt) * outward - np.sin(tilt) * up
     T = tcp_pose(wall.middle * outward + pad_height * up, approach=-along_wall, closing=across)
-    leaving = _leaving_angle(sections, rim, pad_height, azimuth, tilt)
+    retreat_angle = _retreat_angle(sections, rim, pad_height, azimuth, tilt)
     score = 1.0 - 2.0 * abs(slope - tilt) - 0.5 * abs(tilt)
     return Grasp(
         kind="rim",
         T_stand_tcp=T,
-        away=np.sin(leaving) * outward + np.cos(leaving) * up,
+        away=np.sin(retreat_angle) * outward + np.cos(retreat_angle) * up,
         opening=min(2 * half, gripper.max_width),
         held_width=wall.thickness,
         closed_width=(0.0008, max(min(wall.thickness + 0.014, 2 * half - 0.004), 0.012)),
@@ -150,10 +158,10 @@ def _rim_grasp_at(
     )
 
 
-def _slope(sections: SectionCache, rim: float, depth: float, azimuth: float) -> float:
-    """Angle of the outer side from the vertical below the rim [rad], positive where it widens upwards.
+def _slope(sections: CrossSectionCache, rim: float, depth: float, azimuth: float) -> float:
+    """Return the angle [rad] of the outer side to the vertical below the rim, positive if it widens upwards.
 
-    Taken over the height of the pads, but not at the rim, which is rounded and need not be level.
+    Measured over the height of the pads but not at the rim, which is rounded and may be uneven.
     """
 
     def outer(steps: Float[np.ndarray, "_k"]) -> tuple[float, float] | None:
@@ -170,12 +178,12 @@ def _slope(sections: SectionCache, rim: float, depth: float, azimuth: float) -> 
     return float(np.arctan2(above[1] - below[1], above[0] - below[0]))
 
 
-def _leaving_angle(
-    sections: SectionCache, rim: float, pad_height: float, azimuth: float, tilt: float
+def _retreat_angle(
+    sections: CrossSectionCache, rim: float, pad_height: float, azimuth: float, tilt: float
 ) -> float:
-    """Angle from the vertical [rad] at which fingers slide out past the wall above the pads.
+    """Return the angle [rad] to the vertical along which the fingers retreat past the wall above the pads.
 
-    Walls bend upright towards the rim: a hand that left along its own tilt would drag the rim outwards.
+    Walls become steeper towards the rim: a retreat along the tilt of the hand would drag the rim outwards.
     """
     at_pad = radial_hits(sections.at(pad_height), np.zeros(2), azimuth + 0.003)
     near_rim = radial_hits(sections.at(rim - 0.003), np.zeros(2), azimuth + 0.003)
@@ -188,17 +196,17 @@ def _leaving_angle(
 def _depth_and_tilt(
     rim: float, depth: float, slope: float, config: GraspConfig
 ) -> tuple[float, float] | None:
-    """Depth below the rim [m] and tilt of the hand [rad] that keep the lower fingertip off the support.
+    """Return depth [m] and tilt [rad] with which the lower fingertip clears the support; None if too low.
 
-    The wall's slope and the wanted depth if possible; else shallower, then less tilted; None if too low.
+    The wall's slope and the preferred depth if possible, else shallower, then less tilted.
     """
     tilt = float(np.clip(slope, -config.max_inward_tilt, config.max_tilt))
     if abs(tilt) < np.deg2rad(2):
         tilt = 0.0
-    reach = config.half_opening + config.gripper.pad_thickness  # of the finger that a tilt lowers
-    for share in (1.0, 0.5, 0.0):
-        sine, cosine = abs(np.sin(share * tilt)), np.cos(share * tilt)
+    reach = config.half_opening + config.gripper.pad_thickness  # of the finger that the tilt lowers
+    for fraction in (1.0, 0.5, 0.0):
+        sine, cosine = abs(np.sin(fraction * tilt)), np.cos(fraction * tilt)
         room = rim - config.gripper.tip * cosine - reach * sine - config.fingertip_clearance
-        if room / cosine >= config.least_depth:
-            return min(depth, float(room / cosine)), share * tilt
+        if room / cosine >= config.min_depth:
+            return min(depth, float(room / cosine)), fraction * tilt
     return None

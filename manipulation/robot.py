@@ -1,4 +1,4 @@
-"""The one interface between planning and a robot, simulated or real, and what describes its arm."""
+"""Interface between planning and a robot, simulated or real, and the description of its arm."""
 
 from __future__ import annotations
 
@@ -13,17 +13,17 @@ from perception.types import RgbdFrame
 
 @dataclass(frozen=True)
 class GripperGeometry:
-    """The parallel gripper as grasp heuristics need it, in [m].
+    """Dimensions of a parallel gripper in [m].
 
     Attributes:
         max_width: largest opening between the pads.
         pad_half_height: half the height of a pad along the approach.
-        pad_thickness: of a finger at its tip, along the closing direction.
-        tip: how far the fingertips reach beyond the TCP.
-        finger_thickness: of a finger above its pad, along the closing direction.
-        finger_reach: from a pad's face to the back of its finger, along the closing direction.
+        pad_thickness: thickness of a finger at its tip, along the closing direction.
+        tip: distance of the fingertips beyond the TCP.
+        finger_thickness: thickness of a finger above its pad, along the closing direction.
+        finger_reach: distance from a pad's face to the back of its finger, along the closing direction.
         palm: distance from the TCP back to the palm.
-        palm_half_length, palm_half_width: of the palm, along the closing direction and across it.
+        palm_half_length, palm_half_width: half extents of the palm along and across the closing direction.
     """
 
     max_width: float = 0.08
@@ -41,18 +41,18 @@ class GripperGeometry:
 class ArmDescription:
     """Kinematics and limits of an arm with a parallel gripper.
 
-    The arm stands at the world's origin. Its first joint turns it about z, counterclockwise: from home it is
-    turned toward what it is to reach.
+    The base frame is the world frame. The first joint rotates the arm counterclockwise about z; inverse
+    kinematics is seeded with the home posture rotated toward the target.
 
     Attributes:
-        mjcf: the arm alone as MJCF text (no scene), collision geoms in group 3, for kinematics and collision.
-        joint_names: the n arm joints, base to wrist.
-        finger_joint_names: the two finger joints, each opening over [0, max_width / 2] in [m].
+        mjcf: MJCF text of the arm without a scene; its collision geoms are in group 3.
+        joint_names: names of the n arm joints, base to wrist.
+        finger_joint_names: names of the two finger joints, each opening over [0, max_width / 2] in [m].
         tcp_site: site between the finger pads; z points out of the hand, y is the closing direction.
-        camera_site: the wrist camera's optical frame (OpenCV axes).
-        q_home: (n,) a comfortable posture in [rad].
-        velocity_limit, acceleration_limit, jerk_limit: (n,) in [rad/s], [rad/s^2], [rad/s^3].
-        gripper: its geometry.
+        camera_site: optical frame of the wrist camera (OpenCV axes).
+        q_home: (n,) home posture in [rad].
+        velocity_limit, acceleration_limit, jerk_limit: (n,) joint limits in [rad/s], [rad/s^2], [rad/s^3].
+        gripper: geometry of the gripper.
     """
 
     mjcf: str
@@ -74,11 +74,11 @@ class ArmDescription:
 
 @dataclass(frozen=True)
 class JointTrajectory:
-    """Joint motion sampled at a fixed period.
+    """Joint trajectory sampled at a fixed period.
 
     Attributes:
         period: time between samples in [s].
-        positions, velocities, accelerations: (T, n) in [rad], [rad/s], [rad/s^2]; the last sample is at rest.
+        positions, velocities, accelerations: (t, n) in [rad], [rad/s], [rad/s^2]; the last sample is at rest.
     """
 
     period: float
@@ -88,32 +88,39 @@ class JointTrajectory:
 
     @property
     def duration(self) -> float:
+        """Time from the first to the last sample in [s]."""
         return self.period * (len(self.positions) - 1)
 
 
 @runtime_checkable
 class Robot(Protocol):
-    """What a planner may ask of a robot. Nothing here tells where objects are: for that one must look."""
+    """Commands and measurements of an arm with a gripper and a wrist camera, without any object poses."""
 
     @property
-    def arm(self) -> ArmDescription: ...
+    def arm(self) -> ArmDescription:
+        """Description of the arm."""
+        ...
 
     def joint_positions(self) -> Float[np.ndarray, "n"]:
-        """Measured arm joint positions in [rad]."""
+        """Return the measured arm joint positions in [rad]."""
         ...
 
     def gripper_width(self) -> float:
-        """Measured opening between the pads in [m]."""
+        """Return the measured opening between the pads in [m]."""
         ...
 
     def follow(self, trajectory: JointTrajectory) -> None:
-        """Execute the motion and settle; raises RobotError if it does not start where the arm is."""
+        """Execute the trajectory and wait until the arm is at rest.
+
+        Raises:
+            RobotError: the trajectory does not start at the present posture, or the motion is blocked.
+        """
         ...
 
     def move_gripper(self, width: float) -> float:
-        """Open or close toward ``width`` in [m] (0 closes with full force) and return the width reached."""
+        """Move the pads toward ``width`` in [m] (0 closes with full force) and return the width reached."""
         ...
 
     def capture(self) -> RgbdFrame:
-        """One registered RGB-D image of the wrist camera, with its pose from the measured joint positions."""
+        """Return a registered RGB-D image with the camera pose from the measured joint positions."""
         ...

@@ -17,7 +17,7 @@ from manipulation.grasp_config import GraspConfig
 from manipulation.grasps import grasp_candidates
 from manipulation.hand_collision import HandBoxes, HandClearance, hand_is_free, surface_points
 from manipulation.robot import GripperGeometry
-from manipulation.standing import stand
+from manipulation.standing import to_standing
 from manipulation.types import Grasp
 from perception.geometry import invert, rigid, upright_rotation
 from perception.reconstruction import Reconstruction, transformed_estimate
@@ -139,7 +139,7 @@ def _free_grasps(
 ) -> list[tuple[Grasp, Float[np.ndarray, "4 4"], Float[np.ndarray, "3"]]]:
     """Return grasp, TCP pose and retreat direction in the plane frame; the palm must not meet the object."""
     try:
-        item = stand(estimate)
+        item = to_standing(estimate)
     except PlanningError as error:
         logger.warning("no grasps: %s", error)
         return []

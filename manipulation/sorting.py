@@ -1,4 +1,4 @@
-"""Where objects stand when sorted: on one line, ascending in size, with room for the fingers between them."""
+"""Goals on a line, ascending in size, with gaps for the fingers."""
 
 from __future__ import annotations
 
@@ -15,12 +15,12 @@ from manipulation.types import Line, Placement, StandingObject
 
 @dataclass(frozen=True)
 class SortingConfig:
-    """Spacing on the line.
+    """Spacing of objects on the line.
 
     Attributes:
-        min_gap, max_gap: between neighbouring objects in [m].
-        margin: kept free at both ends of the line in [m].
-        release_height: above the table, where an object is let go, in [m].
+        min_gap, max_gap: smallest and largest distance between neighbouring objects in [m].
+        margin: free length at both ends of the line in [m].
+        release_height: height above the table at which an object is released, in [m].
     """
 
     min_gap: float = 0.03
@@ -30,26 +30,30 @@ class SortingConfig:
 
 
 def sort_line(
-    items: Sequence[StandingObject], line: Line, config: SortingConfig | None = None
+    items: Sequence[StandingObject], line: Line, config: SortingConfig = SortingConfig()
 ) -> tuple[tuple[Placement, ...], dict[str, str]]:
-    """Placements in the order of execution (low objects first), and what the line has no room for.
+    """Return the placements in the order of execution (low objects first), and the objects that do not fit.
+
+    The widest objects are excluded until the others fit.
+
+    Returns:
+        Placements, and the reason by name for each excluded object.
 
     Raises:
-        PlanningError: there is nothing to sort.
+        PlanningError: there are no objects, or none of them fits.
     """
-    config = config or SortingConfig()
     if not items:
-        raise PlanningError("there is nothing to sort: no object was perceived")
+        raise PlanningError("no object to sort was perceived")
     ascending = sorted(items, key=lambda item: item.size)
     along = np.arctan2(line.direction[1], line.direction[0])
     kept, left_out = list(ascending), []
-    while _needed(kept, along) + (len(kept) - 1) * config.min_gap > line.length - 2 * config.margin:
+    while _total_width(kept, along) + (len(kept) - 1) * config.min_gap > line.length - 2 * config.margin:
         widest = max(kept, key=lambda item: sum(_extents(item, along)))
         kept.remove(widest)
         left_out.append(widest.name)
         if not kept:
             raise PlanningError(f"line too short: none of {len(items)} objects fits on {line.length:.2f} m")
-    room = line.length - 2 * config.margin - _needed(kept, along)
+    room = line.length - 2 * config.margin - _total_width(kept, along)
     gap = min(room / max(len(kept) - 1, 1), config.max_gap)
     placements, progress = {}, config.margin
     for item in kept:
@@ -68,21 +72,22 @@ def sort_line(
 
 
 def line_yaws(item: StandingObject, along: float) -> tuple[float, ...]:
-    """Yaws on a line of direction ``along`` [rad]: handles stick out to one of its sides."""
+    """Return the admissible yaws on a line of azimuth ``along`` [rad]; handles point away from the line."""
     if item.category == "mug":
         return (float(along - np.pi / 2), float(along + np.pi / 2))
     return admissible_yaws(item, float(along))
 
 
 def _extents(item: StandingObject, along: float) -> tuple[float, float]:
-    """How far the object reaches back and forth along the line, in its widest admissible yaw, in [m]."""
+    """Return the extents [m] behind and ahead of the stand frame along the line, at the widest yaw."""
     direction = np.array([np.cos(along), np.sin(along)])
     shape = footprint(item)
     yaws = line_yaws(item, along)[:2]
-    back = max(shape.turned(yaw).reach(-direction) for yaw in yaws)
-    forth = max(shape.turned(yaw).reach(direction) for yaw in yaws)
+    back = max(shape.rotated(yaw).reach(-direction) for yaw in yaws)
+    forth = max(shape.rotated(yaw).reach(direction) for yaw in yaws)
     return back, forth
 
 
-def _needed(items: Sequence[StandingObject], along: float) -> float:
+def _total_width(items: Sequence[StandingObject], along: float) -> float:
+    """Return the sum of the objects' widths along the line in [m], without gaps."""
     return sum(sum(_extents(item, along)) for item in items)

@@ -1,33 +1,33 @@
-"""From an estimated object to a standing one: upright, on the support, its frame below the body's axis."""
+"""Conversion of object estimates to standing objects: upright, on the support, origin below the body axis."""
 
 from __future__ import annotations
 
 import numpy as np
 from jaxtyping import Float
 
-from manipulation.cross_sections import fit_circle, span
+from manipulation.cross_sections import extent, fit_circle
 from manipulation.errors import PlanningError
 from manipulation.types import StandingObject
 from perception.geometry import pose_from_yaw
-from perception.mesh_sections import section
+from perception.mesh_sections import cross_section
 from perception.types import Category, ObjectEstimate, SupportPlane
 
-HANDLE_HALF_ANGLE = np.deg2rad(60.0)  # of the sector around a mug's +x that never counts as body
-_ROUND_TOLERANCE = 0.12  # of the width over all directions, before a body counts as not round
+HANDLE_HALF_ANGLE = np.deg2rad(60.0)  # half the sector around a mug's +x that is excluded from its body
+_ROUND_TOLERANCE = 0.12  # largest relative variation of the width over azimuth of a round body
 
 
-def stand(estimate: ObjectEstimate, support: SupportPlane | None = None) -> StandingObject:
-    """The object in its stand frame.
+def to_standing(estimate: ObjectEstimate, support: SupportPlane | None = None) -> StandingObject:
+    """Return the object in its stand frame.
 
-    The fitted pose keeps its yaw and its place; its tilt is dropped, and the height of its lowest point is
-    taken from the support, because the object stood there when it was seen.
+    Yaw and horizontal position are those of the estimate; its tilt is discarded and the origin is placed on
+    the support plane, because the object was observed standing.
 
     Raises:
-        PlanningError: the mesh is empty, or the object lies on its side.
+        PlanningError: the mesh is empty, or the object is tilted by more than 45 degrees.
     """
     vertices, faces = estimate.mesh.vertices, estimate.mesh.faces
     if len(vertices) < 4 or len(faces) < 4:
-        raise PlanningError(f"{estimate.name} has an empty mesh: look again, or leave it out")
+        raise PlanningError(f"{estimate.name} has an empty mesh: re-observe or exclude it")
     support = support or SupportPlane()
     T = estimate.T_world_object
     tilt = float(np.arccos(np.clip(T[:3, 2] @ support.normal, -1.0, 1.0)))
@@ -59,7 +59,7 @@ def stand(estimate: ObjectEstimate, support: SupportPlane | None = None) -> Stan
 def body_axis(
     vertices: Float[np.ndarray, "v 3"], faces: np.ndarray, category: Category
 ) -> Float[np.ndarray, "2"]:
-    """(x, y) of the body's upright axis; a mug's handle is left out of it."""
+    """Return (x, y) [m] of the body's vertical axis; for mugs, of a circle fitted without the handle."""
     low, high = vertices[:, 2].min(), vertices[:, 2].max()
     if category != "mug":
         return 0.5 * (vertices[:, :2].min(axis=0) + vertices[:, :2].max(axis=0))
@@ -67,7 +67,7 @@ def body_axis(
     radius = np.ptp(vertices[:, 1]) / 2
     center = np.array([vertices[:, 0].min() + radius, middle])
     points = np.concatenate(
-        [section(vertices, faces, low + share * (high - low)).reshape(-1, 2) for share in (0.6, 0.75, 0.9)]
+        [cross_section(vertices, faces, low + k * (high - low)).reshape(-1, 2) for k in (0.6, 0.75, 0.9)]
     )
     for _ in range(3):
         relative = points - center
@@ -86,7 +86,7 @@ def body_axis(
 def split_handle(
     vertices: Float[np.ndarray, "v 3"], category: Category
 ) -> tuple[Float[np.ndarray, "_k 3"], ...]:
-    """Vertices (stand frame) in parts with tight hulls: body and handle of a mug, all of anything else."""
+    """Return the vertices (stand frame) of body and handle of a mug; one part for other categories."""
     if category != "mug":
         return (vertices,)
     radius = np.ptp(vertices[:, 1]) / 2
@@ -101,9 +101,9 @@ def split_handle(
 
 
 def _widths(vertices: np.ndarray, faces: np.ndarray, azimuths: np.ndarray) -> np.ndarray:
-    """Widths of the section at mid height along the azimuths; empty if the section is."""
-    middle = section(vertices, faces, 0.5 * (vertices[:, 2].min() + vertices[:, 2].max()) + 1e-5)
-    return np.array([s.width for s in (span(middle, azimuth) for azimuth in azimuths) if s is not None])
+    """Return the widths [m] of the cross-section at mid height along the azimuths; empty if it is empty."""
+    middle = cross_section(vertices, faces, 0.5 * (vertices[:, 2].min() + vertices[:, 2].max()) + 1e-5)
+    return np.array([e.width for e in (extent(middle, azimuth) for azimuth in azimuths) if e is not None])
 
 
 def _is_round(vertices: np.ndarray, faces: np.ndarray) -> bool:
@@ -112,6 +112,6 @@ def _is_round(vertices: np.ndarray, faces: np.ndarray) -> bool:
 
 
 def _narrow_direction(vertices: np.ndarray, faces: np.ndarray) -> float:
-    """Direction in [rad] along which the body is narrowest: the stand frame's x of a flat bottle."""
+    """Return the direction [rad] along which the body is narrowest."""
     azimuths = np.deg2rad(np.arange(0.0, 180.0, 3.0))
     return float(azimuths[np.argmin(_widths(vertices, faces, azimuths))])

@@ -1,4 +1,4 @@
-"""Grasps from above around body, neck or cap, where the section changes little over the pads' height."""
+"""Grasps from above around body, neck or cap, where the cross-section is nearly constant over the pads."""
 
 from __future__ import annotations
 
@@ -8,49 +8,50 @@ from dataclasses import replace
 import numpy as np
 from jaxtyping import Float
 
-from manipulation.cross_sections import SectionCache, Span, span
-from manipulation.grasp_config import GraspConfig, tcp_pose, turned
-from manipulation.types import Grasp, StandingObject
+from manipulation.cross_sections import CrossSectionCache, Extent, extent
+from manipulation.grasp_config import GraspConfig, half_turn, tcp_pose
+from manipulation.types import Grasp, Rejected, StandingObject
 
 
 def top_grasps(
-    item: StandingObject, sections: SectionCache, config: GraspConfig, rejected: Counter[str]
+    item: StandingObject, sections: CrossSectionCache, config: GraspConfig, rejected: Counter[str]
 ) -> list[Grasp]:
+    """Return grasps from above over azimuths and depths; count the reasons of the others in ``rejected``."""
     grasps = []
     for rank, depth in enumerate(config.top_depths):
         for azimuth in np.pi * np.arange(config.n_azimuths // 2) / (config.n_azimuths // 2):
             grasp = _top_grasp(item, sections, float(azimuth), depth, config)
-            if isinstance(grasp, str):
-                rejected[grasp] += 1
+            if isinstance(grasp, Rejected):
+                rejected[grasp.reason] += 1
                 continue
             grasp = replace(grasp, score=grasp.score - 0.05 * rank)
-            grasps += [grasp, turned(grasp)]
+            grasps += [grasp, half_turn(grasp)]
     return grasps
 
 
 def _top_grasp(
-    item: StandingObject, sections: SectionCache, azimuth: float, depth: float, config: GraspConfig
-) -> Grasp | str:
-    """The grasp from above that closes along an azimuth, or why there is none."""
+    item: StandingObject, sections: CrossSectionCache, azimuth: float, depth: float, config: GraspConfig
+) -> Grasp | Rejected:
+    """Return the grasp from above that closes along ``azimuth`` [rad], ``depth`` [m] below the top."""
     gripper = config.gripper
     z = item.top - depth
     if z - gripper.tip < config.fingertip_clearance:
-        return "too low"
+        return Rejected("too low")
     heights = z + gripper.pad_half_height * np.array([-1.0, -0.5, 0.0, 0.5, 1.0])
     heights = heights[heights < item.top - 1e-4]
-    spans = _spans(sections, heights, azimuth)
-    above = _spans(sections, np.linspace(z - gripper.tip - 0.003, item.top - 1e-3, 10), azimuth)
-    if len(spans) < 3 or not above:
-        return "nothing to hold"
-    widths = np.array([s.width for s in spans])
-    middle = float(np.median([s.middle for s in spans]))
-    reach = max(max(s.high - middle, middle - s.low) for s in above)
+    held = _extents(sections, heights, azimuth)
+    above = _extents(sections, np.linspace(z - gripper.tip - 0.003, item.top - 1e-3, 10), azimuth)
+    if len(held) < 3 or not above:
+        return Rejected("without material between the pads")
+    widths = np.array([e.width for e in held])
+    middle = float(np.median([e.middle for e in held]))
+    reach = max(max(e.high - middle, middle - e.low) for e in above)
     if 2 * (reach + config.top_clearance) > gripper.max_width:
-        return f"too wide for {gripper.max_width:.2f} m"
+        return Rejected(f"too wide for {gripper.max_width:.2f} m")
     taper = float(np.arctan2(np.ptp(widths) / 2, np.ptp(heights)))
     if taper > config.max_taper:
-        return "too tapered"
-    across = span(sections.at(z), azimuth + np.pi / 2)
+        return Rejected("too tapered")
+    across = extent(sections.at(z), azimuth + np.pi / 2)
     offset = across.middle if across is not None else 0.0
     closing = np.array([np.cos(azimuth), np.sin(azimuth), 0.0])
     sideways = np.array([-closing[1], closing[0], 0.0])
@@ -72,6 +73,7 @@ def _top_grasp(
     )
 
 
-def _spans(sections: SectionCache, heights: Float[np.ndarray, "_k"], azimuth: float) -> list[Span]:
-    spans = (span(sections.at(z), azimuth) for z in heights)
-    return [s for s in spans if s is not None]
+def _extents(sections: CrossSectionCache, heights: Float[np.ndarray, "_k"], azimuth: float) -> list[Extent]:
+    """Return the extents of the non-empty cross-sections at the heights [m]."""
+    extents = (extent(sections.at(z), azimuth) for z in heights)
+    return [e for e in extents if e is not None]

@@ -1,12 +1,12 @@
-"""Jerk-limited motions: joint-space moves and straight lines of the TCP.
+"""Jerk-limited trajectories: joint-space moves and straight lines of the TCP.
 
-Every motion is a 1-D time-optimal profile (ruckig) along a path: the straight line between two postures, or
-the spline through postures that inverse kinematics finds every few millimetres of a straight TCP line. So the
-arm stays on the very path that was checked for collisions. (Ruckig's own phase synchronisation of several
-joints falls back to time synchronisation now and then, and strays by 0.05 rad.)
+Every trajectory is a 1-D time-optimal profile (ruckig) along a path: the straight segment between two
+postures, or a spline through IK solutions every few millimetres of a straight TCP line. The arm therefore
+stays on the path that was checked for collisions. (Ruckig's phase synchronisation of several joints can fall
+back to time synchronisation, which deviates from the straight segment by up to 0.05 rad.)
 
-Ruckig sends paths with intermediate positions to a remote service. They are never set here: moves through
-several points are chained, each ending at rest.
+Ruckig computes paths with intermediate positions in a remote service, so they are never set: moves through
+several waypoints are chained, each ending at rest.
 """
 
 from __future__ import annotations
@@ -25,23 +25,23 @@ from manipulation.errors import PlanningError
 from manipulation.kinematics import Kinematics
 from manipulation.robot import ArmDescription, JointTrajectory
 
-PERIOD = 0.002
+PERIOD = 0.002  # [s] between samples
 
 
 @dataclass(frozen=True)
 class MotionConfig:
-    """How fast the arm may move, as shares of its limits.
+    """Speed limits of trajectories.
 
     Attributes:
-        velocity_share, acceleration_share, jerk_share: of the arm's joint limits.
-        line_speed, line_acceleration, line_jerk: of straight TCP lines in [m/s], [m/s^2], [m/s^3].
-        line_step: spacing of the supports of a line in [m].
-        max_line_joint_step: largest joint step between two supports in [rad]; more is a flip of the arm.
+        velocity_scale, acceleration_scale, jerk_scale: factors on the arm's joint limits.
+        line_speed, line_acceleration, line_jerk: limits of straight TCP lines in [m/s], [m/s^2], [m/s^3].
+        line_step: spacing of the IK solutions along a line in [m].
+        max_line_joint_step: largest joint step between two of them in [rad]; more is a change of IK branch.
     """
 
-    velocity_share: float = 1.0
-    acceleration_share: float = 1.0
-    jerk_share: float = 1.0
+    velocity_scale: float = 1.0
+    acceleration_scale: float = 1.0
+    jerk_scale: float = 1.0
     line_speed: float = 0.25
     line_acceleration: float = 1.0
     line_jerk: float = 15.0
@@ -51,7 +51,11 @@ class MotionConfig:
 
 @dataclass(frozen=True)
 class JointLimits:
-    """Limits a motion has to keep: (n,) in [rad/s], [rad/s^2], [rad/s^3]."""
+    """Joint limits of a trajectory.
+
+    Attributes:
+        velocity, acceleration, jerk: (n,) in [rad/s], [rad/s^2], [rad/s^3].
+    """
 
     velocity: Float[np.ndarray, "n"]
     acceleration: Float[np.ndarray, "n"]
@@ -59,20 +63,21 @@ class JointLimits:
 
     @staticmethod
     def of(arm: ArmDescription, config: MotionConfig) -> JointLimits:
+        """Return the arm's limits, scaled by the configuration."""
         return JointLimits(
-            config.velocity_share * np.asarray(arm.velocity_limit, dtype=np.float64),
-            config.acceleration_share * np.asarray(arm.acceleration_limit, dtype=np.float64),
-            config.jerk_share * np.asarray(arm.jerk_limit, dtype=np.float64),
+            config.velocity_scale * np.asarray(arm.velocity_limit, dtype=np.float64),
+            config.acceleration_scale * np.asarray(arm.acceleration_limit, dtype=np.float64),
+            config.jerk_scale * np.asarray(arm.jerk_limit, dtype=np.float64),
         )
 
 
 def joint_move(
     q_start: Float[np.ndarray, "n"], q_goal: Float[np.ndarray, "n"], limits: JointLimits
 ) -> JointTrajectory:
-    """Time-optimal move from rest to rest along the straight line in joint space.
+    """Return the time-optimal move from rest to rest along the straight segment in joint space.
 
     Raises:
-        PlanningError: the request is invalid (not finite, wrong size).
+        PlanningError: a posture is not finite or has the wrong number of joints.
     """
     q_start, q_goal = np.asarray(q_start, dtype=np.float64), np.asarray(q_goal, dtype=np.float64)
     if q_start.shape != limits.velocity.shape or q_goal.shape != limits.velocity.shape:
@@ -86,17 +91,21 @@ def joint_move(
     if np.abs(step).max() < 1e-9:
         still = np.zeros((1, len(q_goal)))
         return JointTrajectory(PERIOD, q_goal[None], still, still)
-    share = np.maximum(np.abs(step), 1e-9)
+    distance = np.maximum(np.abs(step), 1e-9)
     s, ds, dds = _profile(
-        float((limits.velocity / share).min()),
-        float((limits.acceleration / share).min()),
-        float((limits.jerk / share).min()),
+        float((limits.velocity / distance).min()),
+        float((limits.acceleration / distance).min()),
+        float((limits.jerk / distance).min()),
     )
     return JointTrajectory(PERIOD, q_start + s[:, None] * step, ds[:, None] * step, dds[:, None] * step)
 
 
 def joint_path(waypoints: Sequence[Float[np.ndarray, "n"]], limits: JointLimits) -> JointTrajectory:
-    """Joint moves through the waypoints, at rest in each of them."""
+    """Return joint moves through the waypoints [rad], at rest in each of them.
+
+    Raises:
+        PlanningError: there are fewer than two waypoints.
+    """
     moves = [joint_move(a, b, limits) for a, b in itertools.pairwise(waypoints)]
     if not moves:
         raise PlanningError("a joint path needs at least two waypoints")
@@ -110,19 +119,19 @@ def line_postures(
     config: MotionConfig,
     name: str = "line",
 ) -> Float[np.ndarray, "k n"] | None:
-    """Postures along the straight TCP line from ``q_start`` to the goal, or None if the arm cannot follow it.
+    """Return postures [rad] along the straight TCP line from ``q_start`` to the goal; None if IK fails on it.
 
-    Position is interpolated linearly, orientation along the geodesic; supports are ``line_step`` apart.
+    Position is interpolated linearly, orientation along the geodesic, in steps of at most ``line_step``.
     """
     T_start = kinematics.forward(q_start)
-    turn = Rotation.from_matrix(T_start[:3, :3].T @ T_world_goal[:3, :3]).as_rotvec()
+    rotation = Rotation.from_matrix(T_start[:3, :3].T @ T_world_goal[:3, :3]).as_rotvec()
     length = np.linalg.norm(T_world_goal[:3, 3] - T_start[:3, 3])
-    n_steps = max(int(np.ceil(length / config.line_step)), int(np.ceil(np.linalg.norm(turn) / 0.05)), 2)
+    n_steps = max(int(np.ceil(length / config.line_step)), int(np.ceil(np.linalg.norm(rotation) / 0.05)), 2)
     postures = [np.asarray(q_start, dtype=np.float64)]
-    for share in np.arange(1, n_steps + 1) / n_steps:
+    for fraction in np.arange(1, n_steps + 1) / n_steps:
         T = np.eye(4)
-        T[:3, 3] = (1 - share) * T_start[:3, 3] + share * T_world_goal[:3, 3]
-        T[:3, :3] = T_start[:3, :3] @ Rotation.from_rotvec(share * turn).as_matrix()
+        T[:3, 3] = (1 - fraction) * T_start[:3, 3] + fraction * T_world_goal[:3, 3]
+        T[:3, :3] = T_start[:3, :3] @ Rotation.from_rotvec(fraction * rotation).as_matrix()
         result = kinematics.inverse(T, [postures[-1]], name=name)
         if not result.converged or np.abs(result.q - postures[-1]).max() > config.max_line_joint_step:
             return None
@@ -133,9 +142,12 @@ def line_postures(
 def line_motion(
     postures: Float[np.ndarray, "k n"], length: float, limits: JointLimits, config: MotionConfig
 ) -> JointTrajectory:
-    """Motion along a cubic spline through the postures of a line of ``length`` [m], timed from rest to rest.
+    """Return the trajectory along a cubic spline through the postures of a line of ``length`` [m].
 
-    Where the arm would have to turn too fast (near a singular posture) the whole line is slowed down.
+    A line that exceeds the joint limits, as near a singularity, is slowed down as a whole.
+
+    Raises:
+        PlanningError: the limits cannot be kept.
     """
     spline = CubicSpline(np.linspace(0.0, 1.0, len(postures)), postures, axis=0)
     length = max(length, 1e-6)
@@ -156,11 +168,15 @@ def line_motion(
         if excess <= 1.0:
             return JointTrajectory(PERIOD, spline(s), velocities, accelerations)
         slowdown *= 1.02 * excess
-    raise PlanningError("a straight line passes too close to a singular posture to be timed")
+    raise PlanningError("a straight line passes too close to a singularity to keep the joint limits")
 
 
 def concatenate(parts: Sequence[JointTrajectory]) -> JointTrajectory:
-    """One trajectory from several that meet at rest."""
+    """Return one trajectory from several, each of which starts where the one before it ends.
+
+    Raises:
+        PlanningError: two of them do not meet.
+    """
     for before, after in itertools.pairwise(parts):
         if not np.allclose(before.positions[-1], after.positions[0], atol=1e-4):
             raise PlanningError("trajectories to be chained do not meet")
@@ -173,7 +189,7 @@ def concatenate(parts: Sequence[JointTrajectory]) -> JointTrajectory:
 
 
 def _profile(velocity: float, acceleration: float, jerk: float) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
-    """From 0 to 1, rest to rest, within the limits: (t,) position, velocity, acceleration per sample."""
+    """Return (t,) position, velocity and acceleration of the time-optimal motion from 0 to 1."""
     request = ruckig.InputParameter(1)
     request.current_position, request.target_position = [0.0], [1.0]
     request.max_velocity, request.max_acceleration, request.max_jerk = [velocity], [acceleration], [jerk]

@@ -1,12 +1,13 @@
-"""What manipulation plans with: standing objects, grasps, placements, plans, outcomes; all frozen.
+"""Data types of manipulation planning: standing objects, grasps, placements, plans and outcomes; all frozen.
 
-Every object is handled in its *stand frame*: origin on the support below the axis of its body, z up, x
-towards the handle of a mug or along the narrow side of a flat bottle. It keeps the tilt and the hover of a
-fitted pose out of the plan: the object was standing when it was seen.
+An object's *stand frame* has its origin on the support below the axis of its body, z up and x towards the
+handle of a mug or along the narrow side of a flat bottle. Tilt and height errors of the estimated pose
+therefore do not enter the plan.
 """
 
 from __future__ import annotations
 
+from collections import Counter
 from collections.abc import Mapping
 from dataclasses import dataclass, field
 from typing import Literal
@@ -22,13 +23,24 @@ GraspKind = Literal["rim", "top"]
 
 
 @dataclass(frozen=True)
+class Rejected:
+    """A candidate that a search discarded.
+
+    Attributes:
+        reason: short phrase that fits behind a count, such as "out of reach".
+    """
+
+    reason: str
+
+
+@dataclass(frozen=True)
 class Box:
     """An open upright box standing on the table.
 
     Attributes:
-        center: (x, y) of its middle in [m], world frame.
+        center: (x, y) of its centre in [m], world frame.
         size: inner length (x), width (y) and depth (z) in [m].
-        floor: height of its floor above the table in [m].
+        floor: height of its inner floor above the table in [m].
         wall: thickness of the walls in [m].
     """
 
@@ -39,37 +51,43 @@ class Box:
 
     @property
     def top(self) -> float:
-        """Height of its walls above the table in [m]."""
+        """Height of the upper edge of its walls above the table in [m]."""
         return self.floor + self.size[2]
 
 
 @dataclass(frozen=True)
 class Line:
-    """Where sorted objects stand: from ``start`` towards ``end``, (x, y) in [m], world frame."""
+    """Line segment on the table along which objects are sorted.
+
+    Attributes:
+        start, end: (x, y) of its end points in [m], world frame.
+    """
 
     start: tuple[float, float] = (0.66, 0.16)
     end: tuple[float, float] = (-0.10, 0.56)
 
     @property
     def length(self) -> float:
+        """Length in [m]."""
         return float(np.hypot(self.end[0] - self.start[0], self.end[1] - self.start[1]))
 
     @property
     def direction(self) -> Float[np.ndarray, "2"]:
+        """Unit vector from start to end."""
         return (np.array(self.end) - np.array(self.start)) / self.length
 
 
 @dataclass(frozen=True)
 class StandingObject:
-    """A perceived object as manipulation sees it.
+    """A perceived object with its mesh in the stand frame.
 
     Attributes:
-        id, name, category: as in the object map.
+        id, name, category: those of the object map.
         vertices: (v, 3) of its mesh in the stand frame in [m].
-        faces: (f, 3).
-        T_world_stand: (4, 4) where it stands.
-        size: what sorting compares, in [m].
-        is_round: whether every upright axis section is alike, so that yaw does not matter.
+        faces: (f, 3) vertex indices of its triangles.
+        T_world_stand: (4, 4) pose of the stand frame.
+        size: length that sorting compares, in [m].
+        is_round: whether the body is rotationally symmetric, so that its yaw is arbitrary.
     """
 
     id: int
@@ -89,20 +107,20 @@ class StandingObject:
 
 @dataclass(frozen=True)
 class Grasp:
-    """One way to hold an object.
+    """A parallel-jaw grasp of one object.
 
     Attributes:
-        kind: over the rim of a hollow object, or around a body or neck from above.
+        kind: "rim" of a hollow object, or "top": around a body or neck from above.
         T_stand_tcp: (4, 4) TCP pose in the object's stand frame.
-        away: (3,) unit vector in the stand frame along which the hand leaves, and, reversed, comes.
+        away: (3,) unit vector of the retreat in the stand frame; the approach is its opposite.
         opening: width between the pads before closing in [m].
-        held_width: expected between the pads while they hold, in [m].
-        closed_width: smallest and largest width between the pads that means that something is held, in [m].
-            Generous: shapes are estimates, and fingers that stop well inside their opening hold something.
-        release_opening: the least width that lets go of the object, in [m].
-        depth: how far the TCP is below the top of the object in [m].
+        held_width: expected width between the pads while they hold the object, in [m].
+        closed_width: smallest and largest width between the pads in [m] that count as holding the object; a
+            wide range, because shapes are estimates.
+        release_opening: smallest width between the pads that releases the object, in [m].
+        depth: distance of the TCP below the top of the object in [m].
         azimuth: direction of the grasp about the stand frame's z in [rad].
-        score: preference before the arm and the neighbours are considered; higher is better.
+        score: preference from the object's shape alone; higher is better.
     """
 
     kind: GraspKind
@@ -118,15 +136,39 @@ class Grasp:
 
 
 @dataclass(frozen=True)
+class GraspSet:
+    """Grasp candidates of one object.
+
+    Attributes:
+        grasps: in descending order of score.
+        rejected: number of discarded candidates by reason.
+    """
+
+    grasps: tuple[Grasp, ...]
+    rejected: Counter[str]
+
+    @property
+    def n_candidates(self) -> int:
+        """Number of accepted and discarded candidates."""
+        return len(self.grasps) + sum(self.rejected.values())
+
+    def failure_message(self, name: str) -> str:
+        """Return the error message for an object without a grasp: counts by reason and a remedy."""
+        counts = ", ".join(f"{count} {reason}" for reason, count in self.rejected.most_common(4))
+        remedy = "exclude it or use a wider gripper"
+        return f"No grasp for {name}: of {self.n_candidates} candidates, {counts}; {remedy}"
+
+
+@dataclass(frozen=True)
 class Placement:
-    """Where an object shall stand.
+    """Goal of one object.
 
     Attributes:
         name: of the object.
-        position: (x, y, z) of the stand frame's origin in [m], world frame, before anything it nests in.
+        position: (x, y, z) of the stand frame's origin in [m], world frame; of the lowest object of a stack.
         yaws: admissible directions of the stand frame's x in [rad], the preferred one first.
-        stack: names of the objects below it in a nest, lowest first; empty on the floor.
-        release_height: how far above its resting place the object is let go, in [m].
+        stack: names of the bowls below it in its stack, lowest first; empty on the floor.
+        release_height: height above its resting pose at which the object is released, in [m].
     """
 
     name: str
@@ -138,15 +180,16 @@ class Placement:
 
 @dataclass(frozen=True)
 class TaskPlan:
-    """The whole task before the first motion: what goes where, and in which order.
+    """Goals of all objects of a task in the order of execution.
 
     Attributes:
         task: "pack" or "sort".
-        objects: everything perceived, by name; what is not placed is an obstacle.
-        placements: in the order of execution.
-        left_out: name and reason of each object that the plan does not place.
+        objects: all perceived objects by name; those without a placement are obstacles.
+        placements: goals in the order of execution.
+        left_out: name and reason of each object without a placement.
         box: the box of a packing task.
         line: the line of a sorting task.
+        grasps: grasp candidates by name of the object; execution generates those that are missing.
     """
 
     task: Task
@@ -155,23 +198,24 @@ class TaskPlan:
     left_out: Mapping[str, str] = field(default_factory=dict)
     box: Box | None = None
     line: Line | None = None
+    grasps: Mapping[str, GraspSet] = field(default_factory=dict)
 
 
 @dataclass(frozen=True)
 class PickPlacePlan:
-    """All motions for one object; the gripper opens before ``approach`` and acts between the motions.
+    """All motions for one object; the gripper opens before ``approach`` and moves between the motions.
 
     Attributes:
         name: of the object.
-        grasp, placement: the pair that was chosen.
-        T_world_stand_goal: (4, 4) where the object is let go.
-        T_world_stand_rest: (4, 4) where it then rests.
-        release_opening: width between the pads that lets go of it there, in [m].
-        approach: from the start posture to the grasp.
-        lift: from the grasp up.
-        transfer: from there to above the goal and down to it.
-        settle: a little further down with the pads loose, so that a lip on a pad comes free; None for none.
-        retreat: from there up, without the object.
+        grasp, placement: chosen grasp and goal.
+        T_world_stand_goal: (4, 4) pose of the stand frame when the object is released.
+        T_world_stand_rest: (4, 4) pose at which it then rests.
+        release_opening: width between the pads that releases it, in [m].
+        approach: motion from the start posture to the grasp.
+        lift: vertical motion from the grasp.
+        transfer: motion from there to a point above the goal and down to the goal.
+        settle: short descent with loosened pads, so that a bowl's lip comes off a pad; None if not needed.
+        retreat: motion away from the released object.
     """
 
     name: str
@@ -188,21 +232,21 @@ class PickPlacePlan:
 
     @property
     def duration(self) -> float:
-        """Of the motions together, in [s]."""
+        """Total duration of the motions in [s]."""
         parts = (self.approach, self.lift, self.transfer, self.settle, self.retreat)
         return sum(part.duration for part in parts if part is not None)
 
 
 @dataclass(frozen=True)
 class ObjectOutcome:
-    """What became of one object.
+    """Result of executing one placement.
 
     Attributes:
         id, name: of the object.
-        placed: whether it was let go at its goal.
-        attempts: grasps tried.
-        reason: why it was not placed; empty if it was.
-        T_world_stand: (4, 4) where it should now rest, or None if it was not placed.
+        placed: whether the object was released at its goal.
+        attempts: number of executed grasps.
+        reason: cause of the failure; empty if placed.
+        T_world_stand: (4, 4) expected resting pose; None if not placed.
     """
 
     id: int

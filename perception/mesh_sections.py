@@ -1,4 +1,4 @@
-"""Horizontal sections of triangle meshes, and where rays in their plane meet them."""
+"""Horizontal cross-sections of a triangle mesh, and their intersections with rays."""
 
 from __future__ import annotations
 
@@ -6,10 +6,10 @@ import numpy as np
 from jaxtyping import Float, Int
 
 
-def section(
+def cross_section(
     vertices: Float[np.ndarray, "v 3"], faces: Int[np.ndarray, "f 3"], z: float
 ) -> Float[np.ndarray, "s 2 2"]:
-    """Segments (two end points in x and y) in which the plane at height ``z`` cuts the triangles."""
+    """Return the segments (two end points in x and y) in which the plane at ``z`` [m] cuts the mesh."""
     height = vertices[:, 2] - z
     # A vertex exactly on the plane counts as above it: every crossed triangle then has exactly two cut edges.
     above = height >= 0
@@ -20,22 +20,25 @@ def section(
     edges = np.stack([crossed, np.roll(crossed, -1, axis=1)], axis=-1)  # (t, 3, 2)
     cut = above[edges[..., 0]] != above[edges[..., 1]]  # two of three
     a, b = edges[cut][:, 0], edges[cut][:, 1]
-    share = height[a] / (height[a] - height[b])
-    points = vertices[a, :2] + share[:, None] * (vertices[b, :2] - vertices[a, :2])
+    fraction = height[a] / (height[a] - height[b])
+    points = vertices[a, :2] + fraction[:, None] * (vertices[b, :2] - vertices[a, :2])
     return points.reshape(-1, 2, 2)
 
 
 def radial_hits(
     segments: Float[np.ndarray, "s 2 2"], center: Float[np.ndarray, "2"], azimuth: float
 ) -> Float[np.ndarray, "_h"]:
-    """Sorted distances at which a ray from the centre meets the section; hits closer than 0.1 mm are one."""
+    """Return the sorted distances [m] at which a ray from the centre crosses the segments.
+
+    Hits less than 0.1 mm apart are merged into one.
+    """
     direction = np.array([np.cos(azimuth), np.sin(azimuth)])
     normal = np.array([-direction[1], direction[0]])
     relative = segments - center
     side = relative @ normal  # (s, 2)
     crossing = (side[:, 0] >= 0) != (side[:, 1] >= 0)
     side, relative = side[crossing], relative[crossing]
-    share = side[:, 0] / (side[:, 0] - side[:, 1])
-    hits = (relative[:, 0] + share[:, None] * (relative[:, 1] - relative[:, 0])) @ direction
+    fraction = side[:, 0] / (side[:, 0] - side[:, 1])
+    hits = (relative[:, 0] + fraction[:, None] * (relative[:, 1] - relative[:, 0])) @ direction
     hits = np.sort(hits[hits > 0])
     return hits[np.append(True, np.diff(hits) > 1e-4)] if len(hits) else hits

@@ -58,10 +58,10 @@ def prepare(scan: Path | None, seed: int, device: Device) -> BenchScene:
 def _simulated(seed: int) -> tuple[RgbdFrame, ...]:
     from app.task.cell import build_world
     from manipulation.kinematics import Kinematics
-    from manipulation.viewpoints import SCAN_VIEWS, look
+    from manipulation.viewpoints import SCAN_VIEWPOINTS, ViewpointScanner
 
     with build_world(ScanOptions(objects=OBJECTS, seed=seed), "pack") as world:
-        return tuple(look(world, Kinematics(world.arm), SCAN_VIEWS))
+        return tuple(ViewpointScanner(world, Kinematics(world.arm)).capture(SCAN_VIEWPOINTS))
 
 
 def square_view(side: int = 64, samples: int = 50) -> tuple[RayBundle, np.ndarray]:

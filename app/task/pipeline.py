@@ -28,7 +28,13 @@ from manipulation.kinematics import Kinematics
 from manipulation.planner import ManipulationConfig, plan_pack, plan_sort
 from manipulation.robot import Robot
 from manipulation.types import Box, Line, ObjectOutcome, Task, TaskPlan
-from manipulation.viewpoints import BOX_VIEWS, LINE_VIEWS, SCAN_VIEWS, close_views, look
+from manipulation.viewpoints import (
+    BOX_VIEWPOINTS,
+    LINE_VIEWPOINTS,
+    SCAN_VIEWPOINTS,
+    ViewpointScanner,
+    closeup_viewpoints,
+)
 from perception.errors import PerceptionError
 from perception.inference.fit import FitStep
 from perception.inference.refit import PoseCheck, refit_pose
@@ -141,11 +147,12 @@ def run(
 ) -> TaskResult:
     """Carry out a task; an error of planning or perception ends it and is stored in the result."""
     observer = observer or RunObserver()
-    kinematics = Kinematics(robot.arm)
+    kinematics = Kinematics(robot.arm, request.manipulation.pick_place.ik)
     result = TaskResult()
     try:
         with observer.stage("scan"):
-            frames = look(robot, kinematics, SCAN_VIEWS, observer.on_progress, on_frame=observer.on_image)
+            scanner = ViewpointScanner(robot, kinematics)
+            frames = scanner.capture(SCAN_VIEWPOINTS, observer.on_progress, observer.on_image)
             result = replace(result, frames=frames)
             observer.on_frames(frames)
         with observer.stage("detect"):
@@ -158,16 +165,16 @@ def run(
             result = replace(result, objects=objects)
             observer.on_objects(objects)
         with observer.stage("plan"):
-            plan = plan_task(robot, request, objects)
+            plan = plan_task(kinematics, request, objects)
             result = replace(result, plan=plan)
             observer.on_plan(plan)
         with observer.stage("execute"):
-            reobserve = make_reobserver(robot, kinematics, objects)
-            outcomes = execute(plan, robot, reobserve, observer.on_event, request.manipulation)
+            reobserve = make_reobserver(scanner, objects)
+            outcomes = execute(plan, robot, reobserve, observer.on_event, request.manipulation, kinematics)
             result = replace(result, outcomes=outcomes)
         with observer.stage("verify"):
-            views = BOX_VIEWS if request.task == "pack" else LINE_VIEWS
-            final_frames = look(robot, kinematics, views, observer.on_progress, on_frame=observer.on_image)
+            viewpoints = BOX_VIEWPOINTS if request.task == "pack" else LINE_VIEWPOINTS
+            final_frames = scanner.capture(viewpoints, observer.on_progress, observer.on_image)
             result = replace(result, final_frames=final_frames)
             result = replace(result, checks=verify(objects, plan, outcomes, final_frames))
     except (ManipulationError, PerceptionError) as error:
@@ -186,19 +193,19 @@ def prior_reconstruction(perception: Perception, observer: RunObserver) -> Recon
     return reconstruct
 
 
-def plan_task(robot: Robot, request: TaskRequest, objects: Sequence[ObjectEstimate]) -> TaskPlan:
+def plan_task(kinematics: Kinematics, request: TaskRequest, objects: Sequence[ObjectEstimate]) -> TaskPlan:
     """Plan the goal pose of each object and the order of execution.
 
     Raises:
         PlanningError: No object can be placed; the message gives the reasons.
     """
     if request.task == "pack":
-        return plan_pack(objects, request.box or Box(), robot.arm, request.manipulation)
-    return plan_sort(objects, request.line, robot.arm, request.manipulation, request.box)
+        return plan_pack(objects, request.box or Box(), kinematics.arm, request.manipulation, kinematics)
+    return plan_sort(objects, request.line, kinematics.arm, request.manipulation, request.box, kinematics)
 
 
 def make_reobserver(
-    robot: Robot, kinematics: Kinematics, objects: Sequence[ObjectEstimate]
+    scanner: ViewpointScanner, objects: Sequence[ObjectEstimate]
 ) -> Callable[[int], ObjectEstimate | None]:
     """Return a function that re-estimates the pose of an object, by id, after a failed grasp.
 
@@ -211,7 +218,7 @@ def make_reobserver(
         estimate = by_id[object_id]
         x, y = estimate.T_world_object[:2, 3]
         try:
-            frames = look(robot, kinematics, close_views((float(x), float(y), 0.05)))
+            frames = scanner.capture(closeup_viewpoints((float(x), float(y), 0.05)))
             check = refit_pose(estimate, frames, estimate.T_world_object)
         except (ManipulationError, PerceptionError) as error:
             logger.info("cannot re-observe %s: %s", estimate.name, error)

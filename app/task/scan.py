@@ -16,7 +16,7 @@ from app.screen import Screen
 from app.task.cell import build_world
 from app.task.restricted_robot import restricted
 from manipulation.kinematics import Kinematics
-from manipulation.viewpoints import SCAN_VIEWS, look
+from manipulation.viewpoints import SCAN_VIEWPOINTS, ViewpointScanner
 from perception.io.scan_folder import write_scan
 from perception.types import RgbdFrame
 
@@ -51,12 +51,9 @@ def run(options: ScanOptions, screen: Screen) -> Report:
     with world:
         started = time.perf_counter()
         with screen.stage("Scanning the table"), _video(options, folder, world) as on_image:
-            frames = look(
-                restricted(world),
-                Kinematics(world.arm),
-                SCAN_VIEWS,
-                lambda done, total: screen.update(f"{done} of {total}"),
-                on_frame=on_image,
+            scanner = ViewpointScanner(restricted(world), Kinematics(world.arm))
+            frames = scanner.capture(
+                SCAN_VIEWPOINTS, lambda done, total: screen.update(f"{done} of {total}"), on_image
             )
         seconds = time.perf_counter() - started
         write_scan(folder.scan, frames)

@@ -1,12 +1,12 @@
 import numpy as np
 import pytest
 
-from manipulation.collision import Allowance, Body, CollisionConfig, CollisionWorld, densify
+from manipulation.collision import AllowedContacts, Body, CollisionConfig, CollisionWorld, Contact, densify
 from manipulation.errors import ManipulationError
-from manipulation.hulls import convex_pieces, hull_corners, hull_faces
+from manipulation.hulls import convex_pieces, hull_faces, reduced_hull
 from manipulation.kinematics import Kinematics
-from manipulation.obstacles import BOX_FLOOR, TABLE, box_walls
-from manipulation.standing import stand
+from manipulation.obstacles import BOX_FLOOR, TABLE, box_obstacles
+from manipulation.standing import to_standing
 from manipulation.types import Box
 
 WIDTH = 0.08
@@ -21,7 +21,7 @@ def above(kinematics, x, y, z):
 
 
 def body(shapes, number, category, mesh, x, y):
-    item = stand(shapes.estimate(number, category, mesh, x=x, y=y))
+    item = to_standing(shapes.estimate(number, category, mesh, x=x, y=y))
     return Body(item.name, convex_pieces(item), item.T_world_stand)
 
 
@@ -37,31 +37,31 @@ def world(arm, shapes):
         body(shapes, 2, "bottle", shapes.bottle(0.035, 0.25), 0.5, 0.2),
         body(shapes, 3, "mug", shapes.mug(), 0.35, 0.0),
     ]
-    return CollisionWorld(arm, bodies, [TABLE, *box_walls(Box(center=(0.4, 0.4)))])
+    return CollisionWorld(arm, bodies, [TABLE, *box_obstacles(Box(center=(0.4, 0.4)))])
 
 
 def test_free_space_is_free_and_the_table_is_not(world, kinematics):
     assert world.contact(above(kinematics, 0.5, -0.1, 0.2), WIDTH) is None
-    assert world.contact(above(kinematics, 0.5, -0.1, 0.005), WIDTH) == "arm meets table"
+    assert world.contact(above(kinematics, 0.5, -0.1, 0.005), WIDTH) == Contact("arm", "table")
 
 
 def test_robot_keeps_its_margin(arm, kinematics):
     world = CollisionWorld(arm, [], [TABLE], CollisionConfig(robot_margin=0.004))
     # Fingertips reach 9 mm beyond the TCP: .0584 + .054 - .1034.
     assert world.contact(above(kinematics, 0.5, 0.0, 0.0090 + 0.0045), WIDTH) is None
-    assert world.contact(above(kinematics, 0.5, 0.0, 0.0090 + 0.0035), WIDTH) == "arm meets table"
+    assert world.contact(above(kinematics, 0.5, 0.0, 0.0090 + 0.0035), WIDTH) == Contact("arm", "table")
 
 
 def test_hand_in_an_object_is_seen_unless_it_may_touch_it(world, kinematics):
     q = above(kinematics, 0.5, -0.3, 0.06)
-    assert world.contact(q, WIDTH) == "arm meets can_1"
-    assert world.contact(q, WIDTH, Allowance(touch=frozenset({"can_1"}))) is None
+    assert world.contact(q, WIDTH) == Contact("arm", "can_1")
+    assert world.contact(q, WIDTH, AllowedContacts(touch=frozenset({"can_1"}))) is None
 
 
 def test_fingers_open_around_a_can_are_free_and_closed_are_not(world, kinematics):
     q = above(kinematics, 0.5, -0.3, 0.1)
     assert world.contact(q, 0.08) is None  # 7 mm between pad and can, more than the margin
-    assert world.contact(q, 0.072) == "arm meets can_1"
+    assert world.contact(q, 0.072) == Contact("arm", "can_1")
 
 
 def test_moved_and_absent_objects(world, kinematics):
@@ -70,7 +70,7 @@ def test_moved_and_absent_objects(world, kinematics):
     T[0, 3] -= 0.2
     world.move("can_1", T)
     assert world.contact(q, WIDTH) is None
-    assert world.contact(above(kinematics, 0.3, -0.3, 0.06), WIDTH) == "arm meets can_1"
+    assert world.contact(above(kinematics, 0.3, -0.3, 0.06), WIDTH) == Contact("arm", "can_1")
     world.set_present("can_1", False)
     assert world.contact(above(kinematics, 0.3, -0.3, 0.06), WIDTH) is None
 
@@ -82,23 +82,25 @@ def test_carried_object_meets_neighbours_with_its_own_margin(world, kinematics):
     assert world.contact(above(kinematics, 0.5, -0.3, 0.2), WIDTH) is None
     q = above(kinematics, 0.5, 0.2 - 0.035 - 0.033 - 0.002, 0.15)
     bottle = frozenset({"bottle_2"})
-    assert world.contact(q, 0.06, Allowance(bottle, carried_margin=0.004)) == "can_1 meets bottle_2"
-    assert world.contact(q, 0.06, Allowance(bottle, carried_margin=0.0)) is None
-    assert world.contact(q, 0.06, Allowance(bottle, touch_carried=bottle)) is None
+    assert world.contact(q, 0.06, AllowedContacts(bottle, carried_margin=0.004)) == Contact(
+        "can_1", "bottle_2"
+    )
+    assert world.contact(q, 0.06, AllowedContacts(bottle, carried_margin=0.0)) is None
+    assert world.contact(q, 0.06, AllowedContacts(bottle, touch_carried=bottle)) is None
     low = above(kinematics, 0.5, -0.3, 0.1)
-    assert world.contact(low, 0.06) == "can_1 meets table"
+    assert world.contact(low, 0.06) == Contact("can_1", "table")
     world.release()
-    assert world.contact(above(kinematics, 0.5, -0.3, 0.06), WIDTH) == "arm meets can_1"
+    assert world.contact(above(kinematics, 0.5, -0.3, 0.06), WIDTH) == Contact("arm", "can_1")
 
 
 def test_path_through_a_bottle_is_blocked_though_its_ends_are_free(world, kinematics):
     start, end = above(kinematics, 0.5, -0.05, 0.15), above(kinematics, 0.42, 0.42, 0.15)
     assert world.contact(start, WIDTH) is None and world.contact(end, WIDTH) is None
-    assert world.path_contact(np.stack([start, end]), WIDTH) == "arm meets bottle_2"
+    assert world.path_contact(np.stack([start, end]), WIDTH) == Contact("arm", "bottle_2")
 
 
 def test_box_walls_stand_around_the_inside():
-    parts = {part.name: part for part in box_walls(Box(center=(0.5, 0.2), size=(0.3, 0.2, 0.08)))}
+    parts = {part.name: part for part in box_obstacles(Box(center=(0.5, 0.2), size=(0.3, 0.2, 0.08)))}
     assert len(parts) == 5
     assert parts["box_wall_x_far"].center[0] - parts["box_wall_x_far"].half_size[0] == pytest.approx(0.65)
     assert parts["box_wall_y_near"].center[1] + parts["box_wall_y_near"].half_size[1] == pytest.approx(0.1)
@@ -107,14 +109,14 @@ def test_box_walls_stand_around_the_inside():
 
 
 def test_mug_has_body_and_handle_as_pieces(shapes):
-    body_piece, handle = convex_pieces(stand(shapes.estimate(1, "mug", shapes.mug())))
+    body_piece, handle = convex_pieces(to_standing(shapes.estimate(1, "mug", shapes.mug())))
     assert body_piece[:, 0].max() < 0.042 and handle[:, 0].max() > 0.06
     assert len(body_piece) <= 96
 
 
 def test_hull_of_a_sphere_is_thinned_and_wound_outwards():
     directions = np.random.default_rng(0).normal(size=(3000, 3))
-    corners = hull_corners(directions / np.linalg.norm(directions, axis=1, keepdims=True), limit=48)
+    corners = reduced_hull(directions / np.linalg.norm(directions, axis=1, keepdims=True), limit=48)
     assert 40 <= len(corners) <= 96
     a, b, c = (corners[hull_faces(corners).reshape(-1, 3)[:, i]] for i in range(3))
     volume = np.einsum("ij,ij->i", a, np.cross(b, c)).sum() / 6
@@ -123,7 +125,7 @@ def test_hull_of_a_sphere_is_thinned_and_wound_outwards():
 
 def test_flat_meshes_and_unknown_names_are_errors(world):
     with pytest.raises(ManipulationError, match="flat or too small"):
-        hull_corners(np.zeros((8, 3)))
+        reduced_hull(np.zeros((8, 3)))
     with pytest.raises(ManipulationError, match=r"no object 'mug_9'.*can_1, bottle_2, mug_3"):
         world.move("mug_9", np.eye(4))
 

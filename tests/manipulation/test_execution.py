@@ -3,15 +3,16 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
-from manipulation.collision import Allowance
+from manipulation.collision import AllowedContacts
 from manipulation.errors import PlanningError, RobotError
 from manipulation.execution import execute
 from manipulation.grasp_config import GraspConfig
 from manipulation.kinematics import Kinematics
+from manipulation.obstacles import TABLE, box_obstacles
 from manipulation.packing import PackingConfig
 from manipulation.pick_place import PickPlaceConfig, PickPlacePlanner
 from manipulation.planner import ManipulationConfig, plan_pack, plan_sort
-from manipulation.standing import stand
+from manipulation.standing import to_standing
 from manipulation.trajectories import MotionConfig
 from manipulation.types import Box, Line, Placement
 
@@ -114,7 +115,7 @@ def test_everything_is_placed_where_it_was_planned(packing, arm):
         )
         if plan.settle is not None:
             sunk = T_tcp.copy()
-            sunk[2, 3] -= CONFIG.pick_place.handling.settle_depth
+            sunk[2, 3] -= CONFIG.pick_place.segments.settle_depth
             assert kinematics.forward(plan.settle.positions[-1]) == pytest.approx(sunk, abs=2e-3)
             assert plan.retreat.positions[0] == pytest.approx(plan.settle.positions[-1])
     phases = ["plan", "approach", "grasp", "transfer", "place", "retreat", "placed"]
@@ -123,15 +124,19 @@ def test_everything_is_placed_where_it_was_planned(packing, arm):
 
 
 def test_motions_are_free_of_contact_in_the_planners_world(packing, arm):
-    planner = PickPlacePlanner(arm, packing.objects, packing.box, CONFIG.pick_place)
+    planner = PickPlacePlanner(
+        Kinematics(arm), packing.objects, (TABLE, *box_obstacles(packing.box)), CONFIG.pick_place
+    )
     placement = next(p for p in packing.placements if p.name == "can_1")
     plan = planner.plan(placement, np.asarray(arm.q_home))
     world, grasp = planner.world, plan.grasp
-    near = world.path_contact(plan.approach.positions[::20], grasp.opening, Allowance(frozenset({"can_1"})))
+    near = world.path_contact(
+        plan.approach.positions[::20], grasp.opening, AllowedContacts(frozenset({"can_1"}))
+    )
     assert near is None
     world.carry("can_1", np.linalg.inv(grasp.T_stand_tcp))
     held = grasp.held_width
-    floor = Allowance(touch_carried=frozenset({"table", "box_floor"}), carried_margin=0.0)
+    floor = AllowedContacts(touch_carried=frozenset({"table", "box_floor"}), carried_margin=0.0)
     way = np.concatenate([plan.lift.positions, plan.transfer.positions])[::20]
     assert world.path_contact(way, held, floor) is None
 
@@ -160,7 +165,7 @@ def test_object_that_cannot_be_held_is_given_up_after_two_retries(packing, arm):
     outcomes = execute(packing, robot, None, Watcher(robot), CONFIG)
     failed = [outcome for outcome in outcomes if not outcome.placed]
     assert len(failed) == 1 and failed[0].attempts == 3 and failed[0].T_world_stand is None
-    assert "nothing between the fingers after closing on bowl_2 (width 0.0 mm, expected" in failed[0].reason
+    assert "no object between the fingers after closing on bowl_2 (width 0.0 mm, expected" in failed[0].reason
     # The bowl that was to stand in it now stands on the floor of the box.
     nested = next(outcome for outcome in outcomes if outcome.name == "bowl_3")
     assert nested.placed and nested.T_world_stand[2, 3] == pytest.approx(Box().floor)
@@ -198,7 +203,7 @@ def test_object_lost_on_the_way_is_noticed(packing, arm):
     outcomes = execute(packing, robot, None, drop_once, CONFIG)
     assert all(outcome.placed for outcome in outcomes)
     assert next(event.message for event in watcher.events if event.phase == "retry").startswith(
-        f"{lost[0]} was lost on the way"
+        f"{lost[0]} was lost during the transfer"
     )
 
 
@@ -209,7 +214,7 @@ def test_blocked_object_is_deferred_until_the_others_have_gone(packing, arm, mon
     def blocked_at_first(self, placement, q_start, tried=()):
         planned.append(placement.name)
         if placement.name == "bowl_2" and planned.count("bowl_2") == 1:
-            raise PlanningError("No plan for bowl_2: of 9 ways tried, 9 collide with can_1; clear it")
+            raise PlanningError("No plan for bowl_2: of 9 candidates, 9 collide with can_1; clear it")
         return plan(self, placement, q_start, tried)
 
     monkeypatch.setattr(PickPlacePlanner, "plan", blocked_at_first)
@@ -245,20 +250,20 @@ def test_unreachable_object_is_named_and_left_out(scene, shapes, arm):
     task = plan_pack([scene[0], far], Box(), arm, CONFIG)
     assert task.left_out == {"can_9": "can_9 at (1.05, 0.10) m is out of the arm's reach; move it closer"}
     assert "can_9" in task.objects and all(p.name != "can_9" for p in task.placements)
-    with pytest.raises(PlanningError, match="none of 1 objects can be handled: can_9"):
+    with pytest.raises(PlanningError, match="none of 1 objects can be manipulated: can_9"):
         plan_pack([far], Box(), arm, CONFIG)
 
 
 def test_unreachable_goal_is_reported_with_counts(scene, arm):
-    items = {item.name: item for item in map(stand, scene)}
+    items = {item.name: item for item in map(to_standing, scene)}
     config = PickPlaceConfig(grasp=GraspConfig(n_azimuths=4, top_depths=(0.02,)))
-    planner = PickPlacePlanner(arm, items, config=config)
-    with pytest.raises(PlanningError, match=r"No plan for can_1: of \d+ ways tried, .*goal out of reach"):
+    planner = PickPlacePlanner(Kinematics(arm), items, config=config)
+    with pytest.raises(PlanningError, match=r"No plan for can_1: of \d+ candidates, .*goal out of reach"):
         planner.plan(Placement("can_1", (1.3, 0.2, 0.0), (0.0,)), np.asarray(arm.q_home))
 
 
 def test_nothing_perceived_is_an_error(arm):
-    with pytest.raises(PlanningError, match="no object was perceived; scan again"):
+    with pytest.raises(PlanningError, match="no object was perceived: repeat the scan"):
         plan_sort([], Line(), arm)
 
 

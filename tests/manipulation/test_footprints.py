@@ -2,13 +2,13 @@ import numpy as np
 import pytest
 
 from manipulation.footprints import BoxRaster, Stencil, footprint
-from manipulation.standing import stand
+from manipulation.standing import to_standing
 from manipulation.types import Box
 
 
 def items_of(shapes, *kinds):
     """Standing objects from (category, mesh) pairs."""
-    return [stand(shapes.estimate(i, category, mesh)) for i, (category, mesh) in enumerate(kinds)]
+    return [to_standing(shapes.estimate(i, category, mesh)) for i, (category, mesh) in enumerate(kinds)]
 
 
 def test_raster_keeps_walls_and_gaps(shapes):

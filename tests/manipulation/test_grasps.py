@@ -4,22 +4,22 @@ import numpy as np
 import pytest
 import trimesh
 
-from manipulation.cross_sections import fit_circle, span
+from manipulation.cross_sections import extent, fit_circle
 from manipulation.errors import PlanningError
 from manipulation.grasp_config import GraspConfig
 from manipulation.grasps import grasp_candidates
 from manipulation.planner import plan_pack
 from manipulation.robot import GripperGeometry
-from manipulation.standing import split_handle, stand
+from manipulation.standing import split_handle, to_standing
 from manipulation.types import Box
-from perception.mesh_sections import radial_hits, section
+from perception.mesh_sections import cross_section, radial_hits
 from perception.types import ObjectEstimate, SupportPlane, TriangleMesh
 
 CONFIG = GraspConfig()
 
 
 def standing(shapes, category, mesh, **where):
-    return stand(shapes.estimate(1, category, mesh, **where))
+    return to_standing(shapes.estimate(1, category, mesh, **where))
 
 
 def fingers(grasp):
@@ -30,12 +30,12 @@ def fingers(grasp):
 
 def test_section_of_a_cup_has_two_walls(shapes):
     mesh = shapes.cup(radius=0.04, wall=0.004)
-    cut = section(np.asarray(mesh.vertices), np.asarray(mesh.faces), 0.05)
+    cut = cross_section(np.asarray(mesh.vertices), np.asarray(mesh.faces), 0.05)
     hits = radial_hits(cut, np.zeros(2), 0.3)
     assert hits == pytest.approx([0.036, 0.040], abs=2e-4)
-    assert span(cut, 0.0).width == pytest.approx(0.08, abs=2e-4)
-    assert section(np.asarray(mesh.vertices), np.asarray(mesh.faces), 1.0).shape == (0, 2, 2)
-    assert span(np.zeros((0, 2, 2)), 0.0) is None
+    assert extent(cut, 0.0).width == pytest.approx(0.08, abs=2e-4)
+    assert cross_section(np.asarray(mesh.vertices), np.asarray(mesh.faces), 1.0).shape == (0, 2, 2)
+    assert extent(np.zeros((0, 2, 2)), 0.0) is None
     assert len(radial_hits(np.zeros((0, 2, 2)), np.zeros(2), 0.0)) == 0
 
 
@@ -66,7 +66,7 @@ def test_stand_frame_of_a_flat_bottle_points_along_its_narrow_side(shapes):
 
 def test_support_plane_sets_the_height(shapes):
     estimate = shapes.estimate(1, "can", shapes.can(), lift=0.1)
-    item = stand(estimate, SupportPlane(offset=0.1))
+    item = to_standing(estimate, SupportPlane(offset=0.1))
     assert item.T_world_stand[2, 3] == pytest.approx(0.1)
     assert item.vertices[:, 2].min() == pytest.approx(0.0, abs=1e-9)
 
@@ -77,11 +77,11 @@ def test_lying_and_empty_objects_cannot_be_handled(shapes):
     T[:3, :3] = [[0, 0, 1], [0, 1, 0], [-1, 0, 0]]
     lying = ObjectEstimate(7, "bottle", np.zeros(16), T, np.ones(3), upright.mesh)
     with pytest.raises(PlanningError, match=r"bottle_7 lies on its side.*90 degrees"):
-        stand(lying)
+        to_standing(lying)
     nothing = TriangleMesh(np.zeros((0, 3)), np.zeros((0, 3), np.int64))
     empty = ObjectEstimate(7, "can", np.zeros(16), np.eye(4), np.ones(3), nothing)
     with pytest.raises(PlanningError, match="can_7 has an empty mesh"):
-        stand(empty)
+        to_standing(empty)
 
 
 def test_hand_follows_the_wall_of_a_low_bowl_with_an_uneven_rim(shapes):
@@ -101,7 +101,7 @@ def test_mug_rim_is_straddled_away_from_the_handle(shapes):
     item = standing(shapes, "mug", shapes.mug(radius=0.04, height=0.095, wall=0.004), yaw=0.7)
     found = grasp_candidates(item, CONFIG)
     assert found.rejected["at the handle"] == 7
-    assert found.n_tried == len(found.grasps) + 7
+    assert found.n_candidates == len(found.grasps) + 7
     for grasp in found.grasps:
         assert grasp.kind == "rim" and abs(grasp.azimuth) > np.deg2rad(50)
         T = grasp.T_stand_tcp
@@ -209,8 +209,8 @@ def test_mug_whose_cavity_was_not_reconstructed_gets_a_default_wall(shapes):
 
 def test_object_without_grasp_says_why(shapes):
     found = grasp_candidates(standing(shapes, "can", shapes.can(radius=0.05)), CONFIG)
-    assert found.why_none("can_1") == (
-        "No grasp for can_1: of 60 tried, 60 too wide for 0.08 m; leave it out or use a wider gripper"
+    assert found.failure_message("can_1") == (
+        "No grasp for can_1: of 60 candidates, 60 too wide for 0.08 m; exclude it or use a wider gripper"
     )
 
 

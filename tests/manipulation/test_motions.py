@@ -1,16 +1,17 @@
 import numpy as np
 import pytest
 
-from manipulation.collision import Allowance, CollisionWorld
+from manipulation.collision import AllowedContacts, CollisionWorld, Contact
 from manipulation.kinematics import Kinematics
-from manipulation.motions import Motions
-from manipulation.obstacles import TABLE, Furniture
+from manipulation.motions import MotionPlanner
+from manipulation.obstacles import TABLE, Obstacle
 from manipulation.trajectories import MotionConfig
+from manipulation.types import Rejected
 
 WIDTH = 0.04
 # Between postures at negative and at positive y: to be crossed above 0.25 m, out of reach above 1.2 m.
-WALL = Furniture("wall", (0.5, 0.0, 0.125), (0.2, 0.02, 0.125))
-TALL_WALL = Furniture("wall", (0.0, 0.0, 0.6), (2.0, 0.02, 0.6))
+WALL = Obstacle("wall", (0.5, 0.0, 0.125), (0.2, 0.02, 0.125))
+TALL_WALL = Obstacle("wall", (0.0, 0.0, 0.6), (2.0, 0.02, 0.6))
 
 
 @pytest.fixture(scope="module")
@@ -20,7 +21,7 @@ def kinematics(arm):
 
 def motions_among(kinematics, *obstacles):
     world = CollisionWorld(kinematics.arm, [], (TABLE, *obstacles))
-    return Motions(kinematics, world, MotionConfig(line_step=0.02), (0.35, 0.45))
+    return MotionPlanner(kinematics, world, MotionConfig(line_step=0.02), (0.35, 0.45))
 
 
 def down(x, y, z):
@@ -44,36 +45,36 @@ def ends(kinematics):
 
 def test_a_free_direct_move_is_taken(kinematics, ends):
     motions = motions_among(kinematics)
-    path = motions.free_way(*ends, WIDTH)
+    path = motions.free_path(*ends, WIDTH)
     assert len(path) == 2
     assert path[0] == pytest.approx(ends[0]) and path[1] == pytest.approx(ends[1])
 
 
 def test_a_blocked_move_is_led_over_the_obstacle(kinematics, ends):
     motions = motions_among(kinematics, WALL)
-    assert motions.world.path_contact(np.stack(ends), WIDTH) == "arm meets wall"
-    path = motions.free_way(*ends, WIDTH)
+    assert motions.world.path_contact(np.stack(ends), WIDTH) == Contact("arm", "wall")
+    path = motions.free_path(*ends, WIDTH)
     assert path is not None and len(path) > 2
     assert path[0] == pytest.approx(ends[0]) and path[-1] == pytest.approx(ends[1])
     assert motions.world.path_contact(np.stack(path), WIDTH) is None
 
 
 def test_no_path_through_an_obstacle_that_cannot_be_avoided(kinematics, ends):
-    assert motions_among(kinematics, TALL_WALL).free_way(*ends, WIDTH) is None
+    assert motions_among(kinematics, TALL_WALL).free_path(*ends, WIDTH) is None
 
 
 def test_the_first_margin_that_some_path_keeps_is_used(kinematics, ends):
     motions = motions_among(kinematics, WALL)
-    assert motions.free_way(*ends, WIDTH, (0.5,)) is None
-    wide = motions.free_way(*ends, WIDTH, (0.5, 0.06, 0.0))
-    assert motions.world.path_contact(np.stack(wide), WIDTH, Allowance(robot_margin=0.06)) is None
+    assert motions.free_path(*ends, WIDTH, (0.5,)) is None
+    wide = motions.free_path(*ends, WIDTH, (0.5, 0.06, 0.0))
+    assert motions.world.path_contact(np.stack(wide), WIDTH, AllowedContacts(robot_margin=0.06)) is None
 
 
 def test_way_points_are_never_below_the_ends(kinematics):
     """From postures above all way point heights the way points stay at the height of the ends."""
     motions = motions_among(kinematics)
     ends = posture(kinematics, 0.45, -0.2, 0.5), posture(kinematics, 0.45, 0.2, 0.5)
-    vias = [q for via in motions._vias(*ends) for q in via]
+    vias = [q for via in motions._waypoints(*ends) for q in via]
     assert vias
     assert all(kinematics.forward(q)[2, 3] == pytest.approx(0.5, abs=1e-3) for q in vias)
 
@@ -84,20 +85,20 @@ def test_the_first_free_line_is_taken(kinematics):
     blocked, free = down(0.5, 0.2, 0.15), down(0.5, -0.2, 0.3)
     line = motions.free_line(q, [blocked, free], WIDTH)
     assert kinematics.forward(line[-1])[:3, 3] == pytest.approx([0.5, -0.2, 0.3], abs=2e-4)
-    assert motions.free_line(q, [blocked], WIDTH) == "arm meets wall"
-    assert motions.free_line(q, [down(1.5, -0.2, 0.15)], WIDTH) == "out of reach"
-    allowed = motions.free_line(q, [blocked], WIDTH, Allowance(frozenset({"wall"})))
+    assert motions.free_line(q, [blocked], WIDTH) == Rejected("collide with wall")
+    assert motions.free_line(q, [down(1.5, -0.2, 0.15)], WIDTH) == Rejected("out of reach")
+    allowed = motions.free_line(q, [blocked], WIDTH, AllowedContacts(frozenset({"wall"})))
     assert kinematics.forward(allowed[-1])[:3, 3] == pytest.approx([0.5, 0.2, 0.15], abs=2e-4)
 
 
 def test_lines_and_paths_are_timed_from_rest_to_rest(kinematics, ends):
     motions = motions_among(kinematics)
     line = motions.free_line(ends[0], [down(0.5, -0.2, 0.25)], WIDTH)
-    timed = motions.timed_line(line)
+    timed = motions.time_line(line)
     assert timed.positions[0] == pytest.approx(line[0]) and timed.positions[-1] == pytest.approx(line[-1])
     # 0.1 m at up to 0.25 m/s with 1 m/s^2: at least 0.1 / 0.25 + 0.25 / 1 seconds.
     assert 0.65 <= timed.duration < 0.9
     middle = 0.5 * (ends[0] + ends[1])
-    path = motions.timed_way([ends[0], middle, ends[1]])
+    path = motions.time_path([ends[0], middle, ends[1]])
     assert path.positions[-1] == pytest.approx(ends[1])
     assert np.abs(path.positions - middle).max(axis=1).min() < 1e-9

@@ -10,7 +10,7 @@ from manipulation.nesting import (
     resting_height,
     stack_bowls,
 )
-from manipulation.standing import stand
+from manipulation.standing import to_standing
 
 HEIGHTS = np.arange(0.001, 0.1, 0.002)  # rim of the lower bowl at 99 mm
 CONE = RadialProfile(HEIGHTS, 0.04 + 0.5 * HEIGHTS, 0.03 + 0.5 * HEIGHTS)
@@ -23,7 +23,7 @@ def cylinder(radius):
 
 def items_of(shapes, *meshes):
     """Standing bowls bowl_0, bowl_1, ... from meshes."""
-    return [stand(shapes.estimate(i, "bowl", mesh)) for i, mesh in enumerate(meshes)]
+    return [to_standing(shapes.estimate(i, "bowl", mesh)) for i, mesh in enumerate(meshes)]
 
 
 def names(stacks):

@@ -10,8 +10,8 @@ from manipulation.footprints import BoxRaster, footprint
 from manipulation.grasps import grasp_candidates
 from manipulation.nesting import nests, radial_profile, stack_bowls
 from manipulation.packing import PackingConfig, pack
-from manipulation.release_clearance import count_releases
-from manipulation.standing import stand
+from manipulation.release_clearance import ReleasePose, count_free_releases
+from manipulation.standing import to_standing
 from manipulation.types import Box
 
 CONFIG = PackingConfig(gaps=(0.010, 0.005), n_handle_directions=2)  # fewer than the defaults, for speed
@@ -19,12 +19,12 @@ CONFIG = PackingConfig(gaps=(0.010, 0.005), n_handle_directions=2)  # fewer than
 
 def items_of(shapes, *kinds):
     """Standing objects from (category, mesh) pairs."""
-    return [stand(shapes.estimate(i, category, mesh)) for i, (category, mesh) in enumerate(kinds)]
+    return [to_standing(shapes.estimate(i, category, mesh)) for i, (category, mesh) in enumerate(kinds)]
 
 
 def outlines(item, placement):
     """Corners of the object's outlines where it is to stand."""
-    shape = footprint(item).turned(placement.yaws[0])
+    shape = footprint(item).rotated(placement.yaws[0])
     return [outline + np.array(placement.position[:2]) for outline in shape.outlines]
 
 
@@ -114,7 +114,7 @@ def test_small_box_names_what_does_not_fit(kitchen):
 def test_nothing_fits_and_nothing_to_pack_are_errors(kitchen):
     with pytest.raises(PlanningError, match=r"box too small: 0 of 6 fit into 0.05 x 0.05 m"):
         pack(kitchen, Box(size=(0.05, 0.05, 0.05)), CONFIG)
-    with pytest.raises(PlanningError, match="nothing to pack"):
+    with pytest.raises(PlanningError, match="no object to pack"):
         pack([], Box())
 
 
@@ -136,5 +136,5 @@ def test_what_is_lower_than_the_walls_stands_away_from_them(shapes):
     position = np.array(placement.position[:2]) - box.center
     corner = np.array(box.size[:2]) / 2 - 0.04
     grasps = grasp_candidates(can).grasps
-    assert count_releases(raster, grasps, corner, 0.0, placement.position[2] + 0.003) == 0
-    assert count_releases(raster, grasps, position, 0.0, placement.position[2] + 0.003) > 0
+    assert count_free_releases(raster, grasps, ReleasePose(corner, 0.0, placement.position[2] + 0.003)) == 0
+    assert count_free_releases(raster, grasps, ReleasePose(position, 0.0, placement.position[2] + 0.003)) > 0

@@ -6,18 +6,18 @@ import pytest
 from manipulation.errors import PlanningError
 from manipulation.footprints import footprint
 from manipulation.sorting import SortingConfig, sort_line
-from manipulation.standing import stand
+from manipulation.standing import to_standing
 from manipulation.types import Line
 
 
 def items_of(shapes, *kinds):
     """Standing objects from (category, mesh) pairs."""
-    return [stand(shapes.estimate(i, category, mesh)) for i, (category, mesh) in enumerate(kinds)]
+    return [to_standing(shapes.estimate(i, category, mesh)) for i, (category, mesh) in enumerate(kinds)]
 
 
 def outlines(item, placement):
     """Corners of the object's outlines where it is to stand."""
-    shape = footprint(item).turned(placement.yaws[0])
+    shape = footprint(item).rotated(placement.yaws[0])
     return [outline + np.array(placement.position[:2]) for outline in shape.outlines]
 
 
@@ -74,6 +74,6 @@ def test_short_line_leaves_out_the_widest(kitchen):
     assert left_out["bowl_5"].startswith("line too short: 5 of 6 fit on 0.55 m")
     with pytest.raises(PlanningError, match=r"none of 6 objects fits on 0.05 m"):
         sort_line(kitchen, Line((0.6, 0.2), (0.6, 0.25)))
-    with pytest.raises(PlanningError, match="nothing to sort"):
+    with pytest.raises(PlanningError, match="no object to sort"):
         sort_line([], line)
     assert len(placements) == 5

@@ -6,15 +6,15 @@ from manipulation.errors import PlanningError
 from manipulation.kinematics import Kinematics
 from manipulation.obstacles import TABLE
 from manipulation.viewpoints import (
-    BOX_VIEWS,
-    FILLED,
-    LINE_VIEWS,
+    BOX_VIEWPOINTS,
+    KEEP_OUT,
+    LINE_VIEWPOINTS,
     ROLLS,
-    SCAN_VIEWS,
+    SCAN_VIEWPOINTS,
     Viewpoint,
-    close_views,
-    look,
-    posture_for,
+    ViewpointScanner,
+    closeup_viewpoints,
+    viewpoint_ik,
 )
 from perception.types import CameraIntrinsics, RgbdFrame
 from sim_assets.robots.panda_arm import arm_description
@@ -41,11 +41,13 @@ def test_without_roll_the_image_is_level_and_upright():
     assert T[2, 1] < 0  # image y points down
 
 
-@pytest.mark.parametrize("views", [SCAN_VIEWS, BOX_VIEWS, LINE_VIEWS, close_views((0.45, -0.3, 0.05))])
+@pytest.mark.parametrize(
+    "views", [SCAN_VIEWPOINTS, BOX_VIEWPOINTS, LINE_VIEWPOINTS, closeup_viewpoints((0.45, -0.3, 0.05))]
+)
 def test_the_scripted_views_are_within_reach(kinematics, views):
     q = np.array(kinematics.arm.q_home)
     for view in views:
-        found = posture_for(kinematics, view, q)
+        found = viewpoint_ik(kinematics, view, q)
         assert found is not None
         T = kinematics.forward(found, "camera")
         np.testing.assert_allclose(T[:3, 3], view.camera_pose()[:3, 3], atol=2e-4)
@@ -80,11 +82,11 @@ class Moving:
         return RgbdFrame(0.0, np.zeros((3, 4, 3), np.uint8), np.ones((3, 4)), camera)
 
 
-@pytest.mark.parametrize("views", [SCAN_VIEWS, BOX_VIEWS, LINE_VIEWS])
+@pytest.mark.parametrize("views", [SCAN_VIEWPOINTS, BOX_VIEWPOINTS, LINE_VIEWPOINTS])
 def test_no_look_leads_through_the_space_of_objects(kinematics, views):
     robot = Moving(kinematics.arm.q_home)
-    assert len(look(robot, kinematics, views)) == len(views)
-    world = CollisionWorld(robot.arm, [], (TABLE, *FILLED))
+    assert len(ViewpointScanner(robot, kinematics).capture(views)) == len(views)
+    world = CollisionWorld(robot.arm, [], (TABLE, *KEEP_OUT))
     assert all(world.path_contact(track[::10], 0.08) is None for track in robot.tracks)
 
 
@@ -92,7 +94,7 @@ def test_a_look_that_begins_among_objects_leaves_them_first(kinematics):
     low = kinematics.forward(np.array(kinematics.arm.q_home))
     low[:3, 3] = (0.45, -0.25, 0.2)
     robot = Moving(kinematics.inverse(low, kinematics.seeds_toward(low, 3)).q)
-    assert len(look(robot, kinematics, SCAN_VIEWS)) == len(SCAN_VIEWS)
+    assert len(ViewpointScanner(robot, kinematics).capture(SCAN_VIEWPOINTS)) == len(SCAN_VIEWPOINTS)
 
 
 class Still:
@@ -118,4 +120,4 @@ class Still:
 
 def test_looking_where_the_arm_cannot_go_is_an_error(kinematics):
     with pytest.raises(PlanningError, match="none of 2 viewpoints can be reached"):
-        look(Still(), kinematics, close_views((2.0, 0.0, 0.0)))
+        ViewpointScanner(Still(), kinematics).capture(closeup_viewpoints((2.0, 0.0, 0.0)))

@@ -7,7 +7,7 @@ from itertools import pairwise
 import numpy as np
 from jaxtyping import Float
 
-from perception.mesh_sections import radial_hits, section
+from perception.mesh_sections import cross_section, radial_hits
 from perception.types import TriangleMesh
 from sim_assets.objects.convex.pieces import breakpoints
 
@@ -31,7 +31,7 @@ def handle_pieces(
         z, outer: the body's radius towards the handle, by height [m].
     """
     vertices = mesh.vertices - np.array([*axis, 0.0])
-    segments = section(vertices[:, [0, 2, 1]], mesh.faces, 1e-6)  # in x and z
+    segments = cross_section(vertices[:, [0, 2, 1]], mesh.faces, 1e-6)  # in x and z
     beyond = vertices[vertices[:, 0] > np.interp(vertices[:, 2], z, outer) + 2e-3]
     if len(segments) == 0 or len(beyond) < 12:
         return []

@@ -16,7 +16,7 @@ import trimesh
 from jaxtyping import Bool, Float
 from scipy.spatial import ConvexHull
 
-from perception.mesh_sections import section
+from perception.mesh_sections import cross_section
 from perception.types import Category, TriangleMesh
 from sim_assets.objects.convex.perceived_handle import handle_pieces
 from sim_assets.objects.convex.pieces import CLEARANCE, breakpoints
@@ -96,7 +96,9 @@ def _slices(mesh: TriangleMesh) -> list[Piece]:
     """Hulls of what lies between heights: as high and wide as the mesh, without its hollows."""
     z = mesh.vertices[:, 2]
     heights = np.linspace(z.min(), z.max(), MOST_LEVELS + 2)
-    cuts = [section(mesh.vertices, mesh.faces, float(height)).reshape(-1, 2) for height in heights[1:-1]]
+    cuts = [
+        cross_section(mesh.vertices, mesh.faces, float(height)).reshape(-1, 2) for height in heights[1:-1]
+    ]
     rings = [np.column_stack([xy, np.full(len(xy), up)]) for xy, up in zip(cuts, heights[1:-1], strict=True)]
     edges = [np.zeros((0, 3)), *rings, np.zeros((0, 3))]
     between = [mesh.vertices[(z >= low) & (z <= high)] for low, high in pairwise(heights)]
@@ -167,7 +169,7 @@ def _radii(
     inner = np.full((len(z), len(azimuths)), np.nan)
     outer = inner.copy()
     for row, height in enumerate(z):
-        ends = section(mesh.vertices, mesh.faces, float(height)) - axis
+        ends = cross_section(mesh.vertices, mesh.faces, float(height)) - axis
         side, along = ends @ beside, ends @ outward  # (segments, 2, azimuths)
         crossed = (side[:, 0] >= 0) != (side[:, 1] >= 0)
         share = side[:, 0] / np.where(crossed, side[:, 0] - side[:, 1], 1.0)

@@ -5,7 +5,7 @@ from __future__ import annotations
 import numpy as np
 import pytest
 
-from manipulation.standing import stand
+from manipulation.standing import to_standing
 from manipulation.types import Box, Placement, TaskPlan
 from sim_assets.cell.world import World
 
@@ -42,6 +42,6 @@ def still_world() -> StillWorld:
 @pytest.fixture
 def pack_plan(can_at) -> TaskPlan:
     """Two cans, of which the first one is placed in the middle of the box."""
-    items = {estimate.name: stand(estimate) for estimate in (can_at(0), can_at(1, 0.5))}
+    items = {estimate.name: to_standing(estimate) for estimate in (can_at(0), can_at(1, 0.5))}
     placements = (Placement("can_0", (0.5, 0.27, 0.004), (0.0,)),)
     return TaskPlan("pack", items, placements, {"can_1": "too far"}, box=Box())

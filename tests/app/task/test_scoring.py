@@ -6,7 +6,7 @@ import numpy as np
 import pytest
 
 from app.task.scoring import Truth, match, oracle_estimates, score_reconstruction, score_task
-from manipulation.standing import stand
+from manipulation.standing import to_standing
 from manipulation.types import Line, ObjectOutcome, Placement, TaskPlan
 from perception.types import TriangleMesh
 from sim_assets.cell.scene import BoxConfig
@@ -93,7 +93,7 @@ def test_a_handle_on_the_wrong_side_has_no_recall(truth):
 
 
 def plan_for(estimates, left_out=None):
-    items = {estimate.name: stand(estimate) for estimate in estimates}
+    items = {estimate.name: to_standing(estimate) for estimate in estimates}
     placements = tuple(Placement(name, (0.5, 0.3, 0.0), (0.0,)) for name in items)
     return TaskPlan("pack", items, placements, left_out or {})
 

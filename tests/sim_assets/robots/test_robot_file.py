@@ -10,7 +10,7 @@ import pytest
 import trimesh
 
 import sim_assets.robots
-from manipulation.collision import CollisionWorld
+from manipulation.collision import CollisionWorld, Contact
 from manipulation.kinematics import Kinematics
 from manipulation.obstacles import TABLE
 from sim_assets.cell.scene import build_scene
@@ -146,7 +146,7 @@ def test_sites_given_by_body_and_pose_and_gripper_in_planning(meshed):
     np.testing.assert_allclose(T[:3, 2], ahead, atol=1e-6)
     world = CollisionWorld(robot.description, [], (TABLE,))
     assert world.contact(np.zeros(3), 0.1) is None
-    assert world.contact(np.array([0, 1.5, 0]), 0.1) == "arm meets table"
+    assert world.contact(np.array([0, 1.5, 0]), 0.1) == Contact("arm", "table")
 
 
 BAD = {
