@@ -24,10 +24,10 @@ from app.options import COMMANDS, CellOptions, CommonOptions
 from app.screen import Screen
 from perception.errors import install_hint
 
-DESCRIPTION = "A robot arm looks at a table, understands whole objects, and packs or sorts them."
+DESCRIPTION = "Object-level RGB-D SLAM for robot manipulation: reconstruct whole objects, pack or sort them."
 DONE, TASK_FAILED, BAD_INPUT, INTERRUPTED = 0, 1, 2, 130
 
-# Imported only when called, so that each command loads what it needs and no more.
+# Imported on use, so that each command loads only what it needs.
 HANDLERS = {
     "pack": "app.task.command",
     "sort": "app.task.command",
@@ -44,7 +44,7 @@ HANDLERS = {
     "doctor": "app.doctor",
 }
 
-# Which extra brings a library that not every command needs.
+# Optional extra that provides a library.
 _SIMULATOR = ("mujoco", "mjviser", "mink", "daqp", "ruckig", "coacd")
 EXTRA_OF = dict.fromkeys(_SIMULATOR, "sim") | {"tensorboard": "train", "transformers": "hf"}
 
@@ -66,7 +66,7 @@ def run(arguments: Sequence[str]) -> int:
         with _stdout_reserved(options.json):
             report = _handler(command)(options, screen)
     except KeyboardInterrupt:
-        return _complain("interrupted; what was finished is kept", INTERRUPTED)
+        return _complain("interrupted; finished results are kept", INTERRUPTED)
     except _input_errors() as error:
         return _complain(str(error))
     except ModuleNotFoundError as error:
@@ -80,11 +80,11 @@ def run(arguments: Sequence[str]) -> int:
 
 
 def parse(arguments: Sequence[str]) -> CommonOptions:
-    """The options of a command line.
+    """Parse a command line.
 
     Raises:
-        UsageError: it makes no sense; one line says why.
-        SystemExit: help was asked for and printed.
+        UsageError: The arguments are invalid; the message is one line.
+        SystemExit: Help was requested and printed.
     """
     kinds: list[Any] = [
         Annotated[kind, tyro.conf.subcommand(name, prefix_name=False)] for name, kind in COMMANDS.items()
@@ -102,10 +102,10 @@ def parse(arguments: Sequence[str]) -> CommonOptions:
 
 
 def check(options: CommonOptions) -> None:
-    """Refuse what makes no sense before anything heavy is loaded.
+    """Validate values before anything heavy is loaded.
 
     Raises:
-        UsageError: one line says why.
+        UsageError: A value is invalid; the message is one line.
     """
     if isinstance(options, CellOptions) and getattr(options, "what", None) != "reconstruction":
         from app.task.cell import check_options
@@ -118,7 +118,7 @@ def check(options: CommonOptions) -> None:
 
 
 def _one_line(boxed: str) -> str:
-    """The message inside tyro's framed error: above its first rule; in ASCII below the title's rule."""
+    """Return the message in tyro's framed error: above its first rule, or below the title's rule in ASCII."""
     lines = [re.sub(r"[│╭╮╰╯]", "", line).strip() for line in boxed.splitlines()]
     text = "\n".join(line for line in lines if line and not line.startswith("─ "))  # without the title
     above, *below = re.split("─+|-{5,}", text)
@@ -135,7 +135,7 @@ def _handler(command: str) -> Callable[[Any, Screen], Any]:
 
 
 def _input_errors() -> tuple[type[Exception], ...]:
-    """What counts as bad usage or input, of the packages that were loaded."""
+    """Return the exception types that mean invalid usage or input, of the packages loaded so far."""
     kinds: list[type[Exception]] = [AppError]
     for module, names in {
         "perception.errors": ("PerceptionError",),
@@ -154,7 +154,7 @@ def _complain(message: str, code: int = BAD_INPUT) -> int:
 
 @contextlib.contextmanager
 def _stdout_reserved(reserve: bool) -> Iterator[None]:
-    """Send everything that libraries print, native ones too, to standard error: the report stays alone."""
+    """Redirect the standard output of libraries, including native ones, to standard error."""
     if not reserve:
         yield
         return

@@ -1,4 +1,4 @@
-"""Pictures of what perception found: masks and reconstructed meshes drawn over camera images."""
+"""Drawings of perception results: masks and reconstructed meshes over camera images."""
 
 from __future__ import annotations
 
@@ -17,7 +17,7 @@ from perception.types import CATEGORIES, Category, ObjectDetection, ObjectEstima
 
 Image = UInt8[np.ndarray, "h w 3"]
 
-# Colours that stay apart for most eyes (Okabe and Ito), then lighter ones.
+# The colour-blind safe palette of Okabe and Ito (2008), then lighter colours.
 PALETTE = (
     (0, 158, 115), (230, 159, 0), (86, 180, 233), (213, 94, 0), (204, 121, 167),
     (0, 114, 178), (240, 228, 66), (148, 103, 189), (140, 200, 90), (220, 150, 150),
@@ -28,14 +28,14 @@ CLASS_COLORS: dict[Category, tuple[int, int, int]] = {
 _LIGHT = np.array([0.3, -0.5, 0.81])
 
 
-def color_of(number: int) -> tuple[int, int, int]:
-    """The colour of an object, the same in every picture of a run."""
-    return PALETTE[number % len(PALETTE)]
+def color_of(object_id: int) -> tuple[int, int, int]:
+    """Return the colour of an object by id, the same in every image of a run."""
+    return PALETTE[object_id % len(PALETTE)]
 
 
 @cache
 def font(size: int, bold: bool = False) -> PIL.ImageFont.FreeTypeFont:
-    """The font that comes with matplotlib, at a size in pixels."""
+    """Return the font that matplotlib ships, at a size in pixels."""
     import matplotlib
 
     name = "DejaVuSans-Bold.ttf" if bold else "DejaVuSans.ttf"
@@ -43,7 +43,7 @@ def font(size: int, bold: bool = False) -> PIL.ImageFont.FreeTypeFont:
 
 
 def draw_detections(frame: RgbdFrame, detections: Sequence[ObjectDetection], by_class: bool = False) -> Image:
-    """The image with each mask tinted and outlined in its object's colour, or its class's; named, scored."""
+    """Return the image with each mask tinted by object or class and labelled with its score."""
     image = np.array(frame.rgb)
     for order, found in enumerate(detections):
         color = color_of(found.instance_id if found.instance_id is not None else order)
@@ -63,7 +63,7 @@ def draw_detections(frame: RgbdFrame, detections: Sequence[ObjectDetection], by_
 def draw_estimates(
     frame: RgbdFrame, estimates: Sequence[ObjectEstimate], opacity: float = 0.85, labels: bool = True
 ) -> Image:
-    """The image with the reconstructed meshes, shaded, at their estimated poses."""
+    """Return the image with the shaded meshes at their estimated poses."""
     painted = np.array(frame.rgb)
     triangles, depths, colors = [], [], []
     for estimate in estimates:
@@ -87,7 +87,7 @@ def draw_estimates(
 def _visible_triangles(
     frame: RgbdFrame, estimate: ObjectEstimate
 ) -> tuple[Float[np.ndarray, "n 3 2"], Float[np.ndarray, "n"], Float[np.ndarray, "n"]]:
-    """Corners in pixels, depth in [m] and brightness 0..1 of the triangles that face the camera."""
+    """Return corners [px], depth [m] and brightness 0..1 of the triangles that face the camera."""
     assert frame.T_world_camera is not None
     mesh = estimate.mesh_world
     corners = mesh.vertices[mesh.faces]
@@ -122,7 +122,7 @@ def _label_estimate(image: Image, frame: RgbdFrame, estimate: ObjectEstimate) ->
 
 
 def _label(image: Image, text: str, at: tuple[int, int]) -> None:
-    """White text with a dark rim, its bottom centred at a pixel, kept inside the image."""
+    """Draw outlined text with its bottom centred at a pixel, kept inside the image."""
     picture = PIL.Image.fromarray(image)
     pen = PIL.ImageDraw.Draw(picture)
     letters = font(17, bold=True)

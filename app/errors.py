@@ -1,13 +1,13 @@
-"""Errors that the command line turns into one line and an exit code."""
+"""Errors that the command line reports as one line with exit code 2."""
 
 
 class AppError(Exception):
-    """Root of what app raises on purpose."""
+    """Base class of the errors that app raises."""
 
 
 class UsageError(AppError):
-    """The command line asks for something impossible; the message says what to give instead. Exit code 2."""
+    """The command line requests something impossible; the message names a valid alternative."""
 
 
 class MissingExtraError(AppError):
-    """A library of an optional extra is absent; the message says how to install it. Exit code 2."""
+    """A library of an optional extra is not installed; the message names the extra."""

@@ -1,4 +1,4 @@
-"""Films as they are made: a video to watch, and a small animation to put into a page."""
+"""Incrementally encoded videos: an MP4 file, and a small WebP animation for web pages."""
 
 from __future__ import annotations
 
@@ -12,15 +12,15 @@ from PIL import Image
 
 Picture = UInt8[np.ndarray, "_h _w 3"]
 
-ANIMATION_WIDTH, ANIMATION_QUALITY = 640, 70  # [px], of WebP: well below 1 MB for a packing episode
+ANIMATION_WIDTH, ANIMATION_QUALITY = 640, 70  # [px], of WebP: less than 1 MB for a packing episode
 ANIMATION_FPS = 6.0  # at most
-LONGEST = 20.0  # [s] of an animation; longer films are shown faster in it
+LONGEST = 20.0  # [s] of an animation; longer videos are sped up in it
 
 
 class MovieFile:
-    """Encodes images as they come; the file appears under its name when it is complete.
+    """Encodes images as they arrive; the file appears under its name when it is complete.
 
-    Beside it ``<name>.webp`` shows the same, smaller and with fewer images.
+    ``<name>.webp`` beside it has the same content, smaller and with fewer images.
     """
 
     def __init__(self, path: Path, fps: int) -> None:
@@ -38,7 +38,7 @@ class MovieFile:
         )  # fmt: skip
 
     def add(self, image: Picture) -> None:
-        """One more image, of the size of the others."""
+        """Append an image; all images have one size."""
         if self._count % max(1, round(self._fps / ANIMATION_FPS)) == 0:
             height = round(ANIMATION_WIDTH * image.shape[0] / image.shape[1])
             small = cv2.resize(image, (ANIMATION_WIDTH, height), interpolation=cv2.INTER_AREA)
@@ -48,24 +48,24 @@ class MovieFile:
         self._writer.append_data(image)
 
     def hold(self, seconds: float) -> None:
-        """Stand still."""
+        """Repeat the last image for a while."""
         for _ in range(round(seconds * self._fps) if self._last is not None else 0):
             self.add(self._last)  # pyright: ignore[reportArgumentType]
 
     def close(self) -> None:
-        """Finish the files."""
+        """Complete the files."""
         self._writer.close()
         self._partial.replace(self._path)
         if self._small:
             self._write_animation()
 
     def discard(self) -> None:
-        """Give up what was written."""
+        """Delete the incomplete files."""
         self._writer.close()
         self._partial.unlink(missing_ok=True)
 
     def _write_animation(self) -> None:
-        """WebP, which browsers and READMEs play without being asked."""
+        """Write the WebP animation."""
         seconds = min(self._count / self._fps, LONGEST)
         first, *others = self._small
         partial = self._path.with_name(f".{self._path.stem}.partial.webp")

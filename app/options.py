@@ -1,6 +1,6 @@
-"""What every command accepts: frozen records that the command line is made from.
+"""Options of every command: frozen dataclasses from which the command line is generated.
 
-Nothing heavy is imported here, so that ``--help`` and bad usage answer at once.
+This module imports nothing heavy, so that ``--help`` and usage errors are immediate.
 """
 
 from __future__ import annotations
@@ -25,81 +25,82 @@ SlamFault = Literal["none", "dropped", "dark", "flicker", "moved"]
 
 @dataclass(frozen=True, kw_only=True)
 class CommonOptions:
-    """What every command accepts."""
+    """Options of every command."""
 
     seed: int = 0
-    """Everything random derives from it."""
+    """Seed of all random numbers."""
     out: Annotated[
         Path | None, arg(metavar="DIR", help_behavior_hint="default: runs/<time>_<command>_seed<N>")
     ] = None
-    """Run folder to write."""
+    """Run folder to write to."""
     device: Device = "auto"
-    """Where networks and the optimiser run; auto takes CUDA where there is one."""
+    """Device for networks and optimisation; auto selects CUDA if available."""
     quiet: bool = False
-    """No progress and no tables."""
+    """Print neither progress nor tables."""
     json: bool = False
-    """Print the report, and nothing else, on standard output."""
+    """Print the report as JSON, and nothing else, on standard output."""
 
 
 @dataclass(frozen=True, kw_only=True)
 class CellOptions(CommonOptions):
-    """The simulated cell: what lies on its table, and how well its camera sees."""
+    """Options of the simulated cell: objects, arm, box and depth camera."""
 
     objects: Annotated[str, arg(metavar="N|CLASS=N,...")] = "6"
-    """How many objects, or how many of each class: mug=2,bowl=2,bottle=1,can=1."""
+    """Number of objects, or number per class: mug=2,bowl=2,bottle=1,can=1."""
     object_meshes: Annotated[
         Path | None, arg(metavar="DIR", help_behavior_hint="default: generated objects")
     ] = None
-    """Own objects: DIR/<class>/*.{ply,obj,glb,stl}, metric, z up."""
+    """Object meshes to use instead: DIR/<class>/*.{ply,obj,glb,stl}, in metres, z up."""
     robot: Annotated[str, arg(metavar="NAME|FILE.toml")] = "panda"
-    """The arm: panda, sixaxis, or the robot file of your own."""
+    """Robot arm: panda, sixaxis, or a robot file."""
     box: Annotated[str, arg(metavar="L,W,H")] = "0.34,0.30,0.08"
-    """Inner size of the box in metres."""
+    """Inner length, width and height of the box in metres."""
     depth_noise: DepthNoise = "gaussian"
-    """Depth camera: exact, 2 mm of noise, or noise growing with distance, holes and quantisation."""
+    """Depth noise: none; gaussian (standard deviation 2 mm); realsense (grows with distance, with holes and
+    quantisation)."""
 
 
 @dataclass(frozen=True, kw_only=True)
 class TaskOptions(CellOptions):
-    """What a task needs to know, run once or many times."""
+    """Options of an episode of a task."""
 
     shapes: Shapes = "nodeslam"
-    """Which reconstruction the planner gets; oracle hands it the true meshes and poses."""
+    """Object shapes for planning: learned prior, TSDF fusion, or true meshes and poses (oracle)."""
 
 
 @dataclass(frozen=True, kw_only=True)
 class ViewerOptions:
-    """Where the viewer listens."""
+    """Network address of the web viewer."""
 
     host: str = "127.0.0.1"
-    """The viewer's interface; whoever can reach another one than this machine's own may watch and click."""
+    """Network interface of the web viewer; whoever reaches it can operate the viewer."""
     port: Annotated[int | None, arg(help_behavior_hint="default: 8080 or the next free one")] = None
-    """The viewer's port; 0 takes any."""
+    """Port of the web viewer; 0 selects a free one."""
 
 
 @dataclass(frozen=True, kw_only=True)
 class RunTaskOptions(TaskOptions, ViewerOptions):
-    """What pack and sort accept."""
+    """Options of pack and sort."""
 
     view: bool = False
-    """Let the browser watch."""
+    """Show the run in the web viewer."""
     video: bool = False
     """Write video.mp4."""
 
 
 @dataclass(frozen=True, kw_only=True)
 class PackOptions(RunTaskOptions):
-    """Scan the table, reconstruct every object, pack them all into the box, and look again."""
+    """Scan the table, reconstruct all objects, pack them into the box, and verify the result."""
 
 
 @dataclass(frozen=True, kw_only=True)
 class SortOptions(RunTaskOptions):
-    """Scan the table, reconstruct every object, line them up by size, and look again."""
+    """Scan the table, reconstruct all objects, sort them by size along a line, and verify the result."""
 
 
 @dataclass(frozen=True, kw_only=True)
 class ScanOptions(CellOptions):
-    """Move the wrist camera around the table and write a scan folder."""
+    """Scan the table with the wrist camera and write a scan folder."""
 
     video: bool = False
     """Write video.mp4."""
@@ -107,139 +108,139 @@ class ScanOptions(CellOptions):
 
 @dataclass(frozen=True, kw_only=True)
 class ReconstructOptions(CommonOptions):
-    """Reconstruct the objects of a scan folder; needs no simulator."""
+    """Reconstruct the objects in a scan folder; requires no simulator."""
 
     scan: Positional[Path]
-    """Scan folder (BOP scene layout); its detections or masks are used where it has them."""
+    """Scan folder in BOP scene layout; its detections or masks are used if present."""
     detector: Annotated[str, arg(metavar="shipped|hf:MODEL")] = "shipped"
-    """Who finds objects where the folder does not tell: the shipped networks, or a Hugging Face model."""
+    """Detector for folders without detections: the shipped networks or a Hugging Face model."""
 
 
 @dataclass(frozen=True, kw_only=True)
 class ConvertOptions(CommonOptions):
-    """Turn a TUM RGB-D recording or NOCS-style frames into a scan folder."""
+    """Convert a TUM RGB-D recording or NOCS-style frames into a scan folder."""
 
     source: Positional[Path]
     """Folder of the recording."""
     images: int = 20
-    """How many images to take at most, evenly over the recording."""
+    """Maximum number of images, evenly spaced over the recording."""
     camera: Annotated[
         str | None, arg(metavar="FX,FY,CX,CY", help_behavior_hint="default: the data set's own")
     ] = None
-    """Focal lengths and principal point in pixels of an image 640 px wide."""
+    """Focal lengths and principal point, in pixels of an image of 640 px width."""
 
 
 @dataclass(frozen=True, kw_only=True)
 class ExportOptions(CommonOptions):
-    """Write the reconstructed scene of a run as meshes or as a simulation-ready model."""
+    """Export the reconstructed scene of a run as meshes or as a simulation-ready model."""
 
     run: Positional[Path]
-    """Run folder that pack, sort or reconstruct wrote."""
+    """Run folder of pack, sort or reconstruct."""
     format: Literal["glb", "mjcf", "urdf"] = "glb"
-    """glb: meshes to look at; mjcf, urdf: with mass, inertia and convex collision pieces."""
+    """glb: visual meshes; mjcf, urdf: with mass, inertia and convex collision geometry."""
 
 
 @dataclass(frozen=True, kw_only=True)
 class SlamOptions(CommonOptions):
-    """Map whole objects and track the camera through a sequence; needs no simulator."""
+    """Object-level SLAM: map whole objects and track the camera; requires no simulator."""
 
     sequence: Positional[Path]
-    """Scan folder (BOP scene layout; poses are ignored, but for the first) or TUM RGB-D recording."""
+    """Scan folder in BOP scene layout (all poses but the first are ignored) or TUM RGB-D recording."""
     objects_only: bool = False
-    """Track by objects alone, as the paper does; otherwise the support plane helps."""
+    """Track against objects alone, as in the paper; by default against the support plane as well."""
 
 
 @dataclass(frozen=True, kw_only=True)
 class ArOptions(CommonOptions):
-    """Drop simulated toys onto the reconstructed objects of a run, seen in its recorded images."""
+    """Augmented reality: drop simulated toys onto the reconstructed scene, in the recorded images."""
 
     run: Positional[Path]
-    """Run folder, or a scan folder with an object map (objects.json)."""
+    """Run folder, or scan folder with an object map (objects.json)."""
     drops: int = 16
-    """How many toys fall."""
+    """Number of toys."""
     seconds: float = 4.0
-    """How long the video lets them fall and roll."""
+    """Duration of the video in seconds."""
 
 
 @dataclass(frozen=True, kw_only=True)
 class TrainOptions(CommonOptions):
-    """Reproduce the shipped weights; the same command and --out again goes on after an interruption."""
+    """Train a network, by default as the shipped weights; the same command with the same --out resumes."""
 
     network: Positional[Literal["shape", "detector", "yaw"]]
-    """Which network."""
+    """Network to train."""
     epochs: Annotated[int | None, arg(help_behavior_hint="default: the shipped weights' schedule")] = None
-    """Train this long instead."""
+    """Number of epochs."""
     meshes: Annotated[
         Path | None, arg(metavar="DIR", help_behavior_hint="default: the training families; shape only")
     ] = None
-    """Own meshes to learn from: DIR/<synset>/<id>/models/model_normalized.obj or DIR/<class>/*.obj."""
+    """Training meshes: DIR/<synset>/<id>/models/model_normalized.obj (ShapeNet) or DIR/<class>/*.obj."""
     tensorboard: bool = False
-    """Write curves for TensorBoard into the run folder (extra: train; shape only)."""
+    """Write training curves for TensorBoard into the run folder (extra: train; shape only)."""
 
 
 @dataclass(frozen=True, kw_only=True)
 class EvaluateOptions(TaskOptions):
-    """Measure: task success over many episodes with seeds --seed, --seed + 1, ...; or reconstruction, by the
-    paper's protocol, of --objects alone on a table."""
+    """Evaluate detection, reconstruction, SLAM, or the success of a task over many episodes, with the seeds
+    --seed, --seed + 1, ..."""
 
     what: Positional[Literal["detection", "reconstruction", "slam", "tasks"]]
-    """What to evaluate."""
+    """Subject of the evaluation."""
     images: int = 500
-    """Detection: how many images."""
+    """Detection: number of images."""
     renderer: Renderer = "filament"
-    """Detection: which renderer draws them; filament is not the one that training images come from."""
+    """Detection: renderer of the images; training images come from the classic one."""
     views: tuple[int, ...] = (1, 2, 3)
-    """Reconstruction: from how many random views."""
+    """Reconstruction: numbers of random views to compare."""
     methods: tuple[Method, ...] = METHODS
-    """Reconstruction: which methods are compared."""
+    """Reconstruction: methods to compare."""
     scenes: int = 5
-    """SLAM: how many scenes of ten objects."""
+    """SLAM: number of scenes with ten objects each."""
     variants: tuple[Variant, ...] = VARIANTS
-    """SLAM: which versions of the system are compared."""
+    """SLAM: variants of the system to compare."""
     frames: int = 150
-    """SLAM: length of the sequences."""
+    """SLAM: number of frames per sequence."""
     short_runs: int = 0
-    """SLAM: instead of the scenes so many runs on other ones, every second one close up."""
+    """SLAM: number of short runs to evaluate in place of the scenes; every second one is a close-up."""
     faults: tuple[SlamFault, ...] = ("none",)
-    """SLAM, short runs: what goes wrong in them, in turn: frames missing, a second of black depth, masks
-    flickering, an object moved by hand."""
+    """SLAM, short runs: injected faults, in turn: dropped frames, one second without depth, flickering masks,
+    an object moved by hand."""
     task: Task = "pack"
-    """Which task."""
+    """Tasks: the task."""
     episodes: int = 20
-    """How many episodes."""
+    """Tasks: number of episodes."""
     workers: int = 1
-    """Processes, each with one thread."""
+    """Number of processes, with one thread each."""
     resume: bool = False
-    """Go on with the finished episodes of --out."""
+    """Continue an interrupted evaluation in --out."""
     ray: Annotated[str | None, arg(metavar="ADDRESS", help_behavior_hint="default: this machine")] = None
-    """Ray cluster to run on (extra: cluster)."""
+    """Address of a Ray cluster to run on (extra: cluster)."""
 
 
 @dataclass(frozen=True, kw_only=True)
 class BenchOptions(CommonOptions):
-    """How fast each part is, beside a reference timed in the same run."""
+    """Benchmark the speed of each component against a reference timed in the same run."""
 
     scan: Annotated[Path | None, arg(help_behavior_hint="default: six objects in the simulated cell")] = None
-    """Scan folder to work on."""
+    """Scan folder to use as input."""
     repeats: int = 5
-    """How often each part is timed at least; the dearest half as often."""
+    """Minimum number of timings per component; half as many for the slowest."""
 
 
 @dataclass(frozen=True, kw_only=True)
 class ViewOptions(TaskOptions, ViewerOptions):
-    """Watch in the browser: a run folder replayed, or, without one, scenes and runs as its buttons ask."""
+    """Web viewer: replay a run folder, or, without one, build scenes and run tasks interactively."""
 
     run: Annotated[Positional[Path | None], arg(metavar="[RUN]", help_behavior_hint="default: live")] = None
     """Run folder, or any folder with an object map or a scan."""
     task: Task = "pack"
-    """Live: which task to begin with."""
+    """Task that is selected initially."""
     html: Annotated[Path | None, arg(metavar="FILE", help_behavior_hint="default: serve")] = None
-    """Write the replay as one page that opens offline in any browser, and serve nothing."""
+    """Write the replay as one self-contained HTML page in place of serving it."""
 
 
 @dataclass(frozen=True, kw_only=True)
 class DoctorOptions(CommonOptions):
-    """What this machine has: OpenGL, CUDA, weights, versions; what to do about what is missing."""
+    """Check this machine: OpenGL, CUDA, weights and versions, with a remedy for whatever is missing."""
 
 
 COMMANDS: dict[str, type[CommonOptions]] = {

@@ -1,4 +1,4 @@
-"""What a person sees while a command runs: progress on standard error, results on standard output."""
+"""Terminal output of a command: progress on standard error, results on standard output."""
 
 from __future__ import annotations
 
@@ -15,7 +15,12 @@ from rich.status import Status
 
 @dataclass
 class Screen:
-    """Progress lines, tables and warnings; silent when quiet."""
+    """Progress, notes and tables.
+
+    Attributes:
+        quiet: Whether to print nothing.
+        json: Whether standard output is reserved for the report.
+    """
 
     quiet: bool = False
     json: bool = False
@@ -26,7 +31,7 @@ class Screen:
 
     @contextmanager
     def stage(self, title: str) -> Iterator[None]:
-        """Show a stage with a spinner while it runs, and how long it took afterwards."""
+        """Show a spinner while a stage runs, then its wall time."""
         if self.quiet:
             yield
             return
@@ -40,16 +45,16 @@ class Screen:
         )
 
     def update(self, detail: str) -> None:
-        """How far the present stage has come."""
+        """Show the progress of the current stage."""
         if self._status is not None:
             self._status.update(f"{escape(self._title)} ... {escape(detail)}")
 
     def note(self, text: str) -> None:
-        """One line of progress."""
+        """Print one line of progress."""
         if not self.quiet:
             self._progress.print(f"  {escape(text)}", style="dim")
 
     def show(self, renderable: Any) -> None:
-        """A table or a line of results."""
+        """Print a table or a line of results."""
         if not self.quiet:
             self._results.print(renderable)

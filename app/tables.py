@@ -1,4 +1,4 @@
-"""Tables for people."""
+"""Result tables for the terminal."""
 
 from __future__ import annotations
 
@@ -11,7 +11,7 @@ from app.runs.report import ObjectReport, Report
 
 
 def object_table(report: Report) -> Table:
-    """What became of each object, and how long it took."""
+    """Return the outcome of each object, and the times of the episode in the title."""
     seconds = report.timings.get("total", 0.0)
     simulated = report.metrics.get("simulated_seconds")
     robot = f", {simulated:.0f} s of robot time" if simulated else ""
@@ -27,7 +27,7 @@ def object_table(report: Report) -> Table:
         "tilt": "right",
         "grasps": "right",
         "reconstruction": "right",
-        "why not": "left",
+        "reason": "left",
     }.items():
         table.add_column(heading, justify=justify, overflow="fold")  # pyright: ignore[reportArgumentType]
     accuracy = {row.get("id"): row.get("accuracy") for row in report.metrics.get("reconstruction", ())}
@@ -38,7 +38,7 @@ def object_table(report: Report) -> Table:
 
 def _row(entry: ObjectReport, accuracy: float | None) -> tuple[str, ...]:
     mark = "[green]✓[/green]" if entry.placed else "[red]✗[/red]"
-    name = f"{entry.category} {entry.id}" if entry.id >= 0 else f"{entry.category} (unseen)"
+    name = f"{entry.category} {entry.id}" if entry.id >= 0 else f"{entry.category} (not perceived)"
     return (
         mark,
         name,
@@ -55,7 +55,7 @@ def _millimetres(length: float | None, digits: int = 0) -> str:
 
 
 def evaluation_table(report: Report) -> Group:
-    """Rates by class with their intervals, then what went wrong and how often."""
+    """Return success rates with confidence intervals by class, and the counts of failure reasons."""
     metrics = report.metrics
     rates = Table(title=f"{report.reason}", title_justify="left", show_edge=False, pad_edge=False)
     for heading in ("", "rate", "95 % interval", "of"):
@@ -70,9 +70,9 @@ def evaluation_table(report: Report) -> Group:
         rows[f"  {name}"] = (entry["success_rate"], entry["success_rate_ci"], entry["n_objects"])
     for name, (rate, (low, high), count) in rows.items():
         rates.add_row(name, f"{100 * rate:.0f} %", f"{100 * low:.0f} to {100 * high:.0f} %", str(count))
-    reasons = Table(title="what went wrong", title_justify="left", show_edge=False, pad_edge=False)
-    reasons.add_column("times", justify="right")
-    reasons.add_column("why", overflow="fold")
+    reasons = Table(title="failures", title_justify="left", show_edge=False, pad_edge=False)
+    reasons.add_column("count", justify="right")
+    reasons.add_column("reason", overflow="fold")
     for reason, count in metrics["failures"].items():
         reasons.add_row(str(count), escape(reason))
     return Group(rates, "", reasons) if metrics["failures"] else Group(rates)

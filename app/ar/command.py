@@ -1,7 +1,7 @@
 """``nodeslam ar RUN``: few-shot augmented reality, the paper's application of complete shapes.
 
-Reconstructed objects become static bodies in a physics simulation; toys are dropped over them and are seen in
-the recorded images: hidden by what stands before them, casting shadows where they come to rest.
+Reconstructed objects become static bodies in a physics simulation; toys are dropped over them and composited
+into the recorded images with occlusion and shadows.
 """
 
 from __future__ import annotations
@@ -45,13 +45,13 @@ STILL = 0.01  # [m/s] at which a toy counts as lying
 
 @dataclass(frozen=True)
 class Stage:
-    """Everything that the show needs.
+    """Simulation and recorded images.
 
     Attributes:
-        world: where toys fall.
-        objects: what they fall onto.
-        frames: the recorded images.
-        chosen: which of them the video shows, side by side; none for a moving camera's, which it plays.
+        world: Physics simulation of the toys.
+        objects: Reconstructed objects.
+        frames: Recorded images.
+        chosen: Indices of the images that the video shows side by side; empty for a sequence, which it plays.
     """
 
     world: DropWorld
@@ -61,11 +61,11 @@ class Stage:
 
 
 def run(options: ArOptions, screen: Screen) -> Report:
-    """Drop toys onto a finished run and write video and pictures."""
+    """Drop toys onto the scene of a finished run; write a video and pictures."""
     begin = time.perf_counter()
     source = read_run(options.run)
     if not source.frames:
-        raise UsageError(f"{options.run} has no images (scan/): nothing to draw into")
+        raise UsageError(f"{options.run} has no images (scan/): the toys are drawn into recorded images")
     folder = RunFolder.create(options, "ar")
     with screen.stage("Building the scene"):
         stage = build_stage(source, options)
@@ -92,7 +92,7 @@ def run(options: ArOptions, screen: Screen) -> Report:
 
 
 def build_stage(source: FinishedRun, options: ArOptions) -> Stage:
-    """Static bodies, clutter, toys and cameras; after SLAM the images that the camera took on its way."""
+    """Build the simulation; its cameras are the recorded views, or those of the sequence for a SLAM run."""
     frames = tracked_frames(source.path, options.seconds) or source.frames
     T_world_support = support_frame(source.objects, source.plane)
     bodies = [measure(o.mesh, o.category, _axis(o)) for o in source.objects]
@@ -130,7 +130,7 @@ def _view(frame: RgbdFrame) -> View:
 
 
 def _film(stage: Stage, options: ArOptions, folder: RunFolder, screen: Screen) -> None:
-    """Let time pass, drawing the chosen views, and keep pictures of how it ends."""
+    """Simulate, write the video of the chosen views, and store pictures of the final state."""
     backdrops = {i: _backdrop(stage, i) for i in stage.chosen}
     count = round(options.seconds * FPS)
     movie = MovieFile(folder.path / "video.mp4", FPS)
@@ -157,7 +157,7 @@ def _backdrop(stage: Stage, index: int) -> Backdrop:
 
 
 def _pictures(stage: Stage, folder: RunFolder, chosen: Sequence[int]) -> None:
-    """How it ended, in up to PICTURES views; ``overview.png`` shows the best ones before and after."""
+    """Write the final state in up to PICTURES views, and ``overview.png`` with the chosen views."""
     spread = np.unique(np.linspace(0, len(stage.frames) - 1, PICTURES).round().astype(int))
     rows: list[Image] = []
     for index in sorted({int(i) for i in spread} | set(chosen)):
@@ -171,19 +171,19 @@ def _pictures(stage: Stage, folder: RunFolder, chosen: Sequence[int]) -> None:
 
 
 def is_sequence(frames: Sequence[RgbdFrame]) -> bool:
-    """Whether the images are a moving camera's, to be played rather than looked at one by one."""
+    """Return whether the images are a sequence of a moving camera rather than single views."""
     times = np.array([frame.time for frame in frames])
     return len(frames) >= SEQUENCE and float(np.median(np.diff(times))) <= SEQUENCE_PERIOD
 
 
 def _frame_at(frames: Sequence[RgbdFrame], time: float) -> int:
-    """The image that was taken this long after the first; the last one thereafter."""
+    """Return the index of the image at a time in seconds after the first one, at most the last one."""
     times = np.array([frame.time for frame in frames]) - frames[0].time
     return int(np.clip(np.searchsorted(times, time, side="right") - 1, 0, len(frames) - 1))
 
 
 def best_views(stage: Stage, up: Float[np.ndarray, "3"]) -> list[int]:
-    """Views in the order of how much they show: objects in the picture, and seen from the side."""
+    """Rank the views by the share of the objects inside the image and the elevation of the camera."""
     points = np.concatenate([estimate.mesh_world.vertices[::7] for estimate in stage.objects])
     scores = []
     for frame in stage.frames:

@@ -1,8 +1,8 @@
-"""Simulated things put into recorded images: what is in front of what, shadows, soft edges.
+"""Composites simulated objects into recorded images, with occlusion, shadows and soft edges.
 
-Differential rendering: the same white world is rendered with and without the toys; where the two differ, the
-toys cast a shadow, and the recorded image is darkened by that ratio. A toy's pixel is shown where the toy is
-nearer than every reconstruction, which the renderer sees to, and nearer than the depth measured there.
+Differential rendering (Debevec, 1998): a white scene is rendered with and without the toys; the ratio of the
+two images is their shadow, which darkens the recorded image. A toy is visible where it is nearer than every
+reconstruction (decided by the renderer) and nearer than the measured depth.
 """
 
 from __future__ import annotations
@@ -18,20 +18,20 @@ from sim_assets.cell.drop_world import Rendering
 
 Image = UInt8[np.ndarray, "_h _w 3"]
 
-TOLERANCE = 0.004  # [m] that a toy may lie behind the measured depth: noise, and it touches what was measured
+TOLERANCE = 0.004  # [m] that a visible toy may lie behind the measured depth: noise and contact
 SHADOW_BLUR = 2.2  # [px]
-DARKEST = 0.45  # a shadow leaves this much light
-EDGE = 0.7  # [px] over which a toy's border fades
+DARKEST = 0.45  # smallest share of light in a shadow
+EDGE = 0.7  # [px] of blur of the border of a toy
 
 
 @dataclass(frozen=True)
 class Backdrop:
-    """What stays the same in a view while toys fall.
+    """Static part of a view.
 
     Attributes:
-        frame: the recorded image.
-        bare: the white world without toys.
-        measured: the recorded depth, its speckle removed [m]; 0 where nothing was measured.
+        frame: Recorded image.
+        bare: Rendering of the white scene without toys.
+        measured: Median-filtered depth in metres; 0 without a measurement.
     """
 
     frame: RgbdFrame
@@ -44,7 +44,7 @@ class Backdrop:
 
 
 def composite(backdrop: Backdrop, now: Rendering) -> Image:
-    """The recorded image with the toys in it."""
+    """Return the recorded image with the toys."""
     shown = visible_toys(backdrop, now)
     shadow = shadow_of(backdrop, now)
     image = backdrop.frame.rgb.astype(np.float32) * shadow[..., None]
@@ -54,13 +54,13 @@ def composite(backdrop: Backdrop, now: Rendering) -> Image:
 
 
 def visible_toys(backdrop: Backdrop, now: Rendering) -> Bool[np.ndarray, "h w"]:
-    """Where a toy is nearer than reconstructions and measured depth."""
+    """Return the mask of the toys without the pixels that measured surfaces occlude."""
     hidden = (backdrop.measured > 0) & (now.depth > backdrop.measured + TOLERANCE)
     return now.toys & ~hidden
 
 
 def shadow_of(backdrop: Backdrop, now: Rendering) -> Float[np.ndarray, "h w"]:
-    """The share of light, DARKEST to 1, that the toys leave to what they stand on or before."""
+    """Return the share of light, DARKEST to 1, that reaches each pixel past the toys."""
     before = backdrop.bare.color.astype(np.float32).mean(axis=-1)
     after = now.color.astype(np.float32).mean(axis=-1)
     known = (~cv2.dilate(now.toys.astype(np.uint8), np.ones((3, 3), np.uint8)).astype(bool)).astype(
@@ -73,7 +73,7 @@ def shadow_of(backdrop: Backdrop, now: Rendering) -> Float[np.ndarray, "h w"]:
 
 
 def _bled(color: Image, toys: Bool[np.ndarray, "h w"]) -> Float[np.ndarray, "h w 3"]:
-    """The toys' colours carried over their antialiased borders, which are half white."""
+    """Extend the toys' colours over their antialiased borders, which are half white."""
     inner = cv2.erode(toys.astype(np.uint8), np.ones((3, 3), np.uint8)).astype(np.float32)
     weight = cv2.GaussianBlur(inner, (0, 0), 1.2)
     spread = cv2.GaussianBlur(color.astype(np.float32) * inner[..., None], (0, 0), 1.2)

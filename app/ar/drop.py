@@ -1,4 +1,4 @@
-"""What is dropped where: a ball into everything hollow, one onto everything closed, a rain over the scene."""
+"""Initial positions of the toys: one above each object, the others distributed over the scene."""
 
 from __future__ import annotations
 
@@ -12,11 +12,11 @@ from perception.types import ObjectEstimate
 from sim_assets.cell.drop_world import Toy, ToyKind
 from sim_assets.objects.convex.perceived_mesh import PolarBody
 
-DROP_HEIGHT = 0.10  # [m] above what lies below
-FIRST, EVERY = 0.15, 0.11  # [s] when the first toy falls, and the others after it
-BALL = 0.013  # [m] radius of a ball where there is room
-SNUG = 0.42  # of a cavity's radius: what falls in has room to roll
-LEAST_BALL = 0.005
+DROP_HEIGHT = 0.10  # [m] above the surface beneath
+FIRST, EVERY = 0.15, 0.11  # [s]: time of the first drop, interval of the others
+BALL = 0.013  # [m] radius of a ball
+SNUG = 0.42  # largest radius of a ball as a share of the opening, so that it can roll inside
+LEAST_BALL = 0.005  # [m] smallest radius of a ball
 RAIN_KINDS: tuple[ToyKind, ...] = ("ball", "die", "ball", "pill")
 
 
@@ -27,7 +27,7 @@ def plan_drops(
     count: int,
     rng: np.random.Generator,
 ) -> list[Toy]:
-    """Toys in the order in which they fall: first one for each object, then rain between and over them."""
+    """Return the toys in order of release: one above each object first, then random ones around them."""
     order = rng.permutation(len(objects))
     toys = [_onto(objects[i], bodies[i], up, rng) for i in order][:count]
     toys += _rain(objects, up, count - len(toys), rng)
@@ -38,7 +38,7 @@ def plan_drops(
 
 
 def rim_radius(body: PolarBody) -> float:
-    """Radius of the opening at the top [m]; 0 where there is none."""
+    """Return the radius of the opening at the top in metres; 0 for a closed body."""
     if body.floor >= len(body.z) - 1:
         return 0.0
     return float(body.inner[body.floor + 1 :].mean(axis=1)[-3:].min())
@@ -47,7 +47,7 @@ def rim_radius(body: PolarBody) -> float:
 def _onto(
     estimate: ObjectEstimate, body: PolarBody, up: np.ndarray, rng: np.random.Generator
 ) -> tuple[ToyKind, float, np.ndarray]:
-    """A ball above the middle of an opening, or a little beside the middle of a closed top."""
+    """Return a ball above the opening of a body, or beside the centre of a closed top."""
     opening = rim_radius(body)
     deep = body.z[-1] - body.z[body.floor] > 0.3 * np.ptp(body.z)
     size = max(min(BALL, SNUG * opening), LEAST_BALL) if deep else BALL
@@ -61,7 +61,7 @@ def _onto(
 def _rain(
     objects: Sequence[ObjectEstimate], up: np.ndarray, count: int, rng: np.random.Generator
 ) -> list[tuple[ToyKind, float, np.ndarray]]:
-    """Toys near random objects, high enough to clear them all."""
+    """Return toys around random objects, above the tallest one."""
     toys: list[tuple[ToyKind, float, np.ndarray]] = []
     tallest = max(float((estimate.mesh_world.vertices @ up).max()) for estimate in objects)
     for index in range(max(count, 0)):
@@ -75,5 +75,5 @@ def _rain(
 
 
 def _color(index: int, rng: np.random.Generator) -> tuple[float, float, float]:
-    """Bright colours that differ from one toy to the next."""
+    """Return a saturated colour that differs from that of the previous toy."""
     return colorsys.hsv_to_rgb((0.02 + 0.382 * index) % 1.0, float(rng.uniform(0.75, 0.95)), 0.95)

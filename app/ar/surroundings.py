@@ -1,4 +1,4 @@
-"""What else stands on the support, as a height field from measured depth: toys must not roll through it."""
+"""Height field of everything on the support that is not reconstructed, from measured depth."""
 
 from __future__ import annotations
 
@@ -15,13 +15,13 @@ from sim_assets.cell.drop_world import HeightField
 
 CELL = 0.008  # [m]
 REACH = 0.35  # [m] around the objects
-LOWEST, HIGHEST = 0.012, 0.35  # [m] above the support: less is noise, more is no obstacle to toys
-APART = 0.02  # [m] around reconstructed objects, whose own shapes count there
-LEAST_POINTS = 3  # in a cell
+LOWEST, HIGHEST = 0.012, 0.35  # [m] above the support: noise below, no obstacle to toys above
+APART = 0.02  # [m] around reconstructed objects, which have collision shapes of their own
+LEAST_POINTS = 3  # per cell
 
 
 def support_frame(objects: Sequence[ObjectEstimate], plane: SupportPlane) -> Float[np.ndarray, "4 4"]:
-    """A frame on the support in the middle of the objects, z along its normal."""
+    """Return T_world_support: origin on the support below the centroid of the objects, z along its normal."""
     middle = np.mean([estimate.T_world_object[:3, 3] for estimate in objects], axis=0)
     T = np.eye(4)
     T[:3, :3] = upright(plane.normal)
@@ -32,7 +32,7 @@ def support_frame(objects: Sequence[ObjectEstimate], plane: SupportPlane) -> Flo
 def clutter(
     frames: Sequence[RgbdFrame], objects: Sequence[ObjectEstimate], T_world_support: Float[np.ndarray, "4 4"]
 ) -> HeightField:
-    """Heights of everything measured around the objects that is no reconstructed object."""
+    """Return the heights of the measured surfaces around the objects, without the objects."""
     T_support_world = np.linalg.inv(T_world_support)
     footprints = [
         (T_support_world[:3, :3] @ estimate.mesh_world.vertices.T).T[:, :2] + T_support_world[:2, 3]
@@ -54,7 +54,7 @@ def clutter(
 
 
 def _heights(frame: RgbdFrame, T_support_world: np.ndarray, count: int) -> Float[np.ndarray, "c c"]:
-    """Mean height in each cell of one frame's points that stand out of the support."""
+    """Return the mean height of a frame's points above the support in each cell."""
     depth = cv2.medianBlur(np.ascontiguousarray(frame.depth), 5)
     points = points_of(frame, depth > 0, depth)
     local = points @ T_support_world[:3, :3].T + T_support_world[:3, 3]

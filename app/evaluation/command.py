@@ -1,4 +1,4 @@
-"""``nodeslam evaluate``: what to measure decides who does it."""
+"""``nodeslam evaluate``: dispatch to the evaluation of the chosen subject."""
 
 from __future__ import annotations
 
@@ -10,5 +10,5 @@ from app.screen import Screen
 
 
 def run(options: EvaluateOptions, screen: Screen) -> Report:
-    """Hand over to the evaluation that was asked for; only its modules are loaded."""
+    """Run the chosen evaluation; no module of the others is imported."""
     return importlib.import_module(f"app.evaluation.{options.what}").run(options, screen)

@@ -1,7 +1,7 @@
-"""What evaluations have in common: independent pieces of work, each a line of results on disk as it ends.
+"""Resumable evaluations: independent jobs, each of which appends one line of results when it finishes.
 
-An interrupted evaluation goes on with ``--resume`` where it stopped. Work runs in processes of one thread
-each, here or on a Ray cluster.
+An interrupted evaluation continues with ``--resume``. Jobs run in single-threaded processes, on this machine
+or on a Ray cluster.
 """
 
 from __future__ import annotations
@@ -30,12 +30,12 @@ Item = TypeVar("Item")
 
 @dataclass(frozen=True)
 class Ledger:
-    """Finished lines of an evaluation: a file of its run folder, one JSON object a line.
+    """Results of finished jobs: a file in the run folder with one JSON object per line.
 
     Attributes:
-        folder: the run folder.
-        path: the file.
-        key: entry of a line that names its piece of work.
+        folder: Run folder.
+        path: File.
+        key: Entry of a line that identifies its job.
     """
 
     folder: RunFolder
@@ -46,10 +46,10 @@ class Ledger:
     def open(
         options: EvaluateOptions, command: str, file: str, key: str, settings: Mapping[str, Any]
     ) -> tuple[Ledger, dict[Hashable, Line]]:
-        """The ledger and its finished lines by key; a fresh one without ``--resume``.
+        """Open the ledger; return it with its finished lines by key. Without ``--resume`` it is empty.
 
         Raises:
-            UsageError: there is nothing to resume, or it was made with other settings.
+            UsageError: There is nothing to resume, or it has other settings.
         """
         if not options.resume:
             folder = RunFolder.create(options, command)
@@ -57,10 +57,10 @@ class Ledger:
             write_json(folder.path / SETTINGS, settings)
             return Ledger(folder, folder.path / file, key), {}
         if options.out is None:
-            raise UsageError("--resume needs --out with the folder to go on in")
+            raise UsageError("--resume needs --out with the folder to continue in")
         kept = read_json(options.out / SETTINGS, "give the --out of the evaluation to be resumed")
         old = kept if isinstance(kept, dict) else {}
-        # Options that came later had their default.
+        # Options that a stored evaluation lacks had their defaults.
         before = {name: str(getattr(EvaluateOptions, name, None)) for name in settings} | old
         different = sorted(name for name in settings if before[name] != settings[name])
         if different:
@@ -69,13 +69,14 @@ class Ledger:
         return ledger, ledger.read()
 
     def append(self, line: Line) -> None:
+        """Append a line and flush it to disk."""
         with self.path.open("a", encoding="utf-8") as file:
             file.write(json.dumps(line) + "\n")
             file.flush()
             os.fsync(file.fileno())
 
     def read(self) -> dict[Hashable, Line]:
-        """Finished lines by key; one cut short by an interruption is dropped, its work done again."""
+        """Read the finished lines by key; a truncated line is dropped, so that its job is repeated."""
         lines: dict[Hashable, Line] = {}
         if not self.path.exists():
             return lines
@@ -92,7 +93,7 @@ class Ledger:
 
 
 def spread(work: Callable[[Item], Line], items: Sequence[Item], options: EvaluateOptions) -> Iterator[Line]:
-    """Results in the order in which they come."""
+    """Run jobs and yield their results in order of completion."""
     if options.ray is not None:
         yield from _on_ray(work, items, options.ray)
     elif options.workers == 1:
@@ -102,7 +103,7 @@ def spread(work: Callable[[Item], Line], items: Sequence[Item], options: Evaluat
 
 
 def resident_memory() -> int | None:
-    """What this process holds in memory [bytes]; None where the system does not say (it is not Linux)."""
+    """Return the resident memory of this process in bytes; None on systems other than Linux."""
     try:
         pages = int(Path("/proc/self/statm").read_text(encoding="ascii").split()[1])
     except OSError:
@@ -111,7 +112,9 @@ def resident_memory() -> int | None:
 
 
 def _in_processes(work: Callable[[Item], Line], items: Sequence[Item], workers: int) -> Iterator[Line]:
-    os.environ.update(dict.fromkeys(THREAD_POOLS, "1"))  # inherited: pools of several processes fight
+    os.environ.update(
+        dict.fromkeys(THREAD_POOLS, "1")
+    )  # inherited by the workers: their thread pools would compete
     context = multiprocessing.get_context("spawn")  # a GL context does not survive a fork
     with ProcessPoolExecutor(workers, mp_context=context, initializer=_single_threaded) as pool:
         jobs = [pool.submit(work, item) for item in items]

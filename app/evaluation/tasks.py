@@ -1,4 +1,4 @@
-"""``nodeslam evaluate tasks``: success over many episodes, with its interval and the reasons of failures.
+"""``nodeslam evaluate tasks``: success rates over many episodes, and failure reasons.
 
 Each finished episode is one line of ``episodes.jsonl``.
 """
@@ -23,7 +23,7 @@ EPISODES = "episodes.jsonl"
 
 
 def run(options: EvaluateOptions, screen: Screen) -> Report:
-    """Run the episodes that are still to be run, and report on all."""
+    """Run the episodes that are not finished yet, and report on all."""
     begin = time.perf_counter()
     ledger, finished = Ledger.open(options, "evaluate-tasks", EPISODES, "seed", _settings(options))
     folder = ledger.folder
@@ -46,7 +46,7 @@ def run(options: EvaluateOptions, screen: Screen) -> Report:
 
 
 def run_seed(options: EvaluateOptions, seed: int) -> dict[str, Any]:
-    """One episode, as a line of the results; what breaks is its reason, not the end of the evaluation."""
+    """Run one episode and return its line of the results; an exception becomes the reason of its failure."""
     from app.task.cell import build_world
     from app.task.episode import run_episode
 
@@ -61,21 +61,21 @@ def run_seed(options: EvaluateOptions, seed: int) -> dict[str, Any]:
             }
     except (UsageError, MissingExtraError):
         raise
-    except Exception as error:  # a crash of one episode is a result, too
+    except Exception as error:  # a crash is a result of the episode
         line |= {"success": False, "reason": f"crashed: {type(error).__name__}: {error}", "objects": []}
     return line | {"wall_seconds": time.perf_counter() - begin}
 
 
 @cache
 def _perception(device: Any) -> Any:
-    """Networks, loaded once in each process."""
+    """Load the networks, once per process."""
     from perception.pipeline import load_perception
 
     return load_perception(device)
 
 
 def _settings(options: EvaluateOptions) -> dict[str, Any]:
-    """What has to be the same in a resumed evaluation."""
+    """Return the options that a resumed evaluation must share."""
     names = ("task", "objects", "object_meshes", "robot", "box", "depth_noise", "shapes", "device")
     return {name: str(getattr(options, name)) for name in names}
 

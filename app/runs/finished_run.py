@@ -1,4 +1,4 @@
-"""What a finished run left behind, read back: the object map, and the images it was made from."""
+"""Reading a finished run: its object map and the images it was made from."""
 
 from __future__ import annotations
 
@@ -23,13 +23,13 @@ SAME_TIME = 1e-4  # [s]: trajectories are written to the microsecond
 
 @dataclass(frozen=True)
 class FinishedRun:
-    """A run folder's object map with its support.
+    """Object map of a run folder with its support plane and images.
 
     Attributes:
-        path: the folder.
-        objects: the object map, at least one object.
-        plane: what the objects stand on, in the world frame.
-        frames: the recorded images with their poses; empty where there are none.
+        path: Folder.
+        objects: Object map, with at least one object.
+        plane: Support plane of the objects in the world frame.
+        frames: Recorded images with their camera poses; empty if there are none.
     """
 
     path: Path
@@ -39,11 +39,11 @@ class FinishedRun:
 
 
 def read_run(path: Path) -> FinishedRun:
-    """The folder that pack, sort, reconstruct or slam wrote, or a scan folder with an ``objects.json``.
+    """Read a run folder of pack, sort, reconstruct or slam, or a scan folder with an ``objects.json``.
 
     Raises:
-        UsageError: no folder, or its object map is empty.
-        InvalidInputError: its object map is missing or malformed.
+        UsageError: The path is no folder, or its object map is empty.
+        InvalidInputError: The object map is missing or malformed.
     """
     if not path.is_dir():
         raise UsageError(f"{path} is not a folder: give the run folder that pack, sort or reconstruct wrote")
@@ -56,15 +56,15 @@ def read_run(path: Path) -> FinishedRun:
 
 
 def posed_frames(scan: Scan) -> tuple[RgbdFrame, ...]:
-    """The images whose camera pose is known; where none is, the first camera is the world."""
+    """Return the images with a known camera pose; if there are none, the first one, as the world frame."""
     posed = tuple(frame for frame in scan.frames if frame.T_world_camera is not None)
     return posed or (replace(scan.frames[0], T_world_camera=np.eye(4)),)
 
 
 def tracked_frames(path: Path, seconds: float) -> tuple[RgbdFrame, ...]:
-    """The first ``seconds`` of what a SLAM run followed, with the poses that it found.
+    """Return the images of the first ``seconds`` of a SLAM run with their estimated camera poses.
 
-    None where the folder is of another command, or the sequence is no longer where it was.
+    The result is empty for a run of another command, or if the sequence cannot be found any more.
 
     Raises:
         InvalidInputError: ``trajectory.txt`` or ``report.json`` is malformed.
@@ -92,12 +92,12 @@ def tracked_frames(path: Path, seconds: float) -> tuple[RgbdFrame, ...]:
 
 
 def support_of(objects: Sequence[ObjectEstimate], frames: Sequence[RgbdFrame]) -> SupportPlane:
-    """The plane in the images where there are some, else the one under the objects."""
+    """Fit the support plane to the images; without images, to the bases of the objects."""
     if frames:
         try:
             return fit_support_plane(frames)
         except PerceptionError:
-            pass  # mostly objects in view: they say it as well
+            pass  # too little of the plane is visible: use the objects
     up = np.mean([estimate.T_world_object[:3, 2] for estimate in objects], axis=0)
     up /= np.linalg.norm(up)
     bases = [float((estimate.mesh_world.vertices @ up).min()) for estimate in objects]

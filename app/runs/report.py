@@ -1,4 +1,4 @@
-"""The report of a run: what happened, how long it took, and why something failed."""
+"""Report of a run: outcome, timings, and reasons of failures."""
 
 from __future__ import annotations
 
@@ -13,7 +13,7 @@ import numpy as np
 
 
 def package_version() -> str:
-    """The installed version of this package."""
+    """Return the installed version of this package."""
     try:
         return version("nodeslam")
     except PackageNotFoundError:
@@ -22,17 +22,17 @@ def package_version() -> str:
 
 @dataclass(frozen=True)
 class ObjectReport:
-    """What became of one object.
+    """Outcome of one object.
 
     Attributes:
-        id: its id in the object map, or, with a minus, of an object on the table that was never seen.
-        category: its class, as perceived where it was perceived.
-        placed: whether it stands where the task wants it; None where that was not judged.
-        error_position: horizontal distance in [m] from where the plan wanted it.
-        error_tilt: angle in [rad] between its axis and the vertical.
-        attempts: grasps tried.
-        reason: why not, in one line; empty where placed.
-        details: more figures, by name.
+        id: Id in the object map; negative for an object that was not perceived.
+        category: True class.
+        placed: Whether the success criteria hold; None if they were not evaluated.
+        error_position: Horizontal distance from the planned position, in metres.
+        error_tilt: Angle between the object's axis and the vertical, in radians.
+        attempts: Number of grasp attempts.
+        reason: Reason of the failure in one line; empty if placed.
+        details: Further figures by name.
     """
 
     id: int
@@ -51,18 +51,18 @@ class ObjectReport:
 
 @dataclass(frozen=True)
 class Report:
-    """``report.json``.
+    """Content of ``report.json``.
 
     Attributes:
-        command: name of the command.
-        seed: its seed.
-        success: whether the task was done.
-        reason: one line why not, or what was achieved.
-        timings: wall seconds of each stage and ``total``.
-        objects: one entry for each object.
-        metrics: figures of the command; lengths in [m], ratios in 0..1.
-        warnings: what went wrong without stopping the command.
-        settings: the options that were in force.
+        command: Name of the command.
+        seed: Seed of the run.
+        success: Whether the task succeeded.
+        reason: One-line summary, or reason of the failure.
+        timings: Wall time of each stage and ``total``, in seconds.
+        objects: Outcome of each object.
+        metrics: Figures of the command; lengths in metres, ratios in 0..1.
+        warnings: Problems that did not end the command.
+        settings: Options that determine the run.
     """
 
     command: str
@@ -76,7 +76,7 @@ class Report:
     settings: Mapping[str, Any] = field(default_factory=dict)
 
     def as_json(self) -> dict[str, Any]:
-        """The report as plain values; numbers that JSON has no word for become null."""
+        """Return the report as plain values; NaN and infinity become null."""
         return _plain(
             {
                 "command": self.command,

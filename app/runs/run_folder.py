@@ -1,4 +1,4 @@
-"""The folder of one run, written in stages so that a killed process leaves what was finished, readable."""
+"""Folder of a run, written in stages so that an interrupted process leaves readable results."""
 
 from __future__ import annotations
 
@@ -22,16 +22,20 @@ _OWN_FOLDERS = ("scan", "objects", "meshes", "urdf", "pictures")
 
 @dataclass(frozen=True)
 class RunFolder:
-    """Paths of a run's files."""
+    """Paths of the files of a run.
+
+    Attributes:
+        path: The folder.
+    """
 
     path: Path
 
     @staticmethod
     def create(options: CommonOptions, command: str) -> RunFolder:
-        """A fresh run folder where ``--out`` says; what an earlier run left there is removed.
+        """Create the folder of ``--out``, or replace a run that is stored there.
 
         Raises:
-            UsageError: the place is taken by something that is no run folder, or cannot be written.
+            UsageError: The path exists and is not a run folder, or cannot be written.
         """
         stamp = time.strftime("%Y%m%d-%H%M%S")
         path = options.out or Path("runs") / f"{stamp}_{command}_seed{options.seed}"
@@ -52,7 +56,7 @@ class RunFolder:
         return folder
 
     def write_report(self, report: Report) -> None:
-        """Replace ``report.json``; readers see the old or the new one, never a part."""
+        """Replace ``report.json`` atomically."""
         write_json(self.path / "report.json", report.as_json())
 
     def write_json(self, name: str, value: Any) -> None:
@@ -64,7 +68,7 @@ class RunFolder:
 
 
 def _clear(path: Path) -> None:
-    """Remove an earlier run's files, and nothing else, from its folder."""
+    """Remove the files of a stored run, and nothing else."""
     if not (path / "report.json").is_file():
         raise UsageError(f"--out {path} is not empty and no run folder: give another folder")
     for name in _OWN_FILES:

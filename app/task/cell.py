@@ -1,4 +1,4 @@
-"""The simulated cell of a run: what the options ask for, checked, and built."""
+"""The simulated cell of a run: validate its options and build it."""
 
 from __future__ import annotations
 
@@ -19,16 +19,19 @@ if TYPE_CHECKING:
     from sim_assets.robots.simulated_arm import SimulatedArm
 
 MAX_OBJECTS = 20
-BOX_LIMITS = {"L": (0.10, 0.60), "W": (0.10, 0.50), "H": (0.02, 0.20)}  # [m] that fit on the table
+BOX_LIMITS = {"L": (0.10, 0.60), "W": (0.10, 0.50), "H": (0.02, 0.20)}  # [m]: boxes that fit on the table
 
 
 def parse_objects(text: str, rng: np.random.Generator, most: int = MAX_OBJECTS) -> list[Category]:
-    """The classes asked for: ``6`` draws six as evenly as it goes, ``mug=2,can=1`` names them.
+    """Return the classes of ``--objects``: a number draws them evenly, ``mug=2,can=1`` lists them.
 
-    ``most`` is how many there may be.
+    Args:
+        text: Value of the option.
+        rng: Generator of the drawn classes.
+        most: Maximum number of objects.
 
     Raises:
-        UsageError: it is neither.
+        UsageError: The text has neither form, or the number is out of range.
     """
     usage = f"--objects takes a number (6) or counts by class ({','.join(f'{c}=1' for c in CATEGORIES)})"
     if text.strip().isascii() and text.strip().isdigit():
@@ -59,10 +62,10 @@ def _bounded(classes: list[Category], most: int) -> list[Category]:
 
 
 def parse_box(text: str) -> tuple[float, float, float]:
-    """Inner length, width, height of the box in [m].
+    """Return the inner length, width and height of ``--box``, in metres.
 
     Raises:
-        UsageError: these are no three lengths, or no such box fits on the table.
+        UsageError: The text is not three lengths, or the box does not fit on the table.
     """
     try:
         length, width, height = (float(part) for part in text.split(","))
@@ -77,10 +80,10 @@ def parse_box(text: str) -> tuple[float, float, float]:
 
 
 def check_options(options: CellOptions) -> None:
-    """Refuse impossible cells at once, before the simulator is loaded.
+    """Validate the options of a cell before the simulator is loaded.
 
     Raises:
-        UsageError: the options cannot be met; the message says what to change.
+        UsageError: An option is invalid; the message names it and its valid values.
     """
     parse_objects(options.objects, np.random.default_rng(0))
     parse_box(options.box)
@@ -93,10 +96,10 @@ def check_options(options: CellOptions) -> None:
 
 
 def robot_of(options: CellOptions) -> SimulatedArm:
-    """The arm that was asked for.
+    """Load the arm of ``--robot``.
 
     Raises:
-        UsageError: there is none such, or its file is unusable; the message says why.
+        UsageError: The name is unknown, or the robot file is invalid.
     """
     from sim_assets.errors import RobotFileError
     from sim_assets.robots import load_robot
@@ -108,10 +111,13 @@ def robot_of(options: CellOptions) -> SimulatedArm:
 
 
 def build_world(options: CellOptions, task: str | None) -> World:
-    """The cell with its objects settled on the table; a box for packing, a tape for sorting.
+    """Build the cell and let its objects settle: with a line for sorting, otherwise with a box.
+
+    Generated objects come from the test families, which no network was trained on. Layout and objects are
+    drawn from separate generators, both seeded by ``options.seed``.
 
     Raises:
-        UsageError: the options cannot be met; the message says what to change.
+        UsageError: The options cannot be satisfied; the message names the option to change.
     """
     layout_seed, shape_seed = np.random.SeedSequence(options.seed).spawn(2)
     rng = np.random.default_rng(shape_seed)
@@ -161,7 +167,7 @@ def _draw_models(
 
 
 def _draw(pool: Sequence[ObjectModel], count: int, rng: np.random.Generator) -> list[ObjectModel]:
-    """Without repetition until the pool is used up, then again."""
+    """Draw without replacement; start again whenever the pool is exhausted."""
     order = [i for _ in range(math.ceil(count / max(len(pool), 1))) for i in rng.permutation(len(pool))]
     return [pool[i] for i in order[:count]]
 

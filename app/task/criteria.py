@@ -1,4 +1,4 @@
-"""What success means, judged on true poses and shapes; plain geometry without a simulator.
+"""Success criteria of packing and sorting, evaluated on true poses and shapes.
 
 Pack: every object upright (tilt < 10 degrees) and fully inside the box, bowls nested with the largest lowest,
 mugs' centres in line, their handles within 15 degrees of each other, nothing toppled or off the table.
@@ -21,19 +21,19 @@ from perception.types import Category, profile_size
 
 @dataclass(frozen=True)
 class Criteria:
-    """Tolerances of the judgement.
+    """Tolerances of the success criteria.
 
     Attributes:
-        tilt: largest angle between an object's axis and the vertical in [rad].
-        inside: how far an outline may reach into the wall in [m]: contact is soft.
-        standing: how far above the floor an object that is in no nest may have its base in [m].
-        mug_line: how far a mug's centre may be from the row of mugs in [m].
-        handles: largest difference between two handles' directions in [rad].
-        nest: how far apart the axes of nested bowls may be in [m].
-        must_nest: largest resting lift, as a share of the lower bowl's height, at which bowls must be nested.
-        may_nest: largest lift, as a share of the lower bowl's height, at which a nested bowl is seated.
-        same_size: difference in size below which either order counts in [m].
-        line: how far from the line a sorted object's centre may be in [m].
+        tilt: Largest angle between an object's axis and the vertical, in radians.
+        inside: Largest penetration of the box walls in metres: contacts are soft.
+        standing: Largest height of a base above the floor of the box outside a nest, in metres.
+        mug_line: Largest distance of a mug's axis from the line through all mugs, in metres.
+        handles: Largest angle between the directions of two handles, in radians.
+        nest: Largest distance between the axes of nested bowls, in metres.
+        must_nest: Largest resting lift, as a share of the lower bowl's height, at which bowls must be nested.
+        may_nest: Largest lift, as a share of the lower bowl's height, at which a nested bowl is seated.
+        same_size: Difference in size below which either order is accepted, in metres.
+        line: Largest distance of a sorted object's axis from the line, in metres.
     """
 
     tilt: float = np.deg2rad(10.0)
@@ -50,14 +50,14 @@ class Criteria:
 
 @dataclass(frozen=True)
 class TrueObject:
-    """An object as it really is and stands.
+    """True shape and pose of an object.
 
     Attributes:
-        category: its class.
-        vertices: (v, 3) of its surface in the object frame [m]: base on z = 0, axis x = y = 0, handle +x.
-        faces: (f, 3) vertex indices of its triangles.
-        height, radius: as ObjectEstimate defines them, in [m].
-        T_world_object: (4, 4) where it stands now.
+        category: Class.
+        vertices: Surface in the object frame in metres: base at z = 0, axis at x = y = 0, handle along +x.
+        faces: Vertex indices of the triangles.
+        height, radius: As defined by ``ObjectEstimate``, in metres.
+        T_world_object: Pose.
     """
 
     category: Category
@@ -73,17 +73,17 @@ class TrueObject:
 
     @property
     def tilt(self) -> float:
-        """Angle between the object's axis and the vertical in [rad]."""
+        """Angle between the object's axis and the vertical, in radians."""
         return float(np.arccos(np.clip(self.T_world_object[2, 2], -1, 1)))
 
     @property
     def yaw(self) -> float:
-        """Direction of the handle about the vertical in [rad]."""
+        """Direction of the handle about the vertical, in radians."""
         return float(np.arctan2(self.T_world_object[1, 0], self.T_world_object[0, 0]))
 
     @property
     def base(self) -> Float[np.ndarray, "3"]:
-        """The middle of the base in the world in [m]."""
+        """Centre of the base in the world frame, in metres."""
         return self.T_world_object[:3, 3]
 
     @property
@@ -93,7 +93,7 @@ class TrueObject:
 
 @dataclass(frozen=True)
 class BoxSpace:
-    """The inside of the box: middle (x, y), inner length and width, height of its floor, in [m]."""
+    """Interior of the box: centre (x, y), inner length and width, height of the floor, in metres."""
 
     center: tuple[float, float]
     size: tuple[float, float]
@@ -101,7 +101,7 @@ class BoxSpace:
 
 
 def judge_standing(objects: Sequence[TrueObject], criteria: Criteria = Criteria()) -> list[str]:
-    """For each object why it does not stand, or an empty string."""
+    """Return for each object the reason why it does not stand upright, or an empty string."""
     reasons = []
     for item in objects:
         if item.base[2] < -0.05:
@@ -115,7 +115,7 @@ def judge_standing(objects: Sequence[TrueObject], criteria: Criteria = Criteria(
 
 
 def judge_pack(objects: Sequence[TrueObject], box: BoxSpace, criteria: Criteria = Criteria()) -> list[str]:
-    """For each object why it is not packed as it should be, or an empty string.
+    """Return for each object the reason why it is not packed correctly, or an empty string.
 
     The bowls may form as many nests as their true shapes require; a resting lift between ``must_nest`` and
     ``may_nest`` neither requires a nest nor forbids it.
@@ -140,7 +140,13 @@ def judge_sort(
     end: tuple[float, float],
     criteria: Criteria = Criteria(),
 ) -> list[str]:
-    """For each object why it is not sorted, or an empty string; sizes ascend from start to end."""
+    """Return for each object the reason why it is not sorted, or an empty string.
+
+    Args:
+        objects: True states.
+        start, end: Ends (x, y) of the line in metres; sizes ascend from start to end.
+        criteria: Tolerances.
+    """
     reasons = judge_standing(objects, criteria)
     origin, along = np.array(start), np.array(end) - np.array(start)
     length = float(np.linalg.norm(along))
@@ -172,7 +178,7 @@ def _outside(item: TrueObject, box: BoxSpace, criteria: Criteria) -> str:
 def _judge_nests(
     bowls: Sequence[TrueObject], box: BoxSpace, nests: int, criteria: Criteria
 ) -> dict[int, str]:
-    """Bowls nested, the largest lowest: wrong are those beside the nests, not seated, or on a smaller one."""
+    """Return a reason for each bowl beside the nests, not seated in its nest, or above a smaller one."""
     wrong: dict[int, str] = {}
     for rank, nest in enumerate(_nests(bowls, criteria.nest)):
         if rank >= nests:
@@ -192,7 +198,7 @@ def _judge_nests(
 
 
 def _nests(bowls: Sequence[TrueObject], distance: float) -> list[list[int]]:
-    """Groups of bowls around one axis, each from the lowest up, the largest group first."""
+    """Return groups of bowls with a common axis, each from the lowest up, the largest group first."""
     free, groups = set(range(len(bowls))), []
     while free:
         around = {
@@ -206,7 +212,7 @@ def _nests(bowls: Sequence[TrueObject], distance: float) -> list[list[int]]:
 
 
 def _judge_row(mugs: Sequence[TrueObject], criteria: Criteria) -> dict[int, str]:
-    """Mugs in a row with handles alike: wrong are those outside the largest group that agrees."""
+    """Return a reason for each mug outside the largest group with parallel handles or outside the row."""
     wrong: dict[int, str] = {}
     if len(mugs) < 2:
         return wrong
@@ -225,14 +231,14 @@ def _judge_row(mugs: Sequence[TrueObject], criteria: Criteria) -> dict[int, str]
 
 
 def _line_distances(points: Float[np.ndarray, "n 2"]) -> Float[np.ndarray, "n"]:
-    """Distances from the points' own best line in [m]."""
+    """Return the distances from the total least squares line through the points, in metres."""
     centred = points - points.mean(axis=0)
     normal = np.linalg.svd(centred, full_matrices=True)[2][1]
     return np.abs(centred @ normal)
 
 
 def _largest_ascending(sizes: Sequence[float], tolerance: float) -> tuple[int, ...]:
-    """The largest subset in which nothing follows what is larger by the tolerance or more."""
+    """Return the largest subset in which no size follows one that is larger by the tolerance or more."""
     return _largest_subset(
         len(sizes),
         lambda group: all(sizes[a] < sizes[b] + tolerance for a, b in combinations(group, 2)),
@@ -240,6 +246,7 @@ def _largest_ascending(sizes: Sequence[float], tolerance: float) -> tuple[int, .
 
 
 def _largest_subset(count: int, accepted: Callable[[tuple[int, ...]], bool]) -> tuple[int, ...]:
+    """Return the first of the largest accepted subsets of ``range(count)``."""
     for size in range(count, 1, -1):
         for group in combinations(range(count), size):
             if accepted(group):

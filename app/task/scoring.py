@@ -1,7 +1,7 @@
-"""Scores from the simulator's true state; with ``labels`` the only reader of ground truth.
+"""Scores of an episode against ground truth; the only reader of ``sim_assets.cell.ground_truth``.
 
-The robot never sees any of this. Oracle shapes, which a planner can be given on request to show what planning
-alone reaches, are made here too.
+The pipeline must not import this module. The oracle estimates of ``--shapes oracle``, which isolate planning
+from perception, are made here as well.
 """
 
 from __future__ import annotations
@@ -25,12 +25,12 @@ from sim_assets.cell.scene import BoxConfig
 from sim_assets.cell.world import World
 from sim_assets.objects import ObjectModel, canonical_scale
 
-MATCH_DISTANCE = 0.05  # [m] between the axes of an estimate and of the object it is of
+MATCH_DISTANCE = 0.05  # [m] between the axes of an estimate and its true object
 
 
 @dataclass(frozen=True)
 class Truth:
-    """The cell's objects as they really are and stand at one moment, by number."""
+    """True models and poses of all objects in the cell at one time, by object number."""
 
     models: Mapping[int, ObjectModel]
     poses: Mapping[int, Float[np.ndarray, "4 4"]]
@@ -51,12 +51,12 @@ class Truth:
 
 
 def read_truth(world: World) -> Truth:
-    """The true state now."""
+    """Read the present true state."""
     return Truth(ground_truth.object_models(world), ground_truth.object_poses(world))
 
 
 def oracle_estimates(truth: Truth) -> list[ObjectEstimate]:
-    """What perfect perception would hand to the planner."""
+    """Return the estimates of a perfect perception."""
     estimates = []
     for number, model in truth.models.items():
         scale, centre = canonical_scale(model)
@@ -77,7 +77,7 @@ def oracle_estimates(truth: Truth) -> list[ObjectEstimate]:
 
 
 def match(estimates: Sequence[ObjectEstimate], truth: Truth) -> dict[int, int]:
-    """Number of the true object that each estimate (by id) is of, by position on the table."""
+    """Assign estimates to true objects by horizontal distance; return object numbers by estimate id."""
     if not estimates or not truth.models:
         return {}
     numbers = list(truth.models)
@@ -93,7 +93,7 @@ def match(estimates: Sequence[ObjectEstimate], truth: Truth) -> dict[int, int]:
 
 
 def _axis(estimate: ObjectEstimate) -> Float[np.ndarray, "2"]:
-    """(x, y) of the body in the world in [m]; the handle of a mug, along object +x, left out."""
+    """Return (x, y) of the body's axis in the world frame in metres, without a mug's handle."""
     low, high = estimate.mesh.vertices.min(axis=0), estimate.mesh.vertices.max(axis=0)
     x = low[0] + estimate.radius if estimate.category == "mug" else (low[0] + high[0]) / 2
     return (estimate.T_world_object @ (x, (low[1] + high[1]) / 2, 0.0, 1.0))[:2]
@@ -102,7 +102,7 @@ def _axis(estimate: ObjectEstimate) -> Float[np.ndarray, "2"]:
 def score_reconstruction(
     estimates: Sequence[ObjectEstimate], truth: Truth, rng: np.random.Generator
 ) -> list[dict[str, Any]]:
-    """One row for each true object: accuracy, chamfer_l1 [m], completion at 1 cm, handle recall at 5 mm."""
+    """Return one row per true object: accuracy, chamfer_l1 [m], completion at 1 cm, handle recall at 5 mm."""
     matches = {number: estimate_id for estimate_id, number in match(estimates, truth).items()}
     by_id = {estimate.id: estimate for estimate in estimates}
     rows = []
@@ -118,13 +118,13 @@ def score_reconstruction(
 
 @dataclass(frozen=True)
 class TrueSurface:
-    """A true object where it stands, sampled: what reconstructions of it are compared with.
+    """Sampled true surface of an object, as the reference of its reconstructions.
 
     Attributes:
-        T_world_object: its pose.
-        mesh_world: its surface.
-        samples: on it, in the world.
-        handle: (m, 3) those on a mug's handle.
+        T_world_object: True pose.
+        mesh_world: Surface in the world frame, in metres.
+        samples: Samples of the surface in the world frame.
+        handle: Those of the samples on a mug's handle, in metres.
     """
 
     T_world_object: Float[np.ndarray, "4 4"]
@@ -144,12 +144,14 @@ class TrueSurface:
 
     @cached_property
     def sparse(self) -> SurfaceSamples:
-        """A sixth of the samples, for curves."""
+        """Every sixth sample, for curves over time."""
         return SurfaceSamples(self.samples.points[::6], self.samples.normals[::6], self.samples.faces[::6])
 
     def score(self, estimate: ObjectEstimate, rng: np.random.Generator) -> dict[str, float]:
-        """accuracy, chamfer_l1 [m], completion at 1 cm; of mugs the handle's recall at 5 mm; and, where the
-        estimate says how sure it is, the median of that [m] and the share of its surface that keeps to it.
+        """Return accuracy and chamfer_l1 [m], completion at 1 cm, and for mugs the handle's recall at 5 mm.
+
+        For an estimate with ``surface_sigma`` also return its median [m] and the shares of the surface whose
+        error is below one and two standard deviations.
         """
         samples = SurfaceSamples.of(estimate.mesh_world, rng)
         figures = compare_surfaces(samples, self.samples)
@@ -172,14 +174,14 @@ def score_task(
     after: Truth,
     box: BoxConfig | None,
 ) -> list[ObjectReport]:
-    """What became of every object on the table: perceived or not, attempted or not, and how it stands now.
+    """Return the report of every object in the cell, perceived or not.
 
     Args:
-        plan: what was planned; None where planning failed.
-        estimates: the object map the plan was made from.
-        outcomes: what the robot believes it did.
-        before, after: true states before the first motion and after the last.
-        box: of a packing task; None for sorting.
+        plan: Task plan; None if planning failed.
+        estimates: Object map from which the plan was made.
+        outcomes: Outcomes as reported by execution; they never count as success.
+        before, after: True states before the first and after the last motion.
+        box: Box of a packing task; None for sorting.
     """
     objects = after.objects
     if box is not None:
@@ -217,7 +219,7 @@ def score_task(
 def _why(
     judged: str, plan: TaskPlan | None, estimate: ObjectEstimate | None, outcome: ObjectOutcome | None
 ) -> str:
-    """The first thing that went wrong: not seen, not planned, not carried out, or not standing right."""
+    """Return the first failure: perception, planning, execution, or the verdict of the criteria."""
     if estimate is None:
         return f"not perceived ({judged})"
     if plan is None:
@@ -230,7 +232,7 @@ def _why(
 
 
 def _distance(item: TrueObject, outcome: ObjectOutcome | None) -> float | None:
-    """Horizontal distance in [m] between where the object stands and where it was to stand."""
+    """Return the horizontal distance between the object and its goal, in metres."""
     if outcome is None or outcome.T_world_stand is None:
         return None
     return float(np.linalg.norm((item.base - outcome.T_world_stand[:3, 3])[:2]))

@@ -105,7 +105,7 @@ def test_interruption_is_130(monkeypatch, capsys):
 
     pretend(monkeypatch, interrupted)
     assert run(["scan"]) == 130
-    assert capsys.readouterr().err == "nodeslam: interrupted; what was finished is kept\n"
+    assert capsys.readouterr().err == "nodeslam: interrupted; finished results are kept\n"
 
 
 def test_errors_of_many_lines_become_one(monkeypatch, capsys):
