@@ -1,7 +1,7 @@
-"""Labelled crops from renders whose truth is known: what the class and yaw networks learn and are judged on.
+"""Labelled crops from rendered images: the data set of the class and yaw networks.
 
-For training, masks are the true ones disturbed as the detector's own are: a bit too wide, ragged, cut. Given
-other masks, the truth only names them.
+Masks are the true ones, perturbed like those of the detector: slightly too large, ragged, truncated, with
+missing parts or parts of neighbours. The label of a mask is that of the object which covers most of it.
 """
 
 from __future__ import annotations
@@ -18,31 +18,32 @@ from jaxtyping import Bool, Float, Int, UInt8
 
 from app.training.files import load_arrays, save_arrays
 from perception.detection.crops import CHANNELS, CONTEXT, SIDE, crop, frame_geometry
-from perception.detection.geometry import heading_angle, points_of, window_of
-from perception.detection.network import OTHER
-from perception.types import CATEGORIES, SupportPlane
+from perception.detection.geometry import bounding_window, heading_angle, points_of
+from perception.types import CATEGORIES, OTHER, SupportPlane
 
 if TYPE_CHECKING:
     from sim_assets.datasets.table_top import LabelledImage  # perception alone runs without a simulator
 
 logger = logging.getLogger(__name__)
-Progress = Callable[[str, float], None]  # what is going on, and the share of the whole job done
+Progress = Callable[[str, float], None]  # description of the current step, share of the job done
 Split = Literal["train", "test"]
 
-PURITY = 0.8  # share of a mask's object pixels that one object holds, for the mask to be named after it
-COVERAGE = 0.4  # share of an object's visible pixels that a mask holds, for the mask to be named after it
-MIN_PIXELS = 150  # true pixels of an object that count as seen
+PURITY = 0.8  # smallest share of a mask's object pixels that belong to the object it is labelled with
+COVERAGE = 0.4  # smallest share of that object's visible pixels inside the mask
+MIN_PIXELS = 150  # smallest number of visible pixels of an object with a mask
 
 
 @dataclass(frozen=True)
 class LabelledCrops:
-    """Crops with their truth.
+    """Crops with ground truth.
 
     Attributes:
-        images, context: as in ``perception.detection.crops.Crop``.
-        label: (n,) index into CATEGORIES, or 4 for things of no class.
-        yaw: (n,) angle of the object's +x counted from the crop's heading in [rad]; 0 where it means nothing.
-        handle: (n,) share of the mask's points that lie on a mug's handle; 0 for everything else.
+        images: (n, SIDE, SIDE, 6) as in ``perception.detection.crops.Crop``.
+        context: (n, 2) as in ``perception.detection.crops.Crop``.
+        label: (n,) index into CATEGORIES, OTHER for distractors and background.
+        yaw: (n,) angle of a mug's handle (object +x) relative to the crop's heading, in radians; 0 for
+            others.
+        handle: (n,) share of a mug's visible points that lie on its handle; 0 for others.
     """
 
     images: UInt8[np.ndarray, "n side side 6"]
@@ -54,32 +55,36 @@ class LabelledCrops:
     def __len__(self) -> int:
         return len(self.label)
 
-    def of(self, rows: Bool[np.ndarray, "n"] | Int[np.ndarray, "m"]) -> LabelledCrops:
+    def subset(self, rows: Bool[np.ndarray, "n"] | Int[np.ndarray, "m"]) -> LabelledCrops:
+        """Return the crops of the given rows."""
         return LabelledCrops(**{name: getattr(self, name)[rows] for name in _COLUMNS})
 
     def save(self, path: Path) -> None:
+        """Write the arrays to an npz file, atomically."""
         save_arrays(path, self, _COLUMNS)
 
     @staticmethod
     def load(path: Path) -> LabelledCrops:
+        """Read what ``save`` wrote; raises PerceptionError for a damaged file."""
         return LabelledCrops(**load_arrays(path, _COLUMNS, "labelled crops"))
 
     @staticmethod
-    def joined(parts: Sequence[LabelledCrops]) -> LabelledCrops:
+    def concatenate(parts: Sequence[LabelledCrops]) -> LabelledCrops:
+        """Concatenate at least one part."""
         return LabelledCrops(**{n: np.concatenate([getattr(part, n) for part in parts]) for n in _COLUMNS})
 
 
 _COLUMNS = ("images", "context", "label", "yaw", "handle")
 
 
-def labelled_crops(
+def label_crops(
     image: LabelledImage, plane: SupportPlane, masks: Sequence[Bool[np.ndarray, "h w"]]
 ) -> LabelledCrops:
-    """Crops of the masks in one picture; masks that nobody could name are left out."""
+    """Return the crops of the masks in one image, without those that lack depth or a clear label."""
     frame, truth = image.frame, image.instances
     geometry = frame_geometry(frame, plane)
     size = np.bincount(truth[truth >= 0], minlength=len(image.labels))
-    masks = [mask for mask in masks if geometry.seen(mask)]
+    masks = [mask for mask in masks if geometry.has_depth(mask)]
     rows = []
     for mask in masks:
         inside = np.bincount(truth[mask & (truth >= 0)], minlength=len(image.labels))
@@ -109,9 +114,9 @@ def _label_of(
     inside: Int[np.ndarray, "k"],
     size: Int[np.ndarray, "k"],
 ) -> int | None:
-    """Class index of a mask, 4 for no class, None where nobody could say."""
+    """Return the class index of a mask, OTHER for distractors and background, None if it is ambiguous."""
     if inside.sum() < 0.3 * mask.sum():
-        return OTHER  # table, wall or nothing at all
+        return OTHER  # table, wall or background
     index = int(inside.argmax())
     category = image.labels[index].category
     if inside[index] < PURITY * inside.sum():
@@ -122,10 +127,14 @@ def _label_of(
 
 
 def handle_share(points: Float[np.ndarray, "n 3"], T_world_object: Float[np.ndarray, "4 4"]) -> float:
-    """Share of a mug's visible points that lie on its handle.
+    """Return the share of a mug's visible points that lie on its handle.
 
-    The body's radius is that of the points well away from +x; the handle is what lies 5 mm outside it within
-    50 degrees of +x.
+    The body's radius is estimated from the points more than 60 degrees from +x; handle points are more than 5
+    mm outside it and within 50 degrees of +x. Without enough body points the share is 0.
+
+    Args:
+        points: World points of the mug, in metres.
+        T_world_object: Pose of the mug, handle along +x.
     """
     if len(points) == 0:
         return 0.0
@@ -137,30 +146,34 @@ def handle_share(points: Float[np.ndarray, "n 3"], T_world_object: Float[np.ndar
     return float(((radius > np.percentile(body, 99) + 0.005) & (angle < np.radians(50))).mean())
 
 
-def disturbed_masks(
+def perturb_masks(
     image: LabelledImage, rng: np.random.Generator, min_pixels: int = 2 * MIN_PIXELS, astray: float = 0.0
 ) -> list[Bool[np.ndarray, "h w"]]:
-    """The true masks with the errors that a detector makes, and now and then a patch where nothing stands.
+    """Return the true masks with errors like those of the detector, and sometimes a false mask on background.
 
-    A share ``astray`` of them take in a piece of a neighbour, and as many lose a piece of their own.
+    Args:
+        image: Rendered image with ground truth.
+        rng: Source of randomness.
+        min_pixels: Smallest mask.
+        astray: Share of the masks with a part of a neighbour, and of those with a missing part.
     """
     masks = []
     size = np.bincount(image.instances[image.instances >= 0], minlength=len(image.labels))
     for index in np.flatnonzero(size >= min_pixels):
         true = image.instances == index
-        window = window_of(true, 8)
+        window = bounding_window(true, 8)
         part = true[window].astype(np.float32)
         rough = cv2.GaussianBlur(rng.standard_normal(part.shape, dtype=np.float32), (0, 0), 2.0)
         soft = cv2.GaussianBlur(part, (0, 0), rng.uniform(0.8, 2.5))
         ragged = (soft + rng.uniform(0, 1.0) * rough > rng.uniform(0.25, 0.5)) & (soft > 0.05)
         if rng.random() < (0.5 if image.labels[index].category is None else 0.08):
-            ragged = _cut(ragged, rng)
+            ragged = _truncate(ragged, rng)
         mask = np.zeros_like(true)
         mask[window] = ragged
         if astray > 0 and rng.random() < astray:
-            mask |= _piece_of_a_neighbour(image, int(index), window, rng)
+            mask |= _part_of_neighbour(image, int(index), window, rng)
         if astray > 0 and rng.random() < astray:
-            mask = _bitten(mask, rng)
+            mask = _remove_part(mask, rng)
         masks.append(mask)
     if rng.random() < 0.15:
         height, width = image.instances.shape
@@ -172,10 +185,10 @@ def disturbed_masks(
     return [mask for mask in masks if mask.sum() >= min_pixels]
 
 
-def _piece_of_a_neighbour(
+def _part_of_neighbour(
     image: LabelledImage, index: int, window: tuple[slice, slice], rng: np.random.Generator
 ) -> Bool[np.ndarray, "h w"]:
-    """A round piece of something else within half a width of the thing's window; empty if nothing is near."""
+    """Return a disc on another object within half the size of the window; empty if there is none."""
     height, width = image.instances.shape
     rows, columns = window
     reach = max(rows.stop - rows.start, columns.stop - columns.start) // 2
@@ -192,8 +205,8 @@ def _piece_of_a_neighbour(
     return near & (disc > 0) & (image.instances == image.instances[v[k], u[k]])
 
 
-def _bitten(mask: Bool[np.ndarray, "h w"], rng: np.random.Generator) -> Bool[np.ndarray, "h w"]:
-    """The mask without a disc about one of its pixels far from the middle, such as a mug's handle."""
+def _remove_part(mask: Bool[np.ndarray, "h w"], rng: np.random.Generator) -> Bool[np.ndarray, "h w"]:
+    """Return the mask without a disc around one of its outer pixels, such as a mug's handle."""
     v, u = np.nonzero(mask)
     if not len(v):
         return mask
@@ -207,8 +220,8 @@ def _bitten(mask: Bool[np.ndarray, "h w"], rng: np.random.Generator) -> Bool[np.
     return result
 
 
-def _cut(mask: Bool[np.ndarray, "h w"], rng: np.random.Generator) -> Bool[np.ndarray, "h w"]:
-    """What of the mask lies on one side of a line near its middle."""
+def _truncate(mask: Bool[np.ndarray, "h w"], rng: np.random.Generator) -> Bool[np.ndarray, "h w"]:
+    """Return the part of the mask on one side of a random line through it."""
     v, u = np.nonzero(mask)
     if not len(v):
         return mask
@@ -220,7 +233,7 @@ def _cut(mask: Bool[np.ndarray, "h w"], rng: np.random.Generator) -> Bool[np.nda
     return result
 
 
-def jittered_plane(rng: np.random.Generator) -> SupportPlane:
-    """The table top as a fit would find it: a millimetre and a fifth of a degree off."""
+def perturb_plane(rng: np.random.Generator) -> SupportPlane:
+    """Return the table's plane with the error of a fit: 1 mm and 0.2 degrees (standard deviations)."""
     normal = np.array([*rng.normal(0, np.radians(0.2), 2), 1.0])
     return SupportPlane(normal=normal / np.linalg.norm(normal), offset=float(rng.normal(0, 0.001)))

@@ -1,13 +1,12 @@
-"""`nodeslam train detector`: render scenes of the training families, train scene and class networks, judge.
+"""`nodeslam train detector`: render the training families, train the scene and class networks, evaluate them.
 
-Writes weights, model card and metrics; the renders and the checkpoints stay in the folder, so that the same
-command run again goes on where it stopped.
+Writes weights, model card and metrics. Rendered data and checkpoints stay in the folder, so that the same
+command resumes an interrupted run.
 """
 
 from __future__ import annotations
 
 import logging
-from collections.abc import Callable
 from dataclasses import dataclass, field, replace
 from pathlib import Path
 from typing import Any
@@ -20,51 +19,53 @@ from app.training.crop_dataset import LabelledCrops, Progress, Split
 from app.training.files import checksums, summary_writer
 from app.training.scene_dataset import (
     UPRIGHT,
-    Pictures,
-    close_up_shards,
-    rendered_shards,
-    shard_crops,
-    shard_pictures,
+    LabelledScenes,
+    load_crops,
+    load_scenes,
+    render_crop_shards,
+    render_scene_shards,
 )
-from perception.detection.network import (
+from perception.detection.crop_network import (
+    ENSEMBLE_SIZE,
     LABELS,
-    MEMBERS,
-    OTHER,
     WEIGHTS_FILES,
     CropNet,
     CropNetwork,
     Task,
+    ensemble_of,
     predict,
-    save_network,
-    together,
+    save_crop_network,
 )
-from perception.detection.scene_network import WEIGHTS_FILE, SceneNet, save_scene_network
-from perception.detection.scene_training import SceneTrainingConfig, train_scene_network
-from perception.detection.training import (
+from perception.detection.crop_training import (
     CropSet,
     TrainingConfig,
+    TrainingData,
     calibrated_temperature,
     train_crop_network,
 )
+from perception.detection.scene_network import WEIGHTS_FILE, SceneNet, save_scene_network
+from perception.detection.scene_training import SceneTrainingConfig, train_scene_network
+from perception.types import OTHER
 
 logger = logging.getLogger(__name__)
-RENDERING_SHARE, SCENE_SHARE = 0.25, 0.9  # of the whole job, at the end of these stages, for the progress bar
+RENDERING_SHARE, SCENE_SHARE = 0.25, 0.9  # progress of the job after rendering and after the scene network
 
 
 @dataclass(frozen=True)
 class TrainDetectorConfig:
-    """The job behind the shipped weights; its defaults reproduce them.
+    """Configuration of the job; the defaults are those of the shipped weights.
 
     Attributes:
-        pictures: rendered scenes of the training families, for the scene network.
-        close_ups: further ones of which only crops are kept, for the class and yaw networks.
-        upright_close_ups: further ones for the class network, mostly of bottles and cans in many shapes.
-        validation: further ones of the same families, for the probabilities' calibration.
-        test: such scenes of the test families, to judge by.
-        training: how to train; the seed is that of both networks, the epochs are the class network's, and
-            the scene network makes ``scene_passes`` of them over its own pictures.
-        tensorboard: also write curves for TensorBoard (extra `train`).
-        device: "cpu" or "cuda".
+        pictures: Number of images of the training families for the scene network.
+        close_ups: Number of further images for crops for the class and yaw networks.
+        upright_close_ups: Number of further images, mostly of bottles and cans, for crops for the class
+            network.
+        validation: Number of further images of the training families for the calibration.
+        test: Number of images of the test families for the evaluation.
+        training: Hyperparameters of the class network; its seed is that of all networks.
+        scene_passes: Epochs of the scene network relative to those of the class network.
+        tensorboard: Whether to write TensorBoard curves (extra `train`).
+        device: Torch device for training.
     """
 
     pictures: int = 3000
@@ -79,12 +80,13 @@ class TrainDetectorConfig:
 
     @property
     def scene_epochs(self) -> int:
+        """Number of epochs of the scene network."""
         return max(1, round(self.scene_passes * self.training.epochs))
 
 
 @dataclass(frozen=True)
-class RenderedCrops:
-    """Crops by what they are for."""
+class CropSplits:
+    """Labelled crops of each purpose; training and validation crops are of the training families."""
 
     training: LabelledCrops
     validation: LabelledCrops
@@ -92,149 +94,161 @@ class RenderedCrops:
 
 
 def run(config: TrainDetectorConfig, out_dir: Path, progress: Progress | None = None) -> dict[str, Any]:
-    """Train into a folder: `scenes/`, checkpoints, `scene.safetensors`, `detector.safetensors`, card.
+    """Render the data set, train both networks and evaluate the class network.
+
+    Writes `scenes/`, checkpoints, `scene.safetensors`, `detector.safetensors` and `detector.md` to the
+    folder.
 
     Returns:
-        the report's metrics: accuracy of the class network, per class too, and its confusion matrix.
+        Metrics of the class network on crops of the test families (``class_metrics``).
     """
     folder, seed = out_dir / "scenes", config.training.seed
-    pictures = rendered_shards(
-        folder, "train", config.pictures, seed, part(progress, 0.0, 0.5 * RENDERING_SHARE)
+    scenes = render_scene_shards(
+        folder, "train", config.pictures, seed, stage_progress(progress, 0.0, 0.5 * RENDERING_SHARE)
     )
-    crops = rendered_crops(config, folder, part(progress, 0.5 * RENDERING_SHARE, 0.75 * RENDERING_SHARE))
-    upright = rendered_upright(config, folder, part(progress, 0.75 * RENDERING_SHARE, RENDERING_SHARE))
-    training = LabelledCrops.joined([crops.training, upright])
-    scene = trained_scene(shard_pictures(pictures), config, out_dir, progress)
+    crops = render_crops(
+        config, folder, stage_progress(progress, 0.5 * RENDERING_SHARE, 0.75 * RENDERING_SHARE)
+    )
+    upright = render_upright_crops(
+        config, folder, stage_progress(progress, 0.75 * RENDERING_SHARE, RENDERING_SHARE)
+    )
+    training = LabelledCrops.concatenate([crops.training, upright])
+    scene = train_scene(load_scenes(scenes), config, out_dir, progress)
     save_scene_network(scene, out_dir / WEIGHTS_FILE, provenance(config))
-    sets = class_set(training), class_set(crops.validation)
-    network, temperature = trained("class", *sets, config, out_dir, progress, SCENE_SHARE)
+    data = TrainingData(class_targets(training), class_targets(crops.validation))
+    network, temperature = train_ensemble(
+        "class", data, config, out_dir, stage_progress(progress, SCENE_SHARE, 1.0)
+    )
     metrics = class_metrics(crops.test, predict(network, temperature, crops.test.images, crops.test.context))
-    save_network(network, out_dir / WEIGHTS_FILES["class"], "class", temperature, provenance(config))
+    save_crop_network(network, out_dir / WEIGHTS_FILES["class"], "class", temperature, provenance(config))
     card = _card(config, metrics, scene, network, temperature, len(training))
     card += checksums(out_dir / WEIGHTS_FILE, out_dir / WEIGHTS_FILES["class"])
     (out_dir / "detector.md").write_text(card, "utf-8")
     return metrics
 
 
-def rendered_crops(config: TrainDetectorConfig, folder: Path, progress: Progress | None) -> RenderedCrops:
-    """Training, validation and test crops, rendered or from an earlier start of the same job."""
+def render_crops(config: TrainDetectorConfig, folder: Path, progress: Progress | None) -> CropSplits:
+    """Render training, validation and test crops, or load those already in the folder."""
     seed = config.training.seed
 
     def crops(split: Split, pictures: int, seed: int, low: float, high: float) -> LabelledCrops:
-        return shard_crops(close_up_shards(folder, split, pictures, seed, part(progress, low, high)))
+        return load_crops(
+            render_crop_shards(folder, split, pictures, seed, stage_progress(progress, low, high))
+        )
 
-    return RenderedCrops(
+    return CropSplits(
         crops("train", config.close_ups, seed, 0.0, 0.8),
         crops("train", config.validation, seed + 1, 0.8, 0.9),
         crops("test", config.test, seed, 0.9, 1.0),
     )
 
 
-def rendered_upright(config: TrainDetectorConfig, folder: Path, progress: Progress | None) -> LabelledCrops:
-    """Further training crops of bottles and cans, rendered or from an earlier start of the same job."""
+def render_upright_crops(
+    config: TrainDetectorConfig, folder: Path, progress: Progress | None
+) -> LabelledCrops:
+    """Render further training crops of mostly bottles and cans, or load those already in the folder."""
     seed = config.training.seed
-    return shard_crops(
-        close_up_shards(folder, "train", config.upright_close_ups, seed, progress, kind=UPRIGHT)
+    return load_crops(
+        render_crop_shards(folder, "train", config.upright_close_ups, seed, progress, kind=UPRIGHT)
     )
 
 
-def part(progress: Progress | None, low: float, high: float) -> Progress:
-    """Progress of one part of a job, told as that of the whole."""
-    return lambda what, share: _tell(progress, what, low + (high - low) * share)
+def stage_progress(progress: Progress | None, low: float, high: float) -> Progress:
+    """Return a callback that maps the progress of a stage to the share ``low`` to ``high`` of the job."""
+    return lambda what, share: _report(progress, what, low + (high - low) * share)
 
 
-def trained_scene(
-    pictures: Pictures, config: TrainDetectorConfig, out_dir: Path, progress: Progress | None
+def train_scene(
+    scenes: LabelledScenes, config: TrainDetectorConfig, out_dir: Path, progress: Progress | None
 ) -> SceneNet:
-    """The scene network, with progress."""
+    """Train the scene network, reporting progress."""
     settings = SceneTrainingConfig(epochs=config.scene_epochs, seed=config.training.seed)
 
-    def on_step(step: int, steps: int, figures: dict[str, float]) -> None:
-        del figures
+    def on_step(step: int, steps: int, metrics: dict[str, float]) -> None:
+        del metrics
         share = RENDERING_SHARE + (SCENE_SHARE - RENDERING_SHARE) * step / steps
-        _tell(progress, f"scenes, step {step} of {steps}", share)
+        _report(progress, f"scenes, step {step} of {steps}", share)
 
-    return train_scene_network(pictures.labelled, len(pictures), settings, out_dir, config.device, on_step)
+    return train_scene_network(scenes.labelled, len(scenes), settings, out_dir, config.device, on_step)
 
 
-def trained(
+def train_ensemble(
     task: Task,
-    training: CropSet,
-    validation: CropSet,
+    data: TrainingData,
     config: TrainDetectorConfig,
     out_dir: Path,
     progress: Progress | None,
-    begin: float,
 ) -> tuple[CropNetwork, float]:
-    """What answers for a task and its temperature, with progress (from ``begin`` on) and curves.
+    """Train the network or ensemble of a task and return it with its calibrated temperature.
 
-    The members of a committee differ in their seeds; all but the first keep their checkpoints in folders
-    of their own.
+    The members of an ensemble differ in their seeds. The first has its checkpoint in ``out_dir``, the others
+    in subfolders.
     """
     curves = summary_writer(out_dir) if config.tensorboard else None
-    count = MEMBERS[task]
+    count = ENSEMBLE_SIZE[task]
 
     def train(member: int) -> CropNet:
-        def on_epoch(epoch: int, epochs: int, figures: dict[str, float]) -> None:
+        def on_epoch(epoch: int, epochs: int, metrics: dict[str, float]) -> None:
             done, total = member * epochs + epoch, count * epochs
-            _tell(progress, f"epoch {done} of {total}", begin + (1 - begin) * done / total)
+            _report(progress, f"epoch {done} of {total}", done / total)
             if curves is not None:
-                for name, value in figures.items():
+                for name, value in metrics.items():
                     curves.add_scalar(f"{task}/{name}", value, done)
                 curves.flush()
 
         folder = out_dir if member == 0 else out_dir / f"member{member}"
         settings = replace(config.training, seed=config.training.seed + member)
-        return train_crop_network(task, training, validation, settings, folder, config.device, on_epoch)
+        return train_crop_network(task, data, settings, folder, config.device, on_epoch)
 
-    network = together([train(member) for member in range(count)])
-    return network, calibrated_temperature(network, validation)
+    network = ensemble_of([train(member) for member in range(count)])
+    return network, calibrated_temperature(network, data.validation)
 
 
-def _tell(progress: Callable[[str, float], None] | None, what: str, share: float) -> None:
+def _report(progress: Progress | None, what: str, share: float) -> None:
     if progress:
         progress(what, share)
 
 
-def class_set(crops: LabelledCrops) -> CropSet:
+def class_targets(crops: LabelledCrops) -> CropSet:
+    """Return the crops with one-hot class targets."""
     return CropSet(crops.images, crops.context, np.eye(len(LABELS), dtype=np.float32)[crops.label])
 
 
 def class_metrics(crops: LabelledCrops, probabilities: Float[np.ndarray, "n 5"]) -> dict[str, Any]:
-    """How well classes are told apart on crops."""
+    """Return accuracies, confusion matrix and calibration error of class probabilities on crops."""
     best = probabilities.argmax(1)
     confusion = confusion_matrix(crops.label, best)
-    things, others = crops.label != OTHER, crops.label == OTHER
-    sure = probabilities[np.arange(len(best)), best]
+    objects, distractors = crops.label != OTHER, crops.label == OTHER
+    confidence = probabilities[np.arange(len(best)), best]
     return {
         "crops": len(crops),
         "accuracy": float((best == crops.label).mean()),
-        "accuracy_objects": float((best == crops.label)[things].mean()),
+        "accuracy_objects": float((best == crops.label)[objects].mean()),
         "accuracy_per_class": {
             name: float(confusion[i, i] / max(confusion[i].sum(), 1)) for i, name in enumerate(LABELS)
         },
-        "distractors_taken_for_objects": float((best[others] != OTHER).mean()),
-        "objects_taken_for_distractors": float((best[things] == OTHER).mean()),
-        "calibration_error": calibration_error(sure, best == crops.label),
+        "distractors_taken_for_objects": float((best[distractors] != OTHER).mean()),
+        "objects_taken_for_distractors": float((best[objects] == OTHER).mean()),
+        "calibration_error": calibration_error(confidence, best == crops.label),
         "confusion": confusion.tolist(),
     }
 
 
-def confusion_matrix(true: Int[np.ndarray, "n"], found: Int[np.ndarray, "n"]) -> Int[np.ndarray, "5 5"]:
-    """Counts; rows are the truth."""
+def confusion_matrix(true: Int[np.ndarray, "n"], predicted: Int[np.ndarray, "n"]) -> Int[np.ndarray, "5 5"]:
+    """Return the counts of (true class, predicted class); rows are true classes."""
     size = len(LABELS)
-    return np.bincount(true * size + found, minlength=size**2).reshape(size, size)
+    return np.bincount(true * size + predicted, minlength=size**2).reshape(size, size)
 
 
 def calibration_error(score: Float[np.ndarray, "n"], correct: np.ndarray, bins: int = 10) -> float:
-    """Expected calibration error: how far scores are from the share that is right, by bins of score."""
+    """Return the expected calibration error: mean gap of confidence and accuracy over equal bins of score."""
     index = np.minimum((score * bins).astype(int), bins - 1)
     gaps = [abs((score - correct)[index == b].sum()) for b in range(bins)]
     return float(sum(gaps) / len(score))
 
 
 def provenance(config: TrainDetectorConfig) -> dict[str, str]:
-    """Metadata of a weights file."""
+    """Return the metadata of a weights file."""
     return {"seed": str(config.training.seed), "config": repr(config), "torch": torch.__version__}
 
 
@@ -255,8 +269,9 @@ def _card(
     return _CARD.format(
         scene_parameters=sum(p.numel() for p in scene.parameters()),
         parameters=sum(p.numel() for p in network.parameters()), temperature=temperature, crops=crops,
-        members=MEMBERS["class"], config=config, training=config.training, scene_epochs=config.scene_epochs,
-        torch=torch.__version__.split("+")[0], confusion=f"{header}\n{rows}", m=metrics,
+        members=ENSEMBLE_SIZE["class"], config=config, training=config.training,
+        scene_epochs=config.scene_epochs, torch=torch.__version__.split("+")[0],
+        confusion=f"{header}\n{rows}", m=metrics,
     )  # fmt: skip
 
 

@@ -1,8 +1,8 @@
-"""Rendered scenes on disk: small pictures for the scene network, and crops for the class and yaw networks.
+"""Rendered data sets on disk: small images for the scene network, and crops for the class and yaw networks.
 
-Scenes are rendered at 640 x 480, where crops are cut; pictures are kept at the scene network's resolution. A
-shard of a few hundred is one file; shards already there are taken as they are, so that an interrupted run
-goes on where it stopped.
+Scenes are rendered at 640 x 480; crops are taken at this resolution, images are stored at that of the scene
+network. Every file (shard) holds a few hundred images; existing shards are reused, so that an interrupted run
+can be resumed.
 """
 
 from __future__ import annotations
@@ -21,39 +21,38 @@ from app.training.crop_dataset import (
     LabelledCrops,
     Progress,
     Split,
-    disturbed_masks,
-    jittered_plane,
-    labelled_crops,
+    label_crops,
+    perturb_masks,
+    perturb_plane,
 )
 from app.training.files import load_arrays, save_arrays
-from perception.detection.network import OTHER
-from perception.detection.scene_training import Picture
-from perception.detection.working_view import reduced
-from perception.types import CATEGORIES, CameraIntrinsics, RgbdFrame
+from perception.detection.scene_training import LabelledScene
+from perception.detection.working_view import downscale
+from perception.types import CATEGORIES, OTHER, CameraIntrinsics, RgbdFrame
 
 if TYPE_CHECKING:
     from sim_assets.datasets.table_top import LabelledImage
 
 logger = logging.getLogger(__name__)
 
-SHARD = 250  # pictures per file
-PICTURES_PER_POOL = 84  # before other shapes take over: variety of shapes helps more than of views
-MAX_THINGS = 20
+SHARD = 250  # images per file
+PICTURES_PER_POOL = 84  # images before the shapes are redrawn: more shapes help more than more views
+MAX_THINGS = 20  # objects and distractors per image
 _DEPTH_STEP = 1e-4  # [m]
 _SIZE = (640, 480)
 
 
 @dataclass(frozen=True)
-class CloseUps:
-    """A kind of crowded scenes that crops are taken from.
+class CropScenes:
+    """A distribution of crowded scenes for crops.
 
     Attributes:
-        name: of its files.
-        shares: how many objects are of each of CATEGORIES, in proportion.
-        pictures_per_pool: how often other shapes take over.
-        astray: share of the masks that take in a piece of a neighbour, and of those that lose one of theirs.
-        drawn_in: share of the flat and lidded cans that stand on a narrower foot.
-        stream: of random numbers.
+        name: Prefix of the files.
+        shares: Proportions of the objects of CATEGORIES.
+        pictures_per_pool: Number of images before the shapes are redrawn.
+        astray: Share of the masks with a part of a neighbour, and of those with a missing part.
+        drawn_in: Share of the flat and lidded cans with a narrower foot.
+        stream: Key of its random stream.
     """
 
     name: str
@@ -64,21 +63,21 @@ class CloseUps:
     stream: int
 
 
-MIXED = CloseUps("close_ups", (4, 1, 2, 2), PICTURES_PER_POOL, 0.25, 0.0, 1)
-UPRIGHT = CloseUps("upright_close_ups", (1, 1, 4, 4), 28, 0.4, 0.6, 2)  # many shapes of bottles and cans
+MIXED = CropScenes("close_ups", (4, 1, 2, 2), PICTURES_PER_POOL, 0.25, 0.0, 1)
+UPRIGHT = CropScenes("upright_close_ups", (1, 1, 4, 4), 28, 0.4, 0.6, 2)  # many shapes of bottles and cans
 
 
 @dataclass(frozen=True)
-class Pictures:
-    """Small pictures with their truth; n of them, k things at most in each.
+class LabelledScenes:
+    """n images with ground truth at the scene network's resolution, each of at most k objects.
 
     Attributes:
         rgb: (n, h, w, 3).
-        depth: (n, h, w) in 0.1 mm, 0 where nothing was measured.
-        things: (n, h, w) 1 + index of the thing that each pixel shows, 0 for none.
-        label: (n, k) class of each thing, 4 for things of no class.
-        foot: (n, k, 2) where each thing's axis meets the table, which is z = 0, in [m].
-        camera: (n, 4) focal lengths and principal point in pixels.
+        depth: (n, h, w) depth in 0.1 mm, 0 where it is missing.
+        things: (n, h, w) 1 + index of the object or distractor at each pixel, 0 for background.
+        label: (n, k) class of each object, OTHER for distractors.
+        foot: (n, k, 2) footprint: where each object's axis meets the table (z = 0), in metres.
+        camera: (n, 4) fx, fy, cx, cy in pixels.
         pose: (n, 4, 4) T_world_camera.
     """
 
@@ -94,53 +93,57 @@ class Pictures:
         return len(self.rgb)
 
     def frame(self, index: int) -> RgbdFrame:
-        """A picture as a camera would give it."""
+        """Return the RGB-D frame of an image."""
         depth = self.depth[index].astype(np.float32) * np.float32(_DEPTH_STEP)
         camera = CameraIntrinsics(depth.shape[1], depth.shape[0], *(float(v) for v in self.camera[index]))
         return RgbdFrame(0.0, self.rgb[index], depth, camera, self.pose[index])
 
-    def labelled(self, index: int) -> Picture:
-        """A picture with its truth."""
-        return Picture(self.frame(index), self.things[index], self.label[index], self.foot[index])
+    def labelled(self, index: int) -> LabelledScene:
+        """Return an image with its ground truth."""
+        return LabelledScene(self.frame(index), self.things[index], self.label[index], self.foot[index])
 
     def save(self, path: Path) -> None:
+        """Write the arrays to an npz file, atomically."""
         save_arrays(path, self, _COLUMNS)
 
     @staticmethod
-    def load(path: Path) -> Pictures:
-        return Pictures(**load_arrays(path, _COLUMNS, "pictures"))
+    def load(path: Path) -> LabelledScenes:
+        """Read what ``save`` wrote; raises PerceptionError for a damaged file."""
+        return LabelledScenes(**load_arrays(path, _COLUMNS, "scenes"))
 
     @staticmethod
-    def joined(parts: Sequence[Pictures]) -> Pictures:
-        return Pictures(**{n: np.concatenate([getattr(part, n) for part in parts]) for n in _COLUMNS})
+    def concatenate(parts: Sequence[LabelledScenes]) -> LabelledScenes:
+        """Concatenate at least one part."""
+        return LabelledScenes(**{n: np.concatenate([getattr(part, n) for part in parts]) for n in _COLUMNS})
 
 
 _COLUMNS = ("rgb", "depth", "things", "label", "foot", "camera", "pose")
 
 
-def rendered_shards(
+def render_scene_shards(
     directory: Path, split: Split, pictures: int, seed: int, progress: Progress | None = None
 ) -> list[Path]:
-    """Files of random scenes (``shard_pictures``), rendered where they do not exist."""
+    """Render random scenes and return their files, for ``load_scenes``; existing files are reused."""
 
     def render(path: Path, count: int, shard: int) -> None:
-        _render_pictures(split, count, np.random.SeedSequence([seed, shard])).save(path)
+        _render_scenes(split, count, np.random.SeedSequence([seed, shard])).save(path)
 
     return _shards(directory, f"{split}_seed{seed}", pictures, render, f"{split} scenes", progress)
 
 
-def close_up_shards(
+def render_crop_shards(
     directory: Path,
     split: Split,
     pictures: int,
     seed: int,
     progress: Progress | None = None,
-    kind: CloseUps = MIXED,
+    kind: CropScenes = MIXED,
 ) -> list[Path]:
-    """Files of crops (``shard_crops``) from further, crowded scenes.
+    """Render crops from crowded scenes and return their files, for ``load_crops``; existing files are reused.
 
-    More of them show what is hard to tell: mugs by their handles, bottles from cans, in training odd things
-    that are neither; some masks take in a piece of a neighbour or lose one of their own.
+    Difficult cases are more frequent: mugs, bottles similar to cans, distractors made of random parts
+        (training
+    split only), and masks with a part of a neighbour or a missing part.
     """
 
     def render(path: Path, count: int, shard: int) -> None:
@@ -158,7 +161,7 @@ def _shards(
     what: str,
     progress: Progress | None,
 ) -> list[Path]:
-    """A file for every SHARD pictures; those that do not exist are rendered."""
+    """Return one file per SHARD images, rendering those that do not exist."""
     paths = []
     shards = max(1, math.ceil(pictures / SHARD))
     for shard in range(shards):
@@ -173,7 +176,7 @@ def _shards(
 
 
 def _render_close_ups(
-    split: Split, count: int, kind: CloseUps, seed: np.random.SeedSequence
+    split: Split, count: int, kind: CropScenes, seed: np.random.SeedSequence
 ) -> LabelledCrops:
     from sim_assets.datasets.table_top import TrainingSceneConfig
     from sim_assets.datasets.training_scenes import TrainingScenes
@@ -188,21 +191,23 @@ def _render_close_ups(
     crops = []
     with TrainingScenes(split, int(seed.generate_state(1)[0]), config) as scenes:
         for image in scenes.render(count):
-            masks = disturbed_masks(image, rng, astray=kind.astray)
-            crops.append(labelled_crops(image, jittered_plane(rng), masks))
+            masks = perturb_masks(image, rng, astray=kind.astray)
+            crops.append(label_crops(image, perturb_plane(rng), masks))
     logger.info("%d close-ups: %d crops", count, sum(map(len, crops)))
-    return LabelledCrops.joined(crops)
+    return LabelledCrops.concatenate(crops)
 
 
-def shard_pictures(paths: Sequence[Path]) -> Pictures:
-    return Pictures.joined([Pictures.load(path) for path in paths])
+def load_scenes(paths: Sequence[Path]) -> LabelledScenes:
+    """Load and concatenate shards of images."""
+    return LabelledScenes.concatenate([LabelledScenes.load(path) for path in paths])
 
 
-def shard_crops(paths: Sequence[Path]) -> LabelledCrops:
-    return LabelledCrops.joined([LabelledCrops.load(path) for path in paths])
+def load_crops(paths: Sequence[Path]) -> LabelledCrops:
+    """Load and concatenate shards of crops."""
+    return LabelledCrops.concatenate([LabelledCrops.load(path) for path in paths])
 
 
-def _render_pictures(split: Split, count: int, seed: np.random.SeedSequence) -> Pictures:
+def _render_scenes(split: Split, count: int, seed: np.random.SeedSequence) -> LabelledScenes:
     from sim_assets.datasets.table_top import TrainingSceneConfig
     from sim_assets.datasets.training_scenes import TrainingScenes
 
@@ -211,16 +216,19 @@ def _render_pictures(split: Split, count: int, seed: np.random.SeedSequence) -> 
         distance=(0.28, 0.95), elevation=(np.radians(25), np.radians(90)),
     )  # fmt: skip
     with TrainingScenes(split, int(seed.generate_state(1)[0]), config) as scenes:
-        return Pictures.joined([small_picture(image) for image in scenes.render(count)])
+        return LabelledScenes.concatenate([downscale_image(image) for image in scenes.render(count)])
 
 
-def small_picture(image: LabelledImage) -> Pictures:
-    """One picture at the scene network's resolution. A pixel shows a thing where half of its area does."""
-    frame = reduced(image.frame)
+def downscale_image(image: LabelledImage) -> LabelledScenes:
+    """Return one image at the scene network's resolution.
+
+    A pixel belongs to an object where at least two of its four quarters do.
+    """
+    frame = downscale(image.frame)
     k = frame.intrinsics
     factor = image.instances.shape[1] // k.width
     quarters = np.stack([(image.instances + 1)[i::factor, j::factor] for i in (0, 1) for j in (0, 1)])
-    things = np.sort(quarters, axis=0)[2]  # 0 is the table: half of the four suffice
+    things = np.sort(quarters, axis=0)[2]  # the second largest: two of four
     label, foot = np.full(MAX_THINGS, OTHER, np.uint8), np.zeros((MAX_THINGS, 2), np.float32)
     for index, thing in enumerate(image.labels):
         label[index] = OTHER if thing.category is None else CATEGORIES.index(thing.category)
@@ -229,4 +237,4 @@ def small_picture(image: LabelledImage) -> Pictures:
         frame.rgb, np.round(frame.depth / _DEPTH_STEP).clip(0, 65535).astype(np.uint16),
         things.astype(np.uint8), label, foot, np.array([k.fx, k.fy, k.cx, k.cy]), frame.T_world_camera,
     )  # fmt: skip
-    return Pictures(*(np.asarray(column)[None] for column in columns))
+    return LabelledScenes(*(np.asarray(column)[None] for column in columns))

@@ -1,6 +1,6 @@
-"""`nodeslam train yaw`: train the network that says which way a mug's handle points, and judge it.
+"""`nodeslam train yaw`: train and evaluate the network for the yaw of a mug's handle.
 
-Uses the same close-ups as `nodeslam train detector` when run on the same folder.
+In the same folder as `nodeslam train detector` it uses the same rendered crops.
 """
 
 from __future__ import annotations
@@ -17,59 +17,66 @@ from app.training.crop_dataset import LabelledCrops, Progress
 from app.training.detector import (
     RENDERING_SHARE,
     TrainDetectorConfig,
-    part,
     provenance,
-    rendered_crops,
-    trained,
+    render_crops,
+    stage_progress,
+    train_ensemble,
 )
 from app.training.files import checksums
-from perception.detection.network import WEIGHTS_FILES, CropNetwork, predict, save_network
-from perception.detection.training import CropSet, TrainingConfig
+from perception.detection.crop_network import WEIGHTS_FILES, CropNetwork, predict, save_crop_network
+from perception.detection.crop_training import CropSet, TrainingConfig, TrainingData
 from perception.detection.yaw import modes, soft_labels
 from perception.types import CATEGORIES
 
-HANDLE_VISIBLE = 0.01  # share of a mug's visible points on its handle from which on it counts as visible
+HANDLE_VISIBLE = 0.01  # smallest share of a mug's visible points on a handle that counts as visible
 
 
 @dataclass(frozen=True)
 class TrainYawConfig(TrainDetectorConfig):
-    """As for the detector; mugs are but a part of the crops, so they are passed over more often."""
+    """Configuration of the job; more epochs than for the detector, since only mugs are trained on."""
 
     training: TrainingConfig = field(default_factory=lambda: TrainingConfig(epochs=28))
 
 
 def run(config: TrainYawConfig, out_dir: Path, progress: Progress | None = None) -> dict[str, Any]:
-    """Train into a folder: crops, checkpoint, `yaw.safetensors`, `yaw.md`.
+    """Render the data set, train the yaw network and evaluate it on the test families.
+
+    Writes `scenes/`, checkpoint, `yaw.safetensors` and `yaw.md` to the folder.
 
     Returns:
-        the report's metrics: errors of the most probable yaw in [rad], with the handle visible and hidden.
+        Metrics of the yaw network (``yaw_metrics``).
     """
-    crops = rendered_crops(config, out_dir / "scenes", part(progress, 0.0, RENDERING_SHARE))
-    training, validation, test = (mugs_of(c) for c in (crops.training, crops.validation, crops.test))
-    network, temperature = trained(
-        "yaw", yaw_set(training), yaw_set(validation), config, out_dir, progress, RENDERING_SHARE
+    crops = render_crops(config, out_dir / "scenes", stage_progress(progress, 0.0, RENDERING_SHARE))
+    training, validation, test = (select_mugs(c) for c in (crops.training, crops.validation, crops.test))
+    data = TrainingData(yaw_targets(training), yaw_targets(validation))
+    network, temperature = train_ensemble(
+        "yaw", data, config, out_dir, stage_progress(progress, RENDERING_SHARE, 1.0)
     )
     metrics = yaw_metrics(test, predict(network, temperature, test.images, test.context))
-    save_network(network, out_dir / WEIGHTS_FILES["yaw"], "yaw", temperature, provenance(config))
+    save_crop_network(network, out_dir / WEIGHTS_FILES["yaw"], "yaw", temperature, provenance(config))
     card = _card(config, metrics, network, temperature, len(training))
     (out_dir / "yaw.md").write_text(card + checksums(out_dir / WEIGHTS_FILES["yaw"]), "utf-8")
     return metrics
 
 
-def mugs_of(crops: LabelledCrops) -> LabelledCrops:
-    return crops.of(crops.label == CATEGORIES.index("mug"))
+def select_mugs(crops: LabelledCrops) -> LabelledCrops:
+    """Return the crops of mugs."""
+    return crops.subset(crops.label == CATEGORIES.index("mug"))
 
 
-def yaw_set(crops: LabelledCrops) -> CropSet:
+def yaw_targets(crops: LabelledCrops) -> CropSet:
+    """Return the crops with soft yaw bins as targets."""
     return CropSet(crops.images, crops.context, soft_labels(crops.yaw.astype(np.float64)))
 
 
 def yaw_metrics(crops: LabelledCrops, probabilities: Float[np.ndarray, "n b"]) -> dict[str, Any]:
-    """Errors of the first mode in [rad], and how often one of three modes is right, by visibility."""
-    found = [modes(p, count=3, min_ratio=0.02) for p in probabilities]
+    """Return yaw errors (radians) of the first mode and of the best of three modes, by visibility."""
+    peaks_of_crops = [modes(p, count=3, min_ratio=0.02) for p in probabilities]
     truth = crops.yaw.tolist()
-    error = np.array([angle_between(peaks[0][0], yaw) for peaks, yaw in zip(found, truth)])
-    closest = np.array([min(angle_between(y, yaw) for y, _ in peaks) for peaks, yaw in zip(found, truth)])
+    error = np.array([angle_between(peaks[0][0], yaw) for peaks, yaw in zip(peaks_of_crops, truth)])
+    closest = np.array([
+        min(angle_between(y, yaw) for y, _ in peaks) for peaks, yaw in zip(peaks_of_crops, truth)
+    ])  # fmt: skip
     entropies = -(probabilities * np.log(np.clip(probabilities, 1e-12, None))).sum(1)
     metrics: dict[str, Any] = {"mugs": len(crops)}
     for name, rows in {
@@ -89,6 +96,7 @@ def yaw_metrics(crops: LabelledCrops, probabilities: Float[np.ndarray, "n b"]) -
 
 
 def angle_between(a: float, b: float) -> float:
+    """Return the absolute difference of two angles in radians, at most pi."""
     return abs((a - b + np.pi) % (2 * np.pi) - np.pi)
 
 

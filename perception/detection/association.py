@@ -20,7 +20,7 @@ from jaxtyping import Float
 from scipy.sparse.csgraph import connected_components
 
 from perception.detection.geometry import plan_coordinates, points_of, project, touches_border
-from perception.detection.yaw import fused
+from perception.detection.yaw import fuse_yaws
 from perception.errors import InvalidInputError
 from perception.types import CATEGORIES, OTHER, ObjectDetection, RgbdFrame, SupportPlane
 
@@ -222,7 +222,7 @@ def _fuse(
         "category": category,
         "score": float(probabilities[:OTHER].max()),
         "class_probabilities": probabilities,
-        "yaw_probabilities": fused(yaws) if yaws and category == "mug" else np.zeros(0),
+        "yaw_probabilities": fuse_yaws(yaws) if yaws and category == "mug" else np.zeros(0),
     }
     return [replace(f, detection=replace(f.detection, **changes)) for f in group]
 

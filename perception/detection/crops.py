@@ -1,10 +1,9 @@
-"""Gravity-upright square crops about an instance, what the class and yaw networks look at.
+"""Gravity-aligned square crops around an instance: the input of the class and yaw networks.
 
-Channels (SIDE x SIDE each): RGB, the mask, the height above the support plane, the depth relative to the
-instance's median. All but the mask show the surroundings too: a mask that lost a handle or took in a piece of
-a neighbour misleads nobody who sees what is there, and what ends at an occluder or at the image's border does
-not end there. Two numbers beside them say what the picture cannot: the crop's side in metres and the
-elevation it was seen from.
+Channels (SIDE x SIDE each): RGB, mask, height above the support plane, depth relative to the instance's
+median. All but the mask include the context, so that errors of the mask (a missing handle, part of a
+neighbour) and truncation by occluders or the image border can be recognised. Two scalars complete the input:
+the side of the crop in metres and the elevation of the view.
 """
 
 from __future__ import annotations
@@ -16,30 +15,30 @@ import cv2
 import numpy as np
 from jaxtyping import Bool, Float, Shaped, UInt8
 
-from perception.detection.geometry import camera_pose, height_image, view_heading, window_of
+from perception.detection.geometry import bounding_window, camera_pose, height_image, view_heading
 from perception.errors import InvalidInputError
 from perception.types import RgbdFrame, SupportPlane
 
 SIDE = 64
 CHANNELS = 6
 CONTEXT = 2
-_THIN = 0.08  # radius of what counts as thin, as a share of the root of the mask's area
-_CORE = 0.6  # of a mask's pixels at least are its core
-_MARGIN = 1.35  # side of the crop over the longer side of the mask's box
-_HEIGHT_RANGE = 0.30  # [m] above the plane that 8 bits cover
-_DEPTH_RANGE = 0.20  # [m] to either side of the median depth that 8 bits cover
+_OPENING_RADIUS = 0.08  # of the morphological opening, relative to the square root of the mask's area
+_MIN_CORE = 0.6  # smallest share of the mask's pixels in its core
+_MARGIN = 1.35  # side of the crop over the longer side of the mask's bounding box
+_HEIGHT_RANGE = 0.30  # [m] largest height above the plane in 8 bits
+_DEPTH_RANGE = 0.20  # [m] largest deviation from the median depth in 8 bits
 
 
 @dataclass(frozen=True)
 class Crop:
-    """One instance, cut out.
+    """The crop of one instance.
 
     Attributes:
-        image: (SIDE, SIDE, 6) uint8: red, green, blue, mask (0 or 255, between along the edge), height above
-            the plane (0 to 0.3 m), depth minus its median in the mask (-0.2 to 0.2 m). Where no depth was
-            measured the height is 0 and the depth the median; beyond the image's border everything is 0.
-        context: (2,) log of the crop's side in [m] over 0.15 m, sine of the elevation of the view.
-        heading: (3,) world direction in the plane that points up in the crop; yaw is counted from it.
+        image: (SIDE, SIDE, 6) uint8: red, green, blue, mask (antialiased, 255 inside), height above the plane
+            (0 to 0.3 m), depth relative to its median in the mask (-0.2 to 0.2 m). Where depth is missing,
+            height is 0 and depth the median; outside the image everything is 0.
+        context: (2,) log of the crop's side relative to 0.15 m, sine of the elevation of the view.
+        heading: (3,) world direction in the plane that points up in the crop, the zero of relative yaw.
     """
 
     image: UInt8[np.ndarray, "side side 6"]
@@ -49,26 +48,27 @@ class Crop:
 
 @dataclass(frozen=True)
 class FrameGeometry:
-    """What all crops of one frame share.
+    """Filtered depth and heights, shared by all crops of a frame.
 
     Attributes:
-        planes: (H, W, 3) 1 where depth was measured, the median-filtered depth in [m], the height above the
-            plane in [m]; all 0 elsewhere.
+        planes: (H, W, 3) 1 where depth was measured, median-filtered depth in metres, height above the plane
+            in metres; all 0 where depth is missing.
     """
 
     planes: Float[np.ndarray, "h w 3"]
 
     @property
     def depth(self) -> Float[np.ndarray, "h w"]:
+        """Median-filtered depth in metres."""
         return self.planes[..., 1]
 
-    def seen(self, mask: Bool[np.ndarray, "h w"]) -> bool:
-        """Whether any depth was measured in the mask: what ``crop`` needs."""
+    def has_depth(self, mask: Bool[np.ndarray, "h w"]) -> bool:
+        """Return whether the mask contains measured depth, which ``crop`` requires."""
         return bool((mask & (self.depth > 0)).any())
 
 
 def frame_geometry(frame: RgbdFrame, plane: SupportPlane) -> FrameGeometry:
-    """The frame's filtered depth and heights."""
+    """Return the frame's filtered depth and heights."""
     depth = cv2.medianBlur(np.ascontiguousarray(frame.depth), 5)
     measured = (depth > 0).astype(np.float32)
     return FrameGeometry(cv2.merge([measured, depth, height_image(frame, plane, depth) * measured]))
@@ -80,20 +80,23 @@ def crop(
     plane: SupportPlane,
     geometry: FrameGeometry | None = None,
 ) -> Crop:
-    """Cut the surroundings of the masked instance out of the frame, turned so that gravity points down.
+    """Return the crop around a masked instance, rotated so that gravity points down.
 
     Args:
-        geometry: the frame's, where the caller has it already (``frame_geometry``).
+        frame: The image.
+        mask: Pixels of the instance.
+        plane: Support plane in the world frame.
+        geometry: Result of ``frame_geometry`` for the frame; computed if None.
 
     Raises:
-        InvalidInputError: the mask holds no measured depth.
+        InvalidInputError: The mask contains no measured depth.
     """
     geometry = geometry or frame_geometry(frame, plane)
-    window = window_of(mask)
+    window = bounding_window(mask)
     depth = geometry.depth[window]
     inside = mask[window] & (depth > 0)
     if not inside.any():
-        raise InvalidInputError("cannot crop an instance without a single measured depth pixel in its mask")
+        raise InvalidInputError("the mask contains no measured depth: skip instances without depth")
     median = float(np.median(depth[inside]))
     centre = _centre(frame, window, inside, depth)
     heading = view_heading(frame, plane, centre)
@@ -109,38 +112,39 @@ def crop(
     return Crop(image=image, context=context, heading=heading)
 
 
-def stacked(crops: Sequence[Crop]) -> tuple[UInt8[np.ndarray, "n side side 6"], Float[np.ndarray, "n 2"]]:
-    """Images and contexts of crops as the networks take them; there may be none."""
+def stack_crops(crops: Sequence[Crop]) -> tuple[UInt8[np.ndarray, "n side side 6"], Float[np.ndarray, "n 2"]]:
+    """Return the images and contexts of any number of crops as batches."""
     images = np.array([c.image for c in crops], np.uint8).reshape(-1, SIDE, SIDE, CHANNELS)
     return images, np.array([c.context for c in crops], np.float32).reshape(-1, CONTEXT)
 
 
-def core(mask: Bool[np.ndarray, "h w"]) -> Bool[np.ndarray, "h w"]:
-    """The mask's largest piece once all that is thin is gone, such as an arm along a neighbour's edge.
+def mask_core(mask: Bool[np.ndarray, "h w"]) -> Bool[np.ndarray, "h w"]:
+    """Return the largest component of the mask after a morphological opening.
 
-    A morphological opening. Handles go, too: for the class, which the surroundings tell of, not for the yaw.
-    A mask that would lose too much, because the thing itself is thin, stays as it is.
+    This removes thin parts, such as a strip along a neighbour's contour, but also handles: the crop for the
+    class still shows them as context, the crop for the yaw needs the whole mask. If less than 60 % of the
+    mask would remain, because the object itself is thin, the mask itself is returned.
     """
     size = np.count_nonzero(mask)
-    radius = max(1, round(_THIN * np.sqrt(size)))
-    window = window_of(mask, margin=radius)
+    radius = max(1, round(_OPENING_RADIUS * np.sqrt(size)))
+    window = bounding_window(mask, margin=radius)
     disc = cv2.getStructuringElement(cv2.MORPH_ELLIPSE, (2 * radius + 1, 2 * radius + 1))
     opened = cv2.morphologyEx(mask[window].astype(np.uint8), cv2.MORPH_OPEN, disc)
-    count, numbers, pieces, _ = cv2.connectedComponentsWithStats(opened)
+    count, labels, stats, _ = cv2.connectedComponentsWithStats(opened)
     if count <= 1:
         return mask
-    largest = 1 + int(pieces[1:, cv2.CC_STAT_AREA].argmax())
-    if pieces[largest, cv2.CC_STAT_AREA] < _CORE * size:
+    largest = 1 + int(stats[1:, cv2.CC_STAT_AREA].argmax())
+    if stats[largest, cv2.CC_STAT_AREA] < _MIN_CORE * size:
         return mask
     result = np.zeros_like(mask)
-    result[window] = numbers == largest
+    result[window] = labels == largest
     return result
 
 
 def _geometry_channels(
     geometry: FrameGeometry, A: Float[np.ndarray, "2 3"], median: float
 ) -> list[UInt8[np.ndarray, "side side"]]:
-    """Height and relative depth; the mean of what was measured near each pixel."""
+    """Return height and relative depth, each the mean of the measured pixels under a crop pixel."""
     share, depth, height = np.moveaxis(_resampled(geometry.planes, A, beyond=(1.0, 0.0, 0.0)), 2, 0)
     known, share = share > 0.05, np.maximum(share, 0.05)
     depth, height = depth / share, height / share
@@ -155,7 +159,7 @@ def _centre(
     inside: Bool[np.ndarray, "h w"],
     depth: Float[np.ndarray, "h w"],
 ) -> Float[np.ndarray, "3"]:
-    """Centroid in the world of the window's points inside the mask."""
+    """Return the centroid in the world of the window's points inside the mask."""
     v, u = np.nonzero(inside)
     z, k, T = depth[v, u].astype(np.float64), frame.intrinsics, camera_pose(frame)
     x = (u + window[1].start - k.cx) / k.fx * z
@@ -170,12 +174,12 @@ def _upright_warp(
     centre: Float[np.ndarray, "3"],
     heading: Float[np.ndarray, "3"],
 ) -> tuple[Float[np.ndarray, "2 3"], float]:
-    """(affine map from the image's pixels to the crop's, the crop's side in image pixels).
+    """Return (affine map from image pixels to crop pixels, side of the crop in image pixels).
 
-    ``mask`` is what lies in ``window`` of the image.
+    ``mask`` is the part of the mask in ``window``.
     """
     k, R = frame.intrinsics, camera_pose(frame)[:3, :3]
-    # The image of a step along the heading, from the projection's derivative (rounding has no say here).
+    # Image of the heading at the centre by the derivative of the projection, free of pixel rounding.
     x, y, z = R.T @ (centre - camera_pose(frame)[:3, 3])
     dx, dy, dz = R.T @ heading
     step = np.array([k.fx * (dx - x / z * dz), k.fy * (dy - y / z * dz)])
@@ -196,9 +200,9 @@ def _upright_warp(
 def _resampled(
     image: Shaped[np.ndarray, "h w *c"], A: Float[np.ndarray, "2 3"], beyond: tuple[float, ...] = (0.0,) * 3
 ) -> Shaped[np.ndarray, "side side *c"]:
-    """The image warped to the crop; strongly shrunk ones by way of four times the pixels, then averaged.
+    """Return the image warped to the crop, antialiased by 4 x 4 supersampling where it shrinks.
 
-    ``beyond`` is what lies beyond the image's border.
+    ``beyond`` is the value outside the image.
     """
     factor = 4 if np.linalg.norm(A[0, :2]) < 0.6 else 1
     fine = factor * A

@@ -1,7 +1,8 @@
-"""From one RGB-D frame to the objects in it.
+"""Detection of the objects in one RGB-D frame.
 
-The scene network finds the instances and says what it takes them for, the class network looks at the core of
-each of them closely, and both words count the same; the yaw network says where the handles of mugs point.
+The scene network segments instances by Hough voting and classifies them; an ensemble of two networks on
+context crops contributes the other half of the class score; the yaw network predicts where the handles of
+mugs point.
 """
 
 from __future__ import annotations
@@ -15,27 +16,26 @@ import torch
 from jaxtyping import Bool, Float
 from scipy.special import log_softmax, softmax
 
-from perception.detection import network as nets
-from perception.detection.crops import core, crop, frame_geometry, stacked
+from perception.detection.crop_network import WEIGHTS_FILES, CropNetwork, load_crop_network, predict
+from perception.detection.crops import crop, frame_geometry, mask_core, stack_crops
 from perception.detection.geometry import heading_angle
 from perception.detection.instances import InstanceConfig, find_instances
 from perception.detection.scene_network import WEIGHTS_FILE, SceneNet, load_scene_network
-from perception.detection.yaw import turned
-from perception.types import CATEGORIES, ObjectDetection, RgbdFrame, SupportPlane
+from perception.detection.yaw import rotate_yaw
+from perception.types import CATEGORIES, OTHER, ObjectDetection, RgbdFrame, SupportPlane
 
 _MUG = CATEGORIES.index("mug")
 
 
 @dataclass(frozen=True)
 class DetectorConfig:
-    """What becomes a detection.
+    """Parameters of the detector.
 
     Attributes:
-        instances: how instances are found.
-        max_other: an instance whose probability of being of no class is above this is left out. Well over
-            one half, so that several views can still vote (``association.associate``); the score of a
-            doubtful instance is low all the same.
-        min_mug: yaw is estimated from this probability of being a mug on.
+        instances: Parameters of the instance segmentation.
+        max_other: Largest probability of 'other' (distractors) of a detection. Well above one half, so that
+            several views can still vote (``association.associate``); the score of such a detection is low.
+        min_mug: Smallest probability of 'mug' for which yaw is estimated.
     """
 
     instances: InstanceConfig = field(default_factory=InstanceConfig)
@@ -45,12 +45,21 @@ class DetectorConfig:
 
 @dataclass(frozen=True)
 class Detector:
-    """Finds mugs, bowls, bottles and cans in RGB-D frames. Make one with ``load``."""
+    """Detects mugs, bowls, bottles and cans in RGB-D frames. Create it with ``load``.
+
+    Attributes:
+        scene_network: Dense network for instances.
+        class_network: Network or ensemble for the class of a crop.
+        class_temperature: Divisor of its logits.
+        yaw_network: Network for the yaw of a mug's handle relative to the view.
+        yaw_temperature: Divisor of its logits.
+        config: Parameters.
+    """
 
     scene_network: SceneNet
-    class_network: nets.CropNetwork
+    class_network: CropNetwork
     class_temperature: float
-    yaw_network: nets.CropNetwork
+    yaw_network: CropNetwork
     yaw_temperature: float
     config: DetectorConfig = DetectorConfig()
 
@@ -60,63 +69,73 @@ class Detector:
         directory: Path | None = None,
         config: DetectorConfig = DetectorConfig(),
     ) -> Detector:
-        """The detector with the shipped weights, or those in ``directory``.
+        """Return the detector with the shipped weights, or those in ``directory``.
 
         Raises:
-            PerceptionError: weights are missing or damaged.
+            PerceptionError: Weights are missing, damaged or differ from their checksums.
         """
-        paths = {task: None if directory is None else directory / f for task, f in nets.WEIGHTS_FILES.items()}
+        paths = {task: None if directory is None else directory / f for task, f in WEIGHTS_FILES.items()}
         scene = None if directory is None else directory / WEIGHTS_FILE
         return Detector(
             load_scene_network(scene, device),
-            *nets.load_network("class", paths["class"], device),
-            *nets.load_network("yaw", paths["yaw"], device),
+            *load_crop_network("class", paths["class"], device),
+            *load_crop_network("yaw", paths["yaw"], device),
             config,
         )
 
     def __call__(self, frame: RgbdFrame, plane: SupportPlane) -> list[ObjectDetection]:
-        """Objects of the frame, most certain first; instances of no class are left out.
+        """Return the detections in a frame by descending score, without distractors.
 
         The score is the calibrated probability of the category. Yaw distributions are over world yaw.
+
+        Args:
+            frame: RGB-D image; without a pose its camera is the world.
+            plane: Support plane in the world frame.
         """
         found = find_instances(frame, plane, self.scene_network, self.config.instances)
-        hints = [instance.log_classes for instance in found]
-        return self.classify(frame, plane, [instance.mask for instance in found], hints)
+        scene_log_classes = [instance.log_classes for instance in found]
+        return self.classify(frame, plane, [instance.mask for instance in found], scene_log_classes)
 
     def classify(
         self,
         frame: RgbdFrame,
         plane: SupportPlane,
         masks: Sequence[Bool[np.ndarray, "h w"]],
-        hints: Sequence[Float[np.ndarray, "5"]] | None = None,
+        scene_log_classes: Sequence[Float[np.ndarray, "5"]] | None = None,
     ) -> list[ObjectDetection]:
-        """What the networks say of instances that somebody else has found, as a call does of its own.
+        """Classify given instance masks and estimate the yaw of mugs; masks without depth are skipped.
 
-        ``hints`` are log-probabilities of the classes that another network gives for each instance; the mean
-        of both is taken.
+        Args:
+            frame: RGB-D image.
+            plane: Support plane in the world frame.
+            masks: Pixels of each instance.
+            scene_log_classes: Class log-probabilities of each instance from the scene network, averaged with
+                those of the class network; the class network alone decides if None.
         """
         geometry = frame_geometry(frame, plane)
-        kept = [i for i, mask in enumerate(masks) if geometry.seen(mask)]
+        kept = [i for i, mask in enumerate(masks) if geometry.has_depth(mask)]
         if not kept:
             return []
         masks = [masks[i] for i in kept]
-        cores = [inner if geometry.seen(inner := core(mask)) else mask for mask in masks]
-        pieces = [crop(frame, inner, plane, geometry) for inner in cores]
-        classes = nets.predict(self.class_network, self.class_temperature, *stacked(pieces))
-        if hints is not None:
-            classes = agreed(classes, np.stack([hints[i] for i in kept]).astype(np.float64))
-        # The whole mask for the yaw: its core has no handle.
+        cores = [inner if geometry.has_depth(inner := mask_core(mask)) else mask for mask in masks]
+        crops = [crop(frame, inner, plane, geometry) for inner in cores]
+        classes = predict(self.class_network, self.class_temperature, *stack_crops(crops))
+        if scene_log_classes is not None:
+            scene = np.stack([scene_log_classes[i] for i in kept]).astype(np.float64)
+            classes = combine_probabilities(classes, scene)
+        # Yaw needs the whole mask: the core has no handle.
         mugs = np.flatnonzero(classes[:, _MUG] >= self.config.min_mug).tolist()
-        whole = [pieces[i] if cores[i] is masks[i] else crop(frame, masks[i], plane, geometry) for i in mugs]
-        yaws = nets.predict(self.yaw_network, self.yaw_temperature, *stacked(whole))
+        whole = [crops[i] if cores[i] is masks[i] else crop(frame, masks[i], plane, geometry) for i in mugs]
+        yaws = predict(self.yaw_network, self.yaw_temperature, *stack_crops(whole))
         yaw_of = {
-            i: turned(yaw, heading_angle(piece.heading, plane)) for i, yaw, piece in zip(mugs, yaws, whole)
+            i: rotate_yaw(yaw, heading_angle(piece.heading, plane))
+            for i, yaw, piece in zip(mugs, yaws, whole)
         }
         detections = []
         for i, (mask, probabilities) in enumerate(zip(masks, classes)):
-            if probabilities[nets.OTHER] > self.config.max_other:
+            if probabilities[OTHER] > self.config.max_other:
                 continue
-            best = int(probabilities[: nets.OTHER].argmax())
+            best = int(probabilities[:OTHER].argmax())
             detections.append(
                 ObjectDetection(
                     category=CATEGORIES[best],
@@ -129,8 +148,12 @@ class Detector:
         return sorted(detections, key=lambda detection: -detection.score)
 
 
-def agreed(
-    probabilities: Float[np.ndarray, "n 5"], hints: Float[np.ndarray, "n 5"]
+def combine_probabilities(
+    crop_probabilities: Float[np.ndarray, "n 5"], scene_log_classes: Float[np.ndarray, "n 5"]
 ) -> Float[np.ndarray, "n 5"]:
-    """Probabilities from the mean of two networks' log-probabilities; neither can rule anything out alone."""
-    return softmax(0.5 * (np.log(np.clip(probabilities, 1e-5, 1.0)) + log_softmax(hints, axis=1)), axis=1)
+    """Return the normalised geometric mean of the probabilities of class network and scene network.
+
+    Probabilities of the class network are at least 1e-5, so that it cannot rule out a class alone.
+    """
+    log = np.log(np.clip(crop_probabilities, 1e-5, 1.0))
+    return softmax(0.5 * (log + log_softmax(scene_log_classes, axis=1)), axis=1)

@@ -1,4 +1,4 @@
-"""Where the pixels of a frame lie relative to the support plane: heights, plan coordinates, headings."""
+"""Geometry of a frame's pixels relative to the support plane: heights, plan coordinates, headings."""
 
 from __future__ import annotations
 
@@ -10,14 +10,15 @@ from perception.types import RgbdFrame, SupportPlane
 
 
 def camera_pose(frame: RgbdFrame) -> Float[np.ndarray, "4 4"]:
-    """T_world_camera; a frame without a pose defines the world itself."""
+    """Return T_world_camera; the camera of a frame without a pose is the world."""
     return np.eye(4) if frame.T_world_camera is None else frame.T_world_camera
 
 
 def plane_axes(plane: SupportPlane) -> Float[np.ndarray, "2 3"]:
-    """Orthonormal axes in the plane from which yaw is counted: world x laid onto the plane, and normal x it.
+    """Return the axes of plan coordinates and yaw: world x projected onto the plane, and normal × it.
 
-    A plane that faces along world x (a camera-frame world seen sideways) takes world y instead.
+    If the normal is nearly parallel to world x, which can only happen in a camera frame, world y is
+    projected.
     """
     seed = np.array([1.0, 0.0, 0.0]) if abs(plane.normal[0]) < 0.9 else np.array([0.0, 1.0, 0.0])
     first = seed - (seed @ plane.normal) * plane.normal
@@ -26,7 +27,7 @@ def plane_axes(plane: SupportPlane) -> Float[np.ndarray, "2 3"]:
 
 
 def linear_in_depth(frame: RgbdFrame, direction: Float[np.ndarray, "3"]) -> tuple[np.ndarray, float]:
-    """(per-pixel slope (H, W), constant) such that ``direction . p_world = slope * depth + constant``."""
+    """Return (slope (H, W), constant) such that ``direction . p_world = slope * depth + constant``."""
     T = camera_pose(frame)
     camera, k = T[:3, :3].T @ direction, frame.intrinsics
     x = (np.arange(k.width) - k.cx) / k.fx * camera[0]
@@ -37,16 +38,19 @@ def linear_in_depth(frame: RgbdFrame, direction: Float[np.ndarray, "3"]) -> tupl
 def height_image(
     frame: RgbdFrame, plane: SupportPlane, depth: Float[np.ndarray, "h w"] | None = None
 ) -> Float[np.ndarray, "h w"]:
-    """Height of every pixel's point above the plane in [m]; meaningless where depth is 0.
+    """Return the height of every pixel's point above the plane in metres; undefined where depth is 0.
 
-    ``depth`` stands in for the frame's own, filtered for instance.
+    Args:
+        frame: Camera and depth.
+        plane: Support plane in the world frame.
+        depth: Depth to use instead of the frame's, for instance filtered.
     """
     slope, constant = linear_in_depth(frame, plane.normal)
     return (frame.depth if depth is None else depth) * slope + np.float32(constant - plane.offset)
 
 
-def window_of(mask: Bool[np.ndarray, "h w"], margin: int = 0) -> tuple[slice, slice]:
-    """Rows and columns of the mask's bounding box, widened by ``margin`` within the image."""
+def bounding_window(mask: Bool[np.ndarray, "h w"], margin: int = 0) -> tuple[slice, slice]:
+    """Return rows and columns of the mask's bounding box, extended by ``margin`` pixels, in the image."""
     x, y, w, h = cv2.boundingRect(mask.view(np.uint8))
     return slice(max(y - margin, 0), y + h + margin), slice(max(x - margin, 0), x + w + margin)
 
@@ -61,9 +65,9 @@ def points_of(
     mask: Bool[np.ndarray, "h w"],
     depth: Float[np.ndarray, "h w"] | None = None,
 ) -> Float[np.ndarray, "n 3"]:
-    """World points of the mask's measured pixels in [m], in row-major pixel order."""
+    """Return the world points of the mask's measured pixels in metres, in row-major pixel order."""
     depth = frame.depth if depth is None else depth
-    window = window_of(mask)
+    window = bounding_window(mask)
     v, u = np.nonzero(mask[window] & (depth[window] > 0))
     v, u = v + window[0].start, u + window[1].start
     z, k, T = depth[v, u].astype(np.float64), frame.intrinsics, camera_pose(frame)
@@ -72,18 +76,18 @@ def points_of(
 
 
 def plan_coordinates(points_world: Float[np.ndarray, "n 3"], plane: SupportPlane) -> Float[np.ndarray, "n 2"]:
-    """Coordinates of points along the plane's axes in [m]."""
+    """Return the coordinates of points along ``plane_axes`` in metres."""
     return points_world @ plane_axes(plane).T
 
 
 def project(
     frame: RgbdFrame, points_world: Float[np.ndarray, "n 3"]
 ) -> tuple[Int[np.ndarray, "n 2"], Float[np.ndarray, "n"]]:
-    """Pixels (u, v) of world points, rounded, and their depth in [m]; pixels may lie outside the image."""
+    """Return the rounded pixels (u, v) of world points, possibly off the image, and their depths in [m]."""
     T, k = camera_pose(frame), frame.intrinsics
     points_camera = (points_world - T[:3, 3]) @ T[:3, :3]
     z = points_camera[:, 2]
-    safe = np.where(z > 1e-6, z, 1.0)  # behind the camera: any pixel will do, the depth tells
+    safe = np.where(z > 1e-6, z, 1.0)  # pixels behind the camera are arbitrary
     u = points_camera[:, 0] / safe * k.fx + k.cx
     v = points_camera[:, 1] / safe * k.fy + k.cy
     return np.rint(np.stack([u, v], axis=1)).astype(np.int64), z
@@ -92,11 +96,11 @@ def project(
 def view_heading(
     frame: RgbdFrame, plane: SupportPlane, point_world: Float[np.ndarray, "3"]
 ) -> Float[np.ndarray, "3"]:
-    """Unit direction in the plane that points away from the camera at the point, upwards in its image.
+    """Return the unit direction in the plane that points away from the camera at the point.
 
-    The plane's normal and this direction project onto one line through the point's pixel: both go up in an
-    image turned gravity-upright. From straight above, where the ray has no direction in the plane, the
-    direction of the image's own top takes its place.
+    It and the plane's normal project onto the same line through the point's pixel: upwards in a
+    gravity-aligned image. For a view from straight above, where the ray has no component in the plane, it is
+    the direction of the image's top.
     """
     T, n = camera_pose(frame), plane.normal
     ray = point_world - T[:3, 3]
@@ -108,6 +112,6 @@ def view_heading(
 
 
 def heading_angle(heading: Float[np.ndarray, "3"], plane: SupportPlane) -> float:
-    """Angle of a direction in the plane about its normal, counted from ``plane_axes``, in [rad]."""
+    """Return the angle in radians of a direction in the plane, from the first of ``plane_axes``."""
     along = plane_axes(plane) @ heading
     return float(np.arctan2(along[1], along[0]))

@@ -1,7 +1,7 @@
-"""Any instance-segmentation model of the Hugging Face hub as the detector (extra ``hf``).
+"""A Hugging Face instance-segmentation model as the detector (extra ``hf``).
 
-The model sees the colour image alone; its labels are translated by name, and what is of none of our classes
-is left out. Masks are trusted as they are, so yaw and ties across images are left to association and fit.
+The model receives the colour image only. Its labels are mapped to the classes by name, other labels are
+ignored. It provides neither class probabilities nor yaw; association and fit do without.
 """
 
 from __future__ import annotations
@@ -15,7 +15,7 @@ import torch
 from perception.errors import PerceptionError
 from perception.types import Category, ObjectDetection, RgbdFrame
 
-# Labels of the usual data sets (COCO, LVIS, ADE20K, Open Images) by the class they mean here.
+# Class of the labels of common data sets (COCO, LVIS, ADE20K, Open Images).
 LABELS: dict[str, Category] = {
     "mug": "mug", "cup": "mug", "coffee cup": "mug", "coffee mug": "mug", "teacup": "mug",
     "bowl": "bowl", "soup bowl": "bowl", "mixing bowl": "bowl",
@@ -26,11 +26,14 @@ LABELS: dict[str, Category] = {
 
 @dataclass(frozen=True)
 class HuggingFaceDetector:
-    """Finds objects with somebody's network. Make one with ``load``.
+    """Detector that runs a Hugging Face model. Create it with ``load``.
 
     Attributes:
-        name: of the model.
-        min_score: what is less sure is left out.
+        name: Name or folder of the model.
+        processor: Its image processor.
+        model: The network.
+        device: Where it runs.
+        min_score: Smallest score of a detection.
     """
 
     name: str
@@ -41,11 +44,12 @@ class HuggingFaceDetector:
 
     @staticmethod
     def load(name: str, device: str = "cpu", min_score: float = 0.5) -> HuggingFaceDetector:
-        """The model of a name on the hub, or in a local folder.
+        """Load a model by its name on the hub or from a local folder.
 
         Raises:
-            ModuleNotFoundError: the extra ``hf`` is not installed.
-            PerceptionError: weights can't be had, or are no instance-segmentation model.
+            ModuleNotFoundError: The extra ``hf`` is not installed.
+            PerceptionError: The model cannot be loaded, does not segment instances, or has none of the
+                classes.
         """
         import transformers
 
@@ -66,12 +70,12 @@ class HuggingFaceDetector:
         known = [label for label in model.config.id2label.values() if category_of(label)]
         if not known:
             raise PerceptionError(
-                f"the Hugging Face model '{name}' knows neither mugs, bowls, bottles nor cans"
+                f"the Hugging Face model '{name}' has no label for mugs, bowls, bottles or cans"
             )
         return HuggingFaceDetector(name, processor, model.to(device).eval(), device, min_score)
 
     def __call__(self, frame: RgbdFrame) -> list[ObjectDetection]:
-        """Objects of our classes in the image, most certain first."""
+        """Return the objects of known classes in the image by descending score."""
         height, width = frame.depth.shape
         inputs = self.processor(images=np.asarray(frame.rgb), return_tensors="pt").to(self.device)
         with torch.inference_mode():
@@ -79,28 +83,28 @@ class HuggingFaceDetector:
         result = self.processor.post_process_instance_segmentation(
             outputs, threshold=self.min_score, target_sizes=[(height, width)]
         )[0]
-        numbers = np.asarray(result["segmentation"].cpu())
+        ids = np.asarray(result["segmentation"].cpu())
         found = []
         for segment in result["segments_info"]:
             category = category_of(self.model.config.id2label[segment["label_id"]])
-            mask = numbers == segment["id"]
+            mask = ids == segment["id"]
             if category is not None and mask.any():
                 found.append(ObjectDetection(category, float(segment["score"]), mask))
         return sorted(found, key=lambda detection: -detection.score)
 
 
 def category_of(label: str) -> Category | None:
-    """Our class of a data set's label, or None: 'cup', 'Coffee_cup' and 'cup, mug' are mugs."""
+    """Return the class for a data set's label, or None: 'cup', 'Coffee_cup' and 'cup, mug' are mugs."""
     names = [part.strip().replace("_", " ").lower() for part in label.split(",")]
     return next((LABELS[name] for name in names if name in LABELS), None)
 
 
 def _auto_class(transformers: Any, config: Any) -> Any:
-    """The loader that knows this architecture: instance segmentation, or the universal kind."""
+    """Return the loader for this architecture: instance segmentation or universal segmentation."""
     for loader in (
         transformers.AutoModelForInstanceSegmentation,
         transformers.AutoModelForUniversalSegmentation,
     ):
         if type(config) in loader._model_mapping:
             return loader
-    raise ValueError(f"{type(config).__name__} is no instance segmentation")
+    raise ValueError(f"{type(config).__name__} is not an instance-segmentation model")

@@ -1,8 +1,8 @@
-"""From the scene network's answers to instances: where votes meet there is a thing.
+"""Instance segmentation by Hough voting from the scene network's dense predictions.
 
-Votes are laid on a grid in the support plane, each spread as wide as the network expects it to err; peaks are
-feet of things, and each pixel belongs to the peak nearest to its vote. Touching things have feet that lie
-apart, so they part where geometry sees one lump.
+Votes for footprints are accumulated on a grid in the support plane, each weighted by its predicted accuracy.
+Peaks are object footprints, and every pixel is assigned to the peak nearest to its vote. Objects in contact
+have separate footprints, so they are separated although they form one connected region.
 """
 
 from __future__ import annotations
@@ -15,55 +15,58 @@ from jaxtyping import Bool, Float, Int
 from scipy.spatial.distance import cdist
 from scipy.special import expit, log_softmax
 
-from perception.detection.geometry import height_image, window_of
-from perception.detection.scene_network import CLASSES, VOTE_UNIT, SceneNet, answers
-from perception.detection.working_view import WorkingView, reduced, spread_from, working_view
+from perception.detection.geometry import bounding_window, height_image
+from perception.detection.scene_network import CLASSES, VOTE_UNIT, SceneNet, predict_scene
+from perception.detection.working_view import WorkingView, downscale, fill_from_nearest, working_view
 from perception.types import RgbdFrame, SupportPlane
 
 _CENTIMETRE = 0.01
-_NO_THING = -1
+_BACKGROUND = -1
 
 
 @dataclass(frozen=True)
 class InstanceConfig:
-    """What counts as an instance.
+    """Parameters of the instance segmentation.
 
     Attributes:
-        foreground: probability from which on a pixel shows a thing; low: masks err outwards.
-        cell: of the grid of votes in [m].
-        blur: standard deviation in [m] by which votes are spread at least.
-        apart: least distance in [m] between the feet of two things.
-        astray: votes this far in [m] from all feet are no thing's: parts of something without a foot of its
-            own must not go to whatever stands next to it.
-        piece_astray: the same for half of the votes of a separate piece of a thing.
-        min_votes: visible area, seen square to the ray and discounted by doubt, that makes a peak, in [m^2].
-        min_area, min_pixels: smallest visible area in [m^2] and mask.
-        ceiling: instances that reach higher above the plane in [m] are no table-top things (an arm).
-        near: instances closer to the camera in [m] are left out (the gripper).
-        speck: separate pieces of a mask smaller than this share of its largest are dropped.
+        min_foreground: Smallest foreground probability of a pixel; below one half, so that masks err
+            outwards.
+        cell: Side of the cells of the vote grid, in metres.
+        vote_std: Standard deviation of the smoothing of the vote grid, in metres.
+        min_peak_distance: Smallest distance between two footprints, in metres.
+        max_vote_distance: Largest distance of a vote from its footprint, in metres; pixels with farther votes
+            are background: parts of an object without a peak must not be assigned to a neighbour.
+        max_piece_distance: The same for the median of the votes of a separate component, in metres.
+        min_votes: Smallest weight of a peak: visible area perpendicular to the rays, discounted by the
+            predicted errors of the votes, in square metres.
+        min_area: Smallest visible area of an instance, in square metres.
+        min_pixels: Smallest number of pixels of an instance.
+        max_height: Largest height of an instance above the plane, in metres; excludes a robot arm.
+        min_distance: Smallest mean depth of an instance, in metres; excludes the gripper.
+        min_piece_share: Smallest separate component of a mask, as a share of its largest.
     """
 
-    foreground: float = 0.42
+    min_foreground: float = 0.42
     cell: float = 0.005
-    blur: float = 0.008
-    apart: float = 0.03
-    astray: float = 0.06
-    piece_astray: float = 0.03
+    vote_std: float = 0.008
+    min_peak_distance: float = 0.03
+    max_vote_distance: float = 0.06
+    max_piece_distance: float = 0.03
     min_votes: float = 1e-4
     min_area: float = 2.5e-4
     min_pixels: int = 60
-    ceiling: float = 0.40
-    near: float = 0.15
-    speck: float = 0.03
+    max_height: float = 0.40
+    min_distance: float = 0.15
+    min_piece_share: float = 0.03
 
 
 @dataclass(frozen=True)
 class Instance:
-    """One thing in an image.
+    """One segmented object.
 
     Attributes:
-        mask: (H, W).
-        log_classes: (5,) mean log-probabilities of the classes over its pixels.
+        mask: (H, W) bool.
+        log_classes: (5,) mean class log-probabilities over its pixels.
     """
 
     mask: Bool[np.ndarray, "h w"]
@@ -71,14 +74,14 @@ class Instance:
 
 
 @dataclass(frozen=True)
-class Answers:
-    """The network's answers in metres, at the resolution of the working view.
+class ScenePrediction:
+    """The scene network's predictions in metric units, for a working view of size (h, w).
 
     Attributes:
-        foreground: (h, w) probability that a pixel shows a thing.
-        log_classes: (h2, w2, 5) log-probabilities, at half the resolution.
-        vote: (h2, w2, 2) place in the plane that each pixel votes for in [m].
-        spread: (h2, w2) expected error of the vote in [m].
+        foreground: (h, w) probability that a pixel shows an object or distractor.
+        log_classes: (h/2, w/2, 5) class log-probabilities.
+        vote: (h/2, w/2, 2) footprint that each pixel votes for, in plan coordinates, in metres.
+        spread: (h/2, w/2) predicted error of the vote, in metres.
     """
 
     foreground: Float[np.ndarray, "h w"]
@@ -93,53 +96,62 @@ def find_instances(
     network: SceneNet,
     config: InstanceConfig = InstanceConfig(),
 ) -> list[Instance]:
-    """The things standing on the plane, largest first; their masks do not overlap."""
-    small = reduced(frame)
+    """Segment the objects and distractors on the plane; largest first, masks do not overlap.
+
+    Args:
+        frame: RGB-D image; without a pose its camera is the world.
+        plane: Support plane in the world frame.
+        network: Scene network in evaluation mode.
+        config: Parameters.
+    """
+    small = downscale(frame)
     if not (small.depth > 0).any():
         return []
     view = working_view(small, plane)
-    answer = interpreted(answers(network, view.channels), view)
-    peaks = feet(answer, view, config)
+    answer = decode_prediction(predict_scene(network, view.channels), view)
+    peaks = find_peaks(answer, view, config)
     if not len(peaks):
         return []
-    numbers = assigned(answer, view, peaks, config)
+    numbers = assign_pixels(answer, view, peaks, config)
     classes = _classes(answer, numbers, len(peaks))
     numbers = np.rot90(numbers, -view.turns)
     foreground = np.rot90(answer.foreground, -view.turns)
-    full = at_full_size(foreground, numbers, frame.depth.shape, config)
+    full = upsample_labels(foreground, numbers, frame.depth.shape, config)
     return _plausible(full, classes, frame, plane, config)
 
 
-def interpreted(answer: Float[np.ndarray, "h2 w2 12"], view: WorkingView) -> Answers:
-    """Probabilities and places from the network's numbers."""
+def decode_prediction(answer: Float[np.ndarray, "h2 w2 12"], view: WorkingView) -> ScenePrediction:
+    """Convert the network's outputs to probabilities and votes in metres."""
     h, w = view.height.shape
     quarters = expit(answer[..., :4]).reshape(*answer.shape[:2], 2, 2)
     foreground = quarters.transpose(0, 2, 1, 3).reshape(2 * answer.shape[0], 2 * answer.shape[1])[:h, :w]
     plan, pixel = view.plan[::2, ::2], view.pixel[::2, ::2]
     vote = plan + VOTE_UNIT * answer[..., 4 + CLASSES : 6 + CLASSES] * pixel[..., None]
     spread = _CENTIMETRE * np.exp(np.clip(answer[..., 6 + CLASSES], -4, 4))
-    return Answers(foreground, log_softmax(answer[..., 4 : 4 + CLASSES], axis=-1), vote, spread)
+    return ScenePrediction(foreground, log_softmax(answer[..., 4 : 4 + CLASSES], axis=-1), vote, spread)
 
 
-def feet(answer: Answers, view: WorkingView, config: InstanceConfig) -> Float[np.ndarray, "k 2"]:
-    """Peaks of the votes in the plane in [m], strongest first."""
+def find_peaks(
+    answer: ScenePrediction, view: WorkingView, config: InstanceConfig
+) -> Float[np.ndarray, "k 2"]:
+    """Return the peaks of the vote density in plan coordinates in metres, strongest first."""
     foreground = answer.foreground[::2, ::2]
-    voting = (foreground > config.foreground) & (view.pixel[::2, ::2] > 0)
+    voting = (foreground > config.min_foreground) & (view.pixel[::2, ::2] > 0)
     if not voting.any():
         return np.zeros((0, 2))
     vote, spread = answer.vote[voting], answer.spread[voting]
-    doubt = config.blur**2 / (config.blur**2 + spread**2)
+    doubt = config.vote_std**2 / (config.vote_std**2 + spread**2)
     weight = foreground[voting] * (2 * view.pixel[::2, ::2][voting]) ** 2 * doubt
-    close = (np.abs(vote - np.median(vote, axis=0)) < 2.0).all(1)  # strays must not blow up the grid
+    close = (np.abs(vote - np.median(vote, axis=0)) < 2.0).all(1)  # outliers must not enlarge the grid
     vote, weight = vote[close], weight[close]
     low = vote.min(0) - 0.05
     cells = np.floor((vote - low) / config.cell).astype(np.int64)
     rows, columns = cells.max(0) + 11
     grid = np.bincount(cells[:, 0] * columns + cells[:, 1], weights=weight, minlength=rows * columns)
-    sigma = config.blur / config.cell
+    sigma = config.vote_std / config.cell
     smooth = cv2.GaussianBlur(grid.reshape(rows, columns).astype(np.float32), (0, 0), sigma)
-    smooth *= 2 * np.pi * sigma**2  # what lies within the blur, about
-    reach = round(config.apart / config.cell)
+    smooth *= 2 * np.pi * sigma**2  # weight under the kernel, approximately
+    reach = round(config.min_peak_distance / config.cell)
     disc = cv2.getStructuringElement(cv2.MORPH_ELLIPSE, (2 * reach + 1,) * 2)
     peak = (smooth >= cv2.dilate(smooth, disc)) & (smooth > config.min_votes)
     at = np.argwhere(peak)
@@ -147,64 +159,67 @@ def feet(answer: Answers, view: WorkingView, config: InstanceConfig) -> Float[np
     return (at[order] + 0.5) * config.cell + low
 
 
-def assigned(
-    answer: Answers, view: WorkingView, peaks: Float[np.ndarray, "k 2"], config: InstanceConfig
+def assign_pixels(
+    answer: ScenePrediction, view: WorkingView, peaks: Float[np.ndarray, "k 2"], config: InstanceConfig
 ) -> Int[np.ndarray, "h w"]:
-    """Number of the peak that each pixel of the working view belongs to; in the background the nearest's.
+    """Return the index of the peak that each pixel of the working view is assigned to.
 
-    Pixels that vote for a place far from all peaks belong to none, -1.
+    Foreground pixels whose vote is far from every peak get -1; background pixels get the index of the nearest
+    foreground pixel.
     """
     h, w = view.height.shape
     offset = (answer.vote - view.plan[::2, ::2]) / view.pixel[::2, ::2, None]  # smooth over the image
     fine = np.asarray(cv2.resize(offset.astype(np.float32), (2 * offset.shape[1], 2 * offset.shape[0])))[
         :h, :w
     ]
-    shown = answer.foreground > config.foreground
+    shown = answer.foreground > config.min_foreground
     vote = view.plan[shown] + fine[shown] * view.pixel[shown][:, None]
     numbers, distance = np.zeros((h, w), np.int32), np.zeros((h, w), np.float32)
     apart = cdist(vote, peaks)
     numbers[shown], distance[shown] = apart.argmin(1), apart.min(1)
-    astray = shown & (distance > config.astray)
-    tidy = _tidied(numbers, shown & ~astray, distance, len(peaks), config.piece_astray)
-    return np.where(astray, _NO_THING, tidy)
+    outliers = shown & (distance > config.max_vote_distance)
+    cleaned = _reassign_pieces(numbers, shown & ~outliers, distance, len(peaks), config.max_piece_distance)
+    return np.where(outliers, _BACKGROUND, cleaned)
 
 
-def _tidied(
+def _reassign_pieces(
     numbers: Int[np.ndarray, "h w"],
     foreground: Bool[np.ndarray, "h w"],
     distance: Float[np.ndarray, "h w"],
     count: int,
-    piece_astray: float,
+    max_piece_distance: float,
     share: float = 0.2,
 ) -> Int[np.ndarray, "h w"]:
-    """Small separate pieces, and the background, given to the instance that is nearest to them.
+    """Assign small separate components of instances, and the background, to the nearest instance.
 
-    A piece that touches no instance stays part of its own, if its votes say so (their ``distance`` from the
-    foot in [m]); else it is no thing's.
+    A component without contact to another instance keeps its own if the median ``distance`` of its votes from
+    the footprint is at most ``max_piece_distance`` (in metres); otherwise it becomes background.
     """
-    loose, stray = np.zeros(numbers.shape, bool), np.zeros(numbers.shape, bool)
+    small, distant = np.zeros(numbers.shape, bool), np.zeros(numbers.shape, bool)
     for k in range(count):
-        mine = (foreground & (numbers == k)).astype(np.uint8)
-        n, pieces, stats, _ = cv2.connectedComponentsWithStats(mine, connectivity=8)
+        own = (foreground & (numbers == k)).astype(np.uint8)
+        n, pieces, stats, _ = cv2.connectedComponentsWithStats(own, connectivity=8)
         if n <= 2:
             continue
         area = np.asarray(stats)[:, cv2.CC_STAT_AREA].copy()
         area[0] = 0
-        loose |= ((area < share * area.max()) & (area > 0))[np.asarray(pieces)]
+        small |= ((area < share * area.max()) & (area > 0))[np.asarray(pieces)]
         for piece in range(1, n):
             here = np.asarray(pieces) == piece
-            if np.median(distance[here]) > piece_astray:
-                stray |= here
-    firm = foreground & ~loose & ~stray
-    if not firm.any():
+            if np.median(distance[here]) > max_piece_distance:
+                distant |= here
+    kept_pixels = foreground & ~small & ~distant
+    if not kept_pixels.any():
         return numbers
-    around, away = spread_from(numbers, firm)
-    kept = np.where(loose & (away >= 3), numbers, around)
-    return np.where(stray & ~(loose & (away < 3)), _NO_THING, kept)
+    nearest, nearest_distance = fill_from_nearest(numbers, kept_pixels)
+    kept = np.where(small & (nearest_distance >= 3), numbers, nearest)
+    return np.where(distant & ~(small & (nearest_distance < 3)), _BACKGROUND, kept)
 
 
-def _classes(answer: Answers, numbers: Int[np.ndarray, "h w"], count: int) -> Float[np.ndarray, "k 5"]:
-    """Mean log-probabilities of each instance's pixels."""
+def _classes(
+    answer: ScenePrediction, numbers: Int[np.ndarray, "h w"], count: int
+) -> Float[np.ndarray, "k 5"]:
+    """Return the mean class log-probabilities over each instance's pixels."""
     coarse, sure = numbers[::2, ::2], answer.foreground[::2, ::2]
     weight = np.where(coarse >= 0, np.where(sure > 0.5, sure, 1e-6), 0.0)
     flat = np.maximum(coarse, 0).ravel()
@@ -216,20 +231,20 @@ def _classes(answer: Answers, numbers: Int[np.ndarray, "h w"], count: int) -> Fl
     return np.stack(sums, axis=1) / np.maximum(total, 1e-12)[:, None]
 
 
-def at_full_size(
+def upsample_labels(
     foreground: Float[np.ndarray, "h w"],
     numbers: Int[np.ndarray, "h w"],
     shape: tuple[int, int],
     config: InstanceConfig,
 ) -> Int[np.ndarray, "H W"]:
-    """Number of the instance that each pixel of the frame shows, -1 for none."""
+    """Return the instance index of each pixel of the frame, -1 for background."""
     if foreground.shape == tuple(shape):
         fine, owner = foreground, numbers
     else:
         size = (shape[1], shape[0])
         fine = cv2.resize(np.ascontiguousarray(foreground, np.float32), size, interpolation=cv2.INTER_LINEAR)
         owner = cv2.resize(np.ascontiguousarray(numbers, np.int32), size, interpolation=cv2.INTER_NEAREST)
-    return np.where(np.asarray(fine) > config.foreground, np.asarray(owner), _NO_THING)
+    return np.where(np.asarray(fine) > config.min_foreground, np.asarray(owner), _BACKGROUND)
 
 
 def _plausible(
@@ -239,7 +254,7 @@ def _plausible(
     plane: SupportPlane,
     config: InstanceConfig,
 ) -> list[Instance]:
-    """Instances of a table-top thing's size, largest first."""
+    """Return the instances that pass the checks of size, height and distance, largest first."""
     shown = numbers >= 0
     owner, depth, height = numbers[shown], frame.depth[shown], height_image(frame, plane)[shown]
     measured = depth > 0
@@ -250,16 +265,16 @@ def _plausible(
     pixels, seen = counted(), counted(only=measured)
     distance = counted(depth, measured) / np.maximum(seen, 1)
     area = pixels * distance**2 / (frame.intrinsics.fx * frame.intrinsics.fy)
-    too_high = counted(only=measured & (height > config.ceiling)) > 0.02 * seen
+    too_high = counted(only=measured & (height > config.max_height)) > 0.02 * seen
     keep = (pixels >= config.min_pixels) & (seen > 0) & (area >= config.min_area)
-    keep &= ~too_high & (distance >= config.near)
+    keep &= ~too_high & (distance >= config.min_distance)
     order = sorted((int(k) for k in np.flatnonzero(keep)), key=lambda k: -pixels[k])
-    return [Instance(without_specks(numbers == k, config.speck), classes[k]) for k in order]
+    return [Instance(remove_specks(numbers == k, config.min_piece_share), classes[k]) for k in order]
 
 
-def without_specks(mask: Bool[np.ndarray, "H W"], share: float) -> Bool[np.ndarray, "H W"]:
-    """The mask without the pieces smaller than ``share`` of its largest."""
-    window = window_of(mask)
+def remove_specks(mask: Bool[np.ndarray, "H W"], share: float) -> Bool[np.ndarray, "H W"]:
+    """Return the mask without components smaller than ``share`` of its largest."""
+    window = bounding_window(mask)
     inside = np.ascontiguousarray(mask[window]).view(np.uint8)
     _, pieces, stats, _ = cv2.connectedComponentsWithStats(inside, connectivity=8)
     area = np.asarray(stats)[:, cv2.CC_STAT_AREA].copy()

@@ -1,8 +1,9 @@
-"""The dense network behind instances: of each pixel, whether a thing, of which class, and where that stands.
+"""The dense network for instance segmentation: foreground, class and a Hough vote for every pixel.
 
-Each pixel of a thing votes for the foot of the thing's axis in the support plane: an offset in the plane, in
-the image's own axes (``working_view``), in pixels of its own size, with the spread that it expects of its
-error. Votes of one thing meet in one place, and things that touch stand in places apart.
+Every foreground pixel votes for its object's footprint: the point where the object's axis meets the support
+plane. The vote is an offset along the image's axes in the plane (``working_view``), in units of the pixel's
+metric size, with a predicted standard error. Votes of one object coincide; the footprints of objects in
+contact are still apart.
 """
 
 from __future__ import annotations
@@ -16,21 +17,21 @@ from torch import Tensor, nn
 from torch.nn import functional
 from torch.nn.utils.fusion import fuse_conv_bn_eval
 
-from perception.detection.network import LABELS
+from perception.detection.crop_network import LABELS
 from perception.detection.weights import load_weights, save_weights
 from perception.detection.working_view import CHANNELS
 from perception.io.weights import WEIGHTS_DIRECTORY
 
 WEIGHTS_FILE = "scene.safetensors"
-VOTE_UNIT = 32.0  # pixels of offset that an output of one means
+VOTE_UNIT = 32.0  # pixels of offset per unit of output
 CLASSES = len(LABELS)
-OUTPUTS = 4 + CLASSES + 2 + 1  # four sub-pixels of foreground, classes, offset, log of its spread
+OUTPUTS = 4 + CLASSES + 2 + 1  # foreground of 2 x 2 sub-pixels, classes, offset, log of its standard error
 _WIDTHS = (24, 48, 80, 128, 160)
-_JOINED = (32, 48, 64)  # channels on the way back, fine to coarse
+_JOINED = (32, 48, 64)  # channels of the decoder, fine to coarse
 
 
 class SceneNet(nn.Module):
-    """An hourglass from a half down to a thirty-second of the resolution and back; 1.7 M weights."""
+    """Encoder-decoder with skip connections between 1/2 and 1/32 of the resolution; 1.7 M weights."""
 
     def __init__(self) -> None:
         super().__init__()
@@ -51,7 +52,7 @@ class SceneNet(nn.Module):
         self.answer = nn.Conv2d(fine, OUTPUTS, 1)
 
     def forward(self, channels: Float[Tensor, "n 8 h w"]) -> Float[Tensor, "n 12 h2 w2"]:
-        """Answers at half the resolution; height and width must be even."""
+        """Return the outputs at half the resolution; height and width must be even."""
         x = functional.pixel_unshuffle(channels, 2)
         levels = []
         for stage in self.down:
@@ -90,8 +91,8 @@ def _resized(x: Tensor, like: Tensor) -> Tensor:
 
 
 @torch.inference_mode()
-def answers(network: SceneNet, channels: Float[np.ndarray, "h w 8"]) -> Float[np.ndarray, "h2 w2 12"]:
-    """What the network says of one view; an odd row or column at the end is repeated."""
+def predict_scene(network: SceneNet, channels: Float[np.ndarray, "h w 8"]) -> Float[np.ndarray, "h2 w2 12"]:
+    """Return the network's outputs for one view; an odd last row or column is repeated."""
     device = next(network.parameters()).device
     padded = np.pad(channels, ((0, channels.shape[0] % 2), (0, channels.shape[1] % 2), (0, 0)), mode="edge")
     x = torch.from_numpy(padded).to(device).permute(2, 0, 1)[None]  # channels last in memory
@@ -99,7 +100,7 @@ def answers(network: SceneNet, channels: Float[np.ndarray, "h w 8"]) -> Float[np
 
 
 def save_scene_network(network: SceneNet, path: Path, notes: dict[str, str] | None = None) -> None:
-    """Write the weights in half precision, with ``notes`` such as how they were trained."""
+    """Write the weights in half precision with metadata ``notes``, such as the training configuration."""
     tensors = {
         name: value.detach().cpu().half() if value.is_floating_point() else value.detach().cpu()
         for name, value in network.state_dict().items()
@@ -108,10 +109,14 @@ def save_scene_network(network: SceneNet, path: Path, notes: dict[str, str] | No
 
 
 def load_scene_network(path: Path | None = None, device: str | torch.device = "cpu") -> SceneNet:
-    """The network ready to answer (not to be trained further), by default with the shipped weights.
+    """Return the network for inference, with batch normalisation folded into the convolutions.
+
+    Args:
+        path: Weights file; the shipped one if None.
+        device: Where the network runs.
 
     Raises:
-        PerceptionError: the file is missing, damaged, or holds another network.
+        PerceptionError: The file is missing, damaged, differs from its checksum, or is of another network.
     """
     network = SceneNet()
     load_weights(network, WEIGHTS_DIRECTORY / WEIGHTS_FILE if path is None else path, "scene", "detector")
@@ -121,7 +126,7 @@ def load_scene_network(path: Path | None = None, device: str | torch.device = "c
 
 
 def _folded(network: SceneNet) -> SceneNet:
-    """The same function with each normalisation folded into the convolution before it."""
+    """Fold each batch normalisation into the convolution before it, in place."""
     for module in list(network.modules()):
         if not isinstance(module, nn.Sequential) or len(module) < 2:
             continue

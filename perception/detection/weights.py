@@ -1,4 +1,4 @@
-"""Weights of the detection networks on disk: safetensors, with what they are for in the metadata."""
+"""Weights files of the detection networks: safetensors with the task in the metadata."""
 
 from __future__ import annotations
 
@@ -13,22 +13,24 @@ from perception.io.weights import verify_weights
 
 
 def save_weights(tensors: dict[str, Tensor], path: Path, about: dict[str, str]) -> None:
-    """Write tensors with metadata; folders are made."""
+    """Write tensors and metadata; missing folders are created."""
     path.parent.mkdir(parents=True, exist_ok=True)
     save_file({name: value.contiguous() for name, value in tensors.items()}, path, metadata=about)
 
 
 def load_weights(network: nn.Module, path: Path, task: str, command: str) -> dict[str, str]:
-    """Put the weights of a file into a network; returns the metadata.
+    """Load weights into a network and return the file's metadata.
 
     Args:
-        task: what the file must be for.
-        command: ``nodeslam train <command>`` makes such weights.
+        network: Network that receives the weights.
+        path: Weights file.
+        task: Task that the metadata must name.
+        command: Name of the job in ``nodeslam train`` that produces such weights, for messages.
 
     Raises:
-        PerceptionError: the file is missing, damaged, unlike its checksum, or holds another network.
+        PerceptionError: The file is missing, damaged, differs from its checksum, or is of another network.
     """
-    remedy = f"reinstall the package, or train them anew with `nodeslam train {command}`"
+    remedy = f"reinstall the package, or retrain with `nodeslam train {command}`"
     if not path.is_file():
         raise PerceptionError(f"weights {path} are missing; {remedy}")
     verify_weights(path, remedy)

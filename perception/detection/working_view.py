@@ -1,7 +1,7 @@
-"""A frame as the scene network sees it: about 320 pixels wide, gravity downwards to a quarter turn, metric.
+"""The scene network's input: a frame reduced to 320 pixels and rotated upright, with metric channels.
 
-The network works in pixels; what they mean in metres stands beside them: each pixel's place in the plane
-(axes along the image's right and away from the camera) and the size of a pixel there.
+The network works in pixels; their metric meaning is kept beside the channels: the plan coordinates of every
+pixel, along the image's right and away from the camera, and the size of a pixel at its point.
 """
 
 from __future__ import annotations
@@ -18,22 +18,22 @@ from perception.types import CameraIntrinsics, RgbdFrame, SupportPlane
 LONGER_SIDE = 320
 CHANNELS = 8
 _TYPICAL_PIXEL = 0.002  # [m]
-_NEAR = 0.12  # [m], depths below are no measurements of a table
+_MIN_DEPTH = 0.12  # [m] smaller depths are treated as missing
 
 
 @dataclass(frozen=True)
 class WorkingView:
-    """What goes into the network, and what its answers mean.
+    """Input channels of the scene network and the geometry that its outputs refer to.
 
     Attributes:
-        channels: (h, w, 8) float32: red, green, blue about 0; height above the plane, coarse (0.1 m) and fine
-            (0.01 m, cut off); whether depth was measured; log of the pixel's size; sine of the ray's descent.
-        plan: (h, w, 2) place of each pixel's point along ``axes`` in [m].
-        pixel: (h, w) size of a pixel at its point, square to the ray, in [m].
-        height: (h, w) above the plane in [m].
-        measured: (h, w) whether the depth is the camera's own; elsewhere it is the nearest measured one.
-        axes: (2, 3) world directions in the plane: right in the turned image, and away from the camera.
-        turns: quarter turns (counterclockwise) from the frame's image to this one.
+        channels: (h, w, 8) float32: red, green, blue in -0.5..0.5; height above the plane in units of 0.1 m
+            and, clipped, of 0.01 m; whether depth was measured; log pixel size; sine of the ray's descent.
+        plan: (h, w, 2) coordinates of each pixel's point along ``axes``, in metres.
+        pixel: (h, w) size of a pixel at its point, perpendicular to the ray, in metres.
+        height: (h, w) height above the plane, in metres.
+        measured: (h, w) whether depth was measured; elsewhere it is that of the nearest measured pixel.
+        axes: (2, 3) world directions in the plane: right in the rotated image, and away from the camera.
+        turns: Counterclockwise quarter turns from the frame's image to this one.
     """
 
     channels: Float[np.ndarray, "h w 8"]
@@ -45,8 +45,11 @@ class WorkingView:
     turns: int
 
 
-def reduced(frame: RgbdFrame) -> RgbdFrame:
-    """The frame with its longer side ``LONGER_SIDE`` pixels long, if it is longer; depth is never mixed."""
+def downscale(frame: RgbdFrame) -> RgbdFrame:
+    """Return the frame with its longer side reduced to at most ``LONGER_SIDE`` pixels.
+
+    Depth is median-filtered and resampled to the nearest pixel: no interpolation across discontinuities.
+    """
     k = frame.intrinsics
     depth = cv2.medianBlur(np.ascontiguousarray(frame.depth), 3)
     longer = max(k.width, k.height)
@@ -63,16 +66,16 @@ def reduced(frame: RgbdFrame) -> RgbdFrame:
 
 
 def quarter_turns(frame: RgbdFrame, plane: SupportPlane) -> int:
-    """How often the image must be turned by 90 degrees counterclockwise so that up is rather upwards."""
+    """Return the counterclockwise quarter turns after which the plane's normal points up in the image."""
     right, down = (float(camera_pose(frame)[:3, axis] @ plane.normal) for axis in (0, 1))
-    if np.hypot(right, down) < 0.35:  # seen from above every way up is as good
+    if np.hypot(right, down) < 0.35:  # from above, no direction is preferred
         return 0
     return round(float(np.arctan2(right, -down)) / (np.pi / 2)) % 4
 
 
 def working_view(frame: RgbdFrame, plane: SupportPlane) -> WorkingView:
-    """The network's view of a frame that is ``reduced`` already."""
-    measured = frame.depth > _NEAR
+    """Return the network's input for a frame reduced by ``downscale``."""
+    measured = frame.depth > _MIN_DEPTH
     depth = _filled(frame.depth, measured)
     height = height_image(frame, plane, depth)
     turns = quarter_turns(frame, plane)
@@ -89,38 +92,47 @@ def working_view(frame: RgbdFrame, plane: SupportPlane) -> WorkingView:
     size = np.clip(np.log(np.maximum(pixel, 1e-5) / _TYPICAL_PIXEL), -2, 3)
     channels = np.dstack([rgb, coarse, fine, measured, size, descent]).astype(np.float32)
 
-    def turned(image: np.ndarray) -> np.ndarray:
+    def rotated(image: np.ndarray) -> np.ndarray:
         return np.ascontiguousarray(np.rot90(image, turns))
 
     return WorkingView(
-        turned(channels), turned(plan), turned(pixel), turned(height), turned(measured), axes, turns
+        rotated(channels),
+        rotated(plan),
+        rotated(pixel),
+        rotated(height),
+        rotated(measured),
+        axes,
+        turns,
     )
 
 
 def _filled(depth: Float[np.ndarray, "h w"], measured: Bool[np.ndarray, "h w"]) -> Float[np.ndarray, "h w"]:
-    """Depth with the nearest measurement where there is none; 1 m where there is none at all."""
+    """Fill missing depth from the nearest measured pixel; 1 m if the image has no measurement."""
     if measured.all():
         return depth
     if not measured.any():
         return np.ones_like(depth)
-    return spread_from(depth, measured)[0]
+    return fill_from_nearest(depth, measured)[0]
 
 
-def spread_from(
+def fill_from_nearest(
     values: Shaped[np.ndarray, "h w"], known: Bool[np.ndarray, "h w"]
 ) -> tuple[Shaped[np.ndarray, "h w"], Float[np.ndarray, "h w"]]:
-    """At each pixel the value of the nearest known one, and how far that is in pixels; one must be known."""
+    """Return for each pixel the value of the nearest known pixel and its distance in pixels.
+
+    At least one pixel must be known.
+    """
     distance, nearest = cv2.distanceTransformWithLabels(
         (~known).astype(np.uint8), cv2.DIST_L2, 3, labelType=cv2.DIST_LABEL_PIXEL
     )
-    number = np.asarray(nearest, dtype=np.int32)
-    table = np.zeros(int(number.max()) + 1, values.dtype)
-    table[number[known]] = values[known]
-    return table[number], np.asarray(distance, dtype=np.float32)
+    label = np.asarray(nearest, dtype=np.int32)
+    table = np.zeros(int(label.max()) + 1, values.dtype)
+    table[label[known]] = values[known]
+    return table[label], np.asarray(distance, dtype=np.float32)
 
 
 def _image_axes(frame: RgbdFrame, plane: SupportPlane, turns: int) -> Float[np.ndarray, "2 3"]:
-    """The plane's directions to the right in the turned image, and away from the camera."""
+    """Return the plane's directions to the right in the rotated image and away from the camera."""
     R = camera_pose(frame)[:3, :3]
     right = (R[:, 0], R[:, 1], -R[:, 0], -R[:, 1])[turns]
     right = right - (right @ plane.normal) * plane.normal
@@ -129,8 +141,8 @@ def _image_axes(frame: RgbdFrame, plane: SupportPlane, turns: int) -> Float[np.n
 
 
 def _descent(frame: RgbdFrame, plane: SupportPlane) -> Float[np.ndarray, "h w"]:
-    """Sine of the angle at which each pixel's ray descends towards the plane."""
-    slope, _ = linear_in_depth(frame, plane.normal)  # height lost per depth along each ray
+    """Return the sine of the angle at which each pixel's ray descends towards the plane."""
+    slope, _ = linear_in_depth(frame, plane.normal)  # change of height per depth along each ray
     k = frame.intrinsics
     x = (np.arange(k.width, dtype=np.float32) - k.cx) / k.fx
     y = (np.arange(k.height, dtype=np.float32) - k.cy) / k.fy

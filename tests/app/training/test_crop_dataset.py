@@ -5,7 +5,7 @@ from types import SimpleNamespace
 import numpy as np
 import pytest
 
-from app.training.crop_dataset import LabelledCrops, disturbed_masks, handle_share, labelled_crops
+from app.training.crop_dataset import LabelledCrops, handle_share, label_crops, perturb_masks
 from perception.errors import PerceptionError
 from perception.types import CameraIntrinsics, RgbdFrame, SupportPlane
 
@@ -40,26 +40,26 @@ def test_masks_are_named_after_what_they_show():
     image = picture(
         [("can", 0.0), (None, 0.0), ("bowl", 0.0)], [(60, 60, 25, 0), (160, 60, 25, 1), (250, 150, 40, 2)]
     )
-    crops = labelled_crops(image, SupportPlane(), true_masks(image))
+    crops = label_crops(image, SupportPlane(), true_masks(image))
     assert sorted(crops.label.tolist()) == [1, 3, 4]
     assert crops.images.dtype == np.uint8 and crops.images.shape == (3, 64, 64, 6)
 
 
 def test_what_nobody_put_there_is_of_no_class():
     image = picture([("can", 0.0)], [(100, 100, 30, -1)])
-    crops = labelled_crops(image, SupportPlane(), [image.frame.depth < 0.45])
+    crops = label_crops(image, SupportPlane(), [image.frame.depth < 0.45])
     assert crops.label.tolist() == [4]
 
 
 def test_a_merger_has_no_name():
     image = picture([("can", 0.0), ("bowl", 0.0)], [(100, 100, 25, 0), (140, 100, 25, 1)])
-    assert len(labelled_crops(image, SupportPlane(), [image.instances >= 0])) == 0
+    assert len(label_crops(image, SupportPlane(), [image.instances >= 0])) == 0
 
 
 def test_yaw_counts_from_the_crops_up():
     """Seen from straight above, up in the crop is the image's top: world +y."""
     image = picture([("mug", 0.3)], [(160, 120, 30, 0)])
-    crops = labelled_crops(image, SupportPlane(), true_masks(image))
+    crops = label_crops(image, SupportPlane(), true_masks(image))
     assert crops.yaw == pytest.approx([0.3 - np.pi / 2], abs=0.02)
 
 
@@ -68,7 +68,7 @@ def test_disturbed_masks_stay_near_the_true_ones_and_cut_distractors_more_often(
     rng = np.random.default_rng(0)
     overlaps = {0: [], 1: []}
     for _ in range(40):
-        for mask in disturbed_masks(image, rng):
+        for mask in perturb_masks(image, rng):
             for k, found in overlaps.items():
                 true = image.instances == k
                 if (mask & true).any():
@@ -80,11 +80,11 @@ def test_disturbed_masks_stay_near_the_true_ones_and_cut_distractors_more_often(
 def test_some_masks_take_in_a_piece_of_a_neighbour_and_lose_one_of_their_own():
     image = picture([("can", 0.0), (None, 0.0)], [(100, 120, 30, 0), (165, 120, 25, 1)])
     rng = np.random.default_rng(0)
-    found = [disturbed_masks(image, rng, astray=share)[0] for share in [0.0] * 20 + [1.0] * 20]
+    found = [perturb_masks(image, rng, astray=share)[0] for share in [0.0] * 20 + [1.0] * 20]
     on_neighbour = np.array([(mask & (image.instances == 1)).sum() for mask in found])
     assert on_neighbour[:20].max() == 0 and np.median(on_neighbour[20:]) > 20
     alone = picture([("can", 0.0)], [(100, 120, 30, 0)])
-    whole, bitten = ([disturbed_masks(alone, rng, astray=a)[0].sum() for _ in range(20)] for a in (0.0, 1.0))
+    whole, bitten = ([perturb_masks(alone, rng, astray=a)[0].sum() for _ in range(20)] for a in (0.0, 1.0))
     assert np.median(bitten) < 0.97 * np.median(whole) and min(bitten) > 0.3 * np.median(whole)
 
 
@@ -111,7 +111,7 @@ def test_crops_survive_the_disk_and_add_up(tmp_path):
     crops.save(tmp_path / "a.npz")
     loaded = LabelledCrops.load(tmp_path / "a.npz")
     assert np.array_equal(loaded.images, crops.images)
-    assert len(LabelledCrops.joined([crops, loaded])) == 6
+    assert len(LabelledCrops.concatenate([crops, loaded])) == 6
 
 
 def test_a_damaged_file_is_named(tmp_path):

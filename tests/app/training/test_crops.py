@@ -7,9 +7,9 @@ import app.training.detector as train_detector
 import app.training.yaw as train_yaw
 from app.training.crop_dataset import LabelledCrops
 from app.training.files import summary_writer
-from perception.detection.network import load_network
+from perception.detection.crop_network import load_crop_network
+from perception.detection.crop_training import TrainingConfig
 from perception.detection.scene_network import SceneNet, load_scene_network
-from perception.detection.training import TrainingConfig
 from perception.detection.yaw import soft_labels
 from perception.errors import PerceptionError
 from perception.io.weights import weights_checksum
@@ -29,13 +29,13 @@ def made_up(seed):
 @pytest.fixture(autouse=True)
 def no_rendering(monkeypatch):
     """A shard is its number; what is in it is made up, and the scene network is not trained."""
-    monkeypatch.setattr(train_detector, "shard_crops", lambda shards: made_up(len(shards)))
+    monkeypatch.setattr(train_detector, "load_crops", lambda shards: made_up(len(shards)))
     monkeypatch.setattr(
-        train_detector, "close_up_shards", lambda folder, split, n, seed, *_, **__: [folder] * (1 + seed)
+        train_detector, "render_crop_shards", lambda folder, split, n, seed, *_, **__: [folder] * (1 + seed)
     )
-    monkeypatch.setattr(train_detector, "shard_pictures", lambda shards: None)
-    monkeypatch.setattr(train_detector, "trained_scene", lambda *_: SceneNet())
-    monkeypatch.setattr(train_detector, "rendered_shards", lambda folder, *_: [folder])
+    monkeypatch.setattr(train_detector, "load_scenes", lambda shards: None)
+    monkeypatch.setattr(train_detector, "train_scene", lambda *_: SceneNet())
+    monkeypatch.setattr(train_detector, "render_scene_shards", lambda folder, *_: [folder])
 
 
 def test_the_detector_job_writes_weights_and_a_card(tmp_path):
@@ -45,7 +45,7 @@ def test_the_detector_job_writes_weights_and_a_card(tmp_path):
         tmp_path,
         lambda what, share: told.append((what, share)),
     )
-    network, temperature = load_network("class", tmp_path / "detector.safetensors")
+    network, temperature = load_crop_network("class", tmp_path / "detector.safetensors")
     assert temperature > 0 and network.outputs == 5
     card = (tmp_path / "detector.md").read_text()
     assert "nodeslam train detector --seed 0" in card and "| mug |" in card
@@ -59,7 +59,7 @@ def test_the_detector_job_writes_weights_and_a_card(tmp_path):
 
 def test_the_yaw_job_learns_from_mugs_alone(tmp_path):
     metrics = train_yaw.run(train_yaw.TrainYawConfig(training=TINY), tmp_path)
-    load_network("yaw", tmp_path / "yaw.safetensors")
+    load_crop_network("yaw", tmp_path / "yaw.safetensors")
     assert metrics["mugs"] == 4
     assert metrics["visible"]["mugs"] == 2 and metrics["hidden"]["mugs"] == 2
     assert "| visible | 2 |" in (tmp_path / "yaw.md").read_text()
@@ -84,7 +84,7 @@ def test_class_figures_by_hand():
 
 
 def test_yaw_figures_by_hand():
-    crops = train_yaw.mugs_of(made_up(0))
+    crops = train_yaw.select_mugs(made_up(0))
     off = crops.yaw.astype(np.float64) + np.radians([0, 20, 0, 40])
     metrics = train_yaw.yaw_metrics(crops, soft_labels(off))
     both = [metrics["visible"], metrics["hidden"]]

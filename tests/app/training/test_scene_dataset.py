@@ -6,12 +6,12 @@ import pytest
 import app.training.scene_dataset as pictures
 from app.training.crop_dataset import LabelledCrops
 from app.training.scene_dataset import (
-    Pictures,
-    close_up_shards,
-    rendered_shards,
-    shard_crops,
-    shard_pictures,
-    small_picture,
+    LabelledScenes,
+    downscale_image,
+    load_crops,
+    load_scenes,
+    render_crop_shards,
+    render_scene_shards,
 )
 from perception.errors import PerceptionError
 from sim_assets.datasets.table_top import TrainingSceneConfig
@@ -30,7 +30,7 @@ def image():
 
 @pytest.fixture(scope="module")
 def small(image):
-    return small_picture(image)
+    return downscale_image(image)
 
 
 def test_a_small_picture_shows_the_same_things_in_the_same_places(image, small):
@@ -52,12 +52,12 @@ def test_a_small_picture_shows_the_same_things_in_the_same_places(image, small):
 
 def test_pictures_survive_the_disk(small, tmp_path):
     small.save(tmp_path / "a.npz")
-    again = Pictures.joined([Pictures.load(tmp_path / "a.npz")] * 2)
+    again = LabelledScenes.concatenate([LabelledScenes.load(tmp_path / "a.npz")] * 2)
     assert len(again) == 2
     np.testing.assert_array_equal(again.depth[1], small.depth[0])
     (tmp_path / "b.npz").write_bytes(b"PK\x03\x04 not really")
-    with pytest.raises(PerceptionError, match=r"b\.npz holds no pictures"):
-        Pictures.load(tmp_path / "b.npz")
+    with pytest.raises(PerceptionError, match=r"b\.npz holds no scenes"):
+        LabelledScenes.load(tmp_path / "b.npz")
 
 
 def test_finished_shards_are_not_rendered_again(small, tmp_path, monkeypatch):
@@ -68,17 +68,19 @@ def test_finished_shards_are_not_rendered_again(small, tmp_path, monkeypatch):
     )  # fmt: skip
 
     monkeypatch.setattr(
-        pictures, "_render_pictures", lambda split, count, seed: rendered.append(count) or small
+        pictures, "_render_scenes", lambda split, count, seed: rendered.append(count) or small
     )
-    rendered_shards(tmp_path, "train", pictures.SHARD + 10, seed=0)
-    paths = rendered_shards(tmp_path, "train", pictures.SHARD + 10, seed=0)
+    render_scene_shards(tmp_path, "train", pictures.SHARD + 10, seed=0)
+    paths = render_scene_shards(tmp_path, "train", pictures.SHARD + 10, seed=0)
     assert rendered == [pictures.SHARD, 10]
-    assert len(shard_pictures(paths)) == 2
+    assert len(load_scenes(paths)) == 2
 
     monkeypatch.setattr(
         pictures, "_render_close_ups", lambda split, count, kind, seed: rendered.append(count) or empty
     )
-    close_up_shards(tmp_path, "train", pictures.SHARD + 20, seed=0)
-    assert len(shard_crops(close_up_shards(tmp_path, "train", pictures.SHARD + 20, seed=0))) == 2
+    render_crop_shards(tmp_path, "train", pictures.SHARD + 20, seed=0)
+    assert len(load_crops(render_crop_shards(tmp_path, "train", pictures.SHARD + 20, seed=0))) == 2
     assert rendered[2:] == [pictures.SHARD, 20]
-    assert close_up_shards(tmp_path, "test", 20, seed=0) != close_up_shards(tmp_path, "train", 20, seed=0)
+    assert render_crop_shards(tmp_path, "test", 20, seed=0) != render_crop_shards(
+        tmp_path, "train", 20, seed=0
+    )

@@ -3,7 +3,7 @@
 import numpy as np
 import pytest
 
-from perception.detection.crops import SIDE, core, crop, stacked
+from perception.detection.crops import SIDE, crop, mask_core, stack_crops
 from perception.detection.geometry import (
     heading_angle,
     height_image,
@@ -12,7 +12,7 @@ from perception.detection.geometry import (
     project,
     view_heading,
 )
-from perception.detection.yaw import YAW_BINS, bin_centres, entropy, fused, modes, soft_labels, turned
+from perception.detection.yaw import YAW_BINS, bin_centres, entropy, fuse_yaws, modes, rotate_yaw, soft_labels
 from perception.errors import InvalidInputError
 from perception.types import RgbdFrame, SupportPlane
 
@@ -109,7 +109,7 @@ def test_beyond_the_border_and_where_depth_is_missing(post):
 def test_a_mask_without_depth_is_an_error(post):
     frame = post(0).frame
     blind = RgbdFrame(0.0, frame.rgb, 0 * frame.depth, frame.intrinsics, frame.T_world_camera)
-    with pytest.raises(InvalidInputError, match="without a single measured depth pixel"):
+    with pytest.raises(InvalidInputError, match="contains no measured depth"):
         crop(blind, np.ones_like(frame.depth, dtype=bool), PLANE)
 
 
@@ -141,7 +141,7 @@ def test_yaw_relative_to_the_view_becomes_world_yaw(scenes, yaw, azimuth):
     heading = view_heading(frame, PLANE, point)
     arrow = np.array([np.cos(yaw), np.sin(yaw), 0.0])
     relative = np.arctan2(np.cross(heading, arrow) @ PLANE.normal, heading @ arrow)
-    world = turned(soft_labels(np.array([relative]))[0], heading_angle(heading, PLANE))
+    world = rotate_yaw(soft_labels(np.array([relative]))[0], heading_angle(heading, PLANE))
     (found, _), *_ = modes(world)
     assert abs((found - yaw + np.pi) % (2 * np.pi) - np.pi) < np.radians(1.0)
 
@@ -155,15 +155,15 @@ def test_soft_labels_are_centred_distributions():
 
 def test_turning_by_whole_bins_rolls():
     p = soft_labels(np.array([1.0]))[0]
-    assert turned(p, 5 * 2 * np.pi / YAW_BINS) == pytest.approx(np.roll(p, 5))
-    assert turned(p, 0.123).sum() == pytest.approx(1.0)
+    assert rotate_yaw(p, 5 * 2 * np.pi / YAW_BINS) == pytest.approx(np.roll(p, 5))
+    assert rotate_yaw(p, 0.123).sum() == pytest.approx(1.0)
 
 
 def test_fusion_sharpens_agreement_and_survives_one_confident_mistake():
     right = soft_labels(np.array([1.0]), spread=0.3)[0]
     wrong = soft_labels(np.array([-2.0]), spread=0.05)[0]
-    assert entropy(fused([right, right])) < entropy(right)
-    (yaw, _), *_ = modes(fused([right, right, right, wrong]))
+    assert entropy(fuse_yaws([right, right])) < entropy(right)
+    (yaw, _), *_ = modes(fuse_yaws([right, right, right, wrong]))
     assert yaw == pytest.approx(1.0, abs=0.05)
 
 
@@ -181,7 +181,7 @@ def test_the_core_of_a_mask_has_no_thin_arms_and_no_specks():
     body = mask.copy()
     mask[64:67, 80:140] = True
     mask[10:14, 100:104] = True
-    kept = core(mask)
+    kept = mask_core(mask)
     assert (kept & ~body).sum() < 10
     assert (body & ~kept).sum() < 30  # the opening rounds the corners, but not at the border
     assert kept[-1, 20:80].all()
@@ -190,9 +190,9 @@ def test_the_core_of_a_mask_has_no_thin_arms_and_no_specks():
 def test_what_is_thin_all_over_is_its_own_core():
     mask = np.zeros((120, 160), bool)
     mask[50:54, 10:150] = True
-    assert core(mask) is mask
+    assert mask_core(mask) is mask
 
 
 def test_no_crops_stack_to_empty_arrays():
-    images, context = stacked([])
+    images, context = stack_crops([])
     assert images.shape == (0, SIDE, SIDE, 6) and context.shape == (0, 2)

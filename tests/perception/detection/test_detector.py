@@ -4,8 +4,8 @@ import numpy as np
 import pytest
 import torch
 
+from perception.detection.crop_network import OUTPUTS, CropNet, create_network, save_crop_network
 from perception.detection.detector import Detector
-from perception.detection.network import OUTPUTS, CropNet, save_network, untrained
 from perception.detection.scene_network import SceneNet, load_scene_network, save_scene_network
 from perception.errors import PerceptionError
 from perception.types import CATEGORIES, RgbdFrame, SupportPlane
@@ -14,7 +14,7 @@ PLANE = SupportPlane()
 
 
 class Fixed(CropNet):
-    """Answers every crop with the same logits."""
+    """ScenePrediction every crop with the same logits."""
 
     def __init__(self, logits):
         super().__init__(len(logits))
@@ -99,7 +99,7 @@ def test_most_certain_first(shipped, two):
 def test_weights_from_a_folder(tmp_path):
     save_scene_network(SceneNet(), tmp_path / "scene.safetensors")
     for task, name in (("class", "detector"), ("yaw", "yaw")):
-        save_network(untrained(task), tmp_path / f"{name}.safetensors", task, 1.5)
+        save_crop_network(create_network(task), tmp_path / f"{name}.safetensors", task, 1.5)
     assert Detector.load(directory=tmp_path).class_temperature == 1.5
     with pytest.raises(PerceptionError, match="are missing"):
         Detector.load(directory=tmp_path / "elsewhere")

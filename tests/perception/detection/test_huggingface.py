@@ -116,5 +116,5 @@ def test_weights_that_cannot_be_had_are_one_line(tmp_path: Path, monkeypatch: py
 
 @pytest.mark.filterwarnings("ignore")
 def test_a_model_without_our_classes_is_refused(tmp_path: Path) -> None:
-    with pytest.raises(PerceptionError, match="knows neither mugs"):
+    with pytest.raises(PerceptionError, match="no label for mugs"):
         HuggingFaceDetector.load(str(save_tiny(tmp_path / "other", {0: "person", 1: "car"})))

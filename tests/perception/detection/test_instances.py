@@ -6,17 +6,17 @@ import numpy as np
 import pytest
 
 from perception.detection.instances import (
-    Answers,
     InstanceConfig,
-    assigned,
-    at_full_size,
-    feet,
+    ScenePrediction,
+    assign_pixels,
+    decode_prediction,
     find_instances,
-    interpreted,
-    without_specks,
+    find_peaks,
+    remove_specks,
+    upsample_labels,
 )
 from perception.detection.scene_network import CLASSES, OUTPUTS, VOTE_UNIT, SceneNet
-from perception.detection.working_view import reduced, working_view
+from perception.detection.working_view import downscale, working_view
 from perception.types import RgbdFrame, SupportPlane
 
 PLANE = SupportPlane()
@@ -43,7 +43,7 @@ def perfect(frame, instances, places, noise=0.0):
 
 
 class Oracle(SceneNet):
-    """Answers with what it is given."""
+    """ScenePrediction with what it is given."""
 
     def __init__(self, answer):
         super().__init__()
@@ -66,7 +66,7 @@ def touching(scenes):
 
 @pytest.mark.parametrize("noise", [0.0, 0.006])
 def test_touching_things_part_where_their_votes_do(touching, noise):
-    frame = reduced(touching.frame)
+    frame = downscale(touching.frame)
     network = Oracle(perfect(frame, touching.instances, touching.places, noise))
     found = find_instances(frame, PLANE, network)
     assert len(found) == 4
@@ -79,55 +79,55 @@ def test_touching_things_part_where_their_votes_do(touching, noise):
 
 
 def test_feet_are_where_the_votes_meet(touching):
-    frame = reduced(touching.frame)
+    frame = downscale(touching.frame)
     view = working_view(frame, PLANE)
-    answer = interpreted(perfect(frame, touching.instances, touching.places, 0.004), view)
-    peaks = feet(answer, view, CONFIG) @ view.axes[:, :2]
+    answer = decode_prediction(perfect(frame, touching.instances, touching.places, 0.004), view)
+    peaks = find_peaks(answer, view, CONFIG) @ view.axes[:, :2]
     assert len(peaks) == 4
     for place in touching.places:
         assert np.linalg.norm(peaks - place, axis=1).min() < 0.004
 
 
 def test_doubtful_votes_make_no_peak(touching):
-    frame = reduced(touching.frame)
+    frame = downscale(touching.frame)
     view = working_view(frame, PLANE)
-    answer = interpreted(perfect(frame, touching.instances, touching.places), view)
-    doubtful = Answers(answer.foreground, answer.log_classes, answer.vote, answer.spread + 1.0)
-    assert len(feet(doubtful, view, CONFIG)) == 0
-    nothing = Answers(0 * answer.foreground, answer.log_classes, answer.vote, answer.spread)
-    assert len(feet(nothing, view, CONFIG)) == 0
+    answer = decode_prediction(perfect(frame, touching.instances, touching.places), view)
+    doubtful = ScenePrediction(answer.foreground, answer.log_classes, answer.vote, answer.spread + 1.0)
+    assert len(find_peaks(doubtful, view, CONFIG)) == 0
+    nothing = ScenePrediction(0 * answer.foreground, answer.log_classes, answer.vote, answer.spread)
+    assert len(find_peaks(nothing, view, CONFIG)) == 0
 
 
 def test_crumbs_go_to_what_surrounds_them(touching):
-    frame = reduced(touching.frame)
+    frame = downscale(touching.frame)
     view = working_view(frame, PLANE)
-    answer = interpreted(perfect(frame, touching.instances, touching.places), view)
-    peaks = feet(answer, view, CONFIG)
-    clean = assigned(answer, view, peaks, CONFIG)
+    answer = decode_prediction(perfect(frame, touching.instances, touching.places), view)
+    peaks = find_peaks(answer, view, CONFIG)
+    clean = assign_pixels(answer, view, peaks, CONFIG)
     vote = answer.vote.copy()
     v, u = (int(c.mean()) // 2 for c in np.nonzero(touching.instances == 3))
     vote[v - 1 : v + 2, u - 1 : u + 2] = peaks[np.argmax(np.linalg.norm(peaks - vote[v, u], axis=1))]
-    strayed = Answers(answer.foreground, answer.log_classes, vote, answer.spread)
-    assert (assigned(strayed, view, peaks, CONFIG) == clean)[touching.instances == 3].mean() > 0.99
+    strayed = ScenePrediction(answer.foreground, answer.log_classes, vote, answer.spread)
+    assert (assign_pixels(strayed, view, peaks, CONFIG) == clean)[touching.instances == 3].mean() > 0.99
 
 
 def test_what_has_no_foot_of_its_own_goes_to_nobody(touching):
     """The lone cylinder's votes are doubtful and make no peak; no other one takes it in."""
-    frame = reduced(touching.frame)
+    frame = downscale(touching.frame)
     view = working_view(frame, PLANE)
-    answer = interpreted(perfect(frame, touching.instances, touching.places), view)
+    answer = decode_prediction(perfect(frame, touching.instances, touching.places), view)
     lone = touching.instances == 3
     answer.spread[lone[::2, ::2]] += 1.0
-    peaks = feet(answer, view, CONFIG)
+    peaks = find_peaks(answer, view, CONFIG)
     assert len(peaks) == 3
-    numbers = assigned(answer, view, peaks, CONFIG)
+    numbers = assign_pixels(answer, view, peaks, CONFIG)
     assert (numbers[lone] == -1).mean() > 0.95 and (numbers[touching.instances == 1] >= 0).all()
 
     vote = answer.vote.copy()  # not as far astray: a separate piece is judged as a whole
     away = peaks[0] - peaks[1:].mean(0)
     vote[lone[::2, ::2]] = peaks[0] + 0.045 * away / np.linalg.norm(away)
-    numbers = assigned(
-        Answers(answer.foreground, answer.log_classes, vote, answer.spread), view, peaks, CONFIG
+    numbers = assign_pixels(
+        ScenePrediction(answer.foreground, answer.log_classes, vote, answer.spread), view, peaks, CONFIG
     )
     assert (numbers[lone] == -1).mean() > 0.95
 
@@ -135,7 +135,7 @@ def test_what_has_no_foot_of_its_own_goes_to_nobody(touching):
 def test_masks_grow_to_full_size():
     foreground, numbers = np.zeros((24, 32), np.float32), np.zeros((24, 32), np.int32)
     foreground[6:18, 8:24], numbers[:, 16:] = 1.0, 1
-    full = at_full_size(foreground, numbers, (48, 64), CONFIG)
+    full = upsample_labels(foreground, numbers, (48, 64), CONFIG)
     assert set(np.unique(full)) == {-1, 0, 1}
     assert abs((full == 0).sum() - 4 * 96) < 0.15 * 4 * 96
 
@@ -144,16 +144,16 @@ def test_specks_are_dropped_and_halves_are_kept():
     mask = np.zeros((60, 80), bool)
     mask[5:25, 10:30] = mask[35:50, 10:30] = True  # parted by something in front of it
     mask[55, 70:73] = True
-    clean = without_specks(mask, 0.03)
+    clean = remove_specks(mask, 0.03)
     assert not clean[55].any() and clean.sum() == mask.sum() - 3
-    assert without_specks(mask, 0.0).sum() == mask.sum()
+    assert remove_specks(mask, 0.0).sum() == mask.sum()
 
 
 def test_what_towers_over_the_table_is_no_thing(scenes):
     scene = scenes.render(
         [scenes.Solid(0.45, -0.2, 0.6, half=(0.04, 0.04))], scenes.orbit(TARGET, 1.0, 30, 0)
     )
-    network = Oracle(perfect(reduced(scene.frame), scene.instances, [(0.45, -0.2)]))
+    network = Oracle(perfect(downscale(scene.frame), scene.instances, [(0.45, -0.2)]))
     assert find_instances(scene.frame, PLANE, network) == []
 
 
@@ -164,7 +164,7 @@ def test_no_measurement_no_instances(scenes):
 
 
 def test_pixels_that_vote_for_nowhere_belong_to_nothing(touching):
-    frame = reduced(touching.frame)
+    frame = downscale(touching.frame)
     answer = perfect(frame, touching.instances, touching.places)
     corner = np.s_[:8, :16]  # no thing is there: a wall that the network takes for one, without knowing where
     assert (touching.instances[:16, :32] < 0).all()

@@ -9,17 +9,18 @@ from perception.detection.scene_network import (
     OUTPUTS,
     VOTE_UNIT,
     SceneNet,
-    answers,
     load_scene_network,
+    predict_scene,
     save_scene_network,
 )
 from perception.detection.scene_training import (
-    Picture,
+    LabelledScene,
+    SceneTargets,
     SceneTrainingConfig,
-    losses_of,
-    recoloured,
-    sampled,
+    sample_patch,
+    scene_losses,
     train_scene_network,
+    vary_colours,
 )
 from perception.detection.working_view import CHANNELS
 from perception.errors import PerceptionError
@@ -32,7 +33,7 @@ SMALL = SceneTrainingConfig(epochs=2, batch=2, side=96)
 def picture(scenes):
     solids = [scenes.Solid(x, y, 0.1, radius=0.035) for x, y in PLACES]
     scene = scenes.render(solids, scenes.orbit((0.48, -0.22, 0.05), 0.5, 50, 70))
-    return Picture(
+    return LabelledScene(
         scene.frame, (scene.instances + 1).astype(np.uint8), np.array([2, 4], np.uint8), np.array(PLACES)
     )
 
@@ -40,7 +41,7 @@ def picture(scenes):
 def test_offsets_lead_to_the_feet_mirrored_or_not(picture):
     """Where things stand in the picture's own axes: what all pixels of one thing vote for is one place."""
     for seed in range(6):
-        sample = sampled(picture, SceneTrainingConfig(side=192), np.random.default_rng(seed))
+        sample = sample_patch(picture, SceneTrainingConfig(side=192), np.random.default_rng(seed))
         assert sample.channels.shape == (192, 192, CHANNELS) and sample.label.shape == (96, 96)
         assert set(np.unique(sample.label)) <= {-1, 2, 4}
         inside = sample.weight > 0
@@ -59,17 +60,18 @@ def test_losses_in_closed_form():
     offset[:, :2, :, 0] = 10.0
     pixel, weight = torch.full((1, 4, 4), 0.003), (label >= 0).float()
     config = SceneTrainingConfig(foreground_weight=1, class_weight=1, vote_weight=1)
-    loss = losses_of(answer, things, label, offset, pixel, weight, config)
+    targets = SceneTargets(things, label, offset, pixel, weight)
+    loss = scene_losses(answer, targets, config)
     # log 2 for an undecided bit, log 5 for an undecided class, 10 pixels of 3 mm with a spread of 1 cm
     assert loss.tolist() == pytest.approx([np.log(2), np.log(5), 3.0], rel=1e-3)
     answer[:, 4 + CLASSES] = 10.0 / VOTE_UNIT
-    better = losses_of(answer, things, label, offset, pixel, weight, config)
+    better = scene_losses(answer, targets, config)
     assert better[2] < 0.02 and better[1] == loss[1]
 
 
 def test_colours_stay_colours():
     rgb = np.random.default_rng(0).random((32, 32, 3)).astype(np.float32) - 0.5
-    drawn = [recoloured(rgb, np.random.default_rng(seed)) for seed in range(20)]
+    drawn = [vary_colours(rgb, np.random.default_rng(seed)) for seed in range(20)]
     assert all(np.abs(image).max() <= 0.5 and image.dtype == np.float32 for image in drawn)
     assert np.std([image.mean() for image in drawn]) > 0.03
 
@@ -102,7 +104,7 @@ def test_weights_survive_the_disk(tmp_path):
     save_scene_network(network, tmp_path / "scene.safetensors", {"seed": "0"})
     loaded = load_scene_network(tmp_path / "scene.safetensors")
     channels = np.random.default_rng(0).standard_normal((47, 63, CHANNELS)).astype(np.float32)
-    mine, theirs = answers(network, channels), answers(loaded, channels)
+    mine, theirs = predict_scene(network, channels), predict_scene(loaded, channels)
     assert mine.shape == (24, 32, OUTPUTS)
     np.testing.assert_allclose(mine, theirs, atol=0.02)  # half precision
     with pytest.raises(PerceptionError, match="are missing"):

@@ -111,7 +111,7 @@ def test_what_towers_over_the_table_or_nears_the_lens_is_no_object(segment, scen
     assert segment(scene.frame, PLANE) == []
     finger = scenes.Solid(0.48, -0.22, 0.45, radius=0.01)
     scene = scenes.render([finger], scenes.orbit(TARGET, 0.5, 90, 0))
-    assert segment(scene.frame, PLANE, InstanceConfig(ceiling=1.0)) == []
+    assert segment(scene.frame, PLANE, InstanceConfig(max_height=1.0)) == []
 
 
 def test_a_camera_without_a_pose_sees_the_same(segment, scenes, table):

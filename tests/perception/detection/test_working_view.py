@@ -4,7 +4,7 @@ import numpy as np
 import pytest
 
 from perception.detection.geometry import points_of
-from perception.detection.working_view import quarter_turns, reduced, spread_from, working_view
+from perception.detection.working_view import downscale, fill_from_nearest, quarter_turns, working_view
 from perception.types import CameraIntrinsics, RgbdFrame, SupportPlane
 
 PLANE = SupportPlane()
@@ -27,8 +27,8 @@ def rolled(frame, quarters):
 
 
 def test_reduced_keeps_the_rays_and_never_mixes_depths(frame):
-    small = reduced(frame)
-    assert small.depth.shape == (240, 320) and reduced(small).depth.shape == (240, 320)
+    small = downscale(frame)
+    assert small.depth.shape == (240, 320) and downscale(small).depth.shape == (240, 320)
     assert set(np.unique(small.depth)) <= set(np.unique(frame.depth))
     k, K = small.intrinsics, frame.intrinsics
     corner = (-0.5 - k.cx) / k.fx, (k.width - 0.5 - k.cx) / k.fx
@@ -36,9 +36,9 @@ def test_reduced_keeps_the_rays_and_never_mixes_depths(frame):
 
 
 def test_places_are_those_of_the_points(frame):
-    view = working_view(reduced(frame), PLANE)
+    view = working_view(downscale(frame), PLANE)
     assert view.turns == 0
-    points = points_of(reduced(frame), np.ones(view.height.shape, bool)).reshape(*view.height.shape, 3)
+    points = points_of(downscale(frame), np.ones(view.height.shape, bool)).reshape(*view.height.shape, 3)
     np.testing.assert_allclose(view.plan, points @ view.axes.T, atol=1e-4)
     np.testing.assert_allclose(view.height, points[..., 2], atol=1e-4)
     np.testing.assert_allclose(view.axes @ view.axes.T, np.eye(2), atol=1e-9)
@@ -49,7 +49,7 @@ def test_places_are_those_of_the_points(frame):
 
 @pytest.mark.parametrize("quarters", [1, 2, 3])
 def test_a_rolled_camera_gets_the_same_view(frame, quarters):
-    upright, turned = reduced(frame), rolled(reduced(frame), quarters)
+    upright, turned = downscale(frame), rolled(downscale(frame), quarters)
     assert quarter_turns(turned, PLANE) == (4 - quarters) % 4
     a, b = working_view(upright, PLANE), working_view(turned, PLANE)
     np.testing.assert_allclose(a.axes, b.axes, atol=1e-9)
@@ -65,7 +65,7 @@ def test_from_straight_above_any_way_up_will_do(scenes):
 def test_holes_take_the_nearest_depth_and_say_so(frame):
     depth = frame.depth.copy()
     depth[200:210, 300:310] = 0
-    holed = reduced(RgbdFrame(0.0, frame.rgb, depth, frame.intrinsics, frame.T_world_camera))
+    holed = downscale(RgbdFrame(0.0, frame.rgb, depth, frame.intrinsics, frame.T_world_camera))
     view = working_view(holed, PLANE)
     assert not view.measured[102, 152] and view.channels[102, 152, 5] == 0
     assert np.isfinite(view.plan).all() and (view.pixel > 0).all()
@@ -75,6 +75,6 @@ def test_holes_take_the_nearest_depth_and_say_so(frame):
 
 def test_values_spread_to_their_neighbours():
     values = np.array([[1, 0, 0, 0, 2]], np.int32)
-    spread, distance = spread_from(values, values > 0)
+    spread, distance = fill_from_nearest(values, values > 0)
     assert spread[0, [0, 1, 3, 4]].tolist() == [1, 1, 2, 2]
     assert distance[0, 0] == 0 and distance[0, 1] == pytest.approx(1, abs=0.1)

@@ -6,7 +6,7 @@ from hashlib import sha256
 
 import pytest
 
-from perception.detection.network import load_network
+from perception.detection.crop_network import load_crop_network
 from perception.detection.scene_network import load_scene_network
 from perception.errors import PerceptionError
 from perception.io.weights import (
@@ -21,8 +21,8 @@ from perception.shape.weights import load_weights as load_shape
 SHIPPED = sorted(WEIGHTS_DIRECTORY.glob("*.safetensors"))
 LOADERS = {
     "shape": load_shape,
-    "detector": lambda path: load_network("class", path),
-    "yaw": lambda path: load_network("yaw", path),
+    "detector": lambda path: load_crop_network("class", path),
+    "yaw": lambda path: load_crop_network("yaw", path),
     "scene": load_scene_network,
 }
 

@@ -5,28 +5,29 @@ import pytest
 import torch
 from safetensors.torch import save_file
 
-from perception.detection.crops import SIDE
-from perception.detection.network import (
-    MEMBERS,
+from perception.detection.crop_network import (
+    ENSEMBLE_SIZE,
     OUTPUTS,
     CropNet,
-    load_network,
+    ensemble_of,
+    load_crop_network,
+    normalise_crops,
     predict,
-    prepared,
-    save_network,
-    together,
+    save_crop_network,
 )
-from perception.detection.training import (
+from perception.detection.crop_training import (
     CropSet,
     TrainingConfig,
+    TrainingData,
     calibrated_temperature,
-    cut,
-    disturbed,
-    mirrored,
+    mirror_crops,
+    perturb_crops,
     train_crop_network,
-    validation_figures,
-    warped,
+    truncate_crops,
+    validation_metrics,
+    warp_crops,
 )
+from perception.detection.crops import SIDE
 from perception.detection.yaw import YAW_BINS, bin_centres, soft_labels
 from perception.errors import InvalidInputError, PerceptionError
 
@@ -58,7 +59,7 @@ def test_it_learns_a_simple_task(task, tmp_path):
     training, validation = synthetic(192)[which], synthetic(32, seed=1)[which]
     told = []
     network = train_crop_network(
-        task, training, validation, SMALL, tmp_path, progress=lambda *a: told.append(a)
+        task, TrainingData(training, validation), SMALL, tmp_path, progress=lambda *a: told.append(a)
     )
     assert [(epoch, of) for epoch, of, _ in told] == [(1, 3), (2, 3), (3, 3)]
     assert told[-1][2]["loss"] < told[0][2]["loss"]
@@ -77,32 +78,32 @@ def test_an_interrupted_run_ends_like_an_uninterrupted_one(tmp_path):
     def stop(epoch, epochs, figures):
         raise Interrupted
 
-    whole = train_crop_network("class", training, validation, config, tmp_path / "a")
+    whole = train_crop_network("class", TrainingData(training, validation), config, tmp_path / "a")
     with pytest.raises(Interrupted):
-        train_crop_network("class", training, validation, config, tmp_path / "b", progress=stop)
-    resumed = train_crop_network("class", training, validation, config, tmp_path / "b")
+        train_crop_network("class", TrainingData(training, validation), config, tmp_path / "b", progress=stop)
+    resumed = train_crop_network("class", TrainingData(training, validation), config, tmp_path / "b")
     assert resumed.features[0][1].num_batches_tracked == whole.features[0][1].num_batches_tracked
-    x = prepared(torch.from_numpy(validation.images)), torch.from_numpy(validation.context)
+    x = normalise_crops(torch.from_numpy(validation.images)), torch.from_numpy(validation.context)
     # Dropout draws from the global generator, so weights agree only nearly.
     assert torch.allclose(whole(*x), resumed(*x), atol=0.5)
 
 
 def test_a_checkpoint_of_another_configuration_is_refused(tmp_path):
     crops = synthetic(32)[0]
-    train_crop_network("class", crops, crops, TrainingConfig(epochs=1, batch=32), tmp_path)
+    train_crop_network("class", TrainingData(crops, crops), TrainingConfig(epochs=1, batch=32), tmp_path)
     with pytest.raises(PerceptionError, match="another configuration"):
-        train_crop_network("class", crops, crops, TrainingConfig(epochs=2, batch=32), tmp_path)
+        train_crop_network("class", TrainingData(crops, crops), TrainingConfig(epochs=2, batch=32), tmp_path)
 
 
 def test_wrong_targets_are_refused(tmp_path):
     crops = synthetic(8)[0]
-    with pytest.raises(InvalidInputError, match="for 'yaw' must be"):
-        train_crop_network("yaw", crops, crops, SMALL, tmp_path)
+    with pytest.raises(InvalidInputError, match="for 'yaw' must have .n > 0, 36. targets"):
+        train_crop_network("yaw", TrainingData(crops, crops), SMALL, tmp_path)
 
 
 def test_mirroring_negates_the_yaw_that_the_picture_shows():
     _, crops, yaw = synthetic(40)
-    images, targets = mirrored(
+    images, targets = mirror_crops(
         "yaw",
         torch.from_numpy(crops.images),
         torch.from_numpy(crops.targets),
@@ -133,21 +134,21 @@ def test_predictions_of_mirrored_crops_are_mirrored():
 
 def test_a_committee_answers_with_the_mean_of_the_logits_and_survives_the_disk(tmp_path):
     torch.manual_seed(0)
-    members = [CropNet(OUTPUTS["class"]).eval() for _ in range(MEMBERS["class"])]
-    committee = together(members)
+    members = [CropNet(OUTPUTS["class"]).eval() for _ in range(ENSEMBLE_SIZE["class"])]
+    committee = ensemble_of(members)
     crops = synthetic(6)[0]
-    images, context = prepared(torch.from_numpy(crops.images)), torch.from_numpy(crops.context)
+    images, context = normalise_crops(torch.from_numpy(crops.images)), torch.from_numpy(crops.context)
     mean = sum(member(images, context) for member in members) / len(members)
     assert torch.allclose(committee(images, context), mean, atol=1e-6)
-    save_network(committee, tmp_path / "c.safetensors", "class", 1.2)
-    loaded, temperature = load_network("class", tmp_path / "c.safetensors")
+    save_crop_network(committee, tmp_path / "c.safetensors", "class", 1.2)
+    loaded, temperature = load_crop_network("class", tmp_path / "c.safetensors")
     assert temperature == 1.2 and torch.equal(loaded(images, context), committee(images, context))
-    assert together(members[:1]) is members[0]
+    assert ensemble_of(members[:1]) is members[0]
 
 
 def test_three_crops_of_ten_are_cut_on_one_side():
     images = torch.full((300, SIDE, SIDE, 6), 9, dtype=torch.uint8)
-    out = cut(images, torch.Generator().manual_seed(0))
+    out = truncate_crops(images, torch.Generator().manual_seed(0))
     lost = (out == 0).all(-1)
     whole = lost.all(1).any(1) | lost.all(2).any(1)  # rows or columns that are gone
     assert 60 < whole.sum() < 120 and torch.equal(whole, lost.flatten(1).any(1))
@@ -156,16 +157,16 @@ def test_three_crops_of_ten_are_cut_on_one_side():
 
 def test_disturbances_keep_shape_and_stay_finite():
     crops = synthetic(16)[0]
-    inputs = prepared(torch.from_numpy(crops.images))
-    out, context = disturbed(inputs, torch.from_numpy(crops.context), torch.Generator().manual_seed(0))
+    inputs = normalise_crops(torch.from_numpy(crops.images))
+    out, context = perturb_crops(inputs, torch.from_numpy(crops.context), torch.Generator().manual_seed(0))
     assert out.shape == inputs.shape and torch.isfinite(out).all() and torch.isfinite(context).all()
     assert not torch.equal(out, inputs)
 
 
 def test_warped_crops_are_the_same_things_in_about_the_same_place():
-    inputs = prepared(torch.from_numpy(synthetic(16)[0].images))
-    out = warped(inputs, torch.Generator().manual_seed(0))
-    still = warped(inputs, torch.Generator().manual_seed(0), most=0.0)
+    inputs = normalise_crops(torch.from_numpy(synthetic(16)[0].images))
+    out = warp_crops(inputs, torch.Generator().manual_seed(0))
+    still = warp_crops(inputs, torch.Generator().manual_seed(0), most=0.0)
     assert torch.allclose(still, inputs, atol=1e-3)
     one, other = inputs[:, 3] > 0.5, out[:, 3] > 0.5
     overlap = (one & other).flatten(1).sum(1) / (one | other).flatten(1).sum(1)
@@ -175,7 +176,7 @@ def test_warped_crops_are_the_same_things_in_about_the_same_place():
 
 def test_prepared_inputs_are_zero_off_the_mask_on_the_table_and_at_the_median():
     images = torch.from_numpy(synthetic(2)[0].images)
-    x = prepared(images)
+    x = normalise_crops(images)
     outside = images[..., 3] == 0
     assert not x[:, 3][outside].any() and not x[:, 4][outside].any()
     assert x[:, 5][~outside].abs().max() < 0.01
@@ -200,8 +201,8 @@ def test_the_temperature_undoes_overconfidence():
 def test_weights_survive_the_disk(tmp_path):
     torch.manual_seed(0)
     network = CropNet(OUTPUTS["yaw"]).eval()
-    save_network(network, tmp_path / "yaw.safetensors", "yaw", 1.3, {"seed": "0"})
-    loaded, temperature = load_network("yaw", tmp_path / "yaw.safetensors")
+    save_crop_network(network, tmp_path / "yaw.safetensors", "yaw", 1.3, {"seed": "0"})
+    loaded, temperature = load_crop_network("yaw", tmp_path / "yaw.safetensors")
     crops = synthetic(4)[1]
     assert temperature == 1.3
     assert np.allclose(
@@ -213,17 +214,17 @@ def test_weights_survive_the_disk(tmp_path):
 
 def test_unusable_weights_say_what_to_do(tmp_path):
     with pytest.raises(PerceptionError, match=r"are missing; .*nodeslam train detector"):
-        load_network("class", tmp_path / "none.safetensors")
+        load_crop_network("class", tmp_path / "none.safetensors")
     path = tmp_path / "broken.safetensors"
     path.write_bytes(b"\x10\0\0\0")
     with pytest.raises(PerceptionError, match=r"cannot be read .*nodeslam train yaw"):
-        load_network("yaw", path)
-    save_network(CropNet(5), path, "class", 1.0)
+        load_crop_network("yaw", path)
+    save_crop_network(CropNet(5), path, "class", 1.0)
     with pytest.raises(PerceptionError, match="are for 'class', not 'yaw'"):
-        load_network("yaw", path)
+        load_crop_network("yaw", path)
     save_file({"x": torch.zeros(1)}, path, metadata={"task": "yaw", "temperature": "1.0"})
     with pytest.raises(PerceptionError, match="cannot be read"):
-        load_network("yaw", path)
+        load_crop_network("yaw", path)
 
 
 def test_figures_of_a_perfect_network():
@@ -235,4 +236,4 @@ def test_figures_of_a_perfect_network():
         def forward(self, images, context):
             return torch.log(torch.from_numpy(crops.targets) + 1e-9)
 
-    assert validation_figures("yaw", Oracle(YAW_BINS), crops)["yaw_median"] == 0.0
+    assert validation_metrics("yaw", Oracle(YAW_BINS), crops)["yaw_median"] == 0.0

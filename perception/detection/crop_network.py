@@ -1,8 +1,8 @@
-"""The small convolutional network behind classes and yaw, and its weights on disk.
+"""The convolutional network on crops for classes and yaw, ensembles of it, and their weights files.
 
-One architecture, two tasks: ``detector.safetensors`` answers with the class, ``yaw.safetensors`` with the bin
-of the handle's direction relative to the view (both log-probabilities after a softmax). The class is told by
-a committee of such networks, which err alike on what cannot be told but not on what one of them missed.
+One architecture, two tasks: ``detector.safetensors`` predicts the class, ``yaw.safetensors`` the bin of the
+handle's yaw relative to the view. The class comes from an ensemble (Lakshminarayanan et al., "Simple and
+scalable predictive uncertainty estimation using deep ensembles", 2017), whose logits are averaged.
 """
 
 from __future__ import annotations
@@ -27,19 +27,20 @@ from perception.types import CATEGORIES
 
 Task = Literal["class", "yaw"]
 LABELS: tuple[str, ...] = (*CATEGORIES, "other")
-OTHER = len(CATEGORIES)
 OUTPUTS: dict[Task, int] = {"class": len(LABELS), "yaw": YAW_BINS}
-MEMBERS: dict[Task, int] = {"class": 2, "yaw": 1}  # networks that answer together
+ENSEMBLE_SIZE: dict[Task, int] = {"class": 2, "yaw": 1}  # networks per task
 WEIGHTS_FILES: dict[Task, str] = {"class": "detector.safetensors", "yaw": "yaw.safetensors"}
 _WIDTHS = (16, 32, 64, 128)
 _SQUEEZED = 48
 
 
 class CropNet(nn.Module):
-    """Four stages of stride two, squeezed, flattened (where things are matters), two layers; 0.4 M weights.
+    """Four convolution stages of stride two, a 1 x 1 bottleneck, two linear layers; 0.4 M weights.
+
+    Features are flattened instead of pooled: their position in the upright crop carries information.
 
     Args:
-        outputs: number of logits.
+        outputs: Number of logits.
     """
 
     def __init__(self, outputs: int) -> None:
@@ -57,16 +58,16 @@ class CropNet(nn.Module):
     def forward(
         self, images: Float[Tensor, "n 6 side side"], context: Float[Tensor, "n 2"]
     ) -> Float[Tensor, "n outputs"]:
-        """Logits of prepared crops (``prepared``)."""
+        """Return the logits of crops normalised by ``normalise_crops``."""
         features = self.features(images).flatten(1)  # (n, 48 * 4 * 4)
         return self.logits(self.head(torch.cat([features, context], dim=1)))
 
 
-class Committee(nn.Module):
-    """Networks of one task, trained from different seeds; the mean of their logits counts.
+class Ensemble(nn.Module):
+    """Networks of one task trained from different seeds, whose logits are averaged.
 
     Args:
-        members: one at least.
+        members: At least one network.
     """
 
     def __init__(self, members: Sequence[CropNet]) -> None:
@@ -77,21 +78,21 @@ class Committee(nn.Module):
     def forward(
         self, images: Float[Tensor, "n 6 side side"], context: Float[Tensor, "n 2"]
     ) -> Float[Tensor, "n outputs"]:
-        """Logits of prepared crops (``prepared``)."""
+        """Return the logits of crops normalised by ``normalise_crops``."""
         return torch.stack([member(images, context) for member in self.members]).mean(dim=0)
 
 
-CropNetwork = CropNet | Committee
+CropNetwork = CropNet | Ensemble
 
 
-def untrained(task: Task) -> CropNetwork:
-    """What answers for a task: a network, or as many as ``MEMBERS`` says."""
-    return together([CropNet(OUTPUTS[task]) for _ in range(MEMBERS[task])])
+def create_network(task: Task) -> CropNetwork:
+    """Return an untrained network for a task, or an ensemble of ``ENSEMBLE_SIZE`` networks."""
+    return ensemble_of([CropNet(OUTPUTS[task]) for _ in range(ENSEMBLE_SIZE[task])])
 
 
-def together(members: Sequence[CropNet]) -> CropNetwork:
-    """One network as it is, several as a committee."""
-    return members[0] if len(members) == 1 else Committee(members)
+def ensemble_of(members: Sequence[CropNet]) -> CropNetwork:
+    """Return the network itself if there is one, an ensemble of several."""
+    return members[0] if len(members) == 1 else Ensemble(members)
 
 
 def _convolution(narrow: int, wide: int, stride: int) -> nn.Module:
@@ -100,56 +101,68 @@ def _convolution(narrow: int, wide: int, stride: int) -> nn.Module:
     )
 
 
-def prepared(images: UInt8[Tensor, "n side side 6"]) -> Float[Tensor, "n 6 side side"]:
-    """Crop images as the network takes them: floats around zero.
+def normalise_crops(images: UInt8[Tensor, "n side side 6"]) -> Float[Tensor, "n 6 side side"]:
+    """Return crop images as the network's input: floats around zero, channels first.
 
-    Colours run from -0.9 to 1.1, heights in units of 0.1 m above the plane, depths in 0.1 m off the median.
+    Colours range from -0.9 to 1.1; heights above the plane and depths relative to the median are in
+    decimetres.
     """
     scale = torch.tensor([2.0, 2.0, 2.0, 1.0, 3.0, 4.0], device=images.device) / 255.0
     zero = torch.tensor([0.9, 0.9, 0.9, 0.0, 0.0, 2.0], device=images.device)
     x = images.float() * scale - zero
-    return x.permute(0, 3, 1, 2)  # channels last in memory, as convolutions like it
+    return x.permute(0, 3, 1, 2)  # channels last in memory: faster convolutions
 
 
-def logits_both_ways(
+def mirror_averaged_logits(
     network: CropNetwork, images: Float[Tensor, "n 6 side side"], context: Float[Tensor, "n 2"]
 ) -> Float[Tensor, "n outputs"]:
-    """Mean of the logits of prepared crops and of their mirror images, whose yaws have the other sign."""
-    seen, mirrored = network(images, context), network(images.flip(3), context)
+    """Return the mean of the logits of normalised crops and of their mirror images.
+
+    Yaw changes its sign in a mirror image, so its bins are mirrored back before averaging.
+    """
+    original, mirrored = network(images, context), network(images.flip(3), context)
     if mirrored.shape[1] == YAW_BINS:
-        mirrored = mirrored_bins(mirrored)
-    return (seen + mirrored) / 2
+        mirrored = mirror_yaw_bins(mirrored)
+    return (original + mirrored) / 2
 
 
-def mirrored_bins(rows: Float[Tensor, "n bins"]) -> Float[Tensor, "n bins"]:
-    """Bin k becomes bin -k."""
+def mirror_yaw_bins(rows: Float[Tensor, "n bins"]) -> Float[Tensor, "n bins"]:
+    """Move bin k to bin -k (modulo the number of bins)."""
     return rows.roll(-1, 1).flip(1)
 
 
-def save_network(
+def save_crop_network(
     network: CropNetwork, path: Path, task: Task, temperature: float, notes: dict[str, str] | None = None
 ) -> None:
-    """Write weights and what is needed to use them to a safetensors file.
+    """Write weights, task and temperature to a safetensors file.
 
     Args:
-        temperature: divides the logits so that probabilities are calibrated.
-        notes: further metadata, such as how it was trained.
+        network: Network or ensemble of the task.
+        path: File to write.
+        task: What the network predicts.
+        temperature: Divisor of the logits that calibrates the probabilities.
+        notes: Further metadata, such as the training configuration.
     """
     about = {**(notes or {}), "task": task, "temperature": repr(float(temperature))}
     about |= {"outputs": str(OUTPUTS[task]), "labels": json.dumps(LABELS if task == "class" else [])}
     save_weights({name: value.detach().cpu() for name, value in network.state_dict().items()}, path, about)
 
 
-def load_network(
+def load_crop_network(
     task: Task, path: Path | None = None, device: str | torch.device = "cpu"
 ) -> tuple[CropNetwork, float]:
-    """(network in evaluation mode, its temperature), by default the shipped weights.
+    """Return (network in evaluation mode, its temperature).
+
+    Args:
+        task: What the network predicts.
+        path: Weights file; the shipped one if None.
+        device: Where the network runs.
 
     Raises:
-        PerceptionError: the file is missing, damaged, or holds another network.
+        PerceptionError: The file is missing, damaged, differs from its checksum, or is of another network.
     """
     path = WEIGHTS_DIRECTORY / WEIGHTS_FILES[task] if path is None else path
-    network = untrained(task)
+    network = create_network(task)
     about = load_weights(network, path, task, "detector" if task == "class" else "yaw")
     return network.to(device).eval(), float(about.get("temperature", 1.0))
 
@@ -162,11 +175,21 @@ def predict(
     context: Float[np.ndarray, "n 2"],
     batch: int = 256,
 ) -> Float[np.ndarray, "n outputs"]:
-    """Calibrated probabilities of crops, each seen as it is and mirrored."""
+    """Return calibrated probabilities of crops, averaged in log space with their mirror images.
+
+    Args:
+        network: Network or ensemble in evaluation mode.
+        temperature: Divisor of the logits.
+        images: Crop images (``crops.Crop.image``).
+        context: Scale and elevation of each crop (``crops.Crop.context``).
+        batch: Number of crops per forward pass.
+    """
     device = next(network.parameters()).device
     rows = []
     for start in range(0, len(images), batch):
-        x = prepared(torch.from_numpy(images[start : start + batch]).to(device))
-        logits = logits_both_ways(network, x, torch.from_numpy(context[start : start + batch]).to(device))
+        x = normalise_crops(torch.from_numpy(images[start : start + batch]).to(device))
+        logits = mirror_averaged_logits(
+            network, x, torch.from_numpy(context[start : start + batch]).to(device)
+        )
         rows.append(functional.softmax(logits.double() / temperature, dim=1).cpu().numpy())
     return np.concatenate(rows) if rows else np.zeros((0, network.outputs))
