@@ -97,7 +97,7 @@ def test_a_checkpoint_of_another_configuration_is_refused(tmp_path):
 
 def test_wrong_targets_are_refused(tmp_path):
     crops = synthetic(8)[0]
-    with pytest.raises(InvalidInputError, match="for 'yaw' must have .n > 0, 36. targets"):
+    with pytest.raises(InvalidInputError, match=r"for 'yaw' must have .n > 0, 36. targets"):
         train_crop_network("yaw", TrainingData(crops, crops), SMALL, tmp_path)
 
 
