@@ -32,6 +32,7 @@ check: setup
 bench: setup
 	$(BIN)/nodeslam bench
 
-# -W: warnings are errors; --keep-going lists all of them.
+# -W: warnings are errors; --keep-going lists all of them. Pages of modules that were renamed must not remain.
 docs: setup
+	rm -rf docs/api/generated
 	$(BIN)/sphinx-build -W --keep-going -b html docs docs/_build/html

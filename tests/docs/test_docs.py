@@ -7,6 +7,7 @@ from pathlib import Path
 from textwrap import dedent
 
 import pytest
+import yaml
 
 import nodeslam
 from app.cli import parse
@@ -15,7 +16,7 @@ from app.options import COMMANDS
 ROOT = Path(__file__).parents[2]
 DOCUMENTS = [
     *sorted(ROOT.glob("*.md")),
-    *sorted((ROOT / "docs").glob("*.md")),
+    *sorted(p for p in (ROOT / "docs").rglob("*.md") if not {"_build", "generated"} & set(p.parts)),
     *sorted((ROOT / "perception" / "weights").glob("*.md")),
 ]
 IDS = [str(path.relative_to(ROOT)) for path in DOCUMENTS]
@@ -121,8 +122,13 @@ def test_continuous_integration_runs_the_gate_of_this_repository():
     workflow = (ROOT / ".github" / "workflows" / "ci.yml").read_text("utf-8")
     assert "run: .ci/run\n" in workflow and "run: make docs\n" in workflow
     makefile = (ROOT / "Makefile").read_text("utf-8")
-    assert re.search(r"^docs: setup\n\t.*sphinx-build -W ", makefile, re.M)
+    assert re.search(r"^docs: setup\n(?:\t.*\n)*\t.*sphinx-build -W ", makefile, re.M)
     assert re.search(r"-e '\.\[.*\bdocs\b.*\]'", makefile)
+
+
+@pytest.mark.parametrize("name", [".github/workflows/ci.yml", ".pre-commit-config.yaml", "CITATION.cff"])
+def test_configuration_is_valid_yaml(name):
+    assert isinstance(yaml.safe_load((ROOT / name).read_text("utf-8")), dict)
 
 
 def test_every_dependency_of_the_documentation_is_pinned():
