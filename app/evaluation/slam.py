@@ -144,10 +144,10 @@ def score_variant(
     for _, result in slam_run.steps():
         if len(slam_run.results) % _RESIDENT_EVERY == 0:
             resident.append(resident_memory())
-        if result.keyframe and slam_run.slam.world is not None:
+        if result.is_keyframe and slam_run.slam.world is not None:
             for one, landmark in slam_run.slam.world.landmarks.items():
                 states = history.setdefault(one, [])
-                if len(states) < CURVE_UPDATES and (not states or states[-1].updates != landmark.updates):
+                if len(states) < CURVE_UPDATES and (not states or states[-1].n_updates != landmark.n_updates):
                     states.append(landmark)
     if live:
         write_entries(path, [slam_run.detections.get(number, []) for number in sequence.ids])

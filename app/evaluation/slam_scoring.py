@@ -99,8 +99,8 @@ def surface_rows(
         row: dict[str, Any] = {
             "id": one.id,
             "category": one.category,
-            "updates": one.updates,
-            "hits": one.hits,
+            "updates": one.n_updates,
+            "hits": one.n_hits,
         }
         index = matches.get(one.id)
         if index is None:
@@ -151,7 +151,7 @@ def fused_by_update(
     landmarks = [run.slam.world.landmarks[i] for i in run.slam.world.ids]
     curves: dict[str, list[list[float]]] = {"completion": [], "accuracy": []}
     for one, index in truth.match(places_of(landmarks)).items():
-        views = [k for k in run.slam.keyframes if one in k.landmarks and k.number in Ts_given]
+        views = [k for k in run.slam.keyframes if one in k.landmark_ids and k.number in Ts_given]
         completion, accuracy = [], []
         for count in range(1, min(len(views), CURVE_UPDATES) + 1):
             frames = [replace(k.frame, T_world_camera=Ts_given[k.number]) for k in views[:count]]

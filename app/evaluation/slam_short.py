@@ -164,7 +164,9 @@ def _beyond(slam_run: SlamRun, truth: Trajectory) -> int:
     """Frames not lost whose error is over twice what the system takes for its standard deviation."""
     true_place = dict(zip(truth.times, truth.Ts_world_camera[:, :3, 3]))
     return sum(
-        bool(np.linalg.norm(one.T_world_camera[:3, 3] - true_place[one.time]) > 2 * max(one.spread, 1e-3))
+        bool(
+            np.linalg.norm(one.T_world_camera[:3, 3] - true_place[one.time]) > 2 * max(one.position_std, 1e-3)
+        )
         for one in slam_run.results
         if one.status != "lost"
     )
@@ -206,7 +208,7 @@ def _relocalisations(
         frame = sequence.read(number)
         if in_view[number] < _TRY_OBJECTS or not (frame.depth > 0).any():
             continue
-        found = slam_run.relocalised(number, frame)
+        found = slam_run.relocalise(number, frame)
         tried += 1
         if found is None:
             continue

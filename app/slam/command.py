@@ -87,7 +87,7 @@ def _write(
                 "number": k.number,
                 "time": k.frame.time,
                 "T_world_camera": k.T_world_camera.tolist(),
-                "objects": sorted(k.landmarks & set(known)),
+                "objects": sorted(k.landmark_ids & set(known)),
             }
             for k in slam.keyframes
         ],

@@ -39,10 +39,10 @@ class SlamRecorder:
         if (result.status == "lost") != self._lost:
             self._lost = not self._lost
             recorder.note("stage", name="lost" if self._lost else "slam")
-        if result.keyframe:
+        if result.is_keyframe:
             recorder.note("look", index=self._keyframes)
             self._keyframes += 1
-        if slam.world is None or not (result.keyframe or result.new):
+        if slam.world is None or not (result.is_keyframe or result.new):
             return
         for one, landmark in slam.world.landmarks.items():
             if self._told.get(one) is landmark.state.pose:
@@ -56,7 +56,7 @@ class SlamRecorder:
                 T_world_object=landmark.state.pose.T_world_object,
                 scale=landmark.state.pose.scale,
                 residual=landmark.residual,
-                iteration=landmark.updates,
+                iteration=landmark.n_updates,
             )
 
     def write(self, folder: Path) -> None:

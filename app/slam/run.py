@@ -16,7 +16,7 @@ from perception.io.detections import encode_detections
 from perception.io.recordings.sequence import RgbdSequence, without_pose
 from perception.io.recordings.trajectory import Trajectory
 from perception.slam.config import SlamConfig
-from perception.slam.relocalise import Relocalised
+from perception.slam.relocalise import Relocalisation
 from perception.slam.system import Clock, Detect, FrameResult, Slam
 from perception.types import ObjectDetection, RgbdFrame, SupportPlane
 
@@ -75,10 +75,10 @@ class SlamRun:
             self.results.append(result)
             yield frame, result
 
-    def relocalised(self, number: int, frame: RgbdFrame) -> Relocalised | None:
+    def relocalise(self, number: int, frame: RgbdFrame) -> Relocalisation | None:
         """Where a frame of the sequence was taken, by the map as it is now and nothing else."""
         self._source.number = number
-        return self.slam.relocalised(without_pose(frame))
+        return self.slam.relocalise(without_pose(frame))
 
     @property
     def trajectory(self) -> Trajectory:

@@ -1,4 +1,4 @@
-"""The versions of the system that are compared (NodeSLAM, section "Ablation Study")."""
+"""Ablations of the SLAM system (NodeSLAM, section "Ablation Study")."""
 
 from __future__ import annotations
 
@@ -13,24 +13,29 @@ VARIANTS: tuple[Variant, ...] = get_args(Variant)
 
 
 def variant_config(variant: Variant, base: SlamConfig | None = None) -> SlamConfig:
-    """The settings that a name stands for.
+    """Return the settings of a variant.
 
-    full            objects alone hold the camera, as in the paper.
-    no_joint        the same without joint optimisation: objects stay as they were initialised.
-    no_uncertainty  the same with all pixels counting alike, whatever variance is rendered.
-    with_plane      the product: the support plane is one more landmark.
+    full            Object landmarks alone constrain the camera, as in the paper.
+    no_joint        As full, without joint optimisation: objects stay as initialised.
+    no_uncertainty  As full, with equal weights for all pixels: the rendered variance is ignored.
+    with_plane      The default system: the support plane is one more landmark.
+
+    Args:
+        variant: Name of the variant.
+        base: Settings that the variant modifies; the defaults if None.
     """
     base = base or SlamConfig()
     if variant == "with_plane":
         return base
     config = base.objects_only()
     if variant == "no_joint":
-        return replace(config, joint_on=False)
+        return replace(config, use_bundle_adjustment=False)
     if variant == "no_uncertainty":
+        noise = replace(config.bundle_adjustment.noise, rendered_variance=False)
         return replace(
             config,
             fit=method_config("no_uncertainty", config.fit),
             tracking=replace(config.tracking, use_uncertainty=False),
-            joint=replace(config.joint, noise=replace(config.joint.noise, rendered_variance=False)),
+            bundle_adjustment=replace(config.bundle_adjustment, noise=noise),
         )
     return config

@@ -1,13 +1,7 @@
-"""Joint optimisation of a few keyframes: camera poses, object poses and shape codes together.
+"""Joint optimisation: sliding-window bundle adjustment of camera poses, object poses and shape codes.
 
-NodeSLAM, section "Sliding-Window Joint Optimisation". The first camera stands still. Objects meet only
-through the cameras, so with c the cameras' step and o_i each object's, the damped normal equations
-
-    [H_cc  H_co] [c]     [g_c]
-    [H_oc  H_oo] [o] = - [g_o],      H_oo block diagonal, 25 x 25 for each object,
-
-are solved by Schur complement: (H_cc - sum H_ci H_ii^-1 H_ic) c = -(g_c - sum H_ci H_ii^-1 g_i), and then
-each object's step by itself.
+NodeSLAM, section "Sliding-Window Joint Optimisation". Levenberg-Marquardt on the depth residuals of a few
+keyframes, solved by the Schur complement (``schur.py``). The first keyframe is fixed.
 """
 
 from __future__ import annotations
@@ -34,47 +28,52 @@ from perception.inference.shape_model import Decoder, LinearisedShape, linearise
 from perception.rendering.pose import object_by_camera
 from perception.slam.keyframes import Keyframe
 from perception.slam.landmarks import Landmark
-from perception.slam.marginal_prior import Memory, View
+from perception.slam.marginal_prior import MarginalPrior, ViewInformation
+from perception.slam.plane_factor import PlaneNoise, evaluate_plane
+from perception.slam.schur import NormalEquations, solve_by_schur
 from perception.types import CODE_SIZE, GRID_RESOLUTION, SupportPlane
 
-CAMERA = 6
+CAMERA_SIZE = 6  # parameters of a camera: rotation, translation
+_FIRST_RELINEARISATION = 0.3  # share of ``relinearise_distance`` that counts before the first iteration
+_SMALL_DECREASE = 1e-4  # relative decrease of the cost that counts as converged, twice in all
+_MIN_SUPPORT_HEIGHT = 0.04  # [m] depth range of the support camera, at least
 
 
 @dataclass(frozen=True)
-class JointConfig:
-    """How a window is optimised.
+class BundleAdjustmentConfig:
+    """Budget, weights and priors of the joint optimisation.
 
     Attributes:
-        window: keyframes together.
-        crop: pixels along the longer side of each object's crop.
-        iterations: of Levenberg-Marquardt.
-        support_pixels: along a side of the image that an object's foot is seen in from below.
-        relinearise: decode a shape anew when its code has moved this far.
-        lm: damping.
-        noise: weights of the residuals.
-        pixels: which pixels take part.
-        step_limits: of the objects in one iteration; the cameras' steps are shortened with them.
-        memory: so many views' worth of what earlier keyframes, outside the window, said of an object counts.
-        camera_weight: of what was known of each camera's pose when its keyframe was taken; the data counts by
-            so much more here than it did then.
-        camera_sigma: of those keyframes' cameras (rotation, translation), unless they were known better when
-            they were taken, as the first one was [rad], [m].
-        plane_sigma: of a point of the plane [m]; the plane ties cameras only where ``use_plane``.
-        use_plane: whether it does.
-        threads: objects evaluated at a time.
+        window_size: Number of keyframes in a window.
+        crop: Pixels along the longer side of each object's crop.
+        max_iterations: Number of Levenberg-Marquardt iterations.
+        support_pixels: Side of the virtual support camera's image, in pixels.
+        relinearise_distance: Distance of a code from its linearisation beyond which it is decoded again.
+        lm: Damping.
+        noise: Weights of the residuals.
+        pixels: Selection of pixels.
+        step_limits: Limits of the objects' steps in one iteration; the cameras' steps are scaled with them.
+        max_prior_views: Total weight of keyframes outside the window in a landmark's prior, in views.
+        camera_prior_weight: Factor on the information of the camera poses' priors; compensates for the larger
+            data weight here than in tracking.
+        camera_sigma: Standard deviation that keyframes' poses are marginalised with (rotation, translation),
+            where the pose was not better known when the frame was taken, in radians and metres.
+        plane_sigma: Standard deviation of a plane point's height, in metres.
+        use_plane: Whether the support plane constrains the cameras.
+        threads: Number of objects that are evaluated in parallel.
     """
 
-    window: int = 3
+    window_size: int = 3
     crop: int = 24
+    max_iterations: int = 6
     support_pixels: int = 8
-    iterations: int = 6
-    relinearise: float = 1.5
+    relinearise_distance: float = 1.5
     lm: LmConfig = field(default_factory=lambda: LmConfig(damping=1e-2))
     noise: NoiseConfig = field(default_factory=lambda: NoiseConfig(data_weight=0.2))
     pixels: PixelConfig = field(default_factory=PixelConfig)
-    memory: float = 4.0
     step_limits: StepLimits = field(default_factory=StepLimits)
-    camera_weight: float = 4.0
+    max_prior_views: float = 4.0
+    camera_prior_weight: float = 4.0
     camera_sigma: Float[np.ndarray, "6"] = field(default_factory=lambda: np.repeat([0.005, 0.003], 3))
     plane_sigma: float = 0.005
     use_plane: bool = True
@@ -82,271 +81,315 @@ class JointConfig:
 
 
 @dataclass(frozen=True)
-class JointResult:
-    """The window afterwards: keyframes and landmarks moved, costs before and after.
+class BundleWindow:
+    """The problem that is optimised.
 
-    ``views`` is what each keyframe, by its number, said of each landmark.
+    Attributes:
+        keyframes: Keyframes of the window; the first is fixed.
+        landmarks: Landmarks of the map; those that no keyframe observes are ignored.
+        plane: Support plane in the world frame.
+        plane_points: Measured points of the plane in the camera frame of each keyframe, in metres.
+        priors: Priors on landmarks from keyframes outside the window. They preserve the shape of parts that
+            the window does not show.
+    """
+
+    keyframes: Sequence[Keyframe]
+    landmarks: Mapping[int, Landmark]
+    plane: SupportPlane
+    plane_points: Sequence[Float[np.ndarray, "_n 3"]]
+    priors: Mapping[int, MarginalPrior] = field(default_factory=dict)
+
+
+@dataclass(frozen=True)
+class BundleResult:
+    """The window after optimisation.
+
+    Attributes:
+        keyframes: Keyframes with optimised poses.
+        landmarks: Optimised landmarks by id.
+        information: Information on a landmark by (keyframe number, landmark id).
+        cost_before: Cost at the start.
+        cost_after: Cost at the end, with the weights of the last linearisation.
+        iterations: Number of iterations, rejected ones included.
     """
 
     keyframes: tuple[Keyframe, ...]
     landmarks: Mapping[int, Landmark]
-    views: Mapping[tuple[int, int], View]
+    information: Mapping[tuple[int, int], ViewInformation]
     cost_before: float
     cost_after: float
     iterations: int
 
 
-@dataclass(frozen=True)
-class NormalEquations:
-    """Of one window: cameras (c = 6 each, the first left out), objects (25 each), and what ties them."""
-
-    cameras: Float[np.ndarray, "c c"]
-    objects: Float[np.ndarray, "o 25 25"]
-    ties: Float[np.ndarray, "o 25 c"]
-    gradient_cameras: Float[np.ndarray, "c"]
-    gradient_objects: Float[np.ndarray, "o 25"]
-
-
-def solve_by_schur(
-    equations: NormalEquations, damping: float
-) -> tuple[Float[np.ndarray, "c"], Float[np.ndarray, "o 25"]]:
-    """Steps of cameras and objects of the damped equations; see the head of the file."""
-    cameras, objects = (_damped(H, damping) for H in (equations.cameras, equations.objects))
-    right = np.concatenate([equations.ties, equations.gradient_objects[..., None]], axis=-1)
-    solved = np.linalg.solve(objects, right) if len(objects) else right
-    A, b = solved[..., :-1], solved[..., -1]  # H_ii^-1 H_ic, H_ii^-1 g_i
-    reduced = cameras - np.einsum("oic,oid->cd", equations.ties, A)
-    rest = equations.gradient_cameras - np.einsum("oic,oi->c", equations.ties, b)
-    step = -np.linalg.solve(reduced, rest) if len(rest) else -rest
-    return step, -b - A @ step
-
-
-def _damped(H: np.ndarray, damping: float) -> np.ndarray:
-    diagonal = np.diagonal(H, axis1=-2, axis2=-1)
-    floor = 1e-9 * np.maximum(diagonal.max(axis=-1, keepdims=True, initial=0.0), 1e-12)
-    return H + np.eye(H.shape[-1]) * (damping * diagonal + floor)[..., None, :]
-
-
 def optimise_jointly(
-    keyframes: Sequence[Keyframe],
-    landmarks: Mapping[int, Landmark],
-    decoder: Decoder,
-    plane: SupportPlane,
-    plane_points: Sequence[Float[np.ndarray, "_n 3"]],
-    config: JointConfig,
-    known: Mapping[int, Memory] | None = None,
-) -> JointResult:
-    """Moves the cameras of all keyframes but the first, and the landmarks that they see.
+    window: BundleWindow, decoder: Decoder, config: BundleAdjustmentConfig = BundleAdjustmentConfig()
+) -> BundleResult:
+    """Optimise the observed landmarks and the cameras of all keyframes but the first.
 
     Args:
-        keyframes: the window, the one that stands still first.
-        landmarks: of the map; others than those seen stay as they are.
-        decoder: the shape prior.
-        plane: what the objects stand on.
-        plane_points: for each keyframe points of the plane in its camera's frame [m].
-        config: weights and budgets.
-        known: of landmarks from elsewhere. Without it an object that the window shows little of, as the image
-            cuts it, would forget what was seen of it before.
+        window: Keyframes, landmarks and priors.
+        decoder: Shape prior.
+        config: Budget and weights.
     """
-    window = _Window(keyframes, landmarks, decoder, plane, plane_points, config, known or {})
     with ThreadPoolExecutor(config.threads) as pool:
-        return window.run(pool)
+        return _Optimiser(window, decoder, config, pool).run()
+
+
+@dataclass(frozen=True)
+class _ObjectEvaluation:
+    """Residuals of one object: ``problem`` with respect to the object's 25 parameters.
+
+    ``camera_jacobian`` is the derivative of the first n rows, the depth residuals, with respect to the pose
+    of the camera that each belongs to.
+    """
+
+    problem: Evaluation
+    camera_jacobian: Float[np.ndarray, "n 6"]
+
+
+@dataclass(frozen=True)
+class _WindowState:
+    """Parameters of a window: states of the objects by id, and camera poses."""
+
+    objects: dict[int, FitState]
+    Ts_world_camera: Float[np.ndarray, "k 4 4"]
+
+
+@dataclass(frozen=True)
+class _WindowEvaluation:
+    """Residuals at one state: of the objects in the order of their ids, and of the plane in each keyframe."""
+
+    objects: list[_ObjectEvaluation]
+    planes: list[Evaluation]
 
 
 class _ObjectInWindow:
-    """One object's pixels in all views of the window, and the least-squares problem they make."""
+    """One object's pixels in all keyframes that observe it, and their least-squares problem.
 
-    def __init__(self, landmark: Landmark, views: list[int], window: _Window) -> None:
-        self.landmark, self.views = landmark, views
-        config, pose = window.config, landmark.state.pose
-        voxel = 2 * float(pose.scale.max()) / GRID_RESOLUTION
-        sampling = SamplingRange.around(pose.translation, landmark.reach, landmark.step * voxel)
-        observations = [window.keyframes[k].observation(landmark.id) for k in views]
-        self.pixels = gather_pixels(observations, sampling, Crop(config.crop), config.pixels)
-        self.noise = config.noise
-        lowest = pose.scale.max()
-        height = max(2 * pose.scale[2], 0.04)
-        self.support = SupportCamera.under(pose, window.plane, lowest, height, config.support_pixels)
-
-    def evaluate(
-        self, state: FitState, landmark: Landmark, Ts_world_camera: np.ndarray
-    ) -> tuple[Evaluation, np.ndarray]:
-        """Rows by the object's parameters, and the render rows' derivatives by their own camera (n, 6)."""
-        Ts = Ts_world_camera[self.views]
-        pixels: PixelSet = replace(self.pixels, Ts_world_camera=Ts)
-        evaluation = FitProblem(pixels, landmark.shape, self.support, self.noise)(state)
-        n = len(pixels.target)
-        rows = evaluation.jacobian[:n, CODE_SIZE:]
-        camera = np.empty((n, CAMERA))
-        for k, T in enumerate(Ts):
-            own = pixels.rays.view == k
-            camera[own] = rows[own, :CAMERA] @ object_by_camera(state.pose, T)
-        return evaluation, camera
-
-
-class _Window:
-    """The state of a joint optimisation and its steps."""
+    Attributes:
+        views: Indices in the window of the keyframes that observe the object.
+        pixels: Pixels of all views.
+    """
 
     def __init__(
-        self, keyframes, landmarks, decoder, plane, plane_points, config: JointConfig, known
+        self, landmark: Landmark, views: list[int], window: BundleWindow, config: BundleAdjustmentConfig
     ) -> None:
-        self.known: Mapping[int, Memory] = known
-        self.keyframes, self.decoder, self.plane, self.config = list(keyframes), decoder, plane, config
-        self.plane_points = plane_points
-        self.Ts = np.stack([k.T_world_camera for k in keyframes])
-        ids = sorted(set().union(*(k.landmarks for k in keyframes)) & set(landmarks))
-        self.landmarks: dict[int, Landmark] = {one: landmarks[one] for one in ids}
-        views = {one: [k for k, key in enumerate(keyframes) if one in key.landmarks] for one in ids}
-        self.objects = {one: _ObjectInWindow(landmarks[one], views[one], self) for one in ids}
-        self.states = {one: landmarks[one].state for one in ids}
-        self.start = dict(self.states)
-        self.free = CAMERA * (len(keyframes) - 1)
-        self.Ts_start = self.Ts.copy()
-        self.known_cameras = [config.camera_weight * np.linalg.inv(k.covariance) for k in keyframes[1:]]
+        self.views, self.noise = views, config.noise
+        pose = landmark.state.pose
+        voxel = 2 * float(pose.scale.max()) / GRID_RESOLUTION
+        step = landmark.sample_step * voxel
+        sampling = SamplingRange.around(pose.translation, landmark.bounding_radius, step)
+        observations = [window.keyframes[k].observation(landmark.id) for k in views]
+        self.pixels: PixelSet = gather_pixels(observations, sampling, Crop(config.crop), config.pixels)
+        height = max(2 * pose.scale[2], _MIN_SUPPORT_HEIGHT)
+        half_width = pose.scale.max()
+        self.support = SupportCamera.under(pose, window.plane, half_width, height, config.support_pixels)
 
-    def run(self, pool: ThreadPoolExecutor) -> JointResult:
-        config, damping, small = self.config, self.config.lm.damping, 0
-        self._refresh_shapes(pool, force=True)
-        current = self._evaluate(pool, self.states, self.Ts)
-        before = after = self._cost(current, current) + self._cost_of_known(self.states, self.Ts)
-        done = 0
-        for _ in range(config.iterations):
-            step_c, step_o = solve_by_schur(self._equations(current), damping)
-            if not (np.isfinite(step_c).all() and np.isfinite(step_o).all()):
+    def evaluate(
+        self, state: FitState, shape: LinearisedShape, Ts_world_camera: Float[np.ndarray, "k 4 4"]
+    ) -> _ObjectEvaluation:
+        """Return residuals, weights and Jacobians at a state of the object and the cameras."""
+        Ts = Ts_world_camera[self.views]
+        pixels = replace(self.pixels, Ts_world_camera=Ts)
+        evaluation = FitProblem(pixels, shape, self.support, self.noise)(state)
+        n = len(pixels.target)
+        by_pose = evaluation.jacobian[:n, CODE_SIZE : CODE_SIZE + CAMERA_SIZE]
+        camera_jacobian = np.empty((n, CAMERA_SIZE))
+        for k, T in enumerate(Ts):
+            own = pixels.rays.view == k
+            camera_jacobian[own] = by_pose[own] @ object_by_camera(state.pose, T)
+        return _ObjectEvaluation(evaluation, camera_jacobian)
+
+
+class _Optimiser:
+    """Levenberg-Marquardt on one window.
+
+    Attributes:
+        state: Present parameters; ``start`` are those at the beginning.
+        shapes: Linearised decoder of each object.
+    """
+
+    def __init__(
+        self,
+        window: BundleWindow,
+        decoder: Decoder,
+        config: BundleAdjustmentConfig,
+        pool: ThreadPoolExecutor,
+    ) -> None:
+        self.window, self.decoder, self.config, self.pool = window, decoder, config, pool
+        keyframes, landmarks = window.keyframes, window.landmarks
+        observed = set().union(*(key.landmark_ids for key in keyframes)) & set(landmarks)
+        self.objects: dict[int, _ObjectInWindow] = {}
+        for id in sorted(observed):
+            views = [k for k, key in enumerate(keyframes) if id in key.landmark_ids]
+            self.objects[id] = _ObjectInWindow(landmarks[id], views, window, config)
+        self.shapes: dict[int, LinearisedShape] = {id: landmarks[id].shape for id in self.objects}
+        Ts = np.stack([key.T_world_camera for key in keyframes])
+        self.start = self.state = _WindowState({id: landmarks[id].state for id in self.objects}, Ts)
+        self.camera_priors = [
+            config.camera_prior_weight * np.linalg.inv(key.covariance) for key in keyframes[1:]
+        ]
+        self.plane_noise = PlaneNoise(config.plane_sigma, config.noise.huber, config.noise.data_weight)
+
+    def run(self) -> BundleResult:
+        """Iterate until convergence or the end of the budget."""
+        lm, damping, n_small = self.config.lm, self.config.lm.damping, 0
+        self._relinearise(_FIRST_RELINEARISATION * self.config.relinearise_distance)
+        current = self._evaluate(self.state)
+        cost_before = cost_after = self._cost(current, current) + self._prior_cost(self.state)
+        iterations = 0
+        for _ in range(self.config.max_iterations):
+            camera_step, object_steps = solve_by_schur(self._normal_equations(current), damping)
+            if not (np.isfinite(camera_step).all() and np.isfinite(object_steps).all()):
                 break
-            states, Ts = self._moved(step_c, step_o)
-            there = self._evaluate(pool, states, Ts)
-            done += 1
-            cost = self._cost(current, current) + self._cost_of_known(self.states, self.Ts)
-            cost_after = self._cost(there, current) + self._cost_of_known(states, Ts)
-            if cost_after >= cost:
-                damping *= config.lm.up
+            candidate = self._moved(camera_step, object_steps)
+            there = self._evaluate(candidate)
+            iterations += 1
+            cost = self._cost(current, current) + self._prior_cost(self.state)
+            candidate_cost = self._cost(there, current) + self._prior_cost(candidate)
+            if candidate_cost >= cost:
+                damping *= lm.up
                 continue
-            self.states, self.Ts, damping, after = states, Ts, damping * config.lm.down, cost_after
-            small = small + 1 if cost - cost_after < 1e-4 * cost else 0
-            current = there
-            if small == 2:
+            self.state, damping, cost_after, current = candidate, damping * lm.down, candidate_cost, there
+            n_small = n_small + 1 if cost - candidate_cost < _SMALL_DECREASE * cost else 0
+            if n_small == 2:
                 break
-            if self._refresh_shapes(pool):
-                current = self._evaluate(pool, states, Ts)
-        return self._result(before, after, done, current)
+            if self._relinearise(self.config.relinearise_distance):
+                current = self._evaluate(self.state)
+        return self._result(cost_before, cost_after, iterations, current)
 
-    def _evaluate(self, pool: ThreadPoolExecutor, states, Ts) -> dict[str, list]:
-        """Evaluations of all objects, then plane rows of the free cameras."""
-        ids = list(self.objects)
-        jobs = [pool.submit(self.objects[i].evaluate, states[i], self.landmarks[i], Ts) for i in ids]
-        objects = [job.result() for job in jobs]
-        planes = [self._plane_rows(T, points) for T, points in zip(Ts, self.plane_points)]
-        return {"objects": objects, "planes": planes if self.config.use_plane else []}
+    def _evaluate(self, state: _WindowState) -> _WindowEvaluation:
+        Ts, plane = state.Ts_world_camera, self.window.plane
+        jobs = [
+            self.pool.submit(item.evaluate, state.objects[id], self.shapes[id], Ts)
+            for id, item in self.objects.items()
+        ]
+        objects, planes = [job.result() for job in jobs], []
+        if self.config.use_plane:
+            points_of = zip(Ts, self.window.plane_points)
+            planes = [evaluate_plane(T, points, plane, self.plane_noise) for T, points in points_of]
+        return _WindowEvaluation(objects, planes)
 
-    def _plane_rows(self, T: np.ndarray, points: np.ndarray) -> Evaluation:
-        config = self.config
-        normal = T[:3, :3].T @ self.plane.normal
-        residual = points @ normal + T[:3, 3] @ self.plane.normal - self.plane.offset
-        jacobian = np.concatenate([np.cross(points, normal), np.broadcast_to(normal, points.shape)], axis=1)
-        robust = np.minimum(1.0, 3 * config.plane_sigma / np.maximum(np.abs(residual), 1e-9))
-        return Evaluation(residual, jacobian, config.noise.data_weight * robust / config.plane_sigma**2)
-
-    def _cost(self, at: dict[str, list], weights_of: dict[str, list]) -> float:
-        """Weighted squares of the residuals at one place with the weights of another."""
+    def _cost(self, at: _WindowEvaluation, weights_of: _WindowEvaluation) -> float:
+        """Return the sum of squared residuals at one state with the weights of another."""
         total = 0.0
-        for (here, _), (there, _) in zip(at["objects"], weights_of["objects"]):
-            total += float(there.weights @ here.residuals.astype(np.float64) ** 2)
-        for here, there in zip(at["planes"], weights_of["planes"]):
+        for here, there in zip(at.objects, weights_of.objects):
+            total += float(there.problem.weights @ here.problem.residuals.astype(np.float64) ** 2)
+        for here, there in zip(at.planes, weights_of.planes):
             total += float(there.weights @ here.residuals**2)
         return total
 
-    def _cost_of_known(self, states: Mapping[int, FitState], Ts: np.ndarray) -> float:
-        """What it costs that landmarks and cameras are elsewhere than what is known of them says."""
-        steps = {one: states[one].step_from(self.start[one]) for one in self.known if one in states}
-        landmarks = sum(self.known[one].cost_of(step) for one, step in steps.items())
-        cameras = sum(xi @ known @ xi for xi, known in zip(self._camera_steps(Ts), self.known_cameras))
+    def _prior_cost(self, state: _WindowState) -> float:
+        """Return the cost of the priors on landmarks and cameras."""
+        landmarks = sum(
+            prior.cost_at(state.objects[id].step_from(self.start.objects[id]))
+            for id, prior in self.window.priors.items()
+            if id in state.objects
+        )
+        steps = self._camera_steps(state)
+        cameras = sum(xi @ information @ xi for xi, information in zip(steps, self.camera_priors))
         return float(landmarks + cameras)
 
-    def _camera_steps(self, Ts: np.ndarray) -> list[np.ndarray]:
-        """How far each camera but the first is from where it started."""
-        return [se3_log(invert(start) @ T) for start, T in zip(self.Ts_start[1:], Ts[1:])]
+    def _camera_steps(self, state: _WindowState) -> list[np.ndarray]:
+        """Return the step (6,) of each camera but the first from its start."""
+        pairs = zip(self.start.Ts_world_camera[1:], state.Ts_world_camera[1:])
+        return [se3_log(invert(start) @ T) for start, T in pairs]
 
-    def _equations(self, current: dict[str, list]) -> NormalEquations:
-        n = len(self.objects)
-        cameras, gradient = np.zeros((self.free, self.free)), np.zeros(self.free)
-        objects, ties = np.zeros((n, PARAMETERS, PARAMETERS)), np.zeros((n, PARAMETERS, self.free))
+    def _normal_equations(self, current: _WindowEvaluation) -> NormalEquations:
+        n, free = len(self.objects), CAMERA_SIZE * (len(self.window.keyframes) - 1)
+        cameras, gradient = np.zeros((free, free)), np.zeros(free)
+        objects, coupling = np.zeros((n, PARAMETERS, PARAMETERS)), np.zeros((n, PARAMETERS, free))
         gradient_objects = np.zeros((n, PARAMETERS))
-        for i, (one, (evaluation, by_camera)) in enumerate(zip(self.objects, current["objects"])):
-            item = self.objects[one]
-            objects[i], gradient_objects[i] = evaluation.normal_equations()
-            if one in self.known:
-                objects[i] += self.known[one].information
-                gradient_objects[i] += self.known[one].gradient(self.states[one].step_from(self.start[one]))
+        for i, ((id, item), evaluation) in enumerate(zip(self.objects.items(), current.objects)):
+            problem, by_camera = evaluation.problem, evaluation.camera_jacobian
+            objects[i], gradient_objects[i] = problem.normal_equations()
+            if id in self.window.priors:
+                prior = self.window.priors[id]
+                objects[i] += prior.information
+                step = self.state.objects[id].step_from(self.start.objects[id])
+                gradient_objects[i] += prior.gradient_at(step)
             rows = len(by_camera)
             for k, camera in enumerate(item.views):
                 if camera == 0:
                     continue
-                own, at = item.pixels.rays.view == k, slice(CAMERA * (camera - 1), CAMERA * camera)
-                weights, J_c = evaluation.weights[:rows][own], by_camera[own]
-                weighted = J_c * weights[:, None]
-                cameras[at, at] += weighted.T @ J_c
-                gradient[at] += weighted.T @ evaluation.residuals[:rows][own]
-                ties[i][:, at] = evaluation.jacobian[:rows][own].T @ weighted
-        for camera, (xi, known) in enumerate(zip(self._camera_steps(self.Ts), self.known_cameras)):
-            at = slice(CAMERA * camera, CAMERA * (camera + 1))
-            cameras[at, at] += known
-            gradient[at] += known @ xi
-        for camera, plane in enumerate(current["planes"][1:]):
-            at = slice(CAMERA * camera, CAMERA * (camera + 1))
-            hessian, g = plane.normal_equations()
+                own, at = item.pixels.rays.view == k, _columns(camera)
+                weights, J_camera = problem.weights[:rows][own], by_camera[own]
+                weighted = J_camera * weights[:, None]
+                cameras[at, at] += weighted.T @ J_camera
+                gradient[at] += weighted.T @ problem.residuals[:rows][own]
+                coupling[i][:, at] = problem.jacobian[:rows][own].T @ weighted
+        steps = self._camera_steps(self.state)
+        for camera, (xi, information) in enumerate(zip(steps, self.camera_priors), start=1):
+            at = _columns(camera)
+            cameras[at, at] += information
+            gradient[at] += information @ xi
+        for camera, plane in enumerate(current.planes[1:], start=1):
+            at = _columns(camera)
+            hessian, plane_gradient = plane.normal_equations()
             cameras[at, at] += hessian
-            gradient[at] += g
-        return NormalEquations(cameras, objects, ties, gradient, gradient_objects)
+            gradient[at] += plane_gradient
+        return NormalEquations(cameras, objects, coupling, gradient, gradient_objects)
 
-    def _moved(self, step_c: np.ndarray, step_o: np.ndarray) -> tuple[dict[int, FitState], np.ndarray]:
+    def _moved(
+        self, camera_step: Float[np.ndarray, "c"], object_steps: Float[np.ndarray, "o 25"]
+    ) -> _WindowState:
+        """Return the state after a step, which is shortened as a whole to the step limits."""
         limits = self.config.step_limits.vector
-        shrink = max(1.0, float(np.max(np.abs(step_o) / limits, initial=0.0)))
-        states = {one: self.states[one].moved(step / shrink) for one, step in zip(self.objects, step_o)}
-        Ts = self.Ts.copy()
-        for k, xi in enumerate(step_c.reshape(-1, CAMERA), start=1):
+        shrink = max(1.0, float(np.max(np.abs(object_steps) / limits, initial=0.0)))
+        pairs = zip(self.objects, object_steps)
+        objects = {id: self.state.objects[id].moved(step / shrink) for id, step in pairs}
+        Ts = self.state.Ts_world_camera.copy()
+        for k, xi in enumerate(camera_step.reshape(-1, CAMERA_SIZE), start=1):
             Ts[k] = Ts[k] @ se3_exp(xi / shrink)
-        return states, Ts
+        return _WindowState(objects, Ts)
 
-    def _refresh_shapes(self, pool: ThreadPoolExecutor, force: bool = False) -> bool:
-        """Decodes the shapes whose codes have moved far; with ``force`` all that are not near."""
-        least = 0.3 * self.config.relinearise if force else self.config.relinearise
+    def _relinearise(self, distance: float) -> bool:
+        """Decode the shapes whose codes are farther than ``distance`` from their linearisation."""
         far = [
-            one
-            for one, state in self.states.items()
-            if np.linalg.norm(state.code - self.landmarks[one].shape.code) > least
+            id
+            for id, state in self.state.objects.items()
+            if np.linalg.norm(state.code - self.shapes[id].code) > distance
         ]
 
-        def decoded(one: int) -> LinearisedShape:
-            return linearise(self.decoder, self.landmarks[one].category, self.states[one].code)
+        def decoded(id: int) -> LinearisedShape:
+            category = self.window.landmarks[id].category
+            return linearise(self.decoder, category, self.state.objects[id].code)
 
-        for one, shape in zip(far, pool.map(decoded, far)):
-            self.landmarks[one] = replace(self.landmarks[one], shape=shape)
+        self.shapes |= dict(zip(far, self.pool.map(decoded, far)))
         return bool(far)
 
-    def _result(self, before: float, after: float, done: int, current: dict[str, list]) -> JointResult:
-        views = {
-            (self.keyframes[camera].number, one): View(self.states[one], self._said(item, k, *at))
-            for (one, item), at in zip(self.objects.items(), current["objects"])
+    def _result(
+        self, cost_before: float, cost_after: float, iterations: int, current: _WindowEvaluation
+    ) -> BundleResult:
+        keyframes, states = self.window.keyframes, self.state.objects
+        information = {
+            (keyframes[camera].number, id): ViewInformation(
+                states[id], self._view_information(item, k, evaluation)
+            )
+            for (id, item), evaluation in zip(self.objects.items(), current.objects)
             for k, camera in enumerate(item.views)
         }
         landmarks = {}
-        for one, state in self.states.items():
-            landmark = self.landmarks[one].with_state(state)
-            landmarks[one] = replace(landmark, updates=landmark.updates + 1)
-        keyframes = tuple(k.moved(T) for k, T in zip(self.keyframes, self.Ts))
-        return JointResult(keyframes, landmarks, views, before, after, done)
+        for id, state in states.items():
+            landmark = replace(self.window.landmarks[id], shape=self.shapes[id]).with_state(state)
+            landmarks[id] = replace(landmark, n_updates=landmark.n_updates + 1)
+        posed = tuple(key.with_pose(T) for key, T in zip(keyframes, self.state.Ts_world_camera))
+        return BundleResult(posed, landmarks, information, cost_before, cost_after, iterations)
 
-    def _said(
-        self, item: _ObjectInWindow, k: int, evaluation: Evaluation, by_camera: np.ndarray
+    def _view_information(
+        self, item: _ObjectInWindow, k: int, evaluation: _ObjectEvaluation
     ) -> Float[np.ndarray, "25 25"]:
-        """Information on a landmark from its view k, the doubt about that view's camera taken out."""
+        """Return the information of view k on its object, with the camera pose marginalised out."""
         own = np.flatnonzero(item.pixels.rays.view == k)
-        J, weights, J_c = (
-            evaluation.jacobian[own].astype(np.float64),
-            evaluation.weights[own, None],
-            by_camera[own],
-        )
-        ties = J.T @ (weights * J_c)
-        held = np.diag(self.config.camera_sigma**-2) + np.linalg.inv(self.keyframes[item.views[k]].covariance)
-        return J.T @ (weights * J) - ties @ np.linalg.solve(J_c.T @ (weights * J_c) + held, ties.T)
+        J = evaluation.problem.jacobian[own].astype(np.float64)
+        weights, J_camera = evaluation.problem.weights[own, None], evaluation.camera_jacobian[own]
+        coupling = J.T @ (weights * J_camera)
+        covariance = self.window.keyframes[item.views[k]].covariance
+        camera_prior = np.diag(self.config.camera_sigma**-2) + np.linalg.inv(covariance)
+        camera = J_camera.T @ (weights * J_camera) + camera_prior
+        return J.T @ (weights * J) - coupling @ np.linalg.solve(camera, coupling.T)
+
+
+def _columns(camera: int) -> slice:
+    """Return the columns of a free camera, counted from 1 as the first keyframe is fixed."""
+    return slice(CAMERA_SIZE * (camera - 1), CAMERA_SIZE * camera)

@@ -1,4 +1,4 @@
-"""All settings of the SLAM system."""
+"""Settings of the SLAM system."""
 
 from __future__ import annotations
 
@@ -7,90 +7,109 @@ from dataclasses import dataclass, field, replace
 import numpy as np
 
 from perception.inference.fit import FitConfig
-from perception.slam.association import AssociationConfig
-from perception.slam.bundle_adjustment import JointConfig
-from perception.slam.motion import MotionConfig
-from perception.slam.pixels import SelectionConfig
+from perception.slam.association import MaskAssociationConfig
+from perception.slam.bundle_adjustment import BundleAdjustmentConfig
+from perception.slam.mask_merging import MaskMergingConfig
+from perception.slam.motion import CameraMotionConfig
+from perception.slam.pixels import PixelSelectionConfig
 from perception.slam.relocalise import RelocalisationConfig
 from perception.slam.tracking import TrackingConfig
 
 
 @dataclass(frozen=True)
-class LifeConfig:
-    """When landmarks come and go, and when the camera is lost.
+class LandmarkLifecycleConfig:
+    """When landmarks are initialised, refitted and retired, and which frames become keyframes for them.
 
     Attributes:
-        min_pixels: of a mask that a landmark is made from.
-        min_pixels_cut: the same of a mask that the image border cuts.
-        enough: landmarks that agree with a frame, by ``enough_share`` of their pixels, while a cut mask waits
-            to come into view: what is made from a part of an object may be far off.
-        seen_before: frames in a row that must show an unmatched mask before it becomes a landmark.
-        new_part: of an object's pixels, which no keyframe had in view, that makes a frame a keyframe.
-        retry: frames until an object that could not be initialised is tried again, and at least between
-            keyframes that complete one.
-        retry_weak: the latter while the pose is weak.
-        check_every: so many frames it is looked which landmarks should be seen.
-        max_misses: such looks in a row at which a landmark should be seen but is not; fewer for one that was
-            seen in fewer frames.
-        through_share: of a landmark's visible pixels; where more see what is behind it, it is not there.
-        max_through: such looks in a row at which it is not.
-        max_bad: frames in a row in which most of its pixels disagree.
-        moved_after: such frames in a row after which it is fitted anew where it is seen.
-        moved_by: from which distance on it was moved, and older views of it are forgotten [m].
-        lost_share: median share of agreeing pixels under which the camera is lost.
-        weak_spread, lost_spread: standard deviation of the camera's place, by its motion and by what the
-            landmarks say, from which on the pose is weak, and from which on it is lost [m].
-        found_spread: up to which a lost camera counts as found [m].
-        search_spread: up to which a lost camera is looked for where its motion leads first [m].
-        max_keyframes: are kept; then the oldest go.
-        class_margin: log probability by which another class must lead before an object is fitted anew.
-        max_move, max_turn: of the camera between two frames [m], [rad]; more is a slip.
+        min_pixels: Smallest mask, in pixels, that a landmark is initialised from.
+        min_pixels_truncated: The same for a mask that the image border truncates.
+        min_support: Number of agreeing landmarks from which truncated masks are not initialised: a shape
+            fitted to a part of an object can be far off.
+        support_inlier_ratio: Inlier ratio above which a landmark agrees with a frame.
+        min_frames_unmatched: Successive frames that an unmatched mask must be visible in before it is
+            initialised.
+        unseen_ratio: Share of a landmark's pixels outside the view of all keyframes above which the frame
+            becomes a keyframe and a truncated landmark is refitted.
+        retry_interval: Frames between attempts to initialise the same mask, and least number of frames
+            between keyframes that reveal unseen parts.
+        retry_interval_weak: The latter while the pose is weak.
+        visibility_interval: Frames between checks of which landmarks are visible.
+        max_misses: Successive visibility checks that a landmark may fail; no more than its hits.
+        see_through_ratio: Share of a landmark's visible pixels that measure the background above which the
+            landmark counts as seen through.
+        max_see_through: Successive checks in which a landmark may be seen through.
+        max_outlier_frames: Successive frames in which most pixels of a landmark may disagree.
+        refit_after_outlier_frames: Number of such frames after which it is refitted in the newest view.
+        moved_distance: Displacement of a refitted landmark beyond which the object was moved and its older
+            views are discarded, in metres.
+        max_keyframes: Number of keyframes kept; the oldest are dropped.
+        class_log_odds: Log probability by which another class must lead before a landmark is refitted.
     """
 
     min_pixels: int = 120
-    min_pixels_cut: int = 400
-    enough: int = 3
-    enough_share: float = 0.6
-    seen_before: int = 2
-    new_part: float = 0.3
-    retry: int = 8
-    retry_weak: int = 2
-    check_every: int = 4
+    min_pixels_truncated: int = 400
+    min_support: int = 3
+    support_inlier_ratio: float = 0.6
+    min_frames_unmatched: int = 2
+    unseen_ratio: float = 0.3
+    retry_interval: int = 8
+    retry_interval_weak: int = 2
+    visibility_interval: int = 4
     max_misses: int = 5
-    through_share: float = 0.6
-    max_through: int = 2
-    max_bad: int = 12
-    moved_after: int = 3
-    moved_by: float = 0.03
-    lost_share: float = 0.5
-    weak_spread: float = 0.01
-    lost_spread: float = 0.02
-    found_spread: float = 0.015
-    search_spread: float = 0.06
+    see_through_ratio: float = 0.6
+    max_see_through: int = 2
+    max_outlier_frames: int = 12
+    refit_after_outlier_frames: int = 3
+    moved_distance: float = 0.03
     max_keyframes: int = 80
-    class_margin: float = 4.0
-    max_move: float = 0.10
-    max_turn: float = np.radians(12.0)
+    class_log_odds: float = 4.0
+
+
+@dataclass(frozen=True)
+class PoseCheckConfig:
+    """Thresholds between the tracking states "tracked", "weak" and "lost".
+
+    Standard deviations are those of the camera position along its least certain direction, in metres.
+
+    Attributes:
+        inlier_ratio_min: Median inlier ratio of the used landmarks below which the camera is lost.
+        max_translation, max_rotation: Correction of the predicted pose beyond which the camera is lost, in
+            metres and radians.
+        weak_position_std, lost_position_std: Standard deviation above which the pose is weak, or lost.
+        recovered_position_std: Standard deviation below which a lost camera is tracked again.
+        local_search_position_std: Standard deviation of the predicted position below which a lost camera is
+            first searched for near its prediction.
+    """
+
+    inlier_ratio_min: float = 0.5
+    max_translation: float = 0.10
+    max_rotation: float = np.radians(12.0)
+    weak_position_std: float = 0.01
+    lost_position_std: float = 0.02
+    recovered_position_std: float = 0.015
+    local_search_position_std: float = 0.06
 
 
 @dataclass(frozen=True)
 class SlamConfig:
-    """All settings of the system."""
+    """Settings of the SLAM system, by module."""
 
-    joint_on: bool = True
+    use_bundle_adjustment: bool = True
     fit: FitConfig = field(default_factory=lambda: FitConfig(refine=None))  # landmarks have no meshes
-    motion: MotionConfig = field(default_factory=MotionConfig)
+    motion: CameraMotionConfig = field(default_factory=CameraMotionConfig)
     tracking: TrackingConfig = field(default_factory=TrackingConfig)
-    selection: SelectionConfig = field(default_factory=SelectionConfig)
-    association: AssociationConfig = field(default_factory=AssociationConfig)
+    pose_check: PoseCheckConfig = field(default_factory=PoseCheckConfig)
+    pixels: PixelSelectionConfig = field(default_factory=PixelSelectionConfig)
+    merging: MaskMergingConfig = field(default_factory=MaskMergingConfig)
+    association: MaskAssociationConfig = field(default_factory=MaskAssociationConfig)
     relocalisation: RelocalisationConfig = field(default_factory=RelocalisationConfig)
-    joint: JointConfig = field(default_factory=JointConfig)
-    life: LifeConfig = field(default_factory=LifeConfig)
+    bundle_adjustment: BundleAdjustmentConfig = field(default_factory=BundleAdjustmentConfig)
+    lifecycle: LandmarkLifecycleConfig = field(default_factory=LandmarkLifecycleConfig)
 
     def objects_only(self) -> SlamConfig:
-        """Without the plane as a landmark, as in the paper."""
+        """Return the settings without the support plane as a landmark, as in the paper."""
         return replace(
             self,
             tracking=replace(self.tracking, use_plane=False),
-            joint=replace(self.joint, use_plane=False),
+            bundle_adjustment=replace(self.bundle_adjustment, use_plane=False),
         )

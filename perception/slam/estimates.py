@@ -1,4 +1,4 @@
-"""Landmarks as object estimates: what the rest of the product reads."""
+"""Conversion of landmarks to object estimates, the interface to the other packages."""
 
 from __future__ import annotations
 
@@ -15,7 +15,13 @@ logger = logging.getLogger(__name__)
 
 
 def object_estimate(landmark: Landmark, decoder: Decoder, config: MeshConfig | None = None) -> ObjectEstimate:
-    """The landmark with its mesh; EmptyShapeError if its shape has no surface."""
+    """Return the landmark with its mesh.
+
+    Its score is the posterior probability of its class over all views.
+
+    Raises:
+        EmptyShapeError: The shape has no surface.
+    """
     pose = landmark.state.pose
     votes = np.exp(landmark.log_votes - landmark.log_votes.max())
     return ObjectEstimate(
@@ -26,17 +32,17 @@ def object_estimate(landmark: Landmark, decoder: Decoder, config: MeshConfig | N
         scale=pose.scale,
         mesh=mesh_from_code(decoder, landmark.category, landmark.state.code, pose.scale, config),
         score=float(votes[CATEGORIES.index(landmark.category)] / votes.sum()),
-        n_views=landmark.hits,
+        n_views=landmark.n_hits,
         residual=landmark.residual,
     )
 
 
 def object_estimates(world: LandmarkMap, decoder: Decoder) -> list[ObjectEstimate]:
-    """All landmarks that have a surface, by id."""
+    """Return the estimates of all landmarks that have a surface, in the order of their ids."""
     estimates = []
-    for one in world.ids:
+    for id in world.ids:
         try:
-            estimates.append(object_estimate(world.landmarks[one], decoder))
+            estimates.append(object_estimate(world.landmarks[id], decoder))
         except EmptyShapeError as error:
-            logger.warning("landmark %d is left out: %s", one, error)
+            logger.warning("landmark %d skipped: %s", id, error)
     return estimates

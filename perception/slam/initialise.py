@@ -1,12 +1,12 @@
-"""A new landmark from one view: the single-view inference of ``perception.inference``."""
+"""Initialisation of landmarks: shape and pose inference from one or a few views."""
 
 from __future__ import annotations
 
 import logging
-from dataclasses import replace
+from collections.abc import Sequence
+from dataclasses import dataclass, replace
 
 import numpy as np
-from jaxtyping import Bool
 
 from perception.errors import PerceptionError
 from perception.inference.fit import FitConfig, fit_object
@@ -14,55 +14,65 @@ from perception.inference.observation import ObjectObservation, ObjectViews
 from perception.inference.problem import FitState
 from perception.inference.shape_model import Decoder, linearise
 from perception.rendering.pose import ObjectPose
-from perception.slam.landmarks import Landmark, log_probabilities, reach_of
-from perception.types import Category, ObjectDetection, ObjectEstimate, SupportPlane
+from perception.slam.labelled_frame import is_truncated
+from perception.slam.landmarks import Landmark, bounding_radius, log_probabilities
+from perception.types import ObjectDetection, ObjectEstimate, SupportPlane
 
 logger = logging.getLogger(__name__)
 
 
+@dataclass(frozen=True)
+class LandmarkViews:
+    """What a landmark is fitted to.
+
+    Attributes:
+        id: Id of the landmark.
+        observations: Views of the object, at least one.
+        detection: Class, score and mask in the newest view.
+        frame_number: Number of the frame that initialises the landmark.
+    """
+
+    id: int
+    observations: Sequence[ObjectObservation]
+    detection: ObjectDetection
+    frame_number: int
+
+
 def initialise_landmark(
-    observations: list[ObjectObservation],
-    detection: ObjectDetection,
-    decoder: Decoder,
-    plane: SupportPlane,
-    fit: FitConfig,
-    landmark_id: int,
-    frame_number: int,
-    category: Category | None = None,
+    views: LandmarkViews, decoder: Decoder, plane: SupportPlane, config: FitConfig
 ) -> Landmark | None:
-    """The landmark that the views show, or None if what they show is no plausible object of its class.
+    """Fit a landmark; None if the fit fails or is no plausible object of the detected class.
 
     Args:
-        observations: its views, usually one.
-        detection: its class and votes.
-        decoder: the shape prior.
-        plane: what it stands on.
-        fit: budget of the inference.
-        landmark_id: for the landmark.
-        frame_number: when.
-        category: another class than the detection's, if views have voted otherwise.
+        views: Views of the object.
+        decoder: Shape prior.
+        plane: Support plane in the world frame.
+        config: Settings of the fit.
     """
-    category = category or detection.category
+    detection, category = views.detection, views.detection.category
     try:
-        views = ObjectViews(landmark_id, category, detection.score, tuple(observations))
-        estimate = fit_object(views, decoder, plane, fit)
+        object_views = ObjectViews(views.id, category, detection.score, tuple(views.observations))
+        estimate = fit_object(object_views, decoder, plane, config)
     except PerceptionError as error:
-        logger.debug("no %s from frame %d: %s", category, frame_number, error)
+        logger.debug("frame %d: %s not initialised: %s", views.frame_number, category, error)
         return None
     if estimate.status == "implausible":
-        logger.debug("an implausible %s in frame %d is not taken", category, frame_number)
+        logger.debug("frame %d: %s not initialised: implausible fit", views.frame_number, category)
         return None
-    return landmark_of(estimate, decoder, fit, detection, frame_number)
+    return landmark_from_estimate(estimate, views, decoder, config.step[category])
 
 
-def landmark_of(
-    estimate: ObjectEstimate,
-    decoder: Decoder,
-    fit: FitConfig,
-    detection: ObjectDetection,
-    frame_number: int,
+def landmark_from_estimate(
+    estimate: ObjectEstimate, views: LandmarkViews, decoder: Decoder, sample_step: float
 ) -> Landmark:
-    """An estimate as a landmark."""
+    """Convert the estimate of a fit to a landmark.
+
+    Args:
+        estimate: Result of the fit.
+        views: Views that were fitted.
+        decoder: Shape prior.
+        sample_step: Distance between the renderer's samples, in voxels.
+    """
     pose = ObjectPose.of(estimate.T_world_object, estimate.scale)
     state = FitState(pose, np.array(estimate.code, dtype=np.float64))
     shape = linearise(decoder, estimate.category, state.code)
@@ -71,32 +81,22 @@ def landmark_of(
         category=estimate.category,
         state=state,
         shape=shape,
-        reach=reach_of(shape, state),
-        step=fit.step[estimate.category],
-        log_votes=log_probabilities(detection),
-        score=detection.score,
-        cut=touches_border(detection),
-        born=frame_number,
+        bounding_radius=bounding_radius(shape, state),
+        sample_step=sample_step,
+        log_votes=log_probabilities(views.detection),
+        score=views.detection.score,
+        truncated=is_truncated(views.detection.mask),
+        first_frame=views.frame_number,
         residual=estimate.residual,
     )
 
 
-def touches_border(detection: ObjectDetection) -> bool:
-    """Whether the image border cuts the detection's mask."""
-    return is_cut(detection.mask)
-
-
-def is_cut(mask: Bool[np.ndarray, "h w"]) -> bool:
-    """Whether the image border cuts a mask."""
-    return bool(mask[0].any() or mask[-1].any() or mask[:, 0].any() or mask[:, -1].any())
-
-
-def renewed(landmark: Landmark, other: Landmark) -> Landmark:
-    """``other`` in the place of the landmark: a better start, the same object and votes."""
+def refitted(landmark: Landmark, fit: Landmark) -> Landmark:
+    """Return a new fit of a landmark with the landmark's identity, class votes and counts."""
     return replace(
-        other,
+        fit,
         id=landmark.id,
         log_votes=landmark.log_votes,
-        hits=landmark.hits,
-        updates=landmark.updates + 1,
+        n_hits=landmark.n_hits,
+        n_updates=landmark.n_updates + 1,
     )

@@ -1,4 +1,4 @@
-"""The map: whole objects as landmarks, and the plane they stand on."""
+"""The map: objects as landmarks, and their support plane."""
 
 from __future__ import annotations
 
@@ -13,13 +13,22 @@ from perception.inference.problem import FitState
 from perception.inference.shape_model import LinearisedShape
 from perception.rendering.multi_object import ShapeStack
 from perception.rendering.pose import object_by_camera
+from perception.rendering.renderer import ShapeGrid
 from perception.types import CATEGORIES, GRID_RESOLUTION, Category, ObjectDetection, SupportPlane
 
+_DUPLICATE_DISTANCE = 0.35  # origin distance of duplicates, relative to the sum of the bounding radii
+_OCCUPIED = 0.05  # occupancy probability from which a voxel counts towards the bounding radius
+_PROBABILITY_MIN = 0.01  # floor of the class probabilities, so that no single view rules a class out
 
-def own_doubt(cut: bool) -> Float[np.ndarray, "6 6"]:
-    """Of a landmark seen by a camera whose pose is known; more if only a part of it was in view."""
-    turn, move = (np.radians(3.0), 0.006) if cut else (np.radians(1.5), 0.0025)
-    return np.diag(np.repeat([turn**2, move**2], 3))
+
+def fit_covariance(truncated: bool) -> Float[np.ndarray, "6 6"]:
+    """Return the pose covariance of a single-view fit with a known camera pose (rotation, translation).
+
+    Args:
+        truncated: Whether the image border truncated the mask that the landmark was fitted to.
+    """
+    rotation, translation = (np.radians(3.0), 0.006) if truncated else (np.radians(1.5), 0.0025)
+    return np.diag(np.repeat([rotation**2, translation**2], 3))
 
 
 @dataclass(frozen=True)
@@ -27,133 +36,148 @@ class Landmark:
     """One object of the map.
 
     Attributes:
-        id: unique over the run; numbers of retired objects are not used again.
-        category: what it was fitted as.
-        state: pose and shape code.
-        shape: the decoder around a code near it.
-        reach: radius of a sphere about its origin that holds it [m].
-        step: between the renderer's samples, as a share of a voxel.
-        log_votes: summed log probabilities of the classes over the views.
-        score: class confidence of the fit.
-        hits, misses: frames that showed it, and that should have but did not.
-        bad: frames in a row in which most of its pixels disagreed with the map.
-        through: looks in a row at which the camera saw through most of it.
-        cut: it was cut by the image border when it was initialised.
-        born: number of the frame in which it was initialised.
-        updates: how often its shape was estimated.
-        residual: root mean square of its inlier residuals in the last optimisation [m].
-        doubt: covariance of where it stands (turn in its own frame, move in the world) [rad], [m].
+        id: Unique over the run; ids of retired landmarks are not reused.
+        category: Class whose shape prior was fitted.
+        state: Pose and shape code.
+        shape: Linearisation of the decoder near the shape code.
+        bounding_radius: Radius of a sphere about the object's origin that contains the object, in metres.
+        sample_step: Distance between the renderer's samples, in voxels.
+        log_votes: Sum of the log class probabilities over all views.
+        score: Class confidence of the detection that was fitted.
+        n_hits: Number of frames with a mask of the landmark.
+        n_misses: Number of successive visibility checks without a mask where one was expected.
+        n_outlier_frames: Number of successive frames in which most of its pixels disagreed with the map.
+        n_see_through: Number of successive visibility checks that measured the background through it.
+        truncated: Whether the image border truncated it in all views that it was fitted to.
+        first_frame: Number of the frame in which it was initialised.
+        n_updates: Number of times that its shape has been estimated.
+        residual: Root mean square of the inlier depth residuals of the fit, in metres.
+        covariance: Covariance of its pose (rotation in the object frame, translation in the world frame), in
+            radians and metres.
     """
 
     id: int
     category: Category
     state: FitState
     shape: LinearisedShape
-    reach: float
-    step: float
+    bounding_radius: float
+    sample_step: float
     log_votes: Float[np.ndarray, "c"]
     score: float = 1.0
-    hits: int = 1
-    misses: int = 0
-    bad: int = 0
-    through: int = 0
-    cut: bool = False
-    born: int = 0
-    updates: int = 1
+    n_hits: int = 1
+    n_misses: int = 0
+    n_outlier_frames: int = 0
+    n_see_through: int = 0
+    truncated: bool = False
+    first_frame: int = 0
+    n_updates: int = 1
     residual: float = 0.0
-    doubt: Float[np.ndarray, "6 6"] = field(default_factory=lambda: own_doubt(False))
+    covariance: Float[np.ndarray, "6 6"] = field(default_factory=lambda: fit_covariance(truncated=False))
 
     @cached_property
-    def grid(self):
-        """The grid of its code, on the renderer's device."""
+    def grid(self) -> ShapeGrid:
+        """Occupancy grid of the shape code on the renderer's device."""
         return self.shape.at(self.state.code)
 
     @property
     def sample_distance(self) -> float:
-        """Between the renderer's samples along a ray [m]."""
-        return self.step * 2 * float(self.state.pose.scale.max()) / GRID_RESOLUTION
+        """Distance between the renderer's samples along a ray, in metres."""
+        return self.sample_step * 2 * float(self.state.pose.scale.max()) / GRID_RESOLUTION
 
-    def with_state(self, state: FitState, shape: LinearisedShape | None = None) -> Landmark:
-        """The landmark elsewhere or of another shape."""
-        shape = shape or self.shape
-        return replace(self, state=state, shape=shape, reach=reach_of(shape, state))
+    def with_state(self, state: FitState) -> Landmark:
+        """Return the landmark with another pose and shape code."""
+        return replace(self, state=state, bounding_radius=bounding_radius(self.shape, state))
 
-    def seen_from(
-        self, T_world_camera: Float[np.ndarray, "4 4"], covariance: Float[np.ndarray, "6 6"]
+    def covariance_from(
+        self, T_world_camera: Float[np.ndarray, "4 4"], camera_covariance: Float[np.ndarray, "6 6"]
     ) -> Float[np.ndarray, "6 6"]:
-        """Its doubt if it stands where a camera of such doubt sees it."""
-        by_camera = object_by_camera(self.state.pose, T_world_camera)
-        return own_doubt(self.cut) + by_camera @ covariance @ by_camera.T
+        """Return the pose covariance of a fit in one view: that of the fit plus that of the camera.
 
-    def voted(self, detection: ObjectDetection) -> Landmark:
-        """The landmark after one more view of it."""
-        return replace(
-            self, log_votes=self.log_votes + log_probabilities(detection), hits=self.hits + 1, misses=0
-        )
+        Args:
+            T_world_camera: Pose of the camera.
+            camera_covariance: Covariance of that pose (rotation, translation) in the camera frame.
+        """
+        by_camera = object_by_camera(self.state.pose, T_world_camera)
+        return fit_covariance(self.truncated) + by_camera @ camera_covariance @ by_camera.T
+
+    def with_detection(self, detection: ObjectDetection) -> Landmark:
+        """Return the landmark after one more detection of it: class votes and hits."""
+        log_votes = self.log_votes + log_probabilities(detection)
+        return replace(self, log_votes=log_votes, n_hits=self.n_hits + 1, n_misses=0)
 
     @property
-    def likeliest(self) -> Category:
-        """The class that most views speak for."""
+    def most_likely_category(self) -> Category:
+        """Class with the largest sum of log probabilities."""
         return CATEGORIES[int(np.argmax(self.log_votes))]
+
+    @property
+    def class_log_odds(self) -> float:
+        """Log probability by which the most likely class leads the fitted one, 0 if they agree."""
+        return float(self.log_votes.max() - self.log_votes[CATEGORIES.index(self.category)])
 
 
 @dataclass(frozen=True)
 class LandmarkMap:
-    """All landmarks by id, and the plane they stand on, in the world frame."""
+    """All landmarks by id, and their support plane, in the world frame."""
 
     plane: SupportPlane
     landmarks: Mapping[int, Landmark] = field(default_factory=dict)
 
     @cached_property
     def ids(self) -> tuple[int, ...]:
+        """Ids of the landmarks in ascending order."""
         return tuple(sorted(self.landmarks))
 
     @cached_property
     def stack(self) -> ShapeStack:
-        """The grids of all landmarks, in the order of ``ids``."""
-        return ShapeStack.of([self.landmarks[i].grid for i in self.ids])
+        """Occupancy grids of all landmarks, in the order of ``ids``."""
+        return ShapeStack.of([self.landmarks[id].grid for id in self.ids])
 
     def with_landmarks(self, *changed: Landmark) -> LandmarkMap:
-        """The map with landmarks added or replaced; grids are stacked anew only where one changed."""
-        new = LandmarkMap(self.plane, {**self.landmarks, **{one.id: one for one in changed}})
-        same = all(
-            one.id in self.landmarks
-            and one.shape is self.landmarks[one.id].shape
-            and np.array_equal(one.state.code, self.landmarks[one.id].state.code)
-            for one in changed
+        """Return the map with landmarks added or replaced; the stack is kept if no shape changed."""
+        new = LandmarkMap(self.plane, {**self.landmarks, **{landmark.id: landmark for landmark in changed}})
+        same_shapes = all(
+            landmark.id in self.landmarks
+            and landmark.shape is self.landmarks[landmark.id].shape
+            and np.array_equal(landmark.state.code, self.landmarks[landmark.id].state.code)
+            for landmark in changed
         )
-        if same and "stack" in self.__dict__:
+        if same_shapes and "stack" in self.__dict__:
             new.__dict__["stack"] = self.stack
         return new
 
     def without(self, ids: set[int]) -> LandmarkMap:
-        """The map without some landmarks."""
-        return LandmarkMap(self.plane, {i: one for i, one in self.landmarks.items() if i not in ids})
+        """Return the map without some landmarks."""
+        kept = {id: landmark for id, landmark in self.landmarks.items() if id not in ids}
+        return LandmarkMap(self.plane, kept)
 
 
-def doubles(landmarks: Mapping[int, Landmark]) -> set[int]:
-    """Landmarks that stand where one that was seen more often stands, too."""
-    gone: set[int] = set()
-    order = sorted(landmarks.values(), key=lambda one: (-one.hits, one.id))
-    for k, one in enumerate(order):
-        if any(other.id not in gone and stand_together(one, other) for other in order[:k]):
-            gone.add(one.id)
-    return gone
+def duplicates(landmarks: Mapping[int, Landmark]) -> set[int]:
+    """Return the ids of landmarks that coincide with a landmark of more hits."""
+    found: set[int] = set()
+    order = sorted(landmarks.values(), key=lambda landmark: (-landmark.n_hits, landmark.id))
+    for k, landmark in enumerate(order):
+        if any(other.id not in found and coincide(landmark, other) for other in order[:k]):
+            found.add(landmark.id)
+    return found
 
 
-def stand_together(a: Landmark, b: Landmark) -> bool:
-    """Whether two landmarks are so close that they must be one object."""
-    return distance(a, b) < 0.35 * (a.reach + b.reach)
+def coincide(a: Landmark, b: Landmark) -> bool:
+    """Return whether two landmarks are so close that they must be the same object."""
+    return origin_distance(a, b) < _DUPLICATE_DISTANCE * (a.bounding_radius + b.bounding_radius)
 
 
-def distance(a: Landmark, b: Landmark) -> float:
-    """Between their origins [m]."""
+def origin_distance(a: Landmark, b: Landmark) -> float:
+    """Return the distance between the origins of two landmarks, in metres."""
     return float(np.linalg.norm(a.state.pose.translation - b.state.pose.translation))
 
 
-def reach_of(shape: LinearisedShape, state: FitState) -> float:
-    """Radius about the object's origin that holds everything that is occupied, and a voxel more [m]."""
-    i = np.argwhere(shape.grid > 0.05)
+def bounding_radius(shape: LinearisedShape, state: FitState) -> float:
+    """Return the radius about the object's origin that contains its occupied voxels, in metres.
+
+    The margin is one voxel. A shape without occupied voxels has the radius of its whole grid.
+    """
+    i = np.argwhere(shape.grid > _OCCUPIED)
     if not len(i):
         return float(np.linalg.norm(state.pose.scale))
     canonical = np.abs(-1 + (2 * i + 1) / GRID_RESOLUTION).max(axis=0)
@@ -161,10 +185,13 @@ def reach_of(shape: LinearisedShape, state: FitState) -> float:
 
 
 def log_probabilities(detection: ObjectDetection) -> Float[np.ndarray, "c"]:
-    """Of the classes, bounded from below, in the detection's own words or from its score."""
+    """Return the log class probabilities of a detection, bounded from below.
+
+    A detection without class probabilities has its score for its class and equal shares for the others.
+    """
     n = len(CATEGORIES)
     p = np.asarray(detection.class_probabilities, dtype=np.float64)[:n]
     if len(p) != n:
         p = np.full(n, (1 - detection.score) / (n - 1))
         p[CATEGORIES.index(detection.category)] = detection.score
-    return np.log(np.clip(p, 0.01, 1.0))
+    return np.log(np.clip(p, _PROBABILITY_MIN, 1.0))

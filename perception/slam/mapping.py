@@ -1,268 +1,313 @@
-"""The map's keeper: landmarks come, are voted on, mended and retired; keyframes are kept and optimised."""
+"""Mapping: the lifecycle of landmarks and keyframes, and their joint optimisation."""
 
 from __future__ import annotations
 
 import logging
 from collections.abc import Collection, Mapping, Sequence
-from dataclasses import replace
+from dataclasses import dataclass, replace
 
 import numpy as np
-from jaxtyping import Float
+from jaxtyping import Bool, Float
 
 from perception.geometry import invert
 from perception.inference.observation import ObjectObservation
 from perception.inference.reconstruct import hidden_by
 from perception.inference.shape_model import Decoder
-from perception.slam.association import RenderedMasks, seen_through
-from perception.slam.bundle_adjustment import optimise_jointly
+from perception.slam.association import RenderedMasks, see_through_ratios
+from perception.slam.bundle_adjustment import BundleWindow, optimise_jointly
 from perception.slam.config import SlamConfig
-from perception.slam.initialise import initialise_landmark, is_cut, renewed, touches_border
-from perception.slam.keyframes import Keyframe, window_of
-from perception.slam.landmarks import Landmark, LandmarkMap, distance, doubles, stand_together
-from perception.slam.marginal_prior import Memory, View
-from perception.slam.tracking import TrackedPose
-from perception.types import CATEGORIES, ObjectDetection, RgbdFrame, SupportPlane
+from perception.slam.initialise import LandmarkViews, initialise_landmark, refitted
+from perception.slam.keyframes import Keyframe, select_window
+from perception.slam.labelled_frame import LabelledFrame, is_truncated
+from perception.slam.landmarks import Landmark, LandmarkMap, coincide, duplicates, origin_distance
+from perception.slam.marginal_prior import MarginalPrior, ViewInformation
+from perception.types import ObjectDetection, SupportPlane
 
 logger = logging.getLogger(__name__)
+
+_SAME_MASK_IOU = 0.2  # IoU of an unmatched mask with one of the previous frame above which they are the same
+_OPEN_RATIO = 0.6  # unoccluded share of a landmark above which a missing mask counts as a miss
+_REFIT_VIEWS = 3  # newest keyframes that a landmark is refitted to
+
+
+@dataclass(frozen=True)
+class UnmatchedMask:
+    """A mask without a landmark.
+
+    Attributes:
+        mask: Pixels of the mask in the newest frame.
+        n_frames: Number of successive frames in which it has been unmatched.
+    """
+
+    mask: Bool[np.ndarray, "h w"]
+    n_frames: int
 
 
 class Mapper:
     """Map and keyframes.
 
     Attributes:
-        world: the map; a new value whenever it changes.
-        keyframes: oldest first.
-        unmatched: masks of no landmark in the last frame, and for how many frames they have been there.
-        next_id: for the next landmark.
+        world: The map; replaced whenever it changes.
+        keyframes: Keyframes, oldest first.
+        unmatched: Masks without a landmark in the newest frame, by label.
+        next_id: Id of the next landmark.
     """
 
     def __init__(self, plane: SupportPlane, decoder: Decoder, config: SlamConfig) -> None:
         self.world = LandmarkMap(plane)
         self.decoder, self.config = decoder, config
         self.keyframes: list[Keyframe] = []
-        self.unmatched: list[tuple[np.ndarray, int]] = []
+        self.unmatched: dict[int, UnmatchedMask] = {}
         self.next_id = 0
-        self._plane_points: dict[int, np.ndarray] = {}  # of each keyframe
-        self._views: dict[tuple[int, int], View] = {}  # what keyframes said of landmarks
+        self._plane_points: dict[int, Float[np.ndarray, "_n 3"]] = {}  # by keyframe number, camera frame
+        self._information: dict[tuple[int, int], ViewInformation] = {}  # by keyframe number and landmark id
 
-    def count(
-        self,
-        frame: RgbdFrame,
-        detections: Sequence[ObjectDetection],
-        landmark_of: Mapping[int, int],
-        rendered: RenderedMasks | None,
-        tracked: TrackedPose,
-        number: int,
+    def update_landmarks(
+        self, view: LabelledFrame, rendered: RenderedMasks | None, inlier_ratios: Mapping[int, float]
     ) -> set[int]:
-        """Votes, hits and misses of the landmarks; those that are to go are taken out and returned."""
-        life, changed = self.config.life, []
-        through = seen_through(rendered, frame, self.config.association) if rendered else {}
-        label_of = {one: label for label, one in landmark_of.items()}
-        best = max(tracked.shares.values(), default=0.0)
-        for one, landmark in self.world.landmarks.items():
-            if one in label_of:
-                landmark = landmark.voted(detections[label_of[one] - 1])
-                if one in tracked.shares:
-                    poor = tracked.shares[one] < self.config.tracking.outcast * best
-                    landmark = replace(landmark, bad=landmark.bad + 1 if poor else 0)
-            elif rendered and rendered.visible.get(one, 0) * rendered.pitch**2 > 2 * life.min_pixels:
-                open_share = rendered.visible[one] / max(rendered.whole[one], 1)
-                landmark = replace(landmark, misses=landmark.misses + (open_share > 0.6))
-            if one in through:
-                gone = through[one] > life.through_share
-                landmark = replace(landmark, through=landmark.through + 1 if gone else 0)
-            changed.append(landmark)
-        self.world = self.world.with_landmarks(*changed)
-        retired = {
-            x.id
-            for x in changed
-            if x.misses > min(life.max_misses, x.hits) or x.bad > life.max_bad or x.through > life.max_through
-        } | doubles(self.world.landmarks)
+        """Update votes and counts of all landmarks, remove those that fail, and return their ids.
+
+        Args:
+            view: The newest frame with its association.
+            rendered: Rendered masks if the frame is one of a visibility check.
+            inlier_ratios: Inlier ratio of each landmark that tracking judged.
+        """
+        life, updated = self.config.lifecycle, []
+        see_through = see_through_ratios(rendered, view.frame, self.config.association) if rendered else {}
+        label_of = {id: label for label, id in view.landmark_of.items()}
+        best = max(inlier_ratios.values(), default=0.0)
+        for id, landmark in self.world.landmarks.items():
+            if id in label_of:
+                landmark = landmark.with_detection(view.detections[label_of[id] - 1])
+                if id in inlier_ratios:
+                    outlier = inlier_ratios[id] < self.config.tracking.inlier_ratio_min * best
+                    n_outlier_frames = landmark.n_outlier_frames + 1 if outlier else 0
+                    landmark = replace(landmark, n_outlier_frames=n_outlier_frames)
+            elif rendered and rendered.n_visible.get(id, 0) * rendered.pitch**2 > 2 * life.min_pixels:
+                open_ratio = rendered.n_visible[id] / max(rendered.n_unoccluded[id], 1)
+                landmark = replace(landmark, n_misses=landmark.n_misses + (open_ratio > _OPEN_RATIO))
+            if id in see_through:
+                absent = see_through[id] > life.see_through_ratio
+                landmark = replace(landmark, n_see_through=landmark.n_see_through + 1 if absent else 0)
+            updated.append(landmark)
+        self.world = self.world.with_landmarks(*updated)
+        retired = {landmark.id for landmark in updated if self._has_failed(landmark)}
+        retired |= duplicates(self.world.landmarks)
         if retired:
-            logger.info("frame %d: retired %s", number, sorted(retired))
+            logger.info("frame %d: retired landmarks %s", view.number, sorted(retired))
             self.world = self.world.without(retired)
         return retired
 
-    def remember_unmatched(
-        self, detections: Sequence[ObjectDetection], labels: np.ndarray, landmark_of: Mapping[int, int]
-    ) -> None:
-        """For how many frames each mask without a landmark has been there."""
-        now = []
-        present = np.bincount(labels.ravel(), minlength=256) > 0
-        for label, found in enumerate(detections, start=1):
-            if label in landmark_of or not present[label]:  # a part that went into another's label
+    def _has_failed(self, landmark: Landmark) -> bool:
+        life = self.config.lifecycle
+        return (
+            landmark.n_misses > min(life.max_misses, landmark.n_hits)
+            or landmark.n_outlier_frames > life.max_outlier_frames
+            or landmark.n_see_through > life.max_see_through
+        )
+
+    def set_unmatched(self, view: LabelledFrame) -> None:
+        """Make all masks of the first frame candidates for initialisation at once."""
+        n_frames = self.config.lifecycle.min_frames_unmatched
+        masks = (found.mask for found in view.detections)
+        self.unmatched = {label: UnmatchedMask(mask, n_frames) for label, mask in enumerate(masks, start=1)}
+
+    def update_unmatched(self, view: LabelledFrame) -> None:
+        """Count for how many successive frames each mask without a landmark has been visible."""
+        unmatched = {}
+        present = np.bincount(view.labels.ravel(), minlength=256) > 0
+        for label, found in enumerate(view.detections, start=1):
+            if label in view.landmark_of or not present[label]:  # not present: merged into another label
                 continue
-            before = [
-                count
-                for mask, count in self.unmatched
-                if (mask & found.mask).sum() > 0.2 * (mask | found.mask).sum()
+            counts = [
+                previous.n_frames
+                for previous in self.unmatched.values()
+                if (previous.mask & found.mask).sum() > _SAME_MASK_IOU * (previous.mask | found.mask).sum()
             ]
-            now.append((found.mask, 1 + max(before, default=0)))
-        self.unmatched = now
+            unmatched[label] = UnmatchedMask(found.mask, 1 + max(counts, default=0))
+        self.unmatched = unmatched
 
-    def holds(self, shares: Mapping[int, float]) -> bool:
-        """Whether the landmarks that agree with a frame, by these shares of their pixels, are enough."""
-        life = self.config.life
-        return sum(share > life.enough_share for share in shares.values()) >= life.enough
+    def has_enough_support(self, inlier_ratios: Mapping[int, float]) -> bool:
+        """Return whether enough landmarks agree with a frame, given their inlier ratios."""
+        life = self.config.lifecycle
+        n_agreeing = sum(ratio > life.support_inlier_ratio for ratio in inlier_ratios.values())
+        return n_agreeing >= life.min_support
 
-    def new_landmarks(
-        self,
-        posed: RgbdFrame,
-        detections: Sequence[ObjectDetection],
-        landmark_of: Mapping[int, int],
-        held: bool,
-        number: int,
-    ) -> dict[int, int]:
-        """Landmarks from masks that have had none for a while; cut ones wait while the pose is held."""
-        life, new = self.config.life, {}
-        ages = {id(mask): age for mask, age in self.unmatched}
-        for label, found in enumerate(detections, start=1):
-            age = ages.get(id(found.mask), 0)
-            waits = age < life.seen_before or (age - life.seen_before) % life.retry
-            cut = touches_border(found)
-            small = np.count_nonzero(found.mask) < (life.min_pixels_cut if cut else life.min_pixels)
-            if label in landmark_of or waits or small or (cut and held):
+    def initialise_landmarks(self, view: LabelledFrame, supported: bool) -> dict[int, int]:
+        """Initialise landmarks from masks that have been unmatched for long enough.
+
+        Args:
+            view: The newest frame with its tracked pose and association.
+            supported: Whether enough landmarks constrain the camera; truncated masks then wait until the
+                object is fully visible.
+
+        Returns:
+            Id of the new landmark of each label that has one.
+        """
+        life, new = self.config.lifecycle, {}
+        for label, found in enumerate(view.detections, start=1):
+            age = self.unmatched[label].n_frames if label in self.unmatched else 0
+            since_due = age - life.min_frames_unmatched
+            waits = since_due < 0 or since_due % life.retry_interval
+            truncated = is_truncated(found.mask)
+            min_pixels = life.min_pixels_truncated if truncated else life.min_pixels
+            too_small = np.count_nonzero(found.mask) < min_pixels
+            if label in view.landmark_of or waits or too_small or (truncated and supported):
                 continue
-            landmark = self._initialise(posed, detections, found, number)
+            landmark = self._initialise(view, found)
             if landmark is not None:
                 self.world = self.world.with_landmarks(landmark)
                 new[label] = landmark.id
                 self.next_id += 1
         return new
 
-    def _initialise(
-        self, posed: RgbdFrame, detections: Sequence[ObjectDetection], found: ObjectDetection, number: int
-    ) -> Landmark | None:
-        others = [other.mask for other in detections if other is not found]
-        ignore = hidden_by(posed, found.mask, others)
-        seen = ObjectObservation(posed, found.mask, ignore, found.yaw_probabilities)
-        landmark = initialise_landmark(
-            [seen], found, self.decoder, self.world.plane, self.config.fit, self.next_id, number
-        )
-        if landmark is None or self._overlaps(landmark):
+    def _initialise(self, view: LabelledFrame, found: ObjectDetection) -> Landmark | None:
+        """Fit a landmark to one mask; None if the fit fails or coincides with another landmark."""
+        others = [other.mask for other in view.detections if other is not found]
+        ignore = hidden_by(view.frame, found.mask, others)
+        observation = ObjectObservation(view.frame, found.mask, ignore, found.yaw_probabilities)
+        views = LandmarkViews(self.next_id, [observation], found, view.number)
+        landmark = initialise_landmark(views, self.decoder, self.world.plane, self.config.fit)
+        if landmark is None or any(coincide(other, landmark) for other in self.world.landmarks.values()):
             return None
         return landmark
 
-    def _overlaps(self, landmark: Landmark) -> bool:
-        """Whether another landmark stands where this one would."""
-        return any(stand_together(one, landmark) for one in self.world.landmarks.values())
-
-    def completes(
-        self,
-        detections: Sequence[ObjectDetection],
-        landmark_of: Mapping[int, int],
-        unknown: Mapping[int, float],
-        weak: bool,
-        number: int,
+    def reveals_unseen_parts(
+        self, view: LabelledFrame, unseen_ratios: Mapping[int, float], weak: bool
     ) -> bool:
-        """Whether a frame shows much of an object of which the map saw a part alone, or one that was moved.
+        """Return whether a frame should become a keyframe for what it reveals of known objects.
 
-        Not too often, as each such frame is kept; sooner where the pose is weak, which needs what is new.
+        It should if it shows much of an object that no keyframe had in view, an object that was moved, or all
+        of an object that was truncated in all keyframes; at intervals, which are shorter while the pose is
+        weak.
 
         Args:
-            detections, landmark_of: of the frame.
-            unknown: of each landmark the share of its pixels that no keyframe had in view.
-            weak: whether the pose is.
-            number: of the frame.
+            view: The newest frame with its association.
+            unseen_ratios: Share of each landmark's pixels that no keyframe had in view.
+            weak: Whether the pose is weak.
         """
-        landmarks, life = self.world.landmarks, self.config.life
-        wait = life.retry_weak if weak else life.retry
-        if not self.keyframes or number - self.keyframes[-1].number < wait:
+        landmarks, life = self.world.landmarks, self.config.lifecycle
+        interval = life.retry_interval_weak if weak else life.retry_interval
+        if not self.keyframes or view.number - self.keyframes[-1].number < interval:
             return False
-        moved = any(
-            landmarks[one].bad >= life.moved_after for one in landmark_of.values() if one in landmarks
-        )
-        if moved or max(unknown.values(), default=0.0) > life.new_part:
+        visible = {label: landmarks[id] for label, id in view.landmark_of.items() if id in landmarks}
+        threshold = life.refit_after_outlier_frames
+        moved = any(landmark.n_outlier_frames >= threshold for landmark in visible.values())
+        if moved or max(unseen_ratios.values(), default=0.0) > life.unseen_ratio:
             return True
-        cut = [label for label, one in landmark_of.items() if one in landmarks and landmarks[one].cut]
-        return any(not touches_border(detections[label - 1]) for label in cut)
+        truncated = [label for label, landmark in visible.items() if landmark.truncated]
+        return any(not is_truncated(view.detections[label - 1].mask) for label in truncated)
 
-    def keep(self, key: Keyframe, plane_points: Float[np.ndarray, "n 3"], new: Collection[int]) -> None:
-        """One more keyframe, with the plane's points in its camera's frame; the oldest make room.
+    def add_keyframe(
+        self, key: Keyframe, plane_points: Float[np.ndarray, "n 3"], new: Collection[int]
+    ) -> None:
+        """Add a keyframe and drop the oldest beyond the limit.
 
-        What it shows stands as surely as its camera does: new landmarks, and those known less well before.
+        The covariance of new landmarks, and of those that this view determines better, becomes that of a fit
+        in this view.
+
+        Args:
+            key: The keyframe.
+            plane_points: Measured points of the plane in its camera frame, in metres.
+            new: Ids of the landmarks that were initialised in it.
         """
-        for one in key.landmarks & set(self.world.landmarks):
-            landmark = self.world.landmarks[one]
-            doubt = landmark.seen_from(key.T_world_camera, key.covariance)
-            if one in new or np.trace(doubt[3:, 3:]) < np.trace(landmark.doubt[3:, 3:]):
-                self.world = self.world.with_landmarks(replace(landmark, doubt=doubt))
-        self.keyframes = [*self.keyframes, key][-self.config.life.max_keyframes :]
+        for id in key.landmark_ids & set(self.world.landmarks):
+            landmark = self.world.landmarks[id]
+            covariance = landmark.covariance_from(key.T_world_camera, key.covariance)
+            if id in new or np.trace(covariance[3:, 3:]) < np.trace(landmark.covariance[3:, 3:]):
+                self.world = self.world.with_landmarks(replace(landmark, covariance=covariance))
+        self.keyframes = [*self.keyframes, key][-self.config.lifecycle.max_keyframes :]
         points = {**self._plane_points, key.number: plane_points}
         self._plane_points = {k.number: points[k.number] for k in self.keyframes}
-        self._views = {
-            (number, one): view
-            for (number, one), view in self._views.items()
-            if number in self._plane_points and one in self.world.landmarks
+        self._information = {
+            (number, id): information
+            for (number, id), information in self._information.items()
+            if number in self._plane_points and id in self.world.landmarks
         }
 
-    def mend(self, key: Keyframe, unknown: Mapping[int, float]) -> Keyframe:
-        """Fits one landmark of the newest keyframe anew, if it needs that; returns what to optimise with.
+    def refit_stale(self, key: Keyframe, unseen_ratios: Mapping[int, float]) -> Keyframe:
+        """Refit at most one stale landmark of the newest keyframe.
 
-        It needs that if the views have voted its class down; if it started from a mask that the image border
-        cut and now the whole object, or much of what was ``unknown`` (see ``completes``), is in view; or if
-        its pixels have disagreed for a while, as it was moved. Landmarks that still disagree are left out.
+        A landmark is stale if the votes favour another class, if it was truncated and is now fully visible or
+        shows much that was unseen, or if its pixels have disagreed for several frames, as it was moved.
+
+        Args:
+            key: The newest keyframe.
+            unseen_ratios: Share of each landmark's pixels that no keyframe had in view.
+
+        Returns:
+            The keyframe without observations of landmarks that still disagree.
         """
-        life = self.config.life
-        known = key.landmarks & set(self.world.landmarks)
-        for one in sorted(known, key=lambda one: (-unknown.get(one, 0.0), one)):
-            landmark = self.world.landmarks[one]
-            lead = landmark.log_votes.max() - landmark.log_votes[CATEGORIES.index(landmark.category)]
-            more = landmark.cut and (not is_cut(key.mask(one)) or unknown.get(one, 0.0) > life.new_part)
-            needs = lead > life.class_margin or more or landmark.bad >= life.moved_after
-            if needs and self._fit_anew(key, landmark):
-                break  # one is enough for a frame
-        aside = {one for one in known if (now := self.world.landmarks[one]).bad and not now.cut}
-        key = next(k for k in self.keyframes if k.number == key.number).without(aside)
+        life = self.config.lifecycle
+        observed = key.landmark_ids & set(self.world.landmarks)
+        for id in sorted(observed, key=lambda id: (-unseen_ratios.get(id, 0.0), id)):
+            landmark = self.world.landmarks[id]
+            revealed = landmark.truncated and (
+                not is_truncated(key.mask(id)) or unseen_ratios.get(id, 0.0) > life.unseen_ratio
+            )
+            stale = (
+                landmark.class_log_odds > life.class_log_odds
+                or revealed
+                or landmark.n_outlier_frames >= life.refit_after_outlier_frames
+            )
+            if stale and self._refit(key, landmark):
+                break  # bounds the time spent on one frame
+        landmarks = self.world.landmarks
+        outliers = {id for id in observed if landmarks[id].n_outlier_frames and not landmarks[id].truncated}
+        key = next(k for k in self.keyframes if k.number == key.number).without_landmarks(outliers)
         self.keyframes = [key if k.number == key.number else k for k in self.keyframes]
         return key
 
-    def _fit_anew(self, key: Keyframe, landmark: Landmark) -> bool:
-        """Another start for a landmark: by its last views, or by the newest alone if it was moved."""
-        one, life = landmark.id, self.config.life
+    def _refit(self, key: Keyframe, landmark: Landmark) -> bool:
+        """Refit a landmark to its last views, or to the newest alone if it was moved; return success."""
+        id, life = landmark.id, self.config.lifecycle
 
-        def fitted(views: Sequence[Keyframe]) -> Landmark | None:
-            found = ObjectDetection(landmark.likeliest, landmark.score, key.mask(one))
-            seen = [k.observation(one) for k in views]
-            plane, fit = self.world.plane, self.config.fit
-            return initialise_landmark(seen, found, self.decoder, plane, fit, one, landmark.born)
+        def fit_to(keys: Sequence[Keyframe]) -> Landmark | None:
+            found = ObjectDetection(landmark.most_likely_category, landmark.score, key.mask(id))
+            observations = [k.observation(id) for k in keys]
+            views = LandmarkViews(id, observations, found, landmark.first_frame)
+            return initialise_landmark(views, self.decoder, self.world.plane, self.config.fit)
 
-        other = fitted([key]) if landmark.bad >= life.moved_after else None
-        if other is not None and distance(other, landmark) > life.moved_by:
-            logger.info("frame %d: landmark %d was moved", key.number, one)
-            self.keyframes = [k if k.number == key.number else k.without({one}) for k in self.keyframes]
+        fit = fit_to([key]) if landmark.n_outlier_frames >= life.refit_after_outlier_frames else None
+        if fit is not None and origin_distance(fit, landmark) > life.moved_distance:
+            logger.info("frame %d: landmark %d was moved", key.number, id)
+            self.keyframes = [
+                k if k.number == key.number else k.without_landmarks({id}) for k in self.keyframes
+            ]
         else:
-            other = fitted([k for k in self.keyframes if one in k.landmarks][-3:])
-        if other is None:
+            fit = fit_to([k for k in self.keyframes if id in k.landmark_ids][-_REFIT_VIEWS:])
+        if fit is None:
             return False
-        logger.info("frame %d: landmark %d fitted anew as %s", key.number, one, other.category)
-        new = renewed(landmark, other)
-        doubt = new.seen_from(key.T_world_camera, key.covariance)
-        self.world = self.world.with_landmarks(replace(new, doubt=doubt))
-        self._views = {key: view for key, view in self._views.items() if key[1] != one}
+        logger.info("frame %d: landmark %d refitted as %s", key.number, id, fit.category)
+        new = refitted(landmark, fit)
+        covariance = new.covariance_from(key.T_world_camera, key.covariance)
+        self.world = self.world.with_landmarks(replace(new, covariance=covariance))
+        self._information = {at: view for at, view in self._information.items() if at[1] != id}
         return True
 
     def optimise(self, key: Keyframe) -> Float[np.ndarray, "4 4"]:
-        """The newest keyframe with its nearest ones, jointly; returns how it moved, in the world."""
-        window = window_of(key, self.keyframes, self.world.landmarks, self.config.joint.window)
-        result = optimise_jointly(
-            window, self.world.landmarks, self.decoder, self.world.plane,
-            [self._plane_points[k.number] for k in window], self.config.joint,
-            self._known_outside({k.number for k in window}),
-        )  # fmt: skip
-        self._views |= result.views
+        """Optimise the window of the newest keyframe jointly; return its correction in the world frame."""
+        config = self.config.bundle_adjustment
+        keyframes = select_window(key, self.keyframes, self.world.landmarks, config.window_size)
+        window = BundleWindow(
+            keyframes=keyframes,
+            landmarks=self.world.landmarks,
+            plane=self.world.plane,
+            plane_points=[self._plane_points[k.number] for k in keyframes],
+            priors=self._marginal_priors({k.number for k in keyframes}),
+        )
+        result = optimise_jointly(window, self.decoder, config)
+        self._information |= result.information
         self.world = self.world.with_landmarks(*result.landmarks.values())
-        moved = {k.number: k for k in result.keyframes}
-        self.keyframes = [moved.get(k.number, k) for k in self.keyframes]
-        return moved[key.number].T_world_camera @ invert(key.T_world_camera)
+        optimised = {k.number: k for k in result.keyframes}
+        self.keyframes = [optimised.get(k.number, k) for k in self.keyframes]
+        return optimised[key.number].T_world_camera @ invert(key.T_world_camera)
 
-    def _known_outside(self, window: set[int]) -> dict[int, Memory]:
-        """What keyframes outside a window have said of each landmark."""
-        by_landmark: dict[int, list[View]] = {}
-        for (number, one), view in self._views.items():
-            if number not in window and one in self.world.landmarks:
-                by_landmark.setdefault(one, []).append(view)
-        return {
-            one: Memory.of(views, self.world.landmarks[one].state, self.config.joint.memory)
-            for one, views in by_landmark.items()
-        }
+    def _marginal_priors(self, window: set[int]) -> dict[int, MarginalPrior]:
+        """Return the prior on each landmark from the keyframes outside a window of keyframe numbers."""
+        views: dict[int, list[ViewInformation]] = {}
+        for (number, id), view in self._information.items():
+            if number not in window and id in self.world.landmarks:
+                views.setdefault(id, []).append(view)
+        limit = self.config.bundle_adjustment.max_prior_views
+        return {id: MarginalPrior.of(v, self.world.landmarks[id].state, limit) for id, v in views.items()}

@@ -1,12 +1,12 @@
-"""How the camera moves, and how sure its pose is: a Kalman filter on pose and velocity.
+"""Constant-velocity Kalman filter of the camera's pose and velocity.
 
-The true pose is T Exp(xi), the true velocity v + u, with the small errors (xi, u) Gaussian. Between frames
-the velocity wanders as white acceleration makes it, so over a time s, with wander q,
+The true pose is T Exp(xi) and the true velocity v + u, with Gaussian errors (xi, u). White-noise acceleration
+of spectral density q^2 makes the velocity a random walk: over a time s,
 
-    xi <- xi + s u + N(0, q^2 s^3 / 3),   u <- u + N(0, q^2 s),   covariance of both q^2 s^2 / 2;
+    xi <- xi + s u + N(0, q^2 s^3 / 3),   u <- u + N(0, q^2 s),   covariance of both q^2 s^2 / 2.
 
-tracking then says what a frame knows of the pose. What no frame knows goes on as the camera was moving, in
-growing doubt.
+Tracking supplies the measurement: a pose and its information matrix. Directions without information keep the
+predicted motion, with growing covariance.
 """
 
 from __future__ import annotations
@@ -22,32 +22,34 @@ _POSE, _VELOCITY = slice(0, 6), slice(6, 12)
 
 
 @dataclass(frozen=True)
-class MotionConfig:
-    """What is known of a camera's motion beforehand; rotation first, then translation.
+class CameraMotionConfig:
+    """Process noise and initial uncertainty; pairs are (rotation, translation) along each axis.
 
     Attributes:
-        wander: of the velocity in a second, along each axis, growing with the root of time [rad/s], [m/s].
-        velocity: the same of a motion that nothing is known of [rad/s], [m/s].
-        start: of the first pose [rad], [m].
-        longest: a motion is carried on over at most so many usual periods.
+        velocity_random_walk: Growth of the velocity's standard deviation over one second, in rad/s and m/s;
+            it grows with the square root of time.
+        velocity_sigma: Standard deviation of an unknown velocity, in rad/s and m/s.
+        pose_sigma: Standard deviation of the first pose, in radians and metres.
+        max_periods: Longest time over which the velocity is extrapolated, in frame periods.
     """
 
-    wander: tuple[float, float] = (0.9, 0.55)
-    velocity: tuple[float, float] = (2.0, 1.2)
-    start: tuple[float, float] = (1e-4, 1e-4)
-    longest: float = 5.0
+    velocity_random_walk: tuple[float, float] = (0.9, 0.55)
+    velocity_sigma: tuple[float, float] = (2.0, 1.2)
+    pose_sigma: tuple[float, float] = (1e-4, 1e-4)
+    max_periods: float = 5.0
 
 
 @dataclass(frozen=True)
-class Motion:
-    """The camera's pose and velocity at a time, with what is not known of them.
+class CameraMotion:
+    """State of the filter at one time.
 
     Attributes:
-        time: of the pose [s].
-        T_world_camera: the pose.
-        velocity: twist in the camera's frame [rad/s], [m/s].
-        covariance: of the errors (rotation, translation, and their velocities), in the camera's frame.
-        period: usual time between frames [s]; 0 before the second.
+        time: Time of the state, in seconds.
+        T_world_camera: Estimated pose.
+        velocity: Twist (rotation, translation) in the camera frame, in rad/s and m/s.
+        covariance: Covariance of the errors of pose and velocity, each (rotation, translation) in the camera
+            frame.
+        period: Time between the first two frames, in seconds; 0 before the second frame.
     """
 
     time: float
@@ -57,46 +59,58 @@ class Motion:
     period: float = 0.0
 
     @staticmethod
-    def at(
+    def with_unknown_velocity(
         time: float,
         T_world_camera: Float[np.ndarray, "4 4"],
-        config: MotionConfig,
-        covariance: Float[np.ndarray, "6 6"] | None = None,
+        config: CameraMotionConfig,
+        pose_covariance: Float[np.ndarray, "6 6"] | None = None,
         period: float = 0.0,
-    ) -> Motion:
-        """A camera whose velocity is not known; its pose is, by default, as well as the first one."""
+    ) -> CameraMotion:
+        """Return a state with zero mean velocity; the pose covariance defaults to the config's."""
+        if pose_covariance is None:
+            pose_covariance = np.diag(_variances(config.pose_sigma))
         P = np.zeros((12, 12))
-        P[_POSE, _POSE] = np.diag(_each(config.start)) if covariance is None else covariance
-        P[_VELOCITY, _VELOCITY] = np.diag(_each(config.velocity))
-        return Motion(time, np.array(T_world_camera), np.zeros(6), P, period)
+        P[_POSE, _POSE] = pose_covariance
+        P[_VELOCITY, _VELOCITY] = np.diag(_variances(config.velocity_sigma))
+        return CameraMotion(time, np.array(T_world_camera), np.zeros(6), P, period)
 
     @property
     def pose_covariance(self) -> Float[np.ndarray, "6 6"]:
+        """Covariance of the pose (rotation, translation) in the camera frame."""
         return self.covariance[_POSE, _POSE]
 
     @property
-    def spread(self) -> float:
-        """Standard deviation of the place in the direction that is known least [m]."""
+    def position_std(self) -> float:
+        """Standard deviation of the camera position along its least certain direction, in metres."""
         return float(np.sqrt(max(np.linalg.eigvalsh(self.covariance[3:6, 3:6])[-1], 0.0)))
 
-    def predicted(self, time: float, config: MotionConfig) -> Motion:
-        """Carried on to another time."""
+    def predict(self, time: float, config: CameraMotionConfig) -> CameraMotion:
+        """Return the state at a later time (Kalman prediction)."""
         elapsed = max(time - self.time, 0.0)
-        longest = config.longest * self.period if self.period else elapsed
-        carried = self.velocity * min(elapsed, longest)
+        longest = config.max_periods * self.period if self.period else elapsed
+        twist = self.velocity * min(elapsed, longest)
         F = np.eye(12)
-        F[_POSE, _POSE] = adjoint(se3_exp(-carried))
+        F[_POSE, _POSE] = adjoint(se3_exp(-twist))
         F[_POSE, _VELOCITY] = elapsed * np.eye(6)
         growth = np.array([[elapsed**3 / 3, elapsed**2 / 2], [elapsed**2 / 2, elapsed]])
-        P = F @ self.covariance @ F.T + np.kron(growth, np.diag(_each(config.wander)))
-        return Motion(time, self.T_world_camera @ se3_exp(carried), self.velocity, P, self.period or elapsed)
+        noise = np.kron(growth, np.diag(_variances(config.velocity_random_walk)))
+        P = F @ self.covariance @ F.T + noise
+        period = self.period or elapsed
+        return CameraMotion(time, self.T_world_camera @ se3_exp(twist), self.velocity, P, period)
 
-    def told(self, T_world_camera: Float[np.ndarray, "4 4"], information: Float[np.ndarray, "6 6"]) -> Motion:
-        """After a frame: the pose that fits it and this motion best, and what the frame alone knew."""
+    def update(
+        self, T_world_camera: Float[np.ndarray, "4 4"], information: Float[np.ndarray, "6 6"]
+    ) -> CameraMotion:
+        """Return the state after a pose measurement (Kalman update).
+
+        Args:
+            T_world_camera: Maximum a posteriori pose: tracking already combines frame and prediction.
+            information: Information matrix of the frame alone on the pose, in the camera frame.
+        """
         P = self.covariance
         prior = P[_POSE, _POSE]
         posterior = np.linalg.inv(np.linalg.inv(prior) + information)
-        gain = np.linalg.solve(prior, P[_POSE, _VELOCITY]).T  # of the velocity on the pose
+        gain = np.linalg.solve(prior, P[_POSE, _VELOCITY]).T  # regression of the velocity on the pose
         step = se3_log(invert(self.T_world_camera) @ T_world_camera)
         after = np.empty((12, 12))
         after[_POSE, _POSE] = posterior
@@ -107,13 +121,13 @@ class Motion:
             self, T_world_camera=T_world_camera, velocity=self.velocity + gain @ step, covariance=after
         )
 
-    def moved(self, T_new_old: Float[np.ndarray, "4 4"]) -> Motion:
-        """The same motion after the world has been set right by so much."""
+    def transformed(self, T_new_old: Float[np.ndarray, "4 4"]) -> CameraMotion:
+        """Return the same state after a correction of the world frame, as bundle adjustment makes."""
         return replace(self, T_world_camera=T_new_old @ self.T_world_camera)
 
 
 def adjoint(T: Float[np.ndarray, "4 4"]) -> Float[np.ndarray, "6 6"]:
-    """Takes twists (rotation, translation) along: T Exp(xi) T^-1 = Exp(adjoint(T) xi)."""
+    """Return the adjoint: T Exp(xi) T^-1 = Exp(adjoint(T) xi), with twists xi = (rotation, translation)."""
     R = T[:3, :3]
     out = np.zeros((6, 6))
     out[:3, :3] = out[3:, 3:] = R
@@ -121,6 +135,6 @@ def adjoint(T: Float[np.ndarray, "4 4"]) -> Float[np.ndarray, "6 6"]:
     return out
 
 
-def _each(sigmas: tuple[float, float]) -> Float[np.ndarray, "6"]:
-    """Variances along the six axes."""
+def _variances(sigmas: tuple[float, float]) -> Float[np.ndarray, "6"]:
+    """Return the variances along the six axes."""
     return np.repeat(np.square(sigmas), 3)

@@ -1,13 +1,13 @@
-"""Which pixels of a frame speak for the camera's pose: those of objects, rings around them, and the plane.
+"""Selection of the pixels that camera tracking uses: of objects, of rings around them, and of the plane.
 
-Masks come as one label image. A band along every border, where masks are wrong first, says nothing. A pixel
-of a ring must miss its object, so its target is the escape depth; it counts only where something is seen
-that lies on the plane, or clearly behind the object: what else stands there may hide it.
+Pixels in a band along the borders of masks, where segmentation errors concentrate, are excluded. The ray of a
+ring pixel must miss its object, so its target is the escape depth; it is used only if its measurement lies on
+the plane or clearly behind the object, since anything else may occlude the object.
 """
 
 from __future__ import annotations
 
-from collections.abc import Mapping, Sequence
+from collections.abc import Sequence
 from dataclasses import dataclass, replace
 from functools import cache
 
@@ -18,131 +18,122 @@ from jaxtyping import Bool, Float, Int, UInt8
 from perception.detection.geometry import height_image
 from perception.geometry import invert, transform_points
 from perception.inference.observation import pixel_rays
-from perception.slam.keyframes import Keyframe, with_pose
+from perception.slam.keyframes import Keyframe
+from perception.slam.labelled_frame import BACKGROUND, LabelledFrame
 from perception.slam.landmarks import LandmarkMap
-from perception.types import ObjectDetection, RgbdFrame, SupportPlane
+from perception.types import SupportPlane
 
-NONE = 0  # label of pixels of no mask; detection k has label k + 1
+BEHIND = 0.03  # [m] depth behind an object beyond which a measurement cannot be of an occluder
+_FAR_QUANTILE = 0.98  # of an object's measured depths: its farthest visible part
+_PLANE_PITCH = 2  # subsampling of the plane's pixels
+_NO_PIXELS = np.zeros(0, np.int64)
 
 
 @dataclass(frozen=True)
-class SelectionConfig:
-    """How many pixels, and which.
+class PixelSelectionConfig:
+    """Number and location of the pixels.
 
     Attributes:
-        on_object, in_ring: pixels of an object and of its ring.
-        on_plane: pixels of the plane.
-        band: half width of the border that is left out [pixel].
-        ring: how far from the mask its ring reaches [pixel].
-        width: of the image that pixels are chosen from; of larger ones every second, third, ... is taken.
-        plane_height: what is seen lower than this above the plane lies on it [m].
+        object_pixels: Largest number of pixels of one object.
+        ring_pixels: Largest number of pixels of one object's ring.
+        plane_pixels: Largest number of pixels of the plane.
+        border_band: Half width of the excluded band along mask borders, in pixels.
+        ring_width: Distance from the mask up to which its ring extends, in pixels.
+        image_width: Width to which larger images are subsampled, in pixels.
+        max_plane_height: Distance from the plane below which a point lies on it, in metres.
     """
 
-    on_object: int = 200
-    in_ring: int = 100
-    on_plane: int = 300
-    band: float = 2.0
-    ring: float = 8.0
-    width: int = 320
-    plane_height: float = 0.012
+    object_pixels: int = 200
+    ring_pixels: int = 100
+    plane_pixels: int = 300
+    border_band: int = 2
+    ring_width: int = 8
+    image_width: int = 320
+    max_plane_height: float = 0.012
 
 
 @dataclass(frozen=True)
 class TrackingPixels:
-    """Pixels chosen from one frame.
+    """Pixels selected from one frame.
 
     Attributes:
-        directions: (n, 3) of the objects' pixels, z = 1.
-        owner: (n,) id of the landmark that each speaks for.
-        is_object: (n,) whether it lies in the mask; otherwise in the ring.
-        depth: (n,) measured [m].
-        plane_points: (m, 3) measured points of the plane in the camera's frame [m].
+        directions: Back-projected object and ring pixels in the camera frame, z = 1.
+        landmark_ids: Id of the landmark that each constrains.
+        is_object: Whether it is inside the mask; otherwise it belongs to the ring.
+        depth: Measured depth, in metres.
+        plane_points: Measured points of the plane in the camera frame, in metres.
     """
 
     directions: Float[np.ndarray, "n 3"]
-    owner: Int[np.ndarray, "n"]
+    landmark_ids: Int[np.ndarray, "n"]
     is_object: Bool[np.ndarray, "n"]
     depth: Float[np.ndarray, "n"]
     plane_points: Float[np.ndarray, "m 3"]
 
-    def only(self, chosen: Bool[np.ndarray, "n"]) -> TrackingPixels:
-        """Without the others of the objects' pixels."""
-        names = ("directions", "owner", "is_object", "depth")
+    def subset(self, chosen: Bool[np.ndarray, "n"]) -> TrackingPixels:
+        """Return the chosen object and ring pixels, with all plane points."""
+        names = ("directions", "landmark_ids", "is_object", "depth")
         return replace(self, **{name: getattr(self, name)[chosen] for name in names})
 
 
-def label_image(detections: Sequence[ObjectDetection], shape: tuple[int, int]) -> UInt8[np.ndarray, "h w"]:
-    """Detection k as label k + 1; where masks overlap the smaller one wins."""
-    labels = np.zeros(shape, np.uint8)
-    for k in sorted(range(min(len(detections), 255)), key=lambda k: -np.count_nonzero(detections[k].mask)):
-        labels[detections[k].mask] = k + 1
-    return labels
-
-
 def select_pixels(
-    frame: RgbdFrame,
-    labels: UInt8[np.ndarray, "h w"],
-    landmark_of: Mapping[int, int],
-    T_world_camera: Float[np.ndarray, "4 4"],
-    plane: SupportPlane,
-    config: SelectionConfig,
+    view: LabelledFrame, plane: SupportPlane, config: PixelSelectionConfig = PixelSelectionConfig()
 ) -> TrackingPixels:
-    """Chooses pixels evenly over the image.
+    """Select pixels evenly over the associated masks, their rings and the plane.
 
     Args:
-        frame: depth and intrinsics; its own pose is not looked at.
-        labels: the masks.
-        landmark_of: label to landmark, of those masks that are associated.
-        T_world_camera: about where the camera is, good enough to tell the plane from what stands on it.
-        plane: in the world.
-        config: how many.
+        view: Depth, masks and their association, with a pose accurate enough to separate the plane from the
+            objects on it.
+        plane: Support plane in the world frame.
+        config: Number and location of the pixels.
     """
-    pitch = max(1, round(labels.shape[1] / config.width))
-    labels, depth = labels[::pitch, ::pitch], np.ascontiguousarray(frame.depth[::pitch, ::pitch])
-    height = height_image(with_pose(frame, T_world_camera), plane)[::pitch, ::pitch]
-    valid, inside = depth > 0, labels != NONE
-    low = valid & (np.abs(height) < config.plane_height)
-    band, ring = int(config.band), int(config.ring)
-    grown = {reach: cv2.dilate(labels, _disc(reach)) for reach in (band, 2 * band, ring)}
+    pitch = max(1, round(view.labels.shape[1] / config.image_width))
+    labels = view.labels[::pitch, ::pitch]
+    depth = np.ascontiguousarray(view.frame.depth[::pitch, ::pitch])
+    height = height_image(view.frame, plane)[::pitch, ::pitch]
+    valid, inside = depth > 0, labels != BACKGROUND
+    on_plane = valid & (np.abs(height) < config.max_plane_height)
+    band, ring = config.border_band, config.ring_width
+    grown = {radius: cv2.dilate(labels, _disc(radius)) for radius in (band, 2 * band, ring)}
     is_object = inside & valid & (cv2.erode(labels, _disc(band)) == grown[band])
-    is_ring = valid & (grown[band] == NONE) & (grown[ring] != NONE)
+    is_ring = valid & (grown[band] == BACKGROUND) & (grown[ring] != BACKGROUND)
     inner, around = _by_label(is_object, labels), _by_label(is_ring, grown[ring])
-    flat_depth, flat_low = depth.ravel(), low.ravel()
-    chosen, owners, on = [], [], []
-    for label, landmark in landmark_of.items():
-        own = _evenly(inner.get(label, _NOTHING), config.on_object)
-        far = np.sort(flat_depth[own])[int(0.98 * len(own))] if len(own) else np.inf
-        beside = around.get(label, _NOTHING)
-        beside = _evenly(beside[flat_low[beside] | (flat_depth[beside] > far + BEHIND)], config.in_ring)
+    flat_depth, flat_on_plane = depth.ravel(), on_plane.ravel()
+    chosen, ids, on_object = [], [], []
+    for label, id in view.landmark_of.items():
+        own = _evenly(inner.get(label, _NO_PIXELS), config.object_pixels)
+        far = np.sort(flat_depth[own])[int(_FAR_QUANTILE * len(own))] if len(own) else np.inf
+        beside = around.get(label, _NO_PIXELS)
+        unoccluding = flat_on_plane[beside] | (flat_depth[beside] > far + BEHIND)
+        beside = _evenly(beside[unoccluding], config.ring_pixels)
         for pixels, is_on in ((own, True), (beside, False)):
             chosen.append(pixels)
-            owners.append(np.full(len(pixels), landmark))
-            on.append(np.full(len(pixels), is_on))
-    v, u = np.divmod(np.concatenate([_NOTHING, *chosen]), labels.shape[1])
-    table = (low & (grown[2 * band] == NONE))[::2, ::2]
-    pv, pu = np.divmod(_evenly(np.flatnonzero(table), config.on_plane), table.shape[1])
-    pv, pu = 2 * pv, 2 * pu
+            ids.append(np.full(len(pixels), id))
+            on_object.append(np.full(len(pixels), is_on))
+    v, u = np.divmod(np.concatenate([_NO_PIXELS, *chosen]), labels.shape[1])
+    table = (on_plane & (grown[2 * band] == BACKGROUND))[::_PLANE_PITCH, ::_PLANE_PITCH]
+    pv, pu = np.divmod(_evenly(np.flatnonzero(table), config.plane_pixels), table.shape[1])
+    pv, pu = _PLANE_PITCH * pv, _PLANE_PITCH * pu
+    plane_rays = pixel_rays(view.frame, pitch * pu, pitch * pv)
     return TrackingPixels(
-        directions=pixel_rays(frame, pitch * u, pitch * v),
-        owner=np.concatenate([_NOTHING, *owners]),
-        is_object=np.concatenate([np.zeros(0, bool), *on]),
+        directions=pixel_rays(view.frame, pitch * u, pitch * v),
+        landmark_ids=np.concatenate([_NO_PIXELS, *ids]),
+        is_object=np.concatenate([np.zeros(0, bool), *on_object]),
         depth=depth[v, u],
-        plane_points=pixel_rays(frame, pitch * pu, pitch * pv) * depth[pv, pu][:, None].astype(np.float64),
+        plane_points=plane_rays * depth[pv, pu][:, None].astype(np.float64),
     )
 
 
 @cache
-def _disc(reach: int) -> UInt8[np.ndarray, "k k"]:
-    """The pixels no farther than ``reach`` from the middle one."""
-    return cv2.getStructuringElement(cv2.MORPH_ELLIPSE, (2 * reach + 1,) * 2)
+def _disc(radius: int) -> UInt8[np.ndarray, "k k"]:
+    """Return a disc as structuring element."""
+    return cv2.getStructuringElement(cv2.MORPH_ELLIPSE, (2 * radius + 1,) * 2)
 
 
-_NOTHING = np.zeros(0, np.int64)
-BEHIND = 0.03  # [m] what lies this far behind an object does not hide it
-
-
-def _by_label(chosen: Bool[np.ndarray, "h w"], labels: UInt8[np.ndarray, "h w"]) -> dict[int, np.ndarray]:
-    """The chosen pixels of each label, as flat indices in scan order."""
+def _by_label(
+    chosen: Bool[np.ndarray, "h w"], labels: UInt8[np.ndarray, "h w"]
+) -> dict[int, Int[np.ndarray, "_n"]]:
+    """Return the chosen pixels of each label as flat indices in scan order."""
     flat = np.flatnonzero(chosen)
     label = labels.ravel()[flat]
     order = np.argsort(label, kind="stable")
@@ -152,33 +143,39 @@ def _by_label(chosen: Bool[np.ndarray, "h w"], labels: UInt8[np.ndarray, "h w"])
 
 
 def _evenly(pixels: Int[np.ndarray, "n"], count: int) -> Int[np.ndarray, "m"]:
-    """At most ``count`` of them, evenly in their order."""
+    """Return at most ``count`` of the pixels, evenly spaced in their order."""
     if len(pixels) <= count:
         return pixels
     return pixels[(np.arange(count) * (len(pixels) / count)).astype(np.int64)]
 
 
-def in_known_parts(
+def in_observed_parts(
     pixels: TrackingPixels,
     world: LandmarkMap,
     keyframes: Sequence[Keyframe],
     T_world_camera: Float[np.ndarray, "4 4"],
 ) -> Bool[np.ndarray, "n"]:
-    """Which pixels show, or pass beside, a part of their landmark that a keyframe had in view.
+    """Return which pixels show a part of their landmark that some keyframe had in view.
 
-    What the image border cut off when a landmark was made is a guess; coming into view, it would drag the
-    camera along.
+    The shape of a truncated landmark beyond the image border is extrapolated by the prior; tracking it would
+    bias the camera pose. Pixels of landmarks that are not truncated are all accepted.
+
+    Args:
+        pixels: Pixels of the frame; a ring pixel is placed at the depth of its landmark's origin.
+        world: The map.
+        keyframes: All keyframes.
+        T_world_camera: Pose of the frame.
     """
-    known = np.ones(len(pixels.owner), bool)
-    for one in np.unique(pixels.owner):
-        landmark = world.landmarks.get(int(one))
-        if landmark is None or not landmark.cut:
+    observed = np.ones(len(pixels.landmark_ids), bool)
+    for id in np.unique(pixels.landmark_ids):
+        landmark = world.landmarks.get(int(id))
+        if landmark is None or not landmark.truncated:
             continue
-        own = np.flatnonzero(pixels.owner == one)
+        own = np.flatnonzero(pixels.landmark_ids == id)
         depth = pixels.depth[own].astype(np.float64)
-        middle = transform_points(invert(T_world_camera), landmark.state.pose.translation[None])[0, 2]
-        depth[~pixels.is_object[own]] = middle  # a ray beside it
+        origin = transform_points(invert(T_world_camera), landmark.state.pose.translation[None])[0]
+        depth[~pixels.is_object[own]] = origin[2]
         points = transform_points(T_world_camera, pixels.directions[own] * depth[:, None])
-        views = [key.has_in_view(points) for key in keyframes if one in key.landmarks]
-        known[own] = np.any(views, axis=0) if views else True
-    return known
+        views = [key.has_in_view(points) for key in keyframes if id in key.landmark_ids]
+        observed[own] = np.any(views, axis=0) if views else True
+    return observed

@@ -1,9 +1,9 @@
-"""Where the camera is when nothing is known but the map: objects by class and place, then tracking decides.
+"""Relocalisation: the camera pose from one frame and the map, without a prediction.
 
-Each mask gives a point: its cloud's middle, pushed behind the visible surface by the object's radius. The
-support plane found in the frame itself tells tilt and height, so pairs of masks and landmarks of fitting
-classes give a pose in the plane; those that explain most masks are refined by tracking, and the one that
-most pixels agree with wins.
+Each mask gives a point, the centre of its object's footprint. The support plane fitted to the frame
+determines tilt and height, so the pose has three degrees of freedom left, and a pair of masks matched to a
+pair of landmarks of compatible classes determines them. Hypotheses that explain most masks are refined by
+tracking; the one with most agreeing landmarks wins.
 """
 
 from __future__ import annotations
@@ -12,100 +12,138 @@ from collections.abc import Sequence
 from dataclasses import dataclass, replace
 
 import numpy as np
-from jaxtyping import Float, UInt8
+from jaxtyping import Float
 from scipy.optimize import linear_sum_assignment
 
 from perception.detection.geometry import points_of
 from perception.errors import PerceptionError
 from perception.geometry import rigid
-from perception.slam.keyframes import with_pose
+from perception.slam.labelled_frame import LabelledFrame, with_pose
 from perception.slam.landmarks import LandmarkMap, log_probabilities
-from perception.slam.pixels import SelectionConfig, select_pixels
+from perception.slam.pixels import PixelSelectionConfig, select_pixels
 from perception.slam.tracking import TrackedPose, TrackingConfig, track
 from perception.support_plane import PlaneConfig, fit_support_plane
 from perception.types import CATEGORIES, ObjectDetection, RgbdFrame, SupportPlane
 
+_ANY_TILT = PlaneConfig(max_tilt=np.pi)
+_REFINEMENT_SIGMA = 1.0  # [rad], [m] of a hypothesis: weak enough for the frame alone to determine the pose
+_REFINEMENT_ITERATIONS = 12
+_EARLY_STOP_RATIO = 0.8  # median inlier ratio from which a pose that explains all matches is accepted at once
+_UNLIKELY = -3.5  # log probability ratio below which mask and landmark are of different classes
+_MIN_HEIGHT = 0.005  # [m] above the plane: lower points may be of the table
+_MIN_POINTS = 30
+_EXTENT_QUANTILES = (0.02, 0.98)
+
 
 @dataclass(frozen=True)
 class RelocalisationConfig:
-    """How a pose is searched.
+    """Thresholds of the search.
 
     Attributes:
-        tolerance: between a mask's place and its landmark's, seen from above [m].
-        separation: of the two masks that a hypothesis is made from, at least [m].
-        candidates: hypotheses that are refined by tracking.
-        min_matches: masks that must find their landmark.
-        min_share: of the pixels that must agree after tracking, as the median over the objects.
+        position_tolerance: Distance in the plane between the footprint of a mask and its landmark, in metres.
+        min_baseline: Least distance between the two masks of a hypothesis, in metres.
+        max_candidates: Number of hypotheses refined by tracking.
+        min_matches: Least number of masks that match a landmark.
+        min_inlier_ratio: Inlier ratio above which a landmark agrees, and least median over the landmarks.
     """
 
-    tolerance: float = 0.05
-    separation: float = 0.08
-    candidates: int = 6
+    position_tolerance: float = 0.05
+    min_baseline: float = 0.08
+    max_candidates: int = 6
     min_matches: int = 3
-    min_share: float = 0.6
+    min_inlier_ratio: float = 0.6
 
 
 @dataclass(frozen=True)
-class Relocalised:
-    """A pose that the map and the frame agree on, the masks, and which of them shows which landmark."""
+class Relocalisation:
+    """Result of a relocalisation: the refined pose, and the frame with its pose and association."""
 
     tracked: TrackedPose
-    labels: UInt8[np.ndarray, "h w"]
-    landmark_of: dict[int, int]
+    view: LabelledFrame
+
+
+@dataclass(frozen=True)
+class _Hypothesis:
+    """A planar pose and the matches that it explains.
+
+    Attributes:
+        rotation: Rotation from the camera's level frame to the map's.
+        translation: Translation of the same, in metres.
+        matches: Index of the landmark of each matched detection.
+    """
+
+    rotation: Float[np.ndarray, "2 2"]
+    translation: Float[np.ndarray, "2"]
+    matches: dict[int, int]
+
+    @property
+    def T_maplevel_level(self) -> Float[np.ndarray, "4 4"]:
+        T = rigid(np.eye(3), np.zeros(3))
+        T[:2, :2], T[:2, 3] = self.rotation, self.translation
+        return T
 
 
 def relocalise(
     world: LandmarkMap,
-    frame: RgbdFrame,
-    detections: Sequence[ObjectDetection],
-    labels: UInt8[np.ndarray, "h w"],
+    view: LabelledFrame,
     tracking: TrackingConfig,
-    selection: SelectionConfig,
+    selection: PixelSelectionConfig,
     config: RelocalisationConfig = RelocalisationConfig(),
-) -> Relocalised | None:
-    """The camera's pose from one frame, or None if it cannot be told."""
+) -> Relocalisation | None:
+    """Find the camera pose of a frame; None if the frame does not determine it.
+
+    Args:
+        world: The map.
+        view: The frame and its masks; a pose or association is ignored.
+        tracking: Settings of the refinement.
+        selection: Settings of the pixel selection.
+        config: Thresholds of the search.
+    """
     try:
-        seen_plane = fit_support_plane([with_pose(frame, np.eye(4))], _ANY_TILT)
+        plane = fit_support_plane([with_pose(view.frame, np.eye(4))], _ANY_TILT)
     except PerceptionError:
         return None
-    T_level_camera = level_camera(seen_plane)
-    spots = [_spot(frame, found, T_level_camera) for found in detections]
-    T_world_level = level_camera(world.plane)  # maps the world into the map's own level frame
-    places = np.array([T_world_level[:2, :3] @ world.landmarks[i].state.pose.translation for i in world.ids])
-    if sum(spot is not None for spot in spots) < config.min_matches or len(places) < config.min_matches:
+    T_level_camera, T_maplevel_world = T_level_from_plane(plane), T_level_from_plane(world.plane)
+    footprints = [_footprint_centre(view.frame, found, T_level_camera) for found in view.detections]
+    origins = [world.landmarks[id].state.pose.translation for id in world.ids]
+    places = np.array([T_maplevel_world[:2, :3] @ origin for origin in origins])
+    n_footprints = sum(centre is not None for centre in footprints)
+    if n_footprints < config.min_matches or len(places) < config.min_matches:
         return None
-    fits = _class_fits(world, detections)
-    hypotheses = _hypotheses(spots, places, fits, config)
-    best: Relocalised | None = None
-    for turn, move, matches in hypotheses[: config.candidates]:
-        if len(matches) < config.min_matches:
+    class_scores = _class_scores(world, view.detections)
+    refinement = replace(
+        tracking,
+        rotation_sigma=_REFINEMENT_SIGMA,
+        translation_sigma=_REFINEMENT_SIGMA,
+        iterations=_REFINEMENT_ITERATIONS,
+    )
+    best: Relocalisation | None = None
+    for hypothesis in _hypotheses(footprints, places, class_scores, config)[: config.max_candidates]:
+        if len(hypothesis.matches) < config.min_matches:
             break
-        T_level = rigid(np.eye(3), np.zeros(3))
-        T_level[:2, :2], T_level[:2, 3] = turn, move
-        T = np.linalg.inv(T_world_level) @ T_level @ T_level_camera
-        landmark_of = {spot + 1: world.ids[place] for spot, place in matches.items()}
-        loose = replace(tracking, turn_sigma=1.0, move_sigma=1.0, iterations=12)
-        pixels = select_pixels(frame, labels, landmark_of, T, world.plane, selection)
-        tracked = track(world, pixels, T, loose)
-        agree = sum(share > config.min_share for share in tracked.shares.values())
-        if tracked.share < config.min_share or agree < config.min_matches:
+        T = np.linalg.inv(T_maplevel_world) @ hypothesis.T_maplevel_level @ T_level_camera
+        landmark_of = {k + 1: world.ids[place] for k, place in hypothesis.matches.items()}
+        posed = replace(view.with_pose(T), landmark_of=landmark_of)
+        tracked = track(world, select_pixels(posed, world.plane, selection), T, refinement)
+        n_agreeing = _n_agreeing(tracked, config)
+        if tracked.median_inlier_ratio < config.min_inlier_ratio or n_agreeing < config.min_matches:
             continue
-        if best is None or (agree, tracked.share) > (_agreeing(best, config), best.tracked.share):
-            best = Relocalised(tracked, labels, landmark_of)
-        if agree == len(matches) and tracked.share > 0.8:
+        if best is None or (n_agreeing, tracked.median_inlier_ratio) > (
+            _n_agreeing(best.tracked, config),
+            best.tracked.median_inlier_ratio,
+        ):
+            best = Relocalisation(tracked, posed.with_pose(tracked.T_world_camera))
+        if n_agreeing == len(hypothesis.matches) and tracked.median_inlier_ratio > _EARLY_STOP_RATIO:
             break
     return best
 
 
-_ANY_TILT = PlaneConfig(max_tilt=np.pi)
+def _n_agreeing(tracked: TrackedPose, config: RelocalisationConfig) -> int:
+    return sum(ratio > config.min_inlier_ratio for ratio in tracked.inlier_ratios.values())
 
 
-def _agreeing(found: Relocalised, config: RelocalisationConfig) -> int:
-    return sum(share > config.min_share for share in found.tracked.shares.values())
-
-
-def level_camera(plane: SupportPlane) -> Float[np.ndarray, "4 4"]:
-    """Maps the frame that the plane is given in to one whose z is the plane's normal, with height 0 on it."""
+def T_level_from_plane(plane: SupportPlane) -> Float[np.ndarray, "4 4"]:
+    """Return the transform from the frame of a plane's coordinates to a level one: z = 0 on the plane."""
     n = plane.normal / np.linalg.norm(plane.normal)
     seed = np.array([1.0, 0.0, 0.0]) if abs(n[0]) < 0.9 else np.array([0.0, 1.0, 0.0])
     x = seed - (seed @ n) * n
@@ -114,89 +152,108 @@ def level_camera(plane: SupportPlane) -> Float[np.ndarray, "4 4"]:
     return rigid(R, np.array([0.0, 0.0, -plane.offset]))
 
 
-def _spot(
-    frame: RgbdFrame, found: ObjectDetection, T_level_camera: np.ndarray
+def _footprint_centre(
+    frame: RgbdFrame, found: ObjectDetection, T_level_camera: Float[np.ndarray, "4 4"]
 ) -> Float[np.ndarray, "2"] | None:
-    """About the middle of an object seen from above, in the level frame: behind what the mask shows."""
+    """Return the centre of an object's footprint in the level frame, in metres; None with too few points.
+
+    It lies half of the visible width behind the nearest points, or in the middle of the visible depth if that
+    is farther.
+    """
     points = points_of(with_pose(frame, T_level_camera), found.mask)
-    points = points[points[:, 2] > 0.005]
-    if len(points) < 30:
+    points = points[points[:, 2] > _MIN_HEIGHT]
+    if len(points) < _MIN_POINTS:
         return None
     flat = points[:, :2]
-    eye = T_level_camera[:2, 3]
-    ahead = flat.mean(axis=0) - eye
+    ahead = flat.mean(axis=0) - T_level_camera[:2, 3]
     ahead = ahead / max(float(np.linalg.norm(ahead)), 1e-6)
     across = np.array([-ahead[1], ahead[0]])
-    low, high = np.quantile(flat @ across, (0.02, 0.98))
-    near, far = np.quantile(flat @ ahead, (0.02, 0.98))
+    low, high = np.quantile(flat @ across, _EXTENT_QUANTILES)
+    near, far = np.quantile(flat @ ahead, _EXTENT_QUANTILES)
     behind = max(near + (high - low) / 2, (near + far) / 2)
     return (low + high) / 2 * across + behind * ahead
 
 
-def _class_fits(world: LandmarkMap, detections: Sequence[ObjectDetection]) -> np.ndarray:
-    """(detections, landmarks) log probability that a mask is of the landmark's class, 0 at best."""
-    fits = np.zeros((len(detections), len(world.ids)))
+def _class_scores(world: LandmarkMap, detections: Sequence[ObjectDetection]) -> Float[np.ndarray, "d l"]:
+    """Return the log odds of each landmark's class against the best class of each detection."""
+    scores = np.zeros((len(detections), len(world.ids)))
+    categories = [CATEGORIES.index(world.landmarks[id].category) for id in world.ids]
     for row, found in enumerate(detections):
         log = log_probabilities(found)
-        fits[row] = [log[CATEGORIES.index(world.landmarks[i].category)] - log.max() for i in world.ids]
-    return fits
+        scores[row] = [log[category] - log.max() for category in categories]
+    return scores
 
 
 def _hypotheses(
-    spots: list[np.ndarray | None], places: np.ndarray, fits: np.ndarray, config: RelocalisationConfig
-) -> list[tuple[np.ndarray, np.ndarray, dict[int, int]]]:
-    """Planar poses (turn, move) with their matches, those with the most and best ones first."""
-    known = [i for i, spot in enumerate(spots) if spot is not None]
-    at = np.array([spots[i] for i in known])
-    found: list[tuple[float, np.ndarray, np.ndarray, dict[int, int]]] = []
-    gaps = np.linalg.norm(places[:, None] - places, axis=-1)
-    for a in range(len(known)):
+    footprints: Sequence[Float[np.ndarray, "2"] | None],
+    places: Float[np.ndarray, "l 2"],
+    class_scores: Float[np.ndarray, "d l"],
+    config: RelocalisationConfig,
+) -> list[_Hypothesis]:
+    """Return distinct hypotheses, those that explain the masks best first.
+
+    Args:
+        footprints: Footprint centre of each detection in the camera's level frame, if it has one.
+        places: Position of each landmark in the map's level frame, in metres.
+        class_scores: Relative log probability of each landmark's class under each detection.
+        config: Thresholds.
+    """
+    valid = [i for i, centre in enumerate(footprints) if centre is not None]
+    centres = np.array([footprints[i] for i in valid])
+    tolerance = config.position_tolerance
+    scored: list[tuple[float, dict[int, int]]] = []
+    distances = np.linalg.norm(places[:, None] - places, axis=-1)
+    for a in range(len(valid)):
         for b in range(a):
-            length = float(np.linalg.norm(at[a] - at[b]))
-            if length < config.separation:
+            length = float(np.linalg.norm(centres[a] - centres[b]))
+            if length < config.min_baseline:
                 continue
-            pairs = np.argwhere(np.abs(gaps - length) < config.tolerance)
-            for p, q in pairs:
-                if p == q or fits[known[a], p] < _UNLIKELY or fits[known[b], q] < _UNLIKELY:
+            for p, q in np.argwhere(np.abs(distances - length) < tolerance):
+                if p == q or class_scores[valid[a], p] < _UNLIKELY or class_scores[valid[b], q] < _UNLIKELY:
                     continue
-                turn, move = _planar(at[[a, b]], places[[p, q]])
-                score, matches = _explained(at @ turn.T + move, places, fits[known], config.tolerance)
-                found.append((score, turn, move, {known[i]: j for i, j in matches.items()}))
-    found.sort(key=lambda entry: -entry[0])
-    result, seen = [], set()
-    for _, _, _, matches in found:
+                rotation, translation = _align_planar(centres[[a, b]], places[[p, q]])
+                moved = centres @ rotation.T + translation
+                score, matches = _match_places(moved, places, class_scores[valid], tolerance)
+                scored.append((score, {valid[i]: j for i, j in matches.items()}))
+    scored.sort(key=lambda entry: -entry[0])
+    result: list[_Hypothesis] = []
+    seen = set()
+    for _, matches in scored:
         key = tuple(sorted(matches.items()))
         if key in seen or len(matches) < 2:
             continue
         seen.add(key)
-        chosen = list(matches)
-        turn, move = _planar(np.array([spots[i] for i in chosen]), places[[matches[i] for i in chosen]])
-        result.append((turn, move, matches))
-        if len(result) == 2 * config.candidates:
+        source = np.array([footprints[i] for i in matches])
+        result.append(_Hypothesis(*_align_planar(source, places[list(matches.values())]), matches))
+        if len(result) == 2 * config.max_candidates:
             break
     return result
 
 
-_UNLIKELY = -3.5  # log probability under which two things are of different classes
-
-
-def _planar(source: np.ndarray, target: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
-    """The planar motion that takes points nearest to others (Kabsch)."""
+def _align_planar(
+    source: Float[np.ndarray, "n 2"], target: Float[np.ndarray, "n 2"]
+) -> tuple[Float[np.ndarray, "2 2"], Float[np.ndarray, "2"]]:
+    """Return the rotation and translation that best align points with others (Kabsch)."""
     a, b = source.mean(axis=0), target.mean(axis=0)
     H = (source - a).T @ (target - b)
     angle = np.arctan2(H[0, 1] - H[1, 0], H[0, 0] + H[1, 1])
-    turn = np.array([[np.cos(angle), -np.sin(angle)], [np.sin(angle), np.cos(angle)]])
-    return turn, b - turn @ a
+    rotation = np.array([[np.cos(angle), -np.sin(angle)], [np.sin(angle), np.cos(angle)]])
+    return rotation, b - rotation @ a
 
 
-def _explained(
-    moved: np.ndarray, places: np.ndarray, fits: np.ndarray, tolerance: float
+def _match_places(
+    points: Float[np.ndarray, "n 2"],
+    places: Float[np.ndarray, "l 2"],
+    class_scores: Float[np.ndarray, "n l"],
+    tolerance: float,
 ) -> tuple[float, dict[int, int]]:
-    """How well points fall on places of fitting classes, and which on which."""
-    distance = np.linalg.norm(moved[:, None] - places, axis=-1)
-    gain = np.where(
-        (distance < 1.5 * tolerance) & (fits > _UNLIKELY), 1 - 0.3 * distance / tolerance + 0.1 * fits, 0.0
-    )
+    """Return the score of the best one-to-one assignment of points to places, and the assignment.
+
+    A pair scores 1, less for its distance and for an unlikely class; distant or incompatible pairs score 0.
+    """
+    distance = np.linalg.norm(points[:, None] - places, axis=-1)
+    compatible = (distance < 1.5 * tolerance) & (class_scores > _UNLIKELY)
+    gain = np.where(compatible, 1 - 0.3 * distance / tolerance + 0.1 * class_scores, 0.0)
     rows, columns = linear_sum_assignment(-gain)
     matches = {int(r): int(c) for r, c in zip(rows, columns) if gain[r, c] > 0}
     return float(sum(gain[r, c] for r, c in matches.items())), matches

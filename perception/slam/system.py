@@ -1,6 +1,6 @@
-"""Object-level SLAM, frame by frame: associate, track, map, optimise. Read ``Slam.process`` first.
+"""Object-level SLAM, frame by frame. ``Slam.process`` is the place to start reading.
 
-    frame + masks -> which landmark is which mask -> camera pose -> new landmarks, keyframe? -> joint step
+    frame + masks -> data association -> camera pose -> new landmarks, keyframe -> joint optimisation
 
 NodeSLAM, section "Object-Level SLAM System".
 """
@@ -16,7 +16,7 @@ from functools import cache
 from typing import Literal
 
 import numpy as np
-from jaxtyping import Float, UInt8
+from jaxtyping import Float
 
 from perception.errors import PerceptionError
 from perception.geometry import invert
@@ -25,13 +25,14 @@ from perception.pipeline import Device, load_perception
 from perception.slam.association import RenderedMasks, associate_masks, render_masks
 from perception.slam.config import SlamConfig
 from perception.slam.estimates import object_estimates
-from perception.slam.keyframes import Keyframe, make_keyframe, shows_new_view, with_pose
+from perception.slam.keyframes import Keyframe, is_new_viewpoint
+from perception.slam.labelled_frame import LabelledFrame, with_pose
 from perception.slam.landmarks import LandmarkMap
 from perception.slam.mapping import Mapper
-from perception.slam.mask_merging import unite_fragments
-from perception.slam.motion import Motion
-from perception.slam.pixels import TrackingPixels, in_known_parts, label_image, select_pixels
-from perception.slam.relocalise import Relocalised, relocalise
+from perception.slam.mask_merging import merge_masks
+from perception.slam.motion import CameraMotion
+from perception.slam.pixels import in_observed_parts, select_pixels
+from perception.slam.relocalise import Relocalisation, relocalise
 from perception.slam.tracking import TrackedPose, track
 from perception.support_plane import fit_support_plane
 from perception.types import ObjectDetection, ObjectEstimate, RgbdFrame, SupportPlane
@@ -41,56 +42,63 @@ logger = logging.getLogger(__name__)
 Detect = Callable[[RgbdFrame, SupportPlane], Sequence[ObjectDetection]]
 Clock = Callable[[], float]
 Status = Literal["tracked", "weak", "lost"]
-Labels = UInt8[np.ndarray, "h w"]
+
+_SUSPECT_OUTLIER_FRAMES = 2  # outlier frames from which a landmark is not tracked with
+_SEARCH_ITERATIONS = 8  # of tracking near the predicted pose of a lost camera
+_SEARCH_MIN_LANDMARKS = 2  # that must agree there
+_MIN_INFORMATION = 1e-3  # [1/rad^2], [1/m^2] added to a relocalised pose's, to keep it invertible
 
 
 @dataclass(frozen=True)
 class FrameResult:
-    """What one frame came to.
+    """Result of tracking one frame.
 
     Attributes:
-        number: of the frame.
-        time: its capture time [s].
-        T_world_camera: the camera's pose; while lost the best guess.
-        status: "tracked", "weak" (few landmarks hold the pose) or "lost".
-        spread: standard deviation of the camera's place in the direction that is known least [m].
-        landmark_of: label (1 + index of the detection) to landmark.
-        new: landmarks initialised here.
-        retired: landmarks given up here.
-        keyframe: whether it was kept.
-        seconds: of detection, tracking (association, pixels, pose), initialisation and joint optimisation.
+        number: Index of the frame in the sequence.
+        time: Capture time, in seconds.
+        T_world_camera: Estimated camera pose; the prediction while the camera is lost.
+        status: "tracked", "weak" (large position uncertainty) or "lost".
+        position_std: Standard deviation of the camera position along its least certain direction, in metres.
+        landmark_of: Landmark id of each associated label (1 + index of the detection).
+        new: Ids of the landmarks initialised in this frame.
+        retired: Ids of the landmarks removed in this frame.
+        is_keyframe: Whether the frame became a keyframe.
+        seconds: Duration of each stage: detect, track, initialise, joint, relocalise.
     """
 
     number: int
     time: float
     T_world_camera: Float[np.ndarray, "4 4"]
     status: Status
-    spread: float = 0.0
+    position_std: float = 0.0
     landmark_of: Mapping[int, int] = field(default_factory=dict)
     new: tuple[int, ...] = ()
     retired: tuple[int, ...] = ()
-    keyframe: bool = False
+    is_keyframe: bool = False
     seconds: Mapping[str, float] = field(default_factory=dict)
 
 
 @dataclass(frozen=True)
-class _Seen:
-    """A frame's masks, how they fit the map, and where the camera then is.
+class _TrackedFrame:
+    """A frame after association and tracking.
 
-    ``unknown`` is of each landmark the share of its pixels that no keyframe had in view.
+    Attributes:
+        view: The frame with its masks, their association and, once it is accepted, its tracked pose.
+        tracked: Result of tracking.
+        plane_points: Measured points of the plane in the camera frame, in metres.
+        unseen_ratios: Share of each landmark's pixels that no keyframe had in view.
+        render: Renders the masks of the map from the predicted pose.
     """
 
-    detections: list[ObjectDetection]
-    labels: Labels
-    landmark_of: dict[int, int]
-    pixels: TrackingPixels
-    unknown: dict[int, float]
+    view: LabelledFrame
     tracked: TrackedPose
+    plane_points: Float[np.ndarray, "n 3"]
+    unseen_ratios: Mapping[int, float]
     render: Callable[[], RenderedMasks]
 
 
 class Slam:
-    """Map and camera over a sequence. The first frame's pose defines the world (the identity if unknown)."""
+    """Map and camera over a sequence; the first frame's pose defines the world (identity if unknown)."""
 
     def __init__(
         self,
@@ -99,12 +107,20 @@ class Slam:
         config: SlamConfig | None = None,
         clock: Clock = time.perf_counter,
     ) -> None:
+        """Start with an empty map.
+
+        Args:
+            decoder: Shape prior.
+            detect: Returns the detections of a frame, given the support plane.
+            config: Settings.
+            clock: Time in seconds, for the durations of the stages.
+        """
         self.decoder, self.detect, self.config, self._now = decoder, detect, config or SlamConfig(), clock
         self.mapper: Mapper | None = None
         self._number = -1
-        self._motion: Motion | None = None  # after the last frame whose pose is believed
-        self._lost_for = 0
-        self._previous: tuple[Labels, dict[int, int]] | None = None
+        self._motion: CameraMotion | None = None  # after the last frame whose pose was accepted
+        self._n_lost = 0  # successive lost frames
+        self._previous: LabelledFrame | None = None
         self._seconds: dict[str, float] = {}
 
     @staticmethod
@@ -128,213 +144,205 @@ class Slam:
 
     @property
     def keyframes(self) -> list[Keyframe]:
+        """Keyframes, oldest first."""
         return self.mapper.keyframes if self.mapper else []
 
     def process(self, frame: RgbdFrame) -> FrameResult:
-        """The next frame. Its own pose is ignored, unless it is the first."""
+        """Track the camera in the next frame and update the map.
+
+        The frame's own pose is ignored, except that of the first.
+        """
         self._number += 1
         self._seconds = {}
         if self.mapper is None:
-            return self._begin(frame)
+            return self._initialise_map(frame)
         assert self._motion is not None
-        predicted = self._motion.predicted(frame.time, self.config.motion)
-        if self._lost_for:
-            return self._find_again(self.mapper, frame, predicted)
-        seen = self._look(self.mapper, frame, predicted)
-        status, motion = self._judge(seen.tracked, predicted)
+        predicted = self._motion.predict(frame.time, self.config.motion)
+        if self._n_lost:
+            return self._recover(self.mapper, frame, predicted)
+        tracked = self._track_frame(self.mapper, frame, predicted)
+        status, motion = self._check_pose(tracked.tracked, predicted)
         if status == "lost":
             logger.info("frame %d: lost", self._number)
             self._motion = motion or self._motion
-            return self._find_again(self.mapper, frame, motion or predicted)
+            return self._recover(self.mapper, frame, motion or predicted)
         assert motion is not None
         self._motion = motion
-        return self._go_on(self.mapper, frame, seen, status)
+        return self._update_map(self.mapper, tracked, status)
 
-    def _begin(self, frame: RgbdFrame) -> FrameResult:
-        """The first frame: the plane, and every object in view."""
+    def _initialise_map(self, frame: RgbdFrame) -> FrameResult:
+        """Fit the support plane and every object of the first frame."""
         T = np.eye(4) if frame.T_world_camera is None else np.array(frame.T_world_camera)
         plane = fit_support_plane([frame])
         mapper = self.mapper = Mapper(plane, self.decoder, self.config)
-        self._motion = Motion.at(frame.time, T, self.config.motion)
+        self._motion = CameraMotion.with_unknown_velocity(frame.time, T, self.config.motion)
         posed = with_pose(frame, T)
         with self._timed("detect"):
-            detections = unite_fragments(posed, self.detect(posed, plane), plane)
-        labels = label_image(detections, frame.depth.shape)
-        mapper.unmatched = [(found.mask, self.config.life.seen_before) for found in detections]
-        pixels = select_pixels(frame, labels, {}, T, plane, self.config.selection)
-        return self._extend_map(mapper, posed, detections, labels, {}, pixels, {}, {}, "tracked", ())
+            detections = merge_masks(posed, self.detect(posed, plane), plane, self.config.merging)
+        view = LabelledFrame.of(self._number, posed, detections)
+        mapper.set_unmatched(view)
+        pixels = select_pixels(view, plane, self.config.pixels)
+        return self._extend_map(mapper, view, pixels.plane_points, {}, "tracked", False)
 
-    def _look(
-        self, mapper: Mapper, frame: RgbdFrame, predicted: Motion, iterations: int | None = None
-    ) -> _Seen:
-        """Masks, their landmarks, and the pose that fits."""
+    def _track_frame(
+        self, mapper: Mapper, frame: RgbdFrame, predicted: CameraMotion, iterations: int | None = None
+    ) -> _TrackedFrame:
+        """Detect, associate and track; ``iterations`` overrides the config's."""
         world, config, T_predicted = mapper.world, self.config, predicted.T_world_camera
         tracking = config.tracking if iterations is None else replace(config.tracking, iterations=iterations)
         posed = with_pose(frame, T_predicted)
         with self._timed("detect"):
-            detections = unite_fragments(posed, self.detect(posed, world.plane), world.plane)
+            detections = merge_masks(posed, self.detect(posed, world.plane), world.plane, config.merging)
         with self._timed("track"):
-            labels = label_image(detections, frame.depth.shape)
+            view = LabelledFrame.of(self._number, posed, detections)
             render = cache(lambda: render_masks(world, frame, T_predicted, config.association.pitch))
-            landmark_of = associate_masks(posed, labels, self._previous, render, world, config.association)
-            labels, landmark_of = joined_labels(labels, landmark_of)
-            pixels = select_pixels(frame, labels, landmark_of, T_predicted, world.plane, config.selection)
-            known = in_known_parts(pixels, world, mapper.keyframes, T_predicted)
-            unknown = {
-                int(one): 1 - float(known[pixels.is_object & (pixels.owner == one)].mean())
-                for one in np.unique(pixels.owner[pixels.is_object])
+            view = view.associated(associate_masks(view, self._previous, render, world, config.association))
+            pixels = select_pixels(view, world.plane, config.pixels)
+            observed = in_observed_parts(pixels, world, mapper.keyframes, T_predicted)
+            unseen_ratios = {
+                int(id): 1 - float(observed[pixels.is_object & (pixels.landmark_ids == id)].mean())
+                for id in np.unique(pixels.landmark_ids[pixels.is_object])
             }
-            pixels = pixels.only(known)
-            suspects = frozenset(i for i, one in world.landmarks.items() if one.bad >= 2)
+            suspects = frozenset(
+                id for id, x in world.landmarks.items() if x.n_outlier_frames >= _SUSPECT_OUTLIER_FRAMES
+            )
             prior = np.linalg.inv(predicted.pose_covariance)
-            tracked = track(world, pixels, T_predicted, tracking, suspects, prior)
-        return _Seen(detections, labels, landmark_of, pixels, unknown, tracked, render)
+            tracked = track(world, pixels.subset(observed), T_predicted, tracking, suspects, prior)
+        return _TrackedFrame(view, tracked, pixels.plane_points, unseen_ratios, render)
 
-    def _go_on(self, mapper: Mapper, frame: RgbdFrame, seen: _Seen, status: Status) -> FrameResult:
-        """A believed pose: the landmarks' lives go on, the map may grow."""
-        T = seen.tracked.T_world_camera
-        looks = self._number % self.config.life.check_every == 0
-        rendered = seen.render() if looks else None
-        retired = mapper.count(frame, seen.detections, seen.landmark_of, rendered, seen.tracked, self._number)
-        landmark_of = {k: one for k, one in seen.landmark_of.items() if one not in retired}
-        mapper.remember_unmatched(seen.detections, seen.labels, landmark_of)
-        posed = with_pose(frame, T)
-        return self._extend_map(
-            mapper, posed, seen.detections, seen.labels, landmark_of, seen.pixels, seen.unknown,
-            seen.tracked.shares, status, tuple(retired),
+    def _check_pose(
+        self, tracked: TrackedPose, predicted: CameraMotion
+    ) -> tuple[Status, CameraMotion | None]:
+        """Return the tracking status, and the updated motion unless the pose is implausible."""
+        check = self.config.pose_check
+        correction = invert(predicted.T_world_camera) @ tracked.T_world_camera
+        angle = np.arccos(np.clip((np.trace(correction[:3, :3]) - 1) / 2, -1, 1))
+        plausible = (
+            np.isfinite(tracked.T_world_camera).all()
+            and tracked.median_inlier_ratio_of_used >= check.inlier_ratio_min
+            and np.linalg.norm(correction[:3, 3]) < check.max_translation
+            and angle < check.max_rotation
+        )
+        if not plausible:
+            return "lost", None
+        motion = predicted.update(tracked.T_world_camera, tracked.information)
+        if motion.position_std > check.lost_position_std:
+            return "lost", motion
+        return "weak" if motion.position_std > check.weak_position_std else "tracked", motion
+
+    def _update_map(self, mapper: Mapper, result: _TrackedFrame, status: Status) -> FrameResult:
+        """Update the landmarks after a frame with an accepted pose, and extend the map."""
+        tracked, view = result.tracked, result.view
+        check_visibility = self._number % self.config.lifecycle.visibility_interval == 0
+        rendered = result.render() if check_visibility else None
+        retired = mapper.update_landmarks(view, rendered, tracked.inlier_ratios)
+        view = view.without_landmarks(retired).with_pose(tracked.T_world_camera)
+        mapper.update_unmatched(view)
+        supported = status == "tracked" and mapper.has_enough_support(tracked.inlier_ratios)
+        extended = self._extend_map(
+            mapper, view, result.plane_points, result.unseen_ratios, status, supported
+        )
+        return replace(extended, retired=tuple(retired))
+
+    def _extend_map(
+        self,
+        mapper: Mapper,
+        view: LabelledFrame,
+        plane_points: Float[np.ndarray, "n 3"],
+        unseen_ratios: Mapping[int, float],
+        status: Status,
+        supported: bool,
+    ) -> FrameResult:
+        """Initialise landmarks; make the frame a keyframe if it contributes, and optimise jointly.
+
+        Without enough support truncated objects are initialised, too; they inherit the pose's covariance.
+        """
+        assert self._motion is not None
+        with self._timed("initialise"):
+            new = mapper.initialise_landmarks(view, supported)
+        view = replace(view, landmark_of={**view.landmark_of, **new})
+        self._previous = view
+        landmarks, T = mapper.world.landmarks, view.T_world_camera
+        visible = {id: landmarks[id] for id in view.landmark_of.values() if id in landmarks}
+        is_keyframe = (
+            bool(new)
+            or (status == "tracked" and is_new_viewpoint(T, visible, mapper.keyframes))
+            or mapper.reveals_unseen_parts(view, unseen_ratios, status == "weak")
+        )
+        if is_keyframe:
+            key = Keyframe.of(view, self._motion.pose_covariance)
+            mapper.add_keyframe(key, plane_points, new.values())
+            with self._timed("initialise"):
+                key = mapper.refit_stale(key, unseen_ratios)
+            if self.config.use_bundle_adjustment:
+                with self._timed("joint"):
+                    correction = mapper.optimise(key)
+                self._motion = self._motion.transformed(correction)
+        return replace(
+            self._result(self._motion, status), landmark_of=view.landmark_of, new=tuple(new.values()),
+            is_keyframe=is_keyframe,
         )  # fmt: skip
 
-    def _judge(self, tracked: TrackedPose, predicted: Motion) -> tuple[Status, Motion | None]:
-        """Whether the pose can be believed and is known well enough, and the motion with it if it can."""
-        life = self.config.life
-        slip = invert(predicted.T_world_camera) @ tracked.T_world_camera
-        angle = np.arccos(np.clip((np.trace(slip[:3, :3]) - 1) / 2, -1, 1))
-        believable = (
-            np.isfinite(tracked.T_world_camera).all()
-            and tracked.share_of_used >= life.lost_share
-            and np.linalg.norm(slip[:3, 3]) < life.max_move
-            and angle < life.max_turn
-        )
-        if not believable:
-            return "lost", None
-        motion = predicted.told(tracked.T_world_camera, tracked.information)
-        if motion.spread > life.lost_spread:
-            return "lost", motion
-        return "weak" if motion.spread > life.weak_spread else "tracked", motion
+    def _recover(self, mapper: Mapper, frame: RgbdFrame, guess: CameraMotion) -> FrameResult:
+        """Search for a lost camera near its prediction while that is accurate enough, or by relocalisation.
 
-    def _find_again(self, mapper: Mapper, frame: RgbdFrame, guess: Motion) -> FrameResult:
-        """Near where the camera must be while that is known, else by the map, which is frozen until then."""
-        self._lost_for += 1
-        if self._lost_for > 1 and guess.spread < self.config.life.search_spread:
-            seen = self._look(mapper, frame, guess, iterations=8)
-            motion = self._judge(seen.tracked, guess)[1]
-            agree = [i for i, share in seen.tracked.shares.items() if share > self.config.life.enough_share]
-            if motion is not None and motion.spread < self.config.life.found_spread and len(agree) >= 2:
-                return self._found(motion, seen.labels, seen.landmark_of)
+        The map does not change until the camera is found.
+        """
+        check = self.config.pose_check
+        self._n_lost += 1
+        if self._n_lost > 1 and guess.position_std < check.local_search_position_std:
+            result = self._track_frame(mapper, frame, guess, _SEARCH_ITERATIONS)
+            motion = self._check_pose(result.tracked, guess)[1]
+            threshold = self.config.lifecycle.support_inlier_ratio
+            n_agreeing = sum(ratio > threshold for ratio in result.tracked.inlier_ratios.values())
             if motion is not None:
+                if motion.position_std < check.recovered_position_std and n_agreeing >= _SEARCH_MIN_LANDMARKS:
+                    return self._resume(motion, result.view)
                 self._motion = guess = motion
-        found = self.relocalised(frame)
+        found = self.relocalise(frame)
         if found is not None:
-            covariance = np.linalg.inv(found.tracked.information + 1e-3 * np.eye(6))
-            T = found.tracked.T_world_camera
-            motion = Motion.at(frame.time, T, self.config.motion, covariance, guess.period)
-            if motion.spread < self.config.life.found_spread:
-                return self._found(motion, found.labels, found.landmark_of)
-        self._previous, mapper.unmatched = None, []
-        return FrameResult(
-            self._number, frame.time, guess.T_world_camera, "lost", guess.spread, seconds=dict(self._seconds)
-        )
+            covariance = np.linalg.inv(found.tracked.information + _MIN_INFORMATION * np.eye(6))
+            motion = CameraMotion.with_unknown_velocity(
+                frame.time, found.tracked.T_world_camera, self.config.motion, covariance, guess.period
+            )
+            if motion.position_std < check.recovered_position_std:
+                return self._resume(motion, found.view)
+        self._previous, mapper.unmatched = None, {}
+        return replace(self._result(guess, "lost"), time=frame.time)
 
-    def relocalised(self, frame: RgbdFrame) -> Relocalised | None:
-        """Where the map says that a frame from nobody knows where was taken; changes nothing."""
+    def relocalise(self, frame: RgbdFrame) -> Relocalisation | None:
+        """Find the pose of a frame by the map alone, without changing the map; None if that fails."""
         assert self.world is not None
+        config = self.config
         with self._timed("detect"):
             detections = self._detect_unposed(frame)
         with self._timed("relocalise"):
-            return relocalise(
-                self.world, frame, detections, label_image(detections, frame.depth.shape),
-                self.config.tracking, self.config.selection, self.config.relocalisation,
-            )  # fmt: skip
+            view = LabelledFrame.of(self._number, frame, detections)
+            return relocalise(self.world, view, config.tracking, config.pixels, config.relocalisation)
 
-    def _found(self, motion: Motion, labels: Labels, landmark_of: dict[int, int]) -> FrameResult:
-        logger.info("frame %d: found again", self._number)
-        self._lost_for, self._motion = 0, motion
-        self._previous = (labels, landmark_of)
-        return FrameResult(
-            self._number, motion.time, motion.T_world_camera, "tracked", motion.spread, landmark_of,
-            seconds=dict(self._seconds),
-        )  # fmt: skip
+    def _resume(self, motion: CameraMotion, view: LabelledFrame) -> FrameResult:
+        """Continue tracking from a recovered pose."""
+        logger.info("frame %d: recovered", self._number)
+        self._n_lost, self._motion, self._previous = 0, motion, view
+        return replace(self._result(motion, "tracked"), landmark_of=view.landmark_of)
+
+    def _result(self, motion: CameraMotion, status: Status) -> FrameResult:
+        seconds = dict(self._seconds)
+        T, std = motion.T_world_camera, motion.position_std
+        return FrameResult(self._number, motion.time, T, status, std, seconds=seconds)
 
     @contextmanager
     def _timed(self, stage: str) -> Iterator[None]:
-        """Adds the seconds of a block to the frame's."""
+        """Add the duration of a block to the stage's."""
         begin = self._now()
         yield
         self._seconds[stage] = self._seconds.get(stage, 0.0) + self._now() - begin
 
     def _detect_unposed(self, frame: RgbdFrame) -> list[ObjectDetection]:
-        """Detections of a frame from nobody knows where: the plane is found in the frame itself."""
-        bare = RgbdFrame(frame.time, frame.rgb, frame.depth, frame.intrinsics)
+        """Return the detections of a frame of unknown pose, with the support plane fitted to the frame."""
+        unposed = RgbdFrame(frame.time, frame.rgb, frame.depth, frame.intrinsics)
         try:
-            plane = fit_support_plane([bare])
-            return unite_fragments(bare, self.detect(bare, plane), plane)
+            plane = fit_support_plane([unposed])
+            return merge_masks(unposed, self.detect(unposed, plane), plane, self.config.merging)
         except PerceptionError:
             return []
-
-    def _extend_map(
-        self,
-        mapper: Mapper,
-        posed: RgbdFrame,
-        detections: Sequence[ObjectDetection],
-        labels: Labels,
-        landmark_of: Mapping[int, int],
-        pixels: TrackingPixels,
-        unknown: Mapping[int, float],
-        shares: Mapping[int, float],
-        status: Status,
-        retired: tuple[int, ...],
-    ) -> FrameResult:
-        """New landmarks, then perhaps a keyframe with its joint optimisation.
-
-        A weak pose needs new landmarks most, cut ones as well; they share its doubt.
-        """
-        assert self._motion is not None
-        landmark_of = dict(landmark_of)
-        held = status == "tracked" and mapper.holds(shares)
-        with self._timed("initialise"):
-            new = mapper.new_landmarks(posed, detections, landmark_of, held, self._number)
-        landmark_of |= new
-        self._previous = (labels, landmark_of)
-        landmarks = mapper.world.landmarks
-        seen = {one: landmarks[one] for one in landmark_of.values() if one in landmarks}
-        T = np.array(posed.T_world_camera)
-        is_keyframe = (
-            bool(new)
-            or (status == "tracked" and shows_new_view(T, seen, mapper.keyframes))
-            or mapper.completes(detections, landmark_of, unknown, status == "weak", self._number)
-        )
-        if is_keyframe:
-            covariance = self._motion.pose_covariance
-            key = make_keyframe(self._number, posed, T, labels, landmark_of, detections, covariance)
-            mapper.keep(key, pixels.plane_points, new.values())
-            with self._timed("initialise"):
-                key = mapper.mend(key, unknown)
-            if self.config.joint_on:
-                with self._timed("joint"):
-                    moved = mapper.optimise(key)
-                self._motion = self._motion.moved(moved)  # goes on from there
-        return FrameResult(
-            self._number, posed.time, self._motion.T_world_camera, status, self._motion.spread, landmark_of,
-            tuple(new.values()), retired, is_keyframe, dict(self._seconds),
-        )  # fmt: skip
-
-
-def joined_labels(
-    labels: UInt8[np.ndarray, "h w"], landmark_of: Mapping[int, int]
-) -> tuple[UInt8[np.ndarray, "h w"], dict[int, int]]:
-    """One label for each landmark: the parts of one take the first part's."""
-    main: dict[int, int] = {}
-    table = np.arange(256, dtype=np.uint8)
-    for label, one in landmark_of.items():
-        table[label] = main.setdefault(one, label)
-    return table[labels], {label: one for one, label in main.items()}

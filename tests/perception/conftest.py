@@ -14,7 +14,7 @@ from torch import Tensor
 from perception.inference.problem import FitState
 from perception.inference.shape_model import linearise
 from perception.rendering.pose import ObjectPose
-from perception.slam.landmarks import Landmark, LandmarkMap, reach_of
+from perception.slam.landmarks import Landmark, LandmarkMap, bounding_radius
 from perception.types import CameraIntrinsics, ObjectDetection, RgbdFrame, SupportPlane
 
 RADIUS, HALF = 0.55, 0.75  # of the decoder's cylinder at code 0, in canonical units
@@ -151,7 +151,7 @@ class CylinderWorld:
         state = FitState(pose, np.zeros(16))
         shape = linearise(self.decoder, "can", state.code)
         return Landmark(
-            number, "can", state, shape, reach_of(shape, state), 0.5, np.log([0.1, 0.1, 0.1, 0.7])
+            number, "can", state, shape, bounding_radius(shape, state), 0.5, np.log([0.1, 0.1, 0.1, 0.7])
         )
 
     def map(self) -> LandmarkMap:

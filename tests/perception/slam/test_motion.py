@@ -1,4 +1,4 @@
-"""The motion filter in closed form: growth of doubt, fusing, what a velocity learns, twists taken along."""
+"""The Kalman filter of the camera motion in closed form."""
 
 from dataclasses import replace
 
@@ -6,67 +6,98 @@ import numpy as np
 import pytest
 
 from perception.geometry import invert, se3_exp, se3_log
-from perception.slam.motion import Motion, MotionConfig, adjoint
+from perception.slam.motion import CameraMotion, CameraMotionConfig, adjoint
 
-CONFIG = MotionConfig(wander=(0.0, 0.6), velocity=(0.0, 0.3), start=(1e-6, 1e-3))
-BLIND = np.zeros((6, 6))
+CONFIG = CameraMotionConfig(
+    velocity_random_walk=(0.0, 0.6), velocity_sigma=(0.0, 0.3), pose_sigma=(1e-6, 1e-3)
+)
+NO_INFORMATION = np.zeros((6, 6))
 
 
 @pytest.fixture
-def moving(scenes):
-    """At rest as far as is known, somewhere."""
-    return Motion.at(0.0, scenes.orbit((0, 0, 0), 0.5, 40, 30), CONFIG)
+def motion(scenes):
+    return CameraMotion.with_unknown_velocity(0.0, scenes.orbit((0, 0, 0), 0.5, 40, 30), CONFIG)
 
 
-def test_doubt_grows_with_velocity_and_white_acceleration(moving):
-    spread = moving.predicted(0.2, CONFIG).spread
-    assert spread == pytest.approx(np.sqrt(1e-3**2 + (0.3 * 0.2) ** 2 + 0.6**2 * 0.2**3 / 3), rel=1e-6)
+def test_the_initial_covariance_is_that_of_the_config_or_the_given_one(motion):
+    expected = np.concatenate([np.full(3, 1e-12), np.full(3, 1e-6), np.zeros(3), np.full(3, 0.09)])
+    np.testing.assert_allclose(motion.covariance, np.diag(expected))
+    given = CameraMotion.with_unknown_velocity(1.0, np.eye(4), CONFIG, 4 * np.eye(6), 0.1)
+    np.testing.assert_array_equal(given.pose_covariance, 4 * np.eye(6))
+    assert given.period == 0.1 and given.position_std == pytest.approx(2.0)
 
 
-def test_two_halves_are_one_whole(moving):
-    moving = replace(moving, velocity=np.array([0, 0, 0, 0.1, 0.2, -0.3]), period=0.1)
-    whole = moving.predicted(0.1, CONFIG)
-    halves = moving.predicted(0.04, CONFIG).predicted(0.1, CONFIG)
-    np.testing.assert_allclose(whole.T_world_camera, halves.T_world_camera, atol=1e-12)
-    np.testing.assert_allclose(whole.covariance, halves.covariance, atol=1e-12)
+def test_position_std_grows_by_velocity_and_white_acceleration(motion):
+    std = motion.predict(0.2, CONFIG).position_std
+    assert std == pytest.approx(np.sqrt(1e-3**2 + (0.3 * 0.2) ** 2 + 0.6**2 * 0.2**3 / 3), rel=1e-6)
 
 
-def test_a_motion_is_not_carried_on_for_ever(moving):
-    velocity = np.array([0, 0, 0, 0.2, 0, 0])
-    moving = replace(moving, velocity=velocity, period=1 / 30)
-    there = moving.predicted(10.0, CONFIG).T_world_camera
-    moved = np.linalg.norm(there[:3, 3] - moving.T_world_camera[:3, 3])
-    assert moved == pytest.approx(0.2 * CONFIG.longest / 30)
+def test_position_std_is_that_of_the_least_certain_direction(motion):
+    P = np.array(motion.covariance)
+    P[3:6, 3:6] = [[2.5, 1.5, 0], [1.5, 2.5, 0], [0, 0, 1]]
+    assert replace(motion, covariance=P).position_std == pytest.approx(2.0)
 
 
-def test_informations_add_and_the_velocity_learns_its_share(moving):
-    predicted = moving.predicted(0.1, CONFIG)
+def test_two_half_predictions_equal_one(motion):
+    motion = replace(motion, velocity=np.array([0, 0, 0, 0.1, 0.2, -0.3]), period=0.1)
+    once = motion.predict(0.1, CONFIG)
+    twice = motion.predict(0.04, CONFIG).predict(0.1, CONFIG)
+    np.testing.assert_allclose(once.T_world_camera, twice.T_world_camera, atol=1e-12)
+    np.testing.assert_allclose(once.covariance, twice.covariance, atol=1e-12)
+
+
+def test_extrapolation_is_limited_in_time(motion):
+    motion = replace(motion, velocity=np.array([0, 0, 0, 0.2, 0, 0]), period=1 / 30)
+    there = motion.predict(10.0, CONFIG).T_world_camera
+    moved = np.linalg.norm(there[:3, 3] - motion.T_world_camera[:3, 3])
+    assert moved == pytest.approx(0.2 * CONFIG.max_periods / 30)
+
+
+def test_a_prediction_into_the_past_does_not_move(motion):
+    past = replace(motion, velocity=np.ones(6)).predict(-1.0, CONFIG)
+    np.testing.assert_array_equal(past.T_world_camera, motion.T_world_camera)
+    np.testing.assert_allclose(past.covariance, motion.covariance)
+
+
+def test_the_period_is_that_of_the_first_two_frames(motion):
+    assert motion.predict(0.1, CONFIG).predict(0.4, CONFIG).period == pytest.approx(0.1)
+
+
+def test_the_update_adds_information_and_corrects_the_velocity(motion):
+    predicted = motion.predict(0.1, CONFIG)
     step = np.array([0, 0, 0, 0.004, 0, 0])
-    told = predicted.told(predicted.T_world_camera @ se3_exp(step), 1e6 * np.eye(6))
+    updated = predicted.update(predicted.T_world_camera @ se3_exp(step), 1e6 * np.eye(6))
     prior = predicted.covariance[3, 3]
-    assert told.covariance[3, 3] == pytest.approx(1 / (1 / prior + 1e6))
+    assert updated.covariance[3, 3] == pytest.approx(1 / (1 / prior + 1e6))
     gain = predicted.covariance[9, 3] / prior
-    assert told.velocity[3] == pytest.approx(gain * 0.004)
-    joint = predicted.covariance[np.ix_([3, 9], [3, 9])]
-    H = np.array([[1.0, 0.0]])  # the textbook's update of a place and its velocity
-    textbook = np.linalg.inv(np.linalg.inv(joint) + H.T @ H * 1e6)
-    np.testing.assert_allclose(told.covariance[np.ix_([3, 9], [3, 9])], textbook, rtol=1e-6)
+    assert updated.velocity[3] == pytest.approx(gain * 0.004)
+    both = np.ix_([3, 9], [3, 9])  # position and velocity along one axis
+    H = np.array([[1.0, 0.0]])
+    textbook = np.linalg.inv(np.linalg.inv(predicted.covariance[both]) + H.T @ H * 1e6)
+    np.testing.assert_allclose(updated.covariance[both], textbook, rtol=1e-6)
 
 
-def test_what_frames_do_not_see_grows_in_doubt_and_the_rest_does_not(moving):
-    seen = np.diag([0, 0, 0, 1e6, 1e6, 0])  # nothing along the camera's axis
-    motion = alone = moving
+def test_unobserved_directions_grow_uncertain_and_observed_ones_do_not(motion):
+    information = np.diag([0, 0, 0, 1e6, 1e6, 0])  # nothing along the optical axis
+    observed = blind = motion
     for k in range(1, 11):
-        predicted = motion.predicted(k / 30, CONFIG)
-        motion = predicted.told(predicted.T_world_camera, seen)
-        predicted = alone.predicted(k / 30, CONFIG)
-        alone = predicted.told(predicted.T_world_camera, BLIND)
-    sigma = np.sqrt(np.diag(motion.pose_covariance)[3:])
+        predicted = observed.predict(k / 30, CONFIG)
+        observed = predicted.update(predicted.T_world_camera, information)
+        predicted = blind.predict(k / 30, CONFIG)
+        blind = predicted.update(predicted.T_world_camera, NO_INFORMATION)
+    sigma = np.sqrt(np.diag(observed.pose_covariance)[3:])
     assert max(sigma[:2]) < 1.01e-3
-    assert sigma[2] == pytest.approx(alone.spread, rel=1e-6) and sigma[2] > 0.05
+    assert sigma[2] == pytest.approx(blind.position_std, rel=1e-6) and sigma[2] > 0.05
 
 
-def test_twists_are_taken_along():
+def test_a_correction_of_the_world_moves_the_pose_alone(motion):
+    T = se3_exp(np.array([0.1, 0.2, 0.3, 1.0, 2.0, 3.0]))
+    moved = motion.transformed(T)
+    np.testing.assert_allclose(moved.T_world_camera, T @ motion.T_world_camera)
+    assert moved.covariance is motion.covariance and moved.velocity is motion.velocity
+
+
+def test_the_adjoint_transforms_twists():
     rng = np.random.default_rng(3)
     T, xi = se3_exp(rng.normal(size=6)), rng.normal(0, 0.1, 6)
     np.testing.assert_allclose(se3_log(T @ se3_exp(xi) @ invert(T)), adjoint(T) @ xi, atol=1e-12)

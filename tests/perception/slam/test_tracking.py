@@ -1,4 +1,4 @@
-"""Tracking from disturbed starts, occlusion, outcasts, and what the pixels are."""
+"""Tracking from disturbed poses, with moved and truncated objects, and the information of a frame."""
 
 from dataclasses import replace
 
@@ -8,153 +8,160 @@ import pytest
 from perception.geometry import se3_exp
 from perception.inference.problem import FitState
 from perception.rendering.pose import ObjectPose, object_by_camera
-from perception.slam.landmarks import own_doubt
-from perception.slam.pixels import SelectionConfig, label_image, select_pixels
-from perception.slam.tracking import TrackingConfig, track
-from perception.types import CameraIntrinsics, ObjectDetection, RgbdFrame
+from perception.slam.landmarks import fit_covariance
+from perception.slam.pixels import TrackingPixels, select_pixels
+from perception.slam.tracking import TrackedPose, TrackingConfig, track
 
-
-def observe(cylinders, T, T_start):
-    frame, detections, shown = cylinders.look(T)
-    labels = label_image(detections, frame.depth.shape)
-    landmark_of = {k + 1: one for k, one in enumerate(shown)}
-    return select_pixels(frame, labels, landmark_of, T_start, cylinders.plane, SelectionConfig())
+WEAK_PRIOR = TrackingConfig(rotation_sigma=np.radians(4.0), translation_sigma=0.04)
 
 
 @pytest.fixture
-def T_true(scenes):
-    return scenes.orbit((0, 0.03, 0.03), 0.55, 45, 20)
+def pixels(cylinders, observe, T_view):
+    return select_pixels(observe(T_view), cylinders.plane)
+
+
+def position_error(found, T):
+    return np.linalg.norm(found.T_world_camera[:3, 3] - T[:3, 3])
 
 
 @pytest.mark.parametrize("seed", range(4))
-def test_finds_the_pose_from_a_disturbed_start(cylinders, T_true, seed):
+def test_finds_the_pose_from_a_disturbed_start(cylinders, observe, T_view, seed):
     rng = np.random.default_rng(seed)
-    off = np.concatenate([rng.normal(0, np.radians(0.8), 3), rng.normal(0, 0.008, 3)])
-    T_start = T_true @ se3_exp(off)
-    config = TrackingConfig(iterations=8, use_plane=False).loosened(5.0)
-    found = track(cylinders.map(), observe(cylinders, T_true, T_start), T_start, config)
-    assert np.linalg.norm(found.T_world_camera[:3, 3] - T_true[:3, 3]) < 0.003
-    assert found.share > 0.9 and len(found.used) == 5
+    error = np.concatenate([rng.normal(0, np.radians(0.8), 3), rng.normal(0, 0.008, 3)])
+    T_start = T_view @ se3_exp(error)
+    pixels = select_pixels(observe(T_view).with_pose(T_start), cylinders.plane)
+    config = replace(WEAK_PRIOR, iterations=8, use_plane=False)
+    found = track(cylinders.map(), pixels, T_start, config)
+    assert position_error(found, T_view) < 0.003
+    assert found.median_inlier_ratio > 0.9 and len(found.used) == 5
+    np.testing.assert_allclose(
+        found.T_world_camera[:3, :3] @ found.T_world_camera[:3, :3].T, np.eye(3), atol=1e-12
+    )
 
 
-def test_the_plane_holds_what_it_can(cylinders, T_true):
-    T_start = T_true @ se3_exp(np.array([0.01, 0.01, 0, 0, 0.005, 0.01]))
-    pixels = observe(cylinders, T_true, T_start)
-    found = track(cylinders.map(), pixels, T_start, TrackingConfig(iterations=6).loosened(5.0))
-    normal, true_normal = found.T_world_camera[2, :3], T_true[2, :3]
-    assert np.degrees(np.arccos(np.clip(normal @ true_normal, -1, 1))) < 0.05
-    assert abs(found.T_world_camera[2, 3] - T_true[2, 3]) < 5e-4
+def test_a_strong_prior_holds_the_predicted_pose(cylinders, T_view, pixels):
+    T_start = T_view @ se3_exp(np.array([0, 0, 0, 0.01, 0, 0]))
+    held = track(cylinders.map(), pixels, T_start, TrackingConfig(), prior=1e12 * np.eye(6))
+    assert position_error(held, T_start) < 1e-5
+    config = TrackingConfig(iterations=8)
+    by_config, given = (
+        track(cylinders.map(), pixels, T_start, config, prior=prior)
+        for prior in (None, np.diag(np.repeat([np.radians(0.8) ** -2, 0.008**-2], 3)))
+    )
+    np.testing.assert_allclose(by_config.T_world_camera, given.T_world_camera)
 
 
-def test_an_object_that_was_moved_is_left_out(cylinders, T_true):
+def test_the_plane_determines_tilt_and_height(cylinders, observe, T_view):
+    T_start = T_view @ se3_exp(np.array([0.01, 0.01, 0, 0, 0.005, 0.01]))
+    pixels = select_pixels(observe(T_view).with_pose(T_start), cylinders.plane)
+    found = track(cylinders.map(), pixels, T_start, replace(WEAK_PRIOR, iterations=6))
+    cosine = found.T_world_camera[2, :3] @ T_view[2, :3]
+    assert np.degrees(np.arccos(np.clip(cosine, -1, 1))) < 0.05
+    assert abs(found.T_world_camera[2, 3] - T_view[2, 3]) < 5e-4
+
+
+def test_a_moved_object_is_not_used(cylinders, T_view, pixels):
     world = cylinders.map()
-    one = world.landmarks[0]
-    pose = ObjectPose(
-        one.state.pose.rotation, one.state.pose.translation + np.array((0.04, 0.02, 0)), one.state.pose.scale
-    )
-    world = world.with_landmarks(one.with_state(FitState(pose, one.state.code)))
-    found = track(world, observe(cylinders, T_true, T_true), T_true, TrackingConfig(iterations=6))
-    assert 0 not in found.used and found.shares[0] < 0.5 and found.share_of_used > 0.8
-    assert np.linalg.norm(found.T_world_camera[:3, 3] - T_true[:3, 3]) < 0.003
+    landmark = world.landmarks[0]
+    pose = landmark.state.pose
+    moved = ObjectPose(pose.rotation, pose.translation + np.array((0.04, 0.02, 0)), pose.scale)
+    world = world.with_landmarks(landmark.with_state(FitState(moved, landmark.state.code)))
+    found = track(world, pixels, T_view, TrackingConfig(iterations=6))
+    assert found.used == {1, 2, 3, 4} and found.inlier_ratios[0] < 0.5
+    assert found.median_inlier_ratio_of_used > 0.8
+    assert position_error(found, T_view) < 0.003
+    tolerant = track(world, pixels, T_view, TrackingConfig(iterations=6, inlier_ratio_min=0.0))
+    assert 0 in tolerant.used
 
 
-def test_nothing_seen_is_no_pose_to_believe(cylinders, T_true):
-    pixels = observe(cylinders, T_true, T_true)
-    empty = type(pixels)(*(values[:0] for values in vars(pixels).values()))
-    found = track(cylinders.map(), empty, T_true, TrackingConfig())
-    assert found.share == 0 and not found.used
-    np.testing.assert_allclose(found.T_world_camera, T_true, atol=1e-9)
+def test_excluded_landmarks_are_judged_but_not_used(cylinders, T_view, pixels):
+    found = track(cylinders.map(), pixels, T_view, TrackingConfig(), frozenset({1, 2}))
+    assert found.used == {0, 3, 4} and set(found.inlier_ratios) == {0, 1, 2, 3, 4}
+    everything = frozenset(range(5))
+    assert track(cylinders.map(), pixels, T_view, TrackingConfig(), everything).used == everything
 
 
-def test_information_says_how_well_the_pose_is_held(cylinders, T_true):
-    both = track(cylinders.map(), observe(cylinders, T_true, T_true), T_true, TrackingConfig())
-    alone = track(
-        cylinders.map(), observe(cylinders, T_true, T_true), T_true, TrackingConfig(use_plane=False)
-    )
-    assert np.linalg.eigvalsh(alone.information)[0] < np.linalg.eigvalsh(both.information)[0]
+def test_without_pixels_the_prediction_remains(cylinders, T_view, pixels):
+    empty = TrackingPixels(*(values[:0] for values in vars(pixels).values()))
+    found = track(cylinders.map(), empty, T_view, TrackingConfig())
+    assert found.median_inlier_ratio == 0 and not found.used and not found.information.any()
+    np.testing.assert_allclose(found.T_world_camera, T_view, atol=1e-9)
 
 
-def test_a_landmark_tells_no_more_of_the_pose_than_of_itself(cylinders, T_true):
-    pixels = observe(cylinders, T_true, T_true)
-    config, sure, vague = TrackingConfig(use_plane=False), 1e-9 * np.eye(6), own_doubt(cut=True)
+def test_pixels_of_unknown_landmarks_are_ignored(cylinders, T_view, pixels):
+    found = track(cylinders.map().without({3}), pixels, T_view, TrackingConfig())
+    assert 3 not in found.used | set(found.inlier_ratios)
 
-    def information(doubt):
+
+def test_median_inlier_ratios():
+    ratios = {1: 0.2, 2: 0.9, 3: 0.7}
+    found = TrackedPose(np.eye(4), ratios, frozenset({2, 3}), np.eye(6))
+    assert found.median_inlier_ratio == 0.7 and found.median_inlier_ratio_of_used == pytest.approx(0.8)
+    assert replace(found, used=frozenset()).median_inlier_ratio_of_used == 0
+
+
+def test_landmarks_with_few_pixels_are_not_judged(cylinders, T_view, pixels):
+    n = {id: int((pixels.is_object & (pixels.landmark_ids == id)).sum()) for id in range(5)}
+    few = min(n.values())
+    assert len(track(cylinders.map(), pixels, T_view, TrackingConfig(min_pixels=few)).inlier_ratios) == 5
+    ratios = track(cylinders.map(), pixels, T_view, TrackingConfig(min_pixels=few + 1)).inlier_ratios
+    assert set(ratios) == {id for id in n if n[id] > few}
+
+
+def test_the_plane_adds_information(cylinders, T_view, pixels):
+    both = track(cylinders.map(), pixels, T_view, TrackingConfig(iterations=0)).information
+    config = TrackingConfig(iterations=0, use_plane=False)
+    alone = track(cylinders.map(), pixels, T_view, config).information
+    assert np.linalg.eigvalsh(both - alone)[0] > -1e-6 * np.trace(both)
+    assert np.linalg.eigvalsh(alone)[0] < np.linalg.eigvalsh(both)[0]
+
+
+def test_information_is_bounded_by_that_on_the_landmarks(cylinders, T_view, pixels):
+    config, exact, vague = TrackingConfig(use_plane=False), 1e-9 * np.eye(6), fit_covariance(truncated=True)
+
+    def information(covariance):
         world = cylinders.map()
-        world = world.with_landmarks(*(replace(one, doubt=doubt) for one in world.landmarks.values()))
-        return track(world, pixels, T_true, config).information
+        world = world.with_landmarks(*(replace(x, covariance=covariance) for x in world.landmarks.values()))
+        return track(world, pixels, T_view, config).information
 
-    plain, shared = information(sure), information(vague)
-    assert np.linalg.eigvalsh(plain - shared)[0] > -1e-6 * np.trace(plain)
-    known = np.zeros((6, 6))
-    for one in cylinders.map().landmarks.values():
-        by_camera = object_by_camera(one.state.pose, T_true)
-        known += by_camera.T @ np.linalg.inv(vague) @ by_camera
-    assert np.linalg.eigvalsh(known - shared)[0] > -1e-6 * np.trace(known)
-
-
-def test_a_landmark_is_known_as_the_camera_that_saw_it(cylinders, T_true):
-    landmark = cylinders.landmark(1)
-    shift = np.diag([0, 0, 0, 4e-6, 4e-6, 4e-6])
-    assert landmark.seen_from(T_true, shift) - own_doubt(False) == pytest.approx(shift)
-    turn = np.diag([1e-4, 1e-4, 1e-4, 0, 0, 0])
-    doubt = landmark.seen_from(T_true, turn) - own_doubt(False)
-    away = np.linalg.norm(landmark.state.pose.translation - T_true[:3, 3])
-    assert np.trace(doubt[3:, 3:]) == pytest.approx(2e-4 * away**2)  # two of three axes move it, by the lever
-    assert np.trace(own_doubt(True)) > np.trace(own_doubt(False))
+    of_exact, of_vague = information(exact), information(vague)
+    assert np.linalg.eigvalsh(of_exact - of_vague)[0] > -1e-6 * np.trace(of_exact)
+    bound = np.zeros((6, 6))
+    for landmark in cylinders.map().landmarks.values():
+        by_camera = object_by_camera(landmark.state.pose, T_view)
+        bound += by_camera.T @ np.linalg.inv(vague) @ by_camera
+    assert np.linalg.eigvalsh(bound - of_vague)[0] > -1e-6 * np.trace(bound)
 
 
-def test_pixels_keep_off_borders_and_rings_off_other_objects(cylinders, T_true):
-    frame, detections, shown = cylinders.look(T_true, noise=0.0)
-    labels = label_image(detections, frame.depth.shape)
-    config = SelectionConfig()
-    pixels = select_pixels(frame, labels, {1: shown[0]}, T_true, cylinders.plane, config)
-    assert set(pixels.owner) == {shown[0]}
-    assert pixels.is_object.sum() <= config.on_object and (~pixels.is_object).sum() <= config.in_ring
-    k = frame.intrinsics
-    u = np.rint(pixels.directions[:, 0] * k.fx + k.cx).astype(int)
-    v = np.rint(pixels.directions[:, 1] * k.fy + k.cy).astype(int)
-    for row, column, inside in zip(v, u, pixels.is_object):
-        patch = labels[max(row - 1, 0) : row + 2, max(column - 1, 0) : column + 2]
-        assert (patch == (1 if inside else 0)).all()
-    heights = pixels.plane_points @ T_true[2, :3] + T_true[2, 3]
-    assert np.abs(heights).max() < 1e-3
+def test_weights_scale_the_information(cylinders, T_view, pixels):
+    """With exactly known landmarks the information is J^T W J, and W follows the weights of the config."""
+    world = cylinders.map()
+    exact = (replace(x, covariance=1e-12 * np.eye(6)) for x in world.landmarks.values())
+    world = world.with_landmarks(*exact)
+    config = TrackingConfig(use_plane=False, use_uncertainty=False, iterations=0, huber=1e6)
+
+    def trace(pixels=pixels, **changes):
+        return np.trace(track(world, pixels, T_view, replace(config, **changes)).information)
+
+    reference = trace()
+    assert trace(data_weight=0.1) == pytest.approx(2 * reference, rel=1e-3)
+    assert trace(depth_sigma=0.006) == pytest.approx(reference / 4, rel=1e-3)
+    assert trace(use_uncertainty=True) < 0.9 * reference
+    assert trace(huber=0.01) < 0.5 * reference
+    ring = trace(pixels.subset(~pixels.is_object), background_weight=1.0)
+    own = trace(pixels.subset(pixels.is_object))
+    assert reference == pytest.approx(own + 0.2 * ring, rel=1e-3)
 
 
-def test_smaller_masks_win_where_labels_overlap():
-    big, small = np.zeros((8, 8), bool), np.zeros((8, 8), bool)
-    big[1:7, 1:7], small[3:5, 3:5] = True, True
-    labels = label_image([ObjectDetection("mug", 1.0, small), ObjectDetection("mug", 1.0, big)], (8, 8))
-    assert labels[4, 4] == 1 and labels[1, 1] == 2 and labels[0, 0] == 0
+def test_truncated_landmarks_weigh_less_while_enough_others_are_used(cylinders, T_view, pixels):
+    world = cylinders.map()
 
-
-def test_larger_images_give_the_same_pixels_from_every_second_one(cylinders, T_true):
-    frame, detections, _ = cylinders.look(T_true, noise=0.0)
-    k, labels = frame.intrinsics, label_image(detections, frame.depth.shape)
-    double = CameraIntrinsics(2 * k.width, 2 * k.height, 2 * k.fx, 2 * k.fy, 2 * k.cx, 2 * k.cy)
-    large = RgbdFrame(
-        0.0,
-        *(np.repeat(np.repeat(image, 2, axis=0), 2, axis=1) for image in (frame.rgb, frame.depth)),
-        double,
-    )
-    large_labels = np.repeat(np.repeat(labels, 2, axis=0), 2, axis=1)
-    small, big = (
-        select_pixels(image, shown, {1: 0, 2: 1}, T_true, cylinders.plane, SelectionConfig())
-        for image, shown in ((frame, labels), (large, large_labels))
-    )
-    np.testing.assert_allclose(big.directions, small.directions, atol=1e-12)
-    np.testing.assert_array_equal(big.depth, small.depth)
-    np.testing.assert_allclose(big.plane_points, small.plane_points, atol=1e-9)
-
-
-def test_objects_that_began_cut_count_less_while_enough_others_hold(cylinders, T_true):
-    world, pixels = cylinders.map(), observe(cylinders, T_true, T_true)
-
-    def information(cut):
-        changed = world.with_landmarks(*(replace(world.landmarks[one], cut=True) for one in cut))
-        found = track(changed, pixels, T_true, TrackingConfig(use_plane=False))
+    def information(*truncated):
+        changed = world.with_landmarks(*(replace(world.landmarks[id], truncated=True) for id in truncated))
+        found = track(changed, pixels, T_view, TrackingConfig(use_plane=False))
         assert len(found.used) == 5
         return np.trace(found.information)
 
-    whole = information([])
-    assert information([0]) < 0.95 * whole
-    assert information([0, 1, 2]) == pytest.approx(whole, rel=1e-6)  # two others are not enough
+    complete = information()
+    assert information(0) < 0.95 * complete and information(0, 1) < 0.95 * complete
+    assert information(0, 1, 2) == pytest.approx(complete, rel=1e-6)  # only two others
