@@ -1,4 +1,4 @@
-"""Scenes with known answers: solids on a plane rendered in closed form, and a decoder of cylinders to map them."""
+"""Scenes with known answers: solids on a plane rendered in closed form, and a decoder of cylinders."""
 
 from __future__ import annotations
 

@@ -22,7 +22,7 @@ def test_schur_solves_the_complete_damped_system(objects, cameras):
     equations = NormalEquations(
         cameras=H[:c, :c],
         objects=np.array([H[s, s] for s in at]).reshape(-1, n, n),
-        coupling=np.array([H[s, :c] for s in at]).reshape(-1, n, c),
+        coupling=np.array([H[s, :c] for s in at]).reshape(objects, n, c),
         gradient_cameras=g[:c],
         gradient_objects=np.array([g[s] for s in at]).reshape(-1, n),
     )
