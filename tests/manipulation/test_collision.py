@@ -3,9 +3,9 @@ import pytest
 
 from manipulation.collision import AllowedContacts, Body, CollisionConfig, CollisionWorld, Contact, densify
 from manipulation.errors import ManipulationError
-from manipulation.hulls import convex_pieces, hull_faces, reduced_hull
+from manipulation.hulls import convex_pieces
 from manipulation.kinematics import Kinematics
-from manipulation.obstacles import BOX_FLOOR, TABLE, box_obstacles
+from manipulation.obstacles import TABLE, box_obstacles
 from manipulation.standing import to_standing
 from manipulation.types import Box
 
@@ -99,38 +99,31 @@ def test_path_through_a_bottle_is_blocked_though_its_ends_are_free(world, kinema
     assert world.path_contact(np.stack([start, end]), WIDTH) == Contact("arm", "bottle_2")
 
 
-def test_box_walls_stand_around_the_inside():
-    parts = {part.name: part for part in box_obstacles(Box(center=(0.5, 0.2), size=(0.3, 0.2, 0.08)))}
-    assert len(parts) == 5
-    assert parts["box_wall_x_far"].center[0] - parts["box_wall_x_far"].half_size[0] == pytest.approx(0.65)
-    assert parts["box_wall_y_near"].center[1] + parts["box_wall_y_near"].half_size[1] == pytest.approx(0.1)
-    assert 2 * parts["box_wall_x_far"].half_size[2] == pytest.approx(0.084)
-    assert 2 * parts[BOX_FLOOR].half_size[2] == pytest.approx(0.004)
-
-
-def test_mug_has_body_and_handle_as_pieces(shapes):
-    body_piece, handle = convex_pieces(to_standing(shapes.estimate(1, "mug", shapes.mug())))
-    assert body_piece[:, 0].max() < 0.042 and handle[:, 0].max() > 0.06
-    assert len(body_piece) <= 96
-
-
-def test_hull_of_a_sphere_is_thinned_and_wound_outwards():
-    directions = np.random.default_rng(0).normal(size=(3000, 3))
-    corners = reduced_hull(directions / np.linalg.norm(directions, axis=1, keepdims=True), limit=48)
-    assert 40 <= len(corners) <= 96
-    a, b, c = (corners[hull_faces(corners).reshape(-1, 3)[:, i]] for i in range(3))
-    volume = np.einsum("ij,ij->i", a, np.cross(b, c)).sum() / 6
-    assert 0.85 * 4.19 < volume < 4.19
-
-
-def test_flat_meshes_and_unknown_names_are_errors(world):
-    with pytest.raises(ManipulationError, match="flat or too small"):
-        reduced_hull(np.zeros((8, 3)))
-    with pytest.raises(ManipulationError, match=r"no object 'mug_9'.*can_1, bottle_2, mug_3"):
-        world.move("mug_9", np.eye(4))
-
-
 def test_densify_keeps_the_ends_and_the_step():
     path = densify(np.array([[0.0, 0.0], [0.1, 0.0], [0.1, 0.31]]), 0.05)
     assert np.abs(np.diff(path, axis=0)).max() <= 0.05 + 1e-12
     assert path[0] == pytest.approx([0, 0]) and path[-1] == pytest.approx([0.1, 0.31])
+
+
+def test_unknown_names_are_errors(world):
+    with pytest.raises(ManipulationError, match=r"no object 'mug_9'.*can_1, bottle_2, mug_3"):
+        world.move("mug_9", np.eye(4))
+
+
+def test_the_carried_object_is_checked_with_the_configured_margin(arm, shapes, kinematics):
+    """The can's base is 10 cm below the TCP: 3 mm above the table it is within a margin of 4 mm."""
+    bodies = [body(shapes, 1, "can", shapes.can(0.033, 0.12), 0.5, -0.3)]
+    world = CollisionWorld(arm, bodies, [TABLE], CollisionConfig(carried_margin=0.004))
+    T_tcp_stand = np.diag([1.0, -1.0, -1.0, 1.0])
+    T_tcp_stand[2, 3] = 0.1
+    world.carry("can_1", T_tcp_stand)
+    assert world.contact(above(kinematics, 0.5, 0.0, 0.1035), 0.06) == Contact("can_1", "table")
+    assert world.contact(above(kinematics, 0.5, 0.0, 0.1045), 0.06) is None
+
+
+def test_carrying_another_object_returns_the_first_to_its_last_pose(world, kinematics):
+    world.carry("can_1", np.eye(4))
+    world.carry("bottle_2", np.eye(4))
+    np.testing.assert_allclose(world.pose("can_1")[:3, 3], (0.5, -0.3, 0.0), atol=1e-3)
+    world.release()
+    assert world.contact(above(kinematics, 0.5, -0.3, 0.06), WIDTH) == Contact("arm", "can_1")

@@ -1,0 +1,42 @@
+from collections import Counter
+
+import pytest
+
+from manipulation.grasps import grasp_candidates
+from manipulation.standing import to_standing
+from manipulation.types import Box, GraspSet, Line
+
+
+def standing(shapes, category, mesh, **where):
+    return to_standing(shapes.estimate(1, category, mesh, **where))
+
+
+def test_box_height_is_the_floor_and_the_depth():
+    assert Box(size=(0.3, 0.2, 0.1), floor=0.006).top == pytest.approx(0.106)
+
+
+def test_length_and_direction_of_a_line():
+    line = Line((0.1, 0.2), (-0.2, 0.6))
+    assert line.length == pytest.approx(0.5)
+    assert line.direction == pytest.approx([-0.6, 0.8])
+
+
+def test_top_of_an_object_is_its_highest_vertex(shapes):
+    assert standing(shapes, "can", shapes.can(height=0.11)).top == pytest.approx(0.11)
+
+
+def test_failure_message_lists_the_four_most_frequent_reasons():
+    reasons = Counter({"too low": 3, "too wide": 9, "too tapered": 4, "at the handle": 2, "other": 1})
+    found = GraspSet((), reasons)
+    assert found.n_candidates == 19
+    assert found.failure_message("can_1") == (
+        "No grasp for can_1: of 19 candidates, 9 too wide, 4 too tapered, 3 too low, 2 at the handle; "
+        "exclude it or use a wider gripper"
+    )
+
+
+def test_failure_message_of_a_can_that_is_too_wide(shapes):
+    found = grasp_candidates(standing(shapes, "can", shapes.can(radius=0.05)))
+    assert found.failure_message("can_1") == (
+        "No grasp for can_1: of 60 candidates, 60 too wide for 0.08 m; exclude it or use a wider gripper"
+    )
