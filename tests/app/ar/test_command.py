@@ -14,9 +14,8 @@ import trimesh
 from PIL import Image
 
 from app.ar.command import build_stage
-from app.ar.composite import DARKEST, Backdrop, composite, shadow_of, visible_toys
+from app.ar.composite import DARKEST, Backdrop, shadow_of
 from app.ar.drop import plan_drops, rim_radius
-from app.ar.surroundings import CELL, clutter, support_frame
 from app.cli import run
 from app.options import ArOptions
 from app.runs.finished_run import read_run, tracked_frames
@@ -25,7 +24,7 @@ from perception.io.object_map import write_object_map
 from perception.io.recordings.trajectory import Trajectory, write_trajectory
 from perception.io.scan_folder import write_scan
 from perception.types import CameraIntrinsics, ObjectEstimate, RgbdFrame, SupportPlane
-from sim_assets.cell.drop_world import DropWorld, Rendering, StaticObject, Toy, View
+from sim_assets.cell.drop_world import DropWorld, StaticObject, Toy, View
 from sim_assets.objects.convex.perceived_mesh import measure, perceived_pieces
 from sim_assets.rendering.camera import look_at
 
@@ -96,37 +95,6 @@ def test_a_toy_appears_in_the_pixel_its_place_projects_to_and_casts_a_shadow() -
     assert not bare.toys.any() and bare.depth.max() == pytest.approx(0.5, abs=2e-3)
     shadow = shadow_of(Backdrop.of(table_frame(ABOVE), bare), now)
     assert DARKEST <= shadow.min() < 0.9 and (shadow > 0.99).mean() > 0.8  # the ball hides most of it
-
-
-def test_measured_depth_hides_what_lies_behind_it() -> None:
-    toys = np.zeros((LENS.height, LENS.width), bool)
-    toys[40:80, 60:100] = True
-    white = np.full((LENS.height, LENS.width, 3), 255, np.uint8)
-    red = np.where(toys[..., None], np.array([255, 0, 0], np.uint8), white)
-    near, far = np.full(toys.shape, 0.4, np.float32), np.full(toys.shape, 0.6, np.float32)
-    frame = table_frame(ABOVE)
-    backdrop = Backdrop.of(frame, Rendering(white, far, np.zeros_like(toys)))
-    assert (visible_toys(backdrop, Rendering(red, near, toys)) == toys).all()
-    assert not visible_toys(backdrop, Rendering(red, far, toys)).any()
-    shown, hidden = (composite(backdrop, Rendering(red, depth, toys)) for depth in (near, far))
-    np.testing.assert_allclose(shown[60, 80], (255, 0, 0), atol=2)
-    np.testing.assert_array_equal(hidden[60, 80], frame.rgb[60, 80])
-    np.testing.assert_array_equal(shown[5, 5], frame.rgb[5, 5])
-
-
-def test_unknown_things_on_the_table_are_obstacles_and_objects_are_not(standing: Standing) -> None:
-    estimate = standing("can", 0, (0.0, 0.0))
-    frame = table_frame(ABOVE, lift=0.08)
-    T = support_frame([estimate], SupportPlane())
-    field = clutter([frame], [estimate], T)
-    assert field.heights.max() == pytest.approx(0.08, abs=1e-3)
-    middle = field.heights.shape[0] // 2
-    assert field.heights[middle, middle] == 0
-    row, column = np.nonzero(field.heights)
-    x, y = (column - middle) * CELL + T[0, 3], (row - middle) * CELL + T[1, 3]
-    local = (np.stack([x, y, np.full(len(x), 0.08)], axis=1) - ABOVE[:3, 3]) @ ABOVE[:3, :3]
-    pixel = LENS.fx * local[:, :2] / local[:, 2:] + (LENS.cx, LENS.cy)
-    assert (pixel < (46, 36)).all()
 
 
 def test_a_single_image_without_pose_is_enough(tmp_path: Path, standing: Standing) -> None:

@@ -1,0 +1,57 @@
+import io
+
+import numpy as np
+from rich.console import Console
+
+from app.runs.report import ObjectReport, Report
+from app.tables import evaluation_table, object_table
+
+
+def text_of(table):
+    console = Console(file=io.StringIO(), width=200, color_system=None)
+    console.print(table)
+    return console.file.getvalue()
+
+
+def row_of(text, name):
+    return next(" ".join(line.replace("│", " ").split()) for line in text.splitlines() if name in line)
+
+
+def test_object_table():
+    report = Report(
+        "pack",
+        0,
+        timings={"total": 31.4},
+        objects=[
+            ObjectReport(0, "mug", True, 0.0042, float(np.deg2rad(1.26)), 1),
+            ObjectReport(-3, "can", False, None, None, 0, "not perceived [at all]"),
+        ],
+        metrics={"simulated_seconds": 64.2, "reconstruction": [{"id": 0, "accuracy": 0.00154}]},
+    )
+    text = text_of(object_table(report))
+    assert text.startswith("pack: not done, 1 of 2 objects in place in 31 s, 64 s of robot time")
+    assert row_of(text, "mug 0") == "✓ mug 0 4 mm 1.3° 1 1.5 mm"
+    assert row_of(text, "can (") == "✗ can (not perceived) 0 not perceived [at all]"
+
+
+def test_title_of_a_success_without_robot_time():
+    report = Report("sort", 0, True, timings={"total": 2.0})
+    assert (
+        text_of(object_table(report)).splitlines()[0].rstrip() == "sort: done, 0 of 0 objects in place in 2 s"
+    )
+
+
+def test_evaluation_table():
+    rate = {"success_rate": 0.75, "success_rate_ci": (0.3, 0.954), "n_objects": 4}
+    metrics = {
+        "success_rate": 0.5, "success_rate_ci": (0.09, 0.91), "n_episodes": 2,
+        "object_success_rate": 0.75, "object_success_rate_ci": (0.3, 0.954), "n_objects": 4,
+        "per_class": {"mug": rate}, "failures": {"mug: toppled": 1},
+    }  # fmt: skip
+    text = text_of(evaluation_table(Report("evaluate tasks", 0, reason="2 of 2 episodes", metrics=metrics)))
+    assert row_of(text, "episodes complete") == "episodes complete 50 % 9 to 91 % 2"
+    assert row_of(text, "objects in place") == "objects in place 75 % 30 to 95 % 4"
+    assert row_of(text, "  mug ") == "mug 75 % 30 to 95 % 4"
+    assert row_of(text, "toppled") == "1 mug: toppled"
+    clean = text_of(evaluation_table(Report("evaluate tasks", 0, metrics=metrics | {"failures": {}})))
+    assert "failures" not in clean
