@@ -5,7 +5,7 @@ import pytest
 from scipy.spatial.transform import Rotation
 
 from manipulation.errors import ManipulationError
-from manipulation.kinematics import Kinematics
+from manipulation.kinematics import IkConfig, Kinematics
 
 
 @pytest.fixture(scope="module")
@@ -89,3 +89,50 @@ def test_targets_that_are_no_poses_are_refused_by_name(kinematics, arm, bad):
 def test_no_seed_is_an_error_that_names_the_target(kinematics):
     with pytest.raises(ManipulationError, match=r"no start posture.*can_1"):
         kinematics.inverse(np.eye(4), [], name="can_1")
+
+
+def test_both_limits_of_every_joint_bound_the_interval(kinematics):
+    middle = 0.5 * (kinematics.lower + kinematics.upper)
+    assert kinematics.within_limits(middle)
+    for joint in range(7):
+        for bound, sign in ((kinematics.lower, -1), (kinematics.upper, 1)):
+            q = middle.copy()
+            q[joint] = bound[joint] - sign * 0.02
+            assert kinematics.within_limits(q) and kinematics.within_limits(q, margin=0.019)
+            assert not kinematics.within_limits(q, margin=0.021)
+            assert kinematics.limit_distance(q) == pytest.approx(0.02)
+            q[joint] = bound[joint] + sign * 0.02
+            assert not kinematics.within_limits(q)
+            assert kinematics.limit_distance(q) == pytest.approx(-0.02)
+
+
+def test_joint_limits_are_those_of_the_model(kinematics):
+    assert kinematics.lower == pytest.approx([-2.8973, -1.7628, -2.8973, -3.0718, -2.8973, -0.0175, -2.8973])
+    assert kinematics.upper == pytest.approx([2.8973, 1.7628, 2.8973, -0.0698, 2.8973, 3.7525, 2.8973])
+
+
+def test_convergence_needs_position_and_rotation(arm):
+    """With no iterations the status is that of the seed: 0.5 mrad and 2 mrad about the TCP."""
+    kinematics = Kinematics(arm, IkConfig(max_iterations=0))
+    T = kinematics.forward(arm.q_home)
+    for angle, status in ((5e-4, "converged"), (2e-3, "not_converged")):
+        turned = T.copy()
+        turned[:3, :3] = T[:3, :3] @ Rotation.from_rotvec([angle, 0, 0]).as_matrix()
+        result = kinematics.inverse(turned, [arm.q_home])
+        assert result.status == status and result.rotation_error == pytest.approx(angle, rel=1e-3)
+    for shift, status in ((5e-5, "converged"), (2e-4, "not_converged")):
+        moved = T.copy()
+        moved[0, 3] += shift
+        result = kinematics.inverse(moved, [arm.q_home])
+        assert result.status == status and result.position_error == pytest.approx(shift, rel=1e-3)
+
+
+def test_seeds_are_home_toward_the_target_another_wrist_and_random_ones(kinematics, arm):
+    T = top_down(0.3, 0.4, 0.1)
+    seeds = kinematics.seeds_toward(T)
+    assert len(seeds) == 4 and len(kinematics.seeds_toward(T, 2)) == 2
+    azimuth = np.arctan2(0.4, 0.3)
+    np.testing.assert_allclose(seeds[0], arm.q_home + np.array([azimuth, 0, 0, 0, 0, 0, 0]), atol=1e-5)
+    np.testing.assert_allclose(seeds[1] - seeds[0], [0, 0, 0, 0, 0, 0, -np.pi / 2], atol=1e-12)
+    assert 0.1 < np.abs(np.stack(seeds[2:]) - seeds[0]).mean() < 1.0
+    np.testing.assert_array_equal(seeds[2], kinematics.seeds_toward(T)[2])

@@ -8,9 +8,10 @@ from hypothesis import strategies as st
 from manipulation.errors import PlanningError
 from manipulation.footprints import BoxRaster, footprint
 from manipulation.grasps import grasp_candidates
-from manipulation.nesting import nests, radial_profile, stack_bowls
-from manipulation.packing import PackingConfig, pack
+from manipulation.nesting import nest_heights, nests, radial_profile, stack_bowls
+from manipulation.packing import PackingConfig, admissible_yaws, nest_drop, pack
 from manipulation.release_clearance import ReleasePose, count_free_releases
+from manipulation.robot import GripperGeometry
 from manipulation.standing import to_standing
 from manipulation.types import Box
 
@@ -138,3 +139,37 @@ def test_what_is_lower_than_the_walls_stands_away_from_them(shapes):
     grasps = grasp_candidates(can).grasps
     assert count_free_releases(raster, grasps, ReleasePose(corner, 0.0, placement.position[2] + 0.003)) == 0
     assert count_free_releases(raster, grasps, ReleasePose(position, 0.0, placement.position[2] + 0.003)) > 0
+
+
+def test_admissible_yaws_of_each_kind(shapes):
+    mug, can, flat = items_of(
+        shapes, ("mug", shapes.mug()), ("can", shapes.can()), ("bottle", shapes.flat_bottle())
+    )
+    assert admissible_yaws(mug, 0.3) == (0.3,)
+    assert admissible_yaws(flat, 0.3) == pytest.approx((0.3, 0.3 + np.pi))
+    assert np.diff(admissible_yaws(can, 0.3)) == pytest.approx(np.full(15, np.pi / 8))
+
+
+def test_nested_bowls_are_released_with_the_finger_above_all_rims(shapes):
+    large, small = items_of(
+        shapes, ("bowl", shapes.bowl(0.075, 0.06, slope=0.3)), ("bowl", shapes.bowl(0.055, 0.045, slope=0.3))
+    )
+    hand = GripperGeometry()
+    lift = nest_heights([large, small])[1]
+    for depth in (0.010, 0.015):
+        fingertip = lift + small.top - depth - hand.tip
+        expected = large.top - fingertip + 0.006
+        assert nest_drop([large, small], depth, CONFIG, hand) == pytest.approx(expected)
+    assert nest_drop([large, small], 0.1, CONFIG, hand) == CONFIG.max_drop
+    assert nest_drop([small, large], -0.1, CONFIG, hand) == CONFIG.release_height
+
+
+def test_objects_keep_the_gap_from_each_other_and_the_wall_gap(shapes):
+    box = Box(size=(0.16, 0.1, 0.08))
+    cans = items_of(shapes, *[("can", shapes.can(0.033, 0.12))] * 2)
+    placements, left_out = pack(cans, box, PackingConfig(gaps=(0.016, 0.004), wall_gaps=(0.004,)))
+    assert not left_out
+    first, second = (np.array(p.position[:2]) - box.center for p in placements)
+    assert np.linalg.norm(first - second) >= 0.066 + 0.004 - 1e-9
+    for position in (first, second):
+        assert (np.abs(position) <= np.array([0.08, 0.05]) - 0.004 - 0.033 + 0.005).all()

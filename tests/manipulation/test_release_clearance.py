@@ -1,13 +1,15 @@
 from dataclasses import replace
 
 import numpy as np
+import pytest
 
 from manipulation.footprints import BoxRaster, Stencil, footprint
+from manipulation.grasp_config import tcp_pose
 from manipulation.grasps import grasp_candidates
 from manipulation.release_clearance import ReleasePose, count_free_releases
 from manipulation.robot import GripperGeometry
 from manipulation.standing import to_standing
-from manipulation.types import Box
+from manipulation.types import Box, Grasp
 
 
 def items_of(shapes, *kinds):
@@ -40,3 +42,54 @@ def test_a_tilted_hand_reaches_lower_on_one_side(shapes):
     assert 0 < count_free_releases(raster, grasps, ReleasePose(in_the_corner, 0.0, 0.004)) < 0.6 * len(grasps)
     outwards = [grasp for grasp in grasps if np.cos(grasp.azimuth - np.pi / 4) > 0.8]
     assert count_free_releases(raster, outwards, ReleasePose(in_the_corner, 0.0, 0.004)) == 0
+
+
+def grasp_at(height, opening):
+    """A vertical grasp on the axis with the closing direction along y and the TCP at a height."""
+    T = tcp_pose(np.array([0.0, 0.0, height]), np.array([0.0, 0.0, -1.0]), np.array([0.0, 1.0, 0.0]))
+    return Grasp("top", T, np.array([0.0, 0.0, 1.0]), 0.08, 0.03, (0.01, 0.07), opening, 0.02, 0.0, 1.0)
+
+
+def raster_with_post(x, y, height):
+    """A large empty box with a post of 10 mm at a point."""
+    raster = BoxRaster(Box(size=(0.6, 0.6, 0.08)), 0.0)
+    i, j = (int(np.argmin(np.abs(axis - value))) for axis, value in ((raster.x, x), (raster.y, y)))
+    raster.heights[i - 1 : i + 2, j - 1 : j + 2] = height
+    return raster
+
+
+HAND = GripperGeometry()
+ORIGIN = ReleasePose(np.zeros(2), 0.0, 0.0)
+
+
+@pytest.mark.parametrize("side", [-1, 1])
+def test_each_finger_is_above_the_scene(side):
+    """At an opening of 40 mm the fingers are 20 to 40.5 mm from the axis, their tips 9.5 mm below the TCP."""
+    grasp = grasp_at(0.1, 0.04)
+    clear = 0.1 - HAND.tip - 0.003
+    for offset in (0.022, 0.038):
+        assert count_free_releases(raster_with_post(0.0, side * offset, clear - 0.001), [grasp], ORIGIN) == 1
+        assert count_free_releases(raster_with_post(0.0, side * offset, clear + 0.001), [grasp], ORIGIN) == 0
+    assert count_free_releases(raster_with_post(0.0, side * 0.055, clear + 0.001), [grasp], ORIGIN) == 1
+    assert count_free_releases(raster_with_post(0.0, 0.0, clear + 0.001), [grasp], ORIGIN) == 1, (
+        "between them"
+    )
+    closed = grasp_at(0.1, 0.008)
+    assert count_free_releases(raster_with_post(0.0, side * 0.01, clear + 0.001), [closed], ORIGIN) == 0
+
+
+@pytest.mark.parametrize("offset", [(0.015, 0.1), (-0.015, -0.1), (0.033, 0.05), (-0.033, 0.0)])
+def test_the_palm_is_above_the_scene(offset):
+    """The palm, 210 mm by 70 mm, is 37 mm above the TCP."""
+    grasp, clear = grasp_at(0.1, 0.04), 0.1 + HAND.palm - 0.006
+    assert count_free_releases(raster_with_post(*offset, clear - 0.001), [grasp], ORIGIN) == 1
+    assert count_free_releases(raster_with_post(*offset, clear + 0.001), [grasp], ORIGIN) == 0
+
+
+def test_the_hand_moves_with_the_release_pose():
+    grasp, clear = grasp_at(0.1, 0.04), 0.1 - HAND.tip - 0.003
+    raster = raster_with_post(0.1 - 0.03, 0.05, clear + 0.02)
+    at_post = ReleasePose(np.array([0.1, 0.05]), np.pi / 2, 0.0)  # fingers along x
+    assert count_free_releases(raster, [grasp], at_post) == 0
+    assert count_free_releases(raster, [grasp], ReleasePose(at_post.position, 0.0, 0.0)) == 1
+    assert count_free_releases(raster, [grasp], ReleasePose(at_post.position, np.pi / 2, 0.025)) == 1

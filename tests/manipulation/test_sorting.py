@@ -5,7 +5,7 @@ import pytest
 
 from manipulation.errors import PlanningError
 from manipulation.footprints import footprint
-from manipulation.sorting import SortingConfig, sort_line
+from manipulation.sorting import SortingConfig, line_yaws, sort_line
 from manipulation.standing import to_standing
 from manipulation.types import Line
 
@@ -77,3 +77,48 @@ def test_short_line_leaves_out_the_widest(kitchen):
     with pytest.raises(PlanningError, match="no object to sort"):
         sort_line([], line)
     assert len(placements) == 5
+
+
+def cans(shapes, *heights):
+    """Cans of 66 mm diameter."""
+    return items_of(shapes, *[("can", shapes.can(0.033, height)) for height in heights])
+
+
+def along(placement, line):
+    return (np.array(placement.position[:2]) - line.start) @ line.direction
+
+
+def test_low_objects_are_placed_first(shapes):
+    items = cans(shapes, 0.16, 0.1, 0.13)
+    placements, _ = sort_line(items, Line())
+    assert [placement.name for placement in placements] == ["can_1", "can_2", "can_0"]
+    positions = {placement.name: along(placement, Line()) for placement in placements}
+    assert positions["can_1"] < positions["can_2"] < positions["can_0"], "ascending in size"
+
+
+def test_positions_follow_from_margin_width_and_gap(shapes):
+    items = cans(shapes, 0.1, 0.13)
+    line = Line((0.2, 0.2), (0.2, 0.7))
+    placements, _ = sort_line(items, line, SortingConfig(margin=0.02, max_gap=0.09))
+    # 500 mm - 2 * 20 - 2 * 66 leave 328 mm: the gap is limited to 90 mm.
+    assert [along(p, line) for p in placements] == pytest.approx(
+        [0.02 + 0.033, 0.02 + 0.033 + 0.066 + 0.09], abs=2e-4
+    )
+    short = Line((0.2, 0.2), (0.2, 0.4))
+    placements, _ = sort_line(items, short, SortingConfig(margin=0.02))
+    # 200 mm - 2 * 20 - 2 * 66 leave 28 mm, less than the smallest gap of 30 mm: one is excluded.
+    assert len(placements) == 1
+    placements, _ = sort_line(items, short, SortingConfig(margin=0.018))
+    assert [along(p, short) for p in placements] == pytest.approx([0.051, 0.051 + 0.066 + 0.032], abs=4e-4)
+    assert all(
+        p.position[2] == 0.0 and p.release_height == SortingConfig().release_height for p in placements
+    )
+
+
+def test_line_yaws_of_round_flat_and_handled_objects(shapes):
+    mug, can, flat = items_of(
+        shapes, ("mug", shapes.mug()), ("can", shapes.can()), ("bottle", shapes.flat_bottle())
+    )
+    assert line_yaws(mug, 0.3) == pytest.approx((0.3 - np.pi / 2, 0.3 + np.pi / 2))
+    assert len(line_yaws(can, 0.3)) == 16
+    assert line_yaws(flat, 0.3) == pytest.approx((0.3, 0.3 + np.pi))

@@ -5,6 +5,7 @@ import pytest
 import ruckig
 from hypothesis import given, settings
 from hypothesis import strategies as st
+from scipy.spatial.transform import Rotation
 
 import manipulation
 from manipulation.errors import PlanningError
@@ -155,3 +156,75 @@ def test_intermediate_positions_are_never_set(limits, monkeypatch):
     assert "target_position" in seen and "intermediate_positions" not in seen
     for source in Path(manipulation.__file__).parent.glob("*.py"):
         assert "intermediate_positions" not in source.read_text(), source
+
+
+@pytest.mark.parametrize("joint", range(7))
+@pytest.mark.parametrize("quantity", ["velocity", "acceleration", "jerk"])
+def test_the_limit_of_each_joint_is_kept_and_reached(quantity, joint):
+    """All joints move by 1 rad; one limit of one joint is far below all others and determines the motion."""
+    values = {name: np.full(7, 1e3) for name in ("velocity", "acceleration", "jerk")}
+    values[quantity][joint] = 2.0
+    move = joint_move(np.zeros(7), np.ones(7), JointLimits(**values))
+    derivative = {
+        "velocity": move.velocities,
+        "acceleration": move.accelerations,
+        "jerk": np.diff(move.accelerations, axis=0) / PERIOD,
+    }[quantity]
+    assert np.abs(derivative[:, joint]).max() == pytest.approx(2.0, rel=0.03)
+
+
+def test_limits_are_scaled_by_the_configuration(arm):
+    scaled = JointLimits.of(arm, MotionConfig(velocity_scale=0.5, acceleration_scale=0.25, jerk_scale=0.1))
+    np.testing.assert_allclose(scaled.velocity, 0.5 * arm.velocity_limit)
+    np.testing.assert_allclose(scaled.acceleration, 0.25 * arm.acceleration_limit)
+    np.testing.assert_allclose(scaled.jerk, 0.1 * arm.jerk_limit)
+
+
+def arc(n=30):
+    """Postures of seven joints along a bent path: quadratic in the path parameter."""
+    s = np.linspace(0.0, 1.0, n)[:, None]
+    return s * np.arange(1, 8) / 10 + 0.3 * s**2
+
+
+def test_velocities_and_accelerations_of_a_line_are_the_derivatives_of_its_positions(limits):
+    line = line_motion(arc(), 0.3, limits, CONFIG)
+    velocity = np.gradient(line.positions, PERIOD, axis=0)
+    acceleration = np.gradient(line.velocities, PERIOD, axis=0)
+    np.testing.assert_allclose(line.velocities[2:-2], velocity[2:-2], atol=2e-3)
+    np.testing.assert_allclose(line.accelerations[2:-2], acceleration[2:-2], atol=0.1)
+
+
+@pytest.mark.parametrize("quantity", ["velocity", "acceleration"])
+def test_a_line_is_slowed_down_to_the_limit_of_one_joint(limits, quantity):
+    values = {"velocity": limits.velocity.copy(), "acceleration": limits.acceleration.copy()}
+    values[quantity][3] *= 0.02
+    slow = line_motion(arc(), 0.3, JointLimits(**values, jerk=limits.jerk), CONFIG)
+    reached = slow.velocities if quantity == "velocity" else slow.accelerations
+    assert 0.8 * values[quantity][3] < np.abs(reached[:, 3]).max() <= values[quantity][3]
+    assert slow.duration > line_motion(arc(), 0.3, limits, CONFIG).duration
+
+
+def test_a_line_with_a_change_of_the_ik_branch_is_rejected(arm):
+    kinematics = Kinematics(arm)
+    T_goal = kinematics.forward(arm.q_home)
+    T_goal[2, 3] -= 0.05
+    step = np.abs(np.diff(line_postures(kinematics, arm.q_home, T_goal, CONFIG), axis=0)).max()
+    assert line_postures(kinematics, arm.q_home, T_goal, MotionConfig(max_line_joint_step=0.9 * step)) is None
+    assert (
+        line_postures(kinematics, arm.q_home, T_goal, MotionConfig(max_line_joint_step=1.1 * step))
+        is not None
+    )
+
+
+def test_orientation_of_a_line_is_interpolated_along_the_geodesic(arm):
+    kinematics = Kinematics(arm)
+    T_start = kinematics.forward(arm.q_home)
+    T_goal = T_start.copy()
+    turn = Rotation.from_rotvec([0, 0, 0.4])
+    T_goal[:3, :3] = turn.as_matrix() @ T_start[:3, :3]
+    postures = line_postures(kinematics, arm.q_home, T_goal, CONFIG)
+    assert len(postures) == 1 + 8, "0.4 rad in steps of at most 0.05 rad"
+    middle = kinematics.forward(postures[4])
+    half = Rotation.from_rotvec([0, 0, 0.2]).as_matrix() @ T_start[:3, :3]
+    np.testing.assert_allclose(middle[:3, :3], half, atol=3e-3)
+    np.testing.assert_allclose(middle[:3, 3], T_start[:3, 3], atol=3e-4)
