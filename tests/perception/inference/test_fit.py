@@ -1,22 +1,28 @@
 """Fits of objects whose shape and pose are known."""
 
+import cv2
 import numpy as np
 import pytest
 
 from perception.errors import InvalidInputError
-from perception.geometry import yaw_of
-from perception.inference.fit import FitConfig, fit_object
-from perception.inference.meshing import mesh_from_code
-from perception.inference.observation import (
-    Crop,
-    ObjectObservation,
-    ObjectViews,
-    PixelConfig,
-    SamplingRange,
-    gather_pixels,
+from perception.geometry import so3_exp, yaw_of
+from perception.inference.fit import (
+    Fit,
+    FitConfig,
+    FitStage,
+    FitStart,
+    FitStep,
+    _settled,
+    _status,
+    fit_object,
+    optimise_object,
 )
-from perception.inference.problem import FitProblem, FitState, NoiseConfig, SizePrior, SupportCamera
-from perception.inference.shape_model import linearise
+from perception.inference.levenberg_marquardt import Evaluation
+from perception.inference.meshing import mesh_from_code
+from perception.inference.observation import ObjectObservation, ObjectViews
+from perception.inference.problem import FitState
+from perception.inference.shape_model import decode_with_jacobian
+from perception.inference.uncertainty import CalibrationConfig, calibrated_deviation
 from perception.metrics import reconstruction_metrics
 from perception.rendering.pose import ObjectPose
 from perception.types import SupportPlane
@@ -53,7 +59,7 @@ def test_recovers_a_known_object(can, can_estimate) -> None:
     assert can_estimate.radius == pytest.approx(0.67 * 0.05, abs=0.0015)
 
 
-def test_estimate_says_how_it_went(can_estimate) -> None:
+def test_estimate_carries_status_residual_and_covariance(can_estimate) -> None:
     assert (can_estimate.id, can_estimate.category, can_estimate.n_views) == (7, "can", 3)
     assert can_estimate.status == "converged"
     assert 0.0005 < can_estimate.residual < 0.004
@@ -73,7 +79,7 @@ def test_one_view_is_enough_for_a_shape_of_the_prior(make_table, decoder) -> Non
     assert _surface_error(estimate, table) < 0.003
 
 
-def test_finds_the_yaw_of_a_mug_that_nobody_told(make_table, decoder) -> None:
+def test_finds_the_yaw_of_a_mug_without_a_yaw_distribution(make_table, decoder) -> None:
     table = make_table("mug", (0.0, 0.0, 1.0), yaw=2.4)
     estimate = fit_object(views(table.observations((0.3, 2.0, 3.5)), "mug"), decoder, PLANE)
     error = yaw_of(estimate.T_world_object[:3, :3]) - 2.4
@@ -109,61 +115,96 @@ def test_nothing_above_the_plane_is_an_error(can, decoder) -> None:
         fit_object(views([], "can"), decoder, PLANE)
 
 
-def test_problem_jacobian_by_finite_differences(make_table, decoder) -> None:
-    """All rows of the problem at once, with weights aside: renders, priors, and the camera underneath."""
-    table = make_table("mug", (0.3,), yaw=0.4)
-    observations = table.observations((0.0,))
-    pixels = gather_pixels(
-        observations, SamplingRange(table.pose.translation, 0.1, 300), Crop(24, 1), PixelConfig()
+def test_default_budget_is_the_papers() -> None:
+    assert sum(stage.iterations for stage in FitConfig().stages) == 30
+
+
+def test_deviations_are_those_of_the_covariance(can, decoder) -> None:
+    """Without refinement nothing but the covariance of the fit determines the surface."""
+    seen = views(can.observations((0.0, 2.0)), "can")
+    config = FitConfig(refine=None)
+    estimate, fit = (run(seen, decoder, PLANE, config) for run in (fit_object, optimise_object))
+    hessian, _ = fit.evaluation.normal_equations()
+    scale = 1 / np.sqrt(np.diag(hessian))
+    information = scale[:, None] * hessian * scale
+    np.testing.assert_allclose(
+        information @ (estimate.covariance / np.outer(scale, scale)), np.eye(25), atol=1e-2
     )
-    code = table.code + 0.1
-    shape = linearise(decoder, "mug", code)
-    support = SupportCamera.under(table.pose, PLANE, 0.04, 0.08)
-    problem = FitProblem(pixels, shape, support, NoiseConfig(), SizePrior(1.1 * table.pose.scale, 0.1))
-    state = FitState(ObjectPose(table.pose.rotation, table.pose.translation + 0.003, table.pose.scale), code)
-    here = problem(state)
-    data = here.weights > 0
-    for k in range(25):
-        step = np.zeros(25)
-        step[k] = 2e-4
-        ahead, behind = problem(state.moved(step)).residuals, problem(state.moved(-step)).residuals
-        numeric = ((ahead - behind) / (2 * step[k]))[data]
-        error = np.abs(here.jacobian[data, k] - numeric) / max(np.abs(numeric).max(), 0.02)
-        assert np.median(error) < 0.01, k
-        assert np.quantile(error, 0.9) < 0.1, k
+    grid, jacobian = decode_with_jacobian(decoder, "can", fit.state.code)
+    undetermined = np.zeros(len(estimate.mesh.vertices))
+    expected = calibrated_deviation(estimate, estimate.covariance, undetermined, grid, jacobian)
+    np.testing.assert_allclose(estimate.surface_sigma, expected, rtol=1e-6)
 
 
-def test_config_budget_is_kept(can, decoder) -> None:
-    iterations = sum(stage.iterations for stage in FitConfig().stages)
-    assert iterations == 30
+def test_refinement_lowers_the_deviations_of_what_is_seen(can, can_estimate) -> None:
+    height = can_estimate.mesh_world.vertices[:, 2]
+    side = (height > 0.01) & (height < 0.06)
+    floor = CalibrationConfig().floor["can"]
+    assert can_estimate.surface_sigma.min() >= floor
+    assert np.median(can_estimate.surface_sigma[side]) < 1.5 * floor
+    assert can_estimate.surface_sigma[height < 0.001].max() > 1.5 * floor  # the bottom is not seen
 
 
-def around(table) -> SamplingRange:
-    return SamplingRange(table.pose.translation, 0.1, 100)
+def test_progress_counts_the_iterations_and_ends_at_the_result(can, decoder) -> None:
+    steps: list[FitStep] = []
+    seen = views(can.observations((0.0,)), "can")
+    config = FitConfig(stages=(FitStage(24, 1, 4), FitStage(24, 0, 4)), relinearise_every=2)
+    fit = optimise_object(seen, decoder, PLANE, config, steps.append)
+    assert [step.iteration for step in steps] == [0, 4, 6, 8]
+    assert np.isnan(steps[0].residual) and steps[0].code.tolist() == [0.0] * 16
+    np.testing.assert_array_equal(steps[-1].code, fit.state.code)
+    capped = np.minimum(np.abs(np.concatenate([fit.residual_object, fit.residual_background])), 0.03)
+    assert steps[-1].residual == pytest.approx(capped.mean())
+    assert len(fit.trace) == 8
 
 
-def test_every_other_background_pixel_stands_for_two(can) -> None:
-    dense, sparse = (
-        gather_pixels(can.observations((0.0, 0.8)), around(can), Crop(48), config)
-        for config in (PixelConfig(), PixelConfig(sparse_background=True))
-    )
-    outside, fewer = ~dense.inside, ~sparse.inside
-    assert fewer.sum() == pytest.approx(outside.sum() / 2, rel=0.05)
-    assert sparse.weight[fewer].sum() == pytest.approx(dense.weight[outside].sum(), rel=0.05)
-    np.testing.assert_array_equal(sparse.rays.directions[~fewer], dense.rays.directions[~outside])
-    blurred = gather_pixels(
-        can.observations((0.0,)), around(can), Crop(48, 1), PixelConfig(sparse_background=True)
-    )
-    assert set(np.unique(blurred.weight)) == {np.float32(0.2), np.float32(1.0)}
+def test_more_than_three_views_share_the_pixels_of_three(can, decoder) -> None:
+    config = FitConfig(stages=(FitStage(24, 0, 1),))
+    counts = []
+    for azimuths in ((0.0, 2.0, 4.0), (0.0, 1.0, 2.0, 3.0, 4.0, 5.0)):
+        fit = optimise_object(views(can.observations(azimuths), "can"), decoder, PLANE, config)
+        counts.append(len(fit.inside))
+    assert counts[1] == pytest.approx(counts[0], rel=0.1)
 
 
-def test_finer_crops_say_no_more(can) -> None:
-    sums = {}
-    for crop in (24, 36, 48, 4000):
-        seen = can.observations((0.0, 0.8))
-        pixels = gather_pixels(seen, around(can), Crop(crop, reference=36), PixelConfig())
-        sums[crop] = float(pixels.weight[pixels.inside].sum())
-        if crop == 36:
-            assert set(np.unique(pixels.weight)) == {np.float32(0.2), np.float32(1.0)}
-    for crop, total in sums.items():
-        assert total == pytest.approx(sums[36], rel=0.1), crop
+def test_the_start_comes_from_the_first_views_alone(can) -> None:
+    seen = can.observations((0.0, 2.0))
+    wide = ObjectObservation(seen[1].frame, cv2.dilate(seen[1].mask.astype(np.uint8), np.ones((31, 31))) > 0)
+    config = FitConfig(start_views=1)
+    alone, both = (FitStart.of(views(v, "can"), PLANE, config) for v in (seen[:1], [seen[0], wide]))
+    np.testing.assert_array_equal(alone.poses[0].scale, both.poses[0].scale)
+    others = FitStart.of(views([seen[0], wide], "can"), PLANE, FitConfig())
+    assert others.poses[0].scale[0] != both.poses[0].scale[0]
+
+
+@pytest.mark.parametrize("category, sigma", [("can", 0.08), ("mug", 1.0)])
+def test_the_size_of_mugs_is_hardly_known(can, category, sigma) -> None:
+    start = FitStart.of(views(can.observations((0.0,)), category), PLANE, FitConfig())
+    assert start.size.sigma == sigma
+    np.testing.assert_array_equal(start.size.scale, start.poses[0].scale)
+    voxel = 2 * start.poses[0].scale[0] / 32
+    assert start.sampling.samples == round(2 * start.sampling.reach / (FitConfig().step[category] * voxel))
+
+
+def status(can, scale=1.0, code=0.0, turn=0.0, inlier_ratio=0.9, converged=True):
+    pose = ObjectPose(so3_exp(np.array([turn, 0, 0])), can.pose.translation, scale * can.pose.scale)
+    state = FitState(pose, np.full(16, code))
+    evaluation = Evaluation(np.ones(1), np.ones((1, 25)), np.ones(1))
+    return _status(Fit(state, evaluation, np.ones(1, bool), (), converged), PLANE, inlier_ratio)
+
+
+def test_status(can) -> None:
+    assert status(can) == "converged"
+    assert status(can, converged=False) == "not_converged"
+    assert status(can, turn=np.deg2rad(14)) == "converged"
+    assert status(can, inlier_ratio=0.51) == "converged"
+    for implausible in (
+        {"scale": 0.19}, {"scale": 8.1}, {"code": 2.01}, {"turn": np.deg2rad(16)}, {"inlier_ratio": 0.49},
+    ):  # fmt: skip
+        assert status(can, **implausible) == "implausible", implausible
+
+
+def test_settled_means_half_a_standard_deviation() -> None:
+    hessian = np.diag(np.full(25, 4.0))  # standard deviation 0.5
+    assert _settled(np.full(25, 0.249), hessian)
+    assert not _settled(np.full(25, 0.251), hessian)

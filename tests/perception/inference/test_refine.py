@@ -1,10 +1,13 @@
 """Meshes moved to measurements: a can drawn too small, too high and beside its place."""
 
+from dataclasses import replace
+
 import numpy as np
 import pytest
 import trimesh
 
-from perception.inference.refine import RefineConfig, refine_mesh
+from perception.inference.observation import ObjectObservation
+from perception.inference.refine import RefineConfig, _measured, _View, refine_mesh
 from perception.types import SupportPlane, TriangleMesh
 
 PLANE = SupportPlane()
@@ -91,3 +94,59 @@ def test_smoothing_takes_the_staircase_and_not_the_size(can) -> None:
         spread.append(radii(smooth, can)[side].std())
         assert radii(smooth, can)[side].mean() == pytest.approx(0.0315, abs=2e-4)
     assert spread[1] < 0.5 * spread[0]
+
+
+def measured(mesh: TriangleMesh, seen: ObjectObservation, config: RefineConfig) -> tuple:
+    """The view, and precision and displacement of every vertex, before any prior."""
+    surface = trimesh.Trimesh(mesh.vertices, mesh.faces, process=False)
+    view = _View.of(surface, mesh.vertices, np.asarray(surface.vertex_normals), seen)
+    return view, *_measured(view, seen, config)
+
+
+def test_depth_holes_are_no_measurements(can) -> None:
+    """Vertices near a hole are not measured, and no mean is taken over a hole."""
+    mesh, (seen,) = cylinder(can, wider=-0.002), can.observations((0.0,))
+    config = RefineConfig(reach=1.0)  # nothing is rejected for its distance
+    view, whole, _ = measured(mesh, seen, config)
+    rows, columns = (np.rint(np.median(k)).astype(int) for k in np.nonzero(seen.mask))
+    depth = seen.frame.depth.copy()
+    depth[rows - 4 : rows + 5, columns - 4 : columns + 5] = 0.0
+    holed = ObjectObservation(replace(seen.frame, depth=depth), seen.mask)
+    view, precision, displacement = measured(mesh, holed, config)
+    v, u = view.at[0] + view.window[0].start, view.at[1] + view.window[1].start
+    near = (np.abs(v - rows) <= 4 + config.edge) & (np.abs(u - columns) <= 4 + config.edge)
+    assert whole[near & (view.cosine < -0.5)].any() and not precision[near].any()
+    assert precision.any() and np.abs(displacement[precision > 0]).max() < 0.01
+
+
+def test_measured_displacement_is_the_residual_along_the_normal(can) -> None:
+    mesh, (seen,) = cylinder(can, wider=-0.002), can.observations((0.0,))
+    config = RefineConfig()
+    view, precision, displacement = measured(mesh, seen, config)
+    side = (precision > 0) & on_side(mesh) & (view.cosine < -0.7)
+    np.testing.assert_allclose(np.median(displacement[side]), 0.002, atol=4e-4)
+    steep = view.cosine > -config.steepest
+    assert not precision[steep].any()
+    assert precision.max() < config.floor_sigma**-2
+
+
+def test_measurements_out_of_reach_belong_to_something_else(can) -> None:
+    mesh, (seen,) = cylinder(can, wider=-0.01), can.observations((0.0,))
+    side = on_side(mesh)
+    assert not measured(mesh, seen, RefineConfig(reach=0.008))[1][side].any()
+    assert measured(mesh, seen, RefineConfig(reach=0.03))[1][side].any()
+
+
+def test_the_mesh_is_not_moved_farther_than_the_limit(can) -> None:
+    start = cylinder(can, wider=-0.008)
+    config = RefineConfig(limit=0.003, smoothing=0)
+    refined = refine_mesh(start, can.observations((0.0, 2.1, 4.2)), PLANE, config).mesh
+    moved = np.linalg.norm(refined.vertices - start.vertices, axis=1)
+    assert 0.0029 < moved.max() < 0.003 + 1e-9
+
+
+def test_the_mesh_does_not_enter_the_plane(can) -> None:
+    start = cylinder(can)
+    low = TriangleMesh(start.vertices - [0, 0, 0.004], start.faces)
+    refined = refine_mesh(low, can.observations((0.0,)), PLANE).mesh
+    assert refined.vertices[:, 2].min() > -1e-12

@@ -1,8 +1,10 @@
+"""Predicted deviations of a surface, in closed form for a ball."""
+
 import numpy as np
 import pytest
 import trimesh
 
-from perception.inference.uncertainty import surface_deviation
+from perception.inference.uncertainty import CalibrationConfig, calibrated_deviation, surface_deviation
 from perception.types import ObjectEstimate, TriangleMesh
 
 RADIUS, SCALE, SLOPE = 0.03, 0.05, 6.0
@@ -49,3 +51,31 @@ def test_parts_add_up_as_variances(ball):
     whole = surface_deviation(ball, both, *decoded())
     parts = deviation(ball, 0, 1e-2) ** 2 + deviation(ball, 19, 1e-6) ** 2
     np.testing.assert_allclose(whole, np.sqrt(parts), rtol=1e-6)
+
+
+def test_calibration_inflates_what_is_not_measured_and_keeps_a_floor(ball):
+    """hypot(sqrt(1 - determined) inflation deviation, floor), for the class of the object."""
+    covariance = np.zeros((25, 25))
+    covariance[0, 0] = 1.0
+    n = len(ball.mesh.vertices)
+    determined = np.resize([0.0, 0.75, 1.0], n)
+    config = CalibrationConfig({"can": 0.5, "mug": 9.0}, {"can": 1e-3, "mug": 9.0})
+    found = calibrated_deviation(ball, covariance, determined, *decoded(), config)
+    fitted = surface_deviation(ball, covariance, *decoded())
+    np.testing.assert_allclose(fitted, 0.1 * SCALE, rtol=0.02)
+    factor = np.resize([0.5, 0.25, 0.0], n)
+    np.testing.assert_allclose(found, np.sqrt((factor * fitted) ** 2 + 1e-6), rtol=1e-6)
+
+
+def test_default_calibration_is_the_measured_one():
+    config = CalibrationConfig()
+    assert config.inflation == {"mug": 0.425, "bowl": 0.51, "bottle": 0.88, "can": 0.47}
+    assert config.floor == {"mug": 6.0e-4, "bowl": 7.5e-4, "bottle": 4.3e-4, "can": 3.85e-4}
+
+
+def test_faint_walls_have_bounded_deviations(ball):
+    grid, jacobian = decoded()
+    covariance = np.zeros((25, 25))
+    covariance[0, 0] = 1.0
+    flat = surface_deviation(ball, covariance, np.full_like(grid, 0.5), jacobian)
+    np.testing.assert_allclose(flat, SLOPE * 0.1 / (0.1 / (2 * SCALE / 32)), rtol=1e-5)

@@ -1,0 +1,88 @@
+"""One object of a reconstruction evaluation: where it comes from, what is seen of it, how it is scored."""
+
+import json
+from pathlib import Path
+
+import numpy as np
+import pytest
+
+import sim_assets.objects
+from app.evaluation import reconstruction_object
+from app.evaluation.reconstruction_object import PROTOCOL, Subject, _known, _model, _rng, evaluate_subject
+from app.options import METHODS, EvaluateOptions
+from perception.inference import ablations
+from perception.types import CATEGORIES, ObjectDetection
+
+
+def options(out: Path | None = None, **changes) -> EvaluateOptions:
+    fields = {"what": "reconstruction", "objects": "mug=2,can=1", "views": (1,), "methods": ("full",)}
+    return EvaluateOptions(**({"seed": 3, "out": out, "quiet": True} | fields | changes))
+
+
+def test_names_of_subjects() -> None:
+    assert Subject("mug", 7).name == "mug_007"
+    assert Subject("can", 0, Path("dir/soup.ply")).name == "can_000_soup"
+
+
+@pytest.mark.parametrize("category", CATEGORIES)
+def test_objects_come_from_the_test_families(category, monkeypatch) -> None:
+    drawn = []
+    original = sim_assets.objects.sample_object
+
+    def recorded(category, split, rng):
+        drawn.append((category, split))
+        return original(category, split, rng)
+
+    monkeypatch.setattr(sim_assets.objects, "sample_object", recorded)
+    model = _model(options(), Subject(category, 3))
+    assert drawn == [(category, "test")]
+    expected = original(category, "test", _rng(options(), Subject(category, 3), 0))
+    np.testing.assert_array_equal(model.mesh.vertices, expected.mesh.vertices)
+
+
+def test_meshes_of_a_user_are_loaded(monkeypatch) -> None:
+    loaded = []
+    monkeypatch.setattr(sim_assets.objects, "load_user_object", lambda *a, **k: loaded.append((a, k)))
+    _model(options(), Subject("can", 0, Path("soup.ply")))
+    assert loaded == [((Path("soup.ply"), "can"), {"collision": False})]
+
+
+def test_random_streams_differ_by_seed_class_object_and_purpose() -> None:
+    keys = [(3, "can", 0, 0), (4, "can", 0, 0), (3, "mug", 0, 0), (3, "can", 1, 0), (3, "can", 0, 1)]
+    numbers = [_rng(options(seed=seed), Subject(c, k), purpose).random() for seed, c, k, purpose in keys]
+    assert len(set(numbers)) == len(numbers)
+    assert (
+        _rng(options(), Subject("can", 0), 1).random()
+        == _rng(options(objects="can=9"), Subject("can", 0), 1).random()
+    )
+
+
+def test_protocol_is_the_papers() -> None:
+    assert PROTOCOL.start_views == 1 and sum(stage.iterations for stage in PROTOCOL.stages) == 30
+    assert METHODS == ablations.METHODS
+    assert reconstruction_object.CONVERGENCE_ITERATIONS == 150
+
+
+def test_parts_of_the_one_object_are_joined() -> None:
+    def part(column: int, bowl: float) -> ObjectDetection:
+        mask = np.zeros((4, 6), bool)
+        mask[:, column] = True
+        return ObjectDetection("bowl", 0.9, mask, np.array([0.0, bowl, 0.0, 0.0, 1 - bowl]))
+
+    (joined,) = _known([part(1, 0.9), part(2, 0.8), part(5, 0.1)], "bowl")
+    assert joined.mask[0].tolist() == [False, True, True, False, False, False]
+    assert joined.category == "bowl" and joined.instance_id == 0
+    (doubtful,) = _known([part(1, 0.1), part(2, 0.3)], "bowl")
+    assert doubtful.mask[0].tolist() == [False, False, True, False, False, False]
+    assert _known([], "bowl") == ()
+
+
+def test_one_object_for_real() -> None:
+    """A can from one view: everything from drawing it to its row."""
+    line = evaluate_subject(options(methods=("full", "no_refinement")), Subject("can", 0))
+    full, plain = line["rows"]
+    assert line["object"] == "can_000" and full["found"] and "convergence" not in line
+    assert 0 < full["accuracy"] < 0.004 and full["completion"] > 0.9
+    assert full["surface_sigma"] > 0 and full["within_1_sigma"] < full["within_2_sigma"] <= 1
+    assert plain["method"] == "no_refinement" and plain["accuracy"] != full["accuracy"]
+    json.dumps(line)
