@@ -1,4 +1,4 @@
-"""``nodeslam convert SOURCE``: other recordings as scan folders."""
+"""``nodeslam convert SOURCE``: convert TUM RGB-D and NOCS recordings to scan folders."""
 
 from __future__ import annotations
 
@@ -16,13 +16,12 @@ from app.runs.report import Report
 from app.runs.run_folder import RunFolder
 from app.screen import Screen
 from perception.errors import InvalidInputError
+from perception.io.recordings.image_pairs import NominalCamera
 from perception.io.recordings.nocs import REAL275, is_nocs_recording, open_nocs
 from perception.io.recordings.trajectory import Trajectory, read_trajectory
-from perception.io.recordings.tum import MAX_APART, is_tum_recording, open_tum
+from perception.io.recordings.tum import MAX_TIME_DIFFERENCE, is_tum_recording, open_tum
 from perception.io.scan_folder import write_scan
 from perception.types import ObjectDetection, RgbdFrame
-
-Camera = tuple[float, float, float, float]
 
 
 @dataclass(frozen=True)
@@ -30,10 +29,10 @@ class Source:
     """A recording, read one frame at a time.
 
     Attributes:
-        kind: its format.
-        count: how many frames it has.
-        read: a frame by its number.
-        detections: what is known to be in it; None where the format has no masks.
+        kind: Name of its format.
+        count: Number of frames.
+        read: Reads the frame of an index.
+        detections: Reads the true masks of a frame; None if the format has none.
     """
 
     kind: str
@@ -43,7 +42,7 @@ class Source:
 
 
 def run(options: ConvertOptions, screen: Screen) -> Report:
-    """Read, choose images evenly, write a scan folder."""
+    """Read evenly spaced images of the recording and write them as a scan folder."""
     begin = time.perf_counter()
     source = open_source(options.source, parse_camera(options.camera))
     chosen = np.unique(
@@ -56,7 +55,7 @@ def run(options: ConvertOptions, screen: Screen) -> Report:
             folder.scan, frames, detections if source.detections is not None and any(detections) else None
         )
     for warning in warnings:
-        screen.note(f"left out: {warning}")
+        screen.note(f"skipped: {warning}")
     posed = sum(frame.T_world_camera is not None for frame in frames)
     report = Report(
         command="convert",
@@ -73,11 +72,15 @@ def run(options: ConvertOptions, screen: Screen) -> Report:
     return report
 
 
-def open_source(folder: Path, camera: Camera | None) -> Source:
-    """The recording in a folder, whatever its format.
+def open_source(folder: Path, camera: NominalCamera | None) -> Source:
+    """Open a recording of any supported format.
+
+    Args:
+        folder: Folder of the recording.
+        camera: Intrinsics that replace those of the format; None to keep them.
 
     Raises:
-        InvalidInputError: the folder holds none that is known.
+        InvalidInputError: The folder has none of the supported formats.
     """
     if not folder.is_dir():
         raise InvalidInputError(f"{folder} is no folder: give a recording's folder")
@@ -95,11 +98,11 @@ def open_source(folder: Path, camera: Camera | None) -> Source:
     )
 
 
-def parse_camera(text: str | None) -> Camera | None:
-    """Focal lengths and principal point from ``fx,fy,cx,cy``.
+def parse_camera(text: str | None) -> NominalCamera | None:
+    """Parse focal lengths and principal point from ``fx,fy,cx,cy``.
 
     Raises:
-        UsageError: these are no four positive numbers.
+        UsageError: The text is not four positive numbers.
     """
     if text is None:
         return None
@@ -111,20 +114,20 @@ def parse_camera(text: str | None) -> Camera | None:
         ) from None
     if not (np.isfinite([fx, fy, cx, cy]).all() and min(fx, fy, cx, cy) > 0):
         raise UsageError(f"--camera {text}: the four numbers must be positive")
-    return fx, fy, cx, cy
+    return NominalCamera(fx, fy, cx, cy)
 
 
 def _posed(frame: RgbdFrame, trajectory: Trajectory | None) -> RgbdFrame:
-    """The frame with the pose recorded nearest in time, within MAX_APART.
+    """Return the frame with the pose nearest in time; unchanged without a trajectory.
 
     Raises:
-        InvalidInputError: there are poses, but none near it.
+        InvalidInputError: The nearest pose is more than MAX_TIME_DIFFERENCE away.
     """
     if trajectory is None:
         return frame
     apart = np.abs(trajectory.times - frame.time)
     nearest = int(apart.argmin()) if len(apart) else -1
-    if nearest < 0 or apart[nearest] > MAX_APART:
+    if nearest < 0 or apart[nearest] > MAX_TIME_DIFFERENCE:
         raise InvalidInputError(
             f"the image at {frame.time:.3f} s has no pose in groundtruth.txt near it in time"
         )
@@ -134,10 +137,10 @@ def _posed(frame: RgbdFrame, trajectory: Trajectory | None) -> RgbdFrame:
 def _read(
     source: Source, chosen: Sequence[int]
 ) -> tuple[list[RgbdFrame], list[list[ObjectDetection]], list[str]]:
-    """The chosen frames, their detections, and a line for each that cannot be used.
+    """Return the chosen frames, their detections, and a warning for each unusable frame.
 
     Raises:
-        InvalidInputError: none can.
+        InvalidInputError: No frame is usable.
     """
     frames: list[RgbdFrame] = []
     detections: list[list[ObjectDetection]] = []

@@ -15,8 +15,9 @@ from app.runs.run_folder import RunFolder
 from app.screen import Screen
 from perception.detection.association import associate
 from perception.io.files import write_atomically
+from perception.io.images import png_bytes
 from perception.io.object_map import write_object_map
-from perception.io.scan_folder import Scan, png_bytes, read_scan, write_scan
+from perception.io.scan_folder import Scan, read_scan, write_scan
 from perception.pipeline import (
     SHIPPED,
     Detections,

@@ -29,7 +29,7 @@ from app.runs.run_folder import RunFolder
 from app.screen import Screen
 from manipulation.standing import body_axis
 from perception.io.files import write_atomically
-from perception.io.scan_folder import png_bytes
+from perception.io.images import png_bytes
 from perception.types import ObjectEstimate, RgbdFrame
 from sim_assets.cell.drop_world import DropWorld, StaticObject, View
 from sim_assets.objects.convex.perceived_mesh import measure, perceived_pieces

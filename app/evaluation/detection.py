@@ -27,7 +27,7 @@ from app.screen import Screen
 from perception.detection.detector import Detector, DetectorConfig
 from perception.inference.reconstruct import single_threaded_torch
 from perception.io.files import write_atomically
-from perception.io.scan_folder import png_bytes
+from perception.io.images import png_bytes
 from perception.pipeline import resolve_device
 from perception.support_plane import fit_support_plane
 

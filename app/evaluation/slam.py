@@ -36,7 +36,7 @@ from app.screen import Screen
 from app.slam.pictures import write_map_picture
 from app.slam.run import SlamRun
 from app.slam.sequence_truth import read_true_objects, read_true_trajectory
-from perception.io.detections import write_entries
+from perception.io.detections import write_detection_entries
 from perception.io.recordings.sequence import open_sequence
 from perception.slam.ablations import Variant, variant_config
 from perception.slam.estimates import object_estimates
@@ -150,7 +150,7 @@ def score_variant(
                 if len(states) < CURVE_UPDATES and (not states or states[-1].n_updates != landmark.n_updates):
                     states.append(landmark)
     if live:
-        write_entries(path, [slam_run.detections.get(number, []) for number in sequence.ids])
+        write_detection_entries(path, [slam_run.detections.get(number, []) for number in sequence.ids])
     line = _scores(slam_run, history, path, folder, variant, networks.decoder, rng)
     return line | {"live": live, "resident": resident}
 

@@ -20,8 +20,9 @@ from app.task.video import RunVideo
 from manipulation.execution import TaskEvent
 from manipulation.types import TaskPlan
 from perception.inference.fit import FitStep
+from perception.io.detections import write_detections
 from perception.io.object_map import write_object_map
-from perception.io.scan_folder import write_detections, write_scan
+from perception.io.scan_folder import write_scan
 from perception.pipeline import Detections
 from perception.types import Category, ObjectEstimate, RgbdFrame
 from sim_assets.cell.world import World

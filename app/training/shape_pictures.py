@@ -20,7 +20,7 @@ from manipulation.viewpoints import Viewpoint
 from perception.errors import PerceptionError
 from perception.inference.meshing import mesh_from_grid
 from perception.io.files import write_atomically
-from perception.io.scan_folder import png_bytes
+from perception.io.images import png_bytes
 from perception.rendering.pose import ObjectPose, canonical_from_camera
 from perception.rendering.reference import render_reference
 from perception.rendering.renderer import RayBundle, Rendering, ShapeGrid, render

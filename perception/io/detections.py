@@ -1,7 +1,7 @@
-"""``detections.json`` of a scan folder: COCO results with run-length masks, checked before believed.
+"""``detections.json`` of a scan folder: COCO results with run-length encoded masks, validated when read.
 
-Format: https://cocodataset.org/#format-results, with ``category_name`` in place of a number,
-``instance_id`` tying one object across images, and optionally the detector's class and yaw probabilities.
+Format: https://cocodataset.org/#format-results, with ``category_name`` instead of a category number, an
+optional ``instance_id`` that associates one object across images, and optional class and yaw probabilities.
 """
 
 from __future__ import annotations
@@ -18,38 +18,40 @@ from perception.errors import InvalidInputError
 from perception.io.files import read_json, write_json
 from perception.types import CATEGORIES, ObjectDetection, RgbdFrame
 
-REMEDY = "repair it, or delete it to use the shipped detector"
+FILE_NAME = "detections.json"
+Entry = tuple[int, Any]  # index of an entry in the file or among those of its image, and its JSON value
+_REMEDY = "repair it, or delete it to use the shipped detector"
 
 
 def write_detections(folder: str | Path, detections: Sequence[Sequence[ObjectDetection]]) -> None:
-    """Write ``detections.json``; the k-th sequence belongs to image id k."""
-    write_entries(folder, [encode_detections(i, found) for i, found in enumerate(detections)])
+    """Write ``detections.json``; the k-th sequence holds the detections of image id k."""
+    write_detection_entries(folder, [encode_detections(i, found) for i, found in enumerate(detections)])
 
 
-def write_entries(folder: str | Path, entries: Iterable[Sequence[tuple[int, Any]]]) -> None:
-    """Write ``detections.json`` from the entries of each image."""
-    write_json(Path(folder) / "detections.json", [entry for image in entries for _, entry in image])
+def write_detection_entries(folder: str | Path, entries: Iterable[Sequence[Entry]]) -> None:
+    """Write ``detections.json`` from the encoded entries of each image."""
+    write_json(Path(folder) / FILE_NAME, [entry for image in entries for _, entry in image])
 
 
-def encode_detections(image_id: int, detections: Sequence[ObjectDetection]) -> list[tuple[int, Any]]:
-    """The numbered entries of one image; ``decode_detections`` is the way back."""
+def encode_detections(image_id: int, detections: Sequence[ObjectDetection]) -> list[Entry]:
+    """Encode the detections of one image; inverse of ``decode_detections``."""
     return [(index, _detection_entry(image_id, found)) for index, found in enumerate(detections)]
 
 
 def read_detections(
     folder: Path, frames: dict[int, RgbdFrame], known_ids: set[int]
 ) -> tuple[tuple[ObjectDetection, ...], ...] | None:
-    """The detections of each frame, or None where the folder has no ``detections.json``.
+    """Read the detections of each frame; None if the folder has no ``detections.json``.
 
     Args:
-        folder: the scan folder.
-        frames: the usable images by id; detections of unusable ones are passed over.
-        known_ids: all image ids of the folder.
+        folder: Scan folder.
+        frames: Usable images by id; detections of other images are ignored.
+        known_ids: All image ids of the folder.
 
     Raises:
-        InvalidInputError: naming the file, the entry, what is wrong and what to do.
+        InvalidInputError: The message names the file, the entry, the problem and the remedy.
     """
-    grouped = group_detections(folder, known_ids)
+    grouped = read_detection_entries(folder, known_ids)
     if grouped is None:
         return None
     return tuple(
@@ -57,42 +59,42 @@ def read_detections(
     )
 
 
-def group_detections(folder: Path, known_ids: set[int]) -> dict[int, list[Any]] | None:
-    """The entries of each image as they stand in the file, masks still encoded; None where there is no file.
+def read_detection_entries(folder: Path, known_ids: set[int]) -> dict[int, list[Entry]] | None:
+    """Read the entries of each image without decoding them; None if there is no file.
 
     Raises:
-        InvalidInputError: the file is no list, or an entry belongs to no image.
+        InvalidInputError: The file is not a list, or an entry has an unknown image id.
     """
-    path = folder / "detections.json"
+    path = folder / FILE_NAME
     if not path.exists():
         return None
-    entries = read_json(path, REMEDY)
+    entries = read_json(path, _REMEDY)
     if not isinstance(entries, list):
-        raise InvalidInputError(f"{path} must be a list of detections: {REMEDY}")
-    grouped: dict[int, list[Any]] = {}
+        raise InvalidInputError(f"{path} must be a list of detections: {_REMEDY}")
+    grouped: dict[int, list[Entry]] = {}
     for index, entry in enumerate(entries):
         image_id = entry.get("image_id") if isinstance(entry, dict) else None
         if type(image_id) is not int or image_id not in known_ids:
             problem = f"image_id {image_id!r} is not in scene_camera.json"
-            raise InvalidInputError(f"{path}, entry {index}: {problem}: {REMEDY}")
+            raise InvalidInputError(f"{path}, entry {index}: {problem}: {_REMEDY}")
         grouped.setdefault(image_id, []).append((index, entry))
     return grouped
 
 
 def decode_detections(
-    folder: Path, entries: Sequence[tuple[int, Any]], image_id: int, frame: RgbdFrame
+    folder: Path, entries: Sequence[Entry], image_id: int, frame: RgbdFrame
 ) -> list[ObjectDetection]:
-    """Detections of one image from its numbered entries.
+    """Decode the entries of one image.
 
     Raises:
-        InvalidInputError: naming the entry and what is wrong.
+        InvalidInputError: The message names the entry and the problem.
     """
     found = []
     for index, entry in entries:
         try:
             found.append(_detection(entry, frame))
         except InvalidInputError as error:
-            message = f"{folder / 'detections.json'}, entry {index} (image {image_id}): {error}: {REMEDY}"
+            message = f"{folder / FILE_NAME}, entry {index} (image {image_id}): {error}: {_REMEDY}"
             raise InvalidInputError(message) from None
     return found
 
@@ -143,18 +145,18 @@ def _probabilities(entry: dict[str, Any], key: str) -> np.ndarray:
 
 
 def encode_mask(mask: Bool[np.ndarray, "h w"]) -> dict[str, Any]:
-    """The mask as {"size": [h, w], "counts": text}, ready for JSON."""
+    """Encode a mask as a COCO run-length code {"size": [h, w], "counts": text}."""
     code: Any = coco.encode(np.asfortranarray(mask, dtype=np.uint8))
     return {"size": [int(n) for n in code["size"]], "counts": code["counts"].decode("ascii")}
 
 
 def decode_mask(code: Any, size: tuple[int, int]) -> Bool[np.ndarray, "h w"]:
-    """Decode a COCO run-length code whose image must have the given (height, width).
+    """Decode a COCO run-length code of an image with the given (height, width).
 
-    pycocotools accepts codes that are cut short and guesses the rest; here the runs must add up.
+    Unlike pycocotools, which pads truncated codes, the runs must cover the image exactly.
 
     Raises:
-        InvalidInputError: not a run-length code, of another size, or its runs don't fill the image.
+        InvalidInputError: Not a run-length code, of another size, or its runs do not cover the image.
     """
     if not isinstance(code, dict) or "counts" not in code or "size" not in code:
         raise InvalidInputError('mask must be a COCO run-length code {"size": [h, w], "counts": ...}')
@@ -173,11 +175,15 @@ def decode_mask(code: Any, size: tuple[int, int]) -> Bool[np.ndarray, "h w"]:
             f"mask runs cover {sum(runs)} of {pixels} pixels: the run-length code is damaged"
         )
     values = np.arange(len(runs)) % 2 == 1
-    return np.repeat(values, runs).reshape(size[::-1]).T.copy()  # COCO counts down the columns
+    return np.repeat(values, runs).reshape(size[::-1]).T.copy()  # runs are in column-major order
 
 
 def _decompress(text: str) -> list[int]:
-    """Runs from COCO's text: 5 bits a character from 48 up, bit 6 continues, less the run two before."""
+    """Return the runs of COCO's compressed text.
+
+    Each character minus 48 holds 5 bits, least significant first, and a continuation bit; from the fourth run
+    on the values are differences to the run two before.
+    """
     runs: list[int] = []
     position = 0
     while position < len(text):

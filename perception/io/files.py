@@ -1,4 +1,4 @@
-"""Files written whole or not at all, and JSON read with messages a person can act on."""
+"""Atomic writing of files, and reading of JSON with actionable error messages."""
 
 from __future__ import annotations
 
@@ -12,7 +12,7 @@ from perception.errors import InvalidInputError
 
 
 def write_atomically(path: Path, content: bytes | str) -> None:
-    """Write a whole file or nothing: into a temporary neighbour, then renamed over the target."""
+    """Write a file atomically: to a temporary file in the same folder, then renamed over the target."""
     data = content.encode() if isinstance(content, str) else content
     path.parent.mkdir(parents=True, exist_ok=True)
     handle, temporary = tempfile.mkstemp(dir=path.parent, prefix=f".{path.name}.")
@@ -27,15 +27,19 @@ def write_atomically(path: Path, content: bytes | str) -> None:
 
 
 def write_json(path: Path, value: Any) -> None:
-    """Write JSON atomically; NaN and infinities, which are no JSON, are refused."""
+    """Write JSON atomically; raises ValueError for NaN and infinities, which JSON cannot represent."""
     write_atomically(path, json.dumps(value, indent=1, allow_nan=False) + "\n")
 
 
 def read_json(path: Path, remedy: str) -> Any:
     """Parse a JSON file.
 
+    Args:
+        path: File to read.
+        remedy: What to do about a missing or damaged file, for the message.
+
     Raises:
-        InvalidInputError: it is missing or no JSON; the message names the file and ends with the remedy.
+        InvalidInputError: The file is missing or not JSON; the message names it and ends with the remedy.
     """
     try:
         return json.loads(path.read_text(encoding="utf-8"))

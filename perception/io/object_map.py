@@ -21,7 +21,7 @@ _MESH_NAME = re.compile(r"\d+_[a-z]+\.ply")
 
 
 def write_object_map(folder: str | Path, objects: Sequence[ObjectEstimate]) -> None:
-    """Write ``objects.json`` and the meshes into the folder, the list last; meshes of an older map go."""
+    """Write the meshes and then ``objects.json``; meshes of a previous object map are removed."""
     folder = Path(folder)
     names = {_mesh_name(estimate) for estimate in objects}
     for estimate in objects:
@@ -33,10 +33,10 @@ def write_object_map(folder: str | Path, objects: Sequence[ObjectEstimate]) -> N
 
 
 def read_object_map(folder: str | Path) -> list[ObjectEstimate]:
-    """Read what ``write_object_map`` wrote.
+    """Read an object map written by ``write_object_map``.
 
     Raises:
-        InvalidInputError: a file is missing or malformed; the message names it.
+        InvalidInputError: A file is missing or malformed; the message names it.
     """
     folder = Path(folder)
     path = folder / "objects.json"
@@ -55,7 +55,7 @@ def read_object_map(folder: str | Path) -> list[ObjectEstimate]:
 
 
 def ply_bytes(mesh: TriangleMesh) -> bytes:
-    """The mesh as a binary little-endian PLY file."""
+    """Encode a mesh as a binary little-endian PLY file."""
     vertices = np.asarray(mesh.vertices, dtype="<f4")
     faces = np.empty(len(mesh.faces), dtype=[("count", "u1"), ("indices", "<i4", 3)])
     faces["count"], faces["indices"] = 3, mesh.faces
@@ -68,17 +68,17 @@ def ply_bytes(mesh: TriangleMesh) -> bytes:
 
 
 def read_ply(path: Path) -> TriangleMesh:
-    """A triangle mesh from a PLY file.
+    """Read a triangle mesh from a PLY file.
 
     Raises:
-        InvalidInputError: missing, corrupt, or without triangles.
+        InvalidInputError: The file is missing, corrupt, or without triangles.
     """
-    import trimesh  # takes a while; writing needs none of it
+    import trimesh  # slow to import and needed for reading only
 
     try:
         loaded: Any = trimesh.load(path, file_type="ply", process=False)
         vertices, faces = np.asarray(loaded.vertices), np.asarray(loaded.faces)
-    except Exception as error:  # the reader raises whatever its parser meets
+    except Exception as error:  # the parser raises many types
         raise InvalidInputError(f"{path} is not a readable PLY mesh ({error})") from None
     if not len(faces) or not np.isfinite(vertices).all() or faces.max() >= len(vertices) or faces.min() < 0:
         raise InvalidInputError(f"{path} holds no usable triangles")

@@ -9,8 +9,9 @@ import numpy as np
 import pytest
 
 from app.cli import run
+from perception.io.images import png_bytes
 from perception.io.recordings.trajectory import Trajectory, write_trajectory
-from perception.io.scan_folder import png_bytes, read_scan
+from perception.io.scan_folder import read_scan
 
 
 def save(path: Path, image: np.ndarray) -> None:

@@ -1,4 +1,4 @@
-"""Camera trajectories in the TUM RGB-D format: one line a pose, ``time tx ty tz qx qy qz qw`` [s], [m].
+"""Camera trajectories in the TUM RGB-D format: one pose per line, ``time tx ty tz qx qy qz qw`` [s, m].
 
 https://cvg.cit.tum.de/data/datasets/rgbd-dataset/file_formats
 """
@@ -22,8 +22,8 @@ class Trajectory:
     """Camera poses over time.
 
     Attributes:
-        times: [s].
-        Ts_world_camera: (n, 4, 4).
+        times: (n,) times in seconds.
+        Ts_world_camera: (n, 4, 4) camera poses.
     """
 
     times: Float[np.ndarray, "n"]
@@ -31,11 +31,12 @@ class Trajectory:
 
     @staticmethod
     def of(times: Sequence[float], poses: Sequence[Float[np.ndarray, "4 4"]]) -> Trajectory:
+        """Create a trajectory from sequences of equal length."""
         return Trajectory(np.array(times, float), np.array(poses, float).reshape(-1, 4, 4))
 
 
 def write_trajectory(path: Path, trajectory: Trajectory) -> None:
-    """Write the poses, one a line."""
+    """Write a trajectory, one pose per line; the quaternion's scalar part is last."""
     lines = ["# timestamp tx ty tz qx qy qz qw"]
     for time, T in zip(trajectory.times, trajectory.Ts_world_camera):
         numbers = [*T[:3, 3], *Rotation.from_matrix(T[:3, :3]).as_quat()]
@@ -44,10 +45,10 @@ def write_trajectory(path: Path, trajectory: Trajectory) -> None:
 
 
 def read_trajectory(path: Path) -> Trajectory:
-    """Read poses.
+    """Read a trajectory; empty lines and comments (#) are skipped.
 
     Raises:
-        InvalidInputError: missing, or a line that holds no pose.
+        InvalidInputError: The file is missing, or a line is not a pose; the message names the line.
     """
     try:
         text = path.read_text(encoding="utf-8")
@@ -64,7 +65,7 @@ def read_trajectory(path: Path) -> Trajectory:
             T[:3, 3] = x, y, z
         except ValueError as error:
             raise InvalidInputError(
-                f"{path}, line {number} is no pose ({error}): time tx ty tz qx qy qz qw"
+                f"{path}, line {number} is not a pose ({error}): time tx ty tz qx qy qz qw"
             ) from None
         times.append(time)
         poses.append(T)

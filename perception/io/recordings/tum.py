@@ -1,8 +1,8 @@
-"""TUM RGB-D recordings: ``rgb.txt`` and ``depth.txt`` list images with their times, depth in 1/5000 m.
+"""TUM RGB-D recordings: ``rgb.txt`` and ``depth.txt`` list image files with their times, depth in 1/5000 m.
 
-https://cvg.cit.tum.de/data/datasets/rgbd-dataset/file_formats. Colour and depth are registered, but taken at
-different times: each depth image goes with the colour image nearest to it. The folder's name tells the camera
-(freiburg1, 2, 3); a file ``intrinsics.txt`` with ``fx fy cx cy`` overrides that.
+https://cvg.cit.tum.de/data/datasets/rgbd-dataset/file_formats. Colour and depth are registered but not
+synchronised: each depth image is paired with the colour image nearest in time. The camera (freiburg1, 2 or 3)
+is recognised by the folder's name; a file ``intrinsics.txt`` with ``fx fy cx cy`` takes precedence.
 """
 
 from __future__ import annotations
@@ -11,82 +11,83 @@ from dataclasses import dataclass
 from pathlib import Path
 
 import numpy as np
-from jaxtyping import UInt8, UInt16
 
 from perception.errors import InvalidInputError
-from perception.io.scan_folder import read_png
-from perception.types import CameraIntrinsics, RgbdFrame
+from perception.io.recordings.image_pairs import ImagePair, NominalCamera, read_pair
+from perception.types import RgbdFrame
 
-DEPTH_UNITS = 5000.0  # per metre
-MAX_APART = 0.02  # [s] between a depth image and its colour image
+UNITS_PER_METRE = 5000.0  # of the depth images
+MAX_TIME_DIFFERENCE = 0.02  # [s] between a depth image and its colour image
 
-# Focal lengths and principal points [px] of the calibrated cameras, from the dataset's page.
+# Calibrated cameras, from the data set's page.
 CAMERAS = {
-    "freiburg1": (517.3, 516.5, 318.6, 255.3),
-    "freiburg2": (520.9, 521.0, 325.1, 249.7),
-    "freiburg3": (535.4, 539.2, 320.1, 247.6),
+    "freiburg1": NominalCamera(517.3, 516.5, 318.6, 255.3),
+    "freiburg2": NominalCamera(520.9, 521.0, 325.1, 249.7),
+    "freiburg3": NominalCamera(535.4, 539.2, 320.1, 247.6),
 }
-DEFAULT_CAMERA = (525.0, 525.0, 319.5, 239.5)  # what the dataset recommends otherwise
+DEFAULT_CAMERA = NominalCamera(525.0, 525.0, 319.5, 239.5)  # recommended for all others
 
 
 @dataclass(frozen=True)
 class TumRecording:
-    """A recording's folder, its images in pairs (time [s], colour, depth), and its camera at 640 x 480."""
+    """A TUM RGB-D recording.
+
+    Attributes:
+        folder: Its folder.
+        pairs: Paired images by ascending time of the depth image.
+        camera: Its camera.
+    """
 
     folder: Path
-    pairs: tuple[tuple[float, str, str], ...]
-    camera: tuple[float, float, float, float]
+    pairs: tuple[ImagePair, ...]
+    camera: NominalCamera
 
-    def read(self, number: int) -> RgbdFrame:
-        """One frame; InvalidInputError names the image that cannot be used."""
-        time, colour, depth = self.pairs[number]
-        rgb: UInt8[np.ndarray, "_h _w 3"] = read_png(self.folder, colour, ("RGB",), "8-bit RGB")
-        raw: UInt16[np.ndarray, "_h _w"] = read_png(self.folder, depth, ("I;16", "I;16B", "I"), "16-bit grey")
-        if raw.shape != rgb.shape[:2]:
-            raise InvalidInputError(f"{self.folder / depth} and {colour} differ in size: register them")
-        height, width = raw.shape
-        fx, fy, cx, cy = np.array(self.camera) * (width / 640.0)
-        intrinsics = CameraIntrinsics(width, height, float(fx), float(fy), float(cx), float(cy))
-        return RgbdFrame(time, rgb, (raw / DEPTH_UNITS).astype(np.float32), intrinsics)
+    def read(self, index: int) -> RgbdFrame:
+        """Read one frame, without a pose; raises InvalidInputError as ``read_pair``."""
+        return read_pair(self.folder, self.pairs[index], self.camera, UNITS_PER_METRE)
 
 
 def is_tum_recording(folder: Path) -> bool:
+    """Return whether the folder has the two lists of a TUM RGB-D recording."""
     return (folder / "rgb.txt").is_file() and (folder / "depth.txt").is_file()
 
 
 def open_tum(folder: Path) -> TumRecording:
-    """Reads the lists and pairs the images.
+    """Read the lists of a recording and pair its images.
 
     Raises:
-        InvalidInputError: a list is malformed, or no depth image has a colour image near it in time.
+        InvalidInputError: A list is malformed, or no depth image has a colour image within
+            MAX_TIME_DIFFERENCE.
     """
-    colours, depths = (_read_list(folder / name) for name in ("rgb.txt", "depth.txt"))
-    times = np.array([time for time, _ in colours])
+    colors, depths = (_read_list(folder / name) for name in ("rgb.txt", "depth.txt"))
+    times = np.array([time for time, _ in colors])
     pairs, used = [], set()
     for time, depth in depths:
         nearest = int(np.abs(times - time).argmin())
-        if abs(times[nearest] - time) <= MAX_APART and nearest not in used:
+        if abs(times[nearest] - time) <= MAX_TIME_DIFFERENCE and nearest not in used:
             used.add(nearest)
-            pairs.append((time, colours[nearest][1], depth))
+            pairs.append(ImagePair(time, colors[nearest][1], depth))
     if not pairs:
+        limit = f"{1000 * MAX_TIME_DIFFERENCE:.0f} ms"
         raise InvalidInputError(
-            f"{folder}: no depth image has a colour image within {1000 * MAX_APART:.0f} ms; check the lists"
+            f"{folder}: no depth image has a colour image within {limit}; check the lists"
         )
     return TumRecording(folder, tuple(pairs), _camera(folder))
 
 
-def _camera(folder: Path) -> tuple[float, float, float, float]:
+def _camera(folder: Path) -> NominalCamera:
     path = folder / "intrinsics.txt"
     if path.is_file():
         try:
             fx, fy, cx, cy = (float(word) for word in path.read_text().split())
         except ValueError:
             raise InvalidInputError(f"{path} must hold four numbers: fx fy cx cy [px at 640x480]") from None
-        return fx, fy, cx, cy
+        return NominalCamera(fx, fy, cx, cy)
     return next((camera for name, camera in CAMERAS.items() if name in folder.name), DEFAULT_CAMERA)
 
 
 def _read_list(path: Path) -> list[tuple[float, str]]:
+    """Return the (time, file name) pairs of a list by ascending time."""
     entries = []
     for number, line in enumerate(path.read_text(encoding="utf-8").splitlines(), start=1):
         words = line.split()
@@ -95,7 +96,9 @@ def _read_list(path: Path) -> list[tuple[float, str]]:
         try:
             entries.append((float(words[0]), words[1]))
         except (ValueError, IndexError):
-            raise InvalidInputError(f"{path}, line {number}: expected a time and a file name") from None
+            raise InvalidInputError(
+                f"{path}, line {number}: expected a time in seconds and a file name"
+            ) from None
     if not entries:
-        raise InvalidInputError(f"{path} lists no image")
+        raise InvalidInputError(f"{path} lists no image: it needs one line per image")
     return sorted(entries)

@@ -1,0 +1,78 @@
+"""TUM RGB-D recordings: pairing by time, units, cameras, malformed lists."""
+
+import numpy as np
+import pytest
+from PIL import Image
+
+from perception.errors import InvalidInputError
+from perception.io.recordings.sequence import open_sequence
+from perception.io.recordings.tum import CAMERAS, DEFAULT_CAMERA, is_tum_recording, open_tum
+
+
+@pytest.fixture
+def tum(tmp_path):
+    folder = tmp_path / "rgbd_dataset_freiburg2_desk"
+    for kind in ("rgb", "depth"):
+        (folder / kind).mkdir(parents=True)
+    for k in range(3):
+        Image.fromarray(np.full((48, 64, 3), 10 * k, np.uint8)).save(folder / "rgb" / f"{k}.png")
+        Image.fromarray(np.full((48, 64), 5000 * (k + 1), np.uint16)).save(folder / "depth" / f"{k}.png")
+    rgb = "\n".join(f"{k + 0.005} rgb/{k}.png" for k in range(3))
+    depth = "\n".join(f"{k + (0.5 if k == 1 else 0)} depth/{k}.png" for k in range(3))
+    (folder / "rgb.txt").write_text(f"# colour\n{rgb}\n")
+    (folder / "depth.txt").write_text(f"# depth\n{depth}\n")
+    return folder
+
+
+def test_tum_images_are_paired_by_time(tum):
+    sequence = open_sequence(tum)
+    frames = [frame for _, frame in sequence.frames()]
+    assert [frame.time for frame in frames] == [0, 2]  # the second depth image is 0.5 s from any colour image
+    assert frames[1].depth[0, 0] == pytest.approx(3.0) and frames[1].rgb[0, 0, 0] == 20
+    fx, _, cx, _ = np.array(CAMERAS["freiburg2"]) / 10  # the images here are a tenth as wide
+    assert frames[0].intrinsics.fx == pytest.approx(fx) and frames[0].intrinsics.cx == pytest.approx(cx)
+    assert sequence.detections(0, frames[0]) is None
+
+
+def test_tum_intrinsics_can_be_given(tum):
+    (tum / "intrinsics.txt").write_text("600 601 320 240")
+    assert open_tum(tum).camera == (600, 601, 320, 240)
+    (tum / "intrinsics.txt").write_text("600 601")
+    with pytest.raises(InvalidInputError, match="four numbers"):
+        open_tum(tum)
+
+
+def test_an_unknown_tum_camera_gets_the_default(tum):
+    assert open_tum(tum.rename(tum.with_name("office"))).camera == DEFAULT_CAMERA
+
+
+@pytest.mark.parametrize(("difference", "paired"), [(0.019, 1), (-0.019, 1), (0.021, 0), (-0.021, 0)])
+def test_images_are_paired_within_20_ms(tum, difference, paired):
+    (tum / "rgb.txt").write_text("10.0 rgb/0.png\n")
+    (tum / "depth.txt").write_text(f"{10 + difference} depth/0.png\n")
+    if paired:
+        assert open_tum(tum).pairs == ((10 + difference, "rgb/0.png", "depth/0.png"),)
+    else:
+        with pytest.raises(InvalidInputError, match="no depth image has a colour image within 20 ms"):
+            open_tum(tum)
+
+
+def test_each_depth_image_gets_the_nearest_colour_image_and_each_colour_image_one(tum):
+    (tum / "rgb.txt").write_text("1.00 rgb/0.png\n1.01 rgb/1.png\n")
+    (tum / "depth.txt").write_text("1.012 depth/1.png\n1.002 depth/0.png\n1.004 depth/2.png\n")
+    assert [(p.color, p.depth) for p in open_tum(tum).pairs] == [
+        ("rgb/0.png", "depth/0.png"),
+        ("rgb/1.png", "depth/1.png"),
+    ]
+
+
+def test_both_lists_make_a_recording(tum):
+    assert is_tum_recording(tum)
+    (tum / "depth.txt").write_text("# nothing\n")
+    with pytest.raises(InvalidInputError, match=r"depth\.txt lists no image"):
+        open_tum(tum)
+    (tum / "depth.txt").write_text("1.0\n")
+    with pytest.raises(InvalidInputError, match=r"depth\.txt, line 1: expected a time"):
+        open_tum(tum)
+    (tum / "depth.txt").unlink()
+    assert not is_tum_recording(tum)
