@@ -37,6 +37,12 @@ def test_standing():
     ]  # fmt: skip
 
 
+def test_yaw_is_the_direction_of_the_handle_and_tilt_that_of_the_axis():
+    item = thing("mug", yaw_deg=30, tilt_deg=5)
+    assert item.yaw == pytest.approx(np.deg2rad(30)) and item.tilt == pytest.approx(np.deg2rad(5))
+    np.testing.assert_allclose(thing(z=0.1).vertices_world[:, 2].min(), 0.1)
+
+
 def test_an_object_upside_down_has_toppled():
     assert judge_standing([thing(tilt_deg=180)]) == ["toppled by 180 deg"]
 

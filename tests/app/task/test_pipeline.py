@@ -1,0 +1,243 @@
+"""Order and data flow of the stages, with each stage replaced by one that records its arguments."""
+
+from dataclasses import replace
+from types import SimpleNamespace
+
+import numpy as np
+import pytest
+
+import app.task.pipeline as pipeline
+from app.task.pipeline import RunObserver, TaskRequest, expected_pose, make_reobserver, run, verify
+from manipulation.errors import PlanningError
+from manipulation.types import Box, Line, ObjectOutcome
+from manipulation.viewpoints import (
+    BOX_VIEWPOINTS,
+    LINE_VIEWPOINTS,
+    SCAN_VIEWPOINTS,
+    ViewpointScanner,
+    closeup_viewpoints,
+)
+from perception.errors import PerceptionError
+from perception.geometry import pose_from_yaw
+from perception.inference.refit import PoseCheck
+from perception.pipeline import Detections, Perception
+from perception.types import SupportPlane
+from sim_assets.robots import panda
+
+
+class StillRobot:
+    arm = panda().description
+
+    def joint_positions(self):
+        return self.arm.q_home
+
+    def gripper_width(self):
+        return 0.08
+
+    def follow(self, trajectory):
+        pass
+
+    def move_gripper(self, width):
+        return width
+
+    def capture(self):
+        raise NotImplementedError
+
+
+class Scanner(ViewpointScanner):
+    """Returns one image per call; records the viewpoints."""
+
+    def __init__(self, frame):
+        self.frame, self.visited, self.error = frame, [], None
+
+    def capture(self, viewpoints, progress=None, on_frame=None):
+        self.visited.append(tuple(viewpoints))
+        if self.error is not None:
+            raise self.error
+        if on_frame is not None:
+            on_frame(self.frame)
+        return [self.frame]
+
+
+class Recording(RunObserver):
+    def __init__(self):
+        super().__init__()
+        self.calls = []
+
+    def stage(self, name):
+        self.calls.append(name)
+        return super().stage(name)
+
+    def on_image(self, frame):
+        self.calls.append("image")
+
+    def on_frames(self, frames):
+        self.calls.append(("frames", len(frames)))
+
+    def on_detections(self, detections):
+        self.calls.append(detections)
+
+    def on_objects(self, objects):
+        self.calls.append(("objects", [estimate.id for estimate in objects]))
+
+    def on_plan(self, plan):
+        self.calls.append(plan)
+
+
+SEEN = PoseCheck(np.eye(4), "seen", 0.9, 500, 0.01, 0.02)
+FOUND = Detections(SupportPlane(), ((),))
+
+
+@pytest.fixture
+def stages(monkeypatch, overhead_frame, can_at, pack_plan):
+    """The replaced stages, and what they were called with."""
+    scanner, calls = Scanner(overhead_frame), {}
+    objects = [can_at(0), can_at(1, 0.5)]
+    outcomes = [ObjectOutcome(0, "can_0", True, 1, "", pose_from_yaw(0.0, np.array([0.5, 0.27, 0.004])))]
+
+    def stage(name, result):
+        def call(*args):
+            calls[name] = args
+            if isinstance(result, Exception):
+                raise result
+            return result
+
+        monkeypatch.setattr(pipeline, name, call)
+
+    monkeypatch.setattr(pipeline, "ViewpointScanner", lambda robot, kinematics: scanner)
+    stage("detect", FOUND)
+    stage("reconstruct_objects", objects)
+    stage("plan_pack", pack_plan)
+    stage("plan_sort", pack_plan)
+    stage("execute", outcomes)
+    stage("refit_pose", SEEN)
+    perception = object.__new__(Perception)
+    object.__setattr__(perception, "detector", "detector")
+    object.__setattr__(perception, "decoder", "decoder")
+    return SimpleNamespace(
+        scanner=scanner, calls=calls, objects=objects, outcomes=outcomes, perception=perception, stage=stage
+    )
+
+
+def test_stages_run_in_order_on_the_results_of_those_before(stages, pack_plan):
+    observer, box = Recording(), Box(floor=0.01)
+    result = run(StillRobot(), stages.perception, TaskRequest("pack", box), observer)
+    assert result.failure == "" and list(result.timings) == [
+        "scan", "detect", "reconstruct", "plan", "execute", "verify",
+    ]  # fmt: skip
+    assert observer.calls == [
+        "scan", "image", ("frames", 1), "detect", FOUND, "reconstruct", ("objects", [0, 1]),
+        "plan", pack_plan, "execute", "verify", "image",
+    ]  # fmt: skip
+    calls = stages.calls
+    assert calls["detect"][:2] == (result.frames, "detector")
+    assert calls["reconstruct_objects"][:3] == (result.frames, FOUND, "decoder")
+    assert calls["plan_pack"][:2] == (stages.objects, box) and "plan_sort" not in calls
+    assert calls["execute"][0] is pack_plan
+    assert stages.scanner.visited == [tuple(SCAN_VIEWPOINTS), tuple(BOX_VIEWPOINTS)]
+    assert result.plan is pack_plan and result.outcomes == stages.outcomes and result.checks == {0: SEEN}
+
+
+def test_sorting_plans_for_the_line_and_verifies_it(stages):
+    line, box = Line(start=(0.6, 0.2)), Box()
+    result = run(StillRobot(), stages.perception, TaskRequest("sort", box, line))
+    assert result.failure == "" and "plan_pack" not in stages.calls
+    assert stages.calls["plan_sort"][:2] == (stages.objects, line) and box in stages.calls["plan_sort"]
+    assert stages.scanner.visited[-1] == tuple(LINE_VIEWPOINTS)
+
+
+def test_another_reconstruction_replaces_the_shape_prior(stages, can_at):
+    received = []
+
+    def reconstruction(frames, detections):
+        received.append(detections)
+        return [can_at(0, 0.45)]
+
+    result = run(StillRobot(), stages.perception, TaskRequest("pack", reconstruction=reconstruction))
+    assert received == [FOUND] and len(stages.calls["plan_pack"][0]) == 1
+    assert "reconstruct_objects" not in stages.calls and result.objects[0].T_world_object[0, 3] == 0.45
+
+
+@pytest.mark.parametrize("error", [PlanningError("box too small"), PerceptionError("box too small")])
+def test_a_failed_stage_ends_the_task_and_keeps_the_results_before(stages, error):
+    stages.stage("plan_pack", error)
+    result = run(StillRobot(), stages.perception, TaskRequest("pack"))
+    assert result.failure == "box too small" and result.objects == stages.objects
+    assert result.plan is None and result.outcomes == () and "execute" not in stages.calls
+    assert list(result.timings) == ["scan", "detect", "reconstruct", "plan"]
+
+
+def test_other_exceptions_are_not_results(stages):
+    stages.stage("detect", AttributeError("no such member"))
+    with pytest.raises(AttributeError):
+        run(StillRobot(), stages.perception, TaskRequest("pack"))
+
+
+def test_reobservation_moves_the_known_object_to_the_fitted_pose(stages):
+    T = pose_from_yaw(0.3, np.array([0.45, -0.2, 0.05]))
+    stages.stage("refit_pose", replace(SEEN, T_world_object=T))
+    scanner, (first, second) = stages.scanner, stages.objects
+    moved = make_reobserver(scanner, stages.objects)(1)
+    np.testing.assert_array_equal(moved.T_world_object, T)
+    assert moved.id == 1 and moved.mesh is second.mesh and first.id == 0
+    assert stages.calls["refit_pose"][0] is second and stages.calls["refit_pose"][1] == [scanner.frame]
+    assert scanner.visited == [tuple(closeup_viewpoints((0.5, -0.2, 0.05)))]
+
+
+def test_an_object_that_is_not_observed_yields_no_estimate(stages):
+    reobserve = make_reobserver(stages.scanner, stages.objects)
+    for status in ("not_there", "hidden"):
+        stages.stage("refit_pose", replace(SEEN, status=status))
+        assert reobserve(0) is None
+    for error in (PerceptionError("no depth"), PlanningError("out of reach")):
+        stages.stage("refit_pose", error)
+        assert reobserve(0) is None
+    stages.scanner.error = PlanningError("no viewpoint")
+    assert reobserve(0) is None
+
+
+def test_the_expected_pose_is_that_of_the_object_carried_with_its_stand_frame(can_at, pack_plan):
+    rest = pose_from_yaw(np.pi / 2, np.array([0.5, 0.27, 0.004]))
+    outcome = ObjectOutcome(0, "can_0", True, 1, "", rest)
+    T_before = can_at().T_world_object  # centre of the can, 50 mm above the table
+    stand = pack_plan.objects["can_0"].T_world_stand
+    T = expected_pose(can_at(), pack_plan, outcome)
+    np.testing.assert_allclose(T[:3, 3], (0.5, 0.27, 0.054), atol=1e-9)
+    np.testing.assert_allclose(np.linalg.inv(rest) @ T, np.linalg.inv(stand) @ T_before, atol=1e-9)
+
+
+def test_placed_objects_are_verified_at_their_goals_beside_one_another(stages, pack_plan, overhead_frame):
+    calls = []
+    goals = {0: np.array([0.5, 0.27, 0.0]), 1: np.array([0.6, 0.3, 0.0])}
+    outcomes = [ObjectOutcome(i, f"can_{i}", True, 1, "", pose_from_yaw(0.0, goals[i])) for i in goals]
+    patch = pytest.MonkeyPatch()
+    patch.setattr(pipeline, "refit_pose", lambda *args: calls.append(args) or SEEN)
+    try:
+        assert verify(stages.objects, pack_plan, outcomes, [overhead_frame]) == {0: SEEN, 1: SEEN}
+        for object_id, (estimate, frames, T, others) in enumerate(calls):
+            assert estimate.id == object_id and frames == [overhead_frame]
+            np.testing.assert_allclose(T[:2, 3], goals[object_id][:2], atol=1e-9)
+            np.testing.assert_array_equal(T, estimate.T_world_object)
+            assert [other.id for other in others] == [1 - object_id]
+        failed = replace(outcomes[1], placed=False)
+        calls.clear()
+        assert list(verify(stages.objects, pack_plan, [outcomes[0], failed], [overhead_frame])) == [0]
+        assert calls[0][3] == []
+    finally:
+        patch.undo()
+
+
+def test_timings_exclude_pauses():
+    class Paused(RunObserver):
+        seconds = 0.0
+
+        @property
+        def paused_seconds(self):
+            return self.seconds
+
+    observer = Paused()
+    observer.seconds = 50.0
+    with pytest.raises(KeyError), observer.stage("scan"):
+        observer.seconds += 100.0
+        raise KeyError
+    assert -100.0 < observer.timings["scan"] < -99.0  # measured time less the claimed pause
