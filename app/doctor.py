@@ -1,4 +1,4 @@
-"""``nodeslam doctor``: what this machine has, and what to do about what is missing."""
+"""``nodeslam doctor``: check this machine, with a remedy for whatever is missing."""
 
 from __future__ import annotations
 
@@ -53,7 +53,14 @@ sys.exit(0 if image.any() else 3)
 
 @dataclass(frozen=True)
 class Finding:
-    """One thing that was looked at."""
+    """Result of one check.
+
+    Attributes:
+        name: Subject of the check.
+        status: "ok", "missing" if it is required, or "optional".
+        found: Version or error.
+        remedy: What to do if the status is not "ok".
+    """
 
     name: str
     status: Status
@@ -62,7 +69,7 @@ class Finding:
 
 
 def run(options: DoctorOptions, screen: Screen) -> Report:
-    """Look at everything; successful when nothing needed is missing."""
+    """Run all checks; successful if no requirement is missing."""
     begin = time.perf_counter()
     folder = RunFolder.create(options, "doctor")
     findings = examine()
@@ -82,7 +89,7 @@ def run(options: DoctorOptions, screen: Screen) -> Report:
 
 
 def examine() -> list[Finding]:
-    """All findings, the basic ones first."""
+    """Return all findings, the basic ones first."""
     findings = [
         Finding("nodeslam", "ok", package_version()),
         Finding("python", "ok" if sys.version_info >= (3, 11) else "missing", platform.python_version()),
@@ -97,7 +104,7 @@ def examine() -> list[Finding]:
 
 
 def locked_versions(path: Path = ROOT / "requirements.lock") -> dict[str, str]:
-    """The versions that were tested, by name; empty where the lock is not at hand."""
+    """Return the tested versions by name; empty without a lock file."""
     if not path.is_file():
         return {}
     pairs = re.findall(r"^([\w.-]+)==([\w.+!-]+)", path.read_text(encoding="utf-8"), re.MULTILINE)
@@ -105,7 +112,7 @@ def locked_versions(path: Path = ROOT / "requirements.lock") -> dict[str, str]:
 
 
 def check_version(name: str, lock: dict[str, str], absent: Status, remedy: str) -> Finding:
-    """Whether a distribution is installed, in the version that was tested."""
+    """Check whether a distribution is installed, and whether in the tested version."""
     try:
         version = importlib.metadata.version(name)
     except importlib.metadata.PackageNotFoundError:
@@ -120,7 +127,7 @@ def check_version(name: str, lock: dict[str, str], absent: Status, remedy: str) 
 
 
 def check_gl(command: Callable[[], list[str]] = lambda: [sys.executable, "-c", _PROBE]) -> Finding:
-    """Render a small image in another process: a wrong OpenGL ends the process that tries it."""
+    """Render a small image in another process, since a broken OpenGL terminates its process."""
     remedy = "apt-get install libegl1 libgl1 libgl1-mesa-dri (or libosmesa6 and MUJOCO_GL=osmesa)"
     try:
         probe = subprocess.run(command(), cwd=ROOT, capture_output=True, text=True, timeout=PROBE_SECONDS)
@@ -133,7 +140,7 @@ def check_gl(command: Callable[[], list[str]] = lambda: [sys.executable, "-c", _
 
 
 def check_filament() -> Finding:
-    """Whether the second renderer, which only `evaluate detection` needs, can draw."""
+    """Check the second renderer, which only ``evaluate detection`` requires."""
     try:
         from sim_assets.rendering.filament import filament_fault
     except ImportError as error:
@@ -145,7 +152,7 @@ def check_filament() -> Finding:
 
 
 def check_cuda() -> Finding:
-    """Whether torch sees a CUDA device; none is needed."""
+    """Check whether torch finds a CUDA device; it is optional."""
     try:
         import torch
 

@@ -1,4 +1,4 @@
-"""The product: packing and sorting in simulation with the real perception, scored from the true state."""
+"""Whole commands: packing and sorting in simulation with the shipped networks, scored on ground truth."""
 
 import json
 import subprocess
@@ -11,10 +11,10 @@ import pytest
 from perception.io.object_map import read_object_map
 
 ROOT = Path(__file__).parents[1]
-WANTED = 0.8  # share of the objects in place over the seeds
+MIN_SUCCESS_RATE = 0.8  # of the objects over all seeds
 STAGES = {"scan", "detect", "reconstruct", "plan", "execute", "verify", "total"}
 
-# Stands in front of `nodeslam` on a machine without a simulator.
+# Runs `nodeslam` as on a machine without a simulator.
 WITHOUT_SIMULATOR = """
 import sys
 class Block:
@@ -46,14 +46,14 @@ def check(reports):
     objects = [entry for report in reports for entry in report["objects"]]
     placed = sum(entry["placed"] for entry in objects)
     assert len(objects) == 4 * len(reports)
-    assert placed >= WANTED * len(objects), [report["reason"] for report in reports]
+    assert placed >= MIN_SUCCESS_RATE * len(objects), [report["reason"] for report in reports]
     for report in reports:
         assert set(report["timings"]) == STAGES
         for row in report["metrics"]["reconstruction"]:
             assert row["found"] and row["accuracy"] < 0.006, row
 
 
-def test_packing_and_reconstructing_its_scan_elsewhere(tmp_path):
+def test_packing_and_reconstruction_of_its_scan_without_a_simulator(tmp_path):
     reports = [episode("pack", seed, tmp_path / str(seed)) for seed in (1, 2)]
     check(reports)
     first = tmp_path / "1"
@@ -79,7 +79,7 @@ def test_an_object_that_cannot_be_packed_is_named(tmp_path):
 
 
 @pytest.mark.parametrize("objects", ["mug=20"])
-def test_more_objects_than_the_table_holds(tmp_path, objects):
+def test_too_many_objects_for_the_table_are_refused(tmp_path, objects):
     done = nodeslam("pack", "--objects", objects, "--out", tmp_path / "run")
     assert done.returncode == 2
     assert "objects do not fit on the table" in done.stderr.splitlines()[-1]

@@ -1,11 +1,11 @@
-"""The recording of a run: what moved, what was thought, and when. Viewers play it, also while it grows.
+"""Recording of a run: motion, intermediate results and their times. Viewers play it, also while it grows.
 
     replay.npz    show_time, time, joint_positions, gripper_width, body_poses; and the events as text
     replay.json   names of the moving bodies; notes: [time, kind, {...}]
-    replay.glb    what the bodies look like: nodes <body>/<part>, each in its body's frame
+    replay.glb    visual meshes of the bodies: nodes <body>/<part>, each in its body's frame
 
-*Show time* orders everything. It runs with the robot's clock, and while the robot thinks by a fixed beat for
-every thought worth watching: the same run shows the same on slow and fast machines.
+*Show time* orders all samples and notes. It advances with simulated time, and by a fixed duration for each
+note: a recording plays the same whatever the speed of the machine that made it.
 """
 
 from __future__ import annotations
@@ -26,7 +26,7 @@ from perception.io.files import read_json, write_atomically
 from perception.types import ObjectDetection, ObjectEstimate, RgbdFrame
 
 NoteKind = Literal["stage", "done", "look", "found", "fit", "objects", "plan", "action", "path"]
-# How long a thought is shown, in [s].
+# Show time that a note takes, in seconds.
 BEAT: dict[NoteKind, float] = {
     "stage": 0.6,
     "look": 0.3,
@@ -40,17 +40,17 @@ Bodies = Mapping[str, tuple[trimesh.Trimesh, ...]]
 
 @dataclass(frozen=True)
 class Note:
-    """Something that happened at a show time in [s], as plain values:
+    """An event at a show time in seconds, with plain values as data:
 
     stage   name                                     a stage begins
-    done    name, seconds                            it is over, after so many seconds of wall time
-    look    index                                    a picture was taken
-    found   index, count                             objects were found in it
+    done    name, seconds                            a stage ends, after so many seconds of wall time
+    look    index                                    an image was captured
+    found   index, count                             objects were detected in an image
     fit     id, category, code, T_world_object, scale, residual [m], iteration
     objects covariances: {id: upper triangle}        the object map is complete
     plan    placements: [{name, T_world_stand, position, yaws, stack}], left_out
     action  phase, name, message, done, total; at "approach" T_stand_tcp, T_world_stand_rest, grasps
-    path    name, points [m]                         of the tool, about to be followed
+    path    name, points [m]                         path of the tool in the next motions
     """
 
     time: float
@@ -60,17 +60,17 @@ class Note:
 
 @dataclass
 class Recorder:
-    """Collects a run. Lists only ever grow, so that a viewer may read them from another thread at any moment.
+    """Collects a run. Its lists only grow, so that a viewer can read them from another thread at any time.
 
     Attributes:
-        bodies: what moves, in the order of ``poses``.
-        meshes: what the bodies look like.
-        now: show time in [s].
-        show_times, times: of the samples: show time and simulated time in [s].
-        joints, widths: arm joints [rad] and gripper width [m].
-        poses: positions [m] and quaternions wxyz of the bodies.
-        notes: what happened, by time.
-        frames, detections, objects: what was seen and made; they are kept in their own files.
+        bodies: Names of the moving bodies, in the order of ``poses``.
+        meshes: Visual meshes of the bodies.
+        now: Current show time in seconds.
+        show_times, times: Show time and simulated time of the samples, in seconds.
+        joints, widths: Arm joints [rad] and gripper width [m] of the samples.
+        poses: Positions [m] and quaternions wxyz of the bodies.
+        notes: Events in order of time.
+        frames, detections, objects: Images and results, which are stored in files of their own.
     """
 
     bodies: tuple[str, ...] = ()
@@ -93,22 +93,22 @@ class Recorder:
         width: float,
         poses: Float[np.ndarray, "_b 7"] | None = None,
     ) -> None:
-        """One moment of simulated time [s]."""
+        """Append a sample at a simulated time in seconds."""
         if self.times:
             self.now += max(time - self.times[-1], 0.0)
         self.times.append(time)
         self.joints.append(joints)
         self.widths.append(width)
         self.poses.append(np.zeros((len(self.bodies), 7)) if poses is None else poses)
-        self.show_times.append(self.now)  # last: a reader takes as many samples as have a time
+        self.show_times.append(self.now)  # last: readers take as many samples as there are times
 
     def note(self, kind: NoteKind, **data: Any) -> None:
-        """Something happened; show time goes on by its beat."""
+        """Append a note and advance the show time by its duration."""
         self.notes.append(Note(self.now, kind, data))
         self.now += BEAT.get(kind, 0.0)
 
     def write(self, folder: Path) -> None:
-        """Everything but the meshes."""
+        """Write everything but the meshes."""
         actions = [note for note in self.notes if note.kind in ("stage", "action")]
         labels = [note.data["name"] if note.kind == "stage" else action_text(note.data) for note in actions]
         arrays = {
@@ -128,7 +128,7 @@ class Recorder:
         write_atomically(folder / "replay.json", text.encode())
 
     def write_meshes(self, folder: Path) -> None:
-        """What the bodies look like, as one GLB file."""
+        """Write the visual meshes as one GLB file."""
         scene = trimesh.Scene()
         for body, parts in self.meshes.items():
             for index, mesh in enumerate(parts):
@@ -139,13 +139,13 @@ class Recorder:
             write_atomically(folder / "replay.glb", glb)
 
     def simulated(self, show_time: float) -> float:
-        """The robot's clock in [s] at a show time."""
+        """Return the simulated time at a show time, both in seconds."""
         index = np.searchsorted(self.show_times, show_time, side="right") - 1
         return self.times[index] if index >= 0 else 0.0
 
 
 def action_text(action: Mapping[str, Any]) -> str:
-    """An action in words."""
+    """Return a short description of an action."""
     return f"{action['phase']} {action['name']}".replace("_", " ")
 
 
@@ -153,7 +153,7 @@ def read_recording(folder: Path) -> Recorder:
     """Read what ``Recorder`` wrote.
 
     Raises:
-        InvalidInputError: a file is missing or malformed; the message names it.
+        InvalidInputError: A file is missing or malformed; the message names it.
     """
     remedy = "give a run folder that `pack` or `sort` wrote"
     content = read_json(folder / "replay.json", remedy)
@@ -200,7 +200,7 @@ def _read_arrays(path: Path, remedy: str) -> dict[str, np.ndarray]:
 
 
 def _read_meshes(path: Path) -> dict[str, tuple[trimesh.Trimesh, ...]]:
-    """Meshes by body; none where the file is missing: poses and objects can be shown without."""
+    """Read the meshes by body; empty if the file is missing, since the rest can be shown without them."""
     if not path.is_file():
         return {}
     try:
@@ -217,7 +217,7 @@ def _read_meshes(path: Path) -> dict[str, tuple[trimesh.Trimesh, ...]]:
 
 
 def _plain(value: Any) -> Any:
-    """Arrays as short lists."""
+    """Convert arrays to lists of rounded numbers."""
     if isinstance(value, np.ndarray):
         return np.round(value.astype(np.float64), 5).tolist()
     if isinstance(value, np.generic):
