@@ -245,26 +245,12 @@ def test_object_that_stays_blocked_fails_and_frees_those_that_wait_for_it(packin
     assert outcomes["bowl_3"].T_world_stand[2, 3] == pytest.approx(Box().floor)
 
 
-def test_unreachable_object_is_named_and_left_out(scene, shapes, arm):
-    far = shapes.estimate(9, "can", shapes.can(), x=1.05, y=0.1)
-    task = plan_pack([scene[0], far], Box(), arm, CONFIG)
-    assert task.left_out == {"can_9": "can_9 at (1.05, 0.10) m is out of the arm's reach; move it closer"}
-    assert "can_9" in task.objects and all(p.name != "can_9" for p in task.placements)
-    with pytest.raises(PlanningError, match="none of 1 objects can be manipulated: can_9"):
-        plan_pack([far], Box(), arm, CONFIG)
-
-
 def test_unreachable_goal_is_reported_with_counts(scene, arm):
     items = {item.name: item for item in map(to_standing, scene)}
     config = PickPlaceConfig(grasp=GraspConfig(n_azimuths=4, top_depths=(0.02,)))
     planner = PickPlacePlanner(Kinematics(arm), items, config=config)
     with pytest.raises(PlanningError, match=r"No plan for can_1: of \d+ candidates, .*goal out of reach"):
         planner.plan(Placement("can_1", (1.3, 0.2, 0.0), (0.0,)), np.asarray(arm.q_home))
-
-
-def test_nothing_perceived_is_an_error(arm):
-    with pytest.raises(PlanningError, match="no object was perceived: repeat the scan"):
-        plan_sort([], Line(), arm)
 
 
 def test_sorting_takes_mugs_too(scene, shapes, arm):

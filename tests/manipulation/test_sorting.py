@@ -89,11 +89,14 @@ def along(placement, line):
 
 
 def test_low_objects_are_placed_first(shapes):
-    items = cans(shapes, 0.16, 0.1, 0.13)
+    items = items_of(
+        shapes, ("can", shapes.can(0.033, 0.16)), ("can", shapes.can(0.033, 0.1)), ("bowl", shapes.bowl(0.07))
+    )
+    assert items[1].size < items[2].size and items[2].top < items[1].top
     placements, _ = sort_line(items, Line())
-    assert [placement.name for placement in placements] == ["can_1", "can_2", "can_0"]
+    assert [placement.name for placement in placements] == ["bowl_2", "can_1", "can_0"]
     positions = {placement.name: along(placement, Line()) for placement in placements}
-    assert positions["can_1"] < positions["can_2"] < positions["can_0"], "ascending in size"
+    assert positions["can_1"] < positions["bowl_2"] < positions["can_0"], "ascending in size"
 
 
 def test_positions_follow_from_margin_width_and_gap(shapes):

@@ -1,0 +1,161 @@
+from dataclasses import replace
+
+import numpy as np
+import pytest
+
+from manipulation.collision import AllowedContacts
+from manipulation.errors import PlanningError
+from manipulation.grasp_config import GraspConfig
+from manipulation.kinematics import Kinematics
+from manipulation.obstacles import TABLE, Obstacle
+from manipulation.pick_place import PickPlaceConfig, PickPlacePlanner, _Tally
+from manipulation.pick_place_segments import Pick
+from manipulation.robot import JointTrajectory
+from manipulation.standing import to_standing
+from manipulation.trajectories import MotionConfig
+from manipulation.types import PickPlacePlan, Placement
+
+CONFIG = PickPlaceConfig(
+    max_plans=1,
+    motion=MotionConfig(line_step=0.03),
+    grasp=GraspConfig(n_azimuths=4, top_depths=(0.02,)),
+)
+# Between can and goal. At the height of the lift the hand passes above the wall, but the can does not.
+WALL = Obstacle("wall", (0.5, 0.0, 0.125), (0.25, 0.02, 0.125))
+HIGH_WALL = Obstacle("wall", (1.25, 0.0, 0.75), (1.0, 0.01, 0.75))
+GOAL = Placement("can_1", (0.5, 0.25, 0.0), (0.0,))
+
+
+@pytest.fixture(scope="module")
+def kinematics(arm):
+    return Kinematics(arm)
+
+
+@pytest.fixture(scope="module")
+def items(shapes):
+    estimates = [
+        shapes.estimate(1, "can", shapes.can(), x=0.5, y=-0.25),
+        shapes.estimate(2, "bowl", shapes.bowl(0.075, slope=0.3), x=0.3, y=-0.4),
+        shapes.estimate(3, "bowl", shapes.bowl(0.055, 0.045, slope=0.3), x=0.6, y=-0.4),
+    ]
+    return {item.name: item for item in map(to_standing, estimates)}
+
+
+def posture(kinematics, x, y, z):
+    T = np.diag([1.0, -1.0, -1.0, 1.0])
+    T[:3, 3] = x, y, z
+    return kinematics.inverse(T, kinematics.seeds_toward(T)).q
+
+
+def test_transit_avoids_obstacles_with_the_hand_and_the_carried_object(kinematics, items):
+    planner = PickPlacePlanner(kinematics, items, (TABLE, WALL), CONFIG)
+    plan = planner.plan(GOAL, posture(kinematics, 0.5, 0.2, 0.2))
+    world, margin = planner.world, CONFIG.transit_margins[-1]
+    touch_can = AllowedContacts(frozenset({"can_1"}), robot_margin=0.9 * margin)
+    assert world.path_contact(plan.approach.positions[::20], plan.grasp.opening, touch_can) is None
+    world.carry("can_1", np.linalg.inv(plan.grasp.T_stand_tcp))
+    lifted = plan.transfer.positions[::20]
+    assert world.path_contact(lifted, plan.grasp.held_width, AllowedContacts(carried_margin=0.0)) in (
+        None, world.contact(lifted[-1], plan.grasp.held_width, AllowedContacts(carried_margin=0.0)),
+    )  # fmt: skip
+    crossing = np.abs([kinematics.forward(q)[1, 3] for q in lifted]) < 0.1
+    assert crossing.any()
+    assert world.path_contact(lifted[crossing], plan.grasp.held_width) is None
+
+
+def test_an_obstacle_that_cannot_be_avoided_is_the_reason(kinematics, items):
+    first_only = replace(CONFIG, max_pairs=0, via_heights=(0.4,), transit_margins=(0.004,))
+    planner = PickPlacePlanner(kinematics, items, (TABLE, HIGH_WALL), first_only)
+    q_near, q_far = posture(kinematics, 0.4, -0.25, 0.3), posture(kinematics, 0.4, 0.25, 0.3)
+    with pytest.raises(PlanningError, match=r"No plan for can_1: of \d+ .*path to the goal.*; clear"):
+        planner.plan(GOAL, q_near)
+    here = Placement("can_1", (0.55, -0.2, 0.0), (0.0,))
+    with pytest.raises(PlanningError, match=r"\d+ without a collision-free path to the object"):
+        planner.plan(here, q_far)
+    assert planner.plan(here, q_near).name == "can_1"
+
+
+def test_no_candidate_within_reach_suggests_to_move_the_object(kinematics, items):
+    planner = PickPlacePlanner(kinematics, items, config=CONFIG)
+    far = planner.world.pose("can_1")
+    far[:2, 3] = 1.2, 0.0
+    planner.moved("can_1", far)
+    with pytest.raises(PlanningError, match=r"of 4 candidates, 4 out of reach; move it closer to the arm"):
+        planner.plan(GOAL, kinematics.arm.q_home)
+
+
+def plan_of(duration):
+    """Return a plan of which only the durations of the motions are set."""
+
+    def still(steps):
+        zeros = np.zeros((steps + 1, 7))
+        return JointTrajectory(1.0, zeros, zeros, zeros)
+
+    plan = object.__new__(PickPlacePlan)
+    for name, steps in (("approach", duration), ("lift", 0), ("transfer", 0), ("retreat", 0)):
+        object.__setattr__(plan, name, still(int(steps)))
+    object.__setattr__(plan, "settle", None)
+    return plan
+
+
+def test_the_shortest_of_several_plans_is_returned(kinematics, items, monkeypatch):
+    planner = PickPlacePlanner(kinematics, items, config=PickPlaceConfig(grasp=CONFIG.grasp, max_plans=3))
+    plans = iter([plan_of(3.0), None, plan_of(2.0), plan_of(4.0), plan_of(1.0)])
+    monkeypatch.setattr(planner, "_picks", lambda *_: iter(range(5)))
+    monkeypatch.setattr(planner, "_complete", lambda *_: next(plans))
+    assert planner.plan(GOAL, kinematics.arm.q_home).duration == 2.0
+
+
+def test_similar_grasps_are_not_tried_again(kinematics, items):
+    config = PickPlaceConfig(grasp=GraspConfig(n_azimuths=24, top_depths=(0.02, 0.022, 0.03)))
+    planner = PickPlacePlanner(kinematics, items, config=config)
+    first = planner.grasps("can_1").grasps[0]
+    for pick, _ in zip(planner._picks("can_1", [first], _Tally()), range(4)):
+        turn = np.abs(np.angle(np.exp(1j * (pick.grasp.azimuth - first.azimuth))))
+        assert turn >= np.deg2rad(20) or abs(pick.grasp.depth - first.depth) >= 0.003
+
+
+def test_yaws_that_follow_the_rotation_of_the_base_come_first(kinematics, items):
+    planner = PickPlacePlanner(kinematics, items, config=CONFIG)
+    swing = 2 * np.arctan2(0.25, 0.5)
+    yaws = tuple(swing + np.array([2.0, -0.1, 0.4, -1.0]))
+    placement = Placement("can_1", (0.5, 0.25, 0.0), yaws)
+    nothing = np.zeros((2, 7))
+    pick = Pick(planner.grasps("can_1").grasps[0], nothing, nothing)
+    assert planner._ordered_yaws(pick, placement) == [yaws[1], yaws[2], yaws[3], yaws[0]]
+
+
+def test_resting_pose_is_at_the_yaw_and_raised_by_the_stack(kinematics, items):
+    planner = PickPlacePlanner(kinematics, items, config=CONFIG)
+    floor = planner.resting_pose(Placement("bowl_3", (0.5, 0.3, 0.004), (0.5,)), 0.5)
+    np.testing.assert_allclose(floor[:3, 3], (0.5, 0.3, 0.004))
+    assert np.arctan2(floor[1, 0], floor[0, 0]) == pytest.approx(0.5)
+    nested = planner.resting_pose(Placement("bowl_3", (0.5, 0.3, 0.004), (0.5,), stack=("bowl_2",)), 0.5)
+    assert nested[2, 3] == pytest.approx(0.004 + 0.005, abs=0.003)
+
+
+def test_a_new_estimate_replaces_the_object_and_keeps_the_others(kinematics, items, shapes):
+    planner = PickPlacePlanner(kinematics, items, config=CONFIG)
+    moved = planner.world.pose("bowl_2")
+    moved[0, 3] += 0.1
+    planner.moved("bowl_2", moved)
+    grasps = planner.grasps("can_1")
+    planner.observe(to_standing(shapes.estimate(1, "can", shapes.can(0.025), x=0.4, y=-0.1)))
+    np.testing.assert_allclose(planner.world.pose("bowl_2"), moved)
+    np.testing.assert_allclose(planner.world.pose("can_1")[:2, 3], (0.4, -0.1), atol=1e-3)
+    assert planner.grasps("can_1") is not grasps
+    assert planner.grasps("can_1").grasps[0].held_width == pytest.approx(0.05, abs=1e-3)
+
+
+def test_forgotten_objects_are_no_obstacles(kinematics, items):
+    planner = PickPlacePlanner(kinematics, items, config=CONFIG)
+    q = posture(kinematics, 0.5, -0.25, 0.06)
+    assert planner.world.contact(q, 0.08) is not None
+    planner.forget("can_1")
+    assert planner.world.contact(q, 0.08) is None
+
+
+def test_known_grasps_are_used(kinematics, items):
+    known = PickPlacePlanner(kinematics, items, config=CONFIG).grasps("can_1")
+    planner = PickPlacePlanner(kinematics, items, config=CONFIG, grasps={"can_1": known})
+    assert planner.grasps("can_1") is known
