@@ -1,4 +1,4 @@
-"""Small pictures of rendered scenes: what they keep of the truth, what survives the disk, what stays."""
+"""Data sets of rendered scenes: ground truth at the reduced resolution, round trip, shards, splits."""
 
 import numpy as np
 import pytest
@@ -33,7 +33,7 @@ def small(image):
     return downscale_image(image)
 
 
-def test_a_small_picture_shows_the_same_things_in_the_same_places(image, small):
+def test_reduced_images_keep_objects_and_footprints(image, small):
     assert small.rgb.shape == (1, 240, 320, 3) and small.things.shape == (1, 240, 320)
     picture = small.labelled(0)
     share = (picture.things > 0).mean() / (image.instances >= 0).mean()
@@ -50,7 +50,7 @@ def test_a_small_picture_shows_the_same_things_in_the_same_places(image, small):
     )
 
 
-def test_pictures_survive_the_disk(small, tmp_path):
+def test_round_trip_and_damaged_files(small, tmp_path):
     small.save(tmp_path / "a.npz")
     again = LabelledScenes.concatenate([LabelledScenes.load(tmp_path / "a.npz")] * 2)
     assert len(again) == 2
@@ -84,3 +84,25 @@ def test_finished_shards_are_not_rendered_again(small, tmp_path, monkeypatch):
     assert render_crop_shards(tmp_path, "test", 20, seed=0) != render_crop_shards(
         tmp_path, "train", 20, seed=0
     )
+
+
+class PoolDrawn(Exception):
+    """Raised in place of rendering."""
+
+
+@pytest.mark.parametrize("split", ["train", "test"])
+@pytest.mark.parametrize("render", ["scenes", "crops"])
+def test_scenes_are_rendered_from_the_asked_split_with_a_seed_per_shard(tmp_path, monkeypatch, split, render):
+    calls = []
+
+    class Recorded:
+        def __init__(self, split, seed, config):
+            calls.append((split, seed))
+            raise PoolDrawn
+
+    monkeypatch.setattr("sim_assets.datasets.training_scenes.TrainingScenes", Recorded)
+    function = render_scene_shards if render == "scenes" else render_crop_shards
+    for seed in (0, 1):
+        with pytest.raises(PoolDrawn):
+            function(tmp_path, split, 3, seed)
+    assert [call[0] for call in calls] == [split, split] and calls[0][1] != calls[1][1]

@@ -1,4 +1,4 @@
-"""The training jobs end to end on crops made up here, and the figures they report."""
+"""The yaw network's training job on made-up crops, and its metrics."""
 
 import numpy as np
 import pytest
@@ -6,13 +6,10 @@ import pytest
 import app.training.detector as train_detector
 import app.training.yaw as train_yaw
 from app.training.crop_dataset import LabelledCrops
-from app.training.files import summary_writer
 from perception.detection.crop_network import load_crop_network
 from perception.detection.crop_training import TrainingConfig
-from perception.detection.scene_network import SceneNet, load_scene_network
-from perception.detection.yaw import soft_labels
-from perception.errors import PerceptionError
-from perception.io.weights import weights_checksum
+from perception.detection.scene_network import SceneNet
+from perception.detection.yaw import modes, soft_labels
 
 TINY = TrainingConfig(epochs=1, batch=8)
 
@@ -38,25 +35,6 @@ def no_rendering(monkeypatch):
     monkeypatch.setattr(train_detector, "render_scene_shards", lambda folder, *_: [folder])
 
 
-def test_the_detector_job_writes_weights_and_a_card(tmp_path):
-    told = []
-    metrics = train_detector.run(
-        train_detector.TrainDetectorConfig(training=TINY),
-        tmp_path,
-        lambda what, share: told.append((what, share)),
-    )
-    network, temperature = load_crop_network("class", tmp_path / "detector.safetensors")
-    assert temperature > 0 and network.outputs == 5
-    card = (tmp_path / "detector.md").read_text()
-    assert "nodeslam train detector --seed 0" in card and "| mug |" in card
-    assert all(weights_checksum(tmp_path / f"{name}.safetensors") in card for name in ("scene", "detector"))
-    assert told[-1] == ("epoch 2 of 2", 1.0)
-    assert np.sum(metrics["confusion"]) == 20
-    assert (tmp_path / "checkpoint_class.pt").is_file()
-    assert (tmp_path / "member1" / "checkpoint_class.pt").is_file()
-    load_scene_network(tmp_path / "scene.safetensors")
-
-
 def test_the_yaw_job_learns_from_mugs_alone(tmp_path):
     metrics = train_yaw.run(train_yaw.TrainYawConfig(training=TINY), tmp_path)
     load_crop_network("yaw", tmp_path / "yaw.safetensors")
@@ -65,25 +43,7 @@ def test_the_yaw_job_learns_from_mugs_alone(tmp_path):
     assert "| visible | 2 |" in (tmp_path / "yaw.md").read_text()
 
 
-def test_tensorboard_missing_is_said(tmp_path, monkeypatch):
-    monkeypatch.setitem(__import__("sys").modules, "torch.utils.tensorboard", None)
-    with pytest.raises(PerceptionError, match=r"pip install '\.\[train\]'"):
-        summary_writer(tmp_path)
-
-
-def test_class_figures_by_hand():
-    crops = made_up(0)
-    probabilities = np.full((20, 5), 0.05)
-    probabilities[np.arange(20), crops.label] = 0.8
-    probabilities[4] = (0.8, 0.05, 0.05, 0.05, 0.05)  # a distractor taken for a mug
-    metrics = train_detector.class_metrics(crops, probabilities)
-    assert metrics["accuracy"] == 0.95 and metrics["accuracy_objects"] == 1.0
-    assert metrics["distractors_taken_for_objects"] == 0.25
-    assert metrics["confusion"][4] == [1, 0, 0, 0, 3]
-    assert metrics["calibration_error"] == pytest.approx(0.15)
-
-
-def test_yaw_figures_by_hand():
+def test_yaw_metrics_by_hand():
     crops = train_yaw.select_mugs(made_up(0))
     off = crops.yaw.astype(np.float64) + np.radians([0, 20, 0, 40])
     metrics = train_yaw.yaw_metrics(crops, soft_labels(off))
@@ -92,3 +52,38 @@ def test_yaw_figures_by_hand():
     assert sum(m["over_30_degrees"] * m["mugs"] for m in both) == pytest.approx(1)
     right = train_yaw.yaw_metrics(crops, soft_labels(crops.yaw.astype(np.float64)))
     assert right["visible"]["median"] < np.radians(1)
+
+
+@pytest.mark.parametrize(
+    ("a", "b", "expected"), [(0.1, 0.4, 0.3), (3.0, -3.0, 2 * np.pi - 6), (0, np.pi, np.pi), (7, 7, 0)]
+)
+def test_the_difference_of_angles_is_at_most_half_a_turn(a, b, expected):
+    assert train_yaw.angle_between(a, b) == pytest.approx(expected)
+    assert train_yaw.angle_between(b, a) == pytest.approx(expected)
+
+
+def test_targets_peak_at_the_true_yaw():
+    crops = train_yaw.select_mugs(made_up(1))
+    assert (crops.label == 0).all() and len(crops) == 4
+    targets = train_yaw.yaw_targets(crops).targets
+    for target, yaw in zip(targets.astype(np.float64), crops.yaw):
+        assert train_yaw.angle_between(modes(target)[0][0], float(yaw)) < np.radians(1)
+
+
+def test_a_second_mode_counts_for_the_closest_only():
+    crops = train_yaw.select_mugs(made_up(0))
+    wrong = soft_labels(crops.yaw.astype(np.float64) + np.pi)
+    right = soft_labels(crops.yaw.astype(np.float64))
+    metrics = train_yaw.yaw_metrics(crops, (0.7 * wrong + 0.3 * right).astype(np.float64))
+    for name in ("visible", "hidden"):
+        assert metrics[name]["over_30_degrees"] == 1.0
+        assert metrics[name]["no_mode_within_30_degrees"] == 0.0
+
+
+def test_a_handle_is_visible_from_one_percent_of_the_points():
+    crops = train_yaw.select_mugs(made_up(0))
+    shares = np.array([0.0, 0.0099, 0.01, 0.5], np.float32)
+    shares[2] = 0.0101
+    changed = LabelledCrops(crops.images, crops.context, crops.label, crops.yaw, shares)
+    metrics = train_yaw.yaw_metrics(changed, soft_labels(crops.yaw.astype(np.float64)).astype(np.float64))
+    assert (metrics["visible"]["mugs"], metrics["hidden"]["mugs"]) == (2, 2)

@@ -1,0 +1,160 @@
+"""The detector's training job on made-up crops: stages, splits, ensemble seeds, files, metrics."""
+
+import numpy as np
+import pytest
+
+import app.training.detector as train_detector
+from app.training.crop_dataset import LabelledCrops
+from app.training.detector import TrainDetectorConfig, render_crops, render_upright_crops, stage_progress
+from app.training.scene_dataset import MIXED, UPRIGHT
+from perception.detection.crop_network import create_network, load_crop_network
+from perception.detection.crop_training import TrainingConfig
+from perception.detection.scene_network import SceneNet, load_scene_network
+from perception.io.weights import weights_checksum
+
+TINY = TrainingConfig(epochs=1, batch=8)
+
+
+def made_up(seed):
+    rng = np.random.default_rng(seed)
+    n = 20
+    images = rng.integers(0, 255, (n, 64, 64, 6), dtype=np.uint8)
+    label = np.arange(n) % 5
+    yaw, handle = rng.uniform(-3, 3, n).astype(np.float32), (np.arange(n) % 2).astype(np.float32)
+    return LabelledCrops(images, np.zeros((n, 2), np.float32), label, yaw, handle)
+
+
+@pytest.fixture(autouse=True)
+def no_rendering(monkeypatch):
+    """A shard is its number; what is in it is made up, and the scene network is not trained."""
+    monkeypatch.setattr(train_detector, "load_crops", lambda shards: made_up(len(shards)))
+    monkeypatch.setattr(
+        train_detector, "render_crop_shards", lambda folder, split, n, seed, *_, **__: [folder] * (1 + seed)
+    )
+    monkeypatch.setattr(train_detector, "load_scenes", lambda shards: None)
+    monkeypatch.setattr(train_detector, "train_scene", lambda *_: SceneNet())
+    monkeypatch.setattr(train_detector, "render_scene_shards", lambda folder, *_: [folder])
+
+
+def test_the_detector_job_writes_weights_and_a_card(tmp_path):
+    reported = []
+    metrics = train_detector.run(
+        train_detector.TrainDetectorConfig(training=TINY),
+        tmp_path,
+        lambda what, share: reported.append((what, share)),
+    )
+    network, temperature = load_crop_network("class", tmp_path / "detector.safetensors")
+    assert temperature > 0 and network.outputs == 5
+    card = (tmp_path / "detector.md").read_text()
+    assert "nodeslam train detector --seed 0" in card and "| mug |" in card
+    assert all(weights_checksum(tmp_path / f"{name}.safetensors") in card for name in ("scene", "detector"))
+    assert reported[-1] == ("epoch 2 of 2", 1.0)
+    assert np.sum(metrics["confusion"]) == 20
+    assert (tmp_path / "checkpoint_class.pt").is_file()
+    assert (tmp_path / "member1" / "checkpoint_class.pt").is_file()
+    load_scene_network(tmp_path / "scene.safetensors")
+
+
+def test_class_metrics_by_hand():
+    crops = made_up(0)
+    probabilities = np.full((20, 5), 0.05)
+    probabilities[np.arange(20), crops.label] = 0.8
+    probabilities[4] = (0.8, 0.05, 0.05, 0.05, 0.05)  # a distractor taken for a mug
+    metrics = train_detector.class_metrics(crops, probabilities)
+    assert metrics["accuracy"] == 0.95 and metrics["accuracy_objects"] == 1.0
+    assert metrics["distractors_taken_for_objects"] == 0.25
+    assert metrics["confusion"][4] == [1, 0, 0, 0, 3]
+    assert metrics["calibration_error"] == pytest.approx(0.15)
+
+
+def test_calibration_error_is_the_mean_gap_over_bins():
+    score, correct = np.array([0.95, 0.95, 0.55, 0.55]), np.array([True, True, True, False])
+    assert train_detector.calibration_error(score, correct) == pytest.approx((2 * 0.05 + 0.1) / 4)
+
+
+def test_rows_of_the_confusion_matrix_are_true_classes():
+    matrix = train_detector.confusion_matrix(np.array([0, 0, 4]), np.array([1, 0, 3]))
+    assert matrix[0, 1] == matrix[0, 0] == matrix[4, 3] == 1 and matrix.sum() == 3
+
+
+def test_training_and_validation_are_of_the_training_families_and_test_of_the_test_families(
+    tmp_path, monkeypatch
+):
+    calls = []
+
+    def render(folder, split, pictures, seed, progress=None, kind=MIXED):
+        calls.append((split, pictures, seed, kind))
+        return []
+
+    monkeypatch.setattr(train_detector, "render_crop_shards", render)
+    config = TrainDetectorConfig(
+        close_ups=7, upright_close_ups=5, validation=3, test=2, training=TrainingConfig(seed=11)
+    )
+    render_crops(config, tmp_path, None)
+    render_upright_crops(config, tmp_path, None)
+    assert calls == [
+        ("train", 7, 11, MIXED),
+        ("train", 3, 12, MIXED),  # another seed: validation shapes are not those of training
+        ("test", 2, 11, MIXED),
+        ("train", 5, 11, UPRIGHT),
+    ]
+
+
+def test_each_part_of_the_data_goes_where_it_belongs(tmp_path, monkeypatch):
+    """Sets differ in their sizes: training 20 + 20, validation 21, test 22."""
+    used = {}
+
+    def crops(n):
+        made = made_up(0)
+        return made.subset(np.arange(n) % len(made))
+
+    splits = train_detector.CropSplits(crops(20), crops(21), crops(22))
+    monkeypatch.setattr(train_detector, "render_crops", lambda *_: splits)
+    monkeypatch.setattr(train_detector, "render_upright_crops", lambda *_: crops(20))
+
+    def train(task, data, *_):
+        used.update(training=len(data.training), validation=len(data.validation))
+        return create_network("class").eval(), 1.0
+
+    monkeypatch.setattr(train_detector, "train_ensemble", train)
+    metrics = train_detector.run(TrainDetectorConfig(training=TINY), tmp_path)
+    assert used == {"training": 40, "validation": 21} and metrics["crops"] == 22
+
+
+def test_the_scenes_of_the_scene_network_are_of_the_training_families(tmp_path, monkeypatch):
+    calls = []
+    monkeypatch.setattr(
+        train_detector, "render_scene_shards", lambda folder, split, *_: calls.append(split) or [folder]
+    )
+    train_detector.run(TrainDetectorConfig(training=TINY), tmp_path)
+    assert calls == ["train"]
+
+
+def test_members_of_an_ensemble_have_their_own_seeds_and_folders(tmp_path, monkeypatch):
+    calls = []
+
+    def train(task, data, config, folder, *_):
+        calls.append((config.seed, folder))
+        return train_detector.CropNet(5).eval()
+
+    monkeypatch.setattr(train_detector, "train_crop_network", train)
+    crops = train_detector.class_targets(made_up(0))
+    data = train_detector.TrainingData(crops, crops)
+    config = TrainDetectorConfig(training=TrainingConfig(seed=3))
+    train_detector.train_ensemble("class", data, config, tmp_path, None)
+    assert calls == [(3, tmp_path), (4, tmp_path / "member1")]
+
+
+def test_progress_of_a_stage_is_mapped_to_its_share_of_the_job():
+    reported = []
+    stage = stage_progress(lambda what, share: reported.append((what, share)), 0.2, 0.6)
+    stage("a", 0.0)
+    stage("b", 0.5)
+    stage("c", 1.0)
+    assert reported == [("a", 0.2), ("b", pytest.approx(0.4)), ("c", pytest.approx(0.6))]
+    stage_progress(None, 0.0, 1.0)("without a callback", 0.5)
+
+
+def test_the_scene_network_has_half_the_epochs_but_at_least_one():
+    assert TrainDetectorConfig().scene_epochs == 12
+    assert TrainDetectorConfig(training=TrainingConfig(epochs=1)).scene_epochs == 1
