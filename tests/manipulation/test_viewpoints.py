@@ -3,7 +3,7 @@ import pytest
 
 from manipulation.collision import CollisionWorld
 from manipulation.errors import PlanningError
-from manipulation.kinematics import Kinematics
+from manipulation.kinematics import IkResult, Kinematics
 from manipulation.obstacles import TABLE
 from manipulation.viewpoints import (
     BOX_VIEWPOINTS,
@@ -15,6 +15,7 @@ from manipulation.viewpoints import (
     ViewpointScanner,
     closeup_viewpoints,
     viewpoint_ik,
+    viewpoints_around,
 )
 from perception.types import CameraIntrinsics, RgbdFrame
 from sim_assets.robots.panda_arm import arm_description
@@ -26,7 +27,7 @@ def kinematics():
 
 
 @pytest.mark.parametrize("roll", ROLLS)
-def test_the_camera_looks_at_its_target_from_its_distance(roll):
+def test_the_optical_axis_passes_through_the_target_at_the_distance(roll):
     view = Viewpoint((0.4, -0.2, 0.05), azimuth=0.7, elevation=1.0, distance=0.55)
     T = view.camera_pose(roll)
     np.testing.assert_allclose(T[:3, :3] @ T[:3, :3].T, np.eye(3), atol=1e-12)
@@ -44,7 +45,7 @@ def test_without_roll_the_image_is_level_and_upright():
 @pytest.mark.parametrize(
     "views", [SCAN_VIEWPOINTS, BOX_VIEWPOINTS, LINE_VIEWPOINTS, closeup_viewpoints((0.45, -0.3, 0.05))]
 )
-def test_the_scripted_views_are_within_reach(kinematics, views):
+def test_the_scripted_viewpoints_are_within_reach(kinematics, views):
     q = np.array(kinematics.arm.q_home)
     for view in views:
         found = viewpoint_ik(kinematics, view, q)
@@ -56,7 +57,7 @@ def test_the_scripted_views_are_within_reach(kinematics, views):
 
 
 class Moving:
-    """A robot that only remembers where it went."""
+    """A robot that records its trajectories."""
 
     arm = arm_description()
 
@@ -83,14 +84,14 @@ class Moving:
 
 
 @pytest.mark.parametrize("views", [SCAN_VIEWPOINTS, BOX_VIEWPOINTS, LINE_VIEWPOINTS])
-def test_no_look_leads_through_the_space_of_objects(kinematics, views):
+def test_no_motion_enters_the_keep_out_volumes(kinematics, views):
     robot = Moving(kinematics.arm.q_home)
     assert len(ViewpointScanner(robot, kinematics).capture(views)) == len(views)
     world = CollisionWorld(robot.arm, [], (TABLE, *KEEP_OUT))
     assert all(world.path_contact(track[::10], 0.08) is None for track in robot.tracks)
 
 
-def test_a_look_that_begins_among_objects_leaves_them_first(kinematics):
+def test_a_first_motion_may_start_inside_a_keep_out_volume(kinematics):
     low = kinematics.forward(np.array(kinematics.arm.q_home))
     low[:3, 3] = (0.45, -0.25, 0.2)
     robot = Moving(kinematics.inverse(low, kinematics.seeds_toward(low, 3)).q)
@@ -98,7 +99,7 @@ def test_a_look_that_begins_among_objects_leaves_them_first(kinematics):
 
 
 class Still:
-    """A robot that stays where it is; nothing here gets as far as moving it."""
+    """A robot that must not be moved."""
 
     arm = arm_description()
 
@@ -118,6 +119,65 @@ class Still:
         raise AssertionError("there is nothing to see")
 
 
-def test_looking_where_the_arm_cannot_go_is_an_error(kinematics):
+def test_targets_out_of_reach_are_an_error(kinematics):
     with pytest.raises(PlanningError, match="none of 2 viewpoints can be reached"):
         ViewpointScanner(Still(), kinematics).capture(closeup_viewpoints((2.0, 0.0, 0.0)))
+
+
+def test_roll_rotates_the_image_about_the_optical_axis():
+    view = Viewpoint((0.4, -0.2, 0.05), azimuth=0.7, elevation=0.8, distance=0.5)
+    relative = np.linalg.inv(view.camera_pose()) @ view.camera_pose(roll=0.3)
+    expected = np.eye(4)
+    expected[:2, :2] = [[np.cos(0.3), -np.sin(0.3)], [np.sin(0.3), np.cos(0.3)]]
+    np.testing.assert_allclose(relative, expected, atol=1e-12)
+
+
+def test_viewpoints_are_given_in_degrees():
+    (view,) = viewpoints_around((0.4, -0.2, 0.05), [(90, 60, 0.5)])
+    assert view == Viewpoint((0.4, -0.2, 0.05), np.pi / 2, np.deg2rad(60), 0.5)
+    np.testing.assert_allclose(view.camera_pose()[:3, 3], (0.4, -0.2 + 0.25, 0.05 + 0.5 * np.sin(np.pi / 3)))
+
+
+def test_closeup_viewpoints_are_on_the_side_towards_the_middle():
+    for y, sign in ((0.3, -1), (-0.3, 1)):
+        for view in closeup_viewpoints((0.45, y, 0.05)):
+            assert np.sign(view.camera_pose()[1, 3] - y) == sign
+
+
+class Solutions:
+    """Inverse kinematics with one solution per roll, and a limit distance that the solution determines."""
+
+    def __init__(self, arm, solutions):
+        self.arm, self.solutions = arm, list(solutions)
+
+    def __call__(self, T_world_target, seeds, frame, name):
+        q, converged = self.solutions.pop(0)
+        status = "converged" if converged else "not_converged"
+        return IkResult(np.full(7, q), status, 0.0, 0.0, 1)
+
+
+def test_the_nearest_solution_within_the_limit_distance_is_used(kinematics, monkeypatch):
+    """Of eight rolls two are nearer, but not converged or too near to a joint limit."""
+    solutions = [(0.1, False), (0.2, True), (0.9, True), (0.5, True), (-0.7, True), *[(1.0, True)] * 3]
+    monkeypatch.setattr(kinematics, "inverse", Solutions(kinematics.arm, solutions))
+    monkeypatch.setattr(kinematics, "limit_distance", lambda q: 0.09 if q[0] == 0.2 else 0.11)
+    found = viewpoint_ik(kinematics, SCAN_VIEWPOINTS[0], np.zeros(7))
+    np.testing.assert_array_equal(found, np.full(7, 0.5))
+
+
+def test_viewpoints_out_of_reach_are_skipped_and_frames_reported(kinematics):
+    robot, frames, steps = Moving(kinematics.arm.q_home), [], []
+    far = closeup_viewpoints((2.0, 0.0, 0.0))[0]
+    scanner = ViewpointScanner(robot, kinematics)
+    captured = scanner.capture(
+        [SCAN_VIEWPOINTS[0], far, SCAN_VIEWPOINTS[1]], lambda *step: steps.append(step), frames.append
+    )
+    assert len(captured) == 2 and all(a is b for a, b in zip(captured, frames, strict=True))
+    assert steps == [(1, 3), (3, 3)]
+
+
+def test_a_blocked_motion_from_free_space_is_not_executed(kinematics, monkeypatch):
+    scanner = ViewpointScanner(Still(), kinematics)
+    monkeypatch.setattr(scanner.motions, "free_path", lambda *_: None)
+    with pytest.raises(PlanningError, match="none of 1 viewpoints can be reached: choose a nearer target"):
+        scanner.capture(SCAN_VIEWPOINTS[:1])
