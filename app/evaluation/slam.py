@@ -1,8 +1,8 @@
-"""``nodeslam evaluate slam``: the paper's scenes, its ablations and its comparison with TSDF fusion.
+"""``nodeslam evaluate slam``: scenes as in the paper, ablations, and comparison with TSDF fusion.
 
-Scene i of a seed is always the same: ten unseen objects on a table and a random smooth trajectory. Each
-finished (scene, variant) is one line of ``rows.jsonl``. Sequences, and the detections of the first variant
-that is through with one, are kept in ``sequences/`` and used by the others.
+Scene i is determined by the seed: ten objects of the test families on a table and a random smooth trajectory.
+Each finished (scene, variant) is one line of ``rows.jsonl``. Sequences, and the detections of the first
+variant that finishes one, are kept in ``sequences/`` and reused by the others.
 """
 
 from __future__ import annotations
@@ -43,13 +43,13 @@ from perception.slam.estimates import object_estimates
 from perception.slam.landmarks import Landmark
 
 ROWS = "rows.jsonl"
-STAGES = ("detect", "track", "initialise", "joint", "relocalise")  # their seconds are the processor's
+STAGES = ("detect", "track", "initialise", "joint", "relocalise")  # measured in processor seconds
 _RESIDENT_EVERY = 50  # frames
-CURVES_OF = ("full", "with_plane")  # variants whose shapes are followed over their updates
+CURVES_OF = ("full", "with_plane")  # variants with completion curves
 
 
 def run(options: EvaluateOptions, screen: Screen) -> Report:
-    """Run what is still to be run, and report on all."""
+    """Run the unfinished (scene, variant) pairs and report on all."""
     if options.short_runs:
         return slam_short.run(options, screen)
     begin = time.perf_counter()
@@ -62,7 +62,7 @@ def run(options: EvaluateOptions, screen: Screen) -> Report:
     items: list[tuple[int, Variant]] = list(product(range(options.scenes), options.variants))
     to_do = [item for item in items if _key(*item) not in finished]
     if finished:
-        screen.note(f"{len(items) - len(to_do)} of {len(items)} runs are finished already")
+        screen.note(f"{len(items) - len(to_do)} of {len(items)} runs are already finished")
     work = partial(run_scene, options, ledger.folder.path)
     with screen.stage(f"{len(to_do)} runs"):
         for line in spread(work, to_do, options):
@@ -90,7 +90,7 @@ def _brief(line: Mapping[str, Any]) -> str:
 
 
 def run_scene(options: EvaluateOptions, folder: Path, item: tuple[int, Variant]) -> Line:
-    """One variant on one scene; what breaks is its result, not the end of the evaluation."""
+    """Evaluate one variant on one scene; an exception becomes the reason in the result."""
     scene, variant = item
     line: Line = {"key": _key(scene, variant), "scene": scene, "variant": variant, "seed": options.seed}
     begin = time.perf_counter()
@@ -99,13 +99,13 @@ def run_scene(options: EvaluateOptions, folder: Path, item: tuple[int, Variant])
         line |= score_variant(options, path, folder, variant, np.random.default_rng([options.seed, scene]))
     except UsageError:
         raise
-    except Exception as error:  # a crash of one run is a result, too
+    except Exception as error:  # the other runs go on
         line["reason"] = f"crashed: {type(error).__name__}: {error}"
     return line | {"seconds": time.perf_counter() - begin}
 
 
 def ensure_sequence(options: EvaluateOptions, folder: Path, scene: int) -> Path:
-    """The scene's sequence, rendered by whoever needs it first."""
+    """Return the folder of the scene's sequence, rendering it if no process has."""
     from app.slam.sequences import is_complete, write_sequence
     from sim_assets.datasets.sequences import SequenceConfig, TableSequence
 
@@ -124,7 +124,7 @@ def ensure_sequence(options: EvaluateOptions, folder: Path, scene: int) -> Path:
 
 @cache
 def _networks(device: Any) -> Any:
-    """Loaded once in each process."""
+    """Load the networks once in each process."""
     from perception.pipeline import load_perception
 
     return load_perception(device)
@@ -133,7 +133,7 @@ def _networks(device: Any) -> Any:
 def score_variant(
     options: EvaluateOptions, path: Path, folder: Path, variant: Variant, rng: np.random.Generator
 ) -> Line:
-    """Runs a variant on a sequence and compares with the truth."""
+    """Run a variant on a sequence and score it."""
     networks, sequence = _networks(options.device), open_sequence(path)
     live = sequence.entries is None
     slam_run = SlamRun.start(
@@ -145,8 +145,8 @@ def score_variant(
         if len(slam_run.results) % _RESIDENT_EVERY == 0:
             resident.append(resident_memory())
         if result.is_keyframe and slam_run.slam.world is not None:
-            for one, landmark in slam_run.slam.world.landmarks.items():
-                states = history.setdefault(one, [])
+            for id, landmark in slam_run.slam.world.landmarks.items():
+                states = history.setdefault(id, [])
                 if len(states) < CURVE_UPDATES and (not states or states[-1].n_updates != landmark.n_updates):
                     states.append(landmark)
     if live:
@@ -194,7 +194,7 @@ def _scores(
 
 
 def noisy_truth(slam_run: SlamRun, Ts: np.ndarray, rng: np.random.Generator) -> dict[int, np.ndarray]:
-    """True keyframe poses with the paper's 1 mm and 0.1 degrees of noise, by frame number."""
+    """Return true keyframe poses with the paper's noise of 1 mm and 0.1 degrees, by frame number."""
     from sim_assets.datasets.sequences import perturbed_poses
 
     noisy = perturbed_poses(Ts, rng)
@@ -202,7 +202,7 @@ def noisy_truth(slam_run: SlamRun, Ts: np.ndarray, rng: np.random.Generator) -> 
 
 
 def _settings(options: EvaluateOptions) -> dict[str, Any]:
-    """What has to be the same in a resumed evaluation."""
+    """Return the settings that a resumed evaluation must share."""
     names = ("seed", "frames", "depth_noise", "device")
     return {name: str(getattr(options, name)) for name in names}
 

@@ -1,4 +1,4 @@
-"""What a real camera, detector or hand does to a sequence: frames missing, depth black, masks flickering."""
+"""Simulated faults of sensor and detector: dropped frames, missing depth, flickering masks."""
 
 from __future__ import annotations
 
@@ -12,24 +12,24 @@ from app.options import SlamFault
 from perception.io.recordings.sequence import RgbdSequence
 from perception.types import ObjectDetection, RgbdFrame
 
-MOVED_AT = 0.4  # share of the sequence after which a hand moves an object
+MOVED_AT = 0.4  # share of the sequence after which an object is displaced
 _DARK_FROM, _DARK_SECONDS = 0.4, 1.0
-_DROPPED, _GAP = 0.2, 5  # share of the frames that are missing, and how many in a row once
-_FLICKER = 0.25  # share of the masks that are missing
+_DROPPED, _GAP = 0.2, 5  # share of dropped frames, and length of one gap in frames
+_FLICKER = 0.25  # share of missing masks
 
 
 def held(frames: Sequence[RgbdFrame]) -> RgbdSequence:
-    """Frames in memory, numbered from 0."""
+    """Return a sequence of frames in memory, numbered from 0."""
     return RgbdSequence(Path("memory"), range(len(frames)), lambda number: frames[number])
 
 
 def with_fault(frames: Sequence[RgbdFrame], fault: SlamFault, rng: np.random.Generator) -> RgbdSequence:
-    """The frames as a faulty sensor gives them; masks and moved objects are others' business.
+    """Return the sequence with a sensor fault; faults of the masks or the scene leave it unchanged.
 
     Args:
-        frames: of a sequence at an even rate.
-        fault: what goes wrong.
-        rng: which frames are missing.
+        frames: Frames at a constant rate.
+        fault: Kind of fault.
+        rng: Determines which frames are dropped.
     """
     sequence, n = held(frames), len(frames)
     if fault == "dropped":
@@ -51,5 +51,5 @@ def _black(frame: RgbdFrame) -> RgbdFrame:
 
 
 def flickering(detections: Sequence[ObjectDetection], rng: np.random.Generator) -> list[ObjectDetection]:
-    """Every mask is missing now and then."""
+    """Drop each detection with a fixed probability."""
     return [found for found in detections if rng.random() >= _FLICKER]

@@ -1,7 +1,6 @@
-"""A SLAM run against the truth: the camera's error, every object's surface, completion by update.
+"""Scores of a SLAM run against ground truth: trajectory error, surface errors, completion by update.
 
-Nothing here goes back into a run. Errors are taken as they are: the first pose is given, so no trajectory is
-aligned to the truth before it is judged.
+Trajectories are not aligned to the truth: the first pose is given, so errors are absolute.
 """
 
 from __future__ import annotations
@@ -27,13 +26,13 @@ from perception.slam.keyframes import Keyframe
 from perception.slam.landmarks import Landmark
 from perception.types import ObjectDetection, SupportPlane, TriangleMesh
 
-MATCH_DISTANCE = 0.06  # [m] between the middles of an estimate and of the object it is of
+MATCH_DISTANCE = 0.06  # [m] between the centres of an estimate and of its true object
 CURVE_SAMPLES = 4000
 CURVE_UPDATES = 8
 
 
 def absolute_pose_error(found: Trajectory, truth: Trajectory) -> dict[str, float]:
-    """``ape_mean``, ``ape_rmse``, ``ape_max`` of the camera's place [m], as evo has them, without alignment.
+    """Return ``ape_mean``, ``ape_rmse`` and ``ape_max`` of the camera position [m] by evo, without alignment.
 
     Raises:
         MissingExtraError: evo is not installed.
@@ -54,45 +53,45 @@ def absolute_pose_error(found: Trajectory, truth: Trajectory) -> dict[str, float
 
 
 class TrueObjects:
-    """The true surfaces of a scene, sampled."""
+    """Sampled true surfaces of a scene."""
 
     def __init__(self, objects: Sequence[tuple[str, TriangleMesh]], rng: np.random.Generator) -> None:
         self.categories = [category for category, _ in objects]
         self.samples = [SurfaceSamples.of(mesh, rng) for _, mesh in objects]
         self.sparse = [SurfaceSamples.of(mesh, rng, CURVE_SAMPLES) for _, mesh in objects]
-        self.middles = np.array([middle_of(mesh.vertices) for _, mesh in objects])
+        self.centres = np.array([centre_of(mesh.vertices) for _, mesh in objects])
 
     def match(self, places: Mapping[int, Float[np.ndarray, "3"]]) -> dict[int, int]:
-        """Index of the true object for each landmark's id, by its place."""
-        return match_places(places, self.middles)
+        """Return the index of the true object of each landmark id, by position."""
+        return match_places(places, self.centres)
 
 
 def match_places(
-    places: Mapping[int, Float[np.ndarray, "3"]], middles: Float[np.ndarray, "n 3"]
+    places: Mapping[int, Float[np.ndarray, "3"]], centres: Float[np.ndarray, "n 3"]
 ) -> dict[int, int]:
-    """One to one, index of the true object near each landmark's place, by the landmark's id."""
+    """Return the index of the true object of each landmark id: one to one, within ``MATCH_DISTANCE``."""
     if not places:
         return {}
     ids = list(places)
-    distance = np.linalg.norm(np.array(list(places.values()))[:, None] - middles, axis=-1)
+    distance = np.linalg.norm(np.array(list(places.values()))[:, None] - centres, axis=-1)
     rows, columns = linear_sum_assignment(np.minimum(distance, 2 * MATCH_DISTANCE))
     return {ids[r]: int(c) for r, c in zip(rows, columns) if distance[r, c] < MATCH_DISTANCE}
 
 
 def places_of(landmarks: Sequence[Landmark]) -> dict[int, Float[np.ndarray, "3"]]:
-    """The landmarks' origins by id [m]."""
-    return {one.id: one.state.pose.translation for one in landmarks}
+    """Return the landmarks' origins by id, in metres."""
+    return {landmark.id: landmark.state.pose.translation for landmark in landmarks}
 
 
-def middle_of(vertices: Float[np.ndarray, "n 3"]) -> Float[np.ndarray, "3"]:
-    """The middle of the box around them."""
+def centre_of(vertices: Float[np.ndarray, "n 3"]) -> Float[np.ndarray, "3"]:
+    """Return the centre of the bounding box."""
     return (vertices.min(axis=0) + vertices.max(axis=0)) / 2
 
 
 def surface_rows(
     landmarks: Sequence[Landmark], truth: TrueObjects, decoder: Decoder, rng: np.random.Generator
 ) -> list[dict[str, Any]]:
-    """One row for each landmark: class, accuracy, chamfer_l1 [m], completion at 1 cm. Some match nothing."""
+    """Return class, accuracy [m], chamfer_l1 [m] and completion at 1 cm of each landmark, if it matches."""
     matches = truth.match(places_of(landmarks))
     rows = []
     for one in landmarks:
@@ -120,7 +119,7 @@ def surface_rows(
 def completion_by_update(
     history: dict[int, list[Landmark]], truth: TrueObjects, decoder: Decoder, rng: np.random.Generator
 ) -> list[list[float]]:
-    """For each object of the final map the completion after its first, second, ... update."""
+    """Return for each object of the final map its completion after the first, second, ... update."""
     matches = truth.match(places_of([states[-1] for states in history.values()]))
     curves = []
     for one, index in matches.items():
@@ -142,7 +141,7 @@ def fused_by_update(
     plane: SupportPlane,
     rng: np.random.Generator,
 ) -> dict[str, list[list[float]]]:
-    """The same for TSDF fusion (Fusion++): keyframes that updated an object are fused, at the given poses.
+    """Score TSDF fusion (Fusion++) of the keyframes that observe each object, at given poses.
 
     Returns:
         ``completion`` and ``accuracy`` [m] of each object of the map after 1, 2, ... keyframes.
@@ -169,6 +168,5 @@ def fused_by_update(
     return curves
 
 
-def _detection(key: Keyframe, one: int) -> ObjectDetection:
-    label = next(k for k, landmark in key.landmark_of.items() if landmark == one)
-    return ObjectDetection("mug", 1.0, key.labels == label, instance_id=one)  # fusion knows no classes
+def _detection(key: Keyframe, id: int) -> ObjectDetection:
+    return ObjectDetection("mug", 1.0, key.mask(id), instance_id=id)  # fusion ignores the class

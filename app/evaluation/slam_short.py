@@ -1,8 +1,8 @@
-"""``nodeslam evaluate slam --short-runs N``: short runs on scenes of their own, nothing kept but figures.
+"""``nodeslam evaluate slam --short-runs N``: short sequences, of which only the scores are kept.
 
-Every second one is close up, where two or three objects are in view. Each run is asked whether the camera
-ever drifted without saying that it was lost, whether the map is sound in the end, and whether single frames
-are found again in it. ``--faults`` breaks the runs in turn. One line of ``short.jsonl`` for each run.
+Every second sequence is close up, with two or three objects in view. Scored are undetected drift of the
+camera, spurious and misplaced landmarks of the final map, and relocalisation of single frames in it.
+``--faults`` are applied to the runs in turn. Each run is one line of ``short.jsonl``.
 """
 
 from __future__ import annotations
@@ -34,16 +34,16 @@ from perception.slam.ablations import variant_config
 from perception.types import RgbdFrame, TriangleMesh
 
 ROWS = "short.jsonl"
-DRIFT = 0.03  # [m] of error that a run must not reach without saying that it is lost
-FOUND = 0.03  # [m] within which a frame counts as found again
-_SEEDS_FROM = 1000  # scenes below are those of the full evaluation
-_IN_VIEW = 300  # pixels from which an object counts as in view
-_TRY_EVERY = 10  # frames between those that are looked for in the finished map
-_TRY_OBJECTS = 4  # in view at least
+DRIFT = 0.03  # [m] position error above which a frame that is not lost counts as drift
+FOUND = 0.03  # [m] position error below which a frame counts as relocalised
+_SEEDS_FROM = 1000  # smaller numbers are scenes of the full evaluation
+_IN_VIEW = 300  # pixels above which an object counts as in view
+_TRY_EVERY = 10  # frames between those that are relocalised in the final map
+_TRY_OBJECTS = 4  # least number in view of a frame that is relocalised
 
 
 def run(options: EvaluateOptions, screen: Screen) -> Report:
-    """Run what is still to be run, and report on all."""
+    """Run the unfinished sequences and report on all."""
     begin = time.perf_counter()
     if options.short_runs < 1 or options.frames < 10 or not options.variants or not options.faults:
         raise UsageError(
@@ -53,9 +53,9 @@ def run(options: EvaluateOptions, screen: Screen) -> Report:
     settings = {name: str(getattr(options, name)) for name in names}
     ledger, finished = Ledger.open(options, "evaluate-slam-short", ROWS, "key", settings)
     to_do = [index for index in range(options.short_runs) if index not in finished]
-    to_do.sort(key=lambda index: (index % 2 == 0, index))  # close-ups first, which are the harder ones
+    to_do.sort(key=lambda index: (index % 2 == 0, index))  # close-ups are the harder ones
     if finished:
-        screen.note(f"{options.short_runs - len(to_do)} of {options.short_runs} runs are finished already")
+        screen.note(f"{options.short_runs - len(to_do)} of {options.short_runs} runs are already finished")
     with screen.stage(f"{len(to_do)} short runs"):
         for line in spread(partial(run_short, options), to_do, options):
             finished[line["key"]] = line
@@ -76,7 +76,7 @@ def _brief(line: Mapping[str, Any]) -> str:
 
 
 def run_short(options: EvaluateOptions, index: int) -> Line:
-    """All variants on one short sequence; what breaks is its result, not the end of the evaluation."""
+    """Evaluate all variants on one short sequence; an exception becomes the reason in the result."""
     fault = options.faults[index // 2 % len(options.faults)]
     close_up = index % 2 == 1
     line: Line = {"key": index, "seed": options.seed, "close_up": close_up, "fault": fault}
@@ -85,7 +85,7 @@ def run_short(options: EvaluateOptions, index: int) -> Line:
         line |= _run_variants(options, index, close_up, fault) | {"reason": "done"}
     except UsageError:
         raise
-    except Exception as error:  # a crash of one run is a result, too
+    except Exception as error:  # the other runs go on
         line["reason"] = f"crashed: {type(error).__name__}: {error}"
     return line | {"seconds": time.perf_counter() - begin}
 
@@ -138,7 +138,7 @@ def _run_variants(options: EvaluateOptions, index: int, close_up: bool, fault: S
 
 @cache
 def _networks(device: Any) -> Any:
-    """Loaded once in each process."""
+    """Load the networks once in each process."""
     from perception.pipeline import load_perception
 
     return load_perception(device)
@@ -149,7 +149,7 @@ def _flickering(detector: Any, rng: np.random.Generator, frame: RgbdFrame, plane
 
 
 def _drift(slam_run: SlamRun, truth: Trajectory) -> dict[str, Any]:
-    """Errors of the frames whose pose the system stands by, and whether one is too large."""
+    """Return the position errors of the frames that are not lost, and whether one exceeds ``DRIFT``."""
     lost = [result.status == "lost" for result in slam_run.results]
     entry: dict[str, Any] = absolute_pose_error(slam_run.trajectory, truth)
     entry["drift"] = entry["ape_max"]
@@ -161,7 +161,7 @@ def _drift(slam_run: SlamRun, truth: Trajectory) -> dict[str, Any]:
 
 
 def _beyond(slam_run: SlamRun, truth: Trajectory) -> int:
-    """Frames not lost whose error is over twice what the system takes for its standard deviation."""
+    """Return the number of frames, not lost, whose error exceeds two estimated standard deviations."""
     true_place = dict(zip(truth.times, truth.Ts_world_camera[:, :3, 3]))
     return sum(
         bool(
@@ -173,17 +173,17 @@ def _beyond(slam_run: SlamRun, truth: Trajectory) -> int:
 
 
 def _map_health(slam_run: SlamRun, truth: TrueObjects, moved: int | None, decoder: Decoder) -> dict[str, Any]:
-    """Landmarks that stand for nothing (doubles among them), how far off the others are, and their surfaces.
+    """Return numbers of spurious landmarks (duplicates included), position errors and surface accuracies.
 
-    ``surfaces`` holds the accuracy [m] of each true object that is in the map, by its index, as they stand in
-    the end; ``moved`` is the index of the object that a hand moved.
+    ``surfaces`` holds the accuracy [m] of each true object in the final map, by its index; ``moved`` is the
+    index of the object that was displaced during the sequence.
     """
     world = slam_run.slam.world
     assert world is not None
     landmarks = [world.landmarks[i] for i in world.ids]
     places = places_of(landmarks)
     matches = truth.match(places)
-    errors = [float(np.linalg.norm(places[i] - truth.middles[k])) for i, k in matches.items()]
+    errors = [float(np.linalg.norm(places[i] - truth.centres[k])) for i, k in matches.items()]
     rows = surface_rows(landmarks, truth, decoder, np.random.default_rng(0))
     return {
         "n_landmarks": len(places),
@@ -202,7 +202,7 @@ def _relocalisations(
     in_view: Sequence[int],
     truth: Trajectory,
 ) -> dict[str, int]:
-    """Frames with enough objects in view, given to the finished map alone: how many are found."""
+    """Relocalise frames with enough objects in view in the final map, and count successes and errors."""
     tried = succeeded = wrong = 0
     for number in sequence.ids[::_TRY_EVERY]:
         frame = sequence.read(number)
@@ -219,7 +219,7 @@ def _relocalisations(
 
 
 def summarise_short(lines: Sequence[Mapping[str, Any]]) -> dict[str, Any]:
-    """For each variant over all runs: drifts, losses, the maps, relocalisation; lengths in [m]."""
+    """Summarise drift, losses, maps and relocalisation of each variant over all runs; lengths in metres."""
     variants = list(dict.fromkeys(name for line in lines for name in line.get("variants", ())))
     apes = {
         name: {
@@ -264,7 +264,7 @@ def _over_runs(lines: Sequence[Mapping[str, Any]], variant: str) -> dict[str, An
 
 
 def short_table(report: Report) -> Table:
-    """One row for each variant."""
+    """Return a table with one row for each variant."""
     table = Table(title=report.reason, title_justify="left", show_edge=False, pad_edge=False)
     table.add_column("")
     headings = (

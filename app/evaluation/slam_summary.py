@@ -1,4 +1,4 @@
-"""What the runs of ``evaluate slam`` say together: tables as in the paper, box plots, completion curves."""
+"""Summary of the runs of ``evaluate slam``: tables as in the paper, box plots, completion curves."""
 
 from __future__ import annotations
 
@@ -33,7 +33,7 @@ COLORS = {
 
 
 def summarise_slam(lines: Sequence[Mapping[str, Any]]) -> dict[str, Any]:
-    """Rows for each run and figures for each variant; lengths in [m], ratios in 0..1."""
+    """Return a row for each run and statistics for each variant; lengths in metres, ratios in 0..1."""
     rows = [_row(line) for line in lines]
     variants = list(dict.fromkeys(line["variant"] for line in lines))
     summary = {v: _variant([line for line in lines if line["variant"] == v]) for v in variants}
@@ -58,7 +58,7 @@ def summarise_slam(lines: Sequence[Mapping[str, Any]]) -> dict[str, Any]:
 
 
 def against_full(lines: Sequence[Mapping[str, Any]]) -> dict[str, Any]:
-    """What every other variant adds to the full one's errors [m], scene by scene and object by object."""
+    """Return paired differences of errors [m] to the full variant, by scene and by object."""
     apes: dict[str, dict[Any, float]] = defaultdict(dict)
     accuracies: dict[str, dict[Any, float]] = defaultdict(dict)
     for line in lines:
@@ -94,7 +94,7 @@ def _row(line: Mapping[str, Any]) -> dict[str, Any]:
 
 
 def _variant(lines: Sequence[Mapping[str, Any]]) -> dict[str, Any]:
-    """Over all scenes of a variant."""
+    """Return the statistics of one variant over all scenes."""
     apes = [line["ape_mean"] for line in lines if "ape_mean" in line]
     objects = [o for line in lines for o in line.get("objects", ()) if "accuracy" in o]
     result: dict[str, Any] = {
@@ -111,9 +111,9 @@ def _variant(lines: Sequence[Mapping[str, Any]]) -> dict[str, Any]:
 
 
 def curve_with_band(curves: Sequence[Sequence[float]]) -> dict[str, list[float]]:
-    """Mean over the objects after each update, with its normal 95 % interval, and how many objects it is of.
+    """Return mean over objects, normal 95 % interval and number of updated objects after each update.
 
-    An object that got fewer updates stays at its last value: it is in the map all the same.
+    Objects with fewer updates keep their last value, so that every mean is over all objects.
     """
     length = max((len(curve) for curve in curves), default=0)
     full = [list(curve) + [curve[-1]] * (length - len(curve)) for curve in curves if len(curve)]
@@ -132,7 +132,7 @@ def curve_with_band(curves: Sequence[Sequence[float]]) -> dict[str, list[float]]
 
 
 def slam_tables(report: Report) -> list[Table]:
-    """APE by scene and variant as in the paper's Table 2, then surfaces."""
+    """Return tables of the APE by scene and variant, as in the paper's Table 2, and of the surfaces."""
     rows, variants = report.metrics["rows"], report.metrics["variants"]
     scenes = sorted({row["scene"] for row in rows})
     ape = Table(title="mean APE in cm", title_justify="left", show_edge=False, pad_edge=False)
@@ -161,7 +161,7 @@ def slam_tables(report: Report) -> list[Table]:
 
 
 def _paired_tables(report: Report) -> list[Table]:
-    """Whether the parts that are left out matter: differences with their intervals."""
+    """Return the table of paired differences to the full variant with their intervals."""
     against = report.metrics["against_full"]
     if not against:
         return []
@@ -181,7 +181,7 @@ def _paired_tables(report: Report) -> list[Table]:
 
 
 def interval_text(difference: Mapping[str, float | None], factor: float) -> str:
-    """A paired difference for a table."""
+    """Format a paired difference and its interval, scaled by a factor."""
     mean, low, high = (difference[key] for key in ("mean", "low", "high"))
     if mean is None or low is None or high is None:
         return ""
@@ -193,7 +193,7 @@ def _number(value: float | None, factor: float, digits: int) -> str:
 
 
 def write_plots(folder: Path, report: Report) -> None:
-    """``overview.png``: completion by update against TSDF fusion, accuracy as box plots, APE by scene."""
+    """Write ``overview.png``: completion by update, box plots of the accuracy, APE by scene."""
     metrics = report.metrics
     figure = new_figure(16, 5.4)
     left, middle, right = figure.subplots(1, 3)

@@ -1,1 +1,1 @@
-"""Object-level SLAM as a command: a sequence through the system, its recording and its pictures."""
+"""The SLAM command: a run on a sequence, its recording and its pictures."""

@@ -1,4 +1,4 @@
-"""``nodeslam slam SEQUENCE``: a map of whole objects, and where the camera was; needs no simulator."""
+"""``nodeslam slam SEQUENCE``: object map and camera trajectory of an RGB-D sequence; needs no simulator."""
 
 from __future__ import annotations
 
@@ -26,11 +26,12 @@ from perception.io.scan_folder import write_scan
 from perception.pipeline import load_decoder, load_detector
 from perception.slam.config import SlamConfig
 from perception.slam.estimates import object_estimates
+from perception.slam.keyframes import Keyframe
 from perception.types import ObjectDetection, ObjectEstimate
 
 
 def run(options: SlamOptions, screen: Screen) -> Report:
-    """Run the sequence; an interruption keeps the map and the trajectory so far."""
+    """Run SLAM on the sequence; an interruption keeps the map and the trajectory so far."""
     begin = time.perf_counter()
     sequence = open_sequence(options.sequence)
     folder = RunFolder.create(options, "slam")
@@ -71,7 +72,7 @@ def _progress(done: int, slam_run: SlamRun) -> str:
 def _write(
     folder: RunFolder, slam_run: SlamRun, recorder: SlamRecorder, decoder: Any
 ) -> list[ObjectEstimate]:
-    """Everything that a run leaves behind, whole or cut short."""
+    """Write all files of a run, complete or interrupted, and return the objects of the map."""
     slam = slam_run.slam
     objects = [] if slam.world is None else object_estimates(slam.world, decoder)
     write_object_map(folder.path, objects)
@@ -101,12 +102,12 @@ def _write(
     return objects
 
 
-def _detections(key: Any, known: Mapping[int, ObjectEstimate]) -> list[ObjectDetection]:
-    """What a keyframe shows of the objects of the final map."""
+def _detections(key: Keyframe, known: Mapping[int, ObjectEstimate]) -> list[ObjectDetection]:
+    """Return the masks of the objects of the final map in a keyframe."""
     return [
-        ObjectDetection(known[one].category, min(known[one].score, 1.0), key.labels == label, instance_id=one)
-        for label, one in key.landmark_of.items()
-        if one in known and (key.labels == label).any()
+        ObjectDetection(known[id].category, min(known[id].score, 1.0), key.labels == label, instance_id=id)
+        for label, id in key.landmark_of.items()
+        if id in known and (key.labels == label).any()
     ]
 
 

@@ -1,4 +1,4 @@
-"""Pictures of a SLAM run: the map from above with both trajectories, and what the last keyframe shows."""
+"""Pictures of a SLAM run: plan of the map with both trajectories, keyframes with overlays, position error."""
 
 from __future__ import annotations
 
@@ -23,7 +23,7 @@ _INK, _FAINT = "#22252b", "#7a7f8a"
 
 
 def new_figure(width: float, height: float) -> Any:
-    """A matplotlib figure that needs no screen."""
+    """Return a matplotlib figure for files, without a display; sizes in inches at 100 dpi."""
     from matplotlib.backends.backend_agg import FigureCanvasAgg
     from matplotlib.figure import Figure
 
@@ -33,6 +33,7 @@ def new_figure(width: float, height: float) -> Any:
 
 
 def save_figure(figure: Any, path: Path) -> None:
+    """Write a figure as PNG."""
     buffer = io.BytesIO()
     figure.savefig(buffer, format="png", pil_kwargs={"compress_level": 3})
     write_atomically(path, buffer.getvalue())
@@ -46,7 +47,16 @@ def write_map_picture(
     truth: Trajectory | None,
     title: str,
 ) -> None:
-    """Plan and side view of the map with the trajectories; beside them images with the map drawn over."""
+    """Draw the plan of the map with trajectories, keyframes with the map overlaid, and the position error.
+
+    Args:
+        path: PNG file.
+        objects: Objects of the map.
+        found: Estimated trajectory.
+        keyframes: Keyframes of the run.
+        truth: True trajectory; without it the error is omitted.
+        title: Heading.
+    """
     figure = new_figure(16, 9)
     grid = figure.add_gridspec(
         2,
@@ -76,7 +86,7 @@ def write_map_picture(
 
 
 def enlarged(frame: RgbdFrame, width: int = 960) -> RgbdFrame:
-    """The frame as a larger image would show it, so that what is drawn over it is fine enough."""
+    """Upscale a frame to about ``width`` pixels, so that overlays are drawn at a higher resolution."""
     camera = frame.intrinsics
     factor = max(1, round(width / camera.width))
     size = (factor * camera.width, factor * camera.height)
@@ -136,7 +146,7 @@ def _draw_error(axis: Any, found: Trajectory, truth: Trajectory, keyframes: Sequ
     axis.plot(times, errors, color=FOUND, linewidth=1.5)
     for key in keyframes:
         axis.axvline(key.frame.time, color=KEY, linewidth=0.7, alpha=0.5)
-    axis.set_title("error of the camera's place [mm] over time [s]", loc="left", fontsize=12, color=_INK)
+    axis.set_title("error of the camera position [mm] over time [s]", loc="left", fontsize=12, color=_INK)
     axis.set_ylim(bottom=0)
     axis.tick_params(colors=_FAINT)
     axis.grid(color="#eceef1")

@@ -1,7 +1,7 @@
-"""The recording of a SLAM run for the viewer: the camera as a moving body, objects as they change.
+"""Recording of a SLAM run for the viewer: the camera as a moving body, objects as they change.
 
-As ``app.runs.replay`` says, with one body, ``camera``, and no joints. ``look`` notes count keyframes, whose
-images are in ``scan/``; a ``fit`` note is an object's shape and pose from then on.
+In the format of ``app.runs.replay``, with one body, ``camera``, and no joints. ``look`` notes count
+keyframes, whose images are in ``scan/``; a ``fit`` note gives an object's shape and pose from its time on.
 """
 
 from __future__ import annotations
@@ -21,17 +21,17 @@ BODY = "camera"
 
 
 class SlamRecorder:
-    """Collects a run frame by frame."""
+    """Collect the recording frame by frame."""
 
     def __init__(self) -> None:
         self._recorder = Recorder(bodies=(BODY,), meshes={BODY: (camera_mesh(),)})
-        self._told: dict[int, ObjectPose] = {}
+        self._recorded: dict[int, ObjectPose] = {}
         self._keyframes = 0
         self._lost = False
         self._recorder.note("stage", name="slam")
 
     def add(self, result: FrameResult, slam: Slam) -> None:
-        """One frame: where the camera is, and which objects have changed."""
+        """Add the camera pose of one frame, its status and keyframe, and the objects that changed."""
         recorder = self._recorder
         T = result.T_world_camera
         x, y, z, w = Rotation.from_matrix(T[:3, :3]).as_quat()
@@ -44,13 +44,13 @@ class SlamRecorder:
             self._keyframes += 1
         if slam.world is None or not (result.is_keyframe or result.new):
             return
-        for one, landmark in slam.world.landmarks.items():
-            if self._told.get(one) is landmark.state.pose:
+        for id, landmark in slam.world.landmarks.items():
+            if self._recorded.get(id) is landmark.state.pose:
                 continue
-            self._told[one] = landmark.state.pose
+            self._recorded[id] = landmark.state.pose
             recorder.note(
                 "fit",
-                id=one,
+                id=id,
                 category=landmark.category,
                 code=landmark.state.code,
                 T_world_object=landmark.state.pose.T_world_object,
@@ -60,13 +60,14 @@ class SlamRecorder:
             )
 
     def write(self, folder: Path) -> None:
+        """Write the recording and the camera's mesh to a run folder."""
         self._recorder.note("objects", covariances={})
         self._recorder.write(folder)
         self._recorder.write_meshes(folder)
 
 
 def camera_mesh(size: float = 0.03) -> trimesh.Trimesh:
-    """A frustum that looks along +z, its tip at the camera's centre; ``size`` is its length [m]."""
+    """Return a viewing frustum along +z with its tip at the camera centre; ``size`` is its length [m]."""
     corners: Float[np.ndarray, "5 3"] = size * np.array(
         [[0, 0, 0], [-0.7, -0.5, 1], [0.7, -0.5, 1], [0.7, 0.5, 1], [-0.7, 0.5, 1]], dtype=np.float64
     )

@@ -1,4 +1,4 @@
-"""A sequence through the SLAM system, frame by frame: what the command and its evaluation share."""
+"""SLAM on a sequence, frame by frame, for the command and its evaluation."""
 
 from __future__ import annotations
 
@@ -23,14 +23,14 @@ from perception.types import ObjectDetection, RgbdFrame, SupportPlane
 
 @dataclass
 class SlamRun:
-    """Runs a sequence; everything collected so far can be read at any moment.
+    """A run in progress; its attributes are valid after every frame.
 
     Attributes:
-        sequence: what is run.
-        slam: map and keyframes.
-        results: of the frames so far; those that could not be read are missing.
-        warnings: one line for each unreadable frame.
-        detections: of each frame by number, where they are kept, encoded as in ``detections.json``.
+        sequence: The sequence.
+        slam: The system with map and keyframes.
+        results: Results of the frames so far, without unreadable ones.
+        warnings: One line for each unreadable frame.
+        detections: Detections of each frame by number, if kept, encoded as in ``detections.json``.
     """
 
     sequence: RgbdSequence
@@ -48,7 +48,16 @@ class SlamRun:
         keep_detections: bool = False,
         clock: Clock = time.perf_counter,
     ) -> SlamRun:
-        """Ready to run; without detector the sequence must have detections of its own."""
+        """Prepare a run.
+
+        Args:
+            sequence: The sequence; its own detections take precedence over the detector.
+            decoder: Shape prior.
+            detector: Detector for sequences without detections.
+            config: Settings of the system.
+            keep_detections: Whether to keep the encoded detections.
+            clock: Time in seconds, for the durations of the stages.
+        """
         source = _Source(sequence, detector, keep_detections)
         run = SlamRun(sequence, Slam(decoder, source, config, clock), detections=source.kept)
         run._source = source
@@ -57,7 +66,7 @@ class SlamRun:
     _source: _Source = field(init=False, repr=False)
 
     def steps(self) -> Iterator[tuple[RgbdFrame, FrameResult]]:
-        """Frame by frame. Torch gets one thread: objects are spread over the cores instead."""
+        """Process frame by frame. Torch uses one thread, as objects are processed in parallel."""
         threads = torch.get_num_threads()
         torch.set_num_threads(1)
         try:
@@ -76,29 +85,29 @@ class SlamRun:
             yield frame, result
 
     def relocalise(self, number: int, frame: RgbdFrame) -> Relocalisation | None:
-        """Where a frame of the sequence was taken, by the map as it is now and nothing else."""
+        """Relocalise a frame of the sequence in the present map, without using its pose."""
         self._source.number = number
         return self.slam.relocalise(without_pose(frame))
 
     @property
     def trajectory(self) -> Trajectory:
-        """The camera's poses as they were known at each frame; frames in which it was lost are left out."""
+        """Camera pose as estimated at each frame, without frames in which the camera was lost."""
         known = [r for r in self.results if r.status != "lost"]
         return Trajectory.of([r.time for r in known], [r.T_world_camera for r in known])
 
     def seconds(self, stage: str) -> list[float]:
-        """What a stage took in each frame that had it."""
+        """Return the duration of a stage in each frame that had it."""
         return [r.seconds[stage] for r in self.results if stage in r.seconds]
 
     @property
     def frame_rate(self) -> float:
-        """Frames tracked a second, the median, detection and mapping apart."""
+        """Median tracking rate in frames per second, without detection and mapping."""
         seconds = self.seconds("track")
         return float(1 / np.median(seconds)) if seconds else 0.0
 
 
 class _Source:
-    """Detections of the frame at hand: the sequence's own, or the detector's."""
+    """Detections of the current frame: the sequence's own, or the detector's."""
 
     def __init__(self, sequence: RgbdSequence, detector: Detect | None, keep: bool) -> None:
         self.sequence, self.detector, self.keep = sequence, detector, keep

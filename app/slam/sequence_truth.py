@@ -1,4 +1,4 @@
-"""What is true about a sequence, where somebody knows it: for scoring and pictures alone."""
+"""Ground truth of a sequence, for scoring and pictures only."""
 
 from __future__ import annotations
 
@@ -9,11 +9,11 @@ from perception.io.object_map import read_ply
 from perception.io.recordings.trajectory import Trajectory, read_trajectory
 from perception.types import TriangleMesh
 
-TRUTH = "ground_truth"  # folder inside a sequence's own
+TRUTH = "ground_truth"  # folder inside that of the sequence
 
 
 def read_true_trajectory(folder: Path) -> Trajectory | None:
-    """The true trajectory of a sequence, or None where nobody knows it."""
+    """Return the true trajectory of a sequence, None if it has none."""
     path = folder / TRUTH / "trajectory.txt"
     if path.is_file():
         return read_trajectory(path)
@@ -22,6 +22,6 @@ def read_true_trajectory(folder: Path) -> Trajectory | None:
 
 
 def read_true_objects(folder: Path) -> list[tuple[str, TriangleMesh]]:
-    """Class and surface of every true object, in the world frame."""
+    """Return class and surface in the world frame of every true object."""
     entries = read_json(folder / TRUTH / "objects.json", "give a sequence that was generated here")
     return [(entry["category"], read_ply(folder / TRUTH / entry["mesh"])) for entry in entries]

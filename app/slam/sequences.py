@@ -1,7 +1,7 @@
-"""Synthetic sequences on disk: a scan folder with the first pose alone, and the truth in a folder of its own.
+"""Synthetic sequences on disk: a scan folder with the first pose only, and the ground truth in a folder.
 
-rgb/, depth/, scene_camera.json   what a camera would record; the first image has its pose
-ground_truth/trajectory.txt       true camera poses (TUM), for scoring alone
+rgb/, depth/, scene_camera.json   recorded data; only the first image has a pose
+ground_truth/trajectory.txt       true camera poses (TUM), for scoring only
 ground_truth/objects/<i>_<class>.ply, objects.json   true surfaces in the world frame, and their poses
 """
 
@@ -25,7 +25,7 @@ from sim_assets.datasets.sequences import TableSequence
 def write_sequence(
     folder: Path, sequence: TableSequence, progress: Callable[[int, int], None] = lambda done, total: None
 ) -> None:
-    """Render a sequence and write it; ``scene_camera.json`` comes last: a folder that has one is complete."""
+    """Render and write a sequence; ``scene_camera.json`` is written last and marks a complete folder."""
     _write_truth(folder / TRUTH, sequence)
     writer = ScanWriter(folder)
     for index, image in enumerate(sequence.render()):
@@ -36,6 +36,7 @@ def write_sequence(
 
 
 def is_complete(folder: Path) -> bool:
+    """Return whether a folder holds a complete sequence."""
     return (folder / "scene_camera.json").is_file()
 
 

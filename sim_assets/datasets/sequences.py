@@ -1,4 +1,4 @@
-"""Synthetic RGB-D sequences: a camera wanders over a table with objects of families nobody trained on.
+"""Synthetic RGB-D sequences: a camera moves over a table with objects of the test families.
 
 As in NodeSLAM's evaluation: random objects upright at random places, a smooth trajectory through sampled
 camera positions and look-at points over the table, colour and depth rendered for every frame. No physics.
@@ -29,21 +29,22 @@ _DENSE = 200  # poses between two sampled ones, from which evenly spaced frames 
 
 @dataclass(frozen=True)
 class SequenceConfig:
-    """How a sequence is drawn.
+    """Distribution that a sequence is sampled from.
 
     Attributes:
-        width, height, fovy: of the images in pixels, and their vertical field of view in [deg].
-        frames: how many.
-        objects: how many stand on the table.
-        categories: their classes, in turn.
-        spread: half side of the square they stand in [m].
-        gap: least distance between their outlines [m].
-        distance, elevation: of the sampled camera positions from their look-at points [m], [rad].
-        azimuth_step: between successive positions, about the vertical [rad].
-        look_at: half side of the square over the table in which look-at points lie [m].
-        step, turn: of the camera between frames, whichever is reached first [m], [rad].
-        depth_noise: none, gaussian (2 mm) or realsense.
-        moved_at: frame from which on one object stands elsewhere, as if moved by hand; None for never.
+        width, height, fovy: Size of the images in pixels, and their vertical field of view in degrees.
+        frames: Number of frames.
+        objects: Number of objects.
+        categories: Classes of the objects, assigned in turn.
+        spread: Half side of the square that the objects are placed in, in metres.
+        gap: Least distance between the outlines of objects, in metres.
+        distance, elevation: Range of the sampled camera positions relative to their look-at points, in metres
+            and radians.
+        azimuth_step: Range of the angle about the vertical between successive positions, in radians.
+        look_at: Half side of the square over the table that look-at points are sampled in, in metres.
+        step, turn: Motion of the camera between frames, whichever is reached first, in metres and radians.
+        depth_noise: Noise model of the depth.
+        moved_at: Frame from which one object has another pose, as if displaced by hand; None for never.
     """
 
     width: int = 320
@@ -69,7 +70,7 @@ CLOSE_UP = SequenceConfig(distance=(0.32, 0.42), look_at=0.20, frames=100, step=
 
 @dataclass(frozen=True)
 class PlacedObject:
-    """One true object: what it is and where it stands."""
+    """One true object with its pose."""
 
     model: ObjectModel
     T_world_object: Float[np.ndarray, "4 4"]
@@ -77,11 +78,11 @@ class PlacedObject:
 
 @dataclass(frozen=True)
 class SequenceFrame:
-    """One image with the truth about it.
+    """One image with its ground truth.
 
     Attributes:
-        frame: colour, noisy depth, and the true camera pose.
-        instances: (H, W) index of the object each pixel shows, -1 for everything else.
+        frame: Colour, noisy depth, and the true camera pose.
+        instances: Index of the object at each pixel, -1 for everything else.
     """
 
     frame: RgbdFrame
@@ -89,14 +90,14 @@ class SequenceFrame:
 
 
 class TableSequence:
-    """A scene and a trajectory; the same seed gives the same images, however often they are rendered.
+    """A scene and a trajectory, determined by the seed; every rendering gives the same images.
 
     Attributes:
-        config: how it was drawn.
-        objects: where they stand in the end.
-        moved: index of the one that stood elsewhere before ``config.moved_at``, or None.
-        Ts_world_camera: the true trajectory.
-        rate: of the images [Hz].
+        config: Settings that it was sampled with.
+        objects: True objects with their final poses.
+        moved: Index of the object that is displaced at ``config.moved_at``, or None.
+        Ts_world_camera: True trajectory.
+        rate: Frame rate, in hertz.
     """
 
     def __init__(self, seed: int | np.random.SeedSequence, config: SequenceConfig | None = None) -> None:
@@ -113,10 +114,10 @@ class TableSequence:
             self.moved, self.objects = _move_one(self.objects, self.config.gap, rng)
 
     def render(self) -> Iterator[SequenceFrame]:
-        """The images in order."""
+        """Render the images in order."""
         config, rng = self.config, np.random.default_rng(self._noise_seed)
         model, data = self._model, mujoco.MjData(self._model)
-        object_of_geom = np.full(model.ngeom + 1, -1, dtype=np.int32)  # the last stands for geom -1, the sky
+        object_of_geom = np.full(model.ngeom + 1, -1, dtype=np.int32)  # last entry: geom -1, the sky
         for index in range(len(self.objects)):
             object_of_geom[model.geom(f"object{index}").id] = index
         intrinsics = intrinsics_of(config.width, config.height, config.fovy)
@@ -142,11 +143,11 @@ class TableSequence:
 
 
 def sample_trajectory(config: SequenceConfig, rng: np.random.Generator) -> Float[np.ndarray, "n 4 4"]:
-    """T_world_camera of every frame: cubic splines through sampled positions and look-at points.
+    """Sample T_world_camera of every frame: cubic splines through sampled positions and look-at points.
 
-    Frames are so close that none moves farther than ``step`` or turns more than ``turn`` from the last.
+    Successive frames are ``config.step`` or ``config.turn`` apart, whichever is reached first.
     """
-    azimuth, way = rng.uniform(-np.pi, np.pi), rng.choice((-1.0, 1.0))
+    azimuth, direction = rng.uniform(-np.pi, np.pi), rng.choice((-1.0, 1.0))
     positions, targets = [], []
     poses = np.zeros((0, 4, 4))
     while len(poses) < config.frames:
@@ -156,8 +157,8 @@ def sample_trajectory(config: SequenceConfig, rng: np.random.Generator) -> Float
             level = np.cos(elevation) * np.array([np.cos(azimuth), np.sin(azimuth)])
             positions.append(target + distance * np.array([*level, np.sin(elevation)]))
             targets.append(target)
-            way = -way if rng.random() < 0.2 else way
-            azimuth += way * rng.uniform(*config.azimuth_step)
+            direction = -direction if rng.random() < 0.2 else direction
+            azimuth += direction * rng.uniform(*config.azimuth_step)
         knots = np.arange(len(positions))
         at = np.linspace(0, knots[-1], _DENSE * (len(knots) - 1))
         eyes, looks = CubicSpline(knots, positions)(at), CubicSpline(knots, targets)(at)
@@ -171,7 +172,7 @@ def perturbed_poses(
     sigma_move: float = 0.001,
     sigma_turn: float = np.radians(0.1),
 ) -> Float[np.ndarray, "n 4 4"]:
-    """Poses with Gaussian errors along and about every axis, [m] and [rad]: those of the paper's Fusion++."""
+    """Return poses with Gaussian errors [m], [rad]; the defaults are the paper's for Fusion++."""
     noisy = np.array(Ts_world_camera)
     for T in noisy:
         x, y, z = rng.normal(0, sigma_turn, 3)
@@ -183,7 +184,7 @@ def perturbed_poses(
 
 
 def _evenly(poses: Float[np.ndarray, "n 4 4"], config: SequenceConfig) -> Float[np.ndarray, "m 4 4"]:
-    """A subset of dense poses at even steps, each the whole allowed move or turn."""
+    """Return the subset of dense poses that is one allowed step or turn apart."""
     moves = np.linalg.norm(np.diff(poses[:, :3, 3], axis=0), axis=1)
     relative = np.swapaxes(poses[:-1, :3, :3], 1, 2) @ poses[1:, :3, :3]
     turns = np.arccos(np.clip((np.trace(relative, axis1=1, axis2=2) - 1) / 2, -1, 1))
@@ -200,23 +201,23 @@ def _draw_objects(config: SequenceConfig, rng: np.random.Generator) -> tuple[Pla
     return tuple(PlacedObject(model, place.matrix) for model, place in zip(models, places, strict=True))
 
 
-_HAND = (0.09, 0.14)  # how far a hand moves an object [m]
+_DISPLACEMENT = (0.09, 0.14)  # [m] range of the displacement of an object by hand
 
 
 def _move_one(
     objects: tuple[PlacedObject, ...], gap: float, rng: np.random.Generator
 ) -> tuple[int, tuple[PlacedObject, ...]]:
-    """One of the inner objects to a free place nearby, and which it is; (index, objects afterwards)."""
+    """Move one of the inner objects to a free place nearby; return its index and all objects afterwards."""
     places = np.array([item.T_world_object[:2, 3] for item in objects])
     radii = np.array([np.abs(item.model.mesh.bounds[:, :2]).max() for item in objects])
     while True:
         index = int(rng.choice(np.argsort(np.linalg.norm(places, axis=1))[: (len(objects) + 1) // 2]))
-        angle, length = rng.uniform(-np.pi, np.pi), rng.uniform(*_HAND)
+        angle, length = rng.uniform(-np.pi, np.pi), rng.uniform(*_DISPLACEMENT)
         there = places[index] + length * np.array([np.cos(angle), np.sin(angle)])
         room = np.linalg.norm(places - there, axis=1) - radii - radii[index]
         if np.delete(room, index).min(initial=np.inf) > 0.5 * gap:
             break
-        gap *= 0.99  # a crowded table: less and less room will do
+        gap *= 0.99  # a crowded table: the required gap shrinks until a place is found
     T = np.array(objects[index].T_world_object)
     T[:2, 3] = there
     moved = PlacedObject(objects[index].model, T)
@@ -230,7 +231,7 @@ def _aim(model, T_world_camera: np.ndarray) -> None:
 
 
 def _build(objects: Sequence[PlacedObject], fovy: float, rng: np.random.Generator) -> MjSpec:
-    """Table, floor, light, camera and the objects, to look at only."""
+    """Build table, floor, light, camera and objects for rendering; nothing collides."""
     spec = mujoco.MjSpec()
     spec.modelname = "table_sequence"
     spec.compiler.degree = False
