@@ -102,12 +102,3 @@ def test_voxelise_and_mesh_undo_each_other() -> None:
     assert grid.sum() * (2 * 0.06 / 32) ** 3 == pytest.approx(ball.volume, rel=0.01)
     back = _trimesh(mesh_from_grid(grid, np.full(3, 0.06), "can"))
     np.testing.assert_allclose(back.bounds, ball.bounds, atol=0.001)
-
-
-def test_voxelise_leaves_cavities_empty() -> None:
-    outer, inner = trimesh.creation.icosphere(3, 0.05), trimesh.creation.icosphere(3, 0.03)
-    inner.invert()
-    hollow = trimesh.util.concatenate([outer, inner])
-    grid = voxelise(TriangleMesh(hollow.vertices, hollow.faces), np.full(3, 0.06))
-    assert grid[16, 16, 16] == 0.0
-    assert grid[16, 16, 5] == 1.0  # z = -0.039: in the shell

@@ -1,14 +1,12 @@
-"""The decoder's value and derivative, and what happens when its weights are no good."""
+"""Values and derivatives of the decoder."""
 
 import numpy as np
 import pytest
 import torch
-from safetensors.torch import save_file
 
-from perception.errors import InvalidInputError, PerceptionError
+from perception.errors import InvalidInputError
 from perception.shape.decoder import ShapeDecoder
 from perception.shape.network import ShapeVae
-from perception.shape.weights import SHIPPED_WEIGHTS, load_weights, save_weights
 from perception.types import CATEGORIES
 
 
@@ -73,58 +71,6 @@ def test_wrong_arguments_are_named(decoder):
         decoder("mug", torch.zeros(1, 15))
     with pytest.raises(InvalidInputError, match=r"\(15,\), expected \(16,\)"):
         decoder.with_jacobian("mug", torch.zeros(15))
-
-
-def test_weights_survive_the_file(tmp_path, code):
-    model = ShapeVae().initialise(torch.Generator().manual_seed(5))
-    path = tmp_path / "shape.safetensors"
-    save_weights(model, path, {"seed": "5"})
-    assert not list(tmp_path.glob("*.tmp"))
-    loaded = ShapeDecoder.load(path)
-    torch.testing.assert_close(
-        loaded("mug", code[None]), ShapeDecoder(model.decoder)("mug", code[None]), atol=2e-3, rtol=0
-    )
-
-
-def test_missing_weights_say_what_to_do(tmp_path):
-    with pytest.raises(PerceptionError, match=r"nothing\.safetensors are missing; .*nodeslam train shape"):
-        ShapeDecoder.load(tmp_path / "nothing.safetensors")
-
-
-@pytest.mark.parametrize("content", [b"", b"not weights", bytes(100_000)])
-def test_corrupt_weights_say_what_to_do(tmp_path, content):
-    path = tmp_path / "broken.safetensors"
-    path.write_bytes(content)
-    with pytest.raises(PerceptionError, match=r"broken\.safetensors cannot be read .*nodeslam train shape"):
-        ShapeDecoder.load(path)
-
-
-def test_truncated_weights_say_what_to_do(tmp_path):
-    path = tmp_path / "half.safetensors"
-    save_weights(ShapeVae(), path, {})
-    path.write_bytes(path.read_bytes()[:-1000])
-    with pytest.raises(PerceptionError, match="cannot be read"):
-        ShapeDecoder.load(path)
-
-
-def test_weights_of_another_network_are_refused(tmp_path):
-    path = tmp_path / "other.safetensors"
-    save_file({"a": torch.zeros(3)}, path)
-    with pytest.raises(PerceptionError, match="format None, expected 'nodeslam-shape-1'"):
-        ShapeDecoder.load(path)
-    save_file({"a": torch.zeros(3)}, path, metadata={"format": "nodeslam-shape-1"})
-    with pytest.raises(PerceptionError, match="do not fit the network"):
-        ShapeDecoder.load(path)
-
-
-def test_loading_runs_no_gradients():
-    model = load_weights()
-    assert not any(parameter.requires_grad for parameter in model.parameters())
-    assert not model.training
-
-
-def test_shipped_weights_are_small():
-    assert SHIPPED_WEIGHTS.stat().st_size < 12e6
 
 
 @pytest.mark.skipif(not torch.cuda.is_available(), reason="no CUDA device")
