@@ -30,7 +30,7 @@ def load_arrays(path: Path, names: Sequence[str], what: str) -> dict[str, np.nda
     try:
         with path.open("rb") as stream, np.load(stream, allow_pickle=False) as file:
             return {name: file[name] for name in names}
-    except (OSError, KeyError, ValueError, BadZipFile) as error:
+    except (OSError, EOFError, KeyError, ValueError, BadZipFile) as error:
         raise PerceptionError(f"{path} holds no {what} ({error}); delete it and train again") from error
 
 

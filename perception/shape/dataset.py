@@ -70,7 +70,7 @@ class ShapeDataset:
         try:
             with path.open("rb") as file, np.load(file, allow_pickle=False) as arrays:
                 return ShapeDataset(arrays["grids"], arrays["categories"])
-        except (OSError, KeyError, ValueError, zipfile.BadZipFile) as error:
+        except (OSError, EOFError, KeyError, ValueError, zipfile.BadZipFile) as error:
             raise InvalidInputError(
                 f"cannot read the shape data {path} ({error}); delete it to have it generated again"
             ) from error

@@ -13,7 +13,7 @@ from app.training import command
 
 @pytest.mark.parametrize("network", ["shape", "detector", "yaw"])
 def test_options_reach_the_job(network, tmp_path, monkeypatch):
-    _, default = command._job(TrainOptions(network))
+    _, default = command._job(TrainOptions(network=network))
     jobs = []
 
     def train(config, folder: Path, progress):
@@ -22,7 +22,7 @@ def test_options_reach_the_job(network, tmp_path, monkeypatch):
         return {"skipped": ["odd.ply: not watertight"]}
 
     monkeypatch.setattr(command, "_job", lambda options: (train, default))
-    options = TrainOptions(network, epochs=3, seed=11, out=tmp_path, device="cpu", quiet=True)
+    options = TrainOptions(network=network, epochs=3, seed=11, out=tmp_path, device="cpu", quiet=True)
     report = command.run(options, Screen(quiet=True))
     (config,) = jobs
     assert (config.training.epochs, config.training.seed, config.device) == (3, 11, "cpu")
@@ -32,14 +32,14 @@ def test_options_reach_the_job(network, tmp_path, monkeypatch):
 
 
 def test_epochs_are_the_jobs_own_by_default(tmp_path, monkeypatch):
-    _, default = command._job(TrainOptions("yaw"))
+    _, default = command._job(TrainOptions(network="yaw"))
     jobs = []
     monkeypatch.setattr(command, "_job", lambda _: (lambda config, *_: jobs.append(config) or {}, default))
-    command.run(TrainOptions("yaw", out=tmp_path, device="cpu", quiet=True), Screen(quiet=True))
+    command.run(TrainOptions(network="yaw", out=tmp_path, device="cpu", quiet=True), Screen(quiet=True))
     assert jobs[0].training.epochs == default.training.epochs
 
 
 @pytest.mark.parametrize("change", [{"meshes": Path("dir")}, {"tensorboard": True}])
 def test_options_of_shapes_are_refused_for_other_networks(change, tmp_path):
     with pytest.raises(UsageError, match="are for `train shape`, not `train yaw`"):
-        command.run(TrainOptions("yaw", out=tmp_path, device="cpu", **change), Screen(quiet=True))
+        command.run(TrainOptions(network="yaw", out=tmp_path, device="cpu", **change), Screen(quiet=True))

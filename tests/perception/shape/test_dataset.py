@@ -46,9 +46,10 @@ def test_data_survive_the_file(shapes, tmp_path):
     assert np.array_equal(loaded.grids, shapes.grids)
     assert np.array_equal(loaded.of("can").categories, np.full(16, CAN))
     assert occupancies(loaded.grids).max() == 1.0
-    path.write_bytes(path.read_bytes()[:1000])
-    with pytest.raises(InvalidInputError, match="delete it"):
-        ShapeDataset.load(path)
+    for content in (path.read_bytes()[:1000], b""):
+        path.write_bytes(content)
+        with pytest.raises(InvalidInputError, match="delete it"):
+            ShapeDataset.load(path)
 
 
 def test_wrong_grids_are_refused():
