@@ -44,5 +44,5 @@ def test_cards_end_with_the_digest_of_every_file(tmp_path):
 
 def test_missing_tensorboard_has_a_remedy(tmp_path, monkeypatch):
     monkeypatch.setitem(sys.modules, "torch.utils.tensorboard", None)
-    with pytest.raises(PerceptionError, match=r"TensorBoard is not installed.* leave out --tensorboard"):
+    with pytest.raises(PerceptionError, match=r"pip install '\.\[train\]'"):
         summary_writer(tmp_path)
