@@ -1,19 +1,14 @@
-"""Crop networks: they learn, resume where they stopped, survive the disk, and refuse what is not theirs."""
+"""Training of the crop networks: learning, resuming, augmentation, calibration."""
 
 import numpy as np
 import pytest
 import torch
-from safetensors.torch import save_file
 
 from perception.detection.crop_network import (
-    ENSEMBLE_SIZE,
     OUTPUTS,
     CropNet,
-    ensemble_of,
-    load_crop_network,
     normalise_crops,
     predict,
-    save_crop_network,
 )
 from perception.detection.crop_training import (
     CropSet,
@@ -132,20 +127,6 @@ def test_predictions_of_mirrored_crops_are_mirrored():
         assert mirrored == pytest.approx(seen, abs=1e-6)
 
 
-def test_a_committee_answers_with_the_mean_of_the_logits_and_survives_the_disk(tmp_path):
-    torch.manual_seed(0)
-    members = [CropNet(OUTPUTS["class"]).eval() for _ in range(ENSEMBLE_SIZE["class"])]
-    committee = ensemble_of(members)
-    crops = synthetic(6)[0]
-    images, context = normalise_crops(torch.from_numpy(crops.images)), torch.from_numpy(crops.context)
-    mean = sum(member(images, context) for member in members) / len(members)
-    assert torch.allclose(committee(images, context), mean, atol=1e-6)
-    save_crop_network(committee, tmp_path / "c.safetensors", "class", 1.2)
-    loaded, temperature = load_crop_network("class", tmp_path / "c.safetensors")
-    assert temperature == 1.2 and torch.equal(loaded(images, context), committee(images, context))
-    assert ensemble_of(members[:1]) is members[0]
-
-
 def test_three_crops_of_ten_are_cut_on_one_side():
     images = torch.full((300, SIDE, SIDE, 6), 9, dtype=torch.uint8)
     out = truncate_crops(images, torch.Generator().manual_seed(0))
@@ -174,15 +155,6 @@ def test_warped_crops_are_the_same_things_in_about_the_same_place():
     assert out.flatten(1).abs().max() <= inputs.abs().max() + 1e-6
 
 
-def test_prepared_inputs_are_zero_off_the_mask_on_the_table_and_at_the_median():
-    images = torch.from_numpy(synthetic(2)[0].images)
-    x = normalise_crops(images)
-    outside = images[..., 3] == 0
-    assert not x[:, 3][outside].any() and not x[:, 4][outside].any()
-    assert x[:, 5][~outside].abs().max() < 0.01
-    assert x[:, 0][~outside].max() <= 1.1 and x[:, 0].min() == pytest.approx(-0.9)
-
-
 def test_the_temperature_undoes_overconfidence():
     """Logits that claim 99 % and are right 3 times of 4 want one near 2.6."""
     crops = synthetic(200)[0]
@@ -198,36 +170,7 @@ def test_the_temperature_undoes_overconfidence():
     assert found == pytest.approx(expected, rel=0.15)
 
 
-def test_weights_survive_the_disk(tmp_path):
-    torch.manual_seed(0)
-    network = CropNet(OUTPUTS["yaw"]).eval()
-    save_crop_network(network, tmp_path / "yaw.safetensors", "yaw", 1.3, {"seed": "0"})
-    loaded, temperature = load_crop_network("yaw", tmp_path / "yaw.safetensors")
-    crops = synthetic(4)[1]
-    assert temperature == 1.3
-    assert np.allclose(
-        predict(network, 1.3, crops.images, crops.context), predict(loaded, 1.3, crops.images, crops.context)
-    )
-    assert predict(loaded, 1.0, crops.images[:0], crops.context[:0]).shape == (0, YAW_BINS)
-    assert (tmp_path / "yaw.safetensors").stat().st_size < 3e6
-
-
-def test_unusable_weights_say_what_to_do(tmp_path):
-    with pytest.raises(PerceptionError, match=r"are missing; .*nodeslam train detector"):
-        load_crop_network("class", tmp_path / "none.safetensors")
-    path = tmp_path / "broken.safetensors"
-    path.write_bytes(b"\x10\0\0\0")
-    with pytest.raises(PerceptionError, match=r"cannot be read .*nodeslam train yaw"):
-        load_crop_network("yaw", path)
-    save_crop_network(CropNet(5), path, "class", 1.0)
-    with pytest.raises(PerceptionError, match="are for 'class', not 'yaw'"):
-        load_crop_network("yaw", path)
-    save_file({"x": torch.zeros(1)}, path, metadata={"task": "yaw", "temperature": "1.0"})
-    with pytest.raises(PerceptionError, match="cannot be read"):
-        load_crop_network("yaw", path)
-
-
-def test_figures_of_a_perfect_network():
+def test_metrics_of_a_perfect_network():
     crops = synthetic(16)[1]
     ahead = soft_labels(np.pi * (np.arange(16) % 2))  # its own mirror image
     crops = CropSet(crops.images, crops.context, ahead)

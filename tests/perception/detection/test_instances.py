@@ -1,4 +1,4 @@
-"""Votes become instances: made-up answers whose instances are known, touching things among them."""
+"""Instance segmentation: Hough voting on synthetic predictions; the shipped network on rendered scenes."""
 
 from types import SimpleNamespace
 
@@ -15,7 +15,7 @@ from perception.detection.instances import (
     remove_specks,
     upsample_labels,
 )
-from perception.detection.scene_network import CLASSES, OUTPUTS, VOTE_UNIT, SceneNet
+from perception.detection.scene_network import CLASSES, OUTPUTS, VOTE_UNIT, SceneNet, load_scene_network
 from perception.detection.working_view import downscale, working_view
 from perception.types import RgbdFrame, SupportPlane
 
@@ -25,7 +25,7 @@ CONFIG = InstanceConfig()
 
 
 def perfect(frame, instances, places, noise=0.0):
-    """What a flawless network would answer: (h2, w2, 12), from the true instance of each pixel."""
+    """Return the outputs (h/2, w/2, 12) of a perfect network, from the true instance of each pixel."""
     view = working_view(frame, PLANE)
     rng = np.random.default_rng(0)
     h, w = instances.shape
@@ -65,7 +65,7 @@ def touching(scenes):
 
 
 @pytest.mark.parametrize("noise", [0.0, 0.006])
-def test_touching_things_part_where_their_votes_do(touching, noise):
+def test_objects_in_contact_are_separated_by_their_votes(touching, noise):
     frame = downscale(touching.frame)
     network = Oracle(perfect(frame, touching.instances, touching.places, noise))
     found = find_instances(frame, PLANE, network)
@@ -78,7 +78,7 @@ def test_touching_things_part_where_their_votes_do(touching, noise):
     assert all(f.log_classes.argmax() == 2 for f in found)
 
 
-def test_feet_are_where_the_votes_meet(touching):
+def test_peaks_are_at_the_footprints(touching):
     frame = downscale(touching.frame)
     view = working_view(frame, PLANE)
     answer = decode_prediction(perfect(frame, touching.instances, touching.places, 0.004), view)
@@ -88,7 +88,7 @@ def test_feet_are_where_the_votes_meet(touching):
         assert np.linalg.norm(peaks - place, axis=1).min() < 0.004
 
 
-def test_doubtful_votes_make_no_peak(touching):
+def test_uncertain_votes_make_no_peak(touching):
     frame = downscale(touching.frame)
     view = working_view(frame, PLANE)
     answer = decode_prediction(perfect(frame, touching.instances, touching.places), view)
@@ -98,7 +98,7 @@ def test_doubtful_votes_make_no_peak(touching):
     assert len(find_peaks(nothing, view, CONFIG)) == 0
 
 
-def test_crumbs_go_to_what_surrounds_them(touching):
+def test_small_components_are_assigned_to_the_surrounding_instance(touching):
     frame = downscale(touching.frame)
     view = working_view(frame, PLANE)
     answer = decode_prediction(perfect(frame, touching.instances, touching.places), view)
@@ -111,7 +111,7 @@ def test_crumbs_go_to_what_surrounds_them(touching):
     assert (assign_pixels(strayed, view, peaks, CONFIG) == clean)[touching.instances == 3].mean() > 0.99
 
 
-def test_what_has_no_foot_of_its_own_goes_to_nobody(touching):
+def test_an_object_without_a_peak_becomes_background(touching):
     """The lone cylinder's votes are doubtful and make no peak; no other one takes it in."""
     frame = downscale(touching.frame)
     view = working_view(frame, PLANE)
@@ -132,7 +132,7 @@ def test_what_has_no_foot_of_its_own_goes_to_nobody(touching):
     assert (numbers[lone] == -1).mean() > 0.95
 
 
-def test_masks_grow_to_full_size():
+def test_labels_are_upsampled_to_the_frame():
     foreground, numbers = np.zeros((24, 32), np.float32), np.zeros((24, 32), np.int32)
     foreground[6:18, 8:24], numbers[:, 16:] = 1.0, 1
     full = upsample_labels(foreground, numbers, (48, 64), CONFIG)
@@ -140,7 +140,7 @@ def test_masks_grow_to_full_size():
     assert abs((full == 0).sum() - 4 * 96) < 0.15 * 4 * 96
 
 
-def test_specks_are_dropped_and_halves_are_kept():
+def test_specks_are_removed_and_large_parts_kept():
     mask = np.zeros((60, 80), bool)
     mask[5:25, 10:30] = mask[35:50, 10:30] = True  # parted by something in front of it
     mask[55, 70:73] = True
@@ -149,7 +149,7 @@ def test_specks_are_dropped_and_halves_are_kept():
     assert remove_specks(mask, 0.0).sum() == mask.sum()
 
 
-def test_what_towers_over_the_table_is_no_thing(scenes):
+def test_an_instance_above_the_height_limit_is_left_out(scenes):
     scene = scenes.render(
         [scenes.Solid(0.45, -0.2, 0.6, half=(0.04, 0.04))], scenes.orbit(TARGET, 1.0, 30, 0)
     )
@@ -157,13 +157,13 @@ def test_what_towers_over_the_table_is_no_thing(scenes):
     assert find_instances(scene.frame, PLANE, network) == []
 
 
-def test_no_measurement_no_instances(scenes):
+def test_no_depth_no_instances(scenes):
     frame = scenes.render([], scenes.orbit(TARGET, 0.5, 60, 0)).frame
     blind = RgbdFrame(0.0, frame.rgb, 0 * frame.depth, frame.intrinsics, frame.T_world_camera)
     assert find_instances(blind, PLANE, SceneNet().eval()) == []
 
 
-def test_pixels_that_vote_for_nowhere_belong_to_nothing(touching):
+def test_pixels_with_scattered_votes_are_background(touching):
     frame = downscale(touching.frame)
     answer = perfect(frame, touching.instances, touching.places)
     corner = np.s_[:8, :16]  # no thing is there: a wall that the network takes for one, without knowing where
@@ -177,3 +177,120 @@ def test_pixels_that_vote_for_nowhere_belong_to_nothing(touching):
     alone = find_instances(frame, PLANE, Oracle(perfect(frame, touching.instances, touching.places)))
     assert len(found) == len(alone) == 4
     assert not any(f.mask[:14, :28].any() for f in found)
+
+
+# --- the shipped network on rendered scenes unlike its training data -----------------------------
+
+
+@pytest.fixture(scope="module")
+def segment():
+    """Masks of the instances of a frame."""
+    network = load_scene_network()
+
+    def masks(frame, plane, config=None):
+        found = find_instances(frame, plane, network, config or InstanceConfig())
+        return [instance.mask for instance in found]
+
+    return masks
+
+
+@pytest.fixture
+def table(scenes):
+    """A can, a bottle, a carton and a bowl-sized cylinder, 4 cm and more apart."""
+    return [
+        scenes.Solid(0.40, -0.30, 0.10, radius=0.04),
+        scenes.Solid(0.52, -0.30, 0.20, radius=0.035),
+        scenes.Solid(0.40, -0.18, 0.05, half=(0.05, 0.03)),
+        scenes.Solid(0.53, -0.14, 0.07, radius=0.06),
+    ]
+
+
+def matches(masks, instances, count):
+    """Best IoU for each true instance."""
+    return [
+        max(((m & (instances == i)).sum() / (m | (instances == i)).sum() for m in masks), default=0.0)
+        for i in range(count)
+    ]
+
+
+@pytest.mark.parametrize("noise", [0.0, 0.002])
+@pytest.mark.parametrize("view", [(90, 0, 0.6), (60, 90, 0.5), (45, 200, 0.5), (75, 300, 0.45)])
+def test_every_object_is_one_instance(segment, scenes, table, view, noise):
+    elevation, azimuth, distance = view
+    scene = scenes.render(table, scenes.orbit(TARGET, distance, elevation, azimuth), noise, size=(640, 480))
+    masks = segment(scene.frame, PLANE)
+    assert len(masks) == len(table)
+    assert min(matches(masks, scene.instances, len(table))) > 0.9
+    assert sum(m.astype(int) for m in masks).max() == 1  # no pixel twice
+
+
+def test_masks_are_rather_too_large(segment, scenes, table):
+    scene = scenes.render(table, scenes.orbit(TARGET, 0.5, 60, 90), 0.002, size=(640, 480))
+    for mask in segment(scene.frame, PLANE):
+        true = scene.instances == np.bincount(scene.instances[mask & (scene.instances >= 0)]).argmax()
+        assert (mask & true).sum() > 0.98 * true.sum()
+
+
+def test_an_open_box_does_not_affect_its_neighbours(segment, scenes, table):
+    walls = [scenes.Solid(0.5, y, 0.08, half=(0.18, 0.003)) for y in (0.12, 0.42)]
+    walls += [scenes.Solid(x, 0.27, 0.08, half=(0.003, 0.15)) for x in (0.32, 0.68)]
+    floor = scenes.Solid(0.5, 0.27, 0.004, half=(0.18, 0.15))
+    scene = scenes.render([*table, *walls, floor], scenes.orbit(TARGET, 0.6, 50, 270), 0.002, size=(640, 480))
+    assert (scene.instances >= len(table)).sum() > 5000  # it is in view
+    assert min(matches(segment(scene.frame, PLANE), scene.instances, len(table))) > 0.9
+
+
+def test_an_object_half_hidden_is_not_joined_to_what_hides_it(segment, scenes):
+    solids = [scenes.Solid(0.45, -0.30, 0.12, radius=0.03), scenes.Solid(0.45, -0.18, 0.09, radius=0.04)]
+    scene = scenes.render(solids, scenes.orbit((0.45, -0.25, 0.05), 0.5, 45, 270), 0.002, size=(640, 480))
+    masks = segment(scene.frame, PLANE)
+    assert len(masks) == 2
+    assert min(matches(masks, scene.instances, 2)) > 0.85
+
+
+def test_truncated_objects_are_found(segment, scenes, table):
+    scene = scenes.render(table, scenes.orbit((0.40, -0.30, 0.05), 0.25, 80, 90), size=(640, 480))
+    masks = segment(scene.frame, PLANE)
+    edge = [m for m in masks if m[0].any() or m[-1].any() or m[:, 0].any() or m[:, -1].any()]
+    assert edge
+
+
+def test_holes_in_the_depth_are_part_of_the_mask(segment, scenes):
+    scene = scenes.render([scenes.Solid(0.45, -0.2, 0.1, radius=0.05)], scenes.orbit(TARGET, 0.5, 60, 0))
+    depth = scene.frame.depth.copy()
+    v, u = (int(c.mean()) for c in np.nonzero(scene.instances == 0))
+    depth[v - 4 : v + 4, u - 4 : u + 4] = 0
+    frame = RgbdFrame(0.0, scene.frame.rgb, depth, scene.frame.intrinsics, scene.frame.T_world_camera)
+    (mask,) = segment(frame, PLANE)
+    assert mask[v - 4 : v + 4, u - 4 : u + 4].all()
+
+
+@pytest.mark.parametrize("noise", [0.0, 0.003])
+def test_a_bare_table_has_no_instances(segment, scenes, noise):
+    assert segment(scenes.render([], scenes.orbit(TARGET, 0.5, 60, 0), noise).frame, PLANE) == []
+
+
+def test_the_shipped_network_finds_nothing_without_depth(segment, scenes):
+    frame = scenes.render([], scenes.orbit(TARGET, 0.5, 60, 0)).frame
+    blind = RgbdFrame(0.0, frame.rgb, 0 * frame.depth, frame.intrinsics, frame.T_world_camera)
+    assert segment(blind, PLANE) == []
+
+
+def test_instances_that_are_too_high_or_too_near_are_left_out(segment, scenes):
+    arm = scenes.Solid(0.45, -0.2, 0.6, half=(0.04, 0.04))
+    scene = scenes.render([arm], scenes.orbit(TARGET, 1.0, 30, 0))
+    assert segment(scene.frame, PLANE) == []
+    finger = scenes.Solid(0.48, -0.22, 0.45, radius=0.01)
+    scene = scenes.render([finger], scenes.orbit(TARGET, 0.5, 90, 0))
+    assert segment(scene.frame, PLANE, InstanceConfig(max_height=1.0)) == []
+
+
+def test_a_camera_without_pose_gives_the_same_masks(segment, scenes, table):
+    T = scenes.orbit(TARGET, 0.5, 60, 90)
+    frame = scenes.render(table, T).frame
+    alone = RgbdFrame(0.0, frame.rgb, frame.depth, frame.intrinsics)
+    plane = SupportPlane(normal=T[:3, :3].T @ (0.0, 0.0, 1.0), offset=float(-T[2, 3]))
+    posed, unposed = segment(frame, PLANE), segment(alone, plane)
+    assert len(posed) == len(unposed) == len(table)
+    for mask in posed:
+        assert max((mask & other).sum() / (mask | other).sum() for other in unposed) > 0.98

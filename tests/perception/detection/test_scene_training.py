@@ -1,4 +1,4 @@
-"""Training of the scene network: samples mean what they say, losses are those in closed form, runs resume."""
+"""Training of the scene network: geometry of patches, losses in closed form, resumed runs."""
 
 import numpy as np
 import pytest
@@ -8,10 +8,6 @@ from perception.detection.scene_network import (
     CLASSES,
     OUTPUTS,
     VOTE_UNIT,
-    SceneNet,
-    load_scene_network,
-    predict_scene,
-    save_scene_network,
 )
 from perception.detection.scene_training import (
     LabelledScene,
@@ -96,19 +92,3 @@ def test_an_interrupted_run_ends_like_an_uninterrupted_one(picture, tmp_path, mo
     assert all(torch.equal(whole[name], resumed[name]) for name in whole)
     with pytest.raises(PerceptionError, match="another configuration"):
         train_scene_network(lambda _: picture, 4, SceneTrainingConfig(), tmp_path / "b")
-
-
-def test_weights_survive_the_disk(tmp_path):
-    torch.manual_seed(0)
-    network = SceneNet().eval()
-    save_scene_network(network, tmp_path / "scene.safetensors", {"seed": "0"})
-    loaded = load_scene_network(tmp_path / "scene.safetensors")
-    channels = np.random.default_rng(0).standard_normal((47, 63, CHANNELS)).astype(np.float32)
-    mine, theirs = predict_scene(network, channels), predict_scene(loaded, channels)
-    assert mine.shape == (24, 32, OUTPUTS)
-    np.testing.assert_allclose(mine, theirs, atol=0.02)  # half precision
-    with pytest.raises(PerceptionError, match="are missing"):
-        load_scene_network(tmp_path / "elsewhere.safetensors")
-    (tmp_path / "scene.safetensors").write_bytes(b"not weights")
-    with pytest.raises(PerceptionError, match="cannot be read"):
-        load_scene_network(tmp_path / "scene.safetensors")
