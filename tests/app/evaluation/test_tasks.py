@@ -1,5 +1,6 @@
-"""Evaluation: every episode on disk as it ends, resumed where it stopped."""
+"""Episodes of an evaluation: stored as they end, resumed after an interruption, with one seed each."""
 
+import contextlib
 import json
 import sys
 import types
@@ -10,6 +11,7 @@ from app.errors import MissingExtraError, UsageError
 from app.evaluation import tasks as evaluate_tasks
 from app.evaluation.jobs import SETTINGS
 from app.options import EvaluateOptions
+from app.runs.report import Report
 from app.screen import Screen
 
 
@@ -40,7 +42,7 @@ def report_in(folder):
     return json.loads((folder / "report.json").read_text())
 
 
-def test_report_has_what_the_design_asks_for(tmp_path, episodes):
+def test_rates_intervals_and_failures_are_reported(tmp_path, episodes):
     report = evaluate_tasks.run(options(tmp_path), Screen(quiet=True))
     assert episodes.ran == [10, 11, 12, 13] and report.success
     metrics = report_in(tmp_path)["metrics"]
@@ -50,7 +52,7 @@ def test_report_has_what_the_design_asks_for(tmp_path, episodes):
     assert metrics["failures"] == {"can: toppled": 2}
 
 
-def test_interrupted_evaluation_keeps_what_is_finished_and_goes_on(tmp_path, episodes):
+def test_an_interrupted_evaluation_keeps_finished_episodes_and_resumes(tmp_path, episodes):
     episodes.interrupted.add(12)
     with pytest.raises(KeyboardInterrupt):
         evaluate_tasks.run(options(tmp_path), Screen(quiet=True))
@@ -66,13 +68,13 @@ def test_interrupted_evaluation_keeps_what_is_finished_and_goes_on(tmp_path, epi
     assert sorted(line["seed"] for line in lines) == [10, 11, 12, 13]
 
 
-def test_a_fresh_start_forgets_the_old_episodes(tmp_path, episodes):
+def test_a_new_evaluation_removes_stored_episodes(tmp_path, episodes):
     evaluate_tasks.run(options(tmp_path, episodes=2), Screen(quiet=True))
     evaluate_tasks.run(options(tmp_path, episodes=2), Screen(quiet=True))
     assert episodes.ran == [10, 11, 10, 11]
 
 
-def test_options_that_came_later_had_their_default(tmp_path, episodes):
+def test_options_missing_from_a_stored_evaluation_had_their_default(tmp_path, episodes):
     evaluate_tasks.run(options(tmp_path), Screen(quiet=True))
     settings = json.loads((tmp_path / SETTINGS).read_text())
     assert settings.pop("robot") == "panda"
@@ -88,7 +90,27 @@ def test_resuming_with_other_settings_is_refused(tmp_path, episodes):
         evaluate_tasks.run(options(tmp_path, resume=True, task="sort", box="0.4,0.3,0.1"), Screen(quiet=True))
 
 
-def test_a_crash_of_one_episode_is_its_result(monkeypatch):
+def test_an_episode_has_its_own_seed_cell_and_networks(monkeypatch):
+    calls = []
+
+    def build(options, task):
+        calls.append(("cell", options.seed, task))
+        return contextlib.nullcontext("world")
+
+    def run_episode(world, options, task, perception):
+        calls.append((world, options.seed, task, perception))
+        return Report(task, options.seed, True, "2 of 2", metrics={"n_placed": 2}), None
+
+    monkeypatch.setattr("app.task.cell.build_world", build)
+    monkeypatch.setitem(sys.modules, "app.task.episode", types.SimpleNamespace(run_episode=run_episode))
+    monkeypatch.setattr(evaluate_tasks, "_perception", lambda device: f"networks on {device}")
+    line = evaluate_tasks.run_seed(options(None, task="sort", device="cpu", seed=10), 17)
+    assert calls == [("cell", 17, "sort"), ("world", 17, "sort", "networks on cpu")]
+    assert (line["seed"], line["task"], line["success"], line["reason"]) == (17, "sort", True, "2 of 2")
+    assert line["metrics"] == {"n_placed": 2} and line["wall_seconds"] >= 0
+
+
+def test_a_crash_is_the_result_of_its_episode(monkeypatch):
     def broken(*args):
         raise ZeroDivisionError("of all things")
 
@@ -100,7 +122,7 @@ def test_a_crash_of_one_episode_is_its_result(monkeypatch):
     assert line["success"] is False and line["reason"] == "crashed: ZeroDivisionError: of all things"
 
 
-def test_ray_without_ray_says_what_to_install(tmp_path, monkeypatch):
+def test_ray_without_ray_names_the_extra(tmp_path, monkeypatch):
     monkeypatch.setitem(sys.modules, "ray", None)
     with pytest.raises(MissingExtraError, match=r"pip install '\.\[cluster\]'"):
         evaluate_tasks.run(options(tmp_path, ray="auto"), Screen(quiet=True))
