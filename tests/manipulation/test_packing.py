@@ -77,7 +77,7 @@ def test_bowls_nest_largest_lowest_and_come_first(kitchen):
     assert 0.003 <= second.release_height <= CONFIG.max_drop
     tops = {item.name: item.top for item in kitchen}
     later = [tops[placement.name] for placement in placements[2:]]
-    assert later == sorted(later), "the hand lets go of low objects before tall ones stand beside it"
+    assert later == sorted(later), "low objects are released before tall ones are beside them"
 
 
 def test_mugs_stand_in_line_with_handles_alike(shapes):
