@@ -1,8 +1,7 @@
-"""Where to start: centre, size and upright orientation from the masked clouds and the support plane.
+"""Initial pose: centre, size and upright orientation from the masked clouds and the support plane.
 
-Every view tells its own: across the line of sight the cloud's extent is the object's, along it only the
-near side is seen, so the centre is pushed behind it by the radius. Least squares over the views brings
-these together.
+Across the line of sight the cloud of a view has the extent of the object; along it only the near side is
+seen, so the centre is pushed behind it by the radius. Least squares combines the views.
 """
 
 from __future__ import annotations
@@ -28,12 +27,12 @@ _STEEP = np.deg2rad(68.0)  # views from above this elevation see near and far si
 _MAX_YAWS = 5
 _LEAST_LIKELY = 0.3  # of the likeliest yaw's probability: less likely ones are not tried
 _YAW_REACH = np.deg2rad(25.0)  # from so far a fit finds the handle by itself
-_BLIND_YAWS = 6  # hypotheses for a mug of which nobody knows the handle's direction
+_BLIND_YAWS = 6  # hypotheses for a mug without a yaw distribution
 
 
 @dataclass(frozen=True)
 class CloudMeasures:
-    """What the clouds say in [m]: ``centre`` and ``outline`` (all points) in the plane, radius, height."""
+    """Clouds, in metres: ``centre`` and ``outline`` (all points) in the plane, radius, height."""
 
     centre: Float[np.ndarray, "2"]
     radius: float
@@ -49,7 +48,7 @@ class CloudMeasures:
 def initial_poses(
     observations: Sequence[ObjectObservation], category: Category, plane: SupportPlane
 ) -> tuple[list[ObjectPose], CloudMeasures]:
-    """Upright poses to start from, the likeliest yaw first, and the measures they come from.
+    """Return upright initial poses, the most probable yaw first, and the measures they come from.
 
     The shape prior's grids hold bounding boxes that are centred and ``LONGEST_SIDE`` long, so the cloud's
     height and width give centre and scale.
@@ -74,7 +73,7 @@ def plane_basis(plane: SupportPlane) -> Float[np.ndarray, "3 3"]:
 def measure_clouds(
     observations: Sequence[ObjectObservation], plane: SupportPlane, basis: Float[np.ndarray, "3 3"]
 ) -> CloudMeasures:
-    """Centre, radius and height of what the masks show; InvalidInputError if nothing is above the plane."""
+    """Return centre, radius and height; raises InvalidInputError if nothing is above the plane."""
     rows, values, weights, radii, heights, outline = [], [], [], [], [], []
     for seen in observations:
         points = seen.points_world()
@@ -117,7 +116,7 @@ def measure_clouds(
 def yaw_hypotheses(
     observations: Sequence[ObjectObservation], category: Category, measures: CloudMeasures
 ) -> list[float]:
-    """Yaws about the plane's normal [rad] to try, likeliest first."""
+    """Return yaw hypotheses about the plane's normal, in radians, the most probable first."""
     if category == "mug":
         return _modes([o.yaw_probabilities for o in observations if o.yaw_probabilities.size])
     if category == "bottle":  # may have a rectangular section, long or short side along x

@@ -59,7 +59,7 @@ class LmConfig:
 
 @dataclass(frozen=True)
 class LmIteration:
-    """One line of the trace: costs under the weights of the linearisation, before and after the step."""
+    """One iteration: costs before and after the step, with the weights of the linearisation."""
 
     cost: float
     cost_after: float
@@ -69,7 +69,7 @@ class LmIteration:
 
 @dataclass(frozen=True)
 class LmResult(Generic[State]):
-    """Where the search ended and how. ``evaluation`` is the problem there; ``damping`` allows to go on."""
+    """Final state with its evaluation, the reason for termination, the damping to continue, the trace."""
 
     state: State
     evaluation: Evaluation
@@ -85,14 +85,14 @@ def minimise(
     config: LmConfig | None = None,
     step_limit: Float[np.ndarray, "p"] | None = None,
 ) -> LmResult[State]:
-    """Minimises the weighted squared residuals.
+    """Minimise the weighted squared residuals.
 
     Args:
-        evaluate: residuals, Jacobian and weights at a state.
-        retract: the state after a step in its tangent space.
-        state: where to start.
-        config: damping and limits.
-        step_limit: largest step in each direction; longer steps are shortened as a whole.
+        evaluate: Returns residuals, Jacobian and weights at a state.
+        retract: Returns the state after a step in its tangent space.
+        state: Initial state.
+        config: Damping and termination.
+        step_limit: Largest step of each parameter; longer steps are scaled down as a whole.
     """
     config = config or LmConfig()
     damping, small_gains, trace = config.damping, 0, []

@@ -29,7 +29,7 @@ _OFF_THE_TIES = 1.7e-5  # a voxel exactly at the level would pinch the surface t
 
 
 class EmptyShapeError(PerceptionError):
-    """A grid holds no surface at the level asked for."""
+    """A grid has no surface at the requested level."""
 
 
 @dataclass(frozen=True)
@@ -62,7 +62,7 @@ def mesh_from_code(
     scale: Float[np.ndarray, "3"],
     config: MeshConfig | None = None,
 ) -> TriangleMesh:
-    """Decodes a code and meshes it: object frame, [m], watertight."""
+    """Decode a code and return its watertight mesh in the object frame, in metres."""
     return mesh_from_grid(decode(decoder, category, code), scale, category, config)
 
 
@@ -72,7 +72,11 @@ def mesh_from_grid(
     category: Category,
     config: MeshConfig | None = None,
 ) -> TriangleMesh:
-    """Meshes a grid: object frame, [m], watertight, wound outwards; EmptyShapeError if nothing is in it."""
+    """Return the watertight mesh of a grid in the object frame, in metres, with outward normals.
+
+    Raises:
+        EmptyShapeError: The grid has no surface.
+    """
     config = config or MeshConfig()
     grid = np.asarray(grid, dtype=np.float32)
     _, sharp_volume = _surface(sharpen(grid, config), scale, category, config)
@@ -127,7 +131,7 @@ def _parts(
 
 
 def sharpen(grid: Float[np.ndarray, "r r r"], config: MeshConfig) -> Float[np.ndarray, "r r r"]:
-    """The grid over its local maximum, where that is a ridge at all."""
+    """Divide the grid by its local maximum, where that is high enough to be a ridge."""
     local = ndimage.maximum_filter(grid, size=2 * config.reach + 1)
     return grid / np.clip(local, 2 * config.ridge * config.iso, config.solid)
 

@@ -1,4 +1,4 @@
-"""The last millimetre: the mesh of a fit moved onto the measurements, where there are any.
+"""Refinement of a fitted mesh on the measured depth.
 
 Code and pose fit a whole object with 25 numbers; what the views show is known better than that. Every vertex
 moves along its normal by d. Where a view sees the vertex the measured depth asks for
@@ -31,7 +31,7 @@ _MARGIN = 24  # [px] of an image around the mesh that are looked at
 
 @dataclass(frozen=True)
 class RefineConfig:
-    """How far measurements move a mesh.
+    """Standard deviations and limits of the refinement.
 
     Attributes:
         depth_sigma: of one depth measurement [m].
@@ -83,7 +83,7 @@ def refine_mesh(
     plane: SupportPlane,
     config: RefineConfig | None = None,
 ) -> RefinedMesh:
-    """The mesh, in the world, moved towards what the views measured."""
+    """Return the mesh, in the world frame, with its vertices moved onto the measurements."""
     config = config or RefineConfig()
     start = _smoothed(mesh_world, config.smoothing)
     surface = trimesh.Trimesh(start, mesh_world.faces, process=False)

@@ -1,4 +1,4 @@
-"""Looks again at an object of known shape: is it where it should be, and how exactly?
+"""Pose check of an object of known shape near its expected pose.
 
 No detector is needed: the object is rendered where it is expected, and the measured depth within reach of
 the rendering corrects its pose by Levenberg-Marquardt. What then agrees with the measurement, what is seen
@@ -27,7 +27,7 @@ PoseStatus = Literal["seen", "not_there", "hidden"]
 
 @dataclass(frozen=True)
 class RefitConfig:
-    """How a pose is checked.
+    """Settings of a pose check.
 
     Attributes:
         crop: pixels along the longer side of each view's crop.
@@ -37,7 +37,7 @@ class RefitConfig:
             pass [m].
         iterations: of each pass.
         depth_sigma: of a measurement [m].
-        tilt_sigma: of the weak belief that the object stands upright [rad].
+        tilt_sigma: of the weak prior that the object stands upright [rad].
         agree: measured within this of the rendering counts as the object [m].
         min_pixels: visible pixels, of the full image, under which nothing can be said.
         min_share: of the visible pixels that must agree.
@@ -59,7 +59,7 @@ class RefitConfig:
 
 @dataclass(frozen=True)
 class PoseCheck:
-    """The outcome of looking again.
+    """Result of a pose check.
 
     Attributes:
         T_world_object: refined pose; the expected one where nothing was seen.
@@ -87,7 +87,7 @@ def refit_pose(
     plane: SupportPlane | None = None,
     config: RefitConfig | None = None,
 ) -> PoseCheck:
-    """Finds the object near its expected pose.
+    """Find the object near its expected pose.
 
     Args:
         estimate: its shape; any watertight mesh does.
@@ -128,7 +128,15 @@ def refit_pose(
 class _Search:
     """Pixels around the expected place, what other objects explain of them, and the fit to the rest."""
 
-    def __init__(self, estimate, frames, T_expected, others, plane, config: RefitConfig) -> None:
+    def __init__(
+        self,
+        estimate: ObjectEstimate,
+        frames: Sequence[RgbdFrame],
+        T_expected: Float[np.ndarray, "4 4"],
+        others: Sequence[ObjectEstimate],
+        plane: SupportPlane,
+        config: RefitConfig,
+    ) -> None:
         self.config, self.plane = config, plane
         mesh = estimate.mesh
         # Any mesh goes: the cube is put around it, with the grid's usual margin, wherever its origin is.
@@ -201,7 +209,7 @@ class _Search:
         return nearest
 
     def refine(self, pose: ObjectPose) -> ObjectPose:
-        """The pose that agrees best with the depth within reach, starting at the given one."""
+        """Return the pose that agrees best with the measured depth within reach, from an initial pose."""
         limit = np.array([0.1, 0.1, 0.1, 0.01, 0.01, 0.01])
         if not len(self.measured):
             return pose

@@ -1,7 +1,7 @@
-"""The decoder near one code: a grid for every small step without running the network again.
+"""Linearisation of the decoder around a code: grids of nearby codes without evaluating the network.
 
-Decoding with derivatives is the dearest part of an iteration. Log odds of occupancy are smooth in the code,
-so between two decodings grids come from their linearisation: logit(o) + d logit/dz dz.
+Decoding with derivatives is the most expensive part of an iteration. The log odds of occupancy are smooth in
+the code, so between two decodings grids come from their linearisation: logit(o) + d logit/dz dz.
 """
 
 from __future__ import annotations
@@ -17,14 +17,14 @@ from torch import Tensor
 from perception.rendering.renderer import ShapeGrid
 from perception.types import CATEGORIES, CODE_SIZE, Category
 
-# Cells less occupied, and less moved by the code, are not visited until the next decoding.
+# Cells with smaller occupancies and derivatives are skipped until the next decoding.
 SKIP_OCCUPANCY = 5e-3
 SKIP_JACOBIAN = 5e-3
 
 
 @runtime_checkable
 class Decoder(Protocol):
-    """Codes to occupancy grids; ``perception.shape.decoder.ShapeDecoder`` is one."""
+    """Interface of a shape prior; ``perception.shape.decoder.ShapeDecoder`` implements it."""
 
     def __call__(self, category: Category, codes: Tensor) -> Tensor: ...
 
@@ -32,7 +32,7 @@ class Decoder(Protocol):
 
 
 class LinearisedShape:
-    """Grids of codes near ``code``, ready to be rendered with Jacobian."""
+    """Grids of codes near ``code``, uploaded for rendering with Jacobian."""
 
     def __init__(
         self,
@@ -45,33 +45,33 @@ class LinearisedShape:
         self._shape = ShapeGrid.upload(grid, jacobian, "cpu", SKIP_OCCUPANCY, SKIP_JACOBIAN)
 
     def at(self, code: Float[np.ndarray, "16"]) -> ShapeGrid:
-        """The shape of a code nearby, with the Jacobian of ``self.code``."""
+        """Return the shape of a nearby code, with the Jacobian at ``self.code``."""
         step = (code - self.code).astype(np.float32)
         return self._shape.stepped(step) if step.any() else self._shape
 
 
 @lru_cache(maxsize=2 * len(CATEGORIES))
 def mean_shape(decoder: Decoder, category: Category) -> LinearisedShape:
-    """The shape of code 0, where every fit of a class begins."""
+    """Return the shape of code 0, the initial shape of every fit of a class."""
     return linearise(decoder, category, np.zeros(CODE_SIZE))
 
 
 def linearise(
     decoder: Decoder, category: Category, code: Float[np.ndarray, "16"], threads: int = 1
 ) -> LinearisedShape:
-    """Decodes a code with its derivatives, on so many cores."""
+    """Decode a code with its derivatives on ``threads`` cores."""
     return LinearisedShape(*decode_with_jacobian(decoder, category, code, threads), code)
 
 
 def decode_with_jacobian(
     decoder: Decoder, category: Category, code: Float[np.ndarray, "16"], threads: int = 1
 ) -> tuple[Float[np.ndarray, "r r r"], Float[np.ndarray, "r r r 16"]]:
-    """The occupancy grid of one code and its derivative by the code."""
+    """Return the occupancy grid of one code and its derivative with respect to the code."""
     grid, jacobian = decoder.with_jacobian(category, torch.as_tensor(code, dtype=torch.float32), threads)
     return grid.cpu().numpy(), jacobian.cpu().numpy()
 
 
 def decode(decoder: Decoder, category: Category, code: Float[np.ndarray, "16"]) -> Float[np.ndarray, "r r r"]:
-    """The occupancy grid of one code."""
+    """Return the occupancy grid of one code."""
     with torch.no_grad():
         return decoder(category, torch.as_tensor(code, dtype=torch.float32)[None])[0].cpu().numpy()

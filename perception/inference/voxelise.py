@@ -1,4 +1,4 @@
-"""Occupancy grid of a watertight mesh, by counting how often a vertical line has crossed its surface."""
+"""Occupancy grid of a watertight mesh by the parity of surface crossings along vertical lines."""
 
 from __future__ import annotations
 
@@ -16,12 +16,12 @@ _JITTER = (
 def voxelise(
     mesh: TriangleMesh, scale: Float[np.ndarray, "3"], supersample: int = 2
 ) -> Float[np.ndarray, "32 32 32"]:
-    """Share of every voxel that is inside.
+    """Return the fraction of every voxel that lies inside the mesh.
 
     Args:
-        mesh: watertight, object frame [m].
+        mesh: Watertight mesh in the object frame, in metres.
         scale: (3,) metres per canonical unit; the mesh must fit into the cube.
-        supersample: lines and heights per voxel and axis.
+        supersample: Number of samples per voxel and axis.
     """
     n = GRID_RESOLUTION * supersample
     points = (mesh.vertices / scale + 1) * n / 2 - 0.5  # in fine cells, whose centres are at integers
@@ -37,7 +37,7 @@ def voxelise(
 def _crossings(
     points: Float[np.ndarray, "v 3"], faces: Int[np.ndarray, "f 3"], n: int
 ) -> tuple[Int[np.ndarray, "k"], Float[np.ndarray, "k"]]:
-    """Where vertical lines through the cells' centres meet triangles: line ix * n + iy, and height."""
+    """Return the crossings of vertical lines with triangles: line ix * n + iy, and height."""
     corners = points[faces]  # (f, 3, 3)
     low = np.clip(np.ceil(corners[:, :, :2].min(axis=1) - _JITTER), 0, n).astype(int)
     high = np.clip(np.floor(corners[:, :, :2].max(axis=1) - _JITTER), -1, n - 1).astype(int)

@@ -8,8 +8,8 @@ probability to reach it and E_i the expected depth from there on,
     dD/do_i = w_i = T_i (delta_i - E_{i+1}),
 
 without any division. The Jacobian then needs three sums along the ray: w_i do_i/dcode (16 numbers), and
-w_i grad o_i and w_i delta_i grad o_i (3 each), which are the derivative by the affine map that brings the
-camera's points into the grid; ``pose.py`` goes on from there to any pose.
+w_i grad o_i and w_i delta_i grad o_i (3 each), which give the derivative with
+respect to the affine map from the camera's points to the grid; ``pose.py`` applies the chain rule to the pose.
 
 Samples outside the grid are never visited; those in cells where nothing is and which no code moves are
 skipped.

@@ -42,7 +42,7 @@ class ObjectPose:
         return ObjectPose(np.array(T_world_object[:3, :3]), np.array(T_world_object[:3, 3]), np.array(scale))
 
     def moved(self, step: Float[np.ndarray, "9"]) -> ObjectPose:
-        """The pose after a step (omega, v, sigma); its rotation stays orthonormal."""
+        """Return the pose after a step (omega, v, sigma); its rotation stays orthonormal."""
         rotation = self.rotation @ so3_exp(step[:3])
         u, _, vt = np.linalg.svd(rotation)
         return ObjectPose(u @ vt, self.translation + step[3:6], self.scale * np.exp(step[6:]))
@@ -64,7 +64,7 @@ def object_by_camera(pose: ObjectPose, T_world_camera: Float[np.ndarray, "4 4"])
 def canonical_from_camera(
     pose: ObjectPose, Ts_world_camera: Float[np.ndarray, "v 4 4"]
 ) -> Float[np.ndarray, "v 3 4"]:
-    """Affine maps from each camera's frame into the canonical cube: S^-1 R^T (T_world_camera p - t)."""
+    """Return maps from each camera's frame to the canonical cube: S^-1 R^T (T_world_camera p - t)."""
     A = np.empty((len(Ts_world_camera), 3, 4))
     to_canonical = pose.rotation.T / pose.scale[:, None]
     A[:, :, :3] = to_canonical @ Ts_world_camera[:, :3, :3]
@@ -79,14 +79,14 @@ def pose_jacobian(
     rendering: Rendering,
     out: Float[np.ndarray, "n 9"] | None = None,
 ) -> Float[np.ndarray, "n 9"]:
-    """Derivative of the rendered depth by (omega, v, sigma): that by the camera's map, times the map's own.
+    """Return the derivative of the rendered depth with respect to (omega, v, sigma), by the chain rule.
 
     Args:
-        pose: of the object.
-        A_canonical_camera: the maps it was rendered with.
-        rays: the rays that were rendered.
-        rendering: what they saw, with gradients.
-        out: where to write, if not into a new array.
+        pose: Pose of the object.
+        A_canonical_camera: Camera maps of the rendering.
+        rays: Rendered rays.
+        rendering: Rendering with gradients.
+        out: Output array; None for a new one.
     """
     if rendering.d_map is None:
         raise ValueError("the rendering has no gradients: call render(..., gradients=True)")
@@ -100,7 +100,7 @@ def pose_jacobian(
 def map_jacobian(
     pose: ObjectPose, A_canonical_camera: Float[np.ndarray, "v 3 4"]
 ) -> Float[np.ndarray, "v 12 9"]:
-    """Derivative of the maps, one column after the other, by (omega, v, sigma).
+    """Return the derivative of the maps, column by column, with respect to (omega, v, sigma).
 
     For a column a of A: da/domega = S^-1 hat(S a), da/dsigma = -diag(a); only the last, the camera's centre,
     moves with the translation: da/dv = -S^-1 R^T.

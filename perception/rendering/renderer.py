@@ -34,7 +34,7 @@ _EMPTY_BOX = np.repeat([[GRID_RESOLUTION + 2], [-1]], 3, axis=1)
 
 @dataclass(frozen=True)
 class ShapeGrid:
-    """An occupancy grid and, where wanted, its Jacobian by the code, on one device.
+    """An occupancy grid and, where wanted, its Jacobian with respect to the code, on one device.
 
     Attributes:
         occupancy: flat, with a border of empty voxels.
@@ -201,14 +201,14 @@ class RayBundle:
 
 @dataclass(frozen=True)
 class Rendering:
-    """What the rays see, and how it changes.
+    """Rendered depth, variance and mask, with derivatives.
 
     Attributes:
         depth: (n,) expected depth in [m].
         variance: (n,) its variance in [m^2].
         mask: (n,) probability to hit the object.
-        d_code: (n, 16) derivative of depth by the code, or None.
-        d_map: (n, 12) derivative of depth by the ray's camera map, one column of it after the other, or None.
+        d_code: (n, 16) derivative of the depth with respect to the code, or None.
+        d_map: (n, 12) derivative of the depth with respect to the ray's camera map, column by column, or None.
     """
 
     depth: Float[np.ndarray, "n"]
@@ -224,7 +224,7 @@ def render(
     A_canonical_camera: Float[np.ndarray, "v 3 4"],
     gradients: bool = True,
 ) -> Rendering:
-    """Renders the shape along the rays.
+    """Render the shape along the rays.
 
     Args:
         shape: the grid on its device.

@@ -120,7 +120,7 @@ def trilinear(occupancy: wp.array(dtype=wp.float32), at: int, f: wp.vec3) -> flo
 @wp.func
 @no_type_check
 def slopes(occupancy: wp.array(dtype=wp.float32), at: int, f: wp.vec3) -> wp.vec3:
-    """The gradient of ``trilinear`` by the point, per voxel."""
+    """Gradient of ``trilinear`` with respect to the point, per voxel."""
     o000 = occupancy[at]
     o001 = occupancy[at + 1]
     o010 = occupancy[at + SIDE]
@@ -145,7 +145,7 @@ def slopes(occupancy: wp.array(dtype=wp.float32), at: int, f: wp.vec3) -> wp.vec
 @wp.func
 @no_type_check
 def code_slopes(jacobian: wp.array(dtype=vec16), at: int, f: wp.vec3) -> vec16:
-    """The derivative of ``trilinear`` by the code, from the corners' own."""
+    """Derivative of ``trilinear`` with respect to the code, interpolated from the corners."""
     x0 = 1.0 - f[0]
     y0 = 1.0 - f[1]
     z0 = 1.0 - f[2]
