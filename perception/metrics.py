@@ -1,4 +1,4 @@
-"""How good a reconstruction is, as the paper measures it.
+"""Metrics of reconstructed surfaces, as used in the paper.
 
 With P points sampled uniformly on the estimated surface and Q on the true one, d(p, Q) the distance to the
 nearest of the other set:
@@ -61,11 +61,14 @@ class SurfaceSamples:
         return KDTree(self.points)
 
     def distance(self, points: Float[np.ndarray, "m 3"]) -> Float[np.ndarray, "m"]:
-        """Of points to the nearest sample [m]."""
+        """Return the distance of each point to the nearest sample, in metres."""
         return np.asarray(self.tree.query(points)[0])
 
     def distance_along_normal(self, points: Float[np.ndarray, "m 3"]) -> Float[np.ndarray, "m"]:
-        """Of points to the plane through the nearest sample [m]: free of the samples' own spacing."""
+        """Return the distance in metres of each point to the tangent plane at the nearest sample.
+
+        Unlike ``distance`` it is free of the samples' spacing.
+        """
         nearest = self.tree.query(points)[1]
         return np.abs(((points - self.points[nearest]) * self.normals[nearest]).sum(axis=1))
 
@@ -73,14 +76,14 @@ class SurfaceSamples:
 def sample_surface(
     mesh: TriangleMesh, rng: np.random.Generator, n: int = SAMPLES
 ) -> Float[np.ndarray, "n 3"]:
-    """Points uniform over the surface."""
+    """Return points distributed uniformly over the surface."""
     return SurfaceSamples.of(mesh, rng, n).points
 
 
 def compare_surfaces(
     estimate: SurfaceSamples, truth: SurfaceSamples, threshold: float = COMPLETION_DISTANCE
 ) -> ReconstructionMetrics:
-    """The metrics of two sampled surfaces; true points within ``threshold`` [m] count as reconstructed."""
+    """Return the metrics of two sampled surfaces, with ``threshold`` in metres for the completion."""
     to_truth, to_estimate = truth.distance(estimate.points), estimate.distance(truth.points)
     return ReconstructionMetrics(
         accuracy=float(to_truth.mean()),
@@ -97,14 +100,14 @@ def reconstruction_metrics(
     n: int = SAMPLES,
     threshold: float = COMPLETION_DISTANCE,
 ) -> ReconstructionMetrics:
-    """Compares two meshes given in one frame.
+    """Compare two meshes in the same frame.
 
     Args:
-        mesh_estimate: the reconstruction.
-        mesh_truth: the true surface.
-        rng: draws the sample points.
-        n: points on each.
-        threshold: distance within which a true point counts as reconstructed [m].
+        mesh_estimate: Reconstructed surface.
+        mesh_truth: True surface.
+        rng: Source of the sample points.
+        n: Number of points on each surface.
+        threshold: Largest distance of a true point that counts as reconstructed, in metres.
     """
     estimate, truth = (SurfaceSamples.of(mesh, rng, n) for mesh in (mesh_estimate, mesh_truth))
     return compare_surfaces(estimate, truth, threshold)
@@ -113,5 +116,5 @@ def reconstruction_metrics(
 def point_recall(
     estimate: SurfaceSamples, points: Float[np.ndarray, "m 3"], distance: float = RECALL_DISTANCE
 ) -> float:
-    """Share of true surface points (a handle's, say) within a distance of the reconstruction; NaN of none."""
+    """Return the share of true points within a distance of the surface in metres; NaN without points."""
     return float((estimate.distance(points) < distance).mean()) if len(points) else float("nan")

@@ -1,8 +1,8 @@
-"""The support plane from depth images: RANSAC over three-point planes, then least squares on the inliers.
+"""Support plane from depth images: RANSAC over three-point planes, then total least squares on the inliers.
 
-Works on frames with known poses together (the plane comes out in the world) or on a single frame without
-one (its camera is the world). Objects, the packing box and its floor stand out of the plane by more than the
-measurement noise left after a median filter and drop out in the refinement.
+It uses all frames with known poses (the plane is in the world frame) or a single frame without pose (its
+camera is the world). Objects, the packing box and its floor are farther from the plane than the noise that
+remains after a median filter, and are rejected as outliers in the refinement.
 """
 
 from __future__ import annotations
@@ -21,16 +21,16 @@ from perception.types import RgbdFrame, SupportPlane
 
 @dataclass(frozen=True)
 class PlaneConfig:
-    """How the plane is searched.
+    """Parameters of the plane fit.
 
     Attributes:
-        max_points: depth points used, over all frames.
-        iterations: three-point hypotheses tried.
-        judges: points on which each hypothesis is judged.
-        threshold: distance in [m] within which a point supports a hypothesis.
-        min_share: support a plane needs, as a share of the points.
-        max_tilt: largest angle in [rad] between the normal and world z, for frames with poses.
-        max_depth: points farther away in [m] are left out.
+        max_points: Number of depth points over all frames.
+        iterations: Number of three-point hypotheses.
+        judges: Number of points on which each hypothesis is scored.
+        threshold: Largest distance of an inlier from a hypothesis, in metres.
+        min_share: Smallest share of inliers of an accepted plane.
+        max_tilt: Largest angle between the normal and world z for frames with poses, in radians.
+        max_depth: Largest depth of a point, in metres.
     """
 
     max_points: int = 20_000
@@ -45,11 +45,19 @@ class PlaneConfig:
 def fit_support_plane(
     frames: Sequence[RgbdFrame], config: PlaneConfig = PlaneConfig(), seed: int = 0
 ) -> SupportPlane:
-    """The plane that most depth points lie on, its normal towards the cameras.
+    """Fit the plane with the most depth points; its normal points towards the cameras.
+
+    Args:
+        frames: Frames with poses, or a single one, whose pose may be unknown.
+        config: Parameters.
+        seed: Seed of the point sample and of RANSAC.
+
+    Returns:
+        The plane in the world frame; in the camera frame for a frame without pose.
 
     Raises:
-        InvalidInputError: no frame, or several of which one lacks its pose.
-        PerceptionError: too few depth points, or no plane holds enough of them.
+        InvalidInputError: There is no frame, or one of several has no pose.
+        PerceptionError: There are too few depth points, or no plane has enough inliers.
     """
     if not frames:
         raise InvalidInputError("no support plane without a frame; give at least one RGB-D frame")
@@ -77,7 +85,7 @@ def fit_support_plane(
 def _sample(
     frame: RgbdFrame, config: PlaneConfig, count: int, rng: np.random.Generator
 ) -> Float[np.ndarray, "n 3"]:
-    """Random world points of the median-filtered depth image."""
+    """Return random world points of the median-filtered depth image."""
     depth = cv2.medianBlur(np.ascontiguousarray(frame.depth), 5)
     usable = np.flatnonzero((depth > 0) & (depth < config.max_depth))
     chosen = np.zeros(depth.size, dtype=bool)
@@ -92,7 +100,7 @@ def _ransac(
     config: PlaneConfig,
     rng: np.random.Generator,
 ) -> tuple[Float[np.ndarray, "3"], float]:
-    """The best supported plane through three points, facing ``centre``, its normal's z over ``min_up``."""
+    """Return the three-point plane with the most inliers, facing ``centre``, normal z at least ``min_up``."""
     a, b, c = points[rng.integers(len(points), size=(3, config.iterations))]
     normals = np.cross(b - a, c - a)
     length = np.linalg.norm(normals, axis=1)
@@ -100,7 +108,7 @@ def _ransac(
     offsets = np.einsum("ij,ij->i", normals, a)
     flip = np.where(normals @ centre < offsets, -1.0, 1.0)
     normals, offsets = normals * flip[:, None], offsets * flip
-    usable = (length > 1e-6) & (normals[:, 2] >= min_up)  # three points in line span no plane
+    usable = (length > 1e-6) & (normals[:, 2] >= min_up)  # collinear points span no plane
     judges = points[rng.permutation(len(points))[: config.judges]].astype(np.float32)
     distance = judges @ normals.T.astype(np.float32) - offsets.astype(np.float32)
     support = np.where(usable, (np.abs(distance) < config.threshold).mean(0), 0.0)
@@ -116,7 +124,7 @@ def _ransac(
 def _refine(
     points: Float[np.ndarray, "n 3"], normal: Float[np.ndarray, "3"], offset: float, config: PlaneConfig
 ) -> tuple[Float[np.ndarray, "3"], float]:
-    """Total least squares on the inliers, their band narrowing to three robust standard deviations."""
+    """Refine by total least squares on the inliers within three robust standard deviations, iterated."""
     band = config.threshold
     for _ in range(6):
         distance = points @ normal - offset

@@ -1,4 +1,4 @@
-"""What the packages share: frames, detections and object estimates, as frozen values.
+"""Data types shared by all packages: frames, detections and object estimates, as frozen values.
 
 Conventions: metres, radians, seconds. ``T_world_camera`` maps camera coordinates into the world and is the
 camera's pose there. Cameras follow OpenCV (x right, y down, z forward). A depth of 0 is no measurement.
@@ -28,7 +28,7 @@ FitStatus = Literal["converged", "not_converged", "implausible"]
 
 
 def _frozen(array: np.ndarray, dtype: type | None = None) -> np.ndarray:
-    """A read-only view of the array, cast if asked; the caller's own array stays writable."""
+    """Return a read-only view of the array, cast if requested; the caller's array stays writable."""
     view = np.asarray(array, dtype=dtype).view()
     view.flags.writeable = False
     return view
@@ -40,7 +40,11 @@ def _require(condition: bool | np.bool_, message: str) -> None:
 
 
 def check_rigid(T: np.ndarray, name: str) -> np.ndarray:
-    """The transform as read-only float64, or InvalidInputError if it is not a 4x4 rigid motion."""
+    """Return the transform as a read-only float64 array.
+
+    Raises:
+        InvalidInputError: It is not a finite (4, 4) rigid motion.
+    """
     T = np.asarray(T, dtype=np.float64)
     _require(T.shape == (4, 4) and bool(np.isfinite(T).all()), f"{name} must be a finite 4x4 matrix")
     rotation = T[:3, :3]
@@ -79,14 +83,14 @@ class CameraIntrinsics:
 
 @dataclass(frozen=True)
 class RgbdFrame:
-    """One RGB-D image with the camera that took it.
+    """One RGB-D image with its camera.
 
     Attributes:
-        time: capture time in [s].
-        rgb: (H, W, 3) uint8.
-        depth: (H, W) float32 along the optical axis in [m]; 0 where nothing was measured.
-        intrinsics: shared by colour and depth, which are registered.
-        T_world_camera: (4, 4) camera pose, or None where it is unknown.
+        time: Capture time in seconds.
+        rgb: (H, W, 3) uint8 colour image.
+        depth: (H, W) float32 depth along the optical axis in metres; 0 where it is missing.
+        intrinsics: Intrinsics of colour and depth, which are registered.
+        T_world_camera: (4, 4) camera pose; None if unknown.
     """
 
     time: float
@@ -129,13 +133,13 @@ class ObjectDetection:
     """One object in one image.
 
     Attributes:
-        category: the most probable class.
-        score: its confidence in 0..1.
+        category: Most probable class.
+        score: Confidence in the class, in 0..1.
         mask: (H, W) bool.
-        class_probabilities: (5,) over CATEGORIES and, last, 'other' (of no class); empty where unknown.
-        yaw_probabilities: (B,) over B equal bins of the handle's direction, seen in the world frame: bin k is
-            centred at yaw 2 pi k / B about the support normal. Empty where unknown or for symmetric classes.
-        instance_id: ties one object across images; None where nobody has tied it yet.
+        class_probabilities: (5,) probabilities of CATEGORIES and 'other' (distractors); empty if unknown.
+        yaw_probabilities: (B,) probabilities of B equal bins of the handle's direction in the world: bin k
+            is centred at yaw 2 pi k / B about the support normal. Empty if unknown or for symmetric classes.
+        instance_id: Identity of the object across images; None before association.
     """
 
     category: Category
@@ -166,27 +170,27 @@ class TriangleMesh:
         object.__setattr__(self, "faces", _frozen(self.faces, np.int64))
 
     def transformed(self, T_target_source: Float[np.ndarray, "4 4"]) -> TriangleMesh:
-        """The mesh mapped by a rigid transform."""
+        """Return the mesh mapped by a rigid transform."""
         return TriangleMesh(self.vertices @ T_target_source[:3, :3].T + T_target_source[:3, 3], self.faces)
 
 
 @dataclass(frozen=True)
 class ObjectEstimate:
-    """A whole object: class, shape, pose, and how sure perception is of it.
+    """Estimate of a complete object: class, shape, pose and uncertainty.
 
     Attributes:
-        id: unique in its object map.
-        category: its class.
+        id: Unique id in the object map.
+        category: Class of the object.
         code: (16,) shape code of the class-conditional VAE.
         T_world_object: (4, 4) pose; object z up, mug handle along object +x.
         scale: (3,) metres per canonical unit along the object's axes.
-        mesh: watertight surface in the object frame, in [m] (scale applied, pose not).
-        score: class confidence in 0..1, over the views.
-        n_views: in how many images it was seen.
-        residual: root mean square of the inlier depth residuals in [m].
-        status: how the fit ended.
-        covariance: (25, 25) of (code 16, rotation 3, translation 3, log scale 3), or None.
-        surface_sigma: (v,) standard deviation of the mesh's vertices along their normals in [m], or None.
+        mesh: Watertight surface in the object frame, in metres (scale applied, pose not).
+        score: Confidence in the class over all views, in 0..1.
+        n_views: Number of images with a detection of the object.
+        residual: Root mean square of the inlier depth residuals, in metres.
+        status: Outcome of the fit.
+        covariance: (25, 25) covariance of (code 16, rotation 3, translation 3, log scale 3), or None.
+        surface_sigma: (v,) standard deviation of the mesh's vertices along their normals, in metres, or None.
     """
 
     id: int
@@ -230,10 +234,10 @@ class ObjectEstimate:
 
     @property
     def size(self) -> float:
-        """What sorting compares, in [m]: the diagonal of the upright profile."""
+        """Diagonal of the upright profile in [m]: the size by which objects are sorted."""
         return profile_size(self.height, self.radius)
 
 
 def profile_size(height: float, radius: float) -> float:
-    """Diagonal of an upright profile in [m]: one length for height and radius together."""
+    """Return the diagonal of an upright profile of the given height and radius, in metres."""
     return float(np.hypot(height, 2 * radius))

@@ -1,8 +1,8 @@
-"""Warp, started once for the process and safely from any thread; launches and arrays go through here.
+"""Thread-safe initialisation of Warp, kernel launches and arrays.
 
-Warp's own start is not made for threads, nor is the first use of a kernel, which compiles it; both happen
-here under one lock. On machines without an NVIDIA driver its native part writes a warning to standard error,
-where a command's one clear line belongs: the words go to the log instead.
+Neither Warp's initialisation nor the first use of a kernel, which compiles it, is thread-safe; both happen
+here under one lock. Without an NVIDIA driver Warp's native library prints a warning to standard error, which is
+redirected to the log.
 """
 
 from __future__ import annotations
@@ -26,11 +26,11 @@ wp.config.log_level = wp.LOG_ERROR  # no banner on standard output
 
 _lock = threading.RLock()
 _started = False
-_loaded: set[tuple[str, str]] = set()  # (module, device) whose kernels are ready
+_loaded: set[tuple[str, str]] = set()  # (module, device) with loaded kernels
 
 
 def start_warp() -> None:
-    """Initialises Warp; calls after the first do nothing."""
+    """Initialise Warp; later calls have no effect."""
     global _started
     if _started:
         return
@@ -46,7 +46,7 @@ def start_warp() -> None:
 def launch(
     kernel: Any, dim: int | tuple[int, ...], inputs: Sequence[Any], outputs: Sequence[Any], device: str
 ) -> None:
-    """``wp.launch``, after making sure that Warp runs and the kernel's module is compiled."""
+    """Call ``wp.launch`` after Warp is initialised and the kernel's module is loaded."""
     _load(kernel, device)
     wp.launch(kernel, dim=dim, inputs=inputs, outputs=outputs, device=device)
 
@@ -54,16 +54,16 @@ def launch(
 def record(
     kernel: Any, dim: int | tuple[int, ...], inputs: Sequence[Any], outputs: Sequence[Any], device: str
 ) -> Any:
-    """The launch, not done yet: its ``launch()`` may be called again and again, at a tenth of the cost.
+    """Record a launch without executing it; its ``launch()`` costs a tenth of ``wp.launch``.
 
-    Not from several threads at a time.
+    A recorded launch must not be used from several threads at a time.
     """
     _load(kernel, device)
     return wp.launch(kernel, dim=dim, inputs=inputs, outputs=outputs, device=device, record_cmd=True)
 
 
 def in_parallel(jobs: Sequence[Callable[[], None]]) -> None:
-    """Does all jobs, launches on the CPU for instance: those let go of Python's lock."""
+    """Run all jobs in parallel threads; for jobs that release the GIL, such as launches on the CPU."""
     others = [_pool().submit(job) for job in jobs[1:]]
     for job in jobs[:1]:
         job()
@@ -72,14 +72,14 @@ def in_parallel(jobs: Sequence[Callable[[], None]]) -> None:
 
 
 def run_recorded(recorded: Sequence[Any], changed: Mapping[int, Any] | None = None) -> None:
-    """Does recorded launches side by side, with other arguments at some positions; these stay."""
+    """Run recorded launches in parallel, after setting the arguments at the given positions permanently."""
 
-    def run_one(one: Any) -> None:
+    def run(job: Any) -> None:
         for position, value in (changed or {}).items():
-            one.set_param_at_index(position, value)
-        one.launch()
+            job.set_param_at_index(position, value)
+        job.launch()
 
-    in_parallel([partial(run_one, one) for one in recorded])
+    in_parallel([partial(run, job) for job in recorded])
 
 
 @cache
@@ -88,10 +88,9 @@ def _pool() -> ThreadPoolExecutor:
 
 
 def _load(kernel: Any, device: str) -> None:
-    """Warp and the kernel's module, ready to be used from any thread.
+    """Initialise Warp and load the kernel's module for the block size of launches.
 
-    It is loaded for the block size that launches take. They would load it themselves, two threads at once two
-    copies, of which the first goes away with its recorded launches still pointing into it.
+    Concurrent launches would each load a copy, and recorded launches would keep pointing into a freed one.
     """
     key = (kernel.module.name, device)
     if key not in _loaded:
@@ -103,17 +102,17 @@ def _load(kernel: Any, device: str) -> None:
 
 
 def zeros(shape: int | tuple[int, ...], dtype: Any, device: str) -> wp.array:
-    """``wp.zeros``."""
+    """Call ``wp.zeros``."""
     return wp.zeros(shape, dtype=dtype, device=device)
 
 
 def empty(shape: int | tuple[int, ...], dtype: Any, device: str) -> wp.array:
-    """``wp.empty``."""
+    """Call ``wp.empty``."""
     return wp.empty(shape, dtype=dtype, device=device)
 
 
 def to_device(values: np.ndarray, dtype: Any, device: str) -> wp.array:
-    """An array of float, int32 or uint8 scalars, vectors, matrices on the device; shares memory if it can."""
+    """Return a Warp array of float, int32 or uint8 scalars, vectors or matrices; a view if possible."""
     scalar = {wp.int32: np.int32, wp.vec3i: np.int32, wp.uint8: np.uint8}.get(dtype, np.float32)
     return wp.from_numpy(np.ascontiguousarray(values, scalar), dtype=dtype, device=device)
 
@@ -129,17 +128,17 @@ def _has_driver() -> bool:
 
 
 def _start_quietly() -> None:
-    """Starts Warp with what its native part says kept apart; others' words of that moment are passed on."""
-    with tempfile.TemporaryFile() as words:
+    """Initialise Warp and move its messages from standard error to the log; other output is passed on."""
+    with tempfile.TemporaryFile() as output:
         kept = os.dup(2)
-        os.dup2(words.fileno(), 2)
+        os.dup2(output.fileno(), 2)
         try:
             wp.init()
         finally:
             os.dup2(kept, 2)
             os.close(kept)
-        words.seek(0)
-        for line in words:
+        output.seek(0)
+        for line in output:
             if line.startswith(b"Warp"):
                 logger.debug("%s", line.decode(errors="replace").strip())
             else:
