@@ -9,7 +9,7 @@ probability to reach it and E_i the expected depth from there on,
 
 without any division. The Jacobian then needs three sums along the ray: w_i do_i/dcode (16 numbers), and
 w_i grad o_i and w_i delta_i grad o_i (3 each), which give the derivative with
-respect to the affine map from the camera's points to the grid; ``pose.py`` applies the chain rule to the pose.
+respect to the affine map from the camera's points to the grid; ``pose.py`` applies the chain rule.
 
 Samples outside the grid are never visited; those in cells where nothing is and which no code moves are
 skipped.

@@ -208,7 +208,7 @@ class Rendering:
         variance: (n,) its variance in [m^2].
         mask: (n,) probability to hit the object.
         d_code: (n, 16) derivative of the depth with respect to the code, or None.
-        d_map: (n, 12) derivative of the depth with respect to the ray's camera map, column by column, or None.
+        d_map: (n, 12) derivative of the depth with respect to the ray's camera map by columns, or None.
     """
 
     depth: Float[np.ndarray, "n"]

@@ -58,6 +58,15 @@ def test_weights_are_frozen_while_costs_are_compared() -> None:
     np.testing.assert_allclose(result.state, 0.0, atol=1e-4)
 
 
+def test_steps_away_from_the_minimum_are_rejected_though_weights_fade() -> None:
+    def fading(x: np.ndarray) -> Evaluation:  # a wrong Jacobian leads uphill, where weights are small
+        return Evaluation(x + 0.0, -np.eye(1), 1 / (1 + np.abs(x)) ** 4)
+
+    result = minimise(fading, np.add, np.array([1.0]), LmConfig(max_iterations=100))
+    assert result.status == "stuck" and not any(line.accepted for line in result.trace)
+    np.testing.assert_array_equal(result.state, 1.0)
+
+
 def test_costs_of_accepted_steps_fall() -> None:
     trace = minimise(_rosenbrock, np.add, np.array([-1.2, 1.0])).trace
     assert any(line.accepted for line in trace)
