@@ -1,8 +1,8 @@
 """Thread-safe initialisation of Warp, kernel launches and arrays.
 
 Neither Warp's initialisation nor the first use of a kernel, which compiles it, is thread-safe; both happen
-here under one lock. Without an NVIDIA driver Warp's native library prints a warning to standard error, which is
-redirected to the log.
+here under one lock. Without an NVIDIA driver Warp's native library prints a warning to standard error, which
+is redirected to the log.
 """
 
 from __future__ import annotations
