@@ -2,7 +2,7 @@
 
 
 class SimAssetsError(Exception):
-    """Root of everything that sim_assets raises on purpose."""
+    """Root of all exceptions of sim_assets."""
 
 
 class ObjectFileError(SimAssetsError, ValueError):

@@ -31,7 +31,7 @@ from manipulation.standing import body_axis
 from perception.io.files import write_atomically
 from perception.io.images import png_bytes
 from perception.types import ObjectEstimate, RgbdFrame
-from sim_assets.cell.drop_world import DropWorld, StaticObject, View
+from sim_assets.cell.drop_world import DropWorld, RecordedCamera, StaticObject
 from sim_assets.objects.convex.perceived_mesh import measure, perceived_pieces
 
 FPS = 25
@@ -124,9 +124,9 @@ def _axis(estimate: ObjectEstimate) -> Float[np.ndarray, "2"]:
     return body_axis(estimate.mesh.vertices, estimate.mesh.faces, estimate.category)
 
 
-def _view(frame: RgbdFrame) -> View:
+def _view(frame: RgbdFrame) -> RecordedCamera:
     assert frame.T_world_camera is not None
-    return View(frame.intrinsics, frame.T_world_camera)
+    return RecordedCamera(frame.intrinsics, frame.T_world_camera)
 
 
 def _film(stage: Stage, options: ArOptions, folder: RunFolder, screen: Screen) -> None:

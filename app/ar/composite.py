@@ -14,7 +14,7 @@ import numpy as np
 from jaxtyping import Bool, Float, UInt8
 
 from perception.types import RgbdFrame
-from sim_assets.cell.drop_world import Rendering
+from sim_assets.cell.drop_world import DropRendering
 
 Image = UInt8[np.ndarray, "_h _w 3"]
 
@@ -30,20 +30,20 @@ class Backdrop:
 
     Attributes:
         frame: Recorded image.
-        bare: Rendering of the white scene without toys.
+        bare: DropRendering of the white scene without toys.
         measured: Median-filtered depth in metres; 0 without a measurement.
     """
 
     frame: RgbdFrame
-    bare: Rendering
+    bare: DropRendering
     measured: Float[np.ndarray, "h w"]
 
     @staticmethod
-    def of(frame: RgbdFrame, bare: Rendering) -> Backdrop:
+    def of(frame: RgbdFrame, bare: DropRendering) -> Backdrop:
         return Backdrop(frame, bare, cv2.medianBlur(np.ascontiguousarray(frame.depth), 5))
 
 
-def composite(backdrop: Backdrop, now: Rendering) -> Image:
+def composite(backdrop: Backdrop, now: DropRendering) -> Image:
     """Return the recorded image with the toys."""
     shown = visible_toys(backdrop, now)
     shadow = shadow_of(backdrop, now)
@@ -53,13 +53,13 @@ def composite(backdrop: Backdrop, now: Rendering) -> Image:
     return np.clip(image, 0, 255).astype(np.uint8)
 
 
-def visible_toys(backdrop: Backdrop, now: Rendering) -> Bool[np.ndarray, "h w"]:
+def visible_toys(backdrop: Backdrop, now: DropRendering) -> Bool[np.ndarray, "h w"]:
     """Return the mask of the toys without the pixels that measured surfaces occlude."""
     hidden = (backdrop.measured > 0) & (now.depth > backdrop.measured + TOLERANCE)
     return now.toys & ~hidden
 
 
-def shadow_of(backdrop: Backdrop, now: Rendering) -> Float[np.ndarray, "h w"]:
+def shadow_of(backdrop: Backdrop, now: DropRendering) -> Float[np.ndarray, "h w"]:
     """Return the share of light, DARKEST to 1, that reaches each pixel past the toys."""
     before = backdrop.bare.color.astype(np.float32).mean(axis=-1)
     after = now.color.astype(np.float32).mean(axis=-1)

@@ -102,11 +102,11 @@ def evaluate_subject(options: EvaluateOptions, subject: Subject) -> dict[str, An
 
 def load_sight(options: EvaluateOptions, subject: Subject) -> Sight:
     """Draws the object, puts it on a table, takes the views and detects it in them."""
-    from sim_assets.datasets.single_object import PortraitConfig, take_portrait
+    from sim_assets.datasets.single_object import SingleObjectConfig, render_single_object
 
     model = _model(options, subject)
-    config = PortraitConfig(depth_noise=options.depth_noise)
-    portrait = take_portrait(model, max(options.views), _rng(options, subject, 1), config)
+    config = SingleObjectConfig(depth_noise=options.depth_noise)
+    portrait = render_single_object(model, max(options.views), _rng(options, subject, 1), config)
     detections = tuple(
         _known(_detector(options.device)(frame, fit_support_plane([frame])), subject.category)
         for frame in portrait.frames

@@ -22,8 +22,8 @@ from manipulation.types import PickPlacePlan, TaskPlan
 from perception.inference.fit import FitStep
 from perception.pipeline import Detections
 from perception.types import Category, ObjectEstimate, RgbdFrame
+from sim_assets.cell import viewer_meshes
 from sim_assets.cell.world import World
-from sim_assets.rendering import viewer_meshes
 
 PATH_POINTS = 16  # points drawn of each motion of a planned path
 RATE = 30.0  # samples per simulated second

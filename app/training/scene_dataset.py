@@ -183,7 +183,7 @@ def _render_close_ups(
 
     rng = np.random.default_rng(seed.spawn(1)[0])
     config = TrainingSceneConfig(
-        width=_SIZE[0], height=_SIZE[1], pool=36, distractors=16, shares=kind.shares, odd=0.4,
+        width=_SIZE[0], height=_SIZE[1], pool=36, distractors=16, shares=kind.shares, random_parts=0.4,
         plain_tumblers=False, drawn_in=kind.drawn_in, objects=(6, 14), extras=(1, 5),
         pictures_per_pool=kind.pictures_per_pool, distance=(0.28, 0.95),
         elevation=(np.radians(25), np.radians(90)), noises=(0.1, 0.1, 0.8),

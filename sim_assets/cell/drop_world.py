@@ -1,7 +1,7 @@
-"""Toys that fall onto what was reconstructed: static convex pieces, a support, cameras that took real images.
+"""Physics of toys dropped onto reconstructed objects, rendered from the recorded cameras.
 
-Everything stands in the recording's own world frame; the support's normal says where up is. Nothing is known
-of the cell or of true poses: the same works for anybody's recording.
+All poses are in the recording's world frame, gravity along the support's normal. No ground
+truth is used: any recording will do.
 """
 
 from __future__ import annotations
@@ -39,7 +39,7 @@ _GEOMS = {
 
 @dataclass(frozen=True)
 class StaticObject:
-    """A reconstructed object: mesh to be hidden behind and to catch shadows, convex pieces to be touched."""
+    """A reconstructed object: mesh for occlusion and shadows, convex pieces for collision."""
 
     name: str
     mesh: trimesh.Trimesh
@@ -49,14 +49,14 @@ class StaticObject:
 
 @dataclass(frozen=True)
 class Toy:
-    """What falls.
+    """A falling toy.
 
     Attributes:
-        kind: its shape.
+        kind: shape of the toy.
         size: radius of a ball or pill, half the side of a die [m].
-        position: (3,) of its middle where it is let go, world frame [m].
-        release: time at which it appears there and starts to fall [s].
-        color: of its surface, 0..1.
+        position: (3,) initial position of the centre in the world frame [m].
+        release: time at which the toy appears and starts to fall [s].
+        color: RGB in 0..1.
     """
 
     kind: ToyKind
@@ -68,7 +68,7 @@ class Toy:
 
 @dataclass(frozen=True)
 class HeightField:
-    """Heights of what else stands on the support.
+    """Height field of unmodelled clutter on the support.
 
     Attributes:
         heights: (rows, columns) above the support [m], rows along the field's y.
@@ -82,21 +82,21 @@ class HeightField:
 
 
 @dataclass(frozen=True)
-class View:
-    """A camera that took a recorded image."""
+class RecordedCamera:
+    """Intrinsics and pose of the camera of a recorded image."""
 
     intrinsics: CameraIntrinsics
     T_world_camera: Float[np.ndarray, "4 4"]
 
 
 @dataclass(frozen=True)
-class Rendering:
-    """What one view would see of a white world with toys in it.
+class DropRendering:
+    """Rendering of the toys in a white world from one recorded camera.
 
     Attributes:
-        color: the toys in their colours on white surroundings, with shadows.
-        depth: of the nearest surface [m], 0 where there is none.
-        toys: where a toy is the nearest surface.
+        color: (H, W, 3) coloured toys on white surroundings, with shadows.
+        depth: (H, W) depth of the nearest surface [m], 0 for none.
+        toys: (H, W) whether the nearest surface is a toy's.
     """
 
     color: UInt8[np.ndarray, "h w 3"]
@@ -105,7 +105,7 @@ class Rendering:
 
 
 class DropWorld:
-    """Physics of the toys, and what the cameras see of them."""
+    """Simulates and renders the toys."""
 
     def __init__(
         self,
@@ -113,10 +113,10 @@ class DropWorld:
         toys: Sequence[Toy],
         plane: SupportPlane,
         T_world_support: Float[np.ndarray, "4 4"],
-        views: Sequence[View],
+        views: Sequence[RecordedCamera],
         field: HeightField | None = None,
     ) -> None:
-        """Build the world with every toy waiting.
+        """Build the world; no toy is released yet.
 
         Args:
             T_world_support: a frame on the support in the middle of the scene, z along its normal.
@@ -147,21 +147,21 @@ class DropWorld:
         return float(self._data.time)
 
     def positions(self) -> Float[np.ndarray, "t 3"]:
-        """Middles of the toys in the world [m]."""
+        """Return the centres of the toys in the world frame [m]."""
         return self._data.xpos[self._bodies].copy()
 
     def speeds(self) -> Float[np.ndarray, "t"]:
-        """Of the toys' middles [m/s]."""
+        """Return the speeds of the toys' centres [m/s]."""
         return np.linalg.norm(self._data.cvel[self._bodies, 3:], axis=1)
 
     def advance(self, seconds: float) -> None:
-        """Let time pass."""
+        """Advance the simulation by ``seconds``."""
         for _ in range(round(seconds / TIMESTEP)):
             self._release()
             mujoco.mj_step(self._model, self._data)
 
-    def render(self, view: int, toys: bool = True) -> Rendering:
-        """What a view sees now; without toys, the white surroundings alone."""
+    def render(self, view: int, toys: bool = True) -> DropRendering:
+        """Render from one of the cameras; without toys, the white surroundings alone."""
         camera = self._views[view].intrinsics
         colors = self._model.geom_rgba[self._geoms].copy()
         if not toys:
@@ -172,14 +172,14 @@ class DropWorld:
             depth, ids = self._renderer.depth_and_ids(self._data, f"view{view}", *size)
         finally:
             self._model.geom_rgba[self._geoms] = colors
-        return Rendering(color, depth, np.isin(ids, self._geoms))
+        return DropRendering(color, depth, np.isin(ids, self._geoms))
 
     def close(self) -> None:
         """Free the GL context."""
         self._renderer.close()
 
     def _release(self) -> None:
-        """Show and let fall the toys whose time has come; the others hang unseen."""
+        """Show and release the toys that are due; the others stay hidden."""
         for index in sorted(self._waiting):
             falls = self._data.time >= self._toys[index].release
             self._model.body_gravcomp[self._bodies[index]] = 0.0 if falls else 1.0
@@ -192,7 +192,7 @@ class DropWorld:
 
 
 def _scenery(plane: SupportPlane, T_world_support: np.ndarray) -> MjSpec:
-    """White support, and lights that stand straight above it."""
+    """Build the white support and the lights above it."""
     spec = mujoco.MjSpec()
     spec.modelname = "drop"
     spec.compiler.degree = False
@@ -275,8 +275,8 @@ def _add_toy(spec: MjSpec, name: str, toy: Toy) -> None:
     )  # fmt: skip
 
 
-def _add_camera(spec: MjSpec, name: str, view: View) -> None:
-    """A camera with the image's own focal lengths and principal point."""
+def _add_camera(spec: MjSpec, name: str, view: RecordedCamera) -> None:
+    """Add a camera with the focal lengths and principal point of the image."""
     lens = view.intrinsics
     T = view.T_world_camera
     pose = np.eye(4)

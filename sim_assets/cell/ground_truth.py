@@ -1,6 +1,6 @@
-"""What really is in a cell: poses, models, masks, contacts.
+"""Ground truth of a cell: poses, models, masks, contacts.
 
-For scoring and labels alone: nothing that decides what the robot does may import this.
+For scoring and label generation only; an import contract keeps all other modules out.
 """
 
 from __future__ import annotations
@@ -15,12 +15,12 @@ from sim_assets.robots.simulated_arm import WRIST_CAMERA
 
 
 def object_models(world: World) -> dict[int, ObjectModel]:
-    """The objects by id."""
+    """Return the object models by id."""
     return dict(enumerate(world.config.objects))
 
 
 def object_poses(world: World) -> dict[int, Float[np.ndarray, "4 4"]]:
-    """T_world_object of every object now, in the frame of its model (origin at the centre of the base)."""
+    """Return the present T_world_object of every object (origin at the centre of the base)."""
     poses = {}
     for index in object_models(world):
         state = world._data.joint(f"object{index}").qpos  # position, quaternion
@@ -34,9 +34,9 @@ def object_poses(world: World) -> dict[int, Float[np.ndarray, "4 4"]]:
 
 
 def instance_mask(world: World, camera: str = WRIST_CAMERA) -> Int[np.ndarray, "h w"]:
-    """The id of the object that each pixel of a camera shows, -1 where none."""
+    """Return the id of the object visible at each pixel of a camera, -1 for none."""
     model = world._model
-    of_geom = np.full(model.ngeom + 1, -1, dtype=np.int32)  # the last entry stands for geom -1, the sky
+    of_geom = np.full(model.ngeom + 1, -1, dtype=np.int32)  # last entry: geom -1, the sky
     for index in object_models(world):
         of_geom[model.geom(f"object{index}_visual").id] = index
     _, ids = world._renderer.depth_and_ids(world._data, camera, *IMAGE_SIZE)
@@ -44,7 +44,7 @@ def instance_mask(world: World, camera: str = WRIST_CAMERA) -> Int[np.ndarray, "
 
 
 def touching(world: World, index: int) -> set[str]:
-    """Names of the bodies that an object touches now; ``world`` stands for table, floor and other scenery."""
+    """Return the names of the bodies in contact with an object; ``world`` is table, floor and scenery."""
     model, data = world._model, world._data
     body = model.body(f"object{index}").id
     names = set()
@@ -56,7 +56,7 @@ def touching(world: World, index: int) -> set[str]:
 
 
 def held(world: World, index: int) -> bool:
-    """Whether an object touches both fingers."""
+    """Whether an object is in contact with both fingers."""
     model = world._model
     joints = (model.joint(name).id for name in world.arm.finger_joint_names)
     return {model.body(model.jnt_bodyid[joint]).name for joint in joints} <= touching(world, index)

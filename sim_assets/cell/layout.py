@@ -1,4 +1,4 @@
-"""Random places on the table, judged by the true horizontal outlines of the objects (handles included)."""
+"""Random collision-free layouts on the table, from the true horizontal outlines of the objects."""
 
 from __future__ import annotations
 
@@ -10,19 +10,20 @@ import numpy as np
 import trimesh
 from jaxtyping import Float
 
+from perception.geometry import pose_from_yaw
 from sim_assets.errors import SimAssetsError
 
 OUTLINE_CELL = 0.001  # [m] raster on which an outline is traced
-LOOSE_ATTEMPTS = 10  # layouts at random before the objects are moved together
+LOOSE_ATTEMPTS = 10  # restarts with candidates in random order
 
 
 class LayoutError(SimAssetsError, ValueError):
-    """The objects do not fit; the message says how many do."""
+    """The objects do not fit; the message gives the largest number that did."""
 
 
 @dataclass(frozen=True)
 class Region:
-    """Where object centres may lie, in [m]: a rectangle on the table, within reach of the base."""
+    """Region of object centres in [m]: a rectangle within ``max_radius`` of the robot's base."""
 
     x: tuple[float, float] = (0.30, 0.62)
     y: tuple[float, float] = (-0.50, -0.05)
@@ -31,31 +32,40 @@ class Region:
 
 @dataclass(frozen=True)
 class PlanarPose:
-    """A place on the table: position in [m], angle about z in [rad]."""
+    """Pose of an upright object on the table: position in [m], yaw about z in [rad]."""
 
     x: float
     y: float
     yaw: float
 
     def transform(self, points: Float[np.ndarray, "n 2"]) -> Float[np.ndarray, "n 2"]:
-        """Points of the object frame, in the world."""
+        """Transform points of the object frame to the world."""
         c, s = np.cos(self.yaw), np.sin(self.yaw)
         return points @ np.array([[c, s], [-s, c]]) + (self.x, self.y)
 
     @property
     def matrix(self) -> Float[np.ndarray, "4 4"]:
-        """T_world_object of an object standing there."""
-        c, s = np.cos(self.yaw), np.sin(self.yaw)
-        return np.array([[c, -s, 0, self.x], [s, c, 0, self.y], [0, 0, 1, 0], [0, 0, 0, 1]], dtype=np.float64)
+        """(4, 4) T_world_object."""
+        return pose_from_yaw(self.yaw, np.array([self.x, self.y, 0.0]))
+
+    @property
+    def quat_wxyz(self) -> tuple[float, float, float, float]:
+        """Orientation as a quaternion."""
+        return quat_from_yaw(self.yaw)
+
+
+def quat_from_yaw(yaw: float) -> tuple[float, float, float, float]:
+    """Return the quaternion wxyz of a rotation about z by ``yaw`` [rad]."""
+    return (np.cos(yaw / 2), 0.0, 0.0, np.sin(yaw / 2))
 
 
 def outline(mesh: trimesh.Trimesh) -> Float[np.ndarray, "n 2"]:
-    """The outer boundary of a mesh seen from above: a polygon in the object frame, to half a millimetre."""
+    """Return the horizontal outline of a mesh: a polygon in the object frame, to half a millimetre."""
     low = mesh.bounds[0, :2] - 3 * OUTLINE_CELL
     size = np.ceil((mesh.bounds[1, :2] - low) / OUTLINE_CELL).astype(int) + 3
     upward = (
         mesh.faces[mesh.face_normals[:, 2] > 0] if mesh.is_watertight else mesh.faces
-    )  # they cover the rest
+    )  # their projection is the whole outline
     triangles = (mesh.vertices[upward][..., :2] - low) / OUTLINE_CELL
     image = np.zeros((size[1], size[0]), dtype=np.uint8)
     fraction = 4  # cv2 takes fixed-point corners
@@ -68,7 +78,7 @@ def outline(mesh: trimesh.Trimesh) -> Float[np.ndarray, "n 2"]:
 
 
 def gap(first: Float[np.ndarray, "n 2"], second: Float[np.ndarray, "m 2"]) -> float:
-    """Smallest distance between two polygons in [m]; 0 where they overlap."""
+    """Return the distance between two polygons in [m]; 0 where they overlap."""
     if _contains(first, second[0]) or _contains(second, first[0]):
         return 0.0
     if _edges_cross(first, second):
@@ -105,7 +115,7 @@ def _distances(points: Float[np.ndarray, "n 2"], polygon: Float[np.ndarray, "m 2
 
 @dataclass(frozen=True)
 class _Footprint:
-    """An outline with the circles about the origin that contain it and that it contains."""
+    """An outline with its circumscribed and inscribed circles about the origin."""
 
     outline: Float[np.ndarray, "n 2"]
     outer: float
@@ -129,15 +139,15 @@ def sample_layout(
 ) -> tuple[PlanarPose, ...]:
     """Place upright objects at random, at any yaw, with at least ``min_gap`` [m] between their outlines.
 
-    Objects are dropped one by one, the widest first, each wherever it is free; a dead end starts over. After
-    LOOSE_ATTEMPTS of them the table is full, and each is pushed as far as it goes to one side instead.
+    Objects are placed one by one, the widest first, each at the first free candidate; without one, the layout
+    restarts. After LOOSE_ATTEMPTS restarts, candidates are tried from one side of the table to the other.
 
     Args:
         meshes: object meshes, z up, standing on z = 0.
-        restarts, tries: layouts begun, and places tried for each object in one of them.
+        restarts, tries: number of layouts started, and of candidates per object.
 
     Raises:
-        LayoutError: if no layout was found; the message says how many objects fitted.
+        LayoutError: no layout was found.
     """
     footprints = [_Footprint.of(mesh) for mesh in meshes]
     order = sorted(range(len(meshes)), key=lambda i: -footprints[i].outer)
@@ -165,7 +175,7 @@ def sample_layout(
 
 
 def _candidates(rng: np.random.Generator, region: Region, count: int) -> Float[np.ndarray, "n 3"]:
-    """Random (x, y, yaw) within the region and reach."""
+    """Sample (x, y, yaw) within the region."""
     low, high = (region.x[0], region.y[0], -np.pi), (region.x[1], region.y[1], np.pi)
     poses = rng.uniform(low, high, (count, 3))
     return poses[np.hypot(poses[:, 0], poses[:, 1]) <= region.max_radius]
@@ -177,7 +187,7 @@ def _free_place(
     placed: list[tuple[_Footprint, PlanarPose]],
     min_gap: float,
 ) -> PlanarPose | None:
-    """The first candidate that is free."""
+    """Return the first collision-free candidate, None without one."""
     centers = np.array([(pose.x, pose.y) for _, pose in placed]).reshape(-1, 2)
     distance = np.linalg.norm(candidates[:, None, :2] - centers[None], axis=-1)  # (candidates, placed)
     inner = np.array([other.inner for other, _ in placed])

@@ -1,7 +1,7 @@
 """The cell: floor, table, open box, lights, cameras, the arm, and the objects as free bodies, in one MjSpec.
 
-World frame: the robot's base, z up, table top at z = 0. Contact parameters are measured choices: stiff pads
-and elliptic cones keep a gripped mug within a degree, softer or pyramidal ones let it turn.
+World frame: the robot's base, z up, table top at z = 0. Contact parameters were chosen by measurement: with
+stiff pads and elliptic cones a gripped mug rotates by less than a degree.
 """
 
 from __future__ import annotations
@@ -11,7 +11,7 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from sim_assets.cell.layout import PlanarPose
+from sim_assets.cell.layout import PlanarPose, quat_from_yaw
 from sim_assets.objects import CollisionPiece, ObjectModel
 from sim_assets.rendering.headless import MjsBody, MjSpec, mujoco
 from sim_assets.rendering.materials import Finish, add_material, add_mesh, cardboard, random_finish, wood
@@ -44,8 +44,8 @@ class BoxConfig:
 
     Attributes:
         inner: length (x), width (y) and depth of the inside.
-        center: of the box on the table.
-        wall, floor: thickness of its walls and its floor.
+        center: position (x, y) of the centre.
+        wall, floor: thickness of the walls and of the floor.
     """
 
     inner: tuple[float, float, float] = (0.34, 0.30, 0.08)
@@ -55,8 +55,8 @@ class BoxConfig:
 
 
 @dataclass(frozen=True)
-class View:
-    """A fixed camera: where it is, what it looks at, its vertical field of view in [deg]."""
+class FixedCamera:
+    """A fixed camera: position and target in [m], vertical field of view in [deg]."""
 
     position: tuple[float, float, float]
     target: tuple[float, float, float]
@@ -64,10 +64,10 @@ class View:
 
 
 VIEWS = {
-    "overview": View((1.52, -0.62, 0.88), (0.34, 0.02, 0.20), 45.0),
-    "box": View((0.98, -0.10, 0.58), (0.48, 0.25, 0.05), 38.0),
-    "line": View((1.02, 1.12, 0.66), (0.25, 0.27, 0.10), 42.0),
-    "side": View((0.55, -1.55, 0.62), (0.38, 0.0, 0.22), 43.0),
+    "overview": FixedCamera((1.52, -0.62, 0.88), (0.34, 0.02, 0.20), 45.0),
+    "box": FixedCamera((0.98, -0.10, 0.58), (0.48, 0.25, 0.05), 38.0),
+    "line": FixedCamera((1.02, 1.12, 0.66), (0.25, 0.27, 0.10), 42.0),
+    "side": FixedCamera((0.55, -1.55, 0.62), (0.38, 0.0, 0.22), 43.0),
 }
 
 
@@ -79,13 +79,13 @@ def build_scene(
     line: tuple[tuple[float, float], tuple[float, float]] | None = None,
     robot: SimulatedArm | None = None,
 ) -> MjSpec:
-    """Everything in the cell, ready to compile.
+    """Build the specification of the cell.
 
     Args:
-        objects, places: what stands on the table and where, in one order; object i is body ``object<i>``.
-        box: the open box, if there is one.
-        rng: draws colours, patterns and grain.
-        line: ends of a tape on the table that marks where to sort, for people to see.
+        objects, places: models and their poses; object i is the body ``object<i>``.
+        box: the open box; None for a table without one.
+        rng: random generator of colours, patterns and wood grain.
+        line: ends of the tape that marks the sorting line, without collision; None for no tape.
         robot: the arm; the Panda by default.
     """
     spec = mujoco.MjSpec()
@@ -169,16 +169,17 @@ def _add_table(spec: MjSpec, rng: np.random.Generator) -> None:
     for sign_x in (-1, 1):
         for sign_y in (-1, 1):
             spec.worldbody.add_geom(
-                type=mujoco.mjtGeom.mjGEOM_CYLINDER, size=(0.025, leg, 0), material=dark.name, **_UNTOUCHABLE,
+                type=mujoco.mjtGeom.mjGEOM_CYLINDER, size=(0.025, leg, 0), material=dark.name,
                 pos=(x + sign_x * (length / 2 - 0.07), y + sign_y * (width / 2 - 0.07), -thickness - leg),
+                **_NO_COLLISION,
             )  # fmt: skip
     spec.worldbody.add_geom(
         type=box, size=(length / 2 - 0.05, width / 2 - 0.05, 0.02), pos=(x, y, -thickness - 0.02),
-        material=dark.name, **_UNTOUCHABLE,
+        material=dark.name, **_NO_COLLISION,
     )  # fmt: skip
 
 
-_UNTOUCHABLE = {"contype": 0, "conaffinity": 0, "group": 1}
+_NO_COLLISION = {"contype": 0, "conaffinity": 0, "group": 1}
 
 
 def _add_box(spec: MjSpec, box: BoxConfig, rng: np.random.Generator) -> None:
@@ -207,18 +208,18 @@ def _add_box(spec: MjSpec, box: BoxConfig, rng: np.random.Generator) -> None:
 
 
 def _add_tape(spec: MjSpec, start: np.ndarray, end: np.ndarray) -> None:
-    """A flat strip that nothing can touch."""
+    """Add a flat strip without collision."""
     spec.add_material(name="tape", rgba=(0.16, 0.36, 0.62, 1), specular=0.3)
     along = end - start
-    angle = np.arctan2(along[1], along[0]) / 2
+    angle = float(np.arctan2(along[1], along[0]))
     spec.worldbody.add_geom(
         name="tape", type=mujoco.mjtGeom.mjGEOM_BOX, size=(np.linalg.norm(along) / 2, 0.006, 0.0002),
-        pos=(*(start + end) / 2, 0.0002), quat=(np.cos(angle), 0, 0, np.sin(angle)), material="tape",
-        **_UNTOUCHABLE,
+        pos=(*(start + end) / 2, 0.0002), quat=quat_from_yaw(angle), material="tape",
+        **_NO_COLLISION,
     )  # fmt: skip
 
 
-def _add_camera(spec: MjSpec, name: str, view: View) -> None:
+def _add_camera(spec: MjSpec, name: str, view: FixedCamera) -> None:
     position, target = np.array(view.position), np.array(view.target)
     backward = (position - target) / np.linalg.norm(position - target)
     right = np.cross((0, 0, 1), backward)
@@ -229,11 +230,10 @@ def _add_camera(spec: MjSpec, name: str, view: View) -> None:
 
 
 def add_object(spec: MjSpec, name: str, model: ObjectModel, place: PlanarPose, finish: Finish) -> MjsBody:
-    """Add an object as a free body: its mesh to look at, its convex pieces to touch, the mesh's inertia."""
-    half = place.yaw / 2
+    """Add an object as a free body with a visual mesh, convex collision geoms and the inertia of the mesh."""
     center, inertia = _mass_properties(model)
     body = spec.worldbody.add_body(
-        name=name, pos=(place.x, place.y, 0.0005), quat=(np.cos(half), 0, 0, np.sin(half)),
+        name=name, pos=(place.x, place.y, 0.0005), quat=place.quat_wxyz,
         mass=model.mass, ipos=center, explicitinertial=True,
     )  # fmt: skip
     body.fullinertia = inertia
@@ -264,7 +264,7 @@ def _add_piece(spec: MjSpec, body: MjsBody, name: str, piece: CollisionPiece) ->
 
 
 def _mass_properties(model: ObjectModel) -> tuple[np.ndarray, tuple[float, ...]]:
-    """Centre of mass in [m] and (Ixx, Iyy, Izz, Ixy, Ixz, Iyz) about it in [kg m^2], of an even material."""
+    """Return the centre of mass [m] and (Ixx, Iyy, Izz, Ixy, Ixz, Iyz) about it [kg m²]."""
     mesh = model.mesh
     inertia = mesh.moment_inertia * (model.mass / mesh.volume)
     return np.asarray(mesh.center_mass), (

@@ -1,7 +1,7 @@
-"""The simulated cell as a robot: it moves, grips and looks, and never tells where the objects are.
+"""The simulated cell behind the ``Robot`` interface: motion, gripper and camera, without object poses.
 
-Physics runs at 2 ms. After the layout has settled nothing is moved but by the arm: objects are free bodies,
-held by contact and friction. True poses are read in ``ground_truth`` alone.
+The time step is 2 ms. Objects are free bodies, grasped by contact and friction only; once the layout has
+settled, only the arm moves them. ``ground_truth`` alone reads their true poses.
 """
 
 from __future__ import annotations
@@ -26,9 +26,9 @@ from sim_assets.robots import panda
 from sim_assets.robots.simulated_arm import WRIST_CAMERA, SimulatedArm
 
 IMAGE_SIZE = (640, 480)
-START_TOLERANCE = 0.03  # [rad] between where a trajectory starts and where the arm is
-STOP_ERROR = 0.2  # [rad] of tracking error at which the arm stops to protect itself
-REACHED_ERROR = 0.03  # [rad] left at the end of a motion that counts as blocked
+START_TOLERANCE = 0.03  # largest deviation of a trajectory's start from the arm's configuration [rad]
+STOP_ERROR = 0.2  # tracking error at which the arm stops [rad]
+REACHED_ERROR = 0.03  # final error above which a motion counts as blocked [rad]
 FINGER_SPEED = 0.08  # [m/s] of one finger
 WARNINGS_CHECKED_EVERY = 50  # steps
 
@@ -36,21 +36,22 @@ Observer = Callable[["World"], None]
 
 
 class SimulationError(SimAssetsError, RuntimeError):
-    """The simulation cannot go on, or was asked for what it has not; the message says which."""
+    """The simulation diverged, or an unknown camera was requested."""
 
 
 @dataclass(frozen=True)
 class CellConfig:
-    """What stands in the cell and how its camera errs.
+    """Configuration of a cell.
 
     Attributes:
-        objects: what to put on the table.
+        objects: models of the objects on the table.
         box: the open box; None for a table without one.
-        line: ends of the tape that shows where to sort, in [m]; None for no tape.
-        depth_noise: of the wrist camera.
-        seed: draws layout, colours and depth noise.
-        region, min_gap: where objects stand and how far apart their outlines are, in [m].
-        robot: the arm that works in it.
+        line: ends of the tape that marks the sorting line, in [m]; None for no tape.
+        depth_noise: model of the wrist camera's depth noise.
+        seed: seed of layout, colours and depth noise.
+        region: region of the object centres.
+        min_gap: minimum distance between the objects' outlines in [m].
+        robot: the arm.
     """
 
     objects: tuple[ObjectModel, ...]
@@ -67,10 +68,10 @@ class World:
     """A simulated arm over a table of objects; implements ``manipulation.robot.Robot``."""
 
     def __init__(self, config: CellConfig) -> None:
-        """Draw the layout, build the cell and let it settle.
+        """Sample the layout, build the cell and let it settle.
 
         Raises:
-            LayoutError: if the objects do not fit on the table.
+            LayoutError: the objects do not fit on the table.
         """
         self.config = config
         layout_seed, look_seed, noise_seed = np.random.SeedSequence(config.seed).spawn(3)
@@ -118,7 +119,7 @@ class World:
         mujoco.mj_forward(self._model, data)
         self.wait(0.5)
 
-    # What a robot is asked.
+    # The Robot protocol.
 
     @property
     def arm(self) -> ArmDescription:
@@ -160,7 +161,7 @@ class World:
         """Execute the motion and settle.
 
         Raises:
-            RobotError: if the trajectory is malformed, starts elsewhere, or the arm is blocked on its way.
+            RobotError: the trajectory is malformed or starts elsewhere, or the arm is blocked.
         """
         self._check_trajectory(trajectory)
         times = np.arange(0, trajectory.duration + TIMESTEP / 2, TIMESTEP)
@@ -193,10 +194,10 @@ class World:
         self._wait_for_fingers()
         return self.gripper_width()
 
-    # What people and videos ask.
+    # Observation by viewers and videos.
 
     def wait(self, duration: float) -> None:
-        """Let ``duration`` [s] pass with the last command held."""
+        """Advance the simulation by ``duration`` [s] with the last command."""
         for _ in range(round(duration / TIMESTEP)):
             self._step()
 
@@ -214,11 +215,11 @@ class World:
         draft: bool = False,
         shadows: bool = True,
     ) -> UInt8[np.ndarray, "h w 3"]:
-        """A picture of the cell from one of the fixed cameras ``scene.VIEWS`` or from the wrist.
+        """Render the cell from one of the fixed cameras ``scene.VIEWS`` or from the wrist camera.
 
         Args:
-            draft: a quick one, for films.
-            shadows: leave them out to be quicker still.
+            draft: whether to render at reduced quality, for videos.
+            shadows: whether to render shadows.
         """
         if camera not in (*VIEWS, WRIST_CAMERA):
             raise SimulationError(f"camera '{camera}' is none of {', '.join((*VIEWS, WRIST_CAMERA))}")
@@ -237,8 +238,6 @@ class World:
     def __exit__(self, *_: object) -> None:
         self.close()
 
-    # Inside.
-
     def _step(self) -> None:
         if not np.isfinite(self._data.ctrl).all():
             raise RobotError("a command is not finite; nothing was sent to the motors")
@@ -251,7 +250,7 @@ class World:
             self._observer(self)
 
     def _check_warnings(self) -> None:
-        """MuJoCo resets a diverged state in silence but for a counter; make it loud."""
+        """Raise where MuJoCo reset a diverged state, which it only counts."""
         for kind in ("BADQPOS", "BADQVEL", "BADQACC", "BADCTRL"):
             warning = self._data.warning[int(getattr(mujoco.mjtWarning, f"mjWARN_{kind}"))]
             if warning.number:
@@ -277,7 +276,7 @@ class World:
             )
 
     def _command(self, q: np.ndarray, qd: np.ndarray, qdd: np.ndarray) -> None:
-        """Position command that makes the servo follow: it cancels the servo's damping and the inertia."""
+        """Send the position command with feedforward that cancels servo damping and inertia."""
         motion = np.zeros(self._model.nv)
         motion[self._v] = qdd
         torque = np.zeros(self._model.nv)
@@ -286,7 +285,7 @@ class World:
         self._data.ctrl[self._u] = q + forward / self._stiffness
 
     def _hold(self, q: np.ndarray) -> None:
-        """Hold a posture until the arm is still."""
+        """Hold a configuration until the arm is still."""
         self._data.ctrl[self._u] = q
         for _ in range(250):
             self._step()
@@ -308,11 +307,11 @@ class World:
         return float(np.abs(self._data.qvel[self._finger_dofs]).max())
 
     def _fingers_stalled(self, wanted: float) -> bool:
-        """Whether the fingers met something: still, well behind the opening [m] asked of each."""
+        """Whether contact stopped the fingers: at rest, 4 mm short of the commanded opening [m] of each."""
         return bool(self.gripper_width() / 2 - wanted > 0.004 and self._finger_speed() < 0.005)
 
     def _wait_for_fingers(self) -> None:
-        """Until they have been still for 0.15 s, 1 s at most."""
+        """Advance until the fingers have been still for 0.15 s, by 1 s at most."""
         quiet = 0
         for _ in range(500):
             self._step()

@@ -1,6 +1,6 @@
-"""Things of no class that lie about on tables: parcels, balls, books, tools, crates, plates, fruit, toys.
+"""Distractors, objects of unknown class: parcels, balls, books, tools, crates, plates, fruit, toys.
 
-Some kinds are held out for testing: letters, benches and spoons.
+Letters, benches and spoons are held out for testing.
 """
 
 from __future__ import annotations
@@ -11,13 +11,15 @@ import numpy as np
 import trimesh
 from trimesh import creation
 
+HELD_OUT_SHARE = 0.4
+
 
 def random_distractor(rng: np.random.Generator, split: Literal["train", "test"] = "train") -> trimesh.Trimesh:
-    """A mesh in [m], z up, resting on z = 0. Parts may overlap: it is made to be looked at.
+    """Return a mesh in [m], z up, resting on z = 0; its parts may overlap (it is for rendering only).
 
-    Two in five of the test split are of kinds that the training split never shows.
+    In the test split, a share HELD_OUT_SHARE is of kinds absent from the training split.
     """
-    kinds = _HELD_OUT if split == "test" and rng.random() < 0.4 else _KINDS
+    kinds = _HELD_OUT if split == "test" and rng.random() < HELD_OUT_SHARE else _KINDS
     kind = kinds[rng.integers(len(kinds))]
     mesh = kind(rng)
     mesh.apply_translation((*-mesh.bounds[:, :2].mean(axis=0), -mesh.bounds[0, 2]))
@@ -217,13 +219,13 @@ def spoon(rng: np.random.Generator) -> trimesh.Trimesh:
     return _joined([_box((length, rng.uniform(0.01, 0.02), thick)), end])
 
 
-def odd_thing(rng: np.random.Generator) -> trimesh.Trimesh:
-    """Nothing in particular, for training alone: a pebble, a prism, or some parts stuck together anyhow."""
+def random_parts(rng: np.random.Generator) -> trimesh.Trimesh:
+    """Return a pebble, a prism or a union of random parts; for training only."""
     draw = rng.random()
     if draw < 0.25:
         mesh = trimesh.convex.convex_hull(rng.normal(size=(rng.integers(6, 20), 3)))
         mesh.apply_scale(rng.uniform(0.03, 0.10, 3) / np.ptp(mesh.bounds, axis=0))
-    elif draw < 0.45:  # with edges all the way up, as a can has none
+    elif draw < 0.45:  # vertical edges tell prisms from cans
         radius, height = rng.uniform(0.02, 0.05), rng.uniform(0.05, 0.22)
         mesh = creation.cylinder(radius=radius, height=height, sections=int(rng.integers(3, 7)))
         mesh.apply_scale((1, rng.uniform(0.5, 1.0), 1))
@@ -234,7 +236,7 @@ def odd_thing(rng: np.random.Generator) -> trimesh.Trimesh:
 
 
 def _odd_part(rng: np.random.Generator) -> trimesh.Trimesh:
-    """A box, a cylinder, a cone or an egg, turned at will, near the middle."""
+    """A randomly rotated box, cylinder, cone or ellipsoid near the origin."""
     size = rng.uniform(0.015, 0.09, 3)
     kind = rng.integers(4)
     if kind == 0:

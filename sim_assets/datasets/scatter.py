@@ -21,14 +21,14 @@ _STEPS = 12  # towards a neighbour
 
 
 @dataclass(frozen=True)
-class Thing:
-    """Something to put on the table.
+class TableItem:
+    """An object or a distractor of a table-top scene.
 
     Attributes:
-        category: its class; None for a thing of no class.
+        category: class of the object; None for a distractor.
         mesh: z up, standing on z = 0, in [m].
-        outline: (OUTLINE_POINTS, 2) points evenly along its horizontal outline.
-        reach: largest distance of the outline from the origin.
+        outline: (OUTLINE_POINTS, 2) evenly spaced points of the horizontal outline [m].
+        reach: largest distance of the outline from the origin [m].
     """
 
     category: Category | None
@@ -38,7 +38,7 @@ class Thing:
 
 
 def simplified(mesh: trimesh.Trimesh, tolerance: float = 0.00015) -> trimesh.Trimesh:
-    """The same solid within ``tolerance`` [m], of far fewer triangles: they are what rendering here costs."""
+    """Return the solid within ``tolerance`` [m] with fewer triangles, which dominate the rendering time."""
     solid = manifold3d.Manifold(
         manifold3d.Mesh(np.asarray(mesh.vertices, np.float32), np.asarray(mesh.faces, np.uint32))
     )
@@ -48,40 +48,40 @@ def simplified(mesh: trimesh.Trimesh, tolerance: float = 0.00015) -> trimesh.Tri
     return trimesh.Trimesh(reduced.vert_properties[:, :3], reduced.tri_verts, process=False)
 
 
-def make_thing(category: Category | None, mesh: trimesh.Trimesh) -> Thing:
-    """A thing with its outline sampled evenly."""
+def make_item(category: Category | None, mesh: trimesh.Trimesh) -> TableItem:
+    """Return the item with its outline sampled evenly."""
     polygon = outline(mesh)
     steps = np.cumsum(np.linalg.norm(np.diff(polygon, axis=0, append=polygon[:1]), axis=1))
     even = np.linspace(0, steps[-1], OUTLINE_POINTS, endpoint=False)
     closed, at = np.concatenate([polygon, polygon[:1]]), np.concatenate([[0], steps])
     points = np.stack([np.interp(even, at, closed[:, 0]), np.interp(even, at, closed[:, 1])], axis=1)
-    return Thing(category, mesh, points, float(np.linalg.norm(points, axis=1).max()))
+    return TableItem(category, mesh, points, float(np.linalg.norm(points, axis=1).max()))
 
 
 def scatter(
-    things: Sequence[Thing], rng: np.random.Generator, gap: float, spread: float, touching: float = 0.0
+    items: Sequence[TableItem], rng: np.random.Generator, gap: float, spread: float, touching: float = 0.0
 ) -> list[PlanarPose | None]:
-    """A free place for each thing, None for one that found no room.
+    """Sample a collision-free pose for each item, None for one that found no room.
 
     Quick and coarse beside ``layout.sample_layout``: distances are those between sampled outlines.
 
     Args:
         gap: least distance between neighbours in [m].
         spread: half side of the square that they are put in, in [m].
-        touching: share of the things that are pushed against one already there, whatever ``gap`` says.
+        touching: share of the items that are pushed against one already there, whatever ``gap`` says.
     """
     poses: list[PlanarPose | None] = []
     taken: list[_Placed] = []
-    for thing in things:
+    for item in items:
         poses.append(None)
         beside = bool(taken) and rng.random() < touching
         for _ in range(_TRIES):
             if beside:
-                pose = _pushed_against(thing, taken[rng.integers(len(taken))], rng)
+                pose = _pushed_against(item, taken[rng.integers(len(taken))], rng)
             else:
                 x, y = rng.uniform(-spread, spread, 2)
                 pose = PlanarPose(x, y, rng.uniform(-np.pi, np.pi))
-            placed = _Placed(pose, thing.reach, pose.transform(thing.outline))
+            placed = _Placed(pose, item.reach, pose.transform(item.outline))
             if all(_apart(placed, other, 0.0 if beside else gap) for other in taken):
                 poses[-1] = pose
                 taken.append(placed)
@@ -91,23 +91,23 @@ def scatter(
 
 @dataclass(frozen=True)
 class _Placed:
-    """A thing that has its place, and its outline there."""
+    """Pose of a placed item and its outline there."""
 
     pose: PlanarPose
     reach: float
     outline: Float[np.ndarray, "n 2"]
 
 
-def _pushed_against(thing: Thing, other: _Placed, rng: np.random.Generator) -> PlanarPose:
-    """Where a thing comes to stand that is pushed towards another until hardly a gap is left."""
+def _pushed_against(item: TableItem, other: _Placed, rng: np.random.Generator) -> PlanarPose:
+    """Return the pose of an item pushed towards another until the gap nearly closes."""
     direction, yaw = rng.uniform(-np.pi, np.pi, 2)
     left = rng.uniform(0, TOUCHING_GAP)
     away = np.array([np.cos(direction), np.sin(direction)])
-    distance = thing.reach + other.reach + TOUCHING_GAP
+    distance = item.reach + other.reach + TOUCHING_GAP
     for _ in range(_STEPS):
         x, y = distance * away + (other.pose.x, other.pose.y)
         pose = PlanarPose(x, y, yaw)
-        excess = gap_between(pose.transform(thing.outline), other.outline) - left
+        excess = gap_between(pose.transform(item.outline), other.outline) - left
         if excess < 5e-4:
             break
         distance -= excess  # no farther than the gap is wide: it cannot jump across
@@ -115,7 +115,7 @@ def _pushed_against(thing: Thing, other: _Placed, rng: np.random.Generator) -> P
 
 
 def _apart(placed: _Placed, other: _Placed, gap: float) -> bool:
-    """Whether two placed things keep their distance, centres first because that is cheap."""
+    """Whether two placed items are at least ``gap`` apart; distances of the centres are tested first."""
     distance = np.hypot(placed.pose.x - other.pose.x, placed.pose.y - other.pose.y)
     if distance > placed.reach + other.reach + gap:
         return True

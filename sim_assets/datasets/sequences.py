@@ -1,7 +1,7 @@
 """Synthetic RGB-D sequences: a camera moves over a table with objects of the test families.
 
-As in NodeSLAM's evaluation: random objects upright at random places, a smooth trajectory through sampled
-camera positions and look-at points over the table, colour and depth rendered for every frame. No physics.
+As in NodeSLAM's evaluation: objects stand upright at random places, and a smooth trajectory leads through
+sampled camera positions and look-at points. Colour and depth are rendered; no physics.
 """
 
 from __future__ import annotations
@@ -14,7 +14,7 @@ from jaxtyping import Float, Int
 from scipy.interpolate import CubicSpline
 
 from perception.types import Category, RgbdFrame
-from sim_assets.cell.layout import PlanarPose, Region, sample_layout
+from sim_assets.cell.layout import PlanarPose, Region, quat_from_yaw, sample_layout
 from sim_assets.datasets.scatter import simplified
 from sim_assets.objects import ObjectModel, sample_object
 from sim_assets.rendering.camera import OPENCV_FROM_MUJOCO, OffscreenRenderer, intrinsics_of, look_at
@@ -24,7 +24,7 @@ from sim_assets.rendering.materials import Finish, add_material, add_mesh, rando
 
 CAMERA = "eye"
 RATE = 30.0  # [Hz]
-_DENSE = 200  # poses between two sampled ones, from which evenly spaced frames are taken
+_DENSE = 200  # interpolated poses between two sampled ones
 
 
 @dataclass(frozen=True)
@@ -261,10 +261,8 @@ def _build(objects: Sequence[PlacedObject], fovy: float, rng: np.random.Generato
         name = f"object{index}"
         add_mesh(spec, name, simplified(item.model.mesh, 0.0003))
         add_material(spec, name, random_finish(rng, item.model.category))
-        yaw = np.arctan2(item.T_world_object[1, 0], item.T_world_object[0, 0]) / 2
-        body = world.add_body(
-            name=name, pos=item.T_world_object[:3, 3], quat=(np.cos(yaw), 0, 0, np.sin(yaw))
-        )
+        yaw = float(np.arctan2(item.T_world_object[1, 0], item.T_world_object[0, 0]))
+        body = world.add_body(name=name, pos=item.T_world_object[:3, 3], quat=quat_from_yaw(yaw))
         body.add_geom(
             name=name, type=mujoco.mjtGeom.mjGEOM_MESH, meshname=name, material=name, contype=0, conaffinity=0
         )

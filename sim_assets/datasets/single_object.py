@@ -1,4 +1,4 @@
-"""One object alone on a table, seen from random places: what reconstruction is judged on."""
+"""Views of a single object on a table from random viewpoints, for the evaluation of reconstruction."""
 
 from __future__ import annotations
 
@@ -9,7 +9,7 @@ from jaxtyping import Float
 
 from perception.types import RgbdFrame
 from sim_assets.cell.layout import PlanarPose
-from sim_assets.datasets.scatter import make_thing, simplified
+from sim_assets.datasets.scatter import make_item, simplified
 from sim_assets.datasets.table_top import TableTop, TrainingSceneConfig
 from sim_assets.objects import ObjectModel
 from sim_assets.rendering.camera import look_at
@@ -17,17 +17,17 @@ from sim_assets.rendering.depth_noise import DepthNoise
 
 
 @dataclass(frozen=True)
-class PortraitConfig:
-    """How the views vary.
+class SingleObjectConfig:
+    """Distributions that views of a single object are sampled from.
 
     Attributes:
-        width, height: in pixels.
+        width, height: size of the images in pixels.
         fovy: vertical field of view in [deg].
-        distance: of the camera from the object's middle in [m], for an object 0.1 m long; farther away for
-            longer ones, so that all of it is in the image.
-        elevation: of the camera in [rad].
-        off_centre: deviation of the point the camera looks at from the object's middle in [m].
-        depth_noise: of the camera.
+        distance: range of the camera's distance from the object's centre in [m], for an object 0.1 m long;
+            scaled by the square root of the length for longer ones, so that they fit into the image.
+        elevation: range of the camera's elevation in [rad].
+        off_centre: standard deviation of the camera's target from the object's centre in [m].
+        depth_noise: model of the depth noise.
     """
 
     width: int = 640
@@ -40,11 +40,11 @@ class PortraitConfig:
 
 
 @dataclass(frozen=True)
-class Portrait:
-    """Frames of one object, and where it stood.
+class SingleObjectViews:
+    """RGB-D frames of one object and its true pose.
 
     Attributes:
-        frames: with the cameras' poses; the table is the plane z = 0.
+        frames: RGB-D frames with camera poses; the table is the plane z = 0.
         T_world_object: (4, 4) pose, origin at the centre of its base, mug handle along +x.
     """
 
@@ -52,14 +52,14 @@ class Portrait:
     T_world_object: Float[np.ndarray, "4 4"]
 
 
-def take_portrait(
-    model: ObjectModel, views: int, rng: np.random.Generator, config: PortraitConfig | None = None
-) -> Portrait:
-    """Puts the object somewhere near the origin, turned at random, and looks at it from random places."""
-    config = config or PortraitConfig()
-    thing = make_thing(model.category, simplified(model.mesh))
+def render_single_object(
+    model: ObjectModel, views: int, rng: np.random.Generator, config: SingleObjectConfig | None = None
+) -> SingleObjectViews:
+    """Place the object near the origin at a random yaw and render it from random viewpoints."""
+    config = config or SingleObjectConfig()
+    item = make_item(model.category, simplified(model.mesh))
     scene = replace(TrainingSceneConfig(), width=config.width, height=config.height, textures_redrawn=1)
-    table = TableTop([thing], scene, rng)
+    table = TableTop([item], scene, rng)
     try:
         table.redraw_textures(rng)
         x, y = rng.uniform(-0.1, 0.1, 2)
@@ -73,11 +73,11 @@ def take_portrait(
             frames.append(table.capture(T_world_camera, config.fovy, False, rng, config.depth_noise)[0])
     finally:
         table.close()
-    return Portrait(tuple(frames), pose.matrix)
+    return SingleObjectViews(tuple(frames), pose.matrix)
 
 
 def _random_camera(
-    pose: PlanarPose, height: float, longest: float, config: PortraitConfig, rng: np.random.Generator
+    pose: PlanarPose, height: float, longest: float, config: SingleObjectConfig, rng: np.random.Generator
 ) -> Float[np.ndarray, "4 4"]:
     azimuth, elevation = rng.uniform(-np.pi, np.pi), rng.uniform(*config.elevation)
     distance = rng.uniform(*config.distance) * max(longest / 0.1, 1.0) ** 0.5

@@ -1,4 +1,4 @@
-"""A table with things on it that is drawn anew by editing one compiled model in place; no arm, no physics."""
+"""Table-top scenes rendered by editing one compiled model in place; no arm, no physics."""
 
 from __future__ import annotations
 
@@ -12,7 +12,7 @@ from jaxtyping import Float, Int
 
 from perception.types import Category, RgbdFrame
 from sim_assets.cell.layout import PlanarPose
-from sim_assets.datasets.scatter import Thing, scatter
+from sim_assets.datasets.scatter import TableItem, scatter
 from sim_assets.rendering.camera import OPENCV_FROM_MUJOCO, OffscreenRenderer, intrinsics_of, look_at
 from sim_assets.rendering.depth_noise import DEPTH_NOISES, DepthNoise, add_depth_noise
 from sim_assets.rendering.filament import FilamentRenderer
@@ -29,31 +29,32 @@ Renderer = Literal["classic", "filament"]
 CAMERA = "eye"
 GROUND_SIZE = (256, 256)
 SHOWN, HIDDEN = 2, 4  # geom groups
-BELOW = -3.0  # [m], where hidden things are, under the floor
+BELOW = -3.0  # height of hidden items, under the floor [m]
 
 
 @dataclass(frozen=True)
 class TrainingSceneConfig:
-    """How the pictures vary.
+    """Distributions that table-top scenes are sampled from.
 
     Attributes:
         width, height: in pixels.
-        pool, distractors: objects and things of no class compiled together.
-        shares: how many objects of the pool are of each of CATEGORIES, in proportion.
-        odd: share of the training split's distractors that are heaps of random parts (``odd_thing``).
-        plain_tumblers: whether straight tumblers with flat lids, which could as well be cans, are bottles.
-        drawn_in: share of the training split's flat and lidded cans that stand on a narrower foot.
-        pictures_per_pool: how often the pool is replaced.
-        pictures_per_texture, textures_redrawn: how often the ground and how many things get a new texture.
-        objects, extras: smallest and largest number shown of each kind.
-        gap: smallest and largest least distance between neighbours in [m]; drawn per picture.
-        crowded: share of pictures in which some things stand side by side, down to contact; which share of
-            them is drawn per picture.
-        spread: half side of the square they stand in, in [m].
-        distance, elevation, fovy: camera ranges in [m], [rad], [deg].
-        shadows: share of pictures with cast shadows (slower).
-        upturned: share of pictures whose camera is rolled about its axis at will.
-        noises: shares of DEPTH_NOISES.
+        pool, distractors: number of objects and of distractors compiled together.
+        shares: relative frequencies of CATEGORIES among the objects of the pool.
+        random_parts: share of the training split's distractors made by ``random_parts``.
+        plain_tumblers: whether the bottles include straight tumblers with flat lids, which resemble cans.
+        drawn_in: share of the training split's plain cans and canisters with a narrower foot.
+        pictures_per_pool: number of images rendered with one pool.
+        pictures_per_texture: number of images between changes of textures.
+        textures_redrawn: number of items that get a new texture then; the ground always does.
+        objects, extras: smallest and largest number of objects and of distractors in an image.
+        gap: range of the minimum distance between neighbours in [m], sampled per image.
+        crowded: share of images in which a random share of the items touch, or nearly touch, a neighbour.
+        spread: range of the half side of the square that holds the items, in [m].
+        distance, elevation, fovy: ranges of the camera's distance in [m], elevation in [rad] and vertical
+            field of view in [deg].
+        shadows: share of images with cast shadows (slower).
+        upturned: share of images with a uniformly random camera roll.
+        noises: probabilities of DEPTH_NOISES.
         renderer: of the colour images; depth and instances always come from the classic one.
     """
 
@@ -62,7 +63,7 @@ class TrainingSceneConfig:
     pool: int = 40
     distractors: int = 14
     shares: tuple[int, int, int, int] = (1, 1, 1, 1)
-    odd: float = 0.0
+    random_parts: float = 0.0
     plain_tumblers: bool = True
     drawn_in: float = 0.0
     pictures_per_pool: int = 400
@@ -84,14 +85,14 @@ class TrainingSceneConfig:
 
 @dataclass(frozen=True)
 class InstanceLabel:
-    """One thing in a picture.
+    """Ground truth of one item in an image.
 
     Attributes:
-        category: its class; None for a thing of no class.
+        category: class of the object; None for a distractor.
         T_world_object: (4, 4) pose, origin at the centre of its base, mug handle along +x.
-        pixels: how many pixels show it.
-        outline_pixels: area of the hull of its whole outline, hidden parts and what is beyond the border too.
-        height: of the thing in [m].
+        pixels: number of visible pixels.
+        outline_pixels: area of the convex hull of its projection, occluded and truncated parts included.
+        height: height of the item in [m].
     """
 
     category: Category | None
@@ -108,12 +109,12 @@ class InstanceLabel:
 
 @dataclass(frozen=True)
 class LabelledImage:
-    """A picture with the truth about it; the table is the plane z = 0 of the world.
+    """An RGB-D image with ground truth; the table is the plane z = 0 of the world.
 
     Attributes:
         frame: colour, noisy depth, intrinsics and pose of the camera.
         instances: (H, W) index into ``labels`` of what each pixel shows, -1 for table and background.
-        labels: everything on the table, seen or not.
+        labels: all items on the table, visible or not.
     """
 
     frame: RgbdFrame
@@ -122,17 +123,17 @@ class LabelledImage:
 
 
 class TableTop:
-    """One compiled model of a table with everything that may appear on it."""
+    """One compiled model of a table with all items that may appear on it."""
 
-    def __init__(self, things: list[Thing], config: TrainingSceneConfig, rng: np.random.Generator) -> None:
-        self.things, self.config = things, config
-        self.model = _build(things, rng).compile()
+    def __init__(self, items: list[TableItem], config: TrainingSceneConfig, rng: np.random.Generator) -> None:
+        self.items, self.config = items, config
+        self.model = _build(items, rng).compile()
         self.data = mujoco.MjData(self.model)
         self.renderer = OffscreenRenderer(self.model)
         self.filament = FilamentRenderer(self.model) if config.renderer == "filament" else None
-        self.geoms = np.array([self.model.geom(f"thing{i}").id for i in range(len(things))])
-        self.thing_of_geom = np.full(self.model.ngeom + 1, -1, dtype=np.int32)  # last: geom -1, the sky
-        self.thing_of_geom[self.geoms] = np.arange(len(things))
+        self.geoms = np.array([self.model.geom(f"item{i}").id for i in range(len(items))])
+        self.item_of_geom = np.full(self.model.ngeom + 1, -1, dtype=np.int32)  # last: geom -1, the sky
+        self.item_of_geom[self.geoms] = np.arange(len(items))
 
     def close(self) -> None:
         self.renderer.close()
@@ -140,12 +141,12 @@ class TableTop:
             self.filament.close()
 
     def redraw_textures(self, rng: np.random.Generator) -> None:
-        """New finishes for some of the things and a new ground, in the existing model."""
-        for index in rng.choice(len(self.things), self.config.textures_redrawn, replace=False):
-            thing = self.things[index]
-            finish = random_finish(rng, thing.category or "", wild=0.5)
-            self._set_texture(f"thing{index}", finish.texture)
-            material = self.model.material(f"thing{index}").id
+        """Give some of the items a new finish, and the ground a new texture."""
+        for index in rng.choice(len(self.items), self.config.textures_redrawn, replace=False):
+            item = self.items[index]
+            finish = random_finish(rng, item.category or "", wild=0.5)
+            self._set_texture(f"item{index}", finish.texture)
+            material = self.model.material(f"item{index}").id
             self.model.mat_specular[material], self.model.mat_shininess[material] = (
                 finish.specular,
                 finish.shininess,
@@ -167,7 +168,7 @@ class TableTop:
         chosen = self._choose(rng)
         touching = rng.uniform(0.2, 0.9) if rng.random() < config.crowded else 0.0
         gap, spread = rng.uniform(*config.gap), rng.uniform(*config.spread)
-        poses = scatter([self.things[i] for i in chosen], rng, gap, spread, touching)
+        poses = scatter([self.items[i] for i in chosen], rng, gap, spread, touching)
         shown = [index for index, pose in zip(chosen, poses, strict=True) if pose is not None]
         placed = [pose for pose in poses if pose is not None]
         self.show(shown, placed)
@@ -176,25 +177,25 @@ class TableTop:
         T_world_camera = self._aim(placed, rng)
         shadows = rng.random() < config.shadows
         frame, ids = self.capture(T_world_camera, fovy, shadows, rng)
-        row = np.full(len(self.things) + 1, -1, dtype=np.int32)
+        row = np.full(len(self.items) + 1, -1, dtype=np.int32)
         row[shown] = np.arange(len(shown))
         instances = row[ids]
         pixels = np.bincount(instances[instances >= 0], minlength=len(shown))
         labels = tuple(
-            self._label(self.things[i], pose, int(n), frame)
+            self._label(self.items[i], pose, int(n), frame)
             for i, pose, n in zip(shown, placed, pixels, strict=True)
         )
         return LabelledImage(frame, instances, labels)
 
-    def _label(self, thing: Thing, pose: PlanarPose, pixels: int, frame: RgbdFrame) -> InstanceLabel:
+    def _label(self, item: TableItem, pose: PlanarPose, pixels: int, frame: RgbdFrame) -> InstanceLabel:
         assert frame.T_world_camera is not None
         T_camera_object = np.linalg.inv(frame.T_world_camera) @ pose.matrix
-        corners = thing.mesh.vertices @ T_camera_object[:3, :3].T + T_camera_object[:3, 3]
+        corners = item.mesh.vertices @ T_camera_object[:3, :3].T + T_camera_object[:3, 3]
         k = frame.intrinsics
         image = corners[:, :2] / np.maximum(corners[:, 2:], 0.05) * (k.fx, k.fy)
         hull = cv2.convexHull(image.astype(np.float32))
-        height = float(thing.mesh.bounds[1, 2])
-        return InstanceLabel(thing.category, pose.matrix, pixels, float(cv2.contourArea(hull)), height)
+        height = float(item.mesh.bounds[1, 2])
+        return InstanceLabel(item.category, pose.matrix, pixels, float(cv2.contourArea(hull)), height)
 
     def capture(
         self,
@@ -204,14 +205,14 @@ class TableTop:
         rng: np.random.Generator,
         noise: DepthNoise | None = None,
     ) -> tuple[RgbdFrame, Int[np.ndarray, "h w"]]:
-        """What a camera sees of the things that are shown, and which thing each pixel shows (-1: none).
+        """Render the visible items: an RGB-D frame and the index of the item at each pixel (-1 for none).
 
         Args:
-            T_world_camera: the camera's pose.
-            fovy: its vertical field of view in [deg].
-            shadows: whether they are drawn.
-            rng: draws the noise.
-            noise: of the depth; a random kind by default.
+            T_world_camera: (4, 4) pose of the camera.
+            fovy: vertical field of view in [deg].
+            shadows: whether to render cast shadows.
+            rng: random generator of the depth noise.
+            noise: model of the depth noise; sampled from ``config.noises`` by default.
         """
         width, height = self.config.width, self.config.height
         eye = self.model.camera(CAMERA).id
@@ -229,10 +230,10 @@ class TableTop:
         intrinsics = intrinsics_of(width, height, fovy)
         noise = noise or DEPTH_NOISES[rng.choice(len(DEPTH_NOISES), p=self.config.noises)]
         depth = add_depth_noise(depth, noise, intrinsics, rng)
-        return RgbdFrame(0.0, rgb, depth, intrinsics, T_world_camera), self.thing_of_geom[ids]
+        return RgbdFrame(0.0, rgb, depth, intrinsics, T_world_camera), self.item_of_geom[ids]
 
     def _choose(self, rng: np.random.Generator) -> list[int]:
-        kind = np.array([thing.category is not None for thing in self.things])
+        kind = np.array([item.category is not None for item in self.items])
         low, high = self.config.objects
         objects = rng.choice(np.flatnonzero(kind), rng.integers(low, high + 1), replace=False)
         low, high = self.config.extras
@@ -240,17 +241,17 @@ class TableTop:
         return [int(i) for i in rng.permutation(np.concatenate([objects, extras]))]
 
     def show(self, shown: Sequence[int], placed: Sequence[PlanarPose]) -> None:
-        """Put some of the things somewhere and hide all others."""
+        """Place some of the items and hide all others."""
         self.model.geom_group[self.geoms] = HIDDEN
         self.model.body_pos[self.model.geom_bodyid[self.geoms], 2] = BELOW  # some renderers draw all groups
         self.model.geom_group[self.geoms[list(shown)]] = SHOWN
         for index, pose in zip(shown, placed, strict=True):
-            body = self.model.body(f"thing{index}").id
+            body = self.model.body(f"item{index}").id
             self.model.body_pos[body] = (pose.x, pose.y, 0)
-            self.model.body_quat[body] = (np.cos(pose.yaw / 2), 0, 0, np.sin(pose.yaw / 2))
+            self.model.body_quat[body] = pose.quat_wxyz
 
     def light(self, rng: np.random.Generator) -> None:
-        """Another light."""
+        """Randomise the lighting."""
         angle, tilt = rng.uniform(-np.pi, np.pi), rng.uniform(0.1, 1.0)
         away = np.array([np.sin(tilt) * np.cos(angle), np.sin(tilt) * np.sin(angle), np.cos(tilt)])
         self.model.light_pos[0] = 1.8 * away
@@ -263,7 +264,7 @@ class TableTop:
         headlight.diffuse[:] = rng.uniform(0.0, 0.6)
 
     def _aim(self, placed: list[PlanarPose], rng: np.random.Generator) -> Float[np.ndarray, "4 4"]:
-        """A camera pose (OpenCV) that looks somewhere among the objects."""
+        """Return a random camera pose (OpenCV axes) that looks at a point near an item."""
         azimuth, elevation = rng.uniform(-np.pi, np.pi), rng.uniform(*self.config.elevation)
         distance = rng.uniform(*self.config.distance)
         seen = placed[rng.integers(len(placed))] if placed else PlanarPose(0, 0, 0)
@@ -276,7 +277,7 @@ class TableTop:
         return look_at(target + distance * away, target, roll)
 
 
-def _build(things: list[Thing], rng: np.random.Generator) -> MjSpec:
+def _build(items: list[TableItem], rng: np.random.Generator) -> MjSpec:
     spec = mujoco.MjSpec()
     spec.modelname = "table_top"
     spec.compiler.degree = False
@@ -306,10 +307,10 @@ def _build(things: list[Thing], rng: np.random.Generator) -> MjSpec:
         ambient=(0, 0, 0),
     )
     world.add_camera(name=CAMERA)
-    for index, thing in enumerate(things):
-        name = f"thing{index}"
-        add_mesh(spec, name, thing.mesh)
-        add_material(spec, name, random_finish(rng, thing.category or "", wild=0.5))
+    for index, item in enumerate(items):
+        name = f"item{index}"
+        add_mesh(spec, name, item.mesh)
+        add_material(spec, name, random_finish(rng, item.category or "", wild=0.5))
         body = world.add_body(name=name)
         body.add_geom(
             name=name, type=mujoco.mjtGeom.mjGEOM_MESH, meshname=name, material=name, contype=0, conaffinity=0

@@ -1,8 +1,8 @@
-"""Many labelled pictures of random table tops, fast: what the detector is trained on. No arm, no physics.
+"""Labelled images of random table tops, the training data of the detector. No arm, no physics.
 
-A pool of objects and distractors is compiled once; for every picture some of them are shown and moved by
-editing the model in place, the others hidden. Textures are drawn anew every few pictures, the whole pool now
-and then. One process renders 20 pictures a second and more; shards belong in processes of their own.
+A pool of objects and distractors is compiled once; for each image some are shown and moved by editing the
+model in place, the others are hidden. Textures change every few images, the pool less often. One process
+renders 20 images a second or more; shards belong in separate processes.
 """
 
 from __future__ import annotations
@@ -15,8 +15,8 @@ import numpy as np
 import trimesh
 
 from perception.types import CATEGORIES, Category
-from sim_assets.datasets.distractors import odd_thing, random_distractor
-from sim_assets.datasets.scatter import Thing, make_thing, simplified
+from sim_assets.datasets.distractors import random_distractor, random_parts
+from sim_assets.datasets.scatter import TableItem, make_item, simplified
 from sim_assets.datasets.table_top import LabelledImage, TableTop, TrainingSceneConfig
 from sim_assets.objects.bottle import BottleParameters
 from sim_assets.objects.can import FOOT, CanParameters
@@ -27,7 +27,7 @@ PLAIN_BEND = 0.10  # a tumbler that widens by less of its radius has a can's sid
 
 
 class TrainingScenes:
-    """Renders labelled pictures of objects of one split; the same seed gives the same pictures."""
+    """Renders labelled images of objects of one split; the same seed gives the same images."""
 
     def __init__(
         self,
@@ -36,20 +36,20 @@ class TrainingScenes:
         config: TrainingSceneConfig | None = None,
         own: Sequence[tuple[Category, trimesh.Trimesh]] = (),
     ) -> None:
-        """Own objects, if given, take the place of the generated ones; distractors stay."""
-        self._own = [make_thing(category, simplified(mesh)) for category, mesh in own]
+        """Start with a seed; ``own`` meshes, if given, replace the generated objects, not the distractors."""
+        self._own = [make_item(category, simplified(mesh)) for category, mesh in own]
         self.config = config or TrainingSceneConfig()
         self.split: Split = split
         self._rng = np.random.default_rng(seed)
         self._pool: TableTop | None = None
 
     def render(self, count: int) -> Iterator[LabelledImage]:
-        """The next ``count`` pictures."""
+        """Yield the next ``count`` images."""
         config, rng = self.config, self._rng
         for number in range(count):
             if number % config.pictures_per_pool == 0:
                 self.close()
-                self._pool = TableTop(_draw_things(self.split, config, rng, self._own), config, rng)
+                self._pool = TableTop(_draw_items(self.split, config, rng, self._own), config, rng)
             assert self._pool is not None
             if number % config.pictures_per_texture == 0:
                 self._pool.redraw_textures(rng)
@@ -68,20 +68,20 @@ class TrainingScenes:
         self.close()
 
 
-def _draw_things(
-    split: Split, config: TrainingSceneConfig, rng: np.random.Generator, own: Sequence[Thing] = ()
-) -> list[Thing]:
-    things = [own[index % len(own)] for index in range(config.pool)] if own else []
+def _draw_items(
+    split: Split, config: TrainingSceneConfig, rng: np.random.Generator, own: Sequence[TableItem] = ()
+) -> list[TableItem]:
+    items = [own[index % len(own)] for index in range(config.pool)] if own else []
     turns: list[Category] = [
         category for category, share in zip(CATEGORIES, config.shares) for _ in range(share)
     ]
     for index in range(0 if own else config.pool):
         category = turns[index % len(turns)]
-        things.append(make_thing(category, simplified(_draw_mesh(category, split, config, rng))))
+        items.append(make_item(category, simplified(_draw_mesh(category, split, config, rng))))
     for _ in range(config.distractors):
-        odd = split == "train" and config.odd > 0 and rng.random() < config.odd
-        things.append(make_thing(None, odd_thing(rng) if odd else random_distractor(rng, split)))
-    return things
+        odd = split == "train" and config.random_parts > 0 and rng.random() < config.random_parts
+        items.append(make_item(None, random_parts(rng) if odd else random_distractor(rng, split)))
+    return items
 
 
 def _draw_mesh(
@@ -97,7 +97,7 @@ def _draw_mesh(
 
 
 def _perhaps_drawn_in(can: CanParameters, share: float, rng: np.random.Generator) -> CanParameters:
-    """A foot under a flat or lidded can: whether a top goes with a foot is not what makes it a can."""
+    """Give a plain can or canister a foot with probability ``share``: a foot must not decide the class."""
     if can.kind not in ("plain", "canister") or rng.random() >= share:
         return can
     return replace(can, foot=float(rng.uniform(*FOOT)))

@@ -49,7 +49,7 @@ class CanParameters:
     """Lengths in [m].
 
     Attributes:
-        radius: largest of the whole can.
+        radius: largest radius of the can.
         seam: radial step between seam and body, or lid and body; rim: height of the seam or lid.
         neck: how far the top is drawn in; neck_height: over what height.
         recess: depth of the panels below the rim; dome: depth of the hollow underneath.

@@ -1,4 +1,4 @@
-"""The four object families behind one door: parameters, solids, and training grids."""
+"""The four object families: parameters, solids and training grids."""
 
 from __future__ import annotations
 
@@ -23,12 +23,12 @@ _SAMPLERS = {"mug": sample_mug, "bowl": sample_bowl, "bottle": sample_bottle, "c
 
 
 def sample_parameters(category: Category, split: Split, rng: np.random.Generator) -> Parameters:
-    """Draw an object of a category from the families of a split."""
+    """Sample the parameters of an object of a category from the families of a split."""
     return _SAMPLERS[category](split, rng)
 
 
 def make_solid(parameters: Parameters) -> Solid:
-    """The solid that the parameters describe."""
+    """Return the solid described by the parameters."""
     match parameters:
         case MugParameters():
             return mug_solid(parameters)
@@ -43,14 +43,14 @@ def make_solid(parameters: Parameters) -> Solid:
 def occupancy_grid_of(
     parameters: Parameters, resolution: int = 32, supersample: int = 4
 ) -> Float[np.ndarray, "r r r"]:
-    """Occupancy grid in [0, 1] straight from parameters; conventions in grids.py."""
+    """Return the occupancy grid in [0, 1] of an object; conventions in grids.py."""
     return solid_grid(make_solid(parameters), resolution, supersample)
 
 
 def sample_training_grids(
     category: Category, count: int, seed: int | np.random.SeedSequence, split: Split = "train"
 ) -> UInt8[np.ndarray, "n 32 32 32"]:
-    """`count` random grids of a category, occupancy 0..1 as 0..255. A few ms each on one core."""
+    """Return ``count`` random grids of a category, occupancy 0..1 as 0..255; a few ms each on one core."""
     rng = np.random.default_rng(seed)
     grids = np.empty((count, 32, 32, 32), dtype=np.uint8)
     to_byte = np.round(np.arange(65) * 255 / 64).astype(np.uint8)

@@ -11,7 +11,7 @@ from jaxtyping import Bool, Float
 
 from perception.types import Category
 
-NUDGE = np.array([1.3e-7, 2.9e-7])  # rays that miss vertices and edges of tidy meshes [m]
+NUDGE = np.array([1.3e-7, 2.9e-7])  # offset of the rays from vertices and edges of regular meshes [m]
 CELLS = 96  # buckets along each horizontal axis
 
 
@@ -27,7 +27,7 @@ class MeshShape:
         return np.asarray(self.mesh.bounds, dtype=np.float64)
 
     def inside(self, points: Float[np.ndarray, "n 3"]) -> Bool[np.ndarray, "n"]:
-        """Which points are material."""
+        """Return which points are inside the mesh."""
         inside = np.zeros(len(points), dtype=bool)
         near = np.flatnonzero(((points >= self.bounds[0]) & (points <= self.bounds[1])).all(axis=1))
         for part in np.array_split(near, len(near) // 50_000 + 1):
@@ -35,7 +35,7 @@ class MeshShape:
         return inside
 
     def is_handle(self, points: Float[np.ndarray, "n 3"]) -> Bool[np.ndarray, "n"]:
-        """Points of a mug towards +x and beyond the body, whose radius is measured on the other side."""
+        """Return which points of a mug lie towards +x beyond the body, as measured on the other side."""
         if self.category != "mug":
             return np.zeros(len(points), dtype=bool)
         r = np.hypot(points[:, 0], points[:, 1])

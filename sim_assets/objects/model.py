@@ -1,4 +1,4 @@
-"""ObjectModel: everything the simulator and the scoring need to know of one object."""
+"""ObjectModel: mesh, collision pieces and mass of one object, for simulation and scoring."""
 
 from __future__ import annotations
 
@@ -20,12 +20,12 @@ from sim_assets.objects.grids import canonical_frame, sampled_grid, solid_grid
 from sim_assets.objects.mug import MugParameters, mug_vessel
 from sim_assets.objects.solids import Solid
 
-LIGHTEST, HEAVIEST = 0.05, 0.6  # [kg] what the gripper is asked to carry
+LIGHTEST, HEAVIEST = 0.05, 0.6  # range of masses that the gripper can carry [kg]
 
 
 @runtime_checkable
 class Shape(Protocol):
-    """What a model asks of its geometry; solids and mesh files both answer."""
+    """Geometry of a model; implemented by solids and by mesh files."""
 
     @property
     def bounds(self) -> Float[np.ndarray, "2 3"]: ...
@@ -40,14 +40,14 @@ class ObjectModel:
     """One object in its own frame: z up, base on z = 0, axis x = y = 0, handle along +x; [m], [kg].
 
     Attributes:
-        category: its class.
-        split: the families it comes from, or "user" for a mesh file.
-        name: unique among the models of a scene only if the caller made it so.
-        mesh: watertight true surface, cavity included.
-        collision: convex pieces.
-        mass: [kg].
-        parameters: what the family made it from; None for a mesh file.
-        shape: answers inside tests.
+        category: class of the object.
+        split: split of its family, or "user" for a mesh file.
+        name: name of the object, not necessarily unique.
+        mesh: watertight surface, cavity included [m].
+        collision: convex collision pieces.
+        mass: mass [kg].
+        parameters: parameters of the family; None for a mesh file.
+        shape: geometry for inside tests.
     """
 
     category: Category
@@ -60,11 +60,11 @@ class ObjectModel:
     shape: Shape
 
     def inside(self, points: Float[np.ndarray, "n 3"]) -> Bool[np.ndarray, "n"]:
-        """Which points of the object frame are material (a cavity is not)."""
+        """Return which points of the object frame are inside the material."""
         return self.shape.inside(np.asarray(points, dtype=np.float64))
 
     def is_handle(self, points: Float[np.ndarray, "n 3"]) -> Bool[np.ndarray, "n"]:
-        """Which points of the surface belong to a mug's handle; none elsewhere."""
+        """Return which surface points belong to a mug's handle."""
         return self.shape.is_handle(np.asarray(points, dtype=np.float64))
 
     @property
@@ -74,12 +74,12 @@ class ObjectModel:
 
     @property
     def radius(self) -> float:
-        """Half the extent along y [m]: the handle of a mug is left out."""
+        """Half the extent along y [m], which excludes the handle of a mug."""
         return float(np.ptp(self.shape.bounds[:, 1]) / 2)
 
 
 def make_object(parameters: Parameters, split: Split, name: str = "") -> ObjectModel:
-    """Build the model of a family's object from its parameters."""
+    """Build the model of an object from the parameters of its family."""
     solid = make_solid(parameters)
     mesh = solid.mesh()
     category = category_of(parameters)
@@ -89,7 +89,7 @@ def make_object(parameters: Parameters, split: Split, name: str = "") -> ObjectM
 
 
 def sample_object(category: Category, split: Split, rng: np.random.Generator) -> ObjectModel:
-    """Draw an object of a category from the families of a split."""
+    """Sample an object of a category from the families of a split."""
     return make_object(sample_parameters(category, split, rng), split)
 
 
@@ -106,7 +106,7 @@ def category_of(parameters: Parameters) -> Category:
 
 
 def collision_pieces(parameters: Parameters, solid: Solid) -> list[CollisionPiece]:
-    """The convex pieces of a family's object."""
+    """Return the convex pieces of an object of the families."""
     if isinstance(parameters, MugParameters):
         vessel = mug_vessel(parameters)
         assert solid.handle is not None
@@ -121,12 +121,12 @@ def collision_pieces(parameters: Parameters, solid: Solid) -> list[CollisionPiec
 def occupancy_grid(
     model: ObjectModel, resolution: int = 32, supersample: int = 4
 ) -> Float[np.ndarray, "r r r"]:
-    """Occupancy grid in [0, 1], float32; conventions in grids.py."""
+    """Return the occupancy grid in [0, 1], float32; conventions in grids.py."""
     if isinstance(model.shape, Solid):
         return solid_grid(model.shape, resolution, supersample)
     return sampled_grid(model.shape.inside, model.shape.bounds, resolution, supersample)
 
 
 def canonical_scale(model: ObjectModel) -> tuple[float, Float[np.ndarray, "3"]]:
-    """(scale, centre) of the model's grid: p_object = centre + scale * p_canonical."""
+    """Return (scale, centre) of the model's grid: p_object = centre + scale * p_canonical."""
     return canonical_frame(model.shape.bounds)

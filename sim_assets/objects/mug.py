@@ -2,6 +2,9 @@
 
 Held out for testing are the body families below the line and the handle curves of the table in handles.py.
 
+Median IoU of a grid with the nearest of 1,000 training grids: 0.68 for training draws, 0.62 (tulip), 0.62
+(barrel) and 0.65 (stepped) for test draws.
+
 | body     | split | radius over height, u = z / height                              |
 | -------- | ----- | --------------------------------------------------------------- |
 | straight | train | constant                                                        |

@@ -1,4 +1,4 @@
-"""Which objects a task is given: so many of each class, drawn from the families of a split."""
+"""Samples the objects of a task: a number of each class from the families of a split."""
 
 from __future__ import annotations
 
@@ -9,17 +9,16 @@ import numpy as np
 from perception.types import CATEGORIES, Category
 from sim_assets.objects import ObjectModel, Split, sample_object
 
-NESTING_STEP = 0.012  # [m] by which the radii of bowls that are to nest should differ
+NESTING_STEP = 0.012  # smallest difference between the radii of bowls that are to nest [m]
 _TRIES = 60
 
 
 def draw_objects(
     counts: Mapping[Category, int], split: Split, rng: np.random.Generator
 ) -> tuple[ObjectModel, ...]:
-    """Draw the objects of a task: so many of each class.
+    """Sample the objects of a task in random order.
 
-    Several bowls are drawn as a set that can be nested, the largest lowest: neighbours in size differ by
-    NESTING_STEP in radius, or by as much as was found in some tries. The order is random.
+    Several bowls are sampled by ``nestable``, as a set that can be nested.
     """
     drawn: list[ObjectModel] = []
     for category in CATEGORIES:
@@ -32,9 +31,9 @@ def draw_objects(
 
 
 def nestable(draw: Callable[[], ObjectModel], count: int) -> list[ObjectModel]:
-    """``count`` bowls whose radii differ by NESTING_STEP; a bowl too like one that is there is drawn again.
+    """Sample ``count`` bowls whose radii differ by at least NESTING_STEP, by rejection.
 
-    After enough tries the bowl that differs most is taken.
+    After _TRIES rejections the candidate whose radius differs most is taken.
     """
     bowls: list[ObjectModel] = []
 

@@ -1,7 +1,7 @@
-"""Solids that the object families are made of: a turned body, and a swept handle outside its core.
+"""Solids of the object families: a body of revolution, and a swept handle outside its core.
 
-Both answer three questions from the same few curves: which points are inside, where is the bounding box, and
-what does the surface look like. Object frame: z up, base on z = 0, axis x = y = 0, handle along +x; [m].
+Inside test, bounding box and surface mesh derive from the same curves. Object frame: z up,
+base on z = 0, axis x = y = 0, handle along +x; [m].
 """
 
 from __future__ import annotations
@@ -130,7 +130,7 @@ class LobedSection:
 
 @dataclass(frozen=True)
 class Lathe:
-    """A body turned from a profile, round or with another section."""
+    """A body of revolution of a profile, with a circular or another section."""
 
     profile: Curve
     section: Section | None = None
@@ -181,9 +181,9 @@ class Handle:
     exponent: float
 
     def half_width(self, x: Float[np.ndarray, "n"], z: Float[np.ndarray, "n"]) -> Float[np.ndarray, "n"]:
-        """How far the handle reaches along ±y over the points (x, z) [m]; 0 beside it.
+        """Return the half width of the handle along y at points (x, z) [m]; 0 outside its silhouette.
 
-        The centreline's points are so close together that the nearest segment starts or ends at the nearest.
+        The centreline is sampled densely: the nearest segment starts or ends at the nearest point.
         """
         points = np.stack([x, z], axis=1)
         last = len(self.centreline) - 1
@@ -257,13 +257,13 @@ class Solid:
     core: Curve | None = None
 
     def core_radius(self, z: Float[np.ndarray, "n"]) -> Float[np.ndarray, "n"]:
-        """Radius within which there is no handle; above the rim that of the rim."""
+        """Return the radius within which the handle is cut off; above the rim, that of the rim."""
         assert self.core is not None
         radius = np.interp(z, self.core[:, 1], self.core[:, 0])
         return np.where(z < self.core[0, 1], 0.0, radius)
 
     def inside(self, points: Float[np.ndarray, "n 3"]) -> Bool[np.ndarray, "n"]:
-        """Which points of the object frame are material."""
+        """Return which points of the object frame are inside the material."""
         inside = self.body.inside(points)
         if self.handle is not None:
             outside_core = np.hypot(points[:, 0], points[:, 1]) > self.core_radius(points[:, 2])
@@ -271,7 +271,7 @@ class Solid:
         return inside
 
     def is_handle(self, points: Float[np.ndarray, "n 3"], margin: float = 5e-4) -> Bool[np.ndarray, "n"]:
-        """Which points of the surface belong to the handle: on it, and clear of the body by 1 mm."""
+        """Return which surface points belong to the handle: on it, and 1 mm clear of the body."""
         if self.handle is None:
             return np.zeros(len(points), dtype=bool)
         swollen = Handle(

@@ -22,7 +22,7 @@ from sim_assets.objects.mesh_shape import MeshShape
 from sim_assets.objects.model import HEAVIEST, LIGHTEST, ObjectModel
 
 SUFFIXES = (".ply", ".obj", ".glb", ".stl")
-SMALLEST, LARGEST = 0.02, 0.5  # longest side of what the cell can handle [m]
+SMALLEST, LARGEST = 0.02, 0.5  # range of the longest side [m]
 DENSITIES = {"mug": 2300.0, "bowl": 2000.0, "bottle": 500.0, "can": 700.0}  # [kg/m³], contents included
 SNUG = 0.002  # [m]
 
@@ -31,7 +31,7 @@ def load_user_objects(directory: Path | str) -> list[ObjectModel]:
     """Every mesh under a folder, by class and file name.
 
     Raises:
-        ObjectFileError: no such folder, a folder that is no class, no meshes, or an unusable mesh.
+        ObjectFileError: the folder is missing, has an unknown class or no meshes, or a mesh is unusable.
     """
     return [load_user_object(path, category) for path, category in mesh_files(directory)]
 
@@ -40,7 +40,7 @@ def mesh_files(directory: Path | str) -> list[tuple[Path, Category]]:
     """The mesh files under a folder with their classes, by class and file name.
 
     Raises:
-        ObjectFileError: no such folder, a folder that is no class, or no meshes.
+        ObjectFileError: the folder is missing, or has an unknown class or no meshes.
     """
     directory = Path(directory)
     if not directory.is_dir():
@@ -65,7 +65,7 @@ def load_user_object(path: Path | str, category: Category, collision: bool = Tru
     """One mesh file as an object; without its collision pieces, which take long, it cannot be simulated.
 
     Raises:
-        ObjectFileError: the file is unreadable, empty, not watertight, or of an absurd size.
+        ObjectFileError: the file is unreadable, empty, not watertight, or of an implausible size.
     """
     path = Path(path)
     mesh = load_user_mesh(path, category)
@@ -77,16 +77,16 @@ def load_user_object(path: Path | str, category: Category, collision: bool = Tru
 def load_user_mesh(
     path: Path, category: Category, y_up: bool = False, length: float | None = None
 ) -> trimesh.Trimesh:
-    """The mesh of a file, checked and moved into the object frame.
+    """Return the mesh of a file, checked and moved into the object frame.
 
     Args:
-        path: of the file.
-        category: what it shows.
-        y_up: whether the file's y axis points up, as in ShapeNet, and not z.
-        length: of the longest side that the mesh is scaled to [m]; as it is by default.
+        path: path of the mesh file.
+        category: class of the object.
+        y_up: whether the file's y axis points up, as in ShapeNet, instead of z.
+        length: length that the longest side is scaled to [m]; not scaled by default.
 
     Raises:
-        ObjectFileError: the file is unreadable, empty, not watertight, or of an absurd size.
+        ObjectFileError: the file is unreadable, empty, not watertight, or of an implausible size.
     """
     return _in_object_frame(_read(path, y_up, length), category)
 

@@ -1,4 +1,4 @@
-"""How a depth camera errs: not at all, by a constant Gaussian, or as a RealSense-like stereo camera does.
+"""Depth noise models: none, constant Gaussian, or that of a RealSense-like stereo camera.
 
 The stereo model measures disparity ``d = f b / z``: an error of ``s`` pixels in d is one of ``s z^2 / (f b)``
 in depth, correlated over neighbouring pixels by the matching window, and d comes in steps. Matching fails on

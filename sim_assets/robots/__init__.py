@@ -1,4 +1,4 @@
-"""The arms that come along, and users' own: ``load_robot`` gives either by its name or its robot file."""
+"""Simulated arms: the shipped ones by name, users' own by robot file."""
 
 from __future__ import annotations
 
@@ -26,10 +26,10 @@ SHIPPED = (PANDA, *sorted(path.parent.name for path in _FOLDER.glob(f"*/{ROBOT_F
 
 
 def load_robot(spec: str) -> SimulatedArm:
-    """A shipped arm by its name, or the arm of a robot file by its path.
+    """Load a shipped arm by name, or the arm of a robot file by path.
 
     Raises:
-        RobotFileError: there is no such arm, or its file is unusable; the message says why.
+        RobotFileError: the arm is unknown, or its file is unusable.
     """
     if spec == PANDA:
         return panda()
@@ -38,7 +38,7 @@ def load_robot(spec: str) -> SimulatedArm:
 
 @functools.cache
 def panda() -> SimulatedArm:
-    """The arm of ``sim_assets.robots.panda_arm``."""
+    """Return the arm of ``sim_assets.robots.panda_arm``."""
     return SimulatedArm(
         description=arm_description(),
         add=_add_dressed_panda,

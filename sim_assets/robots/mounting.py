@@ -1,7 +1,7 @@
-"""Brings a user's MJCF into a scene, and into the form that planning takes.
+"""Attaches a user's MJCF arm to a scene, and reduces it to the planning model.
 
-Collision geoms are those of group 3, as in MuJoCo Menagerie; all others are for show. Gravity is taken off
-the arm's bodies, as the controller of a real arm does.
+Collision geoms are those of group 3, as in MuJoCo Menagerie; all others are visual. Gravity is compensated on
+the arm's bodies, as a real arm's controller does.
 """
 
 from __future__ import annotations
@@ -23,7 +23,7 @@ PREFIX = "robot_"  # of every name of the arm in scenes and in planning
 
 @dataclass(frozen=True)
 class Frame:
-    """Where something is in its parent: position in [m], quaternion wxyz."""
+    """Pose in the parent frame: position in [m], quaternion wxyz."""
 
     position: Float[np.ndarray, "3"]
     quaternion: Float[np.ndarray, "4"]
@@ -31,14 +31,14 @@ class Frame:
 
 @dataclass(frozen=True)
 class Mount:
-    """Where an arm comes from and how it stands.
+    """MJCF file of an arm and its pose in the scene.
 
     Attributes:
-        mjcf: file of the arm.
-        base: of the file's world in the scene's.
-        camera_site: the wrist camera's optical frame (OpenCV axes).
-        fingers: the finger joints; collision geoms of what they move are pads.
-        sites: name, body and frame of the sites to add to it.
+        mjcf: path of the arm's MJCF file.
+        base: pose of the file's world in the scene's.
+        camera_site: site of the wrist camera's optical frame (OpenCV axes).
+        fingers: names of the finger joints; collision geoms below them are pads.
+        sites: name, body and pose of the sites to add.
     """
 
     mjcf: Path
@@ -49,7 +49,7 @@ class Mount:
 
 
 def load(mount: Mount) -> MjSpec:
-    """The file with the added sites, ready for a scene but for the base.
+    """Load the arm's specification and add its sites.
 
     Raises:
         RobotFileError: the file is missing or no MJCF, or lacks a body or joint.
@@ -90,7 +90,7 @@ def add_to_scene(mount: Mount, spec: MjSpec, fovy: float) -> None:
 
 
 def planning_mjcf(mount: Mount, model: MjModel) -> str:
-    """The arm's chain and collision geoms as text that needs no other file.
+    """Return the arm's kinematic chain and collision geoms as self-contained MJCF.
 
     Args:
         model: compiled from the same specification.
@@ -111,14 +111,14 @@ def planning_mjcf(mount: Mount, model: MjModel) -> str:
         child.delete(element)
     spec = mujoco.MjSpec()
     spec.modelname = "arm"
-    spec.compiler.boundmass, spec.compiler.boundinertia = 1e-3, 1e-6  # what geoms for show weighed is gone
+    spec.compiler.boundmass, spec.compiler.boundinertia = 1e-3, 1e-6  # visual geoms were removed
     _attach(spec, child, mount.base)
     spec.compile()
     return spec.to_xml()
 
 
 def _attach(spec: MjSpec, child: MjSpec, base: Frame) -> None:
-    # What the file says of whole scenes (time step, gravity) gives way in silence, not with warnings.
+    # Scene-wide options of the file (time step, gravity) yield to the scene's, without warnings.
     for given, kept in ((child.option, spec.option), (child.visual.map, spec.visual.map)):
         _set(given, **{name: getattr(kept, name) for name in dir(kept) if not name.startswith("_")})
     child.memory, child.nuserdata = spec.memory, spec.nuserdata
@@ -127,7 +127,7 @@ def _attach(spec: MjSpec, child: MjSpec, base: Frame) -> None:
 
 
 def _suit_contacts(spec: MjSpec, mount: Mount) -> None:
-    """Collision geoms meet everything but the arm itself, fingers hold; what is for show meets nothing."""
+    """Set collision filters (none within the arm or with visual geoms) and the pads' contact parameters."""
     for geom in spec.geoms:
         touches = geom.group == COLLISION_GROUP
         _set(geom, **(ARM_CONTACT if touches else {"contype": 0, "conaffinity": 0}))
@@ -150,7 +150,7 @@ def _set(element: object, **values: object) -> None:
 
 
 def _embed(spec: MjSpec, name: str, model: MjModel) -> None:
-    """Replace a mesh by its compiled vertices, moved back to where the file has them."""
+    """Replace a mesh file by its compiled vertices in the file's frame."""
     mesh, index = spec.mesh(name), model.mesh(name).id
     start = model.mesh_vertadr[index]
     vertices = model.mesh_vert[start : start + model.mesh_vertnum[index]]

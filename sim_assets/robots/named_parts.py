@@ -1,4 +1,4 @@
-"""Whether an MJCF has the parts that a robot file names, and whether they are what the cell expects."""
+"""Checks that an MJCF has the parts named by its robot file, of the kinds that a cell requires."""
 
 from __future__ import annotations
 
@@ -16,7 +16,7 @@ _TOLERANCE = 1e-4  # [m], [rad]
 
 
 def compiled(path: Path, mount: Mount) -> MjModel:
-    """The arm alone.
+    """Compile the arm alone.
 
     Raises:
         RobotFileError: its MJCF does not compile.
@@ -29,10 +29,10 @@ def compiled(path: Path, mount: Mount) -> MjModel:
 
 
 def check_parts(path: Path, model: MjModel, robot: SimulatedArm) -> None:
-    """Refuse an arm that could not work in a cell.
+    """Reject an arm that cannot work in a cell.
 
     Raises:
-        RobotFileError: a part is missing or of the wrong kind; the message says which.
+        RobotFileError: a part is missing or of the wrong kind.
     """
     problem = next(iter(_problems(model, robot)), None)
     if problem is not None:
@@ -40,7 +40,7 @@ def check_parts(path: Path, model: MjModel, robot: SimulatedArm) -> None:
 
 
 def _problems(model: MjModel, robot: SimulatedArm) -> Iterator[str]:
-    """What is wrong, the causes before their consequences."""
+    """Yield the problems, causes before consequences."""
     arm = robot.description
     wanted = {
         "joint": ((model.joint(i).name for i in range(model.njnt)), arm.joint_names + arm.finger_joint_names),

@@ -5,7 +5,7 @@ closing direction. The wrist camera's optical frame follows OpenCV (x right, y d
 along the hand's z, with the hand's x up in the image, so that the closed fingers stay out of view.
 
 Geometry: modified (Craig) Denavit-Hartenberg parameters, written as nested bodies. Collision shapes are
-capsules (boxes for the finger pads) in group 3; the visible shell is in ``arm_visuals``.
+capsules (boxes for the finger pads) in group 3; the visual shell is in ``panda_visuals``.
 """
 
 from __future__ import annotations
@@ -40,7 +40,7 @@ VELOCITY_GAINS = POSITION_GAINS / 10
 GRIPPER_GAIN = 2000.0  # [N/m] on the mean finger opening
 FULL_CLOSE = -0.1  # [m], a command the fingers never reach: they press with all their force
 
-# Published limits, and the share of them that looks like a robot at work: TCP 1.1 m/s, 59 % of J6's torque.
+# Published limits and the shares of them in use: the TCP reaches 1.1 m/s at 59 % of joint 6's torque.
 _VELOCITY = np.array([2.175, 2.175, 2.175, 2.175, 2.61, 2.61, 2.61])
 _ACCELERATION = np.array([15, 7.5, 10, 12.5, 15, 20, 20])
 _JERK = np.array([7500.0, 3750, 5000, 6250, 7500, 10000, 10000])

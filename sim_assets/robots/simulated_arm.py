@@ -1,4 +1,4 @@
-"""What a cell has to know of the arm that works in it."""
+"""SimulatedArm: the planner's description of an arm plus what the simulator needs."""
 
 from __future__ import annotations
 
@@ -9,8 +9,8 @@ from manipulation.robot import ArmDescription
 from sim_assets.rendering.headless import MjSpec
 
 WRIST_CAMERA = "wrist"  # the camera's name in every scene, whatever the arm
-ARM_CONTACT = {"contype": 2, "conaffinity": 1}  # meets everything but itself: objects have both bits set
-PAD_CONTACT = {  # with MuJoCo's soft default a gripped can slips 8 mm and a mug turns by 14 degrees
+ARM_CONTACT = {"contype": 2, "conaffinity": 1}  # collides with all but itself: objects have both bits set
+PAD_CONTACT = {  # at MuJoCo's softer default a grasped can slips by 8 mm and a mug rotates by 14 degrees
     "friction": (1.0, 0.01, 0.0005), "condim": 4, "priority": 1,
     "solref": (0.004, 1), "solimp": (0.95, 0.99, 0.001, 0.5, 2),
 }  # fmt: skip
@@ -18,15 +18,15 @@ PAD_CONTACT = {  # with MuJoCo's soft default a gripped can slips 8 mm and a mug
 
 @dataclass(frozen=True)
 class SimulatedArm:
-    """An arm as planning knows it, and what the simulator needs besides.
+    """An arm's description for planning, with its actuators and wrist camera in the simulator.
 
     Attributes:
-        description: the arm alone, for planning; its names are those of the scene.
-        add: adds the arm, its looks, its servos and the camera ``wrist`` to the specification of a scene.
-        actuators: position servos of the arm joints, in their order.
-        gripper_actuator: drives both fingers.
-        open, closed: its command for the full width, and for pads that meet.
-        press: its command for closing with full force.
+        description: kinematics, collision shapes and limits, with the names used in scenes.
+        add: adds the arm with visual geoms, servos and the camera ``wrist`` to a scene's specification.
+        actuators: names of the joints' position servos, in joint order.
+        gripper_actuator: name of the actuator that drives both fingers.
+        open, closed: command at the full width, and with the pads in contact.
+        press: command for closing with full force.
         fovy: vertical field of view of the wrist camera in [deg].
     """
 
@@ -40,5 +40,5 @@ class SimulatedArm:
     fovy: float
 
     def gripper_command(self, opening: float) -> float:
-        """The actuator's command for each finger to open by ``opening`` in [m]."""
+        """Return the gripper command at which each finger is open by ``opening`` [m]."""
         return self.closed + opening * ((self.open - self.closed) / (self.description.max_width / 2))

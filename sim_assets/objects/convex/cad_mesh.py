@@ -22,14 +22,14 @@ from perception.types import Category
 
 logger = logging.getLogger(__name__)
 
-VERSION = "6"  # of this recipe: part of the cache's key
+VERSION = "6"  # of the algorithm: part of the cache key
 WEDGES = {"mug": 16, "bowl": 20}
 LEVELS = (0.0, 0.12, 0.3, 0.6, 1.0)  # of a vessel, over the height above its base
 SLICES = 12  # of a closed body
 BASE = 0.002  # [m]
-EXCESS = 1.2e-3  # what a hull may add to the thickness of a part, on average [m]
+EXCESS = 1.2e-3  # largest mean thickness that a hull may add to a part [m]
 HULL_VERTICES = 32
-MOST_HULLS = 3  # that coacd may make of one part
+MOST_HULLS = 3  # largest number of hulls of one part
 
 
 def cache_folder() -> Path:
@@ -61,7 +61,7 @@ def cad_pieces(mesh: trimesh.Trimesh, category: Category, name: str) -> list[Flo
 
 
 def _store(path: Path, pieces: list[np.ndarray]) -> None:
-    """Write whole or not at all; a cache that cannot be written costs time, nothing else."""
+    """Write the cache atomically; a failure is logged and otherwise ignored."""
     partial = path.with_suffix(f".{os.getpid()}.tmp")
     try:
         path.parent.mkdir(parents=True, exist_ok=True)

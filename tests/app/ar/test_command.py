@@ -24,7 +24,7 @@ from perception.io.object_map import write_object_map
 from perception.io.recordings.trajectory import Trajectory, write_trajectory
 from perception.io.scan_folder import write_scan
 from perception.types import CameraIntrinsics, ObjectEstimate, RgbdFrame, SupportPlane
-from sim_assets.cell.drop_world import DropWorld, StaticObject, Toy, View
+from sim_assets.cell.drop_world import DropWorld, RecordedCamera, StaticObject, Toy
 from sim_assets.objects.convex.perceived_mesh import measure, perceived_pieces
 from sim_assets.rendering.camera import look_at
 
@@ -85,7 +85,7 @@ def test_rain_falls_over_the_objects_and_rests_on_the_support(standing: Standing
 
 def test_a_toy_appears_in_the_pixel_its_place_projects_to_and_casts_a_shadow() -> None:
     toy = Toy("ball", 0.012, np.array([0.05, 0.03, 0.06]), 0.0, (1, 0, 0))
-    world = DropWorld([], [toy], SupportPlane(), np.eye(4), [View(LENS, ABOVE)])
+    world = DropWorld([], [toy], SupportPlane(), np.eye(4), [RecordedCamera(LENS, ABOVE)])
     bare, now = world.render(0, toys=False), world.render(0)
     world.close()
     local = ABOVE[:3, :3].T @ (toy.position - ABOVE[:3, 3])

@@ -3,7 +3,7 @@ import pytest
 
 from app.ar.composite import DARKEST, TOLERANCE, Backdrop, composite, shadow_of, visible_toys
 from perception.types import CameraIntrinsics, RgbdFrame
-from sim_assets.cell.drop_world import Rendering
+from sim_assets.cell.drop_world import DropRendering
 from sim_assets.rendering.camera import look_at
 
 LENS = CameraIntrinsics(160, 120, 150.0, 150.0, 75.0, 65.0)
@@ -24,10 +24,10 @@ def test_measured_depth_hides_what_lies_behind_it():
     red = np.where(toys[..., None], np.array([255, 0, 0], np.uint8), white)
     near, far = np.full(toys.shape, 0.4, np.float32), np.full(toys.shape, 0.6, np.float32)
     frame = table_frame(ABOVE)
-    backdrop = Backdrop.of(frame, Rendering(white, far, np.zeros_like(toys)))
-    assert (visible_toys(backdrop, Rendering(red, near, toys)) == toys).all()
-    assert not visible_toys(backdrop, Rendering(red, far, toys)).any()
-    shown, hidden = (composite(backdrop, Rendering(red, depth, toys)) for depth in (near, far))
+    backdrop = Backdrop.of(frame, DropRendering(white, far, np.zeros_like(toys)))
+    assert (visible_toys(backdrop, DropRendering(red, near, toys)) == toys).all()
+    assert not visible_toys(backdrop, DropRendering(red, far, toys)).any()
+    shown, hidden = (composite(backdrop, DropRendering(red, depth, toys)) for depth in (near, far))
     np.testing.assert_allclose(shown[60, 80], (255, 0, 0), atol=2)
     np.testing.assert_array_equal(hidden[60, 80], frame.rgb[60, 80])
     np.testing.assert_array_equal(shown[5, 5], frame.rgb[5, 5])
@@ -35,7 +35,7 @@ def test_measured_depth_hides_what_lies_behind_it():
 
 def grey(level, toys, depth=0.6):
     color = np.full((*toys.shape, 3), level, np.uint8)
-    return Rendering(color, np.full(toys.shape, depth, np.float32), toys)
+    return DropRendering(color, np.full(toys.shape, depth, np.float32), toys)
 
 
 @pytest.mark.parametrize(("behind", "visible"), [(0.9 * TOLERANCE, True), (1.1 * TOLERANCE, False)])

@@ -49,7 +49,7 @@ def test_objects_and_distractors_are_of_the_test_split(
     monkeypatch.setattr(
         training_scenes, "random_distractor", spy("distractor", training_scenes.random_distractor, 1)
     )
-    monkeypatch.setattr(training_scenes, "odd_thing", spy("odd", training_scenes.odd_thing, 0))
+    monkeypatch.setattr(training_scenes, "random_parts", spy("odd", training_scenes.random_parts, 0))
     monkeypatch.setattr(training_scenes, "TableTop", stop)
     with pytest.raises(PoolDrawn) as caught:
         detection.run_chunk(options(tmp_path), tmp_path, 0)
@@ -68,7 +68,7 @@ def test_scenes_have_distractors_and_the_asked_depth_noise(
     config = detection._scene_config(options(tmp_path, depth_noise=noise))
     assert config.noises == shares and config.renderer == "classic"
     assert config.objects == (4, 10) and config.extras == (1, 4)
-    assert config.odd == 0 and config.drawn_in == 0  # training-only variations
+    assert config.random_parts == 0 and config.drawn_in == 0  # training-only variations
 
 
 @pytest.fixture

@@ -14,7 +14,7 @@ from sim_assets.robots.panda_arm import arm_description
 
 @pytest.fixture(scope="module")
 def world():
-    can = sample_object("can", "test", np.random.default_rng(2))
+    can = sample_object("can", "train", np.random.default_rng(2))  # straight: as wide anywhere
     region = Region(x=(0.5, 0.5001), y=(-0.1, -0.0999))
     with World(CellConfig((can,), seed=0, region=region)) as world:
         yield world

@@ -35,10 +35,17 @@ def test_physics_is_what_grasps_were_measured_with(cell):
     assert option.timestep == 0.002 and option.impratio == 10
     assert option.integrator == mujoco.mjtIntegrator.mjINT_IMPLICITFAST
     assert option.cone == mujoco.mjtCone.mjCONE_ELLIPTIC
-    pad = model.geom("left_pad")
-    np.testing.assert_allclose(pad.solref, (0.004, 1))
-    assert pad.priority == 1 and pad.condim == 4
-    assert model.geom("object0_piece0").friction[0] == 0.6
+    np.testing.assert_allclose(option.gravity, (0, 0, -9.81))
+    assert option.disableflags == 0 and option.enableflags == 0  # no sleeping bodies, no contact override
+    for name in ("left_pad", "right_pad"):
+        pad = model.geom(name)
+        np.testing.assert_allclose(pad.friction, (1.0, 0.01, 0.0005))
+        np.testing.assert_allclose(pad.solref, (0.004, 1))
+        assert pad.priority == 1 and pad.condim == 4
+    for name in ("object0_piece0", "object1_piece0", "table", "box_floor"):
+        np.testing.assert_allclose(model.geom(name).friction, (0.6, 0.005, 0.0001))
+        assert model.geom(name).priority == 0 and model.geom(name).condim == 4
+    np.testing.assert_allclose(model.actuator("gripper").forcerange, (-140, 140))
 
 
 def test_arm_touches_everything_but_itself(cell):

@@ -88,3 +88,9 @@ def iter_from(sequence, number):
     for _ in range(number):
         next(images)
     return images
+
+
+def test_objects_come_from_the_held_out_families():
+    sequence = TableSequence(3, SequenceConfig(objects=3, frames=2, width=64, height=48))
+    assert {item.model.split for item in sequence.objects} == {"test"}
+    assert {item.model.category for item in sequence.objects} == {"mug", "bowl", "bottle"}

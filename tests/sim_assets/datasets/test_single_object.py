@@ -3,10 +3,10 @@
 import numpy as np
 import pytest
 
-from sim_assets.datasets.single_object import PortraitConfig, take_portrait
+from sim_assets.datasets.single_object import SingleObjectConfig, render_single_object
 from sim_assets.objects import sample_object
 
-EXACT = PortraitConfig(width=160, height=120, depth_noise="none")
+EXACT = SingleObjectConfig(width=160, height=120, depth_noise="none")
 
 
 @pytest.fixture(scope="module")
@@ -16,7 +16,7 @@ def bottle():
 
 @pytest.fixture(scope="module")
 def portrait(bottle):
-    return take_portrait(bottle, 3, np.random.default_rng(5), EXACT)
+    return render_single_object(bottle, 3, np.random.default_rng(5), EXACT)
 
 
 def points_above_table(frame):
@@ -39,7 +39,7 @@ def test_object_is_whole_in_every_view_and_where_the_truth_says(bottle, portrait
 
 
 def test_same_seed_same_portrait(bottle, portrait):
-    again = take_portrait(bottle, 3, np.random.default_rng(5), EXACT)
+    again = render_single_object(bottle, 3, np.random.default_rng(5), EXACT)
     np.testing.assert_array_equal(again.frames[1].depth, portrait.frames[1].depth)
     np.testing.assert_array_equal(again.frames[1].rgb, portrait.frames[1].rgb)
     assert not np.array_equal(portrait.frames[0].depth, portrait.frames[1].depth)

@@ -9,8 +9,8 @@ from trimesh import creation
 import sim_assets.datasets.training_scenes as training_scenes
 from perception.types import CATEGORIES
 from sim_assets.cell.layout import gap
-from sim_assets.datasets.distractors import odd_thing, random_distractor
-from sim_assets.datasets.scatter import make_thing, scatter
+from sim_assets.datasets.distractors import random_distractor, random_parts
+from sim_assets.datasets.scatter import make_item, scatter
 from sim_assets.datasets.table_top import TrainingSceneConfig
 from sim_assets.datasets.training_scenes import TrainingScenes
 from sim_assets.objects.can import FOOT, sample_can
@@ -82,10 +82,10 @@ def test_same_seed_same_pictures(pictures):
 
 def test_touching_neighbours_touch_and_nothing_overlaps():
     rng = np.random.default_rng(0)
-    things = [make_thing("can", creation.cylinder(radius=r, height=0.1)) for r in rng.uniform(0.02, 0.06, 8)]
-    things += [make_thing(None, creation.box((0.1, 0.04, 0.05)))]
-    poses = scatter(things, rng, 0.05, 0.3, touching=1.0)
-    placed = [pose.transform(thing.outline) for thing, pose in zip(things, poses, strict=True) if pose]
+    items = [make_item("can", creation.cylinder(radius=r, height=0.1)) for r in rng.uniform(0.02, 0.06, 8)]
+    items += [make_item(None, creation.box((0.1, 0.04, 0.05)))]
+    poses = scatter(items, rng, 0.05, 0.3, touching=1.0)
+    placed = [pose.transform(item.outline) for item, pose in zip(items, poses, strict=True) if pose]
     assert len(placed) > 5
     nearest = [min(gap(a, b) for j, b in enumerate(placed) if j != i) for i, a in enumerate(placed)]
     assert min(nearest) > 0 and max(nearest) < 0.008
@@ -107,14 +107,16 @@ def test_an_unhidden_thing_fills_its_outline(pictures):
 
 def test_distractors_rest_on_the_table_and_are_of_a_size_to_stand_there():
     rng = np.random.default_rng(0)
-    for mesh in [random_distractor(rng, "test") for _ in range(40)] + [odd_thing(rng) for _ in range(40)]:
+    for mesh in [random_distractor(rng, "test") for _ in range(40)] + [random_parts(rng) for _ in range(40)]:
         bounds = mesh.bounds
         assert bounds[0, 2] == pytest.approx(0, abs=1e-9)
         assert np.all(np.ptp(bounds, axis=0) < 0.45) and np.all(np.ptp(bounds, axis=0) > 0.002)
 
 
 def test_the_pool_is_shared_out_as_asked_and_straight_tumblers_stay_out(monkeypatch):
-    config = replace(SMALL, pool=10, distractors=6, shares=(2, 0, 2, 1), odd=1.0, plain_tumblers=False)
+    config = replace(
+        SMALL, pool=10, distractors=6, shares=(2, 0, 2, 1), random_parts=1.0, plain_tumblers=False
+    )
     drawn = []
 
     def sample(category, split, rng):
@@ -122,8 +124,8 @@ def test_the_pool_is_shared_out_as_asked_and_straight_tumblers_stay_out(monkeypa
         return drawn[-1]
 
     monkeypatch.setattr(training_scenes, "sample_parameters", sample)
-    things = training_scenes._draw_things("train", config, np.random.default_rng(1))
-    kinds = [thing.category for thing in things]
+    items = training_scenes._draw_items("train", config, np.random.default_rng(1))
+    kinds = [item.category for item in items]
     assert [kinds.count(c) for c in (*CATEGORIES, None)] == [4, 0, 4, 2, 6]
     plain = [o for o in drawn if getattr(o, "kind", "") == "tumbler" and o.bend < 0.1]
     assert len(drawn) == 10 + len(plain)
@@ -143,3 +145,21 @@ def test_flat_and_lidded_training_cans_may_stand_on_a_foot_and_no_others_change(
         else:
             assert after is before
     assert [training_scenes._perhaps_drawn_in(can, 0.0, rng) for can in cans] == cans
+
+
+@pytest.mark.parametrize("split", ["train", "test"])
+def test_objects_and_distractors_come_from_the_split(monkeypatch, split):
+    asked = []
+
+    def sample(category, which, rng):
+        asked.append(which)
+        return sample_parameters("can", which, rng)
+
+    def distractor(rng, which="train"):
+        asked.append(which)
+        return creation.box((0.05, 0.05, 0.05))
+
+    monkeypatch.setattr(training_scenes, "sample_parameters", sample)
+    monkeypatch.setattr(training_scenes, "random_distractor", distractor)
+    training_scenes._draw_items(split, replace(SMALL, pool=4), np.random.default_rng(0))
+    assert asked == [split] * 8

@@ -6,12 +6,11 @@ import pytest
 from manipulation.kinematics import Kinematics
 from manipulation.robot import Robot
 from manipulation.trajectories import JointLimits, MotionConfig, joint_move
-from sim_assets.cell import ground_truth
+from sim_assets.cell import ground_truth, viewer_meshes
 from sim_assets.cell.layout import Region
 from sim_assets.cell.scene import build_scene
 from sim_assets.cell.world import CellConfig, World
 from sim_assets.objects import sample_object
-from sim_assets.rendering import viewer_meshes
 from sim_assets.rendering.headless import mujoco
 from sim_assets.robots import SHIPPED, load_robot, panda
 from sim_assets.robots.panda_arm import ARM_JOINTS, POSITION_GAINS, VELOCITY_GAINS

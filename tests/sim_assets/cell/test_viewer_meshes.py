@@ -6,7 +6,7 @@ import trimesh
 from trimesh.visual import TextureVisuals
 from trimesh.visual.material import PBRMaterial
 
-from sim_assets.rendering.viewer_meshes import LARGEST_MESH, _simplified
+from sim_assets.cell.viewer_meshes import LARGEST_MESH, _simplified
 
 
 def ball(subdivisions: int, textured: bool) -> trimesh.Trimesh:

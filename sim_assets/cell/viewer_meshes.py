@@ -1,7 +1,7 @@
-"""What the bodies of a cell look like, as meshes for viewers, and where arm and sites are.
+"""Meshes of a cell's bodies for viewers, and the poses of the arm's bodies and sites.
 
-mjviser turns MuJoCo's geoms into meshes. What it leaves out is added here: textures on boxes (table, walls),
-and how glossy a material is. Shapes only: where the objects stand is read in ``ground_truth`` alone.
+mjviser converts MuJoCo's geoms to meshes; textures of boxes (table, walls) and roughness are added here. The
+poses of objects are ground truth and therefore not available here.
 """
 
 from __future__ import annotations
@@ -18,15 +18,15 @@ from trimesh.visual.material import PBRMaterial
 from sim_assets.cell.world import World
 from sim_assets.rendering.headless import MjModel, mujoco
 
-COLLISION_GROUP = 3  # geoms from here on are for touching, not for looking at
+COLLISION_GROUP = 3  # first geom group without visual geoms
 TEXTURE_SIDE = 512  # [px] largest side of a texture in a viewer
-LARGEST_MESH = 4000  # [triangles] a browser without a GPU draws ten such objects and stays responsive
+LARGEST_MESH = 4000  # [triangles]; ten such objects stay interactive in a browser without a GPU
 SITES = ("tcp", "camera")
 SCENERY = "world"
 
 
 def body_meshes(world: World) -> dict[str, tuple[trimesh.Trimesh, ...]]:
-    """The visible meshes of every body by its name, in its frame in [m]; what stands fast is ``world``."""
+    """Return the visual meshes of every body in its frame [m], by name; static geoms belong to ``world``."""
     model = world._model
     meshes: dict[str, list[trimesh.Trimesh]] = {}
     for geom in range(model.ngeom):
@@ -42,12 +42,12 @@ def body_meshes(world: World) -> dict[str, tuple[trimesh.Trimesh, ...]]:
 
 
 def moving_bodies(world: World) -> tuple[str, ...]:
-    """Names of what ``poses`` tells the poses of: the arm's bodies, then the sites."""
+    """Return the names of the rows of ``poses``: the arm's bodies, then the sites."""
     return (*(world._model.body(body).name for body in _arm_bodies(world._model)), *SITES)
 
 
 def poses(world: World) -> Float[np.ndarray, "n 7"]:
-    """Position [m] and quaternion wxyz in the world of ``moving_bodies``."""
+    """Return positions [m] and quaternions wxyz of ``moving_bodies`` in the world frame."""
     data = world._data
     bodies = _arm_bodies(world._model)
     result = np.empty((len(bodies) + len(SITES), 7))
@@ -60,13 +60,13 @@ def poses(world: World) -> Float[np.ndarray, "n 7"]:
 
 
 def _arm_bodies(model: MjModel) -> list[int]:
-    """Bodies that joints move, free bodies left out."""
+    """Return the bodies moved by joints, free bodies excluded."""
     free = {int(body) for body in model.jnt_bodyid[model.jnt_type == mujoco.mjtJoint.mjJNT_FREE]}
     return [body for body in range(1, model.nbody) if model.body_weldid[body] and body not in free]
 
 
 def _mesh(model: MjModel, geom: int) -> trimesh.Trimesh:
-    """One geom in its own frame, with colour or texture."""
+    """Return the mesh of a geom in its frame, with colour or texture."""
     from mjviser import conversions
 
     kind = mujoco.mjtGeom(int(model.geom_type[geom]))
@@ -92,14 +92,14 @@ def _mesh(model: MjModel, geom: int) -> trimesh.Trimesh:
 
 
 def _rgba(rgba: np.ndarray) -> np.ndarray:
-    """As bytes, linear as glTF wants it: MuJoCo's colours are meant for the screen."""
+    """Convert MuJoCo's display colour to linear RGBA bytes, as glTF defines them."""
     linear = np.asarray(rgba, dtype=np.float64).copy()
     linear[:3] **= 2.2
     return np.rint(255 * linear).astype(np.uint8)
 
 
 def _texture(model: MjModel, material: int) -> Image.Image | None:
-    """The plain 2-D texture of a material, if it has one; images start at the top, MuJoCo's at the bottom."""
+    """Return the 2-D texture of a material, None without one; MuJoCo stores rows bottom up."""
     if material < 0:
         return None
     texture = int(model.mat_texid[material, int(mujoco.mjtTextureRole.mjTEXROLE_RGB)])
@@ -116,7 +116,7 @@ def _texture(model: MjModel, material: int) -> Image.Image | None:
 def _boxed(
     mesh: trimesh.Trimesh, image: Image.Image, repeat: Float[np.ndarray, "2"], uniform: bool
 ) -> trimesh.Trimesh:
-    """A box whose every side shows the texture, ``repeat`` times a side or, if uniform, every metre."""
+    """Return a box textured on all sides, ``repeat`` times per side or, if uniform, per metre."""
     corners = mesh.vertices[mesh.faces]  # (f, 3 corners, 3)
     away = np.abs(mesh.face_normals).argmax(axis=1)
     across = np.array([(1, 2), (0, 2), (0, 1)])[away]  # the two axes along each side
@@ -137,7 +137,7 @@ def _placed(mesh: trimesh.Trimesh, position: np.ndarray, quat_wxyz: np.ndarray) 
 
 
 def _merged(meshes: list[trimesh.Trimesh]) -> tuple[trimesh.Trimesh, ...]:
-    """Plain meshes of one colour and gloss become one (a viewer draws each apart), large ones simple."""
+    """Merge untextured meshes of equal material, to save draw calls, and simplify large ones."""
     plain: dict[tuple[object, ...], list[trimesh.Trimesh]] = {}
     result: list[trimesh.Trimesh] = []
     for mesh in meshes:
@@ -157,7 +157,7 @@ def _merged(meshes: list[trimesh.Trimesh]) -> tuple[trimesh.Trimesh, ...]:
 
 
 def _simplified(mesh: trimesh.Trimesh) -> trimesh.Trimesh:
-    """At most ``LARGEST_MESH`` triangles; corners keep texture coordinates of the nearest they stand for."""
+    """Reduce a mesh to ``LARGEST_MESH`` triangles; texture coordinates are of the nearest merged vertex."""
     import fast_simplification
 
     if len(mesh.faces) <= LARGEST_MESH:
