@@ -29,6 +29,7 @@ from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
 if TYPE_CHECKING:
+    from manipulation import SCAN_VIEWPOINTS as SCAN_VIEWPOINTS
     from manipulation import ArmDescription as ArmDescription
     from manipulation import Box as Box
     from manipulation import Grasp as Grasp
@@ -126,7 +127,8 @@ _MODULES = {
         "Box", "Line", "StandingObject", "Placement", "TaskPlan", "ManipulationConfig",
         "to_standing", "plan_pack", "plan_sort", "execute", "TaskEvent", "ObjectOutcome",
         # The robot: implement the Protocol Robot for your arm.
-        "Robot", "ArmDescription", "JointTrajectory", "Kinematics", "Viewpoint", "ViewpointScanner",
+        "Robot", "ArmDescription", "JointTrajectory", "Kinematics",
+        "Viewpoint", "SCAN_VIEWPOINTS", "ViewpointScanner",
         # Errors: the root, an impossible plan, a command that the robot refused.
         "ManipulationError", "PlanningError", "RobotError",
     ),

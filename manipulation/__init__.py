@@ -35,6 +35,7 @@ if TYPE_CHECKING:
     from manipulation.types import Placement as Placement
     from manipulation.types import StandingObject as StandingObject
     from manipulation.types import TaskPlan as TaskPlan
+    from manipulation.viewpoints import SCAN_VIEWPOINTS as SCAN_VIEWPOINTS
     from manipulation.viewpoints import Viewpoint as Viewpoint
     from manipulation.viewpoints import ViewpointScanner as ViewpointScanner
 
@@ -48,7 +49,7 @@ _MODULES = {
     "manipulation.scene_grasps": ("GraspPose", "find_grasps"),
     "manipulation.standing": ("to_standing",),
     "manipulation.kinematics": ("Kinematics",),
-    "manipulation.viewpoints": ("Viewpoint", "ViewpointScanner"),
+    "manipulation.viewpoints": ("SCAN_VIEWPOINTS", "Viewpoint", "ViewpointScanner"),
     "manipulation.planner": ("ManipulationConfig", "plan_pack", "plan_sort"),
     "manipulation.execution": ("TaskEvent", "execute"),
 }  # fmt: skip

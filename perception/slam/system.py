@@ -20,6 +20,7 @@ from jaxtyping import Float
 
 from perception.errors import PerceptionError
 from perception.geometry import invert
+from perception.inference.reconstruct import single_threaded_torch
 from perception.inference.shape_model import Decoder
 from perception.pipeline import Device, load_perception
 from perception.slam.association import RenderedMasks, associate_masks, render_masks
@@ -152,6 +153,10 @@ class Slam:
 
         The frame's own pose is ignored, except that of the first.
         """
+        with single_threaded_torch():  # objects are fitted in parallel, one thread each
+            return self._process(frame)
+
+    def _process(self, frame: RgbdFrame) -> FrameResult:
         self._number += 1
         self._seconds = {}
         if self.mapper is None:
