@@ -7,15 +7,15 @@ The depth image is uint16 in millimetres, registered to the colour image.
 
 import sys
 
-import cv2
 import numpy as np
+from PIL import Image
 from sample_data import sample_frames
 
 import nodeslam
 
 if len(sys.argv) == 4:
-    color = cv2.cvtColor(cv2.imread(sys.argv[1]), cv2.COLOR_BGR2RGB)
-    depth = cv2.imread(sys.argv[2], cv2.IMREAD_UNCHANGED)
+    color = np.asarray(Image.open(sys.argv[1]).convert("RGB"))
+    depth = np.asarray(Image.open(sys.argv[2]))
     fx, fy, cx, cy = map(float, sys.argv[3].split(","))
     K = np.array([[fx, 0, cx], [0, fy, cy], [0, 0, 1]])
 else:
@@ -27,6 +27,7 @@ scene = nodeslam.reconstruct_image(color, depth, K)
 print(f"{len(scene.objects)} objects; poses are in the camera frame (x right, y down, z forward)")
 for item in scene.objects:
     x, y, z = item.T_world_object[:3, 3]
+    assert item.surface_sigma is not None  # every fitted object has one
     sigma = 1000 * np.median(item.surface_sigma)
     print(
         f"{item.name}: at ({x:.3f}, {y:.3f}, {z:.3f}) m, height {item.height:.3f} m, score {item.score:.2f}, "

@@ -25,7 +25,7 @@ for frame in frames:
         print(frame)
         continue
     result = slam.process(frame)
-    print(f"frame {result.number}: {result.status}, {len(slam.world.landmarks)} objects in the map")
+    print(f"frame {result.number}: {result.status}, {len(set(result.landmark_of.values()))} objects in view")
     if result.status != "lost":
         times.append(result.time)
         poses.append(result.T_world_camera)

@@ -4,7 +4,6 @@ python examples/05_your_robot.py [ROBOT.toml]
 """
 
 import sys
-from collections import Counter
 
 import numpy as np
 
@@ -34,7 +33,7 @@ class MyArm:
 
 
 model = nodeslam.load_robot(sys.argv[1] if len(sys.argv) > 1 else "sixaxis")
-objects = nodeslam.draw_objects(Counter(can=1), "test", np.random.default_rng(0))
+objects = nodeslam.draw_objects({"can": 1}, "test", np.random.default_rng(0))
 with nodeslam.World(nodeslam.CellConfig(objects, seed=1, robot=model)) as cell:
     robot = MyArm(model.description, cell)
     assert isinstance(robot, nodeslam.Robot)

@@ -5,15 +5,13 @@
 Every object is placed on a circle around a point of the table, the tallest first.
 """
 
-from collections import Counter
-
 import numpy as np
 
 import nodeslam
 
 CENTRE, RADIUS = np.array([0.50, 0.27]), 0.10
 
-objects = nodeslam.draw_objects(Counter(can=1, bottle=1), "test", np.random.default_rng(3))
+objects = nodeslam.draw_objects({"can": 1, "bottle": 1}, "test", np.random.default_rng(3))
 with nodeslam.World(nodeslam.CellConfig(objects, box=None, seed=3)) as robot:
     frames = nodeslam.ViewpointScanner(robot, nodeslam.Kinematics(robot.arm)).capture(
         nodeslam.SCAN_VIEWPOINTS[:3]
