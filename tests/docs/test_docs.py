@@ -150,3 +150,9 @@ def test_the_reference_has_every_public_name_once():
     page = (ROOT / "docs" / "api" / "nodeslam.md").read_text("utf-8")
     described = re.findall(r"^\.\. auto\w+:: nodeslam\.(\w+)$", page, re.M)
     assert sorted(described) == sorted(set(nodeslam.__all__) - {"__version__"})
+
+
+def test_the_python_guide_shows_every_example():
+    guide = (ROOT / "docs" / "python.md").read_text("utf-8")
+    examples = sorted(path.name for path in (ROOT / "examples").glob("[0-9]*.py"))
+    assert re.findall(r"^```{literalinclude} \.\./examples/(.+)$", guide, re.M) == examples != []
