@@ -1,8 +1,8 @@
-"""The renderers that ours is compared with, behind the interface of ``renderer.render``.
+"""Baseline renderers with the signature of ``renderer.render``.
 
-``render_first_crossing`` is the depth of Differentiable Volumetric Rendering (Niemeyer, Mescheder, Oechsle,
-Geiger, CVPR 2020): where each ray first enters the occupancy level, found by the secant method, with the
-implicit derivative. ``render_silhouette`` sees the mask alone.
+``render_first_crossing`` renders depth as Differentiable Volumetric Rendering does (Niemeyer, Mescheder,
+Oechsle, Geiger, CVPR 2020): the first crossing of an occupancy level, refined by the secant method, with its
+implicit derivative. ``render_silhouette`` renders the mask alone.
 """
 
 from __future__ import annotations
@@ -22,16 +22,16 @@ from perception.warp_runtime import launch, to_device, zeros
 RendererName = Literal["probabilistic", "first_crossing", "silhouette"]
 RenderFunction = Callable[[ShapeGrid, RayBundle, np.ndarray, bool], Rendering]
 
-LEVEL = 0.5  # occupancy that counts as the surface, as in DVR
-BACKDROP = 0.1  # [m] depth of what a silhouette stands before; the silhouette itself is at 0
+LEVEL = 0.5  # occupancy of the surface, as in DVR
+BACKDROP = 0.1  # [m]; depth of the background behind a silhouette at depth 0
 
 
 def render_first_crossing(
     shape: ShapeGrid, rays: RayBundle, A_canonical_camera: Float[np.ndarray, "v 3 4"], gradients: bool = True
 ) -> Rendering:
-    """Depth of the first crossing [m]; the escape depth, without derivative, where a ray finds none.
+    """Render the depth of the first crossing of ``LEVEL``; arguments as in ``renderer.render``.
 
-    Its variance is zero: a surface is taken for certain.
+    Rays without a crossing have the escape depth and zero derivatives. The variance is zero.
     """
     return _launch(first_crossing_kernel, LEVEL, shape, rays, A_canonical_camera, gradients)
 
@@ -39,9 +39,9 @@ def render_first_crossing(
 def render_silhouette(
     shape: ShapeGrid, rays: RayBundle, A_canonical_camera: Float[np.ndarray, "v 3 4"], gradients: bool = True
 ) -> Rendering:
-    """Depth [m] of a silhouette at 0 before a backdrop: BACKDROP times the escape probability.
+    """Render ``BACKDROP`` times the escape probability as depth; arguments as in ``renderer.render``.
 
-    Its variance is zero.
+    The variance is zero.
     """
     return _launch(silhouette_kernel, BACKDROP, shape, rays, A_canonical_camera, gradients)
 
@@ -88,8 +88,9 @@ def _launch(
     )
     d_map = None
     if gradients:
-        along, across = sums.numpy()[:, 1], sums.numpy()[:, 0]
-        d_map = np.concatenate([rays.directions[:, [k]] * along for k in range(3)] + [across], axis=1)
+        sum_gradient, sum_depth_gradient = sums.numpy().swapaxes(0, 1)
+        columns = [rays.directions[:, [k]] * sum_depth_gradient for k in range(3)]
+        d_map = np.concatenate([*columns, sum_gradient], axis=1)
     return Rendering(
         depth=depth.numpy(),
         variance=np.zeros(n, np.float32),

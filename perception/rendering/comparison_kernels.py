@@ -1,13 +1,14 @@
 # ruff: noqa: UP018  -- int(0) and float(1) declare variables in Warp, literals are constants
-"""Kernels of the two renderers that the probabilistic one is compared with, in Warp, for CPU and CUDA.
+"""Warp kernels of the two baseline renderers, for CPU and CUDA.
 
-Both walk the rays as ``kernel.render_kernel`` does and leave the same three sums behind, with other weights
+Both sample the rays as ``kernel.render_kernel`` does and accumulate the same three sums, with other weights
 w_i = d image / d o_i:
 
-first crossing   the depth where occupancy first reaches a level. On the level set o(g(D, theta), theta) stays
-                 constant, so dD/dtheta = -(do/dtheta) / (do/dD): one sample, of weight -1 / (do/dD).
-silhouette       a sheet of cardboard at depth 0 before a backdrop at depth L: S = L prod_i (1 - o_i),
-                 w_i = -L prod_{j != i} (1 - o_j).
+first crossing   D is the depth at which the occupancy first reaches a level. Implicit differentiation of
+                 o(D(theta), theta) = level gives dD/dtheta = -(do/dtheta) / (do/dD): one sample of weight
+                 -1 / (do/dD).
+silhouette       S = L prod_i (1 - o_i), the expected depth of a silhouette at depth 0 in front of a
+                 background at depth L: w_i = -L prod_{j != i} (1 - o_j).
 """
 
 from typing import no_type_check
@@ -17,20 +18,22 @@ import warp as wp
 from perception.rendering.kernel import ESCAPE_FACTOR
 from perception.rendering.sampling import (
     HALF,
-    cell_of,
-    code_slopes,
-    in_cell,
-    in_voxels,
-    samples_inside,
-    slopes,
+    cell_fraction,
+    cell_index,
+    samples_in_grid,
     trilinear,
+    trilinear_gradient,
+    trilinear_jacobian,
     vec16,
+    voxel_from_canonical,
 )
 
 _ESCAPE = wp.constant(ESCAPE_FACTOR)
 _SECANT_STEPS = wp.constant(8)
-_LEAST_SLOPE = wp.constant(0.02)  # [1/voxel] of occupancy along the ray: grazing hits get no endless weight
-_OPAQUE = wp.constant(0.9999)  # occupancies are cut off here, so that one can be divided out of a product
+_MIN_SLOPE = wp.constant(
+    0.02
+)  # [1/voxel] do/dD is bounded below by it, which bounds the weight of grazing rays
+_MAX_OCCUPANCY = wp.constant(0.9999)  # clipping that keeps 1 - o_i > 0, by which the product is divided
 
 wp.set_module_options({"enable_backward": False, "optimization_level": 3})
 
@@ -38,8 +41,8 @@ wp.set_module_options({"enable_backward": False, "optimization_level": 3})
 @wp.func
 @no_type_check
 def occupancy_at(occupancy: wp.array(dtype=wp.float32), p: wp.vec3) -> float:
-    """At a point in voxels."""
-    return trilinear(occupancy, cell_of(p), in_cell(p))
+    """Interpolate the occupancy at a point in voxel units."""
+    return trilinear(occupancy, cell_index(p), cell_fraction(p))
 
 
 @wp.func
@@ -55,17 +58,17 @@ def add_sample(
     sums: wp.array2d(dtype=wp.vec3),
     d_code: wp.array(dtype=vec16),
 ):
-    """Adds one sample's w grad o, w delta grad o (canonical coordinates) and w do/dcode to its ray's sums."""
-    at = cell_of(p)
-    slope = (weight * HALF) * slopes(occupancy, at, in_cell(p))
+    """Add a sample's w grad o, w delta grad o (canonical units) and w do/dcode to the sums of its ray."""
+    at = cell_index(p)
+    slope = (weight * HALF) * trilinear_gradient(occupancy, at, cell_fraction(p))
     sums[ray, 0] = sums[ray, 0] + slope
     sums[ray, 1] = sums[ray, 1] + delta * slope
     if with_code != 0:
-        d_code[ray] = d_code[ray] + weight * code_slopes(jacobian, at, in_cell(p))
+        d_code[ray] = d_code[ray] + weight * trilinear_jacobian(jacobian, at, cell_fraction(p))
 
 
 @wp.kernel
-@no_type_check  # for the run-time checker of the tests: these are Warp types
+@no_type_check  # Warp types are unknown to the run-time type checker of the tests
 def first_crossing_kernel(
     occupancy: wp.array(dtype=wp.float32),
     jacobian: wp.array(dtype=vec16),
@@ -83,14 +86,15 @@ def first_crossing_kernel(
     sums: wp.array2d(dtype=wp.vec3),
     d_code: wp.array(dtype=vec16),
 ):
+    """Render the depth of the first upward crossing of ``level``; see the module's docstring."""
     ray = wp.tid()
     view = views[ray]
     direction = HALF * (rotations[view] * directions[ray])
-    origin = in_voxels(origins[view])
+    origin = voxel_from_canonical(origins[view])
     near = depth_range[view][0]
     far = depth_range[view][1]
     step = (far - near) / float(samples)
-    inside = samples_inside(origin, direction, near, far, step, samples)
+    inside = samples_in_grid(origin, direction, near, far, step, samples)
     depth[ray] = _ESCAPE * far
     before = float(0.0)
     low = float(-1.0)
@@ -119,17 +123,17 @@ def first_crossing_kernel(
         mask[ray] = 1.0
         if gradients != 0:
             p = origin + delta * direction
-            width = 0.05 / wp.length(direction)  # a twentieth of a voxel to each side
+            width = 0.05 / wp.length(direction)  # central difference over 0.05 voxel to each side
             rise = occupancy_at(occupancy, p + width * direction) - occupancy_at(
                 occupancy, p - width * direction
             )
             slope = rise / (2.0 * width)
-            weight = -1.0 / wp.max(slope, _LEAST_SLOPE * wp.length(direction))
+            weight = -1.0 / wp.max(slope, _MIN_SLOPE * wp.length(direction))
             add_sample(occupancy, jacobian, p, weight, delta, with_code, ray, sums, d_code)
 
 
 @wp.kernel
-@no_type_check  # for the run-time checker of the tests: these are Warp types
+@no_type_check  # Warp types are unknown to the run-time type checker of the tests
 def silhouette_kernel(
     occupancy: wp.array(dtype=wp.float32),
     jacobian: wp.array(dtype=vec16),
@@ -147,23 +151,24 @@ def silhouette_kernel(
     sums: wp.array2d(dtype=wp.vec3),
     d_code: wp.array(dtype=vec16),
 ):
+    """Render the silhouette in front of a background at depth ``backdrop``; see the module's docstring."""
     ray = wp.tid()
     view = views[ray]
     direction = HALF * (rotations[view] * directions[ray])
-    origin = in_voxels(origins[view])
+    origin = voxel_from_canonical(origins[view])
     near = depth_range[view][0]
     far = depth_range[view][1]
     step = (far - near) / float(samples)
-    inside = samples_inside(origin, direction, near, far, step, samples)
-    passing = float(1.0)
+    inside = samples_in_grid(origin, direction, near, far, step, samples)
+    transmittance = float(1.0)
     for i in range(inside[0], inside[1] + 1):
         o = occupancy_at(occupancy, origin + (near + float(i) * step) * direction)
-        passing = passing * (1.0 - wp.min(o, _OPAQUE))
-    depth[ray] = backdrop * passing
-    mask[ray] = 1.0 - passing
-    if gradients != 0 and passing > 1.0e-7:
+        transmittance = transmittance * (1.0 - wp.min(o, _MAX_OCCUPANCY))
+    depth[ray] = backdrop * transmittance
+    mask[ray] = 1.0 - transmittance
+    if gradients != 0 and transmittance > 1.0e-7:
         for i in range(inside[0], inside[1] + 1):
             delta = near + float(i) * step
             p = origin + delta * direction
-            weight = -backdrop * passing / (1.0 - wp.min(occupancy_at(occupancy, p), _OPAQUE))
+            weight = -backdrop * transmittance / (1.0 - wp.min(occupancy_at(occupancy, p), _MAX_OCCUPANCY))
             add_sample(occupancy, jacobian, p, weight, delta, with_code, ray, sums, d_code)

@@ -1,10 +1,11 @@
 # ruff: noqa: UP018, RUF046  -- int(0) and float(1) declare variables in Warp, literals are constants
-"""Many objects in one image: every pair of a ray and an object in one launch, composed by the least depth.
+"""Multi-object rendering for camera tracking: all pairs of a ray and an object in one launch, minimum depth.
 
-The same integral and the same derivative as in ``kernel.py``, for fixed shapes: what camera tracking needs.
-The camera moves locally, T_world_camera <- T_world_camera Exp(xi), xi = (rotation [rad], translation [m]) in
-its own frame. A sample at depth delta of the ray d moves by xi_r x (delta d) + xi_t, so with the sums
-s1 = sum w_i grad o_i and s2 = sum w_i delta_i grad o_i, gradients taken in the camera's frame,
+NodeSLAM, section "Probabilistic Rendering" (multi-object rendering). Shapes are fixed; depth and weights w_i
+are those of ``kernel.py``. The derivative is with respect to a local camera motion,
+T_world_camera <- T_world_camera Exp(xi), xi = (rotation [rad], translation [m]) in the camera frame. A sample
+at depth delta of the ray d moves by xi_r x (delta d) + xi_t, so with the sums
+s1 = sum w_i grad o_i and s2 = sum w_i delta_i grad o_i, gradients in the camera frame,
 
     dD/dxi = (d x s2, s1).
 """
@@ -25,20 +26,22 @@ from perception.rendering.renderer import ShapeGrid
 from perception.rendering.sampling import (
     HALF,
     PADDED_VOXELS,
-    cell_of,
-    in_cell,
-    in_voxels,
+    cell_fraction,
+    cell_index,
     samples_in_box,
-    slopes,
     trilinear,
+    trilinear_gradient,
+    voxel_from_canonical,
 )
 from perception.warp_runtime import empty, in_parallel, record, to_device, zeros
 
 _SIZE = wp.constant(PADDED_VOXELS)
 _ESCAPE = wp.constant(ESCAPE_FACTOR)
-_OPAQUE = wp.constant(1e-3)  # coarser than when shapes are fitted: no step is that long
+_MIN_TRANSMITTANCE = wp.constant(
+    1e-3
+)  # larger than in ``kernel.py``: tracking needs less accuracy than shape fitting
 _OCCUPIED = wp.constant(1)
-MAX_SAMPLES = 192
+MAX_SAMPLES = 192  # of a ray in occupied cells; samples beyond are ignored
 _MAX_SAMPLES = wp.constant(MAX_SAMPLES)
 
 wp.set_module_options(
@@ -52,7 +55,14 @@ wp.set_module_options(
 
 @dataclass(frozen=True)
 class ShapeStack:
-    """The grids of several objects, one behind the other."""
+    """Padded grids of several objects, concatenated, on the CPU.
+
+    Attributes:
+        occupancy: (count * PADDED_VOXELS,) float32 occupancies.
+        cells: (count * PADDED_VOXELS,) uint8 flags of the cells, see ``ShapeGrid``.
+        boxes: (2 * count,) first and last flagged cell of each object.
+        count: Number of objects.
+    """
 
     occupancy: wp.array
     cells: wp.array
@@ -61,7 +71,7 @@ class ShapeStack:
 
     @staticmethod
     def of(shapes: Sequence[ShapeGrid]) -> ShapeStack:
-        """Copies the grids; worth keeping until one of them changes."""
+        """Copy the grids into one stack."""
         occupancy = np.concatenate([shape.occupancy.numpy() for shape in shapes])
         cells = np.concatenate([shape.cells.numpy() for shape in shapes])
         boxes = np.concatenate([shape.box.numpy() for shape in shapes])
@@ -75,13 +85,14 @@ class ShapeStack:
 
 @dataclass(frozen=True)
 class RayPairs:
-    """Rays of one camera and the objects that each may meet.
+    """Pairs of a ray of one camera and an object that it may hit.
 
     Attributes:
-        directions: (n, 3) back-projected pixels, z = 1.
-        ray, object: (p,) indices of the pairs.
-        depth_range: (k, 2) nearest and farthest depth of each object [m].
-        step: (k,) between samples, in depth [m].
+        directions: (n, 3) back-projected pixels in the camera frame, z = 1.
+        ray: (p,) index of each pair's ray.
+        object: (p,) index of each pair's object.
+        depth_range: (k, 2) smallest and largest depth of each object in [m].
+        step: (k,) depth between samples in [m].
     """
 
     directions: Float[np.ndarray, "n 3"]
@@ -92,13 +103,20 @@ class RayPairs:
 
     @property
     def escape_depth(self) -> Float[np.ndarray, "k"]:
-        """Depth of rays that miss each object [m]."""
+        """Rendered depth of rays that miss each object, in [m]."""
         return ESCAPE_FACTOR * self.depth_range[:, 1]
 
 
 @dataclass(frozen=True)
 class PairRendering:
-    """What each pair renders: depth [m], its variance [m^2], probability of a hit, and d depth / d xi."""
+    """Rendering of each pair of a ray and an object.
+
+    Attributes:
+        depth: (p,) expected depth in [m].
+        variance: (p,) variance of the depth in [m^2].
+        mask: (p,) probability that the ray hits the object.
+        jacobian: (p, 6) d depth / d xi in [m/rad] and [m/m]; zero if rendered without gradients.
+    """
 
     depth: Float[np.ndarray, "p"]
     variance: Float[np.ndarray, "p"]
@@ -107,16 +125,20 @@ class PairRendering:
 
 
 class PairRenderer:
-    """Renders the same pairs from one pose after another.
+    """Renders fixed pairs at varying poses.
 
-    Everything that stays the same is brought to the renderer once: the arrays are small, and handing one over
-    costs as much as rendering a hundred pixels. Used by one thread at a time.
+    Constant inputs are uploaded once, since passing a small array costs as much as rendering a hundred
+    pixels. Not thread-safe.
     """
 
     def __init__(self, stack: ShapeStack, pairs: RayPairs, gradients: bool = True, threads: int = 1) -> None:
-        """``gradients``: whether the derivative by the camera's pose is wanted; without, it is left 0.
+        """Record the launches.
 
-        ``threads`` share the pairs; the result is the same.
+        Args:
+            stack: Grids of all objects.
+            pairs: Rays and objects to render.
+            gradients: Compute the derivative with respect to the camera pose; without, it is zero.
+            threads: Number of cores that share the pairs; the result does not depend on it.
         """
         self.pairs = pairs
         n = len(pairs.ray)
@@ -151,7 +173,11 @@ class PairRenderer:
         ]
 
     def __call__(self, A_canonical_camera: Float[np.ndarray, "k 3 4"]) -> PairRendering:
-        """Each pair by itself, with affine maps from the camera's frame into each object's canonical cube."""
+        """Render every pair independently.
+
+        Args:
+            A_canonical_camera: Affine maps from the camera frame to each object's canonical cube.
+        """
         if self._parts:
             self._matrices.numpy()[:] = A_canonical_camera[:, :, :3]
             self._origins.numpy()[:] = A_canonical_camera[:, :, 3]
@@ -163,9 +189,10 @@ class PairRenderer:
 def nearest_pair(
     pairs: RayPairs, own: Bool[np.ndarray, "p"], depth: Float[np.ndarray, "p"], mask: Float[np.ndarray, "p"]
 ) -> Int[np.ndarray, "n"]:
-    """For every ray the pair that it shows: the least depth of its own object and of those it surely hits.
+    """Return the index of the visible pair of every ray: the one of minimum depth.
 
-    Rays must be in ascending order in ``pairs.ray``, each with at least one pair.
+    Candidates are the pair of the object to which the ray's pixel is assigned (``own``) and pairs with a hit
+    probability above 0.5. Rays must be in ascending order in ``pairs.ray``, each with at least one candidate.
     """
     key = np.where(own | (mask > 0.5), depth, np.inf)
     starts = np.flatnonzero(np.diff(pairs.ray, prepend=-1))
@@ -176,7 +203,7 @@ def nearest_pair(
 
 
 @wp.kernel
-@no_type_check  # for the run-time checker of the tests: these are Warp types
+@no_type_check  # Warp types are unknown to the run-time type checker of the tests
 def pairs_kernel(
     begin: int,
     occupancy: wp.array(dtype=wp.float32),
@@ -194,34 +221,34 @@ def pairs_kernel(
     out: wp.array2d(dtype=wp.float32),
     rows: wp.array2d(dtype=wp.vec3),
 ):
-    """The pairs from ``begin`` on, one after the other: all use the same room for a ray's samples."""
+    """Render the pairs from ``begin`` on, one after the other on the CPU: they share one sample stack."""
     pair = begin + wp.tid()
     k = object_of[pair]
     base = k * _SIZE
     d = directions[ray_of[pair]]
     direction = HALF * (matrices[k] * d)
-    origin = in_voxels(origins[k])
+    origin = voxel_from_canonical(origins[k])
     near = depth_range[k][0]
     far = depth_range[k][1]
     step = steps[k]
     inside = samples_in_box(origin, direction, near, far, step, 1000000, boxes, 2 * k)
 
     count = int(0)
-    reaching = float(1.0)
+    transmittance = float(1.0)
     for i in range(inside[0], inside[1] + 1):
         delta = near + float(i) * step
         p = origin + delta * direction
-        at = base + cell_of(p)
+        at = base + cell_index(p)
         if (int(cells[at]) & _OCCUPIED) != 0 and count < _MAX_SAMPLES:
-            o = trilinear(occupancy, at, in_cell(p))
-            stack[count] = wp.vec3(delta, o, reaching)
+            o = trilinear(occupancy, at, cell_fraction(p))
+            stack[count] = wp.vec3(delta, o, transmittance)
             count += 1
-            reaching = reaching * (1.0 - o)
-            if reaching < _OPAQUE:
+            transmittance = transmittance * (1.0 - o)
+            if transmittance < _MIN_TRANSMITTANCE:
                 break
 
-    middle = 0.5 * (near + far)
-    mean = _ESCAPE * far - middle
+    mid_depth = 0.5 * (near + far)
+    mean = _ESCAPE * far - mid_depth
     square = mean * mean
     sum_gradient = wp.vec3()
     sum_depth_gradient = wp.vec3()
@@ -229,18 +256,18 @@ def pairs_kernel(
         entry = stack[count - 1 - n]
         delta = entry[0]
         o = entry[1]
-        weight = entry[2] * (delta - middle - mean)
-        mean = wp.lerp(mean, delta - middle, o)
-        square = wp.lerp(square, (delta - middle) * (delta - middle), o)
+        weight = entry[2] * (delta - mid_depth - mean)
+        mean = wp.lerp(mean, delta - mid_depth, o)
+        square = wp.lerp(square, (delta - mid_depth) * (delta - mid_depth), o)
         if gradients != 0:
             p = origin + delta * direction
-            slope = (weight * HALF) * slopes(occupancy, base + cell_of(p), in_cell(p))
+            slope = (weight * HALF) * trilinear_gradient(occupancy, base + cell_index(p), cell_fraction(p))
             sum_gradient += slope
             sum_depth_gradient += delta * slope
-    out[pair, 0] = mean + middle
+    out[pair, 0] = mean + mid_depth
     out[pair, 1] = wp.max(square - mean * mean, 0.0)
-    out[pair, 2] = 1.0 - reaching
+    out[pair, 2] = 1.0 - transmittance
     if gradients != 0:
-        turned = wp.transpose(matrices[k])
-        rows[pair, 0] = wp.cross(d, turned * sum_depth_gradient)
-        rows[pair, 1] = turned * sum_gradient
+        transposed = wp.transpose(matrices[k])
+        rows[pair, 0] = wp.cross(d, transposed * sum_depth_gradient)
+        rows[pair, 1] = transposed * sum_gradient

@@ -92,7 +92,7 @@ def pose_jacobian(
         raise ValueError("the rendering has no gradients: call render(..., gradients=True)")
     if out is None:
         out = np.empty((len(rays.directions), POSE_SIZE), np.float32)
-    for own, by_pose in zip(rays.of_view, map_jacobian(pose, A_canonical_camera), strict=True):
+    for own, by_pose in zip(rays.view_slices, map_jacobian(pose, A_canonical_camera), strict=True):
         np.matmul(rendering.d_map[own], by_pose, out=out[own])
     return out
 

@@ -1,9 +1,8 @@
-"""Gaussian pyramid over rendered pixels, as one sparse matrix for each level.
+"""Gaussian pyramid over rendered pixels (NodeSLAM, section "Probabilistic Rendering"), as sparse matrices.
 
-The paper blurs the rendered image (1 pixel standard deviation) and halves it, several times over, for
-coarse to fine optimisation: a coarse pixel then stands for many rays. Blurring is linear, so the same
-matrix serves the measured depth, the rendered depth and every column of the Jacobian. Pixels without a
-measurement take no part: weights are normalised over those that have one.
+Each level blurs with a standard deviation of 1 pixel and halves the resolution, for coarse-to-fine
+optimisation: a coarse pixel averages many rays. Blurring is linear, so one matrix applies to the measured
+and the rendered depth and every column of the Jacobian. Weights are normalised over the valid pixels.
 """
 
 from __future__ import annotations
@@ -12,17 +11,17 @@ import numpy as np
 from jaxtyping import Bool
 from scipy import sparse
 
-_TAPS = np.exp(-0.5 * np.arange(-2, 3) ** 2)
+_TAPS = np.exp(-0.5 * np.arange(-2, 3) ** 2)  # Gaussian of 1 pixel standard deviation
 _TAPS = _TAPS / _TAPS.sum()
-_MIN_SUPPORT = 0.4  # share of its Gaussian that a coarse pixel must have measured
+_MIN_SUPPORT = 0.4  # minimum share of a coarse pixel's Gaussian on valid pixels
 
 
 def pyramid_operator(valid: Bool[np.ndarray, "h w"], level: int) -> sparse.csr_matrix:
-    """The matrix from the valid pixels, row by row, to those of a coarser level.
+    """Return the matrix from the valid pixels to the supported pixels of a coarser level, both row-major.
 
     Args:
-        valid: which pixels take part; their values are ordered as ``image[valid]``.
-        level: how often to blur and halve; 0 is the identity.
+        valid: Pixels with a valid measurement; columns are ordered as ``image[valid]``.
+        level: Number of reductions; 0 gives the identity.
     """
     operator = sparse.csr_matrix(sparse.eye_array(int(valid.sum())), dtype=np.float32)
     for _ in range(level):
@@ -32,7 +31,7 @@ def pyramid_operator(valid: Bool[np.ndarray, "h w"], level: int) -> sparse.csr_m
 
 
 def _blur_and_halve(valid: np.ndarray) -> tuple[sparse.csr_matrix, np.ndarray]:
-    """One level: 5 x 5 Gaussian at every other pixel. Returns the matrix and the valid coarse pixels."""
+    """Return the matrix of one level, a 5 x 5 Gaussian at every other pixel, and its valid coarse pixels."""
     blur_rows, blur_columns = (_blur_line(n) for n in valid.shape)
     matrix = sparse.kron(blur_rows, blur_columns, format="csc")[:, np.flatnonzero(valid)].tocsr()
     support = np.asarray(matrix.sum(axis=1)).ravel()
@@ -42,6 +41,6 @@ def _blur_and_halve(valid: np.ndarray) -> tuple[sparse.csr_matrix, np.ndarray]:
 
 
 def _blur_line(length: int) -> np.ndarray:
-    """The Gaussian around every other of so many pixels in a line, cut off at its ends."""
-    away = np.abs(np.arange(length) - np.arange(0, length, 2)[:, None])
-    return np.where(away <= 2, _TAPS[2 + np.minimum(away, 2)], 0.0).astype(np.float32)
+    """Return the (ceil(length / 2), length) 1D blur at every other pixel, truncated at both ends."""
+    distance = np.abs(np.arange(length) - np.arange(0, length, 2)[:, None])
+    return np.where(distance <= 2, _TAPS[2 + np.minimum(distance, 2)], 0.0).astype(np.float32)

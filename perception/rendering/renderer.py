@@ -1,6 +1,6 @@
-"""Probabilistic renderer: host side of the fused kernels, arrays in and arrays out.
+"""Probabilistic renderer (NodeSLAM, section "Probabilistic Rendering"): host side of the Warp kernels.
 
-``reference.py`` is the plain version of the same equations (NodeSLAM, section "Probabilistic Rendering").
+``reference.py`` implements the same equations without the kernels.
 """
 
 from __future__ import annotations
@@ -16,7 +16,7 @@ from jaxtyping import Float, Int
 
 from perception.rendering.kernel import (
     ESCAPE_FACTOR,
-    NOT_STILL,
+    STEPPABLE,
     flag_cells_kernel,
     mat34,
     pad_kernel,
@@ -27,21 +27,21 @@ from perception.rendering.sampling import PADDED_VOXELS, vec16
 from perception.types import GRID_RESOLUTION
 from perception.warp_runtime import empty, launch, record, run_recorded, start_warp, to_device, zeros
 
-_COLUMNS = (GRID_RESOLUTION,) * 2
+_VOXEL_COLUMNS = (GRID_RESOLUTION,) * 2
 _CELL_COLUMNS = (GRID_RESOLUTION + 1,) * 2
 _EMPTY_BOX = np.repeat([[GRID_RESOLUTION + 2], [-1]], 3, axis=1)
 
 
 @dataclass(frozen=True)
 class ShapeGrid:
-    """An occupancy grid and, where wanted, its Jacobian with respect to the code, on one device.
+    """An occupancy grid, optionally with its Jacobian with respect to the code, on one device.
 
     Attributes:
-        occupancy: flat, with a border of empty voxels.
-        jacobian: d occupancy / d code in the same layout, or None.
-        cells: flags of the cells between eight voxels, by their lowest one; 0 where there is nothing to see.
-        box: the lowest and the highest of these cells along each axis; nothing is to be seen outside.
-        moving: indices of the voxels that steps of the code change, or None without a Jacobian.
+        occupancy: (34^3,) float32 occupancies, flat, with a border of empty voxels.
+        jacobian: (34^3,) 16-vectors d occupancy / d code in the same layout, or None.
+        cells: (34^3,) uint8 flags of the cells, see ``kernel.py``; cells with flags 0 are skipped.
+        box: (2,) smallest and largest indices of the flagged cells along each axis.
+        steppable: Indices of the voxels that ``stepped`` updates, or None without a Jacobian.
         device: "cpu" or "cuda:0".
     """
 
@@ -49,7 +49,7 @@ class ShapeGrid:
     jacobian: wp.array | None
     cells: wp.array
     box: wp.array
-    moving: wp.array | None
+    steppable: wp.array | None
     device: str
 
     @staticmethod
@@ -60,14 +60,14 @@ class ShapeGrid:
         skip_occupancy: float = 0.0,
         skip_jacobian: float = 0.0,
     ) -> ShapeGrid:
-        """Brings a grid to the device and flags the cells worth a visit.
+        """Upload a grid and flag the cells to be sampled.
 
         Args:
-            occupancy: G[ix, iy, iz] in 0..1.
-            jacobian: d occupancy / d code.
+            occupancy: Occupancy probabilities G[ix, iy, iz].
+            jacobian: Derivative d occupancy / d code.
             device: "cpu" or "cuda:0".
-            skip_occupancy: cells with no corner above this count as empty.
-            skip_jacobian: cells with no derivative above this count as unmoved by the code.
+            skip_occupancy: Cells whose corners are all at or below this occupancy count as empty.
+            skip_jacobian: Cells whose derivatives are all at or below this count as insensitive to the code.
         """
         start_warp()
         padded = zeros(PADDED_VOXELS, wp.float32, device)
@@ -75,7 +75,7 @@ class ShapeGrid:
         flags, cells = (zeros(PADDED_VOXELS, wp.uint8, device) for _ in range(2))
         launch(
             pad_kernel,
-            dim=_COLUMNS,
+            dim=_VOXEL_COLUMNS,
             inputs=[
                 to_device(occupancy, wp.float32, device),
                 None if jacobian is None else to_device(jacobian, vec16, device),
@@ -88,22 +88,22 @@ class ShapeGrid:
         )
         box = to_device(_EMPTY_BOX.copy(), wp.vec3i, device)
         launch(flag_cells_kernel, dim=_CELL_COLUMNS, inputs=[flags], outputs=[cells, box], device=device)
-        moving = None
+        steppable = None
         if jacobian is not None:
-            moving = to_device(np.flatnonzero(flags.numpy() & NOT_STILL), wp.int32, device)
-        return ShapeGrid(padded, padded_jacobian, cells, box, moving, device)
+            steppable = to_device(np.flatnonzero(flags.numpy() & STEPPABLE), wp.int32, device)
+        return ShapeGrid(padded, padded_jacobian, cells, box, steppable, device)
 
     def stepped(self, step: Float[np.ndarray, "16"]) -> ShapeGrid:
-        """The grid after a small step of the code, with the Jacobian and the empty cells of this one.
+        """Return the grid after a small step of the code, linearised in the log odds of occupancy.
 
-        Log odds of occupancy are smooth in the code, so it is they that change linearly.
+        Jacobian and flags of the cells are kept.
         """
-        assert self.jacobian is not None and self.moving is not None
+        assert self.jacobian is not None and self.steppable is not None
         occupancy = wp.clone(self.occupancy)
         launch(
             step_kernel,
-            dim=len(self.moving),
-            inputs=[self.moving, self.occupancy, self.jacobian, vec16(*step.tolist())],
+            dim=len(self.steppable),
+            inputs=[self.steppable, self.occupancy, self.jacobian, vec16(*step.tolist())],
             outputs=[occupancy],
             device=self.device,
         )
@@ -112,11 +112,14 @@ class ShapeGrid:
 
 @dataclass(frozen=True)
 class _RayBuffers:
-    """A ray bundle's arrays on one device, and its launches: one for each core that shares the rays.
+    """A ray bundle's arrays on one device, and recorded launches of the render kernel, one for each thread.
 
     Attributes:
-        maps: of the cameras, overwritten by every rendering.
-        launches: of the render kernel, each with room for the samples of the rays it works on.
+        directions: (n,) ray directions.
+        view: (n,) camera index of each ray.
+        depth_range: (v,) depth ranges.
+        maps: (v,) affine maps of the cameras, overwritten by every rendering.
+        launches: Recorded launches, each with its own sample stack.
     """
 
     directions: wp.array
@@ -134,7 +137,7 @@ class _RayBuffers:
         maps = empty(len(rays.depth_range), mat34, device)
         on_cpu = device == "cpu"
         parts = np.linspace(0, n, (rays.threads if on_cpu else 1) + 1).astype(int).tolist()
-        # rays of one thread come one after the other on the CPU: the same little room will do for all
+        # A CPU thread renders its rays one after the other, so they share one sample stack.
         launches = tuple(
             record(
                 render_kernel,
@@ -154,21 +157,23 @@ class _RayBuffers:
         return _RayBuffers(directions, view, depth_range, maps, launches)
 
 
-_CHANGING = 8  # position of the first of the render kernel's arguments that change with every rendering
+_FIRST_CHANGING_ARGUMENT = (
+    8  # position of the first of the render kernel's arguments that change with every rendering
+)
 
 
 @dataclass(frozen=True)
 class RayBundle:
-    """Pixels of one or several views to be rendered: everything that stays the same over a fit.
+    """Rays of the pixels of one or several views; constant over a fit.
 
-    Rendered in one thread at a time: its arrays on the device, scratch space too, are kept between calls.
+    Not thread-safe: device arrays, including scratch space, are kept between renderings.
 
     Attributes:
-        directions: (n, 3) back-projected pixels in their camera's frame, z = 1, so that depth scales them.
-        view: (n,) index of each ray's camera, one camera's rays after the other's.
-        depth_range: (v, 2) nearest and farthest depth for each camera in [m].
-        samples: M, the number of samples between the two.
-        threads: how many cores share the rays, on the CPU; the result is the same.
+        directions: (n, 3) back-projected pixels in the camera frame, z = 1: points are depth * direction.
+        view: (n,) camera index of each ray, in ascending order.
+        depth_range: (v, 2) smallest and largest sample depth of each camera in [m].
+        samples: Number of samples M of a ray: delta_i = delta_min + i / M (delta_max - delta_min).
+        threads: Number of cores that share the rays on the CPU; the result does not depend on it.
     """
 
     directions: Float[np.ndarray, "n 3"]
@@ -182,20 +187,20 @@ class RayBundle:
         return {}
 
     def on_device(self, device: str) -> _RayBuffers:
-        """The rays on a device, brought there by the first call."""
+        """Return the arrays and launches on a device, uploaded by the first call."""
         if device not in self._buffers:
             self._buffers[device] = _RayBuffers.of(self, device)
         return self._buffers[device]
 
     @cached_property
-    def of_view(self) -> tuple[slice, ...]:
-        """Which rays are each camera's."""
+    def view_slices(self) -> tuple[slice, ...]:
+        """Slices of the rays of each camera."""
         ends = np.searchsorted(self.view, np.arange(len(self.depth_range) + 1)).tolist()
         return tuple(slice(begin, end) for begin, end in pairwise(ends))
 
     @property
     def escape_depth(self) -> Float[np.ndarray, "v"]:
-        """Depth of rays that miss the object, by view in [m]."""
+        """Rendered depth of rays that miss the object, for each camera, in [m]."""
         return ESCAPE_FACTOR * self.depth_range[:, 1]
 
 
@@ -205,10 +210,11 @@ class Rendering:
 
     Attributes:
         depth: (n,) expected depth in [m].
-        variance: (n,) its variance in [m^2].
-        mask: (n,) probability to hit the object.
+        variance: (n,) variance of the depth in [m^2].
+        mask: (n,) probability that the ray hits the object.
         d_code: (n, 16) derivative of the depth with respect to the code, or None.
-        d_map: (n, 12) derivative of the depth with respect to the ray's camera map by columns, or None.
+        d_map: (n, 12) derivative of the depth with respect to the affine map of the ray's camera, by columns,
+            or None.
     """
 
     depth: Float[np.ndarray, "n"]
@@ -227,10 +233,10 @@ def render(
     """Render the shape along the rays.
 
     Args:
-        shape: the grid on its device.
-        rays: pixels and depth ranges.
-        A_canonical_camera: affine maps from the cameras' frames to the canonical cube (see ``pose.py``).
-        gradients: whether the Jacobian is wanted too.
+        shape: Occupancy grid.
+        rays: Rays and depth ranges.
+        A_canonical_camera: Affine maps from the camera frames to the canonical cube (see ``pose.py``).
+        gradients: Whether to compute the derivatives; d_code needs the grid's Jacobian.
     """
     n, device = len(rays.directions), shape.device
     on_device = rays.on_device(device)
@@ -238,7 +244,7 @@ def render(
     on_device.maps.assign(np.ascontiguousarray(A_canonical_camera, np.float32))
     rows = empty((n, 2), dtype=vec16, device=device)
     changing = [int(gradients), int(with_code), shape.occupancy, shape.jacobian, shape.cells, shape.box, rows]
-    arguments = dict(enumerate(changing, start=_CHANGING))
+    arguments = dict(enumerate(changing, start=_FIRST_CHANGING_ARGUMENT))
     run_recorded(on_device.launches, arguments)
     code, image = rows.numpy().swapaxes(0, 1)
     return Rendering(

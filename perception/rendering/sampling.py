@@ -1,8 +1,8 @@
-"""What every kernel does along a ray through the padded grid: where it is inside, occupancies and slopes.
+"""Warp functions of all rendering kernels: ray clipping, trilinear interpolation and its derivatives.
 
-Points are in voxels of the padded grid, whose corner voxel has its centre at 0; a cell between eight voxels
-has the index of its lowest one. Warp functions: one source for CPU and CUDA, part of the kernels that use
-them.
+The grid is padded by one empty voxel on each side and stored flat in the order [x, y, z]. Points are in voxel
+units of the padded grid: voxel (i, j, k) has its centre at (i, j, k). A cell is the cube between eight voxel
+centres; its index is that of its lowest voxel.
 """
 
 from typing import no_type_check
@@ -13,29 +13,31 @@ from perception.types import CODE_SIZE, GRID_RESOLUTION
 
 PADDED_VOXELS = (GRID_RESOLUTION + 2) ** 3
 
-# Inside the kernels the grid is flat, with a border of empty voxels, where interpolation fades out.
-SIDE = wp.constant(GRID_RESOLUTION + 2)
-SLAB = wp.constant((GRID_RESOLUTION + 2) ** 2)
-HALF = wp.constant(GRID_RESOLUTION / 2.0)
-_END = wp.constant(GRID_RESOLUTION + 1.0)
-_MARGIN = wp.constant(1e-3)  # [voxel] keeps rounding from indexing outside
+SIDE = wp.constant(GRID_RESOLUTION + 2)  # voxels along each axis of the padded grid; stride of y
+SLAB = wp.constant((GRID_RESOLUTION + 2) ** 2)  # voxels of a slab of constant x; stride of x
+HALF = wp.constant(GRID_RESOLUTION / 2.0)  # voxels in a canonical unit
+_END = wp.constant(GRID_RESOLUTION + 1.0)  # coordinate of the last voxel centre
+_MARGIN = wp.constant(1e-3)  # [voxel]; keeps rounding errors from indexing outside the grid
 
 vec16 = wp.types.vector(length=CODE_SIZE, dtype=wp.float32)
 
 
 @wp.func
-@no_type_check  # for the run-time checker of the tests: these are Warp types
-def in_voxels(canonical: wp.vec3) -> wp.vec3:
-    """A point of the canonical cube, in voxels."""
+@no_type_check  # Warp types are unknown to the run-time type checker of the tests
+def voxel_from_canonical(canonical: wp.vec3) -> wp.vec3:
+    """Convert a point of the canonical cube [-1, 1]^3 to voxel units."""
     return HALF * canonical + wp.vec3(HALF + 0.5, HALF + 0.5, HALF + 0.5)
 
 
 @wp.func
 @no_type_check
-def samples_inside(
+def samples_in_grid(
     origin: wp.vec3, direction: wp.vec3, near: float, far: float, step: float, samples: int
 ) -> wp.vec2i:
-    """First and last of the samples near + i step, i = 1 ... samples, in the grid; last < first for none."""
+    """Return the first and last index i of the samples inside the grid; last < first if there are none.
+
+    The samples lie at the depths near + i * step, i = 1..samples, of the ray origin + depth * direction.
+    """
     low = wp.vec3(_MARGIN, _MARGIN, _MARGIN)
     high = wp.vec3(_END - _MARGIN, _END - _MARGIN, _END - _MARGIN)
     return samples_between(origin, direction, near, far, step, samples, low, high)
@@ -53,7 +55,7 @@ def samples_in_box(
     boxes: wp.array(dtype=wp.vec3i),
     at: int,
 ) -> wp.vec2i:
-    """The same for the box from cell ``boxes[at]`` to cell ``boxes[at + 1]``."""
+    """Return the first and last index of the samples inside the cells ``boxes[at]`` to ``boxes[at + 1]``."""
     low = wp.vec3(boxes[at])
     high = wp.vec3(boxes[at + 1] + wp.vec3i(1, 1, 1))
     low = wp.max(low, wp.vec3(_MARGIN, _MARGIN, _MARGIN))
@@ -73,7 +75,10 @@ def samples_between(
     low: wp.vec3,
     high: wp.vec3,
 ) -> wp.vec2i:
-    """The same for the box between two corners; none are in one whose corners are the wrong way round."""
+    """Return the first and last index of the samples between two corners, by the slab method.
+
+    A box with low > high along an axis is empty.
+    """
     enter = near
     leave = far
     for axis in range(3):
@@ -94,22 +99,22 @@ def samples_between(
 
 @wp.func
 @no_type_check
-def cell_of(p: wp.vec3) -> int:
-    """Index of the cell that a point lies in."""
+def cell_index(p: wp.vec3) -> int:
+    """Return the index of the cell that contains a point."""
     return (int(p[0]) * SIDE + int(p[1])) * SIDE + int(p[2])
 
 
 @wp.func
 @no_type_check
-def in_cell(p: wp.vec3) -> wp.vec3:
-    """Where in its cell a point lies, 0..1 along each axis."""
+def cell_fraction(p: wp.vec3) -> wp.vec3:
+    """Return the position of a point within its cell, 0..1 along each axis."""
     return p - wp.vec3(float(int(p[0])), float(int(p[1])), float(int(p[2])))
 
 
 @wp.func
 @no_type_check
 def trilinear(occupancy: wp.array(dtype=wp.float32), at: int, f: wp.vec3) -> float:
-    """Between the corners of the cell whose lowest voxel is the array's entry ``at``."""
+    """Interpolate the occupancy at position ``f`` of the cell ``at``."""
     o00 = wp.lerp(occupancy[at], occupancy[at + 1], f[2])
     o01 = wp.lerp(occupancy[at + SIDE], occupancy[at + SIDE + 1], f[2])
     o10 = wp.lerp(occupancy[at + SLAB], occupancy[at + SLAB + 1], f[2])
@@ -119,8 +124,8 @@ def trilinear(occupancy: wp.array(dtype=wp.float32), at: int, f: wp.vec3) -> flo
 
 @wp.func
 @no_type_check
-def slopes(occupancy: wp.array(dtype=wp.float32), at: int, f: wp.vec3) -> wp.vec3:
-    """Gradient of ``trilinear`` with respect to the point, per voxel."""
+def trilinear_gradient(occupancy: wp.array(dtype=wp.float32), at: int, f: wp.vec3) -> wp.vec3:
+    """Return the gradient of ``trilinear`` with respect to the point, in 1/voxel."""
     o000 = occupancy[at]
     o001 = occupancy[at + 1]
     o010 = occupancy[at + SIDE]
@@ -144,8 +149,8 @@ def slopes(occupancy: wp.array(dtype=wp.float32), at: int, f: wp.vec3) -> wp.vec
 
 @wp.func
 @no_type_check
-def code_slopes(jacobian: wp.array(dtype=vec16), at: int, f: wp.vec3) -> vec16:
-    """Derivative of ``trilinear`` with respect to the code, interpolated from the corners."""
+def trilinear_jacobian(jacobian: wp.array(dtype=vec16), at: int, f: wp.vec3) -> vec16:
+    """Interpolate d occupancy / d code at position ``f`` of the cell ``at``."""
     x0 = 1.0 - f[0]
     y0 = 1.0 - f[1]
     z0 = 1.0 - f[2]
