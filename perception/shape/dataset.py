@@ -72,7 +72,7 @@ class ShapeDataset:
                 return ShapeDataset(arrays["grids"], arrays["categories"])
         except (OSError, EOFError, KeyError, ValueError, zipfile.BadZipFile) as error:
             raise InvalidInputError(
-                f"cannot read the shape data {path} ({error}); delete it to have it generated again"
+                f"cannot read the shape data {path} ({error}); delete it to regenerate it"
             ) from error
 
     def batches(

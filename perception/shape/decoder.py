@@ -1,7 +1,7 @@
-"""The trained decoder: shape codes to occupancy grids, and their derivatives in the codes.
+"""Trained decoder: shape codes to occupancy grids, and derivatives with respect to the code.
 
-Many codes at once, and derivatives by autograd, go through torch; one code with its whole Jacobian, what
-fitting needs over and over, through ``sparse_decoder.py``.
+Batches of codes and autograd use PyTorch; a single code with its Jacobian, as needed in every iteration of
+a fit, uses ``sparse_decoder.py``.
 """
 
 from __future__ import annotations
@@ -23,7 +23,7 @@ Codes = Float[Tensor, "batch code"] | Float[np.ndarray, "batch code"]
 
 
 class ShapeDecoder:
-    """Occupancy grids of a category from codes of 16 numbers, standard normal over the category.
+    """Decoder of shape codes; the prior of a code is N(0, I) in each category.
 
     Grids are (32, 32, 32) occupancy probabilities indexed [x, y, z] in the canonical cube [-1, 1]^3.
     """
@@ -37,27 +37,34 @@ class ShapeDecoder:
 
     @staticmethod
     def load(path: Path | None = None, device: str | torch.device = "cpu") -> ShapeDecoder:
-        """The decoder with the shipped weights, or those of a file; raises PerceptionError if unusable."""
+        """Load the shipped weights, or those of a file; arguments and errors as in ``load_weights``."""
         return ShapeDecoder(load_weights(path, device).decoder, device)
 
     def logits(self, category: Category, codes: Codes) -> Float[Tensor, "batch x y z"]:
-        """Log odds of occupancy. Differentiable in the codes."""
+        """Return the log odds of occupancy, differentiable with respect to the codes.
+
+        Raises:
+            InvalidInputError: The codes are not of shape (batch, 16).
+        """
         codes = torch.as_tensor(codes, dtype=torch.float32, device=self.device)
         if codes.ndim != 2 or codes.shape[1] != CODE_SIZE:
             raise InvalidInputError(f"shape codes are {tuple(codes.shape)}, expected (batch, {CODE_SIZE})")
         return self._network(codes, self._class_vector(category).expand(len(codes), -1))
 
     def __call__(self, category: Category, codes: Codes) -> Float[Tensor, "batch x y z"]:
-        """Occupancy probabilities. Differentiable in the codes."""
+        """Return the occupancy probabilities, differentiable with respect to the codes."""
         return torch.sigmoid(self.logits(category, codes))
 
     @torch.no_grad()
     def with_jacobian(
         self, category: Category, code: Float[Tensor, "code"] | Float[np.ndarray, "code"], threads: int = 1
     ) -> tuple[Float[Tensor, "x y z"], Float[Tensor, "x y z code"]]:
-        """The grid of one code and its derivative d occupancy / d code, contiguous, code axis last.
+        """Return the grid of one code and its Jacobian d occupancy / d code, both contiguous.
 
         ``threads`` cores share the work on the CPU.
+
+        Raises:
+            InvalidInputError: The code is not of shape (16,).
         """
         code = torch.as_tensor(code, dtype=torch.float32, device=self.device)
         if code.shape != (CODE_SIZE,):

@@ -1,6 +1,7 @@
-"""How well the shape prior reproduces shapes it has not seen: overlap, surface error, handles.
+"""Reconstruction accuracy of the shape prior on held-out shapes: IoU, surface error, handle recall.
 
-Lengths are in voxels of the 32^3 grid, whose longest side holds 28.8: one voxel is 3.5 mm of a 100 mm object.
+Lengths are in voxels of the 32^3 grid. The longest side of an object is 28.8 voxels: a voxel is 3.5 mm of a
+100 mm object.
 """
 
 from __future__ import annotations
@@ -19,23 +20,23 @@ from perception.shape.losses import handle_region
 from perception.shape.network import ShapeVae, class_one_hot
 from perception.types import CATEGORIES, Category
 
-ISO = 0.5
-OBJECT_VOXELS = 28.8  # of the longest side: 0.9 of the grid
-# 5 mm on a mug of 100 mm.
-HANDLE_TOLERANCE = 1.5
+ISO_LEVEL = 0.5  # occupancy of the surface
+OBJECT_VOXELS = 28.8  # [voxel]; longest side of an object, 0.9 of the grid
+HANDLE_TOLERANCE = 1.5  # [voxel]; 5 mm on a mug of 100 mm
+_BATCH_SIZE = 64
 
 
 @dataclass(frozen=True)
 class ShapeScores:
-    """Medians over shapes of one class (handle recall: the mean), reconstruction against original.
+    """Accuracy of the reconstructions of one class.
 
     Attributes:
-        n: number of shapes.
-        iou: intersection over union of the voxels above 0.5, in 0..1.
-        surface: mean distance between the surfaces at 0.5, both ways (chamfer-L1), in [voxel].
-        handle_recall: share of the handle's surface within 1.5 voxels of the reconstruction, in 0..1; NaN for
-            classes without handles.
-        code_spread: root mean square of the code entries; 1 where codes follow the prior.
+        n: Number of shapes.
+        iou: Median intersection over union of the voxels above 0.5, in 0..1.
+        surface: Median symmetric mean distance of the surfaces at 0.5 (Chamfer-L1) in [voxel].
+        handle_recall: Mean share of the handle's surface within 1.5 voxels of the reconstruction, in 0..1;
+            NaN for classes without handles.
+        code_spread: Root mean square of the code entries; 1 if codes follow the prior N(0, I).
     """
 
     n: int
@@ -48,7 +49,10 @@ class ShapeScores:
 def evaluate(
     model: ShapeVae, data: ShapeDataset, device: str | torch.device = "cpu", max_surfaces: int = 100
 ) -> dict[Category, ShapeScores]:
-    """Scores of encode -> decode by class; surfaces of the first ``max_surfaces`` shapes of each class."""
+    """Return the accuracy of encoded and decoded shapes for each class in the data.
+
+    Surfaces are compared for the first ``max_surfaces`` shapes of each class.
+    """
     scores: dict[Category, ShapeScores] = {}
     for category in CATEGORIES:
         shapes = data.of(category)
@@ -83,11 +87,11 @@ def encode(
     categories: Int[np.ndarray, "n"],
     device: str | torch.device = "cpu",
 ) -> Float[np.ndarray, "n 16"]:
-    """Mean codes of occupancy grids."""
+    """Return the mean codes of occupancy grids."""
     model.eval()
     means = []
-    for start in range(0, len(grids), 64):
-        part = slice(start, start + 64)
+    for start in range(0, len(grids), _BATCH_SIZE):
+        part = slice(start, start + _BATCH_SIZE)
         one_hot = class_one_hot(torch.from_numpy(categories[part])).to(device)
         means.append(model.encoder(torch.from_numpy(grids[part]).to(device), one_hot)[0].cpu())
     return torch.cat(means).numpy()
@@ -100,25 +104,25 @@ def decode(
     categories: Int[np.ndarray, "n"],
     device: str | torch.device = "cpu",
 ) -> Float[np.ndarray, "n 32 32 32"]:
-    """Occupancy grids of codes."""
+    """Return the occupancy grids of codes."""
     model.eval()
     grids = []
-    for start in range(0, len(codes), 64):
-        part = slice(start, start + 64)
+    for start in range(0, len(codes), _BATCH_SIZE):
+        part = slice(start, start + _BATCH_SIZE)
         one_hot = class_one_hot(torch.from_numpy(categories[part])).to(device)
         grids.append(torch.sigmoid(model.decoder(torch.from_numpy(codes[part]).to(device), one_hot)).cpu())
     return torch.cat(grids).numpy()
 
 
 def iou(a: Float[np.ndarray, "x y z"], b: Float[np.ndarray, "x y z"]) -> float:
-    """Intersection over union of the voxels above 0.5; 1 where both are empty."""
-    a, b = a > ISO, b > ISO
+    """Return the intersection over union of the voxels above 0.5; 1 if both grids are empty."""
+    a, b = a > ISO_LEVEL, b > ISO_LEVEL
     union = np.count_nonzero(a | b)
     return np.count_nonzero(a & b) / union if union else 1.0
 
 
 def surface_error(a: Float[np.ndarray, "x y z"], b: Float[np.ndarray, "x y z"]) -> float:
-    """Mean of the two mean distances between the surfaces at 0.5, in [voxel]; infinite if one has none."""
+    """Return the symmetric mean distance of the surfaces at 0.5 in [voxel]; infinite if a grid has none."""
     points_a, points_b = surface_points(a), surface_points(b)
     if not len(points_a) or not len(points_b):
         return float("inf")
@@ -132,7 +136,10 @@ def handle_recall(
     truth: Float[np.ndarray, "x y z"],
     region: Bool[np.ndarray, "x y z"],
 ) -> float:
-    """Share of the true surface inside the region that is close to the decoded one; NaN where it has none."""
+    """Return the share of the true surface in the region within ``HANDLE_TOLERANCE`` of the decoded one.
+
+    NaN if the region contains no true surface.
+    """
     points = surface_points(truth)
     points = points[region[tuple(np.rint(points).astype(int).T)]]
     if not len(points):
@@ -144,13 +151,13 @@ def handle_recall(
 
 
 def surface_points(grid: Float[np.ndarray, "x y z"]) -> Float[np.ndarray, "n 3"]:
-    """Points all over the surface at 0.5, in voxel indices: vertices and midpoints of marching cubes.
+    """Return points on the surface at 0.5 in voxels: vertices, edge and face centres of marching cubes.
 
-    They lie about a third of a voxel apart, so nearest-point distances are too large by a few hundredths.
+    They are about a third of a voxel apart, which biases nearest-point distances upwards by a few hundredths.
     """
-    if not grid.min() < ISO < grid.max():
+    if not grid.min() < ISO_LEVEL < grid.max():
         return np.zeros((0, 3))
-    vertices, faces, _, _ = marching_cubes(grid, ISO)
+    vertices, faces, _, _ = marching_cubes(grid, ISO_LEVEL)
     corners = vertices[faces]  # (f, 3 corners, 3)
     return np.concatenate(
         [vertices, corners.mean(1), 0.5 * (corners + np.roll(corners, 1, axis=1)).reshape(-1, 3)]
@@ -158,7 +165,7 @@ def surface_points(grid: Float[np.ndarray, "x y z"]) -> Float[np.ndarray, "n 3"]
 
 
 def describe(scores: Mapping[Category, ShapeScores]) -> str:
-    """One line for logs."""
+    """Format the scores as one line for the log."""
     return "; ".join(
         f"{category} IoU {s.iou:.3f}, surface {s.surface:.2f} voxel"
         + (f", handle recall {s.handle_recall:.2f}" if np.isfinite(s.handle_recall) else "")

@@ -1,9 +1,12 @@
-"""Training loss of the shape prior: weighted binary cross entropy plus KL divergence.
+"""Training loss of the shape prior (NodeSLAM, section "Class-Level Shape Descriptors").
+
+Weighted binary cross-entropy plus KL divergence:
 
     loss = sum_voxels w BCE(logit, occupancy) + beta KL(N(mean, variance) || N(0, 1)),   mean over the batch
 
-The weight w is 1 but near structures thinner than three voxels (walls, handles), and higher still near the
-handle of a mug: they are few voxels, so a plain sum lets them blur away below the iso level.
+The weight w is 1, increased at structures thinner than three voxels (walls, handles) and further at the
+handles of mugs: these are so few voxels that an unweighted sum lets their occupancy fall below the iso
+level.
 """
 
 from __future__ import annotations
@@ -22,12 +25,12 @@ Grids = Float[Tensor, "batch x y z"]
 
 @dataclass(frozen=True)
 class LossConfig:
-    """How the terms of the loss are weighted.
+    """Weights of the terms of the loss.
 
     Attributes:
-        beta: weight of the KL divergence.
-        thin: extra weight at and around structures thinner than three voxels.
-        handle: extra weight at and around the handle of a mug.
+        beta: Weight of the KL divergence.
+        thin: Additional weight at structures thinner than three voxels and their 3^3 neighbourhoods.
+        handle: Additional weight at the handle of a mug and its 3^3 neighbourhoods.
     """
 
     beta: float = 0.5
@@ -43,7 +46,7 @@ def shape_loss(
     log_variance: Float[Tensor, "batch code"],
     beta: float,
 ) -> tuple[Float[Tensor, ""], Float[Tensor, ""]]:
-    """Weighted reconstruction plus beta KL, and the KL alone; both means over the batch, in nats."""
+    """Return reconstruction loss plus beta KL divergence, and the KL divergence; batch means in [nat]."""
     reconstruction = F.binary_cross_entropy_with_logits(logits, grids, weights, reduction="sum")
     divergence = 0.5 * (mean.square() + log_variance.exp() - 1.0 - log_variance).sum()
     return (reconstruction + beta * divergence) / len(grids), divergence.detach() / len(grids)
@@ -52,7 +55,7 @@ def shape_loss(
 def voxel_weights(
     grids: UInt8[np.ndarray, "batch x y z"], categories: Int[np.ndarray, "batch"], config: LossConfig
 ) -> Float[np.ndarray, "batch x y z"]:
-    """Weight of every voxel in the reconstruction loss, at least 1; grids in eight bits (255 is occupied)."""
+    """Return the weight of every voxel in the reconstruction loss, at least 1; grids are in eight bits."""
     handles = np.where(handle_region(grids, categories), grids, 0)
     extra = np.float32(config.thin / 255) * _dilate(thin_structures(grids))
     extra += np.float32(config.handle / 255) * _dilate(handles)
@@ -61,7 +64,7 @@ def voxel_weights(
 
 
 def thin_structures(grids: UInt8[np.ndarray, "batch x y z"]) -> UInt8[np.ndarray, "batch x y z"]:
-    """White top-hat: the occupancy that a cube of three voxels, moved inside the shape, does not reach."""
+    """Return the white top-hat: the occupancy removed by an opening with a cube of three voxels."""
     eroded = ~_dilate(~grids)
     return grids - _dilate(eroded)
 
@@ -69,9 +72,9 @@ def thin_structures(grids: UInt8[np.ndarray, "batch x y z"]) -> UInt8[np.ndarray
 def handle_region(
     grids: UInt8[np.ndarray, "batch x y z"], categories: Int[np.ndarray, "batch"]
 ) -> Bool[np.ndarray, "batch x y z"]:
-    """Voxels of mugs that lie beyond the body along +x, where only the handle can be.
+    """Return the voxels of mugs beyond the body along +x, where only the handle can be.
 
-    The body is taken as round: as deep along x as it is wide along y, and starting at the least occupied x.
+    The body is assumed to be round: from the smallest occupied x, its extent along x equals that along y.
     """
     occupied = grids > 127
     occupied_x, occupied_y = occupied.any((2, 3)), occupied.any((1, 3))
@@ -82,7 +85,7 @@ def handle_region(
 
 
 def _dilate(grids: UInt8[np.ndarray, "batch x y z"]) -> UInt8[np.ndarray, "batch x y z"]:
-    """Maximum over the 3^3 neighbourhood, one axis after the other."""
+    """Return the maximum over the 3^3 neighbourhood, computed separably."""
     for axis in (1, 2, 3):
         before, after = np.moveaxis(grids, axis, 0)[:-1], np.moveaxis(grids, axis, 0)[1:]
         grids = grids.copy()

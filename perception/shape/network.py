@@ -1,18 +1,17 @@
-"""Class-conditional variational autoencoder of occupancy grids (NodeSLAM, Class-Level Shape Descriptors)::
+"""Class-conditional variational autoencoder of occupancy grids (NodeSLAM, "Class-Level Shape Descriptors")::
 
-    encoder  grid 32^3 and class  ->  5 convolutions, kernel 4, stride 2  ->  mean, log variance of 16 codes
-    decoder  16 codes and class   ->  linear, 5 transposed convolutions   ->  32^3 logits of occupancy
+    encoder  grid 32^3 and class  ->  5 convolutions, kernel 4, stride 2  ->  mean, log variance of the code
+    decoder  code (16) and class  ->  linear, 5 transposed convolutions   ->  32^3 logits of occupancy
 
-ReLU everywhere, no normalisation layers. Conditional VAE: Kingma and Welling 2014; Sohn et al. 2015.
+ReLU activations, no normalisation layers. Conditional VAE: Kingma and Welling 2014; Sohn et al. 2015.
 
-Three layers are written in another, mathematically equal form, because it is faster (tests compare them with
-the plain ones):
+Three layers have a mathematically equal, faster form:
 
-- Concatenating the one-hot class to every voxel adds to the first convolution a map that depends on the class
-  alone, and is constant but for the border (``class_bias_maps``).
-- A convolution of kernel 4, stride 2, padding 1 between 2^3 and 1^3 voxels has eight live taps: it is linear.
-- The last transposed convolution is one of kernel 2 over the corners between voxels, whose eight outputs are
-  the eight fine voxels around each corner (``corner_weight``, ``depth_to_space``).
+- The one-hot class, concatenated to every voxel, adds to the first convolution a map that depends on the
+  class alone and is constant except at the border (``class_bias_maps``).
+- A convolution of kernel 4, stride 2, padding 1 between 2^3 and 1^3 voxels uses eight taps: it is linear.
+- The last transposed convolution equals a convolution of kernel 2 over the corners between voxels, whose
+  eight outputs are the eight fine voxels around each corner (``corner_weight``, ``depth_to_space``).
 """
 
 from __future__ import annotations
@@ -44,17 +43,21 @@ class ShapeVae(nn.Module):
         self.decoder = DecoderNetwork()
 
     def forward(self, grids: Grids, one_hot: OneHot, noise: Codes) -> tuple[Grids, Codes, Codes]:
-        """Logits of the reconstruction, mean and log variance; ``noise`` is standard normal (or zero)."""
+        """Return the logits of the reconstruction, and mean and log variance of the code.
+
+        The code is sampled by reparametrisation, mean + noise * standard deviation, with ``noise`` standard
+        normal (or zero).
+        """
         mean, log_variance = self.encoder(grids, one_hot)
         codes = mean + noise * torch.exp(0.5 * log_variance)
         return self.decoder(codes, one_hot), mean, log_variance
 
     def initialise(self, generator: torch.Generator) -> ShapeVae:
-        """Random weights that keep the variance of ReLU layers (He et al. 2015), drawn from the generator."""
+        """Draw variance-preserving weights for ReLU layers (He et al. 2015); biases are zero."""
         for name, parameter in self.named_parameters():
             nn.init.zeros_(parameter)
             if name.endswith("weight"):
-                # each output of a transposed convolution of stride 2 sees 8 of its 64 taps
+                # An output of a transposed convolution of stride 2 uses 8 of its 64 taps.
                 transposed = parameter.ndim == 5 and name.startswith("decoder")
                 fan_in = 8 * parameter.shape[0] if transposed else parameter[0].numel()
                 nn.init.normal_(parameter, std=math.sqrt(2.0 / fan_in), generator=generator)
@@ -116,7 +119,7 @@ class DecoderNetwork(nn.Module):
 
 
 def channels_last(module: nn.Module, device: str | torch.device) -> None:
-    """Move a network to a device, in place, its convolutions in the memory layout fastest for them."""
+    """Move a network to a device, in place, with convolution weights in channels-last memory format."""
     module.to(device)
     for parameter in module.parameters():
         if parameter.ndim == 5:
@@ -124,29 +127,29 @@ def channels_last(module: nn.Module, device: str | torch.device) -> None:
 
 
 def class_one_hot(category_index: Int[Tensor, "batch"]) -> OneHot:
-    """One-hot classes in the order of CATEGORIES, as float."""
+    """Return one-hot classes in the order of CATEGORIES."""
     return F.one_hot(category_index, len(CATEGORIES)).float()
 
 
 def class_bias_maps(
     weight: Float[Tensor, "out category 4 4 4"], resolution: int
 ) -> Float[Tensor, "category out half half half"]:
-    """What a kernel-4, stride-2, padding-1 convolution makes of a grid filled with ones, for every class.
+    """Return the kernel-4, stride-2, padding-1 convolution of a grid of ones, for every class.
 
-    A row of such an output is (first, middle, ..., middle, last): computed on 6^3 voxels, then spread.
+    Along each axis the result is (first, middle, ..., middle, last): computed on 6^3 voxels, then expanded.
     """
     ones = torch.eye(weight.shape[1], device=weight.device, dtype=weight.dtype)
     small = F.conv3d(ones[:, :, None, None, None].expand(-1, -1, 6, 6, 6), weight, stride=2, padding=1)
-    spread = torch.ones(resolution // 2, dtype=torch.long, device=weight.device)
-    spread[0], spread[-1] = 0, 2
-    return small[:, :, spread][:, :, :, spread][:, :, :, :, spread]
+    expansion = torch.ones(resolution // 2, dtype=torch.long, device=weight.device)
+    expansion[0], expansion[-1] = 0, 2
+    return small[:, :, expansion][:, :, :, expansion][:, :, :, :, expansion]
 
 
 def corner_weight(weight: Float[Tensor, "inp out 4 4 4"]) -> Float[Tensor, "out8 inp 2 2 2"]:
-    """Kernel-2 weight over voxel corners that equals a kernel-4, stride-2, padding-1 transposed convolution.
+    """Return the kernel-2 weight over corners of a kernel-4, stride-2, padding-1 transposed convolution.
 
     In one dimension corner c lies between the coarse voxels c - 1 and c, and between the fine voxels 2c - 1
-    and 2c. Fine voxel f takes coarse voxel i through tap f + 1 - 2i: phase 0 (f = 2c - 1) sees the voxels
+    and 2c. Fine voxel f reads coarse voxel i through tap f + 1 - 2i: phase 0 (f = 2c - 1) reads the voxels
     c - 1 and c through taps 2 and 0, phase 1 (f = 2c) through taps 3 and 1.
     """
     inputs, outputs = weight.shape[:2]
@@ -159,7 +162,7 @@ def corner_weight(weight: Float[Tensor, "inp out 4 4 4"]) -> Float[Tensor, "out8
 def depth_to_space(
     x: Float[Tensor, "batch channel8 x y z"],
 ) -> Float[Tensor, "batch channel x2 y2 z2"]:
-    """Spread eight channels over 2^3 finer voxels: channel (c, px, py, pz) goes to (2x+px, 2y+py, 2z+pz)."""
+    """Rearrange eight channels to 2^3 finer voxels: channel (c, px, py, pz) goes to (2x+px, 2y+py, 2z+pz)."""
     batch, channels, nx, ny, nz = x.shape
     x = x.reshape(batch, channels // 8, 2, 2, 2, nx, ny, nz).permute(0, 1, 5, 2, 6, 3, 7, 4)
     return x.reshape(batch, channels // 8, 2 * nx, 2 * ny, 2 * nz)

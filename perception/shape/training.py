@@ -1,7 +1,7 @@
-"""Training of the shape prior: Adam with a cosine schedule, one checkpoint an epoch, resumable to the bit.
+"""Training of the shape prior: Adam with warm-up and cosine decay, exactly resumable checkpoints.
 
-Everything random in an epoch comes from (seed, epoch), so that a run interrupted and resumed equals one that
-was not. The loop knows nothing of where shapes come from or who watches: it takes datasets and a callback.
+All random numbers of an epoch derive from (seed, epoch), so a resumed run equals an uninterrupted one bit
+by bit.
 """
 
 from __future__ import annotations
@@ -12,7 +12,7 @@ import math
 import os
 import time
 from collections.abc import Callable
-from dataclasses import asdict, dataclass, field
+from dataclasses import asdict, dataclass
 from pathlib import Path
 
 import numpy as np
@@ -24,27 +24,27 @@ from perception.shape.losses import LossConfig, shape_loss, voxel_weights
 from perception.shape.network import ShapeVae, channels_last, class_one_hot
 from perception.types import CODE_SIZE
 
-log = logging.getLogger(__name__)
+logger = logging.getLogger(__name__)
 
 
 @dataclass(frozen=True)
 class ShapeTrainingConfig:
-    """How to train.
+    """Hyperparameters of the training.
 
     Attributes:
-        epochs: passes over the data; the learning rate falls to zero over them.
-        batch_size: shapes in a step.
-        learning_rate: of Adam, at the top of the schedule.
-        warmup_steps: steps of linear rise at the start.
-        loss: weights of the loss terms.
-        seed: of the initial weights, the order of the shapes, mirroring and the latent noise.
+        epochs: Number of passes over the data, over which the learning rate decays to zero.
+        batch_size: Number of shapes in a step.
+        learning_rate: Peak learning rate of Adam.
+        warmup_steps: Number of steps of linear warm-up.
+        loss: Weights of the loss terms.
+        seed: Seed of the initial weights, the order of the shapes, the mirroring and the latent noise.
     """
 
     epochs: int = 18
     batch_size: int = 16
     learning_rate: float = 2e-3
     warmup_steps: int = 200
-    loss: LossConfig = field(default_factory=LossConfig)
+    loss: LossConfig = LossConfig()
     seed: int = 0
 
     def __post_init__(self) -> None:
@@ -54,13 +54,13 @@ class ShapeTrainingConfig:
 
 @dataclass(frozen=True)
 class EpochRecord:
-    """What one epoch came to.
+    """Statistics of one epoch.
 
     Attributes:
-        epoch: 1 for the first.
-        loss: mean training loss in [nat] a shape.
-        divergence: mean KL divergence in [nat] a shape.
-        seconds: wall time of the epoch in [s].
+        epoch: Number of the epoch, from 1.
+        loss: Mean training loss of a shape in [nat].
+        divergence: Mean KL divergence of a shape in [nat].
+        seconds: Wall time in [s].
     """
 
     epoch: int
@@ -70,7 +70,32 @@ class EpochRecord:
 
 
 OnEpoch = Callable[[EpochRecord, ShapeVae], None]
-OnBatch = Callable[[int, int, int], None]  # epoch, batches done, batches in an epoch
+OnBatch = Callable[[int, int, int], None]  # epoch from 1, batches done, batches per epoch
+
+
+@dataclass(frozen=True)
+class TrainingRun:
+    """State of a training; model and optimizer are updated in place.
+
+    Attributes:
+        config: Hyperparameters.
+        model: Network on ``device``.
+        optimizer: Optimiser of the model's parameters.
+        device: "cpu" or "cuda".
+    """
+
+    config: ShapeTrainingConfig
+    model: ShapeVae
+    optimizer: torch.optim.Optimizer
+    device: str
+
+    @staticmethod
+    def start(config: ShapeTrainingConfig, device: str) -> TrainingRun:
+        """Initialise network and optimiser from the seed."""
+        model = ShapeVae().initialise(torch.Generator().manual_seed(config.seed))
+        channels_last(model, device)
+        optimizer = torch.optim.Adam(model.parameters(), lr=config.learning_rate, fused=True)
+        return TrainingRun(config, model, optimizer, device)
 
 
 def train(
@@ -81,40 +106,45 @@ def train(
     on_epoch: OnEpoch | None = None,
     on_batch: OnBatch | None = None,
 ) -> ShapeVae:
-    """Train a new network, or go on from the checkpoint where there is one.
+    """Train a new network, or resume from the checkpoint if the file exists.
 
-    The checkpoint is written after every epoch; an interruption (KeyboardInterrupt passes through) loses at
-    most the epoch it fell into.
+    The checkpoint is written after every epoch; an interruption (KeyboardInterrupt propagates) loses at
+    most the current epoch.
+
+    Args:
+        data: Training shapes.
+        config: Hyperparameters.
+        device: "cpu" or "cuda".
+        checkpoint: File of the checkpoint; None writes none.
+        on_epoch: Called with the statistics and the network after every epoch.
+        on_batch: Called after every batch.
+
+    Raises:
+        InvalidInputError: ``data`` is empty.
+        PerceptionError: The checkpoint is unusable, or training diverged.
     """
     if not len(data):
         raise InvalidInputError("there are no shapes to train on")
-    model = ShapeVae().initialise(torch.Generator().manual_seed(config.seed))
-    channels_last(model, device)
-    optimizer = torch.optim.Adam(model.parameters(), lr=config.learning_rate, fused=True)
+    run = TrainingRun.start(config, device)
     done = 0
     if checkpoint is not None and checkpoint.exists():
-        done = load_checkpoint(checkpoint, config, model, optimizer)
-        log.info("going on from %s after epoch %d", checkpoint, done)
+        done = load_checkpoint(checkpoint, run)
+        logger.info("resuming from %s after epoch %d", checkpoint, done)
     for epoch in range(done, config.epochs):
-        record = train_epoch(model, optimizer, data, config, epoch, device, on_batch)
+        record = train_epoch(run, data, epoch, on_batch)
         if checkpoint is not None:
-            save_checkpoint(checkpoint, config, model, optimizer, epoch + 1)
+            save_checkpoint(checkpoint, run, epoch + 1)
         if on_epoch is not None:
-            on_epoch(record, model)
-    return model
+            on_epoch(record, run.model)
+    return run.model
 
 
 def train_epoch(
-    model: ShapeVae,
-    optimizer: torch.optim.Optimizer,
-    data: ShapeDataset,
-    config: ShapeTrainingConfig,
-    epoch: int,
-    device: str,
-    on_batch: OnBatch | None = None,
+    run: TrainingRun, data: ShapeDataset, epoch: int, on_batch: OnBatch | None = None
 ) -> EpochRecord:
-    """One pass over the data."""
+    """Train for one pass over the data; ``epoch`` counts from 0."""
     started = time.monotonic()
+    config, model, optimizer, device = run.config, run.model, run.optimizer, run.device
     rng = np.random.default_rng([config.seed, epoch])
     noise_generator = torch.Generator().manual_seed(int(rng.integers(2**62)))
     n_batches = math.ceil(len(data) / config.batch_size)
@@ -143,24 +173,18 @@ def train_epoch(
 
 
 def learning_rate(config: ShapeTrainingConfig, step: int, n_steps: int) -> float:
-    """Linear rise, then half a cosine to zero."""
-    rise = min(1.0, (step + 1) / max(1, config.warmup_steps))
-    return config.learning_rate * rise * 0.5 * (1.0 + math.cos(math.pi * step / n_steps))
+    """Return the learning rate of a step, from 0: linear warm-up times cosine decay to zero."""
+    warmup = min(1.0, (step + 1) / max(1, config.warmup_steps))
+    return config.learning_rate * warmup * 0.5 * (1.0 + math.cos(math.pi * step / n_steps))
 
 
-def save_checkpoint(
-    path: Path,
-    config: ShapeTrainingConfig,
-    model: ShapeVae,
-    optimizer: torch.optim.Optimizer,
-    epochs_done: int,
-) -> None:
-    """Write weights, optimiser state and configuration; a killed process leaves the previous checkpoint."""
+def save_checkpoint(path: Path, run: TrainingRun, epochs_done: int) -> None:
+    """Write weights, optimiser state and configuration atomically."""
     state = {
-        "config": json.dumps(asdict(config)),
+        "config": json.dumps(asdict(run.config)),
         "epochs_done": epochs_done,
-        "model": model.state_dict(),
-        "optimizer": optimizer.state_dict(),
+        "model": run.model.state_dict(),
+        "optimizer": run.optimizer.state_dict(),
     }
     path.parent.mkdir(parents=True, exist_ok=True)
     temporary = path.with_suffix(".tmp")
@@ -168,21 +192,24 @@ def save_checkpoint(
     os.replace(temporary, path)
 
 
-def load_checkpoint(
-    path: Path, config: ShapeTrainingConfig, model: ShapeVae, optimizer: torch.optim.Optimizer
-) -> int:
-    """Restore what ``save_checkpoint`` wrote and return the number of epochs done."""
-    remedy = "delete it to start anew, or choose another output folder"
+def load_checkpoint(path: Path, run: TrainingRun) -> int:
+    """Restore model and optimiser of the run and return the number of completed epochs.
+
+    Raises:
+        PerceptionError: The file is unreadable or of another configuration.
+    """
+    config = json.dumps(asdict(run.config))
+    remedy = "delete it to start again, or choose another output folder"
     try:
         state = torch.load(path, map_location="cpu", weights_only=True)
         saved_config, epochs_done = state["config"], int(state["epochs_done"])
-        if saved_config == json.dumps(asdict(config)):
-            model.load_state_dict(state["model"])
-            optimizer.load_state_dict(state["optimizer"])
-    except Exception as error:  # torch raises many kinds for a file that is not one of its own
+        if saved_config == config:
+            run.model.load_state_dict(state["model"])
+            run.optimizer.load_state_dict(state["optimizer"])
+    except Exception as error:  # torch raises various types for malformed files
         kind = type(error).__name__
         raise PerceptionError(f"checkpoint {path} cannot be read ({kind}); {remedy}") from error
-    if saved_config != json.dumps(asdict(config)):
+    if saved_config != config:
         raise PerceptionError(
             f"checkpoint {path} belongs to another configuration ({saved_config}); {remedy}"
         )

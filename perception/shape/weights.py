@@ -1,4 +1,4 @@
-"""The weights file of the shape prior: safetensors in half precision, with what made it as metadata."""
+"""Weights file of the shape prior: safetensors in half precision with metadata of the training."""
 
 from __future__ import annotations
 
@@ -20,7 +20,7 @@ _REMEDY = "restore perception/weights/shape.safetensors from the repository, or 
 
 
 def save_weights(model: ShapeVae, path: Path, metadata: Mapping[str, str]) -> None:
-    """Write encoder and decoder in float16; a killed process leaves no half-written file under this name."""
+    """Write encoder and decoder in float16, atomically."""
     tensors = {name: value.detach().half().cpu().contiguous() for name, value in model.state_dict().items()}
     temporary = path.with_suffix(".tmp")
     save_file(tensors, temporary, metadata={"format": FORMAT, **metadata})
@@ -28,10 +28,14 @@ def save_weights(model: ShapeVae, path: Path, metadata: Mapping[str, str]) -> No
 
 
 def load_weights(path: Path | None = None, device: str | torch.device = "cpu") -> ShapeVae:
-    """The trained network in float32, in evaluation mode, without gradients.
+    """Return the trained network in float32, in evaluation mode, without gradients.
+
+    Args:
+        path: Weights file; None loads the shipped one.
+        device: PyTorch device.
 
     Raises:
-        PerceptionError: the file is missing, corrupt, unlike its checksum or of another network.
+        PerceptionError: The file is missing, corrupt, does not match its checksum or is of another network.
     """
     path = SHIPPED_WEIGHTS if path is None else Path(path)
     if not path.is_file():
