@@ -30,7 +30,8 @@ def reconstruct_image(
     Args:
         color: (H, W, 3) uint8 RGB image.
         depth: (H, W) depth along the optical axis, registered to ``color``: floats in metres or uint16 in
-            millimetres; 0 marks missing measurements.
+            millimetres. Pixels that are NaN, infinite, zero or negative are missing measurements (ROS marks
+            them as NaN, too close as -inf, too far as inf: REP 118).
         K: (3, 3) camera matrix [[fx, 0, cx], [0, fy, cy], [0, 0, 1]] in pixels, without distortion.
         T_world_camera: (4, 4) camera pose in a world frame whose z axis points up; None if unknown.
         perception: the networks from ``load_perception``; by default the shipped ones, loaded on first use.
@@ -40,7 +41,8 @@ def reconstruct_image(
         ``surface_sigma``, the standard deviation of each vertex along its normal in metres.
 
     Raises:
-        InvalidInputError: an array has the wrong shape, type or unit, or holds NaN; the message names it.
+        InvalidInputError: an array has the wrong shape, type or unit, or no depth was measured; the message
+            names it.
         PerceptionError: no support plane is visible.
     """
     return reconstruct([image_frame(color, depth, K, T_world_camera)], perception)
@@ -52,7 +54,8 @@ def image_frame(
     """Return the arrays as a validated frame; shapes and units as in ``reconstruct_image``.
 
     Raises:
-        InvalidInputError: an array has the wrong shape, type or unit, or holds NaN; the message names it.
+        InvalidInputError: an array has the wrong shape, type or unit, or no depth was measured; the message
+            names it.
     """
     color, depth = np.asarray(color), np.asarray(depth)
     if color.ndim != 3 or color.shape[2] != 3 or color.dtype != np.uint8:
@@ -67,21 +70,20 @@ def image_frame(
 
 
 def _metres(depth: np.ndarray) -> np.ndarray:
-    """Return the depth image as float32 metres."""
+    """Return the depth image as float32 metres, missing measurements as 0."""
     if depth.dtype == np.uint16:
-        return depth.astype(np.float32) * np.float32(0.001)
-    if depth.dtype.kind != "f":
+        depth = depth.astype(np.float32) * np.float32(0.001)
+    elif depth.dtype.kind != "f":
         raise InvalidInputError(f"depth must be float metres or uint16 millimetres, got {depth.dtype}")
-    if not np.isfinite(depth).all():
-        raise InvalidInputError("depth has NaN or infinite pixels: mark missing depth with 0 (np.nan_to_num)")
-    measured = depth[depth > 0]
-    if not measured.size:
-        raise InvalidInputError("depth has no measurement: every pixel is 0 or negative")
-    if np.median(measured) > _MAX_METRES:
+    measured = np.isfinite(depth) & (depth > 0)
+    if not measured.any():
+        raise InvalidInputError("depth has no measurement: every pixel is NaN, infinite, zero or negative")
+    median = np.median(depth[measured])
+    if median > _MAX_METRES:
         raise InvalidInputError(
-            f"the median depth of {np.median(measured):.4g} m cannot be in metres: divide millimetres by 1000"
+            f"the median depth of {median:.4g} m cannot be in metres: divide millimetres by 1000"
         )
-    return depth.astype(np.float32)
+    return np.where(measured, depth, 0).astype(np.float32)
 
 
 def _intrinsics(K: np.ndarray, width: int, height: int) -> CameraIntrinsics:

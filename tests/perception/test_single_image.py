@@ -1,4 +1,4 @@
-"""Arrays from outside: units, shapes, and the messages for what cannot be used."""
+"""Images given as arrays: units, shapes, missing depth, and the messages of invalid arrays."""
 
 import numpy as np
 import pytest
@@ -27,6 +27,21 @@ def test_uint16_depth_is_in_millimetres():
     np.testing.assert_allclose(image_frame(COLOR, depth, K).depth[0, :2], (0.0, 0.75))
 
 
+@pytest.mark.parametrize("dtype", [np.float16, np.float32, np.float64])
+def test_nan_infinite_zero_and_negative_depth_is_missing(dtype):
+    depth = np.tile(np.array([np.nan, np.inf, -np.inf, 0, -0.5, 0.75], dtype), (4, 1))
+    frame = image_frame(COLOR, depth, K)
+    np.testing.assert_array_equal(frame.depth, np.tile([0, 0, 0, 0, 0, np.float32(0.75)], (4, 1)))
+    assert np.isnan(depth[0, 0])  # the argument is unchanged
+
+
+def test_missing_pixels_do_not_enter_the_test_of_the_unit():
+    depth = np.where(np.eye(4, 6) > 0, 750.0, np.inf)
+    with pytest.raises(InvalidInputError, match="the median depth of 750 m cannot be in metres"):
+        image_frame(COLOR, depth, K)
+    assert image_frame(COLOR, DEPTH * 0 + 100.0, K).depth.max() == 100.0  # the limit
+
+
 def test_camera_matrices_may_be_nested_lists_of_integers():
     assert image_frame(COLOR, DEPTH, [[5, 0, 2], [0, 6, 1], [0, 0, 1]]).intrinsics.fy == 6.0
 
@@ -41,13 +56,10 @@ def test_camera_matrices_may_be_nested_lists_of_integers():
             r"depth is \(2, 6\) but color is \(4, 6\): register and resize depth to color",
         ),
         ({"depth": DEPTH.astype(np.int32)}, "depth must be float metres or uint16 millimetres, got int32"),
-        (
-            {"depth": DEPTH * np.nan},
-            r"depth has NaN or infinite pixels: mark missing depth with 0 \(np.nan_to",
-        ),
-        ({"depth": DEPTH * 0}, "depth has no measurement: every pixel is 0 or negative"),
+        ({"depth": DEPTH * np.nan}, "depth has no measurement: every pixel is NaN, infinite, zero or neg"),
+        ({"depth": np.zeros((4, 6), np.uint16)}, "depth has no measurement"),
+        ({"depth": -DEPTH}, "depth has no measurement"),
         ({"depth": DEPTH * 1000}, "median depth of 750 m cannot be in metres: divide millimetres by 1000"),
-        ({"depth": DEPTH - np.eye(4, 6)}, "depth has negative pixels"),
         ({"K": K[:2]}, r"K must be a finite \(3, 3\) camera matrix, got \(2, 3\) float64"),
         ({"K": K * np.nan}, r"K must be a finite \(3, 3\) camera matrix"),
         ({"K": K + np.eye(3)[[1, 0, 2]]}, "a camera without skew"),
