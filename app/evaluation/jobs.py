@@ -93,11 +93,15 @@ class Ledger:
 
 
 def spread(work: Callable[[Item], Line], items: Sequence[Item], options: EvaluateOptions) -> Iterator[Line]:
-    """Run jobs and yield their results in order of completion."""
+    """Run jobs and yield their results in order of completion.
+
+    Every job runs single-threaded: sums of several threads round differently, and a fit amplifies that. The
+    results depend on neither the number of workers nor their timing.
+    """
     if options.ray is not None:
         yield from _on_ray(work, items, options.ray)
     elif options.workers == 1:
-        yield from map(work, items)
+        yield from _in_this_process(work, items)
     else:
         yield from _in_processes(work, items, options.workers)
 
@@ -109,6 +113,15 @@ def resident_memory() -> int | None:
     except OSError:
         return None
     return pages * os.sysconf("SC_PAGE_SIZE")
+
+
+def _in_this_process(work: Callable[[Item], Line], items: Sequence[Item]) -> Iterator[Line]:
+    from perception.inference.reconstruct import single_threaded_torch
+
+    for item in items:
+        with single_threaded_torch():
+            line = work(item)
+        yield line
 
 
 def _in_processes(work: Callable[[Item], Line], items: Sequence[Item], workers: int) -> Iterator[Line]:

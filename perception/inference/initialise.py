@@ -1,7 +1,7 @@
 """Initial pose: centre, size and upright orientation from the masked clouds and the support plane.
 
 Across the line of sight the cloud of a view has the extent of the object; along it only the near side is
-seen, so the centre is pushed behind it by the radius. Least squares combines the views.
+visible, so the centre lies one radius behind it. Least squares combines the views.
 """
 
 from __future__ import annotations
@@ -19,20 +19,27 @@ from perception.inference.observation import ObjectObservation
 from perception.rendering.pose import ObjectPose
 from perception.types import Category, SupportPlane
 
-LONGEST_SIDE = 1.8  # of the canonical cube's 2
+LONGEST_SIDE = 1.8  # longest side of an object in the canonical cube of side 2
 
 _MIN_HEIGHT = 0.003  # [m] points lower than this belong to the plane
 _MIN_POINTS = 30
-_STEEP = np.deg2rad(68.0)  # views from above this elevation see near and far side
+_STEEP = np.deg2rad(68.0)  # elevation of the camera above which near and far side are visible
 _MAX_YAWS = 5
-_LEAST_LIKELY = 0.3  # of the likeliest yaw's probability: less likely ones are not tried
-_YAW_REACH = np.deg2rad(25.0)  # from so far a fit finds the handle by itself
+_LEAST_LIKELY = 0.3  # smallest probability of a hypothesis relative to the most probable yaw
+_YAW_REACH = np.deg2rad(25.0)  # initial yaw error from which a fit converges to the handle
 _BLIND_YAWS = 6  # hypotheses for a mug without a yaw distribution
 
 
 @dataclass(frozen=True)
 class CloudMeasures:
-    """Clouds, in metres: ``centre`` and ``outline`` (all points) in the plane, radius, height."""
+    """Measures of the masked clouds of all views.
+
+    Attributes:
+        centre: Centre of the object in the coordinates of the plane, in metres.
+        radius: Half the width across the line of sight, median of the views, in metres.
+        height: Height above the plane, median of the views, in metres.
+        outline: All points of the object projected onto the plane, in metres.
+    """
 
     centre: Float[np.ndarray, "2"]
     radius: float
@@ -41,7 +48,7 @@ class CloudMeasures:
 
     @property
     def bounding_radius(self) -> float:
-        """Radius of a sphere about the object's middle that holds it, with a quarter of slack [m]."""
+        """Radius of a sphere about the object's centre that contains it with a margin of 25 %, in metres."""
         return 1.25 * float(np.hypot(self.radius, self.height / 2))
 
 
@@ -50,8 +57,11 @@ def initial_poses(
 ) -> tuple[list[ObjectPose], CloudMeasures]:
     """Return upright initial poses, the most probable yaw first, and the measures they come from.
 
-    The shape prior's grids hold bounding boxes that are centred and ``LONGEST_SIDE`` long, so the cloud's
-    height and width give centre and scale.
+    The bounding boxes of the shape prior's grids are centred, their longest side is ``LONGEST_SIDE``: height
+    and width of the cloud give centre and scale.
+
+    Raises:
+        InvalidInputError: No view has enough points above the plane.
     """
     basis = plane_basis(plane)
     measures = measure_clouds(observations, plane, basis)
@@ -66,14 +76,18 @@ def initial_poses(
 
 
 def plane_basis(plane: SupportPlane) -> Float[np.ndarray, "3 3"]:
-    """Rows: two directions in the plane, the first near world x, and the normal."""
+    """Return as rows two directions in the plane, the first near world x, and the normal."""
     return upright_rotation(plane.normal, 0.0).T
 
 
 def measure_clouds(
     observations: Sequence[ObjectObservation], plane: SupportPlane, basis: Float[np.ndarray, "3 3"]
 ) -> CloudMeasures:
-    """Return centre, radius and height; raises InvalidInputError if nothing is above the plane."""
+    """Return the measures of the clouds; ``basis`` as from ``plane_basis``.
+
+    Raises:
+        InvalidInputError: No view has enough points above the plane.
+    """
     rows, values, weights, radii, heights, outline = [], [], [], [], [], []
     for seen in observations:
         points = seen.points_world()
@@ -119,7 +133,7 @@ def yaw_hypotheses(
     """Return yaw hypotheses about the plane's normal, in radians, the most probable first."""
     if category == "mug":
         return _modes([o.yaw_probabilities for o in observations if o.yaw_probabilities.size])
-    if category == "bottle":  # may have a rectangular section, long or short side along x
+    if category == "bottle":  # sections may be rectangular, with the long or the short side along x
         (_, (along, across), degrees) = cv2.minAreaRect(measures.outline.astype(np.float32))
         yaw = np.deg2rad(degrees) + (0.0 if along >= across else np.pi / 2)
         return [yaw, yaw + np.pi / 2]
@@ -127,9 +141,9 @@ def yaw_hypotheses(
 
 
 def _modes(distributions: list[np.ndarray]) -> list[float]:
-    """Yaws that cover the fused distribution, or evenly spread ones where there is none.
+    """Return the modes of the fused yaw distribution in radians, or uniform yaws without a distribution.
 
-    A sharp distribution has one; a flat one, of a handle hardly seen, has several a fit's reach apart.
+    Non-maximum suppression over ``_YAW_REACH``: one mode of a sharp distribution, several of a flat one.
     """
     if not distributions:
         return [2 * np.pi * k / _BLIND_YAWS for k in range(_BLIND_YAWS)]
@@ -145,6 +159,6 @@ def _modes(distributions: list[np.ndarray]) -> list[float]:
 
 
 def _vertex(left: float, middle: float, right: float) -> float:
-    """Offset of a parabola's top through three neighbours, in bins."""
+    """Return the offset of the vertex of the parabola through three neighbours, in bins."""
     curvature = left - 2 * middle + right
     return 0.0 if curvature >= 0 else float(np.clip(0.5 * (left - right) / curvature, -0.5, 0.5))

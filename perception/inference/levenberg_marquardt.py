@@ -1,12 +1,12 @@
-"""Levenberg-Marquardt for weighted least squares on a manifold: generic, failure is data.
+"""Levenberg-Marquardt for weighted least squares on a manifold; failures are reported as a status.
 
 At a state x with residuals r, Jacobian J and weights w it solves the damped normal equations
 
     (J^T W J + lambda diag(J^T W J)) step = -J^T W r
 
-and accepts the step if sum w r^2 falls, **with the weights of the linearisation**: weights may depend on
-the state (robust, or by a predicted variance), and letting them change within the comparison would reward
-large variances.
+and accepts the step if sum w r^2 decreases with the weights of the linearisation: weights may depend on the
+state (robust, or by a predicted variance), and reweighting within the comparison would favour states of large
+variance.
 """
 
 from __future__ import annotations
@@ -21,12 +21,18 @@ from jaxtyping import Float
 State = TypeVar("State")
 LmStatus = Literal["converged", "max_iterations", "stuck", "not_finite"]
 
-_FLOOR = 1e-9  # of the largest diagonal entry: keeps directions that no residual sees solvable, at step 0
+_FLOOR = 1e-9  # damping relative to the largest diagonal entry: the step is 0 along unobservable directions
 
 
 @dataclass(frozen=True)
 class Evaluation:
-    """A weighted least-squares problem at one state: cost sum_i w_i r_i^2."""
+    """Weighted least-squares problem at one state, of cost sum_i w_i r_i^2.
+
+    Attributes:
+        residuals: Residuals r.
+        jacobian: Derivative of the residuals with respect to a step in the tangent space.
+        weights: Weights w, not negative.
+    """
 
     residuals: Float[np.ndarray, "n"]
     jacobian: Float[np.ndarray, "n p"]
@@ -37,7 +43,7 @@ class Evaluation:
         return float(self.weights @ self.residuals.astype(np.float64) ** 2)
 
     def normal_equations(self) -> tuple[Float[np.ndarray, "p p"], Float[np.ndarray, "p"]]:
-        """J^T W J and J^T W r, in float64."""
+        """Return J^T W J and J^T W r, in float64."""
         root = np.sqrt(self.weights).astype(self.jacobian.dtype)
         rows, residuals = self.jacobian * root[:, None], self.residuals.astype(self.jacobian.dtype) * root
         return (rows.T @ rows).astype(np.float64), (rows.T @ residuals).astype(np.float64)
@@ -45,7 +51,19 @@ class Evaluation:
 
 @dataclass(frozen=True)
 class LmConfig:
-    """Damping starts at ``damping``; an accepted step multiplies it by ``down``, a rejected one by ``up``."""
+    """Damping schedule and termination.
+
+    Attributes:
+        max_iterations: Largest number of iterations.
+        damping: Initial damping lambda.
+        down: Factor of the damping after an accepted step.
+        up: Factor of the damping after a rejected step.
+        min_damping: Smallest damping.
+        max_damping: Damping above which the minimisation is stuck.
+        tolerance: Relative decrease of the cost that is small; converged after two consecutive accepted steps
+            with at most this decrease.
+        least_step: Norm of a step below which the minimisation has converged; that step is not taken.
+    """
 
     max_iterations: int = 30
     damping: float = 1e-2
@@ -53,13 +71,20 @@ class LmConfig:
     up: float = 5.0
     min_damping: float = 1e-7
     max_damping: float = 1e6
-    tolerance: float = 1e-5  # converged when an accepted step lowers the cost by less than this share, twice
-    least_step: float = 0.0  # converged when the next step is shorter than this; it is not taken
+    tolerance: float = 1e-5
+    least_step: float = 0.0
 
 
 @dataclass(frozen=True)
 class LmIteration:
-    """One iteration: costs before and after the step, with the weights of the linearisation."""
+    """One iteration.
+
+    Attributes:
+        cost: Cost before the step.
+        cost_after: Cost after the step, with the weights of the linearisation.
+        damping: Damping of the step.
+        accepted: Whether the step was accepted.
+    """
 
     cost: float
     cost_after: float
@@ -69,7 +94,15 @@ class LmIteration:
 
 @dataclass(frozen=True)
 class LmResult(Generic[State]):
-    """Final state with its evaluation, the reason for termination, the damping to continue, the trace."""
+    """Result of a minimisation.
+
+    Attributes:
+        state: Final state.
+        evaluation: Evaluation of the final state.
+        status: Reason for termination.
+        damping: Damping with which to continue.
+        trace: All iterations.
+    """
 
     state: State
     evaluation: Evaluation
@@ -82,7 +115,7 @@ def minimise(
     evaluate: Callable[[State], Evaluation],
     retract: Callable[[State, np.ndarray], State],
     state: State,
-    config: LmConfig | None = None,
+    config: LmConfig = LmConfig(),
     step_limit: Float[np.ndarray, "p"] | None = None,
 ) -> LmResult[State]:
     """Minimise the weighted squared residuals.
@@ -94,7 +127,6 @@ def minimise(
         config: Damping and termination.
         step_limit: Largest step of each parameter; longer steps are scaled down as a whole.
     """
-    config = config or LmConfig()
     damping, small_gains, trace = config.damping, 0, []
     current = evaluate(state)
     hessian, gradient = current.normal_equations()
@@ -108,9 +140,9 @@ def minimise(
             status = "converged"
             break
         candidate = retract(state, step)
-        there = evaluate(candidate)
+        proposed = evaluate(candidate)
         cost = current.cost
-        cost_after = float(current.weights @ there.residuals.astype(np.float64) ** 2)
+        cost_after = float(current.weights @ proposed.residuals.astype(np.float64) ** 2)
         accepted = bool(cost_after < cost)
         trace.append(LmIteration(cost, cost_after, damping, accepted))
         if not accepted:
@@ -120,7 +152,7 @@ def minimise(
                 break
             continue
         damping = max(damping * config.down, config.min_damping)
-        state, current = candidate, there
+        state, current = candidate, proposed
         hessian, gradient = current.normal_equations()
         small_gains = small_gains + 1 if cost - cost_after <= config.tolerance * cost else 0
         if small_gains == 2 or cost_after == 0.0:

@@ -1,11 +1,11 @@
 """Watertight meshes from occupancy grids: marching cubes, with walls and handles thinner than a voxel.
 
-A plain level of 0.5 loses what is thinner than a voxel: handles and rims decode to ridges that stay below
-it. Two surfaces are taken instead. The sharp one lies where the occupancy falls to half of its local maximum:
-its walls are as thick as they should be, but have holes where a wall passes between two voxels, for there
-it is at half of what it is next to it. The whole one lies where the occupancy falls to a share of the ridge's
-mean height around: it has no such holes, but is too thick. It is moved inwards, everywhere by the same, until
-it holds as much as the sharp one. Of what is massive both are the same.
+The level set of 0.5 loses structures thinner than a voxel: handles and rims decode to ridges below it. Two
+level sets are extracted instead. The sharp surface lies where the occupancy falls to half of its local
+maximum: its walls have the right thickness, but holes where a wall passes midway between two voxels and the
+occupancy is halved. The whole surface lies where the occupancy falls to a share of the mean height of the
+ridge around: without such holes, but too thick. It is offset inwards by a constant distance until it encloses
+the volume of the sharp surface. On solid parts both surfaces coincide.
 """
 
 from __future__ import annotations
@@ -24,8 +24,8 @@ from perception.errors import PerceptionError
 from perception.inference.shape_model import Decoder, decode
 from perception.types import Category, TriangleMesh
 
-_MASSIVE = 5  # voxels of thickness from which on there is no ridge, and nothing to close
-_OFF_THE_TIES = 1.7e-5  # a voxel exactly at the level would pinch the surface to a point there
+_SOLID_THICKNESS = 5  # [voxel] smallest thickness of solid parts, which have no ridge
+_LEVEL_OFFSET = 1.7e-5  # avoids voxels exactly at the level, where the surface would be non-manifold
 
 
 class EmptyShapeError(PerceptionError):
@@ -34,16 +34,16 @@ class EmptyShapeError(PerceptionError):
 
 @dataclass(frozen=True)
 class MeshConfig:
-    """How surfaces are taken from grids.
+    """Settings of the surface extraction.
 
     Attributes:
-        iso: level of the normalised grid.
-        ridge: smallest local maximum that still makes a surface; weaker structure is noise.
-        solid: largest local maximum that is divided by: a weak handle must not lose its end at a solid body.
-        reach: radius, in voxels, in which the local maximum is looked for.
-        crest: share of a ridge's mean height that the whole surface divides by.
-        spread: radius of that mean, one deviation, in voxels.
-        inset: farthest that the whole surface is moved inwards, in voxels.
+        iso: Level of the normalised grid.
+        ridge: Smallest local maximum that has a surface; weaker structures are noise.
+        solid: Largest divisor, so that the end of a weak handle next to a solid body is kept.
+        reach: Radius of the local maximum, in voxels.
+        crest: Divisor of the whole surface as a share of the mean height of the ridge.
+        spread: Standard deviation of the Gaussian window of that mean, in voxels.
+        inset: Largest inward offset of the whole surface, in voxels.
     """
 
     iso: float = 0.5
@@ -60,7 +60,7 @@ def mesh_from_code(
     category: Category,
     code: Float[np.ndarray, "16"],
     scale: Float[np.ndarray, "3"],
-    config: MeshConfig | None = None,
+    config: MeshConfig = MeshConfig(),
 ) -> TriangleMesh:
     """Decode a code and return its watertight mesh in the object frame, in metres."""
     return mesh_from_grid(decode(decoder, category, code), scale, category, config)
@@ -70,14 +70,13 @@ def mesh_from_grid(
     grid: Float[np.ndarray, "r r r"],
     scale: Float[np.ndarray, "3"],
     category: Category,
-    config: MeshConfig | None = None,
+    config: MeshConfig = MeshConfig(),
 ) -> TriangleMesh:
     """Return the watertight mesh of a grid in the object frame, in metres, with outward normals.
 
     Raises:
         EmptyShapeError: The grid has no surface.
     """
-    config = config or MeshConfig()
     grid = np.asarray(grid, dtype=np.float32)
     _, sharp_volume = _surface(sharpen(grid, config), scale, category, config)
     whole, volume = _surface(grid / _divisor(grid, config), scale, category, config)
@@ -90,11 +89,11 @@ def mesh_from_grid(
 def _surface(
     field: Float[np.ndarray, "r r r"], scale: Float[np.ndarray, "3"], category: Category, config: MeshConfig
 ) -> tuple[TriangleMesh, float]:
-    """The largest closed surface at the level, in [m], with what belongs to it, and the volume in [m³]."""
+    """Return the largest closed surface at the level with its cavities and handle, and its volume in m³."""
     padded = np.pad(field, 2)
     if padded.max() <= config.iso:
         raise EmptyShapeError(f"the decoded {category} has no voxel over {config.ridge}: nothing to mesh")
-    level = config.iso + _OFF_THE_TIES
+    level = config.iso + _LEVEL_OFFSET
     points, faces, _, _ = measure.marching_cubes(padded, level=level, gradient_direction="ascent")
     vertices, faces = (-1 + (2 * (points - 2) + 1) / field.shape[0]) * scale, faces[:, ::-1]
     part_of, volumes = _parts(vertices, faces)
@@ -102,8 +101,8 @@ def _surface(
         raise EmptyShapeError(f"the decoded {category} has no closed surface")
     body = int(np.abs(volumes).argmax())
     kept = {body}
-    if category == "mug":  # a handle that is cut off by a faint voxel or two still belongs to it
-        share = volumes / volumes[body]  # a cavity's is negative, a crumb's next to nothing
+    if category == "mug":  # the handle may be separated from the body by voxels of low occupancy
+        share = volumes / volumes[body]  # negative for cavities, small for fragments
         for part in set(np.flatnonzero(share >= 0.005).tolist()) - kept:
             away = KDTree(vertices[part_of == body]).query(vertices[part_of == part])[0]
             if away.min() < 4 * scale.max() / 32:
@@ -117,7 +116,7 @@ def _surface(
 def _parts(
     vertices: Float[np.ndarray, "v 3"], faces: Int[np.ndarray, "f 3"]
 ) -> tuple[Int[np.ndarray, "v"], Float[np.ndarray, "p"]]:
-    """Each vertex's connected part, and the signed volumes of the parts; 0 for one that is not closed."""
+    """Return the connected part of each vertex, and the parts' signed volumes in m³, 0 where not closed."""
     n = len(vertices)
     edges = np.sort(np.concatenate([faces[:, (0, 1)], faces[:, (1, 2)], faces[:, (2, 0)]]), axis=1)
     keys, uses = np.unique(edges[:, 0].astype(np.int64) * n + edges[:, 1], return_counts=True)
@@ -131,23 +130,23 @@ def _parts(
 
 
 def sharpen(grid: Float[np.ndarray, "r r r"], config: MeshConfig) -> Float[np.ndarray, "r r r"]:
-    """Divide the grid by its local maximum, where that is high enough to be a ridge."""
+    """Return the grid divided by its local maximum, clipped to the range from ridges to solid parts."""
     local = ndimage.maximum_filter(grid, size=2 * config.reach + 1)
     return grid / np.clip(local, 2 * config.ridge * config.iso, config.solid)
 
 
 def _divisor(grid: Float[np.ndarray, "r r r"], config: MeshConfig) -> Float[np.ndarray, "r r r"]:
-    """What the occupancy is divided by for the whole surface: a share of how high ridges are around.
+    """Return the divisor of the occupancy for the whole surface: a share of the mean height of nearby ridges.
 
-    The mean over a ridge's voxels, those between two lower ones along some axis, does not depend on where
-    between the voxels a wall passes; the maximum does.
+    A ridge consists of the local maxima along any axis. Unlike their maximum, their mean does not depend on
+    the position of a wall between the voxels.
     """
     padded = np.pad(grid, 1)
     high = padded > 0.5 * config.ridge
     ridge = padded > config.solid
     for axis in range(3):
         before, after = np.roll(padded, 1, axis), np.roll(padded, -1, axis)
-        bent = 2 * padded - before - after > 0.05 * padded  # a plateau of noise is no ridge
+        bent = 2 * padded - before - after > 0.05 * padded  # excludes plateaus of noise
         ridge |= (padded >= before) & (padded >= after) & bent & high
     amount, weight = (
         ndimage.gaussian_filter(values.astype(np.float32), config.spread, truncate=3.0)
@@ -155,5 +154,5 @@ def _divisor(grid: Float[np.ndarray, "r r r"], config: MeshConfig) -> Float[np.n
     )
     mean = np.divide(amount, weight, out=np.ones_like(amount), where=weight > 1e-4)[1:-1, 1:-1, 1:-1]
     thin = np.clip(config.crest * mean, 2 * config.ridge * config.iso, config.solid)
-    massive = ndimage.maximum_filter(ndimage.grey_opening(grid, size=_MASSIVE), size=_MASSIVE)
-    return np.maximum(thin, np.minimum(massive, config.solid))
+    solid = ndimage.maximum_filter(ndimage.grey_opening(grid, size=_SOLID_THICKNESS), size=_SOLID_THICKNESS)
+    return np.maximum(thin, np.minimum(solid, config.solid))

@@ -1,12 +1,13 @@
 """Refinement of a fitted mesh on the measured depth.
 
-Code and pose fit a whole object with 25 numbers; what the views show is known better than that. Every vertex
-moves along its normal by d. Where a view sees the vertex the measured depth asks for
+Code and pose are 25 parameters for a whole object; the measured depth determines the visible surface more
+precisely. Every vertex is displaced along its normal by d. Where a view shows the vertex, the measured
+displacement is
 
-    d_v = r_v (n_v . b_v),    r_v measured minus the vertex's depth, b_v its ray (z = 1), n_v its normal,
+    d_v = r_v (n_v . b_v),    r_v measured minus predicted depth, b_v ray (z = 1), n_v normal of the vertex,
 
-and a Gaussian prior says the rest: d is smooth over the surface, one part of it the same everywhere (a
-surface too far out or in), and small where nothing is seen. The most probable d solves a sparse system.
+with a Gaussian prior on d: smooth over the surface, with a component common to all vertices (a surface too
+large or too small), and small where nothing is measured. The MAP estimate of d solves a sparse linear system.
 """
 
 from __future__ import annotations
@@ -26,7 +27,7 @@ from perception.geometry import invert, transform_points
 from perception.inference.observation import ObjectObservation, pixel_rays
 from perception.types import RgbdFrame, SupportPlane, TriangleMesh
 
-_MARGIN = 24  # [px] of an image around the mesh that are looked at
+_MARGIN = 24  # [px] border of the image window around the mesh
 
 
 @dataclass(frozen=True)
@@ -34,19 +35,19 @@ class RefineConfig:
     """Standard deviations and limits of the refinement.
 
     Attributes:
-        depth_sigma: of one depth measurement [m].
-        floor_sigma: of a vertex's mean measurement, whatever it averages over [m].
-        prior_sigma: of the displacement where nothing is measured [m].
-        common_sigma: of its part that is the same everywhere [m].
-        roughness: how much the displacement changes over one edge of the mesh [m].
-        reach: measurements farther from the vertex along the ray belong to something else [m].
-        steepest: least cosine between ray and normal for a vertex to be measured.
-        edge: pixels this near the mask's border are not used.
-        outline_sigma: of the outline in a view [m].
-        support_sigma: of the bottom's height over the support plane [m].
-        limit: largest displacement [m].
-        passes: how often what is seen of the moved vertices is looked up again.
-        smoothing: passes of a filter that takes the voxels' staircase off the mesh first.
+        depth_sigma: Standard deviation of one depth measurement, in metres.
+        floor_sigma: Standard deviation that averaging the measurements of a vertex cannot reduce, in metres.
+        prior_sigma: Prior standard deviation of a vertex's own displacement, in metres.
+        common_sigma: Prior standard deviation of the displacement common to all vertices, in metres.
+        roughness: Prior standard deviation of the difference of displacements over one mesh edge, in metres.
+        reach: Largest distance of a measurement from the vertex along the ray, in metres.
+        steepest: Smallest cosine between ray and normal of a measured vertex.
+        edge: Width of the border of the mask that is not used, in pixels.
+        outline_sigma: Standard deviation of the outline in a view, in metres.
+        support_sigma: Standard deviation of the height of the bottom above the support plane, in metres.
+        limit: Largest displacement, in metres.
+        passes: Number of data associations, each at the vertices moved by the previous one.
+        smoothing: Passes of the low-pass filter that removes the voxel staircase before the refinement.
     """
 
     depth_sigma: float = 0.002
@@ -66,11 +67,11 @@ class RefineConfig:
 
 @dataclass(frozen=True)
 class RefinedMesh:
-    """A mesh after measurements moved it.
+    """Result of a refinement.
 
     Attributes:
-        mesh: its faces are as they were.
-        determined: (n,) share of each vertex's place that the measurements decided, 0..1; the rest is prior.
+        mesh: Mesh with displaced vertices and unchanged faces.
+        determined: Weight of the measurements in the estimate of each vertex, in 0..1; the rest is prior.
     """
 
     mesh: TriangleMesh
@@ -81,28 +82,34 @@ def refine_mesh(
     mesh_world: TriangleMesh,
     observations: Sequence[ObjectObservation],
     plane: SupportPlane,
-    config: RefineConfig | None = None,
+    config: RefineConfig = RefineConfig(),
 ) -> RefinedMesh:
-    """Return the mesh, in the world frame, with its vertices moved onto the measurements."""
-    config = config or RefineConfig()
+    """Displace the vertices of a mesh onto the measured depth.
+
+    Args:
+        mesh_world: Closed mesh in the world frame, in metres.
+        observations: Views of the object.
+        plane: Support plane, which the refined mesh does not penetrate.
+        config: Standard deviations and limits.
+    """
     start = _smoothed(mesh_world, config.smoothing)
     surface = trimesh.Trimesh(start, mesh_world.faces, process=False)
     normals = np.asarray(surface.vertex_normals)
     links = _links(surface) * config.roughness**-2
     d, precision = np.zeros(len(normals)), np.zeros(len(normals))
     moved = start
-    for _ in range(config.passes):  # a vertex that has moved is seen elsewhere
-        precision, asked = _asked(surface, moved, normals, observations, plane, config)
-        d = _most_probable(links, precision, precision * d + asked, config)
+    for _ in range(config.passes):  # a displaced vertex projects to another pixel
+        precision, information = _measurements(surface, moved, normals, observations, plane, config)
+        d = _map_displacement(links, precision, precision * d + information, config)
         moved = start + d[:, None] * normals
-    # Displacements are linear in what is measured: were that 1 everywhere, this much would come of it.
-    determined = np.clip(_solved(_stiffness(links, precision, config), precision), 0.0, 1.0)
-    moved = moved - np.minimum(plane.height_above(moved), 0.0)[:, None] * plane.normal  # not into the plane
+    # The estimate is linear in the measured displacements: its response to 1 everywhere is their weight.
+    determined = np.clip(_solved(_posterior_precision(links, precision, config), precision), 0.0, 1.0)
+    moved = moved - np.minimum(plane.height_above(moved), 0.0)[:, None] * plane.normal
     return RefinedMesh(TriangleMesh(moved, mesh_world.faces), determined)
 
 
 def _smoothed(mesh: TriangleMesh, passes: int) -> Float[np.ndarray, "n 3"]:
-    """The vertices after a low-pass filter that does not shrink (Taubin, SIGGRAPH 1995)."""
+    """Return the vertices after a low-pass filter without shrinkage (Taubin, SIGGRAPH 1995)."""
     vertices = mesh.vertices
     links = _links(trimesh.Trimesh(vertices, mesh.faces, process=False))
     mean = sparse.diags_array(1 / links.sum(axis=1)) @ links
@@ -112,13 +119,13 @@ def _smoothed(mesh: TriangleMesh, passes: int) -> Float[np.ndarray, "n 3"]:
 
 
 def _links(surface: trimesh.Trimesh) -> sparse.csr_array:
-    """1 for every two vertices that share an edge."""
+    """Return the adjacency matrix of the vertices: 1 for every two that share an edge."""
     i, j = np.asarray(surface.edges_unique).T
     n = len(surface.vertices)
     return sparse.coo_array((np.ones(2 * len(i)), (np.r_[i, j], np.r_[j, i])), shape=(n, n)).tocsr()
 
 
-def _asked(
+def _measurements(
     surface: trimesh.Trimesh,
     vertices: Float[np.ndarray, "n 3"],
     normals: Float[np.ndarray, "n 3"],
@@ -126,31 +133,37 @@ def _asked(
     plane: SupportPlane,
     config: RefineConfig,
 ) -> tuple[Float[np.ndarray, "n"], Float[np.ndarray, "n"]]:
-    """What all measurements ask of the vertices where they are: precision, and displacement times that."""
+    """Return precision, in 1/m², and precision times measured displacement, in 1/m, of each vertex.
+
+    Displacements are relative to ``vertices``; depth, outlines and the support plane contribute.
+    """
     height = plane.height_above(vertices)
     lowest = (normals @ plane.normal < -0.7) & (height < height.min() + 0.002)
     precision = lowest / config.support_sigma**2
-    asked = precision * height  # along the normal, which points down
+    information = precision * height  # along the normal, which points down
     for seen in observations:
         view = _View.of(surface, vertices, normals, seen)
-        for w, d in (_measured(view, seen, config), _outlined(view, seen, plane, config)):
+        for w, d in (
+            _depth_displacement(view, seen, config),
+            _outline_displacement(view, seen, plane, config),
+        ):
             precision = precision + w
-            asked = asked + w * d
-    return precision, asked
+            information = information + w * d
+    return precision, information
 
 
 @dataclass(frozen=True)
 class _View:
-    """Vertices in one image, of which only the window around them matters.
+    """Vertices projected to one image, cropped to a window around them.
 
     Attributes:
-        window: rows and columns of the image.
-        at: row and column of each vertex in the window, (0, 0) outside the image.
-        inside: whether it is in the image.
-        z: its depth [m].
-        cosine: of its normal and its ray (z = 1), negative towards the camera.
-        across: (n, 2) its normal's components along the image's x and y.
-        spacing: of the mesh in the image [px].
+        window: Rows and columns of the image.
+        at: Row and column of each vertex in the window; (0, 0) outside the image.
+        inside: Whether each vertex projects into the image.
+        z: Depth of each vertex, in metres.
+        cosine: Product of the normal of each vertex and its ray (z = 1), negative towards the camera.
+        across: (n, 2) components of each normal along the image's x and y axes.
+        spacing: Median projected edge length of the mesh, in pixels.
     """
 
     window: tuple[slice, slice]
@@ -182,7 +195,7 @@ class _View:
 
     @cached_property
     def nearest(self) -> Float[np.ndarray, "h w"]:
-        """Depth of the mesh in [m], infinite beside it: splats that reach as far as its edges."""
+        """Depth image of the mesh by splats as large as its edges, in metres; infinite off the mesh."""
         rows, columns = self.window
         image = np.full((rows.stop - rows.start, columns.stop - columns.start), np.inf, np.float32)
         np.minimum.at(image, self.at, np.where(self.inside, self.z, np.inf).astype(np.float32))
@@ -190,26 +203,26 @@ class _View:
 
     @property
     def covered(self) -> np.ndarray:
-        """Where the mesh is in the image, wider by ``spacing``."""
+        """Mask of the mesh in the image, dilated by ``spacing``."""
         return np.isfinite(self.nearest).astype(np.uint8)
 
     def in_front(self, fx: float, steepest: float) -> np.ndarray:
-        """Which vertices no other part of the mesh hides."""
-        slant = 2 * self.spacing / fx * self.z / np.maximum(-self.cosine, steepest)  # depth within a splat
+        """Return which vertices are not occluded by the mesh itself."""
+        slant = 2 * self.spacing / fx * self.z / np.maximum(-self.cosine, steepest)  # depth range of a splat
         return self.inside & (self.z < self.nearest[self.at] + slant + 0.002)
 
 
 def _around(index: np.ndarray, size: int) -> slice:
-    """Rows or columns of an image around those given."""
+    """Return the range of rows or columns around the given ones, with a margin, inside the image."""
     if not len(index):
         return slice(0, 1)
     return slice(max(int(index.min()) - _MARGIN, 0), min(int(index.max()) + _MARGIN, size - 1) + 1)
 
 
-def _measured(
+def _depth_displacement(
     view: _View, seen: ObjectObservation, config: RefineConfig
 ) -> tuple[Float[np.ndarray, "n"], Float[np.ndarray, "n"]]:
-    """Precision [1/m^2] and displacement [m] that the measured depth asks of every vertex."""
+    """Return precision, in 1/m², and displacement, in metres, of each vertex by the measured depth."""
     depth, at, cosine = seen.frame.depth[view.window], view.at, view.cosine
     usable = seen.mask[view.window] & (depth > 0)
     if seen.ignore is not None:
@@ -227,13 +240,13 @@ def _measured(
     return np.where(good, robust / sigma2, 0.0), residual * cosine
 
 
-def _outlined(
+def _outline_displacement(
     view: _View, seen: ObjectObservation, plane: SupportPlane, config: RefineConfig
 ) -> tuple[Float[np.ndarray, "n"], Float[np.ndarray, "n"]]:
-    """The same for the vertices on the mesh's outline in the image, and those beyond the object's.
+    """Return precision, in 1/m², and displacement, in metres, of each vertex by the outline of the object.
 
-    The object's outline lies where measured object and measured background meet; that its mask may be too
-    wide or too narrow does not matter.
+    Used are vertices on the outline of the mesh and vertices outside the outline of the object. The latter is
+    the border between measured object and measured background, and independent of errors of the mask.
     """
     depth, at = seen.frame.depth[view.window], view.at
     known = depth > 0 if seen.ignore is None else (depth > 0) & ~seen.ignore[view.window]
@@ -244,7 +257,7 @@ def _outlined(
     inwards = cv2.distanceTransform((~behind).astype(np.uint8), cv2.DIST_L2, 3)
     outwards = cv2.distanceTransform((~is_object).astype(np.uint8), cv2.DIST_L2, 3)
     beyond = np.where(is_object[at], 0.5 - inwards[at], np.where(behind[at], outwards[at] - 0.5, 0.0))  # [px]
-    slope = inwards - outwards  # falls towards the background
+    slope = inwards - outwards  # decreases towards the background
     fall = -np.stack([cv2.Sobel(slope, cv2.CV_32F, *d)[at] for d in ((1, 0), (0, 1))], axis=1)
     length = np.linalg.norm(view.across, axis=1)
     along = (view.across * fall).sum(axis=1) / np.maximum(length * np.linalg.norm(fall, axis=1), 1e-9)
@@ -258,35 +271,37 @@ def _outlined(
 
 
 def _heights(frame: RgbdFrame, plane: SupportPlane, view: _View) -> Float[np.ndarray, "h w"]:
-    """Height of the measured points above the plane [m]."""
+    """Return the height of the measured points above the plane, in metres."""
     assert frame.T_world_camera is not None
     v, u = np.mgrid[view.window]
     points = pixel_rays(frame, u, v) * frame.depth[view.window][..., None]
     return plane.height_above(transform_points(frame.T_world_camera, points))
 
 
-def _most_probable(
-    links: sparse.csr_array, precision: np.ndarray, target: np.ndarray, config: RefineConfig
+def _map_displacement(
+    links: sparse.csr_array, precision: np.ndarray, information: np.ndarray, config: RefineConfig
 ) -> Float[np.ndarray, "n"]:
-    """Displacement of every vertex: a smooth part of its own and one common to all."""
+    """Return the MAP displacement of each vertex: its own smooth component plus the common one."""
     n = len(precision)
     common = np.array([[precision.sum() + config.common_sigma**-2]])
     A = sparse.block_array(
         [
-            [_stiffness(links, precision, config), sparse.csr_array(precision[:, None])],
+            [_posterior_precision(links, precision, config), sparse.csr_array(precision[:, None])],
             [sparse.csr_array(precision[None]), common],
         ]
     )
-    x = _solved(sparse.csr_array(A), np.r_[target, target.sum()])
+    x = _solved(sparse.csr_array(A), np.r_[information, information.sum()])
     return np.clip(x[:n] + x[n], -config.limit, config.limit)
 
 
-def _stiffness(links: sparse.csr_array, precision: np.ndarray, config: RefineConfig) -> sparse.csr_array:
-    """Of vertices' own displacements: to their neighbours', to none, and to what is measured."""
+def _posterior_precision(
+    links: sparse.csr_array, precision: np.ndarray, config: RefineConfig
+) -> sparse.csr_array:
+    """Return the posterior precision of the vertices' own displacements: smoothness, prior, measurements."""
     diagonal = links.sum(axis=1) + config.prior_sigma**-2 + precision
     return sparse.csr_array(sparse.diags_array(diagonal) - links)
 
 
 def _solved(A: sparse.csr_array, b: np.ndarray) -> np.ndarray:
-    """A^-1 b to three digits, A positive definite."""
+    """Solve A x = b for positive definite A by conjugate gradients, to a relative residual of 1e-3."""
     return cg(A, b, rtol=1e-3, maxiter=300, M=sparse.diags_array(1 / A.diagonal()))[0]

@@ -1,8 +1,8 @@
 """Pose check of an object of known shape near its expected pose.
 
-No detector is needed: the object is rendered where it is expected, and the measured depth within reach of
-the rendering corrects its pose by Levenberg-Marquardt. What then agrees with the measurement, what is seen
-through it, and what something else hides, tells whether it is there at all.
+No detector is needed: the object is rendered at the expected pose, and Levenberg-Marquardt corrects the pose
+by the measured depth near the rendering. The object's presence follows from the pixels whose depth agrees and
+those measured behind it; occluded pixels do not count.
 """
 
 from __future__ import annotations
@@ -30,18 +30,17 @@ class RefitConfig:
     """Settings of a pose check.
 
     Attributes:
-        crop: pixels along the longer side of each view's crop.
-        step: of the renderer's samples along the rays, in voxels.
-        margin: how far around the expected place is looked [m].
-        reaches: measured depth farther than this from the rendering is no evidence for the pose, pass by
-            pass [m].
-        iterations: of each pass.
-        depth_sigma: of a measurement [m].
-        tilt_sigma: of the weak prior that the object stands upright [rad].
-        agree: measured within this of the rendering counts as the object [m].
-        min_pixels: visible pixels, of the full image, under which nothing can be said.
-        min_share: of the visible pixels that must agree.
-        starts: offsets from the expected place that are tried if the first one fails [m].
+        crop: Pixels along the longer side of each view's crop.
+        step: Length of a render step along a ray, in voxels.
+        margin: Width of the searched region around the object, in metres.
+        reaches: Largest depth residual of an inlier in each pass, in metres.
+        iterations: Number of iterations of each pass.
+        depth_sigma: Standard deviation of a depth measurement, in metres.
+        tilt_sigma: Standard deviation of the prior on the tilt, in radians.
+        agree: Largest depth residual of a pixel that agrees with the object, in metres.
+        min_pixels: Smallest number of visible pixels of the full images for a decision.
+        min_share: Smallest share of the visible pixels that must agree.
+        starts: Offset of the other initial positions, tried if the expected one fails, in metres.
     """
 
     crop: int = 64
@@ -62,13 +61,13 @@ class PoseCheck:
     """Result of a pose check.
 
     Attributes:
-        T_world_object: refined pose; the expected one where nothing was seen.
-        status: "seen"; "not_there" if the camera sees through where it should be; "hidden" if too little of
-            its place is visible to tell.
-        inlier_share: of the visible pixels of the object, those that agree with the measurement.
-        visible_pixels: of all views together, in pixels of the full images.
-        tilt: of the object's axis against the plane's normal [rad].
-        shift: distance from the expected position [m].
+        T_world_object: (4, 4) refined pose; the expected one unless the object is seen.
+        status: "seen"; "not_there" if the cameras measure depth behind the object; "hidden" if too few of its
+            pixels are visible for a decision.
+        inlier_share: Share of the object's visible pixels whose depth agrees, in 0..1.
+        visible_pixels: Number of visible pixels of all views, in pixels of the full images.
+        tilt: Angle between the object's axis and the plane's normal, in radians.
+        shift: Distance from the expected position, in metres.
     """
 
     T_world_object: Float[np.ndarray, "4 4"]
@@ -84,20 +83,19 @@ def refit_pose(
     frames: Sequence[RgbdFrame],
     T_expected: Float[np.ndarray, "4 4"],
     others: Sequence[ObjectEstimate] = (),
-    plane: SupportPlane | None = None,
-    config: RefitConfig | None = None,
+    plane: SupportPlane = SupportPlane(),
+    config: RefitConfig = RefitConfig(),
 ) -> PoseCheck:
     """Find the object near its expected pose.
 
     Args:
-        estimate: its shape; any watertight mesh does.
-        frames: views of the place, with camera poses.
-        T_expected: where it should stand.
-        others: objects around it at their poses: depth that they explain better is not this object's.
-        plane: whose normal is up; the world's z by default.
-        config: limits and budgets.
+        estimate: Object, of which only the mesh is used; it must be watertight.
+        frames: Views of the expected place, with camera poses.
+        T_expected: (4, 4) expected pose.
+        others: Objects nearby at their poses; depth that they explain better is not attributed to the object.
+        plane: Support plane.
+        config: Limits and budgets.
     """
-    config, plane = config or RefitConfig(), plane or SupportPlane()
     search = _Search(estimate, frames, T_expected, others, plane, config)
     expected = ObjectPose.of(T_expected, search.scale)
     best = search.refine(expected)
@@ -126,7 +124,21 @@ def refit_pose(
 
 
 class _Search:
-    """Pixels around the expected place, what other objects explain of them, and the fit to the rest."""
+    """Measured pixels around the expected position and the fit of a pose to them.
+
+    Attributes:
+        config: Settings.
+        plane: Support plane.
+        scale: (3,) metres per canonical unit, with which the mesh fits into the cube.
+        shape: Occupancy grid of the mesh.
+        radius: Radius of a sphere about the object's origin that contains the mesh, in metres.
+        rays: Rays of the measured pixels.
+        measured: Measured depth of each ray, in metres.
+        area: Number of pixels of the full image that each ray represents.
+        cameras: (n, 4, 4) poses T_world_camera of the views with measurements.
+        explained: Smallest depth residual of each ray with respect to another object, in metres; infinite
+            where none is rendered.
+    """
 
     def __init__(
         self,
@@ -139,7 +151,7 @@ class _Search:
     ) -> None:
         self.config, self.plane = config, plane
         mesh = estimate.mesh
-        # Any mesh goes: the cube is put around it, with the grid's usual margin, wherever its origin is.
+        # The cube is centred at the mesh's origin, with the usual margin of the grids.
         self.scale = np.maximum(np.abs(mesh.vertices).max(axis=0) / 0.9, 1e-3)
         self.shape = ShapeGrid.upload(voxelise(mesh, self.scale), skip_occupancy=1e-3)
         voxel = 2 * float(self.scale.mean()) / GRID_RESOLUTION
@@ -149,7 +161,10 @@ class _Search:
         self.rays, self.measured, self.area, self.cameras = self._gather(frames, centre)
         self.explained = self._explained_by(others)
 
-    def _gather(self, frames, centre) -> tuple[RayBundle, np.ndarray, np.ndarray, np.ndarray]:
+    def _gather(
+        self, frames: Sequence[RgbdFrame], centre: Float[np.ndarray, "3"]
+    ) -> tuple[RayBundle, Float[np.ndarray, "n"], Float[np.ndarray, "n"], Float[np.ndarray, "v 4 4"]]:
+        """Return rays, measured depths, pixel areas and camera poses of the views around a point."""
         config, reach = self.config, self.radius + self.config.margin
         directions, view, measured, area, depth_range, cameras = [], [], [], [], [], []
         for frame in frames:
@@ -191,7 +206,7 @@ class _Search:
         return rays, np.concatenate(measured), np.concatenate(area), np.stack(cameras)
 
     def _explained_by(self, others: Sequence[ObjectEstimate]) -> Float[np.ndarray, "n"]:
-        """Distance of the measurement from the nearest rendering of another object [m]; infinite off them."""
+        """Return ``explained``."""
         nearest = np.full(len(self.measured), np.inf, np.float32)
         if not len(self.measured):
             return nearest
@@ -209,7 +224,7 @@ class _Search:
         return nearest
 
     def refine(self, pose: ObjectPose) -> ObjectPose:
-        """Return the pose that agrees best with the measured depth within reach, from an initial pose."""
+        """Return the pose of least squares to the measured depth within ``reaches``, from an initial pose."""
         limit = np.array([0.1, 0.1, 0.1, 0.01, 0.01, 0.01])
         if not len(self.measured):
             return pose
@@ -243,7 +258,7 @@ class _Search:
         )
 
     def evidence(self, pose: ObjectPose) -> tuple[float, float]:
-        """Pixels, of the full images, that agree with the object there, and those that see through it."""
+        """Return the numbers of full-image pixels that agree with the object and that measure behind it."""
         if not len(self.measured):
             return 0.0, 0.0
         image = render(self.shape, self.rays, canonical_from_camera(pose, self.cameras), gradients=False)
@@ -253,5 +268,6 @@ class _Search:
         return float(self.area[own].sum()), float(self.area[on & (behind >= self.config.agree)].sum())
 
     def share(self, pose: ObjectPose) -> float:
+        """Return the share of the visible pixels that agree with the object at a pose."""
         agree, through = self.evidence(pose)
         return agree / max(agree + through, 1.0)

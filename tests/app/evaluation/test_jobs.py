@@ -7,6 +7,7 @@ import sys
 from functools import partial
 
 import pytest
+import torch
 
 from app.errors import UsageError
 from app.evaluation.jobs import SETTINGS, THREAD_POOLS, Ledger, resident_memory, spread
@@ -73,6 +74,23 @@ def test_jobs_start_only_when_their_result_is_wanted(tmp_path):
     results = spread(lambda item: started.append(item) or {"seed": item}, [1, 2], options(tmp_path))
     next(results)
     assert started == [1]
+
+
+def test_one_worker_has_one_thread_as_the_processes_have(tmp_path):
+    """Sums of several threads round differently: results would depend on the number of workers."""
+    threads = torch.get_num_threads()
+    torch.set_num_threads(3)
+    try:
+        results = spread(lambda item: {"threads": torch.get_num_threads()}, [1, 2], options(tmp_path))
+        assert next(results) == {"threads": 1}
+        assert torch.get_num_threads() == 3  # between jobs and after an interruption
+        assert list(results) == [{"threads": 1}]
+        results = spread(lambda item: 1 / item, [0], options(tmp_path))
+        with pytest.raises(ZeroDivisionError):
+            next(results)
+        assert torch.get_num_threads() == 3
+    finally:
+        torch.set_num_threads(threads)
 
 
 def test_several_workers_are_processes_with_one_thread_each(tmp_path, monkeypatch):

@@ -7,7 +7,7 @@ import pytest
 import trimesh
 
 from perception.inference.observation import ObjectObservation
-from perception.inference.refine import RefineConfig, _measured, _View, refine_mesh
+from perception.inference.refine import RefineConfig, _depth_displacement, _View, refine_mesh
 from perception.types import SupportPlane, TriangleMesh
 
 PLANE = SupportPlane()
@@ -100,7 +100,7 @@ def measured(mesh: TriangleMesh, seen: ObjectObservation, config: RefineConfig) 
     """The view, and precision and displacement of every vertex, before any prior."""
     surface = trimesh.Trimesh(mesh.vertices, mesh.faces, process=False)
     view = _View.of(surface, mesh.vertices, np.asarray(surface.vertex_normals), seen)
-    return view, *_measured(view, seen, config)
+    return view, *_depth_displacement(view, seen, config)
 
 
 def test_depth_holes_are_no_measurements(can) -> None:
