@@ -168,6 +168,7 @@ class _Search:
         config, reach = self.config, self.radius + self.config.margin
         directions, view, measured, area, depth_range, cameras = [], [], [], [], [], []
         for frame in frames:
+            assert frame.T_world_camera is not None
             p = transform_points(invert(frame.T_world_camera), centre[None])[0]
             if p[2] <= 0.05:
                 continue

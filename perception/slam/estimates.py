@@ -14,7 +14,9 @@ from perception.types import CATEGORIES, ObjectEstimate
 logger = logging.getLogger(__name__)
 
 
-def object_estimate(landmark: Landmark, decoder: Decoder, config: MeshConfig = MeshConfig()) -> ObjectEstimate:
+def object_estimate(
+    landmark: Landmark, decoder: Decoder, config: MeshConfig = MeshConfig()
+) -> ObjectEstimate:
     """Return the landmark with its mesh.
 
     Its score is the posterior probability of its class over all views.
