@@ -30,7 +30,7 @@ def box_body() -> RigidModel:
     )
     half = np.where(vertices[:, 2:] > CENTER[2], CENTER, vertices)
     lower = np.column_stack([vertices[:, :2], half[:, 2]])
-    upper = lower + (0.0, 0.0, SIDES[2] / 2)
+    upper = lower + np.array([0.0, 0.0, SIDES[2] / 2])
     a, b, c = SIDES**2
     inertia = MASS / 12 * np.diag([b + c, a + c, a + b]) + 1e-5 * np.array([[0, 1, 2], [1, 0, 3], [2, 3, 0]])
     return RigidModel(estimate, mesh, (lower, upper), MASS, CENTER, inertia)

@@ -1,23 +1,18 @@
-"""The cell's parts: inertia, box, materials on meshes, what is drawn for a task, ground truth of a grasp."""
+"""The specification of a cell: physics, contact, box, tape, cameras, inertia and collision geoms."""
+
+from dataclasses import replace
 
 import numpy as np
 import pytest
 import trimesh
+from scipy.spatial.transform import Rotation
 
 from sim_assets.cell.layout import PlanarPose
-from sim_assets.cell.scene import BoxConfig, add_object, build_scene
+from sim_assets.cell.scene import VIEWS, BoxConfig, add_object, build_scene
 from sim_assets.objects import sample_object
-from sim_assets.objects.sampling import NESTING_STEP, draw_objects, nestable
+from sim_assets.objects.convex.pieces import IDENTITY, CollisionPiece, hull
 from sim_assets.rendering.headless import mujoco
-from sim_assets.rendering.materials import (
-    TEXTURE_SIZE,
-    Finish,
-    around,
-    random_finish,
-    random_ground,
-    solid,
-    wood,
-)
+from sim_assets.rendering.materials import Finish, solid
 
 
 @pytest.fixture(scope="module")
@@ -26,10 +21,12 @@ def cell():
     models = tuple(sample_object(category, "test", rng) for category in ("bottle", "can"))
     places = (PlanarPose(0.4, -0.2, 0.5), PlanarPose(0.5, -0.3, 1.0))
     line = ((0.66, 0.16), (-0.1, 0.56))
-    return models, build_scene(models, places, BoxConfig(inner=(0.3, 0.2, 0.07)), rng, line).compile()
+    return models, build_scene(
+        models, places, BoxConfig(inner=(0.3, 0.2, 0.07), center=(0.45, 0.3)), rng, line
+    ).compile()
 
 
-def test_physics_is_what_grasps_were_measured_with(cell):
+def test_physics_options_and_contact_parameters(cell):
     _, model = cell
     option = model.opt
     assert option.timestep == 0.002 and option.impratio == 10
@@ -48,7 +45,7 @@ def test_physics_is_what_grasps_were_measured_with(cell):
     np.testing.assert_allclose(model.actuator("gripper").forcerange, (-140, 140))
 
 
-def test_arm_touches_everything_but_itself(cell):
+def test_arm_collides_with_everything_but_itself(cell):
     _, model = cell
 
     def meets(a, b):
@@ -63,14 +60,20 @@ def test_arm_touches_everything_but_itself(cell):
 
 def test_box_has_its_inner_size(cell):
     _, model = cell
-    front, left, floor = (model.geom(f"box_{name}") for name in ("front", "left", "floor"))
-    assert front.pos[0] - front.size[0] == pytest.approx(0.15)
-    assert left.pos[1] - left.size[1] == pytest.approx(0.10)
-    top, bottom = front.pos[2] + front.size[2], floor.pos[2] + floor.size[2]
-    assert top - bottom == pytest.approx(0.07)
+    walls = [("front", 0, 1, 0.15), ("back", 0, -1, 0.15), ("left", 1, 1, 0.10), ("right", 1, -1, 0.10)]
+    floor = model.geom("box_floor")
+    for name, axis, sign, half in walls:
+        wall = model.geom(f"box_{name}")
+        assert sign * wall.pos[axis] - wall.size[axis] == pytest.approx(half), name
+        assert wall.size[axis] == pytest.approx(0.004), name
+        assert wall.pos[2] + wall.size[2] - (floor.pos[2] + floor.size[2]) == pytest.approx(0.07), name
+        assert wall.pos[2] - wall.size[2] == pytest.approx(0.0, abs=1e-9), name
+        assert wall.size[1 - axis] >= (0.10 if axis == 0 else 0.15) - 1e-9, name
+    np.testing.assert_allclose(floor.size, (0.15, 0.10, 0.002))
+    np.testing.assert_allclose(model.body("box").pos, (0.45, 0.3, 0.0))
 
 
-def test_bodies_weigh_what_their_models_say(cell):
+def test_bodies_have_mass_and_centre_of_their_models(cell):
     models, model = cell
     for index, expected in enumerate(models):
         assert model.body(f"object{index}").mass[0] == pytest.approx(expected.mass)
@@ -86,44 +89,71 @@ def test_inertia_of_a_plain_cylinder():
     mesh.apply_translation((0, 0, height / 2))
     object.__setattr__(can, "mesh", mesh)
     spec = mujoco.MjSpec()
-    add_object(spec, "cylinder", can, PlanarPose(0, 0, 0), random_finish(rng))
+    add_object(spec, "cylinder", can, PlanarPose(0, 0, 0), Finish(solid((0.5, 0.5, 0.5))))
     inertia = np.sort(spec.compile().body("cylinder").inertia)
     expected = [mass * radius**2 / 2] + [mass * (3 * radius**2 + height**2) / 12] * 2
     np.testing.assert_allclose(inertia, np.sort(expected), rtol=2e-3)
 
 
-def test_texture_goes_once_around_without_jumping_back():
-    mesh = trimesh.creation.cylinder(0.03, 0.1, sections=32)
-    uv = around(mesh).reshape(-1, 3, 2)
-    sides = np.abs(mesh.face_normals[:, 2]) < 0.5
-    assert np.ptp(uv[sides, :, 0], axis=1).max() == pytest.approx(1 / 32, abs=1e-6)
-    assert uv[..., 1].min() == 0 and uv[..., 1].max() == 1
+def test_inertia_tensor_keeps_its_axes():
+    """A mesh without symmetry: MuJoCo's tensor, rotated back, is m/V times the mesh's second moments."""
+    can = sample_object("can", "test", np.random.default_rng(0))
+    corners = np.array([(0, 0, 0), (0.08, 0.01, 0), (0.01, 0.05, 0.01), (0.02, 0.03, 0.12)])
+    mesh = trimesh.convex.convex_hull(corners)
+    spec = mujoco.MjSpec()
+    add_object(spec, "wedge", replace(can, mesh=mesh), PlanarPose(0, 0, 0), Finish(solid((0.5, 0.5, 0.5))))
+    body = spec.compile().body("wedge")
+    axes = Rotation.from_quat(body.iquat, scalar_first=True).as_matrix()
+    expected = mesh.moment_inertia * can.mass / mesh.volume
+    np.testing.assert_allclose(axes @ np.diag(body.inertia) @ axes.T, expected, rtol=1e-5, atol=1e-10)
+    np.testing.assert_allclose(body.ipos, mesh.center_mass, atol=1e-9)
 
 
-def test_finishes_are_repeatable_and_various():
-    def draw(seed):
-        return random_finish(np.random.default_rng(seed), "mug")
+def test_every_collision_piece_becomes_a_geom_at_its_pose():
+    turn = np.array([np.cos(0.3), 0.0, np.sin(0.3), 0.0])
+    pieces = (
+        CollisionPiece("box", np.array([0.01, 0.02, 0.03]), turn, (0.01, 0.02, 0.03)),
+        CollisionPiece("cylinder", np.array([0.0, 0.0, 0.05]), IDENTITY, (0.02, 0.05)),
+        CollisionPiece("capsule", np.array([0.04, 0.0, 0.05]), turn, (0.005, 0.01)),
+        hull(np.array([(0, 0, 0), (0.05, 0, 0), (0, 0.04, 0), (0, 0, 0.03)])),
+    )
+    can = replace(sample_object("can", "test", np.random.default_rng(0)), collision=pieces)
+    spec = mujoco.MjSpec()
+    add_object(spec, "can", can, PlanarPose(0.3, -0.2, 0.7), Finish(solid((0.5, 0.5, 0.5))))
+    model = spec.compile()
+    assert model.ngeom == len(pieces) + 1
+    kinds = [model.geom(f"can_piece{i}").type[0] for i in range(4)]
+    geom = mujoco.mjtGeom
+    assert kinds == [geom.mjGEOM_BOX, geom.mjGEOM_CYLINDER, geom.mjGEOM_CAPSULE, geom.mjGEOM_MESH]
+    for index, piece in enumerate(pieces[:3]):
+        there = model.geom(f"can_piece{index}")
+        np.testing.assert_allclose(there.pos, piece.position)
+        np.testing.assert_allclose(there.quat, piece.quat_wxyz)
+        np.testing.assert_allclose(there.size[: len(piece.size)], piece.size)
+    body = model.body("can")
+    np.testing.assert_allclose(body.pos, (0.3, -0.2, 0.0005))
+    np.testing.assert_allclose(body.quat, (np.cos(0.35), 0, 0, np.sin(0.35)))
+    assert model.jnt_type[body.jntadr[0]] == mujoco.mjtJoint.mjJNT_FREE
 
-    assert np.array_equal(draw(3).texture, draw(3).texture)
-    assert len({draw(seed).texture.tobytes() for seed in range(12)}) > 8
-    assert draw(0).texture.shape == (*TEXTURE_SIZE, 3)
-    for seed in range(12):
-        ground = random_ground(np.random.default_rng(seed), (64, 48))
-        assert ground.shape == (64, 48, 3) and ground.dtype == np.uint8
+
+def test_table_top_is_at_zero_and_tape_joins_its_ends(cell):
+    _, model = cell
+    table, tape = model.geom("table"), model.geom("tape")
+    assert table.pos[2] + table.size[2] == pytest.approx(0.0)
+    np.testing.assert_allclose(2 * table.size[:2], (1.3, 1.2))
+    assert model.geom("floor").pos[2] == -0.75
+    along = Rotation.from_quat(tape.quat, scalar_first=True).apply((tape.size[0], 0, 0))
+    np.testing.assert_allclose(tape.pos[:2] + along[:2], (-0.1, 0.56), atol=1e-9)
+    np.testing.assert_allclose(tape.pos[:2] - along[:2], (0.66, 0.16), atol=1e-9)
 
 
-def test_wood_keeps_its_colour():
-    image = wood(np.random.default_rng(0), (0.6, 0.45, 0.3)) / 255
-    np.testing.assert_allclose(image.mean(axis=(0, 1)), (0.6, 0.45, 0.3), rtol=0.1)
-    assert Finish(solid((1, 0, 0))).texture[0, 0].tolist() == [255, 0, 0]
-
-
-def test_as_many_are_drawn_as_asked_for():
-    drawn = draw_objects({"mug": 2, "can": 1}, "test", np.random.default_rng(0))
-    assert sorted(model.category for model in drawn) == ["can", "mug", "mug"]
-
-
-def test_bowls_of_a_set_differ_in_size():
-    rng = np.random.default_rng(0)
-    radii = np.sort([bowl.radius for bowl in nestable(lambda: sample_object("bowl", "test", rng), 3)])
-    assert np.diff(radii).min() >= NESTING_STEP
+@pytest.mark.parametrize("name", VIEWS)
+def test_fixed_cameras_look_at_their_targets_upright(cell, name):
+    _, model = cell
+    camera, view = model.camera(name), VIEWS[name]
+    right, up, backward = Rotation.from_quat(camera.quat, scalar_first=True).as_matrix().T
+    away = np.array(view.position) - view.target
+    np.testing.assert_allclose(backward, away / np.linalg.norm(away), atol=1e-9)
+    assert up[2] > 0 and abs(right[2]) < 1e-9
+    np.testing.assert_allclose(camera.pos, view.position)
+    assert camera.fovy[0] == view.fovy

@@ -4,6 +4,7 @@ import numpy as np
 import pytest
 
 from sim_assets.rendering.headless import mujoco
+from sim_assets.robots import panda
 from sim_assets.robots.panda_arm import (
     ARM_JOINTS,
     CAMERA_IN_HAND,
@@ -11,6 +12,8 @@ from sim_assets.robots.panda_arm import (
     LINKS,
     MAX_WIDTH,
     Q_READY,
+    WRIST_FOVY,
+    add_arm,
     arm_description,
 )
 
@@ -93,3 +96,32 @@ def test_every_geom_of_the_plain_arm_is_a_collision_shape(arm):
     model, _ = arm
     assert set(model.geom_group) == {3}
     assert all(model.geom(i).name for i in range(model.ngeom))
+
+
+def test_gripper_servo_moves_both_fingers_alike_with_the_published_force(arm):
+    """The tendon halves the force on each finger: the actuator exerts twice the 70 N of a finger."""
+    model, _ = arm
+    spec = mujoco.MjSpec()
+    spec.compiler.degree = False
+    add_arm(spec)
+    scene = spec.compile()
+    servo = scene.actuator("gripper")
+    np.testing.assert_allclose(servo.forcerange, (-140.0, 140.0))
+    np.testing.assert_allclose(servo.ctrlrange, (-0.1, 0.04))
+    assert servo.gainprm[0] == 2000.0 == -servo.biasprm[1] and servo.biasprm[2] == -40.0
+    np.testing.assert_allclose(scene.wrap_prm[:2], 0.5)
+    np.testing.assert_allclose(scene.eq_data[0, :5], (0, 1, 0, 0, 0))
+    for name in FINGER_JOINTS:
+        np.testing.assert_allclose(scene.joint(name).range, (0.0, 0.04))
+        np.testing.assert_allclose(scene.joint(name).axis, (0, 1, 0))
+    assert model.jnt_limited.all()
+
+
+def test_wrist_camera_has_its_field_of_view(arm):
+    assert arm[0].camera("wrist").fovy[0] == WRIST_FOVY == panda().fovy == 45.0
+
+
+def test_servos_hold_the_arm_against_gravity_without_force(arm):
+    """Gravity compensation, as in the arm's own controller: no acceleration at rest in any posture."""
+    data = set_posture(arm, Q_READY + 0.1)
+    np.testing.assert_allclose(data.qfrc_gravcomp[:7] - data.qfrc_bias[:7], 0, atol=1e-9)

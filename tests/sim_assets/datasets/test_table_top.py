@@ -1,0 +1,145 @@
+"""Table tops: geometry of a frame, labels and visibility of two boxes at known poses."""
+
+from dataclasses import replace
+
+import numpy as np
+import pytest
+from trimesh import creation
+
+from perception.types import CATEGORIES
+from sim_assets.cell.layout import PlanarPose
+from sim_assets.datasets.scatter import make_item
+from sim_assets.datasets.table_top import InstanceLabel, TableTop, TrainingSceneConfig
+from sim_assets.rendering.camera import look_at
+
+CONFIG = TrainingSceneConfig(
+    width=160, height=120, pool=2, distractors=1, textures_redrawn=2, objects=(1, 2), extras=(1, 1), shadows=0.0,
+    noises=(1.0, 0.0, 0.0),
+)  # fmt: skip
+FOVY = 50.0
+
+
+def box(x, y, z):
+    return creation.box((x, y, z)).apply_translation((0, 0, z / 2))
+
+
+@pytest.fixture(scope="module")
+def table():
+    items = [make_item("can", box(0.04, 0.12, 0.1)), make_item("mug", box(0.06, 0.06, 0.05))]
+    table = TableTop([*items, make_item(None, box(0.05, 0.05, 0.05))], CONFIG, np.random.default_rng(0))
+    yield table
+    table.close()
+
+
+@pytest.fixture
+def overhead(table):
+    """A camera 0.8 m above the origin, image x along world x: item 0 rotated by 90° at (0.1, 0.05)."""
+    table.show([0], [PlanarPose(0.1, 0.05, np.pi / 2)])
+    T = np.diag([1.0, -1.0, -1.0, 1.0])
+    T[2, 3] = 0.8
+    return table.capture(T, FOVY, False, np.random.default_rng(0))
+
+
+def test_item_appears_at_its_pose_and_depth(overhead):
+    frame, ids = overhead
+    k = frame.intrinsics
+    assert k.fy == pytest.approx(60 / np.tan(np.radians(25)))
+    v, u = np.nonzero(ids == 0)
+    z = 0.8 - 0.1
+    np.testing.assert_allclose(frame.depth[v, u].min(), z, atol=1e-3)
+    top = frame.depth[v, u] < z + 2e-3
+    x, y = (u[top] - k.cx) / k.fx * z, -(v[top] - k.cy) / k.fy * z
+    pixel = z / k.fx
+    np.testing.assert_allclose([x.min(), x.max()], (0.1 - 0.06, 0.1 + 0.06), atol=pixel)
+    np.testing.assert_allclose([y.min(), y.max()], (0.05 - 0.02, 0.05 + 0.02), atol=pixel)
+    assert frame.depth[5, 5] == pytest.approx(0.8, abs=1e-3)  # table top at z = 0
+
+
+def test_hidden_items_are_in_no_image(table, overhead):
+    assert set(np.unique(overhead[1])) == {-1, 0}
+    T = np.diag([1.0, -1.0, -1.0, 1.0])
+    T[2, 3] = 0.8
+    table.show([2, 1], [PlanarPose(-0.1, 0.0, 0.0), PlanarPose(0.1, 0.0, 0.3)])
+    ids = table.capture(T, FOVY, False, np.random.default_rng(0))[1]
+    assert set(np.unique(ids)) == {-1, 1, 2}
+    assert np.nonzero(ids == 2)[1].mean() < 80 < np.nonzero(ids == 1)[1].mean()
+
+
+def test_label_has_the_area_of_the_projected_hull(table, overhead):
+    frame, _ = overhead
+    pose = PlanarPose(0.0, 0.0, 0.0)
+    label = table._label(table.items[0], pose, 17, frame)
+    z, f = 0.7, frame.intrinsics.fx
+    assert label.outline_pixels == pytest.approx(0.04 * 0.12 * (f / z) ** 2, rel=1e-3)
+    assert (label.category, label.pixels, label.height) == ("can", 17, pytest.approx(0.1))
+    np.testing.assert_allclose(label.T_world_object, pose.matrix)
+
+
+@pytest.mark.parametrize("yaw", [-2.0, 0.0, 3.0])
+def test_yaw_of_a_label(yaw):
+    assert InstanceLabel(None, PlanarPose(1, 2, yaw).matrix, 0, 0.0, 0.0).yaw == pytest.approx(yaw)
+
+
+def test_depth_noise_is_drawn_with_its_probabilities(table):
+    T = look_at(np.array([0.3, 0.0, 0.6]), np.zeros(3))
+    table.show([0], [PlanarPose(0.0, 0.0, 0.0)])
+    exact = table.capture(T, FOVY, False, np.random.default_rng(0))[0].depth
+    gaussian = table.capture(T, FOVY, False, np.random.default_rng(0), "gaussian")[0].depth
+    assert np.std(gaussian - exact) == pytest.approx(0.002, rel=0.1)
+    table.config = replace(CONFIG, noises=(0.0, 1.0, 0.0))
+    np.testing.assert_array_equal(
+        table.capture(T, FOVY, False, np.random.default_rng(0))[0].depth > 0, exact > 0
+    )
+    table.config = CONFIG
+    again = [table.capture(T, FOVY, False, np.random.default_rng(seed))[0].depth for seed in range(6)]
+    assert all(np.array_equal(depth, exact) for depth in again)
+
+
+def test_number_of_objects_and_distractors_is_in_its_range(table):
+    rng = np.random.default_rng(0)
+    chosen = [table._choose(rng) for _ in range(40)]
+    assert {sum(i < 2 for i in c) for c in chosen} == {1, 2} and {c.count(2) for c in chosen} == {1}
+    assert all(len(set(c)) == len(c) for c in chosen) and len({tuple(c) for c in chosen}) > 4
+
+
+def test_camera_looks_near_an_item_from_the_configured_range(table):
+    rng = np.random.default_rng(1)
+    placed = [PlanarPose(0.2, 0.1, 0.0)]
+    for _ in range(50):
+        T = table._aim(placed, rng)
+        low, high = CONFIG.distance
+        reach = T[2, 3] / -T[2, 2]  # along the optical axis to the table
+        target = T[:3, 3] + T[:3, 2] * reach
+        assert low - 0.3 < np.linalg.norm(T[:3, 3] - (*target[:2], 0)) < high + 0.2
+        assert np.degrees(np.arcsin(-T[2, 2])) >= 29.9
+        along = np.array([0.2, 0.1]) / np.hypot(0.2, 0.1)
+        if -T[2, 2] > 0.9:
+            assert 0.0 < target[:2] @ along < 0.35
+
+
+def test_light_falls_on_the_origin_from_above(table):
+    for seed in range(10):
+        table.light(np.random.default_rng(seed))
+        position, direction = table.model.light_pos[0], table.model.light_dir[0]
+        np.testing.assert_allclose(direction, -position / np.linalg.norm(position), atol=1e-9)
+        assert position[2] > 0.9 and np.linalg.norm(position) == pytest.approx(1.8)
+
+
+def test_redrawing_changes_textures_of_some_items_and_of_the_ground(table):
+    before = table.model.tex_data.copy()
+    table.redraw_textures(np.random.default_rng(5))
+
+    def changed(name):
+        texture = table.model.texture(name).id
+        start = table.model.tex_adr[texture]
+        return not np.array_equal(before[start : start + 100], table.model.tex_data[start : start + 100])
+
+    assert changed("table") and changed("wall")
+    assert sum(changed(f"item{i}") for i in range(3)) == CONFIG.textures_redrawn
+
+
+def test_default_distributions():
+    config = TrainingSceneConfig()
+    assert config.noises == (0.15, 0.15, 0.7) and len(config.shares) == len(CATEGORIES)
+    assert (config.width, config.height, config.pool, config.distractors) == (320, 240, 40, 14)
+    assert config.fovy == (42.0, 50.0) and config.distance == (0.35, 0.85)

@@ -1,0 +1,145 @@
+"""Mounting of an MJCF arm: frames, camera axes, collision filters, and the reduced planning model."""
+
+import numpy as np
+import pytest
+import trimesh
+from scipy.spatial.transform import Rotation
+
+from sim_assets.errors import RobotFileError
+from sim_assets.rendering.headless import mujoco
+from sim_assets.robots.mounting import Frame, Mount, add_to_scene, load, planning_mjcf
+
+MJCF = """
+<mujoco>
+  <compiler angle="radian"/>
+  <option timestep="0.01" gravity="0 0 -1"/>
+  <visual><map znear="0.5"/></visual>
+  <asset>
+    <mesh name="wedge" file="wedge.stl" scale="0.001 0.001 0.001"/><mesh name="shell" file="wedge.stl"/>
+    <material name="paint" rgba="1 0 0 1"/>
+  </asset>
+  <worldbody>
+    <light pos="0 0 2"/>
+    <body name="link" pos="0 0 0.2">
+      <joint name="turn" axis="0 0 1" range="-3 3"/>
+      <geom name="solid" group="3" type="mesh" mesh="wedge" pos="0.1 0 0" material="paint"/>
+      <geom name="shown" type="mesh" mesh="shell"/>
+      <body name="finger" pos="0.3 0 0">
+        <joint name="slide" type="slide" axis="0 1 0" range="0 0.04"/>
+        <geom name="stem" group="3" type="box" size="0.01 0.01 0.02" mass="0.1"/>
+        <body name="tip" pos="0 0 0.02"><geom name="pad" group="3" type="box" size="0.01 0.01 0.01"/></body>
+      </body>
+    </body>
+  </worldbody>
+  <keyframe><key name="home" qpos="0 0"/></keyframe>
+</mujoco>
+"""
+BASE = Frame(np.array([0.5, 0.1, 0.2]), Rotation.from_euler("z", 0.4).as_quat(scalar_first=True))
+OPTICAL = Frame(
+    np.array([0.01, 0.02, 0.03]), Rotation.from_euler("xyz", (0.3, -0.5, 1.1)).as_quat(scalar_first=True)
+)
+
+
+@pytest.fixture
+def mount(tmp_path):
+    corners = np.array([(0, 0, 0), (60, 0, 0), (0, 40, 0), (0, 0, 30), (50, 50, 50)], dtype=float)
+    trimesh.convex.convex_hull(corners).export(tmp_path / "wedge.stl")
+    (tmp_path / "arm.xml").write_text(MJCF)
+    return Mount(tmp_path / "arm.xml", BASE, "eye", ("slide",), (("eye", "link", OPTICAL),))
+
+
+@pytest.fixture
+def scene(mount):
+    spec = mujoco.MjSpec()
+    spec.option.timestep = 0.002
+    spec.option.gravity = (0, 0, -9.81)
+    add_to_scene(mount, spec, 52.0)
+    return spec.compile()
+
+
+def at(model, angle, opening=0.0):
+    data = mujoco.MjData(model)
+    data.joint("robot_turn").qpos[:], data.joint("robot_slide").qpos[:] = angle, opening
+    mujoco.mj_forward(model, data)
+    return data
+
+
+def test_base_frame_places_the_arm(scene):
+    data = at(scene, 0.3, 0.02)
+    base = Rotation.from_euler("z", 0.4)
+    in_base = Rotation.from_euler("z", 0.3).apply((0.3, 0.02, 0)) + np.array([0, 0, 0.2])
+    expected = BASE.position + base.apply(in_base)
+    np.testing.assert_allclose(data.body("robot_finger").xpos, expected, atol=1e-9)
+
+
+def test_camera_has_the_optical_frame_in_opengl_axes_and_its_field_of_view(scene):
+    data = at(scene, -0.7)
+    site, camera = data.site("robot_eye"), data.camera("wrist")
+    link = data.body("robot_link")
+    optical = link.xmat.reshape(3, 3) @ Rotation.from_quat(OPTICAL.quaternion, scalar_first=True).as_matrix()
+    np.testing.assert_allclose(site.xmat.reshape(3, 3), optical, atol=1e-9)
+    np.testing.assert_allclose(site.xpos, link.xpos + link.xmat.reshape(3, 3) @ OPTICAL.position, atol=1e-9)
+    np.testing.assert_allclose(camera.xmat.reshape(3, 3), optical @ np.diag([1, -1, -1]), atol=1e-9)
+    np.testing.assert_allclose(camera.xpos, site.xpos, atol=1e-9)
+    assert scene.camera("wrist").fovy[0] == 52.0
+
+
+def test_options_of_the_scene_win_and_gravity_is_compensated_on_the_arm(scene):
+    assert scene.opt.timestep == 0.002 and scene.opt.gravity[2] == -9.81
+    assert scene.vis.map.znear < 0.1 and scene.nkey == 0 and scene.nlight == 0
+    np.testing.assert_array_equal(scene.body_gravcomp, [0, 1, 1, 1])
+    np.testing.assert_allclose(at(scene, 0.3).qacc, 0, atol=1e-9)
+
+
+def test_collision_geoms_are_those_of_group_3_and_the_fingers_hold_pads(scene):
+    def bits(name):
+        geom = scene.geom("robot_" + name)
+        return int(geom.contype[0]), int(geom.conaffinity[0])
+
+    assert bits("shown") == (0, 0)
+    assert bits("solid") == bits("stem") == bits("pad") == (2, 1)
+    for name, friction, priority in (("solid", 1.0, 0), ("stem", 1.0, 1), ("pad", 1.0, 1)):
+        assert scene.geom("robot_" + name).friction[0] == friction
+        assert scene.geom("robot_" + name).priority == priority
+    assert scene.geom("robot_pad").condim == 4 and scene.geom("robot_solid").condim == 3
+
+
+def test_planning_model_is_self_contained_with_the_same_vertices(mount, scene):
+    alone = load(mount).compile()
+    text = planning_mjcf(mount, alone)
+    assert "file=" not in text
+    plan = mujoco.MjModel.from_xml_string(text)
+    assert {plan.geom(i).name for i in range(plan.ngeom)} == {"robot_solid", "robot_stem", "robot_pad"}
+    assert plan.nmat == 0 and plan.nmesh == 1
+    corners = []
+    for model in (plan, scene):
+        data, geom = at(model, 0.8), model.geom("robot_solid")
+        first = model.mesh_vertadr[geom.dataid[0]]
+        vertices = model.mesh_vert[first : first + model.mesh_vertnum[geom.dataid[0]]]
+        posed = data.geom("robot_solid")
+        world = vertices @ posed.xmat.reshape(3, 3).T + posed.xpos
+        corners.append(world[np.lexsort(world.round(5).T)])
+    np.testing.assert_allclose(*corners, atol=1e-6)
+    assert np.ptp(corners[0], axis=0).max() < 0.1  # millimetres were scaled once
+    eyes = [at(model, 0.8).site("robot_eye").xpos for model in (plan, scene)]
+    np.testing.assert_allclose(*eyes, atol=1e-6)
+
+
+@pytest.mark.parametrize(
+    ("old", "new", "message"),
+    [
+        ('name="link"', 'name="arm"', "has no body 'link', which the robot file puts a site on"),
+        ('name="slide"', 'name="glide"', r"has no joint 'slide' of the robot file's \[gripper\]"),
+        ("</worldbody>", "", "cannot be read as MJCF"),
+    ],
+)
+def test_faults_name_file_and_part(mount, old, new, message):
+    mount.mjcf.write_text(MJCF.replace(old, new))
+    with pytest.raises(RobotFileError, match=rf"arm\.xml {message}"):
+        load(mount)
+
+
+def test_missing_file(mount):
+    mount.mjcf.unlink()
+    with pytest.raises(RobotFileError, match=r"arm\.xml: no such MJCF file"):
+        load(mount)
