@@ -13,8 +13,8 @@ from sim_assets.datasets.table_top import InstanceLabel, TableTop, TrainingScene
 from sim_assets.rendering.camera import look_at
 
 CONFIG = TrainingSceneConfig(
-    width=160, height=120, pool=2, distractors=1, textures_redrawn=2, objects=(1, 2), extras=(1, 1), shadows=0.0,
-    noises=(1.0, 0.0, 0.0),
+    width=160, height=120, pool=2, distractors=1, textures_redrawn=2, objects=(1, 2), extras=(1, 1),
+    shadows=0.0, noises=(1.0, 0.0, 0.0),
 )  # fmt: skip
 FOVY = 50.0
 
