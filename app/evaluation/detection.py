@@ -20,7 +20,8 @@ from rich.table import Table
 from app.drawing import draw_detections
 from app.errors import UsageError
 from app.evaluation.detection_scoring import is_accepted, score_image, summarise_detection
-from app.evaluation.jobs import Ledger, Line, spread
+from app.evaluation.jobs import Failure, Jobs, run_jobs
+from app.evaluation.ledger import Ledger, LedgerFormat, Line
 from app.options import EvaluateOptions
 from app.runs.report import Report
 from app.screen import Screen
@@ -46,12 +47,12 @@ def run(options: EvaluateOptions, screen: Screen) -> Report:
         from sim_assets.rendering.filament import require_filament
 
         require_filament()
-    ledger, finished = Ledger.open(options, "evaluate-detection", ROWS, "chunk", _settings(options))
+    ledger, finished = Ledger.open(options, _format(options), _settings(options))
     chunks = range(math.ceil(options.images / CHUNK))
     to_do = [chunk for chunk in chunks if chunk not in finished]
-    work = partial(run_chunk, options, ledger.folder.path)
+    jobs = Jobs(to_do, partial(run_chunk, options, ledger.folder.path), failed_chunk)
     with screen.stage(f"{len(to_do)} chunks of {CHUNK} images"):
-        for line in spread(work, to_do, options):
+        for line in run_jobs(jobs, options):
             finished[line["chunk"]] = line
             ledger.append(line)
             screen.update(f"{len(finished)} of {len(chunks)}")
@@ -66,7 +67,7 @@ def run_chunk(options: EvaluateOptions, folder: Path, chunk: int) -> Line:
     """Render a chunk of images of the test families, detect, and compare with the ground truth."""
     from sim_assets.datasets.training_scenes import TrainingScenes
 
-    count = min(CHUNK, options.images - chunk * CHUNK)
+    count = _image_count(options, chunk)
     seed = int(np.random.SeedSequence([options.seed, chunk]).generate_state(1)[0])
     detector, lines = _detector(resolve_device(options.device)), []
     pictures: list[tuple[int, int, np.ndarray]] = []
@@ -85,6 +86,25 @@ def run_chunk(options: EvaluateOptions, folder: Path, chunk: int) -> Line:
         name = f"{errors:02d}_{chunk:03d}_{number:02d}.png"
         write_atomically(folder / "pictures" / name, png_bytes(picture))
     return {"chunk": chunk, "images": lines}
+
+
+def failed_chunk(chunk: int, failure: Failure) -> Line:
+    """Return the line of a chunk whose evaluation failed: its images are missing from the metrics."""
+    return {"chunk": chunk, "images": [], "failed": failure.reason}
+
+
+def _image_count(options: EvaluateOptions, chunk: int) -> int:
+    return min(CHUNK, options.images - chunk * CHUNK)
+
+
+def _format(options: EvaluateOptions) -> LedgerFormat:
+    def check(line: Line) -> None:
+        expected = 0 if "failed" in line else _image_count(options, line["chunk"])
+        if len(line["images"]) != expected:
+            raise ValueError(f"{len(line['images'])} of {expected} images")
+        summarise_detection(line["images"])
+
+    return LedgerFormat("evaluate-detection", ROWS, "chunk", check)
 
 
 def _scene_config(options: EvaluateOptions) -> Any:
@@ -157,13 +177,16 @@ def _settings(options: EvaluateOptions) -> dict[str, Any]:
 
 def _report(options: EvaluateOptions, chunks: Mapping[Hashable, Line], seconds: float) -> Report:
     lines = [line for chunk in chunks.values() for line in chunk["images"]]
+    failed = [f"chunk {number}: {chunk['failed']}" for number, chunk in chunks.items() if "failed" in chunk]
     return Report(
         command="evaluate detection",
         seed=options.seed,
         success=len(lines) == options.images,
-        reason=f"{len(lines)} of {options.images} images",
+        reason=f"{len(lines)} of {options.images} images"
+        + (f", {len(failed)} chunks failed" if failed else ""),
         timings={"total": seconds},
         metrics=summarise_detection(lines),
+        warnings=failed,
         settings=_settings(options),
     )
 

@@ -17,7 +17,8 @@ from typing import Any
 import numpy as np
 
 from app.errors import UsageError
-from app.evaluation.jobs import Ledger, Line, spread
+from app.evaluation.jobs import Failure, Jobs, run_jobs
+from app.evaluation.ledger import Ledger, LedgerFormat, Line
 from app.evaluation.reconstruction_object import Subject, evaluate_subject
 from app.evaluation.reconstruction_summary import reconstruction_tables, summarise_reconstruction
 from app.options import EvaluateOptions
@@ -38,12 +39,13 @@ def run(options: EvaluateOptions, screen: Screen) -> Report:
     begin = time.perf_counter()
     check(options)
     subjects = choose_subjects(options)
-    ledger, finished = Ledger.open(options, "evaluate-reconstruction", ROWS, "object", _settings(options))
+    ledger, finished = Ledger.open(options, _format(options), _settings(options))
     to_do = [subject for subject in subjects if subject.name not in finished]
     if finished:
         screen.note(f"{len(subjects) - len(to_do)} of {len(subjects)} objects are finished already")
+    jobs = Jobs(to_do, partial(evaluate_subject, options), partial(failed_subject, options))
     with screen.stage(f"Reconstructing {len(to_do)} objects by {len(options.methods)} methods"):
-        for line in spread(partial(evaluate_subject, options), to_do, options):
+        for line in run_jobs(jobs, options):
             finished[line["object"]] = line
             ledger.append(line)
             screen.update(f"{len(finished)} of {len(subjects)}: {line['object']}")
@@ -59,6 +61,24 @@ def run(options: EvaluateOptions, screen: Screen) -> Report:
         screen.show(table)
     screen.show(f"plots and pictures in {ledger.folder.path}")
     return report
+
+
+def failed_subject(options: EvaluateOptions, subject: Subject, failure: Failure) -> Line:
+    """Return the line of an object whose evaluation failed: no method found it."""
+    rows = [
+        {
+            "object": subject.name,
+            "category": subject.category,
+            "views": views,
+            "method": method,
+            "found": False,
+            "seconds": round(failure.seconds, 3),
+            "reason": failure.reason,
+        }
+        for views in options.views
+        for method in options.methods
+    ]
+    return {"object": subject.name, "rows": rows, "failed": failure.reason}
 
 
 def check(options: EvaluateOptions) -> None:
@@ -100,6 +120,17 @@ def choose_subjects(options: EvaluateOptions) -> list[Subject]:
     return subjects
 
 
+def _format(options: EvaluateOptions) -> LedgerFormat:
+    expected = {(views, method) for views in options.views for method in options.methods}
+
+    def check_line(line: Line) -> None:
+        if {(row["views"], row["method"]) for row in line["rows"]} != expected:
+            raise ValueError("not the rows of --views and --methods")
+        summarise_reconstruction([line])
+
+    return LedgerFormat("evaluate-reconstruction", ROWS, "object", check_line)
+
+
 def _settings(options: EvaluateOptions) -> dict[str, Any]:
     """What has to be the same in a resumed evaluation."""
     names = ("seed", "objects", "object_meshes", "depth_noise", "views", "methods", "device")
@@ -110,11 +141,12 @@ def _report(
     options: EvaluateOptions, subjects: Sequence[Subject], lines: Mapping[Hashable, Line], seconds: float
 ) -> Report:
     done = [lines[subject.name] for subject in subjects if subject.name in lines]
+    failed = [line for line in done if "failed" in line]
     return Report(
         command="evaluate reconstruction",
         seed=options.seed,
-        success=len(done) == len(subjects),
-        reason=f"{len(done)} of {len(subjects)} objects",
+        success=len(done) == len(subjects) and not failed,
+        reason=f"{len(done)} of {len(subjects)} objects" + (f", {len(failed)} failed" if failed else ""),
         timings={"total": seconds},
         metrics=summarise_reconstruction(done),
         settings=_settings(options),

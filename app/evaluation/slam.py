@@ -20,7 +20,8 @@ import numpy as np
 
 from app.errors import UsageError
 from app.evaluation import slam_short
-from app.evaluation.jobs import Ledger, Line, resident_memory, spread
+from app.evaluation.jobs import Failure, Jobs, resident_memory, run_jobs
+from app.evaluation.ledger import Ledger, LedgerFormat, Line
 from app.evaluation.slam_scoring import (
     CURVE_UPDATES,
     TrueObjects,
@@ -58,14 +59,14 @@ def run(options: EvaluateOptions, screen: Screen) -> Report:
     from perception.fusion.tsdf import load_open3d
 
     load_open3d()
-    ledger, finished = Ledger.open(options, "evaluate-slam", ROWS, "key", _settings(options))
+    ledger, finished = Ledger.open(options, _format(options), _settings(options))
     items: list[tuple[int, Variant]] = list(product(range(options.scenes), options.variants))
     to_do = [item for item in items if _key(*item) not in finished]
     if finished:
         screen.note(f"{len(items) - len(to_do)} of {len(items)} runs are already finished")
-    work = partial(run_scene, options, ledger.folder.path)
+    jobs = Jobs(to_do, partial(run_scene, options, ledger.folder.path), partial(failed_scene, options))
     with screen.stage(f"{len(to_do)} runs"):
-        for line in spread(work, to_do, options):
+        for line in run_jobs(jobs, options):
             finished[line["key"]] = line
             ledger.append(line)
             ledger.folder.write_report(_report(options, items, finished, time.perf_counter() - begin))
@@ -90,18 +91,23 @@ def _brief(line: Mapping[str, Any]) -> str:
 
 
 def run_scene(options: EvaluateOptions, folder: Path, item: tuple[int, Variant]) -> Line:
-    """Evaluate one variant on one scene; an exception becomes the reason in the result."""
+    """Evaluate one variant on one scene."""
     scene, variant = item
-    line: Line = {"key": _key(scene, variant), "scene": scene, "variant": variant, "seed": options.seed}
     begin = time.perf_counter()
-    try:
-        path = ensure_sequence(options, folder, scene)
-        line |= score_variant(options, path, folder, variant, np.random.default_rng([options.seed, scene]))
-    except UsageError:
-        raise
-    except Exception as error:  # the other runs go on
-        line["reason"] = f"crashed: {type(error).__name__}: {error}"
+    path = ensure_sequence(options, folder, scene)
+    rng = np.random.default_rng([options.seed, scene])
+    line = _line_start(options, item) | score_variant(options, path, folder, variant, rng)
     return line | {"seconds": time.perf_counter() - begin}
+
+
+def failed_scene(options: EvaluateOptions, item: tuple[int, Variant], failure: Failure) -> Line:
+    """Return the line of a run that failed: it has a reason and no errors of the camera."""
+    return _line_start(options, item) | {"reason": failure.reason, "seconds": failure.seconds}
+
+
+def _line_start(options: EvaluateOptions, item: tuple[int, Variant]) -> Line:
+    scene, variant = item
+    return {"key": _key(scene, variant), "scene": scene, "variant": variant, "seed": options.seed}
 
 
 def ensure_sequence(options: EvaluateOptions, folder: Path, scene: int) -> Path:
@@ -199,6 +205,17 @@ def noisy_truth(slam_run: SlamRun, Ts: np.ndarray, rng: np.random.Generator) -> 
 
     noisy = perturbed_poses(Ts, rng)
     return {k.number: noisy[k.number] for k in slam_run.slam.keyframes}
+
+
+def _format(options: EvaluateOptions) -> LedgerFormat:
+    def check(line: Line) -> None:
+        if line["key"] != _key(line["scene"], line["variant"]) or line["seed"] != options.seed:
+            raise ValueError(f"not a run of seed {options.seed}")
+        if not isinstance(line["reason"], str) or (line["reason"] == "done" and "ape_mean" not in line):
+            raise ValueError("no result")
+        summarise_slam([line])
+
+    return LedgerFormat("evaluate-slam", ROWS, "key", check)
 
 
 def _settings(options: EvaluateOptions) -> dict[str, Any]:

@@ -17,7 +17,8 @@ import numpy as np
 from rich.table import Table
 
 from app.errors import UsageError
-from app.evaluation.jobs import Ledger, Line, spread
+from app.evaluation.jobs import Failure, Jobs, run_jobs
+from app.evaluation.ledger import Ledger, LedgerFormat, Line
 from app.evaluation.slam_faults import MOVED_AT, flickering, with_fault
 from app.evaluation.slam_scoring import TrueObjects, absolute_pose_error, places_of, surface_rows
 from app.evaluation.slam_summary import NAMES
@@ -51,19 +52,20 @@ def run(options: EvaluateOptions, screen: Screen) -> Report:
         )
     names = ("seed", "frames", "depth_noise", "device", "variants", "faults")
     settings = {name: str(getattr(options, name)) for name in names}
-    ledger, finished = Ledger.open(options, "evaluate-slam-short", ROWS, "key", settings)
+    ledger, finished = Ledger.open(options, _format(options), settings)
     to_do = [index for index in range(options.short_runs) if index not in finished]
     to_do.sort(key=lambda index: (index % 2 == 0, index))  # close-ups are the harder ones
     if finished:
         screen.note(f"{options.short_runs - len(to_do)} of {options.short_runs} runs are already finished")
+    jobs = Jobs(to_do, partial(run_short, options), partial(failed_run, options))
     with screen.stage(f"{len(to_do)} short runs"):
-        for line in spread(partial(run_short, options), to_do, options):
+        for line in run_jobs(jobs, options):
             finished[line["key"]] = line
             ledger.append(line)
             ledger.folder.write_report(_report(options, settings, finished, time.perf_counter() - begin))
             screen.update(f"{len(finished)} of {options.short_runs}")
-            if line.get("reason") != "done" or any(entry["drifted"] for entry in line["variants"].values()):
-                screen.note(f"run {line['key']}, {line['fault']}: {line.get('reason')} {_brief(line)}")
+            if line["reason"] != "done" or any(entry["drifted"] for entry in line["variants"].values()):
+                screen.note(f"run {line['key']}, {line['fault']}: {line['reason']} {_brief(line)}")
     report = _report(options, settings, finished, time.perf_counter() - begin)
     ledger.folder.write_report(report)
     screen.show(short_table(report))
@@ -76,18 +78,34 @@ def _brief(line: Mapping[str, Any]) -> str:
 
 
 def run_short(options: EvaluateOptions, index: int) -> Line:
-    """Evaluate all variants on one short sequence; an exception becomes the reason in the result."""
-    fault = options.faults[index // 2 % len(options.faults)]
-    close_up = index % 2 == 1
-    line: Line = {"key": index, "seed": options.seed, "close_up": close_up, "fault": fault}
-    begin = time.perf_counter()
-    try:
-        line |= _run_variants(options, index, close_up, fault) | {"reason": "done"}
-    except UsageError:
-        raise
-    except Exception as error:  # the other runs go on
-        line["reason"] = f"crashed: {type(error).__name__}: {error}"
+    """Evaluate all variants on one short sequence."""
+    line, begin = _line_start(options, index), time.perf_counter()
+    line |= _run_variants(options, index, line["close_up"], line["fault"]) | {"reason": "done"}
     return line | {"seconds": time.perf_counter() - begin}
+
+
+def failed_run(options: EvaluateOptions, index: int, failure: Failure) -> Line:
+    """Return the line of a run that failed: it has a reason and no variants."""
+    return _line_start(options, index) | {"reason": failure.reason, "seconds": failure.seconds}
+
+
+def _line_start(options: EvaluateOptions, index: int) -> Line:
+    fault = options.faults[index // 2 % len(options.faults)]
+    return {"key": index, "seed": options.seed, "close_up": index % 2 == 1, "fault": fault}
+
+
+def _format(options: EvaluateOptions) -> LedgerFormat:
+    def check(line: Line) -> None:
+        start = _line_start(options, line["key"])
+        if any(line[name] != value for name, value in start.items()):
+            raise ValueError(f"not a run of seed {options.seed} and these --faults")
+        if not isinstance(line["reason"], str):
+            raise ValueError("no reason")
+        if line["reason"] == "done" and set(line["variants"]) != set(options.variants):
+            raise ValueError("not the results of --variants")
+        summarise_short([line])
+
+    return LedgerFormat("evaluate-slam-short", ROWS, "key", check)
 
 
 def _run_variants(options: EvaluateOptions, index: int, close_up: bool, fault: SlamFault) -> dict[str, Any]:
@@ -246,6 +264,7 @@ def _over_runs(lines: Sequence[Mapping[str, Any]], variant: str) -> dict[str, An
     tried, found = (sum(run[key] for run in runs) for key in ("relocalisations", "relocalised"))
     return {
         "n": len(runs),
+        "n_failed": len(lines) - len(runs),
         "ape_mean": float(np.mean([run["ape_mean"] for run in runs])),
         "drift_max": max(run["drift"] for run in runs),
         "n_drifted": sum(run["drifted"] for run in runs),

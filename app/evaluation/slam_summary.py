@@ -99,6 +99,7 @@ def _variant(lines: Sequence[Mapping[str, Any]]) -> dict[str, Any]:
     objects = [o for line in lines for o in line.get("objects", ()) if "accuracy" in o]
     result: dict[str, Any] = {
         "n": len(apes),
+        "n_failed": len(lines) - len(apes),
         "ape_mean": float(np.mean(apes)) if apes else None,
         "ape_worst_scene": max(apes, default=None),
         "n_lost": sum(line.get("n_lost", 0) for line in lines),
@@ -204,7 +205,8 @@ def write_plots(folder: Path, report: Report) -> None:
     left.set_title("completion at 1 cm by update, mean and 95 % band", loc="left")
     left.set_xlabel("times an object was updated")
     left.set_ylim(0, 1.02)
-    left.legend(loc="lower right", frameon=False)
+    if metrics["completion_by_update"]:
+        left.legend(loc="lower right", frameon=False)
     boxes = {name: v["accuracies"] for name, v in metrics["variants"].items() if v["accuracies"]}
     if boxes:
         drawn = middle.boxplot(
@@ -238,4 +240,5 @@ def _draw_ape(axis: Any, rows: Sequence[Mapping[str, Any]]) -> None:
     axis.set_title("mean APE by scene [cm]", loc="left")
     axis.set_xlabel("scene")
     axis.set_xticks(sorted({row["scene"] + 1 for row in rows}))
-    axis.legend(frameon=False, fontsize=9)
+    if variants:
+        axis.legend(frameon=False, fontsize=9)

@@ -1,6 +1,7 @@
 """``nodeslam evaluate tasks``: success rates over many episodes, and failure reasons.
 
-Each finished episode is one line of ``episodes.jsonl``.
+Each finished episode is one line of ``episodes.jsonl``. An episode that cannot be laid out or crashes counts
+as failed.
 """
 
 from __future__ import annotations
@@ -11,8 +12,8 @@ from dataclasses import replace
 from functools import cache, partial
 from typing import Any
 
-from app.errors import MissingExtraError, UsageError
-from app.evaluation.jobs import Ledger, spread
+from app.evaluation.jobs import Failure, Jobs, run_jobs
+from app.evaluation.ledger import Ledger, LedgerFormat, Line
 from app.evaluation.statistics import summarise
 from app.options import EvaluateOptions
 from app.runs.report import Report
@@ -25,14 +26,15 @@ EPISODES = "episodes.jsonl"
 def run(options: EvaluateOptions, screen: Screen) -> Report:
     """Run the episodes that are not finished yet, and report on all."""
     begin = time.perf_counter()
-    ledger, finished = Ledger.open(options, "evaluate-tasks", EPISODES, "seed", _settings(options))
+    ledger, finished = Ledger.open(options, _format(options), _settings(options))
     folder = ledger.folder
     seeds = range(options.seed, options.seed + options.episodes)
     to_run = [seed for seed in seeds if seed not in finished]
     if finished:
         screen.note(f"{len(seeds) - len(to_run)} of {len(seeds)} episodes are finished already")
+    jobs = Jobs(to_run, partial(run_seed, options), partial(failed_seed, options))
     with screen.stage(f"{len(to_run)} episodes of {options.task}"):
-        for line in spread(partial(run_seed, options), to_run, options):
+        for line in run_jobs(jobs, options):
             finished[line["seed"]] = line
             ledger.append(line)
             done = [finished[seed] for seed in seeds if seed in finished]
@@ -45,25 +47,31 @@ def run(options: EvaluateOptions, screen: Screen) -> Report:
     return report
 
 
-def run_seed(options: EvaluateOptions, seed: int) -> dict[str, Any]:
-    """Run one episode and return its line of the results; an exception becomes the reason of its failure."""
+def run_seed(options: EvaluateOptions, seed: int) -> Line:
+    """Run one episode and return its line of the results."""
     from app.task.cell import build_world
     from app.task.episode import run_episode
 
     begin = time.perf_counter()
     episode = replace(options, seed=seed)
-    line: dict[str, Any] = {"seed": seed, "task": options.task}
-    try:
-        with build_world(episode, options.task) as world:
-            report, _ = run_episode(world, episode, options.task, _perception(options.device))
-            line |= {
-                key: report.as_json()[key] for key in ("success", "reason", "timings", "objects", "metrics")
-            }
-    except (UsageError, MissingExtraError):
-        raise
-    except Exception as error:  # a crash is a result of the episode
-        line |= {"success": False, "reason": f"crashed: {type(error).__name__}: {error}", "objects": []}
-    return line | {"wall_seconds": time.perf_counter() - begin}
+    with build_world(episode, options.task) as world:
+        report, _ = run_episode(world, episode, options.task, _perception(options.device))
+    entries = report.as_json()
+    line = {key: entries[key] for key in ("success", "reason", "timings", "objects", "metrics")}
+    return {"seed": seed, "task": options.task} | line | {"wall_seconds": time.perf_counter() - begin}
+
+
+def failed_seed(options: EvaluateOptions, seed: int, failure: Failure) -> Line:
+    """Return the line of an episode that could not be run to its end."""
+    return {
+        "seed": seed,
+        "task": options.task,
+        "success": False,
+        "reason": failure.reason,
+        "objects": [],
+        "wall_seconds": failure.seconds,
+        "failed": True,
+    }
 
 
 @cache
@@ -74,6 +82,15 @@ def _perception(device: Any) -> Any:
     return load_perception(device)
 
 
+def _format(options: EvaluateOptions) -> LedgerFormat:
+    def check(line: Line) -> None:
+        if line.get("task", options.task) != options.task or type(line["success"]) is not bool:
+            raise ValueError(f"not an episode of {options.task}")
+        summarise([line])
+
+    return LedgerFormat("evaluate-tasks", EPISODES, "seed", check)
+
+
 def _settings(options: EvaluateOptions) -> dict[str, Any]:
     """Return the options that a resumed evaluation must share."""
     names = ("task", "objects", "object_meshes", "robot", "box", "depth_noise", "shapes", "device")
@@ -82,12 +99,13 @@ def _settings(options: EvaluateOptions) -> dict[str, Any]:
 
 def _report(options: EvaluateOptions, lines: Sequence[Mapping[str, Any]], seconds: float) -> Report:
     metrics = summarise(lines)
-    done = len(lines) == options.episodes
+    failed = sum("failed" in line for line in lines)
+    reason = f"{len(lines)} of {options.episodes} episodes, {metrics['n_successes']} of them complete"
     return Report(
         command="evaluate tasks",
         seed=options.seed,
-        success=done,
-        reason=f"{len(lines)} of {options.episodes} episodes, {metrics['n_successes']} of them complete",
+        success=len(lines) == options.episodes and not failed,
+        reason=reason + (f", {failed} not run to their end" if failed else ""),
         timings={"total": seconds},
         metrics=metrics,
         settings=_settings(options),

@@ -118,6 +118,29 @@ def test_each_chunk_has_its_own_seed_and_the_last_one_the_remaining_images(
     assert len(set(seeds)) == 4
 
 
+def test_a_failed_chunk_is_reported_and_the_rest_goes_on(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    ran: list[int] = []
+
+    def work(options: EvaluateOptions, folder: Path, chunk: int) -> dict[str, Any]:
+        ran.append(chunk)
+        if chunk == 0:
+            raise ValueError("no light")
+        image = {"objects": [], "distractors": [], "detections": [], "seconds": 0.1}
+        return {"chunk": chunk, "images": [image] * 3}
+
+    monkeypatch.setattr(detection, "run_chunk", work)
+    asked = options(tmp_path, images=detection.CHUNK + 3)
+    report = detection.run(asked, Screen(quiet=True))
+    assert not report.success and report.reason == "3 of 23 images, 1 chunks failed"
+    assert report.warnings == ["chunk 0: crashed: ValueError: no light"]
+    path = tmp_path / detection.ROWS
+    path.write_text(path.read_text().replace(', "detections": []', "", 1))
+    again = detection.run(replace(asked, resume=True), Screen(quiet=True))
+    assert ran == [0, 1, 1] and again.metrics == report.metrics
+
+
 def test_pictures_of_the_fewest_and_of_the_most_errors_are_kept() -> None:
     blank = np.zeros((2, 2, 3), np.uint8)
     pictures = [(errors, number, blank) for number, errors in enumerate((2, 0, 5, 3))]

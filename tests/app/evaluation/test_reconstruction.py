@@ -53,6 +53,38 @@ def test_interrupted_evaluation_goes_on_where_it_stopped(tmp_path, quick) -> Non
     assert report.success and quick.done == ["mug_000", "mug_001", "can_000"]
 
 
+def test_a_failed_object_is_not_found_by_any_method_and_the_rest_goes_on(tmp_path, monkeypatch) -> None:
+    def evaluate(options: EvaluateOptions, subject: Subject) -> dict:
+        if subject.name == "mug_001":
+            raise ValueError("no plane")
+        rows = [row(subject.name, 1, method, 0.002) for method in options.methods]
+        return {"object": subject.name, "rows": rows}
+
+    monkeypatch.setattr(evaluate_reconstruction, "evaluate_subject", evaluate)
+    asked = options(tmp_path, methods=("dvr", "tsdf"))
+    report = evaluate_reconstruction.run(asked, Screen(quiet=True))
+    assert not report.success and report.reason == "3 of 3 objects, 1 failed"
+    mugs = [entry for entry in report.metrics["median"] if entry["category"] == "mug"]
+    assert [(entry["method"], entry["n"], entry["found"]) for entry in mugs] == [
+        ("dvr", 2, 0.5),
+        ("tsdf", 2, 0.5),
+    ]
+    failed = [entry for entry in report.metrics["rows"] if not entry["found"]]
+    assert {entry["reason"] for entry in failed} == {"crashed: ValueError: no plane"} and len(failed) == 2
+
+
+def test_lines_without_all_rows_are_evaluated_again(tmp_path, quick) -> None:
+    asked = options(tmp_path, methods=("dvr",))
+    evaluate_reconstruction.run(asked, Screen(quiet=True))
+    path = tmp_path / evaluate_reconstruction.ROWS
+    lines = [json.loads(line) for line in path.read_text().splitlines()]
+    lines[0]["rows"] = []
+    del lines[1]["rows"][0]["accuracy"]
+    path.write_text("".join(json.dumps(line) + "\n" for line in lines))
+    evaluate_reconstruction.run(options(tmp_path, methods=("dvr",), resume=True), Screen(quiet=True))
+    assert quick.done == ["mug_000", "mug_001", "can_000", "mug_000", "mug_001"]
+
+
 def test_resuming_with_other_views_is_refused(tmp_path, quick) -> None:
     evaluate_reconstruction.run(options(tmp_path, methods=("dvr",)), Screen(quiet=True))
     with pytest.raises(UsageError, match="was made with another views"):

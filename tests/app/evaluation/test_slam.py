@@ -1,13 +1,14 @@
 """Scenes of the evaluation: test families, seeds, reuse; crashes as results."""
 
-from pathlib import Path
+import json
+from dataclasses import replace
 
 import numpy as np
 import pytest
 
-from app.errors import UsageError
 from app.evaluation import slam
 from app.options import EvaluateOptions
+from app.screen import Screen
 from app.slam import sequences
 from sim_assets.datasets import sequences as tables
 
@@ -47,23 +48,21 @@ def test_scenes_depend_on_seed_and_number_and_are_rendered_once(written, tmp_pat
     assert not np.array_equal(first.Ts_world_camera, second.Ts_world_camera)
 
 
-def test_a_crash_of_one_run_is_its_result(monkeypatch, tmp_path):
-    def broken(*args):
-        raise RuntimeError("no light")
-
-    monkeypatch.setattr(slam, "ensure_sequence", broken)
-    line = slam.run_scene(OPTIONS, Path(tmp_path), (2, "no_joint"))
-    assert line.pop("seconds") >= 0
-    assert line == {
-        "key": "2/no_joint", "scene": 2, "variant": "no_joint", "seed": 3,
-        "reason": "crashed: RuntimeError: no light",
-    }  # fmt: skip
-
-
-def test_usage_errors_end_the_evaluation(monkeypatch, tmp_path):
-    def broken(*args):
-        raise UsageError("no such noise")
-
-    monkeypatch.setattr(slam, "ensure_sequence", broken)
-    with pytest.raises(UsageError, match="no such noise"):
-        slam.run_scene(OPTIONS, Path(tmp_path), (0, "full"))
+def test_failed_runs_are_reported_and_the_report_is_written(monkeypatch, tmp_path):
+    monkeypatch.setattr(slam, "ensure_sequence", lambda *_: 1 / 0)
+    monkeypatch.setattr("perception.fusion.tsdf.load_open3d", lambda: None)
+    options = replace(OPTIONS, scenes=1, variants=("full", "no_joint"), out=tmp_path)
+    report = slam.run(options, Screen(quiet=True))
+    assert not report.success and report.reason == "2 of 2 runs, 2 crashed"
+    assert {row["reason"] for row in report.metrics["rows"]} == {
+        "crashed: ZeroDivisionError: division by zero"
+    }
+    assert {v["n_failed"] for v in report.metrics["variants"].values()} == {1}
+    path = tmp_path / slam.ROWS
+    lines = [json.loads(line) for line in path.read_text().splitlines()]
+    assert [line["key"] for line in lines] == ["0/full", "0/no_joint"]
+    lines[1]["seed"] = 4  # of another evaluation
+    path.write_text("".join(json.dumps(line) + "\n" for line in lines))
+    again = slam.run(replace(options, resume=True), Screen(quiet=True))
+    assert again.reason == report.reason
+    assert [json.loads(line)["seed"] for line in path.read_text().splitlines()] == [3, 3]

@@ -9,7 +9,8 @@ import pytest
 
 from app.errors import MissingExtraError, UsageError
 from app.evaluation import tasks as evaluate_tasks
-from app.evaluation.jobs import SETTINGS
+from app.evaluation.jobs import Failure
+from app.evaluation.ledger import SETTINGS
 from app.options import EvaluateOptions
 from app.runs.report import Report
 from app.screen import Screen
@@ -110,16 +111,49 @@ def test_an_episode_has_its_own_seed_cell_and_networks(monkeypatch):
     assert line["metrics"] == {"n_placed": 2} and line["wall_seconds"] >= 0
 
 
-def test_a_crash_is_the_result_of_its_episode(monkeypatch):
-    def broken(*args):
-        raise ZeroDivisionError("of all things")
+def test_a_seed_that_cannot_be_run_is_a_failed_episode_and_the_rest_goes_on(tmp_path, monkeypatch):
+    def run_seed(options, seed):
+        if seed == 11:
+            raise UsageError("--objects 10: no room for object 9")
+        return {"seed": seed, "success": True, "reason": "", "objects": [], "wall_seconds": 1.0}
 
-    monkeypatch.setitem(
-        sys.modules, "app.task.episode", types.SimpleNamespace(run_episode=None)
-    )  # loads long
-    monkeypatch.setattr("app.task.cell.build_world", broken)
-    line = evaluate_tasks.run_seed(options(None), 3)
-    assert line["success"] is False and line["reason"] == "crashed: ZeroDivisionError: of all things"
+    monkeypatch.setattr(evaluate_tasks, "run_seed", run_seed)
+    report = evaluate_tasks.run(options(tmp_path), Screen(quiet=True))
+    assert not report.success
+    assert report.reason == "4 of 4 episodes, 3 of them complete, 1 not run to their end"
+    assert report.metrics["success_rate"] == 0.75 and report.metrics["n_episodes"] == 4
+    assert report.metrics["failures"]["failed: --objects N: no room for object N"] == 1
+    again = evaluate_tasks.run(options(tmp_path, resume=True), Screen(quiet=True))
+    assert again.metrics == report.metrics and again.reason == report.reason
+
+
+def test_a_failed_episode_has_its_reason_and_time():
+    line = evaluate_tasks.failed_seed(options(None), 3, Failure("crashed: ValueError: x", 2.5))
+    assert line == {
+        "seed": 3, "task": "pack", "success": False, "reason": "crashed: ValueError: x", "objects": [],
+        "wall_seconds": 2.5, "failed": True,
+    }  # fmt: skip
+
+
+@pytest.mark.parametrize(
+    "damage",
+    [
+        lambda line: line.pop("objects"),
+        lambda line: line["objects"][0].pop("placed"),
+        lambda line: line.update(success="yes"),
+        lambda line: line.update(task="sort"),
+        lambda line: line.update(objects=3),
+    ],
+)
+def test_damaged_lines_are_run_again(tmp_path, episodes, damage):
+    first = evaluate_tasks.run(options(tmp_path), Screen(quiet=True))
+    path = tmp_path / "episodes.jsonl"
+    lines = [json.loads(line) for line in path.read_text().splitlines()]
+    damage(lines[1])
+    path.write_text("".join(json.dumps(line) + "\n" for line in lines))
+    again = evaluate_tasks.run(options(tmp_path, resume=True), Screen(quiet=True))
+    assert episodes.ran == [10, 11, 12, 13, 11]
+    assert again.metrics == first.metrics
 
 
 def test_ray_without_ray_names_the_extra(tmp_path, monkeypatch):

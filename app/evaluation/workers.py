@@ -1,0 +1,231 @@
+"""Worker processes that survive each other's deaths and end with the process that started them.
+
+``concurrent.futures`` and ``loky`` break the whole pool when one worker is killed, and do not tell which item
+it was working on. Here each worker has a pipe of its own and one item at a time, so that the item of a killed
+worker is known: it is repeated once in a new process, and the other workers are not disturbed.
+"""
+
+from __future__ import annotations
+
+import contextlib
+import ctypes
+import multiprocessing
+import os
+import signal
+import sys
+import threading
+import time
+from collections import deque
+from collections.abc import Callable, Iterator, Sequence
+from dataclasses import dataclass, replace
+from multiprocessing import resource_tracker
+from multiprocessing.connection import wait
+from multiprocessing.context import SpawnProcess
+from typing import Any, Generic, TypeVar
+
+Item = TypeVar("Item")
+Result = TypeVar("Result")
+
+ATTEMPTS = 2  # processes that may die on an item before it is given up
+THREAD_POOLS = ("OMP_NUM_THREADS", "OPENBLAS_NUM_THREADS", "MKL_NUM_THREADS")
+_PR_SET_PDEATHSIG = 1  # linux/prctl.h
+_GRACE = 5.0  # [s] for a process to end before it is killed
+
+
+@dataclass(frozen=True)
+class Lost:
+    """Failure of an item whose worker processes died.
+
+    Attributes:
+        reason: How the last of them ended.
+        seconds: Wall time since the item was first handed to a worker.
+    """
+
+    reason: str
+    seconds: float
+
+
+def map_in_processes(
+    function: Callable[[Item], Result],
+    items: Sequence[Item],
+    workers: int,
+    prepare: Callable[[], object] | None = None,
+) -> Iterator[tuple[Item, Result | Lost]]:
+    """Apply a function to items in worker processes; yield (item, result) in order of completion.
+
+    Args:
+        function: Importable function; an exception that it raises ends the iteration and all workers.
+        items: Arguments, each independent of the others.
+        workers: Largest number of processes at a time.
+        prepare: Importable function that each process calls at its start.
+    """
+    os.environ.update(
+        dict.fromkeys(THREAD_POOLS, "1")
+    )  # inherited by the workers: their thread pools would compete
+    waiting = deque(_Task(item) for item in items)
+    idle: list[_Worker[Item, Result]] = []
+    busy: list[_Worker[Item, Result]] = []
+    done: list[tuple[Item, Result | Lost | _Raised]] = []
+    try:
+        while waiting or busy or done:
+            while waiting and len(busy) < workers:
+                worker = idle.pop() if idle else _Worker.start(function, prepare)
+                busy.append(worker)
+                worker.assign(waiting.popleft())
+            for item, result in done:
+                if isinstance(result, _Raised):
+                    raise result.error
+                yield item, result
+            done = []
+            for worker in _ready(busy):
+                busy.remove(worker)
+                try:
+                    done.append((worker.task.item, worker.receive()))
+                    idle.append(worker)
+                except EOFError:  # the process died
+                    task = worker.task.after(worker.end())
+                    if len(task.deaths) < ATTEMPTS:
+                        waiting.appendleft(task)
+                    else:
+                        done.append((task.item, Lost(task.reason, time.perf_counter() - task.begin)))
+    finally:
+        for worker in idle:
+            worker.connection.close()  # it returns
+        for worker in busy:
+            worker.process.terminate()
+        for worker in (*idle, *busy):
+            worker.end()
+
+
+@dataclass(frozen=True)
+class _Task(Generic[Item]):
+    """An item, and how the processes ended that died on it.
+
+    Attributes:
+        item: The item.
+        begin: Time at which it was first handed to a worker, in seconds.
+        deaths: Signal or exit code of each process.
+    """
+
+    item: Item
+    begin: float = 0.0
+    deaths: tuple[str, ...] = ()
+
+    def after(self, death: str) -> _Task[Item]:
+        return replace(self, deaths=(*self.deaths, death))
+
+    @property
+    def reason(self) -> str:
+        ends = ", then ".join(self.deaths)
+        hint = "; if memory ran out, use fewer --workers" if "SIGKILL" in self.deaths else ""
+        return f"its worker process died {len(self.deaths)} times ({ends}){hint}"
+
+
+@dataclass(frozen=True)
+class _Raised:
+    """Exception of the function, on its path to the parent process."""
+
+    error: BaseException
+
+
+class _Worker(Generic[Item, Result]):
+    """A worker process, seen from its parent."""
+
+    def __init__(self, process: SpawnProcess, connection: Any) -> None:
+        self.process, self.connection = process, connection
+        self.task: _Task[Item]
+
+    @staticmethod
+    def start(
+        function: Callable[[Item], Result], prepare: Callable[[], object] | None
+    ) -> _Worker[Item, Result]:
+        """Start a process that applies the function to the items it receives."""
+        context = multiprocessing.get_context("spawn")  # a GL context does not survive a fork
+        near, far = context.Pipe()
+        process = context.Process(target=_serve, args=(far, function, prepare), daemon=True)
+        # Ctrl-C reaches the whole process group: the parent decides, its workers inherit a blocked SIGINT.
+        resource_tracker.ensure_running()  # its start would unblock the signal
+        mask = signal.pthread_sigmask(signal.SIG_BLOCK, {signal.SIGINT})
+        try:
+            process.start()
+        finally:
+            signal.pthread_sigmask(signal.SIG_SETMASK, mask)
+        far.close()  # so that the death of the worker is the end of the stream
+        return _Worker(process, near)
+
+    def assign(self, task: _Task[Item]) -> None:
+        self.task = task if task.deaths else replace(task, begin=time.perf_counter())
+        with contextlib.suppress(OSError):  # it died while it was idle: `receive` raises EOFError
+            self.connection.send(task.item)
+
+    def receive(self) -> Result | _Raised:
+        """Return the result.
+
+        Raises:
+            EOFError: The process ended without one.
+        """
+        try:
+            if not self.connection.poll():
+                raise EOFError
+            return self.connection.recv()
+        except OSError:  # killed while it wrote
+            raise EOFError from None
+
+    def end(self) -> str:
+        """Wait until the process has ended, killing it if it does not, and return how it ended."""
+        self.process.join(_GRACE)
+        if self.process.is_alive():
+            self.process.kill()
+            self.process.join()
+        self.connection.close()
+        code = self.process.exitcode or 0
+        if code >= 0:
+            return f"exit code {code}"
+        with contextlib.suppress(ValueError):
+            return signal.Signals(-code).name
+        return f"signal {-code}"
+
+
+def _ready(busy: Sequence[_Worker[Item, Result]]) -> list[_Worker[Item, Result]]:
+    """Return the workers with a result and those whose process ended, as soon as there is one."""
+    if not busy:
+        return []
+    ready = wait([handle for worker in busy for handle in (worker.connection, worker.process.sentinel)])
+    return [worker for worker in busy if worker.connection in ready or worker.process.sentinel in ready]
+
+
+def _serve(connection: Any, function: Callable[[Item], Result], prepare: Callable[[], object] | None) -> None:
+    """Work on items until the parent closes the connection or ends."""
+    end_with_parent()
+    if prepare is not None:
+        prepare()
+    while True:
+        try:
+            item = connection.recv()
+        except (EOFError, OSError):
+            return
+        try:
+            connection.send(function(item))
+        except Exception as error:
+            connection.send(_Raised(error))
+
+
+def end_with_parent() -> None:
+    """End this process when the one that started it is gone, whatever ended that.
+
+    A thread waits for the end of the pipe that ``multiprocessing`` keeps open in the parent. On Linux the
+    kernel sends SIGKILL as well, which no native code can delay.
+    """
+    parent = multiprocessing.parent_process()
+    if parent is None:
+        return
+
+    def watch() -> None:
+        parent.join()
+        os._exit(1)
+
+    threading.Thread(target=watch, name="end with parent", daemon=True).start()
+    if sys.platform == "linux":
+        ctypes.CDLL(None).prctl(_PR_SET_PDEATHSIG, signal.SIGKILL, 0, 0, 0)
+        if os.getppid() != parent.pid:  # it ended before the call
+            os._exit(1)
