@@ -245,16 +245,17 @@ def _add_static(spec: MjSpec, item: StaticObject) -> None:
 
 def _add_field(spec: MjSpec, field: HeightField) -> None:
     rows, columns = field.heights.shape
-    top = float(field.heights.max())
+    low = float(field.heights.min())  # MuJoCo shifts the smallest elevation to 0 when it compiles
+    span = float(field.heights.max()) - low or 1e-3
     surface = spec.add_hfield(
         name="clutter", nrow=rows, ncol=columns,
-        size=(0.5 * field.cell * (columns - 1), 0.5 * field.cell * (rows - 1), top, 0.01),
+        size=(0.5 * field.cell * (columns - 1), 0.5 * field.cell * (rows - 1), span, 0.01),
     )  # fmt: skip
-    surface.userdata = (field.heights / top).astype(np.float32).ravel()
+    surface.userdata = ((field.heights - low) / span).astype(np.float32).ravel()
     spec.worldbody.add_geom(
         name="clutter", type=mujoco.mjtGeom.mjGEOM_HFIELD, hfieldname="clutter", group=3,
-        pos=field.T_world_field[:3, 3] - 0.001 * field.T_world_field[:3, 2], quat=_wxyz(field.T_world_field),
-        **_STATIC,
+        pos=field.T_world_field[:3, 3] + (low - 0.001) * field.T_world_field[:3, 2],
+        quat=_wxyz(field.T_world_field), **_STATIC,
     )  # fmt: skip
 
 

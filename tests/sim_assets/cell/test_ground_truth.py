@@ -32,3 +32,17 @@ def test_the_mask_shows_it_and_nothing_else(world):
     mask = ground_truth.instance_mask(world, "overview")
     assert set(np.unique(mask)) == {-1, 0} and 50 < (mask == 0).sum() < 20_000
     assert ground_truth.object_models(world)[0].category == "can"
+
+
+@pytest.mark.parametrize(
+    ("bodies", "expected"),
+    [
+        ({"left_finger", "right_finger"}, True),
+        ({"left_finger", "right_finger", "world"}, True),
+        ({"left_finger", "world"}, False),
+        (set(), False),
+    ],
+)
+def test_an_object_is_held_by_both_fingers(world, monkeypatch, bodies, expected):
+    monkeypatch.setattr(ground_truth, "touching", lambda world, index: bodies)
+    assert ground_truth.held(world, 0) == expected

@@ -5,7 +5,10 @@ from itertools import pairwise
 
 import numpy as np
 import pytest
+from scipy.interpolate import CubicSpline
 
+from sim_assets.cell.layout import PlanarPose, gap, outline
+from sim_assets.datasets import sequences
 from sim_assets.datasets.sequences import (
     CLOSE_UP,
     SequenceConfig,
@@ -90,7 +93,38 @@ def iter_from(sequence, number):
     return images
 
 
-def test_objects_come_from_the_held_out_families():
-    sequence = TableSequence(3, SequenceConfig(objects=3, frames=2, width=64, height=48))
-    assert {item.model.split for item in sequence.objects} == {"test"}
-    assert {item.model.category for item in sequence.objects} == {"mug", "bowl", "bottle"}
+def test_configuration_is_followed():
+    """Gap, square, noise, rate and classes of a sampled sequence."""
+    config = replace(SMALL, objects=5, spread=0.2, gap=0.05)
+    sequence = TableSequence(11, config)
+    polygons, places = [], []
+    for item in sequence.objects:
+        yaw = np.arctan2(item.T_world_object[1, 0], item.T_world_object[0, 0])
+        places.append(item.T_world_object[:2, 3])
+        polygons.append(PlanarPose(*places[-1], yaw).transform(outline(item.model.mesh)))
+    assert np.abs(places).max() <= 0.2
+    assert min(gap(a, b) for i, a in enumerate(polygons) for b in polygons[:i]) >= 0.05
+    assert [item.model.category for item in sequence.objects] == ["mug", "bowl", "bottle", "mug", "bowl"]
+    noisy = list(sequence.render())
+    exact = list(TableSequence(11, replace(config, depth_noise="none")).render())
+    assert np.std(noisy[0].frame.depth - exact[0].frame.depth) == pytest.approx(0.002, rel=0.1)
+    assert noisy[1].frame.time == pytest.approx(1 / 30)
+
+
+def test_camera_keeps_its_distance_and_elevation_at_the_knots(monkeypatch):
+    """Of the sampled positions, before interpolation."""
+    knots = []
+
+    def spline(at, values):
+        knots.append(np.array(values))
+        return CubicSpline(at, values)
+
+    monkeypatch.setattr(sequences, "CubicSpline", spline)
+    config = SequenceConfig(frames=60)
+    sample_trajectory(config, np.random.default_rng(3))
+    away = knots[-2] - knots[-1]  # positions less look-at points
+    distance = np.linalg.norm(away, axis=1)
+    assert (distance >= config.distance[0]).all() and (distance <= config.distance[1]).all()
+    elevation = np.arcsin(away[:, 2] / distance)
+    assert (elevation >= config.elevation[0] - 1e-9).all() and (elevation <= config.elevation[1] + 1e-9).all()
+    assert np.abs(knots[-1][:, :2]).max() <= config.look_at

@@ -126,3 +126,31 @@ kept.color(data, "eye", 32, 24)
     ended = subprocess.run([sys.executable, "-c", program], capture_output=True, text=True, timeout=120)
     assert ended.returncode == 0
     assert ended.stderr == ""
+
+
+@pytest.mark.parametrize("roll", [0.3, -1.2])
+def test_roll_turns_the_image_about_the_optical_axis(roll):
+    position, target = np.array([1.0, 0.5, 0.7]), np.array([0.1, 0.2, 0.0])
+    relative = look_at(position, target)[:3, :3].T @ look_at(position, target, roll)[:3, :3]
+    c, s = np.cos(roll), np.sin(roll)
+    np.testing.assert_allclose(relative, [[c, -s, 0], [s, c, 0], [0, 0, 1]], atol=1e-12)
+
+
+def test_nothing_beyond_ten_metres_is_measured():
+    text = SCENE.replace('size="3 3 .1"', 'size="30 30 .1" pos="0 0 -9"').replace('zfar="20"', 'zfar="40"')
+    model = mujoco.MjModel.from_xml_string(text)
+    data = mujoco.MjData(model)
+    mujoco.mj_forward(model, data)
+    renderer = OffscreenRenderer(model)
+    depth, ids = renderer.depth_and_ids(data, "slanted", 80, 60)
+    renderer.close()
+    assert (ids == 0).any() and depth.max() < 10.0
+    assert (depth[(ids == 0)] == 0).any() and (depth[ids == 0] > 9.0).any()
+
+
+def test_shadows_are_optional_and_segmentation_leaves_colour_alone(scene):
+    _, data, renderer = scene
+    before = renderer.color(data, "down", 160, 120)
+    renderer.depth_and_ids(data, "down", 160, 120)
+    np.testing.assert_array_equal(renderer.color(data, "down", 160, 120), before)
+    assert (renderer.color(data, "down", 160, 120, shadows=False).astype(int) - before).max() > 20
