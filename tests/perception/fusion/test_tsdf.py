@@ -1,10 +1,19 @@
+"""TSDF fusion of a rendered can, and closing of synthetic distance fields."""
+
 import sys
+from dataclasses import replace
 
 import numpy as np
 import pytest
 import trimesh
 
-from perception.fusion.tsdf import FusionUnavailableError, TsdfConfig, masked_cloud, reconstruct_tsdf
+from perception.fusion.tsdf import (
+    FusionUnavailableError,
+    TsdfConfig,
+    _closed_surface,
+    masked_cloud,
+    reconstruct_tsdf,
+)
 from perception.types import CameraIntrinsics, ObjectDetection, RgbdFrame, SupportPlane
 
 CAMERA = CameraIntrinsics(width=160, height=120, fx=145.0, fy=145.0, cx=79.5, cy=59.5)
@@ -86,7 +95,105 @@ def test_an_object_without_depth_is_left_out(views, caplog):
     assert "can 5 has too little depth" in caplog.text
 
 
-def test_missing_open3d_says_what_to_install(views, monkeypatch):
+def test_missing_open3d_names_the_packages_to_install(views, monkeypatch):
     monkeypatch.setitem(sys.modules, "open3d", None)
     with pytest.raises(FusionUnavailableError, match=r"pip install '\.\[eval\]'"):
         reconstruct_tsdf([views[0][0]], [[views[0][1]]], SupportPlane())
+
+
+# A sphere's signed distance, sampled at the centres of 40^3 voxels whose lowest corner is at CORNER.
+VOXEL, BALL = 0.005, 0.06
+CORNER, MIDDLE = np.array([0.1, -0.3, -0.02]), np.array([0.2, -0.2, 0.08])
+
+
+def ball_values(middle=MIDDLE, radius=BALL) -> np.ndarray:
+    """Signed distance in units of the truncation distance of 0.02 m, and weight 1."""
+    centres = CORNER + VOXEL * (np.stack(np.indices((40, 40, 40)), axis=-1) + 0.5)
+    distance = np.linalg.norm(centres - middle, axis=-1) - radius
+    return np.stack([np.clip(distance / 0.02, -1, 1), np.ones_like(distance)], axis=-1)
+
+
+def ball_points() -> np.ndarray:
+    direction = np.random.default_rng(0).normal(size=(3000, 3))
+    return MIDDLE + BALL * direction / np.linalg.norm(direction, axis=1, keepdims=True)
+
+
+def closed(values: np.ndarray) -> trimesh.Trimesh:
+    mesh = _closed_surface(values, CORNER, VOXEL, ball_points(), SupportPlane())
+    assert mesh is not None
+    return trimesh.Trimesh(mesh.vertices, mesh.faces)
+
+
+def test_the_zero_level_of_an_observed_ball():
+    mesh = closed(ball_values())
+    assert mesh.is_watertight
+    np.testing.assert_allclose(np.linalg.norm(mesh.vertices - MIDDLE, axis=1), BALL, atol=3e-4)
+    assert mesh.volume == pytest.approx(4 / 3 * np.pi * BALL**3, rel=0.02)
+
+
+def test_unobserved_space_below_the_points_is_solid_down_to_the_plane():
+    """The lower half is unobserved: the ball becomes a dome on a cylinder that ends at the plane z = 0."""
+    values = ball_values()
+    values[:, :, :20] = (1.0, 0.0)  # up to the middle's height
+    mesh = closed(values)
+    assert mesh.is_watertight
+    dome, column = 2 / 3 * np.pi * BALL**3, np.pi * BALL**2 * MIDDLE[2]
+    assert mesh.volume == pytest.approx(dome + column, rel=0.05)
+    assert mesh.bounds[0, 2] == pytest.approx(0, abs=VOXEL / 2)
+    assert mesh.bounds[1, 2] == pytest.approx(MIDDLE[2] + BALL, abs=1e-3)
+
+
+def test_unobserved_space_above_and_beside_the_points_is_free():
+    values = ball_values()
+    values[values[..., 0] >= 1, 1] = 0.0
+    mesh = closed(values)
+    np.testing.assert_allclose(mesh.bounds[1], MIDDLE + BALL, atol=1e-3)
+    assert mesh.bounds[0, 0] == pytest.approx(MIDDLE[0] - BALL, abs=1e-3)
+
+
+def test_smaller_components_and_the_support_are_removed():
+    values = ball_values()
+    values[2:4, 2:4, 20:22, 0] = -1.0  # a speck
+    values[:, :, :2, 0] = -1.0  # the table, 0.01 m thick
+    values[18:22, 18:22, 36:38, 0] = -1.0  # a speck above the ball
+    mesh = closed(values)
+    np.testing.assert_allclose(np.linalg.norm(mesh.vertices - MIDDLE, axis=1), BALL, atol=3e-4)
+
+
+def test_without_solid_voxels_there_is_no_surface():
+    values = ball_values()
+    values[..., 0] = 1.0
+    assert _closed_surface(values, CORNER, VOXEL, ball_points(), SupportPlane()) is None
+
+
+def test_the_most_probable_yaw_turns_the_frame_but_not_the_mesh(views):
+    frames, found = zip(*views, strict=True)
+    bins = np.full(36, 0.01)
+    bins[6] = 1 - 35 * 0.01  # 60 degrees
+    turned = [[replace(f, category="mug", yaw_probabilities=bins)] for f in found]
+    (can,) = reconstruct_tsdf(frames, [[f] for f in found], SupportPlane())
+    (mug,) = reconstruct_tsdf(frames, turned, SupportPlane())
+    np.testing.assert_allclose(can.T_world_object[:3, :3], np.eye(3), atol=1e-12)
+    c, s = 0.5, np.sqrt(0.75)
+    np.testing.assert_allclose(mug.T_world_object[:2, :2], [[c, -s], [s, c]], atol=1e-9)
+    np.testing.assert_allclose(mug.mesh_world.vertices, can.mesh_world.vertices, atol=1e-6)
+    assert can.scale == pytest.approx(np.full(3, HEIGHT / 1.8), abs=0.003)
+
+
+def test_stray_pixels_far_from_the_object_are_ignored(views):
+    frames, found = zip(*views, strict=True)
+    oversized = [replace(f, mask=f.mask | (np.indices(f.mask.shape)[0] < 8)) for f in found]  # far table
+    (can,) = reconstruct_tsdf(frames, [[f] for f in oversized], SupportPlane())
+    assert can.height == pytest.approx(HEIGHT, abs=0.004) and can.radius == pytest.approx(RADIUS, abs=0.004)
+
+
+def test_frames_without_a_pose_and_masks_without_an_instance_are_ignored(views):
+    frame, found = views[0]
+    assert reconstruct_tsdf([replace(frame, T_world_camera=None)], [[found]], SupportPlane()) == []
+    assert reconstruct_tsdf([frame], [[replace(found, instance_id=None)]], SupportPlane()) == []
+
+
+def test_too_few_points_are_not_fused(views):
+    frame, found = views[0]
+    n = len(masked_cloud(frame, found.mask))
+    assert reconstruct_tsdf([frame], [[found]], SupportPlane(), TsdfConfig(min_points=n + 1)) == []
