@@ -20,7 +20,6 @@ SEVERAL_MODULES = {
 }
 # Modules that are tested only through those that use them; remove a line once its module has a test file.
 NO_OWN_TEST: set[str] = {
-    "app/slam/sequences.py",
     "app/training/shape_pictures.py",
     "app/viewer/command.py",
     "app/viewer/live.py",

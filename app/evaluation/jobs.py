@@ -9,15 +9,18 @@ import os
 import time
 from collections.abc import Callable, Iterator, Sequence
 from dataclasses import dataclass
-from functools import partial
+from functools import cache, partial
 from pathlib import Path
-from typing import Generic, TypeVar
+from typing import TYPE_CHECKING, Generic, TypeVar
 
 from app.errors import AppError, MissingExtraError
 from app.evaluation.ledger import Line
 from app.evaluation.workers import ATTEMPTS, Lost, map_in_processes
-from app.options import EvaluateOptions
+from app.options import Device, EvaluateOptions
 from perception.errors import install_hint
+
+if TYPE_CHECKING:
+    from perception.pipeline import Perception
 
 Item = TypeVar("Item")
 _LONGEST_REASON = 500  # characters
@@ -95,6 +98,14 @@ def reason_of(error: Exception) -> str:
     text = " ".join(str(error).split())
     reason = f"failed: {text}" if isinstance(error, AppError) else f"crashed: {type(error).__name__}: {text}"
     return reason[:_LONGEST_REASON]
+
+
+@cache
+def networks_on(device: Device) -> Perception:
+    """Load the shipped networks, once in each process."""
+    from perception.pipeline import load_perception
+
+    return load_perception(device)
 
 
 def resident_memory() -> int | None:

@@ -11,7 +11,8 @@ import os
 import shutil
 import time
 from collections.abc import Hashable, Mapping, Sequence
-from functools import cache, partial
+from dataclasses import dataclass
+from functools import partial
 from itertools import product
 from pathlib import Path
 from typing import Any
@@ -20,7 +21,7 @@ import numpy as np
 
 from app.errors import UsageError
 from app.evaluation import slam_short
-from app.evaluation.jobs import Failure, Jobs, resident_memory, run_jobs
+from app.evaluation.jobs import Failure, Jobs, networks_on, resident_memory, run_jobs
 from app.evaluation.ledger import Ledger, LedgerFormat, Line
 from app.evaluation.slam_scoring import (
     CURVE_UPDATES,
@@ -34,11 +35,13 @@ from app.evaluation.slam_summary import slam_tables, summarise_slam, write_plots
 from app.options import EvaluateOptions
 from app.runs.report import Report
 from app.screen import Screen
-from app.slam.pictures import write_map_picture
+from app.slam.pictures import MappedSequence, write_map_picture
 from app.slam.run import SlamRun
 from app.slam.sequence_truth import read_true_objects, read_true_trajectory
+from perception.inference.shape_model import Decoder
 from perception.io.detections import write_detection_entries
 from perception.io.recordings.sequence import open_sequence
+from perception.io.recordings.trajectory import Trajectory
 from perception.slam.ablations import Variant, variant_config
 from perception.slam.estimates import object_estimates
 from perception.slam.landmarks import Landmark
@@ -128,19 +131,30 @@ def ensure_sequence(options: EvaluateOptions, folder: Path, scene: int) -> Path:
     return path
 
 
-@cache
-def _networks(device: Any) -> Any:
-    """Load the networks once in each process."""
-    from perception.pipeline import load_perception
+@dataclass(frozen=True)
+class _FinishedRun:
+    """A run that is scored.
 
-    return load_perception(device)
+    Attributes:
+        slam_run: The run.
+        variant: Its variant.
+        history: First states of each landmark, one for each update of its shape, by id.
+        trajectory: True trajectory.
+        truth: True objects.
+    """
+
+    slam_run: SlamRun
+    variant: Variant
+    history: Mapping[int, list[Landmark]]
+    trajectory: Trajectory
+    truth: TrueObjects
 
 
 def score_variant(
     options: EvaluateOptions, path: Path, folder: Path, variant: Variant, rng: np.random.Generator
 ) -> Line:
     """Run a variant on a sequence and score it."""
-    networks, sequence = _networks(options.device), open_sequence(path)
+    networks, sequence = networks_on(options.device), open_sequence(path)
     live = sequence.entries is None
     slam_run = SlamRun.start(
         sequence, networks.decoder, networks.detector, variant_config(variant), live, time.process_time
@@ -157,24 +171,23 @@ def score_variant(
                     states.append(landmark)
     if live:
         write_detection_entries(path, [slam_run.detections.get(number, []) for number in sequence.ids])
-    line = _scores(slam_run, history, path, folder, variant, networks.decoder, rng)
+    true_trajectory = read_true_trajectory(path)
+    assert true_trajectory is not None
+    truth = TrueObjects(read_true_objects(path), rng)
+    finished = _FinishedRun(slam_run, variant, history, true_trajectory, truth)
+    line = _scores(finished, networks.decoder, rng)
+    title = f"{path.name.replace('_', ' ')}, {variant}: APE {100 * line['ape_mean']:.2f} cm"
+    _draw(finished, networks.decoder, folder / "pictures" / f"{path.name}_{variant}.png", title)
     return line | {"live": live, "resident": resident}
 
 
-def _scores(
-    slam_run: SlamRun,
-    history: dict[int, list[Landmark]],
-    path: Path,
-    folder: Path,
-    variant: Variant,
-    decoder: Any,
-    rng: np.random.Generator,
-) -> Line:
-    world, trajectory = slam_run.slam.world, slam_run.trajectory
-    true_trajectory, truth = read_true_trajectory(path), TrueObjects(read_true_objects(path), rng)
-    assert world is not None and true_trajectory is not None
-    landmarks = [world.landmarks[i] for i in world.ids]
-    line: Line = absolute_pose_error(trajectory, true_trajectory)
+def _scores(finished: _FinishedRun, decoder: Decoder, rng: np.random.Generator) -> Line:
+    """Return the scores of a run; of some variants also curves of the reconstruction over updates."""
+    slam_run, truth = finished.slam_run, finished.truth
+    world = slam_run.slam.world
+    assert world is not None
+    landmarks = [world.landmarks[id] for id in world.ids]
+    line: Line = absolute_pose_error(slam_run.trajectory, finished.trajectory)
     line |= {
         "reason": "done",
         "n_frames": len(slam_run.results),
@@ -186,17 +199,23 @@ def _scores(
         "stage_seconds": {stage: float(np.median(slam_run.seconds(stage) or [0.0])) for stage in STAGES},
         "stage_sums": {stage: float(sum(slam_run.seconds(stage))) for stage in STAGES},
     }
-    if variant in CURVES_OF:
-        kept = {i: states for i, states in history.items() if i in world.landmarks}
+    if finished.variant in CURVES_OF:
+        kept = {id: states for id, states in finished.history.items() if id in world.landmarks}
         line["completion_by_update"] = completion_by_update(kept, truth, decoder, rng)
-    if variant == CURVES_OF[0]:
-        given = noisy_truth(slam_run, true_trajectory.Ts_world_camera, rng)
+    if finished.variant == CURVES_OF[0]:
+        given = noisy_truth(slam_run, finished.trajectory.Ts_world_camera, rng)
         line["tsdf"] = fused_by_update(slam_run, given, truth, world.plane, rng)
-    picture = folder / "pictures" / f"{path.name}_{variant}.png"
-    title = f"{path.name.replace('_', ' ')}, {variant}: APE {100 * line['ape_mean']:.2f} cm"
-    objects = object_estimates(world, decoder)
-    write_map_picture(picture, objects, trajectory, slam_run.slam.keyframes, true_trajectory, title)
     return line
+
+
+def _draw(finished: _FinishedRun, decoder: Decoder, path: Path, title: str) -> None:
+    """Write the picture of a run's final map."""
+    slam_run = finished.slam_run
+    world = slam_run.slam.world
+    assert world is not None
+    objects = object_estimates(world, decoder)
+    mapped = MappedSequence(objects, slam_run.trajectory, slam_run.slam.keyframes, finished.trajectory)
+    write_map_picture(path, mapped, title)
 
 
 def noisy_truth(slam_run: SlamRun, Ts: np.ndarray, rng: np.random.Generator) -> dict[int, np.ndarray]:

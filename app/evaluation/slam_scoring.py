@@ -94,20 +94,20 @@ def surface_rows(
     """Return class, accuracy [m], chamfer_l1 [m] and completion at 1 cm of each landmark, if it matches."""
     matches = truth.match(places_of(landmarks))
     rows = []
-    for one in landmarks:
+    for landmark in landmarks:
         row: dict[str, Any] = {
-            "id": one.id,
-            "category": one.category,
-            "updates": one.n_updates,
-            "hits": one.n_hits,
+            "id": landmark.id,
+            "category": landmark.category,
+            "updates": landmark.n_updates,
+            "hits": landmark.n_hits,
         }
-        index = matches.get(one.id)
+        index = matches.get(landmark.id)
         if index is None:
             rows.append(row | {"true_category": None})
             continue
         row |= {"true_category": truth.categories[index], "true_index": index}
         try:
-            mesh = object_estimate(one, decoder).mesh_world
+            mesh = object_estimate(landmark, decoder).mesh_world
         except EmptyShapeError:
             rows.append(row)
             continue
@@ -117,14 +117,14 @@ def surface_rows(
 
 
 def completion_by_update(
-    history: dict[int, list[Landmark]], truth: TrueObjects, decoder: Decoder, rng: np.random.Generator
+    history: Mapping[int, list[Landmark]], truth: TrueObjects, decoder: Decoder, rng: np.random.Generator
 ) -> list[list[float]]:
     """Return for each object of the final map its completion after the first, second, ... update."""
     matches = truth.match(places_of([states[-1] for states in history.values()]))
     curves = []
-    for one, index in matches.items():
+    for id, index in matches.items():
         curve = []
-        for state in history[one][:CURVE_UPDATES]:
+        for state in history[id][:CURVE_UPDATES]:
             try:
                 samples = SurfaceSamples.of(object_estimate(state, decoder).mesh_world, rng, CURVE_SAMPLES)
                 curve.append(compare_surfaces(samples, truth.sparse[index]).completion)
@@ -147,14 +147,14 @@ def fused_by_update(
         ``completion`` and ``accuracy`` [m] of each object of the map after 1, 2, ... keyframes.
     """
     assert run.slam.world is not None
-    landmarks = [run.slam.world.landmarks[i] for i in run.slam.world.ids]
+    landmarks = [run.slam.world.landmarks[id] for id in run.slam.world.ids]
     curves: dict[str, list[list[float]]] = {"completion": [], "accuracy": []}
-    for one, index in truth.match(places_of(landmarks)).items():
-        views = [k for k in run.slam.keyframes if one in k.landmark_ids and k.number in Ts_given]
+    for id, index in truth.match(places_of(landmarks)).items():
+        views = [k for k in run.slam.keyframes if id in k.landmark_ids and k.number in Ts_given]
         completion, accuracy = [], []
         for count in range(1, min(len(views), CURVE_UPDATES) + 1):
             frames = [replace(k.frame, T_world_camera=Ts_given[k.number]) for k in views[:count]]
-            masks = [[_detection(k, one)] for k in views[:count]]
+            masks = [[_detection(k, id)] for k in views[:count]]
             fused = reconstruct_tsdf(frames, masks, plane, TsdfConfig(closed=False))
             if not fused:
                 completion.append(0.0)

@@ -10,14 +10,14 @@ from __future__ import annotations
 import time
 from collections.abc import Hashable, Mapping, Sequence
 from dataclasses import replace
-from functools import cache, partial
+from functools import partial
 from typing import Any
 
 import numpy as np
 from rich.table import Table
 
 from app.errors import UsageError
-from app.evaluation.jobs import Failure, Jobs, run_jobs
+from app.evaluation.jobs import Failure, Jobs, networks_on, run_jobs
 from app.evaluation.ledger import Ledger, LedgerFormat, Line
 from app.evaluation.slam_faults import MOVED_AT, flickering, with_fault
 from app.evaluation.slam_scoring import TrueObjects, absolute_pose_error, places_of, surface_rows
@@ -32,7 +32,8 @@ from perception.inference.shape_model import Decoder
 from perception.io.recordings.sequence import RgbdSequence
 from perception.io.recordings.trajectory import Trajectory
 from perception.slam.ablations import variant_config
-from perception.types import RgbdFrame, TriangleMesh
+from perception.slam.system import Detect
+from perception.types import ObjectDetection, RgbdFrame, SupportPlane, TriangleMesh
 
 ROWS = "short.jsonl"
 DRIFT = 0.03  # [m] position error above which a frame that is not lost counts as drift
@@ -136,7 +137,7 @@ def _run_variants(options: EvaluateOptions, index: int, close_up: bool, fault: S
     found: dict[int, list[Any]] | None = None
     entries = {}
     for variant in options.variants:
-        networks = _networks(options.device)
+        networks = networks_on(options.device)
         detect = networks.detector
         if fault == "flicker":
             detect = partial(_flickering, networks.detector, rng)
@@ -154,15 +155,9 @@ def _run_variants(options: EvaluateOptions, index: int, close_up: bool, fault: S
     return {"objects_in_view": float(np.median(in_view)), "variants": entries}
 
 
-@cache
-def _networks(device: Any) -> Any:
-    """Load the networks once in each process."""
-    from perception.pipeline import load_perception
-
-    return load_perception(device)
-
-
-def _flickering(detector: Any, rng: np.random.Generator, frame: RgbdFrame, plane: Any) -> Any:
+def _flickering(
+    detector: Detect, rng: np.random.Generator, frame: RgbdFrame, plane: SupportPlane
+) -> list[ObjectDetection]:
     return flickering(detector(frame, plane), rng)
 
 
@@ -183,10 +178,11 @@ def _beyond(slam_run: SlamRun, truth: Trajectory) -> int:
     true_place = dict(zip(truth.times, truth.Ts_world_camera[:, :3, 3]))
     return sum(
         bool(
-            np.linalg.norm(one.T_world_camera[:3, 3] - true_place[one.time]) > 2 * max(one.position_std, 1e-3)
+            np.linalg.norm(result.T_world_camera[:3, 3] - true_place[result.time])
+            > 2 * max(result.position_std, 1e-3)
         )
-        for one in slam_run.results
-        if one.status != "lost"
+        for result in slam_run.results
+        if result.status != "lost"
     )
 
 
@@ -198,10 +194,10 @@ def _map_health(slam_run: SlamRun, truth: TrueObjects, moved: int | None, decode
     """
     world = slam_run.slam.world
     assert world is not None
-    landmarks = [world.landmarks[i] for i in world.ids]
+    landmarks = [world.landmarks[id] for id in world.ids]
     places = places_of(landmarks)
     matches = truth.match(places)
-    errors = [float(np.linalg.norm(places[i] - truth.centres[k])) for i, k in matches.items()]
+    errors = [float(np.linalg.norm(places[id] - truth.centres[k])) for id, k in matches.items()]
     rows = surface_rows(landmarks, truth, decoder, np.random.default_rng(0))
     return {
         "n_landmarks": len(places),
@@ -293,7 +289,7 @@ def short_table(report: Report) -> Table:
         "were lost",
         "frames lost %",
         "end lost",
-        "phantoms",
+        "spurious landmarks",
         "accuracy mm",
         "relocalised %",
     )

@@ -64,9 +64,9 @@ def against_full(lines: Sequence[Mapping[str, Any]]) -> dict[str, Any]:
     for line in lines:
         if "ape_mean" in line:
             apes[line["variant"]][line["scene"]] = line["ape_mean"]
-        for one in line.get("objects", ()):
-            if "accuracy" in one:
-                accuracies[line["variant"]][line["scene"], one["true_index"]] = one["accuracy"]
+        for entry in line.get("objects", ()):
+            if "accuracy" in entry:
+                accuracies[line["variant"]][line["scene"], entry["true_index"]] = entry["accuracy"]
     return {
         variant: {
             "ape_mean": paired_difference(apes["full"], apes[variant]),

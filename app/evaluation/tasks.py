@@ -9,10 +9,10 @@ from __future__ import annotations
 import time
 from collections.abc import Mapping, Sequence
 from dataclasses import replace
-from functools import cache, partial
+from functools import partial
 from typing import Any
 
-from app.evaluation.jobs import Failure, Jobs, run_jobs
+from app.evaluation.jobs import Failure, Jobs, networks_on, run_jobs
 from app.evaluation.ledger import Ledger, LedgerFormat, Line
 from app.evaluation.statistics import summarise
 from app.options import EvaluateOptions
@@ -55,7 +55,7 @@ def run_seed(options: EvaluateOptions, seed: int) -> Line:
     begin = time.perf_counter()
     episode = replace(options, seed=seed)
     with build_world(episode, options.task) as world:
-        report, _ = run_episode(world, episode, options.task, _perception(options.device))
+        report, _ = run_episode(world, episode, options.task, networks_on(options.device))
     entries = report.as_json()
     line = {key: entries[key] for key in ("success", "reason", "timings", "objects", "metrics")}
     return {"seed": seed, "task": options.task} | line | {"wall_seconds": time.perf_counter() - begin}
@@ -72,14 +72,6 @@ def failed_seed(options: EvaluateOptions, seed: int, failure: Failure) -> Line:
         "wall_seconds": failure.seconds,
         "failed": True,
     }
-
-
-@cache
-def _perception(device: Any) -> Any:
-    """Load the networks, once per process."""
-    from perception.pipeline import load_perception
-
-    return load_perception(device)
 
 
 def _format(options: EvaluateOptions) -> LedgerFormat:

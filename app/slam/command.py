@@ -14,7 +14,7 @@ from app.options import SlamOptions
 from app.runs.report import ObjectReport, Report
 from app.runs.run_folder import RunFolder
 from app.screen import Screen
-from app.slam.pictures import write_map_picture
+from app.slam.pictures import MappedSequence, write_map_picture
 from app.slam.recording import SlamRecorder
 from app.slam.run import SlamRun
 from app.slam.sequence_truth import read_true_trajectory
@@ -96,9 +96,8 @@ def _write(
     recorder.write(folder.path)
     truth = read_true_trajectory(slam_run.sequence.path)
     title = f"{len(objects)} objects, {len(slam_run.results)} frames, {len(slam.keyframes)} keyframes"
-    write_map_picture(
-        folder.path / "overview.png", objects, slam_run.trajectory, slam.keyframes, truth, title
-    )
+    mapped = MappedSequence(objects, slam_run.trajectory, slam.keyframes, truth)
+    write_map_picture(folder.path / "overview.png", mapped, title)
     return objects
 
 

@@ -40,6 +40,7 @@ from perception.detection.crop_training import (
     CropSet,
     TrainingConfig,
     TrainingData,
+    TrainingJob,
     calibrated_temperature,
     train_crop_network,
 )
@@ -85,6 +86,22 @@ class TrainDetectorConfig:
 
 
 @dataclass(frozen=True)
+class CalibratedNetwork:
+    """A trained crop network or ensemble, and the temperature that its logits are divided by."""
+
+    network: CropNetwork
+    temperature: float
+
+    def probabilities(self, crops: LabelledCrops) -> Float[np.ndarray, "n c"]:
+        """Return the calibrated probabilities of crops."""
+        return predict(self.network, self.temperature, crops.images, crops.context)
+
+    def save(self, path: Path, task: Task, config: TrainDetectorConfig) -> None:
+        """Write network and temperature with their provenance."""
+        save_crop_network(self.network, path, task, self.temperature, provenance(config))
+
+
+@dataclass(frozen=True)
 class CropSplits:
     """Labelled crops of each purpose; training and validation crops are of the training families."""
 
@@ -116,12 +133,10 @@ def run(config: TrainDetectorConfig, out_dir: Path, progress: Progress | None = 
     scene = train_scene(load_scenes(scenes), config, out_dir, progress)
     save_scene_network(scene, out_dir / WEIGHTS_FILE, provenance(config))
     data = TrainingData(class_targets(training), class_targets(crops.validation))
-    network, temperature = train_ensemble(
-        "class", data, config, out_dir, stage_progress(progress, SCENE_SHARE, 1.0)
-    )
-    metrics = class_metrics(crops.test, predict(network, temperature, crops.test.images, crops.test.context))
-    save_crop_network(network, out_dir / WEIGHTS_FILES["class"], "class", temperature, provenance(config))
-    card = _card(config, metrics, scene, network, temperature, len(training))
+    trained = train_ensemble("class", data, config, out_dir, stage_progress(progress, SCENE_SHARE, 1.0))
+    metrics = class_metrics(crops.test, trained.probabilities(crops.test))
+    trained.save(out_dir / WEIGHTS_FILES["class"], "class", config)
+    card = _card(config, metrics, scene, trained, len(training))
     card += checksums(out_dir / WEIGHTS_FILE, out_dir / WEIGHTS_FILES["class"])
     (out_dir / "detector.md").write_text(card, "utf-8")
     return metrics
@@ -169,7 +184,8 @@ def train_scene(
         share = RENDERING_SHARE + (SCENE_SHARE - RENDERING_SHARE) * step / steps
         _report(progress, f"scenes, step {step} of {steps}", share)
 
-    return train_scene_network(scenes.labelled, len(scenes), settings, out_dir, config.device, on_step)
+    job = TrainingJob(out_dir, config.device, on_step)
+    return train_scene_network(scenes.labelled, len(scenes), settings, job)
 
 
 def train_ensemble(
@@ -178,8 +194,8 @@ def train_ensemble(
     config: TrainDetectorConfig,
     out_dir: Path,
     progress: Progress | None,
-) -> tuple[CropNetwork, float]:
-    """Train the network or ensemble of a task and return it with its calibrated temperature.
+) -> CalibratedNetwork:
+    """Train and calibrate the network or ensemble of a task.
 
     The members of an ensemble differ in their seeds. The first has its checkpoint in ``out_dir``, the others
     in subfolders.
@@ -198,10 +214,10 @@ def train_ensemble(
 
         folder = out_dir if member == 0 else out_dir / f"member{member}"
         settings = replace(config.training, seed=config.training.seed + member)
-        return train_crop_network(task, data, settings, folder, config.device, on_epoch)
+        return train_crop_network(task, data, settings, TrainingJob(folder, config.device, on_epoch))
 
     network = ensemble_of([train(member) for member in range(count)])
-    return network, calibrated_temperature(network, data.validation)
+    return CalibratedNetwork(network, calibrated_temperature(network, data.validation))
 
 
 def _report(progress: Progress | None, what: str, share: float) -> None:
@@ -256,8 +272,7 @@ def _card(
     config: TrainDetectorConfig,
     metrics: dict[str, Any],
     scene: SceneNet,
-    network: CropNetwork,
-    temperature: float,
+    trained: CalibratedNetwork,
     crops: int,
 ) -> str:
     """Return the model card in Markdown: architecture, training, data, evaluation and limitations."""
@@ -268,7 +283,8 @@ def _card(
     )
     return _CARD.format(
         scene_parameters=sum(p.numel() for p in scene.parameters()),
-        parameters=sum(p.numel() for p in network.parameters()), temperature=temperature, crops=crops,
+        parameters=sum(p.numel() for p in trained.network.parameters()),
+        temperature=trained.temperature, crops=crops,
         members=ENSEMBLE_SIZE["class"], config=config, training=config.training,
         scene_epochs=config.scene_epochs, torch=torch.__version__.split("+")[0],
         confusion=f"{header}\n{rows}", m=metrics,

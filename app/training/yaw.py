@@ -16,14 +16,14 @@ from jaxtyping import Float
 from app.training.crop_dataset import LabelledCrops, Progress
 from app.training.detector import (
     RENDERING_SHARE,
+    CalibratedNetwork,
     TrainDetectorConfig,
-    provenance,
     render_crops,
     stage_progress,
     train_ensemble,
 )
 from app.training.files import checksums
-from perception.detection.crop_network import WEIGHTS_FILES, CropNetwork, predict, save_crop_network
+from perception.detection.crop_network import WEIGHTS_FILES
 from perception.detection.crop_training import CropSet, TrainingConfig, TrainingData
 from perception.detection.yaw import modes, soft_labels
 from perception.types import CATEGORIES
@@ -49,12 +49,10 @@ def run(config: TrainYawConfig, out_dir: Path, progress: Progress | None = None)
     crops = render_crops(config, out_dir / "scenes", stage_progress(progress, 0.0, RENDERING_SHARE))
     training, validation, test = (select_mugs(c) for c in (crops.training, crops.validation, crops.test))
     data = TrainingData(yaw_targets(training), yaw_targets(validation))
-    network, temperature = train_ensemble(
-        "yaw", data, config, out_dir, stage_progress(progress, RENDERING_SHARE, 1.0)
-    )
-    metrics = yaw_metrics(test, predict(network, temperature, test.images, test.context))
-    save_crop_network(network, out_dir / WEIGHTS_FILES["yaw"], "yaw", temperature, provenance(config))
-    card = _card(config, metrics, network, temperature, len(training))
+    trained = train_ensemble("yaw", data, config, out_dir, stage_progress(progress, RENDERING_SHARE, 1.0))
+    metrics = yaw_metrics(test, trained.probabilities(test))
+    trained.save(out_dir / WEIGHTS_FILES["yaw"], "yaw", config)
+    card = _card(config, metrics, trained, len(training))
     (out_dir / "yaw.md").write_text(card + checksums(out_dir / WEIGHTS_FILES["yaw"]), "utf-8")
     return metrics
 
@@ -100,13 +98,12 @@ def angle_between(a: float, b: float) -> float:
     return abs((a - b + np.pi) % (2 * np.pi) - np.pi)
 
 
-def _card(
-    config: TrainYawConfig, metrics: dict[str, Any], network: CropNetwork, temperature: float, mugs: int
-) -> str:
+def _card(config: TrainYawConfig, metrics: dict[str, Any], trained: CalibratedNetwork, mugs: int) -> str:
     """Return the model card in Markdown: architecture, training, data, evaluation and limitations."""
     rows = "\n".join(_row(name, m) for name, m in metrics.items() if isinstance(m, dict))
     return _CARD.format(
-        parameters=sum(p.numel() for p in network.parameters()), temperature=temperature, mugs=mugs,
+        parameters=sum(p.numel() for p in trained.network.parameters()),
+        temperature=trained.temperature, mugs=mugs,
         training=config.training, config=config, torch=torch.__version__.split("+")[0], rows=rows,
         visible=HANDLE_VISIBLE,
     )  # fmt: skip

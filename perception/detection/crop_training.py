@@ -88,6 +88,21 @@ class TrainingData:
     validation: CropSet
 
 
+@dataclass(frozen=True)
+class TrainingJob:
+    """Where a network is trained, and how its progress is reported.
+
+    Attributes:
+        directory: Folder of the checkpoint.
+        device: Torch device.
+        progress: Called with (epochs or steps done, their total number, metrics).
+    """
+
+    directory: Path
+    device: str | torch.device = "cpu"
+    progress: TrainingProgress | None = None
+
+
 Net = TypeVar("Net", bound=torch.nn.Module)
 
 
@@ -110,23 +125,14 @@ class TrainingState(Generic[Net]):
     generator: torch.Generator
 
 
-def train_crop_network(
-    task: Task,
-    data: TrainingData,
-    config: TrainingConfig,
-    directory: Path,
-    device: str | torch.device = "cpu",
-    progress: TrainingProgress | None = None,
-) -> CropNet:
-    """Train a network, resuming from ``directory/checkpoint_<task>.pt`` if it exists.
+def train_crop_network(task: Task, data: TrainingData, config: TrainingConfig, job: TrainingJob) -> CropNet:
+    """Train a network, resuming from ``checkpoint_<task>.pt`` in the job's folder if it exists.
 
     Args:
         task: What the network predicts.
         data: Crops to train on, and crops for the metrics after each epoch.
         config: Hyperparameters.
-        directory: Folder of the checkpoint.
-        device: Where to train.
-        progress: Called after every epoch with (epochs done, epochs in total, metrics).
+        job: Folder and device; progress is reported after every epoch.
 
     Returns:
         The network in evaluation mode.
@@ -139,8 +145,8 @@ def train_crop_network(
     for name, crops in (("training", training), ("validation", validation)):
         if not len(crops) or crops.targets.shape[1] != OUTPUTS[task]:
             raise InvalidInputError(f"{name} crops for '{task}' must have (n > 0, {OUTPUTS[task]}) targets")
-    state = _initial_state(OUTPUTS[task], config, math.ceil(len(training) / config.batch), device)
-    checkpoint = directory / f"checkpoint_{task}.pt"
+    state = _initial_state(OUTPUTS[task], config, math.ceil(len(training) / config.batch), job.device)
+    checkpoint = job.directory / f"checkpoint_{task}.pt"
     start = resume_checkpoint(checkpoint, state)
 
     for epoch in range(start, config.epochs):
@@ -148,8 +154,8 @@ def train_crop_network(
         metrics = {"loss": loss, **validation_metrics(task, state.network, validation)}
         save_checkpoint(checkpoint, state, epoch + 1)
         logger.info("%s epoch %d: %s", task, epoch + 1, metrics)
-        if progress:
-            progress(epoch + 1, config.epochs, metrics)
+        if job.progress:
+            job.progress(epoch + 1, config.epochs, metrics)
     return state.network.eval()
 
 

@@ -10,7 +10,6 @@ import logging
 import time
 from collections.abc import Callable, Iterator
 from dataclasses import dataclass, fields, replace
-from pathlib import Path
 
 import cv2
 import numpy as np
@@ -20,7 +19,7 @@ from torch import Tensor
 from torch.nn import functional
 
 from perception.detection.crop_training import (
-    TrainingProgress,
+    TrainingJob,
     TrainingState,
     learning_rate_share,
     resume_checkpoint,
@@ -117,22 +116,15 @@ class SceneTargets:
 
 
 def train_scene_network(
-    scenes: Callable[[int], LabelledScene],
-    count: int,
-    config: SceneTrainingConfig,
-    directory: Path,
-    device: str | torch.device = "cpu",
-    progress: TrainingProgress | None = None,
+    scenes: Callable[[int], LabelledScene], count: int, config: SceneTrainingConfig, job: TrainingJob
 ) -> SceneNet:
-    """Train the scene network, resuming from ``directory/checkpoint_scene.pt`` if it exists.
+    """Train the scene network, resuming from ``checkpoint_scene.pt`` in the job's folder if it exists.
 
     Args:
         scenes: Returns the image of an index below ``count``.
         count: Number of images.
         config: Hyperparameters.
-        directory: Folder of the checkpoint.
-        device: Where to train.
-        progress: Called every 50 steps with (steps done, steps in total, smoothed losses).
+        job: Folder and device; progress is reported every 50 steps, with smoothed losses.
 
     Returns:
         The network in evaluation mode.
@@ -142,8 +134,8 @@ def train_scene_network(
     """
     per_epoch = max(1, count // config.batch)
     steps = config.epochs * per_epoch
-    state = _initial_state(config, steps, device)
-    network, checkpoint = state.network, directory / "checkpoint_scene.pt"
+    state = _initial_state(config, steps, job.device)
+    network, checkpoint = state.network, job.directory / "checkpoint_scene.pt"
     done = resume_checkpoint(checkpoint, state)
     network.train()
     saved, running = time.monotonic(), np.zeros(3)
@@ -163,8 +155,8 @@ def train_scene_network(
             bias = 1 - 0.98 ** (step + 1 - done)
             metrics: dict[str, float] = dict(zip(_LOSSES, (running / bias).tolist()))
             logger.info("scene step %d of %d: %s", step + 1, steps, metrics)
-            if progress:
-                progress(step + 1, steps, metrics)
+            if job.progress:
+                job.progress(step + 1, steps, metrics)
     return network.eval()
 
 

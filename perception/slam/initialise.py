@@ -8,13 +8,13 @@ from dataclasses import dataclass, replace
 
 import numpy as np
 
+from perception.detection.geometry import touches_border
 from perception.errors import PerceptionError
 from perception.inference.fit import FitConfig, fit_object
 from perception.inference.observation import ObjectObservation, ObjectViews
 from perception.inference.problem import FitState
 from perception.inference.shape_model import Decoder, linearise
 from perception.rendering.pose import ObjectPose
-from perception.slam.labelled_frame import is_truncated
 from perception.slam.landmarks import Landmark, bounding_radius, log_probabilities
 from perception.types import ObjectDetection, ObjectEstimate, SupportPlane
 
@@ -85,7 +85,7 @@ def landmark_from_estimate(
         sample_step=sample_step,
         log_votes=log_probabilities(views.detection),
         score=views.detection.score,
-        truncated=is_truncated(views.detection.mask),
+        truncated=touches_border(views.detection.mask),
         first_frame=views.frame_number,
         residual=estimate.residual,
     )

@@ -6,7 +6,7 @@ from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, field, replace
 
 import numpy as np
-from jaxtyping import Bool, Float, UInt8
+from jaxtyping import Float, UInt8
 
 from perception.types import ObjectDetection, RgbdFrame
 
@@ -83,8 +83,3 @@ def label_image(detections: Sequence[ObjectDetection], shape: tuple[int, int]) -
 def with_pose(frame: RgbdFrame, T_world_camera: Float[np.ndarray, "4 4"]) -> RgbdFrame:
     """Return the frame with another camera pose."""
     return RgbdFrame(frame.time, frame.rgb, frame.depth, frame.intrinsics, T_world_camera)
-
-
-def is_truncated(mask: Bool[np.ndarray, "h w"]) -> bool:
-    """Return whether a mask touches the image border."""
-    return bool(mask[0].any() or mask[-1].any() or mask[:, 0].any() or mask[:, -1].any())

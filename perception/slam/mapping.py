@@ -9,6 +9,7 @@ from dataclasses import dataclass, replace
 import numpy as np
 from jaxtyping import Bool, Float
 
+from perception.detection.geometry import touches_border
 from perception.geometry import invert
 from perception.inference.observation import ObjectObservation
 from perception.inference.reconstruct import hidden_by
@@ -18,7 +19,7 @@ from perception.slam.bundle_adjustment import BundleWindow, optimise_jointly
 from perception.slam.config import SlamConfig
 from perception.slam.initialise import LandmarkViews, initialise_landmark, refitted
 from perception.slam.keyframes import Keyframe, select_window
-from perception.slam.labelled_frame import LabelledFrame, is_truncated
+from perception.slam.labelled_frame import LabelledFrame
 from perception.slam.landmarks import Landmark, LandmarkMap, coincide, duplicates, origin_distance
 from perception.slam.marginal_prior import MarginalPrior, ViewInformation
 from perception.types import ObjectDetection, SupportPlane
@@ -149,7 +150,7 @@ class Mapper:
             age = self.unmatched[label].n_frames if label in self.unmatched else 0
             since_due = age - life.min_frames_unmatched
             waits = since_due < 0 or since_due % life.retry_interval
-            truncated = is_truncated(found.mask)
+            truncated = touches_border(found.mask)
             min_pixels = life.min_pixels_truncated if truncated else life.min_pixels
             too_small = np.count_nonzero(found.mask) < min_pixels
             if label in view.landmark_of or waits or too_small or (truncated and supported):
@@ -196,7 +197,7 @@ class Mapper:
         if moved or max(unseen_ratios.values(), default=0.0) > life.unseen_ratio:
             return True
         truncated = [label for label, landmark in visible.items() if landmark.truncated]
-        return any(not is_truncated(view.detections[label - 1].mask) for label in truncated)
+        return any(not touches_border(view.detections[label - 1].mask) for label in truncated)
 
     def add_keyframe(
         self, key: Keyframe, plane_points: Float[np.ndarray, "n 3"], new: Collection[int]
@@ -243,7 +244,7 @@ class Mapper:
         for id in sorted(observed, key=lambda id: (-unseen_ratios.get(id, 0.0), id)):
             landmark = self.world.landmarks[id]
             revealed = landmark.truncated and (
-                not is_truncated(key.mask(id)) or unseen_ratios.get(id, 0.0) > life.unseen_ratio
+                not touches_border(key.mask(id)) or unseen_ratios.get(id, 0.0) > life.unseen_ratio
             )
             stale = (
                 landmark.class_log_odds > life.class_log_odds

@@ -1,3 +1,5 @@
+"""Validation of the core types, and measures of object estimates."""
+
 import numpy as np
 import pytest
 
@@ -32,13 +34,13 @@ def test_intrinsics_matrix_projects_the_optical_axis_to_the_principal_point():
 
 
 @pytest.mark.parametrize("change", [{"fx": 0.0}, {"fy": float("nan")}, {"cx": 1e6}, {"width": 0}])
-def test_absurd_intrinsics_are_refused(change):
+def test_invalid_intrinsics_are_rejected(change):
     good = {"width": 8, "height": 6, "fx": 10.0, "fy": 10.0, "cx": 3.5, "cy": 2.5}
     with pytest.raises(InvalidInputError):
         CameraIntrinsics(**(good | change))
 
 
-def test_frame_is_read_only_and_leaves_the_callers_array_alone():
+def test_images_of_a_frame_are_read_only_and_the_given_arrays_stay_writable():
     depth = np.ones((6, 8), np.float32)
     kept = frame(depth=depth)
     with pytest.raises(ValueError, match="read-only"):
@@ -56,27 +58,27 @@ def test_frame_is_read_only_and_leaves_the_callers_array_alone():
         ({"T_world_camera": 2 * np.eye(4)}, "rigid"),
     ],
 )
-def test_bad_frames_say_what_is_wrong(change, message):
+def test_invalid_frames_are_rejected_with_the_reason(change, message):
     with pytest.raises(InvalidInputError, match=message):
         frame(**change)
 
 
-def test_mirrored_transform_is_no_rigid_motion():
+def test_a_reflection_is_not_a_rigid_transform():
     with pytest.raises(InvalidInputError, match="rigid"):
         check_rigid(np.diag([1.0, 1.0, -1.0, 1.0]), "T")
 
 
-def test_empty_mask_and_unknown_class_are_refused():
+def test_an_empty_mask_is_rejected():
     with pytest.raises(InvalidInputError, match="empty"):
         ObjectDetection("mug", 0.9, np.zeros((6, 8), bool))
 
 
-def test_plane_height():
+def test_height_above_the_plane():
     plane = SupportPlane(offset=0.5)
     np.testing.assert_allclose(plane.height_above(np.array([[9.0, 9.0, 0.75]])), [0.25])
 
 
-def test_estimate_measures_leave_the_handle_out():
+def test_measures_of_an_estimate_exclude_the_handle():
     # A box 2 x 4 x 6 cm, with a spike along +x in the place of a handle.
     corners = np.array([[x, y, z] for x in (-0.01, 0.01) for y in (-0.02, 0.02) for z in (-0.03, 0.03)])
     spike = np.array([[0.08, 0.0, 0.0]])

@@ -104,7 +104,7 @@ def test_an_episode_has_its_own_seed_cell_and_networks(monkeypatch):
 
     monkeypatch.setattr("app.task.cell.build_world", build)
     monkeypatch.setitem(sys.modules, "app.task.episode", types.SimpleNamespace(run_episode=run_episode))
-    monkeypatch.setattr(evaluate_tasks, "_perception", lambda device: f"networks on {device}")
+    monkeypatch.setattr(evaluate_tasks, "networks_on", lambda device: f"networks on {device}")
     line = evaluate_tasks.run_seed(options(None, task="sort", device="cpu", seed=10), 17)
     assert calls == [("cell", 17, "sort"), ("world", 17, "sort", "networks on cpu")]
     assert (line["seed"], line["task"], line["success"], line["reason"]) == (17, "sort", True, "2 of 2")

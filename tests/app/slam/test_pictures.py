@@ -2,7 +2,7 @@
 
 import numpy as np
 
-from app.slam.pictures import _draw_error, enlarged, new_figure
+from app.slam.pictures import MappedSequence, _draw_error, enlarged, new_figure
 from perception.io.recordings.trajectory import Trajectory
 from perception.types import CameraIntrinsics, RgbdFrame
 
@@ -24,7 +24,7 @@ def test_the_error_is_the_distance_at_common_times_in_millimetres():
     moved = np.array(Ts[1:])
     moved[:, :3, 3] = [0.003, 0.004, 0.0]
     axis = new_figure(4, 3).subplots()
-    _draw_error(axis, Trajectory(np.array([0.1, 0.3]), moved), truth, [])
+    _draw_error(axis, MappedSequence([], Trajectory(np.array([0.1, 0.3]), moved), []), truth)
     (line,) = axis.lines
     np.testing.assert_allclose(line.get_xdata(), [0.1])
     np.testing.assert_allclose(line.get_ydata(), [5.0])

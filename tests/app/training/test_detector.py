@@ -1,11 +1,17 @@
-"""The detector's training job on made-up crops: stages, splits, ensemble seeds, files, metrics."""
+"""The detector's training job on synthetic crops: stages, splits, ensemble seeds, files, metrics."""
 
 import numpy as np
 import pytest
 
 import app.training.detector as train_detector
 from app.training.crop_dataset import LabelledCrops
-from app.training.detector import TrainDetectorConfig, render_crops, render_upright_crops, stage_progress
+from app.training.detector import (
+    CalibratedNetwork,
+    TrainDetectorConfig,
+    render_crops,
+    render_upright_crops,
+    stage_progress,
+)
 from app.training.scene_dataset import MIXED, UPRIGHT
 from perception.detection.crop_network import create_network, load_crop_network
 from perception.detection.crop_training import TrainingConfig
@@ -15,7 +21,7 @@ from perception.io.weights import weights_checksum
 TINY = TrainingConfig(epochs=1, batch=8)
 
 
-def made_up(seed):
+def random_crops(seed):
     rng = np.random.default_rng(seed)
     n = 20
     images = rng.integers(0, 255, (n, 64, 64, 6), dtype=np.uint8)
@@ -26,8 +32,8 @@ def made_up(seed):
 
 @pytest.fixture(autouse=True)
 def no_rendering(monkeypatch):
-    """A shard is its number; what is in it is made up, and the scene network is not trained."""
-    monkeypatch.setattr(train_detector, "load_crops", lambda shards: made_up(len(shards)))
+    """Replace rendered crops by random ones, and the trained scene network by an untrained one."""
+    monkeypatch.setattr(train_detector, "load_crops", lambda shards: random_crops(len(shards)))
     monkeypatch.setattr(
         train_detector, "render_crop_shards", lambda folder, split, n, seed, *_, **__: [folder] * (1 + seed)
     )
@@ -55,11 +61,11 @@ def test_the_detector_job_writes_weights_and_a_card(tmp_path):
     load_scene_network(tmp_path / "scene.safetensors")
 
 
-def test_class_metrics_by_hand():
-    crops = made_up(0)
+def test_class_metrics_of_known_probabilities():
+    crops = random_crops(0)
     probabilities = np.full((20, 5), 0.05)
     probabilities[np.arange(20), crops.label] = 0.8
-    probabilities[4] = (0.8, 0.05, 0.05, 0.05, 0.05)  # a distractor taken for a mug
+    probabilities[4] = (0.8, 0.05, 0.05, 0.05, 0.05)  # a distractor classified as a mug
     metrics = train_detector.class_metrics(crops, probabilities)
     assert metrics["accuracy"] == 0.95 and metrics["accuracy_objects"] == 1.0
     assert metrics["distractors_taken_for_objects"] == 0.25
@@ -100,13 +106,13 @@ def test_training_and_validation_are_of_the_training_families_and_test_of_the_te
     ]
 
 
-def test_each_part_of_the_data_goes_where_it_belongs(tmp_path, monkeypatch):
+def test_sets_are_used_for_training_calibration_and_evaluation(tmp_path, monkeypatch):
     """Sets differ in their sizes: training 20 + 20, validation 21, test 22."""
     used = {}
 
     def crops(n):
-        made = made_up(0)
-        return made.subset(np.arange(n) % len(made))
+        crops = random_crops(0)
+        return crops.subset(np.arange(n) % len(crops))
 
     splits = train_detector.CropSplits(crops(20), crops(21), crops(22))
     monkeypatch.setattr(train_detector, "render_crops", lambda *_: splits)
@@ -114,7 +120,7 @@ def test_each_part_of_the_data_goes_where_it_belongs(tmp_path, monkeypatch):
 
     def train(task, data, *_):
         used.update(training=len(data.training), validation=len(data.validation))
-        return create_network("class").eval(), 1.0
+        return CalibratedNetwork(create_network("class").eval(), 1.0)
 
     monkeypatch.setattr(train_detector, "train_ensemble", train)
     metrics = train_detector.run(TrainDetectorConfig(training=TINY), tmp_path)
@@ -130,15 +136,15 @@ def test_the_scenes_of_the_scene_network_are_of_the_training_families(tmp_path, 
     assert calls == ["train"]
 
 
-def test_members_of_an_ensemble_have_their_own_seeds_and_folders(tmp_path, monkeypatch):
+def test_members_of_an_ensemble_have_different_seeds_and_folders(tmp_path, monkeypatch):
     calls = []
 
-    def train(task, data, config, folder, *_):
-        calls.append((config.seed, folder))
+    def train(task, data, config, job):
+        calls.append((config.seed, job.directory))
         return train_detector.CropNet(5).eval()
 
     monkeypatch.setattr(train_detector, "train_crop_network", train)
-    crops = train_detector.class_targets(made_up(0))
+    crops = train_detector.class_targets(random_crops(0))
     data = train_detector.TrainingData(crops, crops)
     config = TrainDetectorConfig(training=TrainingConfig(seed=3))
     train_detector.train_ensemble("class", data, config, tmp_path, None)

@@ -1,4 +1,4 @@
-"""The yaw network's training job on made-up crops, and its metrics."""
+"""The yaw network's training job on synthetic crops, and its metrics."""
 
 import numpy as np
 import pytest
@@ -14,7 +14,7 @@ from perception.detection.yaw import modes, soft_labels
 TINY = TrainingConfig(epochs=1, batch=8)
 
 
-def made_up(seed):
+def random_crops(seed):
     rng = np.random.default_rng(seed)
     n = 20
     images = rng.integers(0, 255, (n, 64, 64, 6), dtype=np.uint8)
@@ -25,8 +25,8 @@ def made_up(seed):
 
 @pytest.fixture(autouse=True)
 def no_rendering(monkeypatch):
-    """A shard is its number; what is in it is made up, and the scene network is not trained."""
-    monkeypatch.setattr(train_detector, "load_crops", lambda shards: made_up(len(shards)))
+    """Replace rendered crops by random ones, and the trained scene network by an untrained one."""
+    monkeypatch.setattr(train_detector, "load_crops", lambda shards: random_crops(len(shards)))
     monkeypatch.setattr(
         train_detector, "render_crop_shards", lambda folder, split, n, seed, *_, **__: [folder] * (1 + seed)
     )
@@ -43,8 +43,8 @@ def test_the_yaw_job_learns_from_mugs_alone(tmp_path):
     assert "| visible | 2 |" in (tmp_path / "yaw.md").read_text()
 
 
-def test_yaw_metrics_by_hand():
-    crops = train_yaw.select_mugs(made_up(0))
+def test_yaw_metrics_of_known_errors():
+    crops = train_yaw.select_mugs(random_crops(0))
     off = crops.yaw.astype(np.float64) + np.radians([0, 20, 0, 40])
     metrics = train_yaw.yaw_metrics(crops, soft_labels(off))
     both = [metrics["visible"], metrics["hidden"]]
@@ -63,7 +63,7 @@ def test_the_difference_of_angles_is_at_most_half_a_turn(a, b, expected):
 
 
 def test_targets_peak_at_the_true_yaw():
-    crops = train_yaw.select_mugs(made_up(1))
+    crops = train_yaw.select_mugs(random_crops(1))
     assert (crops.label == 0).all() and len(crops) == 4
     targets = train_yaw.yaw_targets(crops).targets
     for target, yaw in zip(targets.astype(np.float64), crops.yaw):
@@ -71,7 +71,7 @@ def test_targets_peak_at_the_true_yaw():
 
 
 def test_a_second_mode_counts_for_the_closest_only():
-    crops = train_yaw.select_mugs(made_up(0))
+    crops = train_yaw.select_mugs(random_crops(0))
     wrong = soft_labels(crops.yaw.astype(np.float64) + np.pi)
     right = soft_labels(crops.yaw.astype(np.float64))
     metrics = train_yaw.yaw_metrics(crops, (0.7 * wrong + 0.3 * right).astype(np.float64))
@@ -81,7 +81,7 @@ def test_a_second_mode_counts_for_the_closest_only():
 
 
 def test_a_handle_is_visible_from_one_percent_of_the_points():
-    crops = train_yaw.select_mugs(made_up(0))
+    crops = train_yaw.select_mugs(random_crops(0))
     shares = np.array([0.0, 0.0099, 0.01, 0.5], np.float32)
     shares[2] = 0.0101
     changed = LabelledCrops(crops.images, crops.context, crops.label, crops.yaw, shares)

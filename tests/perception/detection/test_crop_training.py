@@ -14,6 +14,7 @@ from perception.detection.crop_training import (
     CropSet,
     TrainingConfig,
     TrainingData,
+    TrainingJob,
     calibrated_temperature,
     mirror_crops,
     perturb_crops,
@@ -49,54 +50,60 @@ def synthetic(count, seed=0):
 
 
 @pytest.mark.parametrize("task", ["class", "yaw"])
-def test_it_learns_a_simple_task(task, tmp_path):
+def test_training_reduces_the_loss_on_a_simple_task(task, tmp_path):
     which = 0 if task == "class" else 1
     training, validation = synthetic(192)[which], synthetic(32, seed=1)[which]
-    told = []
-    network = train_crop_network(
-        task, TrainingData(training, validation), SMALL, tmp_path, progress=lambda *a: told.append(a)
-    )
-    assert [(epoch, of) for epoch, of, _ in told] == [(1, 3), (2, 3), (3, 3)]
-    assert told[-1][2]["loss"] < told[0][2]["loss"]
-    if task == "class":  # the yaw of a few hundred crops takes longer to see
-        assert told[-1][2]["validation_loss"] < 0.95 * np.log(OUTPUTS[task])
+    reported = []
+    job = TrainingJob(tmp_path, progress=lambda *progress: reported.append(progress))
+    network = train_crop_network(task, TrainingData(training, validation), SMALL, job)
+    assert [(epoch, of) for epoch, of, _ in reported] == [(1, 3), (2, 3), (3, 3)]
+    assert reported[-1][2]["loss"] < reported[0][2]["loss"]
+    if task == "class":  # the yaw of a few hundred crops takes longer to learn
+        assert reported[-1][2]["validation_loss"] < 0.95 * np.log(OUTPUTS[task])
     assert 0.3 <= calibrated_temperature(network, validation) <= 3.0 and not network.training
 
 
-def test_an_interrupted_run_ends_like_an_uninterrupted_one(tmp_path):
+def test_a_resumed_run_ends_like_an_uninterrupted_one(tmp_path):
     training, validation = synthetic(64)[0], synthetic(32, seed=1)[0]
     config = TrainingConfig(epochs=2, batch=32)
 
     class Interrupted(Exception):
         pass
 
-    def stop(epoch, epochs, figures):
+    def stop(epoch, epochs, metrics):
         raise Interrupted
 
-    whole = train_crop_network("class", TrainingData(training, validation), config, tmp_path / "a")
+    whole = train_crop_network(
+        "class", TrainingData(training, validation), config, TrainingJob(tmp_path / "a")
+    )
     with pytest.raises(Interrupted):
-        train_crop_network("class", TrainingData(training, validation), config, tmp_path / "b", progress=stop)
-    resumed = train_crop_network("class", TrainingData(training, validation), config, tmp_path / "b")
+        train_crop_network(
+            "class", TrainingData(training, validation), config, TrainingJob(tmp_path / "b", progress=stop)
+        )
+    resumed = train_crop_network(
+        "class", TrainingData(training, validation), config, TrainingJob(tmp_path / "b")
+    )
     assert resumed.features[0][1].num_batches_tracked == whole.features[0][1].num_batches_tracked
     x = normalise_crops(torch.from_numpy(validation.images)), torch.from_numpy(validation.context)
     # Dropout draws from the global generator, so weights agree only nearly.
     assert torch.allclose(whole(*x), resumed(*x), atol=0.5)
 
 
-def test_a_checkpoint_of_another_configuration_is_refused(tmp_path):
+def test_a_checkpoint_of_another_configuration_is_rejected(tmp_path):
     crops = synthetic(32)[0]
-    train_crop_network("class", TrainingData(crops, crops), TrainingConfig(epochs=1, batch=32), tmp_path)
+    data, job = TrainingData(crops, crops), TrainingJob(tmp_path)
+    train_crop_network("class", data, TrainingConfig(epochs=1, batch=32), job)
     with pytest.raises(PerceptionError, match="another configuration"):
-        train_crop_network("class", TrainingData(crops, crops), TrainingConfig(epochs=2, batch=32), tmp_path)
+        train_crop_network("class", data, TrainingConfig(epochs=2, batch=32), job)
 
 
-def test_wrong_targets_are_refused(tmp_path):
+def test_targets_of_the_wrong_width_are_rejected(tmp_path):
     crops = synthetic(8)[0]
     with pytest.raises(InvalidInputError, match=r"for 'yaw' must have .n > 0, 36. targets"):
-        train_crop_network("yaw", TrainingData(crops, crops), SMALL, tmp_path)
+        train_crop_network("yaw", TrainingData(crops, crops), SMALL, TrainingJob(tmp_path))
 
 
-def test_mirroring_negates_the_yaw_that_the_picture_shows():
+def test_mirroring_a_crop_negates_its_yaw():
     _, crops, yaw = synthetic(40)
     images, targets = mirror_crops(
         "yaw",
@@ -110,7 +117,9 @@ def test_mirroring_negates_the_yaw_that_the_picture_shows():
     expected = np.where(flipped, -yaw, yaw)
     assert np.abs((mean - expected + np.pi) % (2 * np.pi) - np.pi).max() < 1e-3
     u = np.arange(SIDE) - (SIDE - 1) / 2
-    leftward = -(images[..., 3].numpy() > 0).sum(1) @ u  # the notch pulls the mask to its side
+    leftward = (
+        -(images[..., 3].numpy() > 0).sum(1) @ u
+    )  # the notch shifts the centroid of the mask to its side
     assert np.sign(leftward) == pytest.approx(np.sign(np.sin(expected)))
 
 
@@ -127,16 +136,16 @@ def test_predictions_of_mirrored_crops_are_mirrored():
         assert mirrored == pytest.approx(seen, abs=1e-6)
 
 
-def test_three_crops_of_ten_are_cut_on_one_side():
+def test_three_crops_of_ten_are_truncated_on_one_side():
     images = torch.full((300, SIDE, SIDE, 6), 9, dtype=torch.uint8)
     out = truncate_crops(images, torch.Generator().manual_seed(0))
     lost = (out == 0).all(-1)
-    whole = lost.all(1).any(1) | lost.all(2).any(1)  # rows or columns that are gone
-    assert 60 < whole.sum() < 120 and torch.equal(whole, lost.flatten(1).any(1))
+    truncated = lost.all(1).any(1) | lost.all(2).any(1)  # complete rows or columns
+    assert 60 < truncated.sum() < 120 and torch.equal(truncated, lost.flatten(1).any(1))
     assert lost.flatten(1).float().mean(1).max() < 0.41
 
 
-def test_disturbances_keep_shape_and_stay_finite():
+def test_perturbed_crops_keep_their_shape_and_are_finite():
     crops = synthetic(16)[0]
     inputs = normalise_crops(torch.from_numpy(crops.images))
     out, context = perturb_crops(inputs, torch.from_numpy(crops.context), torch.Generator().manual_seed(0))
@@ -144,29 +153,29 @@ def test_disturbances_keep_shape_and_stay_finite():
     assert not torch.equal(out, inputs)
 
 
-def test_warped_crops_are_the_same_things_in_about_the_same_place():
+def test_warped_crops_overlap_the_original_ones():
     inputs = normalise_crops(torch.from_numpy(synthetic(16)[0].images))
     out = warp_crops(inputs, torch.Generator().manual_seed(0))
-    still = warp_crops(inputs, torch.Generator().manual_seed(0), most=0.0)
-    assert torch.allclose(still, inputs, atol=1e-3)
-    one, other = inputs[:, 3] > 0.5, out[:, 3] > 0.5
-    overlap = (one & other).flatten(1).sum(1) / (one | other).flatten(1).sum(1)
+    unwarped = warp_crops(inputs, torch.Generator().manual_seed(0), most=0.0)
+    assert torch.allclose(unwarped, inputs, atol=1e-3)
+    before, after = inputs[:, 3] > 0.5, out[:, 3] > 0.5
+    overlap = (before & after).flatten(1).sum(1) / (before | after).flatten(1).sum(1)
     assert overlap.min() > 0.55 and overlap.max() < 1.0
     assert out.flatten(1).abs().max() <= inputs.abs().max() + 1e-6
 
 
-def test_the_temperature_undoes_overconfidence():
-    """Logits that claim 99 % and are right 3 times of 4 want one near 2.6."""
+def test_the_temperature_corrects_overconfidence():
+    """Confidence 0.99 at an accuracy of 0.75 needs a temperature of about 2.4."""
     crops = synthetic(200)[0]
     targets = crops.targets.copy()
     targets[:50] = np.roll(targets[:50], 1, axis=1)
 
-    class Sure(CropNet):
+    class Overconfident(CropNet):
         def forward(self, images, context):
             return 6.0 * torch.from_numpy(crops.targets)
 
     expected = 6.0 / np.log(0.75 / (0.25 / 4))
-    found = calibrated_temperature(Sure(5), CropSet(crops.images, crops.context, targets))
+    found = calibrated_temperature(Overconfident(5), CropSet(crops.images, crops.context, targets))
     assert found == pytest.approx(expected, rel=0.15)
 
 

@@ -4,6 +4,7 @@ import numpy as np
 import pytest
 import torch
 
+from perception.detection.crop_training import TrainingJob
 from perception.detection.scene_network import (
     CLASSES,
     OUTPUTS,
@@ -74,7 +75,7 @@ def test_colours_stay_colours():
 
 def test_an_interrupted_run_ends_like_an_uninterrupted_one(picture, tmp_path, monkeypatch):
     def train(directory, progress=None, pictures=lambda _: picture):
-        return train_scene_network(pictures, 4, SMALL, directory, progress=progress)
+        return train_scene_network(pictures, 4, SMALL, TrainingJob(directory, progress=progress))
 
     whole = train(tmp_path / "a").state_dict()
     seen = []
@@ -91,4 +92,4 @@ def test_an_interrupted_run_ends_like_an_uninterrupted_one(picture, tmp_path, mo
     resumed = train(tmp_path / "b").state_dict()
     assert all(torch.equal(whole[name], resumed[name]) for name in whole)
     with pytest.raises(PerceptionError, match="another configuration"):
-        train_scene_network(lambda _: picture, 4, SceneTrainingConfig(), tmp_path / "b")
+        train_scene_network(lambda _: picture, 4, SceneTrainingConfig(), TrainingJob(tmp_path / "b"))

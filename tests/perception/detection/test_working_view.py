@@ -1,4 +1,4 @@
-"""The network's view: places, sizes and turns agree with the camera; holes are filled and marked."""
+"""Working view of the scene network: plan coordinates, rotation to upright, filled holes."""
 
 import numpy as np
 import pytest
@@ -18,15 +18,15 @@ def frame(scenes):
 
 
 def rolled(frame, quarters):
-    """The same picture by a camera turned clockwise about its axis by quarter turns."""
+    """Return the image of the camera rotated clockwise about its optical axis by quarter turns."""
     k, T = frame.intrinsics, frame.T_world_camera.copy()
-    for _ in range(quarters):  # a clockwise camera sees a picture turned counterclockwise
+    for _ in range(quarters):  # a clockwise rotation of the camera rotates the image counterclockwise
         T[:3, :3] = np.stack([T[:3, 1], -T[:3, 0], T[:3, 2]], axis=1)
         k = CameraIntrinsics(k.height, k.width, k.fy, k.fx, k.cy, k.width - 1 - k.cx)
     return RgbdFrame(0.0, np.rot90(frame.rgb, quarters), np.rot90(frame.depth, quarters), k, T)
 
 
-def test_reduced_keeps_the_rays_and_never_mixes_depths(frame):
+def test_downscaling_keeps_the_rays_and_does_not_interpolate_depths(frame):
     small = downscale(frame)
     assert small.depth.shape == (240, 320) and downscale(small).depth.shape == (240, 320)
     assert set(np.unique(small.depth)) <= set(np.unique(frame.depth))
@@ -35,7 +35,7 @@ def test_reduced_keeps_the_rays_and_never_mixes_depths(frame):
     assert corner == pytest.approx(((-0.5 - K.cx) / K.fx, (K.width - 0.5 - K.cx) / K.fx))
 
 
-def test_places_are_those_of_the_points(frame):
+def test_plan_coordinates_are_those_of_the_points(frame):
     view = working_view(downscale(frame), PLANE)
     assert view.turns == 0
     points = points_of(downscale(frame), np.ones(view.height.shape, bool)).reshape(*view.height.shape, 3)
@@ -48,7 +48,7 @@ def test_places_are_those_of_the_points(frame):
 
 
 @pytest.mark.parametrize("quarters", [1, 2, 3])
-def test_a_rolled_camera_gets_the_same_view(frame, quarters):
+def test_a_rolled_camera_has_the_same_working_view(frame, quarters):
     upright, turned = downscale(frame), rolled(downscale(frame), quarters)
     assert quarter_turns(turned, PLANE) == (4 - quarters) % 4
     a, b = working_view(upright, PLANE), working_view(turned, PLANE)
@@ -57,12 +57,12 @@ def test_a_rolled_camera_gets_the_same_view(frame, quarters):
     np.testing.assert_allclose(a.plan, b.plan, atol=1e-4)
 
 
-def test_from_straight_above_any_way_up_will_do(scenes):
+def test_views_from_straight_above_are_not_rotated(scenes):
     frame = scenes.render([], scenes.orbit(TARGET, 0.5, 89, 10)).frame
     assert quarter_turns(frame, PLANE) == quarter_turns(rolled(frame, 1), PLANE) == 0
 
 
-def test_holes_take_the_nearest_depth_and_say_so(frame):
+def test_holes_are_filled_with_the_nearest_depth_and_marked(frame):
     depth = frame.depth.copy()
     depth[200:210, 300:310] = 0
     holed = downscale(RgbdFrame(0.0, frame.rgb, depth, frame.intrinsics, frame.T_world_camera))
@@ -73,7 +73,7 @@ def test_holes_take_the_nearest_depth_and_say_so(frame):
     assert np.isfinite(working_view(blind, PLANE).channels).all()
 
 
-def test_values_spread_to_their_neighbours():
+def test_missing_values_are_those_of_the_nearest_neighbour():
     values = np.array([[1, 0, 0, 0, 2]], np.int32)
     spread, distance = fill_from_nearest(values, values > 0)
     assert spread[0, [0, 1, 3, 4]].tolist() == [1, 1, 2, 2]

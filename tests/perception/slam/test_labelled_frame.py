@@ -1,11 +1,11 @@
-"""Label images, merged labels and truncated masks."""
+"""Label images and merged labels."""
 
 from dataclasses import replace
 
 import numpy as np
 import pytest
 
-from perception.slam.labelled_frame import LabelledFrame, is_truncated, label_image
+from perception.slam.labelled_frame import LabelledFrame, label_image
 from perception.types import CameraIntrinsics, ObjectDetection, RgbdFrame
 
 CAMERA = CameraIntrinsics(8, 8, 8.0, 8.0, 3.5, 3.5)
@@ -52,13 +52,3 @@ def test_with_pose_replaces_the_pose_alone(view):
     assert posed.frame.time == 0.5 and posed.labels is view.labels and view.frame.T_world_camera is None
     with pytest.raises(AssertionError):
         _ = replace(view).T_world_camera
-
-
-@pytest.mark.parametrize(
-    ("row", "column", "truncated"),
-    [(0, 3, True), (7, 3, True), (3, 0, True), (3, 7, True), (1, 1, False), (6, 6, False)],
-)
-def test_a_mask_is_truncated_if_it_touches_a_border(row, column, truncated):
-    mask = np.zeros((8, 8), bool)
-    mask[row, column] = True
-    assert is_truncated(mask) == truncated

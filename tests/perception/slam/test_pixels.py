@@ -7,7 +7,7 @@ import pytest
 
 from perception.slam.keyframes import Keyframe
 from perception.slam.pixels import BEHIND, PixelSelectionConfig, in_observed_parts, select_pixels
-from perception.types import CameraIntrinsics, RgbdFrame
+from perception.types import CameraIntrinsics, RgbdFrame, SupportPlane
 
 
 @pytest.fixture(scope="module")
@@ -66,6 +66,24 @@ def test_ring_pixels_of_possible_occluders_are_excluded(cylinders, view):
     behind = replace(view.frame, depth=far.astype(np.float32))
     pixels = select_pixels(replace(view, frame=behind), cylinders.plane)
     assert (~pixels.is_object).any() and len(pixels.plane_points) == 0
+
+
+def test_ring_pixels_off_the_plane_must_be_clearly_behind_the_object(view):
+    """The farthest visible part is the 98 % quantile of the object's depths, and the margin is ``BEHIND``."""
+    alone, below = replace(view, landmark_of={1: view.landmark_of[1]}), SupportPlane(offset=-1.0)
+    own = select_pixels(alone, below)
+    far = np.sort(own.depth[own.is_object])[int(0.98 * own.is_object.sum())]
+
+    def n_ring_pixels(margin):
+        depth = np.where(view.labels == 0, far + margin, view.frame.depth).astype(np.float32)
+        return (~select_pixels(replace(alone, frame=replace(view.frame, depth=depth)), below).is_object).sum()
+
+    assert n_ring_pixels(0.9 * BEHIND) == 0 and n_ring_pixels(1.1 * BEHIND) > 20
+
+
+def test_ring_pixels_on_the_plane_may_be_nearer_than_parts_of_the_object(cylinders, view):
+    pixels = select_pixels(replace(view, landmark_of={1: view.landmark_of[1]}), cylinders.plane)
+    assert pixels.depth[~pixels.is_object].min() < pixels.depth[pixels.is_object].max()
 
 
 def test_depth_holes_are_no_pixels(cylinders, view):

@@ -10,7 +10,7 @@ from perception.inference.problem import FitState
 from perception.rendering.pose import ObjectPose, object_by_camera
 from perception.slam.landmarks import fit_covariance
 from perception.slam.pixels import TrackingPixels, select_pixels
-from perception.slam.tracking import TrackedPose, TrackingConfig, track
+from perception.slam.tracking import TrackedPose, TrackingConfig, _PoseProblem, track
 
 WEAK_PRIOR = TrackingConfig(rotation_sigma=np.radians(4.0), translation_sigma=0.04)
 
@@ -58,6 +58,19 @@ def test_the_plane_determines_tilt_and_height(cylinders, observe, T_view):
     cosine = found.T_world_camera[2, :3] @ T_view[2, :3]
     assert np.degrees(np.arccos(np.clip(cosine, -1, 1))) < 0.05
     assert abs(found.T_world_camera[2, 3] - T_view[2, 3]) < 5e-4
+
+
+def test_ring_pixels_are_compared_with_the_escape_depth(cylinders, T_view, pixels):
+    """Where their rays miss the object the residual is 0, whatever is measured behind."""
+    T_start = T_view @ se3_exp(np.array([0, 0, 0, 0.004, 0, 0]))
+    config = TrackingConfig(iterations=4, use_plane=False)
+    elsewhere = replace(pixels, depth=np.where(pixels.is_object, pixels.depth, pixels.depth + 1))
+    found, same = (track(cylinders.map(), p, T_start, config).T_world_camera for p in (pixels, elsewhere))
+    np.testing.assert_array_equal(found, same)
+    ring = pixels.subset(~pixels.is_object)
+    problem = _PoseProblem(cylinders.map(), ring, T_view, config, None)
+    rows = problem.evaluate(T_view, frozenset(range(5)))
+    assert np.median(np.abs(rows.residuals[:-6])) < 1e-4
 
 
 def test_a_moved_object_is_not_used(cylinders, T_view, pixels):
