@@ -1,7 +1,8 @@
 """The command line: options in, exit code out.
 
-0 done and successful, 1 ran but the task failed, 2 bad usage or input (one line on standard
-error), 130 interrupted.
+0 done and successful, 1 ran but the task failed, 2 bad usage or input, 130 interrupted, 143 terminated.
+Whatever ends a command early is one line on standard error; the traceback of an unexpected error is in a log
+file.
 """
 
 from __future__ import annotations
@@ -13,19 +14,22 @@ import logging
 import os
 import re
 import sys
+import traceback
 from collections.abc import Callable, Iterator, Sequence
 from functools import reduce
+from pathlib import Path
 from typing import Annotated, Any
 
 import tyro
 
+from app import interrupts
 from app.errors import AppError, UsageError
+from app.failures import BAD_INPUT, TASK_FAILED, failure_of, one_line, write_log
 from app.options import COMMANDS, CellOptions, CommonOptions
 from app.screen import Screen
-from perception.errors import install_hint
 
 DESCRIPTION = "Object-level RGB-D SLAM for robot manipulation: reconstruct whole objects, pack or sort them."
-DONE, TASK_FAILED, BAD_INPUT, INTERRUPTED = 0, 1, 2, 130
+DONE = 0
 
 # Imported on use, so that each command loads only what it needs.
 HANDLERS = {
@@ -44,9 +48,11 @@ HANDLERS = {
     "doctor": "app.doctor",
 }
 
-# Optional extra that provides a library.
-_SIMULATOR = ("mujoco", "mjviser", "mink", "daqp", "ruckig", "coacd")
-EXTRA_OF = dict.fromkeys(_SIMULATOR, "sim") | {"tensorboard": "train", "transformers": "hf"}
+# Values of MUJOCO_GL that MuJoCo accepts.
+GL_BACKENDS = ("", "egl", "osmesa", "glfw", "glx", "enable", "enabled", "on", "true", "1",
+               "disable", "disabled", "off", "false", "0")  # fmt: skip
+MAX_SEED = 2**64 - 1
+MAX_SECONDS = 600.0  # of an AR video
 
 
 def run(arguments: Sequence[str]) -> int:
@@ -58,25 +64,46 @@ def run(arguments: Sequence[str]) -> int:
         return _complain(str(error))
     except SystemExit as end:  # --help
         return int(end.code or 0)
+    except OSError as error:  # a path that cannot be examined
+        return _complain(failure_of(error, "nodeslam").message)
     command = next(name for name, kind in COMMANDS.items() if type(options) is kind)
     screen = Screen(quiet=options.quiet or options.json, json=options.json)
     level = logging.ERROR if options.quiet else logging.WARNING
     logging.basicConfig(level=level, format="nodeslam: %(levelname)s: %(message)s", stream=sys.stderr)
     try:
         with _stdout_reserved(options.json):
-            report = _handler(command)(options, screen)
-    except KeyboardInterrupt:
-        return _complain("interrupted; finished results are kept", INTERRUPTED)
-    except _input_errors() as error:
-        return _complain(str(error))
-    except ModuleNotFoundError as error:
-        extra = EXTRA_OF.get((error.name or "").split(".")[0])
-        if extra is None:
-            raise
-        return _complain(f"{command} needs {error.name}: {install_hint(extra)}")
-    if options.json:
-        sys.stdout.write(report.to_json() + "\n")
+            handler = _handler(command)
+            interrupts.raise_if(lambda: command == "view" or bool(_run_folders("open_folders")))
+            report = handler(options, screen)
+            _run_folders("finish_all", complete=True)
+        if options.json:
+            sys.stdout.write(report.to_json() + "\n")
+            sys.stdout.flush()
+    except (Exception, KeyboardInterrupt) as error:
+        interrupts.ignore()
+        return _end(error, command, options.debug)
     return DONE if report.success else TASK_FAILED
+
+
+def _end(error: BaseException, command: str, debug: bool) -> int:
+    """Keep what is finished, report why the command ended, and return its exit code."""
+    try:
+        folders = _run_folders("finish_all", complete=False)
+    except OSError:  # full disk: the next run in the folder clears up
+        folders = []
+    if debug:
+        traceback.print_exception(error)
+    if isinstance(error, KeyboardInterrupt) or interrupts.was_interrupted():
+        replaced = _run_folders("replaced_runs", folders=folders)
+        kept = "".join(f"; the run before is in {path}" for path in replaced)
+        return _complain(f"interrupted; finished results are kept{kept}", interrupts.exit_code())
+    assert isinstance(error, Exception)
+    failure = failure_of(error, command)
+    if failure.expected:
+        return _complain(failure.message, failure.code)
+    log = write_log(error, folders[0] if folders else None)
+    hint = f"; traceback in {log}" if log else "; --debug shows the traceback"
+    return _complain(failure.message, failure.code, hint)
 
 
 def parse(arguments: Sequence[str]) -> CommonOptions:
@@ -107,10 +134,21 @@ def check(options: CommonOptions) -> None:
     Raises:
         UsageError: A value is invalid; the message is one line.
     """
+    backend = os.environ.get("MUJOCO_GL", "").lower().strip()
+    if backend not in GL_BACKENDS:
+        raise UsageError(f"MUJOCO_GL={backend} is no OpenGL backend: unset it, or set it to egl or osmesa")
     if isinstance(options, CellOptions) and getattr(options, "what", None) != "reconstruction":
         from app.task.cell import check_options
 
         check_options(options)
+    if not 0 <= options.seed <= MAX_SEED:
+        raise UsageError(f"--seed {options.seed} must be in 0..2**64 - 1")
+    seconds = getattr(options, "seconds", None)
+    if seconds is not None and not 0 < seconds <= MAX_SECONDS:
+        raise UsageError(f"--seconds {seconds:g} must be more than 0 and at most {MAX_SECONDS:g}")
+    port = getattr(options, "port", None)
+    if port is not None and not 0 <= port < 2**16:
+        raise UsageError(f"--port {port} must be in 0..65535")
     for name in ("episodes", "workers", "epochs", "repeats", "drops", "images"):
         value = getattr(options, name, None)
         if value is not None and value < 1:
@@ -134,21 +172,14 @@ def _handler(command: str) -> Callable[[Any, Screen], Any]:
     return importlib.import_module(HANDLERS[command]).run
 
 
-def _input_errors() -> tuple[type[Exception], ...]:
-    """Return the exception types that mean invalid usage or input, of the packages loaded so far."""
-    kinds: list[type[Exception]] = [AppError]
-    for module, names in {
-        "perception.errors": ("PerceptionError",),
-        "sim_assets.errors": ("SimAssetsError",),
-        "sim_assets.rendering.headless": ("GraphicsError",),
-    }.items():
-        if module in sys.modules:
-            kinds += [getattr(sys.modules[module], name) for name in names]
-    return tuple(kinds)
+def _run_folders(function: str, **arguments: Any) -> list[Path]:
+    """Call a function of ``app.runs.run_folder``, which is loaded only by the commands that write a run."""
+    module = sys.modules.get("app.runs.run_folder")
+    return [] if module is None else getattr(module, function)(**arguments)
 
 
-def _complain(message: str, code: int = BAD_INPUT) -> int:
-    sys.stderr.write(f"nodeslam: {' '.join(message.split())}\n")
+def _complain(message: str, code: int = BAD_INPUT, hint: str = "") -> int:
+    sys.stderr.write(f"nodeslam: {one_line(message)}{one_line(hint)}\n")
     return code
 
 

@@ -39,6 +39,8 @@ class CommonOptions:
     """Print neither progress nor tables."""
     json: bool = False
     """Print the report as JSON, and nothing else, on standard output."""
+    debug: bool = False
+    """Print the traceback of any error on standard error."""
 
 
 @dataclass(frozen=True, kw_only=True)

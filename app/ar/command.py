@@ -23,7 +23,7 @@ from app.drawing import font
 from app.errors import UsageError
 from app.movie import MovieFile
 from app.options import ArOptions
-from app.runs.finished_run import FinishedRun, read_run, tracked_frames
+from app.runs.finished_run import FinishedRun, read_run, recorded_sequence, tracked_frames
 from app.runs.report import ObjectReport, Report
 from app.runs.run_folder import RunFolder
 from app.screen import Screen
@@ -66,7 +66,7 @@ def run(options: ArOptions, screen: Screen) -> Report:
     source = read_run(options.run)
     if not source.frames:
         raise UsageError(f"{options.run} has no images (scan/): the toys are drawn into recorded images")
-    folder = RunFolder.create(options, "ar")
+    folder = RunFolder.create(options, "ar", also_read=recorded_sequence(options.run))
     with screen.stage("Building the scene"):
         stage = build_stage(source, options)
     try:

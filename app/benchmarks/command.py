@@ -24,10 +24,10 @@ def run(options: BenchOptions, screen: Screen) -> Report:
     """Times every row and stores the table after each, so that an interruption keeps those that are done."""
     begin = time.perf_counter()
     device = resolve_device(options.device)
-    folder = RunFolder.create(options, "bench")
     machine = describe_machine(device)
     with screen.stage("Preparing a scan of six objects"):
         scene = prepare(options.scan, options.seed, options.device)
+    folder = RunFolder.create(options, "bench")
     rows: list[Row] = []
     timing = TimingConfig(min_repeats=options.repeats)
     with screen.stage("Taking times"), single_threaded_torch():

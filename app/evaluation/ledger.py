@@ -70,13 +70,13 @@ class Ledger:
         settings = {**settings, _KIND: format.evaluation}
         if not options.resume:
             folder = RunFolder.create(options, format.evaluation)
-            (folder.path / format.file).unlink(missing_ok=True)
             write_json(folder.path / SETTINGS, settings)
             return Ledger(folder, folder.path / format.file, format), {}
         if options.out is None:
             raise UsageError("--resume needs --out with the folder to continue in")
         _compare_settings(options.out / SETTINGS, settings)
-        ledger = Ledger(RunFolder(options.out), options.out / format.file, format)
+        folder = RunFolder.resume(options, options.out, format.evaluation)
+        ledger = Ledger(folder, options.out / format.file, format)
         return ledger, ledger.read()
 
     def append(self, line: Line) -> None:

@@ -7,7 +7,6 @@ import time
 from rich.markup import escape
 from rich.table import Table
 
-from app.errors import UsageError
 from app.export.glb import glb_bytes
 from app.export.mjcf import write_mjcf
 from app.export.model import RigidModel, rigid_model
@@ -23,8 +22,6 @@ from perception.io.files import write_atomically
 def run(options: ExportOptions, screen: Screen) -> Report:
     """Write the object map of a run in another format."""
     begin = time.perf_counter()
-    if options.out is not None and options.out.resolve() == options.run.resolve():
-        raise UsageError(f"--out {options.out} is the run itself: give another folder")
     source = read_run(options.run)
     folder = RunFolder.create(options, "export")
     models = []

@@ -69,14 +69,11 @@ def tracked_frames(path: Path, seconds: float) -> tuple[RgbdFrame, ...]:
     Raises:
         InvalidInputError: ``trajectory.txt`` or ``report.json`` is malformed.
     """
-    if not (path / "trajectory.txt").is_file() or not (path / "report.json").is_file():
-        return ()
-    report = read_json(path / "report.json", "run slam again")
-    settings = report.get("settings") if isinstance(report, dict) else None
-    recorded = Path(str(settings.get("sequence", ""))) if isinstance(settings, dict) else Path()
     try:
-        sequence = open_sequence(recorded)
+        sequence = next(map(open_sequence, recorded_sequence(path)), None)
     except InvalidInputError:
+        return ()
+    if sequence is None:
         return ()
     trajectory = read_trajectory(path / "trajectory.txt")
     frames: list[RgbdFrame] = []
@@ -89,6 +86,20 @@ def tracked_frames(path: Path, seconds: float) -> tuple[RgbdFrame, ...]:
         if abs(trajectory.times[nearest] - frame.time) < SAME_TIME:
             frames.append(replace(frame, T_world_camera=trajectory.Ts_world_camera[nearest]))
     return tuple(frames)
+
+
+def recorded_sequence(path: Path) -> tuple[Path, ...]:
+    """Return the folder of the sequence of a SLAM run; empty for a run of another command.
+
+    Raises:
+        InvalidInputError: ``report.json`` is malformed.
+    """
+    if not (path / "trajectory.txt").is_file() or not (path / "report.json").is_file():
+        return ()
+    report = read_json(path / "report.json", "run slam again")
+    settings = report.get("settings") if isinstance(report, dict) else None
+    sequence = settings.get("sequence") if isinstance(settings, dict) else None
+    return (Path(sequence),) if isinstance(sequence, str) and sequence else ()
 
 
 def support_of(objects: Sequence[ObjectEstimate], frames: Sequence[RgbdFrame]) -> SupportPlane:

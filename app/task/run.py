@@ -20,16 +20,16 @@ def run_and_store(options: RunTaskOptions, perception: Perception, session: RunS
         RunStopped: The run was stopped by a person; finished results are kept.
     """
     task, screen = task_of(options), session.screen
-    folder = RunFolder.create(options, task)
-    screen.note(f"{task}, seed {options.seed}: {folder.path}")
-    writer = RunWriter(options, task, folder, session)
-    try:
-        report, result = run_episode(session.world, options, task, perception, writer)
-    finally:
-        writer.close()
-    folder.write_report(report)
-    with screen.stage("Drawing the overview"):
-        writer.write_overview(report, result)
+    with RunFolder.create(options, task) as folder:
+        screen.note(f"{task}, seed {options.seed}: {folder.path}")
+        writer = RunWriter(options, task, folder, session)
+        try:
+            report, result = run_episode(session.world, options, task, perception, writer)
+        finally:
+            writer.close()
+        folder.write_report(report)
+        with screen.stage("Drawing the overview"):
+            writer.write_overview(report, result)
     screen.show(object_table(report))
     screen.show(escape(f"Summary: {folder.path / 'overview.png'}; details: report.json"))
     return report

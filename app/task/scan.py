@@ -44,11 +44,11 @@ def _video(options: ScanOptions, folder: RunFolder, world: World) -> Iterator[Ca
 
 def run(options: ScanOptions, screen: Screen) -> Report:
     """Take images at the scripted viewpoints and store them with their camera poses."""
-    folder = RunFolder.create(options, "scan")
     begin = time.perf_counter()
     with screen.stage("Building the cell"):
         world = build_world(options, "pack")
     with world:
+        folder = RunFolder.create(options, "scan")
         started = time.perf_counter()
         with screen.stage("Scanning the table"), _video(options, folder, world) as on_image:
             scanner = ViewpointScanner(restricted(world), Kinematics(world.arm))

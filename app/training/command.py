@@ -30,7 +30,7 @@ def run(options: TrainOptions, screen: Screen) -> Report:
         config = replace(config, meshes=options.meshes, tensorboard=options.tensorboard)
     elif options.meshes is not None or options.tensorboard:
         raise UsageError(f"--meshes and --tensorboard are for `train shape`, not `train {options.network}`")
-    folder = RunFolder.create(options, f"train-{options.network}")
+    folder = RunFolder.create(options, f"train-{options.network}", continues="train")
     begin = time.perf_counter()
     with screen.stage(f"Training {options.network}"):
         metrics = train(

@@ -2,13 +2,22 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable
+import sys
+from collections.abc import Callable, Iterator
 
 import numpy as np
 import pytest
 import trimesh
 
 from perception.types import CameraIntrinsics, Category, ObjectEstimate, RgbdFrame, TriangleMesh
+
+
+@pytest.fixture(autouse=True)
+def closed_run_folders() -> Iterator[None]:
+    """Unlock the run folders that a test leaves open."""
+    yield
+    if "app.runs.run_folder" in sys.modules:
+        sys.modules["app.runs.run_folder"].finish_all(complete=True)
 
 
 @pytest.fixture

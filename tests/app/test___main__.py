@@ -9,6 +9,7 @@ import app.__main__ as main
 def test_the_exit_code_is_that_of_the_command(monkeypatch):
     received = []
     monkeypatch.setattr(main, "run", lambda arguments: received.append(arguments) or 2)
+    monkeypatch.setattr("app.interrupts.install", lambda: None)
     monkeypatch.setattr(sys, "argv", ["nodeslam", "pack", "--seed", "3"])
     with pytest.raises(SystemExit) as end:
         main.main()

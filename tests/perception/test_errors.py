@@ -5,8 +5,8 @@ from pathlib import Path
 
 import pytest
 
-from app.cli import EXTRA_OF
 from app.doctor import OPTIONAL
+from app.failures import EXTRA_OF
 from perception.errors import install_hint
 
 EXTRAS = tomllib.loads((Path(__file__).parents[2] / "pyproject.toml").read_text("utf-8"))["project"][

@@ -10,7 +10,7 @@ from app.errors import UsageError
 from app.evaluation.ledger import SETTINGS, Ledger, LedgerFormat
 from app.options import EvaluateOptions
 
-FORMAT = LedgerFormat("evaluate-tasks", "lines.jsonl", "seed")
+FORMAT = LedgerFormat("evaluate-tasks", "rows.jsonl", "seed")
 
 
 def opened(out, settings=None, format=FORMAT, **changes):
@@ -51,12 +51,12 @@ def test_damaged_lines_are_dropped_from_the_file_with_a_warning(tmp_path, caplog
     assert ledger.read() == {1: {"seed": 1}}
     assert ledger.path.read_bytes() == b'{"seed": 1}\n'
     (record,) = caplog.records
-    assert "lines.jsonl, line 2 is dropped and its job repeated" in record.message
+    assert "rows.jsonl, line 2 is dropped and its job repeated" in record.message
     assert len(record.message.splitlines()) == 1
 
 
 def test_lines_that_fail_the_check_are_dropped(tmp_path, caplog):
-    ledger, _ = opened(tmp_path, format=LedgerFormat("e", "lines.jsonl", "seed", lambda line: line["value"]))
+    ledger, _ = opened(tmp_path, format=LedgerFormat("e", "rows.jsonl", "seed", lambda line: line["value"]))
     ledger.append({"seed": 1})
     ledger.append({"seed": 2, "value": 3})
     assert list(ledger.read()) == [2]
@@ -108,7 +108,7 @@ def test_settings_must_agree_to_resume(tmp_path):
 def test_another_kind_of_evaluation_is_not_resumed(tmp_path):
     opened(tmp_path)
     with pytest.raises(UsageError, match="belongs to evaluate-tasks, not to evaluate-slam"):
-        opened(tmp_path, format=LedgerFormat("evaluate-slam", "lines.jsonl", "key"), resume=True)
+        opened(tmp_path, format=LedgerFormat("evaluate-slam", "rows.jsonl", "key"), resume=True)
     (tmp_path / SETTINGS).write_text("[]")
     with pytest.raises(UsageError, match=r"evaluation\.json does not hold the settings of an evaluation"):
         opened(tmp_path, resume=True)

@@ -125,4 +125,4 @@ def test_folders_that_are_no_runs_end_in_one_line(
         message = capsys.readouterr().err.strip()
         assert words in message and "\n" not in message
     assert run(["export", str(source), "--out", str(source)]) == 2
-    assert "is the run itself" in capsys.readouterr().err
+    assert "is the input itself" in capsys.readouterr().err

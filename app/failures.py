@@ -1,0 +1,114 @@
+"""One line, an exit code and a log file for each exception that ends a command."""
+
+from __future__ import annotations
+
+import errno
+import os
+import sys
+import tempfile
+import traceback
+from dataclasses import dataclass
+from pathlib import Path
+
+from app.errors import AppError
+from perception.errors import install_hint
+
+TASK_FAILED, BAD_INPUT = 1, 2
+LONGEST = 500  # characters of a line
+LOG_FILE = "error.log"
+
+# Optional extra that provides a library.
+_SIMULATOR = ("mujoco", "mjviser", "mink", "daqp", "ruckig", "coacd")
+EXTRA_OF = dict.fromkeys(_SIMULATOR, "sim") | {"tensorboard": "train", "transformers": "hf"}
+
+# Classes of errors that mean invalid usage or input, by the module that defines them.
+_INPUT_ERRORS = {
+    "perception.errors": "PerceptionError",
+    "sim_assets.errors": "SimAssetsError",
+}
+_REMEDIES = {
+    errno.ENOSPC: "free some space or give --out on another disk",
+    errno.EDQUOT: "free some space or give --out on another disk",
+    errno.EROFS: "give --out in a folder that can be written",
+    errno.EACCES: "check the permissions of the path",
+    errno.EPERM: "check the permissions of the path",
+    errno.ENAMETOOLONG: "give a shorter path",
+    errno.EMFILE: "raise the limit on open files (ulimit -n)",
+}
+
+
+@dataclass(frozen=True)
+class Failure:
+    """How a command ends after an exception.
+
+    Attributes:
+        message: What is wrong and what to do, in one line.
+        code: Exit code.
+        expected: Whether the message is all that there is to know; if not, the traceback belongs into a log.
+    """
+
+    message: str
+    code: int = BAD_INPUT
+    expected: bool = True
+
+
+def failure_of(error: Exception, command: str) -> Failure:
+    """Describe an exception that ended a command."""
+    if isinstance(error, _input_errors()):
+        return Failure(str(error))
+    if isinstance(error, ModuleNotFoundError):
+        extra = EXTRA_OF.get((error.name or "").split(".")[0])
+        if extra is not None:
+            return Failure(f"{command} needs {error.name}: {install_hint(extra)}")
+    if _is_out_of_memory(error):
+        return Failure(f"{command} ran out of memory: give it smaller input or more memory", expected=False)
+    if isinstance(error, OSError) and error.errno is not None:
+        where = f"{os.fsdecode(error.filename)}: " if isinstance(error.filename, str | bytes) else ""
+        remedy = _REMEDIES.get(error.errno)
+        return Failure(f"{where}{error.strerror}" + (f"; {remedy}" if remedy else ""), expected=False)
+    what = f"{type(error).__name__}: {error}" if str(error) else type(error).__name__
+    return Failure(f"{command} failed unexpectedly: {what}", TASK_FAILED, expected=False)
+
+
+def write_log(error: BaseException, folder: Path | None) -> Path | None:
+    """Write the traceback to a run folder, or to a temporary file; return the file, None if neither works."""
+    text = "".join(traceback.format_exception(error))
+    if folder is not None:
+        try:
+            (folder / LOG_FILE).write_text(text, encoding="utf-8", errors="backslashreplace")
+            return folder / LOG_FILE
+        except OSError:
+            pass
+    try:
+        handle, name = tempfile.mkstemp(prefix="nodeslam-", suffix=".log")
+        with os.fdopen(handle, "w", encoding="utf-8", errors="backslashreplace") as file:
+            file.write(text)
+        return Path(name)
+    except OSError:
+        return None
+
+
+def one_line(text: str) -> str:
+    """Return the text as one line of printable characters; a long one is shortened in the middle."""
+    line = "".join(
+        c if c.isprintable() else c.encode("unicode_escape", "backslashreplace").decode()
+        for c in " ".join(text.split())
+    )
+    if len(line) <= LONGEST:
+        return line
+    half = (LONGEST - 5) // 2
+    return f"{line[:half]} ... {line[-half:]}"
+
+
+def _input_errors() -> tuple[type[Exception], ...]:
+    """Return the exception types that mean invalid usage or input, of the packages loaded so far."""
+    loaded = {module: name for module, name in _INPUT_ERRORS.items() if module in sys.modules}
+    return (AppError, *(getattr(sys.modules[module], name) for module, name in loaded.items()))
+
+
+def _is_out_of_memory(error: Exception) -> bool:
+    """Return whether an allocation failed: of Python and numpy, or of torch, which raises RuntimeError."""
+    text = str(error)
+    return isinstance(error, MemoryError) or (
+        isinstance(error, RuntimeError) and ("allocate memory" in text or "out of memory" in text)
+    )

@@ -1,0 +1,68 @@
+"""Signals at every moment of a process end in one line and the conventional exit code."""
+
+import signal
+import subprocess
+import sys
+import time
+
+import pytest
+
+AT_WORK = """
+import time
+from app import interrupts
+interrupts.install()
+interrupts.raise_if(lambda: {at_stake})
+try:
+    print("ready", flush=True)
+    time.sleep(60)
+except KeyboardInterrupt:
+    interrupts.ignore()
+    print("kept", flush=True)
+    time.sleep(0.3)
+    raise SystemExit(interrupts.exit_code() if interrupts.was_interrupted() else 1)
+"""
+CODES = [(signal.SIGINT, 130), (signal.SIGTERM, 143)]
+
+
+def signalled(code, number, times=1):
+    process = subprocess.Popen(
+        [sys.executable, "-c", code], stdout=subprocess.PIPE, stderr=subprocess.PIPE, text=True
+    )
+    assert process.stdout is not None and process.stdout.readline() == "ready\n"
+    for _ in range(times):
+        process.send_signal(number)
+        time.sleep(0.1)
+    out, err = process.communicate(timeout=60)
+    return process.returncode, out, err
+
+
+@pytest.mark.parametrize("number, code", CODES)
+def test_results_at_stake_are_kept(number, code):
+    assert signalled(AT_WORK.format(at_stake=True), number) == (code, "kept\n", "")
+
+
+@pytest.mark.parametrize("number, code", CODES)
+def test_with_nothing_at_stake_the_process_ends_at_once(number, code):
+    assert signalled(AT_WORK.format(at_stake=False), number) == (code, "", "nodeslam: interrupted\n")
+
+
+def test_a_second_signal_does_not_interrupt_the_end():
+    assert signalled(AT_WORK.format(at_stake=True), signal.SIGINT, times=2) == (130, "kept\n", "")
+
+
+@pytest.mark.parametrize("delay", [0.15, 0.3, 0.6])
+def test_an_interrupt_during_the_imports_is_one_line(delay, tmp_path):
+    command = [sys.executable, "-c", "from app.__main__ import main; print('ready', flush=True); main()"]
+    command += ["reconstruct", str(tmp_path)]
+    process = subprocess.Popen(command, stdout=subprocess.PIPE, stderr=subprocess.PIPE, text=True)
+    assert process.stdout is not None and process.stdout.readline() == "ready\n"
+    time.sleep(delay)
+    process.send_signal(signal.SIGINT)
+    _, err = process.communicate(timeout=60)
+    assert (process.returncode, err) == (130, "nodeslam: interrupted\n")
+
+
+def test_a_signal_that_the_parent_ignores_stays_ignored():
+    code = "import signal; signal.signal(signal.SIGINT, signal.SIG_IGN)\n" + AT_WORK.format(at_stake=False)
+    code = code.replace("time.sleep(60)", "time.sleep(0.5)")
+    assert signalled(code, signal.SIGINT) == (0, "", "")
