@@ -83,10 +83,10 @@ class RunFolder:
             require_disjoint(path, [*inputs_of(options), *also_read])
             if path.exists() and not path.is_dir():
                 raise UsageError(f"--out {path} is a file: give a folder")
-            folder._require_run_or_empty()
+            folder.require_run_or_empty()
             path.mkdir(parents=True, exist_ok=True)
-            with folder._locked(command):
-                folder._make_room(continues)
+            with folder.locked(command):
+                folder.make_room(continues)
                 Manifest(command, "running", own_files(path)).write(path)
                 folder.write_report(
                     Report(command, options.seed, reason="stopped before the first stage was done")
@@ -105,9 +105,9 @@ class RunFolder:
             require_disjoint(out, inputs_of(options))
             if not out.is_dir():
                 raise UsageError(f"--out {out} is not a folder: give the folder of the run to be resumed")
-            folder._require_run_or_empty()
-            with folder._locked(command):
-                folder._make_room(continues="")
+            folder.require_run_or_empty()
+            with folder.locked(command):
+                folder.make_room(continues="")
                 Manifest(command, "running", own_files(out)).write(out)
         return folder
 
@@ -162,7 +162,7 @@ class RunFolder:
         finally:
             writing.lock.release()
 
-    def _require_run_or_empty(self) -> None:
+    def require_run_or_empty(self) -> None:
         """Raise UsageError if the folder has content and is not a run folder that can be replaced."""
         if not self.path.is_dir():
             return
@@ -176,7 +176,7 @@ class RunFolder:
             raise UsageError(f"--out {self.path}: {link} is a symbolic link; runs do not write through links")
 
     @contextlib.contextmanager
-    def _locked(self, command: str) -> Iterator[None]:
+    def locked(self, command: str) -> Iterator[None]:
         """Lock the folder for this process; unlock it again if the body fails."""
         key = self.path.resolve()
         RunFolder(key).finish(complete=False)  # a run of this process that was left open
@@ -187,7 +187,7 @@ class RunFolder:
             _WRITING.pop(key).lock.release()
             raise
 
-    def _make_room(self, continues: str | None) -> None:
+    def make_room(self, continues: str | None) -> None:
         """Complete what a killed process left undone, and move the stored run away unless it is continued."""
         _delete(temporary_files(self.path))
         stored = read_manifest(self.path)
