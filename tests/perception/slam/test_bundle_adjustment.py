@@ -1,5 +1,6 @@
 """Joint optimisation of a disturbed window, its priors, and the information of its views."""
 
+from concurrent.futures import ThreadPoolExecutor
 from dataclasses import replace
 
 import numpy as np
@@ -8,7 +9,12 @@ import pytest
 from perception.geometry import se3_exp
 from perception.inference.problem import FitState, StepLimits
 from perception.rendering.pose import ObjectPose, canonical_from_camera, object_by_camera
-from perception.slam.bundle_adjustment import BundleAdjustmentConfig, BundleWindow, optimise_jointly
+from perception.slam.bundle_adjustment import (
+    BundleAdjustmentConfig,
+    BundleWindow,
+    _Optimiser,
+    optimise_jointly,
+)
 from perception.slam.keyframes import Keyframe
 from perception.slam.marginal_prior import MarginalPrior, ViewInformation
 from perception.slam.pixels import select_pixels
@@ -132,6 +138,28 @@ def test_cameras_move_within_their_covariance(cylinders, window):
 
     assert max(moves(1e-6)) < 1e-5
     assert min(moves(0.1)) > 0.003  # the disturbance is about 1 cm
+
+
+def test_priors_enter_the_normal_equations_with_their_gradient(cylinders, window):
+    """Priors that outweigh the pixels: of the second and third camera, and of landmark 0."""
+    covariance, information = 1e-14 * np.eye(6), 1e14 * np.eye(25)
+    keyframes = [replace(key, covariance=covariance) for key in window.keyframes]
+    priors = {0: MarginalPrior(information, np.zeros(25))}
+    camera_step, object_steps = np.full(12, 1e-3), np.zeros((5, 25))
+    object_steps[0, POSITION] = 1e-3
+    config = BundleAdjustmentConfig(threads=1)
+    with ThreadPoolExecutor(1) as pool:
+        strong = replace(window, keyframes=keyframes, priors=priors)
+        optimiser = _Optimiser(strong, cylinders.decoder, config, pool)
+        optimiser.state = optimiser._moved(camera_step, object_steps)
+        equations = optimiser._normal_equations(optimiser._evaluate(optimiser.state))
+    weight = config.camera_prior_weight * 1e14
+    np.testing.assert_allclose(equations.gradient_cameras, weight * camera_step, rtol=1e-3)
+    np.testing.assert_allclose(np.diag(equations.cameras), np.full(12, weight), rtol=1e-3)
+    np.testing.assert_allclose(equations.gradient_objects[0][POSITION], np.full(3, 1e11), rtol=1e-3)
+    np.testing.assert_allclose(np.diag(equations.objects[0]), np.full(25, 1e14), rtol=1e-3)
+    cost = weight * 12e-6 + 1e14 * 3e-6
+    assert optimiser._prior_cost(optimiser.state) == pytest.approx(cost, rel=1e-6)
 
 
 def test_each_view_contributes_positive_information(cylinders, window):

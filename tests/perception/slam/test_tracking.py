@@ -121,6 +121,22 @@ def test_landmarks_with_few_pixels_are_not_judged(cylinders, T_view, pixels):
     assert set(ratios) == {id for id in n if n[id] > few}
 
 
+def test_landmarks_that_are_not_judged_stay_in_use(cylinders, T_view, pixels):
+    n = [int((pixels.is_object & (pixels.landmark_ids == id)).sum()) for id in range(5)]
+    found = track(cylinders.map(), pixels, T_view, TrackingConfig(iterations=0, min_pixels=min(n) + 1))
+    assert found.used == frozenset(range(5)) and len(found.inlier_ratios) < 5
+
+
+def test_the_prior_is_a_quadratic_in_the_step_from_the_prediction(cylinders, T_view, pixels):
+    rng = np.random.default_rng(0)
+    A, xi = rng.normal(size=(6, 6)), 0.01 * rng.normal(size=6)
+    information = A @ A.T + np.eye(6)
+    problem = _PoseProblem(cylinders.map(), pixels, T_view, TrackingConfig(), information)
+    rows = problem._prior_rows(T_view @ se3_exp(xi))
+    assert rows.residuals @ rows.residuals == pytest.approx(xi @ information @ xi)
+    np.testing.assert_allclose(rows.jacobian.T @ rows.residuals, information @ xi, rtol=1e-9)
+
+
 def test_the_plane_adds_information(cylinders, T_view, pixels):
     both = track(cylinders.map(), pixels, T_view, TrackingConfig(iterations=0)).information
     config = TrackingConfig(iterations=0, use_plane=False)
