@@ -1,4 +1,4 @@
-"""``nodeslam reconstruct SCAN``: objects from a scan folder, on a machine without any simulator."""
+"""``nodeslam reconstruct SCAN``: objects of a scan folder; independent of the simulator."""
 
 from __future__ import annotations
 
@@ -32,7 +32,7 @@ from perception.types import ObjectEstimate, RgbdFrame, SupportPlane
 
 
 def run(options: ReconstructOptions, screen: Screen) -> Report:
-    """Detect where the folder has no detections, reconstruct, and write the object map."""
+    """Detect objects unless the folder has detections or masks, reconstruct them, write the object map."""
     begin = time.perf_counter()
     timings: dict[str, float] = {}
     recorded = read_scan(options.scan)
@@ -87,7 +87,7 @@ def _detections(scan: Scan, plane: SupportPlane, options: ReconstructOptions) ->
 def _write_pictures(
     folder: RunFolder, frames: tuple[RgbdFrame, ...], detections: Detections, objects: list[ObjectEstimate]
 ) -> None:
-    """``overview.png``: up to three images, what was found in them above, whole shapes below."""
+    """Write ``overview.png``: up to three images with detections above and reconstructions below."""
     chosen = sorted({0, len(frames) // 2, len(frames) - 1})
     found = np.concatenate([draw_detections(frames[i], detections.per_frame[i]) for i in chosen], axis=1)
     whole = np.concatenate([draw_estimates(frames[i], objects) for i in chosen], axis=1)

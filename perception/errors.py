@@ -1,14 +1,14 @@
-"""Errors of the perception package: one root, messages a person can act on."""
+"""Errors of the perception package; messages say what is wrong, where, and what to do."""
 
 
 class PerceptionError(Exception):
-    """Root of everything that perception raises on purpose."""
+    """Base class of the errors of the perception package."""
 
 
 class InvalidInputError(PerceptionError, ValueError):
-    """A value or a file from outside is unusable; the message says what, where, and what to do."""
+    """An input value or file is invalid; the message says what, where, and what to do."""
 
 
 def install_hint(extra: str) -> str:
-    """Return how to install an optional extra; the package is on no index, so from a clone."""
+    """Return how to install an optional extra from a clone; the package is not on a package index."""
     return f"run pip install '.[{extra}]' in a clone of NodeSLAM"

@@ -63,8 +63,8 @@ class Reconstruction:
 def transformed_estimate(estimate: ObjectEstimate, T: Float[np.ndarray, "4 4"]) -> ObjectEstimate:
     """Return the estimate mapped by the rigid motion ``T``.
 
-    Shape, scale and the deviations along the normals stay. Of the covariance the translation alone, which is
-    in world axes, rotates; the rotation is a perturbation in the object frame.
+    Shape, scale and the deviations along the normals are invariant. In the covariance only the translation,
+    which is in world axes, rotates; the rotation is a perturbation in the object frame.
     """
     covariance = estimate.covariance
     if covariance is not None:

@@ -61,8 +61,8 @@ def reconstruct_scan(scan: str | Path | Scan, perception: Perception | None = No
     the first image is used, and its camera is the world frame.
 
     Args:
-        scan: the folder, or what ``read_scan`` read from it.
-        perception: the networks; the shipped ones by default, on CUDA where it is available.
+        scan: Folder, or the result of ``read_scan``.
+        perception: Networks; the shipped ones by default, on CUDA where it is available.
 
     Raises:
         InvalidInputError: the folder is unusable; the message names the file and the problem.
@@ -109,10 +109,10 @@ def scan_detections(
     """Return the scan's own detections, or its masks classified; None where it has neither.
 
     Args:
-        scan: with every frame posed.
-        plane: the support plane.
-        load_detector: called only where masks are to be classified.
-        folder: named in the error message.
+        scan: Scan with the camera poses of all frames.
+        plane: Support plane.
+        load_detector: Returns the detector; called only to classify masks.
+        folder: Folder named in the error message.
 
     Raises:
         InvalidInputError: ``detections.json`` holds no detection.

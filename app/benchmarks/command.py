@@ -1,4 +1,4 @@
-"""``nodeslam bench``: how fast each part is, beside a reference that is timed in the same run."""
+"""``nodeslam bench``: times of each stage and of a reference measured in the same run."""
 
 from __future__ import annotations
 
@@ -21,7 +21,7 @@ from perception.pipeline import resolve_device
 
 
 def run(options: BenchOptions, screen: Screen) -> Report:
-    """Times every row and stores the table after each, so that an interruption keeps those that are done."""
+    """Time every row; the report is written after each, so that an interruption keeps the finished ones."""
     begin = time.perf_counter()
     device = resolve_device(options.device)
     machine = describe_machine(device)
@@ -30,7 +30,7 @@ def run(options: BenchOptions, screen: Screen) -> Report:
     folder = RunFolder.create(options, "bench")
     rows: list[Row] = []
     timing = TimingConfig(min_repeats=options.repeats)
-    with screen.stage("Taking times"), single_threaded_torch():
+    with screen.stage("Measuring"), single_threaded_torch():
         for benchmark in benchmarks(scene, device, options.seed):
             screen.update(benchmark.name)
             rows.append(measure(benchmark, timing))
@@ -38,7 +38,7 @@ def run(options: BenchOptions, screen: Screen) -> Report:
     report = _report(options, machine, rows, time.perf_counter() - begin, done=True)
     folder.write_report(report)
     screen.show(_table(rows))
-    screen.show(escape(_words(machine)))
+    screen.show(escape(_machine_text(machine)))
     return report
 
 
@@ -51,7 +51,7 @@ def _report(options: BenchOptions, machine: dict, rows: Sequence[Row], seconds: 
         reason=f"{len(rows)} rows" + ("" if done else ", not all"),
         timings={"total": seconds},
         metrics={"rows": [row.as_json() for row in rows], "machine": machine},
-        warnings=[f"load {machine['load']} on {machine['cores']} cores: trust ratios more than times"]
+        warnings=[f"load {machine['load']} on {machine['cores']} cores: ratios are more reliable than times"]
         if busy
         else [],
         settings={"scan": str(options.scan) if options.scan else "simulated", "repeats": options.repeats},
@@ -75,7 +75,7 @@ def _milliseconds(seconds: float) -> str:
     return f"{1e3 * seconds:.2f} ms" if seconds < 0.1 else f"{1e3 * seconds:.0f} ms"
 
 
-def _words(machine: dict) -> str:
+def _machine_text(machine: dict) -> str:
     versions = ", ".join(f"{name} {machine[name]}" for name in ("torch", "warp-lang", "numpy"))
     cuda = f", {machine['cuda']}" if machine["cuda"] else ""
     return (

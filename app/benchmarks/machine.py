@@ -1,4 +1,4 @@
-"""What a figure was measured on."""
+"""Description of the machine on which times are measured."""
 
 from __future__ import annotations
 
@@ -15,7 +15,7 @@ LIBRARIES = ("numpy", "scipy", "torch", "warp-lang")
 
 
 def describe_machine(device: str) -> dict[str, Any]:
-    """Processor, cores, how busy they are, accelerator, and versions."""
+    """Return processor, number of cores, load, accelerator, and versions of libraries."""
     import torch
 
     return {
@@ -30,7 +30,7 @@ def describe_machine(device: str) -> dict[str, Any]:
 
 
 def _processor(cpuinfo: Path = Path("/proc/cpuinfo")) -> str:
-    """The processor's name; what Python knows of it where the system does not tell."""
+    """Return the processor's model name, or Python's description of it where there is no cpuinfo."""
     try:
         found = re.search(r"^model name\s*:\s*(.+)$", cpuinfo.read_text(encoding="utf-8"), re.MULTILINE)
     except OSError:

@@ -1,4 +1,4 @@
-"""The references: the same mathematics in plain torch, derivatives by autograd."""
+"""Reference implementations in plain torch, with derivatives by autograd."""
 
 from __future__ import annotations
 
@@ -20,7 +20,7 @@ from perception.types import CATEGORIES, CODE_SIZE, Category
 
 
 def plain_render(grid: Tensor, rays: RayBundle, A_canonical_camera: Tensor) -> ReferenceRendering:
-    """The reference renderer on a bundle of rays."""
+    """Render a bundle of rays by the reference renderer."""
     return render_reference(
         grid,
         torch.from_numpy(rays.directions).to(grid),
@@ -34,7 +34,7 @@ def plain_render(grid: Tensor, rays: RayBundle, A_canonical_camera: Tensor) -> R
 def plain_jacobian_rows(
     grid: np.ndarray, jacobian: np.ndarray, rays: RayBundle, A_canonical_camera: np.ndarray
 ) -> Callable[[], Tensor]:
-    """Rows of the image's Jacobian by code and camera map, one backward pass for each ray."""
+    """Return a job: the depth's Jacobian with respect to code and camera map, one backward pass per ray."""
     start, by_code = torch.from_numpy(grid), torch.from_numpy(jacobian)
     code = torch.zeros(CODE_SIZE, requires_grad=True)
     A = torch.from_numpy(A_canonical_camera).float().requires_grad_()
@@ -51,7 +51,7 @@ def plain_jacobian_rows(
 
 
 def plain_decoder(model: ShapeVae, category: Category) -> Callable[[Tensor], Tensor]:
-    """Codes (batch, 16) to grids by the paper's layers, none of them rewritten."""
+    """Return the decoder from codes (batch, 16) to grids in the layers of the paper."""
     net = model.decoder
     one_hot = class_one_hot(torch.tensor([CATEGORIES.index(category)]))
 
@@ -68,7 +68,7 @@ def plain_decoder(model: ShapeVae, category: Category) -> Callable[[Tensor], Ten
 def gradient_step(
     decoder: ShapeDecoder, category: Category, pixels: PixelSet, state: FitState, noise: NoiseConfig
 ) -> Callable[[], tuple[Tensor, ...]]:
-    """The gradient of a fit's cost by code and camera maps: what one step of plain descent needs."""
+    """Return a job: the gradient of a fit's cost with respect to code and camera maps."""
     A = torch.from_numpy(canonical_from_camera(state.pose, pixels.Ts_world_camera)).float().requires_grad_()
     code = torch.from_numpy(state.code).float()[None].requires_grad_()
     target, weight = torch.from_numpy(pixels.target), torch.from_numpy(pixels.weight)

@@ -32,13 +32,13 @@ from perception.shape.weights import load_weights
 from perception.types import CODE_SIZE
 
 FIT_ITERATIONS = 30
-AUTOGRAD_ROWS = 16  # rays of the autograd Jacobian that are timed; the time of all follows
+AUTOGRAD_ROWS = 16  # timed rows of the autograd Jacobian, extrapolated to all rays
 FIT_CROP = 64
 SCAN_VIEWS = 5
 
 
 def benchmarks(scene: BenchScene, device: str, seed: int) -> Iterator[Benchmark]:
-    """All rows; the last ones only where there is CUDA."""
+    """Yield all rows; those on CUDA only where it is available."""
     yield from _rendering(scene.decoder)
     yield from _decoding(scene.decoder)
     yield from _fitting(scene, seed)
@@ -75,14 +75,14 @@ def _decoding(decoder: ShapeDecoder) -> Iterator[Benchmark]:
     plain = plain_decoder(load_weights(), "mug")
 
     @torch.no_grad()
-    def plainly() -> torch.Tensor:
+    def decode_plain() -> torch.Tensor:
         return plain(plain_code[None])
 
     yield Benchmark(
         "decode one code",
         "plain torch layers",
         lambda: decode(decoder, "mug", np.zeros(CODE_SIZE)),
-        plainly,
+        decode_plain,
     )
     yield Benchmark(
         "decoder Jacobian",
@@ -215,7 +215,7 @@ def _iteration(scene: BenchScene, views: ObjectViews, seed: int) -> tuple[Job, J
     once, current = LmConfig(max_iterations=1, damping=1.0), problem(state)
 
     def evaluate(at: FitState) -> Evaluation:
-        return current if at is state else problem(at)  # of the iteration before
+        return current if at is state else problem(at)  # known from the previous iteration
 
     return (
         lambda: minimise(evaluate, FitState.moved, state, once),

@@ -1,4 +1,4 @@
-"""What the benchmarks work on: a scan of six objects, and one of them seen by one and by three cameras."""
+"""Input of the benchmarks: a scan of six objects, and up to three views of one of them."""
 
 from __future__ import annotations
 
@@ -24,12 +24,14 @@ OBJECTS = "mug=2,bowl=2,bottle=1,can=1"
 
 @dataclass(frozen=True)
 class BenchScene:
-    """A scan, what was found in it, and the networks.
+    """A scan with its detections, and the networks.
 
     Attributes:
-        frames: the images of the scan.
-        detections: what they show.
-        subject: the object that single fits are timed on: a mug seen at least three times where there is one.
+        frames: Images of the scan.
+        detections: Support plane and detections of the images.
+        subject: Object of the single fits; a mug with at least three views if there is one.
+        detector: Detector.
+        decoder: Shape prior.
     """
 
     frames: tuple[RgbdFrame, ...]
@@ -40,10 +42,10 @@ class BenchScene:
 
 
 def prepare(scan: Path | None, seed: int, device: Device) -> BenchScene:
-    """The benchmarks' input: a scan folder, or a scan of the simulated cell.
+    """Return the input of the benchmarks from a scan folder, or from a scan of the simulated cell.
 
     Raises:
-        InvalidInputError: nothing is found in the scan folder.
+        InvalidInputError: No object is detected.
     """
     frames = _simulated(seed) if scan is None else read_scan(scan).frames
     networks = load_perception(device)
@@ -65,7 +67,7 @@ def _simulated(seed: int) -> tuple[RgbdFrame, ...]:
 
 
 def square_view(side: int = 64, samples: int = 50) -> tuple[RayBundle, np.ndarray]:
-    """One camera that looks down at 45 degrees on an object 0.1 m long from 0.5 m: rays, camera map."""
+    """Return rays and camera map of a view of a 0.1 m object from 0.5 m at 45 degrees elevation."""
     line = np.linspace(-0.11, 0.11, side)
     u, v = np.meshgrid(line, line)
     directions = np.stack([u.ravel(), v.ravel(), np.ones(u.size)], axis=-1).astype(np.float32)

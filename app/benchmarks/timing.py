@@ -1,7 +1,7 @@
-"""Taking time so that a busy machine hurts little: value and reference in turns, medians, core seconds.
+"""Measurement of times on a loaded machine: job and reference alternate; medians and processor times.
 
-On a machine that others use too, wall times grow with what the others do. Two things hold all the same: the
-ratio of two jobs that were timed alternately, and the core time that a job consumed.
+Wall times grow with the load of other processes. Two figures are robust to it: the ratio of two jobs timed
+alternately, and the processor time of a job.
 """
 
 from __future__ import annotations
@@ -17,16 +17,16 @@ Job = Callable[[], Any]
 
 @dataclass(frozen=True)
 class Benchmark:
-    """Two ways to the same thing, or one thing with more and with less.
+    """A job and its reference: another implementation, or the same job with another input.
 
     Attributes:
-        name: what is timed.
-        reference: what it is compared with, in words.
-        job: what is timed; called many times.
-        reference_job: what it is compared with.
-        scale: of the job's times: one over the number of things that one call does.
-        reference_scale: the same for the reference, also where it does only a part of the whole.
-        expensive: called a few times only.
+        name: Description of the job.
+        reference: Description of the reference.
+        job: Job to time; called many times.
+        reference_job: Reference to time.
+        scale: Factor of the job's times, one over the number of units of work per call.
+        reference_scale: Factor of the reference's times; above 1 where it performs only a part of the work.
+        expensive: Whether the job is repeated only a few times.
     """
 
     name: str
@@ -43,15 +43,15 @@ class Row:
     """One line of the speed table.
 
     Attributes:
-        name: what was timed.
-        value: median wall time [s].
-        unit: "s".
-        reference: what it is compared with, in words.
-        ratio: median wall time of the reference over ``value``: how many times as fast as the reference.
-        reference_value: median wall time of the reference [s].
-        best: shortest wall time [s], nearest to an idle machine's.
-        core_seconds: median time on cores, all threads together [s]; other processes do not change it.
-        repeats: how often it was timed.
+        name: Description of the job.
+        value: Median wall time, in seconds.
+        unit: Unit of the times, "s".
+        reference: Description of the reference.
+        ratio: Speed relative to the reference: ``reference_value`` over ``value``.
+        reference_value: Median wall time of the reference, in seconds.
+        best: Shortest wall time, in seconds; the closest to that of an idle machine.
+        core_seconds: Median processor time of all threads, in seconds.
+        repeats: Number of repetitions.
     """
 
     name: str
@@ -70,12 +70,12 @@ class Row:
 
 @dataclass(frozen=True)
 class TimingConfig:
-    """How long to repeat.
+    """Number of repetitions.
 
     Attributes:
-        min_repeats: of a cheap job; half as many, rounded up, of an expensive one.
-        max_repeats: even if there is time left.
-        seconds: spent on one row, unless that is too short for ``min_repeats``.
+        min_repeats: Smallest number of repetitions; half as many, rounded up, of an expensive job.
+        max_repeats: Largest number of repetitions.
+        seconds: Time after which a row ends, in seconds, once it has ``min_repeats``.
     """
 
     min_repeats: int = 5
@@ -83,9 +83,8 @@ class TimingConfig:
     seconds: float = 2.0
 
 
-def measure(benchmark: Benchmark, config: TimingConfig | None = None) -> Row:
-    """Times the job and its reference in turns, after one untimed call of each."""
-    config = config or TimingConfig()
+def measure(benchmark: Benchmark, config: TimingConfig = TimingConfig()) -> Row:
+    """Time a job and its reference alternately, after one untimed call of each."""
     fewest = (config.min_repeats + 1) // 2 if benchmark.expensive else config.min_repeats
     benchmark.job()
     benchmark.reference_job()
@@ -112,7 +111,7 @@ def measure(benchmark: Benchmark, config: TimingConfig | None = None) -> Row:
 
 
 def clocked(job: Job) -> tuple[float, float]:
-    """Wall time and core time of one call in [s]."""
+    """Return wall time and processor time of one call, in seconds."""
     core, wall = time.process_time(), time.perf_counter()
     job()
     return time.perf_counter() - wall, time.process_time() - core

@@ -1,9 +1,9 @@
-"""``nodeslam evaluate reconstruction``: the paper's Table 1 with our methods beside it.
+"""``nodeslam evaluate reconstruction``: Table 1 of the paper for the methods of this project.
 
-Each object stands alone on a table and is seen from random places. The protocol is the paper's: the class is
-known, the start comes from the first view, 30 iterations, 1, 2 and 3 views, 20,000 samples on each surface,
-medians. The masks are the product's own: what stands out of the support plane in the noisy depth.
-Each finished object is one line of ``rows.jsonl``.
+Each object stands alone on a table and is imaged from random viewpoints. The protocol is the paper's: known
+class, initial pose from the first view, 30 iterations, 1, 2 and 3 views, 20,000 samples on each surface,
+medians. The masks come from the detector: what rises above the support plane in the noisy depth. Each
+finished object is one line of ``rows.jsonl``.
 """
 
 from __future__ import annotations
@@ -31,11 +31,11 @@ from perception.types import CATEGORIES, Category
 ROWS = "rows.jsonl"
 MOST_OBJECTS = 10_000
 MOST_VIEWS = 20
-FOLLOWED = 6  # so many objects make the convergence plot
+FOLLOWED = 6  # number of objects in the convergence plot
 
 
 def run(options: EvaluateOptions, screen: Screen) -> Report:
-    """Reconstruct what is still to be reconstructed, and report on all."""
+    """Reconstruct the objects that are not finished, and report on all."""
     begin = time.perf_counter()
     check(options)
     subjects = choose_subjects(options)
@@ -82,10 +82,11 @@ def failed_subject(options: EvaluateOptions, subject: Subject, failure: Failure)
 
 
 def check(options: EvaluateOptions) -> None:
-    """Refuse what makes no sense.
+    """Validate the options.
 
     Raises:
-        UsageError: one line says why.
+        UsageError: An option is invalid.
+        FusionUnavailableError: TSDF fusion without open3d.
     """
     if not options.views or min(options.views) < 1 or max(options.views) > MOST_VIEWS:
         raise UsageError(f"--views takes numbers from 1 to {MOST_VIEWS}")
@@ -105,7 +106,7 @@ def check(options: EvaluateOptions) -> None:
 
 
 def choose_subjects(options: EvaluateOptions) -> list[Subject]:
-    """The objects: of the test families as ``--objects`` says, or every mesh of ``--object-meshes``."""
+    """Return the objects: ``--objects`` of the test families, or every mesh of ``--object-meshes``."""
     if options.object_meshes is None:
         wanted = Counter(parse_objects(options.objects, np.random.default_rng(options.seed), MOST_OBJECTS))
         numbered: list[tuple[Category, int]] = [(c, index) for c in CATEGORIES for index in range(wanted[c])]
@@ -132,7 +133,7 @@ def _format(options: EvaluateOptions) -> LedgerFormat:
 
 
 def _settings(options: EvaluateOptions) -> dict[str, Any]:
-    """What has to be the same in a resumed evaluation."""
+    """Return the settings that must agree in a resumed evaluation."""
     names = ("seed", "objects", "object_meshes", "depth_noise", "views", "methods", "device")
     return {name: str(getattr(options, name)) for name in names}
 

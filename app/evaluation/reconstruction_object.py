@@ -1,4 +1,4 @@
-"""One object of ``evaluate reconstruction``: seen, reconstructed by every method, scored."""
+"""One object of ``evaluate reconstruction``: rendered, detected, reconstructed by every method, scored."""
 
 from __future__ import annotations
 
@@ -32,18 +32,18 @@ if TYPE_CHECKING:
     from sim_assets.objects import ObjectModel
 
 CONVERGENCE_ITERATIONS = 150
-PROTOCOL = FitConfig(start_views=1)  # the paper's: "initial object pose is predicted from the first view"
+PROTOCOL = FitConfig(start_views=1)  # paper: "initial object pose is predicted from the first view"
 
 
 @dataclass(frozen=True)
 class Subject:
-    """An object to be judged on.
+    """Object to evaluate.
 
     Attributes:
-        category: its class.
-        index: its number in the class.
-        path: its mesh file; None for an object of the test families.
-        followed: whether its fits are watched over CONVERGENCE_ITERATIONS.
+        category: Class.
+        index: Number within the class.
+        path: Mesh file; None for an object of the test families.
+        followed: Whether the error is recorded over CONVERGENCE_ITERATIONS iterations.
     """
 
     category: Category
@@ -58,11 +58,12 @@ class Subject:
 
 @dataclass(frozen=True)
 class Sight:
-    """What perception gets to see of an object, and the truth that it is scored against.
+    """Images of an object, and its ground truth.
 
     Attributes:
-        frames, detections: the views; one in which nothing is found has no detection.
-        truth: the object as it stands.
+        frames: RGB-D images with camera poses.
+        detections: For each image its detection; empty where the object is not detected.
+        truth: True surface at the true pose.
     """
 
     frames: tuple[RgbdFrame, ...]
@@ -71,7 +72,7 @@ class Sight:
 
 
 def evaluate_subject(options: EvaluateOptions, subject: Subject) -> dict[str, Any]:
-    """The line of results of one object: a row for each number of views and method."""
+    """Return the results of one object: a row for each number of views and method."""
     sight = load_sight(options, subject)
     decoder = shared_decoder(options.device)
     visible = _handle_visible(sight)
@@ -101,25 +102,25 @@ def evaluate_subject(options: EvaluateOptions, subject: Subject) -> dict[str, An
 
 
 def load_sight(options: EvaluateOptions, subject: Subject) -> Sight:
-    """Draws the object, puts it on a table, takes the views and detects it in them."""
+    """Sample the object, render it on a table and detect it in each view."""
     from sim_assets.datasets.single_object import SingleObjectConfig, render_single_object
 
     model = _model(options, subject)
     config = SingleObjectConfig(depth_noise=options.depth_noise)
     portrait = render_single_object(model, max(options.views), _rng(options, subject, 1), config)
     detections = tuple(
-        _known(_detector(options.device)(frame, fit_support_plane([frame])), subject.category)
+        _merged(_detector(options.device)(frame, fit_support_plane([frame])), subject.category)
         for frame in portrait.frames
     )
     truth = TrueSurface.of(model, portrait.T_world_object, _rng(options, subject, 3))
     return Sight(portrait.frames, detections, truth)
 
 
-def _known(found: Sequence[ObjectDetection], category: Category) -> tuple[ObjectDetection, ...]:
-    """What is found in one image as a detection of the one object there, whose class is known.
+def _merged(found: Sequence[ObjectDetection], category: Category) -> tuple[ObjectDetection, ...]:
+    """Return the detections of an image merged to one of the known class; empty without detections.
 
-    A rim before its own far side may part an object into two instances; all that look like the class are
-    joined.
+    A rim in front of the far side may split an object into two instances: all that are probably of the class
+    are merged, or the most probable one is kept.
     """
     like = [detection.class_probabilities[CATEGORIES.index(category)] for detection in found]
     if not found:
@@ -133,7 +134,7 @@ def _known(found: Sequence[ObjectDetection], category: Category) -> tuple[Object
 def reconstruct_subject(
     sight: Sight, views: int, method: Method, decoder: ShapeDecoder
 ) -> ObjectEstimate | None:
-    """The object from its first views by one method; None where nothing of it was found."""
+    """Reconstruct the object from its first views by one method; None where it is not detected."""
     frames, detections = sight.frames[:views], sight.detections[:views]
     plane = fit_support_plane(frames)
     estimates = reconstruct_by(method, frames, detections, decoder, plane, PROTOCOL)
@@ -151,13 +152,13 @@ def _model(options: EvaluateOptions, subject: Subject) -> ObjectModel:
 
 
 def _rng(options: EvaluateOptions, subject: Subject, purpose: int) -> np.random.Generator:
-    """Independent streams, so that an object does not depend on how many there are or who comes before."""
+    """Return a random stream of one object and purpose, independent of the other objects."""
     key = [options.seed, CATEGORIES.index(subject.category), subject.index, purpose]
     return np.random.default_rng(np.random.SeedSequence(key))
 
 
 def _handle_visible(sight: Sight) -> list[bool]:
-    """For each view, whether enough of what it shows of a mug is its handle."""
+    """Return for each view whether the handle of a mug is visible."""
     T = sight.truth.T_world_object
     clouds = [_cloud(frame, found) for frame, found in zip(sight.frames, sight.detections)]
     return [handle_share(points, T) >= HANDLE_VISIBLE for points in clouds]
@@ -172,7 +173,7 @@ def _cloud(frame: RgbdFrame, found: Sequence[ObjectDetection]) -> Float[np.ndarr
 def _convergence(
     sight: Sight, options: EvaluateOptions, subject: Subject, decoder: ShapeDecoder
 ) -> dict[str, list[tuple[int, float | None]]]:
-    """Chamfer-L1 [m] over the iterations, from one view, by method."""
+    """Return (iteration, chamfer-L1 in metres) from one view by method; None where there is no surface."""
     curves: dict[str, list[tuple[int, float | None]]] = {}
     for method in options.methods:
         if method in ("tsdf", "no_refinement") or not sight.detections[0]:  # no fit, or the same as full
@@ -207,11 +208,11 @@ def _chamfer(step: FitStep, subject: Subject, sight: Sight, decoder: ShapeDecode
 
 @cache
 def shared_decoder(device: Device) -> ShapeDecoder:
-    """Networks, loaded once in each process."""
+    """Return the decoder, loaded once in each process."""
     return load_decoder(device)
 
 
 @cache
 def _detector(device: Device) -> Detector:
-    """It says where the object is and which way its handle points; its class is known."""
+    """Return the detector, without rejection of distractors or unlikely mugs: the class is known."""
     return Detector.load(resolve_device(device), config=DetectorConfig(max_other=1.0, min_mug=0.0))

@@ -1,4 +1,4 @@
-"""Plots and pictures of ``evaluate reconstruction``: convergence, and the best, median and worst objects."""
+"""Figures of ``evaluate reconstruction``: convergence, and the best, median and worst object by class."""
 
 from __future__ import annotations
 
@@ -36,14 +36,14 @@ COLORS = {
     "dvr": "#d55e00",
     "mask_only": "#cc79a7",
 }
-SIZE = 340  # [px] of each small picture
-ERROR_RANGE = 0.006  # [m] at which the error's colour ends
+SIZE = 340  # [px] side of each image of an object
+ERROR_RANGE = 0.006  # [m] upper end of the colour scale of errors
 
 
 def write_pictures(
     folder: Path, report: Report, subjects: Mapping[str, Subject], options: EvaluateOptions
 ) -> None:
-    """``convergence.png``, and ``objects_<class>.png`` with truth beside estimate."""
+    """Write ``convergence.png``, and ``objects_<class>.png`` with truth and estimates."""
     curves = report.metrics["convergence"]
     if curves:
         _save(_convergence_plot(curves), folder / "convergence.png")
@@ -96,7 +96,7 @@ def _gallery(
     views: int,
     options: EvaluateOptions,
 ) -> Figure:
-    """A row for each chosen object: first image, truth, estimate, its error; the last three from behind."""
+    """Return a row per object: first image; truth, estimate and error from its camera and from behind."""
     figure = Figure(figsize=(15.5, 2.0 * len(chosen) + 0.4), dpi=100)
     axes = figure.subplots(len(chosen), 7, squeeze=False)
     figure.subplots_adjust(left=0.055, right=0.925, top=0.93, bottom=0.01, wspace=0.03, hspace=0.03)
@@ -156,7 +156,7 @@ def _cut_out(frame: RgbdFrame, centre: Float[np.ndarray, "3"], reach: float) -> 
 def _shaded(
     mesh: TriangleMesh, colors: np.ndarray, eye: np.ndarray, centre: np.ndarray, reach: float
 ) -> Image:
-    """The mesh from a point of view, lit, far triangles first (the painter's algorithm)."""
+    """Render a mesh with Lambertian shading by the painter's algorithm."""
     forward = (centre - eye) / np.linalg.norm(centre - eye)
     right = np.cross(forward, (0, 0, 1))
     right /= np.linalg.norm(right)

@@ -1,4 +1,4 @@
-"""What the rows of ``evaluate reconstruction`` say together, and the tables that show it."""
+"""Summary of the rows of ``evaluate reconstruction``, and its tables."""
 
 from __future__ import annotations
 
@@ -45,7 +45,7 @@ FIGURES = ("accuracy", "chamfer_l1", "completion")
 
 
 def summarise_reconstruction(lines: Sequence[Mapping[str, Any]]) -> dict[str, Any]:
-    """``metrics`` of the report: all rows, and their medians by class, number of views and method."""
+    """Return ``metrics`` of the report: all rows, and medians by class, number of views and method."""
     rows = [row for line in lines for row in line["rows"]]
     groups: dict[tuple[str, int, str], list[Row]] = defaultdict(list)
     for row in rows:
@@ -62,16 +62,16 @@ def summarise_reconstruction(lines: Sequence[Mapping[str, Any]]) -> dict[str, An
 
 
 def _medians(rows: Sequence[Row]) -> dict[str, Any]:
-    """Medians over the objects found; handle recall as a mean, a handle is either there or not."""
+    """Return medians over the objects found; the bimodal handle recall as a mean."""
     found = [row for row in rows if row["found"]]
     result: dict[str, Any] = {"n": len(rows), "found": len(found) / len(rows)}
     result |= {name: _median(row[name] for row in found) for name in FIGURES}
     result["seconds"] = _median(row["seconds"] for row in found)
     result["converged"] = float(np.mean([row["status"] == "converged" for row in found])) if found else None
-    sure = [row for row in found if "surface_sigma" in row]
+    calibrated = [row for row in found if "surface_sigma" in row]
     for name in ("surface_sigma", "within_1_sigma", "within_2_sigma"):
-        if sure:
-            result[name] = float(np.mean([row[name] for row in sure]))
+        if calibrated:
+            result[name] = float(np.mean([row[name] for row in calibrated]))
     handles = [row for row in found if "handle_recall" in row]
     if handles:
         visible = [row["handle_recall"] for row in handles if row["handle_visible"]]
@@ -87,7 +87,7 @@ def _median(values: Any) -> float | None:
 
 
 def _convergence(lines: Sequence[Mapping[str, Any]]) -> dict[str, dict[str, list[float]]]:
-    """Median chamfer-L1 [m] of the followed objects at every iteration that was looked at, by method."""
+    """Return by method the median chamfer-L1 of the followed objects at every iteration, in metres."""
     curves: dict[str, list[Sequence[Sequence[Any]]]] = defaultdict(list)
     for line in lines:
         for method, curve in line.get("convergence", {}).items():
@@ -95,20 +95,20 @@ def _convergence(lines: Sequence[Mapping[str, Any]]) -> dict[str, dict[str, list
     result = {}
     for method, several in curves.items():
         at = sorted({iteration for curve in several for iteration, _ in curve})
-        values = np.array([_held(curve, at) for curve in several])
+        values = np.array([_values_at(curve, at) for curve in several])
         result[method] = {"iteration": at, "chamfer_l1": np.median(values, axis=0).tolist()}
     return result
 
 
-def _held(curve: Sequence[Sequence[Any]], at: Sequence[int]) -> list[float]:
-    """A curve's values at other iterations: the last one known; one that has no surface is infinitely far."""
+def _values_at(curve: Sequence[Sequence[Any]], at: Sequence[int]) -> list[float]:
+    """Return a curve's last value up to each iteration; infinite where there is no surface."""
     iterations = [iteration for iteration, _ in curve]
     values = [np.inf if value is None else value for _, value in curve]
     return [values[max(int(np.searchsorted(iterations, i, side="right")) - 1, 0)] for i in at]
 
 
 def reconstruction_tables(report: Report) -> list[Table]:
-    """One table for each class, the paper's figures beside ours for mugs; and how sure the full method is."""
+    """Return one table for each class, with the paper's figures for mugs, and one of the calibration."""
     medians = report.metrics["median"]
     categories = dict.fromkeys(entry["category"] for entry in medians)
     tables = [_table(category, [m for m in medians if m["category"] == category]) for category in categories]
@@ -117,8 +117,8 @@ def reconstruction_tables(report: Report) -> list[Table]:
 
 
 def _calibration_table(medians: Sequence[Row]) -> Table:
-    """How well the full method knows how good it is."""
-    title = "how sure: share of the surface within the predicted deviation (ideally 68 and 95 %)"
+    """Return the calibration of the deviations that the full method predicts."""
+    title = "calibration: share of the surface within the predicted deviation (ideally 68 and 95 %)"
     table = Table(title=title, title_justify="left", show_edge=False, pad_edge=False)
     for heading in ("", "views", "predicted 1σ", "within 1σ", "within 2σ", "converged"):
         table.add_column(heading, justify="right" if heading else "left")
@@ -134,7 +134,7 @@ def _calibration_table(medians: Sequence[Row]) -> Table:
 
 
 def _table(category: str, medians: Sequence[Row]) -> Table:
-    paper = "; in brackets the paper's" if category == "mug" else ""
+    paper = "; paper in brackets" if category == "mug" else ""
     table = Table(
         title=f"{category}: medians of {medians[0]['n']} objects{paper}",
         title_justify="left",
@@ -144,7 +144,7 @@ def _table(category: str, medians: Sequence[Row]) -> Table:
     for heading in ("views", "method", "accuracy mm", "chamfer-L1 mm", "completion %"):
         table.add_column(heading, justify="left" if heading == "method" else "right", no_wrap=True)
     if category == "mug":
-        table.add_column("handle %", justify="right")  # of the visible ones where there is one view
+        table.add_column("handle %", justify="right")  # from one view: of the visible handles
     before = None
     for entry in sorted(medians, key=lambda m: m["views"]):
         views = str(entry["views"]) if entry["views"] != before else ""

@@ -1,4 +1,4 @@
-"""What many episodes say together: rates with their uncertainty, reasons with counts, medians."""
+"""Summary of many episodes: rates with confidence intervals, failure reasons with counts, medians."""
 
 from __future__ import annotations
 
@@ -31,10 +31,10 @@ def wilson_interval(successes: int, trials: int) -> tuple[float, float]:
 def paired_difference(
     first: Mapping[Hashable, float], second: Mapping[Hashable, float]
 ) -> dict[str, float | None]:
-    """Mean of second minus first over the keys that both have, with Student's 95 % interval.
+    """Return the mean of second minus first over their common keys, with Student's 95 % interval.
 
     Returns:
-        ``mean``, ``low``, ``high`` and ``n``; the first three are None under two pairs.
+        ``mean``, ``low``, ``high`` and ``n``; the first three are None for fewer than two pairs.
     """
     differences = np.array([second[key] - first[key] for key in first if key in second])
     n = len(differences)
@@ -46,7 +46,7 @@ def paired_difference(
 
 
 def summarise(lines: Sequence[Mapping[str, Any]]) -> dict[str, Any]:
-    """Rates with their Wilson 95 % intervals, reasons with counts, times; reconstruction medians by class."""
+    """Return success rates with Wilson 95 % intervals, failure reasons, times and reconstruction medians."""
     objects = [entry for line in lines for entry in line["objects"]]
     n_successes, n_placed = sum(bool(line["success"]) for line in lines), _count_placed(objects)
     by_class: dict[str, list[Any]] = defaultdict(list)
@@ -87,14 +87,14 @@ def _class_rate(entries: Sequence[Mapping[str, Any]]) -> dict[str, Any]:
 
 
 def _failures(lines: Sequence[Mapping[str, Any]], objects: Sequence[Mapping[str, Any]]) -> dict[str, int]:
-    """Reasons with counts, most frequent first; without numbers and names, so that like joins like."""
+    """Return the kinds of failure reasons with counts, most frequent first."""
     reasons = [f"{entry['category']}: {kind_of(entry['reason'])}" for entry in objects if not entry["placed"]]
     reasons += [kind_of(line["reason"]) for line in lines if not line["objects"]]
     return dict(Counter(reasons).most_common())
 
 
 def kind_of(reason: str) -> str:
-    """A reason without its particulars."""
+    """Return a reason without numbers, object names and parentheses, so that equal kinds compare equal."""
     general = re.sub(r"\b(mug|bowl|bottle|can)_\d+\b", "it", reason)
     general = re.sub(r"\([^)]*\)", "", general)
     general = re.sub(r"-?\d+(\.\d+)?", "N", general)
@@ -107,7 +107,7 @@ def _stages(lines: Sequence[Mapping[str, Any]]) -> dict[str, float | None]:
 
 
 def _reconstruction(lines: Sequence[Mapping[str, Any]]) -> dict[str, dict[str, float | None]]:
-    """Medians by class of what the reconstructions were worth."""
+    """Return the medians of the reconstruction metrics by class."""
     rows: dict[str, list[Any]] = defaultdict(list)
     for line in lines:
         for row in line.get("metrics", {}).get("reconstruction", ()):

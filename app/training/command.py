@@ -54,7 +54,7 @@ def run(options: TrainOptions, screen: Screen) -> Report:
 
 
 def _job(options: TrainOptions) -> tuple[Any, Any]:
-    """The training function of a network, and its default configuration."""
+    """Return the training function of a network and its default configuration."""
     if options.network == "shape":
         from app.training.shape import TrainShapeConfig
         from app.training.shape import run as train

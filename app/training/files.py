@@ -1,4 +1,4 @@
-"""What training jobs write beside weights: arrays of rendered data, and curves for TensorBoard."""
+"""Files of training jobs beside weights: arrays of rendered data, TensorBoard curves, checksums."""
 
 from __future__ import annotations
 
@@ -14,7 +14,7 @@ from perception.io.weights import weights_checksum
 
 
 def save_arrays(path: Path, holder: Any, names: Sequence[str]) -> None:
-    """The holder's arrays of these names as an npz file, which is there whole or not at all."""
+    """Write the named array attributes of an object atomically as an npz file."""
     path.parent.mkdir(parents=True, exist_ok=True)
     partial = path.with_suffix(".partial.npz")
     np.savez(partial, **{name: getattr(holder, name) for name in names})
@@ -22,10 +22,10 @@ def save_arrays(path: Path, holder: Any, names: Sequence[str]) -> None:
 
 
 def load_arrays(path: Path, names: Sequence[str], what: str) -> dict[str, np.ndarray]:
-    """The arrays again.
+    """Read the named arrays of an npz file; ``what`` names the expected content in the error message.
 
     Raises:
-        PerceptionError: the file is damaged or another one; ``what`` says what it should hold.
+        PerceptionError: The file is damaged, or lacks an array.
     """
     try:
         with path.open("rb") as stream, np.load(stream, allow_pickle=False) as file:
@@ -35,7 +35,11 @@ def load_arrays(path: Path, names: Sequence[str], what: str) -> dict[str, np.nda
 
 
 def summary_writer(folder: Path) -> Any:
-    """TensorBoard's writer; PerceptionError where it is not installed."""
+    """Return a TensorBoard writer.
+
+    Raises:
+        PerceptionError: TensorBoard is not installed.
+    """
     try:
         from torch.utils.tensorboard import SummaryWriter
     except ImportError as error:

@@ -1,7 +1,6 @@
-"""`nodeslam train shape`: gather shapes, train the shape prior, write weights and an illustrated model card.
+"""``nodeslam train shape``: gather shapes, train the shape prior, write weights and a model card.
 
-Shapes are sampled from the training families, or come from a user's meshes. Both live outside perception,
-which only ever sees arrays of occupancies.
+Shapes are sampled from the training families, or are a user's meshes; perception receives occupancy grids.
 """
 
 from __future__ import annotations
@@ -28,26 +27,26 @@ from perception.shape.training import EpochRecord, ShapeTrainingConfig, train
 from perception.shape.weights import save_weights
 from perception.types import CATEGORIES, Category
 
-log = logging.getLogger(__name__)
+logger = logging.getLogger(__name__)
 
 Split = Literal["train", "test"]
-Progress = Callable[[str, float], None]  # what is going on, and the share of the whole job done
+Progress = Callable[[str, float], None]  # current activity and completed fraction of the job
 
 
 @dataclass(frozen=True)
 class TrainShapeConfig:
-    """The job behind the shipped weights; its defaults reproduce them.
+    """Settings of the training; the defaults reproduce the shipped weights.
 
     Attributes:
-        mugs: number of training shapes; mugs are the most, because their handles are hard to learn.
-        bowls: number of training shapes.
-        bottles: number of training shapes.
-        cans: number of training shapes.
-        held_out: shapes of each class from the test families, to judge by.
-        meshes: folder of a user's meshes (see ``shape_meshes.py``) to learn from instead, a tenth held out.
-        training: how to train.
-        evaluate_every: epochs between evaluations on the held-out shapes.
-        tensorboard: also write curves for TensorBoard (extra `train`).
+        mugs: Number of training mugs; the most, as handles are the most difficult structures.
+        bowls: Number of training bowls.
+        bottles: Number of training bottles.
+        cans: Number of training cans.
+        held_out: Number of evaluation shapes of each class, from the test families.
+        meshes: Folder of meshes (see ``shape_meshes.py``) that replace the families; a tenth is held out.
+        training: Settings of the optimisation.
+        evaluate_every: Number of epochs between evaluations on the held-out shapes.
+        tensorboard: Whether to write curves for TensorBoard (extra ``train``).
         device: "cpu" or "cuda".
     """
 
@@ -68,13 +67,13 @@ class TrainShapeConfig:
 
 
 def run(config: TrainShapeConfig, out_dir: Path, progress: Progress | None = None) -> dict[str, Any]:
-    """Train into a folder: data, checkpoint, `history.json`, `shape.safetensors`, `shape.md` with pictures.
+    """Train into a folder: data, checkpoint, ``history.json``, ``shape.safetensors``, and ``shape.md``.
 
-    Run again on the same folder after an interruption, it goes on after the last whole epoch; on a finished
-    one, it only judges the weights and writes the card anew.
+    An interrupted training continues after the last complete epoch; of a finished one only the evaluation and
+    the model card are repeated.
 
     Returns:
-        the report's metrics: held-out scores by class, the weights' path and checksum, meshes left out.
+        Metrics of the report: held-out scores by class, path and checksum of the weights, skipped meshes.
     """
     tell = progress or (lambda what, share: None)
     out_dir.mkdir(parents=True, exist_ok=True)
@@ -111,7 +110,7 @@ def run(config: TrainShapeConfig, out_dir: Path, progress: Progress | None = Non
 def _shapes(
     config: TrainShapeConfig, out_dir: Path, tell: Progress
 ) -> tuple[ShapeDataset, ShapeDataset, Sequence[str]]:
-    """Shapes to learn from and to judge by, kept in the folder for the next start, and what was left out."""
+    """Return training shapes, held-out shapes and skipped meshes; the shapes are cached in the folder."""
     train_path, test_path = out_dir / "train_shapes.npz", out_dir / "test_shapes.npz"
     seed = config.training.seed
     if config.meshes is None:
@@ -125,7 +124,7 @@ def _shapes(
         remedy = "delete the folder or choose another --out"
         found = read_json(source, remedy)
         if not isinstance(found, dict) or {key: found.get(key) for key in job} != job:
-            raise PerceptionError(f"{source} tells of other meshes or another seed; {remedy}")
+            raise PerceptionError(f"{source} belongs to other meshes or another seed; {remedy}")
         return ShapeDataset.load(train_path), ShapeDataset.load(test_path), found.get("skipped", ())
     from app.training.shape_meshes import load_shapes
 
@@ -139,7 +138,11 @@ def _shapes(
 
 
 def cached_shapes(path: Path, counts: dict[Category, int], split: Split, seed: int) -> ShapeDataset:
-    """Shapes of the families, from the file where an earlier start of the same job left them."""
+    """Return shapes of the families, from the cache file if it exists.
+
+    Raises:
+        PerceptionError: The cache file has other numbers of shapes.
+    """
     if path.exists():
         data = ShapeDataset.load(path)
         if {category: len(data.of(category)) for category in CATEGORIES} == counts:
@@ -155,7 +158,7 @@ def cached_shapes(path: Path, counts: dict[Category, int], split: Split, seed: i
 
 
 def held_out(scores: dict[Category, ShapeScores]) -> dict[str, dict[str, float | None]]:
-    """The scores as JSON; null where a class has no handles, or a shape no surface yet."""
+    """Return the scores as JSON values; null where a class has no handles or a shape no surface."""
     return {
         category: {name: value if np.isfinite(value) else None for name, value in asdict(s).items()}
         for category, s in scores.items()
@@ -163,7 +166,7 @@ def held_out(scores: dict[Category, ShapeScores]) -> dict[str, dict[str, float |
 
 
 class _Watcher:
-    """Writes what each epoch came to: history.json, and curves where asked."""
+    """Writes the results of each epoch to ``history.json``, and TensorBoard curves if enabled."""
 
     def __init__(self, config: TrainShapeConfig, out_dir: Path, test_data: ShapeDataset) -> None:
         self._config, self._test_data = config, test_data
@@ -178,7 +181,7 @@ class _Watcher:
         if record.epoch % self._config.evaluate_every == 0:
             scores = evaluate(model, self._test_data, self._config.device, max_surfaces=40)
             entry["held_out"] = held_out(scores)
-            log.info("epoch %d: loss %.1f; %s", record.epoch, record.loss, describe(scores))
+            logger.info("epoch %d: loss %.1f; %s", record.epoch, record.loss, describe(scores))
         self._history.append(entry)
         write_json(self._path, self._history)
         if self._curves is not None:

@@ -1,9 +1,9 @@
-"""A user's meshes as training shapes: found in ShapeNet's layout, checked, turned into occupancy grids.
+"""A user's meshes as training shapes: read from ShapeNet's layout, validated, voxelised.
 
-    DIR/<synset>/<id>/models/model_normalized.obj     as ShapeNetCore is unpacked: y up, of any size
-    DIR/<class>/*.{obj,ply,glb,stl}                   z up, of any size
+    DIR/<synset>/<id>/models/model_normalized.obj     layout of ShapeNetCore: y up, any size
+    DIR/<class>/*.{obj,ply,glb,stl}                   z up, any size
 
-What cannot be used (holes in the surface, damaged files, unknown folders) is left out, and said.
+Non-watertight meshes, damaged files and unknown folders are skipped and reported.
 """
 
 from __future__ import annotations
@@ -31,15 +31,21 @@ SYNSETS: dict[str, Category] = {
     "02946921": "can",
 }
 SHAPENET_FILE = Path("models") / "model_normalized.obj"
-HELD_OUT = 0.1  # of each class; at least one where there are two
+HELD_OUT = 0.1  # share of each class; at least one mesh of two or more
 
-_LENGTH = 0.1  # [m] that meshes are scaled to: the checks of the reader are metric
+_LENGTH = 0.1  # [m] to which meshes are scaled: the limits of the reader are metric
 _LAYOUT = "expected DIR/<synset>/<id>/models/model_normalized.obj or DIR/<class>/*.obj"
 
 
 @dataclass(frozen=True)
 class MeshFile:
-    """A file and what it is said to show."""
+    """A mesh file.
+
+    Attributes:
+        path: File.
+        category: Class.
+        y_up: Whether y is up; otherwise z.
+    """
 
     path: Path
     category: Category
@@ -48,12 +54,12 @@ class MeshFile:
 
 @dataclass(frozen=True)
 class MeshShapes:
-    """What a folder of meshes gives.
+    """Shapes of a folder of meshes.
 
     Attributes:
-        train: shapes to learn from.
-        test: shapes to judge by, held out.
-        skipped: one line for each file or folder that was left out, and why.
+        train: Training shapes.
+        test: Held-out shapes.
+        skipped: For each skipped file or folder a line with the reason.
     """
 
     train: ShapeDataset
@@ -64,10 +70,10 @@ class MeshShapes:
 def load_shapes(
     folder: Path, seed: int, progress: Callable[[int, int], None] = lambda done, total: None
 ) -> MeshShapes:
-    """All usable meshes of a folder as grids, a tenth of each class held out by the seed.
+    """Return the valid meshes of a folder as grids; ``seed`` selects the tenth of each class held out.
 
     Raises:
-        InvalidInputError: the folder is none, or holds nothing that can be learnt from.
+        InvalidInputError: The folder does not exist, or has no valid mesh.
     """
     files, skipped = find_meshes(folder)
     if not files:
@@ -88,7 +94,11 @@ def load_shapes(
 
 
 def find_meshes(folder: Path) -> tuple[list[MeshFile], list[str]]:
-    """The mesh files of a folder, in order, and one line for each subfolder that is not understood."""
+    """Return the mesh files of a folder in order, and a line for each unknown subfolder.
+
+    Raises:
+        InvalidInputError: The folder does not exist.
+    """
     if not folder.is_dir():
         raise InvalidInputError(f"{folder} is no folder: {_LAYOUT}")
     files, skipped = [], []
@@ -106,12 +116,12 @@ def find_meshes(folder: Path) -> tuple[list[MeshFile], list[str]]:
 
 
 def mesh_grid(file: MeshFile) -> UInt8[np.ndarray, "32 32 32"]:
-    """Occupancy times 255, in the conventions of ``sim_assets/objects/grids.py``.
+    """Return the occupancy grid times 255 in the conventions of ``sim_assets/objects/grids.py``.
 
-    The bounding box is centred, its longest side 1.8; z is up, a mug's handle along +x.
+    The bounding box is centred, its longest side is 1.8; z is up, the handle of a mug along +x.
 
     Raises:
-        ObjectFileError: the file is damaged, or its surface is not closed.
+        ObjectFileError: The file is damaged, or the mesh is not watertight.
     """
     mesh = load_user_mesh(file.path, file.category, y_up=file.y_up, length=_LENGTH)
     scale, centre = canonical_frame(np.asarray(mesh.bounds))

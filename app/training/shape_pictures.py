@@ -1,7 +1,7 @@
-"""Pictures of the shape prior for its model card: what it reproduces, what lies between, how it changes.
+"""Figures of the shape prior's model card: reconstructions, interpolation, and derivatives of the renderer.
 
-The last two are the derivative figures of NodeSLAM: one rendered pixel by the occupancies, and a whole
-rendered object by the entries of its code.
+The derivative figures follow NodeSLAM: one rendered depth with respect to the occupancies, and a rendered
+object with respect to its code.
 """
 
 from __future__ import annotations
@@ -30,9 +30,9 @@ from perception.shape.evaluation import decode, encode
 from perception.shape.network import ShapeVae
 from perception.types import CATEGORIES, CameraIntrinsics, Category, ObjectEstimate, RgbdFrame
 
-TILE = 112  # side of a portrait [pixel]
-SHOWN = 3  # shapes of each class
-STEPS = 9  # of the walk
+TILE = 112  # [px] side of the image of a shape
+SHOWN = 3  # shapes shown of each class
+STEPS = 9  # steps of an interpolation
 RECONSTRUCTIONS, WALK, PIXEL, CODE = (
     f"shape_{name}.png" for name in ("reconstructions", "walk", "pixel_derivative", "code_derivatives")
 )
@@ -43,7 +43,7 @@ _SIDE_VIEW = Viewpoint((0.0, 0.0, 0.0), azimuth=np.deg2rad(180), elevation=np.de
 
 
 def draw_shape_pictures(model: ShapeVae, data: ShapeDataset, folder: Path, device: str = "cpu") -> list[Path]:
-    """Draws all four into the folder from shapes that were held out; returns their paths."""
+    """Write all four figures into the folder and return their paths; ``data`` are held-out shapes."""
     decoder = ShapeDecoder(model.decoder, device)
     category: Category = CATEGORIES[int(data.categories[0])]
     first = encode(model, occupancies(data.grids[:1]), data.categories[:1], device)[0]
@@ -59,7 +59,7 @@ def draw_shape_pictures(model: ShapeVae, data: ShapeDataset, folder: Path, devic
 
 
 def reconstructions(model: ShapeVae, data: ShapeDataset, device: str) -> UInt8[np.ndarray, "h w 3"]:
-    """Two rows: held-out shapes, and below each what encoder and decoder make of it."""
+    """Return two rows: shapes, and below each its reconstruction by encoder and decoder."""
     chosen = np.concatenate([np.flatnonzero(data.categories == c)[:SHOWN] for c in range(len(CATEGORIES))])
     grids, categories = occupancies(data.grids[chosen]), data.categories[chosen]
     decoded = decode(model, encode(model, grids, categories, device), categories, device)
@@ -108,7 +108,7 @@ def pixel_derivative(
     rays, A = _camera(_SIDE_VIEW, side)
     grid, _ = decoder.with_jacobian(category, code)
     image = render(ShapeGrid.upload(grid.cpu().numpy()), rays, A, gradients=False)
-    pixel = _telling_pixel(image, side)
+    pixel = _wall_pixel(image, side)
     by_occupancy = _by_occupancies(grid.cpu(), rays, A, pixel)
 
     figure, (left, right) = _figure(1, 2, (7.2, 3.4))
@@ -131,7 +131,7 @@ def pixel_derivative(
 def code_derivatives(
     decoder: ShapeDecoder, category: Category, code: Float[np.ndarray, "16"]
 ) -> UInt8[np.ndarray, "h w 3"]:
-    """Depth and its standard deviation, and the depth's derivative by the ten entries that move it most."""
+    """Return depth, its standard deviation, and its derivatives by the ten most effective code entries."""
     side = 96
     rays, A = _camera(_VIEW, side)
     grid, jacobian = (array.cpu().numpy() for array in decoder.with_jacobian(category, code))
@@ -152,7 +152,7 @@ def code_derivatives(
 
 
 def _camera(view: Viewpoint, side: int) -> tuple[RayBundle, Float[np.ndarray, "1 3 4"]]:
-    """Rays of a square image of the object from a viewpoint, and the camera's map to the canonical cube."""
+    """Return the rays of a square image from a viewpoint, and the map from camera to canonical cube."""
     line = np.linspace(-0.125, 0.125, side)
     u, v = np.meshgrid(line, line)
     directions = np.stack([u.ravel(), v.ravel(), np.ones(u.size)], axis=-1).astype(np.float32)
@@ -162,8 +162,8 @@ def _camera(view: Viewpoint, side: int) -> tuple[RayBundle, Float[np.ndarray, "1
     return rays, canonical_from_camera(pose, view.camera_pose()[None])
 
 
-def _telling_pixel(image: Rendering, side: int) -> int:
-    """A pixel in the middle column, under the rim of a vessel: its ray meets one wall after another."""
+def _wall_pixel(image: Rendering, side: int) -> int:
+    """Return a pixel of the middle column below the rim of a vessel, whose ray crosses several walls."""
     column = np.arange(side) * side + side // 2
     hits = column[image.mask[column] > 0.5]
     return int(hits[int(0.45 * len(hits))]) if len(hits) else int(column[side // 2])
@@ -172,7 +172,7 @@ def _telling_pixel(image: Rendering, side: int) -> int:
 def _by_occupancies(
     grid: torch.Tensor, rays: RayBundle, A: Float[np.ndarray, "1 3 4"], pixel: int
 ) -> Float[np.ndarray, "x y z"]:
-    """d depth / d occupancy of one pixel [m], through the plain renderer."""
+    """Return the derivative of one pixel's depth with respect to the occupancies, in metres."""
     leaf = grid.detach().clone().requires_grad_()
     image = render_reference(
         leaf,
@@ -186,7 +186,7 @@ def _by_occupancies(
 
 
 def _without_background(image: Rendering, rays: RayBundle, side: int) -> np.ma.MaskedArray:
-    """The depth image where something is hit."""
+    """Return the depth image with the background masked."""
     return np.ma.masked_where((image.mask < 0.3).reshape(side, side), image.depth.reshape(side, side))
 
 

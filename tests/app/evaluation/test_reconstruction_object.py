@@ -8,7 +8,7 @@ import pytest
 
 import sim_assets.objects
 from app.evaluation import reconstruction_object
-from app.evaluation.reconstruction_object import PROTOCOL, Subject, _known, _model, _rng, evaluate_subject
+from app.evaluation.reconstruction_object import PROTOCOL, Subject, _merged, _model, _rng, evaluate_subject
 from app.options import METHODS, EvaluateOptions
 from perception.inference import ablations
 from perception.types import CATEGORIES, ObjectDetection
@@ -69,12 +69,12 @@ def test_parts_of_the_one_object_are_joined() -> None:
         mask[:, column] = True
         return ObjectDetection("bowl", 0.9, mask, np.array([0.0, bowl, 0.0, 0.0, 1 - bowl]))
 
-    (joined,) = _known([part(1, 0.9), part(2, 0.8), part(5, 0.1)], "bowl")
+    (joined,) = _merged([part(1, 0.9), part(2, 0.8), part(5, 0.1)], "bowl")
     assert joined.mask[0].tolist() == [False, True, True, False, False, False]
     assert joined.category == "bowl" and joined.instance_id == 0
-    (doubtful,) = _known([part(1, 0.1), part(2, 0.3)], "bowl")
+    (doubtful,) = _merged([part(1, 0.1), part(2, 0.3)], "bowl")
     assert doubtful.mask[0].tolist() == [False, False, True, False, False, False]
-    assert _known([], "bowl") == ()
+    assert _merged([], "bowl") == ()
 
 
 def test_one_object_for_real() -> None:

@@ -114,3 +114,35 @@ def test_wrong_jacobian_ends_stuck() -> None:
     )
     assert result.status == "stuck"
     np.testing.assert_array_equal(result.state, np.ones(2))
+
+
+def scripted(*costs: float):
+    """Return an evaluation whose calls have the given costs, whatever the state."""
+    left = iter(costs)
+    return lambda _: Evaluation(np.sqrt([next(left)]), np.ones((1, 1)), np.ones(1))
+
+
+def test_two_consecutive_small_gains_are_convergence() -> None:
+    small = 1 - 5e-6  # decrease below the tolerance of 1e-5
+    result = minimise(scripted(1.0, small, 0.5, 0.5 * small, 0.5 * small**2, 0.1), np.add, np.zeros(1))
+    assert result.status == "converged" and len(result.trace) == 4
+    result = minimise(scripted(1.0, small, small**2, 0.1), np.add, np.zeros(1))
+    assert result.status == "converged" and len(result.trace) == 2
+
+
+def test_damping_grows_with_rejected_and_falls_with_accepted_steps() -> None:
+    config = LmConfig(max_iterations=5, damping=0.1, up=7.0, down=0.2, min_damping=0.05)
+    result = minimise(scripted(4.0, 5.0, 3.0, 2.0, 1.0, 0.5), np.add, np.zeros(1), config)
+    assert [line.accepted for line in result.trace] == [False, True, True, True, True]
+    assert [line.damping for line in result.trace] == pytest.approx([0.1, 0.7, 0.14, 0.05, 0.05])
+    assert [line.cost for line in result.trace] == pytest.approx([4.0, 4.0, 3.0, 2.0, 1.0])
+
+
+def test_damping_scales_the_diagonal() -> None:
+    """One step of a diagonal problem: step = -J r / (J^2 (1 + damping)) in each parameter."""
+    jacobian, residuals = np.diag([1.0, 10.0]), np.array([2.0, 30.0])
+    config = LmConfig(max_iterations=1, damping=0.25)
+    result = minimise(
+        lambda x: Evaluation(residuals + jacobian @ x, jacobian, np.ones(2)), np.add, np.zeros(2), config
+    )
+    np.testing.assert_allclose(result.state, [-2.0 / 1.25, -3.0 / 1.25], rtol=1e-6)
