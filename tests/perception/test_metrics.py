@@ -38,7 +38,7 @@ def test_threshold_decides_completion() -> None:
 
 
 def test_recall_of_given_points() -> None:
-    points = np.array([[0.0, 0.0, 0.053], [0.0, 0.0, 0.06]])
+    points = np.array([[0.0, 0.0, 0.0535], [0.0, 0.0, 0.057]])  # the limit is 5 mm
     samples = SurfaceSamples.of(sphere(0.05), np.random.default_rng(0))
     assert point_recall(samples, points) == 0.5
     assert np.isnan(point_recall(samples, np.zeros((0, 3))))
@@ -46,6 +46,7 @@ def test_recall_of_given_points() -> None:
 
 def test_samples_lie_on_the_surface_and_repeat() -> None:
     a, b = (sample_surface(sphere(1.0), np.random.default_rng(3), 500) for _ in range(2))
+    assert a.shape == (500, 3)
     np.testing.assert_array_equal(a, b)
     np.testing.assert_allclose(np.linalg.norm(a, axis=1), 1.0, atol=5e-3)
 

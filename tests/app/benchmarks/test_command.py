@@ -34,3 +34,9 @@ def test_bad_input_is_refused(tmp_path, capsys):
     assert "--repeats" in capsys.readouterr().err
     assert run(["bench", "--scan", str(tmp_path / "nothing"), "--out", str(tmp_path / "b")]) == 2
     assert "nothing" in capsys.readouterr().err
+
+
+def test_load_above_half_the_cores_is_a_warning():
+    for load, n_warnings in ((2.0, 0), (2.1, 1)):
+        report = bench._report(BenchOptions(), {"load": load, "cores": 4}, [], 1.0, done=True)
+        assert len(report.warnings) == n_warnings

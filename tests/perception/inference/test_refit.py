@@ -1,12 +1,12 @@
-"""Looking again: found, moved, gone, hidden."""
+"""Pose checks of objects in place, moved, absent and occluded."""
 
 import numpy as np
 import pytest
 
 from perception.geometry import rigid, so3_exp
 from perception.inference.meshing import mesh_from_code
-from perception.inference.refit import refit_pose
-from perception.types import ObjectEstimate, RgbdFrame
+from perception.inference.refit import RefitConfig, _Search, refit_pose
+from perception.types import ObjectEstimate, RgbdFrame, SupportPlane
 
 AZIMUTHS = (0.3, 1.5, 2.7)
 
@@ -85,3 +85,29 @@ def test_a_neighbour_is_not_taken_for_the_object(mug, estimate) -> None:
     neighbour = ObjectEstimate(1, "mug", mug.code, beside.pose.T_world_object, mug.pose.scale, estimate.mesh)
     check = refit_pose(estimate, _frames(beside), mug.pose.T_world_object, [neighbour])
     assert check.status == "not_there"
+
+
+def _search(table, estimate, others=()) -> _Search:
+    frames = _frames(table)[:1]
+    return _Search(estimate, frames, table.pose.T_world_object, others, SupportPlane(), RefitConfig())
+
+
+def test_depth_that_another_object_explains_better_is_not_evidence(mug, estimate) -> None:
+    search = _search(mug, estimate)
+    agree, behind = search.evidence(mug.pose)
+    assert agree > 500 and search._evaluate(mug.pose, 0.03).weights[:-2].any()
+    search.explained = np.full_like(search.measured, -1.0)
+    assert search.evidence(mug.pose) == (0.0, behind)
+    assert not search._evaluate(mug.pose, 0.03).weights[:-2].any()
+
+
+def test_the_nearest_of_several_objects_explains_the_depth(mug, estimate) -> None:
+    neighbours = []
+    for offset in (0.01, 0.05):
+        pose = mug.pose.moved(np.array([0, 0, 0, offset, 0, 0, 0, 0, 0]))
+        neighbours.append(
+            ObjectEstimate(1, "mug", mug.code, pose.T_world_object, mug.pose.scale, estimate.mesh)
+        )
+    near, far = (_search(mug, estimate, [other]).explained for other in neighbours)
+    assert (near < far).any() and np.isinf(np.maximum(near, far)).any()
+    np.testing.assert_array_equal(_search(mug, estimate, neighbours).explained, np.minimum(near, far))
