@@ -1,4 +1,4 @@
-"""The renderers that ours is compared with: closed forms and finite differences."""
+"""Baseline renderers against closed forms and finite differences."""
 
 import numpy as np
 import pytest
@@ -18,7 +18,7 @@ _POINTS = np.stack(np.meshgrid(_LINE, _LINE, _LINE, indexing="ij"), axis=-1)
 
 
 def ball(code: np.ndarray) -> np.ndarray:
-    """Occupancy of a soft ball whose centre the first codes move and whose radius the fourth changes."""
+    """Occupancy of a soft ball with centre 0.1 code[:3] and radius RADIUS + 0.1 code[3]."""
     distance = np.linalg.norm(_POINTS - 0.1 * code[:3], axis=-1) - (RADIUS + 0.1 * code[3])
     return (1 / (1 + np.exp(12 * distance))).astype(np.float32)
 
@@ -36,7 +36,7 @@ def rays() -> RayBundle:
     return RayBundle(directions, np.zeros(u.size, np.int64), np.array([[0.38, 0.6]]), samples=120)
 
 
-def test_first_crossing_is_where_the_ray_meets_the_ball(rays) -> None:
+def test_first_crossing_is_the_intersection_with_the_ball(rays) -> None:
     image = render_first_crossing(upload(np.zeros(16)), rays, canonical_from_camera(POSE, CAMERA))
     centre = CAMERA[0, :3, :3].T @ (POSE.translation - CAMERA[0, :3, 3])
     d, r = rays.directions, RADIUS * POSE.scale[0]
@@ -52,7 +52,7 @@ def test_first_crossing_is_where_the_ray_meets_the_ball(rays) -> None:
     assert image.d_code is not None and not image.d_code[misses].any()
 
 
-def test_silhouette_agrees_with_the_plain_renderer(rays) -> None:
+def test_silhouette_agrees_with_the_reference_mask(rays) -> None:
     A = canonical_from_camera(POSE, CAMERA)
     image = render_silhouette(upload(np.zeros(16)), rays, A)
     expected = render_reference(
@@ -68,7 +68,7 @@ def test_silhouette_agrees_with_the_plain_renderer(rays) -> None:
 
 
 @pytest.mark.parametrize("renderer", [render_first_crossing, render_silhouette])
-def test_derivatives_by_finite_differences(renderer, rays) -> None:
+def test_jacobian_agrees_with_finite_differences(renderer, rays) -> None:
     code = np.zeros(16)
 
     def depth(code: np.ndarray, pose: ObjectPose) -> np.ndarray:

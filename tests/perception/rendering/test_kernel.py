@@ -1,4 +1,4 @@
-"""The fused kernel against the plain renderer and against finite differences."""
+"""The render kernel against the reference renderer and finite differences."""
 
 from dataclasses import replace
 
@@ -17,7 +17,7 @@ POSE = ObjectPose(
 
 
 def _smooth_noise(rng: np.random.Generator, *shape: int) -> np.ndarray:
-    """Random fields on the grid, smooth over about four voxels, border included."""
+    """Return random fields on the grid with a correlation length of about four voxels."""
     coarse = torch.from_numpy(rng.normal(size=(1, int(np.prod(shape, dtype=int)), 8, 8, 8)))
     fine = torch.nn.functional.interpolate(coarse, size=32, mode="trilinear", align_corners=True)
     return np.moveaxis(fine[0].numpy(), 0, -1).reshape(32, 32, 32, *shape)
@@ -25,7 +25,7 @@ def _smooth_noise(rng: np.random.Generator, *shape: int) -> np.ndarray:
 
 @pytest.fixture(scope="module")
 def scene() -> tuple[np.ndarray, np.ndarray, RayBundle, np.ndarray]:
-    """A soft random blob with a made-up code Jacobian, and two cameras half a metre away."""
+    """A smooth random grid with a random Jacobian, and two cameras at 0.5 m."""
     rng = np.random.default_rng(0)
     grid = 1 / (1 + np.exp(-(2 * _smooth_noise(rng) - 2)))
     jacobian = (grid * (1 - grid))[..., None] * _smooth_noise(rng, 16)
@@ -56,7 +56,7 @@ def _rendered(scene, pose: ObjectPose = POSE, **skip: float) -> tuple[Rendering,
     return render(ShapeGrid.upload(grid, jacobian, **skip), rays, A), A
 
 
-def test_agrees_with_the_plain_renderer(scene) -> None:
+def test_depth_variance_and_mask_agree_with_the_reference(scene) -> None:
     rendering, A = _rendered(scene)
     expected = _reference(scene[0], scene[2], A)
     assert 0.2 < rendering.mask.mean() < 0.99  # the scene has hits and misses
@@ -65,20 +65,20 @@ def test_agrees_with_the_plain_renderer(scene) -> None:
     np.testing.assert_allclose(rendering.mask, expected.mask.numpy(), atol=1e-4)
 
 
-def test_skipping_what_does_not_matter_changes_little(scene) -> None:
+def test_skipping_empty_and_insensitive_cells_changes_the_depth_by_less_than_1_mm(scene) -> None:
     exact, _ = _rendered(scene)
     skipped, _ = _rendered(scene, skip_occupancy=1e-3, skip_jacobian=1e-3)
     np.testing.assert_allclose(skipped.depth, exact.depth, atol=1e-3)
 
 
 @pytest.mark.parametrize("corner", [(0, 0, 0), (3, 20, 9), (29, 29, 29)])
-def test_only_the_box_around_what_is_there_is_visited(scene, corner) -> None:
+def test_the_box_bounds_the_occupied_cells(scene, corner) -> None:
     _, _, rays, cameras = scene
     grid, A = np.zeros((32, 32, 32), np.float32), canonical_from_camera(POSE, cameras)
     block = tuple(slice(k, k + 3) for k in corner)
     grid[block] = 0.7
     shape = ShapeGrid.upload(grid)
-    # a cell has the index of its lowest voxel, counted from the border of empty ones
+    # cell indices are those of the lowest voxel in the padded grid
     np.testing.assert_array_equal(shape.box.numpy(), [corner, np.add(corner, 3)])
     image, expected = render(shape, rays, A, gradients=False), _reference(grid, rays, A)
     assert image.mask.max() > 0.5
@@ -155,7 +155,7 @@ def test_steps_of_the_code_are_linear_in_the_log_odds(scene) -> None:
     assert not stepped[0].any() and not stepped[:, :, -1].any()
 
 
-def test_image_alone_is_the_same_image(scene) -> None:
+def test_rendering_without_gradients_gives_the_same_image(scene) -> None:
     grid, _, rays, cameras = scene
     A = canonical_from_camera(POSE, cameras)
     image = render(ShapeGrid.upload(grid), rays, A, gradients=False)

@@ -1,4 +1,4 @@
-"""The renderer of many objects against that of single ones, and its derivative against differences."""
+"""Multi-object renderer against the single-object one, and its Jacobian against finite differences."""
 
 import numpy as np
 import pytest
@@ -19,7 +19,7 @@ def view(cylinders, scenes):
 
 
 def pairs_of(world, directions, T):
-    """Every ray with every object."""
+    """Pair every ray with every object."""
     n, k = len(directions), len(world.ids)
     z = [float((np.linalg.inv(T) @ [*world.landmarks[i].state.pose.translation, 1])[2]) for i in world.ids]
     ranges = np.array([(d - 0.1, d + 0.1) for d in z])
@@ -32,25 +32,25 @@ def maps(world, T):
     return np.concatenate([canonical_from_camera(world.landmarks[i].state.pose, T[None]) for i in world.ids])
 
 
-def test_each_pair_is_what_the_single_renderer_says(cylinders, view):
+def test_pairs_agree_with_the_single_object_renderer(cylinders, view):
     T, directions = view
     world = cylinders.map()
     pairs = pairs_of(world, directions, T)
     image = PairRenderer(world.stack, pairs)(maps(world, T))
-    for k, one in enumerate(world.ids):
+    for k, id in enumerate(world.ids):
         near, far = pairs.depth_range[k]
         rays = RayBundle(
             directions.astype(np.float32), np.zeros(len(directions), np.int64), pairs.depth_range[[k]], 100
         )
         assert (far - near) / 100 == pytest.approx(pairs.step[k])
-        single = render(world.landmarks[one].grid, rays, maps(world, T)[[k]], gradients=False)
+        single = render(world.landmarks[id].grid, rays, maps(world, T)[[k]], gradients=False)
         own = pairs.object == k
-        apart = np.abs(image.depth[own] - single.depth)  # faint cells at grazing rays are skipped here
+        apart = np.abs(image.depth[own] - single.depth)  # thresholds of the kernels differ
         assert np.quantile(apart, 0.9) < 2e-4 and apart.max() < 3e-3
         assert np.abs(image.mask[own] - single.mask).max() < 0.02
 
 
-def test_derivative_by_the_camera_agrees_with_differences(cylinders, view):
+def test_camera_jacobian_agrees_with_finite_differences(cylinders, view):
     T, directions = view
     world = cylinders.map()
     renderer = PairRenderer(world.stack, pairs_of(world, directions, T))
@@ -65,13 +65,13 @@ def test_derivative_by_the_camera_agrees_with_differences(cylinders, view):
         assert np.quantile(np.abs(analytic[:, axis] - numeric), 0.97) < 0.03 * scale
 
 
-def test_the_nearer_object_hides_the_farther_one():
+def test_the_nearer_object_occludes_the_farther_one():
     pairs = RayPairs(
         np.zeros((3, 3)), np.array([0, 0, 1, 2, 2]), np.array([0, 1, 0, 0, 1]), np.ones((2, 2)), np.ones(2)
     )
     own = np.array([True, False, True, True, False])
     depth, mask = np.array([0.5, 0.4, 0.6, 0.7, 0.3]), np.array([0.9, 0.9, 0.1, 0.9, 0.2])
-    # ray 0: object 1 is nearer and surely there; ray 2: it is nearer but hardly hit
+    # ray 0: object 1 is nearer with a high hit probability; ray 2: nearer with a low one
     assert nearest_pair(pairs, own, depth, mask).tolist() == [1, 2, 3]
 
 

@@ -1,4 +1,4 @@
-"""The pyramid's matrices."""
+"""Matrices of the Gaussian pyramid."""
 
 import numpy as np
 
@@ -26,7 +26,7 @@ def test_one_level_by_hand() -> None:
     np.testing.assert_allclose((operator @ image.ravel()).reshape(5, 5)[2, 2], expected, rtol=1e-5)
 
 
-def test_invalid_pixels_take_no_part() -> None:
+def test_invalid_pixels_have_no_weight() -> None:
     image, valid = np.ones((8, 8)), np.ones((8, 8), bool)
     image[3, 3], valid[3, 3] = 1e6, False
     np.testing.assert_allclose(pyramid_operator(valid, 1) @ image[valid], 1, rtol=1e-5)

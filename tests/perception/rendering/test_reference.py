@@ -1,4 +1,4 @@
-"""Hand-computed rays for the plain renderer."""
+"""Hand-computed rays of the reference renderer."""
 
 import pytest
 import torch

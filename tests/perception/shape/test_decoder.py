@@ -12,7 +12,7 @@ from perception.types import CATEGORIES
 
 @pytest.fixture(scope="module")
 def decoder() -> ShapeDecoder:
-    """Random weights, with biases, and outputs that don't saturate."""
+    """Random weights, with biases, and outputs that do not saturate."""
     generator = torch.Generator().manual_seed(0)
     model = ShapeVae().initialise(generator)
     for parameter in model.parameters():

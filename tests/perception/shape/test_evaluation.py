@@ -1,4 +1,4 @@
-"""Scores of known pairs of shapes, and what the shipped prior makes of shapes no generator made."""
+"""Scores of known pairs of shapes, and reconstructions of analytic shapes by the shipped prior."""
 
 import numpy as np
 import pytest

@@ -1,4 +1,4 @@
-"""The network's rewritten layers equal the plain ones of the paper's architecture."""
+"""Optimised layers equal the plain ones of the paper's architecture."""
 
 import pytest
 import torch
@@ -88,7 +88,7 @@ def test_initial_weights_come_from_the_generator_alone():
     assert not torch.equal(one.encoder.conv2.weight, other.encoder.conv2.weight)
 
 
-def test_an_untrained_network_neither_explodes_nor_dies():
+def test_activations_of_an_untrained_network_are_of_order_one():
     model = ShapeVae().initialise(torch.Generator().manual_seed(0)).requires_grad_(False)
     grids, one_hot = random(4, 32, 32, 32).sigmoid(), class_one_hot(torch.arange(4))
     logits, mean, log_variance = model(grids, one_hot, random(4, 16))

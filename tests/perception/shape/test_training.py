@@ -1,12 +1,23 @@
-"""Training learns, resumes bit by bit and refuses foreign checkpoints."""
+"""Training reduces the loss, resumes bit by bit and rejects checkpoints of other runs."""
+
+from copy import deepcopy
 
 import numpy as np
 import pytest
 import torch
 
 from perception.errors import InvalidInputError, PerceptionError
-from perception.shape.dataset import ShapeDataset
-from perception.shape.training import EpochRecord, ShapeTrainingConfig, learning_rate, train
+from perception.shape.dataset import ShapeDataset, occupancies
+from perception.shape.losses import LossConfig, shape_loss, voxel_weights
+from perception.shape.network import class_one_hot
+from perception.shape.training import (
+    EpochRecord,
+    ShapeTrainingConfig,
+    TrainingRun,
+    learning_rate,
+    train,
+    train_epoch,
+)
 from perception.types import CATEGORIES
 
 AXIS = np.arange(32) - 15.5
@@ -68,7 +79,7 @@ def test_a_resumed_run_equals_an_uninterrupted_one(shapes, tmp_path):
     assert [path.name for path in checkpoint.parent.iterdir()] == ["checkpoint.pt"]
 
 
-def test_checkpoints_of_other_runs_and_broken_ones_are_refused(shapes, tmp_path):
+def test_checkpoints_of_other_configurations_and_damaged_ones_are_rejected(shapes, tmp_path):
     checkpoint = tmp_path / "checkpoint.pt"
     few = ShapeDataset(shapes.grids[:4], shapes.categories[:4])
     train(few, ShapeTrainingConfig(epochs=1, batch_size=4), checkpoint=checkpoint)
@@ -79,7 +90,7 @@ def test_checkpoints_of_other_runs_and_broken_ones_are_refused(shapes, tmp_path)
         train(few, ShapeTrainingConfig(epochs=1, batch_size=4), checkpoint=checkpoint)
 
 
-def test_no_shapes_and_no_epochs_are_refused():
+def test_empty_data_and_zero_epochs_are_rejected():
     empty = ShapeDataset(np.zeros((0, 32, 32, 32), np.uint8), np.zeros(0, int))
     with pytest.raises(InvalidInputError, match="no shapes"):
         train(empty, CONFIG)
@@ -92,3 +103,33 @@ def test_the_learning_rate_rises_and_falls_to_zero():
     assert learning_rate(config, 0, 1000) == pytest.approx(0.1)
     assert learning_rate(config, 500, 1000) == pytest.approx(0.5)
     assert learning_rate(config, 1000, 1000) == pytest.approx(0.0)
+
+
+def test_the_loss_of_an_epoch_is_that_of_mirrored_shapes_and_sampled_codes(shapes):
+    """One batch, hence the loss of the initial network, with all weights of the configuration."""
+    few = ShapeDataset(shapes.grids[::8], shapes.categories[::8])
+    config = ShapeTrainingConfig(epochs=2, batch_size=4, seed=3, loss=LossConfig(beta=20, thin=5, handle=7))
+    run = TrainingRun.start(config, "cpu")
+    model = deepcopy(run.model)
+    record = train_epoch(run, few, 1)
+    rng = np.random.default_rng([3, 1])
+    generator = torch.Generator().manual_seed(int(rng.integers(2**62)))
+    ((grids, categories),) = few.batches(4, rng)
+    targets = torch.from_numpy(occupancies(grids))
+    weights = torch.from_numpy(voxel_weights(grids, categories, config.loss))
+    one_hot = class_one_hot(torch.from_numpy(categories))
+    with torch.no_grad():
+        logits, mean, log_variance = model(targets, one_hot, torch.randn(4, 16, generator=generator))
+    loss, divergence = shape_loss(logits, targets, weights, mean, log_variance, 20)
+    assert record.epoch == 2
+    assert record.loss == pytest.approx(float(loss), rel=1e-5)
+    assert record.divergence == pytest.approx(float(divergence), rel=1e-5)
+    # Adam's first step moves every parameter with a gradient by the learning rate
+    moved = (run.model.decoder.out_bias - model.decoder.out_bias).detach().abs().item()
+    assert moved == pytest.approx(learning_rate(config, 1, 2), rel=0.01)
+
+
+def test_divergence_of_the_training_is_reported(shapes):
+    few = ShapeDataset(shapes.grids[::16], shapes.categories[::16])
+    with pytest.raises(PerceptionError, match="training diverged in epoch 2; lower the learning rate"):
+        train(few, ShapeTrainingConfig(epochs=3, learning_rate=1e30, warmup_steps=0))
