@@ -65,6 +65,9 @@ def test_summary_of_three_episodes():
     assert (summary["n_episodes"], summary["n_successes"], summary["n_objects"]) == (3, 1, 4)
     assert summary["success_rate"] == pytest.approx(1 / 3) and summary["object_success_rate"] == 0.75
     assert summary["success_rate_ci"] == wilson_interval(1, 3)
+    assert summary["n_placed"] == 3 and summary["object_success_rate_ci"] == wilson_interval(3, 4)
+    assert summary["per_class"]["mug"]["success_rate_ci"] == wilson_interval(1, 2)
+    assert summary["wall_seconds"] == 70.0  # the median of 1, 70 and 90
     assert summary["per_class"]["mug"]["success_rate"] == 0.5
     assert summary["failures"] == {"mug: tilted by N deg": 1, "crashed: ValueError: N": 1}
     assert summary["simulated_seconds"] == 45.0 and summary["stage_seconds"] == {"scan": 5.0}
