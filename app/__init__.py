@@ -1,0 +1,1 @@
+"""The nodeslam application: commands, task execution, evaluation, training, web viewer."""

@@ -1,0 +1,1 @@
+"""Simulated cell, object families, robots and synthetic datasets."""

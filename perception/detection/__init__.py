@@ -1,0 +1,1 @@
+"""Detection of objects: instance masks, classes and yaw of handles."""

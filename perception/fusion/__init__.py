@@ -1,0 +1,1 @@
+"""TSDF fusion, the baseline without a shape prior."""

@@ -20,6 +20,7 @@ from scipy.spatial import Delaunay
 from skimage.measure import label, marching_cubes
 
 from perception.errors import PerceptionError, install_hint
+from perception.geometry import pose_from_yaw
 from perception.types import (
     CODE_SIZE,
     ObjectDetection,
@@ -230,8 +231,7 @@ def _estimate(
     detection = views[0][1]
     bins = detection.yaw_probabilities
     yaw = 2 * np.pi * int(np.argmax(bins)) / len(bins) if len(bins) else 0.0
-    T = np.eye(4)
-    T[:2, :2] = [[np.cos(yaw), -np.sin(yaw)], [np.sin(yaw), np.cos(yaw)]]
+    T = pose_from_yaw(yaw, np.zeros(3))
     vertices = mesh_world.vertices @ T[:3, :3]
     low, high = vertices.min(axis=0), vertices.max(axis=0)
     T[:3, 3] = T[:3, :3] @ ((low + high) / 2)

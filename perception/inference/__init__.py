@@ -1,0 +1,1 @@
+"""Shape and pose estimation of objects from RGB-D images."""

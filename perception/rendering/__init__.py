@@ -1,0 +1,1 @@
+"""Differentiable rendering of occupancy grids to depth and mask."""

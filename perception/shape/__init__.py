@@ -1,0 +1,1 @@
+"""Shape prior: class-conditional VAE over occupancy grids and its decoders."""

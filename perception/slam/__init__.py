@@ -1,0 +1,1 @@
+"""Object SLAM: camera tracking, data association and sliding-window bundle adjustment."""

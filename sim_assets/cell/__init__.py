@@ -1,0 +1,1 @@
+"""The simulated cell: layout, scene, robot interface and ground truth."""

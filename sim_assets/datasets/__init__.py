@@ -1,0 +1,1 @@
+"""Synthetic RGB-D images and sequences with ground truth."""

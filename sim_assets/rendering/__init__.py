@@ -1,0 +1,1 @@
+"""Camera images of MuJoCo scenes, depth noise and materials."""

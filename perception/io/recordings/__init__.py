@@ -1,0 +1,1 @@
+"""Readers and writers of recorded RGB-D sequences."""

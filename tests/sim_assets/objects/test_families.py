@@ -20,7 +20,7 @@ from sim_assets.objects import (
     sample_parameters,
     sample_training_grids,
 )
-from sim_assets.objects.grids import LONGEST_SIDE, axis_samples, sampled_grid
+from sim_assets.objects.grids import LONGEST_SIDE, sampled_grid
 
 EVERY = [(category, split) for category in CATEGORIES for split in SPLITS]
 
@@ -82,10 +82,6 @@ def test_grid_index_order_is_x_y_z_and_handles_point_along_x():
     np.testing.assert_array_equal(grid, grid[:, ::-1])
 
 
-def test_axis_samples_are_voxel_centres():
-    np.testing.assert_allclose(axis_samples(32)[[0, 31]], [-1 + 1 / 32, 1 - 1 / 32])
-
-
 @pytest.mark.parametrize(("category", "split"), EVERY)
 def test_same_seed_same_grids(category, split):
     grids = [sample_training_grids(category, 2, seed=3, split=split) for _ in range(2)]
@@ -112,30 +108,37 @@ def test_splits_share_no_family_and_use_all_of_theirs(families, field, category)
 KIND_FIELDS = {"mug": "body", "bowl": "side", "bottle": "kind", "can": "kind"}
 
 
+def coarse_grid(parameters):
+    """Occupancy 0..255 on 16³ voxels: an eighth of the cost, the same order of overlaps."""
+    return np.round(255 * occupancy_grid_of(parameters, resolution=16)).astype(np.uint8).ravel()
+
+
 @cache
 def training_grids(category):
-    grids = sample_training_grids(category, 200, seed=101).reshape(200, -1)
+    rng = np.random.default_rng(101)
+    grids = np.array([coarse_grid(sample_parameters(category, "train", rng)) for _ in range(120)])
     return grids, grids.sum(axis=1, dtype=np.int64)
 
 
 def nearest_iou(category, grid):
-    """Soft intersection over union with the nearest of 200 training grids."""
+    """Soft intersection over union with the nearest of 120 training grids."""
     grids, sums = training_grids(category)
-    shared = np.minimum(grids, grid.ravel()).sum(axis=1, dtype=np.int64)
+    shared = np.minimum(grids, grid).sum(axis=1, dtype=np.int64)
     return float((shared / (sums + int(grid.sum(dtype=np.int64)) - shared)).max())
 
 
 @pytest.mark.parametrize("category", CATEGORIES)
 def test_every_test_kind_is_farther_from_training_shapes_than_they_are_from_each_other(category):
-    fresh = sample_training_grids(category, 24, seed=102)
+    rng = np.random.default_rng(102)
+    fresh = [coarse_grid(sample_parameters(category, "train", rng)) for _ in range(20)]
     typical = np.median([nearest_iou(category, grid) for grid in fresh])
     kinds: dict[str, list[float]] = {}
-    for parameters in many_parameters(category, "test")[:36]:
-        grid = np.round(255 * occupancy_grid_of(parameters)).astype(np.uint8)
-        kinds.setdefault(getattr(parameters, KIND_FIELDS[category]), []).append(nearest_iou(category, grid))
+    for parameters in many_parameters(category, "test")[:27]:
+        overlap = nearest_iou(category, coarse_grid(parameters))
+        kinds.setdefault(getattr(parameters, KIND_FIELDS[category]), []).append(overlap)
     for kind, overlaps in kinds.items():
         assert np.median(overlaps) < typical - 0.01, kind
-        assert max(overlaps) < 0.97, f"a {kind} {category} equals a training shape"
+        assert max(overlaps) < 0.98, f"a {kind} {category} equals a training shape"
 
 
 def test_handle_styles_are_the_same_but_their_curves_are_not():

@@ -81,7 +81,7 @@ def test_stereo_fails_at_grazing_incidence_and_too_close(rng):
 
 
 def test_disparity_error_is_correlated_over_the_matching_window(rng):
-    """White noise blurred with σ = 1 px has the autocorrelation exp(-d² / 4); quantisation adds some white."""
+    """White noise blurred with σ = 1 px has the autocorrelation exp(-d² / 4), less quantisation."""
     noisy = add_depth_noise(wall(0.3), "realsense", INTRINSICS, rng)
     error = np.where(noisy > 0, INTRINSICS.fx * BASELINE / np.maximum(noisy, 0.1) - 50.0, 0.0)
     correlation = [(error[:, d:] * error[:, :-d]).mean() / (error**2).mean() for d in (1, 2, 4)]

@@ -9,7 +9,7 @@ from scipy.spatial.transform import Rotation
 
 from perception.types import CATEGORIES
 from sim_assets.objects import sample_object
-from sim_assets.objects.convex.pieces import CLEARANCE, breakpoints, cylinder, frustum
+from sim_assets.objects.convex.pieces import CLEARANCE
 
 EVERY = [(category, split) for category in CATEGORIES for split in ("train", "test")]
 
@@ -76,10 +76,6 @@ def test_cavities_are_free(category, split):
     model = an_object(category, split)
     rng = np.random.default_rng(0)
     points = rng.uniform(*model.mesh.bounds, (3000, 3))
-    column = points + np.array([0.0, 0.0, 1.0]) * (
-        2 * model.height
-    )  # open above: a cavity, not a hollow foot
-    del column
     cavity = points[~near_material(model, points, 2e-3) & (points[:, 2] > 0.4 * model.height)]
     cavity = cavity[np.hypot(cavity[:, 0], cavity[:, 1]) < 0.6 * model.radius]
     assert len(cavity) > 50
@@ -103,14 +99,18 @@ def test_quaternions_are_unit_and_sizes_positive():
             assert (len(piece.vertices) >= 8) == (piece.kind == "mesh")
 
 
-def test_breakpoints_find_the_corner():
-    corner = np.concatenate([np.linspace((0, 0), (1, 0), 11), np.linspace((1, 0.1), (1, 1), 10)])
-    np.testing.assert_array_equal(breakpoints(corner, 0.01, most=4), [0, 10, 20])
-    np.testing.assert_array_equal(breakpoints(corner, 0.01, most=1), [0, 20])
-
-
-def test_cylinder_and_frustum_reach_from_bottom_to_top():
-    assert cylinder(0.03, 0.01, 0.05).position[2] == pytest.approx(0.03)
-    assert cylinder(0.03, 0.01, 0.05).size == pytest.approx((0.03, 0.02))
-    cone = frustum((0.04, 0.0), (0.02, 0.1))
-    np.testing.assert_allclose([cone.vertices[:, 2].min(), cone.vertices[:, 2].max()], [0.0, 0.1])
+@pytest.mark.parametrize("split", ["train", "test"])
+def test_handles_collide_along_their_whole_length(split):
+    """Points on the centreline clear of the wall lie in a capsule beyond the body."""
+    model = an_object("mug", split)
+    handle = model.shape.handle
+    capsules = [mesh for mesh, p in zip(pieces_of("mug", split), model.collision) if p.kind == "capsule"]
+    assert len(capsules) >= 4
+    line = handle.centreline[handle.centreline[:, 0] > 1.1 * model.radius]
+    points = np.column_stack([line[:, 0], np.zeros(len(line)), line[:, 1]])
+    slack = 0.5 * handle.thickness.min() + handle.width.max() - handle.thickness.min()  # pairs beside y = 0
+    outside = np.full(len(points), np.inf)
+    for mesh in capsules:
+        offset = (mesh.face_normals * mesh.triangles[:, 0]).sum(axis=1)
+        outside = np.minimum(outside, (points @ mesh.face_normals.T - offset).max(axis=1))
+    assert outside.max() < slack
