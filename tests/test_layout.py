@@ -29,9 +29,6 @@ NO_OWN_TEST: set[str] = {
     "app/viewer/scene.py",
     "app/viewer/snapshot.py",
     "app/viewer/viewer.py",
-    "sim_assets/objects/convex/cad_mesh.py",
-    "sim_assets/objects/convex/perceived_handle.py",
-    "sim_assets/objects/convex/pieces.py",
 }
 
 

@@ -6,7 +6,7 @@ import trimesh
 from scipy.spatial import ConvexHull
 
 from sim_assets.objects.convex import cad_mesh
-from sim_assets.objects.convex.cad_mesh import cad_pieces, cache_folder
+from sim_assets.objects.convex.cad_mesh import cache_folder, cad_pieces
 
 
 @pytest.fixture(autouse=True)

@@ -14,7 +14,7 @@ Z = np.linspace(0.0, HEIGHT, 30)
 
 
 def surface(mesh, offset=(0.0, 0.0)):
-    return TriangleMesh(np.asarray(mesh.vertices) + (*offset, 0.0), np.asarray(mesh.faces))
+    return TriangleMesh(mesh.vertices + np.array([*offset, 0.0]), np.asarray(mesh.faces))
 
 
 @pytest.fixture(scope="module")

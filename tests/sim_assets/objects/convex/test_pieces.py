@@ -32,7 +32,7 @@ def test_cylinder_reaches_from_bottom_to_top():
 
 
 def test_frustum_has_the_volume_of_its_cone():
-    """π h (r² + r R + R²) / 3, to the third order of the corner angle: half outside the circle, half inside."""
+    """π h (r² + r R + R²) / 3: corners lie outside the circle, edges inside."""
     piece = frustum((0.04, 0.0), (0.02, 0.1))
     np.testing.assert_allclose([piece.vertices[:, 2].min(), piece.vertices[:, 2].max()], (0.0, 0.1))
     volume = np.pi * 0.1 * (0.04**2 + 0.04 * 0.02 + 0.02**2) / 3
@@ -47,6 +47,6 @@ def test_frustum_follows_its_section_with_corners_at_the_phase():
 
 
 def test_hull_keeps_its_corners_in_the_object_frame():
-    corners = np.array([(0, 0, 0), (1, 0, 0), (0, 1, 0), (0, 0, 1)])
+    corners = np.array([(0, 0, 0), (1, 0, 0), (0, 1, 0), (0, 0, 1)], dtype=float)
     np.testing.assert_array_equal(hull(corners).vertices, corners)
     assert hull(corners).size == () and CLEARANCE == 0.0018
