@@ -14,7 +14,7 @@ READERS_OF_TRUTH = {"app/task/scoring.py"}
 PRIVATE_ACCESS = {
     ("app/slam/run.py", "_source"),  # its own class, in a factory
     ("app/viewer/server.py", "_gui_input_handle_from_uuid"),  # viser offers no hook for incoming messages
-    ("app/viewer/server.py", "_impl"),  # viser's description of a control
+    ("app/viewer/messages.py", "_impl"),  # viser's description of a control
     ("perception/detection/huggingface.py", "_model_mapping"),  # transformers' table of detectors
 }
 

@@ -21,6 +21,7 @@ import numpy as np
 import trimesh
 from jaxtyping import Float
 
+from app.runs.note_schema import check_note, is_finite_number
 from perception.errors import InvalidInputError
 from perception.io.files import read_json, write_atomically
 from perception.types import ObjectDetection, ObjectEstimate, RgbdFrame
@@ -156,16 +157,12 @@ def read_recording(folder: Path) -> Recorder:
         InvalidInputError: A file is missing or malformed; the message names it.
     """
     remedy = "give a run folder that `pack` or `sort` wrote"
-    content = read_json(folder / "replay.json", remedy)
+    bodies, notes = _read_notes(folder / "replay.json", remedy)
     arrays = _read_arrays(folder / "replay.npz", remedy)
     try:
-        bodies = tuple(str(name) for name in content["bodies"])
-        notes = [Note(float(time), _kind(kind), dict(data)) for time, kind, data in content["notes"]]
-        count = len(arrays["show_time"])
-        poses = arrays["body_poses"].reshape(count, len(bodies), 7)
-        if not np.isfinite(poses).all():
-            raise ValueError("poses are not finite")
-    except (KeyError, TypeError, ValueError) as error:
+        _check_arrays(arrays)
+        poses = arrays["body_poses"].reshape(len(arrays["show_time"]), len(bodies), 7)
+    except ValueError as error:
         raise InvalidInputError(
             f"{folder}: replay.json and replay.npz do not belong together ({error}): run it again"
         ) from None
@@ -182,11 +179,60 @@ def read_recording(folder: Path) -> Recorder:
     )
 
 
-def _kind(kind: str) -> NoteKind:
+def _read_notes(path: Path, remedy: str) -> tuple[tuple[str, ...], list[Note]]:
+    """Read the names of the bodies and the notes, in order of time."""
+    content = read_json(path, remedy)
+    lists = isinstance(content, dict) and all(
+        isinstance(content.get(key), list) for key in ("bodies", "notes")
+    )
+    if not lists or not all(isinstance(name, str) for name in content["bodies"]):
+        raise InvalidInputError(f"{path} must hold the lists bodies and notes: {remedy}")
+    notes: list[Note] = []
+    for index, entry in enumerate(content["notes"]):
+        try:
+            note = _note(entry)
+            if notes and note.time < notes[-1].time:
+                raise ValueError("its time is before that of the previous note")
+        except ValueError as error:
+            raise InvalidInputError(f"{path}, note {index}: {error}: run it again") from None
+        notes.append(note)
+    return tuple(content["bodies"]), notes
+
+
+def _note(entry: Any) -> Note:
+    if not isinstance(entry, list) or len(entry) != 3 or not isinstance(entry[2], dict):
+        raise ValueError("it must be [time, kind, {...}]")
+    time, kind, data = entry
+    if not is_finite_number(time):
+        raise ValueError("its time must be a finite number")
+    kind = _kind(kind)
+    check_note(kind, data)
+    return Note(float(time), kind, data)
+
+
+def _kind(kind: Any) -> NoteKind:
     for known in get_args(NoteKind):
         if kind == known:
             return known
     raise ValueError(f"there is no note of kind {kind!r}")
+
+
+def _check_arrays(arrays: Mapping[str, np.ndarray]) -> None:
+    """Check names, numbers and lengths of the arrays of samples.
+
+    Raises:
+        ValueError: An array is missing or invalid; the message names it.
+    """
+    for name in ("show_time", "time", "joint_positions", "gripper_width", "body_poses"):
+        if name not in arrays:
+            raise ValueError(f"{name} is missing")
+        array = arrays[name]
+        if array.ndim == 0 or array.dtype.kind not in "iuf" or not np.isfinite(array).all():
+            raise ValueError(f"{name} must hold finite numbers")
+        if len(array) != len(arrays["show_time"]):
+            raise ValueError(f"{name} has {len(array)} samples, show_time {len(arrays['show_time'])}")
+    if arrays["show_time"].ndim != 1 or (np.diff(arrays["show_time"]) < 0).any():
+        raise ValueError("show_time must be in ascending order")
 
 
 def _read_arrays(path: Path, remedy: str) -> dict[str, np.ndarray]:
@@ -208,6 +254,8 @@ def _read_meshes(path: Path) -> dict[str, tuple[trimesh.Trimesh, ...]]:
         parts: dict[str, list[trimesh.Trimesh]] = {}
         for node in sorted(scene.graph.nodes_geometry):
             mesh = scene.geometry[scene.graph[node][1]]
+            if not isinstance(mesh, trimesh.Trimesh):
+                raise ValueError(f"{node} is not a triangle mesh")
             parts.setdefault(str(node).rpartition("/")[0], []).append(mesh)
     except Exception as error:  # whatever the parser meets
         raise InvalidInputError(

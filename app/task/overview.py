@@ -10,12 +10,13 @@ from typing import Any
 
 import cv2
 import numpy as np
-from jaxtyping import Float, UInt8
+from jaxtyping import UInt8
 from scipy.spatial import ConvexHull
 
 from app.drawing import color_of, draw_detections, draw_estimates
 from app.runs.report import ObjectReport
 from manipulation.types import TaskPlan
+from perception.geometry import pose_from_yaw
 from perception.io.files import write_atomically
 from perception.pipeline import Detections
 from perception.types import ObjectEstimate, RgbdFrame
@@ -151,7 +152,8 @@ def _draw_plan(axis: Any, plan: TaskPlan | None) -> None:
         color = np.array(color_of(item.id)) / 255
         yaw = placement.yaws[0] if placement.yaws else 0.0
         _outline(axis, item.vertices, item.T_world_stand, color, alpha=0.25)
-        _outline(axis, item.vertices, _planar(yaw, goal), color, alpha=0.8)
+        T_world_goal = pose_from_yaw(yaw, np.array(placement.position, dtype=np.float64))
+        _outline(axis, item.vertices, T_world_goal, color, alpha=0.8)
         axis.annotate(
             "",
             xy=goal[::-1],
@@ -164,13 +166,6 @@ def _draw_plan(axis: Any, plan: TaskPlan | None) -> None:
         item = plan.objects[name]
         _outline(axis, item.vertices, item.T_world_stand, np.array([0.5, 0.5, 0.5]), alpha=0.4)
         axis.text(*item.T_world_stand[:2, 3][::-1], f"{name}\nleft out", ha="center", fontsize=9)
-
-
-def _planar(yaw: float, position: Float[np.ndarray, "2"]) -> Float[np.ndarray, "4 4"]:
-    T = np.eye(4)
-    T[:2, :2] = [[np.cos(yaw), -np.sin(yaw)], [np.sin(yaw), np.cos(yaw)]]
-    T[:2, 3] = position
-    return T
 
 
 def _outline(axis: Any, vertices: np.ndarray, T: np.ndarray, color: np.ndarray, alpha: float) -> None:

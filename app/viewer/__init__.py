@@ -1,6 +1,8 @@
-"""The web viewer: one view of a run, whether it happens now or was recorded, and a page to take home.
+"""Web viewer: live runs, replays of recorded runs, and export to a standalone HTML page.
 
-Read in this order: ``story`` (what is to be seen at a time; plain values), ``surroundings`` (where it
-happens), ``scene`` (draws it in 3-D), ``panel`` (controls, pictures, plots), ``player`` (lets time pass),
-``server`` (who may connect), ``live`` (runs started from the browser), ``page`` (the standalone file).
+Suggested reading order: ``snapshot`` (displayed state at one show time, as plain values), ``timeline`` and
+``run_state`` (snapshots from a recording), ``surroundings`` (ground plane and initial view), ``scene`` with
+its layers (3-D drawing), ``panel`` and ``charts`` (controls, images, plots), ``player`` (playback),
+``server``, ``guard`` and ``messages`` (network access), ``live`` (runs started from the browser), ``page``
+(standalone HTML page).
 """

@@ -1,6 +1,6 @@
-"""A run that happens now: its buttons, and a session that starts runs from the browser.
+"""Live runs: the buttons of a run, and a session that starts runs from the browser.
 
-The simulator lives in the main thread, where its graphics context was made; buttons leave messages there.
+The simulator runs in the main thread, which owns its graphics context; buttons send it commands by a queue.
 """
 
 from __future__ import annotations
@@ -10,6 +10,7 @@ from collections.abc import Callable
 from dataclasses import fields, replace
 from typing import Literal, get_args
 
+import numpy as np
 import viser
 
 from app.errors import AppError
@@ -21,28 +22,36 @@ from app.task.recording import CellRecorder
 from app.task.run import run_and_store
 from app.task.run_control import RunControl, RunStopped
 from app.task.run_writer import RunSession
-from app.viewer.panel import chosen
+from app.viewer.panel import selected
+from app.viewer.snapshot import ObjectOutcome
 from app.viewer.viewer import Viewer
 from perception.pipeline import Perception, load_perception
 from sim_assets.cell.world import World
 
 Command = Literal["new scene", "run", "end"]
+PAUSE, RESUME = "Pause", "Resume"
 MAX_SEED = 2**31 - 1
+MAX_COUNT = min(MAX_OBJECTS, 10)  # of the slider
 
 
 class RunButtons:
-    """Pause, Step and Stop of a run."""
+    """Buttons to pause, step and stop a run.
+
+    Args:
+        gui: Panel to which the buttons are added.
+        control: Returns the control of the current run.
+    """
 
     def __init__(self, gui: viser.GuiApi, control: Callable[[], RunControl]) -> None:
         self._control = control
-        self._pause = gui.add_button("Pause the robot", icon=viser.Icon.HAND_STOP)
-        self._step = gui.add_button("Step", icon=viser.Icon.PLAYER_TRACK_NEXT, hint="On to the next action")
+        self._pause = gui.add_button(f"{PAUSE} robot", icon=viser.Icon.HAND_STOP)
+        self._step = gui.add_button("Step", icon=viser.Icon.PLAYER_TRACK_NEXT, hint="Run to the next action")
         self._stop = gui.add_button("Stop", icon=viser.Icon.PLAYER_STOP, color="red")
 
         @self._pause.on_click
         def _(_: viser.GuiEvent) -> None:
             control().resume() if control().paused else control().pause()
-            self.show(running=True)
+            self.update(running=True)
 
         @self._step.on_click
         def _(_: viser.GuiEvent) -> None:
@@ -52,15 +61,15 @@ class RunButtons:
         def _(_: viser.GuiEvent) -> None:
             control().stop()
 
-    def show(self, running: bool) -> None:
-        """Let the buttons say what they do."""
+    def update(self, running: bool) -> None:
+        """Enable the buttons during a run, and label the first one with its action."""
         for button in (self._pause, self._step, self._stop):
             button.disabled = not running
-        self._pause.label = "Let the robot go on" if running and self._control().paused else "Pause the robot"
+        self._pause.label = f"{RESUME if running and self._control().paused else PAUSE} robot"
 
 
-class Session:
-    """Scenes and runs, one after another, as the browser asks for them."""
+class LiveSession:
+    """Builds scenes and runs tasks at the request of the browser, one at a time."""
 
     def __init__(self, options: ViewOptions, viewer: Viewer, screen: Screen) -> None:
         self._options, self._viewer, self._screen = options, viewer, screen
@@ -68,12 +77,12 @@ class Session:
         self._control = RunControl()
         self._perception: Perception | None = None
         self._world: World | None = None
-        self._shown: RunTaskOptions | None = None  # what the scene was made from
-        self._fresh = False  # nothing has moved in it yet
+        self._scene: RunTaskOptions | None = None  # options of the current scene
+        self._unused = False  # whether no run has changed the scene
         gui = viewer.server.gui
         with gui.add_folder("Robot", order=1):
             self._task = gui.add_dropdown("Task", get_args(Task), initial_value=options.task)
-            self._count = gui.add_slider("Objects", 1, 10, 1, self._initial_count(options))
+            self._count = gui.add_slider("Objects", 1, MAX_COUNT, 1, _initial_count(options))
             self._seed = gui.add_number("Seed", options.seed, min=0, max=MAX_SEED, step=1)
             self._new = gui.add_button("New scene", icon=viser.Icon.REFRESH)
             self._run = gui.add_button("Run", icon=viser.Icon.ROBOT, color="green")
@@ -82,97 +91,97 @@ class Session:
         self._run.on_click(lambda _: self._commands.put("run"))
 
     def end(self) -> None:
-        """Let ``serve`` return when what is under way is done; from any thread."""
+        """Let ``serve`` return after the current command; may be called from any thread."""
         self._commands.put("end")
 
     def serve(self) -> None:
-        """Do what the buttons ask for until interrupted, or until the end is asked for."""
+        """Execute commands until ``end`` is called."""
         try:
-            self._new_scene(self._options.seed)
+            self._build_scene(self._options.seed)
             while True:
-                self._allow(True)
+                self._set_idle(True)
                 command = self._commands.get()
-                while command != "end" and not self._commands.empty():  # clicks while the last one was done
+                while command != "end" and not self._commands.empty():  # clicks during the last command
                     command = self._commands.get()
                 if command == "end":
                     break
-                self._allow(False)
-                self._do(command)
+                self._set_idle(False)
+                self._execute(command)
         finally:
             if self._world is not None:
                 self._world.close()
 
-    def _do(self, command: Command) -> None:
+    def _execute(self, command: Command) -> None:
         try:
             seed = min(max(int(self._seed.value), 0), MAX_SEED)
             if command == "new scene":
-                self._new_scene(seed + 1 if self._shown and self._shown.seed == seed else seed)
+                unchanged = self._scene is not None and self._scene.seed == seed
+                self._build_scene(seed + 1 if unchanged else seed)
             else:
-                self._run_here(seed)
-        except (AppError, ValueError, RuntimeError) as error:  # no scene, no plan: the next one may do better
-            self._viewer.title("That did not work", str(error))
+                self._run_task(seed)
+        except (AppError, ValueError, RuntimeError) as error:  # another scene may succeed
+            self._viewer.set_title("Failed", str(error))
             self._screen.note(str(error))
 
-    def _new_scene(self, seed: int) -> None:
-        self._viewer.title("A new scene ...", f"seed {seed}")
-        options = self._chosen(seed)
+    def _build_scene(self, seed: int) -> None:
+        self._viewer.set_title("Building the scene ...", f"seed {seed}")
+        options = self._selected_options(seed)
         if self._world is not None:
             self._world.close()
-        self._world, self._shown, self._fresh = None, None, False
-        self._world = build_world(options, self._task_chosen)
-        self._shown, self._fresh = options, True
+        self._world, self._scene, self._unused = None, None, False
+        self._world = build_world(options, self._selected_task)
+        self._scene, self._unused = options, True
         self._recording = CellRecorder(self._world)
         self._seed.value = seed
         self._viewer.show(self._recording.recorder, live=True)
-        self._viewer.title(f"{self._task_chosen.capitalize()}, seed {seed}", "ready: press Run")
+        self._viewer.set_title(self._title(seed), "ready: press Run")
 
-    def _run_here(self, seed: int) -> None:
-        if not self._fresh or self._shown != self._chosen(seed):
-            self._new_scene(seed)
-        assert self._world is not None and self._shown is not None
-        self._control, self._fresh = RunControl(), False
-        self._buttons.show(running=True)
-        self._viewer.player.give_way(True)
-        title = f"{self._task_chosen.capitalize()}, seed {seed}"
-        self._viewer.title(title, "the robot is at work")
+    def _run_task(self, seed: int) -> None:
+        if not self._unused or self._scene != self._selected_options(seed):
+            self._build_scene(seed)
+        assert self._world is not None and self._scene is not None
+        self._control, self._unused = RunControl(), False
+        self._buttons.update(running=True)
+        self._viewer.player.set_yielding(True)
+        self._viewer.set_title(self._title(seed), "running")
         try:
             if self._perception is None:
                 self._perception = load_perception(self._options.device)
             session = RunSession(self._world, self._recording, self._control, self._screen)
-            report = run_and_store(self._shown, self._perception, session)
-            show_result(self._viewer, report)
+            report = run_and_store(self._scene, self._perception, session)
+            self._viewer.set_title(self._title(seed), report.reason, outcomes(report))
         except RunStopped:
-            self._viewer.title(title, "stopped; what was finished is kept")
+            self._viewer.set_title(self._title(seed), "stopped; finished results are kept")
         finally:
-            self._viewer.player.give_way(False)
-            self._buttons.show(running=False)
+            self._viewer.player.set_yielding(False)
+            self._buttons.update(running=False)
 
-    def _allow(self, free: bool) -> None:
-        self._new.disabled = self._run.disabled = not free
-        if free:
-            self._buttons.show(running=False)
+    def _set_idle(self, idle: bool) -> None:
+        self._new.disabled = self._run.disabled = not idle
+        if idle:
+            self._buttons.update(running=False)
+
+    def _title(self, seed: int) -> str:
+        return f"{self._selected_task.capitalize()}, seed {seed}"
 
     @property
-    def _task_chosen(self) -> Task:
-        return chosen(self._task, get_args(Task))
+    def _selected_task(self) -> Task:
+        return selected(self._task, get_args(Task))
 
-    def _chosen(self, seed: int) -> RunTaskOptions:
-        """The options of a run, as the controls stand."""
-        kind = PackOptions if self._task_chosen == "pack" else SortOptions
+    def _selected_options(self, seed: int) -> RunTaskOptions:
+        """Return the options of a run that the controls select."""
+        kind = PackOptions if self._selected_task == "pack" else SortOptions
         names = {field.name for field in fields(kind)} & {field.name for field in fields(self._options)}
         options = kind(**{name: getattr(self._options, name) for name in names})
-        count = min(max(int(self._count.value), 1), 10)
-        objects = options.objects if count == self._initial_count(self._options) else str(count)
+        count = min(max(int(self._count.value), 1), MAX_COUNT)
+        objects = options.objects if count == _initial_count(self._options) else str(count)
         return replace(options, seed=seed, objects=objects)
 
-    @staticmethod
-    def _initial_count(options: ViewOptions) -> int:
-        import numpy as np
 
-        return min(len(parse_objects(options.objects, np.random.default_rng(0))), MAX_OBJECTS, 10)
+def outcomes(report: Report) -> dict[int, ObjectOutcome]:
+    """Return the outcomes of the objects of a report by id."""
+    return {entry.id: ObjectOutcome(bool(entry.placed), entry.error_position) for entry in report.objects}
 
 
-def show_result(viewer: Viewer, report: Report) -> None:
-    """Say how it went."""
-    written = report.as_json()
-    viewer.title(f"{report.command.capitalize()}, seed {report.seed}", report.reason, written["objects"])
+def _initial_count(options: ViewOptions) -> int:
+    return min(len(parse_objects(options.objects, np.random.default_rng(0))), MAX_COUNT)

@@ -1,6 +1,6 @@
-"""Lets show time pass: plays a story at a speed, follows one that still grows, jumps where it is told to.
+"""Playback of a timeline: speed, seeking, and following a recording that still grows.
 
-Drawing happens in one thread of its own at a bounded rate; whoever records never waits for it.
+Drawing happens in a thread of its own at a bounded rate; the recording never waits for it.
 """
 
 from __future__ import annotations
@@ -11,65 +11,67 @@ import threading
 import time
 from collections.abc import Callable
 
-from app.viewer.timeline import Story
+from app.viewer.timeline import Timeline
 
-_log = logging.getLogger(__name__)
+logger = logging.getLogger(__name__)
 
 RATE = 15.0  # [Hz] of drawing
-# While a run computes in this process, drawing may use this share of what the run uses, and of wall time.
-SHARE_OF_RUN, SHARE_OF_TIME = 0.06, 0.02
-HEAD_START = 0.5  # [s] of processor time that drawing may use in advance
-# After this time in [s] drawing hands the interpreter back to a run that waits for it.
-HAND_OVER, USUAL_HAND_OVER = 5e-4, sys.getswitchinterval()
-LAG = 1.0  # [s] behind the newest moment when following; further behind, time passes faster
+# While a run computes in this process, drawing may use these shares of the run's CPU time and of wall time.
+SHARE_OF_RUN, SHARE_OF_WALL = 0.06, 0.02
+CPU_CREDIT = 0.5  # [s] of CPU time that drawing may use in advance
+# Thread switch interval [s] while a run computes: short, so that drawing yields quickly to the run.
+YIELDING_SWITCH_INTERVAL, DEFAULT_SWITCH_INTERVAL = 5e-4, sys.getswitchinterval()
+LAG = 1.0  # [s] time constant with which playback catches up while following
 
 
 class Player:
-    """The clock of a viewer.
+    """Playback clock of a viewer.
 
     Attributes:
-        story: what is played.
-        playing: whether time passes.
-        live: whether the story still grows.
-        yielding: whether a run computes in this process, which drawing must not slow down.
-        following: whether it catches up with what is being recorded.
-        speed: show seconds in a second.
-        time: show time in [s].
+        timeline: The timeline that is played.
+        playing: Whether time advances.
+        live: Whether the recording may still grow.
+        following: Whether playback keeps up with the end of a growing recording.
+        yielding: Whether a run computes in this process, whose speed drawing must not reduce.
+        speed: Show time per real time.
+        time: Current show time in seconds.
     """
 
-    def __init__(self, story: Story, draw: Callable[[], None], live: bool = False) -> None:
-        self.story, self._draw = story, draw
+    def __init__(self, timeline: Timeline, draw: Callable[[], None], live: bool = False) -> None:
+        self.timeline, self._draw = timeline, draw
         self.playing, self.live, self.following = True, live, live
         self.speed, self.time, self.yielding = 1.0, 0.0, False
         self._lock = threading.RLock()
         self._ended = threading.Event()
-        self._problem = ""  # that was told last
+        self._reported = ""  # the error that was logged last
         self._thread = threading.Thread(target=self._run, name="viewer", daemon=True)
 
     def start(self) -> None:
+        """Start drawing."""
         self._thread.start()
 
     def close(self) -> None:
         """Stop drawing."""
         self._ended.set()
-        self.give_way(False)
+        self.set_yielding(False)
         if self._thread is not threading.current_thread() and self._thread.is_alive():
             self._thread.join(timeout=5)
 
-    def give_way(self, yielding: bool) -> None:
-        """Say whether a run computes in this process, whose threads take turns faster until it does not."""
+    def set_yielding(self, yielding: bool) -> None:
+        """Begin or end the time in which drawing yields to a run in this process."""
         self.yielding = yielding
-        sys.setswitchinterval(HAND_OVER if yielding else USUAL_HAND_OVER)
+        sys.setswitchinterval(YIELDING_SWITCH_INTERVAL if yielding else DEFAULT_SWITCH_INTERVAL)
 
-    def tell(self, story: Story, live: bool) -> None:
-        """From now on another story, from its beginning."""
+    def load(self, timeline: Timeline, live: bool) -> None:
+        """Play another timeline from its beginning."""
         with self._lock:
-            self.story, self.time, self.playing = story, 0.0, True
+            self.timeline, self.time, self.playing = timeline, 0.0, True
             self.live = self.following = live
 
     def play(self) -> None:
+        """Let time advance; from the beginning if it is at the end."""
         with self._lock:
-            if self.time >= self.story.end and not self.following:
+            if self.time >= self.timeline.end and not self.following:
                 self.time = 0.0
             self.playing = True
 
@@ -78,24 +80,24 @@ class Player:
             self.playing = self.following = False
 
     def seek(self, show_time: float) -> None:
-        """Go to a show time in [s] and, if the story still grows, no longer follow it."""
+        """Go to a show time in seconds, limited to the timeline, and stop following."""
         with self._lock:
-            self.time = min(max(show_time, 0.0), self.story.end)
+            self.time = min(max(show_time, 0.0), self.timeline.end)
             self.following = False
 
     def follow(self) -> None:
-        """Catch up with what is being recorded."""
+        """Catch up with the end of a growing recording and keep up with it."""
         with self._lock:
             self.playing = self.following = True
 
     def advance(self, seconds: float) -> None:
-        """Let ``seconds`` of real time pass."""
+        """Advance by a real time in seconds."""
         with self._lock:
             if not self.playing:
                 return
-            end = self.story.end
+            end = self.timeline.end
             speed = self.speed
-            if self.following:  # faster the further behind, so that it is never far from now
+            if self.following:  # the faster, the further behind
                 speed = max(speed, (end - self.time) / LAG)
             self.time = min(self.time + speed * seconds, end)
             if self.time >= end and not self.following:
@@ -107,23 +109,23 @@ class Player:
             now = time.perf_counter()
             self.advance(now - last)
             last = now
-            if self.yielding and not affordable(time.thread_time(), time.process_time(), now - begin):
+            if self.yielding and not within_cpu_budget(time.thread_time(), time.process_time(), now - begin):
                 self._ended.wait(1 / RATE)
                 continue
             try:
                 self._draw()
-            except Exception as error:  # a picture that fails must not end the view
-                if repr(error) != self._problem:
-                    _log.warning("the viewer could not draw", exc_info=True)
-                self._problem = repr(error)
+            except Exception as error:  # an error in one image must not end the viewer
+                if repr(error) != self._reported:
+                    logger.warning("the viewer could not draw", exc_info=True)
+                self._reported = repr(error)
             self._ended.wait(max(1 / RATE - (time.perf_counter() - now), 0.5 / RATE))
 
 
-def affordable(own: float, process: float, wall: float) -> bool:
-    """Whether drawing has left the run enough of the processor.
+def within_cpu_budget(drawing: float, process: float, wall: float) -> bool:
+    """Return whether drawing has used less than its share of CPU time.
 
     Args:
-        own, process: processor time of drawing and of the whole process in [s].
-        wall: since drawing began in [s].
+        drawing, process: CPU time of the drawing thread and of the whole process in seconds.
+        wall: Wall time since drawing began in seconds.
     """
-    return own < SHARE_OF_RUN * (process - own) + SHARE_OF_TIME * wall + HEAD_START
+    return drawing < SHARE_OF_RUN * (process - drawing) + SHARE_OF_WALL * wall + CPU_CREDIT

@@ -1,7 +1,7 @@
-"""Where a recording happens: what it stands on, and where to look at it from.
+"""Ground plane and initial view of a recording.
 
-A recorded cell brings its own floor, and z is up in it. A map, or objects from somebody's images, may lie
-anywhere and lean any way: there the objects themselves say where up is, and what they stand on.
+The recording of a cell contains its floor, and its world frame has z up. The world frame of a map or scan
+may be arbitrary: there the support plane of the objects defines the up direction and the ground.
 """
 
 from __future__ import annotations
@@ -14,30 +14,31 @@ from scipy.spatial.transform import Rotation
 
 from app.runs.finished_run import support_of
 from app.runs.replay import Recorder
-from app.viewer.snapshot import CAMERA
-from app.viewer.timeline import matrix
+from app.viewer.snapshot import CAMERA, pose_matrix
 
-SCENERY = "world"  # the body that stands fast
-_CELL = (1.62, -0.88, 1.0), (0.40, -0.02, 0.14)  # of the view of a cell: position and target [m]
+STATIC_BODY = "world"
+CELL_POSITION, CELL_TARGET = (1.62, -0.88, 1.0), (0.40, -0.02, 0.14)  # [m] initial view of a cell
 FIELD_OF_VIEW = 0.80  # [rad]
-AWAY, ASIDE, ABOVE = 1.6, np.deg2rad(50), np.deg2rad(33)  # the first view: times as far, beside, above
-AHEAD = 0.5  # [m] before a camera is what it looks at, where nothing was found
+# Initial view elsewhere: distance relative to the recorded camera's, azimuth from it, elevation.
+RELATIVE_DISTANCE, AZIMUTH, ELEVATION = 1.6, np.deg2rad(50), np.deg2rad(33)
+VIEWING_DISTANCE = 0.5  # [m] from a camera to the assumed centre of the scene if there are no objects
+TARGET_HEIGHT = 0.04  # [m] of the view's target above the ground
 
 
 @dataclass(frozen=True)
 class Surroundings:
-    """What the viewer puts around a recording.
+    """Ground plane and initial view.
 
     Attributes:
-        T_world_ground: frame on the support in the middle of everything, z up.
-        position, target: of the first view [m].
-        known: whether the recording brings the floor itself.
+        T_world_ground: Frame on the support plane at the centre of the scene, z up.
+        position, target: Camera position and target of the initial view in metres.
+        has_floor: Whether the recording contains its floor.
     """
 
     T_world_ground: Float[np.ndarray, "4 4"]
     position: Float[np.ndarray, "3"]
     target: Float[np.ndarray, "3"]
-    known: bool
+    has_floor: bool
 
     @property
     def up(self) -> Float[np.ndarray, "3"]:
@@ -45,36 +46,39 @@ class Surroundings:
 
 
 def surroundings_of(recorder: Recorder) -> Surroundings:
-    """Ground and first view of a recording."""
-    cameras, known = _cameras(recorder), SCENERY in recorder.meshes
-    if known or not (len(cameras) or recorder.objects):
-        position, target = (np.array(point) for point in _CELL)
-        return Surroundings(np.eye(4), position, target, known)
+    """Return ground plane and initial view of a recording."""
+    cameras, has_floor = _camera_poses(recorder), STATIC_BODY in recorder.meshes
+    if has_floor or not (len(cameras) or recorder.objects):
+        return Surroundings(np.eye(4), np.array(CELL_POSITION), np.array(CELL_TARGET), has_floor)
     if recorder.objects:
         plane = support_of(recorder.objects, ())
-        middle = np.mean([estimate.T_world_object[:3, 3] for estimate in recorder.objects], axis=0)
-        up, middle = plane.normal, middle - (middle @ plane.normal - plane.offset) * plane.normal
+        center = np.mean([estimate.T_world_object[:3, 3] for estimate in recorder.objects], axis=0)
+        up, center = plane.normal, center - (center @ plane.normal - plane.offset) * plane.normal
     else:
         up = -cameras[:, :3, 1].mean(axis=0) if len(cameras) == 1 else np.array([0.0, 0.0, 1.0])
-        middle = (cameras[:, :3, 3] + AHEAD * cameras[:, :3, 2]).mean(axis=0)
+        center = (cameras[:, :3, 3] + VIEWING_DISTANCE * cameras[:, :3, 2]).mean(axis=0)
     T = np.eye(4)
     T[:3, :3] = Rotation.align_vectors(up[None], np.array([[0.0, 0.0, 1.0]]))[0].as_matrix()
-    T[:3, 3] = middle
-    recorded = cameras[0, :3, 3] if len(cameras) else T[:3, :3] @ (0.0, -0.6, 0.4) + middle
-    return Surroundings(T, middle + _from_aside(T, recorded - middle), middle + 0.04 * up, known=False)
+    T[:3, 3] = center
+    recorded = cameras[0, :3, 3] if len(cameras) else T[:3, :3] @ (0.0, -0.6, 0.4) + center
+    position = center + _view_offset(T, recorded - center)
+    return Surroundings(T, position, center + TARGET_HEIGHT * up, has_floor=False)
 
 
-def _from_aside(T: Float[np.ndarray, "4 4"], away: Float[np.ndarray, "3"]) -> Float[np.ndarray, "3"]:
-    """Where to look from, so that neither the camera nor its way is in between."""
-    x, y, _ = T[:3, :3].T @ away
-    azimuth = np.arctan2(y, x) + ASIDE
-    flat = np.cos(ABOVE) * np.array([np.cos(azimuth), np.sin(azimuth), np.tan(ABOVE)])
-    return AWAY * np.linalg.norm(away) * (T[:3, :3] @ flat)
+def _view_offset(
+    T_world_ground: Float[np.ndarray, "4 4"], camera_offset: Float[np.ndarray, "3"]
+) -> Float[np.ndarray, "3"]:
+    """Return the view's offset from the centre [m], beside the recorded camera to keep that out of view."""
+    R = T_world_ground[:3, :3]
+    x, y, _ = R.T @ camera_offset
+    azimuth = np.arctan2(y, x) + AZIMUTH
+    direction = np.cos(ELEVATION) * np.array([np.cos(azimuth), np.sin(azimuth), np.tan(ELEVATION)])
+    return RELATIVE_DISTANCE * np.linalg.norm(camera_offset) * (R @ direction)
 
 
-def _cameras(recorder: Recorder) -> Float[np.ndarray, "n 4 4"]:
-    """Known poses of the camera, of images or of a moving body."""
+def _camera_poses(recorder: Recorder) -> Float[np.ndarray, "n 4 4"]:
+    """Return the known camera poses of the images; without any, the first pose of the moving camera."""
     poses = [frame.T_world_camera for frame in recorder.frames if frame.T_world_camera is not None]
     if not poses and CAMERA in recorder.bodies and recorder.poses:
-        poses = [matrix(recorder.poses[0][recorder.bodies.index(CAMERA)])]
+        poses = [pose_matrix(recorder.poses[0][recorder.bodies.index(CAMERA)])]
     return np.array(poses).reshape(-1, 4, 4)

@@ -1,4 +1,4 @@
-"""A small recording with everything in it, made by hand, and a browser to look at it."""
+"""A small synthetic recording of all kinds of notes, a server, and a browser."""
 
 import shutil
 import time
@@ -12,6 +12,7 @@ from trimesh.visual import TextureVisuals
 from trimesh.visual.material import PBRMaterial
 
 from app.runs.replay import Recorder
+from app.viewer.server import open_server
 from perception.io.object_map import write_object_map
 from perception.io.scan_folder import write_scan
 from perception.types import CameraIntrinsics, ObjectDetection, ObjectEstimate, RgbdFrame, TriangleMesh
@@ -22,7 +23,7 @@ BODIES = ("hand", "tcp", "camera", "object0")
 def upright(x, y, z=0.0, turned=False):
     T = np.eye(4)
     T[:3, 3] = x, y, z
-    if turned:  # a hand that points down
+    if turned:  # a gripper that points down
         T[:3, :3] = np.diag([1.0, -1.0, -1.0])
     return T
 
@@ -53,7 +54,7 @@ def painted(mesh, color):
 
 
 def make_recording(seconds=2.0):
-    """Two images, one can: found, fitted, planned, carried from y = -0.2 to 0.2."""
+    """Return a run with two images and one can, carried from y = -0.2 m to 0.2 m."""
     meshes = {
         "world": (painted(trimesh.creation.box((1.0, 1.0, 0.02)), (120, 90, 60)),),
         "hand": (painted(trimesh.creation.box((0.06, 0.1, 0.06)), (230, 230, 230)),),
@@ -120,12 +121,12 @@ def make_recording(seconds=2.0):
 
 @pytest.fixture
 def until():
-    """Wait for something to become true."""
+    """Wait until a condition holds."""
 
     def until_(condition, seconds=60):
         end = time.monotonic() + seconds
         while not condition():
-            assert time.monotonic() < end, "it never happened"
+            assert time.monotonic() < end, "the condition did not become true in time"
             time.sleep(0.02)
 
     return until_
@@ -137,8 +138,41 @@ def recording():
 
 
 @pytest.fixture
+def make_can():
+    """Return a function that makes an estimate of a can at (0.4, -0.2) m with a given id."""
+    return can_estimate
+
+
+@pytest.fixture
+def make_frame():
+    """Return a function that makes an image of a camera above the table at a given x [m]."""
+    return frame
+
+
+@pytest.fixture(scope="session")
+def shared_server():
+    server = open_server(port=0)
+    yield server
+    server.stop()
+
+
+@pytest.fixture
+def server(shared_server):
+    """A server with an empty scene and panel."""
+    shared_server.scene.reset()
+    shared_server.gui.reset()
+    return shared_server
+
+
+@pytest.fixture
+def node(server):
+    """Return a function that finds a node of the scene by name; None if there is none."""
+    return lambda name: server.scene._handle_from_node_name.get(name)
+
+
+@pytest.fixture
 def run_folder(tmp_path, recording):
-    """The recording as `pack` leaves it."""
+    """The recording in a run folder of `pack`."""
     folder = tmp_path / "run"
     recording.write(folder)
     recording.write_meshes(folder)
@@ -150,14 +184,14 @@ def run_folder(tmp_path, recording):
 
 @pytest.fixture(scope="session")
 def chromium():
-    """Debian's Chromium under playwright; skips where there is none."""
+    """Debian's Chromium under playwright; skips if it is not installed."""
     playwright = pytest.importorskip("playwright.sync_api", reason="playwright is not installed (extra: dev)")
     names = ("chromium", "chromium-browser", "google-chrome")
     path = next(filter(None, (shutil.which(name) for name in names)), None)
     if path is None:
         pytest.skip("no Chromium on this machine: apt-get install chromium")
     with playwright.sync_playwright() as driver:
-        # Mesa in software, which the simulator's headless renderer uses too.
+        # Software rendering by Mesa, as in the simulator's headless renderer.
         flags = ["--no-sandbox", "--use-gl=angle", "--use-angle=gl-egl", "--ignore-gpu-blocklist"]
         browser = driver.chromium.launch(executable_path=path, args=flags)
         yield browser
@@ -165,11 +199,11 @@ def chromium():
 
 
 class Page:
-    """A page of a browser that remembers what went wrong in it."""
+    """A page of a browser that collects its errors."""
 
     def __init__(self, browser, url, size=(800, 500)):
         self.page = browser.new_page(viewport={"width": size[0], "height": size[1]})
-        self.page.set_default_timeout(90_000)  # a busy machine draws without a GPU
+        self.page.set_default_timeout(90_000)  # rendering without a GPU is slow
         self.problems = []
         self.page.on("console", lambda line: line.type == "error" and self.problems.append(line.text))
         self.page.on("pageerror", lambda error: self.problems.append(str(error)))

@@ -45,7 +45,7 @@ def episode(folder, watchers=()):
         if watchers:
             viewer = Viewer(open_server(port=0), recording.recorder, live=True)
             RunButtons(viewer.server.gui, lambda: control).show(running=True)
-            viewer.player.give_way(True)
+            viewer.player.set_yielding(True)
             viewer.start()
         threads = [threading.Thread(target=lambda w=w: asyncio.run(w(viewer, ended))) for w in watchers]
         for thread in threads:
@@ -79,7 +79,7 @@ async def watch(viewer, ended, leaves=None):
 
 async def be_killed(viewer, ended):
     """A viewer that is killed while the arm moves."""
-    stages = lambda: [span.name for span in viewer.player.story.stages]  # noqa: E731
+    stages = lambda: [span.name for span in viewer.player.timeline.stages]  # noqa: E731
     await watch(viewer, ended, leaves=lambda: "execute" in stages())
 
 

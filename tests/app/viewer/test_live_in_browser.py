@@ -1,4 +1,4 @@
-"""The buttons of a live view: with a run that only pretends, and, slowly, with a real one."""
+"""The buttons of a live run: with a simulated run, and, slowly, with a real one."""
 
 import statistics
 import threading
@@ -13,11 +13,11 @@ from app.options import ViewOptions
 from app.runs.replay import Recorder
 from app.runs.report import Report
 from app.screen import Screen
-from app.viewer.live import Session
+from app.viewer.live import LiveSession
 from app.viewer.server import open_server
 from app.viewer.viewer import Viewer
 
-PAUSE = ["Pause the robot", "Let the robot go on"]
+PAUSE = ["Pause robot", "Resume robot"]
 CLICK = """async ([from, to]) => {
   const named = name => [...document.querySelectorAll("button")].find(b => b.innerText.trim() === name);
   const begin = performance.now();
@@ -27,31 +27,31 @@ CLICK = """async ([from, to]) => {
 }"""
 
 
-class PretendedRecording:
-    """Of a cell in which only time passes."""
+class FakeRecording:
+    """Recording of a cell in which only time passes."""
 
     def __init__(self, world):
         self.recorder = Recorder(bodies=("tcp",))
         self.recorder.sample(0.0, np.zeros(7), 0.0, np.array([[0.4, 0, 0.3, 1, 0, 0, 0.0]]))
 
 
-class PretendedSession:
+class FakeSession:
     def __init__(self, world, recording, control, screen):
         self.recording, self.control = recording, control
 
 
-def pretended_run(options, perception, session):
+def fake_run(options, perception, session):
     recorder, control = session.recording.recorder, session.control
     for stage in ("scan", "execute"):
         recorder.note("stage", name=stage)
         control.enter_step()
-        for moment in range(150):
-            pose = np.array([[0.4, 0.001 * moment, 0.3, 1, 0, 0, 0.0]])
+        for index in range(150):
+            pose = np.array([[0.4, 0.001 * index, 0.3, 1, 0, 0, 0.0]])
             recorder.sample(recorder.times[-1] + 0.03, np.zeros(7), 0.0, pose)
             control.wait_if_paused()
             time.sleep(0.01)
         recorder.note("done", name=stage, seconds=1.5)
-    return Report(options_name(options), options.seed, success=True, reason="all pretended")
+    return Report(options_name(options), options.seed, success=True, reason="all placed")
 
 
 def options_name(options):
@@ -66,12 +66,12 @@ def session(monkeypatch):
         "build_world",
         lambda options, task: built.append((task, options.seed)) or SimpleNamespace(close=lambda: None),
     )
-    monkeypatch.setattr(app.viewer.live, "CellRecorder", PretendedRecording)
+    monkeypatch.setattr(app.viewer.live, "CellRecorder", FakeRecording)
     monkeypatch.setattr(app.viewer.live, "load_perception", lambda device: None)
-    monkeypatch.setattr(app.viewer.live, "RunSession", PretendedSession)
-    monkeypatch.setattr(app.viewer.live, "run_and_store", pretended_run)
+    monkeypatch.setattr(app.viewer.live, "RunSession", FakeSession)
+    monkeypatch.setattr(app.viewer.live, "run_and_store", fake_run)
     viewer = Viewer(open_server(port=0), live=True)
-    session = Session(ViewOptions(objects="2", seed=5), viewer, Screen(quiet=True))
+    session = LiveSession(ViewOptions(objects="2", seed=5), viewer, Screen(quiet=True))
     viewer.start()
     threading.Thread(target=session.serve, daemon=True).start()
     yield SimpleNamespace(viewer=viewer, session=session, built=built)
@@ -83,12 +83,12 @@ def test_new_scene_run_pause_step_and_stop(session, open_page, until):
     button = lambda name: page.page.get_by_role("button", name=name, exact=True)  # noqa: E731
     page.page.get_by_text("ready: press Run").wait_for()
     button("New scene").click()
-    until(lambda: session.built == [("pack", 5), ("pack", 6)])  # the seed goes on where nobody changed it
+    until(lambda: session.built == [("pack", 5), ("pack", 6)])  # an unchanged seed is incremented
     button("Run").click()
-    page.page.get_by_text("the robot is at work").wait_for()
+    page.page.get_by_text("running").wait_for()
     control = session.session._control
     times = []
-    for _ in range(3):  # while everything moves
+    for _ in range(3):  # during the run
         times.append(page.page.evaluate(CLICK, PAUSE))
         assert control.paused
         times.append(page.page.evaluate(CLICK, PAUSE[::-1]))
@@ -96,18 +96,18 @@ def test_new_scene_run_pause_step_and_stop(session, open_page, until):
     assert statistics.median(times) < 300  # [ms]
     control.pause()
     button("Step").click()
-    until(lambda: control.paused or session.viewer.player.story.recorder.notes[-1].kind == "done")
+    until(lambda: control.paused or session.viewer.player.timeline.recorder.notes[-1].kind == "done")
     control.resume()
-    page.page.get_by_text("all pretended").wait_for()  # to its end
-    button("Run").click()  # the same scene again, made anew
+    page.page.get_by_text("all placed").wait_for()
+    button("Run").click()  # rebuilds the used scene
     until(lambda: len(session.built) == 3 and session.session._control is not control)
     button("Stop").click()
-    page.page.get_by_text("stopped; what was finished is kept").wait_for()
+    page.page.get_by_text("stopped; finished results are kept").wait_for()
     assert session.built[-1] == ("pack", 6)
     assert page.problems == []
 
 
-def test_what_makes_no_scene_is_said_and_the_next_one_works(session, monkeypatch, until):
+def test_a_scene_that_cannot_be_built_is_reported_and_the_next_one_works(session, monkeypatch, until):
     def fail(options, task):
         raise ValueError("10 objects do not fit")
 
@@ -117,14 +117,14 @@ def test_what_makes_no_scene_is_said_and_the_next_one_works(session, monkeypatch
         session.session._commands.put("new scene")
         until(lambda: "10 objects do not fit" in session.viewer.panel._header.content)
     session.session._commands.put("run")
-    until(lambda: "all pretended" in session.viewer.panel._header.content)
+    until(lambda: "all placed" in session.viewer.panel._header.content)
 
 
 @pytest.mark.slow
 def test_a_real_packing_episode_plays_to_its_end_in_the_browser(open_page, tmp_path, until):
     viewer = Viewer(open_server(port=0), live=True)
     options = ViewOptions(objects="can=1", shapes="oracle", seed=1, out=tmp_path / "run")
-    session = Session(options, viewer, Screen(quiet=True))
+    session = LiveSession(options, viewer, Screen(quiet=True))
     viewer.start()
 
     def click():
@@ -137,15 +137,15 @@ def test_a_real_packing_episode_plays_to_its_end_in_the_browser(open_page, tmp_p
     cell = threading.Thread(target=session.serve, daemon=True)
     cell.start()
     page = click()
-    page.page.get_by_text("the robot is at work").wait_for()
+    page.page.get_by_text("running").wait_for()
     done, times = page.page.get_by_text("1 of 1 objects in place"), []
     while not done.is_visible():
-        for labels in (PAUSE, PAUSE[::-1]):  # whatever the run is at
+        for labels in (PAUSE, PAUSE[::-1]):  # at any point of the run
             times.append(page.page.evaluate(CLICK, labels))
         page.page.wait_for_timeout(500)
     assert len(times) > 10 and np.percentile(times, 90) < 300  # [ms]
-    until(lambda: viewer.player.time == viewer.player.story.end)
-    assert [span.name for span in viewer.player.story.stages][-1] == "verify"
+    until(lambda: viewer.player.time == viewer.player.timeline.end)
+    assert [span.name for span in viewer.player.timeline.stages][-1] == "verify"
     assert page.problems == []
     session.end()  # graphics are freed in the thread that made them
     cell.join(60)

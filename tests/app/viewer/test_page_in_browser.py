@@ -15,7 +15,7 @@ def test_the_standalone_page_opens_from_a_file(run_folder, tmp_path, open_page):
     page = open_page(str(path))
     page.page.get_by_text("can 0", exact=True).first.wait_for()  # in the card of results
     page.page.locator("canvas").last.wait_for()
-    assert page.problems == []  # nothing was asked of any network
+    assert page.problems == []  # no request to any network
 
 
 def test_a_page_needs_a_run(tmp_path):

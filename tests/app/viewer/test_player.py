@@ -4,49 +4,49 @@ import threading
 import pytest
 
 from app.viewer.player import (
-    HAND_OVER,
-    HEAD_START,
+    CPU_CREDIT,
+    DEFAULT_SWITCH_INTERVAL,
     LAG,
     SHARE_OF_RUN,
-    SHARE_OF_TIME,
-    USUAL_HAND_OVER,
+    SHARE_OF_WALL,
+    YIELDING_SWITCH_INTERVAL,
     Player,
-    affordable,
+    within_cpu_budget,
 )
-from app.viewer.timeline import Story
+from app.viewer.timeline import Timeline
 
 
 @pytest.fixture
 def player(recording):
-    return Player(Story(recording), lambda: None)
+    return Player(Timeline(recording), lambda: None)
 
 
-def test_time_passes_at_its_speed_and_ends_with_the_story(player):
+def test_time_advances_at_its_speed_and_stops_at_the_end(player):
     player.advance(0.5)
     assert player.time == pytest.approx(0.5)
     player.speed = 4.0
     player.advance(0.5)
     assert player.time == pytest.approx(2.5)
     player.advance(1000)
-    assert player.time == player.story.end and not player.playing
+    assert player.time == player.timeline.end and not player.playing
     player.play()
-    assert player.time == 0.0 and player.playing  # from the beginning again
+    assert player.time == 0.0 and player.playing  # restarts
 
 
-def test_pausing_and_seeking(player):
+def test_pause_and_seek(player):
     player.pause()
     player.advance(1.0)
     assert player.time == 0.0
     player.seek(3.0)
     assert player.time == 3.0
     player.seek(1e300)
-    assert player.time == player.story.end
+    assert player.time == player.timeline.end
     player.seek(-5)
     assert player.time == 0.0
 
 
-def test_following_catches_up_and_waits_for_more(recording):
-    player = Player(Story(recording), lambda: None, live=True)
+def test_following_catches_up_with_a_growing_recording(recording):
+    player = Player(Timeline(recording), lambda: None, live=True)
     for _ in range(200):
         player.advance(0.1)
     assert recording.now - player.time < 0.05 * LAG and player.playing
@@ -59,7 +59,7 @@ def test_following_catches_up_and_waits_for_more(recording):
     assert player.following and player.playing
 
 
-def test_a_picture_that_fails_does_not_end_the_view(recording, caplog):
+def test_an_error_in_drawing_is_logged_once_and_does_not_stop_the_viewer(recording, caplog):
     drawn = threading.Event()
     attempts = []
 
@@ -67,36 +67,36 @@ def test_a_picture_that_fails_does_not_end_the_view(recording, caplog):
         attempts.append(0)
         if len(attempts) > 3:
             drawn.set()
-        raise ValueError("no such colour")
+        raise ValueError("unknown colour")
 
-    player = Player(Story(recording), draw)
+    player = Player(Timeline(recording), draw)
     player.start()
     assert drawn.wait(5)
     player.close()
-    assert [record.message for record in caplog.records] == ["the viewer could not draw"]  # said once
+    assert [record.message for record in caplog.records] == ["the viewer could not draw"]
 
 
-def test_drawing_leaves_a_run_its_processor_time():
-    assert affordable(own=HEAD_START - 0.01, process=HEAD_START, wall=0.0), "a head start"
-    assert not affordable(own=HEAD_START + 0.1, process=HEAD_START + 0.1, wall=1.0), "the run got nothing"
+def test_drawing_stays_within_its_share_of_cpu_time():
+    assert within_cpu_budget(drawing=CPU_CREDIT - 0.01, process=CPU_CREDIT, wall=0.0)
+    assert not within_cpu_budget(drawing=CPU_CREDIT + 0.1, process=CPU_CREDIT + 0.1, wall=1.0)
     busy = 100.0
-    most = HEAD_START + SHARE_OF_RUN * busy + SHARE_OF_TIME * busy
-    assert affordable(own=most - 0.1, process=busy + most - 0.1, wall=busy)
-    assert not affordable(own=most + 0.1, process=busy + most + 0.1, wall=busy)
+    most = CPU_CREDIT + SHARE_OF_RUN * busy + SHARE_OF_WALL * busy
+    assert within_cpu_budget(drawing=most - 0.1, process=busy + most - 0.1, wall=busy)
+    assert not within_cpu_budget(drawing=most + 0.1, process=busy + most + 0.1, wall=busy)
 
 
-def test_a_player_that_cannot_afford_to_draw_waits(recording, monkeypatch):
+def test_a_yielding_player_draws_within_its_cpu_budget_only(recording, monkeypatch):
     drawn, asked = [], threading.Event()
 
-    def never(own, process, wall):
+    def never(drawing, process, wall):
         asked.set()
         return False
 
-    monkeypatch.setattr("app.viewer.player.affordable", never)
-    player = Player(Story(recording), lambda: drawn.append(0), live=True)
-    player.give_way(True)
-    assert sys.getswitchinterval() == pytest.approx(HAND_OVER)
+    monkeypatch.setattr("app.viewer.player.within_cpu_budget", never)
+    player = Player(Timeline(recording), lambda: drawn.append(0), live=True)
+    player.set_yielding(True)
+    assert sys.getswitchinterval() == pytest.approx(YIELDING_SWITCH_INTERVAL)
     player.start()
     assert asked.wait(5)
     player.close()
-    assert not drawn and sys.getswitchinterval() == pytest.approx(USUAL_HAND_OVER)
+    assert not drawn and sys.getswitchinterval() == pytest.approx(DEFAULT_SWITCH_INTERVAL)

@@ -14,9 +14,8 @@ from app.viewer.viewer import Viewer
 
 @pytest.fixture
 def viewer(run_folder):
-    shown = load_run(run_folder)
-    viewer = Viewer(open_server(port=0), shown.recorder)
-    viewer.title("Pack <b>", "1 of 1")
+    viewer = Viewer(open_server(port=0), load_run(run_folder).recorder)
+    viewer.set_title("Pack <b>", "1 of 1")
     viewer.start()
     yield viewer
     viewer.close()
@@ -26,35 +25,35 @@ def test_a_replay_loads_plays_and_scrubs_in_the_browser(viewer, open_page, until
     page = open_page(viewer.server.url)
     page.page.get_by_text("Pack <b>").wait_for()  # escaped
     page.page.get_by_text("Reconstruct", exact=True).first.wait_for()
-    until(lambda: viewer.player.time > 0)  # it began when the page came
+    until(lambda: viewer.player.time > 0)  # the first client starts it
     viewer.player.speed = 0.1
     viewer.player.seek(0.0)
     viewer.player.play()
     page.page.get_by_role("button", name="Pause").click()
     until(lambda: not viewer.player.playing)
     viewer.player.speed = 4.0
-    page.page.get_by_role("button", name="Act", exact=True).click()
-    act = next(span.begin for span in viewer.player.story.stages if span.name == "execute")
-    until(lambda: viewer.player.time == pytest.approx(act))
-    page.page.get_by_text("The arm carries one object after another").wait_for()
+    page.page.get_by_role("button", name="Execute", exact=True).click()
+    execute = next(span.begin for span in viewer.player.timeline.stages if span.name == "execute")
+    until(lambda: viewer.player.time == pytest.approx(execute))
+    page.page.get_by_text("Executing the pick-and-place plan").wait_for()
     slider = page.page.get_by_role("slider").first
-    until(lambda: float(slider.get_attribute("aria-valuenow") or 0) == pytest.approx(act, abs=0.2))
+    until(lambda: float(slider.get_attribute("aria-valuenow") or 0) == pytest.approx(execute, abs=0.2))
     slider.focus()
 
     def stepped():
         slider.press("ArrowRight")
-        return viewer.player.time > act
+        return viewer.player.time > execute
 
     until(stepped)
     page.page.get_by_role("button", name="Play").click()
-    until(lambda: viewer.player.time >= viewer.player.story.end)
+    until(lambda: viewer.player.time >= viewer.player.timeline.end)
     page.page.get_by_role("tab", name="Objects").click()
-    page.page.get_by_text("put down").wait_for()
+    page.page.get_by_text("placed", exact=True).wait_for()
     assert page.problems == []
 
 
 async def _watch(viewer, received, end, vanish):
-    """A viewer without a screen, which counts what it gets, and may vanish without a goodbye."""
+    """Receive messages as a headless client and count them; disconnect abruptly if ``vanish``."""
     url = f"ws://127.0.0.1:{viewer.server.get_port()}"
     protocol = f"viser-v{viser.__version__}"
     connection = await websockets.asyncio.client.connect(url, subprotocols=[protocol], max_size=None)
@@ -84,7 +83,7 @@ def test_three_viewers_at_once_one_of_them_killed(viewer, until):
         ends[1].set()
         until(lambda: len(viewer.server.get_clients()) == 2)
         before = [len(count) for count in counts]
-        until(lambda: all(len(counts[i]) > before[i] + 5 for i in (0, 2)))  # the others see it go on
+        until(lambda: all(len(counts[i]) > before[i] + 5 for i in (0, 2)))  # the others still receive it
     finally:
         for end in ends:
             end.set()
@@ -92,4 +91,4 @@ def test_three_viewers_at_once_one_of_them_killed(viewer, until):
         thread.join()
     until(lambda: not viewer.server.get_clients())
     viewer.player.speed = 8.0
-    until(lambda: viewer.player.time == viewer.player.story.end)
+    until(lambda: viewer.player.time == viewer.player.timeline.end)

@@ -1,4 +1,4 @@
-"""Ground and first view of recordings that bring no cell."""
+"""Ground plane and initial view of recordings with and without a cell."""
 
 import numpy as np
 import pytest
@@ -14,7 +14,7 @@ TETRAHEDRON = TriangleMesh(
 
 
 def leaning(T_world_support, x):
-    """An object that stands on a support at (x, 0)."""
+    """Return an object that stands at (x, 0) m on a support."""
     T = T_world_support.copy()
     T[:3, 3] += T[:3, :3] @ (x, 0.0, 0.04)
     return ObjectEstimate(0, "can", np.zeros(16), T, np.full(3, 0.1), TETRAHEDRON)
@@ -25,28 +25,28 @@ def image(T_world_camera):
     return RgbdFrame(0.0, np.zeros((6, 8, 3), np.uint8), np.zeros((6, 8), np.float32), camera, T_world_camera)
 
 
-def test_a_cell_is_looked_at_from_its_own_place(recording):
-    around = surroundings_of(recording)
-    assert around.known and around.up.tolist() == [0, 0, 1]
-    assert not surroundings_of(Recorder()).known
+def test_a_cell_has_its_floor_and_a_fixed_view(recording):
+    surroundings = surroundings_of(recording)
+    assert surroundings.has_floor and surroundings.up.tolist() == [0, 0, 1]
+    assert not surroundings_of(Recorder()).has_floor
 
 
-def test_objects_before_a_camera_that_is_the_world_say_where_up_is():
+def test_the_support_plane_of_the_objects_defines_the_up_direction():
     T = np.eye(4)
     T[:3, :3] = np.array([(1, 0, 0), (0, -0.6, -0.8), (0, 0.8, -0.6)]).T  # a camera's y points down
     T[:3, 3] = 0.1, 0.2, 0.7
     recorder = Recorder(objects=(leaning(T, -0.1), leaning(T, 0.1)), frames=[image(np.eye(4))])
-    around = surroundings_of(recorder)
-    np.testing.assert_allclose(around.up, T[:3, 2], atol=1e-9)
-    np.testing.assert_allclose(around.T_world_ground[:3, 3], T[:3, 3], atol=1e-9)
-    away = around.position - T[:3, 3]
-    assert away @ around.up > 0.3 * np.linalg.norm(away)  # from above the support
+    surroundings = surroundings_of(recorder)
+    np.testing.assert_allclose(surroundings.up, T[:3, 2], atol=1e-9)
+    np.testing.assert_allclose(surroundings.T_world_ground[:3, 3], T[:3, 3], atol=1e-9)
+    away = surroundings.position - T[:3, 3]
+    assert away @ surroundings.up > 0.3 * np.linalg.norm(away)  # from above the support
     assert np.linalg.norm(away) > np.linalg.norm(T[:3, 3])
 
 
-def test_images_alone_are_looked_at_where_they_look():
+def test_images_without_objects_are_viewed_at_the_centre_of_their_views():
     T = np.diag([1.0, -1.0, -1.0, 1.0])
     T[:3, 3] = 0.3, 0.0, 0.5
-    around = surroundings_of(Recorder(frames=[image(T), image(T)]))
-    np.testing.assert_allclose(around.T_world_ground[:3, 3], (0.3, 0.0, 0.0), atol=1e-9)
-    assert around.up == pytest.approx([0, 0, 1])
+    surroundings = surroundings_of(Recorder(frames=[image(T), image(T)]))
+    np.testing.assert_allclose(surroundings.T_world_ground[:3, 3], (0.3, 0.0, 0.0), atol=1e-9)
+    assert surroundings.up == pytest.approx([0, 0, 1])

@@ -1,0 +1,158 @@
+"""Validation of the notes of a recording; ``app.runs.replay.Note`` lists their fields."""
+
+from __future__ import annotations
+
+import sys
+from collections.abc import Callable, Mapping
+from typing import Any
+
+import numpy as np
+
+from perception.types import CATEGORIES, CODE_SIZE, check_rigid
+
+Check = Callable[[Any], None]  # raises ValueError, with what the value must be
+COVARIANCE_TRIANGLE = 325  # elements of the upper triangle of a 25 x 25 matrix
+
+
+def check_note(kind: str, data: Mapping[str, Any]) -> None:
+    """Check the fields of a note; unknown fields are ignored.
+
+    Raises:
+        ValueError: A field is missing or invalid; the message names it.
+    """
+    for name, check in REQUIRED[kind].items():
+        if name not in data:
+            raise ValueError(f"{name} is missing")
+        _check_field(name, check, data[name])
+    for name, check in OPTIONAL.get(kind, {}).items():
+        if name in data:
+            _check_field(name, check, data[name])
+    if data.get("grasps") and "T_stand_tcp" not in data:
+        raise ValueError("T_stand_tcp is missing")
+
+
+def is_finite_number(value: Any) -> bool:
+    """Return whether a JSON value is a number in the range of a float."""
+    number = isinstance(value, int | float) and not isinstance(value, bool)
+    return number and abs(value) <= sys.float_info.max
+
+
+def _check_field(name: str, check: Check, value: Any) -> None:
+    try:
+        check(value)
+    except ValueError as error:
+        raise ValueError(f"{name} {error}") from None
+
+
+def _require(condition: bool, message: str) -> None:
+    if not condition:
+        raise ValueError(message)
+
+
+def _text(value: Any) -> None:
+    _require(isinstance(value, str), "must be text")
+
+
+def _count(value: Any) -> None:
+    _require(type(value) is int and value >= 0, "must be a non-negative integer")
+
+
+def _number(value: Any) -> None:
+    _require(is_finite_number(value), "must be a finite number")
+
+
+def _number_or_none(value: Any) -> None:
+    if value is not None:
+        _number(value)
+
+
+def _category(value: Any) -> None:
+    _require(value in CATEGORIES, f"must be one of {', '.join(CATEGORIES)}")
+
+
+def _numbers(*shape: int | None) -> Check:
+    """Return a check for finite numbers of a shape, in which None stands for any size."""
+    size = " x ".join("n" if count is None else str(count) for count in shape)
+
+    def check(value: Any) -> None:
+        try:
+            array = np.asarray(value)
+        except ValueError:  # ragged lists
+            array = np.empty(0, dtype=object)
+        fits = array.dtype.kind in "if" and array.ndim == len(shape) and bool(np.isfinite(array).all())
+        sizes = zip(shape, array.shape, strict=False)
+        _require(
+            fits and all(count in (None, actual) for count, actual in sizes),
+            f"must hold {size} finite numbers",
+        )
+
+    return check
+
+
+def _scale(value: Any) -> None:
+    _numbers(3)(value)
+    _require(min(value) > 0, "must be positive")
+
+
+def _points(value: Any) -> None:
+    _numbers(None, 3)(value)
+    _require(len(value) >= 2, "must hold at least 2 points")
+
+
+def _pose(value: Any) -> None:
+    _numbers(4, 4)(value)
+    check_rigid(np.asarray(value, dtype=np.float64), "it")
+
+
+def _poses(value: Any) -> None:
+    _require(isinstance(value, list), "must be a list")
+    for pose in value:
+        _pose(pose)
+
+
+def _mapping_of(check: Check) -> Check:
+    def check_all(value: Any) -> None:
+        _require(isinstance(value, dict), "must be an object")
+        for name, entry in value.items():
+            _check_field(f"of {name}", check, entry)
+
+    return check_all
+
+
+def _placements(value: Any) -> None:
+    _require(isinstance(value, list), "must be a list")
+    for index, placement in enumerate(value):
+        _require(isinstance(placement, dict), "must hold objects")
+        for name, check in PLACEMENT.items():
+            _require(name in placement, f"{index}: {name} is missing")
+            _check_field(f"{index}: {name}", check, placement[name])
+
+
+PLACEMENT: Mapping[str, Check] = {
+    "name": _text,
+    "T_world_stand": _pose,
+    "position": _numbers(3),
+    "yaws": _numbers(None),
+}
+REQUIRED: Mapping[str, Mapping[str, Check]] = {
+    "stage": {"name": _text},
+    "done": {"name": _text, "seconds": _number},
+    "look": {"index": _count},
+    "found": {"index": _count, "count": _count},
+    "fit": {
+        "id": _count,
+        "category": _category,
+        "iteration": _count,
+        "code": _numbers(CODE_SIZE),
+        "T_world_object": _pose,
+        "scale": _scale,
+        "residual": _number_or_none,
+    },
+    "objects": {"covariances": _mapping_of(_numbers(COVARIANCE_TRIANGLE))},
+    "plan": {"placements": _placements, "left_out": _mapping_of(_text)},
+    "action": {"phase": _text, "name": _text, "message": _text},
+    "path": {"points": _points},
+}
+OPTIONAL: Mapping[str, Mapping[str, Check]] = {
+    "action": {"T_stand_tcp": _pose, "T_world_stand_rest": _pose, "grasps": _poses},
+}
