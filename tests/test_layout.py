@@ -22,13 +22,8 @@ SEVERAL_MODULES = {
 NO_OWN_TEST: set[str] = {
     "app/runs/note_schema.py",
     "app/training/shape_pictures.py",
-    "app/viewer/camera_layer.py",
     "app/viewer/command.py",
-    "app/viewer/display.py",
     "app/viewer/live.py",
-    "app/viewer/meshes.py",
-    "app/viewer/motion_layer.py",
-    "app/viewer/object_layers.py",
     "app/viewer/page.py",
     "app/viewer/panel.py",
     "app/viewer/scene.py",
