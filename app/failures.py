@@ -26,6 +26,7 @@ _INPUT_ERRORS = {
     "perception.errors": "PerceptionError",
     "sim_assets.errors": "SimAssetsError",
 }
+_GL_FILES = ("gl_context.py", "osmesa.py", "glfw.py", "egl.py", "camera.py")
 _REMEDIES = {
     errno.ENOSPC: "free some space or give --out on another disk",
     errno.EDQUOT: "free some space or give --out on another disk",
@@ -66,6 +67,11 @@ def failure_of(error: Exception, command: str) -> Failure:
         where = f"{os.fsdecode(error.filename)}: " if isinstance(error.filename, str | bytes) else ""
         remedy = _REMEDIES.get(error.errno)
         return Failure(f"{where}{error.strerror}" + (f"; {remedy}" if remedy else ""), expected=False)
+    backend = os.environ.get("MUJOCO_GL")
+    if backend and _is_from_graphics(error):
+        return Failure(
+            f"MUJOCO_GL={backend} does not work on this machine ({error}): unset it", expected=False
+        )
     what = f"{type(error).__name__}: {error}" if str(error) else type(error).__name__
     return Failure(f"{command} failed unexpectedly: {what}", TASK_FAILED, expected=False)
 
@@ -104,6 +110,12 @@ def _input_errors() -> tuple[type[Exception], ...]:
     """Return the exception types that mean invalid usage or input, of the packages loaded so far."""
     loaded = {module: name for module, name in _INPUT_ERRORS.items() if module in sys.modules}
     return (AppError, *(getattr(sys.modules[module], name) for module, name in loaded.items()))
+
+
+def _is_from_graphics(error: Exception) -> bool:
+    """Return whether the exception arose while OpenGL was loaded or a context was made."""
+    frames = traceback.extract_tb(error.__traceback__)[-6:]
+    return any(Path(f.filename).name in _GL_FILES or "/OpenGL/" in f.filename for f in frames)
 
 
 def _is_out_of_memory(error: Exception) -> bool:

@@ -35,8 +35,11 @@ def parse_objects(text: str, rng: np.random.Generator, most: int = MAX_OBJECTS) 
     """
     usage = f"--objects takes a number (6) or counts by class ({','.join(f'{c}=1' for c in CATEGORIES)})"
     if text.strip().isascii() and text.strip().isdigit():
-        return _bounded(_mixture(min(int(text), most + 1), rng), most)
+        count = _count(text.strip())
+        _require_room(text, count, most)
+        return _mixture(count, rng)
     classes: list[Category] = []
+    total = 0
     for part in text.split(","):
         name, _, count = (piece.strip() for piece in part.partition("="))
         known: Category | None = next((c for c in CATEGORIES if c == name), None)
@@ -44,8 +47,15 @@ def parse_objects(text: str, rng: np.random.Generator, most: int = MAX_OBJECTS) 
             raise UsageError(f"{usage}; '{name}' is none of {', '.join(CATEGORIES)}")
         if not (count.isascii() and count.isdigit()):
             raise UsageError(f"{usage}; '{part.strip()}' has no count")
-        classes.extend(known for _ in range(min(int(count), most + 1)))
-    return _bounded(classes, most)
+        total += _count(count)
+        classes.extend(known for _ in range(min(_count(count), most + 1)))
+    _require_room(text, total, most)
+    return classes
+
+
+def _count(digits: str) -> int:
+    """Return a number of objects; 10**9 for anything beyond, since Python refuses very long integers."""
+    return int(digits) if len(digits) < 10 else 10**9
 
 
 def _mixture(count: int, rng: np.random.Generator) -> list[Category]:
@@ -54,11 +64,12 @@ def _mixture(count: int, rng: np.random.Generator) -> list[Category]:
     return drawn[:count]
 
 
-def _bounded(classes: list[Category], most: int) -> list[Category]:
-    if not 1 <= len(classes) <= most:
+def _require_room(text: str, count: int, most: int) -> None:
+    """Raise UsageError unless the number of objects is possible."""
+    if not 1 <= count <= most:
         room = "the table holds 1 to about 10" if most == MAX_OBJECTS else f"1 to {most} are possible"
-        raise UsageError(f"--objects asks for {len(classes)} objects; {room}")
-    return classes
+        asked = f"{count}" if count < 10**9 else "10**9 or more"
+        raise UsageError(f"--objects {text[:40]} asks for {asked} objects; {room}")
 
 
 def parse_box(text: str) -> tuple[float, float, float]:

@@ -115,8 +115,9 @@ class OffscreenRenderer:
     def close(self) -> None:
         """Free the GL context; a later image opens a new one."""
         if self._gl is not None:
-            self._gl.make_current()
-            self._context.free()
+            if self._context is not None:
+                self._gl.make_current()
+                self._context.free()
             self._gl.free()
         self._gl = self._context = None
 

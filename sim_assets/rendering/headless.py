@@ -8,11 +8,15 @@ from __future__ import annotations
 
 import ctypes
 import importlib
+import logging
 import os
 import sys
+import warnings
 from typing import TYPE_CHECKING, Any, TypeAlias
 
 from sim_assets.errors import SimAssetsError
+
+logger = logging.getLogger(__name__)
 
 _EGL_PLATFORM_DEVICE = 0x313F  # EGL_EXT_platform_device: a display without a screen
 _INSTALL = "install Mesa's software renderer: apt-get install libegl1 libgl1 libosmesa6"
@@ -72,14 +76,17 @@ def choose_backend() -> str:
 
 def require_rendering() -> None:
     """Raise GraphicsError where no image can be made."""
-    if os.environ.get("MUJOCO_GL") in ("disable", "disabled", "off"):
+    if os.environ.get("MUJOCO_GL") in ("disable", "disabled", "off", "false", "0"):
         raise GraphicsError(f"no OpenGL for rendering without a screen (neither EGL nor OSMesa): {_INSTALL}")
 
 
 choose_backend()
+warnings.filterwarnings("ignore", module=r"glfw")  # the exception that follows has the reason
 
 # After the choice, on purpose. MuJoCo's extension modules come without type stubs: for checkers they are Any.
 mujoco: Any = importlib.import_module("mujoco")
+# Its own handler appends to MUJOCO_LOG.TXT in the working directory.
+mujoco.set_mju_user_warning(lambda message: logger.warning("MuJoCo: %s", message))
 
 if TYPE_CHECKING:
     MjSpec: TypeAlias = Any

@@ -1,7 +1,9 @@
 """Exit codes and what stands on which stream."""
 
+import errno
 import json
 import os
+import signal
 import subprocess
 import sys
 
@@ -10,7 +12,11 @@ import pytest
 from app import cli
 from app.cli import run
 from app.errors import UsageError
+from app.options import BenchOptions, DoctorOptions, ScanOptions
 from app.runs.report import ObjectReport, Report
+from app.runs.run_folder import RunFolder
+from perception.io.object_map import write_object_map
+from perception.io.scan_folder import write_scan
 
 BAD_USAGE = {
     "no command": ([], "Expected one of {pack, sort,"),
@@ -43,6 +49,20 @@ def test_bad_usage_is_told_in_ascii_too():
 BAD_INPUT = {
     "objects: class": (["pack", "--objects", "spoon=2"], "'spoon' is none of mug, bowl, bottle, can"),
     "objects: count": (["sort", "--objects", "mug=two"], "'mug=two' has no count"),
+    "objects: thousand": (
+        ["pack", "--objects", "1000"],
+        "--objects 1000 asks for 1000 objects; the table holds",
+    ),
+    "objects: by class": (["pack", "--objects", "mug=30,can=5"], "mug=30,can=5 asks for 35 objects"),
+    "objects: 5000 digits": (["pack", "--objects", "9" * 5000], "asks for 10**9 or more objects"),
+    "seed: negative": (["scan", "--seed=-1"], "--seed -1 must be in 0..2**64 - 1"),
+    "seed: huge": (["doctor", "--seed", str(2**64)], "must be in 0..2**64 - 1"),
+    "seconds: zero": (["ar", "run", "--seconds", "0"], "--seconds 0 must be more than 0 and at most 600"),
+    "seconds: NaN": (["ar", "run", "--seconds", "nan"], "--seconds nan must be more than 0"),
+    "seconds: long": (["ar", "run", "--seconds", "601"], "--seconds 601 must be more than 0 and at most 600"),
+    "port: negative": (["view", "--port=-1"], "--port -1 must be in 0..65535"),
+    "port: large": (["view", "--port", "65536"], "--port 65536 must be in 0..65535"),
+    "long name": (["reconstruct", "x" * 300], "File name too long"),
     "objects: none": (["pack", "--objects", "0"], "asks for 0 objects"),
     "objects: too many": (["pack", "--objects", "mug=999999999"], "the table holds 1 to about 10"),
     "box: words": (["pack", "--box", "large"], "three lengths in metres"),
@@ -106,6 +126,120 @@ def test_interruption_is_130(monkeypatch, capsys):
     pretend(monkeypatch, interrupted)
     assert run(["scan"]) == 130
     assert capsys.readouterr().err == "nodeslam: interrupted; finished results are kept\n"
+
+
+def test_termination_is_143(monkeypatch, capsys):
+    def interrupted(options, screen):
+        raise KeyboardInterrupt
+
+    pretend(monkeypatch, interrupted)
+    monkeypatch.setattr("app.interrupts._received", signal.SIGTERM)
+    assert run(["scan"]) == 143
+    assert capsys.readouterr().err == "nodeslam: interrupted; finished results are kept\n"
+
+
+def failing_with(error, monkeypatch, folder=None):
+    def fail(options, screen):
+        if folder is not None:
+            RunFolder.create(options, "pack").write_json("objects.json", [])
+        raise error
+
+    pretend(monkeypatch, fail)
+
+
+def test_a_full_disk_is_one_line_and_a_log(monkeypatch, capsys, tmp_path):
+    failing_with(OSError(errno.ENOSPC, "No space left on device", "x.png"), monkeypatch, tmp_path)
+    assert run(["pack", "--out", str(tmp_path / "run")]) == 2
+    log = tmp_path / "run" / "error.log"
+    assert capsys.readouterr().err == (
+        "nodeslam: x.png: No space left on device; free some space or give --out on another disk; "
+        f"traceback in {log}\n"
+    )
+    assert "in fail" in log.read_text()
+
+
+def test_an_unexpected_error_is_one_line_and_a_log(monkeypatch, capsys, tmp_path):
+    monkeypatch.setattr("tempfile.tempdir", str(tmp_path))
+    failing_with(ZeroDivisionError("division by zero"), monkeypatch)
+    assert run(["doctor"]) == 1
+    err = capsys.readouterr().err
+    assert err.startswith(
+        "nodeslam: doctor failed unexpectedly: ZeroDivisionError: division by zero; traceback"
+    )
+    assert err.count("\n") == 1 and "in fail" in next(tmp_path.glob("nodeslam-*.log")).read_text()
+
+
+def test_debug_shows_the_traceback(monkeypatch, capsys):
+    failing_with(UsageError("wrong"), monkeypatch)
+    assert run(["pack", "--debug"]) == 2
+    err = capsys.readouterr().err
+    assert err.startswith("Traceback") and "in fail" in err and err.endswith("nodeslam: wrong\n")
+
+
+def test_an_interruption_names_the_replaced_run(monkeypatch, capsys, tmp_path):
+    with RunFolder.create(DoctorOptions(out=tmp_path / "run"), "doctor"):
+        pass
+    failing_with(KeyboardInterrupt(), monkeypatch, tmp_path)
+    assert run(["pack", "--out", str(tmp_path / "run")]) == 130
+    assert capsys.readouterr().err == (
+        f"nodeslam: interrupted; finished results are kept; the run before is in {tmp_path}/run/.previous\n"
+    )
+
+
+@pytest.mark.parametrize("backend, code", [("foo", 2), ("EGL", 0), ("", 0), ("off", 0)])
+def test_an_unknown_opengl_backend_is_refused(monkeypatch, capsys, backend, code):
+    pretend(monkeypatch, lambda options, screen: Report("scan", 0, success=True))
+    monkeypatch.setenv("MUJOCO_GL", backend)
+    assert run(["scan"]) == code
+    err = capsys.readouterr().err
+    assert err == (
+        "nodeslam: MUJOCO_GL=foo is no OpenGL backend: unset it, or set it to egl or osmesa\n" * (code // 2)
+    )
+
+
+@pytest.fixture
+def finished(tmp_path, overhead_frame, can_at):
+    """Return the folder of a run with a scan, an object map and meshes of a person."""
+    path = tmp_path / "run"
+    with RunFolder.create(DoctorOptions(out=path), "pack") as folder:
+        write_scan(folder.scan, [overhead_frame] * 2)
+        write_object_map(path, [can_at()])
+        (path / "meshes" / "can").mkdir(parents=True)
+        (path / "meshes" / "can" / "c.ply").write_bytes((path / "objects" / "0_can.ply").read_bytes())
+    return path
+
+
+OWN_INPUTS = {
+    "ar": ["ar", "{run}"],
+    "slam": ["slam", "{run}/scan"],
+    "reconstruct": ["reconstruct", "{run}/scan"],
+    "export": ["export", "{run}/../run/."],
+}
+
+
+@pytest.mark.parametrize("arguments", OWN_INPUTS.values(), ids=OWN_INPUTS)
+def test_no_command_overwrites_its_own_input(finished, capsys, arguments):
+    before = {path: path.read_bytes() for path in finished.rglob("*") if path.is_file()}
+    command = [argument.format(run=finished) for argument in arguments]
+    assert run([*command, "--out", str(finished), "--quiet"]) == 2
+    err = capsys.readouterr().err
+    assert err.count("\n") == 1 and f"--out {finished} " in err and "the input" in err
+    assert {path: path.read_bytes() for path in finished.rglob("*") if path.is_file()} == before
+
+
+@pytest.mark.parametrize(
+    "options",
+    [
+        lambda path: BenchOptions(scan=path / "scan", out=path),
+        lambda path: ScanOptions(object_meshes=path / "meshes", out=path),
+    ],
+    ids=["bench", "scan"],
+)
+def test_scans_and_meshes_in_a_run_are_inputs(finished, options):
+    before = {path: path.read_bytes() for path in finished.rglob("*") if path.is_file()}
+    with pytest.raises(UsageError, match="contains the input"):
+        RunFolder.create(options(finished), "bench")
+    assert {path: path.read_bytes() for path in finished.rglob("*") if path.is_file()} == before
 
 
 def test_errors_of_many_lines_become_one(monkeypatch, capsys):

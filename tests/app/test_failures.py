@@ -92,3 +92,19 @@ def test_a_line_is_printable_and_short():
 def test_errors_of_packages_that_are_not_loaded_are_no_problem(monkeypatch):
     monkeypatch.delitem(sys.modules, "sim_assets.errors", raising=False)
     assert failure_of(UsageError("x"), "pack") == Failure("x")
+
+
+def test_an_opengl_backend_that_does_not_work_is_named(monkeypatch):
+    def raised_in(filename):
+        try:
+            exec(compile("1 / 0", filename, "exec"), {})
+        except ZeroDivisionError as error:
+            return error
+
+    monkeypatch.setenv("MUJOCO_GL", "osmesa")
+    found = failure_of(raised_in("site-packages/OpenGL/raw/GL/_errors.py"), "scan")
+    assert found.message == "MUJOCO_GL=osmesa does not work on this machine (division by zero): unset it"
+    assert found.code == 2 and not found.expected
+    assert "failed unexpectedly" in failure_of(raised_in("somewhere/else.py"), "scan").message
+    monkeypatch.delenv("MUJOCO_GL")
+    assert "failed unexpectedly" in failure_of(raised_in("mujoco/osmesa/gl_context.py"), "scan").message

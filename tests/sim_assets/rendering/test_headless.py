@@ -46,3 +46,16 @@ def test_without_any_backend_physics_stays_and_rendering_says_what_to_install(mo
     assert choose_backend() == ""
     with pytest.raises(GraphicsError, match="apt-get install libegl1"):
         require_rendering()
+
+
+def test_a_warning_of_mujoco_is_logged_and_leaves_no_file(tmp_path, monkeypatch, caplog):
+    from sim_assets.rendering.headless import mujoco
+
+    monkeypatch.chdir(tmp_path)
+    xml = '<mujoco><worldbody><body><freejoint/><geom size=".1"/></body></worldbody></mujoco>'
+    model = mujoco.MjModel.from_xml_string(xml)
+    data = mujoco.MjData(model)
+    data.qvel[:] = float("nan")
+    mujoco.mj_step(model, data)
+    assert "MuJoCo: Nan, Inf or huge value in QVEL" in caplog.text
+    assert list(tmp_path.iterdir()) == []
