@@ -20,6 +20,8 @@ from perception.types import CATEGORIES, ObjectDetection, RgbdFrame
 
 FILE_NAME = "detections.json"
 Entry = tuple[int, Any]  # index of an entry in the file or among those of its image, and its JSON value
+MAX_PER_IMAGE = 200  # detections; COCO's evaluation counts 100
+MAX_MASK_BYTES = 4 * 2**30  # of all decoded masks of a scan
 _REMEDY = "repair it, or delete it to use the shipped detector"
 
 
@@ -54,6 +56,12 @@ def read_detections(
     grouped = read_detection_entries(folder, known_ids)
     if grouped is None:
         return None
+    n_bytes = sum(len(grouped.get(i, ())) * frame.depth.size for i, frame in frames.items())
+    if n_bytes > MAX_MASK_BYTES:
+        raise InvalidInputError(
+            f"{folder / FILE_NAME} holds masks of {n_bytes / 2**30:.1f} GiB, at most "
+            f"{MAX_MASK_BYTES / 2**30:.0f} GiB are decoded: split the scan, or keep the best detections"
+        )
     return tuple(
         tuple(decode_detections(folder, grouped.get(i, []), i, frame)) for i, frame in frames.items()
     )
@@ -63,7 +71,8 @@ def read_detection_entries(folder: Path, known_ids: set[int]) -> dict[int, list[
     """Read the entries of each image without decoding them; None if there is no file.
 
     Raises:
-        InvalidInputError: The file is not a list, or an entry has an unknown image id.
+        InvalidInputError: The file is not a list, an entry has an unknown image id, or an image has more than
+            MAX_PER_IMAGE entries.
     """
     path = folder / FILE_NAME
     if not path.exists():
@@ -75,9 +84,14 @@ def read_detection_entries(folder: Path, known_ids: set[int]) -> dict[int, list[
     for index, entry in enumerate(entries):
         image_id = entry.get("image_id") if isinstance(entry, dict) else None
         if type(image_id) is not int or image_id not in known_ids:
-            problem = f"image_id {image_id!r} is not in scene_camera.json"
+            problem = f"image_id {repr(image_id)[:80]} is not in scene_camera.json"
             raise InvalidInputError(f"{path}, entry {index}: {problem}: {_REMEDY}")
-        grouped.setdefault(image_id, []).append((index, entry))
+        found = grouped.setdefault(image_id, [])
+        if len(found) == MAX_PER_IMAGE:
+            raise InvalidInputError(
+                f"{path}: image {image_id} has more than {MAX_PER_IMAGE} detections: keep the best ones"
+            )
+        found.append((index, entry))
     return grouped
 
 
@@ -117,11 +131,11 @@ def _detection_entry(image_id: int, found: ObjectDetection) -> dict[str, Any]:
 def _detection(entry: dict[str, Any], frame: RgbdFrame) -> ObjectDetection:
     category, score, instance = entry.get("category_name"), entry.get("score", 1.0), entry.get("instance_id")
     if category not in CATEGORIES:
-        raise InvalidInputError(f"category_name {category!r} is none of {', '.join(CATEGORIES)}")
+        raise InvalidInputError(f"category_name {repr(category)[:80]} is none of {', '.join(CATEGORIES)}")
     if isinstance(score, bool) or not isinstance(score, int | float) or not 0 <= score <= 1:
-        raise InvalidInputError(f"score {score!r} must be a number in 0..1")
+        raise InvalidInputError(f"score {repr(score)[:80]} must be a number in 0..1")
     if instance is not None and (isinstance(instance, bool) or not isinstance(instance, int) or instance < 0):
-        raise InvalidInputError(f"instance_id {instance!r} must be a whole number from 0")
+        raise InvalidInputError(f"instance_id {repr(instance)[:80]} must be a whole number from 0")
     mask = decode_mask(entry.get("segmentation"), (frame.intrinsics.height, frame.intrinsics.width))
     return ObjectDetection(
         category=category,
@@ -162,7 +176,7 @@ def decode_mask(code: Any, size: tuple[int, int]) -> Bool[np.ndarray, "h w"]:
         raise InvalidInputError('mask must be a COCO run-length code {"size": [h, w], "counts": ...}')
     if not isinstance(code["size"], list) or code["size"] != list(size):
         raise InvalidInputError(
-            f"mask has size {code['size']} but the image has {list(size)} (height, width)"
+            f"mask has size {repr(code['size'])[:80]} but the image has {list(size)} (height, width)"
         )
     counts = code["counts"]
     try:

@@ -1,14 +1,29 @@
-"""Atomic writing of files, and reading of JSON with actionable error messages."""
+"""Atomic writing of files; bounded reading of regular files and of JSON with actionable error messages.
+
+Every input file is read by ``read_bytes``, so that no pipe, device or oversized file blocks the program.
+"""
 
 from __future__ import annotations
 
 import json
+import math
 import os
+import stat
 import tempfile
 from pathlib import Path
 from typing import Any
 
 from perception.errors import InvalidInputError
+
+MAX_JSON_BYTES = MAX_TEXT_BYTES = 256 * 2**20
+MAX_DIGITS = 18  # of an integer in a JSON file: all fit into 64 bits
+_KINDS = {
+    stat.S_IFDIR: "a folder",
+    stat.S_IFIFO: "a named pipe",
+    stat.S_IFSOCK: "a socket",
+    stat.S_IFCHR: "a device",
+    stat.S_IFBLK: "a device",
+}
 
 
 def write_atomically(path: Path, content: bytes | str) -> None:
@@ -31,6 +46,45 @@ def write_json(path: Path, value: Any) -> None:
     write_atomically(path, json.dumps(value, indent=1, allow_nan=False) + "\n")
 
 
+def check_regular(path: Path, max_bytes: int) -> None:
+    """Check that a path leads to a regular file of at most the given size, without opening it.
+
+    Raises:
+        InvalidInputError: It is something else, or larger.
+        OSError: It is missing or inaccessible.
+    """
+    _check_status(path, os.stat(path), max_bytes)
+
+
+def read_bytes(path: Path, max_bytes: int) -> bytes:
+    """Read a regular file of at most the given size; symbolic links are followed.
+
+    Raises:
+        InvalidInputError: It is a folder, pipe, socket or device, or larger.
+        OSError: It is missing or cannot be read.
+    """
+    check_regular(path, max_bytes)
+    handle = os.open(
+        path, os.O_RDONLY | os.O_NONBLOCK | os.O_CLOEXEC
+    )  # a pipe put there by now does not block
+    with os.fdopen(handle, "rb") as file:
+        _check_status(path, os.fstat(handle), max_bytes)
+        content = file.read(max_bytes + 1)
+    if len(content) > max_bytes:  # the size of files in /proc is unknown, others may grow
+        raise InvalidInputError(_too_large(path, f"more than {max_bytes}", max_bytes))
+    return content
+
+
+def read_text(path: Path) -> str:
+    """Read a regular text file of at most MAX_TEXT_BYTES in UTF-8.
+
+    Raises:
+        InvalidInputError: It is not a regular file, or larger.
+        OSError, UnicodeDecodeError: It is missing, cannot be read, or is not UTF-8.
+    """
+    return read_bytes(path, MAX_TEXT_BYTES).decode("utf-8")
+
+
 def read_json(path: Path, remedy: str) -> Any:
     """Parse a JSON file.
 
@@ -39,17 +93,55 @@ def read_json(path: Path, remedy: str) -> Any:
         remedy: What to do about a missing or damaged file, for the message.
 
     Raises:
-        InvalidInputError: The file is missing or not JSON; the message names it and ends with the remedy.
+        InvalidInputError: The file is missing, not regular, too large or not JSON, is nested too deeply, or
+            holds a number that is too large; the message names it and ends with the remedy.
     """
     try:
-        return json.loads(path.read_text(encoding="utf-8"))
+        text = read_bytes(path, MAX_JSON_BYTES).decode("utf-8")
+        return json.loads(text, parse_int=_integer, parse_float=_real)
+    except InvalidInputError as error:
+        raise InvalidInputError(f"{error}: {remedy}") from None
+    except _NumberError as error:
+        raise InvalidInputError(f"{path} holds {error}: {remedy}") from None
     except FileNotFoundError:
         raise InvalidInputError(f"{path} is missing: {remedy}") from None
-    except (OSError, UnicodeDecodeError, RecursionError) as error:
+    except RecursionError:
+        raise InvalidInputError(f"{path} cannot be read (nested too deeply): {remedy}") from None
+    except (OSError, UnicodeDecodeError) as error:
         raise InvalidInputError(f"{path} cannot be read ({error}): {remedy}") from None
     except json.JSONDecodeError as error:
         where = f"line {error.lineno} column {error.colno}"
         raise InvalidInputError(f"{path} is not valid JSON ({error.msg} at {where}): {remedy}") from None
+
+
+class _NumberError(Exception):
+    """A number in a JSON file is out of range."""
+
+
+def _integer(text: str) -> int:
+    digits = len(text.lstrip("-"))
+    if digits > MAX_DIGITS:
+        raise _NumberError(f"an integer of {digits} digits, at most {MAX_DIGITS} are supported")
+    return int(text)
+
+
+def _real(text: str) -> float:
+    value = float(text)
+    if not math.isfinite(value):
+        raise _NumberError(f"the number {text[:30]}, which is too large")
+    return value
+
+
+def _check_status(path: Path, status: os.stat_result, max_bytes: int) -> None:
+    if not stat.S_ISREG(status.st_mode):
+        kind = _KINDS.get(stat.S_IFMT(status.st_mode), "something else")
+        raise InvalidInputError(f"{path} is {kind}, not a regular file")
+    if status.st_size > max_bytes:
+        raise InvalidInputError(_too_large(path, str(status.st_size), max_bytes))
+
+
+def _too_large(path: Path, size: str, max_bytes: int) -> str:
+    return f"{path} is too large ({size} bytes; at most {max_bytes} are read)"
 
 
 def _umask() -> int:

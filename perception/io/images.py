@@ -7,11 +7,13 @@ import warnings
 from pathlib import Path
 
 import numpy as np
-from PIL import Image
+from PIL import Image, UnidentifiedImageError
 
 from perception.errors import InvalidInputError
+from perception.io.files import read_bytes
 
 MAX_IMAGE_SIDE = 8192  # [px]
+MAX_IMAGE_BYTES = 256 * 2**20  # more than the pixels of the largest colour image
 DEPTH_MODES = ("I;16", "I;16B", "I")  # Pillow's modes of 16-bit grey images
 
 
@@ -29,14 +31,14 @@ def read_image(folder: Path, name: str, modes: tuple[str, ...], wanted: str) -> 
     """
     path = folder / name
     kind = "PNG" if path.suffix == ".png" else "JPEG"
-    if not path.exists():
-        raise InvalidInputError(f"{path} is missing: add it, or remove it from the list of images")
-    if not path.resolve().is_relative_to(folder.resolve()):
-        raise InvalidInputError(f"{path} leads out of the scan folder: copy the image into it")
     try:
+        if not path.exists():
+            raise InvalidInputError(f"{path} is missing: add it, or remove it from the list of images")
+        if not path.resolve().is_relative_to(folder.resolve()):
+            raise InvalidInputError(f"{path} leads out of the scan folder: copy the image into it")
         with warnings.catch_warnings():
             warnings.simplefilter("ignore", Image.DecompressionBombWarning)
-            data = path.read_bytes()
+            data = read_bytes(path, MAX_IMAGE_BYTES)
             header = Image.open(io.BytesIO(data), formats=(kind,))
             mode, size = header.mode, header.size
             if mode not in modes:
@@ -47,6 +49,10 @@ def read_image(folder: Path, name: str, modes: tuple[str, ...], wanted: str) -> 
             pixels = np.asarray(Image.open(io.BytesIO(data), formats=(kind,)))
     except InvalidInputError:
         raise
+    except UnidentifiedImageError:  # its message names a buffer in memory
+        raise InvalidInputError(
+            f"{path} is not a readable {kind} (no {kind} header): record or copy it again"
+        ) from None
     except Exception as error:  # decoders raise many types, such as struct.error and SyntaxError
         raise InvalidInputError(
             f"{path} is not a readable {kind} ({error}): record or copy it again"

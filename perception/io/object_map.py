@@ -6,6 +6,7 @@ objects/<id>_<category>.ply  the mesh in the world frame [m]
 
 from __future__ import annotations
 
+import io
 import re
 from collections.abc import Sequence
 from pathlib import Path
@@ -14,9 +15,10 @@ from typing import Any
 import numpy as np
 
 from perception.errors import InvalidInputError
-from perception.io.files import read_json, write_atomically, write_json
+from perception.io.files import read_bytes, read_json, write_atomically, write_json
 from perception.types import CODE_SIZE, ObjectEstimate, TriangleMesh
 
+MAX_MESH_BYTES = 512 * 2**20
 _MESH_NAME = re.compile(r"\d+_[a-z]+\.ply")
 
 
@@ -71,13 +73,16 @@ def read_ply(path: Path) -> TriangleMesh:
     """Read a triangle mesh from a PLY file.
 
     Raises:
-        InvalidInputError: The file is missing, corrupt, or without triangles.
+        InvalidInputError: The file is missing, not regular, too large, corrupt, or without triangles.
     """
     import trimesh  # slow to import and needed for reading only
 
     try:
-        loaded: Any = trimesh.load(path, file_type="ply", process=False)
+        content = io.BytesIO(read_bytes(path, MAX_MESH_BYTES))
+        loaded: Any = trimesh.load(content, file_type="ply", process=False)
         vertices, faces = np.asarray(loaded.vertices), np.asarray(loaded.faces)
+    except InvalidInputError:
+        raise
     except Exception as error:  # the parser raises many types
         raise InvalidInputError(f"{path} is not a readable PLY mesh ({error})") from None
     if not len(faces) or not np.isfinite(vertices).all() or faces.max() >= len(vertices) or faces.min() < 0:

@@ -22,7 +22,7 @@ import numpy as np
 from jaxtyping import Bool
 
 from perception.errors import InvalidInputError
-from perception.io.detections import read_detections, write_detections
+from perception.io.detections import MAX_PER_IMAGE, read_detections, write_detections
 from perception.io.files import read_json, write_atomically, write_json
 from perception.io.images import DEPTH_MODES, png_bytes, read_image
 from perception.types import CameraIntrinsics, ObjectDetection, RgbdFrame
@@ -31,6 +31,7 @@ logger = logging.getLogger(__name__)
 
 DEPTH_SCALE = 0.1  # of the depth images written here: a tenth of a millimetre, up to 6.5 m
 FRAME_PERIOD = 1 / 30  # [s] between images of a folder that keeps no times
+MIN_TRANSLATION = 10.0  # [mm] length below which all translations together are suspicious
 MASK_FOLDERS = ("mask_visib", "mask")
 
 
@@ -42,7 +43,7 @@ class Scan:
         frames: Usable images by ascending id.
         detections: Detections of each frame; None without ``detections.json``.
         image_ids: Id of each frame in the folder.
-        warnings: One line for each unusable image, naming it and the problem.
+        warnings: One line for each unusable image, naming it and the problem, and for suspicious poses.
         masks: Masks of objects of unknown class for each frame; None without mask folder or with detections.
     """
 
@@ -123,6 +124,10 @@ def read_scan(folder: str | Path) -> Scan:
         raise InvalidInputError(problems[0])
     for problem in problems:
         logger.warning("image skipped: %s", problem)
+    suspicion = _suspicion_of_metres(folder, [cameras[image_id] for image_id in frames]) if posed else None
+    if suspicion is not None:
+        problems.append(suspicion)
+        logger.warning("%s", suspicion)
     detections = read_detections(folder, frames, set(cameras))
     masks = read_masks(folder, frames) if detections is None else None
     return Scan(tuple(frames.values()), detections, tuple(frames), tuple(problems), masks)
@@ -160,6 +165,11 @@ def read_masks(
             )
         if mask.any():
             found[int(number)].append(mask)
+        if len(found[int(number)]) > MAX_PER_IMAGE:
+            raise InvalidInputError(
+                f"{folder / kind}: image {int(number)} has more than {MAX_PER_IMAGE} masks: "
+                "keep the best ones"
+            )
     return tuple(tuple(masks) for masks in found.values())
 
 
@@ -273,6 +283,18 @@ def _camera_pose(camera: Any, where: str) -> np.ndarray:
     T[:3, :3] = (u @ vt).T
     T[:3, 3] = -T[:3, :3] @ t_camera_world
     return T
+
+
+def _suspicion_of_metres(folder: Path, cameras: Sequence[Any]) -> str | None:
+    """Return a warning if the translations are so small that they are probably in metres."""
+    translations = [np.asarray(camera["cam_t_w2c"], dtype=np.float64).ravel() for camera in cameras]
+    longest = max(float(np.linalg.norm(translation)) for translation in translations)
+    if not 0 < longest < MIN_TRANSLATION:  # 0: the world is the camera frame
+        return None
+    return (
+        f"{folder / 'scene_camera.json'}: the translations cam_t_w2c are at most {longest:.3g} mm long, "
+        "probably they are in metres: multiply them by 1000"
+    )
 
 
 def _numbers(camera: Any, key: str, count: int, where: str) -> np.ndarray:

@@ -9,13 +9,16 @@ import hashlib
 from pathlib import Path
 
 from perception.errors import PerceptionError
+from perception.io.files import check_regular, read_text
 
 WEIGHTS_DIRECTORY = Path(__file__).parents[1] / "weights"
 CHECKSUMS_FILE = "SHA256SUMS"
+MAX_WEIGHTS_BYTES = 4 * 2**30
 
 
 def weights_checksum(path: Path) -> str:
     """Return the SHA-256 digest of a file in lower-case hexadecimal."""
+    check_regular(path, MAX_WEIGHTS_BYTES)
     with path.open("rb") as file:
         return hashlib.file_digest(file, "sha256").hexdigest()
 
@@ -31,7 +34,7 @@ def expected_checksum(path: Path) -> str | None:
         if path.parent.resolve() == WEIGHTS_DIRECTORY.resolve():
             raise PerceptionError(f"{sums} is missing; restore it from the repository")
         return None
-    for line in sums.read_text(encoding="utf-8").splitlines():
+    for line in read_text(sums).splitlines():
         digest, _, name = line.partition(" ")
         if name.strip().removeprefix("*") == path.name:
             return digest.lower()

@@ -12,6 +12,7 @@ from dataclasses import dataclass
 from pathlib import Path
 
 from perception.errors import InvalidInputError
+from perception.io.files import read_text
 from perception.io.images import read_image
 from perception.io.recordings.image_pairs import ImagePair, NominalCamera, read_pair
 from perception.io.scan_folder import FRAME_PERIOD
@@ -87,7 +88,7 @@ def open_nocs(folder: Path, camera: NominalCamera = REAL275) -> NocsRecording:
 def _read_meta(path: Path) -> list[tuple[int, int]]:
     """Return the (instance, class) numbers of each line."""
     try:
-        lines = path.read_text(encoding="utf-8").splitlines()
+        lines = read_text(path).splitlines()
     except (OSError, UnicodeDecodeError) as error:
         raise InvalidInputError(
             f"{path} cannot be read ({error}): it states the classes of the masks"

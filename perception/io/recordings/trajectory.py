@@ -14,7 +14,7 @@ from jaxtyping import Float
 from scipy.spatial.transform import Rotation
 
 from perception.errors import InvalidInputError
-from perception.io.files import write_atomically
+from perception.io.files import read_text, write_atomically
 
 
 @dataclass(frozen=True)
@@ -51,7 +51,7 @@ def read_trajectory(path: Path) -> Trajectory:
         InvalidInputError: The file is missing, or a line is not a pose; the message names the line.
     """
     try:
-        text = path.read_text(encoding="utf-8")
+        text = read_text(path)
     except (OSError, UnicodeDecodeError) as error:
         raise InvalidInputError(f"{path} cannot be read ({error}): give a TUM trajectory") from None
     times, poses = [], []
@@ -63,6 +63,8 @@ def read_trajectory(path: Path) -> Trajectory:
             T = np.eye(4)
             T[:3, :3] = Rotation.from_quat(quaternion).as_matrix()
             T[:3, 3] = x, y, z
+            if not (np.isfinite(T).all() and np.isfinite(time)):
+                raise ValueError("not finite")
         except ValueError as error:
             raise InvalidInputError(
                 f"{path}, line {number} is not a pose ({error}): time tx ty tz qx qy qz qw"

@@ -7,12 +7,14 @@ is recognised by the folder's name; a file ``intrinsics.txt`` with ``fx fy cx cy
 
 from __future__ import annotations
 
+import math
 from dataclasses import dataclass
 from pathlib import Path
 
 import numpy as np
 
 from perception.errors import InvalidInputError
+from perception.io.files import read_text
 from perception.io.recordings.image_pairs import ImagePair, NominalCamera, read_pair
 from perception.types import RgbdFrame
 
@@ -79,7 +81,7 @@ def _camera(folder: Path) -> NominalCamera:
     path = folder / "intrinsics.txt"
     if path.is_file():
         try:
-            fx, fy, cx, cy = (float(word) for word in path.read_text().split())
+            fx, fy, cx, cy = (float(word) for word in read_text(path).split())
         except ValueError:
             raise InvalidInputError(f"{path} must hold four numbers: fx fy cx cy [px at 640x480]") from None
         return NominalCamera(fx, fy, cx, cy)
@@ -89,12 +91,19 @@ def _camera(folder: Path) -> NominalCamera:
 def _read_list(path: Path) -> list[tuple[float, str]]:
     """Return the (time, file name) pairs of a list by ascending time."""
     entries = []
-    for number, line in enumerate(path.read_text(encoding="utf-8").splitlines(), start=1):
+    try:
+        lines = read_text(path).splitlines()
+    except (OSError, UnicodeDecodeError) as error:
+        raise InvalidInputError(f"{path} cannot be read ({error}): it lists the images") from None
+    for number, line in enumerate(lines, start=1):
         words = line.split()
         if not words or words[0].startswith("#"):
             continue
         try:
-            entries.append((float(words[0]), words[1]))
+            time = float(words[0])
+            if not math.isfinite(time):
+                raise ValueError(words[0])
+            entries.append((time, words[1]))
         except (ValueError, IndexError):
             raise InvalidInputError(
                 f"{path}, line {number}: expected a time in seconds and a file name"

@@ -9,11 +9,14 @@ from hypothesis import strategies as st
 from pycocotools import mask as coco
 
 from perception.errors import InvalidInputError
+from perception.io import detections
 from perception.io.detections import (
+    MAX_PER_IMAGE,
     decode_detections,
     decode_mask,
     encode_detections,
     encode_mask,
+    read_detection_entries,
     read_detections,
     write_detections,
 )
@@ -139,3 +142,23 @@ def test_masks_survive_and_agree_with_pycocotools(height, width, seed, density):
     code = encode_mask(mask)
     np.testing.assert_array_equal(decode_mask(json.loads(json.dumps(code)), (height, width)), mask)
     np.testing.assert_array_equal(coco.decode(code), mask)
+
+
+def test_more_detections_of_an_image_than_the_limit_are_refused_before_any_is_decoded(tmp_path):
+    entries = [{"image_id": 3}] * MAX_PER_IMAGE
+    (tmp_path / "detections.json").write_text(json.dumps(entries))
+    assert len(read_detection_entries(tmp_path, {3})[3]) == MAX_PER_IMAGE
+    (tmp_path / "detections.json").write_text(json.dumps([*entries, {"image_id": 3}] * 50))
+    with pytest.raises(
+        InvalidInputError, match=rf"image 3 has more than {MAX_PER_IMAGE} detections: keep the best"
+    ):
+        read(tmp_path)
+
+
+def test_masks_beyond_the_memory_limit_are_refused_before_any_is_decoded(tmp_path, monkeypatch):
+    write_detections(tmp_path, [[detection()] * 2, [], [], [detection()]])
+    monkeypatch.setattr(detections, "MAX_MASK_BYTES", 3 * H * W)
+    assert [len(found) for found in read(tmp_path)] == [2, 1]
+    monkeypatch.setattr(detections, "MAX_MASK_BYTES", 3 * H * W - 1)
+    with pytest.raises(InvalidInputError, match=r"holds masks of .* GiB are decoded: split the scan"):
+        read(tmp_path)

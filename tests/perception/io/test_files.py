@@ -2,12 +2,17 @@
 
 import json
 import os
+import socket
 import stat
+from pathlib import Path
 
 import pytest
+from hypothesis import given
+from hypothesis import strategies as st
 
 from perception.errors import InvalidInputError
-from perception.io.files import read_json, write_atomically, write_json
+from perception.io import files
+from perception.io.files import MAX_JSON_BYTES, read_bytes, read_json, write_atomically, write_json
 
 
 def test_text_and_bytes_replace_the_old_file(tmp_path):
@@ -60,3 +65,96 @@ def test_messages_name_file_problem_and_remedy(tmp_path):
     path.write_bytes(b"\xff\xfe")
     with pytest.raises(InvalidInputError, match=r"a\.json cannot be read .*: copy it$"):
         read_json(path, "copy it")
+
+
+@pytest.fixture
+def special(tmp_path):
+    """Paths that are not regular files: a reader would wait at the pipe for ever."""
+    paths = {
+        "a named pipe": tmp_path / "pipe",
+        "a folder": tmp_path / "folder",
+        "a device": Path("/dev/zero"),
+    }
+    os.mkfifo(paths["a named pipe"])
+    paths["a folder"].mkdir()
+    return paths | {"a device": Path("/dev/zero")}
+
+
+@pytest.mark.parametrize("linked", [False, True])
+@pytest.mark.parametrize("kind", ["a named pipe", "a folder", "a device"])
+def test_what_is_not_a_regular_file_is_refused_at_once(tmp_path, special, kind, linked):
+    path = special[kind]
+    if linked:
+        (tmp_path / "link.json").symlink_to(path)
+        path = tmp_path / "link.json"
+    with pytest.raises(InvalidInputError, match=rf"{path.name} is {kind}, not a regular file: copy it$"):
+        read_json(path, "copy it")
+
+
+def test_a_socket_is_refused(tmp_path, monkeypatch):
+    monkeypatch.chdir(tmp_path)  # addresses are short
+    with socket.socket(socket.AF_UNIX) as server:
+        server.bind("socket")
+        with pytest.raises(InvalidInputError, match="is a socket, not a regular file"):
+            read_bytes(tmp_path / "socket", 10)
+
+
+def test_a_pipe_that_replaces_a_file_while_it_is_opened_is_refused(special, monkeypatch):
+    monkeypatch.setattr(files, "check_regular", lambda *_: None)
+    with pytest.raises(InvalidInputError, match="is a named pipe"):
+        read_bytes(special["a named pipe"], 10)
+
+
+def test_files_are_read_up_to_the_limit(tmp_path):
+    path = tmp_path / "a.bin"
+    path.write_bytes(b"12345")
+    assert read_bytes(path, 5) == b"12345"
+    with pytest.raises(InvalidInputError, match=r"a\.bin is too large \(5 bytes; at most 4 are read\)$"):
+        read_bytes(path, 4)
+    with pytest.raises(InvalidInputError, match=r"too large \(more than 2 bytes; at most 2 are read\)"):
+        read_bytes(Path("/proc/self/status"), 2)  # its size is given as 0
+
+
+def test_large_json_is_refused_before_it_is_read(tmp_path):
+    path = tmp_path / "a.json"
+    with path.open("wb") as file:
+        file.truncate(MAX_JSON_BYTES + 1)
+    with pytest.raises(InvalidInputError, match=r"a\.json is too large .*: copy it$"):
+        read_json(path, "copy it")
+
+
+@pytest.mark.parametrize(
+    ("text", "problem"),
+    [
+        ("9" * 5000, r"holds an integer of 5000 digits, at most 18 are supported"),
+        ("-" + "9" * 400, r"holds an integer of 400 digits, at most 18 are supported"),
+        ("9" * 19, r"holds an integer of 19 digits"),
+        ("1e999", r"holds the number 1e999, which is too large"),
+        ("-1." + "1" * 500 + "e400", r"holds the number -1\.1{27}, which is too large"),
+        ("[" * 100_000, r"cannot be read \(nested too deeply\)"),
+    ],
+    ids=["5000 digits", "400 digits", "19 digits", "infinity", "minus infinity", "depth"],
+)
+def test_extreme_json_is_refused_in_one_line(tmp_path, text, problem):
+    path = tmp_path / "a.json"
+    path.write_text('{"a": ' + text + "}")
+    with pytest.raises(InvalidInputError, match=rf"a\.json {problem}.*: copy it$") as caught:
+        read_json(path, "copy it")
+    assert len(str(caught.value).splitlines()) == 1
+
+
+def test_integers_of_18_digits_are_exact(tmp_path):
+    write_json(tmp_path / "a.json", [-(10**18 - 1), 0.1])
+    assert read_json(tmp_path / "a.json", "") == [-(10**18 - 1), 0.1]
+
+
+@given(
+    content=st.binary(max_size=60) | st.text(alphabet='{}[]":,0123456789eE.-nulltrueNaIfity ').map(str.encode)
+)
+def test_any_content_is_read_or_refused(tmp_path_factory, content):
+    path = tmp_path_factory.mktemp("json") / "a.json"
+    path.write_bytes(content)
+    try:
+        read_json(path, "copy it")
+    except InvalidInputError as error:
+        assert str(error).endswith(": copy it") and len(str(error).splitlines()) == 1

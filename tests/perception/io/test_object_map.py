@@ -1,11 +1,12 @@
 import json
+import os
 
 import numpy as np
 import pytest
 import trimesh
 
 from perception.errors import InvalidInputError
-from perception.io.object_map import read_object_map, write_object_map
+from perception.io.object_map import read_object_map, read_ply, write_object_map
 from perception.types import ObjectEstimate, TriangleMesh
 
 
@@ -84,3 +85,9 @@ def test_broken_mesh_is_named(tmp_path):
     path.write_bytes(path.read_bytes()[:150])
     with pytest.raises(InvalidInputError, match=r"3_can\.ply"):
         read_object_map(tmp_path)
+
+
+def test_a_pipe_in_place_of_a_mesh_is_refused(tmp_path):
+    os.mkfifo(tmp_path / "a.ply")
+    with pytest.raises(InvalidInputError, match=r"a\.ply is a named pipe, not a regular file"):
+        read_ply(tmp_path / "a.ply")

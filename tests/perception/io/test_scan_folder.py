@@ -2,12 +2,14 @@
 
 import json
 import math
+import os
 
 import numpy as np
 import pytest
 from PIL import Image
 
 from perception.errors import InvalidInputError
+from perception.io import scan_folder
 from perception.io.images import png_bytes
 from perception.io.scan_folder import ScanIndex, read_scan, write_scan
 from perception.types import CameraIntrinsics, ObjectDetection, RgbdFrame
@@ -285,3 +287,43 @@ def test_an_index_reads_single_images_with_their_poses(folder):
     index = ScanIndex.of(folder)
     assert index.ids == [0, 1, 2]
     np.testing.assert_allclose(index.read(2).T_world_camera, pose(2), atol=1e-9)
+
+
+def test_translations_in_metres_are_reported(folder, caplog):
+    def scaled(factor):
+        def change(cameras):
+            for camera in cameras.values():
+                camera["cam_t_w2c"] = [factor * x for x in camera["cam_t_w2c"]]
+
+        return change
+
+    assert read_scan(folder).warnings == ()
+    edit(folder / "scene_camera.json", scaled(0.001))
+    (warning,) = read_scan(folder).warnings
+    assert warning == (
+        f"{folder / 'scene_camera.json'}: the translations cam_t_w2c are at most 0.671 mm long, "
+        "probably they are in metres: multiply them by 1000"
+    )
+    assert warning in caplog.text
+    edit(folder / "scene_camera.json", scaled(10.1 / 0.6708))  # one of them is 10.1 mm long
+    assert read_scan(folder).warnings == ()
+    edit(folder / "scene_camera.json", scaled(0.0))  # one camera frame is the world
+    assert read_scan(folder).warnings == ()
+
+
+def test_more_masks_than_the_limit_are_refused(folder, monkeypatch):
+    (folder / "detections.json").unlink()
+    (folder / "mask").mkdir()
+    monkeypatch.setattr(scan_folder, "MAX_PER_IMAGE", 2)
+    for number in range(3):
+        assert number == 0 or len(read_scan(folder).masks[1]) == number
+        (folder / "mask" / f"000001_{number:06d}.png").write_bytes(png_bytes(np.full((H, W), 255, np.uint8)))
+    with pytest.raises(InvalidInputError, match="mask: image 1 has more than 2 masks: keep the best ones"):
+        read_scan(folder)
+
+
+def test_a_pipe_in_place_of_an_image_is_skipped(folder):
+    (folder / "rgb" / "000001.png").unlink()
+    os.mkfifo(folder / "rgb" / "000001.png")
+    scan = read_scan(folder)
+    assert scan.image_ids == (0, 2) and "000001.png is a named pipe" in scan.warnings[0]

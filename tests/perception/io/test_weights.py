@@ -1,5 +1,6 @@
 """Weights files are compared with the checksums beside them whenever they are loaded."""
 
+import os
 import re
 import shutil
 from hashlib import sha256
@@ -103,3 +104,9 @@ def test_one_flipped_bit_of_the_numbers_is_noticed_on_load(tmp_path, name):
     shutil.copy(WEIGHTS_DIRECTORY / CHECKSUMS_FILE, tmp_path)
     with pytest.raises(PerceptionError, match=rf"{name}\.safetensors differ from their checksum"):
         LOADERS[name](path)
+
+
+def test_a_pipe_in_place_of_weights_is_refused(tmp_path):
+    os.mkfifo(tmp_path / "a.safetensors")
+    with pytest.raises(PerceptionError, match="is a named pipe, not a regular file"):
+        weights_checksum(tmp_path / "a.safetensors")

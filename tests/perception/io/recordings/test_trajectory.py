@@ -42,3 +42,13 @@ def test_a_missing_file_and_an_empty_one(tmp_path):
         read_trajectory(tmp_path / "t.txt")
     (tmp_path / "t.txt").write_text("# nothing\n")
     assert read_trajectory(tmp_path / "t.txt").Ts_world_camera.shape == (0, 4, 4)
+
+
+@pytest.mark.parametrize("number", ["nan", "inf", "1e999"])
+def test_numbers_that_are_not_finite_are_refused(tmp_path, number):
+    for position in range(4):
+        words = ["1"] * 8
+        words[position] = number
+        (tmp_path / "t.txt").write_text(" ".join(words))
+        with pytest.raises(InvalidInputError, match=r"t\.txt, line 1 is not a pose \(not finite\)"):
+            read_trajectory(tmp_path / "t.txt")

@@ -76,3 +76,10 @@ def test_both_lists_make_a_recording(tum):
         open_tum(tum)
     (tum / "depth.txt").unlink()
     assert not is_tum_recording(tum)
+
+
+@pytest.mark.parametrize("content", [b"nan rgb/a.png", b"inf rgb/a.png", b"\xff\xfe"])
+def test_unusable_lists_are_refused(tum, content):
+    (tum / "rgb.txt").write_bytes(content)
+    with pytest.raises(InvalidInputError, match=r"rgb\.txt(, line 1: expected a time| cannot be read)"):
+        open_tum(tum)
