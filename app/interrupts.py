@@ -11,7 +11,6 @@ import os
 import signal
 import sys
 from collections.abc import Callable
-from os import _exit as exit_at_once
 from types import FrameType
 
 _SIGNALS = (signal.SIGINT, signal.SIGTERM)
@@ -57,4 +56,4 @@ def _on_signal(number: int, frame: FrameType | None) -> None:
     terminal = sys.stderr is not None and sys.stderr.isatty()
     cursor = "\r\x1b[K\x1b[?25h" if terminal else ""  # a spinner hides it
     os.write(2, f"{cursor}nodeslam: interrupted\n".encode())
-    exit_at_once(exit_code())
+    os._exit(exit_code())
