@@ -21,7 +21,6 @@ SEVERAL_MODULES = {
 # Modules that are tested only through those that use them; remove a line once its module has a test file.
 NO_OWN_TEST: set[str] = {
     "app/training/shape_pictures.py",
-    "app/viewer/live.py",
 }
 
 
