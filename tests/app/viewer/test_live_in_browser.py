@@ -85,7 +85,7 @@ def test_new_scene_run_pause_step_and_stop(session, open_page, until):
     button("New scene").click()
     until(lambda: session.built == [("pack", 5), ("pack", 6)])  # an unchanged seed is incremented
     button("Run").click()
-    page.page.get_by_text("running").wait_for()
+    page.page.get_by_text("running", exact=True).wait_for()
     control = session.session._control
     times = []
     for _ in range(3):  # during the run
@@ -137,7 +137,7 @@ def test_a_real_packing_episode_plays_to_its_end_in_the_browser(open_page, tmp_p
     cell = threading.Thread(target=session.serve, daemon=True)
     cell.start()
     page = click()
-    page.page.get_by_text("running").wait_for()
+    page.page.get_by_text("running", exact=True).wait_for()
     done, times = page.page.get_by_text("1 of 1 objects in place"), []
     while not done.is_visible():
         for labels in (PAUSE, PAUSE[::-1]):  # at any point of the run
