@@ -30,7 +30,7 @@ def robot():
 
 @pytest.fixture(scope="module")
 def world(robot):
-    can = sample_object("can", "test", np.random.default_rng(2))
+    can = sample_object("can", "train", np.random.default_rng(2))  # straight: its width is that of its body
     region = Region(x=(0.5, 0.5001), y=(-0.1, -0.0999))
     with World(CellConfig((can,), seed=0, region=region, robot=robot)) as world:
         yield world
