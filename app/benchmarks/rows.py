@@ -18,10 +18,12 @@ from app.benchmarks.reference import (
 )
 from app.benchmarks.scene import BenchScene, square_view
 from app.benchmarks.timing import Benchmark, Job
-from perception.inference.fit import FitConfig, FitStart, fit_object, optimise_object
+from perception.inference.fit import fit_object
+from perception.inference.fit_config import FitConfig
 from perception.inference.levenberg_marquardt import Evaluation, LmConfig, minimise
 from perception.inference.meshing import mesh_from_grid
 from perception.inference.observation import Crop, ObjectObservation, ObjectViews, gather_pixels
+from perception.inference.optimisation import FitStart, optimise_object
 from perception.inference.problem import FitProblem, FitState
 from perception.inference.reconstruct import ReconstructOptions, reconstruct
 from perception.inference.shape_model import SKIP_JACOBIAN, SKIP_OCCUPANCY, decode, mean_shape

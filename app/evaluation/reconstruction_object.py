@@ -19,8 +19,10 @@ from app.training.yaw import HANDLE_VISIBLE
 from perception.detection.detector import Detector, DetectorConfig
 from perception.errors import PerceptionError
 from perception.inference.ablations import method_config, reconstruct_by
-from perception.inference.fit import FitConfig, FitStep, fit_object
+from perception.inference.fit import fit_object
+from perception.inference.fit_config import FitConfig
 from perception.inference.meshing import EmptyShapeError, mesh_from_code
+from perception.inference.optimisation import FitStep
 from perception.inference.reconstruct import gather_instances
 from perception.metrics import SurfaceSamples, compare_surfaces
 from perception.pipeline import load_decoder, resolve_device

@@ -36,7 +36,7 @@ from manipulation.viewpoints import (
     closeup_viewpoints,
 )
 from perception.errors import PerceptionError
-from perception.inference.fit import FitStep
+from perception.inference.optimisation import FitStep
 from perception.inference.refit import PoseCheck, refit_pose
 from perception.pipeline import Detections, Perception, detect, reconstruct_objects
 from perception.types import Category, ObjectEstimate, RgbdFrame

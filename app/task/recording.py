@@ -19,7 +19,7 @@ from app.task.scoring import read_truth
 from manipulation.execution import TaskEvent
 from manipulation.kinematics import Kinematics
 from manipulation.types import PickPlacePlan, TaskPlan
-from perception.inference.fit import FitStep
+from perception.inference.optimisation import FitStep
 from perception.pipeline import Detections
 from perception.types import Category, ObjectEstimate, RgbdFrame
 from sim_assets.cell import viewer_meshes

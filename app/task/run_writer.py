@@ -19,7 +19,7 @@ from app.task.run_control import RunControl
 from app.task.video import RunVideo
 from manipulation.execution import TaskEvent
 from manipulation.types import TaskPlan
-from perception.inference.fit import FitStep
+from perception.inference.optimisation import FitStep
 from perception.io.detections import write_detections
 from perception.io.object_map import write_object_map
 from perception.io.scan_folder import write_scan

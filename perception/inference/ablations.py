@@ -10,7 +10,7 @@ from dataclasses import replace
 from typing import Literal, get_args
 
 from perception.fusion.tsdf import TsdfConfig, reconstruct_tsdf
-from perception.inference.fit import FitConfig
+from perception.inference.fit_config import FitConfig
 from perception.inference.reconstruct import ReconstructOptions, reconstruct
 from perception.inference.shape_model import Decoder
 from perception.types import ObjectDetection, ObjectEstimate, RgbdFrame, SupportPlane

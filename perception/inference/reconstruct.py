@@ -15,8 +15,10 @@ import torch
 from jaxtyping import Bool
 
 from perception.errors import PerceptionError
-from perception.inference.fit import FitConfig, FitStep, fit_object
+from perception.inference.fit import fit_object
+from perception.inference.fit_config import FitConfig
 from perception.inference.observation import ObjectObservation, ObjectViews
+from perception.inference.optimisation import FitStep
 from perception.inference.shape_model import Decoder
 from perception.types import CATEGORIES, Category, ObjectDetection, ObjectEstimate, RgbdFrame, SupportPlane
 

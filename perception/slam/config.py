@@ -6,7 +6,7 @@ from dataclasses import dataclass, field, replace
 
 import numpy as np
 
-from perception.inference.fit import FitConfig
+from perception.inference.fit_config import FitConfig
 from perception.slam.association import MaskAssociationConfig
 from perception.slam.bundle_adjustment import BundleAdjustmentConfig
 from perception.slam.mask_merging import MaskMergingConfig

@@ -10,7 +10,8 @@ import numpy as np
 
 from perception.detection.geometry import touches_border
 from perception.errors import PerceptionError
-from perception.inference.fit import FitConfig, fit_object
+from perception.inference.fit import fit_object
+from perception.inference.fit_config import FitConfig
 from perception.inference.observation import ObjectObservation, ObjectViews
 from perception.inference.problem import FitState
 from perception.inference.shape_model import Decoder, linearise

@@ -128,3 +128,8 @@ def make_table(decoder: CupDecoder) -> Callable[..., Table]:
         return Table(decoder, category, code, pose)
 
     return make
+
+
+@pytest.fixture(scope="session")
+def can(make_table):
+    return make_table("can", (1.5, -1.0), yaw=0.0)

@@ -4,7 +4,7 @@ import pytest
 
 from perception.inference import ablations
 from perception.inference.ablations import METHODS, method_config, reconstruct_by
-from perception.inference.fit import FitConfig
+from perception.inference.fit_config import FitConfig
 from perception.types import SupportPlane
 
 BASE = FitConfig(start_views=1)

@@ -1,25 +1,16 @@
 """Fits of objects whose shape and pose are known."""
 
-import cv2
 import numpy as np
 import pytest
 
 from perception.errors import InvalidInputError
 from perception.geometry import so3_exp, yaw_of
-from perception.inference.fit import (
-    Fit,
-    FitConfig,
-    FitStage,
-    FitStart,
-    FitStep,
-    _settled,
-    _status,
-    fit_object,
-    optimise_object,
-)
+from perception.inference.fit import _status, fit_object
+from perception.inference.fit_config import FitConfig
 from perception.inference.levenberg_marquardt import Evaluation
 from perception.inference.meshing import mesh_from_code
 from perception.inference.observation import ObjectObservation, ObjectViews
+from perception.inference.optimisation import Fit, optimise_object
 from perception.inference.problem import FitState
 from perception.inference.shape_model import decode_with_jacobian
 from perception.inference.uncertainty import CalibrationConfig, calibrated_deviation
@@ -38,11 +29,6 @@ def _surface_error(estimate, table) -> float:
     truth = mesh_from_code(table.decoder, table.category, table.code, table.pose.scale)
     truth = truth.transformed(table.pose.T_world_object)
     return reconstruction_metrics(estimate.mesh_world, truth, np.random.default_rng(0), n=5000).chamfer_l1
-
-
-@pytest.fixture(scope="module")
-def can(make_table):
-    return make_table("can", (1.5, -1.0), yaw=0.0)
 
 
 @pytest.fixture(scope="module")
@@ -115,10 +101,6 @@ def test_nothing_above_the_plane_is_an_error(can, decoder) -> None:
         fit_object(views([], "can"), decoder, PLANE)
 
 
-def test_default_budget_is_the_papers() -> None:
-    assert sum(stage.iterations for stage in FitConfig().stages) == 30
-
-
 def test_deviations_are_those_of_the_covariance(can, decoder) -> None:
     """Without refinement nothing but the covariance of the fit determines the surface."""
     seen = views(can.observations((0.0, 2.0)), "can")
@@ -145,47 +127,6 @@ def test_refinement_lowers_the_deviations_of_what_is_seen(can, can_estimate) -> 
     assert can_estimate.surface_sigma[height < 0.001].max() > 1.5 * floor  # the bottom is not seen
 
 
-def test_progress_counts_the_iterations_and_ends_at_the_result(can, decoder) -> None:
-    steps: list[FitStep] = []
-    seen = views(can.observations((0.0,)), "can")
-    config = FitConfig(stages=(FitStage(24, 1, 4), FitStage(24, 0, 4)), relinearise_every=2)
-    fit = optimise_object(seen, decoder, PLANE, config, steps.append)
-    assert [step.iteration for step in steps] == [0, 4, 6, 8]
-    assert np.isnan(steps[0].residual) and steps[0].code.tolist() == [0.0] * 16
-    np.testing.assert_array_equal(steps[-1].code, fit.state.code)
-    capped = np.minimum(np.abs(np.concatenate([fit.residual_object, fit.residual_background])), 0.03)
-    assert steps[-1].residual == pytest.approx(capped.mean())
-    assert len(fit.trace) == 8
-
-
-def test_more_than_three_views_share_the_pixels_of_three(can, decoder) -> None:
-    config = FitConfig(stages=(FitStage(24, 0, 1),))
-    counts = []
-    for azimuths in ((0.0, 2.0, 4.0), (0.0, 1.0, 2.0, 3.0, 4.0, 5.0)):
-        fit = optimise_object(views(can.observations(azimuths), "can"), decoder, PLANE, config)
-        counts.append(len(fit.inside))
-    assert counts[1] == pytest.approx(counts[0], rel=0.1)
-
-
-def test_the_start_comes_from_the_first_views_alone(can) -> None:
-    seen = can.observations((0.0, 2.0))
-    wide = ObjectObservation(seen[1].frame, cv2.dilate(seen[1].mask.astype(np.uint8), np.ones((31, 31))) > 0)
-    config = FitConfig(start_views=1)
-    alone, both = (FitStart.of(views(v, "can"), PLANE, config) for v in (seen[:1], [seen[0], wide]))
-    np.testing.assert_array_equal(alone.poses[0].scale, both.poses[0].scale)
-    others = FitStart.of(views([seen[0], wide], "can"), PLANE, FitConfig())
-    assert others.poses[0].scale[0] != both.poses[0].scale[0]
-
-
-@pytest.mark.parametrize("category, sigma", [("can", 0.08), ("mug", 1.0)])
-def test_the_size_of_mugs_is_hardly_known(can, category, sigma) -> None:
-    start = FitStart.of(views(can.observations((0.0,)), category), PLANE, FitConfig())
-    assert start.size.sigma == sigma
-    np.testing.assert_array_equal(start.size.scale, start.poses[0].scale)
-    voxel = 2 * start.poses[0].scale[0] / 32
-    assert start.sampling.samples == round(2 * start.sampling.reach / (FitConfig().step[category] * voxel))
-
-
 def status(can, scale=1.0, code=0.0, turn=0.0, inlier_ratio=0.9, converged=True):
     pose = ObjectPose(so3_exp(np.array([turn, 0, 0])), can.pose.translation, scale * can.pose.scale)
     state = FitState(pose, np.full(16, code))
@@ -202,9 +143,3 @@ def test_status(can) -> None:
         {"scale": 0.19}, {"scale": 8.1}, {"code": 2.01}, {"turn": np.deg2rad(16)}, {"inlier_ratio": 0.49},
     ):  # fmt: skip
         assert status(can, **implausible) == "implausible", implausible
-
-
-def test_settled_means_half_a_standard_deviation() -> None:
-    hessian = np.diag(np.full(25, 4.0))  # standard deviation 0.5
-    assert _settled(np.full(25, 0.249), hessian)
-    assert not _settled(np.full(25, 0.251), hessian)

@@ -3,7 +3,7 @@
 import numpy as np
 import pytest
 
-from perception.inference.fit import FitConfig, FitStage
+from perception.inference.fit_config import FitConfig, FitStage
 from perception.inference.reconstruct import ReconstructOptions, gather_instances, hidden_by, reconstruct
 from perception.types import ObjectDetection, SupportPlane
 

@@ -6,7 +6,7 @@ import numpy as np
 import pytest
 
 from perception.errors import InvalidInputError
-from perception.inference.fit import FitConfig, FitStage
+from perception.inference.fit_config import FitConfig, FitStage
 from perception.slam import initialise
 from perception.slam.initialise import LandmarkViews, initialise_landmark, refitted
 from perception.slam.keyframes import Keyframe

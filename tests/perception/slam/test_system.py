@@ -5,7 +5,7 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
-from perception.inference.fit import FitConfig, FitStage
+from perception.inference.fit_config import FitConfig, FitStage
 from perception.io.recordings.sequence import without_pose
 from perception.slam.config import LandmarkLifecycleConfig, PoseCheckConfig, SlamConfig
 from perception.slam.motion import CameraMotion
