@@ -1,7 +1,7 @@
 """Physics of toys dropped onto reconstructed objects, rendered from the recorded cameras.
 
 All poses are in the recording's world frame, gravity along the support's normal. No ground
-truth is used: any recording will do.
+truth is used, so any recording works.
 """
 
 from __future__ import annotations
@@ -19,9 +19,9 @@ from sim_assets.rendering.camera import OPENCV_FROM_MUJOCO, OffscreenRenderer
 from sim_assets.rendering.headless import MjSpec, mujoco
 from sim_assets.rendering.materials import add_mesh
 
-TIMESTEP = 0.001  # [s]: a toy passes less than half a thin wall in a step
+TIMESTEP = 0.001  # [s]: a toy moves less than half a thin wall per step
 GRAVITY = 9.81  # [m/s²]
-DENSITY = 700.0  # of toys [kg/m³]
+DENSITY = 700.0  # density of toys [kg/m³]
 ToyKind = Literal["ball", "die", "pill"]
 
 _STATIC = {"friction": (0.7, 0.005, 0.0002), "solref": (0.005, 1), "solimp": (0.95, 0.99, 0.001, 0.5, 2)}
@@ -71,7 +71,7 @@ class HeightField:
     """Height field of unmodelled clutter on the support.
 
     Attributes:
-        heights: (rows, columns) above the support [m], rows along the field's y.
+        heights: (rows, columns) heights above the support [m], rows along the field's y.
         T_world_field: frame in the middle of the field on the support, z up.
         cell: side of a cell [m].
     """
@@ -94,9 +94,9 @@ class DropRendering:
     """Rendering of the toys in a white world from one recorded camera.
 
     Attributes:
-        color: (H, W, 3) coloured toys on white surroundings, with shadows.
+        color: (H, W, 3) image of coloured toys in white surroundings, with shadows.
         depth: (H, W) depth of the nearest surface [m], 0 for none.
-        toys: (H, W) whether the nearest surface is a toy's.
+        toys: (H, W) mask of pixels whose nearest surface belongs to a toy.
     """
 
     color: UInt8[np.ndarray, "h w 3"]
@@ -105,7 +105,7 @@ class DropRendering:
 
 
 class DropWorld:
-    """Simulates and renders the toys."""
+    """Physics simulation and renderer of the toys."""
 
     def __init__(
         self,
@@ -116,7 +116,7 @@ class DropWorld:
         views: Sequence[RecordedCamera],
         field: HeightField | None = None,
     ) -> None:
-        """Build the world; no toy is released yet.
+        """Build the world, with all toys unreleased.
 
         Args:
             T_world_support: a frame on the support in the middle of the scene, z along its normal.

@@ -1,6 +1,6 @@
 """Ground truth of a cell: poses, models, masks, contacts.
 
-For scoring and label generation only; an import contract keeps all other modules out.
+For scoring and label generation only; an import contract forbids it to all other modules.
 """
 
 from __future__ import annotations
@@ -20,7 +20,7 @@ def object_models(world: World) -> dict[int, ObjectModel]:
 
 
 def object_poses(world: World) -> dict[int, Float[np.ndarray, "4 4"]]:
-    """Return the present T_world_object of every object (origin at the centre of the base)."""
+    """Return the current T_world_object of every object (origin at the centre of the base)."""
     poses = {}
     for index in object_models(world):
         state = world._data.joint(f"object{index}").qpos  # position, quaternion
@@ -56,7 +56,7 @@ def touching(world: World, index: int) -> set[str]:
 
 
 def held(world: World, index: int) -> bool:
-    """Whether an object is in contact with both fingers."""
+    """Return whether an object is in contact with both fingers."""
     model = world._model
     joints = (model.joint(name).id for name in world.arm.finger_joint_names)
     return {model.body(model.jnt_bodyid[joint]).name for joint in joints} <= touching(world, index)

@@ -18,7 +18,7 @@ LOOSE_ATTEMPTS = 10  # restarts with candidates in random order
 
 
 class LayoutError(SimAssetsError, ValueError):
-    """The objects do not fit; the message gives the largest number that did."""
+    """The objects do not fit; the message gives the largest number placed."""
 
 
 @dataclass(frozen=True)
@@ -63,9 +63,8 @@ def outline(mesh: trimesh.Trimesh) -> Float[np.ndarray, "n 2"]:
     """Return the horizontal outline of a mesh: a polygon in the object frame, to half a millimetre."""
     low = mesh.bounds[0, :2] - 3 * OUTLINE_CELL
     size = np.ceil((mesh.bounds[1, :2] - low) / OUTLINE_CELL).astype(int) + 3
-    upward = (
-        mesh.faces[mesh.face_normals[:, 2] > 0] if mesh.is_watertight else mesh.faces
-    )  # their projection is the whole outline
+    # the union of their projections is the outline
+    upward = mesh.faces[mesh.face_normals[:, 2] > 0] if mesh.is_watertight else mesh.faces
     triangles = (mesh.vertices[upward][..., :2] - low) / OUTLINE_CELL
     image = np.zeros((size[1], size[0]), dtype=np.uint8)
     fraction = 4  # cv2 takes fixed-point corners
@@ -106,7 +105,7 @@ def _edges_cross(first: Float[np.ndarray, "n 2"], second: Float[np.ndarray, "m 2
 
 
 def _distances(points: Float[np.ndarray, "n 2"], polygon: Float[np.ndarray, "m 2"]) -> np.ndarray:
-    """(n, m) distances of points to a polygon's edges."""
+    """Return the (n, m) distances of points to a polygon's edges."""
     a, edge = polygon[None], (np.roll(polygon, -1, axis=0) - polygon)[None]
     to_point = points[:, None] - a
     along = np.clip((to_point * edge).sum(-1) / np.maximum((edge**2).sum(-1), 1e-18), 0, 1)
@@ -139,8 +138,9 @@ def sample_layout(
 ) -> tuple[PlanarPose, ...]:
     """Place upright objects at random, at any yaw, with at least ``min_gap`` [m] between their outlines.
 
-    Objects are placed one by one, the widest first, each at the first free candidate; without one, the layout
-    restarts. After LOOSE_ATTEMPTS restarts, candidates are tried from one side of the table to the other.
+    Objects are placed one by one, the widest first, each at the first free candidate; if there is
+    none, the layout restarts. After LOOSE_ATTEMPTS restarts, candidates are tried from one side of the table
+    to the other.
 
     Args:
         meshes: object meshes, z up, standing on z = 0.
@@ -170,7 +170,7 @@ def sample_layout(
         most = max(most, len(placed))
     raise LayoutError(
         f"{len(meshes)} objects do not fit on the table with {1000 * min_gap:.0f} mm between them: "
-        f"{most} did in the best of {restarts} attempts; use fewer or smaller objects, or a smaller gap"
+        f"at most {most} were placed in {restarts} attempts; use fewer or smaller objects, or a smaller gap"
     )
 
 

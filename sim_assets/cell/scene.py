@@ -1,7 +1,7 @@
 """The cell: floor, table, open box, lights, cameras, the arm, and the objects as free bodies, in one MjSpec.
 
-World frame: the robot's base, z up, table top at z = 0. Contact parameters were chosen by measurement: with
-stiff pads and elliptic cones a gripped mug rotates by less than a degree.
+World frame: the robot's base, z up, table top at z = 0. Contact parameters were tuned by measurement: with
+stiff pads and elliptic cones a grasped mug rotates by less than a degree.
 """
 
 from __future__ import annotations
@@ -21,8 +21,8 @@ from sim_assets.robots.simulated_arm import SimulatedArm
 TIMESTEP = 0.002  # [s]
 TABLE_SIZE = (1.3, 1.2, 0.04)  # [m]
 TABLE_CENTER = (0.45, 0.0)
-TABLE_HEIGHT = 0.75  # [m] of its top above the floor
-IMAGE_MAX = (1280, 960)  # largest image the offscreen buffer holds
+TABLE_HEIGHT = 0.75  # [m], height of the table top above the floor
+IMAGE_MAX = (1280, 960)  # size of the offscreen buffer, the largest possible image
 
 OBJECT_CONTACT = {
     "friction": (0.6, 0.005, 0.0001), "condim": 4, "contype": 1, "conaffinity": 3,
@@ -40,10 +40,10 @@ _GEOM_TYPES = {
 
 @dataclass(frozen=True)
 class BoxConfig:
-    """An open box on the table, its walls along x and y; lengths in [m].
+    """An open box on the table, aligned with x and y; lengths in [m].
 
     Attributes:
-        inner: length (x), width (y) and depth of the inside.
+        inner: length (x), width (y) and depth of the interior.
         center: position (x, y) of the centre.
         wall, floor: thickness of the walls and of the floor.
     """
@@ -117,7 +117,7 @@ def _set_options(spec: MjSpec) -> None:
     spec.stat.center = (0.45, 0, 0.2)
     visual = spec.visual
     visual.map.znear, visual.map.zfar = 0.01, 30
-    visual.map.shadowscale = 0.58  # the shadow map covers the table, the light more
+    visual.map.shadowscale = 0.58  # the shadow map covers the table, the cone more
     visual.quality.shadowsize = 2048
     visual.quality.offsamples = 4
     visual.headlight.ambient, visual.headlight.diffuse = (0.34, 0.34, 0.36), (0.16, 0.16, 0.16)

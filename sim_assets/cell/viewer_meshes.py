@@ -1,7 +1,7 @@
 """Meshes of a cell's bodies for viewers, and the poses of the arm's bodies and sites.
 
 mjviser converts MuJoCo's geoms to meshes; textures of boxes (table, walls) and roughness are added here. The
-poses of objects are ground truth and therefore not available here.
+poses of objects are ground truth and therefore excluded.
 """
 
 from __future__ import annotations
@@ -72,7 +72,7 @@ def _mesh(model: MjModel, geom: int) -> trimesh.Trimesh:
     kind = mujoco.mjtGeom(int(model.geom_type[geom]))
     if kind == mujoco.mjtGeom.mjGEOM_MESH:
         mesh = conversions.mujoco_mesh_to_trimesh(model, geom)
-        mesh.merge_vertices()  # corners of one place and one texture coordinate: smooth shading, small files
+        mesh.merge_vertices()  # equal positions and texture coordinates: smooth shading, small files
     else:
         mesh = conversions.create_primitive_mesh(model, geom)
     material = int(model.geom_matid[geom])
@@ -119,7 +119,7 @@ def _boxed(
     """Return a box textured on all sides, ``repeat`` times per side or, if uniform, per metre."""
     corners = mesh.vertices[mesh.faces]  # (f, 3 corners, 3)
     away = np.abs(mesh.face_normals).argmax(axis=1)
-    across = np.array([(1, 2), (0, 2), (0, 1)])[away]  # the two axes along each side
+    across = np.array([(1, 2), (0, 2), (0, 1)])[away]  # the two axes that span each side
     places = np.take_along_axis(corners, across[:, None, :].repeat(3, axis=1), axis=2)
     if not uniform:
         low, size = mesh.bounds[0][across], np.maximum(np.ptp(mesh.bounds, axis=0)[across], 1e-9)
@@ -157,7 +157,7 @@ def _merged(meshes: list[trimesh.Trimesh]) -> tuple[trimesh.Trimesh, ...]:
 
 
 def _simplified(mesh: trimesh.Trimesh) -> trimesh.Trimesh:
-    """Reduce a mesh to ``LARGEST_MESH`` triangles; texture coordinates are of the nearest merged vertex."""
+    """Reduce a mesh to ``LARGEST_MESH`` triangles with texture coordinates of the nearest merged vertices."""
     import fast_simplification
 
     if len(mesh.faces) <= LARGEST_MESH:

@@ -1,7 +1,7 @@
 """The simulated cell behind the ``Robot`` interface: motion, gripper and camera, without object poses.
 
-The time step is 2 ms. Objects are free bodies, grasped by contact and friction only; once the layout has
-settled, only the arm moves them. ``ground_truth`` alone reads their true poses.
+The time step is 2 ms. Objects are free bodies, grasped by contact and friction only; after
+settling, only the arm moves them. Only ``ground_truth`` reads their true poses.
 """
 
 from __future__ import annotations
@@ -29,7 +29,7 @@ IMAGE_SIZE = (640, 480)
 START_TOLERANCE = 0.03  # largest deviation of a trajectory's start from the arm's configuration [rad]
 STOP_ERROR = 0.2  # tracking error at which the arm stops [rad]
 REACHED_ERROR = 0.03  # final error above which a motion counts as blocked [rad]
-FINGER_SPEED = 0.08  # [m/s] of one finger
+FINGER_SPEED = 0.08  # [m/s], speed of one finger
 WARNINGS_CHECKED_EVERY = 50  # steps
 
 Observer = Callable[["World"], None]
@@ -139,7 +139,7 @@ class World:
         return float(np.clip(self._data.qpos[self._fingers].sum(), 0, self.arm.max_width))
 
     def capture(self) -> RgbdFrame:
-        """One registered RGB-D image of the wrist camera; its pose follows from the measured joints."""
+        """Return a registered RGB-D image of the wrist camera, with its pose from the measured joints."""
         width, height = IMAGE_SIZE
         mujoco.mj_kinematics(self._model, self._data)
         mujoco.mj_camlight(self._model, self._data)
@@ -161,7 +161,8 @@ class World:
         """Execute the motion and settle.
 
         Raises:
-            RobotError: the trajectory is malformed or starts elsewhere, or the arm is blocked.
+            RobotError: the trajectory is malformed or does not start at the measured joint positions, or the
+                arm is blocked.
         """
         self._check_trajectory(trajectory)
         times = np.arange(0, trajectory.duration + TIMESTEP / 2, TIMESTEP)
@@ -194,7 +195,7 @@ class World:
         self._wait_for_fingers()
         return self.gripper_width()
 
-    # Observation by viewers and videos.
+    # Interface for viewers and videos.
 
     def wait(self, duration: float) -> None:
         """Advance the simulation by ``duration`` [s] with the last command."""
@@ -240,7 +241,7 @@ class World:
 
     def _step(self) -> None:
         if not np.isfinite(self._data.ctrl).all():
-            raise RobotError("a command is not finite; nothing was sent to the motors")
+            raise RobotError("a command is not finite; no command was sent to the actuators")
         mujoco.mj_step(self._model, self._data)
         self._steps += 1
         if self._steps % WARNINGS_CHECKED_EVERY == 0:
@@ -250,7 +251,7 @@ class World:
             self._observer(self)
 
     def _check_warnings(self) -> None:
-        """Raise where MuJoCo reset a diverged state, which it only counts."""
+        """Raise if MuJoCo reset a diverged state, which it reports only as a warning count."""
         for kind in ("BADQPOS", "BADQVEL", "BADQACC", "BADCTRL"):
             warning = self._data.warning[int(getattr(mujoco.mjtWarning, f"mjWARN_{kind}"))]
             if warning.number:
@@ -266,12 +267,12 @@ class World:
             raise RobotError(f"trajectory period {trajectory.period} s must be positive")
         values = (trajectory.positions, trajectory.velocities, trajectory.accelerations)
         if not all(np.isfinite(value).all() for value in values):
-            raise RobotError("the trajectory has NaN or infinite samples; nothing was moved")
+            raise RobotError("the trajectory has NaN or infinite samples; the arm was not moved")
         away = np.abs(trajectory.positions[0] - self.joint_positions())
         if away.max() > START_TOLERANCE:
             joint = self.arm.joint_names[away.argmax()]
             raise RobotError(
-                f"the trajectory starts {away.max():.3f} rad from where {joint} is; "
+                f"the trajectory starts {away.max():.3f} rad from the measured position of {joint}; "
                 f"plan from joint_positions()"
             )
 
@@ -307,7 +308,7 @@ class World:
         return float(np.abs(self._data.qvel[self._finger_dofs]).max())
 
     def _fingers_stalled(self, wanted: float) -> bool:
-        """Whether contact stopped the fingers: at rest, 4 mm short of the commanded opening [m] of each."""
+        """Return whether contact stopped the fingers: at rest, each over 4 mm wider than commanded [m]."""
         return bool(self.gripper_width() / 2 - wanted > 0.004 and self._finger_speed() < 0.005)
 
     def _wait_for_fingers(self) -> None:

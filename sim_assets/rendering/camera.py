@@ -17,18 +17,18 @@ from jaxtyping import Float, Int, UInt8
 from perception.types import CameraIntrinsics
 from sim_assets.rendering.headless import MjData, MjModel, gl_context, mujoco
 
-OPENCV_FROM_MUJOCO = np.diag([1.0, -1.0, -1.0])  # the one flip between the two conventions; its own inverse
-MAX_DEPTH = 10.0  # [m], beyond it nothing is measured
+OPENCV_FROM_MUJOCO = np.diag([1.0, -1.0, -1.0])  # rotation between the two conventions; its own inverse
+MAX_DEPTH = 10.0  # [m], range limit of the depth camera
 
 
 def intrinsics_of(width: int, height: int, fovy: float) -> CameraIntrinsics:
-    """Pinhole parameters of a MuJoCo camera with a vertical field of view ``fovy`` in [deg]."""
+    """Return the pinhole parameters of a MuJoCo camera with a vertical field of view ``fovy`` in [deg]."""
     focal = height / 2 / np.tan(np.radians(fovy) / 2)
     return CameraIntrinsics(width, height, focal, focal, (width - 1) / 2, (height - 1) / 2)
 
 
 def camera_pose(data: MjData, camera: str) -> Float[np.ndarray, "4 4"]:
-    """T_world_camera of a named MuJoCo camera, in OpenCV's axes."""
+    """Return T_world_camera of a named MuJoCo camera, in OpenCV's axes."""
     view = data.camera(camera)
     T_world_camera = np.eye(4)
     T_world_camera[:3, :3] = view.xmat.reshape(3, 3) @ OPENCV_FROM_MUJOCO
@@ -39,7 +39,7 @@ def camera_pose(data: MjData, camera: str) -> Float[np.ndarray, "4 4"]:
 def look_at(
     position: Float[np.ndarray, "3"], target: Float[np.ndarray, "3"], roll: float = 0.0
 ) -> Float[np.ndarray, "4 4"]:
-    """T_world_camera (OpenCV) at ``position``, looking at ``target``, upright but for ``roll`` in [rad]."""
+    """Return T_world_camera (OpenCV) at ``position`` toward ``target``, upright but for ``roll`` [rad]."""
     forward = np.asarray(target, dtype=np.float64) - position
     forward /= np.linalg.norm(forward)
     up = np.array([0.0, 0.0, 1.0]) if abs(forward[2]) < 0.999 else np.array([1.0, 0.0, 0.0])
@@ -56,12 +56,12 @@ def look_at(
 class OffscreenRenderer:
     """MuJoCo's classic renderer for one model, at any image size, in one GL context opened on first use.
 
-    Depth and geom ids come from one pass without antialiasing, so no pixel mixes two surfaces. Contexts that
-    nobody closed are freed when the interpreter ends, before MuJoCo's own modules go.
+    Depth and geom ids come from one pass without antialiasing, so no pixel mixes two surfaces. Contexts
+    left open are freed at interpreter exit, before MuJoCo's own modules are unloaded.
     """
 
     def __init__(self, model: MjModel, draft: bool = False) -> None:
-        """A draft renderer does without multisampling and with coarser shadows, at under half the cost."""
+        """Create the renderer. ``draft``: no multisampling, coarser shadows, under half the cost."""
         self._model, self._draft = model, draft
         self._gl: Any = None
         self._context: Any = None
@@ -79,7 +79,7 @@ class OffscreenRenderer:
         shadows: bool = True,
         reflections: bool = True,
     ) -> UInt8[np.ndarray, "h w 3"]:
-        """Colour image; shadows and reflections each about double its cost."""
+        """Return the colour image; shadows and reflections each about double its cost."""
         self._scene.flags[mujoco.mjtRndFlag.mjRND_SHADOW] = shadows
         self._scene.flags[mujoco.mjtRndFlag.mjRND_REFLECTION] = reflections
         image = np.empty((height, width, 3), dtype=np.uint8)
@@ -90,11 +90,11 @@ class OffscreenRenderer:
     def depth_and_ids(
         self, data: MjData, camera: str, width: int, height: int
     ) -> tuple[Float[np.ndarray, "h w"], Int[np.ndarray, "h w"]]:
-        """What each pixel's ray meets.
+        """Return depth and geom id of the nearest surface at each pixel.
 
         Returns:
-            Depth along the optical axis in [m], without noise, 0 where nothing is within MAX_DEPTH; and the
-            id of the geom, -1 for none.
+            Depth along the optical axis in [m], without noise, 0 where no surface is within MAX_DEPTH; and
+            the id of the geom, -1 for none.
         """
         flags = self._scene.flags.copy()
         self._scene.flags[mujoco.mjtRndFlag.mjRND_SEGMENT] = True
@@ -107,7 +107,7 @@ class OffscreenRenderer:
         return np.flipud(self._metric(buffer)).copy(), np.flipud(self._geom_ids(code)).copy()
 
     def upload_texture(self, texture: int) -> None:
-        """Send a texture of the model that was edited in place to the GL context, if there is one yet."""
+        """Upload a texture edited in place to the GL context, if one is open."""
         if self._gl is not None:
             self._gl.make_current()
             mujoco.mjr_uploadTexture(self._model, self._context, texture)
@@ -131,7 +131,7 @@ class OffscreenRenderer:
         mujoco.mjr_render(mujoco.MjrRect(0, 0, width, height), self._scene, self._context)
 
     def _prepare(self, width: int, height: int) -> None:
-        """A current GL context with an offscreen buffer of this size."""
+        """Return a current GL context with an offscreen buffer of this size."""
         if self._gl is None:
             self._gl = gl_context(width, height)
             _close_at_exit()
@@ -151,14 +151,14 @@ class OffscreenRenderer:
             self._size = (width, height)
 
     def _metric(self, buffer: Float[np.ndarray, "h w"]) -> Float[np.ndarray, "h w"]:
-        """Depth buffer (1 at the near plane, 0 at the far one, linear in inverse depth) in [m]."""
+        """Convert a depth buffer (1 at the near plane, 0 at the far one, linear in inverse depth) to [m]."""
         extent = self._model.stat.extent
         near, far = self._model.vis.map.znear * extent, self._model.vis.map.zfar * extent
         inverse = 1 / far + buffer.astype(np.float64) * (1 / near - 1 / far)
         return np.where(inverse > 1 / MAX_DEPTH, 1 / inverse, 0).astype(np.float32)
 
     def _geom_ids(self, code: UInt8[np.ndarray, "h w 3"]) -> Int[np.ndarray, "h w"]:
-        """Undo MuJoCo's colour code, 1 + index in the scene in three bytes; 0 is the background."""
+        """Decode the segmentation colours: 1 + index in the scene in three bytes, 0 for the background."""
         index = code.astype(np.int32) @ np.array([1, 1 << 8, 1 << 16], dtype=np.int32)
         geom = int(mujoco.mjtObj.mjOBJ_GEOM)
         ids = np.full(self._scene.ngeom + 1, -1, dtype=np.int32)
@@ -169,7 +169,7 @@ class OffscreenRenderer:
 
 
 def _visible_option() -> Any:
-    """Scene option that shows what a camera would see: no collision shapes, sites or tendons."""
+    """Return the scene option that hides collision shapes, sites and tendons."""
     option = mujoco.MjvOption()
     option.geomgroup[3:] = 0
     option.sitegroup[:] = 0
@@ -182,7 +182,7 @@ _open: weakref.WeakSet[OffscreenRenderer] = weakref.WeakSet()
 
 @functools.cache
 def _close_at_exit() -> None:
-    """After the first context was made, where MuJoCo registers the end of EGL: last registered, first run."""
+    """Close all contexts at exit. Registered after MuJoCo's EGL handler: exit handlers run in reverse."""
     atexit.register(_close_all)
 
 

@@ -1,9 +1,8 @@
-"""Depth noise models: none, constant Gaussian, or that of a RealSense-like stereo camera.
+"""Depth noise models: none, constant Gaussian, or a RealSense-like stereo camera.
 
-The stereo model measures disparity ``d = f b / z``: an error of ``s`` pixels in d is one of ``s z^2 / (f b)``
-in depth, correlated over neighbouring pixels by the matching window, and d comes in steps. Matching fails on
-surfaces seen at a grazing angle, along depth edges, now and then for no reason, and closer than the minimum
-range.
+The stereo model measures disparity ``d = f b / z``: an error of ``s`` pixels in d is an error of
+``s z^2 / (f b)`` in depth, correlated over neighbouring pixels by the matching window; d is quantised.
+Matching fails at grazing incidence, along depth edges, at random pixels, and below the minimum range.
 """
 
 from __future__ import annotations
@@ -25,13 +24,13 @@ DISPARITY_SIGMA = 0.08  # [px]
 DISPARITY_STEP = 1 / 32  # [px]
 MATCHING_BLUR = 1.0  # [px], correlation of the disparity error
 RANGE = (0.17, 6.0)  # [m]
-DROPOUT = 0.002  # share of pixels lost at random
-EDGE_STEP = 0.02  # [m] per pixel of depth: beyond it, an edge
-EDGE_LOSS = 0.6  # share of the pixels beside an edge that are lost
+DROPOUT = 0.002  # share of random pixels without depth
+EDGE_STEP = 0.02  # [m] per pixel, depth gradient above which a pixel is on an edge
+EDGE_LOSS = 0.6  # share of the pixels beside an edge without depth
 GRAZING = (
     np.radians(72.0),
     np.radians(86.0),
-)  # incidence where matching begins to fail, and where it always does
+)  # angles of incidence at which matching begins to fail and always fails
 
 
 def add_depth_noise(
@@ -40,10 +39,10 @@ def add_depth_noise(
     intrinsics: CameraIntrinsics,
     rng: np.random.Generator,
 ) -> Float[np.ndarray, "h w"]:
-    """A noisy copy of a perfect depth image in [m]; pixels at 0 (nothing there) stay at 0.
+    """Return a noisy copy of a noise-free depth image in [m]; pixels without depth (0) stay 0.
 
     Raises:
-        ValueError: for an unknown noise model.
+        ValueError: the noise model is unknown.
     """
     if noise not in DEPTH_NOISES:
         raise ValueError(f"depth noise '{noise}' is none of {', '.join(DEPTH_NOISES)}")
@@ -73,26 +72,26 @@ def _stereo(
 
 
 def _correlated(shape: tuple[int, ...], rng: np.random.Generator) -> Float[np.ndarray, "h w"]:
-    """Standard normal noise, smooth over the matching window."""
+    """Return standard normal noise, correlated over the matching window."""
     blurred = cv2.GaussianBlur(rng.standard_normal(shape, dtype=np.float32), (0, 0), MATCHING_BLUR)
-    return blurred * (2 * np.sqrt(np.pi) * MATCHING_BLUR)  # the blur divides the deviation by this
+    return blurred * (2 * np.sqrt(np.pi) * MATCHING_BLUR)  # restores unit standard deviation
 
 
 def _patchy(shape: tuple[int, ...], rng: np.random.Generator) -> Float[np.ndarray, "h w"]:
-    """Uniform numbers in 0..1, constant over patches of 2 x 2 pixels: holes come in clumps."""
+    """Return uniform numbers in 0..1, constant over 2 x 2 pixels, so that holes are clustered."""
     half = rng.random(((shape[0] + 1) // 2, (shape[1] + 1) // 2), dtype=np.float32)
     return np.repeat(np.repeat(half, 2, axis=0), 2, axis=1)[: shape[0], : shape[1]]
 
 
 def beside_edges(depth: Float[np.ndarray, "h w"]) -> Bool[np.ndarray, "h w"]:
-    """Pixels within two of a jump in depth."""
+    """Return the mask of pixels within two pixels of a depth discontinuity."""
     kernel = np.ones((3, 3), np.uint8)
     jump = cv2.dilate(depth, kernel) - cv2.erode(depth, kernel) > 2 * EDGE_STEP
     return cv2.dilate(jump.astype(np.uint8), kernel) > 0
 
 
 def incidence(depth: Float[np.ndarray, "h w"], intrinsics: CameraIntrinsics) -> Float[np.ndarray, "h w"]:
-    """Angle in [rad] between each pixel's ray and the normal of the surface it meets.
+    """Return the angle of incidence in [rad]: between each pixel's ray and the surface normal.
 
     With inverse depth q = 1/z over normalised image coordinates (x, y), a plane is q = a x + b y + c and its
     normal (a, b, c): the gradient of q alone gives the normal.

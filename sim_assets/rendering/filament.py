@@ -1,7 +1,7 @@
-"""Colour images from MuJoCo's physically based renderer, Filament: another look than the classic renderer's.
+"""Colour images from MuJoCo's physically based renderer, Filament.
 
-It draws with Vulkan, here always in software, and ends the process where there is none; so another process
-tries it first. Its depth is not metric: depth and ids come from the classic renderer.
+It uses Vulkan, here always a software driver, and terminates the process without one; a child process
+therefore probes it first. Its depth is not metric: depth and ids come from the classic renderer.
 """
 
 from __future__ import annotations
@@ -36,7 +36,7 @@ _NEAR, _FAR = 0.05, 20.0  # [m]
 
 @functools.cache
 def filament_fault() -> str:
-    """Why Filament cannot render on this machine, found out in another process; '' where it can."""
+    """Return why Filament cannot render on this machine, probed in a child process; '' if it can."""
     root = Path(__file__).parents[2]
     try:
         probe = subprocess.run(
@@ -47,33 +47,33 @@ def filament_fault() -> str:
     if probe.returncode == 0:
         return ""
     if probe.returncode < 0:
-        return "it ended the process that tried it: no usable Vulkan driver"
+        return "the probing process was terminated: no usable Vulkan driver"
     return (probe.stderr.strip().splitlines() or [f"exit code {probe.returncode}"])[-1][:100]
 
 
 def require_filament() -> None:
-    """Raise GraphicsError where Filament cannot render."""
+    """Raise GraphicsError if Filament cannot render."""
     fault = filament_fault()
     if fault:
         raise GraphicsError(f"the filament renderer does not work here ({fault}); {INSTALL}")
 
 
 class FilamentRenderer:
-    """Filament for one model. Textures are taken over when ``load`` is called, poses with every image.
+    """Filament renderer for one model. ``load`` uploads the textures; every image updates the poses.
 
-    Geoms are drawn whatever their group, if they were visible when it loaded: what is hidden afterwards must
-    stand where no camera sees it.
+    Geoms visible at loading are rendered regardless of their group: geoms hidden later must be moved out of
+    every camera's view.
     """
 
     def __init__(self, model: MjModel, probed: bool = False) -> None:
-        """Set ``probed`` where it is known to work.
+        """Create the renderer; ``probed`` skips the probe.
 
         Raises:
-            GraphicsError: there is no Vulkan.
+            GraphicsError: Filament cannot render on this machine.
         """
         if not probed:
             require_filament()
-        importlib.import_module("mujoco.experimental.studio.window")  # it registers the materials
+        importlib.import_module("mujoco.experimental.studio.window")  # registers the materials
         self._api: Any = importlib.import_module("mujoco.mjrf")
         self._model = model
         self._context = _context(self._api)
@@ -84,7 +84,7 @@ class FilamentRenderer:
         self.load()
 
     def load(self) -> None:
-        """Take the model's meshes, textures and lights over again, after they were edited in place."""
+        """Upload the model's meshes, textures and lights again, after they were edited in place."""
         self._parts = None
         resources = self._api.ModelResources(self._context, self._model)
         scene = self._context.create_scene(self._api.SceneParams())
@@ -93,7 +93,7 @@ class FilamentRenderer:
         self._parts = resources, scene, lights, self._api.ModelRenderables(scene, resources)
 
     def color(self, data: MjData, camera: str, width: int, height: int) -> UInt8[np.ndarray, "h w 3"]:
-        """The image of a camera of the model."""
+        """Return the image of a camera of the model."""
         _, scene, lights, renderables = self._parts
         lights.update(data)
         renderables.update(data)
@@ -112,7 +112,7 @@ class FilamentRenderer:
         return image
 
     def close(self) -> None:
-        """Let the model go; the context stays for the next one, since making it is what takes long."""
+        """Release the model; the context, slow to create, is kept for the next renderer."""
         self._parts = None
 
     def _camera(self, data: MjData, camera: str) -> Any:
@@ -127,7 +127,7 @@ class FilamentRenderer:
 
 @functools.cache
 def _context(api: Any) -> Any:
-    """The one context of this process. What the engine says of itself goes to standard error."""
+    """Return the only context of this process. The engine's log goes to standard error."""
     sys.stdout.flush()
     kept = os.dup(1)
     os.dup2(2, 1)

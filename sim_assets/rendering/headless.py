@@ -1,7 +1,7 @@
-"""Chooses the OpenGL backend before MuJoCo is imported; sim_assets takes ``mujoco`` from here alone.
+"""Selection of the OpenGL backend before MuJoCo is imported; sim_assets imports ``mujoco`` from here only.
 
-MuJoCo reads ``MUJOCO_GL`` while it is being imported and, where nothing is set, asks for a window. Without a
-screen that ends the process, so the choice is made here, once: what the user set, else EGL, else OSMesa.
+MuJoCo reads ``MUJOCO_GL`` on import and, if it is unset, requires a window system, without which the process
+ends. The backend is therefore selected here: the user's setting, else EGL, else OSMesa.
 """
 
 from __future__ import annotations
@@ -18,16 +18,16 @@ from sim_assets.errors import SimAssetsError
 
 logger = logging.getLogger(__name__)
 
-_EGL_PLATFORM_DEVICE = 0x313F  # EGL_EXT_platform_device: a display without a screen
+_EGL_PLATFORM_DEVICE = 0x313F  # EGL_EXT_platform_device: headless display
 _INSTALL = "install Mesa's software renderer: apt-get install libegl1 libgl1 libosmesa6"
 
 
 class GraphicsError(SimAssetsError, RuntimeError):
-    """This machine cannot render; the message says what to install."""
+    """This machine cannot render; the message names the packages to install."""
 
 
 def egl_works() -> bool:
-    """Whether some EGL device can be initialised, asked of the library itself, without a context."""
+    """Return whether an EGL device can be initialised, without creating a context."""
     try:
         egl = ctypes.CDLL("libEGL.so.1")
     except OSError:
@@ -52,7 +52,7 @@ def egl_works() -> bool:
 
 
 def osmesa_works() -> bool:
-    """Whether the OSMesa library can be loaded."""
+    """Return whether the OSMesa library can be loaded."""
     for name in ("libOSMesa.so.8", "libOSMesa.so.6", "libOSMesa.so"):
         try:
             ctypes.CDLL(name)
@@ -63,27 +63,27 @@ def osmesa_works() -> bool:
 
 
 def choose_backend() -> str:
-    """Set ``MUJOCO_GL`` unless the user did, and return it; '' where nothing can render (physics works)."""
+    """Set ``MUJOCO_GL`` unless the user did, and return it; '' without a backend (physics still works)."""
     chosen = os.environ.get("MUJOCO_GL", "")
     if not chosen and sys.platform.startswith("linux"):
         chosen = "egl" if egl_works() else "osmesa" if osmesa_works() else ""
         os.environ["MUJOCO_GL"] = chosen or "disable"
         for name in ("mujoco.rendering.classic.gl_context", "mujoco.gl_context"):
-            if name in sys.modules:  # somebody (mink, say) imported mujoco first: let it choose again
+            if name in sys.modules:  # mujoco was imported before (by mink, for example): select again
                 importlib.reload(sys.modules[name])
     return chosen
 
 
 def require_rendering() -> None:
-    """Raise GraphicsError where no image can be made."""
+    """Raise GraphicsError if no backend can render."""
     if os.environ.get("MUJOCO_GL") in ("disable", "disabled", "off", "false", "0"):
         raise GraphicsError(f"no OpenGL for rendering without a screen (neither EGL nor OSMesa): {_INSTALL}")
 
 
 choose_backend()
-warnings.filterwarnings("ignore", module=r"glfw")  # the exception that follows has the reason
+warnings.filterwarnings("ignore", module=r"glfw")  # the exception that follows gives the reason
 
-# After the choice, on purpose. MuJoCo's extension modules come without type stubs: for checkers they are Any.
+# Imported after the selection. MuJoCo's extension modules have no type stubs: type checkers see Any.
 mujoco: Any = importlib.import_module("mujoco")
 # Its own handler appends to MUJOCO_LOG.TXT in the working directory.
 mujoco.set_mju_user_warning(lambda message: logger.warning("MuJoCo: %s", message))
@@ -98,7 +98,7 @@ else:
 
 
 def gl_context(width: int, height: int) -> Any:
-    """A new OpenGL context with the chosen backend."""
+    """Return a new OpenGL context of the selected backend."""
     require_rendering()
     return importlib.import_module("mujoco.gl_context").GLContext(width, height)
 

@@ -1,4 +1,4 @@
-"""What surfaces look like: procedural textures, glossiness, and how they wrap around a mesh."""
+"""Procedural surface finishes: textures, gloss, and texture coordinates of meshes."""
 
 from __future__ import annotations
 
@@ -19,7 +19,7 @@ Texture = UInt8[np.ndarray, "h w 3"]
 
 TEXTURE_SIZE = (128, 256)  # rows (bottom to top of the object) x columns (once around it)
 
-# Glazes, paints and prints that go together on one table: (hue, saturation, value).
+# Palette of glazes, paints and prints: (hue, saturation, value).
 _PALETTE = (
     (0.00, 0.82, 0.75), (0.60, 0.80, 0.70), (0.13, 0.85, 0.90), (0.38, 0.70, 0.58), (0.08, 0.85, 0.90),
     (0.79, 0.60, 0.55), (0.51, 0.75, 0.68), (0.10, 0.05, 0.93), (0.95, 0.45, 0.85), (0.58, 0.35, 0.80),
@@ -32,8 +32,8 @@ class Finish:
     """A surface finish.
 
     Attributes:
-        texture: (H, W, 3) image, wrapped once around the object, its first row at the bottom.
-        specular, shininess, reflectance: as MuJoCo has them, in 0..1.
+        texture: (H, W, 3) image, wrapped once around the object, first row at the bottom.
+        specular, shininess, reflectance: MuJoCo's material parameters, in 0..1.
     """
 
     texture: Texture
@@ -43,10 +43,10 @@ class Finish:
 
 
 def random_finish(rng: np.random.Generator, category: str = "", wild: float = 0.0) -> Finish:
-    """A plausible finish: glazed crockery for mugs and bowls, printed labels for cans and bottles.
+    """Sample a finish: glazed crockery for mugs and bowls, printed labels for cans and bottles.
 
     Args:
-        wild: probability of leaving the palette for any colour and any pattern (training of detectors).
+        wild: probability of an arbitrary colour and pattern instead of the palette (training of detectors).
     """
     anything = rng.random() < wild
     body, accent = _color(rng, anything), _color(rng, anything)
@@ -77,13 +77,13 @@ def _color(rng: np.random.Generator, anything: bool) -> Color:
 
 
 def solid(body: Color, accent: Color | None = None, rng: np.random.Generator | None = None) -> Texture:
-    """One colour."""
+    """Paint a single colour."""
     del accent, rng
     return np.broadcast_to(_byte(body), (*TEXTURE_SIZE, 3)).copy()
 
 
 def bands(body: Color, accent: Color, rng: np.random.Generator) -> Texture:
-    """One to three horizontal bands."""
+    """Paint one to three horizontal bands."""
     texture = solid(body)
     rows = TEXTURE_SIZE[0]
     for _ in range(rng.integers(1, 4)):
@@ -93,14 +93,14 @@ def bands(body: Color, accent: Color, rng: np.random.Generator) -> Texture:
 
 
 def two_tone(body: Color, accent: Color, rng: np.random.Generator) -> Texture:
-    """Dipped: another glaze up to some height."""
+    """Paint a second glaze up to a random height."""
     texture = solid(body)
     texture[: int(TEXTURE_SIZE[0] * rng.uniform(0.2, 0.7))] = _byte(accent)
     return texture
 
 
 def stripes(body: Color, accent: Color, rng: np.random.Generator) -> Texture:
-    """Vertical or slanted stripes."""
+    """Paint vertical or slanted stripes."""
     rows, columns = TEXTURE_SIZE
     row, column = np.mgrid[:rows, :columns]
     count, slant = rng.integers(4, 14), rng.integers(-2, 3)
@@ -109,14 +109,14 @@ def stripes(body: Color, accent: Color, rng: np.random.Generator) -> Texture:
 
 
 def speckle(body: Color, accent: Color, rng: np.random.Generator) -> Texture:
-    """Stoneware: fine dots of the second colour."""
+    """Paint fine dots of the second colour, as on stoneware."""
     rows, columns = TEXTURE_SIZE
     field = cv2.GaussianBlur(rng.random((rows, columns), dtype=np.float32), (0, 0), rng.uniform(0.7, 1.6))
     return _mix(body, accent, field > np.quantile(field, rng.uniform(0.85, 0.97)))
 
 
 def dots(body: Color, accent: Color, rng: np.random.Generator) -> Texture:
-    """A regular pattern of dots or checks."""
+    """Paint a regular pattern of dots or checks."""
     rows, columns = TEXTURE_SIZE
     row, column = np.mgrid[:rows, :columns]
     around, up = 2 * int(rng.integers(4, 9)), rng.uniform(3, 7)
@@ -125,7 +125,7 @@ def dots(body: Color, accent: Color, rng: np.random.Generator) -> Texture:
 
 
 def label(body: Color, accent: Color, rng: np.random.Generator) -> Texture:
-    """A printed label: a band of paper with a headline, blocks, lines of text and a bar code."""
+    """Paint a printed label: a band of paper with a headline, blocks, lines of text and a bar code."""
     texture = solid(body)
     rows, columns = TEXTURE_SIZE
     bottom, top = int(rows * rng.uniform(0.08, 0.25)), int(rows * rng.uniform(0.6, 0.92))
@@ -152,21 +152,21 @@ def label(body: Color, accent: Color, rng: np.random.Generator) -> Texture:
 
 
 def gradient(body: Color, accent: Color, rng: np.random.Generator) -> Texture:
-    """One glaze running into another from bottom to top."""
+    """Paint a gradient of two glazes from bottom to top."""
     share = np.linspace(0, 1, TEXTURE_SIZE[0])[:, None, None] ** rng.uniform(0.6, 2.0)
     mixed = (1 - share) * _byte(body) + share * _byte(accent)
     return np.broadcast_to(mixed.astype(np.uint8), (*TEXTURE_SIZE, 3)).copy()
 
 
 def metal(body: Color, accent: Color, rng: np.random.Generator) -> Texture:
-    """Bare metal above and below a printed band."""
+    """Paint bare metal above and below a printed band."""
     texture = label(body, accent, rng)
     texture[: TEXTURE_SIZE[0] // 14] = texture[-TEXTURE_SIZE[0] // 10 :] = (185, 188, 194)
     return texture
 
 
 def writing(body: Color, accent: Color, rng: np.random.Generator) -> Texture:
-    """Lines of print of all sizes."""
+    """Paint lines of print in random sizes."""
     texture = np.ascontiguousarray(solid(body))
     letters = np.array(list("ABCDEFGHKLMNOPRSTUVXYZ&0123456789 abcdeghiklmnorstu"))
     for _ in range(rng.integers(2, 7)):
@@ -181,7 +181,7 @@ def writing(body: Color, accent: Color, rng: np.random.Generator) -> Texture:
 
 
 def collage(body: Color, accent: Color, rng: np.random.Generator) -> Texture:
-    """Patches of many colours and shades, as on a photograph or a gift wrap."""
+    """Paint patches of many colours and shades, as on a photograph or gift wrap."""
     rows, columns = TEXTURE_SIZE
     texture = cv2.resize(
         rng.integers(0, 256, (rng.integers(2, 9), rng.integers(2, 17), 3), dtype=np.uint8),
@@ -207,7 +207,7 @@ _PATTERNS: dict[str, tuple[tuple[Pattern, float], ...]] = {
 
 
 def wood(rng: np.random.Generator, color: Color, size: tuple[int, int] = (512, 512)) -> Texture:
-    """Planks with grain along the rows' direction."""
+    """Return a texture of planks with grain along the rows' direction."""
     rows, columns = size
     planks = 6
     image = np.empty((rows, columns, 3), dtype=np.float32)
@@ -228,15 +228,15 @@ def wood(rng: np.random.Generator, color: Color, size: tuple[int, int] = (512, 5
 
 
 def cardboard(rng: np.random.Generator, color: Color, size: tuple[int, int] = (128, 128)) -> Texture:
-    """Fine fibres, hardly any contrast."""
+    """Return a texture of fine fibres with low contrast."""
     noise = cv2.GaussianBlur(rng.standard_normal(size, dtype=np.float32), (0, 0), sigmaX=4, sigmaY=0.8)
     tone = 1 + 0.018 * noise / noise.std()
     return (255 * np.clip(np.array(color) * tone[..., None], 0, 1)).astype(np.uint8)
 
 
 def random_ground(rng: np.random.Generator, size: tuple[int, int]) -> Texture:
-    """Planks, card, stone, tiles or plain paint, of usual or any colours (training of detectors)."""
-    if rng.random() < 0.6:  # tables are mostly brown, grey or white
+    """Return a texture of planks, card, stone, tiles or paint in common or arbitrary colours."""
+    if rng.random() < 0.6:  # most tables are brown, grey or white
         warm, cold = rng.uniform(0.2, 1.0), rng.uniform(0.6, 1.0)
         grey = 0.9 * warm
         color, other = (warm, warm * rng.uniform(0.65, 1.0), warm * cold * 0.8), (grey, grey, grey)
@@ -260,10 +260,10 @@ def random_ground(rng: np.random.Generator, size: tuple[int, int]) -> Texture:
 
 
 def around(mesh: trimesh.Trimesh) -> Float[np.ndarray, "c 2"]:
-    """Texture coordinates of a mesh's face corners: once around z horizontally, bottom to top vertically.
+    """Return a mesh's texture coordinates by face corner: once around z horizontally, upwards vertically.
 
     Returns:
-        (3 F, 2), face by face; a face across the seam runs past 1 instead of back through the whole texture.
+        (3 F, 2), face by face; a face across the seam exceeds 1 instead of spanning the texture backwards.
     """
     corners = mesh.vertices[mesh.faces]
     u = np.arctan2(corners[..., 1], corners[..., 0]) / (2 * np.pi) + 0.5
@@ -274,7 +274,7 @@ def around(mesh: trimesh.Trimesh) -> Float[np.ndarray, "c 2"]:
 
 
 def add_material(spec: MjSpec, name: str, finish: Finish, repeat: tuple[float, float] = (1.0, 1.0)) -> str:
-    """Add a finish to a specification as texture and material of one name, and return it."""
+    """Add a finish to a specification as a texture and a material of the same name, and return the name."""
     rows, columns, _ = finish.texture.shape
     texture = spec.add_texture(
         name=name, type=mujoco.mjtTexture.mjTEXTURE_2D, width=columns, height=rows, nchannel=3

@@ -78,5 +78,5 @@ def test_same_seed_same_layout_and_other_seed_another():
 
 
 def test_too_many_objects_are_refused_with_a_count():
-    with pytest.raises(LayoutError, match=r"30 objects do not fit .* 40 mm .*: \d+ did in the best of 3"):
+    with pytest.raises(LayoutError, match=r"30 objects do not fit .* 40 mm .*: at most \d+ were placed in 3"):
         sample_layout([cylinder(0.07)] * 30, np.random.default_rng(0), restarts=3)

@@ -109,7 +109,7 @@ def test_capture_shows_the_table_at_its_height_with_the_measured_pose(at_rest):
 @pytest.mark.parametrize(
     ("change", "message"),
     [
-        (lambda q: q + 0.2, "starts 0.200 rad from where"),
+        (lambda q: q + 0.2, "starts 0.200 rad from the measured"),
         (lambda q: np.where(np.arange(7) == 3, np.nan, q), "NaN or infinite"),
     ],
 )

@@ -44,5 +44,5 @@ def test_without_vulkan_it_says_what_to_install(monkeypatch):
 def test_a_probe_that_dies_is_a_fault(monkeypatch):
     filament.filament_fault.cache_clear()
     monkeypatch.setattr(filament, "_PROBE", "import os; os.abort()")
-    assert "ended the process" in filament.filament_fault()
+    assert "process was terminated" in filament.filament_fault()
     filament.filament_fault.cache_clear()
