@@ -1,7 +1,6 @@
 """Training of the crop networks: cross-entropy with one-hot classes or with soft yaw bins.
 
-The data set is given as arrays (``app.training.crop_dataset`` renders it). The last checkpoint contains the
-complete state, so that an interrupted run can be resumed.
+The data set is given as arrays (``app.training.crop_dataset`` renders it).
 """
 
 from __future__ import annotations
@@ -11,7 +10,6 @@ import math
 from collections.abc import Callable
 from dataclasses import dataclass
 from pathlib import Path
-from typing import Any, Generic, TypeVar
 
 import numpy as np
 import torch
@@ -19,17 +17,23 @@ from jaxtyping import Float, Int, UInt8
 from torch import Tensor
 from torch.nn import functional
 
+from perception.detection.crop_augmentation import (
+    mirror_crops,
+    perturb_crops,
+    truncate_crops,
+    warp_crops,
+)
 from perception.detection.crop_network import (
     OUTPUTS,
     CropNet,
     CropNetwork,
     Task,
     mirror_averaged_logits,
-    mirror_yaw_bins,
     normalise_crops,
 )
+from perception.detection.training_state import TrainingState, resume_checkpoint, save_checkpoint
 from perception.detection.yaw import YAW_BINS
-from perception.errors import InvalidInputError, PerceptionError
+from perception.errors import InvalidInputError
 
 logger = logging.getLogger(__name__)
 TrainingProgress = Callable[[int, int, dict[str, float]], None]  # steps done, steps in total, metrics
@@ -101,28 +105,6 @@ class TrainingJob:
     directory: Path
     device: str | torch.device = "cpu"
     progress: TrainingProgress | None = None
-
-
-Net = TypeVar("Net", bound=torch.nn.Module)
-
-
-@dataclass(frozen=True)
-class TrainingState(Generic[Net]):
-    """Everything that changes during training, and the configuration it belongs to.
-
-    Attributes:
-        config: ``repr`` of the configuration.
-        network: Network in training.
-        optimizer: Optimizer of its parameters.
-        schedule: Learning-rate schedule of the optimizer.
-        generator: Source of randomness for order and augmentation.
-    """
-
-    config: str
-    network: Net
-    optimizer: torch.optim.Optimizer
-    schedule: torch.optim.lr_scheduler.LRScheduler
-    generator: torch.Generator
 
 
 def train_crop_network(task: Task, data: TrainingData, config: TrainingConfig, job: TrainingJob) -> CropNet:
@@ -216,90 +198,6 @@ def _train_epoch(task: Task, crops: CropSet, config: TrainingConfig, state: Trai
     return total / len(order)
 
 
-def mirror_crops(
-    task: Task, images: Tensor, targets: Tensor, generator: torch.Generator
-) -> tuple[Tensor, Tensor]:
-    """Flip half of the crops left to right; their yaw relative to the view changes its sign."""
-    flip = torch.rand(len(images), generator=generator).to(images.device) < 0.5
-    images = torch.where(flip[:, None, None, None], images.flip(2), images)
-    if task == "yaw":
-        targets = torch.where(flip[:, None], mirror_yaw_bins(targets), targets)
-    return images, targets
-
-
-def truncate_crops(
-    images: UInt8[Tensor, "n side side 6"], generator: torch.Generator
-) -> UInt8[Tensor, "n side side 6"]:
-    """Set a band along one side to 0 in three of ten crops, as if the image border truncated them."""
-    n, side = images.shape[:2]
-    draw = torch.rand(n, 4, generator=generator).to(images.device)
-    ramp = torch.arange(side, device=images.device)
-    ramp = torch.where((draw[:, 1] < 0.5)[:, None], ramp, side - 1 - ramp)  # from either side
-    kept = (ramp >= (0.4 * side * draw[:, 0])[:, None]) | (draw[:, 3] > 0.3)[:, None]  # (n, side)
-    along_rows = (draw[:, 2] < 0.5)[:, None, None]
-    return images * torch.where(along_rows, kept[:, :, None], kept[:, None, :])[..., None]
-
-
-def warp_crops(
-    inputs: Float[Tensor, "n 6 side side"], generator: torch.Generator, most: float = 0.05
-) -> Float[Tensor, "n 6 side side"]:
-    """Deform the shapes: width varying with height, height, shear and shift.
-
-    This imitates shapes outside the training families and, by the shift, inexact bounding boxes of masks.
-
-    Args:
-        inputs: Normalised crops.
-        generator: Source of randomness.
-        most: Largest relative change of width, height and shear; the shift is at most 2.5 times as much of
-            half the crop's side.
-    """
-    n, _, side, _ = inputs.shape
-    draw = (2 * torch.rand(n, 9, generator=generator) - 1).to(inputs.device) * most
-    across = torch.linspace(-1, 1, side, device=inputs.device)
-    wider = functional.interpolate(draw[:, None, :5], side, mode="linear", align_corners=True)[:, 0]
-    left, lean, up, higher = (draw[:, k, None, None] for k in (5, 6, 7, 8))
-    u = across * (1 + wider[:, :, None]) + lean * across[:, None] + 2.5 * left  # (n, rows, columns)
-    v = (across[:, None] * (1 + higher) + 2.5 * up).expand_as(u)
-    grid = torch.stack([u, v], dim=-1)
-    return functional.grid_sample(inputs, grid, padding_mode="border", align_corners=True)
-
-
-def perturb_crops(
-    inputs: Float[Tensor, "n 6 side side"], context: Float[Tensor, "n 2"], generator: torch.Generator
-) -> tuple[Float[Tensor, "n 6 side side"], Float[Tensor, "n 2"]]:
-    """Vary colours (``vary_colours``) and add noise to heights, depths, crop size and elevation."""
-    n, _, side, _ = inputs.shape
-    draw = torch.rand(n, 3, generator=generator).to(inputs.device) * 2 - 1  # uniform in -1..1
-    noise = torch.randn(n, 1, side, side, generator=generator).to(inputs.device)
-    noise = noise * (0.03 * draw[:, :1].abs())[..., None, None]  # decimetres; larger depth is smaller height
-    colours = vary_colours(inputs[:, :3], generator)
-    out = torch.cat([colours, inputs[:, 3:4], inputs[:, 4:5] - noise, inputs[:, 5:6] + noise], dim=1)
-    return out.contiguous(memory_format=torch.channels_last), context + 0.03 * draw[:, 1:]
-
-
-def vary_colours(
-    colours: Float[Tensor, "n 3 side side"], generator: torch.Generator
-) -> Float[Tensor, "n 3 side side"]:
-    """Vary the appearance, so that the network relies on shape more than on colour.
-
-    Gamma, gain and tint for every crop; a shading gradient, grey or a uniform colour for some; permuted
-    channels for some batches.
-    """
-    n, _, side, _ = colours.shape
-    draw = torch.rand(n, 12, generator=generator).to(colours.device)
-    odds = draw[:, :, None, None, None]  # (n, 12, 1, 1, 1)
-    image = ((colours + 0.9) / 2).clamp(1e-3, 1)  # back to 0..1
-    image = image ** (0.5 + odds[:, 0]) * ((0.5 + 1.1 * odds[:, 1]) * (0.85 + 0.3 * draw[:, 2:5, None, None]))
-    across = torch.linspace(-0.5, 0.5, side, device=colours.device)
-    slope = (2 * draw[:, 5:7, None, None] - 1) * (odds[:, 7] < 0.4)
-    image = image * (1 + slope[:, :1] * across[:, None] + slope[:, 1:] * across)
-    image = torch.where(odds[:, 8] < 0.15, image.mean(1, keepdim=True), image)
-    image = torch.where(odds[:, 9] < 0.05, odds[:, 10], image)
-    if torch.rand(1, generator=generator) < 0.3:
-        image = image[:, torch.randperm(3, generator=generator)]
-    return 2 * image.clamp(0, 1) - 0.9
-
-
 @torch.inference_mode()
 def _logits(network: CropNetwork, crops: CropSet, batch: int = 512) -> Tensor:
     network.eval()
@@ -332,40 +230,3 @@ def calibrated_temperature(network: CropNetwork, crops: CropSet) -> float:
     grid = np.geomspace(0.3, 3.0, 60)
     losses = [float(functional.cross_entropy(logits / t, targets)) for t in grid]
     return float(grid[int(np.argmin(losses))])
-
-
-def save_checkpoint(path: Path, state: TrainingState[Any], done: int) -> None:
-    """Write the state after ``done`` epochs or steps atomically, for ``resume_checkpoint``."""
-    path.parent.mkdir(parents=True, exist_ok=True)
-    content = {
-        "config": state.config,
-        "done": done,
-        "network": state.network.state_dict(),
-        "optimizer": state.optimizer.state_dict(),
-        "schedule": state.schedule.state_dict(),
-        "generator": state.generator.get_state(),
-    }
-    partial = path.with_suffix(".partial")
-    torch.save(content, partial)
-    partial.replace(path)
-
-
-def resume_checkpoint(path: Path, state: TrainingState[Any]) -> int:
-    """Restore the state from a checkpoint in place and return the epochs or steps done; 0 without one.
-
-    Raises:
-        PerceptionError: The checkpoint belongs to another configuration.
-    """
-    if not path.is_file():
-        return 0
-    device = next(state.network.parameters()).device
-    content = torch.load(path, weights_only=True, map_location=device)
-    if content["config"] != state.config:
-        raise PerceptionError(
-            f"checkpoint {path} is of another configuration; use another --out or remove it"
-        )
-    state.network.load_state_dict(content["network"])
-    state.optimizer.load_state_dict(content["optimizer"])
-    state.schedule.load_state_dict(content["schedule"])
-    state.generator.set_state(content["generator"].cpu())
-    return int(content["done"])

@@ -18,14 +18,9 @@ from jaxtyping import Float, UInt8
 from torch import Tensor
 from torch.nn import functional
 
-from perception.detection.crop_training import (
-    TrainingJob,
-    TrainingState,
-    learning_rate_share,
-    resume_checkpoint,
-    save_checkpoint,
-)
+from perception.detection.crop_training import TrainingJob, learning_rate_share
 from perception.detection.scene_network import CLASSES, VOTE_UNIT, SceneNet
+from perception.detection.training_state import TrainingState, resume_checkpoint, save_checkpoint
 from perception.detection.working_view import WorkingView, working_view
 from perception.types import OTHER, RgbdFrame, SupportPlane
 

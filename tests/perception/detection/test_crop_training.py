@@ -1,4 +1,4 @@
-"""Training of the crop networks: learning, resuming, augmentation, calibration."""
+"""Training of the crop networks: learning, resuming, metrics, calibration."""
 
 import numpy as np
 import pytest
@@ -16,15 +16,11 @@ from perception.detection.crop_training import (
     TrainingData,
     TrainingJob,
     calibrated_temperature,
-    mirror_crops,
-    perturb_crops,
     train_crop_network,
-    truncate_crops,
     validation_metrics,
-    warp_crops,
 )
 from perception.detection.crops import SIDE
-from perception.detection.yaw import YAW_BINS, bin_centres, soft_labels
+from perception.detection.yaw import YAW_BINS, soft_labels
 from perception.errors import InvalidInputError, PerceptionError
 
 SMALL = TrainingConfig(epochs=3, batch=16, learning_rate=2e-3)
@@ -103,26 +99,6 @@ def test_targets_of_the_wrong_width_are_rejected(tmp_path):
         train_crop_network("yaw", TrainingData(crops, crops), SMALL, TrainingJob(tmp_path))
 
 
-def test_mirroring_a_crop_negates_its_yaw():
-    _, crops, yaw = synthetic(40)
-    images, targets = mirror_crops(
-        "yaw",
-        torch.from_numpy(crops.images),
-        torch.from_numpy(crops.targets),
-        torch.Generator().manual_seed(0),
-    )
-    flipped = (images != torch.from_numpy(crops.images)).flatten(1).any(1).numpy()
-    assert 5 < flipped.sum() < 35
-    mean = np.angle(targets.numpy() @ np.exp(1j * bin_centres()))
-    expected = np.where(flipped, -yaw, yaw)
-    assert np.abs((mean - expected + np.pi) % (2 * np.pi) - np.pi).max() < 1e-3
-    u = np.arange(SIDE) - (SIDE - 1) / 2
-    leftward = (
-        -(images[..., 3].numpy() > 0).sum(1) @ u
-    )  # the notch shifts the centroid of the mask to its side
-    assert np.sign(leftward) == pytest.approx(np.sign(np.sin(expected)))
-
-
 def test_predictions_of_mirrored_crops_are_mirrored():
     torch.manual_seed(0)
     crops = synthetic(6)[1]
@@ -134,34 +110,6 @@ def test_predictions_of_mirrored_crops_are_mirrored():
         if task == "yaw":
             mirrored = np.roll(mirrored, -1, axis=1)[:, ::-1]
         assert mirrored == pytest.approx(seen, abs=1e-6)
-
-
-def test_three_crops_of_ten_are_truncated_on_one_side():
-    images = torch.full((300, SIDE, SIDE, 6), 9, dtype=torch.uint8)
-    out = truncate_crops(images, torch.Generator().manual_seed(0))
-    lost = (out == 0).all(-1)
-    truncated = lost.all(1).any(1) | lost.all(2).any(1)  # complete rows or columns
-    assert 60 < truncated.sum() < 120 and torch.equal(truncated, lost.flatten(1).any(1))
-    assert lost.flatten(1).float().mean(1).max() < 0.41
-
-
-def test_perturbed_crops_keep_their_shape_and_are_finite():
-    crops = synthetic(16)[0]
-    inputs = normalise_crops(torch.from_numpy(crops.images))
-    out, context = perturb_crops(inputs, torch.from_numpy(crops.context), torch.Generator().manual_seed(0))
-    assert out.shape == inputs.shape and torch.isfinite(out).all() and torch.isfinite(context).all()
-    assert not torch.equal(out, inputs)
-
-
-def test_warped_crops_overlap_the_original_ones():
-    inputs = normalise_crops(torch.from_numpy(synthetic(16)[0].images))
-    out = warp_crops(inputs, torch.Generator().manual_seed(0))
-    unwarped = warp_crops(inputs, torch.Generator().manual_seed(0), most=0.0)
-    assert torch.allclose(unwarped, inputs, atol=1e-3)
-    before, after = inputs[:, 3] > 0.5, out[:, 3] > 0.5
-    overlap = (before & after).flatten(1).sum(1) / (before | after).flatten(1).sum(1)
-    assert overlap.min() > 0.55 and overlap.max() < 1.0
-    assert out.flatten(1).abs().max() <= inputs.abs().max() + 1e-6
 
 
 def test_the_temperature_corrects_overconfidence():

@@ -1,0 +1,94 @@
+"""Random variation of training crops: mirroring, truncation, deformation, noise and colours."""
+
+from __future__ import annotations
+
+import torch
+from jaxtyping import Float, UInt8
+from torch import Tensor
+from torch.nn import functional
+
+from perception.detection.crop_network import Task, mirror_yaw_bins
+
+
+def mirror_crops(
+    task: Task, images: Tensor, targets: Tensor, generator: torch.Generator
+) -> tuple[Tensor, Tensor]:
+    """Flip half of the crops left to right; their yaw relative to the view changes its sign."""
+    flip = torch.rand(len(images), generator=generator).to(images.device) < 0.5
+    images = torch.where(flip[:, None, None, None], images.flip(2), images)
+    if task == "yaw":
+        targets = torch.where(flip[:, None], mirror_yaw_bins(targets), targets)
+    return images, targets
+
+
+def truncate_crops(
+    images: UInt8[Tensor, "n side side 6"], generator: torch.Generator
+) -> UInt8[Tensor, "n side side 6"]:
+    """Set a band along one side to 0 in three of ten crops, as if the image border truncated them."""
+    n, side = images.shape[:2]
+    draw = torch.rand(n, 4, generator=generator).to(images.device)
+    ramp = torch.arange(side, device=images.device)
+    ramp = torch.where((draw[:, 1] < 0.5)[:, None], ramp, side - 1 - ramp)  # from either side
+    kept = (ramp >= (0.4 * side * draw[:, 0])[:, None]) | (draw[:, 3] > 0.3)[:, None]  # (n, side)
+    along_rows = (draw[:, 2] < 0.5)[:, None, None]
+    return images * torch.where(along_rows, kept[:, :, None], kept[:, None, :])[..., None]
+
+
+def warp_crops(
+    inputs: Float[Tensor, "n 6 side side"], generator: torch.Generator, most: float = 0.05
+) -> Float[Tensor, "n 6 side side"]:
+    """Deform the shapes: width varying with height, height, shear and shift.
+
+    This imitates shapes outside the training families and, by the shift, inexact bounding boxes of masks.
+
+    Args:
+        inputs: Normalised crops.
+        generator: Source of randomness.
+        most: Largest relative change of width, height and shear; the shift is at most 2.5 times as much of
+            half the crop's side.
+    """
+    n, _, side, _ = inputs.shape
+    draw = (2 * torch.rand(n, 9, generator=generator) - 1).to(inputs.device) * most
+    across = torch.linspace(-1, 1, side, device=inputs.device)
+    wider = functional.interpolate(draw[:, None, :5], side, mode="linear", align_corners=True)[:, 0]
+    left, lean, up, higher = (draw[:, k, None, None] for k in (5, 6, 7, 8))
+    u = across * (1 + wider[:, :, None]) + lean * across[:, None] + 2.5 * left  # (n, rows, columns)
+    v = (across[:, None] * (1 + higher) + 2.5 * up).expand_as(u)
+    grid = torch.stack([u, v], dim=-1)
+    return functional.grid_sample(inputs, grid, padding_mode="border", align_corners=True)
+
+
+def perturb_crops(
+    inputs: Float[Tensor, "n 6 side side"], context: Float[Tensor, "n 2"], generator: torch.Generator
+) -> tuple[Float[Tensor, "n 6 side side"], Float[Tensor, "n 2"]]:
+    """Vary colours (``vary_colours``) and add noise to heights, depths, crop size and elevation."""
+    n, _, side, _ = inputs.shape
+    draw = torch.rand(n, 3, generator=generator).to(inputs.device) * 2 - 1  # uniform in -1..1
+    noise = torch.randn(n, 1, side, side, generator=generator).to(inputs.device)
+    noise = noise * (0.03 * draw[:, :1].abs())[..., None, None]  # decimetres; larger depth is smaller height
+    colours = vary_colours(inputs[:, :3], generator)
+    out = torch.cat([colours, inputs[:, 3:4], inputs[:, 4:5] - noise, inputs[:, 5:6] + noise], dim=1)
+    return out.contiguous(memory_format=torch.channels_last), context + 0.03 * draw[:, 1:]
+
+
+def vary_colours(
+    colours: Float[Tensor, "n 3 side side"], generator: torch.Generator
+) -> Float[Tensor, "n 3 side side"]:
+    """Vary the appearance, so that the network relies on shape more than on colour.
+
+    Gamma, gain and tint for every crop; a shading gradient, grey or a uniform colour for some; permuted
+    channels for some batches.
+    """
+    n, _, side, _ = colours.shape
+    draw = torch.rand(n, 12, generator=generator).to(colours.device)
+    odds = draw[:, :, None, None, None]  # (n, 12, 1, 1, 1)
+    image = ((colours + 0.9) / 2).clamp(1e-3, 1)  # back to 0..1
+    image = image ** (0.5 + odds[:, 0]) * ((0.5 + 1.1 * odds[:, 1]) * (0.85 + 0.3 * draw[:, 2:5, None, None]))
+    across = torch.linspace(-0.5, 0.5, side, device=colours.device)
+    slope = (2 * draw[:, 5:7, None, None] - 1) * (odds[:, 7] < 0.4)
+    image = image * (1 + slope[:, :1] * across[:, None] + slope[:, 1:] * across)
+    image = torch.where(odds[:, 8] < 0.15, image.mean(1, keepdim=True), image)
+    image = torch.where(odds[:, 9] < 0.05, odds[:, 10], image)
+    if torch.rand(1, generator=generator) < 0.3:
+        image = image[:, torch.randperm(3, generator=generator)]
+    return 2 * image.clamp(0, 1) - 0.9

@@ -1,0 +1,69 @@
+"""State of a training run and its checkpoint, from which an interrupted run is resumed."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from pathlib import Path
+from typing import Any, Generic, TypeVar
+
+import torch
+
+from perception.errors import PerceptionError
+
+Net = TypeVar("Net", bound=torch.nn.Module)
+
+
+@dataclass(frozen=True)
+class TrainingState(Generic[Net]):
+    """Everything that changes during training, and the configuration it belongs to.
+
+    Attributes:
+        config: ``repr`` of the configuration.
+        network: Network in training.
+        optimizer: Optimizer of its parameters.
+        schedule: Learning-rate schedule of the optimizer.
+        generator: Source of randomness for order and augmentation.
+    """
+
+    config: str
+    network: Net
+    optimizer: torch.optim.Optimizer
+    schedule: torch.optim.lr_scheduler.LRScheduler
+    generator: torch.Generator
+
+
+def save_checkpoint(path: Path, state: TrainingState[Any], done: int) -> None:
+    """Write the state after ``done`` epochs or steps atomically, for ``resume_checkpoint``."""
+    path.parent.mkdir(parents=True, exist_ok=True)
+    content = {
+        "config": state.config,
+        "done": done,
+        "network": state.network.state_dict(),
+        "optimizer": state.optimizer.state_dict(),
+        "schedule": state.schedule.state_dict(),
+        "generator": state.generator.get_state(),
+    }
+    partial = path.with_suffix(".partial")
+    torch.save(content, partial)
+    partial.replace(path)
+
+
+def resume_checkpoint(path: Path, state: TrainingState[Any]) -> int:
+    """Restore the state from a checkpoint in place and return the epochs or steps done; 0 without one.
+
+    Raises:
+        PerceptionError: The checkpoint belongs to another configuration.
+    """
+    if not path.is_file():
+        return 0
+    device = next(state.network.parameters()).device
+    content = torch.load(path, weights_only=True, map_location=device)
+    if content["config"] != state.config:
+        raise PerceptionError(
+            f"checkpoint {path} is of another configuration; use another --out or remove it"
+        )
+    state.network.load_state_dict(content["network"])
+    state.optimizer.load_state_dict(content["optimizer"])
+    state.schedule.load_state_dict(content["schedule"])
+    state.generator.set_state(content["generator"].cpu())
+    return int(content["done"])
