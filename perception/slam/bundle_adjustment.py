@@ -6,119 +6,29 @@ keyframes, solved by the Schur complement (``schur.py``). The first keyframe is 
 
 from __future__ import annotations
 
-from collections.abc import Mapping, Sequence
 from concurrent.futures import ThreadPoolExecutor
-from dataclasses import dataclass, field, replace
+from dataclasses import replace
 
 import numpy as np
 from jaxtyping import Float
 
 from perception.geometry import invert, se3_exp, se3_log
-from perception.inference.levenberg_marquardt import Evaluation, LmConfig
-from perception.inference.observation import Crop, PixelConfig, PixelSet, SamplingRange, gather_pixels
-from perception.inference.problem import (
-    PARAMETERS,
-    FitProblem,
-    FitState,
-    NoiseConfig,
-    StepLimits,
-    SupportCamera,
-)
+from perception.inference.problem import PARAMETERS
 from perception.inference.shape_model import Decoder, LinearisedShape, linearise
-from perception.rendering.pose import object_by_camera
-from perception.slam.keyframes import Keyframe
-from perception.slam.landmarks import Landmark
-from perception.slam.marginal_prior import MarginalPrior, ViewInformation
+from perception.slam.bundle_residuals import (
+    CAMERA_SIZE,
+    ObjectEvaluation,
+    ObjectInWindow,
+    WindowEvaluation,
+    WindowState,
+)
+from perception.slam.bundle_window import BundleAdjustmentConfig, BundleResult, BundleWindow
+from perception.slam.marginal_prior import ViewInformation
 from perception.slam.plane_factor import PlaneNoise, evaluate_plane
 from perception.slam.schur import NormalEquations, solve_by_schur
-from perception.types import CODE_SIZE, GRID_RESOLUTION, SupportPlane
 
-CAMERA_SIZE = 6  # parameters of a camera: rotation, translation
 _FIRST_RELINEARISATION = 0.3  # share of ``relinearise_distance`` that counts before the first iteration
 _SMALL_DECREASE = 1e-4  # relative decrease of the cost that counts as converged, twice in all
-_MIN_SUPPORT_HEIGHT = 0.04  # [m] depth range of the support camera, at least
-
-
-@dataclass(frozen=True)
-class BundleAdjustmentConfig:
-    """Budget, weights and priors of the joint optimisation.
-
-    Attributes:
-        window_size: Number of keyframes in a window.
-        crop: Pixels along the longer side of each object's crop.
-        max_iterations: Number of Levenberg-Marquardt iterations.
-        support_pixels: Side of the virtual support camera's image, in pixels.
-        relinearise_distance: Distance of a code from its linearisation beyond which it is decoded again.
-        lm: Damping.
-        noise: Weights of the residuals.
-        pixels: Selection of pixels.
-        step_limits: Limits of the objects' steps in one iteration; the cameras' steps are scaled with them.
-        max_prior_views: Total weight of keyframes outside the window in a landmark's prior, in views.
-        camera_prior_weight: Factor on the information of the camera poses' priors; compensates for the larger
-            data weight here than in tracking.
-        camera_sigma: Standard deviation that keyframes' poses are marginalised with (rotation, translation),
-            where the pose was not better known when the frame was taken, in radians and metres.
-        plane_sigma: Standard deviation of a plane point's height, in metres.
-        use_plane: Whether the support plane constrains the cameras.
-        threads: Number of objects that are evaluated in parallel.
-    """
-
-    window_size: int = 3
-    crop: int = 24
-    max_iterations: int = 6
-    support_pixels: int = 8
-    relinearise_distance: float = 1.5
-    lm: LmConfig = field(default_factory=lambda: LmConfig(damping=1e-2))
-    noise: NoiseConfig = field(default_factory=lambda: NoiseConfig(data_weight=0.2))
-    pixels: PixelConfig = field(default_factory=PixelConfig)
-    step_limits: StepLimits = field(default_factory=StepLimits)
-    max_prior_views: float = 4.0
-    camera_prior_weight: float = 4.0
-    camera_sigma: Float[np.ndarray, "6"] = field(default_factory=lambda: np.repeat([0.005, 0.003], 3))
-    plane_sigma: float = 0.005
-    use_plane: bool = True
-    threads: int = 2
-
-
-@dataclass(frozen=True)
-class BundleWindow:
-    """The problem that is optimised.
-
-    Attributes:
-        keyframes: Keyframes of the window; the first is fixed.
-        landmarks: Landmarks of the map; those that no keyframe observes are ignored.
-        plane: Support plane in the world frame.
-        plane_points: Measured points of the plane in the camera frame of each keyframe, in metres.
-        priors: Priors on landmarks from keyframes outside the window. They preserve the shape of parts that
-            the window does not show.
-    """
-
-    keyframes: Sequence[Keyframe]
-    landmarks: Mapping[int, Landmark]
-    plane: SupportPlane
-    plane_points: Sequence[Float[np.ndarray, "_n 3"]]
-    priors: Mapping[int, MarginalPrior] = field(default_factory=dict)
-
-
-@dataclass(frozen=True)
-class BundleResult:
-    """The window after optimisation.
-
-    Attributes:
-        keyframes: Keyframes with optimised poses.
-        landmarks: Optimised landmarks by id.
-        information: Information on a landmark by (keyframe number, landmark id).
-        cost_before: Cost at the start.
-        cost_after: Cost at the end, with the weights of the last linearisation.
-        iterations: Number of iterations, rejected ones included.
-    """
-
-    keyframes: tuple[Keyframe, ...]
-    landmarks: Mapping[int, Landmark]
-    information: Mapping[tuple[int, int], ViewInformation]
-    cost_before: float
-    cost_after: float
-    iterations: int
 
 
 def optimise_jointly(
@@ -133,72 +43,6 @@ def optimise_jointly(
     """
     with ThreadPoolExecutor(config.threads) as pool:
         return _Optimiser(window, decoder, config, pool).run()
-
-
-@dataclass(frozen=True)
-class _ObjectEvaluation:
-    """Residuals of one object: ``problem`` with respect to the object's 25 parameters.
-
-    ``camera_jacobian`` is the derivative of the first n rows, the depth residuals, with respect to the pose
-    of the camera that each belongs to.
-    """
-
-    problem: Evaluation
-    camera_jacobian: Float[np.ndarray, "n 6"]
-
-
-@dataclass(frozen=True)
-class _WindowState:
-    """Parameters of a window: states of the objects by id, and camera poses."""
-
-    objects: dict[int, FitState]
-    Ts_world_camera: Float[np.ndarray, "k 4 4"]
-
-
-@dataclass(frozen=True)
-class _WindowEvaluation:
-    """Residuals at one state: of the objects in the order of their ids, and of the plane in each keyframe."""
-
-    objects: list[_ObjectEvaluation]
-    planes: list[Evaluation]
-
-
-class _ObjectInWindow:
-    """One object's pixels in all keyframes that observe it, and their least-squares problem.
-
-    Attributes:
-        views: Indices in the window of the keyframes that observe the object.
-        pixels: Pixels of all views.
-    """
-
-    def __init__(
-        self, landmark: Landmark, views: list[int], window: BundleWindow, config: BundleAdjustmentConfig
-    ) -> None:
-        self.views, self.noise = views, config.noise
-        pose = landmark.state.pose
-        voxel = 2 * float(pose.scale.max()) / GRID_RESOLUTION
-        step = landmark.sample_step * voxel
-        sampling = SamplingRange.around(pose.translation, landmark.bounding_radius, step)
-        observations = [window.keyframes[k].observation(landmark.id) for k in views]
-        self.pixels: PixelSet = gather_pixels(observations, sampling, Crop(config.crop), config.pixels)
-        height = max(2 * pose.scale[2], _MIN_SUPPORT_HEIGHT)
-        half_width = pose.scale.max()
-        self.support = SupportCamera.under(pose, window.plane, half_width, height, config.support_pixels)
-
-    def evaluate(
-        self, state: FitState, shape: LinearisedShape, Ts_world_camera: Float[np.ndarray, "k 4 4"]
-    ) -> _ObjectEvaluation:
-        """Return residuals, weights and Jacobians at a state of the object and the cameras."""
-        Ts = Ts_world_camera[self.views]
-        pixels = replace(self.pixels, Ts_world_camera=Ts)
-        evaluation = FitProblem(pixels, shape, self.support, self.noise)(state)
-        n = len(pixels.target)
-        by_pose = evaluation.jacobian[:n, CODE_SIZE : CODE_SIZE + CAMERA_SIZE]
-        camera_jacobian = np.empty((n, CAMERA_SIZE))
-        for k, T in enumerate(Ts):
-            own = pixels.rays.view == k
-            camera_jacobian[own] = by_pose[own] @ object_by_camera(state.pose, T)
-        return _ObjectEvaluation(evaluation, camera_jacobian)
 
 
 class _Optimiser:
@@ -219,13 +63,13 @@ class _Optimiser:
         self.window, self.decoder, self.config, self.pool = window, decoder, config, pool
         keyframes, landmarks = window.keyframes, window.landmarks
         observed = set().union(*(key.landmark_ids for key in keyframes)) & set(landmarks)
-        self.objects: dict[int, _ObjectInWindow] = {}
+        self.objects: dict[int, ObjectInWindow] = {}
         for id in sorted(observed):
             views = [k for k, key in enumerate(keyframes) if id in key.landmark_ids]
-            self.objects[id] = _ObjectInWindow(landmarks[id], views, window, config)
+            self.objects[id] = ObjectInWindow(landmarks[id], views, window, config)
         self.shapes: dict[int, LinearisedShape] = {id: landmarks[id].shape for id in self.objects}
         Ts = np.stack([key.T_world_camera for key in keyframes])
-        self.start = self.state = _WindowState({id: landmarks[id].state for id in self.objects}, Ts)
+        self.start = self.state = WindowState({id: landmarks[id].state for id in self.objects}, Ts)
         self.camera_priors = [
             config.camera_prior_weight * np.linalg.inv(key.covariance) for key in keyframes[1:]
         ]
@@ -258,7 +102,7 @@ class _Optimiser:
                 current = self._evaluate(self.state)
         return self._result(cost_before, cost_after, iterations, current)
 
-    def _evaluate(self, state: _WindowState) -> _WindowEvaluation:
+    def _evaluate(self, state: WindowState) -> WindowEvaluation:
         Ts, plane = state.Ts_world_camera, self.window.plane
         jobs = [
             self.pool.submit(item.evaluate, state.objects[id], self.shapes[id], Ts)
@@ -268,9 +112,9 @@ class _Optimiser:
         if self.config.use_plane:
             points_of = zip(Ts, self.window.plane_points)
             planes = [evaluate_plane(T, points, plane, self.plane_noise) for T, points in points_of]
-        return _WindowEvaluation(objects, planes)
+        return WindowEvaluation(objects, planes)
 
-    def _cost(self, at: _WindowEvaluation, weights_of: _WindowEvaluation) -> float:
+    def _cost(self, at: WindowEvaluation, weights_of: WindowEvaluation) -> float:
         """Return the sum of squared residuals at one state with the weights of another."""
         total = 0.0
         for here, there in zip(at.objects, weights_of.objects):
@@ -279,7 +123,7 @@ class _Optimiser:
             total += float(there.weights @ here.residuals**2)
         return total
 
-    def _prior_cost(self, state: _WindowState) -> float:
+    def _prior_cost(self, state: WindowState) -> float:
         """Return the cost of the priors on landmarks and cameras."""
         landmarks = sum(
             prior.cost_at(state.objects[id].step_from(self.start.objects[id]))
@@ -290,12 +134,12 @@ class _Optimiser:
         cameras = sum(xi @ information @ xi for xi, information in zip(steps, self.camera_priors))
         return float(landmarks + cameras)
 
-    def _camera_steps(self, state: _WindowState) -> list[np.ndarray]:
+    def _camera_steps(self, state: WindowState) -> list[np.ndarray]:
         """Return the step (6,) of each camera but the first from its start."""
         pairs = zip(self.start.Ts_world_camera[1:], state.Ts_world_camera[1:])
         return [se3_log(invert(start) @ T) for start, T in pairs]
 
-    def _normal_equations(self, current: _WindowEvaluation) -> NormalEquations:
+    def _normal_equations(self, current: WindowEvaluation) -> NormalEquations:
         n, free = len(self.objects), CAMERA_SIZE * (len(self.window.keyframes) - 1)
         cameras, gradient = np.zeros((free, free)), np.zeros(free)
         objects, coupling = np.zeros((n, PARAMETERS, PARAMETERS)), np.zeros((n, PARAMETERS, free))
@@ -332,7 +176,7 @@ class _Optimiser:
 
     def _moved(
         self, camera_step: Float[np.ndarray, "c"], object_steps: Float[np.ndarray, "o 25"]
-    ) -> _WindowState:
+    ) -> WindowState:
         """Return the state after a step, which is shortened as a whole to the step limits."""
         limits = self.config.step_limits.vector
         shrink = max(1.0, float(np.max(np.abs(object_steps) / limits, initial=0.0)))
@@ -341,7 +185,7 @@ class _Optimiser:
         Ts = self.state.Ts_world_camera.copy()
         for k, xi in enumerate(camera_step.reshape(-1, CAMERA_SIZE), start=1):
             Ts[k] = Ts[k] @ se3_exp(xi / shrink)
-        return _WindowState(objects, Ts)
+        return WindowState(objects, Ts)
 
     def _relinearise(self, distance: float) -> bool:
         """Decode the shapes whose codes are farther than ``distance`` from their linearisation."""
@@ -359,7 +203,7 @@ class _Optimiser:
         return bool(far)
 
     def _result(
-        self, cost_before: float, cost_after: float, iterations: int, current: _WindowEvaluation
+        self, cost_before: float, cost_after: float, iterations: int, current: WindowEvaluation
     ) -> BundleResult:
         keyframes, states = self.window.keyframes, self.state.objects
         information = {
@@ -377,7 +221,7 @@ class _Optimiser:
         return BundleResult(posed, landmarks, information, cost_before, cost_after, iterations)
 
     def _view_information(
-        self, item: _ObjectInWindow, k: int, evaluation: _ObjectEvaluation
+        self, item: ObjectInWindow, k: int, evaluation: ObjectEvaluation
     ) -> Float[np.ndarray, "25 25"]:
         """Return the information of view k on its object, with the camera pose marginalised out."""
         own = np.flatnonzero(item.pixels.rays.view == k)

@@ -8,7 +8,7 @@ import numpy as np
 
 from perception.inference.fit_config import FitConfig
 from perception.slam.association import MaskAssociationConfig
-from perception.slam.bundle_adjustment import BundleAdjustmentConfig
+from perception.slam.bundle_window import BundleAdjustmentConfig
 from perception.slam.mask_merging import MaskMergingConfig
 from perception.slam.motion import CameraMotionConfig
 from perception.slam.pixels import PixelSelectionConfig

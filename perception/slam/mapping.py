@@ -15,7 +15,8 @@ from perception.inference.observation import ObjectObservation
 from perception.inference.reconstruct import hidden_by
 from perception.inference.shape_model import Decoder
 from perception.slam.association import RenderedMasks, see_through_ratios
-from perception.slam.bundle_adjustment import BundleWindow, optimise_jointly
+from perception.slam.bundle_adjustment import optimise_jointly
+from perception.slam.bundle_window import BundleWindow
 from perception.slam.config import SlamConfig
 from perception.slam.initialise import LandmarkViews, initialise_landmark, refitted
 from perception.slam.keyframes import Keyframe, select_window

@@ -9,12 +9,8 @@ import pytest
 from perception.geometry import se3_exp
 from perception.inference.problem import FitState, StepLimits
 from perception.rendering.pose import ObjectPose, canonical_from_camera, object_by_camera
-from perception.slam.bundle_adjustment import (
-    BundleAdjustmentConfig,
-    BundleWindow,
-    _Optimiser,
-    optimise_jointly,
-)
+from perception.slam.bundle_adjustment import _Optimiser, optimise_jointly
+from perception.slam.bundle_window import BundleAdjustmentConfig, BundleWindow
 from perception.slam.keyframes import Keyframe
 from perception.slam.marginal_prior import MarginalPrior, ViewInformation
 from perception.slam.pixels import select_pixels

@@ -7,7 +7,7 @@ import pytest
 
 from perception.slam import mapping
 from perception.slam.association import RenderedMasks
-from perception.slam.bundle_adjustment import BundleResult
+from perception.slam.bundle_window import BundleResult
 from perception.slam.config import LandmarkLifecycleConfig, SlamConfig
 from perception.slam.keyframes import Keyframe
 from perception.slam.mapping import Mapper, UnmatchedMask
