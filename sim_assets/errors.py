@@ -1,8 +1,8 @@
-"""Errors of the sim_assets package: one root, messages a person can act on."""
+"""Exceptions of the sim_assets package; messages name the cause and the remedy."""
 
 
 class SimAssetsError(Exception):
-    """Root of all exceptions of sim_assets."""
+    """Base class of all exceptions of sim_assets."""
 
 
 class ObjectFileError(SimAssetsError, ValueError):

@@ -1,1 +1,1 @@
-"""Reconstructions as files for other tools: GLB, MJCF, URDF; convex pieces that keep a cavity open."""
+"""Export of reconstructions as GLB, MJCF and URDF, with convex pieces that keep cavities open."""

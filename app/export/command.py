@@ -25,7 +25,7 @@ def run(options: ExportOptions, screen: Screen) -> Report:
     source = read_run(options.run)
     folder = RunFolder.create(options, "export")
     models = []
-    with screen.stage("Making rigid bodies"):
+    with screen.stage("Building rigid bodies"):
         for done, estimate in enumerate(source.objects):
             screen.update(f"{done} of {len(source.objects)}: {estimate.name.replace('_', ' ')}")
             models.append(rigid_model(estimate))

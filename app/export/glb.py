@@ -1,4 +1,4 @@
-"""GLB: one named node for each object, coloured by class, y up as the format wants it."""
+"""GLB: one named node for each object, coloured by class, y up as glTF requires."""
 
 from __future__ import annotations
 
@@ -16,7 +16,7 @@ Y_UP = np.array([[1.0, 0, 0, 0], [0, 0, 1, 0], [0, -1, 0, 0], [0, 0, 0, 1]])  # 
 
 
 def glb_bytes(objects: Sequence[ObjectEstimate]) -> bytes:
-    """The objects as a GLB file: nodes ``<class>_<id>`` under ``world``, meshes in object frames [m]."""
+    """Return a GLB file of the objects: nodes ``<class>_<id>`` under ``world``, meshes in object frames."""
     scene = trimesh.Scene(base_frame="root")
     scene.graph.update(frame_to="world", frame_from="root", matrix=Y_UP)
     for estimate in objects:

@@ -1,4 +1,4 @@
-"""MJCF: every object a free body over the support plane; meshes to look at, convex pieces to touch."""
+"""MJCF: every object a free body above the support plane, with visual meshes and convex collision pieces."""
 
 from __future__ import annotations
 
@@ -19,7 +19,7 @@ GRAVITY = 9.81  # [m/s²]
 
 
 def write_mjcf(folder: Path, models: Sequence[RigidModel], plane: SupportPlane) -> Path:
-    """Write ``scene.xml`` and ``meshes/``; the scene last, so that one that is there is complete."""
+    """Write ``scene.xml`` and ``meshes/``; the scene last, so that an existing scene is complete."""
     for model in models:
         text = obj_text(model.mesh.vertices, model.mesh.faces)
         write_atomically(folder / "meshes" / f"{model.name}.obj", text)
@@ -29,7 +29,7 @@ def write_mjcf(folder: Path, models: Sequence[RigidModel], plane: SupportPlane) 
 
 
 def mjcf(models: Sequence[RigidModel], plane: SupportPlane) -> str:
-    """The scene's XML."""
+    """Return the scene's XML."""
     root = xml.Element("mujoco", model="reconstruction")
     xml.SubElement(root, "compiler", angle="radian", meshdir="meshes")
     gravity = numbers(-GRAVITY * plane.normal)
@@ -62,7 +62,7 @@ def _defaults(root: xml.Element) -> None:
 def _surroundings(
     assets: xml.Element, world: xml.Element, models: Sequence[RigidModel], plane: SupportPlane
 ) -> None:
-    """Light, sky and the support, just low enough that no object starts inside it."""
+    """Add light, sky and the support, just low enough that no object penetrates it initially."""
     xml.SubElement(
         assets, "texture", type="skybox", builtin="gradient", rgb1="0.65 0.72 0.8", rgb2="0.25 0.3 0.4",
         width="256", height="256",
@@ -98,7 +98,7 @@ def _body(assets: xml.Element, world: xml.Element, model: RigidModel) -> None:
 
 
 def upright(normal: Float[np.ndarray, "3"]) -> Float[np.ndarray, "3 3"]:
-    """A rotation whose z is the normal; the identity where that is z already."""
+    """Return a rotation whose z axis is the normal; the identity if the normal is z."""
     return Rotation.align_vectors(normal[None], np.array([[0.0, 0.0, 1.0]]))[0].as_matrix()
 
 

@@ -1,4 +1,4 @@
-"""A reconstructed object as a rigid body: mesh, mass, inertia, and convex pieces to touch."""
+"""A reconstructed object as a rigid body: mesh, mass, inertia and convex collision pieces."""
 
 from __future__ import annotations
 
@@ -19,15 +19,15 @@ FRICTION = (0.6, 0.005, 0.0001)  # sliding, torsional, rolling
 
 @dataclass(frozen=True)
 class RigidModel:
-    """One object ready for a simulator; the body frame is the object frame of the object map.
+    """Rigid-body model of one object for simulators; the body frame is the object frame of the object map.
 
     Attributes:
-        estimate: where it comes from.
-        mesh: its watertight surface in the object frame [m].
+        estimate: estimate that it is built from.
+        mesh: watertight surface in the object frame [m].
         pieces: corners of convex pieces in the object frame [m].
-        mass: [kg], of an even material of the class's usual density.
+        mass: mass [kg], for a homogeneous material of the class's typical density.
         center: (3,) centre of mass in the object frame [m].
-        inertia: (3, 3) about the centre of mass, along the object frame's axes [kg m²].
+        inertia: (3, 3) inertia tensor about the centre of mass, along the object frame's axes [kg m²].
     """
 
     estimate: ObjectEstimate
@@ -43,12 +43,12 @@ class RigidModel:
 
     @property
     def volume(self) -> float:
-        """Of the material in [m³]."""
+        """Volume of the material in [m³]."""
         return float(self.mesh.volume)
 
 
 def rigid_model(estimate: ObjectEstimate) -> RigidModel:
-    """The estimate as a rigid body."""
+    """Build the rigid body of an estimate."""
     mesh = trimesh.Trimesh(estimate.mesh.vertices, estimate.mesh.faces, process=False)
     density = DENSITIES[estimate.category]
     axis = body_axis(estimate.mesh.vertices, estimate.mesh.faces, estimate.category)
@@ -63,17 +63,17 @@ def rigid_model(estimate: ObjectEstimate) -> RigidModel:
 
 
 def numbers(values: np.ndarray | tuple[float, ...], digits: int = 7) -> str:
-    """Numbers as an XML attribute."""
+    """Format numbers as an XML attribute."""
     return " ".join(f"{value:.{digits}g}" for value in np.asarray(values, dtype=np.float64).ravel())
 
 
 def hull_obj(corners: Piece) -> str:
-    """The convex hull of a piece as an OBJ file."""
+    """Return the convex hull of a piece as an OBJ file."""
     return obj_text(corners, hull_faces(corners).reshape(-1, 3))
 
 
 def obj_text(vertices: Float[np.ndarray, "v 3"], faces: np.ndarray) -> str:
-    """Vertices and triangles as an OBJ file."""
+    """Return vertices and triangles as an OBJ file."""
     lines = [f"v {x:.7f} {y:.7f} {z:.7f}" for x, y, z in vertices]
     lines += [f"f {a} {b} {c}" for a, b, c in np.asarray(faces) + 1]
     return "\n".join(lines) + "\n"

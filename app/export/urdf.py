@@ -1,4 +1,4 @@
-"""URDF: one file for each object, as simulators load free bodies, and one that places them all."""
+"""URDF: one file for each object, to load as a free body, and one scene file with all poses."""
 
 from __future__ import annotations
 
@@ -32,7 +32,7 @@ def write_urdf(folder: Path, models: Sequence[RigidModel]) -> Path:
 
 
 def _scene(models: Sequence[RigidModel]) -> xml.Element:
-    """All objects at their places in the world, free to move."""
+    """Return the scene: all objects at their poses in the world, with floating joints."""
     robot = _robot("scene")
     xml.SubElement(robot, "link", name="world")
     for model in models:
@@ -46,7 +46,7 @@ def _scene(models: Sequence[RigidModel]) -> xml.Element:
 
 def _robot(name: str) -> xml.Element:
     robot = xml.Element("robot", name=name)
-    mujoco = xml.SubElement(robot, "mujoco")  # others pass over it
+    mujoco = xml.SubElement(robot, "mujoco")  # ignored by others
     xml.SubElement(mujoco, "compiler", strippath="false", discardvisual="false", fusestatic="false")
     return robot
 
@@ -74,7 +74,7 @@ def _link(model: RigidModel) -> xml.Element:
 
 
 def _piece(model: RigidModel, index: int) -> str:
-    """A file name of its own: MuJoCo takes two meshes of one name for the same, whatever their folders."""
+    """Return a unique file name: MuJoCo identifies meshes by name, regardless of folders."""
     return f"meshes/{model.name}_collision_{index:03d}.obj"
 
 
@@ -83,7 +83,7 @@ def _mesh(parent: xml.Element, filename: str) -> None:
 
 
 def _origin(parent: xml.Element, T: Float[np.ndarray, "4 4"]) -> None:
-    """Translation, and roll, pitch, yaw about fixed axes."""
+    """Return translation, and roll, pitch, yaw about fixed axes."""
     angles = Rotation.from_matrix(T[:3, :3]).as_euler("xyz")
     xml.SubElement(parent, "origin", xyz=numbers(T[:3, 3]), rpy=numbers(angles))
 

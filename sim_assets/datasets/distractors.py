@@ -143,7 +143,7 @@ def ring(rng: np.random.Generator) -> trimesh.Trimesh:
 
 
 def figure(rng: np.random.Generator) -> trimesh.Trimesh:
-    """A toy figure: rounded limbs at random about a body."""
+    """A toy figure: random rounded limbs about a body."""
     parts = [creation.icosphere(subdivisions=2, radius=rng.uniform(0.015, 0.035))]
     for _ in range(rng.integers(2, 7)):
         limb = creation.capsule(
@@ -156,7 +156,7 @@ def figure(rng: np.random.Generator) -> trimesh.Trimesh:
 
 
 def blocks(rng: np.random.Generator) -> trimesh.Trimesh:
-    """Building blocks stuck together, side by side and upon each other."""
+    """Building blocks joined side by side and on top of each other."""
     side = rng.uniform(0.018, 0.032)
     cells = {(0, 0, 0)}
     for _ in range(rng.integers(1, 7)):
@@ -167,7 +167,7 @@ def blocks(rng: np.random.Generator) -> trimesh.Trimesh:
 
 
 def slab(rng: np.random.Generator) -> trimesh.Trimesh:
-    """Something flat: a phone, a box of chocolates, a tile; now and then a book standing upright."""
+    """A flat box: a phone, a box of chocolates, a tile; sometimes an upright book."""
     x, y, z = rng.uniform((0.05, 0.08, 0.006), (0.12, 0.20, 0.03)).tolist()
     return _box((x, y, z) if rng.random() < 0.7 else (x, z, y))
 
@@ -225,7 +225,7 @@ def random_parts(rng: np.random.Generator) -> trimesh.Trimesh:
     if draw < 0.25:
         mesh = trimesh.convex.convex_hull(rng.normal(size=(rng.integers(6, 20), 3)))
         mesh.apply_scale(rng.uniform(0.03, 0.10, 3) / np.ptp(mesh.bounds, axis=0))
-    elif draw < 0.45:  # vertical edges tell prisms from cans
+    elif draw < 0.45:  # vertical edges distinguish prisms from cans
         radius, height = rng.uniform(0.02, 0.05), rng.uniform(0.05, 0.22)
         mesh = creation.cylinder(radius=radius, height=height, sections=int(rng.integers(3, 7)))
         mesh.apply_scale((1, rng.uniform(0.5, 1.0), 1))

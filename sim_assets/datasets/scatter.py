@@ -1,4 +1,4 @@
-"""Things on a table top without physics: light meshes, coarse outlines, and free places for them."""
+"""Random placement of items on a table top without physics: simplified meshes and outlines, free poses."""
 
 from __future__ import annotations
 
@@ -15,7 +15,7 @@ from sim_assets.cell.layout import PlanarPose, outline
 from sim_assets.cell.layout import gap as gap_between
 
 OUTLINE_POINTS = 40
-TOUCHING_GAP = 0.006  # [m] at most, between neighbours that are put side by side
+TOUCHING_GAP = 0.006  # [m], largest gap between touching neighbours
 _TRIES = 30
 _STEPS = 12  # towards a neighbour
 
@@ -43,7 +43,7 @@ def simplified(mesh: trimesh.Trimesh, tolerance: float = 0.00015) -> trimesh.Tri
         manifold3d.Mesh(np.asarray(mesh.vertices, np.float32), np.asarray(mesh.faces, np.uint32))
     )
     reduced = solid.simplify(tolerance).to_mesh()
-    if len(reduced.tri_verts) == 0:  # a mesh file that is no solid
+    if len(reduced.tri_verts) == 0:  # a mesh file that is not a solid
         return mesh
     return trimesh.Trimesh(reduced.vert_properties[:, :3], reduced.tri_verts, process=False)
 
@@ -61,14 +61,14 @@ def make_item(category: Category | None, mesh: trimesh.Trimesh) -> TableItem:
 def scatter(
     items: Sequence[TableItem], rng: np.random.Generator, gap: float, spread: float, touching: float = 0.0
 ) -> list[PlanarPose | None]:
-    """Sample a collision-free pose for each item, None for one that found no room.
+    """Sample a collision-free pose for each item, None for items without a free place.
 
-    Quick and coarse beside ``layout.sample_layout``: distances are those between sampled outlines.
+    Faster and coarser than ``layout.sample_layout``: distances are those between sampled outlines.
 
     Args:
-        gap: least distance between neighbours in [m].
-        spread: half side of the square that they are put in, in [m].
-        touching: share of the items that are pushed against one already there, whatever ``gap`` says.
+        gap: smallest distance between neighbours in [m].
+        spread: half side of the square that contains the items, in [m].
+        touching: share of the items pushed against a placed one, regardless of ``gap``.
     """
     poses: list[PlanarPose | None] = []
     taken: list[_Placed] = []
@@ -110,12 +110,12 @@ def _pushed_against(item: TableItem, other: _Placed, rng: np.random.Generator) -
         excess = gap_between(pose.transform(item.outline), other.outline) - left
         if excess < 5e-4:
             break
-        distance -= excess  # no farther than the gap is wide: it cannot jump across
+        distance -= excess  # at most the gap's width, so that it cannot pass through
     return pose
 
 
 def _apart(placed: _Placed, other: _Placed, gap: float) -> bool:
-    """Whether two placed items are at least ``gap`` apart; distances of the centres are tested first."""
+    """Return whether two placed items are at least ``gap`` apart, testing distances of the centres first."""
     distance = np.hypot(placed.pose.x - other.pose.x, placed.pose.y - other.pose.y)
     if distance > placed.reach + other.reach + gap:
         return True
@@ -124,5 +124,5 @@ def _apart(placed: _Placed, other: _Placed, gap: float) -> bool:
     if gap == 0:
         return gap_between(placed.outline, other.outline) > 0
     nearest = np.linalg.norm(placed.outline[:, None] - other.outline, axis=-1).min()
-    sampling = 0.002  # what lies between the samples of an outline, about
+    sampling = 0.002  # approximate error between the samples of an outline
     return bool(nearest >= gap + sampling)

@@ -37,7 +37,7 @@ class SequenceConfig:
         objects: Number of objects.
         categories: Classes of the objects, assigned in turn.
         spread: Half side of the square that the objects are placed in, in metres.
-        gap: Least distance between the outlines of objects, in metres.
+        gap: Smallest distance between the outlines of objects, in metres.
         distance, elevation: Range of the sampled camera positions relative to their look-at points, in metres
             and radians.
         azimuth_step: Range of the angle about the vertical between successive positions, in radians.
@@ -70,7 +70,7 @@ CLOSE_UP = SequenceConfig(distance=(0.32, 0.42), look_at=0.20, frames=100, step=
 
 @dataclass(frozen=True)
 class PlacedObject:
-    """One true object with its pose."""
+    """A true object with its pose."""
 
     model: ObjectModel
     T_world_object: Float[np.ndarray, "4 4"]
@@ -82,7 +82,7 @@ class SequenceFrame:
 
     Attributes:
         frame: Colour, noisy depth, and the true camera pose.
-        instances: Index of the object at each pixel, -1 for everything else.
+        instances: Index of the object at each pixel, -1 for none.
     """
 
     frame: RgbdFrame
@@ -93,7 +93,7 @@ class TableSequence:
     """A scene and a trajectory, determined by the seed; every rendering gives the same images.
 
     Attributes:
-        config: Settings that it was sampled with.
+        config: Distribution that it was sampled from.
         objects: True objects with their final poses.
         moved: Index of the object that is displaced at ``config.moved_at``, or None.
         Ts_world_camera: True trajectory.
@@ -238,7 +238,7 @@ def _build(objects: Sequence[PlacedObject], fovy: float, rng: np.random.Generato
     spec.stat.extent, spec.stat.center = 1.0, (0, 0, 0)
     spec.visual.map.znear, spec.visual.map.zfar = 0.05, 20
     spec.visual.quality.shadowsize = 1024
-    spec.visual.quality.offsamples = 0  # quicker; colour is only looked at
+    spec.visual.quality.offsamples = 0  # faster; colour is for display only
     spec.visual.headlight.ambient, spec.visual.headlight.diffuse = (0.36, 0.36, 0.38), (0.15, 0.15, 0.15)
     grain = Finish(wood(rng, (0.62, 0.46, 0.32), (768, 768)), specular=0.12, shininess=0.3, reflectance=0.0)
     add_material(spec, "table", grain)

@@ -37,7 +37,7 @@ class TrainingSceneConfig:
     """Distributions that table-top scenes are sampled from.
 
     Attributes:
-        width, height: in pixels.
+        width, height: size of the images in pixels.
         pool, distractors: number of objects and of distractors compiled together.
         shares: relative frequencies of CATEGORIES among the objects of the pool.
         random_parts: share of the training split's distractors made by ``random_parts``.
@@ -55,7 +55,7 @@ class TrainingSceneConfig:
         shadows: share of images with cast shadows (slower).
         upturned: share of images with a uniformly random camera roll.
         noises: probabilities of DEPTH_NOISES.
-        renderer: of the colour images; depth and instances always come from the classic one.
+        renderer: renderer of the colour images; depth and instances always come from the classic one.
     """
 
     width: int = 320
@@ -113,7 +113,7 @@ class LabelledImage:
 
     Attributes:
         frame: colour, noisy depth, intrinsics and pose of the camera.
-        instances: (H, W) index into ``labels`` of what each pixel shows, -1 for table and background.
+        instances: (H, W) index into ``labels`` of the visible item, -1 for table and background.
         labels: all items on the table, visible or not.
     """
 
@@ -154,7 +154,7 @@ class TableTop:
         for name in ("table", "wall"):
             self._set_texture(name, random_ground(rng, GROUND_SIZE))
         if self.filament is not None:
-            self.model.geom_group[self.geoms] = SHOWN  # it leaves out what is hidden while it loads
+            self.model.geom_group[self.geoms] = SHOWN  # geoms hidden at loading are never rendered
             self.filament.load()
 
     def _set_texture(self, name: str, image: np.ndarray) -> None:

@@ -2,7 +2,7 @@
 
 A pool of objects and distractors is compiled once; for each image some are shown and moved by editing the
 model in place, the others are hidden. Textures change every few images, the pool less often. One process
-renders 20 images a second or more; shards belong in separate processes.
+renders at least 20 images a second; run shards in separate processes.
 """
 
 from __future__ import annotations
@@ -23,7 +23,7 @@ from sim_assets.objects.can import FOOT, CanParameters
 from sim_assets.objects.families import make_solid, sample_parameters
 
 Split = Literal["train", "test"]
-PLAIN_BEND = 0.10  # a tumbler that widens by less of its radius has a can's sides
+PLAIN_BEND = 0.10  # a tumbler that widens less, relative to its radius, resembles a can
 
 
 class TrainingScenes:
@@ -36,7 +36,7 @@ class TrainingScenes:
         config: TrainingSceneConfig | None = None,
         own: Sequence[tuple[Category, trimesh.Trimesh]] = (),
     ) -> None:
-        """Start with a seed; ``own`` meshes, if given, replace the generated objects, not the distractors."""
+        """Seed the generator; ``own`` meshes, if given, replace generated objects, not distractors."""
         self._own = [make_item(category, simplified(mesh)) for category, mesh in own]
         self.config = config or TrainingSceneConfig()
         self.split: Split = split
@@ -97,7 +97,7 @@ def _draw_mesh(
 
 
 def _perhaps_drawn_in(can: CanParameters, share: float, rng: np.random.Generator) -> CanParameters:
-    """Give a plain can or canister a foot with probability ``share``: a foot must not decide the class."""
+    """Give a plain can or canister a foot with probability ``share``, so that it is no cue to the class."""
     if can.kind not in ("plain", "canister") or rng.random() >= share:
         return can
     return replace(can, foot=float(rng.uniform(*FOOT)))

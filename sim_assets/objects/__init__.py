@@ -1,4 +1,4 @@
-"""Object CAD families: mugs, bowls, bottles and cans, each from a frozen record of parameters in [m]."""
+"""Object CAD families: mugs, bowls, bottles and cans, each generated from frozen parameters in [m]."""
 
 from sim_assets.objects.families import (
     SPLITS,

@@ -1,10 +1,10 @@
 """Bottles: round, rectangular and waisted bodies with shoulders, necks and caps; squeeze bottles; tumblers.
 
-All are closed. An 80 mm gripper can grasp each from above: cap and neck, the lid of a tumbler, or the narrow
-side of a rectangular bottle are at most 70 mm wide. Held out for testing are the kinds below the line.
+All are closed and can be grasped from above with an 80 mm gripper: cap and neck, the lid of a tumbler, or the
+narrow side of a rectangular bottle are at most 70 mm wide. The kinds below the line are held out for testing.
 
-Median IoU of a grid with the nearest of 1,000 training grids: 0.93 for training draws, 0.89 (bulged), 0.87
-(oval) and 0.87 (shaker) for test draws.
+Median IoU of a grid with the nearest of 1,000 training grids: 0.93 for training samples, 0.89 (bulged), 0.87
+(oval) and 0.87 (shaker) for test samples.
 
 | kind        | split | body                      | section     | shoulder | top                        |
 | ----------- | ----- | ------------------------- | ----------- | -------- | -------------------------- |
@@ -55,9 +55,9 @@ class BottleParameters:
 
     Attributes:
         bend: k of the body's side, see ``_relative_radius``.
-        body_top: height where the shoulder starts; neck_bottom: where it ends.
-        cap_bottom: height where the cap starts.
-        aspect, exponent: of the section; 1 and 2 are a circle.
+        body_top, neck_bottom: heights of the shoulder's lower and upper end.
+        cap_bottom: height of the cap's lower edge.
+        aspect, exponent: shape of the superelliptic section; 1 and 2 give a circle.
         density: mass over the volume enclosed [kg/m³], contents included.
     """
 
@@ -79,7 +79,7 @@ class BottleParameters:
 
 
 def bottle_profile(parameters: BottleParameters) -> Curve:
-    """The closed profile (r, z)."""
+    """Return the closed profile (r, z)."""
     p = parameters
     u = np.linspace(0.0, 1.0, 33)
     relative = _relative_radius(p.kind, p.bend, u)
@@ -149,7 +149,7 @@ def _relative_radius(kind: BottleKind, k: float, u: np.ndarray) -> np.ndarray:
 
 
 def sample_bottle(split: str, rng: np.random.Generator) -> BottleParameters:
-    """Draw a bottle of the split's families."""
+    """Sample a bottle of the split's families."""
     kind: BottleKind = rng.choice(KINDS[split])
     if kind in ("tumbler", "shaker"):
         return _sample_tumbler(kind, rng)
@@ -200,7 +200,7 @@ def sample_bottle(split: str, rng: np.random.Generator) -> BottleParameters:
 
 
 def _sample_tumbler(kind: BottleKind, rng: np.random.Generator) -> BottleParameters:
-    """A closed cup: it widens upwards to a lid that is gripped."""
+    """Sample a closed cup that widens towards its lid, where it is grasped."""
     lid = rng.uniform(0.027, 0.5 * WIDEST_GRIP)
     radius = lid * rng.uniform(0.94, 1.0)
     height = float(np.clip(2.0 * radius * rng.uniform(1.7, 3.0), 0.120, 0.220))

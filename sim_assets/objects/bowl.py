@@ -1,9 +1,9 @@
 """Bowls: thin and thick, flat and round, with vertical, conical and flared walls, on discs and foot rings.
 
-Held out for testing are the kinds below the line, whose profiles or sections no training bowl has.
+The kinds below the line are held out for testing; no training bowl has their profiles or sections.
 
-Median IoU of a grid with the nearest of 1,000 training grids: 0.73 for training draws, 0.59 (faceted), 0.69
-(lobed) and 0.70 (ogee) for test draws.
+Median IoU of a grid with the nearest of 1,000 training grids: 0.73 for training samples, 0.59 (faceted), 0.69
+(lobed) and 0.70 (ogee) for test samples.
 
 | side     | split | section | outer curve from the base radius up to the rim                    |
 | -------- | ----- | ------- | ----------------------------------------------------------------- |
@@ -42,9 +42,9 @@ class BowlParameters:
     """Lengths in [m].
 
     Attributes:
-        shape: the side curve's number: exponent, arc angle [rad] or power.
-        base_radius: where the side curve starts.
-        flare: how far the lip turns out, over the radius.
+        shape: parameter of the side curve: exponent, arc angle [rad] or power.
+        base_radius: radius at which the side curve starts.
+        flare: outward displacement of the lip, relative to the radius.
     """
 
     side: BowlSide
@@ -76,7 +76,7 @@ def bowl_section(parameters: BowlParameters) -> Section | None:
 
 
 def _unit_side(parameters: BowlParameters) -> Curve:
-    """(k, 2) curve from (0, 0) to (about 1, 1), rising."""
+    """Return the (k, 2) rising curve from (0, 0) to (about 1, 1)."""
     if parameters.side == "cap":
         angle = np.linspace(0.0, parameters.shape, 80)
         return np.stack([np.sin(angle), 1.0 - np.cos(angle)], axis=1) / (
@@ -99,7 +99,7 @@ def _unit_side(parameters: BowlParameters) -> Curve:
 
 
 def sample_bowl(split: str, rng: np.random.Generator) -> BowlParameters:
-    """Draw a bowl of the split's families."""
+    """Sample a bowl of the split's families."""
     side: BowlSide = rng.choice(SIDES[split])
     radius = rng.uniform(0.045, 0.090)
     height = float(np.clip(radius * rng.uniform(0.55, 1.15), 0.035, 0.090))

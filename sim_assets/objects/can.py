@@ -1,9 +1,9 @@
 """Cans: drink cans, food tins, plain tins and canisters, slim to wide.
 
-Held out for testing are the kinds below the line: their bodies are curved, those of training cans straight.
+The kinds below the line are held out for testing: their bodies are curved, those of training cans straight.
 
-Median IoU of a grid with the nearest of 1,000 training grids: 0.98 for training draws, 0.94 (beaded), 0.87
-(waisted), 0.91 (keg) and 0.89 (tapered) for test draws.
+Median IoU of a grid with the nearest of 1,000 training grids: 0.98 for training samples, 0.94 (beaded), 0.87
+(waisted), 0.91 (keg) and 0.89 (tapered) for test samples.
 
 | kind     | split | body                                     | ends                                   |
 | -------- | ----- | ---------------------------------------- | -------------------------------------- |
@@ -40,8 +40,8 @@ BENDS: dict[CanKind, tuple[float, float]] = {
     "tapered": (0.14, 0.26),
 }  # of the test kinds, relative to the radius
 BEAD_PITCH = 0.016  # spacing of beads along the axis [m]
-WIDEST = 0.038  # radius that an 80 mm gripper still holds [m]
-FOOT = (0.002, 0.006)  # [m] by which a drawn-in bottom is narrower
+WIDEST = 0.038  # largest radius that an 80 mm gripper can grasp [m]
+FOOT = (0.002, 0.006)  # [m], difference between the radii of body and narrowed bottom
 
 
 @dataclass(frozen=True)
@@ -51,10 +51,10 @@ class CanParameters:
     Attributes:
         radius: largest radius of the can.
         seam: radial step between seam and body, or lid and body; rim: height of the seam or lid.
-        neck: how far the top is drawn in; neck_height: over what height.
+        neck, neck_height: radial and vertical extent of the taper at the top.
         recess: depth of the panels below the rim; dome: depth of the hollow underneath.
-        foot: how far the bottom is drawn in.
-        bend: depth of the beads, of the waist, of the belly or of the taper, over the radius.
+        foot: difference between the radii of body and bottom.
+        bend: depth of the beads, the waist, the belly or the taper, relative to the radius.
         density: mass over the volume enclosed [kg/m³], contents included.
     """
 
@@ -105,8 +105,8 @@ def can_solid(parameters: CanParameters) -> Solid:
 
 
 def _bottom(p: CanParameters, body: float) -> Curve:
-    """From the axis over the underside to the foot of the body."""
-    if p.foot > 0:  # drawn in to a standing ring
+    """Return the profile from the axis over the underside to the foot of the body."""
+    if p.foot > 0:  # narrowed to a base ring
         stand = body - p.foot
         hollow = (
             [(0.0, p.dome), (0.6 * stand, 0.8 * p.dome), (stand - 0.004, 0.0)] if p.dome > 0 else [(0.0, 0.0)]
@@ -120,7 +120,7 @@ def _bottom(p: CanParameters, body: float) -> Curve:
 
 
 def _top(p: CanParameters, body: float) -> Curve:
-    """From the top of the body over rim or lid to the axis."""
+    """Return the profile from the top of the body over rim or lid to the axis."""
     if p.kind == "plain":
         return np.array([(body, p.height), (0.0, p.height)])
     if p.kind == "canister":
@@ -148,7 +148,7 @@ def _top(p: CanParameters, body: float) -> Curve:
 
 
 def sample_can(split: str, rng: np.random.Generator) -> CanParameters:
-    """Draw a can of the split's families."""
+    """Sample a can of the split's families."""
     kind: CanKind = rng.choice(KINDS[split])
     radius = rng.uniform(0.024, WIDEST)
     height = float(np.clip(2.0 * radius * rng.uniform(0.9, 2.9), 0.060, 0.170))

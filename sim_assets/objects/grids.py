@@ -19,17 +19,17 @@ LONGEST_SIDE = 1.8
 
 
 def canonical_frame(bounds: Float[np.ndarray, "2 3"]) -> tuple[float, Float[np.ndarray, "3"]]:
-    """(scale, centre) with p_object = centre + scale * p_canonical, of an object with this bounding box."""
+    """Return (scale, centre) of a bounding box, with p_object = centre + scale * p_canonical."""
     return float((bounds[1] - bounds[0]).max() / LONGEST_SIDE), 0.5 * (bounds[0] + bounds[1])
 
 
 def axis_samples(count: int) -> Float[np.ndarray, "n"]:
-    """Centres of `count` equal cells over [-1, 1]."""
+    """Return the centres of `count` equal cells over [-1, 1]."""
     return (2.0 * np.arange(count) + 1.0) / count - 1.0
 
 
 def solid_counts(solid: Solid, resolution: int = 32, supersample: int = 4) -> UInt8[np.ndarray, "r r r"]:
-    """How many of each voxel's supersamples are inside. The solids are mirror images about y = 0."""
+    """Count each voxel's supersamples inside the solid, which is symmetric about y = 0."""
     scale, centre = canonical_frame(solid.bounds)
     at = axis_samples(resolution * supersample) * scale
     x, z = centre[0] + at, centre[2] + at
@@ -49,12 +49,12 @@ def solid_counts(solid: Solid, resolution: int = 32, supersample: int = 4) -> UI
 
 
 def solid_grid(solid: Solid, resolution: int = 32, supersample: int = 4) -> Float[np.ndarray, "r r r"]:
-    """Occupancy in [0, 1], float32."""
+    """Return the occupancy in [0, 1], float32."""
     return solid_counts(solid, resolution, supersample).astype(np.float32) / supersample**3
 
 
 def _inside_body(solid: Solid, x: np.ndarray, y: np.ndarray, z: np.ndarray) -> np.ndarray:
-    """(z, y, x) bool: parity of the crossings beyond each sample's radius."""
+    """Return the (z, y, x) inside mask: parity of the crossings beyond each sample's radius."""
     r = np.hypot(x, y[:, None]).astype(np.float32)
     crossings = radial_crossings(solid.body.profile, z).astype(np.float32)[:, :, None, None]
     inside = np.zeros((len(z), len(y), len(x)), dtype=bool)
@@ -99,7 +99,7 @@ def sampled_grid(
     resolution: int = 32,
     supersample: int = 4,
 ) -> Float[np.ndarray, "r r r"]:
-    """The same grid from any inside test, slab by slab."""
+    """Compute the same grid from any inside test, slab by slab."""
     scale, centre = canonical_frame(bounds)
     at = axis_samples(resolution * supersample)
     y, z = np.meshgrid(at, at, indexing="ij")

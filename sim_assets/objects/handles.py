@@ -31,16 +31,16 @@ class HandleParameters:
     """A mug's handle, lengths in [m].
 
     Attributes:
-        style: what a person would call it.
-        curve: how its centreline is made.
-        shape: the curve's first number: exponent, arc angle [rad], slant, tail, or lean.
-        apex: how far the superellipse's farthest point is raised, in half heights.
-        depth: from the body's surface to the centreline's farthest point.
+        style: name of the handle's shape.
+        curve: construction of the centreline.
+        shape: first parameter of the curve: exponent, arc angle [rad], slant, tail, or lean.
+        apex: elevation of the superellipse's farthest point, in half heights.
+        depth: distance from the body's surface to the centreline's farthest point.
         top, bottom: heights of the roots above the base.
-        thickness, width: full section in the plane of the handle and across it.
-        taper: the lower root's section over the upper one's.
-        root: how much thicker the roots are than the middle.
-        exponent: of the section.
+        thickness, width: full extent of the section in the plane of the handle and across it.
+        taper: ratio of the lower root's section to the upper root's.
+        root: relative thickening of the roots over the middle.
+        exponent: exponent of the superelliptic section.
     """
 
     style: HandleStyle
@@ -58,7 +58,7 @@ class HandleParameters:
 
 
 def unit_curve(parameters: HandleParameters) -> Curve:
-    """(k, 2) centreline (a, b) from (0, 1) to (0, -1), largest a = 1."""
+    """Return the (k, 2) centreline (a, b) from (0, 1) to (0, -1), largest a = 1."""
     make = {
         "superellipse": _superellipse,
         "ring": _ring,
@@ -72,7 +72,7 @@ def unit_curve(parameters: HandleParameters) -> Curve:
 
 
 def make_handle(parameters: HandleParameters, vessel: Vessel) -> Handle:
-    """The handle attached to a vessel's side; its ends reach into the wall."""
+    """Return the handle attached to a vessel's side; its ends reach into the wall."""
     unit = unit_curve(parameters)
     middle, half = 0.5 * (parameters.top + parameters.bottom), 0.5 * (parameters.top - parameters.bottom)
     z = middle + half * unit[:, 1]
@@ -95,7 +95,7 @@ def _superellipse(parameters: HandleParameters) -> Curve:
 
 
 def _ring(parameters: HandleParameters) -> Curve:
-    """An arc of a circle beyond the half: it leaves the body widening."""
+    """Return an arc of more than half a circle."""
     half = 0.5 * parameters.shape
     angle = np.linspace(half, -half, 120)
     curve = np.stack([np.cos(angle) - np.cos(half), np.sin(angle) / np.sin(half)], axis=1)
@@ -103,13 +103,13 @@ def _ring(parameters: HandleParameters) -> Curve:
 
 
 def _slanted(parameters: HandleParameters) -> Curve:
-    """Upper arm and upright straight, the lower arm slanting down from `shape` above its root."""
+    """Return straight upper arm and upright, and a lower arm slanting down from `shape` above its root."""
     corners = np.array([(0.0, 1.0), (1.0, 1.0), (1.0, -1.0 + parameters.shape), (0.0, -1.0)])
     return fillet(corners, np.array([0.0, 0.5, 0.5, 0.0]), segments=10)
 
 
 def _bezier(parameters: HandleParameters) -> Curve:
-    """An ear: full at the top, the tail running down into the body."""
+    """Return an ear: wide at the top, with a tail that tapers into the body."""
     control = np.array([(0.0, 1.0), (1.5, 1.35), (1.2, -parameters.shape), (0.0, -1.0)])
     t = np.linspace(0.0, 1.0, 120)[:, None]
     s = 1.0 - t
@@ -117,7 +117,7 @@ def _bezier(parameters: HandleParameters) -> Curve:
 
 
 def _rectangle(parameters: HandleParameters) -> Curve:
-    """Straight arms and an upright that leans by `shape`; the corners are rounded."""
+    """Return straight arms and an upright that leans by `shape`, with rounded corners."""
     lean = 0.5 * parameters.shape
     corners = np.array([(0.0, 1.0), (1.0 + lean, 1.0), (1.0 - lean, -1.0), (0.0, -1.0)])
     return fillet(corners, np.array([0.0, 0.35, 0.35, 0.0]), segments=10)

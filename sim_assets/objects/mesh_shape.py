@@ -35,7 +35,7 @@ class MeshShape:
         return inside
 
     def is_handle(self, points: Float[np.ndarray, "n 3"]) -> Bool[np.ndarray, "n"]:
-        """Return which points of a mug lie towards +x beyond the body, as measured on the other side."""
+        """Return which points of a mug lie towards +x beyond the body, measured on the other side."""
         if self.category != "mug":
             return np.zeros(len(points), dtype=bool)
         r = np.hypot(points[:, 0], points[:, 1])
@@ -44,7 +44,7 @@ class MeshShape:
 
     @cached_property
     def _body_radius(self) -> tuple[np.ndarray, np.ndarray]:
-        """Largest radius in bands of height, of the half that faces away from the handle."""
+        """Return the largest radius in bands of height, of the half that faces away from the handle."""
         points = trimesh.sample.sample_surface(self.mesh, 20_000, seed=0)[0]
         away = points[points[:, 0] < 0]
         edges = np.linspace(self.bounds[0, 2], self.bounds[1, 2], 25)
@@ -59,7 +59,7 @@ class MeshShape:
 
     @cached_property
     def _buckets(self) -> tuple[np.ndarray, np.ndarray]:
-        """Triangles by horizontal cell: (offsets (CELLS² + 1,), triangle indices)."""
+        """Bin the triangles by horizontal cell: (offsets (CELLS² + 1,), triangle indices)."""
         low = self._cell(self._triangles[:, :, :2].min(axis=1))
         high = self._cell(self._triangles[:, :, :2].max(axis=1))
         spans = high - low + 1

@@ -1,9 +1,9 @@
 """Mugs: espresso cups to big mugs, with C, D, ear and square handles.
 
-Held out for testing are the body families below the line and the handle curves of the table in handles.py.
+The body families below the line and the test curves in handles.py are held out for testing.
 
-Median IoU of a grid with the nearest of 1,000 training grids: 0.68 for training draws, 0.62 (tulip), 0.62
-(barrel) and 0.65 (stepped) for test draws.
+Median IoU of a grid with the nearest of 1,000 training grids: 0.68 for training samples, 0.62 (tulip), 0.62
+(barrel) and 0.65 (stepped) for test samples.
 
 | body     | split | radius over height, u = z / height                              |
 | -------- | ----- | --------------------------------------------------------------- |
@@ -57,7 +57,7 @@ class MugParameters:
 
 
 def mug_vessel(parameters: MugParameters) -> Vessel:
-    """The mug without its handle."""
+    """Return the mug without its handle."""
     u = np.linspace(0.0, 1.0, 41)
     relative = _relative_radius(parameters.body, parameters.bend, u)
     r = parameters.radius * relative / relative.max()
@@ -86,7 +86,7 @@ def _relative_radius(body: MugBody, k: float, u: np.ndarray) -> np.ndarray:
 
 
 def sample_mug(split: str, rng: np.random.Generator) -> MugParameters:
-    """Draw a mug of the split's families."""
+    """Sample a mug of the split's families."""
     body: MugBody = rng.choice(BODIES[split])
     style: HandleStyle = rng.choice(STYLES, p=(0.32, 0.28, 0.22, 0.18))
     radius = rng.uniform(0.032, 0.050)
@@ -101,7 +101,7 @@ def sample_mug(split: str, rng: np.random.Generator) -> MugParameters:
         "barrel": rng.uniform(0.08, 0.24),
         "stepped": rng.uniform(0.18, 0.30),
     }[body]
-    thin = split == "train" and rng.random() < 0.2  # as pressed steel and scanned mugs have them
+    thin = split == "train" and rng.random() < 0.2  # as on pressed steel and scanned mugs
     rim = rng.uniform(0.0014, 0.0022) if thin else rng.uniform(0.0022, 0.0055)
     base = float(np.clip(rim * rng.uniform(1.0, 1.5), 0.0014 if thin else 0.0025, 0.006))
     fillet = radius * (rng.uniform(0.35, 0.85) if body == "rounded" else rng.uniform(0.04, 0.22))
@@ -152,7 +152,7 @@ def _sample_handle(
     lowest, highest = max(0.1 * height, 0.6 * fillet) + 0.5 * thickness, height * 0.95 - 0.5 * thickness
     rise = (
         1.25 if style == "ear" else (1.18 if curve == "ring" else 1.0)
-    )  # how far the curve passes its roots
+    )  # distance that the curve extends beyond its roots
     span = min(span, (highest - lowest) / rise)
     room = max(highest - lowest - rise * span, 0.0)
     bottom = lowest + room * rng.uniform(0.2, 0.95) + (0.1 * span if curve == "ring" else 0.0)

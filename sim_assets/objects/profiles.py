@@ -1,4 +1,4 @@
-"""Plane curves that objects are turned from: profiles in (r, z), fillets, and their radial crossings.
+"""Generating curves of surfaces of revolution: profiles in (r, z), fillets, and their radial crossings.
 
 A profile is a polygon in the half-plane r >= 0. It starts and ends on the axis (r = 0) and runs upwards on
 the outside, so that revolving it gives a closed surface wound outwards. All lengths in [m].
@@ -13,15 +13,15 @@ Curve = Float[np.ndarray, "_ 2"]  # any number of points: functions change it
 
 
 def smoothstep(x: Float[np.ndarray, "*n"]) -> Float[np.ndarray, "*n"]:
-    """3 x² - 2 x³ between 0 and 1, constant outside."""
+    """Return 3 x² - 2 x³ between 0 and 1, constant outside."""
     x = np.clip(x, 0.0, 1.0)
     return x * x * (3.0 - 2.0 * x)
 
 
 def fillet(vertices: Curve, radii: Float[np.ndarray, "_"], segments: int = 5) -> Curve:
-    """Round the inner corners of an open polyline with arcs, ends untouched.
+    """Round the inner corners of an open polyline with arcs, keeping its ends.
 
-    An arc never takes more than 45 % of either neighbouring edge: a radius too large for its corner shrinks.
+    An arc never takes more than 45 % of either neighbouring edge: too large a radius is reduced.
     """
     points = []
     done = 0  # vertices before this one are in `points`
@@ -49,7 +49,7 @@ def fillet(vertices: Curve, radii: Float[np.ndarray, "_"], segments: int = 5) ->
 
 
 def soften(profile: Curve, radius: float, angle: float = 0.4) -> Curve:
-    """Round every corner that turns by more than `angle` [rad]: light catches the edges of real objects."""
+    """Round every corner that turns by more than `angle` [rad], for highlights as on real edges."""
     profile = without_repeats(profile)
     steps = np.diff(profile, axis=0)
     heading = np.arctan2(steps[:, 1], steps[:, 0])
@@ -60,21 +60,21 @@ def soften(profile: Curve, radius: float, angle: float = 0.4) -> Curve:
 
 
 def without_repeats(curve: Curve, tolerance: float = 1e-6) -> Curve:
-    """The curve without points that repeat their predecessor."""
+    """Return the curve without points that repeat their predecessor."""
     keep = np.ones(len(curve), dtype=bool)
     keep[1:] = np.abs(np.diff(curve, axis=0)).max(axis=1) > tolerance
     return curve[keep]
 
 
 def resample(curve: Curve, count: int) -> Curve:
-    """`count` points at equal steps of arc length."""
+    """Return `count` points at equal steps of arc length."""
     length = np.concatenate([[0.0], np.cumsum(np.hypot(*np.diff(curve, axis=0).T))])
     at = np.linspace(0.0, length[-1], count)
     return np.stack([np.interp(at, length, curve[:, 0]), np.interp(at, length, curve[:, 1])], axis=1)
 
 
 def superellipse_arc(exponent: float, count: int = 200) -> Curve:
-    """Half a superellipse |a|ⁿ + |b|ⁿ = 1 with a >= 0, from (0, 1) over (1, 0) to (0, -1)."""
+    """Return half a superellipse |a|ⁿ + |b|ⁿ = 1 with a >= 0, from (0, 1) over (1, 0) to (0, -1)."""
     angle = np.linspace(np.pi / 2, -np.pi / 2, count)
     a = np.abs(np.cos(angle)) ** (2.0 / exponent)
     b = np.sign(np.sin(angle)) * np.abs(np.sin(angle)) ** (2.0 / exponent)
@@ -83,9 +83,9 @@ def superellipse_arc(exponent: float, count: int = 200) -> Curve:
 
 
 def radial_crossings(profile: Curve, z: Float[np.ndarray, "n"]) -> Float[np.ndarray, "n c"]:
-    """Radii at which the horizontal lines at heights z cross the profile, largest first, padded with zeros.
+    """Return the radii at which the profile crosses the heights z, largest first, padded with zeros.
 
-    A point (r, z) is inside when it lies under an odd number of crossings; no radius lies under a zero.
+    A point (r, z) is inside if an odd number of crossings have a larger radius; the padding never counts.
     """
     (r0, z0), (r1, z1) = profile[:-1].T, profile[1:].T
     z = z[:, None]
@@ -104,7 +104,7 @@ def radial_crossings(profile: Curve, z: Float[np.ndarray, "n"]) -> Float[np.ndar
 def inside_profile(
     profile: Curve, r: Float[np.ndarray, "n"], z: Float[np.ndarray, "n"], chunk: int = 16384
 ) -> Bool[np.ndarray, "n"]:
-    """Which points (r, z) lie inside the profile."""
+    """Return which points (r, z) lie inside the profile."""
     inside = np.zeros(len(r), dtype=bool)
     for start in range(0, len(r), chunk):
         part = slice(start, start + chunk)

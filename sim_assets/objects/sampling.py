@@ -1,4 +1,4 @@
-"""Samples the objects of a task: a number of each class from the families of a split."""
+"""Sampling of a task's objects: a number of each class from the families of a split."""
 
 from __future__ import annotations
 
@@ -9,7 +9,7 @@ import numpy as np
 from perception.types import CATEGORIES, Category
 from sim_assets.objects import ObjectModel, Split, sample_object
 
-NESTING_STEP = 0.012  # smallest difference between the radii of bowls that are to nest [m]
+NESTING_STEP = 0.012  # smallest difference between the radii of nestable bowls [m]
 _TRIES = 60
 
 

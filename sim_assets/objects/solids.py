@@ -24,7 +24,7 @@ HANDLE_AROUND = 24  # vertices around a handle's section
 def closed_tube(
     rings: Float[np.ndarray, "k n 3"], first: tuple[float, float, float], last: tuple[float, float, float]
 ) -> trimesh.Trimesh:
-    """Quads between consecutive rings (anticlockwise seen from `last`), fans from the end points."""
+    """Triangulate between successive rings (anticlockwise seen from `last`), with fans from the ends."""
     count, around = rings.shape[:2]
     here = np.arange(around)
     ahead = np.roll(here, -1)
@@ -61,7 +61,7 @@ class Section(Protocol):
 
 @dataclass(frozen=True)
 class SuperellipseSection:
-    """A superellipse that turns into a circle at the neck.
+    """A superellipse that changes into a circle at the neck.
 
     m(θ) = (|cos θ|ⁿ + |sin θ / aspect|ⁿ)^(-1/n), and w falls from 1 at z_section to 0 at z_round.
     """
@@ -130,7 +130,7 @@ class LobedSection:
 
 @dataclass(frozen=True)
 class Lathe:
-    """A body of revolution of a profile, with a circular or another section."""
+    """A body of revolution of a profile, with a circular or other section."""
 
     profile: Curve
     section: Section | None = None
@@ -172,7 +172,7 @@ class Handle:
         centreline: (k, 2) curve in (x, z) [m].
         thickness: (k,) half the thickness in the plane [m].
         width: (k,) half the width along y [m].
-        exponent: of the superelliptic section: 2 is an ellipse, more is a strap.
+        exponent: exponent of the superelliptic section: 2 for an ellipse, more for a strap.
     """
 
     centreline: Curve
@@ -219,19 +219,19 @@ class Handle:
 
     @cached_property
     def normals(self) -> Curve:
-        """(k, 2) unit normals of the centreline in its plane."""
+        """Return (k, 2) unit normals of the centreline in its plane."""
         tangent = np.gradient(self.centreline, axis=0)
         tangent /= np.linalg.norm(tangent, axis=1, keepdims=True)
         return np.stack([-tangent[:, 1], tangent[:, 0]], axis=1)
 
     @cached_property
     def outline(self) -> Curve:
-        """(2k, 2) silhouette in the plane y = 0."""
+        """Return the (2k, 2) silhouette in the plane y = 0."""
         offset = self.normals * self.thickness[:, None]
         return np.concatenate([self.centreline + offset, self.centreline - offset])
 
     def mesh(self, around: int = HANDLE_AROUND) -> trimesh.Trimesh:
-        """Watertight sweep, flat ends (they lie inside the body's wall)."""
+        """Return the watertight sweep with flat ends (inside the body's wall)."""
         angle = 2 * np.pi * np.arange(around) / around
         unit = np.stack([np.cos(angle), np.sin(angle)], axis=1)
         unit = np.sign(unit) * np.abs(unit) ** (2.0 / self.exponent)
@@ -249,7 +249,7 @@ class Solid:
     """A body, and for mugs a handle outside the body's core.
 
     `core` is a curve from the axis up along the middle of the wall: the handle is cut off there, so that it
-    ends inside the wall and never shows in the cavity.
+    ends inside the wall and does not enter the cavity.
     """
 
     body: Lathe

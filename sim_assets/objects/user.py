@@ -1,4 +1,4 @@
-"""Users' own meshes as objects: ``DIR/<class>/*.{ply,obj,glb,stl}``, in metres, z up.
+"""Object models from users' meshes: ``DIR/<class>/*.{ply,obj,glb,stl}``, in metres, z up.
 
 A mesh is moved so that its base lies on z = 0 and its axis on x = y = 0: the middle of its bounding box, for
 mugs the centre of the circle that their upper part lies on. A mug is turned so that its farthest point, the
@@ -28,7 +28,7 @@ SNUG = 0.002  # [m]
 
 
 def load_user_objects(directory: Path | str) -> list[ObjectModel]:
-    """Every mesh under a folder, by class and file name.
+    """Load every mesh under a folder, by class and file name.
 
     Raises:
         ObjectFileError: the folder is missing, has an unknown class or no meshes, or a mesh is unusable.
@@ -37,7 +37,7 @@ def load_user_objects(directory: Path | str) -> list[ObjectModel]:
 
 
 def mesh_files(directory: Path | str) -> list[tuple[Path, Category]]:
-    """The mesh files under a folder with their classes, by class and file name.
+    """List the mesh files under a folder with their classes, by class and file name.
 
     Raises:
         ObjectFileError: the folder is missing, or has an unknown class or no meshes.
@@ -62,7 +62,7 @@ def mesh_files(directory: Path | str) -> list[tuple[Path, Category]]:
 
 
 def load_user_object(path: Path | str, category: Category, collision: bool = True) -> ObjectModel:
-    """One mesh file as an object; without its collision pieces, which take long, it cannot be simulated.
+    """Load a mesh file as an object; simulation needs its collision pieces, which are slow to compute.
 
     Raises:
         ObjectFileError: the file is unreadable, empty, not watertight, or of an implausible size.
@@ -92,14 +92,14 @@ def load_user_mesh(
 
 
 def _read(path: Path, y_up: bool, length: float | None) -> trimesh.Trimesh:
-    """The file's mesh in its own frame, checked."""
+    """Return the file's mesh in its own frame, checked."""
     if not path.is_file():
         raise ObjectFileError(f"{path}: no such file")
     try:
         mesh = trimesh.load(path, force="mesh")
-    except Exception as error:  # trimesh's readers raise whatever their parsers raise
+    except Exception as error:  # trimesh's readers raise exceptions of any type
         raise ObjectFileError(f"{path} cannot be read as a mesh ({error}); export it again") from error
-    # a corrupt OBJ or STL comes back empty rather than as an error
+    # a corrupt OBJ or STL loads as an empty mesh without an error
     if not isinstance(mesh, trimesh.Trimesh) or len(mesh.faces) == 0:
         raise ObjectFileError(f"{path} holds no triangles; the file is empty or corrupt, export it again")
     if not np.isfinite(mesh.vertices).all():
@@ -140,7 +140,7 @@ def _check_size(path: Path, longest: float) -> None:
 
 
 def _in_object_frame(mesh: trimesh.Trimesh, category: Category) -> trimesh.Trimesh:
-    """A copy of the mesh with base, axis and handle where the conventions want them."""
+    """Return a copy of the mesh aligned with the object frame: base, axis and handle."""
     vertices = np.array(mesh.vertices)
     vertices[:, 2] -= vertices[:, 2].min()
     centre = 0.5 * (vertices[:, :2].min(axis=0) + vertices[:, :2].max(axis=0))
@@ -150,7 +150,7 @@ def _in_object_frame(mesh: trimesh.Trimesh, category: Category) -> trimesh.Trime
         vertices[:, :2] -= centre
     if category == "mug":
         farthest = vertices[np.hypot(vertices[:, 0], vertices[:, 1]).argmax()]
-        if abs(np.arctan2(farthest[1], farthest[0])) > 0.2:  # a handle is that wide
+        if abs(np.arctan2(farthest[1], farthest[0])) > 0.2:  # angular width of a handle
             direction = farthest[:2] / np.hypot(*farthest[:2])
             rotation = np.array([direction, (-direction[1], direction[0])])
             vertices[:, :2] = vertices[:, :2] @ rotation.T
@@ -158,7 +158,7 @@ def _in_object_frame(mesh: trimesh.Trimesh, category: Category) -> trimesh.Trime
 
 
 def _circle_centre(mesh: trimesh.Trimesh, start: np.ndarray) -> np.ndarray:
-    """Centre of the circle that the upper part of a mug lies on; a handle there is an outlier."""
+    """Fit a circle to the upper part of a mug and return its centre; the handle is an outlier."""
     points = trimesh.sample.sample_surface(mesh, 20_000, seed=0)[0]
     low, high = mesh.bounds[:, 2]
     rim = points[points[:, 2] > low + 0.85 * (high - low), :2]

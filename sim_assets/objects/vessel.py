@@ -21,10 +21,10 @@ class Wall:
         base: wall thickness low on the side.
         rim: wall thickness at the rim.
         floor: thickness of the floor, above the foot.
-        base_fillet: rounding where the side meets the base, outside.
-        inner_fillet: rounding where the side meets the floor, inside.
-        foot_height: a foot under the side curve; 0 for none.
-        foot_ring: radial width of the foot's ring; 0 makes the foot a solid disc.
+        base_fillet: radius of the outer fillet between side and base.
+        inner_fillet: radius of the inner fillet between side and floor.
+        foot_height: height of the foot under the side curve; 0 for none.
+        foot_ring: radial width of the foot ring; 0 for a solid disc.
     """
 
     base: float
@@ -69,7 +69,7 @@ class Vessel:
 
     @property
     def core(self) -> Curve:
-        """The middle of the wall from the floor to the rim: handles end there."""
+        """Return the middle of the wall from the floor to the rim, where handles end."""
         z = self.inner[:, 1]
         return np.stack([0.5 * (self.inner_radius(z) + self.outer_radius(z)), z], axis=1)
 
@@ -79,7 +79,7 @@ def make_vessel(side: Curve, height: float, wall: Wall) -> Vessel:
 
     Args:
         side: (k, 2) outer curve (r, z), z rising from 0 at the base (or at the top of the foot).
-        height: of the whole vessel [m]; the curve is stretched along z to meet it exactly.
+        height: total height [m]; the curve is scaled along z to match it.
         wall: thicknesses and fillets.
     """
     side = without_repeats(side)
@@ -108,7 +108,7 @@ def make_vessel(side: Curve, height: float, wall: Wall) -> Vessel:
 
 
 def _rim(outside: np.ndarray, inside: np.ndarray, tangent: np.ndarray) -> tuple[Curve, Curve]:
-    """A half circle over the end of the wall, split at its highest point; both halves end there."""
+    """Return the two halves of a half circle over the end of the wall; both end at its highest point."""
     middle, across = 0.5 * (outside + inside), 0.5 * (outside - inside)
     angle = np.linspace(0.0, np.pi, 2 * RIM_SEGMENTS + 1)[:, None]
     arc = middle + np.cos(angle) * across + np.sin(angle) * tangent * np.linalg.norm(across)
@@ -117,14 +117,14 @@ def _rim(outside: np.ndarray, inside: np.ndarray, tangent: np.ndarray) -> tuple[
 
 
 def _rising(curve: Curve) -> Curve:
-    """The points of a curve that lie above all points before them: folds of an offset curve drop out."""
+    """Return the points of a curve above all points before them, which removes folds of offset curves."""
     z = curve[:, 1]
     before = np.concatenate([[-np.inf], np.maximum.accumulate(z)[:-1]])
     return curve[z > before + 1e-7]
 
 
 def _from_floor(inner: Curve, floor: float, radius: float) -> Curve:
-    """The inner curve cut at the floor, its corner there rounded."""
+    """Return the inner curve cut at the floor, with a rounded corner."""
     r_floor = max(float(np.interp(floor, inner[:, 1], inner[:, 0])), 1e-3)
     radius = min(radius, 0.8 * r_floor)
     corner = floor + radius * (1.0 - np.cos(np.linspace(0.0, np.pi / 2, 9)[:-1]))
@@ -134,13 +134,13 @@ def _from_floor(inner: Curve, floor: float, radius: float) -> Curve:
 
 
 def _quarter_round(z: np.ndarray, radius: float) -> np.ndarray:
-    """How far a convex fillet of a vertical wall on a horizontal base recedes at height z."""
+    """Return the inset at height z of a convex fillet between vertical wall and horizontal base."""
     rest = np.clip(radius - z, 0.0, radius)
     return radius - np.sqrt(np.maximum(radius**2 - rest**2, 0.0))
 
 
 def _foot(radius: float, wall: Wall) -> Curve:
-    """The underside from the axis outwards, up to where the side curve starts."""
+    """Return the underside from the axis outwards to the start of the side curve."""
     if wall.foot_height <= 0:
         return np.array([(0.0, 0.0)])
     if wall.foot_ring <= 0 or wall.foot_ring > 0.6 * radius:

@@ -1,4 +1,4 @@
-"""Simulated arms: the shipped ones by name, users' own by robot file."""
+"""Simulated arms: shipped arms by name, users' arms by robot file."""
 
 from __future__ import annotations
 

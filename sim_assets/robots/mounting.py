@@ -1,4 +1,4 @@
-"""Attaches a user's MJCF arm to a scene, and reduces it to the planning model.
+"""Attachment of a user's MJCF arm to a scene, and its reduction to the planning model.
 
 Collision geoms are those of group 3, as in MuJoCo Menagerie; all others are visual. Gravity is compensated on
 the arm's bodies, as a real arm's controller does.
@@ -18,7 +18,7 @@ from sim_assets.rendering.headless import MjModel, MjsBody, MjSpec, mujoco
 from sim_assets.robots.simulated_arm import ARM_CONTACT, PAD_CONTACT, WRIST_CAMERA
 
 COLLISION_GROUP = 3
-PREFIX = "robot_"  # of every name of the arm in scenes and in planning
+PREFIX = "robot_"  # prefix of the arm's names in scenes and in planning
 
 
 @dataclass(frozen=True)
@@ -52,7 +52,7 @@ def load(mount: Mount) -> MjSpec:
     """Load the arm's specification and add its sites.
 
     Raises:
-        RobotFileError: the file is missing or no MJCF, or lacks a body or joint.
+        RobotFileError: the file is missing, is not MJCF, or lacks a body or joint.
     """
     if not mount.mjcf.is_file():
         raise RobotFileError(f"{mount.mjcf}: no such MJCF file")
@@ -67,7 +67,7 @@ def load(mount: Mount) -> MjSpec:
         body = spec.body(body_name)
         if body is None:
             raise RobotFileError(
-                f"{mount.mjcf} has no body '{body_name}', which the robot file puts a site on"
+                f"{mount.mjcf} has no body '{body_name}', on which the robot file places a site"
             )
         body.add_site(name=name, pos=frame.position, quat=frame.quaternion)
     _suit_contacts(spec, mount)
@@ -118,7 +118,7 @@ def planning_mjcf(mount: Mount, model: MjModel) -> str:
 
 
 def _attach(spec: MjSpec, child: MjSpec, base: Frame) -> None:
-    # Scene-wide options of the file (time step, gravity) yield to the scene's, without warnings.
+    # The scene's options (time step, gravity) override the file's, without warnings.
     for given, kept in ((child.option, spec.option), (child.visual.map, spec.visual.map)):
         _set(given, **{name: getattr(kept, name) for name in dir(kept) if not name.startswith("_")})
     child.memory, child.nuserdata = spec.memory, spec.nuserdata

@@ -1,4 +1,4 @@
-"""Checks that an MJCF has the parts named by its robot file, of the kinds that a cell requires."""
+"""Validation of the parts of an MJCF named by its robot file."""
 
 from __future__ import annotations
 
@@ -29,7 +29,7 @@ def compiled(path: Path, mount: Mount) -> MjModel:
 
 
 def check_parts(path: Path, model: MjModel, robot: SimulatedArm) -> None:
-    """Reject an arm that cannot work in a cell.
+    """Check that the arm is usable in a cell.
 
     Raises:
         RobotFileError: a part is missing or of the wrong kind.

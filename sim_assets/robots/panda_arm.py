@@ -2,7 +2,7 @@
 
 Frames: the base is the world origin, z up. The TCP lies between the finger pads, z out of the hand, y the
 closing direction. The wrist camera's optical frame follows OpenCV (x right, y down, z forward); it looks
-along the hand's z, with the hand's x up in the image, so that the closed fingers stay out of view.
+along the hand's z, with the hand's x up in the image, so that the closed fingers are out of view.
 
 Geometry: modified (Craig) Denavit-Hartenberg parameters, written as nested bodies. Collision shapes are
 capsules (boxes for the finger pads) in group 3; the visual shell is in ``panda_visuals``.
@@ -23,14 +23,14 @@ ARM_JOINTS = tuple(f"joint{i}" for i in range(1, 8))
 FINGER_JOINTS = ("finger_joint1", "finger_joint2")
 TCP_SITE = "tcp"
 CAMERA_SITE = "camera_optical"
-WRIST_FOVY = 45.0  # [deg], as MuJoCo wants it
+WRIST_FOVY = 45.0  # [deg], MuJoCo's unit
 GRIPPER_ACTUATOR = "gripper"
 COLLISION_GROUP = 3
 VISUAL_GROUP = 2
 
 Q_READY = np.array([0, -np.pi / 4, 0, -3 * np.pi / 4, 0, np.pi / 2, np.pi / 4])
 MAX_WIDTH = 0.08  # [m] between the pads
-FINGER_FORCE = 70.0  # [N] that each finger presses with
+FINGER_FORCE = 70.0  # [N], force of each finger
 TCP_BELOW_HAND = 0.1034  # [m] along the hand's z
 CAMERA_IN_HAND = (0.065, 0.0, 0.052)
 
@@ -38,9 +38,9 @@ CAMERA_IN_HAND = (0.065, 0.0, 0.052)
 POSITION_GAINS = np.array([4500.0, 4500, 3500, 3500, 2000, 2000, 2000])
 VELOCITY_GAINS = POSITION_GAINS / 10
 GRIPPER_GAIN = 2000.0  # [N/m] on the mean finger opening
-FULL_CLOSE = -0.1  # [m], a command the fingers never reach: they press with all their force
+FULL_CLOSE = -0.1  # [m], unreachable command: the fingers press with full force
 
-# Published limits and the shares of them in use: the TCP reaches 1.1 m/s at 59 % of joint 6's torque.
+# Published limits and the fractions in use: the TCP reaches 1.1 m/s at 59 % of joint 6's torque.
 _VELOCITY = np.array([2.175, 2.175, 2.175, 2.175, 2.61, 2.61, 2.61])
 _ACCELERATION = np.array([15, 7.5, 10, 12.5, 15, 20, 20])
 _JERK = np.array([7500.0, 3750, 5000, 6250, 7500, 10000, 10000])
@@ -58,13 +58,13 @@ class Capsule:
 
 @dataclass(frozen=True)
 class Link:
-    """A rigid link: where it sits in its parent, its joint, its inertia, its collision capsules.
+    """A rigid link: pose in its parent, joint, inertia and collision capsules.
 
     Attributes:
         position, quaternion: in the parent link; the quaternion (wxyz) is normalised by MuJoCo.
         q_range: joint limits in [rad].
         torque: joint torque limit in [Nm].
-        mass: in [kg].
+        mass: mass in [kg].
         center: centre of mass in [m].
         inertia: (Ixx, Iyy, Izz, Ixy, Ixz, Iyz) about the centre of mass in [kg m^2].
         capsules: collision shape.
@@ -145,7 +145,7 @@ def add_arm(spec: MjSpec) -> None:
 
 @functools.cache
 def arm_description() -> ArmDescription:
-    """Kinematics, collision shapes and limits of the arm, without its visible shell."""
+    """Return kinematics, collision shapes and limits of the arm, without visual geoms."""
     spec = mujoco.MjSpec()
     spec.modelname = "arm"
     spec.compiler.degree = False
@@ -226,7 +226,7 @@ def _add_hand(spec: MjSpec, link7: MjsBody) -> None:
 
 
 def _add_finger(hand: MjsBody, side: str, joint: str, turn: tuple[float, ...]) -> None:
-    """A finger that slides outwards along its own +y over half the opening."""
+    """Add a finger that slides outwards along its own +y over half the opening."""
     finger = hand.add_body(
         name=f"{side}_finger", pos=(0, 0, 0.0584), quat=turn, gravcomp=1,
         mass=0.015, ipos=(0, 0, 0), inertia=(2.375e-6, 2.375e-6, 7.5e-7), explicitinertial=True,
@@ -243,7 +243,7 @@ def _add_finger(hand: MjsBody, side: str, joint: str, turn: tuple[float, ...]) -
 
 
 def _couple_fingers(spec: MjSpec) -> None:
-    """Both fingers move alike, driven through a tendon as long as their mean opening."""
+    """Couple both fingers and drive them by a tendon of their mean opening."""
     equality = spec.add_equality(
         type=mujoco.mjtEq.mjEQ_JOINT, objtype=mujoco.mjtObj.mjOBJ_JOINT,
         name1=FINGER_JOINTS[0], name2=FINGER_JOINTS[1],

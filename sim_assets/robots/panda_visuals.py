@@ -1,7 +1,7 @@
-"""The arm's visible shell, made of revolved and filleted discs and their convex hulls; no mesh files.
+"""Visual geoms of the arm: convex hulls of filleted discs and blocks; no mesh files.
 
-Every part is one convex hull, so it shades smoothly. A disc is a cylinder with filleted edges: two of them
-along crossing axes, hulled, make an elbow; one behind the other, a tapered tube.
+Every part is one convex hull, for smooth shading. A disc is a cylinder with filleted edges: two of them
+along crossing axes span an elbow; in line, a tapered tube.
 """
 
 from __future__ import annotations
@@ -44,7 +44,7 @@ class Disc:
     fillet: float
 
     def points(self) -> Float[np.ndarray, "n 3"]:
-        """Points whose convex hull is the disc."""
+        """Return points whose convex hull is the disc."""
         quarter = np.linspace(0, np.pi / 2, _ARC)
         radius = self.radius - self.fillet * (1 - np.cos(quarter))
         height = self.length / 2 - self.fillet * (1 - np.sin(quarter))
@@ -68,7 +68,7 @@ class Block:
     chamfer: float = 0.001
 
     def points(self) -> Float[np.ndarray, "n 3"]:
-        """Points whose convex hull is the block."""
+        """Return points whose convex hull is the block."""
         corners = np.array(np.meshgrid(*[(-1, 1)] * 3)).reshape(3, -1).T
         cuts = [corners * (np.array(self.half) - self.chamfer * (np.arange(3) != i)) for i in range(3)]
         return np.concatenate(cuts) + self.center
@@ -76,7 +76,7 @@ class Block:
 
 @dataclass(frozen=True)
 class Part:
-    """The convex hull of some solids, of one material."""
+    """The convex hull of several solids, of one material."""
 
     material: Material
     solids: tuple[Disc | Block, ...]
@@ -200,7 +200,7 @@ PARTS: dict[str, tuple[Part, ...]] = {
 
 
 def dress_arm(spec: MjSpec) -> None:
-    """Add the visible shell to an arm that ``add_arm`` made; it weighs nothing and touches nothing."""
+    """Add visual geoms, without mass or collision, to an arm created by ``add_arm``."""
     for name, (color, specular, shininess) in _MATERIALS.items():
         spec.add_material(name=f"arm_{name}", rgba=(*color, 1), specular=specular, shininess=shininess)
     for body_name, parts in PARTS.items():

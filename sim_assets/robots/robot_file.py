@@ -1,4 +1,4 @@
-"""Robot files: a TOML text that says which MJCF is the arm and what its parts are called.
+"""Robot files: TOML with the path of an arm's MJCF and the names of its parts.
 
 ``sixaxis/robot.toml`` is an example with every entry explained.
 """
@@ -25,14 +25,14 @@ _GEOMETRY = [field.name for field in fields(GripperGeometry)]
 
 
 def read_robot(path: Path, shipped: Sequence[str] = ()) -> SimulatedArm:
-    """The arm that a robot file describes, checked against its MJCF.
+    """Load the arm that a robot file describes and check it against its MJCF.
 
     Args:
-        path: of the file.
-        shipped: names that may have been meant, to tell where there is no such file.
+        path: path of the robot file.
+        shipped: names of the shipped arms, for the message about a missing file.
 
     Raises:
-        RobotFileError: anything is missing or wrong; the message says what.
+        RobotFileError: an entry or part is missing or invalid.
     """
     top = _Table(path, "", _parsed(path, shipped))
     arm, gripper, camera = (top.table(name) for name in ("arm", "gripper", "camera"))
@@ -83,7 +83,7 @@ def read_robot(path: Path, shipped: Sequence[str] = ()) -> SimulatedArm:
 
 
 def _as_in_scenes(robot: SimulatedArm, mjcf: str) -> SimulatedArm:
-    """The arm with the names that its parts have once it is mounted."""
+    """Return the arm with the names of its parts in scenes."""
     arm = robot.description
     first, second = arm.finger_joint_names
     return replace(
@@ -116,7 +116,7 @@ def _about_z(angle: float) -> np.ndarray:
 
 @dataclass
 class _Table:
-    """A table of a robot file, whose every entry has to be there, known and of the right kind."""
+    """A table of a robot file; every entry is mandatory, and unknown entries are errors."""
 
     path: Path
     name: str
@@ -141,7 +141,7 @@ class _Table:
         return value
 
     def names(self, key: str, count: int | None = None) -> tuple[str, ...]:
-        """Different names, ``count`` of them."""
+        """Return ``count`` different names."""
         values = self._take(key)
         if not isinstance(values, list) or not values or not all(isinstance(v, str) and v for v in values):
             raise self._wrong(key, "a list of names in quotes")
@@ -179,7 +179,7 @@ class _Table:
         return values
 
     def site(self, key: str, name: str) -> tuple[str, tuple[str, str, Frame] | None]:
-        """The name of a site; where the file gives body and pose instead, ``name`` and where to add it."""
+        """Return the name of a site or, if the file gives body and pose, ``name`` and the site to add."""
         if isinstance(self.entries.get(key), dict):
             pose = self.table(key)
             place = Frame(pose.numbers("position", 3), pose.numbers("quaternion", 4, (1.0, 0.0, 0.0, 0.0)))
@@ -189,7 +189,7 @@ class _Table:
         return self.text(key), None
 
     def refuse_others(self) -> None:
-        """Raise RobotFileError if there are entries that nobody asked for."""
+        """Raise RobotFileError if there are unknown entries."""
         unknown = sorted(set(self.entries) - self._known)
         if unknown:
             known = ", ".join(sorted(self._known))

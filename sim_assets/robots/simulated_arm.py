@@ -1,4 +1,4 @@
-"""SimulatedArm: the planner's description of an arm plus what the simulator needs."""
+"""SimulatedArm: the planner's description of an arm plus its simulation parameters."""
 
 from __future__ import annotations
 
@@ -8,7 +8,7 @@ from dataclasses import dataclass
 from manipulation.robot import ArmDescription
 from sim_assets.rendering.headless import MjSpec
 
-WRIST_CAMERA = "wrist"  # the camera's name in every scene, whatever the arm
+WRIST_CAMERA = "wrist"  # name of the wrist camera in every scene
 ARM_CONTACT = {"contype": 2, "conaffinity": 1}  # collides with all but itself: objects have both bits set
 PAD_CONTACT = {  # at MuJoCo's softer default a grasped can slips by 8 mm and a mug rotates by 14 degrees
     "friction": (1.0, 0.01, 0.0005), "condim": 4, "priority": 1,

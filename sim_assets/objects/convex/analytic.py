@@ -1,7 +1,7 @@
-"""Convex pieces of the object families, made from the same curves as their surfaces.
+"""Convex pieces of the object families, built from the same curves as their surfaces.
 
-Contact with analytic pieces is steadier than with decompositions of meshes: a wall is a ring of small convex
-pieces whose cavity stays free, and only the base touches the table (rings start ``CLEARANCE`` above it).
+Contact is more stable than with decompositions of meshes: a wall is a ring of small convex pieces around an
+open cavity, and only the base touches the table (rings start ``CLEARANCE`` above it).
 """
 
 from __future__ import annotations
@@ -28,9 +28,9 @@ HANDLE_PIECES = 8
 def vessel_pieces(
     vessel: Vessel, around: int, levels: int, section: Section | None = None, tolerance: float = 8e-4
 ) -> list[CollisionPiece]:
-    """The base under the floor, and a wall of `around` pieces on each of up to `levels` levels.
+    """Build the base under the floor, and a wall of `around` pieces on each of up to `levels` levels.
 
-    The wall follows inner and outer curve up to where the rim's rounding starts, and keeps that width on top.
+    The wall follows inner and outer curve up to the rim's rounding, and keeps its width above.
     With a section other than a circle, pieces meet at azimuth 0 and `around` is a multiple of its corners.
     """
     start = max(vessel.floor, CLEARANCE)
@@ -45,7 +45,7 @@ def vessel_pieces(
         for low, high in pairwise(wall):
             pieces += _section_ring(low, high, section, around)
         return pieces
-    wall[:, :2] /= np.sqrt(np.cos(np.pi / around))  # chords: as much outside as inside the circles
+    wall[:, :2] /= np.sqrt(np.cos(np.pi / around))  # chords with equal areas outside and inside the circles
     pieces = _base(vessel, start)
     for low, high in pairwise(wall):
         pieces += _ring(low, high, around)
@@ -53,7 +53,7 @@ def vessel_pieces(
 
 
 def _section_ring(low: np.ndarray, high: np.ndarray, section: Section, around: int) -> list[CollisionPiece]:
-    """Hulls around the axis between two levels (inner radius, outer radius, z), edges at azimuth 0."""
+    """Build hulls around the axis between two levels (inner radius, outer radius, z), edges at azimuth 0."""
     azimuths = 2 * np.pi * np.arange(around + 1) / around
     cos, sin = np.cos(azimuths), np.sin(azimuths)
     corners = []  # (around + 1, 3) each: inner and outer corners of both levels
@@ -67,14 +67,14 @@ def _section_ring(low: np.ndarray, high: np.ndarray, section: Section, around: i
 
 
 def _section_base(vessel: Vessel, top: float, section: Section, around: int) -> list[CollisionPiece]:
-    """Hulls below the floor of a vessel that is not round."""
+    """Build hulls below the floor of a vessel that is not round."""
     outer = _base_outline(vessel, top)
     chosen = outer[breakpoints(outer, 8e-4, 2)]
     return [frustum(tuple(low), tuple(high), section, around, 0.0) for low, high in pairwise(chosen)]
 
 
 def _rim_height(vessel: Vessel) -> float:
-    """How far below the top the rim's rounding starts [m]."""
+    """Return the height of the rim's rounding [m]."""
     z = vessel.inner[:, 1]
     thickness = vessel.outer_radius(z) - vessel.inner_radius(z)
     full = thickness > 0.85 * thickness[-2 * RIM_SEGMENTS]
@@ -82,7 +82,7 @@ def _rim_height(vessel: Vessel) -> float:
 
 
 def _ring(low: np.ndarray, high: np.ndarray, around: int) -> list[CollisionPiece]:
-    """Pieces around the axis between two levels (inner radius, outer radius, z): boxes where upright."""
+    """Build pieces around the axis from levels (inner radius, outer radius, z): boxes where upright."""
     half = np.pi / around
     azimuths = 2 * np.pi * np.arange(around) / around
     if np.abs(high[:2] - low[:2]).max() < 5e-4:
@@ -111,7 +111,7 @@ def _ring(low: np.ndarray, high: np.ndarray, around: int) -> list[CollisionPiece
 
 
 def _base(vessel: Vessel, top: float) -> list[CollisionPiece]:
-    """What stands on the table: a cylinder where the base is upright, frusta along its fillet elsewhere."""
+    """Build the base: a cylinder where its side is vertical, frusta along its fillet."""
     outer = _base_outline(vessel, top)
     if np.ptp(outer[:, 0]) < 5e-4:
         return [cylinder(float(outer[:, 0].mean()), 0.0, top)]
@@ -120,13 +120,13 @@ def _base(vessel: Vessel, top: float) -> list[CollisionPiece]:
 
 
 def _base_outline(vessel: Vessel, top: float) -> Curve:
-    """The outer curve up to a height."""
+    """Return the outer curve up to a height."""
     z = np.unique(np.concatenate([[0.0], vessel.outer[vessel.outer[:, 1] < top - 1e-5, 1], [top]]))
     return np.stack([vessel.outer_radius(z), z], axis=1)
 
 
 def handle_pieces(handle: Handle, vessel: Vessel) -> list[CollisionPiece]:
-    """Capsules along the handle outside the wall, in pairs beside y = 0 where it is wider than thick."""
+    """Add capsules along the handle outside the wall, in pairs beside y = 0 where it is wider than thick."""
     clear = handle.centreline[:, 0] > vessel.outer_radius(handle.centreline[:, 1]) - 0.5 * handle.thickness
     points = np.flatnonzero(clear)
     line = handle.centreline[points[0] : points[-1] + 1]
@@ -142,7 +142,7 @@ def handle_pieces(handle: Handle, vessel: Vessel) -> list[CollisionPiece]:
 
 
 def _capsule(start: np.ndarray, end: np.ndarray, y: float, radius: float) -> CollisionPiece:
-    """A capsule between two points (x, z) in the plane at y."""
+    """Build a capsule between two points (x, z) in the plane at y."""
     step = end - start
     tilt = np.arctan2(step[0], step[1])  # about +y, from +z
     position = np.array([0.5 * (start[0] + end[0]), y, 0.5 * (start[1] + end[1])])
@@ -151,7 +151,7 @@ def _capsule(start: np.ndarray, end: np.ndarray, y: float, radius: float) -> Col
 
 
 def stacked_pieces(profile: Curve, section: Section | None, most: int = 9) -> list[CollisionPiece]:
-    """A closed body as a stack of cylinders and frusta along the outside of its profile."""
+    """Approximate a closed body by a stack of cylinders and frusta along the outside of its profile."""
     z = profile[:, 1]
     first, last = int(np.flatnonzero(z <= 1e-9)[-1]), int(np.flatnonzero(z >= z.max() - 1e-9)[0])
     outside = profile[first : last + 1]

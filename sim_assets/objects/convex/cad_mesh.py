@@ -1,7 +1,7 @@
-"""Convex pieces of arbitrary meshes, cut first so that decomposition is quick and cavities stay free.
+"""Convex pieces of arbitrary meshes, cut first for fast decomposition and open cavities.
 
-A hollow vessel is cut into wedges around its axis and levels of height, a closed one into slices: the hulls
-of most parts will do as they are; coacd decomposes the others. The lowest 2 mm of a vessel become one piece,
+A hollow vessel is cut into wedges around its axis and levels of height, a closed one into slices: most
+parts are replaced by their hulls; coacd decomposes the others. The lowest 2 mm of a vessel become one piece,
 so that only the base touches the table. Results are cached by the content of the mesh.
 """
 
@@ -22,7 +22,7 @@ from perception.types import Category
 
 logger = logging.getLogger(__name__)
 
-VERSION = "6"  # of the algorithm: part of the cache key
+VERSION = "6"  # version of the algorithm, part of the cache key
 WEDGES = {"mug": 16, "bowl": 20}
 LEVELS = (0.0, 0.12, 0.3, 0.6, 1.0)  # of a vessel, over the height above its base
 SLICES = 12  # of a closed body
@@ -33,13 +33,13 @@ MOST_HULLS = 3  # largest number of hulls of one part
 
 
 def cache_folder() -> Path:
-    """Where decompositions are kept: $XDG_CACHE_HOME/nodeslam, else ~/.cache/nodeslam."""
+    """Return the folder of cached decompositions: $XDG_CACHE_HOME/nodeslam, else ~/.cache/nodeslam."""
     root = os.environ.get("XDG_CACHE_HOME") or str(Path.home() / ".cache")
     return Path(root) / "nodeslam"
 
 
 def cad_pieces(mesh: trimesh.Trimesh, category: Category, name: str) -> list[Float[np.ndarray, "n 3"]]:
-    """Corners of the convex pieces of a watertight mesh in its object frame, cached."""
+    """Return the corners of the convex pieces of a watertight mesh in its object frame, cached."""
     content = (
         np.ascontiguousarray(mesh.vertices, "<f8").tobytes()
         + np.ascontiguousarray(mesh.faces, "<i8").tobytes()
@@ -51,7 +51,7 @@ def cad_pieces(mesh: trimesh.Trimesh, category: Category, name: str) -> list[Flo
             with np.load(path, allow_pickle=False) as stored:
                 return np.split(stored["vertices"], np.cumsum(stored["counts"])[:-1])
         except (OSError, ValueError, KeyError) as error:
-            logger.warning("The cached decomposition %s is unreadable (%s); making it again", path, error)
+            logger.warning("The cached decomposition %s is unreadable (%s); computing it again", path, error)
     logger.info("Decomposing %s into convex pieces, once; this takes up to a minute", name)
     start = time.perf_counter()
     pieces = _decompose(mesh, category)
@@ -94,7 +94,7 @@ def _decompose(mesh: trimesh.Trimesh, category: Category) -> list[np.ndarray]:
 
 
 def _nearly_convex(mesh: trimesh.Trimesh, excess: float) -> bool:
-    """Whether the hull adds less than `excess` [m] to the thickness, on average over the part's face."""
+    """Return whether the hull adds less than `excess` [m] to the thickness, on average over the part."""
     return bool(mesh.convex_hull.volume - mesh.volume < excess * 0.5 * mesh.area)
 
 
@@ -103,7 +103,7 @@ def _part(mesh: trimesh.Trimesh, cutter: trimesh.Trimesh) -> trimesh.Trimesh:
 
 
 def _slab(bounds: np.ndarray, low: float, high: float) -> trimesh.Trimesh:
-    """A horizontal slab wider than the object."""
+    """Return a horizontal slab wider than the object."""
     reach = 2.0 * float(np.abs(bounds).max())
     return trimesh.creation.box(bounds=[(-reach, -reach, low), (reach, reach, high)])
 
@@ -114,7 +114,7 @@ def _slices(bounds: np.ndarray) -> list[trimesh.Trimesh]:
 
 
 def _wedges(bounds: np.ndarray, count: int) -> list[trimesh.Trimesh]:
-    """Wedges around the axis, the first centred on +x, where a mug has its handle."""
+    """Return wedges around the axis, the first centred on +x, the side of a mug's handle."""
     reach = 2.0 * float(np.abs(bounds).max())
     wedges = []
     for k in range(count):
@@ -126,10 +126,10 @@ def _wedges(bounds: np.ndarray, count: int) -> list[trimesh.Trimesh]:
 
 
 def _pieces_of(lump: trimesh.Trimesh, excess: float) -> list[np.ndarray]:
-    """The hull where it adds little, coacd's pieces elsewhere."""
+    """Return the hull if it adds little volume, else coacd's pieces."""
     if _nearly_convex(lump, excess):
         return [np.asarray(lump.convex_hull.vertices)]
-    import coacd  # slow to import, and only users' meshes need it
+    import coacd  # slow to import; used for users' meshes only
 
     coacd.set_log_level("error")
     parts = coacd.run_coacd(

@@ -12,9 +12,9 @@ from perception.types import TriangleMesh
 from sim_assets.objects.convex.pieces import breakpoints
 
 MOST_LINKS = 8
-CORNERS = 8  # of a cross-section
-SPREAD = np.deg2rad(12)  # of the handle's angle, in which its width is measured
-THINNEST = 0.004  # [m] across the handle, where the mesh is too thin to be measured
+CORNERS = 8  # number of corners of a cross-section
+SPREAD = np.deg2rad(12)  # part of the handle's angle in which its width is measured
+THINNEST = 0.004  # [m], width of the handle where the mesh is too thin to measure
 
 
 def handle_pieces(
@@ -23,12 +23,12 @@ def handle_pieces(
     z: Float[np.ndarray, "z"],
     outer: Float[np.ndarray, "z"],
 ) -> list[Float[np.ndarray, "_n 3"]]:
-    """Links of the handle in the plane y = axis y; none where nothing sticks out of the body.
+    """Build links of the handle in the plane y = axis y; none without a protrusion from the body.
 
     Args:
-        mesh: in the object frame, handle along +x.
-        axis: of the body.
-        z, outer: the body's radius towards the handle, by height [m].
+        mesh: mesh in the object frame, handle along +x.
+        axis: (x, y) of the body's axis [m].
+        z, outer: heights, and the body's radius towards the handle at each [m].
     """
     vertices = mesh.vertices - np.array([*axis, 0.0])
     segments = cross_section(vertices[:, [0, 2, 1]], mesh.faces, 1e-6)  # in x and z
@@ -47,7 +47,7 @@ def handle_pieces(
 def _hole(
     segments: np.ndarray, beyond: Float[np.ndarray, "n 3"], z: np.ndarray, outer: np.ndarray
 ) -> Float[np.ndarray, "2"]:
-    """(x, z) of the middle of the opening between body and handle; of the handle where it has none."""
+    """Return (x, z) of the centre of the opening between body and handle; of the handle without one."""
     low, high = beyond[:, 2].min(), beyond[:, 2].max()
     openings = []
     for height in np.linspace(low, high, 15)[2:-2]:
@@ -64,7 +64,7 @@ def _hole(
 def _centreline(
     segments: np.ndarray, middle: np.ndarray, z: np.ndarray, outer: np.ndarray
 ) -> Float[np.ndarray, "_n 4"]:
-    """The handle seen from the hole, by angle: x, z of its middle, half its thickness, its angle."""
+    """Measure the handle by angle about the opening: x, z of its middle, half thickness, angle."""
     rows = []
     for angle in np.deg2rad(np.arange(-150, 151, 3)):
         hits = radial_hits(segments, middle, float(angle))
@@ -89,7 +89,7 @@ def _centreline(
 def _cross_section(
     row: Float[np.ndarray, "4"], middle: np.ndarray, beyond: Float[np.ndarray, "n 3"]
 ) -> Float[np.ndarray, "8 3"]:
-    """A polygon with the area of an ellipse as thick and wide as the handle there."""
+    """Return a polygon with the area of an ellipse of the handle's local thickness and width."""
     x, height, half_thickness, angle = row
     away = np.arctan2(beyond[:, 2] - middle[1], beyond[:, 0] - middle[0]) - angle
     near = beyond[np.abs((away + np.pi) % (2 * np.pi) - np.pi) < SPREAD]

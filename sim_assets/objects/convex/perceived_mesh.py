@@ -1,7 +1,7 @@
-"""Convex pieces of reconstructed meshes that keep a cavity open.
+"""Convex pieces of reconstructed meshes that keep cavities open.
 
 Decompositions of meshes fill cavities and rock on the table. Here the mesh is measured in polar coordinates
-about its body's axis, and the pieces are made from the measured radii: a stack of frusta where the body is
+about its body's axis, and the pieces are built from the measured radii: a stack of frusta where the body is
 solid, rings of wall segments where it is hollow, and a chain of short pieces along a mug's handle.
 """
 
@@ -27,17 +27,18 @@ AROUND = 24  # wall segments of a ring
 SAMPLES = 5  # azimuths measured for each segment
 LEVELS = 56  # heights measured
 MOST_LEVELS, MOST_SLICES = 7, 12  # of wall segments, of frusta, above each other
-TOLERANCE = 4e-4  # [m] that pieces may stray from the measured profile
-LEAST_COVERED = 0.2  # of the azimuths that must meet the mesh for a height to be used
-CORRECTIONS, DAMPING = 5, 0.75  # rounds in which the volume is corrected, and how far; the best one counts
-THICKER, FATTER = (0.85, 1.15), (0.985, 1.015)  # bounds on what a round may do to walls, to closed bodies
-STRAYED = 0.05  # of an extent: so far from their mesh are pieces of what is no body about an axis
-OPEN_SHARE = 0.8  # of the azimuths that must see the axis free for a height to count as cavity
-LEAST_FLOOR = 8e-4  # [m] of a vessel's thickness
-EDGE = 2e-4  # [m] of height in which a floor that thin goes over into the wall
+TOLERANCE = 4e-4  # [m], tolerance of the pieces about the measured profile
+LEAST_COVERED = 0.2  # share of azimuths that must hit the mesh for a height to be used
+CORRECTIONS, DAMPING = 5, 0.75  # iterations of the volume correction, of which the best is used
+THICKER, FATTER = (0.85, 1.15), (0.985, 1.015)  # bounds per iteration for walls, for closed bodies
+STRAYED = 0.05  # relative to an extent: larger errors indicate that the mesh is no body about an axis
+OPEN_SHARE = 0.8  # share of azimuths with a free axis for a height to count as cavity
+LEAST_FLOOR = 8e-4  # [m], smallest floor thickness of a vessel
+EDGE = 2e-4  # [m], height of the transition between a floor of that thickness and the wall
 LEAST_CAVITY = 0.002  # [m] of depth: shallower hollows are filled
-THICKNESS_WEIGHT = 3.0  # a wall's thickness decides its volume: it is followed closer than its place
-HANDLE_SECTOR = np.deg2rad(50)  # around a mug's +x, where the body's radius is not measured but filled in
+# The thickness of a wall determines its volume: tighter tolerance than for its position.
+THICKNESS_WEIGHT = 3.0
+HANDLE_SECTOR = np.deg2rad(50)  # around a mug's +x, where the body's radius is interpolated
 FOOT = 1.2e-3  # [m] above the lowest point at which the base is measured: meshes have rounded edges
 
 
@@ -63,10 +64,10 @@ class PolarBody:
 
 
 def perceived_pieces(mesh: TriangleMesh, category: Category, axis: Float[np.ndarray, "2"]) -> list[Piece]:
-    """Corners of convex pieces, in the mesh's frame (z up), whose union is the object; see the module.
+    """Return corners of convex pieces in the mesh's frame (z up) whose union approximates the object.
 
-    Walls, or the whole body where it has none, are made as thick as the mesh's volume asks for. A mesh that
-    is no body about an axis, such as a fragment of one, is cut into slices instead.
+    The thickness of walls, or the radius of a solid body, is adjusted to the mesh's volume. A mesh that is
+    no body about an axis, such as a fragment of one, is cut into slices instead.
     """
     pieces = _polar_pieces(mesh, category, axis)
     strays = np.abs(np.ptp(np.concatenate(pieces), axis=0) / np.ptp(mesh.vertices, axis=0) - 1).max()
@@ -93,7 +94,7 @@ def _polar_pieces(mesh: TriangleMesh, category: Category, axis: np.ndarray) -> l
 
 
 def _slices(mesh: TriangleMesh) -> list[Piece]:
-    """Hulls of what lies between heights: as high and wide as the mesh, without its hollows."""
+    """Return the hulls of horizontal slices of the mesh; hollows are filled."""
     z = mesh.vertices[:, 2]
     heights = np.linspace(z.min(), z.max(), MOST_LEVELS + 2)
     cuts = [
@@ -109,12 +110,12 @@ def _slices(mesh: TriangleMesh) -> list[Piece]:
 
 
 def pieces_volume(pieces: Sequence[Piece]) -> float:
-    """Sum of the pieces' volumes in [m³]; they hardly overlap."""
+    """Return the sum of the pieces' volumes in [m³], neglecting overlaps."""
     return float(sum(ConvexHull(piece).volume for piece in pieces))
 
 
 def measure(mesh: TriangleMesh, category: Category, axis: Float[np.ndarray, "2"]) -> PolarBody:
-    """The body in polar coordinates about its axis."""
+    """Measure the body in polar coordinates about its axis."""
     low, high = float(mesh.vertices[:, 2].min()), float(mesh.vertices[:, 2].max())
     edge = min(FOOT, 0.02 * (high - low))
     z = np.linspace(low + edge, high - edge, LEVELS)
@@ -137,7 +138,7 @@ def measure(mesh: TriangleMesh, category: Category, axis: Float[np.ndarray, "2"]
         floor, dome = 1, 0
     inner, outer = _filled(inner), _filled(outer)
     inner[dome : floor + 1] = 0.0
-    # A ragged rim or an uneven base has gaps: closed, it would hold more than the mesh does.
+    # A ragged rim or uneven base has gaps; closing them would enclose more volume than the mesh.
     inner, outer = (
         np.where(inner > 0, outer - covered * (outer - inner), 0),
         np.where(inner > 0, outer, np.sqrt(covered) * outer),
@@ -151,7 +152,7 @@ def measure(mesh: TriangleMesh, category: Category, axis: Float[np.ndarray, "2"]
 
 
 def _floor_thickness(mesh: TriangleMesh, axis: Float[np.ndarray, "2"], radius: float) -> float:
-    """Of what is lowest around the axis [m]: mean height of its upper side over its lower one."""
+    """Return the mean thickness of the lowest layer around the axis [m]."""
     near = np.linalg.norm(mesh.vertices[:, :2] - axis, axis=1) < radius
     heights = np.sort(mesh.vertices[near, 2])
     if len(heights) < 8:
@@ -163,7 +164,7 @@ def _floor_thickness(mesh: TriangleMesh, axis: Float[np.ndarray, "2"], radius: f
 def _radii(
     mesh: TriangleMesh, axis: np.ndarray, z: np.ndarray, azimuths: np.ndarray
 ) -> tuple[np.ndarray, np.ndarray]:
-    """Radii (z, azimuths) of the cavity, 0 where the axis is in the material, and of the outside; or NaN."""
+    """Return radii (z, azimuths) of the cavity, 0 where the axis is in material, and the outside; or NaN."""
     outward = np.stack([np.cos(azimuths), np.sin(azimuths)])
     beside = np.stack([-outward[1], outward[0]])
     inner = np.full((len(z), len(azimuths)), np.nan)
@@ -183,14 +184,14 @@ def _radii(
 
 
 def _cavity(opened: Bool[np.ndarray, "z"], z: Float[np.ndarray, "z"]) -> int:
-    """Index of the height at which the cavity that opens to the end begins; the last one if there is none."""
+    """Return the index of the height where the cavity open to the end begins; without a cavity, the last."""
     closed = np.flatnonzero(~opened)
     begin = int(closed[-1]) if len(closed) else 0
     return begin if begin < len(z) - 2 and z[-1] - z[begin] > LEAST_CAVITY else len(z) - 1
 
 
 def _filled(radii: Float[np.ndarray, "z a"]) -> Float[np.ndarray, "z a"]:
-    """Gaps in each row closed around the circle, linearly."""
+    """Fill gaps in each row by linear interpolation around the circle."""
     filled = radii.copy()
     columns = np.arange(radii.shape[1])
     for row in filled:
@@ -200,7 +201,7 @@ def _filled(radii: Float[np.ndarray, "z a"]) -> Float[np.ndarray, "z a"]:
 
 
 def _by_segment(radii: Float[np.ndarray, "z a"]) -> Float[np.ndarray, "z k"]:
-    """Radii at the segments' boundaries, enlarged so that the polygon has the measured area."""
+    """Return radii at the segments' boundaries, enlarged so that the polygon has the measured area."""
     around = radii.shape[1] // SAMPLES
     half = SAMPLES // 4
     windows = np.stack([np.roll(radii, shift, axis=1) for shift in range(-half, half + 1)])
@@ -210,14 +211,14 @@ def _by_segment(radii: Float[np.ndarray, "z a"]) -> Float[np.ndarray, "z k"]:
 
 
 def _ring(body: PolarBody, radii: np.ndarray, z: float) -> Float[np.ndarray, "k 3"]:
-    """Points at the segment boundaries of one height."""
+    """Return the points at the segment boundaries of one height."""
     azimuths = 2 * np.pi * np.arange(len(radii)) / len(radii)
     xy = body.axis + radii[:, None] * np.stack([np.cos(azimuths), np.sin(azimuths)], axis=1)
     return np.column_stack([xy, np.full(len(radii), z)])
 
 
 def _levels(body: PolarBody, low: int, high: int) -> list[int]:
-    """The heights, as indices, at which the profile bends: the mean one, and of solids any side's."""
+    """Return the indices of the heights at which the mean profile bends or, for solids, that of any side."""
     rows = slice(low, high + 1)
     inner, outer = body.inner[rows].mean(axis=1), body.outer[rows].mean(axis=1)
     solid = not inner.any()
@@ -227,9 +228,9 @@ def _levels(body: PolarBody, low: int, high: int) -> list[int]:
 
 
 def _solids(body: PolarBody) -> list[Piece]:
-    """Frusta where the axis is inside the material, and a flat foot under a hollow base.
+    """Build frusta where the axis is inside the material, and a flat foot under a hollow base.
 
-    The foot's ring alone would creep over the table.
+    A foot ring alone would slide slowly over the table.
     """
     rings = [_ring(body, body.outer[i], body.z[i]) for i in _levels(body, body.dome, body.floor)]
     pieces = [np.concatenate(pair) for pair in pairwise(rings)]
@@ -239,7 +240,7 @@ def _solids(body: PolarBody) -> list[Piece]:
 
 
 def _walls(body: PolarBody) -> list[Piece]:
-    """Rings of wall segments, off the ground, which the base alone touches."""
+    """Build rings of wall segments, above the ground so that only the base touches it."""
     pieces: list[Piece] = []
     for low, high in ((0, body.dome), (body.floor, len(body.z) - 1)):
         for first, last in pairwise(_levels(body, low, high)) if high > low else ():
@@ -248,7 +249,7 @@ def _walls(body: PolarBody) -> list[Piece]:
 
 
 def _segments(body: PolarBody, first: int, last: int) -> list[Piece]:
-    """One ring of segments between two heights."""
+    """Build one ring of segments between two heights."""
     corners = []
     for i in (first, last):
         z = max(body.z[i], body.z[0] + CLEARANCE)

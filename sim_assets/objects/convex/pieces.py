@@ -1,4 +1,4 @@
-"""Convex collision pieces and what all decompositions share: primitives, and curves as polylines."""
+"""Convex collision pieces, and the primitives and polyline approximation of all decompositions."""
 
 from __future__ import annotations
 
@@ -24,7 +24,7 @@ class CollisionPiece:
         kind: "box", "cylinder", "capsule" (both along their own z) or "mesh".
         position: (3,) centre [m]; zero for a mesh.
         quat_wxyz: (4,) orientation.
-        size: half-sizes as MuJoCo has them [m]: box (x, y, z), cylinder and capsule (radius, half length).
+        size: MuJoCo's half-sizes [m]: box (x, y, z), cylinder and capsule (radius, half length).
         vertices: (n, 3) corners of a mesh, whose convex hull is the piece [m]; (0, 3) for the others.
     """
 
@@ -36,12 +36,12 @@ class CollisionPiece:
 
 
 def hull(vertices: Float[np.ndarray, "n 3"]) -> CollisionPiece:
-    """The convex hull of points of the object frame."""
+    """Return the convex hull of points of the object frame."""
     return CollisionPiece("mesh", np.zeros(3), IDENTITY, (), np.asarray(vertices, dtype=np.float64))
 
 
 def cylinder(radius: float, bottom: float, top: float) -> CollisionPiece:
-    """An upright cylinder about the object's axis."""
+    """Return an upright cylinder about the object's axis."""
     position = np.array([0.0, 0.0, 0.5 * (bottom + top)])
     return CollisionPiece("cylinder", position, IDENTITY, (radius, 0.5 * (top - bottom)))
 
@@ -53,7 +53,7 @@ def frustum(
     around: int = 32,
     phase: float = 0.5,
 ) -> CollisionPiece:
-    """The hull of two rings (radius, z), of the section's shape where there is one.
+    """Return the hull of two rings (radius, z), circular or of the section's shape.
 
     Args:
         bottom, top: radius and height of the rings [m].
@@ -65,7 +65,8 @@ def frustum(
     cos, sin = np.cos(angle), np.sin(angle)
     rings = []
     for radius, z in (bottom, top):
-        r = np.full(around, radius / np.sqrt(np.cos(np.pi / around)))  # as much outside as inside the circle
+        # equal areas outside and inside the circle
+        r = np.full(around, radius / np.sqrt(np.cos(np.pi / around)))
         if section is not None:
             r = radius * (1.0 + section.weight(np.array([z])) * section.modulation(cos, sin))
         rings.append(np.stack([r * cos, r * sin, np.full(around, z)], axis=1))
@@ -73,9 +74,9 @@ def frustum(
 
 
 def breakpoints(curve: Float[np.ndarray, "k d"], tolerance: float, most: int) -> np.ndarray:
-    """Indices of the points that a polyline of at most `most` segments needs to follow a curve.
+    """Return the indices of the points of a polyline of at most `most` segments along a curve.
 
-    The point farthest from its chord splits it, until all are within the tolerance [m].
+    The curve is split at the point farthest from its chord until all are within the tolerance [m].
     """
     chosen = [0, len(curve) - 1]
     while len(chosen) <= most:

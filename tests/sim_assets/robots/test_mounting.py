@@ -128,7 +128,7 @@ def test_planning_model_is_self_contained_with_the_same_vertices(mount, scene):
 @pytest.mark.parametrize(
     ("old", "new", "message"),
     [
-        ('name="link"', 'name="arm"', "has no body 'link', which the robot file puts a site on"),
+        ('name="link"', 'name="arm"', "has no body 'link', on which the robot file places a site"),
         ('name="slide"', 'name="glide"', r"has no joint 'slide' of the robot file's \[gripper\]"),
         ("</worldbody>", "", "cannot be read as MJCF"),
     ],
