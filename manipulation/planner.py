@@ -9,7 +9,8 @@ from dataclasses import dataclass, field, replace
 from manipulation.errors import PlanningError
 from manipulation.grasps import grasp_candidates
 from manipulation.kinematics import Kinematics
-from manipulation.packing import PackingConfig, pack
+from manipulation.packing import pack
+from manipulation.packing_problem import PackingConfig
 from manipulation.pick_place import PickPlaceConfig
 from manipulation.robot import ArmDescription
 from manipulation.sorting import SortingConfig, sort_line

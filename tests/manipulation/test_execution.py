@@ -9,7 +9,7 @@ from manipulation.execution import execute
 from manipulation.grasp_config import GraspConfig
 from manipulation.kinematics import Kinematics
 from manipulation.obstacles import TABLE, box_obstacles
-from manipulation.packing import PackingConfig
+from manipulation.packing_problem import PackingConfig
 from manipulation.pick_place import PickPlaceConfig, PickPlacePlanner
 from manipulation.planner import ManipulationConfig, plan_pack, plan_sort
 from manipulation.standing import to_standing

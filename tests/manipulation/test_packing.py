@@ -9,7 +9,8 @@ from manipulation.errors import PlanningError
 from manipulation.footprints import BoxRaster, footprint
 from manipulation.grasps import grasp_candidates
 from manipulation.nesting import nest_heights, nests, radial_profile, stack_bowls
-from manipulation.packing import PackingConfig, admissible_yaws, nest_drop, pack
+from manipulation.packing import admissible_yaws, nest_drop, pack
+from manipulation.packing_problem import PackingConfig
 from manipulation.release_clearance import ReleasePose, count_free_releases
 from manipulation.robot import GripperGeometry
 from manipulation.standing import to_standing

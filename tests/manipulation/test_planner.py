@@ -5,7 +5,7 @@ import pytest
 from manipulation.errors import PlanningError
 from manipulation.grasp_config import GraspConfig
 from manipulation.kinematics import Kinematics
-from manipulation.packing import PackingConfig
+from manipulation.packing_problem import PackingConfig
 from manipulation.pick_place import PickPlaceConfig
 from manipulation.planner import ManipulationConfig, plan_pack, plan_sort
 from manipulation.robot import GripperGeometry

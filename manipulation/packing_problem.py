@@ -1,0 +1,75 @@
+"""Input of the layout search: settings, objects and their rasterised footprints."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass
+
+from manipulation.footprints import Footprint, Stencil, footprint
+from manipulation.grasp_config import GraspConfig
+from manipulation.types import Box, GraspSet, StandingObject
+
+
+@dataclass(frozen=True)
+class PackingConfig:
+    """Settings of the layout search.
+
+    Attributes:
+        gaps: distances between objects in [m], tried in order.
+        wall_gaps: distances from the walls in [m]; the larger ones are for objects that a wall keeps the hand
+            from releasing.
+        release_height: height above the floor at which an object is released, in [m].
+        max_drop: largest height above its resting pose at which a nested bowl is released, in [m].
+        enough_releases: number of collision-free releases of an object beyond which more do not count.
+        n_handle_directions: number of handle directions.
+    """
+
+    gaps: tuple[float, ...] = (0.024, 0.020, 0.016, 0.012, 0.008, 0.005)
+    wall_gaps: tuple[float, ...] = (0.008, 0.04, 0.075)
+    release_height: float = 0.003
+    max_drop: float = 0.044
+    enough_releases: int = 4
+    n_handle_directions: int = 8
+
+
+class ShapeCache:
+    """Cache of the objects' footprints and stencils by yaw and gap."""
+
+    def __init__(self, items: Sequence[StandingObject], cell: float) -> None:
+        self._footprints = {item.name: footprint(item) for item in items}
+        self._cell = cell
+        self._rotated: dict[tuple[str, float], Footprint] = {}
+        self._stencils: dict[tuple[str, float, float], Stencil] = {}
+
+    def rotated(self, name: str, yaw: float) -> Footprint:
+        key = (name, round(yaw, 4))
+        if key not in self._rotated:
+            self._rotated[key] = self._footprints[name].rotated(yaw)
+        return self._rotated[key]
+
+    def stencil(self, name: str, yaw: float, gap: float) -> Stencil:
+        key = (name, round(yaw, 4), gap)
+        if key not in self._stencils:
+            self._stencils[key] = Stencil.of(self.rotated(name, yaw), gap, self._cell)
+        return self._stencils[key]
+
+
+@dataclass(frozen=True)
+class PackingProblem:
+    """Input of the layout search: objects by name, stacks of bowls, grasps, box, settings."""
+
+    items: Mapping[str, StandingObject]
+    stacks: Sequence[Sequence[StandingObject]]
+    grasps: Mapping[str, GraspSet]
+    box: Box
+    config: PackingConfig
+    grasp_config: GraspConfig
+    shapes: ShapeCache
+    cell: float
+
+    @property
+    def order(self) -> list[str]:
+        """Order of execution: bowls from the largest up, then the others by height to keep the hand above."""
+        bowls = [bowl.name for stack in self.stacks for bowl in stack]
+        others = sorted((i for i in self.items.values() if i.category != "bowl"), key=lambda i: i.top)
+        return bowls + [item.name for item in others]
