@@ -18,10 +18,6 @@ SEVERAL_MODULES = {
     "sim_assets/cell/test_grasping.py",  # physics of grasps: arm, objects and world together
     "sim_assets/robots/test_sixaxis.py",  # a robot file with its model
 }
-# Modules that are tested only through those that use them; remove a line once its module has a test file.
-NO_OWN_TEST: set[str] = {
-    "app/training/shape_pictures.py",
-}
 
 
 def has_code(path):
@@ -41,7 +37,7 @@ def files_of_tests():
 
 
 def test_every_module_with_code_has_a_test_file():
-    expected = {path for path in modules() if has_code(ROOT / path)} - {Path(name) for name in NO_OWN_TEST}
+    expected = {path for path in modules() if has_code(ROOT / path)}
     missing = {path.with_name(f"test_{path.name}") for path in expected} - files_of_tests()
     assert not missing, f"{len(missing)} modules without a test: " + ", ".join(sorted(map(str, missing)))
 
@@ -60,5 +56,4 @@ def test_every_test_file_belongs_to_a_module():
 
 def test_exceptions_exist():
     """A renamed or removed file leaves no entry behind."""
-    assert {Path(name) for name in NO_OWN_TEST} <= modules()
     assert {Path(name) for name in SEVERAL_MODULES} <= files_of_tests()

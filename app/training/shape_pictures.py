@@ -68,7 +68,7 @@ def reconstructions(model: ShapeVae, data: ShapeDataset, device: str) -> UInt8[n
 
 
 def walk(model: ShapeVae, data: ShapeDataset, device: str) -> UInt8[np.ndarray, "h w 3"]:
-    """A row for each class: along the line between the codes of the two most different of twenty shapes."""
+    """Return a row for each class: shapes interpolated between the two most different of twenty codes."""
     rows = []
     for c in range(len(CATEGORIES)):
         chosen = np.flatnonzero(data.categories == c)[:20]
@@ -85,7 +85,7 @@ def walk(model: ShapeVae, data: ShapeDataset, device: str) -> UInt8[np.ndarray, 
 
 
 def portrait(grid: Float[np.ndarray, "x y z"], category: int) -> UInt8[np.ndarray, "s s 3"]:
-    """The grid's surface, shaded, on white; plain white if there is none."""
+    """Return an image of the shaded surface on white; a white one if the grid has no surface."""
     fine = 3 * TILE
     k = CameraIntrinsics(fine, fine, 3.6 * fine, 3.6 * fine, (fine - 1) / 2, (fine - 1) / 2)
     white, nothing = np.full((fine, fine, 3), 255, np.uint8), np.zeros((fine, fine), np.float32)
@@ -103,7 +103,7 @@ def portrait(grid: Float[np.ndarray, "x y z"], category: int) -> UInt8[np.ndarra
 def pixel_derivative(
     decoder: ShapeDecoder, category: Category, code: Float[np.ndarray, "16"]
 ) -> UInt8[np.ndarray, "h w 3"]:
-    """Rendered depth with one pixel marked, and that pixel's derivative by the occupancies that it meets."""
+    """Return the depth with one pixel marked, and its derivative with respect to the occupancies."""
     side = 96
     rays, A = _camera(_SIDE_VIEW, side)
     grid, _ = decoder.with_jacobian(category, code)
@@ -124,7 +124,7 @@ def pixel_derivative(
     limit = 1000 * largest
     colours = right.imshow(shown, cmap="RdBu", vmin=-limit, vmax=limit, origin="lower", extent=box)
     figure.colorbar(colours, ax=right, fraction=0.046).ax.tick_params(labelsize=7)
-    right.set_title("its derivative by the occupancies [mm]", fontsize=9)
+    right.set_title("derivative w.r.t. the occupancies [mm]", fontsize=9)
     return _pixels(figure)
 
 
