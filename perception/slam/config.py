@@ -4,14 +4,13 @@ from __future__ import annotations
 
 from dataclasses import dataclass, field, replace
 
-import numpy as np
-
 from perception.inference.fit_config import FitConfig
 from perception.slam.association import MaskAssociationConfig
 from perception.slam.bundle_window import BundleAdjustmentConfig
 from perception.slam.mask_merging import MaskMergingConfig
 from perception.slam.motion import CameraMotionConfig
 from perception.slam.pixels import PixelSelectionConfig
+from perception.slam.pose_check import PoseCheckConfig
 from perception.slam.relocalise import RelocalisationConfig
 from perception.slam.tracking import TrackingConfig
 
@@ -63,31 +62,6 @@ class LandmarkLifecycleConfig:
     moved_distance: float = 0.03
     max_keyframes: int = 80
     class_log_odds: float = 4.0
-
-
-@dataclass(frozen=True)
-class PoseCheckConfig:
-    """Thresholds between the tracking states "tracked", "weak" and "lost".
-
-    Standard deviations are those of the camera position along its least certain direction, in metres.
-
-    Attributes:
-        inlier_ratio_min: Median inlier ratio of the used landmarks below which the camera is lost.
-        max_translation, max_rotation: Correction of the predicted pose beyond which the camera is lost, in
-            metres and radians.
-        weak_position_std, lost_position_std: Standard deviation above which the pose is weak, or lost.
-        recovered_position_std: Standard deviation below which a lost camera is tracked again.
-        local_search_position_std: Standard deviation of the predicted position below which a lost camera is
-            first searched for near its prediction.
-    """
-
-    inlier_ratio_min: float = 0.5
-    max_translation: float = 0.10
-    max_rotation: float = np.radians(12.0)
-    weak_position_std: float = 0.01
-    lost_position_std: float = 0.02
-    recovered_position_std: float = 0.015
-    local_search_position_std: float = 0.06
 
 
 @dataclass(frozen=True)

@@ -13,13 +13,11 @@ from collections.abc import Callable, Iterator, Mapping, Sequence
 from contextlib import contextmanager
 from dataclasses import dataclass, field, replace
 from functools import cache
-from typing import Literal
 
 import numpy as np
 from jaxtyping import Float
 
 from perception.errors import PerceptionError
-from perception.geometry import invert
 from perception.inference.reconstruct import single_threaded_torch
 from perception.inference.shape_model import Decoder
 from perception.pipeline import Device, load_perception
@@ -33,6 +31,7 @@ from perception.slam.mapping import Mapper
 from perception.slam.mask_merging import merge_masks
 from perception.slam.motion import CameraMotion
 from perception.slam.pixels import in_observed_parts, select_pixels
+from perception.slam.pose_check import Status, check_pose
 from perception.slam.relocalise import Relocalisation, relocalise
 from perception.slam.tracking import TrackedPose, track
 from perception.support_plane import fit_support_plane
@@ -42,7 +41,6 @@ logger = logging.getLogger(__name__)
 
 Detect = Callable[[RgbdFrame, SupportPlane], Sequence[ObjectDetection]]
 Clock = Callable[[], float]
-Status = Literal["tracked", "weak", "lost"]
 
 _SUSPECT_OUTLIER_FRAMES = 2  # outlier frames from which a landmark is not tracked with
 _SEARCH_ITERATIONS = 8  # of tracking near the predicted pose of a lost camera
@@ -166,7 +164,7 @@ class Slam:
         if self._n_lost:
             return self._recover(self.mapper, frame, predicted)
         tracked = self._track_frame(self.mapper, frame, predicted)
-        status, motion = self._check_pose(tracked.tracked, predicted)
+        status, motion = check_pose(tracked.tracked, predicted, self.config.pose_check)
         if status == "lost":
             logger.info("frame %d: lost", self._number)
             self._motion = motion or self._motion
@@ -214,26 +212,6 @@ class Slam:
             prior = np.linalg.inv(predicted.pose_covariance)
             tracked = track(world, pixels.subset(observed), T_predicted, tracking, suspects, prior)
         return _TrackedFrame(view, tracked, pixels.plane_points, unseen_ratios, render)
-
-    def _check_pose(
-        self, tracked: TrackedPose, predicted: CameraMotion
-    ) -> tuple[Status, CameraMotion | None]:
-        """Return the tracking status, and the updated motion unless the pose is implausible."""
-        check = self.config.pose_check
-        correction = invert(predicted.T_world_camera) @ tracked.T_world_camera
-        angle = np.arccos(np.clip((np.trace(correction[:3, :3]) - 1) / 2, -1, 1))
-        plausible = (
-            np.isfinite(tracked.T_world_camera).all()
-            and tracked.median_inlier_ratio_of_used >= check.inlier_ratio_min
-            and np.linalg.norm(correction[:3, 3]) < check.max_translation
-            and angle < check.max_rotation
-        )
-        if not plausible:
-            return "lost", None
-        motion = predicted.update(tracked.T_world_camera, tracked.information)
-        if motion.position_std > check.lost_position_std:
-            return "lost", motion
-        return "weak" if motion.position_std > check.weak_position_std else "tracked", motion
 
     def _update_map(self, mapper: Mapper, result: _TrackedFrame, status: Status) -> FrameResult:
         """Update the landmarks after a frame with an accepted pose, and extend the map."""
@@ -297,7 +275,7 @@ class Slam:
         self._n_lost += 1
         if self._n_lost > 1 and guess.position_std < check.local_search_position_std:
             result = self._track_frame(mapper, frame, guess, _SEARCH_ITERATIONS)
-            motion = self._check_pose(result.tracked, guess)[1]
+            motion = check_pose(result.tracked, guess, check)[1]
             threshold = self.config.lifecycle.support_inlier_ratio
             n_agreeing = sum(ratio > threshold for ratio in result.tracked.inlier_ratios.values())
             if motion is not None:

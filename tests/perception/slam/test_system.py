@@ -7,10 +7,9 @@ import pytest
 
 from perception.inference.fit_config import FitConfig, FitStage
 from perception.io.recordings.sequence import without_pose
-from perception.slam.config import LandmarkLifecycleConfig, PoseCheckConfig, SlamConfig
-from perception.slam.motion import CameraMotion
+from perception.slam.config import LandmarkLifecycleConfig, SlamConfig
+from perception.slam.pose_check import PoseCheckConfig
 from perception.slam.system import Slam
-from perception.slam.tracking import TrackedPose
 from perception.types import RgbdFrame
 
 FAST_FIT = FitConfig(stages=(FitStage(32, 1, 5), FitStage(40, 0, 6)))
@@ -209,31 +208,3 @@ def test_seconds_are_those_of_the_clock(recording, cylinders):
 def test_before_the_first_frame_there_is_no_map(recording, cylinders):
     slam = recording.slam(cylinders.decoder)
     assert slam.world is None and slam.keyframes == [] and slam.object_estimates() == []
-
-
-@pytest.fixture
-def check(cylinders):
-    """Return a function that checks a tracked pose of given position information against a predicted one."""
-    slam = Slam(cylinders.decoder, lambda frame, plane: [])
-
-    def status(step=(0, 0, 0), turn=0.0, ratios=(0.9,), std=0.001):
-        covariance = np.eye(6)  # a vague prediction: the position is known as well as the frame measures it
-        motion = CameraMotion.with_unknown_velocity(0.0, np.eye(4), slam.config.motion, covariance)
-        T = np.eye(4)
-        T[:3, 3] = step
-        T[:2, :2] = [[np.cos(turn), -np.sin(turn)], [np.sin(turn), np.cos(turn)]]
-        used = frozenset(range(len(ratios)))
-        tracked = TrackedPose(T, dict(enumerate(ratios)), used, np.eye(6) / std**2)
-        return slam._check_pose(tracked, motion)[0]
-
-    return status
-
-
-def test_status_follows_the_thresholds_of_the_pose_check(check):
-    assert check() == "tracked"
-    assert check(std=0.0099) == "tracked" and check(std=0.0101) == "weak"
-    assert check(std=0.0199) == "weak" and check(std=0.0201) == "lost"
-    assert check(step=(0.099, 0, 0)) == "tracked" and check(step=(0.101, 0, 0)) == "lost"
-    assert check(turn=np.radians(11.9)) == "tracked" and check(turn=np.radians(12.1)) == "lost"
-    assert check(ratios=(0.51, 0.51)) == "tracked" and check(ratios=(0.49, 0.49)) == "lost"
-    assert check(step=(np.nan, 0, 0)) == "lost"
