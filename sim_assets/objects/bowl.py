@@ -2,8 +2,7 @@
 
 The kinds below the line are held out for testing; no training bowl has their profiles or sections.
 
-Median IoU of a grid with the nearest of 1,000 training grids: 0.73 for training samples, 0.59 (faceted), 0.69
-(lobed) and 0.70 (ogee) for test samples.
+docs/training.md has their distance from the training kinds.
 
 | side     | split | section | outer curve from the base radius up to the rim                    |
 | -------- | ----- | ------- | ----------------------------------------------------------------- |
