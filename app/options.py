@@ -75,7 +75,7 @@ class ViewerOptions:
     """Network address of the web viewer."""
 
     host: str = "127.0.0.1"
-    """Network interface of the web viewer; whoever reaches it can operate the viewer."""
+    """Network interface of the web viewer; every client that can reach it can operate the viewer."""
     port: Annotated[int | None, arg(help_behavior_hint="default: 8080 or the next free one")] = None
     """Port of the web viewer; 0 selects a free one."""
 

@@ -1,4 +1,4 @@
-"""One process at a time writes to a folder, and the lock of a dead one holds nobody up."""
+"""One process at a time writes to a folder, and the lock of a dead process is taken over."""
 
 import os
 import signal

@@ -19,7 +19,7 @@ def save(path: Path, image: np.ndarray) -> None:
 
 @pytest.fixture
 def nocs(tmp_path: Path) -> Path:
-    """Two frames: a mug, a laptop and a bowl in the first, nothing told of the second."""
+    """Two frames: a mug, a laptop and a bowl in the first, no detections in the second."""
     folder = tmp_path / "scene_1"
     for number in range(2):
         save(folder / f"{number:04d}_color.png", np.full((480, 640, 3), 100 + number, np.uint8))
