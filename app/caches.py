@@ -41,7 +41,7 @@ def _is_writable(folder: Path) -> bool:
 
 
 def _temporary(environment: MutableMapping[str, str]) -> Path:
-    """Return a cache folder that other users cannot write to, since libraries execute what they find in it."""
+    """Return a cache folder that no other user can write to: libraries execute what they find there."""
     path = Path(environment.get("TMPDIR") or "/tmp") / f"nodeslam-cache-{os.getuid()}"
     try:
         path.mkdir(mode=0o700, exist_ok=True)
