@@ -140,8 +140,8 @@ def find_peaks(
     if not voting.any():
         return np.zeros((0, 2))
     vote, spread = answer.vote[voting], answer.spread[voting]
-    doubt = config.vote_std**2 / (config.vote_std**2 + spread**2)
-    weight = foreground[voting] * (2 * view.pixel[::2, ::2][voting]) ** 2 * doubt
+    certainty = config.vote_std**2 / (config.vote_std**2 + spread**2)
+    weight = foreground[voting] * (2 * view.pixel[::2, ::2][voting]) ** 2 * certainty
     close = (np.abs(vote - np.median(vote, axis=0)) < 2.0).all(1)  # outliers must not enlarge the grid
     vote, weight = vote[close], weight[close]
     low = vote.min(0) - 0.05
