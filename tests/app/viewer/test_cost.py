@@ -44,7 +44,7 @@ def episode(folder, watchers=()):
         viewer, control, ended = None, RunControl(), threading.Event()
         if watchers:
             viewer = Viewer(open_server(port=0), recording.recorder, live=True)
-            RunButtons(viewer.server.gui, lambda: control).show(running=True)
+            RunButtons(viewer.server.gui, lambda: control).update(running=True)
             viewer.player.set_yielding(True)
             viewer.start()
         threads = [threading.Thread(target=lambda w=w: asyncio.run(w(viewer, ended))) for w in watchers]
