@@ -13,7 +13,7 @@ import PIL.ImageDraw
 import PIL.ImageFont
 from jaxtyping import Float, UInt8
 
-from perception.types import CATEGORIES, Category, ObjectDetection, ObjectEstimate, RgbdFrame
+from perception.types import CATEGORIES, Category, ObjectDetection, ObjectEstimate, RejectedObject, RgbdFrame
 
 Image = UInt8[np.ndarray, "h w 3"]
 
@@ -25,6 +25,7 @@ PALETTE = (
 CLASS_COLORS: dict[Category, tuple[int, int, int]] = {
     category: color for category, color in zip(CATEGORIES, PALETTE, strict=False)
 }
+_REJECTED = (200, 60, 60)
 _LIGHT = np.array([0.3, -0.5, 0.81])
 
 
@@ -84,6 +85,22 @@ def draw_estimates(
     return image
 
 
+def draw_rejected(
+    image: Image, detections: Sequence[ObjectDetection], rejected: Sequence[RejectedObject]
+) -> Image:
+    """Return the image with the masks of objects that are left out outlined, and the reason above each."""
+    reasons = {item.id: f"no {item.category}: {item.reason}" for item in rejected}
+    image = np.array(image)
+    for found in detections:
+        if found.instance_id not in reasons:
+            continue
+        outline = cv2.findContours(found.mask.astype(np.uint8), cv2.RETR_EXTERNAL, cv2.CHAIN_APPROX_SIMPLE)
+        cv2.drawContours(image, outline[0], -1, _REJECTED, 2, cv2.LINE_AA)
+        v, u = np.nonzero(found.mask)
+        _label(image, reasons[found.instance_id], (int(u.mean()), int(v.min()) - 6), size=12)
+    return image
+
+
 def _visible_triangles(
     frame: RgbdFrame, estimate: ObjectEstimate
 ) -> tuple[Float[np.ndarray, "n 3 2"], Float[np.ndarray, "n"], Float[np.ndarray, "n"]]:
@@ -121,11 +138,11 @@ def _label_estimate(image: Image, frame: RgbdFrame, estimate: ObjectEstimate) ->
         _label(image, estimate.name.replace("_", " "), (int(u), int(v) - 6))
 
 
-def _label(image: Image, text: str, at: tuple[int, int]) -> None:
+def _label(image: Image, text: str, at: tuple[int, int], size: int = 17) -> None:
     """Draw outlined text with its bottom centred at a pixel, kept inside the image."""
     picture = PIL.Image.fromarray(image)
     pen = PIL.ImageDraw.Draw(picture)
-    letters = font(17, bold=True)
+    letters = font(size, bold=True)
     left, _, right, bottom = pen.textbbox((0, 0), text, font=letters)
     x = float(np.clip(at[0] - (right - left) / 2, 3, max(3, image.shape[1] - right - 3)))
     y = float(np.clip(at[1] - bottom, 3, max(3, image.shape[0] - bottom - 3)))

@@ -3,12 +3,14 @@
 from __future__ import annotations
 
 import time
+from collections.abc import Sequence
+from dataclasses import asdict
 
 import numpy as np
 from rich.markup import escape
 from rich.table import Table
 
-from app.drawing import draw_detections, draw_estimates
+from app.drawing import draw_detections, draw_estimates, draw_rejected
 from app.options import ReconstructOptions
 from app.runs.report import ObjectReport, Report
 from app.runs.run_folder import RunFolder
@@ -28,7 +30,7 @@ from perception.pipeline import (
 )
 from perception.pipeline import detect as detect_objects
 from perception.scans import scan_detections, scan_plane, usable_part
-from perception.types import ObjectEstimate, RgbdFrame, SupportPlane
+from perception.types import ObjectEstimate, RejectedObject, RgbdFrame, SupportPlane
 
 
 def run(options: ReconstructOptions, screen: Screen) -> Report:
@@ -47,23 +49,34 @@ def run(options: ReconstructOptions, screen: Screen) -> Report:
         detections = _detections(scan, plane, options)
     timings["detect"] = time.perf_counter() - started
     started = time.perf_counter()
+    rejected: list[RejectedObject] = []
     with screen.stage("Reconstructing whole shapes"):
         objects = reconstruct_objects(
-            scan.frames, detections, decoder, lambda done, total, item="": screen.update(f"{done} of {total}")
+            scan.frames,
+            detections,
+            decoder,
+            lambda done, total, item="": screen.update(f"{done} of {total}"),
+            on_rejected=rejected.append,
         )
     timings["reconstruct"] = time.perf_counter() - started
     write_scan(folder.scan, scan.frames, detections.per_frame)
-    write_object_map(folder.path, objects)
-    _write_pictures(folder, scan.frames, detections, objects)
+    unwritten = write_object_map(folder.path, objects)
+    rejected += unwritten
+    objects = [o for o in objects if o.id not in {item.id for item in unwritten}]
+    _write_pictures(folder, scan.frames, detections, objects, rejected)
     report = Report(
         command="reconstruct",
         seed=options.seed,
         success=bool(objects),
-        reason=f"{len(objects)} objects" if objects else "no object was found in the scan",
+        reason=_summary(objects, rejected),
         timings=timings | {"total": time.perf_counter() - begin},
         objects=[ObjectReport(o.id, o.category, details=_details(o)) for o in objects],
-        metrics={"n_images": len(scan.frames), "n_objects": len(objects)},
-        warnings=scan.warnings,
+        metrics={
+            "n_images": len(scan.frames),
+            "n_objects": len(objects),
+            "left_out": [asdict(item) for item in rejected],
+        },
+        warnings=[*scan.warnings, *(f"{item.name} is left out: {item.reason}" for item in rejected)],
         settings={"scan": str(options.scan)},
     )
     folder.write_report(report)
@@ -84,13 +97,34 @@ def _detections(scan: Scan, plane: SupportPlane, options: ReconstructOptions) ->
     return Detections(plane, tuple(map(tuple, associate(scan.frames, found, plane))))
 
 
+def _summary(objects: Sequence[ObjectEstimate], rejected: Sequence[RejectedObject]) -> str:
+    """Return the outcome in one line: number of objects, those left out and why."""
+    left_out = "; ".join(f"{item.name} is left out: {item.reason}" for item in rejected)
+    if objects:
+        return f"{len(objects)} objects" + (f"; {left_out}" if left_out else "")
+    return f"no object was reconstructed: {left_out}" if left_out else "no object was found in the scan"
+
+
 def _write_pictures(
-    folder: RunFolder, frames: tuple[RgbdFrame, ...], detections: Detections, objects: list[ObjectEstimate]
+    folder: RunFolder,
+    frames: tuple[RgbdFrame, ...],
+    detections: Detections,
+    objects: Sequence[ObjectEstimate],
+    rejected: Sequence[RejectedObject],
 ) -> None:
-    """Write ``overview.png``: up to three images with detections above and reconstructions below."""
+    """Write ``overview.png``: up to three images with detections above and reconstructions below.
+
+    Objects that are left out are outlined in the lower images, with the reason.
+    """
     chosen = sorted({0, len(frames) // 2, len(frames) - 1})
     found = np.concatenate([draw_detections(frames[i], detections.per_frame[i]) for i in chosen], axis=1)
-    whole = np.concatenate([draw_estimates(frames[i], objects) for i in chosen], axis=1)
+    whole = np.concatenate(
+        [
+            draw_rejected(draw_estimates(frames[i], objects), detections.per_frame[i], rejected)
+            for i in chosen
+        ],
+        axis=1,
+    )
     write_atomically(folder.path / "overview.png", png_bytes(np.concatenate([found, whole])))
 
 

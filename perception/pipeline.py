@@ -21,6 +21,7 @@ from perception.detection.detector import Detector
 from perception.errors import InvalidInputError
 from perception.inference.reconstruct import (
     OnFitStep,
+    OnRejected,
     ReconstructOptions,
     reconstruct,
     single_threaded_torch,
@@ -167,6 +168,7 @@ def reconstruct_objects(
     decoder: ShapeDecoder,
     progress: Progress = no_progress,
     on_step: OnFitStep | None = None,
+    on_rejected: OnRejected | None = None,
 ) -> list[ObjectEstimate]:
     """Estimate the complete shape and the pose of every detected object, ordered by id.
 
@@ -176,6 +178,7 @@ def reconstruct_objects(
         decoder: Shape prior.
         progress: Called after each object with its name.
         on_step: Called after each Levenberg-Marquardt step with object id, class and step.
+        on_rejected: Called with each object that cannot be reconstructed and is left out.
     """
-    options = ReconstructOptions(progress=progress, on_step=on_step)
+    options = ReconstructOptions(progress=progress, on_step=on_step, on_rejected=on_rejected)
     return reconstruct(frames, detections.per_frame, decoder, detections.plane, options=options)

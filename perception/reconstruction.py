@@ -8,7 +8,7 @@ import numpy as np
 from jaxtyping import Float
 
 from perception.errors import InvalidInputError
-from perception.types import ObjectDetection, ObjectEstimate, SupportPlane, check_rigid
+from perception.types import ObjectDetection, ObjectEstimate, RejectedObject, SupportPlane, check_rigid
 
 _TRANSLATION = slice(19, 22)  # of the covariance's 25 parameters: code 16, rotation 3, translation 3, scale 3
 
@@ -26,6 +26,7 @@ class Reconstruction:
         detections: for each image its detections, ``instance_id`` being the id of the object.
         T_world_camera: (4, 4) camera pose of a single image, identity if unknown; None for several.
         posed: whether the camera poses are known.
+        rejected: detected objects that were left out, each with the reason.
     """
 
     objects: tuple[ObjectEstimate, ...]
@@ -33,6 +34,7 @@ class Reconstruction:
     detections: tuple[tuple[ObjectDetection, ...], ...] = ()
     T_world_camera: Float[np.ndarray, "4 4"] | None = None
     posed: bool = True
+    rejected: tuple[RejectedObject, ...] = ()
 
     def in_world(self, T_world_camera: Float[np.ndarray, "4 4"]) -> Reconstruction:
         """Return the reconstruction in the world frame, given the camera pose it was made without.
@@ -57,6 +59,7 @@ class Reconstruction:
                 for image in self.detections
             ),
             T_world_camera=T,
+            rejected=self.rejected,
         )
 
 

@@ -21,7 +21,7 @@ from perception.io.scan_folder import Scan, read_scan
 from perception.pipeline import Detections, Perception, detect, load_perception, reconstruct_objects
 from perception.reconstruction import Reconstruction
 from perception.support_plane import fit_support_plane
-from perception.types import RgbdFrame, SupportPlane
+from perception.types import RejectedObject, RgbdFrame, SupportPlane
 
 logger = logging.getLogger(__name__)
 
@@ -45,12 +45,15 @@ def reconstruct(
     posed = frames[0].T_world_camera is not None
     frames = [_in_own_frame(frame) for frame in frames]
     detections = detections or detect(frames, perception.detector, plane=plane)
+    rejected: list[RejectedObject] = []
+    objects = reconstruct_objects(frames, detections, perception.decoder, on_rejected=rejected.append)
     return Reconstruction(
-        objects=tuple(reconstruct_objects(frames, detections, perception.decoder)),
+        objects=tuple(objects),
         plane=plane,
         detections=detections.per_frame,
         T_world_camera=frames[0].T_world_camera if len(frames) == 1 else None,
         posed=posed,
+        rejected=tuple(rejected),
     )
 
 

@@ -238,6 +238,27 @@ class ObjectEstimate:
         return profile_size(self.height, self.radius)
 
 
+@dataclass(frozen=True)
+class RejectedObject:
+    """A detected object that is not part of the object map.
+
+    Attributes:
+        id: Id of the object across the images.
+        category: Class of its detections.
+        reason: Why it was left out, in one line.
+        score: Probability that it is an object of that class, in 0..1.
+    """
+
+    id: int
+    category: Category
+    reason: str
+    score: float = 0.0
+
+    @property
+    def name(self) -> str:
+        return f"{self.category}_{self.id}"
+
+
 def profile_size(height: float, radius: float) -> float:
     """Return the diagonal of an upright profile of the given height and radius, in metres."""
     return float(np.hypot(height, 2 * radius))

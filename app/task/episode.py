@@ -65,6 +65,7 @@ def run_episode(
             "simulated_seconds": simulated,
             "reconstruction": rows,
         },
+        warnings=[f"{item.name} is left out: {item.reason}" for item in result.rejected],
         settings=settings_of(options),
     )
     return report, result

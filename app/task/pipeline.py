@@ -39,7 +39,7 @@ from perception.errors import PerceptionError
 from perception.inference.optimisation import FitStep
 from perception.inference.refit import PoseCheck, refit_pose
 from perception.pipeline import Detections, Perception, detect, reconstruct_objects
-from perception.types import Category, ObjectEstimate, RgbdFrame
+from perception.types import Category, ObjectEstimate, RejectedObject, RgbdFrame
 
 logger = logging.getLogger(__name__)
 
@@ -74,6 +74,7 @@ class TaskResult:
         frames: Images of the scan.
         detections: Detections in the images of the scan.
         objects: Object map.
+        rejected: Detected objects that are not in the object map, with the reasons.
         plan: Placements in their order of execution.
         outcomes: Outcome of each placement as reported by execution.
         checks: Pose check of each object that was placed, by object id.
@@ -85,6 +86,7 @@ class TaskResult:
     frames: Sequence[RgbdFrame] = ()
     detections: Detections | None = None
     objects: Sequence[ObjectEstimate] = ()
+    rejected: Sequence[RejectedObject] = ()
     plan: TaskPlan | None = None
     outcomes: Sequence[ObjectOutcome] = ()
     checks: Mapping[int, PoseCheck] = field(default_factory=dict)
@@ -94,14 +96,16 @@ class TaskResult:
 
 
 class RunObserver:
-    """Receives intermediate results of a run; the base class measures the wall time of the stages.
+    """Receives intermediate results of a run; the base class keeps those that no stage returns.
 
     Attributes:
         timings: Wall time of each finished stage without pauses, in seconds.
+        rejected: Detected objects that were not reconstructed.
     """
 
     def __init__(self) -> None:
         self.timings: dict[str, float] = {}
+        self.rejected: list[RejectedObject] = []
 
     @property
     def paused_seconds(self) -> float:
@@ -131,6 +135,10 @@ class RunObserver:
 
     def on_fit_step(self, object_id: int, category: Category, step: FitStep) -> None:
         """Called after each iteration of the fit of an object, from several threads."""
+
+    def on_rejected(self, rejected: RejectedObject) -> None:
+        """Called with each detected object that is left out of the object map."""
+        self.rejected.append(rejected)
 
     def on_objects(self, objects: Sequence[ObjectEstimate]) -> None:
         """Called with the object map."""
@@ -162,7 +170,7 @@ def run(
         with observer.stage("reconstruct"):
             reconstruct = request.reconstruction or prior_reconstruction(perception, observer)
             objects = reconstruct(frames, detections)
-            result = replace(result, objects=objects)
+            result = replace(result, objects=objects, rejected=tuple(observer.rejected))
             observer.on_objects(objects)
         with observer.stage("plan"):
             plan = plan_task(kinematics, request, objects)
@@ -187,7 +195,12 @@ def prior_reconstruction(perception: Perception, observer: RunObserver) -> Recon
 
     def reconstruct(frames: Sequence[RgbdFrame], detections: Detections) -> list[ObjectEstimate]:
         return reconstruct_objects(
-            frames, detections, perception.decoder, observer.on_progress, observer.on_fit_step
+            frames,
+            detections,
+            perception.decoder,
+            observer.on_progress,
+            observer.on_fit_step,
+            observer.on_rejected,
         )
 
     return reconstruct

@@ -115,7 +115,8 @@ class RunWriter(RunObserver):
         self._recording.on_objects(objects)
         if self._video is not None:
             self._video.on_objects(objects)
-        write_object_map(self._folder.path, objects)
+        for rejected in write_object_map(self._folder.path, objects):
+            self.on_rejected(rejected)
 
     def on_plan(self, plan: TaskPlan) -> None:
         self._recording.on_plan(plan)

@@ -6,6 +6,7 @@ from dataclasses import replace
 
 import numpy as np
 
+from perception.errors import PerceptionError
 from perception.geometry import invert
 from perception.inference.fit_config import FitConfig
 from perception.inference.meshing import mesh_from_grid
@@ -15,6 +16,10 @@ from perception.inference.refine import refine_mesh
 from perception.inference.shape_model import Decoder, decode_with_jacobian
 from perception.inference.uncertainty import calibrated_deviation
 from perception.types import FitStatus, ObjectEstimate, SupportPlane
+
+
+class FitFailedError(PerceptionError):
+    """The fit of one object has no usable result."""
 
 
 def fit_object(
@@ -35,8 +40,34 @@ def fit_object(
 
     Raises:
         InvalidInputError: No view is given, or none shows any point of the object above the plane.
+        FitFailedError: The numerics failed, or no measurement agrees with the result.
     """
-    return _estimate(optimise_object(views, decoder, plane, config, on_step), views, decoder, plane, config)
+    try:
+        fit = optimise_object(views, decoder, plane, config, on_step)
+        estimate = _estimate(fit, views, decoder, plane, config)
+    except PerceptionError:
+        raise
+    except Exception as error:  # numpy, scipy, scikit-image and trimesh raise many types on degenerate input
+        raise FitFailedError(f"the fit failed ({type(error).__name__}: {error})") from error
+    check_finite(estimate)
+    return estimate
+
+
+def check_finite(estimate: ObjectEstimate) -> None:
+    """Raise FitFailedError, which names the field, if a number of an estimate is NaN or infinite."""
+    fields = {
+        "residual": estimate.residual,
+        "score": estimate.score,
+        "pose": estimate.T_world_object,
+        "scale": estimate.scale,
+        "code": estimate.code,
+        "mesh": estimate.mesh.vertices,
+        "surface deviations": () if estimate.surface_sigma is None else estimate.surface_sigma,
+        "covariance": () if estimate.covariance is None else estimate.covariance,
+    }
+    bad = [name for name, value in fields.items() if not np.isfinite(value).all()]
+    if bad:
+        raise FitFailedError(f"its {' and '.join(bad)} {'is' if len(bad) == 1 else 'are'} not finite")
 
 
 def _estimate(
@@ -53,7 +84,9 @@ def _estimate(
         mesh, determined = refined.mesh.transformed(invert(pose.T_world_object)), refined.determined
     hessian, _ = fit.evaluation.normal_equations()
     inliers = np.abs(fit.residual_object) < config.noise.huber * config.noise.depth_sigma
-    residual = float(np.sqrt(np.mean(fit.residual_object[inliers] ** 2))) if inliers.any() else float("inf")
+    if not inliers.any():
+        raise FitFailedError("no measured depth agrees with the fitted shape")
+    residual = float(np.sqrt(np.mean(fit.residual_object[inliers] ** 2)))
     covariance = np.linalg.pinv(hessian, hermitian=True)
     estimate = ObjectEstimate(
         id=views.id,
@@ -65,7 +98,7 @@ def _estimate(
         score=views.score,
         n_views=len(views.observations),
         residual=residual,
-        status=_status(fit, plane, float(inliers.mean()) if inliers.size else 0.0),
+        status=_status(fit, plane, float(inliers.mean())),
         covariance=covariance,
     )
     sigma = calibrated_deviation(estimate, covariance, determined, grid, jacobian)

@@ -144,7 +144,10 @@ def _modes(distributions: list[np.ndarray]) -> list[float]:
     """Return the modes of the fused yaw distribution in radians, or uniform yaws without a distribution.
 
     Non-maximum suppression over ``_YAW_REACH``: one mode of a sharp distribution, several of a flat one.
+    Distributions that are not finite, are zero, or differ in the number of bins from the first are not used.
     """
+    valid = [p for p in distributions if np.isfinite(p).all() and p.sum() > 0]
+    distributions = [p for p in valid if len(p) == len(valid[0])]
     if not distributions:
         return [2 * np.pi * k / _BLIND_YAWS for k in range(_BLIND_YAWS)]
     bins = len(distributions[0])

@@ -14,18 +14,26 @@ import numpy as np
 import torch
 from jaxtyping import Bool
 
-from perception.errors import PerceptionError
 from perception.inference.fit import fit_object
 from perception.inference.fit_config import FitConfig
 from perception.inference.observation import ObjectObservation, ObjectViews
 from perception.inference.optimisation import FitStep
 from perception.inference.shape_model import Decoder
-from perception.types import CATEGORIES, Category, ObjectDetection, ObjectEstimate, RgbdFrame, SupportPlane
+from perception.types import (
+    CATEGORIES,
+    Category,
+    ObjectDetection,
+    ObjectEstimate,
+    RejectedObject,
+    RgbdFrame,
+    SupportPlane,
+)
 
 logger = logging.getLogger(__name__)
 
 Progress = Callable[[int, int, str], None]
 OnFitStep = Callable[[int, Category, FitStep], None]
+OnRejected = Callable[[RejectedObject], None]
 
 _OCCLUSION_MARGIN = 0.03  # [m] pixels this far behind an object do not occlude it
 
@@ -39,12 +47,14 @@ class ReconstructOptions:
         max_views: Largest number of views of one object; those with the largest masks are used.
         progress: Called with (objects done, number of objects, name of the last one).
         on_step: Called with (id, class, step) of a fit, from several threads.
+        on_rejected: Called with each object that is left out.
     """
 
     workers: int | None = None
     max_views: int = 6
     progress: Progress | None = None
     on_step: OnFitStep | None = None
+    on_rejected: OnRejected | None = None
 
 
 def reconstruct(
@@ -55,7 +65,7 @@ def reconstruct(
     config: FitConfig = FitConfig(),
     options: ReconstructOptions = ReconstructOptions(),
 ) -> list[ObjectEstimate]:
-    """Reconstruct every instance; those that cannot be fitted are logged and skipped.
+    """Reconstruct every instance; those that cannot be fitted are logged, reported and left out.
 
     The result depends on neither the number of workers nor their timing.
 
@@ -89,8 +99,12 @@ def reconstruct(
             name = f"{views.category}_{views.id}"
             try:
                 estimates[views.id] = job.result()
-            except PerceptionError as error:
-                logger.warning("%s cannot be reconstructed: %s", name, error)
+            except Exception as error:  # whatever fails for one object must not cost the others
+                rejected = RejectedObject(views.id, views.category, one_line(error), views.score)
+                logger.warning("%s is left out: %s", name, rejected.reason)
+                logger.debug("traceback of %s", name, exc_info=error)
+                if options.on_rejected is not None:
+                    options.on_rejected(rejected)
             if options.progress is not None:
                 options.progress(done, len(jobs), name)
     return [estimates[key] for key in sorted(estimates)]
@@ -145,6 +159,11 @@ def hidden_by(
         return union
     clearly_behind = frame.depth > np.quantile(own, 0.98) + _OCCLUSION_MARGIN
     return union & ~clearly_behind
+
+
+def one_line(error: Exception) -> str:
+    """Return an error's message in one line, or its type if it has none."""
+    return " ".join(str(error).split()) or type(error).__name__
 
 
 @contextmanager

@@ -7,6 +7,7 @@ objects/<id>_<category>.ply  the mesh in the world frame [m]
 from __future__ import annotations
 
 import io
+import logging
 import re
 from collections.abc import Sequence
 from pathlib import Path
@@ -16,22 +17,37 @@ import numpy as np
 
 from perception.errors import InvalidInputError
 from perception.io.files import read_bytes, read_json, write_atomically, write_json
-from perception.types import CODE_SIZE, ObjectEstimate, TriangleMesh
+from perception.types import CODE_SIZE, ObjectEstimate, RejectedObject, TriangleMesh
 
+logger = logging.getLogger(__name__)
 MAX_MESH_BYTES = 512 * 2**20
 _MESH_NAME = re.compile(r"\d+_[a-z]+\.ply")
 
 
-def write_object_map(folder: str | Path, objects: Sequence[ObjectEstimate]) -> None:
-    """Write the meshes and then ``objects.json``; meshes of a previous object map are removed."""
+def write_object_map(folder: str | Path, objects: Sequence[ObjectEstimate]) -> list[RejectedObject]:
+    """Write the meshes and then ``objects.json``; meshes of a previous object map are removed.
+
+    Returns:
+        The objects that are left out because they have an empty mesh or a number that is not finite.
+
+    Raises:
+        OSError: A file cannot be written.
+    """
     folder = Path(folder)
-    names = {_mesh_name(estimate) for estimate in objects}
+    entries, rejected = {}, []
     for estimate in objects:
+        if not _is_finite(estimate):
+            reason = "its mesh is empty or has numbers that are not finite"
+            rejected.append(RejectedObject(estimate.id, estimate.category, reason))
+            logger.warning("%s is left out of the object map: %s", estimate.name, reason)
+            continue
         write_atomically(folder / "objects" / _mesh_name(estimate), ply_bytes(estimate.mesh_world))
-    write_json(folder / "objects.json", [_entry(estimate) for estimate in objects])
+        entries[_mesh_name(estimate)] = _entry(estimate)
+    write_json(folder / "objects.json", list(entries.values()))
     for path in (folder / "objects").glob("*.ply"):
-        if _MESH_NAME.fullmatch(path.name) and path.name not in names:
+        if _MESH_NAME.fullmatch(path.name) and path.name not in entries:
             path.unlink()
+    return rejected
 
 
 def read_object_map(folder: str | Path) -> list[ObjectEstimate]:
@@ -108,6 +124,14 @@ def _entry(estimate: ObjectEstimate) -> dict[str, Any]:
         "residual": float(estimate.residual),
         "status": estimate.status,
     }
+
+
+def _is_finite(estimate: ObjectEstimate) -> bool:
+    """Return whether the mesh has faces and all numbers of an estimate are finite, as JSON requires."""
+    if not len(estimate.mesh.faces):
+        return False
+    numbers = (estimate.mesh.vertices, estimate.T_world_object, estimate.scale, estimate.code)
+    return all(np.isfinite(value).all() for value in (*numbers, estimate.score, estimate.residual))
 
 
 def _estimate(folder: Path, entry: dict[str, Any]) -> ObjectEstimate:

@@ -1,8 +1,8 @@
 import numpy as np
 import pytest
 
-from app.drawing import draw_detections, draw_estimates
-from perception.types import ObjectDetection, ObjectEstimate
+from app.drawing import draw_detections, draw_estimates, draw_rejected
+from perception.types import ObjectDetection, ObjectEstimate, RejectedObject
 
 
 def test_a_mesh_is_drawn_at_its_projection(overhead_frame, can_at):
@@ -31,3 +31,12 @@ def test_masks_are_tinted_in_a_copy(overhead_frame):
     image = draw_detections(overhead_frame, [ObjectDetection("mug", 0.8, mask, instance_id=3)])
     assert (image[60, 80] != 100).any() and (image[110, 10] == 100).all()
     assert (overhead_frame.rgb == 100).all()
+
+
+def test_objects_that_are_left_out_are_outlined(overhead_frame):
+    mask = np.zeros((120, 160), bool)
+    mask[50:70, 70:90] = True
+    found = [ObjectDetection("mug", 0.8, mask, instance_id=3)]
+    image = draw_rejected(overhead_frame.rgb, found, [RejectedObject(3, "mug", "no fit")])
+    assert (image[50, 72:88] != 100).any(axis=-1).all() and (image[60, 80] == 100).all()
+    np.testing.assert_array_equal(draw_rejected(overhead_frame.rgb, found, []), overhead_frame.rgb)

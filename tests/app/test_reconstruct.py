@@ -13,7 +13,7 @@ from app.options import ReconstructOptions
 from perception.errors import InvalidInputError
 from perception.io.scan_folder import Scan
 from perception.pipeline import Detections, load_huggingface
-from perception.types import CameraIntrinsics, ObjectDetection, RgbdFrame, SupportPlane
+from perception.types import CameraIntrinsics, ObjectDetection, RejectedObject, RgbdFrame, SupportPlane
 
 LENS = CameraIntrinsics(8, 6, 9.0, 9.0, 3.5, 2.5)
 FRAME = RgbdFrame(0.0, np.zeros((6, 8, 3), np.uint8), np.ones((6, 8), np.float32), LENS, np.eye(4))
@@ -44,6 +44,14 @@ def test_the_shipped_detector_is_the_default(monkeypatch: pytest.MonkeyPatch) ->
         Scan((FRAME,), None, (0,)), plane, ReconstructOptions(scan=Path("mine"), device="cpu")
     )
     assert result == (made, (FRAME,), "detector on cpu", plane)
+
+
+def test_the_summary_names_what_is_left_out() -> None:
+    item = RejectedObject(2, "mug", "the fit failed")
+    assert reconstruct._summary([], []) == "no object was found in the scan"
+    assert reconstruct._summary([], [item]) == (
+        "no object was reconstructed: mug_2 is left out: the fit failed"
+    )
 
 
 def test_other_detectors_are_named_in_full() -> None:

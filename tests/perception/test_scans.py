@@ -119,7 +119,7 @@ def stages(monkeypatch: pytest.MonkeyPatch) -> dict[str, Any]:
         seen["detected"] = (frames, detector, plane)
         return Detections(plane, tuple(() for _ in frames))
 
-    def reconstruct_objects(frames: Any, detections: Detections, decoder: Any) -> list[Any]:
+    def reconstruct_objects(frames: Any, detections: Detections, decoder: Any, on_rejected: Any) -> list[Any]:
         seen["reconstructed"] = (frames, detections, decoder)
         return []
 

@@ -21,7 +21,7 @@ from perception.errors import PerceptionError
 from perception.geometry import pose_from_yaw
 from perception.inference.refit import PoseCheck
 from perception.pipeline import Detections, Perception
-from perception.types import SupportPlane
+from perception.types import RejectedObject, SupportPlane
 from sim_assets.robots import panda
 
 
@@ -156,6 +156,16 @@ def test_another_reconstruction_replaces_the_shape_prior(stages, can_at):
     result = run(StillRobot(), stages.perception, TaskRequest("pack", reconstruction=reconstruction))
     assert received == [FOUND] and len(stages.calls["plan_pack"][0]) == 1
     assert "reconstruct_objects" not in stages.calls and result.objects[0].T_world_object[0, 3] == 0.45
+
+
+def test_objects_that_are_left_out_are_in_the_result(stages, monkeypatch):
+    def reconstruct(frames, detections, decoder, progress, on_step, on_rejected):
+        on_rejected(RejectedObject(7, "mug", "the fit failed"))
+        return stages.objects
+
+    monkeypatch.setattr(pipeline, "reconstruct_objects", reconstruct)
+    result = run(StillRobot(), stages.perception, TaskRequest("pack"))
+    assert [item.name for item in result.rejected] == ["mug_7"] and result.objects == stages.objects
 
 
 @pytest.mark.parametrize("error", [PlanningError("box too small"), PerceptionError("box too small")])

@@ -1,11 +1,13 @@
 """Fits of objects whose shape and pose are known."""
 
+from dataclasses import replace
+
 import numpy as np
 import pytest
 
 from perception.errors import InvalidInputError
 from perception.geometry import so3_exp, yaw_of
-from perception.inference.fit import _status, fit_object
+from perception.inference.fit import FitFailedError, _status, check_finite, fit_object
 from perception.inference.fit_config import FitConfig
 from perception.inference.levenberg_marquardt import Evaluation
 from perception.inference.meshing import mesh_from_code
@@ -16,7 +18,7 @@ from perception.inference.shape_model import decode_with_jacobian
 from perception.inference.uncertainty import CalibrationConfig, calibrated_deviation
 from perception.metrics import reconstruction_metrics
 from perception.rendering.pose import ObjectPose
-from perception.types import SupportPlane
+from perception.types import SupportPlane, TriangleMesh
 
 PLANE = SupportPlane()
 
@@ -125,6 +127,38 @@ def test_refinement_lowers_the_deviations_of_what_is_seen(can, can_estimate) -> 
     assert can_estimate.surface_sigma.min() >= floor
     assert np.median(can_estimate.surface_sigma[side]) < 1.5 * floor
     assert can_estimate.surface_sigma[height < 0.001].max() > 1.5 * floor  # the bottom is not seen
+
+
+def test_numbers_that_are_not_finite_are_named(can_estimate) -> None:
+    check_finite(can_estimate)
+    vertices = can_estimate.mesh.vertices.copy()
+    vertices[3, 1] = np.nan
+    bad = replace(can_estimate, residual=float("inf"), mesh=TriangleMesh(vertices, can_estimate.mesh.faces))
+    with pytest.raises(FitFailedError, match=r"^its residual and mesh are not finite$"):
+        check_finite(bad)
+
+
+def test_a_surface_that_agrees_with_nothing_is_a_failure(can, decoder) -> None:
+    (seen,) = can.observations((0.0,))
+    noise = FitConfig(noise=replace(FitConfig().noise, huber=1e-9))  # no residual is an inlier
+    with pytest.raises(FitFailedError, match="no measured depth agrees"):
+        fit_object(views([seen], "can"), decoder, PLANE, noise)
+
+
+@pytest.mark.parametrize("case", ["constant", "few", "none"])
+def test_degenerate_depth_gives_finite_numbers_or_an_error(can, decoder, case) -> None:
+    """A mask with one depth for all pixels, with measurements in few or in none of them."""
+    (seen,) = can.observations((0.0,))
+    depth = seen.frame.depth.copy()
+    rows, columns = np.nonzero(seen.mask)
+    kept = {"constant": len(rows), "few": 25, "none": 0}[case]
+    depth[seen.mask] = 0.0
+    depth[rows[:kept], columns[:kept]] = 0.45
+    frame = replace(seen.frame, depth=depth)
+    try:
+        check_finite(fit_object(views([ObjectObservation(frame, seen.mask)], "can"), decoder, PLANE))
+    except InvalidInputError as error:
+        assert case != "constant" and "measured points" in str(error)
 
 
 def status(can, scale=1.0, code=0.0, turn=0.0, inlier_ratio=0.9, converged=True):

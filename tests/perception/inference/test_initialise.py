@@ -65,6 +65,21 @@ def test_yaws_cover_a_flat_distribution(make_table) -> None:
     assert apart[np.triu_indices(len(yaws), 1)].min() > np.deg2rad(20)
 
 
+def test_unusable_yaw_distributions_are_ignored(make_table) -> None:
+    """NaN, zero, another number of bins: the valid one decides, and without any the yaw is unknown."""
+    seen = make_table("mug", (), yaw=1.0).observations((0.0,))[0]
+    measures = measure_clouds([seen], PLANE, plane_basis(PLANE))
+    peaked = _peaked(1.03) ** 4
+
+    def yaws(*distributions: np.ndarray) -> list[float]:
+        told = [replace(seen, yaw_probabilities=p) for p in distributions]
+        return yaw_hypotheses(told, "mug", measures)
+
+    bad = (np.full(36, np.nan), np.zeros(36))
+    assert yaws(*bad) == yaws()
+    assert yaws(*bad, peaked / peaked.sum(), np.full(12, 1 / 12)) == yaws(peaked / peaked.sum())
+
+
 def test_bottles_try_both_ways_of_a_rectangle(make_table) -> None:
     seen = make_table("can", (), yaw=0.0).observations((0.0,))
     x, y = np.random.default_rng(0).uniform(-1, 1, (2, 500)) * [[0.03], [0.015]]

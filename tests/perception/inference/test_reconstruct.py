@@ -1,11 +1,14 @@
 """Whole scans: instances over frames, hidden pixels, parallel and repeatable."""
 
+from dataclasses import replace
+
 import numpy as np
 import pytest
 
+from perception.inference import fit
 from perception.inference.fit_config import FitConfig, FitStage
 from perception.inference.reconstruct import ReconstructOptions, gather_instances, hidden_by, reconstruct
-from perception.types import ObjectDetection, SupportPlane
+from perception.types import ObjectDetection, RejectedObject, SupportPlane
 
 QUICK = FitConfig(stages=(FitStage(24, 1, 3), FitStage(32, 0, 5)))
 
@@ -41,8 +44,43 @@ def test_reconstruct_goes_on_without_what_cannot_be_fitted(scan, decoder, caplog
     estimates = reconstruct(*scan, decoder, SupportPlane(), QUICK, options)
     assert [estimate.name for estimate in estimates] == ["can_4"]
     assert estimates[0].n_views == 2
-    assert "mug_2 cannot be reconstructed" in caplog.text
+    assert "mug_2 is left out: no view has 30 measured points" in caplog.text
     assert [call[:2] for call in calls] == [(1, 2), (2, 2)]
+
+
+FAILURES = [
+    np.linalg.LinAlgError("Singular matrix"),
+    ValueError("Surface level must be\nwithin"),
+    MemoryError(),
+]
+
+
+@pytest.mark.parametrize("failure", FAILURES, ids=lambda failure: type(failure).__name__)
+@pytest.mark.parametrize(
+    "stage", ["optimise_object", "mesh_from_grid", "refine_mesh", "calibrated_deviation"]
+)
+def test_a_failure_of_one_object_costs_that_object_alone(
+    scan, decoder, caplog, monkeypatch, stage, failure
+) -> None:
+    """The second object fails in one stage of its fit."""
+    frames, ((can, _), (other, _)) = scan
+    detections = [[can, replace(can, instance_id=5)], [other, replace(other, instance_id=5)]]
+    real, calls = getattr(fit, stage), []
+
+    def fails_once(*args, **kwargs):
+        calls.append(args)
+        if len(calls) == 2:
+            raise failure
+        return real(*args, **kwargs)
+
+    monkeypatch.setattr(fit, stage, fails_once)
+    rejected: list[RejectedObject] = []
+    options = ReconstructOptions(workers=1, on_rejected=rejected.append)
+    (kept,) = reconstruct(frames, detections, decoder, SupportPlane(), QUICK, options)
+    assert kept.id == 4
+    (item,) = rejected
+    assert item.name == "can_5" and type(failure).__name__ in item.reason and "\n" not in item.reason
+    assert caplog.text.count("can_5 is left out: ") == 1
 
 
 def test_workers_do_not_change_the_result(scan, decoder) -> None:

@@ -57,6 +57,20 @@ def test_a_smaller_map_leaves_no_old_meshes(tmp_path):
     assert [path.name for path in (tmp_path / "objects").iterdir()] == ["2_can.ply"]
 
 
+def test_what_is_not_finite_costs_that_object_alone(tmp_path, caplog):
+    bad = [
+        estimate(1, residual=float("inf")),
+        estimate(2, scale=np.array([0.05, np.nan, 0.05])),
+        estimate(3, mesh=TriangleMesh(np.full((3, 3), np.nan), np.arange(3)[None])),
+        estimate(4, mesh=TriangleMesh(np.zeros((0, 3)), np.zeros((0, 3), int))),
+    ]
+    rejected = write_object_map(tmp_path, [*bad, estimate(5)])
+    assert [item.id for item in rejected] == [1, 2, 3, 4]
+    assert [entry["id"] for entry in json.loads((tmp_path / "objects.json").read_text())] == [5]
+    assert [path.name for path in (tmp_path / "objects").iterdir()] == ["5_can.ply"]
+    assert caplog.text.count("is left out of the object map") == 4
+
+
 BAD_ENTRIES = {
     "scale": (lambda e: e.update(scale=[0, 1, 1]), "scale 3 positive"),
     "code": (lambda e: e.update(code=[1, 2]), "code must hold 16"),
