@@ -140,6 +140,7 @@ class ObjectDetection:
         yaw_probabilities: (B,) probabilities of B equal bins of the handle's direction in the world: bin k
             is centred at yaw 2 pi k / B about the support normal. Empty if unknown or for symmetric classes.
         instance_id: Identity of the object across images; None before association.
+        support: Index of the support plane that the object stands on; 0 is the main one.
     """
 
     category: Category
@@ -148,6 +149,7 @@ class ObjectDetection:
     class_probabilities: Float[np.ndarray, "k"] = field(default_factory=lambda: np.zeros(0))
     yaw_probabilities: Float[np.ndarray, "b"] = field(default_factory=lambda: np.zeros(0))
     instance_id: int | None = None
+    support: int = 0
 
     def __post_init__(self) -> None:
         _require(

@@ -61,7 +61,7 @@ def reconstruct(
     frames: Sequence[RgbdFrame],
     detections_per_frame: Sequence[Sequence[ObjectDetection]],
     decoder: Decoder,
-    plane: SupportPlane,
+    plane: SupportPlane | Sequence[SupportPlane],
     config: FitConfig = FitConfig(),
     options: ReconstructOptions = ReconstructOptions(),
 ) -> list[ObjectEstimate]:
@@ -73,7 +73,7 @@ def reconstruct(
         frames: Images of the scan with camera poses.
         detections_per_frame: For each frame its detections with ``instance_id``.
         decoder: Shape prior.
-        plane: Support plane of the objects.
+        plane: Support plane of the objects, or the planes that ``ObjectDetection.support`` numbers.
         config: Settings of the fits.
         options: Scheduling and progress.
 
@@ -81,6 +81,8 @@ def reconstruct(
         Estimates ordered by instance id.
     """
     instances = gather_instances(frames, detections_per_frame, options.max_views)
+    planes = (plane,) if isinstance(plane, SupportPlane) else tuple(plane)
+    plane_of = {d.instance_id: planes[d.support] for row in detections_per_frame for d in row}
     estimates: dict[int, ObjectEstimate] = {}
     workers = options.workers or os.cpu_count() or 1
     if len(instances) < workers:  # idle cores render for the objects there are
@@ -89,8 +91,10 @@ def reconstruct(
     def fit(views: ObjectViews) -> ObjectEstimate:
         on_step = options.on_step
         if on_step is None:
-            return fit_object(views, decoder, plane, config)
-        return fit_object(views, decoder, plane, config, lambda step: on_step(views.id, views.category, step))
+            return fit_object(views, decoder, plane_of[views.id], config)
+        return fit_object(
+            views, decoder, plane_of[views.id], config, lambda step: on_step(views.id, views.category, step)
+        )
 
     with single_threaded_torch(), ThreadPoolExecutor(workers) as pool:
         jobs = {pool.submit(fit, views): views for views in instances}

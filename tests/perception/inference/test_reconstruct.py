@@ -1,5 +1,6 @@
 """Whole scans: instances over frames, hidden pixels, parallel and repeatable."""
 
+import sys
 from dataclasses import replace
 
 import numpy as np
@@ -81,6 +82,17 @@ def test_a_failure_of_one_object_costs_that_object_alone(
     (item,) = rejected
     assert item.name == "can_5" and type(failure).__name__ in item.reason and "\n" not in item.reason
     assert caplog.text.count("can_5 is left out: ") == 1
+
+
+def test_each_object_is_fitted_on_its_own_support_plane(scan, decoder, monkeypatch) -> None:
+    frames, ((can, mug), _) = scan
+    planes, used = (SupportPlane(), SupportPlane(offset=0.3)), {}
+    module = sys.modules[reconstruct.__module__]
+    monkeypatch.setattr(
+        module, "fit_object", lambda views, _decoder, plane, *_: used.setdefault(views.id, plane)
+    )
+    reconstruct(frames[:1], [[can, replace(mug, support=1)]], decoder, planes, QUICK)
+    assert used == {4: planes[0], 2: planes[1]}
 
 
 def test_workers_do_not_change_the_result(scan, decoder) -> None:
