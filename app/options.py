@@ -14,7 +14,7 @@ from tyro.conf import Positional, arg
 Device = Literal["auto", "cpu", "cuda"]
 Shapes = Literal["nodeslam", "tsdf", "oracle"]
 Task = Literal["pack", "sort"]
-DepthNoise = Literal["none", "gaussian", "realsense"]
+DepthNoise = Literal["none", "gaussian", "realsense", "kinect", "tof"]
 Renderer = Literal["classic", "filament"]
 Method = Literal["full", "no_refinement", "no_uncertainty", "no_pyramid", "dvr", "mask_only", "tsdf"]
 METHODS: tuple[Method, ...] = get_args(Method)
@@ -58,8 +58,8 @@ class CellOptions(CommonOptions):
     box: Annotated[str, arg(metavar="L,W,H")] = "0.34,0.30,0.08"
     """Inner length, width and height of the box in metres."""
     depth_noise: DepthNoise = "gaussian"
-    """Depth noise: none; gaussian (standard deviation 2 mm); realsense (grows with distance, with holes and
-    quantisation)."""
+    """Depth noise: none; gaussian (standard deviation 2 mm); or the model of a sensor: realsense (active
+    stereo), kinect (structured light), tof (time of flight)."""
 
 
 @dataclass(frozen=True, kw_only=True)

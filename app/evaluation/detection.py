@@ -116,12 +116,11 @@ def _scene_config(options: EvaluateOptions) -> Any:
     from sim_assets.datasets.table_top import TrainingSceneConfig
     from sim_assets.rendering.depth_noise import DEPTH_NOISES
 
-    none, gaussian, realsense = (float(noise == options.depth_noise) for noise in DEPTH_NOISES)
     return TrainingSceneConfig(
         width=640, height=480, pool=24, distractors=12, objects=(4, 10), extras=(1, 4),
         distance=(0.3, 0.9), elevation=(math.radians(28), math.radians(90)),
         pictures_per_pool=CHUNK, pictures_per_texture=5, renderer=options.renderer,
-        noises=(none, gaussian, realsense),
+        noises=tuple(float(noise == options.depth_noise) for noise in DEPTH_NOISES),
     )  # fmt: skip
 
 

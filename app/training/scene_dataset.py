@@ -186,7 +186,7 @@ def _render_close_ups(
         width=_SIZE[0], height=_SIZE[1], pool=36, distractors=16, shares=kind.shares, random_parts=0.4,
         plain_tumblers=False, drawn_in=kind.drawn_in, objects=(6, 14), extras=(1, 5),
         pictures_per_pool=kind.pictures_per_pool, distance=(0.28, 0.95),
-        elevation=(np.radians(25), np.radians(90)), noises=(0.1, 0.1, 0.8),
+        elevation=(np.radians(25), np.radians(90)), noises=(0.05, 0.1, 0.35, 0.25, 0.25),
     )  # fmt: skip
     crops = []
     with TrainingScenes(split, int(seed.generate_state(1)[0]), config) as scenes:

@@ -149,10 +149,11 @@ class World:
         T_world_camera[:3, 3] = optical.xpos
         intrinsics = intrinsics_of(width, height, self._robot.fovy)
         depth, _ = self._renderer.depth_and_ids(self._data, WRIST_CAMERA, width, height)
+        rgb = self._renderer.color(self._data, WRIST_CAMERA, width, height, reflections=False)
         return RgbdFrame(
             time=self.time,
-            rgb=self._renderer.color(self._data, WRIST_CAMERA, width, height, reflections=False),
-            depth=add_depth_noise(depth, self.config.depth_noise, intrinsics, self._noise),
+            rgb=rgb,
+            depth=add_depth_noise(depth, self.config.depth_noise, intrinsics, self._noise, rgb),
             intrinsics=intrinsics,
             T_world_camera=T_world_camera,
         )

@@ -134,7 +134,7 @@ class TableSequence:
                 mujoco.mj_camlight(model, data)
                 rgb = renderer.color(*view, reflections=False)
                 depth, ids = renderer.depth_and_ids(*view)
-                depth = add_depth_noise(depth, config.depth_noise, intrinsics, rng)
+                depth = add_depth_noise(depth, config.depth_noise, intrinsics, rng, rgb)
                 frame = RgbdFrame(index / RATE, rgb, depth, intrinsics, T_world_camera)
                 yield SequenceFrame(frame, object_of_geom[ids])
         finally:

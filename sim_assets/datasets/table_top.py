@@ -79,7 +79,7 @@ class TrainingSceneConfig:
     fovy: tuple[float, float] = (42.0, 50.0)
     shadows: float = 0.3
     upturned: float = 0.2
-    noises: tuple[float, float, float] = (0.15, 0.15, 0.7)
+    noises: tuple[float, ...] = (0.1, 0.1, 0.35, 0.25, 0.2)
     renderer: Renderer = "classic"
 
 
@@ -229,7 +229,7 @@ class TableTop:
         depth, ids = self.renderer.depth_and_ids(*view)
         intrinsics = intrinsics_of(width, height, fovy)
         noise = noise or DEPTH_NOISES[rng.choice(len(DEPTH_NOISES), p=self.config.noises)]
-        depth = add_depth_noise(depth, noise, intrinsics, rng)
+        depth = add_depth_noise(depth, noise, intrinsics, rng, rgb)
         return RgbdFrame(0.0, rgb, depth, intrinsics, T_world_camera), self.item_of_geom[ids]
 
     def _choose(self, rng: np.random.Generator) -> list[int]:

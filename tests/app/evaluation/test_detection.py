@@ -60,7 +60,7 @@ def test_objects_and_distractors_are_of_the_test_split(
 
 
 @pytest.mark.parametrize(
-    ("noise", "shares"), [("none", (1, 0, 0)), ("gaussian", (0, 1, 0)), ("realsense", (0, 0, 1))]
+    ("noise", "shares"), [("none", (1, 0, 0, 0, 0)), ("gaussian", (0, 1, 0, 0, 0)), ("tof", (0, 0, 0, 0, 1))]
 )
 def test_scenes_have_distractors_and_the_asked_depth_noise(
     tmp_path: Path, noise: Any, shares: tuple[float, ...]

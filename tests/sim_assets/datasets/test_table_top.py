@@ -14,7 +14,7 @@ from sim_assets.rendering.camera import look_at
 
 CONFIG = TrainingSceneConfig(
     width=160, height=120, pool=2, distractors=1, textures_redrawn=2, objects=(1, 2), extras=(1, 1),
-    shadows=0.0, noises=(1.0, 0.0, 0.0),
+    shadows=0.0, noises=(1.0, 0.0, 0.0, 0.0, 0.0),
 )  # fmt: skip
 FOVY = 50.0
 
@@ -86,7 +86,7 @@ def test_depth_noise_is_drawn_with_its_probabilities(table):
     exact = table.capture(T, FOVY, False, np.random.default_rng(0))[0].depth
     gaussian = table.capture(T, FOVY, False, np.random.default_rng(0), "gaussian")[0].depth
     assert np.std(gaussian - exact) == pytest.approx(0.002, rel=0.1)
-    table.config = replace(CONFIG, noises=(0.0, 1.0, 0.0))
+    table.config = replace(CONFIG, noises=(0.0, 1.0, 0.0, 0.0, 0.0))
     np.testing.assert_array_equal(
         table.capture(T, FOVY, False, np.random.default_rng(0))[0].depth > 0, exact > 0
     )
@@ -140,6 +140,6 @@ def test_redrawing_changes_textures_of_some_items_and_of_the_ground(table):
 
 def test_default_distributions():
     config = TrainingSceneConfig()
-    assert config.noises == (0.15, 0.15, 0.7) and len(config.shares) == len(CATEGORIES)
+    assert config.noises == (0.1, 0.1, 0.35, 0.25, 0.2) and len(config.shares) == len(CATEGORIES)
     assert (config.width, config.height, config.pool, config.distractors) == (320, 240, 40, 14)
     assert config.fovy == (42.0, 50.0) and config.distance == (0.35, 0.85)
