@@ -12,7 +12,7 @@ from functools import lru_cache
 
 import cv2
 import numpy as np
-from jaxtyping import Float, UInt8
+from jaxtyping import Bool, Float, UInt8
 
 from perception.types import CameraIntrinsics
 from sim_assets.rendering.depth_sensors.parallax import UNSEEN, source_columns
@@ -27,12 +27,14 @@ BASELINES = (0.05, 0.055)  # [m], D435 and D415
 RANGE = (0.17, 8.0)  # [m]
 MAX_DISPARITIES = 160
 MARGIN = (0.0, 0.09)  # columns left of the image that the right imager sees, share of the width
+SMOOTHED = 0.5  # share of cameras with the spatial filter on
+SMOOTHING = (1.6, 0.6)  # [px], its radius and the largest change of disparity
 AMBIENT = 0.3  # infrared light of the room, in full exposures of a white surface
 DOT = 1.0  # light of a dot at DOT_DISTANCE and nearer
 DOT_DISTANCE = 0.8  # [m]
 DOT_DENSITY = 0.12  # dots per pixel
-READ_NOISE = 2.0  # [grey levels]
-SHOT_NOISE = 0.25  # [grey levels per root of a grey level]
+READ_NOISE = 1.2  # [grey levels]
+SHOT_NOISE = 0.2  # [grey levels per root of a grey level]
 BLOCK = 7  # [px]
 SPECKLE = 150  # [px], largest area of a patch that is removed
 UNCERTAIN = 0.3  # [px], standard deviation from which a match is dropped
@@ -41,10 +43,17 @@ STEP = 1 / 32  # [px], of the measured disparity
 
 @dataclass(frozen=True)
 class StereoRig:
-    """One camera of the series: baseline in [m] and columns seen beyond the left border in [px]."""
+    """One camera of the series and its settings.
+
+    Attributes:
+        baseline: distance between the imagers in [m].
+        margin: columns that the right imager sees beyond the left border, in [px].
+        smoothing: whether disparities are smoothed on surfaces, as by the spatial post-processing filter.
+    """
 
     baseline: float
     margin: float
+    smoothing: bool
 
 
 def active_stereo(
@@ -54,7 +63,8 @@ def active_stereo(
     rgb: UInt8[np.ndarray, "h w 3"] | None = None,
 ) -> Float[np.ndarray, "h w"]:
     """Return the depth in [m] that an active stereo camera measures; 0 where it measures none."""
-    rig = StereoRig(float(rng.choice(BASELINES)), float(rng.uniform(*MARGIN) * depth.shape[1]))
+    baseline, margin = float(rng.choice(BASELINES)), float(rng.uniform(*MARGIN) * depth.shape[1])
+    rig = StereoRig(baseline, margin, bool(rng.random() < SMOOTHED))
     surface = surface_of(rgb, depth.shape, rng)
     measured = (depth > RANGE[0]) & (depth < RANGE[1])
     if not measured.any() or min(depth.shape) < 9:
@@ -68,7 +78,10 @@ def active_stereo(
     left, right = infrared_pair(_widen(depth, stretch), _widen(true, stretch), first + count, surface, rng)
     disparity = match(left, right, first, count)[:, first + count :][:, ::stretch]
     columns = stretch * np.arange(depth.shape[1], dtype=np.float32)
-    valid = measured & (disparity > first) & (columns - disparity >= -rig.margin * stretch)
+    found = measured & (disparity > first)
+    if rig.smoothing:
+        disparity = _smoothed(disparity, found, intrinsics.fx / NATIVE_FOCAL_LENGTH)
+    valid = found & (columns - disparity >= -rig.margin * stretch)
     return np.where(valid, focal_baseline / np.where(valid, disparity, 1), 0).astype(np.float32)
 
 
@@ -145,6 +158,18 @@ def match(
     )  # fmt: skip
     disparity = matcher.compute(left, right).astype(np.float32) / 16
     return _refined(left, right, disparity, first)
+
+
+def _smoothed(
+    disparity: Float[np.ndarray, "h w"], found: Bool[np.ndarray, "h w"], scale: float
+) -> Float[np.ndarray, "h w"]:
+    """Average disparities over a few pixels of one surface; small steps become slopes, large ones stay."""
+    radius, limit = SMOOTHING
+    sigma = max(radius * scale, 0.5)
+    known = cv2.GaussianBlur(found.astype(np.float32), (0, 0), sigma)
+    mean = cv2.GaussianBlur(np.where(found, disparity, 0), (0, 0), sigma) / np.maximum(known, 1e-3)
+    mean = np.rint(mean / np.float32(STEP)) * np.float32(STEP)
+    return np.where(np.abs(mean - disparity) < limit, mean, disparity)
 
 
 def _refined(

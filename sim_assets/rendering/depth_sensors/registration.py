@@ -54,7 +54,10 @@ def _shifted(
     """Warp the depth forward by ``constant`` + ``parallax`` / depth columns, the nearer surface in front."""
     rows = round(float(constant[1]))
     depth = cv2.warpAffine(
-        depth, np.float64([[1, 0, 0], [0, 1, rows]]), depth.shape[::-1], flags=cv2.INTER_NEAREST
+        depth,
+        np.array([[1, 0, 0], [0, 1, rows]], dtype=np.float64),
+        depth.shape[::-1],
+        flags=cv2.INTER_NEAREST,
     )
     y, x = np.nonzero(depth)
     z = depth[y, x]

@@ -13,6 +13,7 @@ from perception.types import CameraIntrinsics
 NEUTRAL = 0.45  # albedo of a surface of which no colour is known
 ALBEDO = (0.04, 0.95)  # range of albedos in the near infrared
 GAMMA = 1.7  # of the colour image; below 2.2, as many dark materials scatter near infrared well
+SATURATED = 248  # value of all three channels from which on the colour camera is saturated
 HIGHLIGHT = 0.2  # brightness above the surroundings from which on a spot is a specular highlight
 NATIVE_FOCAL_LENGTH = 600.0  # [px], at which the sensors measure; figures in pixels scale with it
 
@@ -47,8 +48,8 @@ def surface_of(
     levels = (np.arange(256, dtype=np.float32) / max(white / 0.8, 1)) ** GAMMA
     albedo = cv2.LUT(grey, np.clip(levels, *ALBEDO))
     contrast = grey.astype(np.float32) / 255
-    contrast -= box_mean(contrast, max(shape[1] // 12, 3) | 1) + HIGHLIGHT
-    highlight = np.where(grey > 225, np.clip(contrast * 8, 0, 1), 0)
+    contrast -= box_mean(contrast, max(shape[1] // 16, 3) | 1) + HIGHLIGHT
+    highlight = np.where(rgb.min(axis=2) >= SATURATED, np.clip(contrast * 8, 0, 1), 0)
     return Surface(albedo, highlight.astype(np.float32))
 
 

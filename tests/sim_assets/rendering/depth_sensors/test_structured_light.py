@@ -35,11 +35,10 @@ def test_depth_comes_in_eighths_of_a_pixel(rng):
 
 
 @pytest.mark.parametrize("distance", [0.6, 1.2, 2.0])
-def test_axial_noise_grows_as_measured(rng, undistorted, distance):
+def test_axial_noise_grows_with_the_square_of_distance(rng, undistorted, distance):
     noisy = structured_light(wall(distance), INTRINSICS, rng)
-    sigma = 0.0012 + 0.0019 * (distance - 0.4) ** 2
-    step = distance**2 / (8 * FOCAL_BASELINE) / np.sqrt(12)
-    assert np.std(noisy[noisy > 0]) == pytest.approx(np.hypot(sigma, step), rel=0.25)
+    steps = np.hypot(kinect.AXIAL, 1 / 8 / np.sqrt(12))  # [px]: error of the matching and of the rounding
+    assert np.std(noisy[noisy > 0]) == pytest.approx(distance**2 * steps / FOCAL_BASELINE, rel=0.15)
 
 
 @pytest.mark.parametrize("far", [0.8, 1.1])
