@@ -24,7 +24,7 @@ from perception.types import CODE_SIZE, GRID_RESOLUTION, SupportPlane
 
 # Root mean square of the last movements, in standard deviations, below which a fit has settled.
 SETTLED = 0.5
-RESIDUAL_CAP = 0.03  # [m] largest contribution of one residual to the mean that ranks hypotheses
+RESIDUAL_CAP = 0.03  # [m] largest contribution of one residual to the reported mean
 
 
 @dataclass(frozen=True)
@@ -160,28 +160,43 @@ class _Fitter:
         starts = [FitState(pose, np.zeros(CODE_SIZE)) for pose in self.start.poses]
         self._report(0, starts[0], float("nan"))
         mean, damping = mean_shape(self.decoder, self.views.category), self.config.lm.damping
-        hypotheses = [self._stage(first, coarse, state, mean, damping) for state in starts]
-        best = self._best(hypotheses, finer[0] if finer else coarse)
-        fit = best.fit
-        self._report(len(fit.trace), fit.state, _misfit(fit))
+        candidates = [self._stage(first, coarse, state, mean, damping) for state in starts]
+        candidates = self._likeliest(candidates, finer[0] if finer else coarse)
+        best = candidates[0]
+        self._report(len(best.fit.trace), best.fit.state, _misfit(best.fit))
         for stage, pixels in zip(others, finer, strict=True):
-            done = fit.trace
-            best = self._stage(stage, pixels, fit.state, best.shape, best.damping, len(done))
-            fit = replace(best.fit, trace=done + best.fit.trace)
-        return fit
+            alone = len(candidates) == 1
+            candidates = [self._continued(candidate, stage, pixels, alone) for candidate in candidates]
+            candidates = self._likeliest(candidates, pixels)[:1]
+        return candidates[0].fit
 
     def _report(self, iteration: int, state: FitState, residual: float) -> None:
         if self.on_step is not None:
             self.on_step(FitStep(iteration, state.pose, state.code, residual))
 
-    def _best(self, candidates: Sequence[_Candidate], pixels: PixelSet) -> _Candidate:
-        """Return the hypothesis with the least residual on unblurred pixels: handles are thin."""
+    def _likeliest(self, candidates: Sequence[_Candidate], pixels: PixelSet) -> list[_Candidate]:
+        """Return the hypotheses of least cost, the best first, at most the beam of the class.
 
-        def misfit(candidate: _Candidate) -> float:
-            residuals = self._problem(pixels, candidate.shape)(candidate.fit.state).residuals
-            return _capped_mean(residuals[: len(pixels.is_object)])
+        The cost weights residuals by the rendered variance: a handle rendered where the background is
+        measured, or missing where it is measured, outweighs the blur of a surface that is not yet fitted.
+        Unblurred pixels, because handles are thin.
+        """
+        if len(candidates) == 1:
+            return list(candidates)
+        cost = [self._problem(pixels, c.shape)(c.fit.state).cost for c in candidates]
+        order = sorted(range(len(candidates)), key=cost.__getitem__)
+        most = self.config.beam[self.views.category]
+        limit = self.config.beam_ratio * cost[order[0]]
+        return [candidates[order[0]], *(candidates[k] for k in order[1:most] if cost[k] <= limit)]
 
-        return candidates[0] if len(candidates) == 1 else min(candidates, key=misfit)
+    def _continued(
+        self, candidate: _Candidate, stage: FitStage, pixels: PixelSet, reported: bool
+    ) -> _Candidate:
+        """Return a candidate after one more stage."""
+        before = candidate.fit
+        done = len(before.trace) if reported else None
+        after = self._stage(stage, pixels, before.state, candidate.shape, candidate.damping, done)
+        return replace(after, fit=replace(after.fit, trace=before.trace + after.fit.trace))
 
     def _problem(self, pixels: PixelSet, shape: LinearisedShape) -> FitProblem:
         config, start = self.config, self.start
