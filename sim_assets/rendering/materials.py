@@ -1,29 +1,42 @@
-"""Procedural surface finishes: textures, gloss, and texture coordinates of meshes."""
+"""Procedural surface finishes: textures and gloss, and meshes that wear them."""
 
 from __future__ import annotations
 
 import colorsys
-import itertools
-from collections.abc import Callable
+from collections.abc import Callable, Sequence
 from dataclasses import dataclass
 
 import cv2
 import numpy as np
 import trimesh
-from jaxtyping import Float, UInt8
 
+from sim_assets.rendering.colors import (
+    Color,
+    Texture,
+    mixed,
+    random_color,
+    to_bytes,
+    to_tuple,
+)
+from sim_assets.rendering.grounds import cardboard, random_ground, wood
 from sim_assets.rendering.headless import MjSpec, mujoco
+from sim_assets.rendering.packaging import wrapped
+from sim_assets.rendering.surfaces import ATLAS_SIZE, atlas
+from sim_assets.rendering.texture_coordinates import ATTRIBUTE, around
 
-Color = tuple[float, float, float]
-Texture = UInt8[np.ndarray, "h w 3"]
+__all__ = [
+    "ATLAS_SIZE", "TEXTURE_SIZE", "Color", "Finish", "Texture", "add_material", "add_mesh", "around",
+    "cardboard", "distractor_finish", "household_finish", "packaging_finish", "random_finish",
+    "random_ground", "wood",
+]  # fmt: skip
 
 TEXTURE_SIZE = (128, 256)  # rows (bottom to top of the object) x columns (once around it)
 
-# Palette of glazes, paints and prints: (hue, saturation, value).
-_PALETTE = (
-    (0.00, 0.82, 0.75), (0.60, 0.80, 0.70), (0.13, 0.85, 0.90), (0.38, 0.70, 0.58), (0.08, 0.85, 0.90),
-    (0.79, 0.60, 0.55), (0.51, 0.75, 0.68), (0.10, 0.05, 0.93), (0.95, 0.45, 0.85), (0.58, 0.35, 0.80),
-    (0.30, 0.45, 0.70), (0.07, 0.55, 0.45), (0.62, 0.55, 0.30), (0.11, 0.22, 0.85),
+# Bounds of hue, saturation and value of crockery: white, cream, blue, black, any glaze.
+_CROCKERY = (
+    ((0.0, 1.0), (0.0, 0.05), (0.85, 1.0)), ((0.09, 0.14), (0.08, 0.3), (0.7, 0.98)),
+    ((0.55, 0.66), (0.35, 0.9), (0.2, 0.8)), ((0.0, 1.0), (0.0, 0.25), (0.03, 0.2)),
+    ((0.0, 1.0), (0.2, 0.95), (0.2, 0.95)),
 )  # fmt: skip
 
 
@@ -46,10 +59,13 @@ def random_finish(rng: np.random.Generator, category: str = "", wild: float = 0.
     """Sample a finish: glazed crockery for mugs and bowls, printed labels for cans and bottles.
 
     Args:
-        wild: probability of an arbitrary colour and pattern instead of the palette (training of detectors).
+        wild: probability of household colours or of an arbitrary colour and pattern, half and half, instead
+            of the palette (training of detectors).
     """
     anything = rng.random() < wild
-    body, accent = _color(rng, anything), _color(rng, anything)
+    if anything and rng.random() < 0.5:
+        return household_finish(rng, category)
+    body, accent = random_color(rng, anything), random_color(rng, anything)
     if anything:
         pattern = _WILD_PATTERNS[rng.integers(len(_WILD_PATTERNS))]
     elif category not in _PATTERNS:
@@ -64,22 +80,74 @@ def random_finish(rng: np.random.Generator, category: str = "", wild: float = 0.
     )
 
 
-def _color(rng: np.random.Generator, anything: bool) -> Color:
-    if anything:
-        return colorsys.hsv_to_rgb(rng.random(), rng.random() ** 0.7, rng.uniform(0.05, 1.0))
-    hue, saturation, value = _PALETTE[rng.integers(len(_PALETTE))]
-    jitter = rng.normal(0, (0.012, 0.05, 0.04))
-    return colorsys.hsv_to_rgb(
-        (hue + jitter[0]) % 1,
-        float(np.clip(saturation + jitter[1], 0, 1)),
-        float(np.clip(value + jitter[2], 0, 1)),
+def household_finish(rng: np.random.Generator, category: str = "") -> Finish:
+    """Sample a finish met in homes: mostly plain crockery, saturated prints on cans and bottles."""
+    if category in ("mug", "bowl"):
+        bounds = _CROCKERY[rng.choice(len(_CROCKERY), p=(0.45, 0.15, 0.1, 0.1, 0.2))]
+        body = colorsys.hsv_to_rgb(*(float(rng.uniform(low, high)) for low, high in bounds))
+        texture = solid(body)
+        draw = rng.random()
+        if draw < 0.12:
+            texture = speckle(body, (0.5 * body[0], 0.5 * body[1], 0.5 * body[2]), rng)
+        elif draw < 0.3:
+            texture[-int(rng.integers(3, 12)) :] = to_bytes(random_color(rng, True))  # a coloured rim
+        elif draw < 0.45:
+            texture = _with_picture(texture, rng)
+        return Finish(texture, specular=float(rng.uniform(0.2, 0.9)), shininess=float(rng.uniform(0.4, 1.0)))
+    texture = wrapped(TEXTURE_SIZE, rng)
+    if category == "can":
+        ends = int(rng.integers(2, 10))
+        texture[:ends] = texture[-ends:] = int(rng.integers(120, 210))
+    if category == "bottle" and rng.random() < 0.7:  # a label on glass or plastic, and a cap
+        bottom, top = (
+            int(rng.uniform(0.0, 0.3) * TEXTURE_SIZE[0]),
+            int(rng.uniform(0.45, 0.8) * TEXTURE_SIZE[0]),
+        )
+        body = to_bytes(random_color(rng, True))
+        texture[:bottom] = texture[top:] = body
+        texture[-int(rng.integers(6, 24)) :] = to_bytes(random_color(rng, True))
+    return Finish(texture, specular=float(rng.uniform(0.05, 0.8)), shininess=float(rng.uniform(0.1, 0.9)))
+
+
+def _with_picture(texture: Texture, rng: np.random.Generator) -> Texture:
+    """Print a logo or a picture on one side, beside the handle at azimuth 0."""
+    rows, columns = texture.shape[:2]
+    height, width = int(rng.uniform(0.3, 0.6) * rows), int(rng.uniform(0.1, 0.25) * columns)
+    image = wrapped((height, 2 * width), rng)[:, :width]
+    row = int(rng.integers(rows // 10, rows - height - rows // 12))
+    column = int(rng.choice((columns // 4, 3 * columns // 4))) - width // 2
+    shown = rng.random() < 0.4 or np.abs(image.astype(int) - image[0, 0]).sum(axis=2, keepdims=True) > 40
+    patch = texture[row : row + height, column : column + width]
+    patch[:] = np.where(shown, image, patch)
+    return texture
+
+
+def packaging_finish(rng: np.random.Generator) -> Finish:
+    """Sample the print of one package as an atlas (``texture_coordinates.faces``)."""
+    return distractor_finish(rng, ("print", "print", "print"))
+
+
+def distractor_finish(rng: np.random.Generator, surfaces: Sequence[str] = (), wild: float = 0.1) -> Finish:
+    """Sample a finish for a mesh of ``sim_assets.datasets.distractors``; the texture has ATLAS_SIZE.
+
+    Args:
+        rng: random generator.
+        surfaces: the mesh's ``metadata["surfaces"]``; all cells get any surface if there are none.
+        wild: probability of an arbitrary surface for each cell.
+    """
+    texture = atlas(surfaces or ("any",) * 6, rng, wild)
+    glossy = rng.random() < 0.4
+    return Finish(
+        texture,
+        specular=float(rng.uniform(0.3, 0.9) if glossy else rng.uniform(0.0, 0.35)),
+        shininess=float(rng.uniform(0.4, 1.0) if glossy else rng.uniform(0.05, 0.5)),
     )
 
 
 def solid(body: Color, accent: Color | None = None, rng: np.random.Generator | None = None) -> Texture:
     """Paint a single colour."""
     del accent, rng
-    return np.broadcast_to(_byte(body), (*TEXTURE_SIZE, 3)).copy()
+    return np.broadcast_to(to_bytes(body), (*TEXTURE_SIZE, 3)).copy()
 
 
 def bands(body: Color, accent: Color, rng: np.random.Generator) -> Texture:
@@ -88,14 +156,14 @@ def bands(body: Color, accent: Color, rng: np.random.Generator) -> Texture:
     rows = TEXTURE_SIZE[0]
     for _ in range(rng.integers(1, 4)):
         start, thickness = rng.integers(0, rows - 6), rng.integers(4, rows // 5)
-        texture[start : start + thickness] = _byte(accent)
+        texture[start : start + thickness] = to_bytes(accent)
     return texture
 
 
 def two_tone(body: Color, accent: Color, rng: np.random.Generator) -> Texture:
     """Paint a second glaze up to a random height."""
     texture = solid(body)
-    texture[: int(TEXTURE_SIZE[0] * rng.uniform(0.2, 0.7))] = _byte(accent)
+    texture[: int(TEXTURE_SIZE[0] * rng.uniform(0.2, 0.7))] = to_bytes(accent)
     return texture
 
 
@@ -105,14 +173,14 @@ def stripes(body: Color, accent: Color, rng: np.random.Generator) -> Texture:
     row, column = np.mgrid[:rows, :columns]
     count, slant = rng.integers(4, 14), rng.integers(-2, 3)
     phase = (count * column / columns + slant * row / rows) % 1
-    return _mix(body, accent, phase < rng.uniform(0.15, 0.6))
+    return mixed(body, accent, phase < rng.uniform(0.15, 0.6))
 
 
 def speckle(body: Color, accent: Color, rng: np.random.Generator) -> Texture:
     """Paint fine dots of the second colour, as on stoneware."""
     rows, columns = TEXTURE_SIZE
     field = cv2.GaussianBlur(rng.random((rows, columns), dtype=np.float32), (0, 0), rng.uniform(0.7, 1.6))
-    return _mix(body, accent, field > np.quantile(field, rng.uniform(0.85, 0.97)))
+    return mixed(body, accent, field > np.quantile(field, rng.uniform(0.85, 0.97)))
 
 
 def dots(body: Color, accent: Color, rng: np.random.Generator) -> Texture:
@@ -121,7 +189,7 @@ def dots(body: Color, accent: Color, rng: np.random.Generator) -> Texture:
     row, column = np.mgrid[:rows, :columns]
     around, up = 2 * int(rng.integers(4, 9)), rng.uniform(3, 7)
     u, v = (column / columns * around) % 1 - 0.5, (row / rows * up) % 1 - 0.5
-    return _mix(body, accent, np.hypot(u, v) < rng.uniform(0.2, 0.36))
+    return mixed(body, accent, np.hypot(u, v) < rng.uniform(0.2, 0.36))
 
 
 def label(body: Color, accent: Color, rng: np.random.Generator) -> Texture:
@@ -129,21 +197,21 @@ def label(body: Color, accent: Color, rng: np.random.Generator) -> Texture:
     texture = solid(body)
     rows, columns = TEXTURE_SIZE
     bottom, top = int(rows * rng.uniform(0.08, 0.25)), int(rows * rng.uniform(0.6, 0.92))
-    texture[bottom:top] = _byte(accent)
-    ink = _byte((0.95, 0.95, 0.92) if sum(accent) < 1.5 else (0.1, 0.1, 0.14))
+    texture[bottom:top] = to_bytes(accent)
+    ink = to_bytes((0.95, 0.95, 0.92) if sum(accent) < 1.5 else (0.1, 0.1, 0.14))
     texture[bottom : bottom + 3] = texture[top - 3 : top] = ink
     third = columns // 3
     for start in (0, third, 2 * third):  # the front repeats around the can
         x = start + int(rng.integers(4, 10))
         high = top - int(rng.integers(8, 14))
         cv2.rectangle(
-            texture, (x, high - rng.integers(8, 16).item()), (x + third - 24, high), _tuple(ink), -1
+            texture, (x, high - rng.integers(8, 16).item()), (x + third - 24, high), to_tuple(ink), -1
         )
         for line in range(int(rng.integers(2, 5))):
             y = bottom + 8 + 5 * line
-            cv2.line(texture, (x, y), (x + int(rng.integers(15, third - 20)), y), _tuple(ink), 2)
+            cv2.line(texture, (x, y), (x + int(rng.integers(15, third - 20)), y), to_tuple(ink), 2)
         center = (x + third // 2 - 10, (bottom + top) // 2 + 2)
-        cv2.circle(texture, center, int(rng.integers(6, 12)), _tuple(_byte(body)), -1)
+        cv2.circle(texture, center, int(rng.integers(6, 12)), to_tuple(to_bytes(body)), -1)
     for bar in range(12):
         x = columns - 40 + 2 * bar
         if rng.random() < 0.6:
@@ -154,7 +222,7 @@ def label(body: Color, accent: Color, rng: np.random.Generator) -> Texture:
 def gradient(body: Color, accent: Color, rng: np.random.Generator) -> Texture:
     """Paint a gradient of two glazes from bottom to top."""
     share = np.linspace(0, 1, TEXTURE_SIZE[0])[:, None, None] ** rng.uniform(0.6, 2.0)
-    mixed = (1 - share) * _byte(body) + share * _byte(accent)
+    mixed = (1 - share) * to_bytes(body) + share * to_bytes(accent)
     return np.broadcast_to(mixed.astype(np.uint8), (*TEXTURE_SIZE, 3)).copy()
 
 
@@ -173,7 +241,7 @@ def writing(body: Color, accent: Color, rng: np.random.Generator) -> Texture:
         text = "".join(rng.choice(letters, rng.integers(3, 14)))
         at = int(rng.integers(-20, texture.shape[1] - 60)), int(rng.integers(12, texture.shape[0]))
         grey = rng.random()
-        ink = _tuple(_byte(accent if rng.random() < 0.6 else (grey, grey, grey)))
+        ink = to_tuple(to_bytes(accent if rng.random() < 0.6 else (grey, grey, grey)))
         cv2.putText(
             texture, text, at, int(rng.integers(0, 8)), rng.uniform(0.4, 1.8), ink, int(rng.integers(1, 4))
         )
@@ -188,89 +256,28 @@ def collage(body: Color, accent: Color, rng: np.random.Generator) -> Texture:
         (columns, rows), interpolation=(cv2.INTER_NEAREST, cv2.INTER_CUBIC)[rng.integers(2)],
     )  # fmt: skip
     share = rng.uniform(0.2, 0.9)
-    return (share * texture + (1 - share) * (_byte(body) if rng.random() < 0.5 else _byte(accent))).astype(
-        np.uint8
-    )
+    return (
+        share * texture + (1 - share) * (to_bytes(body) if rng.random() < 0.5 else to_bytes(accent))
+    ).astype(np.uint8)
+
+
+def packaging(body: Color, accent: Color, rng: np.random.Generator) -> Texture:
+    """Paint a package's print once around, in a brand's own colours."""
+    del body, accent
+    return wrapped(TEXTURE_SIZE, rng)
 
 
 Pattern = Callable[[Color, Color, np.random.Generator], Texture]
 _ALL_PATTERNS: tuple[Pattern, ...] = (
     solid, bands, two_tone, stripes, speckle, dots, label, gradient, metal,
 )  # fmt: skip
-_WILD_PATTERNS = (*_ALL_PATTERNS, writing, collage)
+_WILD_PATTERNS = (*_ALL_PATTERNS, writing, collage, packaging)
 _PATTERNS: dict[str, tuple[tuple[Pattern, float], ...]] = {
     "mug": ((solid, 5), (bands, 2), (two_tone, 2), (stripes, 1), (speckle, 2), (dots, 1), (gradient, 1)),
     "bowl": ((solid, 5), (bands, 2), (two_tone, 1), (speckle, 2), (gradient, 2)),
     "bottle": ((solid, 2), (label, 5), (gradient, 1)),
     "can": ((metal, 5), (label, 3), (bands, 1)),
 }
-
-
-def wood(rng: np.random.Generator, color: Color, size: tuple[int, int] = (512, 512)) -> Texture:
-    """Return a texture of planks with grain along the rows' direction."""
-    rows, columns = size
-    planks = 6
-    image = np.empty((rows, columns, 3), dtype=np.float32)
-    base = np.array(color, dtype=np.float32)
-    bounds = np.linspace(0, rows, planks + 1).astype(int)
-    for start, stop in itertools.pairwise(bounds):
-        noise = rng.standard_normal((stop - start, columns), dtype=np.float32)
-        grain = cv2.GaussianBlur(
-            noise, (0, 0), sigmaX=columns / 10, sigmaY=1.1, borderType=cv2.BORDER_REFLECT
-        )
-        waves = cv2.GaussianBlur(
-            noise[::-1], (0, 0), sigmaX=columns / 5, sigmaY=7, borderType=cv2.BORDER_REFLECT
-        )
-        tone = 1 + 0.035 * grain / grain.std() + 0.03 * waves / waves.std() + rng.normal(0, 0.035)
-        image[start:stop] = base * tone[..., None]
-        image[start : start + 1] *= 0.72  # the joint between two planks
-    return (255 * np.clip(image, 0, 1)).astype(np.uint8)
-
-
-def cardboard(rng: np.random.Generator, color: Color, size: tuple[int, int] = (128, 128)) -> Texture:
-    """Return a texture of fine fibres with low contrast."""
-    noise = cv2.GaussianBlur(rng.standard_normal(size, dtype=np.float32), (0, 0), sigmaX=4, sigmaY=0.8)
-    tone = 1 + 0.018 * noise / noise.std()
-    return (255 * np.clip(np.array(color) * tone[..., None], 0, 1)).astype(np.uint8)
-
-
-def random_ground(rng: np.random.Generator, size: tuple[int, int]) -> Texture:
-    """Return a texture of planks, card, stone, tiles or paint in common or arbitrary colours."""
-    if rng.random() < 0.6:  # most tables are brown, grey or white
-        warm, cold = rng.uniform(0.2, 1.0), rng.uniform(0.6, 1.0)
-        grey = 0.9 * warm
-        color, other = (warm, warm * rng.uniform(0.65, 1.0), warm * cold * 0.8), (grey, grey, grey)
-    else:
-        color, other = _color(rng, True), _color(rng, True)
-    rows, columns = size
-    kind = rng.integers(5)
-    if kind == 0:
-        return wood(rng, color, size)
-    if kind == 1:
-        return cardboard(rng, color, size)
-    if kind == 2:  # stone: smooth noise between two colours
-        field = cv2.GaussianBlur(rng.standard_normal(size, dtype=np.float32), (0, 0), rng.uniform(1, 12))
-        share = np.clip(0.5 + 0.25 * field / field.std(), 0, 1)[..., None]
-        return (share * _byte(color) + (1 - share) * _byte(other)).astype(np.uint8)
-    if kind == 3:  # tiles or checks
-        row, column = np.mgrid[:rows, :columns]
-        side = int(rng.integers(12, 64))
-        return _mix(color, other, (row // side + column // side) % 2 == 0)
-    return np.broadcast_to(_byte(color), (rows, columns, 3)).copy()
-
-
-def around(mesh: trimesh.Trimesh) -> Float[np.ndarray, "c 2"]:
-    """Return a mesh's texture coordinates by face corner: once around z horizontally, upwards vertically.
-
-    Returns:
-        (3 F, 2), face by face; a face across the seam exceeds 1 instead of spanning the texture backwards.
-    """
-    corners = mesh.vertices[mesh.faces]
-    u = np.arctan2(corners[..., 1], corners[..., 0]) / (2 * np.pi) + 0.5
-    u = np.where((u.max(axis=1, keepdims=True) - u) > 0.5, u + 1, u)
-    low, high = mesh.bounds[:, 2]
-    v = (corners[..., 2] - low) / max(high - low, 1e-9)
-    return np.stack([u, v], axis=-1).reshape(-1, 2)
 
 
 def add_material(spec: MjSpec, name: str, finish: Finish, repeat: tuple[float, float] = (1.0, 1.0)) -> str:
@@ -289,10 +296,15 @@ def add_material(spec: MjSpec, name: str, finish: Finish, repeat: tuple[float, f
 
 
 def add_mesh(spec: MjSpec, name: str, mesh: trimesh.Trimesh, textured: bool = True) -> str:
-    """Add a visible mesh to a specification and return its name; ``textured`` wraps the texture around z."""
+    """Add a visible mesh to a specification and return its name.
+
+    ``textured``: map the texture with the mesh's own coordinates (``texture_coordinates.ATTRIBUTE``), or wrap
+    it around z if it has none.
+    """
     texture = {}
     if textured:
-        coordinates = around(mesh)
+        own = mesh.face_attributes.get(ATTRIBUTE)
+        coordinates = around(mesh) if own is None else np.asarray(own).reshape(-1, 2)
         texture = {
             "usertexcoord": coordinates.astype(np.float32).ravel(),
             "userfacetexcoord": np.arange(len(coordinates), dtype=np.int32),
@@ -303,15 +315,3 @@ def add_mesh(spec: MjSpec, name: str, mesh: trimesh.Trimesh, textured: bool = Tr
         inertia=mujoco.mjtMeshInertia.mjMESH_INERTIA_SHELL, **texture,
     )  # fmt: skip
     return name
-
-
-def _byte(color: Color) -> UInt8[np.ndarray, "3"]:
-    return np.round(255 * np.clip(np.array(color), 0, 1)).astype(np.uint8)
-
-
-def _tuple(color: UInt8[np.ndarray, "3"]) -> tuple[int, int, int]:
-    return int(color[0]), int(color[1]), int(color[2])
-
-
-def _mix(body: Color, accent: Color, where: np.ndarray) -> Texture:
-    return np.where(where[..., None], _byte(accent), _byte(body)).astype(np.uint8)

@@ -1,0 +1,10 @@
+"""Every kind: a finite mesh of its size, outward surfaces, few triangles, textured, repeatable."""
+
+import pytest
+
+from sim_assets.datasets.distractors import held_out
+
+
+@pytest.mark.parametrize("kind", dict.fromkeys(held_out.KINDS))
+def test_kind(kind, check_kind):
+    check_kind(kind, largest=0.5)
