@@ -151,7 +151,7 @@ def match(
         left, right: rectified images.
         first, count: smallest disparity and number of disparities (a multiple of 16) in [px].
     """
-    matcher = cv2.StereoSGBM_create(
+    matcher = cv2.StereoSGBM.create(
         minDisparity=first, numDisparities=count, blockSize=BLOCK, P1=4 * BLOCK**2, P2=24 * BLOCK**2,
         disp12MaxDiff=1, preFilterCap=31, uniquenessRatio=8, speckleWindowSize=SPECKLE, speckleRange=1,
         mode=cv2.STEREO_SGBM_MODE_SGBM_3WAY,

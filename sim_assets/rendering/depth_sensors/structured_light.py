@@ -1,8 +1,9 @@
 """Structured-light camera (Kinect v1, Xtion), registered to colour.
 
 Lateral noise and the noise beyond 1 m: Nguyen, Izadi, Lovell, "Modeling Kinect sensor noise for improved 3D
-reconstruction and tracking" (3DIMPVT 2012; axial 1.9 mm at 1 m, 6.1 mm at 2 m). Order of the effects (local shifts, noise of the disparity,
-quantisation): Handa et al., "A benchmark for RGB-D visual odometry" (ICRA 2014).
+reconstruction and tracking" (3DIMPVT 2012; axial 1.9 mm at 1 m, 6.1 mm at 2 m). Order of the effects (local
+shifts, noise of the disparity, quantisation): Handa et al., "A benchmark for RGB-D visual odometry" (ICRA
+2014).
 """
 
 from __future__ import annotations

@@ -27,7 +27,7 @@ RANGE = (0.25, 5.5)  # [m]
 FOOTPRINT = 0.7  # [px], standard deviation of the area that a pixel averages over
 EDGE = 0.015  # relative jump of depth at an edge
 EDGE_LOSS = 0.35  # share of the edge pixels that the camera recognises as invalid
-NOISE = (0.0005, 0.0004, 0.02)  # [m]: constant, of a white surface at 1 m, and largest standard deviation
+NOISE = (0.0005, 0.0003, 0.02)  # [m]: constant, of a white surface at 1 m, and largest standard deviation
 BIAS = (0.006, 0.45)  # [m] per unit of albedo below the second value; dark surfaces look farther
 SCATTER = (-0.08, 0.16)  # range of the share of light from the surroundings of a concave place
 SCATTER_RADIUS = 14.0  # [px]
@@ -56,7 +56,7 @@ def time_of_flight(
     measured, edge = _mixed(measured, amplitude, scale, rng)
     lost |= edge & (rng.random(depth.shape, dtype=np.float32) < EDGE_LOSS)
     constant, white, largest = NOISE
-    sigma = np.minimum(constant + white * z**2 / np.maximum(surface.albedo * cosine, 0.02), largest)
+    sigma = np.minimum(constant + white * z**2 / np.maximum(surface.albedo * cosine, 0.03), largest)
     measured += sigma * rng.standard_normal(depth.shape, dtype=np.float32)
     slope, neutral = BIAS
     measured += slope * (neutral - surface.albedo)
