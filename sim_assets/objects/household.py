@@ -20,6 +20,7 @@ from sim_assets.objects.can import CanParameters
 from sim_assets.objects.families import Parameters, Split, sample_parameters
 from sim_assets.objects.mug import MugParameters, mug_vessel
 from sim_assets.objects.solids import closed_tube
+from sim_assets.rendering.texture_coordinates import ATTRIBUTE, along_faces, in_cell
 
 CAN_RADIUS, CAN_HEIGHT = (0.020, 0.055), (0.025, 0.260)
 BOTTLE_RADIUS, BOTTLE_HEIGHT = (0.0175, 0.0575), (0.085, 0.340)
@@ -147,7 +148,7 @@ def contents_of(vessel_of: Parameters, rng: np.random.Generator) -> trimesh.Trim
 
     Returns:
         A watertight mesh in the object's frame (z up, base of the vessel on z = 0), between the floor and
-        the rim; None for bottles and cans, and for a cavity less than 1 cm deep.
+        the rim, with texture coordinates and ``metadata["surfaces"]`` as distractors have; None for bottles and cans, and for a cavity less than 1 cm deep.
     """
     if not isinstance(vessel_of, (MugParameters, BowlParameters)):
         return None
@@ -173,6 +174,7 @@ def contents_of(vessel_of: Parameters, rng: np.random.Generator) -> trimesh.Trim
     top = _rings((r[-1] * inwards)[:, None] * relative, heap, angle)
     middle = (0.0, 0.0, float(top[-1, :, 2].mean()))
     mesh = closed_tube(np.concatenate([rings, top]), (0.0, 0.0, float(z[0])), middle)
+    mesh.face_attributes[ATTRIBUTE] = in_cell(along_faces(mesh)[0], np.zeros(len(mesh.faces), dtype=int))
     mesh.metadata["surfaces"] = ("food",) if solid_food else ("liquid",)
     return mesh
 

@@ -210,7 +210,7 @@ def screen(rng: np.random.Generator, size: Size) -> Image:
 def keys(rng: np.random.Generator, size: Size) -> Image:
     """Paint rows of keys, buttons or slots."""
     dark = rng.random() < 0.7
-    image = plain(rng, size, (0.08,) * 3 if dark else (0.8,) * 3)
+    image = plain(rng, size, (0.08, 0.08, 0.08) if dark else (0.8, 0.8, 0.8))
     dy, dx = int(rng.integers(9, 26)), int(rng.integers(7, 26))
     low, high = (30, 70) if dark else (190, 250)
     for y in range(2, size[0] - dy, dy):

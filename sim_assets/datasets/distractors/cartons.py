@@ -54,7 +54,8 @@ def pile(rng: np.random.Generator) -> Mesh:
     for level in range(rng.integers(2, 4)):
         depth, width, long = carton_size(rng)
         part = box((long, width, depth), yaw=rng.normal(0, 0.5) + np.pi / 2 * rng.integers(2))
-        parts.append(moved(part, *rng.normal(0, 0.015, 2), height + depth / 2))
+        shift = rng.normal(0, 0.015, 2)
+        parts.append(moved(part, shift[0], shift[1], height + depth / 2))
         height += depth
         if level == 0 and rng.random() < 0.3:  # one that stands on the first
             small = rng.uniform((0.03, 0.05, 0.05), (0.07, 0.09, 0.16))

@@ -46,8 +46,8 @@ def random_distractor(rng: np.random.Generator, split: Literal["train", "test"] 
         kinds = _HELD_OUT
     else:
         shares = np.array([share for share, _ in _GROUPS])
-        kinds = _GROUPS[rng.choice(len(_GROUPS), p=shares / shares.sum())][1]
-    mesh = kinds[rng.integers(len(kinds))](rng)
+        kinds = _GROUPS[int(rng.choice(len(_GROUPS), p=shares / shares.sum()))][1]
+    mesh = kinds[int(rng.integers(len(kinds)))](rng)
     largest = float(mesh.extents.max())
     if largest > LARGEST:
         mesh.apply_scale(LARGEST / largest)
@@ -63,4 +63,4 @@ def random_surrounding(
     """
     del split
     kinds = surroundings.KINDS
-    return standing(kinds[rng.integers(len(kinds))](rng))
+    return standing(kinds[int(rng.integers(len(kinds)))](rng))

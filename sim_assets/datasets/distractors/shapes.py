@@ -162,7 +162,8 @@ def moved(mesh: Mesh, x: float = 0.0, y: float = 0.0, z: float = 0.0) -> Mesh:
 
 def standing(mesh: Mesh) -> Mesh:
     """Move a mesh in place so that it stands on z = 0 with its middle over the origin, and return it."""
-    return moved(mesh, *-mesh.bounds[:, :2].mean(axis=0), -mesh.bounds[0, 2])
+    x, y, _ = mesh.bounds.mean(axis=0)
+    return moved(mesh, -x, -y, -mesh.bounds[0, 2])
 
 
 def thing(*groups: tuple[str, Sequence[Mesh]]) -> Mesh:

@@ -76,7 +76,7 @@ def studded(rng: np.random.Generator) -> Mesh:
         nx, ny = int(rng.integers(1, 4)), int(rng.integers(2, 5))
         shift = rng.integers(-1, 2, 2) * unit
         height = 0.6 * unit * rng.integers(1, 3)
-        bricks.append(moved(box((nx * unit, ny * unit, height)), *shift, level + height / 2))
+        bricks.append(moved(box((nx * unit, ny * unit, height)), shift[0], shift[1], level + height / 2))
         for i in range(nx):
             for j in range(ny):
                 at = shift + unit * np.array([i - (nx - 1) / 2, j - (ny - 1) / 2])

@@ -17,6 +17,7 @@ from sim_assets.objects.household import (
     sample_household,
 )
 from sim_assets.objects.mug import BODIES
+from sim_assets.rendering.texture_coordinates import ATTRIBUTE
 
 FAMILIES = {
     "mug": ("body", BODIES),
@@ -101,7 +102,7 @@ def test_contents_lie_in_the_cavity(category, split):
 def test_liquids_are_flat_and_food_in_heaps():
     rng = np.random.default_rng(3)
     mug = contents_of(sampled("mug", count=1)[0], rng)
-    assert mug.metadata["surfaces"] == ("liquid",)
+    assert mug.metadata["surfaces"] == ("liquid",) and ATTRIBUTE in mug.face_attributes
     top = mug.vertices[mug.vertices[:, 2] > mug.bounds[1, 2] - 1e-9]
     assert len(top) > 40  # all of the surface, rim of the liquid included
     kinds = {contents_of(p, rng).metadata["surfaces"] for p in sampled("bowl", count=20)}
