@@ -148,7 +148,8 @@ def contents_of(vessel_of: Parameters, rng: np.random.Generator) -> trimesh.Trim
 
     Returns:
         A watertight mesh in the object's frame (z up, base of the vessel on z = 0), between the floor and
-        the rim, with texture coordinates and ``metadata["surfaces"]`` as distractors have; None for bottles and cans, and for a cavity less than 1 cm deep.
+        the rim, with texture coordinates and ``metadata["surfaces"]`` as distractors have; None for bottles
+        and cans, and for a cavity less than 1 cm deep.
     """
     if not isinstance(vessel_of, (MugParameters, BowlParameters)):
         return None

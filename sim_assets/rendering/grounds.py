@@ -9,7 +9,7 @@ import cv2
 import numpy as np
 
 from sim_assets.rendering.colors import Color, Texture, mixed, random_color, to_bytes
-from sim_assets.rendering.surfaces import bricks, fabric, marble, noise, plain, tinted, veneer
+from sim_assets.rendering.natural import bricks, fabric, marble, noise, plain, tinted, veneer
 
 
 def wood(rng: np.random.Generator, color: Color, size: tuple[int, int] = (512, 512)) -> Texture:

@@ -3,18 +3,7 @@
 import numpy as np
 import pytest
 
-from sim_assets.rendering.surfaces import (
-    ATLAS_SIZE,
-    PAINTERS,
-    atlas,
-    blended,
-    hsv,
-    noise,
-    plain,
-    surface,
-    tinted,
-    veneer,
-)
+from sim_assets.rendering.surfaces import ATLAS_SIZE, PAINTERS, atlas, surface
 
 SIZE = (64, 96)
 
@@ -43,11 +32,6 @@ def test_things_have_their_natural_colours():
         assert np.ptp(mean_color("card", seed)) > 20
 
 
-def test_grain_runs_along_the_rows():
-    image = veneer(np.random.default_rng(0), (128, 128)).astype(float).mean(axis=2)
-    assert np.abs(np.diff(image, axis=0)).mean() > 2 * np.abs(np.diff(image, axis=1)).mean()
-
-
 def test_an_atlas_paints_each_cell_with_its_surface():
     image = atlas(("leaf", "black", "white", "print", "print", "print"), np.random.default_rng(0))
     assert image.shape == (*ATLAS_SIZE, 3)
@@ -66,19 +50,3 @@ def test_wild_atlases_paint_anything():
     wild = [atlas(("leaf",), np.random.default_rng(seed), wild=1.0)[:128, :128] for seed in range(12)]
     green = [[image.mean(axis=(0, 1)).argmax() == 1 for image in images] for images in (tame, wild)]
     assert all(green[0]) and sum(green[1]) < 10
-
-
-def test_noise_has_unit_variance_and_its_direction():
-    field = noise(np.random.default_rng(0), (128, 128), 40, 2)
-    assert field.shape == (128, 128) and field.std() == pytest.approx(1, rel=1e-3)
-    assert np.abs(np.diff(field, axis=0)).mean() > 3 * np.abs(np.diff(field, axis=1)).mean()
-
-
-def test_mixtures_and_tones_are_clipped():
-    assert tinted((1.0, 0.5, 0.0), np.array([[1.0, 2.0]])).tolist() == [[[255, 127, 0], [255, 255, 0]]]
-    image = blended((0, 0, 0), (1, 1, 1), np.array([[-1.0, 0.5, 2.0]]))
-    assert image[..., 0].tolist() == [[0, 127, 255]]
-    color = hsv(np.random.default_rng(0), (0.3, 0.35), (0.8, 0.9), (0.5, 0.6))
-    assert max(color) == color[1] and 0.5 <= color[1] <= 0.6
-    image = plain(np.random.default_rng(0), (32, 32), (0.5, 0.5, 0.5))
-    assert image.mean() == pytest.approx(127, abs=20) and 0 < image.std() < 20
