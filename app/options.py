@@ -191,6 +191,8 @@ class EvaluateOptions(TaskOptions):
     """Detection: number of images."""
     renderer: Renderer = "filament"
     """Detection: renderer of the images; training images come from the classic one."""
+    rooms: bool = False
+    """Detection: rooms and sizes like those of training: furniture around, objects as in homes."""
     views: tuple[int, ...] = (1, 2, 3)
     """Reconstruction: numbers of random views to compare."""
     methods: tuple[Method, ...] = METHODS

@@ -10,9 +10,10 @@ from __future__ import annotations
 import math
 import time
 from collections.abc import Hashable, Mapping, Sequence
+from dataclasses import replace
 from functools import cache, partial
 from pathlib import Path
-from typing import Any
+from typing import TYPE_CHECKING, Any
 
 import numpy as np
 from rich.table import Table
@@ -25,12 +26,16 @@ from app.evaluation.ledger import Ledger, LedgerFormat, Line
 from app.options import EvaluateOptions
 from app.runs.report import Report
 from app.screen import Screen
+from app.training.scene_dataset import training_scene_config
 from perception.detection.detector import Detector, DetectorConfig
 from perception.inference.reconstruct import single_threaded_torch
 from perception.io.files import write_atomically
 from perception.io.images import png_bytes
 from perception.pipeline import resolve_device
 from perception.support_plane import fit_support_plane
+
+if TYPE_CHECKING:
+    from sim_assets.datasets.scene_config import TrainingSceneConfig
 
 ROWS = "rows.jsonl"
 CHUNK = 20  # images per chunk
@@ -107,19 +112,23 @@ def _format(options: EvaluateOptions) -> LedgerFormat:
     return LedgerFormat("evaluate-detection", ROWS, "chunk", check)
 
 
-def _scene_config(options: EvaluateOptions) -> Any:
+def _scene_config(options: EvaluateOptions) -> TrainingSceneConfig:
     """Return the configuration of the rendered scenes.
 
     4 to 10 objects and 1 to 4 distractors with gaps down to contact, seen from 0.3 to 0.9 m at elevations of
-    at least 28 degrees.
+    at least 28 degrees; or, with ``rooms``, the distribution of the training scenes without lying objects.
     """
-    from sim_assets.datasets.table_top import TrainingSceneConfig
+    from sim_assets.datasets.scene_config import TrainingSceneConfig
     from sim_assets.rendering.depth_noise import DEPTH_NOISES
 
-    return TrainingSceneConfig(
+    config = TrainingSceneConfig(
         width=640, height=480, pool=24, distractors=12, objects=(4, 10), extras=(1, 4),
         distance=(0.3, 0.9), elevation=(math.radians(28), math.radians(90)),
-        pictures_per_pool=CHUNK, pictures_per_texture=5, renderer=options.renderer,
+    )  # fmt: skip
+    if options.rooms:
+        config = replace(training_scene_config(), toppled=0.0)
+    return replace(
+        config, pictures_per_pool=CHUNK, pictures_per_texture=5, renderer=options.renderer,
         noises=tuple(float(noise == options.depth_noise) for noise in DEPTH_NOISES),
     )  # fmt: skip
 
@@ -171,7 +180,8 @@ def _write_picture(folder: Path) -> None:
 def _settings(options: EvaluateOptions) -> dict[str, Any]:
     """Return the options that must not change when an evaluation is resumed."""
     names = ("seed", "images", "renderer", "depth_noise", "object_meshes", "device")
-    return {name: str(getattr(options, name)) for name in names}
+    settings = {name: str(getattr(options, name)) for name in names}
+    return settings | ({"rooms": "True"} if options.rooms else {})  # absent in runs of earlier versions
 
 
 def _report(options: EvaluateOptions, chunks: Mapping[Hashable, Line], seconds: float) -> Report:

@@ -15,8 +15,8 @@ from typing import TYPE_CHECKING, Generic, TypeVar
 
 from app.errors import AppError, MissingExtraError
 from app.evaluation.ledger import Line
-from app.evaluation.workers import ATTEMPTS, Lost, map_in_processes
 from app.options import Device, EvaluateOptions
+from app.workers import ATTEMPTS, Lost, map_in_processes
 from perception.errors import install_hint
 
 if TYPE_CHECKING:

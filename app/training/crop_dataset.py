@@ -119,7 +119,7 @@ def _label_of(
         return OTHER  # table, wall or background
     index = int(inside.argmax())
     category = image.labels[index].category
-    if inside[index] < PURITY * inside.sum():
+    if inside[index] < PURITY * inside.sum() or image.labels[index].ignored:
         return None
     if category is None:
         return OTHER
@@ -233,7 +233,7 @@ def _truncate(mask: Bool[np.ndarray, "h w"], rng: np.random.Generator) -> Bool[n
     return result
 
 
-def perturb_plane(rng: np.random.Generator) -> SupportPlane:
-    """Return the table's plane with the error of a fit: 1 mm and 0.2 degrees (standard deviations)."""
-    normal = np.array([*rng.normal(0, np.radians(0.2), 2), 1.0])
-    return SupportPlane(normal=normal / np.linalg.norm(normal), offset=float(rng.normal(0, 0.001)))
+def perturb_plane(plane: SupportPlane, rng: np.random.Generator) -> SupportPlane:
+    """Return the plane with the error of a fit: 1.5 mm and 0.3 degrees (standard deviations)."""
+    normal = plane.normal + np.append(rng.normal(0, np.radians(0.3), 2), 0.0)
+    return SupportPlane(normal / np.linalg.norm(normal), float(plane.offset + rng.normal(0, 0.0015)))

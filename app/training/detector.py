@@ -18,12 +18,11 @@ from jaxtyping import Float, Int
 from app.training.crop_dataset import LabelledCrops, Progress, Split
 from app.training.files import checksums, summary_writer
 from app.training.scene_dataset import (
-    UPRIGHT,
     LabelledScenes,
+    Shard,
     load_crops,
     load_scenes,
-    render_crop_shards,
-    render_scene_shards,
+    render_shards,
 )
 from perception.detection.crop_network import (
     ENSEMBLE_SIZE,
@@ -57,10 +56,7 @@ class TrainDetectorConfig:
     """Configuration of the job; the defaults are those of the shipped weights.
 
     Attributes:
-        pictures: Number of images of the training families for the scene network.
-        close_ups: Number of further images for crops for the class and yaw networks.
-        upright_close_ups: Number of further images, mostly of bottles and cans, for crops for the class
-            network.
+        pictures: Number of images of the training families, for all three networks.
         validation: Number of further images of the training families for the calibration.
         test: Number of images of the test families for the evaluation.
         training: Hyperparameters of the class network; its seed is that of all networks.
@@ -69,13 +65,11 @@ class TrainDetectorConfig:
         device: Torch device for training.
     """
 
-    pictures: int = 3000
-    close_ups: int = 2500
-    upright_close_ups: int = 2500
-    validation: int = 250
-    test: int = 250
-    training: TrainingConfig = field(default_factory=lambda: TrainingConfig(epochs=24))
-    scene_passes: float = 0.5
+    pictures: int = 7000
+    validation: int = 300
+    test: int = 300
+    training: TrainingConfig = field(default_factory=lambda: TrainingConfig(epochs=16))
+    scene_passes: float = 0.625
     tensorboard: bool = False
     device: str = "cpu"
 
@@ -110,6 +104,21 @@ class CropSplits:
     test: LabelledCrops
 
 
+@dataclass(frozen=True)
+class DataSets:
+    """Rendered shards of each purpose; those for training and validation are of the training families."""
+
+    training: list[Shard]
+    validation: list[Shard]
+    test: list[Shard]
+
+    def crops(self) -> CropSplits:
+        """Return the crops of all shards."""
+        return CropSplits(
+            *(load_crops([s.crops for s in part]) for part in (self.training, self.validation, self.test))
+        )
+
+
 def run(config: TrainDetectorConfig, out_dir: Path, progress: Progress | None = None) -> dict[str, Any]:
     """Render the data set, train both networks and evaluate the class network.
 
@@ -119,52 +128,32 @@ def run(config: TrainDetectorConfig, out_dir: Path, progress: Progress | None = 
     Returns:
         Metrics of the class network on crops of the test families (``class_metrics``).
     """
-    folder, seed = out_dir / "scenes", config.training.seed
-    scenes = render_scene_shards(
-        folder, "train", config.pictures, seed, stage_progress(progress, 0.0, 0.5 * RENDERING_SHARE)
-    )
-    crops = render_crops(
-        config, folder, stage_progress(progress, 0.5 * RENDERING_SHARE, 0.75 * RENDERING_SHARE)
-    )
-    upright = render_upright_crops(
-        config, folder, stage_progress(progress, 0.75 * RENDERING_SHARE, RENDERING_SHARE)
-    )
-    training = LabelledCrops.concatenate([crops.training, upright])
-    scene = train_scene(load_scenes(scenes), config, out_dir, progress)
+    data_sets = render_data_sets(config, out_dir, progress)
+    scene = train_scene(load_scenes([s.scenes for s in data_sets.training]), config, out_dir, progress)
     save_scene_network(scene, out_dir / WEIGHTS_FILE, provenance(config))
-    data = TrainingData(class_targets(training), class_targets(crops.validation))
+    crops = data_sets.crops()
+    data = TrainingData(class_targets(crops.training), class_targets(crops.validation))
     trained = train_ensemble("class", data, config, out_dir, stage_progress(progress, SCENE_SHARE, 1.0))
     metrics = class_metrics(crops.test, trained.probabilities(crops.test))
     trained.save(out_dir / WEIGHTS_FILES["class"], "class", config)
-    card = _card(config, metrics, scene, trained, len(training))
+    card = _card(config, metrics, scene, trained, len(crops.training))
     card += checksums(out_dir / WEIGHTS_FILE, out_dir / WEIGHTS_FILES["class"])
     (out_dir / "detector.md").write_text(card, "utf-8")
     return metrics
 
 
-def render_crops(config: TrainDetectorConfig, folder: Path, progress: Progress | None) -> CropSplits:
-    """Render training, validation and test crops, or load those already in the folder."""
-    seed = config.training.seed
+def render_data_sets(config: TrainDetectorConfig, out_dir: Path, progress: Progress | None) -> DataSets:
+    """Render the three data sets, or find those already in the folder."""
+    folder, seed = out_dir / "scenes", config.training.seed
 
-    def crops(split: Split, pictures: int, seed: int, low: float, high: float) -> LabelledCrops:
-        return load_crops(
-            render_crop_shards(folder, split, pictures, seed, stage_progress(progress, low, high))
-        )
+    def shards(split: Split, pictures: int, seed: int, low: float, high: float) -> list[Shard]:
+        part = stage_progress(progress, low * RENDERING_SHARE, high * RENDERING_SHARE)
+        return render_shards(folder, split, pictures, seed, part)
 
-    return CropSplits(
-        crops("train", config.close_ups, seed, 0.0, 0.8),
-        crops("train", config.validation, seed + 1, 0.8, 0.9),
-        crops("test", config.test, seed, 0.9, 1.0),
-    )
-
-
-def render_upright_crops(
-    config: TrainDetectorConfig, folder: Path, progress: Progress | None
-) -> LabelledCrops:
-    """Render further training crops of mostly bottles and cans, or load those already in the folder."""
-    seed = config.training.seed
-    return load_crops(
-        render_crop_shards(folder, "train", config.upright_close_ups, seed, progress, kind=UPRIGHT)
+    return DataSets(
+        shards("train", config.pictures, seed, 0.0, 0.9),
+        shards("train", config.validation, seed + 1, 0.9, 0.95),  # other shapes than those of training
+        shards("test", config.test, seed, 0.95, 1.0),
     )
 
 
@@ -308,28 +297,29 @@ masks from other sources are classified by the class network alone.
 
 **Training**: `nodeslam train detector --seed {training.seed}` with torch {torch}: {scene_epochs} epochs of
 the instance network with batch size 8, {training.epochs} of each class network with batch size
-{training.batch}, AdamW with learning rate {training.learning_rate} and cosine decay, float32, on a CPU.
+{training.batch}, AdamW with learning rate {training.learning_rate} and cosine decay, bfloat16 with float32
+weights, on a CPU.
 
-**Data**: for the instance network {config.pictures} scenes with objects of the training families and
-distractors, rendered at 640 x 480 by MuJoCo's classic renderer (`sim_assets/datasets/training_scenes.py`:
-random textures, prints, gloss, lights, camera height, tilt and roll, gaps down to contact; depth without
-noise, with 2 mm of noise, and with RealSense-like errors), augmented by mirroring, colour changes and
-further depth holes. For the class network {crops} crops: from {config.close_ups} denser scenes with more
-mugs, bottles, cans and distractors, and from {config.upright_close_ups} scenes with mostly bottles and
-cans, with a new set of shapes every 28 scenes (three in five of the flat and lidded cans stand on a
-narrower foot). Their true masks are made ragged, truncated, incomplete, or extended by a part of a
-neighbour; crops are mirrored, warped, shifted, truncated and recoloured. No photographs.
+**Data**: {config.pictures} scenes with objects of the training families and distractors, rendered at 640 x
+480 by MuJoCo's classic renderer (`sim_assets/datasets/training_scenes.py`): two thirds of the objects in the
+sizes met in homes, some filled, lying or upside down (those without a class); cartons, books, tools, desk
+and kitchen things; tables, floors, walls and furniture around; random textures, prints, gloss, lights and
+cameras (0.3 to 1.5 m); gaps down to contact; depth of structured light, active stereo and time of flight
+(`sim_assets/rendering/depth_noise.py`), half of it with errors of calibration between colour and depth. The
+images are mirrored, recoloured, and lose further depth. From the same images {crops} crops for the class
+network: the true masks made ragged, truncated, incomplete, or extended by a part of a neighbour; crops are
+mirrored, warped, shifted, truncated and recoloured. No photographs.
 
-**Evaluation of the class network** on {m[crops]} such masks in {config.test} classic scenes of the test
-families, single views: accuracy {m[accuracy]:.3f}, of objects alone {m[accuracy_objects]:.3f}; distractors
-classified as objects {m[distractors_taken_for_objects]:.3f}, objects classified as other
-{m[objects_taken_for_distractors]:.3f}; expected calibration error {m[calibration_error]:.3f}.
+**Evaluation of the class network** on {m[crops]} such masks in {config.test} such scenes of the test
+families and held-out distractors, single views: accuracy {m[accuracy]:.3f}, of objects alone
+{m[accuracy_objects]:.3f}; distractors classified as objects {m[distractors_taken_for_objects]:.3f}, objects
+classified as other {m[objects_taken_for_distractors]:.3f}; expected calibration error
+{m[calibration_error]:.3f}.
 
 {confusion}
 
 `nodeslam evaluate detection` evaluates the whole detector.
 
 **Limitations**: upright objects on a plane. Most errors occur with strong occlusion and with parts
-truncated by the image border. Lying or stacked objects, clear glass and real images are not in the training
-data.
+truncated by the image border. Stacked objects, clear glass and real images are not in the training data.
 """

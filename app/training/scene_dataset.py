@@ -1,15 +1,16 @@
 """Rendered data sets on disk: small images for the scene network, and crops for the class and yaw networks.
 
 Scenes are rendered at 640 x 480; crops are taken at this resolution, images are stored at that of the scene
-network. Every file (shard) holds a few hundred images; existing shards are reused, so that an interrupted run
-can be resumed.
+network. Every shard holds the images and the crops of some scenes in two files; existing shards are reused,
+so that an interrupted run can be resumed.
 """
 
 from __future__ import annotations
 
 import logging
 import math
-from collections.abc import Callable, Sequence
+import os
+from collections.abc import Sequence
 from dataclasses import dataclass
 from pathlib import Path
 from typing import TYPE_CHECKING
@@ -26,45 +27,56 @@ from app.training.crop_dataset import (
     perturb_plane,
 )
 from app.training.files import load_arrays, save_arrays
+from app.workers import Lost, map_in_processes
 from perception.detection.scene_training import LabelledScene
 from perception.detection.working_view import downscale
-from perception.types import CATEGORIES, OTHER, CameraIntrinsics, RgbdFrame
+from perception.errors import PerceptionError
+from perception.types import CATEGORIES, OTHER, CameraIntrinsics, RgbdFrame, SupportPlane
 
 if TYPE_CHECKING:
+    from sim_assets.datasets.scene_config import TrainingSceneConfig
     from sim_assets.datasets.table_top import LabelledImage
 
 logger = logging.getLogger(__name__)
 
-SHARD = 250  # images per file
-PICTURES_PER_POOL = 84  # images before the shapes are redrawn: more shapes help more than more views
-MAX_THINGS = 20  # objects and distractors per image
+SHARD = 100  # images per file
+MAX_THINGS = 24  # objects and distractors per image
+IGNORED = 255  # label of objects whose class is not to be learned
+ASTRAY = 0.3  # share of the masks with a part of a neighbour, and of those with a missing part
 _DEPTH_STEP = 1e-4  # [m]
 _SIZE = (640, 480)
 
 
 @dataclass(frozen=True)
-class CropScenes:
-    """A distribution of crowded scenes for crops.
+class Shard:
+    """Scenes that are rendered together.
 
     Attributes:
-        name: Prefix of the files.
-        shares: Proportions of the objects of CATEGORIES.
-        pictures_per_pool: Number of images before the shapes are redrawn.
-        astray: Share of the masks with a part of a neighbour, and of those with a missing part.
-        drawn_in: Share of the flat and lidded cans with a narrower foot.
-        stream: Key of its random stream.
+        directory: Folder of the two files.
+        split: Families of objects and kinds of distractors.
+        seed: Seed of the data set.
+        number: Number of the shard in the data set.
+        count: Number of images.
     """
 
-    name: str
-    shares: tuple[int, int, int, int]
-    pictures_per_pool: int
-    astray: float
-    drawn_in: float
-    stream: int
+    directory: Path
+    split: Split
+    seed: int
+    number: int
+    count: int
 
+    @property
+    def scenes(self) -> Path:
+        """File of the images, for ``load_scenes``."""
+        return self._file("scenes")
 
-MIXED = CropScenes("close_ups", (4, 1, 2, 2), PICTURES_PER_POOL, 0.25, 0.0, 1)
-UPRIGHT = CropScenes("upright_close_ups", (1, 1, 4, 4), 28, 0.4, 0.6, 2)  # many shapes of bottles and cans
+    @property
+    def crops(self) -> Path:
+        """File of the crops, for ``load_crops``."""
+        return self._file("crops")
+
+    def _file(self, what: str) -> Path:
+        return self.directory / f"{what}_{self.split}_seed{self.seed}_n{self.count}_{self.number:03d}.npz"
 
 
 @dataclass(frozen=True)
@@ -75,8 +87,9 @@ class LabelledScenes:
         rgb: (n, h, w, 3).
         depth: (n, h, w) depth in 0.1 mm, 0 where it is missing.
         things: (n, h, w) 1 + index of the object or distractor at each pixel, 0 for background.
-        label: (n, k) class of each object, OTHER for distractors.
-        foot: (n, k, 2) footprint: where each object's axis meets the table (z = 0), in metres.
+        label: (n, k) class of each object, OTHER for distractors, IGNORED.
+        foot: (n, k, 3) footprint: where each object's axis meets the table, as the image shows it, in metres.
+        plane: (n, 4) the table's normal and offset as the image shows it.
         camera: (n, 4) fx, fy, cx, cy in pixels.
         pose: (n, 4, 4) T_world_camera.
     """
@@ -85,7 +98,8 @@ class LabelledScenes:
     depth: UInt16[np.ndarray, "n h w"]
     things: UInt8[np.ndarray, "n h w"]
     label: UInt8[np.ndarray, "n k"]
-    foot: Float[np.ndarray, "n k 2"]
+    foot: Float[np.ndarray, "n k 3"]
+    plane: Float[np.ndarray, "n 4"]
     camera: Float[np.ndarray, "n 4"]
     pose: Float[np.ndarray, "n 4 4"]
 
@@ -100,7 +114,12 @@ class LabelledScenes:
 
     def labelled(self, index: int) -> LabelledScene:
         """Return an image with its ground truth."""
-        return LabelledScene(self.frame(index), self.things[index], self.label[index], self.foot[index])
+        *normal, offset = self.plane[index]
+        label = self.label[index].astype(np.int64)
+        return LabelledScene(
+            self.frame(index), self.things[index], np.where(label == IGNORED, -1, label), self.foot[index],
+            SupportPlane(np.array(normal), float(offset)),
+        )  # fmt: skip
 
     def save(self, path: Path) -> None:
         """Write the arrays to an npz file, atomically."""
@@ -117,84 +136,60 @@ class LabelledScenes:
         return LabelledScenes(**{n: np.concatenate([getattr(part, n) for part in parts]) for n in _COLUMNS})
 
 
-_COLUMNS = ("rgb", "depth", "things", "label", "foot", "camera", "pose")
+_COLUMNS = ("rgb", "depth", "things", "label", "foot", "plane", "camera", "pose")
 
 
-def render_scene_shards(
+def render_shards(
     directory: Path, split: Split, pictures: int, seed: int, progress: Progress | None = None
-) -> list[Path]:
-    """Render random scenes and return their files, for ``load_scenes``; existing files are reused."""
+) -> list[Shard]:
+    """Render random scenes, one process per core, and return their shards; existing ones are reused.
 
-    def render(path: Path, count: int, shard: int) -> None:
-        _render_scenes(split, count, np.random.SeedSequence([seed, shard])).save(path)
-
-    return _shards(directory, f"{split}_seed{seed}", pictures, render, f"{split} scenes", progress)
-
-
-def render_crop_shards(
-    directory: Path,
-    split: Split,
-    pictures: int,
-    seed: int,
-    progress: Progress | None = None,
-    kind: CropScenes = MIXED,
-) -> list[Path]:
-    """Render crops from crowded scenes and return their files, for ``load_crops``; existing files are reused.
-
-    Difficult cases are more frequent: mugs, bottles similar to cans, distractors made of random parts
-        (training
-    split only), and masks with a part of a neighbour or a missing part.
+    Raises:
+        PerceptionError: A shard could not be rendered.
     """
-
-    def render(path: Path, count: int, shard: int) -> None:
-        _render_close_ups(split, count, kind, np.random.SeedSequence([seed, shard, kind.stream])).save(path)
-
-    name = f"{kind.name}_{split}_seed{seed}"
-    return _shards(directory, name, pictures, render, kind.name.replace("_", "-"), progress)
-
-
-def _shards(
-    directory: Path,
-    name: str,
-    pictures: int,
-    render: Callable[[Path, int, int], None],
-    what: str,
-    progress: Progress | None,
-) -> list[Path]:
-    """Return one file per SHARD images, rendering those that do not exist."""
-    paths = []
-    shards = max(1, math.ceil(pictures / SHARD))
-    for shard in range(shards):
-        count = min(SHARD, pictures - shard * SHARD)
-        path = directory / f"{name}_n{count}_{shard:03d}.npz"
-        if not path.is_file():
-            if progress:
-                progress(f"rendering {what}", shard / shards)
-            render(path, count, shard)
-        paths.append(path)
-    return paths
+    shards = [
+        Shard(directory, split, seed, number, min(SHARD, pictures - number * SHARD))
+        for number in range(max(1, math.ceil(pictures / SHARD)))
+    ]
+    missing = [shard for shard in shards if not (shard.scenes.is_file() and shard.crops.is_file())]
+    done = len(shards) - len(missing)
+    for shard, result in map_in_processes(render_shard, missing, os.cpu_count() or 1):
+        if isinstance(result, Lost):
+            raise PerceptionError(f"shard {shard.number} of {split} scenes was not rendered: {result.reason}")
+        done += 1
+        if progress:
+            progress(f"rendering {split} scenes", done / len(shards))
+    return shards
 
 
-def _render_close_ups(
-    split: Split, count: int, kind: CropScenes, seed: np.random.SeedSequence
-) -> LabelledCrops:
-    from sim_assets.datasets.table_top import TrainingSceneConfig
+def render_shard(shard: Shard) -> None:
+    """Render the scenes of a shard and write its two files."""
     from sim_assets.datasets.training_scenes import TrainingScenes
 
+    seed = np.random.SeedSequence([shard.seed, shard.number, shard.split == "test"])
     rng = np.random.default_rng(seed.spawn(1)[0])
-    config = TrainingSceneConfig(
-        width=_SIZE[0], height=_SIZE[1], pool=36, distractors=16, shares=kind.shares, random_parts=0.4,
-        plain_tumblers=False, drawn_in=kind.drawn_in, objects=(6, 14), extras=(1, 5),
-        pictures_per_pool=kind.pictures_per_pool, distance=(0.28, 0.95),
-        elevation=(np.radians(25), np.radians(90)), noises=(0.05, 0.1, 0.35, 0.25, 0.25),
+    scenes, crops = [], []
+    with TrainingScenes(shard.split, int(seed.generate_state(1)[0]), training_scene_config()) as source:
+        for image in source.render(shard.count):
+            scenes.append(downscale_image(image))
+            masks = perturb_masks(image, rng, astray=ASTRAY)
+            crops.append(label_crops(image, perturb_plane(image.plane, rng), masks))
+    LabelledCrops.concatenate(crops).save(shard.crops)
+    LabelledScenes.concatenate(scenes).save(shard.scenes)
+
+
+def training_scene_config() -> TrainingSceneConfig:
+    """Return the distribution of the training scenes: sizes, rooms, cameras and sensors of other people."""
+    from sim_assets.datasets.scene_config import RoomConfig, TrainingSceneConfig
+
+    return TrainingSceneConfig(
+        width=_SIZE[0], height=_SIZE[1], pool=44, distractors=26, shares=(3, 2, 4, 4), household=0.65,
+        filled=0.12, toppled=0.06, random_parts=0.25, plain_tumblers=False, drawn_in=0.5,
+        pictures_per_pool=SHARD // 2, pictures_per_texture=5, textures_redrawn=20, objects=(1, 10),
+        extras=(0, 7), spread=(0.14, 0.42), distance=(0.28, 1.5),
+        elevation=(np.radians(14), np.radians(88)), fovy=(36.0, 56.0), upturned=0.12,
+        noises=(0.07, 0.08, 0.35, 0.30, 0.20), misregistered=0.5, cut=0.35, room=RoomConfig(),
     )  # fmt: skip
-    crops = []
-    with TrainingScenes(split, int(seed.generate_state(1)[0]), config) as scenes:
-        for image in scenes.render(count):
-            masks = perturb_masks(image, rng, astray=kind.astray)
-            crops.append(label_crops(image, perturb_plane(rng), masks))
-    logger.info("%d close-ups: %d crops", count, sum(map(len, crops)))
-    return LabelledCrops.concatenate(crops)
 
 
 def load_scenes(paths: Sequence[Path]) -> LabelledScenes:
@@ -207,18 +202,6 @@ def load_crops(paths: Sequence[Path]) -> LabelledCrops:
     return LabelledCrops.concatenate([LabelledCrops.load(path) for path in paths])
 
 
-def _render_scenes(split: Split, count: int, seed: np.random.SeedSequence) -> LabelledScenes:
-    from sim_assets.datasets.table_top import TrainingSceneConfig
-    from sim_assets.datasets.training_scenes import TrainingScenes
-
-    config = TrainingSceneConfig(
-        width=_SIZE[0], height=_SIZE[1], pool=32, distractors=16, pictures_per_pool=PICTURES_PER_POOL,
-        distance=(0.28, 0.95), elevation=(np.radians(25), np.radians(90)),
-    )  # fmt: skip
-    with TrainingScenes(split, int(seed.generate_state(1)[0]), config) as scenes:
-        return LabelledScenes.concatenate([downscale_image(image) for image in scenes.render(count)])
-
-
 def downscale_image(image: LabelledImage) -> LabelledScenes:
     """Return one image at the scene network's resolution.
 
@@ -229,12 +212,14 @@ def downscale_image(image: LabelledImage) -> LabelledScenes:
     factor = image.instances.shape[1] // k.width
     quarters = np.stack([(image.instances + 1)[i::factor, j::factor] for i in (0, 1) for j in (0, 1)])
     things = np.sort(quarters, axis=0)[2]  # the second largest: two of four
-    label, foot = np.full(MAX_THINGS, OTHER, np.uint8), np.zeros((MAX_THINGS, 2), np.float32)
+    label, foot = np.full(MAX_THINGS, OTHER, np.uint8), np.zeros((MAX_THINGS, 3), np.float32)
     for index, thing in enumerate(image.labels):
-        label[index] = OTHER if thing.category is None else CATEGORIES.index(thing.category)
-        foot[index] = thing.T_world_object[:2, 3]
+        known = OTHER if thing.category is None else CATEGORIES.index(thing.category)
+        label[index] = IGNORED if thing.ignored else known
+        foot[index] = thing.foot
     columns = (
         frame.rgb, np.round(frame.depth / _DEPTH_STEP).clip(0, 65535).astype(np.uint16),
-        things.astype(np.uint8), label, foot, np.array([k.fx, k.fy, k.cx, k.cy]), frame.T_world_camera,
+        things.astype(np.uint8), label, foot, np.array([*image.plane.normal, image.plane.offset]),
+        np.array([k.fx, k.fy, k.cx, k.cy]), frame.T_world_camera,
     )  # fmt: skip
     return LabelledScenes(*(np.asarray(column)[None] for column in columns))

@@ -18,7 +18,7 @@ from app.training.detector import (
     RENDERING_SHARE,
     CalibratedNetwork,
     TrainDetectorConfig,
-    render_crops,
+    render_data_sets,
     stage_progress,
     train_ensemble,
 )
@@ -35,7 +35,7 @@ HANDLE_VISIBLE = 0.01  # smallest share of a mug's visible points on a handle th
 class TrainYawConfig(TrainDetectorConfig):
     """Configuration of the job; more epochs than for the detector, since only mugs are trained on."""
 
-    training: TrainingConfig = field(default_factory=lambda: TrainingConfig(epochs=28))
+    training: TrainingConfig = field(default_factory=lambda: TrainingConfig(epochs=24))
 
 
 def run(config: TrainYawConfig, out_dir: Path, progress: Progress | None = None) -> dict[str, Any]:
@@ -46,7 +46,7 @@ def run(config: TrainYawConfig, out_dir: Path, progress: Progress | None = None)
     Returns:
         Metrics of the yaw network (``yaw_metrics``).
     """
-    crops = render_crops(config, out_dir / "scenes", stage_progress(progress, 0.0, RENDERING_SHARE))
+    crops = render_data_sets(config, out_dir, progress).crops()
     training, validation, test = (select_mugs(c) for c in (crops.training, crops.validation, crops.test))
     data = TrainingData(yaw_targets(training), yaw_targets(validation))
     trained = train_ensemble("yaw", data, config, out_dir, stage_progress(progress, RENDERING_SHARE, 1.0))
@@ -123,11 +123,11 @@ parameters, float32 safetensors. Logits are divided by the temperature {temperat
 is wide where the handle is hidden; distributions of several views are multiplied.
 
 **Training**: `nodeslam train yaw --seed {training.seed}` with torch {torch}: {training.epochs} epochs of
-AdamW with learning rate {training.learning_rate} and cosine decay, batch size {training.batch}, float32, on
-a CPU. Labels are wrapped Gaussians with a standard deviation of 7°; crops are mirrored (which negates the
-yaw), warped, shifted, truncated and recoloured.
+AdamW with learning rate {training.learning_rate} and cosine decay, batch size {training.batch}, bfloat16
+with float32 weights, on a CPU. Labels are wrapped Gaussians with a standard deviation of 7°; crops are
+mirrored (which negates the yaw), warped, shifted, truncated and recoloured.
 
-**Data**: the {mugs} mugs in {config.close_ups} dense scenes of the training families (see `detector.md`).
+**Data**: the {mugs} mugs in {config.pictures} scenes of the training families (see `detector.md`).
 
 **Evaluation** on the mugs in {config.test} scenes of the test families (handle styles that are not in the
 training families), single views. A handle counts as visible if at least {visible:.0%} of the mug's visible

@@ -87,8 +87,8 @@ def vary_colours(
     across = torch.linspace(-0.5, 0.5, side, device=colours.device)
     slope = (2 * draw[:, 5:7, None, None] - 1) * (odds[:, 7] < 0.4)
     image = image * (1 + slope[:, :1] * across[:, None] + slope[:, 1:] * across)
-    image = torch.where(odds[:, 8] < 0.15, image.mean(1, keepdim=True), image)
-    image = torch.where(odds[:, 9] < 0.05, odds[:, 10], image)
-    if torch.rand(1, generator=generator) < 0.3:
+    image = torch.where(odds[:, 8] < 0.08, image.mean(1, keepdim=True), image)
+    image = torch.where(odds[:, 9] < 0.03, odds[:, 10], image)
+    if torch.rand(1, generator=generator) < 0.1:
         image = image[:, torch.randperm(3, generator=generator)]
     return 2 * image.clamp(0, 1) - 0.9

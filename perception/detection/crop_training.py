@@ -188,7 +188,9 @@ def _train_epoch(task: Task, crops: CropSet, config: TrainingConfig, state: Trai
         inputs, context = perturb_crops(inputs, context, generator)
         if task == "class":
             targets = (1 - config.label_smoothing) * targets + config.label_smoothing / targets.shape[1]
-        loss = functional.cross_entropy(network(inputs, context), targets)
+        with torch.autocast(device.type, torch.bfloat16):
+            logits = network(inputs, context)
+        loss = functional.cross_entropy(logits.float(), targets)
         state.optimizer.zero_grad(set_to_none=True)
         loss.backward()
         torch.nn.utils.clip_grad_norm_(network.parameters(), 5.0)

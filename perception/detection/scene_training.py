@@ -14,7 +14,7 @@ from dataclasses import dataclass, fields, replace
 import cv2
 import numpy as np
 import torch
-from jaxtyping import Float, UInt8
+from jaxtyping import Float, Int, UInt8
 from torch import Tensor
 from torch.nn import functional
 
@@ -32,19 +32,21 @@ _LOSSES = ("foreground", "class", "vote")
 
 @dataclass(frozen=True)
 class LabelledScene:
-    """One image with ground truth at the network's resolution; the table is the plane z = 0.
+    """One image with ground truth at the network's resolution.
 
     Attributes:
         frame: Result of ``working_view.downscale``.
         things: (h, w) 1 + index of the object or distractor at each pixel, 0 for background.
-        label: (k,) class of each object, OTHER for distractors.
-        foot: (k, 2) footprint of each object: where its axis meets the table, in metres.
+        label: (k,) class of each object, OTHER for distractors, -1 if it is not to be learned.
+        foot: (k, 3) footprint of each object: where its axis meets the table, in metres.
+        plane: The table's plane.
     """
 
     frame: RgbdFrame
     things: UInt8[np.ndarray, "h w"]
-    label: UInt8[np.ndarray, "k"]
-    foot: Float[np.ndarray, "k 2"]
+    label: Int[np.ndarray, "k"]
+    foot: Float[np.ndarray, "k 3"]
+    plane: SupportPlane
 
 
 @dataclass(frozen=True)
@@ -188,7 +190,9 @@ def sample_patch(
     """Return a random patch of an image: possibly mirrored, with varied colours, plane and missing depth."""
     part = tuple(_window(length, config.side, rng) for length in scene.things.shape)
     things = scene.things[part]
-    view = working_view(_with_holes(_part_of(scene.frame, part), things, rng), _perturb_plane(rng))
+    view = working_view(
+        _with_holes(_part_of(scene.frame, part), things, rng), _perturb_plane(scene.plane, rng)
+    )
     things, channels, pixel = np.rot90(things, view.turns), view.channels, view.pixel
     offset = _offsets(view, things, scene.foot)
     if rng.random() < 0.5:
@@ -219,18 +223,18 @@ def _window(length: int, side: int, rng: np.random.Generator) -> slice:
 
 
 def _offsets(
-    view: WorkingView, things: np.ndarray, foot: Float[np.ndarray, "k 2"]
+    view: WorkingView, things: np.ndarray, foot: Float[np.ndarray, "k 3"]
 ) -> Float[np.ndarray, "h w 2"]:
     """Return the offset from each pixel to its object's footprint, in pixels; undefined for background."""
-    footprints = (foot @ view.axes[:, :2].T).astype(np.float32)
+    footprints = (foot @ view.axes.T).astype(np.float32)
     target = footprints[np.maximum(things.astype(int), 1) - 1] - view.plan
     return np.clip(target / view.pixel[..., None], -500, 500)
 
 
-def _perturb_plane(rng: np.random.Generator) -> SupportPlane:
+def _perturb_plane(plane: SupportPlane, rng: np.random.Generator) -> SupportPlane:
     """Return the table's plane with the error of a fit."""
-    normal = np.array([*rng.normal(0, np.radians(0.25), 2), 1.0])
-    return SupportPlane(normal / np.linalg.norm(normal), float(rng.normal(0, 0.0012)))
+    normal = plane.normal + np.append(rng.normal(0, np.radians(0.3), 2), 0.0)
+    return SupportPlane(normal / np.linalg.norm(normal), float(plane.offset + rng.normal(0, 0.0015)))
 
 
 def _with_holes(frame: RgbdFrame, things: np.ndarray, rng: np.random.Generator) -> RgbdFrame:
@@ -259,7 +263,7 @@ def _with_holes(frame: RgbdFrame, things: np.ndarray, rng: np.random.Generator) 
 def vary_colours(rgb: Float[np.ndarray, "h w 3"], rng: np.random.Generator) -> Float[np.ndarray, "h w 3"]:
     """Vary colours (in -0.5..0.5), so that the network relies on shape more than on colour."""
     image = rgb + 0.5
-    if rng.random() < 0.3:
+    if rng.random() < 0.1:
         image = image[..., rng.permutation(3)]
     if rng.random() < 0.1:
         image = np.repeat(image.mean(-1, keepdims=True), 3, axis=-1)
@@ -282,8 +286,9 @@ def _step(network: SceneNet, patches: list[TrainingPatch], config: SceneTraining
         field.name: torch.from_numpy(np.stack([getattr(patch, field.name) for patch in patches])).to(device)
         for field in fields(TrainingPatch)
     }
-    outputs = network(columns.pop("channels").permute(0, 3, 1, 2))
-    return scene_losses(outputs, SceneTargets(**columns), config)
+    with torch.autocast(device.type, torch.bfloat16):
+        outputs = network(columns.pop("channels").permute(0, 3, 1, 2))
+    return scene_losses(outputs.float(), SceneTargets(**columns), config)
 
 
 def scene_losses(

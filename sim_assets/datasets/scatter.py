@@ -29,12 +29,16 @@ class TableItem:
         mesh: z up, standing on z = 0, in [m].
         outline: (OUTLINE_POINTS, 2) evenly spaced points of the horizontal outline [m].
         reach: largest distance of the outline from the origin [m].
+        content: what a vessel holds, in the same frame.
+        ignored: whether it is an object in a pose whose class is not to be learned.
     """
 
     category: Category | None
     mesh: trimesh.Trimesh
     outline: Float[np.ndarray, "n 2"]
     reach: float
+    content: trimesh.Trimesh | None = None
+    ignored: bool = False
 
 
 def simplified(mesh: trimesh.Trimesh, tolerance: float = 0.00015) -> trimesh.Trimesh:

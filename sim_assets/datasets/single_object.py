@@ -10,7 +10,8 @@ from jaxtyping import Float
 from perception.types import RgbdFrame
 from sim_assets.cell.layout import PlanarPose
 from sim_assets.datasets.scatter import make_item, simplified
-from sim_assets.datasets.table_top import TableTop, TrainingSceneConfig
+from sim_assets.datasets.scene_config import TrainingSceneConfig
+from sim_assets.datasets.table_top import TableTop
 from sim_assets.objects import ObjectModel
 from sim_assets.rendering.camera import look_at
 from sim_assets.rendering.depth_noise import DepthNoise
@@ -70,7 +71,8 @@ def render_single_object(
         frames = []
         for _ in range(views):
             T_world_camera = _random_camera(pose, model.height, longest, config, rng)
-            frames.append(table.capture(T_world_camera, config.fovy, False, rng, config.depth_noise)[0])
+            true, _ = table.capture(T_world_camera, config.fovy, False)
+            frames.append(table.sense(true, config.depth_noise, rng))
     finally:
         table.close()
     return SingleObjectViews(tuple(frames), pose.matrix)

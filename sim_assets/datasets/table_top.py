@@ -4,83 +4,41 @@ from __future__ import annotations
 
 from collections.abc import Sequence
 from dataclasses import dataclass
-from typing import Literal
 
 import cv2
 import numpy as np
+import trimesh
 from jaxtyping import Float, Int
 
-from perception.types import Category, RgbdFrame
+from perception.types import CameraIntrinsics, Category, RgbdFrame, SupportPlane
 from sim_assets.cell.layout import PlanarPose
+from sim_assets.datasets.perceived import (
+    TABLE,
+    cut_depth,
+    depth_scale,
+    perceived_plane,
+    perceived_points,
+    table_pixels,
+)
+from sim_assets.datasets.room import BELOW, GROUND_SIZE, GROUNDS, HIDDEN, SHOWN, Room, add_room
 from sim_assets.datasets.scatter import TableItem, scatter
+from sim_assets.datasets.scene_config import TrainingSceneConfig
 from sim_assets.rendering.camera import OPENCV_FROM_MUJOCO, OffscreenRenderer, intrinsics_of, look_at
-from sim_assets.rendering.depth_noise import DEPTH_NOISES, DepthNoise, add_depth_noise
+from sim_assets.rendering.depth_noise import DEPTH_NOISES, DepthNoise, add_depth_noise, misregister
 from sim_assets.rendering.filament import FilamentRenderer
-from sim_assets.rendering.headless import MjSpec, mujoco
+from sim_assets.rendering.headless import MjsBody, MjSpec, mujoco
 from sim_assets.rendering.materials import (
     Finish,
     add_material,
     add_mesh,
+    packaging_finish,
     random_finish,
     random_ground,
 )
 
-Renderer = Literal["classic", "filament"]
 CAMERA = "eye"
-GROUND_SIZE = (256, 256)
-SHOWN, HIDDEN = 2, 4  # geom groups
-BELOW = -3.0  # height of hidden items, under the floor [m]
-
-
-@dataclass(frozen=True)
-class TrainingSceneConfig:
-    """Distributions that table-top scenes are sampled from.
-
-    Attributes:
-        width, height: size of the images in pixels.
-        pool, distractors: number of objects and of distractors compiled together.
-        shares: relative frequencies of CATEGORIES among the objects of the pool.
-        random_parts: share of the training split's distractors made by ``random_parts``.
-        plain_tumblers: whether the bottles include straight tumblers with flat lids, which resemble cans.
-        drawn_in: share of the training split's plain cans and canisters with a narrower foot.
-        pictures_per_pool: number of images rendered with one pool.
-        pictures_per_texture: number of images between changes of textures.
-        textures_redrawn: number of items that get a new texture then; the ground always does.
-        objects, extras: smallest and largest number of objects and of distractors in an image.
-        gap: range of the minimum distance between neighbours in [m], sampled per image.
-        crowded: share of images in which a random share of the items touch, or nearly touch, a neighbour.
-        spread: range of the half side of the square that holds the items, in [m].
-        distance, elevation, fovy: ranges of the camera's distance in [m], elevation in [rad] and vertical
-            field of view in [deg].
-        shadows: share of images with cast shadows (slower).
-        upturned: share of images with a uniformly random camera roll.
-        noises: probabilities of DEPTH_NOISES.
-        renderer: renderer of the colour images; depth and instances always come from the classic one.
-    """
-
-    width: int = 320
-    height: int = 240
-    pool: int = 40
-    distractors: int = 14
-    shares: tuple[int, int, int, int] = (1, 1, 1, 1)
-    random_parts: float = 0.0
-    plain_tumblers: bool = True
-    drawn_in: float = 0.0
-    pictures_per_pool: int = 400
-    pictures_per_texture: int = 8
-    textures_redrawn: int = 12
-    objects: tuple[int, int] = (3, 10)
-    extras: tuple[int, int] = (0, 4)
-    gap: tuple[float, float] = (0.002, 0.05)
-    crowded: float = 0.6
-    spread: tuple[float, float] = (0.18, 0.30)
-    distance: tuple[float, float] = (0.35, 0.85)
-    elevation: tuple[float, float] = (np.radians(30), np.radians(90))
-    fovy: tuple[float, float] = (42.0, 50.0)
-    shadows: float = 0.3
-    upturned: float = 0.2
-    noises: tuple[float, ...] = (0.1, 0.1, 0.35, 0.25, 0.2)
-    renderer: Renderer = "classic"
+_ITEM = "item"  # prefix of the bodies, geoms and materials of items
+_PACKAGED = 0.5  # share of the distractors with the prints of packages
 
 
 @dataclass(frozen=True)
@@ -93,6 +51,8 @@ class InstanceLabel:
         pixels: number of visible pixels.
         outline_pixels: area of the convex hull of its projection, occluded and truncated parts included.
         height: height of the item in [m].
+        foot: (3,) origin of the object as the frame shows it, with the errors of its calibration [m].
+        ignored: whether the item is an object in a pose whose class is not to be learned.
     """
 
     category: Category | None
@@ -100,6 +60,8 @@ class InstanceLabel:
     pixels: int
     outline_pixels: float
     height: float
+    foot: Float[np.ndarray, "3"]
+    ignored: bool = False
 
     @property
     def yaw(self) -> float:
@@ -109,31 +71,43 @@ class InstanceLabel:
 
 @dataclass(frozen=True)
 class LabelledImage:
-    """An RGB-D image with ground truth; the table is the plane z = 0 of the world.
+    """An RGB-D image with ground truth; the table is the plane z = 0 of the true world.
 
     Attributes:
         frame: colour, noisy depth, intrinsics and pose of the camera.
         instances: (H, W) index into ``labels`` of the visible item, -1 for table and background.
         labels: all items on the table, visible or not.
+        plane: the table's plane as the frame shows it, with the errors of sensor and calibration.
     """
 
     frame: RgbdFrame
     instances: Int[np.ndarray, "h w"]
     labels: tuple[InstanceLabel, ...]
+    plane: SupportPlane = TABLE
 
 
 class TableTop:
     """One compiled model of a table with all items that may appear on it."""
 
-    def __init__(self, items: list[TableItem], config: TrainingSceneConfig, rng: np.random.Generator) -> None:
+    def __init__(
+        self,
+        items: list[TableItem],
+        config: TrainingSceneConfig,
+        rng: np.random.Generator,
+        surroundings: Sequence[trimesh.Trimesh] = (),
+    ) -> None:
+        """Compile the model; ``surroundings`` are z up, standing on z = 0, in [m]."""
         self.items, self.config = items, config
-        self.model = _build(items, rng).compile()
+        self.model = _build(items, surroundings, rng).compile()
         self.data = mujoco.MjData(self.model)
+        self.room = Room(self.model, config.room, surroundings)
         self.renderer = OffscreenRenderer(self.model)
         self.filament = FilamentRenderer(self.model) if config.renderer == "filament" else None
-        self.geoms = np.array([self.model.geom(f"item{i}").id for i in range(len(items))])
         self.item_of_geom = np.full(self.model.ngeom + 1, -1, dtype=np.int32)  # last: geom -1, the sky
-        self.item_of_geom[self.geoms] = np.arange(len(items))
+        for geom in range(self.model.ngeom):
+            body = self.model.body(self.model.geom_bodyid[geom]).name
+            if body.startswith(_ITEM):
+                self.item_of_geom[geom] = int(body.removeprefix(_ITEM))
 
     def close(self) -> None:
         self.renderer.close()
@@ -141,21 +115,23 @@ class TableTop:
             self.filament.close()
 
     def redraw_textures(self, rng: np.random.Generator) -> None:
-        """Give some of the items a new finish, and the ground a new texture."""
+        """Give some of the items a new finish, and table, floor and wall new textures."""
         for index in rng.choice(len(self.items), self.config.textures_redrawn, replace=False):
-            item = self.items[index]
-            finish = random_finish(rng, item.category or "", wild=0.5)
-            self._set_texture(f"item{index}", finish.texture)
-            material = self.model.material(f"item{index}").id
+            finish = item_finish(self.items[index], rng)
+            self._set_texture(f"{_ITEM}{index}", finish.texture)
+            material = self.model.material(f"{_ITEM}{index}").id
             self.model.mat_specular[material], self.model.mat_shininess[material] = (
                 finish.specular,
                 finish.shininess,
             )
-        for name in ("table", "wall"):
+        for name in GROUNDS:
             self._set_texture(name, random_ground(rng, GROUND_SIZE))
         if self.filament is not None:
-            self.model.geom_group[self.geoms] = SHOWN  # geoms hidden at loading are never rendered
+            self.model.geom_group[self._item_geoms()] = SHOWN  # geoms hidden at loading are never rendered
             self.filament.load()
+
+    def _item_geoms(self) -> Int[np.ndarray, "g"]:
+        return np.flatnonzero(self.item_of_geom[:-1] >= 0)
 
     def _set_texture(self, name: str, image: np.ndarray) -> None:
         texture = self.model.texture(name).id
@@ -164,6 +140,7 @@ class TableTop:
         self.renderer.upload_texture(texture)
 
     def picture(self, rng: np.random.Generator) -> LabelledImage:
+        """Return an image of a random scene."""
         config = self.config
         chosen = self._choose(rng)
         touching = rng.uniform(0.2, 0.9) if rng.random() < config.crowded else 0.0
@@ -175,44 +152,51 @@ class TableTop:
         self.light(rng)
         fovy = rng.uniform(*config.fovy)
         T_world_camera = self._aim(placed, rng)
-        shadows = rng.random() < config.shadows
-        frame, ids = self.capture(T_world_camera, fovy, shadows, rng)
+        self.room.vary(rng, spread, float(np.arctan2(T_world_camera[1, 3], T_world_camera[0, 3])))
+        true, ids = self.capture(T_world_camera, fovy, rng.random() < config.shadows)
         row = np.full(len(self.items) + 1, -1, dtype=np.int32)
         row[shown] = np.arange(len(shown))
         instances = row[ids]
+        noise = DEPTH_NOISES[rng.choice(len(DEPTH_NOISES), p=self.config.noises)]
+        frame = self.sense(true, noise, rng)
+        table = table_pixels(true, instances >= 0)
+        exact = frame.intrinsics == true.intrinsics and noise in ("none", "gaussian")
+        plane = TABLE if exact else perceived_plane(frame, table, rng)
+        scale = 1.0 if exact else depth_scale(frame, true, table)
         pixels = np.bincount(instances[instances >= 0], minlength=len(shown))
         labels = tuple(
-            self._label(self.items[i], pose, int(n), frame)
+            self._label(self.items[i], pose, int(n), frame, true.intrinsics, scale)
             for i, pose, n in zip(shown, placed, pixels, strict=True)
         )
-        return LabelledImage(frame, instances, labels)
+        return LabelledImage(frame, instances, labels, plane)
 
-    def _label(self, item: TableItem, pose: PlanarPose, pixels: int, frame: RgbdFrame) -> InstanceLabel:
+    def _label(
+        self,
+        item: TableItem,
+        pose: PlanarPose,
+        pixels: int,
+        frame: RgbdFrame,
+        camera: CameraIntrinsics,
+        scale: float = 1.0,
+    ) -> InstanceLabel:
         assert frame.T_world_camera is not None
         T_camera_object = np.linalg.inv(frame.T_world_camera) @ pose.matrix
         corners = item.mesh.vertices @ T_camera_object[:3, :3].T + T_camera_object[:3, 3]
-        k = frame.intrinsics
-        image = corners[:, :2] / np.maximum(corners[:, 2:], 0.05) * (k.fx, k.fy)
-        hull = cv2.convexHull(image.astype(np.float32))
+        image = corners[:, :2] / np.maximum(corners[:, 2:], 0.05) * (camera.fx, camera.fy)
+        area = float(cv2.contourArea(cv2.convexHull(image.astype(np.float32))))
+        foot = perceived_points(pose.matrix[None, :3, 3], camera, frame, scale)[0]
         height = float(item.mesh.bounds[1, 2])
-        return InstanceLabel(item.category, pose.matrix, pixels, float(cv2.contourArea(hull)), height)
+        return InstanceLabel(item.category, pose.matrix, pixels, area, height, foot, item.ignored)
 
     def capture(
-        self,
-        T_world_camera: Float[np.ndarray, "4 4"],
-        fovy: float,
-        shadows: bool,
-        rng: np.random.Generator,
-        noise: DepthNoise | None = None,
+        self, T_world_camera: Float[np.ndarray, "4 4"], fovy: float, shadows: bool
     ) -> tuple[RgbdFrame, Int[np.ndarray, "h w"]]:
-        """Render the visible items: an RGB-D frame and the index of the item at each pixel (-1 for none).
+        """Render the visible items: an RGB-D frame without noise and the item at each pixel (-1 for none).
 
         Args:
             T_world_camera: (4, 4) pose of the camera.
             fovy: vertical field of view in [deg].
             shadows: whether to render cast shadows.
-            rng: random generator of the depth noise.
-            noise: model of the depth noise; sampled from ``config.noises`` by default.
         """
         width, height = self.config.width, self.config.height
         eye = self.model.camera(CAMERA).id
@@ -228,12 +212,20 @@ class TableTop:
             rgb = cv2.GaussianBlur(self.renderer.color(*view, shadows=shadows), (3, 3), 0.5)
         depth, ids = self.renderer.depth_and_ids(*view)
         intrinsics = intrinsics_of(width, height, fovy)
-        noise = noise or DEPTH_NOISES[rng.choice(len(DEPTH_NOISES), p=self.config.noises)]
-        depth = add_depth_noise(depth, noise, intrinsics, rng, rgb)
         return RgbdFrame(0.0, rgb, depth, intrinsics, T_world_camera), self.item_of_geom[ids]
 
+    def sense(self, true: RgbdFrame, noise: DepthNoise, rng: np.random.Generator) -> RgbdFrame:
+        """Return the frame with the errors of a sensor and, in some images, of its calibration."""
+        depth = add_depth_noise(true.depth, noise, true.intrinsics, rng, true.rgb)
+        rgb, intrinsics = true.rgb, true.intrinsics
+        if self.config.misregistered > 0 and rng.random() < self.config.misregistered:
+            rgb, depth, intrinsics = misregister(rgb, depth, intrinsics, rng)
+        if self.config.cut > 0 and rng.random() < self.config.cut:
+            depth = cut_depth(depth, rng)
+        return RgbdFrame(0.0, rgb, depth, intrinsics, true.T_world_camera)
+
     def _choose(self, rng: np.random.Generator) -> list[int]:
-        kind = np.array([item.category is not None for item in self.items])
+        kind = np.array([item.category is not None or item.ignored for item in self.items])
         low, high = self.config.objects
         objects = rng.choice(np.flatnonzero(kind), rng.integers(low, high + 1), replace=False)
         low, high = self.config.extras
@@ -242,11 +234,12 @@ class TableTop:
 
     def show(self, shown: Sequence[int], placed: Sequence[PlanarPose]) -> None:
         """Place some of the items and hide all others."""
-        self.model.geom_group[self.geoms] = HIDDEN
-        self.model.body_pos[self.model.geom_bodyid[self.geoms], 2] = BELOW  # some renderers draw all groups
-        self.model.geom_group[self.geoms[list(shown)]] = SHOWN
+        geoms = self._item_geoms()
+        here = np.isin(self.item_of_geom[geoms], list(shown))
+        self.model.geom_group[geoms] = np.where(here, SHOWN, HIDDEN)
+        self.model.body_pos[self.model.geom_bodyid[geoms], 2] = BELOW  # some renderers draw all groups
         for index, pose in zip(shown, placed, strict=True):
-            body = self.model.body(f"item{index}").id
+            body = self.model.body(f"{_ITEM}{index}").id
             self.model.body_pos[body] = (pose.x, pose.y, 0)
             self.model.body_quat[body] = pose.quat_wxyz
 
@@ -277,7 +270,16 @@ class TableTop:
         return look_at(target + distance * away, target, roll)
 
 
-def _build(items: list[TableItem], rng: np.random.Generator) -> MjSpec:
+def item_finish(item: TableItem, rng: np.random.Generator) -> Finish:
+    """Return a random finish for an object or a distractor."""
+    if item.category is None and not item.ignored and rng.random() < _PACKAGED:
+        return packaging_finish(rng)
+    return random_finish(rng, item.category or "", wild=0.5)
+
+
+def _build(
+    items: Sequence[TableItem], surroundings: Sequence[trimesh.Trimesh], rng: np.random.Generator
+) -> MjSpec:
     spec = mujoco.MjSpec()
     spec.modelname = "table_top"
     spec.compiler.degree = False
@@ -285,34 +287,31 @@ def _build(items: list[TableItem], rng: np.random.Generator) -> MjSpec:
     spec.visual.map.znear, spec.visual.map.zfar = 0.05, 20
     spec.visual.quality.shadowsize = 1024
     spec.visual.quality.offsamples = 0  # twice as fast; a slight blur stands in for antialiasing
-    blank = Finish(np.zeros((*GROUND_SIZE, 3), dtype=np.uint8), specular=0.1, shininess=0.2)
     spec.add_texture(
         name="sky", type=mujoco.mjtTexture.mjTEXTURE_SKYBOX, builtin=mujoco.mjtBuiltin.mjBUILTIN_GRADIENT,
         rgb1=rng.uniform(0.2, 0.9, 3), rgb2=rng.uniform(0, 0.6, 3), width=128, height=128,
     )  # fmt: skip
-    add_material(spec, "table", blank, (1, 1))
-    add_material(spec, "wall", blank, (2, 2))
+    add_room(spec, surroundings, rng)
     world = spec.worldbody
-    box, plane = mujoco.mjtGeom.mjGEOM_BOX, mujoco.mjtGeom.mjGEOM_PLANE
-    world.add_geom(name="table", type=box, size=(0.75, 0.65, 0.02), pos=(0, 0, -0.02), material="table")
-    world.add_geom(name="floor", type=plane, size=(5, 5, 0.1), pos=(0, 0, -0.7), material="wall")
-    for sign in (-1, 1):
-        world.add_geom(type=box, size=(0.02, 3, 1.2), pos=(sign * 2.2, 0, 0.5), material="wall")
     world.add_light(
-        name="key",
-        type=mujoco.mjtLightType.mjLIGHT_SPOT,
-        castshadow=True,
-        cutoff=60,
-        exponent=1,
+        name="key", type=mujoco.mjtLightType.mjLIGHT_SPOT, castshadow=True, cutoff=60, exponent=1,
         ambient=(0, 0, 0),
-    )
+    )  # fmt: skip
     world.add_camera(name=CAMERA)
     for index, item in enumerate(items):
-        name = f"item{index}"
-        add_mesh(spec, name, item.mesh)
-        add_material(spec, name, random_finish(rng, item.category or "", wild=0.5))
+        name = f"{_ITEM}{index}"
         body = world.add_body(name=name)
-        body.add_geom(
-            name=name, type=mujoco.mjtGeom.mjGEOM_MESH, meshname=name, material=name, contype=0, conaffinity=0
-        )
+        _add_part(spec, body, name, item.mesh, item_finish(item, rng), item.category is None)
+        if item.content is not None:
+            _add_part(spec, body, f"content{index}", item.content, random_finish(rng, wild=0.8), False)
     return spec
+
+
+def _add_part(
+    spec: MjSpec, body: MjsBody, name: str, mesh: trimesh.Trimesh, finish: Finish, boxy: bool
+) -> None:
+    add_mesh(spec, name, mesh, faces=boxy)
+    add_material(spec, name, finish)
+    body.add_geom(
+        name=name, type=mujoco.mjtGeom.mjGEOM_MESH, meshname=name, material=name, contype=0, conaffinity=0
+    )

@@ -15,12 +15,14 @@ import numpy as np
 import trimesh
 
 from perception.types import CATEGORIES, Category
-from sim_assets.datasets.distractors import random_distractor, random_parts
+from sim_assets.datasets.distractors import random_distractor, random_parts, random_surrounding
 from sim_assets.datasets.scatter import TableItem, make_item, simplified
-from sim_assets.datasets.table_top import LabelledImage, TableTop, TrainingSceneConfig
+from sim_assets.datasets.scene_config import TrainingSceneConfig
+from sim_assets.datasets.table_top import LabelledImage, TableTop
 from sim_assets.objects.bottle import BottleParameters
 from sim_assets.objects.can import FOOT, CanParameters
-from sim_assets.objects.families import make_solid, sample_parameters
+from sim_assets.objects.families import Parameters, make_solid, sample_parameters
+from sim_assets.objects.household import contents_of, sample_household
 
 Split = Literal["train", "test"]
 PLAIN_BEND = 0.10  # a tumbler that widens less, relative to its radius, resembles a can
@@ -49,7 +51,10 @@ class TrainingScenes:
         for number in range(count):
             if number % config.pictures_per_pool == 0:
                 self.close()
-                self._pool = TableTop(_draw_items(self.split, config, rng, self._own), config, rng)
+                items = _draw_items(self.split, config, rng, self._own)
+                around = config.room.pool if config.room is not None else 0
+                surroundings = [random_surrounding(rng, self.split) for _ in range(around)]
+                self._pool = TableTop(items, config, rng, surroundings)
             assert self._pool is not None
             if number % config.pictures_per_texture == 0:
                 self._pool.redraw_textures(rng)
@@ -76,24 +81,45 @@ def _draw_items(
         category for category, share in zip(CATEGORIES, config.shares) for _ in range(share)
     ]
     for index in range(0 if own else config.pool):
-        category = turns[index % len(turns)]
-        items.append(make_item(category, simplified(_draw_mesh(category, split, config, rng))))
+        items.append(_draw_object(turns[index % len(turns)], split, config, rng))
     for _ in range(config.distractors):
         odd = split == "train" and config.random_parts > 0 and rng.random() < config.random_parts
         items.append(make_item(None, random_parts(rng) if odd else random_distractor(rng, split)))
     return items
 
 
-def _draw_mesh(
+def _draw_object(
     category: Category, split: Split, config: TrainingSceneConfig, rng: np.random.Generator
-) -> trimesh.Trimesh:
+) -> TableItem:
+    parameters = _draw_parameters(category, split, config, rng)
+    mesh = simplified(make_solid(parameters).mesh())
+    if rng.random() < config.toppled:
+        return replace(make_item(None, _toppled(mesh, rng)), ignored=True)
+    content = contents_of(parameters, rng) if rng.random() < config.filled else None
+    return replace(make_item(category, mesh), content=content)
+
+
+def _toppled(mesh: trimesh.Trimesh, rng: np.random.Generator) -> trimesh.Trimesh:
+    """Return an upright mesh lying on its side at a random roll, or upside down, on z = 0."""
+    turn = trimesh.transformations.rotation_matrix
+    down = np.pi if rng.random() < 0.3 else np.pi / 2
+    mesh = mesh.copy()
+    mesh.apply_transform(turn(down, (1, 0, 0)) @ turn(rng.uniform(-np.pi, np.pi), (0, 0, 1)))
+    mesh.apply_translation((*-mesh.bounds[:, :2].mean(axis=0), -mesh.bounds[0, 2]))
+    return mesh
+
+
+def _draw_parameters(
+    category: Category, split: Split, config: TrainingSceneConfig, rng: np.random.Generator
+) -> Parameters:
     while True:
-        p = sample_parameters(category, split, rng)
+        sample = sample_household if rng.random() < config.household else sample_parameters
+        p = sample(category, split, rng)
         if split == "train" and config.drawn_in > 0 and isinstance(p, CanParameters):
             p = _perhaps_drawn_in(p, config.drawn_in, rng)
         plain = isinstance(p, BottleParameters) and p.kind == "tumbler" and p.bend < PLAIN_BEND
         if config.plain_tumblers or not plain:
-            return make_solid(p).mesh()
+            return p
 
 
 def _perhaps_drawn_in(can: CanParameters, share: float, rng: np.random.Generator) -> CanParameters:

@@ -13,7 +13,7 @@ from app.evaluation import detection
 from app.options import EvaluateOptions
 from app.screen import Screen
 from sim_assets.datasets import training_scenes
-from sim_assets.datasets.table_top import TrainingSceneConfig
+from sim_assets.datasets.scene_config import TrainingSceneConfig
 
 
 def options(out: Path, **changes: Any) -> EvaluateOptions:
@@ -59,8 +59,16 @@ def test_objects_and_distractors_are_of_the_test_split(
     assert all(categories.count(name) == 6 for name in ("mug", "bowl", "bottle", "can"))
 
 
+@pytest.mark.parametrize("rooms", [False, True])
+def test_the_scenes_are_those_of_the_option(tmp_path: Path, rooms: bool) -> None:
+    config = detection._scene_config(options(tmp_path, rooms=rooms))
+    assert (config.room is not None) == (config.household > 0) == rooms
+    assert config.toppled == 0 and config.pictures_per_pool == detection.CHUNK
+
+
 @pytest.mark.parametrize(
-    ("noise", "shares"), [("none", (1, 0, 0, 0, 0)), ("gaussian", (0, 1, 0, 0, 0)), ("tof", (0, 0, 0, 0, 1))]
+    ("noise", "shares"),
+    [("none", (1, 0, 0, 0, 0)), ("gaussian", (0, 1, 0, 0, 0)), ("tof", (0, 0, 0, 0, 1))],
 )
 def test_scenes_have_distractors_and_the_asked_depth_noise(
     tmp_path: Path, noise: Any, shares: tuple[float, ...]

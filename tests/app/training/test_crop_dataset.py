@@ -5,7 +5,7 @@ from types import SimpleNamespace
 import numpy as np
 import pytest
 
-from app.training.crop_dataset import LabelledCrops, handle_share, label_crops, perturb_masks
+from app.training.crop_dataset import LabelledCrops, handle_share, label_crops, perturb_masks, perturb_plane
 from perception.errors import PerceptionError
 from perception.types import CameraIntrinsics, RgbdFrame, SupportPlane
 
@@ -27,7 +27,8 @@ def picture(things, patches):
         frame=frame,
         instances=instances,
         labels=tuple(
-            SimpleNamespace(category=category, yaw=yaw, T_world_object=np.eye(4)) for category, yaw in things
+            SimpleNamespace(category=category, yaw=yaw, T_world_object=np.eye(4), ignored=False)
+            for category, yaw in things
         ),
     )
 
@@ -120,3 +121,17 @@ def test_the_error_of_a_damaged_file_has_its_name(tmp_path):
     (tmp_path / "a.npz").write_bytes(b"PK\x03\x04 not really")
     with pytest.raises(PerceptionError, match=r"a\.npz holds no labelled crops"):
         LabelledCrops.load(tmp_path / "a.npz")
+
+
+def test_objects_whose_class_is_not_to_be_learned_give_no_crop():
+    image = picture([("can", 0.0), ("bowl", 0.0)], [(60, 60, 25, 0), (160, 60, 25, 1)])
+    image.labels[0].ignored = True
+    assert label_crops(image, SupportPlane(), true_masks(image)).label.tolist() == [1]
+
+
+def test_the_perturbed_plane_stays_near_its_own():
+    rng, plane = np.random.default_rng(0), SupportPlane(np.array([0.0, 0.6, 0.8]), 0.3)
+    drawn = [perturb_plane(plane, rng) for _ in range(200)]
+    tilt = [np.degrees(np.arccos(np.clip(p.normal @ plane.normal, -1, 1))) for p in drawn]
+    assert 0.2 < np.mean(tilt) < 0.5 and np.std([p.offset for p in drawn]) == pytest.approx(0.0015, rel=0.2)
+    assert all(np.linalg.norm(p.normal) == pytest.approx(1) for p in drawn)

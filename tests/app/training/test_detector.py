@@ -8,11 +8,10 @@ from app.training.crop_dataset import LabelledCrops
 from app.training.detector import (
     CalibratedNetwork,
     TrainDetectorConfig,
-    render_crops,
-    render_upright_crops,
+    render_data_sets,
     stage_progress,
 )
-from app.training.scene_dataset import MIXED, UPRIGHT
+from app.training.scene_dataset import Shard
 from perception.detection.crop_network import create_network, load_crop_network
 from perception.detection.crop_training import TrainingConfig
 from perception.detection.scene_network import SceneNet, load_scene_network
@@ -35,11 +34,10 @@ def no_rendering(monkeypatch):
     """Replace rendered crops by random ones, and the trained scene network by an untrained one."""
     monkeypatch.setattr(train_detector, "load_crops", lambda shards: random_crops(len(shards)))
     monkeypatch.setattr(
-        train_detector, "render_crop_shards", lambda folder, split, n, seed, *_, **__: [folder] * (1 + seed)
+        train_detector, "render_shards", lambda folder, split, n, seed, *_: [Shard(folder, split, seed, 0, n)]
     )
     monkeypatch.setattr(train_detector, "load_scenes", lambda shards: None)
     monkeypatch.setattr(train_detector, "train_scene", lambda *_: SceneNet())
-    monkeypatch.setattr(train_detector, "render_scene_shards", lambda folder, *_: [folder])
 
 
 def test_the_detector_job_writes_weights_and_a_card(tmp_path):
@@ -87,36 +85,23 @@ def test_training_and_validation_are_of_the_training_families_and_test_of_the_te
     tmp_path, monkeypatch
 ):
     calls = []
-
-    def render(folder, split, pictures, seed, progress=None, kind=MIXED):
-        calls.append((split, pictures, seed, kind))
-        return []
-
-    monkeypatch.setattr(train_detector, "render_crop_shards", render)
-    config = TrainDetectorConfig(
-        close_ups=7, upright_close_ups=5, validation=3, test=2, training=TrainingConfig(seed=11)
-    )
-    render_crops(config, tmp_path, None)
-    render_upright_crops(config, tmp_path, None)
-    assert calls == [
-        ("train", 7, 11, MIXED),
-        ("train", 3, 12, MIXED),  # another seed: validation shapes are not those of training
-        ("test", 2, 11, MIXED),
-        ("train", 5, 11, UPRIGHT),
-    ]
+    monkeypatch.setattr(train_detector, "render_shards", lambda folder, *args: calls.append(args[:3]) or [])
+    config = TrainDetectorConfig(pictures=7, validation=3, test=2, training=TrainingConfig(seed=11))
+    render_data_sets(config, tmp_path, None)
+    # another seed for the validation: its shapes are not those of training
+    assert calls == [("train", 7, 11), ("train", 3, 12), ("test", 2, 11)]
 
 
 def test_sets_are_used_for_training_calibration_and_evaluation(tmp_path, monkeypatch):
-    """Sets differ in their sizes: training 20 + 20, validation 21, test 22."""
-    used = {}
+    """Sets differ in their sizes: training 20, validation 21, test 22."""
+    used, sizes = {}, {("train", 0): 20, ("train", 1): 21, ("test", 0): 22}
 
-    def crops(n):
-        crops = random_crops(0)
+    def crops(files):
+        (split, seed), crops = files[0].name.split("_")[1:3], random_crops(0)
+        n = sizes[split, int(seed.removeprefix("seed"))]
         return crops.subset(np.arange(n) % len(crops))
 
-    splits = train_detector.CropSplits(crops(20), crops(21), crops(22))
-    monkeypatch.setattr(train_detector, "render_crops", lambda *_: splits)
-    monkeypatch.setattr(train_detector, "render_upright_crops", lambda *_: crops(20))
+    monkeypatch.setattr(train_detector, "load_crops", crops)
 
     def train(task, data, *_):
         used.update(training=len(data.training), validation=len(data.validation))
@@ -124,16 +109,14 @@ def test_sets_are_used_for_training_calibration_and_evaluation(tmp_path, monkeyp
 
     monkeypatch.setattr(train_detector, "train_ensemble", train)
     metrics = train_detector.run(TrainDetectorConfig(training=TINY), tmp_path)
-    assert used == {"training": 40, "validation": 21} and metrics["crops"] == 22
+    assert used == {"training": 20, "validation": 21} and metrics["crops"] == 22
 
 
-def test_the_scenes_of_the_scene_network_are_of_the_training_families(tmp_path, monkeypatch):
-    calls = []
-    monkeypatch.setattr(
-        train_detector, "render_scene_shards", lambda folder, split, *_: calls.append(split) or [folder]
-    )
-    train_detector.run(TrainDetectorConfig(training=TINY), tmp_path)
-    assert calls == ["train"]
+def test_the_scenes_of_the_scene_network_are_those_for_training(tmp_path, monkeypatch):
+    loaded = []
+    monkeypatch.setattr(train_detector, "load_scenes", loaded.extend)
+    train_detector.run(TrainDetectorConfig(training=TINY, pictures=5), tmp_path)
+    assert [file.name for file in loaded] == ["scenes_train_seed0_n5_000.npz"]
 
 
 def test_members_of_an_ensemble_have_different_seeds_and_folders(tmp_path, monkeypatch):
@@ -161,6 +144,6 @@ def test_progress_of_a_stage_is_mapped_to_its_share_of_the_job():
     stage_progress(None, 0.0, 1.0)("without a callback", 0.5)
 
 
-def test_the_scene_network_has_half_the_epochs_but_at_least_one():
-    assert TrainDetectorConfig().scene_epochs == 12
+def test_the_scene_network_has_five_eighths_of_the_epochs_but_at_least_one():
+    assert TrainDetectorConfig().scene_epochs == 10
     assert TrainDetectorConfig(training=TrainingConfig(epochs=1)).scene_epochs == 1

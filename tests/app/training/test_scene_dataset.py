@@ -1,20 +1,26 @@
 """Data sets of rendered scenes: ground truth at the reduced resolution, round trip, shards, splits."""
 
+from dataclasses import replace
+
 import numpy as np
 import pytest
 
 import app.training.scene_dataset as pictures
-from app.training.crop_dataset import LabelledCrops
 from app.training.scene_dataset import (
+    IGNORED,
     LabelledScenes,
+    Shard,
     downscale_image,
     load_crops,
     load_scenes,
-    render_crop_shards,
-    render_scene_shards,
+    render_shard,
+    render_shards,
+    training_scene_config,
 )
+from app.workers import Lost
 from perception.errors import PerceptionError
-from sim_assets.datasets.table_top import TrainingSceneConfig
+from perception.types import SupportPlane
+from sim_assets.datasets.scene_config import TrainingSceneConfig
 from sim_assets.datasets.training_scenes import TrainingScenes
 
 CONFIG = TrainingSceneConfig(
@@ -43,7 +49,7 @@ def test_reduced_images_keep_objects_and_footprints(image, small):
         assert picture.label[index] == (
             4 if label.category is None else pictures.CATEGORIES.index(label.category)
         )
-        assert picture.foot[index] == pytest.approx(label.T_world_object[:2, 3], abs=1e-6)
+        assert picture.foot[index] == pytest.approx(label.foot, abs=1e-6)
     depth = image.frame.depth
     assert np.median(picture.frame.depth[picture.frame.depth > 0]) == pytest.approx(
         np.median(depth[depth > 0]), abs=0.01
@@ -60,49 +66,71 @@ def test_round_trip_and_damaged_files(small, tmp_path):
         LabelledScenes.load(tmp_path / "b.npz")
 
 
-def test_finished_shards_are_not_rendered_again(small, tmp_path, monkeypatch):
+def test_ignored_objects_have_no_class(image):
+    ignored = replace(image, labels=tuple(replace(label, ignored=True) for label in image.labels))
+    scene = downscale_image(ignored)
+    assert (scene.label[0, : len(image.labels)] == IGNORED).all()
+    assert (scene.labelled(0).label[: len(image.labels)] == -1).all()
+
+
+def test_the_plane_is_the_one_that_the_image_shows(image):
+    sunk = replace(image, plane=SupportPlane(np.array([0.0, 0.6, 0.8]), -0.02))
+    plane = downscale_image(sunk).labelled(0).plane
+    np.testing.assert_allclose([*plane.normal, plane.offset], [0, 0.6, 0.8, -0.02])
+
+
+def test_finished_shards_are_not_rendered_again(tmp_path, monkeypatch):
     rendered = []
-    empty = LabelledCrops(
-        np.zeros((1, 64, 64, 6), np.uint8), np.zeros((1, 2), np.float32), np.zeros(1, int),
-        np.zeros(1, np.float32), np.zeros(1, np.float32),
-    )  # fmt: skip
 
+    def render(function, items, workers):
+        for shard in items:
+            rendered.append((shard.number, shard.count))
+            shard.scenes.touch()
+            shard.crops.touch()
+            yield shard, None
+
+    monkeypatch.setattr(pictures, "map_in_processes", render)
+    render_shards(tmp_path, "train", pictures.SHARD + 10, seed=0)
+    again = render_shards(tmp_path, "train", pictures.SHARD + 10, seed=0)
+    assert rendered == [(0, pictures.SHARD), (1, 10)]
+    assert [shard.number for shard in again] == [0, 1]
+    again[1].crops.unlink()  # interrupted between the two files
+    render_shards(tmp_path, "train", pictures.SHARD + 10, seed=0)
+    assert rendered[2:] == [(1, 10)]
+
+
+def test_a_lost_shard_ends_the_job(tmp_path, monkeypatch):
     monkeypatch.setattr(
-        pictures, "_render_scenes", lambda split, count, seed: rendered.append(count) or small
+        pictures, "map_in_processes", lambda function, items, workers: [(items[0], Lost("killed", 1.0))]
     )
-    render_scene_shards(tmp_path, "train", pictures.SHARD + 10, seed=0)
-    paths = render_scene_shards(tmp_path, "train", pictures.SHARD + 10, seed=0)
-    assert rendered == [pictures.SHARD, 10]
-    assert len(load_scenes(paths)) == 2
-
-    monkeypatch.setattr(
-        pictures, "_render_close_ups", lambda split, count, kind, seed: rendered.append(count) or empty
-    )
-    render_crop_shards(tmp_path, "train", pictures.SHARD + 20, seed=0)
-    assert len(load_crops(render_crop_shards(tmp_path, "train", pictures.SHARD + 20, seed=0))) == 2
-    assert rendered[2:] == [pictures.SHARD, 20]
-    assert render_crop_shards(tmp_path, "test", 20, seed=0) != render_crop_shards(
-        tmp_path, "train", 20, seed=0
-    )
+    with pytest.raises(PerceptionError, match="shard 0 of test scenes was not rendered: killed"):
+        render_shards(tmp_path, "test", 5, seed=0)
 
 
-class PoolDrawn(Exception):
-    """Raised in place of rendering."""
+def test_a_shard_holds_images_and_crops_of_its_split(tmp_path, monkeypatch):
+    seeds = []
 
-
-@pytest.mark.parametrize("split", ["train", "test"])
-@pytest.mark.parametrize("render", ["scenes", "crops"])
-def test_scenes_are_rendered_from_the_asked_split_with_a_seed_per_shard(tmp_path, monkeypatch, split, render):
-    calls = []
-
-    class Recorded:
+    class Recorded(TrainingScenes):
         def __init__(self, split, seed, config):
-            calls.append((split, seed))
-            raise PoolDrawn
+            seeds.append((split, seed))
+            super().__init__(split, seed, CONFIG)
 
     monkeypatch.setattr("sim_assets.datasets.training_scenes.TrainingScenes", Recorded)
-    function = render_scene_shards if render == "scenes" else render_crop_shards
-    for seed in (0, 1):
-        with pytest.raises(PoolDrawn):
-            function(tmp_path, split, 3, seed)
-    assert [call[0] for call in calls] == [split, split] and calls[0][1] != calls[1][1]
+    shards = [
+        Shard(tmp_path, split, seed, number, 1)
+        for split, seed, number in (("train", 0, 0), ("test", 0, 0), ("train", 1, 0), ("train", 0, 1))
+    ]
+    for shard in shards:
+        render_shard(shard)
+    assert [split for split, _ in seeds] == ["train", "test", "train", "train"]
+    assert len({seed for _, seed in seeds}) == 4
+    assert len({file for shard in shards for file in (shard.scenes, shard.crops)}) == 8
+    assert len(load_scenes([shard.scenes for shard in shards])) == 4
+    assert len(load_crops([shard.crops for shard in shards])) >= 4
+
+
+def test_training_scenes_have_all_sensors_and_other_peoples_rooms():
+    config = training_scene_config()
+    assert len(config.noises) == 5 and min(config.noises) > 0 and sum(config.noises) == pytest.approx(1)
+    assert config.room is not None and config.household > 0.5 and config.misregistered > 0
+    assert config.objects[1] + config.extras[1] <= pictures.MAX_THINGS

@@ -6,6 +6,7 @@ import pytest
 import app.training.detector as train_detector
 import app.training.yaw as train_yaw
 from app.training.crop_dataset import LabelledCrops
+from app.training.scene_dataset import Shard
 from perception.detection.crop_network import load_crop_network
 from perception.detection.crop_training import TrainingConfig
 from perception.detection.scene_network import SceneNet
@@ -28,11 +29,10 @@ def no_rendering(monkeypatch):
     """Replace rendered crops by random ones, and the trained scene network by an untrained one."""
     monkeypatch.setattr(train_detector, "load_crops", lambda shards: random_crops(len(shards)))
     monkeypatch.setattr(
-        train_detector, "render_crop_shards", lambda folder, split, n, seed, *_, **__: [folder] * (1 + seed)
+        train_detector, "render_shards", lambda folder, split, n, seed, *_: [Shard(folder, split, seed, 0, n)]
     )
     monkeypatch.setattr(train_detector, "load_scenes", lambda shards: None)
     monkeypatch.setattr(train_detector, "train_scene", lambda *_: SceneNet())
-    monkeypatch.setattr(train_detector, "render_scene_shards", lambda folder, *_: [folder])
 
 
 def test_the_yaw_job_learns_from_mugs_alone(tmp_path):

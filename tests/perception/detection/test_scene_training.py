@@ -21,6 +21,7 @@ from perception.detection.scene_training import (
 )
 from perception.detection.working_view import CHANNELS
 from perception.errors import PerceptionError
+from perception.types import SupportPlane
 
 PLACES = [(0.42, -0.25), (0.55, -0.18)]
 SMALL = SceneTrainingConfig(epochs=2, batch=2, side=96)
@@ -30,9 +31,9 @@ SMALL = SceneTrainingConfig(epochs=2, batch=2, side=96)
 def picture(scenes):
     solids = [scenes.Solid(x, y, 0.1, radius=0.035) for x, y in PLACES]
     scene = scenes.render(solids, scenes.orbit((0.48, -0.22, 0.05), 0.5, 50, 70))
-    return LabelledScene(
-        scene.frame, (scene.instances + 1).astype(np.uint8), np.array([2, 4], np.uint8), np.array(PLACES)
-    )
+    feet = np.column_stack([PLACES, np.zeros(len(PLACES))])
+    things, label = (scene.instances + 1).astype(np.uint8), np.array([2, 4])
+    return LabelledScene(scene.frame, things, label, feet, SupportPlane(np.array([0.0, 0.0, 1.0]), 0.0))
 
 
 def test_offsets_lead_to_the_feet_mirrored_or_not(picture):

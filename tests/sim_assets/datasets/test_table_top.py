@@ -6,10 +6,10 @@ import numpy as np
 import pytest
 from trimesh import creation
 
-from perception.types import CATEGORIES
 from sim_assets.cell.layout import PlanarPose
 from sim_assets.datasets.scatter import make_item
-from sim_assets.datasets.table_top import InstanceLabel, TableTop, TrainingSceneConfig
+from sim_assets.datasets.scene_config import TrainingSceneConfig
+from sim_assets.datasets.table_top import InstanceLabel, TableTop
 from sim_assets.rendering.camera import look_at
 
 CONFIG = TrainingSceneConfig(
@@ -37,7 +37,7 @@ def overhead(table):
     table.show([0], [PlanarPose(0.1, 0.05, np.pi / 2)])
     T = np.diag([1.0, -1.0, -1.0, 1.0])
     T[2, 3] = 0.8
-    return table.capture(T, FOVY, False, np.random.default_rng(0))
+    return table.capture(T, FOVY, False)
 
 
 def test_item_appears_at_its_pose_and_depth(overhead):
@@ -60,7 +60,7 @@ def test_hidden_items_are_in_no_image(table, overhead):
     T = np.diag([1.0, -1.0, -1.0, 1.0])
     T[2, 3] = 0.8
     table.show([2, 1], [PlanarPose(-0.1, 0.0, 0.0), PlanarPose(0.1, 0.0, 0.3)])
-    ids = table.capture(T, FOVY, False, np.random.default_rng(0))[1]
+    ids = table.capture(T, FOVY, False)[1]
     assert set(np.unique(ids)) == {-1, 1, 2}
     assert np.nonzero(ids == 2)[1].mean() < 80 < np.nonzero(ids == 1)[1].mean()
 
@@ -68,31 +68,59 @@ def test_hidden_items_are_in_no_image(table, overhead):
 def test_label_has_the_area_of_the_projected_hull(table, overhead):
     frame, _ = overhead
     pose = PlanarPose(0.0, 0.0, 0.0)
-    label = table._label(table.items[0], pose, 17, frame)
+    label = table._label(table.items[0], pose, 17, frame, frame.intrinsics)
     z, f = 0.7, frame.intrinsics.fx
     assert label.outline_pixels == pytest.approx(0.04 * 0.12 * (f / z) ** 2, rel=1e-3)
     assert (label.category, label.pixels, label.height) == ("can", 17, pytest.approx(0.1))
     np.testing.assert_allclose(label.T_world_object, pose.matrix)
+    np.testing.assert_allclose(label.foot, (0, 0, 0), atol=1e-9)
 
 
 @pytest.mark.parametrize("yaw", [-2.0, 0.0, 3.0])
 def test_yaw_of_a_label(yaw):
-    assert InstanceLabel(None, PlanarPose(1, 2, yaw).matrix, 0, 0.0, 0.0).yaw == pytest.approx(yaw)
-
-
-def test_depth_noise_is_drawn_with_its_probabilities(table):
-    T = look_at(np.array([0.3, 0.0, 0.6]), np.zeros(3))
-    table.show([0], [PlanarPose(0.0, 0.0, 0.0)])
-    exact = table.capture(T, FOVY, False, np.random.default_rng(0))[0].depth
-    gaussian = table.capture(T, FOVY, False, np.random.default_rng(0), "gaussian")[0].depth
-    assert np.std(gaussian - exact) == pytest.approx(0.002, rel=0.1)
-    table.config = replace(CONFIG, noises=(0.0, 1.0, 0.0, 0.0, 0.0))
-    np.testing.assert_array_equal(
-        table.capture(T, FOVY, False, np.random.default_rng(0))[0].depth > 0, exact > 0
+    assert InstanceLabel(None, PlanarPose(1, 2, yaw).matrix, 0, 0.0, 0.0, np.zeros(3)).yaw == pytest.approx(
+        yaw
     )
+
+
+def test_depth_noise_is_drawn_with_its_probabilities(table, monkeypatch):
+    used = []
+    monkeypatch.setattr(table, "sense", lambda true, noise, rng: used.append(noise) or true)
+    table.config = replace(CONFIG, noises=(0.0, 0.5, 0.5, 0.0, 0.0))
+    for seed in range(20):
+        table.picture(np.random.default_rng(seed))
+    assert set(used) == {"gaussian", "realsense"}
     table.config = CONFIG
-    again = [table.capture(T, FOVY, False, np.random.default_rng(seed))[0].depth for seed in range(6)]
-    assert all(np.array_equal(depth, exact) for depth in again)
+
+
+def test_a_frame_is_sensed_with_noise_and_calibration_errors(table):
+    table.show([0], [PlanarPose(0.0, 0.0, 0.0)])
+    true, _ = table.capture(look_at(np.array([0.3, 0.0, 0.6]), np.zeros(3)), FOVY, False)
+    gaussian = table.sense(true, "gaussian", np.random.default_rng(0))
+    assert np.std(gaussian.depth - true.depth) == pytest.approx(0.002, rel=0.1)
+    assert gaussian.intrinsics == true.intrinsics
+    table.config = replace(CONFIG, misregistered=1.0)
+    assert table.sense(true, "none", np.random.default_rng(0)).intrinsics != true.intrinsics
+    table.config = replace(CONFIG, cut=1.0)
+    assert any((table.sense(true, "none", np.random.default_rng(s)).depth == 0).any() for s in range(4))
+    table.config = CONFIG
+    np.testing.assert_array_equal(table.sense(true, "none", np.random.default_rng(0)).depth, true.depth)
+
+
+def test_labels_agree_with_an_image_in_error(table):
+    """With a wrong depth scale, table and footprints are where the image shows them."""
+    table.config = replace(CONFIG, misregistered=1.0, noises=(1.0, 0, 0, 0, 0))
+    image = table.picture(np.random.default_rng(3))
+    table.config = CONFIG
+    frame = image.frame
+    k, T = frame.intrinsics, frame.T_world_camera
+    v, u = np.nonzero((image.instances < 0) & (frame.depth > 0))
+    z = frame.depth[v, u]
+    points = np.stack([(u - k.cx) / k.fx * z, (v - k.cy) / k.fy * z, z], 1) @ T[:3, :3].T + T[:3, 3]
+    height = points @ image.plane.normal - image.plane.offset
+    assert np.median(np.abs(height)) < 5e-4
+    for label in image.labels:
+        assert abs(label.foot @ image.plane.normal - image.plane.offset) < 0.003
 
 
 def test_number_of_objects_and_distractors_is_in_its_range(table):
@@ -134,12 +162,5 @@ def test_redrawing_changes_textures_of_some_items_and_of_the_ground(table):
         start = table.model.tex_adr[texture]
         return not np.array_equal(before[start : start + 100], table.model.tex_data[start : start + 100])
 
-    assert changed("table") and changed("wall")
+    assert changed("table") and changed("wall") and changed("floor")
     assert sum(changed(f"item{i}") for i in range(3)) == CONFIG.textures_redrawn
-
-
-def test_default_distributions():
-    config = TrainingSceneConfig()
-    assert config.noises == (0.1, 0.1, 0.35, 0.25, 0.2) and len(config.shares) == len(CATEGORIES)
-    assert (config.width, config.height, config.pool, config.distractors) == (320, 240, 40, 14)
-    assert config.fovy == (42.0, 50.0) and config.distance == (0.35, 0.85)

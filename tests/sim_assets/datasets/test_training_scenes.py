@@ -11,7 +11,7 @@ from perception.types import CATEGORIES
 from sim_assets.cell.layout import gap
 from sim_assets.datasets.distractors import random_distractor, random_parts
 from sim_assets.datasets.scatter import make_item, scatter
-from sim_assets.datasets.table_top import TrainingSceneConfig
+from sim_assets.datasets.scene_config import TrainingSceneConfig
 from sim_assets.datasets.training_scenes import TrainingScenes
 from sim_assets.objects.can import FOOT, sample_can
 from sim_assets.objects.families import make_solid, sample_parameters

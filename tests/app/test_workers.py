@@ -9,13 +9,13 @@ from pathlib import Path
 
 import pytest
 
-from app.evaluation.workers import THREAD_POOLS, Lost, end_with_parent, map_in_processes
+from app.workers import THREAD_POOLS, Lost, end_with_parent, map_in_processes
 
 # Workers import their function by name, so it is in a module on the path.
 MODULE = '''
 import os, signal, time
 from pathlib import Path
-from app.evaluation.workers import THREAD_POOLS
+from app.workers import THREAD_POOLS
 
 def square(number):
     return number**2, os.getpid(), [os.environ.get(name) for name in THREAD_POOLS]
@@ -115,7 +115,7 @@ PARENT = """
 import sys
 sys.path.insert(0, sys.argv[1])
 import functions_of_workers as functions
-from app.evaluation.workers import map_in_processes
+from app.workers import map_in_processes
 if __name__ == "__main__":
     results = map_in_processes(functions.square, list(range(3)), 2)
     for count, (_, (_, process, _)) in enumerate(results, start=1):
