@@ -9,6 +9,7 @@ from __future__ import annotations
 import logging
 import time
 from collections.abc import Callable, Iterator
+from concurrent.futures import ThreadPoolExecutor
 from dataclasses import dataclass, fields, replace
 
 import cv2
@@ -136,9 +137,13 @@ def train_scene_network(
     done = resume_checkpoint(checkpoint, state)
     network.train()
     saved, running = time.monotonic(), np.zeros(3)
-    for step, rows in _batches(count, per_epoch, config, done):
+
+    def sample(step: int, rows: np.ndarray) -> list[TrainingPatch]:
         rng = np.random.default_rng((config.seed, step))
-        losses = _step(network, [sample_patch(scenes(int(i)), config, rng) for i in rows], config)
+        return [sample_patch(scenes(int(i)), config, rng) for i in rows]
+
+    for step, patches in _one_ahead(sample, _batches(count, per_epoch, config, done)):
+        losses = _step(network, patches, config)
         state.optimizer.zero_grad(set_to_none=True)
         losses.sum().backward()
         torch.nn.utils.clip_grad_norm_(network.parameters(), 5.0)
@@ -182,6 +187,21 @@ def _batches(
         order = np.random.default_rng((config.seed, 1, epoch)).permutation(count)
         for k in range(done % per_epoch if epoch == done // per_epoch else 0, per_epoch):
             yield epoch * per_epoch + k, order[k * config.batch : (k + 1) * config.batch]
+
+
+def _one_ahead(
+    sample: Callable[[int, np.ndarray], list[TrainingPatch]], batches: Iterator[tuple[int, np.ndarray]]
+) -> Iterator[tuple[int, list[TrainingPatch]]]:
+    """Yield (step, patches) of every batch; a thread samples the next batch meanwhile."""
+    with ThreadPoolExecutor(1) as pool:
+        waiting = None
+        for step, rows in batches:
+            following = (step, pool.submit(sample, step, rows))
+            if waiting is not None:
+                yield waiting[0], waiting[1].result()
+            waiting = following
+        if waiting is not None:
+            yield waiting[0], waiting[1].result()
 
 
 def sample_patch(
