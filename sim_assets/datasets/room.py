@@ -14,7 +14,13 @@ import trimesh
 from sim_assets.cell.layout import quat_from_yaw
 from sim_assets.datasets.scene_config import GRIPPABLE_TABLE, RoomConfig
 from sim_assets.rendering.headless import MjModel, MjSpec, mujoco
-from sim_assets.rendering.materials import Finish, add_material, add_mesh, random_finish
+from sim_assets.rendering.materials import (
+    Finish,
+    add_material,
+    add_mesh,
+    distractor_finish,
+    random_finish,
+)
 
 GROUND_SIZE = (256, 256)
 GROUNDS = ("table", "floor", "wall")  # materials and textures
@@ -50,12 +56,18 @@ def add_room(spec: MjSpec, surroundings: Sequence[trimesh.Trimesh], rng: np.rand
     for index, mesh in enumerate(surroundings):
         name = f"around{index}"
         add_mesh(spec, name, mesh)
-        add_material(spec, name, random_finish(rng, wild=0.6))
+        add_material(spec, name, thing_finish(mesh, rng))
         body = world.add_body(name=name, pos=(0, 0, BELOW))
         body.add_geom(
             name=name, type=types.mjGEOM_MESH, meshname=name, material=name, group=HIDDEN, contype=0,
             conaffinity=0,
         )  # fmt: skip
+
+
+def thing_finish(mesh: trimesh.Trimesh, rng: np.random.Generator) -> Finish:
+    """Return a random finish for a thing of no class: that of its surfaces, if the mesh names them."""
+    surfaces = mesh.metadata.get("surfaces", ())
+    return distractor_finish(rng, surfaces, wild=0.15) if surfaces else random_finish(rng, wild=0.5)
 
 
 class Room:

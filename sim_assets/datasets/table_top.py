@@ -20,25 +20,33 @@ from sim_assets.datasets.perceived import (
     perceived_points,
     table_pixels,
 )
-from sim_assets.datasets.room import BELOW, GROUND_SIZE, GROUNDS, HIDDEN, SHOWN, Room, add_room
+from sim_assets.datasets.room import (
+    BELOW,
+    GROUND_SIZE,
+    GROUNDS,
+    HIDDEN,
+    SHOWN,
+    Room,
+    add_room,
+    thing_finish,
+)
 from sim_assets.datasets.scatter import TableItem, scatter
 from sim_assets.datasets.scene_config import TrainingSceneConfig
 from sim_assets.rendering.camera import OPENCV_FROM_MUJOCO, OffscreenRenderer, intrinsics_of, look_at
-from sim_assets.rendering.depth_noise import DEPTH_NOISES, DepthNoise, add_depth_noise, misregister
+from sim_assets.rendering.depth_noise import DEPTH_NOISES, DepthNoise, add_depth_noise
+from sim_assets.rendering.depth_sensors.registration import misregister
 from sim_assets.rendering.filament import FilamentRenderer
 from sim_assets.rendering.headless import MjsBody, MjSpec, mujoco
 from sim_assets.rendering.materials import (
     Finish,
     add_material,
     add_mesh,
-    packaging_finish,
     random_finish,
     random_ground,
 )
 
 CAMERA = "eye"
 _ITEM = "item"  # prefix of the bodies, geoms and materials of items
-_PACKAGED = 0.5  # share of the distractors with the prints of packages
 
 
 @dataclass(frozen=True)
@@ -272,9 +280,8 @@ class TableTop:
 
 def item_finish(item: TableItem, rng: np.random.Generator) -> Finish:
     """Return a random finish for an object or a distractor."""
-    if item.category is None and not item.ignored and rng.random() < _PACKAGED:
-        return packaging_finish(rng)
-    return random_finish(rng, item.category or "", wild=0.5)
+    known = item.category is not None or item.ignored
+    return random_finish(rng, item.category or "", wild=0.5) if known else thing_finish(item.mesh, rng)
 
 
 def _build(
@@ -301,16 +308,14 @@ def _build(
     for index, item in enumerate(items):
         name = f"{_ITEM}{index}"
         body = world.add_body(name=name)
-        _add_part(spec, body, name, item.mesh, item_finish(item, rng), item.category is None)
+        _add_part(spec, body, name, item.mesh, item_finish(item, rng))
         if item.content is not None:
-            _add_part(spec, body, f"content{index}", item.content, random_finish(rng, wild=0.8), False)
+            _add_part(spec, body, f"content{index}", item.content, thing_finish(item.content, rng))
     return spec
 
 
-def _add_part(
-    spec: MjSpec, body: MjsBody, name: str, mesh: trimesh.Trimesh, finish: Finish, boxy: bool
-) -> None:
-    add_mesh(spec, name, mesh, faces=boxy)
+def _add_part(spec: MjSpec, body: MjsBody, name: str, mesh: trimesh.Trimesh, finish: Finish) -> None:
+    add_mesh(spec, name, mesh)
     add_material(spec, name, finish)
     body.add_geom(
         name=name, type=mujoco.mjtGeom.mjGEOM_MESH, meshname=name, material=name, contype=0, conaffinity=0
