@@ -11,7 +11,7 @@ import logging
 import math
 import os
 from collections.abc import Sequence
-from dataclasses import dataclass, replace
+from dataclasses import dataclass
 from pathlib import Path
 from typing import TYPE_CHECKING
 
@@ -28,7 +28,6 @@ from app.training.crop_dataset import (
 )
 from app.training.files import load_arrays, save_arrays
 from app.workers import Lost, map_in_processes
-from perception.depth_cleaning import clean_frame
 from perception.detection.scene_training import LabelledScene
 from perception.detection.working_view import downscale
 from perception.errors import PerceptionError
@@ -44,7 +43,6 @@ SHARD = 100  # images per file
 MAX_THINGS = 24  # objects and distractors per image
 IGNORED = 255  # label of objects whose class is not to be learned
 ASTRAY = 0.3  # share of the masks with a part of a neighbour, and of those with a missing part
-CLEANED = 0.85  # share of the images whose depth is cleaned, as that of frames to be detected in
 _DEPTH_STEP = 1e-4  # [m]
 _SIZE = (640, 480)
 
@@ -173,8 +171,6 @@ def render_shard(shard: Shard) -> None:
     scenes, crops = [], []
     with TrainingScenes(shard.split, int(seed.generate_state(1)[0]), training_scene_config()) as source:
         for image in source.render(shard.count):
-            if rng.random() < CLEANED:
-                image = replace(image, frame=clean_frame(image.frame))
             scenes.append(downscale_image(image))
             masks = perturb_masks(image, rng, astray=ASTRAY)
             crops.append(label_crops(image, perturb_plane(image.plane, rng), masks))
