@@ -28,7 +28,7 @@ def cloth(rng: np.random.Generator) -> Mesh:
     u, v = np.meshgrid(*[np.linspace(-1, 1, count)] * 2, indexing="ij")
     field = cv2.GaussianBlur(rng.standard_normal((count, count)), (0, 0), rng.uniform(1.2, 3.5))
     height = rng.uniform(0.008, 0.05) * np.clip(1 + 0.6 * field / field.std(), 0.1, 2.5)
-    height *= np.clip(1.2 - (u**2 + v**2) / 2, 0.15, 1)
+    height *= np.clip(2.5 * (1.1 - np.maximum(np.abs(u), np.abs(v))), 0, 1)  # its edges lie on the table
     shift = cv2.GaussianBlur(rng.standard_normal((count, count, 2)), (0, 0), 3)
     top = np.stack([x / 2 * u, y / 2 * v, height + 0.006], axis=-1)
     top[..., :2] += 0.15 * min(x, y) * shift
