@@ -18,6 +18,7 @@ DepthNoise = Literal["none", "gaussian", "realsense", "kinect", "tof"]
 Renderer = Literal["classic", "filament"]
 Method = Literal["full", "no_refinement", "no_uncertainty", "no_pyramid", "dvr", "mask_only", "tsdf"]
 METHODS: tuple[Method, ...] = get_args(Method)
+Masks = Literal["detected", "given"]
 Variant = Literal["with_plane", "full", "no_joint", "no_uncertainty"]
 VARIANTS: tuple[Variant, ...] = get_args(Variant)
 SlamFault = Literal["none", "dropped", "dark", "flicker", "moved"]
@@ -197,6 +198,9 @@ class EvaluateOptions(TaskOptions):
     """Reconstruction: numbers of random views to compare."""
     methods: tuple[Method, ...] = METHODS
     """Reconstruction: methods to compare."""
+    masks: Masks = "detected"
+    """Reconstruction: masks of the shipped detector, or the true ones with their class and nothing else, as
+    another detector provides them."""
     scenes: int = 5
     """SLAM: number of scenes with ten objects each."""
     variants: tuple[Variant, ...] = VARIANTS

@@ -29,7 +29,7 @@ from perception.pipeline import (
     reconstruct_objects,
 )
 from perception.pipeline import detect as detect_objects
-from perception.scans import scan_detections, scan_plane, usable_part
+from perception.scans import completed, scan_detections, scan_plane, usable_part
 from perception.types import ObjectEstimate, RejectedObject, RgbdFrame, SupportPlane
 
 
@@ -94,6 +94,7 @@ def _detections(scan: Scan, plane: SupportPlane, options: ReconstructOptions) ->
         return detect_objects(scan.frames, load_detector(options.device), plane=plane)
     model = load_huggingface(options.detector, options.device)
     found = [model(frame) for frame in scan.frames]
+    found = completed(scan.frames, found, (plane,), lambda: load_detector(options.device))
     return Detections(plane, tuple(map(tuple, associate(scan.frames, found, plane))))
 
 

@@ -15,13 +15,14 @@ from pathlib import Path
 import numpy as np
 
 from perception.detection.association import associate
+from perception.detection.completion import Completer, complete_detections, is_complete
 from perception.detection.detector import Detector
 from perception.errors import InvalidInputError
 from perception.io.scan_folder import Scan, read_scan
 from perception.pipeline import Detections, Perception, detect, load_perception, reconstruct_objects
 from perception.reconstruction import Reconstruction
 from perception.support_plane import fit_support_plane
-from perception.types import RejectedObject, RgbdFrame, SupportPlane
+from perception.types import ObjectDetection, RejectedObject, RgbdFrame, SupportPlane
 
 logger = logging.getLogger(__name__)
 
@@ -45,6 +46,8 @@ def reconstruct(
     posed = frames[0].T_world_camera is not None
     frames = [_in_own_frame(frame) for frame in frames]
     detections = detections or detect(frames, perception.detector, plane=plane)
+    per_frame = completed(frames, detections.per_frame, (plane,), lambda: perception.detector)
+    detections = replace(detections, per_frame=per_frame)
     rejected: list[RejectedObject] = []
     objects = reconstruct_objects(frames, detections, perception.decoder, on_rejected=rejected.append)
     return Reconstruction(
@@ -109,12 +112,12 @@ def usable_part(scan: Scan) -> Scan:
 def scan_detections(
     scan: Scan, plane: SupportPlane, load_detector: Callable[[], Detector], folder: Path = Path()
 ) -> Detections | None:
-    """Return the scan's own detections, or its masks classified; None where it has neither.
+    """Return the scan's own detections, completed, or its masks classified; None where it has neither.
 
     Args:
         scan: Scan with the camera poses of all frames.
         plane: Support plane.
-        load_detector: Returns the detector; called only to classify masks.
+        load_detector: Returns the detector; called only to classify masks or to find the yaw of mugs.
         folder: Folder named in the error message.
 
     Raises:
@@ -125,15 +128,27 @@ def scan_detections(
             raise InvalidInputError(
                 f"{folder / 'detections.json'} is empty: delete it to use the shipped detector"
             )
-        if all(found.instance_id is not None for frame in scan.detections for found in frame):
-            return Detections(plane, scan.detections)
-        found = scan.detections
+        found = completed(scan.frames, scan.detections, (plane,), load_detector)
+        if all(detection.instance_id is not None for row in found for detection in row):
+            return Detections(plane, found)
     elif scan.masks is not None:
         detector = load_detector()
         found = [detector.classify(frame, plane, masks) for frame, masks in zip(scan.frames, scan.masks)]
     else:
         return None
     return Detections(plane, tuple(map(tuple, associate(scan.frames, found, plane))))
+
+
+def completed(
+    frames: Sequence[RgbdFrame],
+    detections: Sequence[Sequence[ObjectDetection]],
+    planes: Sequence[SupportPlane],
+    load_detector: Callable[[], Completer],
+) -> tuple[tuple[ObjectDetection, ...], ...]:
+    """Return the detections completed; the networks are loaded only if something is missing."""
+    if all(is_complete(detection) for row in detections for detection in row):
+        return tuple(map(tuple, detections))
+    return complete_detections(frames, detections, planes, load_detector())
 
 
 @functools.cache

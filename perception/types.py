@@ -160,6 +160,17 @@ class ObjectDetection:
         object.__setattr__(self, "mask", _frozen(self.mask))
 
 
+def unclassified(mask: Bool[np.ndarray, "h w"], instance_id: int | None = None) -> ObjectDetection:
+    """Return the detection of a mask without a class: all class probabilities are equal."""
+    equal = np.full(OTHER + 1, 1 / (OTHER + 1))
+    return ObjectDetection(CATEGORIES[0], float(equal[0]), mask, equal, instance_id=instance_id)
+
+
+def is_unclassified(detection: ObjectDetection) -> bool:
+    """Return whether a detection was made by ``unclassified``: its category has no meaning."""
+    return bool(detection.class_probabilities.size) and float(np.ptp(detection.class_probabilities)) == 0.0
+
+
 @dataclass(frozen=True)
 class TriangleMesh:
     """Vertices in [m] and triangles wound outwards."""

@@ -134,7 +134,7 @@ def _format(options: EvaluateOptions) -> LedgerFormat:
 
 def _settings(options: EvaluateOptions) -> dict[str, Any]:
     """Return the settings that must agree in a resumed evaluation."""
-    names = ("seed", "objects", "object_meshes", "depth_noise", "views", "methods", "device")
+    names = ("seed", "objects", "object_meshes", "depth_noise", "views", "methods", "masks", "device")
     return {name: str(getattr(options, name)) for name in names}
 
 

@@ -16,6 +16,7 @@ from app.options import Device, EvaluateOptions, Method
 from app.task.scoring import TrueSurface
 from app.training.crop_dataset import handle_share
 from app.training.yaw import HANDLE_VISIBLE
+from perception.detection.completion import complete_detections
 from perception.detection.detector import Detector, DetectorConfig
 from perception.errors import PerceptionError
 from perception.inference.ablations import method_config, reconstruct_by
@@ -110,10 +111,20 @@ def load_sight(options: EvaluateOptions, subject: Subject) -> Sight:
     model = _model(options, subject)
     config = SingleObjectConfig(depth_noise=options.depth_noise)
     portrait = render_single_object(model, max(options.views), _rng(options, subject, 1), config)
-    detections = tuple(
-        _merged(_detector(options.device)(frame, fit_support_plane([frame])), subject.category)
-        for frame in portrait.frames
-    )
+    detector = _detector(options.device)
+    if options.masks == "given":
+        given = [
+            [ObjectDetection(subject.category, 1.0, mask, instance_id=0)] if mask.any() else []
+            for mask in portrait.masks
+        ]
+        detections = complete_detections(
+            portrait.frames, given, [fit_support_plane(portrait.frames)], detector
+        )
+    else:
+        detections = tuple(
+            _merged(detector(frame, fit_support_plane([frame])), subject.category)
+            for frame in portrait.frames
+        )
     truth = TrueSurface.of(model, portrait.T_world_object, _rng(options, subject, 3))
     return Sight(portrait.frames, detections, truth)
 

@@ -8,7 +8,7 @@ mugs point.
 from __future__ import annotations
 
 from collections.abc import Sequence
-from dataclasses import dataclass, field
+from dataclasses import dataclass, field, replace
 from pathlib import Path
 
 import numpy as np
@@ -17,12 +17,12 @@ from jaxtyping import Bool, Float
 from scipy.special import log_softmax, softmax
 
 from perception.detection.crop_network import WEIGHTS_FILES, CropNetwork, load_crop_network, predict
-from perception.detection.crops import crop, frame_geometry, mask_core, stack_crops
+from perception.detection.crops import Crop, FrameGeometry, crop, frame_geometry, mask_core, stack_crops
 from perception.detection.geometry import heading_angle
 from perception.detection.instances import InstanceConfig, find_instances
 from perception.detection.scene_network import WEIGHTS_FILE, SceneNet, load_scene_network
 from perception.detection.yaw import rotate_yaw
-from perception.types import CATEGORIES, OTHER, ObjectDetection, RgbdFrame, SupportPlane
+from perception.types import CATEGORIES, OTHER, ObjectDetection, RgbdFrame, SupportPlane, is_unclassified
 
 _MUG = CATEGORIES.index("mug")
 
@@ -117,35 +117,86 @@ class Detector:
         if not kept:
             return []
         masks = [masks[i] for i in kept]
-        cores = [inner if geometry.has_depth(inner := mask_core(mask)) else mask for mask in masks]
-        crops = [crop(frame, inner, plane, geometry) for inner in cores]
-        classes = predict(self.class_network, self.class_temperature, *stack_crops(crops))
+        classes, crops = self._classes(frame, plane, masks, geometry)
         if scene_log_classes is not None:
             scene = np.stack([scene_log_classes[i] for i in kept]).astype(np.float64)
             classes = combine_probabilities(classes, scene)
-        # Yaw needs the whole mask: the core has no handle.
         mugs = np.flatnonzero(classes[:, _MUG] >= self.config.min_mug).tolist()
-        whole = [crops[i] if cores[i] is masks[i] else crop(frame, masks[i], plane, geometry) for i in mugs]
-        yaws = predict(self.yaw_network, self.yaw_temperature, *stack_crops(whole))
-        yaw_of = {
-            i: rotate_yaw(yaw, heading_angle(piece.heading, plane))
-            for i, yaw, piece in zip(mugs, yaws, whole)
-        }
-        detections = []
-        for i, (mask, probabilities) in enumerate(zip(masks, classes)):
-            if probabilities[OTHER] > self.config.max_other:
-                continue
-            best = int(probabilities[:OTHER].argmax())
-            detections.append(
-                ObjectDetection(
-                    category=CATEGORIES[best],
-                    score=float(probabilities[best]),
-                    mask=mask,
-                    class_probabilities=probabilities,
-                    yaw_probabilities=yaw_of.get(i, np.zeros(0)),
-                )
-            )
+        whole = [crops[i] or crop(frame, masks[i], plane, geometry) for i in mugs]
+        yaw_of = dict(zip(mugs, self._yaws(whole, plane)))
+        detections = [
+            _classified(mask, probabilities, yaw_of.get(i, np.zeros(0)))
+            for i, (mask, probabilities) in enumerate(zip(masks, classes))
+            if probabilities[OTHER] <= self.config.max_other
+        ]
         return sorted(detections, key=lambda detection: -detection.score)
+
+    def complete(
+        self, frame: RgbdFrame, plane: SupportPlane, detections: Sequence[ObjectDetection]
+    ) -> list[ObjectDetection]:
+        """Return the detections, in their order, with the missing classes and the missing yaws of mugs.
+
+        Detections whose mask contains no depth stay as they are.
+
+        Args:
+            frame: RGB-D image.
+            plane: Support plane in the world frame.
+            detections: Detections of any source.
+        """
+        geometry = frame_geometry(frame, plane)
+        result = list(detections)
+        usable = [i for i, d in enumerate(detections) if geometry.has_depth(d.mask)]
+        unnamed = [i for i in usable if is_unclassified(detections[i])]
+        if unnamed:
+            masks = [detections[i].mask for i in unnamed]
+            for i, probabilities in zip(unnamed, self._classes(frame, plane, masks, geometry)[0]):
+                named = _classified(detections[i].mask, probabilities)
+                result[i] = replace(
+                    named, instance_id=detections[i].instance_id, support=detections[i].support
+                )
+        blind = [i for i in usable if not result[i].yaw_probabilities.size and self._may_be_mug(result[i])]
+        crops = [crop(frame, result[i].mask, plane, geometry) for i in blind]
+        for i, yaw in zip(blind, self._yaws(crops, plane)):
+            result[i] = replace(result[i], yaw_probabilities=yaw)
+        return result
+
+    def _may_be_mug(self, detection: ObjectDetection) -> bool:
+        p = detection.class_probabilities
+        return detection.category == "mug" or (p.size > 0 and p[_MUG] >= self.config.min_mug)
+
+    def _classes(
+        self,
+        frame: RgbdFrame,
+        plane: SupportPlane,
+        masks: Sequence[Bool[np.ndarray, "h w"]],
+        geometry: FrameGeometry,
+    ) -> tuple[Float[np.ndarray, "n 5"], list[Crop | None]]:
+        """Return class probabilities, and the crop of each mask that is its own core, None for the others."""
+        cores = [inner if geometry.has_depth(inner := mask_core(mask)) else mask for mask in masks]
+        crops = [crop(frame, inner, plane, geometry) for inner in cores]
+        classes = predict(self.class_network, self.class_temperature, *stack_crops(crops))
+        return classes, [c if core is mask else None for c, core, mask in zip(crops, cores, masks)]
+
+    def _yaws(self, crops: Sequence[Crop], plane: SupportPlane) -> list[Float[np.ndarray, "b"]]:
+        """Return world yaw distributions; the crops are of whole masks, because a core has no handle."""
+        yaws = predict(self.yaw_network, self.yaw_temperature, *stack_crops(crops))
+        return [rotate_yaw(yaw, heading_angle(c.heading, plane)) for yaw, c in zip(yaws, crops)]
+
+
+def _classified(
+    mask: Bool[np.ndarray, "h w"],
+    probabilities: Float[np.ndarray, "5"],
+    yaw: Float[np.ndarray, "b"] | None = None,
+) -> ObjectDetection:
+    """Return the detection of the most probable class, which is not 'other'."""
+    best = int(probabilities[:OTHER].argmax())
+    return ObjectDetection(
+        category=CATEGORIES[best],
+        score=float(probabilities[best]),
+        mask=mask,
+        class_probabilities=probabilities,
+        yaw_probabilities=np.zeros(0) if yaw is None else yaw,
+    )
 
 
 def combine_probabilities(

@@ -1,7 +1,8 @@
 """A Hugging Face instance-segmentation model as the detector (extra ``hf``).
 
 The model receives the colour image only. Its labels are mapped to the classes by name, other labels are
-ignored. It provides neither class probabilities nor yaw; association and fit do without.
+ignored. It provides neither class probabilities nor yaw: association does without the former, ``completion``
+adds the latter.
 """
 
 from __future__ import annotations

@@ -33,15 +33,15 @@ class FitStage:
 class FitConfig:
     """Settings of a fit.
 
-    The first stage is run for every yaw hypothesis, the second for the best ones, the others for the best one.
+    The first stage is run for every yaw hypothesis, the second for the best few, the others for the best.
 
     Attributes:
         step: Length of a render step along a ray, in voxels, by class. The rendered surface of a grid lies
             behind the true one for long steps and in front of it for short ones; the unbiased length depends
             on wall thickness and blur.
         stages: Iterations from coarse to fine.
-        beam: Largest number of yaw hypotheses that reach the second stage, by class. Only handles make more than
-            one worth the time.
+        beam: Largest number of yaw hypotheses that reach the second stage, by class. Only handles make more
+            than one worth the time.
         beam_ratio: Largest cost of such a hypothesis relative to the best one.
         renderer: Renderer that predicts the depth.
         start_views: Number of leading views that give the initial pose; None for all.
@@ -62,9 +62,7 @@ class FitConfig:
         default_factory=lambda: {"mug": 0.55, "bowl": 0.4, "bottle": 0.65, "can": 0.65}
     )
     stages: tuple[FitStage, ...] = (FitStage(32, 1, 8), FitStage(36, 0, 12), FitStage(64, 0, 10))
-    beam: Mapping[Category, int] = field(
-        default_factory=lambda: {"mug": 4, "bowl": 1, "bottle": 1, "can": 1}
-    )
+    beam: Mapping[Category, int] = field(default_factory=lambda: {"mug": 4, "bowl": 1, "bottle": 1, "can": 1})
     beam_ratio: float = 3.0
     renderer: RendererName = "probabilistic"
     start_views: int | None = None

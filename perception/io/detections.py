@@ -16,7 +16,7 @@ from pycocotools import mask as coco
 
 from perception.errors import InvalidInputError
 from perception.io.files import read_json, write_json
-from perception.types import CATEGORIES, ObjectDetection, RgbdFrame
+from perception.types import CATEGORIES, ObjectDetection, RgbdFrame, unclassified
 
 FILE_NAME = "detections.json"
 Entry = tuple[int, Any]  # index of an entry in the file or among those of its image, and its JSON value
@@ -63,7 +63,8 @@ def read_detections(
             f"{MAX_MASK_BYTES / 2**30:.0f} GiB are decoded: split the scan, or keep the best detections"
         )
     return tuple(
-        tuple(decode_detections(folder, grouped.get(i, []), i, frame)) for i, frame in frames.items()
+        tuple(decode_detections(folder, grouped.get(i, []), i, frame, class_required=False))
+        for i, frame in frames.items()
     )
 
 
@@ -96,9 +97,16 @@ def read_detection_entries(folder: Path, known_ids: set[int]) -> dict[int, list[
 
 
 def decode_detections(
-    folder: Path, entries: Sequence[Entry], image_id: int, frame: RgbdFrame
+    folder: Path, entries: Sequence[Entry], image_id: int, frame: RgbdFrame, class_required: bool = True
 ) -> list[ObjectDetection]:
     """Decode the entries of one image.
+
+    Args:
+        folder: Scan folder.
+        entries: Entries of the image.
+        image_id: Number of the image.
+        frame: The image.
+        class_required: Whether an entry without ``category_name`` is an error; it is ``unclassified`` if not.
 
     Raises:
         InvalidInputError: The message names the entry and the problem.
@@ -106,7 +114,7 @@ def decode_detections(
     found = []
     for index, entry in entries:
         try:
-            found.append(_detection(entry, frame))
+            found.append(_detection(entry, frame, class_required))
         except InvalidInputError as error:
             message = f"{folder / FILE_NAME}, entry {index} (image {image_id}): {error}: {_REMEDY}"
             raise InvalidInputError(message) from None
@@ -128,15 +136,18 @@ def _detection_entry(image_id: int, found: ObjectDetection) -> dict[str, Any]:
     return entry
 
 
-def _detection(entry: dict[str, Any], frame: RgbdFrame) -> ObjectDetection:
+def _detection(entry: dict[str, Any], frame: RgbdFrame, class_required: bool) -> ObjectDetection:
     category, score, instance = entry.get("category_name"), entry.get("score", 1.0), entry.get("instance_id")
-    if category not in CATEGORIES:
+    bare = category is None and not class_required
+    if category not in CATEGORIES and not bare:
         raise InvalidInputError(f"category_name {repr(category)[:80]} is none of {', '.join(CATEGORIES)}")
     if isinstance(score, bool) or not isinstance(score, int | float) or not 0 <= score <= 1:
         raise InvalidInputError(f"score {repr(score)[:80]} must be a number in 0..1")
     if instance is not None and (isinstance(instance, bool) or not isinstance(instance, int) or instance < 0):
         raise InvalidInputError(f"instance_id {repr(instance)[:80]} must be a whole number from 0")
     mask = decode_mask(entry.get("segmentation"), (frame.intrinsics.height, frame.intrinsics.width))
+    if category is None:
+        return unclassified(mask, instance)
     return ObjectDetection(
         category=category,
         score=float(score),

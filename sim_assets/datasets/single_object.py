@@ -5,7 +5,7 @@ from __future__ import annotations
 from dataclasses import dataclass, replace
 
 import numpy as np
-from jaxtyping import Float
+from jaxtyping import Bool, Float
 
 from perception.types import RgbdFrame
 from sim_assets.cell.layout import PlanarPose
@@ -46,10 +46,12 @@ class SingleObjectViews:
 
     Attributes:
         frames: RGB-D frames with camera poses; the table is the plane z = 0.
+        masks: true mask of the object in each frame.
         T_world_object: (4, 4) pose, origin at the centre of its base, mug handle along +x.
     """
 
     frames: tuple[RgbdFrame, ...]
+    masks: tuple[Bool[np.ndarray, "h w"], ...]
     T_world_object: Float[np.ndarray, "4 4"]
 
 
@@ -68,14 +70,15 @@ def render_single_object(
         table.show([0], [pose])
         table.light(rng)
         longest = float(model.mesh.extents.max())
-        frames = []
+        frames, masks = [], []
         for _ in range(views):
             T_world_camera = _random_camera(pose, model.height, longest, config, rng)
-            true, _ = table.capture(T_world_camera, config.fovy, False)
+            true, items = table.capture(T_world_camera, config.fovy, False)
             frames.append(table.sense(true, config.depth_noise, rng))
+            masks.append(items == 0)
     finally:
         table.close()
-    return SingleObjectViews(tuple(frames), pose.matrix)
+    return SingleObjectViews(tuple(frames), tuple(masks), pose.matrix)
 
 
 def _random_camera(

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from dataclasses import replace
 from pathlib import Path
 from typing import Any
 
@@ -17,7 +18,7 @@ from perception.types import CameraIntrinsics, ObjectDetection, RejectedObject, 
 
 LENS = CameraIntrinsics(8, 6, 9.0, 9.0, 3.5, 2.5)
 FRAME = RgbdFrame(0.0, np.zeros((6, 8, 3), np.uint8), np.ones((6, 8), np.float32), LENS, np.eye(4))
-GIVEN = ObjectDetection("mug", 1.0, np.ones((6, 8), bool), instance_id=4)
+GIVEN = ObjectDetection("bowl", 1.0, np.ones((6, 8), bool), instance_id=4)
 
 
 def test_detections_of_the_folder_take_precedence(monkeypatch: pytest.MonkeyPatch) -> None:
@@ -44,6 +45,20 @@ def test_the_shipped_detector_is_the_default(monkeypatch: pytest.MonkeyPatch) ->
         Scan((FRAME,), None, (0,)), plane, ReconstructOptions(scan=Path("mine"), device="cpu")
     )
     assert result == (made, (FRAME,), "detector on cpu", plane)
+
+
+def test_mugs_of_another_detector_get_a_yaw_distribution(monkeypatch: pytest.MonkeyPatch) -> None:
+    class Yaws:
+        def complete(self, frame: Any, plane: Any, detections: Any) -> list[ObjectDetection]:
+            return [replace(d, yaw_probabilities=np.full(36, 1 / 36)) for d in detections]
+
+    bare = ObjectDetection("mug", 1.0, np.ones((6, 8), bool))
+    monkeypatch.setattr(reconstruct, "load_huggingface", lambda name, device: lambda frame: [bare])
+    monkeypatch.setattr(reconstruct, "load_detector", lambda device: Yaws())
+    monkeypatch.setattr(reconstruct, "associate", lambda frames, found, plane: found)
+    options = ReconstructOptions(scan=Path("mine"), detector="hf:model", device="cpu")
+    ((found,),) = reconstruct._detections(Scan((FRAME,), None, (0,)), SupportPlane(), options).per_frame
+    assert found.category == "mug" and len(found.yaw_probabilities) == 36
 
 
 def test_the_summary_names_what_is_left_out() -> None:

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from collections.abc import Sequence
 from dataclasses import replace
 from pathlib import Path
 from typing import Any
@@ -40,6 +41,11 @@ def mask() -> np.ndarray:
 
 class Classifier:
     """A detector that classifies every mask as a bowl."""
+
+    def complete(
+        self, frame: RgbdFrame, plane: SupportPlane, detections: Sequence[ObjectDetection]
+    ) -> list[ObjectDetection]:
+        return [replace(d, yaw_probabilities=np.full(36, 1 / 36)) for d in detections]
 
     def classify(self, frame: RgbdFrame, plane: SupportPlane, masks: Any) -> list[ObjectDetection]:
         self.plane = plane
@@ -91,7 +97,7 @@ def test_masks_of_a_folder_are_classified_and_associated() -> None:
 
 
 def test_given_detections_take_precedence_over_masks_and_networks() -> None:
-    given = ObjectDetection("mug", 1.0, mask(), instance_id=4)
+    given = ObjectDetection("mug", 1.0, mask(), instance_id=4, yaw_probabilities=np.full(36, 1 / 36))
     frame = replace(tilted_table(), T_world_camera=np.eye(4))
     scan = Scan((frame,), ((given,),), (0,), masks=((mask(),),))
     detections = scan_detections(scan, SupportPlane(), refuse)
@@ -103,11 +109,21 @@ def test_given_detections_take_precedence_over_masks_and_networks() -> None:
 
 
 def test_detections_without_instances_are_associated() -> None:
-    given = ObjectDetection("mug", 1.0, mask())
+    given = ObjectDetection("bowl", 1.0, mask())
     frame = replace(tilted_table(), T_world_camera=np.eye(4))
     plane = SupportPlane(UP, -DISTANCE * np.sin(DOWN))
     detections = scan_detections(Scan((frame,), ((given,),), (0,)), plane, refuse)
     assert detections is not None and detections.per_frame[0][0].instance_id is not None
+
+
+def test_mugs_among_given_detections_get_a_yaw_distribution() -> None:
+    classifier: Any = Classifier()
+    mug, bowl = (ObjectDetection(c, 1.0, mask(), instance_id=k) for k, c in enumerate(("mug", "bowl")))
+    frame = replace(tilted_table(), T_world_camera=np.eye(4))
+    detections = scan_detections(Scan((frame,), ((mug, bowl),), (0,)), SupportPlane(), lambda: classifier)
+    assert detections is not None
+    ((first, second),) = detections.per_frame
+    assert (first.instance_id, len(first.yaw_probabilities)) == (0, 36) and second is bowl
 
 
 @pytest.fixture

@@ -12,6 +12,8 @@ from perception.types import (
     SupportPlane,
     TriangleMesh,
     check_rigid,
+    is_unclassified,
+    unclassified,
 )
 
 CAMERA = CameraIntrinsics(width=8, height=6, fx=10.0, fy=10.0, cx=3.5, cy=2.5)
@@ -91,3 +93,10 @@ def test_measures_of_an_estimate_exclude_the_handle():
     assert mug.radius == pytest.approx(0.02)
     assert mug.size == pytest.approx(np.hypot(0.06, 0.04))
     np.testing.assert_allclose(mug.mesh_world.vertices[-1], (1.08, 0.0, 0.0))
+
+
+def test_an_unclassified_mask_is_told_from_a_classified_one() -> None:
+    mask = np.ones((2, 3), bool)
+    assert is_unclassified(unclassified(mask, 7)) and unclassified(mask, 7).instance_id == 7
+    assert not is_unclassified(ObjectDetection("mug", 0.2, mask))
+    assert not is_unclassified(ObjectDetection("mug", 0.2, mask, np.array([0.2, 0.2, 0.2, 0.1, 0.3])))

@@ -8,7 +8,15 @@ import pytest
 
 import sim_assets.objects
 from app.evaluation import reconstruction_object
-from app.evaluation.reconstruction_object import PROTOCOL, Subject, _merged, _model, _rng, evaluate_subject
+from app.evaluation.reconstruction_object import (
+    PROTOCOL,
+    Subject,
+    _merged,
+    _model,
+    _rng,
+    evaluate_subject,
+    load_sight,
+)
 from app.options import METHODS, EvaluateOptions
 from perception.inference import ablations
 from perception.types import CATEGORIES, ObjectDetection
@@ -75,6 +83,17 @@ def test_parts_of_the_one_object_are_joined() -> None:
     (doubtful,) = _merged([part(1, 0.1), part(2, 0.3)], "bowl")
     assert doubtful.mask[0].tolist() == [False, False, True, False, False, False]
     assert _merged([], "bowl") == ()
+
+
+def test_given_masks_are_the_true_ones_with_a_yaw_for_mugs_alone() -> None:
+    for category in ("mug", "can"):
+        sight = load_sight(options(masks="given"), Subject(category, 0))
+        ((found,),) = sight.detections
+        assert (found.category, found.score, found.instance_id) == (category, 1.0, 0)
+        assert found.class_probabilities.size == 0
+        assert found.yaw_probabilities.size == (36 if category == "mug" else 0)
+        inside = sight.frames[0].depth[found.mask]
+        assert found.mask.sum() > 500 and np.ptp(inside[inside > 0]) < 0.3
 
 
 def test_one_object_for_real() -> None:

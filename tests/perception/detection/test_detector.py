@@ -8,7 +8,7 @@ from perception.detection.crop_network import OUTPUTS, CropNet, create_network, 
 from perception.detection.detector import Detector
 from perception.detection.scene_network import SceneNet, load_scene_network, save_scene_network
 from perception.errors import PerceptionError
-from perception.types import CATEGORIES, RgbdFrame, SupportPlane
+from perception.types import CATEGORIES, ObjectDetection, RgbdFrame, SupportPlane, unclassified
 
 PLANE = SupportPlane()
 
@@ -103,3 +103,29 @@ def test_weights_from_a_folder(tmp_path):
     assert Detector.load(directory=tmp_path).class_temperature == 1.5
     with pytest.raises(PerceptionError, match="are missing"):
         Detector.load(directory=tmp_path / "elsewhere")
+
+
+def test_given_classes_stay_and_missing_ones_and_yaws_are_added(two):
+    """The networks say mug and yaw bin 9 of every crop."""
+    detector = fixed_detector([3.0, 0.0, 0.0, 0.0, 0.0], yaw_bin=9)
+    first, second = (two.instances == k for k in (0, 1))
+    detections = [
+        ObjectDetection("bowl", 0.6, first, instance_id=8),
+        ObjectDetection("mug", 0.6, first, instance_id=9),
+        unclassified(second, 7),
+        ObjectDetection("mug", 0.5, first, yaw_probabilities=np.full(36, 1 / 36)),
+    ]
+    bowl, mug, named, told = detector.complete(two.frame, PLANE, detections)
+    assert bowl is detections[0] and told is detections[3]
+    assert (mug.category, mug.score, mug.instance_id, mug.class_probabilities.size) == ("mug", 0.6, 9, 0)
+    assert (named.category, named.instance_id) == ("mug", 7)
+    assert named.score == pytest.approx(np.exp(3) / (np.exp(3) + 4))
+    (reference, *_) = given(detector, two)
+    np.testing.assert_allclose(mug.yaw_probabilities, reference.yaw_probabilities, atol=1e-6)
+    assert named.yaw_probabilities.sum() == pytest.approx(1.0)
+
+
+def test_masks_without_depth_are_not_completed(two):
+    frame = RgbdFrame(0.0, two.frame.rgb, 0 * two.frame.depth, two.frame.intrinsics, two.frame.T_world_camera)
+    detections = [ObjectDetection("mug", 0.6, two.instances == 0), unclassified(two.instances == 1)]
+    assert fixed_detector([3.0, 0.0, 0.0, 0.0, 0.0]).complete(frame, PLANE, detections) == detections

@@ -20,7 +20,7 @@ from perception.io.detections import (
     read_detections,
     write_detections,
 )
-from perception.types import CameraIntrinsics, ObjectDetection, RgbdFrame
+from perception.types import CameraIntrinsics, ObjectDetection, RgbdFrame, is_unclassified
 
 H, W = 24, 32
 FRAME = RgbdFrame(
@@ -79,6 +79,20 @@ def test_missing_scores_are_certain(folder):
     del entries[0]["score"]
     (folder / "detections.json").write_text(json.dumps(entries))
     assert read(folder)[0][0].score == 1.0
+
+
+def test_the_class_may_be_missing_in_a_scan(folder, tmp_path):
+    entries = json.loads((folder / "detections.json").read_text())
+    del entries[1]["category_name"]
+    (folder / "detections.json").write_text(json.dumps(entries[:2]))
+    ((named,), _) = read(folder)
+    assert named.category == "mug" and not is_unclassified(named)
+    entries[1]["image_id"] = 0
+    (folder / "detections.json").write_text(json.dumps(entries[:2]))
+    ((_, bare), _) = read(folder)
+    assert is_unclassified(bare) and bare.instance_id == 4
+    with pytest.raises(InvalidInputError, match="category_name None is none of"):
+        decode_detections(tmp_path, [(0, entries[1])], 0, FRAME)
 
 
 @pytest.mark.parametrize("score", [-0.01, 1.01, True, "high"])

@@ -41,6 +41,12 @@ def test_object_is_fully_visible_at_its_true_pose(bottle, views):
         assert local[:, 2].max() > 0.9 * bottle.height
 
 
+def test_masks_cover_the_object_and_nothing_else(views):
+    for frame, mask in zip(views.frames, views.masks):
+        _, u, v = points_above_table(frame)
+        assert mask[v, u].all() and mask.sum() < 1.2 * len(u)
+
+
 def test_same_seed_same_views(bottle, views):
     again = render_single_object(bottle, 3, np.random.default_rng(5), EXACT)
     np.testing.assert_array_equal(again.frames[1].depth, views.frames[1].depth)
