@@ -14,8 +14,8 @@ from jaxtyping import Bool, Float, UInt8
 
 from perception.types import CameraIntrinsics, RgbdFrame
 
-MAX_TANGENT = 5.5  # of the angle of incidence (80 degrees) up to which neighbours count as one surface
-MIN_TOLERANCE = 0.005  # [m]
+MAX_TANGENT = 7.0  # of the angle of incidence (82 degrees) up to which neighbours count as one surface
+MIN_TOLERANCE = 0.007  # [m]
 NOISE = 0.008  # [1/m] tolerance of the depth per squared depth, for the noise of distant surfaces
 SUPPORT = 2.0  # tolerance of a supporting neighbour, in tolerances of a step: noise isolates no pixel
 MIN_SUPPORT = 3  # of eight neighbours on the same surface; a corner of a thin part has three
@@ -28,7 +28,7 @@ def clean_depth(depth: Float[np.ndarray, "h w"], intrinsics: CameraIntrinsics) -
     """Return the depth image in [m] without flying and isolated pixels, which become 0.
 
     A pixel flies if, along a row, a column or a diagonal, depth rises or falls by more than a surface at
-    80 degrees of incidence (and more than noise) from one neighbour to it and again to the next.
+    82 degrees of incidence (and more than noise) from one neighbour to it and again to the next.
     """
     cleaned = np.empty(depth.shape, dtype=np.float32)
     for top in range(0, len(depth), BAND):

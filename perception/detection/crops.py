@@ -15,6 +15,7 @@ import cv2
 import numpy as np
 from jaxtyping import Bool, Float, Shaped, UInt8
 
+from perception.depth_cleaning import clean_depth
 from perception.detection.geometry import bounding_window, camera_pose, height_image, view_heading
 from perception.errors import InvalidInputError
 from perception.types import RgbdFrame, SupportPlane
@@ -68,8 +69,8 @@ class FrameGeometry:
 
 
 def frame_geometry(frame: RgbdFrame, plane: SupportPlane) -> FrameGeometry:
-    """Return the frame's filtered depth and heights."""
-    depth = cv2.medianBlur(np.ascontiguousarray(frame.depth), 5)
+    """Return the frame's cleaned and filtered depth and heights."""
+    depth = cv2.medianBlur(clean_depth(frame.depth, frame.intrinsics), 5)
     measured = (depth > 0).astype(np.float32)
     return FrameGeometry(cv2.merge([measured, depth, height_image(frame, plane, depth) * measured]))
 

@@ -12,6 +12,7 @@ import cv2
 import numpy as np
 from jaxtyping import Bool, Float, Shaped
 
+from perception.depth_cleaning import clean_depth
 from perception.detection.geometry import camera_pose, height_image, linear_in_depth
 from perception.types import CameraIntrinsics, RgbdFrame, SupportPlane
 
@@ -48,10 +49,11 @@ class WorkingView:
 def downscale(frame: RgbdFrame) -> RgbdFrame:
     """Return the frame with its longer side reduced to at most ``LONGER_SIDE`` pixels.
 
-    Depth is median-filtered and resampled to the nearest pixel: no interpolation across discontinuities.
+    Depth is cleaned, median-filtered and resampled to the nearest pixel: no interpolation across
+    discontinuities.
     """
     k = frame.intrinsics
-    depth = cv2.medianBlur(np.ascontiguousarray(frame.depth), 3)
+    depth = cv2.medianBlur(clean_depth(frame.depth, k), 3)
     longer = max(k.width, k.height)
     if longer <= LONGER_SIDE:
         return RgbdFrame(frame.time, frame.rgb, depth, k, frame.T_world_camera)

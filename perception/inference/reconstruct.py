@@ -14,6 +14,7 @@ import numpy as np
 import torch
 from jaxtyping import Bool
 
+from perception.depth_cleaning import clean_frame
 from perception.inference.fit import fit_object
 from perception.inference.fit_config import FitConfig
 from perception.inference.observation import ObjectObservation, ObjectViews
@@ -130,6 +131,7 @@ def gather_instances(
     """
     views: dict[int, list[tuple[RgbdFrame, ObjectDetection, np.ndarray]]] = {}
     for frame, detections in zip(frames, detections_per_frame, strict=True):
+        frame = clean_frame(frame)
         for detection in detections:
             if detection.instance_id is None:
                 continue
