@@ -38,7 +38,8 @@ def test_depths_between_two_surfaces_go():
 def test_every_direction_counts_alike(transform):
     depth = box_before_wall()
     depth[30:90, 100] = 0.8
-    camera = CameraIntrinsics(*transform(depth).shape[::-1], 600.0, 600.0, 70.0, 60.0)
+    height, width = transform(depth).shape
+    camera = CameraIntrinsics(width, height, 600.0, 600.0, 70.0, 60.0)
     moved = np.ascontiguousarray(transform(depth))
     assert np.array_equal(clean_depth(moved, camera), transform(clean_depth(depth, CAMERA)))
 

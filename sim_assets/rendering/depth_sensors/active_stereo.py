@@ -35,7 +35,7 @@ DOT_DISTANCE = 0.8  # [m]
 DOT_DENSITY = 0.12  # dots per pixel
 READ_NOISE = 1.2  # [grey levels]
 SHOT_NOISE = 0.2  # [grey levels per root of a grey level]
-BLOCK = 7  # [px]
+BLOCKS = (7, 5)  # [px], of images with square pixels, and of those stretched along the rows
 SPECKLE = 150  # [px], largest area of a patch that is removed
 UNCERTAIN = 0.3  # [px], standard deviation from which a match is dropped
 STEP = 1 / 32  # [px], of the measured disparity
@@ -76,7 +76,8 @@ def active_stereo(
     count = int(np.ceil((true[measured].max() + 3 - first) / 16)) * 16
     count = min(count, MAX_DISPARITIES)
     left, right = infrared_pair(_widen(depth, stretch), _widen(true, stretch), first + count, surface, rng)
-    disparity = match(left, right, first, count)[:, first + count :][:, ::stretch]
+    block = BLOCKS[0] if stretch == 1 else BLOCKS[1]
+    disparity = match(left, right, first, count, block)[:, first + count :][:, ::stretch]
     columns = stretch * np.arange(depth.shape[1], dtype=np.float32)
     found = measured & (disparity > first)
     if rig.smoothing:
@@ -143,21 +144,22 @@ def dot_pattern(height: int, width: int) -> Float[np.ndarray, "h w"]:
 
 
 def match(
-    left: UInt8[np.ndarray, "h w"], right: UInt8[np.ndarray, "h w"], first: int, count: int
+    left: UInt8[np.ndarray, "h w"], right: UInt8[np.ndarray, "h w"], first: int, count: int, block: int
 ) -> Float[np.ndarray, "h w"]:
     """Return the disparity of the left image in [px] by semi-global block matching; ``first`` - 1 is none.
 
     Args:
         left, right: rectified images.
         first, count: smallest disparity and number of disparities (a multiple of 16) in [px].
+        block: side of the blocks in [px].
     """
     matcher = cv2.StereoSGBM.create(
-        minDisparity=first, numDisparities=count, blockSize=BLOCK, P1=4 * BLOCK**2, P2=24 * BLOCK**2,
+        minDisparity=first, numDisparities=count, blockSize=block, P1=4 * block**2, P2=24 * block**2,
         disp12MaxDiff=1, preFilterCap=31, uniquenessRatio=8, speckleWindowSize=SPECKLE, speckleRange=1,
         mode=cv2.STEREO_SGBM_MODE_SGBM_3WAY,
     )  # fmt: skip
     disparity = matcher.compute(left, right).astype(np.float32) / 16
-    return _refined(left, right, disparity, first)
+    return _refined(left, right, disparity, first, block)
 
 
 def _smoothed(
@@ -177,6 +179,7 @@ def _refined(
     right: UInt8[np.ndarray, "h w"],
     disparity: Float[np.ndarray, "h w"],
     first: int,
+    block: int,
 ) -> Float[np.ndarray, "h w"]:
     """Refine the disparity by a least-squares step over each block, which removes the bias to whole pixels.
 
@@ -188,10 +191,10 @@ def _refined(
     right = right.astype(np.float32)
     slope = cv2.remap(cv2.Sobel(right, -1, 1, 0, ksize=1, scale=0.5), columns, rows, cv2.INTER_LINEAR)
     residual = left - cv2.remap(right, columns, rows, cv2.INTER_LINEAR)
-    power = box_mean(slope * slope, BLOCK) + 1e-3
-    step = -box_mean(residual * slope, BLOCK) / power
-    uncertainty = box_mean(residual * residual, BLOCK) / power
+    power = box_mean(slope * slope, block) + 1e-3
+    step = -box_mean(residual * slope, block) / power
+    uncertainty = box_mean(residual * residual, block) / power
     refined = disparity + np.clip(step, -0.5, 0.5)
     refined = np.rint(refined / np.float32(STEP)) * np.float32(STEP)
-    certain = (disparity >= first) & (uncertainty < BLOCK**2 * UNCERTAIN**2)
+    certain = (disparity >= first) & (uncertainty < block**2 * UNCERTAIN**2)
     return np.where(certain, refined, np.float32(first - 1))
