@@ -9,19 +9,17 @@ from jaxtyping import Bool, Float, Int
 UNSEEN = -1e6  # column of a pixel that no surface is warped to
 
 
-def warp_targets(
-    disparity: Float[np.ndarray, "h w"], left: int, right: int
-) -> tuple[Int[np.ndarray, "h w"], int]:
+def warp_targets(disparity: Float[np.ndarray, "h w"], margin: int) -> tuple[Int[np.ndarray, "h w"], int]:
     """Return the flat index of each pixel in an eye to the right of the camera, and that image's width.
 
     Args:
         disparity: shift of each pixel in [px]; pixel x appears at column x - disparity.
-        left, right: columns by which the other eye's image is wider on either side; beyond them the
-            index is that of the outermost column.
+        margin: columns by which the other eye's image is wider on the left; beyond the image the index is
+            that of the outermost column.
     """
     height, width = disparity.shape
-    wide = width + left + right
-    columns = np.rint(np.arange(left, left + width, dtype=np.float32) - disparity).astype(np.int32)
+    wide = width + margin
+    columns = np.rint(np.arange(margin, wide, dtype=np.float32) - disparity).astype(np.int32)
     np.clip(columns, 0, wide - 1, out=columns)
     columns += (np.arange(height, dtype=np.int32) * wide)[:, None]
     return columns, wide
@@ -34,7 +32,7 @@ def source_columns(disparity: Float[np.ndarray, "h w"], margin: int) -> Float[np
     from farther right is nearer and is written last.
     """
     disparity = np.ascontiguousarray(disparity)  # the order of assignment below decides
-    targets, wide = warp_targets(disparity, margin, 0)
+    targets, wide = warp_targets(disparity, margin)
     columns = np.arange(disparity.shape[1], dtype=np.float32)
     slope = np.zeros_like(disparity)
     slope[:, 1:-1] = (disparity[:, 2:] - disparity[:, :-2]) / 2
@@ -68,7 +66,7 @@ def hidden_from(disparity: Float[np.ndarray, "h w"], slack: float = 1.5) -> Bool
     height, width = disparity.shape
     if not disparity.size:
         return np.zeros((height, width), dtype=bool)
-    targets, wide = warp_targets(disparity, int(np.ceil(disparity.max())) + 1, 0)
+    targets, wide = warp_targets(disparity, int(np.ceil(disparity.max())) + 1)
     nearest = np.zeros((height, wide), dtype=np.float32)
     nearest.ravel()[targets] = disparity
     # A near surface seen at a slant leaves columns open through which the far one would be seen.
