@@ -65,9 +65,9 @@ class TrainDetectorConfig:
         device: Torch device for training.
     """
 
-    pictures: int = 7000
-    validation: int = 300
-    test: int = 300
+    pictures: int = 5000
+    validation: int = 200
+    test: int = 200
     training: TrainingConfig = field(default_factory=lambda: TrainingConfig(epochs=16))
     scene_passes: float = 0.625
     tensorboard: bool = False

@@ -1,6 +1,7 @@
 """Cans: drink cans, food tins, plain tins and canisters, slim to wide.
 
-The kinds below the line are held out for testing: their bodies are curved, those of training cans straight.
+The kinds below the line are held out for testing: their bodies are strongly curved. Those of training cans
+are straight or, in the sizes met in homes (household.py), ribbed or slightly curved.
 
 docs/training.md has their distance from the training kinds.
 
@@ -10,6 +11,10 @@ docs/training.md has their distance from the training kinds.
 | drink    | train | straight                                 | necked top with a seam, chamfered foot |
 | plain    | train | straight                                 | flat, rounded edges                    |
 | canister | train | straight                                 | lid wider than the body                |
+| ribbed   | train | shallow, narrow ribs                     | seamed rims, sunk panels               |
+| bowed    | train | slightly wider in the middle             | seamed rims, sunk panels               |
+| drawn    | train | slightly narrower in the middle          | seamed rims, sunk panels               |
+| conic    | train | slightly narrower above                  | seamed rims, sunk panels               |
 | -------- | ----- | ---------------------------------------- | -------------------------------------- |
 | beaded   | test  | deep beads all around, as on steel drums | seamed rims, sunk panels               |
 | waisted  | test  | narrowest in the middle (hourglass)      | seamed rims, sunk panels               |
@@ -27,7 +32,10 @@ import numpy as np
 from sim_assets.objects.profiles import Curve, soften
 from sim_assets.objects.solids import Lathe, Solid
 
-CanKind = Literal["food", "drink", "plain", "canister", "beaded", "waisted", "keg", "tapered"]
+CanKind = Literal[
+    "food", "drink", "plain", "canister", "ribbed", "bowed", "drawn", "conic",
+    "beaded", "waisted", "keg", "tapered",
+]  # fmt: skip
 KINDS: dict[str, tuple[CanKind, ...]] = {
     "train": ("food", "drink", "plain", "canister"),
     "test": ("beaded", "waisted", "keg", "tapered"),
@@ -38,6 +46,13 @@ BENDS: dict[CanKind, tuple[float, float]] = {
     "keg": (0.14, 0.24),
     "tapered": (0.14, 0.26),
 }  # of the test kinds, relative to the radius
+SLIGHT_BENDS: dict[CanKind, tuple[float, float]] = {
+    "ribbed": (0.012, 0.035),
+    "bowed": (0.02, 0.08),
+    "drawn": (0.02, 0.08),
+    "conic": (0.02, 0.08),
+}  # of training cans in the sizes met in homes
+RIB_PITCH = 0.007  # spacing of ribs along the axis [m]
 BEAD_PITCH = 0.016  # spacing of beads along the axis [m]
 WIDEST = 0.038  # largest radius that an 80 mm gripper can grasp [m]
 FOOT = (0.002, 0.006)  # [m], difference between the radii of body and narrowed bottom
@@ -82,16 +97,18 @@ def can_profile(parameters: CanParameters) -> Curve:
 
 def _curved_profile(p: CanParameters) -> Curve:
     """Return the profile of a curved body between two seamed ends, each a seam wider than the body there."""
-    widest = p.radius if p.kind == "keg" else p.radius - p.seam
+    widest = p.radius if p.kind in ("keg", "bowed") else p.radius - p.seam
     low, high = p.rim + p.seam, p.height - p.rim - p.neck_height - 0.001
-    beads = max(2, round((high - low) / BEAD_PITCH))
+    beads = max(2, round((high - low) / (RIB_PITCH if p.kind == "ribbed" else BEAD_PITCH)))
     u = np.linspace(0.0, 1.0, 16 * beads + 1)
-    relative = {
+    sides = {
         "beaded": 1.0 - p.bend * (0.5 - 0.5 * np.cos(2.0 * np.pi * beads * u)),
         "waisted": 1.0 - p.bend * (1.0 - (2.0 * u - 1.0) ** 2),
         "keg": 1.0 - p.bend * (2.0 * u - 1.0) ** 2,
         "tapered": 1.0 - p.bend * u,
-    }[p.kind]
+    }
+    slight = {"ribbed": "beaded", "bowed": "keg", "drawn": "waisted", "conic": "tapered"}
+    relative = sides[slight.get(p.kind, p.kind)]
     body = widest * relative
     side = np.stack([body, low + u * (high - low)], axis=1)[1:-1]
     bottom = _bottom(replace(p, radius=body[0] + p.seam), body[0])

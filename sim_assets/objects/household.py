@@ -16,7 +16,7 @@ import trimesh
 from perception.types import Category
 from sim_assets.objects.bottle import BottleParameters
 from sim_assets.objects.bowl import BowlParameters, bowl_section, bowl_vessel
-from sim_assets.objects.can import CanParameters
+from sim_assets.objects.can import SLIGHT_BENDS, CanParameters
 from sim_assets.objects.families import Parameters, Split, sample_parameters
 from sim_assets.objects.mug import MugParameters, mug_vessel
 from sim_assets.objects.solids import closed_tube
@@ -28,6 +28,7 @@ BOWL_RADIUS, BOWL_HEIGHT = (0.045, 0.140), (0.024, 0.120)
 MUG_RADIUS, MUG_HEIGHT = (0.027, 0.055), (0.055, 0.125)
 # Height over diameter of flat, usual and tall cans and of tubes, with equal shares.
 CAN_PROPORTIONS = ((0.30, 0.70), (0.70, 1.70), (1.70, 2.40), (2.40, 3.60))
+CURVED = 0.6  # share of the straight training cans that are ribbed or slightly curved
 JARS = 0.2  # share of the bottles with a neck that is turned into a wide mouth
 FILL = (0.30, 0.85)  # level of the contents over the depth of the cavity
 CLEARANCE = 0.0005  # between contents and wall [m]
@@ -39,7 +40,7 @@ def sample_household(category: Category, split: Split, rng: np.random.Generator)
     p = sample_parameters(category, split, rng)
     match p:
         case CanParameters():
-            return _can(p, rng)
+            return _can(p, split, rng)
         case BottleParameters():
             return _bottle(p, rng)
         case BowlParameters():
@@ -52,7 +53,7 @@ def _within(value: float, limits: tuple[float, float]) -> float:
     return float(np.clip(value, *limits))
 
 
-def _can(p: CanParameters, rng: np.random.Generator) -> CanParameters:
+def _can(p: CanParameters, split: Split, rng: np.random.Generator) -> CanParameters:
     shape = CAN_PROPORTIONS[rng.integers(len(CAN_PROPORTIONS))]
     radius = float(rng.uniform(*CAN_RADIUS))
     if shape[0] > 2.0:
@@ -62,6 +63,10 @@ def _can(p: CanParameters, rng: np.random.Generator) -> CanParameters:
     can = replace(p, radius=radius, height=height, rim=lid)
     if p.kind == "drink" and (height < 0.06 or height > 3.0 * 2.0 * radius):  # no drink is sold like that
         can = replace(can, kind="food", neck=0.0, neck_height=0.001, dome=0.0, foot=0.0)
+    if split == "train" and can.kind in ("food", "plain") and rng.random() < CURVED:
+        kind = tuple(SLIGHT_BENDS)[rng.integers(len(SLIGHT_BENDS))]
+        seam, bend = float(rng.uniform(0.0006, 0.0018)), float(rng.uniform(*SLIGHT_BENDS[kind]))
+        can = replace(can, kind=kind, seam=seam, recess=float(rng.uniform(0.0, 0.004)), bend=bend)
     return can
 
 

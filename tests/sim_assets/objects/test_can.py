@@ -3,7 +3,7 @@
 import numpy as np
 import pytest
 
-from sim_assets.objects.can import BENDS, KINDS, CanParameters, can_profile, sample_can
+from sim_assets.objects.can import BENDS, KINDS, SLIGHT_BENDS, CanParameters, can_profile, sample_can
 from sim_assets.objects.profiles import radial_crossings
 
 
@@ -28,7 +28,17 @@ def test_beads_have_their_depth():
     assert r.max() == pytest.approx(0.034, abs=2e-4) and r.min() == pytest.approx(0.8 * 0.034, abs=1e-3)
 
 
-@pytest.mark.parametrize("kind", KINDS["test"])
+def test_ribs_are_finer_than_beads_and_end_at_the_same_radius():
+    heights = np.linspace(0.02, 0.10, 2000)
+    ribbed, beaded = (
+        radial_crossings(can_profile(can(kind, 0.03)), heights)[:, 0] for kind in ("ribbed", "beaded")
+    )
+    turns = [np.count_nonzero(np.diff(np.sign(np.diff(r))) != 0) for r in (ribbed, beaded)]
+    assert turns[0] > 2 * turns[1] > 4
+    assert ribbed.max() == pytest.approx(0.034, abs=2e-4)
+
+
+@pytest.mark.parametrize("kind", [*KINDS["test"], *SLIGHT_BENDS])
 def test_profile_is_as_high_and_wide_as_its_parameters(kind):
     profile = can_profile(can(kind))
     assert profile[:, 1].max() == pytest.approx(0.12, abs=1e-4)

@@ -6,6 +6,7 @@ import pytest
 from perception.types import CATEGORIES
 from sim_assets.objects.bottle import KINDS as BOTTLES
 from sim_assets.objects.bowl import SIDES
+from sim_assets.objects.can import BENDS, SLIGHT_BENDS
 from sim_assets.objects.can import KINDS as CANS
 from sim_assets.objects.families import SPLITS, make_solid, sample_parameters
 from sim_assets.objects.household import (
@@ -23,7 +24,7 @@ FAMILIES = {
     "mug": ("body", BODIES),
     "bowl": ("side", SIDES),
     "bottle": ("kind", BOTTLES),
-    "can": ("kind", CANS),
+    "can": ("kind", {"train": (*CANS["train"], *SLIGHT_BENDS), "test": CANS["test"]}),
 }
 HEIGHT = {"mug": MUG_HEIGHT, "bowl": BOWL_HEIGHT, "bottle": BOTTLE_HEIGHT, "can": CAN_HEIGHT}
 
@@ -113,3 +114,13 @@ def test_closed_objects_hold_nothing():
     rng = np.random.default_rng(4)
     for category in ("bottle", "can"):
         assert contents_of(sampled(category, count=1)[0], rng) is None
+
+
+def test_training_cans_are_less_curved_than_any_test_can():
+    rng = np.random.default_rng(0)
+    cans = [sample_household("can", "train", rng) for _ in range(200)]
+    kinds = {can.kind for can in cans}
+    assert set(SLIGHT_BENDS) <= kinds and not kinds & set(CANS["test"])
+    assert all(can.bend <= 0.08 for can in cans)
+    assert all(bends[0] >= 0.06 for bends in BENDS.values())
+    assert {sample_household("can", "test", rng).kind for _ in range(60)} == set(CANS["test"])
