@@ -13,6 +13,9 @@ import PIL.ImageDraw
 import PIL.ImageFont
 from jaxtyping import Float, UInt8
 
+from perception.detection.geometry import project
+from perception.detection.left_out import LeftOut
+from perception.support.surface import SupportSurface
 from perception.types import CATEGORIES, Category, ObjectDetection, ObjectEstimate, RejectedObject, RgbdFrame
 
 Image = UInt8[np.ndarray, "h w 3"]
@@ -26,6 +29,9 @@ CLASS_COLORS: dict[Category, tuple[int, int, int]] = {
     category: color for category, color in zip(CATEGORIES, PALETTE, strict=False)
 }
 _REJECTED = (200, 60, 60)
+_LEFT_OUT = (190, 190, 190)
+_SURFACE = (240, 228, 66)
+_STEPS = 24  # of a side of an outline: parts of it may be behind the camera
 _LIGHT = np.array([0.3, -0.5, 0.81])
 
 
@@ -101,6 +107,35 @@ def draw_rejected(
     return image
 
 
+def draw_left_out(image: Image, candidates: Sequence[LeftOut]) -> Image:
+    """Return the image with the candidates that are no objects outlined thinly, and the reason in each."""
+    image = np.array(image)
+    for candidate in candidates:
+        outline = cv2.findContours(
+            candidate.mask.astype(np.uint8), cv2.RETR_EXTERNAL, cv2.CHAIN_APPROX_SIMPLE
+        )
+        cv2.drawContours(image, outline[0], -1, _LEFT_OUT, 1, cv2.LINE_AA)
+    for candidate in candidates:
+        v, u = np.nonzero(candidate.mask)
+        _label(image, candidate.text, (int(u.mean()), int(v.mean()) + 5), size=10, bold=False)
+    return image
+
+
+def draw_surfaces(image: Image, frame: RgbdFrame, surfaces: Sequence[SupportSurface]) -> Image:
+    """Return the image with the outlines of the support surfaces, that of the main one solid."""
+    image = np.array(image)
+    for number, surface in enumerate(surfaces):
+        corners = surface.corners
+        for start, end in zip(corners, np.roll(corners, -1, axis=0)):
+            line = start + np.linspace(0, 1, _STEPS + 1)[:, None] * (end - start)
+            pixels, depth = project(frame, line)
+            for k in range(0, _STEPS, 1 if number == 0 else 2):
+                if min(depth[k], depth[k + 1]) > 0.05:
+                    a, b = np.clip(pixels[k : k + 2], -10_000, 10_000).tolist()
+                    cv2.line(image, a, b, _SURFACE, 1, cv2.LINE_AA)
+    return image
+
+
 def _visible_triangles(
     frame: RgbdFrame, estimate: ObjectEstimate
 ) -> tuple[Float[np.ndarray, "n 3 2"], Float[np.ndarray, "n"], Float[np.ndarray, "n"]]:
@@ -138,13 +173,20 @@ def _label_estimate(image: Image, frame: RgbdFrame, estimate: ObjectEstimate) ->
         _label(image, estimate.name.replace("_", " "), (int(u), int(v) - 6))
 
 
-def _label(image: Image, text: str, at: tuple[int, int], size: int = 17) -> None:
+def _label(image: Image, text: str, at: tuple[int, int], size: int = 17, bold: bool = True) -> None:
     """Draw outlined text with its bottom centred at a pixel, kept inside the image."""
     picture = PIL.Image.fromarray(image)
     pen = PIL.ImageDraw.Draw(picture)
-    letters = font(size, bold=True)
+    letters = font(size, bold)
     left, _, right, bottom = pen.textbbox((0, 0), text, font=letters)
     x = float(np.clip(at[0] - (right - left) / 2, 3, max(3, image.shape[1] - right - 3)))
     y = float(np.clip(at[1] - bottom, 3, max(3, image.shape[0] - bottom - 3)))
-    pen.text((x, y), text, fill=(255, 255, 255), font=letters, stroke_width=2, stroke_fill=(25, 25, 25))
+    pen.text(
+        (x, y),
+        text,
+        fill=(255, 255, 255),
+        font=letters,
+        stroke_width=2 if bold else 1,
+        stroke_fill=(25, 25, 25),
+    )
     image[:] = np.asarray(picture)

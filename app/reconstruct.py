@@ -10,12 +10,13 @@ import numpy as np
 from rich.markup import escape
 from rich.table import Table
 
-from app.drawing import draw_detections, draw_estimates, draw_rejected
+from app.detection_summary import left_out_as_json, surface_lines, surfaces_as_json, why_nothing
+from app.drawing import draw_detections, draw_estimates, draw_left_out, draw_rejected, draw_surfaces
 from app.options import ReconstructOptions
 from app.runs.report import ObjectReport, Report
 from app.runs.run_folder import RunFolder
 from app.screen import Screen
-from perception.detection.association import associate
+from perception.detection.left_out import summarise
 from perception.io.files import write_atomically
 from perception.io.images import png_bytes
 from perception.io.object_map import write_object_map
@@ -26,11 +27,13 @@ from perception.pipeline import (
     load_decoder,
     load_detector,
     load_huggingface,
+    place_detections,
     reconstruct_objects,
 )
 from perception.pipeline import detect as detect_objects
-from perception.scans import completed, scan_detections, scan_plane, usable_part
-from perception.types import ObjectEstimate, RejectedObject, RgbdFrame, SupportPlane
+from perception.scans import completed, scan_detections, scan_surfaces, usable_part
+from perception.support.surface import SupportSurface
+from perception.types import ObjectDetection, ObjectEstimate, RejectedObject, RgbdFrame
 
 
 def run(options: ReconstructOptions, screen: Screen) -> Report:
@@ -38,7 +41,7 @@ def run(options: ReconstructOptions, screen: Screen) -> Report:
     begin = time.perf_counter()
     timings: dict[str, float] = {}
     recorded = read_scan(options.scan)
-    plane, scan = scan_plane(recorded), usable_part(recorded)
+    surfaces, scan = scan_surfaces(recorded), usable_part(recorded)
     folder = RunFolder.create(options, "reconstruct")
     for warning in scan.warnings:
         screen.note(f"left out: {warning}")
@@ -46,8 +49,10 @@ def run(options: ReconstructOptions, screen: Screen) -> Report:
         decoder = load_decoder(options.device)
     started = time.perf_counter()
     with screen.stage("Finding objects"):
-        detections = _detections(scan, plane, options)
+        detections = _detections(scan, surfaces, options)
     timings["detect"] = time.perf_counter() - started
+    for line in surface_lines(detections, scan.frames[0]) + summarise(detections.left_out, len(scan.frames)):
+        screen.note(line)
     started = time.perf_counter()
     rejected: list[RejectedObject] = []
     with screen.stage("Reconstructing whole shapes"):
@@ -68,13 +73,15 @@ def run(options: ReconstructOptions, screen: Screen) -> Report:
         command="reconstruct",
         seed=options.seed,
         success=bool(objects),
-        reason=_summary(objects, rejected),
+        reason=_summary(objects, rejected) or why_nothing(detections, scan.frames),
         timings=timings | {"total": time.perf_counter() - begin},
         objects=[ObjectReport(o.id, o.category, details=_details(o)) for o in objects],
         metrics={
             "n_images": len(scan.frames),
             "n_objects": len(objects),
             "left_out": [asdict(item) for item in rejected],
+            "candidates_left_out": left_out_as_json(detections.left_out),
+            "surfaces": surfaces_as_json(detections.surfaces),
         },
         warnings=[*scan.warnings, *(f"{item.name} is left out: {item.reason}" for item in rejected)],
         settings={"scan": str(options.scan)},
@@ -85,25 +92,29 @@ def run(options: ReconstructOptions, screen: Screen) -> Report:
     return report
 
 
-def _detections(scan: Scan, plane: SupportPlane, options: ReconstructOptions) -> Detections:
+def _detections(scan: Scan, surfaces: Sequence[SupportSurface], options: ReconstructOptions) -> Detections:
     """Return the folder's detections or classified masks where it has them, else those of the detector."""
-    own = scan_detections(scan, plane, lambda: load_detector(options.device), options.scan)
+    own = scan_detections(scan, surfaces, lambda: load_detector(options.device), options.scan)
     if own is not None:
         return own
     if options.detector == SHIPPED:
-        return detect_objects(scan.frames, load_detector(options.device), plane=plane)
+        return detect_objects(scan.frames, load_detector(options.device), surfaces=surfaces)
     model = load_huggingface(options.detector, options.device)
     found = [model(frame) for frame in scan.frames]
-    found = completed(scan.frames, found, (plane,), lambda: load_detector(options.device))
-    return Detections(plane, tuple(map(tuple, associate(scan.frames, found, plane))))
+
+    def complete(rows: Sequence[Sequence[ObjectDetection]]) -> Sequence[Sequence[ObjectDetection]]:
+        planes = [surface.plane for surface in surfaces]
+        return completed(scan.frames, rows, planes, lambda: load_detector(options.device))
+
+    return place_detections(scan.frames, found, surfaces, complete)
 
 
 def _summary(objects: Sequence[ObjectEstimate], rejected: Sequence[RejectedObject]) -> str:
-    """Return the outcome in one line: number of objects, those left out and why."""
+    """Return the outcome in one line: number of objects, those left out and why; empty without either."""
     left_out = "; ".join(f"{item.name} is left out: {item.reason}" for item in rejected)
     if objects:
         return f"{len(objects)} objects" + (f"; {left_out}" if left_out else "")
-    return f"no object was reconstructed: {left_out}" if left_out else "no object was found in the scan"
+    return f"no object was reconstructed: {left_out}" if left_out else ""
 
 
 def _write_pictures(
@@ -115,18 +126,24 @@ def _write_pictures(
 ) -> None:
     """Write ``overview.png``: up to three images with detections above and reconstructions below.
 
-    Objects that are left out are outlined in the lower images, with the reason.
+    The upper images show the outlines of the support surfaces and the candidates that are no objects, the
+    lower ones the objects that are left out, all with the reason.
     """
     chosen = sorted({0, len(frames) // 2, len(frames) - 1})
-    found = np.concatenate([draw_detections(frames[i], detections.per_frame[i]) for i in chosen], axis=1)
-    whole = np.concatenate(
-        [
-            draw_rejected(draw_estimates(frames[i], objects), detections.per_frame[i], rejected)
-            for i in chosen
-        ],
-        axis=1,
-    )
-    write_atomically(folder.path / "overview.png", png_bytes(np.concatenate([found, whole])))
+    rows = []
+    for i in chosen:
+        seen = draw_detections(frames[i], detections.per_frame[i])
+        seen = draw_left_out(seen, [c for c in detections.left_out if c.frame == i])
+        whole = draw_estimates(frames[i], objects)
+        rows.append(
+            np.concatenate(
+                [
+                    draw_surfaces(seen, frames[i], detections.surfaces),
+                    draw_rejected(whole, detections.per_frame[i], rejected),
+                ]
+            )
+        )
+    write_atomically(folder.path / "overview.png", png_bytes(np.concatenate(rows, axis=1)))
 
 
 def _details(estimate: ObjectEstimate) -> dict[str, float | str | int]:

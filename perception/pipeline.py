@@ -13,11 +13,13 @@ from __future__ import annotations
 import os
 from collections.abc import Callable, Sequence
 from concurrent.futures import ThreadPoolExecutor
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from typing import TYPE_CHECKING, Literal, Protocol, runtime_checkable
 
-from perception.detection.association import associate
+from perception.detection.association import associate_on_surfaces
 from perception.detection.detector import Detector
+from perception.detection.left_out import LeftOut
+from perception.detection.on_surfaces import FrameDetector, examine_frame, placed, unrecognised
 from perception.errors import InvalidInputError
 from perception.inference.reconstruct import (
     OnFitStep,
@@ -27,15 +29,16 @@ from perception.inference.reconstruct import (
     single_threaded_torch,
 )
 from perception.shape.decoder import ShapeDecoder
-from perception.support_plane import fit_support_plane
+from perception.support.surface import SupportSurface
+from perception.support.surfaces import find_surfaces
 from perception.types import ObjectDetection, ObjectEstimate, RgbdFrame, SupportPlane
 
 if TYPE_CHECKING:
     from perception.detection.huggingface import HuggingFaceDetector
 
 Device = Literal["auto", "cpu", "cuda"]  # the command line's copy is app.options.Device
+Complete = Callable[[Sequence[Sequence[ObjectDetection]]], Sequence[Sequence[ObjectDetection]]]
 SHIPPED = "shipped"  # name of the shipped detector
-FrameDetector = Callable[[RgbdFrame, SupportPlane], Sequence[ObjectDetection]]
 
 
 @runtime_checkable
@@ -68,12 +71,22 @@ class Detections:
     """Detections in all frames, associated across them.
 
     Attributes:
-        plane: Support plane in the world frame.
+        plane: Main support plane in the world frame.
         per_frame: Detections of each frame; detections of one object share their ``instance_id``.
+        surfaces: Surfaces that objects stand on, which ``ObjectDetection.support`` numbers; the first is the
+            main one. Empty if there is no other and its extent is unknown.
+        left_out: Candidates that are not reported as objects, each with the reason.
     """
 
     plane: SupportPlane
     per_frame: tuple[tuple[ObjectDetection, ...], ...]
+    surfaces: tuple[SupportSurface, ...] = ()
+    left_out: tuple[LeftOut, ...] = ()
+
+    @property
+    def planes(self) -> tuple[SupportPlane, ...]:
+        """Support planes of all surfaces, the main one first."""
+        return tuple(surface.plane for surface in self.surfaces) or (self.plane,)
 
     @property
     def n_objects(self) -> int:
@@ -139,6 +152,7 @@ def detect(
     progress: Progress = no_progress,
     workers: int | None = None,
     plane: SupportPlane | None = None,
+    surfaces: Sequence[SupportSurface] | None = None,
 ) -> Detections:
     """Detect the objects in every frame and associate them across the frames.
 
@@ -147,19 +161,59 @@ def detect(
         detector: Finds the objects in one frame, given the plane: a ``Detector`` or any other callable.
         progress: Called after each frame.
         workers: Number of frames processed in parallel; the number of cores if None.
-        plane: Support plane in the world frame; fitted to the depth of all frames if None.
+        plane: The only support plane in the world frame, of unknown extent, if ``surfaces`` is None.
+        surfaces: Surfaces that objects may stand on, the main one first; found in the depth of all frames if
+            this and ``plane`` are None.
 
     Raises:
         InvalidInputError: There is no frame, or one of several frames has no pose.
         PerceptionError: No support plane is visible.
     """
-    plane = plane or fit_support_plane(frames)
-    found = []
+    if surfaces is None:
+        surfaces = find_surfaces(frames) if plane is None else (SupportSurface(plane),)
+    found: list[list[ObjectDetection]] = []
+    left_out: list[LeftOut] = []
     with single_threaded_torch(), ThreadPoolExecutor(workers or os.cpu_count() or 1) as pool:
-        for detections in pool.map(lambda frame: detector(frame, plane), frames):
-            found.append(detections)
+        for there, rest in pool.map(lambda frame: examine_frame(frame, detector, surfaces), frames):
+            left_out += [replace(candidate, frame=len(found)) for candidate in rest]
+            found.append(there)
             progress(len(found), len(frames))
-    return Detections(plane, tuple(map(tuple, associate(frames, found, plane))))
+    return _associated(frames, found, surfaces, left_out)
+
+
+def place_detections(
+    frames: Sequence[RgbdFrame],
+    detections_per_frame: Sequence[Sequence[ObjectDetection]],
+    surfaces: Sequence[SupportSurface],
+    complete: Complete = lambda rows: rows,
+) -> Detections:
+    """Associate the detections of a detector without depth; those that stand on no surface are left out.
+
+    Args:
+        frames: Views with camera poses; a single frame may lack its pose.
+        detections_per_frame: Detections of each frame.
+        surfaces: Surfaces that objects may stand on, the main one first.
+        complete: Adds what the detector does not provide, once the surfaces are known.
+    """
+    views = [placed(*view, surfaces) for view in zip(frames, detections_per_frame, strict=True)]
+    left_out = [replace(candidate, frame=i) for i, (_, rest) in enumerate(views) for candidate in rest]
+    return _associated(frames, complete([found for found, _ in views]), surfaces, left_out)
+
+
+def _associated(
+    frames: Sequence[RgbdFrame],
+    found: Sequence[Sequence[ObjectDetection]],
+    surfaces: Sequence[SupportSurface],
+    left_out: Sequence[LeftOut],
+) -> Detections:
+    """Associate the detections; without any object, add the things that no candidate covers."""
+    rows, rejected = associate_on_surfaces(frames, found, surfaces)
+    candidates = [*left_out, *rejected]
+    if not any(rows):
+        for i, frame in enumerate(frames):
+            known = [candidate for candidate in candidates if candidate.frame == i]
+            candidates += [replace(thing, frame=i) for thing in unrecognised(frame, surfaces, known)]
+    return Detections(surfaces[0].plane, rows, tuple(surfaces), tuple(candidates))
 
 
 def reconstruct_objects(
@@ -181,4 +235,4 @@ def reconstruct_objects(
         on_rejected: Called with each object that cannot be reconstructed and is left out.
     """
     options = ReconstructOptions(progress=progress, on_step=on_step, on_rejected=on_rejected)
-    return reconstruct(frames, detections.per_frame, decoder, detections.plane, options=options)
+    return reconstruct(frames, detections.per_frame, decoder, detections.planes, options=options)

@@ -14,14 +14,16 @@ from pathlib import Path
 
 import numpy as np
 
-from perception.detection.association import associate
+from perception.detection.association import associate_on_surfaces
 from perception.detection.completion import Completer, complete_detections, is_complete
 from perception.detection.detector import Detector
+from perception.detection.on_surfaces import assigned, classified, with_one_support
 from perception.errors import InvalidInputError
 from perception.io.scan_folder import Scan, read_scan
 from perception.pipeline import Detections, Perception, detect, load_perception, reconstruct_objects
 from perception.reconstruction import Reconstruction
-from perception.support_plane import fit_support_plane
+from perception.support.surface import SupportSurface
+from perception.support.surfaces import find_surfaces
 from perception.types import ObjectDetection, RejectedObject, RgbdFrame, SupportPlane
 
 logger = logging.getLogger(__name__)
@@ -42,17 +44,17 @@ def reconstruct(
         PerceptionError: no support plane is visible.
     """
     perception = perception or shipped_perception()
-    plane = detections.plane if detections else fit_support_plane(frames)
+    surfaces = () if detections else find_surfaces(frames)
     posed = frames[0].T_world_camera is not None
     frames = [_in_own_frame(frame) for frame in frames]
-    detections = detections or detect(frames, perception.detector, plane=plane)
-    per_frame = completed(frames, detections.per_frame, (plane,), lambda: perception.detector)
+    detections = detections or detect(frames, perception.detector, surfaces=surfaces)
+    per_frame = completed(frames, detections.per_frame, detections.planes, lambda: perception.detector)
     detections = replace(detections, per_frame=per_frame)
     rejected: list[RejectedObject] = []
     objects = reconstruct_objects(frames, detections, perception.decoder, on_rejected=rejected.append)
     return Reconstruction(
         objects=tuple(objects),
-        plane=plane,
+        plane=detections.plane,
         detections=detections.per_frame,
         T_world_camera=frames[0].T_world_camera if len(frames) == 1 else None,
         posed=posed,
@@ -77,23 +79,20 @@ def reconstruct_scan(scan: str | Path | Scan, perception: Perception | None = No
     perception = perception or shipped_perception()
     folder = Path() if isinstance(scan, Scan) else Path(scan)
     scan = scan if isinstance(scan, Scan) else read_scan(scan)
-    plane = scan_plane(scan)
+    surfaces = scan_surfaces(scan)
     usable = usable_part(scan)
     for warning in usable.warnings:
         logger.warning("%s", warning)
     detector = perception.detector
-    detections = scan_detections(usable, plane, lambda: detector, folder)
-    detections = detections or detect(usable.frames, detector, plane=plane)
+    detections = scan_detections(usable, surfaces, lambda: detector, folder)
+    detections = detections or detect(usable.frames, detector, surfaces=surfaces)
     result = reconstruct(usable.frames, perception, detections)
     return replace(result, posed=scan.has_poses)
 
 
-def scan_plane(scan: Scan) -> SupportPlane:
-    """Fit the support plane to all frames, or to the first alone where camera poses are unknown.
-
-    Without poses the plane may have any orientation relative to the camera.
-    """
-    return fit_support_plane(scan.frames if scan.has_poses else scan.frames[:1])
+def scan_surfaces(scan: Scan) -> tuple[SupportSurface, ...]:
+    """Find the surfaces in all frames, or in the first alone where camera poses are unknown."""
+    return find_surfaces(scan.frames if scan.has_poses else scan.frames[:1])
 
 
 def usable_part(scan: Scan) -> Scan:
@@ -110,13 +109,17 @@ def usable_part(scan: Scan) -> Scan:
 
 
 def scan_detections(
-    scan: Scan, plane: SupportPlane, load_detector: Callable[[], Detector], folder: Path = Path()
+    scan: Scan,
+    surfaces: Sequence[SupportSurface],
+    load_detector: Callable[[], Detector],
+    folder: Path = Path(),
 ) -> Detections | None:
     """Return the scan's own detections, completed, or its masks classified; None where it has neither.
 
     Args:
         scan: Scan with the camera poses of all frames.
-        plane: Support plane.
+        surfaces: Surfaces that objects may stand on, the main one first. Each object is assigned to the one
+            that it stands on, and none is left out for where it stands.
         load_detector: Returns the detector; called only to classify masks or to find the yaw of mugs.
         folder: Folder named in the error message.
 
@@ -128,15 +131,18 @@ def scan_detections(
             raise InvalidInputError(
                 f"{folder / 'detections.json'} is empty: delete it to use the shipped detector"
             )
-        found = completed(scan.frames, scan.detections, (plane,), load_detector)
+        found = with_one_support([assigned(*view, surfaces) for view in zip(scan.frames, scan.detections)])
+        planes = [surface.plane for surface in surfaces]
+        found = completed(scan.frames, found, planes, load_detector)
         if all(detection.instance_id is not None for row in found for detection in row):
-            return Detections(plane, found)
+            return Detections(surfaces[0].plane, found, tuple(surfaces))
     elif scan.masks is not None:
-        detector = load_detector()
-        found = [detector.classify(frame, plane, masks) for frame, masks in zip(scan.frames, scan.masks)]
+        classify = load_detector().classify
+        found = [classified(*view, surfaces, classify) for view in zip(scan.frames, scan.masks)]
     else:
         return None
-    return Detections(plane, tuple(map(tuple, associate(scan.frames, found, plane))))
+    rows, left_out = associate_on_surfaces(scan.frames, found, surfaces)
+    return Detections(surfaces[0].plane, rows, tuple(surfaces), left_out)
 
 
 def completed(

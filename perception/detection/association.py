@@ -20,8 +20,10 @@ from jaxtyping import Float
 from scipy.sparse.csgraph import connected_components
 
 from perception.detection.geometry import plan_coordinates, points_of, project, touches_border
+from perception.detection.left_out import LeftOut, Reason
 from perception.detection.yaw import fuse_yaws
 from perception.errors import InvalidInputError
+from perception.support.surface import SupportSurface
 from perception.types import CATEGORIES, OTHER, ObjectDetection, RgbdFrame, SupportPlane
 
 
@@ -72,7 +74,17 @@ def associate(
     plane: SupportPlane,
     config: AssociationConfig = AssociationConfig(),
 ) -> list[list[ObjectDetection]]:
-    """Return the detections of each frame with instance ids and fused classes.
+    """Return the detections of each frame with instance ids and fused classes, as ``fuse_views`` does."""
+    return fuse_views(frames, detections_per_frame, plane, config)[0]
+
+
+def fuse_views(
+    frames: Sequence[RgbdFrame],
+    detections_per_frame: Sequence[Sequence[ObjectDetection]],
+    plane: SupportPlane,
+    config: AssociationConfig = AssociationConfig(),
+) -> tuple[list[list[ObjectDetection]], list[LeftOut]]:
+    """Associate detections across views, fuse their classes, and reject objects that the views contradict.
 
     Args:
         frames: Views with poses; a single frame may lack its pose.
@@ -83,7 +95,8 @@ def associate(
     Returns:
         For each frame its detections with ``instance_id`` (0, 1, ... by descending number of views, then
         score) and with the category, score, class and yaw probabilities fused over all views. An object
-        appears at most once per frame. For a single frame only objects of class 'other' are dropped.
+        appears at most once per frame. For a single frame only objects of class 'other' are dropped. Then
+        the detections of rejected objects, with the reason.
 
     Raises:
         InvalidInputError: The numbers of frames and of detection lists differ, or one of several frames has
@@ -100,13 +113,39 @@ def associate(
     ]
     footprints = [f for f in footprints if len(f.points)]
     objects = [group for cluster in _clusters(footprints, config) for group in _separate(cluster, config)]
-    fused_groups = [fused for group in objects if (fused := _fuse(group, frames, config)) is not None]
+    fused_groups, left_out = [], []
+    for group in objects:
+        fused = _fuse(group, frames, config)
+        if isinstance(fused, list):
+            fused_groups.append(fused)
+        else:
+            left_out += [LeftOut(f.detection.mask, *fused, frame=f.view) for f in group]
     fused_groups.sort(key=lambda group: (-len(group), -group[0].detection.score))
     result: list[list[ObjectDetection]] = [[] for _ in frames]
     for instance_id, group in enumerate(fused_groups):
         for f in group:
             result[f.view].append(replace(f.detection, instance_id=instance_id))
-    return result
+    return result, left_out
+
+
+def associate_on_surfaces(
+    frames: Sequence[RgbdFrame],
+    detections_per_frame: Sequence[Sequence[ObjectDetection]],
+    surfaces: Sequence[SupportSurface],
+    config: AssociationConfig = AssociationConfig(),
+) -> tuple[tuple[tuple[ObjectDetection, ...], ...], tuple[LeftOut, ...]]:
+    """Return the result of ``fuse_views`` for the detections of each surface, with ids unique over all."""
+    rows: list[list[ObjectDetection]] = [[] for _ in frames]
+    left_out: list[LeftOut] = []
+    count = 0
+    for support, surface in enumerate(surfaces):
+        there = [[d for d in row if d.support == support] for row in detections_per_frame]
+        fused, rejected = fuse_views(frames, there, surface.plane, config)
+        for row, more in zip(rows, fused):
+            row += [replace(d, instance_id=count + (d.instance_id or 0)) for d in more]
+        count += len({d.instance_id for more in fused for d in more})
+        left_out += rejected
+    return tuple(map(tuple, rows)), tuple(left_out)
 
 
 def _footprint(view: int, detection: ObjectDetection, frame: RgbdFrame, plane: SupportPlane) -> _Footprint:
@@ -199,23 +238,23 @@ def _one_per_view(group: list[_Footprint]) -> list[_Footprint]:
 
 def _fuse(
     group: list[_Footprint], frames: Sequence[RgbdFrame], config: AssociationConfig
-) -> list[_Footprint] | None:
-    """Return the group with its fused class, score and yaw, or None if it is rejected."""
-    plan = np.concatenate([f.hull for f in group])
-    if np.ptp(plan, axis=0).max() > config.max_extent:
-        return None
+) -> list[_Footprint] | tuple[Reason, str]:
+    """Return the group with its fused class, score and yaw, or why it is rejected."""
+    extent = float(np.ptp(np.concatenate([f.hull for f in group]), axis=0).max())
+    if extent > config.max_extent:
+        return "too wide for one object", f"{100 * extent:.0f} cm"
     n_missed = _count_missed_views(group, frames, config)
     best_score = max(f.detection.score for f in group)
     if len(group) == 1 and n_missed >= 2 and best_score < config.single_view_score:
-        return None
+        return "seen in one view only", f"{n_missed} others should show it"
 
     log = np.sum([_weight(f.detection, config) * _log_probabilities(f.detection) for f in group], axis=0)
     log = log + n_missed * np.log([config.miss_probability] * OTHER + [1 - config.miss_probability])
     n_views = len(group) + n_missed
-    if int(log.argmax()) == OTHER:
-        return None
     weight = np.exp((log - log.max()) * n_views ** (config.independence - 1))
     probabilities = weight / weight.sum()
+    if int(log.argmax()) == OTHER:
+        return "of none of the classes", f"p = {probabilities[OTHER]:.2f}"
     category = CATEGORIES[int(probabilities[:OTHER].argmax())]
     yaws = [f.detection.yaw_probabilities for f in group if len(f.detection.yaw_probabilities)]
     changes = {

@@ -19,9 +19,12 @@ from scipy.special import log_softmax, softmax
 from perception.detection.crop_network import WEIGHTS_FILES, CropNetwork, load_crop_network, predict
 from perception.detection.crops import Crop, FrameGeometry, crop, frame_geometry, mask_core, stack_crops
 from perception.detection.geometry import heading_angle
-from perception.detection.instances import InstanceConfig, find_instances
+from perception.detection.instances import InstanceConfig, find_instances, segment
+from perception.detection.left_out import LeftOut, of_no_class
 from perception.detection.scene_network import WEIGHTS_FILE, SceneNet, load_scene_network
 from perception.detection.yaw import rotate_yaw
+from perception.support.standing import MeasuredObject, StandingConfig, misplacement, support_of
+from perception.support.surface import SupportSurface
 from perception.types import CATEGORIES, OTHER, ObjectDetection, RgbdFrame, SupportPlane, is_unclassified
 
 _MUG = CATEGORIES.index("mug")
@@ -33,12 +36,14 @@ class DetectorConfig:
 
     Attributes:
         instances: Parameters of the instance segmentation.
+        standing: Tolerances for what stands on a surface.
         max_other: Largest probability of 'other' (distractors) of a detection. Well above one half, so that
             several views can still vote (``association.associate``); the score of such a detection is low.
         min_mug: Smallest probability of 'mug' for which yaw is estimated.
     """
 
     instances: InstanceConfig = field(default_factory=InstanceConfig)
+    standing: StandingConfig = field(default_factory=StandingConfig)
     max_other: float = 0.8
     min_mug: float = 0.05
 
@@ -96,6 +101,36 @@ class Detector:
         scene_log_classes = [instance.log_classes for instance in found]
         return self.classify(frame, plane, [instance.mask for instance in found], scene_log_classes)
 
+    def examine(
+        self, frame: RgbdFrame, surfaces: Sequence[SupportSurface], support: int = 0
+    ) -> tuple[list[ObjectDetection], list[LeftOut]]:
+        """Return the objects that stand on one of several surfaces, and all other candidates.
+
+        Args:
+            frame: RGB-D image; without a pose its camera is the world.
+            surfaces: Surfaces with their extents, in the world frame.
+            support: Index of the surface that is examined.
+
+        Returns:
+            Detections by descending score; what was segmented and left out, with the reason. Candidates that
+            stand on another of the surfaces are neither.
+        """
+        surface, standing = surfaces[support], self.config.standing
+        instances, implausible = segment(frame, surface.plane, self.scene_network, self.config.instances)
+        left_out = implausible if support == 0 else []  # relative to another plane most of them are scenery
+        kept = []
+        for instance in instances:
+            seen = MeasuredObject.of(frame, instance.mask, standing)
+            if seen is None:
+                left_out.append(LeftOut(instance.mask, "no depth"))
+            elif support_of(seen, surfaces, standing) == support:
+                fault = misplacement(seen, surface, standing)
+                kept += [] if fault else [instance]
+                left_out += [fault] if fault else []
+        masks, scene = [instance.mask for instance in kept], [instance.log_classes for instance in kept]
+        found, refused = self._judged(frame, surface.plane, masks, scene)
+        return [replace(detection, support=support) for detection in found], left_out + refused
+
     def classify(
         self,
         frame: RgbdFrame,
@@ -112,10 +147,21 @@ class Detector:
             scene_log_classes: Class log-probabilities of each instance from the scene network, averaged with
                 those of the class network; the class network alone decides if None.
         """
+        return self._judged(frame, plane, masks, scene_log_classes)[0]
+
+    def _judged(
+        self,
+        frame: RgbdFrame,
+        plane: SupportPlane,
+        masks: Sequence[Bool[np.ndarray, "h w"]],
+        scene_log_classes: Sequence[Float[np.ndarray, "5"]] | None,
+    ) -> tuple[list[ObjectDetection], list[LeftOut]]:
+        """Return the detections of ``classify``, and the masks that are none."""
         geometry = frame_geometry(frame, plane)
         kept = [i for i, mask in enumerate(masks) if geometry.has_depth(mask)]
+        left_out = [LeftOut(mask, "no depth") for i, mask in enumerate(masks) if i not in kept]
         if not kept:
-            return []
+            return [], left_out
         masks = [masks[i] for i in kept]
         classes, crops = self._classes(frame, plane, masks, geometry)
         if scene_log_classes is not None:
@@ -124,12 +170,13 @@ class Detector:
         mugs = np.flatnonzero(classes[:, _MUG] >= self.config.min_mug).tolist()
         whole = [crops[i] or crop(frame, masks[i], plane, geometry) for i in mugs]
         yaw_of = dict(zip(mugs, self._yaws(whole, plane)))
-        detections = [
-            _classified(mask, probabilities, yaw_of.get(i, np.zeros(0)))
-            for i, (mask, probabilities) in enumerate(zip(masks, classes))
-            if probabilities[OTHER] <= self.config.max_other
-        ]
-        return sorted(detections, key=lambda detection: -detection.score)
+        detections = []
+        for i, (mask, probabilities) in enumerate(zip(masks, classes)):
+            if probabilities[OTHER] > self.config.max_other:
+                left_out.append(of_no_class(mask, probabilities[OTHER]))
+            else:
+                detections.append(_classified(mask, probabilities, yaw_of.get(i, np.zeros(0))))
+        return sorted(detections, key=lambda detection: -detection.score), left_out
 
     def complete(
         self, frame: RgbdFrame, plane: SupportPlane, detections: Sequence[ObjectDetection]

@@ -55,9 +55,10 @@ def bounding_window(mask: Bool[np.ndarray, "h w"], margin: int = 0) -> tuple[sli
     return slice(max(y - margin, 0), y + h + margin), slice(max(x - margin, 0), x + w + margin)
 
 
-def touches_border(mask: Bool[np.ndarray, "h w"]) -> bool:
-    """Return whether the mask is truncated by the image border."""
-    return bool(mask[0].any() or mask[-1].any() or mask[:, 0].any() or mask[:, -1].any())
+def touches_border(mask: Bool[np.ndarray, "h w"], margin: int = 0) -> bool:
+    """Return whether the mask is truncated by the image border, or ends within ``margin`` pixels of it."""
+    k = margin + 1
+    return bool(mask[:k].any() or mask[-k:].any() or mask[:, :k].any() or mask[:, -k:].any())
 
 
 def points_of(

@@ -16,6 +16,7 @@ from scipy.spatial.distance import cdist
 from scipy.special import expit, log_softmax
 
 from perception.detection.geometry import bounding_window, height_image
+from perception.detection.left_out import LeftOut
 from perception.detection.scene_network import CLASSES, VOTE_UNIT, SceneNet, predict_scene
 from perception.detection.working_view import WorkingView, downscale, fill_from_nearest, working_view
 from perception.types import RgbdFrame, SupportPlane
@@ -96,22 +97,35 @@ def find_instances(
     network: SceneNet,
     config: InstanceConfig = InstanceConfig(),
 ) -> list[Instance]:
-    """Segment the objects and distractors on the plane; largest first, masks do not overlap.
+    """Return the plausible instances of ``segment``."""
+    return segment(frame, plane, network, config)[0]
+
+
+def segment(
+    frame: RgbdFrame,
+    plane: SupportPlane,
+    network: SceneNet,
+    config: InstanceConfig = InstanceConfig(),
+) -> tuple[list[Instance], list[LeftOut]]:
+    """Segment the objects and distractors on the plane; masks do not overlap.
 
     Args:
         frame: RGB-D image; without a pose its camera is the world.
         plane: Support plane in the world frame.
         network: Scene network in evaluation mode.
         config: Parameters.
+
+    Returns:
+        The plausible instances, largest first, and the others with the reason.
     """
     small = downscale(frame)
     if not (small.depth > 0).any():
-        return []
+        return [], []
     view = working_view(small, plane)
     answer = decode_prediction(predict_scene(network, view.channels), view)
     peaks = find_peaks(answer, view, config)
     if not len(peaks):
-        return []
+        return [], []
     numbers = assign_pixels(answer, view, peaks, config)
     classes = _classes(answer, numbers, len(peaks))
     numbers = np.rot90(numbers, -view.turns)
@@ -253,8 +267,8 @@ def _plausible(
     frame: RgbdFrame,
     plane: SupportPlane,
     config: InstanceConfig,
-) -> list[Instance]:
-    """Return the instances that pass the checks of size, height and distance, largest first."""
+) -> tuple[list[Instance], list[LeftOut]]:
+    """Return the instances that pass the checks of size, height and distance, largest first, and the rest."""
     shown = numbers >= 0
     owner, depth, height = numbers[shown], frame.depth[shown], height_image(frame, plane)[shown]
     measured = depth > 0
@@ -266,10 +280,20 @@ def _plausible(
     distance = counted(depth, measured) / np.maximum(seen, 1)
     area = pixels * distance**2 / (frame.intrinsics.fx * frame.intrinsics.fy)
     too_high = counted(only=measured & (height > config.max_height)) > 0.02 * seen
-    keep = (pixels >= config.min_pixels) & (seen > 0) & (area >= config.min_area)
-    keep &= ~too_high & (distance >= config.min_distance)
-    order = sorted((int(k) for k in np.flatnonzero(keep)), key=lambda k: -pixels[k])
-    return [Instance(remove_specks(numbers == k, config.min_piece_share), classes[k]) for k in order]
+    kept, left_out = [], []
+    for k in sorted((int(k) for k in np.flatnonzero(pixels)), key=lambda k: -pixels[k]):
+        mask = remove_specks(numbers == k, config.min_piece_share)
+        if seen[k] == 0:
+            left_out.append(LeftOut(mask, "no depth"))
+        elif pixels[k] < config.min_pixels or area[k] < config.min_area:
+            left_out.append(LeftOut(mask, "too small", f"{pixels[k]} px, {1e4 * area[k]:.1f} cm²"))
+        elif too_high[k]:
+            left_out.append(LeftOut(mask, "too high", f"above {config.max_height:g} m"))
+        elif distance[k] < config.min_distance:
+            left_out.append(LeftOut(mask, "too near", f"{distance[k]:.2f} m"))
+        else:
+            kept.append(Instance(mask, classes[k]))
+    return kept, left_out
 
 
 def remove_specks(mask: Bool[np.ndarray, "H W"], share: float) -> Bool[np.ndarray, "H W"]:

@@ -22,10 +22,12 @@ from perception.slam.labelled_frame import LabelledFrame, with_pose
 from perception.slam.landmarks import LandmarkMap, log_probabilities
 from perception.slam.pixels import PixelSelectionConfig, select_pixels
 from perception.slam.tracking import TrackedPose, TrackingConfig, track
-from perception.support_plane import PlaneConfig, fit_support_plane
+from perception.support.planes import PlaneConfig
+from perception.support.surfaces import SurfaceConfig
+from perception.support_plane import fit_support_plane
 from perception.types import CATEGORIES, ObjectDetection, RgbdFrame, SupportPlane
 
-_ANY_TILT = PlaneConfig(max_tilt=np.pi)
+_ANY_TILT = SurfaceConfig(planes=PlaneConfig(max_tilt=np.pi))
 _REFINEMENT_SIGMA = 1.0  # [rad], [m] of a hypothesis: weak enough for the frame alone to determine the pose
 _REFINEMENT_ITERATIONS = 12
 _EARLY_STOP_RATIO = 0.8  # median inlier ratio from which a pose that explains all matches is accepted at once

@@ -1,8 +1,10 @@
 import numpy as np
 import pytest
 
-from app.drawing import draw_detections, draw_estimates, draw_rejected
-from perception.types import ObjectDetection, ObjectEstimate, RejectedObject
+from app.drawing import draw_detections, draw_estimates, draw_left_out, draw_rejected, draw_surfaces
+from perception.detection.left_out import LeftOut
+from perception.support.surface import SupportSurface
+from perception.types import ObjectDetection, ObjectEstimate, RejectedObject, SupportPlane
 
 
 def test_a_mesh_is_drawn_at_its_projection(overhead_frame, can_at):
@@ -40,3 +42,26 @@ def test_objects_that_are_left_out_are_outlined(overhead_frame):
     image = draw_rejected(overhead_frame.rgb, found, [RejectedObject(3, "mug", "no fit")])
     assert (image[50, 72:88] != 100).any(axis=-1).all() and (image[60, 80] == 100).all()
     np.testing.assert_array_equal(draw_rejected(overhead_frame.rgb, found, []), overhead_frame.rgb)
+
+
+def test_candidates_are_outlined_thinly_in_a_copy(overhead_frame):
+    mask = np.zeros((120, 160), bool)
+    mask[20:100, 30:130] = True
+    image = draw_left_out(overhead_frame.rgb, [LeftOut(mask, "too far", "2.4 m")])
+    assert (image[20, 32:128] != 100).any(axis=-1).all() and (image[23:40, 32:128] == 100).all()
+    assert (image[50:70] != 100).any()  # the reason
+    assert (overhead_frame.rgb == 100).all()
+
+
+def test_the_outline_of_the_surface_is_drawn_where_it_projects_to(overhead_frame):
+    square = np.array([[-0.1, -0.1], [0.1, -0.1], [0.1, 0.1], [-0.1, 0.1]])
+    z = float(np.median(overhead_frame.depth[overhead_frame.depth > 0]))
+    T = overhead_frame.T_world_camera
+    surface = SupportSurface(SupportPlane(offset=float(T[2, 3] - z)), square + T[:2, 3])
+    image = draw_surfaces(overhead_frame.rgb, overhead_frame, [surface])
+    rows, columns = np.nonzero((image != 100).any(axis=-1))
+    side = 0.2 * overhead_frame.intrinsics.fx / z
+    assert np.ptp(columns) == pytest.approx(side, abs=3) and np.ptp(rows) == pytest.approx(side, abs=3)
+    assert len(columns) < 0.3 * side**2  # the sides alone
+    behind = SupportSurface(SupportPlane(offset=float(T[2, 3] + 1)), square)
+    np.testing.assert_array_equal(draw_surfaces(image, overhead_frame, [behind]), image)

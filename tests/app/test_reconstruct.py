@@ -14,10 +14,12 @@ from app.options import ReconstructOptions
 from perception.errors import InvalidInputError
 from perception.io.scan_folder import Scan
 from perception.pipeline import Detections, load_huggingface
+from perception.support.surface import SupportSurface
 from perception.types import CameraIntrinsics, ObjectDetection, RejectedObject, RgbdFrame, SupportPlane
 
 LENS = CameraIntrinsics(8, 6, 9.0, 9.0, 3.5, 2.5)
 FRAME = RgbdFrame(0.0, np.zeros((6, 8, 3), np.uint8), np.ones((6, 8), np.float32), LENS, np.eye(4))
+LEVEL = (SupportSurface(SupportPlane(np.array([0.0, 0.0, -1.0]), -1.0)),)  # what the frame shows
 GIVEN = ObjectDetection("bowl", 1.0, np.ones((6, 8), bool), instance_id=4)
 
 
@@ -28,23 +30,22 @@ def test_detections_of_the_folder_take_precedence(monkeypatch: pytest.MonkeyPatc
     monkeypatch.setattr(reconstruct, "load_detector", refuse)
     options = ReconstructOptions(scan=Path("mine"))
     scan = Scan((FRAME,), ((GIVEN,),), (0,))
-    assert reconstruct._detections(scan, SupportPlane(), options).per_frame == ((GIVEN,),)
+    assert reconstruct._detections(scan, LEVEL, options).per_frame == ((GIVEN,),)
     with pytest.raises(InvalidInputError, match=r"^mine/detections\.json is empty"):
-        reconstruct._detections(Scan((FRAME,), ((),), (0,)), SupportPlane(), options)
+        reconstruct._detections(Scan((FRAME,), ((),), (0,)), LEVEL, options)
 
 
 def test_the_shipped_detector_is_the_default(monkeypatch: pytest.MonkeyPatch) -> None:
     made = Detections(SupportPlane(), ((GIVEN,),))
     monkeypatch.setattr(reconstruct, "load_detector", lambda device: f"detector on {device}")
     monkeypatch.setattr(
-        reconstruct, "detect_objects", lambda frames, detector, plane: (made, frames, detector, plane)
+        reconstruct, "detect_objects", lambda frames, detector, surfaces: (made, frames, detector, surfaces)
     )
     detections = reconstruct._detections.__wrapped__  # without the check of the stub's type
-    plane = SupportPlane(offset=0.1)
     result = detections(
-        Scan((FRAME,), None, (0,)), plane, ReconstructOptions(scan=Path("mine"), device="cpu")
+        Scan((FRAME,), None, (0,)), LEVEL, ReconstructOptions(scan=Path("mine"), device="cpu")
     )
-    assert result == (made, (FRAME,), "detector on cpu", plane)
+    assert result == (made, (FRAME,), "detector on cpu", LEVEL)
 
 
 def test_mugs_of_another_detector_get_a_yaw_distribution(monkeypatch: pytest.MonkeyPatch) -> None:
@@ -55,15 +56,19 @@ def test_mugs_of_another_detector_get_a_yaw_distribution(monkeypatch: pytest.Mon
     bare = ObjectDetection("mug", 1.0, np.ones((6, 8), bool))
     monkeypatch.setattr(reconstruct, "load_huggingface", lambda name, device: lambda frame: [bare])
     monkeypatch.setattr(reconstruct, "load_detector", lambda device: Yaws())
-    monkeypatch.setattr(reconstruct, "associate", lambda frames, found, plane: found)
+    monkeypatch.setattr(
+        reconstruct,
+        "place_detections",
+        lambda frames, found, surfaces, complete: Detections(surfaces[0].plane, complete(found)),
+    )
     options = ReconstructOptions(scan=Path("mine"), detector="hf:model", device="cpu")
-    ((found,),) = reconstruct._detections(Scan((FRAME,), None, (0,)), SupportPlane(), options).per_frame
+    ((found,),) = reconstruct._detections(Scan((FRAME,), None, (0,)), LEVEL, options).per_frame
     assert found.category == "mug" and len(found.yaw_probabilities) == 36
 
 
 def test_the_summary_names_what_is_left_out() -> None:
     item = RejectedObject(2, "mug", "the fit failed")
-    assert reconstruct._summary([], []) == "no object was found in the scan"
+    assert reconstruct._summary([], []) == ""
     assert reconstruct._summary([], [item]) == (
         "no object was reconstructed: mug_2 is left out: the fit failed"
     )

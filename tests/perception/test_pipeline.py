@@ -1,5 +1,6 @@
 """The stages with stubs for the networks: plane, order, progress, devices."""
 
+from dataclasses import replace
 from typing import get_args
 
 import numpy as np
@@ -15,10 +16,12 @@ from perception.pipeline import (
     detect,
     load_huggingface,
     load_perception,
+    place_detections,
     reconstruct_objects,
     resolve_device,
 )
 from perception.shape.decoder import ShapeDecoder
+from perception.support.surface import SupportSurface
 from perception.types import ObjectDetection, SupportPlane
 
 TARGET = (0.45, -0.2, 0.03)
@@ -59,9 +62,48 @@ def test_detections_are_associated_and_in_the_order_of_the_frames(scan):
 
 def test_a_given_plane_is_used_instead_of_a_fit(scan, monkeypatch):
     plane, detector = SupportPlane(offset=0.001), TruthDetector(scan)
-    monkeypatch.setattr(pipeline, "fit_support_plane", None)
+    monkeypatch.setattr(pipeline, "find_surfaces", None)
     found = detect([s.frame for s in scan], detector, plane=plane)
     assert found.plane is plane and all(used is plane for used in detector.planes)
+
+
+def test_the_surfaces_are_found_and_returned(scan):
+    found = detect([s.frame for s in scan], TruthDetector(scan))
+    (surface,), (plane,) = found.surfaces, found.planes
+    assert surface.plane is plane is found.plane
+    assert len(surface.outline) > 2 and not found.left_out
+    (alone,) = Detections(plane, ((),)).planes
+    assert alone is plane
+
+
+def test_without_any_object_the_things_in_depth_are_left_out(scan):
+    frames = [s.frame for s in scan]
+    found = detect(frames, lambda frame, plane: [])
+    assert found.n_objects == 0
+    for i, seen in enumerate(scan):
+        there = [c for c in found.left_out if c.frame == i]
+        assert {c.reason for c in there} == {"not recognised as an object"}
+        covered = np.logical_or.reduce([c.mask for c in there])
+        assert (covered & (seen.instances >= 0)).sum() > 0.6 * (seen.instances >= 0).sum()
+
+
+def test_what_does_not_stand_on_a_surface_is_left_out_in_its_frame(scan):
+    elsewhere = np.array([[2.0, 2.0], [3.0, 2.0], [3.0, 3.0], [2.0, 3.0]])
+    surface = SupportSurface(SupportPlane(), elsewhere)
+    found = detect([s.frame for s in scan], TruthDetector(scan), surfaces=[surface])
+    assert found.n_objects == 0
+    beyond = [c.frame for c in found.left_out if c.reason == "beyond the edge of the support surface"]
+    assert sorted(beyond) == [0, 0, 1, 1, 2, 2]
+
+
+def test_detections_without_depth_are_placed_completed_and_associated(scan):
+    masks = [[ObjectDetection("can", 0.9, s.instances == k) for k in (0, 1)] for s in scan]
+
+    def complete(rows):
+        return [[replace(d, category="mug") for d in row] for row in rows]
+
+    found = place_detections([s.frame for s in scan], masks, [SupportSurface(SupportPlane())], complete)
+    assert found.n_objects == 2 and {d.category for row in found.per_frame for d in row} == {"mug"}
 
 
 @pytest.fixture(scope="module")
@@ -85,7 +127,7 @@ def test_reconstruction_gets_frames_detections_plane_and_callbacks(networks, mon
     monkeypatch.setattr(pipeline, "reconstruct", reconstruct)
     detections = Detections(SupportPlane(), ((),))
     reconstruct_objects((), detections, networks.decoder, progress, on_step)
-    assert received["per_frame"] == ((),) and received["plane"] is detections.plane
+    assert received["per_frame"] == ((),) and received["plane"] == (detections.plane,)
     assert received["decoder"] is networks.decoder
     assert progress in _flat(received["callbacks"]) and on_step in _flat(received["callbacks"])
 

@@ -15,13 +15,17 @@ from perception.errors import InvalidInputError
 from perception.io.scan_folder import Scan, write_scan
 from perception.pipeline import Detections, Perception
 from perception.reconstruction import Reconstruction
-from perception.scans import reconstruct, reconstruct_scan, scan_detections, scan_plane, usable_part
+from perception.scans import reconstruct, reconstruct_scan, scan_detections, scan_surfaces, usable_part
+from perception.support.surface import SupportSurface
 from perception.types import CameraIntrinsics, ObjectDetection, RgbdFrame, SupportPlane
 
 LENS = CameraIntrinsics(160, 120, 150.0, 150.0, 79.5, 59.5)
 DOWN = np.deg2rad(50)  # the camera looks at the table from this far above the horizon
 UP = np.array([0.0, -np.cos(DOWN), -np.sin(DOWN)])  # the table's normal in the camera
 DISTANCE = 0.6
+
+
+LEVEL = (SupportSurface(SupportPlane()),)
 
 
 def tilted_table() -> RgbdFrame:
@@ -57,9 +61,10 @@ def refuse() -> Any:
 
 
 def test_the_plane_of_a_scan_without_poses_is_that_of_the_first_frame() -> None:
-    plane = scan_plane(
+    (surface,) = scan_surfaces(
         Scan((tilted_table(), replace(tilted_table(), depth=0 * tilted_table().depth)), None, (0, 1))
     )
+    plane = surface.plane
     np.testing.assert_allclose(plane.normal, UP, atol=0.01)
     assert plane.offset == pytest.approx(-DISTANCE * np.sin(DOWN), abs=0.003)
 
@@ -89,7 +94,7 @@ def test_masks_of_a_folder_are_classified_and_associated() -> None:
     plane = SupportPlane(UP, -DISTANCE * np.sin(DOWN))
     usable = usable_part(scan)
     assert len(usable.frames) == 1 and usable.masks == scan.masks[:1] and len(usable.warnings) == 1
-    detections = scan_detections(usable, plane, lambda: classifier)
+    detections = scan_detections(usable, (SupportSurface(plane),), lambda: classifier)
     assert detections is not None
     ((found,),) = detections.per_frame
     assert found.category == "bowl" and found.instance_id is not None
@@ -100,19 +105,19 @@ def test_given_detections_take_precedence_over_masks_and_networks() -> None:
     given = ObjectDetection("mug", 1.0, mask(), instance_id=4, yaw_probabilities=np.full(36, 1 / 36))
     frame = replace(tilted_table(), T_world_camera=np.eye(4))
     scan = Scan((frame,), ((given,),), (0,), masks=((mask(),),))
-    detections = scan_detections(scan, SupportPlane(), refuse)
+    detections = scan_detections(scan, LEVEL, refuse)
     assert detections is not None and detections.per_frame == ((given,),)
     bare = replace(scan, detections=None, masks=None)
-    assert scan_detections(bare, SupportPlane(), refuse) is None
+    assert scan_detections(bare, LEVEL, refuse) is None
     with pytest.raises(InvalidInputError, match=r"^mine/detections.json is empty: delete it"):
-        scan_detections(replace(scan, detections=((),)), SupportPlane(), refuse, Path("mine"))
+        scan_detections(replace(scan, detections=((),)), LEVEL, refuse, Path("mine"))
 
 
 def test_detections_without_instances_are_associated() -> None:
     given = ObjectDetection("bowl", 1.0, mask())
     frame = replace(tilted_table(), T_world_camera=np.eye(4))
     plane = SupportPlane(UP, -DISTANCE * np.sin(DOWN))
-    detections = scan_detections(Scan((frame,), ((given,),), (0,)), plane, refuse)
+    detections = scan_detections(Scan((frame,), ((given,),), (0,)), (SupportSurface(plane),), refuse)
     assert detections is not None and detections.per_frame[0][0].instance_id is not None
 
 
@@ -120,7 +125,7 @@ def test_mugs_among_given_detections_get_a_yaw_distribution() -> None:
     classifier: Any = Classifier()
     mug, bowl = (ObjectDetection(c, 1.0, mask(), instance_id=k) for k, c in enumerate(("mug", "bowl")))
     frame = replace(tilted_table(), T_world_camera=np.eye(4))
-    detections = scan_detections(Scan((frame,), ((mug, bowl),), (0,)), SupportPlane(), lambda: classifier)
+    detections = scan_detections(Scan((frame,), ((mug, bowl),), (0,)), LEVEL, lambda: classifier)
     assert detections is not None
     ((first, second),) = detections.per_frame
     assert (first.instance_id, len(first.yaw_probabilities)) == (0, 36) and second is bowl
@@ -131,9 +136,9 @@ def stages(monkeypatch: pytest.MonkeyPatch) -> dict[str, Any]:
     """Replace detection and reconstruction; return what they were called with."""
     seen: dict[str, Any] = {}
 
-    def detect(frames: Any, detector: Any, plane: SupportPlane) -> Detections:
-        seen["detected"] = (frames, detector, plane)
-        return Detections(plane, tuple(() for _ in frames))
+    def detect(frames: Any, detector: Any, surfaces: Any) -> Detections:
+        seen["detected"] = (frames, detector, surfaces[0].plane)
+        return Detections(surfaces[0].plane, tuple(() for _ in frames))
 
     def reconstruct_objects(frames: Any, detections: Detections, decoder: Any, on_rejected: Any) -> list[Any]:
         seen["reconstructed"] = (frames, detections, decoder)

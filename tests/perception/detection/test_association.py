@@ -6,9 +6,15 @@ import numpy as np
 import pytest
 from scipy.special import softmax
 
-from perception.detection.association import AssociationConfig, associate
+from perception.detection.association import (
+    AssociationConfig,
+    associate,
+    associate_on_surfaces,
+    fuse_views,
+)
 from perception.detection.yaw import modes, soft_labels
 from perception.errors import InvalidInputError
+from perception.support.surface import SupportSurface
 from perception.types import CATEGORIES, CameraIntrinsics, ObjectDetection, RgbdFrame, SupportPlane
 
 PLANE = SupportPlane()
@@ -160,6 +166,32 @@ def test_a_single_frame_and_empty_lists_are_accepted(scan):
     (alone,) = associate(frames_of(scan)[:1], true_detections(scan)[:1], PLANE)
     assert sorted(d.instance_id for d in alone) == [0, 1, 2]
     assert associate(frames_of(scan), [[], [], [], []], PLANE) == [[], [], [], []]
+
+
+def test_rejected_objects_are_returned_with_the_reason():
+    left, right = square(20), square(100)
+    other = np.array([0.05, 0.05, 0.05, 0.05, 0.8])
+    rows, left_out = fuse_views([from_above(left, right)], [[with_probabilities(left, other)]], PLANE)
+    assert rows == [[]]
+    assert [c.text for c in left_out] == ["of none of the classes (p = 0.80)"] and left_out[0].frame == 0
+    wide = square(0, size=H - 1) | square(W - H, size=H - 1)
+    lenient = AssociationConfig(max_extent=0.02)
+    _, left_out = fuse_views([from_above(wide)], [[with_probabilities(wide, A)]], PLANE, lenient)
+    assert left_out[0].reason == "too wide for one object"
+
+
+def test_a_weak_detection_of_one_view_is_left_out_in_that_view(scan):
+    detections = [[], [detection(scan[1].instances == 0, "can", 0.5)], [], []]
+    rows, left_out = fuse_views(frames_of(scan), detections, PLANE)
+    assert not any(rows) and [(c.frame, c.reason) for c in left_out] == [(1, "seen in one view only")]
+
+
+def test_ids_are_unique_over_the_surfaces(scan):
+    (row,) = true_detections(scan)[:1]
+    row = [replace(d, support=k % 2) for k, d in enumerate(row)]
+    surfaces = (SupportSurface(PLANE), SupportSurface(SupportPlane(offset=-0.02)))
+    ((found,), left_out) = associate_on_surfaces(frames_of(scan)[:1], [row], surfaces)
+    assert not left_out and sorted((d.support, d.instance_id) for d in found) == [(0, 0), (0, 1), (1, 2)]
 
 
 def test_inputs_are_checked(scan):

@@ -8,6 +8,7 @@ from perception.detection.crop_network import OUTPUTS, CropNet, create_network, 
 from perception.detection.detector import Detector
 from perception.detection.scene_network import SceneNet, load_scene_network, save_scene_network
 from perception.errors import PerceptionError
+from perception.support.surface import SupportSurface
 from perception.types import CATEGORIES, ObjectDetection, RgbdFrame, SupportPlane, unclassified
 
 PLANE = SupportPlane()
@@ -68,6 +69,27 @@ def test_doubtful_instances_stay_with_a_low_score_and_certain_others_go(two):
     assert len(doubtful) == 2
     assert all(d.category == "mug" and d.score < 0.5 for d in doubtful)
     assert given(fixed_detector([0.0, 0.0, 0.0, 0.0, 9.0]), two) == []
+
+
+def test_what_is_left_out_has_a_reason(two):
+    table = np.array([[0.2, -0.5], [0.7, -0.5], [0.7, 0.1], [0.2, 0.1]])
+    detector = fixed_detector([0.0, 0.0, 0.0, 3.0, 0.0])
+    found, left_out = detector.examine(two.frame, [SupportSurface(PLANE, table)])
+    assert [d.category for d in found][:1] == ["can"] and len(found) + len(left_out) == 2
+    found, left_out = fixed_detector([0.0, 0.0, 0.0, 0.0, 99.0]).examine(two.frame, [SupportSurface(PLANE)])
+    assert "of none of the classes" in {c.reason for c in left_out} and len(found) + len(left_out) == 2
+    small = SupportSurface(PLANE, np.array([[0.3, -0.4], [0.46, -0.4], [0.46, -0.1], [0.3, -0.1]]))
+    (can,), left_out = detector.examine(two.frame, [small])
+    assert can.support == 0 and [c.reason for c in left_out] == ["beyond the edge of the support surface"]
+    assert (left_out[0].mask & (two.instances == 1)).sum() > 1000
+
+
+def test_objects_of_another_surface_are_neither_found_nor_left_out(two):
+    above = SupportSurface(SupportPlane(offset=-0.3))
+    detector = fixed_detector([3.0, 0.0, 0.0, 0.0, 0.0])
+    assert len(detector.examine(two.frame, [SupportSurface(PLANE), above], 0)[0]) == 2
+    found, left_out = detector.examine(two.frame, [SupportSurface(PLANE), above], 1)
+    assert not found and not left_out
 
 
 def test_yaw_is_given_in_the_world_for_what_may_be_a_mug(two):

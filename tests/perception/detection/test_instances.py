@@ -8,6 +8,7 @@ import pytest
 from perception.detection.instances import (
     InstanceConfig,
     ScenePrediction,
+    _plausible,
     assign_pixels,
     decode_prediction,
     find_instances,
@@ -15,6 +16,7 @@ from perception.detection.instances import (
     remove_specks,
     upsample_labels,
 )
+from perception.detection.instances import segment as segment_instances
 from perception.detection.scene_network import CLASSES, OUTPUTS, VOTE_UNIT, SceneNet, load_scene_network
 from perception.detection.working_view import downscale, working_view
 from perception.types import RgbdFrame, SupportPlane
@@ -177,6 +179,32 @@ def test_pixels_with_scattered_votes_are_background(touching):
     alone = find_instances(frame, PLANE, Oracle(perfect(frame, touching.instances, touching.places)))
     assert len(found) == len(alone) == 4
     assert not any(f.mask[:14, :28].any() for f in found)
+
+
+@pytest.mark.parametrize(
+    ("limits", "reason"),
+    [
+        ({"min_pixels": 100_000}, "too small"),
+        ({"min_area": 1.0}, "too small"),
+        ({"max_height": 0.05}, "too high"),
+        ({"min_distance": 2.0}, "too near"),
+    ],
+)
+def test_implausible_instances_are_returned_with_the_reason(touching, limits, reason):
+    frame = downscale(touching.frame)
+    network = Oracle(perfect(frame, touching.instances, touching.places))
+    kept, left_out = segment_instances(frame, PLANE, network, InstanceConfig(**limits))
+    assert not kept and [c.reason for c in left_out] == 4 * [reason]
+    assert all(candidate.detail for candidate in left_out)
+    assert sum(c.mask.astype(int) for c in left_out).max() == 1
+
+
+def test_an_instance_without_depth_is_left_out(touching):
+    depth = np.where(touching.instances == 3, 0, touching.frame.depth)
+    f = touching.frame
+    blind = RgbdFrame(0.0, f.rgb, depth, f.intrinsics, f.T_world_camera)
+    kept, left_out = _plausible(touching.instances, np.zeros((4, CLASSES)), blind, PLANE, CONFIG)
+    assert len(kept) == 3 and [c.reason for c in left_out] == ["no depth"]
 
 
 # --- the shipped network on rendered scenes unlike its training data -----------------------------
