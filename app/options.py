@@ -121,7 +121,7 @@ class ReconstructOptions(CommonOptions):
 
 @dataclass(frozen=True, kw_only=True)
 class ConvertOptions(CommonOptions):
-    """Convert a TUM RGB-D recording or NOCS-style frames into a scan folder."""
+    """Convert colour and depth images into a scan folder: TUM RGB-D, 7-Scenes, NOCS and others."""
 
     source: Positional[Path]
     """Folder of the recording."""
@@ -130,7 +130,11 @@ class ConvertOptions(CommonOptions):
     camera: Annotated[
         str | None, arg(metavar="FX,FY,CX,CY", help_behavior_hint="default: the data set's own")
     ] = None
-    """Focal lengths and principal point, in pixels of an image of 640 px width."""
+    """Focal lengths and principal point, in pixels of the recording's images."""
+    depth_scale: Annotated[
+        float | None, arg(metavar="MM", help_behavior_hint="default: 1; TUM RGB-D 0.2")
+    ] = None
+    """Millimetres per unit of the depth images."""
 
 
 @dataclass(frozen=True, kw_only=True)

@@ -1,4 +1,4 @@
-"""``nodeslam convert``: TUM RGB-D and NOCS recordings become scan folders."""
+"""``nodeslam convert``: TUM RGB-D, NOCS and numbered recordings become scan folders."""
 
 from __future__ import annotations
 
@@ -59,7 +59,7 @@ def test_tum_recording_becomes_a_posed_scan(tmp_path: Path) -> None:
 def test_images_are_chosen_evenly_and_the_camera_may_be_given(tmp_path: Path) -> None:
     source = tum(tmp_path / "mine", 6)
     (source / "groundtruth.txt").unlink()
-    assert convert(source, tmp_path / "out", "--images", "2", "--camera", "600,610,320,240") == 0
+    assert convert(source, tmp_path / "out", "--images", "2", "--camera", "60,61,32,24") == 0
     scan = read_scan(tmp_path / "out/scan")
     assert not scan.has_poses and [int(f.rgb[0, 0, 0]) for f in scan.frames] == [0, 50]
     assert scan.frames[0].intrinsics.fy == pytest.approx(61.0)
@@ -79,15 +79,49 @@ def test_nocs_frames_bring_their_detections(tmp_path: Path) -> None:
     np.testing.assert_array_equal(scan.detections[0][0].mask, mask == 1)
 
 
+def test_numbered_images_with_poses(tmp_path: Path) -> None:
+    folder = tmp_path / "kitchen"
+    for k in range(3):
+        save(folder / f"frame-{k:06d}.color.png", np.full((48, 64, 3), k, np.uint8))
+        save(folder / f"frame-{k:06d}.depth.png", np.full((48, 64), 800, np.uint16))
+        np.savetxt(folder / f"frame-{k:06d}.pose.txt", np.eye(4) if k else np.full((4, 4), np.nan))
+    (folder / "camera-intrinsics.txt").write_text("60 0 32\n0 60 24\n0 0 1\n")
+    assert convert(folder, tmp_path / "out", "--depth-scale", "0.5") == 0
+    scan = read_scan(tmp_path / "out/scan")
+    assert scan.has_poses and len(scan.frames) == 2
+    assert scan.frames[0].depth.max() == pytest.approx(0.4) and scan.frames[0].intrinsics.fx == 60
+    report = json.loads((tmp_path / "out/report.json").read_text())
+    assert report["metrics"]["median_depth"] == pytest.approx(0.4)
+    assert len(report["warnings"]) == 1 and "frame-000000.pose.txt" in report["warnings"][0]
+
+
+def test_an_implausible_unit_of_depth_is_reported(tmp_path: Path) -> None:
+    assert convert(tum(tmp_path / "mine"), tmp_path / "out", "--depth-scale", "5") == 0
+    assert "check --depth-scale" in json.loads((tmp_path / "out/report.json").read_text())["warnings"][-1]
+
+
+def test_listed_images_without_files_are_reported(tmp_path: Path) -> None:
+    source = tum(tmp_path / "mine")
+    (source / "rgb/100.200.png").unlink()
+    assert convert(source, tmp_path / "out") == 0
+    report = json.loads((tmp_path / "out/report.json").read_text())
+    assert "1 listed image pairs have no files" in report["warnings"] and report["metrics"]["n_images"] == 4
+
+
 def test_bad_sources_end_in_one_line(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
     source = tum(tmp_path / "mine")
     (tmp_path / "empty").mkdir()
+    (tmp_path / "done").mkdir()
+    (tmp_path / "done/scene_camera.json").write_text("{}")
     for arguments, words in (
-        ([tmp_path / "empty"], "holds neither rgb.txt"),
+        ([tmp_path / "empty"], "holds no recording that is known: rgb.txt"),
         ([tmp_path / "missing"], "is no folder"),
         ([source, "--camera", "600,600"], "--camera takes fx,fy,cx,cy"),
         ([source, "--camera", "600,600,-1,2"], "must be positive"),
         ([source, "--images", "0"], "must be at least 1"),
+        ([source, "--depth-scale", "0"], "--depth-scale 0 must be in 0.001..100"),
+        ([source, "--camera", "600,600,320,240"], "lies outside the images of 64x48 px"),
+        ([tmp_path / "done"], "is a scan folder already"),
     ):
         assert run(["convert", *map(str, arguments), "--out", str(tmp_path / "out")]) == 2
         message = capsys.readouterr().err.strip()

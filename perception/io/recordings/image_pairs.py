@@ -11,20 +11,37 @@ from perception.errors import InvalidInputError
 from perception.io.images import DEPTH_MODES, read_image
 from perception.types import CameraIntrinsics, RgbdFrame
 
-NOMINAL_WIDTH = 640.0  # [px] image width that a NominalCamera refers to
+NOMINAL_WIDTH = 640.0  # [px] image width that the calibrations of data sets refer to
+SATURATED = 65535  # largest value of a 16-bit depth image, which marks missing depth in 7-Scenes and others
 
 
 class NominalCamera(NamedTuple):
-    """Focal lengths and principal point in pixels of images that are 640 pixels wide."""
+    """Focal lengths and principal point in pixels of images of a known width.
+
+    Attributes:
+        fx, fy: Focal lengths.
+        cx, cy: Principal point.
+        width: Width of those images; 0 for the width of the recording's own images.
+    """
 
     fx: float
     fy: float
     cx: float
     cy: float
+    width: float = NOMINAL_WIDTH
 
     def intrinsics(self, width: int, height: int) -> CameraIntrinsics:
-        """Return the intrinsics for images of the given size and the same field of view."""
-        fx, fy, cx, cy = np.array(self) * (width / NOMINAL_WIDTH)
+        """Return the intrinsics for images of the given size and the same field of view.
+
+        Raises:
+            InvalidInputError: The principal point lies outside such images.
+        """
+        fx, fy, cx, cy = np.array(self[:4], float) * (width / self.width if self.width else 1.0)
+        if not (0 < cx < width and 0 < cy < height):
+            raise InvalidInputError(
+                f"principal point ({cx:g}, {cy:g}) lies outside the images of {width}x{height} px: "
+                "give the camera of images of this size"
+            )
         return CameraIntrinsics(width, height, float(fx), float(fy), float(cx), float(cy))
 
 
@@ -49,16 +66,20 @@ def read_pair(folder: Path, pair: ImagePair, camera: NominalCamera, units_per_me
         folder: Folder of the recording.
         pair: Files of the images, registered to each other.
         camera: Camera of both.
-        units_per_metre: Unit of the 16-bit depth image.
+        units_per_metre: Unit of the 16-bit depth image; 0 and SATURATED are no measurement.
 
     Raises:
-        InvalidInputError: An image is unusable, or the two differ in size; the message names the file.
+        InvalidInputError: An image is unusable, the two differ in size, or the camera does not fit them; the
+            message names the file.
     """
     pixels = read_image(folder, pair.color, ("RGB", "RGBA"), "8-bit RGB")
     rgb = np.ascontiguousarray(pixels[..., :3])
     raw = read_image(folder, pair.depth, DEPTH_MODES, "16-bit grey")
     if raw.shape != rgb.shape[:2]:
-        raise InvalidInputError(f"{folder / pair.depth} and {pair.color} differ in size: register them")
+        raise InvalidInputError(
+            f"{folder / pair.depth} ({raw.shape[1]}x{raw.shape[0]}) and {pair.color} "
+            f"({rgb.shape[1]}x{rgb.shape[0]}) differ in size: register depth to colour"
+        )
     height, width = raw.shape
-    depth = (raw / units_per_metre).astype(np.float32)
+    depth = np.where(raw < SATURATED, raw / units_per_metre, 0).astype(np.float32)
     return RgbdFrame(pair.time, rgb, depth, camera.intrinsics(width, height))

@@ -33,17 +33,19 @@ class NocsRecording:
         folder: Its folder.
         numbers: Numbers of its frames, as in the file names, in ascending order.
         camera: Its camera.
+        units_per_metre: Unit of its depth images.
     """
 
     folder: Path
     numbers: tuple[str, ...]
     camera: NominalCamera
+    units_per_metre: float = UNITS_PER_METRE
 
     def read(self, index: int) -> RgbdFrame:
         """Read one frame, without a pose; raises InvalidInputError as ``read_pair``."""
         number = self.numbers[index]
         pair = ImagePair(int(number) * FRAME_PERIOD, f"{number}_color.png", f"{number}_depth.png")
-        return read_pair(self.folder, pair, self.camera, UNITS_PER_METRE)
+        return read_pair(self.folder, pair, self.camera, self.units_per_metre)
 
     def detections(self, index: int) -> list[ObjectDetection]:
         """Return the true masks of a frame's objects of known classes; none without mask and meta file.
@@ -67,7 +69,7 @@ class NocsRecording:
 
 def is_nocs_recording(folder: Path) -> bool:
     """Return whether the folder has a NOCS colour image."""
-    return next(folder.glob("*_color.png"), None) is not None
+    return any(_COLOR.fullmatch(path.name) for path in folder.glob("*_color.png"))
 
 
 def open_nocs(folder: Path, camera: NominalCamera = REAL275) -> NocsRecording:

@@ -34,6 +34,12 @@ class Trajectory:
         """Create a trajectory from sequences of equal length."""
         return Trajectory(np.array(times, float), np.array(poses, float).reshape(-1, 4, 4))
 
+    def nearest(self, time: float, tolerance: float) -> Float[np.ndarray, "4 4"] | None:
+        """Return the pose nearest in time; None if it is more than ``tolerance`` [s] away."""
+        apart = np.abs(self.times - time)
+        index = int(apart.argmin()) if len(apart) else -1
+        return self.Ts_world_camera[index] if index >= 0 and apart[index] <= tolerance else None
+
 
 def write_trajectory(path: Path, trajectory: Trajectory) -> None:
     """Write a trajectory, one pose per line; the quaternion's scalar part is last."""

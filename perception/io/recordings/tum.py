@@ -2,7 +2,8 @@
 
 https://cvg.cit.tum.de/data/datasets/rgbd-dataset/file_formats. Colour and depth are registered but not
 synchronised: each depth image is paired with the colour image nearest in time. The camera (freiburg1, 2 or 3)
-is recognised by the folder's name; a file ``intrinsics.txt`` with ``fx fy cx cy`` takes precedence.
+is recognised by the folder's name or the comments of ``rgb.txt``; a file of intrinsics takes precedence, such
+as ``intrinsics.txt`` with ``fx fy cx cy``.
 """
 
 from __future__ import annotations
@@ -15,6 +16,7 @@ import numpy as np
 
 from perception.errors import InvalidInputError
 from perception.io.files import read_text
+from perception.io.recordings.camera_files import find_camera
 from perception.io.recordings.image_pairs import ImagePair, NominalCamera, read_pair
 from perception.types import RgbdFrame
 
@@ -38,15 +40,19 @@ class TumRecording:
         folder: Its folder.
         pairs: Paired images by ascending time of the depth image.
         camera: Its camera.
+        units_per_metre: Unit of its depth images.
+        n_missing: Number of pairs in the lists that lack an image file.
     """
 
     folder: Path
     pairs: tuple[ImagePair, ...]
     camera: NominalCamera
+    units_per_metre: float = UNITS_PER_METRE
+    n_missing: int = 0
 
     def read(self, index: int) -> RgbdFrame:
         """Read one frame, without a pose; raises InvalidInputError as ``read_pair``."""
-        return read_pair(self.folder, self.pairs[index], self.camera, UNITS_PER_METRE)
+        return read_pair(self.folder, self.pairs[index], self.camera, self.units_per_metre)
 
 
 def is_tum_recording(folder: Path) -> bool:
@@ -55,11 +61,11 @@ def is_tum_recording(folder: Path) -> bool:
 
 
 def open_tum(folder: Path) -> TumRecording:
-    """Read the lists of a recording and pair its images.
+    """Read the lists of a recording and pair its images; pairs without image files are left out.
 
     Raises:
-        InvalidInputError: A list is malformed, or no depth image has a colour image within
-            MAX_TIME_DIFFERENCE.
+        InvalidInputError: A list is malformed, no depth image has a colour image within MAX_TIME_DIFFERENCE,
+            or no listed image exists.
     """
     colors, depths = (_read_list(folder / name) for name in ("rgb.txt", "depth.txt"))
     times = np.array([time for time, _ in colors])
@@ -74,18 +80,22 @@ def open_tum(folder: Path) -> TumRecording:
         raise InvalidInputError(
             f"{folder}: no depth image has a colour image within {limit}; check the lists"
         )
-    return TumRecording(folder, tuple(pairs), _camera(folder))
+    present = tuple(p for p in pairs if (folder / p.color).exists() and (folder / p.depth).exists())
+    if not present:
+        raise InvalidInputError(
+            f"{folder} has none of the {len(pairs)} listed image pairs, such as {pairs[0].color} and "
+            f"{pairs[0].depth}"
+        )
+    return TumRecording(folder, present, _camera(folder), n_missing=len(pairs) - len(present))
 
 
 def _camera(folder: Path) -> NominalCamera:
-    path = folder / "intrinsics.txt"
-    if path.is_file():
-        try:
-            fx, fy, cx, cy = (float(word) for word in read_text(path).split())
-        except ValueError:
-            raise InvalidInputError(f"{path} must hold four numbers: fx fy cx cy [px at 640x480]") from None
-        return NominalCamera(fx, fy, cx, cy)
-    return next((camera for name, camera in CAMERAS.items() if name in folder.name), DEFAULT_CAMERA)
+    """Return the stated camera, else that of the data set's room, else the recommended one."""
+    if (stated := find_camera(folder)) is not None:
+        return stated
+    comments = [line for line in read_text(folder / "rgb.txt").splitlines() if line.startswith("#")]
+    names = "\n".join([folder.name, folder.resolve().name, *comments])
+    return next((camera for name, camera in CAMERAS.items() if name in names), DEFAULT_CAMERA)
 
 
 def _read_list(path: Path) -> list[tuple[float, str]]:

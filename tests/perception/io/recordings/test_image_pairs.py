@@ -32,7 +32,24 @@ def test_intrinsics_scale_with_the_width():
     assert CAMERA.intrinsics(640, 480) == CameraIntrinsics(640, 480, 600.0, 610.0, 320.0, 240.0)
 
 
+def test_a_camera_of_the_images_own_width_is_not_scaled():
+    own = NominalCamera(600.0, 610.0, 700.0, 240.0, width=0)
+    assert own.intrinsics(1280, 720) == CameraIntrinsics(1280, 720, 600.0, 610.0, 700.0, 240.0)
+    with pytest.raises(InvalidInputError, match=r"\(700, 240\) lies outside the images of 640x480 px"):
+        own.intrinsics(640, 480)
+
+
+def test_saturated_depth_is_no_measurement(tmp_path):
+    write(tmp_path)
+    raw = np.full((3, 4), 2500, np.uint16)
+    raw[0, 0], raw[1, 1] = 65535, 0
+    Image.fromarray(raw).save(tmp_path / "d.png")
+    depth = read_pair(tmp_path, PAIR, CAMERA, 1000.0).depth
+    assert depth[0, 0] == 0 and depth[1, 1] == 0 and depth[2, 2] == pytest.approx(2.5)
+
+
 def test_images_of_different_sizes_are_refused(tmp_path):
     write(tmp_path, depth_size=(4, 4))
-    with pytest.raises(InvalidInputError, match=r"d\.png and c\.png differ in size: register them"):
+    words = r"d\.png \(4x4\) and c\.png \(4x3\) differ in size: register depth to colour"
+    with pytest.raises(InvalidInputError, match=words):
         read_pair(tmp_path, PAIR, CAMERA, 1000.0)

@@ -59,3 +59,5 @@ def test_malformed_nocs_folders_are_named(nocs: Path, tmp_path: Path) -> None:
         open_nocs(nocs).read(0)
     with pytest.raises(InvalidInputError, match="holds no frame"):
         open_nocs(tmp_path)
+    save(tmp_path / "test_color.png", np.full((4, 4, 3), 1, np.uint8))
+    assert not is_nocs_recording(tmp_path)  # no number

@@ -52,3 +52,13 @@ def test_numbers_that_are_not_finite_are_refused(tmp_path, number):
         (tmp_path / "t.txt").write_text(" ".join(words))
         with pytest.raises(InvalidInputError, match=r"t\.txt, line 1 is not a pose \(not finite\)"):
             read_trajectory(tmp_path / "t.txt")
+
+
+def test_the_nearest_pose_within_the_tolerance():
+    poses = [np.eye(4), np.eye(4)]
+    poses[1][0, 3] = 5
+    trajectory = Trajectory.of([0.0, 1.0], poses)
+    nearest = trajectory.nearest(0.9, 0.11)
+    assert nearest is not None and nearest[0, 3] == 5
+    assert trajectory.nearest(0.5, 0.4) is None
+    assert Trajectory.of([], []).nearest(0.0, 1.0) is None

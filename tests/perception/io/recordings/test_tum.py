@@ -29,21 +29,34 @@ def test_tum_images_are_paired_by_time(tum):
     frames = [frame for _, frame in sequence.frames()]
     assert [frame.time for frame in frames] == [0, 2]  # the second depth image is 0.5 s from any colour image
     assert frames[1].depth[0, 0] == pytest.approx(3.0) and frames[1].rgb[0, 0, 0] == 20
-    fx, _, cx, _ = np.array(CAMERAS["freiburg2"]) / 10  # the images here are a tenth as wide
+    fx, _, cx, _ = np.array(CAMERAS["freiburg2"][:4]) / 10  # the images here are a tenth as wide
     assert frames[0].intrinsics.fx == pytest.approx(fx) and frames[0].intrinsics.cx == pytest.approx(cx)
     assert sequence.detections(0, frames[0]) is None
 
 
 def test_tum_intrinsics_can_be_given(tum):
-    (tum / "intrinsics.txt").write_text("600 601 320 240")
-    assert open_tum(tum).camera == (600, 601, 320, 240)
+    (tum / "intrinsics.txt").write_text("60 61 32 24")
+    assert open_tum(tum).read(0).intrinsics.fy == 61  # in pixels of these images, which are 64 wide
     (tum / "intrinsics.txt").write_text("600 601")
-    with pytest.raises(InvalidInputError, match="four numbers"):
+    with pytest.raises(InvalidInputError, match=r"intrinsics\.txt holds no intrinsics \(2 numbers\)"):
         open_tum(tum)
 
 
 def test_an_unknown_tum_camera_gets_the_default(tum):
-    assert open_tum(tum.rename(tum.with_name("office"))).camera == DEFAULT_CAMERA
+    office = tum.rename(tum.with_name("office"))
+    assert open_tum(office).camera == DEFAULT_CAMERA
+    listed = (office / "rgb.txt").read_text()
+    (office / "rgb.txt").write_text("# file: 'rgbd_dataset_freiburg3_desk.bag'\n" + listed)
+    assert open_tum(office).camera == CAMERAS["freiburg3"]
+
+
+def test_listed_images_that_are_missing_are_counted(tum):
+    (tum / "rgb/0.png").unlink()
+    recording = open_tum(tum)
+    assert recording.n_missing == 1 and [pair.color for pair in recording.pairs] == ["rgb/2.png"]
+    (tum / "rgb/2.png").unlink()
+    with pytest.raises(InvalidInputError, match=r"none of the 2 listed image pairs, such as rgb/0\.png"):
+        open_tum(tum)
 
 
 @pytest.mark.parametrize(("difference", "paired"), [(0.019, 1), (-0.019, 1), (0.021, 0), (-0.021, 0)])

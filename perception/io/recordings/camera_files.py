@@ -1,0 +1,97 @@
+"""Camera intrinsics from the files in which recordings state them.
+
+| file | content |
+| --- | --- |
+| ``camera-intrinsics.txt``, ``cam_K.txt``, ``intrinsics.txt`` and other texts of such names | 3x3 or 4x4 matrix, or ``fx fy cx cy`` |
+| ``intrinsic/intrinsic_color.txt`` (ScanNet) | 4x4 matrix |
+| ``camK.npy`` (GraspNet-1Billion) | 3x3 matrix |
+| ``camera_intrinsic.json``, ``intrinsic.json`` (Open3D, librealsense) | ``intrinsic_matrix`` by columns, ``K`` or ``cam_K`` by rows, or ``fx, fy, cx, cy`` (or ``ppx, ppy``) |
+"""  # noqa: E501 a row of a table is one line
+
+from __future__ import annotations
+
+import io
+from collections.abc import Mapping
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+
+from perception.errors import InvalidInputError
+from perception.io.files import read_bytes, read_json, read_text
+from perception.io.recordings.image_pairs import NominalCamera
+
+PATTERNS = (
+    "*intrinsic*.txt",
+    "*intrinsic*.json",
+    "cam_K.txt",
+    "camK.npy",
+    "K.txt",
+    "intrinsic*/*intrinsic*color*.txt",
+    "intrinsic*/*intrinsic*depth*.txt",
+)
+MAX_BYTES = 2**20
+ORIGINAL_WIDTH = 0.0  # the files refer to the recording's own images
+
+
+def find_camera(folder: Path) -> NominalCamera | None:
+    """Read the intrinsics that a recording states; None if it has no such file.
+
+    Of several files that of the colour camera is read.
+
+    Raises:
+        InvalidInputError: The file holds no intrinsics.
+    """
+    paths = [path for pattern in PATTERNS for path in sorted(folder.glob(pattern)) if path.is_file()]
+    if not paths:
+        return None
+    return read_camera(next((path for path in paths if "color" in path.name.lower()), paths[0]))
+
+
+def read_camera(path: Path) -> NominalCamera:
+    """Read the intrinsics in a text, JSON or NumPy file.
+
+    Raises:
+        InvalidInputError: The file is unreadable, or holds no intrinsics of a pinhole camera.
+    """
+    try:
+        if path.suffix == ".json":
+            numbers = _from_json(read_json(path, "it states the intrinsics"))
+        elif path.suffix == ".npy":
+            numbers = np.load(io.BytesIO(read_bytes(path, MAX_BYTES)), allow_pickle=False).astype(float)
+        else:
+            numbers = np.array([float(word) for word in read_text(path).replace(",", " ").split()])
+        fx, fy, cx, cy = _parameters(numbers)
+    except (OSError, ValueError, TypeError, KeyError, EOFError) as error:
+        raise InvalidInputError(
+            f"{path} holds no intrinsics ({error}): give a 3x3 matrix, or fx fy cx cy in pixels"
+        ) from None
+    return NominalCamera(fx, fy, cx, cy, ORIGINAL_WIDTH)
+
+
+def _from_json(content: Any) -> np.ndarray:
+    """Return the numbers of a JSON object: a matrix by rows, or four parameters."""
+    if not isinstance(content, Mapping):
+        raise ValueError("no JSON object")
+    if "intrinsic_matrix" in content:  # by columns, as Open3D and Eigen store it
+        numbers = np.array(content["intrinsic_matrix"], float)
+        return numbers.reshape(3, 3).T if numbers.ndim == 1 else numbers
+    for key in ("K", "k", "cam_K", "camera_matrix"):
+        if key in content:
+            return np.array(content[key], float)
+    centre = ("cx", "cy") if "cx" in content else ("ppx", "ppy")
+    return np.array([float(content[key]) for key in ("fx", "fy", *centre)])
+
+
+def _parameters(numbers: np.ndarray) -> tuple[float, float, float, float]:
+    """Return fx, fy, cx, cy of a matrix by rows or of the four themselves."""
+    if numbers.size in (9, 16):
+        side = 3 if numbers.size == 9 else 4
+        matrix = numbers.reshape(side, side)
+        numbers = matrix[[0, 1, 0, 1], [0, 1, 2, 2]]
+    if numbers.size != 4:
+        raise ValueError(f"{numbers.size} numbers")
+    fx, fy, cx, cy = map(float, numbers.ravel())
+    if not (np.isfinite([fx, fy, cx, cy]).all() and min(fx, fy, cx, cy) > 0):
+        raise ValueError(f"fx {fx:g}, fy {fy:g}, cx {cx:g}, cy {cy:g} are not all positive")
+    return fx, fy, cx, cy

@@ -1,0 +1,85 @@
+"""Intrinsics in files: matrices by rows and columns, parameters, NumPy arrays, malformed files."""
+
+from __future__ import annotations
+
+import json
+from pathlib import Path
+
+import numpy as np
+import pytest
+
+from perception.errors import InvalidInputError
+from perception.io.recordings.camera_files import find_camera, read_camera
+
+K = np.array([[600.5, 0, 321], [0, 601.5, 239], [0, 0, 1]])
+CAMERA = (600.5, 601.5, 321, 239)
+
+
+def rows(matrix: np.ndarray) -> str:
+    return "\n".join(" ".join(f"{x:.6e}" for x in row) for row in matrix)
+
+
+def padded() -> np.ndarray:
+    matrix = np.eye(4)
+    matrix[:3, :3] = K
+    return matrix
+
+
+@pytest.mark.parametrize(
+    ("name", "content"),
+    [
+        ("cam_K.txt", rows(K)),
+        ("camera-intrinsics.txt", " 6.005e+02\t 0\t 321\n0 601.5 239\n0 0 1\n"),
+        ("intrinsics.txt", "600.5, 601.5, 321, 239"),
+        ("intrinsic/intrinsic_depth.txt", rows(padded())),
+        ("camera_intrinsic.json", json.dumps({"width": 640, "intrinsic_matrix": K.T.ravel().tolist()})),
+        ("intrinsic.json", json.dumps({"intrinsic_matrix": K.tolist()})),
+        ("intrinsics.json", json.dumps({"fx": 600.5, "fy": 601.5, "ppx": 321, "ppy": 239})),
+        ("color_intrinsics.json", json.dumps({"K": K.ravel().tolist(), "height": 480})),
+    ],
+)
+def test_every_notation_gives_the_same_camera(tmp_path: Path, name: str, content: str) -> None:
+    (tmp_path / name).parent.mkdir(exist_ok=True)
+    (tmp_path / name).write_text(content)
+    camera = find_camera(tmp_path)
+    assert camera is not None and camera[:4] == pytest.approx(CAMERA)
+    intrinsics = camera.intrinsics(1280, 720)  # in pixels of the images themselves, whatever their width
+    assert intrinsics.fx == pytest.approx(600.5) and intrinsics.cx == pytest.approx(321)
+
+
+def test_numpy_matrix(tmp_path: Path) -> None:
+    np.save(tmp_path / "camK.npy", K)
+    assert read_camera(tmp_path / "camK.npy")[:4] == pytest.approx(CAMERA)
+
+
+def test_the_colour_camera_is_preferred(tmp_path: Path) -> None:
+    (tmp_path / "camera-intrinsics.depth.txt").write_text("400 400 300 200")
+    assert find_camera(tmp_path) is not None
+    (tmp_path / "camera-intrinsics.color.txt").write_text(rows(K))
+    camera = find_camera(tmp_path)
+    assert camera is not None and camera.fx == pytest.approx(600.5)
+
+
+def test_a_folder_without_such_files_has_no_camera(tmp_path: Path) -> None:
+    (tmp_path / "notes.txt").write_text("600 600 320 240")
+    assert find_camera(tmp_path) is None
+
+
+@pytest.mark.parametrize(
+    ("name", "content"),
+    [
+        ("cam_K.txt", b"600 600"),
+        ("cam_K.txt", b"fx 600"),
+        ("cam_K.txt", b"\xff\xfe"),
+        ("cam_K.txt", b"600 600 -320 240"),
+        ("cam_K.txt", b"nan 600 320 240"),
+        ("intrinsic.json", b'{"fx": 600}'),
+        ("intrinsic.json", b"[1, 2]"),
+        ("intrinsic.json", b'{"intrinsic_matrix": "none"}'),
+        ("camK.npy", b"no array"),
+    ],
+)
+def test_unusable_files_are_named(tmp_path: Path, name: str, content: bytes) -> None:
+    (tmp_path / name).write_bytes(content)
+    with pytest.raises(InvalidInputError, match=rf"{name} holds no intrinsics .*3x3 matrix"):
+        find_camera(tmp_path)
