@@ -10,7 +10,6 @@ import cv2
 import numpy as np
 from jaxtyping import Bool, Float
 
-from perception.detection.geometry import camera_pose, height_image, points_of
 from perception.types import CameraIntrinsics, RgbdFrame, SupportPlane
 
 TABLE = SupportPlane(np.array([0.0, 0.0, 1.0]), 0.0)
@@ -24,7 +23,21 @@ _BORDER = 0.08  # largest share of an image's width or height without depth at a
 
 def table_pixels(true: RgbdFrame, item: Bool[np.ndarray, "h w"]) -> Bool[np.ndarray, "h w"]:
     """Return the pixels of the plane z = 0 in a frame without noise; ``item`` are those of things on it."""
-    return (true.depth > 0) & ~item & (np.abs(height_image(true, TABLE)) < _THIN)
+    height = world_points(true)[..., 2]
+    return (true.depth > 0) & ~item & (np.abs(height) < _THIN)
+
+
+def world_points(frame: RgbdFrame) -> Float[np.ndarray, "h w 3"]:
+    """Return the point of every pixel in the world in [m]; the camera's position where depth is missing."""
+    k, T = frame.intrinsics, _pose(frame)
+    u, v = np.meshgrid((np.arange(k.width) - k.cx) / k.fx, (np.arange(k.height) - k.cy) / k.fy)
+    rays = np.stack([u, v, np.ones_like(u)], axis=-1)
+    return (rays * frame.depth[..., None]) @ T[:3, :3].T + T[:3, 3]
+
+
+def _pose(frame: RgbdFrame) -> Float[np.ndarray, "4 4"]:
+    assert frame.T_world_camera is not None
+    return frame.T_world_camera
 
 
 def perceived_plane(
@@ -34,9 +47,8 @@ def perceived_plane(
     rows = np.flatnonzero(table & (frame.depth > 0))
     if len(rows) < _MIN_POINTS:
         return TABLE
-    chosen = np.zeros(table.size, bool)
-    chosen[rng.choice(rows, min(len(rows), _MAX_POINTS), replace=False)] = True
-    points = points_of(frame, chosen.reshape(table.shape))
+    chosen = rng.choice(rows, min(len(rows), _MAX_POINTS), replace=False)
+    points = world_points(frame).reshape(-1, 3)[chosen]
     normal, offset, band = TABLE.normal, TABLE.offset, _FARTHEST
     for _ in range(4):
         distance = points @ normal - offset
@@ -68,7 +80,7 @@ def perceived_points(
         frame: image with intrinsics in error and the true pose.
         scale: measured over true depth.
     """
-    T, k = camera_pose(frame), frame.intrinsics
+    T, k = _pose(frame), frame.intrinsics
     x, y, z = ((points_world - T[:3, 3]) @ T[:3, :3]).T
     u, v = true.fx * x / z + true.cx, true.fy * y / z + true.cy
     seen = np.stack([(u - k.cx) / k.fx, (v - k.cy) / k.fy, np.ones_like(z)], axis=1) * (scale * z)[:, None]

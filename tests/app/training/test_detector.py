@@ -144,6 +144,6 @@ def test_progress_of_a_stage_is_mapped_to_its_share_of_the_job():
     stage_progress(None, 0.0, 1.0)("without a callback", 0.5)
 
 
-def test_the_scene_network_has_five_eighths_of_the_epochs_but_at_least_one():
+def test_the_scene_network_has_its_share_of_the_epochs_but_at_least_one():
     assert TrainDetectorConfig().scene_epochs == 10
     assert TrainDetectorConfig(training=TrainingConfig(epochs=1)).scene_epochs == 1

@@ -11,6 +11,7 @@ from sim_assets.datasets.perceived import (
     perceived_plane,
     perceived_points,
     table_pixels,
+    world_points,
 )
 
 CAMERA = CameraIntrinsics(80, 60, 70.0, 70.0, 39.5, 29.5)
@@ -36,6 +37,17 @@ def test_table_pixels_are_those_at_height_zero_without_items(table):
     pixels = table_pixels(table, item)
     assert pixels.sum() == 60 * 80 - 20 * 20 - 10 * 80 and not pixels[30, 40]
     assert not table_pixels(view(np.zeros((60, 80))), item).any()
+
+
+def test_world_points_of_a_tilted_camera():
+    """A camera 1 m high that looks down at 30 degrees sees the table 2 m away along its axis."""
+    T = np.eye(4)
+    c, s = np.cos(np.radians(30)), np.sin(np.radians(30))
+    T[:3, :3] = np.array([[0, -s, c], [-1, 0, 0], [0, -c, -s]])
+    T[2, 3] = 1.0
+    camera = CameraIntrinsics(3, 3, 70.0, 70.0, 1.0, 1.0)
+    frame = RgbdFrame(0.0, np.zeros((3, 3, 3), np.uint8), np.full((3, 3), 2.0, np.float32), camera, T)
+    np.testing.assert_allclose(world_points(frame)[1, 1], [2 * c, 0, 0], atol=1e-6)
 
 
 def test_a_wrong_depth_scale_sinks_the_plane_and_moves_points_along_their_rays(table):
