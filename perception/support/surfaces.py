@@ -13,6 +13,7 @@ from dataclasses import dataclass, field
 import numpy as np
 from jaxtyping import Float
 
+from perception.detection.geometry import camera_pose
 from perception.errors import InvalidInputError, PerceptionError
 from perception.support.extent import Extent, ExtentConfig, seen_extent
 from perception.support.planes import PlaneConfig, candidate_planes, refined
@@ -66,7 +67,8 @@ def find_surfaces(
     """Find the surfaces that things stand on; their normals point towards the cameras.
 
     Args:
-        frames: Frames with poses, or a single one, whose pose may be unknown.
+        frames: Frames with poses, or a single one, whose pose may be unknown. World z should be up; where no
+            plane is level then, as with poses relative to the first camera, planes may have any orientation.
         config: Parameters.
         seed: Seed of RANSAC.
 
@@ -95,12 +97,16 @@ def find_surfaces(
             "check the depth images and their scale"
         )
     planes = candidate_planes(samples, posed, config.planes, np.random.default_rng(seed))
+    upright = posed and bool(planes)
+    if not upright:
+        planes = planes or candidate_planes(samples, False, config.planes, np.random.default_rng(seed))
     if not planes:
         raise PerceptionError(
             f"No support plane: none of {config.planes.iterations} holds {config.planes.min_share:.0%} of "
             f"{n_valid} depth points; show more of the table, or check the poses"
         )
-    candidates = _candidates(samples, planes, posed, config)
+    attitudes = None if upright else np.stack([camera_pose(frame)[:3, :3] for frame in frames])
+    candidates = _candidates(samples, planes, attitudes, config)
     if not candidates:
         return (SupportSurface(refined(samples, planes[0], config.planes)),)
     kept: list[_Candidate] = []
@@ -117,9 +123,15 @@ def _nearness(samples: Samples, config: SurfaceConfig) -> Float[np.ndarray, "n"]
 
 
 def _candidates(
-    samples: Samples, planes: Sequence[SupportPlane], posed: bool, config: SurfaceConfig
+    samples: Samples,
+    planes: Sequence[SupportPlane],
+    attitudes: Float[np.ndarray, "n 3 3"] | None,
+    config: SurfaceConfig,
 ) -> list[_Candidate]:
-    """Return the planes that were seen as surfaces, highest score first."""
+    """Return the planes that were seen as surfaces, highest score first.
+
+    ``attitudes`` are the rotations of the cameras in a world of unknown orientation; None where z is up.
+    """
     extents = [e for plane in planes if (e := seen_extent(samples, plane, config.planes, config.extent))]
     weight = _nearness(samples, config)
     explained = np.zeros(len(weight), bool)
@@ -132,20 +144,21 @@ def _candidates(
         explained |= extent.shown
         score = float(weight[extent.shown].sum() + config.thing_weight * weight[things >= 0].sum())
         score *= 1.0 if n_things else config.bare
-        score *= 1.0 if posed else _uprightness(extent.plane, config)
+        score *= 1.0 if attitudes is None else _uprightness(extent.plane, attitudes, config)
         candidates.append(_Candidate(extent, n_things, score))
     return sorted(candidates, key=lambda candidate: -candidate.score)
 
 
-def _uprightness(plane: SupportPlane, config: SurfaceConfig) -> float:
-    """Return the factor for the camera's attitude if the plane, given in its frame, is level.
+def _uprightness(plane: SupportPlane, attitudes: Float[np.ndarray, "n 3 3"], config: SurfaceConfig) -> float:
+    """Return the mean factor for the attitude of the cameras if the plane is level.
 
     1 for an upright camera that looks down by 30 degrees, say at a table; one half for a view from straight
     above, which a wall in front of a level camera looks like as well; less for walls at the side and in front
     of a camera that looks down.
     """
-    right, up = abs(plane.normal[0]), -plane.normal[1]
-    return float(np.clip(0.5 + up - 0.5 * right, config.least_upright, 1.0))
+    normals = plane.normal @ attitudes  # (n, 3) in the frames of the cameras
+    right, up = np.abs(normals[:, 0]), -normals[:, 1]
+    return float(np.clip(0.5 + up - 0.5 * right, config.least_upright, 1.0).mean())
 
 
 def _settled(samples: Samples, extent: Extent, config: SurfaceConfig) -> SupportSurface:

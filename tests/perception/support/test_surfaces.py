@@ -131,6 +131,18 @@ def test_several_views_are_one_scene(scenes, scene):
     assert sorted(np.ptp(surface.outline, axis=0)) == pytest.approx([0.5, 0.7], abs=0.06)
 
 
+def test_the_world_may_be_the_first_cameras_frame(scenes, scene):
+    """With poses relative to the first camera, the table is found as in the world with z up."""
+    solids = [slab(scenes, 0.7, (0.35, 0.25)), *three_boxes(scenes, 0.7)]
+    frames = [scene(solids, (x, -1.2, 1.35), (0, 0.1, 0.65), True) for x in (-0.4, 0.0, 0.4)]
+    T_first_world = np.linalg.inv(frames[0].T_world_camera)
+    relative = [replace(frame, T_world_camera=T_first_world @ frame.T_world_camera) for frame in frames]
+    expected, found = find_surfaces(frames)[0].plane, find_surfaces(relative)[0].plane
+    normal = T_first_world[:3, :3] @ expected.normal
+    assert found.normal @ normal > np.cos(0.005)
+    assert found.offset == pytest.approx(expected.offset + normal @ T_first_world[:3, 3], abs=3e-3)
+
+
 def test_a_bare_table_is_the_main_surface(scenes, scene):
     (surface,) = find_surfaces([scene([], (0, -0.6, 0.5), (0, 0, 0.05), True)])
     assert surface.plane.offset == pytest.approx(0, abs=1e-3) and len(surface.outline) > 2
