@@ -72,8 +72,8 @@ def find_grasps(
 ) -> list[GraspPose]:
     """Find the grasps of all objects at which the open hand meets nothing, best first.
 
-    Obstacles are the other objects of the scene and its support plane, at the grasp and along the approach.
-    Objects that do not stand upright yield no grasp; a warning is logged.
+    Obstacles are the other objects of the scene and the plane that the object stands on, at the grasp and
+    along the approach. Objects that do not stand upright yield no grasp; a warning is logged.
 
     Args:
         scene: a reconstruction; or object estimates in a world frame whose plane z = 0 supports them.
@@ -94,16 +94,32 @@ def find_grasps(
     unknown = sorted(set(ids or ()) - set(estimates))
     if unknown:
         raise ManipulationError(f"no object {unknown[0]} in the scene; its ids are {sorted(estimates)}")
-    T_world_plane = rigid(upright_rotation(scene.plane.normal, 0.0), scene.plane.offset * scene.plane.normal)
-    T_plane_world = invert(T_world_plane)
-    on_plane = {key: transformed_estimate(estimate, T_plane_world) for key, estimate in estimates.items()}
-    points = {key: surface_points(estimate.mesh_world) for key, estimate in on_plane.items()}
+    planes = {key: scene.plane_of(key) for key in (estimates if ids is None else ids)}
     found = []
-    for key in estimates if ids is None else ids:
+    for plane in {id(plane): plane for plane in planes.values()}.values():
+        keys = [key for key in planes if planes[key] is plane]
+        found += _grasps_on(plane, keys, scene, gripper, clearance)
+    return sorted(found, key=lambda pose: -pose.score)
+
+
+def _grasps_on(
+    plane: SupportPlane,
+    keys: Sequence[int],
+    scene: Reconstruction,
+    gripper: GripperGeometry,
+    clearance: HandClearance,
+) -> list[GraspPose]:
+    """Return the free grasps of the objects that stand on a plane, which is an obstacle as the others are."""
+    T_world_plane = rigid(upright_rotation(plane.normal, 0.0), plane.offset * plane.normal)
+    T_plane_world = invert(T_world_plane)
+    on_plane = {estimate.id: transformed_estimate(estimate, T_plane_world) for estimate in scene.objects}
+    points = {key: surface_points(estimate.mesh_world) for key, estimate in on_plane.items()}
+    T_camera_world = None if scene.T_world_camera is None else invert(scene.T_world_camera)
+    found = []
+    for key in keys:
         others = np.concatenate([np.zeros((0, 3)), *(points[other] for other in points if other != key)])
         for grasp, T_plane_tcp, away in _free_grasps(on_plane[key], points[key], others, gripper, clearance):
             T_world_tcp = T_world_plane @ T_plane_tcp
-            T_camera_world = None if scene.T_world_camera is None else invert(scene.T_world_camera)
             found.append(
                 GraspPose(
                     object_id=key,
@@ -113,7 +129,7 @@ def find_grasps(
                     grasp=grasp,
                 )
             )
-    return sorted(found, key=lambda pose: -pose.score)
+    return found
 
 
 def _as_reconstruction(

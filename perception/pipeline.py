@@ -153,6 +153,7 @@ def detect(
     workers: int | None = None,
     plane: SupportPlane | None = None,
     surfaces: Sequence[SupportSurface] | None = None,
+    max_surfaces: int | None = None,
 ) -> Detections:
     """Detect the objects in every frame and associate them across the frames.
 
@@ -164,13 +165,14 @@ def detect(
         plane: The only support plane in the world frame, of unknown extent, if ``surfaces`` is None.
         surfaces: Surfaces that objects may stand on, the main one first; found in the depth of all frames if
             this and ``plane`` are None.
+        max_surfaces: Largest number of surfaces that are found; 1 for the main one alone.
 
     Raises:
         InvalidInputError: There is no frame, or one of several frames has no pose.
         PerceptionError: No support plane is visible.
     """
     if surfaces is None:
-        surfaces = find_surfaces(frames) if plane is None else (SupportSurface(plane),)
+        surfaces = (SupportSurface(plane),) if plane else find_surfaces(frames)[:max_surfaces]
     found: list[list[ObjectDetection]] = []
     left_out: list[LeftOut] = []
     with single_threaded_torch(), ThreadPoolExecutor(workers or os.cpu_count() or 1) as pool:

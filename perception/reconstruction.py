@@ -22,11 +22,12 @@ class Reconstruction:
 
     Attributes:
         objects: the object estimates, by ascending id.
-        plane: the support plane.
+        plane: the main support plane.
         detections: for each image its detections, ``instance_id`` being the id of the object.
         T_world_camera: (4, 4) camera pose of a single image, identity if unknown; None for several.
         posed: whether the camera poses are known.
         rejected: detected objects that were left out, each with the reason.
+        planes: the planes that ``ObjectDetection.support`` numbers, the main one first; empty for that alone.
     """
 
     objects: tuple[ObjectEstimate, ...]
@@ -35,6 +36,12 @@ class Reconstruction:
     T_world_camera: Float[np.ndarray, "4 4"] | None = None
     posed: bool = True
     rejected: tuple[RejectedObject, ...] = ()
+    planes: tuple[SupportPlane, ...] = ()
+
+    def plane_of(self, object_id: int) -> SupportPlane:
+        """Return the plane that an object stands on: the main one unless a detection names another."""
+        supports = [d.support for image in self.detections for d in image if d.instance_id == object_id]
+        return self.planes[supports[0]] if self.planes and supports else self.plane
 
     def in_world(self, T_world_camera: Float[np.ndarray, "4 4"]) -> Reconstruction:
         """Return the reconstruction in the world frame, given the camera pose it was made without.
@@ -50,17 +57,22 @@ class Reconstruction:
                 "or leave it out of the reconstruction"
             )
         T = check_rigid(T_world_camera, "T_world_camera")
-        normal = T[:3, :3] @ self.plane.normal
         return Reconstruction(
             objects=tuple(transformed_estimate(estimate, T) for estimate in self.objects),
-            plane=SupportPlane(normal, float(self.plane.offset + normal @ T[:3, 3])),
+            plane=_transformed_plane(self.plane, T),
             detections=tuple(
                 tuple(replace(detection, yaw_probabilities=np.zeros(0)) for detection in image)
                 for image in self.detections
             ),
             T_world_camera=T,
             rejected=self.rejected,
+            planes=tuple(_transformed_plane(plane, T) for plane in self.planes),
         )
+
+
+def _transformed_plane(plane: SupportPlane, T: Float[np.ndarray, "4 4"]) -> SupportPlane:
+    normal = T[:3, :3] @ plane.normal
+    return SupportPlane(normal, float(plane.offset + normal @ T[:3, 3]))
 
 
 def transformed_estimate(estimate: ObjectEstimate, T: Float[np.ndarray, "4 4"]) -> ObjectEstimate:

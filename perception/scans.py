@@ -59,6 +59,7 @@ def reconstruct(
         T_world_camera=frames[0].T_world_camera if len(frames) == 1 else None,
         posed=posed,
         rejected=tuple(rejected),
+        planes=detections.planes,
     )
 
 

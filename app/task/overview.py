@@ -13,7 +13,7 @@ import numpy as np
 from jaxtyping import UInt8
 from scipy.spatial import ConvexHull
 
-from app.drawing import color_of, draw_detections, draw_estimates
+from app.drawing import color_of, draw_detections, draw_estimates, draw_left_out, draw_surfaces
 from app.runs.report import ObjectReport
 from manipulation.types import TaskPlan
 from perception.geometry import pose_from_yaw
@@ -68,9 +68,8 @@ def write_overview(path: Path, overview: Overview) -> None:
     _picture(axes[0][0], "1  The table before", overview.before)
     for column, view in enumerate(views, start=1):
         frame = overview.frames[view]
-        found = overview.detections.per_frame[view] if overview.detections else ()
         note = f"2  Found by the wrist camera (view {view + 1} of {len(overview.frames)})"
-        _picture(axes[0][column], note, draw_detections(frame, found))
+        _picture(axes[0][column], note, _seen(frame, view, overview.detections))
         if overview.objects:
             note = f"3  Whole shapes reconstructed (view {view + 1})"
             _picture(axes[1][column], note, draw_estimates(frame, overview.objects))
@@ -83,6 +82,15 @@ def write_overview(path: Path, overview: Overview) -> None:
     buffer = io.BytesIO()
     figure.savefig(buffer, format="png", pil_kwargs={"compress_level": 3})
     write_atomically(path, buffer.getvalue())
+
+
+def _seen(frame: RgbdFrame, view: int, detections: Detections | None) -> Image:
+    """Return the image with its detections, the candidates that are no objects, and the support surface."""
+    if detections is None:
+        return frame.rgb
+    left_out = [candidate for candidate in detections.left_out if candidate.frame == view]
+    image = draw_left_out(draw_detections(frame, detections.per_frame[view]), left_out)
+    return draw_surfaces(image, frame, detections.surfaces)
 
 
 def _clearest_views(overview: Overview, count: int = 2) -> list[int]:

@@ -164,7 +164,8 @@ def run(
             result = replace(result, frames=frames)
             observer.on_frames(frames)
         with observer.stage("detect"):
-            detections = detect(frames, perception.detector, observer.on_progress)
+            # The planner lets objects stand on the table alone.
+            detections = detect(frames, perception.detector, observer.on_progress, max_surfaces=1)
             result = replace(result, detections=detections)
             observer.on_detections(detections)
         with observer.stage("reconstruct"):

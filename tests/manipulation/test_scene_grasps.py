@@ -12,7 +12,7 @@ from manipulation.scene_grasps import find_grasps
 from perception.errors import InvalidInputError
 from perception.geometry import invert, rigid, so3_exp
 from perception.reconstruction import Reconstruction
-from perception.types import SupportPlane
+from perception.types import ObjectDetection, SupportPlane
 
 # A camera 0.7 m above the table that looks down at 50 degrees.
 T_WORLD_CAMERA = rigid(so3_exp(np.array([np.deg2rad(-140.0), 0.0, 0.0])), np.array([0.45, -0.9, 0.7]))
@@ -68,6 +68,15 @@ def test_a_raised_support_plane_is_respected(can):
     scene = Reconstruction((lifted,), SupportPlane(offset=0.3))
     heights = [g.T_world_tcp[2, 3] - 0.3 for g in find_grasps(scene)]
     assert heights == pytest.approx([g.T_world_tcp[2, 3] for g in find_grasps(can)])
+
+
+def test_an_object_on_another_surface_is_grasped_above_that_one(can):
+    shelf = SupportPlane(offset=0.3)
+    lifted = replace(can, T_world_object=rigid(np.eye(3), np.array([0, 0, 0.3])) @ can.T_world_object)
+    seen = ObjectDetection("can", 0.9, np.ones((2, 2), bool), instance_id=4, support=1)
+    scene = Reconstruction((lifted,), SupportPlane(), ((seen,),), planes=(SupportPlane(), shelf))
+    expected = find_grasps(Reconstruction((lifted,), shelf))
+    np.testing.assert_allclose([g.T_world_tcp for g in find_grasps(scene)], [g.T_world_tcp for g in expected])
 
 
 def test_neighbours_block_the_grasps_on_their_side(shapes, can):

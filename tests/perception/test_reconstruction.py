@@ -63,3 +63,13 @@ def test_in_world_moves_objects_and_plane_together():
         moved.in_world(T)
     with pytest.raises(InvalidInputError, match="T_world_camera must be a rigid motion"):
         scene.in_world(np.diag([2.0, 2, 2, 1]))
+
+
+def test_an_object_has_the_plane_that_its_detection_names():
+    main, shelf = SupportPlane(), SupportPlane(offset=0.3)
+    seen = ObjectDetection("can", 0.9, np.ones((2, 2), bool), instance_id=3, support=1)
+    scene = Reconstruction((estimate(),), main, ((), (seen,)), np.eye(4), False, planes=(main, shelf))
+    assert scene.plane_of(3) is shelf and scene.plane_of(7) is main
+    assert Reconstruction((estimate(),), main, ((seen,),)).plane_of(3) is main
+    moved = scene.in_world(rigid(np.eye(3), np.array([0.0, 0.0, 0.5])))
+    assert (moved.plane_of(3).offset, moved.plane.offset) == pytest.approx((0.8, 0.5))

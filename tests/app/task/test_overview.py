@@ -2,8 +2,10 @@ import numpy as np
 from PIL import Image
 
 from app.runs.report import ObjectReport
-from app.task.overview import Overview, write_overview
+from app.task.overview import Overview, _seen, write_overview
+from perception.detection.left_out import LeftOut
 from perception.pipeline import Detections
+from perception.support.surface import SupportSurface
 from perception.types import ObjectDetection, SupportPlane
 
 
@@ -24,3 +26,20 @@ def test_complete_and_partial_overviews_are_written(tmp_path, overhead_frame, ca
         with Image.open(tmp_path / f"{name}.png") as image:
             assert min(image.size) > 1000
     assert (tmp_path / "complete.png").stat().st_size > (tmp_path / "empty.png").stat().st_size
+
+
+def test_the_surface_and_what_is_left_out_are_drawn(overhead_frame):
+    mask = np.zeros((120, 160), bool)
+    mask[50:70, 70:90] = True
+    square = np.array([[0.3, -0.3], [0.5, -0.3], [0.5, -0.1], [0.3, -0.1]])
+    surface, candidate = SupportSurface(SupportPlane(), square), LeftOut(mask, "no depth")
+    found = Detections(SupportPlane(), ((),), (surface,), (candidate,))
+    image = _seen(overhead_frame, 0, found)
+    assert (image[50, 72:88] != overhead_frame.rgb[50, 72:88]).any()
+    outlined = (image != _seen(overhead_frame, 0, Detections(SupportPlane(), ((),), (), (candidate,)))).any(
+        -1
+    )
+    assert outlined.sum() > 150
+    elsewhere = Detections(SupportPlane(), ((), ()), (), (LeftOut(mask, "no depth", frame=1),))
+    np.testing.assert_array_equal(_seen(overhead_frame, 0, elsewhere), overhead_frame.rgb)
+    np.testing.assert_array_equal(_seen(overhead_frame, 0, None), overhead_frame.rgb)

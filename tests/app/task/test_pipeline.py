@@ -96,8 +96,8 @@ def stages(monkeypatch, overhead_frame, can_at, pack_plan):
     outcomes = [ObjectOutcome(0, "can_0", True, 1, "", pose_from_yaw(0.0, np.array([0.5, 0.27, 0.004])))]
 
     def stage(name, result):
-        def call(*args):
-            calls[name] = args
+        def call(*args, **options):
+            calls[name] = (*args, *options.items())
             if isinstance(result, Exception):
                 raise result
             return result
@@ -131,6 +131,7 @@ def test_stages_run_in_order_on_the_results_of_those_before(stages, pack_plan):
     ]  # fmt: skip
     calls = stages.calls
     assert calls["detect"][:2] == (result.frames, "detector")
+    assert calls["detect"][-1] == ("max_surfaces", 1)  # the planner knows the table alone
     assert calls["reconstruct_objects"][:3] == (result.frames, FOUND, "decoder")
     assert calls["plan_pack"][:2] == (stages.objects, box) and "plan_sort" not in calls
     assert calls["execute"][0] is pack_plan
