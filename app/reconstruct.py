@@ -87,8 +87,11 @@ def run(options: ReconstructOptions, screen: Screen) -> Report:
         settings={"scan": str(options.scan)},
     )
     folder.write_report(report)
-    screen.show(_table(objects))
-    screen.show(escape(f"meshes in {folder.path / 'objects'}, the list in objects.json"))
+    if objects:
+        screen.show(_table(objects))
+        screen.show(escape(f"meshes in {folder.path / 'objects'}, the list in objects.json"))
+    else:
+        screen.show(escape(f"{report.reason} (overview.png in {folder.path} shows where)"))
     return report
 
 

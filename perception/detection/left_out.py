@@ -14,6 +14,7 @@ from perception.detection.geometry import touches_border
 
 Reason = Literal[
     "beyond the edge of the support surface",
+    "does not rise above the support surface",
     "does not touch the support surface",
     "reaches below the support surface",
     "of none of the classes",

@@ -109,6 +109,9 @@ def misplacement(
     gap = config.max_gap + seen.noise
     if _is_beyond(seen, height, surface, config):
         return LeftOut(seen.mask, "beyond the edge of the support surface")
+    if np.percentile(height, 95) < max(config.min_height, seen.noise) and np.percentile(height, 5) > -gap:
+        detail = f"{1000 * max(0.0, np.percentile(height, 95)):.0f} mm"
+        return LeftOut(seen.mask, "does not rise above the support surface", detail)
     below = float((height < -gap).mean())
     if below > config.max_below:
         return LeftOut(seen.mask, "reaches below the support surface", f"{100 * -height.min():.0f} cm")

@@ -42,6 +42,8 @@ def reason(found):
         ({"x": 0.0, "y": 0.4, "bottom": 0.2, "height": 0.5}, "beyond the edge of the support surface"),
         ({"bottom": TABLE + 0.05}, "does not touch the support surface"),
         ({"x": 0.1, "bottom": TABLE + 0.01}, None),
+        ({"x": 0.1, "height": 0.006}, "does not rise above the support surface"),
+        ({"x": 0.1, "height": 0.025}, None),
     ],
 )
 def test_faults_are_named(scenes, solid, expected):
