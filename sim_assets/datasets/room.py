@@ -92,7 +92,7 @@ class Room:
         if config is None:
             return
         low = spread + _MARGIN
-        half = np.maximum(np.exp(rng.uniform(*np.log(config.side), 2)), low)
+        half = np.maximum(np.exp(rng.uniform(np.log(config.side[0]), np.log(config.side[1]), 2)), low)
         on_ground, is_round = rng.random() < config.ground, rng.random() < config.round
         shift = rng.uniform(-1, 1, 2)
         if is_round:
