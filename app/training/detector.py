@@ -68,8 +68,8 @@ class TrainDetectorConfig:
     pictures: int = 5000
     validation: int = 200
     test: int = 200
-    training: TrainingConfig = field(default_factory=lambda: TrainingConfig(epochs=36))
-    scene_passes: float = 0.28
+    training: TrainingConfig = field(default_factory=lambda: TrainingConfig(epochs=16))
+    scene_passes: float = 0.625
     tensorboard: bool = False
     device: str = "cpu"
 

@@ -35,7 +35,7 @@ HANDLE_VISIBLE = 0.01  # smallest share of a mug's visible points on a handle th
 class TrainYawConfig(TrainDetectorConfig):
     """Configuration of the job; more epochs than for the detector, since only mugs are trained on."""
 
-    training: TrainingConfig = field(default_factory=lambda: TrainingConfig(epochs=120))
+    training: TrainingConfig = field(default_factory=lambda: TrainingConfig(epochs=28))
 
 
 def run(config: TrainYawConfig, out_dir: Path, progress: Progress | None = None) -> dict[str, Any]:
