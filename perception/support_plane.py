@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Sequence
+from dataclasses import replace
 
 from perception.support.surfaces import SurfaceConfig, find_surfaces
 from perception.types import RgbdFrame, SupportPlane
@@ -25,4 +26,4 @@ def fit_support_plane(
         InvalidInputError: There is no frame, or one of several has no pose.
         PerceptionError: There are too few depth points, or no plane has enough inliers.
     """
-    return find_surfaces(frames, config, seed)[0].plane
+    return find_surfaces(frames, replace(config, max_surfaces=1), seed)[0].plane

@@ -80,7 +80,8 @@ def seen_extent(
     parts = _parts(grid, cells[core], config)
     if not parts:
         return None
-    below = samples.valid & (height < -2 * noise)
+    seen_from_above = plane.height_above(samples.centres)[samples.view] > 0
+    below = samples.valid & seen_from_above & (height < -2 * noise)
     through = grid.image(grid.cells(_crossings(samples, plane, plan, height, below)))
     hull = _united(grid, parts, through > 0, config)
     inside = grid.filled(hull)

@@ -110,7 +110,7 @@ def _planes_among(
         if votes[best] < least:
             break
         first = SupportPlane(normals[best], float(offsets[best]))
-        plane = refined(samples, first, config, rounds=4, among=free)
+        plane = refined(samples, first, config, rounds=3, among=free)
         for found in (first, plane):
             distance = np.abs(samples.points @ found.normal.astype(np.float32) - np.float32(found.offset))
             free &= distance > tolerance(samples, config)
@@ -172,7 +172,7 @@ def refined(
     samples: Samples,
     plane: SupportPlane,
     config: PlaneConfig,
-    rounds: int = 6,
+    rounds: int = 4,
     among: Bool[np.ndarray, "n"] | None = None,
 ) -> SupportPlane:
     """Refine by total least squares on the samples within three robust standard deviations, iterated.
@@ -187,7 +187,7 @@ def refined(
     band = tolerance(samples, config)
     usable, _ = on_plane(samples, plane, config, 2.0)
     near = np.flatnonzero(usable if among is None else usable & among)
-    points, band = samples.points[near].astype(np.float64), band[near]
+    points, band = samples.points[near].astype(np.float64), band[near].astype(np.float64)
     normal, offset, share = plane.normal, plane.offset, 1.0
     for _ in range(rounds):
         inside = np.abs(points @ normal - offset) < share * band
@@ -195,7 +195,8 @@ def refined(
         if len(inliers) < 3:
             break
         mean = inliers.mean(0)
-        solved = np.linalg.svd((inliers - mean).T @ (inliers - mean))[0][:, 2]
+        centred = inliers - mean
+        solved = np.linalg.svd(centred.T @ centred)[0][:, 2]
         normal = solved if solved @ normal > 0 else -solved
         offset = float(normal @ mean)
         spread = 1.4826 * float(np.median(np.abs(inliers @ normal - offset) / band[inside]))

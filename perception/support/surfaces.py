@@ -35,9 +35,11 @@ class SurfaceConfig:
         max_angle: Largest angle between the normals of two surfaces, in radians.
         min_step: Smallest height of a surface above or below another one, in metres; a thinner step is within
             what an object may stand off its plane.
-        thing_weight: Weight of a sample of a thing relative to one of the surface.
+        thing_weight: Weight of a sample of a thing relative to one of the surface, for at most as many as the
+            surface has: all that is in a box rises from its side, which carries nothing.
         bare: Factor on the score of a surface without things.
         full_weight, no_weight: Depths in metres up to which samples count fully, and from which not at all.
+        opposed: Factor on the score of a plane without camera pose that another one faces: sides of a box.
         least_upright: Smallest factor for the attitude of a camera without pose (``_uprightness``).
     """
 
@@ -45,12 +47,13 @@ class SurfaceConfig:
     extent: ExtentConfig = field(default_factory=ExtentConfig)
     things: ThingConfig = field(default_factory=ThingConfig)
     max_surfaces: int = 3
-    max_angle: float = 0.17
+    max_angle: float = 0.14
     min_step: float = 0.02
     thing_weight: float = 2.0
     bare: float = 0.2
     full_weight: float = 1.0
     no_weight: float = 2.5
+    opposed: float = 0.2
     least_upright: float = 0.25
 
 
@@ -142,9 +145,12 @@ def _candidates(
         # A plane that cuts through a larger surface must not take the parts above it for things.
         things, n_things = things_on(samples, extent, explained, config.things)
         explained |= extent.shown
-        score = float(weight[extent.shown].sum() + config.thing_weight * weight[things >= 0].sum())
+        area, load = weight[extent.shown].sum(), weight[things >= 0].sum()
+        score = float(area + config.thing_weight * min(load, area))
         score *= 1.0 if n_things else config.bare
-        score *= 1.0 if attitudes is None else _uprightness(extent.plane, attitudes, config)
+        if attitudes is not None:
+            score *= _uprightness(extent.plane, attitudes, config)
+            score *= config.opposed if _has_opposite(extent, extents) else 1.0
         candidates.append(_Candidate(extent, n_things, score))
     return sorted(candidates, key=lambda candidate: -candidate.score)
 
@@ -159,6 +165,12 @@ def _uprightness(plane: SupportPlane, attitudes: Float[np.ndarray, "n 3 3"], con
     normals = plane.normal @ attitudes  # (n, 3) in the frames of the cameras
     right, up = np.abs(normals[:, 0]), -normals[:, 1]
     return float(np.clip(0.5 + up - 0.5 * right, config.least_upright, 1.0).mean())
+
+
+def _has_opposite(extent: Extent, extents: Sequence[Extent]) -> bool:
+    """Return whether a plane of at least half the visible area faces it; none is above a level surface."""
+    normal, least = extent.plane.normal, 0.5 * extent.shown.sum()
+    return any(normal @ other.plane.normal < -0.9 and other.shown.sum() > least for other in extents)
 
 
 def _settled(samples: Samples, extent: Extent, config: SurfaceConfig) -> SupportSurface:
@@ -176,5 +188,6 @@ def _repeats(extent: Extent, other: Extent, config: SurfaceConfig) -> bool:
 def _adds(samples: Samples, candidate: _Candidate, main: _Candidate, config: SurfaceConfig) -> bool:
     """Return whether a candidate carries things, is as level as the main surface, and no bowl's bottom."""
     normals = candidate.extent.plane.normal, main.extent.plane.normal
-    level = float(normals[0] @ normals[1]) > np.cos(config.max_angle)
-    return candidate.n_things > 0 and level and not is_vessel_bottom(samples, candidate.extent, config.things)
+    level = bool(normals[0] @ normals[1] > np.cos(config.max_angle))
+    vessel = level and is_vessel_bottom(samples, candidate.extent, config.things)
+    return candidate.n_things > 0 and level and not vessel

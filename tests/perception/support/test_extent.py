@@ -66,3 +66,12 @@ def test_a_surface_at_a_grazing_angle_is_connected(scenes):
     _, extent = extent_at(scenes, [table(scenes, half=(0.3, 0.5))], eye=(0, -1.2, HEIGHT + 0.35))
     points = np.array([[0.0, y, HEIGHT] for y in (-0.45, 0.0, 0.42)])
     assert (outline(extent).beyond(points) < 0).all()
+
+
+def test_a_view_from_below_sees_nothing_through_the_plane(scenes):
+    views = ((0, -0.8, 1.0), (0, -0.8, 0.2))  # the second camera is lower than the table
+    frames = [scenes.render([table(scenes)], scenes.look_at(eye, (0, 0, HEIGHT))).frame for eye in views]
+    samples = sample_frames(frames, PLANES.max_points, PLANES.max_depth)
+    extent = seen_extent(samples, SupportPlane(offset=HEIGHT), PLANES, CONFIG)
+    assert extent is not None
+    assert sorted(np.ptp(outline(extent).outline, axis=0)) == pytest.approx([0.4, 0.6], abs=0.06)

@@ -76,6 +76,16 @@ def test_a_wall_is_no_support_surface(scenes, scene, posed):
     assert found == pytest.approx([0.0], abs=2e-3)
 
 
+def test_the_bottom_of_a_bin_is_preferred_to_its_sides(scenes, scene):
+    solids = [scenes.Solid(0, y, 0.25, half=(0.32, 0.01)) for y in (-0.21, 0.21)] + [
+        scenes.Solid(x, 0, 0.25, half=(0.01, 0.2)) for x in (-0.31, 0.31)
+    ]
+    solids += [scenes.Solid(x, y, 0.03, half=(0.06, 0.06)) for x in (-0.2, 0.0, 0.2) for y in (-0.1, 0.1)]
+    eye = (0, 0, 0.7)
+    found, _ = heights(scene(solids, eye, (0, 0.01, 0), False), eye)
+    assert found[0] == pytest.approx(0.0, abs=2e-3)
+
+
 @both
 @pytest.mark.parametrize(
     ("top", "load", "expected"),
