@@ -62,6 +62,7 @@ if TYPE_CHECKING:
     from perception import Detections as Detections
     from perception import FrameResult as FrameResult
     from perception import InvalidInputError as InvalidInputError
+    from perception import LeftOut as LeftOut
     from perception import ObjectDetection as ObjectDetection
     from perception import ObjectEstimate as ObjectEstimate
     from perception import Perception as Perception
@@ -73,9 +74,11 @@ if TYPE_CHECKING:
     from perception import Slam as Slam
     from perception import SlamConfig as SlamConfig
     from perception import SupportPlane as SupportPlane
+    from perception import SupportSurface as SupportSurface
     from perception import Trajectory as Trajectory
     from perception import TriangleMesh as TriangleMesh
     from perception import detect as detect
+    from perception import find_surfaces as find_surfaces
     from perception import fit_support_plane as fit_support_plane
     from perception import load_perception as load_perception
     from perception import open_sequence as open_sequence
@@ -104,13 +107,14 @@ if TYPE_CHECKING:
 _MODULES = {
     # From RGB-D images to objects.
     "perception": (
-        # Data: images, and what is found in them. One SupportPlane carries all objects.
-        "RgbdFrame", "CameraIntrinsics", "SupportPlane", "Category", "CATEGORIES", "ObjectDetection",
-        "ObjectEstimate", "TriangleMesh", "Reconstruction",
+        # Data: images, and what is found in them. Objects stand on support planes.
+        "RgbdFrame", "CameraIntrinsics", "SupportPlane", "SupportSurface", "Category", "CATEGORIES",
+        "ObjectDetection", "ObjectEstimate", "TriangleMesh", "Reconstruction",
         # Everything in one call: arrays, frames or a scan folder in, a Reconstruction out.
         "reconstruct_image", "reconstruct", "reconstruct_scan",
         # The stages one by one, and the networks that they share.
-        "Perception", "load_perception", "fit_support_plane", "Detections", "detect",
+        "Perception", "load_perception", "fit_support_plane", "find_surfaces", "Detections", "detect",
+        "LeftOut",
         # Object-level SLAM: Slam.load(), then process() for each frame.
         "Slam", "SlamConfig", "FrameResult",
         # Files: scan folders (BOP layout), object maps, sequences (scan folder or TUM RGB-D), trajectories.

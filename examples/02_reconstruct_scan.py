@@ -18,13 +18,16 @@ scan = nodeslam.read_scan(folder)
 networks = nodeslam.load_perception("auto")
 
 # The stages one by one; nodeslam.reconstruct_scan(folder) is the same in one call.
-plane = nodeslam.fit_support_plane(scan.frames)
-detections = nodeslam.detect(scan.frames, networks.detector, plane=plane)
+surfaces = nodeslam.find_surfaces(scan.frames)
+detections = nodeslam.detect(scan.frames, networks.detector, surfaces=surfaces)
 scene = nodeslam.reconstruct(scan.frames, networks, detections)
 
 for item in scene.objects:
     x, y, _ = item.T_world_object[:3, 3]
     print(f"{item.name}: at ({x:.3f}, {y:.3f}) m, seen in {item.n_views} views, {item.status}")
+
+for candidate in detections.left_out:
+    print(f"left out in image {candidate.frame}: {candidate.text}")
 
 nodeslam.write_object_map(output, scene.objects)
 assert [item.name for item in nodeslam.read_object_map(output)] == [item.name for item in scene.objects]

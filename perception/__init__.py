@@ -11,6 +11,7 @@ import importlib
 from typing import TYPE_CHECKING, Any
 
 if TYPE_CHECKING:
+    from perception.detection.left_out import LeftOut as LeftOut
     from perception.errors import InvalidInputError as InvalidInputError
     from perception.errors import PerceptionError as PerceptionError
     from perception.io.object_map import read_object_map as read_object_map
@@ -33,6 +34,8 @@ if TYPE_CHECKING:
     from perception.slam.config import SlamConfig as SlamConfig
     from perception.slam.system import FrameResult as FrameResult
     from perception.slam.system import Slam as Slam
+    from perception.support.surface import SupportSurface as SupportSurface
+    from perception.support.surfaces import find_surfaces as find_surfaces
     from perception.support_plane import fit_support_plane as fit_support_plane
     from perception.types import CATEGORIES as CATEGORIES
     from perception.types import CameraIntrinsics as CameraIntrinsics
@@ -53,7 +56,10 @@ _MODULES = {
     "perception.io.object_map": ("read_object_map", "write_object_map"),
     "perception.io.recordings.sequence": ("RgbdSequence", "open_sequence"),
     "perception.io.recordings.trajectory": ("Trajectory", "write_trajectory"),
+    "perception.support.surface": ("SupportSurface",),
+    "perception.support.surfaces": ("find_surfaces",),
     "perception.support_plane": ("fit_support_plane",),
+    "perception.detection.left_out": ("LeftOut",),
     "perception.pipeline": ("Detections", "Perception", "detect", "load_perception"),
     "perception.reconstruction": ("Reconstruction",),
     "perception.scans": ("reconstruct", "reconstruct_scan"),
