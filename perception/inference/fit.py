@@ -5,6 +5,7 @@ from __future__ import annotations
 from dataclasses import replace
 
 import numpy as np
+from jaxtyping import Float
 
 from perception.errors import PerceptionError
 from perception.geometry import invert
@@ -29,7 +30,18 @@ def fit_object(
     config: FitConfig = FitConfig(),
     on_step: OnStep | None = None,
 ) -> ObjectEstimate:
-    """Reconstruct one object.
+    """Reconstruct one object; see ``fit_with_grid``."""
+    return fit_with_grid(views, decoder, plane, config, on_step)[0]
+
+
+def fit_with_grid(
+    views: ObjectViews,
+    decoder: Decoder,
+    plane: SupportPlane,
+    config: FitConfig = FitConfig(),
+    on_step: OnStep | None = None,
+) -> tuple[ObjectEstimate, Float[np.ndarray, "r r r"]]:
+    """Reconstruct one object; return the estimate and the occupancies of its code.
 
     Args:
         views: Observations of the object, at least one, with its class.
@@ -44,13 +56,13 @@ def fit_object(
     """
     try:
         fit = optimise_object(views, decoder, plane, config, on_step)
-        estimate = _estimate(fit, views, decoder, plane, config)
+        estimate, grid = _estimate(fit, views, decoder, plane, config)
     except PerceptionError:
         raise
     except Exception as error:  # numpy, scipy, scikit-image and trimesh raise many types on degenerate input
         raise FitFailedError(f"the fit failed ({type(error).__name__}: {error})") from error
     check_finite(estimate)
-    return estimate
+    return estimate, grid
 
 
 def check_finite(estimate: ObjectEstimate) -> None:
@@ -72,8 +84,8 @@ def check_finite(estimate: ObjectEstimate) -> None:
 
 def _estimate(
     fit: Fit, views: ObjectViews, decoder: Decoder, plane: SupportPlane, config: FitConfig
-) -> ObjectEstimate:
-    """Mesh a fit, refine the mesh on the measurements and predict its deviations."""
+) -> tuple[ObjectEstimate, Float[np.ndarray, "r r r"]]:
+    """Mesh a fit, refine the mesh on the measurements and predict its deviations; also return the grid."""
     pose, code, category = fit.state.pose, fit.state.code, views.category
     grid, jacobian = decode_with_jacobian(decoder, category, code, config.threads)
     mesh = mesh_from_grid(grid, pose.scale, category, config.mesh)
@@ -102,7 +114,7 @@ def _estimate(
         covariance=covariance,
     )
     sigma = calibrated_deviation(estimate, covariance, determined, grid, jacobian)
-    return replace(estimate, surface_sigma=sigma)
+    return replace(estimate, surface_sigma=sigma), grid
 
 
 def _status(fit: Fit, plane: SupportPlane, inlier_ratio: float) -> FitStatus:
