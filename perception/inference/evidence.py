@@ -2,7 +2,7 @@
 
 The shape is rendered into every view once more and compared with the measured depth, pixel by pixel:
 
-- inside the mask, the shape is in front of, at, or behind the measured surface, or it does not cover the pixel;
+- inside the mask, the shape is in front of, at, or behind the measured surface, or does not cover the pixel;
 - outside the mask, it is violated where the camera sees a surface clearly behind it (free space).
 
 The noise of depth sensors grows with the distance; differences count in units of it.
@@ -61,7 +61,7 @@ class Evidence:
         systematic: Root mean square of blockwise mean residuals, in the same unit: noise averages out, a
             different shape does not.
         missing: Share of the mask without measured depth.
-        base: Height of the lowest measured points above the plane, in object heights.
+        base: Height of the lowest measured points above the plane, in object heights; negative below it.
         truncated: Share of the views whose mask touches the image border.
         pixels: Number of measured pixels in the mask of the largest view.
         code: Norm of the shape code in standard deviations of the prior, divided by 4.

@@ -91,12 +91,14 @@ class ObjectViews:
         category: Class of the object.
         score: Confidence of the class, in 0..1.
         observations: One observation per view.
+        class_probabilities: (5,) probabilities of CATEGORIES and 'other'; empty if unknown.
     """
 
     id: int
     category: Category
     score: float
     observations: tuple[ObjectObservation, ...]
+    class_probabilities: Float[np.ndarray, "k"] = field(default_factory=lambda: np.zeros(0))
 
 
 @dataclass(frozen=True)

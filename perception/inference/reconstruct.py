@@ -15,6 +15,8 @@ import torch
 from jaxtyping import Bool
 
 from perception.depth_cleaning import clean_frame
+from perception.inference.acceptance import AcceptanceModel
+from perception.inference.class_choice import RejectedError, fit_best_class
 from perception.inference.fit import fit_object
 from perception.inference.fit_config import FitConfig
 from perception.inference.observation import ObjectObservation, ObjectViews
@@ -22,6 +24,7 @@ from perception.inference.optimisation import FitStep
 from perception.inference.shape_model import Decoder
 from perception.types import (
     CATEGORIES,
+    OTHER,
     Category,
     ObjectDetection,
     ObjectEstimate,
@@ -49,6 +52,8 @@ class ReconstructOptions:
         progress: Called with (objects done, number of objects, name of the last one).
         on_step: Called with (id, class, step) of a fit, from several threads.
         on_rejected: Called with each object that is left out.
+        acceptance: Model that compares the classes of an object, and none, by the evidence of their fits and
+            gives the score; None fits each object as its detected class, with the detection's score.
     """
 
     workers: int | None = None
@@ -56,6 +61,7 @@ class ReconstructOptions:
     progress: Progress | None = None
     on_step: OnFitStep | None = None
     on_rejected: OnRejected | None = None
+    acceptance: AcceptanceModel | None = None
 
 
 def reconstruct(
@@ -66,7 +72,7 @@ def reconstruct(
     config: FitConfig = FitConfig(),
     options: ReconstructOptions = ReconstructOptions(),
 ) -> list[ObjectEstimate]:
-    """Reconstruct every instance; those that cannot be fitted are logged, reported and left out.
+    """Reconstruct every instance; those that cannot be fitted or accepted are logged, reported and left out.
 
     The result depends on neither the number of workers nor their timing.
 
@@ -90,12 +96,11 @@ def reconstruct(
         config = replace(config, threads=workers // max(len(instances), 1))
 
     def fit(views: ObjectViews) -> ObjectEstimate:
-        on_step = options.on_step
-        if on_step is None:
-            return fit_object(views, decoder, plane_of[views.id], config)
-        return fit_object(
-            views, decoder, plane_of[views.id], config, lambda step: on_step(views.id, views.category, step)
-        )
+        plane, on_step = plane_of[views.id], options.on_step
+        report = None if on_step is None else lambda step: on_step(views.id, views.category, step)
+        if options.acceptance is None:
+            return fit_object(views, decoder, plane, config, report)
+        return fit_best_class(views, decoder, plane, options.acceptance, config, report)
 
     with single_threaded_torch(), ThreadPoolExecutor(workers) as pool:
         jobs = {pool.submit(fit, views): views for views in instances}
@@ -105,7 +110,7 @@ def reconstruct(
             try:
                 estimates[views.id] = job.result()
             except Exception as error:  # whatever fails for one object must not cost the others
-                rejected = RejectedObject(views.id, views.category, one_line(error), views.score)
+                rejected = RejectedObject(views.id, views.category, one_line(error), _score(error, views))
                 logger.warning("%s is left out: %s", name, rejected.reason)
                 logger.debug("traceback of %s", name, exc_info=error)
                 if options.on_rejected is not None:
@@ -148,7 +153,9 @@ def gather_instances(
             ObjectObservation(frame, detection.mask, ignore, detection.yaw_probabilities)
             for frame, detection, ignore in seen
         )
-        instances.append(ObjectViews(key, category, score, observations))
+        known = [d.class_probabilities for _, d, _ in seen if len(d.class_probabilities) == OTHER + 1]
+        probabilities = np.mean(known, axis=0) if known else np.zeros(0)
+        instances.append(ObjectViews(key, category, score, observations, probabilities))
     return instances
 
 
@@ -165,6 +172,11 @@ def hidden_by(
         return union
     clearly_behind = frame.depth > np.quantile(own, 0.98) + _OCCLUSION_MARGIN
     return union & ~clearly_behind
+
+
+def _score(error: Exception, views: ObjectViews) -> float:
+    """Return the score of an object that is left out, by the evidence if it was measured."""
+    return error.score if isinstance(error, RejectedError) else views.score
 
 
 def one_line(error: Exception) -> str:

@@ -1,0 +1,374 @@
+"""`nodeslam train acceptance`: fit the score of reconstructed objects on rendered scenes.
+
+Scenes of the training families and kinds of distractors are rendered, detected with the present detector and
+reconstructed from single views, each instance as its two most probable classes. A fit is positive if its mask
+shows an object of its class. One logistic regression for each class separates both kinds.
+"""
+
+from __future__ import annotations
+
+import json
+import os
+from collections.abc import Sequence
+from dataclasses import dataclass, replace
+from functools import cache
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+from jaxtyping import Bool, Float
+
+from app.training.crop_dataset import Progress, Split, perturb_plane
+from app.training.detector import calibration_error
+from app.training.files import checksums
+from app.training.scene_dataset import training_scene_config
+from app.workers import Lost, map_in_processes
+from perception.detection.detector import Detector, DetectorConfig
+from perception.errors import PerceptionError
+from perception.inference.acceptance import (
+    LINEAR,
+    WEIGHTS_FILE,
+    AcceptanceModel,
+    ClassModel,
+    numbers_of,
+    terms,
+)
+from perception.inference.evidence import Evidence, measure_evidence
+from perception.inference.fit import fit_with_grid
+from perception.inference.fit_config import FitConfig
+from perception.inference.observation import ObjectViews
+from perception.inference.reconstruct import gather_instances, single_threaded_torch
+from perception.io.files import write_atomically
+from perception.pipeline import load_decoder
+from perception.shape.decoder import ShapeDecoder
+from perception.types import CATEGORIES, OTHER, Category, ObjectDetection, SupportPlane
+
+CHUNK = 20  # images per job
+MIN_PURITY = 0.6  # share of a mask's pixels on the object that it is attributed to
+RARE = 0.02  # probability from which on a second class is fitted
+
+
+@dataclass(frozen=True)
+class AcceptanceTraining:
+    """Hyperparameters of the regression.
+
+    Attributes:
+        seed: Seed of the images and of the noise.
+        epochs: Copies of each sample, each with other noise on the class probability.
+        class_noise: Standard deviation of the noise on the log odds of the class probability, in nats. The
+            detector is surer on the kinds it was trained on than on others; the noise keeps the regression
+            from neglecting the evidence.
+        class_dropout: Share of the copies without class probability, as detections of other sources.
+        ridge: Weight of the squared coefficients, relative to one sample.
+        threshold: Score below which objects are rejected.
+    """
+
+    seed: int = 0
+    epochs: int = 4
+    class_noise: float = 2.0
+    class_dropout: float = 0.25
+    ridge: float = 5.0
+    threshold: float = 0.5
+
+
+@dataclass(frozen=True)
+class TrainAcceptanceConfig:
+    """Configuration of the job; the defaults are those of the shipped coefficients.
+
+    Attributes:
+        pictures: Number of images of the training split.
+        test: Number of images of the test split, for the evaluation.
+        training: Hyperparameters of the regression.
+        device: Torch device of the networks.
+    """
+
+    pictures: int = 240
+    test: int = 60
+    training: AcceptanceTraining = AcceptanceTraining()
+    device: str = "cpu"
+
+
+@dataclass(frozen=True)
+class Chunk:
+    """Images that one process renders and reconstructs.
+
+    Attributes:
+        folder: Folder of the result.
+        split: Families and kinds.
+        seed: Seed of the data set.
+        number: Number of the chunk.
+        count: Number of images.
+    """
+
+    folder: Path
+    split: Split
+    seed: int
+    number: int
+    count: int
+
+    @property
+    def path(self) -> Path:
+        return self.folder / f"fits_{self.split}_seed{self.seed}_n{self.count}_{self.number:03d}.json"
+
+
+@dataclass(frozen=True)
+class Samples:
+    """n fits of one class.
+
+    Attributes:
+        numbers: (n, k) numbers of the evidence.
+        probability: (n,) class probability of the detector.
+        real: (n,) whether the mask shows an object of the class.
+    """
+
+    numbers: Float[np.ndarray, "n k"]
+    probability: Float[np.ndarray, "n"]
+    real: Bool[np.ndarray, "n"]
+
+
+def run(config: TrainAcceptanceConfig, out_dir: Path, progress: Progress | None = None) -> dict[str, Any]:
+    """Reconstruct rendered scenes, fit the regression and evaluate it on the test split.
+
+    Writes `fits/`, `acceptance.json` and `acceptance.md` to the folder; finished chunks are reused.
+
+    Returns:
+        Metrics on the test split (``acceptance_metrics``).
+    """
+    seed, folder = config.training.seed, out_dir / "fits"
+    train = collect(folder, "train", config.pictures, seed, progress)
+    test = collect(folder, "test", config.test, seed, progress)
+    model = fit_model(train, config.training)
+    metrics = acceptance_metrics(model, test)
+    model.save(out_dir / WEIGHTS_FILE)
+    card = _CARD.format(config=config, t=config.training, n=len(train), m=metrics, table=_table(metrics))
+    (out_dir / "acceptance.md").write_text(card + checksums(out_dir / WEIGHTS_FILE), "utf-8")
+    return metrics
+
+
+def collect(
+    folder: Path, split: Split, pictures: int, seed: int, progress: Progress | None = None
+) -> list[dict[str, Any]]:
+    """Return the fits in rendered scenes; chunks that are in the folder are not repeated.
+
+    Raises:
+        PerceptionError: A process died.
+    """
+    chunks = [
+        Chunk(folder, split, seed, k, min(CHUNK, pictures - k * CHUNK)) for k in range(-(-pictures // CHUNK))
+    ]
+    missing = [chunk for chunk in chunks if not chunk.path.is_file()]
+    done = len(chunks) - len(missing)
+    for chunk, result in map_in_processes(collect_chunk, missing, os.cpu_count() or 1):
+        if isinstance(result, Lost):
+            raise PerceptionError(f"chunk {chunk.number} of {split} scenes failed: {result.reason}")
+        done += 1
+        if progress:
+            progress(f"reconstructing {split} scenes", done / len(chunks))
+    return [row for chunk in chunks for row in json.loads(chunk.path.read_text("utf-8"))]
+
+
+def collect_chunk(chunk: Chunk) -> None:
+    """Render, detect and reconstruct the images of a chunk; write one row for each fit."""
+    from sim_assets.datasets.training_scenes import TrainingScenes
+
+    sequence = np.random.SeedSequence([chunk.seed, chunk.number, chunk.split == "test", 7])
+    rng = np.random.default_rng(sequence.spawn(1)[0])
+    detector, decoder = _networks()
+    scene_config = replace(training_scene_config(), pictures_per_pool=CHUNK)
+    rows = []
+    with (
+        single_threaded_torch(),
+        TrainingScenes(chunk.split, int(sequence.generate_state(1)[0]), scene_config) as scenes,
+    ):
+        for image in scenes.render(chunk.count):
+            plane = perturb_plane(image.plane, rng)
+            found = [replace(d, instance_id=k) for k, d in enumerate(detector(image.frame, plane))]
+            for views, detection in zip(gather_instances([image.frame], [found]), found):
+                label = _label(image, detection)
+                if label != "ignored":
+                    rows += _fits(views, detection, label, decoder, plane)
+    write_atomically(chunk.path, json.dumps(rows))
+
+
+def _label(image: Any, detection: ObjectDetection) -> str:
+    """Return the class of the item that a mask shows, 'other', or 'ignored'."""
+    shown = image.instances[detection.mask]
+    counts = np.bincount(shown[shown >= 0], minlength=1)
+    best = int(counts.argmax())
+    if counts[best] < MIN_PURITY * len(shown):
+        return "other"
+    item = image.labels[best]
+    return "ignored" if item.ignored else item.category or "other"
+
+
+def _fits(
+    views: ObjectViews, detection: ObjectDetection, label: str, decoder: ShapeDecoder, plane: SupportPlane
+) -> list[dict[str, Any]]:
+    """Return a row for each of the two most probable classes; a fit that fails has none."""
+    probabilities, config = detection.class_probabilities, FitConfig()
+    order = np.argsort(-probabilities[:OTHER])[:2].tolist()
+    rows = []
+    for rank, number in enumerate(order):
+        if rank and probabilities[number] < RARE:
+            continue
+        category = CATEGORIES[number]
+        try:
+            estimate, grid = fit_with_grid(replace(views, category=category), decoder, plane, config)
+            evidence = measure_evidence(estimate, grid, views.observations, plane, config.step[category])
+        except PerceptionError:
+            continue
+        rows.append(
+            {
+                "category": category,
+                "rank": rank,
+                "real": label == category,
+                "label": label,
+                "probability": float(probabilities[number]),
+                "evidence": evidence.as_dict(),
+            }
+        )
+    return rows
+
+
+def samples_of(rows: Sequence[dict[str, Any]], category: Category) -> Samples:
+    """Return the fits as a class."""
+    chosen = [row for row in rows if row["category"] == category]
+    return Samples(
+        np.array([numbers_of(Evidence(**row["evidence"])) for row in chosen]).reshape(-1, len(LINEAR)),
+        np.array([row["probability"] for row in chosen], dtype=np.float64),
+        np.array([row["real"] for row in chosen], dtype=bool),
+    )
+
+
+def fit_model(rows: Sequence[dict[str, Any]], training: AcceptanceTraining) -> AcceptanceModel:
+    """Fit the logistic model of every class."""
+    rng = np.random.default_rng(training.seed)
+    return AcceptanceModel(
+        {category: fit_class(samples_of(rows, category), training, rng) for category in CATEGORIES},
+        training.threshold,
+    )
+
+
+def fit_class(samples: Samples, training: AcceptanceTraining, rng: np.random.Generator) -> ClassModel:
+    """Fit the logistic model of one class.
+
+    Raises:
+        PerceptionError: There are fewer than five fits of either kind.
+    """
+    if min(samples.real.sum(), (~samples.real).sum()) < 5:
+        raise PerceptionError("too few fits of a class: render more images")
+    good = samples.numbers[samples.real]
+    mean, std = good.mean(axis=0), np.maximum(good.std(axis=0), 0.05)
+    rows, targets = [], []
+    for _ in range(training.epochs):
+        p = np.clip(samples.probability, 1e-6, 1 - 1e-6)
+        odds = np.log(p) - np.log1p(-p) + rng.normal(0, training.class_noise, len(p))
+        known = rng.random(len(odds)) >= training.class_dropout
+        noisy = 1 / (1 + np.exp(-odds))
+        rows += [
+            terms(numbers, mean, std, float(value) if is_known else None)
+            for numbers, value, is_known in zip(samples.numbers, noisy, known)
+        ]
+        targets.append(samples.real)
+    x = np.column_stack([np.ones(len(rows)), np.array(rows)])
+    weights = logistic_regression(x, np.concatenate(targets), training.ridge * training.epochs)
+    return ClassModel(mean, std, weights[1:], float(weights[0]))
+
+
+def logistic_regression(
+    x: Float[np.ndarray, "n k"], y: Bool[np.ndarray, "n"], ridge: float, iterations: int = 50
+) -> Float[np.ndarray, "k"]:
+    """Return the weights of a logistic regression with an L2 penalty, by Newton's method.
+
+    Args:
+        x: Inputs; the first column is constant.
+        y: Labels.
+        ridge: Weight of the squared weights, but for the first, relative to one sample.
+        iterations: Largest number of Newton steps.
+    """
+    weights = np.zeros(x.shape[1])
+    penalty = np.full(x.shape[1], ridge)
+    penalty[0] = 1e-6
+    for _ in range(iterations):
+        p = 1 / (1 + np.exp(-np.clip(x @ weights, -30, 30)))
+        gradient = x.T @ (p - y) + penalty * weights
+        hessian = (x * (p * (1 - p))[:, None]).T @ x + np.diag(penalty)
+        step = np.linalg.solve(hessian, gradient)
+        weights = weights - step / max(1.0, float(np.abs(step).max()))
+        if np.abs(step).max() < 1e-6:
+            break
+    return weights
+
+
+def acceptance_metrics(model: AcceptanceModel, rows: Sequence[dict[str, Any]]) -> dict[str, Any]:
+    """Return shares of accepted fits and the calibration error, of first choices of the detector.
+
+    The detector alone accepts what has a class probability above one half.
+    """
+    scores = np.array([
+        model.score(Evidence(**row["evidence"]), row["category"], row["probability"]) for row in rows
+    ])  # fmt: skip
+    first = np.array([row["rank"] == 0 for row in rows])
+    real = np.array([row["real"] for row in rows])
+    sure = np.array([row["probability"] > 0.5 for row in rows])
+    metrics: dict[str, Any] = {
+        "fits": len(rows),
+        "calibration_error": calibration_error(scores, real),
+        "classes": {},
+    }
+    for category in CATEGORIES:
+        own = first & np.array([row["category"] == category for row in rows])
+        kept = scores >= model.threshold
+        metrics["classes"][category] = {
+            "objects": int((own & real).sum()),
+            "objects_accepted": float(kept[own & real].mean()) if (own & real).any() else None,
+            "objects_by_detector": float(sure[own & real].mean()) if (own & real).any() else None,
+            "others": int((own & ~real).sum()),
+            "others_accepted": float(kept[own & ~real].mean()) if (own & ~real).any() else None,
+            "others_by_detector": float(sure[own & ~real].mean()) if (own & ~real).any() else None,
+        }
+    return metrics
+
+
+@cache
+def _networks() -> tuple[Detector, ShapeDecoder]:
+    """Load the networks of a process; the detector keeps distractors."""
+    return Detector.load("cpu", config=DetectorConfig(max_other=1.0)), load_decoder("cpu")
+
+
+def _table(metrics: dict[str, Any]) -> str:
+    """Return the shares of accepted fits as a Markdown table."""
+    head = (
+        "| class | objects | accepted | by the detector alone | others | accepted | by the detector alone |"
+    )
+    lines = [head, "|" + " --- |" * 7]
+    for category, m in metrics["classes"].items():
+        cells = [m[k] for k in ("objects", "objects_accepted", "objects_by_detector")]
+        cells += [m[k] for k in ("others", "others_accepted", "others_by_detector")]
+        text = ["-" if c is None else f"{c:.3f}" if isinstance(c, float) else str(c) for c in cells]
+        lines.append(f"| {category} | " + " | ".join(text) + " |")
+    return "\n".join(lines)
+
+
+_CARD = """# Acceptance model
+
+`acceptance.json`: one logistic regression for each class that turns the evidence of a fit
+(`perception/inference/evidence.py`: agreement of the rendered shape with the measured depth inside and
+outside the mask, visible free space, size, cross-sections, contact with the plane) and the detector's class
+probability into the probability that the object is real and of that class. Objects below {t.threshold} are
+left out.
+
+**Training**: `nodeslam train acceptance --seed {t.seed}`: {config.pictures} scenes of the training families
+with the distractors, rooms and sensors of `nodeslam train detector`; each instance that the detector segments
+is reconstructed from its single view as its two most probable classes: {n} fits. Noise with a standard
+deviation of {t.class_noise:g} is added to the log odds of the class probability, since the detector is surer
+on the kinds it was trained on than on others.
+
+**Evaluation** on {m[fits]} fits in {config.test} scenes of the test families and test kinds of distractors:
+expected calibration error {m[calibration_error]:.3f}. Accepted, of the fits as the detector's first choice:
+
+{table}
+
+**Limitations**: rendered images. What has the outline, the size and the contact of a bottle or can is told
+from one by the detector alone.
+"""
