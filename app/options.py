@@ -173,10 +173,10 @@ class ArOptions(CommonOptions):
 class TrainOptions(CommonOptions):
     """Train a network, by default as the shipped weights; the same command with the same --out resumes."""
 
-    network: Positional[Literal["shape", "detector", "yaw"]]
-    """Network to train."""
+    network: Positional[Literal["shape", "detector", "yaw", "acceptance"]]
+    """Network to train, or the acceptance model of reconstructed objects."""
     epochs: Annotated[int | None, arg(help_behavior_hint="default: the shipped weights' schedule")] = None
-    """Number of epochs."""
+    """Number of epochs; not for acceptance."""
     meshes: Annotated[
         Path | None, arg(metavar="DIR", help_behavior_hint="default: the training families; shape only")
     ] = None

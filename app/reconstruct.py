@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import time
 from collections.abc import Sequence
-from dataclasses import asdict
+from dataclasses import asdict, replace
 
 import numpy as np
 from rich.markup import escape
@@ -17,6 +17,7 @@ from app.runs.report import ObjectReport, Report
 from app.runs.run_folder import RunFolder
 from app.screen import Screen
 from perception.detection.left_out import summarise
+from perception.inference.reconstruct import with_estimated_classes
 from perception.io.files import write_atomically
 from perception.io.images import png_bytes
 from perception.io.object_map import write_object_map
@@ -64,6 +65,7 @@ def run(options: ReconstructOptions, screen: Screen) -> Report:
             on_rejected=rejected.append,
         )
     timings["reconstruct"] = time.perf_counter() - started
+    detections = replace(detections, per_frame=with_estimated_classes(detections.per_frame, objects))
     write_scan(folder.scan, scan.frames, detections.per_frame)
     unwritten = write_object_map(folder.path, objects)
     rejected += unwritten

@@ -21,6 +21,7 @@ from perception.detection.detector import Detector
 from perception.detection.left_out import LeftOut
 from perception.detection.on_surfaces import FrameDetector, examine_frame, placed, unrecognised
 from perception.errors import InvalidInputError
+from perception.inference.acceptance import shipped_acceptance
 from perception.inference.reconstruct import (
     OnFitStep,
     OnRejected,
@@ -234,7 +235,10 @@ def reconstruct_objects(
         decoder: Shape prior.
         progress: Called after each object with its name.
         on_step: Called after each Levenberg-Marquardt step with object id, class and step.
-        on_rejected: Called with each object that cannot be reconstructed and is left out.
+        on_rejected: Called with each object that is left out, because its fit failed or the evidence of the
+            fit contradicts its class.
     """
-    options = ReconstructOptions(progress=progress, on_step=on_step, on_rejected=on_rejected)
+    options = ReconstructOptions(
+        progress=progress, on_step=on_step, on_rejected=on_rejected, acceptance=shipped_acceptance()
+    )
     return reconstruct(frames, detections.per_frame, decoder, detections.planes, options=options)

@@ -19,6 +19,7 @@ from perception.detection.completion import Completer, complete_detections, is_c
 from perception.detection.detector import Detector
 from perception.detection.on_surfaces import assigned, classified, with_one_support
 from perception.errors import InvalidInputError
+from perception.inference.reconstruct import with_estimated_classes
 from perception.io.scan_folder import Scan, read_scan
 from perception.pipeline import Detections, Perception, detect, load_perception, reconstruct_objects
 from perception.reconstruction import Reconstruction
@@ -55,7 +56,7 @@ def reconstruct(
     return Reconstruction(
         objects=tuple(objects),
         plane=detections.plane,
-        detections=detections.per_frame,
+        detections=with_estimated_classes(detections.per_frame, objects),
         T_world_camera=frames[0].T_world_camera if len(frames) == 1 else None,
         posed=posed,
         rejected=tuple(rejected),

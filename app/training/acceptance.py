@@ -17,6 +17,7 @@ from typing import Any
 
 import numpy as np
 from jaxtyping import Bool, Float
+from scipy.optimize import minimize
 
 from app.training.crop_dataset import Progress, Split, perturb_plane
 from app.training.detector import calibration_error
@@ -26,6 +27,9 @@ from app.workers import Lost, map_in_processes
 from perception.detection.detector import Detector, DetectorConfig
 from perception.errors import PerceptionError
 from perception.inference.acceptance import (
+    AGAINST,
+    COEFFICIENTS,
+    IN_FAVOUR,
     LINEAR,
     WEIGHTS_FILE,
     AcceptanceModel,
@@ -54,21 +58,21 @@ class AcceptanceTraining:
 
     Attributes:
         seed: Seed of the images and of the noise.
-        epochs: Copies of each sample, each with other noise on the class probability.
+        copies: Copies of each sample, each with other noise on the class probability.
         class_noise: Standard deviation of the noise on the log odds of the class probability, in nats. The
             detector is surer on the kinds it was trained on than on others; the noise keeps the regression
             from neglecting the evidence.
         class_dropout: Share of the copies without class probability, as detections of other sources.
-        ridge: Weight of the squared coefficients, relative to one sample.
+        ridge: Weight of the squared difference from the coefficients of all classes, relative to one sample.
         threshold: Score below which objects are rejected.
     """
 
     seed: int = 0
-    epochs: int = 4
-    class_noise: float = 2.0
+    copies: int = 4
+    class_noise: float = 1.5
     class_dropout: float = 0.25
-    ridge: float = 5.0
-    threshold: float = 0.5
+    ridge: float = 20.0
+    threshold: float = 0.4
 
 
 @dataclass(frozen=True)
@@ -241,27 +245,47 @@ def samples_of(rows: Sequence[dict[str, Any]], category: Category) -> Samples:
 
 
 def fit_model(rows: Sequence[dict[str, Any]], training: AcceptanceTraining) -> AcceptanceModel:
-    """Fit the logistic model of every class."""
-    rng = np.random.default_rng(training.seed)
-    return AcceptanceModel(
-        {category: fit_class(samples_of(rows, category), training, rng) for category in CATEGORIES},
-        training.threshold,
-    )
+    """Fit the logistic model of every class.
 
-
-def fit_class(samples: Samples, training: AcceptanceTraining, rng: np.random.Generator) -> ClassModel:
-    """Fit the logistic model of one class.
+    A model of all classes together is fitted first; the penalty draws the weights of each class to it. What
+    is rare among the fits of one class is learned from the others.
 
     Raises:
-        PerceptionError: There are fewer than five fits of either kind.
+        PerceptionError: A class has fewer than five fits of either kind.
     """
+    rng = np.random.default_rng(training.seed)
+    inputs: dict[Category, _Inputs] = {
+        category: _inputs(samples_of(rows, category), training, rng) for category in CATEGORIES
+    }
+    ridge = training.ridge * training.copies
+    common = logistic_regression(
+        np.concatenate([i.x for i in inputs.values()]), np.concatenate([i.y for i in inputs.values()]), ridge
+    )
+    models: dict[Category, ClassModel] = {}
+    for category, i in inputs.items():
+        weights = logistic_regression(i.x, i.y, ridge, common)
+        models[category] = ClassModel(i.mean, i.std, weights[1:], float(weights[0]))
+    return AcceptanceModel(models, training.threshold)
+
+
+@dataclass(frozen=True)
+class _Inputs:
+    """Inputs of the regression of one class: mean and deviation of its objects, terms, and labels."""
+
+    mean: Float[np.ndarray, "n"]
+    std: Float[np.ndarray, "n"]
+    x: Float[np.ndarray, "m k"]
+    y: Bool[np.ndarray, "m"]
+
+
+def _inputs(samples: Samples, training: AcceptanceTraining, rng: np.random.Generator) -> _Inputs:
     if min(samples.real.sum(), (~samples.real).sum()) < 5:
         raise PerceptionError("too few fits of a class: render more images")
     good = samples.numbers[samples.real]
     mean, std = good.mean(axis=0), np.maximum(good.std(axis=0), 0.05)
-    rows, targets = [], []
-    for _ in range(training.epochs):
-        p = np.clip(samples.probability, 1e-6, 1 - 1e-6)
+    p = np.clip(samples.probability, 1e-6, 1 - 1e-6)
+    rows = []
+    for _ in range(training.copies):
         odds = np.log(p) - np.log1p(-p) + rng.normal(0, training.class_noise, len(p))
         known = rng.random(len(odds)) >= training.class_dropout
         noisy = 1 / (1 + np.exp(-odds))
@@ -269,35 +293,41 @@ def fit_class(samples: Samples, training: AcceptanceTraining, rng: np.random.Gen
             terms(numbers, mean, std, float(value) if is_known else None)
             for numbers, value, is_known in zip(samples.numbers, noisy, known)
         ]
-        targets.append(samples.real)
     x = np.column_stack([np.ones(len(rows)), np.array(rows)])
-    weights = logistic_regression(x, np.concatenate(targets), training.ridge * training.epochs)
-    return ClassModel(mean, std, weights[1:], float(weights[0]))
+    return _Inputs(mean, std, x, np.tile(samples.real, training.copies))
 
 
 def logistic_regression(
-    x: Float[np.ndarray, "n k"], y: Bool[np.ndarray, "n"], ridge: float, iterations: int = 50
+    x: Float[np.ndarray, "n k"],
+    y: Bool[np.ndarray, "n"],
+    ridge: float,
+    centre: Float[np.ndarray, "k"] | None = None,
 ) -> Float[np.ndarray, "k"]:
-    """Return the weights of a logistic regression with an L2 penalty, by Newton's method.
+    """Return the weights of a logistic regression with an L2 penalty; signs as ``AGAINST`` and ``IN_FAVOUR``.
 
     Args:
-        x: Inputs; the first column is constant.
+        x: A constant column, then the ``COEFFICIENTS``; fewer are possible.
         y: Labels.
         ridge: Weight of the squared weights, but for the first, relative to one sample.
-        iterations: Largest number of Newton steps.
+        centre: Weights to which the penalty draws; 0 if None.
     """
-    weights = np.zeros(x.shape[1])
-    penalty = np.full(x.shape[1], ridge)
-    penalty[0] = 1e-6
-    for _ in range(iterations):
-        p = 1 / (1 + np.exp(-np.clip(x @ weights, -30, 30)))
-        gradient = x.T @ (p - y) + penalty * weights
-        hessian = (x * (p * (1 - p))[:, None]).T @ x + np.diag(penalty)
-        step = np.linalg.solve(hessian, gradient)
-        weights = weights - step / max(1.0, float(np.abs(step).max()))
-        if np.abs(step).max() < 1e-6:
-            break
-    return weights
+    sign = np.where(y, 1.0, -1.0)
+    penalty = np.r_[0.0, np.full(x.shape[1] - 1, ridge)]
+    origin = np.zeros(x.shape[1]) if centre is None else centre
+
+    def loss(weights: np.ndarray) -> tuple[float, np.ndarray]:
+        margin = sign * (x @ weights)
+        slope = -sign / (1 + np.exp(np.clip(margin, -50, 50)))
+        pull = penalty * (weights - origin)
+        value = np.logaddexp(0.0, -margin).sum() + 0.5 * pull @ (weights - origin)
+        return float(value), x.T @ slope + pull
+
+    bounds = [(None, None)] + [
+        (0.0 if name in IN_FAVOUR else None, 0.0 if name in AGAINST else None)
+        for name in COEFFICIENTS[: x.shape[1] - 1]
+    ]
+    found = minimize(loss, origin, jac=True, method="L-BFGS-B", bounds=bounds)
+    return np.asarray(found.x)
 
 
 def acceptance_metrics(model: AcceptanceModel, rows: Sequence[dict[str, Any]]) -> dict[str, Any]:

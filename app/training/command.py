@@ -15,7 +15,9 @@ from app.runs.run_folder import RunFolder
 from app.screen import Screen
 from perception.pipeline import resolve_device
 
-_INSTALL = "to use them, copy them to perception/weights and run `sha256sum *.safetensors > SHA256SUMS` there"
+_INSTALL = (
+    "to use them, copy them to perception/weights and run `sha256sum *.safetensors *.json > SHA256SUMS` there"
+)
 
 
 def run(options: TrainOptions, screen: Screen) -> Report:
@@ -24,6 +26,8 @@ def run(options: TrainOptions, screen: Screen) -> Report:
     train, config = _job(options)
     changes: dict[str, Any] = {"seed": options.seed}
     if options.epochs is not None:
+        if options.network == "acceptance":
+            raise UsageError("--epochs is not for `train acceptance`, which is a regression")
         changes["epochs"] = options.epochs
     config = replace(config, device=device, training=replace(config.training, **changes))
     if options.network == "shape":
@@ -44,13 +48,18 @@ def run(options: TrainOptions, screen: Screen) -> Report:
         timings={"total": time.perf_counter() - begin},
         metrics=metrics,
         warnings=metrics.get("skipped", ()),
-        settings={"network": options.network, "device": device, "epochs": config.training.epochs},
+        settings={"network": options.network, "device": device, "epochs": _epochs(config)},
     )
     folder.write_report(report)
     for line in report.warnings:
         screen.note(f"left out: {line}")
     screen.show(escape(f"weights and model card are in {folder.path}; {_INSTALL}"))
     return report
+
+
+def _epochs(config: Any) -> int | None:
+    """Return the number of epochs of a job; None for a regression."""
+    return getattr(config.training, "epochs", None)
 
 
 def _job(options: TrainOptions) -> tuple[Any, Any]:
@@ -65,6 +74,11 @@ def _job(options: TrainOptions) -> tuple[Any, Any]:
         from app.training.detector import run as train
 
         return train, TrainDetectorConfig()
+    if options.network == "acceptance":
+        from app.training.acceptance import TrainAcceptanceConfig
+        from app.training.acceptance import run as train
+
+        return train, TrainAcceptanceConfig()
     from app.training.yaw import TrainYawConfig
     from app.training.yaw import run as train
 

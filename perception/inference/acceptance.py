@@ -25,13 +25,20 @@ from perception.types import CATEGORIES, Category
 
 WEIGHTS_FILE = "acceptance.json"
 LINEAR = (
-    "uncovered", "in_front", "behind", "free_space", "residual", "systematic", "missing", "base", "sunk",
+    "uncovered", "in_front", "behind", "free_space", "residual", "systematic", "base", "sunk",
     "truncated", "pixels", "code", "section", "aspect", "height", "radius", "slenderness", "neck", "box",
     "converged",
 )  # fmt: skip
 QUADRATIC = ("height", "radius", "slenderness", "neck", "box", "aspect")
 CLASS_TERMS = ("class_logit", "class_known")
 COEFFICIENTS = (*LINEAR, *(f"{name}^2" for name in QUADRATIC), *CLASS_TERMS)
+
+# Terms whose weight can only lower, or only raise, the score: what contradicts a shape never supports it.
+AGAINST = (
+    "uncovered", "in_front", "behind", "free_space", "residual", "systematic", "base", "sunk", "truncated",
+    "code", *(f"{name}^2" for name in QUADRATIC),
+)  # fmt: skip
+IN_FAVOUR = ("converged", "pixels", "class_logit")
 
 _CLIP = 4.0  # largest difference from true objects that counts, in standard deviations
 _LEAST = 0.01  # smallest class probability, and its largest distance from 1: no class is ruled out
@@ -42,7 +49,6 @@ _TERMS = {
     "free_space": "the background is visible through the shape",
     "residual": "the depth differs from the shape",
     "systematic": "the measured surface is of another shape",
-    "missing": "much of its depth is missing",
     "sunk": "it reaches below the support plane",
     "base": "it does not reach down to the support plane",
     "truncated": "the image border truncates it",
@@ -153,7 +159,6 @@ def numbers_of(evidence: Evidence) -> Float[np.ndarray, "n"]:
     other = {
         "residual": np.log(max(e.residual, 0.3)),
         "systematic": np.log(max(e.systematic, 0.3)),
-        "missing": e.missing,
         "base": np.log(np.clip(e.base, 0.0, 1.0) + 0.05),
         "sunk": np.log(np.clip(-e.base, 0.0, 1.0) + 0.05),
         "truncated": e.truncated,

@@ -9,7 +9,9 @@ from jaxtyping import Float
 
 from perception.errors import PerceptionError
 from perception.geometry import invert
+from perception.inference.contents import VESSELS, without_contents
 from perception.inference.fit_config import FitConfig
+from perception.inference.initialise import plane_basis
 from perception.inference.meshing import mesh_from_grid
 from perception.inference.observation import ObjectViews
 from perception.inference.optimisation import Fit, OnStep, optimise_object
@@ -55,6 +57,10 @@ def fit_with_grid(
         FitFailedError: The numerics failed, or no measurement agrees with the result.
     """
     try:
+        if views.category in VESSELS:
+            basis = plane_basis(plane)
+            seen = without_contents(views.observations, views.category, plane, basis)
+            views = replace(views, observations=seen)
         fit = optimise_object(views, decoder, plane, config, on_step)
         estimate, grid = _estimate(fit, views, decoder, plane, config)
     except PerceptionError:

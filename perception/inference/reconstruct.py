@@ -159,6 +159,21 @@ def gather_instances(
     return instances
 
 
+def with_estimated_classes(
+    detections_per_frame: Sequence[Sequence[ObjectDetection]], estimates: Sequence[ObjectEstimate]
+) -> tuple[tuple[ObjectDetection, ...], ...]:
+    """Return the detections with class and score of the estimate of their object, if there is one."""
+    by_id = {estimate.id: estimate for estimate in estimates}
+
+    def renamed(detection: ObjectDetection) -> ObjectDetection:
+        estimate = None if detection.instance_id is None else by_id.get(detection.instance_id)
+        if estimate is None:
+            return detection
+        return replace(detection, category=estimate.category, score=estimate.score)
+
+    return tuple(tuple(renamed(detection) for detection in row) for row in detections_per_frame)
+
+
 def hidden_by(
     frame: RgbdFrame, mask: Bool[np.ndarray, "h w"], others: Sequence[Bool[np.ndarray, "h w"]]
 ) -> Bool[np.ndarray, "h w"]:

@@ -1,0 +1,203 @@
+"""Contents of bowls and mugs: what lies in the cavity hides the inner surface and must not shape it.
+
+The rim of an upright vessel is a circle at its height. What is seen through it is the floor, which is low, or
+the wall, which rises outwards; a surface far above any floor that does not rise outwards is of contents. Its
+pixels carry no information about the vessel.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import dataclass, replace
+from itertools import pairwise
+
+import numpy as np
+from jaxtyping import Bool, Float
+
+from perception.geometry import transform_points
+from perception.inference.observation import ObjectObservation, pixel_rays
+from perception.types import Category, SupportPlane
+
+VESSELS: tuple[Category, ...] = ("mug", "bowl")
+
+_INNER = 0.75  # part of the radius in which the surface seen is judged
+_CENTRE = 0.45  # part of the radius that must be seen in part
+_OPENING = 0.92  # part of the radius that rays into the cavity pass
+_LEVEL: dict[Category, float] = {"mug": 0.3, "bowl": 0.46}  # height above that of floors, in vessel heights
+_FULL = 0.95  # height of a surface that cannot be told from the rim or a lid, in vessel heights
+_MAX_SLOPE = 0.15  # rise of contents towards the wall, in vessel heights per radius
+_MIN_PIXELS = 40
+_MIN_RIM = 30  # points of the rim
+_SECTORS = 36  # about its centre
+_MIN_SECTORS = 18  # with points: half of the rim
+
+
+@dataclass(frozen=True)
+class Rim:
+    """Rim of an upright vessel.
+
+    Attributes:
+        centre: Centre in the coordinates of the plane, in metres.
+        radius: Radius, in metres.
+        height: Height above the plane, in metres.
+    """
+
+    centre: Float[np.ndarray, "2"]
+    radius: float
+    height: float
+
+
+@dataclass(frozen=True)
+class _Points:
+    """Measured points of a view's mask.
+
+    Attributes:
+        v, u: Their pixels.
+        plan: (n, 2) coordinates in the plane, in metres.
+        height: (n,) heights above the plane, in metres.
+        eye: (2,) position of the camera in the plane, in metres.
+        eye_height: Height of the camera above the plane, in metres.
+    """
+
+    v: np.ndarray
+    u: np.ndarray
+    plan: Float[np.ndarray, "n 2"]
+    height: Float[np.ndarray, "n"]
+    eye: Float[np.ndarray, "2"]
+    eye_height: float
+
+
+def without_contents(
+    observations: Sequence[ObjectObservation],
+    category: Category,
+    plane: SupportPlane,
+    basis: Float[np.ndarray, "3 3"],
+) -> tuple[ObjectObservation, ...]:
+    """Return the views of an upright vessel with the pixels of its contents to be ignored.
+
+    Args:
+        observations: Views of the vessel.
+        category: Its class, one of ``VESSELS``.
+        plane: Support plane.
+        basis: Two directions in the plane and its normal, as rows.
+    """
+    points = [_points(seen, plane, basis) for seen in observations]
+    rim = find_rim(np.concatenate([p.plan for p in points]), np.concatenate([p.height for p in points]))
+    if rim is None:
+        return tuple(observations)
+    return tuple(_ignoring_contents(seen, p, rim, category) for seen, p in zip(observations, points))
+
+
+def find_rim(plan: Float[np.ndarray, "n 2"], height: Float[np.ndarray, "n"]) -> Rim | None:
+    """Fit a circle to the highest points of a cloud; None if they do not surround it.
+
+    Args:
+        plan: Coordinates in the plane, in metres.
+        height: Heights above the plane, in metres.
+    """
+    if len(height) < _MIN_RIM:
+        return None
+    top = float(np.quantile(height, 0.995))
+    high = plan[height > top - max(0.006, 0.08 * top)]
+    if len(high) < _MIN_RIM:
+        return None
+    centre = (high.min(axis=0) + high.max(axis=0)) / 2
+    edge = _outermost(high, centre)
+    for _ in range(4):  # handles are outliers
+        if len(edge) < _MIN_SECTORS:
+            return None
+        centre, radius = _circle(edge)
+        edge = _outermost(high, centre)
+        distance = np.abs(np.linalg.norm(edge - centre, axis=1) - radius)
+        edge = edge[distance <= max(2.5 * float(np.median(distance)), 0.002)]
+    if len(edge) < _MIN_SECTORS or not 0.015 < radius < 0.25:
+        return None
+    return Rim(centre, radius, top)
+
+
+def _outermost(points: Float[np.ndarray, "n 2"], centre: Float[np.ndarray, "2"]) -> Float[np.ndarray, "k 2"]:
+    """Return a point near the outer edge of each sector about the centre that has points."""
+    offset = points - centre
+    sector = ((np.arctan2(offset[:, 1], offset[:, 0]) / (2 * np.pi) + 0.5) * _SECTORS).astype(int) % _SECTORS
+    distance = np.linalg.norm(offset, axis=1)
+    order = np.lexsort((distance, sector))
+    ends = np.searchsorted(sector[order], np.arange(_SECTORS + 1))
+    chosen = [order[low + int(0.9 * (high - low - 1))] for low, high in pairwise(ends) if high > low]
+    return points[chosen]
+
+
+def _circle(points: Float[np.ndarray, "n 2"]) -> tuple[Float[np.ndarray, "2"], float]:
+    """Return centre and radius of the circle of least algebraic distance (Kasa, 1976)."""
+    mean = points.mean(axis=0)
+    x = points - mean
+    A = np.column_stack([2 * x, np.ones(len(x))])
+    (a, b, c), *_ = np.linalg.lstsq(A, (x**2).sum(axis=1), rcond=None)
+    return mean + np.array([a, b]), float(np.sqrt(max(c + a**2 + b**2, 0.0)))
+
+
+def _points(seen: ObjectObservation, plane: SupportPlane, basis: Float[np.ndarray, "3 3"]) -> _Points:
+    mask = seen.mask & (seen.frame.depth > 0)
+    if seen.ignore is not None:
+        mask &= ~seen.ignore
+    v, u = np.nonzero(mask)
+    rays = pixel_rays(seen.frame, u, v)
+    world = transform_points(seen.T_world_camera, rays * seen.frame.depth[v, u][:, None].astype(np.float64))
+    eye = seen.T_world_camera[:3, 3]
+    return _Points(
+        v,
+        u,
+        world @ basis[:2].T,
+        plane.height_above(world),
+        basis[:2] @ eye,
+        float(plane.height_above(eye[None])[0]),
+    )
+
+
+def content_mask(
+    plan: Float[np.ndarray, "n 2"],
+    height: Float[np.ndarray, "n"],
+    eye: Float[np.ndarray, "2"],
+    eye_height: float,
+    rim: Rim,
+    category: Category,
+) -> Bool[np.ndarray, "n"]:
+    """Return which points of a view are contents of a vessel; none if its cavity looks empty.
+
+    Args:
+        plan: Coordinates of the points in the plane, in metres.
+        height: Their heights above the plane, in metres.
+        eye: Position of the camera in the plane, in metres.
+        eye_height: Its height above the plane, in metres.
+        rim: Rim of the vessel.
+        category: Class of the vessel.
+    """
+    none = np.zeros(len(height), bool)
+    if eye_height <= rim.height:
+        return none
+    below = np.maximum(eye_height - height, 1e-6)
+    crossing = eye + (plan - eye) * ((eye_height - rim.height) / below)[:, None]
+    opening = np.linalg.norm(crossing - rim.centre, axis=1) < _OPENING * rim.radius
+    rho = np.linalg.norm(plan - rim.centre, axis=1) / rim.radius
+    inside = opening & (height < _FULL * rim.height - 0.002) & (rho < 1.05)
+    inner = inside & (rho < _INNER)
+    if inner.sum() < _MIN_PIXELS:
+        return none
+    if rho[inner].min() > _CENTRE or np.median(height[inner]) < _LEVEL[category] * rim.height:
+        return none
+    design = np.column_stack([rho[inner], np.ones(int(inner.sum()))])
+    slope = np.linalg.lstsq(design, height[inner] / rim.height, rcond=None)[0][0]
+    if slope > _MAX_SLOPE:
+        return none
+    level = float(np.quantile(height[inner], 0.95)) + 0.003
+    return inner | (inside & (height < level))
+
+
+def _ignoring_contents(
+    seen: ObjectObservation, points: _Points, rim: Rim, category: Category
+) -> ObjectObservation:
+    found = content_mask(points.plan, points.height, points.eye, points.eye_height, rim, category)
+    if not found.any():
+        return seen
+    ignore = np.zeros_like(seen.mask) if seen.ignore is None else seen.ignore.copy()
+    ignore[points.v[found], points.u[found]] = True
+    return replace(seen, ignore=ignore)
