@@ -1,8 +1,8 @@
 """Detection of the objects in one RGB-D frame.
 
-The scene network segments instances by Hough voting and classifies them; an ensemble of two networks on
-context crops contributes the other half of the class score; the yaw network predicts where the handles of
-mugs point.
+The scene network segments instances by Hough voting; an ensemble of two networks on context crops decides
+their class, with a small share of the scene network; the yaw network predicts where the handles of mugs
+point.
 """
 
 from __future__ import annotations
@@ -28,6 +28,7 @@ from perception.support.surface import SupportSurface
 from perception.types import CATEGORIES, OTHER, ObjectDetection, RgbdFrame, SupportPlane, is_unclassified
 
 _MUG = CATEGORIES.index("mug")
+SCENE_SHARE = 0.2  # weight of the scene network in the class; the class network knows more things
 
 
 @dataclass(frozen=True)
@@ -249,9 +250,10 @@ def _classified(
 def combine_probabilities(
     crop_probabilities: Float[np.ndarray, "n 5"], scene_log_classes: Float[np.ndarray, "n 5"]
 ) -> Float[np.ndarray, "n 5"]:
-    """Return the normalised geometric mean of the probabilities of class network and scene network.
+    """Return the normalised, weighted geometric mean of the probabilities of class and scene network.
 
     Probabilities of the class network are at least 1e-5, so that it cannot rule out a class alone.
     """
     log = np.log(np.clip(crop_probabilities, 1e-5, 1.0))
-    return softmax(0.5 * (log + log_softmax(scene_log_classes, axis=1)), axis=1)
+    scene = log_softmax(scene_log_classes, axis=1)
+    return softmax((1 - SCENE_SHARE) * log + SCENE_SHARE * scene, axis=1)

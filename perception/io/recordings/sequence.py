@@ -6,13 +6,12 @@ All camera poses but the first are dropped: they must not be available to tracki
 from __future__ import annotations
 
 from collections.abc import Callable, Iterator, Mapping, Sequence
-from dataclasses import dataclass, replace
+from dataclasses import dataclass
 from pathlib import Path
 
 from perception.errors import InvalidInputError
 from perception.io.detections import Entry, decode_detections, read_detection_entries
-from perception.io.recordings.trajectory import read_trajectory
-from perception.io.recordings.tum import MAX_TIME_DIFFERENCE, TumRecording, is_tum_recording, open_tum
+from perception.io.recordings.tum import is_tum_recording, open_tum
 from perception.io.scan_folder import ScanIndex
 from perception.types import ObjectDetection, RgbdFrame
 
@@ -77,25 +76,8 @@ def open_sequence(path: Path) -> RgbdSequence:
         return RgbdSequence(path, index.ids, index.read, read_detection_entries(path, set(index.ids)))
     if is_tum_recording(path):
         recording = open_tum(path)
-        return RgbdSequence(path, range(len(recording.pairs)), _with_first_pose(recording))
+        return RgbdSequence(path, range(len(recording.pairs)), recording.read)
     raise InvalidInputError(
         f"{path} holds neither scene_camera.json (a scan folder) nor rgb.txt and depth.txt (TUM RGB-D): "
         "nodeslam convert makes scan folders of other recordings"
     )
-
-
-def _with_first_pose(recording: TumRecording) -> Read:
-    """Return the recording's reader; the first frame has its true pose, which defines the world, if known.
-
-    Raises:
-        InvalidInputError: ``groundtruth.txt`` is malformed.
-    """
-    path = recording.folder / "groundtruth.txt"
-    truth = read_trajectory(path) if path.is_file() else None
-
-    def read(index: int) -> RgbdFrame:
-        frame = recording.read(index)
-        pose = truth.nearest(frame.time, MAX_TIME_DIFFERENCE) if truth and index == 0 else None
-        return frame if pose is None else replace(frame, T_world_camera=pose)
-
-    return read

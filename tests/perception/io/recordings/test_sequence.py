@@ -6,7 +6,6 @@ import numpy as np
 import pytest
 
 from perception.errors import InvalidInputError
-from perception.io.images import png_bytes
 from perception.io.recordings.sequence import open_sequence, without_pose
 from perception.io.scan_folder import read_scan, write_scan
 from perception.types import ObjectDetection, RgbdFrame
@@ -70,21 +69,6 @@ def test_other_folders_are_refused(tmp_path):
         open_sequence(tmp_path / "nothing")
     with pytest.raises(InvalidInputError, match="neither scene_camera"):
         open_sequence(tmp_path)
-
-
-def test_the_first_true_pose_of_a_tum_recording_defines_the_world(tmp_path):
-    for kind, image in (("rgb", np.zeros((48, 64, 3), np.uint8)), ("depth", np.ones((48, 64), np.uint16))):
-        (tmp_path / kind).mkdir()
-        for k in range(2):
-            (tmp_path / kind / f"{k}.png").write_bytes(png_bytes(image))
-        (tmp_path / f"{kind}.txt").write_text("".join(f"{k}.0 {kind}/{k}.png\n" for k in range(2)))
-    assert next(open_sequence(tmp_path).frames())[1].T_world_camera is None
-    (tmp_path / "groundtruth.txt").write_text("0.01 1 2 3 0 0 0 1\n1.01 4 5 6 0 0 0 1\n")
-    first, second = (frame for _, frame in open_sequence(tmp_path).frames())
-    np.testing.assert_allclose(first.T_world_camera[:3, 3], (1, 2, 3))
-    assert second.T_world_camera is None
-    (tmp_path / "groundtruth.txt").write_text("0.03 1 2 3 0 0 0 1\n")  # 30 ms away
-    assert next(open_sequence(tmp_path).frames())[1].T_world_camera is None
 
 
 def test_without_pose_keeps_everything_else(frames):
