@@ -20,6 +20,7 @@ from perception.io.weights import (
 from perception.shape.weights import load_weights as load_shape
 
 SHIPPED = sorted(WEIGHTS_DIRECTORY.glob("*.safetensors"))
+COEFFICIENTS = WEIGHTS_DIRECTORY / "acceptance.json"
 LOADERS = {
     "shape": load_shape,
     "detector": lambda path: load_crop_network("class", path),
@@ -84,14 +85,14 @@ def test_missing_weights_are_named(weights):
 
 def test_every_shipped_file_has_a_checksum_and_matches_it():
     assert [path.stem for path in SHIPPED] == sorted(LOADERS)
-    for path in SHIPPED:
+    for path in (*SHIPPED, COEFFICIENTS):
         assert expected_checksum(path) == weights_checksum(path)
 
 
 def test_model_cards_state_the_same_checksums():
     cards = "\n".join(card.read_text() for card in WEIGHTS_DIRECTORY.glob("*.md"))
     stated = re.findall(r"`([0-9a-f]{64})`", cards)
-    assert sorted(stated) == sorted(weights_checksum(path) for path in SHIPPED)
+    assert sorted(stated) == sorted(weights_checksum(path) for path in (*SHIPPED, COEFFICIENTS))
 
 
 @pytest.mark.parametrize("name", LOADERS)
