@@ -68,7 +68,8 @@ def fit_best_class(
 ) -> ObjectEstimate:
     """Reconstruct one object as the class with the best evidence; its score is the probability of that class.
 
-    A class given without class probabilities is kept, and its object is never rejected.
+    A class given without class probabilities is kept, and its object is never rejected. Nor is an object seen
+    in several views: they have confirmed it, and the model is fitted on single views.
 
     Args:
         views: Observations of the object with its most probable class and its class probabilities.
@@ -79,7 +80,7 @@ def fit_best_class(
         on_step: Called with the progress of the fit as the first class.
 
     Raises:
-        RejectedError: The score of the best class is below the model's threshold.
+        RejectedError: The object is seen once, and the score of its best class is below the threshold.
         PerceptionError: No class can be fitted.
     """
 
@@ -101,7 +102,7 @@ def fit_best_class(
         raise problem
     best = max(fits, key=lambda scored: scored.estimate.score)
     estimate = best.estimate
-    if estimate.score < model.threshold:
+    if estimate.score < model.threshold and len(views.observations) <= 1:
         reason = model.reason(best.evidence, estimate.category, best.probability)
         raise RejectedError(estimate.category, estimate.score, reason)
     if estimate.category != views.category:

@@ -12,10 +12,22 @@ from perception.inference.class_choice import RejectedError, ScoredFit, fit_best
 from perception.inference.evidence import Evidence
 from perception.inference.fit import FitFailedError
 from perception.inference.fit_config import FitConfig
-from perception.inference.observation import ObjectViews
-from perception.types import CATEGORIES, ObjectEstimate, SupportPlane, TriangleMesh
+from perception.inference.observation import ObjectObservation, ObjectViews
+from perception.types import (
+    CATEGORIES,
+    CameraIntrinsics,
+    ObjectEstimate,
+    RgbdFrame,
+    SupportPlane,
+    TriangleMesh,
+)
 
 EVIDENCE = Evidence(*[0.5] * len(fields(Evidence)))
+
+
+CAMERA = CameraIntrinsics(2, 2, 1.0, 1.0, 0.0, 0.0)
+FRAME = RgbdFrame(0.0, np.zeros((2, 2, 3), np.uint8), np.ones((2, 2), np.float32), CAMERA, np.eye(4))
+OBSERVATION = ObjectObservation(FRAME, np.ones((2, 2), bool))
 
 
 class Model(AcceptanceModel):
@@ -28,7 +40,7 @@ def choose(monkeypatch):
     """A function from scores and class probabilities to the choice, and the classes that it tried."""
     tried = []
 
-    def run(scores, probabilities, category="mug"):
+    def run(scores, probabilities, category="mug", seen=1):
         tried.clear()
 
         def scored(views, decoder, plane, model, config, on_step):
@@ -43,7 +55,7 @@ def choose(monkeypatch):
             return ScoredFit(estimate, EVIDENCE, known)
 
         monkeypatch.setattr(class_choice, "_scored", scored)
-        views = ObjectViews(3, category, 0.9, (), np.array(probabilities))
+        views = ObjectViews(3, category, 0.9, (OBSERVATION,) * seen, np.array(probabilities))
         return fit_best_class(views, None, SupportPlane(), Model({}, 0.4), FitConfig())
 
     choose_class = fit_best_class.__wrapped__ if hasattr(fit_best_class, "__wrapped__") else None
@@ -75,6 +87,12 @@ def test_an_object_of_no_class_is_rejected_with_its_best_score(choose) -> None:
     with pytest.raises(RejectedError, match=r"^score 0\.30: it floats$") as caught:
         run({"mug": 0.2, "can": 0.3}, [0.5, 0.0, 0.0, 0.4, 0.1])
     assert (caught.value.category, caught.value.score) == ("can", 0.3)
+
+
+def test_an_object_confirmed_by_a_second_view_is_not_rejected(choose) -> None:
+    run, tried = choose
+    estimate = run({"mug": 0.2, "can": 0.3}, [0.5, 0.0, 0.0, 0.4, 0.1], seen=2)
+    assert (estimate.category, estimate.score, tried) == ("can", 0.3, ["mug", "can"])
 
 
 def test_a_given_class_is_kept(choose) -> None:
