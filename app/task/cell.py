@@ -5,6 +5,7 @@ from __future__ import annotations
 import math
 from collections import Counter
 from collections.abc import Sequence
+from dataclasses import replace
 from typing import TYPE_CHECKING, get_args
 
 import numpy as np
@@ -19,6 +20,7 @@ if TYPE_CHECKING:
     from sim_assets.robots.simulated_arm import SimulatedArm
 
 MAX_OBJECTS = 20
+REDRAWS = 6  # of an object that leaves no room for the others
 BOX_LIMITS = {"L": (0.10, 0.60), "W": (0.10, 0.50), "H": (0.02, 0.20)}  # [m]: boxes that fit on the table
 
 
@@ -67,7 +69,7 @@ def _mixture(count: int, rng: np.random.Generator) -> list[Category]:
 def _require_room(text: str, count: int, most: int) -> None:
     """Raise UsageError unless the number of objects is possible."""
     if not 1 <= count <= most:
-        room = "the table holds 1 to about 10" if most == MAX_OBJECTS else f"1 to {most} are possible"
+        room = "the table holds 1 to about 12" if most == MAX_OBJECTS else f"1 to {most} are possible"
         asked = f"{count}" if count < 10**9 else "10**9 or more"
         raise UsageError(f"--objects {text[:40]} asks for {asked} objects; {room}")
 
@@ -125,7 +127,8 @@ def build_world(options: CellOptions, task: str | None) -> World:
     """Build the cell and let its objects settle: with a line for sorting, otherwise with a box.
 
     Generated objects come from the test families, which no network was trained on. Layout and objects are
-    drawn from separate generators, both seeded by ``options.seed``.
+    drawn from separate generators, both seeded by ``options.seed``. Where the objects do not fit on the table,
+    the widest ones are replaced by smaller ones of their classes.
 
     Raises:
         UsageError: The options cannot be satisfied; the message names the option to change.
@@ -138,19 +141,25 @@ def build_world(options: CellOptions, task: str | None) -> World:
     from sim_assets.cell.scene import BoxConfig
     from sim_assets.cell.world import CellConfig, World
 
-    models = tuple(_draw_models(options, classes, rng))
     config = CellConfig(
-        objects=models,
+        objects=tuple(_draw_models(options, classes, rng)),
         box=None if task == "sort" else BoxConfig(inner=inner),
         line=_tape() if task == "sort" else None,
         depth_noise=options.depth_noise,
         seed=int(layout_seed.generate_state(1)[0]),
         robot=robot_of(options),
     )
-    try:
-        return World(config)
-    except LayoutError as error:
-        raise UsageError(f"--objects {options.objects}: {error}") from None
+    reason = ""
+    for _ in range(1 + len(classes)):
+        try:
+            return World(config)
+        except LayoutError as error:
+            reason = str(error)
+        models = _with_a_smaller_object(options, config.objects, rng)
+        if models is None:
+            break
+        config = replace(config, objects=models)
+    raise UsageError(f"--objects {options.objects}: {reason}")
 
 
 def _draw_models(
@@ -175,6 +184,32 @@ def _draw_models(
             raise UsageError(f"--objects asks for a {category} but {options.object_meshes} has none")
         drawn += _draw(owned[category], wanted, rng)
     return drawn
+
+
+def _with_a_smaller_object(
+    options: CellOptions, models: Sequence[ObjectModel], rng: np.random.Generator
+) -> tuple[ObjectModel, ...] | None:
+    """Return the objects with the widest one replaced by a narrower draw of its class, or else the next widest.
+
+    None if no draw of any class was narrower.
+    """
+
+    def width(index: int) -> float:
+        return _width(models[index])
+
+    for index in sorted(range(len(models)), key=width, reverse=True):
+        category = models[index].category
+        asked = replace(options, objects=f"{category}=1")
+        drawn = [model for _ in range(REDRAWS) for model in _draw_models(asked, [category], rng)]
+        narrowest = min(drawn, key=_width)
+        if _width(narrowest) < width(index):
+            return (*models[:index], narrowest, *models[index + 1 :])
+    return None
+
+
+def _width(model: ObjectModel) -> float:
+    """Return the radius of the circle about the model's axis that holds all of it, in metres."""
+    return float(np.linalg.norm(model.mesh.vertices[:, :2], axis=1).max())
 
 
 def _draw(pool: Sequence[ObjectModel], count: int, rng: np.random.Generator) -> list[ObjectModel]:

@@ -30,6 +30,9 @@ class Region:
     max_radius: float = 0.70
 
 
+WIDE_REGION = Region(x=(0.28, 0.65), y=(-0.53, -0.03), max_radius=0.75)  # what the arm still reaches
+
+
 @dataclass(frozen=True)
 class PlanarPose:
     """Pose of an upright object on the table: position in [m], yaw about z in [rad]."""
@@ -172,6 +175,25 @@ def sample_layout(
         f"{len(meshes)} objects do not fit on the table with {1000 * min_gap:.0f} mm between them: "
         f"at most {most} were placed in {restarts} attempts; use fewer or smaller objects, or a smaller gap"
     )
+
+
+def sample_roomy_layout(
+    meshes: Sequence[trimesh.Trimesh],
+    rng: np.random.Generator,
+    region: Region,
+    min_gap: float = 0.04,
+) -> tuple[PlanarPose, ...]:
+    """Return a layout within the region; if there is none and it is the default one, within WIDE_REGION.
+
+    Raises:
+        LayoutError: no layout was found.
+    """
+    try:
+        return sample_layout(meshes, rng, region, min_gap)
+    except LayoutError:
+        if region != Region():
+            raise
+        return sample_layout(meshes, rng, WIDE_REGION, min_gap)
 
 
 def _candidates(rng: np.random.Generator, region: Region, count: int) -> Float[np.ndarray, "n 3"]:

@@ -15,7 +15,7 @@ from jaxtyping import Float, UInt8
 from manipulation.errors import RobotError
 from manipulation.robot import ArmDescription, JointTrajectory
 from perception.types import RgbdFrame
-from sim_assets.cell.layout import Region, sample_layout
+from sim_assets.cell.layout import Region, sample_roomy_layout
 from sim_assets.cell.scene import TIMESTEP, VIEWS, BoxConfig, build_scene
 from sim_assets.errors import SimAssetsError
 from sim_assets.objects import ObjectModel
@@ -49,7 +49,7 @@ class CellConfig:
         line: ends of the tape that marks the sorting line, in [m]; None for no tape.
         depth_noise: model of the wrist camera's depth noise.
         seed: seed of layout, colours and depth noise.
-        region: region of the object centres.
+        region: region of the object centres; the default one is extended where the objects need more room.
         min_gap: minimum distance between the objects' outlines in [m].
         robot: the arm.
     """
@@ -76,7 +76,7 @@ class World:
         self.config = config
         layout_seed, look_seed, noise_seed = np.random.SeedSequence(config.seed).spawn(3)
         self._noise = np.random.default_rng(noise_seed)
-        places = sample_layout(
+        places = sample_roomy_layout(
             [model.mesh for model in config.objects],
             np.random.default_rng(layout_seed),
             config.region,

@@ -64,7 +64,7 @@ BAD_INPUT = {
     "port: large": (["view", "--port", "65536"], "--port 65536 must be in 0..65535"),
     "long name": (["reconstruct", "x" * 300], "File name too long"),
     "objects: none": (["pack", "--objects", "0"], "asks for 0 objects"),
-    "objects: too many": (["pack", "--objects", "mug=999999999"], "the table holds 1 to about 10"),
+    "objects: too many": (["pack", "--objects", "mug=999999999"], "the table holds 1 to about 12"),
     "box: words": (["pack", "--box", "large"], "three lengths in metres"),
     "box: two numbers": (["pack", "--box", "0.3,0.3"], "three lengths in metres"),
     "box: huge": (["pack", "--box", "3,0.3,0.08"], "--box L = 3 m must be in"),

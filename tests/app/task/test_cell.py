@@ -111,8 +111,26 @@ def test_a_layout_without_room_names_the_option(monkeypatch):
         raise LayoutError("9 objects do not fit on the table")
 
     monkeypatch.setattr(World, "__init__", full)
-    with pytest.raises(UsageError, match="--objects can=9: 9 objects do not fit on the table"):
-        build_world(PackOptions(objects="can=9"), "pack")
+    with pytest.raises(UsageError, match="--objects can=2: 9 objects do not fit on the table"):
+        build_world(PackOptions(objects="can=2"), "pack")
+
+
+def test_objects_that_leave_no_room_are_replaced_by_narrower_ones_of_their_classes(monkeypatch):
+    tried = []
+
+    def full_twice(self, config):
+        tried.append(config.objects)
+        if len(tried) < 3:
+            raise LayoutError("3 objects do not fit on the table")
+
+    monkeypatch.setattr(World, "__init__", full_twice)
+    build_world(PackOptions(objects="bowl=1,can=2"), "pack")
+    assert [[m.category for m in models] for models in tried] == [[m.category for m in tried[0]]] * 3
+    changed = [[a is not b for a, b in zip(*pair)] for pair in zip(tried, tried[1:])]
+    for models, fewer, change in zip(tried, tried[1:], changed):
+        assert sum(change) == 1
+        index = change.index(True)
+        assert fewer[index].radius < models[index].radius
 
 
 @pytest.fixture

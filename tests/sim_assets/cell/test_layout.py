@@ -4,7 +4,15 @@ import numpy as np
 import pytest
 import trimesh
 
-from sim_assets.cell.layout import LayoutError, PlanarPose, Region, gap, outline, sample_layout
+from sim_assets.cell.layout import (
+    LayoutError,
+    PlanarPose,
+    Region,
+    gap,
+    outline,
+    sample_layout,
+    sample_roomy_layout,
+)
 
 
 def cylinder(radius):
@@ -80,3 +88,14 @@ def test_same_seed_same_layout_and_other_seed_another():
 def test_too_many_objects_are_refused_with_a_count():
     with pytest.raises(LayoutError, match=r"30 objects do not fit .* 40 mm .*: at most \d+ were placed in 3"):
         sample_layout([cylinder(0.07)] * 30, np.random.default_rng(0), restarts=3)
+
+
+def test_the_region_grows_only_if_it_has_to():
+    few, many = [cylinder(0.05)] * 3, [cylinder(0.048)] * 11
+    assert sample_roomy_layout(few, np.random.default_rng(1), Region()) == sample_layout(
+        few, np.random.default_rng(1)
+    )
+    poses = sample_roomy_layout(many, np.random.default_rng(1), Region())
+    assert max(np.hypot(pose.x, pose.y) for pose in poses) > Region().max_radius
+    with pytest.raises(LayoutError):  # a region that was asked for stays as it is
+        sample_roomy_layout(many, np.random.default_rng(1), Region(max_radius=0.69))
