@@ -23,7 +23,9 @@ from jaxtyping import Float
 
 from app.runs.note_schema import check_note, is_finite_number
 from perception.errors import InvalidInputError
+from perception.io.arrays import read_arrays
 from perception.io.files import read_json, write_atomically
+from perception.io.meshes import read_mesh_scene
 from perception.types import ObjectDetection, ObjectEstimate, RgbdFrame
 
 NoteKind = Literal["stage", "done", "look", "found", "fit", "objects", "plan", "action", "path"]
@@ -237,11 +239,10 @@ def _check_arrays(arrays: Mapping[str, np.ndarray]) -> None:
 
 def _read_arrays(path: Path, remedy: str) -> dict[str, np.ndarray]:
     try:
-        with np.load(path) as file:  # no pickles
-            return {name: file[name] for name in file.files}
+        return read_arrays(path)
     except FileNotFoundError:
         raise InvalidInputError(f"{path} is missing: {remedy}") from None
-    except Exception as error:  # zip, header and data errors of many kinds
+    except (ValueError, OSError) as error:
         raise InvalidInputError(f"{path} is not a readable replay ({error}): {remedy}") from None
 
 
@@ -250,12 +251,14 @@ def _read_meshes(path: Path) -> dict[str, tuple[trimesh.Trimesh, ...]]:
     if not path.is_file():
         return {}
     try:
-        scene: Any = trimesh.load_scene(path, file_type="glb", process=False)
+        scene = read_mesh_scene(path)
         parts: dict[str, list[trimesh.Trimesh]] = {}
         for node in sorted(scene.graph.nodes_geometry):
             mesh = scene.geometry[scene.graph[node][1]]
             if not isinstance(mesh, trimesh.Trimesh):
                 raise ValueError(f"{node} is not a triangle mesh")
+            if not np.isfinite(mesh.vertices).all():
+                raise ValueError(f"{node} has vertices that are not finite")
             parts.setdefault(str(node).rpartition("/")[0], []).append(mesh)
     except Exception as error:  # whatever the parser meets
         raise InvalidInputError(

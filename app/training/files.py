@@ -5,11 +5,11 @@ from __future__ import annotations
 from collections.abc import Sequence
 from pathlib import Path
 from typing import Any
-from zipfile import BadZipFile
 
 import numpy as np
 
 from perception.errors import PerceptionError, install_hint
+from perception.io.arrays import read_arrays
 from perception.io.weights import weights_checksum
 
 
@@ -28,9 +28,9 @@ def load_arrays(path: Path, names: Sequence[str], what: str) -> dict[str, np.nda
         PerceptionError: The file is damaged, or lacks an array.
     """
     try:
-        with path.open("rb") as stream, np.load(stream, allow_pickle=False) as file:
-            return {name: file[name] for name in names}
-    except (OSError, EOFError, KeyError, ValueError, BadZipFile) as error:
+        arrays = read_arrays(path)
+        return {name: arrays[name] for name in names}
+    except (OSError, KeyError, ValueError) as error:
         raise PerceptionError(f"{path} holds no {what} ({error}); delete it and train again") from error
 
 

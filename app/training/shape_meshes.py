@@ -18,11 +18,12 @@ from jaxtyping import UInt8
 
 from perception.errors import InvalidInputError
 from perception.inference.voxelise import voxelise
+from perception.io.meshes import SUFFIXES
 from perception.shape.dataset import ShapeDataset
 from perception.types import CATEGORIES, GRID_RESOLUTION, Category, TriangleMesh
 from sim_assets.errors import ObjectFileError
 from sim_assets.objects.grids import canonical_frame
-from sim_assets.objects.user import SUFFIXES, load_user_mesh
+from sim_assets.objects.user import load_user_mesh
 
 SYNSETS: dict[str, Category] = {
     "03797390": "mug",

@@ -4,12 +4,11 @@ from __future__ import annotations
 
 from pathlib import Path
 
-from safetensors import SafetensorError, safe_open
 from safetensors.torch import save_file
 from torch import Tensor, nn
 
 from perception.errors import PerceptionError
-from perception.io.weights import verify_weights
+from perception.io.weights import load_tensors, read_weights
 
 
 def save_weights(tensors: dict[str, Tensor], path: Path, about: dict[str, str]) -> None:
@@ -31,16 +30,8 @@ def load_weights(network: nn.Module, path: Path, task: str, command: str) -> dic
         PerceptionError: The file is missing, damaged, differs from its checksum, or is of another network.
     """
     remedy = f"reinstall the package, or retrain with `nodeslam train {command}`"
-    if not path.is_file():
-        raise PerceptionError(f"weights {path} are missing; {remedy}")
-    verify_weights(path, remedy)
-    try:
-        with safe_open(path, framework="pt") as file:
-            about = file.metadata() or {}
-            if about.get("task") != task:
-                raise PerceptionError(f"weights {path} are for '{about.get('task')}', not '{task}'; {remedy}")
-            network.load_state_dict({name: file.get_tensor(name) for name in file.keys()})  # noqa: SIM118
-    except (SafetensorError, RuntimeError, KeyError, ValueError) as error:
-        reason = str(error).splitlines()[0]
-        raise PerceptionError(f"weights {path} cannot be read ({reason}); {remedy}") from error
+    tensors, about = read_weights(path, remedy)
+    if about.get("task") != task:
+        raise PerceptionError(f"weights {path} are for '{about.get('task')}', not '{task}'; {remedy}")
+    load_tensors(network, tensors, path, remedy)
     return about

@@ -97,38 +97,46 @@ def read_json(path: Path, remedy: str) -> Any:
             holds a number that is too large; the message names it and ends with the remedy.
     """
     try:
-        text = read_bytes(path, MAX_JSON_BYTES).decode("utf-8")
-        return json.loads(text, parse_int=_integer, parse_float=_real)
+        return parse_json(read_bytes(path, MAX_JSON_BYTES))
     except InvalidInputError as error:
         raise InvalidInputError(f"{error}: {remedy}") from None
-    except _NumberError as error:
-        raise InvalidInputError(f"{path} holds {error}: {remedy}") from None
     except FileNotFoundError:
         raise InvalidInputError(f"{path} is missing: {remedy}") from None
-    except RecursionError:
-        raise InvalidInputError(f"{path} cannot be read (nested too deeply): {remedy}") from None
-    except (OSError, UnicodeDecodeError) as error:
+    except OSError as error:
         raise InvalidInputError(f"{path} cannot be read ({error}): {remedy}") from None
+    except ValueError as error:
+        raise InvalidInputError(f"{path} {error}: {remedy}") from None
+
+
+def parse_json(data: bytes) -> Any:
+    """Parse JSON in UTF-8.
+
+    Raises:
+        ValueError: It is not JSON, is nested too deeply, or holds a number that is too large; the message
+            continues a sentence that begins with the name of the file.
+    """
+    try:
+        return json.loads(data.decode("utf-8"), parse_int=_integer, parse_float=_real)
+    except RecursionError:
+        raise ValueError("cannot be read (nested too deeply)") from None
+    except UnicodeDecodeError as error:
+        raise ValueError(f"cannot be read ({error})") from None
     except json.JSONDecodeError as error:
         where = f"line {error.lineno} column {error.colno}"
-        raise InvalidInputError(f"{path} is not valid JSON ({error.msg} at {where}): {remedy}") from None
-
-
-class _NumberError(Exception):
-    """A number in a JSON file is out of range."""
+        raise ValueError(f"is not valid JSON ({error.msg} at {where})") from None
 
 
 def _integer(text: str) -> int:
     digits = len(text.lstrip("-"))
     if digits > MAX_DIGITS:
-        raise _NumberError(f"an integer of {digits} digits, at most {MAX_DIGITS} are supported")
+        raise ValueError(f"holds an integer of {digits} digits, at most {MAX_DIGITS} are supported")
     return int(text)
 
 
 def _real(text: str) -> float:
     value = float(text)
     if not math.isfinite(value):
-        raise _NumberError(f"the number {text[:30]}, which is too large")
+        raise ValueError(f"holds the number {text[:30]}, which is too large")
     return value
 
 

@@ -6,7 +6,6 @@ objects/<id>_<category>.ply  the mesh in the world frame [m]
 
 from __future__ import annotations
 
-import io
 import logging
 import re
 from collections.abc import Sequence
@@ -16,11 +15,11 @@ from typing import Any
 import numpy as np
 
 from perception.errors import InvalidInputError
-from perception.io.files import read_bytes, read_json, write_atomically, write_json
+from perception.io.files import read_json, write_atomically, write_json
+from perception.io.meshes import read_mesh
 from perception.types import CODE_SIZE, ObjectEstimate, RejectedObject, TriangleMesh
 
 logger = logging.getLogger(__name__)
-MAX_MESH_BYTES = 512 * 2**20
 _MESH_NAME = re.compile(r"\d+_[a-z]+\.ply")
 
 
@@ -89,21 +88,10 @@ def read_ply(path: Path) -> TriangleMesh:
     """Read a triangle mesh from a PLY file.
 
     Raises:
-        InvalidInputError: The file is missing, not regular, too large, corrupt, or without triangles.
+        InvalidInputError: The file is missing, not regular, too large, damaged, or without triangles.
     """
-    import trimesh  # slow to import and needed for reading only
-
-    try:
-        content = io.BytesIO(read_bytes(path, MAX_MESH_BYTES))
-        loaded: Any = trimesh.load(content, file_type="ply", process=False)
-        vertices, faces = np.asarray(loaded.vertices), np.asarray(loaded.faces)
-    except InvalidInputError:
-        raise
-    except Exception as error:  # the parser raises many types
-        raise InvalidInputError(f"{path} is not a readable PLY mesh ({error})") from None
-    if not len(faces) or not np.isfinite(vertices).all() or faces.max() >= len(vertices) or faces.min() < 0:
-        raise InvalidInputError(f"{path} holds no usable triangles")
-    return TriangleMesh(vertices, faces)
+    mesh = read_mesh(path)
+    return TriangleMesh(np.asarray(mesh.vertices), np.asarray(mesh.faces))
 
 
 def _mesh_name(estimate: ObjectEstimate) -> str:

@@ -32,6 +32,7 @@ logger = logging.getLogger(__name__)
 DEPTH_SCALE = 0.1  # of the depth images written here: a tenth of a millimetre, up to 6.5 m
 FRAME_PERIOD = 1 / 30  # [s] between images of a folder that keeps no times
 MIN_TRANSLATION = 10.0  # [mm] length below which all translations together are suspicious
+MAX_NUMBER = 1e9  # of a camera: 1000 km in millimetres; larger ones overflow
 MASK_FOLDERS = ("mask_visib", "mask")
 
 
@@ -151,7 +152,7 @@ def read_masks(
     found: dict[int, list[np.ndarray]] = {image_id: [] for image_id in frames}
     for path in sorted((folder / kind).glob("*.png")):
         number, _, rest = path.stem.partition("_")
-        if not (number.isdigit() and rest):
+        if not (number.isascii() and number.isdigit() and rest):
             raise InvalidInputError(
                 f"{path}: masks are named <image>_<number>.png, such as 000000_000001.png"
             )
@@ -303,9 +304,9 @@ def _numbers(camera: Any, key: str, count: int, where: str) -> np.ndarray:
         numbers = np.asarray(value, dtype=np.float64).ravel()
     except (TypeError, ValueError, OverflowError):
         numbers = np.zeros(0)
-    if numbers.size != count or not np.isfinite(numbers).all():
+    if numbers.size != count or not (np.abs(numbers) <= MAX_NUMBER).all():  # NaN fails as well
         what = "a finite number" if count == 1 else f"{count} finite numbers"
-        raise InvalidInputError(f"{where}: {key} must be {what}")
+        raise InvalidInputError(f"{where}: {key} must be {what} of at most {MAX_NUMBER:g} in magnitude")
     return numbers
 
 

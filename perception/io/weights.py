@@ -1,4 +1,4 @@
-"""Weights files on disk: where the shipped ones lie, and the checksums that every load compares them with.
+"""Weights files on disk: location of the shipped ones, checksums, and validated reading.
 
 ``SHA256SUMS`` beside the weights holds one digest per file, as ``sha256sum`` writes and checks it.
 """
@@ -7,9 +7,13 @@ from __future__ import annotations
 
 import hashlib
 from pathlib import Path
+from typing import TYPE_CHECKING
 
 from perception.errors import PerceptionError
 from perception.io.files import check_regular, read_text
+
+if TYPE_CHECKING:
+    import torch
 
 WEIGHTS_DIRECTORY = Path(__file__).parents[1] / "weights"
 CHECKSUMS_FILE = "SHA256SUMS"
@@ -61,3 +65,50 @@ def verify_weights(path: Path, remedy: str) -> None:
         raise PerceptionError(f"weights {path} cannot be read ({error}); {remedy}") from error
     if not matches:
         raise PerceptionError(f"weights {path} differ from their checksum in {CHECKSUMS_FILE}; {remedy}")
+
+
+def read_weights(
+    path: Path, remedy: str, device: str | torch.device = "cpu"
+) -> tuple[dict[str, torch.Tensor], dict[str, str]]:
+    """Return the tensors and the metadata of a safetensors file.
+
+    Args:
+        path: weights file.
+        remedy: what to do about missing or damaged weights, for the message.
+        device: PyTorch device of the tensors.
+
+    Raises:
+        PerceptionError: the file is missing, damaged, differs from its checksum, or holds numbers that are
+            not finite.
+    """
+    from safetensors import SafetensorError, safe_open  # loads PyTorch, which `doctor` checks for
+
+    if not path.is_file():
+        raise PerceptionError(f"weights {path} are missing; {remedy}")
+    verify_weights(path, remedy)
+    try:
+        with safe_open(path, framework="pt", device=str(device)) as file:
+            tensors = {name: file.get_tensor(name) for name in file.keys()}  # noqa: SIM118
+            metadata = file.metadata() or {}
+    except (SafetensorError, OSError, RuntimeError, ValueError) as error:
+        raise PerceptionError(f"weights {path} cannot be read ({error}); {remedy}") from error
+    for name, tensor in tensors.items():
+        if tensor.is_floating_point() and not tensor.isfinite().all():
+            raise PerceptionError(f"weights {path}: '{name}' holds numbers that are not finite; {remedy}")
+    return tensors, metadata
+
+
+def load_tensors(
+    network: torch.nn.Module, tensors: dict[str, torch.Tensor], path: Path, remedy: str, assign: bool = False
+) -> None:
+    """Load tensors into a network; with ``assign`` they become its parameters.
+
+    Raises:
+        PerceptionError: they belong to another network; the message names the first difference.
+    """
+    try:
+        network.load_state_dict(tensors, assign=assign)
+    except RuntimeError as error:
+        _, *differences = (line.strip() for line in str(error).splitlines())  # after the title
+        reason = (differences[0] if differences else str(error))[:200]
+        raise PerceptionError(f"weights {path} do not fit the network ({reason}); {remedy}") from error

@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import os
-import zipfile
 from collections.abc import Iterator, Mapping
 from dataclasses import dataclass
 from pathlib import Path
@@ -12,6 +11,7 @@ import numpy as np
 from jaxtyping import Float, Int, UInt8
 
 from perception.errors import InvalidInputError
+from perception.io.arrays import read_arrays
 from perception.types import CATEGORIES, GRID_RESOLUTION, Category
 
 MUG = CATEGORIES.index("mug")
@@ -68,9 +68,9 @@ class ShapeDataset:
     def load(path: Path) -> ShapeDataset:
         """Read what ``save`` wrote; InvalidInputError if the file is something else."""
         try:
-            with path.open("rb") as file, np.load(file, allow_pickle=False) as arrays:
-                return ShapeDataset(arrays["grids"], arrays["categories"])
-        except (OSError, EOFError, KeyError, ValueError, zipfile.BadZipFile) as error:
+            arrays = read_arrays(path)
+            return ShapeDataset(arrays["grids"], arrays["categories"])
+        except (OSError, KeyError, ValueError) as error:
             raise InvalidInputError(
                 f"cannot read the shape data {path} ({error}); delete it to regenerate it"
             ) from error

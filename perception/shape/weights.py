@@ -7,11 +7,10 @@ from collections.abc import Mapping
 from pathlib import Path
 
 import torch
-from safetensors import SafetensorError, safe_open
 from safetensors.torch import save_file
 
 from perception.errors import PerceptionError
-from perception.io.weights import WEIGHTS_DIRECTORY, verify_weights
+from perception.io.weights import WEIGHTS_DIRECTORY, load_tensors, read_weights
 from perception.shape.network import ShapeVae, channels_last
 
 SHIPPED_WEIGHTS = WEIGHTS_DIRECTORY / "shape.safetensors"
@@ -38,22 +37,14 @@ def load_weights(path: Path | None = None, device: str | torch.device = "cpu") -
         PerceptionError: The file is missing, corrupt, does not match its checksum or is of another network.
     """
     path = SHIPPED_WEIGHTS if path is None else Path(path)
-    if not path.is_file():
-        raise PerceptionError(f"shape weights {path} are missing; {_REMEDY}")
-    verify_weights(path, _REMEDY)
-    try:
-        with safe_open(path, framework="pt", device=str(device)) as file:
-            found = (file.metadata() or {}).get("format")
-            tensors = {name: file.get_tensor(name).float() for name in file.keys()}  # noqa: SIM118
-    except (SafetensorError, OSError) as error:
-        raise PerceptionError(f"shape weights {path} cannot be read ({error}); {_REMEDY}") from error
+    tensors, metadata = read_weights(path, _REMEDY, device)
+    found = metadata.get("format")
     if found != FORMAT:
-        raise PerceptionError(f"shape weights {path} have format {found!r}, expected {FORMAT!r}; {_REMEDY}")
+        raise PerceptionError(f"weights {path} have format {found!r}, expected {FORMAT!r}; {_REMEDY}")
     with torch.device("meta"):
         model = ShapeVae()
-    try:
-        model.load_state_dict(tensors, assign=True)
-    except RuntimeError as error:
-        raise PerceptionError(f"shape weights {path} do not fit the network ({error}); {_REMEDY}") from error
+    load_tensors(
+        model, {name: tensor.float() for name, tensor in tensors.items()}, path, _REMEDY, assign=True
+    )
     channels_last(model, device)
     return model.eval().requires_grad_(False)

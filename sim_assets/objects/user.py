@@ -14,6 +14,8 @@ import numpy as np
 import trimesh
 from scipy.optimize import least_squares
 
+from perception.errors import InvalidInputError
+from perception.io.meshes import SUFFIXES, read_mesh
 from perception.types import Category
 from sim_assets.errors import ObjectFileError
 from sim_assets.objects.convex.cad_mesh import cad_pieces
@@ -21,7 +23,6 @@ from sim_assets.objects.convex.pieces import hull
 from sim_assets.objects.mesh_shape import MeshShape
 from sim_assets.objects.model import HEAVIEST, LIGHTEST, ObjectModel
 
-SUFFIXES = (".ply", ".obj", ".glb", ".stl")
 SMALLEST, LARGEST = 0.02, 0.5  # range of the longest side [m]
 DENSITIES = {"mug": 2300.0, "bowl": 2000.0, "bottle": 500.0, "can": 700.0}  # [kg/m³], contents included
 SNUG = 0.002  # [m]
@@ -93,17 +94,10 @@ def load_user_mesh(
 
 def _read(path: Path, y_up: bool, length: float | None) -> trimesh.Trimesh:
     """Return the file's mesh in its own frame, checked."""
-    if not path.is_file():
-        raise ObjectFileError(f"{path}: no such file")
     try:
-        mesh = trimesh.load(path, force="mesh")
-    except Exception as error:  # trimesh's readers raise exceptions of any type
-        raise ObjectFileError(f"{path} cannot be read as a mesh ({error}); export it again") from error
-    # a corrupt OBJ or STL loads as an empty mesh without an error
-    if not isinstance(mesh, trimesh.Trimesh) or len(mesh.faces) == 0:
-        raise ObjectFileError(f"{path} holds no triangles; the file is empty or corrupt, export it again")
-    if not np.isfinite(mesh.vertices).all():
-        raise ObjectFileError(f"{path} has vertices that are not finite; export it again")
+        mesh = read_mesh(path)
+    except InvalidInputError as error:
+        raise ObjectFileError(str(error)) from error
     if y_up:
         mesh.vertices = mesh.vertices[:, (0, 2, 1)] * (1, -1, 1)
     if length is not None and mesh.extents.max() > 0:

@@ -15,6 +15,7 @@ from scipy.spatial.transform import Rotation
 
 from sim_assets.errors import RobotFileError
 from sim_assets.rendering.headless import MjModel, MjsBody, MjSpec, mujoco
+from sim_assets.robots.mjcf_limits import check_mjcf
 from sim_assets.robots.simulated_arm import ARM_CONTACT, PAD_CONTACT, WRIST_CAMERA
 
 COLLISION_GROUP = 3
@@ -56,6 +57,7 @@ def load(mount: Mount) -> MjSpec:
     """
     if not mount.mjcf.is_file():
         raise RobotFileError(f"{mount.mjcf}: no such MJCF file")
+    check_mjcf(mount.mjcf)
     try:
         spec = mujoco.MjSpec.from_file(str(mount.mjcf))
     except (ValueError, mujoco.FatalError) as error:

@@ -15,11 +15,16 @@ from typing import Any
 import numpy as np
 
 from manipulation.robot import ArmDescription, GripperGeometry
+from perception.errors import InvalidInputError
+from perception.io.files import read_text
 from sim_assets.errors import RobotFileError
 from sim_assets.robots.mounting import PREFIX, Frame, Mount, add_to_scene, planning_mjcf
 from sim_assets.robots.named_parts import check_parts, compiled
 from sim_assets.robots.simulated_arm import SimulatedArm
 
+MAX_NUMBER = 1e6  # of any entry
+MIN_LIMIT = 1e-3  # of velocity [rad/s], acceleration [rad/s²] and jerk [rad/s³]: slower arms never arrive
+MAX_DISTANCE = 10.0  # of the base from the origin, along each axis [m]
 _TCP, _CAMERA = "nodeslam_tcp", "nodeslam_camera"  # sites that a robot file gives by their poses
 _GEOMETRY = [field.name for field in fields(GripperGeometry)]
 
@@ -41,10 +46,8 @@ def read_robot(path: Path, shipped: Sequence[str] = ()) -> SimulatedArm:
     count = len(joints)
     actuators = arm.names("actuators", count)
     home = arm.numbers("home", count)
-    velocity, acceleration, jerk = (
-        arm.positive_numbers(name, count) for name in ("velocity", "acceleration", "jerk")
-    )
-    base = Frame(arm.numbers("base", 3, (0.0, 0.0, 0.0)), _about_z(arm.number("base_yaw", 0.0)))
+    velocity, acceleration, jerk = (arm.limits(name, count) for name in ("velocity", "acceleration", "jerk"))
+    base = Frame(arm.numbers("base", 3, (0.0, 0.0, 0.0), MAX_DISTANCE), _about_z(arm.number("base_yaw", 0.0)))
     fingers = gripper.names("joints", 2)
     geometry = GripperGeometry(
         **{name: gripper.positive(name) for name in _GEOMETRY if name == "max_width" or name in gripper}
@@ -102,11 +105,18 @@ def _as_in_scenes(robot: SimulatedArm, mjcf: str) -> SimulatedArm:
 
 
 def _parsed(path: Path, shipped: Sequence[str]) -> dict[str, Any]:
-    if not path.is_file():
-        raise RobotFileError(f"--robot {path} is no robot file (FILE.toml) and none of {', '.join(shipped)}")
+    remedy = f"give a robot file (FILE.toml) or one of {', '.join(shipped)}"
     try:
-        return tomllib.loads(path.read_text(encoding="utf-8"))
-    except (tomllib.TOMLDecodeError, UnicodeDecodeError, OSError) as error:
+        return tomllib.loads(read_text(path))
+    except FileNotFoundError:
+        raise RobotFileError(
+            f"--robot {path} is no robot file (FILE.toml) and none of {', '.join(shipped)}"
+        ) from None
+    except InvalidInputError as error:
+        raise RobotFileError(f"--robot {error}: {remedy}") from None
+    except OSError as error:
+        raise RobotFileError(f"--robot {path} cannot be read ({error.strerror}): {remedy}") from None
+    except (ValueError, RecursionError) as error:  # TOML, UTF-8, integers of thousands of digits, depth
         raise RobotFileError(f"{path} cannot be read as TOML: {error}") from None
 
 
@@ -152,8 +162,8 @@ class _Table:
 
     def number(self, key: str, default: float | None = None) -> float:
         value = self._take(key, default)
-        if isinstance(value, bool) or not isinstance(value, (int, float)) or not np.isfinite(value):
-            raise self._wrong(key, "a finite number")
+        if not _is_number(value, MAX_NUMBER):
+            raise self._wrong(key, f"a finite number of at most {MAX_NUMBER:g} in magnitude")
         return float(value)
 
     def positive(self, key: str, most: float = np.inf) -> float:
@@ -162,20 +172,21 @@ class _Table:
             raise self._wrong(key, f"above 0 and at most {most:g}" if np.isfinite(most) else "above 0")
         return value
 
-    def numbers(self, key: str, count: int, default: Sequence[float] | None = None) -> np.ndarray:
+    def numbers(
+        self, key: str, count: int, default: Sequence[float] | None = None, most: float = MAX_NUMBER
+    ) -> np.ndarray:
         values = self._take(key, list(default) if default is not None else None)
         if not isinstance(values, list):
             raise self._wrong(key, f"a list of {count} numbers")
         self._check_count(key, values, count)
-        kinds = (isinstance(v, (int, float)) and not isinstance(v, bool) and np.isfinite(v) for v in values)
-        if not all(kinds):
-            raise self._wrong(key, f"a list of {count} finite numbers")
+        if not all(_is_number(value, most) for value in values):
+            raise self._wrong(key, f"a list of {count} finite numbers of at most {most:g} in magnitude")
         return np.array(values, dtype=np.float64)
 
-    def positive_numbers(self, key: str, count: int) -> np.ndarray:
+    def limits(self, key: str, count: int) -> np.ndarray:
         values = self.numbers(key, count)
-        if not (values > 0).all():
-            raise self._wrong(key, "a list of numbers above 0")
+        if not (values >= MIN_LIMIT).all():
+            raise self._wrong(key, f"a list of numbers of at least {MIN_LIMIT:g}")
         return values
 
     def site(self, key: str, name: str) -> tuple[str, tuple[str, str, Frame] | None]:
@@ -207,7 +218,21 @@ class _Table:
             raise RobotFileError(f"{self._called(key)} has {len(values)} entries, expected {count}")
 
     def _wrong(self, key: str, wanted: str) -> RobotFileError:
-        return RobotFileError(f"{self._called(key)} = {self.entries.get(key)!r} must be {wanted}")
+        return RobotFileError(f"{self._called(key)} = {_shortened(self.entries.get(key))} must be {wanted}")
 
     def _called(self, key: str) -> str:
         return f"{self.path}: {f'[{self.name}] ' if self.name else ''}{key}"
+
+
+def _is_number(value: Any, most: float) -> bool:
+    """Return whether an entry is a number of at most the given magnitude; NaN is none."""
+    return isinstance(value, (int, float)) and not isinstance(value, bool) and abs(value) <= most
+
+
+def _shortened(value: Any) -> str:
+    """Return an entry for a message; Python refuses to print integers of thousands of digits."""
+    try:
+        text = repr(value)
+    except ValueError:
+        return "a very long integer"
+    return text if len(text) <= 80 else f"{text[:77]}..."

@@ -18,6 +18,7 @@ import numpy as np
 import trimesh
 from jaxtyping import Float
 
+from perception.io.arrays import read_arrays
 from perception.types import Category
 
 logger = logging.getLogger(__name__)
@@ -48,8 +49,8 @@ def cad_pieces(mesh: trimesh.Trimesh, category: Category, name: str) -> list[Flo
     path = cache_folder() / f"convex_{key}.npz"
     if path.exists():
         try:
-            with np.load(path, allow_pickle=False) as stored:
-                return np.split(stored["vertices"], np.cumsum(stored["counts"])[:-1])
+            stored = read_arrays(path)
+            return np.split(stored["vertices"], np.cumsum(stored["counts"])[:-1])
         except (OSError, ValueError, KeyError) as error:
             logger.warning("The cached decomposition %s is unreadable (%s); computing it again", path, error)
     logger.info("Decomposing %s into convex pieces, once; this takes up to a minute", name)

@@ -77,7 +77,7 @@ BAD_ENTRIES = {
     "missing": (lambda e: e.pop("T_world_object"), "'T_world_object' is missing"),
     "pose": (lambda e: e.update(T_world_object=np.diag([2, 2, 2, 1]).tolist()), "rigid"),
     "path": (lambda e: e.update(category="../../can"), "is no class name"),
-    "class": (lambda e: e.update(category="spoon"), "spoon.ply is not a readable PLY"),
+    "class": (lambda e: e.update(category="spoon"), "spoon.ply is missing"),
     "id": (lambda e: e.update(id="one"), "are no number and name"),
 }
 

@@ -6,6 +6,8 @@ import os
 
 import numpy as np
 import pytest
+from hypothesis import given
+from hypothesis import strategies as st
 from PIL import Image
 
 from perception.errors import InvalidInputError
@@ -13,6 +15,7 @@ from perception.io import scan_folder
 from perception.io.images import png_bytes
 from perception.io.scan_folder import ScanIndex, read_scan, write_scan
 from perception.types import CameraIntrinsics, ObjectDetection, RgbdFrame
+from tests.fuzzing import SHORT, damaged_bytes, damaged_json
 
 H, W = 24, 32
 CAMERA = CameraIntrinsics(width=W, height=H, fx=30.0, fy=31.0, cx=15.5, cy=11.5)
@@ -327,3 +330,43 @@ def test_a_pipe_in_place_of_an_image_is_skipped(folder):
     os.mkfifo(folder / "rgb" / "000001.png")
     scan = read_scan(folder)
     assert scan.image_ids == (0, 2) and "000001.png is a named pipe" in scan.warnings[0]
+
+
+@pytest.mark.parametrize("name", ["²_000000.png", "x.png", "0.png"])
+def test_masks_need_the_number_of_an_image(bop, name):
+    write_png(bop / "mask_visib" / name, blob(5))
+    with pytest.raises(InvalidInputError, match="masks are named"):
+        read_scan(bop)
+
+
+def is_read_or_refused(folder):
+    try:
+        scan = read_scan(folder)
+    except InvalidInputError as error:
+        assert str(folder) in str(error)
+        return
+    for frame in scan.frames:
+        assert np.isfinite(frame.depth).all() and np.isfinite(frame.intrinsics.matrix).all()
+        assert frame.T_world_camera is None or np.isfinite(frame.T_world_camera).all()
+
+
+@pytest.mark.parametrize("name", ["scene_camera.json", "detections.json"])
+@SHORT
+@given(data=st.data())
+def test_any_change_of_a_json_file_is_read_or_refused(folder, name, data):
+    original = (folder / name).read_text()
+    (folder / name).write_text(json.dumps(data.draw(damaged_json(json.loads(original)))))
+    is_read_or_refused(folder)
+    (folder / name).write_text(original)
+
+
+@pytest.mark.parametrize(
+    "name", ["scene_camera.json", "detections.json", "rgb/000000.png", "depth/000001.png"]
+)
+@SHORT
+@given(data=st.data())
+def test_random_damage_of_a_file_is_read_or_refused(folder, name, data):
+    original = (folder / name).read_bytes()
+    (folder / name).write_bytes(data.draw(damaged_bytes(original)))
+    is_read_or_refused(folder)
+    (folder / name).write_bytes(original)

@@ -6,6 +6,10 @@ import shutil
 from hashlib import sha256
 
 import pytest
+import torch
+from hypothesis import given
+from hypothesis import strategies as st
+from safetensors.torch import save_file
 
 from perception.detection.crop_network import load_crop_network
 from perception.detection.scene_network import load_scene_network
@@ -14,10 +18,13 @@ from perception.io.weights import (
     CHECKSUMS_FILE,
     WEIGHTS_DIRECTORY,
     expected_checksum,
+    load_tensors,
+    read_weights,
     verify_weights,
     weights_checksum,
 )
 from perception.shape.weights import load_weights as load_shape
+from tests.fuzzing import SHORT, damaged_bytes
 
 SHIPPED = sorted(WEIGHTS_DIRECTORY.glob("*.safetensors"))
 COEFFICIENTS = WEIGHTS_DIRECTORY / "acceptance.json"
@@ -111,3 +118,47 @@ def test_a_pipe_in_place_of_weights_is_refused(tmp_path):
     os.mkfifo(tmp_path / "a.safetensors")
     with pytest.raises(PerceptionError, match="is a named pipe, not a regular file"):
         weights_checksum(tmp_path / "a.safetensors")
+
+
+def saved(path, tensors):
+    save_file(tensors, path, metadata={"task": "class"})
+    return path
+
+
+def test_tensors_and_metadata_are_read(tmp_path):
+    sent = {"weight": torch.eye(2), "count": torch.arange(3)}
+    tensors, metadata = read_weights(saved(tmp_path / "a.safetensors", sent), "train again")
+    assert metadata == {"task": "class"} and tensors.keys() == sent.keys()
+    assert all(torch.equal(tensors[name], sent[name]) for name in sent)
+
+
+def test_numbers_that_are_not_finite_are_refused(tmp_path):
+    path = saved(tmp_path / "a.safetensors", {"w": torch.tensor([1.0, torch.nan])})
+    with pytest.raises(
+        PerceptionError, match=r"a\.safetensors: 'w' holds numbers .* not finite; train again"
+    ):
+        read_weights(path, "train again")
+
+
+def test_a_difference_to_the_network_is_named(tmp_path):
+    with pytest.raises(PerceptionError, match=r"do not fit the network \(size mismatch for weight.*train"):
+        load_tensors(torch.nn.Linear(3, 1, bias=False), {"weight": torch.eye(2)}, tmp_path / "a", "train")
+
+
+def test_pipes_are_no_weights(tmp_path):
+    os.mkfifo(tmp_path / "a.safetensors")
+    with pytest.raises(PerceptionError, match="are missing; train again"):
+        read_weights(tmp_path / "a.safetensors", "train again")
+
+
+@SHORT
+@given(data=st.data())
+def test_random_damage_is_read_or_refused(tmp_path, data):
+    path = tmp_path / "a.safetensors"
+    content = saved(path, {"w": torch.eye(3)}).read_bytes()
+    path.write_bytes(data.draw(damaged_bytes(content)))
+    try:
+        tensors, _ = read_weights(path, "train again")
+    except PerceptionError:
+        return
+    assert all(tensor.isfinite().all() for tensor in tensors.values() if tensor.is_floating_point())

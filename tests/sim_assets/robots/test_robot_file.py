@@ -8,6 +8,8 @@ from pathlib import Path
 import numpy as np
 import pytest
 import trimesh
+from hypothesis import given
+from hypothesis import strategies as st
 
 import sim_assets.robots
 from manipulation.collision import CollisionWorld, Contact
@@ -17,6 +19,7 @@ from sim_assets.cell.scene import build_scene
 from sim_assets.errors import RobotFileError
 from sim_assets.rendering.headless import mujoco
 from sim_assets.robots import load_robot
+from tests.fuzzing import SHORT, damaged_bytes
 
 SIXAXIS = Path(sim_assets.robots.__file__).parent / "sixaxis"
 
@@ -157,7 +160,14 @@ BAD = {
     "wrong kind": (("toml", "max_width = 0.09", 'max_width = "9 cm"'), "max_width = '9 cm' must be a finite"),
     "width": (("toml", "max_width = 0.09", "max_width = 0"), "max_width = 0 must be above 0"),
     "number of limits": (("toml", "jerk = [350.0,", "jerk = ["), "jerk has 5 entries, expected 6"),
-    "limit": (("toml", "velocity = [1.8,", "velocity = [-1.8,"), "must be a list of numbers above 0"),
+    "limit": (("toml", "velocity = [1.8,", "velocity = [-1.8,"), "a list of numbers of at least 0.001"),
+    "slow": (("toml", "jerk = [350.0,", "jerk = [1e-9,"), "jerk = .* of at least 0.001"),
+    "fast": (("toml", "velocity = [1.8,", "velocity = [1e300,"), "of at most 1e\\+06 in magnitude"),
+    "far": (("toml", "[arm]", "[arm]\nbase = [1e9, 0, 0]"), "base = .* of at most 10 in magnitude"),
+    "long": (("toml", "fovy = ", f"fovy = {'1' * 400} # "), r"fovy = 1{77}\.\.\. must be a finite number"),
+    "very long": (("toml", "fovy = ", f"fovy = {'1' * 5000} # "), "cannot be read as TOML"),
+    "deep": (("toml", "[camera]", "a = " + "[" * 100_000), "cannot be read as TOML"),
+    "many geoms": (("xml", "<worldbody>", "<worldbody>" + "<geom/>" * 3000), "more than 2000 geoms"),
     "joint": (("toml", 'joints = ["pan"', 'joints = ["pam"'), "no joint 'pam'; it has pan, lift"),
     "finger": (("toml", 'joints = ["left_finger"', 'joints = ["thumb"'), "no joint 'thumb'"),
     "actuator": (("toml", 'actuator = "gripper"', 'actuator = "grip"'), "no actuator 'grip'; it has pan"),
@@ -196,3 +206,18 @@ def test_the_example_explains_every_entry():
     assert set(tomllib.loads(text)) == {"mjcf", "arm", "gripper", "camera"}
     for entry in ("base", "base_yaw", "press", "tcp = { body"):
         assert entry in text
+
+
+def test_a_device_is_no_robot_file():
+    with pytest.raises(RobotFileError, match=r"--robot /dev/zero is a device, not a regular file: give"):
+        load_robot("/dev/zero")
+
+
+@SHORT
+@given(data=st.data())
+def test_random_damage_is_refused_with_one_line_or_read(tmp_path, data):
+    """The MJCF does not exist, so that every file ends with an error: never another one."""
+    path = tmp_path / "robot.toml"
+    path.write_bytes(data.draw(damaged_bytes((SIXAXIS / "robot.toml").read_bytes())))
+    with pytest.raises(RobotFileError):
+        load_robot(str(path))
