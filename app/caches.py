@@ -30,6 +30,8 @@ def _folder(variable: str, name: str, environment: MutableMapping[str, str]) -> 
 
 
 def _is_writable(folder: Path) -> bool:
+    if not folder.is_absolute():  # the home folder is unknown
+        return False
     probe = folder / f".nodeslam-{os.getpid()}"
     try:
         folder.mkdir(parents=True, exist_ok=True)

@@ -53,6 +53,7 @@ GL_BACKENDS = ("", "egl", "osmesa", "glfw", "glx", "enable", "enabled", "on", "t
                "disable", "disabled", "off", "false", "0")  # fmt: skip
 MAX_SEED = 2**64 - 1
 MAX_SECONDS = 600.0  # of an AR video
+MAX_STAGE_LIMIT = 1e7  # [s]
 
 
 def run(arguments: Sequence[str]) -> int:
@@ -67,7 +68,9 @@ def run(arguments: Sequence[str]) -> int:
     except OSError as error:  # a path that cannot be examined
         return _complain(failure_of(error, "nodeslam").message)
     command = next(name for name, kind in COMMANDS.items() if type(options) is kind)
-    screen = Screen(quiet=options.quiet or options.json, json=options.json)
+    screen = Screen(
+        quiet=options.quiet or options.json, json=options.json, stage_limit=_stage_limit(command, options)
+    )
     level = logging.ERROR if options.quiet else logging.WARNING
     logging.basicConfig(level=level, format="nodeslam: %(levelname)s: %(message)s", stream=sys.stderr)
     try:
@@ -146,6 +149,8 @@ def check(options: CommonOptions) -> None:
     seconds = getattr(options, "seconds", None)
     if seconds is not None and not 0 < seconds <= MAX_SECONDS:
         raise UsageError(f"--seconds {seconds:g} must be more than 0 and at most {MAX_SECONDS:g}")
+    if not 0 <= options.stage_limit <= MAX_STAGE_LIMIT:
+        raise UsageError(f"--stage-limit {options.stage_limit:g} must be in 0..{MAX_STAGE_LIMIT:g}")
     port = getattr(options, "port", None)
     if port is not None and not 0 <= port < 2**16:
         raise UsageError(f"--port {port} must be in 0..65535")
@@ -166,6 +171,12 @@ def _one_line(boxed: str) -> str:
         message += f" (did you mean {suggestion.group(1)}?)"
     page = re.search(r"nodeslam[\w ]* --help", boxed)
     return f"{message}; see {page.group() if page else 'nodeslam --help'}"
+
+
+def _stage_limit(command: str, options: CommonOptions) -> float:
+    """Return the time limit of stages; a run in the viewer can be paused, and an epoch may take hours."""
+    unlimited = command in ("train", "view") or getattr(options, "view", False)
+    return 0.0 if unlimited else options.stage_limit
 
 
 def _handler(command: str) -> Callable[[Any, Screen], Any]:

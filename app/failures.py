@@ -7,10 +7,11 @@ import os
 import sys
 import tempfile
 import traceback
+from collections.abc import Mapping
 from dataclasses import dataclass
 from pathlib import Path
 
-from app.errors import AppError
+from app.errors import AppError, StalledError
 from perception.errors import install_hint
 
 TASK_FAILED, BAD_INPUT = 1, 2
@@ -21,11 +22,13 @@ LOG_FILE = "error.log"
 _SIMULATOR = ("mujoco", "mjviser", "mink", "daqp", "ruckig", "coacd")
 EXTRA_OF = dict.fromkeys(_SIMULATOR, "sim") | {"tensorboard": "train", "transformers": "hf"}
 
-# Classes of errors that mean invalid usage or input, by the module that defines them.
+# Classes of errors that mean invalid usage or input, and that mean a failed task, by the module that defines
+# them.
 _INPUT_ERRORS = {
     "perception.errors": "PerceptionError",
     "sim_assets.errors": "SimAssetsError",
 }
+_TASK_ERRORS = {"manipulation.errors": "ManipulationError"}
 _GL_FILES = ("gl_context.py", "osmesa.py", "glfw.py", "egl.py", "camera.py")
 _REMEDIES = {
     errno.ENOSPC: "free some space or give --out on another disk",
@@ -55,8 +58,12 @@ class Failure:
 
 def failure_of(error: Exception, command: str) -> Failure:
     """Describe an exception that ended a command."""
-    if isinstance(error, _input_errors()):
+    if isinstance(error, StalledError):
+        return Failure(str(error), TASK_FAILED, expected=False)
+    if isinstance(error, (AppError, *_loaded(_INPUT_ERRORS))):
         return Failure(str(error))
+    if isinstance(error, _loaded(_TASK_ERRORS)):
+        return Failure(str(error), TASK_FAILED)
     if isinstance(error, ModuleNotFoundError):
         extra = EXTRA_OF.get((error.name or "").split(".")[0])
         if extra is not None:
@@ -106,10 +113,11 @@ def one_line(text: str) -> str:
     return f"{line[:half]} ... {line[-half:]}"
 
 
-def _input_errors() -> tuple[type[Exception], ...]:
-    """Return the exception types that mean invalid usage or input, of the packages loaded so far."""
-    loaded = {module: name for module, name in _INPUT_ERRORS.items() if module in sys.modules}
-    return (AppError, *(getattr(sys.modules[module], name) for module, name in loaded.items()))
+def _loaded(errors: Mapping[str, str]) -> tuple[type[Exception], ...]:
+    """Return those of the exception types whose module is loaded: others cannot have been raised."""
+    return tuple(
+        getattr(sys.modules[module], name) for module, name in errors.items() if module in sys.modules
+    )
 
 
 def _is_from_graphics(error: Exception) -> bool:

@@ -2,6 +2,10 @@
 
 from __future__ import annotations
 
+import errno
+import os
+import shutil
+import struct
 from pathlib import Path
 from typing import Any
 
@@ -33,19 +37,26 @@ class MovieFile:
         self._small: list[Image.Image] = []
         self._count = 0
         self._writer: Any = imageio.get_writer(
-            self._partial, fps=fps, codec="libx264", quality=7, macro_block_size=8, ffmpeg_log_level="error",
+            self._partial, fps=fps, codec="libx264", quality=7, macro_block_size=8, ffmpeg_log_level="quiet",
             output_params=["-preset", "veryfast"],  # a few per cent larger at half the cost
         )  # fmt: skip
 
     def add(self, image: Picture) -> None:
-        """Append an image; all images have one size."""
+        """Append an image; all images have one size.
+
+        Raises:
+            OSError: The encoder failed, as on a full disk.
+        """
         if self._count % max(1, round(self._fps / ANIMATION_FPS)) == 0:
             height = round(ANIMATION_WIDTH * image.shape[0] / image.shape[1])
             small = cv2.resize(image, (ANIMATION_WIDTH, height), interpolation=cv2.INTER_AREA)
             self._small.append(Image.fromarray(small))
         self._last = image
         self._count += 1
-        self._writer.append_data(image)
+        try:
+            self._writer.append_data(image)
+        except OSError:  # its message is the encoder's command line
+            raise self._failure() from None
 
     def hold(self, seconds: float) -> None:
         """Repeat the last image for a while."""
@@ -53,8 +64,14 @@ class MovieFile:
             self.add(self._last)  # pyright: ignore[reportArgumentType]
 
     def close(self) -> None:
-        """Complete the files."""
+        """Complete the files.
+
+        Raises:
+            OSError: The encoder failed, as on a full disk.
+        """
         self._writer.close()
+        if self._count and not is_complete_mp4(self._partial):
+            raise self._failure()
         self._partial.replace(self._path)
         if self._small:
             self._write_animation()
@@ -63,6 +80,12 @@ class MovieFile:
         """Delete the incomplete files."""
         self._writer.close()
         self._partial.unlink(missing_ok=True)
+
+    def _failure(self) -> OSError:
+        """Return the error of a failed encoder, which does not report its reason."""
+        is_full = shutil.disk_usage(self._path.parent).free < 2**20
+        number = errno.ENOSPC if is_full else errno.EIO
+        return OSError(number, os.strerror(number), str(self._path))
 
     def _write_animation(self) -> None:
         """Write the WebP animation."""
@@ -74,3 +97,19 @@ class MovieFile:
             loop=0, quality=ANIMATION_QUALITY, method=2,
         )  # fmt: skip
         partial.replace(self._path.with_suffix(".webp"))
+
+
+def is_complete_mp4(path: Path) -> bool:
+    """Return whether the boxes of an MP4 file fill it and include the index, which is written last."""
+    has_index, position = False, 0
+    with path.open("rb") as file:
+        while len(header := file.read(16)) >= 8:
+            length, kind = struct.unpack(">I4s", header[:8])
+            if length == 1 and len(header) == 16:
+                length = struct.unpack(">Q", header[8:])[0]
+            if length < 8:
+                return False
+            has_index |= kind == b"moov"
+            position += length
+            file.seek(position)
+        return has_index and position == os.fstat(file.fileno()).st_size

@@ -42,6 +42,8 @@ class CommonOptions:
     """Print the report as JSON, and nothing else, on standard output."""
     debug: bool = False
     """Print the traceback of any error on standard error."""
+    stage_limit: Annotated[float, arg(metavar="SECONDS")] = 3600.0
+    """Time without progress after which a stage is ended; 0 for none. Training and viewer have no limit."""
 
 
 @dataclass(frozen=True, kw_only=True)

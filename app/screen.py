@@ -12,6 +12,8 @@ from rich.console import Console
 from rich.markup import escape
 from rich.status import Status
 
+from app.watchdog import Watchdog
+
 
 @dataclass
 class Screen:
@@ -20,10 +22,13 @@ class Screen:
     Attributes:
         quiet: Whether to print nothing.
         json: Whether standard output is reserved for the report.
+        stage_limit: Time without progress after which a stage is ended, in seconds; 0 for none.
     """
 
     quiet: bool = False
     json: bool = False
+    stage_limit: float = 0.0
+    _watchdog: Watchdog | None = None
     _status: Status | None = None
     _title: str = ""
     _progress: Console = field(default_factory=lambda: Console(stderr=True, highlight=False))
@@ -31,7 +36,17 @@ class Screen:
 
     @contextmanager
     def stage(self, title: str) -> Iterator[None]:
-        """Show a spinner while a stage runs, then its wall time."""
+        """Show a spinner while a stage runs, then its wall time.
+
+        Raises:
+            StalledError: The stage made no progress for ``stage_limit``.
+        """
+        with Watchdog(title, self.stage_limit) as self._watchdog, self._shown(title):
+            yield
+        self._watchdog = None
+
+    @contextmanager
+    def _shown(self, title: str) -> Iterator[None]:
         if self.quiet:
             yield
             return
@@ -46,11 +61,15 @@ class Screen:
 
     def update(self, detail: str) -> None:
         """Show the progress of the current stage."""
+        if self._watchdog is not None:
+            self._watchdog.progress()
         if self._status is not None:
             self._status.update(f"{escape(self._title)} ... {escape(detail)}")
 
     def note(self, text: str) -> None:
         """Print one line of progress."""
+        if self._watchdog is not None:
+            self._watchdog.progress()
         if not self.quiet:
             self._progress.print(f"  {escape(text)}", style="dim")
 

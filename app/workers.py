@@ -50,6 +50,7 @@ def map_in_processes(
     items: Sequence[Item],
     workers: int,
     prepare: Callable[[], object] | None = None,
+    limit: float = 0.0,
 ) -> Iterator[tuple[Item, Result | Lost]]:
     """Apply a function to items in worker processes; yield (item, result) in order of completion.
 
@@ -58,6 +59,7 @@ def map_in_processes(
         items: Arguments, each independent of the others.
         workers: Largest number of processes at a time.
         prepare: Importable function that each process calls at its start.
+        limit: Time for one item in seconds, after which its process is ended and it is lost; 0 for none.
     """
     os.environ.update(
         dict.fromkeys(THREAD_POOLS, "1")
@@ -77,14 +79,17 @@ def map_in_processes(
                     raise result.error
                 yield item, result
             done = []
-            for worker in _ready(busy):
+            for worker in _ready(busy, limit):
                 busy.remove(worker)
                 try:
                     done.append((worker.task.item, worker.receive()))
                     idle.append(worker)
-                except EOFError:  # the process died
-                    task = worker.task.after(worker.end())
-                    if len(task.deaths) < ATTEMPTS:
+                except EOFError:  # the process died, or takes too long
+                    overdue = worker.is_overdue(limit)
+                    task = worker.task.after(worker.end(kill=overdue))
+                    if overdue:
+                        done.append((task.item, Lost(f"no result within {limit:g} s", limit)))
+                    elif len(task.deaths) < ATTEMPTS:
                         waiting.appendleft(task)
                     else:
                         done.append((task.item, Lost(task.reason, time.perf_counter() - task.begin)))
@@ -134,6 +139,7 @@ class _Worker(Generic[Item, Result]):
     def __init__(self, process: SpawnProcess, connection: Any) -> None:
         self.process, self.connection = process, connection
         self.task: _Task[Item]
+        self.started = 0.0  # when this process got the item [s]
 
     @staticmethod
     def start(
@@ -154,6 +160,7 @@ class _Worker(Generic[Item, Result]):
         return _Worker(process, near)
 
     def assign(self, task: _Task[Item]) -> None:
+        self.started = time.perf_counter()
         self.task = task if task.deaths else replace(task, begin=time.perf_counter())
         with contextlib.suppress(OSError):  # it died while it was idle: `receive` raises EOFError
             self.connection.send(task.item)
@@ -171,8 +178,14 @@ class _Worker(Generic[Item, Result]):
         except OSError:  # killed while it wrote
             raise EOFError from None
 
-    def end(self) -> str:
+    def is_overdue(self, limit: float) -> bool:
+        """Return whether the process has worked on its item for longer than the limit in seconds."""
+        return limit > 0 and time.perf_counter() > self.started + limit
+
+    def end(self, kill: bool = False) -> str:
         """Wait until the process has ended, killing it if it does not, and return how it ended."""
+        if kill:
+            self.process.kill()
         self.process.join(_GRACE)
         if self.process.is_alive():
             self.process.kill()
@@ -186,12 +199,19 @@ class _Worker(Generic[Item, Result]):
         return f"signal {-code}"
 
 
-def _ready(busy: Sequence[_Worker[Item, Result]]) -> list[_Worker[Item, Result]]:
-    """Return the workers with a result and those whose process ended, as soon as there is one."""
+def _ready(busy: Sequence[_Worker[Item, Result]], limit: float) -> list[_Worker[Item, Result]]:
+    """Return the workers with a result, those whose process ended and those that take longer than the limit,
+    as soon as there is one."""
     if not busy:
         return []
-    ready = wait([handle for worker in busy for handle in (worker.connection, worker.process.sentinel)])
-    return [worker for worker in busy if worker.connection in ready or worker.process.sentinel in ready]
+    handles = [handle for worker in busy for handle in (worker.connection, worker.process.sentinel)]
+    first = min(worker.started for worker in busy) + limit
+    ready = wait(handles, max(first - time.perf_counter(), 0) + 0.01 if limit > 0 else None)
+    return [
+        worker
+        for worker in busy
+        if worker.connection in ready or worker.process.sentinel in ready or worker.is_overdue(limit)
+    ]
 
 
 def _serve(connection: Any, function: Callable[[Item], Result], prepare: Callable[[], object] | None) -> None:

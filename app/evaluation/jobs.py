@@ -69,7 +69,9 @@ def run_jobs(jobs: Jobs[Item], options: EvaluateOptions) -> Iterator[Line]:
     elif options.workers == 1:
         yield from _in_this_process(attempt, jobs.items)
     else:
-        for item, result in map_in_processes(attempt, jobs.items, options.workers, single_threaded):
+        for item, result in map_in_processes(
+            attempt, jobs.items, options.workers, single_threaded, options.stage_limit
+        ):
             if isinstance(result, Lost):
                 result = jobs.failed(item, Failure(f"crashed: {result.reason}", result.seconds))
             yield result

@@ -17,7 +17,14 @@ from typing import Any
 from app.errors import UsageError
 from app.options import EvaluateOptions
 from app.runs.run_folder import RunFolder
-from perception.io.files import read_json, write_atomically, write_json
+from perception.io.files import (
+    MAX_TEXT_BYTES,
+    parse_json,
+    read_bytes,
+    read_json,
+    write_atomically,
+    write_json,
+)
 
 logger = logging.getLogger(__name__)
 
@@ -94,7 +101,7 @@ class Ledger:
         """
         lines: dict[Hashable, Line] = {}
         try:
-            content = self.path.read_bytes()
+            content = read_bytes(self.path, MAX_TEXT_BYTES)
         except FileNotFoundError:
             return lines
         whole = []
@@ -102,7 +109,7 @@ class Ledger:
             if not data.strip():
                 continue
             try:
-                line = json.loads(data.decode("utf-8"))
+                line = parse_json(data)
                 key = line[self.format.key]
                 if type(key) not in (int, str):
                     raise TypeError(f"{self.format.key} is {type(key).__name__}")

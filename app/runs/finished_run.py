@@ -18,6 +18,7 @@ from perception.io.scan_folder import Scan, read_scan
 from perception.support_plane import fit_support_plane
 from perception.types import ObjectEstimate, RgbdFrame, SupportPlane
 
+MIN_EXTENT, MAX_EXTENT, MIN_VOLUME = 1e-3, 10.0, 1e-9  # of an object's mesh [m], [m], [m³]
 SAME_TIME = 1e-4  # [s]: trajectories are written to the microsecond
 
 
@@ -43,16 +44,31 @@ def read_run(path: Path) -> FinishedRun:
 
     Raises:
         UsageError: The path is no folder, or its object map is empty.
-        InvalidInputError: The object map is missing or malformed.
+        InvalidInputError: The object map is missing or malformed, or a mesh encloses no volume.
     """
     if not path.is_dir():
         raise UsageError(f"{path} is not a folder: give the run folder that pack, sort or reconstruct wrote")
     objects = read_object_map(path)
     if not objects:
         raise UsageError(f"{path}/objects.json holds no object: scan and reconstruct again")
+    for estimate in objects:
+        _require_volume(path, estimate)
     folder = next((p for p in (path / "scan", path) if (p / "scene_camera.json").is_file()), None)
     frames = posed_frames(read_scan(folder)) if folder else ()
     return FinishedRun(path, tuple(objects), support_of(objects, frames), frames)
+
+
+def _require_volume(path: Path, estimate: ObjectEstimate) -> None:
+    """Raise InvalidInputError for a mesh that no rigid body can have."""
+    a, b, c = np.moveaxis(estimate.mesh.vertices[estimate.mesh.faces], 1, 0)
+    volume = float(np.einsum("fi,fi->", a, np.cross(b, c))) / 6
+    extents = np.ptp(estimate.mesh.vertices, axis=0)
+    if extents.min() < MIN_EXTENT or extents.max() > MAX_EXTENT or volume < MIN_VOLUME:
+        size = " x ".join(f"{extent:.3g}" for extent in extents)
+        raise InvalidInputError(
+            f"{path}/objects: the mesh of {estimate.name} ({size} m, volume {volume:.2g} m³) is no "
+            "solid object: reconstruct the scan again"
+        )
 
 
 def posed_frames(scan: Scan) -> tuple[RgbdFrame, ...]:

@@ -5,7 +5,6 @@ Only these files are ever replaced. A name that no command writes never belongs 
 
 from __future__ import annotations
 
-import json
 import os
 import re
 import stat
@@ -14,7 +13,7 @@ from dataclasses import dataclass
 from pathlib import Path
 from typing import Any, Literal, get_args
 
-from perception.io.files import write_json
+from perception.io.files import MAX_JSON_BYTES, parse_json, read_bytes, write_json
 
 MANIFEST_FILE = "nodeslam_manifest.json"
 FORMAT = 1
@@ -102,7 +101,7 @@ def read_manifest(folder: Path) -> Manifest | None:
     Returns None if the folder is not one of this program.
     """
     try:
-        content = json.loads((folder / MANIFEST_FILE).read_text(encoding="utf-8"))
+        content = parse_json(read_bytes(folder / MANIFEST_FILE, MAX_JSON_BYTES))
         if content["nodeslam_manifest"] != FORMAT or content["state"] not in get_args(State):
             return None
         files = {
@@ -112,7 +111,7 @@ def read_manifest(folder: Path) -> Manifest | None:
     except FileNotFoundError:
         command = _command_of_report(folder / "report.json")
         return None if command is None else Manifest(command, "complete", dict.fromkeys(own_files(folder)))
-    except (OSError, ValueError, KeyError, TypeError, AttributeError, RecursionError):
+    except (OSError, ValueError, KeyError, TypeError, AttributeError):
         return None
 
 
@@ -170,8 +169,8 @@ def _is_temporary(name: str) -> bool:
 def _command_of_report(path: Path) -> str | None:
     """Return the command of a ``report.json`` of this program; None for anything else."""
     try:
-        report: Any = json.loads(path.read_text(encoding="utf-8"))
-    except (OSError, ValueError, RecursionError):
+        report: Any = parse_json(read_bytes(path, MAX_JSON_BYTES))
+    except (OSError, ValueError):
         return None
     if not isinstance(report, dict):
         return None

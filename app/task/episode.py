@@ -23,7 +23,7 @@ from sim_assets.cell.world import World
 
 # Tolerances of the robot's own verification, reported beside the score: tilt [rad], distance to the goal [m].
 MAX_TILT, MAX_SHIFT = float(np.deg2rad(10)), 0.03
-NOT_SETTINGS = {"seed", "out", "quiet", "json", "debug"}
+NOT_SETTINGS = {"seed", "out", "quiet", "json", "debug", "stage_limit"}
 
 
 def run_episode(

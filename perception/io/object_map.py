@@ -17,9 +17,10 @@ import numpy as np
 from perception.errors import InvalidInputError
 from perception.io.files import read_json, write_atomically, write_json
 from perception.io.meshes import read_mesh
-from perception.types import CODE_SIZE, ObjectEstimate, RejectedObject, TriangleMesh
+from perception.types import CODE_SIZE, ObjectEstimate, RejectedObject, TriangleMesh, check_rigid
 
 logger = logging.getLogger(__name__)
+MAX_DISTANCE = 1e6  # [m] of anything in a map: products of larger numbers overflow
 _MESH_NAME = re.compile(r"\d+_[a-z]+\.ply")
 
 
@@ -131,8 +132,10 @@ def _estimate(folder: Path, entry: dict[str, Any]) -> ObjectEstimate:
     name = f"{entry['id']}_{entry['category']}.ply"
     if not _MESH_NAME.fullmatch(name):
         raise InvalidInputError(f"category {entry['category']!r} is no class name")
-    T_world_object = np.asarray(entry["T_world_object"], dtype=np.float64)
+    T_world_object = check_rigid(np.asarray(entry["T_world_object"], dtype=np.float64), "T_world_object")
     mesh_world = read_ply(folder / "objects" / name)
+    if not max(np.abs(mesh_world.vertices).max(), np.abs(T_world_object).max(), scale.max()) <= MAX_DISTANCE:
+        raise InvalidInputError(f"its pose, scale and mesh must be within {MAX_DISTANCE:g} m")
     estimate = ObjectEstimate(
         id=entry["id"],
         category=entry["category"],  # pyright: ignore[reportArgumentType]  # checked by ObjectEstimate

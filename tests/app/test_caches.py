@@ -39,3 +39,13 @@ def test_folders_that_the_user_has_set_are_used(tmp_path):
     environment = {"WARP_CACHE_PATH": str(tmp_path / "w"), "MPLCONFIGDIR": str(tmp_path / "m")}
     use_writable_caches(environment)
     assert environment == {"WARP_CACHE_PATH": str(tmp_path / "w"), "MPLCONFIGDIR": str(tmp_path / "m")}
+
+
+def test_without_a_home_folder_nothing_is_written_to_the_working_directory(tmp_path, monkeypatch):
+    monkeypatch.chdir(tmp_path)
+    monkeypatch.setattr("os.path.expanduser", lambda path: path)  # as for a user without an entry
+    environment = {"TMPDIR": str(tmp_path / "tmp")}
+    (tmp_path / "tmp").mkdir()
+    use_writable_caches(environment)
+    assert [path.name for path in tmp_path.iterdir()] == ["tmp"]
+    assert Path(environment["WARP_CACHE_PATH"]).is_relative_to(tmp_path / "tmp")

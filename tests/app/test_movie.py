@@ -2,9 +2,10 @@
 
 import cv2
 import numpy as np
+import pytest
 from PIL import Image, ImageSequence
 
-from app.movie import ANIMATION_FPS, ANIMATION_WIDTH, LONGEST, MovieFile
+from app.movie import ANIMATION_FPS, ANIMATION_WIDTH, LONGEST, MovieFile, is_complete_mp4
 
 
 def grey(value):
@@ -50,3 +51,26 @@ def test_long_films_make_short_animations_and_given_up_ones_none(tmp_path):
     other.add(grey(0))
     other.discard()
     assert sorted(path.name for path in tmp_path.iterdir()) == ["long.mp4", "long.webp"]
+
+
+def test_a_full_disk_is_an_error_and_leaves_no_video(tmp_path):
+    (tmp_path / ".video.mp4.partial.mp4").symlink_to("/dev/full")  # every write fails
+    movie = MovieFile(tmp_path / "video.mp4", 12)
+    with pytest.raises(OSError, match=r"video\.mp4") as caught:
+        for value in range(200):
+            movie.add(grey(value))
+        movie.close()
+    assert "ffmpeg" not in str(caught.value).lower()
+    movie.discard()
+    assert not list(tmp_path.iterdir())
+
+
+def test_truncated_videos_are_recognised(tmp_path):
+    movie = MovieFile(tmp_path / "video.mp4", 12)
+    movie.add(grey(0))
+    movie.close()
+    content = (tmp_path / "video.mp4").read_bytes()
+    assert is_complete_mp4(tmp_path / "video.mp4")
+    for length in (0, 4, 40, len(content) // 2, len(content) - 1):
+        (tmp_path / "cut.mp4").write_bytes(content[:length])
+        assert not is_complete_mp4(tmp_path / "cut.mp4")

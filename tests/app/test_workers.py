@@ -155,3 +155,8 @@ def is_running(process: int) -> bool:
         return Path(f"/proc/{process}/stat").read_text().rpartition(")")[2].split()[0] != "Z"
     except (FileNotFoundError, ProcessLookupError):
         return False
+
+
+def test_an_item_that_takes_too_long_is_lost_and_the_others_go_on(functions):
+    found = dict(map_in_processes(functions.sleep, [60, 0.0, 0.1], workers=2, limit=5))
+    assert found[60] == Lost("no result within 5 s", 5) and found[0.0] == 0.0 and found[0.1] == 0.1

@@ -8,8 +8,10 @@ so that only the base touches the table. Results are cached by the content of th
 from __future__ import annotations
 
 import hashlib
+import io
 import logging
 import os
+import tempfile
 import time
 from itertools import pairwise
 from pathlib import Path
@@ -19,6 +21,7 @@ import trimesh
 from jaxtyping import Float
 
 from perception.io.arrays import read_arrays
+from perception.io.files import write_atomically
 from perception.types import Category
 
 logger = logging.getLogger(__name__)
@@ -34,9 +37,14 @@ MOST_HULLS = 3  # largest number of hulls of one part
 
 
 def cache_folder() -> Path:
-    """Return the folder of cached decompositions: $XDG_CACHE_HOME/nodeslam, else ~/.cache/nodeslam."""
-    root = os.environ.get("XDG_CACHE_HOME") or str(Path.home() / ".cache")
-    return Path(root) / "nodeslam"
+    """Return the folder of cached decompositions: $XDG_CACHE_HOME/nodeslam, else ~/.cache/nodeslam.
+
+    Without a home folder, as for unknown users in containers, it is a folder of the user's temporary files.
+    """
+    root = Path(os.environ.get("XDG_CACHE_HOME") or os.path.expanduser("~/.cache"))
+    if not root.is_absolute():
+        root = Path(tempfile.gettempdir()) / f"nodeslam-cache-{os.getuid()}"
+    return root / "nodeslam"
 
 
 def cad_pieces(mesh: trimesh.Trimesh, category: Category, name: str) -> list[Float[np.ndarray, "n 3"]]:
@@ -63,14 +71,10 @@ def cad_pieces(mesh: trimesh.Trimesh, category: Category, name: str) -> list[Flo
 
 def _store(path: Path, pieces: list[np.ndarray]) -> None:
     """Write the cache atomically; a failure is logged and otherwise ignored."""
-    partial = path.with_suffix(f".{os.getpid()}.tmp")
+    content = io.BytesIO()
+    np.savez_compressed(content, vertices=np.concatenate(pieces), counts=[len(piece) for piece in pieces])
     try:
-        path.parent.mkdir(parents=True, exist_ok=True)
-        with partial.open("wb") as file:
-            np.savez_compressed(
-                file, vertices=np.concatenate(pieces), counts=[len(piece) for piece in pieces]
-            )
-        partial.replace(path)
+        write_atomically(path, content.getvalue())
     except OSError as error:
         logger.warning("Could not cache the decomposition in %s: %s", path, error)
 

@@ -14,7 +14,7 @@ from itertools import pairwise
 import numpy as np
 import trimesh
 from jaxtyping import Bool, Float
-from scipy.spatial import ConvexHull
+from scipy.spatial import ConvexHull, QhullError
 
 from perception.mesh_sections import cross_section
 from perception.types import Category, TriangleMesh
@@ -67,11 +67,18 @@ def perceived_pieces(mesh: TriangleMesh, category: Category, axis: Float[np.ndar
     """Return corners of convex pieces in the mesh's frame (z up) whose union approximates the object.
 
     The thickness of walls, or the radius of a solid body, is adjusted to the mesh's volume. A mesh that is
-    no body about an axis, such as a fragment of one, is cut into slices instead.
+    no body about an axis, such as a fragment of one, is cut into slices instead; one with parts that have no
+    thickness is replaced by its hull.
+
+    Raises:
+        QhullError: The vertices lie in a plane.
     """
-    pieces = _polar_pieces(mesh, category, axis)
-    strays = np.abs(np.ptp(np.concatenate(pieces), axis=0) / np.ptp(mesh.vertices, axis=0) - 1).max()
-    return pieces if strays < STRAYED else _slices(mesh)
+    try:
+        pieces = _polar_pieces(mesh, category, axis)
+        strays = np.abs(np.ptp(np.concatenate(pieces), axis=0) / np.ptp(mesh.vertices, axis=0) - 1).max()
+        return pieces if strays < STRAYED else _slices(mesh)
+    except QhullError:
+        return [mesh.vertices[ConvexHull(mesh.vertices).vertices]]
 
 
 def _polar_pieces(mesh: TriangleMesh, category: Category, axis: np.ndarray) -> list[Piece]:
@@ -178,6 +185,8 @@ def _radii(
         hits = np.where(crossed & (hits > 0), hits, np.nan)
         found = np.isfinite(hits).sum(axis=0)
         some = found > 0
+        if not some.any():
+            continue
         outer[row, some] = np.nanmax(hits[:, some], axis=0)
         inner[row, some] = np.where(found[some] % 2 == 1, 0.0, np.nanmin(hits[:, some], axis=0))
     return inner, outer

@@ -1,6 +1,7 @@
 """Ledgers of results: appended lines, resumption, and damaged files."""
 
 import json
+import os
 
 import pytest
 from hypothesis import HealthCheck, given, settings
@@ -9,6 +10,7 @@ from hypothesis import strategies as st
 from app.errors import UsageError
 from app.evaluation.ledger import SETTINGS, Ledger, LedgerFormat
 from app.options import EvaluateOptions
+from perception.errors import InvalidInputError
 
 FORMAT = LedgerFormat("evaluate-tasks", "rows.jsonl", "seed")
 
@@ -112,3 +114,10 @@ def test_another_kind_of_evaluation_is_not_resumed(tmp_path):
     (tmp_path / SETTINGS).write_text("[]")
     with pytest.raises(UsageError, match=r"evaluation\.json does not hold the settings of an evaluation"):
         opened(tmp_path, resume=True)
+
+
+def test_a_pipe_in_place_of_the_ledger_is_refused(tmp_path):
+    ledger, _ = opened(tmp_path)
+    os.mkfifo(ledger.path)
+    with pytest.raises(InvalidInputError, match=r"rows\.jsonl is a named pipe"):
+        ledger.read()

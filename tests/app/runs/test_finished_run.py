@@ -10,7 +10,7 @@ from perception.errors import InvalidInputError
 from perception.io.object_map import write_object_map
 from perception.io.recordings.trajectory import Trajectory, write_trajectory
 from perception.io.scan_folder import read_scan, write_scan
-from perception.types import RgbdFrame, SupportPlane
+from perception.types import RgbdFrame, SupportPlane, TriangleMesh
 
 
 def test_a_run_without_images(tmp_path, can_at):
@@ -92,3 +92,14 @@ def test_runs_of_other_commands_and_lost_sequences_have_no_tracked_images(slam_r
     assert tracked_frames(slam_run, 1.0) == ()
     (slam_run / "report.json").write_text('{"settings": {"sequence": "gone"}}')
     assert tracked_frames(slam_run, 1.0) == ()
+
+
+@pytest.mark.parametrize(
+    "factors", [(1, 1, 1e-9), (1e4, 1e4, 1e4), (-1, 1, 1)], ids=["flat", "huge", "inside out"]
+)
+def test_meshes_that_are_no_solid_objects_are_refused(tmp_path, can_at, factors):
+    good = can_at()
+    bad = replace(good, mesh=TriangleMesh(good.mesh.vertices * factors, good.mesh.faces))
+    write_object_map(tmp_path, [bad])
+    with pytest.raises(InvalidInputError, match=r"the mesh of can_0 .* is no solid object: reconstruct"):
+        read_run(tmp_path)

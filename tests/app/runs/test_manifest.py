@@ -1,6 +1,7 @@
 """Which files belong to a run."""
 
 import json
+import os
 
 import pytest
 
@@ -112,3 +113,9 @@ def test_temporary_files_are_those_of_files_of_a_run(tmp_path):
         (tmp_path / name).parent.mkdir(parents=True, exist_ok=True)
         (tmp_path / name).touch()
     assert sorted(temporary_files(tmp_path)) == sorted(tmp_path / name for name in temporary)
+
+
+@pytest.mark.parametrize("name", [MANIFEST_FILE, "report.json"])
+def test_a_pipe_in_place_of_a_manifest_or_report_claims_nothing(tmp_path, name):
+    os.mkfifo(tmp_path / name)  # reading it would block
+    assert read_manifest(tmp_path) is None

@@ -2,9 +2,12 @@ import json
 
 import numpy as np
 import pytest
+from hypothesis import given
+from hypothesis import strategies as st
 
 from app.runs.replay import BEAT, Recorder, read_recording
 from perception.errors import InvalidInputError
+from tests.fuzzing import SHORT, damaged_bytes, damaged_json
 
 
 def test_show_time_follows_the_robot_and_beats_for_thoughts():
@@ -57,3 +60,56 @@ def test_a_damaged_recording_is_named(tmp_path, name, content, message):
     (tmp_path / name).write_bytes(content)
     with pytest.raises(InvalidInputError, match=message):
         read_recording(tmp_path)
+
+
+NOTES = {
+    "stage": {"name": "scan"},
+    "look": {"index": 0},
+    "found": {"index": 0, "count": 1},
+    "fit": {
+        "id": 0, "category": "mug", "iteration": 1, "code": [0.0] * 16, "T_world_object": np.eye(4).tolist(),
+        "scale": [0.1, 0.1, 0.1], "residual": 0.001,
+    },
+    "action": {"phase": "grasp", "name": "mug_0", "message": ""},
+    "path": {"points": [[0.0, 0.0, 0.0], [0.0, 0.0, 1.0]]},
+}  # fmt: skip
+
+
+@pytest.fixture
+def recorded(tmp_path):
+    recorder = Recorder(bodies=("hand",))
+    for step in range(3):
+        recorder.sample(0.1 * step, np.zeros(7), 0.04, np.ones((1, 7)))
+    for kind, data in NOTES.items():
+        recorder.note(kind, **data)
+    recorder.write(tmp_path)
+    return tmp_path
+
+
+def is_read_or_refused(folder):
+    try:
+        again = read_recording(folder)
+    except InvalidInputError as error:
+        assert str(folder) in str(error)
+    else:
+        assert np.isfinite(again.show_times).all() and all(np.isfinite(p).all() for p in again.poses)
+
+
+@SHORT
+@given(data=st.data())
+def test_any_change_of_the_notes_is_read_or_refused(recorded, data):
+    path = recorded / "replay.json"
+    original = path.read_text()
+    path.write_text(json.dumps(data.draw(damaged_json(json.loads(original)))))
+    is_read_or_refused(recorded)
+    path.write_text(original)
+
+
+@pytest.mark.parametrize("name", ["replay.json", "replay.npz"])
+@SHORT
+@given(data=st.data())
+def test_random_damage_is_read_or_refused(recorded, name, data):
+    original = (recorded / name).read_bytes()
+    (recorded / name).write_bytes(data.draw(damaged_bytes(original)))
+    is_read_or_refused(recorded)
+    (recorded / name).write_bytes(original)

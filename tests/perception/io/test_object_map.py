@@ -4,10 +4,13 @@ import os
 import numpy as np
 import pytest
 import trimesh
+from hypothesis import given
+from hypothesis import strategies as st
 
 from perception.errors import InvalidInputError
 from perception.io.object_map import read_object_map, read_ply, write_object_map
 from perception.types import ObjectEstimate, TriangleMesh
+from tests.fuzzing import SHORT, damaged_json
 
 
 def estimate(id=3, category="can", **changes):
@@ -105,3 +108,29 @@ def test_a_pipe_in_place_of_a_mesh_is_refused(tmp_path):
     os.mkfifo(tmp_path / "a.ply")
     with pytest.raises(InvalidInputError, match=r"a\.ply is a named pipe, not a regular file"):
         read_ply(tmp_path / "a.ply")
+
+
+def test_absurd_coordinates_are_refused_before_they_overflow(tmp_path):
+    write_object_map(tmp_path, [estimate()])
+    entries = json.loads((tmp_path / "objects.json").read_text())
+    entries[0]["T_world_object"][0][3] = 1e300
+    (tmp_path / "objects.json").write_text(json.dumps(entries))
+    with pytest.raises(
+        InvalidInputError, match=r"object 0: its pose, scale and mesh must be within 1e\+06 m"
+    ):
+        read_object_map(tmp_path)
+
+
+@SHORT
+@given(data=st.data())
+def test_any_change_is_read_or_refused(tmp_path, data):
+    write_object_map(tmp_path, [estimate(), estimate(4, "mug")])
+    path = tmp_path / "objects.json"
+    path.write_text(json.dumps(data.draw(damaged_json(json.loads(path.read_text())))))
+    try:
+        objects = read_object_map(tmp_path)
+    except InvalidInputError as error:
+        assert str(path) in str(error)
+        return
+    for found in objects:
+        assert np.isfinite(found.mesh.vertices).all() and np.isfinite(found.T_world_object).all()

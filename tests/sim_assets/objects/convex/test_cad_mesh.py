@@ -68,3 +68,10 @@ def test_results_are_cached_by_mesh_and_category(monkeypatch):
     cad_pieces(small, "can", "a")
     assert len(calls) == 4
     assert len(list(cache_folder().glob("convex_*.npz"))) == 4 and not list(cache_folder().glob("*.tmp"))
+
+
+def test_without_a_home_folder_the_cache_is_among_the_temporary_files(tmp_path, monkeypatch):
+    monkeypatch.delenv("XDG_CACHE_HOME")
+    monkeypatch.setattr("os.path.expanduser", lambda path: path)
+    monkeypatch.setattr("tempfile.tempdir", str(tmp_path))
+    assert cad_mesh.cache_folder().is_relative_to(tmp_path)

@@ -119,3 +119,14 @@ def test_a_vessel_whose_floor_is_thinner_than_the_first_height_stays_hollow() ->
     assert pieces_volume(pieces) == pytest.approx(bowl.volume, rel=0.05)
     above_floor = np.array([(x, 0.0, z) for x in (0.0, 0.01, 0.03) for z in (0.004, 0.02, 0.045)])
     assert not inside(pieces, above_floor).any() and inside(pieces, np.array([(0.0, 0.0, 4e-4)])).all()
+
+
+@pytest.mark.parametrize("seed", range(6))
+def test_any_triangles_with_an_extent_give_solid_pieces(seed: int) -> None:
+    rng = np.random.default_rng(seed)
+    count = int(rng.integers(4, 30))
+    vertices = rng.uniform(-0.05, 0.05, (count, 3))
+    mesh = TriangleMesh(vertices, rng.integers(0, count, (int(rng.integers(1, 40)), 3)))
+    for category in ("mug", "can"):
+        pieces = convex_pieces(mesh, category)
+        assert pieces and all(ConvexHull(piece).volume > 0 for piece in pieces)
