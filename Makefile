@@ -28,6 +28,7 @@ check: setup
 	$(BIN)/ruff format --check .
 	$(BIN)/pyright
 	$(BIN)/lint-imports
+	.ci/audit
 
 bench: setup
 	$(BIN)/nodeslam bench

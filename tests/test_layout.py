@@ -9,6 +9,7 @@ PACKAGES = ("app", "perception", "manipulation", "sim_assets")
 # Test files of more than one module.
 SEVERAL_MODULES = {
     "test_end_to_end.py",  # whole commands
+    "test_faults.py",  # full disks and signals, over many commands
     "test_import_wall.py",  # walls between all packages
     "test_layout.py",
     "app/viewer/test_cost.py",  # load of the whole viewer on a run

@@ -20,7 +20,7 @@ from perception.io.files import parse_json, read_bytes
 
 SUFFIXES = (".ply", ".obj", ".glb", ".stl")
 MAX_MESH_BYTES = 512 * 2**20
-MAX_TRIANGLES = 2_000_000
+MAX_TRIANGLES = 600_000  # more take minutes to cut into convex pieces
 MAX_NODES = 100_000  # of a GLB file
 _MAX_HEADER = 65_536  # bytes of a PLY header
 _GLTF_ITEM_BYTES = {5120: 1, 5121: 1, 5122: 2, 5123: 2, 5125: 4, 5126: 4}  # by componentType

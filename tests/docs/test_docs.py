@@ -131,6 +131,13 @@ def test_configuration_is_valid_yaml(name):
     assert isinstance(yaml.safe_load((ROOT / name).read_text("utf-8")), dict)
 
 
+def test_every_pin_but_the_build_of_pytorch_has_a_digest():
+    pins = (ROOT / "requirements.lock").read_text("utf-8").split()
+    digests = (ROOT / ".ci" / "requirements.hashes").read_text("utf-8")
+    hashed = re.findall(r"^(\S+==\S+) --hash=sha256:[0-9a-f]{64}$", digests, re.M)
+    assert hashed == [pin for pin in pins if not pin.startswith("torch==")], "run .ci/update-hashes"
+
+
 def test_every_dependency_of_the_documentation_is_pinned():
     project = tomllib.loads((ROOT / "pyproject.toml").read_text("utf-8"))["project"]
     lock = (ROOT / "requirements.lock").read_text("utf-8").lower()
