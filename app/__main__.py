@@ -1,5 +1,6 @@
 """``python -m app``, the same as the console script ``nodeslam``."""
 
+import io
 import os
 import sys
 
@@ -11,6 +12,7 @@ from app import interrupts
 
 def main() -> None:
     interrupts.install()
+    _complete_standard_streams()
     code = run(sys.argv[1:])
     try:
         sys.stdout.flush()
@@ -26,6 +28,20 @@ def run(arguments: list[str]) -> int:
 
     use_writable_caches()
     return cli.run(arguments)
+
+
+def _complete_standard_streams() -> None:
+    """Replace closed streams, whose descriptors the next opened files would get; print in any locale."""
+    for number, name in enumerate(("stdin", "stdout", "stderr")):
+        if getattr(sys, name) is None:
+            handle = os.open(os.devnull, os.O_RDWR)
+            if handle != number:
+                os.dup2(handle, number)
+                os.close(handle)
+            setattr(sys, name, os.fdopen(number, "w" if number else "r", encoding="utf-8"))
+    for stream in (sys.stdout, sys.stderr):
+        if isinstance(stream, io.TextIOWrapper):
+            stream.reconfigure(errors="backslashreplace")  # without Unicode, m³ is printed as m\\xb3
 
 
 if __name__ == "__main__":

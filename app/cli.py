@@ -190,7 +190,9 @@ def _run_folders(function: str, **arguments: Any) -> list[Path]:
 
 
 def _complain(message: str, code: int = BAD_INPUT, hint: str = "") -> int:
-    sys.stderr.write(f"nodeslam: {one_line(message)}{one_line(hint)}\n")
+    with contextlib.suppress(OSError):  # nobody reads standard error
+        sys.stderr.write(f"nodeslam: {one_line(message)}{one_line(hint)}\n")
+        sys.stderr.flush()
     return code
 
 

@@ -1,5 +1,7 @@
+import os
 import subprocess
 import sys
+from pathlib import Path
 
 import pytest
 
@@ -23,3 +25,28 @@ def test_thread_pools_are_limited_before_numpy_is_imported():
     )
     done = subprocess.run([sys.executable, "-c", code], capture_output=True, text=True, timeout=120)
     assert done.stdout.strip() == "1", done.stderr
+
+
+def test_a_locale_without_unicode_is_no_obstacle():
+    code = "import app.__main__ as m; m.run = lambda arguments: print('m\\u00b3') or 0; m.main()"
+    environment = os.environ | {"LC_ALL": "C", "PYTHONUTF8": "0", "PYTHONIOENCODING": "ascii"}
+    done = subprocess.run([sys.executable, "-c", code], capture_output=True, text=True, env=environment)
+    assert (done.returncode, done.stdout) == (0, "m\\xb3\n"), done.stderr
+
+
+@pytest.mark.parametrize("closed", ["<&-", ">&-", "2>&-", "<&- >&- 2>&-"])
+def test_closed_streams_are_replaced_before_a_file_gets_their_descriptors(tmp_path, closed):
+    code = (
+        "import os, sys, app.__main__ as m\n"
+        "def run(arguments):\n"
+        "    print('lost'); print('lost', file=sys.stderr); sys.stdin.read()\n"
+        "    with open('file', 'w') as file: return 0 if file.fileno() > 2 else 5\n"
+        "m.run = run; m.main()"
+    )
+    (tmp_path / "code.py").write_text(code)
+    environment = os.environ | {"PYTHONPATH": str(Path(main.__file__).parents[1])}
+    line = f"{sys.executable} code.py {closed}"
+    done = subprocess.run(
+        ["bash", "-c", line], cwd=tmp_path, stdin=subprocess.DEVNULL, capture_output=True, env=environment
+    )
+    assert done.returncode == 0 and (tmp_path / "file").read_text() == "", done.stderr
