@@ -29,6 +29,7 @@ from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
 if TYPE_CHECKING:
+    from app.environments import register_environments as register_environments
     from manipulation import SCAN_VIEWPOINTS as SCAN_VIEWPOINTS
     from manipulation import ArmDescription as ArmDescription
     from manipulation import Box as Box
@@ -146,6 +147,8 @@ _MODULES = {
     "sim_assets.cell.world": ("World", "CellConfig"),
     "sim_assets.datasets.sequences": ("TableSequence", "SequenceConfig"),
     "sim_assets.errors": ("SimAssetsError",),
+    # The cell as Gymnasium environments nodeslam/Pack-v0 and nodeslam/Sort-v0 (extra `gym`).
+    "app.environments": ("register_environments",),
 }  # fmt: skip
 _MODULE_OF = {name: module for module, names in _MODULES.items() for name in names}
 __all__ = ["__version__", *_MODULE_OF]  # pyright: ignore[reportUnsupportedDunderAll]

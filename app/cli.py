@@ -43,6 +43,7 @@ HANDLERS = {
     "slam": "app.slam.command",
     "train": "app.training.command",
     "evaluate": "app.evaluation.command",
+    "collect": "app.collect.command",
     "bench": "app.benchmarks.command",
     "view": "app.viewer.command",
     "doctor": "app.doctor",

@@ -91,6 +91,8 @@ class RunTaskOptions(TaskOptions, ViewerOptions):
     """Show the run in the web viewer."""
     video: bool = False
     """Write video.mp4."""
+    log: Literal["none", "rerun"] = "none"
+    """Further recording of the run: rerun writes replay.rrd (extra: rerun)."""
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -188,7 +190,19 @@ class TrainOptions(CommonOptions):
 
 
 @dataclass(frozen=True, kw_only=True)
-class EvaluateOptions(TaskOptions):
+class WorkerOptions(CommonOptions):
+    """Options of commands that consist of many independent jobs."""
+
+    workers: int = 1
+    """Number of processes, with one thread each."""
+    resume: bool = False
+    """Continue an interrupted run in --out."""
+    ray: Annotated[str | None, arg(metavar="ADDRESS", help_behavior_hint="default: this machine")] = None
+    """Address of a Ray cluster to run on (extra: cluster)."""
+
+
+@dataclass(frozen=True, kw_only=True)
+class EvaluateOptions(TaskOptions, WorkerOptions):
     """Evaluate detection, reconstruction, SLAM, or the success of a task over many episodes, with the seeds
     --seed, --seed + 1, ..."""
 
@@ -222,12 +236,24 @@ class EvaluateOptions(TaskOptions):
     """Tasks: the task."""
     episodes: int = 20
     """Tasks: number of episodes."""
-    workers: int = 1
-    """Number of processes, with one thread each."""
-    resume: bool = False
-    """Continue an interrupted evaluation in --out."""
-    ray: Annotated[str | None, arg(metavar="ADDRESS", help_behavior_hint="default: this machine")] = None
-    """Address of a Ray cluster to run on (extra: cluster)."""
+
+
+@dataclass(frozen=True, kw_only=True)
+class CollectOptions(TaskOptions, WorkerOptions):
+    """Record episodes of the expert as a LeRobot data set, with the seeds --seed, --seed + 1, ..."""
+
+    task: Task = "pack"
+    """Task of the episodes."""
+    episodes: int = 20
+    """Number of episodes to run."""
+    filter: Literal["all", "success"] = "all"
+    """Episodes that the data set contains; failed ones are marked."""
+    control: Literal["joint", "tcp"] = "joint"
+    """Actions: joint targets, or changes of the tool's pose."""
+    image_size: Annotated[str, arg(metavar="W,H")] = "224,224"
+    """Width and height of the images in pixels, even numbers."""
+    no_images: bool = False
+    """Record no images."""
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -238,6 +264,10 @@ class BenchOptions(CommonOptions):
     """Scan folder to use as input."""
     repeats: int = 5
     """Minimum number of timings per component; half as many for the slowest."""
+    against: Annotated[Path | None, arg(metavar="REPORT", help_behavior_hint="default: no comparison")] = None
+    """Stored result to compare with: report.json of another bench, or its folder."""
+    tolerance: float = 0.25
+    """Share by which a component may become slower."""
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -268,6 +298,7 @@ COMMANDS: dict[str, type[CommonOptions]] = {
     "slam": SlamOptions,
     "train": TrainOptions,
     "evaluate": EvaluateOptions,
+    "collect": CollectOptions,
     "bench": BenchOptions,
     "view": ViewOptions,
     "doctor": DoctorOptions,

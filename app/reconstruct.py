@@ -18,6 +18,7 @@ from app.runs.run_folder import RunFolder
 from app.screen import Screen
 from perception.detection.left_out import summarise
 from perception.inference.reconstruct import with_estimated_classes
+from perception.io.bop_results import PosedImage, write_bop_results
 from perception.io.files import write_atomically
 from perception.io.images import png_bytes
 from perception.io.object_map import write_object_map
@@ -70,6 +71,8 @@ def run(options: ReconstructOptions, screen: Screen) -> Report:
     unwritten = write_object_map(folder.path, objects)
     rejected += unwritten
     objects = [o for o in objects if o.id not in {item.id for item in unwritten}]
+    seconds = timings["detect"] + timings["reconstruct"]
+    write_bop_results(folder.path / "bop.csv", options.scan, objects, _posed_images(scan), seconds)
     _write_pictures(folder, scan.frames, detections, objects, rejected)
     report = Report(
         command="reconstruct",
@@ -112,6 +115,14 @@ def _detections(scan: Scan, surfaces: Sequence[SupportSurface], options: Reconst
         return completed(scan.frames, rows, planes, lambda: load_detector(options.device))
 
     return place_detections(scan.frames, found, surfaces, complete)
+
+
+def _posed_images(scan: Scan) -> list[PosedImage]:
+    return [
+        PosedImage(id, frame.T_world_camera, frame.intrinsics)
+        for id, frame in zip(scan.image_ids, scan.frames, strict=True)
+        if frame.T_world_camera is not None
+    ]
 
 
 def _summary(objects: Sequence[ObjectEstimate], rejected: Sequence[RejectedObject]) -> str:

@@ -8,6 +8,7 @@ from collections.abc import Sequence
 from rich.markup import escape
 from rich.table import Table
 
+from app.benchmarks.comparison import compare, compared, comparison_table, stored_ratios
 from app.benchmarks.machine import describe_machine
 from app.benchmarks.rows import benchmarks
 from app.benchmarks.scene import prepare
@@ -25,6 +26,7 @@ def run(options: BenchOptions, screen: Screen) -> Report:
     begin = time.perf_counter()
     device = resolve_device(options.device)
     machine = describe_machine(device)
+    before = stored_ratios(options.against) if options.against is not None else {}
     with screen.stage("Preparing a scan of six objects"):
         scene = prepare(options.scan, options.seed, options.device)
     folder = RunFolder.create(options, "bench")
@@ -36,8 +38,12 @@ def run(options: BenchOptions, screen: Screen) -> Report:
             rows.append(measure(benchmark, timing))
             folder.write_report(_report(options, machine, rows, time.perf_counter() - begin, done=False))
     report = _report(options, machine, rows, time.perf_counter() - begin, done=True)
+    if options.against is not None:
+        report = compared(report, compare(rows, before, options.tolerance))
     folder.write_report(report)
     screen.show(_table(rows))
+    if options.against is not None:
+        screen.show(comparison_table(report))
     screen.show(escape(_machine_text(machine)))
     return report
 

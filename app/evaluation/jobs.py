@@ -1,4 +1,4 @@
-"""Independent jobs of an evaluation: in this process, in worker processes or on a Ray cluster.
+"""Independent jobs of a command: in this process, in worker processes or on a Ray cluster.
 
 A job that fails, whatever the reason, yields a line of results with that reason; the others go on.
 """
@@ -15,7 +15,7 @@ from typing import TYPE_CHECKING, Generic, TypeVar
 
 from app.errors import AppError, MissingExtraError
 from app.evaluation.ledger import Line
-from app.options import Device, EvaluateOptions
+from app.options import Device, WorkerOptions
 from app.workers import ATTEMPTS, Lost, map_in_processes
 from perception.errors import install_hint
 
@@ -54,7 +54,7 @@ class Jobs(Generic[Item]):
     failed: Callable[[Item, Failure], Line]
 
 
-def run_jobs(jobs: Jobs[Item], options: EvaluateOptions) -> Iterator[Line]:
+def run_jobs(jobs: Jobs[Item], options: WorkerOptions) -> Iterator[Line]:
     """Run jobs and yield their lines of results in order of completion.
 
     Every job runs single-threaded: sums of several threads round differently, and a fit amplifies that. The
@@ -128,6 +128,13 @@ def _in_this_process(attempt: Callable[[Item], Line], items: Sequence[Item]) -> 
         yield line
 
 
+def _attempt_on_ray(functions: tuple[Callable[..., Line], Callable[..., Line]], item: Item) -> Line:
+    from perception.inference.reconstruct import single_threaded_torch
+
+    with single_threaded_torch():
+        return attempt_job(*functions, item)
+
+
 def _on_ray(jobs: Jobs[Item], address: str) -> Iterator[Line]:
     try:
         import ray
@@ -135,8 +142,9 @@ def _on_ray(jobs: Jobs[Item], address: str) -> Iterator[Line]:
         raise MissingExtraError(f"--ray needs Ray: {install_hint('cluster')}") from None
     ray.init(address=address, log_to_driver=False)
     begin = time.perf_counter()
-    remote = ray.remote(num_cpus=1, max_retries=ATTEMPTS - 1)(attempt_job)
-    item_of = {remote.remote(jobs.work, jobs.failed, item): item for item in jobs.items}
+    remote = ray.remote(num_cpus=1, max_retries=ATTEMPTS - 1)(_attempt_on_ray)
+    functions = ray.put((jobs.work, jobs.failed))  # sent once to each machine, not with every item
+    item_of = {remote.remote(functions, item): item for item in jobs.items}
     waiting = list(item_of)
     try:
         while waiting:

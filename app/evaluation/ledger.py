@@ -15,7 +15,7 @@ from pathlib import Path
 from typing import Any
 
 from app.errors import UsageError
-from app.options import EvaluateOptions
+from app.options import WorkerOptions
 from app.runs.run_folder import RunFolder
 from perception.io.files import (
     MAX_TEXT_BYTES,
@@ -67,7 +67,7 @@ class Ledger:
 
     @staticmethod
     def open(
-        options: EvaluateOptions, format: LedgerFormat, settings: Mapping[str, Any]
+        options: WorkerOptions, format: LedgerFormat, settings: Mapping[str, Any]
     ) -> tuple[Ledger, dict[Hashable, Line]]:
         """Open the ledger; return it with its finished lines by key. Without ``--resume`` it is empty.
 
@@ -81,7 +81,7 @@ class Ledger:
             return Ledger(folder, folder.path / format.file, format), {}
         if options.out is None:
             raise UsageError("--resume needs --out with the folder to continue in")
-        _compare_settings(options.out / SETTINGS, settings)
+        _compare_settings(options.out / SETTINGS, settings, type(options))
         folder = RunFolder.resume(options, options.out, format.evaluation)
         ledger = Ledger(folder, options.out / format.file, format)
         return ledger, ledger.read()
@@ -130,7 +130,7 @@ class Ledger:
         return lines
 
 
-def _compare_settings(path: Path, settings: Mapping[str, Any]) -> None:
+def _compare_settings(path: Path, settings: Mapping[str, Any], kind: type[WorkerOptions]) -> None:
     """Raise UsageError if an evaluation was stored with other settings."""
     remedy = "give the --out of the evaluation to be resumed"
     kept = read_json(path, remedy)
@@ -139,7 +139,7 @@ def _compare_settings(path: Path, settings: Mapping[str, Any]) -> None:
     if kept.get(_KIND, settings[_KIND]) != settings[_KIND]:
         raise UsageError(f"--resume: {path.parent} belongs to {kept[_KIND]}, not to {settings[_KIND]}")
     # Options that a stored evaluation lacks had their defaults.
-    before = {name: str(getattr(EvaluateOptions, name, None)) for name in settings} | kept
+    before = {name: str(getattr(kind, name, None)) for name in settings} | kept
     different = sorted(name for name in settings if name != _KIND and before[name] != settings[name])
     if different:
         raise UsageError(f"--resume: {path.parent} was made with another {', '.join(different)}")

@@ -29,10 +29,11 @@ _OWN_NAMES = re.compile(
         (
             r"(?:report|objects|plan|keyframes|evaluation|benchmark|history|shapes)\.json",
             r"(?:rows|short|episodes)\.jsonl",
-            r"replay\.(?:npz|json|glb)",
+            r"replay\.(?:npz|json|glb|rrd)",
             r"video\.(?:mp4|webp)",
             r"scene\.(?:glb|xml)",
             r"trajectory\.txt",
+            r"bop\.csv",
             r"error\.log",
             rf"(?:overview|convergence|detections|objects_{_CLASS})\.png",
             rf"scan/{_SCAN}",
@@ -43,6 +44,11 @@ _OWN_NAMES = re.compile(
             rf"urdf/meshes/{_MODEL}(?:_\w+)?\.obj",
             rf"sequences/\w+/{_SCAN}",
             r"sequences/\w+/ground_truth/(?:objects\.json|trajectory\.txt|objects/\w+\.ply)",
+            # data sets
+            r"episodes/\d+/(?:frames\.parquet|objects\.parquet|(?:wrist|scene)\.mp4)",
+            r"meta/(?:info\.json|stats\.json|tasks\.parquet|episodes/chunk-\d+/file-\d+\.parquet)",
+            r"(?:data|privileged)/chunk-\d+/file-\d+\.parquet",
+            r"videos/observation\.images\.\w+/chunk-\d+/file-\d+\.mp4",
             # training
             r"(?:shape|detector|scene|yaw)\.(?:safetensors|md)",
             r"shape_(?:reconstructions|walk|pixel_derivative|code_derivatives)\.png",
@@ -55,6 +61,8 @@ _OWN_NAMES = re.compile(
 )
 _OWN_FOLDERS = re.compile(
     r"scan|scan/(?:rgb|depth)|objects|pictures|meshes|urdf|urdf/meshes|scenes|member\d+"
+    r"|episodes|episodes/\d+|meta|meta/episodes|(?:meta/episodes|data|privileged)/chunk-\d+|data|privileged"
+    r"|videos|videos/[\w.]+|videos/[\w.]+/chunk-\d+"
     r"|sequences|sequences/\w+|sequences/\w+/(?:rgb|depth|ground_truth|ground_truth/objects)"
 )
 # Unfinished files of write_atomically, MovieFile and the training jobs.

@@ -18,6 +18,7 @@ from app.slam.pictures import MappedSequence, write_map_picture
 from app.slam.recording import SlamRecorder
 from app.slam.run import SlamRun
 from app.slam.sequence_truth import read_true_trajectory
+from perception.io.bop_results import write_bop_results
 from perception.io.files import write_json
 from perception.io.object_map import write_object_map
 from perception.io.recordings.sequence import open_sequence
@@ -77,6 +78,8 @@ def _write(
     objects = [] if slam.world is None else object_estimates(slam.world, decoder)
     write_object_map(folder.path, objects)
     write_trajectory(folder.path / "trajectory.txt", slam_run.trajectory)
+    seconds = sum(sum(result.seconds.values()) for result in slam_run.results)
+    write_bop_results(folder.path / "bop.csv", slam_run.sequence.path, objects, slam_run.images, seconds)
     known = {o.id: o for o in objects}
     write_scan(
         folder.scan, [k.frame for k in slam.keyframes], [_detections(k, known) for k in slam.keyframes]

@@ -12,6 +12,7 @@ import torch
 
 from perception.errors import InvalidInputError
 from perception.inference.shape_model import Decoder
+from perception.io.bop_results import PosedImage
 from perception.io.detections import encode_detections
 from perception.io.recordings.sequence import RgbdSequence, without_pose
 from perception.io.recordings.trajectory import Trajectory
@@ -29,6 +30,7 @@ class SlamRun:
         sequence: The sequence.
         slam: The system with map and keyframes.
         results: Results of the frames so far, without unreadable ones.
+        images: Frames in which the camera was tracked, with the poses as estimated then.
         warnings: One line for each unreadable frame.
         detections: Detections of each frame by number, if kept, encoded as in ``detections.json``.
     """
@@ -36,6 +38,7 @@ class SlamRun:
     sequence: RgbdSequence
     slam: Slam
     results: list[FrameResult] = field(default_factory=list)
+    images: list[PosedImage] = field(default_factory=list)
     warnings: list[str] = field(default_factory=list)
     detections: dict[int, list[Any]] = field(default_factory=dict)
 
@@ -82,6 +85,8 @@ class SlamRun:
             self._source.number = number
             result = self.slam.process(frame)
             self.results.append(result)
+            if result.status != "lost":
+                self.images.append(PosedImage(number, result.T_world_camera, frame.intrinsics))
             yield frame, result
 
     def relocalise(self, number: int, frame: RgbdFrame) -> Relocalisation | None:

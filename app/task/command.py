@@ -6,6 +6,7 @@ import contextlib
 
 from app.options import RunTaskOptions
 from app.runs.report import Report
+from app.runs.rerun_log import require_rerun
 from app.screen import Screen
 from app.task.cell import build_world
 from app.task.recording import CellRecorder
@@ -17,6 +18,8 @@ from perception.pipeline import load_perception
 
 def run(options: RunTaskOptions, screen: Screen) -> Report:
     """Build a cell and run one episode in it; with ``--view``, show it in the web viewer."""
+    if options.log == "rerun":
+        require_rerun()
     with screen.stage("Building the cell"):
         world = build_world(options, task_of(options))
     with world, contextlib.ExitStack() as stack:

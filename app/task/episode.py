@@ -41,13 +41,12 @@ def run_episode(
     observer = observer or RunObserver()
     begin, paused, simulated_begin = time.perf_counter(), observer.paused_seconds, world.time
     before = read_truth(world)
-    box = world.config.box if task == "pack" else None
-    request = TaskRequest(task, _planned_box(box), reconstruction=reconstruction_of(options, before))
+    request = request_of(world, task, options, before)
     result = run_pipeline(restricted(world), perception, request, observer)
     seconds = time.perf_counter() - begin - (observer.paused_seconds - paused)
     simulated = world.time - simulated_begin
     after = read_truth(world)
-    objects = score_task(result.plan, result.objects, result.outcomes, before, after, box)
+    objects = score_task(result.plan, result.objects, result.outcomes, before, after, _task_box(world, task))
     objects = [with_check(entry, result) for entry in objects]
     rows = score_reconstruction(result.objects, before, np.random.default_rng(options.seed))
     n_placed = sum(bool(entry.placed) for entry in objects)
@@ -69,6 +68,19 @@ def run_episode(
         settings=settings_of(options),
     )
     return report, result
+
+
+def request_of(world: World, task: Task, options: TaskOptions, before: Truth | None = None) -> TaskRequest:
+    """Return the task in a cell, as the pipeline receives it.
+
+    Args:
+        world: The cell.
+        task: "pack" or "sort".
+        options: Options that choose the source of the object estimates.
+        before: True state, for ``--shapes oracle``; read if None.
+    """
+    box = _planned_box(_task_box(world, task))
+    return TaskRequest(task, box, reconstruction=reconstruction_of(options, before or read_truth(world)))
 
 
 def settings_of(options: TaskOptions) -> dict[str, Any]:
@@ -110,6 +122,11 @@ def summary_of(objects: Sequence[ObjectReport], failure: str) -> str:
         return f"{summary}; {failure}"
     wrong = [f"{entry.category} {entry.id}: {entry.reason}" for entry in objects if not entry.placed]
     return f"{summary}; {'; '.join(wrong)}" if wrong else summary
+
+
+def _task_box(world: World, task: Task) -> BoxConfig | None:
+    """Return the box to pack into; None for sorting."""
+    return world.config.box if task == "pack" else None
 
 
 def _planned_box(box: BoxConfig | None) -> Box | None:

@@ -10,6 +10,7 @@ from typing import Any
 
 from app.options import RunTaskOptions, Task
 from app.runs.report import Report
+from app.runs.rerun_log import write_rerun
 from app.runs.run_folder import RunFolder
 from app.screen import Screen
 from app.task.overview import Overview, write_overview
@@ -138,6 +139,8 @@ class RunWriter(RunObserver):
         """Finish replay and video, also after an interruption."""
         self._world.observe(None)
         self._recording.recorder.write(self._folder.path)
+        if self._options.log == "rerun":
+            write_rerun(self._recording.recorder, self._folder.path)
         if self._video is not None:
             self._video.close()
 

@@ -33,6 +33,24 @@ def object_poses(world: World) -> dict[int, Float[np.ndarray, "4 4"]]:
     return poses
 
 
+class ObjectStates:
+    """Reads the state of all objects of a cell at once, for rewards and data sets.
+
+    Raises:
+        KeyError: the cell lacks an object.
+    """
+
+    def __init__(self, world: World) -> None:
+        joints = [world._model.joint(f"object{index}") for index in object_models(world)]
+        self._data = world._data
+        self._position = np.array([joint.qposadr[0] for joint in joints], dtype=int)[:, None] + np.arange(7)
+        self._velocity = np.array([joint.dofadr[0] for joint in joints], dtype=int)[:, None] + np.arange(6)
+
+    def read(self) -> tuple[Float[np.ndarray, "n 7"], Float[np.ndarray, "n 6"]]:
+        """Return positions [m] with quaternions wxyz, and linear [m/s] with angular [rad/s] velocities."""
+        return self._data.qpos[self._position], self._data.qvel[self._velocity]
+
+
 def instance_mask(world: World, camera: str = WRIST_CAMERA) -> Int[np.ndarray, "h w"]:
     """Return the id of the object visible at each pixel of a camera, -1 for none."""
     model = world._model

@@ -66,6 +66,12 @@ def test_mugs_of_another_detector_get_a_yaw_distribution(monkeypatch: pytest.Mon
     assert found.category == "mug" and len(found.yaw_probabilities) == 36
 
 
+def test_poses_are_written_for_the_numbers_of_the_folder() -> None:
+    without = RgbdFrame(0.0, FRAME.rgb, FRAME.depth, LENS)
+    images = reconstruct._posed_images(Scan((FRAME, without), None, (5, 8)))
+    assert [image.id for image in images] == [5] and images[0].intrinsics is LENS
+
+
 def test_the_summary_names_what_is_left_out() -> None:
     item = RejectedObject(2, "mug", "the fit failed")
     assert reconstruct._summary([], []) == ""

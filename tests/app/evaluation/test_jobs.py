@@ -136,6 +136,7 @@ def ray(monkeypatch):
         return lambda function: types.SimpleNamespace(remote=lambda *given: (function, given))
 
     module.remote = remote
+    module.put = lambda value: module.calls.append("put") or value
     module.wait = lambda waiting: (waiting[-1:], waiting[:-1])
     module.get = lambda reference: reference[0](*reference[1])
     monkeypatch.setitem(sys.modules, "ray", module)
@@ -158,7 +159,7 @@ def test_a_dead_machine_of_a_ray_cluster_is_a_failure(ray):
     assert [line["seed"] for line in lines] == [3, 2, 1]
     assert lines[1]["reason"] == "crashed: RayError: node died"
     assert ray.calls == [
-        {"address": "here", "log_to_driver": False}, {"num_cpus": 1, "max_retries": 1}, "shutdown",
+        {"address": "here", "log_to_driver": False}, {"num_cpus": 1, "max_retries": 1}, "put", "shutdown",
     ]  # fmt: skip
 
 

@@ -57,6 +57,8 @@ def test_a_run_writes_map_trajectory_keyframes_picture_and_replay(finished, sequ
     scan = read_scan(out / "scan")
     assert keyframes[0]["number"] == 0 and len(keyframes) == len(scan.frames)
     assert {d.instance_id for d in scan.detections[0]} == {o.id for o in objects}
+    poses = (out / "bop.csv").read_text().splitlines()
+    assert len(poses) == 1 + 2 * 3  # two objects in three images
     for name in ("overview.png", "replay.npz", "replay.json", "replay.glb"):
         assert (out / name).is_file()
 

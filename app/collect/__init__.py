@@ -1,0 +1,1 @@
+"""``nodeslam collect``: episodes of the expert as a LeRobot data set."""

@@ -1,0 +1,145 @@
+"""Position control of the cell's arm and gripper at a fixed rate, the interface of policies.
+
+A policy commands joint positions and a gripper width a few times per second. In between, the joint commands
+follow cubic polynomials with continuous velocity, since steps of velocity would shake an object out of the
+fingers, with feedforward that cancels the servos' damping and the inertia. The fingers move at FINGER_SPEED.
+"""
+
+from __future__ import annotations
+
+import numpy as np
+from jaxtyping import Float
+
+from sim_assets.cell.scene import TIMESTEP
+from sim_assets.cell.world import FINGER_SPEED, World
+from sim_assets.errors import SimAssetsError
+from sim_assets.rendering.headless import mujoco
+
+
+class PositionControl:
+    """Executes position commands in a cell, one control period at a time.
+
+    Attributes:
+        period: control period in [s].
+        lower, upper: (n,) joint limits in [rad].
+        q: (n,) joint positions in [rad] commanded last.
+    """
+
+    def __init__(self, world: World, rate: float) -> None:
+        """Take over the arm at its present posture.
+
+        Args:
+            world: the cell.
+            rate: commands per second; the period is rounded to a multiple of the physics time step.
+
+        Raises:
+            SimAssetsError: the rate is not positive, or above that of the physics.
+        """
+        if not 0 < rate <= 1 / TIMESTEP:
+            raise SimAssetsError(
+                f"a control rate of {rate:g} Hz must be more than 0 and at most {1 / TIMESTEP:g}"
+            )
+        self._world = world
+        self._n_steps = round(1 / (rate * TIMESTEP))
+        self.period = self._n_steps * TIMESTEP
+        ranges = np.array([world._model.joint(name).range for name in world.arm.joint_names])
+        self.lower, self.upper = ranges[:, 0], ranges[:, 1]
+        self.q = np.clip(world.joint_positions(), self.lower, self.upper)
+        self._opening = world.gripper_width() / 2  # of each finger, commanded
+        self._tcp = world._model.site(world.arm.tcp_site).id
+        self._step = np.zeros_like(self.q)  # of the last period [rad]
+        self._speed = np.zeros_like(self.q)  # at its end, in [rad] per period
+        self._basis = _hermite(np.arange(1, self._n_steps + 1) / self._n_steps)
+
+    def reachable(self, q: Float[np.ndarray, "n"]) -> Float[np.ndarray, "n"]:
+        """Return the joint positions nearest to ``q`` within the limits of position and velocity."""
+        step = np.asarray(self._world.arm.velocity_limit) * self.period
+        return np.clip(np.clip(q, self.q - step, self.q + step), self.lower, self.upper)
+
+    def tcp_position(self) -> Float[np.ndarray, "3"]:
+        """Return the position of the tool's centre point in [m] at the beginning of the last physics step."""
+        return self._world._data.site_xpos[self._tcp].copy()
+
+    def joint_velocities(self) -> Float[np.ndarray, "n"]:
+        """Return the measured velocities of the joints in [rad/s]."""
+        return self._world._data.qvel[self._world._v]
+
+    def advance(self, q: Float[np.ndarray, "n"], width: float) -> None:
+        """Move the arm toward ``q`` [rad] and the fingers toward ``width`` [m] for one control period.
+
+        The commands are limited to the joints' positions and velocities. A width of 0 closes with full force.
+
+        Raises:
+            SimAssetsError: a command is not finite.
+            SimulationError: the physics diverged.
+        """
+        if not (np.isfinite(q).all() and np.isfinite(width)):
+            raise SimAssetsError("a command is not finite; the arm was not moved")
+        world, q = self._world, self.reachable(q)
+        commands = self._commands(q)
+        openings = self._openings(float(np.clip(width, 0, world.arm.max_width)))
+        model, data, ctrl = world._model, world._data, world._data.ctrl
+        arm, gripper, step_physics = world._u, world._gripper, mujoco.mj_step
+        for command, opening in zip(commands, openings, strict=True):
+            ctrl[arm] = command
+            ctrl[gripper] = opening
+            step_physics(model, data)
+        world._check_warnings()
+
+    def hold(self) -> None:
+        """Repeat the last command for one control period, in a single call of MuJoCo."""
+        mujoco.mj_step(self._world._model, self._world._data, self._n_steps)
+
+    def _commands(self, q: Float[np.ndarray, "n"]) -> Float[np.ndarray, "steps n"]:
+        """Return the servos' commands [rad] on the way to ``q``, and remember where it ends."""
+        world, step = self._world, q - self.q
+        # The speed at the end continues the trend of the last two steps; it never points backwards.
+        speed = 1.5 * step - 0.5 * self._step
+        speed = np.where(speed * step > 0, speed, 0.0)
+        ends = np.stack([step, self._speed, speed])
+        position, velocity, _ = self._basis @ ends
+        torque = self._basis[2] @ self._times_inertia(ends) / self.period**2
+        torque += velocity / self.period * world._damping
+        commands = self.q + position + torque / world._stiffness
+        self.q, self._step, self._speed = q, step, speed
+        return commands
+
+    def _times_inertia(self, rows: Float[np.ndarray, "k n"]) -> Float[np.ndarray, "k n"]:
+        """Return each row multiplied by the arm's inertia matrix at the present posture."""
+        model, data, dofs = self._world._model, self._world._data, self._world._v
+        product = np.empty_like(rows)
+        for row, result in zip(rows, product, strict=True):
+            full, torque = np.zeros(model.nv), np.empty(model.nv)
+            full[dofs] = row
+            mujoco.mj_mulM(model, data, torque, full)
+            result[:] = torque[dofs]
+        return product
+
+    def _openings(self, width: float) -> Float[np.ndarray, "steps"]:
+        """Return the gripper's command at each physics step of a period."""
+        robot, target = self._world._robot, width / 2
+        measured = self._world.gripper_width() / 2
+        if target > measured:  # fingers pressed against an object open at once
+            self._opening = max(self._opening, measured)
+        reach = FINGER_SPEED * self.period
+        goal = float(np.clip(target, self._opening - reach, self._opening + reach))
+        path = np.linspace(self._opening, goal, self._n_steps + 1)[1:]
+        self._opening = goal
+        if width == 0 and goal == 0:
+            return np.full(self._n_steps, robot.press)
+        return robot.closed + path * ((robot.open - robot.closed) / (self._world.arm.max_width / 2))
+
+
+def _hermite(s: Float[np.ndarray, "k"]) -> Float[np.ndarray, "3 k 3"]:
+    """Return the cubic Hermite basis of the step and the speeds at both ends, at fractions of a period.
+
+    Returns:
+        Factors of (step, first speed, last speed) in position, velocity and acceleration at each fraction.
+    """
+    return np.array(
+        [
+            [3 * s**2 - 2 * s**3, s - 2 * s**2 + s**3, s**3 - s**2],
+            [6 * s - 6 * s**2, 1 - 4 * s + 3 * s**2, 3 * s**2 - 2 * s],
+            [6 - 12 * s, 6 * s - 4, 6 * s - 2],
+        ]
+    ).transpose(0, 2, 1)
