@@ -13,6 +13,7 @@ READERS_OF_TRUTH = {"app/task/scoring.py", "app/environments/privileged.py"}
 # Attributes of other objects that begin with an underscore, with the reason why there is no public one.
 PRIVATE_ACCESS = {
     ("app/interrupts.py", "_exit"),  # os._exit, a documented function
+    ("app/watchdog.py", "_exit"),
     ("app/workers.py", "_exit"),
     ("app/slam/run.py", "_source"),  # its own class, in a factory
     ("app/viewer/server.py", "_gui_input_handle_from_uuid"),  # viser offers no hook for incoming messages

@@ -49,7 +49,10 @@ def _log_bodies(recording: Any, recorder: Recorder) -> None:
 
     for name, parts in recorder.meshes.items():
         for index, part in enumerate(parts):
-            colors = np.asarray(part.visual.to_color().vertex_colors)
+            visual: Any = part.visual
+            if visual.kind == "texture":
+                visual = visual.to_color()
+            colors = np.asarray(visual.vertex_colors)
             shape = rr.Mesh3D(
                 vertex_positions=part.vertices, triangle_indices=part.faces, vertex_colors=colors
             )

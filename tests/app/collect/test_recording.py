@@ -2,6 +2,7 @@
 
 import io
 
+import cv2
 import numpy as np
 import pyarrow.parquet as pq
 import pytest
@@ -39,15 +40,14 @@ def test_an_expert_that_gives_up_fails_the_episode(short):
 
 
 def test_videos_have_one_image_per_frame(short, tmp_path):
-    import imageio.v3 as iio
-
     episode = record(*short(), seed=0)
     for name in ("wrist", "scene"):
         path = tmp_path / f"{name}.mp4"
         path.write_bytes(episode.files[path.name])
-        images = np.array(list(iio.imiter(path, plugin="FFMPEG")))
-        assert images.shape == (3, 48, 64, 3)
-        assert [int(image.mean()) for image in images] == pytest.approx([0, 50, 100], abs=6)
+        film = cv2.VideoCapture(str(path))
+        images = [film.read()[1] for _ in range(3)]
+        assert not film.read()[0] and images[0].shape == (48, 64, 3)
+        assert [float(image.mean()) for image in images] == pytest.approx([0, 50, 100], abs=6)
     assert np.shape(episode.stats["observation.images.wrist"]["mean"]) == (3, 1, 1)
 
 
