@@ -4,7 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Sequence
 
-from app.collect.lerobot import VERSION, DatasetConfig
+from app.collect.lerobot import VERSION, DatasetConfig, Line
 from app.evaluation.statistics import wilson_interval
 from app.options import CollectOptions
 from app.runs.report import package_version
@@ -60,8 +60,8 @@ scan of the table. Failed episodes {failed}.
 def card(
     options: CollectOptions,
     config: DatasetConfig,
-    lines: Sequence[dict[str, Any]],
-    kept: Sequence[dict[str, Any]],
+    lines: Sequence[Line],
+    kept: Sequence[Line],
 ) -> str:
     """Return the content of the card.
 

@@ -56,7 +56,7 @@ class JointActions:
         arm = kinematics.arm
         low, high = np.append(kinematics.lower, 0.0), np.append(kinematics.upper, arm.max_width)
         self.space = _box(low, high)
-        self.names = (*arm.joint_names, "gripper_width")
+        self.names: tuple[str, ...] = (*arm.joint_names, "gripper_width")
 
     def decode(self, action: Action, q: Joints) -> tuple[Joints, float]:
         return np.asarray(action[:-1], dtype=np.float64), float(action[-1])
@@ -79,7 +79,7 @@ class TcpActions:
         self._kinematics = kinematics
         reach = np.array([MAX_SHIFT] * 3 + [MAX_TURN] * 3)
         self.space = _box(np.append(-reach, 0.0), np.append(reach, kinematics.arm.max_width))
-        self.names = ("dx", "dy", "dz", "rx", "ry", "rz", "gripper_width")
+        self.names: tuple[str, ...] = ("dx", "dy", "dz", "rx", "ry", "rz", "gripper_width")
 
     def decode(self, action: Action, q: Joints) -> tuple[Joints, float]:
         change = np.asarray(action, dtype=np.float64)

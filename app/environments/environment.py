@@ -43,7 +43,7 @@ class Cell:
     objects: PrivilegedState
 
 
-class CellEnv(gymnasium.Env[Observation, np.ndarray]):
+class CellEnv(gymnasium.Env[Any, np.ndarray]):
     """The cell as an environment; see ``PackEnv`` and ``SortEnv``.
 
     Observations are a dictionary:
@@ -101,7 +101,8 @@ class CellEnv(gymnasium.Env[Observation, np.ndarray]):
         self._images, self._privileged, self._image_size = images, privileged, image_size
         self._reward_kind: RewardKind = reward
         n_objects = len(parse_objects(self.cell_options.objects, np.random.default_rng(0)))
-        self.observation_space = self._observation_space(n_objects)
+        self._spaces = self._observation_spaces(n_objects)
+        self.observation_space = spaces.Dict(self._spaces)
         self._cell: Cell | None = None
 
     @property
@@ -173,26 +174,25 @@ class CellEnv(gymnasium.Env[Observation, np.ndarray]):
             self._cell.world.close()
             self._cell = None
 
-    def _observation_space(self, n_objects: int) -> spaces.Dict:
+    def _observation_spaces(self, n_objects: int) -> dict[str, spaces.Box]:
         kinematics, arm = self.kinematics, self.robot.description
         speed = np.full(len(arm.joint_names), MAX_JOINT_SPEED)
         low = np.concatenate([kinematics.lower - 0.1, -speed, [0.0]]).astype(np.float32)
         high = np.concatenate([kinematics.upper + 0.1, speed, [arm.max_width]]).astype(np.float32)
-        entries: dict[str, spaces.Space[Any]] = {"state": spaces.Box(low, high, dtype=np.float32)}
+        entries = {"state": spaces.Box(low, high, dtype=np.float32)}
         if self._privileged:
             shape = (n_objects, len(COLUMNS))
             entries["objects"] = spaces.Box(-TABLE_REACH, TABLE_REACH, shape, dtype=np.float32)
         if self._images:
             shape = (self._image_size[1], self._image_size[0], 3)
             entries |= {name: spaces.Box(0, 255, shape, dtype=np.uint8) for name in CAMERAS}
-        return spaces.Dict(entries)
+        return entries
 
     def _observe(self) -> Observation:
-        cell, space = self.cell, self.observation_space["state"]
+        cell, space = self.cell, self._spaces["state"]
         state = np.concatenate(
             [cell.world.joint_positions(), cell.control.joint_velocities(), [cell.world.gripper_width()]]
         ).astype(np.float32)
-        assert isinstance(space, spaces.Box)
         observation: Observation = {"state": np.clip(state, space.low, space.high)}
         if self._privileged:
             observation["objects"] = self.object_states().clip(-TABLE_REACH, TABLE_REACH)

@@ -73,7 +73,8 @@ class Expert:
             perception: Networks; loaded if None.
             shapes: Source of the object estimates, as in ``nodeslam pack --shapes``.
         """
-        self._env, self._shapes = env, shapes
+        self._env = env
+        self._shapes: Shapes = shapes
         self._perception = perception or load_perception("auto")
         self._run: _PipelineThread | None = None
         self.phase, self.target, self.failure, self.finished = "scan", "", "", False
