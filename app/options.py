@@ -21,6 +21,7 @@ METHODS: tuple[Method, ...] = get_args(Method)
 Masks = Literal["detected", "given"]
 Variant = Literal["with_plane", "full", "no_joint", "no_uncertainty"]
 VARIANTS: tuple[Variant, ...] = get_args(Variant)
+NOT_SETTINGS = {"seed", "out", "quiet", "json", "debug", "stage_limit"}  # options that do not change what is simulated
 SlamFault = Literal["none", "dropped", "dark", "flicker", "moved"]
 
 
@@ -63,6 +64,25 @@ class CellOptions(CommonOptions):
     depth_noise: DepthNoise = "gaussian"
     """Depth noise: none; gaussian (standard deviation 2 mm); or the model of a sensor: realsense (active
     stereo), kinect (structured light), tof (time of flight)."""
+    gap: Annotated[float | None, arg(metavar="METRES", help_behavior_hint="default: at least 0.04")] = None
+    """Distance between neighbouring objects, which are drawn together; 0: touching."""
+    lying: int = 0
+    """Number of bottles, cans and mugs that lie on their side."""
+    upside_down: int = 0
+    """Number of mugs, bowls and cans that stand on their rim."""
+    stacked: int = 0
+    """Number of objects that stand on or in another one."""
+    unknown: int = 0
+    """Number of things of no class, which must not be touched."""
+    clutter: bool = False
+    """A mixture: a quarter of the objects lying, an eighth upside down, a quarter on others, gaps to contact,
+    three things of no class for eight objects; the options above take precedence."""
+    camera_error: Annotated[str, arg(metavar="MM,DEG")] = "0,0"
+    """Calibration error of the wrist camera in a random direction: millimetres, degrees."""
+    friction: Annotated[str, arg(metavar="LOW,HIGH", help_behavior_hint="default: fixed values")] = ""
+    """Range of the coefficients of friction of pads, objects and table."""
+    region: Annotated[str, arg(metavar="X0,X1,Y0,Y1", help_behavior_hint="default: the standard one")] = ""
+    """Region of the objects on the table in metres."""
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -71,6 +91,8 @@ class TaskOptions(CellOptions):
 
     shapes: Shapes = "nodeslam"
     """Object shapes for planning: learned prior, TSDF fusion, or true meshes and poses (oracle)."""
+    scan_views: int = 6
+    """Number of images of the scan, 1 to 6: fewer images make the robot faster."""
 
 
 @dataclass(frozen=True, kw_only=True)

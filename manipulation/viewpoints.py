@@ -80,11 +80,17 @@ SCAN_VIEWPOINTS = viewpoints_around(
     (0.47, -0.26, 0.05),
     [(90, 89, 0.62), (60, 60, 0.57), (110, 50, 0.60), (210, 50, 0.60), (250, 62, 0.58), (330, 75, 0.52)],
 )
+_MOST_INFORMATIVE = (1, 4, 3, 5, 2, 0)  # of them, first: oblique views from opposite sides
 BOX_VIEWPOINTS = viewpoints_around((0.50, 0.27, 0.06), [(270, 89, 0.55), (300, 62, 0.55), (240, 55, 0.58)])
 LINE_VIEWPOINTS = (
     *viewpoints_around((0.50, 0.24, 0.06), [(270, 80, 0.55), (300, 55, 0.55)]),
     *viewpoints_around((0.15, 0.43, 0.06), [(270, 75, 0.50), (300, 60, 0.50)]),
 )
+
+
+def scan_viewpoints(count: int) -> tuple[Viewpoint, ...]:
+    """Return the ``count`` most informative of the SCAN_VIEWPOINTS in their order."""
+    return tuple(SCAN_VIEWPOINTS[i] for i in sorted(_MOST_INFORMATIVE[:count]))
 
 
 def closeup_viewpoints(target: tuple[float, float, float]) -> tuple[Viewpoint, ...]:

@@ -8,14 +8,14 @@ from __future__ import annotations
 
 import time
 from collections.abc import Mapping, Sequence
-from dataclasses import replace
+from dataclasses import fields, replace
 from functools import partial
 from typing import Any
 
 from app.evaluation.jobs import Failure, Jobs, networks_on, run_jobs
 from app.evaluation.ledger import Ledger, LedgerFormat, Line
 from app.evaluation.statistics import summarise
-from app.options import EvaluateOptions
+from app.options import NOT_SETTINGS, EvaluateOptions, TaskOptions
 from app.runs.report import Report
 from app.screen import Screen
 from app.tables import evaluation_table
@@ -85,7 +85,7 @@ def _format(options: EvaluateOptions) -> LedgerFormat:
 
 def _settings(options: EvaluateOptions) -> dict[str, Any]:
     """Return the options that a resumed evaluation must share."""
-    names = ("task", "objects", "object_meshes", "robot", "box", "depth_noise", "shapes", "device")
+    names = ("task", *sorted({field.name for field in fields(TaskOptions)} - NOT_SETTINGS))
     return {name: str(getattr(options, name)) for name in names}
 
 

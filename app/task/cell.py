@@ -6,12 +6,14 @@ import math
 from collections import Counter
 from collections.abc import Sequence
 from dataclasses import replace
+from pathlib import Path
 from typing import TYPE_CHECKING, get_args
 
 import numpy as np
 
 from app.errors import UsageError
 from app.options import CellOptions
+from app.task.scene_options import check_scene, scene_settings
 from perception.types import CATEGORIES, Category
 
 if TYPE_CHECKING:
@@ -20,6 +22,7 @@ if TYPE_CHECKING:
     from sim_assets.robots.simulated_arm import SimulatedArm
 
 MAX_OBJECTS = 20
+MAX_LEAN = np.deg2rad(8)  # of an own mesh at rest on the table
 REDRAWS = 6  # of an object that leaves no room for the others
 BOX_LIMITS = {"L": (0.10, 0.60), "W": (0.10, 0.50), "H": (0.02, 0.20)}  # [m]: boxes that fit on the table
 
@@ -100,6 +103,7 @@ def check_options(options: CellOptions) -> None:
     """
     parse_objects(options.objects, np.random.default_rng(0))
     parse_box(options.box)
+    check_scene(options)
     if options.object_meshes is not None and not options.object_meshes.is_dir():
         raise UsageError(
             f"--object-meshes {options.object_meshes} is no folder; give DIR of DIR/<class>/*.ply"
@@ -127,13 +131,13 @@ def build_world(options: CellOptions, task: str | None) -> World:
     """Build the cell and let its objects settle: with a line for sorting, otherwise with a box.
 
     Generated objects come from the test families, which no network was trained on. Layout and objects are
-    drawn from separate generators, both seeded by ``options.seed``. Where the objects do not fit on the table,
+    drawn from separate generators, both seeded by ``options.seed``. If the objects do not fit on the table,
     the widest ones are replaced by smaller ones of their classes.
 
     Raises:
         UsageError: The options cannot be satisfied; the message names the option to change.
     """
-    layout_seed, shape_seed = np.random.SeedSequence(options.seed).spawn(2)
+    layout_seed, shape_seed, thing_seed = np.random.SeedSequence(options.seed).spawn(3)
     rng = np.random.default_rng(shape_seed)
     classes = parse_objects(options.objects, rng)
     inner = parse_box(options.box)
@@ -148,6 +152,7 @@ def build_world(options: CellOptions, task: str | None) -> World:
         depth_noise=options.depth_noise,
         seed=int(layout_seed.generate_state(1)[0]),
         robot=robot_of(options),
+        **scene_settings(options, len(classes), thing_seed),
     )
     reason = ""
     for _ in range(1 + len(classes)):
@@ -174,6 +179,7 @@ def _draw_models(
     owned: dict[Category, list[ObjectModel]] = {category: [] for category in get_args(Category)}
     for model in load_user_objects(options.object_meshes):
         owned[model.category].append(model)
+        _require_standing(model, options.object_meshes)
     if options.objects.strip().isdigit():
         pool = [model for models in owned.values() for model in models]
         return _draw(pool, len(classes), rng)
@@ -186,10 +192,22 @@ def _draw_models(
     return drawn
 
 
+def _require_standing(model: ObjectModel, folder: Path) -> None:
+    """Raise UsageError unless a mesh stands on a table."""
+    from sim_assets.cell.resting import settle, tilt
+
+    settled = settle([(model, np.eye(4))])
+    angle = tilt(settled.poses[0])
+    if not settled.at_rest or angle > MAX_LEAN:
+        how = f"it topples by {np.rad2deg(angle):.0f} degrees" if angle > MAX_LEAN else "it keeps rocking"
+        name = f"{folder}/{model.category}/{model.name}"
+        raise UsageError(f"--object-meshes: {name} does not stand on a table: {how}; leave it out")
+
+
 def _with_a_smaller_object(
     options: CellOptions, models: Sequence[ObjectModel], rng: np.random.Generator
 ) -> tuple[ObjectModel, ...] | None:
-    """Return the objects with the widest one replaced by a narrower draw of its class, or else the next widest.
+    """Return the objects with the widest one, or else the next, replaced by a narrower draw of its class.
 
     None if no draw of any class was narrower.
     """

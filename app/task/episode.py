@@ -9,12 +9,19 @@ from typing import Any
 
 import numpy as np
 
-from app.options import Task, TaskOptions
+from app.options import NOT_SETTINGS, Task, TaskOptions
 from app.runs.report import ObjectReport, Report
 from app.task.pipeline import Reconstruction, RunObserver, TaskRequest, TaskResult
 from app.task.pipeline import run as run_pipeline
 from app.task.restricted_robot import restricted
-from app.task.scoring import Truth, oracle_estimates, read_truth, score_reconstruction, score_task
+from app.task.scoring import (
+    Truth,
+    oracle_estimates,
+    read_truth,
+    score_reconstruction,
+    score_task,
+    unknown_moves,
+)
 from manipulation.types import Box
 from perception.pipeline import Detections, Perception
 from perception.types import ObjectEstimate, RgbdFrame
@@ -23,7 +30,6 @@ from sim_assets.cell.world import World
 
 # Tolerances of the robot's own verification, reported beside the score: tilt [rad], distance to the goal [m].
 MAX_TILT, MAX_SHIFT = float(np.deg2rad(10)), 0.03
-NOT_SETTINGS = {"seed", "out", "quiet", "json", "debug", "stage_limit"}
 
 
 def run_episode(
@@ -49,12 +55,13 @@ def run_episode(
     objects = score_task(result.plan, result.objects, result.outcomes, before, after, _task_box(world, task))
     objects = [with_check(entry, result) for entry in objects]
     rows = score_reconstruction(result.objects, before, np.random.default_rng(options.seed))
+    moves = unknown_moves(before, after)
     n_placed = sum(bool(entry.placed) for entry in objects)
     report = Report(
         command=task,
         seed=options.seed,
-        success=n_placed == len(objects),
-        reason=summary_of(objects, result.failure),
+        success=n_placed == len(objects) and not any(row["moved"] for row in moves),
+        reason=summary_of(objects, result.failure, sum(row["moved"] for row in moves)),
         timings={**result.timings, "total": seconds},
         objects=objects,
         metrics={
@@ -63,6 +70,7 @@ def run_episode(
             "n_placed": n_placed,
             "simulated_seconds": simulated,
             "reconstruction": rows,
+            "unknown": moves,
         },
         warnings=[f"{item.name} is left out: {item.reason}" for item in result.rejected],
         settings=settings_of(options),
@@ -80,7 +88,8 @@ def request_of(world: World, task: Task, options: TaskOptions, before: Truth | N
         before: True state, for ``--shapes oracle``; read if None.
     """
     box = _planned_box(_task_box(world, task))
-    return TaskRequest(task, box, reconstruction=reconstruction_of(options, before or read_truth(world)))
+    reconstruction = reconstruction_of(options, before or read_truth(world))
+    return TaskRequest(task, box, reconstruction=reconstruction, scan_views=options.scan_views)
 
 
 def settings_of(options: TaskOptions) -> dict[str, Any]:
@@ -114,10 +123,15 @@ def with_check(entry: ObjectReport, result: TaskResult) -> ObjectReport:
     return replace(entry, details={**entry.details, **verification})
 
 
-def summary_of(objects: Sequence[ObjectReport], failure: str) -> str:
-    """Return one line: the number of objects in place, and why the others are not."""
+def summary_of(objects: Sequence[ObjectReport], failure: str, n_disturbed: int = 0) -> str:
+    """Return one line: the number of objects in place, and why the others are not.
+
+    ``n_disturbed`` is the number of things of no class that were moved.
+    """
     n_placed = sum(bool(entry.placed) for entry in objects)
     summary = f"{n_placed} of {len(objects)} objects in place"
+    if n_disturbed:
+        summary += f"; {n_disturbed} things of no class were moved"
     if failure:
         return f"{summary}; {failure}"
     wrong = [f"{entry.category} {entry.id}: {entry.reason}" for entry in objects if not entry.placed]

@@ -31,9 +31,9 @@ from manipulation.types import Box, Line, ObjectOutcome, Task, TaskPlan
 from manipulation.viewpoints import (
     BOX_VIEWPOINTS,
     LINE_VIEWPOINTS,
-    SCAN_VIEWPOINTS,
     ViewpointScanner,
     closeup_viewpoints,
+    scan_viewpoints,
 )
 from perception.errors import PerceptionError
 from perception.inference.optimisation import FitStep
@@ -57,6 +57,7 @@ class TaskRequest:
         line: Line to sort along.
         reconstruction: Source of the object estimates; None for the learned shape prior.
         manipulation: Settings of planning and execution.
+        scan_views: Number of images of the scan.
     """
 
     task: Task
@@ -64,6 +65,7 @@ class TaskRequest:
     line: Line = field(default_factory=Line)
     reconstruction: Reconstruction | None = None
     manipulation: ManipulationConfig = field(default_factory=ManipulationConfig)
+    scan_views: int = 6
 
 
 @dataclass(frozen=True)
@@ -160,7 +162,9 @@ def run(
     try:
         with observer.stage("scan"):
             scanner = ViewpointScanner(robot, kinematics)
-            frames = scanner.capture(SCAN_VIEWPOINTS, observer.on_progress, observer.on_image)
+            frames = scanner.capture(
+                scan_viewpoints(request.scan_views), observer.on_progress, observer.on_image
+            )
             result = replace(result, frames=frames)
             observer.on_frames(frames)
         with observer.stage("detect"):

@@ -42,7 +42,9 @@ class CellRecorder(RunObserver):
         self.world = world
         self._kinematics = Kinematics(world.arm)
         self._lock = threading.Lock()  # fits report their steps from several threads
-        objects = tuple(f"object{number}" for number in read_truth(world).models)
+        truth = read_truth(world)
+        objects = [f"object{number}" for number in truth.models]
+        objects += [f"unknown{number}" for number in truth.unknown]
         self.recorder = Recorder(
             bodies=(*viewer_meshes.moving_bodies(world), *objects), meshes=viewer_meshes.body_meshes(world)
         )
@@ -51,8 +53,10 @@ class CellRecorder(RunObserver):
     def sample(self) -> None:
         """Append the current poses."""
         world = self.world
-        truth = np.array([_position_wxyz(T) for T in read_truth(world).poses.values()]).reshape(-1, 7)
-        poses = np.concatenate([viewer_meshes.poses(world), truth])
+        truth = read_truth(world)
+        free = (*truth.poses.values(), *truth.unknown.values())
+        there = np.array([_position_wxyz(T) for T in free]).reshape(-1, 7)
+        poses = np.concatenate([viewer_meshes.poses(world), there])
         with self._lock:
             self.recorder.sample(world.time, world.joint_positions(), world.gripper_width(), poses)
 

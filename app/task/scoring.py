@@ -7,7 +7,7 @@ from perception, are made here as well.
 from __future__ import annotations
 
 from collections.abc import Mapping, Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, field
 from functools import cached_property
 from typing import Any
 
@@ -25,15 +25,23 @@ from sim_assets.cell.scene import BoxConfig
 from sim_assets.cell.world import World
 from sim_assets.objects import ObjectModel, canonical_scale
 
+UNMOVED = (0.005, float(np.deg2rad(10)))  # [m], [rad]: how far things of no class may move
 MATCH_DISTANCE = 0.05  # [m] between the axes of an estimate and its true object
 
 
 @dataclass(frozen=True)
 class Truth:
-    """True models and poses of all objects in the cell at one time, by object number."""
+    """True models and poses of all objects in the cell at one time, by object number.
+
+    Attributes:
+        models: models of the objects.
+        poses: T_world_object.
+        unknown: T_world_thing of the things of no class, by their number.
+    """
 
     models: Mapping[int, ObjectModel]
     poses: Mapping[int, Float[np.ndarray, "4 4"]]
+    unknown: Mapping[int, Float[np.ndarray, "4 4"]] = field(default_factory=dict)
 
     @property
     def objects(self) -> dict[int, TrueObject]:
@@ -52,7 +60,20 @@ class Truth:
 
 def read_truth(world: World) -> Truth:
     """Read the present true state."""
-    return Truth(ground_truth.object_models(world), ground_truth.object_poses(world))
+    return Truth(
+        ground_truth.object_models(world), ground_truth.object_poses(world), ground_truth.unknown_poses(world)
+    )
+
+
+def unknown_moves(before: Truth, after: Truth) -> list[dict[str, Any]]:
+    """Return for each thing of no class its shift [m], its turn [rad] and whether they exceed UNMOVED."""
+    rows = []
+    for number, T_before in before.unknown.items():
+        T = np.linalg.inv(T_before) @ after.unknown[number]
+        shift = float(np.linalg.norm(T[:3, 3]))
+        turn = float(np.arccos(np.clip((np.trace(T[:3, :3]) - 1) / 2, -1, 1)))
+        rows.append({"shift": shift, "turn": turn, "moved": shift > UNMOVED[0] or turn > UNMOVED[1]})
+    return rows
 
 
 def oracle_estimates(truth: Truth) -> list[ObjectEstimate]:

@@ -21,16 +21,22 @@ def object_models(world: World) -> dict[int, ObjectModel]:
 
 def object_poses(world: World) -> dict[int, Float[np.ndarray, "4 4"]]:
     """Return the current T_world_object of every object (origin at the centre of the base)."""
-    poses = {}
-    for index in object_models(world):
-        state = world._data.joint(f"object{index}").qpos  # position, quaternion
-        rotation = np.empty(9)
-        mujoco.mju_quat2Mat(rotation, state[3:])
-        T_world_object = np.eye(4)
-        T_world_object[:3, :3] = rotation.reshape(3, 3)
-        T_world_object[:3, 3] = state[:3]
-        poses[index] = T_world_object
-    return poses
+    return {index: _pose(world, f"object{index}") for index in object_models(world)}
+
+
+def unknown_poses(world: World) -> dict[int, Float[np.ndarray, "4 4"]]:
+    """Return the current T_world_thing of every thing of no class."""
+    return {index: _pose(world, f"unknown{index}") for index in range(len(world.config.unknown))}
+
+
+def _pose(world: World, name: str) -> Float[np.ndarray, "4 4"]:
+    state = world._data.joint(name).qpos  # position, quaternion
+    rotation = np.empty(9)
+    mujoco.mju_quat2Mat(rotation, state[3:])
+    T_world_body = np.eye(4)
+    T_world_body[:3, :3] = rotation.reshape(3, 3)
+    T_world_body[:3, 3] = state[:3]
+    return T_world_body
 
 
 class ObjectStates:

@@ -9,11 +9,14 @@ import cv2
 import numpy as np
 import trimesh
 from jaxtyping import Float
+from scipy.spatial.transform import Rotation
 
 from perception.geometry import pose_from_yaw
 from sim_assets.errors import SimAssetsError
 
 OUTLINE_CELL = 0.001  # [m] raster on which an outline is traced
+LIFT = 0.0005  # height above its resting pose at which an object starts [m]
+TOUCHING = 0.0004  # distance between objects that are drawn together without a gap [m]
 LOOSE_ATTEMPTS = 10  # restarts with candidates in random order
 
 
@@ -52,9 +55,29 @@ class PlanarPose:
         return pose_from_yaw(self.yaw, np.array([self.x, self.y, 0.0]))
 
     @property
+    def position(self) -> tuple[float, float, float]:
+        """Position just above the table in [m]."""
+        return (self.x, self.y, LIFT)
+
+    @property
     def quat_wxyz(self) -> tuple[float, float, float, float]:
         """Orientation as a quaternion."""
         return quat_from_yaw(self.yaw)
+
+
+@dataclass(frozen=True)
+class FreePose:
+    """Pose of an object in any orientation: position in [m], quaternion wxyz."""
+
+    position: tuple[float, float, float]
+    quat_wxyz: tuple[float, float, float, float]
+
+    @classmethod
+    def of(cls, T_world_object: Float[np.ndarray, "4 4"]) -> FreePose:
+        """Return the pose of a matrix."""
+        x, y, z = (float(value) for value in T_world_object[:3, 3])
+        w, i, j, k = Rotation.from_matrix(T_world_object[:3, :3]).as_quat(scalar_first=True).tolist()
+        return cls((x, y, z + LIFT), (w, i, j, k))
 
 
 def quat_from_yaw(yaw: float) -> tuple[float, float, float, float]:
@@ -194,6 +217,57 @@ def sample_roomy_layout(
         if region != Region():
             raise
         return sample_layout(meshes, rng, WIDE_REGION, min_gap)
+
+
+def draw_together(
+    meshes: Sequence[trimesh.Trimesh], poses: Sequence[PlanarPose], spacing: float
+) -> tuple[PlanarPose, ...]:
+    """Return the layout with objects moved straight towards their nearest neighbours, to ``spacing`` [m].
+
+    Every object but the first of each group moves, one after the other; the yaws remain. At least TOUCHING is
+    kept, so that no two objects start inside each other.
+    """
+    spacing = max(spacing, TOUCHING)
+    outlines = [outline(mesh) for mesh in meshes]
+    moved = list(poses)
+    still: set[int] = set()  # neighbours that others have moved to
+    for i in range(len(moved)):
+        if i in still or len(moved) < 2:
+            continue
+        there = [pose.transform(polygon) for pose, polygon in zip(moved, outlines, strict=True)]
+        nearest = min((j for j in range(len(moved)) if j != i), key=lambda j: gap(there[i], there[j]))
+        others = [polygon for j, polygon in enumerate(there) if j != i]
+        moved[i] = _moved_toward(moved[i], outlines[i], moved[nearest], others, spacing)
+        still.add(nearest)
+    return tuple(moved)
+
+
+def _moved_toward(
+    pose: PlanarPose,
+    polygon: Float[np.ndarray, "n 2"],
+    target: PlanarPose,
+    others: Sequence[Float[np.ndarray, "_m 2"]],
+    spacing: float,
+) -> PlanarPose:
+    """Return the pose on the way to the target at which the first of the others is ``spacing`` [m] away."""
+
+    def at(share: float) -> PlanarPose:
+        return PlanarPose(
+            pose.x + share * (target.x - pose.x), pose.y + share * (target.y - pose.y), pose.yaw
+        )
+
+    def is_free(share: float) -> bool:
+        there = at(share).transform(polygon)
+        return all(gap(there, other) >= spacing for other in others)
+
+    length = np.hypot(target.x - pose.x, target.y - pose.y)
+    steps = np.arange(0.0, 1.0, 0.004 / max(length, 0.004))
+    free, blocked = 0.0, next((share for share in steps[1:] if not is_free(share)), 1.0)
+    free = max((share for share in steps if share < blocked), default=0.0)
+    while (blocked - free) * length > TOUCHING / 4:
+        middle = (free + blocked) / 2
+        free, blocked = (middle, blocked) if is_free(middle) else (free, middle)
+    return at(float(free))
 
 
 def _candidates(rng: np.random.Generator, region: Region, count: int) -> Float[np.ndarray, "n 3"]:

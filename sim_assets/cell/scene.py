@@ -6,12 +6,16 @@ stiff pads and elliptic cones a grasped mug rotates by less than a degree.
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
+from typing import Protocol, runtime_checkable
 
 import numpy as np
+import trimesh
 
-from sim_assets.cell.layout import PlanarPose, quat_from_yaw
+from sim_assets.cell.layout import FreePose, PlanarPose, quat_from_yaw
+from sim_assets.cell.unknown import UnknownThing
+from sim_assets.datasets.room import thing_finish
 from sim_assets.objects import CollisionPiece, ObjectModel
 from sim_assets.rendering.headless import MjsBody, MjSpec, mujoco
 from sim_assets.rendering.materials import Finish, add_material, add_mesh, cardboard, random_finish, wood
@@ -29,6 +33,8 @@ OBJECT_CONTACT = {
     "solref": (0.006, 1), "solimp": (0.95, 0.99, 0.001, 0.5, 2), "group": 3,
 }  # fmt: skip
 SCENERY_CONTACT = {**OBJECT_CONTACT, "group": 1}
+# without rolling friction, a lying can never comes to rest
+ROLLING_CONTACT = {**OBJECT_CONTACT, "condim": 6, "friction": (0.6, 0.005, 0.001)}
 
 _GEOM_TYPES = {
     "box": mujoco.mjtGeom.mjGEOM_BOX,
@@ -36,6 +42,23 @@ _GEOM_TYPES = {
     "capsule": mujoco.mjtGeom.mjGEOM_CAPSULE,
     "mesh": mujoco.mjtGeom.mjGEOM_MESH,
 }
+
+
+Pose = PlanarPose | FreePose
+
+
+@runtime_checkable
+class Solid(Protocol):
+    """What has a mesh [m], convex collision pieces and a mass [kg]: an object or a thing of no class."""
+
+    @property
+    def mesh(self) -> trimesh.Trimesh: ...
+
+    @property
+    def collision(self) -> tuple[CollisionPiece, ...]: ...
+
+    @property
+    def mass(self) -> float: ...
 
 
 @dataclass(frozen=True)
@@ -73,16 +96,18 @@ VIEWS = {
 
 def build_scene(
     objects: Sequence[ObjectModel],
-    places: Sequence[PlanarPose],
+    places: Sequence[Pose],
     box: BoxConfig | None,
     rng: np.random.Generator,
     line: tuple[tuple[float, float], tuple[float, float]] | None = None,
     robot: SimulatedArm | None = None,
+    unknown: Sequence[tuple[UnknownThing, Pose]] = (),
 ) -> MjSpec:
     """Build the specification of the cell.
 
     Args:
         objects, places: models and their poses; object i is the body ``object<i>``.
+        unknown: things of no class and their poses; thing i is the body ``unknown<i>``.
         box: the open box; None for a table without one.
         rng: random generator of colours, patterns and wood grain.
         line: ends of the tape that marks the sorting line, without collision; None for no tape.
@@ -91,7 +116,8 @@ def build_scene(
     spec = mujoco.MjSpec()
     spec.modelname = "cell"
     spec.compiler.degree = False
-    _set_options(spec)
+    set_physics(spec)
+    _set_visuals(spec)
     _add_surroundings(spec)
     _add_table(spec, rng)
     if box is not None:
@@ -101,18 +127,24 @@ def build_scene(
     (robot or panda()).add(spec)
     for index, (model, place) in enumerate(zip(objects, places, strict=True)):
         add_object(spec, f"object{index}", model, place, random_finish(rng, model.category))
+    for index, (thing, place) in enumerate(unknown):
+        add_object(spec, f"unknown{index}", thing, place, thing_finish(thing.mesh, rng))
     for name, view in VIEWS.items():
         _add_camera(spec, name, view)
     return spec
 
 
-def _set_options(spec: MjSpec) -> None:
+def set_physics(spec: MjSpec) -> None:
+    """Set time step, integrator and contact solver."""
     option = spec.option
     option.timestep = TIMESTEP
     option.integrator = mujoco.mjtIntegrator.mjINT_IMPLICITFAST
     option.cone = mujoco.mjtCone.mjCONE_ELLIPTIC
     option.solver = mujoco.mjtSolver.mjSOL_NEWTON
     option.impratio = 10
+
+
+def _set_visuals(spec: MjSpec) -> None:
     spec.stat.extent = 1.5
     spec.stat.center = (0.45, 0, 0.2)
     visual = spec.visual
@@ -229,27 +261,56 @@ def _add_camera(spec: MjSpec, name: str, view: FixedCamera) -> None:
     camera.alt.xyaxes = (*right, *np.cross(backward, right))
 
 
-def add_object(spec: MjSpec, name: str, model: ObjectModel, place: PlanarPose, finish: Finish) -> MjsBody:
+def add_object(spec: MjSpec, name: str, model: Solid, place: Pose, finish: Finish) -> MjsBody:
     """Add an object as a free body with a visual mesh, convex collision geoms and the inertia of the mesh."""
-    center, inertia = _mass_properties(model)
-    body = spec.worldbody.add_body(
-        name=name, pos=(place.x, place.y, 0.0005), quat=place.quat_wxyz,
-        mass=model.mass, ipos=center, explicitinertial=True,
-    )  # fmt: skip
-    body.fullinertia = inertia
-    body.add_freejoint(name=name)
+    body = add_free_body(spec, name, model, place)
     add_mesh(spec, name, model.mesh)
     add_material(spec, name, finish)
     body.add_geom(
         name=f"{name}_visual", type=mujoco.mjtGeom.mjGEOM_MESH, meshname=name, material=name,
         contype=0, conaffinity=0, group=2, mass=0,
     )  # fmt: skip
-    for index, piece in enumerate(model.collision):
-        _add_piece(spec, body, f"{name}_piece{index}", piece)
     return body
 
 
-def _add_piece(spec: MjSpec, body: MjsBody, name: str, piece: CollisionPiece) -> None:
+def add_free_body(spec: MjSpec, name: str, model: Solid, place: Pose) -> MjsBody:
+    """Add an object as a free body with convex collision geoms alone.
+
+    Objects in a ``FreePose``, which may be round and lie on their side, have rolling friction.
+    """
+    center, inertia = _mass_properties(model)
+    body = spec.worldbody.add_body(
+        name=name, pos=place.position, quat=place.quat_wxyz,
+        mass=model.mass, ipos=center, explicitinertial=True,
+    )  # fmt: skip
+    body.fullinertia = inertia
+    body.add_freejoint(name=name)
+    contact = ROLLING_CONTACT if isinstance(place, FreePose) else OBJECT_CONTACT
+    for index, piece in enumerate(model.collision):
+        _add_piece(spec, body, f"{name}_piece{index}", piece, contact)
+    return body
+
+
+def set_friction(spec: MjSpec, limits: tuple[float, float], rng: np.random.Generator) -> None:
+    """Draw the sliding friction of the pads and of every free body; all else has the lower limit.
+
+    MuJoCo takes the larger coefficient of two geoms, or that of the pads where they touch.
+    """
+    drawn: dict[str, float] = {}
+    for geom in spec.geoms:
+        body = geom.parent.name
+        if geom.priority > 0:
+            value = drawn.setdefault("pads", float(rng.uniform(*limits)))
+        elif body.startswith(("object", "unknown")):
+            value = drawn.setdefault(body, float(rng.uniform(*limits)))
+        else:
+            value = limits[0]
+        geom.friction = (value, *geom.friction[1:])
+
+
+def _add_piece(
+    spec: MjSpec, body: MjsBody, name: str, piece: CollisionPiece, contact: Mapping[str, object]
+) -> None:
     shape: dict[str, object] = {"size": tuple(piece.size) + (0.0,) * (3 - len(piece.size))}
     if piece.kind == "mesh":
         spec.add_mesh(
@@ -259,11 +320,11 @@ def _add_piece(spec: MjSpec, body: MjsBody, name: str, piece: CollisionPiece) ->
         shape = {"meshname": name}
     body.add_geom(
         name=name, type=_GEOM_TYPES[piece.kind], pos=piece.position, quat=piece.quat_wxyz, mass=0,
-        rgba=(0.3, 0.7, 0.3, 0.4), **shape, **OBJECT_CONTACT,
+        rgba=(0.3, 0.7, 0.3, 0.4), **shape, **contact,
     )  # fmt: skip
 
 
-def _mass_properties(model: ObjectModel) -> tuple[np.ndarray, tuple[float, ...]]:
+def _mass_properties(model: Solid) -> tuple[np.ndarray, tuple[float, ...]]:
     """Return the centre of mass [m] and (Ixx, Iyy, Izz, Ixy, Ixz, Iyz) about it [kg m²]."""
     mesh = model.mesh
     inertia = mesh.moment_inertia * (model.mass / mesh.volume)

@@ -11,12 +11,23 @@ from dataclasses import dataclass, field
 
 import numpy as np
 from jaxtyping import Float, UInt8
+from scipy.spatial.transform import Rotation
 
 from manipulation.errors import RobotError
 from manipulation.robot import ArmDescription, JointTrajectory
 from perception.types import RgbdFrame
-from sim_assets.cell.layout import Region, sample_roomy_layout
-from sim_assets.cell.scene import TIMESTEP, VIEWS, BoxConfig, build_scene
+from sim_assets.cell.arrangement import Arrangement, Group, arrange, rest_unknown
+from sim_assets.cell.layout import (
+    FreePose,
+    LayoutError,
+    PlanarPose,
+    Region,
+    draw_together,
+    sample_roomy_layout,
+)
+from sim_assets.cell.scene import TIMESTEP, VIEWS, BoxConfig, Pose, build_scene, set_friction
+from sim_assets.cell.settling import settle_bodies
+from sim_assets.cell.unknown import UnknownThing
 from sim_assets.errors import SimAssetsError
 from sim_assets.objects import ObjectModel
 from sim_assets.rendering.camera import OffscreenRenderer, intrinsics_of
@@ -31,6 +42,7 @@ STOP_ERROR = 0.2  # tracking error at which the arm stops [rad]
 REACHED_ERROR = 0.03  # final error above which a motion counts as blocked [rad]
 FINGER_SPEED = 0.08  # [m/s], speed of one finger
 WARNINGS_CHECKED_EVERY = 50  # steps
+LAYOUTS = 6  # tried for one in which nothing falls
 
 Observer = Callable[["World"], None]
 
@@ -52,6 +64,12 @@ class CellConfig:
         region: region of the object centres; the default one is extended where the objects need more room.
         min_gap: minimum distance between the objects' outlines in [m].
         robot: the arm.
+        drawn_together: whether objects are moved to ``min_gap`` from their nearest neighbours, 0 touching.
+        arrangement: numbers of objects that lie, stand on their rim or on others.
+        unknown: things of no class beside the objects.
+        camera_error: calibration error of the wrist camera: translation in [m], rotation in [rad], both in a
+            random direction.
+        friction: range of the coefficients of sliding friction; None for fixed ones.
     """
 
     objects: tuple[ObjectModel, ...]
@@ -62,6 +80,17 @@ class CellConfig:
     region: Region = field(default_factory=Region)
     min_gap: float = 0.04
     robot: SimulatedArm = field(default_factory=panda)
+    drawn_together: bool = False
+    arrangement: Arrangement = field(default_factory=Arrangement)
+    unknown: tuple[UnknownThing, ...] = ()
+    camera_error: tuple[float, float] = (0.0, 0.0)
+    friction: tuple[float, float] | None = None
+
+    @property
+    def is_tidy(self) -> bool:
+        """Whether all objects stand upright, each for itself, so that their layout is known to be stable."""
+        upright = self.arrangement == Arrangement() and not self.unknown and not self.drawn_together
+        return upright and all(model.split != "user" for model in self.objects)
 
 
 class World:
@@ -74,27 +103,65 @@ class World:
             LayoutError: the objects do not fit on the table.
         """
         self.config = config
-        layout_seed, look_seed, noise_seed = np.random.SeedSequence(config.seed).spawn(3)
+        layout_seed, look_seed, noise_seed, error_seed = np.random.SeedSequence(config.seed).spawn(4)
         self._noise = np.random.default_rng(noise_seed)
-        places = sample_roomy_layout(
-            [model.mesh for model in config.objects],
-            np.random.default_rng(layout_seed),
-            config.region,
-            config.min_gap,
-        )
-        look = np.random.default_rng(look_seed)
+        self._T_camera_seen = _camera_error(config.camera_error, np.random.default_rng(error_seed))
         self._robot = config.robot
-        scene = build_scene(config.objects, places, config.box, look, config.line, config.robot)
-        self._model: MjModel = scene.compile()
-        self._data = mujoco.MjData(self._model)
-        self._renderer = OffscreenRenderer(self._model)
-        self._drafts = OffscreenRenderer(self._model, draft=True)
         self._observer: Observer | None = None
         self._frame_period = np.inf
         self._next_frame = 0.0
-        self._steps = 0
-        self._index()
-        self._settle_layout()
+        self._build_settled(np.random.default_rng(layout_seed), look_seed)
+        self._renderer = OffscreenRenderer(self._model)
+        self._drafts = OffscreenRenderer(self._model, draft=True)
+
+    def _build_settled(self, layout: np.random.Generator, look_seed: np.random.SeedSequence) -> None:
+        """Build the cell and let it settle; a layout in which something falls is replaced by another."""
+        config, fallen = self.config, ""
+        names = [f"object{i}" for i in range(len(config.objects))]
+        names += [f"unknown{i}" for i in range(len(config.unknown))]
+        groups, others = self._groups(layout)
+        for _ in range(LAYOUTS):
+            places, unknown = self._sample_places(groups, others, layout)
+            look = np.random.default_rng(look_seed)
+            things = tuple(zip(config.unknown, unknown, strict=True))
+            scene = build_scene(config.objects, places, config.box, look, config.line, config.robot, things)
+            if config.friction is not None:
+                set_friction(scene, config.friction, look)
+            self._model: MjModel = scene.compile()
+            self._data = mujoco.MjData(self._model)
+            self._steps = 0
+            self._index()
+            self._settle_layout()
+            fallen = "" if config.is_tidy else settle_bodies(self._model, self._data, names, self.wait)
+            if not fallen:
+                return
+        raise LayoutError(f"the objects do not rest stably in any of {LAYOUTS} layouts: {fallen}")
+
+    def _groups(self, rng: np.random.Generator) -> tuple[list[Group], list[Group]]:
+        """Return the objects and the things of no class in groups that the layout places as one."""
+        config = self.config
+        if config.arrangement == Arrangement():
+            groups = [Group({index: None}, model.mesh) for index, model in enumerate(config.objects)]
+        else:
+            groups = arrange(config.objects, config.arrangement, rng)
+        return groups, [rest_unknown(thing) for thing in config.unknown]
+
+    def _sample_places(
+        self, groups: list[Group], things: list[Group], rng: np.random.Generator
+    ) -> tuple[list[Pose], list[Pose]]:
+        """Return the initial poses of the objects and of the things of no class."""
+        config = self.config
+        meshes = [group.mesh for group in (*groups, *things)]
+        layout = sample_roomy_layout(meshes, rng, config.region, config.min_gap)
+        if config.drawn_together:
+            layout = draw_together(meshes, layout, config.min_gap)
+        places: dict[int, Pose] = {}
+        for group, pose in zip(groups, layout[: len(groups)], strict=True):
+            places |= {i: _place(pose, T) for i, T in group.Ts_group_object.items()}
+        around = zip(things, layout[len(groups) :], strict=True)
+        return [places[i] for i in range(len(places))], [
+            _place(pose, g.Ts_group_object[0]) for g, pose in around
+        ]
 
     def _index(self) -> None:
         model, robot = self._model, self._robot
@@ -155,7 +222,7 @@ class World:
             rgb=rgb,
             depth=add_depth_noise(depth, self.config.depth_noise, intrinsics, self._noise, rgb),
             intrinsics=intrinsics,
-            T_world_camera=T_world_camera,
+            T_world_camera=T_world_camera @ self._T_camera_seen,
         )
 
     def follow(self, trajectory: JointTrajectory) -> None:
@@ -320,3 +387,18 @@ class World:
             quiet = quiet + 1 if self._finger_speed() < 1e-3 else 0
             if quiet >= 75:
                 return
+
+
+def _place(pose: PlanarPose, T_group_object: Float[np.ndarray, "4 4"] | None) -> Pose:
+    """Return the initial pose of a member of a group that lies at a pose in the layout."""
+    return pose if T_group_object is None else FreePose.of(pose.matrix @ T_group_object)
+
+
+def _camera_error(size: tuple[float, float], rng: np.random.Generator) -> Float[np.ndarray, "4 4"]:
+    """Return a rigid motion of the given translation [m] and rotation [rad] in random directions."""
+    directions = rng.normal(size=(2, 3))
+    shift, axis = directions / np.linalg.norm(directions, axis=1, keepdims=True)
+    T = np.eye(4)
+    T[:3, :3] = Rotation.from_rotvec(size[1] * axis).as_matrix()
+    T[:3, 3] = size[0] * shift
+    return T

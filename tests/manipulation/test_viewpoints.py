@@ -1,3 +1,5 @@
+import itertools
+
 import numpy as np
 import pytest
 
@@ -14,6 +16,7 @@ from manipulation.viewpoints import (
     Viewpoint,
     ViewpointScanner,
     closeup_viewpoints,
+    scan_viewpoints,
     viewpoint_ik,
     viewpoints_around,
 )
@@ -181,3 +184,11 @@ def test_a_blocked_motion_from_free_space_is_not_executed(kinematics, monkeypatc
     monkeypatch.setattr(scanner.motions, "free_path", lambda *_: None)
     with pytest.raises(PlanningError, match="none of 1 viewpoints can be reached: choose a nearer target"):
         scanner.capture(SCAN_VIEWPOINTS[:1])
+
+
+def test_fewer_scan_views_are_subsets_in_order_and_grow():
+    chosen = [scan_viewpoints(count) for count in range(1, 7)]
+    assert chosen[-1] == SCAN_VIEWPOINTS
+    for count, views in enumerate(chosen, start=1):
+        assert len(views) == count and list(views) == [v for v in SCAN_VIEWPOINTS if v in views]
+    assert all(set(fewer) < set(more) for fewer, more in itertools.pairwise(chosen))

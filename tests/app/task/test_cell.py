@@ -1,4 +1,5 @@
 from collections import Counter
+from itertools import pairwise
 
 import numpy as np
 import pytest
@@ -126,7 +127,7 @@ def test_objects_that_leave_no_room_are_replaced_by_narrower_ones_of_their_class
     monkeypatch.setattr(World, "__init__", full_twice)
     build_world(PackOptions(objects="bowl=1,can=2"), "pack")
     assert [[m.category for m in models] for models in tried] == [[m.category for m in tried[0]]] * 3
-    changed = [[a is not b for a, b in zip(*pair)] for pair in zip(tried, tried[1:])]
+    changed = [[a is not b for a, b in zip(*pair)] for pair in pairwise(tried)]
     for models, fewer, change in zip(tried, tried[1:], changed):
         assert sum(change) == 1
         index = change.index(True)

@@ -17,7 +17,9 @@ def recorder(still_world, monkeypatch):
     """Of a cell with one moving body, the tool, and one object."""
     still_world._robot = panda()
     poses = {0: pose_from_yaw(np.pi / 2, np.array([0.4, -0.2, 0.0]))}
-    monkeypatch.setattr(recording, "read_truth", lambda world: SimpleNamespace(models={0: None}, poses=poses))
+    monkeypatch.setattr(
+        recording, "read_truth", lambda world: SimpleNamespace(models={0: None}, poses=poses, unknown={})
+    )
     meshes = recording.viewer_meshes
     monkeypatch.setattr(meshes, "moving_bodies", lambda world: ("tcp",))
     monkeypatch.setattr(meshes, "body_meshes", lambda world: {})

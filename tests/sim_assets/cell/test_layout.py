@@ -5,9 +5,11 @@ import pytest
 import trimesh
 
 from sim_assets.cell.layout import (
+    FreePose,
     LayoutError,
     PlanarPose,
     Region,
+    draw_together,
     gap,
     outline,
     sample_layout,
@@ -99,3 +101,20 @@ def test_the_region_grows_only_if_it_has_to():
     assert max(np.hypot(pose.x, pose.y) for pose in poses) > Region().max_radius
     with pytest.raises(LayoutError):  # a region that was asked for stays as it is
         sample_roomy_layout(many, np.random.default_rng(1), Region(max_radius=0.69))
+
+
+@pytest.mark.parametrize("spacing", [0.0, 0.01])
+def test_objects_are_drawn_together_to_their_spacing(spacing):
+    meshes = [mug(), cylinder(0.05), mug(), cylinder(0.03), cylinder(0.035)]
+    poses = draw_together(meshes, sample_layout(meshes, np.random.default_rng(2)), spacing)
+    polygons = [pose.transform(outline(mesh)) for pose, mesh in zip(poses, meshes, strict=True)]
+    gaps = np.array([[gap(a, b) if a is not b else np.inf for b in polygons] for a in polygons])
+    assert gaps.min() >= max(spacing, 0.0003)
+    np.testing.assert_allclose(gaps.min(axis=1), max(spacing, 0.0004), atol=3e-4)
+
+
+def test_free_pose_of_a_matrix():
+    matrix = PlanarPose(0.4, -0.1, 0.7).matrix
+    pose = FreePose.of(matrix)
+    assert pose.position == PlanarPose(0.4, -0.1, 0.7).position
+    np.testing.assert_allclose(pose.quat_wxyz, PlanarPose(0.4, -0.1, 0.7).quat_wxyz)

@@ -1,0 +1,54 @@
+"""Things of no class as rigid bodies: distractors with convex collision pieces and a mass."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+import numpy as np
+import trimesh
+
+from sim_assets.datasets.distractors import random_distractor
+from sim_assets.objects import CollisionPiece
+from sim_assets.objects.convex.pieces import hull
+
+DENSITY = 400.0  # [kg/m³], of the convex pieces: most things are hollow
+LIGHTEST, HEAVIEST = 0.05, 1.0  # [kg]
+LONGEST, TALLEST, FLATTEST = 0.20, 0.24, 0.025  # [m], limits of the extents
+MOST_PIECES = 24
+THINNEST_PIECE = 1e-8  # [m³]; convex pieces without a volume are left out
+
+
+@dataclass(frozen=True, eq=False)
+class UnknownThing:
+    """A thing of no class in its own frame, z up, resting on z = 0.
+
+    Attributes:
+        mesh: surface with its texture coordinates [m].
+        collision: convex collision pieces.
+        mass: mass [kg].
+    """
+
+    mesh: trimesh.Trimesh
+    collision: tuple[CollisionPiece, ...]
+    mass: float
+
+
+def draw_unknown(count: int, rng: np.random.Generator) -> tuple[UnknownThing, ...]:
+    """Draw things of the test split's kinds, in sizes that leave room on the table for others."""
+    things: list[UnknownThing] = []
+    while len(things) < count:
+        mesh = random_distractor(rng, "test")
+        x, y, z = mesh.extents
+        if max(x, y) <= LONGEST and FLATTEST <= z <= TALLEST:
+            things.append(as_body(mesh))
+    return tuple(things)
+
+
+def as_body(mesh: trimesh.Trimesh) -> UnknownThing:
+    """Return the body of a mesh: one convex piece for each of its parts, or one for all if there are many."""
+    parts = [part.convex_hull for part in mesh.split(only_watertight=False) if len(part.vertices) > 3]
+    parts = [part for part in parts if part.volume > THINNEST_PIECE]
+    if not 1 <= len(parts) <= MOST_PIECES:
+        parts = [mesh.convex_hull]
+    mass = float(np.clip(DENSITY * sum(part.volume for part in parts), LIGHTEST, HEAVIEST))
+    return UnknownThing(mesh, tuple(hull(part.vertices) for part in parts), mass)

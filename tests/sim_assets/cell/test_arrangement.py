@@ -1,0 +1,60 @@
+"""Objects lying, upside down and stacked: counts, resting poses, repeatability, refusals."""
+
+import numpy as np
+import pytest
+
+from sim_assets.cell.arrangement import Arrangement, arrange, rest_unknown
+from sim_assets.cell.layout import LayoutError
+from sim_assets.cell.resting import tilt
+from sim_assets.cell.unknown import draw_unknown
+from sim_assets.objects import sample_object
+
+
+@pytest.fixture(scope="module")
+def models():
+    rng = np.random.default_rng(4)
+    return [sample_object(category, "test", rng) for category in ("bottle", "can", "can", "can", "mug")]
+
+
+@pytest.fixture(scope="module")
+def groups(models):
+    return arrange(models, Arrangement(lying=1, upside_down=1, stacked=1), np.random.default_rng(0))
+
+
+def test_every_object_is_in_one_group(groups, models):
+    assert sorted(i for group in groups for i in group.Ts_group_object) == list(range(len(models)))
+
+
+def test_the_numbers_asked_for_rest_that_way(groups):
+    single = [T for g in groups if len(g.Ts_group_object) == 1 for T in g.Ts_group_object.values()]
+    tilts = sorted(np.rad2deg(tilt(T)) for T in single if T is not None)
+    assert (
+        len(tilts) == 2 and tilts[0] == pytest.approx(90, abs=30) and tilts[1] == pytest.approx(180, abs=15)
+    )
+    (stack,) = (g for g in groups if len(g.Ts_group_object) == 2)
+    heights = sorted(T[2, 3] for T in stack.Ts_group_object.values())
+    assert heights[0] == pytest.approx(0, abs=1e-6) and heights[1] > 0.005
+
+
+def test_groups_lie_on_the_table_about_their_origin(groups):
+    for group in groups:
+        assert group.mesh.bounds[0, 2] == pytest.approx(0, abs=2e-3)
+        if all(T is not None for T in group.Ts_group_object.values()):
+            np.testing.assert_allclose(group.mesh.bounds[:, :2].mean(axis=0), 0, atol=1e-9)
+
+
+def test_all_upright_by_default(models):
+    groups = arrange(models, Arrangement(), np.random.default_rng(0))
+    assert [group.Ts_group_object for group in groups] == [{i: None} for i in range(len(models))]
+
+
+def test_impossible_numbers_name_the_option(models):
+    with pytest.raises(LayoutError, match=r"--lying 2: only 1 of these objects rest that way; use other"):
+        arrange(models[:1], Arrangement(lying=2), np.random.default_rng(0))
+    with pytest.raises(LayoutError, match=r"--stacked 1: only 0 of these objects stand on others"):
+        arrange(models[:1], Arrangement(stacked=1), np.random.default_rng(0))
+
+
+def test_a_thing_of_no_class_comes_to_rest():
+    group = rest_unknown(draw_unknown(1, np.random.default_rng(1))[0])
+    assert list(group.Ts_group_object) == [0] and abs(group.mesh.bounds[0, 2]) < 2e-3

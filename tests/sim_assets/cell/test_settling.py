@@ -1,0 +1,43 @@
+"""Free bodies of a cell rest where they were put, or are named."""
+
+import pytest
+
+from sim_assets.cell.settling import settle_bodies
+from sim_assets.rendering.headless import mujoco
+
+SCENE = """
+<mujoco><worldbody>
+  <geom type="plane" size="2 2 .1"/>
+  <body name="block" pos="{x} 0 .1001" euler="0 {lean} 0"><freejoint name="block"/>
+    <geom type="box" size=".02 .02 .1"/></body>
+  <body name="ball" pos="{x} 0.5 .0501"><freejoint name="ball"/>
+    <geom type="sphere" size=".05" condim="6" friction="1 .01 {rolling}"/></body>
+</worldbody><keyframe/></mujoco>
+"""
+
+
+def settled(lean=0.0, rolling=0.01, speed=0.0):
+    model = mujoco.MjModel.from_xml_string(SCENE.format(x=0, lean=lean, rolling=rolling))
+    data = mujoco.MjData(model)
+    data.joint("ball").qvel[0] = speed
+    steps = lambda seconds: [mujoco.mj_step(model, data) for _ in range(round(seconds / 0.002))]  # noqa: E731
+    mujoco.mj_forward(model, data)
+    return settle_bodies(model, data, ["block", "ball"], steps), data.time
+
+
+def test_what_stands_is_watched_for_seconds():
+    result, seconds = settled()
+    assert result == "" and 3.0 <= seconds < 4.0
+
+
+def test_a_toppled_body_is_named():
+    assert settled(lean=20)[0].startswith("block fell by ")
+
+
+def test_what_rolls_on_is_named():
+    assert settled(rolling=0.00001, speed=0.3)[0] == "ball does not come to rest"
+
+
+@pytest.mark.parametrize("speed", [0.0, 0.2])
+def test_what_rolls_to_rest_is_accepted(speed):
+    assert settled(rolling=0.02, speed=speed)[0] == ""
