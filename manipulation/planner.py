@@ -13,7 +13,8 @@ from manipulation.packing import pack
 from manipulation.packing_problem import PackingConfig
 from manipulation.pick_place import PickPlaceConfig
 from manipulation.robot import ArmDescription
-from manipulation.sorting import SortingConfig, sort_line
+from manipulation.sorting import SortingConfig
+from manipulation.sorting_rows import sort_rows
 from manipulation.standing import to_standing
 from manipulation.types import Box, GraspSet, Line, StandingObject, TaskPlan
 from perception.types import ObjectEstimate, SupportPlane
@@ -83,6 +84,8 @@ def plan_sort(
 ) -> TaskPlan:
     """Plan to arrange, ascending in size, all objects that can be grasped and reached.
 
+    Where the line is too short, the larger objects stand on rows parallel to it.
+
     Args:
         objects: object map.
         line: target line.
@@ -96,8 +99,9 @@ def plan_sort(
     """
     config = config.for_arm(arm)
     usable = _find_usable(objects, kinematics or Kinematics(arm, config.pick_place.ik), config)
-    placements, no_room = sort_line(usable.candidates, line, config.sorting)
-    return TaskPlan("sort", usable.items, placements, usable.left_out | no_room, box, line, usable.grasps)
+    rows = sort_rows(usable.candidates, line, config.sorting)
+    left_out = usable.left_out | rows.left_out
+    return TaskPlan("sort", usable.items, rows.placements, left_out, box, line, usable.grasps, rows.lines[1:])
 
 
 @dataclass(frozen=True)

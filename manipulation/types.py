@@ -190,6 +190,7 @@ class TaskPlan:
         box: the box of a packing task.
         line: the line of a sorting task.
         grasps: grasp candidates by name of the object; execution generates those that are missing.
+        further_lines: rows that continue a line that is too short, in the order of sizes.
     """
 
     task: Task
@@ -199,6 +200,12 @@ class TaskPlan:
     box: Box | None = None
     line: Line | None = None
     grasps: Mapping[str, GraspSet] = field(default_factory=dict)
+    further_lines: tuple[Line, ...] = ()
+
+    @property
+    def lines(self) -> tuple[Line, ...]:
+        """All rows of a sorting task in the order of sizes."""
+        return () if self.line is None else (self.line, *self.further_lines)
 
 
 @dataclass(frozen=True)

@@ -136,34 +136,42 @@ def judge_pack(objects: Sequence[TrueObject], box: BoxSpace, criteria: Criteria 
 
 def judge_sort(
     objects: Sequence[TrueObject],
-    start: tuple[float, float],
-    end: tuple[float, float],
+    lines: Sequence[tuple[tuple[float, float], tuple[float, float]]],
     criteria: Criteria = Criteria(),
 ) -> list[str]:
     """Return for each object the reason why it is not sorted, or an empty string.
 
     Args:
         objects: True states.
-        start, end: Ends (x, y) of the line in metres; sizes ascend from start to end.
+        lines: Ends (x, y) of each row in metres; sizes ascend from start to end and from row to row.
         criteria: Tolerances.
     """
     reasons = judge_standing(objects, criteria)
-    origin, along = np.array(start), np.array(end) - np.array(start)
-    length = float(np.linalg.norm(along))
-    along = along / length
-    offsets = np.array([item.base[:2] - origin for item in objects]).reshape(-1, 2)
-    distance = np.abs(offsets @ np.array([-along[1], along[0]]))
-    position = offsets @ along
-    for i in range(len(objects)):
-        off = max(distance[i], -position[i], position[i] - length)
+    rank: dict[int, tuple[int, float]] = {}
+    for i, item in enumerate(objects):
+        from_lines = [_along(item, *line) for line in lines]
+        row = min(range(len(lines)), key=lambda k: from_lines[k][1])
+        position, off = from_lines[row]
+        rank[i] = (row, position)
         if not reasons[i] and off > criteria.line:
             reasons[i] = f"off the line by {100 * off:.1f} cm"
-    on_line = sorted((i for i in range(len(objects)) if not reasons[i]), key=lambda i: position[i])
+    on_line = sorted((i for i in rank if not reasons[i]), key=lambda i: rank[i])
     kept = _largest_ascending([objects[i].size for i in on_line], criteria.same_size)
-    for rank, i in enumerate(on_line):
-        if rank not in kept:
+    for place, i in enumerate(on_line):
+        if place not in kept:
             reasons[i] = "out of order by size"
     return reasons
+
+
+def _along(item: TrueObject, start: tuple[float, float], end: tuple[float, float]) -> tuple[float, float]:
+    """Return the position of an object along a line and its distance from the segment's sides or ends [m]."""
+    along = np.array(end) - np.array(start)
+    length = float(np.linalg.norm(along))
+    along = along / length
+    offset = item.base[:2] - np.array(start)
+    position = float(offset @ along)
+    distance = abs(float(offset @ np.array([-along[1], along[0]])))
+    return position, max(distance, -position, position - length)
 
 
 def _outside(item: TrueObject, box: BoxSpace, criteria: Criteria) -> str:

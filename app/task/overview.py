@@ -150,8 +150,8 @@ def _draw_plan(axis: Any, plan: TaskPlan | None) -> None:
         corner = (y - width / 2, x - length / 2)
         axis.add_patch(Rectangle(corner, width, length, fill=False, edgecolor="#9c7b45", linewidth=3))
         axis.text(corner[0], corner[1] - 0.015, "box", color="#9c7b45", fontsize=12)
-    if plan.line is not None:
-        (x0, y0), (x1, y1) = plan.line.start, plan.line.end
+    for line in plan.lines:
+        (x0, y0), (x1, y1) = line.start, line.end
         axis.plot([y0, y1], [x0, x1], color="#29599e", linewidth=3, alpha=0.5, zorder=1)
     for order, placement in enumerate(plan.placements, start=1):
         item = plan.objects[placement.name]

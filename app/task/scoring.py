@@ -209,8 +209,8 @@ def score_task(
         space = BoxSpace(box.center, box.inner[:2], box.floor)
         verdicts = judge_pack(list(objects.values()), space)
     else:
-        line = (plan.line if plan else None) or Line()
-        verdicts = judge_sort(list(objects.values()), line.start, line.end)
+        lines = (plan.lines if plan else ()) or (Line(),)
+        verdicts = judge_sort(list(objects.values()), [(line.start, line.end) for line in lines])
     judged = dict(zip(objects, verdicts))
     estimate_of = {number: estimate_id for estimate_id, number in match(estimates, before).items()}
     by_id = {estimate.id: estimate for estimate in estimates}

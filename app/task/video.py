@@ -188,8 +188,8 @@ def _draw_map(objects: Sequence[ObjectEstimate], plan: TaskPlan | None) -> Pictu
     canvas = frame.rgb.copy()
     table = np.array([(0.12, -0.58, 0), (0.80, -0.58, 0), (0.80, 0.58, 0), (0.12, 0.58, 0)], dtype=np.float64)
     cv2.fillConvexPoly(canvas, _pixels(frame, table), (92, 80, 70), cv2.LINE_AA)
-    if plan is not None and plan.line is not None:
-        ends = np.array([(*plan.line.start, 0.0), (*plan.line.end, 0.0)])
+    for line in plan.lines if plan is not None else ():
+        ends = np.array([(*line.start, 0.0), (*line.end, 0.0)])
         cv2.polylines(canvas, [_pixels(frame, ends)], False, (86, 140, 200), 3, cv2.LINE_AA)
     inside, before = _walls(frame, plan.box) if plan is not None and plan.box is not None else ([], [])
     for wall, shade in inside:

@@ -173,31 +173,31 @@ def on_line(distance, **changes):
 
 def test_a_sorted_line():
     objects = [on_line(0.1 + 0.15 * i, height=0.08 + 0.03 * i) for i in range(4)]
-    assert judge_sort(objects, *LINE) == [""] * 4
+    assert judge_sort(objects, [LINE]) == [""] * 4
 
 
 def test_order_counts_from_three_millimetres_on():
     alike = [on_line(0.1, height=0.102), on_line(0.3, height=0.100)]
-    assert judge_sort(alike, *LINE) == ["", ""]
+    assert judge_sort(alike, [LINE]) == ["", ""]
     for difference, wrong in ((0.0029, 0), (0.0031, 1)):
         first, second = on_line(0.1), on_line(0.3)
         height = np.sqrt((second.size + difference) ** 2 - (2 * second.radius) ** 2)
         first = replace(first, height=float(height))
         assert first.size - second.size == pytest.approx(difference)
-        assert judge_sort([first, second], *LINE).count("out of order by size") == wrong
+        assert judge_sort([first, second], [LINE]).count("out of order by size") == wrong
     swapped = [on_line(0.1, height=0.12), on_line(0.3, height=0.10), on_line(0.5, height=0.15)]
-    assert judge_sort(swapped, *LINE).count("out of order by size") == 1
+    assert judge_sort(swapped, [LINE]).count("out of order by size") == 1
     reversed_line = [on_line(0.5, height=0.10), on_line(0.3, height=0.12), on_line(0.1, height=0.15)]
-    assert judge_sort(reversed_line, *LINE).count("out of order by size") == 2
+    assert judge_sort(reversed_line, [LINE]).count("out of order by size") == 2
 
 
 def test_order_is_that_on_the_line_whatever_the_order_of_the_list():
     objects = [on_line(0.1 + 0.15 * i, height=0.08 + 0.03 * i) for i in (2, 0, 3, 1)]
-    assert judge_sort(objects, *LINE) == [""] * 4
+    assert judge_sort(objects, [LINE]) == [""] * 4
 
 
 def test_a_toppled_object_is_not_sorted():
-    assert judge_sort([on_line(0.1, tilt_deg=90)], *LINE) == ["toppled by 90 deg"]
+    assert judge_sort([on_line(0.1, tilt_deg=90)], [LINE]) == ["toppled by 90 deg"]
 
 
 def test_off_the_line():
@@ -205,7 +205,7 @@ def test_off_the_line():
     T = np.array(aside.T_world_object)
     T[:2, 3] += 0.035 * np.array([0.466, 0.885])  # the line's normal
     aside = replace(aside, T_world_object=T)
-    assert judge_sort([on_line(0.1), aside], *LINE) == ["", "off the line by 3.5 cm"]
+    assert judge_sort([on_line(0.1), aside], [LINE]) == ["", "off the line by 3.5 cm"]
     length = float(np.hypot(LINE[1][0] - LINE[0][0], LINE[1][1] - LINE[0][1]))
     for distance, reason in (
         (-0.019, ""),
@@ -214,7 +214,7 @@ def test_off_the_line():
         (length + 0.019, ""),
         (length + 0.021, "off the line by 2.1 cm"),
     ):
-        assert judge_sort([on_line(distance)], *LINE) == [reason]
+        assert judge_sort([on_line(distance)], [LINE]) == [reason]
 
 
 @pytest.mark.parametrize(("aside", "reason"), [(0.019, ""), (0.021, "off the line by 2.1 cm")])
@@ -223,4 +223,16 @@ def test_the_line_is_two_centimetres_wide_on_either_side(aside, reason, side):
     along = np.array(LINE[1]) - np.array(LINE[0])
     normal = np.array([-along[1], along[0]]) / np.linalg.norm(along)
     x, y = on_line(0.3).base[:2] + side * aside * normal
-    assert judge_sort([thing(x=x, y=y, z=0.0)], *LINE) == [reason]
+    assert judge_sort([thing(x=x, y=y, z=0.0)], [LINE]) == [reason]
+
+
+def test_sizes_ascend_from_row_to_row():
+    """The first half of the line and, as a second row, the second half: order counts across them."""
+    middle = ((LINE[0][0] + LINE[1][0]) / 2, (LINE[0][1] + LINE[1][1]) / 2)
+    halves = [(LINE[0], middle), (middle, LINE[1])]
+    ascending = [on_line(0.1, height=0.08), on_line(0.3, height=0.1), on_line(0.6, height=0.12)]
+    assert judge_sort(ascending, halves) == ["", "", ""]
+    swapped_rows = judge_sort(ascending, halves[::-1])
+    assert swapped_rows.count("out of order by size") == 1 and swapped_rows[:2] == ["", ""]
+    aside = thing(x=0.3, y=0.0, z=0.0)
+    assert judge_sort([aside], halves)[0].startswith("off the line by ")
