@@ -21,7 +21,8 @@ METHODS: tuple[Method, ...] = get_args(Method)
 Masks = Literal["detected", "given"]
 Variant = Literal["with_plane", "full", "no_joint", "no_uncertainty"]
 VARIANTS: tuple[Variant, ...] = get_args(Variant)
-NOT_SETTINGS = {"seed", "out", "quiet", "json", "debug", "stage_limit"}  # options that do not change what is simulated
+# Options that do not change what is simulated.
+NOT_SETTINGS = {"seed", "out", "quiet", "json", "debug", "stage_limit"}
 SlamFault = Literal["none", "dropped", "dark", "flicker", "moved"]
 
 
