@@ -1,4 +1,5 @@
 from collections import Counter
+from dataclasses import replace
 from itertools import pairwise
 
 import numpy as np
@@ -11,6 +12,7 @@ from manipulation.types import Line
 from sim_assets.cell.layout import LayoutError
 from sim_assets.cell.world import World
 from sim_assets.objects import sample_object
+from sim_assets.objects.convex.pieces import IDENTITY, CollisionPiece
 from sim_assets.objects.sampling import draw_objects
 
 
@@ -156,3 +158,16 @@ def test_objects_from_mesh_files(mesh_folder, config_of):
 def test_a_missing_mesh_folder_is_refused(tmp_path):
     with pytest.raises(UsageError, match=r"--object-meshes .*absent is no folder"):
         check_options(PackOptions(object_meshes=tmp_path / "absent"))
+
+
+def test_own_meshes_that_topple_are_refused(tmp_path, monkeypatch):
+    """A can whose base is a ball of 1 cm does not stand."""
+    can = sample_object("can", "test", rng())
+    pieces = (CollisionPiece("capsule", np.array([0, 0, 0.05]), IDENTITY, (0.01, 0.04)),)
+    monkeypatch.setattr(
+        "sim_assets.objects.load_user_objects", lambda folder: [replace(can, collision=pieces)]
+    )
+    with pytest.raises(
+        UsageError, match=r"can/can does not stand on a table: it topples by \d+ degrees; leave"
+    ):
+        build_world(PackOptions(objects="1", object_meshes=tmp_path), "pack")
