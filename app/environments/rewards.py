@@ -99,7 +99,7 @@ class TaskReward:
             reasons = judge_pack(objects, BoxSpace(box.center, box.inner[:2], box.floor))
         else:
             line = Line()
-            reasons = judge_sort(objects, line.start, line.end)
+            reasons = judge_sort(objects, [(line.start, line.end)])
         return np.array([not reason for reason in reasons])
 
     def _at_rest(self, poses: np.ndarray, velocities: np.ndarray, hand: np.ndarray) -> bool:
