@@ -23,7 +23,7 @@ from typing import Annotated, Any
 import tyro
 
 from app import interrupts
-from app.errors import AppError, UsageError
+from app.errors import AppError, ProblemsError, UsageError
 from app.failures import BAD_INPUT, TASK_FAILED, failure_of, one_line, write_log
 from app.options import COMMANDS, CellOptions, CommonOptions
 from app.screen import Screen
@@ -47,6 +47,7 @@ HANDLERS = {
     "bench": "app.benchmarks.command",
     "view": "app.viewer.command",
     "doctor": "app.doctor",
+    "robot": "app.robots.command",
 }
 
 # Values of MUJOCO_GL that MuJoCo accepts.
@@ -62,6 +63,8 @@ def run(arguments: Sequence[str]) -> int:
     try:
         options = parse(arguments)
         check(options)
+    except ProblemsError as error:
+        return [_complain(problem) for problem in error.problems][-1]
     except AppError as error:
         return _complain(str(error))
     except SystemExit as end:  # --help
@@ -101,6 +104,8 @@ def _end(error: BaseException, command: str, debug: bool) -> int:
         replaced = _run_folders("replaced_runs", folders=folders)
         kept = "".join(f"; the run before is in {path}" for path in replaced)
         return _complain(f"interrupted; finished results are kept{kept}", interrupts.exit_code())
+    if isinstance(error, ProblemsError):
+        return [_complain(problem) for problem in error.problems][-1]
     assert isinstance(error, Exception)
     failure = failure_of(error, command)
     if failure.expected:

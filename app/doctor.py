@@ -69,7 +69,11 @@ class Finding:
 
 
 def run(options: DoctorOptions, screen: Screen) -> Report:
-    """Run all checks; successful if no requirement is missing."""
+    """Run all checks of the machine, or of an arm; successful if no requirement is missing."""
+    if options.robot is not None:
+        from app.robots.doctor import run_robot_doctor
+
+        return run_robot_doctor(options, options.robot, screen)
     begin = time.perf_counter()
     folder = RunFolder.create(options, "doctor")
     findings = examine()

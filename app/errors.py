@@ -1,5 +1,7 @@
 """Errors that the command line reports as one line with exit code 2."""
 
+from collections.abc import Sequence
+
 
 class AppError(Exception):
     """Base class of the errors that app raises."""
@@ -11,6 +13,18 @@ class UsageError(AppError):
 
 class StalledError(AppError):
     """A stage made no progress for its time limit; the message names it."""
+
+
+class ProblemsError(UsageError):
+    """Input with several problems.
+
+    Attributes:
+        problems: one line for each.
+    """
+
+    def __init__(self, problems: Sequence[str]) -> None:
+        self.problems = tuple(problems)
+        super().__init__("; ".join(self.problems))
 
 
 class MissingExtraError(AppError):

@@ -28,6 +28,7 @@ EXTRA_OF |= {"tensorboard": "train", "transformers": "hf", "gymnasium": "gym", "
 _INPUT_ERRORS = {
     "perception.errors": "PerceptionError",
     "sim_assets.errors": "SimAssetsError",
+    "manipulation.errors": "PlanningError",
 }
 _TASK_ERRORS = {"manipulation.errors": "ManipulationError"}
 _GL_FILES = ("gl_context.py", "osmesa.py", "glfw.py", "egl.py", "camera.py")

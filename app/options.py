@@ -59,7 +59,7 @@ class CellOptions(CommonOptions):
     ] = None
     """Object meshes to use instead: DIR/<class>/*.{ply,obj,glb,stl}, in metres, z up."""
     robot: Annotated[str, arg(metavar="NAME|FILE.toml")] = "panda"
-    """Robot arm: panda, sixaxis, or a robot file."""
+    """Robot arm: panda, sixaxis, or a robot file (nodeslam robot init writes one)."""
     box: Annotated[str, arg(metavar="L,W,H")] = "0.34,0.30,0.08"
     """Inner length, width and height of the box in metres."""
     depth_noise: DepthNoise = "gaussian"
@@ -307,7 +307,26 @@ class ViewOptions(TaskOptions, ViewerOptions):
 
 @dataclass(frozen=True, kw_only=True)
 class DoctorOptions(CommonOptions):
-    """Check this machine: OpenGL, CUDA, weights and versions, with a remedy for whatever is missing."""
+    """Check this machine (OpenGL, CUDA, weights, versions) or an arm, with a remedy for what is missing."""
+
+    robot: Annotated[str | None, arg(metavar="NAME|FILE", help_behavior_hint="default: this machine")] = None
+    """Examine an arm instead: robot file, MJCF or name of an included arm; draws it into robot.png."""
+
+
+@dataclass(frozen=True, kw_only=True)
+class RobotOptions(CommonOptions):
+    """Write a robot file from the models of an arm and its hand."""
+
+    action: Positional[Literal["init"]]
+    """init: write the file to --out, or robot.toml, and say what was assumed."""
+    arm: Positional[Path]
+    """MJCF of the arm."""
+    hand: Annotated[Path | None, arg(metavar="HAND.xml", help_behavior_hint="default: part of ARM")] = None
+    """MJCF of the hand, if it has a file of its own."""
+    mount: Annotated[str, arg(metavar="SITE", help_behavior_hint="default: none")] = ""
+    """Site or body of the arm that carries the hand."""
+    body: Annotated[str, arg(metavar="NAME", help_behavior_hint="default: the first")] = ""
+    """Root body of the arm, in a file with several."""
 
 
 COMMANDS: dict[str, type[CommonOptions]] = {
@@ -325,4 +344,5 @@ COMMANDS: dict[str, type[CommonOptions]] = {
     "bench": BenchOptions,
     "view": ViewOptions,
     "doctor": DoctorOptions,
+    "robot": RobotOptions,
 }

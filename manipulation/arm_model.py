@@ -26,12 +26,12 @@ else:
 COLLISION_GROUP = 3
 
 
-def collision_spec(arm: ArmDescription) -> MjSpec:
+def collision_spec(mjcf: str) -> MjSpec:
     """Return the arm as an editable MuJoCo specification with its collision geoms (group 3) only.
 
     Visual geoms, lights, actuators, sensors, equalities, tendons, keyframes and excludes are removed.
     """
-    spec = mujoco.MjSpec.from_string(arm.mjcf)
+    spec = mujoco.MjSpec.from_string(mjcf)
     for elements in (spec.keys, spec.sensors, spec.actuators, spec.equalities, spec.tendons, spec.excludes):
         for element in list(elements):
             spec.delete(element)
@@ -52,7 +52,7 @@ def collision_spec(arm: ArmDescription) -> MjSpec:
 
 def kinematic_model(arm: ArmDescription) -> MjModel:
     """Return the compiled kinematic chain: arm joints and sites, fixed fingers, no geoms."""
-    spec = collision_spec(arm)
+    spec = collision_spec(arm.mjcf)
     for geom in list(spec.geoms):
         spec.delete(geom)
     for mesh in list(spec.meshes):

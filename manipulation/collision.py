@@ -8,7 +8,7 @@ from __future__ import annotations
 
 import itertools
 from collections.abc import Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, field
 
 import numpy as np
 from jaxtyping import Float
@@ -17,10 +17,12 @@ from scipy.spatial.transform import Rotation
 from manipulation.arm_model import MjsBody, MjSpec, collision_spec, joint_addresses, mujoco, site_index
 from manipulation.errors import ManipulationError
 from manipulation.hulls import hull_faces
-from manipulation.obstacles import Obstacle
+from manipulation.obstacles import TABLE, Obstacle
 from manipulation.robot import ArmDescription
+from manipulation.self_collision import link_contacts
 
-_OFF, _ROBOT, _WORLD = 0, 1, 2  # contype bits: robot and carried geoms collide with world geoms only
+# Contact bits: links and carried objects collide with the world, links with links.
+_OFF, _ROBOT, _WORLD, _LINK = 0, 1, 2, 4
 
 
 @dataclass(frozen=True)
@@ -78,18 +80,24 @@ class Contact:
 
     Attributes:
         mover: "arm" or the name of the carried object.
-        obstacle: name of the object or obstacle that it collides with.
+        obstacle: name of the object, obstacle or link that it collides with.
+        link: name of the link that collides; empty for a carried object.
     """
 
     mover: str
     obstacle: str
+    link: str = field(default="", compare=False)
+
+    def __str__(self) -> str:
+        return f"collide with {self.obstacle}" + (f" ({self.link})" if self.link else "")
 
 
 class CollisionWorld:
     """Checks postures of the arm, with or without a carried object, for collisions.
 
     The world is mutable: objects are moved, attached to the hand and released in the course of a plan.
-    Collisions of the arm with itself are not checked.
+    Links are checked against each other but for those of ``self_collision.link_contacts``. Links that turn
+    about the vertical alone are not checked against the table: their distance to it depends on the mounting.
     """
 
     def __init__(
@@ -104,11 +112,13 @@ class CollisionWorld:
         self._model = self._build(bodies, obstacles).compile()
         self._data = mujoco.MjData(self._model)
         self._address = joint_addresses(self._model, arm.joint_names)
-        self._fingers = joint_addresses(self._model, arm.finger_joint_names)
+        self._fingers = joint_addresses(self._model, arm.fingers.joint_names)
         self._owner = [self._owner_of(geom) for geom in range(self._model.ngeom)]
         self._geoms = [np.flatnonzero(self._model.geom_bodyid == body) for body in range(self._model.nbody)]
         self._robot_bodies = [
-            body for body in range(1, self._model.nbody) if "/" not in self._model.body(body).name
+            body
+            for body in range(1, self._model.nbody)
+            if not self._model.body(body).name.startswith(("world/", "carried/"))
         ]
         self._carried: str | None = None
         self._poses = {b.name: np.array(b.T_world_object) for b in bodies}
@@ -169,19 +179,24 @@ class CollisionWorld:
         self._apply_margins(allowed)
         data, model = self._data, self._model
         data.qpos[self._address] = q
-        data.qpos[self._fingers] = width / 2
+        data.qpos[self._fingers] = self._arm.fingers.at(width)
         mujoco.mj_kinematics(model, data)
         mujoco.mj_comPos(model, data)
         mujoco.mj_collision(model, data)
         if data.ncon == 0:
             return None
-        for first, second in data.contact.geom:
+        for (first, second), distance in zip(data.contact.geom, data.contact.dist, strict=True):
             mover, obstacle = self._owner[first], self._owner[second]
             if mover.startswith("world/"):
                 mover, obstacle = obstacle, mover
-            obstacle = obstacle.removeprefix("world/")
-            if obstacle not in (allowed.touch_carried if mover.startswith("carried/") else allowed.touch):
-                return Contact(mover.removeprefix("carried/"), obstacle)
+            if mover.startswith("carried/"):
+                if obstacle.removeprefix("world/") not in allowed.touch_carried:
+                    return Contact(mover.removeprefix("carried/"), obstacle.removeprefix("world/"))
+            elif obstacle.startswith("world/"):
+                if obstacle.removeprefix("world/") not in allowed.touch:
+                    return Contact("arm", obstacle.removeprefix("world/"), mover)
+            elif distance < 0:
+                return Contact("arm", obstacle, mover)
         return None
 
     def path_contact(
@@ -206,11 +221,14 @@ class CollisionWorld:
             self._model.body_margin[body] = margin
 
     def _build(self, bodies: Sequence[Body], obstacles: Sequence[Obstacle]) -> MjSpec:
-        spec = collision_spec(self._arm)
+        spec = collision_spec(self._arm.mjcf)
         for geom in spec.geoms:
             # Fixed links touch the table they are mounted on.
             movable = geom.parent.name != "world" and _has_joint_above(geom.parent)
-            geom.contype, geom.conaffinity = (_ROBOT, _WORLD) if movable else (_OFF, _OFF)
+            geom.contype, geom.conaffinity = (_ROBOT | _LINK, _WORLD | _LINK) if movable else (_LINK, _LINK)
+        contacts = link_contacts(self._arm)
+        for first, second in contacts.ignored:
+            spec.add_exclude(bodyname1=first, bodyname2=second)
         hand = spec.site(self._arm.tcp_site).parent
         for obstacle in obstacles:
             body = spec.worldbody.add_body(name=f"world/{obstacle.name}", pos=obstacle.center)
@@ -220,6 +238,9 @@ class CollisionWorld:
                 contype=_WORLD,
                 conaffinity=_ROBOT,
             )
+            if obstacle.name == TABLE.name:
+                for link in contacts.level:
+                    spec.add_exclude(bodyname1=link, bodyname2=body.name)
         for body in bodies:
             standing = spec.worldbody.add_body(name=f"world/{body.name}")
             carried = hand.add_body(name=f"carried/{body.name}")
@@ -233,8 +254,7 @@ class CollisionWorld:
         return spec
 
     def _owner_of(self, geom: int) -> str:
-        body = self._model.body(self._model.geom_bodyid[geom]).name
-        return body if body.startswith(("world/", "carried/")) else "arm"
+        return self._model.body(self._model.geom_bodyid[geom]).name
 
     def _body_id(self, name: str) -> int:
         return self._model.body(name).id

@@ -13,7 +13,6 @@ from jaxtyping import Float
 from manipulation.robot import GripperGeometry
 from perception.types import TriangleMesh
 
-_FINGER_HALF_WIDTH = 0.01  # [m] across the closing direction
 _SPACING = 0.003  # [m] between neighbouring surface points
 
 
@@ -47,7 +46,7 @@ class HandBoxes:
     def of(gripper: GripperGeometry, opening: float, hand_length: float) -> HandBoxes:
         """Return the boxes of a hand whose pads are ``opening`` metres apart."""
         inner, outer = opening / 2, opening / 2 + gripper.finger_reach
-        width, palm = _FINGER_HALF_WIDTH, gripper.palm
+        width, palm = gripper.finger_half_width, gripper.palm
         low = [
             (-width, inner, -palm),
             (-width, -outer, -palm),

@@ -76,6 +76,7 @@ class Kinematics:
     Attributes:
         arm, config: those of the constructor.
         lower, upper: (n,) joint limits in [rad].
+        base: (3,) point on the first joint's axis in [m].
 
     Raises:
         ManipulationError: the MJCF lacks a named joint or site, or has further joints.
@@ -99,8 +100,12 @@ class Kinematics:
         self._limit = mink.ConfigurationLimit(
             self._model, min_distance_from_limits=self.config.limit_margin - 1e-6
         )
-        x, y = self.forward(np.asarray(arm.q_home, dtype=np.float64))[:2, 3]
-        self._home_bearing = round(float(np.arctan2(y, x)), 6)  # azimuth of the TCP at home in [rad]
+        T_world_home = self.forward(np.asarray(arm.q_home, dtype=np.float64))
+        first = self._model.joint(arm.joint_names[0]).id
+        self.base = self._data.xanchor[first].copy()
+        up = self._data.xaxis[first, 2]
+        self._base_turn = float(np.sign(up)) if abs(up) > 0.9 else 0.0  # of the first joint about z
+        self._home_bearing = round(self.bearing(T_world_home), 6)
         self._posture = mink.PostureTask(self._model, cost=self.config.posture_cost)
         self._tasks = {
             frame: mink.FrameTask(
@@ -118,6 +123,16 @@ class Kinematics:
         T[:3, :3] = self._data.site_xmat[site].reshape(3, 3)
         T[:3, 3] = self._data.site_xpos[site]
         return T
+
+    def bearing(self, T_world_target: Float[np.ndarray, "4 4"]) -> float:
+        """Return the azimuth [rad] of a pose about the first joint's axis."""
+        return float(np.arctan2(*(T_world_target[:2, 3] - self.base[:2])[::-1]))
+
+    def anchors(self, q: Float[np.ndarray, "n"]) -> Float[np.ndarray, "n 3"]:
+        """Return the anchors of the joints in [m] at joint positions ``q`` [rad], base to wrist."""
+        self.forward(q)
+        ids = [self._model.joint(name).id for name in self.arm.joint_names]
+        return self._data.xanchor[ids].copy()
 
     def within_limits(self, q: Float[np.ndarray, "n"], margin: float = 0.0) -> bool:
         """Return whether all joints are at least ``margin`` [rad] within their limits."""
@@ -171,7 +186,8 @@ class Kinematics:
     ) -> list[Float[np.ndarray, "n"]]:
         """Return start postures in [rad]: home rotated toward the target, with another wrist, and random."""
         home = np.array(self.arm.q_home, dtype=np.float64)
-        home[0] += np.arctan2(T_world_target[1, 3], T_world_target[0, 3]) - self._home_bearing
+        turn = self.bearing(T_world_target) - self._home_bearing
+        home[0] += self._base_turn * np.arctan2(np.sin(turn), np.cos(turn))
         spread = np.random.default_rng(0).normal(scale=0.5, size=(count - 1, len(home)))
         # Rotating the wrist by pi gives the same approach: seed both branches.
         wrist = home.copy()

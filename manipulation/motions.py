@@ -62,7 +62,7 @@ class MotionPlanner:
             contact = self.world.path_contact(postures, width, allowed)
             if contact is None:
                 return postures
-            rejected = Rejected(f"collide with {contact.obstacle}")
+            rejected = Rejected(str(contact))
         return rejected
 
     def free_path(
@@ -109,8 +109,8 @@ class MotionPlanner:
     def _waypoints(self, q_start: np.ndarray, q_goal: np.ndarray) -> Iterator[list[np.ndarray]]:
         """Yield candidates: above the start, the goal, the middle, and above both ends, at each height."""
         T_start, T_goal = self.kinematics.forward(q_start), self.kinematics.forward(q_goal)
-        azimuth = 0.5 * sum(np.arctan2(T[1, 3], T[0, 3]) for T in (T_start, T_goal))
-        middle = _MIDDLE_RADIUS * np.array([np.cos(azimuth), np.sin(azimuth)])
+        azimuth = 0.5 * sum(self.kinematics.bearing(T) for T in (T_start, T_goal))
+        middle = self.kinematics.base[:2] + _MIDDLE_RADIUS * np.array([np.cos(azimuth), np.sin(azimuth)])
         for height in self.via_heights:
             over_start = self._above(T_start, T_start[:2, 3], height, q_start)
             over_goal = self._above(T_goal, T_goal[:2, 3], height, q_goal)

@@ -102,7 +102,7 @@ def find_pick(motions: MotionPlanner, name: str, grasp: Grasp, config: SegmentCo
     touch_object = AllowedContacts(touch=frozenset({name}))
     contact = world.contact(result.q, grasp.opening, touch_object)
     if contact is not None:
-        return Rejected(f"collide with {contact.obstacle}")
+        return Rejected(str(contact))
     starts = _retreated(T_grasp, grasp, config.approach_heights)
     approach = motions.free_line(result.q, starts, grasp.opening, touch_object)
     if isinstance(approach, Rejected):

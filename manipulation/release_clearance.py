@@ -13,7 +13,6 @@ from manipulation.robot import GripperGeometry
 from manipulation.types import Grasp
 from perception.geometry import pose_from_yaw
 
-_FINGER_ACROSS = np.array([-0.01, 0.0, 0.01])  # [m] samples of a finger across the closing axis
 _PALM_SAMPLES = 15  # number of samples of the palm along the closing axis
 _PALM_INNER = 0.015  # [m] of the inner samples of the palm across the closing axis
 _FINGER_CLEARANCE, _PALM_CLEARANCE = 0.003, 0.006  # [m]
@@ -58,10 +57,11 @@ def count_free_releases(
     palm = _points(Ts, np.broadcast_to(palm_along, (len(Ts), _PALM_SAMPLES)), palm_across, -gripper.palm)
     free = _is_above(raster, palm, _PALM_CLEARANCE)
     finger_along = np.linspace(0.0, gripper.finger_reach, 4)
+    finger_across = gripper.finger_half_width * np.array([-1.0, 0.0, 1.0])
     half_opening = np.array([grasp.release_opening / 2 for grasp in grasps])
     for side in (-1, 1):
         along = side * (half_opening[:, None] + finger_along)
-        free &= _is_above(raster, _points(Ts, along, _FINGER_ACROSS, gripper.tip), _FINGER_CLEARANCE)
+        free &= _is_above(raster, _points(Ts, along, finger_across, gripper.tip), _FINGER_CLEARANCE)
     return int(free.sum())
 
 

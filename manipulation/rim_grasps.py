@@ -137,6 +137,8 @@ def _rim_grasp_at(
     half = min(config.half_opening, room - 0.5 * wall.thickness, 0.5 * gripper.max_width)
     if half - 0.5 * wall.thickness < 0.5 * config.min_half_opening or half < config.min_half_opening:
         return Rejected("too narrow inside")
+    if wall.thickness < gripper.min_width + 0.0008:
+        return Rejected(f"thinner than the closed hand, {1e3 * gripper.min_width:.1f} mm")
     outward = np.array([np.cos(azimuth), np.sin(azimuth), 0.0])
     up = np.array([0.0, 0.0, 1.0])
     along_wall = np.sin(tilt) * outward + np.cos(tilt) * up
@@ -150,7 +152,7 @@ def _rim_grasp_at(
         away=np.sin(retreat_angle) * outward + np.cos(retreat_angle) * up,
         opening=min(2 * half, gripper.max_width),
         held_width=wall.thickness,
-        closed_width=(0.0008, max(min(wall.thickness + 0.014, 2 * half - 0.004), 0.012)),
+        closed_width=(gripper.min_width + 0.0008, max(min(wall.thickness + 0.014, 2 * half - 0.004), 0.012)),
         release_opening=min(wall.thickness + 2 * config.release_gap, 2 * half),
         depth=float(item.top - pad_height),
         azimuth=azimuth,

@@ -24,6 +24,8 @@ class GripperGeometry:
         finger_reach: distance from a pad's face to the back of its finger, along the closing direction.
         palm: distance from the TCP back to the palm.
         palm_half_length, palm_half_width: half extents of the palm along and across the closing direction.
+        min_width: opening between the pads of the closed hand; above 0 where the pads do not meet.
+        finger_half_width: half extent of a finger across the closing direction.
     """
 
     max_width: float = 0.08
@@ -35,6 +37,45 @@ class GripperGeometry:
     palm: float = 0.037
     palm_half_length: float = 0.105
     palm_half_width: float = 0.035
+    min_width: float = 0.0
+    finger_half_width: float = 0.01
+
+
+@dataclass(frozen=True)
+class FingerMotion:
+    """Positions of a hand's joints as a function of the opening between its pads.
+
+    The same for sliding fingers and for linkages; between the tabulated openings it is linear.
+
+    Attributes:
+        joint_names: names of the m joints of the hand, those that are driven first.
+        widths: (k,) openings between the pads in ascending order, in [m].
+        positions: (k, m) joint positions at the openings, in [m] or [rad].
+        n_driven: number of driven joints.
+    """
+
+    joint_names: tuple[str, ...]
+    widths: Float[np.ndarray, "k"]
+    positions: Float[np.ndarray, "k m"]
+    n_driven: int
+
+    @staticmethod
+    def sliding(joint_names: tuple[str, str], max_width: float) -> FingerMotion:
+        """Return the motion of two fingers that each slide from 0 (pads meet) to ``max_width / 2`` [m]."""
+        ends = np.array([[0.0, 0.0], [max_width / 2, max_width / 2]])
+        return FingerMotion(joint_names, np.array([0.0, max_width]), ends, 2)
+
+    def at(self, width: float) -> Float[np.ndarray, "m"]:
+        """Return the joint positions at an opening [m], clipped to the range of openings."""
+        return np.array([np.interp(width, self.widths, column) for column in self.positions.T])
+
+    def width(self, driven: Float[np.ndarray, "_d"]) -> float:
+        """Return the opening [m] at positions of the driven joints: the mean of what each implies."""
+        found = []
+        for position, column in zip(driven, self.positions.T[: self.n_driven], strict=True):
+            order = np.argsort(column)
+            found.append(np.interp(position, column[order], self.widths[order]))
+        return float(np.mean(found))
 
 
 @dataclass(frozen=True)
@@ -47,7 +88,7 @@ class ArmDescription:
     Attributes:
         mjcf: MJCF text of the arm without a scene; its collision geoms are in group 3.
         joint_names: names of the n arm joints, base to wrist.
-        finger_joint_names: names of the two finger joints, each opening over [0, max_width / 2] in [m].
+        fingers: joints of the hand and their positions over the opening between the pads.
         tcp_site: site between the finger pads; z points out of the hand, y is the closing direction.
         camera_site: optical frame of the wrist camera (OpenCV axes).
         q_home: (n,) home posture in [rad].
@@ -57,7 +98,7 @@ class ArmDescription:
 
     mjcf: str
     joint_names: tuple[str, ...]
-    finger_joint_names: tuple[str, str]
+    fingers: FingerMotion
     tcp_site: str
     camera_site: str
     q_home: Float[np.ndarray, "n"]

@@ -15,6 +15,7 @@ from manipulation.kinematics import Kinematics
 from manipulation.motions import MotionPlanner
 from manipulation.obstacles import TABLE, Obstacle
 from manipulation.robot import Robot
+from manipulation.self_view import SelfView
 from manipulation.trajectories import MotionConfig
 from perception.types import RgbdFrame
 
@@ -140,6 +141,7 @@ class ViewpointScanner:
         self.robot, self.kinematics = robot, kinematics
         world = CollisionWorld(robot.arm, [], (TABLE, *keep_out))
         self.motions = MotionPlanner(kinematics, world, motion, VIA_HEIGHTS)
+        self._self_view = SelfView(robot.arm)
 
     def capture(
         self,
@@ -147,7 +149,7 @@ class ViewpointScanner:
         progress: Callable[[int, int], None] = lambda done, total: None,
         on_frame: Callable[[RgbdFrame], None] = lambda frame: None,
     ) -> list[RgbdFrame]:
-        """Capture an image at each viewpoint that can be reached.
+        """Capture an image at each viewpoint that can be reached, without the depth of the arm itself.
 
         Args:
             viewpoints: viewpoints in order.
@@ -165,7 +167,8 @@ class ViewpointScanner:
                 logger.warning("viewpoint %d of %d is out of reach and skipped", index + 1, len(viewpoints))
                 continue
             self.robot.follow(self.motions.time_path(path))
-            frames.append(self.robot.capture())
+            frame = self.robot.capture()
+            frames.append(self._self_view.without_arm(frame, self.robot.joint_positions(), width))
             on_frame(frames[-1])
             progress(index + 1, len(viewpoints))
         if not frames:

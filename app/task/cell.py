@@ -11,7 +11,7 @@ from typing import TYPE_CHECKING, get_args
 
 import numpy as np
 
-from app.errors import UsageError
+from app.errors import ProblemsError, UsageError
 from app.options import CellOptions
 from app.task.scene_options import check_scene, scene_settings
 from perception.types import CATEGORIES, Category
@@ -114,18 +114,23 @@ def check_options(options: CellOptions) -> None:
 
 
 def robot_of(options: CellOptions) -> SimulatedArm:
+    """Load the arm of the options."""
+    return load_arm(options.robot)
+
+
+def load_arm(spec: str) -> SimulatedArm:
     """Load the arm of ``--robot``.
 
     Raises:
-        UsageError: The name is unknown, or the robot file is invalid.
+        ProblemsError: The name is unknown, or the robot file is invalid.
     """
     from sim_assets.errors import RobotFileError
     from sim_assets.robots import load_robot
 
     try:
-        return load_robot(options.robot)
+        return load_robot(spec)
     except RobotFileError as error:
-        raise UsageError(str(error)) from None
+        raise ProblemsError(error.problems) from None
 
 
 def build_world(options: CellOptions, task: str | None) -> World:

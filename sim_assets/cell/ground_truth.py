@@ -11,6 +11,7 @@ from jaxtyping import Float, Int
 from sim_assets.cell.world import IMAGE_SIZE, World
 from sim_assets.objects import ObjectModel
 from sim_assets.rendering.headless import mujoco
+from sim_assets.robots.finger_motion import is_below
 from sim_assets.robots.simulated_arm import WRIST_CAMERA
 
 
@@ -82,5 +83,12 @@ def touching(world: World, index: int) -> set[str]:
 def held(world: World, index: int) -> bool:
     """Return whether an object is in contact with both fingers."""
     model = world._model
-    joints = (model.joint(name).id for name in world.arm.finger_joint_names)
-    return {model.body(model.jnt_bodyid[joint]).name for joint in joints} <= touching(world, index)
+    hand = [model.joint(name).bodyid[0] for name in world.arm.fingers.joint_names]
+    tcp = model.site(world.arm.tcp_site).id
+    sides = set()
+    for name in touching(world, index):
+        body = model.body(name).id
+        if any(is_below(model, body, int(finger)) for finger in hand):
+            offset = world._data.xipos[body] - world._data.site_xpos[tcp]
+            sides.add(bool(offset @ world._data.site_xmat[tcp].reshape(3, 3)[:, 1] > 0))
+    return len(sides) == 2

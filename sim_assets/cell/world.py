@@ -166,23 +166,28 @@ class World:
     def _index(self) -> None:
         model, robot = self._model, self._robot
         joints = [model.joint(name) for name in self.arm.joint_names]
-        fingers = [model.joint(name) for name in self.arm.finger_joint_names]
+        fingers = [model.joint(name) for name in self.arm.fingers.joint_names]
         self._q = np.array([joint.qposadr[0] for joint in joints])
         self._v = np.array([joint.dofadr[0] for joint in joints])
         self._u = np.array([model.actuator(name).id for name in robot.actuators])
         self._fingers = np.array([joint.qposadr[0] for joint in fingers])
         self._finger_dofs = np.array([joint.dofadr[0] for joint in fingers])
+        motion = self.arm.fingers
+        travel = np.abs(motion.positions[-1] - motion.positions[0])
+        self._finger_scale = (
+            np.ptp(motion.widths) / 2 / np.maximum(travel, 1e-6)[: motion.n_driven]
+        )  # to [m/s]
         self._gripper = model.actuator(robot.gripper_actuator).id
         self._stiffness = model.actuator_gainprm[self._u, 0]  # [Nm/rad]
         self._damping = model.dof_damping[self._v] - model.actuator_biasprm[self._u, 2]  # [Nm s/rad]
 
     def _settle_layout(self) -> None:
         data = self._data
-        half_open = self.arm.max_width / 2
+        widest = self.arm.max_width
         data.qpos[self._q] = self.arm.q_home
-        data.qpos[self._fingers] = half_open
+        data.qpos[self._fingers] = self.arm.fingers.at(widest)
         data.ctrl[self._u] = self.arm.q_home
-        data.ctrl[self._gripper] = self._robot.gripper_command(half_open)
+        data.ctrl[self._gripper] = self._robot.gripper_command(widest)
         mujoco.mj_forward(self._model, data)
         self.wait(0.5)
 
@@ -203,7 +208,8 @@ class World:
 
     def gripper_width(self) -> float:
         """Measured opening between the pads in [m]."""
-        return float(np.clip(self._data.qpos[self._fingers].sum(), 0, self.arm.max_width))
+        driven = self._fingers[: self.arm.fingers.n_driven]
+        return self.arm.fingers.width(self._data.qpos[driven])
 
     def capture(self) -> RgbdFrame:
         """Return a registered RGB-D image of the wrist camera, with its pose from the measured joints."""
@@ -252,14 +258,14 @@ class World:
         robot, widest = self._robot, self.arm.max_width
         if not (np.isfinite(width) and 0 <= width <= widest + 1e-6):
             raise RobotError(f"gripper width {width} m is outside 0..{widest} m")
-        opening, target = self.gripper_width() / 2, width / 2
-        steps = int(np.ceil(abs(target - opening) / (FINGER_SPEED * TIMESTEP)))
-        for wanted in np.linspace(opening, target, steps + 1)[1:]:
+        start = self.gripper_width()
+        steps = int(np.ceil(abs(width - start) / (2 * FINGER_SPEED * TIMESTEP)))
+        for wanted in np.linspace(start, width, steps + 1)[1:]:
             self._data.ctrl[self._gripper] = robot.gripper_command(wanted)
             self._step()
-            if target < opening and self._fingers_stalled(wanted):
+            if width < start and self._fingers_stalled(wanted):
                 break
-        self._data.ctrl[self._gripper] = robot.press if width == 0 else robot.gripper_command(target)
+        self._data.ctrl[self._gripper] = robot.press if width == 0 else robot.gripper_command(width)
         self._wait_for_fingers()
         return self.gripper_width()
 
@@ -373,11 +379,13 @@ class World:
         raise RobotError(f"the arm is blocked: {joint} is {error.max():.3f} rad from its command; it stopped")
 
     def _finger_speed(self) -> float:
-        return float(np.abs(self._data.qvel[self._finger_dofs]).max())
+        """Return the speed of the faster finger in [m/s]."""
+        driven = self._finger_dofs[: self.arm.fingers.n_driven]
+        return float((np.abs(self._data.qvel[driven]) * self._finger_scale).max())
 
     def _fingers_stalled(self, wanted: float) -> bool:
-        """Return whether contact stopped the fingers: at rest, each over 4 mm wider than commanded [m]."""
-        return bool(self.gripper_width() / 2 - wanted > 0.004 and self._finger_speed() < 0.005)
+        """Return whether contact stopped the fingers: at rest, each 4 mm off the wanted width [m]."""
+        return bool(0.5 * (self.gripper_width() - wanted) > 0.004 and self._finger_speed() < 0.005)
 
     def _wait_for_fingers(self) -> None:
         """Advance until the fingers have been still for 0.15 s, by 1 s at most."""

@@ -5,6 +5,8 @@ from __future__ import annotations
 import functools
 from pathlib import Path
 
+import numpy as np
+
 from sim_assets.rendering.headless import MjSpec
 from sim_assets.robots.panda_arm import (
     ARM_JOINTS,
@@ -44,8 +46,7 @@ def panda() -> SimulatedArm:
         add=_add_dressed_panda,
         actuators=ARM_JOINTS,
         gripper_actuator=GRIPPER_ACTUATOR,
-        open=MAX_WIDTH / 2,
-        closed=0.0,
+        commands=np.array([0.0, MAX_WIDTH / 2]),
         press=FULL_CLOSE,
         fovy=WRIST_FOVY,
     )

@@ -1,7 +1,7 @@
-"""Attachment of a user's MJCF arm to a scene, and its reduction to the planning model.
+"""Composition of a user's arm from MJCF files, and its attachment to a scene.
 
-Collision geoms are those of group 3, as in MuJoCo Menagerie; all others are visual. Gravity is compensated on
-the arm's bodies, as a real arm's controller does.
+A file is taken as it comes: with scenery, keyframes and lights (left out), unnamed parts (named), collision
+geoms in any group. Gravity is compensated on the arm's bodies, as a real arm's controller does.
 """
 
 from __future__ import annotations
@@ -16,10 +16,12 @@ from scipy.spatial.transform import Rotation
 from sim_assets.errors import RobotFileError
 from sim_assets.rendering.headless import MjModel, MjsBody, MjSpec, mujoco
 from sim_assets.robots.mjcf_limits import check_mjcf
+from sim_assets.robots.servos import GripperServo, JointServo, add_gripper_servo, add_joint_servos
 from sim_assets.robots.simulated_arm import ARM_CONTACT, PAD_CONTACT, WRIST_CAMERA
 
 COLLISION_GROUP = 3
 PREFIX = "robot_"  # prefix of the arm's names in scenes and in planning
+HAND_PREFIX = "hand_"  # prefix of the names of a hand from a file of its own
 
 
 @dataclass(frozen=True)
@@ -31,48 +33,86 @@ class Frame:
 
 
 @dataclass(frozen=True)
-class Mount:
-    """MJCF file of an arm and its pose in the scene.
+class SitePose:
+    """A site to add: its name, the body that carries it, and its pose there."""
+
+    name: str
+    body: str
+    frame: Frame
+
+
+@dataclass(frozen=True)
+class HandFile:
+    """A hand in an MJCF file of its own.
 
     Attributes:
-        mjcf: path of the arm's MJCF file.
+        mjcf: path of the file.
+        mount: site or body of the arm that carries the hand.
+        frame: pose of the file's world in the mount.
+    """
+
+    mjcf: Path
+    mount: str
+    frame: Frame
+
+
+@dataclass(frozen=True)
+class Mount:
+    """An arm's MJCF files, what is added to them, and the pose in the scene.
+
+    Attributes:
+        mjcf: path of the arm's file.
         base: pose of the file's world in the scene's.
-        camera_site: site of the wrist camera's optical frame (OpenCV axes).
-        fingers: names of the finger joints; collision geoms below them are pads.
-        sites: name, body and pose of the sites to add.
+        joints: names of the arm's joints, base to wrist.
+        root: name of the body to keep of a file with several arms; empty to keep all.
+        hand: hand from a file of its own.
+        sites: sites to add.
+        camera_site: site of the wrist camera's optical frame (OpenCV axes); empty while unknown.
+        servos: position servos to add, in place of the actuators of their joints.
+        gripper: servo of the hand to add, in place of its actuators.
     """
 
     mjcf: Path
     base: Frame
-    camera_site: str
-    fingers: tuple[str, ...]
-    sites: tuple[tuple[str, str, Frame], ...] = ()
+    joints: tuple[str, ...]
+    root: str = ""
+    hand: HandFile | None = None
+    sites: tuple[SitePose, ...] = ()
+    camera_site: str = ""
+    servos: tuple[JointServo, ...] = ()
+    gripper: GripperServo | None = None
 
 
-def load(mount: Mount) -> MjSpec:
-    """Load the arm's specification and add its sites.
+def load(mount: Mount, visuals: bool = True) -> MjSpec:
+    """Load and normalise the arm's specification: solid geoms have contact bits, visual ones have none.
+
+    Args:
+        mount: the files.
+        visuals: whether to keep visual geoms that no inertia depends on.
 
     Raises:
-        RobotFileError: the file is missing, is not MJCF, or lacks a body or joint.
+        RobotFileError: a file is missing, is not MJCF, or lacks a body or site.
     """
-    if not mount.mjcf.is_file():
-        raise RobotFileError(f"{mount.mjcf}: no such MJCF file")
-    check_mjcf(mount.mjcf)
-    try:
-        spec = mujoco.MjSpec.from_file(str(mount.mjcf))
-    except (ValueError, mujoco.FatalError) as error:
-        raise RobotFileError(f"{mount.mjcf} cannot be read as MJCF: {error}") from None
-    for element in (*spec.keys, *spec.lights, *spec.pairs):  # the scene has its own
-        spec.delete(element)
-    spec.compiler.fusestatic = spec.compiler.discardvisual = False
-    for name, body_name, frame in mount.sites:
-        body = spec.body(body_name)
+    spec = _read(mount.mjcf)
+    if mount.root:
+        _keep_only(spec, mount)
+    if mount.hand is not None:
+        _add_hand(spec, mount)
+    for geom in list(spec.worldbody.geoms):
+        if geom.type in (mujoco.mjtGeom.mjGEOM_PLANE, mujoco.mjtGeom.mjGEOM_HFIELD):  # the floor of a scene
+            spec.delete(geom)
+    _name_parts(spec)
+    _set_contacts(spec, mount)
+    if not visuals:
+        _strip(spec)
+    for site in mount.sites:
+        body = spec.body(site.body)
         if body is None:
-            raise RobotFileError(
-                f"{mount.mjcf} has no body '{body_name}', on which the robot file places a site"
-            )
-        body.add_site(name=name, pos=frame.position, quat=frame.quaternion)
-    _suit_contacts(spec, mount)
+            raise RobotFileError(f"{mount.mjcf} has no body '{site.body}', on which the file places a site")
+        body.add_site(name=site.name, pos=site.frame.position, quat=site.frame.quaternion)
+    add_joint_servos(spec, mount.servos)
+    if mount.gripper is not None:
+        add_gripper_servo(spec, mount.gripper)
     for body in spec.bodies:
         if body.name != "world":
             body.gravcomp = 1
@@ -82,8 +122,7 @@ def load(mount: Mount) -> MjSpec:
 def add_to_scene(mount: Mount, spec: MjSpec, fovy: float) -> None:
     """Add the arm, and the camera ``wrist`` with a vertical field of view ``fovy`` in [deg]."""
     child = load(mount)
-    model = child.compile()
-    optical = model.site(mount.camera_site)
+    optical = load(mount, visuals=False).compile().site(mount.camera_site)
     turn = Rotation.from_quat(optical.quat, scalar_first=True) * Rotation.from_euler("x", np.pi)
     _attach(spec, child, mount.base)
     spec.site(PREFIX + mount.camera_site).parent.add_camera(
@@ -91,73 +130,154 @@ def add_to_scene(mount: Mount, spec: MjSpec, fovy: float) -> None:
     )  # MuJoCo's camera looks along -z, y up
 
 
-def planning_mjcf(mount: Mount, model: MjModel) -> str:
-    """Return the arm's kinematic chain and collision geoms as self-contained MJCF.
+def compiled(mount: Mount, visuals: bool = False) -> MjModel:
+    """Compile the arm alone.
 
-    Args:
-        model: compiled from the same specification.
+    Raises:
+        RobotFileError: a file is unusable.
     """
-    child = load(mount)
-    for geom in list(child.geoms):
+    spec = load(mount, visuals)
+    try:
+        return spec.compile()
+    except (ValueError, mujoco.FatalError) as error:
+        raise RobotFileError(f"{mount.mjcf.name} does not compile: {' '.join(str(error).split())}") from None
+
+
+def is_solid(geom: object) -> bool:
+    """Return whether a geom of a loaded specification is a collision geom."""
+    return bool(geom.contype)  # type: ignore[attr-defined]
+
+
+def _read(path: Path) -> MjSpec:
+    if not path.is_file():
+        raise RobotFileError(f"{path}: no such MJCF file")
+    check_mjcf(path)
+    try:
+        spec = mujoco.MjSpec.from_file(str(path))
+    except (ValueError, mujoco.FatalError) as error:
+        raise RobotFileError(f"{path} cannot be read as MJCF: {' '.join(str(error).split())}") from None
+    _check_references(path, spec)
+    for element in (*spec.keys, *spec.lights, *spec.pairs):  # the scene has its own
+        spec.delete(element)
+    spec.compiler.fusestatic = spec.compiler.discardvisual = False
+    return spec
+
+
+def _check_references(path: Path, spec: MjSpec) -> None:
+    """Raise RobotFileError for a material or mesh that does not exist; the bare model would not show it."""
+    materials, meshes = {m.name for m in spec.materials}, {m.name for m in spec.meshes}
+    for geom in spec.geoms:
+        for kind, name, known in (("material", geom.material, materials), ("mesh", geom.meshname, meshes)):
+            if name and name not in known:
+                raise RobotFileError(f"{path}: geom '{geom.name}' has an unknown {kind} '{name}'")
+    for mesh in spec.meshes:
+        file = path.parent / spec.meshdir / mesh.file
+        if mesh.file and not file.exists() and not (path.parent / mesh.file).exists():
+            raise RobotFileError(f"{path}: mesh file {file} is missing")
+
+
+def _keep_only(spec: MjSpec, mount: Mount) -> None:
+    kept = spec.body(mount.root)
+    if kept is None:
+        roots = ", ".join(body.name for body in spec.worldbody.bodies if body.name)
+        raise RobotFileError(f"{mount.mjcf} has no body '{mount.root}' ([arm] body); it has {roots}")
+    for body in list(spec.worldbody.bodies):
+        if body.name != mount.root and not any(b.name == mount.root for b in body.bodies):
+            spec.delete(body)
+    for geom in list(spec.worldbody.geoms):
+        spec.delete(geom)
+
+
+def _add_hand(spec: MjSpec, mount: Mount) -> None:
+    assert mount.hand is not None
+    child = _read(mount.hand.mjcf)
+    _adopt_options(child, spec)
+    site, body = spec.site(mount.hand.mount), spec.body(mount.hand.mount)
+    if site is None and body is None:
+        sites = ", ".join(s.name for s in spec.sites if s.name) or "none"
+        raise RobotFileError(
+            f"{mount.mjcf} has no site or body '{mount.hand.mount}' ([hand] mount); its sites are {sites}"
+        )
+    parent = body if site is None else site.parent
+    pose = mount.hand.frame
+    position, turn = pose.position, Rotation.from_quat(pose.quaternion, scalar_first=True)
+    if site is not None:
+        site_turn = _orientation(spec, mount.hand.mount)
+        position, turn = site.pos + site_turn.apply(position), site_turn * turn
+    frame = parent.add_frame(pos=position, quat=turn.as_quat(scalar_first=True))
+    spec.attach(child, frame=frame, prefix=HAND_PREFIX)
+
+
+def _orientation(spec: MjSpec, site: str) -> Rotation:
+    """Return a site's orientation in its body, whatever form the file gives it in."""
+    return Rotation.from_quat(spec.copy().compile().site(site).quat, scalar_first=True)
+
+
+def _name_parts(spec: MjSpec) -> None:
+    """Name all bodies, geoms, joints, tendons and actuators that have no name."""
+    for kind in ("bodies", "geoms", "joints", "tendons", "actuators"):
+        elements = list(getattr(spec, kind))
+        names = {element.name for element in elements}
+        for index, element in enumerate(elements):
+            if not element.name:
+                name = f"{kind}_{index}"
+                element.name = name if name not in names else f"unnamed_{name}"
+
+
+def _set_contacts(spec: MjSpec, mount: Mount) -> None:
+    """Set collision filters (none within the arm or with visual geoms) and the contacts of the fingers."""
+    for body in spec.bodies:
+        geoms = list(body.geoms)
+        solid = [geom for geom in geoms if geom.group == COLLISION_GROUP]
+        solid = solid or [geom for geom in geoms if geom.contype or geom.conaffinity]
+        for geom in geoms:
+            touches = any(geom is other for other in solid)
+            _set(geom, **(ARM_CONTACT if touches else {"contype": 0, "conaffinity": 0}))
+    last = spec.joint(mount.joints[-1]) if mount.joints else None
+    if last is not None:
+        for geom in _geoms_of_moving(last.parent, moving=False):
+            if is_solid(geom):
+                _set(geom, **PAD_CONTACT)
+
+
+def _geoms_of_moving(body: MjsBody, moving: bool) -> list:
+    """Return the geoms of the bodies that joints below ``body`` move."""
+    found = list(body.geoms) if moving else []
+    for child in body.bodies:
+        found += _geoms_of_moving(child, moving or len(child.joints) > 0)
+    return found
+
+
+def _strip(spec: MjSpec) -> None:
+    """Delete textures, unused meshes, and the visual geoms that no body's inertia comes from."""
+    for body in spec.bodies:
+        if body.name == "world" or body.explicitinertial:
+            for geom in list(body.geoms):
+                if not is_solid(geom):
+                    spec.delete(geom)
+    for geom in spec.geoms:
         geom.material = ""
-        if geom.group != COLLISION_GROUP:
-            child.delete(geom)
-    used = {geom.meshname for geom in child.geoms if geom.type == mujoco.mjtGeom.mjGEOM_MESH}
-    for mesh in list(child.meshes):
-        if mesh.name in used:
-            _embed(child, mesh.name, model)
-        else:
-            child.delete(mesh)
-    unseen = (child.materials, child.textures, child.skins, child.hfields, child.sensors)
-    for element in [element for elements in unseen for element in elements]:
-        child.delete(element)
-    spec = mujoco.MjSpec()
-    spec.modelname = "arm"
-    spec.compiler.boundmass, spec.compiler.boundinertia = 1e-3, 1e-6  # visual geoms were removed
-    _attach(spec, child, mount.base)
-    spec.compile()
-    return spec.to_xml()
+    used = {geom.meshname for geom in spec.geoms}
+    for mesh in list(spec.meshes):
+        if mesh.name not in used:
+            spec.delete(mesh)
+    for element in (*spec.materials, *spec.textures, *spec.skins):
+        spec.delete(element)
 
 
 def _attach(spec: MjSpec, child: MjSpec, base: Frame) -> None:
-    # The scene's options (time step, gravity) override the file's, without warnings.
-    for given, kept in ((child.option, spec.option), (child.visual.map, spec.visual.map)):
-        _set(given, **{name: getattr(kept, name) for name in dir(kept) if not name.startswith("_")})
-    child.memory, child.nuserdata = spec.memory, spec.nuserdata
+    _adopt_options(child, spec)
     frame = spec.worldbody.add_frame(pos=base.position, quat=base.quaternion)
     spec.attach(child, frame=frame, prefix=PREFIX)
 
 
-def _suit_contacts(spec: MjSpec, mount: Mount) -> None:
-    """Set collision filters (none within the arm or with visual geoms) and the pads' contact parameters."""
-    for geom in spec.geoms:
-        touches = geom.group == COLLISION_GROUP
-        _set(geom, **(ARM_CONTACT if touches else {"contype": 0, "conaffinity": 0}))
-    for name in mount.fingers:
-        joint = spec.joint(name)
-        if joint is None:
-            raise RobotFileError(f"{mount.mjcf} has no joint '{name}' of the robot file's [gripper]")
-        for geom in _geoms_below(joint.parent):
-            if geom.group == COLLISION_GROUP:
-                _set(geom, **PAD_CONTACT)
-
-
-def _geoms_below(body: MjsBody) -> list:
-    return [*body.geoms, *(geom for child in body.bodies for geom in _geoms_below(child))]
+def _adopt_options(child: MjSpec, spec: MjSpec) -> None:
+    """Give a file the options (time step, gravity) of the one it is attached to, which override its own."""
+    for given, kept in ((child.option, spec.option), (child.visual.map, spec.visual.map)):
+        _set(given, **{name: getattr(kept, name) for name in dir(kept) if not name.startswith("_")})
+    child.memory, child.nuserdata = spec.memory, spec.nuserdata
 
 
 def _set(element: object, **values: object) -> None:
     for name, value in values.items():
         setattr(element, name, value)
-
-
-def _embed(spec: MjSpec, name: str, model: MjModel) -> None:
-    """Replace a mesh file by its compiled vertices in the file's frame."""
-    mesh, index = spec.mesh(name), model.mesh(name).id
-    start = model.mesh_vertadr[index]
-    vertices = model.mesh_vert[start : start + model.mesh_vertnum[index]]
-    turn = Rotation.from_quat(model.mesh_quat[index], scalar_first=True)
-    mesh.file = ""
-    mesh.scale, mesh.refpos, mesh.refquat = (1, 1, 1), (0, 0, 0), (1, 0, 0, 0)
-    mesh.uservert = (turn.apply(vertices) + model.mesh_pos[index]).astype(np.float32).ravel()
-    mesh.inertia = mujoco.mjtMeshInertia.mjMESH_INERTIA_CONVEX

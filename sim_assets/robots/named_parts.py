@@ -1,120 +1,167 @@
-"""Validation of the parts of an MJCF named by its robot file."""
+"""Checks of an arm against the entries of its robot file; each problem is one line that names the remedy."""
 
 from __future__ import annotations
 
-from collections.abc import Iterator
-from pathlib import Path
+import itertools
+from collections.abc import Iterator, Sequence
+from typing import TYPE_CHECKING
 
 import numpy as np
 
-from sim_assets.errors import RobotFileError
 from sim_assets.rendering.headless import MjModel, mujoco
-from sim_assets.robots.mounting import COLLISION_GROUP, Mount, load
+from sim_assets.robots.finger_motion import hand_joints, is_below
+from sim_assets.robots.servos import is_servo
 from sim_assets.robots.simulated_arm import SimulatedArm
 
-_TOLERANCE = 1e-4  # [m], [rad]
+if TYPE_CHECKING:
+    from sim_assets.robots.robot_file import RobotEntries
+
+MIN_FORCE = 10.0  # [N] of each finger, for objects of half a kilogram at friction 0.5 with reserve
+WIDTH_TOLERANCE = 1e-3  # [m] of a stated opening beyond the measured one
+_LISTED = 12  # names in a message
 
 
-def compiled(path: Path, mount: Mount) -> MjModel:
-    """Compile the arm alone.
+def part_problems(model: MjModel, entries: RobotEntries) -> list[str]:
+    """Return the problems with the parts that the file names, causes before consequences."""
+    mount = entries.mount
+    joints = [name for name in (*mount.joints, *entries.fingers) if name]
+    actuators = [name for name in (*entries.actuators, entries.actuator) if name]
+    sites = [name for name in (entries.tcp, mount.camera_site) if name]
+    problems = [
+        *_missing("joint", [model.joint(i).name for i in range(model.njnt)], joints),
+        *_missing("actuator", [model.actuator(i).name for i in range(model.nu)], actuators),
+        *_missing("site", [model.site(i).name for i in range(model.nsite)], sites),
+    ]
+    if problems or not mount.joints:
+        return problems
+    problems += _chain_problems(model, mount.joints)
+    if len(entries.home) == len(mount.joints):
+        problems += _home_problems(model, mount.joints, entries.home)
+    for name, joint in zip(entries.actuators, mount.joints, strict=False):
+        if not _drives(model, name, joint):
+            problems.append(
+                f"actuator '{name}' is no position servo (kp > 0, gear 1) of joint '{joint}': name another, "
+                "or leave out [arm] actuators and servos are added"
+            )
+    if entries.actuator:
+        problems += _command_problems(model, entries)
+    return [*problems, *_finger_problems(model, entries)]
 
-    Raises:
-        RobotFileError: its MJCF does not compile.
-    """
-    spec = load(mount)
-    try:
-        return spec.compile()
-    except (ValueError, mujoco.FatalError) as error:
-        raise RobotFileError(f"{path}: {mount.mjcf.name} does not compile: {error}") from None
+
+def _missing(kind: str, known: Sequence[str], names: Sequence[str]) -> Iterator[str]:
+    named = [name for name in known if name]
+    shown = ", ".join(named[:_LISTED]) + (", ..." if len(named) > _LISTED else "")
+    for name in names:
+        if name not in named:
+            yield f"the MJCF has no {kind} '{name}'; it has {shown or 'none with a name'}"
 
 
-def check_parts(path: Path, model: MjModel, robot: SimulatedArm) -> None:
-    """Check that the arm is usable in a cell.
+def _chain_problems(model: MjModel, joints: Sequence[str]) -> Iterator[str]:
+    ids = [model.joint(name).id for name in joints]
+    for before, after in itertools.pairwise(ids):
+        if not is_below(model, int(model.jnt_bodyid[after]), int(model.jnt_bodyid[before])):
+            yield (
+                f"joint '{model.joint(after).name}' is not below '{model.joint(before).name}': list [arm] "
+                "joints from base to wrist"
+            )
+            return
+    last = int(model.jnt_bodyid[ids[-1]])
+    hand = hand_joints(model, joints)
+    for joint in range(model.njnt):
+        if joint in ids or joint in hand:
+            continue
+        name = model.joint(joint).name
+        if is_below(model, last, int(model.jnt_bodyid[joint])):
+            yield f"joint '{name}' moves the arm but is not in [arm] joints: list it, or remove it"
+        else:
+            root = model.body(model.body_rootid[last]).name
+            yield f"joint '{name}' belongs to another part: keep the arm alone with [arm] body = \"{root}\""
 
-    Raises:
-        RobotFileError: a part is missing or of the wrong kind.
-    """
-    problem = next(iter(_problems(model, robot)), None)
-    if problem is not None:
-        raise RobotFileError(f"{path}: {problem}")
 
-
-def _problems(model: MjModel, robot: SimulatedArm) -> Iterator[str]:
-    """Yield the problems, causes before consequences."""
-    arm = robot.description
-    wanted = {
-        "joint": ((model.joint(i).name for i in range(model.njnt)), arm.joint_names + arm.finger_joint_names),
-        "actuator": (
-            (model.actuator(i).name for i in range(model.nu)),
-            (*robot.actuators, robot.gripper_actuator),
-        ),
-        "site": ((model.site(i).name for i in range(model.nsite)), (arm.tcp_site, arm.camera_site)),
-    }
-    for kind, (there, names) in wanted.items():
-        known = [name for name in there if name]
-        missing = next((name for name in names if name not in known), None)
-        if missing is not None:
-            yield f"the MJCF has no {kind} '{missing}'; it has {', '.join(known) or 'none with a name'}"
-    for name, home in zip(arm.joint_names, arm.q_home, strict=True):
+def _home_problems(model: MjModel, joints: Sequence[str], home: np.ndarray) -> Iterator[str]:
+    for name, angle in zip(joints, home, strict=True):
         joint = model.joint(name)
         low, high = joint.range
         if joint.type[0] != mujoco.mjtJoint.mjJNT_HINGE or not model.jnt_limited[joint.id]:
             yield f"joint '{name}' must be a hinge with a range"
-        if not low <= home <= high:
-            yield f"[arm] home {home:g} of joint '{name}' is outside its range {low:.4g}..{high:.4g} rad"
-    for name, joint in zip(robot.actuators, arm.joint_names, strict=True):
-        if not _is_servo(model, name, joint):
-            yield f"actuator '{name}' is no position servo (kp > 0, gear 1) of joint '{joint}'"
-    for name in arm.finger_joint_names:
-        joint, half = model.joint(name), arm.max_width / 2
-        if joint.type[0] != mujoco.mjtJoint.mjJNT_SLIDE:
-            yield f"finger joint '{name}' must slide"
-        low, high = joint.range
-        if model.jnt_limited[joint.id] and (abs(low) > _TOLERANCE or high < half - _TOLERANCE):
-            yield (
-                f"finger joint '{name}' slides over {low:.4g}..{high:.4g} m, expected 0 (pads meet) to "
-                f"max_width / 2 = {half:.4g} m"
-            )
-    gripper = model.actuator(robot.gripper_actuator)
-    low, high = gripper.ctrlrange
-    for key, command in {"open": robot.open, "closed": robot.closed, "press": robot.press}.items():
-        if model.actuator_ctrllimited[gripper.id] and not low <= command <= high:
-            yield f"[gripper] {key} = {command:g} is outside the actuator's ctrlrange {low:g}..{high:g}"
-    if robot.open == robot.closed:
-        yield "[gripper] open and closed are the same command"
-    yield from _shape_problems(model, robot)
+        elif not low <= angle <= high:
+            yield f"[arm] home {angle:g} of joint '{name}' is outside its range {low:.4g}..{high:.4g} rad"
 
 
-def _shape_problems(model: MjModel, robot: SimulatedArm) -> Iterator[str]:
-    names = [model.body(body).name for body in range(model.nbody)]
-    if not all(names) or any("/" in name for name in names):
-        yield "every body of the MJCF needs a name without '/'"
-    solid = {int(body) for body in model.geom_bodyid[model.geom_group == COLLISION_GROUP]}
-    moving = [body for body in range(model.nbody) if model.body_weldid[body]]
-    if not solid.intersection(moving):
-        yield 'no geom of the arm is in group 3: give the collision shapes group="3", as Menagerie does'
-    for name in robot.description.finger_joint_names:
-        finger = int(model.joint(name).bodyid[0])
-        if not any(_is_below(model, body, finger) for body in solid):
-            yield f"no geom in group 3 on the finger that joint '{name}' moves: it could not hold anything"
-
-
-def _is_below(model: MjModel, body: int, ancestor: int) -> bool:
-    while body and body != ancestor:
-        body = int(model.body_parentid[body])
-    return body == ancestor
-
-
-def _is_servo(model: MjModel, name: str, joint: str) -> bool:
+def _drives(model: MjModel, name: str, joint: str) -> bool:
     index = model.actuator(name).id
-    gain, bias = model.actuator_gainprm[index, 0], model.actuator_biasprm[index]
     return bool(
         model.actuator_trntype[index] == mujoco.mjtTrn.mjTRN_JOINT
         and model.actuator_trnid[index, 0] == model.joint(joint).id
-        and model.actuator_gaintype[index] == mujoco.mjtGain.mjGAIN_FIXED
-        and model.actuator_biastype[index] == mujoco.mjtBias.mjBIAS_AFFINE
-        and gain > 0
-        and np.isclose(bias[1], -gain)
-        and bias[2] <= 0
-        and model.actuator_gear[index, 0] == 1
+        and is_servo(model, index)
     )
+
+
+def _command_problems(model: MjModel, entries: RobotEntries) -> Iterator[str]:
+    gripper = model.actuator(entries.actuator)
+    low, high = gripper.ctrlrange
+    for key, command in zip(("open", "closed", "press"), entries.commands, strict=True):
+        if model.actuator_ctrllimited[gripper.id] and not low <= command <= high:
+            yield f"[gripper] {key} = {command:g} is outside the actuator's ctrlrange {low:g}..{high:g}"
+    if entries.commands[0] == entries.commands[1]:
+        yield "[gripper] open and closed are the same command"
+
+
+def _finger_problems(model: MjModel, entries: RobotEntries) -> Iterator[str]:
+    below = hand_joints(model, entries.mount.joints)
+    for name in entries.fingers:
+        joint = model.joint(name)
+        if joint.id not in below:
+            yield f"finger joint '{name}' is not below the arm's last joint '{entries.mount.joints[-1]}'"
+        elif not model.jnt_limited[joint.id]:
+            yield f"finger joint '{name}' needs a range, from closed to open"
+    last = int(model.joint(entries.mount.joints[-1]).bodyid[0])
+    solid = {int(body) for body in model.geom_bodyid[model.geom_contype != 0]}
+    if not any(is_below(model, body, last) for body in solid):
+        yield ("the hand has no collision geoms (group 3, or contype and conaffinity), nothing to hold with")
+    if not any(is_below(model, body, int(model.joint(entries.mount.joints[0]).bodyid[0])) for body in solid):
+        yield "no geom of the arm is a collision geom: give the collision shapes group 3"
+
+
+def robot_problems(model: MjModel, robot: SimulatedArm) -> list[str]:
+    """Return the problems of an arm that is complete: its stated hand against the model, its grip."""
+    arm = robot.description
+    problems = []
+    measured = float(arm.fingers.widths[-1])
+    if arm.max_width > measured + WIDTH_TOLERANCE:
+        problems.append(
+            f"[gripper] max_width = {arm.max_width:g} m, but the pads open to {measured:.4f} m: leave it out"
+        )
+    force = grip_force(model, robot)
+    if force < MIN_FORCE:
+        problems.append(
+            f"the fingers press with {force:.1f} N, too little to hold a can (at least {MIN_FORCE:g} N): "
+            "raise the actuator's force or press, or give force in place of actuator, open and closed"
+        )
+    return problems
+
+
+def grip_force(model: MjModel, robot: SimulatedArm) -> float:
+    """Return the force [N] of each finger on an object of half the largest opening, at full command.
+
+    By the principle of virtual work, from the actuator's force and the change of the opening with its length.
+    """
+    fingers = robot.description.fingers
+    middle = 0.5 * (fingers.widths[0] + fingers.widths[-1])
+    step = 0.02 * float(np.ptp(fingers.widths))
+    lengths = [_actuator_length(model, robot, fingers.at(w)) for w in (middle - step, middle, middle + step)]
+    rate = (lengths[2] - lengths[0]) / (2 * step)
+    index = model.actuator(robot.gripper_actuator).id
+    gain, bias = model.actuator_gainprm[index], model.actuator_biasprm[index]
+    push = gain[0] * robot.press + bias[0] + bias[1] * lengths[1]
+    if model.actuator_forcelimited[index]:
+        push = float(np.clip(push, *model.actuator_forcerange[index]))
+    return float(-push * rate)
+
+
+def _actuator_length(model: MjModel, robot: SimulatedArm, position: np.ndarray) -> float:
+    data = mujoco.MjData(model)
+    for name, value in zip(robot.description.fingers.joint_names, position, strict=True):
+        data.joint(name).qpos[0] = value
+    mujoco.mj_forward(model, data)
+    return float(data.actuator(robot.gripper_actuator).length[0])

@@ -15,7 +15,7 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from manipulation.robot import ArmDescription, GripperGeometry
+from manipulation.robot import ArmDescription, FingerMotion, GripperGeometry
 from sim_assets.rendering.headless import MjsBody, MjSpec, mujoco
 from sim_assets.robots.simulated_arm import ARM_CONTACT, PAD_CONTACT, WRIST_CAMERA
 
@@ -154,7 +154,7 @@ def arm_description() -> ArmDescription:
     return ArmDescription(
         mjcf=spec.to_xml(),
         joint_names=ARM_JOINTS,
-        finger_joint_names=FINGER_JOINTS,
+        fingers=FingerMotion.sliding(FINGER_JOINTS, MAX_WIDTH),
         tcp_site=TCP_SITE,
         camera_site=CAMERA_SITE,
         q_home=Q_READY.copy(),

@@ -1,6 +1,7 @@
-"""Robot files: TOML with the path of an arm's MJCF and the names of its parts.
+"""Robot files: TOML with the path of an arm's MJCF and what cannot be found out from it.
 
-``sixaxis/robot.toml`` is an example with every entry explained.
+``sixaxis/robot.toml`` is an example with every entry explained. What a file leaves open is measured on
+the model: the hand's shape and motion, servos, the place of the camera.
 """
 
 from __future__ import annotations
@@ -13,89 +14,292 @@ from pathlib import Path
 from typing import Any
 
 import numpy as np
+from jaxtyping import Float
+from scipy.spatial.transform import Rotation
 
-from manipulation.robot import ArmDescription, GripperGeometry
+from manipulation.robot import ArmDescription, FingerMotion, GripperGeometry
 from perception.errors import InvalidInputError
 from perception.io.files import read_text
 from sim_assets.errors import RobotFileError
-from sim_assets.robots.mounting import PREFIX, Frame, Mount, add_to_scene, planning_mjcf
-from sim_assets.robots.named_parts import check_parts, compiled
+from sim_assets.rendering.headless import MjModel
+from sim_assets.robots.finger_motion import hand_joints, sweep_hand
+from sim_assets.robots.hand_shape import HandShape, measure_hand
+from sim_assets.robots.mounting import (
+    HAND_PREFIX,
+    PREFIX,
+    Frame,
+    HandFile,
+    Mount,
+    SitePose,
+    add_to_scene,
+    compiled,
+)
+from sim_assets.robots.named_parts import WIDTH_TOLERANCE, part_problems, robot_problems
+from sim_assets.robots.planning_model import planning_mjcf
+from sim_assets.robots.servos import (
+    DEFAULT_FORCE,
+    GRIPPER,
+    actuators_of,
+    gripper_servo,
+    is_servo,
+    joint_servos,
+    tendon_lengths,
+)
 from sim_assets.robots.simulated_arm import SimulatedArm
+from sim_assets.robots.toml_table import MAX_DISTANCE, TomlTable
 
-MAX_NUMBER = 1e6  # of any entry
-MIN_LIMIT = 1e-3  # of velocity [rad/s], acceleration [rad/s²] and jerk [rad/s³]: slower arms never arrive
-MAX_DISTANCE = 10.0  # of the base from the origin, along each axis [m]
-_TCP, _CAMERA = "nodeslam_tcp", "nodeslam_camera"  # sites that a robot file gives by their poses
+_TCP, _CAMERA = "nodeslam_tcp", "nodeslam_camera"  # sites that the file does not name
 _GEOMETRY = [field.name for field in fields(GripperGeometry)]
+_DEFAULT_FOVY = 45.0  # [deg]
+_CAMERA_BEHIND = 0.05  # [m] from the TCP back to an assumed camera
+_CAMERA_BESIDE = (0.06, 0.12)  # [m] range of its distance from the hand's axis
+IDENTITY = (1.0, 0.0, 0.0, 0.0)  # quaternion
+
+
+@dataclass(frozen=True)
+class RobotEntries:
+    """Entries of a robot file, as written there.
+
+    Attributes:
+        mount: MJCF files and the sites that the file defines.
+        actuators: the joints' servos; empty to use those of the model or add some.
+        torque: (n,) largest torques of added servos in [Nm]; None for those of the model.
+        home: (n,) home posture in [rad].
+        limits: (3, n) of velocity, acceleration and jerk in [rad/s], [rad/s^2], [rad/s^3].
+        fingers: names of the driven finger joints.
+        actuator: the hand's actuator; empty to add a servo.
+        commands: its commands at ``max_width``, closed, and for full force.
+        force: force of each finger of an added servo in [N]; None for the default.
+        geometry: the dimensions of the hand that the file states, in [m].
+        tcp: site of the tool frame; empty to measure it.
+        fovy: vertical field of view of the camera in [deg].
+    """
+
+    mount: Mount
+    actuators: tuple[str, ...]
+    torque: Float[np.ndarray, "n"] | None
+    home: Float[np.ndarray, "n"]
+    limits: Float[np.ndarray, "3 n"]
+    fingers: tuple[str, ...]
+    actuator: str
+    commands: tuple[float, float, float]
+    force: float | None
+    geometry: dict[str, float]
+    tcp: str
+    fovy: float
 
 
 def read_robot(path: Path, shipped: Sequence[str] = ()) -> SimulatedArm:
-    """Load the arm that a robot file describes and check it against its MJCF.
+    """Load the arm that a robot file describes and check it against its models.
 
     Args:
         path: path of the robot file.
         shipped: names of the shipped arms, for the message about a missing file.
 
     Raises:
-        RobotFileError: an entry or part is missing or invalid.
+        RobotFileError: entries or parts are missing or invalid; lists all problems.
     """
-    top = _Table(path, "", _parsed(path, shipped))
-    arm, gripper, camera = (top.table(name) for name in ("arm", "gripper", "camera"))
-    mjcf = path.parent / top.text("mjcf")
+    problems: list[str] = []
+    entries = read_entries(path, _parsed(path, shipped), problems)
+    try:
+        return build_robot(entries, problems)
+    except RobotFileError as error:
+        found = [*problems, *(p for p in error.problems if p not in problems)]
+        raise RobotFileError([p if str(path) in p else f"{path}: {p}" for p in found]) from None
+
+
+def read_entries(path: Path, document: dict[str, Any], problems: list[str]) -> RobotEntries:
+    """Return the entries of a parsed robot file; add a line to ``problems`` for each that is wrong."""
+    top = TomlTable("", document, problems)
+    arm, gripper = top.table("arm"), top.table("gripper")
+    camera, hand = top.table("camera", optional=True), top.table("hand", optional=True)
+    mjcf = top.path("mjcf", path.parent)
     joints = arm.names("joints")
     count = len(joints)
-    actuators = arm.names("actuators", count)
-    home = arm.numbers("home", count)
-    velocity, acceleration, jerk = (arm.limits(name, count) for name in ("velocity", "acceleration", "jerk"))
+    limits = [arm.limits(name, count) for name in ("velocity", "acceleration", "jerk")]
     base = Frame(arm.numbers("base", 3, (0.0, 0.0, 0.0), MAX_DISTANCE), _about_z(arm.number("base_yaw", 0.0)))
-    fingers = gripper.names("joints", 2)
-    geometry = GripperGeometry(
-        **{name: gripper.positive(name) for name in _GEOMETRY if name == "max_width" or name in gripper}
+    named = "actuator" in gripper
+    closed = gripper.number("closed") if named else 0.0
+    commands = (gripper.number("open"), closed, gripper.number("press", closed)) if named else (0.0, 0.0, 0.0)
+    fingers = gripper.names("joints", (1, 2))
+    tcp, tcp_site = gripper.site("tcp", _TCP) if "tcp" in gripper else ("", None)
+    optical, camera_site = camera.site("site", _CAMERA) if "site" in camera else ("", None)
+    entries = RobotEntries(
+        mount=Mount(
+            mjcf=mjcf,
+            base=base,
+            joints=joints,
+            root=arm.text("body", ""),
+            hand=_hand_file(hand, path.parent) if "hand" in top else None,
+            sites=tuple(site for site in (tcp_site, camera_site) if site is not None),
+            camera_site=optical,
+        ),
+        actuators=arm.names("actuators", (count,), optional=True),
+        torque=arm.positive_numbers("torque", count) if "torque" in arm else None,
+        home=arm.numbers("home", count),
+        limits=np.array(limits),
+        fingers=fingers,
+        actuator=gripper.text("actuator", ""),
+        commands=commands,
+        force=None if "force" not in gripper else gripper.positive("force"),
+        geometry={name: gripper.positive(name) for name in _GEOMETRY if name in gripper},
+        tcp=tcp,
+        fovy=camera.positive("fovy", 179.0, _DEFAULT_FOVY),
     )
-    closed = gripper.number("closed")
-    tcp, tcp_mount = gripper.site("tcp", _TCP)
-    optical, camera_mount = camera.site("site", _CAMERA)
-    mount = Mount(mjcf, base, optical, fingers, tuple(m for m in (tcp_mount, camera_mount) if m is not None))
-    fovy = camera.positive("fovy", 179.0)
+    for table in (top, arm, gripper, camera, hand):
+        table.refuse_others()
+    return entries
+
+
+def _hand_file(hand: TomlTable, folder: Path) -> HandFile:
+    frame = Frame(hand.numbers("position", 3, (0.0, 0.0, 0.0)), hand.numbers("quaternion", 4, IDENTITY))
+    return HandFile(hand.path("mjcf", folder), hand.text("mount"), frame)
+
+
+def build_robot(entries: RobotEntries, problems: Sequence[str] = ()) -> SimulatedArm:
+    """Build the arm from the entries of its file; measure what they leave open.
+
+    Raises:
+        RobotFileError: the models do not fit the entries; lists ``problems`` and all that were found.
+    """
+    model = compiled(entries.mount)
+    entries = _with_prefixes(entries, model)
+    found = [*problems, *part_problems(model, entries)]
+    if found:
+        raise RobotFileError(found)
+    sweep = sweep_hand(model, entries.mount.joints, entries.fingers)
+    hand = measure_hand(model, entries.mount.joints, sweep)
+    robot, mount = _assembled(entries, model, hand)
+    model = compiled(mount)
+    found = robot_problems(model, robot)
+    if found:
+        raise RobotFileError(found)
+    return _as_in_scenes(robot, planning_mjcf(model, mount.base))
+
+
+def _with_prefixes(entries: RobotEntries, model: MjModel) -> RobotEntries:
+    """Return the entries with the names of a hand's own file as they are in the composed model."""
+    if entries.mount.hand is None:
+        return entries
+    known = {model.joint(j).name for j in range(model.njnt)}
+    known |= {model.actuator(a).name for a in range(model.nu)} | {
+        model.site(s).name for s in range(model.nsite)
+    }
+
+    def full(name: str) -> str:
+        return HAND_PREFIX + name if name not in known and HAND_PREFIX + name in known else name
+
+    return replace(
+        entries,
+        fingers=tuple(map(full, entries.fingers)),
+        actuator=full(entries.actuator),
+        tcp=full(entries.tcp),
+    )
+
+
+def _assembled(entries: RobotEntries, model: MjModel, hand: HandShape) -> tuple[SimulatedArm, Mount]:
+    """Return the arm with the names of its own files, and the mount with servos and sites."""
+    mount, assumptions = entries.mount, []
+    geometry = replace(hand.geometry, **entries.geometry)
+    fingers = hand.fingers
+    if geometry.max_width < fingers.widths[-1] + WIDTH_TOLERANCE:
+        fingers = _rescaled(fingers, geometry.max_width)
+    sites = list(mount.sites)
+    tcp = entries.tcp
+    if not tcp:
+        tcp = _TCP
+        sites.append(SitePose(_TCP, hand.body, _frame(hand.T_body_tcp)))
+        place = ", ".join(f"{1e3 * v:.0f}" for v in hand.T_body_tcp[:3, 3])
+        assumptions.append(
+            f"the tool frame is at {place} mm in body '{hand.body}', between the pads (measured)"
+        )
+    optical = mount.camera_site
+    if not optical:
+        optical = _CAMERA
+        sites.append(
+            SitePose(_CAMERA, hand.body, _frame(hand.T_body_tcp @ assumed_camera(hand, entries.fovy)))
+        )
+        assumptions.append("a wrist camera looks along the fingers from beside the hand ([camera] site)")
+    mount = replace(mount, sites=tuple(sites), camera_site=optical)
+    actuators, servos = _servos(entries, model, assumptions)
+    gripper = None
+    if entries.actuator:
+        opened, closed, press = entries.commands
+        share = (fingers.widths - fingers.widths[0]) / np.ptp(fingers.widths)
+        command, name = closed + share * (opened - closed), entries.actuator
+    else:
+        below = hand_joints(model, mount.joints)
+        if entries.force is None:
+            assumptions.append(f"each finger presses with {DEFAULT_FORCE:g} N ([gripper] force)")
+        gripper = gripper_servo(model, fingers, below, entries.force or DEFAULT_FORCE)
+        command, name = tendon_lengths(fingers, gripper), GRIPPER
+        press = float(command[0] - 1.2 * gripper.force / gripper.gain)
+    mount = replace(mount, servos=servos, gripper=gripper)
     robot = SimulatedArm(
         description=ArmDescription(
             mjcf="",
-            joint_names=joints,
-            finger_joint_names=(fingers[0], fingers[1]),
+            joint_names=mount.joints,
+            fingers=fingers,
             tcp_site=tcp,
             camera_site=optical,
-            q_home=home,
-            velocity_limit=velocity,
-            acceleration_limit=acceleration,
-            jerk_limit=jerk,
+            q_home=entries.home,
+            velocity_limit=entries.limits[0],
+            acceleration_limit=entries.limits[1],
+            jerk_limit=entries.limits[2],
             gripper=geometry,
         ),
-        add=functools.partial(add_to_scene, mount, fovy=fovy),
+        add=functools.partial(add_to_scene, mount, fovy=entries.fovy),
         actuators=actuators,
-        gripper_actuator=gripper.text("actuator"),
-        open=gripper.number("open"),
-        closed=closed,
-        press=gripper.number("press", closed),
-        fovy=fovy,
+        gripper_actuator=name,
+        commands=command,
+        press=press,
+        fovy=entries.fovy,
+        assumptions=tuple(assumptions),
     )
-    for table in (top, arm, gripper, camera):
-        table.refuse_others()
-    model = compiled(path, mount)
-    check_parts(path, model, robot)
-    return _as_in_scenes(robot, planning_mjcf(mount, model))
+    return robot, mount
+
+
+def _servos(entries: RobotEntries, model: MjModel, assumptions: list[str]) -> tuple[tuple[str, ...], tuple]:
+    """Return the names of the arm's servos, and those to add: none if the model has one for each joint."""
+    if entries.actuators:
+        return entries.actuators, ()
+    joints = entries.mount.joints
+    own = [[a for a in actuators_of(model, [model.joint(name).id]) if is_servo(model, a)] for name in joints]
+    if all(len(found) == 1 for found in own) and entries.torque is None:
+        return tuple(model.actuator(found[0]).name for found in own), ()
+    servos = joint_servos(model, joints, entries.torque)
+    torques = ", ".join(f"{servo.torque:.3g}" for servo in servos)
+    assumptions.append(f"position servos of {torques} Nm were added to the arm's joints ([arm] torque)")
+    return tuple(servo.name for servo in servos), servos
+
+
+def assumed_camera(hand: HandShape, fovy: float) -> Float[np.ndarray, "4 4"]:
+    """Return ``T_tcp_camera`` of a camera beside the hand that looks along the fingers, out of its view."""
+    slope = np.tan(np.deg2rad(fovy / 2 + 2))
+    ahead = hand.points[(hand.points[:, 2] > -_CAMERA_BEHIND) & (np.abs(hand.points[:, 1]) < 0.03)]
+    beside = (ahead[:, 0] + (ahead[:, 2] + _CAMERA_BEHIND) * slope).max(initial=0.0)
+    T = np.eye(4)
+    T[:3, :3] = [[0.0, -1.0, 0.0], [1.0, 0.0, 0.0], [0.0, 0.0, 1.0]]  # right = y, down = -x of the tool
+    T[:3, 3] = np.clip(beside, *_CAMERA_BESIDE), 0.0, -_CAMERA_BEHIND
+    return T
+
+
+def _rescaled(fingers: FingerMotion, max_width: float) -> FingerMotion:
+    """Return the motion with openings scaled to a stated largest one."""
+    return replace(fingers, widths=fingers.widths * (max_width / fingers.widths[-1]))
 
 
 def _as_in_scenes(robot: SimulatedArm, mjcf: str) -> SimulatedArm:
     """Return the arm with the names of its parts in scenes."""
     arm = robot.description
-    first, second = arm.finger_joint_names
+    fingers = replace(arm.fingers, joint_names=tuple(PREFIX + name for name in arm.fingers.joint_names))
     return replace(
         robot,
         description=replace(
             arm,
             mjcf=mjcf,
             joint_names=tuple(PREFIX + name for name in arm.joint_names),
-            finger_joint_names=(PREFIX + first, PREFIX + second),
+            fingers=fingers,
             tcp_site=PREFIX + arm.tcp_site,
             camera_site=PREFIX + arm.camera_site,
         ),
@@ -120,119 +324,9 @@ def _parsed(path: Path, shipped: Sequence[str]) -> dict[str, Any]:
         raise RobotFileError(f"{path} cannot be read as TOML: {error}") from None
 
 
+def _frame(T: Float[np.ndarray, "4 4"]) -> Frame:
+    return Frame(T[:3, 3].copy(), Rotation.from_matrix(T[:3, :3]).as_quat(scalar_first=True))
+
+
 def _about_z(angle: float) -> np.ndarray:
     return np.array([np.cos(angle / 2), 0.0, 0.0, np.sin(angle / 2)])
-
-
-@dataclass
-class _Table:
-    """A table of a robot file; every entry is mandatory, and unknown entries are errors."""
-
-    path: Path
-    name: str
-    entries: dict[str, Any]
-
-    def __post_init__(self) -> None:
-        self._known: set[str] = set()
-
-    def __contains__(self, key: str) -> bool:
-        return key in self.entries
-
-    def table(self, key: str) -> _Table:
-        entries = self._take(key)
-        if not isinstance(entries, dict):
-            raise RobotFileError(f"{self.path}: [{key}] must be a table")
-        return _Table(self.path, key, entries)
-
-    def text(self, key: str) -> str:
-        value = self._take(key)
-        if not isinstance(value, str) or not value:
-            raise self._wrong(key, "a name in quotes")
-        return value
-
-    def names(self, key: str, count: int | None = None) -> tuple[str, ...]:
-        """Return ``count`` different names."""
-        values = self._take(key)
-        if not isinstance(values, list) or not values or not all(isinstance(v, str) and v for v in values):
-            raise self._wrong(key, "a list of names in quotes")
-        self._check_count(key, values, count)
-        if len(set(values)) < len(values):
-            raise self._wrong(key, "a list of different names")
-        return tuple(values)
-
-    def number(self, key: str, default: float | None = None) -> float:
-        value = self._take(key, default)
-        if not _is_number(value, MAX_NUMBER):
-            raise self._wrong(key, f"a finite number of at most {MAX_NUMBER:g} in magnitude")
-        return float(value)
-
-    def positive(self, key: str, most: float = np.inf) -> float:
-        value = self.number(key)
-        if not 0 < value <= most:
-            raise self._wrong(key, f"above 0 and at most {most:g}" if np.isfinite(most) else "above 0")
-        return value
-
-    def numbers(
-        self, key: str, count: int, default: Sequence[float] | None = None, most: float = MAX_NUMBER
-    ) -> np.ndarray:
-        values = self._take(key, list(default) if default is not None else None)
-        if not isinstance(values, list):
-            raise self._wrong(key, f"a list of {count} numbers")
-        self._check_count(key, values, count)
-        if not all(_is_number(value, most) for value in values):
-            raise self._wrong(key, f"a list of {count} finite numbers of at most {most:g} in magnitude")
-        return np.array(values, dtype=np.float64)
-
-    def limits(self, key: str, count: int) -> np.ndarray:
-        values = self.numbers(key, count)
-        if not (values >= MIN_LIMIT).all():
-            raise self._wrong(key, f"a list of numbers of at least {MIN_LIMIT:g}")
-        return values
-
-    def site(self, key: str, name: str) -> tuple[str, tuple[str, str, Frame] | None]:
-        """Return the name of a site or, if the file gives body and pose, ``name`` and the site to add."""
-        if isinstance(self.entries.get(key), dict):
-            pose = self.table(key)
-            place = Frame(pose.numbers("position", 3), pose.numbers("quaternion", 4, (1.0, 0.0, 0.0, 0.0)))
-            where = (name, pose.text("body"), place)
-            pose.refuse_others()
-            return name, where
-        return self.text(key), None
-
-    def refuse_others(self) -> None:
-        """Raise RobotFileError if there are unknown entries."""
-        unknown = sorted(set(self.entries) - self._known)
-        if unknown:
-            known = ", ".join(sorted(self._known))
-            raise RobotFileError(f"{self._called(unknown[0])} is unknown; known are {known}")
-
-    def _take(self, key: str, default: Any = None) -> Any:
-        self._known.add(key)
-        value = self.entries.get(key, default)
-        if value is None:
-            raise RobotFileError(f"{self._called(key)} is missing")
-        return value
-
-    def _check_count(self, key: str, values: Sequence[Any], count: int | None) -> None:
-        if count is not None and len(values) != count:
-            raise RobotFileError(f"{self._called(key)} has {len(values)} entries, expected {count}")
-
-    def _wrong(self, key: str, wanted: str) -> RobotFileError:
-        return RobotFileError(f"{self._called(key)} = {_shortened(self.entries.get(key))} must be {wanted}")
-
-    def _called(self, key: str) -> str:
-        return f"{self.path}: {f'[{self.name}] ' if self.name else ''}{key}"
-
-
-def _is_number(value: Any, most: float) -> bool:
-    """Return whether an entry is a number of at most the given magnitude; NaN is none."""
-    return isinstance(value, (int, float)) and not isinstance(value, bool) and abs(value) <= most
-
-
-def _shortened(value: Any) -> str:
-    """Return an entry for a message; Python refuses to print integers of thousands of digits."""
-    try:
-        text = repr(value)
-    except ValueError:
-        return "a very long integer"
-    return text if len(text) <= 80 else f"{text[:77]}..."

@@ -5,6 +5,9 @@ from __future__ import annotations
 from collections.abc import Callable
 from dataclasses import dataclass
 
+import numpy as np
+from jaxtyping import Float
+
 from manipulation.robot import ArmDescription
 from sim_assets.rendering.headless import MjSpec
 
@@ -24,21 +27,22 @@ class SimulatedArm:
         description: kinematics, collision shapes and limits, with the names used in scenes.
         add: adds the arm with visual geoms, servos and the camera ``wrist`` to a scene's specification.
         actuators: names of the joints' position servos, in joint order.
-        gripper_actuator: name of the actuator that drives both fingers.
-        open, closed: command at the full width, and with the pads in contact.
-        press: command for closing with full force.
+        gripper_actuator: name of the actuator that drives the fingers.
+        commands: (k,) its commands at the openings ``description.fingers.widths``.
+        press: its command for closing with full force.
         fovy: vertical field of view of the wrist camera in [deg].
+        assumptions: what the robot file leaves open and was assumed, one sentence each.
     """
 
     description: ArmDescription
     add: Callable[[MjSpec], None]
     actuators: tuple[str, ...]
     gripper_actuator: str
-    open: float
-    closed: float
+    commands: Float[np.ndarray, "k"]
     press: float
     fovy: float
+    assumptions: tuple[str, ...] = ()
 
-    def gripper_command(self, opening: float) -> float:
-        """Return the gripper command at which each finger is open by ``opening`` [m]."""
-        return self.closed + opening * ((self.open - self.closed) / (self.description.max_width / 2))
+    def gripper_command(self, width: float) -> float:
+        """Return the gripper command for an opening of ``width`` [m] between the pads."""
+        return float(np.interp(width, self.description.fingers.widths, self.commands))

@@ -39,7 +39,8 @@ NAMES = {
     | {"task", "episodes", "workers", "resume", "ray"},
     "bench": COMMON | {"scan", "repeats"},
     "view": TASK | {"host", "port", "run", "task", "html"},
-    "doctor": COMMON,
+    "doctor": COMMON | {"robot"},
+    "robot": COMMON | {"action", "arm", "hand", "mount", "body"},
 }
 
 

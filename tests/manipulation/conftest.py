@@ -6,7 +6,7 @@ import numpy as np
 import pytest
 import trimesh
 
-from manipulation.robot import ArmDescription
+from manipulation.robot import ArmDescription, FingerMotion
 from perception.geometry import pose_from_yaw
 from perception.types import ObjectEstimate, TriangleMesh
 
@@ -54,7 +54,7 @@ def arm() -> ArmDescription:
     return ArmDescription(
         mjcf=_mjcf(),
         joint_names=tuple(f"joint{i}" for i in range(1, 8)),
-        finger_joint_names=("finger_left", "finger_right"),
+        fingers=FingerMotion.sliding(("finger_left", "finger_right"), 0.08),
         tcp_site="tcp",
         camera_site="camera",
         q_home=np.array([0, -np.pi / 4, 0, -3 * np.pi / 4, 0, np.pi / 2, np.pi / 4]),

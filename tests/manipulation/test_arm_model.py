@@ -13,7 +13,7 @@ from manipulation.errors import ManipulationError
 
 
 def test_collision_spec_keeps_the_collision_geoms_only(arm):
-    model = collision_spec(arm).compile()
+    model = collision_spec(arm.mjcf).compile()
     assert model.ngeom > 7 and (model.geom_group == COLLISION_GROUP).all()
     assert model.nu == 0 and model.njnt == 9
 
@@ -25,7 +25,7 @@ def test_kinematic_model_has_the_arm_joints_and_no_geoms(arm):
 
 
 def test_addresses_and_limits_follow_the_order_of_the_names(arm):
-    model = collision_spec(arm).compile()
+    model = collision_spec(arm.mjcf).compile()
     names = ("joint4", "joint1")
     np.testing.assert_array_equal(joint_addresses(model, names), [3, 0])
     np.testing.assert_allclose(joint_range(model, names), [[-3.0718, -2.8973], [-0.0698, 2.8973]])

@@ -96,7 +96,7 @@ def test_a_neighbour_between_the_fingers_rejects_the_grasp(kinematics, can, shap
     x, y = can.T_world_stand[:2, 3] + 0.06 * (can.T_world_stand @ grasp.T_stand_tcp)[:2, 1]
     bottle = to_standing(shapes.estimate(2, "bottle", shapes.bottle(0.02, 0.25), x=float(x), y=float(y)))
     crowded = motions_among(kinematics, can, bottle)
-    assert find_pick(crowded, can.name, grasp, CONFIG) == Rejected("collide with bottle_2")
+    assert find_pick(crowded, can.name, grasp, CONFIG) == Rejected("collide with bottle_2 (link7)")
     assert not crowded.lines, "rejected by the grasp posture alone"
 
 

@@ -3,7 +3,7 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
-from manipulation.robot import GripperGeometry, JointTrajectory, Robot
+from manipulation.robot import FingerMotion, GripperGeometry, JointTrajectory, Robot
 
 
 def test_duration_counts_the_intervals_between_samples():
@@ -21,3 +21,18 @@ def test_objects_without_all_members_are_no_robots(arm):
             return arm.q_home
 
     assert not isinstance(Incomplete(), Robot)
+
+
+def test_openings_and_joint_positions_of_sliding_fingers_are_inverse():
+    fingers = FingerMotion.sliding(("l", "r"), 0.08)
+    np.testing.assert_allclose(fingers.at(0.05), [0.025, 0.025])
+    assert fingers.width(np.array([0.03, 0.02])) == pytest.approx(0.05)
+    np.testing.assert_allclose(fingers.at(0.2), [0.04, 0.04])  # clipped
+
+
+def test_a_linkage_is_tabulated_and_its_passive_joints_follow():
+    positions = np.array([[0.8, -0.8, 0.1], [0.4, -0.4, 0.3], [0.0, 0.0, 0.2]])
+    fingers = FingerMotion(("a", "b", "passive"), np.array([0.0, 0.05, 0.085]), positions, 2)
+    np.testing.assert_allclose(fingers.at(0.025), [0.6, -0.6, 0.2])
+    assert fingers.width(np.array([0.4, -0.4])) == pytest.approx(0.05)
+    assert fingers.width(np.array([0.9, -0.9])) == 0.0

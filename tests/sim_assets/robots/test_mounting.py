@@ -1,4 +1,6 @@
-"""Mounting of an MJCF arm: frames, camera axes, collision filters, and the reduced planning model."""
+"""Mounting of an MJCF arm: frames, camera axes, collision filters, hands in files of their own."""
+
+from dataclasses import replace
 
 import numpy as np
 import pytest
@@ -7,7 +9,7 @@ from scipy.spatial.transform import Rotation
 
 from sim_assets.errors import RobotFileError
 from sim_assets.rendering.headless import mujoco
-from sim_assets.robots.mounting import Frame, Mount, add_to_scene, load, planning_mjcf
+from sim_assets.robots.mounting import Frame, HandFile, Mount, SitePose, add_to_scene, compiled, load
 
 MJCF = """
 <mujoco>
@@ -45,7 +47,9 @@ def mount(tmp_path):
     corners = np.array([(0, 0, 0), (60, 0, 0), (0, 40, 0), (0, 0, 30), (50, 50, 50)], dtype=float)
     trimesh.convex.convex_hull(corners).export(tmp_path / "wedge.stl")
     (tmp_path / "arm.xml").write_text(MJCF)
-    return Mount(tmp_path / "arm.xml", BASE, "eye", ("slide",), (("eye", "link", OPTICAL),))
+    return Mount(
+        tmp_path / "arm.xml", BASE, ("turn",), sites=(SitePose("eye", "link", OPTICAL),), camera_site="eye"
+    )
 
 
 @pytest.fixture
@@ -104,32 +108,58 @@ def test_collision_geoms_are_those_of_group_3_and_the_fingers_hold_pads(scene):
     assert scene.geom("robot_pad").condim == 4 and scene.geom("robot_solid").condim == 3
 
 
-def test_planning_model_is_self_contained_with_the_same_vertices(mount, scene):
-    alone = load(mount).compile()
-    text = planning_mjcf(mount, alone)
-    assert "file=" not in text
-    plan = mujoco.MjModel.from_xml_string(text)
-    assert {plan.geom(i).name for i in range(plan.ngeom)} == {"robot_solid", "robot_stem", "robot_pad"}
-    assert plan.nmat == 0 and plan.nmesh == 1
-    corners = []
-    for model in (plan, scene):
-        data, geom = at(model, 0.8), model.geom("robot_solid")
-        first = model.mesh_vertadr[geom.dataid[0]]
-        vertices = model.mesh_vert[first : first + model.mesh_vertnum[geom.dataid[0]]]
-        posed = data.geom("robot_solid")
-        world = vertices @ posed.xmat.reshape(3, 3).T + posed.xpos
-        corners.append(world[np.lexsort(world.round(5).T)])
-    np.testing.assert_allclose(*corners, atol=1e-6)
-    assert np.ptp(corners[0], axis=0).max() < 0.1  # millimetres were scaled once
-    eyes = [at(model, 0.8).site("robot_eye").xpos for model in (plan, scene)]
-    np.testing.assert_allclose(*eyes, atol=1e-6)
+def test_solid_geoms_are_those_that_collide_where_no_geom_is_in_group_3(mount):
+    mount.mjcf.write_text(MJCF.replace('name="pad" group="3"', 'name="pad"'))
+    geoms = {geom.name: geom.contype for geom in load(mount).geoms}
+    assert geoms["pad"] == 2 and geoms["shown"] == 0
+
+
+def test_scenery_is_left_out_and_unnamed_parts_get_names(mount):
+    floor = '<geom type="plane" size="1 1 .1"/><body><geom size=".1" contype="0" conaffinity="0"/></body>'
+    mount.mjcf.write_text(MJCF.replace("<worldbody>", "<worldbody>" + floor))
+    model = compiled(mount, visuals=True)
+    assert all(model.body(b).name for b in range(model.nbody)) and not (model.geom_type == 0).any()
+
+
+def test_one_arm_of_several_is_kept(mount):
+    other = '<body name="other"><joint name="o" type="slide"/><geom size=".1"/></body>'
+    mount.mjcf.write_text(MJCF.replace("<worldbody>", "<worldbody>" + other))
+    assert compiled(replace(mount, root="link")).njnt == 2
+    with pytest.raises(RobotFileError, match=r"no body 'left' \(\[arm\] body\); it has other, link"):
+        load(replace(mount, root="left"))
+
+
+def test_a_hand_from_its_own_file_is_mounted_at_a_site(mount, tmp_path):
+    """The hand's file is in degrees, the arm's in radians; both keep their own."""
+    (tmp_path / "hand.xml").write_text(
+        '<mujoco><worldbody><body name="palm" euler="90 0 0"><geom size=".01"/>'
+        '<joint name="curl" range="-90 90"/></body></worldbody></mujoco>'
+    )
+    arm = MJCF.replace("</body>", '<site name="flange" pos="0 0 .01" euler="0 0 .5"/></body>', 1)
+    mount.mjcf.write_text(arm)
+    hand = HandFile(tmp_path / "hand.xml", "flange", Frame(np.array([0.0, 0, 0.1]), np.array([1.0, 0, 0, 0])))
+    model = compiled(replace(mount, hand=hand))
+    data = at_zero(model)
+    flange = data.site("flange")
+    expected = flange.xpos + 0.1 * flange.xmat.reshape(3, 3)[:, 2]
+    np.testing.assert_allclose(data.body("hand_palm").xpos, expected, atol=1e-9)
+    np.testing.assert_allclose(model.joint("hand_curl").range, [-np.pi / 2, np.pi / 2], atol=1e-9)
+    with pytest.raises(
+        RobotFileError, match=r"no site or body 'wrist' \(\[hand\] mount\); its sites are flange"
+    ):
+        load(replace(mount, hand=replace(hand, mount="wrist")))
+
+
+def at_zero(model):
+    data = mujoco.MjData(model)
+    mujoco.mj_forward(model, data)
+    return data
 
 
 @pytest.mark.parametrize(
     ("old", "new", "message"),
     [
-        ('name="link"', 'name="arm"', "has no body 'link', on which the robot file places a site"),
-        ('name="slide"', 'name="glide"', r"has no joint 'slide' of the robot file's \[gripper\]"),
+        ('name="link"', 'name="arm"', "has no body 'link', on which the file places a site"),
         ("</worldbody>", "", "cannot be read as MJCF"),
     ],
 )

@@ -10,10 +10,10 @@ from sim_assets.robots.simulated_arm import ARM_CONTACT, PAD_CONTACT
 @pytest.mark.parametrize("name", ["panda", "sixaxis"])
 def test_gripper_command_is_linear_between_closed_and_open(name):
     arm = load_robot(name)
-    half = arm.description.max_width / 2
-    assert arm.gripper_command(0.0) == pytest.approx(arm.closed)
-    assert arm.gripper_command(half) == pytest.approx(arm.open)
-    assert arm.gripper_command(half / 4) == pytest.approx(0.75 * arm.closed + 0.25 * arm.open)
+    width, (closed, opened) = arm.description.max_width, arm.commands[[0, -1]]
+    assert arm.gripper_command(0.0) == pytest.approx(closed)
+    assert arm.gripper_command(width) == pytest.approx(opened)
+    assert arm.gripper_command(width / 4) == pytest.approx(0.75 * closed + 0.25 * opened)
 
 
 def test_contact_parameters_are_those_of_rubber_pads_and_an_arm_that_passes_through_itself():

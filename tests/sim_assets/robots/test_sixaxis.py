@@ -58,8 +58,8 @@ def test_flange_follows_the_denavit_hartenberg_chain(robot, seed):
 
 
 def test_gripper_commands(robot):
-    assert [panda().gripper_command(x) for x in (0.0, 0.0123, 0.04)] == [0.0, 0.0123, 0.04]
-    assert robot.gripper_command(0.045) == pytest.approx(0.045)
+    assert [panda().gripper_command(x) for x in (0.0, 0.02, 0.08)] == pytest.approx([0.0, 0.01, 0.04])
+    assert robot.gripper_command(0.09) == pytest.approx(0.045)
     assert robot.gripper_command(0.0) == 0
 
 

@@ -1,0 +1,1 @@
+"""Users' arms: robot files drafted from models, and examined."""

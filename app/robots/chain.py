@@ -1,0 +1,128 @@
+"""The parts of an arm found in its model: joints from base to wrist, and the joints that drive the hand."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+import numpy as np
+
+from app.errors import UsageError
+from sim_assets.rendering.headless import MjModel, mujoco
+from sim_assets.robots.finger_motion import hand_joints, is_below
+from sim_assets.robots.servos import actuators_of
+
+_SLIDE = int(mujoco.mjtJoint.mjJNT_SLIDE)
+_HINGE = int(mujoco.mjtJoint.mjJNT_HINGE)
+
+
+@dataclass(frozen=True)
+class Chain:
+    """Joints of an arm.
+
+    Attributes:
+        root: name of the arm's root body if the model has further ones with joints; else empty.
+        joints: names of the hinges from base to wrist.
+        fingers: names of the one or two joints that drive the hand.
+        assumptions: what was chosen among several possibilities.
+    """
+
+    root: str
+    joints: tuple[str, ...]
+    fingers: tuple[str, ...]
+    assumptions: tuple[str, ...]
+
+
+def find_chain(model: MjModel, root: str = "") -> Chain:
+    """Find the arm and its hand: the arm ends where the chain branches into fingers.
+
+    Args:
+        model: the compiled arm.
+        root: root body of the arm to take; empty for the first.
+
+    Raises:
+        UsageError: there is no arm with a hand in the model; the message says what is missing.
+    """
+    roots = [b for b in range(1, model.nbody) if model.body_parentid[b] == 0 and _joints_below(model, b)]
+    names = [model.body(b).name for b in roots]
+    if not roots:
+        raise UsageError("the model has no joints: give the MJCF of an arm")
+    if root and root not in names:
+        raise UsageError(f"--body {root} is no root body with joints; there are {', '.join(names)}")
+    body = roots[names.index(root) if root else 0]
+    several = len(roots) > 1
+    chain = _serial_chain(model, body)
+    if len(chain) < 4:
+        raise UsageError(
+            f"only {len(chain)} hinges lead from body '{model.body(body).name}' to the hand: an arm needs at "
+            "least 4; scenes with other mechanisms need --body"
+        )
+    joints = tuple(model.joint(j).name for j in chain)
+    assumptions = [f"body '{names[roots.index(body)]}' of {', '.join(names)} is the arm (--body)"] * several
+    hand = hand_joints(model, joints)
+    if not hand:
+        sites = ", ".join(model.site(s).name for s in range(model.nsite) if model.site(s).name)
+        raise UsageError(
+            f"the arm ends at joint '{joints[-1]}' without a hand: give --hand HAND.xml --mount SITE; its "
+            f"sites are {sites or 'none'}"
+        )
+    fingers = _driven(model, hand)
+    return Chain(root or (names[roots.index(body)] if several else ""), joints, fingers, tuple(assumptions))
+
+
+def _joints_below(model: MjModel, body: int) -> list[int]:
+    return [j for j in range(model.njnt) if is_below(model, int(model.jnt_bodyid[j]), body)]
+
+
+def _serial_chain(model: MjModel, body: int) -> list[int]:
+    """Return the hinges from a body outwards until the chain branches, slides or ends in a hand."""
+    chain: list[int] = []
+    while True:
+        own = [j for j in range(model.njnt) if model.jnt_bodyid[j] == body]
+        if any(model.jnt_type[j] != _HINGE for j in own):
+            return chain
+        if own and not model.jnt_limited[own].all() and chain:
+            return chain
+        chain += own
+        children = [b for b in range(1, model.nbody) if model.body_parentid[b] == body]
+        jointed = [b for b in children if _joints_below(model, b)]
+        if len(jointed) != 1 or _is_hand(model, jointed[0]):
+            return chain
+        body = jointed[0]
+
+
+def _is_hand(model: MjModel, body: int) -> bool:
+    """Return whether a branch is a hand from a file of its own, which the prefix of its names tells."""
+    from sim_assets.robots.mounting import HAND_PREFIX
+
+    return all(model.joint(j).name.startswith(HAND_PREFIX) for j in _joints_below(model, body))
+
+
+def _driven(model: MjModel, hand: list[int]) -> tuple[str, ...]:
+    """Return the one or two joints that drive the hand: those with actuators, else the outermost."""
+    driven = [j for j in hand if actuators_of(model, [j])]
+    if len(driven) not in (1, 2):
+        pool = driven or hand
+        slides = [j for j in pool if model.jnt_type[j] == _SLIDE]
+        tops = slides or [j for j in pool if not _parents_in(model, j, pool)]
+        tops.sort(key=lambda j: -len(_joints_below(model, int(model.jnt_bodyid[j]))))
+        driven = sorted(tops[:2])
+    if len(driven) == 1:
+        driven += _partners(model, driven[0], hand)
+    return tuple(model.joint(j).name for j in driven[:2])
+
+
+def _parents_in(model: MjModel, joint: int, joints: list[int]) -> bool:
+    body = int(model.jnt_bodyid[joint])
+    return any(other != joint and is_below(model, body, int(model.jnt_bodyid[other])) for other in joints)
+
+
+def _partners(model: MjModel, joint: int, hand: list[int]) -> list[int]:
+    """Return the hand joints that an equality makes mirror a joint one to one."""
+    partners = []
+    for e in range(model.neq):
+        if model.eq_type[e] != mujoco.mjtEq.mjEQ_JOINT:
+            continue
+        pair = {int(model.eq_obj1id[e]), int(model.eq_obj2id[e])}
+        if joint in pair and np.isclose(abs(model.eq_data[e, 1]), 1.0):
+            partners += [other for other in pair - {joint} if other in hand]
+    return partners

@@ -1,0 +1,174 @@
+"""A robot file drafted from models: what can be found out is found out, what is assumed is written down."""
+
+from __future__ import annotations
+
+import os
+from collections.abc import Iterable, Sequence
+from dataclasses import dataclass, replace
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+
+from app.errors import UsageError
+from app.robots.chain import Chain, find_chain
+from app.robots.home import find_home
+from manipulation.kinematics import Kinematics
+from sim_assets.errors import RobotFileError
+from sim_assets.rendering.headless import MjModel, mujoco
+from sim_assets.robots.hand_shape import geom_points
+from sim_assets.robots.mounting import Frame, HandFile, Mount, compiled
+from sim_assets.robots.robot_file import IDENTITY, RobotEntries, build_robot
+from sim_assets.robots.servos import DEFAULT_FORCE, joint_inertia, torque_limit
+
+ORIGIN = Frame(np.zeros(3), np.array(IDENTITY))
+# Speeds that most arms follow: of the joints that carry the arm, and of the wrist.
+VELOCITY, ACCELERATION, JERK = (1.6, 2.2), (4.0, 8.0), (250.0, 500.0)
+TORQUE_SHARE = 0.35  # of a joint's torque limit that acceleration may take
+
+
+@dataclass(frozen=True)
+class Draft:
+    """A drafted robot file.
+
+    Attributes:
+        text: content of the file.
+        assumptions: what was assumed, one sentence each.
+    """
+
+    text: str
+    assumptions: tuple[str, ...]
+
+
+def draft_robot(arm: Path, folder: Path, hand: Path | None = None, mount: str = "", root: str = "") -> Draft:
+    """Draft the robot file of an arm.
+
+    Args:
+        arm: MJCF of the arm.
+        folder: folder of the robot file, from which paths are relative.
+        hand: MJCF of a hand of its own; None if the arm's file has one.
+        mount: site or body of the arm that carries it.
+        root: root body of the arm in a file with several.
+
+    Raises:
+        UsageError: the models are no arm with a parallel hand; the message names the remedy.
+    """
+    hand_file = None if hand is None else HandFile(hand, mount, ORIGIN)
+    try:
+        model = compiled(Mount(arm, ORIGIN, (), root, hand_file))
+        chain = find_chain(model, root)
+        entries = _entries(arm, hand_file, chain)
+        model = compiled(entries.mount)
+        entries = _placed(entries, model, chain)
+        robot = build_robot(entries)
+    except RobotFileError as error:
+        raise UsageError("; ".join(error.problems)) from None
+    kinematics = Kinematics(robot.description)
+    home = find_home(robot.description, kinematics)
+    if home is None:
+        raise UsageError(
+            "no posture was found in which the hand points down in front of the base, free of collisions: "
+            "give the arm a pedestal or check the direction of its hand"
+        )
+    entries = replace(entries, home=home)
+    guesses = (f"each finger presses with {DEFAULT_FORCE:g} N", "the limits of speed are moderate guesses")
+    assumptions = (*chain.assumptions, *robot.assumptions, *guesses)
+    return Draft(_text(entries, folder, assumptions, model), assumptions)
+
+
+def _entries(arm: Path, hand: HandFile | None, chain: Chain) -> RobotEntries:
+    """Return the entries without home and base."""
+    count = len(chain.joints)
+    wrist = np.arange(count) >= count - 3
+    limits = np.array([np.where(wrist, fast, slow) for slow, fast in (VELOCITY, ACCELERATION, JERK)])
+    return RobotEntries(
+        mount=Mount(arm, ORIGIN, chain.joints, chain.root, hand),
+        actuators=(), torque=None, home=np.zeros(count), limits=limits, fingers=chain.fingers, actuator="",
+        commands=(0.0, 0.0, 0.0), force=DEFAULT_FORCE, geometry={}, tcp="", fovy=45.0,
+    )  # fmt: skip
+
+
+def _placed(entries: RobotEntries, model: MjModel, chain: Chain) -> RobotEntries:
+    """Return the entries with the first joint's axis at the origin and the base standing on the table.
+
+    Home is the middle of the joints' ranges for now; accelerations suit the torque limits.
+    """
+    ids = [model.joint(name).id for name in chain.joints]
+    unlimited = [name for name, j in zip(chain.joints, ids, strict=True) if not model.jnt_limited[j]]
+    if unlimited:
+        raise RobotFileError(f"joint '{unlimited[0]}' has no range: give it one in the MJCF")
+    home = model.jnt_range[ids].mean(axis=1)
+    data = mujoco.MjData(model)
+    data.qpos[model.jnt_qposadr[ids]] = home
+    mujoco.mj_forward(model, data)
+    lift = -min(_lowest_of_first_link(model, data, ids[0]), 0.0)
+    anchor = data.xanchor[ids[0]]
+    base = Frame(np.array([-anchor[0], -anchor[1], lift]) + 0.0, ORIGIN.quaternion)
+    limits = entries.limits.copy()
+    for index, (name, joint) in enumerate(zip(chain.joints, ids, strict=True)):
+        torque = torque_limit(model, name)
+        if torque:
+            moment = joint_inertia(model, data, int(model.jnt_dofadr[joint]))
+            limits[1, index] = np.clip(TORQUE_SHARE * torque / moment, 1.0, limits[1, index])
+    return replace(entries, mount=replace(entries.mount, base=base), home=home, limits=limits)
+
+
+def _lowest_of_first_link(model: MjModel, data: Any, first: int) -> float:
+    """Return the height [m] of the first link's lowest collision point; negative below the table."""
+    lowest = 0.0
+    for geom in np.flatnonzero(model.geom_contype):
+        body = model.geom_bodyid[geom]
+        if model.body_weldid[body] == model.jnt_bodyid[first]:
+            points = geom_points(model, int(geom)) @ data.geom_xmat[geom].reshape(3, 3).T
+            lowest = min(lowest, float(points[:, 2].min() + data.geom_xpos[geom][2]))
+    return lowest
+
+
+def _text(entries: RobotEntries, folder: Path, assumptions: Sequence[str], model: MjModel) -> str:
+    mount = entries.mount
+    lines = [
+        "# Robot file drafted by `nodeslam robot init`. Metres, radians, seconds. Assumed:",
+        *(f"# - {assumption}" for assumption in assumptions),
+        "# Check it with `nodeslam doctor --robot FILE`.",
+        f"mjcf = {_quoted(_relative(mount.mjcf, folder))}",
+        "",
+        "[arm]",
+        *([f"body = {_quoted(mount.root)}"] if mount.root else []),
+        f"joints = {_list(map(_quoted, mount.joints))} # hinges, base to wrist",
+        f"home = {_numbers(entries.home)} # hand above the table, pointing down",
+        f"velocity = {_numbers(entries.limits[0])} # limits of all motions",
+        f"acceleration = {_numbers(entries.limits[1])}",
+        f"jerk = {_numbers(entries.limits[2])}",
+        f"base = {_numbers(mount.base.position)} # the first joint's axis at the origin, on the table",
+        "",
+    ]
+    if mount.hand is not None:
+        lines += [
+            "[hand]",
+            f"mjcf = {_quoted(_relative(mount.hand.mjcf, folder))}",
+            f"mount = {_quoted(mount.hand.mount)}",
+            "",
+        ]
+    lines += [
+        "[gripper]",
+        f"joints = {_list(map(_quoted, entries.fingers))} # those that drive the fingers",
+        f"force = {entries.force:g} # of each finger, in newtons; see the hand's data sheet",
+        "",
+    ]
+    return "\n".join(lines)
+
+
+def _relative(path: Path, folder: Path) -> str:
+    return os.path.relpath(path.resolve(), folder.resolve())
+
+
+def _quoted(text: str) -> str:
+    return '"' + text.replace("\\", "\\\\").replace('"', '\\"') + '"'
+
+
+def _numbers(values: np.ndarray) -> str:
+    return _list(f"{round(float(value), 4) + 0.0}" for value in values)
+
+
+def _list(items: Iterable[str]) -> str:
+    return "[" + ", ".join(items) + "]"

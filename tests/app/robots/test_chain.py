@@ -1,0 +1,61 @@
+"""Arm and hand are found in models: with branches, other mechanisms, actuators, and no names to go by."""
+
+import pytest
+
+from app.errors import UsageError
+from app.robots.chain import find_chain
+from sim_assets.rendering.headless import mujoco
+from tests.sim_assets.robots.conftest import JOINTS, SLIDING, linkage
+
+
+def chain_of(mjcf, root=""):
+    return find_chain(mujoco.MjModel.from_xml_string(mjcf), root)
+
+
+@pytest.mark.parametrize("mjcf", [SLIDING, linkage()], ids=["sliding", "linkage"])
+def test_the_arm_ends_where_the_chain_branches(mjcf):
+    chain = chain_of(mjcf)
+    assert (chain.joints, chain.fingers, chain.root) == (JOINTS, ("left", "right"), "")
+    assert not chain.assumptions
+
+
+def test_the_joints_with_actuators_drive_the_hand():
+    """Here a tendon over the outer joints of a linkage."""
+    wraps = '<joint joint="right" coef=".5"/><joint joint="left" coef=".5"/>'
+    tendon = f'<tendon><fixed name="t">{wraps}</fixed></tendon>'
+    mjcf = linkage().replace(
+        "</mujoco>", tendon + '<actuator><position tendon="t" kp="1"/></actuator></mujoco>'
+    )
+    assert set(chain_of(mjcf).fingers) == {"left", "right"}
+
+
+def test_a_joint_that_mirrors_the_driven_one_is_driven_too():
+    more = '<equality><joint joint1="right" joint2="left" polycoef="0 -1 0 0 0"/></equality>'
+    more += '<actuator><position joint="left" kp="1"/></actuator></mujoco>'
+    assert chain_of(SLIDING.replace("</mujoco>", more)).fingers == ("left", "right")
+    alone = '<actuator><position joint="left" kp="1"/></actuator></mujoco>'
+    assert chain_of(SLIDING.replace("</mujoco>", alone)).fingers == ("left",)
+
+
+def test_one_arm_of_several():
+    other = '<body name="cart"><joint name="cart" type="slide"/><geom size=".1"/></body><body name="base">'
+    mjcf = SLIDING.replace('<body name="base">', other)
+    chain = chain_of(mjcf, "base")
+    assert chain.root == "base" and chain.joints == JOINTS
+    with pytest.raises(UsageError, match="only 0 hinges lead from body 'cart'"):
+        chain_of(mjcf)
+    with pytest.raises(UsageError, match="--body table is no root body with joints; there are cart, base"):
+        chain_of(mjcf, "table")
+
+
+@pytest.mark.parametrize(
+    ("mjcf", "message"),
+    [
+        ("<mujoco/>", "the model has no joints"),
+        (SLIDING.split('            <body name="left">')[0] + 5 * "</body>" + "</worldbody></mujoco>",
+         "the arm ends at joint 'roll' without a hand: give --hand HAND.xml --mount SITE"),
+    ],
+)  # fmt: skip
+def test_what_is_missing_is_named(mjcf, message):
+    with pytest.raises(UsageError, match=message):
+        chain_of(mjcf)

@@ -1,0 +1,77 @@
+"""Drafted robot files load as they are, from any folder; wrong models are refused with the remedy."""
+
+import tomllib
+
+import numpy as np
+import pytest
+
+from app.errors import UsageError
+from app.robots import draft
+from app.robots.draft import draft_robot
+from sim_assets.robots import load_robot
+from tests.sim_assets.robots.conftest import JOINTS, SLIDING
+
+
+@pytest.fixture(autouse=True)
+def quick_home(monkeypatch):
+    """The search for a home posture has a test of its own."""
+    monkeypatch.setattr(draft, "find_home", lambda arm, kinematics: np.array([0.0, -0.5, 2.0, 0.0]))
+
+
+def test_a_drafted_file_loads(arm_file, tmp_path):
+    folder = tmp_path / "cell"
+    folder.mkdir()
+    text = draft_robot(arm_file, folder).text
+    (folder / "robot.toml").write_text(text)
+    entries = tomllib.loads(text)
+    assert entries["mjcf"] == "../models/arm.xml"
+    assert tuple(entries["arm"]["joints"]) == JOINTS and entries["gripper"]["joints"] == ["left", "right"]
+    robot = load_robot(str(folder / "robot.toml"))
+    np.testing.assert_allclose(robot.description.q_home, [0, -0.5, 2, 0])
+    assert "servos" in " ".join(robot.assumptions)
+
+
+def test_assumptions_are_in_the_file_and_returned(arm_file, tmp_path):
+    result = draft_robot(arm_file, tmp_path)
+    assert len(result.assumptions) >= 4
+    for assumption in result.assumptions:
+        assert f"# - {assumption}" in result.text
+
+
+def test_an_arm_elsewhere_in_its_file_is_moved_to_the_origin(tmp_path):
+    (tmp_path / "arm.xml").write_text(
+        SLIDING.replace('<body name="base">', '<body name="base" pos=".4 -.3 0">')
+    )
+    base = tomllib.loads(draft_robot(tmp_path / "arm.xml", tmp_path).text)["arm"]["base"]
+    assert base == [-0.4, 0.3, 0.0]
+
+
+def test_a_first_link_below_the_table_lifts_the_arm(tmp_path):
+    low = SLIDING.replace('fromto="0 0 -.05 0 0 .05"', 'fromto="0 0 -.2 0 0 .05"')
+    (tmp_path / "arm.xml").write_text(low)
+    base = tomllib.loads(draft_robot(tmp_path / "arm.xml", tmp_path).text)["arm"]["base"]
+    assert base[2] == pytest.approx(0.03, abs=1e-3)
+
+
+def test_arm_and_hand_from_two_files(tmp_path):
+    head, rest = SLIDING.split('            <body name="left">')
+    fingers = '<body name="left">' + rest[: rest.index("          </body></body></body>")]
+    (tmp_path / "hand.xml").write_text(
+        '<mujoco><compiler angle="radian" autolimits="true"/><worldbody><body name="hand"><geom size=".02"/>'
+        + fingers + "</body></worldbody></mujoco>"
+    )  # fmt: skip
+    (tmp_path / "arm.xml").write_text(
+        head + '<site name="flange"/></body></body></body></body></body></worldbody></mujoco>'
+    )
+    text = draft_robot(tmp_path / "arm.xml", tmp_path, tmp_path / "hand.xml", "flange").text
+    (tmp_path / "robot.toml").write_text(text)
+    assert tomllib.loads(text)["hand"] == {"mjcf": "hand.xml", "mount": "flange"}
+    assert load_robot(str(tmp_path / "robot.toml")).description.max_width == pytest.approx(0.082, abs=1e-3)
+    with pytest.raises(UsageError, match="no site or body 'tip'"):
+        draft_robot(tmp_path / "arm.xml", tmp_path, tmp_path / "hand.xml", "tip")
+
+
+def test_no_home_posture_is_a_usage_error(arm_file, tmp_path, monkeypatch):
+    monkeypatch.setattr(draft, "find_home", lambda arm, kinematics: None)
+    with pytest.raises(UsageError, match="no posture was found in which the hand points down"):
+        draft_robot(arm_file, tmp_path)
