@@ -125,9 +125,9 @@ class PositionControl:
         goal = float(np.clip(target, self._opening - reach, self._opening + reach))
         path = np.linspace(self._opening, goal, self._n_steps + 1)[1:]
         self._opening = goal
-        if width == 0 and goal == 0:
+        if width == 0 and 2 * goal <= self._world.arm.gripper.min_width:
             return np.full(self._n_steps, robot.press)
-        return robot.closed + path * ((robot.open - robot.closed) / (self._world.arm.max_width / 2))
+        return np.array([robot.gripper_command(2 * opening) for opening in path])
 
 
 def _hermite(s: Float[np.ndarray, "k"]) -> Float[np.ndarray, "3 k 3"]:
