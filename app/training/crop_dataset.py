@@ -30,6 +30,7 @@ Split = Literal["train", "test"]
 
 PURITY = 0.8  # smallest share of a mask's object pixels that belong to the object it is labelled with
 COVERAGE = 0.4  # smallest share of that object's visible pixels inside the mask
+AROUND = 0.35  # share of the images with a false mask on things around the table, if there are any
 MIN_PIXELS = 150  # smallest number of visible pixels of an object with a mask
 
 
@@ -149,7 +150,7 @@ def handle_share(points: Float[np.ndarray, "n 3"], T_world_object: Float[np.ndar
 def perturb_masks(
     image: LabelledImage, rng: np.random.Generator, min_pixels: int = 2 * MIN_PIXELS, astray: float = 0.0
 ) -> list[Bool[np.ndarray, "h w"]]:
-    """Return the true masks with errors like those of the detector, and sometimes a false mask on background.
+    """Return the true masks with errors like those of the detector, and sometimes one on something else.
 
     Args:
         image: Rendered image with ground truth.
@@ -176,13 +177,24 @@ def perturb_masks(
             mask = _remove_part(mask, rng)
         masks.append(mask)
     if rng.random() < 0.15:
-        height, width = image.instances.shape
-        patch = np.zeros((height, width), np.uint8)
-        centre = (int(rng.integers(width)), int(rng.integers(height)))
-        axes = (int(rng.integers(10, 60)), int(rng.integers(10, 60)))
-        cv2.ellipse(patch, centre, axes, rng.uniform(0, 180), 0, 360, 1, -1)
-        masks.append(patch.astype(bool) & (image.instances < 0))
+        masks.append(_ellipse(image.instances.shape, None, rng) & (image.instances < 0))
+    if image.surroundings is not None and rng.random() < AROUND:
+        masks.append(_ellipse(image.instances.shape, image.surroundings, rng) & image.surroundings)
     return [mask for mask in masks if mask.sum() >= min_pixels]
+
+
+def _ellipse(
+    shape: tuple[int, ...], within: Bool[np.ndarray, "h w"] | None, rng: np.random.Generator
+) -> Bool[np.ndarray, "h w"]:
+    """Return a random ellipse, centred on one of the pixels ``within`` if there are any."""
+    height, width = shape
+    centre = (int(rng.integers(width)), int(rng.integers(height)))
+    if within is not None and within.any():
+        centre = divmod(int(rng.choice(np.flatnonzero(within))), width)[::-1]
+    patch = np.zeros((height, width), np.uint8)
+    axes = (int(rng.integers(10, 60)), int(rng.integers(10, 60)))
+    cv2.ellipse(patch, centre, axes, rng.uniform(0, 180), 0, 360, 1, -1)
+    return patch.astype(bool)
 
 
 def _part_of_neighbour(

@@ -65,9 +65,9 @@ class TrainDetectorConfig:
         device: Torch device for training.
     """
 
-    pictures: int = 5000
-    validation: int = 200
-    test: int = 200
+    pictures: int = 10000
+    validation: int = 300
+    test: int = 300
     training: TrainingConfig = field(default_factory=lambda: TrainingConfig(epochs=16))
     scene_passes: float = 0.625
     tensorboard: bool = False
@@ -301,10 +301,11 @@ the instance network with batch size 8, {training.epochs} of each class network 
 weights, on a CPU.
 
 **Data**: {config.pictures} scenes with objects of the training families and distractors, rendered at 640 x
-480 by MuJoCo's classic renderer (`sim_assets/datasets/training_scenes.py`): two thirds of the objects in the
+480 by MuJoCo's classic renderer (`sim_assets/datasets/training_scenes.py`): seven in ten objects in the
 sizes met in homes, some filled, lying or upside down (those without a class); cartons, books, tools, desk
-and kitchen things; tables, floors, walls and furniture around; random textures, prints, gloss, lights and
-cameras (0.3 to 1.5 m); gaps down to contact; depth of structured light, active stereo and time of flight
+and kitchen things, and random shapes; tables, floors, walls and furniture around, which is neither object
+nor background; random textures, prints, gloss, lights and cameras (0.3 to 1.4 m, never nearer than their
+sensor measures); gaps down to contact; depth of structured light, active stereo and time of flight
 (`sim_assets/rendering/depth_noise.py`), half of it with errors of calibration between colour and depth. The
 images are mirrored, recoloured, and lose further depth. From the same images {crops} crops for the class
 network: the true masks made ragged, truncated, incomplete, or extended by a part of a neighbour; crops are

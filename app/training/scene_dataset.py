@@ -28,7 +28,7 @@ from app.training.crop_dataset import (
 )
 from app.training.files import load_arrays, save_arrays
 from app.workers import Lost, map_in_processes
-from perception.detection.scene_training import LabelledScene
+from perception.detection.scene_training import UNJUDGED, LabelledScene
 from perception.detection.working_view import downscale
 from perception.errors import PerceptionError
 from perception.types import CATEGORIES, OTHER, CameraIntrinsics, RgbdFrame, SupportPlane
@@ -86,7 +86,8 @@ class LabelledScenes:
     Attributes:
         rgb: (n, h, w, 3).
         depth: (n, h, w) depth in 0.1 mm, 0 where it is missing.
-        things: (n, h, w) 1 + index of the object or distractor at each pixel, 0 for background.
+        things: (n, h, w) 1 + index of the object or distractor at each pixel, 0 for background, UNJUDGED
+            for things around the table.
         label: (n, k) class of each object, OTHER for distractors, IGNORED.
         foot: (n, k, 3) footprint: where each object's axis meets the table, as the image shows it, in metres.
         plane: (n, 4) the table's normal and offset as the image shows it.
@@ -183,10 +184,10 @@ def training_scene_config() -> TrainingSceneConfig:
     from sim_assets.datasets.scene_config import RoomConfig, TrainingSceneConfig
 
     return TrainingSceneConfig(
-        width=_SIZE[0], height=_SIZE[1], pool=44, distractors=26, shares=(3, 2, 4, 4), household=0.65,
-        filled=0.12, toppled=0.06, random_parts=0.25, plain_tumblers=False, drawn_in=0.5,
-        pictures_per_pool=SHARD // 2, pictures_per_texture=5, textures_redrawn=20, objects=(1, 10),
-        extras=(0, 7), spread=(0.14, 0.42), distance=(0.28, 1.5),
+        width=_SIZE[0], height=_SIZE[1], pool=48, distractors=26, shares=(5, 2, 4, 5), household=0.7,
+        filled=0.12, toppled=0.06, random_parts=0.3, plain_tumblers=False, drawn_in=0.5, curved=0.6,
+        pictures_per_pool=SHARD // 2, pictures_per_texture=5, textures_redrawn=20, objects=(2, 12),
+        extras=(0, 8), spread=(0.14, 0.42), distance=(0.28, 1.4),
         elevation=(np.radians(14), np.radians(88)), fovy=(36.0, 56.0), upturned=0.12,
         noises=(0.07, 0.08, 0.35, 0.30, 0.20), misregistered=0.5, cut=0.35, room=RoomConfig(),
     )  # fmt: skip
@@ -212,6 +213,9 @@ def downscale_image(image: LabelledImage) -> LabelledScenes:
     factor = image.instances.shape[1] // k.width
     quarters = np.stack([(image.instances + 1)[i::factor, j::factor] for i in (0, 1) for j in (0, 1)])
     things = np.sort(quarters, axis=0)[2]  # the second largest: two of four
+    if image.surroundings is not None:
+        around = image.surroundings[::factor, ::factor]
+        things[(things == 0) & around[: things.shape[0], : things.shape[1]]] = UNJUDGED
     label, foot = np.full(MAX_THINGS, OTHER, np.uint8), np.zeros((MAX_THINGS, 3), np.float32)
     for index, thing in enumerate(image.labels):
         known = OTHER if thing.category is None else CATEGORIES.index(thing.category)

@@ -29,6 +29,7 @@ logger = logging.getLogger(__name__)
 _SAVE_EVERY = 120.0  # [s] between checkpoints
 _CENTIMETRE = 0.01
 _LOSSES = ("foreground", "class", "vote")
+UNJUDGED = 255  # in ``things``: pixels that may be foreground or background
 
 
 @dataclass(frozen=True)
@@ -37,7 +38,8 @@ class LabelledScene:
 
     Attributes:
         frame: Result of ``working_view.downscale``.
-        things: (h, w) 1 + index of the object or distractor at each pixel, 0 for background.
+        things: (h, w) 1 + index of the object or distractor at each pixel, 0 for background, UNJUDGED where
+            both are right: furniture around the table is refused by its place.
         label: (k,) class of each object, OTHER for distractors, -1 if it is not to be learned.
         foot: (k, 3) footprint of each object: where its axis meets the table, in metres.
         plane: The table's plane.
@@ -87,7 +89,8 @@ class TrainingPatch:
 
     Attributes:
         channels: (side, side, 8) input channels (``WorkingView.channels``).
-        things: (side, side) 1 + index of the object or distractor at each pixel, 0 for background.
+        things: (side, side) 1 + index of the object or distractor at each pixel, 0 for background, UNJUDGED
+            where both are right.
         label: (side/2, side/2) class of every second pixel, -1 for background.
         offset: (side/2, side/2, 2) offset to the footprint in units of the pixel's size.
         pixel: (side/2, side/2) size of a pixel, in metres.
@@ -210,16 +213,17 @@ def sample_patch(
     """Return a random patch of an image: possibly mirrored, with varied colours, plane and missing depth."""
     part = tuple(_window(length, config.side, rng) for length in scene.things.shape)
     things = scene.things[part]
+    items = np.where(things == UNJUDGED, 0, things)
     view = working_view(
-        _with_holes(_part_of(scene.frame, part), things, rng), _perturb_plane(scene.plane, rng)
+        _with_holes(_part_of(scene.frame, part), items, rng), _perturb_plane(scene.plane, rng)
     )
     things, channels, pixel = np.rot90(things, view.turns), view.channels, view.pixel
-    offset = _offsets(view, things, scene.foot)
+    offset = _offsets(view, np.rot90(items, view.turns), scene.foot)
     if rng.random() < 0.5:
         channels, things, pixel = channels[:, ::-1], things[:, ::-1], pixel[:, ::-1]
         offset = offset[:, ::-1] * np.array([-1, 1], np.float32)
     channels = np.dstack([vary_colours(channels[..., :3], rng), channels[..., 3:]])
-    coarse = things[::2, ::2]
+    coarse = np.where(things == UNJUDGED, 0, things)[::2, ::2]
     label = np.where(coarse > 0, scene.label[np.maximum(coarse, 1) - 1].astype(np.int64), -1)
     sizes = np.bincount(coarse.ravel(), minlength=256).astype(np.float32)
     weight = np.where(coarse > 0, 1 / np.sqrt(np.maximum(sizes[coarse], 20)), 0).astype(np.float32)
@@ -319,8 +323,12 @@ def scene_losses(
     Binary cross-entropy of the foreground; cross-entropy of the classes; negative log-likelihood of the vote
     error r in centimetres under exp(-r / b) / b^2 with the predicted standard error b.
     """
-    foreground = functional.pixel_unshuffle((targets.things > 0).float()[:, None], 2)
-    loss_foreground = functional.binary_cross_entropy_with_logits(outputs[:, :4], foreground)
+    things = functional.pixel_unshuffle(targets.things[:, None].float(), 2)
+    judged = (things != UNJUDGED).float()
+    by_quarter = functional.binary_cross_entropy_with_logits(
+        outputs[:, :4], (things > 0).float(), reduction="none"
+    )
+    loss_foreground = (judged * by_quarter).mean()
     weight = targets.weight / targets.weight.sum().clamp(min=1e-6)
     logits = outputs[:, 4 : 4 + CLASSES]
     by_pixel = functional.cross_entropy(

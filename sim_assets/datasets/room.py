@@ -24,6 +24,7 @@ from sim_assets.rendering.materials import (
 
 GROUND_SIZE = (256, 256)
 GROUNDS = ("table", "floor", "wall")  # materials and textures
+AROUND = "around"  # prefix of the bodies of things around the table
 SHOWN, HIDDEN = 2, 4  # geom groups
 BELOW = -3.0  # height of hidden things, under the floor [m]
 _THICK = 0.02  # half the thickness of the table top [m]
@@ -54,7 +55,7 @@ def add_room(spec: MjSpec, surroundings: Sequence[trimesh.Trimesh], rng: np.rand
             name=name, type=types.mjGEOM_BOX, size=(0.02, 3, 1.2), pos=(sign * 2.2, 0, 0.5), material="wall"
         )
     for index, mesh in enumerate(surroundings):
-        name = f"around{index}"
+        name = f"{AROUND}{index}"
         add_mesh(spec, name, mesh)
         add_material(spec, name, thing_finish(mesh, rng))
         body = world.add_body(name=name, pos=(0, 0, BELOW))
@@ -123,7 +124,7 @@ class Room:
         count = min(int(rng.integers(few, most + 1)), len(self._reach))
         chosen = set(rng.choice(len(self._reach), count, replace=False).tolist())
         for index, reach in enumerate(self._reach):
-            geom, body = (getattr(self._model, kind)(f"around{index}").id for kind in ("geom", "body"))
+            geom, body = (getattr(self._model, kind)(f"{AROUND}{index}").id for kind in ("geom", "body"))
             self._model.geom_group[geom] = SHOWN if index in chosen else HIDDEN
             at = np.array([0.0, 0.0, BELOW])
             if index in chosen:

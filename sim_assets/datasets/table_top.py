@@ -8,7 +8,7 @@ from dataclasses import dataclass
 import cv2
 import numpy as np
 import trimesh
-from jaxtyping import Float, Int
+from jaxtyping import Bool, Float, Int
 
 from perception.types import CameraIntrinsics, Category, RgbdFrame, SupportPlane
 from sim_assets.cell.layout import PlanarPose
@@ -21,6 +21,7 @@ from sim_assets.datasets.perceived import (
     table_pixels,
 )
 from sim_assets.datasets.room import (
+    AROUND,
     BELOW,
     GROUND_SIZE,
     GROUNDS,
@@ -33,7 +34,7 @@ from sim_assets.datasets.room import (
 from sim_assets.datasets.scatter import TableItem, scatter
 from sim_assets.datasets.scene_config import TrainingSceneConfig
 from sim_assets.rendering.camera import OPENCV_FROM_MUJOCO, OffscreenRenderer, intrinsics_of, look_at
-from sim_assets.rendering.depth_noise import DEPTH_NOISES, DepthNoise, add_depth_noise
+from sim_assets.rendering.depth_noise import DEPTH_NOISES, DepthNoise, add_depth_noise, nearest_depth
 from sim_assets.rendering.depth_sensors.registration import misregister
 from sim_assets.rendering.filament import FilamentRenderer
 from sim_assets.rendering.headless import MjsBody, MjSpec, mujoco
@@ -47,6 +48,8 @@ from sim_assets.rendering.materials import (
 
 CAMERA = "eye"
 _ITEM = "item"  # prefix of the bodies, geoms and materials of items
+_NOTHING, _SURROUNDING = -1, -2  # at pixels without an item
+_STEP_BACK = 0.02  # [m]
 
 
 @dataclass(frozen=True)
@@ -86,12 +89,14 @@ class LabelledImage:
         instances: (H, W) index into ``labels`` of the visible item, -1 for table and background.
         labels: all items on the table, visible or not.
         plane: the table's plane as the frame shows it, with the errors of sensor and calibration.
+        surroundings: (H, W) where furniture and the like around the table is seen; all False if None.
     """
 
     frame: RgbdFrame
     instances: Int[np.ndarray, "h w"]
     labels: tuple[InstanceLabel, ...]
     plane: SupportPlane = TABLE
+    surroundings: Bool[np.ndarray, "h w"] | None = None
 
 
 class TableTop:
@@ -111,11 +116,13 @@ class TableTop:
         self.room = Room(self.model, config.room, surroundings)
         self.renderer = OffscreenRenderer(self.model)
         self.filament = FilamentRenderer(self.model) if config.renderer == "filament" else None
-        self.item_of_geom = np.full(self.model.ngeom + 1, -1, dtype=np.int32)  # last: geom -1, the sky
+        self.item_of_geom = np.full(self.model.ngeom + 1, _NOTHING, dtype=np.int32)  # last: the sky
         for geom in range(self.model.ngeom):
             body = self.model.body(self.model.geom_bodyid[geom]).name
             if body.startswith(_ITEM):
                 self.item_of_geom[geom] = int(body.removeprefix(_ITEM))
+            elif body.startswith(AROUND):
+                self.item_of_geom[geom] = _SURROUNDING
 
     def close(self) -> None:
         self.renderer.close()
@@ -159,13 +166,14 @@ class TableTop:
         self.show(shown, placed)
         self.light(rng)
         fovy = rng.uniform(*config.fovy)
-        T_world_camera = self._aim(placed, rng)
+        noise = DEPTH_NOISES[rng.choice(len(DEPTH_NOISES), p=config.noises)]
+        heights = [float(self.items[index].mesh.bounds[1, 2]) for index in shown]
+        T_world_camera = self._aim(placed, rng, heights, nearest_depth(noise))
         self.room.vary(rng, spread, float(np.arctan2(T_world_camera[1, 3], T_world_camera[0, 3])))
         true, ids = self.capture(T_world_camera, fovy, rng.random() < config.shadows)
-        row = np.full(len(self.items) + 1, -1, dtype=np.int32)
+        row = np.full(len(self.items) + 2, -1, dtype=np.int32)  # the last two: no item
         row[shown] = np.arange(len(shown))
         instances = row[ids]
-        noise = DEPTH_NOISES[rng.choice(len(DEPTH_NOISES), p=self.config.noises)]
         frame = self.sense(true, noise, rng)
         table = table_pixels(true, instances >= 0)
         exact = frame.intrinsics == true.intrinsics and noise in ("none", "gaussian")
@@ -176,7 +184,7 @@ class TableTop:
             self._label(self.items[i], pose, int(n), frame, true.intrinsics, scale)
             for i, pose, n in zip(shown, placed, pixels, strict=True)
         )
-        return LabelledImage(frame, instances, labels, plane)
+        return LabelledImage(frame, instances, labels, plane, ids == _SURROUNDING)
 
     def _label(
         self,
@@ -199,7 +207,9 @@ class TableTop:
     def capture(
         self, T_world_camera: Float[np.ndarray, "4 4"], fovy: float, shadows: bool
     ) -> tuple[RgbdFrame, Int[np.ndarray, "h w"]]:
-        """Render the visible items: an RGB-D frame without noise and the item at each pixel (-1 for none).
+        """Render the visible items: an RGB-D frame without noise and the item at each pixel.
+
+        Pixels without an item are -1, those of things around the table -2.
 
         Args:
             T_world_camera: (4, 4) pose of the camera.
@@ -264,8 +274,18 @@ class TableTop:
         headlight.ambient[:] = rng.uniform(0.2, 0.65)
         headlight.diffuse[:] = rng.uniform(0.0, 0.6)
 
-    def _aim(self, placed: list[PlanarPose], rng: np.random.Generator) -> Float[np.ndarray, "4 4"]:
-        """Return a random camera pose (OpenCV axes) that looks at a point near an item."""
+    def _aim(
+        self,
+        placed: Sequence[PlanarPose],
+        rng: np.random.Generator,
+        heights: Sequence[float] = (),
+        nearest: float = 0.0,
+    ) -> Float[np.ndarray, "4 4"]:
+        """Return a random camera pose (OpenCV axes) that looks at a point near an item.
+
+        The camera steps back until the axes of all items, of the given heights, are at least ``nearest``
+        metres away: nobody holds a sensor closer than it can measure.
+        """
         azimuth, elevation = rng.uniform(-np.pi, np.pi), rng.uniform(*self.config.elevation)
         distance = rng.uniform(*self.config.distance)
         seen = placed[rng.integers(len(placed))] if placed else PlanarPose(0, 0, 0)
@@ -275,7 +295,18 @@ class TableTop:
         ])  # fmt: skip
         upturned = rng.random() < self.config.upturned
         roll = rng.uniform(-np.pi, np.pi) if upturned else rng.normal(0, 0.15)
+        while nearest > 0 and _closest(placed, heights, target + distance * away) < nearest:
+            distance += _STEP_BACK
         return look_at(target + distance * away, target, roll)
+
+
+def _closest(placed: Sequence[PlanarPose], heights: Sequence[float], eye: Float[np.ndarray, "3"]) -> float:
+    """Return the distance in [m] from a point to the nearest of the items' axes."""
+    gaps = [
+        np.hypot(np.hypot(eye[0] - pose.x, eye[1] - pose.y), eye[2] - np.clip(eye[2], 0.0, height))
+        for pose, height in zip(placed, heights, strict=True)
+    ]
+    return float(min(gaps, default=np.inf))
 
 
 def item_finish(item: TableItem, rng: np.random.Generator) -> Finish:

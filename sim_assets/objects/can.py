@@ -48,9 +48,9 @@ BENDS: dict[CanKind, tuple[float, float]] = {
 }  # of the test kinds, relative to the radius
 SLIGHT_BENDS: dict[CanKind, tuple[float, float]] = {
     "ribbed": (0.012, 0.035),
-    "bowed": (0.02, 0.08),
-    "drawn": (0.02, 0.08),
-    "conic": (0.02, 0.08),
+    "bowed": (0.02, 0.11),
+    "drawn": (0.02, 0.11),
+    "conic": (0.02, 0.11),
 }  # of training cans in the sizes met in homes
 RIB_PITCH = 0.007  # spacing of ribs along the axis [m]
 BEAD_PITCH = 0.016  # spacing of beads along the axis [m]

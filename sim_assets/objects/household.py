@@ -28,7 +28,7 @@ BOWL_RADIUS, BOWL_HEIGHT = (0.045, 0.140), (0.024, 0.120)
 MUG_RADIUS, MUG_HEIGHT = (0.027, 0.055), (0.055, 0.125)
 # Height over diameter of flat, usual and tall cans and of tubes, with equal shares.
 CAN_PROPORTIONS = ((0.30, 0.70), (0.70, 1.70), (1.70, 2.40), (2.40, 3.60))
-CURVED = 0.6  # share of the straight training cans that are ribbed or slightly curved
+CURVED = 0.75  # share of the straight training cans that are ribbed or slightly curved
 JARS = 0.2  # share of the bottles with a neck that is turned into a wide mouth
 FILL = (0.30, 0.85)  # level of the contents over the depth of the cavity
 CLEARANCE = 0.0005  # between contents and wall [m]

@@ -9,19 +9,29 @@ import numpy as np
 from jaxtyping import Float, UInt8
 
 from perception.types import CameraIntrinsics
+from sim_assets.rendering.depth_sensors.active_stereo import RANGE as STEREO_RANGE
 from sim_assets.rendering.depth_sensors.active_stereo import active_stereo
+from sim_assets.rendering.depth_sensors.structured_light import RANGE as STRUCTURED_RANGE
 from sim_assets.rendering.depth_sensors.structured_light import structured_light
+from sim_assets.rendering.depth_sensors.time_of_flight import RANGE as FLIGHT_RANGE
 from sim_assets.rendering.depth_sensors.time_of_flight import time_of_flight
 
 DepthNoise = Literal["none", "gaussian", "realsense", "kinect", "tof"]
 DEPTH_NOISES: tuple[DepthNoise, ...] = get_args(DepthNoise)
 
 GAUSSIAN_SIGMA = 0.002  # [m]
+CLEARANCE = 0.08  # [m] that users keep beyond the least depth of a sensor
 SENSORS: dict[str, Callable[..., np.ndarray]] = {
     "realsense": active_stereo,
     "kinect": structured_light,
     "tof": time_of_flight,
 }
+RANGES = {"realsense": STEREO_RANGE, "kinect": STRUCTURED_RANGE, "tof": FLIGHT_RANGE}
+
+
+def nearest_depth(noise: DepthNoise) -> float:
+    """Return the depth in [m] at which objects can be used with a sensor; 0 without one."""
+    return RANGES[noise][0] + CLEARANCE if noise in RANGES else 0.0
 
 
 def add_depth_noise(

@@ -14,9 +14,11 @@ from sim_assets.datasets.distractors.shapes import (
     cylinder,
     hull,
     lathe,
+    loft,
     mapped,
     standing,
     thing,
+    tube,
     turned,
 )
 
@@ -187,7 +189,7 @@ def candlestick(rng: np.random.Generator) -> Mesh:
 
 
 def random_parts(rng: np.random.Generator) -> Mesh:
-    """Return a pebble, a prism or a union of random parts; for training only."""
+    """Return a pebble, a prism, a lump, an odd vessel or a union of random parts; for training only."""
     draw = rng.random()
     if draw < 0.25:
         pebble = trimesh.convex.convex_hull(rng.normal(size=(rng.integers(6, 20), 3)))
@@ -198,23 +200,83 @@ def random_parts(rng: np.random.Generator) -> Mesh:
         prism = creation.cylinder(radius=radius, height=height, sections=int(rng.integers(3, 7)))
         prism.apply_scale((1, rng.uniform(0.5, 1.0), 1))
         parts = [mapped(prism)]
+    elif draw < 0.62:
+        parts = [_lump(rng)]
+    elif draw < 0.80:
+        parts = _odd_vessel(rng)
     else:
         parts = [_odd_part(rng) for _ in range(rng.integers(2, 6))]
     return standing(thing(*[("any", parts[i::3]) for i in range(3) if parts[i::3]]))
 
 
+def _lump(rng: np.random.Generator) -> Mesh:
+    """Return a closed surface through rounded sections that change in place, size and direction upwards.
+
+    It is never round about a vertical axis: such things would be bottles or cans.
+    """
+    levels, around = int(rng.integers(4, 9)), 24
+    height, size = rng.uniform(0.03, 0.22), rng.uniform(0.02, 0.08)
+    at = np.linspace(0, 1, levels)
+    lean = rng.normal(0, 0.7 * size, 2) * at[:, None]
+    wander = lean + np.cumsum(rng.normal(0, 0.35 * size, (levels, 2)), axis=0)
+    half = size * np.exp(np.cumsum(rng.normal(0, 0.25, (levels, 2)), axis=0)) * (1, rng.uniform(0.3, 0.75))
+    half = np.clip(half, 0.3 * size, 1.6 * size)
+    yaw = rng.uniform(-np.pi, np.pi) + np.cumsum(rng.normal(0, 0.15, levels))
+    angle, power = np.linspace(0, 2 * np.pi, around, endpoint=False), rng.uniform(0.3, 1.0)
+    unit = np.stack([np.sign(f) * np.abs(f) ** power for f in (np.cos(angle), np.sin(angle))], axis=-1)
+    rings = []
+    for level in range(levels):
+        c, s = np.cos(yaw[level]), np.sin(yaw[level])
+        ring = (unit * half[level]) @ np.array([[c, s], [-s, c]]) + wander[level]
+        rings.append(np.column_stack([ring, np.full(around, at[level] * height)]))
+    lump = loft(np.stack(rings))
+    if rng.random() < 0.4:
+        lump.apply_transform(trimesh.transformations.random_rotation_matrix(rng.random(3)))
+    return mapped(lump)
+
+
+def _odd_vessel(rng: np.random.Generator) -> list[Mesh]:
+    """Return a round vessel with something at its side that is no handle: a jug, a ladle, a boot."""
+    r, top, height = rng.uniform(0.025, 0.075), rng.uniform(0.6, 1.4), rng.uniform(0.03, 0.16)
+    wall = 0.004
+    outside = [(0, 0), (0.8 * r, 0), (r, 0.4 * height), (top * r, height)]
+    inside = [(top * r - wall, height), (r - wall, 0.4 * height), (0.8 * r - wall, wall), (0, wall)]
+    parts = [lathe(outside + (inside if rng.random() < 0.8 else [(0, height)]), 26)]
+    for _ in range(rng.integers(1, 3)):
+        yaw, level = rng.uniform(-np.pi, np.pi), rng.uniform(0.1, 0.9) * height
+        start = 0.8 * r * np.array([np.cos(yaw), np.sin(yaw), 0]) + (0, 0, level)
+        reach = rng.uniform(0.04, 0.18) * np.array([np.cos(yaw), np.sin(yaw), rng.uniform(-0.3, 0.7)])
+        reach[2] = max(reach[2], 0.008 - level)
+        kind = rng.integers(3)
+        if kind == 0:  # a spout or a stick
+            parts.append(between(start, start + reach, rng.uniform(0.005, 0.018), 10))
+        elif kind == 1:  # a toe, a lid that stands open, a second body
+            half = rng.uniform(0.015, 0.07, 3)
+            parts.append(ball(half, start + 0.4 * reach))
+        else:
+            parts.append(box(rng.uniform(0.006, 0.07, 3), start + 0.3 * reach, rng.uniform(-np.pi, np.pi)))
+    return parts
+
+
 def _odd_part(rng: np.random.Generator) -> Mesh:
-    """A randomly rotated box, cylinder, cone or ellipsoid near the origin."""
+    """A randomly rotated box, cylinder, cone, ellipsoid, open vessel or bent tube near the origin."""
     size = rng.uniform(0.015, 0.09, 3)
-    kind = rng.integers(4)
+    kind = rng.integers(6)
     if kind == 0:
         part = box(size)
     elif kind == 1:
         part = cylinder(size[0] / 3, 1.5 * size[1])
     elif kind == 2:
         part = mapped(creation.cone(radius=size[0] / 2, height=size[1], sections=20))
-    else:
+    elif kind == 3:
         part = ball(size / 2)
+    elif kind == 4:
+        r, top, z = size[0], size[0] * rng.uniform(0.6, 1.4), size[1]
+        part = lathe([(0, 0), (0.6 * r, 0), (0.6 * top, z), (0.5 * top, z), (0.5 * r, 0.004), (0, 0.004)], 24)
+    else:
+        angle = np.linspace(0, rng.uniform(0.5, 4.0), 10)
+        arc = np.stack([size[0] * np.cos(angle), size[0] * np.sin(angle), 0.2 * size[1] * angle], axis=1)
+        part = tube(arc, rng.uniform(0.003, 0.010))
     part.apply_transform(trimesh.transformations.random_rotation_matrix(rng.random(3)))
     part.apply_translation(rng.normal(0, 0.02, 3))
     return part

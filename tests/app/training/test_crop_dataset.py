@@ -26,6 +26,7 @@ def picture(things, patches):
     return SimpleNamespace(
         frame=frame,
         instances=instances,
+        surroundings=None,
         labels=tuple(
             SimpleNamespace(category=category, yaw=yaw, T_world_object=np.eye(4), ignored=False)
             for category, yaw in things
@@ -76,6 +77,18 @@ def test_perturbed_masks_overlap_the_true_ones_and_those_of_distractors_less():
                     found.append((mask & true).sum() / (mask | true).sum())
     assert np.median(overlaps[0]) > 0.93
     assert np.mean(np.array(overlaps[0]) < 0.9) < 0.2 < np.mean(np.array(overlaps[1]) < 0.9)
+
+
+def test_furniture_gives_masks_of_no_object():
+    image = picture([("can", 0.0)], [(100, 120, 40, 0)])
+    image.surroundings = np.zeros(image.instances.shape, bool)
+    image.surroundings[:, 240:] = True
+    rng = np.random.default_rng(0)
+    masks = [mask for _ in range(60) for mask in perturb_masks(image, rng)]
+    around = [mask for mask in masks if mask[:, 240:].sum() > 0.9 * mask.sum()]
+    assert 0.2 * 60 < len(around) < 0.5 * 60
+    assert not any((mask & (image.instances >= 0)).any() for mask in around)
+    assert set(label_crops(image, SupportPlane(), around).label) == {4}
 
 
 def test_masks_astray_include_a_part_of_a_neighbour_or_lose_a_part():

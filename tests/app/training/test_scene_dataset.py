@@ -18,6 +18,7 @@ from app.training.scene_dataset import (
     training_scene_config,
 )
 from app.workers import Lost
+from perception.detection.scene_training import UNJUDGED
 from perception.errors import PerceptionError
 from perception.types import SupportPlane
 from sim_assets.datasets.scene_config import TrainingSceneConfig
@@ -54,6 +55,17 @@ def test_reduced_images_keep_objects_and_footprints(image, small):
     assert np.median(picture.frame.depth[picture.frame.depth > 0]) == pytest.approx(
         np.median(depth[depth > 0]), abs=0.01
     )
+
+
+def test_things_around_the_table_are_not_judged(image, small):
+    """An object in front of them keeps its number; without an object both answers are right."""
+    around = np.zeros(image.instances.shape, bool)
+    around[:, :320] = True
+    things = downscale_image(replace(image, surroundings=around)).things[0]
+    before = small.things[0]
+    beside = (before == 0) & (np.arange(320) < 160)
+    assert beside.any() and (things[beside] == UNJUDGED).all()
+    assert (things[~beside] == before[~beside]).all()
 
 
 def test_round_trip_and_damaged_files(small, tmp_path):

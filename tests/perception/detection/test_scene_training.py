@@ -1,5 +1,7 @@
 """Training of the scene network: geometry of patches, losses in closed form, resumed runs."""
 
+from dataclasses import replace
+
 import numpy as np
 import pytest
 import torch
@@ -11,6 +13,7 @@ from perception.detection.scene_network import (
     VOTE_UNIT,
 )
 from perception.detection.scene_training import (
+    UNJUDGED,
     LabelledScene,
     SceneTargets,
     SceneTrainingConfig,
@@ -65,6 +68,24 @@ def test_losses_in_closed_form():
     answer[:, 4 + CLASSES] = 10.0 / VOTE_UNIT
     better = scene_losses(answer, targets, config)
     assert better[2] < 0.02 and better[1] == loss[1]
+
+
+def test_unjudged_pixels_are_in_no_loss():
+    """Whatever the network says where object and background are both right, the losses stay."""
+    targets = SceneTargets(
+        torch.full((1, 8, 8), UNJUDGED, dtype=torch.uint8), torch.full((1, 4, 4), -1),
+        torch.zeros(1, 4, 4, 2), torch.full((1, 4, 4), 0.003), torch.zeros(1, 4, 4),
+    )  # fmt: skip
+    answer = torch.randn(1, OUTPUTS, 4, 4, generator=torch.Generator().manual_seed(0))
+    assert scene_losses(answer, targets, SceneTrainingConfig()).tolist() == [0, 0, 0]
+
+
+def test_unjudged_pixels_have_neither_class_nor_vote(picture):
+    around = np.where(picture.things == 0, UNJUDGED, picture.things)
+    sample = sample_patch(replace(picture, things=around), SMALL, np.random.default_rng(0))
+    assert UNJUDGED in sample.things
+    beside = sample.things[::2, ::2] == UNJUDGED
+    assert (sample.label[beside] == -1).all() and (sample.weight[beside] == 0).all()
 
 
 def test_colours_stay_colours():

@@ -8,7 +8,7 @@ from trimesh import creation
 
 from sim_assets.cell.layout import PlanarPose
 from sim_assets.datasets.scatter import make_item
-from sim_assets.datasets.scene_config import TrainingSceneConfig
+from sim_assets.datasets.scene_config import RoomConfig, TrainingSceneConfig
 from sim_assets.datasets.table_top import InstanceLabel, TableTop
 from sim_assets.rendering.camera import look_at
 
@@ -143,6 +143,29 @@ def test_camera_looks_near_an_item_from_the_configured_range(table):
         along = np.array([0.2, 0.1]) / np.hypot(0.2, 0.1)
         if -T[2, 2] > 0.9:
             assert 0.0 < target[:2] @ along < 0.35
+
+
+def test_camera_keeps_the_distance_of_its_sensor(table):
+    """A tall item under the camera counts with its top, not with its foot."""
+    rng = np.random.default_rng(2)
+    placed, heights = [PlanarPose(0.2, 0.1, 0.0), PlanarPose(-0.1, 0.0, 0.0)], [0.05, 0.25]
+    for _ in range(30):
+        eye = table._aim(placed, rng, heights, nearest=0.6)[:3, 3]
+        for pose, height in zip(placed, heights, strict=True):
+            points = np.array([(pose.x, pose.y, z) for z in np.linspace(0, height, 26)])
+            assert np.linalg.norm(points - eye, axis=1).min() > 0.6 - 1e-3
+
+
+def test_furniture_is_no_item_but_marked():
+    """A block as high as a man around a small table: its pixels have no instance and are surroundings."""
+    items = [make_item("can", box(0.05, 0.05, 0.1)), make_item(None, box(0.05, 0.05, 0.05))]
+    room = RoomConfig(side=(0.4, 0.4), ground=0.0, things=(1, 1))
+    config = replace(CONFIG, objects=(1, 1), room=room, elevation=(0.3, 0.4), distance=(1.0, 1.2))
+    table = TableTop(items, config, np.random.default_rng(0), [box(1.5, 1.5, 2.5)])
+    images = [table.picture(np.random.default_rng(seed)) for seed in range(6)]
+    table.close()
+    assert any(image.surroundings.mean() > 0.02 for image in images)
+    assert all((image.instances[image.surroundings] == -1).all() for image in images)
 
 
 def test_light_falls_on_the_origin_from_above(table):

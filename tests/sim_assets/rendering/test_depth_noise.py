@@ -4,7 +4,7 @@ import numpy as np
 import pytest
 
 from perception.types import CameraIntrinsics
-from sim_assets.rendering.depth_noise import DEPTH_NOISES, add_depth_noise
+from sim_assets.rendering.depth_noise import DEPTH_NOISES, add_depth_noise, nearest_depth
 
 INTRINSICS = CameraIntrinsics(320, 240, 300.0, 300.0, 159.5, 119.5)
 SENSORS = ("realsense", "kinect", "tof")
@@ -58,6 +58,16 @@ def test_any_size_keeps_its_shape_and_invents_no_depth(noise, shape, rng):
 @pytest.mark.parametrize("noise", SENSORS)
 def test_images_without_depth_stay_empty(noise, rng):
     assert not add_depth_noise(np.zeros((60, 80), np.float32), noise, INTRINSICS, rng).any()
+
+
+@pytest.mark.parametrize("noise", SENSORS)
+def test_a_sensor_measures_from_its_nearest_depth_on(noise, rng):
+    """A matt wall a little beyond that depth is measured almost everywhere, one at half of it nowhere."""
+    camera = CameraIntrinsics(160, 120, 150.0, 150.0, 79.5, 59.5)
+    far = np.full((120, 160), nearest_depth(noise), np.float32)
+    assert (add_depth_noise(far, noise, camera, rng)[20:-20, 30:-30] > 0).mean() > 0.8
+    assert not add_depth_noise(far / 2, noise, camera, rng).any()
+    assert nearest_depth("none") == nearest_depth("gaussian") == 0
 
 
 def test_unknown_noise_lists_the_known_ones(rng):
