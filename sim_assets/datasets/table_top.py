@@ -167,7 +167,7 @@ class TableTop:
         self.light(rng)
         fovy = rng.uniform(*config.fovy)
         noise = DEPTH_NOISES[rng.choice(len(DEPTH_NOISES), p=config.noises)]
-        heights = [float(self.items[index].mesh.bounds[1, 2]) for index in shown]
+        heights = [float(self.items[int(index)].mesh.bounds[1, 2]) for index in shown]
         T_world_camera = self._aim(placed, rng, heights, nearest_depth(noise))
         self.room.vary(rng, spread, float(np.arctan2(T_world_camera[1, 3], T_world_camera[0, 3])))
         true, ids = self.capture(T_world_camera, fovy, rng.random() < config.shadows)
@@ -288,7 +288,7 @@ class TableTop:
         """
         azimuth, elevation = rng.uniform(-np.pi, np.pi), rng.uniform(*self.config.elevation)
         distance = rng.uniform(*self.config.distance)
-        seen = placed[rng.integers(len(placed))] if placed else PlanarPose(0, 0, 0)
+        seen = placed[int(rng.integers(len(placed)))] if placed else PlanarPose(0, 0, 0)
         target = rng.uniform(0.3, 1.0) * np.array([seen.x, seen.y, 0]) + (0, 0, rng.uniform(0, 0.08))
         away = np.array([
             np.cos(elevation) * np.cos(azimuth), np.cos(elevation) * np.sin(azimuth), np.sin(elevation)
