@@ -48,7 +48,6 @@ class TrainingSceneConfig:
         random_parts: share of the training split's distractors made by ``random_parts``.
         plain_tumblers: whether the bottles include straight tumblers with flat lids, which resemble cans.
         drawn_in: share of the training split's plain cans and canisters with a narrower foot.
-        curved: share of the training split's straight cans that get a curved body between seamed ends.
         pictures_per_pool: number of images rendered with one pool.
         pictures_per_texture: number of images between changes of textures.
         textures_redrawn: number of items that get a new texture then; the ground always does.
@@ -78,7 +77,6 @@ class TrainingSceneConfig:
     random_parts: float = 0.0
     plain_tumblers: bool = True
     drawn_in: float = 0.0
-    curved: float = 0.0
     pictures_per_pool: int = 400
     pictures_per_texture: int = 8
     textures_redrawn: int = 12

@@ -25,10 +25,6 @@ from sim_assets.objects.families import Parameters, make_solid, sample_parameter
 from sim_assets.objects.household import contents_of, sample_household
 
 Split = Literal["train", "test"]
-TRAINING_BEND = (
-    0.03,
-    0.13,
-)  # of curved cans, relative to the radius; those of the test split are 0.14 to 0.26
 PLAIN_BEND = 0.10  # a tumbler that widens less, relative to its radius, resembles a can
 
 
@@ -119,25 +115,15 @@ def _draw_parameters(
     while True:
         sample = sample_household if rng.random() < config.household else sample_parameters
         p = sample(category, split, rng)
-        if split == "train" and isinstance(p, CanParameters):
-            p = _perhaps_drawn_in(_perhaps_curved(p, config.curved, rng), config.drawn_in, rng)
+        if split == "train" and config.drawn_in > 0 and isinstance(p, CanParameters):
+            p = _perhaps_drawn_in(p, config.drawn_in, rng)
         plain = isinstance(p, BottleParameters) and p.kind == "tumbler" and p.bend < PLAIN_BEND
         if config.plain_tumblers or not plain:
             return p
 
 
-def _perhaps_curved(can: CanParameters, share: float, rng: np.random.Generator) -> CanParameters:
-    """Give a straight can a curved body with probability ``share``: its ends make it a can, not its sides."""
-    if can.bend > 0 or can.kind == "drink" or rng.random() >= share:
-        return can
-    kind = ("bowed", "drawn", "conic")[rng.integers(3)]
-    seam, recess = float(rng.uniform(0.0006, 0.0018)), float(rng.uniform(0.0, 0.004))
-    bend = float(rng.uniform(*TRAINING_BEND))
-    return replace(can, kind=kind, seam=seam, rim=min(can.rim, 0.004), recess=recess, bend=bend)
-
-
 def _perhaps_drawn_in(can: CanParameters, share: float, rng: np.random.Generator) -> CanParameters:
     """Give a plain can or canister a foot with probability ``share``, so that it is no cue to the class."""
-    if share <= 0 or can.kind not in ("plain", "canister") or rng.random() >= share:
+    if can.kind not in ("plain", "canister") or rng.random() >= share:
         return can
     return replace(can, foot=float(rng.uniform(*FOOT)))

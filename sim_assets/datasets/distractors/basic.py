@@ -189,7 +189,7 @@ def candlestick(rng: np.random.Generator) -> Mesh:
 
 
 def random_parts(rng: np.random.Generator) -> Mesh:
-    """Return a pebble, a prism, a lump, an odd vessel or a union of random parts; for training only."""
+    """Return a pebble, a prism, a lump or a union of random parts; for training only."""
     draw = rng.random()
     if draw < 0.25:
         pebble = trimesh.convex.convex_hull(rng.normal(size=(rng.integers(6, 20), 3)))
@@ -200,10 +200,8 @@ def random_parts(rng: np.random.Generator) -> Mesh:
         prism = creation.cylinder(radius=radius, height=height, sections=int(rng.integers(3, 7)))
         prism.apply_scale((1, rng.uniform(0.5, 1.0), 1))
         parts = [mapped(prism)]
-    elif draw < 0.62:
+    elif draw < 0.70:
         parts = [_lump(rng)]
-    elif draw < 0.80:
-        parts = _odd_vessel(rng)
     else:
         parts = [_odd_part(rng) for _ in range(rng.integers(2, 6))]
     return standing(thing(*[("any", parts[i::3]) for i in range(3) if parts[i::3]]))
@@ -233,29 +231,6 @@ def _lump(rng: np.random.Generator) -> Mesh:
     if rng.random() < 0.4:
         lump.apply_transform(trimesh.transformations.random_rotation_matrix(rng.random(3)))
     return mapped(lump)
-
-
-def _odd_vessel(rng: np.random.Generator) -> list[Mesh]:
-    """Return a round vessel with something at its side that is no handle: a jug, a ladle, a boot."""
-    r, top, height = rng.uniform(0.025, 0.075), rng.uniform(0.6, 1.4), rng.uniform(0.03, 0.16)
-    wall = 0.004
-    outside = [(0, 0), (0.8 * r, 0), (r, 0.4 * height), (top * r, height)]
-    inside = [(top * r - wall, height), (r - wall, 0.4 * height), (0.8 * r - wall, wall), (0, wall)]
-    parts = [lathe(outside + (inside if rng.random() < 0.8 else [(0, height)]), 26)]
-    for _ in range(rng.integers(1, 3)):
-        yaw, level = rng.uniform(-np.pi, np.pi), rng.uniform(0.1, 0.9) * height
-        start = 0.8 * r * np.array([np.cos(yaw), np.sin(yaw), 0]) + (0, 0, level)
-        reach = rng.uniform(0.04, 0.18) * np.array([np.cos(yaw), np.sin(yaw), rng.uniform(-0.3, 0.7)])
-        reach[2] = max(reach[2], 0.008 - level)
-        kind = rng.integers(3)
-        if kind == 0:  # a spout or a stick
-            parts.append(between(start, start + reach, rng.uniform(0.005, 0.018), 10))
-        elif kind == 1:  # a toe, a lid that stands open, a second body
-            half = rng.uniform(0.015, 0.07, 3)
-            parts.append(ball(half, start + 0.4 * reach))
-        else:
-            parts.append(box(rng.uniform(0.006, 0.07, 3), start + 0.3 * reach, rng.uniform(-np.pi, np.pi)))
-    return parts
 
 
 def _odd_part(rng: np.random.Generator) -> Mesh:

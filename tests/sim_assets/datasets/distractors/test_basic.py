@@ -31,17 +31,6 @@ def test_a_lump_is_closed_and_not_round():
     assert np.median(ratios) < 0.75
 
 
-def test_an_odd_vessel_has_something_at_its_side():
-    rng = np.random.default_rng(6)
-    for _ in range(20):
-        vessel, *others = basic._odd_vessel(rng)
-        assert others and vessel.is_watertight
-        rim = np.linalg.norm(vessel.vertices[:, :2], axis=1).max()
-        beyond = [np.linalg.norm(part.vertices[:, :2], axis=1).max() for part in others]
-        assert max(beyond) > rim + 0.004
-        assert min(part.bounds[0, 2] for part in others) > -0.08
-
-
 def test_a_book_is_as_thick_as_asked():
     parts = basic.book(0.12, 0.2, 0.03)
     bounds = np.array([part.bounds for part in parts])
