@@ -20,7 +20,7 @@ LOG_FILE = "error.log"
 
 # Optional extra that provides a library.
 _SIMULATOR = ("mujoco", "mjviser", "mink", "daqp", "ruckig", "coacd")
-EXTRA_OF = dict.fromkeys(_SIMULATOR, "sim")
+EXTRA_OF: dict[str, str] = dict.fromkeys(_SIMULATOR, "sim")
 EXTRA_OF |= {"tensorboard": "train", "transformers": "hf", "gymnasium": "gym", "pyarrow": "collect"}
 
 # Classes of errors that mean invalid usage or input, and that mean a failed task, by the module that defines

@@ -102,7 +102,7 @@ class CellEnv(gymnasium.Env[Any, np.ndarray]):
         self._reward_kind: RewardKind = reward
         n_objects = len(parse_objects(self.cell_options.objects, np.random.default_rng(0)))
         self._spaces = self._observation_spaces(n_objects)
-        self.observation_space = spaces.Dict(self._spaces)
+        self.observation_space = spaces.Dict({**self._spaces})
         self._cell: Cell | None = None
 
     @property
@@ -179,7 +179,7 @@ class CellEnv(gymnasium.Env[Any, np.ndarray]):
         speed = np.full(len(arm.joint_names), MAX_JOINT_SPEED)
         low = np.concatenate([kinematics.lower - 0.1, -speed, [0.0]]).astype(np.float32)
         high = np.concatenate([kinematics.upper + 0.1, speed, [arm.max_width]]).astype(np.float32)
-        entries = {"state": spaces.Box(low, high, dtype=np.float32)}
+        entries: dict[str, spaces.Box] = {"state": spaces.Box(low, high, dtype=np.float32)}
         if self._privileged:
             shape = (n_objects, len(COLUMNS))
             entries["objects"] = spaces.Box(-TABLE_REACH, TABLE_REACH, shape, dtype=np.float32)

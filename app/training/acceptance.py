@@ -72,7 +72,7 @@ class AcceptanceTraining:
     class_noise: float = 1.5
     class_dropout: float = 0.25
     ridge: float = 20.0
-    threshold: float = 0.4
+    threshold: float = 0.2
 
 
 @dataclass(frozen=True)

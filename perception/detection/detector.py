@@ -1,7 +1,7 @@
 """Detection of the objects in one RGB-D frame.
 
 The scene network segments instances by Hough voting; an ensemble of two networks on context crops decides
-their class, with a small share of the scene network; the yaw network predicts where the handles of mugs
+their class, with a share of the scene network; the yaw network predicts where the handles of mugs
 point.
 """
 
@@ -28,7 +28,7 @@ from perception.support.surface import SupportSurface
 from perception.types import CATEGORIES, OTHER, ObjectDetection, RgbdFrame, SupportPlane, is_unclassified
 
 _MUG = CATEGORIES.index("mug")
-SCENE_SHARE = 0.2  # weight of the scene network in the class; the class network knows more things
+SCENE_SHARE = 0.35  # weight of the scene network in the class
 
 
 @dataclass(frozen=True)

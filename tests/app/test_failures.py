@@ -9,14 +9,15 @@ import pytest
 
 from app.errors import StalledError, UsageError
 from app.failures import LOG_FILE, LONGEST, Failure, failure_of, one_line, write_log
-from manipulation.errors import PlanningError
+from manipulation.errors import PlanningError, RobotError
 from perception.errors import InvalidInputError
 
 EXPECTED = {
     "usage": (UsageError("--seed is wrong"), Failure("--seed is wrong")),
     "input": (InvalidInputError("x is damaged"), Failure("x is damaged")),
     "stalled": (StalledError("Planning: no progress"), Failure("Planning: no progress", 1, expected=False)),
-    "no plan": (PlanningError("no viewpoint"), Failure("no viewpoint", 1)),
+    "no plan": (PlanningError("no viewpoint"), Failure("no viewpoint")),
+    "robot": (RobotError("the arm stopped"), Failure("the arm stopped", 1)),
     "extra": (
         ModuleNotFoundError("No module named 'mujoco.egl'", name="mujoco.egl"),
         Failure("pack needs mujoco.egl: pip install 'nodeslam[sim]'"),

@@ -85,7 +85,7 @@ def test_the_first_free_line_is_taken(kinematics):
     blocked, free = down(0.5, 0.2, 0.15), down(0.5, -0.2, 0.3)
     line = motions.free_line(q, [blocked, free], WIDTH)
     assert kinematics.forward(line[-1])[:3, 3] == pytest.approx([0.5, -0.2, 0.3], abs=2e-4)
-    assert motions.free_line(q, [blocked], WIDTH) == Rejected("collide with wall (link7)")
+    assert motions.free_line(q, [blocked], WIDTH) == Rejected("collide with wall (hand)")
     assert motions.free_line(q, [down(1.5, -0.2, 0.15)], WIDTH) == Rejected("out of reach")
     allowed = motions.free_line(q, [blocked], WIDTH, AllowedContacts(frozenset({"wall"})))
     assert kinematics.forward(allowed[-1])[:3, 3] == pytest.approx([0.5, 0.2, 0.15], abs=2e-4)

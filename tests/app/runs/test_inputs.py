@@ -25,7 +25,19 @@ def test_every_option_that_holds_a_path_is_an_input_or_an_output():
         for field in dataclasses.fields(kind)
         if "Path" in str(field.type)
     }
-    assert paths == {"out", "html", "object_meshes", "scan", "source", "run", "sequence", "meshes"}
+    assert paths == {
+        "against",
+        "arm",
+        "hand",
+        "html",
+        "meshes",
+        "object_meshes",
+        "out",
+        "run",
+        "scan",
+        "sequence",
+        "source",
+    }
 
 
 def test_paths_of_the_options_are_inputs(tmp_path):

@@ -91,7 +91,7 @@ def test_unusable_weights_are_named_with_a_remedy(tmp_path):
     with pytest.raises(PerceptionError, match="are for 'class', not 'yaw'"):
         load_crop_network("yaw", path)
     save_file({"x": torch.zeros(1)}, path, metadata={"task": "yaw", "temperature": "1.0"})
-    with pytest.raises(PerceptionError, match="cannot be read"):
+    with pytest.raises(PerceptionError, match="do not fit the network"):
         load_crop_network("yaw", path)
 
 
