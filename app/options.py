@@ -237,6 +237,8 @@ class EvaluateOptions(TaskOptions, WorkerOptions):
     """Detection: renderer of the images; training images come from the classic one."""
     rooms: bool = False
     """Detection: rooms and sizes like those of training: furniture around, objects as in homes."""
+    fits: bool = False
+    """Detection: also reconstruct what is found and judge it by its fits, as nodeslam reconstruct does."""
     views: tuple[int, ...] = (1, 2, 3)
     """Reconstruction: numbers of random views to compare."""
     methods: tuple[Method, ...] = METHODS

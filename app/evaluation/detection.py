@@ -2,7 +2,8 @@
 
 Images are rendered in chunks, each with its own seed, objects, textures and distractors; a finished chunk is
 one line of ``rows.jsonl``. The support plane is fitted to each image; the camera pose is used only to express
-yaw in the world frame.
+yaw in the world frame. With ``--fits`` each detection is also reconstructed and judged by the evidence of its
+fit, as ``nodeslam reconstruct`` does.
 """
 
 from __future__ import annotations
@@ -20,6 +21,7 @@ from rich.table import Table
 
 from app.drawing import draw_detections
 from app.errors import UsageError
+from app.evaluation.detection_fits import judged_by_fits
 from app.evaluation.detection_scoring import is_accepted, score_image, summarise_detection
 from app.evaluation.jobs import Failure, Jobs, run_jobs
 from app.evaluation.ledger import Ledger, LedgerFormat, Line
@@ -28,10 +30,12 @@ from app.runs.report import Report
 from app.screen import Screen
 from app.training.scene_dataset import training_scene_config
 from perception.detection.detector import Detector, DetectorConfig
+from perception.inference.acceptance import AcceptanceModel, shipped_acceptance
 from perception.inference.reconstruct import single_threaded_torch
 from perception.io.files import write_atomically
 from perception.io.images import png_bytes
-from perception.pipeline import resolve_device
+from perception.pipeline import Device, load_decoder, resolve_device
+from perception.shape.decoder import ShapeDecoder
 from perception.support_plane import fit_support_plane
 
 if TYPE_CHECKING:
@@ -83,6 +87,8 @@ def run_chunk(options: EvaluateOptions, folder: Path, chunk: int) -> Line:
             start = time.process_time()
             found = detector(image.frame, plane)
             seconds = time.process_time() - start
+            if options.fits:
+                found = judged_by_fits(image.frame, found, plane, *_shape_models(options.device))
             line = score_image(image, found) | {"seconds": seconds}
             lines.append(line)
             picture = draw_detections(image.frame, [d for d in found if is_accepted(d)], by_class=True)
@@ -150,6 +156,12 @@ def _detector(device: str) -> Detector:
     return Detector.load(device, config=DetectorConfig(max_other=1.0))
 
 
+@cache
+def _shape_models(device: Device) -> tuple[ShapeDecoder, AcceptanceModel]:
+    """Return the shape prior and the model that judges fits."""
+    return load_decoder(device), shipped_acceptance()
+
+
 def _count_errors(line: Mapping[str, Any]) -> int:
     """Return the number of missed or misclassified objects and of distractors taken for objects."""
     wrong = sum(entry["counts"] and entry["found"] != entry["category"] for entry in line["objects"])
@@ -181,7 +193,7 @@ def _settings(options: EvaluateOptions) -> dict[str, Any]:
     """Return the options that must not change when an evaluation is resumed."""
     names = ("seed", "images", "renderer", "depth_noise", "object_meshes", "device")
     settings = {name: str(getattr(options, name)) for name in names}
-    return settings | ({"rooms": "True"} if options.rooms else {})  # absent in runs of earlier versions
+    return settings | {name: "True" for name in ("rooms", "fits") if getattr(options, name)}
 
 
 def _report(options: EvaluateOptions, chunks: Mapping[Hashable, Line], seconds: float) -> Report:

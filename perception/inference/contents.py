@@ -25,6 +25,10 @@ _CENTRE = 0.45  # part of the radius that must be seen in part
 _OPENING = 0.92  # part of the radius that rays into the cavity pass
 _LEVEL: dict[Category, float] = {"mug": 0.3, "bowl": 0.46}  # height above that of floors, in vessel heights
 _FULL = 0.95  # height of a surface that cannot be told from the rim or a lid, in vessel heights
+_MIN_SHARE = 0.1  # part of the surface in the opening that must lie below it
+_ABOVE = 0.08  # what is higher above the rim is a heap, in vessel heights
+_NARROW = 0.8  # a ring of highest points narrower than this, relative to the outline, is no rim
+_WALL = 0.06  # distance from the outline within which the wall ends, in radii
 _MAX_SLOPE = 0.15  # rise of contents towards the wall, in vessel heights per radius
 _MIN_PIXELS = 40
 _MIN_RIM = 30  # points of the rim
@@ -91,6 +95,9 @@ def without_contents(
 def find_rim(plan: Float[np.ndarray, "n 2"], height: Float[np.ndarray, "n"]) -> Rim | None:
     """Fit a circle to the highest points of a cloud; None if they do not surround it.
 
+    Where contents rise above the rim, the highest points are theirs; the rim is then the upper end of the
+    outline.
+
     Args:
         plan: Coordinates in the plane, in metres.
         height: Heights above the plane, in metres.
@@ -98,21 +105,46 @@ def find_rim(plan: Float[np.ndarray, "n 2"], height: Float[np.ndarray, "n"]) -> 
     if len(height) < _MIN_RIM:
         return None
     top = float(np.quantile(height, 0.995))
-    high = plan[height > top - max(0.006, 0.08 * top)]
-    if len(high) < _MIN_RIM:
+    highest = _ring(plan[height > top - max(0.006, 0.08 * top)])
+    outline = _outline(plan)
+    if outline is not None and (highest is None or highest[1] < _NARROW * outline[1]):
+        centre, radius = outline
+        wall = np.abs(np.linalg.norm(plan - centre, axis=1) / radius - 1.0) < _WALL
+        rim = Rim(centre, radius, float(np.quantile(height[wall], 0.95)))
+        if _heap(np.array([top]), rim).any():
+            return rim
+    return None if highest is None else Rim(*highest, top)
+
+
+def _heap(height: Float[np.ndarray, "n"], rim: Rim) -> Bool[np.ndarray, "n"]:
+    """Return which heights are above the rim."""
+    return height > (1 + _ABOVE) * rim.height + 0.002
+
+
+def _outline(plan: Float[np.ndarray, "n 2"]) -> tuple[Float[np.ndarray, "2"], float] | None:
+    """Return centre and radius of the circle around a filled disc; None if there is none."""
+    inner = _ring(plan)
+    if inner is None:
         return None
-    centre = (high.min(axis=0) + high.max(axis=0)) / 2
-    edge = _outermost(high, centre)
+    centre, radius = inner
+    return _ring(plan[np.linalg.norm(plan - centre, axis=1) > _OPENING * radius])
+
+
+def _ring(points: Float[np.ndarray, "n 2"]) -> tuple[Float[np.ndarray, "2"], float] | None:
+    """Return centre and radius of the circle around points; None if they do not surround it."""
+    if len(points) < _MIN_RIM:
+        return None
+    centre = (points.min(axis=0) + points.max(axis=0)) / 2
+    edge = _outermost(points, centre)
+    radius = 0.0
     for _ in range(4):  # handles are outliers
         if len(edge) < _MIN_SECTORS:
             return None
         centre, radius = _circle(edge)
-        edge = _outermost(high, centre)
+        edge = _outermost(points, centre)
         distance = np.abs(np.linalg.norm(edge - centre, axis=1) - radius)
         edge = edge[distance <= max(2.5 * float(np.median(distance)), 0.002)]
-    if len(edge) < _MIN_SECTORS or not 0.015 < radius < 0.25:
-        return None
-    return Rim(centre, radius, top)
+    return (centre, radius) if len(edge) >= _MIN_SECTORS and 0.015 < radius < 0.25 else None
 
 
 def _outermost(points: Float[np.ndarray, "n 2"], centre: Float[np.ndarray, "2"]) -> Float[np.ndarray, "k 2"]:
@@ -178,18 +210,20 @@ def content_mask(
     crossing = eye + (plan - eye) * ((eye_height - rim.height) / below)[:, None]
     opening = np.linalg.norm(crossing - rim.centre, axis=1) < _OPENING * rim.radius
     rho = np.linalg.norm(plan - rim.centre, axis=1) / rim.radius
-    inside = opening & (height < _FULL * rim.height - 0.002) & (rho < 1.05)
+    inside = opening & (rho < 1.05)
     inner = inside & (rho < _INNER)
-    if inner.sum() < _MIN_PIXELS:
-        return none
-    if rho[inner].min() > _CENTRE or np.median(height[inner]) < _LEVEL[category] * rim.height:
-        return none
-    design = np.column_stack([rho[inner], np.ones(int(inner.sum()))])
-    slope = np.linalg.lstsq(design, height[inner] / rim.height, rcond=None)[0][0]
+    judged = inner & (height < _FULL * rim.height - 0.002)
+    heap = _heap(height, rim)
+    if judged.sum() < max(_MIN_PIXELS, _MIN_SHARE * inner.sum()):
+        return heap
+    if rho[inner].min() > _CENTRE or np.median(height[judged]) < _LEVEL[category] * rim.height:
+        return heap
+    design = np.column_stack([rho[judged], np.ones(int(judged.sum()))])
+    slope = np.linalg.lstsq(design, height[judged] / rim.height, rcond=None)[0][0]
     if slope > _MAX_SLOPE:
-        return none
-    level = float(np.quantile(height[inner], 0.95)) + 0.003
-    return inner | (inside & (height < level))
+        return heap
+    level = float(np.quantile(height[judged], 0.95)) + 0.003
+    return heap | inner | (inside & (height < level))
 
 
 def _ignoring_contents(

@@ -55,6 +55,27 @@ def test_contents_are_found_and_the_wall_above_them_is_kept(heap) -> None:
     assert high_wall.sum() > 50 and not found[high_wall].any()
 
 
+@pytest.mark.parametrize("peak", [0.0, 0.03])
+def test_a_heap_up_to_the_rim_and_above_it_is_found_whole(peak) -> None:
+    """The middle of nearly full contents is as high as the rim, and yet no part of the vessel."""
+    offset = disc()
+    wall, rho = bowl(offset), np.linalg.norm(offset, axis=1) / RADIUS
+    height = np.maximum(wall, 0.055 + (0.015 + peak) * (1 - rho**2))
+    seen = visible(offset, height) | (height > HEIGHT)
+    found = content_mask(CENTRE + offset[seen], height[seen], EYE, EYE_HEIGHT, RIM, "bowl")
+    assert found[rho[seen] < 0.7].all()
+
+
+def test_the_rim_below_a_heap() -> None:
+    offset = disc(RADIUS)
+    rho = np.linalg.norm(offset, axis=1) / RADIUS
+    height = np.where(rho < 0.7, HEIGHT + 0.04 * (1 - (rho / 0.7) ** 2), bowl(offset))
+    found = find_rim(CENTRE + offset, height)
+    assert found is not None
+    assert found.radius == pytest.approx(RADIUS, abs=0.003)
+    assert found.height == pytest.approx(HEIGHT, abs=0.005)
+
+
 def test_a_camera_below_the_rim_sees_no_contents() -> None:
     offset = disc()
     height = np.full(len(offset), 0.05)
