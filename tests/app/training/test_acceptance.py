@@ -1,9 +1,7 @@
-"""The regression on made-up evidence, labels of masks, and the job on made-up fits."""
+"""The regression on made-up evidence, and the job on made-up fits."""
 
-import json
 from dataclasses import fields
 from pathlib import Path
-from types import SimpleNamespace
 
 import numpy as np
 import pytest
@@ -11,21 +9,17 @@ import pytest
 from app.training import acceptance
 from app.training.acceptance import (
     AcceptanceTraining,
-    Chunk,
     TrainAcceptanceConfig,
-    _label,
     acceptance_metrics,
-    collect,
     fit_model,
     logistic_regression,
     run,
     samples_of,
 )
-from app.workers import Lost
 from perception.errors import PerceptionError
 from perception.inference.acceptance import AcceptanceModel
 from perception.inference.evidence import Evidence
-from perception.types import CATEGORIES, ObjectDetection
+from perception.types import CATEGORIES
 
 
 def row(category, real, rng, rank=0):
@@ -79,47 +73,6 @@ def test_too_few_fits_of_a_class_are_an_error(rows):
     assert len(samples_of(rows, "can").real) == 120
     with pytest.raises(PerceptionError, match="render more images"):
         fit_model(rows[:16], AcceptanceTraining())
-
-
-def test_masks_are_attributed_to_the_item_they_show_most():
-    instances = np.full((10, 10), -1)
-    instances[:, 2:6], instances[:, 6:9] = 0, 1
-    labels = (
-        SimpleNamespace(category="mug", ignored=False),
-        SimpleNamespace(category=None, ignored=False),
-    )
-    image = SimpleNamespace(instances=instances, labels=labels)
-
-    def label(columns):
-        mask = np.zeros((10, 10), bool)
-        mask[:, columns] = True
-        return _label(image, ObjectDetection("can", 0.5, mask))
-
-    assert label(slice(2, 6)) == "mug" and label(slice(6, 9)) == "other"
-    assert label(slice(4, 8)) == "other" and label(slice(8, 10)) == "other"  # half of each; background
-    labels[0].ignored = True
-    assert label(slice(2, 6)) == "ignored"
-
-
-def test_finished_chunks_are_reused_and_lost_ones_reported(tmp_path, monkeypatch):
-    done = Chunk(tmp_path, "train", 3, 0, acceptance.CHUNK)
-    done.path.write_text(json.dumps([{"first": 1}]))
-    asked = []
-
-    def in_processes(function, chunks, workers):
-        for chunk in chunks:
-            asked.append((chunk.number, chunk.count))
-            chunk.path.write_text(json.dumps([{"second": 2}]))
-            yield chunk, None
-
-    monkeypatch.setattr(acceptance, "map_in_processes", in_processes)
-    assert collect(tmp_path, "train", acceptance.CHUNK + 5, 3) == [{"first": 1}, {"second": 2}]
-    assert asked == [(1, 5)]
-    monkeypatch.setattr(
-        acceptance, "map_in_processes", lambda f, chunks, w: ((c, Lost("killed", 1.0)) for c in chunks)
-    )
-    with pytest.raises(PerceptionError, match="chunk 0 of test scenes failed: killed"):
-        collect(tmp_path, "test", 5, 3)
 
 
 def test_the_job_writes_coefficients_and_card(tmp_path: Path, rows, monkeypatch):
