@@ -23,6 +23,7 @@ Variant = Literal["with_plane", "full", "no_joint", "no_uncertainty"]
 VARIANTS: tuple[Variant, ...] = get_args(Variant)
 # Options that do not change what is simulated.
 NOT_SETTINGS = {"seed", "out", "quiet", "json", "debug", "stage_limit"}
+Fault = Literal["none", "knock-over", "move", "take-away", "slip", "missed-grasp", "any"]
 SlamFault = Literal["none", "dropped", "dark", "flicker", "moved"]
 
 
@@ -94,6 +95,9 @@ class TaskOptions(CellOptions):
     """Object shapes for planning: learned prior, TSDF fusion, or true meshes and poses (oracle)."""
     scan_views: int = 6
     """Number of images of the scan, 1 to 6: fewer images make the robot faster."""
+    fault: Fault = "none"
+    """Fault put in by hand at a random moment: an object is knocked over, moved by 5 cm or taken away, slips
+    from the hand, or a grasp is missed; any: one after the other over the seeds."""
 
 
 @dataclass(frozen=True, kw_only=True)

@@ -2,6 +2,9 @@
 
 from __future__ import annotations
 
+from collections.abc import Mapping
+from typing import Any
+
 import numpy as np
 from rich.console import Group
 from rich.markup import escape
@@ -75,4 +78,28 @@ def evaluation_table(report: Report) -> Group:
     reasons.add_column("reason", overflow="fold")
     for reason, count in metrics["failures"].items():
         reasons.add_row(str(count), escape(reason))
-    return Group(rates, "", reasons) if metrics["failures"] else Group(rates)
+    parts = [rates]
+    if metrics["failures"]:
+        parts += ["", reasons]
+    if metrics.get("faults"):
+        parts += ["", fault_table(metrics["faults"])]
+    return Group(*parts)
+
+
+def fault_table(faults: Mapping[str, Any]) -> Table:
+    """Return the outcomes by kind of fault."""
+    table = Table(title="faults", title_justify="left", show_edge=False, pad_edge=False)
+    for heading in ("", "episodes", "complete", "95 % interval", "of these lost", "others reported"):
+        table.add_column(heading, justify="left" if not heading else "right")
+    for kind, row in faults.items():
+        low, high = row["complete_rate_ci"]
+        n_failed = row["n_episodes"] - row["n_complete"]
+        table.add_row(
+            kind,
+            str(row["n_episodes"]),
+            str(row["n_complete"]),
+            f"{100 * low:.0f} to {100 * high:.0f} %",
+            str(row["n_lost"]),
+            f"{row['n_reported']} of {n_failed}" if n_failed else "",
+        )
+    return table

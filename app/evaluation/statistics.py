@@ -67,6 +67,7 @@ def summarise(lines: Sequence[Mapping[str, Any]]) -> dict[str, Any]:
         "wall_seconds": _median(line.get("wall_seconds") for line in lines),
         "stage_seconds": _stages(lines),
         "reconstruction": _reconstruction(lines),
+        "faults": _faults(lines),
         "rows": [
             {key: line.get(key) for key in ("seed", "success", "reason", "wall_seconds")} for line in lines
         ],
@@ -104,6 +105,35 @@ def kind_of(reason: str) -> str:
 def _stages(lines: Sequence[Mapping[str, Any]]) -> dict[str, float | None]:
     names = dict.fromkeys(name for line in lines for name in line.get("timings", {}))
     return {name: _median(line.get("timings", {}).get(name) for line in lines) for name in names}
+
+
+def _faults(lines: Sequence[Mapping[str, Any]]) -> dict[str, dict[str, Any]]:
+    """Return for each kind of fault the episodes in which it occurred: how many are complete, and reasons.
+
+    An episode is complete if all objects are in place, but for one that is lost and reported. Of those that
+    are not, ``n_reported`` are those in which the robot gave a reason for every object that is not in place.
+    """
+    entries: dict[str, list[Any]] = defaultdict(list)
+    for line in lines:
+        fault = line.get("metrics", {}).get("fault")
+        if fault and fault["object"] is not None:
+            entries[fault["kind"]].append((fault, line))
+    return {kind: _fault_row(rows) for kind, rows in sorted(entries.items())}
+
+
+def _fault_row(rows: Sequence[tuple[Mapping[str, Any], Mapping[str, Any]]]) -> dict[str, Any]:
+    failed = [(fault, line) for fault, line in rows if not fault["complete"]]
+    n_complete = len(rows) - len(failed)
+    return {
+        "n_episodes": len(rows),
+        "n_lost": sum(fault["lost"] for fault, _ in rows),
+        "n_complete": n_complete,
+        "complete_rate": n_complete / len(rows),
+        "complete_rate_ci": wilson_interval(n_complete, len(rows)),
+        "n_reported": sum(fault["reported"] for fault, _ in failed),
+        "reasons": dict(Counter(kind_of(line["reason"]) for _, line in failed).most_common()),
+        "simulated_seconds": _median(line["metrics"].get("simulated_seconds") for _, line in rows),
+    }
 
 
 def _reconstruction(lines: Sequence[Mapping[str, Any]]) -> dict[str, dict[str, float | None]]:

@@ -11,6 +11,7 @@ import numpy as np
 
 from app.options import NOT_SETTINGS, Task, TaskOptions
 from app.runs.report import ObjectReport, Report
+from app.task.faults import faulty_robot, judge_fault
 from app.task.pipeline import Reconstruction, RunObserver, TaskRequest, TaskResult
 from app.task.pipeline import run as run_pipeline
 from app.task.restricted_robot import restricted
@@ -48,7 +49,8 @@ def run_episode(
     begin, paused, simulated_begin = time.perf_counter(), observer.paused_seconds, world.time
     before = read_truth(world)
     request = request_of(world, task, options, before)
-    result = run_pipeline(restricted(world), perception, request, observer)
+    robot = faulty_robot(world, options)
+    result = run_pipeline(restricted(robot or world), perception, request, observer)
     seconds = time.perf_counter() - begin - (observer.paused_seconds - paused)
     simulated = world.time - simulated_begin
     after = read_truth(world)
@@ -57,10 +59,12 @@ def run_episode(
     rows = score_reconstruction(result.objects, before, np.random.default_rng(options.seed))
     moves = unknown_moves(before, after)
     n_placed = sum(bool(entry.placed) for entry in objects)
+    fault = None if robot is None else judge_fault(robot.as_dict(), objects, result, after.poses)
+    complete = n_placed == len(objects) if fault is None else fault["complete"]
     report = Report(
         command=task,
         seed=options.seed,
-        success=n_placed == len(objects) and not any(row["moved"] for row in moves),
+        success=complete and not any(row["moved"] for row in moves),
         reason=summary_of(objects, result.failure, sum(row["moved"] for row in moves)),
         timings={**result.timings, "total": seconds},
         objects=objects,
@@ -71,7 +75,8 @@ def run_episode(
             "simulated_seconds": simulated,
             "reconstruction": rows,
             "unknown": moves,
-        },
+        }
+        | ({} if fault is None else {"fault": fault}),
         warnings=[f"{item.name} is left out: {item.reason}" for item in result.rejected],
         settings=settings_of(options),
     )

@@ -110,6 +110,7 @@ class World:
         self._observer: Observer | None = None
         self._frame_period = np.inf
         self._next_frame = 0.0
+        self._on_step: Callable[[], None] | None = None
         self._build_settled(np.random.default_rng(layout_seed), look_seed)
         self._renderer = OffscreenRenderer(self._model)
         self._drafts = OffscreenRenderer(self._model, draft=True)
@@ -282,6 +283,10 @@ class World:
         self._frame_period = 1 / fps
         self._next_frame = self.time
 
+    def on_step(self, callback: Callable[[], None] | None) -> None:
+        """Call ``callback()`` after every time step from now on; None ends it."""
+        self._on_step = callback
+
     def overview_image(
         self,
         width: int = 960,
@@ -318,6 +323,8 @@ class World:
             raise RobotError("a command is not finite; no command was sent to the actuators")
         mujoco.mj_step(self._model, self._data)
         self._steps += 1
+        if self._on_step is not None:
+            self._on_step()
         if self._steps % WARNINGS_CHECKED_EVERY == 0:
             self._check_warnings()
         if self._observer is not None and self.time >= self._next_frame:

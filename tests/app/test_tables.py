@@ -4,7 +4,7 @@ import numpy as np
 from rich.console import Console
 
 from app.runs.report import ObjectReport, Report
-from app.tables import evaluation_table, object_table
+from app.tables import evaluation_table, fault_table, object_table
 
 
 def text_of(table):
@@ -55,3 +55,10 @@ def test_evaluation_table():
     assert row_of(text, "toppled") == "1 mug: toppled"
     clean = text_of(evaluation_table(Report("evaluate tasks", 0, metrics=metrics | {"failures": {}})))
     assert "failures" not in clean
+
+
+def test_outcomes_by_kind_of_fault():
+    row = {"n_episodes": 4, "n_complete": 3, "complete_rate_ci": (0.3, 0.954), "n_lost": 1, "n_reported": 0}
+    text = text_of(fault_table({"slip": row, "move": row | {"n_complete": 4}}))
+    assert row_of(text, "slip") == "slip 4 3 30 to 95 % 1 0 of 1"
+    assert row_of(text, "move") == "move 4 4 30 to 95 % 1"

@@ -81,3 +81,24 @@ def test_paired_differences_are_over_what_both_have():
     half = 12.706204736 * 0.5  # Student's quantile of one degree of freedom, times the mean's error
     assert found == pytest.approx({"mean": 1.5, "low": 1.5 - half, "high": 1.5 + half, "n": 2})
     assert paired_difference(first, {0: 1.0}) == {"mean": None, "low": None, "high": None, "n": 1}
+
+
+def test_faults_are_counted_by_kind_where_they_occurred():
+    def line(kind, number, complete, reported=True, lost=False, reason=""):
+        fault = {"kind": kind, "object": number, "complete": complete, "reported": reported, "lost": lost}
+        metrics = {"fault": fault, "simulated_seconds": 40.0}
+        return {"success": complete, "objects": [], "reason": reason, "metrics": metrics}
+
+    lines = [
+        line("slip", 1, True),
+        line("slip", 0, False, reported=False, reason="can 3: toppled"),
+        line("take-away", 2, True, lost=True),
+        line("move", None, True),
+        {"success": True, "objects": [], "reason": ""},
+    ]
+    faults = summarise(lines)["faults"]
+    assert list(faults) == ["slip", "take-away"]
+    slip = faults["slip"]
+    assert (slip["n_episodes"], slip["n_complete"], slip["n_reported"], slip["n_lost"]) == (2, 1, 0, 0)
+    assert slip["complete_rate"] == 0.5 and slip["reasons"] == {"can N: toppled": 1}
+    assert faults["take-away"]["n_lost"] == 1 and faults["take-away"]["n_complete"] == 1
