@@ -48,12 +48,13 @@ def judge_fault(
         a reason for every object that is not in place), ``complete`` (all objects are in place, but for a
         lost one that is reported) and ``reason`` of the object.
     """
-    number = record["object"]
+    number: int | None = record["object"]
     wrong = [entry for entry in objects if not entry.placed]
     claimed = {outcome.id for outcome in result.outcomes if outcome.placed}
     reported = all(entry.id not in claimed for entry in wrong)
     lost = number is not None and _is_lost(poses[number][:3, 3])
-    rest = [entry for entry in wrong if not (lost and entry is objects[number])]
+    lost_entry = objects[number] if number is not None and lost else None
+    rest = [entry for entry in wrong if entry is not lost_entry]
     return {
         **record,
         "lost": lost,

@@ -79,7 +79,9 @@ class FaultyRobot:
 
     def as_dict(self) -> dict[str, Any]:
         """Return kind, object and time; object and time are None where the fault did not occur."""
-        return asdict(self.record) if self.record else {"kind": self._kind, "object": None, "time": None}
+        if self.record is not None:
+            return asdict(self.record)
+        return {"kind": self._kind, "object": None, "time": None}
 
     @property
     def arm(self) -> ArmDescription:
