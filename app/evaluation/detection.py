@@ -87,9 +87,10 @@ def run_chunk(options: EvaluateOptions, folder: Path, chunk: int) -> Line:
             start = time.process_time()
             found = detector(image.frame, plane)
             seconds = time.process_time() - start
+            yaws = None
             if options.fits:
-                found = judged_by_fits(image.frame, found, plane, *_shape_models(options.device))
-            line = score_image(image, found) | {"seconds": seconds}
+                found, yaws = judged_by_fits(image.frame, found, plane, *_shape_models(options.device))
+            line = score_image(image, found, yaws) | {"seconds": seconds}
             lines.append(line)
             picture = draw_detections(image.frame, [d for d in found if is_accepted(d)], by_class=True)
             pictures = _best_and_worst([*pictures, (_count_errors(line), number, picture)])

@@ -20,8 +20,10 @@ def judged_by_fits(
     plane: SupportPlane,
     decoder: Decoder,
     model: AcceptanceModel,
-) -> list[ObjectDetection]:
+) -> tuple[list[ObjectDetection], list[float | None]]:
     """Return the detections with the class of their reconstruction, 'other' where it is rejected or fails.
+
+    The second value is the yaw of each reconstruction in the world frame in [rad]; None without one.
 
     Args:
         frame: Image with its camera pose.
@@ -36,14 +38,15 @@ def judged_by_fits(
     ]
     options = ReconstructOptions(workers=1, acceptance=model)
     kept = {e.id: e for e in reconstruct([frame], [tried], decoder, plane, options=options)}
-    judged = []
+    judged: list[ObjectDetection] = []
     for k, detection in enumerate(found):
         label = CATEGORIES.index(kept[k].category) if k in kept else OTHER
         probabilities = np.eye(OTHER + 1)[label]
         if k in kept:
             detection = replace(detection, category=kept[k].category, score=kept[k].score)
         judged.append(replace(detection, class_probabilities=probabilities))
-    return judged
+    x_axes = [kept[k].T_world_object[:2, 0] if k in kept else None for k in range(len(found))]
+    return judged, [None if x is None else float(np.arctan2(x[1], x[0])) for x in x_axes]
 
 
 def _is_candidate(detection: ObjectDetection) -> bool:

@@ -35,13 +35,16 @@ ON_DISTRACTOR = 0.5  # a detection with more of its pixels on a distractor is a 
 Line = dict[str, Any]
 
 
-def score_image(image: LabelledImage, found: Sequence[ObjectDetection]) -> Line:
+def score_image(
+    image: LabelledImage, found: Sequence[ObjectDetection], yaws: Sequence[float | None] | None = None
+) -> Line:
     """Return ground truth and detections of one image as a line of results for JSON; masks are COCO RLE.
 
     Args:
         image: Rendered image with its labels.
         found: All detections, including those classified as 'other': they show what a missed object was
             taken for.
+        yaws: Yaw of each detection in [rad], None where unknown; the mode of its distribution by default.
     """
     truth = [image.instances == index for index in range(len(image.labels))]
     overlaps = _overlaps(truth, [d.mask for d in found])
@@ -67,7 +70,7 @@ def score_image(image: LabelledImage, found: Sequence[ObjectDetection]) -> Line:
         if iou > MIN_IOU:
             entry["found"] = found[best].category if is_accepted(found[best]) else "other"
             if label.category == "mug" and counts and len(found[best].yaw_probabilities):
-                entry["yaw"] = _yaw(image, index, found[best])
+                entry["yaw"] = _yaw(image, index, found[best], None if yaws is None else yaws[best])
         objects.append(entry)
     detections = [
         {"category": d.category, "score": d.score, "mask": encode_mask(d.mask)}
@@ -97,12 +100,12 @@ def _overlaps(
     return common / np.maximum(a.sum(1)[:, None] + b.sum(1)[None] - common, 1)
 
 
-def _yaw(image: LabelledImage, index: int, found: ObjectDetection) -> Line:
+def _yaw(image: LabelledImage, index: int, found: ObjectDetection, known: float | None) -> Line:
     label = image.labels[index]
     points = points_of(image.frame, image.instances == index)
     yaw, mass = modes(found.yaw_probabilities, count=1)[0]
     return {
-        "error": angle_between(yaw, label.yaw),
+        "error": angle_between(yaw if known is None else known, label.yaw),
         "handle": handle_share(points, label.T_world_object),
         "entropy": entropy(found.yaw_probabilities),
         "mass": mass,

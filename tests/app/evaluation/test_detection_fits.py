@@ -3,6 +3,7 @@
 from types import SimpleNamespace
 
 import numpy as np
+import pytest
 
 from app.evaluation import detection_fits
 from app.evaluation.detection_scoring import is_accepted
@@ -10,6 +11,7 @@ from perception.inference.acceptance import shipped_acceptance
 from perception.pipeline import load_decoder
 from perception.types import OTHER, CameraIntrinsics, ObjectDetection, RgbdFrame, SupportPlane
 
+QUARTER_TURN = np.diag([0.0, 0.0, 1.0, 1.0]) + np.array([[0, -1, 0, 0], [1, 0, 0, 0], [0] * 4, [0] * 4])
 CAMERA = CameraIntrinsics(2, 2, 1.0, 1.0, 0.5, 0.5)
 FRAME = RgbdFrame(0.0, np.zeros((2, 2, 3), np.uint8), np.ones((2, 2), np.float32), CAMERA)
 
@@ -33,15 +35,16 @@ def test_the_reconstruction_decides(monkeypatch) -> None:
         tried.extend(d.instance_id for d in rows[0])
         assert options.acceptance is shipped_acceptance()
         return [
-            SimpleNamespace(id=0, category="mug", score=0.7),
-            SimpleNamespace(id=1, category="can", score=0.6),
+            SimpleNamespace(id=0, category="mug", score=0.7, T_world_object=QUARTER_TURN),
+            SimpleNamespace(id=1, category="can", score=0.6, T_world_object=np.eye(4)),
         ]
 
     monkeypatch.setattr(detection_fits, "reconstruct", reconstruct)
-    judged = detection_fits.judged_by_fits(
+    judged, yaws = detection_fits.judged_by_fits(
         FRAME, found, SupportPlane(), load_decoder("cpu"), shipped_acceptance()
     )
     assert tried == [0, 1, 2, None]
     assert [is_accepted(d) for d in judged] == [True, True, False, False]
+    assert yaws == [pytest.approx(np.pi / 2), 0.0, None, None]
     assert [(d.category, d.score) for d in judged[:2]] == [("mug", 0.7), ("can", 0.6)]
     assert all(d.class_probabilities.argmax() == OTHER for d in judged[2:])

@@ -154,6 +154,16 @@ def test_accuracy_by_visible_share_uses_half_open_bins():
     assert [row["class_accuracy"] for row in rows] == [0.0, 1.0, 1.0, 1.0]
 
 
+def test_a_known_yaw_replaces_the_mode_of_the_distribution() -> None:
+    image = labelled_image(THINGS)
+    row = [
+        found(c, image.instances == k, yaw=1.1 if c == "mug" else None) for k, (c, *_) in enumerate(THINGS)
+    ]
+    line = score_image(image, row, [1.0 + 0.3] * len(row))
+    errors = [entry["yaw"]["error"] for entry in line["objects"] if "yaw" in entry]
+    assert errors == [pytest.approx(0.3)]
+
+
 def yaw_line(*rows):
     entries = [
         {"counts": True, "found": "mug", "category": "mug", "visible": 1.0, "iou": 1.0,
