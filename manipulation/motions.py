@@ -15,7 +15,7 @@ from manipulation.types import Rejected
 
 OUT_OF_REACH = Rejected("out of reach")
 
-_MIDDLE_RADIUS = 0.45  # [m] from the base, of waypoints between start and goal
+MIDDLE_RADIUS = 0.45  # [m]
 
 
 class MotionPlanner:
@@ -26,6 +26,7 @@ class MotionPlanner:
         limits: joint limits of all trajectories.
         config: speed limits.
         via_heights: TCP heights of waypoints in [m], tried in order.
+        middle_radius: distance from the base of waypoints between start and goal in [m].
     """
 
     def __init__(
@@ -34,10 +35,11 @@ class MotionPlanner:
         world: CollisionWorld,
         config: MotionConfig,
         via_heights: Sequence[float],
+        middle_radius: float = MIDDLE_RADIUS,
     ) -> None:
         self.kinematics, self.world, self.config = kinematics, world, config
         self.limits = JointLimits.of(kinematics.arm, config)
-        self.via_heights = tuple(via_heights)
+        self.via_heights, self.middle_radius = tuple(via_heights), middle_radius
 
     def free_line(
         self,
@@ -110,7 +112,7 @@ class MotionPlanner:
         """Yield candidates: above the start, the goal, the middle, and above both ends, at each height."""
         T_start, T_goal = self.kinematics.forward(q_start), self.kinematics.forward(q_goal)
         azimuth = 0.5 * sum(self.kinematics.bearing(T) for T in (T_start, T_goal))
-        middle = self.kinematics.base[:2] + _MIDDLE_RADIUS * np.array([np.cos(azimuth), np.sin(azimuth)])
+        middle = self.kinematics.base[:2] + self.middle_radius * np.array([np.cos(azimuth), np.sin(azimuth)])
         for height in self.via_heights:
             over_start = self._above(T_start, T_start[:2, 3], height, q_start)
             over_goal = self._above(T_goal, T_goal[:2, 3], height, q_goal)

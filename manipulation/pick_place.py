@@ -19,7 +19,7 @@ from manipulation.grasp_config import GraspConfig
 from manipulation.grasps import grasp_candidates
 from manipulation.hulls import convex_pieces
 from manipulation.kinematics import IkConfig, Kinematics
-from manipulation.motions import OUT_OF_REACH, MotionPlanner
+from manipulation.motions import MIDDLE_RADIUS, OUT_OF_REACH, MotionPlanner
 from manipulation.nesting import nest_heights
 from manipulation.obstacles import TABLE, Obstacle
 from manipulation.pick_place_segments import Pick, Place, PlaceGoal, SegmentConfig, find_pick, find_place
@@ -35,6 +35,7 @@ class PickPlaceConfig:
     Attributes:
         ik, motion, collision, grasp, segments: settings of the parts.
         via_heights: TCP heights of the waypoints of a blocked transit, in [m].
+        middle_radius: distance from the base of a waypoint between start and goal in [m].
         transit_margins: clearances in transit in [m], in descending order; a smaller one is used only if no
             path keeps a larger one. Large, because shapes are estimates and a bowl may sag in the fingers.
         max_yaws: largest number of yaws at the goal that are examined for one grasp.
@@ -48,6 +49,7 @@ class PickPlaceConfig:
     grasp: GraspConfig = field(default_factory=GraspConfig)
     segments: SegmentConfig = field(default_factory=SegmentConfig)
     via_heights: tuple[float, ...] = (0.35, 0.45, 0.55)
+    middle_radius: float = MIDDLE_RADIUS
     transit_margins: tuple[float, ...] = (0.03, 0.012, 0.004)
     max_yaws: int = 6
     max_pairs: int = 150
@@ -97,7 +99,8 @@ class PickPlacePlanner:
     def _build_world(self) -> None:
         bodies = [Body(item.name, convex_pieces(item), item.T_world_stand) for item in self.items.values()]
         self.world = CollisionWorld(self.kinematics.arm, bodies, self._obstacles, self.config.collision)
-        self.motions = MotionPlanner(self.kinematics, self.world, self.config.motion, self.config.via_heights)
+        c = self.config
+        self.motions = MotionPlanner(self.kinematics, self.world, c.motion, c.via_heights, c.middle_radius)
 
     def observe(self, item: StandingObject) -> None:
         """Replace an object by a new estimate of it; the poses of the others remain."""

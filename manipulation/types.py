@@ -66,6 +66,12 @@ class Line:
     start: tuple[float, float] = (0.66, 0.16)
     end: tuple[float, float] = (-0.10, 0.56)
 
+    def scaled(self, scale: float) -> Line:
+        """Return the line of a similar cell."""
+        return Line(
+            (scale * self.start[0], scale * self.start[1]), (scale * self.end[0], scale * self.end[1])
+        )
+
     @property
     def length(self) -> float:
         """Length in [m]."""

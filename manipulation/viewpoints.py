@@ -129,6 +129,7 @@ class ViewpointScanner:
         kinematics: kinematics of its arm.
         motion: speed limits.
         keep_out: volumes that the arm must not enter, besides the table.
+        via_heights: TCP heights of the waypoints of a blocked move, in [m].
     """
 
     def __init__(
@@ -137,10 +138,11 @@ class ViewpointScanner:
         kinematics: Kinematics,
         motion: MotionConfig = MotionConfig(),
         keep_out: Sequence[Obstacle] = KEEP_OUT,
+        via_heights: Sequence[float] = VIA_HEIGHTS,
     ) -> None:
         self.robot, self.kinematics = robot, kinematics
         world = CollisionWorld(robot.arm, [], (TABLE, *keep_out))
-        self.motions = MotionPlanner(kinematics, world, motion, VIA_HEIGHTS)
+        self.motions = MotionPlanner(kinematics, world, motion, via_heights)
         self._self_view = SelfView(robot.arm)
 
     def capture(

@@ -98,7 +98,7 @@ class TaskReward:
             assert box is not None
             reasons = judge_pack(objects, BoxSpace(box.center, box.inner[:2], box.floor))
         else:
-            line = Line()
+            line = Line().scaled(self._world.config.scale)
             reasons = judge_sort(objects, [(line.start, line.end)])
         return np.array([not reason for reason in reasons])
 
@@ -124,7 +124,8 @@ class TaskReward:
             away = np.maximum(np.abs(bases[:, :2] - box.center) - np.array(box.inner[:2]) / 2, 0)
             rise = np.maximum(bases[:, 2] - box.inner[2], 0)  # nested bowls stand above the floor
             return np.sqrt((away**2).sum(axis=1) + rise**2)
-        start, end = np.array(Line().start), np.array(Line().end)
+        line = Line().scaled(self._world.config.scale)
+        start, end = np.array(line.start), np.array(line.end)
         along = (end - start) / np.linalg.norm(end - start)
         position = np.clip((bases[:, :2] - start) @ along, 0, np.linalg.norm(end - start))
         away = bases[:, :2] - (start + position[:, None] * along)

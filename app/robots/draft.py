@@ -14,6 +14,8 @@ from app.errors import UsageError
 from app.robots.chain import Chain, find_chain
 from app.robots.home import find_home
 from manipulation.kinematics import Kinematics
+from manipulation.robot import ArmDescription
+from manipulation.workspace import ENOUGH, ReachFit, fit_workspace
 from sim_assets.errors import RobotFileError
 from sim_assets.rendering.headless import MjModel, mujoco
 from sim_assets.robots.hand_shape import geom_points
@@ -24,6 +26,7 @@ from sim_assets.robots.servos import DEFAULT_FORCE, joint_inertia, torque_limit
 ORIGIN = Frame(np.zeros(3), np.array(IDENTITY))
 # Speeds that most arms follow: of the joints that carry the arm, and of the wrist.
 VELOCITY, ACCELERATION, JERK = (1.6, 2.2), (4.0, 8.0), (250.0, 500.0)
+LIFTS = (0.0, 0.1, 0.2, 0.3)  # [m] of the base above the table that are compared
 TORQUE_SHARE = 0.35  # of a joint's torque limit that acceleration may take
 
 
@@ -63,17 +66,45 @@ def draft_robot(arm: Path, folder: Path, hand: Path | None = None, mount: str = 
         robot = build_robot(entries)
     except RobotFileError as error:
         raise UsageError("; ".join(error.problems)) from None
-    kinematics = Kinematics(robot.description)
-    home = find_home(robot.description, kinematics)
+    home, lift = _home(robot.description), 0.0
+    if home is not None:
+        lift = best_lift(Kinematics(replace(robot.description, q_home=home)))
+    if home is None or lift > 0:
+        lift = lift or LIFTS[1]
+        entries = _raised(entries, lift)
+        robot = build_robot(entries)
+        home = _home(robot.description)
     if home is None:
         raise UsageError(
             "no posture was found in which the hand points down in front of the base, free of collisions: "
-            "give the arm a pedestal or check the direction of its hand"
+            "check the direction of the hand, or give it a longer range of motion"
         )
     entries = replace(entries, home=home)
+    raised = (f"the base stands {1e3 * lift:.0f} mm above the table, where it reaches most ([arm] base)",)
     guesses = (f"each finger presses with {DEFAULT_FORCE:g} N", "the limits of speed are moderate guesses")
-    assumptions = (*chain.assumptions, *robot.assumptions, *guesses)
+    assumptions = (*chain.assumptions, *robot.assumptions, *(raised if lift else ()), *guesses)
     return Draft(_text(entries, folder, assumptions, model), assumptions)
+
+
+def _home(arm: ArmDescription) -> np.ndarray | None:
+    return find_home(arm, Kinematics(arm))
+
+
+def best_lift(kinematics: Kinematics) -> float:
+    """Return the height [m] to raise the arm's base by: the least one at which its cell is largest."""
+    fits = [(lift, fit_workspace(kinematics, lift)) for lift in LIFTS]
+    return min(fits, key=lambda pair: (-_worth(pair[1]), pair[0]))[0]
+
+
+def _worth(fit: ReachFit) -> float:
+    """Return the scale of a workspace, times the square of the share in reach if that is too small."""
+    return fit.workspace.scale * (1.0 if fit.share >= ENOUGH else fit.share**2)
+
+
+def _raised(entries: RobotEntries, lift: float) -> RobotEntries:
+    base = entries.mount.base
+    base = Frame(base.position + np.array([0.0, 0.0, lift]), base.quaternion)
+    return replace(entries, mount=replace(entries.mount, base=base))
 
 
 def _entries(arm: Path, hand: HandFile | None, chain: Chain) -> RobotEntries:
@@ -139,7 +170,7 @@ def _text(entries: RobotEntries, folder: Path, assumptions: Sequence[str], model
         f"velocity = {_numbers(entries.limits[0])} # limits of all motions",
         f"acceleration = {_numbers(entries.limits[1])}",
         f"jerk = {_numbers(entries.limits[2])}",
-        f"base = {_numbers(mount.base.position)} # the first joint's axis at the origin, on the table",
+        f"base = {_numbers(mount.base.position)} # the first joint's axis at the origin",
         "",
     ]
     if mount.hand is not None:

@@ -25,7 +25,8 @@ _COLORS = ("tab:red", "tab:green", "tab:blue")  # x, y, z
 
 def write_picture(path: Path, robot: SimulatedArm, examination: Examination) -> None:
     """Draw an arm at home in an empty cell: views, frames from the side, reach from above."""
-    with World(CellConfig(objects=(), robot=robot)) as world:
+    scale = examination.fit.workspace.scale
+    with World(CellConfig(objects=(), box=BoxConfig().scaled(scale), robot=robot, scale=scale)) as world:
         overview, wrist = world.overview_image(640, 480), world.overview_image(640, 480, WRIST_CAMERA)
     figure, axes = plt.subplots(2, 2, figsize=(12, 9), layout="constrained")
     for ax, image, title in ((axes[0, 0], overview, "arm at home"), (axes[0, 1], wrist, "wrist camera")):
@@ -63,7 +64,8 @@ def _draw_reach(ax: Axes, kinematics: Kinematics, examination: Examination) -> N
     if len(examination.reach):
         for radius, color in ((examination.reach[-1], "honeydew"), (examination.reach[0], "0.95")):
             ax.add_patch(Circle(base, float(radius), facecolor=color, edgecolor="tab:green"))
-    region, box = Region(), BoxConfig()
+    scale = examination.fit.workspace.scale
+    region, box = Region().scaled(scale), BoxConfig().scaled(scale)
     size = (region.x[1] - region.x[0], region.y[1] - region.y[0])
     ax.add_patch(
         Rectangle((region.x[0], region.y[0]), *size, fill=False, edgecolor="tab:orange", label="objects")

@@ -13,7 +13,10 @@ import numpy as np
 
 from app.errors import ProblemsError, UsageError
 from app.options import CellOptions
+from app.task.arm_cell import arm_cell, box_of
 from app.task.scene_options import check_scene, scene_settings
+from manipulation.kinematics import Kinematics
+from manipulation.workspace import fit_workspace
 from perception.types import CATEGORIES, Category
 
 if TYPE_CHECKING:
@@ -118,19 +121,36 @@ def robot_of(options: CellOptions) -> SimulatedArm:
     return load_arm(options.robot)
 
 
-def load_arm(spec: str) -> SimulatedArm:
+def load_arm(spec: str, check: bool = True) -> SimulatedArm:
     """Load the arm of ``--robot``.
 
+    Args:
+        spec: Name of a shipped arm, or path of a robot file.
+        check: Whether to refuse an arm of a file with which every task would fail.
+
     Raises:
-        ProblemsError: The name is unknown, or the robot file is invalid.
+        ProblemsError: The name is unknown, or the robot file is invalid; lists all problems.
     """
     from sim_assets.errors import RobotFileError
-    from sim_assets.robots import load_robot
+    from sim_assets.robots import SHIPPED, load_robot
 
     try:
-        return load_robot(spec)
+        robot = load_robot(spec)
     except RobotFileError as error:
         raise ProblemsError(error.problems) from None
+    if check and spec not in SHIPPED:
+        _require_usable(spec, robot)
+    return robot
+
+
+def _require_usable(spec: str, robot: SimulatedArm) -> None:
+    """Raise ProblemsError for an arm with which every task fails: home, reach, camera."""
+    from app.robots.checks import loading_faults
+
+    fit = fit_workspace(Kinematics(robot.description))
+    faults = loading_faults(robot.description, robot.fovy, fit)
+    if faults:
+        raise ProblemsError([f"{spec}: {f.subject}: {f.found}: {f.remedy}" for f in faults])
 
 
 def build_world(options: CellOptions, task: str | None) -> World:
@@ -148,16 +168,18 @@ def build_world(options: CellOptions, task: str | None) -> World:
     classes = parse_objects(options.objects, rng)
     inner = parse_box(options.box)
     from sim_assets.cell.layout import LayoutError
-    from sim_assets.cell.scene import BoxConfig
     from sim_assets.cell.world import CellConfig, World
 
+    robot = robot_of(options)
+    cell = arm_cell(options, robot)
     config = CellConfig(
-        objects=tuple(_draw_models(options, classes, rng)),
-        box=None if task == "sort" else BoxConfig(inner=inner),
-        line=_tape() if task == "sort" else None,
+        objects=tuple(_draw_models(options, classes, rng, cell.object_scale)),
+        box=None if task == "sort" else box_of(options, inner, cell.scale),
+        line=_tape(cell.scale) if task == "sort" else None,
         depth_noise=options.depth_noise,
         seed=int(layout_seed.generate_state(1)[0]),
-        robot=robot_of(options),
+        robot=robot,
+        scale=cell.scale,
         **scene_settings(options, len(classes), thing_seed),
     )
     reason = ""
@@ -166,7 +188,7 @@ def build_world(options: CellOptions, task: str | None) -> World:
             return World(config)
         except LayoutError as error:
             reason = str(error)
-        models = _with_a_smaller_object(options, config.objects, rng)
+        models = _with_a_smaller_object(options, config.objects, rng, cell.object_scale)
         if models is None:
             break
         config = replace(config, objects=models)
@@ -174,12 +196,14 @@ def build_world(options: CellOptions, task: str | None) -> World:
 
 
 def _draw_models(
-    options: CellOptions, classes: Sequence[Category], rng: np.random.Generator
+    options: CellOptions, classes: Sequence[Category], rng: np.random.Generator, scale: float = 1.0
 ) -> list[ObjectModel]:
+    """Draw the objects: generated ones of a scale, or users' meshes as they are."""
     if options.object_meshes is None:
         from sim_assets.objects.sampling import draw_objects
+        from sim_assets.objects.scaled import scaled
 
-        return list(draw_objects(Counter(classes), "test", rng))
+        return [scaled(model, scale) for model in draw_objects(Counter(classes), "test", rng)]
     from sim_assets.objects import load_user_objects
 
     owned: dict[Category, list[ObjectModel]] = {category: [] for category in get_args(Category)}
@@ -214,7 +238,7 @@ def _require_standing(model: ObjectModel, folder: Path) -> None:
 
 
 def _with_a_smaller_object(
-    options: CellOptions, models: Sequence[ObjectModel], rng: np.random.Generator
+    options: CellOptions, models: Sequence[ObjectModel], rng: np.random.Generator, scale: float = 1.0
 ) -> tuple[ObjectModel, ...] | None:
     """Return the objects with the widest one, or else the next, replaced by a narrower draw of its class.
 
@@ -227,7 +251,7 @@ def _with_a_smaller_object(
     for index in sorted(range(len(models)), key=width, reverse=True):
         category = models[index].category
         asked = replace(options, objects=f"{category}=1")
-        drawn = [model for _ in range(REDRAWS) for model in _draw_models(asked, [category], rng)]
+        drawn = [model for _ in range(REDRAWS) for model in _draw_models(asked, [category], rng, scale)]
         narrowest = min(drawn, key=_width)
         if _width(narrowest) < width(index):
             return (*models[:index], narrowest, *models[index + 1 :])
@@ -245,8 +269,8 @@ def _draw(pool: Sequence[ObjectModel], count: int, rng: np.random.Generator) -> 
     return [pool[i] for i in order[:count]]
 
 
-def _tape() -> tuple[tuple[float, float], tuple[float, float]]:
+def _tape(scale: float) -> tuple[tuple[float, float], tuple[float, float]]:
     from manipulation.types import Line
 
-    line = Line()
+    line = Line().scaled(scale)
     return line.start, line.end

@@ -11,6 +11,7 @@ import numpy as np
 
 from app.options import NOT_SETTINGS, Task, TaskOptions
 from app.runs.report import ObjectReport, Report
+from app.task.arm_cell import cell_remarks
 from app.task.faults import faulty_robot, judge_fault
 from app.task.pipeline import Reconstruction, RunObserver, TaskRequest, TaskResult
 from app.task.pipeline import run as run_pipeline
@@ -23,11 +24,13 @@ from app.task.scoring import (
     score_task,
     unknown_moves,
 )
-from manipulation.types import Box
+from manipulation.types import Box, Line
+from manipulation.workspace import Workspace
 from perception.pipeline import Detections, Perception
 from perception.types import ObjectEstimate, RgbdFrame
 from sim_assets.cell.scene import BoxConfig
 from sim_assets.cell.world import World
+from sim_assets.robots import PANDA
 
 # Tolerances of the robot's own verification, reported beside the score: tilt [rad], distance to the goal [m].
 MAX_TILT, MAX_SHIFT = float(np.deg2rad(10)), 0.03
@@ -49,6 +52,9 @@ def run_episode(
     begin, paused, simulated_begin = time.perf_counter(), observer.paused_seconds, world.time
     before = read_truth(world)
     request = request_of(world, task, options, before)
+    remarks = [] if options.robot == PANDA else list(cell_remarks(world))
+    for remark in remarks:
+        observer.on_remark(remark)
     robot = faulty_robot(world, options)
     result = run_pipeline(restricted(robot or world), perception, request, observer)
     seconds = time.perf_counter() - begin - (observer.paused_seconds - paused)
@@ -73,11 +79,12 @@ def run_episode(
             "n_perceived": len(result.objects),
             "n_placed": n_placed,
             "simulated_seconds": simulated,
+            "cell_scale": world.config.scale,
             "reconstruction": rows,
             "unknown": moves,
         }
         | ({} if fault is None else {"fault": fault}),
-        warnings=[f"{item.name} is left out: {item.reason}" for item in result.rejected],
+        warnings=[*remarks, *(f"{item.name} is left out: {item.reason}" for item in result.rejected)],
         settings=settings_of(options),
     )
     return report, result
@@ -94,7 +101,11 @@ def request_of(world: World, task: Task, options: TaskOptions, before: Truth | N
     """
     box = _planned_box(_task_box(world, task))
     reconstruction = reconstruction_of(options, before or read_truth(world))
-    return TaskRequest(task, box, reconstruction=reconstruction, scan_views=options.scan_views)
+    scale = world.config.scale
+    return TaskRequest(
+        task, box, Line().scaled(scale), reconstruction,
+        scan_views=options.scan_views, workspace=Workspace(scale),
+    )  # fmt: skip
 
 
 def settings_of(options: TaskOptions) -> dict[str, Any]:

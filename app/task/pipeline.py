@@ -28,13 +28,8 @@ from manipulation.kinematics import Kinematics
 from manipulation.planner import ManipulationConfig, plan_pack, plan_sort
 from manipulation.robot import Robot
 from manipulation.types import Box, Line, ObjectOutcome, Task, TaskPlan
-from manipulation.viewpoints import (
-    BOX_VIEWPOINTS,
-    LINE_VIEWPOINTS,
-    ViewpointScanner,
-    closeup_viewpoints,
-    scan_viewpoints,
-)
+from manipulation.viewpoints import ViewpointScanner
+from manipulation.workspace import Workspace
 from perception.errors import PerceptionError
 from perception.inference.optimisation import FitStep
 from perception.inference.refit import PoseCheck, refit_pose
@@ -58,6 +53,7 @@ class TaskRequest:
         reconstruction: Source of the object estimates; None for the learned shape prior.
         manipulation: Settings of planning and execution.
         scan_views: Number of images of the scan.
+        workspace: Viewpoints and heights of motions, scaled to the arm.
     """
 
     task: Task
@@ -66,6 +62,7 @@ class TaskRequest:
     reconstruction: Reconstruction | None = None
     manipulation: ManipulationConfig = field(default_factory=ManipulationConfig)
     scan_views: int = 6
+    workspace: Workspace = Workspace()
 
 
 @dataclass(frozen=True)
@@ -123,6 +120,9 @@ class RunObserver:
         finally:
             self.timings[name] = time.perf_counter() - begin - (self.paused_seconds - paused)
 
+    def on_remark(self, text: str) -> None:
+        """Called before the first stage with what is special about the cell, or impossible for the arm."""
+
     def on_progress(self, done: int, total: int, subject: str = "") -> None:
         """Called within a stage after each of its ``total`` steps."""
 
@@ -158,12 +158,16 @@ def run(
     """Carry out a task; an error of planning or perception ends it and is stored in the result."""
     observer = observer or RunObserver()
     kinematics = Kinematics(robot.arm, request.manipulation.pick_place.ik)
+    settings = request.workspace.adapted(request.manipulation)
     result = TaskResult()
     try:
         with observer.stage("scan"):
-            scanner = ViewpointScanner(robot, kinematics)
+            space = request.workspace
+            scanner = ViewpointScanner(
+                robot, kinematics, keep_out=space.keep_out, via_heights=space.via_heights
+            )
             frames = scanner.capture(
-                scan_viewpoints(request.scan_views), observer.on_progress, observer.on_image
+                space.scan_viewpoints(request.scan_views), observer.on_progress, observer.on_image
             )
             result = replace(result, frames=frames)
             observer.on_frames(frames)
@@ -182,11 +186,11 @@ def run(
             result = replace(result, plan=plan)
             observer.on_plan(plan)
         with observer.stage("execute"):
-            reobserve = make_reobserver(scanner, objects)
-            outcomes = execute(plan, robot, reobserve, observer.on_event, request.manipulation, kinematics)
+            reobserve = make_reobserver(scanner, objects, space)
+            outcomes = execute(plan, robot, reobserve, observer.on_event, settings, kinematics)
             result = replace(result, outcomes=outcomes)
         with observer.stage("verify"):
-            viewpoints = BOX_VIEWPOINTS if request.task == "pack" else LINE_VIEWPOINTS
+            viewpoints = space.box_viewpoints if request.task == "pack" else space.line_viewpoints
             final_frames = scanner.capture(viewpoints, observer.on_progress, observer.on_image)
             result = replace(result, final_frames=final_frames)
             result = replace(result, checks=verify(objects, plan, outcomes, final_frames))
@@ -217,13 +221,14 @@ def plan_task(kinematics: Kinematics, request: TaskRequest, objects: Sequence[Ob
     Raises:
         PlanningError: No object can be placed; the message gives the reasons.
     """
+    settings = request.workspace.adapted(request.manipulation)
     if request.task == "pack":
-        return plan_pack(objects, request.box or Box(), kinematics.arm, request.manipulation, kinematics)
-    return plan_sort(objects, request.line, kinematics.arm, request.manipulation, request.box, kinematics)
+        return plan_pack(objects, request.box or Box(), kinematics.arm, settings, kinematics)
+    return plan_sort(objects, request.line, kinematics.arm, settings, request.box, kinematics)
 
 
 def make_reobserver(
-    scanner: ViewpointScanner, objects: Sequence[ObjectEstimate]
+    scanner: ViewpointScanner, objects: Sequence[ObjectEstimate], workspace: Workspace = Workspace()
 ) -> Callable[[int], ObjectEstimate | None]:
     """Return a function that re-estimates the pose of an object, by id, after a failed grasp.
 
@@ -236,7 +241,7 @@ def make_reobserver(
         estimate = by_id[object_id]
         x, y = estimate.T_world_object[:2, 3]
         try:
-            frames = scanner.capture(closeup_viewpoints((float(x), float(y), 0.05)))
+            frames = scanner.capture(workspace.closeup_viewpoints(float(x), float(y)))
             check = refit_pose(estimate, frames, estimate.T_world_object)
         except (ManipulationError, PerceptionError) as error:
             logger.info("cannot re-observe %s: %s", estimate.name, error)

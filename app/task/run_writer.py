@@ -88,6 +88,9 @@ class RunWriter(RunObserver):
             yield
         self._recording.end_stage(name, self.timings[name])
 
+    def on_remark(self, text: str) -> None:
+        self._screen.note(text)
+
     def on_progress(self, done: int, total: int, subject: str = "") -> None:
         self._screen.update(f"{done} of {total} {subject.replace('_', ' ')}")
 

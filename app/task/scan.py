@@ -16,7 +16,8 @@ from app.screen import Screen
 from app.task.cell import build_world
 from app.task.restricted_robot import restricted
 from manipulation.kinematics import Kinematics
-from manipulation.viewpoints import SCAN_VIEWPOINTS, ViewpointScanner
+from manipulation.viewpoints import ViewpointScanner
+from manipulation.workspace import Workspace
 from perception.io.scan_folder import write_scan
 from perception.types import RgbdFrame
 
@@ -51,9 +52,13 @@ def run(options: ScanOptions, screen: Screen) -> Report:
         folder = RunFolder.create(options, "scan")
         started = time.perf_counter()
         with screen.stage("Scanning the table"), _video(options, folder, world) as on_image:
-            scanner = ViewpointScanner(restricted(world), Kinematics(world.arm))
+            space = Workspace(world.config.scale)
+            kinematics, volumes = Kinematics(world.arm), space.keep_out
+            scanner = ViewpointScanner(
+                restricted(world), kinematics, keep_out=volumes, via_heights=space.via_heights
+            )
             frames = scanner.capture(
-                SCAN_VIEWPOINTS, lambda done, total: screen.update(f"{done} of {total}"), on_image
+                space.scan_viewpoints(), lambda done, total: screen.update(f"{done} of {total}"), on_image
             )
         seconds = time.perf_counter() - started
         write_scan(folder.scan, frames)

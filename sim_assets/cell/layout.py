@@ -32,6 +32,11 @@ class Region:
     y: tuple[float, float] = (-0.50, -0.05)
     max_radius: float = 0.70
 
+    def scaled(self, scale: float) -> Region:
+        """Return the similar region about the base."""
+        x, y = (tuple(scale * value for value in limits) for limits in (self.x, self.y))
+        return Region((x[0], x[1]), (y[0], y[1]), scale * self.max_radius)
+
 
 WIDE_REGION = Region(x=(0.28, 0.65), y=(-0.53, -0.03), max_radius=0.75)  # what the arm still reaches
 
@@ -205,18 +210,21 @@ def sample_roomy_layout(
     rng: np.random.Generator,
     region: Region,
     min_gap: float = 0.04,
+    scale: float = 1.0,
 ) -> tuple[PlanarPose, ...]:
     """Return a layout within the region; if there is none and it is the default one, within WIDE_REGION.
+
+    Of a cell of another scale, both are scaled; other regions are not.
 
     Raises:
         LayoutError: no layout was found.
     """
-    try:
+    if region != Region():
         return sample_layout(meshes, rng, region, min_gap)
+    try:
+        return sample_layout(meshes, rng, region.scaled(scale), min_gap)
     except LayoutError:
-        if region != Region():
-            raise
-        return sample_layout(meshes, rng, WIDE_REGION, min_gap)
+        return sample_layout(meshes, rng, WIDE_REGION.scaled(scale), min_gap)
 
 
 def draw_together(

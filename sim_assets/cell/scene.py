@@ -7,7 +7,7 @@ stiff pads and elliptic cones a grasped mug rotates by less than a degree.
 from __future__ import annotations
 
 from collections.abc import Mapping, Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from typing import Protocol, runtime_checkable
 
 import numpy as np
@@ -75,6 +75,12 @@ class BoxConfig:
     center: tuple[float, float] = (0.50, 0.27)
     wall: float = 0.008
     floor: float = 0.004
+
+    def scaled(self, scale: float) -> BoxConfig:
+        """Return the box of a similar cell, with walls of the same thickness."""
+        length, width, depth = (scale * value for value in self.inner)
+        x, y = (scale * value for value in self.center)
+        return replace(self, inner=(length, width, depth), center=(x, y))
 
 
 @dataclass(frozen=True)

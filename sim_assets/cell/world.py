@@ -34,6 +34,7 @@ from sim_assets.rendering.camera import OffscreenRenderer, intrinsics_of
 from sim_assets.rendering.depth_noise import DepthNoise, add_depth_noise
 from sim_assets.rendering.headless import MjModel, mujoco
 from sim_assets.robots import panda
+from sim_assets.robots.named_parts import grip_force
 from sim_assets.robots.simulated_arm import WRIST_CAMERA, SimulatedArm
 
 IMAGE_SIZE = (640, 480)
@@ -70,6 +71,7 @@ class CellConfig:
         camera_error: calibration error of the wrist camera: translation in [m], rotation in [rad], both in a
             random direction.
         friction: range of the coefficients of sliding friction; None for fixed ones.
+        scale: lengths of the default region relative to the standard cell, for arms of shorter reach.
     """
 
     objects: tuple[ObjectModel, ...]
@@ -85,6 +87,7 @@ class CellConfig:
     unknown: tuple[UnknownThing, ...] = ()
     camera_error: tuple[float, float] = (0.0, 0.0)
     friction: tuple[float, float] | None = None
+    scale: float = 1.0
 
     @property
     def is_tidy(self) -> bool:
@@ -153,7 +156,7 @@ class World:
         """Return the initial poses of the objects and of the things of no class."""
         config = self.config
         meshes = [group.mesh for group in (*groups, *things)]
-        layout = sample_roomy_layout(meshes, rng, config.region, config.min_gap)
+        layout = sample_roomy_layout(meshes, rng, config.region, config.min_gap, config.scale)
         if config.drawn_together:
             layout = draw_together(meshes, layout, config.min_gap)
         places: dict[int, Pose] = {}
@@ -202,6 +205,15 @@ class World:
     def time(self) -> float:
         """Simulated time in [s]."""
         return float(self._data.time)
+
+    def torque_limits(self) -> Float[np.ndarray, "n"]:
+        """Largest torques of the arm's servos in [Nm]; infinite where the model has none."""
+        limited = self._model.actuator_forcelimited[self._u] != 0
+        return np.where(limited, np.abs(self._model.actuator_forcerange[self._u]).max(axis=1), np.inf)
+
+    def grip_force(self) -> float:
+        """Force of each finger at full command in [N]."""
+        return grip_force(self._model, self._robot)
 
     def joint_positions(self) -> Float[np.ndarray, "n"]:
         """Measured arm joint positions in [rad]."""

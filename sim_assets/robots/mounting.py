@@ -16,6 +16,7 @@ from scipy.spatial.transform import Rotation
 from sim_assets.errors import RobotFileError
 from sim_assets.rendering.headless import MjModel, MjsBody, MjSpec, mujoco
 from sim_assets.robots.mjcf_limits import check_mjcf
+from sim_assets.robots.pedestal import pedestal_of
 from sim_assets.robots.servos import GripperServo, JointServo, add_gripper_servo, add_joint_servos
 from sim_assets.robots.simulated_arm import ARM_CONTACT, PAD_CONTACT, WRIST_CAMERA
 
@@ -122,7 +123,13 @@ def load(mount: Mount, visuals: bool = True) -> MjSpec:
 def add_to_scene(mount: Mount, spec: MjSpec, fovy: float) -> None:
     """Add the arm, and the camera ``wrist`` with a vertical field of view ``fovy`` in [deg]."""
     child = load(mount)
-    optical = load(mount, visuals=False).compile().site(mount.camera_site)
+    model = load(mount, visuals=False).compile()
+    optical = model.site(mount.camera_site)
+    column = pedestal_of(model, mount.joints[0], mount.base.position, mount.base.quaternion)
+    if column is not None:
+        spec.worldbody.add_geom(
+            name=PREFIX + "pedestal", rgba=(0.35, 0.36, 0.38, 1), **column.shape, **ARM_CONTACT
+        )
     turn = Rotation.from_quat(optical.quat, scalar_first=True) * Rotation.from_euler("x", np.pi)
     _attach(spec, child, mount.base)
     spec.site(PREFIX + mount.camera_site).parent.add_camera(
@@ -210,6 +217,8 @@ def _add_hand(spec: MjSpec, mount: Mount) -> None:
 
 def _orientation(spec: MjSpec, site: str) -> Rotation:
     """Return a site's orientation in its body, whatever form the file gives it in."""
+    if spec.site(site).alt.type == mujoco.mjtOrientation.mjORIENTATION_QUAT:
+        return Rotation.from_quat(spec.site(site).quat, scalar_first=True)
     return Rotation.from_quat(spec.copy().compile().site(site).quat, scalar_first=True)
 
 

@@ -11,19 +11,24 @@ import numpy as np
 
 from sim_assets.rendering.headless import MjModel, MjSpec, mujoco
 from sim_assets.robots.mounting import COLLISION_GROUP, PREFIX, Frame
+from sim_assets.robots.pedestal import Pedestal
 
 
-def planning_mjcf(model: MjModel, base: Frame) -> str:
+def planning_mjcf(model: MjModel, base: Frame, pedestal: Pedestal | None = None) -> str:
     """Return the arm as self-contained MJCF; its names have the prefix of scenes.
 
     Args:
         model: compiled arm; its collision geoms have a non-zero ``contype``.
         base: pose of the arm's world in the scene's.
+        pedestal: column under the arm; None for an arm on the table.
     """
     spec = mujoco.MjSpec()
     spec.modelname = "arm"
     spec.compiler.degree = False
     spec.compiler.boundmass, spec.compiler.boundinertia = 1e-3, 1e-6
+    if pedestal is not None:
+        column = spec.worldbody.add_body(name=f"{PREFIX}pedestal")
+        column.add_geom(name=f"{PREFIX}pedestal", group=COLLISION_GROUP, **pedestal.shape)
     bodies = [spec.worldbody.add_body(name=f"{PREFIX}mount", pos=base.position, quat=base.quaternion)]
     for index in range(1, model.nbody):
         body = bodies[model.body_parentid[index]].add_body(

@@ -35,6 +35,7 @@ from sim_assets.robots.mounting import (
     compiled,
 )
 from sim_assets.robots.named_parts import WIDTH_TOLERANCE, part_problems, robot_problems
+from sim_assets.robots.pedestal import pedestal_of
 from sim_assets.robots.planning_model import planning_mjcf
 from sim_assets.robots.servos import (
     DEFAULT_FORCE,
@@ -174,7 +175,9 @@ def build_robot(entries: RobotEntries, problems: Sequence[str] = ()) -> Simulate
     found = robot_problems(model, robot)
     if found:
         raise RobotFileError(found)
-    return _as_in_scenes(robot, planning_mjcf(model, mount.base))
+    base = mount.base
+    pedestal = pedestal_of(model, mount.joints[0], base.position, base.quaternion)
+    return _as_in_scenes(robot, planning_mjcf(model, base, pedestal))
 
 
 def _with_prefixes(entries: RobotEntries, model: MjModel) -> RobotEntries:

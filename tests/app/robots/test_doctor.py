@@ -5,7 +5,9 @@ import pytest
 
 from app.cli import run as run_cli
 from app.robots import doctor
-from app.robots.examination import Examination, RobotFinding
+from app.robots.checks import RobotFinding
+from app.robots.examination import Examination
+from manipulation.workspace import ReachFit, Workspace
 
 
 @pytest.fixture
@@ -15,7 +17,9 @@ def examined(monkeypatch):
         RobotFinding("warning", "camera", "half hidden", "move it"),
     ]
     monkeypatch.setattr(
-        doctor, "examine_robot", lambda robot: Examination(tuple(found), np.array([0.3, 0.6]))
+        doctor,
+        "examine_robot",
+        lambda robot: Examination(tuple(found), np.array([0.3, 0.6]), ReachFit(Workspace(), 1.0)),
     )
     monkeypatch.setattr(doctor, "write_picture", lambda path, robot, examination: path.write_bytes(b""))
     return found

@@ -7,14 +7,17 @@ import pytest
 
 from app.errors import UsageError
 from app.robots import draft
-from app.robots.draft import draft_robot
+from app.robots.draft import best_lift, draft_robot
+from manipulation.kinematics import Kinematics
+from manipulation.workspace import ReachFit, Workspace
 from sim_assets.robots import load_robot
 from tests.sim_assets.robots.conftest import JOINTS, SLIDING
 
 
 @pytest.fixture(autouse=True)
 def quick_home(monkeypatch):
-    """The search for a home posture has a test of its own."""
+    """The search for a home posture has a test of its own; that for the base's height too."""
+    monkeypatch.setattr(draft, "best_lift", lambda kinematics: 0.0)
     monkeypatch.setattr(draft, "find_home", lambda arm, kinematics: np.array([0.0, -0.5, 2.0, 0.0]))
 
 
@@ -69,6 +72,18 @@ def test_arm_and_hand_from_two_files(tmp_path):
     assert load_robot(str(tmp_path / "robot.toml")).description.max_width == pytest.approx(0.082, abs=1e-3)
     with pytest.raises(UsageError, match="no site or body 'tip'"):
         draft_robot(tmp_path / "arm.xml", tmp_path, tmp_path / "hand.xml", "tip")
+
+
+def test_a_base_is_raised_to_the_least_height_of_the_largest_cell(arm_file, tmp_path, monkeypatch):
+    fits = {0.0: (1.0, 0.9), 0.1: (0.9, 1.0), 0.2: (0.95, 0.97), 0.3: (0.95, 1.0)}  # 1.0 is not reached
+    monkeypatch.setattr(
+        draft, "fit_workspace", lambda kinematics, lift: ReachFit(Workspace(fits[lift][0]), fits[lift][1])
+    )
+    assert best_lift(Kinematics(load_robot("panda").description)) == 0.2
+    monkeypatch.setattr(draft, "best_lift", lambda kinematics: 0.2)
+    result = draft_robot(arm_file, tmp_path)
+    assert tomllib.loads(result.text)["arm"]["base"] == [0.0, 0.0, 0.2]
+    assert "the base stands 200 mm above the table" in " ".join(result.assumptions)
 
 
 def test_no_home_posture_is_a_usage_error(arm_file, tmp_path, monkeypatch):

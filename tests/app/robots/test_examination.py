@@ -1,76 +1,23 @@
-"""Findings about arms: each check on a sound arm and on one with its fault."""
+"""The simulated tests of an arm; those without simulation have tests of their own."""
 
-from dataclasses import replace
+from types import SimpleNamespace
 
-import numpy as np
 import pytest
 
 from app.robots import examination
-from app.robots.examination import check_camera, check_hand, check_home, check_reach, reachable_radii
-from manipulation.kinematics import Kinematics
-from manipulation.robot import GripperGeometry
+from app.robots.examination import check_payload
 from sim_assets.robots import load_robot
 
 
-@pytest.fixture(scope="module")
-def arm():
-    return load_robot("panda").description
-
-
-@pytest.mark.parametrize(
-    ("hand", "verdict"),
-    [
-        (GripperGeometry(), "good"),
-        (GripperGeometry(max_width=0.05), "warning"),
-        (GripperGeometry(min_width=0.014), "warning"),
-    ],
-)
-def test_hands_too_small_or_that_do_not_close_are_told(arm, hand, verdict):
-    finding = check_hand(replace(arm, gripper=hand))
-    assert finding.verdict == verdict and bool(finding.remedy) == (verdict == "warning")
-
-
-def test_a_good_home(arm):
-    (finding,) = check_home(arm, Kinematics(arm))
-    assert finding.verdict == "good" and "(0.31, 0.00, 0.49) m" in finding.found
-
-
-def test_a_home_through_the_table_names_the_link(arm):
-    q = np.array([0, 0.9, 0, -1.6, 0, 2.0, 0.0])
-    findings = list(check_home(replace(arm, q_home=q), Kinematics(arm)))
-    assert any(
-        f.verdict == "fault" and "touches table" in f.found and "the arm" not in f.found for f in findings
-    )
-
-
-def test_a_tilted_home_at_a_limit_is_two_warnings(arm):
-    q = np.array([2.88, -0.7, 0, -1.5, 0, 1.0, 0.0])
-    findings = list(check_home(replace(arm, q_home=q), Kinematics(arm)))
-    assert [f.verdict for f in findings] == ["warning", "warning"]
-    assert "tilted by" in findings[0].found and "joint1 is 0.02 rad" in findings[1].found
-
-
-@pytest.mark.parametrize(
-    ("reach", "verdict"),
-    [((0.3, 0.4, 0.5, 0.6, 0.7), "good"), ((0.2, 0.3, 0.4), "warning"), ((), "fault")],
-)
-def test_reach_against_the_cell(reach, verdict):
-    assert check_reach(np.array(reach)).verdict == verdict
-
-
-def test_reach_is_that_of_a_vertical_hand(arm, monkeypatch):
-    monkeypatch.setattr(examination, "RADII", np.array([0.05, 0.5, 1.1]))
-    np.testing.assert_allclose(reachable_radii(Kinematics(arm)), [0.5])
-
-
-def test_the_camera_does_not_see_the_hand_unless_it_is_put_before_it(arm):
-    assert check_camera(arm, 45.0).verdict == "good"
-    finding = check_camera(replace(arm, camera_site="tcp"), 120.0)
-    assert finding.verdict in ("good", "warning") and "% of the image" in finding.found
+@pytest.mark.parametrize(("load", "verdict"), [(2.0, "good"), (0.2, "warning")])
+def test_payload_against_the_heaviest_objects(monkeypatch, load, verdict):
+    monkeypatch.setattr(examination, "payload", lambda world: load)
+    finding = check_payload(SimpleNamespace())
+    assert finding.verdict == verdict and f"{load:.1f} kg" in finding.found
 
 
 @pytest.mark.slow
 def test_the_shipped_panda_has_no_faults():
     found = examination.examine_robot(load_robot("panda"))
     assert not [f for f in found.findings if f.verdict == "fault"], found.findings
-    assert found.reach[-1] > 0.7
+    assert found.reach[-1] > 0.7 and found.fit.workspace.scale == 1.0

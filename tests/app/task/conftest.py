@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+from types import SimpleNamespace
+
 import numpy as np
 import pytest
 
@@ -17,6 +19,7 @@ class StillWorld(World):
         pass
 
     time = 1.5
+    config = SimpleNamespace(scale=1.0)
     drawn = 0
 
     def overview_image(self, *size, camera="overview", **_):

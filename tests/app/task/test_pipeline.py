@@ -9,6 +9,7 @@ import pytest
 import app.task.pipeline as pipeline
 from app.task.pipeline import RunObserver, TaskRequest, expected_pose, make_reobserver, run, verify
 from manipulation.errors import PlanningError
+from manipulation.planner import ManipulationConfig
 from manipulation.types import Box, Line, ObjectOutcome
 from manipulation.viewpoints import (
     BOX_VIEWPOINTS,
@@ -17,6 +18,7 @@ from manipulation.viewpoints import (
     ViewpointScanner,
     closeup_viewpoints,
 )
+from manipulation.workspace import Workspace
 from perception.errors import PerceptionError
 from perception.geometry import pose_from_yaw
 from perception.inference.refit import PoseCheck
@@ -104,7 +106,7 @@ def stages(monkeypatch, overhead_frame, can_at, pack_plan):
 
         monkeypatch.setattr(pipeline, name, call)
 
-    monkeypatch.setattr(pipeline, "ViewpointScanner", lambda robot, kinematics: scanner)
+    monkeypatch.setattr(pipeline, "ViewpointScanner", lambda robot, kinematics, **settings: scanner)
     stage("detect", FOUND)
     stage("reconstruct_objects", objects)
     stage("plan_pack", pack_plan)
@@ -137,6 +139,15 @@ def test_stages_run_in_order_on_the_results_of_those_before(stages, pack_plan):
     assert calls["execute"][0] is pack_plan
     assert stages.scanner.visited == [tuple(SCAN_VIEWPOINTS), tuple(BOX_VIEWPOINTS)]
     assert result.plan is pack_plan and result.outcomes == stages.outcomes and result.checks == {0: SEEN}
+
+
+def test_a_scaled_cell_has_its_own_viewpoints_and_heights(stages):
+    run(StillRobot(), stages.perception, TaskRequest("pack", Box(), workspace=Workspace(0.8)))
+    scan, box = stages.scanner.visited
+    assert scan == Workspace(0.8).scan_viewpoints() and box == Workspace(0.8).box_viewpoints
+    for call in ("plan_pack", "execute"):
+        (settings,) = (a for a in stages.calls[call] if isinstance(a, ManipulationConfig))
+        assert settings == Workspace(0.8).adapted(ManipulationConfig())
 
 
 def test_sorting_plans_for_the_line_and_verifies_it(stages):

@@ -20,7 +20,7 @@ def cell(still_world, monkeypatch, overhead_frame):
     received = SimpleNamespace(robots=[], viewpoints=[])
 
     class Scanner:
-        def __init__(self, robot, kinematics):
+        def __init__(self, robot, kinematics, **settings):
             received.robots.append(robot)
 
         def capture(self, viewpoints, progress, on_image):
