@@ -1,8 +1,7 @@
 """``nodeslam evaluate slam``: scenes as in the paper, ablations, and comparison with TSDF fusion.
 
 Scene i is determined by the seed: ten objects of the test families on a table and a random smooth trajectory.
-Each finished (scene, variant) is one line of ``rows.jsonl``. Sequences, and the detections of the first
-variant that finishes one, are kept in ``sequences/`` and reused by the others.
+Each finished (scene, variant) is one line of ``rows.jsonl``. Sequences are kept in ``sequences/``.
 """
 
 from __future__ import annotations
@@ -11,7 +10,7 @@ import os
 import shutil
 import time
 from collections.abc import Hashable, Mapping, Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from functools import partial
 from itertools import product
 from pathlib import Path
@@ -39,7 +38,6 @@ from app.slam.pictures import MappedSequence, write_map_picture
 from app.slam.run import SlamRun
 from app.slam.sequence_truth import read_true_objects, read_true_trajectory
 from perception.inference.shape_model import Decoder
-from perception.io.detections import write_detection_entries
 from perception.io.recordings.sequence import open_sequence
 from perception.io.recordings.trajectory import Trajectory
 from perception.slam.ablations import Variant, variant_config
@@ -155,22 +153,18 @@ def score_variant(
 ) -> Line:
     """Run a variant on a sequence and score it."""
     networks, sequence = networks_on(options.device), open_sequence(path)
-    live = sequence.entries is None
-    slam_run = SlamRun.start(
-        sequence, networks.decoder, networks.detector, variant_config(variant), live, time.process_time
-    )
+    config = replace(variant_config(variant), concurrent=False)  # processor time of a thread has no stage
+    slam_run = SlamRun.start(sequence, networks.decoder, networks.detector, config, time.process_time)
     history: dict[int, list[Landmark]] = {}
     resident = []
-    for _, result in slam_run.steps():
+    for _ in slam_run.steps():
         if len(slam_run.results) % _RESIDENT_EVERY == 0:
             resident.append(resident_memory())
-        if result.is_keyframe and slam_run.slam.world is not None:
+        if slam_run.slam.world is not None:
             for id, landmark in slam_run.slam.world.landmarks.items():
                 states = history.setdefault(id, [])
                 if len(states) < CURVE_UPDATES and (not states or states[-1].n_updates != landmark.n_updates):
                     states.append(landmark)
-    if live:
-        write_detection_entries(path, [slam_run.detections.get(number, []) for number in sequence.ids])
     true_trajectory = read_true_trajectory(path)
     assert true_trajectory is not None
     truth = TrueObjects(read_true_objects(path), rng)
@@ -178,7 +172,7 @@ def score_variant(
     line = _scores(finished, networks.decoder, rng)
     title = f"{path.name.replace('_', ' ')}, {variant}: APE {100 * line['ape_mean']:.2f} cm"
     _draw(finished, networks.decoder, folder / "pictures" / f"{path.name}_{variant}.png", title)
-    return line | {"live": live, "resident": resident}
+    return line | {"resident": resident}
 
 
 def _scores(finished: _FinishedRun, decoder: Decoder, rng: np.random.Generator) -> Line:
@@ -193,9 +187,11 @@ def _scores(finished: _FinishedRun, decoder: Decoder, rng: np.random.Generator) 
         "n_frames": len(slam_run.results),
         "n_lost": sum(result.status == "lost" for result in slam_run.results),
         "n_keyframes": len(slam_run.slam.keyframes),
+        "n_detected": sum(result.is_detected for result in slam_run.results),
         "n_true": len(truth.categories),
         "objects": surface_rows(landmarks, truth, decoder, rng),
         "tracking_rate": slam_run.frame_rate,
+        "loop_rate": slam_run.loop_rate,
         "stage_seconds": {stage: float(np.median(slam_run.seconds(stage) or [0.0])) for stage in STAGES},
         "stage_sums": {stage: float(sum(slam_run.seconds(stage))) for stage in STAGES},
     }

@@ -134,7 +134,6 @@ def _run_variants(options: EvaluateOptions, index: int, close_up: bool, fault: S
     ]
     objects = TrueObjects(surfaces, np.random.default_rng([options.seed, index]))
     truth = Trajectory.of([frame.time for frame in frames], list(table.Ts_world_camera))
-    found: dict[int, list[Any]] | None = None
     entries = {}
     for variant in options.variants:
         networks = networks_on(options.device)
@@ -142,7 +141,7 @@ def _run_variants(options: EvaluateOptions, index: int, close_up: bool, fault: S
         if fault == "flicker":
             detect = partial(_flickering, networks.detector, rng)
         slam_run = SlamRun.start(
-            replace(sequence, entries=found), networks.decoder, detect, variant_config(variant), True,
+            sequence, networks.decoder, detect, replace(variant_config(variant), concurrent=False),
             time.process_time,
         )  # fmt: skip
         for _ in slam_run.steps():
@@ -151,7 +150,6 @@ def _run_variants(options: EvaluateOptions, index: int, close_up: bool, fault: S
             _drift(slam_run, truth) | _map_health(slam_run, objects, table.moved, networks.decoder)
             | _relocalisations(slam_run, sequence, frames, in_view, truth)
         )  # fmt: skip
-        found = found or slam_run.detections
     return {"objects_in_view": float(np.median(in_view)), "variants": entries}
 
 

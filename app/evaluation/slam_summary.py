@@ -80,7 +80,8 @@ def against_full(lines: Sequence[Mapping[str, Any]]) -> dict[str, Any]:
 def _row(line: Mapping[str, Any]) -> dict[str, Any]:
     keys = (
         "scene", "variant", "ape_mean", "ape_rmse", "ape_max", "n_lost", "n_frames", "n_keyframes",
-        "tracking_rate", "stage_seconds", "stage_sums", "resident", "live", "seconds", "reason",
+        "n_detected", "tracking_rate", "loop_rate", "stage_seconds", "stage_sums",
+        "resident", "seconds", "reason",
     )  # fmt: skip
     row = {key: line.get(key) for key in keys}
     objects = line.get("objects", ())

@@ -42,7 +42,7 @@ class SlamRecorder:
         if result.is_keyframe:
             recorder.note("look", index=self._keyframes)
             self._keyframes += 1
-        if slam.world is None or not (result.is_keyframe or result.new):
+        if slam.world is None:
             return
         for id, landmark in slam.world.landmarks.items():
             if self._recorded.get(id) is landmark.state.pose:

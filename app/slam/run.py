@@ -4,8 +4,7 @@ from __future__ import annotations
 
 import time
 from collections.abc import Iterator
-from dataclasses import dataclass, field
-from typing import Any
+from dataclasses import dataclass, field, replace
 
 import numpy as np
 import torch
@@ -13,10 +12,10 @@ import torch
 from perception.errors import InvalidInputError
 from perception.inference.shape_model import Decoder
 from perception.io.bop_results import PosedImage
-from perception.io.detections import encode_detections
 from perception.io.recordings.sequence import RgbdSequence, without_pose
 from perception.io.recordings.trajectory import Trajectory
 from perception.slam.config import SlamConfig
+from perception.slam.detection_schedule import DetectionScheduleConfig
 from perception.slam.relocalise import Relocalisation
 from perception.slam.system import Clock, Detect, FrameResult, Slam
 from perception.types import ObjectDetection, RgbdFrame, SupportPlane
@@ -32,7 +31,6 @@ class SlamRun:
         results: Results of the frames so far, without unreadable ones.
         images: Frames in which the camera was tracked, with the poses as estimated then.
         warnings: One line for each unreadable frame.
-        detections: Detections of each frame by number, if kept, encoded as in ``detections.json``.
     """
 
     sequence: RgbdSequence
@@ -40,7 +38,6 @@ class SlamRun:
     results: list[FrameResult] = field(default_factory=list)
     images: list[PosedImage] = field(default_factory=list)
     warnings: list[str] = field(default_factory=list)
-    detections: dict[int, list[Any]] = field(default_factory=dict)
 
     @staticmethod
     def start(
@@ -48,21 +45,22 @@ class SlamRun:
         decoder: Decoder,
         detector: Detect | None,
         config: SlamConfig,
-        keep_detections: bool = False,
         clock: Clock = time.perf_counter,
     ) -> SlamRun:
         """Prepare a run.
 
         Args:
-            sequence: The sequence; its own detections take precedence over the detector.
+            sequence: The sequence; its own detections take precedence over the detector and are used in every
+                frame.
             decoder: Shape prior.
             detector: Detector for sequences without detections.
             config: Settings of the system.
-            keep_detections: Whether to keep the encoded detections.
             clock: Time in seconds, for the durations of the stages.
         """
-        source = _Source(sequence, detector, keep_detections)
-        run = SlamRun(sequence, Slam(decoder, source, config, clock), detections=source.kept)
+        source = _Source(sequence, detector)
+        if sequence.entries is not None:
+            config = replace(config, detection=DetectionScheduleConfig(max_interval=1))
+        run = SlamRun(sequence, Slam(decoder, source, config, clock))
         run._source = source
         return run
 
@@ -74,6 +72,7 @@ class SlamRun:
         torch.set_num_threads(1)
         try:
             yield from self._steps()
+            self.slam.finish()
         finally:
             torch.set_num_threads(threads)
 
@@ -110,14 +109,19 @@ class SlamRun:
         seconds = self.seconds("track")
         return float(1 / np.median(seconds)) if seconds else 0.0
 
+    @property
+    def loop_rate(self) -> float:
+        """Mean rate of all stages in frames per second, without reading the images."""
+        total = sum(sum(r.seconds.values()) for r in self.results)
+        return len(self.results) / total if total else 0.0
+
 
 class _Source:
     """Detections of the current frame: the sequence's own, or the detector's."""
 
-    def __init__(self, sequence: RgbdSequence, detector: Detect | None, keep: bool) -> None:
-        self.sequence, self.detector, self.keep = sequence, detector, keep
+    def __init__(self, sequence: RgbdSequence, detector: Detect | None) -> None:
+        self.sequence, self.detector = sequence, detector
         self.number = 0
-        self.kept: dict[int, list[Any]] = {}
 
     def __call__(self, frame: RgbdFrame, plane: SupportPlane) -> list[ObjectDetection]:
         found = self.sequence.detections(self.number, frame)
@@ -127,6 +131,4 @@ class _Source:
                     f"{self.sequence.path} has no detections.json, and no detector is loaded"
                 )
             found = list(self.detector(frame, plane))
-        if self.keep:
-            self.kept[self.number] = encode_detections(self.number, found)
         return found

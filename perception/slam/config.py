@@ -7,7 +7,9 @@ from dataclasses import dataclass, field, replace
 from perception.inference.fit_config import FitConfig
 from perception.slam.association import MaskAssociationConfig
 from perception.slam.bundle_window import BundleAdjustmentConfig
+from perception.slam.detection_schedule import DetectionScheduleConfig
 from perception.slam.mask_merging import MaskMergingConfig
+from perception.slam.mask_tracking import MaskTrackingConfig
 from perception.slam.motion import CameraMotionConfig
 from perception.slam.pixels import PixelSelectionConfig
 from perception.slam.pose_check import PoseCheckConfig
@@ -25,19 +27,19 @@ class LandmarkLifecycleConfig:
         min_support: Number of agreeing landmarks from which truncated masks are not initialised: a shape
             fitted to a part of an object can be far off.
         support_inlier_ratio: Inlier ratio above which a landmark agrees with a frame.
-        min_frames_unmatched: Successive frames that an unmatched mask must be visible in before it is
-            initialised.
+        min_frames_unmatched: Successive frames with detections that an unmatched mask must be visible in
+            before it is initialised.
         unseen_ratio: Share of a landmark's pixels outside the view of all keyframes above which the frame
             becomes a keyframe and a truncated landmark is refitted.
         retry_interval: Frames between attempts to initialise the same mask, and least number of frames
             between keyframes that reveal unseen parts.
         retry_interval_weak: The latter while the pose is weak.
-        visibility_interval: Frames between checks of which landmarks are visible.
+        visibility_interval: Least number of frames between checks of which landmarks are visible.
         max_misses: Successive visibility checks that a landmark may fail; no more than its hits.
         see_through_ratio: Share of a landmark's visible pixels that measure the background above which the
             landmark counts as seen through.
         max_see_through: Successive checks in which a landmark may be seen through.
-        max_outlier_frames: Successive frames in which most pixels of a landmark may disagree.
+        max_outlier_frames: Successive frames with detections in which most pixels of a landmark may disagree.
         refit_after_outlier_frames: Number of such frames after which it is refitted in the newest view.
         moved_distance: Displacement of a refitted landmark beyond which the object was moved and its older
             views are discarded, in metres.
@@ -66,15 +68,26 @@ class LandmarkLifecycleConfig:
 
 @dataclass(frozen=True)
 class SlamConfig:
-    """Settings of the SLAM system, by module."""
+    """Settings of the SLAM system, by module.
+
+    Attributes:
+        use_bundle_adjustment: Whether keyframes are optimised jointly.
+        concurrent: Whether joint optimisation runs in a thread beside tracking; the result is the same.
+        joint_delay: Frames after its keyframe at which a joint optimisation is applied; that of the first
+            frame is applied at once.
+    """
 
     use_bundle_adjustment: bool = True
+    concurrent: bool = True
+    joint_delay: int = 3
     fit: FitConfig = field(default_factory=lambda: FitConfig(refine=None))  # landmarks have no meshes
     motion: CameraMotionConfig = field(default_factory=CameraMotionConfig)
     tracking: TrackingConfig = field(default_factory=TrackingConfig)
     pose_check: PoseCheckConfig = field(default_factory=PoseCheckConfig)
     pixels: PixelSelectionConfig = field(default_factory=PixelSelectionConfig)
     merging: MaskMergingConfig = field(default_factory=MaskMergingConfig)
+    detection: DetectionScheduleConfig = field(default_factory=DetectionScheduleConfig)
+    mask_tracking: MaskTrackingConfig = field(default_factory=MaskTrackingConfig)
     association: MaskAssociationConfig = field(default_factory=MaskAssociationConfig)
     relocalisation: RelocalisationConfig = field(default_factory=RelocalisationConfig)
     bundle_adjustment: BundleAdjustmentConfig = field(default_factory=BundleAdjustmentConfig)

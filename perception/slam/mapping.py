@@ -3,7 +3,9 @@
 from __future__ import annotations
 
 import logging
+import os
 from collections.abc import Collection, Mapping, Sequence
+from concurrent.futures import ThreadPoolExecutor
 from dataclasses import dataclass, replace
 
 import numpy as np
@@ -15,8 +17,7 @@ from perception.inference.observation import ObjectObservation
 from perception.inference.reconstruct import hidden_by
 from perception.inference.shape_model import Decoder
 from perception.slam.association import RenderedMasks, see_through_ratios
-from perception.slam.bundle_adjustment import optimise_jointly
-from perception.slam.bundle_window import BundleWindow
+from perception.slam.bundle_window import BundleResult, BundleWindow
 from perception.slam.config import SlamConfig
 from perception.slam.initialise import LandmarkViews, initialise_landmark, refitted
 from perception.slam.keyframes import Keyframe, select_window
@@ -37,12 +38,14 @@ class UnmatchedMask:
     """A mask without a landmark.
 
     Attributes:
-        mask: Pixels of the mask in the newest frame.
-        n_frames: Number of successive frames in which it has been unmatched.
+        mask: Pixels of the mask in the newest frame with detections.
+        n_frames: Number of successive frames with detections in which it has been unmatched.
+        tried: Number of the frame of the last attempt to initialise it; None before the first.
     """
 
     mask: Bool[np.ndarray, "h w"]
     n_frames: int
+    tried: int | None = None
 
 
 class Mapper:
@@ -121,13 +124,28 @@ class Mapper:
         for label, found in enumerate(view.detections, start=1):
             if label in view.landmark_of or not present[label]:  # not present: merged into another label
                 continue
-            counts = [
-                previous.n_frames
-                for previous in self.unmatched.values()
-                if (previous.mask & found.mask).sum() > _SAME_MASK_IOU * (previous.mask | found.mask).sum()
+            same = [
+                before
+                for before in self.unmatched.values()
+                if (before.mask & found.mask).sum() > _SAME_MASK_IOU * (before.mask | found.mask).sum()
             ]
-            unmatched[label] = UnmatchedMask(found.mask, 1 + max(counts, default=0))
+            count = 1 + max((before.n_frames for before in same), default=0)
+            tried = max((before.tried for before in same if before.tried is not None), default=None)
+            unmatched[label] = UnmatchedMask(found.mask, count, tried)
         self.unmatched = unmatched
+
+    @property
+    def needs_detections(self) -> bool:
+        """Whether successive frames decide on a new mask, or on a landmark that may have been moved."""
+        min_frames = self.config.lifecycle.min_frames_unmatched
+        return any(mask.n_frames < min_frames for mask in self.unmatched.values()) or any(
+            landmark.n_outlier_frames for landmark in self.world.landmarks.values()
+        )
+
+    @property
+    def verifies_absence(self) -> bool:
+        """Whether some landmark was missed or seen through at the last visibility check."""
+        return any(x.n_misses or x.n_see_through for x in self.world.landmarks.values())
 
     def has_enough_support(self, inlier_ratios: Mapping[int, float]) -> bool:
         """Return whether enough landmarks agree with a frame, given their inlier ratios."""
@@ -146,33 +164,42 @@ class Mapper:
         Returns:
             Id of the new landmark of each label that has one.
         """
-        life, new = self.config.lifecycle, {}
-        for label, found in enumerate(view.detections, start=1):
-            age = self.unmatched[label].n_frames if label in self.unmatched else 0
-            since_due = age - life.min_frames_unmatched
-            waits = since_due < 0 or since_due % life.retry_interval
-            truncated = touches_border(found.mask)
-            min_pixels = life.min_pixels_truncated if truncated else life.min_pixels
-            too_small = np.count_nonzero(found.mask) < min_pixels
-            if label in view.landmark_of or waits or too_small or (truncated and supported):
+        due = [
+            label
+            for label, found in enumerate(view.detections, start=1)
+            if label not in view.landmark_of and self._is_due(label, found, view.number, supported)
+        ]
+        for label in due:
+            self.unmatched[label] = replace(self.unmatched[label], tried=view.number)
+        with ThreadPoolExecutor(min(len(due), os.cpu_count() or 1) or 1) as pool:  # fits are independent
+            fits = list(pool.map(lambda label: self._fit(view, view.detections[label - 1]), due))
+        new = {}
+        for label, fit in zip(due, fits):
+            if fit is None or any(coincide(other, fit) for other in self.world.landmarks.values()):
                 continue
-            landmark = self._initialise(view, found)
-            if landmark is not None:
-                self.world = self.world.with_landmarks(landmark)
-                new[label] = landmark.id
-                self.next_id += 1
+            self.world = self.world.with_landmarks(replace(fit, id=self.next_id))
+            new[label] = self.next_id
+            self.next_id += 1
         return new
 
-    def _initialise(self, view: LabelledFrame, found: ObjectDetection) -> Landmark | None:
-        """Fit a landmark to one mask; None if the fit fails or coincides with another landmark."""
+    def _is_due(self, label: int, found: ObjectDetection, number: int, supported: bool) -> bool:
+        """Return whether a landmark should be initialised from an unmatched mask in this frame."""
+        life, mask = self.config.lifecycle, self.unmatched.get(label)
+        if mask is None or mask.n_frames < life.min_frames_unmatched:
+            return False
+        truncated = touches_border(found.mask)
+        min_pixels = life.min_pixels_truncated if truncated else life.min_pixels
+        too_small = np.count_nonzero(found.mask) < min_pixels
+        waits = mask.tried is not None and number - mask.tried < life.retry_interval
+        return not (waits or too_small or (truncated and supported))
+
+    def _fit(self, view: LabelledFrame, found: ObjectDetection) -> Landmark | None:
+        """Fit a landmark to one mask; None if the fit fails."""
         others = [other.mask for other in view.detections if other is not found]
         ignore = hidden_by(view.frame, found.mask, others)
         observation = ObjectObservation(view.frame, found.mask, ignore, found.yaw_probabilities)
         views = LandmarkViews(self.next_id, [observation], found, view.number)
-        landmark = initialise_landmark(views, self.decoder, self.world.plane, self.config.fit)
-        if landmark is None or any(coincide(other, landmark) for other in self.world.landmarks.values()):
-            return None
-        return landmark
+        return initialise_landmark(views, self.decoder, self.world.plane, self.config.fit)
 
     def reveals_unseen_parts(
         self, view: LabelledFrame, unseen_ratios: Mapping[int, float], weak: bool
@@ -198,7 +225,7 @@ class Mapper:
         if moved or max(unseen_ratios.values(), default=0.0) > life.unseen_ratio:
             return True
         truncated = [label for label, landmark in visible.items() if landmark.truncated]
-        return any(not touches_border(view.detections[label - 1].mask) for label in truncated)
+        return any(not touches_border(view.labels == label) for label in truncated)
 
     def add_keyframe(
         self, key: Keyframe, plane_points: Float[np.ndarray, "n 3"], new: Collection[int]
@@ -287,23 +314,38 @@ class Mapper:
         self._information = {at: view for at, view in self._information.items() if at[1] != id}
         return True
 
-    def optimise(self, key: Keyframe) -> Float[np.ndarray, "4 4"]:
-        """Optimise the window of the newest keyframe jointly; return its correction in the world frame."""
+    def window_of(self, key: Keyframe) -> BundleWindow:
+        """Return the problem of joint optimisation of the newest keyframe and its neighbours."""
         config = self.config.bundle_adjustment
         keyframes = select_window(key, self.keyframes, self.world.landmarks, config.window_size)
-        window = BundleWindow(
+        return BundleWindow(
             keyframes=keyframes,
             landmarks=self.world.landmarks,
             plane=self.world.plane,
             plane_points=[self._plane_points[k.number] for k in keyframes],
             priors=self._marginal_priors({k.number for k in keyframes}),
         )
-        result = optimise_jointly(window, self.decoder, config)
-        self._information |= result.information
-        self.world = self.world.with_landmarks(*result.landmarks.values())
-        optimised = {k.number: k for k in result.keyframes}
-        self.keyframes = [optimised.get(k.number, k) for k in self.keyframes]
-        return optimised[key.number].T_world_camera @ invert(key.T_world_camera)
+
+    def apply(self, result: BundleResult) -> Float[np.ndarray, "4 4"]:
+        """Apply a joint optimisation; return the correction of its newest keyframe in the world frame.
+
+        Landmarks and keyframes that were removed since the window was taken stay removed; counts and votes of
+        the others are kept.
+        """
+        landmarks = self.world.landmarks
+        self._information |= {at: view for at, view in result.information.items() if at[1] in landmarks}
+        optimised = {id: new for id, new in result.landmarks.items() if id in landmarks}
+        self.world = self.world.with_landmarks(
+            *(
+                replace(landmarks[id], shape=new.shape, n_updates=new.n_updates).with_state(new.state)
+                for id, new in optimised.items()
+            )
+        )
+        newest = result.keyframes[-1]
+        before = next(k for k in self.keyframes if k.number == newest.number)
+        poses = {k.number: k.T_world_camera for k in result.keyframes}
+        self.keyframes = [k.with_pose(poses[k.number]) if k.number in poses else k for k in self.keyframes]
+        return newest.T_world_camera @ invert(before.T_world_camera)
 
     def _marginal_priors(self, window: set[int]) -> dict[int, MarginalPrior]:
         """Return the prior on each landmark from the keyframes outside a window of keyframe numbers."""

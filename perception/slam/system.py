@@ -2,6 +2,10 @@
 
     frame + masks -> data association -> camera pose -> new landmarks, keyframe -> joint optimisation
 
+Masks come from the detector on keyframes and where the map does not explain what the frame shows
+(``detection_schedule``); between, they are rendered from the map (``mask_tracking``). Joint optimisation runs
+beside tracking and is applied a fixed number of frames later.
+
 NodeSLAM, section "Object-Level SLAM System".
 """
 
@@ -12,7 +16,7 @@ import time
 from collections.abc import Callable, Iterator, Mapping, Sequence
 from contextlib import contextmanager
 from dataclasses import dataclass, field, replace
-from functools import cache
+from functools import cache, partial
 
 import numpy as np
 from jaxtyping import Float
@@ -21,19 +25,24 @@ from perception.errors import PerceptionError
 from perception.inference.reconstruct import single_threaded_torch
 from perception.inference.shape_model import Decoder
 from perception.pipeline import Device, load_perception
-from perception.slam.association import RenderedMasks, associate_masks, render_masks
+from perception.slam.association import associate_masks, render_masks
+from perception.slam.bundle_adjustment import optimise_jointly
+from perception.slam.bundle_window import BundleResult
 from perception.slam.config import SlamConfig
+from perception.slam.detection_schedule import DetectionSchedule
 from perception.slam.estimates import object_estimates
+from perception.slam.frame_tracking import TrackedFrame, track_view
+from perception.slam.joint_worker import DelayedJob
 from perception.slam.keyframes import Keyframe, is_new_viewpoint
 from perception.slam.labelled_frame import LabelledFrame, with_pose
 from perception.slam.landmarks import LandmarkMap
 from perception.slam.mapping import Mapper
 from perception.slam.mask_merging import merge_masks
+from perception.slam.mask_tracking import track_masks
 from perception.slam.motion import CameraMotion
-from perception.slam.pixels import in_observed_parts, select_pixels
+from perception.slam.pixels import select_pixels
 from perception.slam.pose_check import Status, check_pose
 from perception.slam.relocalise import Relocalisation, relocalise
-from perception.slam.tracking import TrackedPose, track
 from perception.support_plane import fit_support_plane
 from perception.types import ObjectDetection, ObjectEstimate, RgbdFrame, SupportPlane
 
@@ -42,7 +51,6 @@ logger = logging.getLogger(__name__)
 Detect = Callable[[RgbdFrame, SupportPlane], Sequence[ObjectDetection]]
 Clock = Callable[[], float]
 
-_SUSPECT_OUTLIER_FRAMES = 2  # outlier frames from which a landmark is not tracked with
 _SEARCH_ITERATIONS = 8  # of tracking near the predicted pose of a lost camera
 _SEARCH_MIN_LANDMARKS = 2  # that must agree there
 _MIN_INFORMATION = 1e-3  # [1/rad^2], [1/m^2] added to a relocalised pose's, to keep it invertible
@@ -58,7 +66,8 @@ class FrameResult:
         T_world_camera: Estimated camera pose; the prediction while the camera is lost.
         status: "tracked", "weak" (large position uncertainty) or "lost".
         position_std: Standard deviation of the camera position along its least certain direction, in metres.
-        landmark_of: Landmark id of each associated label (1 + index of the detection).
+        landmark_of: Landmark id of each associated label of the frame's masks.
+        is_detected: Whether the masks are of the detector; otherwise they are rendered from the map.
         new: Ids of the landmarks initialised in this frame.
         retired: Ids of the landmarks removed in this frame.
         is_keyframe: Whether the frame became a keyframe.
@@ -71,29 +80,11 @@ class FrameResult:
     status: Status
     position_std: float = 0.0
     landmark_of: Mapping[int, int] = field(default_factory=dict)
+    is_detected: bool = False
     new: tuple[int, ...] = ()
     retired: tuple[int, ...] = ()
     is_keyframe: bool = False
     seconds: Mapping[str, float] = field(default_factory=dict)
-
-
-@dataclass(frozen=True)
-class _TrackedFrame:
-    """A frame after association and tracking.
-
-    Attributes:
-        view: The frame with its masks, their association and, once it is accepted, its tracked pose.
-        tracked: Result of tracking.
-        plane_points: Measured points of the plane in the camera frame, in metres.
-        unseen_ratios: Share of each landmark's pixels that no keyframe had in view.
-        render: Renders the masks of the map from the predicted pose.
-    """
-
-    view: LabelledFrame
-    tracked: TrackedPose
-    plane_points: Float[np.ndarray, "n 3"]
-    unseen_ratios: Mapping[int, float]
-    render: Callable[[], RenderedMasks]
 
 
 class Slam:
@@ -121,6 +112,9 @@ class Slam:
         self._n_lost = 0  # successive lost frames
         self._previous: LabelledFrame | None = None
         self._seconds: dict[str, float] = {}
+        self._schedule = DetectionSchedule(self.config.detection)
+        self._checked = 0  # number of the last frame with a visibility check
+        self._joint: DelayedJob[BundleResult] = DelayedJob(self.config.concurrent)
 
     @staticmethod
     def load(device: Device = "auto", config: SlamConfig | None = None) -> Slam:
@@ -134,7 +128,14 @@ class Slam:
 
     def object_estimates(self) -> list[ObjectEstimate]:
         """Return the landmarks with their meshes, by id; those without a surface are omitted."""
+        self.finish()
         return [] if self.world is None else object_estimates(self.world, self.decoder)
+
+    def finish(self) -> None:
+        """Apply the joint optimisation in progress, as at the end of a sequence."""
+        if self._joint.due is not None and self.mapper is not None:
+            with self._timed("joint"):
+                self._take_joint(self.mapper)
 
     @property
     def world(self) -> LandmarkMap | None:
@@ -159,10 +160,19 @@ class Slam:
         self._seconds = {}
         if self.mapper is None:
             return self._initialise_map(frame)
+        if self._joint.due is not None and self._number >= self._joint.due:
+            self.finish()
         assert self._motion is not None
         predicted = self._motion.predict(frame.time, self.config.motion)
         if self._n_lost:
             return self._recover(self.mapper, frame, predicted)
+        mapper, schedule = self.mapper, self._schedule
+        if not schedule.is_due(self._number, mapper.needs_detections, mapper.verifies_absence):
+            followed = self._follow(mapper, frame, predicted)
+            if followed is not None:
+                return followed
+            interval = self.config.lifecycle.visibility_interval
+            self._checked = min(self._checked, self._number - interval)  # check what is doubtful at once
         tracked = self._track_frame(self.mapper, frame, predicted)
         status, motion = check_pose(tracked.tracked, predicted, self.config.pose_check)
         if status == "lost":
@@ -187,36 +197,49 @@ class Slam:
         pixels = select_pixels(view, plane, self.config.pixels)
         return self._extend_map(mapper, view, pixels.plane_points, {}, "tracked", False)
 
+    def _follow(self, mapper: Mapper, frame: RgbdFrame, predicted: CameraMotion) -> FrameResult | None:
+        """Track with masks rendered from the map, which stays as it is; None if detections are needed."""
+        config, T_predicted = self.config, predicted.T_world_camera
+        with self._timed("track"):
+            rendered = render_masks(mapper.world, frame, T_predicted, config.association.pitch)
+            posed = with_pose(frame, T_predicted)
+            masks = track_masks(self._number, posed, rendered, mapper.world.plane, config.mask_tracking)
+            result = track_view(mapper, masks.view, predicted, lambda: rendered, config)
+            tracked = result.tracked
+            status, motion = check_pose(tracked, predicted, config.pose_check)
+            if status != "tracked" or motion is None:
+                return None
+            ratios = tracked.inlier_ratios
+            if self._schedule.is_doubtful(masks, tracked.median_inlier_ratio_of_used, ratios):
+                return None
+            view = masks.view.with_pose(tracked.T_world_camera)
+            if self._schedule.allows_keyframe(self._number) and self._contributes(
+                mapper, view, result.unseen_ratios, status
+            ):
+                return None
+        self._motion, self._previous = motion, view
+        return replace(self._result(motion, status), landmark_of=view.landmark_of)
+
     def _track_frame(
         self, mapper: Mapper, frame: RgbdFrame, predicted: CameraMotion, iterations: int | None = None
-    ) -> _TrackedFrame:
+    ) -> TrackedFrame:
         """Detect, associate and track; ``iterations`` overrides the config's."""
         world, config, T_predicted = mapper.world, self.config, predicted.T_world_camera
-        tracking = config.tracking if iterations is None else replace(config.tracking, iterations=iterations)
         posed = with_pose(frame, T_predicted)
+        self._schedule.detected(self._number)
         with self._timed("detect"):
             detections = merge_masks(posed, self.detect(posed, world.plane), world.plane, config.merging)
         with self._timed("track"):
             view = LabelledFrame.of(self._number, posed, detections)
             render = cache(lambda: render_masks(world, frame, T_predicted, config.association.pitch))
             view = view.associated(associate_masks(view, self._previous, render, world, config.association))
-            pixels = select_pixels(view, world.plane, config.pixels)
-            observed = in_observed_parts(pixels, world, mapper.keyframes, T_predicted)
-            unseen_ratios = {
-                int(id): 1 - float(observed[pixels.is_object & (pixels.landmark_ids == id)].mean())
-                for id in np.unique(pixels.landmark_ids[pixels.is_object])
-            }
-            suspects = frozenset(
-                id for id, x in world.landmarks.items() if x.n_outlier_frames >= _SUSPECT_OUTLIER_FRAMES
-            )
-            prior = np.linalg.inv(predicted.pose_covariance)
-            tracked = track(world, pixels.subset(observed), T_predicted, tracking, suspects, prior)
-        return _TrackedFrame(view, tracked, pixels.plane_points, unseen_ratios, render)
+            return track_view(mapper, view, predicted, render, config, iterations)
 
-    def _update_map(self, mapper: Mapper, result: _TrackedFrame, status: Status) -> FrameResult:
+    def _update_map(self, mapper: Mapper, result: TrackedFrame, status: Status) -> FrameResult:
         """Update the landmarks after a frame with an accepted pose, and extend the map."""
         tracked, view = result.tracked, result.view
-        check_visibility = self._number % self.config.lifecycle.visibility_interval == 0
+        check_visibility = self._number - self._checked >= self.config.lifecycle.visibility_interval
+        self._checked = self._number if check_visibility else self._checked
         rendered = result.render() if check_visibility else None
         retired = mapper.update_landmarks(view, rendered, tracked.inlier_ratios)
         view = view.without_landmarks(retired).with_pose(tracked.T_world_camera)
@@ -244,27 +267,53 @@ class Slam:
         with self._timed("initialise"):
             new = mapper.initialise_landmarks(view, supported)
         view = replace(view, landmark_of={**view.landmark_of, **new})
-        self._previous = view
-        landmarks, T = mapper.world.landmarks, view.T_world_camera
-        visible = {id: landmarks[id] for id in view.landmark_of.values() if id in landmarks}
-        is_keyframe = (
-            bool(new)
-            or (status == "tracked" and is_new_viewpoint(T, visible, mapper.keyframes))
-            or mapper.reveals_unseen_parts(view, unseen_ratios, status == "weak")
-        )
+        is_keyframe = bool(new) or self._contributes(mapper, view, unseen_ratios, status)
         if is_keyframe:
+            view = self._after_joint(mapper, view)
             key = Keyframe.of(view, self._motion.pose_covariance)
             mapper.add_keyframe(key, plane_points, new.values())
             with self._timed("initialise"):
                 key = mapper.refit_stale(key, unseen_ratios)
             if self.config.use_bundle_adjustment:
                 with self._timed("joint"):
-                    correction = mapper.optimise(key)
-                self._motion = self._motion.transformed(correction)
+                    self._start_joint(mapper, key)
+        self._previous = view
         return replace(
-            self._result(self._motion, status), landmark_of=view.landmark_of, new=tuple(new.values()),
-            is_keyframe=is_keyframe,
+            self._result(self._motion, status), landmark_of=view.landmark_of, is_detected=True,
+            new=tuple(new.values()), is_keyframe=is_keyframe,
         )  # fmt: skip
+
+    def _contributes(
+        self, mapper: Mapper, view: LabelledFrame, unseen_ratios: Mapping[int, float], status: Status
+    ) -> bool:
+        """Return whether a frame should become a keyframe for its viewpoint or for what it reveals."""
+        landmarks = mapper.world.landmarks
+        visible = {id: landmarks[id] for id in view.landmark_of.values() if id in landmarks}
+        return (
+            status == "tracked" and is_new_viewpoint(view.T_world_camera, visible, mapper.keyframes)
+        ) or mapper.reveals_unseen_parts(view, unseen_ratios, status == "weak")
+
+    def _start_joint(self, mapper: Mapper, key: Keyframe) -> None:
+        """Start the joint optimisation of a new keyframe's window; apply that of the first frame at once."""
+        config = self.config
+        job = partial(optimise_jointly, mapper.window_of(key), self.decoder, config.bundle_adjustment)
+        self._joint.start(job, self._number + config.joint_delay)
+        if self._number == 0 or config.joint_delay == 0:
+            self._take_joint(mapper)
+
+    def _take_joint(self, mapper: Mapper) -> Float[np.ndarray, "4 4"]:
+        """Wait for the joint optimisation, apply it to map and camera, and return its correction."""
+        assert self._motion is not None
+        correction = mapper.apply(self._joint.take())
+        self._motion = self._motion.transformed(correction)
+        return correction
+
+    def _after_joint(self, mapper: Mapper, view: LabelledFrame) -> LabelledFrame:
+        """Return a frame in the world of the joint optimisation in progress, which is applied."""
+        if self._joint.due is None:
+            return view
+        with self._timed("joint"):
+            return view.with_pose(self._take_joint(mapper) @ view.T_world_camera)
 
     def _recover(self, mapper: Mapper, frame: RgbdFrame, guess: CameraMotion) -> FrameResult:
         """Search for a lost camera near its prediction while that is accurate enough, or by relocalisation.
@@ -307,7 +356,9 @@ class Slam:
         """Continue tracking from a recovered pose."""
         logger.info("frame %d: recovered", self._number)
         self._n_lost, self._motion, self._previous = 0, motion, view
-        return replace(self._result(motion, "tracked"), landmark_of=view.landmark_of)
+        return replace(
+            self._result(motion, "tracked"), landmark_of=view.landmark_of, is_detected=bool(view.detections)
+        )
 
     def _result(self, motion: CameraMotion, status: Status) -> FrameResult:
         seconds = dict(self._seconds)

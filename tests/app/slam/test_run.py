@@ -1,5 +1,6 @@
 """A run on a sequence: unreadable frames, durations, trajectory and the source of detections."""
 
+from dataclasses import replace
 from pathlib import Path
 
 import numpy as np
@@ -10,6 +11,7 @@ from app.slam.run import SlamRun, _Source
 from perception.errors import InvalidInputError
 from perception.io.detections import encode_detections
 from perception.io.recordings.sequence import RgbdSequence
+from perception.slam.config import SlamConfig
 from perception.slam.system import FrameResult, Slam
 from perception.types import CameraIntrinsics, ObjectDetection, RgbdFrame, SupportPlane
 
@@ -20,6 +22,18 @@ FRAME = RgbdFrame(
     CameraIntrinsics(8, 6, 8.0, 8.0, 4.0, 3.0),
 )
 FOUND = [ObjectDetection("mug", 1.0, np.ones((6, 8), bool))]
+
+
+class Undecoded:
+    """A shape prior that is not used."""
+
+    device = torch.device("cpu")
+
+    def __call__(self, category, code):
+        raise AssertionError
+
+    def with_jacobian(self, category, code, threads=1):
+        raise AssertionError
 
 
 def read(number):
@@ -34,7 +48,7 @@ SEQUENCE = RgbdSequence(Path("memory"), range(4), read)
 @pytest.fixture
 def run(monkeypatch):
     """A run whose second result is lost; torch's threads during processing are recorded."""
-    slam, threads = object.__new__(Slam), []
+    slam, threads, finished = object.__new__(Slam), [], []
     statuses = iter(("tracked", "lost", "weak"))
 
     def process(self, frame):
@@ -44,8 +58,10 @@ def run(monkeypatch):
         return FrameResult(number, float(number), np.eye(4), next(statuses), seconds=seconds)
 
     monkeypatch.setattr(Slam, "process", process)
+    monkeypatch.setattr(Slam, "finish", lambda self: finished.append(len(threads)))
     run = SlamRun(SEQUENCE, slam)
-    run._source, run.threads = _Source(SEQUENCE, None, False), threads
+    run._source, run.threads = _Source(SEQUENCE, None), threads
+    run.finished = finished
     return run
 
 
@@ -62,18 +78,24 @@ def test_the_trajectory_omits_lost_frames(run):
 
 
 def test_durations_and_rate(run):
-    assert run.frame_rate == 0.0
+    assert run.frame_rate == run.loop_rate == 0.0
     list(run.steps())
     assert run.seconds("joint") == [1.0] and run.seconds("track") == pytest.approx([0.1, 0.2, 0.3])
-    assert run.frame_rate == pytest.approx(5.0)
+    assert run.frame_rate == pytest.approx(5.0) and run.loop_rate == pytest.approx(3 / 1.6)
+    assert run.finished == [3]
 
 
 def test_own_detections_precede_the_detector():
     entries = {0: encode_detections(0, FOUND)}
-    source = _Source(RgbdSequence(Path("memory"), range(1), read, entries), lambda *args: [], True)
+    source = _Source(RgbdSequence(Path("memory"), range(1), read, entries), lambda *args: [])
     assert [found.category for found in source(FRAME, SupportPlane())] == ["mug"]
-    assert len(source.kept[0]) == 1
-    detected = _Source(SEQUENCE, lambda *args: FOUND, False)
-    assert detected(FRAME, SupportPlane()) == FOUND and detected.kept == {}
+    detected = _Source(SEQUENCE, lambda *args: FOUND)
+    assert detected(FRAME, SupportPlane()) == FOUND
     with pytest.raises(InvalidInputError, match=r"memory has no detections\.json, and no detector is loaded"):
-        _Source(SEQUENCE, None, False)(FRAME, SupportPlane())
+        _Source(SEQUENCE, None)(FRAME, SupportPlane())
+
+
+@pytest.mark.parametrize(("entries", "interval"), [({}, 1), (None, SlamConfig().detection.max_interval)])
+def test_own_detections_are_used_in_every_frame(entries, interval):
+    run = SlamRun.start(replace(SEQUENCE, entries=entries), Undecoded(), None, SlamConfig())
+    assert run.slam.config.detection.max_interval == interval

@@ -140,13 +140,15 @@ def test_ages_belong_to_labels_even_if_masks_are_equal(mapper, view, fits, cylin
 
 
 @pytest.mark.parametrize(
-    ("age", "initialised"), [(0, False), (1, False), (2, True), (3, False), (9, False), (10, True)]
+    ("age", "tried", "initialised"),
+    [(1, None, False), (2, None, True), (3, 9, False), (9, 3, False), (9, 2, True)],
 )
-def test_masks_wait_and_are_retried_at_intervals(mapper, view, fits, age, initialised):
+def test_masks_wait_and_are_retried_at_intervals(mapper, view, fits, age, tried, initialised):
+    """The frame has number 10, the interval is 8."""
     _, masks, ids = fits
     masks.append(view.detections[0].mask), ids.append(view.landmark_of[1])
     mapper.world = mapper.world.without({view.landmark_of[1]})
-    mapper.unmatched = {1: UnmatchedMask(view.detections[0].mask, age)}
+    mapper.unmatched = {1: UnmatchedMask(view.detections[0].mask, age, tried)}
     new = mapper.initialise_landmarks(view.without_landmarks({view.landmark_of[1]}), supported=True)
     assert new == ({1: 5} if initialised else {}) and mapper.next_id == (6 if initialised else 5)
     assert (5 in mapper.world.ids) == initialised
@@ -210,10 +212,9 @@ def test_moved_and_no_longer_truncated_objects_make_a_keyframe(mapper, view):
     change(mapper, 1, n_outlier_frames=0, truncated=True)
     assert mapper.reveals_unseen_parts(view, {}, False)
     label = next(label for label, id in view.landmark_of.items() if id == 1)
-    mask = np.array(view.detections[label - 1].mask)
-    mask[0] = True
-    detections = [replace(d, mask=mask) if k == label - 1 else d for k, d in enumerate(view.detections)]
-    assert not mapper.reveals_unseen_parts(replace(view, detections=detections), {}, False)
+    labels = np.array(view.labels)
+    labels[0] = label
+    assert not mapper.reveals_unseen_parts(replace(view, labels=labels), {}, False)
 
 
 def test_keyframes_set_the_covariance_of_new_and_of_worse_known_landmarks(mapper, view):
@@ -316,26 +317,18 @@ def test_disagreeing_landmarks_are_left_out_of_the_optimisation(mapper, stale):
     assert key.landmark_ids == {0, 2, 3, 4} and mapper.keyframes[0].landmark_ids == {0, 2, 3, 4}
 
 
-def test_optimisation_uses_priors_from_outside_the_window_and_returns_the_correction(
-    mapper, view, monkeypatch
-):
-    seen = []
+def test_optimisation_uses_priors_from_outside_the_window_and_returns_the_correction(mapper, view):
     T_correction = np.eye(4)
     T_correction[0, 3] = 0.1
-
-    def optimise(window, decoder, config):
-        seen.append(window)
-        moved = tuple(key.with_pose(T_correction @ key.T_world_camera) for key in window.keyframes)
-        information = {(10, 0): ViewInformation(window.landmarks[0].state, 5 * np.eye(25))}
-        return BundleResult(moved, {}, information, 1.0, 0.5, 3)
-
-    monkeypatch.setattr(mapping, "optimise_jointly", optimise)
     for number in (7, 8, 9, 10):
         key = Keyframe.of(replace(view, number=number), np.eye(6))
         mapper.add_keyframe(key, np.full((1, 3), float(number)), [])
         mapper._information[number, 0] = ViewInformation(mapper.world.landmarks[0].state, np.eye(25))
-    np.testing.assert_allclose(mapper.optimise(key), T_correction, atol=1e-12)
-    (window,) = seen
+    window = mapper.window_of(key)
+    moved = tuple(key.with_pose(T_correction @ key.T_world_camera) for key in window.keyframes)
+    information = {(10, 0): ViewInformation(window.landmarks[0].state, 5 * np.eye(25))}
+    result = BundleResult(moved, {}, information, 1.0, 0.5, 3)
+    np.testing.assert_allclose(mapper.apply(result), T_correction, atol=1e-12)
     numbers = [key.number for key in window.keyframes]
     assert len(numbers) == 3 and numbers[-1] == 10
     assert [points[0, 0] for points in window.plane_points] == numbers
@@ -344,3 +337,32 @@ def test_optimisation_uses_priors_from_outside_the_window_and_returns_the_correc
     assert mapper._information[10, 0].information[0, 0] == 5
     moved = {key.number: key.T_world_camera[0, 3] - view.T_world_camera[0, 3] for key in mapper.keyframes}
     assert moved == pytest.approx({n: 0.1 if n in numbers else 0.0 for n in (7, 8, 9, 10)})
+
+
+def test_what_changed_during_the_optimisation_is_kept(mapper, view):
+    key = Keyframe.of(view, np.eye(6))
+    mapper.add_keyframe(key, np.zeros((1, 3)), [])
+    states = {id: replace(x.state, code=x.state.code + 0.5) for id, x in mapper.world.landmarks.items()}
+    optimised = {
+        id: replace(x.with_state(states[id]), n_updates=2) for id, x in mapper.world.landmarks.items()
+    }
+    mapper.world = mapper.world.without({0})
+    change(mapper, 1, n_hits=7)
+    information = {(10, id): ViewInformation(states[id], np.eye(25)) for id in (0, 1)}
+    mapper.apply(BundleResult((key,), optimised, information, 1.0, 0.5, 3))
+    assert mapper.world.ids == (1, 2, 3, 4) and set(mapper._information) == {(10, 1)}
+    landmark = mapper.world.landmarks[1]
+    assert (landmark.n_hits, landmark.n_updates, landmark.state) == (7, 2, states[1])
+
+
+def test_new_masks_outliers_and_misses_ask_for_detections(mapper, view):
+    assert not mapper.needs_detections and not mapper.verifies_absence
+    mapper.unmatched = {1: UnmatchedMask(view.detections[0].mask, LIFE.min_frames_unmatched)}
+    assert not mapper.needs_detections
+    mapper.unmatched = {1: UnmatchedMask(view.detections[0].mask, LIFE.min_frames_unmatched - 1)}
+    assert mapper.needs_detections
+    mapper.unmatched = {}
+    change(mapper, 1, n_misses=1)
+    assert mapper.verifies_absence and not mapper.needs_detections
+    change(mapper, 1, n_outlier_frames=1)
+    assert mapper.needs_detections

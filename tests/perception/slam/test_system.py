@@ -8,11 +8,13 @@ import pytest
 from perception.inference.fit_config import FitConfig, FitStage
 from perception.io.recordings.sequence import without_pose
 from perception.slam.config import LandmarkLifecycleConfig, SlamConfig
+from perception.slam.detection_schedule import DetectionSchedule, DetectionScheduleConfig
 from perception.slam.pose_check import PoseCheckConfig
 from perception.slam.system import Slam
 from perception.types import RgbdFrame
 
 FAST_FIT = FitConfig(stages=(FitStage(32, 1, 5), FitStage(40, 0, 6)))
+EVERY_FRAME = DetectionScheduleConfig(max_interval=1)
 
 
 class Recording:
@@ -100,8 +102,9 @@ def test_the_motion_is_extrapolated_over_missing_frames(mapped, recording):
     assert result.status == "tracked" and recording.error(result, 6) < 0.003
 
 
-def test_a_removed_object_is_retired(mapped, recording):
+def test_a_landmark_without_masks_is_retired(mapped, recording):
     slam, first = mapped
+    slam._schedule = DetectionSchedule(EVERY_FRAME)
     lifecycle = replace(slam.config.lifecycle, visibility_interval=1, max_misses=2)
     slam.config = slam.mapper.config = replace(slam.config, lifecycle=lifecycle)
     removed = first.landmark_of[1]
@@ -162,7 +165,7 @@ def test_landmarks_initialised_from_a_weak_pose_inherit_its_covariance(recording
 def test_a_pose_that_depends_on_one_object_is_lost_in_time(cylinders, scenes):
     """One cylinder does not determine the rotation about its axis, so the uncertainty grows to the limit."""
     recording = Recording(cylinders, scenes, count=20)
-    slam = recording.slam(cylinders.decoder)
+    slam = recording.slam(cylinders.decoder, SlamConfig(fit=FAST_FIT, detection=EVERY_FRAME))
     assert [recording.feed(slam, number).status for number in range(4)] == 4 * ["tracked"]
     kept, recording.detections = recording.detections, [found[:1] for found in recording.detections]
     results = [recording.feed(slam, number) for number in range(4, 18)]
@@ -202,9 +205,53 @@ def test_seconds_are_those_of_the_clock(recording, cylinders):
     slam._now = lambda: float(next(ticks))
     first, second = recording.feed(slam, 0), recording.feed(slam, 1)
     assert first.seconds == {"detect": 1.0, "initialise": 2.0, "joint": 1.0}
-    assert second.seconds == {"detect": 1.0, "track": 1.0, "initialise": 1.0}
+    assert second.seconds == {"track": 1.0}
 
 
 def test_before_the_first_frame_there_is_no_map(recording, cylinders):
     slam = recording.slam(cylinders.decoder)
     assert slam.world is None and slam.keyframes == [] and slam.object_estimates() == []
+
+
+def test_frames_between_detections_are_tracked_as_accurately(recording, cylinders):
+    slam = recording.slam(cylinders.decoder)
+    results = [recording.feed(slam, number) for number in range(8)]
+    assert [result.is_detected for result in results] == [True] + 7 * [False]
+    assert all(len(result.landmark_of) == 5 and not result.is_keyframe for result in results[1:])
+    assert max(recording.error(result, number) for number, result in enumerate(results)) < 0.003
+    assert {landmark.n_hits for landmark in slam.world.landmarks.values()} == {1}
+
+
+def test_detections_are_due_at_the_interval(recording, cylinders):
+    config = SlamConfig(fit=FAST_FIT, detection=DetectionScheduleConfig(max_interval=3))
+    slam = recording.slam(cylinders.decoder, config)
+    detected = [recording.feed(slam, number).is_detected for number in range(7)]
+    assert detected == [True, False, False, True, False, False, True]
+
+
+def test_an_object_that_appears_is_detected_and_mapped_at_once(cylinders, scenes):
+    fewer = replace(cylinders, places=cylinders.places[:-1])
+    before, after = Recording(fewer, scenes, count=3), Recording(cylinders, scenes, count=6)
+    slam = before.slam(cylinders.decoder)
+    assert [before.feed(slam, number).is_detected for number in range(3)] == [True, False, False]
+    slam.detect = lambda frame, plane: after.detections[after.at]
+    results = [after.feed(slam, number) for number in range(3, 6)]
+    assert results[0].is_detected and results[1].is_detected and not results[0].new
+    assert len(results[1].new) == 1 and results[1].is_keyframe and len(slam.world.ids) == 5
+
+
+def test_the_thread_of_the_joint_optimisation_does_not_change_the_result(cylinders, scenes):
+    recording = Recording(cylinders, scenes, count=8, step=3.0)
+    ends = []
+    for concurrent in (True, False):
+        config = SlamConfig(fit=FAST_FIT, concurrent=concurrent, joint_delay=2)
+        slam = recording.slam(cylinders.decoder, config)
+        results = [recording.feed(slam, number) for number in range(8)]
+        slam.finish()
+        ends.append(([result.T_world_camera for result in results], slam.world.landmarks))
+    assert sum(result.is_keyframe for result in results) > 1
+    (poses, landmarks), (others, other_landmarks) = ends
+    np.testing.assert_array_equal(poses, others)
+    for id, landmark in landmarks.items():
+        np.testing.assert_array_equal(landmark.state.code, other_landmarks[id].state.code)
+        assert landmark.n_updates == other_landmarks[id].n_updates > 1
