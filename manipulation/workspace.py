@@ -12,8 +12,9 @@ from typing import TYPE_CHECKING
 import numpy as np
 from jaxtyping import Float
 
+from manipulation.collision import CollisionWorld
 from manipulation.kinematics import Kinematics
-from manipulation.obstacles import Obstacle
+from manipulation.obstacles import TABLE, Obstacle
 from manipulation.viewpoints import (
     BOX_VIEWPOINTS,
     KEEP_OUT,
@@ -35,7 +36,7 @@ PLACES = (
     (0.32, -0.08), (0.32, -0.46), (0.46, -0.27), (0.60, -0.08), (0.58, -0.38),
     (0.38, 0.17), (0.38, 0.37), (0.50, 0.27), (0.62, 0.17), (0.60, 0.36),
 )  # fmt: skip
-HEIGHTS = (0.04, 0.24)
+HEIGHTS = (0.04, 0.30)
 TURNS = (0.0, np.pi / 2)  # of the hand about the vertical, relative to its yaw at home
 _SEEDS = 3
 
@@ -138,12 +139,21 @@ def fit_workspace(kinematics: Kinematics, lift: float = 0.0) -> ReachFit:
 
 
 def reachable_share(kinematics: Kinematics, scale: float, lift: float = 0.0) -> float:
-    """Return the share of the sampled places of a scaled cell that a hand pointing down reaches."""
-    reached = [
-        kinematics.inverse(T, kinematics.seeds_toward(T, _SEEDS), name="a place").converged
-        for T in place_poses(kinematics, scale, lift)
-    ]
-    return float(np.mean(reached))
+    """Return the share of the sampled places of a scaled cell that a hand pointing down reaches freely."""
+    x, y, z = TABLE.center
+    table = replace(TABLE, center=(x, y, z - lift))
+    world = CollisionWorld(kinematics.arm, [], (table,))
+    poses = place_poses(kinematics, scale, lift)
+    return float(np.mean([_is_reached(kinematics, world, T) for T in poses]))
+
+
+def _is_reached(kinematics: Kinematics, world: CollisionWorld, T: Float[np.ndarray, "4 4"]) -> bool:
+    """Return whether some posture brings the tool frame to a pose, free of collisions with table and arm."""
+    for seed in kinematics.seeds_toward(T, _SEEDS):
+        result = kinematics.inverse(T, [seed], name="a place")
+        if result.converged and world.contact(result.q, kinematics.arm.max_width) is None:
+            return True
+    return False
 
 
 def place_poses(kinematics: Kinematics, scale: float, lift: float = 0.0) -> list[Float[np.ndarray, "4 4"]]:

@@ -12,6 +12,7 @@ SEVERAL_MODULES = {
     "test_faults.py",  # full disks and signals, over many commands
     "test_import_wall.py",  # walls between all packages
     "test_layout.py",
+    "test_wrong_robots.py",  # robot files through the command line
     "app/viewer/test_cost.py",  # load of the whole viewer on a run
     "app/viewer/test_live_in_browser.py",  # the whole viewer in a browser
     "app/viewer/test_page_in_browser.py",

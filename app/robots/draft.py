@@ -91,9 +91,9 @@ def _home(arm: ArmDescription) -> np.ndarray | None:
 
 
 def best_lift(kinematics: Kinematics) -> float:
-    """Return the height [m] to raise the arm's base by: the least one at which its cell is largest."""
+    """Return the height [m] to raise an arm's base by: where its cell is largest and most in reach."""
     fits = [(lift, fit_workspace(kinematics, lift)) for lift in LIFTS]
-    return min(fits, key=lambda pair: (-_worth(pair[1]), pair[0]))[0]
+    return min(fits, key=lambda pair: (-_worth(pair[1]), -pair[1].share, pair[0]))[0]
 
 
 def _worth(fit: ReachFit) -> float:

@@ -74,8 +74,8 @@ def test_arm_and_hand_from_two_files(tmp_path):
         draft_robot(tmp_path / "arm.xml", tmp_path, tmp_path / "hand.xml", "tip")
 
 
-def test_a_base_is_raised_to_the_least_height_of_the_largest_cell(arm_file, tmp_path, monkeypatch):
-    fits = {0.0: (1.0, 0.9), 0.1: (0.9, 1.0), 0.2: (0.95, 0.97), 0.3: (0.95, 1.0)}  # 1.0 is not reached
+def test_a_base_is_raised_to_the_height_of_the_largest_cell(arm_file, tmp_path, monkeypatch):
+    fits = {0.0: (1.0, 0.9), 0.1: (0.9, 1.0), 0.2: (0.95, 0.97), 0.3: (0.95, 0.96)}  # 1.0 is not reached
     monkeypatch.setattr(
         draft, "fit_workspace", lambda kinematics, lift: ReachFit(Workspace(fits[lift][0]), fits[lift][1])
     )
