@@ -15,6 +15,7 @@ from jaxtyping import Float, UInt8
 
 from perception.detection.geometry import project
 from perception.detection.left_out import LeftOut
+from perception.obstacles.obstacle import PerceivedObstacle
 from perception.support.surface import SupportSurface
 from perception.types import CATEGORIES, Category, ObjectDetection, ObjectEstimate, RejectedObject, RgbdFrame
 
@@ -31,6 +32,7 @@ CLASS_COLORS: dict[Category, tuple[int, int, int]] = {
 _REJECTED = (200, 60, 60)
 _LEFT_OUT = (190, 190, 190)
 _SURFACE = (240, 228, 66)
+_OBSTACLE = (90, 90, 96)
 _STEPS = 24  # of a side of an outline: parts of it may be behind the camera
 _LIGHT = np.array([0.3, -0.5, 0.81])
 
@@ -118,6 +120,27 @@ def draw_left_out(image: Image, candidates: Sequence[LeftOut]) -> Image:
     for candidate in candidates:
         v, u = np.nonzero(candidate.mask)
         _label(image, candidate.text, (int(u.mean()), int(v.mean()) + 5), size=10, bold=False)
+    return image
+
+
+def draw_obstacles(image: Image, frame: RgbdFrame, obstacles: Sequence[PerceivedObstacle]) -> Image:
+    """Return the image with the silhouettes of things of no class tinted, outlined and named."""
+    image = np.array(image)
+    for obstacle in obstacles:
+        silhouette = np.zeros(image.shape[:2], dtype=np.uint8)
+        for piece in obstacle.pieces:
+            pixels, depth = project(frame, piece)
+            if depth.min() > 0.05:
+                corners = cv2.convexHull(np.clip(pixels, -10_000, 10_000).astype(np.int32))
+                cv2.fillConvexPoly(silhouette, corners, 1)
+        if not silhouette.any():
+            continue
+        shown = silhouette > 0
+        image[shown] = (0.6 * image[shown] + 0.4 * np.array(_OBSTACLE)).astype(np.uint8)
+        outlines = cv2.findContours(silhouette, cv2.RETR_EXTERNAL, cv2.CHAIN_APPROX_SIMPLE)[0]
+        cv2.drawContours(image, outlines, -1, _OBSTACLE, 2, cv2.LINE_AA)
+        v, u = np.nonzero(shown)
+        _label(image, f"{obstacle.name.replace('_', ' ')}: no class", (int(u.mean()), int(v.mean())), 13)
     return image
 
 

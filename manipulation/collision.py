@@ -16,10 +16,11 @@ from scipy.spatial.transform import Rotation
 
 from manipulation.arm_model import MjsBody, MjSpec, collision_spec, joint_addresses, mujoco, site_index
 from manipulation.errors import ManipulationError
-from manipulation.hulls import hull_faces
+from manipulation.hulls import hull_faces, reduced_hull
 from manipulation.obstacles import TABLE, Obstacle
 from manipulation.robot import ArmDescription
 from manipulation.self_collision import link_contacts
+from perception.obstacles.obstacle import PerceivedObstacle
 
 # Contact bits: links and carried objects collide with the world, links with links.
 _OFF, _ROBOT, _WORLD, _LINK = 0, 1, 2, 4
@@ -47,11 +48,13 @@ class CollisionConfig:
     Attributes:
         robot_margin: smallest clearance of the robot in [m].
         carried_margin: smallest clearance of the carried object in [m].
+        perceived_margin: smallest clearance of robot and carried object from perceived obstacles in [m].
         joint_step: largest joint step between two checked postures of a path in [rad].
     """
 
     robot_margin: float = 0.004
     carried_margin: float = 0.004
+    perceived_margin: float = 0.004
     joint_step: float = 0.03
 
 
@@ -104,7 +107,7 @@ class CollisionWorld:
         self,
         arm: ArmDescription,
         bodies: Sequence[Body],
-        obstacles: Sequence[Obstacle],
+        obstacles: Sequence[Obstacle | PerceivedObstacle],
         config: CollisionConfig = CollisionConfig(),
     ) -> None:
         self.config = config
@@ -220,7 +223,7 @@ class CollisionWorld:
             self._model.geom_margin[self._geoms[body]] = margin
             self._model.body_margin[body] = margin
 
-    def _build(self, bodies: Sequence[Body], obstacles: Sequence[Obstacle]) -> MjSpec:
+    def _build(self, bodies: Sequence[Body], obstacles: Sequence[Obstacle | PerceivedObstacle]) -> MjSpec:
         spec = collision_spec(self._arm.mjcf)
         for geom in spec.geoms:
             # Fixed links touch the table they are mounted on.
@@ -231,6 +234,9 @@ class CollisionWorld:
             spec.add_exclude(bodyname1=first, bodyname2=second)
         hand = spec.site(self._arm.tcp_site).parent
         for obstacle in obstacles:
+            if isinstance(obstacle, PerceivedObstacle):
+                self._add_perceived(spec, obstacle)
+                continue
             body = spec.worldbody.add_body(name=f"world/{obstacle.name}", pos=obstacle.center)
             body.add_geom(
                 type=mujoco.mjtGeom.mjGEOM_BOX,
@@ -252,6 +258,20 @@ class CollisionWorld:
                 standing.add_geom(type=mesh_type, meshname=name, contype=_WORLD, conaffinity=_ROBOT, mass=0)
                 carried.add_geom(type=mesh_type, meshname=name, contype=_OFF, conaffinity=_OFF, mass=0)
         return spec
+
+    def _add_perceived(self, spec: MjSpec, obstacle: PerceivedObstacle) -> None:
+        body = spec.worldbody.add_body(name=f"world/{obstacle.name}")
+        for index, piece in enumerate(obstacle.pieces):
+            name, vertices = f"{obstacle.name}/{index}", reduced_hull(piece)
+            mesh = spec.add_mesh(name=name, uservert=vertices.ravel(), userface=hull_faces(vertices))
+            mesh.inertia = mujoco.mjtMeshInertia.mjMESH_INERTIA_CONVEX
+            body.add_geom(
+                type=mujoco.mjtGeom.mjGEOM_MESH,
+                meshname=name,
+                contype=_WORLD,
+                conaffinity=_ROBOT,
+                margin=self.config.perceived_margin,
+            )
 
     def _owner_of(self, geom: int) -> str:
         return self._model.body(self._model.geom_bodyid[geom]).name

@@ -85,7 +85,7 @@ def execute(
     """
     config = config.for_arm(robot.arm)
     kinematics = kinematics or Kinematics(robot.arm, config.pick_place.ik)
-    obstacles = (TABLE, *(box_obstacles(task.box) if task.box is not None else ()))
+    obstacles = (TABLE, *(box_obstacles(task.box) if task.box is not None else ()), *task.obstacles)
     planner = PickPlacePlanner(kinematics, task.objects, obstacles, config.pick_place, task.grasps)
     return _Execution(task, robot, planner, config, _Callbacks(reobserve, on_event)).run()
 

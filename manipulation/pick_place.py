@@ -26,6 +26,7 @@ from manipulation.pick_place_segments import Pick, Place, PlaceGoal, SegmentConf
 from manipulation.trajectories import MotionConfig, concatenate
 from manipulation.types import Grasp, GraspSet, PickPlacePlan, Placement, Rejected, StandingObject
 from perception.geometry import pose_from_yaw
+from perception.obstacles.obstacle import PerceivedObstacle
 
 
 @dataclass(frozen=True)
@@ -77,7 +78,7 @@ class PickPlacePlanner:
     Args:
         kinematics: kinematics of the arm.
         items: all objects by name.
-        obstacles: static obstacles.
+        obstacles: static obstacles, of known geometry or perceived.
         config: settings of the search.
         grasps: known grasp candidates by name; those that are missing are generated.
     """
@@ -86,7 +87,7 @@ class PickPlacePlanner:
         self,
         kinematics: Kinematics,
         items: Mapping[str, StandingObject],
-        obstacles: Sequence[Obstacle] = (TABLE,),
+        obstacles: Sequence[Obstacle | PerceivedObstacle] = (TABLE,),
         config: PickPlaceConfig = PickPlaceConfig(),
         grasps: Mapping[str, GraspSet] | None = None,
     ) -> None:
@@ -107,6 +108,15 @@ class PickPlacePlanner:
         poses = {name: self.world.pose(name) for name in self.world.names if name != item.name}
         self.items[item.name] = item
         self._grasps.pop(item.name, None)
+        self._build_world()
+        for name, T in poses.items():
+            self.world.move(name, T)
+
+    def observe_obstacles(self, obstacles: Sequence[PerceivedObstacle]) -> None:
+        """Replace the perceived obstacles; the poses of the objects remain."""
+        known = tuple(o for o in self._obstacles if not isinstance(o, PerceivedObstacle))
+        poses = {name: self.world.pose(name) for name in self.world.names}
+        self._obstacles = (*known, *obstacles)
         self._build_world()
         for name, T in poses.items():
             self.world.move(name, T)

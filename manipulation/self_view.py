@@ -86,3 +86,21 @@ class SelfView:
         limit = np.where(limit < 1e6, cv2.resize(farthest, size, interpolation=cv2.INTER_NEAREST), -np.inf)
         shown = (frame.depth > 0) & (frame.depth < limit + BEHIND)
         return replace(frame, depth=np.where(shown, 0, frame.depth).astype(frame.depth.dtype))
+
+
+def fixed_bounds(arm: ArmDescription) -> Float[np.ndarray, "k 2 3"]:
+    """Return the box, grown by ``BEHIND``, around the links that do not move; none if they have no shape.
+
+    Smallest and largest corner in the world frame, in metres.
+    """
+    model = collision_spec(arm.mjcf).compile()
+    data = mujoco.MjData(model)
+    mujoco.mj_kinematics(model, data)
+    geoms = np.flatnonzero(model.body_weldid[model.geom_bodyid] == 0)
+    if not len(geoms):
+        return np.zeros((0, 2, 3))
+    R = data.geom_xmat[geoms].reshape(-1, 3, 3)
+    centre, half = model.geom_aabb[geoms, :3], model.geom_aabb[geoms, 3:]
+    middle = data.geom_xpos[geoms] + np.einsum("gij,gj->gi", R, centre)
+    reach = np.einsum("gij,gj->gi", np.abs(R), half) + BEHIND
+    return np.stack([(middle - reach).min(axis=0), (middle + reach).max(axis=0)])[None]

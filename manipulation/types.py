@@ -16,6 +16,7 @@ import numpy as np
 from jaxtyping import Float, Int
 
 from manipulation.robot import JointTrajectory
+from perception.obstacles.obstacle import PerceivedObstacle
 from perception.types import Category
 
 Task = Literal["pack", "sort"]
@@ -197,6 +198,7 @@ class TaskPlan:
         line: the line of a sorting task.
         grasps: grasp candidates by name of the object; execution generates those that are missing.
         further_lines: rows that continue a line that is too short, in the order of sizes.
+        obstacles: things of no class, which nothing may touch.
     """
 
     task: Task
@@ -207,6 +209,7 @@ class TaskPlan:
     line: Line | None = None
     grasps: Mapping[str, GraspSet] = field(default_factory=dict)
     further_lines: tuple[Line, ...] = ()
+    obstacles: tuple[PerceivedObstacle, ...] = ()
 
     @property
     def lines(self) -> tuple[Line, ...]:

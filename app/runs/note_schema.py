@@ -119,6 +119,13 @@ def _mapping_of(check: Check) -> Check:
     return check_all
 
 
+def _pieces(value: Any) -> None:
+    _require(isinstance(value, list) and len(value) > 0, "must be a list of pieces")
+    for piece in value:
+        _numbers(None, 3)(piece)
+        _require(len(piece) >= 4, "must hold pieces of at least 4 points")
+
+
 def _placements(value: Any) -> None:
     _require(isinstance(value, list), "must be a list")
     for index, placement in enumerate(value):
@@ -149,6 +156,7 @@ REQUIRED: Mapping[str, Mapping[str, Check]] = {
         "residual": _number_or_none,
     },
     "objects": {"covariances": _mapping_of(_numbers(COVARIANCE_TRIANGLE))},
+    "obstacles": {"pieces": _mapping_of(_pieces)},
     "plan": {"placements": _placements, "left_out": _mapping_of(_text)},
     "action": {"phase": _text, "name": _text, "message": _text},
     "path": {"points": _points},

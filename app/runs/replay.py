@@ -28,7 +28,7 @@ from perception.io.files import read_json, write_atomically
 from perception.io.meshes import read_mesh_scene
 from perception.types import ObjectDetection, ObjectEstimate, RgbdFrame
 
-NoteKind = Literal["stage", "done", "look", "found", "fit", "objects", "plan", "action", "path"]
+NoteKind = Literal["stage", "done", "look", "found", "fit", "objects", "obstacles", "plan", "action", "path"]
 # Show time that a note takes, in seconds.
 BEAT: dict[NoteKind, float] = {
     "stage": 0.6,
@@ -51,6 +51,7 @@ class Note:
     found   index, count                             objects were detected in an image
     fit     id, category, code, T_world_object, scale, residual [m], iteration
     objects covariances: {id: upper triangle}        the object map is complete
+    obstacles pieces: {name: [vertices [m] of each convex piece]}
     plan    placements: [{name, T_world_stand, position, yaws, stack}], left_out
     action  phase, name, message, done, total; at "approach" T_stand_tcp, T_world_stand_rest, grasps
     path    name, points [m]                         path of the tool in the next motions

@@ -13,6 +13,7 @@ from app.options import NOT_SETTINGS, Task, TaskOptions
 from app.runs.report import ObjectReport, Report
 from app.task.arm_cell import cell_remarks
 from app.task.faults import faulty_robot, judge_fault
+from app.task.obstacles import obstacle_note, obstacle_rows
 from app.task.pipeline import Reconstruction, RunObserver, TaskRequest, TaskResult
 from app.task.pipeline import run as run_pipeline
 from app.task.restricted_robot import restricted
@@ -82,9 +83,14 @@ def run_episode(
             "cell_scale": world.config.scale,
             "reconstruction": rows,
             "unknown": moves,
+            "obstacles": obstacle_rows(result.obstacles, result.frames),
         }
         | ({} if fault is None else {"fault": fault}),
-        warnings=[*remarks, *(f"{item.name} is left out: {item.reason}" for item in result.rejected)],
+        warnings=[
+            *remarks,
+            *(f"{item.name} is left out: {item.reason}" for item in result.rejected),
+            *(obstacle_note(obstacle) for obstacle in result.obstacles),
+        ],
         settings=settings_of(options),
     )
     return report, result

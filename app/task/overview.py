@@ -13,11 +13,19 @@ import numpy as np
 from jaxtyping import UInt8
 from scipy.spatial import ConvexHull
 
-from app.drawing import color_of, draw_detections, draw_estimates, draw_left_out, draw_surfaces
+from app.drawing import (
+    color_of,
+    draw_detections,
+    draw_estimates,
+    draw_left_out,
+    draw_obstacles,
+    draw_surfaces,
+)
 from app.runs.report import ObjectReport
 from manipulation.types import TaskPlan
 from perception.geometry import pose_from_yaw
 from perception.io.files import write_atomically
+from perception.obstacles.obstacle import PerceivedObstacle
 from perception.pipeline import Detections
 from perception.types import ObjectEstimate, RgbdFrame
 
@@ -37,6 +45,7 @@ class Overview:
         after_close: Image of the goal region after the run.
         frames, detections, objects, plan: Results of the stages.
         reports: Outcome of each object.
+        obstacles: Things of no class.
     """
 
     title: str
@@ -49,6 +58,7 @@ class Overview:
     objects: Sequence[ObjectEstimate] = ()
     plan: TaskPlan | None = None
     reports: Sequence[ObjectReport] = ()
+    obstacles: Sequence[PerceivedObstacle] = ()
 
 
 def write_overview(path: Path, overview: Overview) -> None:
@@ -72,7 +82,8 @@ def write_overview(path: Path, overview: Overview) -> None:
         _picture(axes[0][column], note, _seen(frame, view, overview.detections))
         if overview.objects:
             note = f"3  Whole shapes reconstructed (view {view + 1})"
-            _picture(axes[1][column], note, draw_estimates(frame, overview.objects))
+            shapes = draw_estimates(frame, overview.objects)
+            _picture(axes[1][column], note, draw_obstacles(shapes, frame, overview.obstacles))
     _draw_plan(axes[1][0], overview.plan)
     _picture(axes[2][0], "5  After", overview.after)
     _picture(axes[2][1], "    After, from near", overview.after_close)
@@ -153,6 +164,8 @@ def _draw_plan(axis: Any, plan: TaskPlan | None) -> None:
     for line in plan.lines:
         (x0, y0), (x1, y1) = line.start, line.end
         axis.plot([y0, y1], [x0, x1], color="#29599e", linewidth=3, alpha=0.5, zorder=1)
+    for obstacle in plan.obstacles:
+        _draw_obstacle(axis, obstacle)
     for order, placement in enumerate(plan.placements, start=1):
         item = plan.objects[placement.name]
         start = item.T_world_stand[:2, 3]
@@ -181,6 +194,15 @@ def _outline(axis: Any, vertices: np.ndarray, T: np.ndarray, color: np.ndarray, 
     points = (vertices @ T[:3, :3].T + T[:3, 3])[:, :2]
     hull = points[ConvexHull(points).vertices]
     axis.fill(hull[:, 1], hull[:, 0], facecolor=(*color, alpha), edgecolor=color, linewidth=1.2)
+
+
+def _draw_obstacle(axis: Any, obstacle: PerceivedObstacle) -> None:
+    """Draw the convex pieces of a thing of no class in top view."""
+    for piece in obstacle.pieces:
+        hull = piece[ConvexHull(piece[:, :2]).vertices]
+        axis.fill(hull[:, 1], hull[:, 0], facecolor="#b9bcc4", edgecolor="#8a8d96", linewidth=0.8)
+    x, y = obstacle.bounds.mean(axis=0)[:2]
+    axis.text(y, x, f"{obstacle.name.replace('_', ' ')}\nof no class", ha="center", va="center", fontsize=8)
 
 
 def _table(axis: Any, reports: Sequence[ObjectReport]) -> None:

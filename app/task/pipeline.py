@@ -2,7 +2,7 @@
 
 Read this file first. Each stage is a function from values to a new value, and data flows in one direction:
 
-    robot ──scan──▶ frames ──detect──▶ detections ──reconstruct──▶ object map
+    robot ──scan──▶ frames ──detect──▶ detections ──reconstruct──▶ object map, obstacles
           ──plan──▶ task plan ──execute──▶ outcomes ──verify──▶ pose checks
 
 The robot is any implementation of ``manipulation.robot.Robot``. This module imports neither the simulator nor
@@ -22,6 +22,7 @@ from typing import Literal
 import numpy as np
 from jaxtyping import Float
 
+from app.task.obstacles import obstacles_beside
 from manipulation.errors import ManipulationError
 from manipulation.execution import TaskEvent, execute
 from manipulation.kinematics import Kinematics
@@ -33,6 +34,7 @@ from manipulation.workspace import Workspace
 from perception.errors import PerceptionError
 from perception.inference.optimisation import FitStep
 from perception.inference.refit import PoseCheck, refit_pose
+from perception.obstacles.obstacle import PerceivedObstacle
 from perception.pipeline import Detections, Perception, detect, reconstruct_objects
 from perception.types import Category, ObjectEstimate, RejectedObject, RgbdFrame
 
@@ -74,6 +76,7 @@ class TaskResult:
         detections: Detections in the images of the scan.
         objects: Object map.
         rejected: Detected objects that are not in the object map, with the reasons.
+        obstacles: Things of no class.
         plan: Placements in their order of execution.
         outcomes: Outcome of each placement as reported by execution.
         checks: Pose check of each object that was placed, by object id.
@@ -86,6 +89,7 @@ class TaskResult:
     detections: Detections | None = None
     objects: Sequence[ObjectEstimate] = ()
     rejected: Sequence[RejectedObject] = ()
+    obstacles: Sequence[PerceivedObstacle] = ()
     plan: TaskPlan | None = None
     outcomes: Sequence[ObjectOutcome] = ()
     checks: Mapping[int, PoseCheck] = field(default_factory=dict)
@@ -145,6 +149,9 @@ class RunObserver:
     def on_objects(self, objects: Sequence[ObjectEstimate]) -> None:
         """Called with the object map."""
 
+    def on_obstacles(self, obstacles: Sequence[PerceivedObstacle]) -> None:
+        """Called with the things of no class."""
+
     def on_plan(self, plan: TaskPlan) -> None:
         """Called with the task plan."""
 
@@ -181,8 +188,11 @@ def run(
             objects = reconstruct(frames, detections)
             result = replace(result, objects=objects, rejected=tuple(observer.rejected))
             observer.on_objects(objects)
+            obstacles = obstacles_beside(objects, frames, detections, request.box, robot.arm)
+            result = replace(result, obstacles=obstacles)
+            observer.on_obstacles(obstacles)
         with observer.stage("plan"):
-            plan = plan_task(kinematics, request, objects)
+            plan = replace(plan_task(kinematics, request, objects), obstacles=obstacles)
             result = replace(result, plan=plan)
             observer.on_plan(plan)
         with observer.stage("execute"):

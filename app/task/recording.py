@@ -20,6 +20,7 @@ from manipulation.execution import TaskEvent
 from manipulation.kinematics import Kinematics
 from manipulation.types import PickPlacePlan, TaskPlan
 from perception.inference.optimisation import FitStep
+from perception.obstacles.obstacle import PerceivedObstacle
 from perception.pipeline import Detections
 from perception.types import Category, ObjectEstimate, RgbdFrame
 from sim_assets.cell import viewer_meshes
@@ -104,6 +105,9 @@ class CellRecorder(RunObserver):
     def on_objects(self, objects: Sequence[ObjectEstimate]) -> None:
         self.recorder.objects = tuple(objects)
         self._note("objects", covariances=_covariances(objects))
+
+    def on_obstacles(self, obstacles: Sequence[PerceivedObstacle]) -> None:
+        self._note("obstacles", pieces={obstacle.name: list(obstacle.pieces) for obstacle in obstacles})
 
     def on_plan(self, plan: TaskPlan) -> None:
         self._note("plan", placements=_placements(plan), left_out=dict(plan.left_out))

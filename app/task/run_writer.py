@@ -13,6 +13,7 @@ from app.runs.report import Report
 from app.runs.rerun_log import write_rerun
 from app.runs.run_folder import RunFolder
 from app.screen import Screen
+from app.task.obstacles import picture_name, portrait_of
 from app.task.overview import Overview, write_overview
 from app.task.pipeline import RunObserver, Stage, TaskResult
 from app.task.recording import RATE, CellRecorder
@@ -22,8 +23,11 @@ from manipulation.execution import TaskEvent
 from manipulation.types import TaskPlan
 from perception.inference.optimisation import FitStep
 from perception.io.detections import write_detections
+from perception.io.files import write_atomically
+from perception.io.images import png_bytes
 from perception.io.object_map import write_object_map
 from perception.io.scan_folder import write_scan
+from perception.obstacles.obstacle import PerceivedObstacle
 from perception.pipeline import Detections
 from perception.types import Category, ObjectEstimate, RgbdFrame
 from sim_assets.cell.world import World
@@ -68,6 +72,7 @@ class RunWriter(RunObserver):
         self._begin = time.perf_counter()
         self._recording.recorder.write_meshes(folder.path)
         self._before = self._world.overview_image()
+        self._frames: Sequence[RgbdFrame] = ()
         self._video: RunVideo | None = None
         if options.video:
             self._video = RunVideo(folder.path / "video.mp4", task.capitalize(), self._world)
@@ -103,6 +108,7 @@ class RunWriter(RunObserver):
     def on_frames(self, frames: Sequence[RgbdFrame]) -> None:
         if self._video is not None:
             self._video.on_frames(frames)
+        self._frames = frames
         write_scan(self._folder.scan, frames)
 
     def on_detections(self, detections: Detections) -> None:
@@ -121,6 +127,14 @@ class RunWriter(RunObserver):
             self._video.on_objects(objects)
         for rejected in write_object_map(self._folder.path, objects):
             self.on_rejected(rejected)
+
+    def on_obstacles(self, obstacles: Sequence[PerceivedObstacle]) -> None:
+        self._recording.on_obstacles(obstacles)
+        for obstacle in obstacles:
+            portrait = portrait_of(obstacle, self._frames)
+            if portrait is not None:
+                picture = png_bytes(portrait.picture(self._frames))
+                write_atomically(self._folder.path / picture_name(obstacle), picture)
 
     def on_plan(self, plan: TaskPlan) -> None:
         self._recording.on_plan(plan)
@@ -160,6 +174,7 @@ class RunWriter(RunObserver):
             detections=result.detections,
             objects=result.objects,
             plan=result.plan,
+            obstacles=result.obstacles,
             reports=report.objects,
         )
         write_overview(self._folder.path / "overview.png", overview)

@@ -42,8 +42,14 @@ def check_scene(options: CellOptions) -> None:
 
 
 def counts(options: CellOptions, n_objects: int) -> dict[str, int]:
-    """Return ``lying``, ``upside_down``, ``stacked`` and ``unknown``; with --clutter, of its mixture."""
+    """Return ``lying``, ``upside_down``, ``stacked`` and ``unknown``; with --clutter, of its mixture.
+
+    The mixture stacks no more objects than there are pairs of those that neither lie nor stand on their rim.
+    """
     mixture = {name: round(share * n_objects) if options.clutter else 0 for name, share in _CLUTTERED.items()}
+    lying = options.lying or mixture["lying"]
+    upside_down = options.upside_down or mixture["upside_down"]
+    mixture["stacked"] = min(mixture["stacked"], max(n_objects - lying - upside_down, 0) // 2)
     return {name: getattr(options, name) or default for name, default in mixture.items()}
 
 

@@ -26,6 +26,7 @@ class RunState:
         stage, caption: Current stage and its caption.
         n_frames, n_searched: Numbers of images captured, and searched for objects.
         objects: Object states by id.
+        obstacles: Vertices of the convex pieces of each thing of no class by name, in metres.
         Ts_world_stand: Frames on the support below the objects when the plan was made, by object name.
         goals: Goal poses T_world_stand of the plan by object name.
         action: Data of the latest ``action`` note of the stage; empty before the first.
@@ -39,6 +40,7 @@ class RunState:
     n_frames: int = 0
     n_searched: int = 0
     objects: dict[int, ObjectState] = field(default_factory=dict)
+    obstacles: dict[str, tuple[Float[np.ndarray, "_k 3"], ...]] = field(default_factory=dict)
     Ts_world_stand: dict[str, Float[np.ndarray, "4 4"]] = field(default_factory=dict)
     goals: dict[str, Float[np.ndarray, "4 4"]] = field(default_factory=dict)
     action: Mapping[str, Any] = field(default_factory=dict)
@@ -62,6 +64,8 @@ class RunState:
             self.objects[data["id"]] = _fitted_state(data)
         elif note.kind == "objects":
             self.objects = {estimate.id: _reconstructed_state(estimate) for estimate in recorder.objects}
+        elif note.kind == "obstacles":
+            self.obstacles = {name: _vertices(pieces) for name, pieces in data["pieces"].items()}
         elif note.kind == "plan":
             self._apply_plan(data)
         elif note.kind == "path":
@@ -94,6 +98,7 @@ class RunState:
             n_frames=self.n_frames,
             n_searched=self.n_searched,
             objects=objects,
+            obstacles=self.obstacles,
             goals={goal: T_world_stand @ self._T_stand_object(goal) for goal, T_world_stand in goals.items()},
             path=self.path,
             grasps=grasps,
@@ -143,6 +148,10 @@ class RunState:
                 return np.eye(4)
             self.Ts_stand_object[name] = np.linalg.inv(T_world_stand) @ found[0].T_world_object
         return self.Ts_stand_object[name]
+
+
+def _vertices(pieces: Sequence[Any]) -> tuple[Float[np.ndarray, "_k 3"], ...]:
+    return tuple(np.asarray(piece, dtype=np.float64) for piece in pieces)
 
 
 def _fitted_state(fit: Mapping[str, Any]) -> ObjectState:

@@ -12,6 +12,7 @@ from app.viewer.display import DisplayOptions, Layer, pose_arguments
 from app.viewer.meshes import MeshCache
 from app.viewer.motion_layer import MotionLayer
 from app.viewer.object_layers import BodyLayer, GoalLayer, ObjectLayer
+from app.viewer.obstacle_layer import ObstacleLayer
 from app.viewer.snapshot import Snapshot
 from app.viewer.surroundings import Surroundings
 
@@ -33,6 +34,7 @@ class SceneView:
                 GoalLayer(server, meshes),
                 CameraLayer(server, recorder),
                 MotionLayer(server),
+                ObstacleLayer(server),
             )
 
     def draw(self, snapshot: Snapshot, options: DisplayOptions) -> None:

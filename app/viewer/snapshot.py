@@ -105,6 +105,7 @@ class Snapshot:
         n_frames: Number of images captured so far.
         n_searched: Number of images searched for objects so far.
         objects: Object states by id.
+        obstacles: Vertices (k, 3) of the convex pieces of each thing of no class by name, in metres.
         goals: Goal poses T_world_object of the plan by object name, without the objects already placed.
         path: (n, 3) planned path of the tool, or in a SLAM run the camera's path so far, in metres.
         grasps: (k, 4, 4) T_world_tcp of the grasp candidates during the approach, the selected one first.
@@ -117,6 +118,7 @@ class Snapshot:
     n_frames: int = 0
     n_searched: int = 0
     objects: Mapping[int, ObjectState] = field(default_factory=dict)
+    obstacles: Mapping[str, tuple[Float[np.ndarray, "_k 3"], ...]] = field(default_factory=dict)
     goals: Mapping[str, Float[np.ndarray, "4 4"]] = field(default_factory=dict)
     path: Float[np.ndarray, "n 3"] | None = None
     grasps: Float[np.ndarray, "k 4 4"] | None = None

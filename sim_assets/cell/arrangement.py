@@ -80,13 +80,15 @@ def arrange(models: Sequence[ObjectModel], arrangement: Arrangement, rng: np.ran
 def rest_unknown(thing: UnknownThing) -> Group:
     """Return a thing of no class at rest, as the only member of its group, with index 0.
 
+    The surface of the group is that of the collision pieces, so that neighbours never start inside them.
+
     Raises:
         LayoutError: it does not come to rest.
     """
     settled = settle([(thing, _raised(np.eye(4), 0.001))])
     if not settled.at_rest:
         raise LayoutError("a thing of no class does not come to rest")
-    return _group({0: settled.poses[0]}, {0: thing.mesh})
+    return _group({0: settled.poses[0]}, {0: thing.hulls})
 
 
 class _Finder:

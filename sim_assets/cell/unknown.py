@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from dataclasses import dataclass
+from typing import cast
 
 import numpy as np
 import trimesh
@@ -31,6 +32,12 @@ class UnknownThing:
     mesh: trimesh.Trimesh
     collision: tuple[CollisionPiece, ...]
     mass: float
+
+    @property
+    def hulls(self) -> trimesh.Trimesh:
+        """Surface of the collision pieces [m]: what touches, and more than the mesh where that is hollow."""
+        hulls = [trimesh.convex.convex_hull(piece.vertices) for piece in self.collision]
+        return cast(trimesh.Trimesh, trimesh.util.concatenate(hulls))
 
 
 def draw_unknown(count: int, rng: np.random.Generator) -> tuple[UnknownThing, ...]:

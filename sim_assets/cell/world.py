@@ -44,6 +44,8 @@ REACHED_ERROR = 0.03  # final error above which a motion counts as blocked [rad]
 FINGER_SPEED = 0.08  # [m/s], speed of one finger
 WARNINGS_CHECKED_EVERY = 50  # steps
 LAYOUTS = 6  # tried for one in which nothing falls
+REARRANGED = 3  # layouts after which other objects lie or are stacked
+LOOSENED = 0.001  # [m] added to the gap of objects that are drawn together, from one layout to the next
 
 Observer = Callable[["World"], None]
 
@@ -124,8 +126,10 @@ class World:
         names = [f"object{i}" for i in range(len(config.objects))]
         names += [f"unknown{i}" for i in range(len(config.unknown))]
         groups, others = self._groups(layout)
-        for _ in range(LAYOUTS):
-            places, unknown = self._sample_places(groups, others, layout)
+        for attempt in range(LAYOUTS):
+            if attempt == REARRANGED and config.arrangement != Arrangement():
+                groups, others = self._groups(layout)
+            places, unknown = self._sample_places(groups, others, layout, LOOSENED * attempt)
             look = np.random.default_rng(look_seed)
             things = tuple(zip(config.unknown, unknown, strict=True))
             scene = build_scene(config.objects, places, config.box, look, config.line, config.robot, things)
@@ -151,14 +155,17 @@ class World:
         return groups, [rest_unknown(thing) for thing in config.unknown]
 
     def _sample_places(
-        self, groups: list[Group], things: list[Group], rng: np.random.Generator
+        self, groups: list[Group], things: list[Group], rng: np.random.Generator, loosened: float
     ) -> tuple[list[Pose], list[Pose]]:
-        """Return the initial poses of the objects and of the things of no class."""
+        """Return the initial poses of the objects and of the things of no class.
+
+        Those that are drawn together keep ``loosened`` [m] more than the smallest gap.
+        """
         config = self.config
         meshes = [group.mesh for group in (*groups, *things)]
         layout = sample_roomy_layout(meshes, rng, config.region, config.min_gap, config.scale)
         if config.drawn_together:
-            layout = draw_together(meshes, layout, config.min_gap)
+            layout = draw_together(meshes, layout, config.min_gap + loosened)
         places: dict[int, Pose] = {}
         for group, pose in zip(groups, layout[: len(groups)], strict=True):
             places |= {i: _place(pose, T) for i, T in group.Ts_group_object.items()}

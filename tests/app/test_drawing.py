@@ -1,8 +1,16 @@
 import numpy as np
 import pytest
 
-from app.drawing import draw_detections, draw_estimates, draw_left_out, draw_rejected, draw_surfaces
+from app.drawing import (
+    draw_detections,
+    draw_estimates,
+    draw_left_out,
+    draw_obstacles,
+    draw_rejected,
+    draw_surfaces,
+)
 from perception.detection.left_out import LeftOut
+from perception.obstacles.obstacle import PerceivedObstacle
 from perception.support.surface import SupportSurface
 from perception.types import ObjectDetection, ObjectEstimate, RejectedObject, SupportPlane
 
@@ -65,3 +73,16 @@ def test_the_outline_of_the_surface_is_drawn_where_it_projects_to(overhead_frame
     assert len(columns) < 0.3 * side**2  # the sides alone
     behind = SupportSurface(SupportPlane(offset=float(T[2, 3] + 1)), square)
     np.testing.assert_array_equal(draw_surfaces(image, overhead_frame, [behind]), image)
+
+
+def test_the_silhouette_of_a_thing_of_no_class_is_tinted_in_a_copy(overhead_frame, can_at):
+    x, y = can_at().T_world_object[:2, 3]
+    corners = np.array([(x + a, y + b, c) for a in (-0.05, 0.05) for b in (-0.05, 0.05) for c in (0.0, 0.1)])
+    image = draw_obstacles(overhead_frame.rgb, overhead_frame, [PerceivedObstacle(0, (corners,), 500)])
+    changed = (image != overhead_frame.rgb).any(axis=-1)
+    side = 150 * 0.1 / (overhead_frame.T_world_camera[2, 3] - 0.1)  # of the top face in pixels
+    assert changed[60, 80] and changed.sum() >= side**2 and (overhead_frame.rgb == 100).all()
+    away = PerceivedObstacle(0, (corners + np.array((3.0, 0.0, 0.0)),), 500)
+    np.testing.assert_array_equal(
+        draw_obstacles(overhead_frame.rgb, overhead_frame, [away]), overhead_frame.rgb
+    )

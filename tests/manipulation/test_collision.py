@@ -8,6 +8,7 @@ from manipulation.kinematics import Kinematics
 from manipulation.obstacles import TABLE, box_obstacles
 from manipulation.standing import to_standing
 from manipulation.types import Box
+from perception.obstacles.obstacle import PerceivedObstacle
 
 WIDTH = 0.08
 
@@ -127,3 +128,42 @@ def test_carrying_another_object_returns_the_first_to_its_last_pose(world, kinem
     np.testing.assert_allclose(world.pose("can_1")[:3, 3], (0.5, -0.3, 0.0), atol=1e-3)
     world.release()
     assert world.contact(above(kinematics, 0.5, -0.3, 0.06), WIDTH) == Contact("arm", "can_1")
+
+
+def block(low, high):
+    return np.array(
+        [(x, y, z) for x in (low[0], high[0]) for y in (low[1], high[1]) for z in (low[2], high[2])]
+    )
+
+
+@pytest.fixture(scope="module")
+def thing():
+    """A thing of two pieces at (0.5, -0.3) m, 12 cm high."""
+    pieces = (block((0.47, -0.33, 0.0), (0.53, -0.27, 0.06)), block((0.49, -0.31, 0.05), (0.51, -0.29, 0.12)))
+    return PerceivedObstacle(2, pieces, 1000)
+
+
+def test_a_perceived_thing_blocks_hand_and_carried_object(arm, shapes, kinematics, thing):
+    can = body(shapes, 1, "can", shapes.can(0.033, 0.12), 0.5, 0.2)
+    world = CollisionWorld(arm, [can], [TABLE, thing])
+    assert world.contact(above(kinematics, 0.5, -0.3, 0.10), 0.0) == Contact("arm", "thing_2")
+    assert world.contact(above(kinematics, 0.5, -0.3, 0.25), 0.0) is None
+    hanging = np.eye(4)
+    hanging[:3, :3] = np.diag([1.0, -1.0, -1.0])
+    hanging[2, 3] = 0.10  # the can's base, 10 cm below the TCP
+    over, q_goal = above(kinematics, 0.5, -0.3, 0.21), above(kinematics, 0.5, 0.1, 0.21)
+    assert world.contact(over, 0.066, AllowedContacts(touch=frozenset({"can_1"}))) is None
+    world.carry("can_1", hanging)
+    assert world.contact(over, 0.066) == Contact("can_1", "thing_2")
+    assert world.path_contact(np.stack([over, q_goal]), 0.066) == Contact("can_1", "thing_2")
+    assert world.contact(q_goal, 0.066) is None
+
+
+def test_a_thing_keeps_a_margin_of_its_own(arm, kinematics):
+    """Fingertips reach 9 mm beyond the TCP."""
+    plate = PerceivedObstacle(0, (block((0.4, -0.4, 0.0), (0.6, -0.2, 0.06)),), 1000)
+    world = CollisionWorld(arm, [], [TABLE, plate], CollisionConfig(robot_margin=0.0, perceived_margin=0.004))
+    assert world.contact(above(kinematics, 0.5, -0.3, 0.06 + 0.009 + 0.0045), WIDTH) is None
+    assert world.contact(above(kinematics, 0.5, -0.3, 0.06 + 0.009 + 0.0035), WIDTH) == Contact(
+        "arm", "thing_0"
+    )

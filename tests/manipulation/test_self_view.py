@@ -4,7 +4,7 @@ import numpy as np
 import pytest
 
 from manipulation.robot import ArmDescription, FingerMotion
-from manipulation.self_view import STEP, SelfView
+from manipulation.self_view import BEHIND, STEP, SelfView, fixed_bounds
 from perception.types import CameraIntrinsics, RgbdFrame
 
 # A camera 0.5 m above a plate of 0.2 m x 0.1 m, looking down; x right, y down in the image.
@@ -65,3 +65,18 @@ def test_frames_without_the_arm_are_returned_as_they_are():
     )
     frame = frame_of(np.ones((240, 320)))
     assert SelfView(arm).without_arm(frame, np.zeros(1), 0.0) is frame
+
+
+def test_the_bounds_of_the_base_hold_what_does_not_move():
+    base = MJCF.replace(
+        '<body name="base">', '<body name="base"><geom group="3" type="box" size=".1 .2 .3"/>'
+    )
+    one = np.ones(1)
+    fingers = FingerMotion.sliding(("l", "r"), 0.08)
+    fixed, moving = (
+        ArmDescription(text, ("a",), fingers, "tcp", "camera", 0 * one, one, one, one)
+        for text in (base, MJCF)
+    )
+    grown = np.array((0.1, 0.2, 0.3)) + BEHIND
+    np.testing.assert_allclose(fixed_bounds(fixed), [[-grown, grown]])
+    assert fixed_bounds(moving).shape == (0, 2, 3)

@@ -20,6 +20,7 @@ VALID = {
         "scale": [0.1, 0.1, 0.2], "residual": None,
     },
     "objects": {"covariances": {"0": [1e-6] * COVARIANCE_TRIANGLE}},
+    "obstacles": {"pieces": {"thing_0": [[[0, 0, 0], [1, 0, 0], [0, 1, 0], [0, 0, 1.5]]]}},
     "plan": {
         "placements": [{"name": "mug_0", "T_world_stand": EYE, "position": [0, 0, 0], "yaws": []}],
         "left_out": {"can_1": "out of reach"},
@@ -58,6 +59,9 @@ def test_valid_notes_pass_and_every_field_is_required():
         ("fit", {"residual": "small"}, "residual must be a finite number"),
         ("objects", {"covariances": []}, "covariances must be an object"),
         ("objects", {"covariances": {"4": [1.0]}}, "covariances of 4 must hold 325 finite numbers"),
+        ("obstacles", {"pieces": []}, "pieces must be an object"),
+        ("obstacles", {"pieces": {"thing_0": []}}, "pieces of thing_0 must be a list of pieces"),
+        ("obstacles", {"pieces": {"thing_0": [[[0, 0, 0]]]}}, "pieces of thing_0 .* at least 4 points"),
         ("plan", {"placements": {}}, "placements must be a list"),
         ("plan", {"placements": [3]}, "placements must hold objects"),
         ("plan", {"placements": [{"name": "mug_0"}]}, "placements 0: T_world_stand is missing"),

@@ -136,9 +136,9 @@ def test_stages_run_in_order_on_the_results_of_those_before(stages, pack_plan):
     assert calls["detect"][-1] == ("max_surfaces", 1)  # the planner knows the table alone
     assert calls["reconstruct_objects"][:3] == (result.frames, FOUND, "decoder")
     assert calls["plan_pack"][:2] == (stages.objects, box) and "plan_sort" not in calls
-    assert calls["execute"][0] is pack_plan
+    assert calls["execute"][0] == pack_plan
     assert stages.scanner.visited == [tuple(SCAN_VIEWPOINTS), tuple(BOX_VIEWPOINTS)]
-    assert result.plan is pack_plan and result.outcomes == stages.outcomes and result.checks == {0: SEEN}
+    assert result.plan == pack_plan and result.outcomes == stages.outcomes and result.checks == {0: SEEN}
 
 
 def test_a_scaled_cell_has_its_own_viewpoints_and_heights(stages):

@@ -7,6 +7,7 @@ import app.task.recording as recording
 from app.task.recording import CellRecorder
 from manipulation.execution import TaskEvent
 from perception.geometry import pose_from_yaw
+from perception.obstacles.obstacle import PerceivedObstacle
 from perception.pipeline import Detections
 from perception.types import ObjectDetection, SupportPlane
 from sim_assets.robots import panda
@@ -53,17 +54,19 @@ def test_stages_images_and_results_become_notes(recorder, overhead_frame, can_at
     estimate = can_at()
     object.__setattr__(estimate, "covariance", covariance)
     recorder.on_objects([estimate, can_at(1)])
+    recorder.on_obstacles([PerceivedObstacle(0, (np.eye(4)[:, :3],), 500)])
     recorder.on_plan(pack_plan)
     kinds = [kind for kind, _ in notes(recorder)]
-    assert kinds == ["stage", "look", "done", "found", "objects", "plan"]
+    assert kinds == ["stage", "look", "done", "found", "objects", "obstacles", "plan"]
     data = [data for _, data in notes(recorder)]
     assert data[0] == {"name": "scan"} and data[1] == {"index": 0}
     assert data[2] == {"name": "scan", "seconds": 1.23} and data[3] == {"index": 0, "count": 2}
     assert list(data[4]["covariances"]) == ["0"] and len(data[4]["covariances"]["0"]) == 25 * 26 / 2
     assert data[4]["covariances"]["0"][:3] == [0, 1, 2] and data[4]["covariances"]["0"][25] == 26
-    (placement,) = data[5]["placements"]
+    np.testing.assert_array_equal(data[5]["pieces"]["thing_0"], [np.eye(4)[:, :3]])
+    (placement,) = data[6]["placements"]
     assert placement["name"] == "can_0" and placement["position"] == (0.5, 0.27, 0.004)
-    assert data[5]["left_out"] == {"can_1": "too far"}
+    assert data[6]["left_out"] == {"can_1": "too far"}
     assert recorder.recorder.frames == [overhead_frame] and len(recorder.recorder.objects) == 2
 
 

@@ -27,7 +27,11 @@ def test_units_are_converted():
 def test_clutter_is_a_mixture_and_single_options_take_precedence():
     expected = {"lying": 2, "upside_down": 1, "stacked": 2, "unknown": 3}
     assert counts(PackOptions(clutter=True), 8) == expected
-    assert counts(PackOptions(clutter=True, lying=4), 8) == expected | {"lying": 4}
+    assert counts(PackOptions(clutter=True, lying=4), 8) == expected | {"lying": 4, "stacked": 1}
+    for n in range(1, 21):  # a stack takes two of the objects that rest on their base
+        mixture = counts(PackOptions(clutter=True), n)
+        assert mixture["lying"] + mixture["upside_down"] + 2 * mixture["stacked"] <= n
+    assert counts(PackOptions(clutter=True, stacked=2), 6)["stacked"] == 2
     settings = scene_settings(PackOptions(clutter=True), 8, SEED)
     assert settings["drawn_together"] and settings["min_gap"] == 0.0 and len(settings["unknown"]) == 3
     assert scene_settings(PackOptions(clutter=True, gap=0.01), 8, SEED)["min_gap"] == 0.01

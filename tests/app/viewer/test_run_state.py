@@ -139,3 +139,10 @@ def test_snapshots_do_not_change_with_the_state(planned):
     before = shown(planned)
     apply(planned, APPROACH, action("placed"))
     assert before.objects[0].status == "reconstructed" and "can_0" in before.goals
+
+
+def test_things_of_no_class_are_shown_from_their_note_on():
+    corners = [[0, 0, 0], [0.1, 0, 0], [0, 0.1, 0], [0, 0, 0.1]]
+    state = apply(RunState(), ("obstacles", {"pieces": {"thing_0": [corners]}}))
+    np.testing.assert_allclose(shown(state).obstacles["thing_0"][0], corners)
+    assert not shown(RunState()).obstacles

@@ -22,3 +22,10 @@ def test_each_part_is_a_convex_piece():
     body = as_body(trimesh.util.concatenate([trimesh.creation.box((0.1, 0.1, 0.1)), far]))
     assert sorted(piece.vertices[:, 0].mean() for piece in body.collision) == pytest.approx([0.0, 0.3])
     assert body.mass == pytest.approx(2 * 0.001 * 400)
+
+
+def test_the_hulls_hold_what_is_hollow_in_the_mesh():
+    ring = trimesh.creation.annulus(0.04, 0.05, 0.02)
+    body = as_body(ring)
+    assert body.hulls.volume > 1.5 * ring.volume
+    assert body.hulls.bounds == pytest.approx(ring.bounds)

@@ -1,0 +1,114 @@
+"""Things of no class in a task: found beside the object map, reported with a picture each."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import dataclass
+from typing import Any
+
+import numpy as np
+from jaxtyping import Float, UInt8
+
+from manipulation.obstacles import box_obstacles
+from manipulation.robot import ArmDescription
+from manipulation.self_view import fixed_bounds
+from manipulation.types import Box
+from perception.detection.geometry import project
+from perception.obstacles.find import find_obstacles
+from perception.obstacles.obstacle import PerceivedObstacle
+from perception.pipeline import Detections
+from perception.support.surface import SupportSurface
+from perception.types import ObjectEstimate, RgbdFrame
+
+_PADDING = 12  # pixels around a thing in its picture
+
+
+def obstacles_beside(
+    objects: Sequence[ObjectEstimate],
+    frames: Sequence[RgbdFrame],
+    detections: Detections,
+    box: Box | None,
+    arm: ArmDescription,
+) -> tuple[PerceivedObstacle, ...]:
+    """Return what depth shows on the table besides the objects, the box and the arm's own base."""
+    surface = detections.surfaces[0] if detections.surfaces else SupportSurface(detections.plane)
+    known = np.concatenate([fixed_bounds(arm), known_bounds(box)])
+    return tuple(find_obstacles(frames, detections.per_frame, objects, surface, known))
+
+
+def known_bounds(box: Box | None) -> Float[np.ndarray, "k 2 3"]:
+    """Return the corners of floor and walls of the box in metres; none without a box."""
+    parts = box_obstacles(box) if box is not None else ()
+    corners = [
+        [np.subtract(part.center, part.half_size), np.add(part.center, part.half_size)] for part in parts
+    ]
+    return np.array(corners).reshape(-1, 2, 3)
+
+
+@dataclass(frozen=True)
+class Portrait:
+    """A thing in the image that shows it best.
+
+    Attributes:
+        frame: Index of the image.
+        window: Rows and columns that show it.
+    """
+
+    frame: int
+    window: tuple[slice, slice]
+
+    def picture(self, frames: Sequence[RgbdFrame]) -> UInt8[np.ndarray, "h w 3"]:
+        """Return the part of the image that shows the thing."""
+        return np.ascontiguousarray(frames[self.frame].rgb[self.window])
+
+
+def portrait_of(obstacle: PerceivedObstacle, frames: Sequence[RgbdFrame]) -> Portrait | None:
+    """Return where a thing is shown completely and largest, or largest if cut; None if no image shows it."""
+    best, found = 0.0, None
+    for index, frame in enumerate(frames):
+        pixels, depth = project(frame, np.concatenate(obstacle.pieces))
+        size = np.array([frame.intrinsics.width, frame.intrinsics.height])
+        if depth.min() <= 0:
+            continue
+        low = np.clip(pixels.min(axis=0) - _PADDING, 0, size)
+        high = np.clip(pixels.max(axis=0) + _PADDING, 0, size)
+        whole = (pixels >= 0).all() and (pixels < size).all()
+        shown = float((high - low).prod()) * (1.0 if whole else 0.2)
+        if shown > best and (high > low).all():
+            window = (slice(int(low[1]), int(high[1])), slice(int(low[0]), int(high[0])))
+            best, found = shown, Portrait(index, window)
+    return found
+
+
+def picture_name(obstacle: PerceivedObstacle) -> str:
+    """Return the path of a thing's picture in a run folder."""
+    return f"pictures/{obstacle.name}.png"
+
+
+def obstacle_rows(
+    obstacles: Sequence[PerceivedObstacle], frames: Sequence[RgbdFrame]
+) -> list[dict[str, Any]]:
+    """Return for each thing its name, centre and size [m], and the image and pixels that show it best."""
+    rows = []
+    for obstacle in obstacles:
+        low, high = obstacle.bounds
+        row: dict[str, Any] = {
+            "name": obstacle.name,
+            "center": np.round((low + high) / 2, 4).tolist(),
+            "size": np.round(high - low, 4).tolist(),
+        }
+        portrait = portrait_of(obstacle, frames)
+        if portrait is not None:
+            rows_, columns = portrait.window
+            box = [columns.start, rows_.start, columns.stop - columns.start, rows_.stop - rows_.start]
+            row |= {"image": portrait.frame, "box": box}
+        rows.append(row)
+    return rows
+
+
+def obstacle_note(obstacle: PerceivedObstacle) -> str:
+    """Return a line about a thing for the warnings of a report."""
+    low, high = obstacle.bounds
+    x, y = (low + high)[:2] / 2
+    size = " x ".join(f"{100 * length:.0f}" for length in high - low)
+    return f"{obstacle.name}: a thing of no class, {size} cm, at ({x:.2f}, {y:.2f}) m is avoided"

@@ -1,0 +1,1 @@
+"""Things of no class as obstacles: what depth shows on the surface beside the known objects."""

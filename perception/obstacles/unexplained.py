@@ -1,0 +1,122 @@
+"""Measured points above the support surface that belong to no known object."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass, field
+
+import numpy as np
+from jaxtyping import Bool, Float
+from scipy.spatial import KDTree
+
+from perception.detection.geometry import height_image, points_of
+from perception.metrics import SurfaceSamples
+from perception.obstacles.volume import lowest_height
+from perception.support.surface import SupportSurface
+from perception.types import ObjectDetection, ObjectEstimate, RgbdFrame
+
+_SAMPLES = 4000  # of an object's surface: about 3 mm apart
+_NOWHERE = np.full((1, 3), 1e6)  # a tree needs a point
+_DEEPEST = 0.1  # [m] below the surface of an object: what is farther inside is not looked for
+
+
+@dataclass(frozen=True)
+class ExplanationConfig:
+    """What explains a measured point; lengths in metres.
+
+    Attributes:
+        max_height: Largest height above the surface.
+        beyond: Distance outside the outline of the surface up to which things stand on it.
+        margin: Distance from a known object within which points are measurements of it.
+        mask_margin: The same for points in the object's detection mask, along each axis.
+    """
+
+    max_height: float = 0.4
+    beyond: float = 0.02
+    margin: float = 0.015
+    mask_margin: float = 0.05
+
+
+@dataclass(frozen=True)
+class KnownGeometry:
+    """Objects of the object map and boxes of known geometry.
+
+    Attributes:
+        surface: Points on the objects' surfaces in the world frame, in metres.
+        normals: (n, 3) outward normals at these points.
+        bounds: Smallest and largest corner of each object in the world frame, by id.
+        boxes: (b, 2, 3) smallest and largest corners of axis-aligned boxes in the world frame.
+    """
+
+    surface: KDTree
+    normals: Float[np.ndarray, "n 3"]
+    bounds: Mapping[int, Float[np.ndarray, "2 3"]]
+    boxes: Float[np.ndarray, "b 2 3"] = field(default_factory=lambda: np.zeros((0, 2, 3)))
+
+    @staticmethod
+    def of(
+        objects: Sequence[ObjectEstimate], boxes: Float[np.ndarray, "b 2 3"] = np.zeros((0, 2, 3))
+    ) -> KnownGeometry:
+        """Return the geometry of object estimates and boxes."""
+        rng = np.random.default_rng(0)
+        meshes = {estimate.id: estimate.mesh_world for estimate in objects}
+        samples = [SurfaceSamples.of(mesh, rng, _SAMPLES) for mesh in meshes.values()]
+        bounds = {
+            key: np.stack([mesh.vertices.min(axis=0), mesh.vertices.max(axis=0)])
+            for key, mesh in meshes.items()
+        }
+        points = np.concatenate([_NOWHERE, *(sample.points for sample in samples)])
+        normals = np.concatenate([np.zeros((1, 3)), *(sample.normals for sample in samples)])
+        return KnownGeometry(KDTree(points), normals, bounds, boxes)
+
+    def explains(self, points: Float[np.ndarray, "n 3"], margin: float) -> Bool[np.ndarray, "n"]:
+        """Return which points lie within ``margin`` metres of an object's surface or of a box."""
+        distance = self.surface.query(points, distance_upper_bound=margin)[0]
+        return (distance < margin) | _in_boxes(points, self.boxes, margin)
+
+    def occupies(self, points: Float[np.ndarray, "n 3"], margin: float) -> Bool[np.ndarray, "n"]:
+        """Return which points lie inside an object or a box, or within ``margin`` metres of one."""
+        distance, nearest = self.surface.query(points, distance_upper_bound=_DEEPEST)
+        near = distance < _DEEPEST
+        nearest = np.where(near, nearest, 0)
+        outwards = ((points - self.surface.data[nearest]) * self.normals[nearest]).sum(axis=1)
+        return near & ((distance < margin) | (outwards < 0)) | _in_boxes(points, self.boxes, margin)
+
+
+def unexplained_points(
+    frame: RgbdFrame,
+    detections: Sequence[ObjectDetection],
+    known: KnownGeometry,
+    surface: SupportSurface,
+    config: ExplanationConfig = ExplanationConfig(),
+) -> Float[np.ndarray, "n 3"]:
+    """Return the world points [m] above the surface that are measurements of no known object.
+
+    Args:
+        frame: View without flying pixels (``clean_depth``) and without the robot.
+        detections: Detections in the frame; the masks of known objects are theirs but for outliers.
+        known: Known geometry.
+        surface: Support surface.
+        config: Parameters.
+    """
+    height = height_image(frame, surface.plane)
+    raised = (frame.depth > 0) & (height > lowest_height(frame.depth)) & (height < config.max_height)
+    if not raised.any():
+        return np.zeros((0, 3))
+    points = points_of(frame, raised)
+    free = surface.beyond(points) < config.beyond
+    for found in detections:
+        bounds = known.bounds.get(-1 if found.instance_id is None else found.instance_id)
+        if bounds is not None:
+            free &= ~(found.mask[raised] & _in_boxes(points, bounds[None], config.mask_margin))
+    points = points[free]
+    return points[~known.explains(points, config.margin)]
+
+
+def _in_boxes(
+    points: Float[np.ndarray, "n 3"], boxes: Float[np.ndarray, "b 2 3"], margin: float
+) -> Bool[np.ndarray, "n"]:
+    inside = np.zeros(len(points), dtype=bool)
+    for low, high in boxes:
+        inside |= ((points > low - margin) & (points < high + margin)).all(axis=1)
+    return inside

@@ -1,0 +1,71 @@
+"""Things of no class beside the object map: known geometry, pictures, rows of the report."""
+
+import numpy as np
+import pytest
+
+from app.task.obstacles import known_bounds, obstacle_note, obstacle_rows, obstacles_beside, portrait_of
+from manipulation.types import Box
+from perception.obstacles.obstacle import PerceivedObstacle
+from perception.pipeline import Detections
+from perception.types import CameraIntrinsics, RgbdFrame, SupportPlane
+from sim_assets.robots import panda
+
+CAMERA = CameraIntrinsics(480, 360, 450.0, 450.0, 239.5, 179.5)
+
+
+def block(x, y, half=0.03, height=0.06):
+    corners = [(x + a, y + b, c) for a in (-half, half) for b in (-half, half) for c in (0.0, height)]
+    return PerceivedObstacle(0, (np.array(corners),), 1000)
+
+
+def overhead(x, y, height=0.5, obstacle=None):
+    """A view from straight above on the table and the flat top of a block."""
+    T = np.diag([1.0, -1.0, -1.0, 1.0])
+    T[:3, 3] = x, y, height
+    depth = np.full((360, 480), height, np.float32)
+    if obstacle is not None:
+        (low, high), top = obstacle.bounds[:, :2], obstacle.bounds[1, 2]
+        v, u = np.mgrid[:360, :480]
+        at = np.stack(
+            [x + (u - 239.5) / 450 * (height - top), y - (v - 179.5) / 450 * (height - top)], axis=-1
+        )
+        depth[((at > low) & (at < high)).all(axis=-1)] = height - top
+    return RgbdFrame(0.0, np.zeros((360, 480, 3), np.uint8), depth, CAMERA, T)
+
+
+def test_a_thing_on_the_table_is_found_and_one_in_the_robots_base_is_not():
+    detections = Detections(SupportPlane(), ((),))
+    frames = [overhead(0.5, -0.2, obstacle=block(0.5, -0.2))]
+    (found,) = obstacles_beside([], frames, detections, Box(), panda().description)
+    np.testing.assert_allclose(found.bounds.mean(axis=0)[:2], (0.5, -0.2), atol=0.006)
+    at_base = [overhead(0.0, 0.0, obstacle=block(0.0, 0.0))]
+    assert obstacles_beside([], at_base, detections, Box(), panda().description) == ()
+
+
+def test_the_box_is_known_geometry():
+    box = Box(center=(0.5, 0.2), size=(0.3, 0.2, 0.08))
+    corners = known_bounds(box)
+    np.testing.assert_allclose(corners[:, 0].min(axis=0), (0.35 - box.wall, 0.1 - box.wall, 0.0))
+    np.testing.assert_allclose(corners[:, 1].max(axis=0), (0.65 + box.wall, 0.3 + box.wall, box.top))
+    assert known_bounds(None).shape == (0, 2, 3)
+
+
+def test_the_portrait_is_the_view_that_shows_all_of_a_thing_largest():
+    thing = block(0.5, -0.2)
+    near, cut = overhead(0.5, -0.2, 0.4), overhead(0.6, -0.2, 0.3)
+    frames = [overhead(0.5, -0.2, 0.6), near, cut]
+    portrait = portrait_of(thing, frames)
+    assert portrait is not None and portrait.frame == 1
+    rows, columns = portrait.window
+    assert columns.stop - columns.start == pytest.approx(2 * 12 + 0.06 / 0.34 * 450, abs=2)
+    assert portrait.picture(frames).shape == (rows.stop - rows.start, columns.stop - columns.start, 3)
+    assert portrait_of(block(3.0, 3.0), [near]) is None
+
+
+def test_rows_and_notes_name_place_and_size():
+    thing = block(0.5, -0.2)
+    (row,) = obstacle_rows([thing], [overhead(0.5, -0.2)])
+    assert (row["name"], row["center"], row["size"]) == ("thing_0", [0.5, -0.2, 0.03], [0.06, 0.06, 0.06])
+    assert row["image"] == 0 and len(row["box"]) == 4
+    assert "image" not in obstacle_rows([thing], [])[0]
+    assert obstacle_note(thing) == "thing_0: a thing of no class, 6 x 6 x 6 cm, at (0.50, -0.20) m is avoided"

@@ -1,0 +1,63 @@
+"""Which measured points known objects, masks and boxes explain."""
+
+from dataclasses import replace
+
+import numpy as np
+import pytest
+import trimesh
+
+from perception.obstacles.unexplained import ExplanationConfig, KnownGeometry, unexplained_points
+from perception.support.surface import SupportSurface
+from perception.types import ObjectDetection, ObjectEstimate, SupportPlane, TriangleMesh
+
+SURFACE = SupportSurface(SupportPlane())
+
+
+def cylinder(x, radius=0.03, height=0.1, number=0):
+    mesh = trimesh.creation.cylinder(radius, height, sections=48)
+    T = np.eye(4)
+    T[:3, 3] = x, 0.0, height / 2
+    shape = TriangleMesh(np.asarray(mesh.vertices), np.asarray(mesh.faces))
+    return ObjectEstimate(number, "can", np.zeros(16), T, np.full(3, 0.1), shape)
+
+
+@pytest.fixture(scope="module")
+def scene(scenes):
+    cans = [scenes.Solid(x, 0.0, 0.1, radius=0.03) for x in (-0.08, 0.08)]
+    return scenes.render(cans, scenes.orbit((0, 0, 0.05), 0.5, 50, 270))
+
+
+def points_beside(scene, objects, masks=(), surface=SURFACE, boxes=np.zeros((0, 2, 3))):
+    return unexplained_points(scene.frame, masks, KnownGeometry.of(objects, boxes), surface)
+
+
+def test_what_no_object_explains_remains(scene):
+    points = points_beside(scene, [cylinder(-0.08)])
+    assert len(points) > 500
+    assert np.abs(np.hypot(points[:, 0] - 0.08, points[:, 1])).max() < 0.0301
+    assert points[:, 2].min() > 0.009
+    assert len(points_beside(scene, [cylinder(-0.08), cylinder(0.08, number=1)])) == 0
+
+
+def test_a_mask_explains_up_to_its_margin(scene):
+    wrong = [cylinder(-0.08), cylinder(0.08, radius=0.008, height=0.04, number=1)]
+    mask = ObjectDetection("can", 0.9, scene.instances == 1, instance_id=1)
+    far = ExplanationConfig().mask_margin + 0.04  # [m], the largest height of what the mask explains
+    without, with_mask = points_beside(scene, wrong), points_beside(scene, wrong, [mask])
+    assert len(with_mask) < len(without) / 2 and with_mask[:, 2].min() > far - 1e-6
+    assert len(points_beside(scene, wrong, [replace(mask, instance_id=7)])) == len(without)
+
+
+def test_boxes_and_the_edge_of_the_surface_bound_the_search(scene):
+    box = np.array([[(0.05, -0.03, 0.0), (0.11, 0.03, 0.1)]])
+    assert len(points_beside(scene, [cylinder(-0.08)], boxes=box)) == 0
+    square = np.array([(-0.2, -0.1), (0.0, -0.1), (0.0, 0.1), (-0.2, 0.1)])
+    beside = points_beside(scene, [], surface=SupportSurface(SupportPlane(), square))
+    assert len(beside) and beside[:, 0].max() < 0.02
+
+
+def test_an_object_occupies_its_inside_and_a_margin():
+    known = KnownGeometry.of([cylinder(0.0)])
+    points = np.array([(0.0, 0.0, 0.05), (0.033, 0.0, 0.05), (0.045, 0.0, 0.05), (0.0, 0.0, 0.3)])
+    assert known.occupies(points, 0.008).tolist() == [True, True, False, False]
+    assert not KnownGeometry.of([]).occupies(points, 0.008).any()
