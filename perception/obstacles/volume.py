@@ -84,7 +84,7 @@ def solid_of(
     shape = grid.shape
     solid = measured.reshape(shape)
     solid = ndimage.binary_dilation(solid, iterations=steps, mask=(measured | hidden).reshape(shape))
-    shell = (solid & ~ndimage.binary_erosion(solid)).ravel()
+    shell = (solid & np.logical_not(ndimage.binary_erosion(solid))).ravel()
     means = np.stack([np.bincount(cells, p, grid.size) for p in points_plane.T], axis=1)
     means = means[measured] / count[measured, None]
     return Solid(np.concatenate([means, grid.centres[shell & ~measured]]), grid.centres[through > 0])
@@ -112,7 +112,7 @@ class _Grid:
     def cells(self, points: Float[np.ndarray, "n 3"]) -> Int[np.ndarray, "n"]:
         """Return the flat index of the voxel of each point."""
         index = ((points - self.low) / self.voxel).astype(np.int64)
-        return np.ravel_multi_index(tuple(index.T), self.shape)
+        return np.asarray(np.ravel_multi_index(tuple(index.T), self.shape))
 
     @property
     def centres(self) -> Float[np.ndarray, "k 3"]:
