@@ -17,6 +17,7 @@ from manipulation.errors import RobotError
 from manipulation.robot import ArmDescription, JointTrajectory
 from perception.types import RgbdFrame
 from sim_assets.cell.arrangement import Arrangement, Group, arrange, rest_unknown
+from sim_assets.cell.blocking import blocking_reason
 from sim_assets.cell.layout import (
     FreePose,
     LayoutError,
@@ -25,6 +26,7 @@ from sim_assets.cell.layout import (
     draw_together,
     sample_roomy_layout,
 )
+from sim_assets.cell.pads import pad_points
 from sim_assets.cell.scene import TIMESTEP, VIEWS, BoxConfig, Pose, build_scene, set_friction
 from sim_assets.cell.settling import settle_bodies
 from sim_assets.cell.unknown import UnknownThing
@@ -183,6 +185,7 @@ class World:
         self._u = np.array([model.actuator(name).id for name in robot.actuators])
         self._fingers = np.array([joint.qposadr[0] for joint in fingers])
         self._finger_dofs = np.array([joint.dofadr[0] for joint in fingers])
+        self._pads = pad_points(model, self.arm)
         motion = self.arm.fingers
         travel = np.abs(motion.positions[-1] - motion.positions[0])
         self._finger_scale = (
@@ -228,6 +231,8 @@ class World:
 
     def gripper_width(self) -> float:
         """Measured opening between the pads in [m]."""
+        if self._pads is not None:
+            return self._pads.opening(self._data)
         driven = self._fingers[: self.arm.fingers.n_driven]
         return self.arm.fingers.width(self._data.qpos[driven])
 
@@ -399,10 +404,12 @@ class World:
         error = np.abs(q - self.joint_positions())
         if error.max() <= limit:
             return
-        joint = self.arm.joint_names[error.argmax()]
+        worst = int(error.argmax())
+        joint, first = self.arm.joint_names[worst], self.arm.joint_names[0]
+        reason = blocking_reason(self._model, self._data, joint, int(self._u[worst]), first)
         self._data.ctrl[self._u] = self.joint_positions()
         self.wait(0.1)
-        raise RobotError(f"the arm is blocked: {joint} is {error.max():.3f} rad from its command; it stopped")
+        raise RobotError(f"{reason}: {joint} is {error.max():.3f} rad from its command; it stopped")
 
     def _finger_speed(self) -> float:
         """Return the speed of the faster finger in [m/s]."""
