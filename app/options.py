@@ -18,6 +18,7 @@ DepthNoise = Literal["none", "gaussian", "realsense", "kinect", "tof"]
 Renderer = Literal["classic", "filament"]
 Method = Literal["full", "no_refinement", "no_uncertainty", "no_pyramid", "dvr", "mask_only", "tsdf"]
 METHODS: tuple[Method, ...] = get_args(Method)
+RestingPose = Literal["upright", "lying", "upside-down"]
 Masks = Literal["detected", "given"]
 Variant = Literal["with_plane", "full", "no_joint", "no_uncertainty"]
 VARIANTS: tuple[Variant, ...] = get_args(Variant)
@@ -250,6 +251,8 @@ class EvaluateOptions(TaskOptions, WorkerOptions):
     masks: Masks = "detected"
     """Reconstruction: masks of the shipped detector, or the true ones with their class and nothing else, as
     another detector provides them."""
+    poses: tuple[RestingPose, ...] = ("upright",)
+    """Reconstruction: resting poses of the objects; classes that do not rest in one are left out there."""
     scenes: int = 5
     """SLAM: number of scenes with ten objects each."""
     variants: tuple[Variant, ...] = VARIANTS

@@ -25,6 +25,8 @@ GRID_RESOLUTION = 32
 CODE_SIZE = 16
 
 FitStatus = Literal["converged", "not_converged", "implausible"]
+RestingPose = Literal["upright", "lying", "upside-down"]
+RESTING_POSES: tuple[RestingPose, ...] = get_args(RestingPose)
 
 
 def _frozen(array: np.ndarray, dtype: type | None = None) -> np.ndarray:
@@ -204,6 +206,8 @@ class ObjectEstimate:
         status: Outcome of the fit.
         covariance: (25, 25) covariance of (code 16, rotation 3, translation 3, log scale 3), or None.
         surface_sigma: (v,) standard deviation of the mesh's vertices along their normals, in metres, or None.
+        resting: Resting pose: axis up, axis horizontal, or axis down.
+        rests_on: Id of the object that this one rests on; None for the support plane.
     """
 
     id: int
@@ -218,11 +222,14 @@ class ObjectEstimate:
     status: FitStatus = "converged"
     covariance: Float[np.ndarray, "25 25"] | None = None
     surface_sigma: Float[np.ndarray, "v"] | None = None
+    resting: RestingPose = "upright"
+    rests_on: int | None = None
 
     def __post_init__(self) -> None:
         _require(
             self.category in CATEGORIES, f"category '{self.category}' is none of {', '.join(CATEGORIES)}"
         )
+        _require(self.resting in RESTING_POSES, f"resting '{self.resting}' is none of {RESTING_POSES}")
         object.__setattr__(self, "code", _frozen(self.code, np.float32))
         object.__setattr__(self, "scale", _frozen(self.scale, np.float64))
         object.__setattr__(self, "T_world_object", check_rigid(self.T_world_object, "T_world_object"))

@@ -12,6 +12,7 @@ import time
 from collections import Counter
 from collections.abc import Hashable, Mapping, Sequence
 from functools import partial
+from pathlib import Path
 from typing import Any
 
 import numpy as np
@@ -19,17 +20,18 @@ import numpy as np
 from app.errors import UsageError
 from app.evaluation.jobs import Failure, Jobs, run_jobs
 from app.evaluation.ledger import Ledger, LedgerFormat, Line
-from app.evaluation.reconstruction_object import Subject, evaluate_subject
+from app.evaluation.reconstruction_object import MOST_SUBJECTS, Subject, evaluate_subject
 from app.evaluation.reconstruction_summary import reconstruction_tables, summarise_reconstruction
 from app.options import EvaluateOptions
 from app.runs.report import Report
 from app.screen import Screen
 from app.task.cell import parse_objects
 from perception.inference.reconstruct import single_threaded_torch
+from perception.inference.resting import ALTERNATIVES
 from perception.types import CATEGORIES, Category
 
 ROWS = "rows.jsonl"
-MOST_OBJECTS = 10_000
+MOST_OBJECTS = MOST_SUBJECTS
 MOST_VIEWS = 20
 FOLLOWED = 6  # number of objects in the convergence plot
 
@@ -69,6 +71,7 @@ def failed_subject(options: EvaluateOptions, subject: Subject, failure: Failure)
         {
             "object": subject.name,
             "category": subject.category,
+            "resting": subject.resting,
             "views": views,
             "method": method,
             "found": False,
@@ -92,7 +95,12 @@ def check(options: EvaluateOptions) -> None:
         raise UsageError(f"--views takes numbers from 1 to {MOST_VIEWS}")
     if not options.methods:
         raise UsageError("--methods needs at least one method")
-    for name, values in {"views": options.views, "methods": options.methods}.items():
+    if not options.poses:
+        raise UsageError("--poses needs at least one resting pose")
+    if set(options.poses) != {"upright"} and "full" not in options.methods:
+        raise UsageError("--poses compares resting poses by the method full: add it to --methods")
+    named = {"views": options.views, "methods": options.methods, "poses": options.poses}
+    for name, values in named.items():
         if len(set(values)) < len(values):
             raise UsageError(f"--{name} names one twice")
     if options.object_meshes is not None and not options.object_meshes.is_dir():
@@ -109,16 +117,24 @@ def choose_subjects(options: EvaluateOptions) -> list[Subject]:
     """Return the objects: ``--objects`` of the test families, or every mesh of ``--object-meshes``."""
     if options.object_meshes is None:
         wanted = Counter(parse_objects(options.objects, np.random.default_rng(options.seed), MOST_OBJECTS))
-        numbered: list[tuple[Category, int]] = [(c, index) for c in CATEGORIES for index in range(wanted[c])]
-        return [Subject(c, index, followed=n < FOLLOWED) for n, (c, index) in enumerate(numbered)]
-    from sim_assets.objects.user import mesh_files
+        numbered: list[tuple[Category, int, Path | None]] = [
+            (c, index, None) for c in CATEGORIES for index in range(wanted[c])
+        ]
+    else:
+        from sim_assets.objects.user import mesh_files
 
-    numbers: Counter[Category] = Counter()
-    subjects = []
-    for path, category in mesh_files(options.object_meshes):
-        subjects.append(Subject(category, numbers[category], path, len(subjects) < FOLLOWED))
-        numbers[category] += 1
-    return subjects
+        numbers: Counter[Category] = Counter()
+        numbered = []
+        for path, category in mesh_files(options.object_meshes):
+            numbered.append((category, numbers[category], path))
+            numbers[category] += 1
+    upright_only = set(options.poses) == {"upright"}
+    return [
+        Subject(category, index, path, upright_only and n < FOLLOWED, pose)
+        for pose in options.poses
+        for n, (category, index, path) in enumerate(numbered)
+        if pose == "upright" or pose in ALTERNATIVES[category]
+    ]
 
 
 def _format(options: EvaluateOptions) -> LedgerFormat:
@@ -134,7 +150,8 @@ def _format(options: EvaluateOptions) -> LedgerFormat:
 
 def _settings(options: EvaluateOptions) -> dict[str, Any]:
     """Return the settings that must agree in a resumed evaluation."""
-    names = ("seed", "objects", "object_meshes", "depth_noise", "views", "methods", "masks", "device")
+    objects = ("objects", "object_meshes", "poses", "depth_noise")
+    names = ("seed", *objects, "views", "methods", "masks", "device")
     return {name: str(getattr(options, name)) for name in names}
 
 

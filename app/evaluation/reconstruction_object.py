@@ -20,21 +20,33 @@ from perception.detection.completion import complete_detections
 from perception.detection.detector import Detector, DetectorConfig
 from perception.errors import PerceptionError
 from perception.inference.ablations import method_config, reconstruct_by
+from perception.inference.acceptance import shipped_acceptance
 from perception.inference.fit import fit_object
 from perception.inference.fit_config import FitConfig
 from perception.inference.meshing import EmptyShapeError, mesh_from_code
 from perception.inference.optimisation import FitStep
-from perception.inference.reconstruct import gather_instances
+from perception.inference.reconstruct import ReconstructOptions, gather_instances, reconstruct
 from perception.metrics import SurfaceSamples, compare_surfaces
 from perception.pipeline import load_decoder, resolve_device
 from perception.shape.decoder import ShapeDecoder
 from perception.support_plane import fit_support_plane
-from perception.types import CATEGORIES, Category, ObjectDetection, ObjectEstimate, RgbdFrame, SupportPlane
+from perception.types import (
+    CATEGORIES,
+    Category,
+    ObjectDetection,
+    ObjectEstimate,
+    RestingPose,
+    RgbdFrame,
+    SupportPlane,
+    unclassified,
+)
 
 if TYPE_CHECKING:
     from sim_assets.objects import ObjectModel
 
 CONVERGENCE_ITERATIONS = 150
+MOST_SUBJECTS = 10_000  # of one class
+MOST_DRAWS = 20  # objects that are tried in a resting pose
 PROTOCOL = FitConfig(start_views=1)  # paper: "initial object pose is predicted from the first view"
 
 
@@ -47,16 +59,21 @@ class Subject:
         index: Number within the class.
         path: Mesh file; None for an object of the test families.
         followed: Whether the error is recorded over CONVERGENCE_ITERATIONS iterations.
+        resting: Resting pose.
     """
 
     category: Category
     index: int
     path: Path | None = None
     followed: bool = False
+    resting: RestingPose = "upright"
 
     @property
     def name(self) -> str:
-        return f"{self.category}_{self.index:03d}" + ("" if self.path is None else f"_{self.path.stem}")
+        stem = "" if self.path is None else f"_{self.path.stem}"
+        return f"{self.category}_{self.index:03d}{stem}" + (
+            "" if self.resting == "upright" else f"_{self.resting}"
+        )
 
 
 @dataclass(frozen=True)
@@ -67,11 +84,13 @@ class Sight:
         frames: RGB-D images with camera poses.
         detections: For each image its detection; empty where the object is not detected.
         truth: True surface at the true pose.
+        any_pose: Whether resting poses are compared; objects are taken for upright if not.
     """
 
     frames: tuple[RgbdFrame, ...]
     detections: tuple[tuple[ObjectDetection, ...], ...]
     truth: TrueSurface
+    any_pose: bool = False
 
 
 def evaluate_subject(options: EvaluateOptions, subject: Subject) -> dict[str, Any]:
@@ -87,6 +106,7 @@ def evaluate_subject(options: EvaluateOptions, subject: Subject) -> dict[str, An
             row: dict[str, Any] = {
                 "object": subject.name,
                 "category": subject.category,
+                "resting": subject.resting,
                 "views": views,
                 "method": method,
                 "found": estimate is not None,
@@ -96,6 +116,7 @@ def evaluate_subject(options: EvaluateOptions, subject: Subject) -> dict[str, An
                 row["handle_visible"] = any(visible[:views])
             if estimate is not None:
                 row |= {"status": estimate.status, "residual": estimate.residual}
+                row |= {"perceived": estimate.category, "estimated": estimate.resting}
                 row |= sight.truth.score(estimate, _rng(options, subject, 2))
             rows.append(row)
     line: dict[str, Any] = {"object": subject.name, "rows": rows}
@@ -105,12 +126,16 @@ def evaluate_subject(options: EvaluateOptions, subject: Subject) -> dict[str, An
 
 
 def load_sight(options: EvaluateOptions, subject: Subject) -> Sight:
-    """Sample the object, render it on a table and detect it in each view."""
+    """Sample the object, render it on a table and detect it in each view.
+
+    Where resting poses are compared, detected masks come without a class.
+    """
     from sim_assets.datasets.single_object import SingleObjectConfig, render_single_object
 
-    model = _model(options, subject)
+    model, T_rest = _at_rest(options, subject)
+    any_pose = set(options.poses) != {"upright"}
     config = SingleObjectConfig(depth_noise=options.depth_noise)
-    portrait = render_single_object(model, max(options.views), _rng(options, subject, 1), config)
+    portrait = render_single_object(model, max(options.views), _rng(options, subject, 1), config, T_rest)
     detector = _detector(options.device)
     if options.masks == "given":
         given = [
@@ -125,8 +150,10 @@ def load_sight(options: EvaluateOptions, subject: Subject) -> Sight:
             _merged(detector(frame, fit_support_plane([frame])), subject.category)
             for frame in portrait.frames
         )
+        if any_pose:
+            detections = tuple(tuple(unclassified(d.mask, 0) for d in found) for found in detections)
     truth = TrueSurface.of(model, portrait.T_world_object, _rng(options, subject, 3))
-    return Sight(portrait.frames, detections, truth)
+    return Sight(portrait.frames, detections, truth, any_pose)
 
 
 def _merged(found: Sequence[ObjectDetection], category: Category) -> tuple[ObjectDetection, ...]:
@@ -150,6 +177,10 @@ def reconstruct_subject(
     """Reconstruct the object from its first views by one method; None where it is not detected."""
     frames, detections = sight.frames[:views], sight.detections[:views]
     plane = fit_support_plane(frames)
+    if sight.any_pose and method == "full":
+        compared = ReconstructOptions(workers=1, acceptance=shipped_acceptance())
+        estimates = reconstruct(frames, detections, decoder, plane, PROTOCOL, compared)
+        return estimates[0] if estimates else None
     estimates = reconstruct_by(method, frames, detections, decoder, plane, PROTOCOL)
     return estimates[0] if estimates else None
 
@@ -162,6 +193,33 @@ def _model(options: EvaluateOptions, subject: Subject) -> ObjectModel:
     from sim_assets.objects import load_user_object
 
     return load_user_object(subject.path, subject.category, collision=False)
+
+
+def _at_rest(
+    options: EvaluateOptions, subject: Subject
+) -> tuple[ObjectModel, Float[np.ndarray, "4 4"] | None]:
+    """Return a model and its pose at rest, None for upright: the first draw that rests in the pose.
+
+    Raises:
+        LayoutError: The mesh, or none of the draws, rests that way.
+    """
+    from sim_assets.cell.arrangement import Arrangement, arrange
+    from sim_assets.cell.layout import LayoutError
+
+    if subject.resting == "upright":
+        return _model(options, subject), None
+    rng = _rng(options, subject, 4)
+    wanted = Arrangement(
+        lying=int(subject.resting == "lying"), upside_down=int(subject.resting == "upside-down")
+    )
+    for draw in range(MOST_DRAWS if subject.path is None else 1):
+        model = _model(options, replace(subject, index=subject.index + draw * MOST_SUBJECTS))
+        try:
+            (group,) = arrange([model], wanted, rng)
+        except LayoutError:
+            continue
+        return model, group.Ts_group_object[0]
+    raise LayoutError(f"no {subject.category} rests {subject.resting}")
 
 
 def _rng(options: EvaluateOptions, subject: Subject, purpose: int) -> np.random.Generator:

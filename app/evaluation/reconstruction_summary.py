@@ -45,16 +45,16 @@ FIGURES = ("accuracy", "chamfer_l1", "completion")
 
 
 def summarise_reconstruction(lines: Sequence[Mapping[str, Any]]) -> dict[str, Any]:
-    """Return ``metrics`` of the report: all rows, and medians by class, number of views and method."""
+    """Return ``metrics`` of the report: all rows, and medians by class, pose, number of views and method."""
     rows = [row for line in lines for row in line["rows"]]
-    groups: dict[tuple[str, int, str], list[Row]] = defaultdict(list)
+    groups: dict[tuple[str, str, int, str], list[Row]] = defaultdict(list)
     for row in rows:
-        groups[row["category"], row["views"], row["method"]].append(row)
+        groups[row["category"], row.get("resting", "upright"), row["views"], row["method"]].append(row)
     return {
         "rows": rows,
         "median": [
-            {"category": category, "views": views, "method": method} | _medians(entries)
-            for (category, views, method), entries in groups.items()
+            {"category": category, "resting": resting, "views": views, "method": method} | _medians(entries)
+            for (category, resting, views, method), entries in groups.items()
         ],
         "convergence": _convergence(lines),
         "paper": {name: {str(k): dict(zip(FIGURES, v)) for k, v in by.items()} for name, by in PAPER.items()},
@@ -68,6 +68,11 @@ def _medians(rows: Sequence[Row]) -> dict[str, Any]:
     result |= {name: _median(row[name] for row in found) for name in FIGURES}
     result["seconds"] = _median(row["seconds"] for row in found)
     result["converged"] = float(np.mean([row["status"] == "converged" for row in found])) if found else None
+    judged = [row for row in found if "estimated" in row]
+    if judged:
+        right = [row["estimated"] == row.get("resting", "upright") for row in judged]
+        result["pose_found"] = sum(right) / len(rows)
+        result["class_found"] = sum(row["perceived"] == row["category"] for row in judged) / len(rows)
     calibrated = [row for row in found if "surface_sigma" in row]
     for name in ("surface_sigma", "within_1_sigma", "within_2_sigma"):
         if calibrated:
@@ -109,11 +114,47 @@ def _values_at(curve: Sequence[Sequence[Any]], at: Sequence[int]) -> list[float]
 
 def reconstruction_tables(report: Report) -> list[Table]:
     """Return one table for each class, with the paper's figures for mugs, and one of the calibration."""
-    medians = report.metrics["median"]
+    everything = report.metrics["median"]
+    medians = [m for m in everything if m["resting"] == "upright"]
     categories = dict.fromkeys(entry["category"] for entry in medians)
     tables = [_table(category, [m for m in medians if m["category"] == category]) for category in categories]
     calibrated = [m for m in medians if m["method"] == "full" and "surface_sigma" in m]
-    return [*tables, _calibration_table(calibrated)] if calibrated else tables
+    tables += [_calibration_table(calibrated)] if calibrated else []
+    return [*tables, _pose_table(everything)] if len(medians) < len(everything) else tables
+
+
+def _pose_table(medians: Sequence[Row]) -> Table:
+    """Return the full method by resting pose, with the errors relative to those of upright objects."""
+    table = Table(title="resting poses", title_justify="left", show_edge=False, pad_edge=False)
+    headings = (
+        "",
+        "pose",
+        "views",
+        "n",
+        "pose found %",
+        "class %",
+        "chamfer-L1 mm",
+        "of upright",
+        "completion %",
+    )
+    for index, heading in enumerate(headings):
+        table.add_column(heading, justify="right" if index > 1 else "left", no_wrap=True)
+    full = [m for m in medians if m["method"] == "full"]
+    upright = {(m["category"], m["views"]): m["chamfer_l1"] for m in full if m["resting"] == "upright"}
+    for entry in full:
+        error, reference = entry["chamfer_l1"], upright.get((entry["category"], entry["views"]))
+        table.add_row(
+            entry["category"],
+            entry["resting"],
+            str(entry["views"]),
+            str(entry["n"]),
+            f"{100 * entry.get('pose_found', 0.0):.0f}",
+            f"{100 * entry.get('class_found', 0.0):.0f}",
+            "–" if error is None else f"{1000 * error:.2f}",
+            "–" if error is None or reference is None else f"{error / reference:.2f}",
+            "–" if entry["completion"] is None else f"{100 * entry['completion']:.1f}",
+        )
+    return table
 
 
 def _calibration_table(medians: Sequence[Row]) -> Table:

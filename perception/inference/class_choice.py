@@ -1,32 +1,40 @@
-"""Choice between the classes of an object, and none, by the evidence of its fits.
+"""Choice between the classes and resting poses of an object, and none, by the evidence of its fits.
 
 An object that the detector is sure of is fitted once. Where the detector doubts the class, or the evidence
-contradicts it, the next classes are fitted as well, and the one with the highest score is kept.
+contradicts it, the next classes are fitted as well, and the one with the highest score is kept. Where its fit
+as an upright object is poor, the other resting poses of these classes are tried.
 """
 
 from __future__ import annotations
 
 import logging
-from collections.abc import Callable
+from collections.abc import Callable, Sequence
 from dataclasses import dataclass, replace
 
 import numpy as np
 
 from perception.errors import PerceptionError
 from perception.inference.acceptance import AcceptanceModel
+from perception.inference.contents import VESSELS
 from perception.inference.evidence import Evidence, measure_evidence
 from perception.inference.fit import fit_with_grid
 from perception.inference.fit_config import FitConfig
 from perception.inference.observation import ObjectViews
 from perception.inference.optimisation import OnStep
+from perception.inference.pose_choice import has_closed_top, is_better, is_doubtful, misfit
+from perception.inference.resting import ALTERNATIVES
 from perception.inference.shape_model import Decoder
-from perception.types import CATEGORIES, OTHER, Category, ObjectEstimate, SupportPlane
+from perception.types import CATEGORIES, OTHER, Category, ObjectEstimate, RestingPose, SupportPlane
 
 logger = logging.getLogger(__name__)
 
 CLEAR = 0.9  # class probability from which on a class with good evidence is not compared with others
 MIN_PROBABILITY = 0.02  # of a class that is tried
 MAX_CLASSES = 3
+UNKNOWN = 0.5  # least score of an object that the detector gives no class
+
+
+_Fit = Callable[[Category, OnStep | None, RestingPose], "ScoredFit"]
 
 
 class RejectedError(PerceptionError):
@@ -45,7 +53,7 @@ class RejectedError(PerceptionError):
 
 @dataclass(frozen=True)
 class ScoredFit:
-    """A fit as one class.
+    """A fit as one class in one resting pose.
 
     Attributes:
         estimate: The estimate, with ``score``.
@@ -68,8 +76,8 @@ def fit_best_class(
 ) -> ObjectEstimate:
     """Reconstruct one object as the class with the best evidence; its score is the probability of that class.
 
-    A class given without class probabilities is kept, and its object is never rejected. Nor is an object seen
-    in several views: they have confirmed it, and the model is fitted on single views.
+    A class given without class probabilities is kept, and its object is never rejected. Nor is an object with
+    a class that several views have confirmed: the model is fitted on single views.
 
     Args:
         views: Observations of the object with its most probable class and its class probabilities.
@@ -80,29 +88,39 @@ def fit_best_class(
         on_step: Called with the progress of the fit as the first class.
 
     Raises:
-        RejectedError: The object is seen once, and the score of its best class is below the threshold.
+        RejectedError: The object is seen once, or of no class, and its best score is below the threshold.
         PerceptionError: No class can be fitted.
     """
 
-    def fit(category: Category, report: OnStep | None = None) -> ScoredFit:
-        return _scored(replace(views, category=category), decoder, plane, model, config, report)
+    def fit(category: Category, report: OnStep | None = None, resting: RestingPose = "upright") -> ScoredFit:
+        posed = replace(config, resting=resting)
+        return _scored(replace(views, category=category), decoder, plane, model, posed, report)
 
     p = views.class_probabilities
-    if not p.size:
-        return fit(views.category, on_step).estimate
     first, problem = _attempt(fit, views.category, on_step)
     fits = [] if first is None else [first]
+    if not p.size:
+        best = _best_pose(fit, first, (views.category,), views, plane)
+        if best is None:
+            assert problem is not None
+            raise problem
+        return best.estimate
+    likely = [CATEGORIES[k] for k in np.argsort(-p[:OTHER], kind="stable") if p[k] >= MIN_PROBABILITY]
     if first is None or p[CATEGORIES.index(views.category)] < CLEAR or first.estimate.score < model.threshold:
-        order = [CATEGORIES[k] for k in np.argsort(-p[:OTHER], kind="stable") if p[k] >= MIN_PROBABILITY]
-        for category in [c for c in order if c != views.category][: MAX_CLASSES - 1]:
+        most = MAX_CLASSES if np.ptp(p) else len(CATEGORIES)  # all are equally probable without a class
+        for category in [c for c in likely if c != views.category][: most - 1]:
             other, _ = _attempt(fit, category)
             fits += [] if other is None else [other]
-    if not fits:
+    upright = max(fits, key=lambda scored: scored.estimate.score, default=None)
+    known = np.ptp(p) > 0
+    categories = likely if upright is None or not known else [upright.estimate.category]
+    best = _best_pose(fit, upright, categories, views, plane, model.threshold)
+    if best is None:
         assert problem is not None
         raise problem
-    best = max(fits, key=lambda scored: scored.estimate.score)
     estimate = best.estimate
-    if estimate.score < model.threshold and len(views.observations) <= 1:
+    threshold = model.threshold if known else max(model.threshold, UNKNOWN)
+    if estimate.score < threshold and (len(views.observations) <= 1 or not known):
         reason = model.reason(best.evidence, estimate.category, best.probability)
         raise RejectedError(estimate.category, estimate.score, reason)
     if estimate.category != views.category:
@@ -110,12 +128,44 @@ def fit_best_class(
     return estimate
 
 
+def _best_pose(
+    fit: _Fit,
+    upright: ScoredFit | None,
+    categories: Sequence[Category],
+    views: ObjectViews,
+    plane: SupportPlane,
+    threshold: float = 0.0,
+) -> ScoredFit | None:
+    """Return the upright fit, or one of another class or pose that explains the depth clearly better.
+
+    Args:
+        fit: Fits the object.
+        upright: Best upright fit; None if there is none.
+        categories: Classes whose other poses are tried.
+        views: Observations of the object.
+        plane: Support plane.
+        threshold: Least score of another class or pose.
+    """
+    closed = any(c in VESSELS for c in categories) and has_closed_top(views.observations, plane)
+    if upright is not None and not closed and not is_doubtful(upright.evidence, upright.estimate.category):
+        return upright
+    others = [_attempt(fit, c, None, pose)[0] for c in categories for pose in ALTERNATIVES[c]]
+    before = None if upright is None else upright.evidence
+    scored = [o for o in others if o is not None and o.estimate.score >= threshold]
+    better = [o for o in scored if is_better(o.evidence, o.estimate, before, plane, closed)]
+    if not better:
+        return upright
+    best = min(better, key=lambda scored: misfit(scored.evidence))
+    logger.info("object %d: %s", views.id, best.estimate.resting)
+    return best
+
+
 def _attempt(
-    fit: Callable[[Category, OnStep | None], ScoredFit], category: Category, on_step: OnStep | None = None
+    fit: _Fit, category: Category, on_step: OnStep | None = None, resting: RestingPose = "upright"
 ) -> tuple[ScoredFit | None, PerceptionError | None]:
-    """Return the fit as a class, or the error that prevents it."""
+    """Return the fit as a class in a resting pose, or the error that prevents it."""
     try:
-        return fit(category, on_step), None
+        return fit(category, on_step, resting), None
     except PerceptionError as error:
         return None, error
 
@@ -131,6 +181,7 @@ def _scored(
     category, p = views.category, views.class_probabilities
     estimate, grid = fit_with_grid(views, decoder, plane, config, on_step)
     evidence = measure_evidence(estimate, grid, views.observations, plane, config.step[category])
-    probability = float(p[CATEGORIES.index(category)]) if p.size else None
+    known = p.size > 0 and (config.resting == "upright" or np.ptp(p) > 0)  # networks know upright objects
+    probability = float(p[CATEGORIES.index(category)]) if known else None
     score = model.score(evidence, category, probability)
     return ScoredFit(replace(estimate, score=score), evidence, probability)

@@ -16,9 +16,10 @@ from perception.inference.meshing import mesh_from_grid
 from perception.inference.observation import ObjectViews
 from perception.inference.optimisation import Fit, OnStep, optimise_object
 from perception.inference.refine import refine_mesh
+from perception.inference.resting import tilt_error
 from perception.inference.shape_model import Decoder, decode_with_jacobian
 from perception.inference.uncertainty import calibrated_deviation
-from perception.types import FitStatus, ObjectEstimate, SupportPlane
+from perception.types import FitStatus, ObjectEstimate, RestingPose, SupportPlane
 
 
 class FitFailedError(PerceptionError):
@@ -57,7 +58,7 @@ def fit_with_grid(
         FitFailedError: The numerics failed, or no measurement agrees with the result.
     """
     try:
-        if views.category in VESSELS:
+        if views.category in VESSELS and config.resting == "upright":
             basis = plane_basis(plane)
             seen = without_contents(views.observations, views.category, plane, basis)
             views = replace(views, observations=seen)
@@ -116,23 +117,25 @@ def _estimate(
         score=views.score,
         n_views=len(views.observations),
         residual=residual,
-        status=_status(fit, plane, float(inliers.mean())),
+        status=_status(fit, plane, float(inliers.mean()), config.resting),
         covariance=covariance,
+        resting=config.resting,
     )
     sigma = calibrated_deviation(estimate, covariance, determined, grid, jacobian)
     return replace(estimate, surface_sigma=sigma), grid
 
 
-def _status(fit: Fit, plane: SupportPlane, inlier_ratio: float) -> FitStatus:
-    """Return whether the fit converged to a plausible object: inliers, size, code, upright."""
+def _status(
+    fit: Fit, plane: SupportPlane, inlier_ratio: float, resting: RestingPose = "upright"
+) -> FitStatus:
+    """Return whether the fit converged to a plausible object: inliers, size, code, tilt."""
     pose = fit.state.pose
-    tilt = np.arccos(np.clip(pose.rotation[:, 2] @ plane.normal, -1, 1))
     plausible = (
         inlier_ratio > 0.5
         and pose.scale.min() > 0.01
         and pose.scale.max() < 0.4
         and np.linalg.norm(fit.state.code) < 8.0
-        and tilt < np.deg2rad(15)
+        and tilt_error(pose.rotation, plane, resting) < np.deg2rad(15)
         and np.isfinite(fit.evaluation.cost)
     )
     if not plausible:

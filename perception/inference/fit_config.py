@@ -11,7 +11,7 @@ from perception.inference.observation import PixelConfig
 from perception.inference.problem import NoiseConfig, StepLimits
 from perception.inference.refine import RefineConfig
 from perception.rendering.comparison import RendererName
-from perception.types import Category
+from perception.types import Category, RestingPose
 
 
 @dataclass(frozen=True)
@@ -56,6 +56,7 @@ class FitConfig:
         threads: Number of cores that render one fit.
         refine: Refinement of the mesh on the measurements; None leaves the decoded surface.
         step_limits: Largest step of each parameter in one iteration.
+        resting: Resting pose that is assumed: initial poses and the prior of the tilt.
     """
 
     step: Mapping[Category, float] = field(
@@ -77,3 +78,4 @@ class FitConfig:
     threads: int = 1
     refine: RefineConfig | None = field(default_factory=RefineConfig)
     step_limits: StepLimits = field(default_factory=StepLimits)
+    resting: RestingPose = "upright"

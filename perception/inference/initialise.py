@@ -21,13 +21,13 @@ from perception.types import Category, SupportPlane
 
 LONGEST_SIDE = 1.8  # longest side of an object in the canonical cube of side 2
 
-_MIN_HEIGHT = 0.003  # [m] points lower than this belong to the plane
-_MIN_POINTS = 30
+MIN_HEIGHT = 0.003  # [m] points lower than this belong to the plane
+MIN_POINTS = 30
 _STEEP = np.deg2rad(68.0)  # elevation of the camera above which near and far side are visible
 _MAX_YAWS = 5
 _LEAST_LIKELY = 0.3  # smallest probability of a hypothesis relative to the most probable yaw
 _YAW_REACH = np.deg2rad(25.0)  # initial yaw error from which a fit converges to the handle
-_BLIND_YAWS = 6  # hypotheses for a mug without a yaw distribution
+BLIND_YAWS = 6  # hypotheses for a mug without a yaw distribution
 
 
 @dataclass(frozen=True)
@@ -92,17 +92,13 @@ def measure_clouds(
     for seen in observations:
         points = seen.points_world()
         height = plane.height_above(points)
-        above = height > _MIN_HEIGHT
-        if above.sum() < _MIN_POINTS:
+        above = height > MIN_HEIGHT
+        if above.sum() < MIN_POINTS:
             continue
         flat = points[above] @ basis[:2].T
         outline.append(flat)
         heights.append(np.quantile(height[above], 0.998))
-        camera = seen.T_world_camera[:3, 3]
-        towards = flat.mean(axis=0) - basis[:2] @ camera
-        elevation = np.arctan2(plane.height_above(camera[None])[0], np.linalg.norm(towards))
-        steep = elevation > _STEEP
-        ahead = towards / np.linalg.norm(towards) if not steep else np.array([1.0, 0.0])
+        ahead, steep = line_of_sight(seen, flat, plane, basis)
         across = np.array([-ahead[1], ahead[0]])
         low, high = np.quantile(flat @ across, (0.003, 0.997))
         near, far = np.quantile(flat @ ahead, (0.003, 0.997))
@@ -114,7 +110,7 @@ def measure_clouds(
         radii.append(radius)
     if not rows:
         raise InvalidInputError(
-            f"no view has {_MIN_POINTS} measured points {_MIN_HEIGHT * 1000:.0f} mm above the support plane "
+            f"no view has {MIN_POINTS} measured points {MIN_HEIGHT * 1000:.0f} mm above the support plane "
             "inside the object's mask; check the mask, the depth and the plane"
         )
     w = np.array(weights)
@@ -125,6 +121,24 @@ def measure_clouds(
         max(float(np.median(heights)), 0.01),
         np.concatenate(outline),
     )
+
+
+def line_of_sight(
+    seen: ObjectObservation,
+    flat: Float[np.ndarray, "n 2"],
+    plane: SupportPlane,
+    basis: Float[np.ndarray, "3 3"],
+) -> tuple[Float[np.ndarray, "2"], bool]:
+    """Return the direction in the plane from the camera to points in it, and whether the view is steep.
+
+    In steep views, in which both near and far side are visible, any direction will do.
+    """
+    camera = seen.T_world_camera[:3, 3]
+    towards = flat.mean(axis=0) - basis[:2] @ camera
+    elevation = np.arctan2(plane.height_above(camera[None])[0], np.linalg.norm(towards))
+    if elevation > _STEEP:
+        return np.array([1.0, 0.0]), True
+    return towards / np.linalg.norm(towards), False
 
 
 def yaw_hypotheses(
@@ -149,7 +163,7 @@ def _modes(distributions: list[np.ndarray]) -> list[float]:
     valid = [p for p in distributions if np.isfinite(p).all() and p.sum() > 0]
     distributions = [p for p in valid if len(p) == len(valid[0])]
     if not distributions:
-        return [2 * np.pi * k / _BLIND_YAWS for k in range(_BLIND_YAWS)]
+        return [2 * np.pi * k / BLIND_YAWS for k in range(BLIND_YAWS)]
     bins = len(distributions[0])
     log_p = np.mean([np.log(np.maximum(p, 1e-4)) for p in distributions], axis=0)
     p = np.exp(log_p - log_p.max())

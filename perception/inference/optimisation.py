@@ -14,10 +14,10 @@ from jaxtyping import Bool, Float
 
 from perception.errors import InvalidInputError
 from perception.inference.fit_config import FitConfig, FitStage
-from perception.inference.initialise import initial_poses
 from perception.inference.levenberg_marquardt import Evaluation, LmIteration, LmResult, minimise
 from perception.inference.observation import Crop, ObjectViews, PixelSet, SamplingRange, gather_pixels
 from perception.inference.problem import FitProblem, FitState, SizePrior, SupportCamera
+from perception.inference.resting import initial_resting_poses
 from perception.inference.shape_model import Decoder, LinearisedShape, linearise, mean_shape
 from perception.rendering.pose import ObjectPose
 from perception.types import CODE_SIZE, GRID_RESOLUTION, SupportPlane
@@ -32,7 +32,7 @@ class FitStart:
     """Initial poses of a fit, and what stays fixed over its iterations.
 
     Attributes:
-        poses: Initial poses, one per yaw hypothesis, the most probable first.
+        poses: Initial poses, one per hypothesis of the orientation, the most probable first.
         sampling: Depth range of the rays.
         support: Virtual camera under the object.
         size: Prior on the scale.
@@ -47,7 +47,8 @@ class FitStart:
     def of(views: ObjectViews, plane: SupportPlane, config: FitConfig) -> FitStart:
         """Measure the masked clouds; raises InvalidInputError if none has points above the plane."""
         category, noise = views.category, config.noise
-        poses, cloud = initial_poses(views.observations[: config.start_views], category, plane)
+        seen = views.observations[: config.start_views]
+        poses, cloud = initial_resting_poses(seen, category, plane, config.resting)
         scale, centre = poses[0].scale, poses[0].translation
         voxel = 2 * float(scale[0]) / GRID_RESOLUTION
         return FitStart(
@@ -200,7 +201,9 @@ class _Fitter:
 
     def _problem(self, pixels: PixelSet, shape: LinearisedShape) -> FitProblem:
         config, start = self.config, self.start
-        return FitProblem(pixels, shape, start.support, config.noise, start.size, config.renderer)
+        return FitProblem(
+            pixels, shape, start.support, config.noise, start.size, config.renderer, config.resting
+        )
 
     def _pixels(self, stage: FitStage) -> PixelSet:
         config = self.config

@@ -24,7 +24,7 @@ from perception.rendering.pose import (
     pose_jacobian,
 )
 from perception.rendering.renderer import RayBundle, Rendering, ShapeGrid, render
-from perception.types import CODE_SIZE, SupportPlane
+from perception.types import CODE_SIZE, RestingPose, SupportPlane
 
 PARAMETERS = CODE_SIZE + POSE_SIZE
 _CODE, _TURN, _SCALE = slice(0, 16), slice(16, 19), slice(22, 25)
@@ -41,6 +41,8 @@ class NoiseConfig:
         data_weight: Weight of all render residuals relative to the priors.
         code_prior: Weight of the squared code.
         tilt_sigma: Standard deviation of the angle between the object's axis and the plane's normal, in rad.
+        lying_sigma: Standard deviation of the angle between the axis of a lying object and the plane, in rad;
+            the walls of mugs and bottles are not parallel to the axis.
         support_sigma: Standard deviation of the height of the object's lowest part over the plane, in metres.
         size_sigma: Standard deviation of the log scale from the size of the observed cloud.
         mug_size_sigma: The same for mugs, whose handle, part of the longest side, may be hidden.
@@ -54,6 +56,7 @@ class NoiseConfig:
     data_weight: float = 0.05
     code_prior: float = 0.3
     tilt_sigma: float = 0.02
+    lying_sigma: float = 0.08
     support_sigma: float = 0.0015
     size_sigma: float = 0.08
     mug_size_sigma: float = 1.0
@@ -173,12 +176,14 @@ class FitProblem:
         noise: NoiseConfig,
         size: SizePrior | None = None,
         renderer: RendererName = "probabilistic",
+        resting: RestingPose = "upright",
     ) -> None:
         self._render = RENDERERS[renderer]
         self._target = pixels.target
         if renderer == "silhouette":
             self._target = np.where(pixels.inside, 0.0, BACKDROP).astype(np.float32)
         self.pixels, self.shape, self.support, self.noise, self.size = pixels, shape, support, noise, size
+        self.resting = resting
 
     def __call__(self, state: FitState) -> Evaluation:
         grid = self.shape.at(state.code)
@@ -240,11 +245,17 @@ class FitProblem:
         )
 
     def _tilt_rows(self, state: FitState) -> _Rows:
-        """Return x and y of the plane's normal in the object frame: R^T n changes by hat(R^T n) omega."""
+        """Return x and y of the plane's normal in the object frame: R^T n changes by hat(R^T n) omega.
+
+        For lying objects z instead, because their axis is parallel to the plane.
+        """
         normal = state.pose.rotation.T @ self.support.plane.normal
-        jacobian = np.zeros((2, PARAMETERS), np.float32)
-        jacobian[:, _TURN] = hat(normal)[:2]
-        return normal[:2], jacobian, np.full(2, self.noise.tilt_sigma**-2)
+        lying = self.resting == "lying"
+        rows = slice(2, 3) if lying else slice(0, 2)
+        sigma = self.noise.lying_sigma if lying else self.noise.tilt_sigma
+        jacobian = np.zeros((len(normal[rows]), PARAMETERS), np.float32)
+        jacobian[:, _TURN] = hat(normal)[rows]
+        return normal[rows], jacobian, np.full(len(jacobian), sigma**-2)
 
     def _support_row(self, state: FitState, grid: ShapeGrid) -> _Rows:
         """Return the mean height over the plane of the lowest parts that the camera underneath sees."""

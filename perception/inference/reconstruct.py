@@ -8,6 +8,7 @@ from collections.abc import Callable, Iterator, Sequence
 from concurrent.futures import ThreadPoolExecutor, as_completed
 from contextlib import contextmanager
 from dataclasses import dataclass, replace
+from functools import partial
 
 import cv2
 import numpy as np
@@ -22,6 +23,7 @@ from perception.inference.fit_config import FitConfig
 from perception.inference.observation import ObjectObservation, ObjectViews
 from perception.inference.optimisation import FitStep
 from perception.inference.shape_model import Decoder
+from perception.inference.stacking import find_stacks, rest_on
 from perception.types import (
     CATEGORIES,
     OTHER,
@@ -95,28 +97,40 @@ def reconstruct(
     if len(instances) < workers:  # idle cores render for the objects there are
         config = replace(config, threads=workers // max(len(instances), 1))
 
-    def fit(views: ObjectViews) -> ObjectEstimate:
-        plane, on_step = plane_of[views.id], options.on_step
+    def fit(views: ObjectViews, plane: SupportPlane, config: FitConfig = config) -> ObjectEstimate:
+        on_step = options.on_step
         report = None if on_step is None else lambda step: on_step(views.id, views.category, step)
         if options.acceptance is None:
             return fit_object(views, decoder, plane, config, report)
         return fit_best_class(views, decoder, plane, options.acceptance, config, report)
 
+    def fit_stacked(views: ObjectViews) -> ObjectEstimate:
+        lower = estimates.get(below[views.id])
+        if lower is None:
+            return fit(views, plane_of[views.id])
+        return rest_on(views, lower, plane_of[views.id], config, fit)
+
+    def finish(views: ObjectViews, result: Callable[[], ObjectEstimate], done: int) -> None:
+        name = f"{views.category}_{views.id}"
+        try:
+            estimates[views.id] = result()
+        except Exception as error:  # whatever fails for one object must not cost the others
+            rejected = RejectedObject(views.id, views.category, one_line(error), _score(error, views))
+            logger.warning("%s is left out: %s", name, rejected.reason)
+            logger.debug("traceback of %s", name, exc_info=error)
+            if options.on_rejected is not None:
+                options.on_rejected(rejected)
+        if options.progress is not None:
+            options.progress(done, len(instances), name)
+
+    below = find_stacks(instances, plane_of)
     with single_threaded_torch(), ThreadPoolExecutor(workers) as pool:
-        jobs = {pool.submit(fit, views): views for views in instances}
+        jobs = {pool.submit(fit, v, plane_of[v.id]): v for v in instances if v.id not in below}
         for done, job in enumerate(as_completed(jobs), start=1):
-            views = jobs[job]
-            name = f"{views.category}_{views.id}"
-            try:
-                estimates[views.id] = job.result()
-            except Exception as error:  # whatever fails for one object must not cost the others
-                rejected = RejectedObject(views.id, views.category, one_line(error), _score(error, views))
-                logger.warning("%s is left out: %s", name, rejected.reason)
-                logger.debug("traceback of %s", name, exc_info=error)
-                if options.on_rejected is not None:
-                    options.on_rejected(rejected)
-            if options.progress is not None:
-                options.progress(done, len(jobs), name)
+            finish(jobs[job], job.result, done)
+        by_id = {views.id: views for views in instances}
+        for done, upper in enumerate(below, start=len(jobs) + 1):  # what is below is estimated first
+            finish(by_id[upper], partial(fit_stacked, by_id[upper]), done)
     return [estimates[key] for key in sorted(estimates)]
 
 

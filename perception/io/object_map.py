@@ -17,9 +17,18 @@ import numpy as np
 from perception.errors import InvalidInputError
 from perception.io.files import read_json, write_atomically, write_json
 from perception.io.meshes import read_mesh
-from perception.types import CODE_SIZE, ObjectEstimate, RejectedObject, TriangleMesh, check_rigid
+from perception.types import (
+    CODE_SIZE,
+    RESTING_POSES,
+    ObjectEstimate,
+    RejectedObject,
+    RestingPose,
+    TriangleMesh,
+    check_rigid,
+)
 
 logger = logging.getLogger(__name__)
+PLANE = "plane"  # what an object rests on that rests on no other object
 MAX_DISTANCE = 1e6  # [m] of anything in a map: products of larger numbers overflow
 _MESH_NAME = re.compile(r"\d+_[a-z]+\.ply")
 
@@ -112,6 +121,8 @@ def _entry(estimate: ObjectEstimate) -> dict[str, Any]:
         "n_views": int(estimate.n_views),
         "residual": float(estimate.residual),
         "status": estimate.status,
+        "resting": estimate.resting,
+        "rests_on": PLANE if estimate.rests_on is None else estimate.rests_on,
     }
 
 
@@ -147,5 +158,22 @@ def _estimate(folder: Path, entry: dict[str, Any]) -> ObjectEstimate:
         n_views=int(entry["n_views"]),
         residual=float(entry["residual"]),
         status=entry.get("status", "converged"),
+        resting=_resting(entry.get("resting", "upright")),
+        rests_on=_rests_on(entry.get("rests_on", PLANE)),
     )
     return estimate
+
+
+def _resting(value: Any) -> RestingPose:
+    if value not in RESTING_POSES:
+        raise InvalidInputError(f"resting {value!r} is none of {', '.join(RESTING_POSES)}")
+    return value
+
+
+def _rests_on(value: Any) -> int | None:
+    """Return the id of the object below, None for the plane."""
+    if value == PLANE:
+        return None
+    if isinstance(value, bool) or not isinstance(value, int):
+        raise InvalidInputError(f"rests_on {value!r} is neither '{PLANE}' nor the id of an object")
+    return value

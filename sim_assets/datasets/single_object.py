@@ -56,11 +56,25 @@ class SingleObjectViews:
 
 
 def render_single_object(
-    model: ObjectModel, views: int, rng: np.random.Generator, config: SingleObjectConfig | None = None
+    model: ObjectModel,
+    views: int,
+    rng: np.random.Generator,
+    config: SingleObjectConfig | None = None,
+    T_rest: Float[np.ndarray, "4 4"] | None = None,
 ) -> SingleObjectViews:
-    """Place the object near the origin at a random yaw and render it from random viewpoints."""
+    """Place the object near the origin at a random yaw and render it from random viewpoints.
+
+    Args:
+        model: the object.
+        views: number of images.
+        rng: source of randomness.
+        config: distributions of cameras and noise.
+        T_rest: pose of the object at rest on the plane z = 0, before the yaw; upright if None.
+    """
     config = config or SingleObjectConfig()
-    item = make_item(model.category, simplified(model.mesh))
+    rest = np.eye(4) if T_rest is None else T_rest
+    mesh = simplified(model.mesh)
+    item = make_item(model.category, mesh if T_rest is None else mesh.apply_transform(rest))
     scene = replace(TrainingSceneConfig(), width=config.width, height=config.height, textures_redrawn=1)
     table = TableTop([item], scene, rng)
     try:
@@ -70,15 +84,16 @@ def render_single_object(
         table.show([0], [pose])
         table.light(rng)
         longest = float(model.mesh.extents.max())
+        height = model.height if T_rest is None else float(item.mesh.bounds[1, 2])
         frames, masks = [], []
         for _ in range(views):
-            T_world_camera = _random_camera(pose, model.height, longest, config, rng)
+            T_world_camera = _random_camera(pose, height, longest, config, rng)
             true, items = table.capture(T_world_camera, config.fovy, False)
             frames.append(table.sense(true, config.depth_noise, rng))
             masks.append(items == 0)
     finally:
         table.close()
-    return SingleObjectViews(tuple(frames), tuple(masks), pose.matrix)
+    return SingleObjectViews(tuple(frames), tuple(masks), pose.matrix @ rest)
 
 
 def _random_camera(

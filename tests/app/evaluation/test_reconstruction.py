@@ -99,6 +99,9 @@ def test_resuming_with_other_views_is_refused(tmp_path, quick) -> None:
         ({"views": (0, 1)}, "--views takes numbers from 1 to 20"),
         ({"views": (1, 1)}, "--views names one twice"),
         ({"methods": ()}, "--methods needs at least one"),
+        ({"poses": ()}, "--poses needs at least one"),
+        ({"poses": ("lying", "lying")}, "--poses names one twice"),
+        ({"poses": ("lying",), "methods": ("dvr",)}, "by the method full: add it"),
         ({"object_meshes": Path("/nowhere")}, "--object-meshes /nowhere is no folder"),
         ({"objects": "mug=99999"}, "1 to 10000 are possible"),
     ],
@@ -113,3 +116,10 @@ def test_users_meshes_become_subjects(tmp_path) -> None:
     trimesh.creation.cylinder(0.03, 0.1).export(tmp_path / "can" / "soup.ply")
     (subject,) = choose_subjects(options(object_meshes=tmp_path))
     assert (subject.name, subject.category, subject.followed) == ("can_000_soup", "can", True)
+
+
+def test_subjects_are_repeated_in_every_pose_in_which_their_class_rests() -> None:
+    subjects = choose_subjects(options(objects="bowl=1,can=1", poses=("upright", "lying", "upside-down")))
+    names = ["bowl_000", "can_000", "can_000_lying", "bowl_000_upside-down"]
+    assert [subject.name for subject in subjects] == names
+    assert not any(subject.followed for subject in subjects)

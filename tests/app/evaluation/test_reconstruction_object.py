@@ -19,7 +19,7 @@ from app.evaluation.reconstruction_object import (
 )
 from app.options import METHODS, EvaluateOptions
 from perception.inference import ablations
-from perception.types import CATEGORIES, ObjectDetection
+from perception.types import CATEGORIES, ObjectDetection, is_unclassified
 
 
 def options(out: Path | None = None, **changes) -> EvaluateOptions:
@@ -105,3 +105,13 @@ def test_one_object_for_real() -> None:
     assert full["surface_sigma"] > 0 and full["within_1_sigma"] < full["within_2_sigma"] <= 1
     assert plain["method"] == "no_refinement" and plain["accuracy"] != full["accuracy"]
     json.dumps(line)
+
+
+def test_a_subject_lies_on_the_table_with_a_mask_of_no_class() -> None:
+    subject = Subject("can", 0, resting="lying")
+    sight = load_sight(options(poses=("lying",)), subject)
+    assert abs(sight.truth.T_world_object[2, 2]) < 0.1 and sight.any_pose
+    (found,) = sight.detections[0]
+    assert is_unclassified(found)
+    given = load_sight(options(poses=("lying",), masks="given"), subject)
+    assert given.detections[0][0].category == "can" and not given.detections[0][0].class_probabilities.size

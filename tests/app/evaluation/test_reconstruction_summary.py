@@ -86,3 +86,23 @@ def test_calibration_is_tabulated_for_the_full_method_alone() -> None:
     text = console.export_text()
     assert len(tables) == 2 and tables[-1].row_count == 1
     assert "1.20 mm" in text and "70 %" in text and "93 %" in text and "100 %" in text
+
+
+def test_resting_poses_are_compared_with_upright() -> None:
+    """Of two lying mugs one is taken for upright; the errors of the lying ones are three times as large."""
+
+    def seen(name: str, resting: str, estimated: str, accuracy: float) -> dict:
+        more = {"resting": resting, "estimated": estimated, "perceived": "mug"}
+        return {"object": name, "rows": [row(name, 1, "full", accuracy, **more)]}
+
+    lines = [seen("mug_000", "upright", "upright", 0.001)]
+    lines += [seen(f"mug_00{k}_lying", "lying", pose, 0.003) for k, pose in enumerate(("lying", "upright"))]
+    metrics = summarise_reconstruction(lines)
+    lying = next(m for m in metrics["median"] if m["resting"] == "lying")
+    assert (lying["n"], lying["pose_found"], lying["class_found"]) == (2, 0.5, 1.0)
+    report = Report(command="", seed=0, success=True, reason="", timings={}, metrics=metrics)
+    console = Console(file=io.StringIO(), width=160)
+    for table in reconstruction_tables(report):
+        console.print(table)
+    (line,) = [text for text in console.file.getvalue().splitlines() if "lying" in text]
+    assert line.replace("│", " ").split() == ["mug", "lying", "1", "2", "50", "100", "6.00", "3.00", "90.0"]

@@ -6,13 +6,14 @@ import numpy as np
 import pytest
 
 from perception.errors import PerceptionError
-from perception.inference import class_choice
+from perception.inference import class_choice, pose_choice
 from perception.inference.acceptance import AcceptanceModel
 from perception.inference.class_choice import RejectedError, ScoredFit, fit_best_class
 from perception.inference.evidence import Evidence
 from perception.inference.fit import FitFailedError
 from perception.inference.fit_config import FitConfig
 from perception.inference.observation import ObjectObservation, ObjectViews
+from perception.inference.resting import ALTERNATIVES
 from perception.types import (
     CATEGORIES,
     CameraIntrinsics,
@@ -22,7 +23,7 @@ from perception.types import (
     TriangleMesh,
 )
 
-EVIDENCE = Evidence(*[0.5] * len(fields(Evidence)))
+EVIDENCE = replace(Evidence(*[0.5] * len(fields(Evidence))), explained=1.0, free_space=0.0, converged=1.0)
 
 
 CAMERA = CameraIntrinsics(2, 2, 1.0, 1.0, 0.0, 0.0)
@@ -58,10 +59,15 @@ def choose(monkeypatch):
         views = ObjectViews(3, category, 0.9, (OBSERVATION,) * seen, np.array(probabilities))
         return fit_best_class(views, None, SupportPlane(), Model({}, 0.4), FitConfig())
 
-    choose_class = fit_best_class.__wrapped__ if hasattr(fit_best_class, "__wrapped__") else None
-    if choose_class is not None:  # without the check of the stub decoder's type
-        monkeypatch.setitem(globals(), "fit_best_class", choose_class)
+    _skip_type_check(monkeypatch)
     return run, tried
+
+
+def _skip_type_check(monkeypatch) -> None:
+    """Call ``fit_best_class`` without the check of the stub decoder's type."""
+    choose_class = getattr(fit_best_class, "__wrapped__", None)
+    if choose_class is not None:
+        monkeypatch.setitem(globals(), "fit_best_class", choose_class)
 
 
 def test_a_clear_object_is_fitted_once(choose) -> None:
@@ -95,6 +101,13 @@ def test_an_object_confirmed_by_a_second_view_is_not_rejected(choose) -> None:
     assert (estimate.category, estimate.score, tried) == ("can", 0.3, ["mug", "can"])
 
 
+def test_an_object_of_no_class_is_rejected_even_if_seen_twice(choose) -> None:
+    run, tried = choose
+    with pytest.raises(RejectedError):
+        run({"mug": 0.2, "can": 0.45, "bowl": 0.1, "bottle": 0.1}, [0.2] * 5, seen=2)
+    assert set(tried) == set(CATEGORIES)
+
+
 def test_a_given_class_is_kept(choose) -> None:
     run, tried = choose
     estimate = run({"mug": 0.1}, [])
@@ -120,3 +133,57 @@ def test_scores_are_those_of_the_evidence(make_table, decoder) -> None:
     assert 0 < estimate.score < 1 and estimate.score != 0.2
     known = replace(views, class_probabilities=np.array([0.01, 0.0, 0.0, 0.98, 0.01]))
     assert fit_best_class(known, decoder, SupportPlane(), model).score != estimate.score
+
+
+@pytest.fixture
+def choose_pose(monkeypatch):
+    """A function from the shares explained in each pose to the choice, and the poses that it tried."""
+    tried = []
+
+    def run(explained, probabilities=(), resting_stably=True):
+        tried.clear()
+
+        def scored(views, decoder, plane, model, config, on_step):
+            tried.append((views.category, config.resting))
+            share = explained.get((views.category, config.resting), 0.3)
+            mesh = TriangleMesh(np.eye(3), np.arange(3)[None])
+            estimate = ObjectEstimate(
+                3, views.category, np.zeros(16), np.eye(4), np.ones(3), mesh, 0.8, resting=config.resting
+            )
+            return ScoredFit(estimate, replace(EVIDENCE, explained=share), None)
+
+        monkeypatch.setattr(class_choice, "_scored", scored)
+        monkeypatch.setattr(pose_choice, "rests_stably", lambda mesh, plane: resting_stably)
+        views = ObjectViews(3, "bottle", 0.9, (OBSERVATION,), np.array(probabilities))
+        return fit_best_class(views, None, SupportPlane(), Model({}, 0.4), FitConfig())
+
+    _skip_type_check(monkeypatch)
+    return run, tried
+
+
+def test_an_upright_object_is_fitted_in_no_other_pose(choose_pose) -> None:
+    run, tried = choose_pose
+    assert run({("bottle", "upright"): 0.95}).resting == "upright"
+    assert tried == [("bottle", "upright")]
+
+
+def test_an_object_of_given_class_that_does_not_stand_is_tried_in_its_other_poses(choose_pose) -> None:
+    run, tried = choose_pose
+    assert run({("bottle", "upright"): 0.6, ("bottle", "lying"): 0.96}).resting == "lying"
+    assert tried == [("bottle", "upright"), ("bottle", "lying")]
+    assert run({("bottle", "upright"): 0.6, ("bottle", "lying"): 0.8}).resting == "upright"  # neither is good
+    assert run({("bottle", "upright"): 0.6, ("bottle", "lying"): 0.96}, (), False).resting == "upright"
+
+
+def test_an_object_of_no_class_is_tried_as_every_class_in_every_pose(choose_pose) -> None:
+    run, tried = choose_pose
+    estimate = run({("mug", "upside-down"): 0.95, ("can", "lying"): 0.9}, np.full(5, 0.2))
+    assert (estimate.category, estimate.resting) == ("mug", "upside-down")
+    assert len(set(tried)) == len(tried) == 4 + sum(map(len, ALTERNATIVES.values()))
+
+
+def test_only_the_poses_of_the_class_are_tried_where_the_detector_knows_one(choose_pose) -> None:
+    """However well a mug upside down would explain it."""
+    run, tried = choose_pose
+    run({("bottle", "upright"): 0.5, ("mug", "upside-down"): 1.0}, [0.1, 0.0, 0.9, 0.0, 0.0])
+    assert tried == [("bottle", "upright"), ("bottle", "lying")]

@@ -19,6 +19,7 @@ from perception.inference.uncertainty import CalibrationConfig, calibrated_devia
 from perception.metrics import reconstruction_metrics
 from perception.rendering.pose import ObjectPose
 from perception.types import SupportPlane, TriangleMesh
+from tests.perception.inference.test_resting import lying
 
 PLANE = SupportPlane()
 
@@ -72,6 +73,18 @@ def test_finds_the_yaw_of_a_mug_without_a_yaw_distribution(make_table, decoder) 
     estimate = fit_object(views(table.observations((0.3, 2.0, 3.5)), "mug"), decoder, PLANE)
     error = yaw_of(estimate.T_world_object[:3, :3]) - 2.4
     assert abs((error + np.pi) % (2 * np.pi) - np.pi) < np.deg2rad(8)
+
+
+@pytest.mark.parametrize("azimuths", [(0.2,), (1.4, 3.0)])
+def test_a_lying_can_is_found_on_its_side(decoder, azimuths) -> None:
+    table = lying(decoder, 0.9)
+    config = FitConfig(resting="lying")
+    estimate = fit_object(views(table.observations(azimuths), "can"), decoder, PLANE, config)
+    assert (estimate.resting, estimate.rests_on) == ("lying", None)
+    assert _surface_error(estimate, table) < 0.003
+    axis = estimate.T_world_object[:3, 2]
+    assert abs(axis @ table.pose.rotation[:, 2]) > np.cos(np.deg2rad(5)) and abs(axis[2]) < np.sin(0.05)
+    assert abs(estimate.mesh_world.vertices[:, 2].min()) < 0.002
 
 
 def test_depth_holes_and_covered_pixels_are_left_out(can, decoder) -> None:

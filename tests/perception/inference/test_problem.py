@@ -125,6 +125,23 @@ def test_tilt_prior_is_the_normal_in_the_object_frame(can, shape):
     np.testing.assert_allclose(weight, 400.0)
 
 
+def test_lying_objects_have_a_prior_of_the_angle_between_axis_and_plane(can, shape):
+    """One row: sin(0.1) for an axis 0.1 rad above the plane, with the derivative of finite differences."""
+    rotation = so3_exp(np.array([0.0, np.pi / 2 - 0.1, 0.0])) @ so3_exp(np.array([0.0, 0.0, 0.7]))
+    pose = ObjectPose(rotation, can.pose.translation, can.pose.scale)
+    pixels = pixels_of(can, 0)
+    noise = NoiseConfig(lying_sigma=0.05)
+    problem = FitProblem(pixels, shape, support_of(can), noise, resting="lying")
+    row = -2  # before that of the support
+    found = problem(FitState(pose, can.code))
+    assert found.residuals[row] == pytest.approx(np.sin(0.1)) and found.weights[row] == pytest.approx(400.0)
+    for k in range(3):
+        step = np.zeros(9)
+        step[k] = 1e-5
+        moved = [problem(FitState(pose.moved(s * step), can.code)).residuals[row] for s in (1, -1)]
+        assert found.jacobian[row, 16 + k] == pytest.approx((moved[0] - moved[1]) / 2e-5, abs=1e-4)
+
+
 def test_support_prior_is_the_height_of_the_bottom(can, shape):
     size = SizePrior(np.ones(3), 1.0)
     heights = []

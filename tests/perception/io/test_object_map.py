@@ -33,7 +33,8 @@ def estimate(id=3, category="can", **changes):
 
 
 def test_round_trip(tmp_path):
-    write_object_map(tmp_path, [estimate(), estimate(4, "mug", status="implausible")])
+    above = estimate(4, "mug", status="implausible", resting="upside-down", rests_on=3)
+    write_object_map(tmp_path, [estimate(), above])
     first, second = read_object_map(tmp_path)
     sent = estimate()
     np.testing.assert_allclose(first.mesh.vertices, sent.mesh.vertices, atol=1e-7)
@@ -41,13 +42,16 @@ def test_round_trip(tmp_path):
     np.testing.assert_allclose(first.T_world_object, sent.T_world_object)
     np.testing.assert_allclose(first.code, sent.code)
     assert (first.id, first.category, first.score, first.n_views, first.residual) == (3, "can", 0.8, 5, 0.002)
+    assert (first.resting, first.rests_on) == ("upright", None)
     assert (second.category, second.status) == ("mug", "implausible")
+    assert (second.resting, second.rests_on) == ("upside-down", 3)
 
 
 def test_files_are_as_others_expect_them(tmp_path):
     write_object_map(tmp_path, [estimate()])
     entry = json.loads((tmp_path / "objects.json").read_text())[0]
     assert entry["height"] == pytest.approx(0.12) and entry["radius"] == pytest.approx(0.03)
+    assert (entry["resting"], entry["rests_on"]) == ("upright", "plane")
     assert len(entry["code"]) == 16 and np.shape(entry["T_world_object"]) == (4, 4)
     mesh = trimesh.load(tmp_path / "objects/3_can.ply")
     assert mesh.is_watertight and mesh.volume == pytest.approx(0.06 * 0.06 * 0.12, rel=1e-5)
@@ -134,3 +138,28 @@ def test_any_change_is_read_or_refused(tmp_path, data):
         return
     for found in objects:
         assert np.isfinite(found.mesh.vertices).all() and np.isfinite(found.T_world_object).all()
+
+
+@pytest.mark.parametrize(
+    ("key", "value", "problem"),
+    [
+        ("rests_on", "table", "rests_on 'table' is neither"),
+        ("resting", "leaning", "resting 'leaning' is none of"),
+    ],
+)
+def test_unknown_resting_poses_are_refused(tmp_path, key, value, problem):
+    write_object_map(tmp_path, [estimate()])
+    entries = json.loads((tmp_path / "objects.json").read_text())
+    entries[0][key] = value
+    (tmp_path / "objects.json").write_text(json.dumps(entries))
+    with pytest.raises(InvalidInputError, match=problem):
+        read_object_map(tmp_path)
+
+
+def test_maps_without_resting_poses_are_of_upright_objects(tmp_path):
+    write_object_map(tmp_path, [estimate()])
+    entries = json.loads((tmp_path / "objects.json").read_text())
+    del entries[0]["resting"], entries[0]["rests_on"]
+    (tmp_path / "objects.json").write_text(json.dumps(entries))
+    (read,) = read_object_map(tmp_path)
+    assert (read.resting, read.rests_on) == ("upright", None)

@@ -75,3 +75,16 @@ def test_camera_stands_farther_from_longer_objects_and_aims_at_their_middle(long
         assert 0.4 * factor <= distance <= 0.7 * factor
         np.testing.assert_allclose(T[:3, 2], -away / distance, atol=1e-12)
         assert config.elevation[0] <= np.arcsin(away[2] / distance) <= config.elevation[1]
+
+
+def test_a_lying_object_is_rendered_in_its_pose(bottle):
+    T_rest = np.eye(4)
+    T_rest[:3, :3] = [[0, 0, 1], [0, 1, 0], [-1, 0, 0]]
+    T_rest[2, 3] = np.asarray(bottle.mesh.vertices)[:, 0].max()
+    views = render_single_object(bottle, 1, np.random.default_rng(5), EXACT, T_rest)
+    points, _, _ = points_above_table(views.frames[0])
+    assert abs(views.T_world_object[2, 2]) < 1e-9
+    assert points[:, 2].max() == pytest.approx(np.ptp(np.asarray(bottle.mesh.vertices)[:, 0]), abs=0.004)
+    local = (points - views.T_world_object[:3, 3]) @ views.T_world_object[:3, :3]
+    low, high = bottle.mesh.bounds
+    assert (local > low - 0.002).all() and (local < high + 0.002).all()

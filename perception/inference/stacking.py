@@ -1,0 +1,177 @@
+"""Objects that rest on other objects: which rests on what, and how far one is above or inside the other.
+
+An object whose measured points all lie clearly above the plane, over the outline of another one, is taken to
+rest on it. It is fitted again with the support plane raised to the height of the contact, so that the same
+prior holds: its lowest part touches what is below it.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Mapping, Sequence
+from dataclasses import dataclass, replace
+
+import cv2
+import numpy as np
+import trimesh
+from jaxtyping import Float
+
+from perception.errors import PerceptionError
+from perception.inference.fit_config import FitConfig
+from perception.inference.initialise import plane_basis
+from perception.inference.observation import ObjectViews
+from perception.types import ObjectEstimate, SupportPlane, TriangleMesh
+
+Fit = Callable[[ObjectViews, SupportPlane, FitConfig], ObjectEstimate]
+
+LEAST_BASE = 0.012  # [m] height over the plane of the lowest measured points of an object on another one
+_HIGHER = 0.008  # [m] by which the top of the upper object is above that of the lower one, at least
+_CELL = 0.002  # [m] of the height maps whose difference is the gap
+_FREE = 0.1  # [m] standard deviation of the height of the lowest part before the contact is known
+_VIEWS = 2  # in which an object is measured
+_CENTRAL = (
+    0.25  # share of the points about the centre of the upper object under which the lower one is looked up
+)
+
+
+@dataclass(frozen=True)
+class MeasuredExtent:
+    """Measured points of an object over its support plane.
+
+    Attributes:
+        plan: (n, 2) coordinates in the plane, in metres.
+        base: Height of the lowest points, in metres.
+        top: Height of the highest points, in metres.
+    """
+
+    plan: Float[np.ndarray, "n 2"]
+    base: float
+    top: float
+
+    @staticmethod
+    def of(views: ObjectViews, plane: SupportPlane) -> MeasuredExtent:
+        """Measure the points of the largest views."""
+        clouds = [seen.points_world(erode=2) for seen in views.observations[:_VIEWS]]
+        points = np.concatenate(clouds)
+        if not len(points):
+            return MeasuredExtent(np.zeros((0, 2)), 0.0, 0.0)
+        base = min(float(np.quantile(plane.height_above(cloud), 0.03)) for cloud in clouds if len(cloud))
+        top = float(np.quantile(plane.height_above(points), 0.99))
+        return MeasuredExtent(points @ plane_basis(plane)[:2].T, base, top)
+
+    @property
+    def centre(self) -> Float[np.ndarray, "2"]:
+        """Centre of the bounding box in the plane, in metres."""
+        return (self.plan.min(axis=0) + self.plan.max(axis=0)) / 2
+
+
+def find_stacks(
+    instances: Sequence[ObjectViews], plane_of: Mapping[int | None, SupportPlane]
+) -> dict[int, int]:
+    """Return for each object that rests on another one the id of that one, the lowest objects first.
+
+    Args:
+        instances: Objects.
+        plane_of: Support plane of each object.
+    """
+    below: dict[int, int] = {}
+    for plane in {id(plane_of[views.id]): plane_of[views.id] for views in instances}.values():
+        there = [views for views in instances if plane_of[views.id] is plane]
+        if len(there) > 1:
+            below |= stacked({views.id: MeasuredExtent.of(views, plane) for views in there})
+    return below
+
+
+def stacked(extents: Mapping[int, MeasuredExtent]) -> dict[int, int]:
+    """Return the same for objects over a common plane, from their measured points by id."""
+    below = {}
+    for upper, seen in sorted(extents.items(), key=lambda item: item[1].base):
+        if seen.base < LEAST_BASE:
+            continue
+        under = [
+            key for key, other in extents.items()
+            if key != upper and other.top < seen.top - _HIGHER and other.base < seen.base
+            and _covers(other.plan, seen.centre)
+        ]  # fmt: skip
+        if under:
+            below[upper] = max(under, key=lambda key: extents[key].top)
+    return below
+
+
+def rest_on(
+    views: ObjectViews, lower: ObjectEstimate, plane: SupportPlane, config: FitConfig, fit: Fit
+) -> ObjectEstimate:
+    """Return the estimate of an object that rests on another one: touching it, and not inside it.
+
+    Args:
+        views: Observations of the upper object.
+        lower: Estimate of the object below.
+        plane: Support plane of the object below.
+        config: Settings of the fits.
+        fit: Fits the upper object, given the plane that it stands on.
+
+    Raises:
+        PerceptionError: A fit fails, or the objects do not overlap in the plane.
+    """
+    seen = MeasuredExtent.of(views, plane)
+    start = _raised(plane, _height_under(seen, lower.mesh_world, plane))
+    free = replace(config, noise=replace(config.noise, support_sigma=_FREE))
+    first = fit(views, start, free).mesh_world
+    clearance = gap(first, lower.mesh_world, plane)
+    if clearance is None:
+        raise PerceptionError(f"{views.category}_{views.id} is not above {lower.name}")
+    contact = float(plane.height_above(first.vertices).min()) - clearance
+    return replace(fit(views, _raised(plane, contact), config), rests_on=lower.id)
+
+
+def gap(upper: TriangleMesh, lower: TriangleMesh, plane: SupportPlane) -> float | None:
+    """Return how far one object can be lowered until it touches another one, in metres.
+
+    Negative where it is inside the other one; None if no part of it is above the other one.
+
+    Args:
+        upper: Mesh of the upper object in the world frame, in metres.
+        lower: Mesh of the lower object in the world frame, in metres.
+        plane: Plane whose normal is the vertical.
+    """
+    cells, low = _extreme_heights(_samples(upper), plane, np.minimum)
+    others, high = _extreme_heights(_samples(lower), plane, np.maximum)
+    _, at, there = np.intersect1d(cells, others, return_indices=True)
+    return float((low[at] - high[there]).min()) if len(at) else None
+
+
+def _raised(plane: SupportPlane, height: float) -> SupportPlane:
+    return replace(plane, offset=plane.offset + height)
+
+
+def _covers(plan: Float[np.ndarray, "n 2"], point: Float[np.ndarray, "2"]) -> bool:
+    if len(plan) < 3:
+        return False
+    hull = cv2.convexHull((1000 * plan).astype(np.float32))
+    return cv2.pointPolygonTest(hull, (1000 * point).tolist(), False) >= 0
+
+
+def _height_under(seen: MeasuredExtent, lower: TriangleMesh, plane: SupportPlane) -> float:
+    """Return the height of the lower object below the centre of the upper one, in metres."""
+    reach = _CENTRAL * float(np.ptp(seen.plan, axis=0).max())
+    points = _samples(lower)
+    near = np.linalg.norm(points @ plane_basis(plane)[:2].T - seen.centre, axis=1) < max(reach, 0.01)
+    if not near.any():
+        raise PerceptionError("the object below has no upper side under the centre")
+    _, top = _extreme_heights(points[near], plane, np.maximum)
+    return max(float(np.median(top)), 0.0)
+
+
+def _samples(mesh: TriangleMesh) -> Float[np.ndarray, "n 3"]:
+    """Return points on the surface at most a cell apart."""
+    return trimesh.remesh.subdivide_to_size(mesh.vertices, mesh.faces, max_edge=_CELL, max_iter=20)[0]
+
+
+def _extreme_heights(
+    points: Float[np.ndarray, "n 3"], plane: SupportPlane, extreme: np.ufunc
+) -> tuple[np.ndarray, np.ndarray]:
+    """Return the occupied cells of a grid in the plane and their extreme heights, in metres."""
+    cell = np.floor(points @ plane_basis(plane)[:2].T / _CELL).astype(np.int64)
+    keys, inverse = np.unique(cell[:, 0] * 2**32 + cell[:, 1], return_inverse=True)
+    heights = np.full(len(keys), -np.inf if extreme is np.maximum else np.inf)
+    extreme.at(heights, inverse, plane.height_above(points))
+    return keys, heights

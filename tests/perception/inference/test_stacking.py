@@ -1,0 +1,99 @@
+"""Which object rests on which, and the gap between solids."""
+
+import numpy as np
+import pytest
+import trimesh
+
+from perception.errors import PerceptionError
+from perception.inference.fit_config import FitConfig
+from perception.inference.observation import ObjectViews
+from perception.inference.stacking import LEAST_BASE, MeasuredExtent, find_stacks, gap, rest_on, stacked
+from perception.types import ObjectEstimate, SupportPlane, TriangleMesh
+
+PLANE = SupportPlane()
+
+
+def square(x: float = 0.0, half: float = 0.03) -> np.ndarray:
+    corners = np.array([[-half, -half], [half, -half], [half, half], [-half, half]])
+    return corners + np.array([x, 0.0])
+
+
+def as_mesh(shape: trimesh.Trimesh, *at: float) -> TriangleMesh:
+    return TriangleMesh(np.asarray(shape.vertices) + at, np.asarray(shape.faces))
+
+
+def estimate(id: int, mesh: TriangleMesh, **changes) -> ObjectEstimate:
+    return ObjectEstimate(id, "can", np.zeros(16), np.eye(4), np.full(3, 0.05), mesh, **changes)
+
+
+def test_an_object_above_the_outline_of_another_rests_on_it() -> None:
+    extents = {
+        4: MeasuredExtent(square(), 0.001, 0.1),
+        2: MeasuredExtent(square(0.01), 0.1, 0.15),
+        3: MeasuredExtent(square(0.2), 0.0, 0.1),
+    }
+    assert stacked(extents) == {2: 4}
+
+
+def test_a_tower_is_listed_from_below() -> None:
+    extents = {k: MeasuredExtent(square(), 0.05 * (3 - k), 0.05 * (4 - k)) for k in (1, 2, 3)}
+    assert list(stacked(extents).items()) == [(2, 3), (1, 2)]
+
+
+@pytest.mark.parametrize(
+    ("base", "x", "top"), [(LEAST_BASE / 2, 0.0, 0.15), (0.05, 0.1, 0.15), (0.05, 0.0, 0.1)]
+)
+def test_an_object_on_the_plane_or_beside_or_inside_another_rests_on_the_plane(base, x, top) -> None:
+    """The last: an object whose foot is hidden, as high as the one that its outline overlaps."""
+    extents = {1: MeasuredExtent(square(), 0.0, 0.1), 2: MeasuredExtent(square(x), base, top)}
+    assert stacked(extents) == {}
+
+
+def test_gap_between_boxes() -> None:
+    box = trimesh.creation.box((0.06, 0.06, 0.1))
+    lower = as_mesh(box, 0, 0, 0.05)
+    assert gap(as_mesh(box, 0.02, 0, 0.17), lower, PLANE) == pytest.approx(0.02)
+    assert gap(as_mesh(box, 0.02, 0, 0.14), lower, PLANE) == pytest.approx(-0.01)
+    assert gap(as_mesh(box, 0.1, 0, 0.17), lower, PLANE) is None
+
+
+def test_gap_to_the_floor_of_a_bowl() -> None:
+    """A box over a tube with a floor: it can be lowered to the floor, not to the rim."""
+    tube, floor = trimesh.creation.annulus(0.05, 0.055, 0.06), trimesh.creation.cylinder(0.05, 0.01)
+    tube.apply_translation((0, 0, 0.03))
+    floor.apply_translation((0, 0, 0.005))
+    bowl = as_mesh(trimesh.util.concatenate([tube, floor]), 0, 0, 0)
+    box = trimesh.creation.box((0.04, 0.04, 0.04))
+    assert gap(as_mesh(box, 0, 0, 0.08), bowl, PLANE) == pytest.approx(0.05, abs=1e-6)
+    assert gap(as_mesh(box, 0.05, 0, 0.08), bowl, PLANE) == pytest.approx(0.0, abs=1e-6)  # on the rim
+
+
+def test_the_upper_object_is_fitted_on_the_contact(make_table) -> None:
+    table = make_table("can", (), yaw=0.0)
+    views = ObjectViews(7, "can", 1.0, tuple(table.observations((0.0,))))
+    box = trimesh.creation.box((0.06, 0.06, 0.1))
+    lower = estimate(3, as_mesh(box, 0.4, -0.1, -0.05 + 0.02))  # its top is 2 cm above the plane
+    offsets, free = [], []
+
+    def fit(_: ObjectViews, plane: SupportPlane, config: FitConfig) -> ObjectEstimate:
+        offsets.append(plane.offset)
+        free.append(config.noise.support_sigma > 0.01)
+        return estimate(7, as_mesh(box, 0.4, -0.1, 0.05 + 0.03))  # its foot is 3 cm above the plane
+
+    above = rest_on(views, lower, PLANE, FitConfig(), fit)
+    assert above.rests_on == 3
+    np.testing.assert_allclose(offsets, [0.02, 0.02], atol=1e-9)
+    assert free == [True, False]
+
+
+def test_an_upper_object_that_is_not_above_is_an_error(make_table) -> None:
+    table = make_table("can", (), yaw=0.0)
+    views = ObjectViews(7, "can", 1.0, tuple(table.observations((0.0,))))
+    lower = estimate(3, as_mesh(trimesh.creation.box((0.06, 0.06, 0.1)), 0.4, -0.1, -0.03))
+    far = estimate(7, as_mesh(trimesh.creation.box((0.06, 0.06, 0.1)), 2.0, 0, 0))
+    with pytest.raises(PerceptionError, match=r"^can_7 is not above can_3$"):
+        rest_on(views, lower, PLANE, FitConfig(), lambda *_: far)
+
+
+def test_one_object_is_not_measured() -> None:
+    assert find_stacks([ObjectViews(1, "can", 1.0, ())], {1: PLANE}) == {}
