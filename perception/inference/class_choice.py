@@ -105,7 +105,9 @@ def fit_best_class(
             assert problem is not None
             raise problem
         return best.estimate
-    likely = [CATEGORIES[k] for k in np.argsort(-p[:OTHER], kind="stable") if p[k] >= MIN_PROBABILITY]
+    likely: list[Category] = [
+        CATEGORIES[k] for k in np.argsort(-p[:OTHER], kind="stable") if p[k] >= MIN_PROBABILITY
+    ]
     if first is None or p[CATEGORIES.index(views.category)] < CLEAR or first.estimate.score < model.threshold:
         most = MAX_CLASSES if np.ptp(p) else len(CATEGORIES)  # all are equally probable without a class
         for category in [c for c in likely if c != views.category][: most - 1]:
@@ -113,8 +115,9 @@ def fit_best_class(
             fits += [] if other is None else [other]
     upright = max(fits, key=lambda scored: scored.estimate.score, default=None)
     known = np.ptp(p) > 0
-    categories = likely if upright is None or not known else [upright.estimate.category]
-    best = _best_pose(fit, upright, categories, views, plane, model.threshold)
+    if known and upright is not None:
+        likely = [upright.estimate.category]
+    best = _best_pose(fit, upright, likely, views, plane, model.threshold)
     if best is None:
         assert problem is not None
         raise problem
