@@ -6,6 +6,7 @@ import errno
 import os
 import shutil
 import struct
+from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
 
@@ -21,24 +22,41 @@ ANIMATION_FPS = 6.0  # at most
 LONGEST = 20.0  # [s] of an animation; longer videos are sped up in it
 
 
+@dataclass(frozen=True)
+class Encoding:
+    """Parameters of the encoder.
+
+    Attributes:
+        quality: imageio's quality in 0..10; None if the parameters determine it.
+        block: Width and height of the images must be multiples of it, in pixels; others are resized.
+        parameters: Further arguments of ffmpeg.
+    """
+
+    quality: float | None = 7
+    block: int = 8
+    parameters: tuple[str, ...] = ("-preset", "veryfast")  # a few per cent larger at half the cost
+
+
 class MovieFile:
     """Encodes images as they arrive; the file appears under its name when it is complete.
 
-    ``<name>.webp`` beside it has the same content, smaller and with fewer images.
+    ``<name>.webp`` beside it has the same content, smaller and with fewer images, unless it is not wanted.
     """
 
-    def __init__(self, path: Path, fps: int) -> None:
+    def __init__(self, path: Path, fps: int, encoding: Encoding = Encoding(), animation: bool = True) -> None:
         import imageio.v2 as imageio
 
         self._path = path
         self._partial = path.with_name(f".{path.name}.partial.mp4")
         self._fps = fps
+        self._animated = animation
         self._last: np.ndarray | None = None
         self._small: list[Image.Image] = []
         self._count = 0
         self._writer: Any = imageio.get_writer(
-            self._partial, fps=fps, codec="libx264", quality=7, macro_block_size=8, ffmpeg_log_level="quiet",
-            output_params=["-preset", "veryfast"],  # a few per cent larger at half the cost
+            self._partial, fps=fps, codec="libx264", quality=encoding.quality,
+            macro_block_size=encoding.block, ffmpeg_log_level="quiet",
+            output_params=list(encoding.parameters),
         )  # fmt: skip
 
     def add(self, image: Picture) -> None:
@@ -47,7 +65,7 @@ class MovieFile:
         Raises:
             OSError: The encoder failed, as on a full disk.
         """
-        if self._count % max(1, round(self._fps / ANIMATION_FPS)) == 0:
+        if self._animated and self._count % max(1, round(self._fps / ANIMATION_FPS)) == 0:
             height = round(ANIMATION_WIDTH * image.shape[0] / image.shape[1])
             small = cv2.resize(image, (ANIMATION_WIDTH, height), interpolation=cv2.INTER_AREA)
             self._small.append(Image.fromarray(small))

@@ -2,12 +2,17 @@
 
 from __future__ import annotations
 
+import shlex
 from collections.abc import Sequence
+from dataclasses import fields
 
 from app.collect.lerobot import VERSION, DatasetConfig, Line
 from app.evaluation.statistics import wilson_interval
-from app.options import CollectOptions
+from app.options import NOT_SETTINGS, CollectOptions
 from app.runs.report import package_version
+
+# How a run is carried out, and which of its episodes are kept: they do not depend on it.
+OF_THE_RUN = {"episodes", "filter", "workers", "resume", "ray"}
 
 CARD = """---
 license: apache-2.0
@@ -100,10 +105,12 @@ def card(
 def command_of(options: CollectOptions) -> str:
     """Return the command that repeats a data set."""
     default = CollectOptions()
-    words = ["nodeslam collect"]
-    for name in ("task", "episodes", "objects", "robot", "box", "depth_noise", "shapes", "control", "filter",
-                 "image_size", "seed"):  # fmt: skip
+    words = [f"nodeslam collect --task {options.task} --episodes {options.episodes}"]
+    left_out = (NOT_SETTINGS | OF_THE_RUN | {"task"}) - {"seed", "filter"}
+    for name in (field.name for field in fields(CollectOptions)):
         value = getattr(options, name)
-        if value != getattr(default, name) or name in ("task", "episodes"):
-            words.append(f"--{name.replace('_', '-')} {value}")
-    return " ".join(words + (["--no-images"] if options.no_images else []))
+        if name in left_out or value == getattr(default, name):
+            continue
+        flag = f"--{name.replace('_', '-')}"
+        words.append(flag if value is True else f"{flag} {shlex.quote(str(value))}")
+    return " ".join(words)

@@ -11,7 +11,7 @@ from collections.abc import Sequence
 from dataclasses import fields
 from functools import cache, partial
 
-from app.collect.card import card
+from app.collect.card import OF_THE_RUN, card
 from app.collect.lerobot import DatasetConfig, assemble
 from app.collect.recording import record
 from app.environments.actions import codec_of
@@ -22,7 +22,7 @@ from app.errors import UsageError
 from app.evaluation.jobs import Failure, Jobs, networks_on, run_jobs
 from app.evaluation.ledger import Ledger, LedgerFormat, Line
 from app.evaluation.statistics import wilson_interval
-from app.options import CellOptions, CollectOptions, Task
+from app.options import NOT_SETTINGS, CellOptions, CollectOptions, Task
 from app.runs.report import Report
 from app.runs.run_folder import RunFolder
 from app.screen import Screen
@@ -34,18 +34,16 @@ INSTRUCTIONS: dict[Task, str] = {
     "pack": "Pack all objects on the table into the box: nest the bowls and line up the mugs.",
     "sort": "Sort all objects on the table by size along the line, the smallest first.",
 }
-SETTINGS = (
-    "task", "objects", "object_meshes", "robot", "box", "depth_noise", "shapes", "device", "control",
-    "image_size", "no_images",
-)  # fmt: skip
 
 
 def run(options: CollectOptions, screen: Screen) -> Report:
     """Run the episodes that are not finished yet, then write the data set."""
     begin = time.perf_counter()
+    if options.fault != "none":
+        raise UsageError("collect: --fault is an option of pack, sort and evaluate tasks")
     config = config_of(options)
-    settings = {name: str(getattr(options, name)) for name in SETTINGS}
-    ledger, finished = Ledger.open(options, LedgerFormat("collect", "episodes.jsonl", "seed"), settings)
+    format = LedgerFormat("collect", "episodes.jsonl", "seed")
+    ledger, finished = Ledger.open(options, format, _settings(options))
     folder, seeds = ledger.folder, range(options.seed, options.seed + options.episodes)
     if (folder.path / "meta" / "info.json").exists():
         raise UsageError(f"--resume: the data set {folder.path} is complete; give another --out")
@@ -70,6 +68,12 @@ def run(options: CollectOptions, screen: Screen) -> Report:
     folder.write_report(report)
     screen.show(report.reason)
     return report
+
+
+def _settings(options: CollectOptions) -> dict[str, str]:
+    """Return the options that a resumed run must share: all that an episode depends on."""
+    names = sorted({field.name for field in fields(CollectOptions)} - NOT_SETTINGS - OF_THE_RUN)
+    return {name: str(getattr(options, name)) for name in names}
 
 
 def config_of(options: CollectOptions) -> DatasetConfig:
@@ -110,7 +114,7 @@ def collect_seed(options: CollectOptions, seed: int) -> Line:
     """Record one episode; return its line with the content of its files."""
     begin = time.perf_counter()
     env = _environment(options)
-    expert = Expert(env, networks_on(options.device), options.shapes)
+    expert = Expert(env, networks_on(options.device), options.shapes, options.scan_views)
     try:
         episode = record(env, expert, seed)
     finally:
@@ -173,5 +177,5 @@ def _report(options: CollectOptions, lines: Sequence[Line], kept: Sequence[Line]
                 for line in lines
             ],
         },
-        settings={name: str(getattr(options, name)) for name in (*SETTINGS, "filter")},
+        settings=_settings(options) | {"filter": options.filter},
     )

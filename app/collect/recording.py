@@ -17,10 +17,16 @@ from app.environments.environment import CAMERAS, CellEnv
 from app.environments.expert import Expert
 from app.environments.privileged import COLUMNS
 from app.environments.registration import MAX_SECONDS
+from app.movie import Encoding, MovieFile
 from perception.types import CATEGORIES
 
 GOP = 2  # frames between key frames, so that single frames are decoded quickly
 QUALITY = 25  # of x264: constant rate factor
+ENCODING = Encoding(
+    quality=None,
+    block=2,
+    parameters=("-crf", str(QUALITY), "-g", str(GOP), "-preset", "veryfast", "-threads", "1"),
+)
 STATS_STRIDE = 10  # every tenth image enters the statistics
 
 Stats = dict[str, dict[str, Any]]
@@ -151,29 +157,30 @@ class _Video:
     """Encodes images of one camera, and keeps a few for the statistics."""
 
     def __init__(self, fps: int) -> None:
-        import imageio.v2 as imageio
-
         self._folder = tempfile.TemporaryDirectory()
         self._path = Path(self._folder.name) / "video.mp4"
         self._kept: list[np.ndarray] = []
         self._count = 0
-        self._writer: Any = imageio.get_writer(
-            self._path, fps=fps, codec="libx264", macro_block_size=2, ffmpeg_log_level="error", quality=None,
-            output_params=["-crf", str(QUALITY), "-g", str(GOP), "-preset", "veryfast", "-threads", "1"],
-        )  # fmt: skip
+        self._file = MovieFile(self._path, fps, ENCODING, animation=False)
 
     def add(self, image: np.ndarray) -> None:
         if self._count % STATS_STRIDE == 0:
             self._kept.append(image)
         self._count += 1
-        self._writer.append_data(image)
+        self._file.add(image)
 
     def finish(self) -> bytes:
-        """Return the file."""
-        self._writer.close()
-        content = self._path.read_bytes() if self._path.exists() else b""
-        self._folder.cleanup()
-        return content
+        """Return the file; empty without images.
+
+        Raises:
+            OSError: The encoder failed, as on a full disk.
+        """
+        with self._folder:
+            if not self._count:
+                self._file.discard()
+                return b""
+            self._file.close()
+            return self._path.read_bytes()
 
     def stats(self) -> dict[str, Any]:
         """Return statistics per channel, of values in 0..1, in LeRobot's shape (3, 1, 1)."""

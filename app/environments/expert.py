@@ -64,7 +64,11 @@ class Expert:
     """
 
     def __init__(
-        self, env: CellEnv, perception: Perception | None = None, shapes: Shapes = "nodeslam"
+        self,
+        env: CellEnv,
+        perception: Perception | None = None,
+        shapes: Shapes = "nodeslam",
+        scan_views: int = TaskOptions.scan_views,
     ) -> None:
         """Prepare the policy.
 
@@ -72,9 +76,10 @@ class Expert:
             env: Environment, unwrapped.
             perception: Networks; loaded if None.
             shapes: Source of the object estimates, as in ``nodeslam pack --shapes``.
+            scan_views: Number of images of the scan.
         """
         self._env = env
-        self._shapes: Shapes = shapes
+        self._options = TaskOptions(shapes=shapes, scan_views=scan_views)
         self._perception = perception or load_perception("auto")
         self._run: _PipelineThread | None = None
         self.phase, self.target, self.failure, self.finished = "scan", "", "", False
@@ -83,8 +88,8 @@ class Expert:
         """Begin an episode; call it after ``env.reset``."""
         self.close()
         self.phase, self.target, self.failure, self.finished = "scan", "", "", False
-        options, period = TaskOptions(shapes=self._shapes), self._env.cell.control.period
-        request = request_of(self._env.cell.world, self._env.task, options)
+        period = self._env.cell.control.period
+        request = request_of(self._env.cell.world, self._env.task, self._options)
         robot = _SteppedRobot(self._env.robot.description, self._env.codec, period, observation)
         self._run = _PipelineThread(robot, self._perception, request, _Phases(self))
 

@@ -7,7 +7,7 @@ import numpy as np
 import pytest
 from PIL import Image, ImageSequence
 
-from app.movie import ANIMATION_FPS, ANIMATION_WIDTH, LONGEST, MovieFile, is_complete_mp4
+from app.movie import ANIMATION_FPS, ANIMATION_WIDTH, LONGEST, Encoding, MovieFile, is_complete_mp4
 
 
 def grey(value):
@@ -80,3 +80,10 @@ def test_truncated_videos_are_recognised(tmp_path):
     for length in (0, 4, 40, len(content) // 2, len(content) - 1):
         (tmp_path / "cut.mp4").write_bytes(content[:length])
         assert not is_complete_mp4(tmp_path / "cut.mp4")
+
+
+def test_the_animation_is_optional(tmp_path):
+    movie = MovieFile(tmp_path / "plain.mp4", 10, Encoding(block=2), animation=False)
+    movie.add(np.zeros((34, 50, 3), np.uint8))
+    movie.close()
+    assert [path.name for path in tmp_path.iterdir()] == ["plain.mp4"]

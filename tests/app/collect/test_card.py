@@ -19,3 +19,12 @@ def test_the_card_states_success_and_the_command(config):
 def test_the_command_names_what_differs_from_the_defaults():
     options = CollectOptions(task="sort", episodes=5, seed=3, no_images=True)
     assert command_of(options) == "nodeslam collect --task sort --episodes 5 --seed 3 --no-images"
+
+
+def test_the_command_names_the_scene_but_not_the_workers():
+    scene = {"gap": 0.02, "lying": 1, "clutter": True, "friction": "0.3,0.9", "scan_views": 3}
+    options = CollectOptions(**scene, workers=8, ray="auto", resume=True, quiet=True)
+    words = "--friction 0.3,0.9 --gap 0.02 --lying 1 --scan-views 3 --clutter"
+    command = command_of(options)
+    assert all(f"--{word.strip()}" in command for word in words.split("--") if word)
+    assert not any(word in command for word in ("workers", "ray", "resume", "quiet"))

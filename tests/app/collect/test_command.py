@@ -80,3 +80,18 @@ def test_names_fit_the_robot():
 def test_failed_seeds_have_no_frames():
     line = command.failed_seed(CollectOptions(), 4, command.Failure("crashed", 1.0))
     assert (line["seed"], line["n_frames"], line["success"], line["reason"]) == (4, 0, False, "crashed")
+
+
+def test_a_resumed_collection_needs_the_same_scene(tmp_path, fake):
+    collected(tmp_path / "set", episodes=2, filter="success", gap=0.02)
+    report = json.loads((tmp_path / "set/report.json").read_text())
+    assert report["settings"]["gap"] == "0.02" and report["settings"]["filter"] == "success"
+    assert "workers" not in report["settings"] and report["settings"]["scan_views"] == "6"
+    (tmp_path / "set/meta/info.json").unlink()
+    with pytest.raises(UsageError, match="gap"):
+        collected(tmp_path / "set", episodes=3, resume=True, gap=0.03)
+
+
+def test_faults_are_refused(tmp_path):
+    with pytest.raises(UsageError, match="--fault is an option of pack, sort and evaluate tasks"):
+        collected(tmp_path / "set", episodes=1, fault="any")

@@ -7,7 +7,7 @@ import numpy as np
 import pyarrow.parquet as pq
 import pytest
 
-from app.collect.recording import parquet_bytes, record, stats_of
+from app.collect.recording import _Video, parquet_bytes, record, stats_of
 
 
 def table(episode, name):
@@ -70,3 +70,16 @@ def test_tables_survive_the_file():
     import pyarrow as pa
 
     assert pq.read_table(io.BytesIO(parquet_bytes(pa.table({"a": [1, 2]})))).to_pydict() == {"a": [1, 2]}
+
+
+def test_a_failing_encoder_is_noticed(tmp_path):
+    video = _Video(10)
+    video.add(np.zeros((32, 32, 3), np.uint8))
+    video._file._writer.close()
+    video._path.with_name(".video.mp4.partial.mp4").write_bytes(b"cut")
+    with pytest.raises(OSError, match=r"video\.mp4"):
+        video.finish()
+
+
+def test_a_video_without_images_is_empty():
+    assert _Video(10).finish() == b""
