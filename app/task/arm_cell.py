@@ -20,6 +20,7 @@ if TYPE_CHECKING:
 
 FULL_OPENING = 0.075  # [m] that the generated objects need: cans and caps of 70 mm, with clearance
 SMALLEST = 0.5  # scale of objects below which fingers do not fit into cups
+BELOW_RIM = 0.018  # [m] of an object besides the fingertips: depth of the pads, floor, clearance
 CLEARANCE = 0.002  # [m] of an opening beyond a body
 GRAVITY = 9.81
 FRICTION = 0.6  # least coefficient between pads and objects
@@ -33,10 +34,12 @@ class ArmCell:
     Attributes:
         scale: of places, box and viewpoints.
         object_scale: of generated objects; no larger.
+        lowest: least height of a generated object in [m], which the fingertips need beyond the pads.
     """
 
     scale: float = 1.0
     object_scale: float = 1.0
+    lowest: float = 0.0
 
 
 def arm_cell(options: CellOptions, robot: SimulatedArm) -> ArmCell:
@@ -52,7 +55,8 @@ def scales_of(fit: ReachFit, robot: SimulatedArm) -> ArmCell:
     """Return the scales by reach and by opening."""
     by_opening = max(SMALLEST, robot.description.max_width / FULL_OPENING)
     scale = fit.workspace.scale
-    return ArmCell(scale, round(min(scale, by_opening), 3))
+    lowest = robot.description.gripper.tip + BELOW_RIM
+    return ArmCell(scale, round(min(scale, by_opening), 3), lowest)
 
 
 def box_of(options: CellOptions, inner: tuple[float, float, float], scale: float) -> BoxConfig:

@@ -13,7 +13,7 @@ import numpy as np
 
 from app.errors import ProblemsError, UsageError
 from app.options import CellOptions
-from app.task.arm_cell import arm_cell, box_of
+from app.task.arm_cell import ArmCell, arm_cell, box_of
 from app.task.scene_options import check_scene, scene_settings
 from manipulation.kinematics import Kinematics
 from manipulation.workspace import fit_workspace
@@ -27,6 +27,7 @@ if TYPE_CHECKING:
 MAX_OBJECTS = 20
 SET_DOWN_TILT = np.deg2rad(3)
 MAX_LEAN = np.deg2rad(8)  # of an own mesh at rest on the table
+HIGHER_DRAWS = 20  # of an object that is too low for the fingers
 REDRAWS = 6  # of an object that leaves no room for the others
 BOX_LIMITS = {"L": (0.10, 0.60), "W": (0.10, 0.50), "H": (0.02, 0.20)}  # [m]: boxes that fit on the table
 
@@ -173,7 +174,7 @@ def build_world(options: CellOptions, task: str | None) -> World:
     robot = robot_of(options)
     cell = arm_cell(options, robot)
     config = CellConfig(
-        objects=tuple(_draw_models(options, classes, rng, cell.object_scale)),
+        objects=tuple(_draw_models(options, classes, rng, cell)),
         box=None if task == "sort" else box_of(options, inner, cell.scale),
         line=_tape(cell.scale) if task == "sort" else None,
         depth_noise=options.depth_noise,
@@ -188,7 +189,7 @@ def build_world(options: CellOptions, task: str | None) -> World:
             return World(config)
         except LayoutError as error:
             reason = str(error)
-        models = _with_a_smaller_object(options, config.objects, rng, cell.object_scale)
+        models = _with_a_smaller_object(options, config.objects, rng, cell)
         if models is None:
             break
         config = replace(config, objects=models)
@@ -196,14 +197,15 @@ def build_world(options: CellOptions, task: str | None) -> World:
 
 
 def _draw_models(
-    options: CellOptions, classes: Sequence[Category], rng: np.random.Generator, scale: float = 1.0
+    options: CellOptions, classes: Sequence[Category], rng: np.random.Generator, cell: ArmCell = ArmCell()
 ) -> list[ObjectModel]:
-    """Draw the objects: generated ones of a scale, or users' meshes as they are."""
+    """Draw the objects: generated ones that suit the arm, or users' meshes as they are."""
     if options.object_meshes is None:
         from sim_assets.objects.sampling import draw_objects
         from sim_assets.objects.scaled import scaled
 
-        return [scaled(model, scale) for model in draw_objects(Counter(classes), "test", rng)]
+        drawn = [scaled(model, cell.object_scale) for model in draw_objects(Counter(classes), "test", rng)]
+        return [_high_enough(model, rng, cell) for model in drawn]
     from sim_assets.objects import load_user_objects
 
     owned: dict[Category, list[ObjectModel]] = {category: [] for category in get_args(Category)}
@@ -222,6 +224,18 @@ def _draw_models(
     return drawn
 
 
+def _high_enough(model: ObjectModel, rng: np.random.Generator, cell: ArmCell) -> ObjectModel:
+    """Return the object, or the first of a few draws of its class that is high enough for the fingers."""
+    from sim_assets.objects import sample_object
+    from sim_assets.objects.scaled import scaled
+
+    for _ in range(HIGHER_DRAWS):
+        if model.height >= cell.lowest:
+            break
+        model = scaled(sample_object(model.category, "test", rng), cell.object_scale)
+    return model
+
+
 def _require_standing(model: ObjectModel, folder: Path) -> None:
     """Raise UsageError unless a mesh stands on a table, even when it is set down slightly tilted."""
     from sim_assets.cell.resting import settle, tilt
@@ -238,7 +252,7 @@ def _require_standing(model: ObjectModel, folder: Path) -> None:
 
 
 def _with_a_smaller_object(
-    options: CellOptions, models: Sequence[ObjectModel], rng: np.random.Generator, scale: float = 1.0
+    options: CellOptions, models: Sequence[ObjectModel], rng: np.random.Generator, cell: ArmCell = ArmCell()
 ) -> tuple[ObjectModel, ...] | None:
     """Return the objects with the widest one, or else the next, replaced by a narrower draw of its class.
 
@@ -251,7 +265,7 @@ def _with_a_smaller_object(
     for index in sorted(range(len(models)), key=width, reverse=True):
         category = models[index].category
         asked = replace(options, objects=f"{category}=1")
-        drawn = [model for _ in range(REDRAWS) for model in _draw_models(asked, [category], rng, scale)]
+        drawn = [model for _ in range(REDRAWS) for model in _draw_models(asked, [category], rng, cell)]
         narrowest = min(drawn, key=_width)
         if _width(narrowest) < width(index):
             return (*models[:index], narrowest, *models[index + 1 :])

@@ -7,7 +7,8 @@ import pytest
 
 from app.errors import UsageError
 from app.options import EvaluateOptions, PackOptions, ScanOptions, SortOptions
-from app.task.cell import build_world, check_options, parse_box, parse_objects, robot_of
+from app.task.arm_cell import ArmCell
+from app.task.cell import _draw_models, build_world, check_options, parse_box, parse_objects, robot_of
 from manipulation.types import Line
 from sim_assets.cell.layout import LayoutError
 from sim_assets.cell.world import World
@@ -171,3 +172,12 @@ def test_own_meshes_that_topple_are_refused(tmp_path, monkeypatch):
         UsageError, match=r"can/can does not stand on a table: it topples by \d+ degrees; leave"
     ):
         build_world(PackOptions(objects="1", object_meshes=tmp_path), "pack")
+
+
+def test_objects_are_high_enough_for_the_fingers():
+    cell = ArmCell(0.8, 0.8, 0.04)
+    bowls = _draw_models(PackOptions(), ["bowl"] * 6, rng(), cell)
+    assert len(bowls) == 6 and min(bowl.height for bowl in bowls) >= 0.04
+    assert max(bowl.height for bowl in bowls) <= 0.8 * 0.09 + 1e-6
+    usual = _draw_models(PackOptions(), ["bowl"] * 6, rng())
+    assert same(usual, draw_objects(Counter(bowl=6), "test", rng()))
