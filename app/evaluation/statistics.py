@@ -62,6 +62,7 @@ def summarise(lines: Sequence[Mapping[str, Any]]) -> dict[str, Any]:
         "object_success_rate": n_placed / max(len(objects), 1),
         "object_success_rate_ci": wilson_interval(n_placed, len(objects)),
         "per_class": {name: _class_rate(entries) for name, entries in sorted(by_class.items())},
+        "unknown": _unknown(lines),
         "failures": _failures(lines, objects),
         "simulated_seconds": _median(line.get("metrics", {}).get("simulated_seconds") for line in lines),
         "wall_seconds": _median(line.get("wall_seconds") for line in lines),
@@ -84,6 +85,17 @@ def _class_rate(entries: Sequence[Mapping[str, Any]]) -> dict[str, Any]:
         "n_objects": len(entries),
         "success_rate": n_placed / len(entries),
         "success_rate_ci": wilson_interval(n_placed, len(entries)),
+    }
+
+
+def _unknown(lines: Sequence[Mapping[str, Any]]) -> dict[str, Any]:
+    """Return how many things of no class there were, were moved and toppled, and the largest shift [m]."""
+    things = [thing for line in lines for thing in line.get("metrics", {}).get("unknown", ())]
+    return {
+        "n_things": len(things),
+        "n_moved": sum(bool(thing["moved"]) for thing in things),
+        "n_toppled": sum(bool(thing.get("toppled")) for thing in things),
+        "largest_shift": max((thing["shift"] for thing in things), default=None),
     }
 
 

@@ -26,6 +26,7 @@ from sim_assets.cell.world import World
 from sim_assets.objects import ObjectModel, canonical_scale
 
 UNMOVED = (0.005, float(np.deg2rad(10)))  # [m], [rad]: how far things of no class may move
+TOPPLED = float(np.deg2rad(30))  # [rad]
 MATCH_DISTANCE = 0.05  # [m] between the axes of an estimate and its true object
 
 
@@ -66,13 +67,19 @@ def read_truth(world: World) -> Truth:
 
 
 def unknown_moves(before: Truth, after: Truth) -> list[dict[str, Any]]:
-    """Return for each thing of no class its shift [m], its turn [rad] and whether they exceed UNMOVED."""
+    """Return for each thing of no class its shift [m], its turn and its tilt [rad], and what they amount to.
+
+    It was moved if shift or turn exceed UNMOVED, and toppled if its vertical tilted by more than TOPPLED.
+    """
     rows = []
     for number, T_before in before.unknown.items():
         T = np.linalg.inv(T_before) @ after.unknown[number]
         shift = float(np.linalg.norm(T[:3, 3]))
         turn = float(np.arccos(np.clip((np.trace(T[:3, :3]) - 1) / 2, -1, 1)))
-        rows.append({"shift": shift, "turn": turn, "moved": shift > UNMOVED[0] or turn > UNMOVED[1]})
+        upright = T_before[2, :3]  # the vertical in the frame of the thing
+        tilt = float(np.arccos(np.clip(after.unknown[number][2, :3] @ upright, -1, 1)))
+        moved = shift > UNMOVED[0] or turn > UNMOVED[1]
+        rows.append({"shift": shift, "turn": turn, "tilt": tilt, "moved": moved, "toppled": tilt > TOPPLED})
     return rows
 
 

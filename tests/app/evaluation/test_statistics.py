@@ -102,3 +102,13 @@ def test_faults_are_counted_by_kind_where_they_occurred():
     assert (slip["n_episodes"], slip["n_complete"], slip["n_reported"], slip["n_lost"]) == (2, 1, 0, 0)
     assert slip["complete_rate"] == 0.5 and slip["reasons"] == {"can N: toppled": 1}
     assert faults["take-away"]["n_lost"] == 1 and faults["take-away"]["n_complete"] == 1
+
+
+def test_things_of_no_class_that_were_moved_are_counted():
+    def line(*shifts):
+        things = [{"shift": s, "moved": s > 0.005, "toppled": s > 0.1} for s in shifts]
+        return {"success": True, "objects": [], "reason": "", "metrics": {"unknown": things}}
+
+    counted = summarise([line(0.001, 0.02), line(0.3)])["unknown"]
+    assert counted == {"n_things": 3, "n_moved": 2, "n_toppled": 1, "largest_shift": 0.3}
+    assert summarise([])["unknown"]["largest_shift"] is None

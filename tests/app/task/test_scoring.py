@@ -4,8 +4,16 @@ from dataclasses import replace
 
 import numpy as np
 import pytest
+from scipy.spatial.transform import Rotation
 
-from app.task.scoring import Truth, match, oracle_estimates, score_reconstruction, score_task
+from app.task.scoring import (
+    Truth,
+    match,
+    oracle_estimates,
+    score_reconstruction,
+    score_task,
+    unknown_moves,
+)
 from manipulation.standing import to_standing
 from manipulation.types import Line, ObjectOutcome, Placement, TaskPlan
 from perception.types import TriangleMesh
@@ -209,3 +217,20 @@ def test_sorting_is_scored_on_the_line(truth):
     estimates = oracle_estimates(truth)
     reports = score_task(plan_for(estimates), estimates, [], truth, Truth(truth.models, poses), None)
     assert all(report.placed for report in reports)
+
+
+def test_moved_and_toppled_things_of_no_class_are_told_apart():
+    def turned(axis, degrees, shift=0.0):
+        T = np.eye(4)
+        T[:3, :3] = Rotation.from_euler(axis, degrees, degrees=True).as_matrix()
+        T[0, 3] = shift
+        return T
+
+    # Thing 3 lies on its side and rolls about the vertical.
+    starts = [np.eye(4), np.eye(4), np.eye(4), turned("x", 90)]
+    ends = [turned("z", 5, 0.004), turned("z", 0, 0.02), turned("y", 80), turned("z", 40) @ turned("x", 90)]
+    before, after = (Truth({}, {}, dict(enumerate(poses))) for poses in (starts, ends))
+    rows = unknown_moves(before, after)
+    assert [row["moved"] for row in rows] == [False, True, True, True]
+    assert [row["toppled"] for row in rows] == [False, False, True, False]
+    assert rows[2]["tilt"] == pytest.approx(np.deg2rad(80)) and rows[3]["tilt"] == pytest.approx(0, abs=1e-6)
