@@ -105,9 +105,8 @@ def fit_best_class(
             assert problem is not None
             raise problem
         return best.estimate
-    likely: list[Category] = [
-        CATEGORIES[k] for k in np.argsort(-p[:OTHER], kind="stable") if p[k] >= MIN_PROBABILITY
-    ]
+    order: list[int] = np.argsort(-p[:OTHER], kind="stable").tolist()
+    likely: list[Category] = [CATEGORIES[k] for k in order if p[k] >= MIN_PROBABILITY]
     if first is None or p[CATEGORIES.index(views.category)] < CLEAR or first.estimate.score < model.threshold:
         most = MAX_CLASSES if np.ptp(p) else len(CATEGORIES)  # all are equally probable without a class
         for category in [c for c in likely if c != views.category][: most - 1]:

@@ -50,7 +50,7 @@ _ROLLS: Mapping[Category, tuple[float, ...]] = {
     "can": (0.0,),
 }
 _SYMMETRIC: tuple[Category, ...] = ("can",)  # top and bottom look alike
-_CONTACT = 0.003  # [m] height over the lowest point up to which a surface may touch what is below
+_CONTACT = 0.08  # height of a contact over the lowest point, in extents: the error of a fitted tilt
 _SLACK = 0.01  # [m] by which the hull of the contacts is widened: handles are fitted less exactly than bodies
 
 
@@ -106,7 +106,8 @@ def rests_stably(mesh_world: TriangleMesh, plane: SupportPlane) -> bool:
     solid = trimesh.Trimesh(mesh_world.vertices, mesh_world.faces, process=False)
     height = plane.height_above(mesh_world.vertices)
     across = plane_basis(plane)[:2]
-    contacts = mesh_world.vertices[height < height.min() + _CONTACT] @ across.T
+    reach = _CONTACT * float(np.ptp(mesh_world.vertices, axis=0).max())
+    contacts = mesh_world.vertices[height <= height.min() + reach] @ across.T
     hull = cv2.convexHull((1000 * contacts).astype(np.float32))
     mass = 1000 * across @ np.asarray(solid.center_mass)
     return cv2.pointPolygonTest(hull, mass.tolist(), True) > -1000 * _SLACK
