@@ -12,6 +12,7 @@ from collections.abc import Callable, Sequence
 from dataclasses import dataclass, replace
 
 import numpy as np
+from jaxtyping import Float
 
 from perception.errors import PerceptionError
 from perception.inference.acceptance import AcceptanceModel
@@ -105,8 +106,7 @@ def fit_best_class(
             assert problem is not None
             raise problem
         return best.estimate
-    order: list[int] = np.argsort(-p[:OTHER], kind="stable").tolist()
-    likely: list[Category] = [CATEGORIES[k] for k in order if p[k] >= MIN_PROBABILITY]
+    likely = _likely(p)
     if first is None or p[CATEGORIES.index(views.category)] < CLEAR or first.estimate.score < model.threshold:
         most = MAX_CLASSES if np.ptp(p) else len(CATEGORIES)  # all are equally probable without a class
         for category in [c for c in likely if c != views.category][: most - 1]:
@@ -114,9 +114,8 @@ def fit_best_class(
             fits += [] if other is None else [other]
     upright = max(fits, key=lambda scored: scored.estimate.score, default=None)
     known = np.ptp(p) > 0
-    if known and upright is not None:
-        likely = [upright.estimate.category]
-    best = _best_pose(fit, upright, likely, views, plane, model.threshold)
+    posed = (upright.estimate.category,) if known and upright is not None else likely
+    best = _best_pose(fit, upright, posed, views, plane, model.threshold)
     if best is None:
         assert problem is not None
         raise problem
@@ -128,6 +127,12 @@ def fit_best_class(
     if estimate.category != views.category:
         logger.info("object %d: evidence for %s, not %s", views.id, estimate.category, views.category)
     return estimate
+
+
+def _likely(p: Float[np.ndarray, "k"]) -> tuple[Category, ...]:
+    """Return the classes that the detector does not rule out, the most probable first."""
+    order = np.argsort(-p[:OTHER], kind="stable").tolist()
+    return tuple(CATEGORIES[k] for k in order if p[k] >= MIN_PROBABILITY)
 
 
 def _best_pose(
