@@ -109,7 +109,8 @@ def fit_best_class(
     likely = _likely(p)
     if first is None or p[CATEGORIES.index(views.category)] < CLEAR or first.estimate.score < model.threshold:
         most = MAX_CLASSES if np.ptp(p) else len(CATEGORIES)  # all are equally probable without a class
-        for category in [c for c in likely if c != views.category][: most - 1]:
+        others: list[Category] = [c for c in likely if c != views.category]
+        for category in others[: most - 1]:
             other, _ = _attempt(fit, category)
             fits += [] if other is None else [other]
     upright = max(fits, key=lambda scored: scored.estimate.score, default=None)
