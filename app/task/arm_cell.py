@@ -9,10 +9,10 @@ from typing import TYPE_CHECKING
 import numpy as np
 
 from app.options import CellOptions
-from manipulation.kinematics import Kinematics
-from manipulation.workspace import ReachFit, fit_workspace, place_poses
 
 if TYPE_CHECKING:
+    from manipulation.kinematics import Kinematics
+    from manipulation.workspace import ReachFit
     from sim_assets.cell.scene import BoxConfig
     from sim_assets.cell.world import World
     from sim_assets.objects import ObjectModel
@@ -48,6 +48,9 @@ def arm_cell(options: CellOptions, robot: SimulatedArm) -> ArmCell:
 
     if options.robot in SHIPPED:
         return ArmCell()
+    from manipulation.kinematics import Kinematics
+    from manipulation.workspace import fit_workspace
+
     return scales_of(fit_workspace(Kinematics(robot.description)), robot)
 
 
@@ -101,6 +104,9 @@ def payload(world: World) -> float:
 
     A load m at the tool frame needs the torque m g dz/dq of each joint, and m g / 2 of friction at each pad.
     """
+    from manipulation.kinematics import Kinematics
+    from manipulation.workspace import place_poses
+
     kinematics = Kinematics(world.arm)
     torques = world.torque_limits()
     most = 2 * FRICTION * world.grip_force() * RESERVE / GRAVITY

@@ -15,8 +15,6 @@ from app.errors import ProblemsError, UsageError
 from app.options import CellOptions
 from app.task.arm_cell import ArmCell, arm_cell, box_of
 from app.task.scene_options import check_scene, scene_settings
-from manipulation.kinematics import Kinematics
-from manipulation.workspace import fit_workspace
 from perception.types import CATEGORIES, Category
 
 if TYPE_CHECKING:
@@ -147,6 +145,8 @@ def load_arm(spec: str, check: bool = True) -> SimulatedArm:
 def _require_usable(spec: str, robot: SimulatedArm) -> None:
     """Raise ProblemsError for an arm with which every task fails: home, reach, camera."""
     from app.robots.checks import loading_faults
+    from manipulation.kinematics import Kinematics
+    from manipulation.workspace import fit_workspace
 
     fit = fit_workspace(Kinematics(robot.description))
     faults = loading_faults(robot.description, robot.fovy, fit)
