@@ -14,7 +14,7 @@ setup: .venv/.complete
 	@PYTHON=$(PYTHON) bash .ci/system-libraries
 	$(PYTHON) -m venv .venv
 	$(BIN)/pip install --quiet --upgrade-strategy only-if-needed "$(TORCH)"
-	$(BIN)/pip install --quiet -c requirements.lock -e '.[sim,train,eval,hf,gym,collect,docs,dev]'
+	$(BIN)/pip install --quiet -c requirements.lock -e '.[sim,train,eval,hf,gym,collect,remote,docs,dev]'
 	@touch $@
 
 demo: setup

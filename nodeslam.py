@@ -37,6 +37,7 @@ if TYPE_CHECKING:
     from manipulation import GraspPose as GraspPose
     from manipulation import GripperGeometry as GripperGeometry
     from manipulation import HandClearance as HandClearance
+    from manipulation import HandEye as HandEye
     from manipulation import JointTrajectory as JointTrajectory
     from manipulation import Kinematics as Kinematics
     from manipulation import Line as Line
@@ -45,8 +46,12 @@ if TYPE_CHECKING:
     from manipulation import ObjectOutcome as ObjectOutcome
     from manipulation import Placement as Placement
     from manipulation import PlanningError as PlanningError
+    from manipulation import RemoteRobot as RemoteRobot
     from manipulation import Robot as Robot
     from manipulation import RobotError as RobotError
+    from manipulation import RobotServer as RobotServer
+    from manipulation import RobotState as RobotState
+    from manipulation import RobotStoppedError as RobotStoppedError
     from manipulation import StandingObject as StandingObject
     from manipulation import TaskEvent as TaskEvent
     from manipulation import TaskPlan as TaskPlan
@@ -56,6 +61,7 @@ if TYPE_CHECKING:
     from manipulation import find_grasps as find_grasps
     from manipulation import plan_pack as plan_pack
     from manipulation import plan_sort as plan_sort
+    from manipulation import read_hand_eye as read_hand_eye
     from manipulation import to_standing as to_standing
     from perception import CATEGORIES as CATEGORIES
     from perception import CameraIntrinsics as CameraIntrinsics
@@ -132,10 +138,12 @@ _MODULES = {
         "Box", "Line", "StandingObject", "Placement", "TaskPlan", "ManipulationConfig",
         "to_standing", "plan_pack", "plan_sort", "execute", "TaskEvent", "ObjectOutcome",
         # The robot: implement the Protocol Robot for your arm.
-        "Robot", "ArmDescription", "JointTrajectory", "Kinematics",
+        "Robot", "RobotState", "ArmDescription", "JointTrajectory", "Kinematics",
         "Viewpoint", "SCAN_VIEWPOINTS", "ViewpointScanner",
-        # Errors: the root, an impossible plan, a command that the robot refused.
-        "ManipulationError", "PlanningError", "RobotError",
+        # A robot in another process (extra `remote`): its server, and the client that implements Robot.
+        "RobotServer", "RemoteRobot", "HandEye", "read_hand_eye",
+        # Errors: the root, an impossible plan, a command that the robot refused, a robot that has stopped.
+        "ManipulationError", "PlanningError", "RobotError", "RobotStoppedError",
     ),
     # The simulated cell (extra `sim`): World implements Robot.
     "sim_assets.robots": ("load_robot",),

@@ -48,6 +48,7 @@ HANDLERS = {
     "view": "app.viewer.command",
     "doctor": "app.doctor",
     "robot": "app.robots.command",
+    "serve": "app.serve",
 }
 
 # Values of MUJOCO_GL that MuJoCo accepts.

@@ -21,7 +21,13 @@ LOG_FILE = "error.log"
 # Optional extra that provides a library.
 _SIMULATOR = ("mujoco", "mjviser", "mink", "daqp", "ruckig", "coacd")
 EXTRA_OF: dict[str, str] = dict.fromkeys(_SIMULATOR, "sim")
-EXTRA_OF |= {"tensorboard": "train", "transformers": "hf", "gymnasium": "gym", "pyarrow": "collect"}
+EXTRA_OF |= {
+    "tensorboard": "train",
+    "transformers": "hf",
+    "gymnasium": "gym",
+    "pyarrow": "collect",
+    "zmq": "remote",
+}
 
 # Classes of errors that mean invalid usage or input, and that mean a failed task, by the module that defines
 # them.

@@ -121,6 +121,12 @@ class RunTaskOptions(TaskOptions, ViewerOptions):
     """Write video.mp4."""
     log: Literal["none", "rerun"] = "none"
     """Further recording of the run: rerun writes replay.rrd (extra: rerun)."""
+    connect: Annotated[str, arg(metavar="ADDRESS", help_behavior_hint="default: the simulated cell")] = ""
+    """Robot in another process: tcp://HOST:PORT or ipc://PATH (extra: remote)."""
+    hand_eye: Annotated[
+        Path | None, arg(metavar="FILE.toml", help_behavior_hint="default: the robot sends camera poses")
+    ] = None
+    """Hand-eye calibration of the camera of --connect."""
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -338,6 +344,16 @@ class RobotOptions(CommonOptions):
     """Root body of the arm, in a file with several."""
 
 
+@dataclass(frozen=True, kw_only=True)
+class ServeOptions(CellOptions):
+    """Serve the robot of a simulated cell to pack or sort in another process (extra: remote)."""
+
+    address: Annotated[str, arg(metavar="ADDRESS")] = "tcp://127.0.0.1:5555"
+    """Address: tcp://HOST:PORT or ipc://PATH; every client that can reach it can move the robot."""
+    task: Task = "pack"
+    """Task that the cell is built for: with a box, or with a line."""
+
+
 COMMANDS: dict[str, type[CommonOptions]] = {
     "pack": PackOptions,
     "sort": SortOptions,
@@ -354,4 +370,5 @@ COMMANDS: dict[str, type[CommonOptions]] = {
     "view": ViewOptions,
     "doctor": DoctorOptions,
     "robot": RobotOptions,
+    "serve": ServeOptions,
 }

@@ -16,6 +16,9 @@ class MyArm:
     def __init__(self, arm: nodeslam.ArmDescription, driver: nodeslam.World) -> None:
         self.arm, self.driver = arm, driver
 
+    def state(self) -> nodeslam.RobotState:
+        return self.driver.state()  # with the time of the measurement, on the clock of the images
+
     def joint_positions(self) -> np.ndarray:
         return self.driver.joint_positions()
 
@@ -30,6 +33,9 @@ class MyArm:
 
     def capture(self) -> nodeslam.RgbdFrame:
         return self.driver.capture()  # colour, registered depth, and T_world_camera by forward kinematics
+
+    def stop(self, reason: str) -> None:
+        self.driver.stop(reason)  # called from any thread; no substitute for an emergency stop
 
 
 model = nodeslam.load_robot(sys.argv[1] if len(sys.argv) > 1 else "sixaxis")

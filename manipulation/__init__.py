@@ -14,6 +14,7 @@ if TYPE_CHECKING:
     from manipulation.errors import ManipulationError as ManipulationError
     from manipulation.errors import PlanningError as PlanningError
     from manipulation.errors import RobotError as RobotError
+    from manipulation.errors import RobotStoppedError as RobotStoppedError
     from manipulation.execution import TaskEvent as TaskEvent
     from manipulation.execution import execute as execute
     from manipulation.hand_collision import HandClearance as HandClearance
@@ -21,10 +22,15 @@ if TYPE_CHECKING:
     from manipulation.planner import ManipulationConfig as ManipulationConfig
     from manipulation.planner import plan_pack as plan_pack
     from manipulation.planner import plan_sort as plan_sort
+    from manipulation.remote.calibration import HandEye as HandEye
+    from manipulation.remote.calibration import read_hand_eye as read_hand_eye
+    from manipulation.remote.client import RemoteRobot as RemoteRobot
+    from manipulation.remote.server import RobotServer as RobotServer
     from manipulation.robot import ArmDescription as ArmDescription
     from manipulation.robot import GripperGeometry as GripperGeometry
     from manipulation.robot import JointTrajectory as JointTrajectory
     from manipulation.robot import Robot as Robot
+    from manipulation.robot import RobotState as RobotState
     from manipulation.scene_grasps import GraspPose as GraspPose
     from manipulation.scene_grasps import find_grasps as find_grasps
     from manipulation.standing import to_standing as to_standing
@@ -43,8 +49,11 @@ _MODULES = {
     "manipulation.types": (
         "Box", "Grasp", "Line", "ObjectOutcome", "Placement", "StandingObject", "TaskPlan",
     ),
-    "manipulation.errors": ("ManipulationError", "PlanningError", "RobotError"),
-    "manipulation.robot": ("ArmDescription", "GripperGeometry", "JointTrajectory", "Robot"),
+    "manipulation.errors": ("ManipulationError", "PlanningError", "RobotError", "RobotStoppedError"),
+    "manipulation.robot": ("ArmDescription", "GripperGeometry", "JointTrajectory", "Robot", "RobotState"),
+    "manipulation.remote.calibration": ("HandEye", "read_hand_eye"),
+    "manipulation.remote.client": ("RemoteRobot",),
+    "manipulation.remote.server": ("RobotServer",),
     "manipulation.hand_collision": ("HandClearance",),
     "manipulation.scene_grasps": ("GraspPose", "find_grasps"),
     "manipulation.standing": ("to_standing",),

@@ -11,3 +11,7 @@ class PlanningError(ManipulationError):
 
 class RobotError(ManipulationError):
     """The robot rejected a command or failed to execute it."""
+
+
+class RobotStoppedError(ManipulationError):
+    """The robot was stopped, or stopped itself, and accepts no motion; the task ends with this reason."""

@@ -2,16 +2,17 @@
 
 from __future__ import annotations
 
+import contextlib
 import itertools
 import logging
 from collections import deque
-from collections.abc import Callable
+from collections.abc import Callable, Sequence
 from dataclasses import dataclass, replace
 from typing import Literal
 
 import numpy as np
 
-from manipulation.errors import PlanningError, RobotError
+from manipulation.errors import PlanningError, RobotError, RobotStoppedError
 from manipulation.kinematics import Kinematics
 from manipulation.obstacles import TABLE, box_obstacles
 from manipulation.pick_place import PickPlacePlanner
@@ -81,7 +82,8 @@ def execute(
         kinematics: kinematics of the robot's arm; built if None.
 
     Returns:
-        One outcome per placement of the task, in the order of completion.
+        One outcome per placement of the task, in the order of completion. Once the robot is stopped, the
+        placement that is under way and all further ones have failed with that reason.
     """
     config = config.for_arm(robot.arm)
     kinematics = kinematics or Kinematics(robot.arm, config.pick_place.ik)
@@ -124,7 +126,11 @@ class _Execution:
                 queue.append(placement)
                 n_deferred += 1
                 continue
-            outcome = self._place(self._with_placed_stack(placement))
+            try:
+                outcome = self._place(self._with_placed_stack(placement))
+            except RobotStoppedError as error:
+                self._give_up([placement, *queue], str(error))
+                return list(self.outcomes.values())
             if outcome.attempts == 0 and not last_chance:
                 self._notify("deferred", placement.name, outcome.reason)
                 queue.append(placement)
@@ -133,8 +139,17 @@ class _Execution:
             n_deferred = 0
             self.outcomes[placement.name] = outcome
             self._notify("placed" if outcome.placed else "failed", placement.name, outcome.reason)
-        self._go_home()
+        with contextlib.suppress(RobotStoppedError):
+            self._go_home()
         return list(self.outcomes.values())
+
+    def _give_up(self, placements: Sequence[Placement], reason: str) -> None:
+        """Record that the robot was stopped while it handled the first placement."""
+        for index, placement in enumerate(placements):
+            name = placement.name
+            attempts = 1 if index == 0 else 0
+            self.outcomes[name] = ObjectOutcome(self.task.objects[name].id, name, False, attempts, reason)
+            self._notify("failed", name, reason)
 
     def _waits_for_stack(self, placement: Placement) -> bool:
         """Return whether a bowl below it has not been processed."""

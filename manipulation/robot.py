@@ -133,13 +133,36 @@ class JointTrajectory:
         return self.period * (len(self.positions) - 1)
 
 
+@dataclass(frozen=True)
+class RobotState:
+    """Measured state of an arm.
+
+    Attributes:
+        time: time of the measurement in [s], on the clock of the images.
+        positions: (n,) joint positions in [rad].
+        gripper_width: opening between the pads in [m].
+    """
+
+    time: float
+    positions: Float[np.ndarray, "n"]
+    gripper_width: float
+
+
 @runtime_checkable
 class Robot(Protocol):
-    """Commands and measurements of an arm with a gripper and a wrist camera, without any object poses."""
+    """Commands and measurements of an arm with a gripper and a wrist camera, without any object poses.
+
+    Measurements are current: an implementation never returns a joint state or an image that is older than the
+    end of the last motion. Motions raise ``RobotStoppedError`` once the robot has been stopped.
+    """
 
     @property
     def arm(self) -> ArmDescription:
         """Description of the arm."""
+        ...
+
+    def state(self) -> RobotState:
+        """Return the measured state with its time."""
         ...
 
     def joint_positions(self) -> Float[np.ndarray, "n"]:
@@ -154,7 +177,9 @@ class Robot(Protocol):
         """Execute the trajectory and wait until the arm is at rest.
 
         Raises:
-            RobotError: the trajectory does not start at the present posture, or the motion is blocked.
+            RobotError: the trajectory does not start at the present posture or exceeds a limit, and was not
+                begun; or the motion is blocked.
+            RobotStoppedError: the robot was stopped.
         """
         ...
 
@@ -163,5 +188,16 @@ class Robot(Protocol):
         ...
 
     def capture(self) -> RgbdFrame:
-        """Return a registered RGB-D image with the camera pose from the measured joint positions."""
+        """Return a registered RGB-D image with the camera pose from the joint positions at its exposure.
+
+        The camera pose is the tool's pose times the hand-eye calibration.
+        """
+        ...
+
+    def stop(self, reason: str) -> None:
+        """Brake and hold the posture, with the gripper as it is; further motions raise ``RobotStoppedError``.
+
+        It returns at once and may be called from another thread during a motion. Only a person releases it,
+        at the robot. It is no substitute for an emergency stop.
+        """
         ...

@@ -21,9 +21,9 @@ from app.options import Shapes, TaskOptions
 from app.task.episode import request_of
 from app.task.pipeline import RunObserver, Stage, TaskRequest
 from app.task.pipeline import run as run_pipeline
-from manipulation.errors import RobotError
+from manipulation.errors import RobotError, RobotStoppedError
 from manipulation.execution import TaskEvent
-from manipulation.robot import ArmDescription, JointTrajectory
+from manipulation.robot import ArmDescription, JointTrajectory, RobotState
 from perception.inference.reconstruct import single_threaded_torch
 from perception.pipeline import Perception, load_perception
 from perception.types import RgbdFrame
@@ -139,10 +139,15 @@ class _SteppedRobot:
         self._measure(observation)
         self._target = self._q
         self.width = self._width
+        self._time = 0.0
+        self._stop_reason = ""
 
     @property
     def arm(self) -> ArmDescription:
         return self._arm
+
+    def state(self) -> RobotState:
+        return RobotState(self._time, self._q.copy(), self._width)
 
     def joint_positions(self) -> Float[np.ndarray, "n"]:
         return self._q.copy()
@@ -182,7 +187,13 @@ class _SteppedRobot:
                 break
         return self._width
 
+    def stop(self, reason: str) -> None:
+        self._stop_reason = reason
+
     def _move(self, q: Float[np.ndarray, "n"]) -> None:
+        if self._stop_reason:
+            raise RobotStoppedError(f"the robot was stopped: {self._stop_reason}")
+        self._time += self._period
         self._target = q
         self._measure(self._ask(_Move(q, self.width)))
 

@@ -17,7 +17,11 @@ from perception.pipeline import load_perception
 
 
 def run(options: RunTaskOptions, screen: Screen) -> Report:
-    """Build a cell and run one episode in it; with ``--view``, show it in the web viewer."""
+    """Build a cell and run one episode in it, or run it with the robot behind ``--connect``."""
+    if options.connect:
+        from app.task.remote import run as run_remote
+
+        return run_remote(options, task_of(options), screen)
     if options.log == "rerun":
         require_rerun()
     with screen.stage("Building the cell"):

@@ -27,6 +27,7 @@ from app.task.scoring import (
 )
 from manipulation.types import Box, Line
 from manipulation.workspace import Workspace
+from perception.inference.refit import PoseCheck
 from perception.pipeline import Detections, Perception
 from perception.types import ObjectEstimate, RgbdFrame
 from sim_assets.cell.scene import BoxConfig
@@ -105,7 +106,7 @@ def request_of(world: World, task: Task, options: TaskOptions, before: Truth | N
         options: Options that choose the source of the object estimates.
         before: True state, for ``--shapes oracle``; read if None.
     """
-    box = _planned_box(_task_box(world, task))
+    box = planned_box(_task_box(world, task))
     reconstruction = reconstruction_of(options, before or read_truth(world))
     scale = world.config.scale
     return TaskRequest(
@@ -134,15 +135,19 @@ def with_check(entry: ObjectReport, result: TaskResult) -> ObjectReport:
     check = result.checks.get(entry.id)
     if check is None:
         return entry
-    in_place = check.status == "seen" and check.tilt < MAX_TILT and check.shift < MAX_SHIFT
     verification = {
         "seen": check.status,
-        "seen_in_place": in_place,
+        "seen_in_place": seen_in_place(check),
         "seen_shift": check.shift,
         "seen_tilt": check.tilt,
         "seen_inlier_share": check.inlier_share,
     }
     return replace(entry, details={**entry.details, **verification})
+
+
+def seen_in_place(check: PoseCheck) -> bool:
+    """Return whether the robot's verification found the object where it was to be."""
+    return check.status == "seen" and check.tilt < MAX_TILT and check.shift < MAX_SHIFT
 
 
 def summary_of(objects: Sequence[ObjectReport], failure: str, n_disturbed: int = 0) -> str:
@@ -165,7 +170,7 @@ def _task_box(world: World, task: Task) -> BoxConfig | None:
     return world.config.box if task == "pack" else None
 
 
-def _planned_box(box: BoxConfig | None) -> Box | None:
+def planned_box(box: BoxConfig | None) -> Box | None:
     """The nominal dimensions of the box for the planner."""
     return box and Box(center=box.center, size=box.inner, floor=box.floor, wall=box.wall)
 

@@ -23,7 +23,7 @@ import numpy as np
 from jaxtyping import Float
 
 from app.task.obstacles import obstacles_beside
-from manipulation.errors import ManipulationError
+from manipulation.errors import ManipulationError, RobotStoppedError
 from manipulation.execution import TaskEvent, execute
 from manipulation.kinematics import Kinematics
 from manipulation.planner import ManipulationConfig, plan_pack, plan_sort
@@ -253,6 +253,8 @@ def make_reobserver(
         try:
             frames = scanner.capture(workspace.closeup_viewpoints(float(x), float(y)))
             check = refit_pose(estimate, frames, estimate.T_world_object)
+        except RobotStoppedError:
+            raise
         except (ManipulationError, PerceptionError) as error:
             logger.info("cannot re-observe %s: %s", estimate.name, error)
             return None

@@ -5,7 +5,7 @@ from __future__ import annotations
 import numpy as np
 from jaxtyping import Float
 
-from manipulation.robot import ArmDescription, JointTrajectory, Robot
+from manipulation.robot import ArmDescription, JointTrajectory, Robot, RobotState
 from perception.types import RgbdFrame
 
 
@@ -23,6 +23,9 @@ def restricted(robot: Robot) -> Robot:
         def arm(self) -> ArmDescription:
             return robot.arm
 
+        def state(self) -> RobotState:
+            return robot.state()
+
         def joint_positions(self) -> Float[np.ndarray, "n"]:
             return robot.joint_positions()
 
@@ -37,5 +40,8 @@ def restricted(robot: Robot) -> Robot:
 
         def capture(self) -> RgbdFrame:
             return robot.capture()
+
+        def stop(self, reason: str) -> None:
+            robot.stop(reason)
 
     return RestrictedRobot()

@@ -13,7 +13,7 @@ import numpy as np
 from jaxtyping import Float
 from scipy.spatial.transform import Rotation
 
-from manipulation.robot import ArmDescription, JointTrajectory
+from manipulation.robot import ArmDescription, JointTrajectory, RobotState
 from perception.types import RgbdFrame
 from sim_assets.cell.scene import ROLLING_CONTACT
 from sim_assets.cell.world import World
@@ -86,6 +86,12 @@ class FaultyRobot:
     @property
     def arm(self) -> ArmDescription:
         return self._world.arm
+
+    def state(self) -> RobotState:
+        return self._world.state()
+
+    def stop(self, reason: str) -> None:
+        self._world.stop(reason)
 
     def joint_positions(self) -> Float[np.ndarray, "n"]:
         return self._world.joint_positions()

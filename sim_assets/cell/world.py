@@ -13,8 +13,8 @@ import numpy as np
 from jaxtyping import Float, UInt8
 from scipy.spatial.transform import Rotation
 
-from manipulation.errors import RobotError
-from manipulation.robot import ArmDescription, JointTrajectory
+from manipulation.errors import RobotError, RobotStoppedError
+from manipulation.robot import ArmDescription, JointTrajectory, RobotState
 from perception.types import RgbdFrame
 from sim_assets.cell.arrangement import Arrangement, Group, arrange, rest_unknown
 from sim_assets.cell.blocking import blocking_reason
@@ -114,6 +114,7 @@ class World:
         self._noise = np.random.default_rng(noise_seed)
         self._T_camera_seen = _camera_error(config.camera_error, np.random.default_rng(error_seed))
         self._robot = config.robot
+        self._stop_reason = ""
         self._observer: Observer | None = None
         self._frame_period = np.inf
         self._next_frame = 0.0
@@ -225,6 +226,10 @@ class World:
         """Force of each finger at full command in [N]."""
         return grip_force(self._model, self._robot)
 
+    def state(self) -> RobotState:
+        """Measured state at the present simulated time."""
+        return RobotState(self.time, self.joint_positions(), self.gripper_width())
+
     def joint_positions(self) -> Float[np.ndarray, "n"]:
         """Measured arm joint positions in [rad]."""
         return self._data.qpos[self._q].copy()
@@ -262,7 +267,9 @@ class World:
         Raises:
             RobotError: the trajectory is malformed or does not start at the measured joint positions, or the
                 arm is blocked.
+            RobotStoppedError: the robot was stopped.
         """
+        self._require_running()
         self._check_trajectory(trajectory)
         times = np.arange(0, trajectory.duration + TIMESTEP / 2, TIMESTEP)
         samples = np.arange(len(trajectory.positions)) * trajectory.period
@@ -275,11 +282,13 @@ class World:
         for q, qd, qdd in zip(positions, velocities, accelerations, strict=True):
             self._command(q, qd, qdd)
             self._step()
+            self._require_running()
             self._stop_if_blocked(q, STOP_ERROR)
         self._hold(trajectory.positions[-1])
 
     def move_gripper(self, width: float) -> float:
         """Open or close toward ``width`` in [m] (0 closes with full force) and return the width reached."""
+        self._require_running()
         robot, widest = self._robot, self.arm.max_width
         if not (np.isfinite(width) and 0 <= width <= widest + 1e-6):
             raise RobotError(f"gripper width {width} m is outside 0..{widest} m")
@@ -288,11 +297,16 @@ class World:
         for wanted in np.linspace(start, width, steps + 1)[1:]:
             self._data.ctrl[self._gripper] = robot.gripper_command(wanted)
             self._step()
+            self._require_running()
             if width < start and self._fingers_stalled(wanted):
                 break
         self._data.ctrl[self._gripper] = robot.press if width == 0 else robot.gripper_command(width)
         self._wait_for_fingers()
         return self.gripper_width()
+
+    def stop(self, reason: str) -> None:
+        """Stop the motion that is under way, at its next time step, and refuse further ones."""
+        self._stop_reason = reason
 
     # Interface for viewers and videos.
 
@@ -380,6 +394,13 @@ class World:
                 f"the trajectory starts {away.max():.3f} rad from the measured position of {joint}; "
                 f"plan from joint_positions()"
             )
+
+    def _require_running(self) -> None:
+        """Hold the measured posture and raise RobotStoppedError if the robot was stopped."""
+        if self._stop_reason:
+            self._data.ctrl[self._u] = self.joint_positions()
+            self.wait(0.1)
+            raise RobotStoppedError(f"the robot was stopped: {self._stop_reason}")
 
     def _command(self, q: np.ndarray, qd: np.ndarray, qdd: np.ndarray) -> None:
         """Send the position command with feedforward that cancels servo damping and inertia."""

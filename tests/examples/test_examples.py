@@ -24,6 +24,7 @@ EXPECTED = {
     "05_your_robot": [r"^can_0: packed, 1 attempts$"],
     "06_your_shapes": [r"^true: bowl cone, height 0\.0550 m$", r"^found: bowl_0, height 0\.05\d\d m"],
     "07_custom_task": [r"^bottle_\d: placed$", r"^can_\d: placed$"],
+    "08_network_robot": [r"^can_0: packed$", r"^stopped: the example is over$"],
 }
 
 

@@ -4,7 +4,7 @@ import numpy as np
 import pytest
 
 from manipulation.collision import AllowedContacts
-from manipulation.errors import PlanningError, RobotError
+from manipulation.errors import PlanningError, RobotError, RobotStoppedError
 from manipulation.execution import execute
 from manipulation.grasp_config import GraspConfig
 from manipulation.kinematics import Kinematics
@@ -12,6 +12,7 @@ from manipulation.obstacles import TABLE, box_obstacles
 from manipulation.packing_problem import PackingConfig
 from manipulation.pick_place import PickPlaceConfig, PickPlacePlanner
 from manipulation.planner import ManipulationConfig, plan_pack, plan_sort
+from manipulation.robot import RobotState
 from manipulation.standing import to_standing
 from manipulation.trajectories import MotionConfig
 from manipulation.types import Box, Line, Placement
@@ -39,6 +40,12 @@ class FakeRobot:
         self.blocked_motions = set()
         self.motions = []
         self.widths = []
+
+    def state(self):
+        return RobotState(0.0, self.joint_positions(), self.gripper_width())
+
+    def stop(self, reason):
+        raise AssertionError(reason)
 
     def joint_positions(self):
         return self.q.copy()
@@ -189,6 +196,21 @@ def test_blocked_arm_counts_as_a_failed_attempt(packing, arm):
     robot.blocked_motions = {1}
     outcomes = execute(packing, robot, None, Watcher(robot), CONFIG)
     assert outcomes[0].placed and outcomes[0].attempts == 2
+
+
+def test_a_stopped_robot_ends_the_task_and_keeps_what_was_placed(packing, arm):
+    class Stopping(FakeRobot):
+        def follow(self, trajectory):
+            if len(self.motions) == 6:  # in the second object
+                raise RobotStoppedError("a person is near")
+            super().follow(trajectory)
+
+    robot = Stopping(arm)
+    outcomes = execute(packing, robot, None, Watcher(robot), CONFIG)
+    assert len(outcomes) == len(packing.placements) and outcomes[0].placed
+    assert {outcome.reason for outcome in outcomes[1:]} == {"a person is near"}
+    assert [outcome.attempts for outcome in outcomes[1:]] == [1, *[0] * (len(outcomes) - 2)]
+    assert len(robot.motions) == 6
 
 
 def test_object_lost_during_the_transfer_is_detected(packing, arm):

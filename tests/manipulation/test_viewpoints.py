@@ -7,6 +7,7 @@ from manipulation.collision import CollisionWorld
 from manipulation.errors import PlanningError
 from manipulation.kinematics import IkResult, Kinematics
 from manipulation.obstacles import TABLE
+from manipulation.robot import RobotState
 from manipulation.viewpoints import (
     BOX_VIEWPOINTS,
     KEEP_OUT,
@@ -67,6 +68,12 @@ class Moving:
     def __init__(self, q):
         self.q, self.tracks = np.array(q), []
 
+    def state(self):
+        return RobotState(0.0, self.joint_positions(), self.gripper_width())
+
+    def stop(self, reason):
+        raise AssertionError(reason)
+
     def joint_positions(self):
         return self.q
 
@@ -105,6 +112,12 @@ class Still:
     """A robot that must not be moved."""
 
     arm = arm_description()
+
+    def state(self):
+        return RobotState(0.0, self.joint_positions(), self.gripper_width())
+
+    def stop(self, reason):
+        raise AssertionError(reason)
 
     def joint_positions(self):
         return np.array(self.arm.q_home)

@@ -29,6 +29,7 @@ def test_every_option_that_holds_a_path_is_an_input_or_an_output():
         "against",
         "arm",
         "hand",
+        "hand_eye",
         "html",
         "meshes",
         "object_meshes",

@@ -10,6 +10,7 @@ import app.task.pipeline as pipeline
 from app.task.pipeline import RunObserver, TaskRequest, expected_pose, make_reobserver, run, verify
 from manipulation.errors import PlanningError
 from manipulation.planner import ManipulationConfig
+from manipulation.robot import RobotState
 from manipulation.types import Box, Line, ObjectOutcome
 from manipulation.viewpoints import (
     BOX_VIEWPOINTS,
@@ -29,6 +30,12 @@ from sim_assets.robots import panda
 
 class StillRobot:
     arm = panda().description
+
+    def state(self):
+        return RobotState(0.0, self.joint_positions(), self.gripper_width())
+
+    def stop(self, reason):
+        raise AssertionError(reason)
 
     def joint_positions(self):
         return self.arm.q_home

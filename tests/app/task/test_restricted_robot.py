@@ -2,7 +2,7 @@ import numpy as np
 import pytest
 
 from app.task.restricted_robot import restricted
-from manipulation.robot import JointTrajectory, Robot
+from manipulation.robot import JointTrajectory, Robot, RobotState
 
 PROTOCOL = {name for name in vars(Robot) if not name.startswith("_")}
 
@@ -13,6 +13,9 @@ class FullRobot:
     arm = property(lambda self: pytest.importorskip("sim_assets.robots").panda().description)
     config = "objects"
     _data = "qpos"
+
+    def state(self):
+        return RobotState(1.5, self.joint_positions(), 0.03)
 
     def joint_positions(self):
         return np.arange(7.0)
@@ -28,6 +31,9 @@ class FullRobot:
 
     def capture(self):
         raise NotImplementedError("no camera")
+
+    def stop(self, reason):
+        self.stopped = reason
 
     def wait(self, duration):
         pass
@@ -65,6 +71,8 @@ def test_calls_are_forwarded():
     trajectory = JointTrajectory(0.01, still, still, still)
     robot.follow(trajectory)
     assert full.followed is trajectory
+    robot.stop("a person is near")
+    assert full.stopped == "a person is near" and robot.state().time == 1.5
     assert len(robot.arm.joint_names) == 7
     with pytest.raises(NotImplementedError, match="no camera"):
         robot.capture()

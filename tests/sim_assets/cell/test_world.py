@@ -3,7 +3,7 @@
 import numpy as np
 import pytest
 
-from manipulation.errors import RobotError
+from manipulation.errors import RobotError, RobotStoppedError
 from manipulation.robot import JointTrajectory
 from sim_assets.cell import ground_truth
 from sim_assets.cell.world import CellConfig, SimulationError, World
@@ -157,3 +157,15 @@ def test_divergence_is_not_silent():
         world._data.qvel[-1] = np.nan
         with pytest.raises(SimulationError, match="diverged"):
             world.wait(0.3)
+
+
+def test_stop_ends_a_motion_where_the_arm_is_and_refuses_further_ones():
+    with make_world(classes=("can",)) as world:
+        start, goal = world.joint_positions(), world.joint_positions() + 0.3 * np.eye(7)[0]
+        world.observe(lambda cell: cell.stop("a person is near") if cell.joint_positions()[0] > 0.1 else None)
+        with pytest.raises(RobotStoppedError, match="the robot was stopped: a person is near"):
+            world.follow(quintic(start, goal))
+        assert 0.1 < world.joint_positions()[0] - start[0] < 0.2
+        with pytest.raises(RobotStoppedError):
+            world.move_gripper(0.0)
+        assert world.state().time == world.time

@@ -1,0 +1,33 @@
+"""``nodeslam serve``: the simulated cell behind the network protocol of robots, in place of a real one."""
+
+from __future__ import annotations
+
+from rich.markup import escape
+
+from app.errors import UsageError
+from app.options import ServeOptions
+from app.runs.report import Report
+from app.screen import Screen
+from app.task.cell import build_world
+from app.task.restricted_robot import restricted
+from manipulation.errors import RobotError
+from manipulation.remote.server import RobotServer
+
+
+def run(options: ServeOptions, screen: Screen) -> Report:
+    """Build a cell and serve its robot until the process is interrupted.
+
+    Raises:
+        UsageError: the address cannot be used.
+    """
+    with screen.stage("Building the cell"):
+        world = build_world(options, options.task)
+    with world:
+        try:
+            server = RobotServer(restricted(world), options.address, clock=lambda: world.time)
+        except RobotError as error:
+            raise UsageError(f"--address {error}") from None
+        with server:
+            screen.show(escape(f"robot at {server.address}; Ctrl-C ends it"))
+            server.run()
+    return Report("serve", options.seed, success=True)
