@@ -32,7 +32,7 @@ logger = logging.getLogger(__name__)
 CLEAR = 0.9  # class probability from which on a class with good evidence is not compared with others
 MIN_PROBABILITY = 0.02  # of a class that is tried
 MAX_CLASSES = 3
-UNKNOWN = 0.5  # least score of an object that the detector gives no class
+UNKNOWN = 0.5  # least score of an object of no class, or in a pose that the networks were not trained on
 
 
 _Fit = Callable[[Category, OnStep | None, RestingPose], "ScoredFit"]
@@ -116,7 +116,7 @@ def fit_best_class(
     upright = max(fits, key=lambda scored: scored.estimate.score, default=None)
     known = np.ptp(p) > 0
     posed = (upright.estimate.category,) if known and upright is not None else likely
-    best = _best_pose(fit, upright, posed, views, plane, model.threshold)
+    best = _best_pose(fit, upright, posed, views, plane, max(model.threshold, UNKNOWN))
     if best is None:
         assert problem is not None
         raise problem

@@ -23,7 +23,7 @@ from perception.types import Category, ObjectEstimate, SupportPlane
 DOUBTFUL: Mapping[Category, float] = {"mug": 0.35, "bowl": 0.2, "bottle": 0.1, "can": 0.1}
 CLEARLY = 0.6  # largest misfit of another pose relative to that of the upright one
 TURNED = 0.9  # the same for upside-down vessels with a closed top
-GOOD = 0.2  # largest misfit of another pose
+GOOD = 0.15  # largest misfit of another pose
 CLOSED = 0.93  # height of the middle of a closed top, in heights of its edge
 _INNER = 0.6  # part of the radius that is the middle of the top
 _MIN_POINTS = 40
