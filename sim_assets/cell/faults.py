@@ -66,7 +66,8 @@ class FaultyRobot:
     """
 
     def __init__(self, world: World, kind: FaultKind, seed: int) -> None:
-        self._world, self._kind = world, kind
+        self._world = world
+        self._kind: FaultKind = kind
         self._rng = np.random.default_rng(np.random.SeedSequence([seed, KINDS.index(kind)]))
         count = len(world.config.objects)
         by_hand = kind in ("knock-over", "move", "take-away")
