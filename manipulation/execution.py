@@ -1,4 +1,9 @@
-"""Task execution: grasp, verify the grasp, transfer, place; re-observe and retry after a failed grasp."""
+"""Task execution as a closed loop: look, grasp, transfer, place, and look again.
+
+An object is looked for where it is expected before the fingers close around it and after its release; the
+width between the fingers tells whether it is held. Whatever is not as expected is searched for and planned
+again from where it is: a grasp is retried with another one, a lying object is first set upright.
+"""
 
 from __future__ import annotations
 
@@ -14,16 +19,20 @@ import numpy as np
 
 from manipulation.errors import PlanningError, RobotError, RobotStoppedError
 from manipulation.kinematics import Kinematics
+from manipulation.lying_grasps import is_upside_down, lies, upright_goals
+from manipulation.observation import NoObserver, SceneObserver, classify_grip, is_displaced
 from manipulation.obstacles import TABLE, box_obstacles
 from manipulation.pick_place import PickPlacePlanner
 from manipulation.planner import ManipulationConfig
 from manipulation.robot import Robot
-from manipulation.standing import to_standing
 from manipulation.trajectories import joint_move, line_postures
-from manipulation.types import Grasp, ObjectOutcome, PickPlacePlan, Placement, TaskPlan
-from perception.types import ObjectEstimate
+from manipulation.types import Grasp, ObjectOutcome, PickPlacePlan, Placement, StandingObject, TaskPlan
+from perception.obstacles.obstacle import PerceivedObstacle
 
 logger = logging.getLogger(__name__)
+
+MISPLACED = 0.02  # [m] from its goal, from which on a released object is grasped again
+_UPRIGHT_GOALS = 6  # spots that are tried for an object to be set upright
 
 Phase = Literal[
     "plan", "approach", "grasp", "transfer", "place", "retreat", "placed", "retry", "deferred", "failed"
@@ -52,7 +61,6 @@ class TaskEvent:
     candidates: tuple[Grasp, ...] = ()
 
 
-Reobserve = Callable[[int], ObjectEstimate | None]
 OnEvent = Callable[[TaskEvent], None]
 
 
@@ -60,10 +68,14 @@ class _GraspFailed(Exception):
     """The hand closed without holding the object, or the object was lost."""
 
 
+class _SceneChanged(Exception):
+    """The object is not where the plan expects it; nothing was touched."""
+
+
 def execute(
     task: TaskPlan,
     robot: Robot,
-    reobserve: Reobserve | None = None,
+    observer: SceneObserver | None = None,
     on_event: OnEvent | None = None,
     config: ManipulationConfig = ManipulationConfig(),
     kinematics: Kinematics | None = None,
@@ -71,12 +83,13 @@ def execute(
     """Place the objects of a task one by one, in its order unless one is blocked.
 
     An object without a feasible plan is deferred until others have been moved. After a failed grasp, other
-    grasps are tried up to ``config.max_retries`` times.
+    grasps are tried up to ``config.max_retries`` times. An object that was not placed is searched for and
+    tried again once all others are done.
 
     Args:
         task: goals in order.
         robot: robot that executes the motions.
-        reobserve: called after a failed grasp with the object's id; returns a new estimate or None.
+        observer: looks at the scene; without it, only the width between the fingers is checked.
         on_event: receives progress.
         config: settings.
         kinematics: kinematics of the robot's arm; built if None.
@@ -89,15 +102,7 @@ def execute(
     kinematics = kinematics or Kinematics(robot.arm, config.pick_place.ik)
     obstacles = (TABLE, *(box_obstacles(task.box) if task.box is not None else ()), *task.obstacles)
     planner = PickPlacePlanner(kinematics, task.objects, obstacles, config.pick_place, task.grasps)
-    return _Execution(task, robot, planner, config, _Callbacks(reobserve, on_event)).run()
-
-
-@dataclass(frozen=True)
-class _Callbacks:
-    """Optional callbacks of an execution; see ``execute``."""
-
-    reobserve: Reobserve | None
-    on_event: OnEvent | None
+    return _Execution(task, robot, planner, config, observer or NoObserver(), on_event).run()
 
 
 class _Execution:
@@ -109,12 +114,15 @@ class _Execution:
         robot: Robot,
         planner: PickPlacePlanner,
         config: ManipulationConfig,
-        callbacks: _Callbacks,
+        observer: SceneObserver,
+        on_event: OnEvent | None,
     ) -> None:
         self.task, self.robot, self.planner, self.config = task, robot, planner, config
-        self.reobserve = callbacks.reobserve or (lambda object_id: None)
-        self.on_event = callbacks.on_event or (lambda event: None)
+        self.observer = observer
+        self.on_event = on_event or (lambda event: None)
         self.outcomes: dict[str, ObjectOutcome] = {}
+        self._tried_before: dict[str, ObjectOutcome] = {}  # first outcomes of objects that get another chance
+        self._missing: set[str] = set()
 
     def run(self) -> list[ObjectOutcome]:
         queue = deque(self.task.placements)
@@ -131,23 +139,35 @@ class _Execution:
             except RobotStoppedError as error:
                 self._give_up([placement, *queue], str(error))
                 return list(self.outcomes.values())
-            if outcome.attempts == 0 and not last_chance:
+            if outcome.attempts == 0 and not last_chance and placement.name not in self._missing:
                 self._notify("deferred", placement.name, outcome.reason)
                 queue.append(placement)
                 n_deferred += 1
                 continue
             n_deferred = 0
+            if self._gets_another_chance(placement, outcome):
+                self._notify("deferred", placement.name, outcome.reason)
+                queue.append(placement)
+                continue
             self.outcomes[placement.name] = outcome
             self._notify("placed" if outcome.placed else "failed", placement.name, outcome.reason)
         with contextlib.suppress(RobotStoppedError):
             self._go_home()
         return list(self.outcomes.values())
 
+    def _gets_another_chance(self, placement: Placement, outcome: ObjectOutcome) -> bool:
+        """Return whether an object that was not placed is tried once more when the others are done."""
+        name = placement.name
+        if outcome.placed or name in self._tried_before or isinstance(self.observer, NoObserver):
+            return False
+        self._tried_before[name] = outcome
+        return True
+
     def _give_up(self, placements: Sequence[Placement], reason: str) -> None:
         """Record that the robot was stopped while it handled the first placement."""
         for index, placement in enumerate(placements):
-            name = placement.name
-            attempts = 1 if index == 0 else 0
+            name, before = placement.name, self._tried_before.get(placement.name)
+            attempts = (before.attempts if before else 0) + (1 if index == 0 else 0)
             self.outcomes[name] = ObjectOutcome(self.task.objects[name].id, name, False, attempts, reason)
             self._notify("failed", name, reason)
 
@@ -167,42 +187,89 @@ class _Execution:
 
     def _place(self, placement: Placement) -> ObjectOutcome:
         """Try to place one object; the outcome has 0 attempts if there is no plan for the first."""
-        name = placement.name
-        item = self.task.objects[name]
+        name, before = placement.name, self._tried_before.get(placement.name)
+        number, n_before = self.task.objects[name].id, before.attempts if before else 0
         tried: list[Grasp] = []
-        reason = ""
-        for attempt in range(1 + self.config.max_retries):
+        reason, attempts = "", 0
+        if before is not None:
+            reason = self._search(name)
+            if reason:
+                return ObjectOutcome(number, name, False, n_before, reason)
+        for _ in range(2 * (1 + self.config.max_retries)):
+            if attempts > self.config.max_retries:
+                break
             self._notify("plan", name)
             try:
-                plan = self.planner.plan(placement, self.robot.joint_positions(), tried)
+                plan = self._plan_next(placement, tried)
             except PlanningError as error:
                 reason = f"{reason}; then {error}" if reason else str(error)
                 logger.info("%s", error)
-                return ObjectOutcome(item.id, name, False, attempt, reason)
+                return ObjectOutcome(number, name, False, n_before + attempts, reason)
             try:
                 self._execute(plan)
-                return ObjectOutcome(item.id, name, True, attempt + 1, "", plan.T_world_stand_rest)
+                if plan.placement is placement:
+                    return ObjectOutcome(
+                        number, name, True, n_before + attempts + 1, "", self.planner.world.pose(name)
+                    )
+                continue  # set upright, to be grasped from above
+            except _SceneChanged as error:
+                reason = str(error)
             except (_GraspFailed, RobotError) as error:
                 reason = str(error)
-                logger.info("%s, attempt %d: %s", name, attempt + 1, reason)
-            tried.append(plan.grasp)
+                attempts += 1
+                tried.append(plan.grasp)
+                self._back_off()
+            logger.info("%s, attempt %d: %s", name, attempts, reason)
             self._notify("retry", name, reason)
-            self._back_off()
-            problem = self._update_estimate(item.id, name)
+            problem = self._search(name)
             if problem:
-                return ObjectOutcome(item.id, name, False, attempt + 1, f"{reason}; {problem}")
-        return ObjectOutcome(item.id, name, False, 1 + self.config.max_retries, reason)
+                return ObjectOutcome(number, name, False, n_before + attempts, f"{reason}; {problem}")
+        return ObjectOutcome(number, name, False, n_before + attempts, reason)
 
-    def _execute(self, plan: PickPlacePlan) -> None:
-        """Grasp, lift, transfer, place and retreat; the grasp is verified after each of the first three.
+    def _plan_next(self, placement: Placement, tried: Sequence[Grasp]) -> PickPlacePlan:
+        """Return the plan that places an object, or that sets it upright if it lies.
 
         Raises:
-            _GraspFailed: the object is not held.
+            PlanningError: there is none.
+        """
+        name, q = placement.name, self.robot.joint_positions()
+        planner, T_world_stand = self.planner, self.planner.world.pose(name)
+        if not lies(T_world_stand):
+            return planner.plan(placement, q, tried)
+        x, y = T_world_stand[:2, 3]
+        how = "stands upside down" if is_upside_down(T_world_stand) else "lies on its side"
+        grasps = planner.grasps(name)
+        if not grasps.grasps:
+            raise PlanningError(f"{name} {how} at ({x:.2f}, {y:.2f}) m: {grasps.failure_message(name)}")
+        others = [
+            (planner.world.pose(other)[:2, 3], _reach(self.task.objects[other]))
+            for other in planner.world.names
+            if other != name and other not in self._missing
+        ]
+        others += [_footprint(obstacle) for obstacle in self.task.obstacles]
+        goals = upright_goals(self.task.objects[name], grasps.grasps[0], others, self.config.upright_area)
+        last = "no free table to set it upright"
+        for goal in itertools.islice(goals, _UPRIGHT_GOALS):
+            try:
+                return planner.plan(goal, q, tried)
+            except PlanningError as error:
+                last = str(error)
+        raise PlanningError(f"{name} {how} at ({x:.2f}, {y:.2f}) m and cannot be set upright: {last}")
+
+    def _execute(self, plan: PickPlacePlan) -> None:
+        """Look, grasp, lift, transfer, place, retreat and look; the grasp is verified after each step.
+
+        Raises:
+            _SceneChanged: the object is not where it was expected.
+            _GraspFailed: the object is not held, or not where it was released.
             RobotError: the robot failed to execute a motion.
         """
         robot, grasp, name = self.robot, plan.grasp, plan.name
         self._notify("approach", name, plan=plan)
         robot.move_gripper(grasp.opening)
+        if plan.transit is not None:
+            robot.follow(plan.transit)
+        self._require_in_place(name)
         robot.follow(plan.approach)
         self._notify("grasp", name)
         robot.move_gripper(0.0)
@@ -218,6 +285,24 @@ class _Execution:
         self.planner.moved(name, plan.T_world_stand_rest)
         self._notify("retreat", name)
         robot.follow(plan.retreat)
+        self._require_released(plan)
+
+    def _require_in_place(self, name: str) -> None:
+        """Raise _SceneChanged if an image from above shows that an object is not where it was expected."""
+        if self.observer.glance(self._poses(), (name,)).get(name) == "displaced":
+            raise _SceneChanged(f"{name} is not where it was seen before")
+
+    def _require_released(self, plan: PickPlacePlan) -> None:
+        """Raise _GraspFailed if a released object is seen elsewhere."""
+        name = plan.name
+        if self.observer.glance(self._poses(), (name,)).get(name) != "displaced":
+            return
+        finding = self.observer.find(name, self._poses())
+        if finding.T_world_stand is None:
+            return  # the final verification judges what cannot be seen from here
+        if is_displaced(plan.T_world_stand_rest, finding.T_world_stand, MISPLACED):
+            self.planner.moved(name, finding.T_world_stand)
+            raise _GraspFailed(f"{name} is not where it was released")
 
     def _release(self, plan: PickPlacePlan) -> None:
         """Open the gripper; for a bowl, first loosen it and lower the pads past its lip."""
@@ -232,7 +317,7 @@ class _Execution:
         """Raise _GraspFailed if the width between the pads is outside the grasp's range."""
         width = self.robot.gripper_width()
         low, high = grasp.closed_width
-        if not low <= width <= high:
+        if classify_grip(width, grasp) != "held":
             raise _GraspFailed(
                 f"{message} (width {1e3 * width:.1f} mm, expected {1e3 * low:.1f} to {1e3 * high:.1f})"
             )
@@ -254,17 +339,22 @@ class _Execution:
                     logger.warning("retreat after a failed grasp was blocked: %s", error)
                 return
 
-    def _update_estimate(self, object_id: int, name: str) -> str:
-        """Re-observe an object; return the reason why a retry is impossible, or an empty string."""
-        estimate = self.reobserve(object_id)
-        if estimate is None:
-            return ""
-        try:
-            self.planner.observe(replace(to_standing(estimate, self.config.support), id=object_id, name=name))
-        except PlanningError as error:
+    def _search(self, name: str) -> str:
+        """Search for an object and update its pose; return why a retry is impossible, or an empty string."""
+        finding = self.observer.find(name, self._poses())
+        self._missing.discard(name)
+        if finding.status == "missing":
+            self._missing.add(name)
             self.planner.forget(name)
-            return str(error)
+            return f"{name} is nowhere on the table within view: it was taken away or fell off"
+        if finding.T_world_stand is not None:
+            self.planner.moved(name, finding.T_world_stand)
         return ""
+
+    def _poses(self) -> dict[str, np.ndarray]:
+        """Return the expected T_world_stand of every object that is not missing."""
+        world = self.planner.world
+        return {name: world.pose(name) for name in world.names if name not in self._missing}
 
     def _go_home(self) -> None:
         """Return to the home posture, over waypoints if necessary."""
@@ -283,3 +373,14 @@ class _Execution:
         total = len(self.task.placements)
         candidates = tuple(self.planner.grasps(name).grasps) if plan else ()
         self.on_event(TaskEvent(phase, name, len(self.outcomes), total, message, plan, candidates))
+
+
+def _reach(item: StandingObject) -> float:
+    """Return the radius [m] of the circle about an object's axis that holds all of it."""
+    return float(np.linalg.norm(item.vertices[:, :2], axis=1).max())
+
+
+def _footprint(obstacle: PerceivedObstacle) -> tuple[np.ndarray, float]:
+    """Return centre (x, y) and radius [m] of a circle that holds the top view of a thing of no class."""
+    low, high = obstacle.bounds[:, :2]
+    return (low + high) / 2, float(np.linalg.norm(high - low)) / 2

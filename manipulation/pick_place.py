@@ -19,6 +19,7 @@ from manipulation.grasp_config import GraspConfig
 from manipulation.grasps import grasp_candidates
 from manipulation.hulls import convex_pieces
 from manipulation.kinematics import IkConfig, Kinematics
+from manipulation.lying_grasps import lies, lying_grasps
 from manipulation.motions import MIDDLE_RADIUS, OUT_OF_REACH, MotionPlanner
 from manipulation.nesting import nest_heights
 from manipulation.obstacles import TABLE, Obstacle
@@ -95,6 +96,8 @@ class PickPlacePlanner:
         self.items = dict(items)
         self._obstacles = tuple(obstacles)
         self._grasps = dict(grasps or {})
+        self._lying: dict[str, GraspSet] = {}  # of objects that lie
+        self._forgotten: set[str] = set()
         self._build_world()
 
     def _build_world(self) -> None:
@@ -103,34 +106,35 @@ class PickPlacePlanner:
         c = self.config
         self.motions = MotionPlanner(self.kinematics, self.world, c.motion, c.via_heights, c.middle_radius)
 
-    def observe(self, item: StandingObject) -> None:
-        """Replace an object by a new estimate of it; the poses of the others remain."""
-        poses = {name: self.world.pose(name) for name in self.world.names if name != item.name}
-        self.items[item.name] = item
-        self._grasps.pop(item.name, None)
-        self._build_world()
-        for name, T in poses.items():
-            self.world.move(name, T)
-
     def observe_obstacles(self, obstacles: Sequence[PerceivedObstacle]) -> None:
-        """Replace the perceived obstacles; the poses of the objects remain."""
+        """Replace the perceived obstacles; objects remain as they are, forgotten ones forgotten."""
         known = tuple(o for o in self._obstacles if not isinstance(o, PerceivedObstacle))
         poses = {name: self.world.pose(name) for name in self.world.names}
         self._obstacles = (*known, *obstacles)
         self._build_world()
         for name, T in poses.items():
             self.world.move(name, T)
+            self.world.set_present(name, name not in self._forgotten)
 
     def moved(self, name: str, T_world_stand: Float[np.ndarray, "4 4"]) -> None:
-        """Set the pose of an object that was moved."""
+        """Set the pose of an object that was moved, in any orientation."""
+        self.world.set_present(name, True)
         self.world.move(name, T_world_stand)
+        self._lying.pop(name, None)
+        self._forgotten.discard(name)
 
     def forget(self, name: str) -> None:
         """Remove an object of unknown pose from the collision world."""
         self.world.set_present(name, False)
+        self._forgotten.add(name)
 
     def grasps(self, name: str) -> GraspSet:
-        """Return the grasp candidates of an object, generated once per estimate."""
+        """Return the grasp candidates of an object at its present pose, generated once."""
+        T_world_stand = self.world.pose(name)
+        if lies(T_world_stand):
+            if name not in self._lying:
+                self._lying[name] = lying_grasps(self.items[name], T_world_stand, self.config.grasp)
+            return self._lying[name]
         if name not in self._grasps:
             self._grasps[name] = grasp_candidates(self.items[name], self.config.grasp)
         return self._grasps[name]
@@ -244,9 +248,7 @@ class PickPlacePlanner:
         carry: list[np.ndarray],
     ) -> PickPlacePlan:
         """Return the plan with trajectories for all motions."""
-        approach = [self.motions.time_line(pick.approach)]
-        if np.abs(start[0] - start[-1]).max() > 1e-6:
-            approach.insert(0, self.motions.time_path(start))
+        moves = np.abs(start[0] - start[-1]).max() > 1e-6
         return PickPlacePlan(
             name=goal.item.name,
             grasp=pick.grasp,
@@ -254,7 +256,8 @@ class PickPlacePlanner:
             T_world_stand_goal=place.T_world_stand_goal,
             T_world_stand_rest=goal.T_world_stand_rest,
             release_opening=place.release_opening,
-            approach=concatenate(approach),
+            transit=self.motions.time_path(start) if moves else None,
+            approach=self.motions.time_line(pick.approach),
             lift=self.motions.time_line(pick.lift),
             transfer=concatenate([self.motions.time_path(carry), self.motions.time_line(place.lowering)]),
             settle=None if place.settle is None else self.motions.time_line(place.settle),

@@ -24,7 +24,8 @@ class SegmentConfig:
     """Lengths and clearances of the straight segments.
 
     Attributes:
-        approach_heights: lengths of approach and retreat in [m], tried in order.
+        approach_heights, retreat_heights: lengths of approach and retreat in [m], tried in order. The
+            approach begins so high that the wrist camera sees the object.
         lift_heights: heights of the vertical lift in [m], tried in order.
         raise_heights: heights above the goal from which the object is lowered, in [m], tried in order.
         lift_margin: clearance of the carried object from its neighbours during the lift in [m].
@@ -34,7 +35,8 @@ class SegmentConfig:
             a sloping wall may drag the object along.
     """
 
-    approach_heights: tuple[float, ...] = (0.10, 0.06)
+    approach_heights: tuple[float, ...] = (0.16, 0.10, 0.06)
+    retreat_heights: tuple[float, ...] = (0.10, 0.06)
     lift_heights: tuple[float, ...] = (0.20, 0.12, 0.28)
     raise_heights: tuple[float, ...] = (0.12, 0.18, 0.25, 0.08)
     lift_margin: float = 0.002
@@ -138,7 +140,7 @@ def find_place(
         line = motions.free_line(result.q, lowered, grasp.release_opening, touch)
         settle = None if isinstance(line, Rejected) else line
     q_loose = result.q if settle is None else settle[-1]
-    ends = _retreated(T_place, grasp, config.approach_heights)
+    ends = _retreated(T_place, grasp, config.retreat_heights)
     release = _find_release(motions, grasp, q_loose, ends, touch, config.release_extras)
     if isinstance(release, Rejected):
         return Rejected(f"without a collision-free release ({release.reason})")

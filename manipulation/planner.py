@@ -9,6 +9,7 @@ from dataclasses import dataclass, field, replace
 from manipulation.errors import PlanningError
 from manipulation.grasps import grasp_candidates
 from manipulation.kinematics import Kinematics
+from manipulation.lying_grasps import UPRIGHT_AREA
 from manipulation.packing import pack
 from manipulation.packing_problem import PackingConfig
 from manipulation.pick_place import PickPlaceConfig
@@ -33,6 +34,7 @@ class ManipulationConfig:
         packing, sorting: layout of the goals.
         support: plane that objects stand on; the table top if None.
         max_retries: number of further attempts on an object after a failed one.
+        upright_area: ranges of x and y in which a lying object is set upright, in [m].
     """
 
     pick_place: PickPlaceConfig = field(default_factory=PickPlaceConfig)
@@ -40,6 +42,7 @@ class ManipulationConfig:
     sorting: SortingConfig = field(default_factory=SortingConfig)
     support: SupportPlane | None = None
     max_retries: int = 2
+    upright_area: tuple[tuple[float, float], tuple[float, float]] = UPRIGHT_AREA
 
     def for_arm(self, arm: ArmDescription) -> ManipulationConfig:
         """Return the same settings with the gripper of an arm."""

@@ -20,7 +20,7 @@ from perception.obstacles.obstacle import PerceivedObstacle
 from perception.types import Category
 
 Task = Literal["pack", "sort"]
-GraspKind = Literal["rim", "top"]
+GraspKind = Literal["rim", "top", "waist"]
 
 
 @dataclass(frozen=True)
@@ -117,7 +117,8 @@ class Grasp:
     """A parallel-jaw grasp of one object.
 
     Attributes:
-        kind: "rim" of a hollow object, or "top": around a body or neck from above.
+        kind: "rim" of a hollow object, "top": around a body or neck from above, or "waist": across the axis
+            of a lying object.
         T_stand_tcp: (4, 4) TCP pose in the object's stand frame.
         away: (3,) unit vector of the retreat in the stand frame; the approach is its opposite.
         opening: width between the pads before closing in [m].
@@ -227,7 +228,9 @@ class PickPlacePlan:
         T_world_stand_goal: (4, 4) pose of the stand frame when the object is released.
         T_world_stand_rest: (4, 4) pose at which it then rests.
         release_opening: width between the pads that releases it, in [m].
-        approach: motion from the start posture to the grasp.
+        transit: motion from the start posture to a posture above the grasp, from which the object is seen;
+            None if there is none.
+        approach: straight motion from there to the grasp.
         lift: vertical motion from the grasp.
         transfer: motion from there to a point above the goal and down to the goal.
         settle: short descent with loosened pads, so that a bowl's lip comes off a pad; None if not needed.
@@ -240,6 +243,7 @@ class PickPlacePlan:
     T_world_stand_goal: Float[np.ndarray, "4 4"]
     T_world_stand_rest: Float[np.ndarray, "4 4"]
     release_opening: float
+    transit: JointTrajectory | None
     approach: JointTrajectory
     lift: JointTrajectory
     transfer: JointTrajectory
@@ -249,7 +253,7 @@ class PickPlacePlan:
     @property
     def duration(self) -> float:
         """Total duration of the motions in [s]."""
-        parts = (self.approach, self.lift, self.transfer, self.settle, self.retreat)
+        parts = (self.transit, self.approach, self.lift, self.transfer, self.settle, self.retreat)
         return sum(part.duration for part in parts if part is not None)
 
 

@@ -169,8 +169,7 @@ class ViewpointScanner:
                 logger.warning("viewpoint %d of %d is out of reach and skipped", index + 1, len(viewpoints))
                 continue
             self.robot.follow(self.motions.time_path(path))
-            frame = self.robot.capture()
-            frames.append(self._self_view.without_arm(frame, self.robot.joint_positions(), width))
+            frames.append(self.look())
             on_frame(frames[-1])
             progress(index + 1, len(viewpoints))
         if not frames:
@@ -178,6 +177,12 @@ class ViewpointScanner:
                 f"none of {len(viewpoints)} viewpoints can be reached: choose a nearer target"
             )
         return frames
+
+    def look(self) -> RgbdFrame:
+        """Return an image from the present posture, without the depth of the arm itself."""
+        frame = self.robot.capture()
+        q, width = self.robot.joint_positions(), self.robot.gripper_width()
+        return self._self_view.without_arm(frame, q, width)
 
     def _path_to(self, viewpoint: Viewpoint, width: float) -> list[Float[np.ndarray, "n"]] | None:
         """Return waypoints [rad] from the present posture to a viewpoint; None if it cannot be reached."""

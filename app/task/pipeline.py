@@ -12,7 +12,6 @@ intermediate results for display and storage and never modifies them.
 
 from __future__ import annotations
 
-import logging
 import time
 from collections.abc import Callable, Iterator, Mapping, Sequence
 from contextlib import contextmanager
@@ -22,8 +21,9 @@ from typing import Literal
 import numpy as np
 from jaxtyping import Float
 
+from app.task.observation import WristObserver
 from app.task.obstacles import obstacles_beside
-from manipulation.errors import ManipulationError, RobotStoppedError
+from manipulation.errors import ManipulationError
 from manipulation.execution import TaskEvent, execute
 from manipulation.kinematics import Kinematics
 from manipulation.planner import ManipulationConfig, plan_pack, plan_sort
@@ -37,8 +37,6 @@ from perception.inference.refit import PoseCheck, refit_pose
 from perception.obstacles.obstacle import PerceivedObstacle
 from perception.pipeline import Detections, Perception, detect, reconstruct_objects
 from perception.types import Category, ObjectEstimate, RejectedObject, RgbdFrame
-
-logger = logging.getLogger(__name__)
 
 Stage = Literal["scan", "detect", "reconstruct", "plan", "execute", "verify"]
 Reconstruction = Callable[[Sequence[RgbdFrame], Detections], list[ObjectEstimate]]
@@ -196,8 +194,8 @@ def run(
             result = replace(result, plan=plan)
             observer.on_plan(plan)
         with observer.stage("execute"):
-            reobserve = make_reobserver(scanner, objects, space)
-            outcomes = execute(plan, robot, reobserve, observer.on_event, settings, kinematics)
+            watch = WristObserver(scanner, objects, plan.objects, space, obstacles)
+            outcomes = execute(plan, robot, watch, observer.on_event, settings, kinematics)
             result = replace(result, outcomes=outcomes)
         with observer.stage("verify"):
             viewpoints = space.box_viewpoints if request.task == "pack" else space.line_viewpoints
@@ -235,32 +233,6 @@ def plan_task(kinematics: Kinematics, request: TaskRequest, objects: Sequence[Ob
     if request.task == "pack":
         return plan_pack(objects, request.box or Box(), kinematics.arm, settings, kinematics)
     return plan_sort(objects, request.line, kinematics.arm, settings, request.box, kinematics)
-
-
-def make_reobserver(
-    scanner: ViewpointScanner, objects: Sequence[ObjectEstimate], workspace: Workspace = Workspace()
-) -> Callable[[int], ObjectEstimate | None]:
-    """Return a function that re-estimates the pose of an object, by id, after a failed grasp.
-
-    It fits the pose of the known shape to close-up images, and returns None if the object is not visible in
-    them or no such image can be taken.
-    """
-    by_id = {estimate.id: estimate for estimate in objects}
-
-    def reobserve(object_id: int) -> ObjectEstimate | None:
-        estimate = by_id[object_id]
-        x, y = estimate.T_world_object[:2, 3]
-        try:
-            frames = scanner.capture(workspace.closeup_viewpoints(float(x), float(y)))
-            check = refit_pose(estimate, frames, estimate.T_world_object)
-        except RobotStoppedError:
-            raise
-        except (ManipulationError, PerceptionError) as error:
-            logger.info("cannot re-observe %s: %s", estimate.name, error)
-            return None
-        return replace(estimate, T_world_object=check.T_world_object) if check.status == "seen" else None
-
-    return reobserve
 
 
 def verify(

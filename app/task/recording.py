@@ -119,7 +119,9 @@ class CellRecorder(RunObserver):
     def _path(self, plan: PickPlacePlan) -> Float[np.ndarray, "n 3"]:
         """Return points of the tool's path, in metres."""
         points = []
-        for motion in (plan.approach, plan.lift, plan.transfer, plan.retreat):
+        for motion in (plan.transit, plan.approach, plan.lift, plan.transfer, plan.retreat):
+            if motion is None:
+                continue
             rows = np.linspace(0, len(motion.positions) - 1, PATH_POINTS).astype(int)
             points += [self._kinematics.forward(motion.positions[row])[:3, 3] for row in rows]
         return np.array(points)

@@ -8,6 +8,7 @@ from manipulation.errors import PlanningError, RobotError, RobotStoppedError
 from manipulation.execution import execute
 from manipulation.grasp_config import GraspConfig
 from manipulation.kinematics import Kinematics
+from manipulation.observation import Finding
 from manipulation.obstacles import TABLE, box_obstacles
 from manipulation.packing_problem import PackingConfig
 from manipulation.pick_place import PickPlaceConfig, PickPlacePlanner
@@ -150,23 +151,79 @@ def test_motions_are_free_of_contact_in_the_planners_world(packing, arm):
     assert world.path_contact(way, held, floor) is None
 
 
-def test_a_failed_grasp_is_retried_with_another_grasp_after_reobserving(packing, arm, scene):
-    robot = FakeRobot(arm, closing=[0.0])
-    observed = []
+class FakeObserver:
+    """Reports what ``presence`` lists, then objects in place; finds objects where ``poses`` says."""
 
-    def reobserve(number):
-        observed.append(number)
-        return next(estimate for estimate in scene if estimate.id == number)
+    def __init__(self, presence=(), **findings):
+        self.presence, self.findings, self.searched = list(presence), findings, []
 
+    def glance(self, poses, names):
+        return {name: self.presence.pop(0) if self.presence else "in_place" for name in names}
+
+    def find(self, name, poses):
+        self.searched.append(name)
+        answers = self.findings.get(name, [])
+        return answers.pop(0) if answers else Finding("found", poses[name]) if name in poses else MISSING
+
+
+MISSING = Finding("missing")
+
+
+def test_a_failed_grasp_is_retried_with_another_grasp_after_a_search(packing, arm):
+    robot, observer = FakeRobot(arm, closing=[0.0]), FakeObserver()
     watcher = Watcher(robot)
-    outcomes = execute(packing, robot, reobserve, watcher, CONFIG)
+    outcomes = execute(packing, robot, observer, watcher, CONFIG)
     first = packing.placements[0].name
     outcome = next(o for o in outcomes if o.name == first)
     assert outcome.placed and outcome.attempts == 2
-    assert observed == [packing.objects[first].id]
+    assert observer.searched == [first]
     tried = [event.plan.grasp for event in watcher.events if event.name == first and event.plan]
     turn = np.angle(np.exp(1j * (tried[0].azimuth - tried[1].azimuth)))
     assert abs(turn) > np.deg2rad(15) or abs(tried[0].depth - tried[1].depth) > 0.002
+
+
+def test_an_object_that_moved_is_grasped_where_it_is_without_a_failed_attempt(packing, arm):
+    name = packing.placements[0].name
+    T = packing.objects[name].T_world_stand.copy()
+    T[0, 3] += 0.03
+    robot = FakeRobot(arm)
+    watcher = Watcher(robot)
+    observer = FakeObserver(["displaced"], **{name: [Finding("found", T)]})
+    outcomes = execute(packing, robot, observer, watcher, CONFIG)
+    outcome = next(o for o in outcomes if o.name == name)
+    assert outcome.placed and outcome.attempts == 1
+    plan = watcher.plans[name]
+    T_grasp = Kinematics(arm).forward(plan.approach.positions[-1])
+    np.testing.assert_allclose(T_grasp, T @ plan.grasp.T_stand_tcp, atol=2e-3)
+
+
+def test_an_object_that_was_taken_away_is_searched_for_twice_and_reported(packing, arm):
+    name = "can_1"
+    robot = FakeRobot(arm)
+    index = [p.name for p in packing.placements].index(name)
+    presence = ["in_place"] * 2 * index + ["displaced"]
+    observer = FakeObserver(presence, **{name: [MISSING, MISSING]})
+    outcomes = {o.name: o for o in execute(packing, robot, observer, Watcher(robot), CONFIG)}
+    assert [o.placed for o in outcomes.values()].count(False) == 1 and not outcomes[name].placed
+    assert "can_1 is nowhere on the table within view" in outcomes[name].reason
+    assert observer.searched == [name, name] and list(outcomes)[-1] == name
+
+
+def test_an_object_that_was_not_placed_gets_another_chance_after_the_others(packing, arm):
+    robot = FakeRobot(arm, closing=[0.0, 0.0, 0.0])
+    outcomes = execute(packing, robot, FakeObserver(), Watcher(robot), CONFIG)
+    assert all(outcome.placed for outcome in outcomes)
+    assert next(o for o in outcomes if o.name == packing.placements[0].name).attempts == 4
+
+
+def test_an_object_seen_beside_its_goal_is_grasped_again(packing, arm):
+    single = replace(packing, placements=packing.placements[:1])
+    name = single.placements[0].name
+    T = packing.objects[name].T_world_stand
+    robot = FakeRobot(arm)
+    observer = FakeObserver(["in_place", "displaced"], **{name: [Finding("found", T)] * 2})
+    (outcome,) = execute(single, robot, observer, Watcher(robot), CONFIG)
+    assert outcome.placed and outcome.attempts == 2
 
 
 def test_object_that_cannot_be_held_fails_after_two_retries(packing, arm):
@@ -180,15 +237,27 @@ def test_object_that_cannot_be_held_fails_after_two_retries(packing, arm):
     assert nested.placed and nested.T_world_stand[2, 3] == pytest.approx(Box().floor)
 
 
-def test_toppled_object_fails_without_a_retry(packing, arm, scene):
-    bowl = next(estimate for estimate in scene if estimate.id == 2)
-    T = np.array(bowl.T_world_object)
-    T[:3, :3] = [[0, 0, 1], [0, 1, 0], [-1, 0, 0]]
-    lying = replace(bowl, T_world_object=T)
-    robot = FakeRobot(arm, closing=[0.0])
-    outcomes = execute(packing, robot, lambda number: lying, Watcher(robot), CONFIG)
+def test_a_lying_can_is_set_upright_before_it_is_placed(scene, arm):
+    task = plan_sort(scene[:1], Line(), arm, CONFIG)
+    lying = task.objects["can_1"].T_world_stand.copy()
+    lying[:3, :3] = [[0, 0, 1], [0, 1, 0], [-1, 0, 0]]
+    lying[2, 3] = 0.033
+    robot = FakeRobot(arm)
+    watcher = Watcher(robot)
+    observer = FakeObserver(["displaced"], can_1=[Finding("found", lying)])
+    (outcome,) = execute(task, robot, observer, watcher, CONFIG)
+    assert outcome.placed and outcome.attempts == 1
+    kinds = [event.plan.grasp.kind for event in watcher.events if event.plan]
+    assert kinds == ["top", "waist", "top"]
+
+
+def test_an_object_upside_down_is_reported(packing, arm):
+    T = packing.objects["bowl_2"].T_world_stand @ np.diag([1.0, -1, -1, 1])
+    robot = FakeRobot(arm)
+    observer = FakeObserver(["displaced"], bowl_2=[Finding("found", T)] * 2)
+    outcomes = execute(packing, robot, observer, Watcher(robot), CONFIG)
     failed = next(outcome for outcome in outcomes if outcome.name == "bowl_2")
-    assert not failed.placed and failed.attempts == 1 and "bowl_2 lies on its side" in failed.reason
+    assert not failed.placed and failed.attempts == 0 and "bowl_2 stands upside down at" in failed.reason
 
 
 def test_blocked_arm_counts_as_a_failed_attempt(packing, arm):
@@ -317,7 +386,7 @@ def test_widths_outside_the_closed_range_count_as_a_failed_grasp(packing, arm, e
         # After a failed grasp the gripper opens fully and the hand rises by 0.15 m.
         assert robot.widths[-1] == arm.max_width
         kinematics = Kinematics(arm)
-        rise = [kinematics.forward(robot.motions[1].positions[i])[2, 3] for i in (0, -1)]
+        rise = [kinematics.forward(robot.motions[2].positions[i])[2, 3] for i in (0, -1)]
         assert rise[1] - rise[0] == pytest.approx(0.15, abs=1e-3)
         assert "no object between the fingers after closing on bowl_2" in outcome.reason
 
@@ -330,7 +399,7 @@ def test_object_lost_during_the_lift_is_detected(packing, arm):
 
     def lose(trajectory):
         follow(trajectory)
-        if len(robot.motions) == 2:
+        if len(robot.motions) == 3:
             robot.width = 0.0
 
     robot.follow = lose

@@ -1,3 +1,4 @@
+import itertools
 from dataclasses import replace
 
 import numpy as np
@@ -14,6 +15,7 @@ from manipulation.robot import JointTrajectory
 from manipulation.standing import to_standing
 from manipulation.trajectories import MotionConfig
 from manipulation.types import PickPlacePlan, Placement
+from perception.obstacles.obstacle import PerceivedObstacle
 
 CONFIG = PickPlaceConfig(
     max_plans=1,
@@ -23,6 +25,7 @@ CONFIG = PickPlaceConfig(
 # Between can and goal. At the height of the lift the hand passes above the wall, but the can does not.
 WALL = Obstacle("wall", (0.5, 0.0, 0.125), (0.25, 0.02, 0.125))
 HIGH_WALL = Obstacle("wall", (1.25, 0.0, 0.75), (1.0, 0.01, 0.75))
+CORNERS = np.array(list(itertools.product((-1.0, 1.0), repeat=3)))
 GOAL = Placement("can_1", (0.5, 0.25, 0.0), (0.0,))
 
 
@@ -95,6 +98,7 @@ def plan_of(duration):
     for name, steps in (("approach", duration), ("lift", 0), ("transfer", 0), ("retreat", 0)):
         object.__setattr__(plan, name, still(int(steps)))
     object.__setattr__(plan, "settle", None)
+    object.__setattr__(plan, "transit", None)
     return plan
 
 
@@ -134,17 +138,16 @@ def test_resting_pose_is_at_the_yaw_and_raised_by_the_stack(kinematics, items):
     assert nested[2, 3] == pytest.approx(0.004 + 0.005, abs=0.003)
 
 
-def test_a_new_estimate_replaces_the_object_and_keeps_the_others(kinematics, items, shapes):
+def test_a_lying_object_has_grasps_across_its_axis_until_it_stands_again(kinematics, items):
     planner = PickPlacePlanner(kinematics, items, config=CONFIG)
-    moved = planner.world.pose("bowl_2")
-    moved[0, 3] += 0.1
-    planner.moved("bowl_2", moved)
+    standing = planner.world.pose("can_1")
+    lying = standing.copy()
+    lying[:3, :3] = [[0, 0, 1], [0, 1, 0], [-1, 0, 0]]
+    planner.moved("can_1", lying)
     grasps = planner.grasps("can_1")
-    planner.observe(to_standing(shapes.estimate(1, "can", shapes.can(0.025), x=0.4, y=-0.1)))
-    np.testing.assert_allclose(planner.world.pose("bowl_2"), moved)
-    np.testing.assert_allclose(planner.world.pose("can_1")[:2, 3], (0.4, -0.1), atol=1e-3)
-    assert planner.grasps("can_1") is not grasps
-    assert planner.grasps("can_1").grasps[0].held_width == pytest.approx(0.05, abs=1e-3)
+    assert {grasp.kind for grasp in grasps.grasps} == {"waist"} and planner.grasps("can_1") is grasps
+    planner.moved("can_1", standing)
+    assert {grasp.kind for grasp in planner.grasps("can_1").grasps} == {"top"}
 
 
 def test_forgotten_objects_are_no_obstacles(kinematics, items):
@@ -153,6 +156,20 @@ def test_forgotten_objects_are_no_obstacles(kinematics, items):
     assert planner.world.contact(q, 0.08) is not None
     planner.forget("can_1")
     assert planner.world.contact(q, 0.08) is None
+    planner.moved("can_1", planner.world.pose("can_1"))
+    assert planner.world.contact(q, 0.08) is not None, "found again"
+
+
+def test_new_obstacles_replace_the_perceived_ones_and_leave_the_objects(kinematics, items):
+    planner = PickPlacePlanner(kinematics, items, config=CONFIG)
+    above, over_can = posture(kinematics, 0.5, 0.1, 0.1), posture(kinematics, 0.5, -0.25, 0.06)
+    planner.forget("can_1")
+    thing = PerceivedObstacle(1, (np.array([0.5, 0.1, 0.1]) + 0.03 * CORNERS,), 500)
+    planner.observe_obstacles([thing])
+    assert planner.world.contact(above, 0.08) is not None
+    assert planner.world.contact(over_can, 0.08) is None, "what was forgotten stays so"
+    planner.observe_obstacles([])
+    assert planner.world.contact(above, 0.08) is None
 
 
 def test_known_grasps_are_used(kinematics, items):

@@ -77,7 +77,7 @@ def test_pick_approaches_from_above_and_lifts_with_the_object_attached(kinematic
     table = AllowedContacts(touch_carried=frozenset({"table"}), carried_margin=CONFIG.lift_margin)
     assert lift[1:] == (grasp.held_width, table, "can_1")
     np.testing.assert_allclose(kinematics.forward(pick.approach[-1]), T_grasp, atol=2e-3)
-    assert kinematics.forward(pick.approach[0])[2, 3] == pytest.approx(T_grasp[2, 3] + 0.1, abs=1e-3)
+    assert kinematics.forward(pick.approach[0])[2, 3] == pytest.approx(T_grasp[2, 3] + 0.16, abs=1e-3)
     assert kinematics.forward(pick.lift[-1])[2, 3] == pytest.approx(T_grasp[2, 3] + 0.2, abs=1e-3)
 
 
@@ -123,7 +123,7 @@ def test_place_lowers_the_object_to_the_release_height_and_retreats(kinematics, 
     width = min(pick.grasp.release_opening + 2 * CONFIG.release_extras[0], pick.grasp.opening)
     assert release[1:] == (width, AllowedContacts(touch=frozenset({"can_1"})), None)
     assert place.release_opening == width
-    assert heights_above(T_place, release[0]) == pytest.approx(CONFIG.approach_heights)
+    assert heights_above(T_place, release[0]) == pytest.approx(CONFIG.retreat_heights)
     floor = AllowedContacts(
         touch_carried=frozenset({"table", "box_floor"}), carried_margin=CONFIG.placing_margin
     )

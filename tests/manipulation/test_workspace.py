@@ -36,7 +36,9 @@ def test_closeups_look_at_the_object_itself():
 
 def test_heights_of_motions_scale_and_margins_do_not():
     config = ManipulationConfig()
-    small = Workspace(0.5).adapted(config).pick_place
+    adapted = Workspace(0.5).adapted(config)
+    np.testing.assert_allclose(adapted.upright_area, 0.5 * np.array(config.upright_area))
+    small = adapted.pick_place
     np.testing.assert_allclose(small.via_heights, 0.5 * np.array(config.pick_place.via_heights))
     assert small.segments.lift_heights[0] == 0.5 * config.pick_place.segments.lift_heights[0]
     assert small.segments.lift_margin == config.pick_place.segments.lift_margin

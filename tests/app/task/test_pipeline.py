@@ -7,7 +7,7 @@ import numpy as np
 import pytest
 
 import app.task.pipeline as pipeline
-from app.task.pipeline import RunObserver, TaskRequest, expected_pose, make_reobserver, run, verify
+from app.task.pipeline import RunObserver, TaskRequest, expected_pose, run, verify
 from manipulation.errors import PlanningError
 from manipulation.planner import ManipulationConfig
 from manipulation.robot import RobotState
@@ -17,7 +17,6 @@ from manipulation.viewpoints import (
     LINE_VIEWPOINTS,
     SCAN_VIEWPOINTS,
     ViewpointScanner,
-    closeup_viewpoints,
 )
 from manipulation.workspace import Workspace
 from perception.errors import PerceptionError
@@ -200,29 +199,6 @@ def test_other_exceptions_are_not_results(stages):
     stages.stage("detect", AttributeError("no such member"))
     with pytest.raises(AttributeError):
         run(StillRobot(), stages.perception, TaskRequest("pack"))
-
-
-def test_reobservation_moves_the_known_object_to_the_fitted_pose(stages):
-    T = pose_from_yaw(0.3, np.array([0.45, -0.2, 0.05]))
-    stages.stage("refit_pose", replace(SEEN, T_world_object=T))
-    scanner, (first, second) = stages.scanner, stages.objects
-    moved = make_reobserver(scanner, stages.objects)(1)
-    np.testing.assert_array_equal(moved.T_world_object, T)
-    assert moved.id == 1 and moved.mesh is second.mesh and first.id == 0
-    assert stages.calls["refit_pose"][0] is second and stages.calls["refit_pose"][1] == [scanner.frame]
-    assert scanner.visited == [tuple(closeup_viewpoints((0.5, -0.2, 0.05)))]
-
-
-def test_an_object_that_is_not_observed_yields_no_estimate(stages):
-    reobserve = make_reobserver(stages.scanner, stages.objects)
-    for status in ("not_there", "hidden"):
-        stages.stage("refit_pose", replace(SEEN, status=status))
-        assert reobserve(0) is None
-    for error in (PerceptionError("no depth"), PlanningError("out of reach")):
-        stages.stage("refit_pose", error)
-        assert reobserve(0) is None
-    stages.scanner.error = PlanningError("no viewpoint")
-    assert reobserve(0) is None
 
 
 def test_the_expected_pose_is_that_of_the_object_carried_with_its_stand_frame(can_at, pack_plan):

@@ -1,0 +1,143 @@
+"""Observation during execution: are objects where they are expected, and if not, where.
+
+Shapes are known from the reconstruction; only poses are estimated again. No detector is needed, so that every
+source of shapes is handled alike.
+"""
+
+from __future__ import annotations
+
+import logging
+from collections.abc import Mapping, Sequence
+from dataclasses import replace
+
+import numpy as np
+from jaxtyping import Float
+
+from manipulation.errors import ManipulationError, RobotStoppedError
+from manipulation.lying_grasps import lies
+from manipulation.observation import Finding, Poses, Presence, is_displaced
+from manipulation.types import StandingObject
+from manipulation.viewpoints import ViewpointScanner
+from manipulation.workspace import Workspace
+from perception.errors import PerceptionError
+from perception.geometry import pose_from_yaw
+from perception.inference.refit import PoseCheck, refit_pose
+from perception.inference.relocate import Region, relocate
+from perception.obstacles.obstacle import PerceivedObstacle
+from perception.types import ObjectEstimate, RgbdFrame
+
+logger = logging.getLogger(__name__)
+
+REGION: Region = ((0.18, 0.85), (-0.60, 0.06))  # [m] of the table in the standard cell, to be searched
+SEARCH_VIEWS = 4  # images of a search
+NEIGHBOURHOOD = 0.2  # [m] between the axes of an object and of others that may explain depth beside it
+MIN_PIXELS = 1500  # visible pixels of an object in one image, for a decision
+MAX_TILT = np.deg2rad(20)  # of a pose that is fitted to an object that stood
+
+
+class WristObserver:
+    """Looks at known objects with the wrist camera; implements ``manipulation.observation.SceneObserver``.
+
+    Args:
+        scanner: Takes images.
+        objects: Object map.
+        items: The same objects as the plan has them, by name.
+        workspace: Viewpoints.
+        obstacles: Things of no class, which explain depth as other objects do.
+    """
+
+    def __init__(
+        self,
+        scanner: ViewpointScanner,
+        objects: Sequence[ObjectEstimate],
+        items: Mapping[str, StandingObject],
+        workspace: Workspace = Workspace(),
+        obstacles: Sequence[PerceivedObstacle] = (),
+    ) -> None:
+        self._scanner, self._workspace, self._obstacles = scanner, workspace, tuple(obstacles)
+        self._bystanders = [estimate for estimate in objects if estimate.name not in items]
+        self._estimates = {estimate.name: estimate for estimate in objects if estimate.name in items}
+        self._Ts_stand_object = {
+            name: np.linalg.inv(items[name].T_world_stand) @ estimate.T_world_object
+            for name, estimate in self._estimates.items()
+        }
+
+    def glance(self, poses: Poses, names: tuple[str, ...]) -> Mapping[str, Presence]:
+        frame = self._scanner.look()
+        return {name: self._presence(name, poses, frame) for name in names}
+
+    def find(self, name: str, poses: Poses) -> Finding:
+        try:
+            if name in poses and not lies(poses[name]):
+                found = self._find_nearby(name, poses)
+                if found is not None:
+                    return found
+            return self._find_on_table(name, poses)
+        except RobotStoppedError:
+            raise
+        except (ManipulationError, PerceptionError) as error:
+            logger.info("cannot observe %s: %s", name, error)
+            return Finding("unseen")
+
+    def _presence(self, name: str, poses: Poses, frame: RgbdFrame) -> Presence:
+        """Return whether one image shows an object where it is expected."""
+        check = self._check(name, poses, [frame])
+        if check.status == "hidden" or check.visible_pixels < MIN_PIXELS:
+            return "unseen"
+        if check.status == "not_there":
+            return "displaced"
+        T_seen = self._stand_pose(name, check)
+        return "displaced" if is_displaced(poses[name], T_seen) else "in_place"
+
+    def _find_nearby(self, name: str, poses: Poses) -> Finding | None:
+        """Search for a standing object within a few centimetres of where it is expected."""
+        x, y = poses[name][:2, 3]
+        frames = self._scanner.capture(self._workspace.closeup_viewpoints(float(x), float(y)))
+        check = self._check(name, poses, frames)
+        if check.status != "seen" or check.visible_pixels < MIN_PIXELS or check.tilt > MAX_TILT:
+            return None
+        return Finding("found", self._standing(name, check, poses[name][2, 3]))
+
+    def _find_on_table(self, name: str, poses: Poses) -> Finding:
+        """Search for an object on the whole table, in any resting pose."""
+        frames = self._scanner.capture(self._workspace.scan_viewpoints(SEARCH_VIEWS))
+        others = [*self._others(name, poses, np.inf), *self._bystanders]
+        (x0, x1), (y0, y1) = (tuple(self._workspace.scale * limit for limit in side) for side in REGION)
+        before = self._object_pose(name, poses) if name in poses else None
+        region = (x0, x1), (y0, y1)
+        estimate = self._estimates[name]
+        check = relocate(estimate, frames, others, region, T_before=before, obstacles=self._obstacles)
+        if check is None:
+            return Finding("missing")
+        T_world_stand = self._stand_pose(name, check)
+        if not lies(T_world_stand):
+            T_world_stand = self._standing(name, check, 0.0)
+        return Finding("found", T_world_stand)
+
+    def _check(self, name: str, poses: Poses, frames: Sequence[RgbdFrame]) -> PoseCheck:
+        others = self._others(name, poses, NEIGHBOURHOOD)
+        return refit_pose(self._estimates[name], frames, self._object_pose(name, poses), others)
+
+    def _others(self, name: str, poses: Poses, distance: float) -> list[ObjectEstimate]:
+        """Return the other objects at their poses: those within a distance [m] of an object with a pose."""
+        near = []
+        for other in poses:
+            if other == name or other not in self._estimates:
+                continue
+            apart = np.linalg.norm((poses[other] - poses[name])[:2, 3]) if name in poses else 0.0
+            if apart < distance:
+                pose = self._object_pose(other, poses)
+                near.append(replace(self._estimates[other], T_world_object=pose))
+        return near
+
+    def _object_pose(self, name: str, poses: Poses) -> Float[np.ndarray, "4 4"]:
+        return poses[name] @ self._Ts_stand_object[name]
+
+    def _stand_pose(self, name: str, check: PoseCheck) -> Float[np.ndarray, "4 4"]:
+        return check.T_world_object @ np.linalg.inv(self._Ts_stand_object[name])
+
+    def _standing(self, name: str, check: PoseCheck, support: float) -> Float[np.ndarray, "4 4"]:
+        """Return the fitted pose of a standing object without its tilt, on a support of a height [m]."""
+        T = self._stand_pose(name, check)
+        yaw = float(np.arctan2(T[1, 0] - T[0, 1], T[0, 0] + T[1, 1]))
+        return pose_from_yaw(yaw, np.array([T[0, 3], T[1, 3], support]))

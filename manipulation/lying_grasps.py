@@ -1,0 +1,135 @@
+"""Grasps of a lying object across its axis, from above, and goals at which it is set upright with them.
+
+The hand turns by 90 degrees about its closing direction between pick and place, and is horizontal in the end,
+with the wrist camera above it.
+"""
+
+from __future__ import annotations
+
+from collections import Counter
+from collections.abc import Iterator, Sequence
+
+import numpy as np
+from jaxtyping import Float
+
+from manipulation.cross_sections import CrossSectionCache, Extent, extent
+from manipulation.grasp_config import GraspConfig, tcp_pose
+from manipulation.types import Grasp, GraspSet, Placement, Rejected, StandingObject
+
+LYING_TILT = np.deg2rad(45.0)  # of the axis to the vertical, from which on an object does not stand
+HAND_HEIGHT = 0.07  # [m] least height of the TCP over the support with the hand horizontal
+_STEP = 0.008  # [m] between grasps along the axis
+_PAD_HALF_WIDTH = 0.0085  # [m] along the axis
+_HEADINGS = np.deg2rad([0.0, 40.0, 80.0, -40.0, 120.0, -80.0])  # of the hand, to the direction from the base
+UPRIGHT_AREA = ((0.36, 0.64), (-0.44, -0.06))  # [m] ranges of x and y where objects are set upright
+_SPACING = 0.05  # [m] between the spots examined
+_CLEARANCE = 0.05  # [m] between outlines
+
+
+def lies(T_world_stand: Float[np.ndarray, "4 4"]) -> bool:
+    """Return whether an object does not stand upright."""
+    return bool(T_world_stand[2, 2] < np.cos(LYING_TILT))
+
+
+def is_upside_down(T_world_stand: Float[np.ndarray, "4 4"]) -> bool:
+    """Return whether an object stands on its top."""
+    return bool(T_world_stand[2, 2] < -np.cos(LYING_TILT))
+
+
+def lying_grasps(
+    item: StandingObject, T_world_stand: Float[np.ndarray, "4 4"], config: GraspConfig = GraspConfig()
+) -> GraspSet:
+    """Return grasps from above across the axis of a lying object, the one nearest to its middle first.
+
+    Only those with which it can be set upright: the TCP is at least ``HAND_HEIGHT`` above its base.
+    """
+    rejected: Counter[str] = Counter()
+    if is_upside_down(T_world_stand):
+        rejected["upside down"] += 1
+        return GraspSet((), rejected)
+    sections = CrossSectionCache(item.vertices, item.faces)
+    grasps: list[Grasp] = []
+    for height in np.arange(0.03, item.top - _PAD_HALF_WIDTH, _STEP):
+        grasp = _across(item, sections, T_world_stand, float(height), config)
+        if isinstance(grasp, Rejected):
+            rejected[grasp.reason] += 1
+        else:
+            grasps.append(grasp)
+    return GraspSet(tuple(sorted(grasps, key=lambda grasp: -grasp.score)), rejected)
+
+
+def _across(
+    item: StandingObject,
+    sections: CrossSectionCache,
+    T_world_stand: Float[np.ndarray, "4 4"],
+    height: float,
+    config: GraspConfig,
+) -> Grasp | Rejected:
+    """Return the grasp that closes across the axis at a height [m] above the base."""
+    if height < HAND_HEIGHT:
+        return Rejected("too near to the base to be set upright")
+    up = T_world_stand[:3, :3].T @ np.array([0.0, 0.0, 1.0])
+    up = np.array([up[0], up[1], 0.0]) / np.linalg.norm(up[:2])  # across the axis, in the stand frame
+    closing = np.cross((0.0, 0.0, 1.0), up)  # the hand's x, with the camera, points to the object's top
+    azimuth = float(np.arctan2(closing[1], closing[0]))
+    across = _extents(sections, height, azimuth)
+    vertical = _extents(sections, height, azimuth + np.pi / 2)
+    if len(across) < 3 or len(vertical) < 3:
+        return Rejected("without material between the pads")
+    gripper, widths = config.gripper, [e.width for e in across]
+    width = max(widths)
+    if width > gripper.max_width - 0.004:
+        return Rejected(f"too wide for {gripper.max_width:.2f} m")
+    if np.arctan2(np.ptp(widths) / 2, 2 * _PAD_HALF_WIDTH) > config.max_taper:
+        return Rejected("too tapered")
+    sideways = np.array([-closing[1], closing[0], 0.0])
+    position = across[1].middle * closing + vertical[1].middle * sideways
+    position = position + np.array([0.0, 0.0, height])
+    low = float((T_world_stand @ np.append(position, 1.0))[2]) - gripper.tip - config.fingertip_clearance
+    position = position - min(low, 0.0) * up  # the fingertips stay above the support
+    opening = min(gripper.max_width, width + 0.024)
+    return Grasp(
+        kind="waist",
+        T_stand_tcp=tcp_pose(position, approach=-up, closing=closing),
+        away=up,
+        opening=opening,
+        held_width=width,
+        closed_width=(0.5 * width, opening - 0.002),
+        release_opening=min(width + 2 * config.release_gap, gripper.max_width),
+        depth=item.top - height,
+        azimuth=azimuth,
+        score=1.0 - abs(height - 0.55 * item.top) / item.top,
+    )
+
+
+def _extents(sections: CrossSectionCache, height: float, azimuth: float) -> list[Extent]:
+    """Return the extents of the cross-sections under the width of the pads, of which none is empty."""
+    heights = height + _PAD_HALF_WIDTH * np.array([-1.0, 0.0, 1.0])
+    found = (extent(sections.at(float(z)), azimuth) for z in heights)
+    return [e for e in found if e is not None]
+
+
+def upright_goals(
+    item: StandingObject,
+    grasp: Grasp,
+    others: Sequence[tuple[Float[np.ndarray, "2"], float]],
+    area: tuple[tuple[float, float], tuple[float, float]] = UPRIGHT_AREA,
+) -> Iterator[Placement]:
+    """Yield goals at which a lying object stands on free table, nearest to the middle of the area first.
+
+    Args:
+        item: The object.
+        grasp: One of its grasps; all close in the same direction.
+        others: Centre (x, y) and radius of each other object, in [m].
+        area: Ranges of x and y of the spots, in [m].
+    """
+    radius = float(np.linalg.norm(item.vertices[:, :2], axis=1).max())
+    approach = float(np.arctan2(-grasp.away[1], -grasp.away[0]))
+    (x0, x1), (y0, y1) = area
+    grid = np.stack(np.meshgrid(np.arange(x0, x1, _SPACING), np.arange(y0, y1, _SPACING)), axis=-1)
+    middle = np.array([(x0 + x1) / 2, (y0 + y1) / 2])
+    for spot in sorted(grid.reshape(-1, 2), key=lambda s: float(np.linalg.norm(s - middle))):
+        if all(np.linalg.norm(spot - xy) > radius + r + _CLEARANCE for xy, r in others):
+            bearing = float(np.arctan2(spot[1], spot[0]))
+            yaws = tuple(float(bearing + heading - approach) for heading in _HEADINGS)
+            yield Placement(item.name, (float(spot[0]), float(spot[1]), 0.0), yaws, release_height=0.003)

@@ -1,0 +1,79 @@
+"""What execution asks of perception while it runs, and the decisions on the answers."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping
+from dataclasses import dataclass
+from typing import Literal, Protocol, runtime_checkable
+
+import numpy as np
+from jaxtyping import Float
+
+from manipulation.types import Grasp
+
+Poses = Mapping[str, Float[np.ndarray, "4 4"]]  # T_world_stand by name
+Grip = Literal["held", "empty", "wide"]
+Presence = Literal["in_place", "displaced", "unseen"]
+
+MOVED = 0.012  # [m] horizontally, from which on an object is not where it was expected
+TIPPED = np.deg2rad(20.0)  # of its axis from the expected direction
+
+
+@dataclass(frozen=True)
+class Finding:
+    """Result of a search for an object.
+
+    Attributes:
+        status: "found"; "missing" if it is not on the visible table; "unseen" if nothing is known.
+        T_world_stand: (4, 4) pose of its stand frame, in any orientation; None unless found.
+    """
+
+    status: Literal["found", "missing", "unseen"]
+    T_world_stand: Float[np.ndarray, "4 4"] | None = None
+
+
+@runtime_checkable
+class SceneObserver(Protocol):
+    """Looks at the scene with the wrist camera."""
+
+    def glance(self, poses: Poses, names: tuple[str, ...]) -> Mapping[str, Presence]:
+        """Return from one image, without a motion, which of the named objects are where they are expected.
+
+        Args:
+            poses: expected poses of all objects.
+            names: objects to check.
+        """
+        ...
+
+    def find(self, name: str, poses: Poses) -> Finding:
+        """Move the camera and search for an object: first where it is expected, then on the whole table."""
+        ...
+
+
+class NoObserver:
+    """Sees nothing; execution then relies on the width between the fingers alone."""
+
+    def glance(self, poses: Poses, names: tuple[str, ...]) -> Mapping[str, Presence]:
+        return {}
+
+    def find(self, name: str, poses: Poses) -> Finding:
+        return Finding("unseen")
+
+
+def classify_grip(width: float, grasp: Grasp) -> Grip:
+    """Return what a width between the closed pads [m] means for a grasp."""
+    low, high = grasp.closed_width
+    return "empty" if width < low else "wide" if width > high else "held"
+
+
+def is_displaced(
+    T_expected: Float[np.ndarray, "4 4"], T_seen: Float[np.ndarray, "4 4"], moved: float = MOVED
+) -> bool:
+    """Return whether an object is not where it was expected: shifted, or its axis turned.
+
+    A rotation about its axis and a difference in height do not count: they are uncertain for round objects
+    and for those on others.
+    """
+    shift = float(np.linalg.norm((T_seen - T_expected)[:2, 3]))
+    turn = float(np.arccos(np.clip(T_seen[:3, 2] @ T_expected[:3, 2], -1.0, 1.0)))
+    return shift > moved or bool(turn > TIPPED)

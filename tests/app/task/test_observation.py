@@ -1,0 +1,116 @@
+"""Decisions on images: in place, displaced, found or missing, with the fits replaced."""
+
+from dataclasses import replace
+
+import numpy as np
+import pytest
+
+import app.task.observation as observation
+from app.task.observation import MIN_PIXELS, WristObserver
+from manipulation.errors import PlanningError, RobotStoppedError
+from manipulation.viewpoints import ViewpointScanner
+from manipulation.workspace import Workspace
+from perception.errors import PerceptionError
+from perception.geometry import pose_from_yaw
+from perception.inference.refit import PoseCheck
+from perception.obstacles.obstacle import PerceivedObstacle
+
+SEEN = PoseCheck(np.eye(4), "seen", 0.9, MIN_PIXELS, 0.01, 0.0)
+
+
+class Scanner(ViewpointScanner):
+    def __init__(self, frame):
+        self.frame, self.visited = frame, []
+
+    def look(self):
+        return self.frame
+
+    def capture(self, viewpoints):
+        self.visited.append(tuple(viewpoints))
+        return [self.frame]
+
+
+@pytest.fixture
+def scene(overhead_frame, can_at, pack_plan, monkeypatch):
+    """An observer of the plan's object, its expected poses, and what the fits will answer."""
+    scanner, answers = Scanner(overhead_frame), {"check": SEEN, "found": None}
+
+    def answer(kind, *args, **options):
+        if isinstance(answers[kind], Exception):
+            raise answers[kind]
+        return answers[kind]
+
+    monkeypatch.setattr(observation, "refit_pose", lambda *args: answer("check"))
+    monkeypatch.setattr(observation, "relocate", lambda *args, **options: answer("found"))
+    watch = WristObserver(scanner, [can_at()], pack_plan.objects)
+    poses = {"can_0": pack_plan.objects["can_0"].T_world_stand}
+    return watch, poses, answers, scanner
+
+
+def shifted(can_at, by, **changes):
+    T = np.array(can_at().T_world_object)
+    T[0, 3] += by
+    return replace(SEEN, T_world_object=T, **changes)
+
+
+def test_a_glance(scene, can_at):
+    watch, poses, answers, scanner = scene
+    for check, presence in (
+        (shifted(can_at, 0.0), "in_place"),
+        (shifted(can_at, 0.02), "displaced"),
+        (shifted(can_at, 0.02, visible_pixels=MIN_PIXELS - 1), "unseen"),
+        (replace(SEEN, status="not_there"), "displaced"),
+        (replace(SEEN, status="hidden"), "unseen"),
+    ):
+        answers["check"] = check
+        assert watch.glance(poses, ("can_0",)) == {"can_0": presence}
+    assert scanner.visited == []
+
+
+def test_a_moved_object_is_found_nearby_and_stands_on_its_support(scene, can_at):
+    watch, poses, answers, scanner = scene
+    answers["check"] = shifted(can_at, 0.02, tilt=0.1)
+    finding = watch.find("can_0", poses)
+    assert finding.status == "found" and len(scanner.visited) == 1
+    np.testing.assert_allclose((finding.T_world_stand - poses["can_0"])[:3, 3], (0.02, 0, 0), atol=1e-9)
+    assert finding.T_world_stand[2, 2] == 1.0
+
+
+def test_what_is_not_nearby_is_searched_for_on_the_table(scene, can_at):
+    watch, poses, answers, scanner = scene
+    answers["check"] = replace(SEEN, status="not_there")
+    assert watch.find("can_0", poses).status == "missing"
+    assert scanner.visited[-1] == Workspace().scan_viewpoints(observation.SEARCH_VIEWS)
+    lying = pose_from_yaw(0.3, np.array([0.5, -0.3, 0.03]))
+    lying[:3, :3] = lying[:3, :3] @ np.array([[0.0, 0, 1], [0, 1, 0], [-1, 0, 0]])
+    answers["found"] = replace(SEEN, T_world_object=lying)
+    finding = watch.find("can_0", poses)
+    np.testing.assert_allclose(finding.T_world_stand[:3, :3], lying[:3, :3], atol=1e-9)
+    assert watch.find("can_0", {}).status == "found", "an object without a pose as well"
+
+
+def test_a_search_is_given_what_else_explains_depth(scene, can_at, pack_plan, monkeypatch):
+    _, poses, answers, scanner = scene
+    lying = replace(can_at(), id=7)  # not in the plan
+    thing = PerceivedObstacle(1, (np.zeros((4, 3)),), 300)
+    given = []
+    monkeypatch.setattr(observation, "relocate", lambda *args, **options: given.append((args, options)))
+    watch = WristObserver(scanner, [can_at(), lying], pack_plan.objects, obstacles=[thing])
+    answers["check"] = replace(SEEN, status="not_there")
+    assert watch.find("can_0", poses).status == "missing"
+    (_, _, others, _), options = given[0]
+    assert others == [lying] and options["obstacles"] == (thing,)
+
+
+def test_a_stopped_robot_is_no_missing_image(scene):
+    watch, poses, answers, _ = scene
+    answers["check"] = RobotStoppedError("a person is near")
+    with pytest.raises(RobotStoppedError):
+        watch.find("can_0", poses)
+
+
+@pytest.mark.parametrize("error", [PerceptionError("no depth"), PlanningError("out of reach")])
+def test_without_images_nothing_is_known(scene, error):
+    watch, poses, answers, _ = scene
+    answers["check"] = error
+    assert watch.find("can_0", poses).status == "unseen"

@@ -1,0 +1,73 @@
+import numpy as np
+import pytest
+
+from manipulation.lying_grasps import HAND_HEIGHT, is_upside_down, lies, lying_grasps, upright_goals
+from manipulation.standing import to_standing
+from perception.geometry import pose_from_yaw
+
+UP = np.array([0.0, 0.0, 1.0])
+
+
+def lying_pose(radius, azimuth=0.4, roll=0.9):
+    """A pose with the object's axis horizontal along ``azimuth``, rolled about its axis."""
+    on_side = np.eye(4)
+    on_side[:3, :3] = [[0, 0, 1], [0, 1, 0], [-1, 0, 0]]
+    T = pose_from_yaw(azimuth, np.array([0.5, -0.2, radius]))
+    return T @ on_side @ pose_from_yaw(roll, np.zeros(3))
+
+
+@pytest.fixture
+def can(shapes):
+    return to_standing(shapes.estimate(1, "can", shapes.can(radius=0.03, height=0.14)))
+
+
+def test_orientations():
+    assert not lies(np.eye(4)) and lies(lying_pose(0.03)) and not is_upside_down(lying_pose(0.03))
+    assert lies(np.diag([1.0, -1, -1, 1])) and is_upside_down(np.diag([1.0, -1, -1, 1]))
+
+
+def test_grasps_close_across_the_axis_from_above_with_the_camera_towards_the_top(can):
+    T_world_stand = lying_pose(0.03)
+    found = lying_grasps(can, T_world_stand)
+    assert found.grasps and found.rejected["too near to the base to be set upright"] > 0
+    axis = T_world_stand[:3, 2]
+    for grasp in found.grasps:
+        T_world_tcp = T_world_stand @ grasp.T_stand_tcp
+        np.testing.assert_allclose(T_world_tcp[:3, 2], -UP, atol=1e-9)
+        np.testing.assert_allclose(T_world_tcp[:3, 0], axis, atol=1e-9)
+        np.testing.assert_allclose(T_world_stand[:3, :3] @ grasp.away, UP, atol=1e-9)
+        assert grasp.held_width == pytest.approx(0.06, abs=1e-3)
+        assert grasp.T_stand_tcp[2, 3] >= HAND_HEIGHT
+        assert T_world_tcp[2, 3] == pytest.approx(0.03, abs=1e-3)
+
+
+def test_set_upright_the_hand_is_horizontal_with_the_camera_above(can):
+    grasp = lying_grasps(can, lying_pose(0.03)).grasps[0]
+    goal = next(upright_goals(can, grasp, []))
+    for yaw in goal.yaws:
+        T_world_tcp = pose_from_yaw(yaw, np.array(goal.position)) @ grasp.T_stand_tcp
+        np.testing.assert_allclose(T_world_tcp[:3, 0], UP, atol=1e-9)
+        assert T_world_tcp[2, 2] == pytest.approx(0.0, abs=1e-9)
+    heading = (pose_from_yaw(goal.yaws[0], np.zeros(3)) @ grasp.T_stand_tcp)[:2, 2]
+    assert heading @ np.array(goal.position[:2]) > 0, "the hand points away from the base"
+
+
+def test_goals_keep_clear_of_other_objects(can):
+    grasp = lying_grasps(can, lying_pose(0.03)).grasps[0]
+    other = np.array([0.5, -0.25])
+    goals = list(upright_goals(can, grasp, [(other, 0.05)]))
+    assert goals and all(np.linalg.norm(goal.position[:2] - other) > 0.03 + 0.05 + 0.049 for goal in goals)
+    assert not list(upright_goals(can, grasp, [(other, 0.5)]))
+
+
+def test_goals_lie_in_the_area(can):
+    grasp = lying_grasps(can, lying_pose(0.03)).grasps[0]
+    goals = list(upright_goals(can, grasp, [], ((0.2, 0.3), (-0.2, -0.1))))
+    spots = sorted(goal.position[:2] for goal in goals)
+    np.testing.assert_allclose(spots, [(0.2, -0.2), (0.2, -0.15), (0.25, -0.2), (0.25, -0.15)])
+
+
+def test_what_is_too_wide_or_upside_down_has_no_grasp(shapes):
+    wide = to_standing(shapes.estimate(1, "can", shapes.can(radius=0.045, height=0.14)))
+    assert not lying_grasps(wide, lying_pose(0.045)).grasps
+    assert lying_grasps(wide, np.diag([1.0, -1, -1, 1])).rejected["upside down"] == 1
