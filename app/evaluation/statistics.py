@@ -109,7 +109,8 @@ def _failures(lines: Sequence[Mapping[str, Any]], objects: Sequence[Mapping[str,
 def kind_of(reason: str) -> str:
     """Return a reason without numbers, object names and parentheses, so that equal kinds compare equal."""
     general = re.sub(r"\b(mug|bowl|bottle|can)_\d+\b", "it", reason)
-    general = re.sub(r"\([^)]*\)", "", general)
+    for _ in range(2):  # parentheses within parentheses
+        general = re.sub(r" *\([^()]*\)", "", general)
     general = re.sub(r"-?\d+(\.\d+)?", "N", general)
     return " ".join(general.split())[:120]
 

@@ -29,6 +29,8 @@ _MIN_SHARE = 0.1  # part of the surface in the opening that must lie below it
 _ABOVE = 0.08  # what is higher above the rim is a heap, in vessel heights
 _NARROW = 0.8  # a ring of highest points narrower than this, relative to the outline, is no rim
 _WALL = 0.06  # distance from the outline within which the wall ends, in radii
+_UPPER = 0.4  # height from which on points are of the outline, in heights of the highest points
+_MOST = 0.9  # part of a mask that can be contents
 _MAX_SLOPE = 0.15  # rise of contents towards the wall, in vessel heights per radius
 _MIN_PIXELS = 40
 _MIN_RIM = 30  # points of the rim
@@ -106,7 +108,7 @@ def find_rim(plan: Float[np.ndarray, "n 2"], height: Float[np.ndarray, "n"]) -> 
         return None
     top = float(np.quantile(height, 0.995))
     highest = _ring(plan[height > top - max(0.006, 0.08 * top)])
-    outline = _outline(plan)
+    outline = _outline(plan[height > _UPPER * top])
     if outline is not None and (highest is None or highest[1] < _NARROW * outline[1]):
         centre, radius = outline
         wall = np.abs(np.linalg.norm(plan - centre, axis=1) / radius - 1.0) < _WALL
@@ -230,7 +232,7 @@ def _ignoring_contents(
     seen: ObjectObservation, points: _Points, rim: Rim, category: Category
 ) -> ObjectObservation:
     found = content_mask(points.plan, points.height, points.eye, points.eye_height, rim, category)
-    if not found.any():
+    if not 0 < found.sum() <= _MOST * len(found):
         return seen
     ignore = np.zeros_like(seen.mask) if seen.ignore is None else seen.ignore.copy()
     ignore[points.v[found], points.u[found]] = True

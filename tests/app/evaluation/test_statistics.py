@@ -29,6 +29,7 @@ def test_reasons_are_joined_by_kind():
     second = "mug_12 at (0.30, -0.05) m is out of the arm's reach; move it closer"
     assert kind_of(first) == kind_of(second) == "it at m is out of the arm's reach; move it closer"
     assert kind_of("tilted by 12 deg") == "tilted by N deg"
+    assert kind_of("74 without a release (collide with wall (hand)), 2") == "N without a release, N"
 
 
 def thing(category, placed, reason=""):

@@ -76,6 +76,19 @@ def test_the_rim_below_a_heap() -> None:
     assert found.height == pytest.approx(HEIGHT, abs=0.005)
 
 
+def test_things_beside_a_vessel_in_its_mask_are_no_outline() -> None:
+    """Where a mask is too large, it shows the table and low things: the rim is still the highest ring."""
+    rng = np.random.default_rng(2)
+    angle = rng.uniform(0, 2 * np.pi, 900)
+    rim = CENTRE + RADIUS * np.stack([np.cos(angle), np.sin(angle)], axis=1)
+    around = CENTRE + 2.5 * disc(RADIUS, 3000)
+    height = np.concatenate([np.full(900, HEIGHT), rng.uniform(0, 0.3 * HEIGHT, 3000)])
+    found = find_rim(np.concatenate([rim, around]), height)
+    assert found is not None
+    assert found.radius == pytest.approx(RADIUS, abs=0.002)
+    assert found.height == pytest.approx(HEIGHT, abs=0.002)
+
+
 def test_a_camera_below_the_rim_sees_no_contents() -> None:
     offset = disc()
     height = np.full(len(offset), 0.05)
