@@ -68,8 +68,8 @@ def run(options: ConvertOptions, screen: Screen) -> Report:
     folder = RunFolder.create(options, "convert")
     with screen.stage(f"Writing {len(chosen)} images"):
         written = _write(folder.scan, itertools.chain([first], usable), screen, len(chosen))
-    depth, doubts = _median_depth(written.median_depths)
-    warnings = [*source.warnings, *(f"skipped: {problem}" for problem in skipped), *doubts]
+    depth, implausible = _median_depth(written.median_depths)
+    warnings = [*source.warnings, *(f"skipped: {problem}" for problem in skipped), *implausible]
     for warning in warnings:
         screen.note(warning)
     report = Report(

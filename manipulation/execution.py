@@ -1,7 +1,7 @@
 """Task execution as a closed loop: look, grasp, transfer, place, and look again.
 
 An object is looked for where it is expected before the fingers close around it and after its release; the
-width between the fingers tells whether it is held. Whatever is not as expected is searched for and planned
+width between the fingers shows whether it is held. Whatever is not as expected is searched for and planned
 again from where it is: a grasp is retried with another one, a lying object is first set upright.
 """
 

@@ -91,7 +91,7 @@ def _serial_chain(model: MjModel, body: int) -> list[int]:
 
 
 def _is_hand(model: MjModel, body: int) -> bool:
-    """Return whether a branch is a hand from a file of its own, which the prefix of its names tells."""
+    """Return whether a branch is a hand from a file of its own, by the prefix of its names."""
     from sim_assets.robots.mounting import HAND_PREFIX
 
     return all(model.joint(j).name.startswith(HAND_PREFIX) for j in _joints_below(model, body))

@@ -1,4 +1,4 @@
-"""Limits of trajectories, checked beside the robot before a motion begins, whoever planned it."""
+"""Limits of trajectories, checked beside the robot before a motion begins, from any planner."""
 
 from __future__ import annotations
 

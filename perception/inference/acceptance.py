@@ -62,7 +62,7 @@ _TERMS = {
     "neck": "its upper part is unusual",
     "box": "its cross-section is unusual",
     "converged": "the fit did not converge",
-    "class_logit": "the detector doubts the class",
+    "class_logit": "the class is uncertain",
 }
 
 

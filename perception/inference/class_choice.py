@@ -1,6 +1,6 @@
 """Choice between the classes and resting poses of an object, and none, by the evidence of its fits.
 
-An object that the detector is sure of is fitted once. Where the detector doubts the class, or the evidence
+An object that the detector is sure of is fitted once. Where the class is uncertain, or the evidence
 contradicts it, the next classes are fitted as well, and the one with the highest score is kept. Where its fit
 as an upright object is poor, the other resting poses of these classes are tried.
 """

@@ -1,7 +1,7 @@
 """Faults put into a running cell by hand: things that happen on real tables and that no plan contains.
 
 The robot under test is wrapped: one fault per episode, at a moment and on an object drawn from a seed. Only
-the simulated bodies are touched. Whoever uses the robot has no access to what was done.
+the simulated bodies are touched. The pipeline has no access to what was done.
 """
 
 from __future__ import annotations

@@ -284,7 +284,7 @@ class TableTop:
         """Return a random camera pose (OpenCV axes) that looks at a point near an item.
 
         The camera steps back until the axes of all items, of the given heights, are at least ``nearest``
-        metres away: nobody holds a sensor closer than it can measure.
+        metres away, since sensors are held no closer than they can measure.
         """
         azimuth, elevation = rng.uniform(-np.pi, np.pi), rng.uniform(*self.config.elevation)
         distance = rng.uniform(*self.config.distance)

@@ -187,7 +187,7 @@ def _sides(points: Float[np.ndarray, "k n 3"], surface: _Surface) -> tuple[np.nd
     """Return which moving points belong to the finger on the side of +y, and to the one of -y."""
     travel = points[-1, :, 1] - points[0, :, 1]
     of_body = np.zeros(len(travel))
-    for body in np.unique(surface.body[surface.moves]):  # links turn: their mean tells the finger
+    for body in np.unique(surface.body[surface.moves]):  # links turn: their mean identifies the finger
         of_body[surface.body == body] = travel[surface.body == body].mean()
     height = points[-1, :, 1] - points[-1, surface.moves, 1].mean()
     opens = np.sign(height[surface.moves] @ of_body[surface.moves]) or 1.0
