@@ -8,7 +8,9 @@ SIGTERM or SIGKILL at a random moment, and requires that
 - at most one line was printed, and no process is left;
 - every file that was there is in place, in ``.previous``, or replaced by a complete run; all JSON is whole;
 - where the command can resume, resuming gives the result of an uninterrupted run;
-- otherwise, every twentieth time, the command run again gives the same report.
+- otherwise, every twentieth time, the command run again gives the same result.
+
+Trainings start in an empty folder, as one with a finished training has nothing left to interrupt.
 
 Results are appended to ``kills.jsonl`` in the output folder; the same command line continues an interrupted
 campaign.
@@ -31,33 +33,42 @@ from pathlib import Path
 
 import trimesh
 
-from app.runs.manifest import MANIFEST_FILE
-from app.runs.run_folder import PREVIOUS
+from app.runs.manifest import own_names
+from tests.processes import LONGEST, command_line, contents, environment, lost_files, processes_of, run
 
-ROOT = Path(__file__).parents[1]
 SIGNALS = (signal.SIGINT, signal.SIGTERM, signal.SIGKILL)
-NOTES = (MANIFEST_FILE, f".{MANIFEST_FILE}", ".nodeslam.lock")
-LONGEST = 1800  # [s] of one command
+PERSONS_FILE = "notes.txt"
 _INTERPRETER_STARTS = "Failed to import the site module"
 REPEATED_EVERY = 20  # kills, for commands without --resume
 # Entries of a report that differ between two runs of one command.
 UNREPEATABLE = {"timings", "wall_seconds", "seconds", "settings", "stage_seconds", "joint_seconds",
                 "tracking_rate"}  # fmt: skip
+# Files that do not differ.
+REPEATABLE_FILES = {".parquet", ".safetensors", ".ply", ".obj", ".xml", ".urdf"}
 
 
 @dataclass(frozen=True)
 class Command:
-    """A command line without ``--out``; ``resumes`` tells whether ``--resume`` continues it."""
+    """A command to be killed.
+
+    Attributes:
+        arguments: Command line without ``--out``.
+        resume: Options that continue it; None if it cannot be continued.
+        fresh: Whether it starts in an empty folder, not in that of an earlier run.
+    """
 
     arguments: tuple[str, ...]
-    resumes: bool = False
+    resume: tuple[str, ...] | None = None
+    fresh: bool = False
 
 
 def commands(inputs: Path) -> dict[str, Command]:
     """Return the commands by name; they read the runs in the folder of inputs."""
     run, map_, meshes = str(inputs / "scan"), str(inputs / "map"), str(inputs / "meshes")
     scan, can, seed = f"{run}/scan", ("--objects", "can=1"), ("--seed", "4")
-    short = ("--scan-views", "2", "--shapes", "oracle")
+    short = (*can, *seed, "--scan-views", "2", "--shapes", "oracle")
+    tasks = ("evaluate", "tasks", "--episodes", "2", *short)
+    train = ("train", "shape", "--epochs", "2", "--meshes", meshes)
     return {
         "doctor": Command(("doctor",)),
         "glb": Command(("export", map_)),
@@ -68,12 +79,13 @@ def commands(inputs: Path) -> dict[str, Command]:
         "ar": Command(("ar", map_, "--drops", "1", "--seconds", "0.2")),
         "slam": Command(("slam", scan)),
         "convert": Command(("convert", str(inputs / "recording"), "--camera", "525,525,319.5,239.5")),
-        "pack": Command(("pack", *can, *seed, *short)),
-        "sort": Command(("sort", *can, *seed, *short)),
+        "pack": Command(("pack", *short)),
+        "sort": Command(("sort", *short)),
         "bench": Command(("bench", "--scan", scan, "--repeats", "1")),
-        "tasks": Command(("evaluate", "tasks", "--episodes", "2", *can, *seed, *short), resumes=True),
-        "collect": Command(("collect", "--episodes", "2", "--no-images", *can, *seed, *short), resumes=True),
-        "train": Command(("train", "shape", "--epochs", "1", "--meshes", meshes)),
+        "tasks": Command(tasks, resume=("--resume",)),
+        "workers": Command((*tasks, "--workers", "2"), resume=("--resume",)),
+        "collect": Command(("collect", "--episodes", "2", "--no-images", *short), resume=("--resume",)),
+        "train": Command(train, resume=(), fresh=True),
     }
 
 
@@ -92,34 +104,6 @@ def make_inputs(folder: Path) -> None:
     (folder / "complete").touch()
 
 
-def command_line(arguments: tuple[str, ...], out: Path) -> list[str]:
-    return [sys.executable, "-m", "app", *arguments, "--out", str(out), "--quiet"]
-
-
-def environment() -> dict[str, str]:
-    return os.environ | {"PYTHONPATH": str(ROOT), "OPENBLAS_NUM_THREADS": "1"}
-
-
-def run(arguments: tuple[str, ...], out: Path) -> float:
-    """Run a command to its end; return its duration in [s]."""
-    begin = time.perf_counter()
-    done = subprocess.run(
-        command_line(arguments, out), env=environment(), capture_output=True, text=True, timeout=LONGEST
-    )
-    if done.returncode not in (0, 1):
-        raise RuntimeError(f"{' '.join(arguments)} ended with {done.returncode}: {done.stderr.strip()}")
-    return time.perf_counter() - begin
-
-
-def contents(folder: Path) -> dict[str, bytes]:
-    """Return the files of a folder but for the program's notes about them."""
-    return {
-        str(path.relative_to(folder)): path.read_bytes()
-        for path in sorted(folder.rglob("*"))
-        if path.is_file() and not path.name.startswith(NOTES)
-    }
-
-
 def result_of(folder: Path) -> object:
     """Return the report without what differs between two runs of one command."""
     return _repeatable(json.loads((folder / "report.json").read_text().replace(str(folder), "OUT")))
@@ -129,35 +113,6 @@ def _repeatable(value: object) -> object:
     if isinstance(value, dict):
         return {key: _repeatable(entry) for key, entry in value.items() if key not in UNREPEATABLE}
     return [_repeatable(entry) for entry in value] if isinstance(value, list) else value
-
-
-def processes_of(group: int) -> list[str]:
-    """Return the ids of the processes of a group that are still alive."""
-    found = []
-    for status in Path("/proc").glob("[0-9]*/stat"):
-        try:
-            state, _, its_group = status.read_text().rpartition(")")[2].split()[:3]
-        except OSError:
-            continue
-        if int(its_group) == group and state != "Z":
-            found.append(status.parent.name)
-    return found
-
-
-def lost_files(out: Path, old: dict[str, bytes], complete: bool) -> list[str]:
-    """Return the files of the earlier run that are nowhere, although no complete run replaced them.
-
-    Raises:
-        ValueError: A JSON file is not whole, or a person's file has changed.
-    """
-    for path in out.rglob("*.json"):
-        json.loads(path.read_text())
-    now = contents(out)
-    if now.get("notes.txt") != old["notes.txt"]:
-        raise ValueError("notes.txt has changed")
-    if complete or json.loads((out / MANIFEST_FILE).read_text())["state"] == "complete":
-        return []
-    return [name for name in old if old[name] not in (now.get(name), now.get(f"{PREVIOUS}/{name}"))]
 
 
 class Campaign:
@@ -181,7 +136,10 @@ class Campaign:
         if not note.exists():
             shutil.rmtree(folder, ignore_errors=True)
             seconds = run(self.commands[name].arguments, folder)
-            (folder / "notes.txt").write_text("a person's")
+            foreign = contents(folder).keys() - set(own_names(folder))
+            if foreign:
+                raise RuntimeError(f"{name} wrote files that its manifest does not know: {sorted(foreign)}")
+            (folder / PERSONS_FILE).write_text("a person's")
             note.write_text(str(seconds))
         return float(note.read_text())
 
@@ -192,15 +150,20 @@ class Campaign:
         how, moment = rng.choice(SIGNALS), rng.uniform(0, 1.1 * self.seconds[name])
         out = self.folder / f"kill{number}"
         shutil.rmtree(out, ignore_errors=True)
-        shutil.copytree(self.folder / "earlier" / name, out)
+        if not self.commands[name].fresh:
+            shutil.copytree(self.folder / "earlier" / name, out)
         process = subprocess.Popen(
             command_line(self.commands[name].arguments, out), env=environment(),
             stderr=subprocess.PIPE, stdout=subprocess.DEVNULL, text=True, start_new_session=True,
         )  # fmt: skip
         time.sleep(moment)
         process.send_signal(how)
-        _, error = process.communicate(timeout=120)
-        problem = self._problem(number, name, out, process, error)
+        try:
+            _, error = process.communicate(timeout=LONGEST)
+            problem = self._problem(number, name, out, process, error)
+        except subprocess.TimeoutExpired:
+            os.killpg(process.pid, signal.SIGKILL)
+            problem = "does not end"
         row = {"number": number, "command": name, "signal": how.name, "moment": round(moment, 2)}
         if not problem:
             shutil.rmtree(out)
@@ -218,16 +181,17 @@ class Campaign:
         earlier, command = self.folder / "earlier" / name, self.commands[name]
         complete = process.returncode in (0, 1)
         try:
-            lost = lost_files(out, contents(earlier), complete)
+            lost = lost_files(out, {} if command.fresh else contents(earlier), complete)
         except ValueError as reason:
             return str(reason)
         if lost:
             return f"lost {lost}"
-        if command.resumes and not complete and (out / "evaluation.json").exists():
-            return self._repeated((*command.arguments, "--resume"), out, earlier)
-        if not command.resumes and number // len(self.commands) % REPEATED_EVERY == 0:
-            return self._repeated(command.arguments, out, earlier)
-        return ""
+        if command.resume is None:
+            due = number // len(self.commands) % REPEATED_EVERY == 0
+            return self._repeated(command.arguments, out, earlier) if due else ""
+        if complete or not (command.fresh or (out / "evaluation.json").exists()):
+            return ""
+        return self._repeated((*command.arguments, *command.resume), out, earlier)
 
     def _repeated(self, arguments: tuple[str, ...], out: Path, earlier: Path) -> str:
         """Run a command again in the folder of the killed one; return how its result differs."""
@@ -235,8 +199,15 @@ class Campaign:
             run(arguments, out)
         except (RuntimeError, subprocess.TimeoutExpired) as reason:
             return str(reason)
-        if contents(out).keys() != contents(earlier).keys():
-            return f"other files: {sorted(contents(out).keys() ^ contents(earlier).keys())}"
+        found, expected = contents(out), contents(earlier)
+        different = (found.keys() ^ expected.keys()) - {PERSONS_FILE}
+        different |= {
+            name
+            for name in found.keys() & expected.keys()
+            if Path(name).suffix in REPEATABLE_FILES and found[name] != expected[name]
+        }
+        if different:
+            return f"other files: {sorted(different)}"
         if arguments[0] != "bench" and result_of(out) != result_of(earlier):
             return "another report"
         return ""

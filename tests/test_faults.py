@@ -1,16 +1,9 @@
 """Faults from outside: full disks while anything is written, and signals at any moment of a command."""
 
-import json
 import os
-import random
 import resource
 import shutil
-import signal
-import subprocess
-import sys
-import time
 from contextlib import contextmanager
-from pathlib import Path
 
 import numpy as np
 import pytest
@@ -23,7 +16,6 @@ from app.export.glb import glb_bytes
 from app.export.mjcf import write_mjcf
 from app.export.model import rigid_model
 from app.options import EvaluateOptions, ExportOptions
-from app.runs.manifest import MANIFEST_FILE
 from app.runs.replay import Recorder, read_recording
 from app.runs.report import Report
 from app.runs.run_folder import PREVIOUS, RunFolder, finish_all
@@ -32,8 +24,9 @@ from perception.io.object_map import read_object_map, write_object_map
 from perception.io.scan_folder import read_scan, write_scan
 from perception.types import CameraIntrinsics, ObjectEstimate, RgbdFrame, SupportPlane, TriangleMesh
 from tests.fuzzing import SHORT
+from tests.kills import Campaign
 
-KILLS = int(os.environ.get("NODESLAM_KILLS", "200"))
+KILLS = int(os.environ.get("NODESLAM_KILLS", "60"))
 
 
 @contextmanager
@@ -145,100 +138,10 @@ def test_a_full_disk_never_costs_the_run_that_was_there(tmp_path, n_bytes):
 # ---------------------------------------------------------------- signals at any moment
 
 
-def environment():
-    return os.environ | {"PYTHONPATH": str(Path(__file__).parents[1]), "OPENBLAS_NUM_THREADS": "1"}
-
-
-def command_line(*arguments):
-    return [sys.executable, "-m", "app", *map(str, arguments), "--quiet"]
-
-
-def contents(folder):
-    """Return the files of a folder but for the program's notes about them."""
-    return {
-        str(path.relative_to(folder)): path.read_bytes()
-        for path in sorted(folder.rglob("*"))
-        if path.is_file() and not path.name.startswith((MANIFEST_FILE, f".{MANIFEST_FILE}", ".nodeslam.lock"))
-    }
-
-
-def processes_of(group):
-    """Return the ids of the processes of a group that are still alive."""
-    found = []
-    for status in Path("/proc").glob("[0-9]*/stat"):
-        try:
-            state, _, its_group = status.read_text().rpartition(")")[2].split()[:3]
-        except OSError:
-            continue
-        if int(its_group) == group and state != "Z":
-            found.append(status.parent.name)
-    return found
-
-
-@pytest.fixture(scope="module")
-def finished_run(tmp_path_factory):
-    folder = tmp_path_factory.mktemp("finished")
-    arguments = ("scan", "--objects", "can=1", "--seed", 3, "--out", folder / "run")
-    subprocess.run(command_line(*arguments), env=environment(), check=True, timeout=600)
-    arguments = ("reconstruct", folder / "run" / "scan", "--out", folder / "map")
-    subprocess.run(command_line(*arguments), env=environment(), check=True, timeout=600)
-    return folder
-
-
 @pytest.mark.slow
-def test_killed_at_any_moment_nothing_is_lost_and_nothing_is_half_written(finished_run, tmp_path):
-    """Each command replaces a run of its own; moments and signals are drawn with a fixed seed."""
-    commands = {
-        "doctor": ("doctor",),
-        "glb": ("export", finished_run / "map"),
-        "urdf": ("export", finished_run / "map", "--format", "urdf"),
-        "scan": ("scan", "--objects", "can=1", "--seed", 4),
-        "reconstruct": ("reconstruct", finished_run / "run" / "scan"),
-        "ar": ("ar", finished_run / "map", "--drops", 1, "--seconds", 0.2),
-    }
-    rng = random.Random(0)
-    seconds, old = {}, {}
-    for name, arguments in commands.items():
-        begin = time.perf_counter()
-        subprocess.run(
-            command_line(*arguments, "--out", tmp_path / f"{name}_old"), env=environment(), timeout=900
-        )
-        seconds[name] = time.perf_counter() - begin
-        (tmp_path / f"{name}_old" / "notes.txt").write_text("a person's")
-        old[name] = contents(tmp_path / f"{name}_old")
+def test_killed_at_any_moment_nothing_is_lost_and_nothing_is_half_written(tmp_path):
+    """The first kills of the campaign of all commands: ``python -m tests.kills``."""
+    campaign = Campaign(tmp_path, ["doctor", "glb", "urdf", "scan", "reconstruct", "ar"])
     for number in range(KILLS):
-        name = rng.choice(list(commands))
-        how = rng.choice([signal.SIGINT, signal.SIGTERM, signal.SIGKILL])
-        out = tmp_path / f"{number}"
-        shutil.copytree(tmp_path / f"{name}_old", out)
-        process = subprocess.Popen(
-            command_line(*commands[name], "--out", out), env=environment(), stderr=subprocess.PIPE, text=True,
-            start_new_session=True,
-        )  # fmt: skip
-        time.sleep(rng.uniform(0, 1.1 * seconds[name]))
-        process.send_signal(how)
-        _, error = process.communicate(timeout=120)
-        where = f"{number}: {name} ended by {how.name}, {error}"
-        assert "Traceback" not in error and len(error.splitlines()) <= 1, where
-        check_nothing_is_lost(out, old[name], where, complete=process.returncode in (0, 1))
-        time.sleep(0.2)
-        assert not processes_of(process.pid), where
-        if number % 20 == 0:
-            again = subprocess.run(
-                command_line(*commands[name], "--out", out), env=environment(), timeout=900
-            )
-            assert again.returncode in (0, 1) and contents(out).keys() == old[name].keys(), where
-        shutil.rmtree(out)
-
-
-def check_nothing_is_lost(out, old, where, complete):
-    """Each old file is where it was, or in the folder of the replaced run, or all of them were replaced."""
-    for path in out.rglob("*.json"):
-        json.loads(path.read_text())
-    now = contents(out)
-    assert now["notes.txt"] == b"a person's", where
-    if not complete:
-        lost = [name for name in old if old[name] not in (now.get(name), now.get(f"{PREVIOUS}/{name}"))]
-        assert not lost or f"{PREVIOUS}/{lost[0]}" not in now, where
-        replaced = json.loads((out / MANIFEST_FILE).read_text())["state"] == "complete"
-        assert not lost or replaced, f"{where}: {lost}"
+        row = campaign.kill(number)
+        assert not row["problem"], row

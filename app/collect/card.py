@@ -9,6 +9,7 @@ from dataclasses import fields
 from app.collect.lerobot import VERSION, DatasetConfig, Line
 from app.evaluation.statistics import wilson_interval
 from app.options import NOT_SETTINGS, CollectOptions
+from app.runs.manifest import CARD_MARK
 from app.runs.report import package_version
 
 # How a run is carried out, and which of its episodes are kept: they do not depend on it.
@@ -28,7 +29,7 @@ configs:
 
 # {title}
 
-Episodes of the packing and sorting pipeline of NodeSLAM {version} in its simulated cell, as a LeRobot data
+{mark} {version} in its simulated cell, as a LeRobot data
 set ({format}), made with
 
 ```
@@ -79,6 +80,7 @@ def card(
     n_success = sum(line["success"] for line in lines)
     low, high = wilson_interval(n_success, len(lines))
     return CARD.format(
+        mark=CARD_MARK,
         title=f"NodeSLAM {options.task}",
         version=package_version(),
         format=VERSION,

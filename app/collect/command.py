@@ -7,12 +7,13 @@ they are joined. Workers return the content of files, so that they need no file 
 from __future__ import annotations
 
 import time
-from collections.abc import Sequence
+from collections.abc import Iterable, Sequence
 from dataclasses import fields
 from functools import cache, partial
+from pathlib import Path
 
 from app.collect.card import OF_THE_RUN, card
-from app.collect.lerobot import DatasetConfig, assemble
+from app.collect.lerobot import DatasetConfig, assemble, n_assembled, remove_parts
 from app.collect.recording import record
 from app.environments.actions import codec_of
 from app.environments.environment import CAMERAS, CellEnv, PackEnv, SortEnv
@@ -23,6 +24,7 @@ from app.evaluation.jobs import Failure, Jobs, networks_on, run_jobs
 from app.evaluation.ledger import Ledger, LedgerFormat, Line
 from app.evaluation.statistics import wilson_interval
 from app.options import NOT_SETTINGS, CellOptions, CollectOptions, Task
+from app.runs.manifest import CARD_FILE, is_own_card
 from app.runs.report import Report
 from app.runs.run_folder import RunFolder
 from app.screen import Screen
@@ -45,9 +47,10 @@ def run(options: CollectOptions, screen: Screen) -> Report:
     format = LedgerFormat("collect", "episodes.jsonl", "seed")
     ledger, finished = Ledger.open(options, format, _settings(options))
     folder, seeds = ledger.folder, range(options.seed, options.seed + options.episodes)
-    if (folder.path / "meta" / "info.json").exists():
-        raise UsageError(f"--resume: the data set {folder.path} is complete; give another --out")
     to_run = [seed for seed in seeds if seed not in finished]
+    assembled = n_assembled(folder.path)
+    if assembled is not None and (to_run or assembled != len(_kept(options, finished.values()))):
+        raise UsageError(f"--resume: the data set {folder.path} is complete; give another --out")
     jobs = Jobs(to_run, partial(collect_seed, options), partial(failed_seed, options))
     with screen.stage(f"{len(to_run)} episodes of {options.task}"):
         for line in run_jobs(jobs, options):
@@ -59,15 +62,30 @@ def run(options: CollectOptions, screen: Screen) -> Report:
             screen.note(f"seed {line['seed']}: {line['reason']}")
             screen.update(f"{len(done)} of {len(seeds)}")
     lines = [finished[seed] for seed in seeds]
-    kept = [line for line in lines if line["n_frames"] and (line["success"] or options.filter == "all")]
+    kept = _kept(options, lines)
     if kept:
         with screen.stage("Writing the data set"):
-            assemble(folder.path, kept, config)
-            write_atomically(folder.path / "README.md", card(options, config, lines, kept).encode())
+            if assembled is None:
+                assemble(folder.path, kept, config)
+            _write_card(folder.path / CARD_FILE, card(options, config, lines, kept), screen)
     report = _report(options, lines, kept, time.perf_counter() - begin)
     folder.write_report(report)
+    remove_parts(folder.path)
     screen.show(report.reason)
     return report
+
+
+def _kept(options: CollectOptions, lines: Iterable[Line]) -> list[Line]:
+    """Return the lines of the episodes that the data set contains."""
+    return [line for line in lines if line["n_frames"] and (line["success"] or options.filter == "all")]
+
+
+def _write_card(path: Path, text: str, screen: Screen) -> None:
+    """Write the card of the data set, unless a person's file has its name."""
+    if path.exists() and not is_own_card(path):
+        screen.note(f"{path} is kept; the data set has no card")
+    else:
+        write_atomically(path, text)
 
 
 def _settings(options: CollectOptions) -> dict[str, str]:

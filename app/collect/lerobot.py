@@ -7,11 +7,14 @@ Layout, as read by the package ``lerobot``:
     videos/observation.images.<camera>/chunk-000/file-000.mp4    one file per episode
     privileged/chunk-000/file-000.parquet                    true states of the objects; not read by lerobot
 
-The data set depends on the episodes alone, in whatever order they were recorded.
+The data set depends on the episodes alone, in whatever order they were recorded. ``meta/info.json``, written
+last, marks it as complete.
 """
 
 from __future__ import annotations
 
+import os
+import shutil
 from collections.abc import Iterator, Sequence
 from dataclasses import dataclass
 from pathlib import Path
@@ -22,9 +25,11 @@ import pyarrow as pa
 import pyarrow.parquet as pq
 
 from app.collect.recording import parquet_bytes
-from perception.io.files import write_atomically, write_json
+from app.runs.manifest import own_names
+from perception.io.files import read_json, write_atomically, write_json
 
 VERSION = "v3.0"
+PARTS = "episodes"  # folder of the recorded episodes
 FILES_PER_CHUNK = 1000
 MAX_DATA_BYTES = 100 * 2**20  # of the tables in one data file
 MAX_VIDEO_MB = 200  # declared only: every episode has a file of its own
@@ -83,14 +88,17 @@ class DatasetConfig:
 
 
 def assemble(folder: Path, lines: Sequence[Line], config: DatasetConfig) -> None:
-    """Write the data set of the given episodes, and remove the folders of all recorded ones.
+    """Write the data set of the given episodes; their own folders remain, so that it can be repeated.
 
     Args:
         folder: Folder of the data set, with ``episodes/<seed>/``.
         lines: Ledger lines of the episodes, in the order of the data set.
         config: What they share.
     """
-    parts = [folder / "episodes" / str(line["seed"]) for line in lines]
+    for name in own_names(folder):  # of an assembly that was interrupted
+        if name.startswith(("data/", "meta/", "privileged/", "videos/")):
+            (folder / name).unlink()
+    parts = [folder / PARTS / str(line["seed"]) for line in lines]
     located = _write_tables(folder, "data", parts, "frames.parquet")
     _write_tables(folder, "privileged", parts, "objects.parquet", indexed=False)
     begins = np.concatenate([[0], np.cumsum([line["n_frames"] for line in lines])]).tolist()
@@ -112,7 +120,7 @@ def assemble(folder: Path, lines: Sequence[Line], config: DatasetConfig) -> None
         for camera in config.cameras:
             key = f"videos/observation.images.{camera}"
             chunk, file = divmod(number, FILES_PER_CHUNK)
-            _move(part / f"{camera}.mp4", folder / f"{key}/{_numbered(chunk, file)}.mp4")
+            _link(part / f"{camera}.mp4", folder / f"{key}/{_numbered(chunk, file)}.mp4")
             row |= {
                 f"{key}/chunk_index": chunk,
                 f"{key}/file_index": file,
@@ -128,7 +136,24 @@ def assemble(folder: Path, lines: Sequence[Line], config: DatasetConfig) -> None
     write_atomically(folder / "meta/tasks.parquet", parquet_bytes(_indexed_by(tasks, "task")))
     write_json(folder / "meta/stats.json", aggregate([line["stats"] for line in lines]))
     write_json(folder / "meta/info.json", _info(config, lines))
-    for part in (folder / "episodes").glob("*/*"):
+
+
+def n_assembled(folder: Path) -> int | None:
+    """Return the number of episodes in a complete data set; None if the folder holds none.
+
+    Raises:
+        InvalidInputError: ``meta/info.json`` is damaged.
+    """
+    path = folder / "meta/info.json"
+    if not path.exists():
+        return None
+    info = read_json(path, "give another --out")
+    return info.get("total_episodes") if isinstance(info, dict) else None
+
+
+def remove_parts(folder: Path) -> None:
+    """Remove the recorded episodes from which a data set was assembled."""
+    for part in (folder / PARTS).glob("*/*"):
         part.unlink()
 
 
@@ -230,6 +255,10 @@ def _indexed_by(table: pa.Table, column: str) -> pa.Table:
     return table.replace_schema_metadata({"pandas": json.dumps(metadata)})
 
 
-def _move(source: Path, target: Path) -> None:
+def _link(source: Path, target: Path) -> None:
+    """Give a file a second name, or copy it where the file system has no links."""
     target.parent.mkdir(parents=True, exist_ok=True)
-    source.replace(target)
+    try:
+        os.link(source, target)
+    except OSError:
+        shutil.copyfile(source, target)

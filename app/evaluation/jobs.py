@@ -15,6 +15,7 @@ from typing import TYPE_CHECKING, Generic, TypeVar
 
 from app.errors import AppError, MissingExtraError
 from app.evaluation.ledger import Line
+from app.memory import release_freed_memory
 from app.options import Device, WorkerOptions
 from app.workers import ATTEMPTS, Lost, map_in_processes
 from perception.errors import install_hint
@@ -86,6 +87,8 @@ def attempt_job(work: Callable[[Item], Line], failed: Callable[[Item, Failure], 
         raise
     except Exception as error:
         return failed(item, Failure(reason_of(error), time.perf_counter() - begin))
+    finally:
+        release_freed_memory()
 
 
 def single_threaded() -> None:

@@ -13,10 +13,14 @@ from dataclasses import dataclass
 from pathlib import Path
 from typing import Any, Literal, get_args
 
-from perception.io.files import MAX_JSON_BYTES, parse_json, read_bytes, write_json
+from perception.errors import InvalidInputError
+from perception.io.files import MAX_JSON_BYTES, MAX_TEXT_BYTES, parse_json, read_bytes, write_json
 
 MANIFEST_FILE = "nodeslam_manifest.json"
 FORMAT = 1
+# The card of a data set has a name that people use as well: only one with this text is of a run.
+CARD_FILE = "README.md"
+CARD_MARK = "Episodes of the packing and sorting pipeline of NodeSLAM"
 # running: not finished, or killed. replacing: its files are being moved to the folder of the replaced run.
 # restoring: they are being moved back.
 State = Literal["running", "complete", "replacing", "restoring"]
@@ -46,12 +50,14 @@ _OWN_NAMES = re.compile(
             rf"sequences/\w+/{_SCAN}",
             r"sequences/\w+/ground_truth/(?:objects\.json|trajectory\.txt|objects/\w+\.ply)",
             # data sets
+            re.escape(CARD_FILE),
             r"episodes/\d+/(?:frames\.parquet|objects\.parquet|(?:wrist|scene)\.mp4)",
             r"meta/(?:info\.json|stats\.json|tasks\.parquet|episodes/chunk-\d+/file-\d+\.parquet)",
             r"(?:data|privileged)/chunk-\d+/file-\d+\.parquet",
             r"videos/observation\.images\.\w+/chunk-\d+/file-\d+\.mp4",
             # training
             r"(?:shape|detector|scene|yaw)\.(?:safetensors|md)",
+            r"acceptance\.(?:json|md)",
             r"shape_(?:reconstructions|walk|pixel_derivative|code_derivatives)\.png",
             r"(?:train|test)_shapes\.npz",
             r"(?:member\d+/)?checkpoint(?:_\w+)?\.pt",
@@ -126,13 +132,25 @@ def read_manifest(folder: Path) -> Manifest | None:
 
 def own_files(folder: Path) -> dict[str, int]:
     """Return the sizes of the files in a folder that have a name of this program; links are not followed."""
-    found = {name: (folder / name).lstat() for name in _walk(folder) if _OWN_NAMES.fullmatch(name)}
+    found = {name: (folder / name).lstat() for name in own_names(folder)}
     return {name: status.st_size for name, status in found.items() if stat.S_ISREG(status.st_mode)}
 
 
 def own_names(folder: Path) -> list[str]:
     """Return the names of everything in a folder, files or not, that is in the place of a file of a run."""
-    return [name for name in _walk(folder) if _OWN_NAMES.fullmatch(name)]
+    return [
+        name
+        for name in _walk(folder)
+        if _OWN_NAMES.fullmatch(name) and (name != CARD_FILE or is_own_card(folder / name))
+    ]
+
+
+def is_own_card(path: Path) -> bool:
+    """Return whether a file is the card of a data set that this program wrote."""
+    try:
+        return CARD_MARK.encode() in read_bytes(path, MAX_TEXT_BYTES)
+    except (OSError, InvalidInputError):
+        return False
 
 
 def temporary_files(folder: Path) -> list[Path]:

@@ -171,9 +171,8 @@ class _Watcher:
     def __init__(self, config: TrainShapeConfig, out_dir: Path, test_data: ShapeDataset) -> None:
         self._config, self._test_data = config, test_data
         self._path = out_dir / "history.json"
-        self._history: list[dict[str, Any]] = (
-            json.loads(self._path.read_text()) if self._path.exists() else []
-        )
+        remedy = "delete the folder or choose another --out"
+        self._history: list[dict[str, Any]] = read_json(self._path, remedy) if self._path.exists() else []
         self._curves = summary_writer(out_dir) if config.tensorboard else None
 
     def on_epoch(self, record: EpochRecord, model: ShapeVae) -> None:
@@ -182,7 +181,8 @@ class _Watcher:
             scores = evaluate(model, self._test_data, self._config.device, max_surfaces=40)
             entry["held_out"] = held_out(scores)
             logger.info("epoch %d: loss %.1f; %s", record.epoch, record.loss, describe(scores))
-        self._history.append(entry)
+        before = [kept for kept in self._history if kept["epoch"] < record.epoch]  # killed in this epoch
+        self._history = [*before, entry]
         write_json(self._path, self._history)
         if self._curves is not None:
             self._curves.add_scalar("loss", record.loss, record.epoch)

@@ -14,6 +14,7 @@ import numpy as np
 import viser
 
 from app.errors import AppError
+from app.memory import release_freed_memory
 from app.options import PackOptions, RunTaskOptions, SortOptions, Task, ViewOptions
 from app.runs.report import Report
 from app.screen import Screen
@@ -129,6 +130,7 @@ class LiveSession:
         if self._world is not None:
             self._world.close()
         self._world, self._scene, self._unused = None, None, False
+        release_freed_memory()
         self._world = build_world(options, self._selected_task)
         self._scene, self._unused = options, True
         self._recording = CellRecorder(self._world)

@@ -9,6 +9,7 @@ from typing import Any, Generic, TypeVar
 import torch
 
 from perception.errors import PerceptionError
+from perception.io.weights import write_checkpoint
 
 Net = TypeVar("Net", bound=torch.nn.Module)
 
@@ -34,7 +35,6 @@ class TrainingState(Generic[Net]):
 
 def save_checkpoint(path: Path, state: TrainingState[Any], done: int) -> None:
     """Write the state after ``done`` epochs or steps atomically, for ``resume_checkpoint``."""
-    path.parent.mkdir(parents=True, exist_ok=True)
     content = {
         "config": state.config,
         "done": done,
@@ -43,9 +43,7 @@ def save_checkpoint(path: Path, state: TrainingState[Any], done: int) -> None:
         "schedule": state.schedule.state_dict(),
         "generator": state.generator.get_state(),
     }
-    partial = path.with_suffix(".partial")
-    torch.save(content, partial)
-    partial.replace(path)
+    write_checkpoint(path, content)
 
 
 def resume_checkpoint(path: Path, state: TrainingState[Any]) -> int:

@@ -4,17 +4,15 @@ from __future__ import annotations
 
 from pathlib import Path
 
-from safetensors.torch import save_file
 from torch import Tensor, nn
 
 from perception.errors import PerceptionError
-from perception.io.weights import load_tensors, read_weights
+from perception.io.weights import load_tensors, read_weights, write_weights
 
 
 def save_weights(tensors: dict[str, Tensor], path: Path, about: dict[str, str]) -> None:
-    """Write tensors and metadata; missing folders are created."""
-    path.parent.mkdir(parents=True, exist_ok=True)
-    save_file({name: value.contiguous() for name, value in tensors.items()}, path, metadata=about)
+    """Write tensors and metadata atomically; missing folders are created."""
+    write_weights(path, tensors, about)
 
 
 def load_weights(network: nn.Module, path: Path, task: str, command: str) -> dict[str, str]:

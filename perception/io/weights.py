@@ -1,4 +1,4 @@
-"""Weights files on disk: location of the shipped ones, checksums, and validated reading.
+"""Weights files on disk: location of the shipped ones, checksums, validated reading, and writing.
 
 ``SHA256SUMS`` beside the weights holds one digest per file, as ``sha256sum`` writes and checks it.
 """
@@ -6,11 +6,14 @@
 from __future__ import annotations
 
 import hashlib
+import io
+import json
+from collections.abc import Mapping
 from pathlib import Path
-from typing import TYPE_CHECKING
+from typing import TYPE_CHECKING, Any
 
 from perception.errors import PerceptionError
-from perception.io.files import check_regular, read_text
+from perception.io.files import check_regular, read_text, write_atomically
 
 if TYPE_CHECKING:
     import torch
@@ -18,6 +21,7 @@ if TYPE_CHECKING:
 WEIGHTS_DIRECTORY = Path(__file__).parents[1] / "weights"
 CHECKSUMS_FILE = "SHA256SUMS"
 MAX_WEIGHTS_BYTES = 4 * 2**30
+_LENGTH_BYTES = 8  # of the header of a safetensors file
 
 
 def weights_checksum(path: Path) -> str:
@@ -96,6 +100,30 @@ def read_weights(
         if tensor.is_floating_point() and not _is_finite(tensor):
             raise PerceptionError(f"weights {path}: '{name}' holds numbers that are not finite; {remedy}")
     return tensors, metadata
+
+
+def write_weights(path: Path, tensors: Mapping[str, torch.Tensor], metadata: Mapping[str, str]) -> None:
+    """Write a safetensors file atomically; the same content gives the same bytes.
+
+    The library writes the metadata in random order, so that digests of equal weights would differ.
+    """
+    from safetensors.torch import save
+
+    content = save({name: tensor.contiguous() for name, tensor in tensors.items()}, dict(metadata))
+    begin = _LENGTH_BYTES + int.from_bytes(content[:_LENGTH_BYTES], "little")
+    header = json.loads(content[_LENGTH_BYTES:begin]) | {"__metadata__": dict(sorted(metadata.items()))}
+    text = json.dumps(header, separators=(",", ":")).encode()
+    text += b" " * (-len(text) % _LENGTH_BYTES)  # tensors are aligned
+    write_atomically(path, len(text).to_bytes(_LENGTH_BYTES, "little") + text + content[begin:])
+
+
+def write_checkpoint(path: Path, state: Mapping[str, Any]) -> None:
+    """Write the state of a training atomically, to be read with ``torch.load(..., weights_only=True)``."""
+    import torch
+
+    buffer = io.BytesIO()
+    torch.save(state, buffer)
+    write_atomically(path, buffer.getvalue())
 
 
 def _is_finite(tensor: torch.Tensor) -> bool:

@@ -9,7 +9,6 @@ from __future__ import annotations
 import json
 import logging
 import math
-import os
 import time
 from collections.abc import Callable
 from dataclasses import asdict, dataclass
@@ -19,6 +18,7 @@ import numpy as np
 import torch
 
 from perception.errors import InvalidInputError, PerceptionError
+from perception.io.weights import write_checkpoint
 from perception.shape.dataset import ShapeDataset, occupancies
 from perception.shape.losses import LossConfig, shape_loss, voxel_weights
 from perception.shape.network import ShapeVae, channels_last, class_one_hot
@@ -116,7 +116,8 @@ def train(
         config: Hyperparameters.
         device: "cpu" or "cuda".
         checkpoint: File of the checkpoint; None writes none.
-        on_epoch: Called with the statistics and the network after every epoch.
+        on_epoch: Called with the statistics and the network after every epoch; twice for an epoch if the
+            process ends before its checkpoint is written.
         on_batch: Called after every batch.
 
     Raises:
@@ -132,10 +133,10 @@ def train(
         logger.info("resuming from %s after epoch %d", checkpoint, done)
     for epoch in range(done, config.epochs):
         record = train_epoch(run, data, epoch, on_batch)
-        if checkpoint is not None:
-            save_checkpoint(checkpoint, run, epoch + 1)
         if on_epoch is not None:
             on_epoch(record, run.model)
+        if checkpoint is not None:  # last: an epoch whose results were not stored is repeated
+            save_checkpoint(checkpoint, run, epoch + 1)
     return run.model
 
 
@@ -186,10 +187,7 @@ def save_checkpoint(path: Path, run: TrainingRun, epochs_done: int) -> None:
         "model": run.model.state_dict(),
         "optimizer": run.optimizer.state_dict(),
     }
-    path.parent.mkdir(parents=True, exist_ok=True)
-    temporary = path.with_suffix(".tmp")
-    torch.save(state, temporary)
-    os.replace(temporary, path)
+    write_checkpoint(path, state)
 
 
 def load_checkpoint(path: Path, run: TrainingRun) -> int:

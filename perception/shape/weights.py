@@ -2,15 +2,13 @@
 
 from __future__ import annotations
 
-import os
 from collections.abc import Mapping
 from pathlib import Path
 
 import torch
-from safetensors.torch import save_file
 
 from perception.errors import PerceptionError
-from perception.io.weights import WEIGHTS_DIRECTORY, load_tensors, read_weights
+from perception.io.weights import WEIGHTS_DIRECTORY, load_tensors, read_weights, write_weights
 from perception.shape.network import ShapeVae, channels_last
 
 SHIPPED_WEIGHTS = WEIGHTS_DIRECTORY / "shape.safetensors"
@@ -20,10 +18,8 @@ _REMEDY = "restore perception/weights/shape.safetensors from the repository, or 
 
 def save_weights(model: ShapeVae, path: Path, metadata: Mapping[str, str]) -> None:
     """Write encoder and decoder in float16, atomically."""
-    tensors = {name: value.detach().half().cpu().contiguous() for name, value in model.state_dict().items()}
-    temporary = path.with_suffix(".tmp")
-    save_file(tensors, temporary, metadata={"format": FORMAT, **metadata})
-    os.replace(temporary, path)
+    tensors = {name: value.detach().half().cpu() for name, value in model.state_dict().items()}
+    write_weights(path, tensors, {"format": FORMAT, **metadata})
 
 
 def load_weights(path: Path | None = None, device: str | torch.device = "cpu") -> ShapeVae:

@@ -65,6 +65,30 @@ def test_an_interrupted_collection_is_resumed(tmp_path, fake, monkeypatch):
         collected(out, episodes=4, resume=True)
 
 
+@pytest.mark.parametrize("step", ["_write_card", "remove_parts"])
+def test_a_collection_interrupted_after_its_last_episode_is_completed(tmp_path, fake, monkeypatch, step):
+    out, whole = tmp_path / "set", getattr(command, step)
+    monkeypatch.setattr(command, step, lambda *_: (_ for _ in ()).throw(KeyboardInterrupt))
+    with pytest.raises(KeyboardInterrupt):
+        collected(out, episodes=2)
+    monkeypatch.setattr(command, step, whole)
+    assert collected(out, episodes=2, resume=True).metrics["n_kept"] == 2
+    assert fake == [0, 1] and not list((out / "episodes").glob("*/*"))
+    assert "LeRobot" in (out / "README.md").read_text()
+
+
+def test_a_persons_file_is_not_replaced_by_the_card(tmp_path, fake, monkeypatch):
+    whole = command.assemble
+
+    def assemble(folder, *rest):
+        (folder / "README.md").write_text("mine")
+        whole(folder, *rest)
+
+    monkeypatch.setattr(command, "assemble", assemble)
+    assert collected(tmp_path / "set", episodes=1).success
+    assert (tmp_path / "set/README.md").read_text() == "mine"
+
+
 @pytest.mark.parametrize("size", ["0,0", "224", "33,32", "a,b", "32,1000", "-32,32"])
 def test_sizes_that_cannot_be_encoded(tmp_path, size, capsys):
     assert run_cli(["collect", f"--image-size={size}", "--out", str(tmp_path / "set")]) == 2

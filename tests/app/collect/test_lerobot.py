@@ -8,7 +8,7 @@ import pyarrow.parquet as pq
 import pytest
 
 from app.collect import lerobot
-from app.collect.lerobot import aggregate, assemble
+from app.collect.lerobot import aggregate, assemble, n_assembled, remove_parts
 from app.collect.recording import record, stats_of
 
 
@@ -58,7 +58,19 @@ def test_episodes_are_located(stored, config):
             assert row[f"{key}/to_timestamp"] == pytest.approx(row["length"] / 20)
             name = f"chunk-{row[f'{key}/chunk_index']:03d}/file-{row[f'{key}/file_index']:03d}.mp4"
             assert (folder / key / name).is_file()
-    assert not list((folder / "episodes").glob("*/*"))
+
+
+def test_an_interrupted_assembly_is_repeated(stored, config):
+    folder, lines = stored
+    assemble(folder, lines, config)
+    whole = {path: path.read_bytes() for path in folder.rglob("*") if path.is_file()}
+    (folder / "meta/info.json").unlink()
+    assert n_assembled(folder) is None
+    assemble(folder, lines, config)
+    assert {path: path.read_bytes() for path in folder.rglob("*") if path.is_file()} == whole
+    remove_parts(folder)
+    assert n_assembled(folder) == 2 and not list((folder / "episodes").glob("*/*"))
+    assert {path.parts[-4] for path in folder.rglob("*.mp4")} == {"videos"}
 
 
 def test_the_description_fits_the_content(stored, config):

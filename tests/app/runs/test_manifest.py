@@ -6,6 +6,8 @@ import os
 import pytest
 
 from app.runs.manifest import (
+    CARD_FILE,
+    CARD_MARK,
     MANIFEST_FILE,
     Manifest,
     linked_folder,
@@ -71,6 +73,16 @@ def test_changed_and_unlisted_files_are_not_the_runs(tmp_path):
     (tmp_path / "report.json").write_text("1234")
     assert not manifest.owns(tmp_path, "report.json")
     assert Manifest("pack", "running", {}).owns(tmp_path, "plan.json")  # killed before it was recorded
+
+
+def test_the_card_of_a_data_set_is_of_a_run_and_other_readme_files_are_not(tmp_path):
+    (tmp_path / CARD_FILE).write_text(f"# Title\n\n{CARD_MARK} 1.0, made with\n")
+    assert own_names(tmp_path) == [CARD_FILE]
+    (tmp_path / CARD_FILE).write_text("my notes")
+    assert own_names(tmp_path) == []
+    (tmp_path / CARD_FILE).unlink()
+    os.mkfifo(tmp_path / CARD_FILE)
+    assert own_names(tmp_path) == []
 
 
 def test_a_run_without_a_manifest_is_known_by_its_report(filled):

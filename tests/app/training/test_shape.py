@@ -34,6 +34,9 @@ def test_an_interrupted_job_goes_on_and_leaves_weights_and_card(tmp_path):
     assert len(json.loads((tmp_path / "history.json").read_text())) == 1
     assert not (tmp_path / "shape.safetensors").exists()
 
+    first = (tmp_path / "history.json").read_text()[:-2]  # killed before the checkpoint of epoch 2
+    (tmp_path / "history.json").write_text(first + ', {"epoch": 2}]')
+
     metrics = run(TINY, tmp_path)
     assert [entry["epoch"] for entry in json.loads((tmp_path / "history.json").read_text())] == [1, 2]
     assert steps[0] == ("sampling shapes", 0.0)

@@ -22,6 +22,8 @@ from perception.io.weights import (
     read_weights,
     verify_weights,
     weights_checksum,
+    write_checkpoint,
+    write_weights,
 )
 from perception.shape.weights import load_weights as load_shape
 from tests.fuzzing import SHORT, damaged_bytes
@@ -118,6 +120,31 @@ def test_a_pipe_in_place_of_weights_is_refused(tmp_path):
     os.mkfifo(tmp_path / "a.safetensors")
     with pytest.raises(PerceptionError, match="is a named pipe, not a regular file"):
         weights_checksum(tmp_path / "a.safetensors")
+
+
+@SHORT
+@given(
+    about=st.dictionaries(st.text(max_size=8), st.text(max_size=8), max_size=6),
+    shape=st.lists(st.integers(0, 3), max_size=3),
+)
+def test_written_weights_are_read_back_and_equal_ones_have_one_digest(tmp_path, about, shape):
+    sent = {"b": torch.arange(3), "a": torch.rand(shape, generator=torch.Generator().manual_seed(0)).half()}
+    path = tmp_path / "new" / "a.safetensors"
+    digests = set()
+    for entries in (about, dict(reversed(about.items()))):
+        write_weights(path, sent, entries)
+        digests.add(weights_checksum(path))
+    tensors, metadata = read_weights(path, "train again")
+    assert len(digests) == 1 and metadata == about
+    assert all(torch.equal(tensors[name], sent[name]) for name in sent)
+    assert [entry.name for entry in path.parent.iterdir()] == [path.name]
+
+
+def test_checkpoints_leave_no_temporary_file(tmp_path):
+    write_checkpoint(tmp_path / "new" / "checkpoint.pt", {"done": 3, "weight": torch.eye(2)})
+    state = torch.load(tmp_path / "new" / "checkpoint.pt", weights_only=True)
+    assert state["done"] == 3 and torch.equal(state["weight"], torch.eye(2))
+    assert len(list((tmp_path / "new").iterdir())) == 1
 
 
 def saved(path, tensors):

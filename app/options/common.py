@@ -1,0 +1,36 @@
+"""Options of every command, and the choices that several commands share."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from pathlib import Path
+from typing import Annotated, Literal
+
+from tyro.conf import arg
+
+Device = Literal["auto", "cpu", "cuda"]
+Task = Literal["pack", "sort"]
+# Options that do not change what is simulated.
+NOT_SETTINGS = {"seed", "out", "quiet", "json", "debug", "stage_limit"}
+
+
+@dataclass(frozen=True, kw_only=True)
+class CommonOptions:
+    """Options of every command."""
+
+    seed: int = 0
+    """Seed of all random numbers."""
+    out: Annotated[
+        Path | None, arg(metavar="DIR", help_behavior_hint="default: runs/<time>_<command>_seed<N>")
+    ] = None
+    """Run folder to write to."""
+    device: Device = "auto"
+    """Device for networks and optimisation; auto selects CUDA if available."""
+    quiet: bool = False
+    """Print neither progress nor tables."""
+    json: bool = False
+    """Print the report as JSON, and nothing else, on standard output."""
+    debug: bool = False
+    """Print the traceback of any error on standard error."""
+    stage_limit: Annotated[float, arg(metavar="SECONDS")] = 3600.0
+    """Time without progress after which a stage is ended; 0 for none. Training and viewer have no limit."""
