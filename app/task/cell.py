@@ -18,6 +18,7 @@ from app.task.scene_options import check_scene, scene_settings
 from perception.types import CATEGORIES, Category
 
 if TYPE_CHECKING:
+    from app.task.fitting_cell import Freedom
     from sim_assets.cell.world import World
     from sim_assets.objects import ObjectModel
     from sim_assets.robots.simulated_arm import SimulatedArm
@@ -26,7 +27,6 @@ MAX_OBJECTS = 20
 SET_DOWN_TILT = np.deg2rad(3)
 MAX_LEAN = np.deg2rad(8)  # of an own mesh at rest on the table
 HIGHER_DRAWS = 20  # of an object that is too low for the fingers
-REDRAWS = 6  # of an object that leaves no room for the others
 BOX_LIMITS = {"L": (0.10, 0.60), "W": (0.10, 0.50), "H": (0.02, 0.20)}  # [m]: boxes that fit on the table
 
 
@@ -158,8 +158,8 @@ def build_world(options: CellOptions, task: str | None) -> World:
     """Build the cell and let its objects settle: with a line for sorting, otherwise with a box.
 
     Generated objects come from the test families, which no network was trained on. Layout and objects are
-    drawn from separate generators, both seeded by ``options.seed``. If the objects do not fit on the table,
-    the widest ones are replaced by smaller ones of their classes.
+    drawn from separate generators, both seeded by ``options.seed``. Objects that do not fit on the table, or
+    do not rest there, are replaced by others of their classes (``fitting_cell``).
 
     Raises:
         UsageError: The options cannot be satisfied; the message names the option to change.
@@ -168,8 +168,9 @@ def build_world(options: CellOptions, task: str | None) -> World:
     rng = np.random.default_rng(shape_seed)
     classes = parse_objects(options.objects, rng)
     inner = parse_box(options.box)
+    from app.task.fitting_cell import fitting_world
     from sim_assets.cell.layout import LayoutError
-    from sim_assets.cell.world import CellConfig, World
+    from sim_assets.cell.world import CellConfig
 
     robot = robot_of(options)
     cell = arm_cell(options, robot)
@@ -183,17 +184,30 @@ def build_world(options: CellOptions, task: str | None) -> World:
         scale=cell.scale,
         **scene_settings(options, len(classes), thing_seed),
     )
-    reason = ""
-    for _ in range(1 + len(classes)):
-        try:
-            return World(config)
-        except LayoutError as error:
-            reason = str(error)
-        models = _with_a_smaller_object(options, config.objects, rng, cell)
-        if models is None:
-            break
-        config = replace(config, objects=models)
-    raise UsageError(f"--objects {options.objects}: {reason}")
+    try:
+        return fitting_world(config, _freedom(options, rng, thing_seed, cell))
+    except LayoutError as error:
+        raise UsageError(f"--objects {options.objects}: {error}") from None
+
+
+def _freedom(
+    options: CellOptions, rng: np.random.Generator, thing_seed: np.random.SeedSequence, cell: ArmCell
+) -> Freedom:
+    """Return what may be changed in a cell that cannot be laid out: nothing that the options ask for."""
+    from app.task.fitting_cell import Freedom
+    from sim_assets.cell.unknown import draw_unknown
+
+    things = np.random.default_rng(thing_seed.spawn(1)[0])
+
+    def draw(category: Category) -> ObjectModel:
+        return _draw_models(replace(options, objects=f"{category}=1"), [category], rng, cell)[0]
+
+    return Freedom(
+        draw=draw,
+        draw_thing=lambda: draw_unknown(1, things)[0],
+        smaller_gap=options.gap is None and not options.clutter,
+        fewer_poses=options.clutter,
+    )
 
 
 def _draw_models(
@@ -249,32 +263,6 @@ def _require_standing(model: ObjectModel, folder: Path) -> None:
         how = f"it topples by {np.rad2deg(angle):.0f} degrees" if angle > MAX_LEAN else "it keeps rocking"
         name = f"{folder}/{model.category}/{model.name}"
         raise UsageError(f"--object-meshes: {name} does not stand on a table: {how}; leave it out")
-
-
-def _with_a_smaller_object(
-    options: CellOptions, models: Sequence[ObjectModel], rng: np.random.Generator, cell: ArmCell = ArmCell()
-) -> tuple[ObjectModel, ...] | None:
-    """Return the objects with the widest one, or else the next, replaced by a narrower draw of its class.
-
-    None if no draw of any class was narrower.
-    """
-
-    def width(index: int) -> float:
-        return _width(models[index])
-
-    for index in sorted(range(len(models)), key=width, reverse=True):
-        category = models[index].category
-        asked = replace(options, objects=f"{category}=1")
-        drawn = [model for _ in range(REDRAWS) for model in _draw_models(asked, [category], rng, cell)]
-        narrowest = min(drawn, key=_width)
-        if _width(narrowest) < width(index):
-            return (*models[:index], narrowest, *models[index + 1 :])
-    return None
-
-
-def _width(model: ObjectModel) -> float:
-    """Return the radius of the circle about the model's axis that holds all of it, in metres."""
-    return float(np.linalg.norm(model.mesh.vertices[:, :2], axis=1).max())
 
 
 def _draw(pool: Sequence[ObjectModel], count: int, rng: np.random.Generator) -> list[ObjectModel]:

@@ -3,8 +3,9 @@
 from __future__ import annotations
 
 import time
-from collections.abc import Sequence
+from collections.abc import Callable, Sequence
 from dataclasses import fields, replace
+from functools import partial
 from typing import Any
 
 import numpy as np
@@ -53,7 +54,7 @@ def run_episode(
     observer = observer or RunObserver()
     begin, paused, simulated_begin = time.perf_counter(), observer.paused_seconds, world.time
     before = read_truth(world)
-    request = request_of(world, task, options, before)
+    request = request_of(world, task, options)
     remarks = [] if options.robot == PANDA else list(cell_remarks(world))
     for remark in remarks:
         observer.on_remark(remark)
@@ -97,17 +98,16 @@ def run_episode(
     return report, result
 
 
-def request_of(world: World, task: Task, options: TaskOptions, before: Truth | None = None) -> TaskRequest:
-    """Return the task in a cell, as the pipeline receives it.
+def request_of(world: World, task: Task, options: TaskOptions) -> TaskRequest:
+    """Return the task in a cell, as the pipeline receives it; with ``--shapes oracle`` it has the true state.
 
     Args:
         world: The cell.
         task: "pack" or "sort".
         options: Options that choose the source of the object estimates.
-        before: True state, for ``--shapes oracle``; read if None.
     """
     box = planned_box(_task_box(world, task))
-    reconstruction = reconstruction_of(options, before or read_truth(world))
+    reconstruction = reconstruction_of(options, partial(read_truth, world))
     scale = world.config.scale
     return TaskRequest(
         task, box, Line().scaled(scale), reconstruction,
@@ -121,9 +121,13 @@ def settings_of(options: TaskOptions) -> dict[str, Any]:
     return {name: getattr(options, name) for name in sorted(names)}
 
 
-def reconstruction_of(options: TaskOptions, before: Truth) -> Reconstruction | None:
-    """Return the source of object estimates for ``--shapes``; None for the learned shape prior."""
+def reconstruction_of(options: TaskOptions, read: Callable[[], Truth]) -> Reconstruction | None:
+    """Return the source of object estimates for ``--shapes``; None for the learned shape prior.
+
+    Ground truth is read for the oracle alone.
+    """
     if options.shapes == "oracle":
+        before = read()
         return lambda frames, detections: oracle_estimates(before)
     if options.shapes == "tsdf":
         return _tsdf

@@ -3,9 +3,9 @@
 from __future__ import annotations
 
 from collections.abc import Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from functools import cache
-from itertools import islice, permutations
+from itertools import permutations
 from typing import cast
 
 import numpy as np
@@ -14,7 +14,7 @@ from jaxtyping import Float
 from scipy.spatial.transform import Rotation
 
 from perception.types import Category
-from sim_assets.cell.layout import LayoutError
+from sim_assets.cell.layout import ArrangementError, LayoutError
 from sim_assets.cell.resting import settle, tilt
 from sim_assets.cell.unknown import UnknownThing
 from sim_assets.objects import ObjectModel
@@ -23,13 +23,14 @@ LYING_TILT = (np.deg2rad(60), np.deg2rad(120))
 UPSIDE_DOWN_TILT = np.deg2rad(165)
 STACKED_TILT = np.deg2rad(25)  # largest tilt of an object that stands on or in another one
 SUPPORTED = 0.005  # [m], smallest height of its base above the table
-ASSIGNMENTS = 8  # random choices of which objects lie, stand on others, ... before the counts are refused
+MOST_STEPS = 3000  # candidates that a search examines before the counts are refused
 _LYING: tuple[Category, ...] = ("bottle", "can", "mug")
 _UPSIDE_DOWN: tuple[Category, ...] = ("mug", "bowl", "can")
 _STACKS: tuple[tuple[Category, Category], ...] = (  # (above, below)
     ("bowl", "bowl"), ("can", "can"), ("mug", "bowl"), ("can", "bowl"), ("bowl", "can"), ("bowl", "mug"),
     ("mug", "can"),
 )  # fmt: skip
+_Members = dict[int, Float[np.ndarray, "4 4"]]  # T_group_object by index
 _WIDEST = {"bowl": 1.0, "can": 3.0, "mug": 3.0}  # radius of the object above, as a multiple of that below
 
 
@@ -41,11 +42,13 @@ class Arrangement:
         lying: objects that lie on their side: bottles, cans and mugs.
         upside_down: mugs, bowls and cans that stand on their rim.
         stacked: objects that stand on or in another one.
+        at_most: whether fewer are accepted where the objects do not rest that way.
     """
 
     lying: int = 0
     upside_down: int = 0
     stacked: int = 0
+    at_most: bool = False
 
 
 @dataclass(frozen=True)
@@ -62,19 +65,19 @@ class Group:
 
 
 def arrange(models: Sequence[ObjectModel], arrangement: Arrangement, rng: np.random.Generator) -> list[Group]:
-    """Choose which objects lie, stand on their rim or on others, and find their resting poses.
+    """Choose at random which objects lie, stand on their rim or on others, and find their resting poses.
 
     Raises:
-        LayoutError: too few of the objects rest that way; the message gives the option and the number.
+        ArrangementError: too few of the objects rest that way; the message gives the option and the number.
     """
     finder = _Finder(models, rng)
-    error = LayoutError("")
-    for _ in range(ASSIGNMENTS):
+    while True:
         try:
-            return _assign(finder, arrangement, rng)
-        except LayoutError as failed:
-            error = failed
-    raise error
+            return _Assignment(finder, arrangement, rng).groups()
+        except ArrangementError as error:
+            if not arrangement.at_most:
+                raise
+            arrangement = replace(arrangement, **{error.pose: getattr(arrangement, error.pose) - 1})
 
 
 def rest_unknown(thing: UnknownThing) -> Group:
@@ -136,36 +139,67 @@ class _Finder:
         return T if stands and centred and T[2, 3] > SUPPORTED else None
 
 
-def _assign(finder: _Finder, arrangement: Arrangement, rng: np.random.Generator) -> list[Group]:
-    """Return the groups of one random assignment of the resting poses."""
-    models = finder.models
-    free = [int(i) for i in rng.permutation(len(models))]
-    groups: list[Group] = []
-    kinds = (
-        ("--lying", arrangement.lying, finder.lying),
-        ("--upside-down", arrangement.upside_down, finder.upside_down),
-    )
-    for option, count, rest in kinds:
-        found = dict(islice(((i, T) for i in free if (T := rest(i)) is not None), count))
-        if len(found) < count:
-            raise _too_few(option, count, len(found), "rest that way")
-        groups += [_group({i: T}, {i: models[i].mesh}) for i, T in found.items()]
-        free = [i for i in free if i not in found]
-    for n_found in range(arrangement.stacked):
-        pairs = permutations(free, 2)
-        found = next(((*pair, T) for pair in pairs if (T := finder.stack(*pair)) is not None), None)
-        if found is None:
-            raise _too_few("--stacked", arrangement.stacked, n_found, "stand on others")
-        above, below, T = found
-        members = {below: np.eye(4), above: T}
-        groups.append(_group(members, {i: models[i].mesh for i in members}))
-        free = [i for i in free if i not in members]
-    groups += [Group({i: None}, models[i].mesh) for i in free]
-    return sorted(groups, key=lambda group: min(group.Ts_group_object))
+class _Assignment:
+    """Search with backtracking for disjoint objects, or pairs of them, that rest in the poses asked for."""
 
+    def __init__(self, finder: _Finder, arrangement: Arrangement, rng: np.random.Generator) -> None:
+        self._finder = finder
+        # the scarcest first: vessels with a rim, then pairs that stand, then what can lie
+        order = ("upside_down", "stacked", "lying")
+        self._wanted = [pose for pose in order for _ in range(getattr(arrangement, pose))]
+        everyone = [int(i) for i in rng.permutation(len(finder.models))]
+        self._singles = [(i,) for i in everyone]
+        self._pairs = list(permutations(everyone, 2))
+        self._steps = 0
+        self._most: list[tuple[str, _Members]] = []  # the longest partial assignment
 
-def _too_few(option: str, wanted: int, found: int, what: str) -> LayoutError:
-    return LayoutError(f"{option} {wanted}: only {found} of these objects {what}; use other or more objects")
+    def groups(self) -> list[Group]:
+        """Return all objects in groups; those of no other pose stand upright."""
+        if not self._search([], 0):
+            pose = self._wanted[len(self._most)]
+            found = sum(pose == other for other, _ in self._most)
+            raise ArrangementError(pose, self._wanted.count(pose), found)
+        models = self._finder.models
+        groups = [_group(members, {i: models[i].mesh for i in members}) for _, members in self._most]
+        taken = {i for _, members in self._most for i in members}
+        groups += [Group({i: None}, model.mesh) for i, model in enumerate(models) if i not in taken]
+        return sorted(groups, key=lambda group: min(group.Ts_group_object))
+
+    def _search(self, chosen: list[tuple[str, _Members]], start: int) -> bool:
+        """Extend a partial assignment to a complete one; return whether there is one within MOST_STEPS.
+
+        Of the candidates for the next pose, those before ``start`` have been tried.
+        """
+        if len(chosen) > len(self._most):
+            self._most = list(chosen)
+        if len(chosen) == len(self._wanted):
+            return True
+        pose = self._wanted[len(chosen)]
+        taken = {i for _, members in chosen for i in members}
+        candidates = self._pairs if pose == "stacked" else self._singles
+        for index in range(start, len(candidates)):
+            if not taken.isdisjoint(candidates[index]):
+                continue
+            members = self._resting(pose, candidates[index])
+            self._steps += 1
+            if self._steps > MOST_STEPS:
+                return False
+            if members is None:
+                continue
+            following = self._wanted[len(chosen) + 1 : len(chosen) + 2]
+            if self._search([*chosen, (pose, members)], index + 1 if following == [pose] else 0):
+                return True
+        return False
+
+    def _resting(self, pose: str, indices: tuple[int, ...]) -> _Members | None:
+        """Return the poses of one object, or of a pair, at rest in a pose; None if they do not rest there."""
+        if pose == "stacked":
+            above, below = indices
+            T = self._finder.stack(above, below)
+            return None if T is None else {below: np.eye(4), above: T}
+        (index,) = indices
+        T = self._finder.lying(index) if pose == "lying" else self._finder.upside_down(index)
+        return None if T is None else {index: T}
 
 
 def _group(poses: dict[int, Float[np.ndarray, "4 4"]], meshes: dict[int, trimesh.Trimesh]) -> Group:

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Sequence
 from dataclasses import dataclass
+from functools import lru_cache
 
 import cv2
 import numpy as np
@@ -22,6 +23,32 @@ LOOSE_ATTEMPTS = 10  # restarts with candidates in random order
 
 class LayoutError(SimAssetsError, ValueError):
     """The objects do not fit; the message gives the largest number placed."""
+
+
+class ArrangementError(LayoutError):
+    """Too few of the objects rest in a pose.
+
+    Attributes:
+        pose: "lying", "upside_down" or "stacked".
+    """
+
+    def __init__(self, pose: str, wanted: int, found: int) -> None:
+        what = "stand on others" if pose == "stacked" else "rest that way"
+        option = f"--{pose.replace('_', '-')} {wanted}"
+        super().__init__(f"{option}: only {found} of these objects {what}; use other or more objects")
+        self.pose = pose
+
+
+class UnstableError(LayoutError):
+    """A body does not rest in any layout.
+
+    Attributes:
+        body: its name.
+    """
+
+    def __init__(self, message: str, body: str) -> None:
+        super().__init__(message)
+        self.body = body
 
 
 @dataclass(frozen=True)
@@ -90,6 +117,7 @@ def quat_from_yaw(yaw: float) -> tuple[float, float, float, float]:
     return (np.cos(yaw / 2), 0.0, 0.0, np.sin(yaw / 2))
 
 
+@lru_cache(maxsize=64)
 def outline(mesh: trimesh.Trimesh) -> Float[np.ndarray, "n 2"]:
     """Return the horizontal outline of a mesh: a polygon in the object frame, to half a millimetre."""
     low = mesh.bounds[0, :2] - 3 * OUTLINE_CELL
@@ -104,7 +132,9 @@ def outline(mesh: trimesh.Trimesh) -> Float[np.ndarray, "n 2"]:
     contours, _ = cv2.findContours(image, cv2.RETR_EXTERNAL, cv2.CHAIN_APPROX_NONE)
     largest = max(contours, key=len)[:, 0, :]
     polygon = cv2.approxPolyDP(largest.astype(np.int32), 0.5, True)[:, 0, :]
-    return polygon * OUTLINE_CELL + low
+    polygon = polygon * OUTLINE_CELL + low
+    polygon.flags.writeable = False
+    return polygon
 
 
 def gap(first: Float[np.ndarray, "n 2"], second: Float[np.ndarray, "m 2"]) -> float:

@@ -2,7 +2,8 @@
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+from collections.abc import Iterator, Sequence
+from contextlib import contextmanager
 from dataclasses import dataclass
 
 import numpy as np
@@ -10,13 +11,13 @@ from jaxtyping import Float
 
 from sim_assets.cell.layout import FreePose
 from sim_assets.cell.scene import SCENERY_CONTACT, Solid, add_free_body, set_physics
-from sim_assets.rendering.headless import mujoco
+from sim_assets.rendering.headless import MjModel, mujoco
 
 LOWERING = 1.0  # [s] during which bodies sink slowly, so that they do not bounce or topple on impact
 SINK_SPEED = 0.15  # [m/s]
 TURNING = 0.1  # [m²] damping of rotations, relative to that of translations: bodies sink without turning
 LONGEST = 5.0  # [s] of simulation
-AT_REST = 0.5  # [s] without motion
+AT_REST = 1.0  # [s] without motion
 STILL = (0.004, 0.05)  # largest speed [m/s] and angular speed [rad/s] of a body at rest
 
 
@@ -45,19 +46,37 @@ def settle(bodies: Sequence[tuple[Solid, Float[np.ndarray, "4 4"]]]) -> Settled:
         add_free_body(spec, f"object{index}", solid, FreePose.of(T_world_object))
     model = spec.compile()
     data = mujoco.MjData(model)
-    masses = model.body_mass[1:]
-    model.dof_damping[:] = np.repeat(masses * 9.81 / SINK_SPEED, 6)
-    model.dof_damping.reshape(-1, 6)[:, 3:] *= TURNING
+    with damped(model, [f"object{index}" for index in range(len(bodies))]):
+        mujoco.mj_step(model, data, round(LOWERING / model.opt.timestep))
     still_steps, needed = 0, round(AT_REST / model.opt.timestep)
-    for step in range(round(LONGEST / model.opt.timestep)):
-        if step == round(LOWERING / model.opt.timestep):
-            model.dof_damping[:] = 0.0
-            still_steps = 0
+    for _ in range(round((LONGEST - LOWERING) / model.opt.timestep)):
         mujoco.mj_step(model, data)
         still_steps = still_steps + 1 if is_still(data.qvel) else 0
-        if still_steps >= needed and step * model.opt.timestep > LOWERING:
+        if still_steps >= needed:
             break
     return Settled(body_poses(data.qpos), still_steps >= needed)
+
+
+@contextmanager
+def damped(model: MjModel, names: Sequence[str]) -> Iterator[None]:
+    """Let free bodies move as in honey: they sink, and those that start inside each other part slowly.
+
+    Args:
+        model: model with the bodies.
+        names: of their free joints.
+    """
+    dofs = np.concatenate(
+        [np.arange(6) + model.joint(name).dofadr[0] for name in names] or [np.empty(0, int)]
+    )
+    before = model.dof_damping[dofs].copy()
+    masses = [model.body_mass[model.joint(name).bodyid[0]] for name in names]
+    damping = np.repeat(np.array(masses)[:, None] * 9.81 / SINK_SPEED, 6, axis=1)
+    damping[:, 3:] *= TURNING
+    model.dof_damping[dofs] = damping.ravel()
+    try:
+        yield
+    finally:
+        model.dof_damping[dofs] = before
 
 
 def tilt(T_world_object: Float[np.ndarray, "4 4"]) -> float:

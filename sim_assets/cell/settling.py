@@ -1,13 +1,14 @@
-"""Whether the free bodies of a cell rest where they were put."""
+"""Whether the free bodies of a cell rest as they were put: they may roll, but neither topple nor fall."""
 
 from __future__ import annotations
 
 from collections.abc import Callable, Sequence
+from dataclasses import dataclass
 
 import numpy as np
 from jaxtyping import Float
 
-from sim_assets.cell.resting import body_poses, is_still
+from sim_assets.cell.resting import body_poses, is_still, tilt
 from sim_assets.rendering.headless import MjData, MjModel
 
 SHORTEST, LONGEST = 3.0, 8.0  # [s] of simulation: what topples slowly has begun to by the former
@@ -15,8 +16,23 @@ INTERVAL = 0.2  # [s] between two checks
 FALLEN_TILT, FALLEN_HEIGHT = np.deg2rad(12), 0.03  # [rad], [m], largest change while settling
 
 
-def settle_bodies(model: MjModel, data: MjData, names: Sequence[str], wait: Callable[[float], None]) -> str:
-    """Advance until the free bodies are at rest; return which one fell or still moves, or an empty string.
+@dataclass(frozen=True)
+class Unsettled:
+    """A body that does not rest as it was put.
+
+    Attributes:
+        name: name of the body.
+        reason: what it did.
+    """
+
+    name: str
+    reason: str
+
+
+def settle_bodies(
+    model: MjModel, data: MjData, names: Sequence[str], wait: Callable[[float], None]
+) -> Unsettled | None:
+    """Advance until the free bodies are at rest; return one that fell or still moves, None without one.
 
     Args:
         model, data: the cell; the initial poses are those of the model.
@@ -24,18 +40,20 @@ def settle_bodies(model: MjModel, data: MjData, names: Sequence[str], wait: Call
         wait: advances the cell by a time in [s].
     """
     if not names:
-        return ""
+        return None
     start = _poses(model, model.qpos0, names)
     while data.time < SHORTEST or _moving(data, names):
         if data.time > LONGEST:
-            return f"{_moving(data, names)[0]} does not come to rest"
+            name = _moving(data, names)[0]
+            return Unsettled(name, f"{name} does not come to rest")
         wait(INTERVAL)
     for name, before, now in zip(names, start, _poses(model, data.qpos, names), strict=True):
-        turn = float(np.arccos(np.clip(now[:3, 2] @ before[:3, 2], -1, 1)))
+        turn = abs(tilt(now) - tilt(before))
         fall = float(before[2, 3] - now[2, 3])
         if turn > FALLEN_TILT or fall > FALLEN_HEIGHT:
-            return f"{name} fell by {100 * fall:.0f} cm and turned by {np.rad2deg(turn):.0f} degrees"
-    return ""
+            how = f"fell by {100 * fall:.0f} cm and tilted by {np.rad2deg(turn):.0f} degrees"
+            return Unsettled(name, f"{name} {how}")
+    return None
 
 
 def _moving(data: MjData, names: Sequence[str]) -> list[str]:

@@ -10,7 +10,14 @@ import app.task.episode as episode
 from app.options import PackOptions, SortOptions
 from app.runs.report import ObjectReport
 from app.task.cell import build_world
-from app.task.episode import reconstruction_of, run_episode, settings_of, summary_of, with_check
+from app.task.episode import (
+    reconstruction_of,
+    request_of,
+    run_episode,
+    settings_of,
+    summary_of,
+    with_check,
+)
 from app.task.pipeline import RunObserver, TaskResult
 from app.task.run import task_of
 from app.task.scoring import read_truth
@@ -89,16 +96,30 @@ def test_the_total_time_excludes_pauses(cell, monkeypatch):
 
 def test_true_shapes_reach_the_pipeline_on_request_alone(cell):
     before = read_truth(cell)
+
+    def refuse():
+        raise TruthRead
+
     for shapes in ("nodeslam", "tsdf"):
-        reconstruction = reconstruction_of(PackOptions(shapes=shapes), before)
+        reconstruction = reconstruction_of(PackOptions(shapes=shapes), refuse)
         reachable = inspect.getclosurevars(reconstruction).nonlocals if reconstruction else {}
         assert "before" not in reachable
-    assert reconstruction_of(PackOptions(), before) is None
-    assert reconstruction_of(PackOptions(shapes="tsdf"), before) is not None
-    oracle = reconstruction_of(PackOptions(shapes="oracle"), before)
+        assert (reconstruction is None) == (shapes == "nodeslam")
+    oracle = reconstruction_of(PackOptions(shapes="oracle"), lambda: before)
     assert oracle is not None
     (estimate,) = oracle([], None)
     np.testing.assert_allclose(estimate.T_world_object[:2, 3], before.poses[0][:2, 3], atol=1e-9)
+
+
+def test_a_request_reads_no_ground_truth(cell, monkeypatch):
+    def refuse(world):
+        raise TruthRead
+
+    monkeypatch.setattr(episode, "read_truth", refuse)
+    for shapes in ("nodeslam", "tsdf"):
+        assert request_of(cell, "pack", PackOptions(shapes=shapes)).task == "pack"
+    with pytest.raises(TruthRead):
+        request_of(cell, "pack", PackOptions(shapes="oracle"))
 
 
 def test_settings_determine_an_episode_apart_from_its_seed():

@@ -1,10 +1,13 @@
 """Objects lying, upside down and stacked: counts, resting poses, repeatability, refusals."""
 
+from types import SimpleNamespace
+
 import numpy as np
 import pytest
+import trimesh
 
-from sim_assets.cell.arrangement import Arrangement, arrange, rest_unknown
-from sim_assets.cell.layout import LayoutError
+from sim_assets.cell.arrangement import Arrangement, _Assignment, _Finder, arrange, rest_unknown
+from sim_assets.cell.layout import ArrangementError
 from sim_assets.cell.resting import tilt
 from sim_assets.cell.unknown import draw_unknown
 from sim_assets.objects import sample_object
@@ -49,10 +52,51 @@ def test_all_upright_by_default(models):
 
 
 def test_impossible_numbers_name_the_option(models):
-    with pytest.raises(LayoutError, match=r"--lying 2: only 1 of these objects rest that way; use other"):
+    with pytest.raises(
+        ArrangementError, match=r"--lying 2: only 1 of these objects rest that way; use other"
+    ):
         arrange(models[:1], Arrangement(lying=2), np.random.default_rng(0))
-    with pytest.raises(LayoutError, match=r"--stacked 1: only 0 of these objects stand on others"):
+    with pytest.raises(ArrangementError, match=r"--stacked 1: only 0 of these objects stand on others"):
         arrange(models[:1], Arrangement(stacked=1), np.random.default_rng(0))
+
+
+def test_fewer_are_accepted_if_asked(models):
+    groups = arrange(models[:2], Arrangement(lying=2, stacked=1, at_most=True), np.random.default_rng(0))
+    tilts = [np.rad2deg(tilt(T)) for g in groups for T in g.Ts_group_object.values() if T is not None]
+    assert len(groups) == 2 and tilts == pytest.approx([90, 90], abs=30)
+
+
+class Table(_Finder):
+    """Stands in for the simulated resting poses: which objects lie, and which pairs stack."""
+
+    def __init__(self, lying, pairs, count):
+        self.models = [SimpleNamespace(mesh=trimesh.creation.box((0.1, 0.1, 0.1))) for _ in range(count)]
+        self.lying = lambda index: np.eye(4) if index in lying else None
+        self.upside_down = lambda index: None
+        self.stack = lambda above, below: np.eye(4) if (above, below) in pairs else None
+
+
+@pytest.mark.parametrize("seed", range(8))
+def test_the_only_assignment_is_found(seed):
+    """Object 0 alone stands on 1, and 3 on 2; of those that lie, only 4 and 5 remain for that."""
+    table = Table(lying={0, 1, 2, 3, 4, 5}, pairs={(0, 1), (3, 2)}, count=7)
+    wanted = Arrangement(lying=2, stacked=2)
+    groups = _Assignment(table, wanted, np.random.default_rng(seed)).groups()
+    members = sorted(tuple(sorted(group.Ts_group_object)) for group in groups)
+    assert members == [(0, 1), (2, 3), (4,), (5,), (6,)]
+    lying = {
+        i
+        for g in groups
+        for i, T in g.Ts_group_object.items()
+        if T is not None and len(g.Ts_group_object) == 1
+    }
+    assert lying == {4, 5}
+
+
+def test_a_hopeless_search_ends():
+    table = Table(lying=set(range(12)), pairs=set(), count=12)
+    with pytest.raises(ArrangementError, match="--stacked 3: only 0"):
+        _Assignment(table, Arrangement(lying=3, stacked=3), np.random.default_rng(0)).groups()
 
 
 def test_a_thing_of_no_class_comes_to_rest():

@@ -1,11 +1,14 @@
 """Resting poses by physics: what stands, what falls, what is reported."""
 
+from contextlib import nullcontext
+
 import numpy as np
 import pytest
 import trimesh
 
-from sim_assets.cell.resting import body_poses, is_still, settle, tilt
+from sim_assets.cell.resting import body_poses, damped, is_still, settle, tilt
 from sim_assets.cell.unknown import as_body
+from sim_assets.rendering.headless import mujoco
 
 
 def block(x, y, z):
@@ -45,3 +48,22 @@ def test_stillness_counts_speed_and_rotation_of_each_body():
 def test_poses_of_free_joints():
     T = body_poses(np.array([1.0, 2, 3, np.sqrt(0.5), 0, 0, np.sqrt(0.5)]))[0]
     np.testing.assert_allclose(T @ [1, 0, 0, 1], [1, 3, 3, 1], atol=1e-12)
+
+
+def test_damped_bodies_that_overlap_part_slowly():
+    """Two blocks start 2 mm inside each other: pushed apart at once they fly, damped they barely move."""
+    scene = """
+    <mujoco><option gravity="0 0 0"/><worldbody>
+      <body name="a" pos="0 0 0"><freejoint name="a"/><geom type="box" size=".02 .02 .02"/></body>
+      <body name="b" pos=".038 0 0"><freejoint name="b"/><geom type="box" size=".02 .02 .02"/></body>
+    </worldbody></mujoco>"""
+
+    def final_speed(is_damped):
+        model = mujoco.MjModel.from_xml_string(scene)
+        data = mujoco.MjData(model)
+        with damped(model, ["a", "b"]) if is_damped else nullcontext():
+            mujoco.mj_step(model, data, 250)
+        assert not model.dof_damping.any()
+        return abs(data.qvel).max()
+
+    assert final_speed(False) > 0.01 and final_speed(True) < 0.001
