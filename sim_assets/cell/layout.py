@@ -210,6 +210,7 @@ def sample_layout(
     Raises:
         LayoutError: no layout was found.
     """
+    min_gap = max(min_gap, TOUCHING)  # the gap of overlapping outlines is 0 as well
     footprints = [_Footprint.of(mesh) for mesh in meshes]
     order = sorted(range(len(meshes)), key=lambda i: -footprints[i].outer)
     most = 0

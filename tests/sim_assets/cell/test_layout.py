@@ -71,6 +71,15 @@ def test_layout_keeps_its_distances(seed):
             assert gap(polygons[i], polygons[j]) >= 0.04
 
 
+@pytest.mark.parametrize("seed", range(5))
+def test_without_a_gap_nothing_overlaps(seed):
+    meshes = [cylinder(0.07)] * 6
+    poses = sample_layout(meshes, np.random.default_rng(seed), min_gap=0.0)
+    centers = np.array([(pose.x, pose.y) for pose in poses])
+    apart = np.linalg.norm(centers[:, None] - centers[None], axis=-1) + np.eye(6)
+    assert apart.min() > 0.14 - 0.001
+
+
 def test_a_full_table_is_packed_tightly():
     """Ten bowls of 9 cm: dropped at random they hardly ever fit."""
     meshes = [cylinder(0.045)] * 10
