@@ -32,7 +32,7 @@ if TYPE_CHECKING:
     from perception.scans import reconstruct_scan as reconstruct_scan
     from perception.single_image import reconstruct_image as reconstruct_image
     from perception.slam.config import SlamConfig as SlamConfig
-    from perception.slam.system import FrameResult as FrameResult
+    from perception.slam.frame_result import FrameResult as FrameResult
     from perception.slam.system import Slam as Slam
     from perception.support.surface import SupportSurface as SupportSurface
     from perception.support.surfaces import find_surfaces as find_surfaces
@@ -65,7 +65,8 @@ _MODULES = {
     "perception.scans": ("reconstruct", "reconstruct_scan"),
     "perception.single_image": ("reconstruct_image",),
     "perception.slam.config": ("SlamConfig",),
-    "perception.slam.system": ("FrameResult", "Slam"),
+    "perception.slam.frame_result": ("FrameResult",),
+    "perception.slam.system": ("Slam",),
 }  # fmt: skip
 _MODULE_OF = {name: module for module, names in _MODULES.items() for name in names}
 __all__ = sorted(_MODULE_OF)  # pyright: ignore[reportUnsupportedDunderAll]

@@ -120,12 +120,14 @@ def load_perception(device: Device) -> Perception:
 
 def load_detector(device: Device) -> Detector:
     """Load the shipped detector; raises as ``load_perception``."""
-    return Detector.load(resolve_device(device))
+    with single_threaded_torch():  # hundreds of small tensors: starting threads for each would cost most
+        return Detector.load(resolve_device(device))
 
 
 def load_decoder(device: Device) -> ShapeDecoder:
     """Load the decoder of the shipped shape prior; raises as ``load_perception``."""
-    return ShapeDecoder.load(device=resolve_device(device))
+    with single_threaded_torch():
+        return ShapeDecoder.load(device=resolve_device(device))
 
 
 def load_huggingface(detector: str, device: Device) -> HuggingFaceDetector:

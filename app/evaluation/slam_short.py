@@ -32,7 +32,7 @@ from perception.inference.shape_model import Decoder
 from perception.io.recordings.sequence import RgbdSequence
 from perception.io.recordings.trajectory import Trajectory
 from perception.slam.ablations import variant_config
-from perception.slam.system import Detect
+from perception.slam.frame_detections import Detect
 from perception.types import ObjectDetection, RgbdFrame, SupportPlane, TriangleMesh
 
 ROWS = "short.jsonl"

@@ -15,7 +15,8 @@ from scipy.spatial.transform import Rotation
 
 from app.runs.replay import Recorder
 from perception.rendering.pose import ObjectPose
-from perception.slam.system import FrameResult, Slam
+from perception.slam.frame_result import FrameResult
+from perception.slam.system import Slam
 
 BODY = "camera"
 

@@ -16,8 +16,11 @@ from perception.io.recordings.sequence import RgbdSequence, without_pose
 from perception.io.recordings.trajectory import Trajectory
 from perception.slam.config import SlamConfig
 from perception.slam.detection_schedule import DetectionScheduleConfig
+from perception.slam.frame_detections import Detect
+from perception.slam.frame_result import FrameResult
 from perception.slam.relocalise import Relocalisation
-from perception.slam.system import Clock, Detect, FrameResult, Slam
+from perception.slam.stage_timer import Clock
+from perception.slam.system import Slam
 from perception.types import ObjectDetection, RgbdFrame, SupportPlane
 
 

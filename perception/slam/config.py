@@ -74,7 +74,7 @@ class SlamConfig:
         use_bundle_adjustment: Whether keyframes are optimised jointly.
         concurrent: Whether joint optimisation runs in a thread beside tracking; the result is the same.
         joint_delay: Frames after its keyframe at which a joint optimisation is applied; that of the first
-            frame is applied at once.
+            frame, or of one with a weak pose, is applied at once.
     """
 
     use_bundle_adjustment: bool = True

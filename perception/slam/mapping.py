@@ -6,10 +6,10 @@ import logging
 import os
 from collections.abc import Collection, Mapping, Sequence
 from concurrent.futures import ThreadPoolExecutor
-from dataclasses import dataclass, replace
+from dataclasses import replace
 
 import numpy as np
-from jaxtyping import Bool, Float
+from jaxtyping import Float
 
 from perception.detection.geometry import touches_border
 from perception.geometry import invert
@@ -20,32 +20,18 @@ from perception.slam.association import RenderedMasks, see_through_ratios
 from perception.slam.bundle_window import BundleResult, BundleWindow
 from perception.slam.config import SlamConfig
 from perception.slam.initialise import LandmarkViews, initialise_landmark, refitted
-from perception.slam.keyframes import Keyframe, select_window
+from perception.slam.keyframes import Keyframe, is_new_viewpoint, select_window
 from perception.slam.labelled_frame import LabelledFrame
 from perception.slam.landmarks import Landmark, LandmarkMap, coincide, duplicates, origin_distance
+from perception.slam.lifecycle import has_failed, with_detections, with_visibility
 from perception.slam.marginal_prior import MarginalPrior, ViewInformation
+from perception.slam.pose_check import Status
+from perception.slam.unmatched_masks import UnmatchedMask, updated_masks
 from perception.types import ObjectDetection, SupportPlane
 
 logger = logging.getLogger(__name__)
 
-_SAME_MASK_IOU = 0.2  # IoU of an unmatched mask with one of the previous frame above which they are the same
-_OPEN_RATIO = 0.6  # unoccluded share of a landmark above which a missing mask counts as a miss
 _REFIT_VIEWS = 3  # newest keyframes that a landmark is refitted to
-
-
-@dataclass(frozen=True)
-class UnmatchedMask:
-    """A mask without a landmark.
-
-    Attributes:
-        mask: Pixels of the mask in the newest frame with detections.
-        n_frames: Number of successive frames with detections in which it has been unmatched.
-        tried: Number of the frame of the last attempt to initialise it; None before the first.
-    """
-
-    mask: Bool[np.ndarray, "h w"]
-    n_frames: int
-    tried: int | None = None
 
 
 class Mapper:
@@ -77,39 +63,18 @@ class Mapper:
             rendered: Rendered masks if the frame is one of a visibility check.
             inlier_ratios: Inlier ratio of each landmark that tracking judged.
         """
-        life, updated = self.config.lifecycle, []
-        see_through = see_through_ratios(rendered, view.frame, self.config.association) if rendered else {}
-        label_of = {id: label for label, id in view.landmark_of.items()}
-        best = max(inlier_ratios.values(), default=0.0)
-        for id, landmark in self.world.landmarks.items():
-            if id in label_of:
-                landmark = landmark.with_detection(view.detections[label_of[id] - 1])
-                if id in inlier_ratios:
-                    outlier = inlier_ratios[id] < self.config.tracking.inlier_ratio_min * best
-                    n_outlier_frames = landmark.n_outlier_frames + 1 if outlier else 0
-                    landmark = replace(landmark, n_outlier_frames=n_outlier_frames)
-            elif rendered and rendered.n_visible.get(id, 0) * rendered.pitch**2 > 2 * life.min_pixels:
-                open_ratio = rendered.n_visible[id] / max(rendered.n_unoccluded[id], 1)
-                landmark = replace(landmark, n_misses=landmark.n_misses + (open_ratio > _OPEN_RATIO))
-            if id in see_through:
-                absent = see_through[id] > life.see_through_ratio
-                landmark = replace(landmark, n_see_through=landmark.n_see_through + 1 if absent else 0)
-            updated.append(landmark)
-        self.world = self.world.with_landmarks(*updated)
-        retired = {landmark.id for landmark in updated if self._has_failed(landmark)}
+        life, landmarks = self.config.lifecycle, self.world.landmarks
+        if rendered is not None:
+            checks = see_through_ratios(rendered, view.frame, self.config.association)
+            landmarks = with_visibility(landmarks, rendered, checks, set(view.landmark_of.values()), life)
+        updated = with_detections(landmarks, view, inlier_ratios, self.config.tracking.inlier_ratio_min)
+        self.world = self.world.with_landmarks(*updated.values())
+        retired = {id for id, landmark in updated.items() if has_failed(landmark, life)}
         retired |= duplicates(self.world.landmarks)
         if retired:
             logger.info("frame %d: retired landmarks %s", view.number, sorted(retired))
             self.world = self.world.without(retired)
         return retired
-
-    def _has_failed(self, landmark: Landmark) -> bool:
-        life = self.config.lifecycle
-        return (
-            landmark.n_misses > min(life.max_misses, landmark.n_hits)
-            or landmark.n_outlier_frames > life.max_outlier_frames
-            or landmark.n_see_through > life.max_see_through
-        )
 
     def set_unmatched(self, view: LabelledFrame) -> None:
         """Make all masks of the first frame candidates for initialisation at once."""
@@ -119,20 +84,7 @@ class Mapper:
 
     def update_unmatched(self, view: LabelledFrame) -> None:
         """Count for how many successive frames each mask without a landmark has been visible."""
-        unmatched = {}
-        present = np.bincount(view.labels.ravel(), minlength=256) > 0
-        for label, found in enumerate(view.detections, start=1):
-            if label in view.landmark_of or not present[label]:  # not present: merged into another label
-                continue
-            same = [
-                before
-                for before in self.unmatched.values()
-                if (before.mask & found.mask).sum() > _SAME_MASK_IOU * (before.mask | found.mask).sum()
-            ]
-            count = 1 + max((before.n_frames for before in same), default=0)
-            tried = max((before.tried for before in same if before.tried is not None), default=None)
-            unmatched[label] = UnmatchedMask(found.mask, count, tried)
-        self.unmatched = unmatched
+        self.unmatched = updated_masks(self.unmatched, view)
 
     @property
     def needs_detections(self) -> bool:
@@ -166,8 +118,9 @@ class Mapper:
         """
         due = [
             label
-            for label, found in enumerate(view.detections, start=1)
-            if label not in view.landmark_of and self._is_due(label, found, view.number, supported)
+            for label, mask in self.unmatched.items()
+            if label not in view.landmark_of
+            and mask.is_due(view.detections[label - 1].mask, view.number, supported, self.config.lifecycle)
         ]
         for label in due:
             self.unmatched[label] = replace(self.unmatched[label], tried=view.number)
@@ -182,17 +135,6 @@ class Mapper:
             self.next_id += 1
         return new
 
-    def _is_due(self, label: int, found: ObjectDetection, number: int, supported: bool) -> bool:
-        """Return whether a landmark should be initialised from an unmatched mask in this frame."""
-        life, mask = self.config.lifecycle, self.unmatched.get(label)
-        if mask is None or mask.n_frames < life.min_frames_unmatched:
-            return False
-        truncated = touches_border(found.mask)
-        min_pixels = life.min_pixels_truncated if truncated else life.min_pixels
-        too_small = np.count_nonzero(found.mask) < min_pixels
-        waits = mask.tried is not None and number - mask.tried < life.retry_interval
-        return not (waits or too_small or (truncated and supported))
-
     def _fit(self, view: LabelledFrame, found: ObjectDetection) -> Landmark | None:
         """Fit a landmark to one mask; None if the fit fails."""
         others = [other.mask for other in view.detections if other is not found]
@@ -200,6 +142,14 @@ class Mapper:
         observation = ObjectObservation(view.frame, found.mask, ignore, found.yaw_probabilities)
         views = LandmarkViews(self.next_id, [observation], found, view.number)
         return initialise_landmark(views, self.decoder, self.world.plane, self.config.fit)
+
+    def contributes(self, view: LabelledFrame, unseen_ratios: Mapping[int, float], status: Status) -> bool:
+        """Return whether a frame should become a keyframe for its viewpoint or for what it reveals."""
+        landmarks = self.world.landmarks
+        visible = {id: landmarks[id] for id in view.landmark_of.values() if id in landmarks}
+        return (
+            status == "tracked" and is_new_viewpoint(view.T_world_camera, visible, self.keyframes)
+        ) or self.reveals_unseen_parts(view, unseen_ratios, status == "weak")
 
     def reveals_unseen_parts(
         self, view: LabelledFrame, unseen_ratios: Mapping[int, float], weak: bool

@@ -7,6 +7,12 @@ of spectral density q^2 makes the velocity a random walk: over a time s,
 
 Tracking supplies the measurement: a pose and its information matrix. Directions without information keep the
 predicted motion, with growing covariance.
+
+The filter takes the errors of successive frames as independent, but an error of the map is common to all
+frames that show it. So a second covariance of the pose is propagated by covariance intersection, which holds
+for any correlation (Julier and Uhlmann, "A non-divergent estimation algorithm in the presence of unknown
+correlations", 1997). It does not enter the estimate; it tells when the map in view does not determine the
+camera.
 """
 
 from __future__ import annotations
@@ -19,6 +25,7 @@ from jaxtyping import Float
 from perception.geometry import hat, invert, se3_exp, se3_log
 
 _POSE, _VELOCITY = slice(0, 6), slice(6, 12)
+_SHARES = np.linspace(0.02, 1.0, 25)  # weights of the prior that covariance intersection chooses from
 
 
 @dataclass(frozen=True)
@@ -49,6 +56,7 @@ class CameraMotion:
         velocity: Twist (rotation, translation) in the camera frame, in rad/s and m/s.
         covariance: Covariance of the errors of pose and velocity, each (rotation, translation) in the camera
             frame.
+        correlated_covariance: Covariance of the pose's error for any correlation between frames.
         period: Time between the first two frames, in seconds; 0 before the second frame.
     """
 
@@ -56,6 +64,7 @@ class CameraMotion:
     T_world_camera: Float[np.ndarray, "4 4"]
     velocity: Float[np.ndarray, "6"]
     covariance: Float[np.ndarray, "12 12"]
+    correlated_covariance: Float[np.ndarray, "6 6"]
     period: float = 0.0
 
     @staticmethod
@@ -72,7 +81,7 @@ class CameraMotion:
         P = np.zeros((12, 12))
         P[_POSE, _POSE] = pose_covariance
         P[_VELOCITY, _VELOCITY] = np.diag(_variances(config.velocity_sigma))
-        return CameraMotion(time, np.array(T_world_camera), np.zeros(6), P, period)
+        return CameraMotion(time, np.array(T_world_camera), np.zeros(6), P, P[_POSE, _POSE], period)
 
     @property
     def pose_covariance(self) -> Float[np.ndarray, "6 6"]:
@@ -82,7 +91,12 @@ class CameraMotion:
     @property
     def position_std(self) -> float:
         """Standard deviation of the camera position along its least certain direction, in metres."""
-        return float(np.sqrt(max(np.linalg.eigvalsh(self.covariance[3:6, 3:6])[-1], 0.0)))
+        return _position_std(self.pose_covariance)
+
+    @property
+    def correlated_position_std(self) -> float:
+        """The same for any correlation between the errors of successive frames."""
+        return _position_std(self.correlated_covariance)
 
     def predict(self, time: float, config: CameraMotionConfig) -> CameraMotion:
         """Return the state at a later time (Kalman prediction)."""
@@ -95,8 +109,11 @@ class CameraMotion:
         growth = np.array([[elapsed**3 / 3, elapsed**2 / 2], [elapsed**2 / 2, elapsed]])
         noise = np.kron(growth, np.diag(_variances(config.velocity_random_walk)))
         P = F @ self.covariance @ F.T + noise
-        period = self.period or elapsed
-        return CameraMotion(time, self.T_world_camera @ se3_exp(twist), self.velocity, P, period)
+        A = F[_POSE, _POSE]
+        added = _positive(P[_POSE, _POSE] - A @ self.pose_covariance @ A.T)  # by velocity and its noise
+        correlated = A @ self.correlated_covariance @ A.T + added
+        T = self.T_world_camera @ se3_exp(twist)
+        return CameraMotion(time, T, self.velocity, P, correlated, self.period or elapsed)
 
     def update(
         self, T_world_camera: Float[np.ndarray, "4 4"], information: Float[np.ndarray, "6 6"]
@@ -118,7 +135,11 @@ class CameraMotion:
         after[_POSE, _VELOCITY] = after[_VELOCITY, _POSE].T
         after[_VELOCITY, _VELOCITY] = P[_VELOCITY, _VELOCITY] - gain @ (prior - posterior) @ gain.T
         return replace(
-            self, T_world_camera=T_world_camera, velocity=self.velocity + gain @ step, covariance=after
+            self,
+            T_world_camera=T_world_camera,
+            velocity=self.velocity + gain @ step,
+            covariance=after,
+            correlated_covariance=covariance_intersection(self.correlated_covariance, information),
         )
 
     def transformed(self, T_new_old: Float[np.ndarray, "4 4"]) -> CameraMotion:
@@ -133,6 +154,29 @@ def adjoint(T: Float[np.ndarray, "4 4"]) -> Float[np.ndarray, "6 6"]:
     out[:3, :3] = out[3:, 3:] = R
     out[3:, :3] = hat(T[:3, 3]) @ R
     return out
+
+
+def covariance_intersection(
+    covariance: Float[np.ndarray, "6 6"], information: Float[np.ndarray, "6 6"]
+) -> Float[np.ndarray, "6 6"]:
+    """Fuse a pose with a measurement whose errors may be correlated: (w P^-1 + (1 - w) information)^-1.
+
+    The weight w is that of the least position uncertainty along its least certain direction.
+    """
+    w = _SHARES[:, None, None]
+    fused = np.linalg.inv(w * np.linalg.inv(covariance) + (1 - w) * information)
+    return fused[np.argmin(np.linalg.eigvalsh(fused[:, 3:, 3:])[:, -1])]
+
+
+def _position_std(pose_covariance: Float[np.ndarray, "6 6"]) -> float:
+    """Return the standard deviation of the position along its least certain direction, in metres."""
+    return float(np.sqrt(max(np.linalg.eigvalsh(pose_covariance[3:, 3:])[-1], 0.0)))
+
+
+def _positive(matrix: Float[np.ndarray, "6 6"]) -> Float[np.ndarray, "6 6"]:
+    """Return a symmetric matrix with its negative eigenvalues set to 0."""
+    values, vectors = np.linalg.eigh(matrix)
+    return (vectors * np.maximum(values, 0.0)) @ vectors.T
 
 
 def _variances(sigmas: tuple[float, float]) -> Float[np.ndarray, "6"]:

@@ -25,6 +25,8 @@ class PoseCheckConfig:
         max_translation, max_rotation: Correction of the predicted pose beyond which the camera is lost, in
             metres and radians.
         weak_position_std, lost_position_std: Standard deviation above which the pose is weak, or lost.
+        lost_correlated_std: The same for any correlation between the errors of successive frames, above which
+            the pose is lost: the landmarks in view do not determine it, however often they are seen.
         recovered_position_std: Standard deviation below which a lost camera is tracked again.
         local_search_position_std: Standard deviation of the predicted position below which a lost camera is
             first searched for near its prediction.
@@ -35,6 +37,7 @@ class PoseCheckConfig:
     max_rotation: float = np.radians(12.0)
     weak_position_std: float = 0.01
     lost_position_std: float = 0.02
+    lost_correlated_std: float = 0.021
     recovered_position_std: float = 0.015
     local_search_position_std: float = 0.06
 
@@ -60,6 +63,7 @@ def check_pose(
     if not plausible:
         return "lost", None
     motion = predicted.update(tracked.T_world_camera, tracked.information)
-    if motion.position_std > config.lost_position_std:
+    undetermined = motion.correlated_position_std > config.lost_correlated_std
+    if undetermined or motion.position_std > config.lost_position_std:
         return "lost", motion
     return "weak" if motion.position_std > config.weak_position_std else "tracked", motion

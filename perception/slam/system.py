@@ -4,7 +4,8 @@
 
 Masks come from the detector on keyframes and where the map does not explain what the frame shows
 (``detection_schedule``); between, they are rendered from the map (``mask_tracking``). Joint optimisation runs
-beside tracking and is applied a fixed number of frames later.
+beside tracking and is applied a fixed number of frames later; while the pose is weak, at once, as the next
+frames depend on it.
 
 NodeSLAM, section "Object-Level SLAM System".
 """
@@ -13,78 +14,39 @@ from __future__ import annotations
 
 import logging
 import time
-from collections.abc import Callable, Iterator, Mapping, Sequence
-from contextlib import contextmanager
-from dataclasses import dataclass, field, replace
-from functools import cache, partial
+from collections.abc import Mapping
+from dataclasses import replace
+from functools import cache
 
 import numpy as np
 from jaxtyping import Float
 
-from perception.errors import PerceptionError
 from perception.inference.reconstruct import single_threaded_torch
 from perception.inference.shape_model import Decoder
 from perception.pipeline import Device, load_perception
 from perception.slam.association import associate_masks, render_masks
-from perception.slam.bundle_adjustment import optimise_jointly
-from perception.slam.bundle_window import BundleResult
 from perception.slam.config import SlamConfig
 from perception.slam.detection_schedule import DetectionSchedule
 from perception.slam.estimates import object_estimates
+from perception.slam.frame_detections import Detect, detect_posed, detect_unposed
+from perception.slam.frame_result import FrameResult
 from perception.slam.frame_tracking import TrackedFrame, track_view
-from perception.slam.joint_worker import DelayedJob
-from perception.slam.keyframes import Keyframe, is_new_viewpoint
+from perception.slam.joint_optimisation import JointOptimisation
+from perception.slam.keyframes import Keyframe
 from perception.slam.labelled_frame import LabelledFrame, with_pose
 from perception.slam.landmarks import LandmarkMap
 from perception.slam.mapping import Mapper
-from perception.slam.mask_merging import merge_masks
 from perception.slam.mask_tracking import track_masks
 from perception.slam.motion import CameraMotion
 from perception.slam.pixels import select_pixels
 from perception.slam.pose_check import Status, check_pose
+from perception.slam.recovery import SEARCH_ITERATIONS, is_certain, relocalised_motion, searched_motion
 from perception.slam.relocalise import Relocalisation, relocalise
+from perception.slam.stage_timer import Clock, StageTimer
 from perception.support_plane import fit_support_plane
-from perception.types import ObjectDetection, ObjectEstimate, RgbdFrame, SupportPlane
+from perception.types import ObjectEstimate, RgbdFrame
 
 logger = logging.getLogger(__name__)
-
-Detect = Callable[[RgbdFrame, SupportPlane], Sequence[ObjectDetection]]
-Clock = Callable[[], float]
-
-_SEARCH_ITERATIONS = 8  # of tracking near the predicted pose of a lost camera
-_SEARCH_MIN_LANDMARKS = 2  # that must agree there
-_MIN_INFORMATION = 1e-3  # [1/rad^2], [1/m^2] added to a relocalised pose's, to keep it invertible
-
-
-@dataclass(frozen=True)
-class FrameResult:
-    """Result of tracking one frame.
-
-    Attributes:
-        number: Index of the frame in the sequence.
-        time: Capture time, in seconds.
-        T_world_camera: Estimated camera pose; the prediction while the camera is lost.
-        status: "tracked", "weak" (large position uncertainty) or "lost".
-        position_std: Standard deviation of the camera position along its least certain direction, in metres.
-        landmark_of: Landmark id of each associated label of the frame's masks.
-        is_detected: Whether the masks are of the detector; otherwise they are rendered from the map.
-        new: Ids of the landmarks initialised in this frame.
-        retired: Ids of the landmarks removed in this frame.
-        is_keyframe: Whether the frame became a keyframe.
-        seconds: Duration of each stage: detect, track, initialise, joint, relocalise.
-    """
-
-    number: int
-    time: float
-    T_world_camera: Float[np.ndarray, "4 4"]
-    status: Status
-    position_std: float = 0.0
-    landmark_of: Mapping[int, int] = field(default_factory=dict)
-    is_detected: bool = False
-    new: tuple[int, ...] = ()
-    retired: tuple[int, ...] = ()
-    is_keyframe: bool = False
-    seconds: Mapping[str, float] = field(default_factory=dict)
 
 
 class Slam:
@@ -105,16 +67,16 @@ class Slam:
             config: Settings.
             clock: Time in seconds, for the durations of the stages.
         """
-        self.decoder, self.detect, self.config, self._now = decoder, detect, config or SlamConfig(), clock
+        self.decoder, self.detect, self.config = decoder, detect, config or SlamConfig()
         self.mapper: Mapper | None = None
         self._number = -1
         self._motion: CameraMotion | None = None  # after the last frame whose pose was accepted
         self._n_lost = 0  # successive lost frames
         self._previous: LabelledFrame | None = None
-        self._seconds: dict[str, float] = {}
+        self._timer = StageTimer(clock)
         self._schedule = DetectionSchedule(self.config.detection)
         self._checked = 0  # number of the last frame with a visibility check
-        self._joint: DelayedJob[BundleResult] = DelayedJob(self.config.concurrent)
+        self._joint = JointOptimisation(decoder, self.config)
 
     @staticmethod
     def load(device: Device = "auto", config: SlamConfig | None = None) -> Slam:
@@ -133,8 +95,8 @@ class Slam:
 
     def finish(self) -> None:
         """Apply the joint optimisation in progress, as at the end of a sequence."""
-        if self._joint.due is not None and self.mapper is not None:
-            with self._timed("joint"):
+        if self._joint.in_progress and self.mapper is not None:
+            with self._timer.stage("joint"):
                 self._take_joint(self.mapper)
 
     @property
@@ -157,10 +119,10 @@ class Slam:
 
     def _process(self, frame: RgbdFrame) -> FrameResult:
         self._number += 1
-        self._seconds = {}
+        self._timer.reset()
         if self.mapper is None:
             return self._initialise_map(frame)
-        if self._joint.due is not None and self._number >= self._joint.due:
+        if self._joint.is_due(self._number):
             self.finish()
         assert self._motion is not None
         predicted = self._motion.predict(frame.time, self.config.motion)
@@ -190,8 +152,8 @@ class Slam:
         mapper = self.mapper = Mapper(plane, self.decoder, self.config)
         self._motion = CameraMotion.with_unknown_velocity(frame.time, T, self.config.motion)
         posed = with_pose(frame, T)
-        with self._timed("detect"):
-            detections = merge_masks(posed, self.detect(posed, plane), plane, self.config.merging)
+        with self._timer.stage("detect"):
+            detections = detect_posed(self.detect, posed, plane, self.config.merging)
         view = LabelledFrame.of(self._number, posed, detections)
         mapper.set_unmatched(view)
         pixels = select_pixels(view, plane, self.config.pixels)
@@ -200,7 +162,7 @@ class Slam:
     def _follow(self, mapper: Mapper, frame: RgbdFrame, predicted: CameraMotion) -> FrameResult | None:
         """Track with masks rendered from the map, which stays as it is; None if detections are needed."""
         config, T_predicted = self.config, predicted.T_world_camera
-        with self._timed("track"):
+        with self._timer.stage("track"):
             rendered = render_masks(mapper.world, frame, T_predicted, config.association.pitch)
             posed = with_pose(frame, T_predicted)
             masks = track_masks(self._number, posed, rendered, mapper.world.plane, config.mask_tracking)
@@ -213,8 +175,8 @@ class Slam:
             if self._schedule.is_doubtful(masks, tracked.median_inlier_ratio_of_used, ratios):
                 return None
             view = masks.view.with_pose(tracked.T_world_camera)
-            if self._schedule.allows_keyframe(self._number) and self._contributes(
-                mapper, view, result.unseen_ratios, status
+            if self._schedule.allows_keyframe(self._number) and mapper.contributes(
+                view, result.unseen_ratios, status
             ):
                 return None
         self._motion, self._previous = motion, view
@@ -227,9 +189,9 @@ class Slam:
         world, config, T_predicted = mapper.world, self.config, predicted.T_world_camera
         posed = with_pose(frame, T_predicted)
         self._schedule.detected(self._number)
-        with self._timed("detect"):
-            detections = merge_masks(posed, self.detect(posed, world.plane), world.plane, config.merging)
-        with self._timed("track"):
+        with self._timer.stage("detect"):
+            detections = detect_posed(self.detect, posed, world.plane, config.merging)
+        with self._timer.stage("track"):
             view = LabelledFrame.of(self._number, posed, detections)
             render = cache(lambda: render_masks(world, frame, T_predicted, config.association.pitch))
             view = view.associated(associate_masks(view, self._previous, render, world, config.association))
@@ -264,55 +226,39 @@ class Slam:
         Without enough support truncated objects are initialised, too; they inherit the pose's covariance.
         """
         assert self._motion is not None
-        with self._timed("initialise"):
+        with self._timer.stage("initialise"):
             new = mapper.initialise_landmarks(view, supported)
         view = replace(view, landmark_of={**view.landmark_of, **new})
-        is_keyframe = bool(new) or self._contributes(mapper, view, unseen_ratios, status)
+        is_keyframe = bool(new) or mapper.contributes(view, unseen_ratios, status)
         if is_keyframe:
             view = self._after_joint(mapper, view)
             key = Keyframe.of(view, self._motion.pose_covariance)
             mapper.add_keyframe(key, plane_points, new.values())
-            with self._timed("initialise"):
+            with self._timer.stage("initialise"):
                 key = mapper.refit_stale(key, unseen_ratios)
             if self.config.use_bundle_adjustment:
-                with self._timed("joint"):
-                    self._start_joint(mapper, key)
+                with self._timer.stage("joint"):
+                    self._joint.start(mapper, key, at_once=self._number == 0 or status == "weak")
+                    if self._joint.is_due(self._number):
+                        self._take_joint(mapper)
         self._previous = view
         return replace(
             self._result(self._motion, status), landmark_of=view.landmark_of, is_detected=True,
             new=tuple(new.values()), is_keyframe=is_keyframe,
         )  # fmt: skip
 
-    def _contributes(
-        self, mapper: Mapper, view: LabelledFrame, unseen_ratios: Mapping[int, float], status: Status
-    ) -> bool:
-        """Return whether a frame should become a keyframe for its viewpoint or for what it reveals."""
-        landmarks = mapper.world.landmarks
-        visible = {id: landmarks[id] for id in view.landmark_of.values() if id in landmarks}
-        return (
-            status == "tracked" and is_new_viewpoint(view.T_world_camera, visible, mapper.keyframes)
-        ) or mapper.reveals_unseen_parts(view, unseen_ratios, status == "weak")
-
-    def _start_joint(self, mapper: Mapper, key: Keyframe) -> None:
-        """Start the joint optimisation of a new keyframe's window; apply that of the first frame at once."""
-        config = self.config
-        job = partial(optimise_jointly, mapper.window_of(key), self.decoder, config.bundle_adjustment)
-        self._joint.start(job, self._number + config.joint_delay)
-        if self._number == 0 or config.joint_delay == 0:
-            self._take_joint(mapper)
-
     def _take_joint(self, mapper: Mapper) -> Float[np.ndarray, "4 4"]:
         """Wait for the joint optimisation, apply it to map and camera, and return its correction."""
         assert self._motion is not None
-        correction = mapper.apply(self._joint.take())
+        correction = self._joint.apply(mapper)
         self._motion = self._motion.transformed(correction)
         return correction
 
     def _after_joint(self, mapper: Mapper, view: LabelledFrame) -> LabelledFrame:
         """Return a frame in the world of the joint optimisation in progress, which is applied."""
-        if self._joint.due is None:
+        if not self._joint.in_progress:
             return view
-        with self._timed("joint"):
+        with self._timer.stage("joint"):
             return view.with_pose(self._take_joint(mapper) @ view.T_world_camera)
 
     def _recover(self, mapper: Mapper, frame: RgbdFrame, guess: CameraMotion) -> FrameResult:
@@ -320,25 +266,20 @@ class Slam:
 
         The map does not change until the camera is found.
         """
-        check = self.config.pose_check
+        config = self.config
         self._n_lost += 1
-        if self._n_lost > 1 and guess.position_std < check.local_search_position_std:
-            result = self._track_frame(mapper, frame, guess, _SEARCH_ITERATIONS)
-            motion = check_pose(result.tracked, guess, check)[1]
-            threshold = self.config.lifecycle.support_inlier_ratio
-            n_agreeing = sum(ratio > threshold for ratio in result.tracked.inlier_ratios.values())
-            if motion is not None:
-                if motion.position_std < check.recovered_position_std and n_agreeing >= _SEARCH_MIN_LANDMARKS:
-                    return self._resume(motion, result.view)
+        if self._n_lost > 1 and guess.position_std < config.pose_check.local_search_position_std:
+            result = self._track_frame(mapper, frame, guess, SEARCH_ITERATIONS)
+            motion, found = searched_motion(result.tracked, guess, config)
+            if found:
+                return self._resume(motion, result.view)
+            if motion is not guess:
                 self._motion = guess = motion
-        found = self.relocalise(frame)
-        if found is not None:
-            covariance = np.linalg.inv(found.tracked.information + _MIN_INFORMATION * np.eye(6))
-            motion = CameraMotion.with_unknown_velocity(
-                frame.time, found.tracked.T_world_camera, self.config.motion, covariance, guess.period
-            )
-            if motion.position_std < check.recovered_position_std:
-                return self._resume(motion, found.view)
+        relocalised = self.relocalise(frame)
+        if relocalised is not None:
+            motion = relocalised_motion(relocalised.tracked, frame.time, guess.period, config)
+            if is_certain(motion, config):
+                return self._resume(motion, relocalised.view)
         self._previous, mapper.unmatched = None, {}
         return replace(self._result(guess, "lost"), time=frame.time)
 
@@ -346,9 +287,9 @@ class Slam:
         """Find the pose of a frame by the map alone, without changing the map; None if that fails."""
         assert self.world is not None
         config = self.config
-        with self._timed("detect"):
-            detections = self._detect_unposed(frame)
-        with self._timed("relocalise"):
+        with self._timer.stage("detect"):
+            detections = detect_unposed(self.detect, frame, config.merging)
+        with self._timer.stage("relocalise"):
             view = LabelledFrame.of(self._number, frame, detections)
             return relocalise(self.world, view, config.tracking, config.pixels, config.relocalisation)
 
@@ -361,22 +302,5 @@ class Slam:
         )
 
     def _result(self, motion: CameraMotion, status: Status) -> FrameResult:
-        seconds = dict(self._seconds)
         T, std = motion.T_world_camera, motion.position_std
-        return FrameResult(self._number, motion.time, T, status, std, seconds=seconds)
-
-    @contextmanager
-    def _timed(self, stage: str) -> Iterator[None]:
-        """Add the duration of a block to the stage's."""
-        begin = self._now()
-        yield
-        self._seconds[stage] = self._seconds.get(stage, 0.0) + self._now() - begin
-
-    def _detect_unposed(self, frame: RgbdFrame) -> list[ObjectDetection]:
-        """Return the detections of a frame of unknown pose, with the support plane fitted to the frame."""
-        unposed = RgbdFrame(frame.time, frame.rgb, frame.depth, frame.intrinsics)
-        try:
-            plane = fit_support_plane([unposed])
-            return merge_masks(unposed, self.detect(unposed, plane), plane, self.config.merging)
-        except PerceptionError:
-            return []
+        return FrameResult(self._number, motion.time, T, status, std, seconds=self._timer.seconds)

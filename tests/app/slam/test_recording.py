@@ -3,7 +3,8 @@
 import numpy as np
 
 from app.slam.recording import SlamRecorder, camera_mesh
-from perception.slam.system import FrameResult, Slam
+from perception.slam.frame_result import FrameResult
+from perception.slam.system import Slam
 
 
 def result(number, status="tracked", is_keyframe=False):

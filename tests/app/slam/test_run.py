@@ -12,7 +12,8 @@ from perception.errors import InvalidInputError
 from perception.io.detections import encode_detections
 from perception.io.recordings.sequence import RgbdSequence
 from perception.slam.config import SlamConfig
-from perception.slam.system import FrameResult, Slam
+from perception.slam.frame_result import FrameResult
+from perception.slam.system import Slam
 from perception.types import CameraIntrinsics, ObjectDetection, RgbdFrame, SupportPlane
 
 FRAME = RgbdFrame(

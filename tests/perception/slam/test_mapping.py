@@ -10,8 +10,9 @@ from perception.slam.association import RenderedMasks
 from perception.slam.bundle_window import BundleResult
 from perception.slam.config import LandmarkLifecycleConfig, SlamConfig
 from perception.slam.keyframes import Keyframe
-from perception.slam.mapping import Mapper, UnmatchedMask
+from perception.slam.mapping import Mapper
 from perception.slam.marginal_prior import ViewInformation
+from perception.slam.unmatched_masks import UnmatchedMask
 
 LIFE = LandmarkLifecycleConfig()
 
@@ -64,15 +65,6 @@ def test_detected_landmarks_get_hits_and_others_keep_their_counts(mapper, view):
     assert n_hits == {0: 1, 1: 2, 2: 2, 3: 2, 4: 2}
 
 
-def test_outlier_frames_count_in_a_row_relative_to_the_best_landmark(mapper, view):
-    ratios = {0: 0.44, 1: 0.9, 2: 0.46, 3: 0.9, 4: 0.9}  # half of the best is 0.45
-    mapper.update_landmarks(view, None, ratios)
-    mapper.update_landmarks(view, None, ratios)
-    assert [mapper.world.landmarks[id].n_outlier_frames for id in range(5)] == [2, 0, 0, 0, 0]
-    mapper.update_landmarks(view, None, {**ratios, 0: 0.8})
-    assert mapper.world.landmarks[0].n_outlier_frames == 0
-
-
 @pytest.mark.parametrize(("extra", "retired"), [(0, set()), (1, {0})])
 def test_landmarks_are_retired_beyond_each_limit(mapper, view, extra, retired):
     for changes in (
@@ -89,22 +81,6 @@ def test_landmarks_are_retired_beyond_each_limit(mapper, view, extra, retired):
         mapper.world = world
 
 
-def test_landmarks_with_few_hits_may_miss_less(mapper, view):
-    change(mapper, 0, n_misses=1, n_hits=1)
-    assert mapper.update_landmarks(view.without_landmarks({0}), rendering({0: 20}, {0: 20}), {}) == {0}
-
-
-@pytest.mark.parametrize(
-    ("n_visible", "n_unoccluded", "misses"),
-    [(16, 16, 1), (15, 15, 0), (16, 26, 1), (16, 27, 0), (0, 40, 0)],
-)
-def test_only_large_and_open_landmarks_can_miss(mapper, view, n_visible, n_unoccluded, misses):
-    """240 image pixels at a pitch of four are 15 rendered ones; 60 % must be unoccluded."""
-    rendered = rendering({0: n_visible}, {0: n_unoccluded})
-    mapper.update_landmarks(view.without_landmarks({0}), rendered, {})
-    assert mapper.world.landmarks[0].n_misses == misses
-
-
 def test_see_through_checks_count_in_a_row(mapper, view):
     seen_through = rendering({}, {}, see_through=[0])
     mapper.update_landmarks(view, seen_through, {})
@@ -112,19 +88,6 @@ def test_see_through_checks_count_in_a_row(mapper, view):
     solid = replace(seen_through, depth=np.where(seen_through.landmark_ids >= 0, 10.0, 0.0))
     mapper.update_landmarks(view, solid, {})  # occluded: not judged
     assert mapper.world.landmarks[0].n_see_through == 1
-
-
-def test_unmatched_masks_count_successive_frames_by_overlap(mapper, view):
-    label, id = next(iter(view.landmark_of.items()))
-    partial = view.without_landmarks({id})
-    mapper.update_unmatched(partial)
-    mapper.update_unmatched(partial)
-    assert {k: x.n_frames for k, x in mapper.unmatched.items()} == {label: 2}
-    mapper.unmatched = {label: UnmatchedMask(np.roll(view.labels == label, 100, 1), 7)}
-    mapper.update_unmatched(partial)
-    assert mapper.unmatched[label].n_frames == 1
-    mapper.update_unmatched(replace(partial, labels=np.where(view.labels == label, 0, view.labels)))
-    assert mapper.unmatched == {}  # merged into another label
 
 
 def test_ages_belong_to_labels_even_if_masks_are_equal(mapper, view, fits, cylinders):
@@ -152,30 +115,6 @@ def test_masks_wait_and_are_retried_at_intervals(mapper, view, fits, age, tried,
     new = mapper.initialise_landmarks(view.without_landmarks({view.landmark_of[1]}), supported=True)
     assert new == ({1: 5} if initialised else {}) and mapper.next_id == (6 if initialised else 5)
     assert (5 in mapper.world.ids) == initialised
-
-
-@pytest.mark.parametrize(
-    ("pixels", "truncated", "supported", "initialised"),
-    [
-        (119, False, True, False),
-        (120, False, True, True),
-        (399, True, False, False),
-        (400, True, False, True),
-        (400, True, True, False),
-    ],
-)
-def test_small_and_truncated_masks(mapper, view, fits, pixels, truncated, supported, initialised):
-    _, masks, ids = fits
-    mask = np.zeros(view.labels.shape, bool)
-    top = 0 if truncated else 1
-    rows, columns = np.divmod(np.arange(pixels), 100)
-    mask[top + rows, 1 + columns] = True
-    masks.append(mask), ids.append(0)
-    mapper.world = mapper.world.without({0})
-    found = replace(view.detections[0], mask=mask)
-    mapper.unmatched = {1: UnmatchedMask(mask, 2)}
-    alone = replace(view, detections=[found], landmark_of={})
-    assert bool(mapper.initialise_landmarks(alone, supported)) == initialised
 
 
 def test_a_landmark_that_coincides_with_another_is_not_added(mapper, view, fits):

@@ -6,7 +6,7 @@ import numpy as np
 import pytest
 
 from perception.geometry import invert, se3_exp, se3_log
-from perception.slam.motion import CameraMotion, CameraMotionConfig, adjoint
+from perception.slam.motion import CameraMotion, CameraMotionConfig, adjoint, covariance_intersection
 
 CONFIG = CameraMotionConfig(
     velocity_random_walk=(0.0, 0.6), velocity_sigma=(0.0, 0.3), pose_sigma=(1e-6, 1e-3)
@@ -101,3 +101,36 @@ def test_the_adjoint_transforms_twists():
     rng = np.random.default_rng(3)
     T, xi = se3_exp(rng.normal(size=6)), rng.normal(0, 0.1, 6)
     np.testing.assert_allclose(se3_log(T @ se3_exp(xi) @ invert(T)), adjoint(T) @ xi, atol=1e-12)
+
+
+def test_repeated_frames_do_not_reduce_the_uncertainty_of_correlated_errors(motion):
+    """The filter averages, covariance intersection keeps the standard deviation of a single frame."""
+    still = replace(motion, covariance=np.eye(12), correlated_covariance=np.eye(6))
+    frozen = replace(CONFIG, velocity_random_walk=(0.0, 0.0))
+    state = replace(still, covariance=np.diag(np.repeat([1.0, 0.0], 6)))
+    for k in range(16):
+        state = state.predict(k / 30, frozen).update(state.T_world_camera, 4.0 * np.eye(6))
+    assert state.position_std == pytest.approx(1 / np.sqrt(1 + 16 * 4.0))
+    assert state.correlated_position_std == pytest.approx(0.5, rel=0.02)
+
+
+def test_covariance_intersection_keeps_the_better_of_two_and_bounds_any_correlation():
+    sure, vague = np.diag([1.0, 1, 1, 0.01, 0.01, 0.01]), np.eye(6)
+    fused = covariance_intersection(vague, np.linalg.inv(sure))
+    assert np.sqrt(fused[3, 3]) == pytest.approx(0.1, rel=0.02)
+    np.testing.assert_allclose(covariance_intersection(sure, np.linalg.inv(vague)), sure)
+    np.testing.assert_allclose(covariance_intersection(sure, np.zeros((6, 6))), sure)
+    along, across = np.diag([1.0, 1, 1, 0.01, 1, 1]), np.diag([1.0, 1, 1, 1, 0.01, 0.01])
+    fused = covariance_intersection(along, np.linalg.inv(across))
+    assert 0.01 < fused[3, 3] < 1 and 0.01 < fused[4, 4] < 1  # neither alone, nor the product of both
+    for correlation in (-1.0, 0.0, 1.0):  # of the errors of both; a linear fusion with the same weight
+        w = (fused[3, 3] ** -1 - 1) / (100 - 1)  # of `along`, from 1 / fused = 100 w + (1 - w)
+        gain_a, gain_b = fused[3, 3] * w * 100, fused[3, 3] * (1 - w)
+        true = gain_a**2 * 0.01 + gain_b**2 + 2 * correlation * gain_a * gain_b * 0.1
+        assert fused[3, 3] >= true - 1e-12
+
+
+def test_the_correlated_covariance_grows_with_the_prediction(motion):
+    later = motion.predict(0.2, CONFIG)
+    assert later.correlated_position_std == pytest.approx(later.position_std, rel=1e-6)
+    assert motion.transformed(np.eye(4)).correlated_position_std == motion.correlated_position_std

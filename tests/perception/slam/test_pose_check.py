@@ -3,7 +3,7 @@
 import numpy as np
 
 from perception.slam.motion import CameraMotion, CameraMotionConfig
-from perception.slam.pose_check import check_pose
+from perception.slam.pose_check import PoseCheckConfig, check_pose
 from perception.slam.tracking import TrackedPose
 
 
@@ -36,3 +36,16 @@ def test_motion_is_updated_unless_the_pose_is_implausible():
     for motion in (accepted, uncertain):
         np.testing.assert_allclose(motion.T_world_camera[:3, 3], (0.05, 0, 0), atol=1e-3)
     assert checked(step=(0.2, 0, 0))[1] is None
+
+
+def test_a_pose_that_one_frame_does_not_determine_is_lost_however_often_it_is_seen():
+    """Thirty frames of 3 cm average to 0.5 cm, if only their errors were independent."""
+    motion = CameraMotion.with_unknown_velocity(0.0, np.eye(4), CameraMotionConfig(), 1e-8 * np.eye(6))
+    vague = TrackedPose(np.eye(4), {0: 0.9}, frozenset({0}), np.eye(6) / 0.03**2)
+    states = []
+    for k in range(30):
+        status, motion = check_pose(vague, motion.predict(k / 30, CameraMotionConfig()))
+        assert motion is not None
+        states.append(status)
+    assert states[0] == "tracked" and states[-1] == "lost"
+    assert motion.position_std < PoseCheckConfig().lost_position_std < motion.correlated_position_std

@@ -10,6 +10,7 @@ from perception.io.recordings.sequence import without_pose
 from perception.slam.config import LandmarkLifecycleConfig, SlamConfig
 from perception.slam.detection_schedule import DetectionSchedule, DetectionScheduleConfig
 from perception.slam.pose_check import PoseCheckConfig
+from perception.slam.stage_timer import StageTimer
 from perception.slam.system import Slam
 from perception.types import RgbdFrame
 
@@ -202,7 +203,7 @@ def test_without_bundle_adjustment_landmarks_stay_as_initialised(recording, cyli
 def test_seconds_are_those_of_the_clock(recording, cylinders):
     ticks = iter(range(1000))
     slam = recording.slam(cylinders.decoder)
-    slam._now = lambda: float(next(ticks))
+    slam._timer = StageTimer(lambda: float(next(ticks)))
     first, second = recording.feed(slam, 0), recording.feed(slam, 1)
     assert first.seconds == {"detect": 1.0, "initialise": 2.0, "joint": 1.0}
     assert second.seconds == {"track": 1.0}
