@@ -1,6 +1,7 @@
 """The command line: options in, exit code out.
 
-0 done and successful, 1 ran but the task failed, 2 bad usage or input, 130 interrupted, 143 terminated.
+0 done and successful, 1 ran but the task failed, 2 bad usage or input, 130 interrupted, 143 terminated,
+129 terminal closed.
 Whatever ends a command early is one line on standard error; the traceback of an unexpected error is in a log
 file.
 """
@@ -13,6 +14,7 @@ import io
 import logging
 import os
 import re
+import resource
 import sys
 import traceback
 from collections.abc import Callable, Iterator, Sequence
@@ -54,6 +56,9 @@ HANDLERS = {
 # Values of MUJOCO_GL that MuJoCo accepts.
 GL_BACKENDS = ("", "egl", "osmesa", "glfw", "glx", "enable", "enabled", "on", "true", "1",
                "disable", "disabled", "off", "false", "0")  # fmt: skip
+# Values of PYOPENGL_PLATFORM that PyOpenGL accepts on Linux.
+GL_PLATFORMS = ("", "egl", "osmesa", "glx", "x11", "wayland", "linux")
+MIN_ADDRESS_SPACE = 2**30  # [bytes]: with much less, OpenBLAS never returns from its initialisation
 MAX_SEED = 2**64 - 1
 MAX_SECONDS = 600.0  # of an AR video
 MAX_STAGE_LIMIT = 1e7  # [s]
@@ -144,9 +149,7 @@ def check(options: CommonOptions) -> None:
     Raises:
         UsageError: A value is invalid; the message is one line.
     """
-    backend = os.environ.get("MUJOCO_GL", "").lower().strip()
-    if backend not in GL_BACKENDS:
-        raise UsageError(f"MUJOCO_GL={backend} is no OpenGL backend: unset it, or set it to egl or osmesa")
+    _check_environment()
     if isinstance(options, CellOptions) and getattr(options, "what", None) != "reconstruction":
         from app.task.cell import check_options
 
@@ -165,6 +168,20 @@ def check(options: CommonOptions) -> None:
         value = getattr(options, name, None)
         if value is not None and value < 1:
             raise UsageError(f"--{name} {value} must be at least 1")
+
+
+def _check_environment() -> None:
+    """Raise UsageError for environment variables and limits with which no command works."""
+    backend = os.environ.get("MUJOCO_GL", "").lower().strip()
+    if backend not in GL_BACKENDS:
+        raise UsageError(f"MUJOCO_GL={backend} is no OpenGL backend: unset it, or set it to egl or osmesa")
+    platform = os.environ.get("PYOPENGL_PLATFORM", "")
+    if platform not in GL_PLATFORMS:
+        raise UsageError(f"PYOPENGL_PLATFORM={platform} is no platform of PyOpenGL: unset it")
+    address_space, _ = resource.getrlimit(resource.RLIMIT_AS)
+    if address_space != resource.RLIM_INFINITY and address_space < MIN_ADDRESS_SPACE:
+        limit = f"{address_space / 2**20:.0f} MB of address space (ulimit -v)"
+        raise UsageError(f"{limit} are too little: allow {MIN_ADDRESS_SPACE / 2**20:.0f} MB or more")
 
 
 def _one_line(boxed: str) -> str:

@@ -135,8 +135,12 @@ def _is_from_graphics(error: Exception) -> bool:
 
 
 def _is_out_of_memory(error: Exception) -> bool:
-    """Return whether an allocation failed: of Python and numpy, or of torch, which raises RuntimeError."""
+    """Return whether an allocation failed: of Python and numpy, of torch, or of the loader of libraries."""
     text = str(error)
-    return isinstance(error, MemoryError) or (
-        isinstance(error, RuntimeError) and ("allocate memory" in text or "out of memory" in text)
+    texts = {
+        RuntimeError: ("allocate memory", "out of memory"),
+        ImportError: ("failed to map segment", "allocate"),
+    }
+    return isinstance(error, MemoryError) or any(
+        isinstance(error, kind) and any(part in text for part in parts) for kind, parts in texts.items()
     )

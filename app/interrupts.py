@@ -1,4 +1,4 @@
-"""SIGINT and SIGTERM end a command with one line and exit code 128 + signal number (130, 143).
+"""SIGINT, SIGTERM and SIGHUP end a command with one line and exit code 128 + signal number (130, 143, 129).
 
 While nothing is at stake, as during imports, the process ends at once: an exception in the middle of an
 import is lost in some libraries. Afterwards a signal raises KeyboardInterrupt, so that finished results are
@@ -7,13 +7,14 @@ kept.
 
 from __future__ import annotations
 
+import contextlib
 import os
 import signal
 import sys
 from collections.abc import Callable
 from types import FrameType
 
-_SIGNALS = (signal.SIGINT, signal.SIGTERM)
+_SIGNALS = (signal.SIGINT, signal.SIGTERM, signal.SIGHUP)  # the last: its terminal was closed
 _received: int | None = None
 _results_at_stake: Callable[[], bool] = lambda: False  # noqa: E731
 
@@ -55,5 +56,6 @@ def _on_signal(number: int, frame: FrameType | None) -> None:
         raise KeyboardInterrupt
     terminal = sys.stderr is not None and sys.stderr.isatty()
     cursor = "\r\x1b[K\x1b[?25h" if terminal else ""  # a spinner hides it
-    os.write(2, f"{cursor}nodeslam: interrupted\n".encode())
+    with contextlib.suppress(OSError):  # the terminal is gone, or nobody reads
+        os.write(2, f"{cursor}nodeslam: interrupted\n".encode())
     os._exit(exit_code())

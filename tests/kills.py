@@ -42,7 +42,7 @@ _INTERPRETER_STARTS = "Failed to import the site module"
 REPEATED_EVERY = 20  # kills, for commands without --resume
 # Entries of a report that differ between two runs of one command.
 UNREPEATABLE = {"timings", "wall_seconds", "seconds", "settings", "stage_seconds", "joint_seconds",
-                "tracking_rate"}  # fmt: skip
+                "tracking_rate", "loop_rate"}  # fmt: skip
 # Files that do not differ.
 REPEATABLE_FILES = {".parquet", ".safetensors", ".ply", ".obj", ".xml", ".urdf"}
 
@@ -166,7 +166,7 @@ class Campaign:
             problem = "does not end"
         row = {"number": number, "command": name, "signal": how.name, "moment": round(moment, 2)}
         if not problem:
-            shutil.rmtree(out)
+            shutil.rmtree(out, ignore_errors=True)
         return {**row, "code": process.returncode, "problem": problem}
 
     def _problem(self, number: int, name: str, out: Path, process: subprocess.Popen, error: str) -> str:

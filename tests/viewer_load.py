@@ -25,6 +25,7 @@ from pathlib import Path
 from statistics import median
 from typing import Any
 
+import msgspec.msgpack
 import viser
 from websockets.asyncio.client import ClientConnection, connect
 from websockets.exceptions import WebSocketException
@@ -34,7 +35,12 @@ from tests.soak import state
 
 RUNS_ALONE = 6  # without clients, before and after
 LARGEST_GROWTH = 0.1  # of the resident memory
-MESSAGES = 20  # that a visitor reads before it leaves
+MESSAGES, LONGEST_VISIT = 20, 2.0  # that a visitor reads before it leaves, and the time for them [s]
+# The first message of a page: the viewer takes a client for connected when it has come.
+CAMERA = msgspec.msgpack.encode({
+    "type": "ViewerCameraMessage", "position": [1, 0, 1], "wxyz": [1, 0, 0, 0], "look_at": [0, 0, 0],
+    "up_direction": [0, 0, 1], "fov": 1.0, "near": 0.1, "far": 9.0, "image_height": 480, "image_width": 640,
+})  # fmt: skip
 Line = dict[str, Any]
 
 
@@ -79,14 +85,17 @@ class Clients:
 
     async def _visit(self) -> None:
         async with self._connection("visited") as connection:
-            for _ in range(MESSAGES):
-                await connection.recv()
+            with contextlib.suppress(TimeoutError):
+                async with asyncio.timeout(LONGEST_VISIT):
+                    for _ in range(MESSAGES):
+                        await connection.recv()
 
     @contextlib.asynccontextmanager
     async def _connection(self, name: str) -> AsyncIterator[ClientConnection]:
         url, protocol = f"ws://127.0.0.1:{self.port}", Subprotocol(f"viser-v{viser.__version__}")
         try:
             async with connect(url, subprotocols=[protocol], max_size=None, open_timeout=60) as connection:
+                await connection.send(CAMERA)
                 yield connection
                 self.counts[name] += 1
         except (OSError, WebSocketException, TimeoutError) as error:

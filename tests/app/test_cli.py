@@ -3,6 +3,7 @@
 import errno
 import json
 import os
+import resource
 import signal
 import subprocess
 import sys
@@ -194,6 +195,22 @@ def test_an_unknown_opengl_backend_is_refused(monkeypatch, capsys, backend, code
     err = capsys.readouterr().err
     assert err == (
         "nodeslam: MUJOCO_GL=foo is no OpenGL backend: unset it, or set it to egl or osmesa\n" * (code // 2)
+    )
+
+
+def test_an_unknown_opengl_platform_is_refused(monkeypatch, capsys):
+    monkeypatch.setenv("PYOPENGL_PLATFORM", "foo")
+    assert run(["scan"]) == 2
+    assert capsys.readouterr().err == (
+        "nodeslam: PYOPENGL_PLATFORM=foo is no platform of PyOpenGL: unset it\n"
+    )
+
+
+def test_too_little_address_space_is_refused_before_libraries_are_loaded(monkeypatch, capsys):
+    monkeypatch.setattr(resource, "getrlimit", lambda kind: (200 * 2**20, resource.RLIM_INFINITY))
+    assert run(["scan"]) == 2
+    assert capsys.readouterr().err == (
+        "nodeslam: 200 MB of address space (ulimit -v) are too little: allow 1024 MB or more\n"
     )
 
 

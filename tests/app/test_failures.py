@@ -35,6 +35,10 @@ EXPECTED = {
         MemoryError(),
         Failure("pack ran out of memory: give it smaller input or more memory", 2, expected=False),
     ),
+    "memory for libraries": (
+        ImportError("libtorch_cpu.so: failed to map segment from shared object"),
+        Failure("pack ran out of memory: give it smaller input or more memory", 2, expected=False),
+    ),
     "memory of torch": (
         RuntimeError("DefaultCPUAllocator: can't allocate memory: you tried to allocate 8 bytes"),
         Failure("pack ran out of memory: give it smaller input or more memory", 2, expected=False),

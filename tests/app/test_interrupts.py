@@ -21,7 +21,7 @@ except KeyboardInterrupt:
     time.sleep(0.3)
     raise SystemExit(interrupts.exit_code() if interrupts.was_interrupted() else 1)
 """
-CODES = [(signal.SIGINT, 130), (signal.SIGTERM, 143)]
+CODES = [(signal.SIGINT, 130), (signal.SIGTERM, 143), (signal.SIGHUP, 129)]
 
 
 def signalled(code, number, times=1):
