@@ -18,6 +18,7 @@ from scipy.special import expit, log_softmax
 from perception.detection.geometry import bounding_window, height_image
 from perception.detection.left_out import LeftOut
 from perception.detection.scene_network import CLASSES, VOTE_UNIT, SceneNet, predict_scene
+from perception.detection.table_margin import plan_image, without_table
 from perception.detection.working_view import WorkingView, downscale, fill_from_nearest, working_view
 from perception.types import RgbdFrame, SupportPlane
 
@@ -270,7 +271,8 @@ def _plausible(
 ) -> tuple[list[Instance], list[LeftOut]]:
     """Return the instances that pass the checks of size, height and distance, largest first, and the rest."""
     shown = numbers >= 0
-    owner, depth, height = numbers[shown], frame.depth[shown], height_image(frame, plane)[shown]
+    heights, plan = height_image(frame, plane), plan_image(frame, plane)
+    owner, depth, height = numbers[shown], frame.depth[shown], heights[shown]
     measured = depth > 0
 
     def counted(weights: np.ndarray | None = None, only: np.ndarray | slice = slice(None)) -> np.ndarray:
@@ -292,7 +294,8 @@ def _plausible(
         elif distance[k] < config.min_distance:
             left_out.append(LeftOut(mask, "too near", f"{distance[k]:.2f} m"))
         else:
-            kept.append(Instance(mask, classes[k]))
+            mask = without_table(mask, frame.depth > 0, heights, plan)
+            kept.append(Instance(remove_specks(mask, config.min_piece_share), classes[k]))
     return kept, left_out
 
 

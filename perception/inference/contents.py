@@ -1,8 +1,9 @@
 """Contents of bowls and mugs: what lies in the cavity hides the inner surface and must not shape it.
 
 The rim of an upright vessel is a circle at its height. What is seen through it is the floor, which is low, or
-the wall, which rises outwards; a surface far above any floor that does not rise outwards is of contents. Its
-pixels carry no information about the vessel.
+the wall, which rises outwards; a surface far above any floor that does not rise outwards is of contents. A
+cavity of revolution is equally high all around at one distance from its axis, and no higher nearer to it:
+what is, is a thing that stands or lies in it. Their pixels carry no information about the vessel.
 """
 
 from __future__ import annotations
@@ -32,6 +33,10 @@ _WALL = 0.06  # distance from the outline within which the wall ends, in radii
 _UPPER = 0.4  # height from which on points are of the outline, in heights of the highest points
 _MOST = 0.9  # part of a mask that can be contents
 _MAX_SLOPE = 0.15  # rise of contents towards the wall, in vessel heights per radius
+_RINGS = 9  # in which the surface within the opening is compared all around
+_AROUND = 24  # sectors of a ring
+_LOWER = 0.25  # share of the sectors that show the vessel
+_RAISED = (0.012, 0.12)  # how far a thing is above them: in metres, and in vessel heights
 _MIN_PIXELS = 40
 _MIN_RIM = 30  # points of the rim
 _SECTORS = 36  # about its centre
@@ -214,8 +219,10 @@ def content_mask(
     rho = np.linalg.norm(plan - rim.centre, axis=1) / rim.radius
     inside = opening & (rho < 1.05)
     inner = inside & (rho < _INNER)
-    judged = inner & (height < _FULL * rim.height - 0.002)
-    heap = _heap(height, rim)
+    thing = np.zeros(len(height), bool)
+    thing[inner] = raised_on_one_side(plan[inner], height[inner], rim)
+    judged = inner & ~thing & (height < _FULL * rim.height - 0.002)
+    heap = _heap(height, rim) | thing
     if judged.sum() < max(_MIN_PIXELS, _MIN_SHARE * inner.sum()):
         return heap
     if rho[inner].min() > _CENTRE or np.median(height[judged]) < _LEVEL[category] * rim.height:
@@ -226,6 +233,31 @@ def content_mask(
         return heap
     level = float(np.quantile(height[judged], 0.95)) + 0.003
     return heap | inner | (inside & (height < level))
+
+
+def raised_on_one_side(
+    plan: Float[np.ndarray, "n 2"], height: Float[np.ndarray, "n"], rim: Rim
+) -> Bool[np.ndarray, "n"]:
+    """Return which points within the opening are far above others at their distance from the axis or farther.
+
+    Args:
+        plan: Coordinates of the points in the plane, in metres.
+        height: Their heights above the plane, in metres.
+        rim: Rim of the vessel.
+    """
+    offset = plan - rim.centre
+    ring = np.minimum(np.linalg.norm(offset, axis=1) / (_INNER * rim.radius) * _RINGS, _RINGS - 1).astype(int)
+    turn = np.arctan2(offset[:, 1], offset[:, 0]) / (2 * np.pi) + 0.5
+    cell = ring * _AROUND + np.minimum((turn * _AROUND).astype(int), _AROUND - 1)
+    total = np.bincount(cell, height, minlength=_RINGS * _AROUND)
+    count = np.bincount(cell, minlength=_RINGS * _AROUND)
+    mean = np.full(_RINGS * _AROUND, np.nan)
+    mean[count > 0] = total[count > 0] / count[count > 0]
+    level = np.full(_RINGS, np.inf)
+    shown = np.unique(ring)
+    level[shown] = np.nanquantile(mean.reshape(_RINGS, _AROUND)[shown], _LOWER, axis=1)
+    level = np.minimum.accumulate(level[::-1])[::-1]  # a cavity falls towards its axis
+    return height > level[ring] + _RAISED[0] + _RAISED[1] * rim.height
 
 
 def _ignoring_contents(

@@ -66,6 +66,17 @@ def test_a_heap_up_to_the_rim_and_above_it_is_found_whole(peak) -> None:
     assert found[rho[seen] < 0.7].all()
 
 
+@pytest.mark.parametrize("place", [(0.0, 0.0), (0.01, 0.015)])
+def test_a_thing_in_an_empty_bowl_is_found_and_the_bowl_around_it_is_kept(place) -> None:
+    offset = disc()
+    thing = np.linalg.norm(offset - place, axis=1) < 0.02
+    height = np.where(thing, HEIGHT, bowl(offset))
+    seen = visible(offset, height)
+    found = contents_of(height, offset)
+    assert found[thing[seen]].all()
+    assert found[~thing[seen]].mean() < 0.01
+
+
 def test_the_rim_below_a_heap() -> None:
     offset = disc(RADIUS)
     rho = np.linalg.norm(offset, axis=1) / RADIUS
