@@ -60,6 +60,12 @@ GL_BACKENDS = ("", "egl", "osmesa", "glfw", "glx", "enable", "enabled", "on", "t
 GL_PLATFORMS = ("", "egl", "osmesa", "glx", "x11", "wayland", "linux")
 MIN_ADDRESS_SPACE = 2**30  # [bytes]: with much less, OpenBLAS never returns from its initialisation
 MAX_SEED = 2**64 - 1
+# Ranges of counts: what is asked for is listed in memory, and workers are processes of 1 GB each.
+COUNTS = {
+    "workers": (1, 256), "episodes": (1, 10**6), "images": (1, 10**6), "short_runs": (0, 10**6),
+    "epochs": (1, 10**6), "repeats": (1, 10**4), "drops": (1, 1000),
+    "scenes": (0, 10**6), "frames": (0, 10**6),
+}  # fmt: skip
 MAX_SECONDS = 600.0  # of an AR video
 MAX_STAGE_LIMIT = 1e7  # [s]
 
@@ -164,10 +170,10 @@ def check(options: CommonOptions) -> None:
     port = getattr(options, "port", None)
     if port is not None and not 0 <= port < 2**16:
         raise UsageError(f"--port {port} must be in 0..65535")
-    for name in ("episodes", "workers", "epochs", "repeats", "drops", "images"):
+    for name, (low, high) in COUNTS.items():
         value = getattr(options, name, None)
-        if value is not None and value < 1:
-            raise UsageError(f"--{name} {value} must be at least 1")
+        if value is not None and not low <= value <= high:
+            raise UsageError(f"--{name.replace('_', '-')} {value} must be in {low}..{high}")
 
 
 def _check_environment() -> None:

@@ -28,6 +28,8 @@ def run(options: ViewOptions, screen: Screen) -> Report:
         if options.html is not None:
             raise UsageError("--html writes the page of a run: give its folder, view RUN --html FILE")
         return _serve_cell(options, screen)
+    if options.html is not None and options.html.is_dir():
+        raise UsageError(f"--html {options.html} is a folder: give a file, such as page.html")
     loaded = load_run(options.run)
     if options.html is not None:
         return _write_page(options, options.run, options.html, loaded, screen)

@@ -73,8 +73,12 @@ BAD_INPUT = {
     "scan: nowhere": (["reconstruct", "/nowhere"], "/nowhere is not a folder"),
     "no meshes": (["pack", "--object-meshes", "/nowhere"], "--object-meshes /nowhere is no folder"),
     "no robot": (["scan", "--robot", "/nowhere.toml"], "--robot /nowhere.toml is no robot file"),
-    "epochs": (["train", "yaw", "--epochs", "0"], "--epochs 0 must be at least 1"),
-    "workers": (["evaluate", "tasks", "--workers", "0"], "--workers 0 must be at least 1"),
+    "epochs": (["train", "yaw", "--epochs", "0"], "--epochs 0 must be in 1..1000000"),
+    "workers": (["evaluate", "tasks", "--workers", "0"], "--workers 0 must be in 1..256"),
+    "episodes": (
+        ["evaluate", "tasks", "--episodes", "999999999999"],
+        "--episodes 999999999999 must be in 1..1000000",
+    ),
     "resume nowhere": (["evaluate", "tasks", "--resume"], "--resume needs --out"),
 }
 

@@ -118,7 +118,7 @@ def test_bad_sources_end_in_one_line(tmp_path: Path, capsys: pytest.CaptureFixtu
         ([tmp_path / "missing"], "is no folder"),
         ([source, "--camera", "600,600"], "--camera takes fx,fy,cx,cy"),
         ([source, "--camera", "600,600,-1,2"], "must be positive"),
-        ([source, "--images", "0"], "must be at least 1"),
+        ([source, "--images", "0"], "must be in 1.."),
         ([source, "--depth-scale", "0"], "--depth-scale 0 must be in 0.001..100"),
         ([source, "--camera", "600,600,320,240"], "lies outside the images of 64x48 px"),
         ([tmp_path / "done"], "is a scan folder already"),

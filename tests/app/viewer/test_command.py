@@ -50,6 +50,8 @@ def test_a_replay_is_served_locally_until_interrupted(run_folder, opened):
 def test_a_page_needs_a_run(tmp_path):
     with pytest.raises(UsageError, match="view RUN --html FILE"):
         command.run(ViewOptions(html=tmp_path / "page.html"), QUIET)
+    with pytest.raises(UsageError, match="is a folder: give a file"):
+        command.run(ViewOptions(run=tmp_path, html=tmp_path), QUIET)
 
 
 def test_the_viewer_of_a_run_closes_with_it(opened, server, monkeypatch):
