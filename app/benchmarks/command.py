@@ -23,6 +23,10 @@ from perception.pipeline import resolve_device
 
 def run(options: BenchOptions, screen: Screen) -> Report:
     """Time every row; the report is written after each, so that an interruption keeps the finished ones."""
+    if options.growth:
+        from app.benchmarks.growth import run as run_growth
+
+        return run_growth(options, screen)
     begin = time.perf_counter()
     device = resolve_device(options.device)
     machine = describe_machine(device)

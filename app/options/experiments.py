@@ -120,3 +120,7 @@ class BenchOptions(CommonOptions):
     """Stored result to compare with: report.json of another bench, or its folder."""
     tolerance: float = 0.25
     """Share by which a component may become slower."""
+    growth: bool = False
+    """Measure how times grow with objects, views, landmarks and workers, in place of the table."""
+    growth_workers: tuple[int, ...] = (1, 2)
+    """Numbers of worker processes that --growth runs episodes with; none to leave that curve out."""
