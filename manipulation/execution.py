@@ -13,30 +13,24 @@ import logging
 from collections import deque
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass, replace
-from typing import Literal
 
 import numpy as np
 
 from manipulation.errors import PlanningError, RobotError, RobotStoppedError
 from manipulation.kinematics import Kinematics
 from manipulation.lying_grasps import is_upside_down, lies, upright_goals
-from manipulation.observation import NoObserver, SceneObserver, classify_grip, is_displaced
+from manipulation.observation import NoObserver, SceneObserver
 from manipulation.obstacles import TABLE, box_obstacles
 from manipulation.pick_place import PickPlacePlanner
+from manipulation.plan_execution import GraspFailedError, Phase, PlanExecution, SceneChangedError
 from manipulation.planner import ManipulationConfig
 from manipulation.robot import Robot
-from manipulation.trajectories import joint_move, line_postures
 from manipulation.types import Grasp, ObjectOutcome, PickPlacePlan, Placement, StandingObject, TaskPlan
 from perception.obstacles.obstacle import PerceivedObstacle
 
 logger = logging.getLogger(__name__)
 
-MISPLACED = 0.02  # [m] from its goal, from which on a released object is grasped again
 _UPRIGHT_GOALS = 6  # spots that are tried for an object to be set upright
-
-Phase = Literal[
-    "plan", "approach", "grasp", "transfer", "place", "retreat", "placed", "retry", "deferred", "failed"
-]
 
 
 @dataclass(frozen=True)
@@ -62,14 +56,6 @@ class TaskEvent:
 
 
 OnEvent = Callable[[TaskEvent], None]
-
-
-class _GraspFailed(Exception):
-    """The hand closed without holding the object, or the object was lost."""
-
-
-class _SceneChanged(Exception):
-    """The object is not where the plan expects it; nothing was touched."""
 
 
 def execute(
@@ -120,9 +106,9 @@ class _Execution:
         self.task, self.robot, self.planner, self.config = task, robot, planner, config
         self.observer = observer
         self.on_event = on_event or (lambda event: None)
+        self.motion = PlanExecution(robot, planner, observer, config, self._notify)
         self.outcomes: dict[str, ObjectOutcome] = {}
         self._tried_before: dict[str, ObjectOutcome] = {}  # first outcomes of objects that get another chance
-        self._missing: set[str] = set()
 
     def run(self) -> list[ObjectOutcome]:
         queue = deque(self.task.placements)
@@ -139,7 +125,7 @@ class _Execution:
             except RobotStoppedError as error:
                 self._give_up([placement, *queue], str(error))
                 return list(self.outcomes.values())
-            if outcome.attempts == 0 and not last_chance and placement.name not in self._missing:
+            if outcome.attempts == 0 and not last_chance and placement.name not in self.planner.forgotten:
                 self._notify("deferred", placement.name, outcome.reason)
                 queue.append(placement)
                 n_deferred += 1
@@ -152,7 +138,7 @@ class _Execution:
             self.outcomes[placement.name] = outcome
             self._notify("placed" if outcome.placed else "failed", placement.name, outcome.reason)
         with contextlib.suppress(RobotStoppedError):
-            self._go_home()
+            self.motion.go_home()
         return list(self.outcomes.values())
 
     def _gets_another_chance(self, placement: Placement, outcome: ObjectOutcome) -> bool:
@@ -206,19 +192,19 @@ class _Execution:
                 logger.info("%s", error)
                 return ObjectOutcome(number, name, False, n_before + attempts, reason)
             try:
-                self._execute(plan)
+                self.motion.run(plan)
                 if plan.placement is placement:
                     return ObjectOutcome(
                         number, name, True, n_before + attempts + 1, "", self.planner.world.pose(name)
                     )
                 continue  # set upright, to be grasped from above
-            except _SceneChanged as error:
+            except SceneChangedError as error:
                 reason = str(error)
-            except (_GraspFailed, RobotError) as error:
+            except (GraspFailedError, RobotError) as error:
                 reason = str(error)
                 attempts += 1
                 tried.append(plan.grasp)
-                self._back_off()
+                self.motion.back_off()
             logger.info("%s, attempt %d: %s", name, attempts, reason)
             self._notify("retry", name, reason)
             problem = self._search(name)
@@ -237,16 +223,18 @@ class _Execution:
         if not lies(T_world_stand):
             return planner.plan(placement, q, tried)
         x, y = T_world_stand[:2, 3]
-        how = "stands upside down" if is_upside_down(T_world_stand) else "lies on its side"
+        if is_upside_down(T_world_stand):
+            raise PlanningError(f"{name} stands upside down at ({x:.2f}, {y:.2f}) m: turn it over by hand")
         grasps = planner.grasps(name)
         if not grasps.grasps:
-            raise PlanningError(f"{name} {how} at ({x:.2f}, {y:.2f}) m: {grasps.failure_message(name)}")
+            lying = f"{name} lies on its side at ({x:.2f}, {y:.2f}) m"
+            raise PlanningError(f"{lying}: {grasps.failure_message(name)}")
         others = [
-            (planner.world.pose(other)[:2, 3], _reach(self.task.objects[other]))
-            for other in planner.world.names
-            if other != name and other not in self._missing
+            (T[:2, 3], _reach(self.task.objects[other]))
+            for other, T in planner.poses().items()
+            if other != name
         ]
-        others += [_footprint(obstacle) for obstacle in self.task.obstacles]
+        others += [_footprint(obstacle) for obstacle in planner.perceived_obstacles]
         goals = upright_goals(self.task.objects[name], grasps.grasps[0], others, self.config.upright_area)
         last = "no free table to set it upright"
         for goal in itertools.islice(goals, _UPRIGHT_GOALS):
@@ -254,120 +242,21 @@ class _Execution:
                 return planner.plan(goal, q, tried)
             except PlanningError as error:
                 last = str(error)
-        raise PlanningError(f"{name} {how} at ({x:.2f}, {y:.2f}) m and cannot be set upright: {last}")
-
-    def _execute(self, plan: PickPlacePlan) -> None:
-        """Look, grasp, lift, transfer, place, retreat and look; the grasp is verified after each step.
-
-        Raises:
-            _SceneChanged: the object is not where it was expected.
-            _GraspFailed: the object is not held, or not where it was released.
-            RobotError: the robot failed to execute a motion.
-        """
-        robot, grasp, name = self.robot, plan.grasp, plan.name
-        self._notify("approach", name, plan=plan)
-        robot.move_gripper(grasp.opening)
-        if plan.transit is not None:
-            robot.follow(plan.transit)
-        self._require_in_place(name)
-        robot.follow(plan.approach)
-        self._notify("grasp", name)
-        robot.move_gripper(0.0)
-        self._require_held(grasp, f"no object between the fingers after closing on {name}")
-        robot.follow(plan.lift)
-        # The closed width is wide enough for an object that shifts between the pads.
-        self._require_held(grasp, f"{name} was lost during the lift")
-        self._notify("transfer", name)
-        robot.follow(plan.transfer)
-        self._notify("place", name)
-        self._require_held(grasp, f"{name} was lost during the transfer")
-        self._release(plan)
-        self.planner.moved(name, plan.T_world_stand_rest)
-        self._notify("retreat", name)
-        robot.follow(plan.retreat)
-        self._require_released(plan)
-
-    def _require_in_place(self, name: str) -> None:
-        """Raise _SceneChanged if an image from above shows that an object is not where it was expected."""
-        if self.observer.glance(self._poses(), (name,)).get(name) == "displaced":
-            raise _SceneChanged(f"{name} is not where it was seen before")
-
-    def _require_released(self, plan: PickPlacePlan) -> None:
-        """Raise _GraspFailed if a released object is seen elsewhere."""
-        name = plan.name
-        if self.observer.glance(self._poses(), (name,)).get(name) != "displaced":
-            return
-        finding = self.observer.find(name, self._poses())
-        if finding.T_world_stand is None:
-            return  # the final verification judges what cannot be seen from here
-        if is_displaced(plan.T_world_stand_rest, finding.T_world_stand, MISPLACED):
-            self.planner.moved(name, finding.T_world_stand)
-            raise _GraspFailed(f"{name} is not where it was released")
-
-    def _release(self, plan: PickPlacePlan) -> None:
-        """Open the gripper; for a bowl, first loosen it and lower the pads past its lip."""
-        robot, gap = self.robot, self.config.pick_place.grasp.release_gap
-        held = robot.gripper_width()
-        if plan.settle is not None:
-            robot.move_gripper(min(held + gap, robot.arm.max_width))
-            robot.follow(plan.settle)
-        robot.move_gripper(min(max(held + 2 * gap, plan.release_opening), robot.arm.max_width))
-
-    def _require_held(self, grasp: Grasp, message: str) -> None:
-        """Raise _GraspFailed if the width between the pads is outside the grasp's range."""
-        width = self.robot.gripper_width()
-        low, high = grasp.closed_width
-        if classify_grip(width, grasp) != "held":
-            raise _GraspFailed(
-                f"{message} (width {1e3 * width:.1f} mm, expected {1e3 * low:.1f} to {1e3 * high:.1f})"
-            )
-
-    def _back_off(self) -> None:
-        """Open the gripper and retreat vertically if that is possible."""
-        robot, planner = self.robot, self.planner
-        robot.move_gripper(robot.arm.max_width)
-        q = robot.joint_positions()
-        T_up = planner.kinematics.forward(q)
-        for height in (0.15, 0.08):
-            T_goal = T_up.copy()
-            T_goal[2, 3] += height
-            postures = line_postures(planner.kinematics, q, T_goal, planner.motions.config)
-            if postures is not None:
-                try:
-                    robot.follow(planner.motions.time_line(postures))
-                except RobotError as error:
-                    logger.warning("retreat after a failed grasp was blocked: %s", error)
-                return
+        raise PlanningError(
+            f"{name} lies on its side at ({x:.2f}, {y:.2f}) m and cannot be set upright: {last}"
+        )
 
     def _search(self, name: str) -> str:
-        """Search for an object and update its pose; return why a retry is impossible, or an empty string."""
-        finding = self.observer.find(name, self._poses())
-        self._missing.discard(name)
+        """Search for an object and update the scene; return why a retry is impossible, or an empty string."""
+        finding = self.observer.find(name, self.planner.poses())
+        if finding.obstacles is not None:
+            self.planner.observe_obstacles(finding.obstacles)
         if finding.status == "missing":
-            self._missing.add(name)
             self.planner.forget(name)
             return f"{name} is nowhere on the table within view: it was taken away or fell off"
         if finding.T_world_stand is not None:
             self.planner.moved(name, finding.T_world_stand)
         return ""
-
-    def _poses(self) -> dict[str, np.ndarray]:
-        """Return the expected T_world_stand of every object that is not missing."""
-        world = self.planner.world
-        return {name: world.pose(name) for name in world.names if name not in self._missing}
-
-    def _go_home(self) -> None:
-        """Return to the home posture, over waypoints if necessary."""
-        robot = self.robot
-        q, home = robot.joint_positions(), np.asarray(robot.arm.q_home, dtype=np.float64)
-        if np.abs(q - home).max() < 1e-3:
-            return
-        path = self.planner.motions.free_path(q, home, robot.gripper_width()) or [q, home]
-        try:
-            for start, goal in itertools.pairwise(path):
-                robot.follow(joint_move(start, goal, self.planner.motions.limits))
-        except RobotError as error:
-            logger.warning("return to the home posture was blocked: %s", error)
 
     def _notify(self, phase: Phase, name: str, message: str = "", plan: PickPlacePlan | None = None) -> None:
         total = len(self.task.placements)

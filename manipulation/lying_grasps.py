@@ -14,7 +14,7 @@ from jaxtyping import Float
 
 from manipulation.cross_sections import CrossSectionCache, Extent, extent
 from manipulation.grasp_config import GraspConfig, tcp_pose
-from manipulation.types import Grasp, GraspSet, Placement, Rejected, StandingObject
+from manipulation.types import TOO_WIDE, Grasp, GraspSet, Placement, Rejected, StandingObject
 
 LYING_TILT = np.deg2rad(45.0)  # of the axis to the vertical, from which on an object does not stand
 HAND_HEIGHT = 0.07  # [m] least height of the TCP over the support with the hand horizontal
@@ -79,7 +79,7 @@ def _across(
     gripper, widths = config.gripper, [e.width for e in across]
     width = max(widths)
     if width > gripper.max_width - 0.004:
-        return Rejected(f"too wide for {gripper.max_width:.2f} m")
+        return Rejected(f"{TOO_WIDE} for {gripper.max_width:.2f} m")
     if np.arctan2(np.ptp(widths) / 2, 2 * _PAD_HALF_WIDTH) > config.max_taper:
         return Rejected("too tapered")
     sideways = np.array([-closing[1], closing[0], 0.0])

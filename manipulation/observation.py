@@ -10,6 +10,7 @@ import numpy as np
 from jaxtyping import Float
 
 from manipulation.types import Grasp
+from perception.obstacles.obstacle import PerceivedObstacle
 
 Poses = Mapping[str, Float[np.ndarray, "4 4"]]  # T_world_stand by name
 Grip = Literal["held", "empty", "wide"]
@@ -26,10 +27,12 @@ class Finding:
     Attributes:
         status: "found"; "missing" if it is not on the visible table; "unseen" if nothing is known.
         T_world_stand: (4, 4) pose of its stand frame, in any orientation; None unless found.
+        obstacles: things of no class as the images of the search show them; None if it did not see the table.
     """
 
     status: Literal["found", "missing", "unseen"]
     T_world_stand: Float[np.ndarray, "4 4"] | None = None
+    obstacles: tuple[PerceivedObstacle, ...] | None = None
 
 
 @runtime_checkable

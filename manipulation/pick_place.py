@@ -106,6 +106,20 @@ class PickPlacePlanner:
         c = self.config
         self.motions = MotionPlanner(self.kinematics, self.world, c.motion, c.via_heights, c.middle_radius)
 
+    @property
+    def forgotten(self) -> frozenset[str]:
+        """Names of the objects of unknown pose."""
+        return frozenset(self._forgotten)
+
+    @property
+    def perceived_obstacles(self) -> tuple[PerceivedObstacle, ...]:
+        """The obstacles of perceived geometry."""
+        return tuple(o for o in self._obstacles if isinstance(o, PerceivedObstacle))
+
+    def poses(self) -> dict[str, Float[np.ndarray, "4 4"]]:
+        """Return T_world_stand of every object that is not forgotten, by name."""
+        return {name: self.world.pose(name) for name in self.world.names if name not in self._forgotten}
+
     def observe_obstacles(self, obstacles: Sequence[PerceivedObstacle]) -> None:
         """Replace the perceived obstacles; objects remain as they are, forgotten ones forgotten."""
         known = tuple(o for o in self._obstacles if not isinstance(o, PerceivedObstacle))

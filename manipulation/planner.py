@@ -9,14 +9,14 @@ from dataclasses import dataclass, field, replace
 from manipulation.errors import PlanningError
 from manipulation.grasps import grasp_candidates
 from manipulation.kinematics import Kinematics
-from manipulation.lying_grasps import UPRIGHT_AREA
+from manipulation.lying_grasps import UPRIGHT_AREA, is_upside_down, lies, lying_grasps
 from manipulation.packing import pack
 from manipulation.packing_problem import PackingConfig
 from manipulation.pick_place import PickPlaceConfig
 from manipulation.robot import ArmDescription
 from manipulation.sorting import SortingConfig
 from manipulation.sorting_rows import sort_rows
-from manipulation.standing import to_standing
+from manipulation.standing import to_lying, to_standing
 from manipulation.types import Box, GraspSet, Line, StandingObject, TaskPlan
 from perception.types import ObjectEstimate, SupportPlane
 
@@ -141,15 +141,20 @@ def _find_usable(
     left_out: dict[str, str] = {}
     for estimate in objects:
         try:
-            items[estimate.name] = to_standing(estimate, config.support)
+            items[estimate.name] = _item(estimate, config)
         except PlanningError as error:
             left_out[estimate.name] = str(error)
     grasps = {name: grasp_candidates(item, config.pick_place.grasp) for name, item in items.items()}
     for name, item in items.items():
+        now, (x, y) = grasps[name], item.T_world_stand[:2, 3]
+        lying = lies(item.T_world_stand)
+        if lying:
+            now = lying_grasps(item, item.T_world_stand, config.pick_place.grasp)
         if not grasps[name].grasps:
             left_out[name] = grasps[name].failure_message(name)
-        elif not _is_reachable(item, grasps[name], kinematics):
-            x, y = item.T_world_stand[:2, 3]
+        elif not now.grasps:
+            left_out[name] = f"{name} lies on its side at ({x:.2f}, {y:.2f}) m: {now.failure_message(name)}"
+        elif not _is_reachable(item, now, kinematics):
             left_out[name] = f"{name} at ({x:.2f}, {y:.2f}) m is out of the arm's reach; move it closer"
     for reason in left_out.values():
         logger.warning("excluded: %s", reason)
@@ -158,6 +163,22 @@ def _find_usable(
         reasons = "; ".join(left_out.values())
         raise PlanningError(f"none of {len(objects)} objects can be manipulated: {reasons}")
     return usable
+
+
+def _item(estimate: ObjectEstimate, config: ManipulationConfig) -> StandingObject:
+    """Return a standing object, or one on its side, which is to be set upright first.
+
+    Raises:
+        PlanningError: the mesh is empty, or the object is upside down.
+    """
+    if not lies(estimate.T_world_object):
+        return to_standing(estimate, config.support)
+    if is_upside_down(estimate.T_world_object):
+        x, y = estimate.T_world_object[:2, 3]
+        raise PlanningError(
+            f"{estimate.name} stands upside down at ({x:.2f}, {y:.2f}) m: turn it over by hand"
+        )
+    return to_lying(estimate)
 
 
 def _is_reachable(item: StandingObject, grasps: GraspSet, kinematics: Kinematics) -> bool:

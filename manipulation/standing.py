@@ -25,9 +25,8 @@ def to_standing(estimate: ObjectEstimate, support: SupportPlane | None = None) -
     Raises:
         PlanningError: the mesh is empty, or the object is tilted by more than 45 degrees.
     """
+    _require_mesh(estimate)
     vertices, faces = estimate.mesh.vertices, estimate.mesh.faces
-    if len(vertices) < 4 or len(faces) < 4:
-        raise PlanningError(f"{estimate.name} has an empty mesh: re-observe or exclude it")
     support = support or SupportPlane()
     T = estimate.T_world_object
     tilt = float(np.arccos(np.clip(T[:3, 2] @ support.normal, -1.0, 1.0)))
@@ -54,6 +53,38 @@ def to_standing(estimate: ObjectEstimate, support: SupportPlane | None = None) -
         size=estimate.size,
         is_round=is_round,
     )
+
+
+def to_lying(estimate: ObjectEstimate) -> StandingObject:
+    """Return an object in any orientation, in the stand frame that it would have upright.
+
+    ``T_world_stand`` is its full pose: the frame's z is the object's axis, its origin the centre of its base.
+
+    Raises:
+        PlanningError: the mesh is empty.
+    """
+    _require_mesh(estimate)
+    vertices, faces = estimate.mesh.vertices, estimate.mesh.faces
+    base = np.array([*body_axis(vertices, faces, estimate.category), vertices[:, 2].min()])
+    in_stand = vertices - base
+    is_round = estimate.category != "mug" and _is_round(in_stand, faces)
+    turn = 0.0 if is_round or estimate.category == "mug" else _narrow_direction(in_stand, faces)
+    T_object_stand = pose_from_yaw(turn, base)
+    return StandingObject(
+        id=estimate.id,
+        name=estimate.name,
+        category=estimate.category,
+        vertices=in_stand @ T_object_stand[:3, :3],
+        faces=faces,
+        T_world_stand=estimate.T_world_object @ T_object_stand,
+        size=estimate.size,
+        is_round=is_round,
+    )
+
+
+def _require_mesh(estimate: ObjectEstimate) -> None:
+    if len(estimate.mesh.vertices) < 4 or len(estimate.mesh.faces) < 4:
+        raise PlanningError(f"{estimate.name} has an empty mesh: re-observe or exclude it")
 
 
 def body_axis(

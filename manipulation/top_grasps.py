@@ -10,7 +10,7 @@ from jaxtyping import Float
 
 from manipulation.cross_sections import CrossSectionCache, Extent, extent
 from manipulation.grasp_config import GraspConfig, half_turn, tcp_pose
-from manipulation.types import Grasp, Rejected, StandingObject
+from manipulation.types import TOO_WIDE, Grasp, Rejected, StandingObject
 
 
 def top_grasps(
@@ -47,7 +47,7 @@ def _top_grasp(
     middle = float(np.median([e.middle for e in held]))
     reach = max(max(e.high - middle, middle - e.low) for e in above)
     if 2 * (reach + config.top_clearance) > gripper.max_width:
-        return Rejected(f"too wide for {gripper.max_width:.2f} m")
+        return Rejected(f"{TOO_WIDE} for {gripper.max_width:.2f} m")
     taper = float(np.arctan2(np.ptp(widths) / 2, np.ptp(heights)))
     if taper > config.max_taper:
         return Rejected("too tapered")

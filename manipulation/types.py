@@ -143,6 +143,9 @@ class Grasp:
     score: float
 
 
+TOO_WIDE = "too wide"  # how the reasons of grasps that exceed the opening begin
+
+
 @dataclass(frozen=True)
 class GraspSet:
     """Grasp candidates of one object.
@@ -163,7 +166,8 @@ class GraspSet:
     def failure_message(self, name: str) -> str:
         """Return the error message for an object without a grasp: counts by reason and a remedy."""
         counts = ", ".join(f"{count} {reason}" for reason, count in self.rejected.most_common(4))
-        remedy = "exclude it or use a wider gripper"
+        too_wide = any(reason.startswith(TOO_WIDE) for reason, _ in self.rejected.most_common(1))
+        remedy = "exclude it or use a wider gripper" if too_wide else "exclude it"
         return f"No grasp for {name}: of {self.n_candidates} candidates, {counts}; {remedy}"
 
 

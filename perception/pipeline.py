@@ -20,6 +20,7 @@ from perception.detection.association import associate_on_surfaces
 from perception.detection.detector import Detector
 from perception.detection.left_out import LeftOut
 from perception.detection.on_surfaces import FrameDetector, examine_frame, placed, unrecognised
+from perception.detection.unclassified import associate_unclassified
 from perception.errors import InvalidInputError
 from perception.inference.acceptance import shipped_acceptance
 from perception.inference.reconstruct import (
@@ -32,13 +33,14 @@ from perception.inference.reconstruct import (
 from perception.shape.decoder import ShapeDecoder
 from perception.support.surface import SupportSurface
 from perception.support.surfaces import find_surfaces
-from perception.types import ObjectDetection, ObjectEstimate, RgbdFrame, SupportPlane
+from perception.types import ObjectDetection, ObjectEstimate, RejectedObject, RgbdFrame, SupportPlane
 
 if TYPE_CHECKING:
     from perception.detection.huggingface import HuggingFaceDetector
 
 Device = Literal["auto", "cpu", "cuda"]  # the command line's copy is app.options.Device
 Complete = Callable[[Sequence[Sequence[ObjectDetection]]], Sequence[Sequence[ObjectDetection]]]
+UNCLASSIFIED_SCORE = 0.75  # least score of the fit of a candidate that the detector gave no class
 SHIPPED = "shipped"  # name of the shipped detector
 
 
@@ -228,6 +230,7 @@ def reconstruct_objects(
     progress: Progress = no_progress,
     on_step: OnFitStep | None = None,
     on_rejected: OnRejected | None = None,
+    judge_unclassified: bool = False,
 ) -> list[ObjectEstimate]:
     """Estimate the complete shape and the pose of every detected object, ordered by id.
 
@@ -239,8 +242,21 @@ def reconstruct_objects(
         on_step: Called after each Levenberg-Marquardt step with object id, class and step.
         on_rejected: Called with each object that is left out, because its fit failed or the evidence of the
             fit contradicts its class.
+        judge_unclassified: Whether candidates that the detector gave no class are fitted in all classes and
+            resting poses, and kept where the evidence is clear. Those that are not kept are not reported.
     """
+    detected = {found.instance_id for row in detections.per_frame for found in row}
+    rows = detections.per_frame
+    if judge_unclassified:
+        more = associate_unclassified(frames, rows, detections.left_out, detections.plane)
+        rows = tuple((*row, *candidates) for row, candidates in zip(rows, more, strict=True))
+
+    def report(rejected: RejectedObject) -> None:
+        if on_rejected is not None and rejected.id in detected:
+            on_rejected(rejected)
+
     options = ReconstructOptions(
-        progress=progress, on_step=on_step, on_rejected=on_rejected, acceptance=shipped_acceptance()
+        progress=progress, on_step=on_step, on_rejected=report, acceptance=shipped_acceptance()
     )
-    return reconstruct(frames, detections.per_frame, decoder, detections.planes, options=options)
+    estimates = reconstruct(frames, rows, decoder, detections.planes, options=options)
+    return [e for e in estimates if e.id in detected or e.score >= UNCLASSIFIED_SCORE]

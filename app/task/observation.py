@@ -7,7 +7,7 @@ source of shapes is handled alike.
 from __future__ import annotations
 
 import logging
-from collections.abc import Mapping, Sequence
+from collections.abc import Callable, Mapping, Sequence
 from dataclasses import replace
 
 import numpy as np
@@ -28,6 +28,8 @@ from perception.types import ObjectEstimate, RgbdFrame
 
 logger = logging.getLogger(__name__)
 
+FindObstacles = Callable[[Sequence[ObjectEstimate], Sequence[RgbdFrame]], Sequence[PerceivedObstacle]]
+
 REGION: Region = ((0.18, 0.85), (-0.60, 0.06))  # [m] of the table in the standard cell, to be searched
 SEARCH_VIEWS = 4  # images of a search
 NEIGHBOURHOOD = 0.2  # [m] between the axes of an object and of others that may explain depth beside it
@@ -44,6 +46,8 @@ class WristObserver:
         items: The same objects as the plan has them, by name.
         workspace: Viewpoints.
         obstacles: Things of no class, which explain depth as other objects do.
+        find_obstacles: Finds things of no class beside objects at their present poses in images of the
+            table; None to leave them as they are.
     """
 
     def __init__(
@@ -53,8 +57,13 @@ class WristObserver:
         items: Mapping[str, StandingObject],
         workspace: Workspace = Workspace(),
         obstacles: Sequence[PerceivedObstacle] = (),
+        find_obstacles: FindObstacles | None = None,
     ) -> None:
         self._scanner, self._workspace, self._obstacles = scanner, workspace, tuple(obstacles)
+        self._find_obstacles = find_obstacles
+        self._has_updated = (
+            False  # whether obstacles may be of objects that were not where they were expected
+        )
         self._bystanders = [estimate for estimate in objects if estimate.name not in items]
         self._estimates = {estimate.name: estimate for estimate in objects if estimate.name in items}
         self._Ts_stand_object = {
@@ -71,7 +80,7 @@ class WristObserver:
             if name in poses and not lies(poses[name]):
                 found = self._find_nearby(name, poses)
                 if found is not None:
-                    return found
+                    return self._with_obstacles(found, name, poses) if self._has_updated else found
             return self._find_on_table(name, poses)
         except RobotStoppedError:
             raise
@@ -100,7 +109,7 @@ class WristObserver:
 
     def _find_on_table(self, name: str, poses: Poses) -> Finding:
         """Search for an object on the whole table, in any resting pose."""
-        frames = self._scanner.capture(self._workspace.scan_viewpoints(SEARCH_VIEWS))
+        frames = self._table_images()
         others = [*self._others(name, poses, np.inf), *self._bystanders]
         (x0, x1), (y0, y1) = (tuple(self._workspace.scale * limit for limit in side) for side in REGION)
         before = self._object_pose(name, poses) if name in poses else None
@@ -108,11 +117,32 @@ class WristObserver:
         estimate = self._estimates[name]
         check = relocate(estimate, frames, others, region, T_before=before, obstacles=self._obstacles)
         if check is None:
-            return Finding("missing")
+            return self._with_obstacles(Finding("missing"), name, poses, frames)
         T_world_stand = self._stand_pose(name, check)
         if not lies(T_world_stand):
             T_world_stand = self._standing(name, check, 0.0)
-        return Finding("found", T_world_stand)
+        return self._with_obstacles(Finding("found", T_world_stand), name, poses, frames)
+
+    def _table_images(self) -> list[RgbdFrame]:
+        return list(self._scanner.capture(self._workspace.scan_viewpoints(SEARCH_VIEWS)))
+
+    def _with_obstacles(
+        self, finding: Finding, name: str, poses: Poses, frames: Sequence[RgbdFrame] = ()
+    ) -> Finding:
+        """Return a finding with the things of no class in images of the table, taken if not given."""
+        if self._find_obstacles is None:
+            return finding
+        now = {other: T for other, T in poses.items() if other != name}
+        if finding.T_world_stand is not None:
+            now[name] = finding.T_world_stand
+        objects = [
+            replace(self._estimates[other], T_world_object=self._object_pose(other, now))
+            for other in now
+            if other in self._estimates
+        ]
+        seen = frames or self._table_images()
+        self._has_updated = True
+        return replace(finding, obstacles=tuple(self._find_obstacles([*objects, *self._bystanders], seen)))
 
     def _check(self, name: str, poses: Poses, frames: Sequence[RgbdFrame]) -> PoseCheck:
         others = self._others(name, poses, NEIGHBOURHOOD)

@@ -20,6 +20,7 @@ from perception.pipeline import Detections
 from perception.support.surface import SupportSurface
 from perception.types import ObjectEstimate, RgbdFrame
 
+ABOVE_BOX = 0.25  # [m] over its walls: what is packed rises above them
 _PADDING = 12  # pixels around a thing in its picture
 
 
@@ -31,9 +32,34 @@ def obstacles_beside(
     arm: ArmDescription,
 ) -> tuple[PerceivedObstacle, ...]:
     """Return what depth shows on the table besides the objects, the box and the arm's own base."""
-    surface = detections.surfaces[0] if detections.surfaces else SupportSurface(detections.plane)
+    surface = table_of(detections)
     known = np.concatenate([fixed_bounds(arm), known_bounds(box)])
     return tuple(find_obstacles(frames, detections.per_frame, objects, surface, known))
+
+
+def table_of(detections: Detections) -> SupportSurface:
+    """Return the surface that the objects of a task stand on."""
+    return detections.surfaces[0] if detections.surfaces else SupportSurface(detections.plane)
+
+
+def obstacles_during(
+    objects: Sequence[ObjectEstimate],
+    frames: Sequence[RgbdFrame],
+    surface: SupportSurface,
+    box: Box | None,
+    arm: ArmDescription,
+) -> tuple[PerceivedObstacle, ...]:
+    """Return what images during a run show on the table besides the objects, the box and the arm's base.
+
+    Whatever is in or above the box counts as known: what was packed there may have settled a little aside.
+    """
+    known = [fixed_bounds(arm)]
+    if box is not None:
+        corners = known_bounds(box)
+        low, high = corners[:, 0].min(axis=0), corners[:, 1].max(axis=0) + np.array([0.0, 0.0, ABOVE_BOX])
+        known.append(np.array([[low, high]]))
+    masks = [()] * len(frames)
+    return tuple(find_obstacles(frames, masks, objects, surface, np.concatenate(known)))
 
 
 def known_bounds(box: Box | None) -> Float[np.ndarray, "k 2 3"]:

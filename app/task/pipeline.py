@@ -16,13 +16,14 @@ import time
 from collections.abc import Callable, Iterator, Mapping, Sequence
 from contextlib import contextmanager
 from dataclasses import dataclass, field, replace
+from functools import partial
 from typing import Literal
 
 import numpy as np
 from jaxtyping import Float
 
 from app.task.observation import WristObserver
-from app.task.obstacles import obstacles_beside
+from app.task.obstacles import obstacles_beside, obstacles_during, table_of
 from manipulation.errors import ManipulationError
 from manipulation.execution import TaskEvent, execute
 from manipulation.kinematics import Kinematics
@@ -194,7 +195,10 @@ def run(
             result = replace(result, plan=plan)
             observer.on_plan(plan)
         with observer.stage("execute"):
-            watch = WristObserver(scanner, objects, plan.objects, space, obstacles)
+            look_around = partial(
+                obstacles_during, surface=table_of(detections), box=request.box, arm=robot.arm
+            )
+            watch = WristObserver(scanner, objects, plan.objects, space, obstacles, look_around)
             outcomes = execute(plan, robot, watch, observer.on_event, settings, kinematics)
             result = replace(result, outcomes=outcomes)
         with observer.stage("verify"):
@@ -218,6 +222,7 @@ def prior_reconstruction(perception: Perception, observer: RunObserver) -> Recon
             observer.on_progress,
             observer.on_fit_step,
             observer.on_rejected,
+            judge_unclassified=True,
         )
 
     return reconstruct

@@ -1,3 +1,4 @@
+import itertools
 from dataclasses import replace
 
 import numpy as np
@@ -17,6 +18,7 @@ from manipulation.robot import RobotState
 from manipulation.standing import to_standing
 from manipulation.trajectories import MotionConfig
 from manipulation.types import Box, Line, Placement
+from perception.obstacles.obstacle import PerceivedObstacle
 
 # Coarser than the defaults, for speed alone.
 CONFIG = ManipulationConfig(
@@ -258,6 +260,21 @@ def test_an_object_upside_down_is_reported(packing, arm):
     outcomes = execute(packing, robot, observer, Watcher(robot), CONFIG)
     failed = next(outcome for outcome in outcomes if outcome.name == "bowl_2")
     assert not failed.placed and failed.attempts == 0 and "bowl_2 stands upside down at" in failed.reason
+    assert "turn it over by hand" in failed.reason and "gripper" not in failed.reason
+
+
+def test_a_search_updates_the_obstacles(packing, arm):
+    """A thing that came to stand over the bowl blocks it; once it is gone, the second chance succeeds."""
+    T = packing.objects["bowl_2"].T_world_stand
+    corners = np.array(list(itertools.product((-0.06, 0.06), (-0.06, 0.06), (0.06, 0.1))))
+    thing = PerceivedObstacle(7, (T[:3, 3] + corners,), 500)
+    robot = FakeRobot(arm)
+    found = [Finding("found", T, obstacles=(thing,)), Finding("found", T, obstacles=())]
+    watcher, observer = Watcher(robot), FakeObserver(["displaced"], bowl_2=found)
+    outcomes = execute(packing, robot, observer, watcher, CONFIG)
+    assert all(outcome.placed for outcome in outcomes)
+    deferred = next(event for event in watcher.events if event.phase == "deferred")
+    assert deferred.name == "bowl_2" and "thing_7" in deferred.message
 
 
 def test_blocked_arm_counts_as_a_failed_attempt(packing, arm):

@@ -1,5 +1,6 @@
 from dataclasses import replace
 
+import numpy as np
 import pytest
 
 from manipulation.errors import PlanningError
@@ -70,9 +71,14 @@ def test_plans_hold_all_objects_their_grasps_and_the_goal_geometry(scene, shapes
     assert plan_sort(scene, Line(), arm, CONFIG).box is None
 
 
-def test_objects_that_do_not_stand_are_excluded(scene, arm):
-    T = scene[0].T_world_object.copy()
-    T[:3, :3] = [[0, 0, 1], [0, 1, 0], [-1, 0, 0]]
-    packing = plan_pack([replace(scene[0], T_world_object=T), scene[1]], Box(), arm, CONFIG)
-    assert packing.left_out["can_1"].startswith("can_1 lies on its side")
-    assert set(packing.objects) == {"bowl_2"}
+def test_lying_objects_are_planned_and_those_upside_down_excluded(scene, arm):
+    """A can on its side is set upright first; its goal is as that of any other."""
+    on_side, over = (scene[0].T_world_object.copy() for _ in range(2))
+    on_side[:3, :3] = [[0, 0, 1], [0, 1, 0], [-1, 0, 0]]
+    on_side[2, 3] = 0.033
+    packing = plan_pack([replace(scene[0], T_world_object=on_side), scene[1]], Box(), arm, CONFIG)
+    assert {placement.name for placement in packing.placements} == {"can_1", "bowl_2"}
+    over[:3, :3] = np.diag([1.0, -1, -1])
+    packing = plan_pack([replace(scene[0], T_world_object=over), scene[1]], Box(), arm, CONFIG)
+    assert packing.left_out["can_1"].startswith("can_1 stands upside down at")
+    assert {placement.name for placement in packing.placements} == {"bowl_2"}

@@ -3,7 +3,7 @@ import pytest
 import trimesh
 
 from manipulation.errors import PlanningError
-from manipulation.standing import body_axis, split_handle, to_standing
+from manipulation.standing import body_axis, split_handle, to_lying, to_standing
 from perception.types import ObjectEstimate, SupportPlane, TriangleMesh
 
 
@@ -59,6 +59,20 @@ def test_the_tilt_of_an_estimate_is_discarded_up_to_45_degrees(shapes):
                 to_standing(tilted)
         else:
             assert to_standing(tilted).T_world_stand[2, 2] == 1.0
+
+
+def test_a_lying_object_keeps_its_pose(shapes):
+    upright = shapes.estimate(7, "bottle", shapes.bottle())
+    T = np.array(upright.T_world_object)
+    T[:3, :3] = [[0, 0, 1], [0, 1, 0], [-1, 0, 0]]
+    lying = ObjectEstimate(7, "bottle", np.zeros(16), T, np.ones(3), upright.mesh)
+    item = to_lying(lying)
+    np.testing.assert_allclose(item.T_world_stand[:3, 2], (1, 0, 0), atol=1e-12)
+    assert item.vertices[:, 2].min() == pytest.approx(0.0)
+    posed = item.vertices @ item.T_world_stand[:3, :3].T + item.T_world_stand[:3, 3]
+    np.testing.assert_allclose(posed, lying.mesh_world.vertices, atol=1e-9)
+    same = to_standing(upright)
+    np.testing.assert_allclose(item.vertices, same.vertices, atol=2e-3)
 
 
 def test_lying_and_empty_objects_are_rejected(shapes):

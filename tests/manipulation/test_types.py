@@ -35,6 +35,11 @@ def test_failure_message_lists_the_four_most_frequent_reasons():
     )
 
 
+def test_a_wider_gripper_is_a_remedy_for_what_is_too_wide_alone():
+    found = GraspSet((), Counter({"too low": 5, "too wide for 0.08 m": 2}))
+    assert found.failure_message("can_1").endswith("5 too low, 2 too wide for 0.08 m; exclude it")
+
+
 def test_failure_message_of_a_can_that_is_too_wide(shapes):
     found = grasp_candidates(standing(shapes, "can", shapes.can(radius=0.05)))
     assert found.failure_message("can_1") == (

@@ -102,6 +102,26 @@ def test_a_search_is_given_what_else_explains_depth(scene, can_at, pack_plan, mo
     assert others == [lying] and options["obstacles"] == (thing,)
 
 
+def test_a_search_of_the_table_shows_its_obstacles(scene, can_at, pack_plan):
+    _, poses, answers, scanner = scene
+    thing, given = PerceivedObstacle(1, (np.zeros((4, 3)),), 300), []
+
+    def find_obstacles(objects, frames):
+        given.append([estimate.name for estimate in objects])
+        return [thing]
+
+    watch = WristObserver(scanner, [can_at()], pack_plan.objects, find_obstacles=find_obstacles)
+    answers["check"] = shifted(can_at, 0.02)
+    assert watch.find("can_0", poses).obstacles is None, "found nearby: the table was not seen"
+    answers["check"] = replace(SEEN, status="not_there")
+    assert watch.find("can_0", poses).obstacles == (thing,)
+    answers["found"] = shifted(can_at, 0.3)
+    assert watch.find("can_0", poses).obstacles == (thing,)
+    answers["check"] = shifted(can_at, 0.02)
+    assert watch.find("can_0", poses).obstacles == (thing,), "it may have been among the things before"
+    assert given == [[], ["can_0"], ["can_0"]]
+
+
 def test_a_stopped_robot_is_no_missing_image(scene):
     watch, poses, answers, _ = scene
     answers["check"] = RobotStoppedError("a person is near")

@@ -3,7 +3,15 @@
 import numpy as np
 import pytest
 
-from app.task.obstacles import known_bounds, obstacle_note, obstacle_rows, obstacles_beside, portrait_of
+from app.task.obstacles import (
+    known_bounds,
+    obstacle_note,
+    obstacle_rows,
+    obstacles_beside,
+    obstacles_during,
+    portrait_of,
+    table_of,
+)
 from manipulation.types import Box
 from perception.obstacles.obstacle import PerceivedObstacle
 from perception.pipeline import Detections
@@ -40,6 +48,16 @@ def test_a_thing_on_the_table_is_found_and_one_in_the_robots_base_is_not():
     np.testing.assert_allclose(found.bounds.mean(axis=0)[:2], (0.5, -0.2), atol=0.006)
     at_base = [overhead(0.0, 0.0, obstacle=block(0.0, 0.0))]
     assert obstacles_beside([], at_base, detections, Box(), panda().description) == ()
+
+
+def test_during_a_run_what_stands_in_the_box_is_known():
+    box, surface = Box(), table_of(Detections(SupportPlane(), ((),)))
+    x, y = box.center
+    arm = panda().description
+    for thing, count in ((block(x, y, height=0.12), 0), (block(0.5, -0.2), 1)):
+        middle = thing.bounds.mean(axis=0)
+        frames = [overhead(middle[0], middle[1], obstacle=thing)]
+        assert len(obstacles_during([], frames, surface, box, arm)) == count
 
 
 def test_the_box_is_known_geometry():

@@ -1,0 +1,165 @@
+"""Execution of one pick-and-place plan with its checks: look, grasp, lift, transfer, release, look.
+
+The width between the fingers tells whether the object is held; an image from above, whether it is where it
+was expected before the grasp and after the release.
+"""
+
+from __future__ import annotations
+
+import itertools
+import logging
+from typing import Literal, Protocol, runtime_checkable
+
+import numpy as np
+
+from manipulation.errors import RobotError
+from manipulation.observation import SceneObserver, classify_grip, is_displaced
+from manipulation.pick_place import PickPlacePlanner
+from manipulation.planner import ManipulationConfig
+from manipulation.robot import Robot
+from manipulation.trajectories import joint_move, line_postures
+from manipulation.types import Grasp, PickPlacePlan
+
+logger = logging.getLogger(__name__)
+
+MISPLACED = 0.02  # [m] from its goal, from which on a released object is grasped again
+
+Phase = Literal[
+    "plan", "approach", "grasp", "transfer", "place", "retreat", "placed", "retry", "deferred", "failed"
+]
+
+
+@runtime_checkable
+class Notify(Protocol):
+    """Receives the phase that begins."""
+
+    def __call__(
+        self, phase: Phase, name: str, message: str = "", plan: PickPlacePlan | None = None
+    ) -> None: ...
+
+
+class GraspFailedError(Exception):
+    """The hand closed without holding the object, or the object was lost."""
+
+
+class SceneChangedError(Exception):
+    """The object is not where the plan expects it; nothing was touched."""
+
+
+class PlanExecution:
+    """Executes plans on a robot and checks each step.
+
+    Args:
+        robot: the robot.
+        planner: planner whose collision world follows the objects that are moved.
+        observer: looks at the scene.
+        config: settings.
+        notify: receives the phases.
+    """
+
+    def __init__(
+        self,
+        robot: Robot,
+        planner: PickPlacePlanner,
+        observer: SceneObserver,
+        config: ManipulationConfig,
+        notify: Notify,
+    ) -> None:
+        self.robot, self.planner, self.observer, self.config = robot, planner, observer, config
+        self._notify = notify
+
+    def run(self, plan: PickPlacePlan) -> None:
+        """Look, grasp, lift, transfer, place, retreat and look; the grasp is verified after each step.
+
+        Raises:
+            SceneChangedError: the object is not where it was expected.
+            GraspFailedError: the object is not held, or not where it was released.
+            RobotError: the robot failed to execute a motion.
+        """
+        robot, grasp, name = self.robot, plan.grasp, plan.name
+        self._notify("approach", name, plan=plan)
+        robot.move_gripper(grasp.opening)
+        if plan.transit is not None:
+            robot.follow(plan.transit)
+        self._require_in_place(name)
+        robot.follow(plan.approach)
+        self._notify("grasp", name)
+        robot.move_gripper(0.0)
+        self._require_held(grasp, f"no object between the fingers after closing on {name}")
+        robot.follow(plan.lift)
+        # The closed width is wide enough for an object that shifts between the pads.
+        self._require_held(grasp, f"{name} was lost during the lift")
+        self._notify("transfer", name)
+        robot.follow(plan.transfer)
+        self._notify("place", name)
+        self._require_held(grasp, f"{name} was lost during the transfer")
+        self._release(plan)
+        self.planner.moved(name, plan.T_world_stand_rest)
+        self._notify("retreat", name)
+        robot.follow(plan.retreat)
+        self._require_released(plan)
+
+    def _require_in_place(self, name: str) -> None:
+        """Raise SceneChangedError if an image shows that an object is not where it was expected."""
+        if self.observer.glance(self.planner.poses(), (name,)).get(name) == "displaced":
+            raise SceneChangedError(f"{name} is not where it was seen before")
+
+    def _require_released(self, plan: PickPlacePlan) -> None:
+        """Raise GraspFailedError if a released object is seen elsewhere."""
+        name = plan.name
+        if self.observer.glance(self.planner.poses(), (name,)).get(name) != "displaced":
+            return
+        finding = self.observer.find(name, self.planner.poses())
+        if finding.T_world_stand is None:
+            return  # the final verification judges what cannot be seen from here
+        if is_displaced(plan.T_world_stand_rest, finding.T_world_stand, MISPLACED):
+            self.planner.moved(name, finding.T_world_stand)
+            raise GraspFailedError(f"{name} is not where it was released")
+
+    def _release(self, plan: PickPlacePlan) -> None:
+        """Open the gripper; for a bowl, first loosen it and lower the pads past its lip."""
+        robot, gap = self.robot, self.config.pick_place.grasp.release_gap
+        held = robot.gripper_width()
+        if plan.settle is not None:
+            robot.move_gripper(min(held + gap, robot.arm.max_width))
+            robot.follow(plan.settle)
+        robot.move_gripper(min(max(held + 2 * gap, plan.release_opening), robot.arm.max_width))
+
+    def _require_held(self, grasp: Grasp, message: str) -> None:
+        """Raise GraspFailedError if the width between the pads is outside the grasp's range."""
+        width = self.robot.gripper_width()
+        low, high = grasp.closed_width
+        if classify_grip(width, grasp) != "held":
+            raise GraspFailedError(
+                f"{message} (width {1e3 * width:.1f} mm, expected {1e3 * low:.1f} to {1e3 * high:.1f})"
+            )
+
+    def back_off(self) -> None:
+        """Open the gripper and retreat vertically if that is possible."""
+        robot, planner = self.robot, self.planner
+        robot.move_gripper(robot.arm.max_width)
+        q = robot.joint_positions()
+        T_up = planner.kinematics.forward(q)
+        for height in (0.15, 0.08):
+            T_goal = T_up.copy()
+            T_goal[2, 3] += height
+            postures = line_postures(planner.kinematics, q, T_goal, planner.motions.config)
+            if postures is not None:
+                try:
+                    robot.follow(planner.motions.time_line(postures))
+                except RobotError as error:
+                    logger.warning("retreat after a failed grasp was blocked: %s", error)
+                return
+
+    def go_home(self) -> None:
+        """Return to the home posture, over waypoints if necessary."""
+        robot = self.robot
+        q, home = robot.joint_positions(), np.asarray(robot.arm.q_home, dtype=np.float64)
+        if np.abs(q - home).max() < 1e-3:
+            return
+        path = self.planner.motions.free_path(q, home, robot.gripper_width()) or [q, home]
+        try:
+            for start, goal in itertools.pairwise(path):
+                robot.follow(joint_move(start, goal, self.planner.motions.limits))
+        except RobotError as error:
+            logger.warning("return to the home posture was blocked: %s", error)

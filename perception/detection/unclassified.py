@@ -1,0 +1,63 @@
+"""Candidates that the detector segmented but gave no class, associated across views for the fits to decide.
+
+The class network has learned upright objects; lying ones and those on their rim often get no class from it,
+although their masks are good. Fits in all classes and resting poses, and the acceptance model, decide whether
+such a candidate is an object.
+"""
+
+from __future__ import annotations
+
+from collections import Counter
+from collections.abc import Sequence
+from dataclasses import replace
+
+import numpy as np
+
+from perception.detection.association import AssociationConfig, fuse_views
+from perception.detection.left_out import LeftOut
+from perception.types import ObjectDetection, RgbdFrame, SupportPlane, unclassified
+
+SAME = 0.3  # intersection over union of masks from which on a candidate is a detected object
+MIN_VIEWS = 2  # that show a candidate, where there are as many
+# Neither a missing detection nor a weak score speaks against what has no class.
+_ASSOCIATION = AssociationConfig(miss_probability=0.5, single_view_score=0.0, independence=1.0)
+
+
+def associate_unclassified(
+    frames: Sequence[RgbdFrame],
+    detections_per_frame: Sequence[Sequence[ObjectDetection]],
+    left_out: Sequence[LeftOut],
+    plane: SupportPlane,
+) -> list[list[ObjectDetection]]:
+    """Return candidates of no class as detections, all classes equally probable, for each frame.
+
+    Args:
+        frames: Views with camera poses.
+        detections_per_frame: Associated detections of each frame.
+        left_out: Candidates that are not among them.
+        plane: Support plane.
+
+    Returns:
+        Detections of candidates that at least ``MIN_VIEWS`` views show. Their ``instance_id`` continues those
+        of the detected objects.
+    """
+    rows: list[list[ObjectDetection]] = [[] for _ in frames]
+    for candidate in left_out:
+        known = [found.mask for found in detections_per_frame[candidate.frame]]
+        is_known = any(_overlap(candidate.mask, mask) > SAME for mask in known)
+        if candidate.reason == "of none of the classes" and not is_known:
+            rows[candidate.frame].append(unclassified(candidate.mask))
+    fused, _ = fuse_views(frames, rows, plane, _ASSOCIATION)
+    views = Counter(found.instance_id for row in fused for found in row)
+    enough = sorted(i for i, n in views.items() if i is not None and n >= min(MIN_VIEWS, len(frames)))
+    ids = [found.instance_id for row in detections_per_frame for found in row]
+    first = 1 + max((i for i in ids if i is not None), default=-1)
+    number = {i: first + k for k, i in enumerate(enough)}
+    return [
+        [replace(found, instance_id=number[i]) for found in row if (i := found.instance_id) in number]
+        for row in fused
+    ]
+
+
+def _overlap(first: np.ndarray, second: np.ndarray) -> float:
+    return float((first & second).sum() / max((first | second).sum(), 1))

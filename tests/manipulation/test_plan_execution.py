@@ -1,0 +1,96 @@
+"""One plan on a robot that follows exactly: the steps, and what each check raises."""
+
+import numpy as np
+import pytest
+
+from manipulation.errors import RobotError
+from manipulation.kinematics import Kinematics
+from manipulation.observation import Finding
+from manipulation.pick_place import PickPlacePlanner
+from manipulation.plan_execution import MISPLACED, GraspFailedError, PlanExecution, SceneChangedError
+from manipulation.standing import to_standing
+from manipulation.types import Placement
+from tests.manipulation.test_execution import CONFIG, FakeObserver, FakeRobot
+
+
+@pytest.fixture(scope="module")
+def item(shapes):
+    return to_standing(shapes.estimate(1, "can", shapes.can(), x=0.5, y=-0.25))
+
+
+@pytest.fixture(scope="module")
+def plan(item, arm):
+    return planner_of(item, arm).plan(Placement("can_1", (0.5, 0.1, 0.0), (0.0,)), arm.q_home)
+
+
+def planner_of(item, arm):
+    return PickPlacePlanner(Kinematics(arm), {"can_1": item}, config=CONFIG.pick_place)
+
+
+@pytest.fixture
+def cell(item, arm, plan):
+    """A function that returns the robot, the planner, the phases, and an execution with an observer."""
+
+    def build(*presence, closing=None, **findings):
+        robot, planner, phases = FakeRobot(arm, closing or [plan.grasp.held_width]), planner_of(item, arm), []
+        notify = lambda phase, name, message="", plan=None: phases.append(phase)  # noqa: E731
+        observer = FakeObserver(presence, **findings)
+        return robot, planner, phases, PlanExecution(robot, planner, observer, CONFIG, notify)
+
+    return build
+
+
+def test_the_steps_of_a_plan(cell, plan):
+    robot, planner, phases, execution = cell()
+    execution.run(plan)
+    assert phases == ["approach", "grasp", "transfer", "place", "retreat"]
+    assert robot.motions == [plan.transit, plan.approach, plan.lift, plan.transfer, plan.retreat]
+    assert robot.widths[:2] == [plan.grasp.opening, 0.0]
+    np.testing.assert_array_equal(planner.world.pose("can_1"), plan.T_world_stand_rest)
+
+
+def test_nothing_is_touched_where_the_scene_has_changed(cell, plan, item):
+    robot, planner, _, execution = cell("displaced")
+    with pytest.raises(SceneChangedError, match="can_1 is not where it was seen before"):
+        execution.run(plan)
+    assert robot.motions == [plan.transit] and 0.0 not in robot.widths
+    np.testing.assert_array_equal(planner.world.pose("can_1"), item.T_world_stand)
+
+
+@pytest.mark.parametrize("side", [0, 1])
+def test_widths_outside_the_range_are_no_grasp(cell, plan, side):
+    width = plan.grasp.closed_width[side] + (2 * side - 1) * 0.0005
+    robot, _, phases, execution = cell(closing=[width])
+    with pytest.raises(GraspFailedError, match="no object between the fingers after closing on can_1"):
+        execution.run(plan)
+    assert phases == ["approach", "grasp"]
+    height = Kinematics(robot.arm).forward(robot.q)[2, 3]
+    execution.back_off()
+    assert robot.widths[-1] == robot.arm.max_width
+    assert Kinematics(robot.arm).forward(robot.q)[2, 3] - height == pytest.approx(0.15, abs=1e-3)
+
+
+@pytest.mark.parametrize("shift, raises", [(MISPLACED + 0.002, True), (MISPLACED - 0.002, False)])
+def test_an_object_seen_beside_its_goal(cell, plan, shift, raises):
+    seen = plan.T_world_stand_rest.copy()
+    seen[0, 3] += shift
+    _, planner, _, execution = cell("in_place", "displaced", can_1=[Finding("found", seen)])
+    if raises:
+        with pytest.raises(GraspFailedError, match="can_1 is not where it was released"):
+            execution.run(plan)
+        np.testing.assert_array_equal(planner.world.pose("can_1"), seen)
+    else:
+        execution.run(plan)
+
+
+def test_home_is_reached_and_a_blocked_way_home_is_no_error(cell):
+    robot, _, _, execution = cell()
+    home = robot.arm.q_home
+    execution.go_home()
+    assert not robot.motions, "it is there"
+    robot.q = home + np.array([0.3, 0, 0, 0, 0, 0, 0])
+    execution.go_home()
+    assert robot.q == pytest.approx(home)
+    robot.q = home + np.array([0.3, 0, 0, 0, 0, 0, 0])
+    robot.follow = lambda trajectory: (_ for _ in ()).throw(RobotError("blocked"))
+    execution.go_home()
