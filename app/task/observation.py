@@ -22,7 +22,7 @@ from manipulation.workspace import Workspace
 from perception.errors import PerceptionError
 from perception.geometry import pose_from_yaw
 from perception.inference.refit import PoseCheck, refit_pose
-from perception.inference.relocate import Region, relocate
+from perception.inference.relocate import Region, SearchScene, relocate
 from perception.obstacles.obstacle import PerceivedObstacle
 from perception.types import ObjectEstimate, RgbdFrame
 
@@ -115,7 +115,7 @@ class WristObserver:
         before = self._object_pose(name, poses) if name in poses else None
         region = (x0, x1), (y0, y1)
         estimate = self._estimates[name]
-        check = relocate(estimate, frames, others, region, T_before=before, obstacles=self._obstacles)
+        check = relocate(estimate, SearchScene(frames, region, others, self._obstacles), T_before=before)
         if check is None:
             return self._with_obstacles(Finding("missing"), name, poses, frames)
         T_world_stand = self._stand_pose(name, check)

@@ -14,11 +14,13 @@ from dataclasses import replace
 import numpy as np
 
 from perception.detection.association import AssociationConfig, fuse_views
+from perception.detection.geometry import points_of
 from perception.detection.left_out import LeftOut
 from perception.types import ObjectDetection, RgbdFrame, SupportPlane, unclassified
 
-SAME = 0.3  # intersection over union of masks from which on a candidate is a detected object
+SAME = 0.3  # share of the smaller mask from which on a candidate belongs to a detected object
 MIN_VIEWS = 2  # that show a candidate, where there are as many
+MAX_HEIGHT = 0.14  # [m] above the support of an object that lies or stands on its rim
 # Neither a missing detection nor a weak score speaks against what has no class.
 _ASSOCIATION = AssociationConfig(miss_probability=0.5, single_view_score=0.0, independence=1.0)
 
@@ -45,7 +47,10 @@ def associate_unclassified(
     for candidate in left_out:
         known = [found.mask for found in detections_per_frame[candidate.frame]]
         is_known = any(_overlap(candidate.mask, mask) > SAME for mask in known)
-        if candidate.reason == "of none of the classes" and not is_known:
+        if candidate.reason != "of none of the classes" or is_known:
+            continue
+        height = plane.height_above(points_of(frames[candidate.frame], candidate.mask))
+        if len(height) and np.quantile(height, 0.98) < MAX_HEIGHT:
             rows[candidate.frame].append(unclassified(candidate.mask))
     fused, _ = fuse_views(frames, rows, plane, _ASSOCIATION)
     views = Counter(found.instance_id for row in fused for found in row)
@@ -60,4 +65,5 @@ def associate_unclassified(
 
 
 def _overlap(first: np.ndarray, second: np.ndarray) -> float:
-    return float((first & second).sum() / max((first | second).sum(), 1))
+    """Return the intersection of two masks as a share of the smaller one: parts and mergers count as well."""
+    return float((first & second).sum() / max(min(first.sum(), second.sum()), 1))

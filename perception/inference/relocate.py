@@ -60,35 +60,46 @@ class RelocateConfig:
     refit: RefitConfig = RefitConfig(tilt_sigma=10.0)
 
 
+@dataclass(frozen=True)
+class SearchScene:
+    """What is searched, and what is known of it.
+
+    Attributes:
+        frames: Views of the support with camera poses.
+        region: Ranges of x and y to search, in metres.
+        others: Objects at their present poses, which explain depth.
+        obstacles: Things of no class, which explain depth.
+        plane: Support plane.
+    """
+
+    frames: Sequence[RgbdFrame]
+    region: Region
+    others: Sequence[ObjectEstimate] = ()
+    obstacles: Sequence[PerceivedObstacle] = ()
+    plane: SupportPlane = SupportPlane()
+
+
 def relocate(
     estimate: ObjectEstimate,
-    frames: Sequence[RgbdFrame],
-    others: Sequence[ObjectEstimate],
-    region: Region,
-    plane: SupportPlane = SupportPlane(),
+    scene: SearchScene,
     config: RelocateConfig = RelocateConfig(),
     T_before: Float[np.ndarray, "4 4"] | None = None,
-    obstacles: Sequence[PerceivedObstacle] = (),
 ) -> PoseCheck | None:
     """Return the pose of an object on its support; None if no image shows it.
 
     Args:
         estimate: Object of known shape; its pose is not used.
-        frames: Views of the support with camera poses.
-        others: Objects at their present poses, which explain depth.
-        region: Ranges of x and y to search, in metres.
-        plane: Support plane.
+        scene: Images, and what else explains their depth.
         config: Settings.
         T_before: (4, 4) last known pose. Of poses that the images show equally well, as the two directions of
             a can, the one with its base nearest to where it was is returned: things tip over their base.
-        obstacles: Things of no class, which explain depth.
     """
     surface = SurfaceSamples.of(estimate.mesh, np.random.default_rng(0), config.samples).points
-    points = unexplained_points(frames, others, region, plane, config, obstacles)
+    points = unexplained_points(scene, config)
     found: list[PoseCheck] = []
     for cluster in clusters(points, config):
-        for T in _candidates(surface, cluster, plane, config):
-            check = refit_pose(estimate, frames, T, others, plane, config.refit)
+        for T in _candidates(surface, cluster, scene.plane, config):
+            check = refit_pose(estimate, scene.frames, T, scene.others, scene.plane, config.refit)
             tree = KDTree(transform_points(check.T_world_object, surface))
             coverage = float((tree.query(cluster)[0] < config.near).mean())
             if check.status == "seen" and coverage > config.min_coverage:
@@ -108,16 +119,11 @@ def relocate(
 
 
 def unexplained_points(
-    frames: Sequence[RgbdFrame],
-    others: Sequence[ObjectEstimate],
-    region: Region,
-    plane: SupportPlane = SupportPlane(),
-    config: RelocateConfig = RelocateConfig(),
-    obstacles: Sequence[PerceivedObstacle] = (),
+    scene: SearchScene, config: RelocateConfig = RelocateConfig()
 ) -> Float[np.ndarray, "n 3"]:
     """Return the measured points [m] in the region above the support that nothing else there explains."""
     clouds = []
-    for frame in frames:
+    for frame in scene.frames:
         assert frame.T_world_camera is not None
         camera = frame.intrinsics
         v, u = np.mgrid[0 : camera.height : config.stride, 0 : camera.width : config.stride].reshape(2, -1)
@@ -126,13 +132,13 @@ def unexplained_points(
         points = pixel_rays(frame, u[seen], v[seen]) * depth[seen, None]
         clouds.append(transform_points(frame.T_world_camera, points))
     points = np.concatenate(clouds) if clouds else np.zeros((0, 3))
-    (x0, x1), (y0, y1) = region
+    (x0, x1), (y0, y1) = scene.region
     inside = (points[:, 0] > x0) & (points[:, 0] < x1) & (points[:, 1] > y0) & (points[:, 1] < y1)
-    points = points[inside & (points @ plane.normal - plane.offset > config.min_height)]
-    for other in others:
+    points = points[inside & (scene.plane.height_above(points) > config.min_height)]
+    for other in scene.others:
         samples = SurfaceSamples.of(other.mesh_world, np.random.default_rng(0), 4 * config.samples)
         points = points[samples.tree.query(points)[0] > config.explained] if len(points) else points
-    for piece in (piece for obstacle in obstacles for piece in obstacle.pieces):
+    for piece in (piece for obstacle in scene.obstacles for piece in obstacle.pieces):
         faces = np.asarray(ConvexHull(piece).equations)  # outward normals and offsets
         beyond = (points @ faces[:, :3].T + faces[:, 3]).max(axis=1)
         points = points[beyond > config.explained]

@@ -98,8 +98,8 @@ def test_a_search_is_given_what_else_explains_depth(scene, can_at, pack_plan, mo
     watch = WristObserver(scanner, [can_at(), lying], pack_plan.objects, obstacles=[thing])
     answers["check"] = replace(SEEN, status="not_there")
     assert watch.find("can_0", poses).status == "missing"
-    (_, _, others, _), options = given[0]
-    assert others == [lying] and options["obstacles"] == (thing,)
+    ((_, searched), _) = given[0]
+    assert searched.others == [lying] and searched.obstacles == (thing,)
 
 
 def test_a_search_of_the_table_shows_its_obstacles(scene, can_at, pack_plan):

@@ -3,19 +3,19 @@
 import numpy as np
 
 from perception.detection.left_out import LeftOut, of_no_class
-from perception.detection.unclassified import associate_unclassified
+from perception.detection.unclassified import MAX_HEIGHT, associate_unclassified
 from perception.types import CameraIntrinsics, ObjectDetection, RgbdFrame, SupportPlane, is_unclassified
 
 PLANE = SupportPlane()
 
 
-def from_above(*masks):
-    """A view from 0.5 m above the table; masked pixels are 10 cm nearer."""
+def from_above(*masks, height=0.1):
+    """A view from 0.5 m above the table; masked pixels are at a height above it."""
     T = np.diag([1.0, -1.0, -1.0, 1.0])
     T[:3, 3] = 0.5, -0.2, 0.5
     depth = np.full((120, 160), 0.5, np.float32)
     for mask in masks:
-        depth[mask] = 0.4
+        depth[mask] = 0.5 - height
     camera = CameraIntrinsics(160, 120, 150.0, 150.0, 79.5, 59.5)
     return RgbdFrame(0.0, np.zeros((120, 160, 3), np.uint8), depth, camera, T)
 
@@ -52,6 +52,12 @@ def test_ids_continue_those_of_the_objects_which_are_no_candidates():
     assert all(f.mask[50, 110] for row in rows for f in row)
 
 
+def test_parts_of_objects_and_mergers_of_them_are_no_candidates():
+    found = ObjectDetection("can", 0.9, square(30, 30), instance_id=0)
+    for mask in (square(32, 8), square(10, 60)):
+        assert associate([[mask]] * 2, known=[(found,)] * 2) == [[], []]
+
+
 def test_one_view_of_several_is_not_enough_and_one_of_one_is():
     assert associate([[square(30)], []]) == [[], []]
     assert [len(row) for row in associate([[square(30)]])] == [1]
@@ -61,3 +67,10 @@ def test_candidates_left_out_for_other_reasons_stay_out():
     frames = [from_above(square(30))]
     left_out = [LeftOut(square(30), "too small")]
     assert associate_unclassified(frames, [()], left_out, PLANE) == [[]]
+
+
+def test_what_is_too_high_to_lie_is_no_candidate():
+    for height, count in ((MAX_HEIGHT - 0.01, 1), (MAX_HEIGHT + 0.01, 0)):
+        frames = [from_above(square(30), height=height)]
+        (row,) = associate_unclassified(frames, [()], [of_no_class(square(30), 0.9)], PLANE)
+        assert len(row) == count

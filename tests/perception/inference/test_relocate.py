@@ -7,7 +7,7 @@ import pytest
 import trimesh
 
 from perception.geometry import pose_from_yaw
-from perception.inference.relocate import RelocateConfig, clusters, relocate, unexplained_points
+from perception.inference.relocate import RelocateConfig, SearchScene, clusters, relocate, unexplained_points
 from perception.metrics import SurfaceSamples
 from perception.obstacles.obstacle import PerceivedObstacle
 from perception.types import CameraIntrinsics, ObjectEstimate, RgbdFrame, TriangleMesh
@@ -71,7 +71,7 @@ def upright(x, y):
 def test_a_known_object_is_found_lying_and_standing(T):
     other = estimate(upright(0.6, -0.1))
     views = frames(estimate(T), other)
-    check = relocate(estimate(), views, [other], REGION, config=CONFIG)
+    check = relocate(estimate(), SearchScene(views, REGION, [other]), CONFIG)
     assert check is not None
     np.testing.assert_allclose(check.T_world_object[:2, 3], T[:2, 3], atol=0.006)
     assert abs(check.T_world_object[:3, 2] @ T[:3, 2]) > 0.99
@@ -82,20 +82,20 @@ def test_a_known_object_is_found_lying_and_standing(T):
 def test_a_can_that_was_knocked_over_lies_with_its_base_where_it_stood(azimuth):
     T = lying(azimuth, 0.5, -0.25)
     before = upright(*(T[:2, 3] - 0.5 * HEIGHT * T[:2, 2]))
-    check = relocate(estimate(), frames(estimate(T)), [], REGION, config=CONFIG, T_before=before)
+    check = relocate(estimate(), SearchScene(frames(estimate(T)), REGION), CONFIG, before)
     assert check is not None and check.T_world_object[:3, 2] @ T[:3, 2] > 0.99
 
 
 @pytest.mark.slow
 def test_nothing_is_found_on_an_empty_table_or_in_another_shape():
     other = estimate(upright(0.6, -0.1))
-    assert relocate(estimate(), frames(other), [other], REGION, config=CONFIG) is None
+    assert relocate(estimate(), SearchScene(frames(other), REGION, [other]), CONFIG) is None
     flat = trimesh.creation.box((0.14, 0.10, 0.03))
     thing = replace(
         estimate(pose_from_yaw(0.2, np.array([0.45, -0.25, 0.015]))),
         mesh=TriangleMesh(np.asarray(flat.vertices), np.asarray(flat.faces)),
     )
-    assert relocate(estimate(), frames(thing, other), [other], REGION, config=CONFIG) is None
+    assert relocate(estimate(), SearchScene(frames(thing, other), REGION, [other]), CONFIG) is None
 
 
 def test_points_are_grouped_by_touching_cells():
@@ -111,11 +111,11 @@ def test_things_of_no_class_explain_depth():
     can, thing = estimate(upright(0.45, -0.25)), estimate(upright(0.6, -0.1))
     views = frames(can, thing)
     obstacle = PerceivedObstacle(1, (thing.mesh_world.vertices,), 500)
-    points = unexplained_points(views, [], REGION, config=CONFIG, obstacles=[obstacle])
-    both = unexplained_points(views, [], REGION, config=CONFIG)
+    points = unexplained_points(SearchScene(views, REGION, obstacles=[obstacle]), CONFIG)
+    both = unexplained_points(SearchScene(views, REGION), CONFIG)
     assert 0 < len(points) < len(both)
     assert np.linalg.norm(points[:, :2] - (0.45, -0.25), axis=1).max() < RADIUS + 0.01
 
 
 def test_without_images_there_are_no_points():
-    assert len(unexplained_points([], [], REGION)) == 0
+    assert len(unexplained_points(SearchScene([], REGION))) == 0
