@@ -105,11 +105,15 @@ def oracle_estimates(truth: Truth) -> list[ObjectEstimate]:
 
 
 def match(estimates: Sequence[ObjectEstimate], truth: Truth) -> dict[int, int]:
-    """Assign estimates to true objects by horizontal distance; return object numbers by estimate id."""
+    """Assign estimates to true objects by the horizontal distance of the middles of their bodies' axes.
+
+    Return object numbers by estimate id.
+    """
     if not estimates or not truth.models:
         return {}
     numbers = list(truth.models)
-    there = np.array([truth.poses[number][:2, 3] for number in numbers])
+    halves = [(0.0, 0.0, truth.models[number].height / 2, 1.0) for number in numbers]
+    there = np.array([(truth.poses[number] @ half)[:2] for number, half in zip(numbers, halves)])
     middles = np.array([_axis(estimate) for estimate in estimates])
     distance = np.linalg.norm(middles[:, None] - there, axis=-1)
     rows, columns = linear_sum_assignment(np.minimum(distance, 2 * MATCH_DISTANCE))
@@ -121,10 +125,11 @@ def match(estimates: Sequence[ObjectEstimate], truth: Truth) -> dict[int, int]:
 
 
 def _axis(estimate: ObjectEstimate) -> Float[np.ndarray, "2"]:
-    """Return (x, y) of the body's axis in the world frame in metres, without a mug's handle."""
+    """Return (x, y) of the middle of the body's axis in the world frame, without a mug's handle [m]."""
     low, high = estimate.mesh.vertices.min(axis=0), estimate.mesh.vertices.max(axis=0)
+    _, y, z = (low + high) / 2
     x = low[0] + estimate.radius if estimate.category == "mug" else (low[0] + high[0]) / 2
-    return (estimate.T_world_object @ (x, (low[1] + high[1]) / 2, 0.0, 1.0))[:2]
+    return (estimate.T_world_object @ (x, y, z, 1.0))[:2]
 
 
 def score_reconstruction(

@@ -76,6 +76,15 @@ def test_the_axis_of_a_mug_is_that_of_its_body(truth):
     assert match([moved(mug, -0.045 * along_handle)], truth) == {0: 0}
 
 
+def test_a_lying_object_is_matched_at_its_middle(truth):
+    on_side = truth.poses[1].copy()
+    on_side[:3, :3] = [[0, 0, 1], [0, 1, 0], [-1, 0, 0]]
+    lying = Truth({1: truth.models[1]}, {1: on_side})
+    (can,) = oracle_estimates(lying)
+    for side in (0.04, -0.04):
+        assert match([moved(can, (side, 0.0, 0.0))], lying) == {1: 1}
+
+
 def test_two_estimates_of_one_object_leave_one_unmatched(truth):
     can = oracle_estimates(truth)[1]
     near, far = replace(can, id=5), replace(moved(can, (0.02, 0.0, 0.0)), id=6)
