@@ -21,6 +21,7 @@ from perception.detection.crops import Crop, FrameGeometry, crop, frame_geometry
 from perception.detection.geometry import heading_angle
 from perception.detection.instances import InstanceConfig, find_instances, segment
 from perception.detection.left_out import LeftOut, of_no_class
+from perception.detection.parts import CERTAIN, SHARE, continued_share
 from perception.detection.scene_network import WEIGHTS_FILE, SceneNet, load_scene_network
 from perception.detection.yaw import rotate_yaw
 from perception.support.standing import MeasuredObject, StandingConfig, misplacement, support_of
@@ -171,10 +172,13 @@ class Detector:
         mugs = np.flatnonzero(classes[:, _MUG] >= self.config.min_mug).tolist()
         whole = [crops[i] or crop(frame, masks[i], plane, geometry) for i in mugs]
         yaw_of = dict(zip(mugs, self._yaws(whole, plane)))
+        things = [mask for mask, p in zip(masks, classes) if p[OTHER] > self.config.max_other]
         detections = []
         for i, (mask, probabilities) in enumerate(zip(masks, classes)):
             if probabilities[OTHER] > self.config.max_other:
                 left_out.append(of_no_class(mask, probabilities[OTHER]))
+            elif probabilities[:OTHER].max() < CERTAIN and _is_part(mask, things, frame):
+                left_out.append(LeftOut(mask, "part of a thing of no class"))
             else:
                 detections.append(_classified(mask, probabilities, yaw_of.get(i, np.zeros(0))))
         return sorted(detections, key=lambda detection: -detection.score), left_out
@@ -245,6 +249,10 @@ def _classified(
         class_probabilities=probabilities,
         yaw_probabilities=np.zeros(0) if yaw is None else yaw,
     )
+
+
+def _is_part(mask: Bool[np.ndarray, "h w"], things: Sequence[np.ndarray], frame: RgbdFrame) -> bool:
+    return any(continued_share(mask, thing, frame.depth) >= SHARE for thing in things)
 
 
 def combine_probabilities(

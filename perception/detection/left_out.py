@@ -18,6 +18,7 @@ Reason = Literal[
     "does not touch the support surface",
     "reaches below the support surface",
     "of none of the classes",
+    "part of a thing of no class",
     "too small",
     "too far",
     "too near",

@@ -1,0 +1,48 @@
+"""Parts of things of no class that were segmented as instances of their own, such as one side of a carton.
+
+The measured surface goes on beyond the outline of a part; it ends at the outline of an object, but for the
+few pixels where it touches something.
+"""
+
+from __future__ import annotations
+
+import cv2
+import numpy as np
+from jaxtyping import Bool, Float
+
+from perception.detection.geometry import bounding_window
+
+SHARE = 0.12  # part of its outline along which the surface of a part goes on
+CERTAIN = 0.7  # probability of a class from which on an instance is no part
+_WINDOW = 7  # side of the window in which the depth of both sides of an outline is averaged, in pixels
+_MIN_PIXELS = 3  # measured ones in it
+_GAP = (0.006, 0.004)  # depth difference of one surface: constant in metres, and per squared metre of depth
+
+
+def continued_share(
+    mask: Bool[np.ndarray, "H W"], other: Bool[np.ndarray, "H W"], depth: Float[np.ndarray, "H W"]
+) -> float:
+    """Return the share of a mask's outline across which the measured surface goes on in another mask.
+
+    Args:
+        mask: Pixels of an instance, at least one.
+        other: Pixels of another one.
+        depth: Depth in metres, 0 where it is missing.
+    """
+    window = bounding_window(mask, _WINDOW)
+    mask, other, depth = mask[window], other[window], depth[window]
+    if not other.any():
+        return 0.0
+    outline = mask & (cv2.erode(mask.view(np.uint8), np.ones((3, 3), np.uint8), borderValue=0) == 0)
+    here, there = _mean_depth(mask, depth), _mean_depth(other, depth)
+    goes_on = np.abs(here - there) < _GAP[0] + _GAP[1] * here**2  # False where either is unknown
+    return float((outline & goes_on).sum() / outline.sum())
+
+
+def _mean_depth(mask: Bool[np.ndarray, "h w"], depth: Float[np.ndarray, "h w"]) -> Float[np.ndarray, "h w"]:
+    """Return the mean depth of a mask's pixels around every pixel; NaN where there are too few."""
+    weight = (mask & (depth > 0)).astype(np.float32)
+    size = (_WINDOW, _WINDOW)
+    count = cv2.boxFilter(weight, -1, size, normalize=False, borderType=cv2.BORDER_CONSTANT)
+    total = cv2.boxFilter(weight * depth, -1, size, normalize=False, borderType=cv2.BORDER_CONSTANT)
+    return np.where(count >= _MIN_PIXELS, total / np.maximum(count, 1.0), np.nan)

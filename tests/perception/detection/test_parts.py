@@ -1,0 +1,41 @@
+"""A side of a carton continues in its other side; a can beside it does not."""
+
+import numpy as np
+import pytest
+
+from perception.detection.parts import continued_share
+
+DEPTH = np.full((120, 160), 0.9, np.float32)
+
+
+def rectangle(top, bottom, left, right):
+    mask = np.zeros(DEPTH.shape, bool)
+    mask[top:bottom, left:right] = True
+    return mask
+
+
+def test_two_sides_of_a_carton_share_an_edge():
+    left, right = rectangle(20, 100, 30, 60), rectangle(20, 100, 60, 110)
+    columns = np.arange(160)
+    depth = np.broadcast_to(0.7 + 0.001 * np.abs(columns - 60), DEPTH.shape).astype(np.float32)
+    outline = 2 * (80 + 30) - 4
+    assert continued_share(left, right, depth) == pytest.approx(80 / outline, abs=0.04)
+
+
+def test_an_object_before_or_beside_a_carton_does_not_go_on():
+    can, carton = rectangle(40, 100, 30, 60), rectangle(20, 100, 60, 110)
+    before = np.where(can, 0.6, DEPTH).astype(np.float32)
+    assert continued_share(can, carton, before) == 0.0
+    assert continued_share(can, rectangle(20, 100, 80, 110), DEPTH) == 0.0
+
+
+def test_missing_depth_is_no_continuation():
+    left, right = rectangle(20, 100, 30, 60), rectangle(20, 100, 60, 110)
+    assert continued_share(left, right, np.where(right, 0, DEPTH).astype(np.float32)) == 0.0
+
+
+def test_noise_grows_with_the_distance():
+    left, right = rectangle(20, 100, 30, 60), rectangle(20, 100, 60, 110)
+    step = np.where(right, 0.008, 0.0).astype(np.float32)
+    assert continued_share(left, right, np.float32(0.4) + step) < 0.05
+    assert continued_share(left, right, np.float32(1.4) + step) > 0.3
