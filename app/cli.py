@@ -27,6 +27,7 @@ import tyro
 from app import interrupts
 from app.errors import AppError, ProblemsError, UsageError
 from app.failures import BAD_INPUT, TASK_FAILED, failure_of, one_line, write_log
+from app.imports import without_collection
 from app.options import COMMANDS, CellOptions, CommonOptions
 from app.screen import Screen
 
@@ -210,7 +211,8 @@ def _stage_limit(command: str, options: CommonOptions) -> float:
 
 
 def _handler(command: str) -> Callable[[Any, Screen], Any]:
-    return importlib.import_module(HANDLERS[command]).run
+    with without_collection():
+        return importlib.import_module(HANDLERS[command]).run
 
 
 def _run_folders(function: str, **arguments: Any) -> list[Path]:
