@@ -247,8 +247,10 @@ def reconstruct_objects(
     """
     detected = {found.instance_id for row in detections.per_frame for found in row}
     rows = detections.per_frame
+    tentative: set[int | None] = set()
     if judge_unclassified:
         more = associate_unclassified(frames, rows, detections.left_out, detections.plane)
+        tentative = {candidate.instance_id for row in more for candidate in row}
         rows = tuple((*row, *candidates) for row, candidates in zip(rows, more, strict=True))
 
     def report(rejected: RejectedObject) -> None:
@@ -256,7 +258,11 @@ def reconstruct_objects(
             on_rejected(rejected)
 
     options = ReconstructOptions(
-        progress=progress, on_step=on_step, on_rejected=report, acceptance=shipped_acceptance()
+        progress=progress,
+        on_step=on_step,
+        on_rejected=report,
+        tentative={i for i in tentative if i is not None},
+        acceptance=shipped_acceptance(),
     )
     estimates = reconstruct(frames, rows, decoder, detections.planes, options=options)
     return [e for e in estimates if e.id in detected or e.score >= UNCLASSIFIED_SCORE]

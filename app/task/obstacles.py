@@ -13,14 +13,18 @@ from manipulation.obstacles import box_obstacles
 from manipulation.robot import ArmDescription
 from manipulation.self_view import fixed_bounds
 from manipulation.types import Box
-from perception.detection.geometry import project
+from perception.detection.geometry import points_of, project
+from perception.detection.left_out import LeftOut
 from perception.obstacles.find import find_obstacles
 from perception.obstacles.obstacle import PerceivedObstacle
+from perception.obstacles.unexplained import KnownGeometry
 from perception.pipeline import Detections
 from perception.support.surface import SupportSurface
 from perception.types import ObjectEstimate, RgbdFrame
 
 ABOVE_BOX = 0.25  # [m] over its walls: what is packed rises above them
+BOX_MARGIN = 0.015  # [m] from the box, within which points are measurements of it
+BOX_SHARE = 0.5  # of the points of what shows the box
 _PADDING = 12  # pixels around a thing in its picture
 
 
@@ -60,6 +64,19 @@ def obstacles_during(
         known.append(np.array([[low, high]]))
     masks = [()] * len(frames)
     return tuple(find_obstacles(frames, masks, objects, surface, np.concatenate(known)))
+
+
+def candidates_beside(
+    box: Box | None, frames: Sequence[RgbdFrame], candidates: Sequence[LeftOut]
+) -> tuple[LeftOut, ...]:
+    """Return the candidates that do not show the box."""
+    known = KnownGeometry.of((), known_bounds(box))
+
+    def shows_box(candidate: LeftOut) -> bool:
+        points = points_of(frames[candidate.frame], candidate.mask)
+        return len(points) > 0 and bool(known.explains(points, BOX_MARGIN).mean() > BOX_SHARE)
+
+    return tuple(candidate for candidate in candidates if not shows_box(candidate))
 
 
 def known_bounds(box: Box | None) -> Float[np.ndarray, "k 2 3"]:

@@ -23,7 +23,7 @@ import numpy as np
 from jaxtyping import Float
 
 from app.task.observation import WristObserver
-from app.task.obstacles import obstacles_beside, obstacles_during, table_of
+from app.task.obstacles import candidates_beside, obstacles_beside, obstacles_during, table_of
 from manipulation.errors import ManipulationError
 from manipulation.execution import TaskEvent, execute
 from manipulation.kinematics import Kinematics
@@ -183,7 +183,7 @@ def run(
             result = replace(result, detections=detections)
             observer.on_detections(detections)
         with observer.stage("reconstruct"):
-            reconstruct = request.reconstruction or prior_reconstruction(perception, observer)
+            reconstruct = request.reconstruction or prior_reconstruction(perception, observer, request.box)
             objects = reconstruct(frames, detections)
             result = replace(result, objects=objects, rejected=tuple(observer.rejected))
             observer.on_objects(objects)
@@ -211,13 +211,15 @@ def run(
     return replace(result, timings=dict(observer.timings))
 
 
-def prior_reconstruction(perception: Perception, observer: RunObserver) -> Reconstruction:
-    """Return the reconstruction by the learned shape prior."""
+def prior_reconstruction(
+    perception: Perception, observer: RunObserver, box: Box | None = None
+) -> Reconstruction:
+    """Return the reconstruction by the learned shape prior, for which the box is no candidate."""
 
     def reconstruct(frames: Sequence[RgbdFrame], detections: Detections) -> list[ObjectEstimate]:
         return reconstruct_objects(
             frames,
-            detections,
+            replace(detections, left_out=candidates_beside(box, frames, detections.left_out)),
             perception.decoder,
             observer.on_progress,
             observer.on_fit_step,

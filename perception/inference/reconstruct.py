@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import logging
 import os
-from collections.abc import Callable, Iterator, Sequence
+from collections.abc import Callable, Collection, Iterator, Sequence
 from concurrent.futures import ThreadPoolExecutor, as_completed
 from contextlib import contextmanager
 from dataclasses import dataclass, replace
@@ -54,6 +54,7 @@ class ReconstructOptions:
         progress: Called with (objects done, number of objects, name of the last one).
         on_step: Called with (id, class, step) of a fit, from several threads.
         on_rejected: Called with each object that is left out.
+        tentative: Ids of candidates that may well be no objects: to leave them out is not worth a warning.
         acceptance: Model that compares the classes of an object, and none, by the evidence of their fits and
             gives the score; None fits each object as its detected class, with the detection's score.
     """
@@ -63,6 +64,7 @@ class ReconstructOptions:
     progress: Progress | None = None
     on_step: OnFitStep | None = None
     on_rejected: OnRejected | None = None
+    tentative: Collection[int] = ()
     acceptance: AcceptanceModel | None = None
 
 
@@ -116,7 +118,8 @@ def reconstruct(
             estimates[views.id] = result()
         except Exception as error:  # whatever fails for one object must not cost the others
             rejected = RejectedObject(views.id, views.category, one_line(error), _score(error, views))
-            logger.warning("%s is left out: %s", name, rejected.reason)
+            level = logging.DEBUG if views.id in options.tentative else logging.WARNING
+            logger.log(level, "%s is left out: %s", name, rejected.reason)
             logger.debug("traceback of %s", name, exc_info=error)
             if options.on_rejected is not None:
                 options.on_rejected(rejected)

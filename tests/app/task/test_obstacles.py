@@ -4,6 +4,7 @@ import numpy as np
 import pytest
 
 from app.task.obstacles import (
+    candidates_beside,
     known_bounds,
     obstacle_note,
     obstacle_rows,
@@ -13,6 +14,7 @@ from app.task.obstacles import (
     table_of,
 )
 from manipulation.types import Box
+from perception.detection.left_out import of_no_class
 from perception.obstacles.obstacle import PerceivedObstacle
 from perception.pipeline import Detections
 from perception.types import CameraIntrinsics, RgbdFrame, SupportPlane
@@ -48,6 +50,16 @@ def test_a_thing_on_the_table_is_found_and_one_in_the_robots_base_is_not():
     np.testing.assert_allclose(found.bounds.mean(axis=0)[:2], (0.5, -0.2), atol=0.006)
     at_base = [overhead(0.0, 0.0, obstacle=block(0.0, 0.0))]
     assert obstacles_beside([], at_base, detections, Box(), panda().description) == ()
+
+
+def test_the_box_is_no_candidate_and_a_thing_beside_it_is():
+    box = Box()
+    top = 0.08
+    wall = overhead(box.center[0], box.center[1], obstacle=block(*box.center, half=0.02, height=0.005))
+    thing = overhead(0.5, -0.2, obstacle=block(0.5, -0.2, height=top))
+    candidates = [of_no_class(frame.depth < 0.5, 0.9, i) for i, frame in enumerate((wall, thing))]
+    assert candidates_beside(box, (wall, thing), candidates) == (candidates[1],)
+    assert candidates_beside(None, (wall, thing), candidates) == tuple(candidates)
 
 
 def test_during_a_run_what_stands_in_the_box_is_known():

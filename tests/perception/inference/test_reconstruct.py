@@ -49,6 +49,14 @@ def test_reconstruct_goes_on_without_what_cannot_be_fitted(scan, decoder, caplog
     assert [call[:2] for call in calls] == [(1, 2), (2, 2)]
 
 
+def test_candidates_that_are_no_objects_are_no_warning(scan, decoder, caplog) -> None:
+    rejected = []
+    options = ReconstructOptions(on_rejected=rejected.append, tentative={2})
+    reconstruct(*scan, decoder, SupportPlane(), QUICK, options)
+    assert "mug_2" not in caplog.text
+    assert [item.id for item in rejected] == [2]
+
+
 FAILURES = [
     np.linalg.LinAlgError("Singular matrix"),
     ValueError("Surface level must be\nwithin"),
