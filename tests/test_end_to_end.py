@@ -78,8 +78,8 @@ def test_an_object_that_cannot_be_packed_is_named(tmp_path):
     assert any("box too small" in entry["reason"] for entry in report["objects"])
 
 
-@pytest.mark.parametrize("objects", ["mug=20"])
-def test_too_many_objects_for_the_table_are_refused(tmp_path, objects):
-    done = nodeslam("pack", "--objects", objects, "--out", tmp_path / "run")
+def test_too_many_objects_for_the_region_are_refused(tmp_path):
+    region = ("--region", "0.4,0.5,-0.2,-0.1")
+    done = nodeslam("pack", "--objects", "bowl=6", *region, "--out", tmp_path / "run")
     assert done.returncode == 2
     assert "objects do not fit on the table" in done.stderr.splitlines()[-1]
