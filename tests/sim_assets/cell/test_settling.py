@@ -1,5 +1,6 @@
 """Free bodies of a cell rest where they were put, or are named."""
 
+import numpy as np
 import pytest
 
 from sim_assets.cell.settling import settle_bodies
