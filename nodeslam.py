@@ -97,8 +97,8 @@ if TYPE_CHECKING:
     from perception import write_object_map as write_object_map
     from perception import write_scan as write_scan
     from perception import write_trajectory as write_trajectory
+    from sim_assets.cell.config import CellConfig as CellConfig
     from sim_assets.cell.scene import BoxConfig as BoxConfig
-    from sim_assets.cell.world import CellConfig as CellConfig
     from sim_assets.cell.world import World as World
     from sim_assets.datasets.sequences import SequenceConfig as SequenceConfig
     from sim_assets.datasets.sequences import TableSequence as TableSequence
@@ -151,8 +151,9 @@ _MODULES = {
     "sim_assets.objects": ("ObjectModel",),
     "sim_assets.objects.sampling": ("draw_objects",),
     "sim_assets.objects.user": ("load_user_objects",),
+    "sim_assets.cell.config": ("CellConfig",),
     "sim_assets.cell.scene": ("BoxConfig",),
-    "sim_assets.cell.world": ("World", "CellConfig"),
+    "sim_assets.cell.world": ("World",),
     "sim_assets.datasets.sequences": ("TableSequence", "SequenceConfig"),
     "sim_assets.errors": ("SimAssetsError",),
     # The cell as Gymnasium environments nodeslam/Pack-v0 and nodeslam/Sort-v0 (extra `gym`).

@@ -23,7 +23,8 @@ from app.options import CellOptions, Task
 from app.task.cell import build_world, check_options, parse_objects, robot_of
 from manipulation.kinematics import Kinematics
 from sim_assets.cell.position_control import PositionControl
-from sim_assets.cell.world import SimulationError, World
+from sim_assets.cell.stepping import SimulationError
+from sim_assets.cell.world import World
 
 CAMERAS = {"wrist": "wrist", "scene": "overview"}  # name in observations: name in the cell
 TABLE_REACH = 3.0  # [m]: bound of the objects' coordinates

@@ -21,7 +21,8 @@ from manipulation.errors import RobotError
 from manipulation.kinematics import Kinematics
 from manipulation.trajectories import JointLimits, MotionConfig, joint_move
 from manipulation.workspace import ReachFit, fit_workspace
-from sim_assets.cell.world import CellConfig, World
+from sim_assets.cell.config import CellConfig
+from sim_assets.cell.world import World
 from sim_assets.robots.simulated_arm import SimulatedArm
 
 SWING = 0.35  # [rad] of each joint in the test of the servos

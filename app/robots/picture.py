@@ -14,9 +14,10 @@ from matplotlib.patches import Circle, Rectangle
 
 from app.robots.examination import Examination
 from manipulation.kinematics import Kinematics
+from sim_assets.cell.config import CellConfig
 from sim_assets.cell.layout import Region
 from sim_assets.cell.scene import TABLE_CENTER, TABLE_SIZE, BoxConfig
-from sim_assets.cell.world import CellConfig, World
+from sim_assets.cell.world import World
 from sim_assets.robots.simulated_arm import WRIST_CAMERA, SimulatedArm
 
 _FRAME = 0.08  # [m] length of the axes of drawn frames

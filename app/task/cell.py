@@ -169,8 +169,8 @@ def build_world(options: CellOptions, task: str | None) -> World:
     classes = parse_objects(options.objects, rng)
     inner = parse_box(options.box)
     from app.task.fitting_cell import fitting_world
+    from sim_assets.cell.config import CellConfig
     from sim_assets.cell.layout import LayoutError
-    from sim_assets.cell.world import CellConfig
 
     robot = robot_of(options)
     cell = arm_cell(options, robot)

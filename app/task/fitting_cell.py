@@ -8,9 +8,10 @@ from dataclasses import dataclass, replace
 import numpy as np
 
 from perception.types import Category
+from sim_assets.cell.config import CellConfig
 from sim_assets.cell.layout import ArrangementError, LayoutError, UnstableError
 from sim_assets.cell.unknown import UnknownThing
-from sim_assets.cell.world import CellConfig, World
+from sim_assets.cell.world import World
 from sim_assets.objects import ObjectModel
 
 REDRAWS = 6  # of an object that leaves no room for the others

@@ -11,6 +11,7 @@ import numpy as np
 from jaxtyping import Float
 
 from sim_assets.cell.scene import TIMESTEP
+from sim_assets.cell.stepping import check_warnings
 from sim_assets.cell.world import FINGER_SPEED, World
 from sim_assets.errors import SimAssetsError
 from sim_assets.rendering.headless import mujoco
@@ -62,7 +63,7 @@ class PositionControl:
 
     def joint_velocities(self) -> Float[np.ndarray, "n"]:
         """Return the measured velocities of the joints in [rad/s]."""
-        return self._world._data.qvel[self._world._v]
+        return self._world._drive.joint_velocities()
 
     def advance(self, q: Float[np.ndarray, "n"], width: float) -> None:
         """Move the arm toward ``q`` [rad] and the fingers toward ``width`` [m] for one control period.
@@ -79,12 +80,12 @@ class PositionControl:
         commands = self._commands(q)
         openings = self._openings(float(np.clip(width, 0, world.arm.max_width)))
         model, data, ctrl = world._model, world._data, world._data.ctrl
-        arm, gripper, step_physics = world._u, world._gripper, mujoco.mj_step
+        arm, gripper, step_physics = world._drive.servos, world._drive.gripper, mujoco.mj_step
         for command, opening in zip(commands, openings, strict=True):
             ctrl[arm] = command
             ctrl[gripper] = opening
             step_physics(model, data)
-        world._check_warnings()
+        check_warnings(data)
 
     def hold(self) -> None:
         """Repeat the last command for one control period, in a single call of MuJoCo."""
@@ -92,21 +93,21 @@ class PositionControl:
 
     def _commands(self, q: Float[np.ndarray, "n"]) -> Float[np.ndarray, "steps n"]:
         """Return the servos' commands [rad] on the way to ``q``, and remember where it ends."""
-        world, step = self._world, q - self.q
+        drive, step = self._world._drive, q - self.q
         # The speed at the end continues the trend of the last two steps; it never points backwards.
         speed = 1.5 * step - 0.5 * self._step
         speed = np.where(speed * step > 0, speed, 0.0)
         ends = np.stack([step, self._speed, speed])
         position, velocity, _ = self._basis @ ends
         torque = self._basis[2] @ self._times_inertia(ends) / self.period**2
-        torque += velocity / self.period * world._damping
-        commands = self.q + position + torque / world._stiffness
+        torque += velocity / self.period * drive.damping
+        commands = self.q + position + torque / drive.stiffness
         self.q, self._step, self._speed = q, step, speed
         return commands
 
     def _times_inertia(self, rows: Float[np.ndarray, "k n"]) -> Float[np.ndarray, "k n"]:
         """Return each row multiplied by the arm's inertia matrix at the present posture."""
-        model, data, dofs = self._world._model, self._world._data, self._world._v
+        model, data, dofs = self._world._model, self._world._data, self._world._drive.dofs
         product = np.empty_like(rows)
         for row, result in zip(rows, product, strict=True):
             full, torque = np.zeros(model.nv), np.empty(model.nv)

@@ -2,13 +2,14 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable, Sequence
+from collections.abc import Sequence
 from dataclasses import dataclass
 
 import numpy as np
 from jaxtyping import Float
 
 from sim_assets.cell.resting import body_poses, is_still, tilt
+from sim_assets.cell.stepping import advance
 from sim_assets.rendering.headless import MjData, MjModel
 
 SHORTEST, LONGEST = 3.0, 8.0  # [s] of simulation: what topples slowly has begun to by the former
@@ -29,15 +30,15 @@ class Unsettled:
     reason: str
 
 
-def settle_bodies(
-    model: MjModel, data: MjData, names: Sequence[str], wait: Callable[[float], None]
-) -> Unsettled | None:
+def settle_bodies(model: MjModel, data: MjData, names: Sequence[str]) -> Unsettled | None:
     """Advance until the free bodies are at rest; return one that fell or still moves, None without one.
 
     Args:
         model, data: the cell; the initial poses are those of the model.
         names: of the free bodies and of their joints.
-        wait: advances the cell by a time in [s].
+
+    Raises:
+        SimulationError: the physics diverged.
     """
     if not names:
         return None
@@ -46,7 +47,7 @@ def settle_bodies(
         if data.time > LONGEST:
             name = _moving(data, names)[0]
             return Unsettled(name, f"{name} does not come to rest")
-        wait(INTERVAL)
+        advance(model, data, INTERVAL)
     for name, before, now in zip(names, start, _poses(model, data.qpos, names), strict=True):
         turn = abs(tilt(now) - tilt(before))
         fall = float(before[2, 3] - now[2, 3])

@@ -10,7 +10,7 @@ from gymnasium.utils.env_checker import check_env
 from app.environments.environment import PackEnv, SortEnv
 from app.environments.registration import register_environments
 from app.errors import UsageError
-from sim_assets.cell.world import SimulationError
+from sim_assets.cell.stepping import SimulationError
 
 
 @pytest.fixture(scope="module")

@@ -11,10 +11,11 @@ from app.task.cell import build_world
 from app.task.fitting_cell import Freedom, fitting_world, width, with_a_smaller_object
 from sim_assets.cell import ground_truth
 from sim_assets.cell.arrangement import Arrangement
+from sim_assets.cell.config import CellConfig
 from sim_assets.cell.layout import ArrangementError, LayoutError, UnstableError
 from sim_assets.cell.resting import tilt
 from sim_assets.cell.unknown import draw_unknown
-from sim_assets.cell.world import CellConfig, World
+from sim_assets.cell.world import World
 from sim_assets.objects import sample_object
 
 

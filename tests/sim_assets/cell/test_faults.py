@@ -5,8 +5,9 @@ import pytest
 
 from manipulation.robot import Robot
 from sim_assets.cell import ground_truth
+from sim_assets.cell.config import CellConfig
 from sim_assets.cell.faults import KINDS, MOVE_DISTANCE, FaultyRobot
-from sim_assets.cell.world import CellConfig, World
+from sim_assets.cell.world import World
 from sim_assets.objects import sample_object
 
 

@@ -5,8 +5,9 @@ import pytest
 
 from manipulation.robot import JointTrajectory
 from sim_assets.cell import ground_truth
+from sim_assets.cell.config import CellConfig
 from sim_assets.cell.layout import Region
-from sim_assets.cell.world import CellConfig, World
+from sim_assets.cell.world import World
 from sim_assets.objects import sample_object
 from sim_assets.rendering.headless import mujoco
 from sim_assets.robots.panda_arm import arm_description

@@ -4,8 +4,9 @@ import numpy as np
 import pytest
 
 from sim_assets.cell import ground_truth
+from sim_assets.cell.config import CellConfig
 from sim_assets.cell.layout import Region
-from sim_assets.cell.world import CellConfig, World
+from sim_assets.cell.world import World
 from sim_assets.objects import sample_object
 
 

@@ -3,8 +3,9 @@
 import numpy as np
 import pytest
 
+from sim_assets.cell.config import CellConfig
 from sim_assets.cell.position_control import PositionControl, _hermite
-from sim_assets.cell.world import FINGER_SPEED, CellConfig, World
+from sim_assets.cell.world import FINGER_SPEED, World
 from sim_assets.errors import SimAssetsError
 
 

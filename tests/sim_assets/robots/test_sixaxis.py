@@ -7,9 +7,10 @@ from manipulation.kinematics import Kinematics
 from manipulation.robot import Robot
 from manipulation.trajectories import JointLimits, MotionConfig, joint_move
 from sim_assets.cell import ground_truth, viewer_meshes
+from sim_assets.cell.config import CellConfig
 from sim_assets.cell.layout import Region
 from sim_assets.cell.scene import build_scene
-from sim_assets.cell.world import CellConfig, World
+from sim_assets.cell.world import World
 from sim_assets.objects import sample_object
 from sim_assets.rendering.headless import mujoco
 from sim_assets.robots import SHIPPED, load_robot, panda

@@ -1,0 +1,33 @@
+"""Time steps of the physics, and what MuJoCo says when they fail."""
+
+from __future__ import annotations
+
+from sim_assets.cell.scene import TIMESTEP
+from sim_assets.errors import SimAssetsError
+from sim_assets.rendering.headless import MjData, MjModel, mujoco
+
+
+class SimulationError(SimAssetsError, RuntimeError):
+    """The simulation diverged, or an unknown camera was requested."""
+
+
+def advance(model: MjModel, data: MjData, duration: float) -> None:
+    """Advance by ``duration`` [s], rounded to time steps, with the commands in ``data``.
+
+    Raises:
+        SimulationError: the physics diverged.
+    """
+    mujoco.mj_step(model, data, round(duration / TIMESTEP))
+    check_warnings(data)
+
+
+def check_warnings(data: MjData) -> None:
+    """Raise if MuJoCo reset a diverged state, which it reports only as a warning count.
+
+    Raises:
+        SimulationError: the physics diverged.
+    """
+    for kind in ("BADQPOS", "BADQVEL", "BADQACC", "BADCTRL"):
+        warning = data.warning[int(getattr(mujoco.mjtWarning, f"mjWARN_{kind}"))]
+        if warning.number:
+            raise SimulationError(f"the physics diverged at {data.time:.3f} s ({kind.lower()})")
