@@ -14,7 +14,7 @@ from sim_assets.robots.panda_arm import Q_READY
 
 def build(seed=1, **options):
     rng = np.random.default_rng(seed)
-    config = CellConfig(tuple(sample_object(c, "test", rng) for c in ("mug", "can")), **options)
+    config = CellConfig(tuple(sample_object(c, "test", rng) for c in ("can", "can")), **options)
     layout, look = np.random.SeedSequence(seed).spawn(2)
     return build_settled(config, np.random.default_rng(layout), look)
 
@@ -45,6 +45,7 @@ def test_a_layout_in_which_something_falls_is_replaced(monkeypatch):
 
 
 def test_objects_that_never_rest_are_named(monkeypatch):
+    monkeypatch.setattr(building, "LAYOUTS", 2)
     monkeypatch.setattr(building, "settle_bodies", lambda *_: Unsettled("object0", "object0 rolls on"))
-    with pytest.raises(UnstableError, match="4 layouts: object0 rolls on"):
+    with pytest.raises(UnstableError, match="2 layouts: object0 rolls on"):
         build(drawn_together=True)
