@@ -4,18 +4,16 @@ from __future__ import annotations
 
 from collections.abc import Sequence
 from dataclasses import dataclass
-from functools import lru_cache
 
-import cv2
 import numpy as np
 import trimesh
 from jaxtyping import Float
 from scipy.spatial.transform import Rotation
 
 from perception.geometry import pose_from_yaw
+from sim_assets.cell.outlines import contains, distances_to, gap, outline
 from sim_assets.errors import SimAssetsError
 
-OUTLINE_CELL = 0.001  # [m] raster on which an outline is traced
 LIFT = 0.0005  # height above its resting pose at which an object starts [m]
 TOUCHING = 0.0004  # distance between objects that are drawn together without a gap [m]
 LOOSE_ATTEMPTS = 10  # restarts with candidates in random order
@@ -117,62 +115,6 @@ def quat_from_yaw(yaw: float) -> tuple[float, float, float, float]:
     return (np.cos(yaw / 2), 0.0, 0.0, np.sin(yaw / 2))
 
 
-@lru_cache(maxsize=64)
-def outline(mesh: trimesh.Trimesh) -> Float[np.ndarray, "n 2"]:
-    """Return the horizontal outline of a mesh: a polygon in the object frame, to half a millimetre."""
-    low = mesh.bounds[0, :2] - 3 * OUTLINE_CELL
-    size = np.ceil((mesh.bounds[1, :2] - low) / OUTLINE_CELL).astype(int) + 3
-    # the union of their projections is the outline
-    upward = mesh.faces[mesh.face_normals[:, 2] > 0] if mesh.is_watertight else mesh.faces
-    triangles = (mesh.vertices[upward][..., :2] - low) / OUTLINE_CELL
-    image = np.zeros((size[1], size[0]), dtype=np.uint8)
-    fraction = 4  # cv2 takes fixed-point corners
-    for triangle in np.round(triangles * 2**fraction).astype(np.int32):
-        cv2.fillConvexPoly(image, triangle, 255, shift=fraction)
-    contours, _ = cv2.findContours(image, cv2.RETR_EXTERNAL, cv2.CHAIN_APPROX_NONE)
-    largest = max(contours, key=len)[:, 0, :]
-    polygon = cv2.approxPolyDP(largest.astype(np.int32), 0.5, True)[:, 0, :]
-    polygon = polygon * OUTLINE_CELL + low
-    polygon.flags.writeable = False
-    return polygon
-
-
-def gap(first: Float[np.ndarray, "n 2"], second: Float[np.ndarray, "m 2"]) -> float:
-    """Return the distance between two polygons in [m]; 0 where they overlap."""
-    if _contains(first, second[0]) or _contains(second, first[0]):
-        return 0.0
-    if _edges_cross(first, second):
-        return 0.0
-    return float(min(_distances(first, second).min(), _distances(second, first).min()))
-
-
-def _contains(polygon: Float[np.ndarray, "n 2"], point: Float[np.ndarray, "2"]) -> bool:
-    a, b = polygon, np.roll(polygon, -1, axis=0)
-    crosses = (a[:, 1] > point[1]) != (b[:, 1] > point[1])
-    run = np.where(crosses, b[:, 1] - a[:, 1], 1.0)
-    x = a[:, 0] + (point[1] - a[:, 1]) / run * (b[:, 0] - a[:, 0])
-    return bool(np.count_nonzero(crosses & (point[0] < x)) % 2)
-
-
-def _edges_cross(first: Float[np.ndarray, "n 2"], second: Float[np.ndarray, "m 2"]) -> bool:
-    a, b = first[:, None], np.roll(first, -1, axis=0)[:, None]
-    c, d = second[None], np.roll(second, -1, axis=0)[None]
-
-    def side(p: np.ndarray, q: np.ndarray, r: np.ndarray) -> np.ndarray:
-        u, v = q - p, r - p
-        return u[..., 0] * v[..., 1] - u[..., 1] * v[..., 0] > 0
-
-    return bool(((side(a, b, c) != side(a, b, d)) & (side(c, d, a) != side(c, d, b))).any())
-
-
-def _distances(points: Float[np.ndarray, "n 2"], polygon: Float[np.ndarray, "m 2"]) -> np.ndarray:
-    """Return the (n, m) distances of points to a polygon's edges."""
-    a, edge = polygon[None], (np.roll(polygon, -1, axis=0) - polygon)[None]
-    to_point = points[:, None] - a
-    along = np.clip((to_point * edge).sum(-1) / np.maximum((edge**2).sum(-1), 1e-18), 0, 1)
-    return np.linalg.norm(to_point - along[..., None] * edge, axis=-1)
-
-
 @dataclass(frozen=True)
 class _Footprint:
     """An outline with its circumscribed and inscribed circles about the origin."""
@@ -184,8 +126,8 @@ class _Footprint:
     @classmethod
     def of(cls, mesh: trimesh.Trimesh) -> _Footprint:
         polygon = outline(mesh)
-        edges = _distances(np.zeros((1, 2)), polygon)
-        inner = float(edges.min()) if _contains(polygon, np.zeros(2)) else 0.0
+        edges = distances_to(np.zeros((1, 2)), polygon)
+        inner = float(edges.min()) if contains(polygon, np.zeros(2)) else 0.0
         return cls(polygon, float(np.linalg.norm(polygon, axis=1).max()), inner)
 
 

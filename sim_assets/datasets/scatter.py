@@ -11,8 +11,9 @@ import trimesh
 from jaxtyping import Float
 
 from perception.types import Category
-from sim_assets.cell.layout import PlanarPose, outline
-from sim_assets.cell.layout import gap as gap_between
+from sim_assets.cell.layout import PlanarPose
+from sim_assets.cell.outlines import gap as gap_between
+from sim_assets.cell.outlines import outline
 
 OUTLINE_POINTS = 40
 TOUCHING_GAP = 0.006  # [m], largest gap between touching neighbours

@@ -4,7 +4,7 @@ import numpy as np
 import pytest
 from trimesh import creation
 
-from sim_assets.cell.layout import gap
+from sim_assets.cell.outlines import gap
 from sim_assets.datasets.scatter import OUTLINE_POINTS, make_item, scatter, simplified
 
 

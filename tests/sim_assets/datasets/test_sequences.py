@@ -7,7 +7,8 @@ import numpy as np
 import pytest
 from scipy.interpolate import CubicSpline
 
-from sim_assets.cell.layout import PlanarPose, gap, outline
+from sim_assets.cell.layout import PlanarPose
+from sim_assets.cell.outlines import gap, outline
 from sim_assets.datasets import sequences
 from sim_assets.datasets.sequences import (
     CLOSE_UP,

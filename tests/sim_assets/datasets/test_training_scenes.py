@@ -8,7 +8,7 @@ from trimesh import creation
 
 import sim_assets.datasets.training_scenes as training_scenes
 from perception.types import CATEGORIES
-from sim_assets.cell.layout import gap
+from sim_assets.cell.outlines import gap
 from sim_assets.datasets.distractors import random_distractor, random_parts
 from sim_assets.datasets.scatter import make_item, scatter
 from sim_assets.datasets.scene_config import TrainingSceneConfig
