@@ -13,7 +13,7 @@ from jaxtyping import Bool, Float
 from perception.detection.geometry import bounding_window
 
 SHARE = 0.12  # part of its outline along which the surface of a part goes on
-CERTAIN = 0.7  # probability of a class from which on an instance is no part
+CERTAIN = 0.9  # probability of a class from which on an instance is no part
 _WINDOW = 7  # side of the window in which the depth of both sides of an outline is averaged, in pixels
 _MIN_PIXELS = 3  # measured ones in it
 _GAP = (0.006, 0.004)  # depth difference of one surface: constant in metres, and per squared metre of depth
