@@ -23,7 +23,7 @@ from perception.io.detections import encode_mask
 from perception.types import CATEGORIES, OTHER, ObjectDetection
 
 if TYPE_CHECKING:
-    from sim_assets.datasets.table_top import LabelledImage
+    from sim_assets.datasets.labels import LabelledImage
 
 MIN_PIXELS = 300
 MIN_VISIBLE = 0.25

@@ -22,7 +22,7 @@ from perception.detection.geometry import bounding_window, heading_angle, points
 from perception.types import CATEGORIES, OTHER, SupportPlane
 
 if TYPE_CHECKING:
-    from sim_assets.datasets.table_top import LabelledImage  # perception alone runs without a simulator
+    from sim_assets.datasets.labels import LabelledImage  # perception alone runs without a simulator
 
 logger = logging.getLogger(__name__)
 Progress = Callable[[str, float], None]  # description of the current step, share of the job done

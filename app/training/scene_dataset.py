@@ -28,14 +28,14 @@ from app.training.crop_dataset import (
 )
 from app.training.files import load_arrays, save_arrays
 from app.workers import Lost, map_in_processes
-from perception.detection.scene_training import UNJUDGED, LabelledScene
+from perception.detection.scene_patches import UNJUDGED, LabelledScene
 from perception.detection.working_view import downscale
 from perception.errors import PerceptionError
 from perception.types import CATEGORIES, OTHER, CameraIntrinsics, RgbdFrame, SupportPlane
 
 if TYPE_CHECKING:
+    from sim_assets.datasets.labels import LabelledImage
     from sim_assets.datasets.scene_config import TrainingSceneConfig
-    from sim_assets.datasets.table_top import LabelledImage
 
 logger = logging.getLogger(__name__)
 

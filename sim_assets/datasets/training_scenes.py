@@ -16,9 +16,10 @@ import trimesh
 
 from perception.types import CATEGORIES, Category
 from sim_assets.datasets.distractors import random_distractor, random_parts, random_surrounding
+from sim_assets.datasets.labels import LabelledImage
 from sim_assets.datasets.scatter import TableItem, make_item, simplified
 from sim_assets.datasets.scene_config import TrainingSceneConfig
-from sim_assets.datasets.table_top import LabelledImage, TableTop
+from sim_assets.datasets.table_top import TableTop
 from sim_assets.objects.bottle import BottleParameters
 from sim_assets.objects.can import FOOT, CanParameters
 from sim_assets.objects.families import Parameters, make_solid, sample_parameters

@@ -18,7 +18,7 @@ from app.training.scene_dataset import (
     training_scene_config,
 )
 from app.workers import Lost
-from perception.detection.scene_training import UNJUDGED
+from perception.detection.scene_patches import UNJUDGED
 from perception.errors import PerceptionError
 from perception.types import SupportPlane
 from sim_assets.datasets.scene_config import TrainingSceneConfig

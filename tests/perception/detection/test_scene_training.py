@@ -1,6 +1,4 @@
-"""Training of the scene network: geometry of patches, losses in closed form, resumed runs."""
-
-from dataclasses import replace
+"""Training of the scene network: losses in closed form, resumed runs."""
 
 import numpy as np
 import pytest
@@ -12,17 +10,13 @@ from perception.detection.scene_network import (
     OUTPUTS,
     VOTE_UNIT,
 )
+from perception.detection.scene_patches import UNJUDGED, LabelledScene
 from perception.detection.scene_training import (
-    UNJUDGED,
-    LabelledScene,
     SceneTargets,
     SceneTrainingConfig,
-    sample_patch,
     scene_losses,
     train_scene_network,
-    vary_colours,
 )
-from perception.detection.working_view import CHANNELS
 from perception.errors import PerceptionError
 from perception.types import SupportPlane
 
@@ -37,18 +31,6 @@ def picture(scenes):
     feet = np.column_stack([PLACES, np.zeros(len(PLACES))])
     things, label = (scene.instances + 1).astype(np.uint8), np.array([2, 4])
     return LabelledScene(scene.frame, things, label, feet, SupportPlane(np.array([0.0, 0.0, 1.0]), 0.0))
-
-
-def test_offsets_lead_to_the_feet_mirrored_or_not(picture):
-    """Where things stand in the picture's own axes: what all pixels of one thing vote for is one place."""
-    for seed in range(6):
-        sample = sample_patch(picture, SceneTrainingConfig(side=192), np.random.default_rng(seed))
-        assert sample.channels.shape == (192, 192, CHANNELS) and sample.label.shape == (96, 96)
-        assert set(np.unique(sample.label)) <= {-1, 2, 4}
-        inside = sample.weight > 0
-        assert np.array_equal(inside, sample.things[::2, ::2] > 0)
-        step = np.diff(sample.offset[..., 0], axis=1)[inside[:, 1:] & inside[:, :-1]]
-        assert np.median(step) == pytest.approx(-2, abs=0.5)  # two pixels nearer, two pixels less to go
 
 
 def test_losses_in_closed_form():
@@ -78,21 +60,6 @@ def test_unjudged_pixels_are_in_no_loss():
     )  # fmt: skip
     answer = torch.randn(1, OUTPUTS, 4, 4, generator=torch.Generator().manual_seed(0))
     assert scene_losses(answer, targets, SceneTrainingConfig()).tolist() == [0, 0, 0]
-
-
-def test_unjudged_pixels_have_neither_class_nor_vote(picture):
-    around = np.where(picture.things == 0, UNJUDGED, picture.things)
-    sample = sample_patch(replace(picture, things=around), SMALL, np.random.default_rng(0))
-    assert UNJUDGED in sample.things
-    beside = sample.things[::2, ::2] == UNJUDGED
-    assert (sample.label[beside] == -1).all() and (sample.weight[beside] == 0).all()
-
-
-def test_colours_stay_colours():
-    rgb = np.random.default_rng(0).random((32, 32, 3)).astype(np.float32) - 0.5
-    drawn = [vary_colours(rgb, np.random.default_rng(seed)) for seed in range(20)]
-    assert all(np.abs(image).max() <= 0.5 and image.dtype == np.float32 for image in drawn)
-    assert np.std([image.mean() for image in drawn]) > 0.03
 
 
 def test_an_interrupted_run_ends_like_an_uninterrupted_one(picture, tmp_path, monkeypatch):

@@ -9,7 +9,7 @@ from trimesh import creation
 from sim_assets.cell.layout import PlanarPose
 from sim_assets.datasets.scatter import make_item
 from sim_assets.datasets.scene_config import RoomConfig, TrainingSceneConfig
-from sim_assets.datasets.table_top import InstanceLabel, TableTop
+from sim_assets.datasets.table_top import TableTop
 from sim_assets.rendering.camera import look_at
 
 CONFIG = TrainingSceneConfig(
@@ -74,13 +74,6 @@ def test_label_has_the_area_of_the_projected_hull(table, overhead):
     assert (label.category, label.pixels, label.height) == ("can", 17, pytest.approx(0.1))
     np.testing.assert_allclose(label.T_world_object, pose.matrix)
     np.testing.assert_allclose(label.foot, (0, 0, 0), atol=1e-9)
-
-
-@pytest.mark.parametrize("yaw", [-2.0, 0.0, 3.0])
-def test_yaw_of_a_label(yaw):
-    assert InstanceLabel(None, PlanarPose(1, 2, yaw).matrix, 0, 0.0, 0.0, np.zeros(3)).yaw == pytest.approx(
-        yaw
-    )
 
 
 def test_depth_noise_is_drawn_with_its_probabilities(table, monkeypatch):
