@@ -8,9 +8,10 @@ from jaxtyping import Float
 from sim_assets.cell.arm_drive import ArmDrive
 from sim_assets.cell.arrangement import Arrangement, Group, arrange, rest_unknown
 from sim_assets.cell.config import CellConfig
+from sim_assets.cell.free_bodies import Pose, set_friction
 from sim_assets.cell.layout import FreePose, PlanarPose, UnstableError, draw_together, sample_roomy_layout
 from sim_assets.cell.resting import damped
-from sim_assets.cell.scene import Pose, build_scene, set_friction
+from sim_assets.cell.scene import build_scene
 from sim_assets.cell.settling import settle_bodies
 from sim_assets.cell.stepping import advance
 from sim_assets.rendering.headless import MjData, MjModel, mujoco

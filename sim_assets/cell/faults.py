@@ -15,7 +15,7 @@ from scipy.spatial.transform import Rotation
 
 from manipulation.robot import ArmDescription, JointTrajectory, RobotState
 from perception.types import RgbdFrame
-from sim_assets.cell.scene import ROLLING_CONTACT
+from sim_assets.cell.free_bodies import ROLLING_CONTACT
 from sim_assets.cell.world import World
 from sim_assets.rendering.headless import mujoco
 from sim_assets.robots.finger_motion import is_below

@@ -9,8 +9,9 @@ from dataclasses import dataclass
 import numpy as np
 from jaxtyping import Float
 
+from sim_assets.cell.free_bodies import Solid, add_free_body
 from sim_assets.cell.layout import FreePose
-from sim_assets.cell.scene import SCENERY_CONTACT, Solid, add_free_body, set_physics
+from sim_assets.cell.scene import SCENERY_CONTACT, set_physics
 from sim_assets.rendering.headless import MjModel, mujoco
 
 LOWERING = 1.0  # [s] during which bodies sink slowly, so that they do not bounce or topple on impact
