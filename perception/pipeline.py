@@ -16,11 +16,12 @@ from concurrent.futures import ThreadPoolExecutor
 from dataclasses import dataclass, replace
 from typing import TYPE_CHECKING, Literal, Protocol, runtime_checkable
 
+from perception.clutter import reconstruct_clutter
 from perception.detection.association import associate_on_surfaces
+from perception.detection.completion import Completer
 from perception.detection.detector import Detector
 from perception.detection.left_out import LeftOut
 from perception.detection.on_surfaces import FrameDetector, examine_frame, placed, unrecognised
-from perception.detection.unclassified import associate_unclassified
 from perception.errors import InvalidInputError
 from perception.inference.acceptance import shipped_acceptance
 from perception.inference.reconstruct import (
@@ -40,7 +41,6 @@ if TYPE_CHECKING:
 
 Device = Literal["auto", "cpu", "cuda"]  # the command line's copy is app.options.Device
 Complete = Callable[[Sequence[Sequence[ObjectDetection]]], Sequence[Sequence[ObjectDetection]]]
-UNCLASSIFIED_SCORE = 0.75  # least score of the fit of a candidate that the detector gave no class
 SHIPPED = "shipped"  # name of the shipped detector
 
 
@@ -230,7 +230,7 @@ def reconstruct_objects(
     progress: Progress = no_progress,
     on_step: OnFitStep | None = None,
     on_rejected: OnRejected | None = None,
-    judge_unclassified: bool = False,
+    clutter: Completer | None = None,
 ) -> list[ObjectEstimate]:
     """Estimate the complete shape and the pose of every detected object, ordered by id.
 
@@ -242,27 +242,14 @@ def reconstruct_objects(
         on_step: Called after each Levenberg-Marquardt step with object id, class and step.
         on_rejected: Called with each object that is left out, because its fit failed or the evidence of the
             fit contradicts its class.
-        judge_unclassified: Whether candidates that the detector gave no class are fitted in all classes and
-            resting poses, and kept where the evidence is clear. Those that are not kept are not reported.
+        clutter: Names the parts of stacks. With it, objects that rest in other poses than upright, or on
+            others, are looked for among the candidates that the detector gave no class and in the objects
+            that no single shape explains; None for the detections alone.
     """
-    detected = {found.instance_id for row in detections.per_frame for found in row}
-    rows = detections.per_frame
-    tentative: set[int | None] = set()
-    if judge_unclassified:
-        more = associate_unclassified(frames, rows, detections.left_out, detections.plane)
-        tentative = {candidate.instance_id for row in more for candidate in row}
-        rows = tuple((*row, *candidates) for row, candidates in zip(rows, more, strict=True))
-
-    def report(rejected: RejectedObject) -> None:
-        if on_rejected is not None and rejected.id in detected:
-            on_rejected(rejected)
-
     options = ReconstructOptions(
-        progress=progress,
-        on_step=on_step,
-        on_rejected=report,
-        tentative={i for i in tentative if i is not None},
-        acceptance=shipped_acceptance(),
+        progress=progress, on_step=on_step, on_rejected=on_rejected, acceptance=shipped_acceptance()
     )
-    estimates = reconstruct(frames, rows, decoder, detections.planes, options=options)
-    return [e for e in estimates if e.id in detected or e.score >= UNCLASSIFIED_SCORE]
+    if clutter is None:
+        return reconstruct(frames, detections.per_frame, decoder, detections.planes, options=options)
+    rows, left_out = detections.per_frame, detections.left_out
+    return reconstruct_clutter(frames, rows, left_out, decoder, detections.planes, clutter, options)

@@ -224,7 +224,7 @@ def prior_reconstruction(
             observer.on_progress,
             observer.on_fit_step,
             observer.on_rejected,
-            judge_unclassified=True,
+            clutter=perception.detector,
         )
 
     return reconstruct

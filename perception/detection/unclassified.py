@@ -47,10 +47,7 @@ def associate_unclassified(
     for candidate in left_out:
         known = [found.mask for found in detections_per_frame[candidate.frame]]
         is_known = any(_overlap(candidate.mask, mask) > SAME for mask in known)
-        if candidate.reason != "of none of the classes" or is_known:
-            continue
-        height = plane.height_above(points_of(frames[candidate.frame], candidate.mask))
-        if len(height) and np.quantile(height, 0.98) < MAX_HEIGHT:
+        if candidate.reason == "of none of the classes" and not is_known:
             rows[candidate.frame].append(unclassified(candidate.mask))
     fused, _ = fuse_views(frames, rows, plane, _ASSOCIATION)
     views = Counter(found.instance_id for row in fused for found in row)
@@ -62,6 +59,18 @@ def associate_unclassified(
         [replace(found, instance_id=number[i]) for found in row if (i := found.instance_id) in number]
         for row in fused
     ]
+
+
+def is_low(
+    frames: Sequence[RgbdFrame],
+    rows: Sequence[Sequence[ObjectDetection]],
+    instance_id: int,
+    plane: SupportPlane,
+) -> bool:
+    """Return whether an instance is so low that it may lie or stand on its rim, by the median of its views."""
+    clouds = [points_of(frame, d.mask) for frame, row in zip(frames, rows) for d in row if d.instance_id == instance_id]
+    tops = [np.quantile(plane.height_above(cloud), 0.98) for cloud in clouds if len(cloud)]
+    return bool(tops) and bool(np.median(tops) < MAX_HEIGHT)
 
 
 def _overlap(first: np.ndarray, second: np.ndarray) -> float:

@@ -142,19 +142,19 @@ def _ring(points: Float[np.ndarray, "n 2"]) -> tuple[Float[np.ndarray, "2"], flo
     if len(points) < _MIN_RIM:
         return None
     centre = (points.min(axis=0) + points.max(axis=0)) / 2
-    edge = _outermost(points, centre)
+    edge = outermost(points, centre)
     radius = 0.0
     for _ in range(4):  # handles are outliers
         if len(edge) < _MIN_SECTORS:
             return None
-        centre, radius = _circle(edge)
-        edge = _outermost(points, centre)
+        centre, radius = circle(edge)
+        edge = outermost(points, centre)
         distance = np.abs(np.linalg.norm(edge - centre, axis=1) - radius)
         edge = edge[distance <= max(2.5 * float(np.median(distance)), 0.002)]
     return (centre, radius) if len(edge) >= _MIN_SECTORS and 0.015 < radius < 0.25 else None
 
 
-def _outermost(points: Float[np.ndarray, "n 2"], centre: Float[np.ndarray, "2"]) -> Float[np.ndarray, "k 2"]:
+def outermost(points: Float[np.ndarray, "n 2"], centre: Float[np.ndarray, "2"]) -> Float[np.ndarray, "k 2"]:
     """Return a point near the outer edge of each sector about the centre that has points."""
     offset = points - centre
     sector = ((np.arctan2(offset[:, 1], offset[:, 0]) / (2 * np.pi) + 0.5) * _SECTORS).astype(int) % _SECTORS
@@ -165,7 +165,7 @@ def _outermost(points: Float[np.ndarray, "n 2"], centre: Float[np.ndarray, "2"])
     return points[chosen]
 
 
-def _circle(points: Float[np.ndarray, "n 2"]) -> tuple[Float[np.ndarray, "2"], float]:
+def circle(points: Float[np.ndarray, "n 2"]) -> tuple[Float[np.ndarray, "2"], float]:
     """Return centre and radius of the circle of least algebraic distance (Kasa, 1976)."""
     mean = points.mean(axis=0)
     x = points - mean

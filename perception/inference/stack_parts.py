@@ -1,0 +1,191 @@
+"""Objects of stacks that were segmented as one thing: proposed at seams, named by the networks, fitted.
+
+An object map shows which things may be several: those that no shape explains, and those whose shape leaves
+measured points unexplained. They are cut at the seams of their outline. The networks name the parts, the upper
+one as if its support were at the seam; both are fitted, the upper one resting on the lower one. The parts
+replace the whole if both are accepted and together explain clearly more of the measured points.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Mapping, Sequence
+from dataclasses import dataclass, replace
+
+import numpy as np
+from jaxtyping import Float
+
+from perception.depth_cleaning import clean_frame
+from perception.detection.completion import Completer
+from perception.detection.instances import remove_specks
+from perception.inference.observation import ObjectObservation
+from perception.inference.seams import Seam, find_seams, part_masks
+from perception.metrics import SurfaceSamples
+from perception.types import OTHER, ObjectDetection, ObjectEstimate, RgbdFrame, SupportPlane, unclassified
+
+Rows = Sequence[Sequence[ObjectDetection]]
+Fit = Callable[[Rows], Sequence[ObjectEstimate]]
+
+FAR = 0.008  # [m] from the surface of a shape, from which on it does not explain a measured point
+DOUBTFUL = 0.04  # share of unexplained points from which on an object may be several
+CLEARLY = 0.5  # largest share of them that the parts leave unexplained, relative to the whole
+MOST_UNEXPLAINED = 0.1  # by the parts
+MIN_CLASS = 0.3  # least mean class probability of a part
+MIN_SCORE = 0.5  # of its fit
+MIN_PIXELS = 150  # of a part in a view
+TRIALS = 2  # seams of one stack whose parts are fitted
+_POINTS = 4000
+_SAMPLES = 6000
+
+
+@dataclass(frozen=True)
+class Parts:
+    """A stack cut at a seam.
+
+    Attributes:
+        rows: Detections of the lower and of the upper object in each frame, by their ids.
+        ids: Ids of the lower and of the upper object.
+        probability: Product of their class probabilities.
+    """
+
+    rows: Rows
+    ids: tuple[int, int]
+    probability: float
+
+
+def split_stacks(
+    frames: Sequence[RgbdFrame],
+    rows: Rows,
+    estimates: Mapping[int, ObjectEstimate],
+    planes: Sequence[SupportPlane],
+    completer: Completer,
+    fit: Fit,
+) -> dict[int, tuple[ObjectEstimate, ObjectEstimate]]:
+    """Return the lower and the upper object of each instance that is a stack, by the instance's id.
+
+    Args:
+        frames: Views with camera poses.
+        rows: Associated detections of each frame, those of no class included.
+        estimates: Estimates of instances as single objects, by id; rejected ones are missing.
+        planes: Support planes, numbered by ``ObjectDetection.support``.
+        completer: Names the parts.
+        fit: Reconstructs instances; detections without an id only occlude others.
+    """
+    views = [clean_frame(frame) for frame in frames]
+    free = 1 + max((d.instance_id for row in rows for d in row if d.instance_id is not None), default=-1)
+    open_: dict[int, tuple[list[Parts], Float[np.ndarray, "n 3"], float]] = {}
+    for id in sorted({d.instance_id for row in rows for d in row if d.instance_id is not None}):
+        points = _points(views, rows, id)
+        before = unexplained(points, [estimates[id]] if id in estimates else [])
+        if before > DOUBTFUL:
+            proposals = propose_parts(views, rows, id, planes, completer, free)
+            if proposals:
+                open_[id] = proposals[:TRIALS], points, before
+                free += 2
+    found: dict[int, tuple[ObjectEstimate, ObjectEstimate]] = {}
+    for trial in range(TRIALS):
+        parts = {i: p[trial] for i, (p, *_) in open_.items() if trial < len(p) and i not in found}
+        if not parts:
+            break
+        fitted = {e.id: e for e in fit(_with_parts(rows, parts))}
+        for id, part in parts.items():
+            pair = [fitted[k] for k in part.ids if k in fitted]
+            if len(pair) == 2 and _is_better(pair, *open_[id][1:]):
+                found[id] = pair[0], pair[1]
+    return found
+
+
+def propose_parts(
+    views: Sequence[RgbdFrame],
+    rows: Rows,
+    id: int,
+    planes: Sequence[SupportPlane],
+    completer: Completer,
+    free_id: int,
+) -> list[Parts]:
+    """Return ways to cut an instance in two parts of known classes, the most probable first.
+
+    Args:
+        views: Images without flying pixels.
+        rows: Associated detections of each frame.
+        id: Id of the instance.
+        planes: Support planes, numbered by ``ObjectDetection.support``.
+        completer: Names the parts.
+        free_id: Id of the lower part; that of the upper one follows.
+    """
+    shown = [(k, d) for k, row in enumerate(rows) for d in row if d.instance_id == id]
+    support = shown[0][1].support
+    seen = {k: ObjectObservation(views[k], d.mask) for k, d in shown}
+    proposals = []
+    for seam in find_seams(tuple(seen.values()), planes[support]):
+        parts = _parts_at(seam, seen, len(rows), planes[support], completer, free_id)
+        if parts is not None and all(_share(parts, k) > MIN_CLASS for k in parts.ids):
+            marked = [[replace(d, support=support) for d in row] for row in parts.rows]
+            proposals.append(replace(parts, rows=marked))
+    return sorted(proposals, key=lambda parts: -parts.probability)
+
+
+def unexplained(points: Float[np.ndarray, "n 3"], shapes: Sequence[ObjectEstimate]) -> float:
+    """Return the share of measured points farther than ``FAR`` from the surfaces of shapes; 1 without any."""
+    if not shapes or not len(points):
+        return 1.0
+    rng = np.random.default_rng(0)
+    trees = [SurfaceSamples.of(shape.mesh_world, rng, _SAMPLES).tree for shape in shapes]
+    nearest = np.min([tree.query(points, distance_upper_bound=2 * FAR)[0] for tree in trees], axis=0)
+    return float((nearest > FAR).mean())
+
+
+def _parts_at(
+    seam: Seam,
+    seen: Mapping[int, ObjectObservation],
+    n_frames: int,
+    plane: SupportPlane,
+    completer: Completer,
+    free_id: int,
+) -> Parts | None:
+    """Return the named parts of an instance at a seam; None if one of them is shown nowhere."""
+    raised = plane if seam.nested else replace(plane, offset=plane.offset + seam.height)
+    rows: list[list[ObjectDetection]] = [[] for _ in range(n_frames)]
+    for k, view in seen.items():
+        for number, (mask, base) in enumerate(zip(part_masks(view, seam, plane), (plane, raised))):
+            mask = remove_specks(mask, 0.05) if mask.any() else mask
+            if mask.sum() >= MIN_PIXELS:
+                rows[k] += completer.complete(view.frame, base, [unclassified(mask, free_id + number)])
+    ids = (free_id, free_id + 1)
+    if any(all(d.instance_id != i for row in rows for d in row) for i in ids):
+        return None
+    parts = Parts(rows, ids, 0.0)
+    return replace(parts, probability=_share(parts, ids[0]) * _share(parts, ids[1]))
+
+
+def _share(parts: Parts, id: int) -> float:
+    """Return the mean probability of the most probable class of a part, by visible pixels."""
+    named = [d for row in parts.rows for d in row if d.instance_id == id and len(d.class_probabilities)]
+    if not named:
+        return 0.0
+    weights = [float(d.mask.sum()) for d in named]
+    mean = np.average([d.class_probabilities for d in named], axis=0, weights=weights)
+    return float(mean[:OTHER].max())
+
+
+def _with_parts(rows: Rows, parts: Mapping[int, Parts]) -> Rows:
+    """Return the parts in place of their wholes; all other detections without an id."""
+    return [
+        [replace(d, instance_id=None) for d in row if d.instance_id not in parts]
+        + [d for part in parts.values() for d in part.rows[k]]
+        for k, row in enumerate(rows)
+    ]
+
+
+def _points(views: Sequence[RgbdFrame], rows: Rows, id: int) -> Float[np.ndarray, "n 3"]:
+    """Return a sample of an instance's measured points in the world frame, in metres."""
+    masks = [(view, d.mask) for view, row in zip(views, rows) for d in row if d.instance_id == id]
+    points = np.concatenate([ObjectObservation(*shown).points_world(erode=2) for shown in masks])
+    return points[:: max(1, len(points) // _POINTS)]
+
+
+def _is_better(
+    pair: Sequence[ObjectEstimate], points: Float[np.ndarray, "n 3"], before: float
+) -> bool:
+    """Return whether two fits are accepted and explain clearly more than the whole did."""
+    accepted = all(e.score >= MIN_SCORE and e.status != "implausible" for e in pair)
+    return accepted and unexplained(points, pair) < min(CLEARLY * before, MOST_UNEXPLAINED)
