@@ -7,18 +7,18 @@ Stacks are segmented as one thing, with a class or without: what no single shape
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+from collections.abc import Mapping, Sequence
 from dataclasses import replace
 
 from perception.detection.completion import Completer
 from perception.detection.left_out import LeftOut
 from perception.detection.unclassified import associate_unclassified, is_low
-from perception.inference.reconstruct import ReconstructOptions, reconstruct
+from perception.inference.reconstruct import ReconstructOptions, reconstruct, single_threaded_torch
 from perception.inference.shape_model import Decoder
 from perception.inference.stack_parts import Rows, split_stacks
 from perception.types import ObjectEstimate, RejectedObject, RgbdFrame, SupportPlane
 
-UNCLASSIFIED_SCORE = 0.75  # least score of the fit of a candidate that the detector gave no class
+UNCLASSIFIED_SCORE = 0.55  # least score of the fit of a candidate that the detector gave no class
 
 
 def reconstruct_clutter(
@@ -56,12 +56,15 @@ def reconstruct_clutter(
         if e.id not in candidates or e.score >= UNCLASSIFIED_SCORE
     }
 
-    def fit(parts: Rows) -> list[ObjectEstimate]:
+    def fit(parts: Rows, rests_on: Mapping[int, int]) -> list[ObjectEstimate]:
         ids = {d.instance_id for row in parts for d in row if d.instance_id is not None}
-        silent = replace(options, on_rejected=None, on_step=None, progress=None, tentative=ids)
+        silent = replace(
+            options, on_rejected=None, on_step=None, progress=None, tentative=ids, rests_on=rests_on
+        )
         return reconstruct(frames, parts, decoder, planes, options=silent)
 
-    stacks = split_stacks(frames, rows, estimates, planes, completer, fit)
+    with single_threaded_torch():
+        stacks = split_stacks(frames, rows, estimates, planes, completer, fit)
     if options.on_rejected is not None:
         for item in rejected:
             if item.id not in candidates and item.id not in stacks:

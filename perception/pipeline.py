@@ -34,7 +34,7 @@ from perception.inference.reconstruct import (
 from perception.shape.decoder import ShapeDecoder
 from perception.support.surface import SupportSurface
 from perception.support.surfaces import find_surfaces
-from perception.types import ObjectDetection, ObjectEstimate, RejectedObject, RgbdFrame, SupportPlane
+from perception.types import ObjectDetection, ObjectEstimate, RgbdFrame, SupportPlane
 
 if TYPE_CHECKING:
     from perception.detection.huggingface import HuggingFaceDetector

@@ -105,18 +105,20 @@ def oracle_estimates(truth: Truth) -> list[ObjectEstimate]:
 
 
 def match(estimates: Sequence[ObjectEstimate], truth: Truth) -> dict[int, int]:
-    """Assign estimates to true objects by the horizontal distance of the middles of their bodies' axes.
+    """Assign estimates to true objects by the distance of the middles of their bodies' axes.
 
-    Return object numbers by estimate id.
+    Heights count a tenth: they tell what is stacked apart. Return object numbers by estimate id.
     """
     if not estimates or not truth.models:
         return {}
     numbers = list(truth.models)
     halves = [(0.0, 0.0, truth.models[number].height / 2, 1.0) for number in numbers]
-    there = np.array([(truth.poses[number] @ half)[:2] for number, half in zip(numbers, halves)])
+    there = np.array([(truth.poses[number] @ half)[:3] for number, half in zip(numbers, halves)])
     middles = np.array([_axis(estimate) for estimate in estimates])
-    distance = np.linalg.norm(middles[:, None] - there, axis=-1)
-    rows, columns = linear_sum_assignment(np.minimum(distance, 2 * MATCH_DISTANCE))
+    apart = middles[:, None] - there
+    distance = np.linalg.norm(apart[..., :2], axis=-1)
+    cost = np.minimum(distance, 2 * MATCH_DISTANCE) + 0.1 * np.abs(apart[..., 2])
+    rows, columns = linear_sum_assignment(cost)
     return {
         estimates[row].id: numbers[column]
         for row, column in zip(rows, columns)
@@ -124,12 +126,12 @@ def match(estimates: Sequence[ObjectEstimate], truth: Truth) -> dict[int, int]:
     }
 
 
-def _axis(estimate: ObjectEstimate) -> Float[np.ndarray, "2"]:
-    """Return (x, y) of the middle of the body's axis in the world frame, without a mug's handle [m]."""
+def _axis(estimate: ObjectEstimate) -> Float[np.ndarray, "3"]:
+    """Return the middle of the body's axis in the world frame, without a mug's handle [m]."""
     low, high = estimate.mesh.vertices.min(axis=0), estimate.mesh.vertices.max(axis=0)
     _, y, z = (low + high) / 2
     x = low[0] + estimate.radius if estimate.category == "mug" else (low[0] + high[0]) / 2
-    return (estimate.T_world_object @ (x, y, z, 1.0))[:2]
+    return (estimate.T_world_object @ (x, y, z, 1.0))[:3]
 
 
 def score_reconstruction(

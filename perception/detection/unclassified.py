@@ -67,8 +67,13 @@ def is_low(
     instance_id: int,
     plane: SupportPlane,
 ) -> bool:
-    """Return whether an instance is so low that it may lie or stand on its rim, by the median of its views."""
-    clouds = [points_of(frame, d.mask) for frame, row in zip(frames, rows) for d in row if d.instance_id == instance_id]
+    """Return whether an instance is low enough, in most views, to lie or to stand on its rim."""
+    clouds = [
+        points_of(frame, d.mask)
+        for frame, row in zip(frames, rows)
+        for d in row
+        if d.instance_id == instance_id
+    ]
     tops = [np.quantile(plane.height_above(cloud), 0.98) for cloud in clouds if len(cloud)]
     return bool(tops) and bool(np.median(tops) < MAX_HEIGHT)
 

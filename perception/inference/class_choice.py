@@ -2,7 +2,8 @@
 
 An object that the detector is sure of is fitted once. Where the class is uncertain, or the evidence
 contradicts it, the next classes are fitted as well, and the one with the highest score is kept. Where its fit
-as an upright object is poor, the other resting poses of these classes are tried.
+as an upright object is poor, the other resting poses of the class are tried. An object without a class is
+fitted as those classes in those resting poses that come near its depth in a few coarse iterations.
 """
 
 from __future__ import annotations
@@ -22,8 +23,9 @@ from perception.inference.fit import fit_with_grid
 from perception.inference.fit_config import FitConfig
 from perception.inference.observation import ObjectViews
 from perception.inference.optimisation import OnStep
-from perception.inference.pose_choice import has_closed_top, is_better, is_doubtful, misfit
+from perception.inference.pose_choice import has_closed_top, is_better, is_doubtful, is_good, misfit
 from perception.inference.resting import ALTERNATIVES
+from perception.inference.screening import Hypothesis, comes_near, nearest_hypotheses
 from perception.inference.shape_model import Decoder
 from perception.types import CATEGORIES, OTHER, Category, ObjectEstimate, RestingPose, SupportPlane
 
@@ -97,37 +99,68 @@ def fit_best_class(
         posed = replace(config, resting=resting)
         return _scored(replace(views, category=category), decoder, plane, model, posed, report)
 
+    def near(category: Category, resting: RestingPose) -> bool:
+        return comes_near(replace(views, category=category), decoder, plane, resting, config)
+
     p = views.class_probabilities
+    if p.size and np.ptp(p) == 0:
+        near_ones = nearest_hypotheses(views, decoder, plane, config)
+        return _fit_unnamed(fit, near_ones, views, plane, model)
     first, problem = _attempt(fit, views.category, on_step)
     fits = [] if first is None else [first]
     if not p.size:
-        best = _best_pose(fit, first, (views.category,), views, plane)
+        best = _best_pose(fit, near, first, (views.category,), views, plane)
         if best is None:
             assert problem is not None
             raise problem
         return best.estimate
     likely = _likely(p)
     if first is None or p[CATEGORIES.index(views.category)] < CLEAR or first.estimate.score < model.threshold:
-        most = MAX_CLASSES if np.ptp(p) else len(CATEGORIES)  # all are equally probable without a class
         others: list[Category] = [c for c in likely if c != views.category]
-        for category in others[: most - 1]:
+        for category in others[: MAX_CLASSES - 1]:
             other, _ = _attempt(fit, category)
             fits += [] if other is None else [other]
     upright = max(fits, key=lambda scored: scored.estimate.score, default=None)
-    known = np.ptp(p) > 0
-    posed = (upright.estimate.category,) if known and upright is not None else likely
-    best = _best_pose(fit, upright, posed, views, plane, max(model.threshold, UNKNOWN))
+    posed = likely if upright is None else (upright.estimate.category,)
+    best = _best_pose(fit, near, upright, posed, views, plane, max(model.threshold, UNKNOWN))
     if best is None:
         assert problem is not None
         raise problem
     estimate = best.estimate
-    threshold = model.threshold if known else max(model.threshold, UNKNOWN)
-    if estimate.score < threshold and (len(views.observations) <= 1 or not known):
+    if estimate.score < model.threshold and len(views.observations) <= 1:
         reason = model.reason(best.evidence, estimate.category, best.probability)
         raise RejectedError(estimate.category, estimate.score, reason)
     if estimate.category != views.category:
         logger.info("object %d: evidence for %s, not %s", views.id, estimate.category, views.category)
     return estimate
+
+
+def _fit_unnamed(
+    fit: _Fit,
+    hypotheses: Sequence[Hypothesis],
+    views: ObjectViews,
+    plane: SupportPlane,
+    model: AcceptanceModel,
+) -> ObjectEstimate:
+    """Return the fit of an object without a class that has the highest score of those at rest and good.
+
+    Raises:
+        RejectedError: There is none, or its score is below ``UNKNOWN``.
+    """
+    good: list[ScoredFit] = []
+    for category, resting in hypotheses:
+        made, _ = _attempt(fit, category, None, resting)
+        if made is not None and is_good(made.evidence, made.estimate, plane):
+            good.append(made)
+            if made.estimate.score > CLEAR:
+                break
+    best = max(good, key=lambda scored: scored.estimate.score, default=None)
+    if best is None:
+        raise RejectedError(views.category, 0.0, "no shape in any resting pose explains the depth")
+    if best.estimate.score < max(model.threshold, UNKNOWN):
+        reason = model.reason(best.evidence, best.estimate.category, best.probability)
+        raise RejectedError(best.estimate.category, best.estimate.score, reason)
+    return best.estimate
 
 
 def _likely(p: Float[np.ndarray, "k"]) -> tuple[Category, ...]:
@@ -138,6 +171,7 @@ def _likely(p: Float[np.ndarray, "k"]) -> tuple[Category, ...]:
 
 def _best_pose(
     fit: _Fit,
+    near: Callable[[Category, RestingPose], bool],
     upright: ScoredFit | None,
     categories: Sequence[Category],
     views: ObjectViews,
@@ -148,6 +182,7 @@ def _best_pose(
 
     Args:
         fit: Fits the object.
+        near: Whether a class in a resting pose comes nearer to the depth than upright, coarsely.
         upright: Best upright fit; None if there is none.
         categories: Classes whose other poses are tried.
         views: Observations of the object.
@@ -157,7 +192,9 @@ def _best_pose(
     closed = any(c in VESSELS for c in categories) and has_closed_top(views.observations, plane)
     if upright is not None and not closed and not is_doubtful(upright.evidence, upright.estimate.category):
         return upright
-    others = [_attempt(fit, c, None, pose)[0] for c in categories for pose in ALTERNATIVES[c]]
+    others = [
+        _attempt(fit, c, None, pose)[0] for c in categories for pose in ALTERNATIVES[c] if near(c, pose)
+    ]
     before = None if upright is None else upright.evidence
     scored = [o for o in others if o is not None and o.estimate.score >= threshold]
     better = [o for o in scored if is_better(o.evidence, o.estimate, before, plane, closed)]

@@ -24,6 +24,7 @@ from perception.types import CODE_SIZE, GRID_RESOLUTION, SupportPlane
 
 # Root mean square of the last movements, in standard deviations, below which a fit has settled.
 SETTLED = 0.5
+LYING_BEAM = 2  # hypotheses of a lying object that reach the second stage, at least: both of its directions
 RESIDUAL_CAP = 0.03  # [m] largest contribution of one residual to the reported mean
 
 
@@ -132,6 +133,27 @@ def optimise_object(
     return _Fitter(views, decoder, plane, config, on_step).run()
 
 
+def coarse_residual(
+    views: ObjectViews, decoder: Decoder, plane: SupportPlane, config: FitConfig = FitConfig(), most: int = 3
+) -> float:
+    """Return the mean capped depth residual in metres after the first stage alone: how near a shape comes.
+
+    Args:
+        views: Observations of the object, with its class.
+        decoder: Shape prior.
+        plane: Support plane of the object.
+        config: Budget and weights.
+        most: Largest number of initial poses, spread over all.
+
+    Raises:
+        InvalidInputError: No view is given, or none shows any point of the object above the plane.
+    """
+    fitter = _Fitter(views, decoder, plane, replace(config, stages=config.stages[:1]), None)
+    poses = fitter.start.poses
+    fitter.start = replace(fitter.start, poses=poses[:: -(-len(poses) // most)])
+    return _misfit(fitter.run())
+
+
 @dataclass(frozen=True)
 class _Candidate:
     """A fit that can be continued: with the linearisation of its shape and its damping."""
@@ -187,6 +209,8 @@ class _Fitter:
         cost = [self._problem(pixels, c.shape)(c.fit.state).cost for c in candidates]
         order = sorted(range(len(candidates)), key=cost.__getitem__)
         most = self.config.beam[self.views.category]
+        if self.config.resting == "lying":
+            most = max(most, LYING_BEAM)
         limit = self.config.beam_ratio * cost[order[0]]
         return [candidates[order[0]], *(candidates[k] for k in order[1:most] if cost[k] <= limit)]
 

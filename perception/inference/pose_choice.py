@@ -23,7 +23,7 @@ from perception.types import Category, ObjectEstimate, SupportPlane
 DOUBTFUL: Mapping[Category, float] = {"mug": 0.35, "bowl": 0.2, "bottle": 0.1, "can": 0.1}
 CLEARLY = 0.6  # largest misfit of another pose relative to that of the upright one
 TURNED = 0.9  # the same for upside-down vessels with a closed top
-GOOD = 0.15  # largest misfit of another pose
+GOOD = 0.15  # largest misfit of another pose, or of an object without a class
 CLOSED = 0.93  # height of the middle of a closed top, in heights of its edge
 _INNER = 0.6  # part of the radius that is the middle of the top
 _MIN_POINTS = 40
@@ -62,7 +62,13 @@ def is_better(
         plane: Support plane.
         closed: Whether the object has a closed top.
     """
-    if estimate.status == "implausible" or not rests_stably(estimate.mesh_world, plane):
+    if not is_good(other, estimate, plane):
         return False
     ratio = TURNED if closed and estimate.resting == "upside-down" else CLEARLY
-    return misfit(other) < (GOOD if upright is None else min(GOOD, ratio * misfit(upright)))
+    return upright is None or misfit(other) < ratio * misfit(upright)
+
+
+def is_good(evidence: Evidence, estimate: ObjectEstimate, plane: SupportPlane) -> bool:
+    """Return whether a fit is plausible, at rest and explains almost all of the depth."""
+    explains = estimate.status != "implausible" and misfit(evidence) < GOOD
+    return explains and rests_stably(estimate.mesh_world, plane)

@@ -4,10 +4,10 @@ from __future__ import annotations
 
 import logging
 import os
-from collections.abc import Callable, Collection, Iterator, Sequence
+from collections.abc import Callable, Collection, Iterator, Mapping, Sequence
 from concurrent.futures import ThreadPoolExecutor, as_completed
 from contextlib import contextmanager
-from dataclasses import dataclass, replace
+from dataclasses import dataclass, field, replace
 from functools import partial
 
 import cv2
@@ -55,6 +55,7 @@ class ReconstructOptions:
         on_step: Called with (id, class, step) of a fit, from several threads.
         on_rejected: Called with each object that is left out.
         tentative: Ids of candidates that may well be no objects: to leave them out is not worth a warning.
+        rests_on: Id of the object below an object, by its id, where it is known; others are looked for.
         acceptance: Model that compares the classes of an object, and none, by the evidence of their fits and
             gives the score; None fits each object as its detected class, with the detection's score.
     """
@@ -65,6 +66,7 @@ class ReconstructOptions:
     on_step: OnFitStep | None = None
     on_rejected: OnRejected | None = None
     tentative: Collection[int] = ()
+    rests_on: Mapping[int, int] = field(default_factory=dict)
     acceptance: AcceptanceModel | None = None
 
 
@@ -126,7 +128,7 @@ def reconstruct(
         if options.progress is not None:
             options.progress(done, len(instances), name)
 
-    below = find_stacks(instances, plane_of)
+    below = {**find_stacks(instances, plane_of), **options.rests_on}
     with single_threaded_torch(), ThreadPoolExecutor(workers) as pool:
         jobs = {pool.submit(fit, v, plane_of[v.id]): v for v in instances if v.id not in below}
         for done, job in enumerate(as_completed(jobs), start=1):

@@ -13,11 +13,12 @@ from dataclasses import dataclass
 
 import numpy as np
 from jaxtyping import Bool, Float
+from scipy.ndimage import median_filter
 
+from perception.geometry import transform_points
 from perception.inference.contents import circle, outermost
 from perception.inference.initialise import plane_basis
 from perception.inference.observation import ObjectObservation, pixel_rays
-from perception.geometry import transform_points
 from perception.types import SupportPlane
 
 SLICE = 0.003  # [m] height of a section
@@ -25,7 +26,7 @@ _MIN_POINTS = 20  # of a section
 _MIN_SECTORS = 8  # of 36 around a section that show its outline
 _LOWEST = 4  # sections below which there is no seam
 _HIGHEST = 0.01  # [m] below the top, above which there is none
-_REACH = 4  # sections on both sides with which one is compared
+_REACHES = (4, 2, 1)  # sections on both sides with which one is compared: far ones detect, near ones localise
 _WAIST = 0.0012  # [m] by which a waist is within the chord of the outline, at least
 _DROP = (0.006, 0.12)  # by which a rim is wider than what stands in it: in metres, and in its radii
 _APART = 0.012  # [m] between two seams
@@ -105,18 +106,19 @@ class Seam:
             eye: Position of the camera in the plane, in metres.
             eye_height: Its height above the plane, in metres.
         """
-        if not self.nested:
-            return height > self.height
-        *centre, radius = self.above
-        beside = np.linalg.norm(plan - centre, axis=1) - radius
-        higher = height > self.height + np.where(beside < _RIM, 0.0, _RIM)
+        beside = np.linalg.norm(plan - self.above[:2], axis=1) - self.above[2]
+        if self.nested:
+            opening, own = self.below, beside < _BESIDE
+            higher = height > self.height + np.where(beside < _RIM, 0.0, _RIM)
+        else:  # the floor of a bowl on a mug is lower than the mug's rim
+            opening, own = min(self.below, self.above, key=lambda circle: circle[2]), height <= self.height
+            higher = height > self.height
         if eye_height <= self.height:
             return higher
-        *centre, radius = self.below
         share = (eye_height - self.height) / np.maximum(eye_height - height, 1e-6)
         crossing = eye + (plan - eye) * share[:, None]
-        through = np.linalg.norm(crossing - centre, axis=1) < _OPENING * radius
-        return higher | (through & (beside < _BESIDE))
+        through = np.linalg.norm(crossing - opening[:2], axis=1) < _OPENING * opening[2]
+        return higher | (through & own)
 
 
 def find_seams(observations: Sequence[ObjectObservation], plane: SupportPlane) -> list[Seam]:
@@ -127,17 +129,16 @@ def find_seams(observations: Sequence[ObjectObservation], plane: SupportPlane) -
 
 def seams_of(outline: Outline) -> list[Seam]:
     """Return possible seams of an outline, the strongest first."""
-    r, n = outline.radius, len(outline.radius)
+    r = median_filter(outline.radius, 3, mode="nearest")
     found = []
-    for k in range(_LOWEST, n - round(_HIGHEST / SLICE)):
+    for k in range(_LOWEST, len(r) - round(_HIGHEST / SLICE)):
         before, after = r[max(k - 3, 0) : k], r[k + 1 : k + 5]
         drop = float(np.median(before) - np.median(after))
-        ends = max(k - _REACH, 0), min(k + _REACH, n - 1)
-        waist = float((r[ends[0]] + r[ends[1]]) / 2 - np.median(r[k - 1 : k + 2]))
+        waists = [(r[k - reach] + r[min(k + reach, len(r) - 1)]) / 2 - r[k] for reach in _REACHES]
         if drop > max(_DROP[0], _DROP[1] * float(np.median(before))):
             found.append(_seam(outline, k, True, drop))
-        elif waist > _WAIST:
-            found.append(_seam(outline, k, False, waist))
+        elif waists[0] > _WAIST:
+            found.append(_seam(outline, k, False, float(sum(waists))))
     strongest: list[Seam] = []
     for seam in sorted(found, key=lambda seam: -seam.strength):
         if all(abs(seam.height - other.height) > _APART for other in strongest):
@@ -155,7 +156,10 @@ def part_masks(
     points = transform_points(seen.T_world_camera, pixel_rays(seen.frame, u, v) * depth)
     eye = seen.T_world_camera[:3, 3]
     above = seam.is_above(
-        points @ basis[:2].T, plane.height_above(points), basis[:2] @ eye, float(plane.height_above(eye[None])[0])
+        points @ basis[:2].T,
+        plane.height_above(points),
+        basis[:2] @ eye,
+        float(plane.height_above(eye[None])[0]),
     )
     masks = np.zeros((2, *seen.mask.shape), bool)
     masks[above.astype(int), v, u] = True

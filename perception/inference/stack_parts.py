@@ -1,9 +1,9 @@
 """Objects of stacks that were segmented as one thing: proposed at seams, named by the networks, fitted.
 
-An object map shows which things may be several: those that no shape explains, and those whose shape leaves
-measured points unexplained. They are cut at the seams of their outline. The networks name the parts, the upper
-one as if its support were at the seam; both are fitted, the upper one resting on the lower one. The parts
-replace the whole if both are accepted and together explain clearly more of the measured points.
+Things that no shape explains, or whose shape leaves measured points unexplained, may be several objects.
+They are cut at the seams of their outline. The networks name the parts, the upper one as if its support were
+at the seam; both are fitted, the upper one resting on the lower one. The parts replace the whole if both are
+accepted and together explain clearly more of the measured points.
 """
 
 from __future__ import annotations
@@ -12,18 +12,29 @@ from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass, replace
 
 import numpy as np
-from jaxtyping import Float
+from jaxtyping import Bool, Float
 
 from perception.depth_cleaning import clean_frame
 from perception.detection.completion import Completer
 from perception.detection.instances import remove_specks
+from perception.inference.contents import VESSELS
 from perception.inference.observation import ObjectObservation
 from perception.inference.seams import Seam, find_seams, part_masks
 from perception.metrics import SurfaceSamples
-from perception.types import OTHER, ObjectDetection, ObjectEstimate, RgbdFrame, SupportPlane, unclassified
+from perception.types import (
+    CATEGORIES,
+    OTHER,
+    Category,
+    ObjectDetection,
+    ObjectEstimate,
+    RgbdFrame,
+    SupportPlane,
+    is_unclassified,
+    unclassified,
+)
 
 Rows = Sequence[Sequence[ObjectDetection]]
-Fit = Callable[[Rows], Sequence[ObjectEstimate]]
+Fit = Callable[[Rows, Mapping[int, int]], Sequence[ObjectEstimate]]
 
 FAR = 0.008  # [m] from the surface of a shape, from which on it does not explain a measured point
 DOUBTFUL = 0.04  # share of unexplained points from which on an object may be several
@@ -32,7 +43,9 @@ MOST_UNEXPLAINED = 0.1  # by the parts
 MIN_CLASS = 0.3  # least mean class probability of a part
 MIN_SCORE = 0.5  # of its fit
 MIN_PIXELS = 150  # of a part in a view
+NAMING_VIEWS = 3
 TRIALS = 2  # seams of one stack whose parts are fitted
+_SPECK = 0.05  # smallest separate piece of a mask, as a share of its largest
 _POINTS = 4000
 _SAMPLES = 6000
 
@@ -44,12 +57,10 @@ class Parts:
     Attributes:
         rows: Detections of the lower and of the upper object in each frame, by their ids.
         ids: Ids of the lower and of the upper object.
-        probability: Product of their class probabilities.
     """
 
     rows: Rows
     ids: tuple[int, int]
-    probability: float
 
 
 def split_stacks(
@@ -68,7 +79,7 @@ def split_stacks(
         estimates: Estimates of instances as single objects, by id; rejected ones are missing.
         planes: Support planes, numbered by ``ObjectDetection.support``.
         completer: Names the parts.
-        fit: Reconstructs instances; detections without an id only occlude others.
+        fit: Reconstructs instances, given which rests on which; detections without an id only occlude others.
     """
     views = [clean_frame(frame) for frame in frames]
     free = 1 + max((d.instance_id for row in rows for d in row if d.instance_id is not None), default=-1)
@@ -86,7 +97,8 @@ def split_stacks(
         parts = {i: p[trial] for i, (p, *_) in open_.items() if trial < len(p) and i not in found}
         if not parts:
             break
-        fitted = {e.id: e for e in fit(_with_parts(rows, parts))}
+        above = {part.ids[1]: part.ids[0] for part in parts.values()}
+        fitted = {e.id: e for e in fit(_with_parts(rows, parts), above)}
         for id, part in parts.items():
             pair = [fitted[k] for k in part.ids if k in fitted]
             if len(pair) == 2 and _is_better(pair, *open_[id][1:]):
@@ -102,7 +114,7 @@ def propose_parts(
     completer: Completer,
     free_id: int,
 ) -> list[Parts]:
-    """Return ways to cut an instance in two parts of known classes, the most probable first.
+    """Return ways to cut an instance in two parts of known classes, that at the strongest seam first.
 
     Args:
         views: Images without flying pixels.
@@ -112,16 +124,23 @@ def propose_parts(
         completer: Names the parts.
         free_id: Id of the lower part; that of the upper one follows.
     """
-    shown = [(k, d) for k, row in enumerate(rows) for d in row if d.instance_id == id]
-    support = shown[0][1].support
-    seen = {k: ObjectObservation(views[k], d.mask) for k, d in shown}
+    shown = {k: d for k, row in enumerate(rows) for d in row if d.instance_id == id}
+    support = next(iter(shown.values())).support
+    seen = {k: ObjectObservation(views[k], d.mask) for k, d in shown.items()}
     proposals = []
     for seam in find_seams(tuple(seen.values()), planes[support]):
-        parts = _parts_at(seam, seen, len(rows), planes[support], completer, free_id)
-        if parts is not None and all(_share(parts, k) > MIN_CLASS for k in parts.ids):
-            marked = [[replace(d, support=support) for d in row] for row in parts.rows]
-            proposals.append(replace(parts, rows=marked))
-    return sorted(proposals, key=lambda parts: -parts.probability)
+        masks = {k: part_masks(view, seam, planes[support]) for k, view in seen.items()}
+        marked: list[list[ObjectDetection]] = [[] for _ in rows]
+        for number, base in enumerate(_bases(seam, planes[support])):
+            own = {k: remove_specks(m[number], _SPECK) for k, m in masks.items() if m[number].any()}
+            large = {k: mask for k, mask in own.items() if mask.sum() >= MIN_PIXELS}
+            classes = VESSELS if seam.nested and number == 0 else CATEGORIES
+            for k, d in _named(large, views, base, completer, classes).items():
+                marked[k].append(replace(d, instance_id=free_id + number, support=support))
+        ids = (free_id, free_id + 1)
+        if all(any(d.instance_id == i for row in marked for d in row) for i in ids):
+            proposals.append(Parts(marked, ids))
+    return proposals
 
 
 def unexplained(points: Float[np.ndarray, "n 3"], shapes: Sequence[ObjectEstimate]) -> float:
@@ -134,37 +153,35 @@ def unexplained(points: Float[np.ndarray, "n 3"], shapes: Sequence[ObjectEstimat
     return float((nearest > FAR).mean())
 
 
-def _parts_at(
-    seam: Seam,
-    seen: Mapping[int, ObjectObservation],
-    n_frames: int,
-    plane: SupportPlane,
+def _bases(seam: Seam, plane: SupportPlane) -> tuple[SupportPlane, SupportPlane]:
+    """Return what the lower and the upper object of a stack stand on, for the networks."""
+    return plane, plane if seam.nested else replace(plane, offset=plane.offset + seam.height)
+
+
+def _named(
+    masks: Mapping[int, Bool[np.ndarray, "h w"]],
+    views: Sequence[RgbdFrame],
+    base: SupportPlane,
     completer: Completer,
-    free_id: int,
-) -> Parts | None:
-    """Return the named parts of an instance at a seam; None if one of them is shown nowhere."""
-    raised = plane if seam.nested else replace(plane, offset=plane.offset + seam.height)
-    rows: list[list[ObjectDetection]] = [[] for _ in range(n_frames)]
-    for k, view in seen.items():
-        for number, (mask, base) in enumerate(zip(part_masks(view, seam, plane), (plane, raised))):
-            mask = remove_specks(mask, 0.05) if mask.any() else mask
-            if mask.sum() >= MIN_PIXELS:
-                rows[k] += completer.complete(view.frame, base, [unclassified(mask, free_id + number)])
-    ids = (free_id, free_id + 1)
-    if any(all(d.instance_id != i for row in rows for d in row) for i in ids):
-        return None
-    parts = Parts(rows, ids, 0.0)
-    return replace(parts, probability=_share(parts, ids[0]) * _share(parts, ids[1]))
+    classes: Sequence[Category],
+) -> dict[int, ObjectDetection]:
+    """Return detections of a part in its views, with the class that those showing most of it agree on.
 
-
-def _share(parts: Parts, id: int) -> float:
-    """Return the mean probability of the most probable class of a part, by visible pixels."""
-    named = [d for row in parts.rows for d in row if d.instance_id == id and len(d.class_probabilities)]
-    if not named:
-        return 0.0
-    weights = [float(d.mask.sum()) for d in named]
-    mean = np.average([d.class_probabilities for d in named], axis=0, weights=weights)
-    return float(mean[:OTHER].max())
+    None if that is none of ``classes`` with a probability of ``MIN_CLASS``.
+    """
+    largest = sorted(masks, key=lambda k: -int(masks[k].sum()))[:NAMING_VIEWS]
+    named = {k: completer.complete(views[k], base, [unclassified(masks[k])])[0] for k in largest}
+    known = [d for d in named.values() if not is_unclassified(d)]
+    if not known:
+        return {}
+    possible = np.array([*(category in classes for category in CATEGORIES), True])
+    mean = np.mean([d.class_probabilities for d in known], axis=0) * possible
+    mean /= max(mean.sum(), 1e-9)
+    best = int(mean[:OTHER].argmax())
+    if mean[best] < MIN_CLASS:
+        return {}
+    common = {"category": CATEGORIES[best], "score": float(mean[best]), "class_probabilities": mean}
+    return {k: replace(named.get(k, unclassified(mask)), **common) for k, mask in masks.items()}
 
 
 def _with_parts(rows: Rows, parts: Mapping[int, Parts]) -> Rows:
@@ -183,9 +200,7 @@ def _points(views: Sequence[RgbdFrame], rows: Rows, id: int) -> Float[np.ndarray
     return points[:: max(1, len(points) // _POINTS)]
 
 
-def _is_better(
-    pair: Sequence[ObjectEstimate], points: Float[np.ndarray, "n 3"], before: float
-) -> bool:
+def _is_better(pair: Sequence[ObjectEstimate], points: Float[np.ndarray, "n 3"], before: float) -> bool:
     """Return whether two fits are accepted and explain clearly more than the whole did."""
     accepted = all(e.score >= MIN_SCORE and e.status != "implausible" for e in pair)
     return accepted and unexplained(points, pair) < min(CLEARLY * before, MOST_UNEXPLAINED)

@@ -10,6 +10,7 @@ import torch
 from app import options
 from perception import pipeline
 from perception.detection.detector import Detector
+from perception.detection.left_out import LeftOut
 from perception.errors import InvalidInputError
 from perception.pipeline import (
     Detections,
@@ -22,7 +23,7 @@ from perception.pipeline import (
 )
 from perception.shape.decoder import ShapeDecoder
 from perception.support.surface import SupportSurface
-from perception.types import ObjectDetection, ObjectEstimate, RejectedObject, SupportPlane
+from perception.types import ObjectDetection, SupportPlane
 
 TARGET = (0.45, -0.2, 0.03)
 
@@ -132,33 +133,14 @@ def test_reconstruction_gets_frames_detections_plane_and_callbacks(networks, mon
     assert progress in _flat(received["callbacks"]) and on_step in _flat(received["callbacks"])
 
 
-def test_candidates_of_no_class_are_objects_only_if_the_evidence_is_clear(networks, monkeypatch):
-    mask = np.ones((4, 4), np.bool_)
-    detected, *candidates = (ObjectDetection("can", 0.9, mask, instance_id=i) for i in (0, 1, 2))
-
-    def reconstruct(frames, per_frame, decoder, plane, options):
-        for number in range(4):
-            options.on_rejected(RejectedObject(number, "mug", "thin", 0.1))
-        assert per_frame == (rows,)
-        return [estimate(found.instance_id, scores[found.instance_id]) for found in rows]
-
-    def estimate(number, score):
-        made = object.__new__(ObjectEstimate)
-        vars(made).update(id=number, score=score)
-        return made
-
-    monkeypatch.setattr(pipeline, "reconstruct", reconstruct)
-    monkeypatch.setattr(pipeline, "associate_unclassified", lambda *args: [candidates])
-    clear = pipeline.UNCLASSIFIED_SCORE
-    scores = {0: 0.1, 1: clear + 0.01, 2: clear - 0.01}
-    for judge, rows, kept in ((True, (detected, *candidates), [0, 1]), (False, (detected,), [0])):  # noqa: B007
-        rejected = []
-        found = reconstruct_objects(
-            (), Detections(SupportPlane(), ((detected,),)), networks.decoder,
-            on_rejected=rejected.append, judge_unclassified=judge,
-        )  # fmt: skip
-        assert [estimate.id for estimate in found] == kept
-        assert [item.id for item in rejected] == [0], "nobody misses what was no object before"
+def test_with_a_namer_of_parts_the_table_may_be_cluttered(networks, monkeypatch):
+    received = []
+    monkeypatch.setattr(pipeline, "reconstruct_clutter", lambda *args: received.extend(args) or [])
+    thing = LeftOut(np.ones((4, 4), np.bool_), "of none of the classes")
+    detections = Detections(SupportPlane(), ((),), left_out=(thing,))
+    assert reconstruct_objects((), detections, networks.decoder, clutter=networks.detector) == []
+    assert received[:3] == [(), ((),), (thing,)]
+    assert received[3:6] == [networks.decoder, detections.planes, networks.detector]
 
 
 def _flat(callbacks):

@@ -177,7 +177,7 @@ def test_another_reconstruction_replaces_the_shape_prior(stages, can_at):
 
 
 def test_objects_that_are_left_out_are_in_the_result(stages, monkeypatch):
-    def reconstruct(frames, detections, decoder, progress, on_step, on_rejected, judge_unclassified):
+    def reconstruct(frames, detections, decoder, progress, on_step, on_rejected, clutter):
         on_rejected(RejectedObject(7, "mug", "the fit failed"))
         return stages.objects
 

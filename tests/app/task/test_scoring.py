@@ -85,6 +85,15 @@ def test_a_lying_object_is_matched_at_its_middle(truth):
         assert match([moved(can, (side, 0.0, 0.0))], lying) == {1: 1}
 
 
+def test_objects_on_each_other_are_matched_by_height(truth):
+    raised = truth.poses[1].copy()
+    raised[2, 3] += truth.models[1].height
+    stack = Truth({1: truth.models[1], 2: truth.models[1]}, {1: truth.poses[1], 2: raised})
+    lower, upper = oracle_estimates(stack)
+    for estimates in ([lower, moved(upper, (0.003, 0.0, 0.01))], [moved(upper, (0.0, 0.003, 0.0)), lower]):
+        assert match(estimates, stack) == {1: 1, 2: 2}
+
+
 def test_two_estimates_of_one_object_leave_one_unmatched(truth):
     can = oracle_estimates(truth)[1]
     near, far = replace(can, id=5), replace(moved(can, (0.02, 0.0, 0.0)), id=6)

@@ -3,8 +3,15 @@
 import numpy as np
 
 from perception.detection.left_out import LeftOut, of_no_class
-from perception.detection.unclassified import MAX_HEIGHT, associate_unclassified
-from perception.types import CameraIntrinsics, ObjectDetection, RgbdFrame, SupportPlane, is_unclassified
+from perception.detection.unclassified import MAX_HEIGHT, associate_unclassified, is_low
+from perception.types import (
+    CameraIntrinsics,
+    ObjectDetection,
+    RgbdFrame,
+    SupportPlane,
+    is_unclassified,
+    unclassified,
+)
 
 PLANE = SupportPlane()
 
@@ -69,8 +76,10 @@ def test_candidates_left_out_for_other_reasons_stay_out():
     assert associate_unclassified(frames, [()], left_out, PLANE) == [[]]
 
 
-def test_what_is_too_high_to_lie_is_no_candidate():
-    for height, count in ((MAX_HEIGHT - 0.01, 1), (MAX_HEIGHT + 0.01, 0)):
-        frames = [from_above(square(30), height=height)]
-        (row,) = associate_unclassified(frames, [()], [of_no_class(square(30), 0.9)], PLANE)
-        assert len(row) == count
+def test_what_most_views_show_as_high_does_not_lie():
+    low, high = MAX_HEIGHT - 0.01, MAX_HEIGHT + 0.01
+    rows = [[unclassified(square(30), 3)]] * 3
+    for heights, expected in (((low, low, high), True), ((low, high, high), False)):
+        frames = [from_above(square(30), height=height) for height in heights]
+        assert is_low(frames, rows, 3, PLANE) == expected
+    assert not is_low(frames, rows, 4, PLANE)

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Callable
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 
 import numpy as np
 import pytest
@@ -133,3 +133,32 @@ def make_table(decoder: CupDecoder) -> Callable[..., Table]:
 @pytest.fixture(scope="session")
 def can(make_table):
     return make_table("can", (1.5, -1.0), yaw=0.0)
+
+
+@dataclass(frozen=True)
+class Stack:
+    """A can on a narrower one, seen from three sides: the masks of both together, and of the upper one."""
+
+    lower: Table
+    higher: Table
+    seen: list[ObjectObservation]
+    upper: list[np.ndarray]
+    height: float
+
+
+@pytest.fixture(scope="session")
+def stack(make_table) -> Stack:
+    lower, higher = make_table("can", (0.0, 0.0), yaw=0.0), make_table("can", (1.5, -1.0), yaw=0.0)
+    top = 2 * float(lower.pose.translation[2])
+    higher = replace(
+        higher, pose=replace(higher.pose, translation=np.add(higher.pose.translation, (0.0, 0.0, top)))
+    )
+    rng, seen, upper = np.random.default_rng(0), [], []
+    for azimuth in (0.0, 2.1, 4.2):
+        T = lower.camera(azimuth, elevation=0.4)
+        (below, mask_below), (above, mask_above) = lower.frame(T, rng), higher.frame(T, rng)
+        first = mask_above & (~mask_below | (above.depth < below.depth))
+        frame = replace(below, depth=np.where(first, above.depth, below.depth))
+        seen.append(ObjectObservation(frame, mask_below | mask_above))
+        upper.append(first)
+    return Stack(lower, higher, seen, upper, top)

@@ -13,7 +13,7 @@ from perception.inference.evidence import Evidence
 from perception.inference.fit import FitFailedError
 from perception.inference.fit_config import FitConfig
 from perception.inference.observation import ObjectObservation, ObjectViews
-from perception.inference.resting import ALTERNATIVES
+from perception.inference.screening import HYPOTHESES
 from perception.types import (
     CATEGORIES,
     CameraIntrinsics,
@@ -56,6 +56,9 @@ def choose(monkeypatch):
             return ScoredFit(estimate, EVIDENCE, known)
 
         monkeypatch.setattr(class_choice, "_scored", scored)
+        monkeypatch.setattr(class_choice, "comes_near", lambda *_: True)
+        monkeypatch.setattr(class_choice, "nearest_hypotheses", lambda *_: HYPOTHESES)
+        monkeypatch.setattr(pose_choice, "rests_stably", lambda mesh, plane: True)
         views = ObjectViews(3, category, 0.9, (OBSERVATION,) * seen, np.array(probabilities))
         return fit_best_class(views, None, SupportPlane(), Model({}, 0.4), FitConfig())
 
@@ -140,7 +143,7 @@ def choose_pose(monkeypatch):
     """A function from the shares explained in each pose to the choice, and the poses that it tried."""
     tried = []
 
-    def run(explained, probabilities=(), resting_stably=True):
+    def run(explained, probabilities=(), resting_stably=True, near=True, hypotheses=HYPOTHESES):
         tried.clear()
 
         def scored(views, decoder, plane, model, config, on_step):
@@ -153,6 +156,8 @@ def choose_pose(monkeypatch):
             return ScoredFit(estimate, replace(EVIDENCE, explained=share), None)
 
         monkeypatch.setattr(class_choice, "_scored", scored)
+        monkeypatch.setattr(class_choice, "comes_near", lambda *_: near)
+        monkeypatch.setattr(class_choice, "nearest_hypotheses", lambda *_: hypotheses)
         monkeypatch.setattr(pose_choice, "rests_stably", lambda mesh, plane: resting_stably)
         views = ObjectViews(3, "bottle", 0.9, (OBSERVATION,), np.array(probabilities))
         return fit_best_class(views, None, SupportPlane(), Model({}, 0.4), FitConfig())
@@ -177,11 +182,21 @@ def test_an_object_of_given_class_that_does_not_stand_is_tried_in_its_other_pose
     assert run({("bottle", "upright"): 0.6, ("bottle", "lying"): 0.96}, (), False).resting == "upright"
 
 
-def test_an_object_of_no_class_is_tried_as_every_class_in_every_pose(choose_pose) -> None:
+def test_poses_that_do_not_come_near_are_not_fitted(choose_pose) -> None:
     run, tried = choose_pose
-    estimate = run({("mug", "upside-down"): 0.95, ("can", "lying"): 0.9}, np.full(5, 0.2))
-    assert (estimate.category, estimate.resting) == ("mug", "upside-down")
-    assert len(set(tried)) == len(tried) == 4 + sum(map(len, ALTERNATIVES.values()))
+    assert run({("bottle", "upright"): 0.6, ("bottle", "lying"): 0.96}, near=False).resting == "upright"
+    assert tried == [("bottle", "upright")]
+
+
+def test_an_object_of_no_class_is_fitted_as_what_comes_near(choose_pose) -> None:
+    run, tried = choose_pose
+    near = [("mug", "upside-down"), ("can", "lying")]
+    estimate = run({near[0]: 0.95, near[1]: 0.8}, np.full(5, 0.2), hypotheses=near)
+    assert (estimate.category, estimate.resting, tried) == ("mug", "upside-down", near)
+    with pytest.raises(RejectedError, match="no shape in any resting pose"):
+        run({near[0]: 0.8, near[1]: 0.7}, np.full(5, 0.2), hypotheses=near)
+    with pytest.raises(RejectedError):
+        run({near[0]: 0.95}, np.full(5, 0.2), resting_stably=False, hypotheses=near)
 
 
 def test_only_the_poses_of_the_class_are_tried_where_the_detector_knows_one(choose_pose) -> None:
