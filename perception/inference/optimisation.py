@@ -134,7 +134,7 @@ def optimise_object(
 
 
 def coarse_residual(
-    views: ObjectViews, decoder: Decoder, plane: SupportPlane, config: FitConfig = FitConfig(), most: int = 3
+    views: ObjectViews, decoder: Decoder, plane: SupportPlane, config: FitConfig = FitConfig(), most: int = 6
 ) -> float:
     """Return the mean capped depth residual in metres after the first stage alone: how near a shape comes.
 

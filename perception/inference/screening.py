@@ -17,7 +17,7 @@ from perception.inference.resting import ALTERNATIVES
 from perception.inference.shape_model import Decoder
 from perception.types import CATEGORIES, Category, RestingPose, SupportPlane
 
-VIEWS = 3
+VIEWS = 2
 MOST = 3  # hypotheses that are kept
 NEAR = 0.012  # [m] largest coarse residual of a hypothesis that is kept
 RELATIVE = 1.8  # the same, relative to the smallest one
