@@ -183,7 +183,7 @@ def _draw_plan(axis: Any, plan: TaskPlan | None) -> None:
         )
         axis.text(*start[::-1], f"{placement.name.replace('_', ' ')}", ha="center", va="center", fontsize=9)
         axis.text(*goal[::-1], str(order), ha="center", va="center", fontsize=12, fontweight="bold")
-    for name in plan.left_out:
+    for name in plan.left_out.keys() & plan.objects.keys():  # what cannot be grasped as it is has no goal
         item = plan.objects[name]
         _outline(axis, item.vertices, item.T_world_stand, np.array([0.5, 0.5, 0.5]), alpha=0.4)
         axis.text(*item.T_world_stand[:2, 3][::-1], f"{name}\nleft out", ha="center", fontsize=9)

@@ -1,3 +1,5 @@
+from dataclasses import replace
+
 import numpy as np
 from PIL import Image
 
@@ -21,7 +23,13 @@ def test_complete_and_partial_overviews_are_written(tmp_path, overhead_frame, ca
     complete = Overview(
         "Pack", "seed 1", scene, scene, scene, [overhead_frame], found, [can_at()], pack_plan, reports
     )
-    for name, overview in {"complete": complete, "empty": Overview("Pack", "stopped early")}.items():
+    unplanned = replace(pack_plan, left_out={"bowl_3": "it stands upside down"})
+    overviews = {
+        "complete": complete,
+        "unplanned": replace(complete, plan=unplanned),
+        "empty": Overview("Pack", "stopped early"),
+    }
+    for name, overview in overviews.items():
         write_overview(tmp_path / f"{name}.png", overview)
         with Image.open(tmp_path / f"{name}.png") as image:
             assert min(image.size) > 1000
