@@ -15,6 +15,7 @@ from jaxtyping import Float
 from manipulation.collision import CollisionWorld
 from manipulation.kinematics import Kinematics
 from manipulation.obstacles import TABLE, Obstacle
+from manipulation.robot import ArmDescription
 from manipulation.viewpoints import (
     BOX_VIEWPOINTS,
     KEEP_OUT,
@@ -39,6 +40,7 @@ PLACES = (
 HEIGHTS = (0.04, 0.30)
 TURNS = (0.0, np.pi / 2)  # of the hand about the vertical, relative to its yaw at home
 _SEEDS = 3
+_FITS: dict[tuple, ReachFit] = {}  # that of the last arm asked for
 
 
 @dataclass(frozen=True)
@@ -120,6 +122,15 @@ class ReachFit:
 
     workspace: Workspace
     share: float
+
+
+def arm_workspace(arm: ArmDescription) -> ReachFit:
+    """Return ``fit_workspace`` of an arm with its home posture; computed once per arm."""
+    key = (arm.mjcf, arm.joint_names, arm.tcp_site, arm.max_width, tuple(map(float, arm.q_home)))
+    if key not in _FITS:
+        _FITS.clear()
+        _FITS[key] = fit_workspace(Kinematics(arm))
+    return _FITS[key]
 
 
 def fit_workspace(kinematics: Kinematics, lift: float = 0.0) -> ReachFit:

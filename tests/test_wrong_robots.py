@@ -44,7 +44,10 @@ SMALL = {
         "'tilt' moves the arm but is not in [arm] joints: list it",
     ),
     "sliding joint": ([("xml", 'name="turn"', 'type="slide" name="turn"')], "'turn' must be a hinge"),
-    "no range": ([("xml", 'axis="0 0 1" range="-3 3"', 'axis="0 0 1" limited="false"')], "'turn' must be"),
+    "ball joint": (
+        [("xml", 'name="turn" axis="0 0 1" range="-3 3"', 'name="turn" type="ball"')],
+        "'turn' must be",
+    ),
     "home count": ([("toml", "home = [0.0, ", "home = [")], "home has 3 entries, expected 4"),
     "home range": ([("xml", "-2.5 2.5", "-1 1")], "home 2 of joint 'bend' is outside its range -1..1 rad"),
     "home NaN": ([("toml", "home = [0.0", "home = [nan")], "home = [nan"),

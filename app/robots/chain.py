@@ -13,6 +13,7 @@ from sim_assets.robots.servos import actuators_of
 
 _SLIDE = int(mujoco.mjtJoint.mjJNT_SLIDE)
 _HINGE = int(mujoco.mjtJoint.mjJNT_HINGE)
+MIN_AXES = 4  # of an arm
 
 
 @dataclass(frozen=True)
@@ -20,7 +21,7 @@ class Chain:
     """Joints of an arm.
 
     Attributes:
-        root: name of the arm's root body if the model has further ones with joints; else empty.
+        root: body at which the arm begins, if the model has further parts with joints; else empty.
         joints: names of the hinges from base to wrist.
         fingers: names of the one or two joints that drive the hand.
         assumptions: what was chosen among several possibilities.
@@ -37,36 +38,72 @@ def find_chain(model: MjModel, root: str = "") -> Chain:
 
     Args:
         model: the compiled arm.
-        root: root body of the arm to take; empty for the first.
+        root: body that carries the arm's first joint, or the whole arm; empty for the first arm.
 
     Raises:
         UsageError: there is no arm with a hand in the model; the message says what is missing.
     """
     roots = [b for b in range(1, model.nbody) if model.body_parentid[b] == 0 and _joints_below(model, b)]
-    names = [model.body(b).name for b in roots]
     if not roots:
         raise UsageError("the model has no joints: give the MJCF of an arm")
-    if root and root not in names:
-        raise UsageError(f"--body {root} is no root body with joints; there are {', '.join(names)}")
-    body = roots[names.index(root) if root else 0]
-    several = len(roots) > 1
+    body, assumptions = _root_of_arm(model, roots, root)
     chain = _serial_chain(model, body)
-    if len(chain) < 4:
+    if len(chain) < MIN_AXES:
         raise UsageError(
             f"only {len(chain)} hinges lead from body '{model.body(body).name}' to the hand: an arm needs at "
-            "least 4; scenes with other mechanisms need --body"
+            f"least {MIN_AXES}; scenes with other mechanisms need --body"
         )
     joints = tuple(model.joint(j).name for j in chain)
-    assumptions = [f"body '{names[roots.index(body)]}' of {', '.join(names)} is the arm (--body)"] * several
+    endless = ", ".join(f"'{model.joint(j).name}'" for j in chain if not model.jnt_limited[j])
+    if endless:
+        assumptions += (f"joints without a range turn by up to 360 degrees either way: {endless}",)
     hand = hand_joints(model, joints)
     if not hand:
         sites = ", ".join(model.site(s).name for s in range(model.nsite) if model.site(s).name)
         raise UsageError(
             f"the arm ends at joint '{joints[-1]}' without a hand: give --hand HAND.xml --mount SITE; its "
-            f"sites are {sites or 'none'}"
+            f"sites are {sites or 'none'}. Hands with one moving finger, should '{joints[-1]}' move one, are "
+            "not supported"
         )
-    fingers = _driven(model, hand)
-    return Chain(root or (names[roots.index(body)] if several else ""), joints, fingers, tuple(assumptions))
+    alone = len(roots) == 1 and body == roots[0]
+    return Chain("" if alone else model.body(body).name, joints, _driven(model, hand), assumptions)
+
+
+def _root_of_arm(model: MjModel, roots: list[int], name: str) -> tuple[int, tuple[str, ...]]:
+    """Return the body at which the arm begins, and what was assumed about it.
+
+    Raises:
+        UsageError: no body has that name.
+    """
+    names = [model.body(b).name for b in roots]
+    if name:
+        found = [b for b in range(1, model.nbody) if model.body(b).name == name and _joints_below(model, b)]
+        if not found:
+            known = [*names, *(model.body(b).name for b in _arms(model) if b not in roots)]
+            raise UsageError(f"--body {name} is no body with joints; there are {', '.join(known)}")
+        return found[0], ()
+    if len(_serial_chain(model, roots[0])) >= MIN_AXES:
+        several = (f"body '{names[0]}' of {', '.join(names)} is the arm (--body)",) if len(roots) > 1 else ()
+        return roots[0], several
+    arms = _arms(model)
+    if not arms:
+        return roots[0], ()
+    known = ", ".join(model.body(b).name for b in arms)
+    text = f"body '{model.body(arms[0]).name}' of {known} is the arm (--body); joints before it are held"
+    return arms[0], (text,)
+
+
+def _arms(model: MjModel) -> list[int]:
+    """Return the bodies with the first joint of each chain of hinges that leads to a hand."""
+    starts, used = [], set()
+    for body in range(1, model.nbody):
+        if model.body_jntnum[body] == 0 or int(model.body_jntadr[body]) in used:
+            continue
+        chain = _serial_chain(model, body)
+        used.update(chain)
+        if len(chain) >= MIN_AXES and hand_joints(model, [model.joint(j).name for j in chain]):
+            starts.append(body)
+    return starts
 
 
 def _joints_below(model: MjModel, body: int) -> list[int]:
@@ -79,8 +116,6 @@ def _serial_chain(model: MjModel, body: int) -> list[int]:
     while True:
         own = [j for j in range(model.njnt) if model.jnt_bodyid[j] == body]
         if any(model.jnt_type[j] != _HINGE for j in own):
-            return chain
-        if own and not model.jnt_limited[own].all() and chain:
             return chain
         chain += own
         children = [b for b in range(1, model.nbody) if model.body_parentid[b] == body]

@@ -9,6 +9,7 @@ from typing import Literal
 import numpy as np
 from jaxtyping import Float
 
+from app.task.arm_cell import THINNEST_WALL
 from manipulation.collision import CollisionWorld
 from manipulation.kinematics import Kinematics
 from manipulation.obstacles import TABLE
@@ -52,8 +53,9 @@ def check_hand(arm: ArmDescription) -> RobotFinding:
     if hand.max_width < 0.07:
         remedy = "cans and bottles wider than the hand cannot be packed: --objects mug=2,bowl=2"
         return RobotFinding("warning", "hand", found, remedy)
-    if hand.min_width > 0.003:
-        return RobotFinding("warning", "hand", found, "thin rims of mugs and bowls cannot be held")
+    if hand.min_width > THINNEST_WALL:
+        remedy = "walls of mugs and bowls cannot be held: objects are bottles and cans"
+        return RobotFinding("warning", "hand", found, remedy)
     return RobotFinding("good", "hand", found)
 
 

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import os
-from collections.abc import Iterable, Sequence
+from collections.abc import Iterable, Iterator, Sequence
 from dataclasses import dataclass, replace
 from pathlib import Path
 from typing import Any
@@ -12,10 +12,11 @@ import numpy as np
 
 from app.errors import UsageError
 from app.robots.chain import Chain, find_chain
+from app.robots.checks import USABLE
 from app.robots.home import find_home
 from manipulation.kinematics import Kinematics
 from manipulation.robot import ArmDescription
-from manipulation.workspace import ENOUGH, ReachFit, fit_workspace
+from manipulation.workspace import ENOUGH, ReachFit, arm_workspace, fit_workspace
 from sim_assets.errors import RobotFileError
 from sim_assets.rendering.headless import MjModel, mujoco
 from sim_assets.robots.hand_shape import geom_points
@@ -81,13 +82,24 @@ def draft_robot(arm: Path, folder: Path, hand: Path | None = None, mount: str = 
         )
     entries = replace(entries, home=home)
     raised = (f"the base stands {1e3 * lift:.0f} mm above the table, where it reaches most ([arm] base)",)
+    remarks = (*(raised if lift else ()), *_reach_remarks(replace(robot.description, q_home=home)))
     guesses = (f"each finger presses with {DEFAULT_FORCE:g} N", "the limits of speed are moderate guesses")
-    assumptions = (*chain.assumptions, *robot.assumptions, *(raised if lift else ()), *guesses)
+    assumptions = (*chain.assumptions, *robot.assumptions, *remarks, *guesses)
     return Draft(_text(entries, folder, assumptions, model), assumptions)
 
 
 def _home(arm: ArmDescription) -> np.ndarray | None:
     return find_home(arm, Kinematics(arm))
+
+
+def _reach_remarks(arm: ArmDescription) -> Iterator[str]:
+    """Yield that too little of a cell is in reach, with the usual cause."""
+    share = arm_workspace(arm).share
+    if share < USABLE:
+        yield (
+            f"only {100 * share:.0f} % of a cell is in reach with the hand pointing down, too little for any "
+            "task: turn the hand at its mount ([hand] quaternion), or mount the arm otherwise ([arm] base)"
+        )
 
 
 def best_lift(kinematics: Kinematics) -> float:
@@ -125,14 +137,13 @@ def _placed(entries: RobotEntries, model: MjModel, chain: Chain) -> RobotEntries
     Home is the middle of the joints' ranges for now; accelerations suit the torque limits.
     """
     ids = [model.joint(name).id for name in chain.joints]
-    unlimited = [name for name, j in zip(chain.joints, ids, strict=True) if not model.jnt_limited[j]]
-    if unlimited:
-        raise RobotFileError(f"joint '{unlimited[0]}' has no range: give it one in the MJCF")
     home = model.jnt_range[ids].mean(axis=1)
     data = mujoco.MjData(model)
     data.qpos[model.jnt_qposadr[ids]] = home
     mujoco.mj_forward(model, data)
-    lift = -min(_lowest_of_first_link(model, data, ids[0]), 0.0)
+    lowest = _lowest_of_first_link(model, data, ids[0])
+    carried = bool(chain.root) and int(model.body_parentid[model.body(chain.root).id]) > 0
+    lift = -lowest if carried else max(-lowest, 0.0)  # without what carried it, the arm stands on the table
     anchor = data.xanchor[ids[0]]
     base = Frame(np.array([-anchor[0], -anchor[1], lift]) + 0.0, ORIGIN.quaternion)
     limits = entries.limits.copy()
@@ -145,14 +156,14 @@ def _placed(entries: RobotEntries, model: MjModel, chain: Chain) -> RobotEntries
 
 
 def _lowest_of_first_link(model: MjModel, data: Any, first: int) -> float:
-    """Return the height [m] of the first link's lowest collision point; negative below the table."""
-    lowest = 0.0
+    """Return the height [m] of the first link's lowest collision point; 0 if it has none."""
+    lowest = np.inf
     for geom in np.flatnonzero(model.geom_contype):
         body = model.geom_bodyid[geom]
         if model.body_weldid[body] == model.jnt_bodyid[first]:
             points = geom_points(model, int(geom)) @ data.geom_xmat[geom].reshape(3, 3).T
             lowest = min(lowest, float(points[:, 2].min() + data.geom_xpos[geom][2]))
-    return lowest
+    return lowest if np.isfinite(lowest) else 0.0
 
 
 def _text(entries: RobotEntries, folder: Path, assumptions: Sequence[str], model: MjModel) -> str:

@@ -9,6 +9,7 @@ from typing import TYPE_CHECKING
 import numpy as np
 
 from app.options import CellOptions
+from perception.types import CATEGORIES, Category
 
 if TYPE_CHECKING:
     from manipulation.kinematics import Kinematics
@@ -21,6 +22,8 @@ if TYPE_CHECKING:
 FULL_OPENING = 0.075  # [m] that the generated objects need: cans and caps of 70 mm, with clearance
 SMALLEST = 0.5  # scale of objects below which fingers do not fit into cups
 BELOW_RIM = 0.018  # [m] of an object besides the fingertips: depth of the pads, floor, clearance
+HELD_BY_WALL = ("mug", "bowl")
+THINNEST_WALL = 0.003  # [m] to which a hand must close for these
 CLEARANCE = 0.002  # [m] of an opening beyond a body
 GRAVITY = 9.81
 FRICTION = 0.6  # least coefficient between pads and objects
@@ -35,11 +38,13 @@ class ArmCell:
         scale: of places, box and viewpoints.
         object_scale: of generated objects; no larger.
         lowest: least height of a generated object in [m], which the fingertips need beyond the pads.
+        categories: classes that objects are drawn from: those that the hand can hold.
     """
 
     scale: float = 1.0
     object_scale: float = 1.0
     lowest: float = 0.0
+    categories: tuple[Category, ...] = CATEGORIES
 
 
 def arm_cell(options: CellOptions, robot: SimulatedArm) -> ArmCell:
@@ -48,10 +53,9 @@ def arm_cell(options: CellOptions, robot: SimulatedArm) -> ArmCell:
 
     if options.robot in SHIPPED:
         return ArmCell()
-    from manipulation.kinematics import Kinematics
-    from manipulation.workspace import fit_workspace
+    from manipulation.workspace import arm_workspace
 
-    return scales_of(fit_workspace(Kinematics(robot.description)), robot)
+    return scales_of(arm_workspace(robot.description), robot)
 
 
 def scales_of(fit: ReachFit, robot: SimulatedArm) -> ArmCell:
@@ -59,7 +63,9 @@ def scales_of(fit: ReachFit, robot: SimulatedArm) -> ArmCell:
     by_opening = max(SMALLEST, robot.description.max_width / FULL_OPENING)
     scale = fit.workspace.scale
     lowest = robot.description.gripper.tip + BELOW_RIM
-    return ArmCell(scale, round(min(scale, by_opening), 3), lowest)
+    closes = robot.description.gripper.min_width <= THINNEST_WALL
+    categories: tuple[Category, ...] = tuple(c for c in CATEGORIES if closes or c not in HELD_BY_WALL)
+    return ArmCell(scale, round(min(scale, by_opening), 3), lowest, categories)
 
 
 def box_of(options: CellOptions, inner: tuple[float, float, float], scale: float) -> BoxConfig:
@@ -76,8 +82,14 @@ def cell_remarks(world: World) -> Iterator[str]:
     if world.config.scale != 1.0:
         yield f"the cell has {100 * world.config.scale:.0f} % of its standard size, by the arm's reach"
     load = payload(world)
+    least = arm.gripper.min_width
     for index, model in enumerate(world.config.objects):
         width = narrowest_grip(model)
+        if model.category in HELD_BY_WALL and least > THINNEST_WALL:
+            yield (
+                f"object {index} ({model.category}) is held by its wall, the hand closes to "
+                f"{1e3 * least:.0f} mm: it will be left"
+            )
         if width > arm.max_width - CLEARANCE:
             yield (
                 f"object {index} ({model.category}) is {1e3 * width:.0f} mm wide, the hand opens to "
@@ -92,8 +104,8 @@ def cell_remarks(world: World) -> Iterator[str]:
 
 def narrowest_grip(model: ObjectModel) -> float:
     """Return the smallest width [m] that a hand must open for: of a wall, cap, or body."""
-    if model.category in ("mug", "bowl"):
-        return 0.0  # held by the wall
+    if model.category in HELD_BY_WALL:
+        return 0.0
     vertices = np.asarray(model.mesh.vertices)
     top = vertices[vertices[:, 2] > vertices[:, 2].max() - 0.03]
     return float(np.ptp(top[:, :2], axis=0).min())

@@ -30,13 +30,19 @@ HIGHER_DRAWS = 20  # of an object that is too low for the fingers
 BOX_LIMITS = {"L": (0.10, 0.60), "W": (0.10, 0.50), "H": (0.02, 0.20)}  # [m]: boxes that fit on the table
 
 
-def parse_objects(text: str, rng: np.random.Generator, most: int = MAX_OBJECTS) -> list[Category]:
+def parse_objects(
+    text: str,
+    rng: np.random.Generator,
+    most: int = MAX_OBJECTS,
+    drawn: Sequence[Category] = CATEGORIES,
+) -> list[Category]:
     """Return the classes of ``--objects``: a number draws them evenly, ``mug=2,can=1`` lists them.
 
     Args:
         text: Value of the option.
         rng: Generator of the drawn classes.
         most: Maximum number of objects.
+        drawn: Classes to draw from.
 
     Raises:
         UsageError: The text has neither form, or the number is out of range.
@@ -45,7 +51,7 @@ def parse_objects(text: str, rng: np.random.Generator, most: int = MAX_OBJECTS) 
     if text.strip().isascii() and text.strip().isdigit():
         count = _count(text.strip())
         _require_room(text, count, most)
-        return _mixture(count, rng)
+        return _mixture(count, rng, drawn)
     classes: list[Category] = []
     total = 0
     for part in text.split(","):
@@ -66,9 +72,9 @@ def _count(digits: str) -> int:
     return int(digits) if len(digits) < 10 else 10**9
 
 
-def _mixture(count: int, rng: np.random.Generator) -> list[Category]:
-    rounds = math.ceil(count / len(CATEGORIES))
-    drawn: list[Category] = [CATEGORIES[i] for _ in range(rounds) for i in rng.permutation(len(CATEGORIES))]
+def _mixture(count: int, rng: np.random.Generator, categories: Sequence[Category]) -> list[Category]:
+    rounds = math.ceil(count / len(categories))
+    drawn = [categories[i] for _ in range(rounds) for i in rng.permutation(len(categories))]
     return drawn[:count]
 
 
@@ -145,10 +151,9 @@ def load_arm(spec: str, check: bool = True) -> SimulatedArm:
 def _require_usable(spec: str, robot: SimulatedArm) -> None:
     """Raise ProblemsError for an arm with which every task fails: home, reach, camera."""
     from app.robots.checks import loading_faults
-    from manipulation.kinematics import Kinematics
-    from manipulation.workspace import fit_workspace
+    from manipulation.workspace import arm_workspace
 
-    fit = fit_workspace(Kinematics(robot.description))
+    fit = arm_workspace(robot.description)
     faults = loading_faults(robot.description, robot.fovy, fit)
     if faults:
         raise ProblemsError([f"{spec}: {f.subject}: {f.found}: {f.remedy}" for f in faults])
@@ -166,14 +171,14 @@ def build_world(options: CellOptions, task: str | None) -> World:
     """
     layout_seed, shape_seed, thing_seed = np.random.SeedSequence(options.seed).spawn(3)
     rng = np.random.default_rng(shape_seed)
-    classes = parse_objects(options.objects, rng)
+    robot = robot_of(options)
+    cell = arm_cell(options, robot)
+    classes = parse_objects(options.objects, rng, drawn=cell.categories)
     inner = parse_box(options.box)
     from app.task.fitting_cell import fitting_world
     from sim_assets.cell.config import CellConfig
     from sim_assets.cell.layout import LayoutError
 
-    robot = robot_of(options)
-    cell = arm_cell(options, robot)
     config = CellConfig(
         objects=tuple(_draw_models(options, classes, rng, cell)),
         box=None if task == "sort" else box_of(options, inner, cell.scale),

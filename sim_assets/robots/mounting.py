@@ -8,6 +8,7 @@ from __future__ import annotations
 
 from dataclasses import dataclass
 from pathlib import Path
+from typing import Any
 
 import numpy as np
 from jaxtyping import Float
@@ -65,7 +66,7 @@ class Mount:
         mjcf: path of the arm's file.
         base: pose of the file's world in the scene's.
         joints: names of the arm's joints, base to wrist.
-        root: name of the body to keep of a file with several arms; empty to keep all.
+        root: name of the body at which the arm begins, of a file with more than that; empty to keep all.
         hand: hand from a file of its own.
         sites: sites to add.
         camera_site: site of the wrist camera's optical frame (OpenCV axes); empty while unknown.
@@ -103,6 +104,7 @@ def load(mount: Mount, visuals: bool = True) -> MjSpec:
         if geom.type in (mujoco.mjtGeom.mjGEOM_PLANE, mujoco.mjtGeom.mjGEOM_HFIELD):  # the floor of a scene
             spec.delete(geom)
     _name_parts(spec)
+    _limit_joints(spec, mount)
     _set_contacts(spec, mount)
     if not visuals:
         _strip(spec)
@@ -177,22 +179,54 @@ def _check_references(path: Path, spec: MjSpec) -> None:
         for kind, name, known in (("material", geom.material, materials), ("mesh", geom.meshname, meshes)):
             if name and name not in known:
                 raise RobotFileError(f"{path}: geom '{geom.name}' has an unknown {kind} '{name}'")
-    for mesh in spec.meshes:
-        file = path.parent / spec.meshdir / mesh.file
-        if mesh.file and not file.exists() and not (path.parent / mesh.file).exists():
-            raise RobotFileError(f"{path}: mesh file {file} is missing")
+    files = [("mesh", spec.meshdir, mesh.file) for mesh in spec.meshes]
+    files += [("texture", spec.texturedir, texture.file) for texture in spec.textures]
+    missing = [
+        f"{path}: {kind} file {path.parent / folder / file} is missing"
+        for kind, folder, file in files
+        if file and not (path.parent / folder / file).exists() and not (path.parent / file).exists()
+    ]
+    if missing:
+        raise RobotFileError(
+            missing if len(missing) < 4 else [*missing[:3], f"{path}: ... {len(missing)} files in all"]
+        )
 
 
 def _keep_only(spec: MjSpec, mount: Mount) -> None:
+    """Delete all but the arm that begins at body ``mount.root``, and hold the joints that lead to it.
+
+    Of the bodies that carry it, those without joints and other moving parts keep their geoms: its base.
+    """
     kept = spec.body(mount.root)
     if kept is None:
         roots = ", ".join(body.name for body in spec.worldbody.bodies if body.name)
         raise RobotFileError(f"{mount.mjcf} has no body '{mount.root}' ([arm] body); it has {roots}")
-    for body in list(spec.worldbody.bodies):
-        if body.name != mount.root and not any(b.name == mount.root for b in body.bodies):
-            spec.delete(body)
-    for geom in list(spec.worldbody.geoms):
-        spec.delete(geom)
+    while kept.name != "world":
+        carrier = kept.parent
+        others = [body for body in carrier.bodies if body.name != kept.name]
+        if carrier.name == "world" or carrier.joints or any(map(_has_joints, others)):
+            for part in (*others, *carrier.geoms):
+                spec.delete(part)
+            for joint in list(carrier.joints):
+                _delete_joint(spec, joint)
+        kept = carrier
+
+
+def _has_joints(body: MjsBody) -> bool:
+    return bool(body.joints) or any(map(_has_joints, body.bodies))
+
+
+def _delete_joint(spec: MjSpec, joint: Any) -> None:
+    """Delete a joint, and the actuators, equalities and sensors that act on it."""
+    for element in (*spec.actuators, *spec.equalities, *spec.sensors):
+        if joint.name in _targets(element):
+            spec.delete(element)
+    spec.delete(joint)
+
+
+def _targets(element: Any) -> set[str]:
+    """Return the names of the parts that an actuator, equality or sensor refers to."""
+    return {getattr(element, key) for key in ("target", "name1", "name2", "objname") if hasattr(element, key)}
 
 
 def _add_hand(spec: MjSpec, mount: Mount) -> None:
@@ -231,6 +265,18 @@ def _name_parts(spec: MjSpec) -> None:
             if not element.name:
                 name = f"{kind}_{index}"
                 element.name = name if name not in names else f"unnamed_{name}"
+
+
+def _limit_joints(spec: MjSpec, mount: Mount) -> None:
+    """Give the arm's joints that turn without end a range of one turn either way."""
+    for name in mount.joints:
+        joint = spec.joint(name)
+        if joint is None or joint.type != mujoco.mjtJoint.mjJNT_HINGE:
+            continue
+        unlimited = joint.limited == mujoco.mjtLimited.mjLIMITED_FALSE
+        if unlimited or (joint.limited == mujoco.mjtLimited.mjLIMITED_AUTO and not np.any(joint.range)):
+            turn = 360.0 if spec.compiler.degree else 2 * np.pi
+            joint.limited, joint.range = mujoco.mjtLimited.mjLIMITED_TRUE, (-turn, turn)
 
 
 def _set_contacts(spec: MjSpec, mount: Mount) -> None:

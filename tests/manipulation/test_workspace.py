@@ -1,12 +1,24 @@
 """Scaled cells are similar to the standard one, and as large as the arm's reach allows."""
 
+from dataclasses import replace
+
 import numpy as np
 import pytest
 
+from manipulation import workspace
 from manipulation.kinematics import Kinematics
 from manipulation.planner import ManipulationConfig
 from manipulation.viewpoints import BOX_VIEWPOINTS, KEEP_OUT, LINE_VIEWPOINTS, SCAN_VIEWPOINTS
-from manipulation.workspace import ENOUGH, SCALES, Workspace, fit_workspace, place_poses, reachable_share
+from manipulation.workspace import (
+    ENOUGH,
+    SCALES,
+    ReachFit,
+    Workspace,
+    arm_workspace,
+    fit_workspace,
+    place_poses,
+    reachable_share,
+)
 from sim_assets.robots import load_robot
 
 
@@ -65,3 +77,11 @@ def test_an_arm_on_a_pedestal_that_is_too_high_gets_a_smaller_cell(kinematics):
 def test_an_arm_that_reaches_nothing_has_no_share(kinematics):
     fit = fit_workspace(kinematics, lift=3.0)
     assert fit.share == 0.0 and fit.workspace.scale in SCALES
+
+
+def test_the_workspace_of_an_arm_is_computed_once(monkeypatch):
+    arm, scales = load_robot("panda").description, iter((0.9, 0.8))
+    monkeypatch.setattr(workspace, "_FITS", {})
+    monkeypatch.setattr(workspace, "fit_workspace", lambda _: ReachFit(Workspace(next(scales)), 1.0))
+    assert arm_workspace(arm) is arm_workspace(arm)
+    assert arm_workspace(replace(arm, q_home=arm.q_home + 0.1)).workspace.scale == 0.8

@@ -42,10 +42,23 @@ def test_one_arm_of_several():
     mjcf = SLIDING.replace('<body name="base">', other)
     chain = chain_of(mjcf, "base")
     assert chain.root == "base" and chain.joints == JOINTS
-    with pytest.raises(UsageError, match="only 0 hinges lead from body 'cart'"):
-        chain_of(mjcf)
-    with pytest.raises(UsageError, match="--body table is no root body with joints; there are cart, base"):
+    found = chain_of(mjcf)
+    assert found.joints == JOINTS and "'one' of one is the arm (--body)" in found.assumptions[0]
+    with pytest.raises(UsageError, match="--body table is no body with joints; there are cart, base, one"):
         chain_of(mjcf, "table")
+
+
+def test_an_arm_on_a_cart_begins_at_its_first_hinge():
+    cart = '<body name="base"><joint name="drive" type="slide"/><body name="head"><joint name="nod"/>'
+    mjcf = SLIDING.replace('<body name="base">', cart + '<geom size=".05"/></body>')
+    chain = chain_of(mjcf)
+    assert (chain.root, chain.joints, chain.fingers) == ("one", JOINTS, ("left", "right"))
+    assert chain_of(mjcf, "one").joints == JOINTS
+
+
+def test_joints_that_turn_without_end_belong_to_the_arm():
+    chain = chain_of(SLIDING.replace('axis="1 0 0" range="-3 3"', 'axis="1 0 0"'))
+    assert chain.joints == JOINTS and "'roll'" in chain.assumptions[0]
 
 
 @pytest.mark.parametrize(
@@ -53,7 +66,7 @@ def test_one_arm_of_several():
     [
         ("<mujoco/>", "the model has no joints"),
         (SLIDING.split('            <body name="left">')[0] + 5 * "</body>" + "</worldbody></mujoco>",
-         "the arm ends at joint 'roll' without a hand: give --hand HAND.xml --mount SITE"),
+         "the arm ends at joint 'roll' without a hand: give --hand HAND.xml --mount SITE.*one moving finger"),
     ],
 )  # fmt: skip
 def test_what_is_missing_is_named(mjcf, message):

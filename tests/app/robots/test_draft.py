@@ -18,6 +18,7 @@ from tests.sim_assets.robots.conftest import JOINTS, SLIDING
 def quick_home(monkeypatch):
     """The search for a home posture has a test of its own; that for the base's height too."""
     monkeypatch.setattr(draft, "best_lift", lambda kinematics: 0.0)
+    monkeypatch.setattr(draft, "arm_workspace", lambda arm: ReachFit(Workspace(), 1.0))
     monkeypatch.setattr(draft, "find_home", lambda arm, kinematics: np.array([0.0, -0.5, 2.0, 0.0]))
 
 
@@ -39,6 +40,11 @@ def test_assumptions_are_in_the_file_and_returned(arm_file, tmp_path):
     assert len(result.assumptions) >= 4
     for assumption in result.assumptions:
         assert f"# - {assumption}" in result.text
+
+
+def test_a_cell_out_of_reach_is_named(arm_file, tmp_path, monkeypatch):
+    monkeypatch.setattr(draft, "arm_workspace", lambda arm: ReachFit(Workspace(), 0.45))
+    assert "only 45 % of a cell is in reach" in draft_robot(arm_file, tmp_path).text
 
 
 def test_an_arm_elsewhere_in_its_file_is_moved_to_the_origin(tmp_path):

@@ -22,6 +22,7 @@ from app.task.arm_cell import (
 )
 from manipulation.robot import GripperGeometry
 from manipulation.workspace import ReachFit, Workspace
+from perception.types import CATEGORIES
 from sim_assets.cell.scene import BoxConfig
 from sim_assets.objects import sample_object
 from sim_assets.robots import load_robot
@@ -46,6 +47,14 @@ def with_opening(width):
 def test_objects_suit_reach_and_opening(scale, width, expected):
     found = scales_of(ReachFit(Workspace(scale), 1.0), with_opening(width))
     assert found == replace(expected, lowest=BELOW_RIM + GripperGeometry().tip)
+
+
+@pytest.mark.parametrize(("closes_to", "classes"), [(0.002, CATEGORIES), (0.008, ("bottle", "can"))])
+def test_objects_are_drawn_that_the_hand_can_hold(closes_to, classes):
+    robot = with_opening(0.08)
+    hand = replace(robot.description.gripper, min_width=closes_to)
+    robot = replace(robot, description=replace(robot.description, gripper=hand))
+    assert scales_of(ReachFit(Workspace(1.0), 1.0), robot).categories == classes
 
 
 def test_shipped_arms_have_the_standard_cell():

@@ -173,3 +173,31 @@ def test_missing_file(mount):
     mount.mjcf.unlink()
     with pytest.raises(RobotFileError, match=r"arm\.xml: no such MJCF file"):
         load(mount)
+
+
+def test_an_arm_is_cut_out_of_a_larger_robot(mount):
+    """The cart's drive and the head go, with their actuators; the arm stays where it was."""
+    cart = """<body name="cart" pos="1 0 0"><joint name="drive" type="slide"/><geom name="hull" size=".2"/>
+      <body name="head"><joint name="nod"/><geom size=".1"/></body><body name="link" pos="0 0 0.2">"""
+    motors = '</body></worldbody><actuator><motor joint="drive"/><motor joint="nod"/></actuator>'
+    text = MJCF.replace('<body name="link" pos="0 0 0.2">', cart).replace("</worldbody>", motors)
+    mount.mjcf.write_text(text.replace("</mujoco>", "<sensor><jointpos joint='drive'/></sensor></mujoco>"))
+    mount.mjcf.write_text(mount.mjcf.read_text().replace(' qpos="0 0"', ""))
+    model = compiled(replace(mount, root="link"))
+    assert [model.joint(j).name for j in range(model.njnt)] == ["turn", "slide"]
+    assert model.nu == model.nsensor == 0 and "hull" not in {model.geom(g).name for g in range(model.ngeom)}
+    np.testing.assert_allclose(model.body("cart").pos, [1, 0, 0])
+
+
+def test_joints_of_the_arm_that_turn_without_end_get_a_range(mount):
+    for before, after in ((' range="-3 3"', ""), (' range="-3 3"', ' limited="false" range="-3 3"')):
+        mount.mjcf.write_text(MJCF.replace(before, after))
+        np.testing.assert_allclose(compiled(mount).joint("turn").range, [-2 * np.pi, 2 * np.pi])
+
+
+def test_all_missing_files_are_named(mount):
+    texture = '<texture name="t" type="2d" file="paint.png"/><mesh name="shell" file="shell.stl"/>'
+    mount.mjcf.write_text(MJCF.replace('<mesh name="shell" file="wedge.stl"/>', texture))
+    with pytest.raises(RobotFileError) as error:
+        compiled(mount)
+    assert len(error.value.problems) == 2 and "paint.png is missing" in str(error.value)

@@ -52,7 +52,6 @@ def test_all_problems_of_a_file_are_listed_at_once(write):
 
 
 FAULTS = {
-    "no range": (SLIDING.replace('axis="0 0 1" range="-3 3"', 'axis="0 0 1" limited="false"'), {}, "'turn' must be a hinge with a range"),
     "slides": (SLIDING.replace('name="turn" axis', 'name="turn" type="slide" axis'), {}, "'turn' must be a hinge with a range"),
     "home": (SLIDING.replace('range="-2.5 2.5"', 'range="-1 1"'), {}, r"home 2 of joint 'bend' is outside its range -1..1 rad"),
     "unlisted": (SLIDING.replace('<joint name="lift"', '<joint name="tilt" axis="1 0 0" range="-1 1"/><joint name="lift"'), {}, "'tilt' moves the arm but is not in [arm] joints: list it"),
