@@ -32,4 +32,4 @@ class RobotOptions(CommonOptions):
     mount: Annotated[str, arg(metavar="SITE", help_behavior_hint="default: none")] = ""
     """Site or body of the arm that carries the hand."""
     body: Annotated[str, arg(metavar="NAME", help_behavior_hint="default: the first")] = ""
-    """Root body of the arm, in a file with several."""
+    """Body at which the arm begins, in a file with more than that."""
