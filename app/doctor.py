@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import importlib.metadata
+import os
 import platform
 import re
 import subprocess
@@ -38,6 +39,8 @@ OPTIONAL = {"open3d-cpu": "eval", "tensorboard": "train", "transformers": "hf", 
 PROBE_SECONDS = 60
 _PROBE = """
 import os, sys
+from app.workers import kill_with
+kill_with(int(sys.argv[1]))
 from sim_assets.rendering.headless import mujoco
 scene = '<mujoco><worldbody><light pos="0 0 2"/><geom size=".1"/></worldbody></mujoco>'
 model = mujoco.MjModel.from_xml_string(scene)
@@ -130,7 +133,11 @@ def check_version(name: str, lock: dict[str, str], absent: Status, remedy: str) 
     return Finding(name, "ok", version + (f" (tested with {tested})" if differs else ""))
 
 
-def check_gl(command: Callable[[], list[str]] = lambda: [sys.executable, "-c", _PROBE]) -> Finding:
+def _probe_command() -> list[str]:
+    return [sys.executable, "-c", _PROBE, str(os.getpid())]
+
+
+def check_gl(command: Callable[[], list[str]] = _probe_command) -> Finding:
     """Render a small image in another process, since a broken OpenGL terminates its process."""
     remedy = "apt-get install libegl1 libgl1 libgl1-mesa-dri (or libosmesa6 and MUJOCO_GL=osmesa)"
     try:

@@ -11,10 +11,12 @@ import contextlib
 import os
 import signal
 import sys
+import threading
 from collections.abc import Callable
 from types import FrameType
 
 _SIGNALS = (signal.SIGINT, signal.SIGTERM, signal.SIGHUP)  # the last: its terminal was closed
+_REPEAT_AFTER = 0.02  # [s]
 _received: int | None = None
 _results_at_stake: Callable[[], bool] = lambda: False  # noqa: E731
 
@@ -24,6 +26,7 @@ def install() -> None:
     for number in _SIGNALS:
         if signal.getsignal(number) != signal.SIG_IGN:
             signal.signal(number, _on_signal)
+    sys.unraisablehook = _repeat_lost_interrupt
 
 
 def raise_if(results_at_stake: Callable[[], bool]) -> None:
@@ -47,6 +50,19 @@ def was_interrupted() -> bool:
 def exit_code() -> int:
     """Return the exit code of an interrupted process."""
     return 128 + (_received or signal.SIGINT)
+
+
+def _repeat_lost_interrupt(lost: sys.UnraisableHookArgs) -> None:
+    """Repeat a signal whose exception was raised in a finaliser or a callback of a weak reference.
+
+    Python prints and drops exceptions there, and the command would go on.
+    """
+    if _received is None or not isinstance(lost.exc_value, KeyboardInterrupt):
+        sys.__unraisablehook__(lost)
+        return
+    repeated = threading.Timer(_REPEAT_AFTER, os.kill, (os.getpid(), _received))
+    repeated.daemon = True
+    repeated.start()
 
 
 def _on_signal(number: int, frame: FrameType | None) -> None:

@@ -12,6 +12,7 @@ from rich.table import Table
 
 from app.detection_summary import left_out_as_json, surface_lines, surfaces_as_json, why_nothing
 from app.drawing import draw_detections, draw_estimates, draw_left_out, draw_rejected, draw_surfaces
+from app.errors import UsageError
 from app.options import ReconstructOptions
 from app.runs.report import ObjectReport, Report
 from app.runs.run_folder import RunFolder
@@ -43,6 +44,7 @@ def run(options: ReconstructOptions, screen: Screen) -> Report:
     begin = time.perf_counter()
     timings: dict[str, float] = {}
     recorded = read_scan(options.scan)
+    _check_detector(options, recorded)
     surfaces, scan = scan_surfaces(recorded), usable_part(recorded)
     folder = RunFolder.create(options, "reconstruct")
     for warning in scan.warnings:
@@ -98,6 +100,16 @@ def run(options: ReconstructOptions, screen: Screen) -> Report:
     else:
         screen.show(escape(f"{report.reason} (overview.png in {folder.path} shows where)"))
     return report
+
+
+def _check_detector(options: ReconstructOptions, scan: Scan) -> None:
+    """Raise UsageError if another detector is asked for where the folder says what its images show."""
+    own = "detections.json" if scan.detections is not None else "masks" if scan.masks is not None else ""
+    if own and options.detector != SHIPPED:
+        raise UsageError(
+            f"--detector {options.detector}: {options.scan} has {own}, which would be used instead: omit"
+            " --detector, or move them away"
+        )
 
 
 def _detections(scan: Scan, surfaces: Sequence[SupportSurface], options: ReconstructOptions) -> Detections:

@@ -11,7 +11,7 @@ from app.screen import Screen
 from app.task.cell import build_world
 from app.task.restricted_robot import restricted
 from manipulation.errors import RobotError
-from manipulation.remote.server import RobotServer
+from manipulation.remote.server import RobotServer, check_usable
 
 
 def run(options: ServeOptions, screen: Screen) -> Report:
@@ -20,14 +20,13 @@ def run(options: ServeOptions, screen: Screen) -> Report:
     Raises:
         UsageError: the address cannot be used.
     """
+    try:
+        check_usable(options.address)  # before the cell is built, which takes seconds
+    except RobotError as error:
+        raise UsageError(f"--address {error}") from None
     with screen.stage("Building the cell"):
         world = build_world(options, options.task)
-    with world:
-        try:
-            server = RobotServer(restricted(world), options.address, clock=lambda: world.time)
-        except RobotError as error:
-            raise UsageError(f"--address {error}") from None
-        with server:
-            screen.show(escape(f"robot at {server.address}; Ctrl-C ends it"))
-            server.run()
+    with world, RobotServer(restricted(world), options.address, clock=lambda: world.time) as server:
+        screen.show(escape(f"robot at {server.address}; Ctrl-C ends it"))
+        server.run()
     return Report("serve", options.seed, success=True)

@@ -245,7 +245,13 @@ def end_with_parent() -> None:
         os._exit(1)
 
     threading.Thread(target=watch, name="end with parent", daemon=True).start()
+    if parent.pid is not None:
+        kill_with(parent.pid)
+
+
+def kill_with(parent: int) -> None:
+    """Let the kernel end this process when the process that started it has ended; on Linux only."""
     if sys.platform == "linux":
         ctypes.CDLL(None).prctl(_PR_SET_PDEATHSIG, signal.SIGKILL, 0, 0, 0)
-        if os.getppid() != parent.pid:  # it ended before the call
+        if os.getppid() != parent:  # it ended before the call
             os._exit(1)

@@ -110,8 +110,8 @@ class Cell:
         from app.viewer.viewer import Viewer
         from perception.pipeline import load_perception
 
-        self._out, self._perception = out, load_perception("auto")
-        self._viewer = Viewer(open_server(port=0), live=True)
+        self._out, self._viewer = out, Viewer(open_server(port=0), live=True)
+        self._perception = load_perception("auto")
         self._viewer.player.set_yielding(True)
         self._viewer.start()
         self.port = self._viewer.server.get_port()

@@ -22,6 +22,7 @@ from perception.types import CameraIntrinsics, RgbdFrame
 
 VERSION = 1
 BUSY_PERIOD = 0.5  # [s]
+MAX_PORT = 65535
 MAX_REQUEST_BYTES = 16 * 2**20
 MAX_REPLY_BYTES = 64 * 2**20
 MAX_JOINTS, MAX_SAMPLES, MAX_SIDE, MAX_TEXT = 32, 60_000, 4096, 1000
@@ -213,8 +214,12 @@ _reply_decoder = msgspec.msgpack.Decoder(Reply)
 
 def check_address(address: str) -> None:
     """Raise RobotError unless the address has one of the two forms that are supported."""
-    if not address.startswith(("tcp://", "ipc://")):
-        raise RobotError(f"{address!r} is no address: give tcp://HOST:PORT or ipc://PATH")
+    port = address.rpartition(":")[2]
+    has_port = port.isascii() and port.isdigit() and len(port) <= 5 and int(port) <= MAX_PORT
+    if not address.startswith("ipc://") and not (address.startswith("tcp://") and has_port):
+        raise RobotError(
+            f"{address!r} is no address: give tcp://HOST:PORT or ipc://PATH; ports are 0 to {MAX_PORT}"
+        )
 
 
 def encode(message: Request | Reply) -> bytes:

@@ -27,6 +27,20 @@ logger = logging.getLogger(__name__)
 _TO_ROBOT, _END = b"robot", b"end"  # inner socket between the threads, and the message that ends it
 
 
+def check_usable(address: str) -> None:
+    """Raise RobotError unless a server can use the address at present."""
+    m.check_address(address)
+    with zmq.Context() as context, context.socket(zmq.ROUTER) as socket:
+        _bind(socket, address)
+
+
+def _bind(socket: Any, address: str) -> None:
+    try:
+        socket.bind(address)
+    except zmq.ZMQError as error:
+        raise RobotError(f"{address} cannot be used ({error}): give another address") from None
+
+
 class RobotServer:
     """Serves a robot over ZeroMQ.
 
@@ -60,10 +74,10 @@ class RobotServer:
         self._clients.setsockopt(zmq.HEARTBEAT_IVL, 500)
         self._clients.setsockopt(zmq.HEARTBEAT_TIMEOUT, 1500)
         try:
-            self._clients.bind(address)
-        except zmq.ZMQError as error:
+            _bind(self._clients, address)
+        except RobotError:
             self._context.destroy()
-            raise RobotError(f"{address} cannot be used ({error}): give another address") from None
+            raise
         self.address = self._clients.getsockopt_string(zmq.LAST_ENDPOINT)
         self._commands, self._inner = (self._context.socket(zmq.PAIR) for _ in range(2))
         self._inner.bind("inproc://robot")

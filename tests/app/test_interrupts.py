@@ -66,3 +66,29 @@ def test_a_signal_that_the_parent_ignores_stays_ignored():
     code = "import signal; signal.signal(signal.SIGINT, signal.SIG_IGN)\n" + AT_WORK.format(at_stake=False)
     code = code.replace("time.sleep(60)", "time.sleep(0.5)")
     assert signalled(code, signal.SIGINT) == (0, "", "")
+
+
+def test_a_signal_in_a_finaliser_is_not_lost():
+    finaliser = """
+import os, signal
+class Interrupted:
+    def __del__(self):
+        os.kill(os.getpid(), signal.SIGTERM)
+        for _ in range(1000):  # the handler raises here
+            pass
+"""
+    code = finaliser + AT_WORK.format(at_stake=True).replace(
+        'print("ready", flush=True)', 'print("ready", flush=True); Interrupted()'
+    )
+    assert signalled(code, signal.SIGTERM, times=0) == (143, "kept\n", "")
+
+
+def test_other_exceptions_in_finalisers_are_reported():
+    finaliser = """
+class Broken:
+    def __del__(self):
+        raise ValueError("broken")
+"""
+    code = finaliser + AT_WORK.format(at_stake=True).replace("time.sleep(60)", "Broken()")
+    code, out, err = signalled(code, signal.SIGTERM, times=0)
+    assert (code, out) == (0, "") and "ValueError: broken" in err

@@ -10,6 +10,7 @@ import numpy as np
 import pytest
 
 from app import reconstruct
+from app.errors import UsageError
 from app.options import ReconstructOptions
 from perception.errors import InvalidInputError
 from perception.io.scan_folder import Scan
@@ -33,6 +34,21 @@ def test_detections_of_the_folder_take_precedence(monkeypatch: pytest.MonkeyPatc
     assert reconstruct._detections(scan, LEVEL, options).per_frame == ((GIVEN,),)
     with pytest.raises(InvalidInputError, match=r"^mine/detections\.json is empty"):
         reconstruct._detections(Scan((FRAME,), ((),), (0,)), LEVEL, options)
+
+
+@pytest.mark.parametrize(
+    ("scan", "own"),
+    [
+        (Scan((FRAME,), ((GIVEN,),), (0,)), "detections.json"),
+        (Scan((FRAME,), None, (0,), masks=((),)), "masks"),
+    ],
+)
+def test_another_detector_is_refused_where_the_folder_has_its_own_objects(scan: Scan, own: str) -> None:
+    asked = ReconstructOptions(scan=Path("mine"), detector="hf:model")
+    with pytest.raises(UsageError, match=f"^--detector hf:model: mine has {own}, which would be used"):
+        reconstruct._check_detector(asked, scan)
+    reconstruct._check_detector(ReconstructOptions(scan=Path("mine")), scan)
+    reconstruct._check_detector(asked, Scan((FRAME,), None, (0,)))
 
 
 def test_the_shipped_detector_is_the_default(monkeypatch: pytest.MonkeyPatch) -> None:

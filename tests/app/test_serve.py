@@ -4,7 +4,6 @@ import app.serve as serve
 from app.errors import UsageError
 from app.options import ServeOptions
 from app.screen import Screen
-from manipulation.errors import RobotError
 from manipulation.robot import Robot
 from sim_assets.cell.world import World
 from sim_assets.robots import panda
@@ -42,9 +41,9 @@ def test_the_robot_of_the_cell_is_served_without_the_cell(monkeypatch, capsys):
     assert made == ["sort", (True, False, 2.5), "ran", "closed", "closed"] and report.success
     assert "robot at tcp://127.0.0.1:0" in capsys.readouterr().out
 
-    def refuse(*_, **__):
-        raise RobotError("tcp://x cannot be used")
 
-    monkeypatch.setattr(serve, "RobotServer", refuse)
-    with pytest.raises(UsageError, match="--address tcp://x cannot be used"):
-        serve.run(ServeOptions(), Screen(quiet=True))
+@pytest.mark.parametrize("address", ["nonsense", "tcp://no.such.host:1", "tcp://127.0.0.1:99999"])
+def test_a_bad_address_is_refused_before_the_cell_is_built(monkeypatch, address):
+    monkeypatch.setattr(serve, "build_world", lambda *_: pytest.fail("the cell was built"))
+    with pytest.raises(UsageError, match=f"^--address '?{address}"):
+        serve.run(ServeOptions(address=address), Screen(quiet=True))

@@ -18,7 +18,7 @@ from websockets.exceptions import ConnectionClosed, InvalidStatus
 
 from app.errors import UsageError
 from app.viewer.messages import INVALID_VALUE, check_message
-from app.viewer.server import LOOPBACK, ViewerServer, open_server
+from app.viewer.server import LOOPBACK, ViewerServer, _ThreadSafeEvent, open_server
 from app.viewer.timeline import Timeline
 from app.viewer.viewer import Viewer
 
@@ -203,3 +203,52 @@ async def _send(server, messages):
     async with connect(server, max_size=None) as connection:
         for message in messages:
             await connection.send(message)
+
+
+def test_any_thread_may_set_the_event_of_many_waiting_clients():
+    async def conversation():
+        loop = asyncio.get_running_loop()
+        event, woken = _ThreadSafeEvent(loop), 0
+
+        async def client():
+            nonlocal woken
+            for _ in range(50):
+                await event.wait()
+                event.clear()
+                woken += 1
+
+        clients = [loop.create_task(client()) for _ in range(100)]
+
+        def send():
+            while any(not client.done() for client in clients):
+                event.set()  # asyncio's own: "deque mutated during iteration"
+
+        await asyncio.wait_for(asyncio.gather(loop.run_in_executor(None, send), *clients), timeout=30)
+        return woken
+
+    assert run_apart(conversation()) == 5000
+
+
+def test_an_event_may_be_set_after_its_loop_has_ended():
+    loop = asyncio.new_event_loop()
+    event = _ThreadSafeEvent(loop)
+    loop.close()
+    event.set()
+    assert not event.is_set()
+
+
+def test_messages_of_the_server_and_of_clients_come_from_any_thread(server):
+    events = []
+
+    async def conversation():
+        async with connect(server, max_size=None) as connection:
+            await connection.send(WHOLE_CAMERA)
+            end = time.monotonic() + 10
+            while not (clients := server.get_clients()) and time.monotonic() < end:
+                await asyncio.sleep(0.01)
+            (client,) = clients.values()
+            events.append(client._websock_connection.get_message_buffer().message_event)
+
+    run_apart(conversation())
+    events.append(server._websock_server.get_message_buffer().message_event)
+    assert [type(event) for event in events] == 2 * [_ThreadSafeEvent]

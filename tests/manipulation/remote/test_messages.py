@@ -100,9 +100,22 @@ def test_reasons_are_shortened():
     assert len(m.refusal("x" * 5000).reason) == m.MAX_TEXT
 
 
-@pytest.mark.parametrize("address", ["inproc://a", "udp://1.2.3.4:5", "localhost", ""])
+@pytest.mark.parametrize(
+    "address",
+    [
+        "inproc://a",
+        "udp://1.2.3.4:5",
+        "localhost",
+        "",
+        "tcp://127.0.0.1",
+        "tcp://127.0.0.1:65536",
+        "tcp://127.0.0.1:-1",
+        "tcp://h:" + 5000 * "9",
+    ],
+)
 def test_addresses(address):
     m.check_address("tcp://127.0.0.1:5555")
+    m.check_address("tcp://127.0.0.1:65535")
     m.check_address("ipc:///run/robot")
     with pytest.raises(RobotError, match="is no address: give tcp://HOST:PORT or ipc://PATH"):
         m.check_address(address)

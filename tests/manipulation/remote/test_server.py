@@ -11,7 +11,7 @@ import zmq
 from manipulation.errors import RobotError, RobotStoppedError
 from manipulation.remote import messages as m
 from manipulation.remote.client import RemoteRobot
-from manipulation.remote.server import RobotServer
+from manipulation.remote.server import RobotServer, check_usable
 from tests.manipulation.remote.conftest import QUICK, FakeRobot, a_move, serving
 
 
@@ -55,6 +55,16 @@ def wait_for(condition, seconds=4.0):
 def test_it_listens_on_the_loopback_interface_alone(robot):
     with RobotServer(robot, "tcp://127.0.0.1:0") as server:
         assert server.address.startswith("tcp://127.0.0.1:")
+
+
+def test_an_address_is_usable_until_a_server_has_it(robot, tmp_path):
+    with RobotServer(robot, f"ipc://{tmp_path}/robot") as server:
+        check_usable("tcp://127.0.0.1:0")
+        with RobotServer(robot, "tcp://127.0.0.1:0") as other, pytest.raises(RobotError, match="in use"):
+            check_usable(other.address)
+        with pytest.raises(RobotError, match="is no address"):
+            check_usable("udp://127.0.0.1:1")
+        assert server.address == f"ipc://{tmp_path}/robot"
 
 
 def test_any_bytes_are_refused_and_the_server_goes_on(raw, robot):
