@@ -2,7 +2,7 @@
 
 An object is looked for where it is expected before the fingers close around it and after its release; the
 width between the fingers shows whether it is held. Whatever is not as expected is searched for and planned
-again from where it is: a grasp is retried with another one, a lying object is first set upright.
+again from where it is: a grasp is retried with another one, an object that does not stand is turned.
 """
 
 from __future__ import annotations
@@ -18,19 +18,21 @@ import numpy as np
 
 from manipulation.errors import PlanningError, RobotError, RobotStoppedError
 from manipulation.kinematics import Kinematics
-from manipulation.lying_grasps import is_upside_down, lies, upright_goals
+from manipulation.lying_grasps import is_upside_down, lies
 from manipulation.observation import NoObserver, SceneObserver
 from manipulation.obstacles import TABLE, box_obstacles
 from manipulation.pick_place import PickPlacePlanner
 from manipulation.plan_execution import GraspFailedError, Phase, PlanExecution, SceneChangedError
 from manipulation.planner import ManipulationConfig
+from manipulation.reorientation import turning_goals
 from manipulation.robot import Robot
 from manipulation.types import Grasp, ObjectOutcome, PickPlacePlan, Placement, StandingObject, TaskPlan
 from perception.obstacles.obstacle import PerceivedObstacle
 
 logger = logging.getLogger(__name__)
 
-_UPRIGHT_GOALS = 6  # spots that are tried for an object to be set upright
+_TURN_OVER = "turn it over by hand"
+_TURNING_GOALS = 4  # on free table that are tried for an object to be turned
 
 
 @dataclass(frozen=True)
@@ -197,7 +199,7 @@ class _Execution:
                     return ObjectOutcome(
                         number, name, True, n_before + attempts + 1, "", self.planner.world.pose(name)
                     )
-                continue  # set upright, to be grasped from above
+                continue  # turned, to be grasped again
             except SceneChangedError as error:
                 reason = str(error)
             except (GraspFailedError, RobotError) as error:
@@ -213,38 +215,44 @@ class _Execution:
         return ObjectOutcome(number, name, False, n_before + attempts, reason)
 
     def _plan_next(self, placement: Placement, tried: Sequence[Grasp]) -> PickPlacePlan:
-        """Return the plan that places an object, or that sets it upright if it lies.
+        """Return the plan that places an object, or that turns it if it does not stand.
 
         Raises:
             PlanningError: there is none.
         """
-        name, q = placement.name, self.robot.joint_positions()
-        planner, T_world_stand = self.planner, self.planner.world.pose(name)
-        if not lies(T_world_stand):
-            return planner.plan(placement, q, tried)
-        x, y = T_world_stand[:2, 3]
-        if is_upside_down(T_world_stand):
-            raise PlanningError(f"{name} stands upside down at ({x:.2f}, {y:.2f}) m: turn it over by hand")
+        if not lies(self.planner.world.pose(placement.name)):
+            return self.planner.plan(placement, self.robot.joint_positions(), tried)
+        return self._plan_turn(placement, tried)
+
+    def _plan_turn(self, placement: Placement, tried: Sequence[Grasp]) -> PickPlacePlan:
+        """Return the plan that turns an object: at its goal if it is on its side, else on free table.
+
+        Raises:
+            PlanningError: there is none.
+        """
+        name, planner, item = placement.name, self.planner, self.task.objects[placement.name]
+        T_world_stand = planner.world.pose(name)
+        overturned = is_upside_down(T_world_stand)
+        how = "stands upside down" if overturned else "lies on its side"
+        at = f"{name} {how} at ({T_world_stand[0, 3]:.2f}, {T_world_stand[1, 3]:.2f}) m"
         grasps = planner.grasps(name)
         if not grasps.grasps:
-            lying = f"{name} lies on its side at ({x:.2f}, {y:.2f}) m"
-            raise PlanningError(f"{lying}: {grasps.failure_message(name)}")
+            raise PlanningError(f"{at}: {grasps.failure_message(name, _TURN_OVER if overturned else '')}")
         others = [
             (T[:2, 3], _reach(self.task.objects[other]))
             for other, T in planner.poses().items()
             if other != name
         ]
         others += [_footprint(obstacle) for obstacle in planner.perceived_obstacles]
-        goals = upright_goals(self.task.objects[name], grasps.grasps[0], others, self.config.upright_area)
-        last = "no free table to set it upright"
-        for goal in itertools.islice(goals, _UPRIGHT_GOALS):
-            try:
-                return planner.plan(goal, q, tried)
-            except PlanningError as error:
-                last = str(error)
-        raise PlanningError(
-            f"{name} lies on its side at ({x:.2f}, {y:.2f}) m and cannot be set upright: {last}"
-        )
+        spots = turning_goals(item, T_world_stand, others, self.config.upright_area)
+        goals = [] if overturned else [placement]
+        goals += itertools.islice(spots, _TURNING_GOALS)
+        if not goals:
+            raise PlanningError(f"{at}: no free table to turn it")
+        try:
+            return planner.plan(goals, self.robot.joint_positions(), tried)
+        except PlanningError as error:
+            raise PlanningError(f"{at} and cannot be turned: {error}") from error
 
     def _search(self, name: str) -> str:
         """Search for an object and update the scene; return why a retry is impossible, or an empty string."""

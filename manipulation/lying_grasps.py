@@ -1,4 +1,4 @@
-"""Grasps of a lying object across its axis, from above, and goals at which it is set upright with them.
+"""Grasps of a lying object across its axis, from above, with which it can be set upright.
 
 The hand turns by 90 degrees about its closing direction between pick and place, and is horizontal in the end,
 with the wrist camera above it.
@@ -7,23 +7,18 @@ with the wrist camera above it.
 from __future__ import annotations
 
 from collections import Counter
-from collections.abc import Iterator, Sequence
 
 import numpy as np
 from jaxtyping import Float
 
 from manipulation.cross_sections import CrossSectionCache, Extent, extent
 from manipulation.grasp_config import GraspConfig, tcp_pose
-from manipulation.types import TOO_WIDE, Grasp, GraspSet, Placement, Rejected, StandingObject
+from manipulation.types import TOO_WIDE, Grasp, GraspSet, Rejected, StandingObject
 
 LYING_TILT = np.deg2rad(45.0)  # of the axis to the vertical, from which on an object does not stand
 HAND_HEIGHT = 0.07  # [m] least height of the TCP over the support with the hand horizontal
 _STEP = 0.008  # [m] between grasps along the axis
 _PAD_HALF_WIDTH = 0.0085  # [m] along the axis
-_HEADINGS = np.deg2rad([0.0, 40.0, 80.0, -40.0, 120.0, -80.0])  # of the hand, to the direction from the base
-UPRIGHT_AREA = ((0.36, 0.64), (-0.44, -0.06))  # [m] ranges of x and y where objects are set upright
-_SPACING = 0.05  # [m] between the spots examined
-_CLEARANCE = 0.05  # [m] between outlines
 
 
 def lies(T_world_stand: Float[np.ndarray, "4 4"]) -> bool:
@@ -107,29 +102,3 @@ def _extents(sections: CrossSectionCache, height: float, azimuth: float) -> list
     heights = height + _PAD_HALF_WIDTH * np.array([-1.0, 0.0, 1.0])
     found = (extent(sections.at(float(z)), azimuth) for z in heights)
     return [e for e in found if e is not None]
-
-
-def upright_goals(
-    item: StandingObject,
-    grasp: Grasp,
-    others: Sequence[tuple[Float[np.ndarray, "2"], float]],
-    area: tuple[tuple[float, float], tuple[float, float]] = UPRIGHT_AREA,
-) -> Iterator[Placement]:
-    """Yield goals at which a lying object stands on free table, nearest to the middle of the area first.
-
-    Args:
-        item: The object.
-        grasp: One of its grasps; all close in the same direction.
-        others: Centre (x, y) and radius of each other object, in [m].
-        area: Ranges of x and y of the spots, in [m].
-    """
-    radius = float(np.linalg.norm(item.vertices[:, :2], axis=1).max())
-    approach = float(np.arctan2(-grasp.away[1], -grasp.away[0]))
-    (x0, x1), (y0, y1) = area
-    grid = np.stack(np.meshgrid(np.arange(x0, x1, _SPACING), np.arange(y0, y1, _SPACING)), axis=-1)
-    middle = np.array([(x0 + x1) / 2, (y0 + y1) / 2])
-    for spot in sorted(grid.reshape(-1, 2), key=lambda s: float(np.linalg.norm(s - middle))):
-        if all(np.linalg.norm(spot - xy) > radius + r + _CLEARANCE for xy, r in others):
-            bearing = float(np.arctan2(spot[1], spot[0]))
-            yaws = tuple(float(bearing + heading - approach) for heading in _HEADINGS)
-            yield Placement(item.name, (float(spot[0]), float(spot[1]), 0.0), yaws, release_height=0.003)

@@ -19,15 +19,18 @@ from manipulation.grasp_config import GraspConfig
 from manipulation.grasps import grasp_candidates
 from manipulation.hulls import convex_pieces
 from manipulation.kinematics import IkConfig, Kinematics
-from manipulation.lying_grasps import lies, lying_grasps
+from manipulation.lying_grasps import lies
 from manipulation.motions import MIDDLE_RADIUS, OUT_OF_REACH, MotionPlanner
 from manipulation.nesting import nest_heights
 from manipulation.obstacles import TABLE, Obstacle
 from manipulation.pick_place_segments import Pick, Place, PlaceGoal, SegmentConfig, find_pick, find_place
+from manipulation.reorientation import reorienting_grasps
 from manipulation.trajectories import MotionConfig, concatenate
 from manipulation.types import Grasp, GraspSet, PickPlacePlan, Placement, Rejected, StandingObject
 from perception.geometry import pose_from_yaw
 from perception.obstacles.obstacle import PerceivedObstacle
+
+_STEEP = -0.8  # vertical component of the approach, up to which the hand points down
 
 
 @dataclass(frozen=True)
@@ -96,7 +99,7 @@ class PickPlacePlanner:
         self.items = dict(items)
         self._obstacles = tuple(obstacles)
         self._grasps = dict(grasps or {})
-        self._lying: dict[str, GraspSet] = {}  # of objects that lie
+        self._lying: dict[str, GraspSet] = {}  # of objects that do not stand
         self._forgotten: set[str] = set()
         self._build_world()
 
@@ -147,7 +150,7 @@ class PickPlacePlanner:
         T_world_stand = self.world.pose(name)
         if lies(T_world_stand):
             if name not in self._lying:
-                self._lying[name] = lying_grasps(self.items[name], T_world_stand, self.config.grasp)
+                self._lying[name] = reorienting_grasps(self.items[name], T_world_stand, self.config.grasp)
             return self._lying[name]
         if name not in self._grasps:
             self._grasps[name] = grasp_candidates(self.items[name], self.config.grasp)
@@ -155,20 +158,22 @@ class PickPlacePlanner:
 
     def resting_pose(self, placement: Placement, yaw: float) -> Float[np.ndarray, "4 4"]:
         """Return ``T_world_stand`` at rest, on the floor or in the bowls of its stack, at a yaw [rad]."""
+        if placement.T_goal_stand is not None:
+            return pose_from_yaw(yaw, np.array(placement.position)) @ placement.T_goal_stand
         stack = [self.items[name] for name in (*placement.stack, placement.name)]
         lift = nest_heights(stack)[-1] if len(stack) > 1 else 0.0
         return pose_from_yaw(yaw, np.add(placement.position, (0.0, 0.0, lift)))
 
     def plan(
         self,
-        placement: Placement,
+        placement: Placement | Sequence[Placement],
         q_start: Float[np.ndarray, "n"],
         tried: Collection[Grasp] = (),
     ) -> PickPlacePlan:
         """Plan all motions for one object from the present posture.
 
         Args:
-            placement: goal of the object.
+            placement: goal of the object, or several in descending order of preference.
             q_start: (n,) present joint positions in [rad].
             tried: grasps that failed; these and similar ones are excluded.
 
@@ -177,9 +182,11 @@ class PickPlacePlanner:
         """
         tally = _Tally()
         plans: list[PickPlacePlan] = []
+        goals = (placement,) if isinstance(placement, Placement) else tuple(placement)
         try:
-            for pick in self._picks(placement.name, tried, tally):
-                plan = self._complete(pick, placement, q_start, tally)
+            for pick in self._picks(goals[0].name, tried, tally):
+                completed = (self._complete(pick, goal, q_start, tally) for goal in goals)
+                plan = next((plan for plan in completed if plan is not None), None)
                 if plan is not None:
                     plans.append(plan)
                 if len(plans) >= self.config.max_plans or tally.n_rejected > self.config.max_pairs:
@@ -187,7 +194,7 @@ class PickPlacePlanner:
         finally:
             self.world.release()
         if not plans:
-            raise PlanningError(self._failure_message(placement.name, tally))
+            raise PlanningError(self._failure_message(goals[0].name, tally))
         return min(plans, key=lambda plan: plan.duration)
 
     def _failure_message(self, name: str, tally: _Tally) -> str:
@@ -240,8 +247,14 @@ class PickPlacePlanner:
         return None
 
     def _ordered_yaws(self, pick: Pick, placement: Placement) -> list[float]:
-        """Return the yaws at the goal by the rotation of the hand beyond that of the arm's base."""
+        """Return the yaws at the goal by the rotation of the hand beyond that of the arm's base.
+
+        For a hand far from vertical, by the angle between its approach and the direction from the base.
+        """
         T_stand_tcp = pick.grasp.T_stand_tcp
+        T_goal = self.resting_pose(placement, 0.0)
+        if (T_goal @ T_stand_tcp)[2, 2] > _STEEP:
+            return _outward_yaws(T_goal @ T_stand_tcp, placement)
         T_now = self.world.pose(placement.name)
         now, goal = T_now[:2, 3], np.array(placement.position[:2])
         swing = np.arctan2(goal[1], goal[0]) - np.arctan2(now[1], now[0])
@@ -284,6 +297,15 @@ def _are_similar(first: Grasp, second: Grasp) -> bool:
     angle = abs(np.angle(np.exp(1j * (first.azimuth - second.azimuth))))
     return bool(
         first.kind == second.kind and angle < np.deg2rad(20) and abs(first.depth - second.depth) < 0.003
+    )
+
+
+def _outward_yaws(T_world_tcp: np.ndarray, placement: Placement) -> list[float]:
+    """Return the yaws by the angle from outwards of the approach of a hand that has a pose at yaw 0."""
+    approach = np.arctan2(T_world_tcp[1, 2], T_world_tcp[0, 2])
+    outward = np.arctan2(placement.position[1], placement.position[0])
+    return sorted(
+        placement.yaws, key=lambda yaw: abs(float(np.angle(np.exp(1j * (approach + yaw - outward)))))
     )
 
 

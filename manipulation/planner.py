@@ -9,10 +9,11 @@ from dataclasses import dataclass, field, replace
 from manipulation.errors import PlanningError
 from manipulation.grasps import grasp_candidates
 from manipulation.kinematics import Kinematics
-from manipulation.lying_grasps import UPRIGHT_AREA, is_upside_down, lies, lying_grasps
+from manipulation.lying_grasps import is_upside_down, lies
 from manipulation.packing import pack
 from manipulation.packing_problem import PackingConfig
 from manipulation.pick_place import PickPlaceConfig
+from manipulation.reorientation import UPRIGHT_AREA, reorienting_grasps
 from manipulation.robot import ArmDescription
 from manipulation.sorting import SortingConfig
 from manipulation.sorting_rows import sort_rows
@@ -22,6 +23,7 @@ from perception.types import ObjectEstimate, SupportPlane
 
 logger = logging.getLogger(__name__)
 
+_TURN_OVER = "turn it over by hand"
 _REACH_STRIDE = 4  # every fourth grasp is checked for reachability: neighbours are similar
 
 
@@ -34,7 +36,7 @@ class ManipulationConfig:
         packing, sorting: layout of the goals.
         support: plane that objects stand on; the table top if None.
         max_retries: number of further attempts on an object after a failed one.
-        upright_area: ranges of x and y in which a lying object is set upright, in [m].
+        upright_area: ranges of x and y in which objects are turned, in [m].
     """
 
     pick_place: PickPlaceConfig = field(default_factory=PickPlaceConfig)
@@ -147,13 +149,14 @@ def _find_usable(
     grasps = {name: grasp_candidates(item, config.pick_place.grasp) for name, item in items.items()}
     for name, item in items.items():
         now, (x, y) = grasps[name], item.T_world_stand[:2, 3]
-        lying = lies(item.T_world_stand)
-        if lying:
-            now = lying_grasps(item, item.T_world_stand, config.pick_place.grasp)
+        if lies(item.T_world_stand):
+            now = reorienting_grasps(item, item.T_world_stand, config.pick_place.grasp)
         if not grasps[name].grasps:
             left_out[name] = grasps[name].failure_message(name)
         elif not now.grasps:
-            left_out[name] = f"{name} lies on its side at ({x:.2f}, {y:.2f}) m: {now.failure_message(name)}"
+            overturned = is_upside_down(item.T_world_stand)
+            how, remedy = ("stands upside down", _TURN_OVER) if overturned else ("lies on its side", "")
+            left_out[name] = f"{name} {how} at ({x:.2f}, {y:.2f}) m: {now.failure_message(name, remedy)}"
         elif not _is_reachable(item, now, kinematics):
             left_out[name] = f"{name} at ({x:.2f}, {y:.2f}) m is out of the arm's reach; move it closer"
     for reason in left_out.values():
@@ -166,19 +169,14 @@ def _find_usable(
 
 
 def _item(estimate: ObjectEstimate, config: ManipulationConfig) -> StandingObject:
-    """Return a standing object, or one on its side, which is to be set upright first.
+    """Return a standing object, or one that is to be turned first.
 
     Raises:
-        PlanningError: the mesh is empty, or the object is upside down.
+        PlanningError: the mesh is empty.
     """
-    if not lies(estimate.T_world_object):
-        return to_standing(estimate, config.support)
-    if is_upside_down(estimate.T_world_object):
-        x, y = estimate.T_world_object[:2, 3]
-        raise PlanningError(
-            f"{estimate.name} stands upside down at ({x:.2f}, {y:.2f}) m: turn it over by hand"
-        )
-    return to_lying(estimate)
+    if lies(estimate.T_world_object):
+        return to_lying(estimate)
+    return to_standing(estimate, config.support)
 
 
 def _is_reachable(item: StandingObject, grasps: GraspSet, kinematics: Kinematics) -> bool:

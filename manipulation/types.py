@@ -20,7 +20,7 @@ from perception.obstacles.obstacle import PerceivedObstacle
 from perception.types import Category
 
 Task = Literal["pack", "sort"]
-GraspKind = Literal["rim", "top", "waist"]
+GraspKind = Literal["rim", "top", "waist", "antipodal"]
 
 
 @dataclass(frozen=True)
@@ -117,8 +117,8 @@ class Grasp:
     """A parallel-jaw grasp of one object.
 
     Attributes:
-        kind: "rim" of a hollow object, "top": around a body or neck from above, or "waist": across the axis
-            of a lying object.
+        kind: "rim" of a hollow object, "top": around a body or neck from above, "waist": across the axis of a
+            lying object, or "antipodal": between opposite points of an object in any orientation.
         T_stand_tcp: (4, 4) TCP pose in the object's stand frame.
         away: (3,) unit vector of the retreat in the stand frame; the approach is its opposite.
         opening: width between the pads before closing in [m].
@@ -163,11 +163,11 @@ class GraspSet:
         """Number of accepted and discarded candidates."""
         return len(self.grasps) + sum(self.rejected.values())
 
-    def failure_message(self, name: str) -> str:
+    def failure_message(self, name: str, remedy: str = "") -> str:
         """Return the error message for an object without a grasp: counts by reason and a remedy."""
         counts = ", ".join(f"{count} {reason}" for reason, count in self.rejected.most_common(4))
         too_wide = any(reason.startswith(TOO_WIDE) for reason, _ in self.rejected.most_common(1))
-        remedy = "exclude it or use a wider gripper" if too_wide else "exclude it"
+        remedy = remedy or ("exclude it or use a wider gripper" if too_wide else "exclude it")
         return f"No grasp for {name}: of {self.n_candidates} candidates, {counts}; {remedy}"
 
 
@@ -181,6 +181,8 @@ class Placement:
         yaws: admissible directions of the stand frame's x in [rad], the preferred one first.
         stack: names of the bowls below it in its stack, lowest first; empty on the floor.
         release_height: height above its resting pose at which the object is released, in [m].
+        T_goal_stand: (4, 4) pose of the stand frame relative to position and yaw, of an object that is laid
+            on its side; None if it is to stand.
     """
 
     name: str
@@ -188,6 +190,7 @@ class Placement:
     yaws: tuple[float, ...]
     stack: tuple[str, ...] = ()
     release_height: float = 0.003
+    T_goal_stand: Float[np.ndarray, "4 4"] | None = None
 
 
 @dataclass(frozen=True)

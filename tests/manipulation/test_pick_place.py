@@ -138,6 +138,31 @@ def test_resting_pose_is_at_the_yaw_and_raised_by_the_stack(kinematics, items):
     assert nested[2, 3] == pytest.approx(0.004 + 0.005, abs=0.003)
 
 
+def test_resting_pose_of_an_object_to_be_laid_down(kinematics, items):
+    planner = PickPlacePlanner(kinematics, items, config=CONFIG)
+    T = np.eye(4)
+    T[:3, :3], T[:3, 3] = [[0, 0, 1], [0, 1, 0], [-1, 0, 0]], (-0.06, 0.0, 0.03)
+    laid = planner.resting_pose(Placement("can_1", (0.5, -0.2, 0.0), (np.pi / 2,), T_goal_stand=T), np.pi / 2)
+    np.testing.assert_allclose(laid[:3, 3], (0.5, -0.26, 0.03), atol=1e-12)
+    np.testing.assert_allclose(laid[:3, 2], (0.0, 1.0, 0.0), atol=1e-12)
+
+
+def test_yaws_of_a_hand_far_from_vertical_point_it_away_from_the_base(kinematics, items):
+    planner = PickPlacePlanner(kinematics, items, config=CONFIG)
+    level = replace(planner.grasps("can_1").grasps[0], T_stand_tcp=np.eye(4)[[2, 1, 0, 3]])  # z along x
+    nothing = np.zeros((2, 7))
+    placement = Placement("can_1", (0.5, 0.5, 0.0), (0.0, np.pi, 0.7, -2.0))
+    yaws = planner._ordered_yaws(Pick(level, nothing, nothing), placement)
+    assert yaws == [0.7, 0.0, np.pi, -2.0]  # outwards is pi / 4
+
+
+def test_the_first_feasible_of_several_goals_is_taken(kinematics, items, arm):
+    planner = PickPlacePlanner(kinematics, items, config=CONFIG)
+    far, near = (Placement("can_1", (x, 0.25, 0.0), (0.0,)) for x in (1.5, 0.5))
+    plan = planner.plan((far, near), np.array(arm.q_home))
+    assert plan.placement is near
+
+
 def test_a_lying_object_has_grasps_across_its_axis_until_it_stands_again(kinematics, items):
     planner = PickPlacePlanner(kinematics, items, config=CONFIG)
     standing = planner.world.pose("can_1")
@@ -145,7 +170,9 @@ def test_a_lying_object_has_grasps_across_its_axis_until_it_stands_again(kinemat
     lying[:3, :3] = [[0, 0, 1], [0, 1, 0], [-1, 0, 0]]
     planner.moved("can_1", lying)
     grasps = planner.grasps("can_1")
-    assert {grasp.kind for grasp in grasps.grasps} == {"waist"} and planner.grasps("can_1") is grasps
+    kinds = [grasp.kind for grasp in grasps.grasps]
+    assert kinds[0] == "waist" and set(kinds) == {"waist", "antipodal"}, "horizontal hands first"
+    assert planner.grasps("can_1") is grasps
     planner.moved("can_1", standing)
     assert {grasp.kind for grasp in planner.grasps("can_1").grasps} == {"top"}
 

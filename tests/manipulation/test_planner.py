@@ -71,14 +71,17 @@ def test_plans_hold_all_objects_their_grasps_and_the_goal_geometry(scene, shapes
     assert plan_sort(scene, Line(), arm, CONFIG).box is None
 
 
-def test_lying_objects_are_planned_and_those_upside_down_excluded(scene, arm):
-    """A can on its side is set upright first; its goal is as that of any other."""
+def test_objects_that_do_not_stand_are_planned_where_they_can_be_turned(scene, arm):
+    """They are turned first; their goals are as those of any other. An overturned bowl lies on no side."""
     on_side, over = (scene[0].T_world_object.copy() for _ in range(2))
     on_side[:3, :3] = [[0, 0, 1], [0, 1, 0], [-1, 0, 0]]
     on_side[2, 3] = 0.033
     packing = plan_pack([replace(scene[0], T_world_object=on_side), scene[1]], Box(), arm, CONFIG)
     assert {placement.name for placement in packing.placements} == {"can_1", "bowl_2"}
     over[:3, :3] = np.diag([1.0, -1, -1])
-    packing = plan_pack([replace(scene[0], T_world_object=over), scene[1]], Box(), arm, CONFIG)
-    assert packing.left_out["can_1"].startswith("can_1 stands upside down at")
-    assert {placement.name for placement in packing.placements} == {"bowl_2"}
+    bowl_over = scene[1].T_world_object @ np.diag([1.0, -1, -1, 1])
+    scene = [replace(scene[0], T_world_object=over), replace(scene[1], T_world_object=bowl_over)]
+    packing = plan_pack(scene, Box(), arm, CONFIG)
+    assert {placement.name for placement in packing.placements} == {"can_1"}
+    assert packing.left_out["bowl_2"].startswith("bowl_2 stands upside down at")
+    assert packing.left_out["bowl_2"].endswith("turn it over by hand")

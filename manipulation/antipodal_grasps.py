@@ -1,0 +1,248 @@
+"""Antipodal grasps of an object in any orientation: opposite places of its surface between the pads.
+
+Two points p_i, p_j with outward normals n_i, n_j are antipodal if p_j is on the line from p_i into the
+object, and n_j opposes n_i within twice the friction angle a:  -n_i.n_j > cos 2a. The pads close along the
+mean of n_j and -n_i, which is then inside both friction cones. Walls, handles and whole bodies alike are
+between such points. The hand may turn about that direction: of all approaches, those are kept at which the
+hand is above every plane that the object rests on, when it is grasped and when it is released.
+"""
+
+from __future__ import annotations
+
+from collections import Counter
+from collections.abc import Iterator, Sequence
+from dataclasses import dataclass
+
+import numpy as np
+from jaxtyping import Float
+from scipy.spatial import cKDTree
+
+from manipulation.grasp_config import GraspConfig, tcp_pose
+from manipulation.hand_collision import HandBoxes, HandClearance, surface_points
+from manipulation.types import TOO_WIDE, Grasp, GraspSet, Rejected, StandingObject
+from perception.types import TriangleMesh
+
+MIN_ELEVATION = np.deg2rad(20.0)  # of the hand over a plane that the object rests on
+_N_POINTS = 500  # of the surface, for which opposite ones are looked for
+_N_DENSE = 2500  # points of the surface
+_SMOOTHING = 0.006  # [m] over which normals are averaged: about half a pad
+_FRICTION_ANGLE = np.deg2rad(18.0)
+_LATERAL = 0.003  # [m] largest distance of the opposite point from the line
+_N_PAIRS, _N_GRASPS, _PER_PAIR = 120, 48, 3  # upper limits
+_APART, _TURNED = 0.010, np.deg2rad(25.0)  # [m], [rad], of which pairs differ by one at least
+_N_APPROACHES = 24  # about the closing direction
+_MARGINS = (0.012, 0.006, 0.003)  # [m] of each finger beside the object before closing, in order
+_PAD_HALF_WIDTH = 0.0085  # [m]
+_TOUCHING = 0.003  # [m] between pad and surface, within which they are in contact
+_MIN_CONTACT = 0.3  # share of the pads
+_CLEARANCE = HandClearance(distance=0.0005, approach=0.06)
+
+
+@dataclass(frozen=True)
+class Pair:
+    """Opposite places of a surface.
+
+    Attributes:
+        middle: (3,) point between them in [m].
+        closing: (3,) unit vector from one to the other.
+        width: distance along it in [m].
+    """
+
+    middle: Float[np.ndarray, "3"]
+    closing: Float[np.ndarray, "3"]
+    width: float
+
+
+def antipodal_grasps(
+    item: StandingObject, ups: Sequence[Float[np.ndarray, "3"]], config: GraspConfig = GraspConfig()
+) -> GraspSet:
+    """Return grasps with the hand above all planes that the object rests on, best first.
+
+    Args:
+        item: the object.
+        ups: normals, in the stand frame, of the planes that it rests on when it is grasped and released.
+        config: settings of grasp generation.
+    """
+    rejected: Counter[str] = Counter()
+    surface = _Surface.of(item)
+    pairs = antipodal_pairs(surface)
+    fitting = [pair for pair in pairs if pair.width <= config.gripper.max_width - 0.004]
+    if len(fitting) < len(pairs):
+        rejected[f"{TOO_WIDE} for {config.gripper.max_width:.2f} m"] = len(pairs) - len(fitting)
+    grasps: list[Grasp] = []
+    for pair in _distinct(fitting):
+        found = _at_pair(pair, item, surface, ups, config)
+        if isinstance(found, Rejected):
+            rejected[found.reason] += 1
+        else:
+            grasps += found
+    return GraspSet(tuple(sorted(grasps, key=lambda grasp: -grasp.score)[:_N_GRASPS]), rejected)
+
+
+@dataclass(frozen=True)
+class _Surface:
+    """Points of a surface.
+
+    Attributes:
+        points, normals: (n, 3) points spread evenly in [m], and outward normals averaged over a pad's half.
+        tree: denser points.
+    """
+
+    points: Float[np.ndarray, "n 3"]
+    normals: Float[np.ndarray, "n 3"]
+    tree: cKDTree
+
+    @staticmethod
+    def of(item: StandingObject) -> _Surface:
+        rng = np.random.default_rng(0)
+        a, b, c = np.moveaxis(item.vertices[item.faces], 1, 0)
+        crossed = np.cross(b - a, c - a)
+        area = np.linalg.norm(crossed, axis=1)
+        face = rng.choice(len(area), _N_DENSE, p=area / area.sum())
+        u, v = rng.random((2, _N_DENSE, 1))
+        u, v = np.where(u + v > 1, 1 - u, u), np.where(u + v > 1, 1 - v, v)
+        points = a[face] + u * (b - a)[face] + v * (c - a)[face]
+        normals = crossed[face] / area[face, None]
+        smooth = np.zeros_like(points)
+        for index, near in enumerate(cKDTree(points).query_ball_point(points, _SMOOTHING)):
+            same_side = normals[near] @ normals[index] > 0.3  # not those of the other side of a wall
+            smooth[index] = normals[near][same_side].sum(axis=0)
+        smooth /= np.linalg.norm(smooth, axis=1, keepdims=True)
+        return _Surface(points, smooth, cKDTree(surface_points(TriangleMesh(item.vertices, item.faces))))
+
+
+def antipodal_pairs(surface: _Surface) -> list[Pair]:
+    """Return pairs of a surface's points in descending order of the alignment of their normals."""
+    first, inward = surface.points[:_N_POINTS], -surface.normals[:_N_POINTS]
+    apart = surface.points[None] - first[:, None]  # (i, j): from i to j
+    depth = np.einsum("ijk,ik->ij", apart, inward)
+    lateral = (apart**2).sum(axis=-1) - depth**2
+    opposition = inward @ surface.normals.T
+    i, j = np.nonzero((lateral < _LATERAL**2) & (depth > 1e-3) & (opposition > np.cos(2 * _FRICTION_ANGLE)))
+    order = np.argsort(-opposition[i, j], kind="stable")
+    i, j = i[order], j[order]
+    closings = surface.normals[j] + inward[i]
+    closings /= np.linalg.norm(closings, axis=1, keepdims=True)
+    middles, widths = (first[i] + surface.points[j]) / 2, (closings * apart[i, j]).sum(axis=1)
+    return [Pair(middle, closing, float(width)) for middle, closing, width in zip(middles, closings, widths)]
+
+
+def _at_pair(
+    pair: Pair,
+    item: StandingObject,
+    surface: _Surface,
+    ups: Sequence[Float[np.ndarray, "3"]],
+    config: GraspConfig,
+) -> list[Grasp] | Rejected:
+    """Return the grasps between two places, the highest approaches first."""
+    if pair.width < config.gripper.min_width + 0.0008:
+        return Rejected("thinner than the closed hand")
+    found: list[Grasp] = []
+    reason = "without an approach from above"
+    center = surface.points.mean(axis=0)
+    for elevation, approach in _approaches(pair.closing, ups):
+        T = tcp_pose(pair.middle, approach, pair.closing)
+        contact = _contact(T, pair.width, surface.tree)
+        if contact < _MIN_CONTACT:
+            reason = "with too little contact"
+            continue
+        opening = _opening(T, pair.width, surface.points, item, ups, config)
+        if opening is None:
+            reason = "without room for the fingers"
+            continue
+        lever = float(np.linalg.norm(pair.middle - center))
+        found.append(_grasp(item, pair, T, opening, contact + 0.5 * elevation - 4.0 * lever, config))
+        if len(found) == _PER_PAIR:
+            break
+    return found or Rejected(reason)
+
+
+def _distinct(pairs: Sequence[Pair]) -> Iterator[Pair]:
+    """Yield pairs that differ from all before them in place or direction."""
+    kept: list[Pair] = []
+    middles, closings = np.zeros((0, 3)), np.zeros((0, 3))
+    for pair in pairs:
+        near = np.linalg.norm(middles - pair.middle, axis=1) < _APART
+        parallel = np.abs(closings @ pair.closing) > np.cos(_TURNED)
+        if (near & parallel).any():
+            continue
+        kept.append(pair)
+        middles, closings = np.vstack([middles, pair.middle]), np.vstack([closings, pair.closing])
+        yield pair
+        if len(kept) == _N_PAIRS:
+            return
+
+
+def _approaches(
+    closing: Float[np.ndarray, "3"], ups: Sequence[Float[np.ndarray, "3"]]
+) -> list[tuple[float, Float[np.ndarray, "3"]]]:
+    """Return least elevations [rad] and approaches across the closing direction, the highest first."""
+    first = np.cross(closing, np.eye(3)[np.argmin(np.abs(closing))])
+    first /= np.linalg.norm(first)
+    second = np.cross(closing, first)
+    angles = 2 * np.pi * np.arange(_N_APPROACHES) / _N_APPROACHES
+    aways = np.cos(angles)[:, None] * first + np.sin(angles)[:, None] * second
+    elevation = np.arcsin(np.clip(aways @ np.array(ups).T, -1, 1)).min(axis=1)
+    order = [k for k in np.argsort(-elevation, kind="stable") if elevation[k] >= MIN_ELEVATION]
+    return [(float(elevation[k]), -aways[k]) for k in order]
+
+
+def _contact(T_stand_tcp: Float[np.ndarray, "4 4"], width: float, tree: cKDTree) -> float:
+    """Return the share of the pads that is in contact, of the one with less."""
+    steps = np.linspace(-1.0, 1.0, 5) * _PAD_HALF_WIDTH
+    x, z = (grid.ravel() for grid in np.meshgrid(steps, steps))
+    shares = []
+    for y in (-width / 2, width / 2):
+        pad = np.stack([x, np.full_like(x, y), z], axis=1) @ T_stand_tcp[:3, :3].T + T_stand_tcp[:3, 3]
+        shares.append(float(np.mean(tree.query(pad, distance_upper_bound=_TOUCHING)[0] < _TOUCHING)))
+    return min(shares)
+
+
+def _opening(
+    T_stand_tcp: Float[np.ndarray, "4 4"],
+    width: float,
+    own: Float[np.ndarray, "n 3"],
+    item: StandingObject,
+    ups: Sequence[Float[np.ndarray, "3"]],
+    config: GraspConfig,
+) -> float | None:
+    """Return the largest opening [m] with which the hand meets neither the object nor the planes."""
+    R, position = T_stand_tcp[:3, :3], T_stand_tcp[:3, 3]
+    points = (own - position) @ R
+    back = np.array([0.0, 0.0, -_CLEARANCE.approach])
+    for margin in _MARGINS:
+        opening = min(config.gripper.max_width, width + 2 * margin)
+        boxes = HandBoxes.of(config.gripper, opening, _CLEARANCE.hand_length)
+        above = (up @ position - float((item.vertices @ up).min()) + _lowest(boxes, R.T @ up) for up in ups)
+        if all(height > config.fingertip_clearance for height in above) and not boxes.sweep_contains(
+            points, back, _CLEARANCE.distance
+        ):
+            return opening
+    return None
+
+
+def _lowest(boxes: HandBoxes, up: Float[np.ndarray, "3"]) -> float:
+    """Return the smallest component of the corners along ``up`` (hand frame), relative to the TCP [m]."""
+    return float(np.minimum(boxes.low * up, boxes.high * up).sum(axis=1).min())
+
+
+def _grasp(
+    item: StandingObject,
+    pair: Pair,
+    T_stand_tcp: Float[np.ndarray, "4 4"],
+    opening: float,
+    score: float,
+    config: GraspConfig,
+) -> Grasp:
+    return Grasp(
+        kind="antipodal",
+        T_stand_tcp=T_stand_tcp,
+        away=-T_stand_tcp[:3, 2],
+        opening=opening,
+        held_width=pair.width,
+        closed_width=(max(0.5 * pair.width, config.gripper.min_width + 0.0008), opening - 0.002),
+        release_opening=min(pair.width + 2 * config.release_gap, opening),
+        depth=float(item.top - pair.middle[2]),
+        azimuth=float(np.arctan2(-T_stand_tcp[1, 2], -T_stand_tcp[0, 2])),
+        score=score,
+    )
