@@ -15,7 +15,7 @@ from dataclasses import dataclass
 
 import numpy as np
 from jaxtyping import Float
-from scipy.spatial import cKDTree
+from scipy.spatial import KDTree
 
 from manipulation.grasp_config import GraspConfig, tcp_pose
 from manipulation.hand_collision import HandBoxes, HandClearance, surface_points
@@ -90,7 +90,7 @@ class _Surface:
 
     points: Float[np.ndarray, "n 3"]
     normals: Float[np.ndarray, "n 3"]
-    tree: cKDTree
+    tree: KDTree
 
     @staticmethod
     def of(item: StandingObject) -> _Surface:
@@ -104,11 +104,11 @@ class _Surface:
         points = a[face] + u * (b - a)[face] + v * (c - a)[face]
         normals = crossed[face] / area[face, None]
         smooth = np.zeros_like(points)
-        for index, near in enumerate(cKDTree(points).query_ball_point(points, _SMOOTHING)):
+        for index, near in enumerate(KDTree(points).query_ball_point(points, _SMOOTHING)):
             same_side = normals[near] @ normals[index] > 0.3  # not those of the other side of a wall
             smooth[index] = normals[near][same_side].sum(axis=0)
         smooth /= np.linalg.norm(smooth, axis=1, keepdims=True)
-        return _Surface(points, smooth, cKDTree(surface_points(TriangleMesh(item.vertices, item.faces))))
+        return _Surface(points, smooth, KDTree(surface_points(TriangleMesh(item.vertices, item.faces))))
 
 
 def antipodal_pairs(surface: _Surface) -> list[Pair]:
@@ -187,7 +187,7 @@ def _approaches(
     return [(float(elevation[k]), -aways[k]) for k in order]
 
 
-def _contact(T_stand_tcp: Float[np.ndarray, "4 4"], width: float, tree: cKDTree) -> float:
+def _contact(T_stand_tcp: Float[np.ndarray, "4 4"], width: float, tree: KDTree) -> float:
     """Return the share of the pads that is in contact, of the one with less."""
     steps = np.linspace(-1.0, 1.0, 5) * _PAD_HALF_WIDTH
     x, z = (grid.ravel() for grid in np.meshgrid(steps, steps))
