@@ -81,9 +81,23 @@ def evaluation_table(report: Report) -> Group:
     parts = [rates]
     if metrics["failures"]:
         parts += ["", reasons]
+    if len(metrics.get("resting", ())) > 1:
+        parts += ["", resting_table(metrics["resting"])]
     if metrics.get("faults"):
         parts += ["", fault_table(metrics["faults"])]
     return Group(*parts)
+
+
+def resting_table(resting: Mapping[str, Any]) -> Table:
+    """Return how objects were perceived by how they rested."""
+    table = Table(title="perceived", title_justify="left", show_edge=False, pad_edge=False)
+    for heading in ("", "objects", "found", "class right", "pose too", "chamfer-L1", "completion"):
+        table.add_column(heading, justify="left" if not heading else "right")
+    for name, row in resting.items():
+        shares = [f"{100 * row[key]:.0f} %" for key in ("found", "named", "right")]
+        completion = "" if row["completion"] is None else f"{100 * row['completion']:.0f} %"
+        table.add_row(name, str(row["n"]), *shares, _millimetres(row["chamfer_l1"], 1), completion)
+    return table
 
 
 def fault_table(faults: Mapping[str, Any]) -> Table:

@@ -12,6 +12,7 @@ import numpy as np
 from scipy.stats import binomtest
 from scipy.stats import t as student_t
 
+RIGHT_AXIS = math.radians(30)  # largest error of the axis of a right pose
 Z_95 = 1.959963984540054  # two-sided 95 % quantile of the normal distribution
 
 
@@ -68,6 +69,7 @@ def summarise(lines: Sequence[Mapping[str, Any]]) -> dict[str, Any]:
         "wall_seconds": _median(line.get("wall_seconds") for line in lines),
         "stage_seconds": _stages(lines),
         "reconstruction": _reconstruction(lines),
+        "resting": _resting(lines),
         "faults": _faults(lines),
         "rows": [
             {key: line.get(key) for key in ("seed", "success", "reason", "wall_seconds")} for line in lines
@@ -161,6 +163,28 @@ def _reconstruction(lines: Sequence[Mapping[str, Any]]) -> dict[str, dict[str, f
         | {figure: _median(row.get(figure) for row in entries) for figure in figures}
         for name, entries in sorted(rows.items())
     }
+
+
+def _resting(lines: Sequence[Mapping[str, Any]]) -> dict[str, dict[str, float | None]]:
+    """Return how objects were perceived by how they rested, in shares of all.
+
+    ``right`` are those with their class and an axis within ``RIGHT_AXIS``; the medians are theirs.
+    """
+    rows: dict[str, list[Any]] = defaultdict(list)
+    for line in lines:
+        for row in line.get("metrics", {}).get("reconstruction", ()):
+            if "resting" in row:
+                rows["on another" if row["stacked"] else row["resting"]].append(row)
+    result: dict[str, dict[str, float | None]] = {}
+    for name, entries in sorted(rows.items()):
+        named = [row for row in entries if row["found"] and row["perceived"] == row["category"]]
+        right = [row for row in named if row["axis_error"] < RIGHT_AXIS]
+        shares = {"found": sum(row["found"] for row in entries), "named": len(named), "right": len(right)}
+        result[name] = {"n": len(entries)} | {key: count / len(entries) for key, count in shares.items()}
+        result[name] |= {
+            figure: _median(row[figure] for row in right) for figure in ("chamfer_l1", "completion")
+        }
+    return result
 
 
 def _median(values: Iterable[float | None]) -> float | None:

@@ -55,7 +55,9 @@ def run_seed(options: EvaluateOptions, seed: int) -> Line:
     begin = time.perf_counter()
     episode = replace(options, seed=seed)
     with build_world(episode, options.task) as world:
-        report, _ = run_episode(world, episode, options.task, networks_on(options.device))
+        report, _ = run_episode(
+            world, episode, options.task, networks_on(options.device), perceive_only=options.perceive_only
+        )
     entries = report.as_json()
     line = {key: entries[key] for key in ("success", "reason", "timings", "objects", "metrics")}
     return {"seed": seed, "task": options.task} | line | {"wall_seconds": time.perf_counter() - begin}
@@ -85,7 +87,7 @@ def _format(options: EvaluateOptions) -> LedgerFormat:
 
 def _settings(options: EvaluateOptions) -> dict[str, Any]:
     """Return the options that a resumed evaluation must share."""
-    names = ("task", *sorted({field.name for field in fields(TaskOptions)} - NOT_SETTINGS))
+    names = ("task", "perceive_only", *sorted({field.name for field in fields(TaskOptions)} - NOT_SETTINGS))
     return {name: str(getattr(options, name)) for name in names}
 
 

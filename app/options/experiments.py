@@ -88,6 +88,8 @@ class EvaluateOptions(TaskOptions, WorkerOptions):
     """Tasks: the task."""
     episodes: int = 20
     """Tasks: number of episodes."""
+    perceive_only: bool = False
+    """Tasks: scan and reconstruct without moving anything, to score the object map alone."""
 
 
 @dataclass(frozen=True, kw_only=True)

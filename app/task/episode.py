@@ -45,8 +45,9 @@ def run_episode(
     task: Task,
     perception: Perception,
     observer: RunObserver | None = None,
+    perceive_only: bool = False,
 ) -> tuple[Report, TaskResult]:
-    """Run a task in the cell and score it.
+    """Run a task in the cell and score it; with ``perceive_only`` up to the object map.
 
     The pipeline receives the cell as a restricted robot. Ground truth is read before and after it runs, and
     is passed to it only with ``--shapes oracle``.
@@ -54,7 +55,7 @@ def run_episode(
     observer = observer or RunObserver()
     begin, paused, simulated_begin = time.perf_counter(), observer.paused_seconds, world.time
     before = read_truth(world)
-    request = request_of(world, task, options)
+    request = replace(request_of(world, task, options), perceive_only=perceive_only)
     remarks = [] if options.robot == PANDA else list(cell_remarks(world))
     for remark in remarks:
         observer.on_remark(remark)

@@ -55,6 +55,7 @@ class TaskRequest:
         manipulation: Settings of planning and execution.
         scan_views: Number of images of the scan.
         workspace: Viewpoints and heights of motions, scaled to the arm.
+        perceive_only: Whether the task ends with the object map, before anything is moved.
     """
 
     task: Task
@@ -64,6 +65,7 @@ class TaskRequest:
     manipulation: ManipulationConfig = field(default_factory=ManipulationConfig)
     scan_views: int = 6
     workspace: Workspace = Workspace()
+    perceive_only: bool = False
 
 
 @dataclass(frozen=True)
@@ -190,6 +192,8 @@ def run(
             obstacles = obstacles_beside(objects, frames, detections, request.box, robot.arm)
             result = replace(result, obstacles=obstacles)
             observer.on_obstacles(obstacles)
+        if request.perceive_only:
+            return replace(result, timings=dict(observer.timings))
         with observer.stage("plan"):
             plan = replace(plan_task(kinematics, request, objects), obstacles=obstacles)
             result = replace(result, plan=plan)

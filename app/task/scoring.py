@@ -18,8 +18,9 @@ from scipy.optimize import linear_sum_assignment
 from app.runs.report import ObjectReport
 from app.task.criteria import BoxSpace, TrueObject, judge_pack, judge_sort
 from manipulation.types import Line, ObjectOutcome, TaskPlan
+from perception.inference.resting import resting_pose
 from perception.metrics import SurfaceSamples, compare_surfaces, point_recall
-from perception.types import CODE_SIZE, ObjectEstimate, TriangleMesh
+from perception.types import CODE_SIZE, ObjectEstimate, SupportPlane, TriangleMesh
 from sim_assets.cell import ground_truth
 from sim_assets.cell.scene import BoxConfig
 from sim_assets.cell.world import World
@@ -27,6 +28,7 @@ from sim_assets.objects import ObjectModel, canonical_scale
 
 UNMOVED = (0.005, float(np.deg2rad(10)))  # [m], [rad]: how far things of no class may move
 TOPPLED = float(np.deg2rad(30))  # [rad]
+STACKED = 0.003  # [m] height of the lowest part of an object on another one, at least
 MATCH_DISTANCE = 0.05  # [m] between the axes of an estimate and its true object
 
 
@@ -137,18 +139,38 @@ def _axis(estimate: ObjectEstimate) -> Float[np.ndarray, "3"]:
 def score_reconstruction(
     estimates: Sequence[ObjectEstimate], truth: Truth, rng: np.random.Generator
 ) -> list[dict[str, Any]]:
-    """Return one row per true object: accuracy, chamfer_l1 [m], completion at 1 cm, handle recall at 5 mm."""
+    """Return one row per true object: how it rests, and how it was estimated.
+
+    ``resting`` is its true pose, ``stacked`` whether it is on another object, ``axis_error`` [rad] the angle
+    between true and estimated axis (a can has no direction); accuracy, chamfer_l1 [m], completion at 1 cm,
+    handle recall at 5 mm.
+    """
     matches = {number: estimate_id for estimate_id, number in match(estimates, truth).items()}
     by_id = {estimate.id: estimate for estimate in estimates}
     rows = []
     for number, model in truth.models.items():
-        row: dict[str, Any] = {"object": number, "category": model.category, "found": number in matches}
+        pose = truth.poses[number]
+        lowest = float((model.mesh.vertices @ pose[:3, :3].T + pose[:3, 3])[:, 2].min())
+        row: dict[str, Any] = {
+            "object": number,
+            "category": model.category,
+            "resting": resting_pose(pose[:3, :3], SupportPlane()),
+            "stacked": lowest > STACKED,
+            "found": number in matches,
+        }
         if number in matches:
             estimate = by_id[matches[number]]
             row |= {"id": estimate.id, "perceived": estimate.category, "status": estimate.status}
-            row |= TrueSurface.of(model, truth.poses[number], rng).score(estimate, rng)
+            row["axis_error"] = _axis_error(estimate, pose, model.category)
+            row |= TrueSurface.of(model, pose, rng).score(estimate, rng)
         rows.append(row)
     return rows
+
+
+def _axis_error(estimate: ObjectEstimate, T_world_object: Float[np.ndarray, "4 4"], category: str) -> float:
+    """Return the angle between an estimated and a true axis [rad]; cans look alike from both ends."""
+    cosine = float(np.clip(estimate.T_world_object[:3, 2] @ T_world_object[:3, 2], -1, 1))
+    return float(np.arccos(abs(cosine) if category == "can" else cosine))
 
 
 @dataclass(frozen=True)

@@ -4,7 +4,7 @@ import numpy as np
 from rich.console import Console
 
 from app.runs.report import ObjectReport, Report
-from app.tables import evaluation_table, fault_table, object_table
+from app.tables import evaluation_table, fault_table, object_table, resting_table
 
 
 def text_of(table):
@@ -55,6 +55,17 @@ def test_evaluation_table():
     assert row_of(text, "toppled") == "1 mug: toppled"
     clean = text_of(evaluation_table(Report("evaluate tasks", 0, metrics=metrics | {"failures": {}})))
     assert "failures" not in clean
+
+
+def test_perception_by_resting_pose():
+    shares = {"n": 4, "found": 0.75, "named": 0.5, "right": 0.5}
+    rows = {
+        "lying": shares | {"chamfer_l1": 0.0017, "completion": 0.98},
+        "upright": shares | {"right": 0.0, "chamfer_l1": None, "completion": None},
+    }
+    text = text_of(resting_table(rows))
+    assert row_of(text, "lying") == "lying 4 75 % 50 % 50 % 1.7 mm 98 %"
+    assert row_of(text, "upright") == "upright 4 75 % 50 % 0 %"
 
 
 def test_outcomes_by_kind_of_fault():

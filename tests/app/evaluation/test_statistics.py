@@ -76,6 +76,29 @@ def test_summary_of_three_episodes():
     assert mugs["accuracy"] == pytest.approx(0.003) and mugs["found"] == pytest.approx(2 / 3)
 
 
+def test_perception_is_summarised_by_how_objects_rest():
+    right = {
+        "category": "can", "perceived": "can", "resting": "lying", "stacked": False, "found": True,
+        "axis_error": 0.1, "chamfer_l1": 0.002, "completion": 1.0,
+    }  # fmt: skip
+    rows = [
+        right,
+        right | {"perceived": "bottle", "chamfer_l1": 0.9},
+        right | {"axis_error": 3.1, "chamfer_l1": 0.9},
+        {"category": "can", "resting": "lying", "stacked": False, "found": False},
+        right | {"resting": "upright", "stacked": True, "chamfer_l1": 0.004},
+    ]
+    line = {"success": False, "reason": "", "objects": [], "metrics": {"reconstruction": rows}}
+    assert summarise([line])["resting"] == {
+        "lying": {
+            "n": 4, "found": 0.75, "named": 0.5, "right": 0.25, "chamfer_l1": 0.002, "completion": 1.0
+        },
+        "on another": {
+            "n": 1, "found": 1.0, "named": 1.0, "right": 1.0, "chamfer_l1": 0.004, "completion": 1.0
+        },
+    }  # fmt: skip
+
+
 def test_paired_differences_are_over_what_both_have():
     first, second = {0: 1.0, 1: 2.0, 2: 3.0}, {0: 2.0, 1: 4.0, 9: 0.0}
     found = paired_difference(first, second)

@@ -98,15 +98,15 @@ def test_an_episode_has_its_own_seed_cell_and_networks(monkeypatch):
         calls.append(("cell", options.seed, task))
         return contextlib.nullcontext("world")
 
-    def run_episode(world, options, task, perception):
-        calls.append((world, options.seed, task, perception))
+    def run_episode(world, options, task, perception, perceive_only):
+        calls.append((world, options.seed, task, perception, perceive_only))
         return Report(task, options.seed, True, "2 of 2", metrics={"n_placed": 2}), None
 
     monkeypatch.setattr("app.task.cell.build_world", build)
     monkeypatch.setitem(sys.modules, "app.task.episode", types.SimpleNamespace(run_episode=run_episode))
     monkeypatch.setattr(evaluate_tasks, "networks_on", lambda device: f"networks on {device}")
     line = evaluate_tasks.run_seed(options(None, task="sort", device="cpu", seed=10), 17)
-    assert calls == [("cell", 17, "sort"), ("world", 17, "sort", "networks on cpu")]
+    assert calls == [("cell", 17, "sort"), ("world", 17, "sort", "networks on cpu", False)]
     assert (line["seed"], line["task"], line["success"], line["reason"]) == (17, "sort", True, "2 of 2")
     assert line["metrics"] == {"n_placed": 2} and line["wall_seconds"] >= 0
 

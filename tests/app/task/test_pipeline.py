@@ -164,6 +164,12 @@ def test_sorting_plans_for_the_line_and_verifies_it(stages):
     assert stages.scanner.visited[-1] == tuple(LINE_VIEWPOINTS)
 
 
+def test_perception_alone_ends_with_the_object_map(stages):
+    result = run(StillRobot(), stages.perception, TaskRequest("pack", perceive_only=True))
+    assert result.objects == stages.objects and result.plan is None and not result.failure
+    assert "plan_pack" not in stages.calls and list(result.timings) == ["scan", "detect", "reconstruct"]
+
+
 def test_another_reconstruction_replaces_the_shape_prior(stages, can_at):
     received = []
 

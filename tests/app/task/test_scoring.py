@@ -110,6 +110,19 @@ def test_reconstruction_scores_know_perfect_from_shifted_and_missing(truth):
     assert missing["found"] is False and "accuracy" not in missing
 
 
+def test_rows_tell_how_objects_rest_and_were_estimated(truth):
+    turned = truth.poses[1] @ np.diag([1.0, -1.0, -1.0, 1.0])
+    turned[2, 3] = 2 * truth.models[1].height  # a can upside down on another one
+    tower = Truth({0: truth.models[0], 1: truth.models[1]}, {0: truth.poses[0], 1: turned})
+    mug, can = oracle_estimates(tower)
+    can = replace(can, T_world_object=can.T_world_object @ np.diag([1.0, -1.0, -1.0, 1.0]))
+    mug = replace(mug, T_world_object=mug.T_world_object @ np.diag([1.0, -1.0, -1.0, 1.0]))
+    of_mug, of_can = score_reconstruction([mug, can], tower, np.random.default_rng(1))
+    assert (of_mug["resting"], of_mug["stacked"]) == ("upright", False)
+    assert (of_can["resting"], of_can["stacked"]) == ("upside-down", True)
+    assert of_can["axis_error"] == pytest.approx(0) and of_mug["axis_error"] == pytest.approx(np.pi)
+
+
 def test_a_handle_on_the_wrong_side_has_no_recall(truth):
     mug = oracle_estimates(truth)[0]
     vertices = np.array(mug.mesh.vertices) * (-1, -1, 1)
