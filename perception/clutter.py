@@ -7,7 +7,7 @@ Stacks are segmented as one thing, with a class or without: what no single shape
 
 from __future__ import annotations
 
-from collections.abc import Mapping, Sequence
+from collections.abc import Callable, Collection, Mapping, Sequence
 from dataclasses import replace
 
 from perception.detection.completion import Completer
@@ -15,10 +15,18 @@ from perception.detection.left_out import LeftOut
 from perception.detection.unclassified import associate_unclassified, is_low
 from perception.inference.reconstruct import ReconstructOptions, reconstruct, single_threaded_torch
 from perception.inference.shape_model import Decoder
-from perception.inference.stack_parts import Rows, split_stacks
-from perception.types import ObjectEstimate, RejectedObject, RgbdFrame, SupportPlane
+from perception.inference.stack_parts import (
+    CLEARLY,
+    DOUBTFUL,
+    Rows,
+    instance_points,
+    split_stacks,
+    unexplained,
+)
+from perception.types import ObjectEstimate, RejectedObject, RgbdFrame, SupportPlane, unclassified
 
 UNCLASSIFIED_SCORE = 0.55  # least score of the fit of a candidate that the detector gave no class
+REPEATED = 0.3  # largest unexplained share of a candidate's points if it is part of another object
 
 
 def reconstruct_clutter(
@@ -65,9 +73,74 @@ def reconstruct_clutter(
 
     with single_threaded_torch():
         stacks = split_stacks(frames, rows, estimates, planes, completer, fit)
+        single = {id: estimate for id, estimate in estimates.items() if id not in stacks}
+        single |= renamed(frames, detections_per_frame, single, lambda doubtful: fit(doubtful, {}))
+        single = without_repetitions(frames, rows, single, candidates)
     if options.on_rejected is not None:
         for item in rejected:
             if item.id not in candidates and item.id not in stacks:
                 options.on_rejected(item)
-    single = [estimate for id, estimate in estimates.items() if id not in stacks]
-    return sorted([*single, *(part for pair in stacks.values() for part in pair)], key=lambda e: e.id)
+    parts = [part for pair in stacks.values() for part in pair]
+    return sorted([*single.values(), *parts], key=lambda e: e.id)
+
+
+def renamed(
+    frames: Sequence[RgbdFrame],
+    rows: Rows,
+    estimates: Mapping[int, ObjectEstimate],
+    fit: Callable[[Rows], Sequence[ObjectEstimate]],
+) -> dict[int, ObjectEstimate]:
+    """Return estimates of detected objects that another class in another pose explains clearly better.
+
+    A mug upside down, for instance, is named a can by the networks, and its handle is left unexplained.
+
+    Args:
+        frames: Views with camera poses.
+        rows: Associated detections of each frame.
+        estimates: Estimates with the classes of the detections, by id.
+        fit: Reconstructs instances; detections without an id only occlude others.
+    """
+    points = {id: instance_points(frames, rows, id) for id in estimates if _is_in(rows, id)}
+    before = {id: unexplained(points[id], [estimates[id]]) for id in points}
+    doubtful = {id for id, share in before.items() if share > DOUBTFUL}
+    if not doubtful:
+        return {}
+    nameless = [
+        [
+            unclassified(d.mask, d.instance_id) if d.instance_id in doubtful else replace(d, instance_id=None)
+            for d in row
+        ]
+        for row in rows
+    ]
+    return {
+        e.id: e
+        for e in fit(nameless)
+        if e.score >= UNCLASSIFIED_SCORE and unexplained(points[e.id], [e]) < CLEARLY * before[e.id]
+    }
+
+
+def without_repetitions(
+    frames: Sequence[RgbdFrame],
+    rows: Rows,
+    estimates: Mapping[int, ObjectEstimate],
+    candidates: Collection[int],
+) -> dict[int, ObjectEstimate]:
+    """Return the estimates without candidates whose measured points another object explains.
+
+    Args:
+        frames: Views with camera poses.
+        rows: Associated detections of each frame, candidates included.
+        estimates: Estimates by id.
+        candidates: Ids of the candidates; the others are kept.
+    """
+    kept = {id: e for id, e in estimates.items() if id not in candidates}
+    uncertain = [e for id, e in estimates.items() if id in candidates]
+    for estimate in sorted(uncertain, key=lambda e: (-e.n_views, -e.score)):
+        points = instance_points(frames, rows, estimate.id)
+        if unexplained(points, list(kept.values())) > REPEATED:
+            kept[estimate.id] = estimate
+    return kept
+
+
+def _is_in(rows: Rows, id: int) -> bool:
+    return any(d.instance_id == id for row in rows for d in row)

@@ -23,7 +23,8 @@ from perception.types import Category, ObjectEstimate, SupportPlane
 DOUBTFUL: Mapping[Category, float] = {"mug": 0.35, "bowl": 0.2, "bottle": 0.1, "can": 0.1}
 CLEARLY = 0.6  # largest misfit of another pose relative to that of the upright one
 TURNED = 0.9  # the same for upside-down vessels with a closed top
-GOOD = 0.15  # largest misfit of another pose, or of an object without a class
+# Largest misfit of another pose, or of an object without a class.
+GOOD: Mapping[Category, float] = {"mug": 0.25, "bowl": 0.15, "bottle": 0.15, "can": 0.15}
 CLOSED = 0.93  # height of the middle of a closed top, in heights of its edge
 _INNER = 0.6  # part of the radius that is the middle of the top
 _MIN_POINTS = 40
@@ -70,5 +71,5 @@ def is_better(
 
 def is_good(evidence: Evidence, estimate: ObjectEstimate, plane: SupportPlane) -> bool:
     """Return whether a fit is plausible, at rest and explains almost all of the depth."""
-    explains = estimate.status != "implausible" and misfit(evidence) < GOOD
+    explains = estimate.status != "implausible" and misfit(evidence) < GOOD[estimate.category]
     return explains and rests_stably(estimate.mesh_world, plane)

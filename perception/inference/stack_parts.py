@@ -41,7 +41,8 @@ DOUBTFUL = 0.04  # share of unexplained points from which on an object may be se
 CLEARLY = 0.5  # largest share of them that the parts leave unexplained, relative to the whole
 MOST_UNEXPLAINED = 0.1  # by the parts
 MIN_CLASS = 0.3  # least mean class probability of a part
-MIN_SCORE = 0.5  # of its fit
+MIN_SCORES = (0.2, 0.5)  # of the fits of the lower part, whose upper side is hidden, and of the upper one
+CARRIERS: tuple[Category, ...] = ("mug", "bowl", "can")  # nothing stands on a bottle
 MIN_PIXELS = 150  # of a part in a view
 NAMING_VIEWS = 3
 TRIALS = 2  # seams of one stack whose parts are fitted
@@ -85,7 +86,7 @@ def split_stacks(
     free = 1 + max((d.instance_id for row in rows for d in row if d.instance_id is not None), default=-1)
     open_: dict[int, tuple[list[Parts], Float[np.ndarray, "n 3"], float]] = {}
     for id in sorted({d.instance_id for row in rows for d in row if d.instance_id is not None}):
-        points = _points(views, rows, id)
+        points = instance_points(views, rows, id)
         before = unexplained(points, [estimates[id]] if id in estimates else [])
         if before > DOUBTFUL:
             proposals = propose_parts(views, rows, id, planes, completer, free)
@@ -134,7 +135,7 @@ def propose_parts(
         for number, base in enumerate(_bases(seam, planes[support])):
             own = {k: remove_specks(m[number], _SPECK) for k, m in masks.items() if m[number].any()}
             large = {k: mask for k, mask in own.items() if mask.sum() >= MIN_PIXELS}
-            classes = VESSELS if seam.nested and number == 0 else CATEGORIES
+            classes = CATEGORIES if number else VESSELS if seam.nested else CARRIERS
             for k, d in _named(large, views, base, completer, classes).items():
                 marked[k].append(replace(d, instance_id=free_id + number, support=support))
         ids = (free_id, free_id + 1)
@@ -193,7 +194,7 @@ def _with_parts(rows: Rows, parts: Mapping[int, Parts]) -> Rows:
     ]
 
 
-def _points(views: Sequence[RgbdFrame], rows: Rows, id: int) -> Float[np.ndarray, "n 3"]:
+def instance_points(views: Sequence[RgbdFrame], rows: Rows, id: int) -> Float[np.ndarray, "n 3"]:
     """Return a sample of an instance's measured points in the world frame, in metres."""
     masks = [(view, d.mask) for view, row in zip(views, rows) for d in row if d.instance_id == id]
     points = np.concatenate([ObjectObservation(*shown).points_world(erode=2) for shown in masks])
@@ -202,5 +203,6 @@ def _points(views: Sequence[RgbdFrame], rows: Rows, id: int) -> Float[np.ndarray
 
 def _is_better(pair: Sequence[ObjectEstimate], points: Float[np.ndarray, "n 3"], before: float) -> bool:
     """Return whether two fits are accepted and explain clearly more than the whole did."""
-    accepted = all(e.score >= MIN_SCORE and e.status != "implausible" for e in pair)
+    scores = zip(pair, MIN_SCORES, strict=True)
+    accepted = all(e.score >= least and e.status != "implausible" for e, least in scores)
     return accepted and unexplained(points, pair) < min(CLEARLY * before, MOST_UNEXPLAINED)

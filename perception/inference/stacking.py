@@ -27,6 +27,7 @@ LEAST_BASE = 0.012  # [m] height over the plane of the lowest measured points of
 _HIGHER = 0.008  # [m] by which the top of the upper object is above that of the lower one, at least
 _CELL = 0.002  # [m] of the height maps whose difference is the gap
 _FREE = 0.1  # [m] standard deviation of the height of the lowest part before the contact is known
+WORSE = 0.3  # by which the score of a fit on the contact may be below that of the fit at any height
 _VIEWS = 2  # in which an object is measured
 _CENTRAL = (
     0.25  # share of the points about the centre of the upper object under which the lower one is looked up
@@ -102,6 +103,9 @@ def rest_on(
 ) -> ObjectEstimate:
     """Return the estimate of an object that rests on another one: touching it, and not inside it.
 
+    Where that clearly contradicts the evidence, because the shape of the lower object is uncertain, the
+    estimate is that of the fit at any height.
+
     Args:
         views: Observations of the upper object.
         lower: Estimate of the object below.
@@ -115,12 +119,15 @@ def rest_on(
     seen = MeasuredExtent.of(views, plane)
     start = _raised(plane, _height_under(seen, lower.mesh_world, plane))
     free = replace(config, noise=replace(config.noise, support_sigma=_FREE))
-    first = fit(views, start, free).mesh_world
+    floating = fit(views, start, free)
+    first = floating.mesh_world
     clearance = gap(first, lower.mesh_world, plane)
     if clearance is None:
         raise PerceptionError(f"{views.category}_{views.id} is not above {lower.name}")
     contact = float(plane.height_above(first.vertices).min()) - clearance
-    return replace(fit(views, _raised(plane, contact), config), rests_on=lower.id)
+    touching = fit(views, _raised(plane, contact), config)
+    best = floating if touching.score < floating.score - WORSE else touching
+    return replace(best, rests_on=lower.id)
 
 
 def gap(upper: TriangleMesh, lower: TriangleMesh, plane: SupportPlane) -> float | None:

@@ -6,14 +6,14 @@ import pytest
 from perception import clutter
 from perception.clutter import UNCLASSIFIED_SCORE, reconstruct_clutter
 from perception.inference.reconstruct import ReconstructOptions
-from perception.types import ObjectDetection, ObjectEstimate, RejectedObject, SupportPlane
+from perception.types import ObjectDetection, ObjectEstimate, RejectedObject, SupportPlane, is_unclassified
 
 MASK = np.ones((4, 4), np.bool_)
 
 
 def found(id, score=0.9):
     made = object.__new__(ObjectEstimate)
-    vars(made).update(id=id, score=score)
+    vars(made).update(id=id, score=score, n_views=2)
     return made
 
 
@@ -25,18 +25,29 @@ class Scene:
             ObjectDetection("can", 0.9, MASK, instance_id=i) for i in range(4)
         )
         self.scores = {0: 0.1, 1: UNCLASSIFIED_SCORE + 0.01, 2: UNCLASSIFIED_SCORE - 0.01}
-        self.stacks, self.fitted, self.rejected = {}, [], []
+        self.stacks, self.fitted, self.rejected, self.nameless = {}, [], [], []
         monkeypatch.setattr(clutter, "associate_unclassified", lambda *args: [[*self.candidates, self.tall]])
         monkeypatch.setattr(clutter, "is_low", lambda frames, rows, id, plane: id != 3)
         monkeypatch.setattr(clutter, "reconstruct", self.reconstruct)
         monkeypatch.setattr(clutter, "split_stacks", self.split)
+        monkeypatch.setattr(clutter, "instance_points", lambda frames, rows, id: self.points(id))
+        monkeypatch.setattr(clutter, "unexplained", self.unexplained)
+        self.explained = {(id, id) for id in range(4)}  # (points, estimate)
 
     def reconstruct(self, frames, rows, decoder, planes, options):
         self.fitted.append([d.instance_id for row in rows for d in row])
+        bare = {d.instance_id for row in rows for d in row if is_unclassified(d)}
+        self.nameless += [bare] if bare else []
         if options.on_rejected is not None:
             for id in range(4):
                 options.on_rejected(RejectedObject(id, "mug", "thin", 0.1))
         return [found(id, self.scores[id]) for id in self.fitted[-1] if id in self.scores]
+
+    def points(self, id):
+        return np.full((1, 3), float(id))
+
+    def unexplained(self, points, shapes):
+        return 0.0 if any((int(points[0, 0]), shape.id) in self.explained for shape in shapes) else 1.0
 
     def split(self, frames, rows, estimates, planes, completer, fit):
         self.known, self.rows = sorted(estimates), [[d.instance_id for d in row] for row in rows]
@@ -69,3 +80,15 @@ def test_parts_replace_their_whole(scene):
     scene.stacks = {0: (found(5), found(6)), 3: (found(7), found(8))}
     assert scene.run() == [1, 5, 6, 7, 8]
     assert scene.rejected == []
+
+
+def test_a_candidate_that_another_object_explains_is_part_of_it(scene):
+    scene.explained.add((1, 0))
+    assert scene.run() == [0]
+
+
+def test_a_detected_object_that_its_class_does_not_explain_is_fitted_without_one(scene):
+    scene.explained -= {(0, 0)}
+    scene.scores[0] = 0.9
+    scene.run()
+    assert scene.fitted == [[0, 1, 2], [0]] and scene.nameless == [{0}]

@@ -49,11 +49,11 @@ def test_only_a_poor_upright_fit_is_doubtful(category) -> None:
 
 
 def test_a_pose_must_be_good_clearly_better_and_at_rest() -> None:
-    good, poor = with_misfit(0.5 * GOOD), with_misfit(0.6)
+    good, poor = with_misfit(0.5 * GOOD["can"]), with_misfit(0.6)
     assert is_better(good, estimate(), poor, PLANE, False)
     assert is_better(good, estimate(), None, PLANE, False)
-    assert not is_better(with_misfit(1.1 * GOOD), estimate(), None, PLANE, False)
-    assert not is_better(good, estimate(), with_misfit(0.4 * GOOD / CLEARLY), PLANE, False)
+    assert not is_better(with_misfit(1.1 * GOOD["can"]), estimate(), None, PLANE, False)
+    assert not is_better(good, estimate(), with_misfit(0.4 * GOOD["can"] / CLEARLY), PLANE, False)
     assert not is_better(good, estimate(tilted=True), poor, PLANE, False)
     assert not is_better(good, estimate(status="implausible"), poor, PLANE, False)
 

@@ -63,7 +63,7 @@ def test_both_parts_replace_the_whole(stack, rows):
 
 
 def test_parts_that_are_not_accepted_leave_the_whole(stack, rows):
-    good, bad = cylinder(stack.lower, 5), cylinder(stack.higher, 6, 0.4)
+    good, bad = cylinder(stack.lower, 5, 0.25), cylinder(stack.higher, 6, 0.4)
     misplaced = cylinder(stack.lower, 6)  # explains nothing of the upper part
     for parts in (
         [good],
