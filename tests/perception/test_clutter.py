@@ -1,5 +1,7 @@
 """Candidates of no class are kept where the evidence is clear; parts of stacks replace them."""
 
+from typing import Any
+
 import numpy as np
 import pytest
 
@@ -54,7 +56,7 @@ class Scene:
         return self.stacks
 
     def run(self):
-        run = getattr(reconstruct_clutter, "__wrapped__", reconstruct_clutter)
+        run: Any = getattr(reconstruct_clutter, "__wrapped__", reconstruct_clutter)
         options = ReconstructOptions(on_rejected=self.rejected.append)
         estimates = run((), ((self.detected,),), (), None, (SupportPlane(),), None, options)
         return [e.id for e in estimates]
