@@ -194,7 +194,7 @@ def test_an_object_of_no_class_is_fitted_as_what_comes_near(choose_pose) -> None
     estimate = run({near[0]: 0.95, near[1]: 0.8}, np.full(5, 0.2), hypotheses=near)
     assert (estimate.category, estimate.resting, tried) == ("mug", "upside-down", near)
     with pytest.raises(RejectedError, match="no shape in any resting pose"):
-        run({near[0]: 0.8, near[1]: 0.7}, np.full(5, 0.2), hypotheses=near)
+        run({near[0]: 0.7, near[1]: 0.8}, np.full(5, 0.2), hypotheses=near)
     with pytest.raises(RejectedError):
         run({near[0]: 0.95}, np.full(5, 0.2), resting_stably=False, hypotheses=near)
 
