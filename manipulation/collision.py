@@ -24,6 +24,7 @@ from perception.obstacles.obstacle import PerceivedObstacle
 
 # Contact bits: links and carried objects collide with the world, links with links.
 _OFF, _ROBOT, _WORLD, _LINK = 0, 1, 2, 4
+SLIDE_DEPTH = 0.002  # [m] by which estimated shapes of objects in contact may overlap
 
 
 @dataclass(frozen=True)
@@ -65,11 +66,13 @@ class AllowedContacts:
     Attributes:
         touch: names of objects or obstacles that the robot may touch.
         touch_carried: names of objects or obstacles that the carried object may touch.
+        slide_carried: names of those that it may touch, but not enter by more than SLIDE_DEPTH.
         robot_margin, carried_margin: clearances in [m]; those of the configuration if None.
     """
 
     touch: frozenset[str] = frozenset()
     touch_carried: frozenset[str] = frozenset()
+    slide_carried: frozenset[str] = frozenset()
     robot_margin: float | None = None
     carried_margin: float | None = None
 
@@ -193,7 +196,8 @@ class CollisionWorld:
             if mover.startswith("world/"):
                 mover, obstacle = obstacle, mover
             if mover.startswith("carried/"):
-                if obstacle.removeprefix("world/") not in allowed.touch_carried:
+                slides = distance > -SLIDE_DEPTH and obstacle.removeprefix("world/") in allowed.slide_carried
+                if not slides and obstacle.removeprefix("world/") not in allowed.touch_carried:
                     return Contact(mover.removeprefix("carried/"), obstacle.removeprefix("world/"))
             elif obstacle.startswith("world/"):
                 if obstacle.removeprefix("world/") not in allowed.touch:

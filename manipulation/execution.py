@@ -123,7 +123,7 @@ class _Execution:
                 n_deferred += 1
                 continue
             try:
-                outcome = self._place(self._with_placed_stack(placement))
+                outcome = self._place(self._with_placed_stack(placement), last_chance)
             except RobotStoppedError as error:
                 self._give_up([placement, *queue], str(error))
                 return list(self.outcomes.values())
@@ -173,8 +173,11 @@ class _Execution:
         height = placement.release_height if stack else self.config.packing.release_height
         return replace(placement, stack=stack, release_height=height)
 
-    def _place(self, placement: Placement) -> ObjectOutcome:
-        """Try to place one object; the outcome has 0 attempts if there is no plan for the first."""
+    def _place(self, placement: Placement, tilted: bool) -> ObjectOutcome:
+        """Try to place one object; the outcome has 0 attempts if there is no plan for the first.
+
+        With ``tilted``, standing objects are grasped at any angle where they cannot be grasped from above.
+        """
         name, before = placement.name, self._tried_before.get(placement.name)
         number, n_before = self.task.objects[name].id, before.attempts if before else 0
         tried: list[Grasp] = []
@@ -188,7 +191,7 @@ class _Execution:
                 break
             self._notify("plan", name)
             try:
-                plan = self._plan_next(placement, tried)
+                plan = self._plan_next(placement, tried, tilted)
             except PlanningError as error:
                 reason = f"{reason}; then {error}" if reason else str(error)
                 logger.info("%s", error)
@@ -214,15 +217,24 @@ class _Execution:
                 return ObjectOutcome(number, name, False, n_before + attempts, f"{reason}; {problem}")
         return ObjectOutcome(number, name, False, n_before + attempts, reason)
 
-    def _plan_next(self, placement: Placement, tried: Sequence[Grasp]) -> PickPlacePlan:
+    def _plan_next(self, placement: Placement, tried: Sequence[Grasp], tilted: bool) -> PickPlacePlan:
         """Return the plan that places an object, or that turns it if it does not stand.
 
         Raises:
             PlanningError: there is none.
         """
-        if not lies(self.planner.world.pose(placement.name)):
-            return self.planner.plan(placement, self.robot.joint_positions(), tried)
-        return self._plan_turn(placement, tried)
+        if lies(self.planner.world.pose(placement.name)):
+            return self._plan_turn(placement, tried)
+        q = self.robot.joint_positions()
+        try:
+            return self.planner.plan(placement, q, tried)
+        except PlanningError as error:
+            if not tilted:
+                raise
+            try:
+                return self.planner.plan(placement, q, tried, tilted=True)
+            except PlanningError:
+                raise error from None
 
     def _plan_turn(self, placement: Placement, tried: Sequence[Grasp]) -> PickPlacePlan:
         """Return the plan that turns an object: at its goal if it is on its side, else on free table.

@@ -13,6 +13,7 @@ from dataclasses import dataclass, field
 import numpy as np
 from jaxtyping import Float
 
+from manipulation.antipodal_grasps import antipodal_grasps
 from manipulation.collision import Body, CollisionConfig, CollisionWorld
 from manipulation.errors import PlanningError
 from manipulation.grasp_config import GraspConfig
@@ -100,6 +101,7 @@ class PickPlacePlanner:
         self._obstacles = tuple(obstacles)
         self._grasps = dict(grasps or {})
         self._lying: dict[str, GraspSet] = {}  # of objects that do not stand
+        self._tilted: dict[str, GraspSet] = {}
         self._forgotten: set[str] = set()
         self._build_world()
 
@@ -156,6 +158,15 @@ class PickPlacePlanner:
             self._grasps[name] = grasp_candidates(self.items[name], self.config.grasp)
         return self._grasps[name]
 
+    def tilted_grasps(self, name: str) -> GraspSet:
+        """Return the grasps of an object with the hand at any angle above its support, generated once."""
+        if lies(self.world.pose(name)):
+            return self.grasps(name)
+        if name not in self._tilted:
+            up = np.array([0.0, 0.0, 1.0])
+            self._tilted[name] = antipodal_grasps(self.items[name], (up,), self.config.grasp)
+        return self._tilted[name]
+
     def resting_pose(self, placement: Placement, yaw: float) -> Float[np.ndarray, "4 4"]:
         """Return ``T_world_stand`` at rest, on the floor or in the bowls of its stack, at a yaw [rad]."""
         if placement.T_goal_stand is not None:
@@ -169,6 +180,7 @@ class PickPlacePlanner:
         placement: Placement | Sequence[Placement],
         q_start: Float[np.ndarray, "n"],
         tried: Collection[Grasp] = (),
+        tilted: bool = False,
     ) -> PickPlacePlan:
         """Plan all motions for one object from the present posture.
 
@@ -176,6 +188,7 @@ class PickPlacePlanner:
             placement: goal of the object, or several in descending order of preference.
             q_start: (n,) present joint positions in [rad].
             tried: grasps that failed; these and similar ones are excluded.
+            tilted: whether a standing object is grasped with the hand at any angle.
 
         Raises:
             PlanningError: no pair of grasp and yaw is feasible; the message counts the reasons.
@@ -184,7 +197,7 @@ class PickPlacePlanner:
         plans: list[PickPlacePlan] = []
         goals = (placement,) if isinstance(placement, Placement) else tuple(placement)
         try:
-            for pick in self._picks(goals[0].name, tried, tally):
+            for pick in self._picks(goals[0].name, tried, tally, tilted):
                 completed = (self._complete(pick, goal, q_start, tally) for goal in goals)
                 plan = next((plan for plan in completed if plan is not None), None)
                 if plan is not None:
@@ -206,9 +219,11 @@ class PickPlacePlanner:
             remedy = "move it closer to the arm"
         return f"No plan for {name}: of {tally.n_rejected} candidates, {tally.text()}; {remedy}"
 
-    def _picks(self, name: str, tried: Collection[Grasp], tally: _Tally) -> Iterator[Pick]:
+    def _picks(
+        self, name: str, tried: Collection[Grasp], tally: _Tally, tilted: bool = False
+    ) -> Iterator[Pick]:
         """Yield feasible picks in descending order of the grasps' scores."""
-        for grasp in self.grasps(name).grasps:
+        for grasp in (self.tilted_grasps(name) if tilted else self.grasps(name)).grasps:
             if any(_are_similar(grasp, other) for other in tried):
                 continue
             pick = find_pick(self.motions, name, grasp, self.config.segments)

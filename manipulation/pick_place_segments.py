@@ -6,12 +6,12 @@ A segment is feasible if the arm reaches all of it and it has no contacts but th
 from __future__ import annotations
 
 from collections.abc import Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 
 import numpy as np
 from jaxtyping import Float
 
-from manipulation.collision import AllowedContacts
+from manipulation.collision import AllowedContacts, CollisionWorld
 from manipulation.motions import OUT_OF_REACH, MotionPlanner
 from manipulation.obstacles import BOX_FLOOR, TABLE
 from manipulation.types import Grasp, Placement, Rejected, StandingObject
@@ -114,8 +114,27 @@ def find_pick(motions: MotionPlanner, name: str, grasp: Grasp, config: SegmentCo
     lifted = [_raised(T_grasp, height) for height in config.lift_heights]
     lift = motions.free_line(result.q, lifted, grasp.held_width, off_the_table)
     if isinstance(lift, Rejected):
-        return lift
-    return Pick(grasp, approach[::-1], lift)
+        beside = _in_contact(world, result.q, grasp.held_width, off_the_table)
+        if not beside:
+            return lift
+        along = replace(off_the_table, slide_carried=beside)
+        lift = motions.free_line(result.q, lifted, grasp.held_width, along)
+    return lift if isinstance(lift, Rejected) else Pick(grasp, approach[::-1], lift)
+
+
+def _in_contact(
+    world: CollisionWorld, q: np.ndarray, width: float, allowed: AllowedContacts
+) -> frozenset[str]:
+    """Return the names of the objects that the carried one touches where it stands, along which it slides."""
+    beside: frozenset[str] = frozenset()
+    for _ in world.names:
+        contact = world.contact(q, width, replace(allowed, slide_carried=beside))
+        if contact is None:
+            return beside
+        if contact.link or contact.obstacle not in world.names or contact.obstacle in beside:
+            return frozenset()
+        beside |= {contact.obstacle}
+    return beside
 
 
 def find_place(

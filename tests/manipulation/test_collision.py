@@ -94,6 +94,18 @@ def test_carried_object_meets_neighbours_with_its_own_margin(world, kinematics):
     assert world.contact(above(kinematics, 0.5, -0.3, 0.06), WIDTH) == Contact("arm", "can_1")
 
 
+@pytest.mark.parametrize(("overlap", "slides"), [(-0.001, True), (0.0015, True), (0.006, False)])
+def test_a_carried_object_slides_along_what_it_touches_but_not_into_it(world, kinematics, overlap, slides):
+    T_tcp_stand = np.diag([1.0, -1.0, -1.0, 1.0])
+    T_tcp_stand[2, 3] = 0.1
+    world.carry("can_1", T_tcp_stand)
+    q = above(kinematics, 0.5, 0.2 - 0.035 - 0.033 + overlap, 0.15)
+    bottle = frozenset({"bottle_2"})
+    found = world.contact(q, 0.06, AllowedContacts(bottle, slide_carried=bottle))
+    world.release()
+    assert found == (None if slides else Contact("can_1", "bottle_2"))
+
+
 def test_path_through_a_bottle_is_blocked_though_its_ends_are_free(world, kinematics):
     start, end = above(kinematics, 0.5, -0.05, 0.15), above(kinematics, 0.42, 0.42, 0.15)
     assert world.contact(start, WIDTH) is None and world.contact(end, WIDTH) is None

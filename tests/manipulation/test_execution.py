@@ -321,7 +321,7 @@ def test_blocked_object_is_deferred_until_the_others_are_moved(packing, arm, mon
     planned = []
     plan = PickPlacePlanner.plan
 
-    def blocked_at_first(self, placement, q_start, tried=()):
+    def blocked_at_first(self, placement, q_start, tried=(), tilted=False):
         planned.append(placement.name)
         if placement.name == "bowl_2" and planned.count("bowl_2") == 1:
             raise PlanningError("No plan for bowl_2: of 9 candidates, 9 collide with can_1; clear it")
@@ -341,7 +341,7 @@ def test_blocked_object_is_deferred_until_the_others_are_moved(packing, arm, mon
 def test_object_that_stays_blocked_fails_and_releases_its_stack(packing, arm, monkeypatch):
     plan = PickPlacePlanner.plan
 
-    def never(self, placement, q_start, tried=()):
+    def never(self, placement, q_start, tried=(), tilted=False):
         if placement.name == "bowl_2":
             raise PlanningError("No plan for bowl_2")
         return plan(self, placement, q_start, tried)

@@ -163,6 +163,15 @@ def test_the_first_feasible_of_several_goals_is_taken(kinematics, items, arm):
     assert plan.placement is near
 
 
+def test_a_standing_object_is_grasped_at_an_angle_on_request(kinematics, items, arm):
+    planner = PickPlacePlanner(kinematics, items, config=CONFIG)
+    placement = Placement("can_1", (0.5, 0.25, 0.0), (0.0,))
+    q = np.array(arm.q_home)
+    assert planner.plan(placement, q).grasp.kind == "top"
+    assert planner.plan(placement, q, tilted=True).grasp.kind == "antipodal"
+    assert planner.tilted_grasps("can_1") is planner.tilted_grasps("can_1")
+
+
 def test_a_lying_object_has_grasps_across_its_axis_until_it_stands_again(kinematics, items):
     planner = PickPlacePlanner(kinematics, items, config=CONFIG)
     standing = planner.world.pose("can_1")

@@ -100,6 +100,18 @@ def test_a_neighbour_between_the_fingers_rejects_the_grasp(kinematics, can, shap
     assert not crowded.lines, "rejected by the grasp posture alone"
 
 
+def test_what_touches_another_object_is_lifted_along_it(kinematics, can, shapes):
+    motions = motions_among(kinematics, can)
+    grasp = reachable_pick(motions, can).grasp
+    beside = (can.T_world_stand @ grasp.T_stand_tcp)[:2, 0]  # across the closing direction
+    x, y = can.T_world_stand[:2, 3] + 0.0525 * beside  # the sum of the radii less half a millimetre
+    low = to_standing(shapes.estimate(2, "can", shapes.can(0.02, 0.05), x=float(x), y=float(y)))
+    touching = motions_among(kinematics, can, low)
+    assert isinstance(find_pick(touching, can.name, grasp, CONFIG), Pick)
+    allowed = [line[2].slide_carried for line in touching.lines if line[3] == "can_1"]
+    assert allowed == [frozenset(), frozenset({"can_2"})]
+
+
 def test_picks_beyond_the_reach(kinematics, can):
     motions = motions_among(kinematics, can)
     grasp = grasp_candidates(can).grasps[0]
