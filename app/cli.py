@@ -77,7 +77,7 @@ def run(arguments: Sequence[str]) -> int:
         options = parse(arguments)
         check(options)
     except ProblemsError as error:
-        return [_complain(problem) for problem in error.problems][-1]
+        return _complain(*error.problems)
     except AppError as error:
         return _complain(str(error))
     except SystemExit as end:  # --help
@@ -116,16 +116,16 @@ def _end(error: BaseException, command: str, debug: bool) -> int:
     if isinstance(error, KeyboardInterrupt) or interrupts.was_interrupted():
         replaced = _run_folders("replaced_runs", folders=folders)
         kept = "".join(f"; the run before is in {path}" for path in replaced)
-        return _complain(f"interrupted; finished results are kept{kept}", interrupts.exit_code())
+        return _complain(f"interrupted; finished results are kept{kept}", code=interrupts.exit_code())
     if isinstance(error, ProblemsError):
-        return [_complain(problem) for problem in error.problems][-1]
+        return _complain(*error.problems)
     assert isinstance(error, Exception)
     failure = failure_of(error, command)
     if failure.expected:
-        return _complain(failure.message, failure.code)
+        return _complain(failure.message, code=failure.code)
     log = write_log(error, folders[0] if folders else None)
     hint = f"; traceback in {log}" if log else "; --debug shows the traceback"
-    return _complain(failure.message, failure.code, hint)
+    return _complain(failure.message + hint, code=failure.code)
 
 
 def parse(arguments: Sequence[str]) -> CommonOptions:
@@ -221,9 +221,10 @@ def _run_folders(function: str, **arguments: Any) -> list[Path]:
     return [] if module is None else getattr(module, function)(**arguments)
 
 
-def _complain(message: str, code: int = BAD_INPUT, hint: str = "") -> int:
+def _complain(*problems: str, code: int = BAD_INPUT) -> int:
+    """Print one line; further problems of the same input follow on indented lines."""
     with contextlib.suppress(OSError):  # nobody reads standard error
-        sys.stderr.write(f"nodeslam: {one_line(message)}{one_line(hint)}\n")
+        sys.stderr.write("nodeslam: " + "\n  ".join(map(one_line, problems)) + "\n")
         sys.stderr.flush()
     return code
 

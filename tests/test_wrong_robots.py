@@ -97,7 +97,9 @@ def complaints(path, capsys):
     """Return the lines of standard error of a run that must end with exit code 2."""
     assert run_cli(["scan", "--robot", str(path)]) == 2
     lines = capsys.readouterr().err.strip().splitlines()
-    assert lines and all(line.startswith("nodeslam: ") for line in lines), lines
+    assert lines and lines[0].startswith("nodeslam: ") and all(line.startswith("  ") for line in lines[1:]), (
+        lines
+    )
     return lines
 
 

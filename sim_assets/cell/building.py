@@ -14,7 +14,8 @@ from sim_assets.cell.resting import damped
 from sim_assets.cell.scene import build_scene
 from sim_assets.cell.settling import settle_bodies
 from sim_assets.cell.stepping import advance
-from sim_assets.rendering.headless import MjData, MjModel, mujoco
+from sim_assets.errors import RobotFileError
+from sim_assets.rendering.headless import MjData, MjModel, MjSpec, mujoco
 
 LAYOUTS = 4  # tried for one in which nothing falls
 REARRANGED = 2  # layouts after which other objects lie or are stacked
@@ -52,7 +53,7 @@ def build_settled(
         scene = build_scene(config.objects, places, config.box, look, config.line, config.robot, things)
         if config.friction is not None:
             set_friction(scene, config.friction, look)
-        model: MjModel = scene.compile()
+        model = _compiled(scene)
         data: MjData = mujoco.MjData(model)
         ArmDrive(model, data, config.robot).reset()
         if config.is_tidy:
@@ -66,6 +67,19 @@ def build_settled(
     assert fallen is not None
     reason = f"the objects do not rest stably in any of {LAYOUTS} layouts: {fallen.reason}"
     raise UnstableError(reason, fallen.name)
+
+
+def _compiled(scene: MjSpec) -> MjModel:
+    """Compile the cell. The checks of a robot file leave out the meshes that are only seen.
+
+    Raises:
+        RobotFileError: MuJoCo cannot read one of them.
+    """
+    try:
+        return scene.compile()
+    except (ValueError, mujoco.FatalError) as error:
+        reason = " ".join(str(error).split()).removeprefix("Error: ")
+        raise RobotFileError(f"the cell does not compile: {reason}; repair the model of the arm") from None
 
 
 def _groups(config: CellConfig, rng: np.random.Generator) -> tuple[list[Group], list[Group]]:

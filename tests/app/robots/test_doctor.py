@@ -42,7 +42,8 @@ def test_an_unusable_file_is_exit_code_2_with_all_problems(tmp_path, capsys):
     path.write_text('mjcf = "arm.xml"\n[arm]\njoints = ["a"]\nspeed = 1\n[gripper]\njoints = []\n')
     assert run_cli(["doctor", "--robot", str(path), "--out", str(tmp_path / "run")]) == 2
     lines = capsys.readouterr().err.strip().splitlines()
-    assert len(lines) == 7 and all(line.startswith("nodeslam: ") and "robot.toml" in line for line in lines)
+    assert lines[0].startswith("nodeslam: ") and all(line.startswith("  ") for line in lines[1:])
+    assert len(lines) == 7 and all("robot.toml" in line for line in lines)
     assert "arm.xml: no such MJCF file" in lines[-1]
 
 

@@ -8,7 +8,9 @@ from sim_assets.cell.building import build_settled
 from sim_assets.cell.config import CellConfig
 from sim_assets.cell.layout import UnstableError
 from sim_assets.cell.settling import Unsettled
+from sim_assets.errors import RobotFileError
 from sim_assets.objects import sample_object
+from sim_assets.rendering.headless import mujoco
 from sim_assets.robots.panda_arm import Q_READY
 
 
@@ -35,6 +37,19 @@ def test_objects_rest_where_they_were_put_and_the_arm_is_at_home():
 def test_the_seed_alone_decides():
     np.testing.assert_array_equal(poses(*build(seed=3)), poses(*build(seed=3)))
     assert np.abs(poses(*build(seed=3)) - poses(*build(seed=4))).max() > 0.01
+
+
+def test_a_mesh_that_mujoco_cannot_read_is_an_error_of_the_arm(monkeypatch, tmp_path):
+    (tmp_path / "shell.dae").write_text("COLLADA")
+    spec = mujoco.MjSpec.from_string(
+        f'<mujoco><asset><mesh name="shell" file="{tmp_path}/shell.dae"/></asset>'
+        '<worldbody><geom type="mesh" mesh="shell"/></worldbody></mujoco>'
+    )
+    monkeypatch.setattr(building, "build_scene", lambda *_: spec)
+    with pytest.raises(
+        RobotFileError, match=r"does not compile: no decoder .*shell\.dae.*; repair the model"
+    ):
+        build()
 
 
 def test_a_layout_in_which_something_falls_is_replaced(monkeypatch):
