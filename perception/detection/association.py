@@ -1,8 +1,6 @@
 """Associates detections of one physical object across posed views and fuses their class votes.
 
-Each detection leaves a footprint on the support plane: the convex hull of its points in the plan view.
-Footprints of one object from different viewpoints overlap, footprints of different objects do not. Where a
-view merges or splits objects, the object count of most views decides. Class log-probabilities are summed over
+Detections are grouped by their footprints (``footprints``). Class log-probabilities are summed over
 the views, with less weight for masks truncated by the image border and with a vote against the object from
 every view that should contain it but has no detection; yaw distributions are multiplied. Objects whose most
 probable class is 'other' are dropped, as are weak detections that a single view makes against the others.
@@ -10,16 +8,14 @@ probable class is 'other' are dropped, as are weak detections that a single view
 
 from __future__ import annotations
 
-from collections import Counter
 from collections.abc import Sequence
-from dataclasses import dataclass, replace
+from dataclasses import dataclass, field, replace
 
-import cv2
 import numpy as np
 from jaxtyping import Float
-from scipy.sparse.csgraph import connected_components
 
-from perception.detection.geometry import plan_coordinates, points_of, project, touches_border
+from perception.detection.footprints import Footprint, GroupingConfig, clusters, separate
+from perception.detection.geometry import project, touches_border
 from perception.detection.left_out import LeftOut, Reason
 from perception.detection.yaw import fuse_yaws
 from perception.errors import InvalidInputError
@@ -32,10 +28,7 @@ class AssociationConfig:
     """Parameters of the association of detections across views.
 
     Attributes:
-        min_overlap: Smallest intersection of two footprints of one object, as a share of the smaller one.
-        merged_share: Share of each of two objects' footprints from which on a detection covering both is
-            taken for a merger of them and left out.
-        cell: Side of the footprint grid's cells, in metres.
+        grouping: Parameters of the grouping of detections.
         max_extent: Largest extent of an object in the plan view, in metres.
         single_view_score: Smallest score of an object detected in one view only, although two or more other
             views should contain it.
@@ -47,25 +40,13 @@ class AssociationConfig:
         independence: Exponent of the effective number of views, n^independence: views err alike.
     """
 
-    min_overlap: float = 0.3
-    merged_share: float = 0.5
-    cell: float = 0.004
+    grouping: GroupingConfig = field(default_factory=GroupingConfig)
     max_extent: float = 0.36
     single_view_score: float = 0.8
     visible_share: float = 0.6
     miss_probability: float = 0.2
     truncated_weight: float = 0.5
     independence: float = 0.5
-
-
-@dataclass(frozen=True, eq=False)
-class _Footprint:
-    """One detection in the plan view."""
-
-    view: int
-    detection: ObjectDetection
-    points: Float[np.ndarray, "n 3"]  # sample of its point cloud in the world frame [m]
-    hull: Float[np.ndarray, "m 2"]  # corners along the plane's axes [m]
 
 
 def associate(
@@ -107,12 +88,16 @@ def fuse_views(
     if len(frames) > 1 and any(frame.T_world_camera is None for frame in frames):
         raise InvalidInputError("associating several views needs T_world_camera of every frame")
     footprints = [
-        _footprint(view, detection, frames[view], plane)
+        Footprint.of(view, detection, frames[view], plane)
         for view, detections in enumerate(detections_per_frame)
         for detection in detections
     ]
     footprints = [f for f in footprints if len(f.points)]
-    objects = [group for cluster in _clusters(footprints, config) for group in _separate(cluster, config)]
+    objects = [
+        group
+        for cluster in clusters(footprints, config.grouping)
+        for group in separate(cluster, config.grouping)
+    ]
     fused_groups, left_out = [], []
     for group in objects:
         fused = _fuse(group, frames, config)
@@ -148,97 +133,9 @@ def associate_on_surfaces(
     return tuple(map(tuple, rows)), tuple(left_out)
 
 
-def _footprint(view: int, detection: ObjectDetection, frame: RgbdFrame, plane: SupportPlane) -> _Footprint:
-    """Return the footprint of a detection, without mask-border pixels and points on the plane.
-
-    Masks are slightly too large, so both are mostly background.
-    """
-    core = cv2.erode(detection.mask.astype(np.uint8), np.ones((5, 5), np.uint8)).astype(bool)
-    points = points_of(frame, core if core.any() else detection.mask)
-    raised = points[plane.height_above(points) > 0.005]
-    points = (raised if len(raised) >= 10 else points)[:: max(1, len(points) // 2000)]
-    plan = plan_coordinates(points, plane)
-    if len(plan) > 20:  # outliers at depth discontinuities must not stretch the hull
-        low, high = np.percentile(plan, (1, 99), axis=0)
-        plan = plan[((plan >= low) & (plan <= high)).all(1)]
-    hull = cv2.convexHull(plan.astype(np.float32))[:, 0] if len(plan) else np.zeros((0, 2), np.float32)
-    return _Footprint(view, detection, points, hull)
-
-
-def _rasterised(hulls: Sequence[np.ndarray], cell: float) -> list[np.ndarray]:
-    """Return footprints as bool images on one common plan-view grid."""
-    corners = np.concatenate(hulls)
-    low = corners.min(0) - 2 * cell
-    size = np.ceil((corners.max(0) - low) / cell).astype(int) + 3
-    images = []
-    for hull in hulls:
-        image = np.zeros(size[::-1], np.uint8)
-        cv2.fillConvexPoly(image, np.rint((hull - low) / cell).astype(np.int32), 1)
-        images.append(image.astype(bool))
-    return images
-
-
-def _clusters(footprints: list[_Footprint], config: AssociationConfig) -> list[list[_Footprint]]:
-    """Return the connected components of footprints that overlap across views."""
-    if not footprints:
-        return []
-    linked = np.zeros((len(footprints), len(footprints)), bool)
-    for i, a in enumerate(footprints):
-        for j, b in enumerate(footprints[:i]):
-            apart = (a.hull.min(0) > b.hull.max(0)).any() or (b.hull.min(0) > a.hull.max(0)).any()
-            if a.view != b.view and not apart:
-                first, second = _rasterised((a.hull, b.hull), config.cell)
-                shared = (first & second).sum()
-                linked[i, j] = shared >= config.min_overlap * min(first.sum(), second.sum())
-    labels = connected_components(linked, directed=False)[1]
-    return [[f for f, k in zip(footprints, labels) if k == label] for label in range(labels.max() + 1)]
-
-
-def _separate(cluster: list[_Footprint], config: AssociationConfig) -> list[list[_Footprint]]:
-    """Return one group per physical object, each with at most one detection per view.
-
-    The number of objects is the mode of the views' detection counts, the larger one in a tie: two detections
-    in one view are rarely one object. Among the views with that count, the one with the largest footprints
-    provides the anchors to which the other detections are assigned.
-    """
-    count_of_view = Counter(f.view for f in cluster)
-    if max(count_of_view.values()) == 1:
-        return [cluster]
-    votes = Counter(count_of_view.values())
-    n_objects = max(votes, key=lambda n: (votes[n], n))
-    images = dict(zip(cluster, _rasterised([f.hull for f in cluster], config.cell)))
-    views = [view for view, n in count_of_view.items() if n == n_objects]
-    area = {v: sum(images[f].sum() for f in cluster if f.view == v) for v in views}
-    anchors = [f for f in cluster if f.view == max(views, key=lambda v: area[v])]
-
-    groups: list[list[_Footprint]] = [[anchor] for anchor in anchors]
-    for f in cluster:
-        if f in anchors:
-            continue
-        shared = np.array([(images[f] & images[anchor]).sum() for anchor in anchors])
-        covered = shared / np.array([max(images[anchor].sum(), 1) for anchor in anchors])
-        if (covered > config.merged_share).sum() <= 1 and shared.max() > 0:  # otherwise it merges several
-            groups[int(shared.argmax())].append(f)
-    return [_one_per_view(group) for group in groups]
-
-
-def _one_per_view(group: list[_Footprint]) -> list[_Footprint]:
-    """Unite the parts of one object in each view: one mask, the class and yaw of the largest part."""
-    united = []
-    for view in sorted({f.view for f in group}):
-        parts = sorted((f for f in group if f.view == view), key=lambda f: -int(f.detection.mask.sum()))
-        largest = parts[0]
-        if len(parts) > 1:
-            mask = np.logical_or.reduce([f.detection.mask for f in parts])
-            points = np.concatenate([f.points for f in parts])
-            largest = replace(largest, detection=replace(largest.detection, mask=mask), points=points)
-        united.append(largest)
-    return united
-
-
 def _fuse(
-    group: list[_Footprint], frames: Sequence[RgbdFrame], config: AssociationConfig
-) -> list[_Footprint] | tuple[Reason, str]:
+    group: list[Footprint], frames: Sequence[RgbdFrame], config: AssociationConfig
+) -> list[Footprint] | tuple[Reason, str]:
     """Return the group with its fused class, score and yaw, or why it is rejected."""
     extent = float(np.ptp(np.concatenate([f.hull for f in group]), axis=0).max())
     if extent > config.max_extent:
@@ -283,7 +180,7 @@ def _log_probabilities(detection: ObjectDetection) -> Float[np.ndarray, "5"]:
 
 
 def _count_missed_views(
-    group: list[_Footprint], frames: Sequence[RgbdFrame], config: AssociationConfig
+    group: list[Footprint], frames: Sequence[RgbdFrame], config: AssociationConfig
 ) -> int:
     """Return the number of views with the object inside the image and unoccluded, but without a detection."""
     points = np.concatenate([f.points for f in group])[:: max(1, len(group))]

@@ -99,6 +99,8 @@ def refit_pose(
     search = _Search(estimate, frames, T_expected, others, plane, config)
     expected = ObjectPose.of(T_expected, search.scale)
     best = search.refine(expected)
+    if search.share(best) < search.share(expected):  # misled by what is not of the shape, such as contents
+        best = max([expected, search.refine(expected, config.reaches[-1:])], key=search.share)
     if search.share(best) < config.min_share:
         offsets = [(dx, dy, 0.0) for dx, dy in ((1, 0), (-1, 0), (0, 1), (0, -1))]
         starts = [
@@ -224,12 +226,12 @@ class _Search:
             nearest = np.minimum(nearest, distance)
         return nearest
 
-    def refine(self, pose: ObjectPose) -> ObjectPose:
+    def refine(self, pose: ObjectPose, reaches: Sequence[float] | None = None) -> ObjectPose:
         """Return the pose of least squares to the measured depth within ``reaches``, from an initial pose."""
         limit = np.array([0.1, 0.1, 0.1, 0.01, 0.01, 0.01])
         if not len(self.measured):
             return pose
-        for reach in self.config.reaches:
+        for reach in reaches or self.config.reaches:
             result = minimise(
                 lambda p, reach=reach: self._evaluate(p, reach),
                 lambda p, step: p.moved(np.concatenate([step, np.zeros(3)])),

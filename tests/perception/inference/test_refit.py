@@ -1,12 +1,13 @@
-"""Pose checks of objects in place, moved, absent and occluded."""
+"""Pose checks of objects in place, moved, absent, occluded and filled."""
 
 import numpy as np
 import pytest
+import trimesh
 
 from perception.geometry import rigid, so3_exp
 from perception.inference.meshing import mesh_from_code
 from perception.inference.refit import RefitConfig, _Search, refit_pose
-from perception.types import ObjectEstimate, RgbdFrame, SupportPlane
+from perception.types import ObjectEstimate, RgbdFrame, SupportPlane, TriangleMesh
 
 AZIMUTHS = (0.3, 1.5, 2.7)
 
@@ -111,3 +112,26 @@ def test_the_nearest_of_several_objects_explains_the_depth(mug, estimate) -> Non
     near, far = (_search(mug, estimate, [other]).explained for other in neighbours)
     assert (near < far).any() and np.isinf(np.maximum(near, far)).any()
     np.testing.assert_array_equal(_search(mug, estimate, neighbours).explained, np.minimum(near, far))
+
+
+def test_contents_do_not_lift_a_bowl(scenes) -> None:
+    """A bowl filled to the brim shows a flat top, 25 mm over the floor of the known shape."""
+    radius, height = 0.05, 0.035
+    profile = [
+        (0, 0),
+        (radius, 0),
+        (radius, height),
+        (radius - 0.006, height),
+        (radius - 0.006, 0.01),
+        (0, 0.01),
+    ]
+    bowl = trimesh.creation.revolve(np.array(profile), sections=48)
+    middle = np.array([0.0, 0.0, height / 2])
+    mesh = TriangleMesh(bowl.vertices - middle, bowl.faces)
+    T = rigid(np.eye(3), np.array([0.4, -0.2, height / 2]))
+    known = ObjectEstimate(0, "bowl", np.zeros(16), T, np.full(3, radius / 0.9), mesh)
+    filled = scenes.Solid(0.4, -0.2, height, radius=radius)
+    view = scenes.render([filled], scenes.orbit((0.4, -0.2, 0.0), 0.5, 60, 40), 0.001)
+    check = refit_pose(known, [view.frame], T)
+    assert check.status == "seen"
+    assert check.shift < 0.003 and check.tilt < np.deg2rad(3)
