@@ -1,7 +1,9 @@
 """Detections of one physical object in several views, grouped by where they stand.
 
 Each detection leaves a footprint on the support plane: the convex hull of its points in the plan view.
-Footprints of one object from different viewpoints overlap, footprints of different objects do not. Where a
+Footprints of one object from different viewpoints overlap, footprints of different objects do not. Opposite
+views show opposite sides of a slender object, whose footprints may not overlap, but each view's points lie in
+the other's mask, a little behind what is seen there. Where a
 view merges or splits objects, the object count of most views decides. What has no certain class in one view,
 such as a handle, is part of its neighbour if as many other views surely show both as one object of the
 neighbour's class.
@@ -18,7 +20,7 @@ import numpy as np
 from jaxtyping import Bool, Float
 from scipy.sparse.csgraph import connected_components
 
-from perception.detection.geometry import plan_coordinates, points_of
+from perception.detection.geometry import plan_coordinates, points_of, project
 from perception.types import OTHER, ObjectDetection, RgbdFrame, SupportPlane
 
 
@@ -33,6 +35,9 @@ class GroupingConfig:
         certain: Smallest class probability of an object that is no part of another one.
         whole_score: Smallest class probability of a detection that shows parts of another view as a whole.
         cell: Side of the footprint grid's cells, in metres.
+        min_shown: Smallest share of each of two detections' points that lie in the other's mask if both are
+            of one object.
+        max_behind: Largest median distance of these points behind the surface that is seen there, in metres.
     """
 
     min_overlap: float = 0.3
@@ -40,6 +45,8 @@ class GroupingConfig:
     certain: float = 0.8
     whole_score: float = 0.9
     cell: float = 0.004
+    min_shown: float = 0.7
+    max_behind: float = 0.11
 
 
 @dataclass(frozen=True, eq=False)
@@ -51,12 +58,14 @@ class Footprint:
         detection: The detection.
         points: Sample of its point cloud in the world frame, in metres.
         hull: Corners of their convex hull along the plane's axes, in metres.
+        frame: Image that contains it.
     """
 
     view: int
     detection: ObjectDetection
     points: Float[np.ndarray, "n 3"]
     hull: Float[np.ndarray, "m 2"]
+    frame: RgbdFrame
 
     @staticmethod
     def of(view: int, detection: ObjectDetection, frame: RgbdFrame, plane: SupportPlane) -> Footprint:
@@ -73,7 +82,7 @@ class Footprint:
             low, high = np.percentile(plan, (1, 99), axis=0)
             plan = plan[((plan >= low) & (plan <= high)).all(1)]
         hull = cv2.convexHull(plan.astype(np.float32))[:, 0] if len(plan) else np.zeros((0, 2), np.float32)
-        return Footprint(view, detection, points, hull)
+        return Footprint(view, detection, points, hull, frame)
 
 
 def _rasterised(hulls: Sequence[np.ndarray], cell: float) -> list[np.ndarray]:
@@ -104,8 +113,25 @@ def clusters(footprints: Sequence[Footprint], config: GroupingConfig) -> list[li
                 first, second = _rasterised((a.hull, b.hull), config.cell)
                 shared = (first & second).sum()
                 linked[i, j] = shared >= config.min_overlap * min(first.sum(), second.sum())
+            if a.view != b.view and not linked[i, j]:
+                linked[i, j] = _is_behind(a, b, config) and _is_behind(b, a, config)
     labels = connected_components(linked, directed=False)[1]
     return [[f for f, k in zip(footprints, labels) if k == label] for label in range(labels.max() + 1)]
+
+
+def _is_behind(hidden: Footprint, seen: Footprint, config: GroupingConfig) -> bool:
+    """Return whether the points of a detection lie in another view's mask, a little behind what it shows."""
+    frame = seen.frame
+    pixels, z = project(frame, hidden.points)
+    size = (frame.intrinsics.width, frame.intrinsics.height)
+    inside = (z > 0) & (pixels >= 0).all(1) & (pixels < size).all(1)
+    u, v = pixels[inside].T
+    in_mask = seen.detection.mask[v, u]
+    if in_mask.sum() < config.min_shown * len(hidden.points):
+        return False
+    measured = frame.depth[v, u]
+    behind = (z[inside] - measured)[in_mask & (measured > 0)]
+    return len(behind) > 0 and float(np.median(behind)) < config.max_behind
 
 
 def separate(cluster: Sequence[Footprint], config: GroupingConfig) -> list[list[Footprint]]:

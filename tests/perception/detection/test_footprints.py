@@ -4,10 +4,17 @@ import numpy as np
 import pytest
 
 from perception.detection.footprints import Footprint, GroupingConfig, clusters, separate
-from perception.types import CATEGORIES, ObjectDetection
+from perception.types import CATEGORIES, CameraIntrinsics, ObjectDetection, RgbdFrame, SupportPlane
 
 BODY, HANDLE, WHOLE = (0.0, 0.08), (0.09, 0.12), (0.0, 0.12)  # [m] along x
 SHOWN = np.ones((4, 4), bool)
+UNUSED = RgbdFrame(  # the origin is not in front of it
+    0.0,
+    np.zeros((4, 4, 3), np.uint8),
+    np.ones((4, 4), np.float32),
+    CameraIntrinsics(4, 4, 1, 1, 0, 0),
+    np.eye(4),
+)
 
 
 def seen(view, x, name="mug", p=0.95):
@@ -17,7 +24,7 @@ def seen(view, x, name="mug", p=0.95):
     best = int(probabilities[:4].argmax())
     found = ObjectDetection(CATEGORIES[best], float(probabilities[best]), SHOWN, probabilities)
     corners = np.array([(x[0], 0), (x[1], 0), (x[1], 0.08), (x[0], 0.08)], np.float32)
-    return Footprint(view, found, np.zeros((1, 3)), corners)
+    return Footprint(view, found, np.zeros((1, 3)), corners, UNUSED)
 
 
 def groups_of(*footprints):
@@ -53,3 +60,28 @@ def test_two_named_objects_stay_two_in_a_tie():
 def test_footprints_far_apart_are_in_different_clusters():
     apart = clusters([seen(0, BODY), seen(1, (0.2, 0.3))], GroupingConfig())
     assert [len(cluster) for cluster in apart] == [1, 1]
+
+
+def opposite(scenes, *solids):
+    """Return what two cameras at opposite sides see of upright cylinders."""
+    place = (0.5, 0.0, 0.0)
+    views = [scenes.render(list(solids), scenes.orbit(place, 0.6, 25, angle)) for angle in (0, 180)]
+    return [
+        Footprint.of(k, ObjectDetection("bottle", 0.99, view.instances == i), view.frame, SupportPlane())
+        for k, view in enumerate(views)
+        for i in range(len(solids))
+        if (view.instances == i).sum() > 100
+    ]
+
+
+def test_opposite_sides_of_a_slender_object_are_one(scenes):
+    sides = opposite(scenes, scenes.Solid(0.5, 0.0, 0.2, radius=0.025))
+    assert [len(cluster) for cluster in clusters(sides, GroupingConfig())] == [2]
+
+
+def test_objects_behind_each_other_are_two(scenes):
+    """Each camera sees the nearer of two cylinders, which hides the other one."""
+    near, far = scenes.Solid(0.45, 0.0, 0.2, radius=0.025), scenes.Solid(0.55, 0.0, 0.2, radius=0.025)
+    seen_ = [f for f in opposite(scenes, near, far) if f.detection.mask.sum() > 3000]
+    assert len({f.view for f in seen_}) == 2
+    assert all(len(cluster) == 1 for cluster in clusters(seen_, GroupingConfig()))
