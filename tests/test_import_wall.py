@@ -143,9 +143,12 @@ def test_files_of_true_states_are_unknown_to_perception_and_planning():
 
 
 def test_no_module_is_patched():
-    streams = {"app/__main__.py": ["sys"]}  # standard streams that are closed at the start are replaced
+    allowed = {
+        "app/__main__.py": ["sys"],  # standard streams that are closed at the start are replaced
+        "app/interrupts.py": ["sys"],  # the hook for interrupts that Python cannot deliver
+    }
     for path in sources("app", "perception", "manipulation"):
-        assert list(patched_modules(tree_of(path))) == streams.get(relative(path), []), relative(path)
+        assert list(patched_modules(tree_of(path))) == allowed.get(relative(path), []), relative(path)
 
 
 @pytest.mark.parametrize(
