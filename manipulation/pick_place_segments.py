@@ -14,6 +14,7 @@ from jaxtyping import Float
 from manipulation.collision import AllowedContacts, CollisionWorld
 from manipulation.motions import OUT_OF_REACH, MotionPlanner
 from manipulation.obstacles import BOX_FLOOR, TABLE
+from manipulation.standing import RAISED
 from manipulation.types import Grasp, Placement, Rejected, StandingObject
 
 Postures = Float[np.ndarray, "_k n"]  # several of them in one value differ in length
@@ -114,27 +115,34 @@ def find_pick(motions: MotionPlanner, name: str, grasp: Grasp, config: SegmentCo
     lifted = [_raised(T_grasp, height) for height in config.lift_heights]
     lift = motions.free_line(result.q, lifted, grasp.held_width, off_the_table)
     if isinstance(lift, Rejected):
-        beside = _in_contact(world, result.q, grasp.held_width, off_the_table)
-        if not beside:
+        beside = _with_contacts(world, name, result.q, grasp.held_width, off_the_table)
+        if beside is None:
             return lift
-        along = replace(off_the_table, slide_carried=beside)
-        lift = motions.free_line(result.q, lifted, grasp.held_width, along)
+        lift = motions.free_line(result.q, lifted, grasp.held_width, beside)
     return lift if isinstance(lift, Rejected) else Pick(grasp, approach[::-1], lift)
 
 
-def _in_contact(
-    world: CollisionWorld, q: np.ndarray, width: float, allowed: AllowedContacts
-) -> frozenset[str]:
-    """Return the names of the objects that the carried one touches where it stands, along which it slides."""
-    beside: frozenset[str] = frozenset()
+def _with_contacts(
+    world: CollisionWorld, name: str, q: np.ndarray, width: float, allowed: AllowedContacts
+) -> AllowedContacts | None:
+    """Return ``allowed`` with what the carried object touches where it stands; None if that is nothing.
+
+    It slides along others; what it stands on or in may overlap it, since hulls close cavities.
+    """
+    raised = world.pose(name)[2, 3] > RAISED
     for _ in world.names:
-        contact = world.contact(q, width, replace(allowed, slide_carried=beside))
+        contact = world.contact(q, width, allowed)
         if contact is None:
-            return beside
-        if contact.link or contact.obstacle not in world.names or contact.obstacle in beside:
-            return frozenset()
-        beside |= {contact.obstacle}
-    return beside
+            return allowed if allowed.slide_carried else None
+        if contact.link or contact.obstacle not in world.names or contact.obstacle in allowed.slide_carried:
+            return None
+        other = frozenset({contact.obstacle})
+        allowed = replace(
+            allowed,
+            slide_carried=allowed.slide_carried | other,
+            touch_carried=allowed.touch_carried | (other if raised else frozenset()),
+        )
+    return None
 
 
 def find_place(

@@ -13,6 +13,7 @@ from perception.mesh_sections import cross_section
 from perception.types import Category, ObjectEstimate, SupportPlane
 
 HANDLE_HALF_ANGLE = np.deg2rad(60.0)  # half the sector around a mug's +x that is excluded from its body
+RAISED = 0.012  # [m] of an object's base over the support, from which on it stands on something else
 _ROUND_TOLERANCE = 0.12  # largest relative variation of the width over azimuth of a round body
 
 
@@ -20,7 +21,8 @@ def to_standing(estimate: ObjectEstimate, support: SupportPlane | None = None) -
     """Return the object in its stand frame.
 
     Yaw and horizontal position are those of the estimate; its tilt is discarded and the origin is placed on
-    the support plane, because the object was observed standing.
+    the support plane, because the object was observed standing; below an object that stands on another one,
+    it is at the object's base.
 
     Raises:
         PlanningError: the mesh is empty, or the object is tilted by more than 45 degrees.
@@ -43,6 +45,10 @@ def to_standing(estimate: ObjectEstimate, support: SupportPlane | None = None) -
     origin[2] = support.offset / support.normal[2] - support.normal[:2] @ origin[:2] / support.normal[2]
     in_stand = in_stand @ pose_from_yaw(turn, np.zeros(3))[:3, :3]
     in_stand[:, 2] += height - origin[2]
+    base = float(in_stand[:, 2].min())
+    if base > RAISED:
+        in_stand[:, 2] -= base
+        origin[2] += base
     return StandingObject(
         id=estimate.id,
         name=estimate.name,

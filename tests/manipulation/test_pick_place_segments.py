@@ -112,6 +112,19 @@ def test_what_touches_another_object_is_lifted_along_it(kinematics, can, shapes)
     assert allowed == [frozenset(), frozenset({"can_2"})]
 
 
+def test_what_stands_in_another_object_is_lifted_out_of_its_hull(kinematics, shapes):
+    estimates = [
+        shapes.estimate(1, "can", shapes.can(0.03, 0.1), x=0.5, y=-0.2, lift=0.02),
+        shapes.estimate(2, "bowl", shapes.bowl(0.08, 0.05), x=0.5, y=-0.2),
+    ]
+    inside, around = (to_standing(estimate) for estimate in estimates)
+    assert inside.T_world_stand[2, 3] == pytest.approx(0.02)
+    motions = motions_among(kinematics, inside, around)
+    pick = reachable_pick(motions, inside)
+    find_pick(motions, inside.name, pick.grasp, CONFIG)
+    assert motions.lines[-1][2].touch_carried == {"table", "bowl_2"}
+
+
 def test_picks_beyond_the_reach(kinematics, can):
     motions = motions_among(kinematics, can)
     grasp = grasp_candidates(can).grasps[0]

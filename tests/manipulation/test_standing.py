@@ -37,12 +37,20 @@ def test_support_plane_sets_the_height(shapes):
     assert item.vertices[:, 2].min() == pytest.approx(0.0, abs=1e-9)
 
 
+def test_an_object_on_another_one_stands_at_its_own_base(shapes):
+    item = standing(shapes, "can", shapes.can(), lift=0.09)
+    assert item.T_world_stand[2, 3] == pytest.approx(0.09)
+    assert item.vertices[:, 2].min() == pytest.approx(0.0, abs=1e-9)
+    assert item.top == pytest.approx(0.12, abs=1e-6)
+
+
 def test_an_inclined_support_plane_is_evaluated_below_the_object(shapes):
     """Plane normal . p = offset: at (x, y) its height is (offset - n_x x - n_y y) / n_z."""
     normal = np.array([0.1, -0.05, 0.99])
     normal /= np.linalg.norm(normal)
-    item = to_standing(shapes.estimate(1, "can", shapes.can(), x=0.4, y=-0.3), SupportPlane(normal, 0.02))
     expected = (0.02 - normal[0] * 0.4 + normal[1] * 0.3) / normal[2]
+    estimate = shapes.estimate(1, "can", shapes.can(), x=0.4, y=-0.3, lift=expected + 0.004)
+    item = to_standing(estimate, SupportPlane(normal, 0.02))
     assert item.T_world_stand[2, 3] == pytest.approx(expected)
     np.testing.assert_allclose(item.T_world_stand[:3, 2], (0, 0, 1), atol=1e-12)
 
