@@ -45,7 +45,7 @@ class PickPlaceConfig:
         transit_margins: clearances in transit in [m], in descending order; a smaller one is used only if no
             path keeps a larger one. Large, because shapes are estimates and a bowl may sag in the fingers.
         max_yaws: largest number of yaws at the goal that are examined for one grasp.
-        max_pairs: number of discarded candidates after which the search ends.
+        max_pairs, max_tilted_pairs: numbers of discarded candidates after which the search ends.
         max_plans: number of complete plans that are compared; the shortest in time is returned.
     """
 
@@ -59,6 +59,7 @@ class PickPlaceConfig:
     transit_margins: tuple[float, ...] = (0.03, 0.012, 0.004)
     max_yaws: int = 6
     max_pairs: int = 150
+    max_tilted_pairs: int = 50
     max_plans: int = 2
 
 
@@ -194,6 +195,7 @@ class PickPlacePlanner:
             PlanningError: no pair of grasp and yaw is feasible; the message counts the reasons.
         """
         tally = _Tally()
+        limit = self.config.max_tilted_pairs if tilted else self.config.max_pairs
         plans: list[PickPlacePlan] = []
         goals = (placement,) if isinstance(placement, Placement) else tuple(placement)
         try:
@@ -202,7 +204,7 @@ class PickPlacePlanner:
                 plan = next((plan for plan in completed if plan is not None), None)
                 if plan is not None:
                     plans.append(plan)
-                if len(plans) >= self.config.max_plans or tally.n_rejected > self.config.max_pairs:
+                if len(plans) >= self.config.max_plans or tally.n_rejected > limit:
                     break
         finally:
             self.world.release()

@@ -117,7 +117,7 @@ def test_what_stands_in_another_object_is_lifted_out_of_its_hull(kinematics, sha
         shapes.estimate(1, "can", shapes.can(0.03, 0.1), x=0.5, y=-0.2, lift=0.02),
         shapes.estimate(2, "bowl", shapes.bowl(0.08, 0.05), x=0.5, y=-0.2),
     ]
-    inside, around = (to_standing(estimate) for estimate in estimates)
+    inside, around = to_standing(replace(estimates[0], rests_on=2)), to_standing(estimates[1])
     assert inside.T_world_stand[2, 3] == pytest.approx(0.02)
     motions = motions_among(kinematics, inside, around)
     pick = reachable_pick(motions, inside)

@@ -1,3 +1,5 @@
+from dataclasses import replace
+
 import numpy as np
 import pytest
 import trimesh
@@ -42,6 +44,12 @@ def test_an_object_on_another_one_stands_at_its_own_base(shapes):
     assert item.T_world_stand[2, 3] == pytest.approx(0.09)
     assert item.vertices[:, 2].min() == pytest.approx(0.0, abs=1e-9)
     assert item.top == pytest.approx(0.12, abs=1e-6)
+
+
+def test_a_shape_without_its_foot_stands_on_the_table_unless_it_was_seen_on_another_object(shapes):
+    estimate = shapes.estimate(1, "can", shapes.can(), lift=0.02)
+    assert to_standing(estimate).T_world_stand[2, 3] == pytest.approx(0.0)
+    assert to_standing(replace(estimate, rests_on=2)).T_world_stand[2, 3] == pytest.approx(0.02)
 
 
 def test_an_inclined_support_plane_is_evaluated_below_the_object(shapes):
