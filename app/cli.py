@@ -61,6 +61,7 @@ GL_BACKENDS = ("", "egl", "osmesa", "glfw", "glx", "enable", "enabled", "on", "t
 GL_PLATFORMS = ("", "egl", "osmesa", "glx", "x11", "wayland", "linux")
 MIN_ADDRESS_SPACE = 2**30  # [bytes]: with much less, OpenBLAS never returns from its initialisation
 MAX_SEED = 2**64 - 1
+MIN_COLUMNS = 40  # of the help: in a few columns, laying it out takes minutes
 # Ranges of counts: what is asked for is listed in memory, and workers are processes of 1 GB each.
 COUNTS = {
     "workers": (1, 256), "episodes": (1, 10**6), "images": (1, 10**6), "short_runs": (0, 10**6),
@@ -141,6 +142,8 @@ def parse(arguments: Sequence[str]) -> CommonOptions:
     config = (tyro.conf.FlagCreatePairsOff, tyro.conf.OmitArgPrefixes)
     commands: Any = reduce(lambda union, kind: union | kind, kinds)
     errors = io.StringIO()
+    if os.environ.get("COLUMNS", "").isdecimal() and int(os.environ["COLUMNS"][:9]) < MIN_COLUMNS:
+        os.environ["COLUMNS"] = str(MIN_COLUMNS)
     try:
         with contextlib.redirect_stderr(errors):
             return tyro.cli(commands, prog="nodeslam", description=DESCRIPTION, args=arguments, config=config)
@@ -185,6 +188,11 @@ def _check_environment() -> None:
     platform = os.environ.get("PYOPENGL_PLATFORM", "")
     if platform not in GL_PLATFORMS:
         raise UsageError(f"PYOPENGL_PLATFORM={platform} is no platform of PyOpenGL: unset it")
+    threads = os.environ.get("OMP_NUM_THREADS", "1")
+    if not re.fullmatch(
+        r"\s*[1-9]\d{0,4}\s*(,\s*[1-9]\d{0,4}\s*)*", threads
+    ):  # OpenMP prints a line of its own
+        raise UsageError(f"OMP_NUM_THREADS={threads} is no number of threads: unset it")
     address_space, _ = resource.getrlimit(resource.RLIMIT_AS)
     if address_space != resource.RLIM_INFINITY and address_space < MIN_ADDRESS_SPACE:
         limit = f"{address_space / 2**20:.0f} MB of address space (ulimit -v)"

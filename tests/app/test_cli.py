@@ -47,6 +47,25 @@ def test_bad_usage_is_told_in_ascii_too():
     assert ended.stderr.startswith("nodeslam: invalid choice 'foo'") and ended.stderr.count("\n") == 1
 
 
+def test_help_in_one_column_takes_no_minutes():
+    environment = os.environ | {"COLUMNS": "1"}
+    command = [sys.executable, "-m", "app", "pack", "--help"]
+    ended = subprocess.run(command, capture_output=True, text=True, env=environment, timeout=30)
+    assert ended.returncode == 0 and "--objects" in ended.stdout
+
+
+@pytest.mark.parametrize(
+    "threads, valid", [("2", True), ("4,2", True), ("many", False), ("0", False), ("", False)]
+)
+def test_openmp_is_told_a_number_of_threads(monkeypatch, threads, valid):
+    monkeypatch.setenv("OMP_NUM_THREADS", threads)
+    if valid:
+        cli.check(DoctorOptions())
+    else:
+        with pytest.raises(UsageError, match="is no number of threads: unset it"):
+            cli.check(DoctorOptions())
+
+
 BAD_INPUT = {
     "objects: class": (["pack", "--objects", "spoon=2"], "'spoon' is none of mug, bowl, bottle, can"),
     "objects: count": (["sort", "--objects", "mug=two"], "'mug=two' has no count"),
