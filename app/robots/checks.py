@@ -144,4 +144,6 @@ def loading_faults(arm: ArmDescription, fovy: float, fit: ReachFit) -> list[Robo
     kinematics = Kinematics(arm)
     reach = np.array([1.0]) if fit.share > 0 else np.zeros(0)
     findings = [*check_home(arm, kinematics), check_reach(reach, fit), check_camera(arm, fovy)]
+    if fit.share >= USABLE:
+        findings.append(check_viewpoints(kinematics, fit.workspace))
     return [finding for finding in findings if finding.verdict == "fault"]

@@ -145,9 +145,10 @@ def compiled(mount: Mount, visuals: bool = False) -> MjModel:
     Raises:
         RobotFileError: a file is unusable.
     """
-    spec = load(mount, visuals)
     try:
-        return spec.compile()
+        return load(mount, visuals).compile()
+    except RobotFileError:
+        raise
     except (ValueError, mujoco.FatalError) as error:
         raise RobotFileError(f"{mount.mjcf.name} does not compile: {' '.join(str(error).split())}") from None
 

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import itertools
 from collections.abc import Iterator, Sequence
+from dataclasses import replace
 from typing import TYPE_CHECKING
 
 import numpy as np
@@ -14,10 +15,14 @@ from sim_assets.robots.servos import is_servo
 from sim_assets.robots.simulated_arm import SimulatedArm
 
 if TYPE_CHECKING:
+    from sim_assets.robots.hand_shape import HandShape
     from sim_assets.robots.robot_file import RobotEntries
 
 MIN_FORCE = 10.0  # [N] of each finger, for objects of half a kilogram at friction 0.5 with reserve
 WIDTH_TOLERANCE = 1e-3  # [m] of a stated opening beyond the measured one
+_DIMENSION = 0.06  # [m] by which a stated dimension of the hand may differ from the measured one
+_SHIFT = 0.06  # [m], the same of the tool frame
+_AXIS = np.cos(np.deg2rad(25))  # and of its axes
 _LISTED = 12  # names in a message
 
 
@@ -45,6 +50,12 @@ def part_problems(model: MjModel, entries: RobotEntries) -> list[str]:
             )
     if entries.actuator:
         problems += _command_problems(model, entries)
+    last = int(model.joint(mount.joints[-1]).bodyid[0])
+    if mount.camera_site and not is_below(model, int(model.site(mount.camera_site).bodyid[0]), last):
+        problems.append(
+            f"[camera] site '{mount.camera_site}' does not move with the hand: place it on the body of "
+            f"'{mount.joints[-1]}' or below"
+        )
     return [*problems, *_finger_problems(model, entries)]
 
 
@@ -66,6 +77,7 @@ def _chain_problems(model: MjModel, joints: Sequence[str]) -> Iterator[str]:
             )
             return
     last = int(model.jnt_bodyid[ids[-1]])
+    yield from _held_problems(model, ids, last)
     hand = hand_joints(model, joints)
     for joint in range(model.njnt):
         if joint in ids or joint in hand:
@@ -76,6 +88,24 @@ def _chain_problems(model: MjModel, joints: Sequence[str]) -> Iterator[str]:
         else:
             root = model.body(model.body_rootid[last]).name
             yield f"joint '{name}' belongs to another part: keep the arm alone with [arm] body = \"{root}\""
+
+
+def _held_problems(model: MjModel, arm: Sequence[int], last: int) -> Iterator[str]:
+    """Yield the equality constraints that keep the arm from moving freely; those within the hand are fine."""
+    types = mujoco.mjtEq
+    for index in range(model.neq):
+        first, second = int(model.eq_obj1id[index]), int(model.eq_obj2id[index])
+        if model.eq_type[index] == types.mjEQ_JOINT:
+            holds = first in arm or second in arm
+        elif model.eq_type[index] == types.mjEQ_WELD or model.eq_type[index] == types.mjEQ_CONNECT:
+            if model.eq_objtype[index] == mujoco.mjtObj.mjOBJ_SITE:
+                first, second = (int(model.site_bodyid[site]) for site in (first, second))
+            holds = is_below(model, first, last) != is_below(model, second, last)
+        else:
+            continue
+        if holds:
+            name = model.equality(index).name or f"number {index + 1}"
+            yield f"the equality constraint {name} holds the arm: remove it from the MJCF"
 
 
 def _home_problems(model: MjModel, joints: Sequence[str], home: np.ndarray) -> Iterator[str]:
@@ -139,6 +169,52 @@ def robot_problems(model: MjModel, robot: SimulatedArm) -> list[str]:
             "raise the actuator's force or press, or give force in place of actuator, open and closed"
         )
     return problems
+
+
+def stated_hand_problems(model: MjModel, entries: RobotEntries, hand: HandShape) -> Iterator[str]:
+    """Yield what the file states about the hand that differs from what was measured on the model."""
+    geometry = replace(hand.geometry, **entries.geometry)
+    if geometry.min_width >= geometry.max_width:
+        yield (
+            f"[gripper] max_width = {geometry.max_width:g} m must be above the closed hand's "
+            f"{geometry.min_width:.4f} m"
+        )
+    shift = 0.0
+    if entries.tcp:
+        site = model.site(entries.tcp)
+        T_body_tool = _in_body(model, int(site.id), hand.body)
+        if T_body_tool is None:
+            yield f"[gripper] tcp '{entries.tcp}' is not on the hand, below '{entries.mount.joints[-1]}'"
+            return
+        turn = hand.T_body_tcp[:3, :3].T @ T_body_tool[:3, :3]
+        if turn[2, 2] < _AXIS or abs(turn[1, 1]) < _AXIS:
+            yield (
+                "[gripper] tcp must have z out of the hand and y along the closing direction, within 25 "
+                "degrees of the measured ones: turn it, or leave it out and it is measured"
+            )
+        shift = float(np.linalg.norm(hand.T_body_tcp[:3, 3] - T_body_tool[:3, 3]))
+        if shift > _SHIFT:
+            yield (
+                f"[gripper] tcp is {1e3 * shift:.0f} mm from the middle of the pads: move it, or leave it out"
+            )
+    for name, stated in entries.geometry.items():
+        measured = float(getattr(hand.geometry, name))
+        if name != "max_width" and abs(stated - measured) > _DIMENSION + shift:
+            yield f"[gripper] {name} = {stated:g} m, but {measured:.3f} m on the model: leave it out"
+
+
+def _in_body(model: MjModel, site: int, body: str) -> np.ndarray | None:
+    """Return a site's pose in a body that carries it, its joints at zero; None if the body does not."""
+    if not is_below(model, int(model.site_bodyid[site]), model.body(body).id):
+        return None
+    data = mujoco.MjData(model)
+    mujoco.mj_kinematics(model, data)
+    poses = []
+    for R, p in ((data.body(body).xmat, data.body(body).xpos), (data.site_xmat[site], data.site_xpos[site])):
+        T = np.eye(4)
+        T[:3, :3], T[:3, 3] = R.reshape(3, 3), p
+        poses.append(T)
+    return np.linalg.inv(poses[0]) @ poses[1]
 
 
 def grip_force(model: MjModel, robot: SimulatedArm) -> float:

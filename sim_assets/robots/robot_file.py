@@ -34,7 +34,12 @@ from sim_assets.robots.mounting import (
     add_to_scene,
     compiled,
 )
-from sim_assets.robots.named_parts import WIDTH_TOLERANCE, part_problems, robot_problems
+from sim_assets.robots.named_parts import (
+    WIDTH_TOLERANCE,
+    part_problems,
+    robot_problems,
+    stated_hand_problems,
+)
 from sim_assets.robots.pedestal import pedestal_of
 from sim_assets.robots.planning_model import planning_mjcf
 from sim_assets.robots.servos import (
@@ -51,6 +56,9 @@ from sim_assets.robots.toml_table import MAX_DISTANCE, TomlTable
 
 _TCP, _CAMERA = "nodeslam_tcp", "nodeslam_camera"  # sites that the file does not name
 _GEOMETRY = [field.name for field in fields(GripperGeometry)]
+_LIMITS = {  # least and largest limits of speed that are taken for ones in rad/s, rad/s^2 and rad/s^3
+    "velocity": (0.02, 50.0), "acceleration": (0.05, 1000.0), "jerk": (0.5, 1e5),
+}  # fmt: skip
 _DEFAULT_FOVY = 45.0  # [deg]
 _CAMERA_BEHIND = 0.05  # [m] from the TCP back to an assumed camera
 _CAMERA_BESIDE = (0.06, 0.12)  # [m] range of its distance from the hand's axis
@@ -117,7 +125,7 @@ def read_entries(path: Path, document: dict[str, Any], problems: list[str]) -> R
     mjcf = top.path("mjcf", path.parent)
     joints = arm.names("joints")
     count = len(joints)
-    limits = [arm.limits(name, count) for name in ("velocity", "acceleration", "jerk")]
+    limits = [arm.limits(name, count, *bounds) for name, bounds in _LIMITS.items()]
     base = Frame(arm.numbers("base", 3, (0.0, 0.0, 0.0), MAX_DISTANCE), _about_z(arm.number("base_yaw", 0.0)))
     named = "actuator" in gripper
     closed = gripper.number("closed") if named else 0.0
@@ -153,7 +161,7 @@ def read_entries(path: Path, document: dict[str, Any], problems: list[str]) -> R
 
 
 def _hand_file(hand: TomlTable, folder: Path) -> HandFile:
-    frame = Frame(hand.numbers("position", 3, (0.0, 0.0, 0.0)), hand.numbers("quaternion", 4, IDENTITY))
+    frame = Frame(hand.numbers("position", 3, (0.0, 0.0, 0.0)), hand.quaternion("quaternion"))
     return HandFile(hand.path("mjcf", folder), hand.text("mount"), frame)
 
 
@@ -172,7 +180,7 @@ def build_robot(entries: RobotEntries, problems: Sequence[str] = ()) -> Simulate
     hand = measure_hand(model, entries.mount.joints, sweep)
     robot, mount = _assembled(entries, model, hand)
     model = compiled(mount)
-    found = robot_problems(model, robot)
+    found = [*robot_problems(model, robot), *stated_hand_problems(model, entries, hand)]
     if found:
         raise RobotFileError(found)
     base = mount.base

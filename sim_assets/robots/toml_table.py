@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import os
 from collections.abc import Sequence
-from dataclasses import dataclass, field
+from dataclasses import dataclass, field, replace
 from pathlib import Path
 from typing import Any
 
@@ -14,7 +14,6 @@ from jaxtyping import Float
 from sim_assets.robots.mounting import Frame, SitePose
 
 MAX_NUMBER = 1e6  # of any entry
-MIN_LIMIT = 1e-3  # of velocity [rad/s], acceleration [rad/s²] and jerk [rad/s³]: slower arms never arrive
 MAX_DISTANCE = 10.0  # of the base from the origin, along each axis [m]
 
 
@@ -114,26 +113,31 @@ class TomlTable:
             return self._wrong(key, "a list of numbers above 0", np.ones(count))
         return values
 
-    def limits(self, key: str, count: int) -> Float[np.ndarray, "_count"]:
+    def limits(self, key: str, count: int, least: float, most: float) -> Float[np.ndarray, "_count"]:
         before = len(self.problems)
         values = self.numbers(key, count)
-        if len(self.problems) == before and not (values >= MIN_LIMIT).all():
-            return self._wrong(key, f"a list of numbers of at least {MIN_LIMIT:g}", np.ones(count))
+        if len(self.problems) == before and not ((values >= least) & (values <= most)).all():
+            return self._wrong(key, f"a list of numbers of {least:g} to {most:g}, in radians", np.ones(count))
         return values
 
     def site(self, key: str, name: str) -> tuple[str, SitePose | None]:
         """Return the name of a site or, if the file gives body and pose, ``name`` and the site to add."""
         if isinstance(self.entries.get(key), dict):
-            pose = self.table(key)
-            quaternion = pose.numbers("quaternion", 4, (1.0, 0.0, 0.0, 0.0))
-            if np.linalg.norm(quaternion) < 1e-6:
-                self.problems.append(f"{pose._called('quaternion')} must not be zero")
-                quaternion = np.array([1.0, 0, 0, 0])
-            place = Frame(pose.numbers("position", 3), quaternion / np.linalg.norm(quaternion))
+            pose = replace(self.table(key), name=f"{self.name}.{key}")
+            place = Frame(pose.numbers("position", 3), pose.quaternion("quaternion"))
             site = SitePose(name, pose.text("body"), place)
             pose.refuse_others()
             return name, site
         return self.text(key), None
+
+    def quaternion(self, key: str) -> Float[np.ndarray, "4"]:
+        """Return a unit quaternion wxyz; by default that of no rotation."""
+        value = self.numbers(key, 4, (1.0, 0.0, 0.0, 0.0))
+        length = float(np.linalg.norm(value))
+        if length < 1e-6:
+            self.problems.append(f"{self._called(key)} must not be zero")
+            return np.array([1.0, 0.0, 0.0, 0.0])
+        return value / length
 
     def refuse_others(self) -> None:
         """Report the entries that no call has asked for."""

@@ -68,7 +68,7 @@ def test_sites_by_name_or_by_body_and_pose():
     assert not t.problems
     t = table(eye={"body": "hand", "position": [0, 0, 1], "quaternion": [0, 0, 0, 0]})
     t.site("eye", "new")
-    assert t.problems == ["[eye] quaternion must not be zero"]
+    assert t.problems == ["[arm.eye] quaternion must not be zero"]
 
 
 def test_a_table_that_is_none():
