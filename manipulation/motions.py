@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Iterator, Sequence
+from itertools import pairwise
 
 import numpy as np
 from jaxtyping import Float
@@ -16,6 +17,8 @@ from manipulation.types import Rejected
 OUT_OF_REACH = Rejected("out of reach")
 
 MIDDLE_RADIUS = 0.45  # [m]
+MAX_SWING = float(np.deg2rad(45))  # of a level path
+_SWING_STEP = 0.1  # [rad] between the postures at which the swing is looked at
 
 
 class MotionPlanner:
@@ -73,6 +76,7 @@ class MotionPlanner:
         q_goal: Float[np.ndarray, "n"],
         width: float,
         margins: Sequence[float | None] = (None,),
+        level: bool = False,
     ) -> list[Float[np.ndarray, "n"]] | None:
         """Return waypoints of collision-free straight joint moves from start to goal, both included.
 
@@ -83,6 +87,7 @@ class MotionPlanner:
             width: opening between the pads in [m].
             margins: clearances of arm and carried object in [m]; the first that some path keeps is used. None
                 is the clearance of the world's configuration.
+            level: whether only paths are taken on which the hand does not swing, see ``swing``.
 
         Returns:
             The waypoints in [rad], or None if no candidate path is free.
@@ -90,9 +95,25 @@ class MotionPlanner:
         for margin in margins:
             allowed = AllowedContacts(robot_margin=margin, carried_margin=margin)
             for path in self._candidate_paths(q_start, q_goal):
+                if level and self.swing(path) > MAX_SWING:
+                    continue
                 if self.world.path_contact(np.stack(path), width, allowed) is None:
                     return path
         return None
+
+    def swing(self, path: Sequence[Float[np.ndarray, "n"]]) -> float:
+        """Return how far [rad] what was vertical in the hand's first pose tilts on a path, beyond its end.
+
+        What is carried far from level is spilled, and slips in the hand.
+        """
+        up = self.kinematics.forward(path[0])[2, :3]  # the world's z in the frame of the hand
+        tilts = []
+        for begin, end in pairwise(path):
+            count = 1 + int(np.abs(end - begin).max() / _SWING_STEP)
+            for share in np.linspace(0.0, 1.0, count + 1):
+                T = self.kinematics.forward(begin + share * (end - begin))
+                tilts.append(float(np.arccos(np.clip(T[2, :3] @ up, -1.0, 1.0))))
+        return max(tilts) - tilts[-1]
 
     def time_path(self, path: Sequence[Float[np.ndarray, "n"]]) -> JointTrajectory:
         """Return the trajectory of joint moves through waypoints [rad], at rest in each."""

@@ -237,9 +237,14 @@ class PickPlacePlanner:
     def _complete(
         self, pick: Pick, placement: Placement, q_start: np.ndarray, tally: _Tally
     ) -> PickPlacePlan | None:
-        """Return the plan with a pick and the first feasible yaw at the goal; None if there is none."""
+        """Return the plan with a pick and the first feasible yaw at the goal; None if there is none.
+
+        A yaw to which the object is carried level is preferred.
+        """
         name, grasp = placement.name, pick.grasp
-        for yaw in self._ordered_yaws(pick, placement)[: self.config.max_yaws]:
+        c = self.config
+        swinging: tuple[Place, PlaceGoal, list[Float[np.ndarray, "n"]]] | None = None
+        for yaw in self._ordered_yaws(pick, placement)[: c.max_yaws]:
             T_rest = self.resting_pose(placement, yaw)
             goal = PlaceGoal(self.items[name], placement, T_rest)
             place = find_place(self.motions, pick, goal, self.config.segments)
@@ -247,21 +252,35 @@ class PickPlacePlanner:
                 tally.reject(place.reason)
                 continue
             self.world.carry(name, np.linalg.inv(grasp.T_stand_tcp))
-            carry = self.motions.free_path(
-                pick.lift[-1], place.lowering[0], grasp.held_width, self.config.transit_margins
-            )
-            if carry is None:
+            ends, width, margins = (pick.lift[-1], place.lowering[0]), grasp.held_width, c.transit_margins
+            carry = self.motions.free_path(*ends, width, margins, level=True)
+            if carry is not None:
+                return self._with_start(pick, place, goal, carry, q_start, tally)
+            carry = None if swinging else self.motions.free_path(*ends, width, margins)
+            if carry is not None:
+                swinging = place, goal, carry
+            elif swinging is None:
                 tally.reject("without a collision-free path to the goal")
-                continue
-            self.world.release()
-            start = self.motions.free_path(
-                q_start, pick.approach[0], grasp.opening, self.config.transit_margins
-            )
-            if start is None:
-                tally.reject("without a collision-free path to the object")
-                return None
-            return self._time(pick, place, goal, start, carry)
-        return None
+        return self._with_start(pick, *swinging, q_start, tally) if swinging else None
+
+    def _with_start(
+        self,
+        pick: Pick,
+        place: Place,
+        goal: PlaceGoal,
+        carry: list[Float[np.ndarray, "n"]],
+        q_start: np.ndarray,
+        tally: _Tally,
+    ) -> PickPlacePlan | None:
+        """Return the plan with a path to the object; None if there is none."""
+        self.world.release()
+        start = self.motions.free_path(
+            q_start, pick.approach[0], pick.grasp.opening, self.config.transit_margins
+        )
+        if start is None:
+            tally.reject("without a collision-free path to the object")
+            return None
+        return self._time(pick, place, goal, start, carry)
 
     def _ordered_yaws(self, pick: Pick, placement: Placement) -> list[float]:
         """Return the yaws at the goal by the rotation of the hand beyond that of the arm's base.

@@ -41,7 +41,7 @@ def test_absent_models_are_one_line_with_the_variable_to_set(path, monkeypatch, 
     assert variables(path) and run_cli(["pack", "--robot", str(path)]) == 2
     lines = capsys.readouterr().err.strip().splitlines()
     assert any(f"set the environment variable {name}" in line for name in variables(path) for line in lines)
-    assert all(line.startswith("nodeslam: ") for line in lines)
+    assert lines[0].startswith("nodeslam: ") and all(line.startswith("  ") for line in lines[1:])
 
 
 @pytest.mark.slow

@@ -102,3 +102,24 @@ def test_lines_and_paths_are_timed_from_rest_to_rest(kinematics, ends):
     path = motions.time_path([ends[0], middle, ends[1]])
     assert path.positions[-1] == pytest.approx(ends[1])
     assert np.abs(path.positions - middle).max(axis=1).min() < 1e-9
+
+
+def test_swing_is_the_tilt_on_the_way(kinematics, ends):
+    motions = motions_among(kinematics)
+    start = ends[0]
+    tilted = start + 0.8 * np.eye(len(start))[5]  # the wrist's pitch
+    assert motions.swing([start, tilted, start]) == pytest.approx(0.8, abs=1e-6)
+    assert motions.swing([start, tilted]) == pytest.approx(0.0, abs=1e-6)  # turned on purpose
+    turned = start + 0.8 * np.eye(len(start))[6]  # about the vertical
+    assert motions.swing([start, turned, start]) == pytest.approx(0.0, abs=1e-2)
+
+
+def test_a_level_path_does_not_swing(kinematics, ends, monkeypatch):
+    motions = motions_among(kinematics)
+    start, goal = ends
+    swinging, level = [start, start + 0.9 * np.eye(len(start))[5], start], [start, goal]
+    monkeypatch.setattr(motions, "_candidate_paths", lambda *_: iter([swinging, level]))
+    assert motions.free_path(start, goal, WIDTH) == swinging
+    assert motions.free_path(start, goal, WIDTH, level=True) == level
+    monkeypatch.setattr(motions, "_candidate_paths", lambda *_: iter([swinging]))
+    assert motions.free_path(start, goal, WIDTH, level=True) is None
