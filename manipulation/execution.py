@@ -17,6 +17,7 @@ from dataclasses import dataclass, replace
 import numpy as np
 
 from manipulation.errors import PlanningError, RobotError, RobotStoppedError
+from manipulation.free_places import free_places
 from manipulation.kinematics import Kinematics
 from manipulation.lying_grasps import is_upside_down, lies
 from manipulation.observation import NoObserver, SceneObserver
@@ -173,10 +174,10 @@ class _Execution:
         height = placement.release_height if stack else self.config.packing.release_height
         return replace(placement, stack=stack, release_height=height)
 
-    def _place(self, placement: Placement, tilted: bool) -> ObjectOutcome:
+    def _place(self, placement: Placement, last_chance: bool) -> ObjectOutcome:
         """Try to place one object; the outcome has 0 attempts if there is no plan for the first.
 
-        With ``tilted``, standing objects are grasped at any angle where they cannot be grasped from above.
+        At the last chance, an object without a plan is placed elsewhere in the box, or grasped at any angle.
         """
         name, before = placement.name, self._tried_before.get(placement.name)
         number, n_before = self.task.objects[name].id, before.attempts if before else 0
@@ -190,15 +191,16 @@ class _Execution:
             if attempts > self.config.max_retries:
                 break
             self._notify("plan", name)
+            is_turned = lies(self.planner.world.pose(name))
             try:
-                plan = self._plan_next(placement, tried, tilted)
+                plan = self._plan_next(placement, tried, last_chance)
             except PlanningError as error:
                 reason = f"{reason}; then {error}" if reason else str(error)
                 logger.info("%s", error)
                 return ObjectOutcome(number, name, False, n_before + attempts, reason)
             try:
                 self.motion.run(plan)
-                if plan.placement is placement:
+                if plan.placement is placement or not is_turned:
                     return ObjectOutcome(
                         number, name, True, n_before + attempts + 1, "", self.planner.world.pose(name)
                     )
@@ -217,7 +219,7 @@ class _Execution:
                 return ObjectOutcome(number, name, False, n_before + attempts, f"{reason}; {problem}")
         return ObjectOutcome(number, name, False, n_before + attempts, reason)
 
-    def _plan_next(self, placement: Placement, tried: Sequence[Grasp], tilted: bool) -> PickPlacePlan:
+    def _plan_next(self, placement: Placement, tried: Sequence[Grasp], last_chance: bool) -> PickPlacePlan:
         """Return the plan that places an object, or that turns it if it does not stand.
 
         Raises:
@@ -229,12 +231,23 @@ class _Execution:
         try:
             return self.planner.plan(placement, q, tried)
         except PlanningError as error:
-            if not tilted:
+            if not last_chance:
                 raise
-            try:
+            elsewhere = self._places_elsewhere(placement)
+            if elsewhere:
+                with contextlib.suppress(PlanningError):
+                    return self.planner.plan(elsewhere, q, tried)
+            with contextlib.suppress(PlanningError):
                 return self.planner.plan(placement, q, tried, tilted=True)
-            except PlanningError:
-                raise error from None
+            raise error
+
+    def _places_elsewhere(self, placement: Placement) -> list[Placement]:
+        """Return other places in the box for an object that is not to stand on others."""
+        if self.task.task != "pack" or self.task.box is None or placement.stack:
+            return []
+        objects = self.task.objects
+        others = [(objects[n], T) for n, T in self.planner.poses().items() if n != placement.name]
+        return free_places(objects[placement.name], placement, others, self.task.box)
 
     def _plan_turn(self, placement: Placement, tried: Sequence[Grasp]) -> PickPlacePlan:
         """Return the plan that turns an object: at its goal if it is on its side, else on free table.

@@ -342,7 +342,7 @@ def test_object_that_stays_blocked_fails_and_releases_its_stack(packing, arm, mo
     plan = PickPlacePlanner.plan
 
     def never(self, placement, q_start, tried=(), tilted=False):
-        if placement.name == "bowl_2":
+        if isinstance(placement, list) or placement.name == "bowl_2":
             raise PlanningError("No plan for bowl_2")
         return plan(self, placement, q_start, tried)
 
@@ -353,6 +353,24 @@ def test_object_that_stays_blocked_fails_and_releases_its_stack(packing, arm, mo
     assert outcomes["bowl_2"].reason == "No plan for bowl_2"
     assert outcomes["can_1"].placed and outcomes["bowl_3"].placed
     assert outcomes["bowl_3"].T_world_stand[2, 3] == pytest.approx(Box().floor)
+
+
+def test_object_whose_goal_stays_blocked_is_placed_elsewhere_in_the_box(packing, arm, monkeypatch):
+    plan = PickPlacePlanner.plan
+    (goal,) = (placement for placement in packing.placements if placement.name == "can_1")
+
+    def blocked(self, placement, q_start, tried=(), tilted=False):
+        if placement is goal:
+            raise PlanningError("No plan for can_1")
+        return plan(self, placement, q_start, tried)
+
+    monkeypatch.setattr(PickPlacePlanner, "plan", blocked)
+    robot = FakeRobot(arm)
+    outcomes = {o.name: o for o in execute(packing, robot, None, Watcher(robot), CONFIG)}
+    assert all(outcome.placed for outcome in outcomes.values())
+    place, box = outcomes["can_1"].T_world_stand[:2, 3], packing.box
+    assert np.linalg.norm(place - goal.position[:2]) > 0.01
+    assert (np.abs(place - box.center) < np.array(box.size[:2]) / 2).all()
 
 
 def test_unreachable_goal_is_reported_with_counts(scene, arm):
