@@ -13,7 +13,7 @@ from dataclasses import replace
 from perception.detection.completion import Completer
 from perception.detection.left_out import LeftOut
 from perception.detection.unclassified import associate_unclassified, is_low
-from perception.inference.reconstruct import ReconstructOptions, reconstruct, single_threaded_torch
+from perception.inference.reconstruct import ReconstructOptions, reconstruct
 from perception.inference.shape_model import Decoder
 from perception.inference.stack_parts import (
     CLEARLY,
@@ -23,6 +23,7 @@ from perception.inference.stack_parts import (
     split_stacks,
     unexplained,
 )
+from perception.threads import single_threaded
 from perception.types import ObjectEstimate, RejectedObject, RgbdFrame, SupportPlane, unclassified
 
 UNCLASSIFIED_SCORE = 0.55  # least score of the fit of a candidate that the detector gave no class
@@ -71,7 +72,7 @@ def reconstruct_clutter(
         )
         return reconstruct(frames, parts, decoder, planes, options=silent)
 
-    with single_threaded_torch():
+    with single_threaded():
         stacks = split_stacks(frames, rows, estimates, planes, completer, fit)
         single = {id: estimate for id, estimate in estimates.items() if id not in stacks}
         single |= renamed(frames, detections_per_frame, single, lambda doubtful: fit(doubtful, {}))

@@ -29,11 +29,11 @@ from perception.inference.reconstruct import (
     OnRejected,
     ReconstructOptions,
     reconstruct,
-    single_threaded_torch,
 )
 from perception.shape.decoder import ShapeDecoder
 from perception.support.surface import SupportSurface
 from perception.support.surfaces import find_surfaces
+from perception.threads import single_threaded
 from perception.types import ObjectDetection, ObjectEstimate, RgbdFrame, SupportPlane
 
 if TYPE_CHECKING:
@@ -122,13 +122,13 @@ def load_perception(device: Device) -> Perception:
 
 def load_detector(device: Device) -> Detector:
     """Load the shipped detector; raises as ``load_perception``."""
-    with single_threaded_torch():  # hundreds of small tensors: starting threads for each would cost most
+    with single_threaded():  # hundreds of small tensors: starting threads for each would cost most
         return Detector.load(resolve_device(device))
 
 
 def load_decoder(device: Device) -> ShapeDecoder:
     """Load the decoder of the shipped shape prior; raises as ``load_perception``."""
-    with single_threaded_torch():
+    with single_threaded():
         return ShapeDecoder.load(device=resolve_device(device))
 
 
@@ -180,7 +180,7 @@ def detect(
         surfaces = (SupportSurface(plane),) if plane else find_surfaces(frames)[:max_surfaces]
     found: list[list[ObjectDetection]] = []
     left_out: list[LeftOut] = []
-    with single_threaded_torch(), ThreadPoolExecutor(workers or os.cpu_count() or 1) as pool:
+    with single_threaded(), ThreadPoolExecutor(workers or os.cpu_count() or 1) as pool:
         for there, rest in pool.map(lambda frame: examine_frame(frame, detector, surfaces), frames):
             left_out += [replace(candidate, frame=len(found)) for candidate in rest]
             found.append(there)

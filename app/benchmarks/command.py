@@ -17,8 +17,8 @@ from app.options import BenchOptions
 from app.runs.report import Report
 from app.runs.run_folder import RunFolder
 from app.screen import Screen
-from perception.inference.reconstruct import single_threaded_torch
 from perception.pipeline import resolve_device
+from perception.threads import single_threaded
 
 
 def run(options: BenchOptions, screen: Screen) -> Report:
@@ -36,7 +36,7 @@ def run(options: BenchOptions, screen: Screen) -> Report:
     folder = RunFolder.create(options, "bench")
     rows: list[Row] = []
     timing = TimingConfig(min_repeats=options.repeats)
-    with screen.stage("Measuring"), single_threaded_torch():
+    with screen.stage("Measuring"), single_threaded():
         for benchmark in benchmarks(scene, device, options.seed):
             screen.update(benchmark.name)
             rows.append(measure(benchmark, timing))

@@ -32,11 +32,12 @@ from app.runs.report import Report
 from app.runs.run_folder import RunFolder
 from app.screen import Screen
 from perception.inference.acceptance import shipped_acceptance
-from perception.inference.reconstruct import ReconstructOptions, reconstruct, single_threaded_torch
+from perception.inference.reconstruct import ReconstructOptions, reconstruct
 from perception.io.files import write_atomically
 from perception.pipeline import Perception, detect, load_perception, resolve_device
 from perception.slam.config import SlamConfig
 from perception.slam.system import Slam
+from perception.threads import single_threaded
 
 OBJECTS = (1, 2, 5, 10, 20)
 VIEWS = (1, 2, 5, 10, 20)
@@ -85,7 +86,7 @@ def run(options: BenchOptions, screen: Screen) -> Report:
     folder = RunFolder.create(options, "bench")
     curves: list[Curve] = []
     report = _report(options, machine, curves, 0.0, done=False)
-    with screen.stage("Measuring growth"), single_threaded_torch():
+    with screen.stage("Measuring growth"), single_threaded():
         networks = load_perception(options.device)
         for curve in _curves(networks, options):
             screen.update(curve.name)

@@ -24,8 +24,8 @@ from app.task.pipeline import run as run_pipeline
 from manipulation.errors import RobotError, RobotStoppedError
 from manipulation.execution import TaskEvent
 from manipulation.robot import ArmDescription, JointTrajectory, RobotState
-from perception.inference.reconstruct import single_threaded_torch
 from perception.pipeline import Perception, load_perception
+from perception.threads import single_threaded
 from perception.types import RgbdFrame
 from sim_assets.cell.world import FINGER_SPEED, REACHED_ERROR, STOP_ERROR
 
@@ -247,7 +247,7 @@ class _PipelineThread:
     def _main(self) -> None:
         perception, request, observer = self._work
         try:
-            with single_threaded_torch():
+            with single_threaded():
                 self.failure = run_pipeline(self.robot, perception, request, observer).failure
         except _Abandoned:
             return

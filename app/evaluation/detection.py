@@ -31,12 +31,12 @@ from app.screen import Screen
 from app.training.scene_dataset import training_scene_config
 from perception.detection.detector import Detector, DetectorConfig
 from perception.inference.acceptance import AcceptanceModel, shipped_acceptance
-from perception.inference.reconstruct import single_threaded_torch
 from perception.io.files import write_atomically
 from perception.io.images import png_bytes
 from perception.pipeline import Device, load_decoder, resolve_device
 from perception.shape.decoder import ShapeDecoder
 from perception.support_plane import fit_support_plane
+from perception.threads import single_threaded
 
 if TYPE_CHECKING:
     from sim_assets.datasets.scene_config import TrainingSceneConfig
@@ -81,7 +81,7 @@ def run_chunk(options: EvaluateOptions, folder: Path, chunk: int) -> Line:
     detector, lines = _detector(resolve_device(options.device)), []
     pictures: list[tuple[int, int, np.ndarray]] = []
     scene_config, meshes = _scene_config(options), _user_meshes(options)
-    with single_threaded_torch(), TrainingScenes("test", seed, scene_config, meshes) as scenes:
+    with single_threaded(), TrainingScenes("test", seed, scene_config, meshes) as scenes:
         for number, image in enumerate(scenes.render(count)):
             plane = fit_support_plane([image.frame])
             start = time.process_time()

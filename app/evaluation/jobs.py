@@ -123,18 +123,18 @@ def resident_memory() -> int | None:
 
 
 def _in_this_process(attempt: Callable[[Item], Line], items: Sequence[Item]) -> Iterator[Line]:
-    from perception.inference.reconstruct import single_threaded_torch
+    from perception.threads import single_threaded
 
     for item in items:
-        with single_threaded_torch():
+        with single_threaded():
             line = attempt(item)
         yield line
 
 
 def _attempt_on_ray(functions: tuple[Callable[..., Line], Callable[..., Line]], item: Item) -> Line:
-    from perception.inference.reconstruct import single_threaded_torch
+    from perception.threads import single_threaded
 
-    with single_threaded_torch():
+    with single_threaded():
         return attempt_job(*functions, item)
 
 

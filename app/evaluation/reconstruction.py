@@ -26,8 +26,8 @@ from app.options import EvaluateOptions
 from app.runs.report import Report
 from app.screen import Screen
 from app.task.cell import parse_objects
-from perception.inference.reconstruct import single_threaded_torch
 from perception.inference.resting import ALTERNATIVES
+from perception.threads import single_threaded
 from perception.types import CATEGORIES, Category
 
 ROWS = "rows.jsonl"
@@ -54,7 +54,7 @@ def run(options: EvaluateOptions, screen: Screen) -> Report:
             ledger.folder.write_report(_report(options, subjects, finished, time.perf_counter() - begin))
     report = _report(options, subjects, finished, time.perf_counter() - begin)
     ledger.folder.write_report(report)
-    with screen.stage("Drawing plots and pictures"), single_threaded_torch():  # the same results as the rows
+    with screen.stage("Drawing plots and pictures"), single_threaded():  # the same results as the rows
         from app.evaluation.reconstruction_pictures import write_pictures
 
         by_name = {subject.name: subject for subject in subjects}

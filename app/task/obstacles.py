@@ -3,18 +3,17 @@
 from __future__ import annotations
 
 from collections.abc import Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from typing import Any
 
 import numpy as np
-from jaxtyping import Float, UInt8
+from jaxtyping import Bool, Float, UInt8
 
 from manipulation.obstacles import box_obstacles
 from manipulation.robot import ArmDescription
 from manipulation.self_view import fixed_bounds
 from manipulation.types import Box
 from perception.detection.geometry import points_of, project
-from perception.detection.left_out import LeftOut
 from perception.obstacles.find import find_obstacles
 from perception.obstacles.obstacle import PerceivedObstacle
 from perception.obstacles.unexplained import KnownGeometry
@@ -66,17 +65,22 @@ def obstacles_during(
     return tuple(find_obstacles(frames, masks, objects, surface, np.concatenate(known)))
 
 
-def candidates_beside(
-    box: Box | None, frames: Sequence[RgbdFrame], candidates: Sequence[LeftOut]
-) -> tuple[LeftOut, ...]:
-    """Return the candidates that do not show the box."""
+def beside_box(box: Box | None, frames: Sequence[RgbdFrame], detections: Detections) -> Detections:
+    """Return the detections and candidates that do not show the box, whose place is known."""
     known = KnownGeometry.of((), known_bounds(box))
 
-    def shows_box(candidate: LeftOut) -> bool:
-        points = points_of(frames[candidate.frame], candidate.mask)
+    def shows_box(frame: RgbdFrame, mask: Bool[np.ndarray, "h w"]) -> bool:
+        points = points_of(frame, mask)
         return len(points) > 0 and bool(known.explains(points, BOX_MARGIN).mean() > BOX_SHARE)
 
-    return tuple(candidate for candidate in candidates if not shows_box(candidate))
+    return replace(
+        detections,
+        per_frame=tuple(
+            tuple(found for found in row if not shows_box(frame, found.mask))
+            for frame, row in zip(frames, detections.per_frame, strict=True)
+        ),
+        left_out=tuple(c for c in detections.left_out if not shows_box(frames[c.frame], c.mask)),
+    )
 
 
 def known_bounds(box: Box | None) -> Float[np.ndarray, "k 2 3"]:

@@ -23,7 +23,7 @@ import numpy as np
 from jaxtyping import Float
 
 from app.task.observation import WristObserver
-from app.task.obstacles import candidates_beside, obstacles_beside, obstacles_during, table_of
+from app.task.obstacles import beside_box, obstacles_beside, obstacles_during, table_of
 from manipulation.errors import ManipulationError
 from manipulation.execution import TaskEvent, execute
 from manipulation.kinematics import Kinematics
@@ -181,11 +181,12 @@ def run(
             observer.on_frames(frames)
         with observer.stage("detect"):
             # The planner lets objects stand on the table alone.
-            detections = detect(frames, perception.detector, observer.on_progress, max_surfaces=1)
+            found = detect(frames, perception.detector, observer.on_progress, max_surfaces=1)
+            detections = beside_box(request.box, frames, found)
             result = replace(result, detections=detections)
             observer.on_detections(detections)
         with observer.stage("reconstruct"):
-            reconstruct = request.reconstruction or prior_reconstruction(perception, observer, request.box)
+            reconstruct = request.reconstruction or prior_reconstruction(perception, observer)
             objects = reconstruct(frames, detections)
             result = replace(result, objects=objects, rejected=tuple(observer.rejected))
             observer.on_objects(objects)
@@ -215,15 +216,13 @@ def run(
     return replace(result, timings=dict(observer.timings))
 
 
-def prior_reconstruction(
-    perception: Perception, observer: RunObserver, box: Box | None = None
-) -> Reconstruction:
-    """Return the reconstruction by the learned shape prior, for which the box is no candidate."""
+def prior_reconstruction(perception: Perception, observer: RunObserver) -> Reconstruction:
+    """Return the reconstruction by the learned shape prior."""
 
     def reconstruct(frames: Sequence[RgbdFrame], detections: Detections) -> list[ObjectEstimate]:
         return reconstruct_objects(
             frames,
-            replace(detections, left_out=candidates_beside(box, frames, detections.left_out)),
+            detections,
             perception.decoder,
             observer.on_progress,
             observer.on_fit_step,

@@ -24,10 +24,11 @@ from perception.inference.evidence import measure_evidence
 from perception.inference.fit import fit_with_grid
 from perception.inference.fit_config import FitConfig
 from perception.inference.observation import ObjectViews
-from perception.inference.reconstruct import gather_instances, single_threaded_torch
+from perception.inference.reconstruct import gather_instances
 from perception.io.files import write_atomically
 from perception.pipeline import load_decoder
 from perception.shape.decoder import ShapeDecoder
+from perception.threads import single_threaded
 from perception.types import CATEGORIES, OTHER, ObjectDetection, SupportPlane
 
 CHUNK = 20  # images per job
@@ -90,7 +91,7 @@ def collect_chunk(chunk: Chunk) -> None:
     scene_config = replace(training_scene_config(), pictures_per_pool=CHUNK)
     rows = []
     with (
-        single_threaded_torch(),
+        single_threaded(),
         TrainingScenes(chunk.split, int(sequence.generate_state(1)[0]), scene_config) as scenes,
     ):
         for image in scenes.render(chunk.count):

@@ -23,6 +23,9 @@ from scipy.sparse.csgraph import connected_components
 from perception.detection.geometry import plan_coordinates, points_of, project
 from perception.types import OTHER, ObjectDetection, RgbdFrame, SupportPlane
 
+_POINTS = 2000  # most points of a footprint
+_PROBES = 400  # most points that are looked up in another view
+
 
 @dataclass(frozen=True)
 class GroupingConfig:
@@ -76,13 +79,18 @@ class Footprint:
         core = cv2.erode(detection.mask.astype(np.uint8), np.ones((5, 5), np.uint8)).astype(bool)
         points = points_of(frame, core if core.any() else detection.mask)
         raised = points[plane.height_above(points) > 0.005]
-        points = (raised if len(raised) >= 10 else points)[:: max(1, len(points) // 2000)]
+        points = thinned(raised if len(raised) >= 10 else points, _POINTS)
         plan = plan_coordinates(points, plane)
         if len(plan) > 20:  # outliers at depth discontinuities must not stretch the hull
             low, high = np.percentile(plan, (1, 99), axis=0)
             plan = plan[((plan >= low) & (plan <= high)).all(1)]
         hull = cv2.convexHull(plan.astype(np.float32))[:, 0] if len(plan) else np.zeros((0, 2), np.float32)
         return Footprint(view, detection, points, hull, frame)
+
+
+def thinned(points: Float[np.ndarray, "n d"], most: int) -> Float[np.ndarray, "m d"]:
+    """Return every k-th point, as many as ``most`` allows."""
+    return points[:: max(1, -(-len(points) // most))]
 
 
 def _rasterised(hulls: Sequence[np.ndarray], cell: float) -> list[np.ndarray]:
@@ -108,26 +116,32 @@ def clusters(footprints: Sequence[Footprint], config: GroupingConfig) -> list[li
     linked = np.zeros((len(footprints), len(footprints)), bool)
     for i, a in enumerate(footprints):
         for j, b in enumerate(footprints[:i]):
-            apart = (a.hull.min(0) > b.hull.max(0)).any() or (b.hull.min(0) > a.hull.max(0)).any()
-            if a.view != b.view and not apart:
+            gap = np.inf if a.view == b.view else _gap(a.hull, b.hull)
+            if gap == 0:
                 first, second = _rasterised((a.hull, b.hull), config.cell)
                 shared = (first & second).sum()
                 linked[i, j] = shared >= config.min_overlap * min(first.sum(), second.sum())
-            if a.view != b.view and not linked[i, j]:
+            if gap < config.max_behind and not linked[i, j]:
                 linked[i, j] = _is_behind(a, b, config) and _is_behind(b, a, config)
     labels = connected_components(linked, directed=False)[1]
     return [[f for f, k in zip(footprints, labels) if k == label] for label in range(labels.max() + 1)]
 
 
+def _gap(a: Float[np.ndarray, "n 2"], b: Float[np.ndarray, "m 2"]) -> float:
+    """Return the distance of two footprints along the plane's axes in metres, 0 if their boxes overlap."""
+    return float(np.maximum(a.min(0) - b.max(0), b.min(0) - a.max(0)).clip(0).max())
+
+
 def _is_behind(hidden: Footprint, seen: Footprint, config: GroupingConfig) -> bool:
     """Return whether the points of a detection lie in another view's mask, a little behind what it shows."""
     frame = seen.frame
-    pixels, z = project(frame, hidden.points)
+    points = thinned(hidden.points, _PROBES)
+    pixels, z = project(frame, points)
     size = (frame.intrinsics.width, frame.intrinsics.height)
     inside = (z > 0) & (pixels >= 0).all(1) & (pixels < size).all(1)
     u, v = pixels[inside].T
     in_mask = seen.detection.mask[v, u]
-    if in_mask.sum() < config.min_shown * len(hidden.points):
+    if in_mask.sum() < config.min_shown * len(points):
         return False
     measured = frame.depth[v, u]
     behind = (z[inside] - measured)[in_mask & (measured > 0)]

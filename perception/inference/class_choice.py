@@ -23,7 +23,14 @@ from perception.inference.fit import fit_with_grid
 from perception.inference.fit_config import FitConfig
 from perception.inference.observation import ObjectViews
 from perception.inference.optimisation import OnStep
-from perception.inference.pose_choice import has_closed_top, is_better, is_doubtful, is_good, misfit
+from perception.inference.pose_choice import (
+    has_closed_top,
+    is_better,
+    is_contradicted,
+    is_doubtful,
+    is_good,
+    misfit,
+)
 from perception.inference.resting import ALTERNATIVES
 from perception.inference.screening import Hypothesis, comes_near, nearest_hypotheses
 from perception.inference.shape_model import Decoder
@@ -107,7 +114,6 @@ def fit_best_class(
         near_ones = nearest_hypotheses(views, decoder, plane, config)
         return _fit_unnamed(fit, near_ones, views, plane, model)
     first, problem = _attempt(fit, views.category, on_step)
-    fits = [] if first is None else [first]
     if not p.size:
         best = _best_pose(fit, near, first, (views.category,), views, plane)
         if best is None:
@@ -115,12 +121,7 @@ def fit_best_class(
             raise problem
         return best.estimate
     likely = _likely(p)
-    if first is None or p[CATEGORIES.index(views.category)] < CLEAR or first.estimate.score < model.threshold:
-        others: list[Category] = [c for c in likely if c != views.category]
-        for category in others[: MAX_CLASSES - 1]:
-            other, _ = _attempt(fit, category)
-            fits += [] if other is None else [other]
-    upright = max(fits, key=lambda scored: scored.estimate.score, default=None)
+    upright = _best_upright(fit, first, [c for c in likely if c != views.category], views, plane, model)
     posed = likely if upright is None else (upright.estimate.category,)
     best = _best_pose(fit, near, upright, posed, views, plane, max(model.threshold, UNKNOWN))
     if best is None:
@@ -133,6 +134,43 @@ def fit_best_class(
     if estimate.category != views.category:
         logger.info("object %d: evidence for %s, not %s", views.id, estimate.category, views.category)
     return estimate
+
+
+def _best_upright(
+    fit: _Fit,
+    first: ScoredFit | None,
+    rivals: Sequence[Category],
+    views: ObjectViews,
+    plane: SupportPlane,
+    model: AcceptanceModel,
+) -> ScoredFit | None:
+    """Return the upright fit with the highest score; a contradicted one gives way to one that explains well.
+
+    Args:
+        fit: Fits the object.
+        first: Fit as the most probable class; None if it failed.
+        rivals: Next classes, the most probable first. Where the detector is sure of the first one and only
+            the evidence is against it, they must explain the depth well.
+        views: Observations of the object.
+        plane: Support plane.
+        model: Scores the evidence.
+    """
+    fits = [] if first is None else [first]
+    unsure = first is None or first.estimate.score < model.threshold
+    unsure = unsure or views.class_probabilities[CATEGORIES.index(views.category)] < CLEAR
+    if unsure or (first is not None and is_contradicted(first.evidence)):
+        others = [_attempt(fit, category)[0] for category in rivals[: MAX_CLASSES - 1]]
+        made = [other for other in others if other is not None]
+        good = [other for other in made if is_good(other.evidence, other.estimate, plane)]
+        fits += made if unsure else good
+    best = max(fits, key=_score, default=None)
+    if best is not None and is_contradicted(best.evidence):
+        best = max((s for s in fits if is_good(s.evidence, s.estimate, plane)), key=_score, default=best)
+    return best
+
+
+def _score(scored: ScoredFit) -> float:
+    return scored.estimate.score
 
 
 def _fit_unnamed(
@@ -154,7 +192,7 @@ def _fit_unnamed(
             good.append(made)
             if made.estimate.score > CLEAR:
                 break
-    best = max(good, key=lambda scored: scored.estimate.score, default=None)
+    best = max(good, key=_score, default=None)
     if best is None:
         raise RejectedError(views.category, 0.0, "no shape in any resting pose explains the depth")
     if best.estimate.score < max(model.threshold, UNKNOWN):

@@ -39,6 +39,7 @@ _LOWER = 0.25  # share of the sectors that show the vessel
 _RAISED = (0.012, 0.12)  # how far a thing is above them: in metres, and in vessel heights
 _MIN_PIXELS = 40
 _MIN_RIM = 30  # points of the rim
+_MOST_RIM = 3000  # of them that are used
 _SECTORS = 36  # about its centre
 _MIN_SECTORS = 18  # with points: half of the rim
 
@@ -141,6 +142,7 @@ def _ring(points: Float[np.ndarray, "n 2"]) -> tuple[Float[np.ndarray, "2"], flo
     """Return centre and radius of the circle around points; None if they do not surround it."""
     if len(points) < _MIN_RIM:
         return None
+    points = points[:: -(-len(points) // _MOST_RIM)]
     centre = (points.min(axis=0) + points.max(axis=0)) / 2
     edge = outermost(points, centre)
     radius = 0.0
@@ -159,7 +161,7 @@ def outermost(points: Float[np.ndarray, "n 2"], centre: Float[np.ndarray, "2"]) 
     offset = points - centre
     sector = ((np.arctan2(offset[:, 1], offset[:, 0]) / (2 * np.pi) + 0.5) * _SECTORS).astype(int) % _SECTORS
     distance = np.linalg.norm(offset, axis=1)
-    order = np.lexsort((distance, sector))
+    order = np.argsort(sector + 0.5 * distance / max(distance.max(), 1e-9))  # by sector, then distance
     ends = np.searchsorted(sector[order], np.arange(_SECTORS + 1))
     chosen = [order[low + int(0.9 * (high - low - 1))] for low, high in pairwise(ends) if high > low]
     return points[chosen]

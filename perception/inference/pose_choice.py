@@ -21,6 +21,7 @@ from perception.types import Category, ObjectEstimate, SupportPlane
 # Misfit of an upright fit from which on other poses are tried: large for mugs and bowls because of handles
 # and cavities.
 DOUBTFUL: Mapping[Category, float] = {"mug": 0.35, "bowl": 0.2, "bottle": 0.1, "can": 0.1}
+CONTRADICTED = 0.45  # misfit that true objects of the class hardly ever have
 CLEARLY = 0.6  # largest misfit of another pose relative to that of the upright one
 TURNED = 0.9  # the same for upside-down vessels with a closed top
 # Largest misfit of another pose, or of an object without a class.
@@ -38,6 +39,11 @@ def misfit(evidence: Evidence) -> float:
 def is_doubtful(evidence: Evidence, category: Category) -> bool:
     """Return whether the evidence of an upright fit is so poor that the object may rest in another pose."""
     return misfit(evidence) > DOUBTFUL[category] or (category == "can" and not evidence.converged)
+
+
+def is_contradicted(evidence: Evidence) -> bool:
+    """Return whether the evidence is so poor that the object is of another class or at rest otherwise."""
+    return misfit(evidence) > CONTRADICTED
 
 
 def has_closed_top(observations: Sequence[ObjectObservation], plane: SupportPlane) -> bool:

@@ -4,15 +4,13 @@ from __future__ import annotations
 
 import logging
 import os
-from collections.abc import Callable, Collection, Iterator, Mapping, Sequence
+from collections.abc import Callable, Collection, Mapping, Sequence
 from concurrent.futures import ThreadPoolExecutor, as_completed
-from contextlib import contextmanager
 from dataclasses import dataclass, field, replace
 from functools import partial
 
 import cv2
 import numpy as np
-import torch
 from jaxtyping import Bool
 
 from perception.depth_cleaning import clean_frame
@@ -24,6 +22,7 @@ from perception.inference.observation import ObjectObservation, ObjectViews
 from perception.inference.optimisation import FitStep
 from perception.inference.shape_model import Decoder
 from perception.inference.stacking import find_stacks, rest_on
+from perception.threads import single_threaded
 from perception.types import (
     CATEGORIES,
     OTHER,
@@ -129,7 +128,7 @@ def reconstruct(
             options.progress(done, len(instances), name)
 
     below = {**find_stacks(instances, plane_of), **options.rests_on}
-    with single_threaded_torch(), ThreadPoolExecutor(workers) as pool:
+    with single_threaded(), ThreadPoolExecutor(workers) as pool:
         jobs = {pool.submit(fit, v, plane_of[v.id]): v for v in instances if v.id not in below}
         for done, job in enumerate(as_completed(jobs), start=1):
             finish(jobs[job], job.result, done)
@@ -216,14 +215,3 @@ def _score(error: Exception, views: ObjectViews) -> float:
 def one_line(error: Exception) -> str:
     """Return an error's message in one line, or its type if it has none."""
     return " ".join(str(error).split()) or type(error).__name__
-
-
-@contextmanager
-def single_threaded_torch() -> Iterator[None]:
-    """Run torch on one thread: nested thread pools on the same cores are up to 15 times slower."""
-    threads = torch.get_num_threads()
-    torch.set_num_threads(1)
-    try:
-        yield
-    finally:
-        torch.set_num_threads(threads)

@@ -10,7 +10,7 @@ from collections.abc import Callable
 from concurrent.futures import Future, ThreadPoolExecutor
 from typing import Generic, TypeVar
 
-from perception.inference.reconstruct import single_threaded_torch
+from perception.threads import single_threaded
 
 Result = TypeVar("Result")
 
@@ -46,5 +46,5 @@ class DelayedJob(Generic[Result]):
 
 
 def _on_one_torch_thread(job: Callable[[], Result]) -> Result:
-    with single_threaded_torch():
+    with single_threaded():
         return job()

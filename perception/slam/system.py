@@ -21,7 +21,6 @@ from functools import cache
 import numpy as np
 from jaxtyping import Float
 
-from perception.inference.reconstruct import single_threaded_torch
 from perception.inference.shape_model import Decoder
 from perception.pipeline import Device, load_perception
 from perception.slam.association import associate_masks, render_masks
@@ -44,6 +43,7 @@ from perception.slam.recovery import SEARCH_ITERATIONS, is_certain, relocalised_
 from perception.slam.relocalise import Relocalisation, relocalise
 from perception.slam.stage_timer import Clock, StageTimer
 from perception.support_plane import fit_support_plane
+from perception.threads import single_threaded
 from perception.types import ObjectEstimate, RgbdFrame
 
 logger = logging.getLogger(__name__)
@@ -114,7 +114,7 @@ class Slam:
 
         The frame's own pose is ignored, except that of the first.
         """
-        with single_threaded_torch():  # objects are fitted in parallel, one thread each
+        with single_threaded():  # objects are fitted in parallel, one thread each
             return self._process(frame)
 
     def _process(self, frame: RgbdFrame) -> FrameResult:

@@ -4,7 +4,7 @@ import numpy as np
 import pytest
 
 from app.task.obstacles import (
-    candidates_beside,
+    beside_box,
     known_bounds,
     obstacle_note,
     obstacle_rows,
@@ -17,7 +17,7 @@ from manipulation.types import Box
 from perception.detection.left_out import of_no_class
 from perception.obstacles.obstacle import PerceivedObstacle
 from perception.pipeline import Detections
-from perception.types import CameraIntrinsics, RgbdFrame, SupportPlane
+from perception.types import CameraIntrinsics, ObjectDetection, RgbdFrame, SupportPlane
 from sim_assets.robots import panda
 
 CAMERA = CameraIntrinsics(480, 360, 450.0, 450.0, 239.5, 179.5)
@@ -52,14 +52,19 @@ def test_a_thing_on_the_table_is_found_and_one_in_the_robots_base_is_not():
     assert obstacles_beside([], at_base, detections, Box(), panda().description) == ()
 
 
-def test_the_box_is_no_candidate_and_a_thing_beside_it_is():
+def test_the_box_is_no_candidate_and_no_object_and_a_thing_beside_it_is():
     box = Box()
-    top = 0.08
     wall = overhead(box.center[0], box.center[1], obstacle=block(*box.center, half=0.02, height=0.005))
-    thing = overhead(0.5, -0.2, obstacle=block(0.5, -0.2, height=top))
-    candidates = [of_no_class(frame.depth < 0.5, 0.9, i) for i, frame in enumerate((wall, thing))]
-    assert candidates_beside(box, (wall, thing), candidates) == (candidates[1],)
-    assert candidates_beside(None, (wall, thing), candidates) == tuple(candidates)
+    thing = overhead(0.5, -0.2, obstacle=block(0.5, -0.2, height=0.08))
+    frames = (wall, thing)
+    masks = [frame.depth < 0.5 for frame in frames]
+    rows = tuple((ObjectDetection("can", 0.6, mask, instance_id=i),) for i, mask in enumerate(masks))
+    candidates = tuple(of_no_class(mask, 0.9, i) for i, mask in enumerate(masks))
+    detections = Detections(SupportPlane(), rows, left_out=candidates)
+    beside = beside_box(box, frames, detections)
+    assert beside.per_frame == ((), rows[1])
+    assert beside.left_out == (candidates[1],)
+    assert beside_box(None, frames, detections) == detections
 
 
 def test_during_a_run_what_stands_in_the_box_is_known():

@@ -202,5 +202,15 @@ def test_an_object_of_no_class_is_fitted_as_what_comes_near(choose_pose) -> None
 def test_only_the_poses_of_the_class_are_tried_where_the_detector_knows_one(choose_pose) -> None:
     """However well a mug upside down would explain it."""
     run, tried = choose_pose
-    run({("bottle", "upright"): 0.5, ("mug", "upside-down"): 1.0}, [0.1, 0.0, 0.9, 0.0, 0.0])
+    run({("bottle", "upright"): 0.5, ("mug", "upside-down"): 1.0}, [0.01, 0.0, 0.99, 0.0, 0.0])
     assert tried == [("bottle", "upright"), ("bottle", "lying")]
+
+
+def test_a_class_that_the_evidence_contradicts_gives_way_to_one_that_explains_the_depth(choose_pose) -> None:
+    run, tried = choose_pose
+    sure = [0.0, 0.0, 0.95, 0.05, 0.0]
+    assert run({("bottle", "upright"): 0.5, ("can", "upright"): 0.95}, sure).category == "can"
+    assert tried == [("bottle", "upright"), ("can", "upright")]
+    assert run({("bottle", "upright"): 0.6, ("can", "upright"): 0.95}, sure).category == "bottle"  # doubtful
+    run({("bottle", "upright"): 0.5, ("can", "upright"): 0.6, ("bottle", "lying"): 0.96}, sure)
+    assert tried[-1] == ("bottle", "lying")  # neither class stands: the poses of the first one
