@@ -36,6 +36,8 @@ _PAD_HALF_WIDTH = 0.0085  # [m]
 _TOUCHING = 0.003  # [m] between pad and surface, within which they are in contact
 _MIN_CONTACT = 0.3  # share of the pads
 _CLEARANCE = HandClearance(distance=0.0005, approach=0.06)
+_DISTANCE = 0.004  # [m] of the hand from other things
+_NOTHING = np.zeros((0, 3))
 
 
 @dataclass(frozen=True)
@@ -54,7 +56,11 @@ class Pair:
 
 
 def antipodal_grasps(
-    item: StandingObject, ups: Sequence[Float[np.ndarray, "3"]], config: GraspConfig = GraspConfig()
+    item: StandingObject,
+    ups: Sequence[Float[np.ndarray, "3"]],
+    config: GraspConfig = GraspConfig(),
+    surroundings: Float[np.ndarray, "n 3"] = _NOTHING,
+    sides: Sequence[Float[np.ndarray, "3"]] = (),
 ) -> GraspSet:
     """Return grasps with the hand above all planes that the object rests on, best first.
 
@@ -62,20 +68,31 @@ def antipodal_grasps(
         item: the object.
         ups: normals, in the stand frame, of the planes that it rests on when it is grasped and released.
         config: settings of grasp generation.
+        surroundings: points of other things, in the stand frame in [m], that the hand is not to meet when it
+            grasps.
+        sides: normals of further planes, of which the hand is to be above at least one.
     """
     rejected: Counter[str] = Counter()
     surface = _Surface.of(item)
+    planes = [(*ups, side) for side in sides] or [tuple(ups)]
+    hands = [_HandSpace(item, surface.points, normals, surroundings, config) for normals in planes]
     pairs = antipodal_pairs(surface)
     fitting = [pair for pair in pairs if pair.width <= config.gripper.max_width - 0.004]
     if len(fitting) < len(pairs):
         rejected[f"{TOO_WIDE} for {config.gripper.max_width:.2f} m"] = len(pairs) - len(fitting)
     grasps: list[Grasp] = []
     for pair in _distinct(fitting):
-        found = _at_pair(pair, item, surface, ups, config)
-        if isinstance(found, Rejected):
-            rejected[found.reason] += 1
-        else:
-            grasps += found
+        found: list[Grasp] = []
+        reason = ""
+        for hand in hands:
+            at_pair = _at_pair(pair, hand, surface)
+            if isinstance(at_pair, Rejected):
+                reason = at_pair.reason
+            else:
+                found += at_pair
+        if not found:
+            rejected[reason] += 1
+        grasps += found
     return GraspSet(tuple(sorted(grasps, key=lambda grasp: -grasp.score)[:_N_GRASPS]), rejected)
 
 
@@ -127,28 +144,64 @@ def antipodal_pairs(surface: _Surface) -> list[Pair]:
     return [Pair(middle, closing, float(width)) for middle, closing, width in zip(middles, closings, widths)]
 
 
-def _at_pair(
-    pair: Pair,
-    item: StandingObject,
-    surface: _Surface,
-    ups: Sequence[Float[np.ndarray, "3"]],
-    config: GraspConfig,
-) -> list[Grasp] | Rejected:
+@dataclass(frozen=True)
+class _HandSpace:
+    """What the hand is not to meet.
+
+    Attributes:
+        item: the object.
+        own: (n, 3) points of the object in [m].
+        ups: normals of the planes that it rests on.
+        surroundings: (m, 3) points of other things in [m].
+        config: settings of grasp generation.
+    """
+
+    item: StandingObject
+    own: Float[np.ndarray, "n 3"]
+    ups: tuple[Float[np.ndarray, "3"], ...]
+    surroundings: Float[np.ndarray, "m 3"]
+    config: GraspConfig
+
+    def opening(self, T_stand_tcp: Float[np.ndarray, "4 4"], width: float) -> float | Rejected:
+        """Return the largest opening [m] with which the hand meets neither object, planes nor others."""
+        R, position = T_stand_tcp[:3, :3], T_stand_tcp[:3, 3]
+        gripper, back = self.config.gripper, np.array([0.0, 0.0, -_CLEARANCE.approach])
+        own, others = (self.own - position) @ R, (self.surroundings - position) @ R
+        rejected = Rejected("without room for the fingers")
+        for margin in _MARGINS:
+            opening = min(gripper.max_width, width + 2 * margin)
+            boxes = HandBoxes.of(gripper, opening, _CLEARANCE.hand_length)
+            if not self._is_above(boxes, R, position) or boxes.sweep_contains(own, back, _CLEARANCE.distance):
+                continue
+            if not len(others) or not boxes.sweep_contains(others, back, _DISTANCE):
+                return opening
+            rejected = Rejected("blocked by what is around it")
+        return rejected
+
+    def _is_above(self, boxes: HandBoxes, R: np.ndarray, position: np.ndarray) -> bool:
+        """Return whether the hand is above all planes."""
+        vertices, clearance = self.item.vertices, self.config.fingertip_clearance
+        heights = (up @ position - float((vertices @ up).min()) + _lowest(boxes, R.T @ up) for up in self.ups)
+        return all(height > clearance for height in heights)
+
+
+def _at_pair(pair: Pair, hand: _HandSpace, surface: _Surface) -> list[Grasp] | Rejected:
     """Return the grasps between two places, the highest approaches first."""
+    item, config = hand.item, hand.config
     if pair.width < config.gripper.min_width + 0.0008:
         return Rejected("thinner than the closed hand")
     found: list[Grasp] = []
     reason = "without an approach from above"
     center = surface.points.mean(axis=0)
-    for elevation, approach in _approaches(pair.closing, ups):
+    for elevation, approach in _approaches(pair.closing, hand.ups):
         T = tcp_pose(pair.middle, approach, pair.closing)
         contact = _contact(T, pair.width, surface.tree)
         if contact < _MIN_CONTACT:
             reason = "with too little contact"
             continue
-        opening = _opening(T, pair.width, surface.points, item, ups, config)
-        if opening is None:
-            reason = "without room for the fingers"
+        opening = hand.opening(T, pair.width)
+        if isinstance(opening, Rejected):
+            reason = opening.reason
             continue
         lever = float(np.linalg.norm(pair.middle - center))
         found.append(_grasp(item, pair, T, opening, contact + 0.5 * elevation - 4.0 * lever, config))
@@ -196,29 +249,6 @@ def _contact(T_stand_tcp: Float[np.ndarray, "4 4"], width: float, tree: KDTree) 
         pad = np.stack([x, np.full_like(x, y), z], axis=1) @ T_stand_tcp[:3, :3].T + T_stand_tcp[:3, 3]
         shares.append(float(np.mean(tree.query(pad, distance_upper_bound=_TOUCHING)[0] < _TOUCHING)))
     return min(shares)
-
-
-def _opening(
-    T_stand_tcp: Float[np.ndarray, "4 4"],
-    width: float,
-    own: Float[np.ndarray, "n 3"],
-    item: StandingObject,
-    ups: Sequence[Float[np.ndarray, "3"]],
-    config: GraspConfig,
-) -> float | None:
-    """Return the largest opening [m] with which the hand meets neither the object nor the planes."""
-    R, position = T_stand_tcp[:3, :3], T_stand_tcp[:3, 3]
-    points = (own - position) @ R
-    back = np.array([0.0, 0.0, -_CLEARANCE.approach])
-    for margin in _MARGINS:
-        opening = min(config.gripper.max_width, width + 2 * margin)
-        boxes = HandBoxes.of(config.gripper, opening, _CLEARANCE.hand_length)
-        above = (up @ position - float((item.vertices @ up).min()) + _lowest(boxes, R.T @ up) for up in ups)
-        if all(height > config.fingertip_clearance for height in above) and not boxes.sweep_contains(
-            points, back, _CLEARANCE.distance
-        ):
-            return opening
-    return None
 
 
 def _lowest(boxes: HandBoxes, up: Float[np.ndarray, "3"]) -> float:

@@ -7,7 +7,7 @@ has two bodies, one in the world and one attached to the hand, of which at most 
 from __future__ import annotations
 
 import itertools
-from collections.abc import Sequence
+from collections.abc import Iterator, Mapping, Sequence
 from dataclasses import dataclass, field
 
 import numpy as np
@@ -24,7 +24,6 @@ from perception.obstacles.obstacle import PerceivedObstacle
 
 # Contact bits: links and carried objects collide with the world, links with links.
 _OFF, _ROBOT, _WORLD, _LINK = 0, 1, 2, 4
-SLIDE_DEPTH = 0.002  # [m] by which estimated shapes of objects in contact may overlap
 
 
 @dataclass(frozen=True)
@@ -66,13 +65,13 @@ class AllowedContacts:
     Attributes:
         touch: names of objects or obstacles that the robot may touch.
         touch_carried: names of objects or obstacles that the carried object may touch.
-        slide_carried: names of those that it may touch, but not enter by more than SLIDE_DEPTH.
+        slide_carried: names of those that it slides along, with the depth [m] by which it may enter them.
         robot_margin, carried_margin: clearances in [m]; those of the configuration if None.
     """
 
     touch: frozenset[str] = frozenset()
     touch_carried: frozenset[str] = frozenset()
-    slide_carried: frozenset[str] = frozenset()
+    slide_carried: Mapping[str, float] = field(default_factory=dict)
     robot_margin: float | None = None
     carried_margin: float | None = None
 
@@ -128,6 +127,7 @@ class CollisionWorld:
         ]
         self._carried: str | None = None
         self._poses = {b.name: np.array(b.T_world_object) for b in bodies}
+        self._pieces = {b.name: b.pieces for b in bodies}
         self._T_hand_tcp = self._tcp_in_hand()
         for body in bodies:
             self.move(body.name, body.T_world_object)
@@ -150,6 +150,11 @@ class CollisionWorld:
         self._check_name(name)
         self._poses[name] = np.array(T_world_object, dtype=np.float64)
         self._set_body_pose(f"world/{name}", self._poses[name])
+
+    def base(self, name: str) -> float:
+        """Return the height [m] of the lowest point of an object at its last pose outside the hand."""
+        T = self._poses[name]
+        return min(float((piece @ T[2, :3]).min()) for piece in self._pieces[name]) + float(T[2, 3])
 
     def set_present(self, name: str, present: bool) -> None:
         """Enable or disable the object in the world."""
@@ -182,29 +187,30 @@ class CollisionWorld:
             width: opening between the pads in [m].
             allowed: contacts that are no collisions.
         """
-        self._apply_margins(allowed)
-        data, model = self._data, self._model
-        data.qpos[self._address] = q
-        data.qpos[self._fingers] = self._arm.fingers.at(width)
-        mujoco.mj_kinematics(model, data)
-        mujoco.mj_comPos(model, data)
-        mujoco.mj_collision(model, data)
-        if data.ncon == 0:
-            return None
-        for (first, second), distance in zip(data.contact.geom, data.contact.dist, strict=True):
-            mover, obstacle = self._owner[first], self._owner[second]
-            if mover.startswith("world/"):
-                mover, obstacle = obstacle, mover
+        for mover, other, distance in self._contacts(q, width, allowed):
+            obstacle = other.removeprefix("world/")
             if mover.startswith("carried/"):
-                slides = distance > -SLIDE_DEPTH and obstacle.removeprefix("world/") in allowed.slide_carried
-                if not slides and obstacle.removeprefix("world/") not in allowed.touch_carried:
-                    return Contact(mover.removeprefix("carried/"), obstacle.removeprefix("world/"))
-            elif obstacle.startswith("world/"):
-                if obstacle.removeprefix("world/") not in allowed.touch:
-                    return Contact("arm", obstacle.removeprefix("world/"), mover)
+                slides = distance > -allowed.slide_carried.get(obstacle, -np.inf)
+                if not slides and obstacle not in allowed.touch_carried:
+                    return Contact(mover.removeprefix("carried/"), obstacle)
+            elif other.startswith("world/"):
+                if obstacle not in allowed.touch:
+                    return Contact("arm", obstacle, mover)
             elif distance < 0:
                 return Contact("arm", obstacle, mover)
         return None
+
+    def carried_overlaps(self, q: Float[np.ndarray, "n"], width: float) -> dict[str, float]:
+        """Return how deep [m] the carried object is in others in a posture, by name.
+
+        Negative depths are distances within the clearances.
+        """
+        depths: dict[str, float] = {}
+        for mover, other, distance in self._contacts(q, width, NO_CONTACT):
+            if mover.startswith("carried/"):
+                name = other.removeprefix("world/")
+                depths[name] = max(depths.get(name, -np.inf), -distance)
+        return depths
 
     def path_contact(
         self, postures: Float[np.ndarray, "k n"], width: float, allowed: AllowedContacts = NO_CONTACT
@@ -212,6 +218,21 @@ class CollisionWorld:
         """Return the first collision along the straight joint segments between postures [rad], or None."""
         contacts = (self.contact(q, width, allowed) for q in densify(postures, self.config.joint_step))
         return next((contact for contact in contacts if contact is not None), None)
+
+    def _contacts(
+        self, q: np.ndarray, width: float, allowed: AllowedContacts
+    ) -> Iterator[tuple[str, str, float]]:
+        """Yield the bodies of each contact in a posture, that of the robot first, and their distance [m]."""
+        self._apply_margins(allowed)
+        data, model = self._data, self._model
+        data.qpos[self._address] = q
+        data.qpos[self._fingers] = self._arm.fingers.at(width)
+        mujoco.mj_kinematics(model, data)
+        mujoco.mj_comPos(model, data)
+        mujoco.mj_collision(model, data)
+        for (first, second), distance in zip(data.contact.geom, data.contact.dist, strict=True):
+            mover, other = self._owner[first], self._owner[second]
+            yield (other, mover, distance) if mover.startswith("world/") else (mover, other, distance)
 
     def _apply_margins(self, allowed: AllowedContacts) -> None:
         def either(requested: float | None, default: float) -> float:

@@ -9,6 +9,18 @@ class PlanningError(ManipulationError):
     """No plan exists under the given settings; the message counts the failures and names a remedy."""
 
 
+class NoPlanError(PlanningError):
+    """No motion is feasible for one object.
+
+    Attributes:
+        blockers: names of the objects and things that are in the way, the most frequent first.
+    """
+
+    def __init__(self, message: str, blockers: tuple[str, ...] = ()) -> None:
+        super().__init__(message)
+        self.blockers = blockers
+
+
 class RobotError(ManipulationError):
     """The robot rejected a command or failed to execute it."""
 

@@ -8,32 +8,24 @@ again from where it is: a grasp is retried with another one, an object that does
 from __future__ import annotations
 
 import contextlib
-import itertools
 import logging
 from collections import deque
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass, replace
 
-import numpy as np
-
-from manipulation.errors import PlanningError, RobotError, RobotStoppedError
-from manipulation.free_places import free_places
+from manipulation.errors import NoPlanError, PlanningError, RobotError, RobotStoppedError
 from manipulation.kinematics import Kinematics
-from manipulation.lying_grasps import is_upside_down, lies
+from manipulation.lying_grasps import lies
+from manipulation.object_planning import Effort, ObjectPlanning
 from manipulation.observation import NoObserver, SceneObserver
 from manipulation.obstacles import TABLE, box_obstacles
 from manipulation.pick_place import PickPlacePlanner
 from manipulation.plan_execution import GraspFailedError, Phase, PlanExecution, SceneChangedError
 from manipulation.planner import ManipulationConfig
-from manipulation.reorientation import turning_goals
 from manipulation.robot import Robot
-from manipulation.types import Grasp, ObjectOutcome, PickPlacePlan, Placement, StandingObject, TaskPlan
-from perception.obstacles.obstacle import PerceivedObstacle
+from manipulation.types import Grasp, ObjectOutcome, PickPlacePlan, Placement, TaskPlan
 
 logger = logging.getLogger(__name__)
-
-_TURN_OVER = "turn it over by hand"
-_TURNING_GOALS = 4  # on free table that are tried for an object to be turned
 
 
 @dataclass(frozen=True)
@@ -71,9 +63,9 @@ def execute(
 ) -> list[ObjectOutcome]:
     """Place the objects of a task one by one, in its order unless one is blocked.
 
-    An object without a feasible plan is deferred until others have been moved. After a failed grasp, other
-    grasps are tried up to ``config.max_retries`` times. An object that was not placed is searched for and
-    tried again once all others are done.
+    An object without a feasible plan is deferred until others have been moved; if all are, more effort is
+    made (``Effort``). After a failed grasp, other grasps are tried up to ``config.max_retries`` times. An
+    object that was not placed is searched for and tried again once all others are done.
 
     Args:
         task: goals in order.
@@ -110,30 +102,29 @@ class _Execution:
         self.observer = observer
         self.on_event = on_event or (lambda event: None)
         self.motion = PlanExecution(robot, planner, observer, config, self._notify)
+        self.planning = ObjectPlanning(task, planner, config)
         self.outcomes: dict[str, ObjectOutcome] = {}
+        self._set_aside: set[str] = set()
         self._tried_before: dict[str, ObjectOutcome] = {}  # first outcomes of objects that get another chance
 
     def run(self) -> list[ObjectOutcome]:
         queue = deque(self.task.placements)
-        n_deferred = 0  # in a row: once all remaining placements are deferred, the scene cannot change
+        effort, n_deferred = Effort.PLAIN, 0  # with this effort, in a row
         while queue:
             placement = queue.popleft()
-            last_chance = n_deferred > len(queue)
-            if self._waits_for_stack(placement) and not last_chance:
-                queue.append(placement)
-                n_deferred += 1
-                continue
             try:
-                outcome = self._place(self._with_placed_stack(placement), last_chance)
+                outcome = self._attempt(placement, effort)
             except RobotStoppedError as error:
                 self._give_up([placement, *queue], str(error))
                 return list(self.outcomes.values())
-            if outcome.attempts == 0 and not last_chance and placement.name not in self.planner.forgotten:
-                self._notify("deferred", placement.name, outcome.reason)
+            if outcome is None:
                 queue.append(placement)
                 n_deferred += 1
+                if n_deferred == len(queue):
+                    effort, n_deferred = Effort(effort + 1), 0
                 continue
-            n_deferred = 0
+            if outcome.attempts or outcome.name in self.planner.forgotten:
+                effort, n_deferred = Effort.PLAIN, 0
             if self._gets_another_chance(placement, outcome):
                 self._notify("deferred", placement.name, outcome.reason)
                 queue.append(placement)
@@ -143,6 +134,17 @@ class _Execution:
         with contextlib.suppress(RobotStoppedError):
             self.motion.go_home()
         return list(self.outcomes.values())
+
+    def _attempt(self, placement: Placement, effort: Effort) -> ObjectOutcome | None:
+        """Try to place one object; return None if it is deferred."""
+        if self._waits_for_stack(placement) and effort < Effort.CLEARING:
+            return None
+        outcome = self._place(self._with_placed_stack(placement), effort)
+        is_unplanned = outcome.attempts == 0 and placement.name not in self.planner.forgotten
+        if is_unplanned and effort < Effort.CLEARING:
+            self._notify("deferred", placement.name, outcome.reason)
+            return None
+        return outcome
 
     def _gets_another_chance(self, placement: Placement, outcome: ObjectOutcome) -> bool:
         """Return whether an object that was not placed is tried once more when the others are done."""
@@ -174,11 +176,8 @@ class _Execution:
         height = placement.release_height if stack else self.config.packing.release_height
         return replace(placement, stack=stack, release_height=height)
 
-    def _place(self, placement: Placement, last_chance: bool) -> ObjectOutcome:
-        """Try to place one object; the outcome has 0 attempts if there is no plan for the first.
-
-        At the last chance, an object without a plan is placed elsewhere in the box, or grasped at any angle.
-        """
+    def _place(self, placement: Placement, effort: Effort) -> ObjectOutcome:
+        """Try to place one object; the outcome has 0 attempts if there is no plan for the first."""
         name, before = placement.name, self._tried_before.get(placement.name)
         number, n_before = self.task.objects[name].id, before.attempts if before else 0
         tried: list[Grasp] = []
@@ -193,7 +192,7 @@ class _Execution:
             self._notify("plan", name)
             is_turned = lies(self.planner.world.pose(name))
             try:
-                plan = self._plan_next(placement, tried, last_chance)
+                plan = self._plan(placement, tried, effort)
             except PlanningError as error:
                 reason = f"{reason}; then {error}" if reason else str(error)
                 logger.info("%s", error)
@@ -201,9 +200,8 @@ class _Execution:
             try:
                 self.motion.run(plan)
                 if plan.placement is placement or not is_turned:
-                    return ObjectOutcome(
-                        number, name, True, n_before + attempts + 1, "", self.planner.world.pose(name)
-                    )
+                    T = self.planner.world.pose(name)
+                    return ObjectOutcome(number, name, True, n_before + attempts + 1, "", T)
                 continue  # turned, to be grasped again
             except SceneChangedError as error:
                 reason = str(error)
@@ -219,65 +217,35 @@ class _Execution:
                 return ObjectOutcome(number, name, False, n_before + attempts, f"{reason}; {problem}")
         return ObjectOutcome(number, name, False, n_before + attempts, reason)
 
-    def _plan_next(self, placement: Placement, tried: Sequence[Grasp], last_chance: bool) -> PickPlacePlan:
-        """Return the plan that places an object, or that turns it if it does not stand.
+    def _plan(self, placement: Placement, tried: Sequence[Grasp], effort: Effort) -> PickPlacePlan:
+        """Return the next plan for an object, after what blocks it was set aside if that helps.
 
         Raises:
             PlanningError: there is none.
         """
-        if lies(self.planner.world.pose(placement.name)):
-            return self._plan_turn(placement, tried)
-        q = self.robot.joint_positions()
-        try:
-            return self.planner.plan(placement, q, tried)
-        except PlanningError as error:
-            if not last_chance:
-                raise
-            elsewhere = self._places_elsewhere(placement)
-            if elsewhere:
-                with contextlib.suppress(PlanningError):
-                    return self.planner.plan(elsewhere, q, tried)
-            with contextlib.suppress(PlanningError):
-                return self.planner.plan(placement, q, tried, tilted=True)
-            raise error
+        while True:
+            try:
+                return self.planning.next_plan(placement, self.robot.joint_positions(), tried, effort)
+            except NoPlanError as error:
+                if effort < Effort.CLEARING or not self._clear(placement.name, error.blockers):
+                    raise
 
-    def _places_elsewhere(self, placement: Placement) -> list[Placement]:
-        """Return other places in the box for an object that is not to stand on others."""
-        if self.task.task != "pack" or self.task.box is None or placement.stack:
-            return []
-        objects = self.task.objects
-        others = [(objects[n], T) for n, T in self.planner.poses().items() if n != placement.name]
-        return free_places(objects[placement.name], placement, others, self.task.box)
-
-    def _plan_turn(self, placement: Placement, tried: Sequence[Grasp]) -> PickPlacePlan:
-        """Return the plan that turns an object: at its goal if it is on its side, else on free table.
-
-        Raises:
-            PlanningError: there is none.
-        """
-        name, planner, item = placement.name, self.planner, self.task.objects[placement.name]
-        T_world_stand = planner.world.pose(name)
-        overturned = is_upside_down(T_world_stand)
-        how = "stands upside down" if overturned else "lies on its side"
-        at = f"{name} {how} at ({T_world_stand[0, 3]:.2f}, {T_world_stand[1, 3]:.2f}) m"
-        grasps = planner.grasps(name)
-        if not grasps.grasps:
-            raise PlanningError(f"{at}: {grasps.failure_message(name, _TURN_OVER if overturned else '')}")
-        others = [
-            (T[:2, 3], _reach(self.task.objects[other]))
-            for other, T in planner.poses().items()
-            if other != name
-        ]
-        others += [_footprint(obstacle) for obstacle in planner.perceived_obstacles]
-        spots = turning_goals(item, T_world_stand, others, self.config.upright_area)
-        goals = [] if overturned else [placement]
-        goals += itertools.islice(spots, _TURNING_GOALS)
-        if not goals:
-            raise PlanningError(f"{at}: no free table to turn it")
-        try:
-            return planner.plan(goals, self.robot.joint_positions(), tried)
-        except PlanningError as error:
-            raise PlanningError(f"{at} and cannot be turned: {error}") from error
+    def _clear(self, name: str, blockers: Sequence[str]) -> bool:
+        """Set one of an object's blockers aside, each object at most once; return whether one was moved."""
+        placed = {outcome.name for outcome in self.outcomes.values() if outcome.placed}
+        movable = set(self.planner.poses()) - placed - self._set_aside - {name}
+        for plan in self.planning.plans_aside(blockers, movable, self.robot.joint_positions()):
+            self._set_aside.add(plan.name)
+            self._notify("aside", plan.name, f"it blocks {name}")
+            try:
+                self.motion.run(plan)
+            except (SceneChangedError, GraspFailedError, RobotError) as error:
+                logger.info("%s was not set aside: %s", plan.name, error)
+                if not isinstance(error, SceneChangedError):
+                    self.motion.back_off()
+                self._search(plan.name)
+            return True
+        return False
 
     def _search(self, name: str) -> str:
         """Search for an object and update the scene; return why a retry is impossible, or an empty string."""
@@ -295,14 +263,3 @@ class _Execution:
         total = len(self.task.placements)
         candidates = tuple(self.planner.grasps(name).grasps) if plan else ()
         self.on_event(TaskEvent(phase, name, len(self.outcomes), total, message, plan, candidates))
-
-
-def _reach(item: StandingObject) -> float:
-    """Return the radius [m] of the circle about an object's axis that holds all of it."""
-    return float(np.linalg.norm(item.vertices[:, :2], axis=1).max())
-
-
-def _footprint(obstacle: PerceivedObstacle) -> tuple[np.ndarray, float]:
-    """Return centre (x, y) and radius [m] of a circle that holds the top view of a thing of no class."""
-    low, high = obstacle.bounds[:, :2]
-    return (low + high) / 2, float(np.linalg.norm(high - low)) / 2

@@ -67,7 +67,7 @@ class MotionPlanner:
             contact = self.world.path_contact(postures, width, allowed)
             if contact is None:
                 return postures
-            rejected = Rejected(str(contact))
+            rejected = Rejected(str(contact), contact.obstacle)
         return rejected
 
     def free_path(

@@ -8,14 +8,14 @@ from __future__ import annotations
 
 from collections import Counter
 from collections.abc import Collection, Iterator, Mapping, Sequence
-from dataclasses import dataclass, field
+from dataclasses import dataclass, field, replace
 
 import numpy as np
 from jaxtyping import Float
 
 from manipulation.antipodal_grasps import antipodal_grasps
 from manipulation.collision import Body, CollisionConfig, CollisionWorld
-from manipulation.errors import PlanningError
+from manipulation.errors import NoPlanError
 from manipulation.grasp_config import GraspConfig
 from manipulation.grasps import grasp_candidates
 from manipulation.hulls import convex_pieces
@@ -25,7 +25,8 @@ from manipulation.motions import MIDDLE_RADIUS, OUT_OF_REACH, MotionPlanner
 from manipulation.nesting import nest_heights
 from manipulation.obstacles import TABLE, Obstacle
 from manipulation.pick_place_segments import Pick, Place, PlaceGoal, SegmentConfig, find_pick, find_place
-from manipulation.reorientation import reorienting_grasps
+from manipulation.reorientation import reorienting_grasps, rolled
+from manipulation.surroundings import points_around
 from manipulation.trajectories import MotionConfig, concatenate
 from manipulation.types import Grasp, GraspSet, PickPlacePlan, Placement, Rejected, StandingObject
 from perception.geometry import pose_from_yaw
@@ -69,10 +70,18 @@ class _Tally:
 
     n_rejected: int = 0
     reasons: Counter[str] = field(default_factory=Counter)
+    blockers: Counter[str] = field(default_factory=Counter)
 
-    def reject(self, reason: str) -> None:
+    def reject(self, rejected: Rejected) -> None:
         self.n_rejected += 1
-        self.reasons[reason] += 1
+        self.reasons[rejected.reason] += 1
+        if rejected.blocker:
+            self.blockers[rejected.blocker] += 1
+
+    @property
+    def in_the_way(self) -> tuple[str, ...]:
+        """Names of what discarded candidates collide with, the most frequent first."""
+        return tuple(name for name, _ in self.blockers.most_common())
 
     def text(self, limit: int = 5) -> str:
         return ", ".join(f"{count} {reason}" for reason, count in self.reasons.most_common(limit))
@@ -132,6 +141,7 @@ class PickPlacePlanner:
         poses = {name: self.world.pose(name) for name in self.world.names}
         self._obstacles = (*known, *obstacles)
         self._build_world()
+        self._tilted.clear()
         for name, T in poses.items():
             self.world.move(name, T)
             self.world.set_present(name, name not in self._forgotten)
@@ -141,11 +151,13 @@ class PickPlacePlanner:
         self.world.set_present(name, True)
         self.world.move(name, T_world_stand)
         self._lying.pop(name, None)
+        self._tilted.clear()
         self._forgotten.discard(name)
 
     def forget(self, name: str) -> None:
         """Remove an object of unknown pose from the collision world."""
         self.world.set_present(name, False)
+        self._tilted.clear()
         self._forgotten.add(name)
 
     def grasps(self, name: str) -> GraspSet:
@@ -160,13 +172,29 @@ class PickPlacePlanner:
         return self._grasps[name]
 
     def tilted_grasps(self, name: str) -> GraspSet:
-        """Return the grasps of an object with the hand at any angle above its support, generated once."""
-        if lies(self.world.pose(name)):
-            return self.grasps(name)
+        """Return grasps with which an object is turned, or kept as it is if it stands, clear of surroundings.
+
+        The hand is at any angle. They are generated once for each state of the scene.
+        """
         if name not in self._tilted:
-            up = np.array([0.0, 0.0, 1.0])
-            self._tilted[name] = antipodal_grasps(self.items[name], (up,), self.config.grasp)
+            T = self.world.pose(name)
+            self._tilted[name] = (
+                reorienting_grasps(self.items[name], T, self.config.grasp, self._points_around(name))
+                if lies(T)
+                else self.keeping_grasps(name)
+            )
         return self._tilted[name]
+
+    def keeping_grasps(self, name: str) -> GraspSet:
+        """Return grasps at any angle with which an object keeps its orientation, clear of surroundings."""
+        up = self.world.pose(name)[2, :3]
+        return antipodal_grasps(self.items[name], (up,), self.config.grasp, self._points_around(name))
+
+    def _points_around(self, name: str) -> Float[np.ndarray, "n 3"]:
+        """Return points of what is around an object, in its stand frame [m]."""
+        T = self.world.pose(name)
+        others = [(self.items[other], pose) for other, pose in self.poses().items() if other != name]
+        return points_around(T[:3, 3], others, self.perceived_obstacles) @ T[:3, :3]
 
     def resting_pose(self, placement: Placement, yaw: float) -> Float[np.ndarray, "4 4"]:
         """Return ``T_world_stand`` at rest, on the floor or in the bowls of its stack, at a yaw [rad]."""
@@ -181,7 +209,7 @@ class PickPlacePlanner:
         placement: Placement | Sequence[Placement],
         q_start: Float[np.ndarray, "n"],
         tried: Collection[Grasp] = (),
-        tilted: bool = False,
+        grasps: GraspSet | None = None,
     ) -> PickPlacePlan:
         """Plan all motions for one object from the present posture.
 
@@ -189,17 +217,18 @@ class PickPlacePlanner:
             placement: goal of the object, or several in descending order of preference.
             q_start: (n,) present joint positions in [rad].
             tried: grasps that failed; these and similar ones are excluded.
-            tilted: whether a standing object is grasped with the hand at any angle.
+            grasps: candidates other than those of ``grasps``.
 
         Raises:
-            PlanningError: no pair of grasp and yaw is feasible; the message counts the reasons.
+            NoPlanError: no pair of grasp and yaw is feasible; the message counts the reasons.
         """
         tally = _Tally()
-        limit = self.config.max_tilted_pairs if tilted else self.config.max_pairs
+        limit = self.config.max_pairs if grasps is None else self.config.max_tilted_pairs
         plans: list[PickPlacePlan] = []
         goals = (placement,) if isinstance(placement, Placement) else tuple(placement)
         try:
-            for pick in self._picks(goals[0].name, tried, tally, tilted):
+            candidates = grasps or self.grasps(goals[0].name)
+            for pick in self._picks(goals[0].name, candidates, tried, tally):
                 completed = (self._complete(pick, goal, q_start, tally) for goal in goals)
                 plan = next((plan for plan in completed if plan is not None), None)
                 if plan is not None:
@@ -209,28 +238,19 @@ class PickPlacePlanner:
         finally:
             self.world.release()
         if not plans:
-            raise PlanningError(self._failure_message(goals[0].name, tally))
+            raise NoPlanError(_failure_message(goals[0].name, candidates, tally), tally.in_the_way)
         return min(plans, key=lambda plan: plan.duration)
 
-    def _failure_message(self, name: str, tally: _Tally) -> str:
-        found = self.grasps(name)
-        if not found.grasps:
-            return found.failure_message(name)
-        remedy = "clear its surroundings or move the box"
-        if tally.reasons and tally.reasons.most_common(1)[0][0] == OUT_OF_REACH.reason:
-            remedy = "move it closer to the arm"
-        return f"No plan for {name}: of {tally.n_rejected} candidates, {tally.text()}; {remedy}"
-
     def _picks(
-        self, name: str, tried: Collection[Grasp], tally: _Tally, tilted: bool = False
+        self, name: str, candidates: GraspSet, tried: Collection[Grasp], tally: _Tally
     ) -> Iterator[Pick]:
         """Yield feasible picks in descending order of the grasps' scores."""
-        for grasp in (self.tilted_grasps(name) if tilted else self.grasps(name)).grasps:
+        for grasp in candidates.grasps:
             if any(_are_similar(grasp, other) for other in tried):
                 continue
             pick = find_pick(self.motions, name, grasp, self.config.segments)
             if isinstance(pick, Rejected):
-                tally.reject(pick.reason)
+                tally.reject(pick)
             else:
                 yield pick
 
@@ -243,13 +263,16 @@ class PickPlacePlanner:
         """
         name, grasp = placement.name, pick.grasp
         c = self.config
+        if placement.T_goal_stand is not None:
+            T_goal_stand = rolled(self.items[name], placement.T_goal_stand, grasp.away)
+            placement = replace(placement, T_goal_stand=T_goal_stand)
         swinging: tuple[Place, PlaceGoal, list[Float[np.ndarray, "n"]]] | None = None
         for yaw in self._ordered_yaws(pick, placement)[: c.max_yaws]:
             T_rest = self.resting_pose(placement, yaw)
             goal = PlaceGoal(self.items[name], placement, T_rest)
             place = find_place(self.motions, pick, goal, self.config.segments)
             if isinstance(place, Rejected):
-                tally.reject(place.reason)
+                tally.reject(place)
                 continue
             self.world.carry(name, np.linalg.inv(grasp.T_stand_tcp))
             ends, width, margins = (pick.lift[-1], place.lowering[0]), grasp.held_width, c.transit_margins
@@ -260,7 +283,7 @@ class PickPlacePlanner:
             if carry is not None:
                 swinging = place, goal, carry
             elif swinging is None:
-                tally.reject("without a collision-free path to the goal")
+                tally.reject(Rejected("without a collision-free path to the goal"))
         return self._with_start(pick, *swinging, q_start, tally) if swinging else None
 
     def _with_start(
@@ -278,7 +301,7 @@ class PickPlacePlanner:
             q_start, pick.approach[0], pick.grasp.opening, self.config.transit_margins
         )
         if start is None:
-            tally.reject("without a collision-free path to the object")
+            tally.reject(Rejected("without a collision-free path to the object"))
             return None
         return self._time(pick, place, goal, start, carry)
 
@@ -326,6 +349,15 @@ class PickPlacePlanner:
             settle=None if place.settle is None else self.motions.time_line(place.settle),
             retreat=self.motions.time_line(place.retreat),
         )
+
+
+def _failure_message(name: str, candidates: GraspSet, tally: _Tally) -> str:
+    if not candidates.grasps:
+        return candidates.failure_message(name)
+    remedy = "clear its surroundings or move the box"
+    if tally.reasons and tally.reasons.most_common(1)[0][0] == OUT_OF_REACH.reason:
+        remedy = "move it closer to the arm"
+    return f"No plan for {name}: of {tally.n_rejected} candidates, {tally.text()}; {remedy}"
 
 
 def _are_similar(first: Grasp, second: Grasp) -> bool:

@@ -17,6 +17,9 @@ from manipulation.obstacles import BOX_FLOOR, TABLE
 from manipulation.standing import RAISED
 from manipulation.types import Grasp, Placement, Rejected, StandingObject
 
+SLIDE_DEPTH = 0.002  # [m] by which an object may get deeper in what it is lifted along
+MAX_OVERLAP = 0.008  # [m] of estimated shapes in contact
+
 Postures = Float[np.ndarray, "_k n"]  # several of them in one value differ in length
 
 
@@ -105,7 +108,7 @@ def find_pick(motions: MotionPlanner, name: str, grasp: Grasp, config: SegmentCo
     touch_object = AllowedContacts(touch=frozenset({name}))
     contact = world.contact(result.q, grasp.opening, touch_object)
     if contact is not None:
-        return Rejected(str(contact))
+        return Rejected(str(contact), contact.obstacle)
     starts = _retreated(T_grasp, grasp, config.approach_heights)
     approach = motions.free_line(result.q, starts, grasp.opening, touch_object)
     if isinstance(approach, Rejected):
@@ -125,24 +128,25 @@ def find_pick(motions: MotionPlanner, name: str, grasp: Grasp, config: SegmentCo
 def _with_contacts(
     world: CollisionWorld, name: str, q: np.ndarray, width: float, allowed: AllowedContacts
 ) -> AllowedContacts | None:
-    """Return ``allowed`` with what the carried object touches where it stands; None if that is nothing.
+    """Return ``allowed`` with what an object in its place may touch; None if it touches nothing or is stuck.
 
-    It slides along others; what it stands on or in may overlap it, since hulls close cavities.
+    It slides along what it touches, hardly deeper in it than it is now: estimated shapes overlap. Hulls close
+    cavities, so that it may be deep in what it stands in or on.
     """
-    raised = world.pose(name)[2, 3] > RAISED
-    for _ in world.names:
-        contact = world.contact(q, width, allowed)
-        if contact is None:
-            return allowed if allowed.slide_carried else None
-        if contact.link or contact.obstacle not in world.names or contact.obstacle in allowed.slide_carried:
+    around, along = set(allowed.touch_carried), {}
+    for other, depth in world.carried_overlaps(q, width).items():
+        if other in allowed.touch_carried:
+            continue
+        is_object = other in world.names
+        if is_object and world.base(name) > world.base(other) + (RAISED if depth < MAX_OVERLAP else 0.0):
+            around.add(other)
+        elif depth > MAX_OVERLAP:
             return None
-        other = frozenset({contact.obstacle})
-        allowed = replace(
-            allowed,
-            slide_carried=allowed.slide_carried | other,
-            touch_carried=allowed.touch_carried | (other if raised else frozenset()),
-        )
-    return None
+        else:
+            along[other] = max(depth, 0.0) + SLIDE_DEPTH
+    if not along and around == allowed.touch_carried:
+        return None
+    return replace(allowed, touch_carried=frozenset(around), slide_carried=along)
 
 
 def find_place(
@@ -170,14 +174,14 @@ def find_place(
     ends = _retreated(T_place, grasp, config.retreat_heights)
     release = _find_release(motions, grasp, q_loose, ends, touch, config.release_extras)
     if isinstance(release, Rejected):
-        return Rejected(f"without a collision-free release ({release.reason})")
+        return Rejected(f"without a collision-free release ({release.reason})", release.blocker)
     release_opening, retreat = release
     world.carry(name, np.linalg.inv(grasp.T_stand_tcp))
     into = AllowedContacts(stack, stack | {TABLE.name, BOX_FLOOR}, carried_margin=config.placing_margin)
     raised = [_raised(T_place, height) for height in config.raise_heights]
     lowering = motions.free_line(result.q, raised, grasp.held_width, into)
     if isinstance(lowering, Rejected):
-        return Rejected(f"{lowering.reason} while lowering")
+        return Rejected(f"{lowering.reason} while lowering", lowering.blocker)
     return Place(T_goal, lowering[::-1], release_opening, settle, retreat)
 
 

@@ -25,7 +25,17 @@ logger = logging.getLogger(__name__)
 MISPLACED = 0.02  # [m] from its goal, from which on a released object is grasped again
 
 Phase = Literal[
-    "plan", "approach", "grasp", "transfer", "place", "retreat", "placed", "retry", "deferred", "failed"
+    "plan",
+    "approach",
+    "grasp",
+    "transfer",
+    "place",
+    "retreat",
+    "aside",
+    "placed",
+    "retry",
+    "deferred",
+    "failed",
 ]
 
 

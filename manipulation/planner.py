@@ -7,13 +7,14 @@ from collections.abc import Sequence
 from dataclasses import dataclass, field, replace
 
 from manipulation.errors import PlanningError
+from manipulation.free_table import FREE_AREA, Area
 from manipulation.grasps import grasp_candidates
 from manipulation.kinematics import Kinematics
 from manipulation.lying_grasps import is_upside_down, lies
 from manipulation.packing import pack
 from manipulation.packing_problem import PackingConfig
 from manipulation.pick_place import PickPlaceConfig
-from manipulation.reorientation import UPRIGHT_AREA, reorienting_grasps
+from manipulation.reorientation import reorienting_grasps
 from manipulation.robot import ArmDescription
 from manipulation.sorting import SortingConfig
 from manipulation.sorting_rows import sort_rows
@@ -36,7 +37,7 @@ class ManipulationConfig:
         packing, sorting: layout of the goals.
         support: plane that objects stand on; the table top if None.
         max_retries: number of further attempts on an object after a failed one.
-        upright_area: ranges of x and y in which objects are turned, in [m].
+        free_area: ranges of x and y in which objects are turned and set aside, in [m].
     """
 
     pick_place: PickPlaceConfig = field(default_factory=PickPlaceConfig)
@@ -44,7 +45,7 @@ class ManipulationConfig:
     sorting: SortingConfig = field(default_factory=SortingConfig)
     support: SupportPlane | None = None
     max_retries: int = 2
-    upright_area: tuple[tuple[float, float], tuple[float, float]] = UPRIGHT_AREA
+    free_area: Area = FREE_AREA
 
     def for_arm(self, arm: ArmDescription) -> ManipulationConfig:
         """Return the same settings with the gripper of an arm."""

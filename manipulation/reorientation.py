@@ -13,41 +13,64 @@ from jaxtyping import Float
 from scipy.spatial import ConvexHull
 
 from manipulation.antipodal_grasps import antipodal_grasps
+from manipulation.free_table import FREE_AREA, N_YAWS, Area, Outline, free_spots
 from manipulation.grasp_config import GraspConfig
 from manipulation.lying_grasps import is_upside_down, lying_grasps
 from manipulation.types import GraspSet, Placement, StandingObject
+from perception.geometry import pose_from_yaw
 
-UPRIGHT_AREA = ((0.36, 0.64), (-0.44, -0.06))  # [m] ranges of x and y where objects are turned
-N_YAWS = 12  # of a goal on free table
-_SPACING = 0.05  # [m] between the spots examined
-_CLEARANCE = 0.05  # [m] between outlines
 _SHORTEST = 0.008  # [m] between the lines of contact of an object that lies still
 _BALANCE = 0.02  # least share of that distance between the centre and its ends
 _N_SIDES = 2  # on which an object that is upside down is laid
+_ROLLS = 2 * np.pi * np.arange(6) / 6  # of a round object
 _UP = np.array([0.0, 0.0, 1.0])
-
-Area = tuple[tuple[float, float], tuple[float, float]]
-Circle = tuple[Float[np.ndarray, "2"], float]  # centre (x, y) and radius in [m]
 
 
 def reorienting_grasps(
-    item: StandingObject, T_world_stand: Float[np.ndarray, "4 4"], config: GraspConfig = GraspConfig()
+    item: StandingObject,
+    T_world_stand: Float[np.ndarray, "4 4"],
+    config: GraspConfig = GraspConfig(),
+    surroundings: Float[np.ndarray, "n 3"] = np.zeros((0, 3)),
 ) -> GraspSet:
     """Return grasps with which an object that does not stand can be turned by 90 degrees.
 
     Of one on its side: across its axis from above, then antipodal ones with which it can be set upright; of
     one upside down: antipodal ones with which it can be laid on its side.
+
+    Args:
+        item: the object.
+        T_world_stand: its pose.
+        config: settings of grasp generation.
+        surroundings: points of other things, in the stand frame in [m], that antipodal grasps are to avoid.
     """
     up = T_world_stand[:3, :3].T @ _UP
     if not is_upside_down(T_world_stand):
-        across, between = lying_grasps(item, T_world_stand, config), antipodal_grasps(item, (up, _UP), config)
+        across = lying_grasps(item, T_world_stand, config)
+        between = antipodal_grasps(item, (up, _UP), config, surroundings)
         return GraspSet(across.grasps + between.grasps, across.rejected + between.rejected)
     sides = lying_sides(item)[:_N_SIDES]
     if not sides:
         return GraspSet((), Counter({"for the side, on which it does not lie still": 1}))
-    found = [antipodal_grasps(item, (up, side), config) for side in sides]
-    grasps = sorted((grasp for some in found for grasp in some.grasps), key=lambda grasp: -grasp.score)
-    return GraspSet(tuple(grasps), sum((some.rejected for some in found), Counter()))
+    if item.is_round:  # the roll at the goal follows the grasp
+        sides = list(np.stack([np.cos(_ROLLS), np.sin(_ROLLS), np.zeros_like(_ROLLS)], axis=1))
+    return antipodal_grasps(item, (up,), config, surroundings, sides)
+
+
+def rolled(
+    item: StandingObject, T_goal_stand: Float[np.ndarray, "4 4"], away: Float[np.ndarray, "3"]
+) -> Float[np.ndarray, "4 4"]:
+    """Return the pose of a round object on its side, rolled such that a direction of it points upwards.
+
+    Args:
+        item: the object; others than round ones are not rolled.
+        T_goal_stand: its pose.
+        away: the direction in its stand frame.
+    """
+    if not item.is_round or abs(T_goal_stand[2, 2]) > 0.5:
+        return T_goal_stand
+    up = T_goal_stand[2, :2]
+    angle = np.arctan2(away[1], away[0]) - np.arctan2(up[1], up[0])
+    return T_goal_stand @ pose_from_yaw(-float(angle), np.zeros(3))
 
 
 def lying_sides(item: StandingObject) -> list[Float[np.ndarray, "3"]]:
@@ -77,36 +100,24 @@ def lying_sides(item: StandingObject) -> list[Float[np.ndarray, "3"]]:
 def turning_goals(
     item: StandingObject,
     T_world_stand: Float[np.ndarray, "4 4"],
-    others: Sequence[Circle],
-    area: Area = UPRIGHT_AREA,
+    taken: Sequence[Outline],
+    area: Area = FREE_AREA,
 ) -> Iterator[Placement]:
-    """Yield goals on free table, nearest to the middle of the area first: upright, or on its side.
+    """Yield goals on free table, roomy ones first: upright, or on its side.
 
     Args:
         item: the object.
         T_world_stand: its pose.
-        others: circles that hold the top views of all other things.
+        taken: outlines of the top views of all other things.
         area: ranges of x and y of the spots, in [m].
     """
     poses: list[Float[np.ndarray, "4 4"] | None] = [None]
     if is_upside_down(T_world_stand):
         poses = [_laid(item, side) for side in lying_sides(item)[:_N_SIDES]]
-    for spot in free_spots(_radius(item, poses[0]) if poses else 0.0, others, area):
+    for spot in free_spots(_radius(item, poses[0]) if poses else 0.0, taken, area):
         yaws = tuple(2 * np.pi * k / N_YAWS for k in range(N_YAWS))
         for T_goal_stand in poses:
             yield Placement(item.name, (*spot, 0.0), yaws, T_goal_stand=T_goal_stand)
-
-
-def free_spots(
-    radius: float, others: Sequence[Circle], area: Area = UPRIGHT_AREA
-) -> Iterator[tuple[float, float]]:
-    """Yield spots in an area where a circle [m] keeps its distance to others, nearest to the middle first."""
-    (x0, x1), (y0, y1) = area
-    grid = np.stack(np.meshgrid(np.arange(x0, x1, _SPACING), np.arange(y0, y1, _SPACING)), axis=-1)
-    middle = np.array([(x0 + x1) / 2, (y0 + y1) / 2])
-    for spot in sorted(grid.reshape(-1, 2), key=lambda s: float(np.linalg.norm(s - middle))):
-        if all(np.linalg.norm(spot - xy) > radius + r + _CLEARANCE for xy, r in others):
-            yield float(spot[0]), float(spot[1])
 
 
 def _laid(item: StandingObject, up: Float[np.ndarray, "3"]) -> Float[np.ndarray, "4 4"]:

@@ -29,9 +29,11 @@ class Rejected:
 
     Attributes:
         reason: short phrase that fits behind a count, such as "out of reach".
+        blocker: name of the object or thing that is in the way; empty if none is.
     """
 
     reason: str
+    blocker: str = field(default="", compare=False)
 
 
 @dataclass(frozen=True)

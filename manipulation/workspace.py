@@ -86,7 +86,7 @@ class Workspace:
         return self._lengths(VIA_HEIGHTS)
 
     def adapted(self, config: ManipulationConfig) -> ManipulationConfig:
-        """Return settings of manipulation with heights and radius of motions and ``upright_area`` scaled."""
+        """Return settings of manipulation with heights and radius of motions and ``free_area`` scaled."""
         pick_place = config.pick_place
         segments = replace(
             pick_place.segments,
@@ -99,8 +99,8 @@ class Workspace:
             via_heights=self._lengths(pick_place.via_heights),
             middle_radius=self.scale * pick_place.middle_radius,
         )
-        x, y = config.upright_area
-        return replace(config, pick_place=pick_place, upright_area=(self._lengths(x), self._lengths(y)))
+        x, y = config.free_area
+        return replace(config, pick_place=pick_place, free_area=(self._lengths(x), self._lengths(y)))
 
     def _scaled(self, viewpoint: Viewpoint) -> Viewpoint:
         return replace(

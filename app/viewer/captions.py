@@ -25,6 +25,7 @@ ACTION_CAPTIONS = {
     "placed": "{} is placed",
     "retry": "{} slipped; retrying",
     "deferred": "{} is deferred",
+    "aside": "{} is set aside",
     "failed": "{} is not placed",
 }
 

@@ -101,8 +101,10 @@ def test_a_carried_object_slides_along_what_it_touches_but_not_into_it(world, ki
     world.carry("can_1", T_tcp_stand)
     q = above(kinematics, 0.5, 0.2 - 0.035 - 0.033 + overlap, 0.15)
     bottle = frozenset({"bottle_2"})
-    found = world.contact(q, 0.06, AllowedContacts(bottle, slide_carried=bottle))
+    found = world.contact(q, 0.06, AllowedContacts(bottle, slide_carried={"bottle_2": 0.002}))
+    depth = world.carried_overlaps(q, 0.06)["bottle_2"]
     world.release()
+    assert depth == pytest.approx(overlap, abs=5e-4)
     assert found == (None if slides else Contact("can_1", "bottle_2"))
 
 

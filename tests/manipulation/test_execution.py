@@ -211,6 +211,7 @@ def test_an_object_that_was_taken_away_is_searched_for_twice_and_reported(packin
     assert observer.searched == [name, name] and list(outcomes)[-1] == name
 
 
+@pytest.mark.slow
 def test_an_object_that_was_not_placed_gets_another_chance_after_the_others(packing, arm):
     robot = FakeRobot(arm, closing=[0.0, 0.0, 0.0])
     outcomes = execute(packing, robot, FakeObserver(), Watcher(robot), CONFIG)
@@ -253,6 +254,7 @@ def test_a_lying_can_is_set_upright_before_it_is_placed(scene, arm):
     assert kinds[:2] == ["top", "waist"], "its goal may be free for the horizontal hand"
 
 
+@pytest.mark.slow
 def test_an_object_upside_down_is_reported(packing, arm):
     T = packing.objects["bowl_2"].T_world_stand @ np.diag([1.0, -1, -1, 1])
     robot = FakeRobot(arm)
@@ -263,6 +265,7 @@ def test_an_object_upside_down_is_reported(packing, arm):
     assert "turn it over by hand" in failed.reason and "gripper" not in failed.reason
 
 
+@pytest.mark.slow
 def test_a_search_updates_the_obstacles(packing, arm):
     """A thing that came to stand over the bowl blocks it; once it is gone, the second chance succeeds."""
     T = packing.objects["bowl_2"].T_world_stand
@@ -321,7 +324,7 @@ def test_blocked_object_is_deferred_until_the_others_are_moved(packing, arm, mon
     planned = []
     plan = PickPlacePlanner.plan
 
-    def blocked_at_first(self, placement, q_start, tried=(), tilted=False):
+    def blocked_at_first(self, placement, q_start, tried=(), grasps=None):
         planned.append(placement.name)
         if placement.name == "bowl_2" and planned.count("bowl_2") == 1:
             raise PlanningError("No plan for bowl_2: of 9 candidates, 9 collide with can_1; clear it")
@@ -341,7 +344,7 @@ def test_blocked_object_is_deferred_until_the_others_are_moved(packing, arm, mon
 def test_object_that_stays_blocked_fails_and_releases_its_stack(packing, arm, monkeypatch):
     plan = PickPlacePlanner.plan
 
-    def never(self, placement, q_start, tried=(), tilted=False):
+    def never(self, placement, q_start, tried=(), grasps=None):
         if isinstance(placement, list) or placement.name == "bowl_2":
             raise PlanningError("No plan for bowl_2")
         return plan(self, placement, q_start, tried)
@@ -359,7 +362,7 @@ def test_object_whose_goal_stays_blocked_is_placed_elsewhere_in_the_box(packing,
     plan = PickPlacePlanner.plan
     (goal,) = (placement for placement in packing.placements if placement.name == "can_1")
 
-    def blocked(self, placement, q_start, tried=(), tilted=False):
+    def blocked(self, placement, q_start, tried=(), grasps=None):
         if placement is goal:
             raise PlanningError("No plan for can_1")
         return plan(self, placement, q_start, tried)

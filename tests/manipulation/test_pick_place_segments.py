@@ -14,6 +14,7 @@ from manipulation.standing import to_standing
 from manipulation.trajectories import MotionConfig
 from manipulation.types import Placement, Rejected
 from perception.geometry import pose_from_yaw
+from perception.obstacles.obstacle import PerceivedObstacle
 
 CONFIG = SegmentConfig()
 
@@ -109,7 +110,28 @@ def test_what_touches_another_object_is_lifted_along_it(kinematics, can, shapes)
     touching = motions_among(kinematics, can, low)
     assert isinstance(find_pick(touching, can.name, grasp, CONFIG), Pick)
     allowed = [line[2].slide_carried for line in touching.lines if line[3] == "can_1"]
-    assert allowed == [frozenset(), frozenset({"can_2"})]
+    assert allowed == [{}, {"can_2": pytest.approx(0.0025, abs=5e-4)}]
+
+
+def block(x, y, half, height):
+    corners = np.array(list(np.ndindex(2, 2, 2)), dtype=float)
+    low, high = np.array([x - half, y - half, 0.0]), np.array([x + half, y + half, height])
+    return PerceivedObstacle(0, (low + corners * (high - low),), 1000)
+
+
+@pytest.mark.parametrize(("overlap", "is_lifted"), [(0.003, True), (0.02, False)])
+def test_what_touches_a_thing_of_no_class_is_lifted_along_it(kinematics, can, overlap, is_lifted):
+    motions = motions_among(kinematics, can)
+    grasp = reachable_pick(motions, can).grasp
+    beside = (can.T_world_stand @ grasp.T_stand_tcp)[:2, 0]  # across the closing direction
+    axis = np.argmax(np.abs(beside))
+    away = np.zeros(2)
+    away[axis] = np.sign(beside[axis]) * (np.ptp(can.vertices[:, 0]) / 2 + 0.01 - overlap)
+    thing = block(*(can.T_world_stand[:2, 3] + away), 0.01, 0.04)
+    bodies = [Body(can.name, convex_pieces(can), can.T_world_stand)]
+    beside_thing = RecordingPlanner(kinematics, CollisionWorld(kinematics.arm, bodies, (TABLE, thing)))
+    pick = find_pick(beside_thing, can.name, grasp, CONFIG)
+    assert isinstance(pick, Pick) if is_lifted else pick == Rejected("collide with thing_0")
 
 
 def test_what_stands_in_another_object_is_lifted_out_of_its_hull(kinematics, shapes):

@@ -3,10 +3,9 @@ import pytest
 
 from manipulation.antipodal_grasps import MIN_ELEVATION
 from manipulation.reorientation import (
-    UPRIGHT_AREA,
-    free_spots,
     lying_sides,
     reorienting_grasps,
+    rolled,
     turning_goals,
 )
 from manipulation.standing import to_standing
@@ -43,10 +42,26 @@ def test_a_short_can_on_its_side_is_grasped_at_an_angle(can):
 
 
 def test_an_overturned_can_is_grasped_so_that_it_can_be_laid_on_its_side(can):
-    (side,) = lying_sides(can)
-    for grasp in reorienting_grasps(can, OVERTURNED).grasps:
+    grasps = reorienting_grasps(can, OVERTURNED).grasps
+    assert grasps
+    for grasp in grasps:
         assert -grasp.away[2] >= np.sin(MIN_ELEVATION) - 1e-9
-        assert grasp.away @ side >= np.sin(MIN_ELEVATION) - 1e-9
+        assert np.linalg.norm(grasp.away[:2]) >= np.sin(MIN_ELEVATION) - 1e-9
+    azimuths = np.array([np.arctan2(grasp.away[1], grasp.away[0]) for grasp in grasps])
+    assert np.ptp(azimuths) > np.pi / 2, "it may lie on any side"
+
+
+def test_a_round_object_is_rolled_until_the_hand_is_above_it(can, mug):
+    goal = next(turning_goals(can, OVERTURNED, []))
+    away = np.array([-0.3, 0.6, -0.7])
+    T = rolled(can, goal.T_goal_stand, away)
+    turned = T[:3, :3] @ away
+    assert turned[2] == pytest.approx(np.hypot(0.3, 0.6))
+    np.testing.assert_allclose(T[:3, 2], goal.T_goal_stand[:3, 2], atol=1e-12)
+    points = can.vertices @ T[:3, :3].T + T[:3, 3]
+    assert abs(points[:, 2].min()) < 2e-3
+    laid = next(turning_goals(mug, OVERTURNED, [])).T_goal_stand
+    assert rolled(mug, laid, away) is laid
 
 
 def test_a_mug_lies_on_body_and_handle(mug):
@@ -74,17 +89,6 @@ def test_goals_of_an_overturned_object_lie_on_the_table_over_their_spot(mug):
         np.testing.assert_allclose(np.linalg.det(goal.T_goal_stand[:3, :3]), 1.0)
         assert abs(goal.T_goal_stand[2, 2]) < 1e-9, "its axis is level"
     assert not np.allclose(goals[0].T_goal_stand, goals[1].T_goal_stand), "both sides of the handle"
-
-
-def test_spots_keep_clear_of_others_and_within_the_area():
-    other = np.array([0.5, -0.25])
-    spots = list(free_spots(0.03, [(other, 0.05)]))
-    assert spots and all(np.linalg.norm(np.array(spot) - other) > 0.03 + 0.05 + 0.049 for spot in spots)
-    assert not list(free_spots(0.03, [(other, 0.5)]))
-    (x0, x1), (y0, y1) = UPRIGHT_AREA
-    assert all(x0 <= x < x1 and y0 <= y < y1 for x, y in spots)
-    small = sorted(free_spots(0.03, [], ((0.2, 0.3), (-0.2, -0.1))))
-    np.testing.assert_allclose(small, [(0.2, -0.2), (0.2, -0.15), (0.25, -0.2), (0.25, -0.15)])
 
 
 def test_an_object_that_lies_on_no_side_still_has_no_grasp(shapes):

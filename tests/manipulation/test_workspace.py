@@ -49,7 +49,7 @@ def test_closeups_look_at_the_object_itself():
 def test_heights_of_motions_scale_and_margins_do_not():
     config = ManipulationConfig()
     adapted = Workspace(0.5).adapted(config)
-    np.testing.assert_allclose(adapted.upright_area, 0.5 * np.array(config.upright_area))
+    np.testing.assert_allclose(adapted.free_area, 0.5 * np.array(config.free_area))
     small = adapted.pick_place
     np.testing.assert_allclose(small.via_heights, 0.5 * np.array(config.pick_place.via_heights))
     assert small.segments.lift_heights[0] == 0.5 * config.pick_place.segments.lift_heights[0]

@@ -1,0 +1,139 @@
+"""Which plan an object gets next: to its goal, turned, at another place, or with what blocks it set aside.
+
+Planning makes the least effort first; more is made when no object has a plan with less.
+"""
+
+from __future__ import annotations
+
+import contextlib
+import itertools
+from collections.abc import Collection, Iterator, Sequence
+from enum import IntEnum
+
+import numpy as np
+from jaxtyping import Float
+
+from manipulation.errors import NoPlanError, PlanningError
+from manipulation.free_places import free_places
+from manipulation.free_table import Outline, goals_aside, outline_of, outline_of_thing
+from manipulation.lying_grasps import is_upside_down, lies
+from manipulation.pick_place import PickPlacePlanner
+from manipulation.planner import ManipulationConfig
+from manipulation.reorientation import turning_goals
+from manipulation.types import Grasp, PickPlacePlan, Placement, TaskPlan
+
+_TURN_OVER = "turn it over by hand"
+_SPOTS = 4  # on free table that are tried for one object
+_BLOCKERS = 3  # that are tried for one object
+
+Posture = Float[np.ndarray, "n"]
+
+
+class Effort(IntEnum):
+    """Means of planning, each in addition to those before it."""
+
+    PLAIN = 0  # to the goal, with the grasps of the object's shape
+    FLEXIBLE = 1  # other places in the box; any angle of the hand
+    CLEARING = 2  # what blocks an object is set aside
+
+
+class ObjectPlanning:
+    """Plans the next motion of one object, with increasing effort.
+
+    Args:
+        task: goals of all objects.
+        planner: planner whose collision world follows the scene.
+        config: settings.
+    """
+
+    def __init__(self, task: TaskPlan, planner: PickPlacePlanner, config: ManipulationConfig) -> None:
+        self._task, self._planner, self._config = task, planner, config
+
+    def next_plan(
+        self, placement: Placement, q: Posture, tried: Sequence[Grasp] = (), effort: Effort = Effort.PLAIN
+    ) -> PickPlacePlan:
+        """Return the plan that places an object, or that turns it if it does not stand.
+
+        Raises:
+            PlanningError: there is none with this effort.
+        """
+        if lies(self._planner.world.pose(placement.name)):
+            return self._turn(placement, q, tried, effort)
+        try:
+            return self._planner.plan(placement, q, tried)
+        except PlanningError as error:
+            if effort == Effort.PLAIN:
+                raise
+            elsewhere = self._places_elsewhere(placement)
+            if elsewhere:
+                with contextlib.suppress(PlanningError):
+                    return self._planner.plan(elsewhere, q, tried)
+            tilted = self._planner.tilted_grasps(placement.name)
+            with contextlib.suppress(PlanningError):
+                return self._planner.plan([placement, *elsewhere], q, tried, tilted)
+            raise error
+
+    def plans_aside(
+        self, blockers: Sequence[str], movable: Collection[str], q: Posture
+    ) -> Iterator[PickPlacePlan]:
+        """Yield plans that set one of the blockers aside on free table, the most frequent blocker first.
+
+        Args:
+            blockers: names of what is in the way of an object.
+            movable: names of the objects that may be set aside.
+            q: present posture in [rad].
+        """
+        planner = self._planner
+        for name in [name for name in blockers if name in movable][:_BLOCKERS]:
+            item, T = self._task.objects[name], planner.world.pose(name)
+            goals = goals_aside(item, T, self._taken(name), self._config.free_area)
+            spots = list(itertools.islice(goals, _SPOTS))
+            if not spots:
+                continue
+            with contextlib.suppress(PlanningError):
+                yield planner.plan(spots, q, grasps=planner.keeping_grasps(name))
+
+    def _turn(
+        self, placement: Placement, q: Posture, tried: Sequence[Grasp], effort: Effort
+    ) -> PickPlacePlan:
+        """Return the plan that turns an object: at its goal if it is on its side, else on free table.
+
+        Raises:
+            PlanningError: there is none.
+        """
+        name, planner, item = placement.name, self._planner, self._task.objects[placement.name]
+        T_world_stand = planner.world.pose(name)
+        overturned = is_upside_down(T_world_stand)
+        how = "stands upside down" if overturned else "lies on its side"
+        at = f"{name} {how} at ({T_world_stand[0, 3]:.2f}, {T_world_stand[1, 3]:.2f}) m"
+        grasps = planner.grasps(name)
+        if not grasps.grasps:
+            raise PlanningError(f"{at}: {grasps.failure_message(name, _TURN_OVER if overturned else '')}")
+        spots = turning_goals(item, T_world_stand, self._taken(name), self._config.free_area)
+        goals = [] if overturned else [placement]
+        if effort > Effort.PLAIN and not overturned:
+            goals += self._places_elsewhere(placement)
+        goals += itertools.islice(spots, _SPOTS)
+        if not goals:
+            raise PlanningError(f"{at}: no free table to turn it")
+        try:
+            return planner.plan(goals, q, tried)
+        except NoPlanError as error:
+            if effort > Effort.PLAIN:
+                with contextlib.suppress(PlanningError):
+                    return planner.plan(goals, q, tried, planner.tilted_grasps(name))
+            raise NoPlanError(f"{at} and cannot be turned: {error}", error.blockers) from error
+
+    def _places_elsewhere(self, placement: Placement) -> list[Placement]:
+        """Return other places in the box for an object that is not to stand on others."""
+        if self._task.task != "pack" or self._task.box is None or placement.stack:
+            return []
+        objects = self._task.objects
+        others = [(objects[n], T) for n, T in self._planner.poses().items() if n != placement.name]
+        return free_places(objects[placement.name], placement, others, self._task.box)
+
+    def _taken(self, name: str) -> list[Outline]:
+        """Return the outlines of the top views of everything but one object."""
+        planner = self._planner
+        objects = [outline_of(self._task.objects[n], T) for n, T in planner.poses().items() if n != name]
+        return objects + [outline_of_thing(obstacle) for obstacle in planner.perceived_obstacles]

@@ -1,0 +1,75 @@
+import numpy as np
+import pytest
+
+from manipulation.free_table import (
+    FREE_AREA,
+    free_spots,
+    goals_aside,
+    outline_of,
+    outline_of_thing,
+)
+from manipulation.standing import to_standing
+from perception.geometry import pose_from_yaw
+from perception.obstacles.obstacle import PerceivedObstacle
+
+SQUARE = 0.1 * np.array([[0.0, 0.0], [1.0, 0.0], [1.0, 1.0], [0.0, 1.0]])
+
+
+@pytest.fixture(scope="module")
+def can(shapes):
+    return to_standing(shapes.estimate(1, "can", shapes.can(0.03, 0.1)))
+
+
+def on_side(x=0.5, y=-0.2):
+    T = np.eye(4)
+    T[:3, :3] = [[0, 0, 1], [0, 1, 0], [-1, 0, 0]]
+    T[:3, 3] = x, y, 0.03
+    return T
+
+
+def test_outlines_are_those_of_the_present_pose(can):
+    standing = outline_of(can, pose_from_yaw(0.7, np.array([0.5, -0.2, 0.0])))
+    np.testing.assert_allclose(np.ptp(standing, axis=0), 0.06, atol=2e-3)
+    lying = outline_of(can, on_side())
+    np.testing.assert_allclose(np.ptp(lying, axis=0), (0.1, 0.06), atol=2e-3)
+    np.testing.assert_allclose(lying.min(axis=0), (0.5, -0.23), atol=1e-3)
+    corners = np.array(list(np.ndindex(2, 2, 2)), dtype=float)
+    thing = outline_of_thing(PerceivedObstacle(0, (corners, corners + 1.0), 100))
+    np.testing.assert_allclose((thing.min(axis=0), thing.max(axis=0)), ((0, 0), (2, 2)))
+
+
+def test_spots_keep_clear_of_outlines_and_within_the_area():
+    corner = np.array([0.45, -0.3])
+    spots = np.array(list(free_spots(0.03, [corner + SQUARE])))
+    outside = np.maximum(np.maximum(corner - spots, spots - corner - 0.1), 0.0)
+    assert len(spots) > 3 and outside.max(axis=1).min() > 0.049
+    (x0, x1), (y0, y1) = FREE_AREA
+    assert ((spots > (x0 - 1e-9, y0 - 1e-9)) & (spots < (x1 + 1e-9, y1 + 1e-9))).all()
+    assert not list(free_spots(0.03, [np.array([0.2, -0.6]) + 8 * SQUARE]))
+
+
+def test_spots_begin_in_the_middle_and_are_apart():
+    spots = np.array(list(free_spots(0.03, [])))
+    distance = np.linalg.norm(spots - np.mean(FREE_AREA, axis=1), axis=1)
+    assert distance[0] < 0.03 and (np.diff(distance) > -1e-9).all()
+    between = np.linalg.norm(spots[:, None] - spots, axis=-1) + np.eye(len(spots))
+    assert between.min() >= 0.07
+
+
+def test_spots_with_room_for_the_hand_come_first():
+    wall = np.array([[0.28, -0.6], [0.28, 0.1], [0.50, 0.1], [0.50, -0.6]])
+    x = np.array([spot[0] for spot in free_spots(0.03, [wall])])
+    roomy = x > 0.50 + 0.13 - 1e-9
+    assert roomy.any() and not roomy.all() and roomy[: roomy.sum()].all()
+
+
+def test_what_is_set_aside_keeps_its_orientation_and_lies_on_the_table(can):
+    T = on_side()
+    goals = list(goals_aside(can, T, []))
+    assert goals
+    for goal in goals:
+        T_rest = pose_from_yaw(0.0, np.array(goal.position)) @ goal.T_goal_stand
+        np.testing.assert_allclose(T_rest[:3, :3], T[:3, :3])
+        points = can.vertices @ T_rest[:3, :3].T + T_rest[:3, 3]
+        assert points[:, 2].min() == pytest.approx(0.0, abs=1e-9)
+        np.testing.assert_allclose(points[:, 1].mean(), goal.position[1], atol=2e-3)

@@ -1,0 +1,124 @@
+from collections import Counter
+from types import SimpleNamespace
+
+import numpy as np
+import pytest
+
+from manipulation.errors import NoPlanError, PlanningError
+from manipulation.object_planning import Effort, ObjectPlanning
+from manipulation.pick_place import PickPlacePlanner
+from manipulation.planner import ManipulationConfig
+from manipulation.standing import to_standing
+from manipulation.types import Box, Grasp, GraspSet, PickPlacePlan, Placement, TaskPlan
+
+Q = np.zeros(7)
+GOAL = Placement("can_1", (0.5, 0.25, 0.004), (0.0,))
+CONFIG = ManipulationConfig()
+
+
+GRASPS, TILTED, KEEPING = (GraspSet((object.__new__(Grasp),), Counter()) for _ in range(3))
+
+
+class FakePlanner(PickPlacePlanner):
+    """Records what it is asked to plan; ``feasible`` decides by goals and grasps."""
+
+    def __init__(self, items, feasible=lambda goals, grasps: False):
+        self.items, self.feasible, self.requests = items, feasible, []
+        self._obstacles, self.found = (), GRASPS
+        self.Ts = {name: item.T_world_stand for name, item in items.items()}
+        self.world = SimpleNamespace(pose=self.Ts.__getitem__)
+
+    def poses(self):
+        return dict(self.Ts)
+
+    def grasps(self, name):
+        return self.found
+
+    def tilted_grasps(self, name):
+        return TILTED
+
+    def keeping_grasps(self, name):
+        return KEEPING
+
+    def plan(self, goals, q, tried=(), grasps=None):
+        goals = [goals] if isinstance(goals, Placement) else list(goals)
+        self.requests.append((goals, grasps))
+        if not self.feasible(goals, grasps):
+            raise NoPlanError("No plan", ("bowl_2",))
+        plan = object.__new__(PickPlacePlan)
+        plan.__dict__.update(name=goals[0].name)
+        return plan
+
+
+@pytest.fixture(scope="module")
+def items(shapes):
+    found = [
+        shapes.estimate(1, "can", shapes.can(), x=0.55, y=-0.2),
+        shapes.estimate(2, "bowl", shapes.bowl(), x=0.4, y=-0.15),
+    ]
+    return {estimate.name: to_standing(estimate) for estimate in found}
+
+
+def planning(items, planner):
+    return ObjectPlanning(TaskPlan("pack", items, (GOAL,), box=Box()), planner, CONFIG)
+
+
+def test_the_plain_effort_is_the_goal_with_the_grasps_of_the_shape(items):
+    planner = FakePlanner(items)
+    with pytest.raises(NoPlanError) as error:
+        planning(items, planner).next_plan(GOAL, Q)
+    assert error.value.blockers == ("bowl_2",)
+    assert planner.requests == [([GOAL], None)]
+
+
+def test_more_effort_is_other_places_and_then_any_angle(items):
+    planner = FakePlanner(items, lambda goals, grasps: grasps is not None)
+    planning(items, planner).next_plan(GOAL, Q, effort=Effort.FLEXIBLE)
+    first, elsewhere, tilted = planner.requests
+    assert first == ([GOAL], None) and tilted[1] is TILTED
+    assert GOAL not in elsewhere[0] and elsewhere[1] is None and tilted[0] == [GOAL, *elsewhere[0]]
+    box = Box()
+    for goal in elsewhere[0]:
+        assert (np.abs(np.subtract(goal.position[:2], box.center)) < np.array(box.size[:2]) / 2).all()
+
+
+def lying(items):
+    T = np.eye(4)
+    T[:3, :3] = [[0, 0, 1], [0, 1, 0], [-1, 0, 0]]
+    T[:3, 3] = 0.5, -0.3, 0.033
+    planner = FakePlanner(items, lambda goals, grasps: grasps is not None)
+    planner.Ts["can_1"] = T
+    return planner
+
+
+def test_a_lying_object_is_turned_at_its_goal_or_on_free_table(items):
+    planner = lying(items)
+    with pytest.raises(PlanningError, match=r"can_1 lies on its side at \(0.50, -0.30\) m and cannot be"):
+        planning(items, planner).next_plan(GOAL, Q)
+    ((goals, _),) = planner.requests
+    assert goals[0] is GOAL and len(goals) > 1 and all(goal.position[1] < 0.1 for goal in goals[1:])
+    planning(items, planner).next_plan(GOAL, Q, effort=Effort.FLEXIBLE)
+    assert planner.requests[-1][1] is TILTED
+
+
+def test_an_object_without_a_grasp_is_reported_with_its_pose(items):
+    planner = lying(items)
+    planner.Ts["can_1"] = items["can_1"].T_world_stand @ np.diag([1.0, -1.0, -1.0, 1.0])
+    planner.found = GraspSet((), Counter())
+    with pytest.raises(PlanningError, match=r"can_1 stands upside down at .*turn it over by hand"):
+        planning(items, planner).next_plan(GOAL, Q)
+
+
+def test_a_blocker_is_set_aside_in_its_orientation_if_it_may_be_moved(items):
+    planner = FakePlanner(items, lambda goals, grasps: grasps is not None)
+    aside = planning(items, planner).plans_aside(("thing_0", "bowl_2"), {"bowl_2"}, Q)
+    plan = next(aside)
+    assert plan.name == "bowl_2"
+    ((goals, grasps),) = planner.requests
+    assert grasps is KEEPING
+    for goal in goals:
+        np.testing.assert_allclose(goal.T_goal_stand[:3, :3], np.eye(3), atol=1e-9)
+        apart = np.linalg.norm(np.subtract(goal.position[:2], items["can_1"].T_world_stand[:2, 3]))
+        assert apart > 0.08, "clear of the others"
+    assert not list(aside)
+    assert not list(planning(items, planner).plans_aside(("thing_0", "can_1"), {"bowl_2"}, Q))
