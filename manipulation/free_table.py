@@ -43,7 +43,7 @@ def free_spots(
     grid = np.stack(np.meshgrid(np.arange(x0, x1, _SPACING), np.arange(y0, y1, _SPACING)), axis=-1)
     spots = grid.reshape(-1, 2)
     around = Footprint(tuple(taken), 0.0)
-    crowding = sum(around.covers(spots, radius + clearance).astype(int) for clearance in _CLEARANCES)
+    crowding = np.sum([around.covers(spots, radius + clearance) for clearance in _CLEARANCES], axis=0)
     from_middle = np.linalg.norm(spots - [(x0 + x1) / 2, (y0 + y1) / 2], axis=1)
     found = np.zeros((0, 2))
     for index in np.lexsort((from_middle, crowding)):
