@@ -7,7 +7,7 @@ import pytest
 
 import sim_assets.robots
 from app.cli import run as run_cli
-from tests.sim_assets.robots.conftest import SLIDING
+from tests.sim_assets.robots.conftest import JOINTS, SLIDING
 from tests.sim_assets.robots.conftest import write as write  # the fixture
 
 SIXAXIS = Path(sim_assets.robots.__file__).parent / "sixaxis"
@@ -20,6 +20,11 @@ PAD = 'group="3" type="box" size=".05 .005'
 
 def driven(kp):
     return ("xml", "</mujoco>", SERVO.format(kp) + COUPLED)
+
+
+def servos(attributes, kp):
+    named = "".join(f'<position joint="{name}" {attributes.format(kp)}/>' for name in JOINTS)
+    return [("xml", "</mujoco>", f"<actuator>{named}</actuator></mujoco>")]
 
 
 # Replacements of the files of a small arm, and the message.
@@ -137,6 +142,11 @@ SMALL = {
     ),
     "fast": ([("toml", "velocity = [1", "velocity = [900")], "a list of numbers of 0.02 to 50, in radians"),
     "lens": ([("toml", HEAD, f"[camera]\nfovy = 200\n{HEAD}")], "fovy = 200 must be"),
+    "pinhole": ([("toml", HEAD, f"[camera]\nfovy = 1\n{HEAD}")], "fovy = 1 must be of 10 to 120"),
+    "hairline": ([("toml", "force = 30", "max_width = 0.011")], "open to 0.011 m, too little for any object"),
+    "soft servo": (servos('kp="{}" kv="1"', 0.5), "too soft: raise its kp"),
+    "swinging servo": (servos('kp="{}"', 800), "is not damped: give it kv"),
+    "weak servo": (servos('kp="{}" kv="80" forcerange="-.2 .2"', 800), "has 0.2 Nm, but its acceleration"),
 }  # fmt: skip
 
 # Replacements of the six-axis arm's file: all parts are there, but no task can succeed.

@@ -11,6 +11,7 @@ import numpy as np
 
 from sim_assets.rendering.headless import MjModel, mujoco
 from sim_assets.robots.finger_motion import hand_joints, is_below
+from sim_assets.robots.servo_checks import servo_problems
 from sim_assets.robots.servos import is_servo
 from sim_assets.robots.simulated_arm import SimulatedArm
 
@@ -19,6 +20,7 @@ if TYPE_CHECKING:
     from sim_assets.robots.robot_file import RobotEntries
 
 MIN_FORCE = 10.0  # [N] of each finger, for objects of half a kilogram at friction 0.5 with reserve
+MIN_OPENING = 0.02  # [m] between the pads
 WIDTH_TOLERANCE = 1e-3  # [m] of a stated opening beyond the measured one
 _DIMENSION = 0.06  # [m] by which a stated dimension of the hand may differ from the measured one
 _SHIFT = 0.06  # [m], the same of the tool frame
@@ -154,10 +156,15 @@ def _finger_problems(model: MjModel, entries: RobotEntries) -> Iterator[str]:
 
 
 def robot_problems(model: MjModel, robot: SimulatedArm) -> list[str]:
-    """Return the problems of an arm that is complete: its stated hand against the model, its grip."""
+    """Return the problems of an arm that is complete: its servos, its stated hand, its grip."""
     arm = robot.description
-    problems = []
+    problems = list(servo_problems(model, robot))
     measured = float(arm.fingers.widths[-1])
+    if arm.max_width < MIN_OPENING:
+        problems.append(
+            f"the fingers open to {arm.max_width:g} m, too little for any object (at least "
+            f"{MIN_OPENING:g} m): leave out [gripper] max_width, or name the joints that open the hand"
+        )
     if arm.max_width > measured + WIDTH_TOLERANCE:
         problems.append(
             f"[gripper] max_width = {arm.max_width:g} m, but the pads open to {measured:.4f} m: leave it out"

@@ -59,6 +59,7 @@ _GEOMETRY = [field.name for field in fields(GripperGeometry)]
 _LIMITS = {  # least and largest limits of speed that are taken for ones in rad/s, rad/s^2 and rad/s^3
     "velocity": (0.02, 50.0), "acceleration": (0.05, 1000.0), "jerk": (0.5, 1e5),
 }  # fmt: skip
+_FOVY = (10.0, 120.0)  # [deg], of lenses without fish-eye distortion
 _DEFAULT_FOVY = 45.0  # [deg]
 _CAMERA_BEHIND = 0.05  # [m] from the TCP back to an assumed camera
 _CAMERA_BESIDE = (0.06, 0.12)  # [m] range of its distance from the hand's axis
@@ -153,7 +154,7 @@ def read_entries(path: Path, document: dict[str, Any], problems: list[str]) -> R
         force=None if "force" not in gripper else gripper.positive("force"),
         geometry={name: gripper.positive(name) for name in _GEOMETRY if name in gripper},
         tcp=tcp,
-        fovy=camera.positive("fovy", 179.0, _DEFAULT_FOVY),
+        fovy=camera.between("fovy", *_FOVY, _DEFAULT_FOVY),
     )
     for table in (top, arm, gripper, camera, hand):
         table.refuse_others()

@@ -87,6 +87,13 @@ class TomlTable:
             return self._wrong(key, f"above 0 and at most {most:g}" if np.isfinite(most) else "above 0", 1.0)
         return value
 
+    def between(self, key: str, least: float, most: float, default: float) -> float:
+        before = len(self.problems)
+        value = self.number(key, default)
+        if len(self.problems) == before and not least <= value <= most:
+            return self._wrong(key, f"of {least:g} to {most:g}", default)
+        return value
+
     def numbers(
         self, key: str, count: int, default: Sequence[float] | None = None, most: float = MAX_NUMBER
     ) -> Float[np.ndarray, "_count"]:
