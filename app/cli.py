@@ -136,6 +136,9 @@ def parse(arguments: Sequence[str]) -> CommonOptions:
         UsageError: The arguments are invalid; the message is one line.
         SystemExit: Help was requested and printed.
     """
+    empty = next((a for a in arguments if re.fullmatch(r"(--[\w-]+=)?", a)), None)
+    if empty is not None:
+        raise UsageError(f"argument {empty!r} is empty: omit it, or check the shell variable it was made of")
     kinds: list[Any] = [
         Annotated[kind, tyro.conf.subcommand(name, prefix_name=False)] for name, kind in COMMANDS.items()
     ]

@@ -3,13 +3,11 @@
 from __future__ import annotations
 
 import importlib.metadata
-import os
 import platform
 import re
 import subprocess
 import sys
 import time
-from collections.abc import Callable
 from dataclasses import dataclass
 from pathlib import Path
 from typing import Literal
@@ -23,6 +21,7 @@ from app.runs.run_folder import RunFolder
 from app.screen import Screen
 from perception.errors import PerceptionError, install_hint
 from perception.io.weights import CHECKSUMS_FILE, WEIGHTS_DIRECTORY, expected_checksum, weights_checksum
+from sim_assets.processes import probe
 
 Status = Literal["ok", "missing", "optional"]
 
@@ -39,8 +38,6 @@ OPTIONAL = {"open3d-cpu": "eval", "tensorboard": "train", "transformers": "hf", 
 PROBE_SECONDS = 60
 _PROBE = """
 import os, sys
-from app.workers import kill_with
-kill_with(int(sys.argv[1]))
 from sim_assets.rendering.headless import mujoco
 scene = '<mujoco><worldbody><light pos="0 0 2"/><geom size=".1"/></worldbody></mujoco>'
 model = mujoco.MjModel.from_xml_string(scene)
@@ -133,20 +130,16 @@ def check_version(name: str, lock: dict[str, str], absent: Status, remedy: str) 
     return Finding(name, "ok", version + (f" (tested with {tested})" if differs else ""))
 
 
-def _probe_command() -> list[str]:
-    return [sys.executable, "-c", _PROBE, str(os.getpid())]
-
-
-def check_gl(command: Callable[[], list[str]] = _probe_command) -> Finding:
+def check_gl(program: str = _PROBE) -> Finding:
     """Render a small image in another process, since a broken OpenGL terminates its process."""
     remedy = "apt-get install libegl1 libgl1 libgl1-mesa-dri (or libosmesa6 and MUJOCO_GL=osmesa)"
     try:
-        probe = subprocess.run(command(), cwd=ROOT, capture_output=True, text=True, timeout=PROBE_SECONDS)
+        ended = probe(program, PROBE_SECONDS)
     except subprocess.TimeoutExpired:
         return Finding("rendering", "missing", f"no image within {PROBE_SECONDS} s", remedy)
-    if probe.returncode == 0:
-        return Finding("rendering", "ok", f"MUJOCO_GL={probe.stdout.strip()}")
-    last = (probe.stderr.strip().splitlines() or [f"exit code {probe.returncode}"])[-1]
+    if ended.returncode == 0:
+        return Finding("rendering", "ok", f"MUJOCO_GL={ended.stdout.strip()}")
+    last = (ended.stderr.strip().splitlines() or [f"exit code {ended.returncode}"])[-1]
     return Finding("rendering", "missing", last[:100], remedy)
 
 

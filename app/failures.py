@@ -41,6 +41,7 @@ _GL_FILES = ("gl_context.py", "osmesa.py", "glfw.py", "egl.py", "camera.py")
 _REMEDIES = {
     errno.ENOSPC: "free some space or give --out on another disk",
     errno.EDQUOT: "free some space or give --out on another disk",
+    errno.EFBIG: "raise the limit on the size of files (ulimit -f)",
     errno.EROFS: "give --out in a folder that can be written",
     errno.EACCES: "check the permissions of the path",
     errno.EPERM: "check the permissions of the path",

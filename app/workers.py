@@ -8,11 +8,9 @@ worker is known: it is repeated once in a new process, and the other workers are
 from __future__ import annotations
 
 import contextlib
-import ctypes
 import multiprocessing
 import os
 import signal
-import sys
 import threading
 import time
 from collections import deque
@@ -23,12 +21,13 @@ from multiprocessing.connection import wait
 from multiprocessing.context import SpawnProcess
 from typing import Any, Generic, TypeVar
 
+from sim_assets.processes import kill_with
+
 Item = TypeVar("Item")
 Result = TypeVar("Result")
 
 ATTEMPTS = 2  # processes that may die on an item before it is given up
 THREAD_POOLS = ("OMP_NUM_THREADS", "OPENBLAS_NUM_THREADS", "MKL_NUM_THREADS")
-_PR_SET_PDEATHSIG = 1  # linux/prctl.h
 _GRACE = 5.0  # [s] for a process to end before it is killed
 
 
@@ -247,11 +246,3 @@ def end_with_parent() -> None:
     threading.Thread(target=watch, name="end with parent", daemon=True).start()
     if parent.pid is not None:
         kill_with(parent.pid)
-
-
-def kill_with(parent: int) -> None:
-    """Let the kernel end this process when the process that started it has ended; on Linux only."""
-    if sys.platform == "linux":
-        ctypes.CDLL(None).prctl(_PR_SET_PDEATHSIG, signal.SIGKILL, 0, 0, 0)
-        if os.getppid() != parent:  # it ended before the call
-            os._exit(1)

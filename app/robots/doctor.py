@@ -29,13 +29,14 @@ def run_robot_doctor(options: DoctorOptions, spec: str, screen: Screen) -> Repor
         UsageError: no robot file can be drafted from the MJCF.
     """
     begin = time.perf_counter()
+    robot = None if Path(spec).suffix == ".xml" else load_arm(spec, check=False)
     with RunFolder.create(options, "doctor") as folder:
-        if Path(spec).suffix == ".xml":
+        if robot is None:
             with screen.stage("Drafting a robot file"):
                 draft = draft_robot(Path(spec), folder.path)
-            spec = str(folder.path / "robot.toml")
-            Path(spec).write_text(draft.text, encoding="utf-8")
-        robot = load_arm(spec, check=False)
+            file = folder.path / "robot.toml"
+            file.write_text(draft.text, encoding="utf-8")
+            robot = load_arm(str(file), check=False)
         with screen.stage("Examining the arm"):
             examination = examine_robot(robot)
         write_picture(folder.path / PICTURE, robot, examination)

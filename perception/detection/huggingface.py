@@ -8,6 +8,7 @@ adds the latter.
 from __future__ import annotations
 
 from dataclasses import dataclass
+from pathlib import Path
 from typing import Any
 
 import numpy as np
@@ -23,6 +24,8 @@ LABELS: dict[str, Category] = {
     "bottle": "bottle", "water bottle": "bottle", "wine bottle": "bottle", "beer bottle": "bottle",
     "can": "can", "tin can": "can", "beer can": "can", "beverage can": "can", "soda can": "can",
 }  # fmt: skip
+
+_HUB_SECONDS = 10.0  # until the hub counts as unreachable
 
 
 @dataclass(frozen=True)
@@ -45,7 +48,7 @@ class HuggingFaceDetector:
 
     @staticmethod
     def load(name: str, device: str = "cpu", min_score: float = 0.5) -> HuggingFaceDetector:
-        """Load a model by its name on the hub or from a local folder.
+        """Load a model by its name on the hub or from a local folder; its code and pickles are refused.
 
         Raises:
             ModuleNotFoundError: The extra ``hf`` is not installed.
@@ -55,9 +58,11 @@ class HuggingFaceDetector:
         import transformers
 
         try:
-            processor = transformers.AutoImageProcessor.from_pretrained(name)
-            config = transformers.AutoConfig.from_pretrained(name)
-            model = _auto_class(transformers, config).from_pretrained(name, config=config)
+            source = _source(name)
+            processor = transformers.AutoImageProcessor.from_pretrained(name, **source)
+            config = transformers.AutoConfig.from_pretrained(name, **source)
+            loader = _auto_class(transformers, config)
+            model = loader.from_pretrained(name, config=config, use_safetensors=True, **source)
         except (OSError, ValueError) as error:
             reason = " ".join(str(error).split())[:160]
             raise PerceptionError(
@@ -98,6 +103,24 @@ def category_of(label: str) -> Category | None:
     """Return the class for a data set's label, or None: 'cup', 'Coffee_cup' and 'cup, mug' are mugs."""
     names = [part.strip().replace("_", " ").lower() for part in label.split(",")]
     return next((LABELS[name] for name in names if name in LABELS), None)
+
+
+def _source(name: str) -> dict[str, Any]:
+    """Return options for loading: never run a model's code; use only local files if the hub does not answer.
+
+    It is asked once: the library asks six times for every file.
+    """
+    import huggingface_hub
+
+    local = Path(name).is_dir()
+    if not local:
+        try:
+            huggingface_hub.HfApi().model_info(name, timeout=_HUB_SECONDS)
+        except (huggingface_hub.errors.HfHubHTTPError, ValueError):
+            pass  # it answers; loading reports what is wrong
+        except Exception:  # exceptions of the HTTP library that it uses
+            local = True
+    return {"local_files_only": local, "trust_remote_code": False}
 
 
 def _auto_class(transformers: Any, config: Any) -> Any:

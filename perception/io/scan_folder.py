@@ -32,6 +32,8 @@ logger = logging.getLogger(__name__)
 DEPTH_SCALE = 0.1  # of the depth images written here: a tenth of a millimetre, up to 6.5 m
 FRAME_PERIOD = 1 / 30  # [s] between images of a folder that keeps no times
 MIN_TRANSLATION = 10.0  # [mm] length below which all translations together are suspicious
+MAX_IMAGES = 2000  # that are in memory together: 2 MB each at 640 x 480
+MAX_SEQUENCE = 100_000  # that are read one at a time
 MAX_NUMBER = 1e9  # of a camera: 1000 km in millimetres; larger ones overflow
 MASK_FOLDERS = ("mask_visib", "mask")
 
@@ -110,7 +112,7 @@ def read_scan(folder: str | Path) -> Scan:
         raise InvalidInputError(
             f"{folder} is not a folder: give the scan folder that holds scene_camera.json"
         )
-    cameras = _read_cameras(folder)
+    cameras = _read_cameras(folder, MAX_IMAGES)
     # A pose of the first image only is the start of a sequence without poses.
     later = any(_has_pose(camera) for key, camera in cameras.items() if key != min(cameras))
     posed = later or (len(cameras) == 1 and any(map(_has_pose, cameras.values())))
@@ -189,7 +191,7 @@ class ScanIndex:
     @staticmethod
     def of(folder: Path) -> ScanIndex:
         """Read ``scene_camera.json``; raises InvalidInputError as ``read_scan``."""
-        return ScanIndex(folder, _read_cameras(folder))
+        return ScanIndex(folder, _read_cameras(folder, MAX_SEQUENCE))
 
     @property
     def ids(self) -> list[int]:
@@ -212,7 +214,7 @@ def _has_pose(camera: Any) -> bool:
     return isinstance(camera, dict) and "cam_R_w2c" in camera
 
 
-def _read_cameras(folder: Path) -> dict[int, Any]:
+def _read_cameras(folder: Path, max_images: int) -> dict[int, Any]:
     path = folder / "scene_camera.json"
     remedy = "a scan folder needs it, with cam_K and depth_scale for each image id"
     if (folder / "scan" / path.name).is_file():  # the folder is a run folder
@@ -220,6 +222,10 @@ def _read_cameras(folder: Path) -> dict[int, Any]:
     entries = read_json(path, remedy)
     if not isinstance(entries, dict) or not entries:
         raise InvalidInputError(f"{path} must map image ids to cameras, at least one")
+    if len(entries) > max_images:
+        raise InvalidInputError(
+            f"{path} lists {len(entries)} images, at most {max_images} are read: keep a part of them"
+        )
     for key in entries:
         if not (key.isascii() and key.isdigit() and len(key) <= 9):
             raise InvalidInputError(f"{path}: image id '{key}' is not a number; ids name the image files")
@@ -240,7 +246,7 @@ def _read_frame(folder: Path, image_id: int, camera: Any, posed: bool) -> RgbdFr
             f"{rgb.shape[1]}x{rgb.shape[0]}: register depth to colour"
         )
     time = camera.get("time", image_id * FRAME_PERIOD)
-    if not isinstance(time, int | float) or not math.isfinite(time):
+    if type(time) not in (int, float) or not math.isfinite(time):
         raise InvalidInputError(f"{where}: time must be seconds, got {time!r}")
     try:
         return RgbdFrame(
@@ -301,9 +307,12 @@ def _suspicion_of_metres(folder: Path, cameras: Sequence[Any]) -> str | None:
 def _numbers(camera: Any, key: str, count: int, where: str) -> np.ndarray:
     value = camera.get(key) if isinstance(camera, dict) else None
     try:
-        numbers = np.asarray(value, dtype=np.float64).ravel()
-    except (TypeError, ValueError, OverflowError):
+        numbers = np.asarray(value).ravel()
+    except ValueError:  # ragged lists
         numbers = np.zeros(0)
+    if numbers.dtype.kind not in "if":  # texts, true and false
+        numbers = np.zeros(0)
+    numbers = numbers.astype(np.float64)
     if numbers.size != count or not (np.abs(numbers) <= MAX_NUMBER).all():  # NaN fails as well
         what = "a finite number" if count == 1 else f"{count} finite numbers"
         raise InvalidInputError(f"{where}: {key} must be {what} of at most {MAX_NUMBER:g} in magnitude")

@@ -11,12 +11,12 @@ import importlib
 import os
 import subprocess
 import sys
-from pathlib import Path
 from typing import Any
 
 import numpy as np
 from jaxtyping import UInt8
 
+from sim_assets.processes import probe
 from sim_assets.rendering.headless import GraphicsError, MjData, MjModel
 
 INSTALL = "install Vulkan's loader and Mesa's software driver: apt-get install libvulkan1 mesa-vulkan-drivers"
@@ -37,18 +37,15 @@ _NEAR, _FAR = 0.05, 20.0  # [m]
 @functools.cache
 def filament_fault() -> str:
     """Return why Filament cannot render on this machine, probed in a child process; '' if it can."""
-    root = Path(__file__).parents[2]
     try:
-        probe = subprocess.run(
-            [sys.executable, "-c", _PROBE], cwd=root, capture_output=True, text=True, timeout=_PROBE_SECONDS
-        )
+        ended = probe(_PROBE, _PROBE_SECONDS)
     except subprocess.TimeoutExpired:
         return f"no image within {_PROBE_SECONDS} s"
-    if probe.returncode == 0:
+    if ended.returncode == 0:
         return ""
-    if probe.returncode < 0:
+    if ended.returncode < 0:
         return "the probing process was terminated: no usable Vulkan driver"
-    return (probe.stderr.strip().splitlines() or [f"exit code {probe.returncode}"])[-1][:100]
+    return (ended.stderr.strip().splitlines() or [f"exit code {ended.returncode}"])[-1][:100]
 
 
 def require_filament() -> None:

@@ -82,6 +82,8 @@ BAD_INPUT = {
     "seconds: long": (["ar", "run", "--seconds", "601"], "--seconds 601 must be more than 0 and at most 600"),
     "port: negative": (["view", "--port=-1"], "--port -1 must be in 0..65535"),
     "port: large": (["view", "--port", "65536"], "--port 65536 must be in 0..65535"),
+    "out: empty": (["scan", "--out", ""], "argument '' is empty: omit it"),
+    "out: empty after =": (["scan", "--out="], "argument '--out=' is empty: omit it"),
     "long name": (["reconstruct", "x" * 300], "File name too long"),
     "objects: none": (["pack", "--objects", "0"], "asks for 0 objects"),
     "objects: too many": (["pack", "--objects", "mug=999999999"], "the table holds 1 to about 12"),

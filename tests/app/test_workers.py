@@ -149,23 +149,6 @@ def test_a_process_without_a_parent_of_its_kind_goes_on():
     end_with_parent()
 
 
-@pytest.mark.skipif(sys.platform != "linux", reason="only Linux kills children with their parent")
-@pytest.mark.parametrize("parent", ["os.getppid()", "1"])  # 1: it ended before the child asked
-def test_a_process_is_killed_with_the_one_that_started_it(parent):
-    child = f"import os, time; from app.workers import kill_with; kill_with({parent}); "
-    child += "print(os.getpid(), flush=True); time.sleep(60)"
-    code = f"import subprocess, sys; subprocess.run([sys.executable, '-c', {child!r}])"
-    with subprocess.Popen([sys.executable, "-c", code], stdout=subprocess.PIPE, text=True) as process:
-        assert process.stdout is not None
-        line = process.stdout.readline()
-        process.kill()
-    assert bool(line) == (parent != "1")
-    deadline = time.monotonic() + 10
-    while line and is_running(int(line)):
-        assert time.monotonic() < deadline
-        time.sleep(0.02)
-
-
 def is_running(process: int) -> bool:
     """Return whether a process exists and is not a zombie."""
     try:

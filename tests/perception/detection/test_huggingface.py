@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+import json
+import shutil
 import warnings
 from pathlib import Path
 from typing import Any
@@ -112,6 +114,43 @@ def test_weights_that_cannot_be_had_are_one_line(tmp_path: Path, monkeypatch: py
     with pytest.raises(PerceptionError, match="cannot be loaded") as caught:
         HuggingFaceDetector.load(str(tmp_path / "nothing"))
     assert "\n" not in str(caught.value)
+
+
+@pytest.mark.filterwarnings("ignore")
+def test_without_a_connection_the_hub_is_asked_once(monkeypatch: pytest.MonkeyPatch) -> None:
+    asked = []
+
+    def unreachable(self: Any, name: str, timeout: float) -> None:
+        asked.append(name)
+        raise OSError("Name or service not known")
+
+    monkeypatch.setattr("huggingface_hub.HfApi.model_info", unreachable)
+    monkeypatch.setattr("time.sleep", lambda seconds: pytest.fail("it asks again"))
+    with pytest.raises(PerceptionError, match="connection to the hub"):
+        HuggingFaceDetector.load("nobody/nothing")
+    assert asked == ["nobody/nothing"]
+
+
+@pytest.mark.filterwarnings("ignore")
+def test_code_and_pickles_of_a_model_are_not_loaded(
+    tiny: Path, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    monkeypatch.setattr("builtins.input", lambda *_: "y")  # to "do you wish to run the custom code?"
+    code = tmp_path / "code"
+    shutil.copytree(tiny, code)
+    (code / "evil.py").write_text(f"open({str(tmp_path / 'ran')!r}, 'w')\nclass C: pass\n")
+    for name in ("config.json", "preprocessor_config.json"):
+        foreign = {"model_type": "evil", "image_processor_type": "Evil"}
+        classes = dict.fromkeys(("AutoConfig", "AutoImageProcessor", "AutoModel"), "evil.C")
+        (code / name).write_text(json.dumps(foreign | {"auto_map": classes}))
+    with pytest.raises(PerceptionError, match="cannot be loaded"):
+        HuggingFaceDetector.load(str(code))
+    assert not (tmp_path / "ran").exists()
+    pickled = tmp_path / "pickled"
+    shutil.copytree(tiny, pickled, ignore=shutil.ignore_patterns("*.safetensors"))
+    torch.save({}, pickled / "pytorch_model.bin")
+    with pytest.raises(PerceptionError, match="safetensors"):
+        HuggingFaceDetector.load(str(pickled))
 
 
 @pytest.mark.filterwarnings("ignore")

@@ -166,6 +166,10 @@ BAD_CAMERAS = {
     "no rotation": (lambda c: c["0"].update(cam_R_w2c=[2, 0, 0, 0, 2, 0, 0, 0, 2]), "not a rotation matrix"),
     "half a pose": (lambda c: c["0"].pop("cam_t_w2c"), "has no pose"),
     "pose of words": (lambda c: c["0"].update(cam_t_w2c="far away"), "cam_t_w2c must be 3 finite numbers"),
+    "quoted numbers": (lambda c: c["0"].update(cam_K=["1"] * 9), "cam_K must be 9 finite numbers"),
+    "truth values": (lambda c: c["0"].update(cam_K=[True] * 9), "cam_K must be 9 finite numbers"),
+    "time is true": (lambda c: c["0"].update(time=True), "time must be seconds, got True"),
+    "too many": (lambda c: c.update({str(key): {} for key in range(1, 2002)}), "at most 2000 are read"),
     "not a camera": (lambda c: c.update({"0": 7}), "cam_K must be 9 finite numbers"),
 }
 
