@@ -1,13 +1,19 @@
 """``python -m app``, the same as the console script ``nodeslam``."""
 
+from __future__ import annotations
+
 import io
 import os
 import sys
+from typing import TYPE_CHECKING
 
 # Before anything loads numpy: its thread pool and torch's on the same cores slow both several times.
 os.environ.setdefault("OPENBLAS_NUM_THREADS", "1")
 
 from app import interrupts
+
+if TYPE_CHECKING:
+    from _typeshed import ReadableBuffer
 
 
 def main() -> None:
@@ -38,10 +44,24 @@ def _complete_standard_streams() -> None:
             if handle != number:
                 os.dup2(handle, number)
                 os.close(handle)
-            setattr(sys, name, os.fdopen(number, "w" if number else "r", encoding="utf-8"))
-    for stream in (sys.stdout, sys.stderr):
-        if isinstance(stream, io.TextIOWrapper):
-            stream.reconfigure(errors="backslashreplace")  # without Unicode, m³ is printed as m\\xb3
+            mode = "w" if number else "r"
+            setattr(sys, name, os.fdopen(number, mode, encoding="utf-8", closefd=False))
+    if isinstance(sys.stdout, io.TextIOWrapper):
+        sys.stdout.reconfigure(errors="backslashreplace")  # without Unicode, m³ is printed as m\\xb3
+    sys.stderr = io.TextIOWrapper(
+        io.BufferedWriter(_Progress(2, "w", closefd=False)),
+        encoding=sys.stderr.encoding, errors="backslashreplace", write_through=True, line_buffering=True,
+    )  # fmt: skip
+
+
+class _Progress(io.FileIO):
+    """Standard error; a run goes on when its progress cannot be written, such as to a full disk."""
+
+    def write(self, content: ReadableBuffer) -> int:
+        try:
+            return super().write(content)
+        except OSError:
+            return memoryview(content).nbytes
 
 
 if __name__ == "__main__":

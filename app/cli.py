@@ -98,8 +98,9 @@ def run(arguments: Sequence[str]) -> int:
             report = handler(options, screen)
             _run_folders("finish_all", complete=True)
         if options.json:
-            sys.stdout.write(report.to_json() + "\n")
-            sys.stdout.flush()
+            with contextlib.suppress(BrokenPipeError):  # the reader has ended, such as `head`
+                sys.stdout.write(report.to_json() + "\n")
+                sys.stdout.flush()
     except (Exception, KeyboardInterrupt) as error:
         interrupts.ignore()
         return _end(error, command, options.debug)

@@ -1,6 +1,6 @@
 """Random kills of every command over folders that hold an earlier run.
 
-    python -m tests.kills --out runs/kills --kills 200 [--only pack sort]
+    python -m tests.kills --out runs/kills --kills 200 [--first 200] [--only pack sort]
 
 Each kill starts a command in a copy of a folder with a finished run and a person's file, sends SIGINT,
 SIGTERM or SIGKILL at a random moment, and requires that
@@ -217,13 +217,14 @@ def main() -> None:
     parser = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawTextHelpFormatter)
     parser.add_argument("--out", type=Path, required=True)
     parser.add_argument("--kills", type=int, default=200)
+    parser.add_argument("--first", type=int, default=0, help="number, and seed, of the first kill")
     parser.add_argument("--only", nargs="+", default=None)
     options = parser.parse_args()
     signal.signal(signal.SIGINT, signal.default_int_handler)  # ignored by processes in a shell's background
     options.out.mkdir(parents=True, exist_ok=True)
     campaign, ledger = Campaign(options.out.resolve(), options.only), options.out / "kills.jsonl"
     rows = [json.loads(line) for line in ledger.read_text().splitlines()] if ledger.exists() else []
-    for number in sorted(set(range(options.kills)) - {row["number"] for row in rows}):
+    for number in sorted(set(range(options.first, options.first + options.kills)) - {row["number"] for row in rows}):
         rows.append(campaign.kill(number))
         with ledger.open("a") as file:
             file.write(json.dumps(rows[-1]) + "\n")

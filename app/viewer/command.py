@@ -94,8 +94,10 @@ def _serve_cell(options: ViewOptions, screen: Screen) -> Report:
 
 
 def _write_page(options: ViewOptions, folder: Path, path: Path, loaded: LoadedRun, screen: Screen) -> Report:
-    from app.viewer.page import write_page
+    from app.viewer.page import is_page, write_page
 
+    if path.exists() and not is_page(path):
+        raise UsageError(f"--html {path} exists and is no page of this program: give another file")
     with screen.stage(f"Writing {path}"):
         size = write_page(path, loaded, *titles(loaded, folder))
     screen.show(escape(f"{path} ({size / 1e6:.1f} MB) opens in any browser, offline."))

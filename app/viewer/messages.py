@@ -3,13 +3,15 @@
 from __future__ import annotations
 
 from collections.abc import Callable
+from itertools import chain
 from math import isfinite
 from typing import Any
 
 import msgspec.msgpack
 
 MAX_MESSAGE_SIZE = 65536  # [bytes]; messages of cameras and controls are far shorter
-CAMERA_VECTORS = ("position", "wxyz", "look_at", "up_direction")
+CAMERA_VECTORS = {"position": 3, "wxyz": 4, "look_at": 3, "up_direction": 3}
+CAMERA_NUMBERS = ("fov", "near", "far", "image_height", "image_width")
 INVALID_VALUE = "invalid value"
 ControlLookup = Callable[[str], Any]  # control by id; None if there is none
 
@@ -38,10 +40,15 @@ def check_message(raw: bytes | str, control: ControlLookup = lambda uuid: None) 
         if handle is not None and not is_valid_for(handle._impl, value):
             return INVALID_VALUE
     if kind == "ViewerCameraMessage":
-        vectors = [message.get(name) for name in CAMERA_VECTORS]
-        numbers = [value for vector in vectors for value in (vector if isinstance(vector, list) else [None])]
+        vectors = {name: message.get(name) for name in CAMERA_VECTORS}
+        if not all(
+            isinstance(vector, list) and len(vector) == CAMERA_VECTORS[name]
+            for name, vector in vectors.items()
+        ):
+            raise ValueError("a camera has three vectors and a quaternion")
+        numbers = [*chain.from_iterable(vectors.values()), *(message.get(name) for name in CAMERA_NUMBERS)]
         if not all(isinstance(value, int | float) and isfinite(value) for value in numbers):
-            raise ValueError("the vectors of a camera must hold finite numbers")
+            raise ValueError("a camera must hold finite numbers")
     return kind
 
 

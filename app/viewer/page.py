@@ -16,8 +16,10 @@ from app.viewer.snapshot import STAGE_TITLES, Snapshot
 from app.viewer.surroundings import Surroundings, surroundings_of
 from app.viewer.timeline import Timeline
 from app.viewer.viewer import set_initial_view
-from perception.io.files import write_atomically
+from perception.io.files import read_bytes, write_atomically
 
+TITLE_END = " · NodeSLAM</title>"
+MAX_PAGE_BYTES = 2**30
 STEP = 0.1  # [s] between snapshots
 CELL_CAPTION = (0.30, 0.0, 1.02)  # [m] position of the caption in a cell, above the arm
 CAPTION_HEIGHT = 0.35  # [m] above the ground elsewhere
@@ -54,6 +56,15 @@ def write_page(path: Path, run: LoadedRun, title: str, subtitle: str) -> int:
     return len(page.encode())
 
 
+def is_page(path: Path) -> bool:
+    """Return whether a file is a page that was written here.
+
+    Raises:
+        InvalidInputError: It is not a regular file, or larger than any page.
+    """
+    return TITLE_END.encode() in read_bytes(path, MAX_PAGE_BYTES)
+
+
 def caption_text(snapshot: Snapshot) -> str:
     """Return the title of the stage and the caption."""
     stage = STAGE_TITLES.get(snapshot.stage, "")
@@ -70,7 +81,7 @@ def add_summary(html: str, run: LoadedRun, title: str, subtitle: str) -> str:
         f"{charts.object_table(objects, run.recorder.objects, run.summary.outcomes)}</details>"
     )
     html = html.replace("</body>", f"{card}</body>")
-    return html.replace("<title>Viser</title>", f"<title>{escape(title)} · NodeSLAM</title>")
+    return html.replace("<title>Viser</title>", f"<title>{escape(title)}{TITLE_END}")
 
 
 def _caption_position(surroundings: Surroundings) -> np.ndarray:

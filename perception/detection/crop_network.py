@@ -9,6 +9,7 @@ from __future__ import annotations
 
 import itertools
 import json
+import math
 from collections.abc import Sequence
 from pathlib import Path
 from typing import Literal
@@ -22,6 +23,7 @@ from torch.nn import functional
 from perception.detection.crops import CHANNELS, CONTEXT, SIDE
 from perception.detection.weights import load_weights, save_weights
 from perception.detection.yaw import YAW_BINS
+from perception.errors import PerceptionError
 from perception.io.weights import WEIGHTS_DIRECTORY
 from perception.types import CATEGORIES
 
@@ -164,7 +166,13 @@ def load_crop_network(
     path = WEIGHTS_DIRECTORY / WEIGHTS_FILES[task] if path is None else path
     network = create_network(task)
     about = load_weights(network, path, task, "detector" if task == "class" else "yaw")
-    return network.to(device).eval(), float(about.get("temperature", 1.0))
+    temperature = about.get("temperature", "1.0")
+    try:
+        if not 0 < float(temperature) < math.inf:
+            raise ValueError
+    except ValueError:
+        raise PerceptionError(f"weights {path}: temperature {temperature[:80]!r} is not positive") from None
+    return network.to(device).eval(), float(temperature)
 
 
 @torch.inference_mode()

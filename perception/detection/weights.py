@@ -30,6 +30,8 @@ def load_weights(network: nn.Module, path: Path, task: str, command: str) -> dic
     remedy = f"reinstall the package, or retrain with `nodeslam train {command}`"
     tensors, about = read_weights(path, remedy)
     if about.get("task") != task:
-        raise PerceptionError(f"weights {path} are for '{about.get('task')}', not '{task}'; {remedy}")
+        raise PerceptionError(
+            f"weights {path} are for {str(about.get('task'))[:80]!r}, not '{task}'; {remedy}"
+        )
     load_tensors(network, tensors, path, remedy)
     return about

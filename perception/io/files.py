@@ -5,6 +5,7 @@ Every input file is read by ``read_bytes``, so that no pipe, device or oversized
 
 from __future__ import annotations
 
+import contextlib
 import json
 import math
 import os
@@ -27,7 +28,14 @@ _KINDS = {
 
 
 def write_atomically(path: Path, content: bytes | str) -> None:
-    """Write a file atomically: to a temporary file in the same folder, then renamed over the target."""
+    """Write a file atomically: to a temporary file in the same folder, then renamed over the target.
+
+    Raises:
+        InvalidInputError: The target is a folder, pipe, socket or device, which would be replaced.
+        OSError: It cannot be written.
+    """
+    with contextlib.suppress(FileNotFoundError):
+        _check_regular(path, os.stat(path))
     data = content.encode() if isinstance(content, str) else content
     path.parent.mkdir(parents=True, exist_ok=True)
     handle, temporary = tempfile.mkstemp(dir=path.parent, prefix=f".{path.name}.")
@@ -141,11 +149,15 @@ def _real(text: str) -> float:
 
 
 def _check_status(path: Path, status: os.stat_result, max_bytes: int) -> None:
+    _check_regular(path, status)
+    if status.st_size > max_bytes:
+        raise InvalidInputError(_too_large(path, str(status.st_size), max_bytes))
+
+
+def _check_regular(path: Path, status: os.stat_result) -> None:
     if not stat.S_ISREG(status.st_mode):
         kind = _KINDS.get(stat.S_IFMT(status.st_mode), "something else")
         raise InvalidInputError(f"{path} is {kind}, not a regular file")
-    if status.st_size > max_bytes:
-        raise InvalidInputError(_too_large(path, str(status.st_size), max_bytes))
 
 
 def _too_large(path: Path, size: str, max_bytes: int) -> str:

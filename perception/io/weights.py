@@ -21,6 +21,7 @@ if TYPE_CHECKING:
 WEIGHTS_DIRECTORY = Path(__file__).parents[1] / "weights"
 CHECKSUMS_FILE = "SHA256SUMS"
 MAX_WEIGHTS_BYTES = 4 * 2**30
+_NUMBERS = {f"torch.{kind}" for kind in ("float16", "bfloat16", "float32", "float64", "int64")}
 _LENGTH_BYTES = 8  # of the header of a safetensors file
 
 
@@ -65,7 +66,7 @@ def verify_weights(path: Path, remedy: str) -> None:
     try:
         expected = expected_checksum(path)
         matches = expected is None or weights_checksum(path) == expected
-    except OSError as error:
+    except (OSError, UnicodeDecodeError) as error:
         raise PerceptionError(f"weights {path} cannot be read ({error}); {remedy}") from error
     if not matches:
         raise PerceptionError(f"weights {path} differ from their checksum in {CHECKSUMS_FILE}; {remedy}")
@@ -97,6 +98,8 @@ def read_weights(
     except (SafetensorError, OSError, RuntimeError, ValueError) as error:
         raise PerceptionError(f"weights {path} cannot be read ({error}); {remedy}") from error
     for name, tensor in tensors.items():
+        if str(tensor.dtype) not in _NUMBERS:
+            raise PerceptionError(f"weights {path}: '{name}' holds {tensor.dtype} numbers; {remedy}")
         if tensor.is_floating_point() and not _is_finite(tensor):
             raise PerceptionError(f"weights {path}: '{name}' holds numbers that are not finite; {remedy}")
     return tensors, metadata

@@ -36,7 +36,9 @@ def load_weights(path: Path | None = None, device: str | torch.device = "cpu") -
     tensors, metadata = read_weights(path, _REMEDY, device)
     found = metadata.get("format")
     if found != FORMAT:
-        raise PerceptionError(f"weights {path} have format {found!r}, expected {FORMAT!r}; {_REMEDY}")
+        raise PerceptionError(
+            f"weights {path} have format {str(found)[:80]!r}, expected {FORMAT!r}; {_REMEDY}"
+        )
     with torch.device("meta"):
         model = ShapeVae()
     load_tensors(

@@ -1,4 +1,5 @@
 import os
+import shlex
 import subprocess
 import sys
 from pathlib import Path
@@ -50,3 +51,15 @@ def test_closed_streams_are_replaced_before_a_file_gets_their_descriptors(tmp_pa
         ["bash", "-c", line], cwd=tmp_path, stdin=subprocess.DEVNULL, capture_output=True, env=environment
     )
     assert done.returncode == 0 and (tmp_path / "file").read_text() == "", done.stderr
+
+
+def test_a_run_goes_on_when_its_progress_cannot_be_written():
+    code = (
+        "import sys, app.__main__ as m\n"
+        "def run(arguments):\n"
+        "    print('lost' * 5000, file=sys.stderr); print('result'); return 0\n"
+        "m.run = run; m.main()"
+    )
+    line = f"{sys.executable} -c {shlex.quote(code)} 2>/dev/full"
+    done = subprocess.run(["bash", "-c", line], capture_output=True, text=True)
+    assert (done.returncode, done.stdout) == (0, "result\n")

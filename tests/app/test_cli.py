@@ -1,5 +1,6 @@
 """Exit codes and what stands on which stream."""
 
+import contextlib
 import errno
 import json
 import os
@@ -143,6 +144,18 @@ def test_json_is_alone_on_standard_output(monkeypatch, capfd):
     assert (report["command"], report["seed"], report["success"]) == ("sort", 7, False)
     assert report["objects"][0]["error_tilt"] is None  # JSON has no NaN
     assert "a library says hello" in err and "native" in err and "a table" not in err
+
+
+def test_a_reader_that_ends_early_changes_no_exit_code(monkeypatch):
+    pretend(monkeypatch, lambda options, screen: Report("sort", 7, success=True))
+    reader, writer = os.pipe()
+    os.close(reader)
+    with os.fdopen(writer, "w", closefd=False) as pipe:
+        monkeypatch.setattr(sys, "stdout", pipe)
+        monkeypatch.setattr(cli, "_stdout_reserved", lambda reserve: contextlib.nullcontext())
+        assert run(["sort", "--json"]) == 0
+        os.dup2(os.open(os.devnull, os.O_WRONLY), writer)  # for what is left in the buffer
+    os.close(writer)
 
 
 def test_interruption_is_130(monkeypatch, capsys):

@@ -11,6 +11,7 @@ from app.screen import Screen
 from app.task.run_control import RunControl
 from app.viewer import command
 from app.viewer.load import LoadedRun, RunSummary
+from perception.errors import InvalidInputError
 
 QUIET = Screen(quiet=True)
 
@@ -52,6 +53,16 @@ def test_a_page_needs_a_run(tmp_path):
         command.run(ViewOptions(html=tmp_path / "page.html"), QUIET)
     with pytest.raises(UsageError, match="is a folder: give a file"):
         command.run(ViewOptions(run=tmp_path, html=tmp_path), QUIET)
+
+
+def test_only_pages_are_replaced_by_a_page(run_folder, tmp_path):
+    options = ViewOptions(run=run_folder, html=tmp_path / "thesis.html")
+    options.html.write_text("<title>Thesis</title>")
+    with pytest.raises(UsageError, match="is no page of this program: give another file"):
+        command.run(options, QUIET)
+    assert options.html.read_text() == "<title>Thesis</title>"
+    with pytest.raises(InvalidInputError, match="/dev/null is a device, not a regular file"):
+        command.run(ViewOptions(run=run_folder, html=Path("/dev/null")), QUIET)
 
 
 def test_the_viewer_of_a_run_closes_with_it(opened, server, monkeypatch):

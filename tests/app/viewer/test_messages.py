@@ -7,7 +7,10 @@ import pytest
 
 from app.viewer.messages import INVALID_VALUE, MAX_MESSAGE_SIZE, check_message, is_valid_for
 
-CAMERA = {"position": [0, 0, 1], "wxyz": [1, 0, 0, 0], "look_at": [0, 0, 0], "up_direction": [0, 0, 1.0]}
+CAMERA = {
+    "position": [0, 0, 1], "wxyz": [1, 0, 0, 0], "look_at": [0, 0, 0], "up_direction": [0, 0, 1.0],
+    "fov": 1.0, "near": 0.1, "far": 9.0, "image_height": 10, "image_width": 10,
+}  # fmt: skip
 
 
 def encoded(**message):
@@ -41,6 +44,10 @@ def test_messages_of_a_page_are_valid():
         encoded(type="GuiUpdateMessage", uuid="a", updates={"value": [1]}),
         encoded(type="ViewerCameraMessage", **CAMERA | {"position": [0, 0, float("inf")]}),
         encoded(type="ViewerCameraMessage", **CAMERA | {"look_at": None}),
+        encoded(type="ViewerCameraMessage", **CAMERA | {"wxyz": []}),
+        encoded(type="ViewerCameraMessage", **CAMERA | {"position": [1.0] * 1000}),
+        encoded(type="ViewerCameraMessage", **CAMERA | {"fov": "wide"}),
+        encoded(type="ViewerCameraMessage", **CAMERA | {"fov": float("nan")}),
     ],
 )
 def test_other_messages_are_refused(message):

@@ -2,7 +2,7 @@
 
 from app.runs.replay import Recorder
 from app.viewer.load import LoadedRun, RunSummary
-from app.viewer.page import add_summary, caption_text, write_page
+from app.viewer.page import add_summary, caption_text, is_page, write_page
 from app.viewer.snapshot import ObjectOutcome, Snapshot
 
 
@@ -23,4 +23,5 @@ def test_the_page_is_one_file_of_the_reported_size(tmp_path):
     recorder.note("stage", name="scan")
     path = tmp_path / "page.html"
     assert write_page(path, LoadedRun(recorder), "Scan", "") == path.stat().st_size > 10_000
+    assert is_page(path)
     assert "<title>Scan · NodeSLAM</title>" in path.read_text(encoding="utf-8")

@@ -121,6 +121,14 @@ def test_logits_are_averaged_with_those_of_the_mirror_image():
     assert yaw[1] == 0.5 and yaw[-1] == 1.5 and yaw.sum() == 2.0  # bin 1 of the mirror image is bin -1
 
 
+@pytest.mark.parametrize("temperature", ["nan", "0", "-1", "inf", "hot"])
+def test_a_temperature_is_positive(tmp_path, temperature):
+    path = tmp_path / "yaw.safetensors"
+    save_file(create_network("yaw").state_dict(), path, metadata={"task": "yaw", "temperature": temperature})
+    with pytest.raises(PerceptionError, match=f"temperature '{temperature}' is not positive"):
+        load_crop_network("yaw", path)
+
+
 def test_probabilities_are_the_softmax_of_logits_over_the_temperature():
     class Fixed(CropNet):
         def forward(self, images, context):

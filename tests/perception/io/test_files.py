@@ -158,3 +158,12 @@ def test_any_content_is_read_or_refused(tmp_path_factory, content):
         read_json(path, "copy it")
     except InvalidInputError as error:
         assert str(error).endswith(": copy it") and len(str(error).splitlines()) == 1
+
+
+def test_what_is_no_regular_file_is_not_replaced(tmp_path):
+    os.mkfifo(tmp_path / "pipe")
+    (tmp_path / "link").symlink_to(tmp_path / "pipe")
+    for name in ("pipe", "link"):
+        with pytest.raises(InvalidInputError, match="is a named pipe, not a regular file"):
+            write_atomically(tmp_path / name, "text")
+    assert (tmp_path / "pipe").is_fifo() and len(list(tmp_path.iterdir())) == 2

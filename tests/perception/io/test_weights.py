@@ -167,6 +167,19 @@ def test_numbers_that_are_not_finite_are_refused(tmp_path):
         read_weights(path, "train again")
 
 
+@pytest.mark.parametrize("kind", [torch.complex64, torch.float8_e4m3fn, torch.bool])
+def test_numbers_of_other_types_are_refused(tmp_path, kind):
+    path = saved(tmp_path / "a.safetensors", {"w": torch.ones(2).to(kind)})
+    with pytest.raises(PerceptionError, match=rf"'w' holds {kind} numbers; train again"):
+        read_weights(path, "train again")
+
+
+def test_checksums_that_are_no_text_are_refused(weights):
+    (weights.parent / CHECKSUMS_FILE).write_bytes(b"\xff\xfe")
+    with pytest.raises(PerceptionError, match=r"net\.safetensors cannot be read .*; retrain$"):
+        verify_weights(weights, "retrain")
+
+
 def test_a_difference_to_the_network_is_named(tmp_path):
     with pytest.raises(PerceptionError, match=r"do not fit the network \(size mismatch for weight.*train"):
         load_tensors(torch.nn.Linear(3, 1, bias=False), {"weight": torch.eye(2)}, tmp_path / "a", "train")
