@@ -224,7 +224,8 @@ def main() -> None:
     options.out.mkdir(parents=True, exist_ok=True)
     campaign, ledger = Campaign(options.out.resolve(), options.only), options.out / "kills.jsonl"
     rows = [json.loads(line) for line in ledger.read_text().splitlines()] if ledger.exists() else []
-    for number in sorted(set(range(options.first, options.first + options.kills)) - {row["number"] for row in rows}):
+    numbers = range(options.first, options.first + options.kills)
+    for number in sorted(set(numbers) - {row["number"] for row in rows}):
         rows.append(campaign.kill(number))
         with ledger.open("a") as file:
             file.write(json.dumps(rows[-1]) + "\n")

@@ -40,13 +40,11 @@ def check_message(raw: bytes | str, control: ControlLookup = lambda uuid: None) 
         if handle is not None and not is_valid_for(handle._impl, value):
             return INVALID_VALUE
     if kind == "ViewerCameraMessage":
-        vectors = {name: message.get(name) for name in CAMERA_VECTORS}
-        if not all(
-            isinstance(vector, list) and len(vector) == CAMERA_VECTORS[name]
-            for name, vector in vectors.items()
-        ):
+        vectors: list[Any] = [message.get(name) for name in CAMERA_VECTORS]
+        lengths = [len(vector) if isinstance(vector, list) else 0 for vector in vectors]
+        if lengths != list(CAMERA_VECTORS.values()):
             raise ValueError("a camera has three vectors and a quaternion")
-        numbers = [*chain.from_iterable(vectors.values()), *(message.get(name) for name in CAMERA_NUMBERS)]
+        numbers = [*chain.from_iterable(vectors), *(message.get(name) for name in CAMERA_NUMBERS)]
         if not all(isinstance(value, int | float) and isfinite(value) for value in numbers):
             raise ValueError("a camera must hold finite numbers")
     return kind
