@@ -7,7 +7,7 @@ from __future__ import annotations
 
 import contextlib
 import itertools
-from collections.abc import Collection, Iterator, Sequence
+from collections.abc import Collection, Hashable, Iterator, Sequence
 from enum import IntEnum
 
 import numpy as np
@@ -48,6 +48,7 @@ class ObjectPlanning:
 
     def __init__(self, task: TaskPlan, planner: PickPlacePlanner, config: ManipulationConfig) -> None:
         self._task, self._planner, self._config = task, planner, config
+        self._failures: dict[Hashable, tuple[int, NoPlanError]] = {}  # with the state of the scene
 
     def next_plan(
         self, placement: Placement, q: Posture, tried: Sequence[Grasp] = (), effort: Effort = Effort.PLAIN
@@ -60,17 +61,16 @@ class ObjectPlanning:
         if lies(self._planner.world.pose(placement.name)):
             return self._turn(placement, q, tried, effort)
         try:
-            return self._planner.plan(placement, q, tried)
+            return self._plan([placement], q, tried)
         except PlanningError as error:
             if effort == Effort.PLAIN:
                 raise
             elsewhere = self._places_elsewhere(placement)
             if elsewhere:
                 with contextlib.suppress(PlanningError):
-                    return self._planner.plan(elsewhere, q, tried)
-            tilted = self._planner.tilted_grasps(placement.name)
+                    return self._plan(elsewhere, q, tried)
             with contextlib.suppress(PlanningError):
-                return self._planner.plan([placement, *elsewhere], q, tried, tilted)
+                return self._plan([placement, *elsewhere], q, tried, is_tilted=True)
             raise error
 
     def plans_aside(
@@ -111,18 +111,36 @@ class ObjectPlanning:
             raise PlanningError(f"{at}: {grasps.failure_message(name, _TURN_OVER if overturned else '')}")
         spots = turning_goals(item, T_world_stand, self._taken(name), self._config.free_area)
         goals = [] if overturned else [placement]
-        if effort > Effort.PLAIN and not overturned:
-            goals += self._places_elsewhere(placement)
         goals += itertools.islice(spots, _SPOTS)
         if not goals:
             raise PlanningError(f"{at}: no free table to turn it")
         try:
-            return planner.plan(goals, q, tried)
+            return self._plan(goals, q, tried)
         except NoPlanError as error:
             if effort > Effort.PLAIN:
+                elsewhere = [] if overturned else self._places_elsewhere(placement)
                 with contextlib.suppress(PlanningError):
-                    return planner.plan(goals, q, tried, planner.tilted_grasps(name))
+                    return self._plan([*goals, *elsewhere], q, tried, is_tilted=True)
             raise NoPlanError(f"{at} and cannot be turned: {error}", error.blockers) from error
+
+    def _plan(
+        self, goals: Sequence[Placement], q: Posture, tried: Sequence[Grasp], is_tilted: bool = False
+    ) -> PickPlacePlan:
+        """Return the plan to the first feasible goal; what failed is not tried again in the same scene.
+
+        Raises:
+            NoPlanError: there is none.
+        """
+        planner = self._planner
+        key = (is_tilted, len(tried), *((goal.name, goal.position, goal.stack) for goal in goals))
+        scene, failure = self._failures.get(key, (None, None))
+        if failure is not None and scene == planner.n_changes:
+            raise failure
+        try:
+            return planner.plan(goals, q, tried, planner.tilted_grasps(goals[0].name) if is_tilted else None)
+        except NoPlanError as error:
+            self._failures[key] = planner.n_changes, error
+            raise
 
     def _places_elsewhere(self, placement: Placement) -> list[Placement]:
         """Return other places in the box for an object that is not to stand on others."""

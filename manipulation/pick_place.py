@@ -113,6 +113,7 @@ class PickPlacePlanner:
         self._lying: dict[str, GraspSet] = {}  # of objects that do not stand
         self._tilted: dict[str, GraspSet] = {}
         self._forgotten: set[str] = set()
+        self._n_changes = 0
         self._build_world()
 
     def _build_world(self) -> None:
@@ -131,6 +132,15 @@ class PickPlacePlanner:
         """The obstacles of perceived geometry."""
         return tuple(o for o in self._obstacles if isinstance(o, PerceivedObstacle))
 
+    @property
+    def n_changes(self) -> int:
+        """Number of changes of the scene so far."""
+        return self._n_changes
+
+    def _on_change(self) -> None:
+        self._n_changes += 1
+        self._tilted.clear()
+
     def poses(self) -> dict[str, Float[np.ndarray, "4 4"]]:
         """Return T_world_stand of every object that is not forgotten, by name."""
         return {name: self.world.pose(name) for name in self.world.names if name not in self._forgotten}
@@ -141,7 +151,7 @@ class PickPlacePlanner:
         poses = {name: self.world.pose(name) for name in self.world.names}
         self._obstacles = (*known, *obstacles)
         self._build_world()
-        self._tilted.clear()
+        self._on_change()
         for name, T in poses.items():
             self.world.move(name, T)
             self.world.set_present(name, name not in self._forgotten)
@@ -151,13 +161,13 @@ class PickPlacePlanner:
         self.world.set_present(name, True)
         self.world.move(name, T_world_stand)
         self._lying.pop(name, None)
-        self._tilted.clear()
+        self._on_change()
         self._forgotten.discard(name)
 
     def forget(self, name: str) -> None:
         """Remove an object of unknown pose from the collision world."""
         self.world.set_present(name, False)
-        self._tilted.clear()
+        self._on_change()
         self._forgotten.add(name)
 
     def grasps(self, name: str) -> GraspSet:

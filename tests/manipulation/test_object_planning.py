@@ -24,7 +24,7 @@ class FakePlanner(PickPlacePlanner):
 
     def __init__(self, items, feasible=lambda goals, grasps: False):
         self.items, self.feasible, self.requests = items, feasible, []
-        self._obstacles, self.found = (), GRASPS
+        self._obstacles, self.found, self._n_changes = (), GRASPS, 0
         self.Ts = {name: item.T_world_stand for name, item in items.items()}
         self.world = SimpleNamespace(pose=self.Ts.__getitem__)
 
@@ -69,6 +69,16 @@ def test_the_plain_effort_is_the_goal_with_the_grasps_of_the_shape(items):
         planning(items, planner).next_plan(GOAL, Q)
     assert error.value.blockers == ("bowl_2",)
     assert planner.requests == [([GOAL], None)]
+
+
+def test_what_failed_is_not_tried_again_until_the_scene_changes(items):
+    planner = FakePlanner(items)
+    planned = planning(items, planner)
+    for n_changes, n_requests in ((0, 1), (0, 1), (1, 2)):
+        planner._n_changes = n_changes
+        with pytest.raises(NoPlanError):
+            planned.next_plan(GOAL, Q)
+        assert len(planner.requests) == n_requests
 
 
 def test_more_effort_is_other_places_and_then_any_angle(items):
