@@ -9,6 +9,7 @@ import contextlib
 import json
 import math
 import os
+import re
 import stat
 import tempfile
 from pathlib import Path
@@ -18,6 +19,7 @@ from perception.errors import InvalidInputError
 
 MAX_JSON_BYTES = MAX_TEXT_BYTES = 256 * 2**20
 MAX_DIGITS = 18  # of an integer in a JSON file: all fit into 64 bits
+_SURROGATE = re.compile(rb"\\u[dD][89a-fA-F]")
 _KINDS = {
     stat.S_IFDIR: "a folder",
     stat.S_IFIFO: "a named pipe",
@@ -50,8 +52,14 @@ def write_atomically(path: Path, content: bytes | str) -> None:
 
 
 def write_json(path: Path, value: Any) -> None:
-    """Write JSON atomically; raises ValueError for NaN and infinities, which JSON cannot represent."""
-    write_atomically(path, json.dumps(value, indent=1, allow_nan=False) + "\n")
+    """Write JSON atomically; raises ValueError for NaN and infinities, which JSON cannot represent.
+
+    What is no Unicode, such as in names of files that were made in another encoding, becomes question marks.
+    """
+    text = json.dumps(value, indent=1, allow_nan=False)
+    if _SURROGATE.search(text.encode()):
+        text = json.dumps(value, indent=1, allow_nan=False, ensure_ascii=False)
+    write_atomically(path, text.encode(errors="replace") + b"\n")
 
 
 def check_regular(path: Path, max_bytes: int) -> None:
@@ -120,15 +128,20 @@ def parse_json(data: bytes) -> Any:
     """Parse JSON in UTF-8.
 
     Raises:
-        ValueError: It is not JSON, is nested too deeply, or holds a number that is too large; the message
-            continues a sentence that begins with the name of the file.
+        ValueError: It is not JSON, is nested too deeply, or holds a number that is too large or text that
+            cannot be encoded; the message continues a sentence that begins with the name of the file.
     """
     try:
-        return json.loads(data.decode("utf-8"), parse_int=_integer, parse_float=_real)
+        value = json.loads(data.decode("utf-8"), parse_int=_integer, parse_float=_real)
+        if _SURROGATE.search(data):
+            json.dumps(value, ensure_ascii=False).encode()  # fails if one of a pair is alone
+        return value
     except RecursionError:
         raise ValueError("cannot be read (nested too deeply)") from None
     except UnicodeDecodeError as error:
         raise ValueError(f"cannot be read ({error})") from None
+    except UnicodeEncodeError:
+        raise ValueError("holds text that is no Unicode (half of a surrogate pair)") from None
     except json.JSONDecodeError as error:
         where = f"line {error.lineno} column {error.colno}"
         raise ValueError(f"is not valid JSON ({error.msg} at {where})") from None

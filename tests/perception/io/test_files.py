@@ -12,7 +12,14 @@ from hypothesis import strategies as st
 
 from perception.errors import InvalidInputError
 from perception.io import files
-from perception.io.files import MAX_JSON_BYTES, read_bytes, read_json, write_atomically, write_json
+from perception.io.files import (
+    MAX_JSON_BYTES,
+    parse_json,
+    read_bytes,
+    read_json,
+    write_atomically,
+    write_json,
+)
 
 
 def test_text_and_bytes_replace_the_old_file(tmp_path):
@@ -167,3 +174,18 @@ def test_what_is_no_regular_file_is_not_replaced(tmp_path):
         with pytest.raises(InvalidInputError, match="is a named pipe, not a regular file"):
             write_atomically(tmp_path / name, "text")
     assert (tmp_path / "pipe").is_fifo() and len(list(tmp_path.iterdir())) == 2
+
+
+@pytest.mark.parametrize("text", ['"\\ud800"', '{"\\uDFff": 1}', '["\\ud83d \\ude00"]'])
+def test_halves_of_surrogate_pairs_are_no_text(text):
+    with pytest.raises(ValueError, match="half of a surrogate pair"):
+        parse_json(text.encode())
+
+
+def test_surrogate_pairs_are_text():
+    assert parse_json(b'"\\ud83d\\ude00"') == "\U0001f600"
+
+
+def test_names_that_are_no_unicode_can_be_written(tmp_path):
+    write_json(tmp_path / "a.json", {"scan": "/\udcff", "\U0001f600": 1})
+    assert read_json(tmp_path / "a.json", "") == {"scan": "/?", "\U0001f600": 1}
