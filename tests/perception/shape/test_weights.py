@@ -51,7 +51,7 @@ def test_truncated_weights_say_what_to_do(tmp_path):
 def test_weights_of_another_network_are_refused(tmp_path):
     path = tmp_path / "other.safetensors"
     save_file({"a": torch.zeros(3)}, path)
-    with pytest.raises(PerceptionError, match="format None, expected 'nodeslam-shape-1'"):
+    with pytest.raises(PerceptionError, match="format 'None', expected 'nodeslam-shape-1'"):
         ShapeDecoder.load(path)
     save_file({"a": torch.zeros(3)}, path, metadata={"format": "nodeslam-shape-1"})
     with pytest.raises(PerceptionError, match="do not fit the network"):
