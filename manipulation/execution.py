@@ -105,6 +105,7 @@ class _Execution:
         self.planning = ObjectPlanning(task, planner, config)
         self.outcomes: dict[str, ObjectOutcome] = {}
         self._set_aside: set[str] = set()
+        self._blockers: dict[str, Sequence[str]] = {}  # of objects that had no plan
         self._tried_before: dict[str, ObjectOutcome] = {}  # first outcomes of objects that get another chance
 
     def run(self) -> list[ObjectOutcome]:
@@ -131,6 +132,7 @@ class _Execution:
                 continue
             self.outcomes[placement.name] = outcome
             self._notify("placed" if outcome.placed else "failed", placement.name, outcome.reason)
+            queue = self._unblocked_first(queue, outcome.name)
         with contextlib.suppress(RobotStoppedError):
             self.motion.go_home()
         return list(self.outcomes.values())
@@ -138,6 +140,7 @@ class _Execution:
     def _attempt(self, placement: Placement, effort: Effort) -> ObjectOutcome | None:
         """Try to place one object; return None if it is deferred."""
         if self._waits_for_stack(placement) and effort < Effort.CLEARING:
+            self._blockers[placement.name] = placement.stack
             return None
         outcome = self._place(self._with_placed_stack(placement), effort)
         is_unplanned = outcome.attempts == 0 and placement.name not in self.planner.forgotten
@@ -145,6 +148,13 @@ class _Execution:
             self._notify("deferred", placement.name, outcome.reason)
             return None
         return outcome
+
+    def _unblocked_first(self, queue: deque[Placement], moved: str) -> deque[Placement]:
+        """Return the queue with those first that an object blocked before it was moved.
+
+        They are next in the task's order, and what comes later may block their goals.
+        """
+        return deque(sorted(queue, key=lambda placement: moved not in self._blockers.get(placement.name, ())))
 
     def _gets_another_chance(self, placement: Placement, outcome: ObjectOutcome) -> bool:
         """Return whether an object that was not placed is tried once more when the others are done."""
@@ -167,14 +177,17 @@ class _Execution:
         return any(name not in self.outcomes for name in placement.stack)
 
     def _with_placed_stack(self, placement: Placement) -> Placement:
-        """Return the placement with its stack reduced to the bowls that were placed."""
+        """Return the placement with its stack reduced to the bowls that were placed, at the uppermost one."""
+        if not placement.stack:
+            return placement
         stack = tuple(
             name for name in placement.stack if name in self.outcomes and self.outcomes[name].placed
         )
-        if stack == placement.stack:
-            return placement
-        height = placement.release_height if stack else self.config.packing.release_height
-        return replace(placement, stack=stack, release_height=height)
+        if not stack:
+            return replace(placement, stack=(), release_height=self.config.packing.release_height)
+        # The bowl below may have moved when it was released or pressed.
+        x, y = self.planner.poses()[stack[-1]][:2, 3]
+        return replace(placement, stack=stack, position=(float(x), float(y), placement.position[2]))
 
     def _place(self, placement: Placement, effort: Effort) -> ObjectOutcome:
         """Try to place one object; the outcome has 0 attempts if there is no plan for the first."""
@@ -195,6 +208,7 @@ class _Execution:
                 plan = self._plan(placement, tried, effort)
             except PlanningError as error:
                 reason = f"{reason}; then {error}" if reason else str(error)
+                self._blockers[name] = error.blockers if isinstance(error, NoPlanError) else ()
                 logger.info("%s", error)
                 return ObjectOutcome(number, name, False, n_before + attempts, reason)
             try:

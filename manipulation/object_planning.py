@@ -8,6 +8,7 @@ from __future__ import annotations
 import contextlib
 import itertools
 from collections.abc import Collection, Hashable, Iterator, Sequence
+from dataclasses import replace
 from enum import IntEnum
 
 import numpy as np
@@ -143,9 +144,11 @@ class ObjectPlanning:
             raise
 
     def _places_elsewhere(self, placement: Placement) -> list[Placement]:
-        """Return other places in the box for an object that is not to stand on others."""
-        if self._task.task != "pack" or self._task.box is None or placement.stack:
+        """Return other places for an object on the floor of the box."""
+        if self._task.task != "pack" or self._task.box is None:
             return []
+        if placement.stack:
+            placement = replace(placement, stack=(), release_height=self._config.packing.release_height)
         objects = self._task.objects
         others = [(objects[n], T) for n, T in self._planner.poses().items() if n != placement.name]
         return free_places(objects[placement.name], placement, others, self._task.box)

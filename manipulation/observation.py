@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Mapping
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
 from typing import Literal, Protocol, runtime_checkable
 
@@ -52,6 +52,13 @@ class SceneObserver(Protocol):
         """Move the camera and search for an object: first where it is expected, then on the whole table."""
         ...
 
+    def look_closer(self, names: Sequence[str], poses: Poses) -> Poses:
+        """Move the camera to objects that touch each other, the uppermost first.
+
+        Returns the pose of each that is seen near where it is expected, with its tilt.
+        """
+        ...
+
 
 class NoObserver:
     """Sees nothing; execution then relies on the width between the fingers alone."""
@@ -61,6 +68,9 @@ class NoObserver:
 
     def find(self, name: str, poses: Poses) -> Finding:
         return Finding("unseen")
+
+    def look_closer(self, names: Sequence[str], poses: Poses) -> Poses:
+        return {}
 
 
 def classify_grip(width: float, grasp: Grasp) -> Grip:

@@ -11,17 +11,20 @@ import logging
 from typing import Literal, Protocol, runtime_checkable
 
 import numpy as np
+from jaxtyping import Float
 
 from manipulation.errors import RobotError
 from manipulation.observation import SceneObserver, classify_grip, is_displaced
 from manipulation.pick_place import PickPlacePlanner
 from manipulation.planner import ManipulationConfig
+from manipulation.pressing import LEANING, lean, levelled, plan_press
 from manipulation.robot import Robot
 from manipulation.trajectories import joint_move, line_postures
 from manipulation.types import Grasp, PickPlacePlan
 
 logger = logging.getLogger(__name__)
 
+MAX_PRESSES = 2  # of one bowl
 MISPLACED = 0.02  # [m] from its goal, from which on a released object is grasped again
 
 Phase = Literal[
@@ -107,6 +110,8 @@ class PlanExecution:
         self.planner.moved(name, plan.T_world_stand_rest)
         self._notify("retreat", name)
         robot.follow(plan.retreat)
+        if plan.placement.stack:
+            self._settle_in_stack(plan)
         self._require_released(plan)
 
     def _require_in_place(self, name: str) -> None:
@@ -122,9 +127,43 @@ class PlanExecution:
         finding = self.observer.find(name, self.planner.poses())
         if finding.T_world_stand is None:
             return  # the final verification judges what cannot be seen from here
+        self.planner.moved(name, finding.T_world_stand)
         if is_displaced(plan.T_world_stand_rest, finding.T_world_stand, MISPLACED):
-            self.planner.moved(name, finding.T_world_stand)
             raise GraspFailedError(f"{name} is not where it was released")
+
+    def _settle_in_stack(self, plan: PickPlacePlan) -> None:
+        """Look at a bowl in others, follow those that moved, and press it level while it leans."""
+        names = (plan.name, *reversed(plan.placement.stack))
+        for presses in range(MAX_PRESSES + 1):
+            before = self.planner.poses()
+            seen = self.observer.look_closer(names, before)
+            for name, T_world_stand in seen.items():
+                self.planner.moved(name, levelled(T_world_stand, float(before[name][2, 3])))
+            T_world_stand = seen.get(plan.name)
+            if T_world_stand is None or lean(T_world_stand) < LEANING or presses == MAX_PRESSES:
+                return
+            self._press(plan.name, T_world_stand, frozenset(names))
+
+    def _press(self, name: str, T_world_stand: Float[np.ndarray, "4 4"], touched: frozenset[str]) -> None:
+        """Press a leaning bowl down with the closed hand, as far as it gives."""
+        robot, planner = self.robot, self.planner
+        rest_height = float(planner.world.pose(name)[2, 3])
+        press = plan_press(
+            planner.motions, planner.items[name], T_world_stand, rest_height, robot.joint_positions(), touched
+        )
+        if press is None:
+            logger.info("%s leans and cannot be pressed level", name)
+            return
+        self._notify("place", name, "leans and is pressed level")
+        robot.move_gripper(0.0)
+        robot.follow(press.transit)
+        try:
+            robot.follow(press.down)
+        except RobotError as error:
+            logger.info("%s gives no further: %s", name, error)
+            self.back_off()
+        else:
+            robot.follow(press.up)
 
     def _release(self, plan: PickPlacePlan) -> None:
         """Open the gripper; for a bowl, first loosen it and lower the pads past its lip."""

@@ -16,11 +16,11 @@ from jaxtyping import Float
 from manipulation.errors import ManipulationError, RobotStoppedError
 from manipulation.lying_grasps import lies
 from manipulation.observation import Finding, Poses, Presence, is_displaced
+from manipulation.pressing import levelled
 from manipulation.types import StandingObject
 from manipulation.viewpoints import ViewpointScanner
 from manipulation.workspace import Workspace
 from perception.errors import PerceptionError
-from perception.geometry import pose_from_yaw
 from perception.inference.refit import PoseCheck, refit_pose
 from perception.inference.relocate import Region, SearchScene, relocate
 from perception.obstacles.obstacle import PerceivedObstacle
@@ -88,6 +88,20 @@ class WristObserver:
             logger.info("cannot observe %s: %s", name, error)
             return Finding("unseen")
 
+    def look_closer(self, names: Sequence[str], poses: Poses) -> Poses:
+        now = dict(poses)
+        try:
+            frames = self._closeups(names[0], poses)
+            for name in names:
+                check = self._check(name, now, frames)
+                if check.status == "seen" and check.visible_pixels >= MIN_PIXELS:
+                    now[name] = self._stand_pose(name, check)
+        except RobotStoppedError:
+            raise
+        except (ManipulationError, PerceptionError) as error:
+            logger.info("cannot look closer at %s: %s", names[0], error)
+        return {name: now[name] for name in names if now[name] is not poses[name]}
+
     def _presence(self, name: str, poses: Poses, frame: RgbdFrame) -> Presence:
         """Return whether one image shows an object where it is expected."""
         check = self._check(name, poses, [frame])
@@ -100,12 +114,15 @@ class WristObserver:
 
     def _find_nearby(self, name: str, poses: Poses) -> Finding | None:
         """Search for a standing object within a few centimetres of where it is expected."""
-        x, y = poses[name][:2, 3]
-        frames = self._scanner.capture(self._workspace.closeup_viewpoints(float(x), float(y)))
-        check = self._check(name, poses, frames)
+        check = self._check(name, poses, self._closeups(name, poses))
         if check.status != "seen" or check.visible_pixels < MIN_PIXELS or check.tilt > MAX_TILT:
             return None
         return Finding("found", self._standing(name, check, poses[name][2, 3]))
+
+    def _closeups(self, name: str, poses: Poses) -> Sequence[RgbdFrame]:
+        """Take images of where an object is expected."""
+        x, y = poses[name][:2, 3]
+        return self._scanner.capture(self._workspace.closeup_viewpoints(float(x), float(y)))
 
     def _find_on_table(self, name: str, poses: Poses) -> Finding:
         """Search for an object on the whole table, in any resting pose."""
@@ -168,6 +185,4 @@ class WristObserver:
 
     def _standing(self, name: str, check: PoseCheck, support: float) -> Float[np.ndarray, "4 4"]:
         """Return the fitted pose of a standing object without its tilt, on a support of a height [m]."""
-        T = self._stand_pose(name, check)
-        yaw = float(np.arctan2(T[1, 0] - T[0, 1], T[0, 0] + T[1, 1]))
-        return pose_from_yaw(yaw, np.array([T[0, 3], T[1, 3], support]))
+        return levelled(self._stand_pose(name, check), support)

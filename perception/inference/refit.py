@@ -99,8 +99,8 @@ def refit_pose(
     search = _Search(estimate, frames, T_expected, others, plane, config)
     expected = ObjectPose.of(T_expected, search.scale)
     best = search.refine(expected)
-    if search.share(best) < search.share(expected):  # misled by what is not of the shape, such as contents
-        best = max([expected, search.refine(expected, config.reaches[-1:])], key=search.share)
+    if search.gain(best) < search.gain(expected):  # misled by what is not of the shape, such as contents
+        best = max([expected, search.refine(expected, config.reaches[-1:])], key=search.gain)
     if search.share(best) < config.min_share:
         offsets = [(dx, dy, 0.0) for dx, dy in ((1, 0), (-1, 0), (0, 1), (0, -1))]
         starts = [
@@ -269,6 +269,14 @@ class _Search:
         on: Bool[np.ndarray, "n"] = image.mask > 0.8
         own = on & (np.abs(behind) < self.config.agree) & (np.abs(behind) <= self.explained + 0.002)
         return float(self.area[own].sum()), float(self.area[on & (behind >= self.config.agree)].sum())
+
+    def gain(self, pose: ObjectPose) -> float:
+        """Return by how many pixels those that agree outnumber those that contradict.
+
+        Unlike their share, it tells a pose that explains what is seen from one that hides behind it.
+        """
+        agree, through = self.evidence(pose)
+        return agree - through
 
     def share(self, pose: ObjectPose) -> float:
         """Return the share of the visible pixels that agree with the object at a pose."""

@@ -5,7 +5,7 @@ import numpy as np
 import pytest
 
 from manipulation.collision import AllowedContacts
-from manipulation.errors import PlanningError, RobotError, RobotStoppedError
+from manipulation.errors import NoPlanError, PlanningError, RobotError, RobotStoppedError
 from manipulation.execution import execute
 from manipulation.grasp_config import GraspConfig
 from manipulation.kinematics import Kinematics
@@ -18,6 +18,7 @@ from manipulation.robot import RobotState
 from manipulation.standing import to_standing
 from manipulation.trajectories import MotionConfig
 from manipulation.types import Box, Line, Placement
+from perception.geometry import pose_from_yaw
 from perception.obstacles.obstacle import PerceivedObstacle
 
 # Coarser than the defaults, for speed alone.
@@ -154,10 +155,14 @@ def test_motions_are_free_of_contact_in_the_planners_world(packing, arm):
 
 
 class FakeObserver:
-    """Reports what ``presence`` lists, then objects in place; finds objects where ``poses`` says."""
+    """Reports what ``presence`` lists, then objects in place; finds objects where ``poses`` says.
+
+    ``closer`` lists what closer looks at stacks show, each by name; after them, nothing.
+    """
 
     def __init__(self, presence=(), **findings):
         self.presence, self.findings, self.searched = list(presence), findings, []
+        self.closer, self.looked_at = [], []
 
     def glance(self, poses, names):
         return {name: self.presence.pop(0) if self.presence else "in_place" for name in names}
@@ -166,6 +171,10 @@ class FakeObserver:
         self.searched.append(name)
         answers = self.findings.get(name, [])
         return answers.pop(0) if answers else Finding("found", poses[name]) if name in poses else MISSING
+
+    def look_closer(self, names, poses):
+        self.looked_at.append(tuple(names))
+        return self.closer.pop(0) if self.closer else {}
 
 
 MISSING = Finding("missing")
@@ -339,6 +348,39 @@ def test_blocked_object_is_deferred_until_the_others_are_moved(packing, arm, mon
     assert [o.name for o in outcomes] == ["can_1", "bowl_2", "bowl_3"]
     deferred = [event for event in watcher.events if event.phase == "deferred"]
     assert [event.name for event in deferred] == ["bowl_2"] and "9 collide with can_1" in deferred[0].message
+
+
+def test_what_an_object_blocked_comes_next_once_that_is_moved(scene, shapes, arm, monkeypatch):
+    """Not after all others, whose places may block its goal."""
+    cans = [shapes.estimate(i, "can", shapes.can(), x=0.1 * i, y=-0.4) for i in (4, 5)]
+    task = plan_sort([*scene[:1], *cans], Line(), arm, CONFIG)
+    first, second, third = (placement.name for placement in task.placements)
+    plan, failed = PickPlacePlanner.plan, []
+
+    def blocked_at_first(self, placement, q_start, tried=(), grasps=None):
+        if placement[0].name == first and not failed:
+            failed.append(first)
+            raise NoPlanError("blocked", (second,))
+        return plan(self, placement, q_start, tried)
+
+    monkeypatch.setattr(PickPlacePlanner, "plan", blocked_at_first)
+    robot = FakeRobot(arm)
+    outcomes = execute(task, robot, None, Watcher(robot), CONFIG)
+    assert [outcome.name for outcome in outcomes] == [second, first, third]
+
+
+def test_a_nested_bowl_is_placed_where_the_one_below_is(packing, arm):
+    """The lower bowl is found 8 mm from its goal after its release."""
+    goal = next(p for p in packing.placements if p.name == "bowl_2").position
+    T = pose_from_yaw(0.0, np.add(goal, (0.008, -0.004, 0.0)))
+    observer = FakeObserver(["in_place", "displaced"], bowl_2=[Finding("found", T)])
+    assert packing.placements[0].name == "bowl_2"
+    robot = FakeRobot(arm)
+    watcher = Watcher(robot)
+    outcomes = {o.name: o for o in execute(packing, robot, observer, watcher, CONFIG)}
+    assert observer.looked_at == [("bowl_3", "bowl_2")]
+    nested = watcher.plans["bowl_3"].T_world_stand_rest
+    assert outcomes["bowl_3"].placed and nested[:2, 3] == pytest.approx(T[:2, 3])
 
 
 def test_object_that_stays_blocked_fails_and_releases_its_stack(packing, arm, monkeypatch):

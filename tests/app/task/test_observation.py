@@ -11,7 +11,7 @@ from manipulation.errors import PlanningError, RobotStoppedError
 from manipulation.viewpoints import ViewpointScanner
 from manipulation.workspace import Workspace
 from perception.errors import PerceptionError
-from perception.geometry import pose_from_yaw
+from perception.geometry import pose_from_yaw, so3_exp
 from perception.inference.refit import PoseCheck
 from perception.obstacles.obstacle import PerceivedObstacle
 
@@ -134,3 +134,40 @@ def test_without_images_nothing_is_known(scene, error):
     watch, poses, answers, _ = scene
     answers["check"] = error
     assert watch.find("can_0", poses).status == "unseen"
+
+
+def test_a_closer_look_keeps_the_tilt_and_gives_each_the_poses_before_it(
+    scene, can_at, pack_plan, monkeypatch
+):
+    watch, poses, answers, scanner = scene
+    T = np.array(can_at().T_world_object)
+    T[:3, :3] = so3_exp(np.array([0.2, 0.0, 0.0])) @ T[:3, :3]
+    answers["check"] = replace(SEEN, T_world_object=T)
+    seen = watch.look_closer(["can_0"], poses)
+    assert len(scanner.visited) == 1 and np.arccos(seen["can_0"][2, 2]) == pytest.approx(0.2)
+    for nothing in (replace(answers["check"], status="not_there"), shifted(can_at, 0.0, visible_pixels=3)):
+        answers["check"] = nothing
+        assert watch.look_closer(["can_0"], poses) == {}
+    answers["check"] = PerceptionError("no depth")
+    assert watch.look_closer(["can_0"], poses) == {}
+    answers["check"] = RobotStoppedError("a person is near")
+    with pytest.raises(RobotStoppedError):
+        watch.look_closer(["can_0"], poses)
+
+
+def test_a_closer_look_at_several_uses_the_poses_just_found(scene, can_at, pack_plan, monkeypatch):
+    _, _, _, scanner = scene
+    item = pack_plan.objects["can_0"]
+    items = {"can_0": item, "can_1": replace(item, id=1)}
+    others = []
+
+    def refit(estimate, frames, T_expected, near):
+        others.append([other.T_world_object[0, 3] for other in near])
+        return shifted(can_at, 0.02)
+
+    monkeypatch.setattr(observation, "refit_pose", refit)
+    watch = WristObserver(scanner, [can_at(), replace(can_at(), id=1)], items)
+    poses = {name: item.T_world_stand for name in items}
+    watch.look_closer(["can_1", "can_0"], poses)
+    x = can_at().T_world_object[0, 3]
+    np.testing.assert_allclose(others, [[x], [x + 0.02]])

@@ -7,6 +7,7 @@ import trimesh
 from perception.geometry import rigid, so3_exp
 from perception.inference.meshing import mesh_from_code
 from perception.inference.refit import RefitConfig, _Search, refit_pose
+from perception.rendering.pose import ObjectPose
 from perception.types import ObjectEstimate, RgbdFrame, SupportPlane, TriangleMesh
 
 AZIMUTHS = (0.3, 1.5, 2.7)
@@ -100,6 +101,17 @@ def test_depth_that_another_object_explains_better_is_not_evidence(mug, estimate
     search.explained = np.full_like(search.measured, -1.0)
     assert search.evidence(mug.pose) == (0.0, behind)
     assert not search._evaluate(mug.pose, 0.03).weights[:-2].any()
+
+
+def test_a_pose_behind_what_is_seen_gains_less_than_the_true_one(mug, estimate) -> None:
+    """Most pixels measure depth in front of a pose behind the object; only their number tells it."""
+    search = _search(mug, estimate)
+    pose = ObjectPose.of(mug.pose.T_world_object, search.scale)
+    behind = pose.moved(np.concatenate([np.zeros(3), 0.012 * search.cameras[0][:3, 2], np.zeros(3)]))
+    agree, through = search.evidence(pose)
+    assert search.gain(pose) == agree - through
+    assert search.share(behind) > 0.5 * search.share(pose)
+    assert search.gain(behind) < 0.2 * search.gain(pose)
 
 
 def test_the_nearest_of_several_objects_explains_the_depth(mug, estimate) -> None:

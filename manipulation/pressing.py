@@ -1,0 +1,98 @@
+"""A bowl that leans in the one below it is pressed level: the closed hand pushes down its highest point."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+import numpy as np
+from jaxtyping import Float
+from scipy.spatial.transform import Rotation
+
+from manipulation.collision import AllowedContacts
+from manipulation.motions import MotionPlanner
+from manipulation.trajectories import JointTrajectory
+from manipulation.types import Rejected, StandingObject
+from perception.geometry import pose_from_yaw
+
+LEANING = np.deg2rad(5.0)  # from which on a bowl is pressed; images show the tilt to about 2 degrees
+_ABOVE = 0.04  # [m] over the highest point, where the motion begins
+_DEEPER = 0.002  # [m] below the rim's height at rest: the rim springs back
+_INWARDS = 0.003  # [m] from the outline: fingertips must not slip off the rim
+_DOWN = Rotation.from_matrix(np.diag([1.0, -1.0, -1.0]))  # approach along -z, fingers close along y
+_YAWS = np.deg2rad([0, 45, 90, -45])  # of the closed hand
+
+
+@dataclass(frozen=True)
+class Press:
+    """Motions that press one point down.
+
+    Attributes:
+        transit: to above the point.
+        down: to the height that the point has at rest.
+        up: back again.
+    """
+
+    transit: JointTrajectory
+    down: JointTrajectory
+    up: JointTrajectory
+
+
+def lean(T_world_stand: Float[np.ndarray, "4 4"]) -> float:
+    """Return the angle [rad] between an object's axis and the vertical."""
+    return float(np.arccos(np.clip(T_world_stand[2, 2], -1.0, 1.0)))
+
+
+def levelled(T_world_stand: Float[np.ndarray, "4 4"], height: float) -> Float[np.ndarray, "4 4"]:
+    """Return a pose without its tilt, with the stand frame at a height [m]."""
+    T = T_world_stand
+    yaw = float(np.arctan2(T[1, 0] - T[0, 1], T[0, 0] + T[1, 1]))
+    return pose_from_yaw(yaw, np.array([T[0, 3], T[1, 3], height]))
+
+
+def highest_rim_point(
+    item: StandingObject, T_world_stand: Float[np.ndarray, "4 4"]
+) -> Float[np.ndarray, "3"]:
+    """Return the highest point [m] of the rim of a leaning object, in the world frame."""
+    axis = T_world_stand[:3, 2]
+    uphill = np.array([0.0, 0.0, 1.0]) - axis[2] * axis
+    upper = item.vertices[item.vertices[:, 2] > 0.8 * item.top]
+    radius = float(np.median(np.linalg.norm(upper[:, :2], axis=1))) - _INWARDS
+    return T_world_stand[:3, 3] + item.top * axis + radius * uphill / max(np.linalg.norm(uphill), 1e-9)
+
+
+def plan_press(
+    motions: MotionPlanner,
+    item: StandingObject,
+    T_world_stand: Float[np.ndarray, "4 4"],
+    rest_height: float,
+    q_start: Float[np.ndarray, "n"],
+    touched: frozenset[str],
+) -> Press | None:
+    """Return the motions that press a leaning object level, or None if no direction of the hand is free.
+
+    Args:
+        motions: plans motions of the closed hand.
+        item: the object.
+        T_world_stand: its pose, leaning.
+        rest_height: height of its stand frame where it belongs, in [m].
+        q_start: present posture in [rad].
+        touched: names of objects that the hand may touch: this one, and those that it leans on.
+    """
+    kinematics, gripper = motions.kinematics, motions.kinematics.arm.gripper
+    x, y, z = highest_rim_point(item, T_world_stand)
+    allowed = AllowedContacts(touch=touched)
+    for yaw in _YAWS + np.arctan2(y - kinematics.base[1], x - kinematics.base[0]):
+        T_over, T_at = np.eye(4), np.eye(4)
+        T_over[:3, :3] = T_at[:3, :3] = (Rotation.from_rotvec([0, 0, yaw]) * _DOWN).as_matrix()
+        T_over[:3, 3] = x, y, z + gripper.tip + _ABOVE
+        T_at[:3, 3] = x, y, rest_height + item.top + gripper.tip - _DEEPER
+        over = kinematics.inverse(T_over, [q_start, *kinematics.seeds_toward(T_over, 2)], name=item.name)
+        if not over.converged:
+            continue
+        down = motions.free_line(over.q, [T_at], gripper.min_width, allowed)
+        if isinstance(down, Rejected):
+            continue
+        path = motions.free_path(q_start, over.q, gripper.min_width)
+        if path is not None:
+            return Press(motions.time_path(path), motions.time_line(down), motions.time_line(down[::-1]))
+    return None

@@ -1,0 +1,78 @@
+import numpy as np
+import pytest
+from scipy.spatial.transform import Rotation
+
+from manipulation.kinematics import Kinematics
+from manipulation.obstacles import TABLE, box_obstacles
+from manipulation.pick_place import PickPlacePlanner
+from manipulation.pressing import highest_rim_point, lean, levelled, plan_press
+from manipulation.standing import to_standing
+from manipulation.types import Box
+from perception.geometry import pose_from_yaw
+from tests.manipulation.test_execution import CONFIG
+
+RADIUS, HEIGHT, TILT = 0.06, 0.045, 0.3
+
+
+def leaning(x, y, z=0.02, towards=0.7, tilt=TILT):
+    """A pose whose axis leans in the direction ``towards``."""
+    T = pose_from_yaw(0.4, np.array([x, y, z]))
+    axis = np.array([-np.sin(towards), np.cos(towards), 0.0])
+    T[:3, :3] = Rotation.from_rotvec(tilt * axis).as_matrix() @ T[:3, :3]
+    return T
+
+
+@pytest.fixture(scope="module")
+def bowl(shapes):
+    return to_standing(shapes.estimate(1, "bowl", shapes.bowl(RADIUS, HEIGHT)))
+
+
+def test_lean_and_its_removal():
+    T = leaning(0.5, 0.2)
+    assert lean(T) == pytest.approx(TILT) and lean(pose_from_yaw(1.0, np.zeros(3))) == 0.0
+    level = levelled(T, 0.033)
+    assert lean(level) == 0.0 and level[:3, 3] == pytest.approx((0.5, 0.2, 0.033))
+    # The heading of x changes by the tilt's second order alone.
+    assert level[:3, 0] @ T[:3, 0] > np.cos(TILT)
+    np.testing.assert_allclose(levelled(pose_from_yaw(1.0, np.ones(3)), 1.0), pose_from_yaw(1.0, np.ones(3)))
+
+
+@pytest.mark.parametrize("towards", [0.0, 0.7, -2.5])
+def test_the_highest_point_is_opposite_to_where_the_bowl_leans(bowl, towards):
+    """A disc of radius r at height h, tilted by a: its highest point is at h cos a + r sin a."""
+    point = highest_rim_point(bowl, leaning(0.5, 0.2, 0.02, towards))
+    direction = np.array([np.cos(towards), np.sin(towards)])
+    along = (point[:2] - (0.5, 0.2)) @ direction
+    r = RADIUS - 0.004  # of the rim, less the margin to its edge
+    assert point[2] == pytest.approx(0.02 + HEIGHT * np.cos(TILT) + r * np.sin(TILT), abs=0.002)
+    assert along == pytest.approx(HEIGHT * np.sin(TILT) - r * np.cos(TILT), abs=0.003)
+    assert np.cross(direction, point[:2] - (0.5, 0.2)) == pytest.approx(0.0, abs=1e-3)
+
+
+def test_the_closed_hand_goes_down_to_the_height_at_rest(bowl, arm):
+    planner = PickPlacePlanner(
+        Kinematics(arm), {"bowl_1": bowl}, (TABLE, *box_obstacles(Box())), CONFIG.pick_place
+    )
+    T = leaning(*Box().center)
+    planner.moved("bowl_1", levelled(T, 0.012))
+    press = plan_press(planner.motions, bowl, T, 0.012, arm.q_home, frozenset({"bowl_1"}))
+    assert press is not None
+    kinematics = planner.motions.kinematics
+    over, at = (kinematics.forward(press.down.positions[i]) for i in (0, -1))
+    tip = arm.gripper.tip
+    target = highest_rim_point(bowl, T)
+    assert at[:3, 3] == pytest.approx((*target[:2], 0.012 + bowl.top + tip - 0.002), abs=1e-3)
+    assert over[:3, 3] == pytest.approx((*target[:2], target[2] + tip + 0.04), abs=1e-3)
+    assert at[:3, 2] == pytest.approx((0, 0, -1), abs=2e-3)
+    assert press.transit.positions[-1] == pytest.approx(press.down.positions[0], abs=1e-6)
+    assert press.up.positions[-1] == pytest.approx(press.down.positions[0], abs=1e-6)
+
+
+def test_there_is_no_press_where_the_hand_cannot_go(bowl, arm):
+    planner = PickPlacePlanner(Kinematics(arm), {"bowl_1": bowl}, (TABLE,), CONFIG.pick_place)
+    touched = frozenset({"bowl_1"})
+    assert plan_press(planner.motions, bowl, leaning(1.3, 0.2), 0.0, arm.q_home, touched) is None
+    planner.moved("bowl_1", levelled(leaning(0.5, 0.2), 0.0))
+    assert plan_press(planner.motions, bowl, leaning(0.5, 0.2), 0.0, arm.q_home, frozenset()) is None, (
+        "nothing may be touched"
+    )
