@@ -38,6 +38,7 @@ BEAT: dict[NoteKind, float] = {
     "objects": 0.8,
     "plan": 1.5,
 }
+MAX_TIME = 4 * 3600.0  # [s] of a recording that is read: pages hold a snapshot for every tenth of a second
 Bodies = Mapping[str, tuple[trimesh.Trimesh, ...]]
 
 
@@ -206,8 +207,8 @@ def _note(entry: Any) -> Note:
     if not isinstance(entry, list) or len(entry) != 3 or not isinstance(entry[2], dict):
         raise ValueError("it must be [time, kind, {...}]")
     time, kind, data = entry
-    if not is_finite_number(time):
-        raise ValueError("its time must be a finite number")
+    if not is_finite_number(time) or not 0 <= time <= MAX_TIME:
+        raise ValueError(f"its time must be a number from 0 to {MAX_TIME:g} s")
     kind = _kind(kind)
     check_note(kind, data)
     return Note(float(time), kind, data)
@@ -234,8 +235,11 @@ def _check_arrays(arrays: Mapping[str, np.ndarray]) -> None:
             raise ValueError(f"{name} must hold finite numbers")
         if len(array) != len(arrays["show_time"]):
             raise ValueError(f"{name} has {len(array)} samples, show_time {len(arrays['show_time'])}")
-    if arrays["show_time"].ndim != 1 or (np.diff(arrays["show_time"]) < 0).any():
+    times = arrays["show_time"]
+    if times.ndim != 1 or (np.diff(times) < 0).any():
         raise ValueError("show_time must be in ascending order")
+    if (times < 0).any() or (times > MAX_TIME).any():
+        raise ValueError(f"show_time must be from 0 to {MAX_TIME:g} s")
 
 
 def _read_arrays(path: Path, remedy: str) -> dict[str, np.ndarray]:

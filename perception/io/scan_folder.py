@@ -13,7 +13,7 @@ from __future__ import annotations
 
 import logging
 import math
-from collections.abc import Sequence
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
@@ -32,6 +32,7 @@ logger = logging.getLogger(__name__)
 DEPTH_SCALE = 0.1  # of the depth images written here: a tenth of a millimetre, up to 6.5 m
 FRAME_PERIOD = 1 / 30  # [s] between images of a folder that keeps no times
 MIN_TRANSLATION = 10.0  # [mm] length below which all translations together are suspicious
+MAX_DISTANCE = 100.0  # [m] of a camera from the origin and from other cameras
 MAX_IMAGES = 2000  # that are in memory together: 2 MB each at 640 x 480
 MAX_SEQUENCE = 100_000  # that are read one at a time
 MAX_NUMBER = 1e9  # of a camera: 1000 km in millimetres; larger ones overflow
@@ -125,6 +126,8 @@ def read_scan(folder: str | Path) -> Scan:
             problems.append(str(error))
     if not frames:
         raise InvalidInputError(problems[0])
+    if posed:
+        _check_spread(folder, frames)
     for problem in problems:
         logger.warning("image skipped: %s", problem)
     suspicion = _suspicion_of_metres(folder, [cameras[image_id] for image_id in frames]) if posed else None
@@ -289,7 +292,27 @@ def _camera_pose(camera: Any, where: str) -> np.ndarray:
     T = np.eye(4)
     T[:3, :3] = (u @ vt).T
     T[:3, 3] = -T[:3, :3] @ t_camera_world
+    distance = float(np.linalg.norm(T[:3, 3]))
+    if distance > MAX_DISTANCE:
+        raise InvalidInputError(
+            f"{where}: cam_t_w2c puts the camera {distance:.3g} m from the origin, at most "
+            f"{MAX_DISTANCE:g} m are allowed: give millimetres, in coordinates of the scene rather than of a map"
+        )
     return T
+
+
+def _check_spread(folder: Path, frames: Mapping[int, RgbdFrame]) -> None:
+    """Raise InvalidInputError if a camera is too far from the first for both to show one scene."""
+    (first, T_first), *others = [(i, frame.T_world_camera) for i, frame in frames.items()]
+    for image_id, T in others:
+        assert T is not None and T_first is not None
+        distance = float(np.linalg.norm(T[:3, 3] - T_first[:3, 3]))
+        if distance > MAX_DISTANCE:
+            raise InvalidInputError(
+                f"{folder / 'scene_camera.json'}: cam_t_w2c puts the cameras of images {first} and "
+                f"{image_id} {distance:.3g} m apart, at most {MAX_DISTANCE:g} m are allowed: "
+                "give all in millimetres of one world frame"
+            )
 
 
 def _suspicion_of_metres(folder: Path, cameras: Sequence[Any]) -> str | None:

@@ -45,6 +45,8 @@ def test_a_recording_comes_back_as_it_was(tmp_path):
         ("replay.npz", b"nothing", "no readable replay|not a readable replay"),
         ("replay.json", b'{"bodies": ["a"], "notes": []}', "do not belong together"),
         ("replay.json", b'{"bodies": ["hand"], "notes": [[0, "dance", {}]]}', "no note of kind 'dance'"),
+        ("replay.json", b'{"bodies": ["hand"], "notes": [[1e12, "stage", {}]]}', "number from 0 to 14400 s"),
+        ("replay.json", b'{"bodies": ["hand"], "notes": [[-1, "stage", {}]]}', "number from 0 to 14400 s"),
         ("replay.glb", b"glTF", "not a readable GLB"),
     ],
 )
@@ -59,6 +61,17 @@ def test_a_damaged_recording_is_named(tmp_path, name, content, message):
         content = b'{"bodies": ["a", "b"], "notes": []}'
     (tmp_path / name).write_bytes(content)
     with pytest.raises(InvalidInputError, match=message):
+        read_recording(tmp_path)
+
+
+@pytest.mark.parametrize("times", [(-1.0, 0.0), (0.0, 1e12)])
+def test_samples_outside_four_hours_are_refused(tmp_path, times):
+    recorder = Recorder()
+    for time in times:
+        recorder.sample(0.0, np.zeros(7), 0.0)
+        recorder.show_times[-1] = time
+    recorder.write(tmp_path)
+    with pytest.raises(InvalidInputError, match="show_time must be from 0 to 14400 s"):
         read_recording(tmp_path)
 
 

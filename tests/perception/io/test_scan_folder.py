@@ -290,6 +290,33 @@ def test_world_to_camera_poses_of_other_tools_are_inverted(tmp_path):
     np.testing.assert_allclose(T[:3, 3], (-0.2, 0.1, -0.3), atol=1e-12)
 
 
+@pytest.mark.parametrize(("z", "accepted"), [(99.9, True), (100.1, False), (1e6, False)])
+def test_cameras_beyond_the_scene_are_refused(tmp_path, z, accepted):
+    write_scan(tmp_path, [frame()])
+    edit(
+        tmp_path / "scene_camera.json",
+        lambda c: c["0"].update(cam_R_w2c=[1, 0, 0, 0, 1, 0, 0, 0, 1], cam_t_w2c=[0, 0, -1000 * z]),
+    )
+    if accepted:
+        np.testing.assert_allclose(read_scan(tmp_path).frames[0].T_world_camera[2, 3], z)
+    else:
+        with pytest.raises(InvalidInputError, match=r"m from the origin, .* give millimetres"):
+            read_scan(tmp_path)
+        with pytest.raises(InvalidInputError, match="image 0: cam_t_w2c"):
+            ScanIndex.of(tmp_path).read(0)
+
+
+def test_cameras_that_cannot_show_one_scene_are_refused(tmp_path):
+    def far(c):
+        for key, x in (("0", 60e3), ("1", -60e3)):
+            c[key].update(cam_R_w2c=[1, 0, 0, 0, 1, 0, 0, 0, 1], cam_t_w2c=[x, 0, 0])
+
+    write_scan(tmp_path, [frame(0), frame(1)])
+    edit(tmp_path / "scene_camera.json", far)
+    with pytest.raises(InvalidInputError, match="images 0 and 1 120 m apart"):
+        read_scan(tmp_path)
+
+
 def test_an_index_reads_single_images_with_their_poses(folder):
     index = ScanIndex.of(folder)
     assert index.ids == [0, 1, 2]
