@@ -296,7 +296,7 @@ def _camera_pose(camera: Any, where: str) -> np.ndarray:
     if distance > MAX_DISTANCE:
         raise InvalidInputError(
             f"{where}: cam_t_w2c puts the camera {distance:.3g} m from the origin, at most "
-            f"{MAX_DISTANCE:g} m are allowed: give millimetres, in coordinates of the scene rather than of a map"
+            f"{MAX_DISTANCE:g} m are allowed: give millimetres, in coordinates of the scene, not of a map"
         )
     return T
 
