@@ -17,7 +17,7 @@ import numpy as np
 from jaxtyping import Float
 from scipy.spatial import KDTree
 
-from manipulation.grasp_config import GraspConfig, tcp_pose
+from manipulation.grasp_config import GraspConfig, on_hand, tcp_pose
 from manipulation.hand_collision import HandBoxes, HandClearance, surface_points
 from manipulation.types import TOO_WIDE, Grasp, GraspSet, Rejected, StandingObject
 from perception.types import TriangleMesh
@@ -93,7 +93,8 @@ def antipodal_grasps(
         if not found:
             rejected[reason] += 1
         grasps += found
-    return GraspSet(tuple(sorted(grasps, key=lambda grasp: -grasp.score)[:_N_GRASPS]), rejected)
+    ordered = tuple(sorted(grasps, key=lambda grasp: -grasp.score)[:_N_GRASPS])
+    return on_hand(GraspSet(ordered, rejected), config.gripper)
 
 
 @dataclass(frozen=True)

@@ -8,7 +8,10 @@ import numpy as np
 from jaxtyping import Float
 
 from manipulation.robot import GripperGeometry
-from manipulation.types import Grasp
+from manipulation.types import Grasp, GraspSet
+
+_NEARER = 0.008  # [m] by which the fixed pad of a hand with one moving jaw is nearer to the object
+_STAND_OFF = 0.003  # [m], the least if there is room
 
 
 @dataclass(frozen=True)
@@ -63,6 +66,33 @@ def tcp_pose(
     T[:3, 0] = np.cross(closing, approach)
     T[:3, 3] = position
     return T
+
+
+def on_hand(grasps: GraspSet, gripper: GripperGeometry) -> GraspSet:
+    """Return grasps that were made for two moving fingers, their TCP in the middle, as those of a given hand.
+
+    A hand with one moving jaw stands with its fixed pad a little beside the object and draws the object
+    against that pad when it closes.
+    """
+    if not gripper.one_jaw:
+        return grasps
+    return replace(grasps, grasps=tuple(_on_jaw(grasp) for grasp in grasps.grasps))
+
+
+def _on_jaw(grasp: Grasp) -> Grasp:
+    beside = 0.5 * (grasp.opening - grasp.held_width)  # of each pad of a hand with two moving fingers
+    stand_off = max(beside - _NEARER, min(_STAND_OFF, beside))
+    T = grasp.T_stand_tcp.copy()
+    T[:3, 3] -= 0.5 * grasp.held_width * T[:3, 1]
+    opening = grasp.opening - beside + stand_off
+    low, high = grasp.closed_width
+    return replace(
+        grasp,
+        T_stand_tcp=T,
+        stand_off=stand_off,
+        opening=opening,
+        closed_width=(low, min(high, opening - 0.001)),
+    )
 
 
 def half_turn(grasp: Grasp) -> Grasp:

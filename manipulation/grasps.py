@@ -12,7 +12,7 @@ from collections import Counter
 import numpy as np
 
 from manipulation.cross_sections import CrossSectionCache
-from manipulation.grasp_config import GraspConfig
+from manipulation.grasp_config import GraspConfig, on_hand
 from manipulation.rim_grasps import rim_grasps
 from manipulation.top_grasps import top_grasps
 from manipulation.types import GraspSet, StandingObject
@@ -29,7 +29,8 @@ def grasp_candidates(item: StandingObject, config: GraspConfig = GraspConfig()) 
         grasps = top_grasps(item, sections, config, rejected)
         if not grasps and _is_open(item, sections):
             grasps = rim_grasps(item, sections, config, rejected)
-    return GraspSet(tuple(sorted(grasps, key=lambda grasp: -grasp.score)), rejected)
+    ordered = tuple(sorted(grasps, key=lambda grasp: -grasp.score))
+    return on_hand(GraspSet(ordered, rejected), config.gripper)
 
 
 def _is_open(item: StandingObject, sections: CrossSectionCache) -> bool:

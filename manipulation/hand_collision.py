@@ -59,6 +59,11 @@ class HandBoxes:
         ]
         return HandBoxes(np.array(low), np.array(high))
 
+    def moved(self, distance: float) -> HandBoxes:
+        """Return the boxes moved along the closing direction by a distance in metres."""
+        step = np.array([0.0, distance, 0.0])
+        return HandBoxes(self.low + step, self.high + step)
+
     @property
     def palm(self) -> HandBoxes:
         """The palm alone."""

@@ -77,6 +77,7 @@ class Kinematics:
         arm, config: those of the constructor.
         lower, upper: (n,) joint limits in [rad].
         base: (3,) point on the first joint's axis in [m].
+        base_turn: direction in which the first joint turns about z: 1, -1, or 0 if its axis is not vertical.
 
     Raises:
         ManipulationError: the MJCF lacks a named joint or site, or has further joints.
@@ -104,7 +105,7 @@ class Kinematics:
         first = self._model.joint(arm.joint_names[0]).id
         self.base = self._data.xanchor[first].copy()
         up = self._data.xaxis[first, 2]
-        self._base_turn = float(np.sign(up)) if abs(up) > 0.9 else 0.0  # of the first joint about z
+        self.base_turn = float(np.sign(up)) if abs(up) > 0.9 else 0.0
         self._home_bearing = round(self.bearing(T_world_home), 6)
         self._posture = mink.PostureTask(self._model, cost=self.config.posture_cost)
         self._tasks = {
@@ -187,7 +188,7 @@ class Kinematics:
         """Return start postures in [rad]: home rotated toward the target, with another wrist, and random."""
         home = np.array(self.arm.q_home, dtype=np.float64)
         turn = self.bearing(T_world_target) - self._home_bearing
-        home[0] += self._base_turn * np.arctan2(np.sin(turn), np.cos(turn))
+        home[0] += self.base_turn * np.arctan2(np.sin(turn), np.cos(turn))
         spread = np.random.default_rng(0).normal(scale=0.5, size=(count - 1, len(home)))
         # Rotating the wrist by pi gives the same approach: seed both branches.
         wrist = home.copy()

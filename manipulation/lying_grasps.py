@@ -12,7 +12,7 @@ import numpy as np
 from jaxtyping import Float
 
 from manipulation.cross_sections import CrossSectionCache, Extent, extent
-from manipulation.grasp_config import GraspConfig, tcp_pose
+from manipulation.grasp_config import GraspConfig, on_hand, tcp_pose
 from manipulation.types import TOO_WIDE, Grasp, GraspSet, Rejected, StandingObject
 
 LYING_TILT = np.deg2rad(45.0)  # of the axis to the vertical, from which on an object does not stand
@@ -50,7 +50,8 @@ def lying_grasps(
             rejected[grasp.reason] += 1
         else:
             grasps.append(grasp)
-    return GraspSet(tuple(sorted(grasps, key=lambda grasp: -grasp.score)), rejected)
+    ordered = tuple(sorted(grasps, key=lambda grasp: -grasp.score))
+    return on_hand(GraspSet(ordered, rejected), config.gripper)
 
 
 def _across(

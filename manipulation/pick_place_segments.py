@@ -101,7 +101,7 @@ def find_pick(motions: MotionPlanner, name: str, grasp: Grasp, config: SegmentCo
     """Return approach and lift of one grasp; on success the world has the object attached to the hand."""
     world, kinematics = motions.world, motions.kinematics
     world.release()
-    T_grasp = world.pose(name) @ grasp.T_stand_tcp
+    T_grasp = world.pose(name) @ grasp.T_stand_open
     result = kinematics.inverse(T_grasp, kinematics.seeds_toward(T_grasp, 3), name=name)
     if not result.converged:
         return OUT_OF_REACH
@@ -165,7 +165,10 @@ def find_place(
     world.release()
     touch = AllowedContacts(touch=stack | {name})
     settle = None
-    if goal.item.category == "bowl" and not stack:
+    if grasp.stand_off > 0:  # the fixed pad leaves the object
+        line = motions.free_line(result.q, [T_goal @ grasp.T_stand_open], grasp.release_opening, touch)
+        settle = None if isinstance(line, Rejected) else line
+    elif goal.item.category == "bowl" and not stack:
         # The pads are lowered past the bowl's lip; the step is omitted where there is no room.
         lowered = [_raised(T_place, -config.settle_depth)]
         line = motions.free_line(result.q, lowered, grasp.release_opening, touch)

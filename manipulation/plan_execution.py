@@ -166,11 +166,11 @@ class PlanExecution:
             robot.follow(press.up)
 
     def _release(self, plan: PickPlacePlan) -> None:
-        """Open the gripper; for a bowl, first loosen it and lower the pads past its lip."""
+        """Open the gripper; first loosen it, to lower the pads past a bowl's lip or to step aside."""
         robot, gap = self.robot, self.config.pick_place.grasp.release_gap
         held = robot.gripper_width()
         if plan.settle is not None:
-            robot.move_gripper(min(held + gap, robot.arm.max_width))
+            robot.move_gripper(min(held + gap + plan.grasp.stand_off, robot.arm.max_width))
             robot.follow(plan.settle)
         robot.move_gripper(min(max(held + 2 * gap, plan.release_opening), robot.arm.max_width))
 

@@ -11,6 +11,7 @@ from manipulation.free_table import FREE_AREA, Area
 from manipulation.grasps import grasp_candidates
 from manipulation.kinematics import Kinematics
 from manipulation.lying_grasps import is_upside_down, lies
+from manipulation.nearest_view import FULL_POSE
 from manipulation.packing import pack
 from manipulation.packing_problem import PackingConfig
 from manipulation.pick_place import PickPlaceConfig
@@ -48,8 +49,10 @@ class ManipulationConfig:
     free_area: Area = FREE_AREA
 
     def for_arm(self, arm: ArmDescription) -> ManipulationConfig:
-        """Return the same settings with the gripper of an arm."""
+        """Return the same settings with an arm's gripper; with five joints the hand stays vertical."""
         grasp = replace(self.pick_place.grasp, gripper=arm.gripper)
+        if len(arm.joint_names) < FULL_POSE:
+            grasp = replace(grasp, max_tilt=0.0, max_inward_tilt=0.0)
         return replace(self, pick_place=replace(self.pick_place, grasp=grasp))
 
 
@@ -183,7 +186,7 @@ def _item(estimate: ObjectEstimate, config: ManipulationConfig) -> StandingObjec
 def _is_reachable(item: StandingObject, grasps: GraspSet, kinematics: Kinematics) -> bool:
     """Return whether inverse kinematics reaches any grasp of the object, irrespective of collisions."""
     for grasp in grasps.grasps[::_REACH_STRIDE]:
-        T_goal = item.T_world_stand @ grasp.T_stand_tcp
+        T_goal = item.T_world_stand @ grasp.T_stand_open
         if kinematics.inverse(T_goal, kinematics.seeds_toward(T_goal, 2), name=item.name).converged:
             return True
     return False

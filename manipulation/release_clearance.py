@@ -58,9 +58,10 @@ def count_free_releases(
     free = _is_above(raster, palm, _PALM_CLEARANCE)
     finger_along = np.linspace(0.0, gripper.finger_reach, 4)
     finger_across = gripper.finger_half_width * np.array([-1.0, 0.0, 1.0])
+    middle = np.array([gripper.pads_middle(grasp.release_opening) for grasp in grasps])
     half_opening = np.array([grasp.release_opening / 2 for grasp in grasps])
     for side in (-1, 1):
-        along = side * (half_opening[:, None] + finger_along)
+        along = middle[:, None] + side * (half_opening[:, None] + finger_along)
         free &= _is_above(raster, _points(Ts, along, finger_across, gripper.tip), _FINGER_CLEARANCE)
     return int(free.sum())
 

@@ -26,6 +26,7 @@ class GripperGeometry:
         palm_half_length, palm_half_width: half extents of the palm along and across the closing direction.
         min_width: opening between the pads of the closed hand; above 0 where the pads do not meet.
         finger_half_width: half extent of a finger across the closing direction.
+        one_jaw: whether only the finger on the side of +y of the TCP moves; the TCP is on the other's pad.
     """
 
     max_width: float = 0.08
@@ -39,6 +40,11 @@ class GripperGeometry:
     palm_half_width: float = 0.035
     min_width: float = 0.0
     finger_half_width: float = 0.01
+    one_jaw: bool = False
+
+    def pads_middle(self, width: float) -> float:
+        """Return the distance [m] from the TCP along its y axis to the middle of pads ``width`` [m] apart."""
+        return 0.5 * width if self.one_jaw else 0.0
 
 
 @dataclass(frozen=True)

@@ -161,9 +161,10 @@ def _free_grasps(
         return []
     free = []
     for grasp in grasp_candidates(item, GraspConfig(gripper=gripper)).grasps:
-        T_plane_tcp = item.T_world_stand @ grasp.T_stand_tcp
+        T_plane_tcp = item.T_world_stand @ grasp.T_stand_open
         away = item.T_world_stand[:3, :3] @ grasp.away
         boxes = HandBoxes.of(gripper, grasp.opening, clearance.hand_length)
+        boxes = boxes.moved(gripper.pads_middle(grasp.opening))
         own_tcp = (own - T_plane_tcp[:3, 3]) @ T_plane_tcp[:3, :3]
         if not boxes.palm.contain(own_tcp) and hand_is_free(boxes, T_plane_tcp, away, others, clearance):
             free.append((grasp, T_plane_tcp, away))

@@ -121,7 +121,7 @@ class Grasp:
     Attributes:
         kind: "rim" of a hollow object, "top": around a body or neck from above, "waist": across the axis of a
             lying object, or "antipodal": between opposite points of an object in any orientation.
-        T_stand_tcp: (4, 4) TCP pose in the object's stand frame.
+        T_stand_tcp: (4, 4) TCP pose in the object's stand frame while the hand holds it.
         away: (3,) unit vector of the retreat in the stand frame; the approach is its opposite.
         opening: width between the pads before closing in [m].
         held_width: expected width between the pads while they hold the object, in [m].
@@ -131,6 +131,8 @@ class Grasp:
         depth: distance of the TCP below the top of the object in [m].
         azimuth: direction of the grasp about the stand frame's z in [rad].
         score: preference from the object's shape alone; higher is better.
+        stand_off: distance in [m] of the fixed pad from the object before one moving jaw closes; the TCP is
+            that far along -y from where it is in the end.
     """
 
     kind: GraspKind
@@ -143,6 +145,14 @@ class Grasp:
     depth: float
     azimuth: float
     score: float
+    stand_off: float = 0.0
+
+    @property
+    def T_stand_open(self) -> Float[np.ndarray, "4 4"]:
+        """TCP pose in the object's stand frame before the hand closes."""
+        T = self.T_stand_tcp.copy()
+        T[:3, 3] -= self.stand_off * T[:3, 1]
+        return T
 
 
 TOO_WIDE = "too wide"  # how the reasons of grasps that exceed the opening begin

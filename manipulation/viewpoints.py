@@ -13,6 +13,7 @@ from manipulation.collision import CollisionWorld
 from manipulation.errors import PlanningError
 from manipulation.kinematics import Kinematics
 from manipulation.motions import MotionPlanner
+from manipulation.nearest_view import FULL_POSE, nearest_view
 from manipulation.obstacles import TABLE, Obstacle
 from manipulation.robot import Robot
 from manipulation.self_view import SelfView
@@ -23,6 +24,7 @@ logger = logging.getLogger(__name__)
 
 ROLLS = np.deg2rad(np.arange(0, 360, 45))  # of the camera about its optical axis, tried for each viewpoint
 MIN_LIMIT_DISTANCE = 0.1  # [rad] of each joint from its limits at a viewpoint
+_VIEW_SEEDS = 8  # start postures of an approximate view
 # Keep-out volumes of the camera motions, over the areas where objects may be, known or unknown: the objects'
 # area at negative y, box and line at positive y. 0.28 m high: above most objects, below every viewpoint.
 KEEP_OUT = (
@@ -105,8 +107,12 @@ def viewpoint_ik(
 ) -> Float[np.ndarray, "n"] | None:
     """Return the posture [rad] with the camera at a viewpoint, over all rolls the one nearest to ``q_near``.
 
-    None if the viewpoint is out of reach.
+    None if the viewpoint is out of reach. Arms with fewer than six joints take the nearest view.
     """
+    if len(kinematics.lower) < FULL_POSE:
+        T = viewpoint.camera_pose()
+        seeds = [q_near, *kinematics.seeds_toward(T, _VIEW_SEEDS)]
+        return nearest_view(kinematics, np.array(viewpoint.target), T[:3, 3], seeds, MIN_LIMIT_DISTANCE)
     found = []
     for roll in ROLLS:
         T_world_camera = viewpoint.camera_pose(roll)

@@ -29,7 +29,7 @@ from manipulation.viewpoints import (
 if TYPE_CHECKING:
     from manipulation.planner import ManipulationConfig
 
-SCALES = tuple(round(1.0 - 0.05 * step, 2) for step in range(13))  # tried in order, 1.0 to 0.4
+SCALES = tuple(round(1.0 - 0.05 * step, 2) for step in range(15))  # tried in order, 1.0 to 0.3
 ENOUGH = 0.95  # share of the sampled places in reach from which a scale suits an arm
 # Corners and middle of the areas of objects and box [m], and heights of the tool frame there: at the wall of
 # a low object, and of an object carried over the wall of the box.

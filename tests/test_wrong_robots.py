@@ -7,7 +7,7 @@ import pytest
 
 import sim_assets.robots
 from app.cli import run as run_cli
-from tests.sim_assets.robots.conftest import JOINTS, SLIDING
+from tests.sim_assets.robots.conftest import JOINTS, SLIDING, one_jaw
 from tests.sim_assets.robots.conftest import write as write  # the fixture
 
 SIXAXIS = Path(sim_assets.robots.__file__).parent / "sixaxis"
@@ -149,6 +149,31 @@ SMALL = {
     "weak servo": (servos('kp="{}" kv="80" forcerange="-.2 .2"', 800), "has 0.2 Nm, but its acceleration"),
 }  # fmt: skip
 
+# Replacements of the files of an arm whose hand has one moving jaw.
+FIXED = '<geom group="3" type="box" size=".05 .005 .008" pos=".06 -.005 0"/>'
+PALM = '<geom name="palm" group="3" type="box" size=".02 .06 .03"/>'
+JAW = {
+    "jaw's range": ([("xml", 'range="0 1.5"', 'range="0 .02"')], "the jaw opens from 0.0 to"),
+    "jaw without end": (
+        [("xml", 'axis="0 0 1" range="0 1.5"', 'axis="0 0 1"')],
+        "finger joint 'jaw' needs a range",
+    ),
+    "jaw alone": (
+        [("xml", FIXED, ""), ("xml", PALM, PALM.replace('group="3"', 'contype="0" conaffinity="0"'))],
+        "nothing of the hand is opposite to it",
+    ),
+    "jaw beside nothing": (
+        [("xml", FIXED, FIXED.replace("-.005 0", "-.005 .2"))],
+        "the jaw opens from",
+    ),
+    "jaw's tool": (
+        [("toml", "force = 30", 'tcp = { body = "wrist", position = [0.1, 0, 0] }')],
+        "lies on the fixed one of two jaws: leave it out",
+    ),
+    "jaw as an arm's joint": ([("toml", "'roll']", "'roll', 'jaw']")], "home has 4 entries, expected 5"),
+    "weak jaw": ([("toml", "force = 30", "force = 4")], "the fingers press with"),
+}  # fmt: skip
+
 # Replacements of the six-axis arm's file: all parts are there, but no task can succeed.
 SOUND = {
     "home": ([("toml", "home = [-0.4029, -0.3817,", "home = [-0.4029, 0.9,")], "home: "),
@@ -186,6 +211,14 @@ def test_faults_of_files_and_models(write, capsys, monkeypatch, changes, message
     assert any(message in line for line in complaints(path, capsys))
 
 
+@pytest.mark.parametrize(("changes", "message"), JAW.values(), ids=JAW)
+def test_faults_of_hands_with_one_jaw(write, capsys, changes, message):
+    path = write(one_jaw())
+    joints = ("toml", 'joints = ["left", "right"]', 'joints = ["jaw"]')
+    replaced(path.parent, [joints, *changes], {"toml": "robot.toml", "xml": "arm.xml"})
+    assert any(message in line for line in complaints(path, capsys))
+
+
 @pytest.mark.parametrize(("changes", "message"), SOUND.values(), ids=SOUND)
 def test_arms_with_which_every_task_fails(tmp_path, capsys, changes, message):
     shutil.copytree(SIXAXIS, tmp_path / "arm")
@@ -205,5 +238,5 @@ def test_all_problems_of_a_file_are_told_at_once(write, capsys):
     assert len(complaints(path, capsys)) == 4
 
 
-def test_there_are_more_than_sixty():
-    assert len(SMALL) + len(SOUND) >= 60
+def test_there_are_more_than_seventy():
+    assert len(SMALL) + len(JAW) + len(SOUND) >= 70

@@ -7,8 +7,10 @@ from dataclasses import dataclass
 import numpy as np
 
 from app.errors import UsageError
+from sim_assets.errors import RobotFileError
 from sim_assets.rendering.headless import MjModel, mujoco
-from sim_assets.robots.finger_motion import hand_joints, is_below
+from sim_assets.robots.finger_motion import hand_joints, is_below, sweep_hand
+from sim_assets.robots.hand_shape import measure_hand
 from sim_assets.robots.servos import actuators_of
 
 _SLIDE = int(mujoco.mjtJoint.mjJNT_SLIDE)
@@ -58,15 +60,29 @@ def find_chain(model: MjModel, root: str = "") -> Chain:
     if endless:
         assumptions += (f"joints without a range turn by up to 360 degrees either way: {endless}",)
     hand = hand_joints(model, joints)
+    if not hand and _ends_with_jaw(model, joints):
+        joints, hand = joints[:-1], chain[-1:]
+        assumptions += (f"joint '{model.joint(chain[-1]).name}' moves one jaw, the other is fixed",)
     if not hand:
         sites = ", ".join(model.site(s).name for s in range(model.nsite) if model.site(s).name)
         raise UsageError(
             f"the arm ends at joint '{joints[-1]}' without a hand: give --hand HAND.xml --mount SITE; its "
-            f"sites are {sites or 'none'}. Hands with one moving finger, should '{joints[-1]}' move one, are "
-            "not supported"
+            f"sites are {sites or 'none'}"
         )
     alone = len(roots) == 1 and body == roots[0]
     return Chain("" if alone else model.body(body).name, joints, _driven(model, hand), assumptions)
+
+
+def _ends_with_jaw(model: MjModel, joints: tuple[str, ...]) -> bool:
+    """Return whether the last joint of a chain opens a jaw opposite to a fixed one."""
+    if len(joints) <= MIN_AXES or not model.jnt_limited[model.joint(joints[-1]).id]:
+        return False
+    arm, jaw = joints[:-1], joints[-1]
+    try:
+        measure_hand(model, arm, sweep_hand(model, arm, (jaw,)))
+    except RobotFileError:
+        return False
+    return True
 
 
 def _root_of_arm(model: MjModel, roots: list[int], name: str) -> tuple[int, tuple[str, ...]]:

@@ -9,15 +9,16 @@ from typing import Literal
 import numpy as np
 from jaxtyping import Float
 
-from app.task.arm_cell import THINNEST_WALL
+from app.task.arm_cell import THINNEST_WALL, ArmCell
 from manipulation.collision import CollisionWorld
 from manipulation.kinematics import Kinematics
+from manipulation.nearest_view import FULL_POSE
 from manipulation.obstacles import TABLE
 from manipulation.robot import ArmDescription
 from manipulation.self_view import SelfView
 from manipulation.viewpoints import viewpoint_ik
 from manipulation.workspace import ENOUGH, ReachFit, Workspace
-from perception.types import CameraIntrinsics
+from perception.types import CATEGORIES, CameraIntrinsics
 
 Verdict = Literal["good", "warning", "fault"]
 RADII = np.arange(0.15, 1.21, 0.05)  # [m] from the base at which a vertical hand is tried
@@ -46,17 +47,43 @@ class RobotFinding:
 
 
 def check_hand(arm: ArmDescription) -> RobotFinding:
-    """Return whether the opening suits the cell's objects: walls of 2 mm to cans of 66 mm."""
+    """Return whether the hand opens for cans of 66 mm."""
     hand = arm.gripper
     found = f"opens from {1e3 * hand.min_width:.0f} to {1e3 * hand.max_width:.0f} mm, "
     found += f"fingertips {1e3 * hand.tip:.0f} mm beyond the tool frame, palm {1e3 * hand.palm:.0f} mm behind"
     if hand.max_width < 0.07:
-        remedy = "cans and bottles wider than the hand cannot be packed: --objects mug=2,bowl=2"
-        return RobotFinding("warning", "hand", found, remedy)
-    if hand.min_width > THINNEST_WALL:
-        remedy = "walls of mugs and bowls cannot be held: objects are bottles and cans"
+        remedy = "wider cans and bottles cannot be packed; generated ones are smaller"
         return RobotFinding("warning", "hand", found, remedy)
     return RobotFinding("good", "hand", found)
+
+
+def check_objects(arm: ArmDescription, cell: ArmCell) -> RobotFinding:
+    """Return which classes the cell's objects are drawn from, and why not from all."""
+    found = (
+        f"objects are {', '.join(cell.categories)}, at {100 * cell.object_scale:.0f} % of their usual size"
+    )
+    if len(cell.categories) == len(CATEGORIES):
+        return RobotFinding("good", "objects", found)
+    missing = ", ".join(c for c in CATEGORIES if c not in cell.categories)
+    if arm.gripper.min_width > THINNEST_WALL:
+        found += (
+            f"; the hand closes to {1e3 * arm.gripper.min_width:.0f} mm, too wide for the walls of {missing}"
+        )
+    else:
+        thickness = 1e3 * arm.gripper.finger_thickness
+        found += f"; fingers of {thickness:.0f} mm do not fit into {missing} of that size"
+    return RobotFinding("warning", "objects", found, "other classes need a hand or an arm of another size")
+
+
+def check_joints(arm: ArmDescription) -> RobotFinding:
+    """Return whether the arm has joints enough to reach any pose near by."""
+    count = len(arm.joint_names)
+    if count >= FULL_POSE:
+        return RobotFinding("good", "joints", f"{count} joints")
+    found = (
+        f"{count} joints: the hand stays vertical, and the camera takes the nearest view of each viewpoint"
+    )
+    return RobotFinding("warning", "joints", found, "walls that slope and objects that lie may be left")
 
 
 def check_home(arm: ArmDescription, kinematics: Kinematics) -> Iterator[RobotFinding]:

@@ -19,15 +19,17 @@ from manipulation.robot import ArmDescription
 from manipulation.workspace import ENOUGH, ReachFit, arm_workspace, fit_workspace
 from sim_assets.errors import RobotFileError
 from sim_assets.rendering.headless import MjModel, mujoco
-from sim_assets.robots.hand_shape import geom_points
+from sim_assets.robots.hand_surface import geom_points
 from sim_assets.robots.mounting import Frame, HandFile, Mount, compiled
-from sim_assets.robots.robot_file import IDENTITY, RobotEntries, build_robot
+from sim_assets.robots.robot_file import IDENTITY, RobotEntries, about_z, build_robot
 from sim_assets.robots.servos import DEFAULT_FORCE, joint_inertia, torque_limit
+from sim_assets.robots.simulated_arm import SimulatedArm
 
 ORIGIN = Frame(np.zeros(3), np.array(IDENTITY))
 # Speeds that most arms follow: of the joints that carry the arm, and of the wrist.
 VELOCITY, ACCELERATION, JERK = (1.6, 2.2), (4.0, 8.0), (250.0, 500.0)
 LIFTS = (0.0, 0.1, 0.2, 0.3)  # [m] of the base above the table that are compared
+MAX_OFF_MIDDLE = 0.6  # [rad] of the first joint at home from the middle of its range
 TORQUE_SHARE = 0.35  # of a joint's torque limit that acceleration may take
 
 
@@ -64,17 +66,15 @@ def draft_robot(arm: Path, folder: Path, hand: Path | None = None, mount: str = 
         entries = _entries(arm, hand_file, chain)
         model = compiled(entries.mount)
         entries = _placed(entries, model, chain)
-        robot = build_robot(entries)
+        entries, robot, home = _homed(entries)
     except RobotFileError as error:
         raise UsageError("; ".join(error.problems)) from None
-    home, lift = _home(robot.description), 0.0
+    lift = 0.0
     if home is not None:
         lift = best_lift(Kinematics(replace(robot.description, q_home=home)))
     if home is None or lift > 0:
         lift = lift or LIFTS[1]
-        entries = _raised(entries, lift)
-        robot = build_robot(entries)
-        home = _home(robot.description)
+        entries, robot, home = _homed(_raised(entries, lift))
     if home is None:
         raise UsageError(
             "no posture was found in which the hand points down in front of the base, free of collisions: "
@@ -88,8 +88,25 @@ def draft_robot(arm: Path, folder: Path, hand: Path | None = None, mount: str = 
     return Draft(_text(entries, folder, assumptions, model), assumptions)
 
 
-def _home(arm: ArmDescription) -> np.ndarray | None:
-    return find_home(arm, Kinematics(arm))
+def _homed(entries: RobotEntries) -> tuple[RobotEntries, SimulatedArm, np.ndarray | None]:
+    """Return the entries, their arm and its home posture, if there is one.
+
+    A base whose first joint is far from the middle of its range at home is turned.
+    """
+    robot = build_robot(entries)
+    kinematics = Kinematics(robot.description)
+    home = find_home(robot.description, kinematics)
+    if home is None:
+        return entries, robot, None
+    middle = 0.5 * float(kinematics.lower[0] + kinematics.upper[0])
+    yaw = kinematics.base_turn * (float(home[0]) - middle)
+    if abs(yaw) <= MAX_OFF_MIDDLE:
+        return entries, robot, home
+    base, c, s = entries.mount.base, np.cos(yaw), np.sin(yaw)
+    position = np.array([[c, -s, 0.0], [s, c, 0.0], [0.0, 0.0, 1.0]]) @ base.position
+    base = Frame(position, about_z(_angle(base.quaternion) + yaw))
+    entries = replace(entries, mount=replace(entries.mount, base=base))
+    return entries, build_robot(entries), np.array([middle, *home[1:]])
 
 
 def _reach_remarks(arm: ArmDescription) -> Iterator[str]:
@@ -168,6 +185,7 @@ def _lowest_of_first_link(model: MjModel, data: Any, first: int) -> float:
 
 def _text(entries: RobotEntries, folder: Path, assumptions: Sequence[str], model: MjModel) -> str:
     mount = entries.mount
+    yaw = _angle(mount.base.quaternion)
     lines = [
         "# Robot file drafted by `nodeslam robot init`. Metres, radians, seconds. Assumed:",
         *(f"# - {assumption}" for assumption in assumptions),
@@ -182,6 +200,7 @@ def _text(entries: RobotEntries, folder: Path, assumptions: Sequence[str], model
         f"acceleration = {_numbers(entries.limits[1])}",
         f"jerk = {_numbers(entries.limits[2])}",
         f"base = {_numbers(mount.base.position)} # the first joint's axis at the origin",
+        *([f"base_yaw = {yaw:.4f} # the middle of the first joint's range looks ahead"] if yaw else []),
         "",
     ]
     if mount.hand is not None:
@@ -198,6 +217,11 @@ def _text(entries: RobotEntries, folder: Path, assumptions: Sequence[str], model
         "",
     ]
     return "\n".join(lines)
+
+
+def _angle(quaternion: np.ndarray) -> float:
+    """Return the angle [rad] of a rotation about z."""
+    return 2 * float(np.arctan2(quaternion[3], quaternion[0]))
 
 
 def _relative(path: Path, folder: Path) -> str:

@@ -12,11 +12,13 @@ from app.robots.checks import (
     check_camera,
     check_hand,
     check_home,
+    check_joints,
+    check_objects,
     check_reach,
     check_viewpoints,
     reachable_radii,
 )
-from app.task.arm_cell import payload
+from app.task.arm_cell import payload, scales_of
 from manipulation.errors import RobotError
 from manipulation.kinematics import Kinematics
 from manipulation.trajectories import JointLimits, MotionConfig, joint_move
@@ -53,6 +55,8 @@ def examine_robot(robot: SimulatedArm) -> Examination:
     findings = [
         *(RobotFinding("good", "assumed", text) for text in robot.assumptions),
         check_hand(arm),
+        check_joints(arm),
+        check_objects(arm, scales_of(fit, robot)),
         *check_home(arm, kinematics),
         check_reach(reach, fit),
         check_viewpoints(kinematics, fit.workspace),

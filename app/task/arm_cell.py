@@ -13,6 +13,7 @@ from perception.types import CATEGORIES, Category
 
 if TYPE_CHECKING:
     from manipulation.kinematics import Kinematics
+    from manipulation.robot import GripperGeometry
     from manipulation.workspace import ReachFit
     from sim_assets.cell.scene import BoxConfig
     from sim_assets.cell.world import World
@@ -22,8 +23,11 @@ if TYPE_CHECKING:
 FULL_OPENING = 0.075  # [m] that the generated objects need: cans and caps of 70 mm, with clearance
 SMALLEST = 0.5  # scale of objects below which fingers do not fit into cups
 BELOW_RIM = 0.018  # [m] of an object besides the fingertips: depth of the pads, floor, clearance
+SLENDER = 0.5  # least scale of bottles and cans, which have room for each other in any cell
 HELD_BY_WALL = ("mug", "bowl")
 THINNEST_WALL = 0.003  # [m] to which a hand must close for these
+INNER_WIDTH = {"mug": 0.075, "bowl": 0.110}  # [m] of typical ones of standard size
+BESIDE_FINGER = 0.015  # [m] inside that a finger needs besides its thickness
 CLEARANCE = 0.002  # [m] of an opening beyond a body
 GRAVITY = 9.81
 FRICTION = 0.6  # least coefficient between pads and objects
@@ -36,7 +40,7 @@ class ArmCell:
 
     Attributes:
         scale: of places, box and viewpoints.
-        object_scale: of generated objects; no larger.
+        object_scale: of generated objects; no larger, but for bottles and cans alone.
         lowest: least height of a generated object in [m], which the fingertips need beyond the pads.
         categories: classes that objects are drawn from: those that the hand can hold.
     """
@@ -62,10 +66,20 @@ def scales_of(fit: ReachFit, robot: SimulatedArm) -> ArmCell:
     """Return the scales by reach and by opening."""
     by_opening = max(SMALLEST, robot.description.max_width / FULL_OPENING)
     scale = fit.workspace.scale
-    lowest = robot.description.gripper.tip + BELOW_RIM
-    closes = robot.description.gripper.min_width <= THINNEST_WALL
-    categories: tuple[Category, ...] = tuple(c for c in CATEGORIES if closes or c not in HELD_BY_WALL)
-    return ArmCell(scale, round(min(scale, by_opening), 3), lowest, categories)
+    object_scale = round(min(scale, by_opening), 3)
+    gripper = robot.description.gripper
+    categories: tuple[Category, ...] = tuple(
+        c for c in CATEGORIES if c not in HELD_BY_WALL or _fits_wall(c, gripper, object_scale)
+    )
+    if not set(categories) & set(HELD_BY_WALL):
+        object_scale = round(min(max(scale, SLENDER), by_opening), 3)
+    return ArmCell(scale, object_scale, gripper.tip + BELOW_RIM, categories)
+
+
+def _fits_wall(category: Category, gripper: GripperGeometry, object_scale: float) -> bool:
+    """Return whether a hand closes to the walls of a class, and its finger fits inside."""
+    inside = object_scale * INNER_WIDTH[category]
+    return gripper.min_width <= THINNEST_WALL and inside >= gripper.finger_thickness + BESIDE_FINGER
 
 
 def box_of(options: CellOptions, inner: tuple[float, float, float], scale: float) -> BoxConfig:

@@ -11,7 +11,7 @@ from jaxtyping import Float
 from manipulation.robot import ArmDescription
 from sim_assets.rendering.headless import MjModel, mujoco
 from sim_assets.robots.finger_motion import is_below
-from sim_assets.robots.hand_shape import geom_points
+from sim_assets.robots.hand_surface import geom_points
 
 _NEAR = 0.012  # [m] from the tool frame's axis of closing at which a geom is a pad
 

@@ -17,6 +17,7 @@ from sim_assets.errors import RobotFileError
 from sim_assets.rendering.headless import MjModel, mujoco
 
 _STATIONS = 13  # positions over the range
+_FINE_STATIONS = 61  # of a single joint
 _STEPS = 150  # of 2 ms at each, for the linkage to settle
 _FREQUENCY = 100.0  # [rad/s] of the springs
 _ARMATURE = {int(mujoco.mjtJoint.mjJNT_SLIDE): 0.1, int(mujoco.mjtJoint.mjJNT_HINGE): 1e-3}  # [kg], [kg m^2]
@@ -69,6 +70,8 @@ def sweep_hand(model: MjModel, arm_joints: Sequence[str], driven: Sequence[str])
     if unlimited:
         raise RobotFileError(f"finger joint '{unlimited[0]}' needs a range, from closed to open")
     others = [j for j in hand_joints(model, arm_joints) if j not in ids]
+    if len(ids) == 1 and not others:
+        return _swept_alone(model, arm_joints, ids[0])
     copy = _loosened(model, arm_joints, ids)
     data = mujoco.MjData(copy)
     arm = [model.joint(name).id for name in arm_joints]
@@ -84,6 +87,16 @@ def sweep_hand(model: MjModel, arm_joints: Sequence[str], driven: Sequence[str])
     order = [*ids, *others]
     names = tuple(model.joint(j).name for j in order)
     return HandSweep(names, qpos[:, model.jnt_qposadr[order]], qpos, len(ids))
+
+
+def _swept_alone(model: MjModel, arm_joints: Sequence[str], joint: int) -> HandSweep:
+    """Return the sweep of the only joint of a hand, which needs no simulation."""
+    low, high = model.jnt_range[joint]
+    qpos = np.tile(model.qpos0, (_FINE_STATIONS, 1))
+    arm = [model.joint(name).id for name in arm_joints]
+    qpos[:, model.jnt_qposadr[arm]] = np.clip(0.0, *model.jnt_range[arm].T)
+    qpos[:, model.jnt_qposadr[joint]] = np.linspace(low, high, _FINE_STATIONS)
+    return HandSweep((model.joint(joint).name,), qpos[:, model.jnt_qposadr[[joint]]], qpos, 1)
 
 
 def _loosened(model: MjModel, arm_joints: Sequence[str], driven: Sequence[int]) -> MjModel:

@@ -16,6 +16,7 @@ from scipy.spatial.transform import Rotation
 
 from sim_assets.errors import RobotFileError
 from sim_assets.rendering.headless import MjModel, MjsBody, MjSpec, mujoco
+from sim_assets.robots.jaw_meshes import split_meshes
 from sim_assets.robots.mjcf_limits import check_mjcf
 from sim_assets.robots.pedestal import pedestal_of
 from sim_assets.robots.servos import GripperServo, JointServo, add_gripper_servo, add_joint_servos
@@ -213,6 +214,19 @@ def _keep_only(spec: MjSpec, mount: Mount) -> None:
         kept = carrier
 
 
+def _is_base(body: MjsBody) -> bool:
+    """Return whether a body is fixed to the world but not the world itself."""
+    fixed = body.name != "world"
+    while fixed and body.name != "world":
+        fixed, body = not body.joints, body.parent
+    return fixed
+
+
+def _count_joints(body: MjsBody) -> int:
+    """Return the number of joints of a body and of all below it."""
+    return len(body.joints) + sum(map(_count_joints, body.bodies))
+
+
 def _has_joints(body: MjsBody) -> bool:
     return bool(body.joints) or any(map(_has_joints, body.bodies))
 
@@ -286,12 +300,18 @@ def _set_contacts(spec: MjSpec, mount: Mount) -> None:
         geoms = list(body.geoms)
         solid = [geom for geom in geoms if geom.group == COLLISION_GROUP]
         solid = solid or [geom for geom in geoms if geom.contype or geom.conaffinity]
+        if not solid and _is_base(body):
+            solid = geoms  # what stands on the table is seen and avoided, whatever the file collides
         for geom in geoms:
             touches = any(geom is other for other in solid)
             _set(geom, **(ARM_CONTACT if touches else {"contype": 0, "conaffinity": 0}))
     last = spec.joint(mount.joints[-1]) if mount.joints else None
     if last is not None:
-        for geom in _geoms_of_moving(last.parent, moving=False):
+        one_jaw = _count_joints(last.parent) == 2
+        if one_jaw:
+            split_meshes(spec, last.parent)
+        fixed_jaw = list(last.parent.geoms) if one_jaw else []
+        for geom in (*fixed_jaw, *_geoms_of_moving(last.parent, moving=False)):
             if is_solid(geom):
                 _set(geom, **PAD_CONTACT)
 

@@ -16,7 +16,7 @@ from sim_assets.robots.servos import is_servo
 from sim_assets.robots.simulated_arm import SimulatedArm
 
 if TYPE_CHECKING:
-    from sim_assets.robots.hand_shape import HandShape
+    from sim_assets.robots.hand_surface import HandShape
     from sim_assets.robots.robot_file import RobotEntries
 
 MIN_FORCE = 10.0  # [N] of each finger, for objects of half a kilogram at friction 0.5 with reserve
@@ -192,6 +192,9 @@ def stated_hand_problems(model: MjModel, entries: RobotEntries, hand: HandShape)
         T_body_tool = _in_body(model, int(site.id), hand.body)
         if T_body_tool is None:
             yield f"[gripper] tcp '{entries.tcp}' is not on the hand, below '{entries.mount.joints[-1]}'"
+            return
+        if geometry.one_jaw:
+            yield "[gripper] tcp lies on the fixed one of two jaws: leave it out, it is measured"
             return
         turn = hand.T_body_tcp[:3, :3].T @ T_body_tool[:3, :3]
         if turn[2, 2] < _AXIS or abs(turn[1, 1]) < _AXIS:

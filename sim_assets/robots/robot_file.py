@@ -23,7 +23,8 @@ from perception.io.files import read_text
 from sim_assets.errors import RobotFileError
 from sim_assets.rendering.headless import MjModel
 from sim_assets.robots.finger_motion import hand_joints, sweep_hand
-from sim_assets.robots.hand_shape import HandShape, measure_hand
+from sim_assets.robots.hand_shape import measure_hand
+from sim_assets.robots.hand_surface import HandShape
 from sim_assets.robots.mounting import (
     HAND_PREFIX,
     PREFIX,
@@ -55,7 +56,7 @@ from sim_assets.robots.simulated_arm import SimulatedArm
 from sim_assets.robots.toml_table import MAX_DISTANCE, TomlTable
 
 _TCP, _CAMERA = "nodeslam_tcp", "nodeslam_camera"  # sites that the file does not name
-_GEOMETRY = [field.name for field in fields(GripperGeometry)]
+_GEOMETRY = [field.name for field in fields(GripperGeometry) if field.name != "one_jaw"]
 _LIMITS = {  # least and largest limits of speed that are taken for ones in rad/s, rad/s^2 and rad/s^3
     "velocity": (0.02, 50.0), "acceleration": (0.05, 1000.0), "jerk": (0.5, 1e5),
 }  # fmt: skip
@@ -127,7 +128,7 @@ def read_entries(path: Path, document: dict[str, Any], problems: list[str]) -> R
     joints = arm.names("joints")
     count = len(joints)
     limits = [arm.limits(name, count, *bounds) for name, bounds in _LIMITS.items()]
-    base = Frame(arm.numbers("base", 3, (0.0, 0.0, 0.0), MAX_DISTANCE), _about_z(arm.number("base_yaw", 0.0)))
+    base = Frame(arm.numbers("base", 3, (0.0, 0.0, 0.0), MAX_DISTANCE), about_z(arm.number("base_yaw", 0.0)))
     named = "actuator" in gripper
     closed = gripper.number("closed") if named else 0.0
     commands = (gripper.number("open"), closed, gripper.number("press", closed)) if named else (0.0, 0.0, 0.0)
@@ -340,5 +341,6 @@ def _frame(T: Float[np.ndarray, "4 4"]) -> Frame:
     return Frame(T[:3, 3].copy(), Rotation.from_matrix(T[:3, :3]).as_quat(scalar_first=True))
 
 
-def _about_z(angle: float) -> np.ndarray:
+def about_z(angle: float) -> np.ndarray:
+    """Return the quaternion wxyz of a rotation about z by an angle in [rad]."""
     return np.array([np.cos(angle / 2), 0.0, 0.0, np.sin(angle / 2)])

@@ -15,6 +15,7 @@ GRIPPER = "nodeslam_gripper"  # tendon and actuator that drive a hand
 DEFAULT_FORCE = 40.0  # [N] of each finger
 _SATURATION = 0.02  # [rad] of tracking error at which an added servo gives its full torque
 _FASTEST = 150.0  # [rad/s], natural frequency up to which the simulation is accurate
+_JAW_SATURATION = 0.3  # share of a jaw's range at which its servo gives its full force
 _DAMPING_RATIO = 0.1  # [s] velocity gain over position gain, as tuned for the shipped arms
 
 
@@ -41,7 +42,7 @@ class GripperServo:
     Attributes:
         joints: names of the driven joints.
         weights: their weights in the tendon's length, which grows as the hand opens.
-        gain: position gain in force per tendon length.
+        gain, damping: position and velocity gain in force per tendon length, and per its rate.
         force: largest force of the tendon.
         coupling: offset and slope of the second joint's position over the first's, each relative to the
             model's reference; None if the model couples them itself.
@@ -51,6 +52,7 @@ class GripperServo:
     joints: tuple[str, ...]
     weights: tuple[float, ...]
     gain: float
+    damping: float
     force: float
     coupling: tuple[float, float] | None
     remove: tuple[str, ...]
@@ -150,10 +152,19 @@ def gripper_servo(model: MjModel, fingers: FingerMotion, hand: Sequence[int], fo
         )
         coupling = (float(offset), slope)
     tendon_force = force * ratio
+    gain = tendon_force / (0.8 * float(np.ptp(lengths)))
+    damping = 0.02 * gain
+    if len(hand) == 1:  # a jaw has the inertia of its motor's gear, and no linkage that damps it
+        gain = tendon_force / (_JAW_SATURATION * float(np.ptp(lengths)))
+        data = mujoco.MjData(model)
+        mujoco.mj_forward(model, data)
+        inertia = joint_inertia(model, data, int(model.jnt_dofadr[hand[0]])) / weights[0] ** 2
+        damping = 2 * float(np.sqrt(gain * inertia))
     return GripperServo(
         joints=driven,
         weights=weights,
-        gain=tendon_force / (0.8 * float(np.ptp(lengths))),
+        gain=gain,
+        damping=damping,
         force=tendon_force,
         coupling=coupling,
         remove=tuple(model.actuator(index).name for index in actuators_of(model, hand)),
@@ -209,4 +220,4 @@ def add_gripper_servo(spec: MjSpec, servo: GripperServo) -> None:
         name=GRIPPER, target=GRIPPER, trntype=mujoco.mjtTrn.mjTRN_TENDON,
         forcelimited=True, forcerange=(-servo.force, servo.force),
     )  # fmt: skip
-    actuator.set_to_position(kp=servo.gain, kv=0.02 * servo.gain)
+    actuator.set_to_position(kp=servo.gain, kv=servo.damping)

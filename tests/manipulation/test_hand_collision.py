@@ -113,3 +113,9 @@ def test_surface_points_fill_large_triangles_and_thin_small_ones():
     assert np.linalg.norm(lattice[:, None] - points, axis=2).min(axis=1).max() < 0.005
     fine = TriangleMesh(np.random.default_rng(0).uniform(0, 0.006, (3000, 3)), np.arange(3000).reshape(-1, 3))
     assert len(surface_points(fine)) <= 2**3
+
+
+def test_boxes_move_along_the_closing_direction():
+    moved = HAND.moved(0.01)
+    np.testing.assert_allclose(moved.low - HAND.low, np.tile((0, 0.01, 0), (3, 1)))
+    np.testing.assert_allclose(moved.high - moved.low, HAND.high - HAND.low)

@@ -57,6 +57,11 @@ def test_configuration_for_an_arm_has_its_gripper(arm):
     assert config.packing == CONFIG.packing
 
 
+def test_an_arm_of_five_joints_keeps_its_hand_vertical(arm):
+    grasp = CONFIG.for_arm(replace(arm, joint_names=arm.joint_names[:5])).pick_place.grasp
+    assert (grasp.max_tilt, grasp.max_inward_tilt) == (0, 0)
+
+
 def test_plans_hold_all_objects_their_grasps_and_the_goal_geometry(scene, shapes, arm):
     wide = shapes.estimate(5, "can", shapes.can(radius=0.05), x=0.4, y=-0.4)
     kinematics = Kinematics(arm)

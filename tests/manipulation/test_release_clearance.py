@@ -93,3 +93,22 @@ def test_the_hand_moves_with_the_release_pose():
     assert count_free_releases(raster, [grasp], at_post) == 0
     assert count_free_releases(raster, [grasp], ReleasePose(at_post.position, 0.0, 0.0)) == 1
     assert count_free_releases(raster, [grasp], ReleasePose(at_post.position, np.pi / 2, 0.025)) == 1
+
+
+def test_the_fingers_of_one_jaw_are_on_the_side_of_its_opening(shapes):
+    """Something beside the fixed pad, nearer than half an opening: free for one jaw, not for two fingers."""
+    (can,) = items_of(shapes, ("can", shapes.can(radius=0.02, height=0.1)))
+    approach, closing = np.array([0, 0, -1.0]), np.array([0, 1.0, 0])
+    grasp = Grasp(
+        kind="top", T_stand_tcp=tcp_pose(np.array([0, 0, 0.09]), approach, closing),
+        away=np.array([0, 0, 1.0]), opening=0.06, held_width=0.04, closed_width=(0.02, 0.05),
+        release_opening=0.06, depth=0.01, azimuth=0.0, score=1.0,
+    )  # fmt: skip
+    thin = GripperGeometry(finger_reach=0.004, finger_half_width=0.002, palm=0.2)
+    counts = []
+    for gripper in (thin, replace(thin, one_jaw=True)):
+        raster = BoxRaster(replace(Box(), size=(0.5, 0.5, 0.08)), 0.004)
+        middle = len(raster.x) // 2, len(raster.y) // 2 - 8  # 32 mm on the side of -y
+        raster.add(Stencil.of(footprint(can), 0.0, raster.cell), middle)
+        counts.append(count_free_releases(raster, [grasp], ReleasePose(np.zeros(2), 0.0, -0.05), gripper))
+    assert counts == [0, 1]

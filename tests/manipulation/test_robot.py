@@ -36,3 +36,8 @@ def test_a_linkage_is_tabulated_and_its_passive_joints_follow():
     np.testing.assert_allclose(fingers.at(0.025), [0.6, -0.6, 0.2])
     assert fingers.width(np.array([0.4, -0.4])) == pytest.approx(0.05)
     assert fingers.width(np.array([0.9, -0.9])) == 0.0
+
+
+def test_the_middle_of_the_pads_moves_with_one_jaw_alone():
+    assert GripperGeometry().pads_middle(0.04) == 0
+    assert GripperGeometry(one_jaw=True).pads_middle(0.04) == 0.02

@@ -1,4 +1,5 @@
 from collections import Counter
+from dataclasses import replace
 
 import pytest
 
@@ -19,6 +20,13 @@ def test_length_and_direction_of_a_line():
     line = Line((0.1, 0.2), (-0.2, 0.6))
     assert line.length == pytest.approx(0.5)
     assert line.direction == pytest.approx([-0.6, 0.8])
+
+
+def test_the_hand_stands_off_along_its_closing_direction_before_it_closes(shapes):
+    grasp = replace(grasp_candidates(standing(shapes, "can", shapes.can())).grasps[0], stand_off=0.004)
+    step = grasp.T_stand_tcp[:3, 3] - grasp.T_stand_open[:3, 3]
+    assert step == pytest.approx(0.004 * grasp.T_stand_tcp[:3, 1])
+    assert (grasp.T_stand_open[:3, :3] == grasp.T_stand_tcp[:3, :3]).all()
 
 
 def test_top_of_an_object_is_its_highest_vertex(shapes):

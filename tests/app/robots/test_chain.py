@@ -5,7 +5,7 @@ import pytest
 from app.errors import UsageError
 from app.robots.chain import find_chain
 from sim_assets.rendering.headless import mujoco
-from tests.sim_assets.robots.conftest import JOINTS, SLIDING, linkage
+from tests.sim_assets.robots.conftest import JOINTS, SLIDING, linkage, one_jaw
 
 
 def chain_of(mjcf, root=""):
@@ -61,12 +61,27 @@ def test_joints_that_turn_without_end_belong_to_the_arm():
     assert chain.joints == JOINTS and "'roll'" in chain.assumptions[0]
 
 
+def test_the_last_joint_may_move_a_jaw_opposite_to_a_fixed_one():
+    chain = chain_of(one_jaw())
+    assert (chain.joints, chain.fingers) == (JOINTS, ("jaw",))
+    assert chain.assumptions == ("joint 'jaw' moves one jaw, the other is fixed",)
+
+
+def test_a_flange_that_turns_is_no_jaw():
+    head, rest = SLIDING.split('            <body name="left">')
+    flange = '<body name="flange" pos=".04 0 0"><joint name="flange" axis="1 0 0" range="-3 3"/>'
+    flange += '<geom group="3" type="cylinder" size=".03 .02" euler="0 1.57 0"/></body>'
+    mjcf = head + flange + rest[rest.index("          </body></body></body>") :]
+    with pytest.raises(UsageError, match="the arm ends at joint 'flange' without a hand"):
+        chain_of(mjcf)
+
+
 @pytest.mark.parametrize(
     ("mjcf", "message"),
     [
         ("<mujoco/>", "the model has no joints"),
         (SLIDING.split('            <body name="left">')[0] + 5 * "</body>" + "</worldbody></mujoco>",
-         "the arm ends at joint 'roll' without a hand: give --hand HAND.xml --mount SITE.*one moving finger"),
+         "the arm ends at joint 'roll' without a hand: give --hand HAND.xml --mount SITE"),
     ],
 )  # fmt: skip
 def test_what_is_missing_is_named(mjcf, message):

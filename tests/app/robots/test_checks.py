@@ -10,13 +10,17 @@ from app.robots.checks import (
     check_camera,
     check_hand,
     check_home,
+    check_joints,
+    check_objects,
     check_reach,
     loading_faults,
     reachable_radii,
 )
+from app.task.arm_cell import ArmCell
 from manipulation.kinematics import Kinematics
 from manipulation.robot import GripperGeometry
 from manipulation.workspace import ReachFit, Workspace
+from perception.types import CATEGORIES
 from sim_assets.robots import load_robot
 
 
@@ -30,12 +34,39 @@ def arm():
     [
         (GripperGeometry(), "good"),
         (GripperGeometry(max_width=0.05), "warning"),
-        (GripperGeometry(min_width=0.014), "warning"),
     ],
 )
-def test_hands_too_small_or_that_do_not_close_are_told(arm, hand, verdict):
+def test_hands_too_small_are_told(arm, hand, verdict):
     finding = check_hand(replace(arm, gripper=hand))
     assert finding.verdict == verdict and bool(finding.remedy) == (verdict == "warning")
+
+
+@pytest.mark.parametrize(
+    ("hand", "categories", "reason"),
+    [
+        (GripperGeometry(), CATEGORIES, ""),
+        (
+            GripperGeometry(min_width=0.014),
+            ("bottle", "can"),
+            "closes to 14 mm, too wide for the walls of mug, bowl",
+        ),
+        (
+            GripperGeometry(finger_thickness=0.03),
+            ("bottle", "can"),
+            "fingers of 30 mm do not fit into mug, bowl",
+        ),
+    ],
+)
+def test_the_classes_that_a_hand_cannot_hold_are_told(arm, hand, categories, reason):
+    finding = check_objects(replace(arm, gripper=hand), ArmCell(0.5, 0.5, 0.03, categories))
+    assert finding.verdict == ("warning" if reason else "good") and reason in finding.found
+    assert "at 50 % of their usual size" in finding.found
+
+
+@pytest.mark.parametrize(("count", "verdict"), [(7, "good"), (6, "good"), (5, "warning")])
+def test_arms_of_five_joints_are_told_what_they_cannot_do(arm, count, verdict):
+    finding = check_joints(replace(arm, joint_names=arm.joint_names[:count]))
+    assert finding.verdict == verdict and f"{count} joints" in finding.found
 
 
 def test_a_good_home(arm):

@@ -11,7 +11,7 @@ from app.robots.draft import best_lift, draft_robot
 from manipulation.kinematics import Kinematics
 from manipulation.workspace import ReachFit, Workspace
 from sim_assets.robots import load_robot
-from tests.sim_assets.robots.conftest import JOINTS, SLIDING
+from tests.sim_assets.robots.conftest import JOINTS, SLIDING, one_jaw
 
 
 @pytest.fixture(autouse=True)
@@ -96,3 +96,25 @@ def test_no_home_posture_is_a_usage_error(arm_file, tmp_path, monkeypatch):
     monkeypatch.setattr(draft, "find_home", lambda arm, kinematics: None)
     with pytest.raises(UsageError, match="no posture was found in which the hand points down"):
         draft_robot(arm_file, tmp_path)
+
+
+def test_a_base_whose_first_joint_is_far_from_its_middle_is_turned(tmp_path, monkeypatch):
+    """The joint turns by -1 to 3: ahead, at 0, it is 1 from the middle of its range."""
+    (tmp_path / "arm.xml").write_text(
+        SLIDING.replace('axis="0 0 1" range="-3 3"', 'axis="0 0 1" range="-1 3"')
+    )
+    text = draft_robot(tmp_path / "arm.xml", tmp_path).text
+    entries = tomllib.loads(text)["arm"]
+    assert entries["base_yaw"] == pytest.approx(-1.0, abs=1e-4) and entries["home"][0] == 1.0
+    (tmp_path / "robot.toml").write_text(text)
+    arm = load_robot(str(tmp_path / "robot.toml")).description
+    T = Kinematics(arm).forward(arm.q_home)
+    assert T[1, 3] == pytest.approx(0, abs=1e-3) and T[0, 3] > 0.1
+
+
+def test_an_arm_with_one_jaw_is_drafted(tmp_path):
+    (tmp_path / "arm.xml").write_text(one_jaw())
+    text = draft_robot(tmp_path / "arm.xml", tmp_path).text
+    assert tomllib.loads(text)["gripper"]["joints"] == ["jaw"]
+    (tmp_path / "robot.toml").write_text(text)
+    assert load_robot(str(tmp_path / "robot.toml")).description.gripper.one_jaw

@@ -57,6 +57,21 @@ def test_objects_are_drawn_that_the_hand_can_hold(closes_to, classes):
     assert scales_of(ReachFit(Workspace(1.0), 1.0), robot).categories == classes
 
 
+@pytest.mark.parametrize(
+    ("scale", "thickness", "classes"),
+    [
+        (0.8, 0.032, CATEGORIES),
+        (0.5, 0.035, ("bowl", "bottle", "can")),  # 37 mm inside a mug, 55 mm inside a bowl
+        (0.35, 0.025, ("bottle", "can")),
+    ],
+)
+def test_fingers_fit_into_the_vessels_that_are_drawn(scale, thickness, classes):
+    robot = with_opening(0.08)
+    hand = replace(robot.description.gripper, finger_thickness=thickness)
+    robot = replace(robot, description=replace(robot.description, gripper=hand))
+    assert set(scales_of(ReachFit(Workspace(scale), 1.0), robot).categories) == set(classes)
+
+
 def test_shipped_arms_have_the_standard_cell():
     assert arm_cell(PackOptions(robot="sixaxis"), with_opening(0.01)) == ArmCell()
 

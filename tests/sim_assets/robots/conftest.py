@@ -40,6 +40,13 @@ CRANKS = """
               <body name="right_pad" pos=".04 0 0"><joint name="right_level" axis="0 0 -1" range="-2 2"/>
                 <geom group="3" type="box" size=".015 .004 .008" pos=".02 .006 0"/></body></body>
 """
+# A fixed jaw along x from 0.01 to 0.11 with its face at y = 0, and one that turns about z at (0.01, 0): its
+# face is on the ray from there at angle q, 0.1 m long.
+ONE_JAW = """
+            <geom group="3" type="box" size=".05 .005 .008" pos=".06 -.005 0"/>
+            <body name="jaw" pos=".01 0 0"><joint name="jaw" axis="0 0 1" range="0 1.5"/>
+              <geom group="3" type="box" size=".05 .005 .008" pos=".05 .005 0"/></body>
+"""
 _LEVEL = '<joint joint1="{0}_level" joint2="{0}" polycoef="0 -1 0 0 0" solref=".004 1"/>'
 JOINTS = ("turn", "lift", "bend", "roll")
 
@@ -50,6 +57,16 @@ def linkage() -> str:
     return (head + CRANKS + rest[rest.index("          </body></body></body>") :]).replace(
         "</mujoco>", equalities + "</mujoco>"
     )
+
+
+def one_jaw() -> str:
+    head, rest = SLIDING.split('            <body name="left">')
+    return head + ONE_JAW + rest[rest.index("          </body></body></body>") :]
+
+
+@pytest.fixture(scope="session")
+def jaw_model():
+    return mujoco.MjModel.from_xml_string(one_jaw())
 
 
 @pytest.fixture(scope="session")

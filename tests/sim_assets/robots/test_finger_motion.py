@@ -49,3 +49,9 @@ def test_a_finger_without_a_range_is_named():
     model = mujoco.MjModel.from_xml_string(SLIDING.replace('range="0 .04"', 'limited="false"'))
     with pytest.raises(RobotFileError, match="finger joint 'left' needs a range"):
         sweep_hand(model, JOINTS, ("left", "right"))
+
+
+def test_a_joint_alone_goes_exactly_through_its_range(jaw_model):
+    sweep = sweep_hand(jaw_model, JOINTS, ("jaw",))
+    assert sweep.joint_names == ("jaw",) and sweep.n_driven == 1
+    np.testing.assert_allclose(sweep.positions[:, 0], np.linspace(0, 1.5, len(sweep.positions)))

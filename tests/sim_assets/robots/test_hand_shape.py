@@ -6,7 +6,7 @@ import pytest
 from sim_assets.errors import RobotFileError
 from sim_assets.rendering.headless import mujoco
 from sim_assets.robots.finger_motion import sweep_hand
-from sim_assets.robots.hand_shape import geom_points, measure_hand
+from sim_assets.robots.hand_shape import measure_hand
 from tests.sim_assets.robots.conftest import JOINTS, SLIDING
 
 
@@ -67,19 +67,3 @@ def test_hands_that_are_not_parallel_grippers():
     little = SLIDING.replace('range="0 .04"', 'range="0 .002"').replace('range="-.04 0"', 'range="-.002 0"')
     with pytest.raises(RobotFileError, match=r"the fingers open from 2\.0 to 6\.0 mm only"):
         measure(mujoco.MjModel.from_xml_string(little))
-
-
-@pytest.mark.parametrize(
-    ("geom", "extent"),
-    [
-        ('type="box" size=".01 .02 .03"', (0.02, 0.04, 0.06)),
-        ('type="sphere" size=".01"', (0.02, 0.02, 0.02)),
-        ('type="cylinder" size=".01 .02"', (0.02, 0.02, 0.04)),
-        ('type="capsule" size=".01 .02"', (0.02, 0.02, 0.06)),
-        ('type="ellipsoid" size=".01 .02 .03"', (0.02, 0.04, 0.06)),
-    ],
-)
-def test_points_on_geoms_span_them(geom, extent):
-    model = mujoco.MjModel.from_xml_string(f"<mujoco><worldbody><geom {geom}/></worldbody></mujoco>")
-    points = geom_points(model, 0)
-    np.testing.assert_allclose(np.ptp(points, axis=0), extent, rtol=0.03)

@@ -110,3 +110,16 @@ def test_one_driven_joint_carries_the_whole_tendon(sliding_model):
     servo = gripper_servo(sliding_model, motion, [], 30.0)
     assert servo.weights == (1.0,) and servo.coupling is None
     assert servo.force == pytest.approx(60.0)  # the other finger is pulled along
+
+
+def test_the_servo_of_a_jaw_is_critically_damped(jaw_model):
+    model = mujoco.MjModel.__copy__(jaw_model)
+    model.dof_armature[model.joint("jaw").dofadr[0]] = 0.1
+    fingers = measure_hand(model, JOINTS, sweep_hand(model, JOINTS, ("jaw",))).fingers
+    servo = gripper_servo(model, fingers, hand_joints(model, JOINTS), 30.0)
+    data = mujoco.MjData(model)
+    mujoco.mj_forward(model, data)
+    inertia = joint_inertia(model, data, int(model.joint("jaw").dofadr[0]))
+    assert servo.damping == pytest.approx(2 * np.sqrt(servo.gain * inertia)) and servo.coupling is None
+    lever = np.ptp(fingers.widths) / np.ptp(fingers.positions)
+    assert servo.force == pytest.approx(30 * lever)
