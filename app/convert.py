@@ -24,6 +24,7 @@ from perception.io.recordings.nocs import REAL275, is_nocs_recording, open_nocs
 from perception.io.recordings.numbered import is_numbered_recording, open_numbered
 from perception.io.recordings.trajectory import Trajectory, read_trajectory
 from perception.io.recordings.tum import MAX_TIME_DIFFERENCE, is_tum_recording, open_tum
+from perception.io.scan_cameras import check_camera
 from perception.io.scan_folder import ScanWriter
 from perception.types import ObjectDetection, RgbdFrame
 
@@ -200,6 +201,7 @@ def _usable(
     for index in chosen:
         try:
             frame = source.read(index)
+            check_camera(frame)
             yield frame, source.detections(index) if source.detections is not None else None
         except InvalidInputError as error:
             skipped.append(str(error))

@@ -10,11 +10,13 @@ from jaxtyping import Float
 
 from app.export.mjcf import upright
 from perception.detection.geometry import points_of
+from perception.errors import InvalidInputError
 from perception.types import ObjectEstimate, RgbdFrame, SupportPlane
 from sim_assets.cell.drop_world import HeightField
 
 CELL = 0.008  # [m]
 REACH = 0.35  # [m] around the objects
+FARTHEST = 5.0  # [m] of a reconstructed object from their middle
 LOWEST, HIGHEST = 0.012, 0.35  # [m] above the support: noise below, no obstacle to toys above
 APART = 0.02  # [m] around reconstructed objects, which have collision shapes of their own
 LEAST_POINTS = 3  # per cell
@@ -32,13 +34,23 @@ def support_frame(objects: Sequence[ObjectEstimate], plane: SupportPlane) -> Flo
 def clutter(
     frames: Sequence[RgbdFrame], objects: Sequence[ObjectEstimate], T_world_support: Float[np.ndarray, "4 4"]
 ) -> HeightField:
-    """Return the heights of the measured surfaces around the objects, without the objects."""
+    """Return the heights of the measured surfaces around the objects, without the objects.
+
+    Raises:
+        InvalidInputError: An object is more than FARTHEST from the middle of the objects.
+    """
     T_support_world = np.linalg.inv(T_world_support)
     footprints = [
         (T_support_world[:3, :3] @ estimate.mesh_world.vertices.T).T[:, :2] + T_support_world[:2, 3]
         for estimate in objects
     ]
-    half = REACH + max(float(np.abs(points).max()) for points in footprints)
+    farthest = max(float(np.abs(points).max()) for points in footprints)
+    if farthest > FARTHEST:
+        raise InvalidInputError(
+            f"an object is {farthest:.3g} m from the middle of the objects, at most {FARTHEST:g} m are "
+            "allowed: reconstruct the scan again"
+        )
+    half = REACH + farthest
     count = 2 * int(np.ceil(half / CELL)) + 1
     own = np.zeros((count, count), np.uint8)
     for points in footprints:

@@ -72,7 +72,8 @@ def _loaded(path: Path, **options: Any) -> Any:
             _check_ply(content)
         elif kind == ".glb":
             _check_glb(content)
-        return trimesh.load(io.BytesIO(content), file_type=kind[1:], process=False, **options)
+        with np.errstate(all="ignore"):  # numbers that overflow are refused by the callers
+            return trimesh.load(io.BytesIO(content), file_type=kind[1:], process=False, **options)
     except InvalidInputError:
         raise
     except FileNotFoundError:

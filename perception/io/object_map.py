@@ -8,7 +8,7 @@ from __future__ import annotations
 
 import logging
 import re
-from collections.abc import Sequence
+from collections.abc import Sequence, Set
 from pathlib import Path
 from typing import Any
 
@@ -17,6 +17,7 @@ import numpy as np
 from perception.errors import InvalidInputError
 from perception.io.files import read_json, write_atomically, write_json
 from perception.io.meshes import read_mesh
+from perception.io.scan_cameras import read_numbers
 from perception.types import (
     CODE_SIZE,
     RESTING_POSES,
@@ -29,7 +30,7 @@ from perception.types import (
 
 logger = logging.getLogger(__name__)
 PLANE = "plane"  # what an object rests on that rests on no other object
-MAX_DISTANCE = 1e6  # [m] of anything in a map: products of larger numbers overflow
+MAX_DISTANCE = 200.0  # [m] of anything in a map, whose cameras are within 100 m
 _MESH_NAME = re.compile(r"\d+_[a-z]+\.ply")
 
 
@@ -73,7 +74,7 @@ def read_object_map(folder: str | Path) -> list[ObjectEstimate]:
     objects = []
     for index, entry in enumerate(entries):
         try:
-            objects.append(_estimate(folder, entry))
+            objects.append(_estimate(folder, entry, {estimate.id for estimate in objects}))
         except (InvalidInputError, KeyError, TypeError, ValueError, OverflowError) as error:
             problem = f"{error} is missing" if isinstance(error, KeyError) else error
             message = f"{path}, object {index}: {problem}: reconstruct the scan again"
@@ -134,16 +135,25 @@ def _is_finite(estimate: ObjectEstimate) -> bool:
     return all(np.isfinite(value).all() for value in (*numbers, estimate.score, estimate.residual))
 
 
-def _estimate(folder: Path, entry: dict[str, Any]) -> ObjectEstimate:
-    if not isinstance(entry["id"], int) or not isinstance(entry["category"], str):
+def _estimate(folder: Path, entry: Any, used: Set[int]) -> ObjectEstimate:
+    """Read an object whose id is not used yet."""
+    if not isinstance(entry, dict):
+        raise InvalidInputError("it is no JSON object")
+    if type(entry["id"]) is not int or entry["id"] < 0 or not isinstance(entry["category"], str):
         raise InvalidInputError(f"id {entry['id']!r}, category {entry['category']!r} are no number and name")
-    code, scale = (np.asarray(entry[key], dtype=np.float64) for key in ("code", "scale"))
-    if code.shape != (CODE_SIZE,) or scale.shape != (3,) or not (scale > 0).all():
-        raise InvalidInputError(f"code must hold {CODE_SIZE} numbers and scale 3 positive ones")
+    if entry["id"] in used:
+        raise InvalidInputError(f"another object has the id {entry['id']}, too")
+    code, scale = read_numbers(entry, "code", CODE_SIZE), read_numbers(entry, "scale", 3)
+    score, n_views, residual = (
+        float(read_numbers(entry, key, 1)[0]) for key in ("score", "n_views", "residual")
+    )
+    if not (scale > 0).all() or n_views < 0 or residual < 0:
+        raise InvalidInputError("scale must be positive, n_views and residual not negative")
     name = f"{entry['id']}_{entry['category']}.ply"
     if not _MESH_NAME.fullmatch(name):
         raise InvalidInputError(f"category {entry['category']!r} is no class name")
-    T_world_object = check_rigid(np.asarray(entry["T_world_object"], dtype=np.float64), "T_world_object")
+    T_world_object = read_numbers(entry, "T_world_object", 16).reshape(4, 4)
+    check_rigid(T_world_object, "T_world_object")
     mesh_world = read_ply(folder / "objects" / name)
     if not max(np.abs(mesh_world.vertices).max(), np.abs(T_world_object).max(), scale.max()) <= MAX_DISTANCE:
         raise InvalidInputError(f"its pose, scale and mesh must be within {MAX_DISTANCE:g} m")
@@ -154,9 +164,9 @@ def _estimate(folder: Path, entry: dict[str, Any]) -> ObjectEstimate:
         T_world_object=T_world_object,
         scale=scale,
         mesh=mesh_world.transformed(np.linalg.inv(T_world_object)),
-        score=float(entry["score"]),
-        n_views=int(entry["n_views"]),
-        residual=float(entry["residual"]),
+        score=score,
+        n_views=int(n_views),
+        residual=residual,
         status=entry.get("status", "converged"),
         resting=_resting(entry.get("resting", "upright")),
         rests_on=_rests_on(entry.get("rests_on", PLANE)),

@@ -13,7 +13,7 @@ from __future__ import annotations
 
 import logging
 import math
-from collections.abc import Mapping, Sequence
+from collections.abc import Sequence
 from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
@@ -25,17 +25,22 @@ from perception.errors import InvalidInputError
 from perception.io.detections import MAX_PER_IMAGE, read_detections, write_detections
 from perception.io.files import read_json, write_atomically, write_json
 from perception.io.images import DEPTH_MODES, png_bytes, read_image
-from perception.types import CameraIntrinsics, ObjectDetection, RgbdFrame
+from perception.io.scan_cameras import (
+    DEPTH_SCALE,
+    camera_entry,
+    check_spread,
+    read_intrinsics,
+    read_numbers,
+    read_pose,
+    suspicion_of_metres,
+)
+from perception.types import ObjectDetection, RgbdFrame
 
 logger = logging.getLogger(__name__)
 
-DEPTH_SCALE = 0.1  # of the depth images written here: a tenth of a millimetre, up to 6.5 m
 FRAME_PERIOD = 1 / 30  # [s] between images of a folder that keeps no times
-MIN_TRANSLATION = 10.0  # [mm] length below which all translations together are suspicious
-MAX_DISTANCE = 100.0  # [m] of a camera from the origin and from other cameras
 MAX_IMAGES = 2000  # that are in memory together: 2 MB each at 640 x 480
 MAX_SEQUENCE = 100_000  # that are read one at a time
-MAX_NUMBER = 1e9  # of a camera: 1000 km in millimetres; larger ones overflow
 MASK_FOLDERS = ("mask_visib", "mask")
 
 
@@ -94,7 +99,7 @@ class ScanWriter:
         raw[raw > np.iinfo(np.uint16).max] = 0  # exceeds 16 bits: marked as missing
         write_atomically(self.folder / "rgb" / f"{index:06d}.png", png_bytes(frame.rgb))
         write_atomically(self.folder / "depth" / f"{index:06d}.png", png_bytes(raw.astype(np.uint16)))
-        self._cameras[str(index)] = _camera_entry(frame)
+        self._cameras[str(index)] = camera_entry(frame)
 
     def close(self) -> None:
         """Write ``scene_camera.json``."""
@@ -127,13 +132,16 @@ def read_scan(folder: str | Path) -> Scan:
     if not frames:
         raise InvalidInputError(problems[0])
     if posed:
-        _check_spread(folder, frames)
+        try:
+            check_spread(frames)
+        except InvalidInputError as error:
+            raise InvalidInputError(f"{folder / 'scene_camera.json'}: {error}") from None
     for problem in problems:
         logger.warning("image skipped: %s", problem)
-    suspicion = _suspicion_of_metres(folder, [cameras[image_id] for image_id in frames]) if posed else None
+    suspicion = suspicion_of_metres([cameras[image_id] for image_id in frames]) if posed else None
     if suspicion is not None:
-        problems.append(suspicion)
-        logger.warning("%s", suspicion)
+        problems.append(f"{folder / 'scene_camera.json'}: {suspicion}")
+        logger.warning("%s", problems[-1])
     detections = read_detections(folder, frames, set(cameras))
     masks = read_masks(folder, frames) if detections is None else None
     return Scan(tuple(frames.values()), detections, tuple(frames), tuple(problems), masks)
@@ -236,11 +244,6 @@ def _read_cameras(folder: Path, max_images: int) -> dict[int, Any]:
 
 
 def _read_frame(folder: Path, image_id: int, camera: Any, posed: bool) -> RgbdFrame:
-    where = f"{folder / 'scene_camera.json'}, image {image_id}"
-    matrix = _numbers(camera, "cam_K", 9, where).reshape(3, 3)
-    scale = float(_numbers(camera, "depth_scale", 1, where)[0])
-    if not 0 < scale <= 1000:
-        raise InvalidInputError(f"{where}: depth_scale {scale} must be in 0..1000 (millimetres per unit)")
     rgb = read_image(folder, _image_name(folder, "rgb", image_id), ("RGB",), "8-bit RGB")
     raw = read_image(folder, f"depth/{image_id:06d}.png", DEPTH_MODES, "16-bit grey")
     if raw.shape != rgb.shape[:2]:
@@ -248,108 +251,28 @@ def _read_frame(folder: Path, image_id: int, camera: Any, posed: bool) -> RgbdFr
             f"{folder / 'depth'}/{image_id:06d}.png is {raw.shape[1]}x{raw.shape[0]} but the colour image is "
             f"{rgb.shape[1]}x{rgb.shape[0]}: register depth to colour"
         )
-    time = camera.get("time", image_id * FRAME_PERIOD)
-    if type(time) not in (int, float) or not math.isfinite(time):
-        raise InvalidInputError(f"{where}: time must be seconds, got {time!r}")
     try:
         return RgbdFrame(
-            time=float(time),
+            intrinsics=read_intrinsics(camera, rgb.shape[1], rgb.shape[0]),
+            time=_time(camera, image_id * FRAME_PERIOD),
             rgb=rgb,
-            depth=(raw * (scale / 1000)).astype(np.float32),
-            intrinsics=_intrinsics(matrix, rgb.shape[1], rgb.shape[0]),
-            T_world_camera=_camera_pose(camera, where) if posed else None,
+            depth=(raw * (_depth_scale(camera) / 1000)).astype(np.float32),
+            T_world_camera=read_pose(camera) if posed else None,
         )
     except InvalidInputError as error:
-        message = str(error)
-        raise InvalidInputError(message if message.startswith(where) else f"{where}: {message}") from None
+        raise InvalidInputError(f"{folder / 'scene_camera.json'}, image {image_id}: {error}") from None
 
 
-def _intrinsics(matrix: np.ndarray, width: int, height: int) -> CameraIntrinsics:
-    fx, skew, cx, below, fy, cy = matrix[:2].ravel()
-    if skew != 0 or below != 0 or tuple(matrix[2]) != (0, 0, 1):
-        raise InvalidInputError(
-            "cam_K must be [fx, 0, cx, 0, fy, cy, 0, 0, 1]: undistort and rectify the images"
-        )
-    if not (0.05 * width < fx < 50 * width and 0.5 < fx / max(fy, 1e-9) < 2):
-        raise InvalidInputError(
-            f"focal lengths {fx:g}, {fy:g} px are implausible for an image {width} px wide"
-        )
-    return CameraIntrinsics(width, height, fx, fy, cx, cy)
+def _depth_scale(camera: Any) -> float:
+    """Return the millimetres per unit of the depth image."""
+    scale = float(read_numbers(camera, "depth_scale", 1)[0])
+    if not 0 < scale <= 1000:
+        raise InvalidInputError(f"depth_scale {scale} must be in 0..1000 (millimetres per unit)")
+    return scale
 
 
-def _camera_pose(camera: Any, where: str) -> np.ndarray:
-    """Return T_world_camera from BOP's world-to-camera rotation and translation in millimetres."""
-    if "cam_R_w2c" not in camera or "cam_t_w2c" not in camera:
-        raise InvalidInputError(f"{where}: has no pose although other images have; give all or none")
-    R_camera_world = _numbers(camera, "cam_R_w2c", 9, where).reshape(3, 3)
-    t_camera_world = _numbers(camera, "cam_t_w2c", 3, where) / 1000
-    if (
-        not np.allclose(R_camera_world @ R_camera_world.T, np.eye(3), atol=1e-3)
-        or np.linalg.det(R_camera_world) < 0
-    ):
-        raise InvalidInputError(f"{where}: cam_R_w2c is not a rotation matrix")
-    u, _, vt = np.linalg.svd(R_camera_world)  # nearest rotation: files hold rounded numbers
-    T = np.eye(4)
-    T[:3, :3] = (u @ vt).T
-    T[:3, 3] = -T[:3, :3] @ t_camera_world
-    distance = float(np.linalg.norm(T[:3, 3]))
-    if distance > MAX_DISTANCE:
-        raise InvalidInputError(
-            f"{where}: cam_t_w2c puts the camera {distance:.3g} m from the origin, at most "
-            f"{MAX_DISTANCE:g} m are allowed: give millimetres, in coordinates of the scene, not of a map"
-        )
-    return T
-
-
-def _check_spread(folder: Path, frames: Mapping[int, RgbdFrame]) -> None:
-    """Raise InvalidInputError if a camera is too far from the first for both to show one scene."""
-    (first, T_first), *others = [(i, frame.T_world_camera) for i, frame in frames.items()]
-    for image_id, T in others:
-        assert T is not None and T_first is not None
-        distance = float(np.linalg.norm(T[:3, 3] - T_first[:3, 3]))
-        if distance > MAX_DISTANCE:
-            raise InvalidInputError(
-                f"{folder / 'scene_camera.json'}: cam_t_w2c puts the cameras of images {first} and "
-                f"{image_id} {distance:.3g} m apart, at most {MAX_DISTANCE:g} m are allowed: "
-                "give all in millimetres of one world frame"
-            )
-
-
-def _suspicion_of_metres(folder: Path, cameras: Sequence[Any]) -> str | None:
-    """Return a warning if the translations are so small that they are probably in metres."""
-    translations = [np.asarray(camera["cam_t_w2c"], dtype=np.float64).ravel() for camera in cameras]
-    longest = max(float(np.linalg.norm(translation)) for translation in translations)
-    if not 0 < longest < MIN_TRANSLATION:  # 0: the world is the camera frame
-        return None
-    return (
-        f"{folder / 'scene_camera.json'}: the translations cam_t_w2c are at most {longest:.3g} mm long, "
-        "probably they are in metres: multiply them by 1000"
-    )
-
-
-def _numbers(camera: Any, key: str, count: int, where: str) -> np.ndarray:
-    value = camera.get(key) if isinstance(camera, dict) else None
-    try:
-        numbers = np.asarray(value).ravel()
-    except ValueError:  # ragged lists
-        numbers = np.zeros(0)
-    if numbers.dtype.kind not in "if":  # texts, true and false
-        numbers = np.zeros(0)
-    numbers = numbers.astype(np.float64)
-    if numbers.size != count or not (np.abs(numbers) <= MAX_NUMBER).all():  # NaN fails as well
-        what = "a finite number" if count == 1 else f"{count} finite numbers"
-        raise InvalidInputError(f"{where}: {key} must be {what} of at most {MAX_NUMBER:g} in magnitude")
-    return numbers
-
-
-def _camera_entry(frame: RgbdFrame) -> dict[str, Any]:
-    entry: dict[str, Any] = {
-        "cam_K": frame.intrinsics.matrix.ravel().tolist(),
-        "depth_scale": DEPTH_SCALE,
-        "time": float(frame.time),
-    }
-    if frame.T_world_camera is not None:
-        T_camera_world = np.linalg.inv(frame.T_world_camera)
-        entry["cam_R_w2c"] = T_camera_world[:3, :3].ravel().tolist()
-        entry["cam_t_w2c"] = (1000 * T_camera_world[:3, 3]).tolist()
-    return entry
+def _time(camera: Any, default: float) -> float:
+    time = camera.get("time", default)
+    if type(time) not in (int, float) or not math.isfinite(time):
+        raise InvalidInputError(f"time must be seconds, got {time!r}")
+    return float(time)

@@ -12,6 +12,7 @@ from dataclasses import dataclass
 from pathlib import Path
 
 from perception.errors import InvalidInputError
+from perception.io.detections import MAX_PER_IMAGE
 from perception.io.files import read_text
 from perception.io.images import read_image
 from perception.io.recordings.image_pairs import ImagePair, NominalCamera, read_pair
@@ -106,4 +107,6 @@ def _read_meta(path: Path) -> list[tuple[int, int]]:
             raise InvalidInputError(
                 f"{path}, line {number}: expected an instance and a class number"
             ) from None
+    if len(entries) > MAX_PER_IMAGE:
+        raise InvalidInputError(f"{path} lists {len(entries)} instances, at most {MAX_PER_IMAGE} are allowed")
     return entries

@@ -15,6 +15,7 @@ from scipy.spatial.transform import Rotation
 
 from perception.errors import InvalidInputError
 from perception.io.files import read_text, write_atomically
+from perception.types import check_rigid
 
 
 @dataclass(frozen=True)
@@ -69,9 +70,10 @@ def read_trajectory(path: Path) -> Trajectory:
             T = np.eye(4)
             T[:3, :3] = Rotation.from_quat(quaternion).as_matrix()
             T[:3, 3] = x, y, z
-            if not (np.isfinite(T).all() and np.isfinite(time)):
-                raise ValueError("not finite")
-        except ValueError as error:
+            check_rigid(T, "it")
+            if not np.isfinite(time):
+                raise ValueError("its time is not finite")
+        except (ValueError, InvalidInputError) as error:
             raise InvalidInputError(
                 f"{path}, line {number} is not a pose ({error}): time tx ty tz qx qy qz qw"
             ) from None

@@ -13,11 +13,13 @@ from dataclasses import dataclass
 from pathlib import Path
 
 import numpy as np
+from jaxtyping import Float
 
 from perception.errors import InvalidInputError
 from perception.io.files import read_text
 from perception.io.recordings.camera_files import find_camera
 from perception.io.recordings.image_pairs import ImagePair, NominalCamera, read_pair
+from perception.io.scan_folder import MAX_SEQUENCE
 from perception.types import RgbdFrame
 
 UNITS_PER_METRE = 5000.0  # of the depth images
@@ -71,7 +73,7 @@ def open_tum(folder: Path) -> TumRecording:
     times = np.array([time for time, _ in colors])
     pairs, used = [], set()
     for time, depth in depths:
-        nearest = int(np.abs(times - time).argmin())
+        nearest = _nearest(times, time)
         if abs(times[nearest] - time) <= MAX_TIME_DIFFERENCE and nearest not in used:
             used.add(nearest)
             pairs.append(ImagePair(time, colors[nearest][1], depth))
@@ -87,6 +89,14 @@ def open_tum(folder: Path) -> TumRecording:
             f"{pairs[0].depth}"
         )
     return TumRecording(folder, present, _camera(folder), n_missing=len(pairs) - len(present))
+
+
+def _nearest(times: Float[np.ndarray, "n"], time: float) -> int:
+    """Return the index of the first of the ascending times in [s] that is nearest to a time."""
+    after = min(int(np.searchsorted(times, time)), len(times) - 1)
+    before = max(after - 1, 0)
+    nearest = before if abs(times[before] - time) <= abs(times[after] - time) else after
+    return int(np.searchsorted(times, times[nearest]))
 
 
 def _camera(folder: Path) -> NominalCamera:
@@ -120,4 +130,8 @@ def _read_list(path: Path) -> list[tuple[float, str]]:
             ) from None
     if not entries:
         raise InvalidInputError(f"{path} lists no image: it needs one line per image")
+    if len(entries) > MAX_SEQUENCE:
+        raise InvalidInputError(
+            f"{path} lists {len(entries)} images, at most {MAX_SEQUENCE} are read: divide the recording"
+        )
     return sorted(entries)

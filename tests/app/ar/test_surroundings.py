@@ -1,7 +1,8 @@
 import numpy as np
 import pytest
 
-from app.ar.surroundings import APART, CELL, HIGHEST, LOWEST, clutter, support_frame
+from app.ar.surroundings import APART, CELL, FARTHEST, HIGHEST, LOWEST, clutter, support_frame
+from perception.errors import InvalidInputError
 from perception.types import CameraIntrinsics, RgbdFrame, SupportPlane
 from sim_assets.rendering.camera import look_at
 
@@ -59,3 +60,9 @@ def test_the_support_frame_is_on_the_plane_below_the_objects(standing):
     np.testing.assert_allclose(T[:3, 2], tilted, atol=1e-6)
     assert T[:3, 3] @ tilted == pytest.approx(0.1)
     np.testing.assert_allclose(T[:3, :3] @ T[:3, :3].T, np.eye(3), atol=1e-9)
+
+
+def test_objects_that_are_kilometres_apart_are_refused(standing):
+    objects = [standing("can", 0, (0.0, 0.0)), standing("can", 1, (2 * FARTHEST + 0.1, 0.0))]
+    with pytest.raises(InvalidInputError, match=r"an object is 5\.\d+ m from the middle of the objects"):
+        clutter([table_frame(ABOVE)], objects, support_frame(objects, SupportPlane()))

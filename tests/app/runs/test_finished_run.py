@@ -95,7 +95,7 @@ def test_runs_of_other_commands_and_lost_sequences_have_no_tracked_images(slam_r
 
 
 @pytest.mark.parametrize(
-    "factors", [(1, 1, 1e-9), (1e4, 1e4, 1e4), (-1, 1, 1)], ids=["flat", "huge", "inside out"]
+    "factors", [(1, 1, 1e-9), (1e3, 1e3, 1e3), (-1, 1, 1)], ids=["flat", "huge", "inside out"]
 )
 def test_meshes_that_are_no_solid_objects_are_refused(tmp_path, can_at, factors):
     good = can_at()

@@ -149,3 +149,12 @@ def test_ascii_ply_is_read(tmp_path):
     assert len(trimesh.load(io.BytesIO(content), file_type="ply").faces) == len(
         read_mesh(tmp_path / "a.ply").faces
     )
+
+
+@pytest.mark.filterwarnings("error")
+def test_numbers_beyond_single_precision_are_refused_without_a_warning(tmp_path):
+    content = BOX.export(file_type="ply", encoding="ascii").decode()
+    header, _, body = content.partition("end_header\n")
+    (tmp_path / "a.ply").write_text(f"{header}end_header\n1e39{body[body.index(' ') :]}")
+    with pytest.raises(InvalidInputError, match=r"a\.ply has vertices that are not finite"):
+        read_mesh(tmp_path / "a.ply")

@@ -79,13 +79,18 @@ def test_what_is_not_finite_costs_that_object_alone(tmp_path, caplog):
 
 
 BAD_ENTRIES = {
-    "scale": (lambda e: e.update(scale=[0, 1, 1]), "scale 3 positive"),
-    "code": (lambda e: e.update(code=[1, 2]), "code must hold 16"),
-    "missing": (lambda e: e.pop("T_world_object"), "'T_world_object' is missing"),
+    "scale": (lambda e: e.update(scale=[0, 1, 1]), "scale must be positive"),
+    "code": (lambda e: e.update(code=[1, 2]), "code must be 16 finite numbers"),
+    "missing": (lambda e: e.pop("T_world_object"), "T_world_object must be 16 finite numbers"),
     "pose": (lambda e: e.update(T_world_object=np.diag([2, 2, 2, 1]).tolist()), "rigid"),
     "path": (lambda e: e.update(category="../../can"), "is no class name"),
     "class": (lambda e: e.update(category="spoon"), "spoon.ply is missing"),
     "id": (lambda e: e.update(id="one"), "are no number and name"),
+    "text as score": (lambda e: e.update(score="nan"), "score must be a finite number"),
+    "negative views": (lambda e: e.update(n_views=-5), "n_views and residual not negative"),
+    "ragged pose": (lambda e: e.update(T_world_object=[[1], [0, 1]]), "must be 16 finite numbers"),
+    "negative id": (lambda e: e.update(id=-1), "are no number and name"),
+    "truth as id": (lambda e: e.update(id=True), "are no number and name"),
 }
 
 
@@ -98,6 +103,20 @@ def test_bad_entries_are_named(tmp_path, damage, message):
     with pytest.raises(InvalidInputError, match=message) as caught:
         read_object_map(tmp_path)
     assert "objects.json, object 0" in str(caught.value)
+
+
+def test_an_entry_that_is_no_object_is_named(tmp_path):
+    (tmp_path / "objects.json").write_text("[7]")
+    with pytest.raises(InvalidInputError, match="object 0: it is no JSON object"):
+        read_object_map(tmp_path)
+
+
+def test_an_id_is_used_once(tmp_path):
+    write_object_map(tmp_path, [estimate()])
+    entries = json.loads((tmp_path / "objects.json").read_text())
+    (tmp_path / "objects.json").write_text(json.dumps(2 * entries))
+    with pytest.raises(InvalidInputError, match="object 1: another object has the id"):
+        read_object_map(tmp_path)
 
 
 def test_broken_mesh_is_named(tmp_path):
@@ -117,11 +136,9 @@ def test_a_pipe_in_place_of_a_mesh_is_refused(tmp_path):
 def test_absurd_coordinates_are_refused_before_they_overflow(tmp_path):
     write_object_map(tmp_path, [estimate()])
     entries = json.loads((tmp_path / "objects.json").read_text())
-    entries[0]["T_world_object"][0][3] = 1e300
+    entries[0]["T_world_object"][0][3] = 201.0
     (tmp_path / "objects.json").write_text(json.dumps(entries))
-    with pytest.raises(
-        InvalidInputError, match=r"object 0: its pose, scale and mesh must be within 1e\+06 m"
-    ):
+    with pytest.raises(InvalidInputError, match=r"object 0: its pose, scale and mesh must be within 200 m"):
         read_object_map(tmp_path)
 
 

@@ -48,6 +48,9 @@ def test_malformed_nocs_folders_are_named(nocs: Path, tmp_path: Path) -> None:
     (nocs / "0000_meta.txt").write_text("1 mug\n")
     with pytest.raises(InvalidInputError, match=r"0000_meta.txt, line 1"):
         open_nocs(nocs).detections(0)
+    (nocs / "0000_meta.txt").write_text(201 * "1 6 mug\n")
+    with pytest.raises(InvalidInputError, match=r"0000_meta\.txt lists 201 instances, at most 200"):
+        open_nocs(nocs).detections(0)
     (nocs / "0000_meta.txt").unlink()
     with pytest.raises(InvalidInputError, match=r"0000_meta\.txt cannot be read"):
         open_nocs(nocs).detections(0)

@@ -50,8 +50,14 @@ def test_numbers_that_are_not_finite_are_refused(tmp_path, number):
         words = ["1"] * 8
         words[position] = number
         (tmp_path / "t.txt").write_text(" ".join(words))
-        with pytest.raises(InvalidInputError, match=r"t\.txt, line 1 is not a pose \(not finite\)"):
+        with pytest.raises(InvalidInputError, match=r"t\.txt, line 1 is not a pose \(.*finite.*\): time tx"):
             read_trajectory(tmp_path / "t.txt")
+
+
+def test_quaternions_whose_norm_overflows_are_refused(tmp_path):
+    (tmp_path / "t.txt").write_text("0 1 2 3" + 4 * " 1e308")
+    with pytest.raises(InvalidInputError, match=r"t\.txt, line 1 is not a pose"):
+        read_trajectory(tmp_path / "t.txt")
 
 
 def test_the_nearest_pose_within_the_tolerance():

@@ -6,7 +6,7 @@ from PIL import Image
 
 from perception.errors import InvalidInputError
 from perception.io.recordings.sequence import open_sequence
-from perception.io.recordings.tum import CAMERAS, DEFAULT_CAMERA, is_tum_recording, open_tum
+from perception.io.recordings.tum import CAMERAS, DEFAULT_CAMERA, _nearest, is_tum_recording, open_tum
 
 
 @pytest.fixture
@@ -95,4 +95,21 @@ def test_both_lists_make_a_recording(tum):
 def test_unusable_lists_are_refused(tum, content):
     (tum / "rgb.txt").write_bytes(content)
     with pytest.raises(InvalidInputError, match=r"rgb\.txt(, line 1: expected a time| cannot be read)"):
+        open_tum(tum)
+
+
+@pytest.mark.parametrize("seed", range(20))
+def test_the_nearest_time_is_the_first_with_the_least_difference(seed):
+    rng = np.random.default_rng(seed)
+    times = np.sort(rng.integers(0, 8, rng.integers(1, 12)) / 2)
+    for time in np.arange(-1, 6, 0.25):
+        assert _nearest(times, time) == np.abs(times - time).argmin()
+
+
+def test_lists_of_too_many_images_are_refused(tum, monkeypatch):
+    monkeypatch.setattr("perception.io.recordings.tum.MAX_SEQUENCE", 3)
+    assert open_tum(tum).pairs
+    with (tum / "depth.txt").open("a") as list_:
+        list_.write("7 depth/7.png\n")
+    with pytest.raises(InvalidInputError, match=r"depth\.txt lists 4 images, at most 3 are read"):
         open_tum(tum)
