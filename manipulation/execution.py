@@ -104,12 +104,13 @@ class _Execution:
         self.motion = PlanExecution(robot, planner, observer, config, self._notify)
         self.planning = ObjectPlanning(task, planner, config)
         self.outcomes: dict[str, ObjectOutcome] = {}
+        self._queue = deque(task.placements)
         self._set_aside: set[str] = set()
         self._blockers: dict[str, Sequence[str]] = {}  # of objects that had no plan
         self._tried_before: dict[str, ObjectOutcome] = {}  # first outcomes of objects that get another chance
 
     def run(self) -> list[ObjectOutcome]:
-        queue = deque(self.task.placements)
+        queue = self._queue
         effort, n_deferred = Effort.PLAIN, 0  # with this effort, in a row
         while queue:
             placement = queue.popleft()
@@ -132,7 +133,7 @@ class _Execution:
                 continue
             self.outcomes[placement.name] = outcome
             self._notify("placed" if outcome.placed else "failed", placement.name, outcome.reason)
-            queue = self._unblocked_first(queue, outcome.name)
+            self._put_unblocked_first(outcome.name)
         with contextlib.suppress(RobotStoppedError):
             self.motion.go_home()
         return list(self.outcomes.values())
@@ -149,12 +150,14 @@ class _Execution:
             return None
         return outcome
 
-    def _unblocked_first(self, queue: deque[Placement], moved: str) -> deque[Placement]:
-        """Return the queue with those first that an object blocked before it was moved.
+    def _put_unblocked_first(self, moved: str) -> None:
+        """Put those first that an object blocked before it was moved.
 
         They are next in the task's order, and what comes later may block their goals.
         """
-        return deque(sorted(queue, key=lambda placement: moved not in self._blockers.get(placement.name, ())))
+        by_chance = sorted(self._queue, key=lambda p: moved not in self._blockers.get(p.name, ()))
+        self._queue.clear()
+        self._queue.extend(by_chance)
 
     def _gets_another_chance(self, placement: Placement, outcome: ObjectOutcome) -> bool:
         """Return whether an object that was not placed is tried once more when the others are done."""
@@ -245,12 +248,18 @@ class _Execution:
                     raise
 
     def _clear(self, name: str, blockers: Sequence[str]) -> bool:
-        """Set one of an object's blockers aside, each object at most once; return whether one was moved."""
-        placed = {outcome.name for outcome in self.outcomes.values() if outcome.placed}
-        movable = set(self.planner.poses()) - placed - self._set_aside - {name}
+        """Set one of an object's blockers aside, each at most once; return whether one was moved.
+
+        One that was placed already is placed again afterwards.
+        """
+        placements = {p.name: p for p in self.task.placements if p.name in self.outcomes}
+        covered = {below for placement in placements.values() for below in placement.stack}
+        movable = set(self.planner.poses()) - self._set_aside - covered - {name}
         for plan in self.planning.plans_aside(blockers, movable, self.robot.joint_positions()):
             self._set_aside.add(plan.name)
             self._notify("aside", plan.name, f"it blocks {name}")
+            if self.outcomes.pop(plan.name, None) is not None:
+                self._queue.append(placements[plan.name])
             try:
                 self.motion.run(plan)
             except (SceneChangedError, GraspFailedError, RobotError) as error:

@@ -26,7 +26,7 @@ class PackingConfig:
 
     gaps: tuple[float, ...] = (0.024, 0.020, 0.016, 0.012, 0.008, 0.005)
     wall_gaps: tuple[float, ...] = (0.008, 0.04, 0.075)
-    release_height: float = 0.003
+    release_height: float = 0.001
     max_drop: float = 0.044
     enough_releases: int = 4
     n_handle_directions: int = 8

@@ -34,7 +34,7 @@ class SegmentConfig:
         raise_heights: heights above the goal from which the object is lowered, in [m], tried in order.
         lift_margin: clearance of the carried object from its neighbours during the lift in [m].
         placing_margin: clearance of the carried object from its neighbours while it is lowered, in [m].
-        settle_depth: descent in [m] with loosened pads before they release a bowl.
+        settle_depth: descent in [m] with loosened pads before they release what may hang on one.
         release_extras: additional opening of each finger at release in [m], tried in order: a finger close to
             a sloping wall may drag the object along.
     """
@@ -47,6 +47,9 @@ class SegmentConfig:
     placing_margin: float = 0.001
     settle_depth: float = 0.004
     release_extras: tuple[float, ...] = (0.008, 0.004, 0.0)
+
+
+HANGING = ("bowl", "bottle")  # classes whose lip or cap may hang on a pad that opens
 
 
 @dataclass(frozen=True)
@@ -168,8 +171,8 @@ def find_place(
     if grasp.stand_off > 0:  # the fixed pad leaves the object
         line = motions.free_line(result.q, [T_goal @ grasp.T_stand_open], grasp.release_opening, touch)
         settle = None if isinstance(line, Rejected) else line
-    elif goal.item.category == "bowl" and not stack:
-        # The pads are lowered past the bowl's lip; the step is omitted where there is no room.
+    elif goal.item.category in HANGING and not stack:
+        # The pads are lowered past a lip or cap; the step is omitted where there is no room.
         lowered = [_raised(T_place, -config.settle_depth)]
         line = motions.free_line(result.q, lowered, grasp.release_opening, touch)
         settle = None if isinstance(line, Rejected) else line

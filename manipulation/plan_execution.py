@@ -19,7 +19,7 @@ from manipulation.pick_place import PickPlacePlanner
 from manipulation.planner import ManipulationConfig
 from manipulation.pressing import LEANING, lean, levelled, plan_press
 from manipulation.robot import Robot
-from manipulation.trajectories import joint_move, line_postures
+from manipulation.trajectories import concatenate, joint_move, line_postures
 from manipulation.types import Grasp, PickPlacePlan
 
 logger = logging.getLogger(__name__)
@@ -103,7 +103,11 @@ class PlanExecution:
         # The closed width is wide enough for an object that shifts between the pads.
         self._require_held(grasp, f"{name} was lost during the lift")
         self._notify("transfer", name)
-        robot.follow(plan.transfer)
+        try:
+            robot.follow(plan.transfer)
+        except RobotError:
+            self._bring_back(plan)
+            raise
         self._notify("place", name)
         self._require_held(grasp, f"{name} was lost during the transfer")
         self._release(plan)
@@ -130,6 +134,24 @@ class PlanExecution:
         self.planner.moved(name, finding.T_world_stand)
         if is_displaced(plan.T_world_stand_rest, finding.T_world_stand, MISPLACED):
             raise GraspFailedError(f"{name} is not where it was released")
+
+    def _bring_back(self, plan: PickPlacePlan) -> None:
+        """Bring an object that met something while it was lowered back to where it was grasped."""
+        robot, motions, transfer = self.robot, self.planner.motions, plan.transfer
+        q = robot.joint_positions()
+        reached = int(np.abs(transfer.positions - q).max(axis=1).argmin())
+        is_at_rest = np.abs(transfer.velocities[: reached + 1]).max(axis=1) < 1e-6
+        above = int(np.flatnonzero(is_at_rest).max(initial=0))
+        T_above = motions.kinematics.forward(transfer.positions[above])
+        up = line_postures(motions.kinematics, q, T_above, motions.config) if above > 0 else None
+        if up is None:
+            return
+        try:
+            robot.follow(motions.time_line(up))
+            robot.follow(joint_move(up[-1], transfer.positions[above], motions.limits))
+            robot.follow(concatenate([transfer.until(above).reversed(), plan.lift.reversed()]))
+        except RobotError as error:
+            logger.warning("%s was not brought back: %s", plan.name, error)
 
     def _settle_in_stack(self, plan: PickPlacePlan) -> None:
         """Look at a bowl in others, follow those that moved, and press it level while it leans."""

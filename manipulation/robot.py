@@ -138,6 +138,19 @@ class JointTrajectory:
         """Time from the first to the last sample in [s]."""
         return self.period * (len(self.positions) - 1)
 
+    def until(self, index: int) -> JointTrajectory:
+        """Return the trajectory up to and including a sample at rest."""
+        end = index + 1
+        return JointTrajectory(
+            self.period, self.positions[:end], self.velocities[:end], self.accelerations[:end]
+        )
+
+    def reversed(self) -> JointTrajectory:
+        """Return the trajectory run backwards; it must begin at rest."""
+        return JointTrajectory(
+            self.period, self.positions[::-1], -self.velocities[::-1], self.accelerations[::-1]
+        )
+
 
 @dataclass(frozen=True)
 class RobotState:

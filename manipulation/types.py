@@ -252,7 +252,7 @@ class PickPlacePlan:
         approach: straight motion from there to the grasp.
         lift: vertical motion from the grasp.
         transfer: motion from there to a point above the goal and down to the goal.
-        settle: short descent with loosened pads, so that a bowl's lip comes off a pad; None if not needed.
+        settle: short descent with loosened pads, so that a lip or cap comes off a pad; None if not needed.
         retreat: motion away from the released object.
     """
 

@@ -17,7 +17,7 @@ from manipulation.nearest_view import FULL_POSE, nearest_view
 from manipulation.obstacles import TABLE, Obstacle
 from manipulation.robot import Robot
 from manipulation.self_view import SelfView
-from manipulation.trajectories import MotionConfig
+from manipulation.trajectories import MotionConfig, line_postures
 from perception.types import RgbdFrame
 
 logger = logging.getLogger(__name__)
@@ -127,8 +127,8 @@ def viewpoint_ik(
 class ViewpointScanner:
     """Moves the wrist camera of a robot to viewpoints and captures images there.
 
-    The motions avoid the keep-out volumes; only a first motion that starts inside one of them (above a
-    released object) leaves it directly.
+    The motions avoid the keep-out volumes; a first motion that starts inside one of them (above a released
+    object) leaves it straight up.
 
     Args:
         robot: robot with a wrist camera.
@@ -168,6 +168,7 @@ class ViewpointScanner:
             PlanningError: no viewpoint can be reached.
         """
         width = self.robot.gripper_width()
+        self._rise(width)
         frames: list[RgbdFrame] = []
         for index, viewpoint in enumerate(viewpoints):
             path = self._path_to(viewpoint, width)
@@ -189,6 +190,19 @@ class ViewpointScanner:
         frame = self.robot.capture()
         q, width = self.robot.joint_positions(), self.robot.gripper_width()
         return self._self_view.without_arm(frame, q, width)
+
+    def _rise(self, width: float) -> None:
+        """Move the hand straight up out of a keep-out volume, where it may be among objects."""
+        q = self.robot.joint_positions()
+        if self.motions.world.contact(q, width) is None:
+            return
+        for height in self.motions.via_heights:
+            T_up = self.kinematics.forward(q)
+            T_up[2, 3] = max(height, T_up[2, 3])
+            postures = line_postures(self.kinematics, q, T_up, self.motions.config)
+            if postures is not None:
+                self.robot.follow(self.motions.time_line(postures))
+                return
 
     def _path_to(self, viewpoint: Viewpoint, width: float) -> list[Float[np.ndarray, "n"]] | None:
         """Return waypoints [rad] from the present posture to a viewpoint; None if it cannot be reached."""

@@ -106,6 +106,12 @@ def test_a_first_motion_may_start_inside_a_keep_out_volume(kinematics):
     low[:3, 3] = (0.45, -0.25, 0.2)
     robot = Moving(kinematics.inverse(low, kinematics.seeds_toward(low, 3)).q)
     assert len(ViewpointScanner(robot, kinematics).capture(SCAN_VIEWPOINTS)) == len(SCAN_VIEWPOINTS)
+    # Straight up until it is outside: what stands beside the hand is not touched.
+    world = CollisionWorld(robot.arm, [], (TABLE, *KEEP_OUT))
+    inside = [q for track in robot.tracks for q in track[::10] if world.contact(q, 0.08) is not None]
+    places = np.array([kinematics.forward(q)[:3, 3] for q in inside])
+    assert len(places) > 2 and np.ptp(places[:, 2]) > 0.05
+    assert np.abs(places[:, :2] - (0.45, -0.25)).max() < 0.003
 
 
 class Still:
