@@ -13,7 +13,7 @@ from scipy.spatial import ConvexHull
 from manipulation.footprints import BoxRaster, Footprint, Stencil, footprint
 from manipulation.types import Box, Placement, StandingObject
 
-GAP = 0.012  # [m] smallest distance from walls and other objects
+GAPS = (0.012, 0.005)  # [m] smallest distance from walls and other objects; the smaller if there is no place
 APART = 0.03  # [m] between two places
 MOST = 4
 
@@ -42,8 +42,9 @@ def free_places(
             shape = Footprint((outline,), float(points[:, 2].max()))
             raster.add(Stencil.of(shape, 0.0, raster.cell), _cell(raster, place))
     room = np.asarray(distance_transform_edt(~raster.taken))
-    stencil = Stencil.of(footprint(item).rotated(placement.yaws[0]), GAP, raster.cell)
-    room = np.where(raster.free_positions(stencil), room, 0.0)
+    shape = footprint(item).rotated(placement.yaws[0])
+    free = (raster.free_positions(Stencil.of(shape, gap, raster.cell)) for gap in GAPS)
+    room = np.where(next((places for places in free if places.any()), False), room, 0.0)
     found: list[Placement] = []
     while len(found) < MOST and room.any():
         i, j = np.unravel_index(np.argmax(room), room.shape)

@@ -188,7 +188,7 @@ class PlanExecution:
             robot.follow(press.up)
 
     def _release(self, plan: PickPlacePlan) -> None:
-        """Open the gripper; first loosen it, to lower the pads past a bowl's lip or to step aside."""
+        """Open the gripper; first loosen it, to lower the pads past a lip or cap or to step aside."""
         robot, gap = self.robot, self.config.pick_place.grasp.release_gap
         held = robot.gripper_width()
         if plan.settle is not None:

@@ -369,6 +369,27 @@ def test_what_an_object_blocked_comes_next_once_that_is_moved(scene, shapes, arm
     assert [outcome.name for outcome in outcomes] == [second, first, third]
 
 
+def test_a_placed_object_that_blocks_another_is_set_aside_and_placed_again(scene, arm, monkeypatch):
+    task = plan_sort(scene[:2], Line(), arm, CONFIG)
+    first, second = (placement.name for placement in task.placements)
+    plan, goal = PickPlacePlanner.plan, np.array(task.placements[0].position[:2])
+
+    def blocked(self, placements, q_start, tried=(), grasps=None):
+        placements = [placements] if isinstance(placements, Placement) else placements
+        is_blocked = np.linalg.norm(self.world.pose(first)[:2, 3] - goal) < 0.01
+        if placements[0].name == second and is_blocked:
+            raise NoPlanError("blocked", (first,))
+        return plan(self, placements, q_start, tried, grasps)
+
+    monkeypatch.setattr(PickPlacePlanner, "plan", blocked)
+    robot = FakeRobot(arm)
+    watcher = Watcher(robot)
+    outcomes = execute(task, robot, None, watcher, CONFIG)
+    assert [(outcome.name, outcome.placed) for outcome in outcomes] == [(second, True), (first, True)]
+    assert [event.name for event in watcher.events if event.phase == "aside"] == [first]
+    assert outcomes[1].T_world_stand[:2, 3] == pytest.approx(goal)
+
+
 def test_a_nested_bowl_is_placed_where_the_one_below_is(packing, arm):
     """The lower bowl is found 8 mm from its goal after its release."""
     goal = next(p for p in packing.placements if p.name == "bowl_2").position

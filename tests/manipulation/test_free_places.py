@@ -3,7 +3,7 @@
 import numpy as np
 import pytest
 
-from manipulation.free_places import APART, GAP, MOST, free_places
+from manipulation.free_places import APART, GAPS, MOST, free_places
 from manipulation.standing import to_standing
 from manipulation.types import Box, Placement
 from perception.geometry import pose_from_yaw
@@ -38,8 +38,8 @@ def test_places_keep_their_distance_from_walls_objects_and_each_other(can):
     places = free_places(can, GOAL, [(can, other)], BOX)
     points = np.array([place.position[:2] for place in places])
     radius = radius_of(can)
-    assert (np.linalg.norm(points - other[:2, 3], axis=1) > 2 * radius + GAP - 2 * CELL).all()
-    free = np.array(BOX.size[:2]) / 2 - radius - GAP + 2 * CELL
+    assert (np.linalg.norm(points - other[:2, 3], axis=1) > 2 * radius + GAPS[0] - 2 * CELL).all()
+    free = np.array(BOX.size[:2]) / 2 - radius - GAPS[0] + 2 * CELL
     assert (np.abs(points - BOX.center) < free).all()
     assert places[0].position[0] > 0.5  # on the far side of the other
     apart = np.linalg.norm(points[:, None] - points[None], axis=-1) + np.eye(len(points))
@@ -54,3 +54,10 @@ def test_objects_on_the_table_take_no_room(can):
 def test_a_full_box_has_no_place(can):
     small = Box(center=(0.5, 0.3), size=(0.10, 0.10, 0.08))
     assert free_places(can, GOAL, [(can, at(0.5, 0.3))], small) == []
+
+
+def test_a_tight_box_has_places_with_the_smaller_gap(can):
+    side = 2 * radius_of(can) + sum(GAPS)
+    tight = Box(center=(0.5, 0.3), size=(side, side, 0.08))
+    (place, *_) = free_places(can, GOAL, [], tight)
+    assert np.abs(np.array(place.position[:2]) - tight.center).max() < GAPS[0] - GAPS[1]

@@ -65,6 +65,32 @@ def test_nothing_is_touched_where_the_scene_has_changed(cell, plan, item):
     np.testing.assert_array_equal(planner.world.pose("can_1"), item.T_world_stand)
 
 
+class MeetsSomething(FakeRobot):
+    """Stops on the way of its transfer, at a share of its samples."""
+
+    share = 0.9
+
+    def follow(self, trajectory):
+        if len(self.motions) == 3 and self.share:
+            self.q = trajectory.positions[int(self.share * len(trajectory.positions))].copy()
+            self.share = 0.0
+            raise RobotError("the arm is blocked")
+        super().follow(trajectory)
+
+
+def test_an_object_that_meets_something_is_brought_back_in_the_hand(item, arm, plan):
+    robot, planner = MeetsSomething(arm, [plan.grasp.held_width]), planner_of(item, arm)
+    execution = PlanExecution(robot, planner, FakeObserver(), CONFIG, lambda *args, **options: None)
+    with pytest.raises(RobotError, match="blocked"):
+        execution.run(plan)
+    up, _, back = robot.motions[3:]
+    heights = [Kinematics(arm).forward(q)[2, 3] for q in (up.positions[0], up.positions[-1])]
+    assert heights[1] > heights[0] + 0.005
+    assert robot.q == pytest.approx(plan.lift.positions[0]), "where it was grasped"
+    assert back.duration < plan.transfer.duration + plan.lift.duration
+    assert robot.widths == [plan.grasp.opening, 0.0], "the hand stays closed on the way"
+
+
 @pytest.mark.parametrize("side", [0, 1])
 def test_widths_outside_the_range_are_no_grasp(cell, plan, side):
     width = plan.grasp.closed_width[side] + (2 * side - 1) * 0.0005

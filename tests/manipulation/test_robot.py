@@ -11,6 +11,20 @@ def test_duration_counts_the_intervals_between_samples():
     assert JointTrajectory(0.002, still, still, still).duration == pytest.approx(0.01)
 
 
+def test_a_part_of_a_trajectory_run_backwards():
+    time = 0.1 * np.arange(11)[:, None]
+    there = JointTrajectory(0.1, np.sin(time), np.cos(time), -np.sin(time))
+    back = there.until(6).reversed()
+    assert back.duration == pytest.approx(0.6)
+    np.testing.assert_array_equal(back.positions, there.positions[6::-1])
+    np.testing.assert_allclose(
+        np.gradient(back.positions[:, 0], 0.1)[1:-1], back.velocities[1:-1, 0], atol=2e-3
+    )
+    np.testing.assert_allclose(
+        np.gradient(back.velocities[:, 0], 0.1)[1:-1], back.accelerations[1:-1, 0], atol=2e-3
+    )
+
+
 def test_largest_opening_is_that_of_the_gripper(arm):
     assert replace(arm, gripper=GripperGeometry(max_width=0.11)).max_width == 0.11
 
