@@ -13,6 +13,8 @@ from collections import deque
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass, replace
 
+import numpy as np
+
 from manipulation.errors import NoPlanError, PlanningError, RobotError, RobotStoppedError
 from manipulation.kinematics import Kinematics
 from manipulation.lying_grasps import lies
@@ -105,6 +107,7 @@ class _Execution:
         self.planning = ObjectPlanning(task, planner, config)
         self.outcomes: dict[str, ObjectOutcome] = {}
         self._queue = deque(task.placements)
+        self._to_place = {placement.name for placement in task.placements}
         self._set_aside: set[str] = set()
         self._blockers: dict[str, Sequence[str]] = {}  # of objects that had no plan
         self._tried_before: dict[str, ObjectOutcome] = {}  # first outcomes of objects that get another chance
@@ -177,20 +180,22 @@ class _Execution:
 
     def _waits_for_stack(self, placement: Placement) -> bool:
         """Return whether a bowl below it has not been processed."""
-        return any(name not in self.outcomes for name in placement.stack)
+        return any(name in self._to_place and name not in self.outcomes for name in placement.stack)
 
     def _with_placed_stack(self, placement: Placement) -> Placement:
         """Return the placement with its stack reduced to the bowls that were placed, at the uppermost one."""
         if not placement.stack:
             return placement
-        stack = tuple(
-            name for name in placement.stack if name in self.outcomes and self.outcomes[name].placed
-        )
+        stack = tuple(name for name in placement.stack if self._is_there(name))
         if not stack:
             return replace(placement, stack=(), release_height=self.config.packing.release_height)
         # The bowl below may have moved when it was released or pressed.
         x, y = self.planner.poses()[stack[-1]][:2, 3]
         return replace(placement, stack=stack, position=(float(x), float(y), placement.position[2]))
+
+    def _is_there(self, name: str) -> bool:
+        """Return whether a bowl was placed, or was in the box before."""
+        return self.outcomes[name].placed if name in self._to_place else True
 
     def _place(self, placement: Placement, effort: Effort) -> ObjectOutcome:
         """Try to place one object; the outcome has 0 attempts if there is no plan for the first."""
@@ -250,11 +255,11 @@ class _Execution:
     def _clear(self, name: str, blockers: Sequence[str]) -> bool:
         """Set one of an object's blockers aside, each at most once; return whether one was moved.
 
-        One that was placed already is placed again afterwards.
+        One that was placed already is placed again afterwards; what was in the box before stays there.
         """
         placements = {p.name: p for p in self.task.placements if p.name in self.outcomes}
         covered = {below for placement in placements.values() for below in placement.stack}
-        movable = set(self.planner.poses()) - self._set_aside - covered - {name}
+        movable = self._beside_box() - self._set_aside - covered - {name}
         for plan in self.planning.plans_aside(blockers, movable, self.robot.joint_positions()):
             self._set_aside.add(plan.name)
             self._notify("aside", plan.name, f"it blocks {name}")
@@ -269,6 +274,16 @@ class _Execution:
                 self._search(plan.name)
             return True
         return False
+
+    def _beside_box(self) -> set[str]:
+        """Return the names of the objects with a goal, and of those that are not in the box."""
+        poses, box = self.planner.poses(), self.task.box
+        in_box = {
+            name
+            for name, T in poses.items()
+            if box is not None and (2 * np.abs(T[:2, 3] - box.center) < box.size[:2]).all()
+        }
+        return set(poses) - (in_box - self._to_place)
 
     def _search(self, name: str) -> str:
         """Search for an object and update the scene; return why a retry is impossible, or an empty string."""

@@ -76,7 +76,7 @@ def plan_pack(
         PlanningError: no object can be packed; the message gives the reasons.
     """
     config = config.for_arm(arm)
-    usable = _find_usable(objects, kinematics or Kinematics(arm, config.pick_place.ik), config)
+    usable = find_usable(objects, kinematics or Kinematics(arm, config.pick_place.ik), config)
     placements, no_room = pack(usable.candidates, box, config.packing, config.pick_place.grasp, usable.grasps)
     return TaskPlan(
         "pack", usable.items, placements, usable.left_out | no_room, box=box, grasps=usable.grasps
@@ -107,14 +107,14 @@ def plan_sort(
         PlanningError: no object can be sorted; the message gives the reasons.
     """
     config = config.for_arm(arm)
-    usable = _find_usable(objects, kinematics or Kinematics(arm, config.pick_place.ik), config)
+    usable = find_usable(objects, kinematics or Kinematics(arm, config.pick_place.ik), config)
     rows = sort_rows(usable.candidates, line, config.sorting)
     left_out = usable.left_out | rows.left_out
     return TaskPlan("sort", usable.items, rows.placements, left_out, box, line, usable.grasps, rows.lines[1:])
 
 
 @dataclass(frozen=True)
-class _Usable:
+class Usable:
     """Objects of a task.
 
     Attributes:
@@ -133,9 +133,9 @@ class _Usable:
         return [item for name, item in self.items.items() if name not in self.left_out]
 
 
-def _find_usable(
+def find_usable(
     objects: Sequence[ObjectEstimate], kinematics: Kinematics, config: ManipulationConfig
-) -> _Usable:
+) -> Usable:
     """Separate the objects that the arm can grasp and reach from the others.
 
     Raises:
@@ -165,7 +165,7 @@ def _find_usable(
             left_out[name] = f"{name} at ({x:.2f}, {y:.2f}) m is out of the arm's reach; move it closer"
     for reason in left_out.values():
         logger.warning("excluded: %s", reason)
-    usable = _Usable(items, left_out, grasps)
+    usable = Usable(items, left_out, grasps)
     if not usable.candidates:
         reasons = "; ".join(left_out.values())
         raise PlanningError(f"none of {len(objects)} objects can be manipulated: {reasons}")

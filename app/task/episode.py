@@ -128,8 +128,7 @@ def reconstruction_of(options: TaskOptions, read: Callable[[], Truth]) -> Recons
     Ground truth is read for the oracle alone.
     """
     if options.shapes == "oracle":
-        before = read()
-        return lambda frames, detections: oracle_estimates(before)
+        return lambda frames, detections: oracle_estimates(read())
     if options.shapes == "tsdf":
         return _tsdf
     return None

@@ -56,18 +56,16 @@ def obstacles_during(
 
     Whatever is in or above the box counts as known: what was packed there may have settled a little aside.
     """
-    known = [fixed_bounds(arm)]
-    if box is not None:
-        corners = known_bounds(box)
-        low, high = corners[:, 0].min(axis=0), corners[:, 1].max(axis=0) + np.array([0.0, 0.0, ABOVE_BOX])
-        known.append(np.array([[low, high]]))
+    known = np.concatenate([fixed_bounds(arm), filled_bounds(box)])
     masks = [()] * len(frames)
-    return tuple(find_obstacles(frames, masks, objects, surface, np.concatenate(known)))
+    return tuple(find_obstacles(frames, masks, objects, surface, known))
 
 
-def beside_box(box: Box | None, frames: Sequence[RgbdFrame], detections: Detections) -> Detections:
-    """Return the detections and candidates that do not show the box, whose place is known."""
-    known = KnownGeometry.of((), known_bounds(box))
+def beside_box(
+    bounds: Float[np.ndarray, "k 2 3"], frames: Sequence[RgbdFrame], detections: Detections
+) -> Detections:
+    """Return the detections and candidates that do not show the box, of which the bounds [m] are known."""
+    known = KnownGeometry.of((), bounds)
 
     def shows_box(frame: RgbdFrame, mask: Bool[np.ndarray, "h w"]) -> bool:
         points = points_of(frame, mask)
@@ -90,6 +88,15 @@ def known_bounds(box: Box | None) -> Float[np.ndarray, "k 2 3"]:
         [np.subtract(part.center, part.half_size), np.add(part.center, part.half_size)] for part in parts
     ]
     return np.array(corners).reshape(-1, 2, 3)
+
+
+def filled_bounds(box: Box | None) -> Float[np.ndarray, "k 2 3"]:
+    """Return the corners of the box with what is in it or rises above it, in metres; none without a box."""
+    corners = known_bounds(box)
+    if not len(corners):
+        return corners
+    above = np.array([0.0, 0.0, ABOVE_BOX])
+    return np.array([[corners[:, 0].min(axis=0), corners[:, 1].max(axis=0) + above]])
 
 
 @dataclass(frozen=True)

@@ -5,6 +5,9 @@ Read this file first. Each stage is a function from values to a new value, and d
     robot ──scan──▶ frames ──detect──▶ detections ──reconstruct──▶ object map, obstacles
           ──plan──▶ task plan ──execute──▶ outcomes ──verify──▶ pose checks
 
+While a packing task leaves something on the table, all stages before the verification are repeated
+(``app.task.rounds``).
+
 The robot is any implementation of ``manipulation.robot.Robot``. This module imports neither the simulator nor
 ground truth: the robot's images and joint positions are its only measurements. A ``RunObserver`` receives
 intermediate results for display and storage and never modifies them.
@@ -12,6 +15,7 @@ intermediate results for display and storage and never modifies them.
 
 from __future__ import annotations
 
+import logging
 import time
 from collections.abc import Callable, Iterator, Mapping, Sequence
 from contextlib import contextmanager
@@ -23,9 +27,18 @@ import numpy as np
 from jaxtyping import Float
 
 from app.task.observation import WristObserver
-from app.task.obstacles import beside_box, obstacles_beside, obstacles_during, table_of
+from app.task.obstacles import (
+    beside_box,
+    filled_bounds,
+    known_bounds,
+    obstacles_beside,
+    obstacles_during,
+    table_of,
+)
+from app.task.rounds import is_something_left, placed_estimates, placed_items, renumbered, with_round
 from manipulation.errors import ManipulationError
 from manipulation.execution import TaskEvent, execute
+from manipulation.further_packing import plan_further
 from manipulation.kinematics import Kinematics
 from manipulation.planner import ManipulationConfig, plan_pack, plan_sort
 from manipulation.robot import Robot
@@ -39,6 +52,9 @@ from perception.obstacles.obstacle import PerceivedObstacle
 from perception.pipeline import Detections, Perception, detect, reconstruct_objects
 from perception.types import Category, ObjectEstimate, RejectedObject, RgbdFrame
 
+logger = logging.getLogger(__name__)
+
+FULL_SCAN = 6  # images of each further round
 Stage = Literal["scan", "detect", "reconstruct", "plan", "execute", "verify"]
 Reconstruction = Callable[[Sequence[RgbdFrame], Detections], list[ObjectEstimate]]
 
@@ -56,6 +72,7 @@ class TaskRequest:
         scan_views: Number of images of the scan.
         workspace: Viewpoints and heights of motions, scaled to the arm.
         perceive_only: Whether the task ends with the object map, before anything is moved.
+        rounds: Most scans of a packing task; further ones look for what is left on the table.
     """
 
     task: Task
@@ -66,6 +83,7 @@ class TaskRequest:
     scan_views: int = 6
     workspace: Workspace = Workspace()
     perceive_only: bool = False
+    rounds: int = 3
 
 
 @dataclass(frozen=True)
@@ -103,7 +121,7 @@ class RunObserver:
     """Receives intermediate results of a run; the base class keeps those that no stage returns.
 
     Attributes:
-        timings: Wall time of each finished stage without pauses, in seconds.
+        timings: Wall time of each finished stage without pauses, of all rounds together, in seconds.
         rejected: Detected objects that were not reconstructed.
     """
 
@@ -123,7 +141,8 @@ class RunObserver:
         try:
             yield
         finally:
-            self.timings[name] = time.perf_counter() - begin - (self.paused_seconds - paused)
+            seconds = time.perf_counter() - begin - (self.paused_seconds - paused)
+            self.timings[name] = self.timings.get(name, 0.0) + seconds
 
     def on_remark(self, text: str) -> None:
         """Called before the first stage with what is special about the cell, or impossible for the arm."""
@@ -165,26 +184,15 @@ def run(
 ) -> TaskResult:
     """Carry out a task; an error of planning or perception ends it and is stored in the result."""
     observer = observer or RunObserver()
-    kinematics = Kinematics(robot.arm, request.manipulation.pick_place.ik)
-    settings = request.workspace.adapted(request.manipulation)
+    stages = _Stages(robot, perception, request, observer)
     result = TaskResult()
     try:
-        with observer.stage("scan"):
-            space = request.workspace
-            scanner = ViewpointScanner(
-                robot, kinematics, keep_out=space.keep_out, via_heights=space.via_heights
-            )
-            frames = scanner.capture(
-                space.scan_viewpoints(request.scan_views), observer.on_progress, observer.on_image
-            )
-            result = replace(result, frames=frames)
-            observer.on_frames(frames)
-        with observer.stage("detect"):
-            # The planner lets objects stand on the table alone.
-            found = detect(frames, perception.detector, observer.on_progress, max_surfaces=1)
-            detections = beside_box(request.box, frames, found)
-            result = replace(result, detections=detections)
-            observer.on_detections(detections)
+        frames = stages.scan(request.scan_views)
+        result = replace(result, frames=frames)
+        observer.on_frames(frames)
+        detections = stages.detect(frames, known_bounds(request.box))
+        result = replace(result, detections=detections)
+        observer.on_detections(detections)
         with observer.stage("reconstruct"):
             reconstruct = request.reconstruction or prior_reconstruction(perception, observer)
             objects = reconstruct(frames, detections)
@@ -196,24 +204,98 @@ def run(
         if request.perceive_only:
             return replace(result, timings=dict(observer.timings))
         with observer.stage("plan"):
-            plan = replace(plan_task(kinematics, request, objects), obstacles=obstacles)
+            plan = replace(plan_task(stages.kinematics, request, objects), obstacles=obstacles)
             result = replace(result, plan=plan)
             observer.on_plan(plan)
-        with observer.stage("execute"):
-            look_around = partial(
-                obstacles_during, surface=table_of(detections), box=request.box, arm=robot.arm
-            )
-            watch = WristObserver(scanner, objects, plan.objects, space, obstacles, look_around)
-            outcomes = execute(plan, robot, watch, observer.on_event, settings, kinematics)
-            result = replace(result, outcomes=outcomes)
+        result = replace(result, outcomes=stages.execute(plan, objects, detections))
+        for _ in range(request.rounds - 1 if request.task == "pack" else 0):
+            further = stages.look_again(result)
+            if further is None:
+                break
+            result = further
         with observer.stage("verify"):
-            viewpoints = space.box_viewpoints if request.task == "pack" else space.line_viewpoints
-            final_frames = scanner.capture(viewpoints, observer.on_progress, observer.on_image)
+            viewpoints = (
+                request.workspace.box_viewpoints
+                if request.task == "pack"
+                else request.workspace.line_viewpoints
+            )
+            final_frames = stages.scanner.capture(viewpoints, observer.on_progress, observer.on_image)
             result = replace(result, final_frames=final_frames)
-            result = replace(result, checks=verify(objects, plan, outcomes, final_frames))
+            result = replace(result, checks=verify(placed_estimates(result), final_frames))
     except (ManipulationError, PerceptionError) as error:
         result = replace(result, failure=str(error))
     return replace(result, timings=dict(observer.timings))
+
+
+class _Stages:
+    """The stages that are repeated in each round of a task."""
+
+    def __init__(
+        self, robot: Robot, perception: Perception, request: TaskRequest, observer: RunObserver
+    ) -> None:
+        self._robot, self._perception, self._request, self._observer = robot, perception, request, observer
+        self.kinematics = Kinematics(robot.arm, request.manipulation.pick_place.ik)
+        self._space = request.workspace
+        self._settings = self._space.adapted(request.manipulation)
+        self.scanner = ViewpointScanner(
+            robot, self.kinematics, keep_out=self._space.keep_out, via_heights=self._space.via_heights
+        )
+
+    def scan(self, count: int) -> list[RgbdFrame]:
+        """Take images of the table from a number of viewpoints."""
+        with self._observer.stage("scan"):
+            viewpoints = self._space.scan_viewpoints(count)
+            return self.scanner.capture(viewpoints, self._observer.on_progress, self._observer.on_image)
+
+    def detect(self, frames: Sequence[RgbdFrame], known: Float[np.ndarray, "k 2 3"]) -> Detections:
+        """Detect objects on the table besides known geometry, of which the bounds [m] are given."""
+        with self._observer.stage("detect"):
+            # The planner lets objects stand on the table alone.
+            found = detect(frames, self._perception.detector, self._observer.on_progress, max_surfaces=1)
+            return beside_box(known, frames, found)
+
+    def execute(
+        self, plan: TaskPlan, objects: Sequence[ObjectEstimate], detections: Detections
+    ) -> list[ObjectOutcome]:
+        """Carry out a plan while the wrist camera watches."""
+        with self._observer.stage("execute"):
+            arm, box = self._robot.arm, self._request.box
+            look_around = partial(obstacles_during, surface=table_of(detections), box=box, arm=arm)
+            watch = WristObserver(
+                self.scanner, objects, plan.objects, self._space, plan.obstacles, look_around
+            )
+            return execute(plan, self._robot, watch, self._observer.on_event, self._settings, self.kinematics)
+
+    def look_again(self, result: TaskResult) -> TaskResult | None:
+        """Return the results with those of one more round; None if there is nothing more to do."""
+        request, observer = self._request, self._observer
+        box, n_rejected = request.box or Box(), len(observer.rejected)
+        if not is_something_left(result):
+            return None
+        try:
+            frames = self.scan(FULL_SCAN)
+            detections = self.detect(frames, filled_bounds(box))
+            with observer.stage("reconstruct"):
+                reconstruct = request.reconstruction or prior_reconstruction(self._perception, observer)
+                found = renumbered(reconstruct(frames, detections), result.objects, box)
+                in_box = list(placed_estimates(result).values())
+                table = table_of(detections)
+                obstacles = obstacles_during([*in_box, *found], frames, table, box, self._robot.arm)
+            with observer.stage("plan"):
+                items = placed_items(result)
+                plan = plan_further(found, items, box, self._robot.arm, self._settings, self.kinematics)
+                plan = replace(plan, obstacles=obstacles)
+        except (ManipulationError, PerceptionError) as error:
+            logger.info("nothing more to do: %s", error)
+            return None
+        result = replace(result, rejected=tuple(observer.rejected[n_rejected:]))
+        planned = with_round(result, found, plan, (), obstacles)
+        assert planned.plan is not None
+        observer.on_objects(planned.objects)
+        observer.on_obstacles(obstacles)
+        observer.on_plan(planned.plan)
+        outcomes = self.execute(plan, [*in_box, *found], detections)
+        return with_round(result, found, plan, outcomes, obstacles)
 
 
 def prior_reconstruction(perception: Perception, observer: RunObserver) -> Reconstruction:
@@ -245,30 +327,10 @@ def plan_task(kinematics: Kinematics, request: TaskRequest, objects: Sequence[Ob
     return plan_sort(objects, request.line, kinematics.arm, settings, request.box, kinematics)
 
 
-def verify(
-    objects: Sequence[ObjectEstimate],
-    plan: TaskPlan,
-    outcomes: Sequence[ObjectOutcome],
-    frames: Sequence[RgbdFrame],
-) -> dict[int, PoseCheck]:
-    """Fit the poses of the known shapes to images of the goal region; return the checks by object id."""
-    by_id = {estimate.id: estimate for estimate in objects}
-    expected = {
-        outcome.id: replace(by_id[outcome.id], T_world_object=expected_pose(by_id[outcome.id], plan, outcome))
-        for outcome in outcomes
-        if outcome.placed
-    }
+def verify(placed: Mapping[int, ObjectEstimate], frames: Sequence[RgbdFrame]) -> dict[int, PoseCheck]:
+    """Fit the poses of the placed objects to images of the goal region; return the checks by object id."""
     checks = {}
-    for object_id, estimate in expected.items():
-        others = [other for other in expected.values() if other is not estimate]
+    for object_id, estimate in placed.items():
+        others = [other for other in placed.values() if other is not estimate]
         checks[object_id] = refit_pose(estimate, frames, estimate.T_world_object, others)
     return checks
-
-
-def expected_pose(
-    estimate: ObjectEstimate, plan: TaskPlan, outcome: ObjectOutcome
-) -> Float[np.ndarray, "4 4"]:
-    """Return T_world_object of a placed object; its pose in the stand frame is unchanged by execution."""
-    assert outcome.T_world_stand is not None
-    T_stand_object = np.linalg.inv(plan.objects[outcome.name].T_world_stand) @ estimate.T_world_object
-    return outcome.T_world_stand @ T_stand_object

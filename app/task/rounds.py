@@ -1,0 +1,128 @@
+"""Further rounds of a packing task: what is left on the table is looked at, planned and placed again.
+
+What the first scan could not see behind or below other objects stands free once these are packed, what fell
+lies somewhere else, and what was named wrongly is seen from all sides.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import replace
+from typing import TYPE_CHECKING
+
+import numpy as np
+from jaxtyping import Float
+
+from manipulation.types import Box, ObjectOutcome, StandingObject, TaskPlan
+from perception.obstacles.obstacle import PerceivedObstacle
+from perception.types import ObjectEstimate
+
+if TYPE_CHECKING:
+    from app.task.pipeline import TaskResult
+
+SAME_PLACE = 0.06  # [m] between a new estimate and one of the round before, within which it replaces that
+
+
+def is_something_left(result: TaskResult) -> bool:
+    """Return whether anything but the packed objects was seen, and the last round has changed the table."""
+    assert result.plan is not None
+    unplaced = any(not outcome.placed for outcome in result.outcomes)
+    is_left = unplaced or result.plan.left_out or result.rejected or result.obstacles
+    return bool(is_left) and any(outcome.attempts for outcome in result.outcomes)
+
+
+def placed_items(result: TaskResult) -> dict[str, StandingObject]:
+    """Return the packed objects where they are now, by name."""
+    assert result.plan is not None
+    return {
+        outcome.name: replace(result.plan.objects[outcome.name], T_world_stand=outcome.T_world_stand)
+        for outcome in result.outcomes
+        if outcome.placed and outcome.T_world_stand is not None
+    }
+
+
+def expected_pose(
+    estimate: ObjectEstimate, plan: TaskPlan, outcome: ObjectOutcome
+) -> Float[np.ndarray, "4 4"]:
+    """Return T_world_object of a placed object; its pose in the stand frame is unchanged by execution."""
+    assert outcome.T_world_stand is not None
+    T_stand_object = np.linalg.inv(plan.objects[outcome.name].T_world_stand) @ estimate.T_world_object
+    return outcome.T_world_stand @ T_stand_object
+
+
+def placed_estimates(result: TaskResult) -> dict[int, ObjectEstimate]:
+    """Return the estimates of the placed objects where they are now, by id."""
+    assert result.plan is not None
+    by_id = {estimate.id: estimate for estimate in result.objects}
+    return {
+        outcome.id: replace(
+            by_id[outcome.id], T_world_object=expected_pose(by_id[outcome.id], result.plan, outcome)
+        )
+        for outcome in result.outcomes
+        if outcome.placed
+    }
+
+
+def renumbered(
+    objects: Sequence[ObjectEstimate], before: Sequence[ObjectEstimate], box: Box | None
+) -> list[ObjectEstimate]:
+    """Return the estimates beside the box, with ids after those of the rounds before."""
+    first = 1 + max((estimate.id for estimate in before), default=-1)
+    return [
+        replace(
+            estimate,
+            id=first + estimate.id,
+            rests_on=None if estimate.rests_on is None else first + estimate.rests_on,
+        )
+        for estimate in objects
+        if box is None or not _is_inside(estimate, box)
+    ]
+
+
+def with_round(
+    result: TaskResult,
+    found: Sequence[ObjectEstimate],
+    plan: TaskPlan,
+    outcomes: Sequence[ObjectOutcome],
+    obstacles: Sequence[PerceivedObstacle],
+) -> TaskResult:
+    """Return the results of all rounds so far together.
+
+    An object that was not placed is replaced by what was found in its place.
+
+    Args:
+        result: results of the rounds before.
+        found: estimates of this round.
+        plan: plan of this round.
+        outcomes: outcomes of this round.
+        obstacles: things of no class as seen in this round.
+    """
+    assert result.plan is not None
+    placed = {outcome.id for outcome in result.outcomes if outcome.placed}
+    places = np.array([estimate.T_world_object[:2, 3] for estimate in found]).reshape(-1, 2)
+    kept = [
+        estimate
+        for estimate in result.objects
+        if estimate.id in placed
+        or not (np.linalg.norm(places - estimate.T_world_object[:2, 3], axis=1) < SAME_PLACE).any()
+    ]
+    names = {estimate.name for estimate in kept}
+    merged = replace(
+        plan,
+        objects=dict(plan.objects) | dict(result.plan.objects),
+        placements=(*(p for p in result.plan.placements if p.name in names), *plan.placements),
+        left_out={n: why for n, why in result.plan.left_out.items() if n in names} | dict(plan.left_out),
+        obstacles=tuple(obstacles),
+    )
+    return replace(
+        result,
+        objects=[*kept, *found],
+        plan=merged,
+        outcomes=[*(o for o in result.outcomes if o.name in names), *outcomes],
+        obstacles=obstacles,
+    )
+
+
+def _is_inside(estimate: ObjectEstimate, box: Box) -> bool:
+    away = np.abs(estimate.T_world_object[:2, 3] - np.array(box.center))
+    return bool((away < np.array(box.size[:2]) / 2).all())

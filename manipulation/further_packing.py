@@ -1,0 +1,130 @@
+"""Plan for what is packed after the others: goals on the floor that is left, and bowls into bowls."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping, Sequence
+from dataclasses import replace
+
+import numpy as np
+from jaxtyping import Float
+
+from manipulation.errors import PlanningError
+from manipulation.free_places import free_places
+from manipulation.kinematics import Kinematics
+from manipulation.nesting import nest_heights, nests, radial_profile
+from manipulation.packing import admissible_yaws, nest_drop
+from manipulation.planner import ManipulationConfig, find_usable
+from manipulation.robot import ArmDescription
+from manipulation.types import Box, Placement, StandingObject, TaskPlan
+from perception.geometry import pose_from_yaw
+from perception.types import ObjectEstimate
+
+_IN_NEST = 0.03  # [m] between the axes of nested bowls
+_YAWS = 2 * np.pi * np.arange(8) / 8  # of mugs, if none is in the box
+
+
+def plan_further(
+    objects: Sequence[ObjectEstimate],
+    placed: Mapping[str, StandingObject],
+    box: Box,
+    arm: ArmDescription,
+    config: ManipulationConfig = ManipulationConfig(),
+    kinematics: Kinematics | None = None,
+) -> TaskPlan:
+    """Plan to pack objects into a box that holds others, which keep their places.
+
+    Args:
+        objects: object map of what is beside the box.
+        placed: objects in the box where they are, by name.
+        box: target box.
+        arm: description of the arm.
+        config: settings.
+        kinematics: kinematics of the arm; built if None.
+
+    Raises:
+        PlanningError: no object can be packed; the message gives the reasons.
+    """
+    config = config.for_arm(arm)
+    usable = find_usable(objects, kinematics or Kinematics(arm, config.pick_place.ik), config)
+    there, placements, no_room = dict(placed), [], {}
+    for item in sorted(usable.candidates, key=_order):
+        goal = _into_bowls(item, there, box, config) or _on_the_floor(item, there, box, config)
+        if goal is None:
+            no_room[item.name] = f"no room for {item.name} is left in the box; use a larger box"
+            continue
+        placements.append(goal)
+        there[item.name] = replace(item, T_world_stand=_resting_pose(item, goal, there))
+    if not placements:
+        raise PlanningError("; ".join(no_room.values()))
+    return TaskPlan(
+        "pack",
+        usable.items | dict(placed),
+        tuple(placements),
+        usable.left_out | no_room,
+        box=box,
+        grasps=usable.grasps,
+    )
+
+
+def _order(item: StandingObject) -> tuple[bool, float]:
+    """Bowls from the largest up, then the others by height to keep the hand above."""
+    is_bowl = item.category == "bowl"
+    return not is_bowl, -item.size if is_bowl else item.top
+
+
+def _into_bowls(
+    item: StandingObject, there: Mapping[str, StandingObject], box: Box, config: ManipulationConfig
+) -> Placement | None:
+    """Return a goal in the uppermost bowl of a stack in the box; None if it is no bowl or fits none."""
+    if item.category != "bowl":
+        return None
+    bowls = sorted(
+        (other for other in there.values() if other.category == "bowl"), key=lambda b: b.T_world_stand[2, 3]
+    )
+    for lowest in bowls:
+        axis = lowest.T_world_stand[:2, 3]
+        stack = [b for b in bowls if np.linalg.norm(b.T_world_stand[:2, 3] - axis) < _IN_NEST]
+        if stack[0] is not lowest or nests(radial_profile(item), radial_profile(stack[-1])) is None:
+            continue
+        x, y = stack[-1].T_world_stand[:2, 3]
+        grasp = config.pick_place.grasp
+        drop = nest_drop([*stack, item], grasp.bowl_depth, config.packing, grasp.gripper)
+        names = tuple(bowl.name for bowl in stack)
+        return Placement(
+            item.name, (float(x), float(y), box.floor), admissible_yaws(item, 0.0), names, release_height=drop
+        )
+    return None
+
+
+def _on_the_floor(
+    item: StandingObject, there: Mapping[str, StandingObject], box: Box, config: ManipulationConfig
+) -> Placement | None:
+    """Return a goal where most floor is free; a mug is aligned with those in the box. None without room."""
+    others = [(other, other.T_world_stand) for other in there.values()]
+    for yaw in _yaws(item, there):
+        goal = Placement(
+            item.name,
+            (*box.center, box.floor),
+            admissible_yaws(item, yaw),
+            release_height=config.packing.release_height,
+        )
+        places = free_places(item, goal, others, box)
+        if places:
+            return places[0]
+    return None
+
+
+def _yaws(item: StandingObject, there: Mapping[str, StandingObject]) -> Sequence[float]:
+    """Return yaws [rad] to try for an object in the box."""
+    if item.category != "mug":
+        return (0.0,) if item.is_round else (0.0, np.pi / 2)
+    mugs = [other.T_world_stand for other in there.values() if other.category == "mug"]
+    return [float(np.arctan2(T[1, 0], T[0, 0])) for T in mugs[:1]] or [float(yaw) for yaw in _YAWS]
+
+
+def _resting_pose(
+    item: StandingObject, goal: Placement, there: Mapping[str, StandingObject]
+) -> Float[np.ndarray, "4 4"]:
+    stack = [*(there[name] for name in goal.stack), item]
+    lift = nest_heights(stack)[-1] if goal.stack else 0.0
+    return pose_from_yaw(goal.yaws[0], np.add(goal.position, (0.0, 0.0, lift)))
