@@ -14,7 +14,7 @@ from manipulation.footprints import BoxRaster, Footprint, Stencil, footprint
 from manipulation.types import Box, Placement, StandingObject
 
 GAPS = (0.012, 0.005)  # [m] smallest distance from walls and other objects; the smaller if there is no place
-APART = 0.03  # [m] between two places
+APART = 0.05  # [m] between two places
 MOST = 4
 
 

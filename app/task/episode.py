@@ -49,8 +49,8 @@ def run_episode(
 ) -> tuple[Report, TaskResult]:
     """Run a task in the cell and score it; with ``perceive_only`` up to the object map.
 
-    The pipeline receives the cell as a restricted robot. Ground truth is read before and after it runs, and
-    is passed to it only with ``--shapes oracle``.
+    The pipeline receives the cell as a restricted robot. Ground truth is read before and after it runs; with
+    ``--shapes oracle`` alone, the pipeline is given the true state instead of estimates.
     """
     observer = observer or RunObserver()
     begin, paused, simulated_begin = time.perf_counter(), observer.paused_seconds, world.time

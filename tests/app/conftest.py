@@ -44,12 +44,12 @@ def overhead_frame() -> RgbdFrame:
 
 @pytest.fixture
 def can_at() -> Callable[..., ObjectEstimate]:
-    """Cylinders of radius 35 mm and height 0.1 m that stand at (x, -0.2)."""
+    """Cylinders of radius 35 mm and height 0.1 m that stand at (x, y)."""
 
-    def estimate(id: int = 0, x: float = 0.4) -> ObjectEstimate:
+    def estimate(id: int = 0, x: float = 0.4, y: float = -0.2) -> ObjectEstimate:
         mesh = trimesh.creation.cylinder(radius=0.035, height=0.1, sections=24)
         T = np.eye(4)
-        T[:3, 3] = (x, -0.2, 0.05)
+        T[:3, 3] = (x, y, 0.05)
         return ObjectEstimate(
             id, "can", np.zeros(16), T, np.full(3, 0.055), TriangleMesh(mesh.vertices, mesh.faces)
         )

@@ -103,7 +103,7 @@ def test_true_shapes_reach_the_pipeline_on_request_alone(cell):
     for shapes in ("nodeslam", "tsdf"):
         reconstruction = reconstruction_of(PackOptions(shapes=shapes), refuse)
         reachable = inspect.getclosurevars(reconstruction).nonlocals if reconstruction else {}
-        assert "before" not in reachable
+        assert "read" not in reachable
         assert (reconstruction is None) == (shapes == "nodeslam")
     oracle = reconstruction_of(PackOptions(shapes="oracle"), lambda: before)
     assert oracle is not None
@@ -118,8 +118,9 @@ def test_a_request_reads_no_ground_truth(cell, monkeypatch):
     monkeypatch.setattr(episode, "read_truth", refuse)
     for shapes in ("nodeslam", "tsdf"):
         assert request_of(cell, "pack", PackOptions(shapes=shapes)).task == "pack"
+    oracle = request_of(cell, "pack", PackOptions(shapes="oracle")).reconstruction
     with pytest.raises(TruthRead):
-        request_of(cell, "pack", PackOptions(shapes="oracle"))
+        oracle([], None)
 
 
 def test_settings_determine_an_episode_apart_from_its_seed():

@@ -5,6 +5,7 @@ import pytest
 
 from app.task.obstacles import (
     beside_box,
+    filled_bounds,
     known_bounds,
     obstacle_note,
     obstacle_rows,
@@ -61,10 +62,20 @@ def test_the_box_is_no_candidate_and_no_object_and_a_thing_beside_it_is():
     rows = tuple((ObjectDetection("can", 0.6, mask, instance_id=i),) for i, mask in enumerate(masks))
     candidates = tuple(of_no_class(mask, 0.9, i) for i, mask in enumerate(masks))
     detections = Detections(SupportPlane(), rows, left_out=candidates)
-    beside = beside_box(box, frames, detections)
+    beside = beside_box(known_bounds(box), frames, detections)
     assert beside.per_frame == ((), rows[1])
     assert beside.left_out == (candidates[1],)
-    assert beside_box(None, frames, detections) == detections
+    assert beside_box(known_bounds(None), frames, detections) == detections
+
+
+def test_what_is_in_the_box_is_known_with_it():
+    box = Box()
+    packed = overhead(*box.center, obstacle=block(*box.center, half=0.02, height=0.1))
+    mask = packed.depth < packed.depth.max() - 0.05
+    detections = Detections(SupportPlane(), ((ObjectDetection("can", 0.6, mask, instance_id=0),),))
+    assert beside_box(known_bounds(box), [packed], detections) == detections
+    assert beside_box(filled_bounds(box), [packed], detections).per_frame == ((),)
+    assert filled_bounds(None).shape == (0, 2, 3)
 
 
 def test_during_a_run_what_stands_in_the_box_is_known():

@@ -1,0 +1,81 @@
+"""Results of several rounds: what is left, what is where, and what replaces what."""
+
+from dataclasses import replace
+
+import numpy as np
+import pytest
+
+from app.task.pipeline import TaskResult
+from app.task.rounds import (
+    expected_pose,
+    is_something_left,
+    placed_estimates,
+    placed_items,
+    renumbered,
+    with_round,
+)
+from manipulation.types import Box, ObjectOutcome
+from perception.geometry import pose_from_yaw
+from perception.types import RejectedObject
+
+REST = pose_from_yaw(np.pi / 2, np.array([0.5, 0.27, 0.004]))
+
+
+@pytest.fixture
+def result(can_at, pack_plan) -> TaskResult:
+    """One can was placed, the other one had no goal."""
+    outcome = ObjectOutcome(0, "can_0", True, 1, "", REST)
+    return TaskResult(objects=[can_at(0), can_at(1, 0.5)], plan=pack_plan, outcomes=[outcome])
+
+
+def test_the_expected_pose_is_that_of_the_object_carried_with_its_stand_frame(can_at, pack_plan):
+    outcome = ObjectOutcome(0, "can_0", True, 1, "", REST)
+    T_before = can_at().T_world_object  # centre of the can, 50 mm above the table
+    stand = pack_plan.objects["can_0"].T_world_stand
+    T = expected_pose(can_at(), pack_plan, outcome)
+    np.testing.assert_allclose(T[:3, 3], (0.5, 0.27, 0.054), atol=1e-9)
+    np.testing.assert_allclose(np.linalg.inv(REST) @ T, np.linalg.inv(stand) @ T_before, atol=1e-9)
+
+
+def test_a_round_follows_what_left_something_and_changed_the_table(result, pack_plan):
+    all_placed = replace(pack_plan, left_out={})
+    assert is_something_left(result), "an object without a goal"
+    assert not is_something_left(replace(result, plan=all_placed))
+    assert is_something_left(replace(result, plan=all_placed, rejected=[RejectedObject(7, "mug", "small")]))
+    (outcome,) = result.outcomes
+    failed = replace(outcome, placed=False)
+    assert is_something_left(replace(result, plan=all_placed, outcomes=[failed]))
+    assert not is_something_left(replace(result, outcomes=[replace(failed, attempts=0)])), "nothing was moved"
+
+
+def test_placed_objects_are_where_they_were_placed(result):
+    assert list(placed_items(result)) == ["can_0"] and list(placed_estimates(result)) == [0]
+    np.testing.assert_array_equal(placed_items(result)["can_0"].T_world_stand, REST)
+    assert placed_estimates(result)[0].T_world_object[:3, 3] == pytest.approx((0.5, 0.27, 0.054))
+
+
+def test_new_estimates_get_new_ids_and_keep_what_rests_on_what(result, can_at):
+    stacked = [can_at(0, 0.4), replace(can_at(1, 0.4), rests_on=0), can_at(2, *Box().center)]
+    found = renumbered(stacked, result.objects, Box())
+    assert [(estimate.id, estimate.rests_on) for estimate in found] == [(2, None), (3, 2)], "not in the box"
+    assert len(renumbered(stacked, [], None)) == 3
+
+
+def test_what_was_not_placed_is_replaced_by_what_is_found_in_its_place(result, can_at, pack_plan):
+    beside = can_at(2, 0.5 + 0.02)
+    items = {"can_2": replace(pack_plan.objects["can_1"], id=2)}
+    goals = (replace(pack_plan.placements[0], name="can_2"),)
+    plan = replace(pack_plan, objects=items, placements=goals, left_out={})
+    outcome = ObjectOutcome(2, "can_2", True, 1, "", REST)
+    merged = with_round(result, [beside], plan, [outcome], ())
+    assert [estimate.id for estimate in merged.objects] == [0, 2]
+    assert [p.name for p in merged.plan.placements] == ["can_0", "can_2"]
+    assert merged.plan.left_out == {} and [o.name for o in merged.outcomes] == ["can_0", "can_2"]
+    # At the pose of the first scan, to which its estimate belongs.
+    np.testing.assert_array_equal(
+        merged.plan.objects["can_0"].T_world_stand, pack_plan.objects["can_0"].T_world_stand
+    )
+    far = with_round(result, [can_at(2, 0.8)], plan, [outcome], ())
+    assert [estimate.id for estimate in far.objects] == [0, 1, 2] and far.plan.left_out == {
+        "can_1": "too far"
+    }

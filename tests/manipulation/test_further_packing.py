@@ -1,0 +1,64 @@
+"""Goals in a box that holds others: clear of them, aligned, nested."""
+
+from dataclasses import replace
+
+import numpy as np
+import pytest
+
+from manipulation.errors import PlanningError
+from manipulation.further_packing import plan_further
+from manipulation.nesting import nest_heights
+from manipulation.standing import to_standing
+from manipulation.types import Box
+from perception.geometry import pose_from_yaw
+from tests.manipulation.test_planner import CONFIG
+
+BOX = Box()
+
+
+def in_box(estimate, x=0.0, y=0.0, yaw=0.0, z=BOX.floor):
+    item = to_standing(estimate)
+    place = np.array([BOX.center[0] + x, BOX.center[1] + y, z])
+    return {item.name: replace(item, T_world_stand=pose_from_yaw(yaw, place))}
+
+
+def test_a_can_gets_a_place_clear_of_what_is_there(shapes, arm):
+    placed = in_box(shapes.estimate(1, "can", shapes.can()))
+    cans = [shapes.estimate(i, "can", shapes.can(), x=0.4 + 0.06 * i, y=-0.3) for i in (2, 3)]
+    plan = plan_further(cans, placed, BOX, arm, CONFIG)
+    assert [p.name for p in plan.placements] == ["can_2", "can_3"] and not plan.left_out
+    places = np.array([(*BOX.center,), *(p.position[:2] for p in plan.placements)])
+    apart = np.linalg.norm(places[:, None] - places, axis=-1) + np.eye(3)
+    assert apart.min() > 2 * 0.033 + 0.005
+    assert "can_1" in plan.objects and plan.placements[0].position[2] == BOX.floor
+
+
+def test_a_mug_is_aligned_with_the_mugs_in_the_box(shapes, arm):
+    placed = in_box(shapes.estimate(1, "mug", shapes.mug()), x=-0.08, yaw=0.7)
+    plan = plan_further([shapes.estimate(2, "mug", shapes.mug(), x=0.5)], placed, BOX, arm, CONFIG)
+    (goal,) = plan.placements
+    assert goal.yaws == pytest.approx((0.7,))
+
+
+def test_a_bowl_goes_into_the_uppermost_bowl_that_holds_it(shapes, arm):
+    lower = in_box(shapes.estimate(1, "bowl", shapes.bowl(0.085, 0.06)), x=0.05)
+    upper = to_standing(shapes.estimate(2, "bowl", shapes.bowl(0.07, 0.05)))
+    lift = nest_heights([lower["bowl_1"], upper])[1]
+    T = pose_from_yaw(0.0, np.array([BOX.center[0] + 0.055, BOX.center[1], BOX.floor + lift]))
+    stack = lower | {"bowl_2": replace(upper, T_world_stand=T)}
+    small = shapes.estimate(3, "bowl", shapes.bowl(0.055, 0.04), x=0.5)
+    (goal,) = plan_further([small], stack, BOX, arm, CONFIG).placements
+    assert goal.stack == ("bowl_1", "bowl_2")
+    assert goal.position == pytest.approx((BOX.center[0] + 0.055, BOX.center[1], BOX.floor))
+    assert goal.release_height > CONFIG.packing.release_height
+    wide = shapes.estimate(3, "bowl", shapes.bowl(0.085, 0.06), x=0.5)
+    (beside,) = plan_further([wide], in_box(shapes.estimate(1, "bowl", shapes.bowl(0.06, 0.045)), x=-0.09),
+                             BOX, arm, CONFIG).placements  # fmt: skip
+    assert beside.stack == ()
+
+
+def test_a_full_box_has_no_room(shapes, arm):
+    placed = in_box(shapes.estimate(1, "can", shapes.can(0.035, 0.1)))
+    small = replace(BOX, size=(0.1, 0.1, 0.08))
+    with pytest.raises(PlanningError, match="no room for can_2 is left in the box; use a larger box"):
+        plan_further([shapes.estimate(2, "can", shapes.can(), x=0.5)], placed, small, arm, CONFIG)
