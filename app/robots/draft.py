@@ -29,6 +29,7 @@ ORIGIN = Frame(np.zeros(3), np.array(IDENTITY))
 # Speeds that most arms follow: of the joints that carry the arm, and of the wrist.
 VELOCITY, ACCELERATION, JERK = (1.6, 2.2), (4.0, 8.0), (250.0, 500.0)
 LIFTS = (0.0, 0.1, 0.2, 0.3)  # [m] of the base above the table that are compared
+BASE_TURNS = (0.0, np.pi, np.pi / 2, -np.pi / 2)  # [rad] of a base that are tried for a home posture
 MAX_OFF_MIDDLE = 0.6  # [rad] of the first joint at home from the middle of its range
 TORQUE_SHARE = 0.35  # of a joint's torque limit that acceleration may take
 
@@ -91,22 +92,35 @@ def draft_robot(arm: Path, folder: Path, hand: Path | None = None, mount: str = 
 def _homed(entries: RobotEntries) -> tuple[RobotEntries, SimulatedArm, np.ndarray | None]:
     """Return the entries, their arm and its home posture, if there is one.
 
-    A base whose first joint is far from the middle of its range at home is turned.
+    A base that reaches nothing ahead, or whose first joint is far from the middle of its range at home, is
+    turned.
     """
-    robot = build_robot(entries)
-    kinematics = Kinematics(robot.description)
-    home = find_home(robot.description, kinematics)
-    if home is None:
+    for turn in BASE_TURNS:
+        ahead = _turned(entries, turn)
+        robot = build_robot(ahead)
+        kinematics = Kinematics(robot.description)
+        home = find_home(robot.description, kinematics)
+        if home is not None:
+            break
+    else:
         return entries, robot, None
+    entries = ahead
     middle = 0.5 * float(kinematics.lower[0] + kinematics.upper[0])
     yaw = kinematics.base_turn * (float(home[0]) - middle)
     if abs(yaw) <= MAX_OFF_MIDDLE:
         return entries, robot, home
+    entries = _turned(entries, yaw)
+    return entries, build_robot(entries), np.array([middle, *home[1:]])
+
+
+def _turned(entries: RobotEntries, yaw: float) -> RobotEntries:
+    """Return the entries with the base turned about the first joint's axis by an angle in [rad]."""
+    if yaw == 0:
+        return entries
     base, c, s = entries.mount.base, np.cos(yaw), np.sin(yaw)
     position = np.array([[c, -s, 0.0], [s, c, 0.0], [0.0, 0.0, 1.0]]) @ base.position
     base = Frame(position, about_z(_angle(base.quaternion) + yaw))
-    entries = replace(entries, mount=replace(entries.mount, base=base))
-    return entries, build_robot(entries), np.array([middle, *home[1:]])
+    return replace(entries, mount=replace(entries.mount, base=base))
 
 
 def _reach_remarks(arm: ArmDescription) -> Iterator[str]:

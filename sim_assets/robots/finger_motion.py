@@ -15,10 +15,12 @@ from jaxtyping import Float
 
 from sim_assets.errors import RobotFileError
 from sim_assets.rendering.headless import MjModel, mujoco
+from sim_assets.robots.servos import is_servo
 
 _STATIONS = 13  # positions over the range
 _FINE_STATIONS = 61  # of a single joint
 _STEPS = 150  # of 2 ms at each, for the linkage to settle
+_UNEQUAL = 1.2  # ratio of the ranges of two driven joints from which on those of their commands count
 _FREQUENCY = 100.0  # [rad/s] of the springs
 _ARMATURE = {int(mujoco.mjtJoint.mjJNT_SLIDE): 0.1, int(mujoco.mjtJoint.mjJNT_HINGE): 1e-3}  # [kg], [kg m^2]
 
@@ -119,6 +121,27 @@ def _loosened(model: MjModel, arm_joints: Sequence[str], driven: Sequence[int]) 
     return copy
 
 
+def _commanded(
+    model: MjModel, driven: Sequence[int], ends: Float[np.ndarray, "d 2"]
+) -> Float[np.ndarray, "d 2"]:
+    """Return the limits of the driven joints within the commands of their position servos."""
+    limited = ends.copy()
+    for actuator in range(model.nu):
+        joint = int(model.actuator_trnid[actuator, 0])
+        is_joint = model.actuator_trntype[actuator] == mujoco.mjtTrn.mjTRN_JOINT
+        if (
+            is_joint
+            and joint in driven
+            and model.actuator_ctrllimited[actuator]
+            and is_servo(model, actuator)
+        ):
+            row = list(driven).index(joint)
+            low, high = np.clip(model.actuator_ctrlrange[actuator], *ends[row])
+            if high > low:
+                limited[row] = low, high
+    return limited
+
+
 def _ordered_ends(model: MjModel, data: Any, driven: Sequence[int]) -> Float[np.ndarray, "d 2"]:
     """Return the limits of the driven joints, for two joints in the order in which both fingers close.
 
@@ -127,6 +150,9 @@ def _ordered_ends(model: MjModel, data: Any, driven: Sequence[int]) -> Float[np.
     ends = model.jnt_range[driven].copy()
     if len(driven) != 2:
         return ends
+    travel = np.ptp(ends, axis=1)
+    if travel.max() > _UNEQUAL * travel.min():
+        ends = _commanded(model, driven, ends)
     bodies = model.jnt_bodyid[list(driven)]
     places = []
     for column in range(2):

@@ -6,7 +6,8 @@ Hands with two moving fingers; ``jaw_shape`` measures those with one.
 from __future__ import annotations
 
 import numpy as np
-from jaxtyping import Bool, Float
+from jaxtyping import Bool, Float, Int
+from scipy.spatial.transform import Rotation
 
 from manipulation.robot import GripperGeometry
 from sim_assets.errors import RobotFileError
@@ -19,6 +20,7 @@ from sim_assets.robots.jaw_shape import measure_jaw, one_moves
 _PAD_HALF_HEIGHT = 0.0095  # [m]; of longer pads the part at the fingertips is used
 _FINGER_DEPTH = 0.032  # [m] from the pad's face; what reaches further out belongs to the palm
 _FINGER_HALF_WIDTH = 0.03  # [m], the same across the closing direction
+_MAX_TURN = np.deg2rad(10)  # of the pads while the hand opens
 _INSERTED = 0.035  # [m] of the fingers above the TCP that may enter a cavity
 _SNAP = np.cos(np.deg2rad(15))  # axes this near to one of a body's are that axis
 _ALONG = np.cos(np.deg2rad(50))  # largest angle of the approach to the direction from the palm to the fingers
@@ -47,11 +49,27 @@ def measure_hand(model: MjModel, arm_joints: tuple[str, ...], sweep: HandSweep) 
             f"the fingers open from {1e3 * gaps[0]:.1f} to {1e3 * gaps[-1]:.1f} mm only: name the joints "
             "that open and close the hand in [gripper] joints"
         )
+    _require_parallel(surface, pads)
     fingers = finger_motion(sweep, gaps)
     tcp, geometry = _geometry(points, pads, (left, right), surface.moves, fingers.widths)
     T = np.eye(4)
     T[:3, :3], T[:3, 3] = axes.T, axes.T @ tcp
     return HandShape(model.body(hand).name, T, geometry, fingers, points[-1] - tcp)
+
+
+def _require_parallel(
+    surface: HandSurface, pads: tuple[Int[np.ndarray, "_a"], Int[np.ndarray, "_b"]]
+) -> None:
+    """Raise RobotFileError if the bodies of the pads turn much while the hand opens."""
+    for pad in pads:
+        body = surface.body == np.bincount(surface.body[pad]).argmax()
+        shapes = [points[body] - points[body].mean(axis=0) for points in surface.points[[0, -1]]]
+        turn = Rotation.align_vectors(*shapes)[0].magnitude()
+        if turn > _MAX_TURN:
+            raise RobotFileError(
+                f"the pads turn by {np.rad2deg(turn):.0f} degrees while the hand opens, those of a parallel "
+                "hand by none: check what couples its joints (equality, tendon) and their ranges"
+            )
 
 
 def _axes(model: MjModel, hand: int, sweep: HandSweep, surface: HandSurface) -> Float[np.ndarray, "3 3"]:

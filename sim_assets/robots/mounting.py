@@ -168,10 +168,22 @@ def _read(path: Path) -> MjSpec:
     except (ValueError, mujoco.FatalError) as error:
         raise RobotFileError(f"{path} cannot be read as MJCF: {' '.join(str(error).split())}") from None
     _check_references(path, spec)
+    if _is_in_radians(spec):
+        spec.compiler.degree = False
     for element in (*spec.keys, *spec.lights, *spec.pairs):  # the scene has its own
         spec.delete(element)
     spec.compiler.fusestatic = spec.compiler.discardvisual = False
     return spec
+
+
+def _is_in_radians(spec: MjSpec) -> bool:
+    """Return whether all ranges of hinges fit into a turn in radians, as in fragments of larger models.
+
+    These leave out ``angle="radian"``, since the model that includes them has it; MuJoCo reads degrees.
+    """
+    hinges = [joint.range for joint in spec.joints if joint.type == mujoco.mjtJoint.mjJNT_HINGE]
+    largest = float(np.abs(hinges).max(initial=0.0)) if hinges else 0.0
+    return bool(spec.compiler.degree and 0 < largest <= 2 * np.pi)
 
 
 def _check_references(path: Path, spec: MjSpec) -> None:

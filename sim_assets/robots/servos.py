@@ -16,6 +16,7 @@ DEFAULT_FORCE = 40.0  # [N] of each finger
 _SATURATION = 0.02  # [rad] of tracking error at which an added servo gives its full torque
 _FASTEST = 150.0  # [rad/s], natural frequency up to which the simulation is accurate
 _JAW_SATURATION = 0.3  # share of a jaw's range at which its servo gives its full force
+_SLOWEST_JAW = 8.0  # [rad/s], least natural frequency of a jaw
 _DAMPING_RATIO = 0.1  # [s] velocity gain over position gain, as tuned for the shipped arms
 
 
@@ -159,6 +160,7 @@ def gripper_servo(model: MjModel, fingers: FingerMotion, hand: Sequence[int], fo
         data = mujoco.MjData(model)
         mujoco.mj_forward(model, data)
         inertia = joint_inertia(model, data, int(model.jnt_dofadr[hand[0]])) / weights[0] ** 2
+        gain = max(gain, _SLOWEST_JAW**2 * inertia)
         damping = 2 * float(np.sqrt(gain * inertia))
     return GripperServo(
         joints=driven,

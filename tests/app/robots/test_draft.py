@@ -118,3 +118,10 @@ def test_an_arm_with_one_jaw_is_drafted(tmp_path):
     assert tomllib.loads(text)["gripper"]["joints"] == ["jaw"]
     (tmp_path / "robot.toml").write_text(text)
     assert load_robot(str(tmp_path / "robot.toml")).description.gripper.one_jaw
+
+
+def test_a_base_that_reaches_nothing_ahead_is_turned(arm_file, tmp_path, monkeypatch):
+    found = iter([None, np.array([0.0, -0.5, 2.0, 0.0])])
+    monkeypatch.setattr(draft, "find_home", lambda arm, kinematics: next(found))
+    entries = tomllib.loads(draft_robot(arm_file, tmp_path).text)["arm"]
+    assert entries["base_yaw"] == pytest.approx(np.pi, abs=1e-4)

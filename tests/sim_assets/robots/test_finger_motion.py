@@ -55,3 +55,16 @@ def test_a_joint_alone_goes_exactly_through_its_range(jaw_model):
     sweep = sweep_hand(jaw_model, JOINTS, ("jaw",))
     assert sweep.joint_names == ("jaw",) and sweep.n_driven == 1
     np.testing.assert_allclose(sweep.positions[:, 0], np.linspace(0, 1.5, len(sweep.positions)))
+
+
+def test_of_two_joints_with_unequal_ranges_the_commands_of_their_servos_count():
+    servos = (
+        '<position joint="left" kp="9" ctrlrange="0 .04"/><position joint="right" kp="9" ctrlrange="-.04 0"/>'
+    )
+    mjcf = SLIDING.replace('range="-.04 0"', 'range="-.04 .04"')
+    sweep = sweep_hand(mujoco.MjModel.from_xml_string(mjcf), JOINTS, ("left", "right"))
+    assert np.ptp(sweep.positions[:, 1]) == pytest.approx(0.08, abs=1e-4)
+    mjcf = mjcf.replace("</mujoco>", f"<actuator>{servos}</actuator></mujoco>")
+    sweep = sweep_hand(mujoco.MjModel.from_xml_string(mjcf), JOINTS, ("left", "right"))
+    np.testing.assert_allclose(sweep.positions[:, 1], -sweep.positions[:, 0], atol=1e-4)
+    assert np.ptp(sweep.positions[:, 1]) == pytest.approx(0.04, abs=1e-4)

@@ -7,7 +7,7 @@ from sim_assets.errors import RobotFileError
 from sim_assets.rendering.headless import mujoco
 from sim_assets.robots.finger_motion import sweep_hand
 from sim_assets.robots.hand_shape import measure_hand
-from tests.sim_assets.robots.conftest import JOINTS, SLIDING
+from tests.sim_assets.robots.conftest import JOINTS, SLIDING, linkage
 
 
 def measure(model, driven=("left", "right")):
@@ -67,3 +67,10 @@ def test_hands_that_are_not_parallel_grippers():
     little = SLIDING.replace('range="0 .04"', 'range="0 .002"').replace('range="-.04 0"', 'range="-.002 0"')
     with pytest.raises(RobotFileError, match=r"the fingers open from 2\.0 to 6\.0 mm only"):
         measure(mujoco.MjModel.from_xml_string(little))
+
+
+def test_a_linkage_whose_pads_turn_with_its_cranks_is_refused():
+    """The cranks turn by 1 rad."""
+    mjcf = linkage().replace('polycoef="0 -1 0 0 0"', 'polycoef="0 0 0 0 0"')
+    with pytest.raises(RobotFileError, match="the pads turn by 57 degrees while the hand opens"):
+        measure(mujoco.MjModel.from_xml_string(mjcf))

@@ -131,6 +131,16 @@ def test_a_base_without_collision_geoms_is_solid_as_it_looks(mount):
     assert {geom.name: geom.contype for geom in load(mount).geoms}["shell"] == 0
 
 
+@pytest.mark.parametrize(("limits", "expected"), [("-3 3", 3.0), ("-170 170", np.deg2rad(170))])
+def test_ranges_that_are_radians_are_read_as_such(mount, limits, expected):
+    """In fragments of larger models, whose compiler element says so."""
+    text = MJCF.replace('<compiler angle="radian"/>', "").replace(
+        'range="-3 3"', f'range="{limits}" limited="true"'
+    )
+    mount.mjcf.write_text(text)
+    assert compiled(mount).joint("turn").range[1] == pytest.approx(expected)
+
+
 def test_scenery_is_left_out_and_unnamed_parts_get_names(mount):
     floor = '<geom type="plane" size="1 1 .1"/><body><geom size=".1" contype="0" conaffinity="0"/></body>'
     mount.mjcf.write_text(MJCF.replace("<worldbody>", "<worldbody>" + floor))
