@@ -201,10 +201,17 @@ def _usable(
     for index in chosen:
         try:
             frame = source.read(index)
-            check_camera(frame)
+            _check_camera(frame)
             yield frame, source.detections(index) if source.detections is not None else None
         except InvalidInputError as error:
             skipped.append(str(error))
+
+
+def _check_camera(frame: RgbdFrame) -> None:
+    try:
+        check_camera(frame)
+    except InvalidInputError as error:
+        raise InvalidInputError(f"the image at {frame.time:.3f} s: {error}") from None
 
 
 @dataclass(frozen=True)

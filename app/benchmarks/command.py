@@ -13,6 +13,7 @@ from app.benchmarks.machine import describe_machine
 from app.benchmarks.rows import benchmarks
 from app.benchmarks.scene import prepare
 from app.benchmarks.timing import Row, TimingConfig, measure
+from app.errors import UsageError
 from app.options import BenchOptions
 from app.runs.report import Report
 from app.runs.run_folder import RunFolder
@@ -26,6 +27,8 @@ def run(options: BenchOptions, screen: Screen) -> Report:
     if options.growth:
         from app.benchmarks.growth import run as run_growth
 
+        if options.scan is not None or options.against is not None:
+            raise UsageError("--growth measures scenes of its own: leave out --scan and --against")
         return run_growth(options, screen)
     begin = time.perf_counter()
     device = resolve_device(options.device)

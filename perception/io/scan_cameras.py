@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Mapping, Sequence
+from collections.abc import Sequence
 from typing import Any
 
 import numpy as np
@@ -13,7 +13,7 @@ from perception.types import CameraIntrinsics, RgbdFrame
 
 DEPTH_SCALE = 0.1  # of the depth images written here: a tenth of a millimetre, up to 6.5 m
 MIN_TRANSLATION = 10.0  # [mm] length below which all translations together are suspicious
-MAX_DISTANCE = 100.0  # [m] of a camera from the origin and from other cameras
+MAX_DISTANCE = 100.0  # [m] of a camera from the origin
 MAX_NUMBER = 1e9  # of a camera: 1000 km in millimetres; larger ones overflow
 
 
@@ -83,19 +83,6 @@ def read_numbers(entry: Any, key: str, count: int) -> np.ndarray:
         what = "a finite number" if count == 1 else f"{count} finite numbers"
         raise InvalidInputError(f"{key} must be {what} of at most {MAX_NUMBER:g} in magnitude")
     return numbers
-
-
-def check_spread(frames: Mapping[int, RgbdFrame]) -> None:
-    """Raise InvalidInputError if a camera is too far from the first for both to show one scene."""
-    (first, T_first), *others = [(i, frame.T_world_camera) for i, frame in frames.items()]
-    for image_id, T in others:
-        assert T is not None and T_first is not None
-        distance = float(np.linalg.norm(T[:3, 3] - T_first[:3, 3]))
-        if distance > MAX_DISTANCE:
-            raise InvalidInputError(
-                f"the cameras of images {first} and {image_id} are {distance:.3g} m apart, at most "
-                f"{MAX_DISTANCE:g} m are allowed: give all in millimetres of one world frame"
-            )
 
 
 def suspicion_of_metres(entries: Sequence[Any]) -> str | None:

@@ -28,7 +28,6 @@ from perception.io.images import DEPTH_MODES, png_bytes, read_image
 from perception.io.scan_cameras import (
     DEPTH_SCALE,
     camera_entry,
-    check_spread,
     read_intrinsics,
     read_numbers,
     read_pose,
@@ -131,11 +130,6 @@ def read_scan(folder: str | Path) -> Scan:
             problems.append(str(error))
     if not frames:
         raise InvalidInputError(problems[0])
-    if posed:
-        try:
-            check_spread(frames)
-        except InvalidInputError as error:
-            raise InvalidInputError(f"{folder / 'scene_camera.json'}: {error}") from None
     for problem in problems:
         logger.warning("image skipped: %s", problem)
     suspicion = suspicion_of_metres([cameras[image_id] for image_id in frames]) if posed else None

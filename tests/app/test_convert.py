@@ -120,7 +120,7 @@ def test_bad_sources_end_in_one_line(tmp_path: Path, capsys: pytest.CaptureFixtu
         ([source, "--camera", "600,600,-1,2"], "must be positive"),
         ([source, "--images", "0"], "must be in 1.."),
         ([source, "--depth-scale", "0"], "--depth-scale 0 must be in 0.001..100"),
-        ([source, "--camera", "1e300,1e300,32,24"], "are implausible for an image 64 px wide"),
+        ([source, "--camera", "1e300,1e300,32,24"], "s: focal lengths 1e+300, 1e+300 px are implausible"),
         ([source, "--camera", "600,600,320,240"], "lies outside the images of 64x48 px"),
         ([tmp_path / "done"], "is a scan folder already"),
     ):

@@ -18,7 +18,7 @@ from typing import Any
 import numpy as np
 
 from perception.errors import InvalidInputError
-from perception.io.files import read_bytes, read_json, read_text
+from perception.io.files import read_bytes, read_json
 from perception.io.recordings.image_pairs import NominalCamera
 
 PATTERNS = (
@@ -31,6 +31,7 @@ PATTERNS = (
     "intrinsic*/*intrinsic*depth*.txt",
 )
 MAX_BYTES = 2**20
+MAX_SKEW = 1e-3  # of the focal length: less than a pixel
 ORIGINAL_WIDTH = 0.0  # the files refer to the recording's own images
 
 
@@ -60,13 +61,17 @@ def read_camera(path: Path) -> NominalCamera:
         elif path.suffix == ".npy":
             numbers = np.load(io.BytesIO(read_bytes(path, MAX_BYTES)), allow_pickle=False).astype(float)
         else:
-            numbers = np.array([float(word) for word in read_text(path).replace(",", " ").split()])
+            numbers = np.array([float(word) for word in _text(path).replace(",", " ").split()])
         fx, fy, cx, cy = _parameters(numbers)
     except (OSError, ValueError, TypeError, KeyError, EOFError) as error:
         raise InvalidInputError(
             f"{path} holds no intrinsics ({error}): give a 3x3 matrix, or fx fy cx cy in pixels"
         ) from None
     return NominalCamera(fx, fy, cx, cy, ORIGINAL_WIDTH)
+
+
+def _text(path: Path) -> str:
+    return read_bytes(path, MAX_BYTES).decode("utf-8-sig")
 
 
 def _from_json(content: Any) -> np.ndarray:
@@ -88,6 +93,8 @@ def _parameters(numbers: np.ndarray) -> tuple[float, float, float, float]:
     if numbers.size in (9, 16):
         side = 3 if numbers.size == 9 else 4
         matrix = numbers.reshape(side, side)
+        if abs(matrix[0, 1]) > MAX_SKEW * abs(matrix[0, 0]):
+            raise ValueError(f"the skew {matrix[0, 1]:g} is not zero; undistort and rectify the images")
         numbers = matrix[[0, 1, 0, 1], [0, 1, 2, 2]]
     if numbers.size != 4:
         raise ValueError(f"{numbers.size} numbers")

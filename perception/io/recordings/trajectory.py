@@ -5,6 +5,7 @@ https://cvg.cit.tum.de/data/datasets/rgbd-dataset/file_formats
 
 from __future__ import annotations
 
+import math
 from collections.abc import Sequence
 from dataclasses import dataclass
 from pathlib import Path
@@ -15,7 +16,6 @@ from scipy.spatial.transform import Rotation
 
 from perception.errors import InvalidInputError
 from perception.io.files import read_text, write_atomically
-from perception.types import check_rigid
 
 
 @dataclass(frozen=True)
@@ -61,22 +61,31 @@ def read_trajectory(path: Path) -> Trajectory:
         text = read_text(path)
     except (OSError, UnicodeDecodeError) as error:
         raise InvalidInputError(f"{path} cannot be read ({error}): give a TUM trajectory") from None
-    times, poses = [], []
+    rows = []
     for number, line in enumerate(text.splitlines(), start=1):
         if not line.strip() or line.startswith("#"):
             continue
         try:
-            time, x, y, z, *quaternion = (float(word) for word in line.split())
-            T = np.eye(4)
-            T[:3, :3] = Rotation.from_quat(quaternion).as_matrix()
-            T[:3, 3] = x, y, z
-            check_rigid(T, "it")
-            if not np.isfinite(time):
-                raise ValueError("its time is not finite")
-        except (ValueError, InvalidInputError) as error:
+            rows.append(_numbers(line))
+        except ValueError as error:
             raise InvalidInputError(
                 f"{path}, line {number} is not a pose ({error}): time tx ty tz qx qy qz qw"
             ) from None
-        times.append(time)
-        poses.append(T)
-    return Trajectory.of(times, poses)
+    numbers = np.array(rows, float).reshape(-1, 8)
+    poses = np.tile(np.eye(4), (len(rows), 1, 1))
+    if rows:
+        poses[:, :3, :3] = Rotation.from_quat(numbers[:, 4:]).as_matrix()
+    poses[:, :3, 3] = numbers[:, 1:4]
+    return Trajectory(numbers[:, 0], poses)
+
+
+def _numbers(line: str) -> list[float]:
+    """Return time, position and quaternion of a line; raise ValueError."""
+    numbers = [float(word) for word in line.split()]
+    if len(numbers) != 8:
+        raise ValueError(f"{len(numbers)} numbers instead of 8")
+    if not all(map(math.isfinite, numbers)):
+        raise ValueError("it is not finite")
+    if not 1e-3 < math.hypot(*numbers[4:]) < 1e3:
+        raise ValueError("its quaternion is not of length 1")
+    return numbers

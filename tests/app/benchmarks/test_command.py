@@ -34,6 +34,8 @@ def test_bad_input_is_refused(tmp_path, capsys):
     assert "--repeats" in capsys.readouterr().err
     assert run(["bench", "--scan", str(tmp_path / "nothing"), "--out", str(tmp_path / "b")]) == 2
     assert "nothing" in capsys.readouterr().err
+    assert run(["bench", "--growth", "--scan", str(tmp_path), "--out", str(tmp_path / "c")]) == 2
+    assert "--growth measures scenes of its own: leave out --scan" in capsys.readouterr().err
 
 
 def test_load_above_half_the_cores_is_a_warning():

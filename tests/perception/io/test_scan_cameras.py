@@ -9,7 +9,6 @@ from perception.io.scan_cameras import (
     MAX_DISTANCE,
     camera_entry,
     check_camera,
-    check_spread,
     read_intrinsics,
     read_numbers,
     read_pose,
@@ -62,12 +61,6 @@ def test_what_is_checked_is_what_reading_refuses(written, message):
         else:
             with pytest.raises(InvalidInputError, match=message):
                 function()
-
-
-def test_cameras_far_apart_cannot_show_one_scene():
-    check_spread({3: frame(pose(-49.0)), 5: frame(pose(50.0))})
-    with pytest.raises(InvalidInputError, match="images 3 and 5 are 120 m apart"):
-        check_spread({3: frame(pose(-60.0)), 5: frame(pose(60.0))})
 
 
 @pytest.mark.parametrize("value", [None, "1", True, [1, 2], [[1], [2, 3]], float("nan"), 1e10, {}])
