@@ -16,13 +16,12 @@ from scipy.spatial.transform import Rotation
 
 from sim_assets.errors import RobotFileError
 from sim_assets.rendering.headless import MjModel, MjsBody, MjSpec, mujoco
-from sim_assets.robots.jaw_meshes import split_meshes
 from sim_assets.robots.mjcf_limits import check_mjcf
 from sim_assets.robots.pedestal import pedestal_of
 from sim_assets.robots.servos import GripperServo, JointServo, add_gripper_servo, add_joint_servos
-from sim_assets.robots.simulated_arm import ARM_CONTACT, PAD_CONTACT, WRIST_CAMERA
+from sim_assets.robots.simulated_arm import ARM_CONTACT, WRIST_CAMERA
+from sim_assets.robots.solid_geoms import is_solid, set_contacts
 
-COLLISION_GROUP = 3
 PREFIX = "robot_"  # prefix of the arm's names in scenes and in planning
 HAND_PREFIX = "hand_"  # prefix of the names of a hand from a file of its own
 
@@ -106,7 +105,7 @@ def load(mount: Mount, visuals: bool = True) -> MjSpec:
             spec.delete(geom)
     _name_parts(spec)
     _limit_joints(spec, mount)
-    _set_contacts(spec, mount)
+    set_contacts(spec, mount.joints[-1] if mount.joints else "")
     if not visuals:
         _strip(spec)
     for site in mount.sites:
@@ -152,11 +151,6 @@ def compiled(mount: Mount, visuals: bool = False) -> MjModel:
         raise
     except (ValueError, mujoco.FatalError) as error:
         raise RobotFileError(f"{mount.mjcf.name} does not compile: {' '.join(str(error).split())}") from None
-
-
-def is_solid(geom: object) -> bool:
-    """Return whether a geom of a loaded specification is a collision geom."""
-    return bool(geom.contype)  # type: ignore[attr-defined]
 
 
 def _read(path: Path) -> MjSpec:
@@ -226,19 +220,6 @@ def _keep_only(spec: MjSpec, mount: Mount) -> None:
         kept = carrier
 
 
-def _is_base(body: MjsBody) -> bool:
-    """Return whether a body is fixed to the world but not the world itself."""
-    fixed = body.name != "world"
-    while fixed and body.name != "world":
-        fixed, body = not body.joints, body.parent
-    return fixed
-
-
-def _count_joints(body: MjsBody) -> int:
-    """Return the number of joints of a body and of all below it."""
-    return len(body.joints) + sum(map(_count_joints, body.bodies))
-
-
 def _has_joints(body: MjsBody) -> bool:
     return bool(body.joints) or any(map(_has_joints, body.bodies))
 
@@ -304,36 +285,6 @@ def _limit_joints(spec: MjSpec, mount: Mount) -> None:
         if unlimited or (joint.limited == mujoco.mjtLimited.mjLIMITED_AUTO and not np.any(joint.range)):
             turn = 360.0 if spec.compiler.degree else 2 * np.pi
             joint.limited, joint.range = mujoco.mjtLimited.mjLIMITED_TRUE, (-turn, turn)
-
-
-def _set_contacts(spec: MjSpec, mount: Mount) -> None:
-    """Set collision filters (none within the arm or with visual geoms) and the contacts of the fingers."""
-    for body in spec.bodies:
-        geoms = list(body.geoms)
-        solid = [geom for geom in geoms if geom.group == COLLISION_GROUP]
-        solid = solid or [geom for geom in geoms if geom.contype or geom.conaffinity]
-        if not solid and _is_base(body):
-            solid = geoms  # what stands on the table is seen and avoided, whatever the file collides
-        for geom in geoms:
-            touches = any(geom is other for other in solid)
-            _set(geom, **(ARM_CONTACT if touches else {"contype": 0, "conaffinity": 0}))
-    last = spec.joint(mount.joints[-1]) if mount.joints else None
-    if last is not None:
-        one_jaw = _count_joints(last.parent) == 2
-        if one_jaw:
-            split_meshes(spec, last.parent)
-        fixed_jaw = list(last.parent.geoms) if one_jaw else []
-        for geom in (*fixed_jaw, *_geoms_of_moving(last.parent, moving=False)):
-            if is_solid(geom):
-                _set(geom, **PAD_CONTACT)
-
-
-def _geoms_of_moving(body: MjsBody, moving: bool) -> list:
-    """Return the geoms of the bodies that joints below ``body`` move."""
-    found = list(body.geoms) if moving else []
-    for child in body.bodies:
-        found += _geoms_of_moving(child, moving or len(child.joints) > 0)
-    return found
 
 
 def _strip(spec: MjSpec) -> None:

@@ -10,8 +10,9 @@ from typing import Any
 import numpy as np
 
 from sim_assets.rendering.headless import MjModel, MjSpec, mujoco
-from sim_assets.robots.mounting import COLLISION_GROUP, PREFIX, Frame
+from sim_assets.robots.mounting import PREFIX, Frame
 from sim_assets.robots.pedestal import Pedestal
+from sim_assets.robots.solid_geoms import COLLISION_GROUP
 
 
 def planning_mjcf(model: MjModel, base: Frame, pedestal: Pedestal | None = None) -> str:

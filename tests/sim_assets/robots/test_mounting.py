@@ -104,33 +104,6 @@ def test_collision_geoms_are_those_of_group_3(scene):
     assert bits("solid") == bits("stem") == bits("pad") == (2, 1)
 
 
-def test_the_fingers_hold_pads_and_of_one_jaw_the_fixed_part_too(mount):
-    joint = '<joint name="other" type="slide" axis="0 1 0" range="-0.04 0"/>'
-    other = f'<body>{joint}<geom group="3" size=".01"/></body>'
-    for more, fixed in ((other, (0, 3)), ("", (1, 4))):
-        mount.mjcf.write_text(MJCF.replace('<body name="finger"', f'{more}<body name="finger"'))
-        geoms = {geom.name: (geom.priority, geom.condim) for geom in load(mount).geoms}
-        assert geoms["stem"] == geoms["pad"] == (1, 4) and geoms["solid"] == fixed
-
-
-def test_solid_geoms_are_those_that_collide_where_no_geom_is_in_group_3(mount):
-    mount.mjcf.write_text(MJCF.replace('name="pad" group="3"', 'name="pad"'))
-    geoms = {geom.name: geom.contype for geom in load(mount).geoms}
-    assert geoms["pad"] == 2 and geoms["shown"] == 0
-
-
-def test_a_base_without_collision_geoms_is_solid_as_it_looks(mount):
-    shown = '<body name="base"><geom name="shell" type="box" size=".1 .1 .1" contype="0" conaffinity="0"/>'
-    text = MJCF.replace('<body name="link"', f'{shown}<body name="link"').replace(
-        "  </worldbody>", "</body></worldbody>"
-    )
-    mount.mjcf.write_text(text)
-    geoms = {geom.name: geom.contype for geom in load(mount).geoms}
-    assert geoms["shell"] == 2 and geoms["shown"] == 0
-    mount.mjcf.write_text(text.replace('name="base">', 'name="base"><joint name="carry" axis="1 0 0"/>'))
-    assert {geom.name: geom.contype for geom in load(mount).geoms}["shell"] == 0
-
-
 @pytest.mark.parametrize(("limits", "expected"), [("-3 3", 3.0), ("-170 170", np.deg2rad(170))])
 def test_ranges_that_are_radians_are_read_as_such(mount, limits, expected):
     """In fragments of larger models, whose compiler element says so."""
