@@ -195,7 +195,7 @@ class _Execution:
 
     def _is_there(self, name: str) -> bool:
         """Return whether a bowl was placed, or was in the box before."""
-        return self.outcomes[name].placed if name in self._to_place else True
+        return name not in self._to_place or (name in self.outcomes and self.outcomes[name].placed)
 
     def _place(self, placement: Placement, effort: Effort) -> ObjectOutcome:
         """Try to place one object; the outcome has 0 attempts if there is no plan for the first."""

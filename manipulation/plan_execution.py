@@ -17,7 +17,7 @@ from manipulation.errors import RobotError
 from manipulation.observation import SceneObserver, classify_grip, is_displaced
 from manipulation.pick_place import PickPlacePlanner
 from manipulation.planner import ManipulationConfig
-from manipulation.pressing import LEANING, lean, levelled, plan_press
+from manipulation.pressing import LEANING, is_plausible, lean, levelled, plan_press
 from manipulation.robot import Robot
 from manipulation.trajectories import concatenate, joint_move, line_postures
 from manipulation.types import Grasp, PickPlacePlan
@@ -155,16 +155,21 @@ class PlanExecution:
 
     def _settle_in_stack(self, plan: PickPlacePlan) -> None:
         """Look at a bowl in others, follow those that moved, and press it level while it leans."""
-        names = (plan.name, *reversed(plan.placement.stack))
+        name, below = plan.name, tuple(reversed(plan.placement.stack))
         for presses in range(MAX_PRESSES + 1):
             before = self.planner.poses()
-            seen = self.observer.look_closer(names, before)
-            for name, T_world_stand in seen.items():
-                self.planner.moved(name, levelled(T_world_stand, float(before[name][2, 3])))
-            T_world_stand = seen.get(plan.name)
-            if T_world_stand is None or lean(T_world_stand) < LEANING or presses == MAX_PRESSES:
+            seen = self.observer.look_closer((name, *below), before)
+            if not is_plausible(seen, name):
                 return
-            self._press(plan.name, T_world_stand, frozenset(names))
+            for other, T_world_stand in seen.items():
+                self.planner.moved(other, levelled(T_world_stand, float(before[other][2, 3])))
+            if name not in seen or lean(seen[name]) < LEANING or presses == MAX_PRESSES:
+                return
+            # Pressed level, it will be over the middle of the one below.
+            rest = self.planner.world.pose(below[0]).copy()
+            rest[2, 3] = before[name][2, 3]
+            self.planner.moved(name, rest)
+            self._press(name, seen[name], frozenset((name, *below)))
 
     def _press(self, name: str, T_world_stand: Float[np.ndarray, "4 4"], touched: frozenset[str]) -> None:
         """Press a leaning bowl down with the closed hand, as far as it gives."""

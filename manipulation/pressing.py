@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from collections.abc import Mapping
 from dataclasses import dataclass
 
 import numpy as np
@@ -15,6 +16,7 @@ from manipulation.types import Rejected, StandingObject
 from perception.geometry import pose_from_yaw
 
 LEANING = np.deg2rad(5.0)  # from which on a bowl is pressed; images show the tilt to about 2 degrees
+STEEPEST = np.deg2rad(35.0)  # that a bowl leans in another; images that show more were misunderstood
 _ABOVE = 0.04  # [m] over the highest point, where the motion begins
 _DEEPER = 0.002  # [m] below the rim's height at rest: the rim springs back
 _INWARDS = 0.003  # [m] from the outline: fingertips must not slip off the rim
@@ -40,6 +42,16 @@ class Press:
 def lean(T_world_stand: Float[np.ndarray, "4 4"]) -> float:
     """Return the angle [rad] between an object's axis and the vertical."""
     return float(np.arccos(np.clip(T_world_stand[2, 2], -1.0, 1.0)))
+
+
+def is_plausible(seen: Mapping[str, Float[np.ndarray, "4 4"]], upper: str) -> bool:
+    """Return whether bowls in one another can rest as they were seen: those below hardly lean.
+
+    Args:
+        seen: their poses, by name.
+        upper: the uppermost bowl.
+    """
+    return all(lean(T) < (STEEPEST if name == upper else 2 * LEANING) for name, T in seen.items())
 
 
 def levelled(T_world_stand: Float[np.ndarray, "4 4"], height: float) -> Float[np.ndarray, "4 4"]:

@@ -5,7 +5,7 @@ from scipy.spatial.transform import Rotation
 from manipulation.kinematics import Kinematics
 from manipulation.obstacles import TABLE, box_obstacles
 from manipulation.pick_place import PickPlacePlanner
-from manipulation.pressing import highest_rim_point, lean, levelled, plan_press
+from manipulation.pressing import highest_rim_point, is_plausible, lean, levelled, plan_press
 from manipulation.standing import to_standing
 from manipulation.types import Box
 from perception.geometry import pose_from_yaw
@@ -35,6 +35,14 @@ def test_lean_and_its_removal():
     # The heading of x changes by the tilt's second order alone.
     assert level[:3, 0] @ T[:3, 0] > np.cos(TILT)
     np.testing.assert_allclose(levelled(pose_from_yaw(1.0, np.ones(3)), 1.0), pose_from_yaw(1.0, np.ones(3)))
+
+
+def test_what_bowls_in_one_another_cannot_look_like():
+    steep, slight = leaning(0.5, 0.2, tilt=0.5), leaning(0.5, 0.2, tilt=0.1)
+    assert is_plausible({"upper": steep, "lower": slight}, "upper")
+    assert not is_plausible({"upper": slight, "lower": steep}, "upper")
+    assert not is_plausible({"upper": leaning(0.5, 0.2, tilt=0.7)}, "upper")
+    assert is_plausible({}, "upper")
 
 
 @pytest.mark.parametrize("towards", [0.0, 0.7, -2.5])
