@@ -95,6 +95,8 @@ def _parameters(numbers: np.ndarray) -> tuple[float, float, float, float]:
         matrix = numbers.reshape(side, side)
         if abs(matrix[0, 1]) > MAX_SKEW * abs(matrix[0, 0]):
             raise ValueError(f"the skew {matrix[0, 1]:g} is not zero; undistort and rectify the images")
+        if not np.allclose(matrix[2, :3], (0, 0, 1)):
+            raise ValueError("the third row is not 0 0 1")
         numbers = matrix[[0, 1, 0, 1], [0, 1, 2, 2]]
     if numbers.size != 4:
         raise ValueError(f"{numbers.size} numbers")
