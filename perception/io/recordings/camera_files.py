@@ -59,7 +59,9 @@ def read_camera(path: Path) -> NominalCamera:
         if path.suffix == ".json":
             numbers = _from_json(read_json(path, "it states the intrinsics"))
         elif path.suffix == ".npy":
-            numbers = np.load(io.BytesIO(read_bytes(path, MAX_BYTES)), allow_pickle=False).astype(float)
+            numbers = np.load(io.BytesIO(read_bytes(path, MAX_BYTES)), allow_pickle=False)
+            if numbers.dtype.kind not in "iuf":
+                raise ValueError(f"its values are of type {numbers.dtype}")
         else:
             numbers = np.array([float(word) for word in _text(path).replace(",", " ").split()])
         fx, fy, cx, cy = _parameters(numbers)

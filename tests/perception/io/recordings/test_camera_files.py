@@ -52,6 +52,14 @@ def test_numpy_matrix(tmp_path: Path) -> None:
     assert read_camera(tmp_path / "camK.npy")[:4] == pytest.approx(CAMERA)
 
 
+@pytest.mark.filterwarnings("error")
+@pytest.mark.parametrize("kind", [complex, str, bool])
+def test_arrays_of_other_values_are_refused(tmp_path: Path, kind: type) -> None:
+    np.save(tmp_path / "camK.npy", np.eye(3).astype(kind))
+    with pytest.raises(InvalidInputError, match=r"camK\.npy holds no intrinsics \(its values are of type"):
+        find_camera(tmp_path)
+
+
 def test_the_colour_camera_is_preferred(tmp_path: Path) -> None:
     (tmp_path / "camera-intrinsics.depth.txt").write_text("400 400 300 200")
     assert find_camera(tmp_path) is not None
