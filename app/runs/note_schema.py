@@ -11,6 +11,7 @@ import numpy as np
 from perception.types import CATEGORIES, CODE_SIZE, check_rigid
 
 Check = Callable[[Any], None]  # raises ValueError, with what the value must be
+MAX_NUMBER = 1e9  # of arrays: products of larger ones overflow
 COVARIANCE_TRIANGLE = 325  # elements of the upper triangle of a 25 x 25 matrix
 
 
@@ -79,7 +80,8 @@ def _numbers(*shape: int | None) -> Check:
             array = np.asarray(value)
         except ValueError:  # ragged lists
             array = np.empty(0, dtype=object)
-        fits = array.dtype.kind in "if" and array.ndim == len(shape) and bool(np.isfinite(array).all())
+        fits = array.dtype.kind in "if" and array.ndim == len(shape)
+        fits = fits and bool((np.abs(array) <= MAX_NUMBER).all())  # NaN fails as well
         sizes = zip(shape, array.shape, strict=False)
         _require(
             fits and all(count in (None, actual) for count, actual in sizes),

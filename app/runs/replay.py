@@ -165,6 +165,8 @@ def read_recording(folder: Path) -> Recorder:
     arrays = _read_arrays(folder / "replay.npz", remedy)
     try:
         _check_arrays(arrays)
+        if bodies and not len(arrays["show_time"]):
+            raise ValueError("there is no sample of the bodies")
         poses = arrays["body_poses"].reshape(len(arrays["show_time"]), len(bodies), 7)
     except ValueError as error:
         raise InvalidInputError(

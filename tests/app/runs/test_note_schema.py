@@ -53,6 +53,7 @@ def test_valid_notes_pass_and_every_field_is_required():
         ("fit", {"code": [0.5] * 15}, "code must hold 16 finite numbers"),
         ("fit", {"code": [float("nan")] * 16}, "code must hold 16 finite numbers"),
         ("fit", {"code": ["a"] * 16}, "code must hold 16 finite numbers"),
+        ("fit", {"code": [1e200] * 16}, "code must hold 16 finite numbers"),
         ("fit", {"T_world_object": SHEAR}, "T_world_object .*rigid"),
         ("fit", {"T_world_object": [[1, 2], [3]]}, "T_world_object must hold 4 x 4 finite numbers"),
         ("fit", {"scale": [0.1, 0, 0.1]}, "scale must be positive"),

@@ -75,6 +75,12 @@ def test_samples_outside_four_hours_are_refused(tmp_path, times):
         read_recording(tmp_path)
 
 
+def test_bodies_without_a_sample_are_refused(tmp_path):
+    Recorder(bodies=("hand",)).write(tmp_path)
+    with pytest.raises(InvalidInputError, match="there is no sample of the bodies"):
+        read_recording(tmp_path)
+
+
 NOTES = {
     "stage": {"name": "scan"},
     "look": {"index": 0},
