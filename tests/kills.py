@@ -39,6 +39,7 @@ from tests.processes import LONGEST, command_line, contents, environment, lost_f
 SIGNALS = (signal.SIGINT, signal.SIGTERM, signal.SIGKILL)
 PERSONS_FILE = "notes.txt"
 _INTERPRETER_STARTS = "Failed to import the site module"
+GRACE = 3.0  # [s] in which the workers of a killed command end, on a machine that is busy
 REPEATED_EVERY = 20  # kills, for commands without --resume
 # Entries of a report that differ between two runs of one command.
 UNREPEATABLE = {"timings", "wall_seconds", "seconds", "settings", "stage_seconds", "joint_seconds",
@@ -175,7 +176,9 @@ class Campaign:
             return ""
         if "Traceback" in error or len(error.splitlines()) > 1:
             return f"printed {error!r}"
-        time.sleep(0.3)
+        deadline = time.monotonic() + GRACE
+        while processes_of(process.pid) and time.monotonic() < deadline:
+            time.sleep(0.1)
         if processes_of(process.pid):
             return f"processes {processes_of(process.pid)} are left"
         earlier, command = self.folder / "earlier" / name, self.commands[name]
