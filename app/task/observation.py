@@ -18,7 +18,7 @@ from manipulation.lying_grasps import lies
 from manipulation.observation import Finding, Poses, Presence, is_displaced
 from manipulation.pressing import levelled
 from manipulation.types import StandingObject
-from manipulation.viewpoints import ViewpointScanner
+from manipulation.viewpoints import Viewpoint, ViewpointScanner
 from manipulation.workspace import Workspace
 from perception.errors import PerceptionError
 from perception.inference.refit import PoseCheck, refit_pose
@@ -31,6 +31,7 @@ logger = logging.getLogger(__name__)
 FindObstacles = Callable[[Sequence[ObjectEstimate], Sequence[RgbdFrame]], Sequence[PerceivedObstacle]]
 
 REGION: Region = ((0.18, 0.85), (-0.60, 0.06))  # [m] of the table in the standard cell, to be searched
+GOAL_REGION: Region = ((0.05, 0.85), (0.06, 0.62))  # [m] of the table on the side of the goals
 SEARCH_VIEWS = 4  # images of a search
 NEIGHBOURHOOD = 0.2  # [m] between the axes of an object and of others that may explain depth beside it
 MIN_PIXELS = 1500  # visible pixels of an object in one image, for a decision
@@ -48,6 +49,8 @@ class WristObserver:
         obstacles: Things of no class, which explain depth as other objects do.
         find_obstacles: Finds things of no class beside objects at their present poses in images of the
             table; None to leave them as they are.
+        goal_views: Viewpoints of the table on the side of the goals, where what was dropped is searched for;
+            none if a box stands there.
     """
 
     def __init__(
@@ -58,7 +61,9 @@ class WristObserver:
         workspace: Workspace = Workspace(),
         obstacles: Sequence[PerceivedObstacle] = (),
         find_obstacles: FindObstacles | None = None,
+        goal_views: Sequence[Viewpoint] = (),
     ) -> None:
+        self._goal_views = tuple(goal_views)
         self._scanner, self._workspace, self._obstacles = scanner, workspace, tuple(obstacles)
         self._find_obstacles = find_obstacles
         self._has_updated = (
@@ -127,18 +132,25 @@ class WristObserver:
     def _find_on_table(self, name: str, poses: Poses) -> Finding:
         """Search for an object on the whole table, in any resting pose."""
         frames = self._table_images()
-        others = [*self._others(name, poses, np.inf), *self._bystanders]
-        (x0, x1), (y0, y1) = (tuple(self._workspace.scale * limit for limit in side) for side in REGION)
-        before = self._object_pose(name, poses) if name in poses else None
-        region = (x0, x1), (y0, y1)
-        estimate = self._estimates[name]
-        check = relocate(estimate, SearchScene(frames, region, others, self._obstacles), T_before=before)
+        check = self._search(name, poses, frames, REGION)
+        if check is None and self._goal_views:
+            check = self._search(name, poses, self._scanner.capture(self._goal_views), GOAL_REGION)
         if check is None:
             return self._with_obstacles(Finding("missing"), name, poses, frames)
         T_world_stand = self._stand_pose(name, check)
         if not lies(T_world_stand):
             T_world_stand = self._standing(name, check, 0.0)
         return self._with_obstacles(Finding("found", T_world_stand), name, poses, frames)
+
+    def _search(
+        self, name: str, poses: Poses, frames: Sequence[RgbdFrame], region: Region
+    ) -> PoseCheck | None:
+        """Return the pose of an object in a region [m] of the standard cell; None if no image shows it."""
+        others = [*self._others(name, poses, np.inf), *self._bystanders]
+        (x0, x1), (y0, y1) = (tuple(self._workspace.scale * limit for limit in side) for side in region)
+        before = self._object_pose(name, poses) if name in poses else None
+        scene = SearchScene(frames, ((x0, x1), (y0, y1)), others, self._obstacles)
+        return relocate(self._estimates[name], scene, T_before=before)
 
     def _table_images(self) -> list[RgbdFrame]:
         return list(self._scanner.capture(self._workspace.scan_viewpoints(SEARCH_VIEWS)))

@@ -261,8 +261,9 @@ class _Stages:
         with self._observer.stage("execute"):
             arm, box = self._robot.arm, self._request.box
             look_around = partial(obstacles_during, surface=table_of(detections), box=box, arm=arm)
+            on_table = self._space.line_viewpoints if box is None else ()
             watch = WristObserver(
-                self.scanner, objects, plan.objects, self._space, plan.obstacles, look_around
+                self.scanner, objects, plan.objects, self._space, plan.obstacles, look_around, on_table
             )
             return execute(plan, self._robot, watch, self._observer.on_event, self._settings, self.kinematics)
 

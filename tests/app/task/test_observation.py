@@ -102,6 +102,24 @@ def test_a_search_is_given_what_else_explains_depth(scene, can_at, pack_plan, mo
     assert searched.others == [lying] and searched.obstacles == (thing,)
 
 
+def test_what_was_dropped_is_searched_for_on_the_side_of_the_goals(scene, can_at, pack_plan, monkeypatch):
+    _, poses, answers, scanner = scene
+    regions, dropped = [], shifted(can_at, 0.1)
+
+    def relocate(estimate, searched, **options):
+        regions.append(searched.region)
+        return dropped if len(regions) == 2 else None
+
+    monkeypatch.setattr(observation, "relocate", relocate)
+    answers["check"] = replace(SEEN, status="not_there")
+    views = Workspace(0.8).line_viewpoints
+    watch = WristObserver(scanner, [can_at()], pack_plan.objects, Workspace(0.8), goal_views=views)
+    assert watch.find("can_0", poses).status == "found" and scanner.visited[-1] == views
+    ((_, before), (after, _)) = (region[1] for region in regions)
+    assert before == pytest.approx(after), "the regions meet"
+    assert regions[1][1][1] == pytest.approx(0.8 * observation.GOAL_REGION[1][1])
+
+
 def test_a_search_of_the_table_shows_its_obstacles(scene, can_at, pack_plan):
     _, poses, answers, scanner = scene
     thing, given = PerceivedObstacle(1, (np.zeros((4, 3)),), 300), []
