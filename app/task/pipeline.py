@@ -277,7 +277,10 @@ class _Stages:
             frames = self.scan(FULL_SCAN)
             detections = self.detect(frames, filled_bounds(box))
             with observer.stage("reconstruct"):
-                reconstruct = request.reconstruction or prior_reconstruction(self._perception, observer)
+                # The ids of these fits are not yet those of the objects.
+                reconstruct = request.reconstruction or prior_reconstruction(
+                    self._perception, observer, shows_fits=False
+                )
                 found = renumbered(reconstruct(frames, detections), result.objects, box)
                 in_box = list(placed_estimates(result).values())
                 table = table_of(detections)
@@ -299,8 +302,10 @@ class _Stages:
         return with_round(result, found, plan, outcomes, obstacles)
 
 
-def prior_reconstruction(perception: Perception, observer: RunObserver) -> Reconstruction:
-    """Return the reconstruction by the learned shape prior."""
+def prior_reconstruction(
+    perception: Perception, observer: RunObserver, shows_fits: bool = True
+) -> Reconstruction:
+    """Return the reconstruction by the learned shape prior; the observer may receive its fits."""
 
     def reconstruct(frames: Sequence[RgbdFrame], detections: Detections) -> list[ObjectEstimate]:
         return reconstruct_objects(
@@ -308,7 +313,7 @@ def prior_reconstruction(perception: Perception, observer: RunObserver) -> Recon
             detections,
             perception.decoder,
             observer.on_progress,
-            observer.on_fit_step,
+            observer.on_fit_step if shows_fits else None,
             observer.on_rejected,
             clutter=perception.detector,
         )

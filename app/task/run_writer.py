@@ -89,9 +89,10 @@ class RunWriter(RunObserver):
         self._control.enter_step()
         if self._video is not None:
             self._video.begin_stage(name)
+        before = self.timings.get(name, 0.0)  # of the rounds before
         with self._screen.stage(TITLES[name]), super().stage(name):
             yield
-        self._recording.end_stage(name, self.timings[name])
+        self._recording.end_stage(name, self.timings[name] - before)
 
     def on_remark(self, text: str) -> None:
         self._screen.note(text)

@@ -63,7 +63,10 @@ class RunState:
         elif note.kind == "fit":
             self.objects[data["id"]] = _fitted_state(data)
         elif note.kind == "objects":
-            self.objects = {estimate.id: _reconstructed_state(estimate) for estimate in recorder.objects}
+            placed = {id: state for id, state in self.objects.items() if state.status == "placed"}
+            found = {estimate.id: _reconstructed_state(estimate) for estimate in recorder.objects}
+            # The map of a further round has those too that were placed before.
+            self.objects = {id: placed.get(id, state) for id, state in found.items()}
         elif note.kind == "obstacles":
             self.obstacles = {name: _vertices(pieces) for name, pieces in data["pieces"].items()}
         elif note.kind == "plan":
@@ -105,8 +108,11 @@ class RunState:
         )
 
     def _apply_plan(self, plan: Mapping[str, Any]) -> None:
+        placed = {state.name for state in self.objects.values() if state.status == "placed"}
         for placement in plan["placements"]:
             name = placement["name"]
+            if name in placed:
+                continue
             self.Ts_world_stand[name] = np.asarray(placement["T_world_stand"], dtype=np.float64)
             yaw = placement["yaws"][0] if placement["yaws"] else 0.0
             self.goals[name] = pose_from_yaw(float(yaw), np.asarray(placement["position"], dtype=np.float64))

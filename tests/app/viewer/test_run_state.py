@@ -146,3 +146,18 @@ def test_things_of_no_class_are_shown_from_their_note_on():
     state = apply(RunState(), ("obstacles", {"pieces": {"thing_0": [corners]}}))
     np.testing.assert_allclose(shown(state).obstacles["thing_0"][0], corners)
     assert not shown(RunState()).obstacles
+
+
+def test_a_further_round_leaves_placed_objects_where_they_are(planned, make_can):
+    apply(planned, APPROACH, action("retreat"), action("placed"))
+    before = planned.objects[0].T_world_object
+    goals = [
+        {"name": name, "T_world_stand": upright(x, -0.2), "position": (x, 0.3, 0.0), "yaws": (0.0,)}
+        for name, x in (("can_0", 0.4), ("can_2", 0.5))
+    ]
+    recorder = Recorder(objects=(make_can(0), make_can(2)))
+    plan = {"placements": goals, "left_out": {}}
+    apply(planned, ("objects", {"covariances": {}}), ("plan", plan), recorder=recorder)
+    assert list(planned.objects) == [0, 2] and planned.objects[0].status == "placed"
+    np.testing.assert_array_equal(planned.objects[0].T_world_object, before)
+    assert list(planned.goals) == ["can_2"]
