@@ -60,6 +60,8 @@ class RunVideo(RunObserver):
         self._scene = np.full((SCENE[1], SCENE[0], 3), _BACKGROUND, np.uint8)
         self._wrist = np.full((SIDE[1], SIDE[0], 3), _BACKGROUND, np.uint8)
         self._objects: dict[int, ObjectEstimate] = {}
+        self._found: dict[int, ObjectEstimate] = {}  # as they were perceived
+        self._placed: set[int] = set()
         self._map_image = _draw_map((), None)
         self._frames: Sequence[RgbdFrame] = ()
         self._plan: TaskPlan | None = None
@@ -106,8 +108,10 @@ class RunVideo(RunObserver):
         self._hold(draw_detections(self._frames[0], detections.per_frame[0]))
 
     def on_objects(self, objects: Sequence[ObjectEstimate]) -> None:
-        self._objects = {estimate.id: estimate for estimate in objects}
-        self._map_image = _draw_map(objects, None)
+        placed = {id: self._objects[id] for id in self._placed}  # by the rounds before
+        self._found = {estimate.id: estimate for estimate in objects}
+        self._objects = {estimate.id: placed.get(estimate.id, estimate) for estimate in objects}
+        self._map_image = _draw_map(tuple(self._objects.values()), None)
         self._hold(draw_estimates(self._frames[0], objects))
 
     def on_plan(self, plan: TaskPlan) -> None:
@@ -128,9 +132,10 @@ class RunVideo(RunObserver):
         """Move an object of the map to its resting pose."""
         assert self._plan is not None
         item = self._plan.objects[name]
-        estimate = self._objects[item.id]
+        estimate = self._found[item.id]
         T = self._T_world_stand_rest @ np.linalg.inv(item.T_world_stand) @ estimate.T_world_object
         self._objects[item.id] = replace(estimate, T_world_object=T)
+        self._placed.add(item.id)
         self._map_image = _draw_map(tuple(self._objects.values()), self._plan)
 
     def _hold(self, wrist: Picture) -> None:

@@ -46,6 +46,12 @@ def test_a_placed_object_moves_in_the_map_image(tmp_path, still_world, overhead_
     video.on_event(TaskEvent("approach", "can_0", 0, 1, plan=motions))
     np.testing.assert_array_equal(video.map_image, before)
     video.on_event(TaskEvent("placed", "can_0", 1, 1))
-    assert (video.map_image != before).any()
+    after = video.map_image.copy()
+    assert (after != before).any()
+    video.on_event(TaskEvent("placed", "can_0", 1, 1))  # again, after it was set aside
+    np.testing.assert_array_equal(video.map_image, after)
+    video.on_objects([can_at(0), can_at(1, 0.5)])  # of a further round
+    video.on_plan(pack_plan)
+    np.testing.assert_array_equal(video.map_image, after)
     video.discard()
     assert not list(tmp_path.glob("*.mp4"))
