@@ -8,7 +8,8 @@ import time
 import pytest
 
 AT_WORK = """
-import time
+import signal, time
+signal.signal(signal.SIGHUP, signal.SIG_DFL)  # also where the tests run under nohup
 from app import interrupts
 interrupts.install()
 interrupts.raise_if(lambda: {at_stake})
