@@ -158,9 +158,9 @@ class _Execution:
 
         They are next in the task's order, and what comes later may block their goals.
         """
-        by_chance = sorted(self._queue, key=lambda p: moved not in self._blockers.get(p.name, ()))
+        in_order = sorted(self._queue, key=lambda p: moved not in self._blockers.get(p.name, ()))
         self._queue.clear()
-        self._queue.extend(by_chance)
+        self._queue.extend(in_order)
 
     def _gets_another_chance(self, placement: Placement, outcome: ObjectOutcome) -> bool:
         """Return whether an object that was not placed is tried once more when the others are done."""

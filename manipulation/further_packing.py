@@ -16,7 +16,7 @@ from manipulation.packing import admissible_yaws, nest_drop
 from manipulation.planner import ManipulationConfig, find_usable
 from manipulation.robot import ArmDescription
 from manipulation.types import Box, Placement, StandingObject, TaskPlan
-from perception.geometry import pose_from_yaw
+from perception.geometry import pose_from_yaw, yaw_of
 from perception.types import ObjectEstimate
 
 _IN_NEST = 0.03  # [m] between the axes of nested bowls
@@ -119,7 +119,7 @@ def _yaws(item: StandingObject, there: Mapping[str, StandingObject]) -> Sequence
     if item.category != "mug":
         return (0.0,) if item.is_round else (0.0, np.pi / 2)
     mugs = [other.T_world_stand for other in there.values() if other.category == "mug"]
-    return [float(np.arctan2(T[1, 0], T[0, 0])) for T in mugs[:1]] or [float(yaw) for yaw in _YAWS]
+    return [yaw_of(T[:3, :3]) for T in mugs[:1]] or [float(yaw) for yaw in _YAWS]
 
 
 def _resting_pose(

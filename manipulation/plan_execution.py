@@ -17,10 +17,11 @@ from manipulation.errors import RobotError
 from manipulation.observation import SceneObserver, classify_grip, is_displaced
 from manipulation.pick_place import PickPlacePlanner
 from manipulation.planner import ManipulationConfig
-from manipulation.pressing import LEANING, is_plausible, lean, levelled, plan_press
+from manipulation.pressing import LEANING, is_plausible, lean, plan_press
 from manipulation.robot import Robot
 from manipulation.trajectories import concatenate, joint_move, line_postures
 from manipulation.types import Grasp, PickPlacePlan
+from perception.geometry import levelled
 
 logger = logging.getLogger(__name__)
 

@@ -13,7 +13,6 @@ from manipulation.collision import AllowedContacts
 from manipulation.motions import MotionPlanner
 from manipulation.trajectories import JointTrajectory
 from manipulation.types import Rejected, StandingObject
-from perception.geometry import pose_from_yaw
 
 LEANING = np.deg2rad(5.0)  # from which on a bowl is pressed; images show the tilt to about 2 degrees
 STEEPEST = np.deg2rad(35.0)  # that a bowl leans in another; images that show more were misunderstood
@@ -52,13 +51,6 @@ def is_plausible(seen: Mapping[str, Float[np.ndarray, "4 4"]], upper: str) -> bo
         upper: the uppermost bowl.
     """
     return all(lean(T) < (STEEPEST if name == upper else 2 * LEANING) for name, T in seen.items())
-
-
-def levelled(T_world_stand: Float[np.ndarray, "4 4"], height: float) -> Float[np.ndarray, "4 4"]:
-    """Return a pose without its tilt, with the stand frame at a height [m]."""
-    T = T_world_stand
-    yaw = float(np.arctan2(T[1, 0] - T[0, 1], T[0, 0] + T[1, 1]))
-    return pose_from_yaw(yaw, np.array([T[0, 3], T[1, 3], height]))
 
 
 def highest_rim_point(

@@ -8,7 +8,7 @@ from jaxtyping import Float
 from manipulation.cross_sections import extent, fit_circle
 from manipulation.errors import PlanningError
 from manipulation.types import StandingObject
-from perception.geometry import pose_from_yaw
+from perception.geometry import nearest_yaw, pose_from_yaw
 from perception.mesh_sections import cross_section
 from perception.types import Category, ObjectEstimate, SupportPlane
 
@@ -40,7 +40,7 @@ def to_standing(estimate: ObjectEstimate, support: SupportPlane | None = None) -
     in_stand = vertices - np.array([*axis, 0.0])
     is_round = estimate.category != "mug" and _is_round(in_stand, faces)
     turn = 0.0 if is_round or estimate.category == "mug" else _narrow_direction(in_stand, faces)
-    yaw = float(np.arctan2(T[1, 0] - T[0, 1], T[0, 0] + T[1, 1]))
+    yaw = nearest_yaw(T)
     origin = pose_from_yaw(yaw, T[:3, 3]) @ np.array([*axis, 0.0, 1.0])
     origin = origin[:3]
     height = T[2, 3]

@@ -89,6 +89,16 @@ def pose_from_yaw(yaw: float, position: Float[np.ndarray, "3"]) -> Float[np.ndar
     return T
 
 
+def nearest_yaw(T: Float[np.ndarray, "4 4"]) -> float:
+    """Return the angle [rad] of the rotation about z that is nearest to the pose's, in the Frobenius norm."""
+    return float(np.arctan2(T[1, 0] - T[0, 1], T[0, 0] + T[1, 1]))
+
+
+def levelled(T: Float[np.ndarray, "4 4"], height: float) -> Float[np.ndarray, "4 4"]:
+    """Return a pose without its tilt, with the same x and y and its origin at a height [m]."""
+    return pose_from_yaw(nearest_yaw(T), np.array([T[0, 3], T[1, 3], height]))
+
+
 def transform_points(
     T_target_source: Float[np.ndarray, "4 4"], points: Float[np.ndarray, "*n 3"]
 ) -> Float[np.ndarray, "*n 3"]:

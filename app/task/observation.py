@@ -16,11 +16,11 @@ from jaxtyping import Float
 from manipulation.errors import ManipulationError, RobotStoppedError
 from manipulation.lying_grasps import lies
 from manipulation.observation import Finding, Poses, Presence, is_displaced
-from manipulation.pressing import levelled
 from manipulation.types import StandingObject
 from manipulation.viewpoints import Viewpoint, ViewpointScanner
 from manipulation.workspace import Workspace
 from perception.errors import PerceptionError
+from perception.geometry import levelled
 from perception.inference.refit import PoseCheck, refit_pose
 from perception.inference.relocate import Region, SearchScene, relocate
 from perception.obstacles.obstacle import PerceivedObstacle

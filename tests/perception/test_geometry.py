@@ -78,3 +78,13 @@ def test_pose_from_yaw_turns_counterclockwise_about_z_and_then_translates() -> N
     T = geometry.pose_from_yaw(np.pi / 6, np.array([1.0, 2.0, 3.0]))
     expected = [[3**0.5 / 2, -0.5, 0, 1], [0.5, 3**0.5 / 2, 0, 2], [0, 0, 1, 3], [0, 0, 0, 1]]
     np.testing.assert_allclose(T, expected, atol=1e-15)
+
+
+def test_a_levelled_pose_has_the_yaw_and_place_without_the_tilt() -> None:
+    """With R = R(tilt about any horizontal axis) R(yaw), the nearest rotation about z is R(yaw)."""
+    upright = geometry.pose_from_yaw(0.4, np.array([0.5, 0.2, 0.1]))
+    tilted = upright.copy()
+    tilted[:3, :3] = geometry.so3_exp(0.3 * np.array([0.6, -0.8, 0.0])) @ upright[:3, :3]
+    assert abs(geometry.nearest_yaw(tilted) - 0.4) < 1e-12
+    np.testing.assert_allclose(geometry.levelled(tilted, 0.1), upright, atol=1e-12)
+    np.testing.assert_allclose(geometry.levelled(tilted, 0.033)[:3, 3], (0.5, 0.2, 0.033))
