@@ -31,6 +31,7 @@ WEIGHTS = {  # weights file without extension: the command that trains it
     "detector": "nodeslam train detector",
     "scene": "nodeslam train detector",
     "yaw": "nodeslam train yaw",
+    "pose": "nodeslam train pose",
 }
 NEEDED = ("numpy", "scipy", "torch", "warp-lang", "safetensors", "trimesh", "scikit-image", "tyro", "rich")
 SIMULATOR = ("mujoco", "mink", "daqp", "ruckig", "coacd")

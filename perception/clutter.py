@@ -10,10 +10,13 @@ from __future__ import annotations
 from collections.abc import Callable, Collection, Mapping, Sequence
 from dataclasses import replace
 
-from perception.detection.completion import Completer
+import numpy as np
+
+from perception.detection.completion import PoseNamer, posed_detections
 from perception.detection.left_out import LeftOut
 from perception.detection.unclassified import associate_unclassified, is_low
-from perception.inference.reconstruct import ReconstructOptions, reconstruct
+from perception.inference.lost_parts import with_lost_parts
+from perception.inference.reconstruct import ReconstructOptions, mean_poses, reconstruct
 from perception.inference.shape_model import Decoder
 from perception.inference.stack_parts import (
     CLEARLY,
@@ -24,9 +27,20 @@ from perception.inference.stack_parts import (
     unexplained,
 )
 from perception.threads import single_threaded
-from perception.types import ObjectEstimate, RejectedObject, RgbdFrame, SupportPlane, unclassified
+from perception.types import (
+    POSED_CLASSES,
+    ObjectDetection,
+    ObjectEstimate,
+    PosedClass,
+    RejectedObject,
+    RgbdFrame,
+    SupportPlane,
+    unclassified,
+)
 
 UNCLASSIFIED_SCORE = 0.55  # least score of the fit of a candidate that the detector gave no class
+TURNED_MUGS: tuple[PosedClass, ...] = (("mug", "upside-down"), ("mug", "lying"))
+TURNED = 0.3  # least probability of a mug that lies or stands upside down, whose handle is looked for
 REPEATED = 0.3  # largest unexplained share of a candidate's points if it is part of another object
 
 
@@ -36,7 +50,7 @@ def reconstruct_clutter(
     left_out: Sequence[LeftOut],
     decoder: Decoder,
     planes: Sequence[SupportPlane],
-    completer: Completer,
+    completer: PoseNamer,
     options: ReconstructOptions = ReconstructOptions(),
 ) -> list[ObjectEstimate]:
     """Reconstruct detected objects, candidates of no class, and the parts of stacks, ordered by id.
@@ -53,6 +67,8 @@ def reconstruct_clutter(
         options: Scheduling and progress.
     """
     more = associate_unclassified(frames, detections_per_frame, left_out, planes[0])
+    more = posed_detections(frames, more, planes, completer)
+    detections_per_frame = posed_detections(frames, detections_per_frame, planes, completer)
     candidates = {d.instance_id for row in more for d in row if d.instance_id is not None}
     rows = [[*row, *others] for row, others in zip(detections_per_frame, more, strict=True)]
     low = {id for id in candidates if is_low(frames, more, id, planes[0])}
@@ -76,6 +92,7 @@ def reconstruct_clutter(
         stacks = split_stacks(frames, rows, estimates, planes, completer, fit)
         single = {id: estimate for id, estimate in estimates.items() if id not in stacks}
         single |= renamed(frames, detections_per_frame, single, lambda doubtful: fit(doubtful, {}))
+        single |= completed(frames, rows, single, planes[0], lambda whole: fit(whole, {}))
         single = without_repetitions(frames, rows, single, candidates)
     if options.on_rejected is not None:
         for item in rejected:
@@ -108,7 +125,9 @@ def renamed(
         return {}
     nameless = [
         [
-            unclassified(d.mask, d.instance_id) if d.instance_id in doubtful else replace(d, instance_id=None)
+            replace(unclassified(d.mask, d.instance_id), pose_probabilities=d.pose_probabilities)
+            if d.instance_id in doubtful
+            else replace(d, instance_id=None)
             for d in row
         ]
         for row in rows
@@ -118,6 +137,56 @@ def renamed(
         for e in fit(nameless)
         if e.score >= UNCLASSIFIED_SCORE and unexplained(points[e.id], [e]) < CLEARLY * before[e.id]
     }
+
+
+def completed(
+    frames: Sequence[RgbdFrame],
+    rows: Rows,
+    estimates: Mapping[int, ObjectEstimate],
+    plane: SupportPlane,
+    fit: Callable[[Rows], Sequence[ObjectEstimate]],
+) -> dict[int, ObjectEstimate]:
+    """Return estimates of mugs that lie or stand upside down with the parts that their masks lack.
+
+    Without its handle a mug upside down is a can.
+
+    Args:
+        frames: Views with camera poses.
+        rows: Associated detections of each frame.
+        estimates: Estimates of all objects, by id.
+        plane: Support plane.
+        fit: Reconstructs instances; detections without an id only occlude others.
+    """
+    mugs = [id for id, e in estimates.items() if _may_be_turned_mug(e, rows)]
+    masks = with_lost_parts(frames, rows, estimates, mugs, plane)
+    if not masks:
+        return {}
+    whole = [[_extended(d, masks, k) for d in row] for k, row in enumerate(rows)]
+    points = {id: instance_points(frames, whole, id) for id in masks}
+    before = {id: unexplained(points[id], [estimates[id]]) for id in masks}
+    return {
+        e.id: e for e in fit(whole) if e.category == "mug" and unexplained(points[e.id], [e]) < before[e.id]
+    }
+
+
+def _may_be_turned_mug(estimate: ObjectEstimate, rows: Rows) -> bool:
+    """Return whether an object is a mug that does not stand upright, or is named one by the pose network."""
+    if estimate.category == "mug" and estimate.resting != "upright":
+        return True
+    views = [d.pose_probabilities for row in rows for d in row if d.instance_id == estimate.id]
+    mean = mean_poses([p for p in views if p.size])
+    turned = sum(p for posed, p in zip(POSED_CLASSES, mean.tolist()) if posed in TURNED_MUGS)
+    return turned > TURNED
+
+
+def _extended(
+    detection: ObjectDetection, masks: Mapping[int, Sequence[np.ndarray | None]], frame: int
+) -> ObjectDetection:
+    """Return a detection with its extended mask; without its id if none of its masks is extended."""
+    if detection.instance_id not in masks:
+        return replace(detection, instance_id=None)
+    mask = masks[detection.instance_id][frame]
+    return detection if mask is None else replace(detection, mask=mask)
 
 
 def without_repetitions(

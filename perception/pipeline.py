@@ -18,7 +18,7 @@ from typing import TYPE_CHECKING, Literal, Protocol, runtime_checkable
 
 from perception.clutter import reconstruct_clutter
 from perception.detection.association import associate_on_surfaces
-from perception.detection.completion import Completer
+from perception.detection.completion import PoseNamer
 from perception.detection.detector import Detector
 from perception.detection.left_out import LeftOut
 from perception.detection.on_surfaces import FrameDetector, examine_frame, placed, unrecognised
@@ -230,7 +230,7 @@ def reconstruct_objects(
     progress: Progress = no_progress,
     on_step: OnFitStep | None = None,
     on_rejected: OnRejected | None = None,
-    clutter: Completer | None = None,
+    clutter: PoseNamer | None = None,
 ) -> list[ObjectEstimate]:
     """Estimate the complete shape and the pose of every detected object, ordered by id.
 

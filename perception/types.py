@@ -10,6 +10,7 @@ Objects live in a canonical frame (z up, origin at the centre of the occupancy g
 
 from __future__ import annotations
 
+from collections.abc import Mapping
 from dataclasses import dataclass, field
 from typing import Literal, get_args
 
@@ -25,8 +26,18 @@ GRID_RESOLUTION = 32
 CODE_SIZE = 16
 
 FitStatus = Literal["converged", "not_converged", "implausible"]
+FIT_STATUSES: tuple[FitStatus, ...] = get_args(FitStatus)
 RestingPose = Literal["upright", "lying", "upside-down"]
 RESTING_POSES: tuple[RestingPose, ...] = get_args(RestingPose)
+# Resting poses of each class that differ in shape: a can upside down looks like an upright one.
+POSES_OF: Mapping[Category, tuple[RestingPose, ...]] = {
+    "mug": ("upright", "upside-down", "lying"),
+    "bowl": ("upright", "upside-down"),
+    "bottle": ("upright", "lying"),
+    "can": ("upright", "lying"),
+}
+PosedClass = tuple[Category, RestingPose]
+POSED_CLASSES: tuple[PosedClass, ...] = tuple((c, pose) for c in CATEGORIES for pose in POSES_OF[c])
 
 
 def _frozen(array: np.ndarray, dtype: type | None = None) -> np.ndarray:
@@ -143,6 +154,8 @@ class ObjectDetection:
             is centred at yaw 2 pi k / B about the support normal. Empty if unknown or for symmetric classes.
         instance_id: Identity of the object across images; None before association.
         support: Index of the support plane that the object stands on; 0 is the main one.
+        pose_probabilities: (10,) probabilities of POSED_CLASSES and 'other', for objects in any resting pose;
+            empty if unknown.
     """
 
     category: Category
@@ -152,6 +165,7 @@ class ObjectDetection:
     yaw_probabilities: Float[np.ndarray, "b"] = field(default_factory=lambda: np.zeros(0))
     instance_id: int | None = None
     support: int = 0
+    pose_probabilities: Float[np.ndarray, "p"] = field(default_factory=lambda: np.zeros(0))
 
     def __post_init__(self) -> None:
         _require(

@@ -3,20 +3,26 @@
 Pack: every object upright (tilt < 10 degrees) and fully inside the box, bowls nested with the largest lowest,
 mugs' centres in line, their handles within 15 degrees of each other, nothing toppled or off the table.
 Sort: all objects upright on one line (within 2 cm of it), ascending by true size; where two differ by less
-than 3 mm either order counts.
+than 3 mm either order counts. An object whose two ends are alike, such as most cans, is upright on either.
 """
 
 from __future__ import annotations
 
 from collections.abc import Callable, Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from itertools import combinations, pairwise
 
 import numpy as np
 from jaxtyping import Float, Int
+from scipy.spatial import KDTree
 
 from app.task.bowl_nesting import min_nests, radial_envelope
-from perception.types import Category, profile_size
+from perception.metrics import SurfaceSamples
+from perception.types import Category, TriangleMesh, profile_size
+
+LIKE_ENDS = 0.003  # [m] largest distance between an object and itself turned over, if its ends are alike
+_SAMPLES = 20000  # of a surface, 1 mm apart
+_SHARE = 0.99  # of the samples that are compared
 
 
 @dataclass(frozen=True)
@@ -85,6 +91,26 @@ class TrueObject:
     def base(self) -> Float[np.ndarray, "3"]:
         """Centre of the base in the world frame, in metres."""
         return self.T_world_object[:3, 3]
+
+    def on_like_end(self) -> TrueObject:
+        """Return the object turned over about its middle if it stands on its top and its ends are alike."""
+        if self.T_world_object[2, 2] > -np.sqrt(0.5) or not self._has_like_ends():
+            return self
+        return replace(self, T_world_object=self.T_world_object @ self._turn())
+
+    def _turn(self) -> Float[np.ndarray, "4 4"]:
+        """Return the half turn about the x axis at half the object's extent along z."""
+        T = np.diag([1.0, -1.0, -1.0, 1.0])
+        T[2, 3] = self.vertices[:, 2].min() + self.vertices[:, 2].max()
+        return T
+
+    def _has_like_ends(self) -> bool:
+        """Return whether the surface coincides with itself turned over."""
+        mesh = TriangleMesh(self.vertices, self.faces)
+        points = SurfaceSamples.of(mesh, np.random.default_rng(0), _SAMPLES).points
+        turned = points @ self._turn()[:3, :3].T + self._turn()[:3, 3]
+        distance = KDTree(points).query(turned)[0]
+        return bool(np.quantile(distance, _SHARE) < LIKE_ENDS)
 
     @property
     def vertices_world(self) -> Float[np.ndarray, "v 3"]:

@@ -48,6 +48,7 @@ class Truth:
 
     @property
     def objects(self) -> dict[int, TrueObject]:
+        """Shapes and poses; what stands on its top, and whose ends are alike, counts as upright."""
         return {
             i: TrueObject(
                 category=m.category,
@@ -56,7 +57,7 @@ class Truth:
                 height=m.height,
                 radius=m.radius,
                 T_world_object=self.poses[i],
-            )
+            ).on_like_end()
             for i, m in self.models.items()
         }
 

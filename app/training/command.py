@@ -79,7 +79,18 @@ def _job(options: TrainOptions) -> tuple[Any, Any]:
         from app.training.acceptance import run as train
 
         return train, TrainAcceptanceConfig()
+    if options.network == "pose":
+        from app.training.pose import TrainPoseConfig
+        from app.training.pose import run as train
+
+        return train, TrainPoseConfig()
     from app.training.yaw import TrainYawConfig
+
+    if options.network == "pose":
+        from app.training.pose import TrainPoseConfig
+        from app.training.pose import run as train
+
+        return train, TrainPoseConfig()
     from app.training.yaw import run as train
 
     return train, TrainYawConfig()

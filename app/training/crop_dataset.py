@@ -22,9 +22,10 @@ from perception.detection.geometry import bounding_window, heading_angle, points
 from perception.types import CATEGORIES, OTHER, SupportPlane
 
 if TYPE_CHECKING:
-    from sim_assets.datasets.labels import LabelledImage  # perception alone runs without a simulator
+    from sim_assets.datasets.labels import InstanceLabel, LabelledImage  # perception alone runs without it
 
 logger = logging.getLogger(__name__)
+IndexOf = Callable[["InstanceLabel | None"], "int | None"]
 Progress = Callable[[str, float], None]  # description of the current step, share of the job done
 Split = Literal["train", "test"]
 
@@ -79,9 +80,21 @@ _COLUMNS = ("images", "context", "label", "yaw", "handle")
 
 
 def label_crops(
-    image: LabelledImage, plane: SupportPlane, masks: Sequence[Bool[np.ndarray, "h w"]]
+    image: LabelledImage,
+    plane: SupportPlane,
+    masks: Sequence[Bool[np.ndarray, "h w"]],
+    index_of: IndexOf | None = None,
 ) -> LabelledCrops:
-    """Return the crops of the masks in one image, without those that lack depth or a clear label."""
+    """Return the crops of the masks in one image, without those that lack depth or a clear label.
+
+    Args:
+        image: Rendered image with ground truth.
+        plane: Support plane as perceived.
+        masks: Pixels of each crop's instance.
+        index_of: Label of an item, or of the background (None); None for what is not to be learned. By
+            default the class of upright objects.
+    """
+    index_of = index_of or class_index
     frame, truth = image.frame, image.instances
     geometry = frame_geometry(frame, plane)
     size = np.bincount(truth[truth >= 0], minlength=len(image.labels))
@@ -90,7 +103,7 @@ def label_crops(
     for mask in masks:
         inside = np.bincount(truth[mask & (truth >= 0)], minlength=len(image.labels))
         index = int(inside.argmax()) if inside.sum() else -1
-        label = _label_of(image, mask, inside, size)
+        label = _label_of(image, mask, inside, size, index_of)
         if label is None:
             continue
         piece = crop(frame, mask, plane, geometry)
@@ -114,17 +127,25 @@ def _label_of(
     mask: Bool[np.ndarray, "h w"],
     inside: Int[np.ndarray, "k"],
     size: Int[np.ndarray, "k"],
+    index_of: IndexOf,
 ) -> int | None:
-    """Return the class index of a mask, OTHER for distractors and background, None if it is ambiguous."""
+    """Return the label of a mask, that of a distractor for the background, None if it is ambiguous."""
     if inside.sum() < 0.3 * mask.sum():
-        return OTHER  # table, wall or background
+        return index_of(None)  # table, wall or background
     index = int(inside.argmax())
-    category = image.labels[index].category
-    if inside[index] < PURITY * inside.sum() or image.labels[index].ignored:
+    if inside[index] < PURITY * inside.sum():
         return None
-    if category is None:
+    is_object = image.labels[index].category is not None
+    return index_of(image.labels[index]) if not is_object or inside[index] >= COVERAGE * size[index] else None
+
+
+def class_index(item: InstanceLabel | None) -> int | None:
+    """Return the index of an upright object's class, OTHER for all but objects; None for other poses."""
+    if item is None:
         return OTHER
-    return CATEGORIES.index(category) if inside[index] >= COVERAGE * size[index] else None
+    if item.ignored:
+        return None
+    return OTHER if item.category is None else CATEGORIES.index(item.category)
 
 
 def handle_share(points: Float[np.ndarray, "n 3"], T_world_object: Float[np.ndarray, "4 4"]) -> float:

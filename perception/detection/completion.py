@@ -33,6 +33,16 @@ class Completer(Protocol):
         ...
 
 
+class PoseNamer(Completer, Protocol):
+    """Provider of classes in any resting pose as well; the detector implements it."""
+
+    def posed(
+        self, frame: RgbdFrame, plane: SupportPlane, detections: Sequence[ObjectDetection]
+    ) -> list[ObjectDetection]:
+        """Return the detections, in their order, with probabilities of classes in all resting poses."""
+        ...
+
+
 def is_complete(detection: ObjectDetection) -> bool:
     """Return whether a detection has a class and, for a mug, a yaw distribution."""
     has_yaw = detection.category != "mug" or detection.yaw_probabilities.size > 0
@@ -64,6 +74,29 @@ def complete_detections(
     for instance in sorted(id for id in without_class if id is not None):
         completed = _with_common_class(completed, instance)
     return completed
+
+
+def posed_detections(
+    frames: Sequence[RgbdFrame],
+    detections_per_frame: Sequence[Sequence[ObjectDetection]],
+    planes: Sequence[SupportPlane],
+    detector: PoseNamer,
+) -> PerFrame:
+    """Return the detections with probabilities of classes in all resting poses.
+
+    Args:
+        frames: Images; the camera of one without a pose is the world.
+        detections_per_frame: Detections of each image.
+        planes: Support planes, numbered by ``ObjectDetection.support``.
+        detector: Provides the probabilities.
+    """
+    rows = [list(row) for row in detections_per_frame]
+    for frame, row in zip(frames, rows, strict=True):
+        for number in sorted({d.support for d in row}):
+            at = [i for i, d in enumerate(row) if d.support == number]
+            for i, found in zip(at, detector.posed(frame, planes[number], [row[i] for i in at])):
+                row[i] = found
+    return tuple(tuple(row) for row in rows)
 
 
 def _completed(

@@ -1,7 +1,8 @@
-"""The convolutional network on crops for classes and yaw, ensembles of it, and their weights files.
+"""The convolutional network on crops for classes, poses and yaw, ensembles of it, and their weights files.
 
-One architecture, two tasks: ``detector.safetensors`` predicts the class, ``yaw.safetensors`` the bin of the
-handle's yaw relative to the view. The class comes from an ensemble (Lakshminarayanan et al., "Simple and
+One architecture, three tasks: ``detector.safetensors`` predicts the class of upright objects,
+``pose.safetensors`` class and resting pose of any, ``yaw.safetensors`` the bin of the handle's yaw relative
+to the view. The class comes from an ensemble (Lakshminarayanan et al., "Simple and
 scalable predictive uncertainty estimation using deep ensembles", 2017), whose logits are averaged.
 """
 
@@ -25,13 +26,20 @@ from perception.detection.weights import load_weights, save_weights
 from perception.detection.yaw import YAW_BINS
 from perception.errors import PerceptionError
 from perception.io.weights import WEIGHTS_DIRECTORY
-from perception.types import CATEGORIES
+from perception.types import CATEGORIES, POSED_CLASSES
 
-Task = Literal["class", "yaw"]
+Task = Literal["class", "pose", "yaw"]
 LABELS: tuple[str, ...] = (*CATEGORIES, "other")
-OUTPUTS: dict[Task, int] = {"class": len(LABELS), "yaw": YAW_BINS}
-ENSEMBLE_SIZE: dict[Task, int] = {"class": 2, "yaw": 1}  # networks per task
-WEIGHTS_FILES: dict[Task, str] = {"class": "detector.safetensors", "yaw": "yaw.safetensors"}
+POSE_LABELS: tuple[str, ...] = (*(" ".join(posed) for posed in POSED_CLASSES), "other")
+OUTPUTS: dict[Task, int] = {"class": len(LABELS), "pose": len(POSE_LABELS), "yaw": YAW_BINS}
+ENSEMBLE_SIZE: dict[Task, int] = {"class": 2, "pose": 1, "yaw": 1}  # networks per task
+WEIGHTS_FILES: dict[Task, str] = {
+    "class": "detector.safetensors",
+    "pose": "pose.safetensors",
+    "yaw": "yaw.safetensors",
+}
+_JOBS: dict[Task, str] = {"class": "detector", "pose": "pose", "yaw": "yaw"}  # of `nodeslam train`
+_NAMES: dict[Task, tuple[str, ...]] = {"class": LABELS, "pose": POSE_LABELS, "yaw": ()}
 _WIDTHS = (16, 32, 64, 128)
 _SQUEEZED = 48
 
@@ -146,7 +154,7 @@ def save_crop_network(
         notes: Further metadata, such as the training configuration.
     """
     about = {**(notes or {}), "task": task, "temperature": repr(float(temperature))}
-    about |= {"outputs": str(OUTPUTS[task]), "labels": json.dumps(LABELS if task == "class" else [])}
+    about |= {"outputs": str(OUTPUTS[task]), "labels": json.dumps(_NAMES[task])}
     save_weights({name: value.detach().cpu() for name, value in network.state_dict().items()}, path, about)
 
 
@@ -165,7 +173,7 @@ def load_crop_network(
     """
     path = WEIGHTS_DIRECTORY / WEIGHTS_FILES[task] if path is None else path
     network = create_network(task)
-    about = load_weights(network, path, task, "detector" if task == "class" else "yaw")
+    about = load_weights(network, path, task, _JOBS[task])
     temperature = about.get("temperature", "1.0")
     try:
         if not 0 < float(temperature) < math.inf:

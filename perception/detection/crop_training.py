@@ -71,7 +71,7 @@ class TrainingConfig:
         learning_rate: Peak of the cosine schedule.
         warmup: Share of the steps with linear warm-up.
         weight_decay: Weight decay of AdamW.
-        label_smoothing: Share of the target distributed evenly over the classes; class network only.
+        label_smoothing: Share of the target distributed evenly over the classes; not of yaw.
         seed: Seed of initialisation, order and augmentation.
     """
 
@@ -186,7 +186,7 @@ def _train_epoch(task: Task, crops: CropSet, config: TrainingConfig, state: Trai
         images, targets = mirror_crops(task, images, targets, generator)
         inputs = warp_crops(normalise_crops(truncate_crops(images, generator)), generator)
         inputs, context = perturb_crops(inputs, context, generator)
-        if task == "class":
+        if task != "yaw":
             targets = (1 - config.label_smoothing) * targets + config.label_smoothing / targets.shape[1]
         with torch.autocast(device.type, torch.bfloat16):
             logits = network(inputs, context)
@@ -217,7 +217,7 @@ def validation_metrics(task: Task, network: CropNetwork, crops: CropSet) -> dict
     logits, targets = _logits(network, crops), torch.from_numpy(crops.targets)
     metrics = {"validation_loss": float(functional.cross_entropy(logits, targets))}
     best, true = logits.argmax(1), targets.argmax(1)
-    if task == "class":
+    if task != "yaw":
         return metrics | {"accuracy": float((best == true).double().mean())}
     error = ((best - true + YAW_BINS // 2) % YAW_BINS - YAW_BINS // 2).abs() * (2 * math.pi / YAW_BINS)
     return metrics | {"yaw_median": float(error.median())}

@@ -2,7 +2,7 @@
 
 The scene network segments instances by Hough voting; an ensemble of two networks on context crops decides
 their class, with a share of the scene network; the yaw network predicts where the handles of mugs
-point.
+point. The pose network tells what rests on its side or upside down in clutter.
 """
 
 from __future__ import annotations
@@ -60,6 +60,8 @@ class Detector:
         class_temperature: Divisor of its logits.
         yaw_network: Network for the yaw of a mug's handle relative to the view.
         yaw_temperature: Divisor of its logits.
+        pose_network: Network for class and resting pose.
+        pose_temperature: Divisor of its logits.
         config: Parameters.
     """
 
@@ -68,6 +70,8 @@ class Detector:
     class_temperature: float
     yaw_network: CropNetwork
     yaw_temperature: float
+    pose_network: CropNetwork
+    pose_temperature: float
     config: DetectorConfig = DetectorConfig()
 
     @staticmethod
@@ -87,6 +91,7 @@ class Detector:
             load_scene_network(scene, device),
             *load_crop_network("class", paths["class"], device),
             *load_crop_network("yaw", paths["yaw"], device),
+            *load_crop_network("pose", paths["pose"], device),
             config,
         )
 
@@ -210,6 +215,26 @@ class Detector:
         crops = [crop(frame, result[i].mask, plane, geometry) for i in blind]
         for i, yaw in zip(blind, self._yaws(crops, plane)):
             result[i] = replace(result[i], yaw_probabilities=yaw)
+        return result
+
+    def posed(
+        self, frame: RgbdFrame, plane: SupportPlane, detections: Sequence[ObjectDetection]
+    ) -> list[ObjectDetection]:
+        """Return the detections, in their order, with probabilities of classes in all resting poses.
+
+        Detections whose mask contains no depth stay as they are.
+
+        Args:
+            frame: RGB-D image.
+            plane: What the objects rest on, in the world frame.
+            detections: Detections of any source.
+        """
+        geometry = frame_geometry(frame, plane)
+        usable = [i for i, d in enumerate(detections) if geometry.has_depth(d.mask)]
+        crops = [crop(frame, detections[i].mask, plane, geometry) for i in usable]
+        result = list(detections)
+        for i, p in zip(usable, predict(self.pose_network, self.pose_temperature, *stack_crops(crops))):
+            result[i] = replace(detections[i], pose_probabilities=p)
         return result
 
     def _may_be_mug(self, detection: ObjectDetection) -> bool:

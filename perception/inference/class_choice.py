@@ -3,7 +3,8 @@
 An object that the detector is sure of is fitted once. Where the class is uncertain, or the evidence
 contradicts it, the next classes are fitted as well, and the one with the highest score is kept. Where its fit
 as an upright object is poor, the other resting poses of the class are tried. An object without a class is
-fitted as those classes in those resting poses that come near its depth in a few coarse iterations.
+fitted as those classes in those resting poses that come near its depth in a few coarse iterations. In clutter
+a network names class and resting pose: what it is sure of is kept if it explains the depth about as well.
 """
 
 from __future__ import annotations
@@ -32,15 +33,27 @@ from perception.inference.pose_choice import (
     misfit,
 )
 from perception.inference.resting import ALTERNATIVES
-from perception.inference.screening import Hypothesis, comes_near, nearest_hypotheses
+from perception.inference.screening import comes_near, nearest_hypotheses
 from perception.inference.shape_model import Decoder
-from perception.types import CATEGORIES, OTHER, Category, ObjectEstimate, RestingPose, SupportPlane
+from perception.types import (
+    CATEGORIES,
+    OTHER,
+    POSED_CLASSES,
+    Category,
+    ObjectEstimate,
+    PosedClass,
+    RestingPose,
+    SupportPlane,
+)
 
 logger = logging.getLogger(__name__)
 
 CLEAR = 0.9  # class probability from which on a class with good evidence is not compared with others
 MIN_PROBABILITY = 0.02  # of a class that is tried
 MAX_CLASSES = 3
+SURE = 0.6  # probability of some classes in resting poses from which on they are fitted in any case
+LIKELY = 0.15  # least probability of each of them
+ABOUT = 0.05  # by how much the misfit of what the pose network is sure of may be larger
 UNKNOWN = 0.5  # least score of an object of no class, or in a pose that the networks were not trained on
 
 
@@ -110,7 +123,12 @@ def fit_best_class(
         return comes_near(replace(views, category=category), decoder, plane, resting, config)
 
     p = views.class_probabilities
-    if p.size and np.ptp(p) == 0:
+    threshold = max(model.threshold, UNKNOWN)
+    unnamed = p.size > 0 and float(np.ptp(p)) == 0.0
+    named = _as_named(fit, views, plane, threshold, or_upright=unnamed)
+    if unnamed and named is not None:
+        return named.estimate
+    if unnamed:
         near_ones = nearest_hypotheses(views, decoder, plane, config)
         return _fit_unnamed(fit, near_ones, views, plane, model)
     first, problem = _attempt(fit, views.category, on_step)
@@ -123,7 +141,9 @@ def fit_best_class(
     likely = _likely(p)
     upright = _best_upright(fit, first, [c for c in likely if c != views.category], views, plane, model)
     posed = likely if upright is None else (upright.estimate.category,)
-    best = _best_pose(fit, near, upright, posed, views, plane, max(model.threshold, UNKNOWN))
+    best = _best_pose(fit, near, upright, posed, views, plane, threshold)
+    if named is not None and (best is None or misfit(named.evidence) < misfit(best.evidence) + ABOUT):
+        best = named
     if best is None:
         assert problem is not None
         raise problem
@@ -169,13 +189,41 @@ def _best_upright(
     return best
 
 
+def _as_named(
+    fit: _Fit, views: ObjectViews, plane: SupportPlane, threshold: float, or_upright: bool
+) -> ScoredFit | None:
+    """Return the best good fit as one of the classes in resting poses that the pose network names.
+
+    Args:
+        fit: Fits the object.
+        views: Observations of the object.
+        plane: Support plane.
+        threshold: Least score.
+        or_upright: Whether upright poses count, which other networks know better.
+    """
+    likely = {
+        posed: p
+        for posed, p in zip(POSED_CLASSES, views.pose_probabilities.tolist())
+        if p >= LIKELY and (or_upright or posed[1] != "upright")
+    }
+    if sum(likely.values()) < SURE:
+        return None
+    good: list[tuple[float, ScoredFit]] = []
+    for (category, resting), p in likely.items():
+        made, _ = _attempt(fit, category, None, resting)
+        accepted = made is not None and made.estimate.score >= threshold
+        if made is not None and accepted and is_good(made.evidence, made.estimate, plane):
+            good.append((misfit(made.evidence) - ABOUT * p, made))
+    return min(good, key=lambda item: item[0])[1] if good else None
+
+
 def _score(scored: ScoredFit) -> float:
     return scored.estimate.score
 
 
 def _fit_unnamed(
     fit: _Fit,
-    hypotheses: Sequence[Hypothesis],
+    hypotheses: Sequence[PosedClass],
     views: ObjectViews,
     plane: SupportPlane,
     model: AcceptanceModel,
@@ -267,4 +315,11 @@ def _scored(
     known = p.size > 0 and (config.resting == "upright" or np.ptp(p) > 0)  # networks know upright objects
     probability = float(p[CATEGORIES.index(category)]) if known else None
     score = model.score(evidence, category, probability)
+    if config.resting != "upright" and views.pose_probabilities.size:  # the model knows upright objects
+        score = _pose_score(views.pose_probabilities, config.resting)
     return ScoredFit(replace(estimate, score=score), evidence, probability)
+
+
+def _pose_score(p: Float[np.ndarray, "p"], resting: RestingPose) -> float:
+    """Return the probability that an object rests in a pose; depth decides between the classes."""
+    return float(sum(q for posed, q in zip(POSED_CLASSES, p.tolist()) if posed[1] == resting))

@@ -92,6 +92,8 @@ class ObjectViews:
         score: Confidence of the class, in 0..1.
         observations: One observation per view.
         class_probabilities: (5,) probabilities of CATEGORIES and 'other'; empty if unknown.
+        pose_probabilities: (10,) probabilities of POSED_CLASSES and 'other', for any resting pose; empty if
+            unknown.
     """
 
     id: int
@@ -99,6 +101,7 @@ class ObjectViews:
     score: float
     observations: tuple[ObjectObservation, ...]
     class_probabilities: Float[np.ndarray, "k"] = field(default_factory=lambda: np.zeros(0))
+    pose_probabilities: Float[np.ndarray, "p"] = field(default_factory=lambda: np.zeros(0))
 
 
 @dataclass(frozen=True)

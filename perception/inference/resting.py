@@ -29,14 +29,10 @@ from perception.inference.initialise import (
 )
 from perception.inference.observation import ObjectObservation
 from perception.rendering.pose import ObjectPose
-from perception.types import Category, RestingPose, SupportPlane, TriangleMesh
+from perception.types import POSES_OF, Category, RestingPose, SupportPlane, TriangleMesh
 
-# Poses that differ in shape from upright: a can upside down looks like an upright one.
 ALTERNATIVES: Mapping[Category, tuple[RestingPose, ...]] = {
-    "mug": ("upside-down", "lying"),
-    "bowl": ("upside-down",),
-    "bottle": ("lying",),
-    "can": ("lying",),
+    category: tuple(pose for pose in poses if pose != "upright") for category, poses in POSES_OF.items()
 }
 
 _STRIP = 0.85  # height from which on points belong to the strip along the axis, in heights of the object

@@ -13,9 +13,8 @@ from perception.errors import PerceptionError
 from perception.inference.fit_config import FitConfig
 from perception.inference.observation import ObjectViews
 from perception.inference.optimisation import coarse_residual
-from perception.inference.resting import ALTERNATIVES
 from perception.inference.shape_model import Decoder
-from perception.types import CATEGORIES, Category, RestingPose, SupportPlane
+from perception.types import POSED_CLASSES, PosedClass, RestingPose, SupportPlane
 
 VIEWS = 2
 MOST = 3  # hypotheses that are kept
@@ -23,15 +22,10 @@ NEAR = 0.012  # [m] largest coarse residual of a hypothesis that is kept
 RELATIVE = 1.8  # the same, relative to the smallest one
 NO_FARTHER = 1.1  # largest coarse residual of another pose, relative to that of the upright one
 
-Hypothesis = tuple[Category, RestingPose]
-HYPOTHESES: tuple[Hypothesis, ...] = tuple(
-    (category, resting) for category in CATEGORIES for resting in ("upright", *ALTERNATIVES[category])
-)
-
 
 def nearest_hypotheses(
     views: ObjectViews, decoder: Decoder, plane: SupportPlane, config: FitConfig = FitConfig()
-) -> list[Hypothesis]:
+) -> list[PosedClass]:
     """Return the classes and resting poses that come near an object's depth, the nearest first.
 
     Args:
@@ -40,8 +34,8 @@ def nearest_hypotheses(
         plane: What the object rests on.
         config: Settings of the fits.
     """
-    residuals: dict[Hypothesis, float] = {
-        (c, r): _residual(replace(views, category=c), decoder, plane, r, config) for c, r in HYPOTHESES
+    residuals: dict[PosedClass, float] = {
+        (c, r): _residual(replace(views, category=c), decoder, plane, r, config) for c, r in POSED_CLASSES
     }
     limit = min(NEAR, RELATIVE * min(residuals.values()))
     near = sorted((h for h, residual in residuals.items() if residual <= limit), key=residuals.__getitem__)

@@ -15,7 +15,7 @@ import numpy as np
 from jaxtyping import Bool, Float
 
 from perception.depth_cleaning import clean_frame
-from perception.detection.completion import Completer
+from perception.detection.completion import PoseNamer
 from perception.detection.instances import remove_specks
 from perception.inference.contents import VESSELS
 from perception.inference.observation import ObjectObservation
@@ -69,7 +69,7 @@ def split_stacks(
     rows: Rows,
     estimates: Mapping[int, ObjectEstimate],
     planes: Sequence[SupportPlane],
-    completer: Completer,
+    completer: PoseNamer,
     fit: Fit,
 ) -> dict[int, tuple[ObjectEstimate, ObjectEstimate]]:
     """Return the lower and the upper object of each instance that is a stack, by the instance's id.
@@ -112,7 +112,7 @@ def propose_parts(
     rows: Rows,
     id: int,
     planes: Sequence[SupportPlane],
-    completer: Completer,
+    completer: PoseNamer,
     free_id: int,
 ) -> list[Parts]:
     """Return ways to cut an instance in two parts of known classes, that at the strongest seam first.
@@ -163,7 +163,7 @@ def _named(
     masks: Mapping[int, Bool[np.ndarray, "h w"]],
     views: Sequence[RgbdFrame],
     base: SupportPlane,
-    completer: Completer,
+    completer: PoseNamer,
     classes: Sequence[Category],
 ) -> dict[int, ObjectDetection]:
     """Return detections of a part in its views, with the class that those showing most of it agree on.
@@ -172,6 +172,7 @@ def _named(
     """
     largest = sorted(masks, key=lambda k: -int(masks[k].sum()))[:NAMING_VIEWS]
     named = {k: completer.complete(views[k], base, [unclassified(masks[k])])[0] for k in largest}
+    named |= {k: completer.posed(views[k], base, [d])[0] for k, d in named.items()}
     known = [d for d in named.values() if not is_unclassified(d)]
     if not known:
         return {}

@@ -9,8 +9,9 @@ from __future__ import annotations
 import logging
 import re
 from collections.abc import Sequence, Set
+from dataclasses import replace
 from pathlib import Path
-from typing import Any
+from typing import Any, TypeVar
 
 import numpy as np
 
@@ -20,16 +21,18 @@ from perception.io.meshes import read_mesh
 from perception.io.scan_cameras import read_numbers
 from perception.types import (
     CODE_SIZE,
+    FIT_STATUSES,
     RESTING_POSES,
     ObjectEstimate,
     RejectedObject,
-    RestingPose,
     TriangleMesh,
     check_rigid,
 )
 
 logger = logging.getLogger(__name__)
+Word = TypeVar("Word", bound=str)
 PLANE = "plane"  # what an object rests on that rests on no other object
+SIZE_TOLERANCE = 0.05  # of height and radius relative to those of the mesh
 MAX_DISTANCE = 200.0  # [m] of anything in a map, whose cameras are within 100 m
 _MESH_NAME = re.compile(r"\d+_[a-z]+\.ply")
 
@@ -45,6 +48,7 @@ def write_object_map(folder: str | Path, objects: Sequence[ObjectEstimate]) -> l
     """
     folder = Path(folder)
     entries, rejected = {}, []
+    kept = {estimate.id for estimate in objects if _is_finite(estimate)}
     for estimate in objects:
         if not _is_finite(estimate):
             reason = "its mesh is empty or has numbers that are not finite"
@@ -52,7 +56,8 @@ def write_object_map(folder: str | Path, objects: Sequence[ObjectEstimate]) -> l
             logger.warning("%s is left out of the object map: %s", estimate.name, reason)
             continue
         write_atomically(folder / "objects" / _mesh_name(estimate), ply_bytes(estimate.mesh_world))
-        entries[_mesh_name(estimate)] = _entry(estimate)
+        below = estimate.rests_on if estimate.rests_on in kept else None
+        entries[_mesh_name(estimate)] = _entry(replace(estimate, rests_on=below))
     write_json(folder / "objects.json", list(entries.values()))
     for path in (folder / "objects").glob("*.ply"):
         if _MESH_NAME.fullmatch(path.name) and path.name not in entries:
@@ -79,6 +84,7 @@ def read_object_map(folder: str | Path) -> list[ObjectEstimate]:
             problem = f"{error} is missing" if isinstance(error, KeyError) else error
             message = f"{path}, object {index}: {problem}: reconstruct the scan again"
             raise InvalidInputError(message) from None
+    _check_stacks(objects, path)
     return objects
 
 
@@ -147,8 +153,10 @@ def _estimate(folder: Path, entry: Any, used: Set[int]) -> ObjectEstimate:
     score, n_views, residual = (
         float(read_numbers(entry, key, 1)[0]) for key in ("score", "n_views", "residual")
     )
-    if not (scale > 0).all() or n_views < 0 or residual < 0:
-        raise InvalidInputError("scale must be positive, n_views and residual not negative")
+    if not (scale > 0).all() or residual < 0 or not 0 <= score <= 1:
+        raise InvalidInputError("scale must be positive, residual not negative, score in 0..1")
+    if n_views < 0 or n_views != int(n_views):
+        raise InvalidInputError(f"n_views {n_views:g} is no number of images")
     name = f"{entry['id']}_{entry['category']}.ply"
     if not _MESH_NAME.fullmatch(name):
         raise InvalidInputError(f"category {entry['category']!r} is no class name")
@@ -167,17 +175,39 @@ def _estimate(folder: Path, entry: Any, used: Set[int]) -> ObjectEstimate:
         score=score,
         n_views=int(n_views),
         residual=residual,
-        status=entry.get("status", "converged"),
-        resting=_resting(entry.get("resting", "upright")),
+        status=_one_of(entry, "status", FIT_STATUSES),
+        resting=_one_of(entry, "resting", RESTING_POSES),
         rests_on=_rests_on(entry.get("rests_on", PLANE)),
     )
+    for key, measured in (("height", estimate.height), ("radius", estimate.radius)):
+        stated = float(read_numbers(entry, key, 1)[0])
+        if abs(stated - measured) > SIZE_TOLERANCE * max(measured, 0.01):
+            raise InvalidInputError(f"{key} {stated:g} m is not that of {name}, {measured:.4g} m")
     return estimate
 
 
-def _resting(value: Any) -> RestingPose:
-    if value not in RESTING_POSES:
-        raise InvalidInputError(f"resting {value!r} is none of {', '.join(RESTING_POSES)}")
+def _one_of(entry: dict[str, Any], key: str, words: tuple[Word, ...]) -> Word:
+    """Return a word of a list, the first one by default."""
+    value = entry.get(key, words[0])
+    if not isinstance(value, str) or value not in words:
+        raise InvalidInputError(f"{key} {str(value)[:80]!r} is none of {', '.join(words)}")
     return value
+
+
+def _check_stacks(objects: Sequence[ObjectEstimate], path: Path) -> None:
+    """Raise InvalidInputError unless each object rests, in the end, on the plane."""
+    below = {estimate.id: estimate.rests_on for estimate in objects}
+    for estimate in objects:
+        seen, at = {estimate.id}, estimate.rests_on
+        while at is not None:
+            if at not in below:
+                raise InvalidInputError(
+                    f"{path}: {estimate.name} rests on object {at}, which is not in the map"
+                )
+            if at in seen:
+                raise InvalidInputError(f"{path}: {estimate.name} rests on itself, over object {at}")
+            seen.add(at)
+            at = below[at]
 
 
 def _rests_on(value: Any) -> int | None:

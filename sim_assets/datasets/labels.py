@@ -7,7 +7,7 @@ from dataclasses import dataclass
 import numpy as np
 from jaxtyping import Bool, Float, Int
 
-from perception.types import Category, RgbdFrame, SupportPlane
+from perception.types import Category, RestingPose, RgbdFrame, SupportPlane
 from sim_assets.datasets.perceived import TABLE
 
 
@@ -23,6 +23,7 @@ class InstanceLabel:
         height: height of the item in [m].
         foot: (3,) origin of the object as the frame shows it, with the errors of its calibration [m].
         ignored: whether the item is an object in a pose whose class is not to be learned.
+        resting: resting pose of an object.
     """
 
     category: Category | None
@@ -32,6 +33,7 @@ class InstanceLabel:
     height: float
     foot: Float[np.ndarray, "3"]
     ignored: bool = False
+    resting: RestingPose = "upright"
 
     @property
     def yaw(self) -> float:

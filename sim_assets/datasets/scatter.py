@@ -10,7 +10,7 @@ import numpy as np
 import trimesh
 from jaxtyping import Float
 
-from perception.types import Category
+from perception.types import Category, RestingPose
 from sim_assets.cell.layout import PlanarPose
 from sim_assets.cell.outlines import gap as gap_between
 from sim_assets.cell.outlines import outline
@@ -32,6 +32,7 @@ class TableItem:
         reach: largest distance of the outline from the origin [m].
         content: what a vessel holds, in the same frame.
         ignored: whether it is an object in a pose whose class is not to be learned.
+        resting: resting pose of an object.
     """
 
     category: Category | None
@@ -40,6 +41,7 @@ class TableItem:
     reach: float
     content: trimesh.Trimesh | None = None
     ignored: bool = False
+    resting: RestingPose = "upright"
 
 
 def simplified(mesh: trimesh.Trimesh, tolerance: float = 0.00015) -> trimesh.Trimesh:

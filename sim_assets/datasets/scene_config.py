@@ -45,6 +45,8 @@ class TrainingSceneConfig:
         household: share of the objects with the sizes met in homes, others can be grasped.
         filled: share of the bowls and mugs with something in them.
         toppled: share of the objects that lie or stand on their heads; their class is not to be learned.
+        posed: share of the objects in one of the resting poses of their class that are told apart; their
+            class alone is not to be learned.
         random_parts: share of the training split's distractors made by ``random_parts``.
         plain_tumblers: whether the bottles include straight tumblers with flat lids, which resemble cans.
         drawn_in: share of the training split's plain cans and canisters with a narrower foot.
@@ -74,6 +76,7 @@ class TrainingSceneConfig:
     household: float = 0.0
     filled: float = 0.0
     toppled: float = 0.0
+    posed: float = 0.0
     random_parts: float = 0.0
     plain_tumblers: bool = True
     drawn_in: float = 0.0

@@ -155,7 +155,9 @@ class TableTop:
         area = float(cv2.contourArea(cv2.convexHull(image.astype(np.float32))))
         foot = perceived_points(pose.matrix[None, :3, 3], camera, frame, scale)[0]
         height = float(item.mesh.bounds[1, 2])
-        return InstanceLabel(item.category, pose.matrix, pixels, area, height, foot, item.ignored)
+        return InstanceLabel(
+            item.category, pose.matrix, pixels, area, height, foot, item.ignored, item.resting
+        )
 
     def capture(
         self, T_world_camera: Float[np.ndarray, "4 4"], fovy: float, shadows: bool

@@ -14,7 +14,7 @@ from typing import Literal
 import numpy as np
 import trimesh
 
-from perception.types import CATEGORIES, Category
+from perception.types import CATEGORIES, POSED_CLASSES, Category, RestingPose
 from sim_assets.datasets.distractors import random_distractor, random_parts, random_surrounding
 from sim_assets.datasets.labels import LabelledImage
 from sim_assets.datasets.scatter import TableItem, make_item, simplified
@@ -26,6 +26,7 @@ from sim_assets.objects.families import Parameters, make_solid, sample_parameter
 from sim_assets.objects.household import contents_of, sample_household
 
 Split = Literal["train", "test"]
+_HANDLE_ROLL = np.radians(105)  # largest angle of the handle of a lying mug from the vertical
 PLAIN_BEND = 0.10  # a tumbler that widens less, relative to its radius, resembles a can
 
 
@@ -96,8 +97,28 @@ def _draw_object(
     mesh = simplified(make_solid(parameters).mesh())
     if rng.random() < config.toppled:
         return replace(make_item(None, _toppled(mesh, rng)), ignored=True)
+    if config.posed > 0 and rng.random() < config.posed:
+        resting: RestingPose = rng.choice([p for c, p in POSED_CLASSES if c == category and p != "upright"])
+        return replace(
+            make_item(category, _resting(mesh, category, resting, rng)), ignored=True, resting=resting
+        )
     content = contents_of(parameters, rng) if rng.random() < config.filled else None
     return replace(make_item(category, mesh), content=content)
+
+
+def _resting(
+    mesh: trimesh.Trimesh, category: Category, resting: RestingPose, rng: np.random.Generator
+) -> trimesh.Trimesh:
+    """Return an upright mesh upside down, or on its side with a mug's handle beside it or above, on z = 0."""
+    turn = trimesh.transformations.rotation_matrix
+    roll = rng.uniform(-np.pi, np.pi)
+    if category == "mug" and resting == "lying":
+        roll = np.pi / 2 + rng.uniform(-1, 1) * _HANDLE_ROLL  # the turn about x takes +y up
+    mesh = mesh.copy()
+    mesh.apply_transform(turn(roll, (0, 0, 1)))
+    mesh.apply_transform(turn(np.pi if resting == "upside-down" else np.pi / 2, (1, 0, 0)))
+    mesh.apply_translation((*-mesh.bounds[:, :2].mean(axis=0), -mesh.bounds[0, 2]))
+    return mesh
 
 
 def _toppled(mesh: trimesh.Trimesh, rng: np.random.Generator) -> trimesh.Trimesh:

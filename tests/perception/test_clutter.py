@@ -1,5 +1,6 @@
 """Candidates of no class are kept where the evidence is clear; parts of stacks replace them."""
 
+from dataclasses import replace
 from typing import Any
 
 import numpy as np
@@ -27,6 +28,7 @@ class Scene:
             ObjectDetection("can", 0.9, MASK, instance_id=i) for i in range(4)
         )
         self.scores = {0: 0.1, 1: UNCLASSIFIED_SCORE + 0.01, 2: UNCLASSIFIED_SCORE - 0.01}
+        self.posed_ids: list[list[int]] = []
         self.stacks, self.fitted, self.rejected, self.nameless = {}, [], [], []
         monkeypatch.setattr(clutter, "associate_unclassified", lambda *args: [[*self.candidates, self.tall]])
         monkeypatch.setattr(clutter, "is_low", lambda frames, rows, id, plane: id != 3)
@@ -39,11 +41,15 @@ class Scene:
     def reconstruct(self, frames, rows, decoder, planes, options):
         self.fitted.append([d.instance_id for row in rows for d in row])
         bare = {d.instance_id for row in rows for d in row if is_unclassified(d)}
+        self.posed_ids.append([int(d.pose_probabilities.argmax()) for row in rows for d in row])
         self.nameless += [bare] if bare else []
         if options.on_rejected is not None:
             for id in range(4):
                 options.on_rejected(RejectedObject(id, "mug", "thin", 0.1))
         return [found(id, self.scores[id]) for id in self.fitted[-1] if id in self.scores]
+
+    def posed(self, frame, plane, detections):
+        return [replace(d, pose_probabilities=np.eye(10)[d.instance_id]) for d in detections]
 
     def points(self, id):
         return np.full((1, 3), float(id))
@@ -58,7 +64,7 @@ class Scene:
     def run(self):
         run: Any = getattr(reconstruct_clutter, "__wrapped__", reconstruct_clutter)
         options = ReconstructOptions(on_rejected=self.rejected.append)
-        estimates = run((), ((self.detected,),), (), None, (SupportPlane(),), None, options)
+        estimates = run((None,), ((self.detected,),), (), None, (SupportPlane(),), self, options)
         return [e.id for e in estimates]
 
 
@@ -94,3 +100,10 @@ def test_a_detected_object_that_its_class_does_not_explain_is_fitted_without_one
     scene.scores[0] = 0.9
     scene.run()
     assert scene.fitted == [[0, 1, 2], [0]] and scene.nameless == [{0}]
+
+
+def test_what_is_fitted_has_its_pose_probabilities(scene):
+    scene.explained -= {(0, 0)}
+    scene.scores[0] = 0.9
+    scene.run()
+    assert scene.posed_ids == [[0, 1, 2], [0]]

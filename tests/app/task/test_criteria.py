@@ -47,6 +47,30 @@ def test_an_object_upside_down_has_toppled():
     assert judge_standing([thing(tilt_deg=180)]) == ["toppled by 180 deg"]
 
 
+def tapered(narrower, tilt_deg=180.0):
+    """A can on the plane z = 0.1 m whose top is narrower than its bottom [m]."""
+    profile = np.array([(0, 0), (0.03, 0), (0.03 - narrower, 0.1), (0, 0.1)])
+    mesh = trimesh.creation.revolve(profile, sections=48)
+    item = thing(tilt_deg=tilt_deg, z=0.2)
+    return replace(item, vertices=np.asarray(mesh.vertices), faces=np.asarray(mesh.faces))
+
+
+def test_either_of_two_like_ends_may_be_below():
+    turned = tapered(0.0).on_like_end()
+    assert turned.tilt == pytest.approx(0.0, abs=1e-6)
+    # The base is now the lower end, which had been the top.
+    np.testing.assert_allclose(turned.base, tapered(0.0).T_world_object[:3] @ (0, 0, 0.1, 1), atol=1e-9)
+    np.testing.assert_allclose(
+        np.sort(turned.vertices_world, axis=0), np.sort(tapered(0.0).vertices_world, axis=0), atol=1e-9
+    )
+    assert judge_standing([turned]) == [""]
+
+
+@pytest.mark.parametrize("item", [tapered(0.006), thing("bowl", tilt_deg=180), tapered(0.0, 90.0)])
+def test_unlike_ends_and_lying_objects_count_as_they_are(item):
+    assert item.on_like_end() is item
+
+
 def test_a_well_packed_box():
     objects = [
         thing("bowl", x=0.42, radius=0.07, z=0.004),

@@ -1,11 +1,12 @@
 """Detections of other sources get what they lack: classes from one network, yaws from the other."""
 
 import logging
+from dataclasses import replace
 
 import numpy as np
 import pytest
 
-from perception.detection.completion import complete_detections, is_complete
+from perception.detection.completion import complete_detections, is_complete, posed_detections
 from perception.types import (
     CameraIntrinsics,
     ObjectDetection,
@@ -81,3 +82,17 @@ def test_without_ids_the_association_decides():
         [FRAME], [[unclassified(mask(3))]], PLANES, Recorder({3: [0.05, 0.05, 0.05, 0.05, 0.8]})
     )
     assert found.class_probabilities[4] == 0.8 and found.instance_id is None
+
+
+def test_poses_are_asked_for_on_the_plane_of_each_detection():
+    class Namer(Recorder):
+        def posed(self, frame, plane, detections):
+            self.planes.append((plane.offset, len(detections)))
+            return [replace(d, pose_probabilities=np.full(10, plane.offset)) for d in detections]
+
+    row = [ObjectDetection("can", 0.9, mask(3 + k), instance_id=k, support=k % 2) for k in range(3)]
+    namer = Namer({})
+    ((a, b, c),) = posed_detections([FRAME], [row], [SupportPlane(), SupportPlane(offset=0.3)], namer)
+    assert [d.instance_id for d in (a, b, c)] == [0, 1, 2]
+    assert [d.pose_probabilities[0] for d in (a, b, c)] == [0.0, 0.3, 0.0]
+    assert namer.planes == [(0.0, 2), (0.3, 1)]

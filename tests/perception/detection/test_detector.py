@@ -1,5 +1,7 @@
 """The detector with the shipped weights on scenes in closed form, and its contract with any weights."""
 
+from dataclasses import replace
+
 import numpy as np
 import pytest
 import torch
@@ -25,9 +27,10 @@ class Fixed(CropNet):
         return self.answer.expand(len(images), -1)
 
 
-def fixed_detector(class_logits, yaw_bin=0):
+def fixed_detector(class_logits, yaw_bin=0, pose=0):
     yaw = np.where(np.arange(OUTPUTS["yaw"]) == yaw_bin, 20.0, 0.0)
-    return Detector(load_scene_network(), Fixed(class_logits), 1.0, Fixed(yaw), 1.0)
+    networks = Fixed(class_logits), 1.0, Fixed(yaw), 1.0, Fixed(20.0 * np.eye(10)[pose]), 2.0
+    return Detector(load_scene_network(), *networks)
 
 
 def given(detector, scene):
@@ -120,7 +123,7 @@ def test_most_certain_first(shipped, two):
 
 def test_weights_from_a_folder(tmp_path):
     save_scene_network(SceneNet(), tmp_path / "scene.safetensors")
-    for task, name in (("class", "detector"), ("yaw", "yaw")):
+    for task, name in (("class", "detector"), ("pose", "pose"), ("yaw", "yaw")):
         save_crop_network(create_network(task), tmp_path / f"{name}.safetensors", task, 1.5)
     assert Detector.load(directory=tmp_path).class_temperature == 1.5
     with pytest.raises(PerceptionError, match="are missing"):
@@ -151,3 +154,13 @@ def test_masks_without_depth_are_not_completed(two):
     frame = RgbdFrame(0.0, two.frame.rgb, 0 * two.frame.depth, two.frame.intrinsics, two.frame.T_world_camera)
     detections = [ObjectDetection("mug", 0.6, two.instances == 0), unclassified(two.instances == 1)]
     assert fixed_detector([3.0, 0.0, 0.0, 0.0, 0.0]).complete(frame, PLANE, detections) == detections
+
+
+def test_poses_are_named_for_all_masks_with_depth(two):
+    masks = [two.instances == k for k in (0, 1)]
+    blind = replace(two.frame, depth=np.where(masks[1], 0, two.frame.depth))
+    found = [ObjectDetection("can", 0.9, mask, instance_id=k) for k, mask in enumerate(masks)]
+    named, unseen = fixed_detector(np.zeros(5), pose=3).posed(blind, PLANE, found)
+    assert named.pose_probabilities.argmax() == 3
+    np.testing.assert_allclose(named.pose_probabilities.max(), 1 / (1 + 9 * np.exp(-10.0)))  # temperature 2
+    assert (named.category, named.instance_id) == ("can", 0) and unseen is found[1]

@@ -13,9 +13,9 @@ from perception.inference.evidence import Evidence
 from perception.inference.fit import FitFailedError
 from perception.inference.fit_config import FitConfig
 from perception.inference.observation import ObjectObservation, ObjectViews
-from perception.inference.screening import HYPOTHESES
 from perception.types import (
     CATEGORIES,
+    POSED_CLASSES,
     CameraIntrinsics,
     ObjectEstimate,
     RgbdFrame,
@@ -57,7 +57,7 @@ def choose(monkeypatch):
 
         monkeypatch.setattr(class_choice, "_scored", scored)
         monkeypatch.setattr(class_choice, "comes_near", lambda *_: True)
-        monkeypatch.setattr(class_choice, "nearest_hypotheses", lambda *_: HYPOTHESES)
+        monkeypatch.setattr(class_choice, "nearest_hypotheses", lambda *_: POSED_CLASSES)
         monkeypatch.setattr(pose_choice, "rests_stably", lambda mesh, plane: True)
         views = ObjectViews(3, category, 0.9, (OBSERVATION,) * seen, np.array(probabilities))
         return fit_best_class(views, None, SupportPlane(), Model({}, 0.4), FitConfig())
@@ -143,7 +143,9 @@ def choose_pose(monkeypatch):
     """A function from the shares explained in each pose to the choice, and the poses that it tried."""
     tried = []
 
-    def run(explained, probabilities=(), resting_stably=True, near=True, hypotheses=HYPOTHESES):
+    def run(
+        explained, probabilities=(), resting_stably=True, near=True, hypotheses=POSED_CLASSES, named=None
+    ):
         tried.clear()
 
         def scored(views, decoder, plane, model, config, on_step):
@@ -159,7 +161,9 @@ def choose_pose(monkeypatch):
         monkeypatch.setattr(class_choice, "comes_near", lambda *_: near)
         monkeypatch.setattr(class_choice, "nearest_hypotheses", lambda *_: hypotheses)
         monkeypatch.setattr(pose_choice, "rests_stably", lambda mesh, plane: resting_stably)
-        views = ObjectViews(3, "bottle", 0.9, (OBSERVATION,), np.array(probabilities))
+        named = named if isinstance(named, dict) else {} if named is None else {named: 1.0}
+        posed = np.array([named.get(h, 0.0) for h in POSED_CLASSES] + [0.0]) if named else np.zeros(0)
+        views = ObjectViews(3, "bottle", 0.9, (OBSERVATION,), np.array(probabilities), posed)
         return fit_best_class(views, None, SupportPlane(), Model({}, 0.4), FitConfig())
 
     _skip_type_check(monkeypatch)
@@ -214,3 +218,51 @@ def test_a_class_that_the_evidence_contradicts_gives_way_to_one_that_explains_th
     assert run({("bottle", "upright"): 0.6, ("can", "upright"): 0.95}, sure).category == "bottle"  # doubtful
     run({("bottle", "upright"): 0.5, ("can", "upright"): 0.6, ("bottle", "lying"): 0.96}, sure)
     assert tried[-1] == ("bottle", "lying")  # neither class stands: the poses of the first one
+
+
+MUG = ("mug", "upside-down")
+
+
+@pytest.mark.parametrize(("explained", "kept"), [(0.92, True), (0.89, False)])
+def test_a_pose_that_is_named_for_sure_is_kept_if_depth_does_not_speak_against_it(
+    choose_pose, explained, kept
+) -> None:
+    run, _ = choose_pose
+    estimate = run({("bottle", "upright"): 0.95, MUG: explained}, [0.0, 0.0, 0.99, 0.01, 0.0], named=MUG)
+    assert ((estimate.category, estimate.resting) == MUG) == kept
+
+
+def test_a_named_pose_must_be_at_rest(choose_pose) -> None:
+    run, _ = choose_pose
+    explained = {("bottle", "upright"): 0.95, MUG: 0.99}
+    assert run(explained, [0.0, 0.0, 1.0, 0.0, 0.0], False, named=MUG).category == "bottle"
+
+
+def test_upright_objects_are_named_by_the_other_networks(choose_pose) -> None:
+    run, tried = choose_pose
+    run({("bottle", "upright"): 0.95}, [0.0, 0.0, 1.0, 0.0, 0.0], named=("can", "upright"))
+    assert tried == [("bottle", "upright")]
+
+
+def test_what_is_named_for_sure_is_fitted_first_where_there_is_no_class(choose_pose) -> None:
+    run, tried = choose_pose
+    assert run({MUG: 0.9}, np.full(5, 0.2), named=MUG).resting == "upside-down"
+    assert tried == [MUG]
+    estimate = run({MUG: 0.5, ("can", "lying"): 0.95}, np.full(5, 0.2), named=MUG)
+    assert (estimate.category, estimate.resting) == ("can", "lying")
+
+
+def test_classes_in_one_pose_share_its_probability() -> None:
+    p = np.zeros(10)
+    p[POSED_CLASSES.index(("can", "lying"))], p[POSED_CLASSES.index(("bottle", "lying"))] = 0.4, 0.5
+    assert class_choice._pose_score(p, "lying") == pytest.approx(0.9)
+    assert class_choice._pose_score(p, "upside-down") == 0.0
+
+
+@pytest.mark.parametrize(("can", "best"), [(0.90, "bottle"), (0.97, "can")])
+def test_depth_decides_between_classes_that_are_about_as_probable(choose_pose, can, best) -> None:
+    run, tried = choose_pose
+    explained = {("bottle", "lying"): 0.92, ("can", "lying"): can}
+    named = {("bottle", "lying"): 0.5, ("can", "lying"): 0.4, ("mug", "lying"): 0.1}
+    assert run(explained, np.full(5, 0.2), named=named).category == best
+    assert set(tried) == set(explained)

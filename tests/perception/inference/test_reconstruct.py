@@ -8,7 +8,13 @@ import pytest
 
 from perception.inference import fit
 from perception.inference.fit_config import FitConfig, FitStage
-from perception.inference.reconstruct import ReconstructOptions, gather_instances, hidden_by, reconstruct
+from perception.inference.reconstruct import (
+    ReconstructOptions,
+    gather_instances,
+    hidden_by,
+    mean_poses,
+    reconstruct,
+)
 from perception.types import ObjectDetection, RejectedObject, SupportPlane
 
 QUICK = FitConfig(stages=(FitStage(24, 1, 3), FitStage(32, 0, 5)))
@@ -121,3 +127,10 @@ def test_what_is_clearly_behind_hides_nothing(scan) -> None:
     assert hidden[15, 15] and not hidden[45, 15]
     assert not (hidden & mask).any()
     assert not hidden_by(changed, mask, []).any()
+
+
+def test_poses_of_several_views_are_averaged_in_log_space() -> None:
+    a, b = np.array([0.8, 0.2, 0.0]), np.array([0.2, 0.2, 0.6])
+    ratio = np.sqrt(np.array([0.8 * 0.2, 0.2 * 0.2, 0.005 * 0.6]))  # no view alone rules a pose out
+    np.testing.assert_allclose(mean_poses([a, b]), ratio / ratio.sum())
+    assert mean_poses([]).size == 0

@@ -5,8 +5,8 @@ import pytest
 from perception.errors import InvalidInputError
 from perception.inference import screening
 from perception.inference.observation import ObjectViews
-from perception.inference.screening import HYPOTHESES, MOST, NEAR, comes_near, nearest_hypotheses
-from perception.types import SupportPlane
+from perception.inference.screening import MOST, NEAR, comes_near, nearest_hypotheses
+from perception.types import POSED_CLASSES, SupportPlane
 
 
 @pytest.fixture
@@ -30,14 +30,14 @@ def test_the_nearest_are_kept_in_order(residuals, decoder):
     given, views = residuals
     given |= {("can", "lying"): 0.005, ("bottle", "lying"): 0.004, ("mug", "upright"): 0.011}
     assert nearest_hypotheses(views, decoder, SupportPlane()) == [("bottle", "lying"), ("can", "lying")]
-    given |= dict.fromkeys(HYPOTHESES, 0.005)
+    given |= dict.fromkeys(POSED_CLASSES, 0.005)
     assert len(nearest_hypotheses(views, decoder, SupportPlane())) == MOST
 
 
 def test_what_no_shape_comes_near_has_no_hypothesis(residuals, decoder):
     given, views = residuals
     assert nearest_hypotheses(views, decoder, SupportPlane()) == []
-    given |= dict.fromkeys(HYPOTHESES, 1.1 * NEAR)
+    given |= dict.fromkeys(POSED_CLASSES, 1.1 * NEAR)
     assert nearest_hypotheses(views, decoder, SupportPlane()) == []
 
 

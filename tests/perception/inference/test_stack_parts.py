@@ -23,6 +23,9 @@ class Namer:
         self.bases.append(plane.offset)
         return [replace(d, class_probabilities=self.probabilities) for d in detections]
 
+    def posed(self, frame, plane, detections):
+        return [replace(d, pose_probabilities=np.full(10, 0.1)) for d in detections]
+
 
 def cylinder(table, id, score=0.9):
     """The estimate of a can on its table, at its true pose."""

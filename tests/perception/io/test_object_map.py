@@ -87,7 +87,7 @@ BAD_ENTRIES = {
     "class": (lambda e: e.update(category="spoon"), "spoon.ply is missing"),
     "id": (lambda e: e.update(id="one"), "are no number and name"),
     "text as score": (lambda e: e.update(score="nan"), "score must be a finite number"),
-    "negative views": (lambda e: e.update(n_views=-5), "n_views and residual not negative"),
+    "negative views": (lambda e: e.update(n_views=-5), "n_views -5 is no number of images"),
     "ragged pose": (lambda e: e.update(T_world_object=[[1], [0, 1]]), "must be 16 finite numbers"),
     "negative id": (lambda e: e.update(id=-1), "are no number and name"),
     "truth as id": (lambda e: e.update(id=True), "are no number and name"),
@@ -180,3 +180,50 @@ def test_maps_without_resting_poses_are_of_upright_objects(tmp_path):
     (tmp_path / "objects.json").write_text(json.dumps(entries))
     (read,) = read_object_map(tmp_path)
     assert (read.resting, read.rests_on) == ("upright", None)
+
+
+@pytest.mark.parametrize(
+    ("below", "problem"),
+    [
+        ({3: 9}, "can_3 rests on object 9, which is not in the map"),
+        ({3: 3}, "rests on itself"),
+        ({3: 4, 4: 3}, "itself"),
+    ],
+)
+def test_stacks_end_on_the_plane(tmp_path, below, problem):
+    write_object_map(tmp_path, [estimate(), estimate(4, "mug")])
+    entries = json.loads((tmp_path / "objects.json").read_text())
+    for entry in entries:
+        entry["rests_on"] = below.get(entry["id"], "plane")
+    (tmp_path / "objects.json").write_text(json.dumps(entries))
+    with pytest.raises(InvalidInputError, match=problem):
+        read_object_map(tmp_path)
+
+
+def test_what_rests_on_an_object_that_is_left_out_can_be_read(tmp_path):
+    flat = TriangleMesh(np.zeros((0, 3)), np.zeros((0, 3), int))
+    write_object_map(tmp_path, [estimate(mesh=flat), estimate(4, "mug", rests_on=3)])
+    (upper,) = read_object_map(tmp_path)
+    assert (upper.id, upper.rests_on) == (4, None)
+
+
+@pytest.mark.parametrize(
+    ("key", "value", "problem"),
+    [
+        ("score", 1.5, "score in 0..1"),
+        ("score", -0.1, "score in 0..1"),
+        ("n_views", 2.5, "n_views 2.5 is no number of images"),
+        ("n_views", -1, "n_views -1"),
+        ("status", "fine", "status 'fine' is none of converged"),
+        ("status", ["converged"], "is none of"),
+        ("height", 0.2, "height 0.2 m is not that of 3_can.ply, 0.12 m"),
+        ("radius", 0.02, "radius 0.02 m is not that of"),
+    ],
+)
+def test_entries_agree_with_each_other_and_the_mesh(tmp_path, key, value, problem):
+    write_object_map(tmp_path, [estimate()])
+    entries = json.loads((tmp_path / "objects.json").read_text())
+    entries[0][key] = value
+    (tmp_path / "objects.json").write_text(json.dumps(entries))
+    with pytest.raises(InvalidInputError, match=problem):
+        read_object_map(tmp_path)

@@ -7,7 +7,7 @@ import pytest
 from trimesh import creation
 
 import sim_assets.datasets.training_scenes as training_scenes
-from perception.types import CATEGORIES
+from perception.types import CATEGORIES, POSED_CLASSES
 from sim_assets.cell.outlines import gap
 from sim_assets.datasets.distractors import random_distractor, random_parts
 from sim_assets.datasets.scatter import make_item, scatter
@@ -163,3 +163,28 @@ def test_objects_and_distractors_come_from_the_split(monkeypatch, split):
     monkeypatch.setattr(training_scenes, "random_distractor", distractor)
     training_scenes._draw_items(split, replace(SMALL, pool=4), np.random.default_rng(0))
     assert asked == [split] * 8
+
+
+def test_posed_objects_rest_on_the_table_in_poses_of_their_class():
+    config = replace(SMALL, pool=40, distractors=0, posed=1.0)
+    items = training_scenes._draw_items("train", config, np.random.default_rng(3))
+    posed = {(item.category, item.resting) for item in items}
+    assert posed == {(c, r) for c, r in POSED_CLASSES if r != "upright"}
+    for item in items:
+        assert item.ignored and item.mesh.bounds[0, 2] == pytest.approx(0, abs=1e-9)
+
+
+def test_a_cylinder_lies_as_high_as_it_is_wide_and_stands_on_its_head_as_high_as_it_is():
+    rng, can = np.random.default_rng(0), creation.cylinder(0.02, 0.1)
+    lying, down = (training_scenes._resting(can, "can", p, rng) for p in ("lying", "upside-down"))
+    assert np.ptp(lying.bounds[:, 2]) == pytest.approx(0.04, abs=1e-3)
+    assert np.ptp(down.bounds[:, 2]) == pytest.approx(0.1)
+
+
+def test_the_handle_of_a_lying_mug_is_beside_it_or_above():
+    rng = np.random.default_rng(0)
+    handle = creation.icosphere(1, 0.001)
+    handle.apply_translation((0.05, 0, 0.04))
+    mug = creation.cylinder(0.04, 0.08) + handle
+    heights = [training_scenes._resting(mug, "mug", "lying", rng).vertices[-42:, 2].mean() for _ in range(30)]
+    assert 0.02 < min(heights) < 0.04 and max(heights) > 0.08

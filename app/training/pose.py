@@ -1,0 +1,212 @@
+"""`nodeslam train pose`: train and evaluate the network for class and resting pose in clutter.
+
+The scenes are those of `nodeslam train detector`, with many of the objects on their sides and upside down.
+"""
+
+from __future__ import annotations
+
+import math
+import os
+from dataclasses import dataclass, field, replace
+from pathlib import Path
+from typing import TYPE_CHECKING, Any
+
+import numpy as np
+from jaxtyping import Float
+
+from app.training.crop_dataset import (
+    LabelledCrops,
+    Progress,
+    Split,
+    label_crops,
+    perturb_masks,
+    perturb_plane,
+)
+from app.training.detector import (
+    RENDERING_SHARE,
+    CalibratedNetwork,
+    TrainDetectorConfig,
+    provenance,
+    stage_progress,
+    train_ensemble,
+)
+from app.training.files import checksums
+from app.training.scene_dataset import ASTRAY, SHARD, load_crops, training_scene_config
+from app.workers import Lost, map_in_processes
+from perception.detection.crop_network import POSE_LABELS, WEIGHTS_FILES
+from perception.detection.crop_training import CropSet, TrainingConfig, TrainingData
+from perception.errors import PerceptionError
+from perception.types import POSED_CLASSES
+
+if TYPE_CHECKING:
+    from sim_assets.datasets.labels import InstanceLabel
+
+POSED = 0.5  # share of the objects that do not stand upright
+OTHER_POSE = len(POSED_CLASSES)  # label of what is no object
+ELEVATION = (np.radians(25), np.radians(90))  # of the cameras, which look down on clutter
+DISTANCE = (0.28, 1.0)  # [m] of the cameras
+
+
+@dataclass(frozen=True)
+class TrainPoseConfig(TrainDetectorConfig):
+    """Configuration of the job; the defaults are those of the shipped weights."""
+
+    pictures: int = 5000
+    training: TrainingConfig = field(default_factory=lambda: TrainingConfig(epochs=16))
+
+
+@dataclass(frozen=True)
+class PoseShard:
+    """Crops of scenes that are rendered together.
+
+    Attributes:
+        path: File of the crops, for ``load_crops``.
+        split: Families of objects and kinds of distractors.
+        seed: Seed of the data set.
+        number: Number of the shard in the data set.
+        count: Number of images.
+    """
+
+    path: Path
+    split: Split
+    seed: int
+    number: int
+    count: int
+
+
+def run(config: TrainPoseConfig, out_dir: Path, progress: Progress | None = None) -> dict[str, Any]:
+    """Render the data set, train the pose network and evaluate it on the test families.
+
+    Writes `pose_scenes/`, checkpoint, `pose.safetensors` and `pose.md` to the folder.
+
+    Returns:
+        Metrics of the pose network (``pose_metrics``).
+    """
+    seed, folder = config.training.seed, out_dir / "pose_scenes"
+    rendering = stage_progress(progress, 0.0, RENDERING_SHARE)
+    training, validation, test = (
+        load_crops([shard.path for shard in render_crops(folder, split, pictures, draw, rendering)])
+        for split, pictures, draw in (
+            ("train", config.pictures, seed),
+            ("train", config.validation, seed + 1),  # other shapes than those of training
+            ("test", config.test, seed),
+        )
+    )
+    data = TrainingData(pose_targets(training), pose_targets(validation))
+    trained = train_ensemble("pose", data, config, out_dir, stage_progress(progress, RENDERING_SHARE, 1.0))
+    metrics = pose_metrics(test, trained.probabilities(test))
+    trained.save(out_dir / WEIGHTS_FILES["pose"], "pose", config)
+    card = _card(config, metrics, trained, len(training))
+    (out_dir / "pose.md").write_text(card + checksums(out_dir / WEIGHTS_FILES["pose"]), "utf-8")
+    return metrics
+
+
+def render_crops(
+    folder: Path, split: Split, pictures: int, seed: int, progress: Progress | None = None
+) -> list[PoseShard]:
+    """Render random scenes, one process per core, and return the shards of crops; existing ones are reused.
+
+    Raises:
+        PerceptionError: A shard could not be rendered.
+    """
+    shards = []
+    for number in range(max(1, math.ceil(pictures / SHARD))):
+        count = min(SHARD, pictures - number * SHARD)
+        path = folder / f"crops_{split}_seed{seed}_n{count}_{number:03d}.npz"
+        shards.append(PoseShard(path, split, seed, number, count))
+    missing = [shard for shard in shards if not shard.path.is_file()]
+    done = len(shards) - len(missing)
+    for shard, result in map_in_processes(render_shard, missing, os.cpu_count() or 1):
+        if isinstance(result, Lost):
+            raise PerceptionError(f"shard {shard.number} of {split} scenes was not rendered: {result.reason}")
+        done += 1
+        if progress:
+            progress(f"rendering {split} scenes", done / len(shards))
+    return shards
+
+
+def render_shard(shard: PoseShard) -> None:
+    """Render the scenes of a shard and write its crops."""
+    from sim_assets.datasets.training_scenes import TrainingScenes
+
+    seed = np.random.SeedSequence([shard.seed, shard.number, shard.split == "test"])
+    rng = np.random.default_rng(seed.spawn(1)[0])
+    config = replace(
+        training_scene_config(), toppled=0.0, posed=POSED, elevation=ELEVATION, distance=DISTANCE
+    )
+    crops = []
+    with TrainingScenes(shard.split, int(seed.generate_state(1)[0]), config) as source:
+        for image in source.render(shard.count):
+            masks = perturb_masks(image, rng, astray=ASTRAY)
+            crops.append(label_crops(image, perturb_plane(image.plane, rng), masks, pose_index))
+    LabelledCrops.concatenate(crops).save(shard.path)
+
+
+def pose_index(item: InstanceLabel | None) -> int:
+    """Return the index of an object's class and resting pose, OTHER_POSE for all but objects."""
+    if item is None or item.category is None:
+        return OTHER_POSE
+    return POSED_CLASSES.index((item.category, item.resting))
+
+
+def pose_targets(crops: LabelledCrops) -> CropSet:
+    """Return the crops with one-hot classes and poses as targets."""
+    return CropSet(crops.images, crops.context, np.eye(len(POSE_LABELS), dtype=np.float32)[crops.label])
+
+
+def pose_metrics(crops: LabelledCrops, probabilities: Float[np.ndarray, "n 10"]) -> dict[str, Any]:
+    """Return accuracies and the confusion matrix (rows: true) of poses on crops."""
+    best = probabilities.argmax(1)
+    size = len(POSE_LABELS)
+    confusion = np.bincount(crops.label * size + best, minlength=size**2).reshape(size, size)
+    return {
+        "crops": len(crops),
+        "accuracy": float((best == crops.label).mean()),
+        "accuracy_per_pose": {
+            name: float(confusion[i, i] / max(confusion[i].sum(), 1)) for i, name in enumerate(POSE_LABELS)
+        },
+        "confusion": confusion.tolist(),
+    }
+
+
+def _card(config: TrainPoseConfig, metrics: dict[str, Any], trained: CalibratedNetwork, crops: int) -> str:
+    """Return the model card in Markdown: architecture, training, data, evaluation and limitations."""
+    header = (
+        "| true \\ predicted | "
+        + " | ".join(POSE_LABELS)
+        + " | right |\n|"
+        + " --- |" * (len(POSE_LABELS) + 2)
+    )
+    rows = "\n".join(
+        f"| {name} | " + " | ".join(str(n) for n in row) + f" | {metrics['accuracy_per_pose'][name]:.3f} |"
+        for name, row in zip(POSE_LABELS, metrics["confusion"])
+    )
+    return _CARD.format(
+        parameters=sum(p.numel() for p in trained.network.parameters()), temperature=trained.temperature,
+        crops=crops, config=config, training=config.training, torch=provenance(config)["torch"].split("+")[0],
+        confusion=f"{header}\n{rows}", m=metrics, posed=POSED,
+    )  # fmt: skip
+
+
+_CARD = """# Pose network
+
+Predicts class and resting pose of an object on a cluttered table, or that it is none, from the same
+gravity-upright crop as the class network and from its mirror image. {parameters} parameters, float32
+safetensors. Logits are divided by the temperature {temperature:.2f}; log-probabilities of several views are
+averaged. It proposes which shapes in which poses are fitted; depth decides.
+
+**Training**: `nodeslam train pose --seed {training.seed}` with torch {torch}: {training.epochs} epochs of
+AdamW with learning rate {training.learning_rate} and cosine decay, batch size {training.batch}, bfloat16
+with float32 weights, on a CPU. Crops are mirrored, warped, shifted, truncated and recoloured.
+
+**Data**: {crops} crops of {config.pictures} scenes as those of the detector (see `detector.md`), in which
+{posed:.0%} of the objects do not stand upright: mugs and bowls upside down; mugs, bottles and cans on their
+sides, at random rolls, handles of mugs beside them or above. A can upside down counts as upright.
+
+**Evaluation** on {m[crops]} masks, as imperfect as those of training, in {config.test} such scenes of the
+test families and held-out distractors, single views: accuracy {m[accuracy]:.3f}.
+
+{confusion}
+
+**Limitations**: rendered images only; no stacks, no leaning objects, no bottles on their caps.
+"""

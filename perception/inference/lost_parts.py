@@ -1,0 +1,118 @@
+"""Parts of objects that their masks lack, such as the handle of a mug upside down beside another object.
+
+The networks cut off what they do not know, or give it to a neighbour. Measured points that no shape explains
+and that continue an object in an image are taken to be parts of it.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Mapping, Sequence
+from dataclasses import replace
+
+import cv2
+import numpy as np
+from jaxtyping import Bool, Float
+from scipy.spatial import KDTree
+
+from perception.depth_cleaning import clean_depth
+from perception.detection.geometry import bounding_window, height_image, points_of
+from perception.metrics import SurfaceSamples
+from perception.types import ObjectDetection, ObjectEstimate, RgbdFrame, SupportPlane
+
+Rows = Sequence[Sequence[ObjectDetection]]
+
+FAR = 0.006  # [m] from the surfaces of all shapes, from which on a measured point is unexplained
+ABOVE = 0.008  # [m] over the support
+REACH = 0.7  # how far from a mask its parts are looked for, in its longer sides
+SMALLEST, LARGEST = 0.01, 0.6  # pixels of a part relative to those of the mask
+_MIN_PIXELS = 25
+_JUMP = 0.02  # [m] of depth between neighbouring pixels of one surface
+_SAMPLES = 8000
+
+
+def with_lost_parts(
+    frames: Sequence[RgbdFrame],
+    rows: Rows,
+    estimates: Mapping[int, ObjectEstimate],
+    ids: Sequence[int],
+    plane: SupportPlane,
+) -> dict[int, list[Bool[np.ndarray, "h w"] | None]]:
+    """Return the masks of objects with the parts that they lack, None where none shows, by id.
+
+    Objects whose masks lack nothing are left out.
+
+    Args:
+        frames: Images with camera poses.
+        rows: Associated detections of each frame.
+        estimates: Estimates of all objects, by id.
+        ids: Objects whose parts are looked for.
+        plane: Support plane.
+    """
+    rng = np.random.default_rng(0)
+    points = [SurfaceSamples.of(e.mesh_world, rng, _SAMPLES).points for e in estimates.values()]
+    surfaces = KDTree(np.concatenate([np.full((1, 3), 1e6), *points]))
+    found: dict[int, list[Bool[np.ndarray, "h w"] | None]] = {id: [None] * len(frames) for id in ids}
+    for k, (frame, row) in enumerate(zip(frames, rows, strict=True)):
+        cleaned = replace(frame, depth=clean_depth(frame.depth, frame.intrinsics))
+        for detection in row:
+            if detection.instance_id in found:
+                part = _lost_part(cleaned, detection.mask, surfaces, plane)
+                if part.any():
+                    found[detection.instance_id][k] = detection.mask | part
+    return {id: masks for id, masks in found.items() if any(mask is not None for mask in masks)}
+
+
+def _lost_part(
+    frame: RgbdFrame, mask: Bool[np.ndarray, "h w"], surfaces: KDTree, plane: SupportPlane
+) -> Bool[np.ndarray, "h w"]:
+    """Return the unexplained pixels that continue a mask."""
+    rows, columns = bounding_window(mask)
+    reach = int(REACH * max(rows.stop - rows.start, columns.stop - columns.start)) + 1
+    window = bounding_window(mask, reach)
+    open_ = np.zeros_like(mask)
+    if not (mask & (frame.depth > 0)).any():
+        return open_
+    open_[window] = frame.depth[window] > 0
+    open_ &= ~mask & (height_image(frame, plane) > ABOVE)
+    part = np.zeros_like(mask)
+    if not open_.any():
+        return part
+    distance = surfaces.query(points_of(frame, open_), distance_upper_bound=2 * FAR)[0]
+    open_[open_] = distance > FAR
+    count, labels = cv2.connectedComponents(_cut_at_jumps(open_, frame.depth).astype(np.uint8))
+    size, own = np.bincount(labels.ravel(), minlength=count), int(mask.sum())
+    around = _around(mask, frame)
+    for label in np.unique(labels[around & (labels > 0)]):
+        piece = labels == label
+        fits = max(SMALLEST * own, _MIN_PIXELS) <= size[label] <= LARGEST * own
+        if fits and _continues(piece & around, mask, frame.depth):
+            part |= piece
+    return part
+
+
+def _around(mask: Bool[np.ndarray, "h w"], frame: RgbdFrame) -> Bool[np.ndarray, "h w"]:
+    """Return the pixels in which a part may begin: the object's own shape explains what is nearer to it."""
+    depth = np.median(frame.depth[mask & (frame.depth > 0)])
+    side = 2 * int(1.5 * FAR * frame.intrinsics.fx / depth) + 5
+    return cv2.dilate(mask.astype(np.uint8), np.ones((side, side), np.uint8)) > 0
+
+
+def _cut_at_jumps(
+    pixels: Bool[np.ndarray, "h w"], depth: Float[np.ndarray, "h w"]
+) -> Bool[np.ndarray, "h w"]:
+    """Return the pixels without those beside a step of depth."""
+    kernel = np.ones((3, 3), np.uint8)
+    nearest = cv2.erode(np.where(pixels, depth, np.float32(np.inf)).astype(np.float32), kernel)
+    farthest = cv2.dilate(np.where(pixels, depth, np.float32(0)).astype(np.float32), kernel)
+    return pixels & (farthest - nearest < _JUMP)
+
+
+def _continues(
+    contact: Bool[np.ndarray, "h w"], mask: Bool[np.ndarray, "h w"], depth: Float[np.ndarray, "h w"]
+) -> bool:
+    """Return whether a piece is as far away, where it is nearest to a mask, as the mask's border there."""
+    beside = mask & (cv2.dilate(contact.astype(np.uint8), np.ones((25, 25), np.uint8)) > 0) & (depth > 0)
+    if not beside.any() or not (contact & (depth > 0)).any():
+        return False
+    gap = abs(float(np.median(depth[contact & (depth > 0)]) - np.median(depth[beside])))
+    return gap < 2 * _JUMP

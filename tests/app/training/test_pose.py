@@ -1,0 +1,84 @@
+"""The pose network's training job on synthetic crops: labels, shards and metrics."""
+
+from pathlib import Path
+
+import numpy as np
+import pytest
+
+import app.training.pose as train_pose
+from app.training.crop_dataset import LabelledCrops
+from app.workers import Lost
+from perception.detection.crop_network import POSE_LABELS, load_crop_network
+from perception.detection.crop_training import TrainingConfig
+from perception.errors import PerceptionError
+from perception.types import POSED_CLASSES
+from sim_assets.datasets.labels import InstanceLabel
+
+
+def item(category, resting="upright"):
+    return InstanceLabel(category, np.eye(4), 500, 600.0, 0.1, np.zeros(3), resting != "upright", resting)
+
+
+def random_crops(seed):
+    rng = np.random.default_rng(seed)
+    label = np.arange(20) % len(POSE_LABELS)
+    images = rng.integers(0, 255, (20, 64, 64, 6), dtype=np.uint8)
+    nothing = np.zeros(20, np.float32)
+    return LabelledCrops(images, np.zeros((20, 2), np.float32), label, nothing, nothing)
+
+
+def test_labels_are_classes_in_resting_poses():
+    labels = [train_pose.pose_index(item(*posed)) for posed in POSED_CLASSES]
+    assert labels == list(range(9))
+    assert train_pose.pose_index(item(None)) == train_pose.pose_index(None) == 9
+    assert POSE_LABELS[labels[1]] == "mug upside-down" and POSE_LABELS[9] == "other"
+
+
+def test_the_pose_job_writes_weights_and_card(tmp_path, monkeypatch):
+    monkeypatch.setattr(train_pose, "load_crops", lambda paths: random_crops(len(paths)))
+    monkeypatch.setattr(train_pose, "map_in_processes", lambda f, shards, n: ((s, None) for s in shards))
+    config = train_pose.TrainPoseConfig(training=TrainingConfig(epochs=1, batch=8))
+    metrics = train_pose.run(config, tmp_path)
+    network, _ = load_crop_network("pose", tmp_path / "pose.safetensors")
+    assert network.outputs == 10 and metrics["crops"] == 20
+    card = (tmp_path / "pose.md").read_text()
+    assert "| bowl upside-down |" in card and "SHA-256" in card
+
+
+def test_shards_are_rendered_once_and_a_lost_one_is_an_error(tmp_path, monkeypatch):
+    rendered = []
+
+    def render(function, shards, workers):
+        rendered.extend(shard.number for shard in shards)
+        return ((shard, None) for shard in shards)
+
+    monkeypatch.setattr(train_pose, "map_in_processes", render)
+    shards = train_pose.render_crops(tmp_path, "train", 250, seed=3)
+    assert [shard.count for shard in shards] == [100, 100, 50]
+    shards[1].path.touch()
+    train_pose.render_crops(tmp_path, "train", 250, seed=3)
+    assert rendered == [0, 1, 2, 0, 2]
+    gone = Lost("killed by signal 9", 1.0)
+    monkeypatch.setattr(train_pose, "map_in_processes", lambda f, shards, n: ((s, gone) for s in shards))
+    with pytest.raises(PerceptionError, match="shard 0 of train scenes was not rendered: killed"):
+        train_pose.render_crops(tmp_path, "train", 250, seed=3)
+
+
+@pytest.mark.slow
+def test_a_shard_has_objects_in_all_poses(tmp_path: Path):
+    shard = train_pose.PoseShard(tmp_path / "crops.npz", "train", 0, 0, 16)
+    train_pose.render_shard(shard)
+    labels = LabelledCrops.load(shard.path).label
+    assert set(range(10)) == set(labels.tolist())
+
+
+def test_metrics_of_known_answers():
+    crops = random_crops(0)
+    sure = np.eye(10)[crops.label]
+    assert train_pose.pose_metrics(crops, sure)["accuracy"] == 1.0
+    turned = sure[:, [1, 0, *range(2, 10)]]  # upright mugs and those upside down are confused
+    metrics = train_pose.pose_metrics(crops, turned)
+    assert metrics["accuracy"] == pytest.approx(16 / 20)
+    assert metrics["accuracy_per_pose"]["mug upright"] == 0.0
+    assert metrics["confusion"][0][1] == 2 and metrics["confusion"][5][5] == 2
+    assert train_pose.pose_targets(crops).targets.shape == (20, 10)

@@ -1,0 +1,69 @@
+"""Parts that masks lack, on a depth image of a cylinder from above with something beside it."""
+
+import numpy as np
+import pytest
+import trimesh
+
+from perception.inference.lost_parts import with_lost_parts
+from perception.types import (
+    CameraIntrinsics,
+    ObjectDetection,
+    ObjectEstimate,
+    RgbdFrame,
+    SupportPlane,
+    TriangleMesh,
+)
+
+HEIGHT, F = 0.6, 400.0
+T_WORLD_CAMERA = np.array(
+    [[1.0, 0.0, 0.0, 0.0], [0.0, -1.0, 0.0, 0.0], [0.0, 0.0, -1.0, HEIGHT], [0.0, 0.0, 0.0, 1.0]]
+)
+v, u = np.mgrid[:160, :200]
+BODY = np.hypot(u - 99.5, v - 79.5) < 32  # 0.04 m at a height of 0.1 m
+
+
+def estimate(id, x, radius=0.04, height=0.1):
+    shape = trimesh.creation.cylinder(radius, height, sections=48)
+    shape.apply_translation((x, 0, height / 2))
+    mesh = TriangleMesh(np.asarray(shape.vertices), np.asarray(shape.faces))
+    return ObjectEstimate(
+        id, "mug", np.zeros(16), np.eye(4), np.full(3, 0.05), mesh, 0.9, resting="upside-down"
+    )
+
+
+def lost(part, depth=0.52, others=()):
+    """The mask's extension by an area of the image at a depth [m], of which nothing else is known."""
+    image = np.full((160, 200), HEIGHT, np.float32)
+    image[part] = depth
+    image[BODY] = 0.5
+    camera = CameraIntrinsics(200, 160, F, F, 99.5, 79.5)
+    frame = RgbdFrame(0.0, np.zeros((160, 200, 3), np.uint8), image, camera, T_WORLD_CAMERA)
+    row = [ObjectDetection("mug", 0.9, BODY, instance_id=7)]
+    known = {e.id: e for e in (estimate(7, 0.0), *others)}
+    found = with_lost_parts([frame], [row], known, [7], SupportPlane())
+    return None if not found else found[7][0] & ~BODY
+
+
+def strip(left, right):
+    return (np.abs(v - 79.5) < 6) & (u > left) & (u < right)
+
+
+def test_what_no_shape_explains_beside_a_mask_belongs_to_it():
+    extension = lost(strip(131, 152))
+    expected = strip(131, 152) & ~BODY
+    assert (extension & expected).sum() > 0.7 * expected.sum() and not (extension & ~expected).any()
+
+
+@pytest.mark.parametrize(
+    "case",
+    [
+        {"part": strip(141, 160)},  # apart from the mask
+        {"part": strip(131, 152), "depth": 0.596},  # on the table
+        {"part": strip(131, 152), "depth": 0.42},  # far above
+        {"part": (v > 5) & (u > 131)},  # larger than a part
+        {"part": strip(131, 134)},  # noise along the outline
+        {"part": strip(131, 152), "others": (estimate(8, 0.06, 0.021, 0.08),)},  # another object
+    ],
+)
+def test_what_is_apart_too_large_or_known_does_not(case):
+    assert lost(**case) is None
