@@ -315,11 +315,19 @@ def _scored(
     known = p.size > 0 and (config.resting == "upright" or np.ptp(p) > 0)  # networks know upright objects
     probability = float(p[CATEGORIES.index(category)]) if known else None
     score = model.score(evidence, category, probability)
-    if config.resting != "upright" and views.pose_probabilities.size:  # the model knows upright objects
-        score = _pose_score(views.pose_probabilities, config.resting)
+    if config.resting != "upright" and views.pose_probabilities.size:
+        score = _agreed(
+            pose_mass(views.pose_probabilities, config.resting), model.score(evidence, category, None)
+        )
     return ScoredFit(replace(estimate, score=score), evidence, probability)
 
 
-def _pose_score(p: Float[np.ndarray, "p"], resting: RestingPose) -> float:
-    """Return the probability that an object rests in a pose; depth decides between the classes."""
+def _agreed(p: float, q: float) -> float:
+    """Return the normalised geometric mean of two probabilities of the same event."""
+    yes, no = np.sqrt(p * q), np.sqrt((1 - p) * (1 - q))
+    return float(yes / max(yes + no, 1e-12))
+
+
+def pose_mass(p: Float[np.ndarray, "p"], resting: RestingPose) -> float:
+    """Return the probability that an object of any class rests in a pose; depth decides on the class."""
     return float(sum(q for posed, q in zip(POSED_CLASSES, p.tolist()) if posed[1] == resting))

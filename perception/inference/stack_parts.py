@@ -40,6 +40,7 @@ FAR = 0.008  # [m] from the surface of a shape, from which on it does not explai
 DOUBTFUL = 0.04  # share of unexplained points from which on an object may be several
 CLEARLY = 0.5  # largest share of them that the parts leave unexplained, relative to the whole
 MOST_UNEXPLAINED = 0.1  # by the parts
+BEYOND_DOUBT, BEYOND_DOUBT_SCORE = 0.15, 0.1  # share of them, and scores that suffice then
 MIN_CLASS = 0.3  # least mean class probability of a part
 MIN_SCORES = (0.2, 0.5)  # of the fits of the lower part, whose upper side is hidden, and of the upper one
 CARRIERS: tuple[Category, ...] = ("mug", "bowl", "can")  # nothing stands on a bottle
@@ -204,6 +205,7 @@ def instance_points(views: Sequence[RgbdFrame], rows: Rows, id: int) -> Float[np
 
 def _is_better(pair: Sequence[ObjectEstimate], points: Float[np.ndarray, "n 3"], before: float) -> bool:
     """Return whether two fits are accepted and explain clearly more than the whole did."""
-    scores = zip(pair, MIN_SCORES, strict=True)
-    accepted = all(e.score >= least and e.status != "implausible" for e, least in scores)
-    return accepted and unexplained(points, pair) < min(CLEARLY * before, MOST_UNEXPLAINED)
+    after = unexplained(points, pair)
+    least = (BEYOND_DOUBT_SCORE,) * 2 if after < BEYOND_DOUBT * before else MIN_SCORES
+    accepted = all(e.score >= p and e.status != "implausible" for e, p in zip(pair, least, strict=True))
+    return accepted and after < min(CLEARLY * before, MOST_UNEXPLAINED)

@@ -9,14 +9,25 @@ import pytest
 from perception import clutter
 from perception.clutter import UNCLASSIFIED_SCORE, reconstruct_clutter
 from perception.inference.reconstruct import ReconstructOptions
-from perception.types import ObjectDetection, ObjectEstimate, RejectedObject, SupportPlane, is_unclassified
+from perception.types import (
+    POSED_CLASSES,
+    CameraIntrinsics,
+    ObjectDetection,
+    ObjectEstimate,
+    RejectedObject,
+    RgbdFrame,
+    SupportPlane,
+    is_unclassified,
+)
 
 MASK = np.ones((4, 4), np.bool_)
+CAMERA = CameraIntrinsics(4, 4, 4.0, 4.0, 1.5, 1.5)
+FRAME = RgbdFrame(0.0, np.zeros((4, 4, 3), np.uint8), np.ones((4, 4), np.float32), CAMERA, np.eye(4))
 
 
-def found(id, score=0.9):
+def found(id, score=0.9, category="can", resting="upright"):
     made = object.__new__(ObjectEstimate)
-    vars(made).update(id=id, score=score, n_views=2)
+    vars(made).update(id=id, score=score, n_views=2, category=category, resting=resting)
     return made
 
 
@@ -28,6 +39,7 @@ class Scene:
             ObjectDetection("can", 0.9, MASK, instance_id=i) for i in range(4)
         )
         self.scores = {0: 0.1, 1: UNCLASSIFIED_SCORE + 0.01, 2: UNCLASSIFIED_SCORE - 0.01}
+        self.poses = [9, 8, 7, 6]  # upright or lying cans and bottles, or no objects
         self.posed_ids: list[list[int]] = []
         self.stacks, self.fitted, self.rejected, self.nameless = {}, [], [], []
         monkeypatch.setattr(clutter, "associate_unclassified", lambda *args: [[*self.candidates, self.tall]])
@@ -48,8 +60,11 @@ class Scene:
                 options.on_rejected(RejectedObject(id, "mug", "thin", 0.1))
         return [found(id, self.scores[id]) for id in self.fitted[-1] if id in self.scores]
 
+    def complete(self, frame, plane, detections):
+        raise AssertionError("all classes are given")
+
     def posed(self, frame, plane, detections):
-        return [replace(d, pose_probabilities=np.eye(10)[d.instance_id]) for d in detections]
+        return [replace(d, pose_probabilities=np.eye(10)[self.poses[d.instance_id]]) for d in detections]
 
     def points(self, id):
         return np.full((1, 3), float(id))
@@ -64,7 +79,7 @@ class Scene:
     def run(self):
         run: Any = getattr(reconstruct_clutter, "__wrapped__", reconstruct_clutter)
         options = ReconstructOptions(on_rejected=self.rejected.append)
-        estimates = run((None,), ((self.detected,),), (), None, (SupportPlane(),), self, options)
+        estimates = run((FRAME,), ((self.detected,),), (), None, (SupportPlane(),), self, options)
         return [e.id for e in estimates]
 
 
@@ -106,4 +121,45 @@ def test_what_is_fitted_has_its_pose_probabilities(scene):
     scene.explained -= {(0, 0)}
     scene.scores[0] = 0.9
     scene.run()
-    assert scene.posed_ids == [[0, 1, 2], [0]]
+    assert scene.posed_ids == [[9, 8, 7], [9]]
+
+
+@pytest.mark.parametrize(
+    ("category", "resting", "pose", "searched"),
+    [
+        ("mug", "upside-down", 9, True),
+        ("can", "upright", POSED_CLASSES.index(("mug", "upside-down")), True),
+        ("can", "upright", POSED_CLASSES.index(("mug", "lying")), True),
+        ("mug", "upright", 9, False),
+        ("can", "upright", POSED_CLASSES.index(("can", "lying")), False),
+    ],
+)
+def test_handles_of_turned_mugs_are_looked_for(scene, monkeypatch, category, resting, pose, searched):
+    ids = []
+    monkeypatch.setattr(
+        clutter, "with_lost_parts", lambda frames, rows, estimates, mugs, plane: ids.extend(mugs) or {}
+    )
+    row = [replace(scene.detected, pose_probabilities=np.eye(10)[pose])]
+    estimates = {0: found(0, category=category, resting=resting)}
+    assert clutter.completed((FRAME,), (row,), estimates, SupportPlane(), lambda rows: []) == {}
+    assert ids == ([0] if searched else [])
+
+
+def test_a_completed_mug_replaces_what_explains_less(scene, monkeypatch):
+    larger = ~np.eye(4, dtype=bool)
+    monkeypatch.setattr(clutter, "with_lost_parts", lambda *_: {0: [larger]})
+    fitted = []
+
+    def fit(rows):
+        fitted.extend(
+            (d.instance_id, bool(d.mask is larger or (d.mask == larger).all())) for row in rows for d in row
+        )
+        return [found(0, category="mug", resting="upside-down")]
+
+    shares = iter([0.2, 0.1, 0.2, 0.3])
+    monkeypatch.setattr(clutter, "unexplained", lambda points, shapes: next(shares))
+    rows, estimates = ((scene.detected, scene.tall),), {0: found(0)}
+    run: Any = getattr(clutter.completed, "__wrapped__", clutter.completed)
+    better = run((FRAME,), rows, estimates, SupportPlane(), fit)
+    assert better[0].category == "mug" and fitted == [(0, True), (None, False)]
+    assert run((FRAME,), rows, estimates, SupportPlane(), fit) == {}

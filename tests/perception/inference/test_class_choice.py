@@ -255,8 +255,8 @@ def test_what_is_named_for_sure_is_fitted_first_where_there_is_no_class(choose_p
 def test_classes_in_one_pose_share_its_probability() -> None:
     p = np.zeros(10)
     p[POSED_CLASSES.index(("can", "lying"))], p[POSED_CLASSES.index(("bottle", "lying"))] = 0.4, 0.5
-    assert class_choice._pose_score(p, "lying") == pytest.approx(0.9)
-    assert class_choice._pose_score(p, "upside-down") == 0.0
+    assert class_choice.pose_mass(p, "lying") == pytest.approx(0.9)
+    assert class_choice.pose_mass(p, "upside-down") == 0.0
 
 
 @pytest.mark.parametrize(("can", "best"), [(0.90, "bottle"), (0.97, "can")])
@@ -266,3 +266,10 @@ def test_depth_decides_between_classes_that_are_about_as_probable(choose_pose, c
     named = {("bottle", "lying"): 0.5, ("can", "lying"): 0.4, ("mug", "lying"): 0.1}
     assert run(explained, np.full(5, 0.2), named=named).category == best
     assert set(tried) == set(explained)
+
+
+def test_network_and_evidence_have_the_same_weight() -> None:
+    assert class_choice._agreed(0.5, 0.5) == pytest.approx(0.5)
+    assert class_choice._agreed(0.9, 0.1) == pytest.approx(0.5)
+    assert class_choice._agreed(0.9, 0.5) == pytest.approx(0.75)  # the square root of odds of 9
+    assert class_choice._agreed(1.0, 0.2) == 1.0 and class_choice._agreed(0.0, 0.9) == 0.0

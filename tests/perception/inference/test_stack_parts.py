@@ -66,7 +66,7 @@ def test_both_parts_replace_the_whole(stack, rows):
 
 
 def test_parts_that_are_not_accepted_leave_the_whole(stack, rows):
-    good, bad = cylinder(stack.lower, 5, 0.25), cylinder(stack.higher, 6, 0.4)
+    good, bad = cylinder(stack.lower, 5, 0.25), cylinder(stack.higher, 6, 0.05)
     misplaced = cylinder(stack.lower, 6)  # explains nothing of the upper part
     for parts in (
         [good],
@@ -75,6 +75,13 @@ def test_parts_that_are_not_accepted_leave_the_whole(stack, rows):
         [good, replace(cylinder(stack.higher, 6), status="implausible")],
     ):
         assert split(stack, rows, lambda *_, parts=parts: parts) == {}
+
+
+def test_weak_scores_suffice_for_parts_that_explain_nearly_all(stack, rows, monkeypatch):
+    weak = [cylinder(stack.lower, 5, 0.25), cylinder(stack.higher, 6, 0.4)]
+    assert set(split(stack, rows, lambda *_: weak)) == {4}
+    monkeypatch.setattr(stack_parts, "BEYOND_DOUBT", 0.0)
+    assert split(stack, rows, lambda *_: weak) == {}
 
 
 def test_what_one_shape_explains_is_not_cut(stack):
