@@ -46,6 +46,7 @@ class Scene:
         monkeypatch.setattr(clutter, "is_low", lambda frames, rows, id, plane: id != 3)
         monkeypatch.setattr(clutter, "reconstruct", self.reconstruct)
         monkeypatch.setattr(clutter, "split_stacks", self.split)
+        monkeypatch.setattr(clutter, "with_lost_parts", lambda *_: {})
         monkeypatch.setattr(clutter, "instance_points", lambda frames, rows, id: self.points(id))
         monkeypatch.setattr(clutter, "unexplained", self.unexplained)
         self.explained = {(id, id) for id in range(4)}  # (points, estimate)
@@ -136,9 +137,12 @@ def test_what_is_fitted_has_its_pose_probabilities(scene):
 )
 def test_handles_of_turned_mugs_are_looked_for(scene, monkeypatch, category, resting, pose, searched):
     ids = []
-    monkeypatch.setattr(
-        clutter, "with_lost_parts", lambda frames, rows, estimates, mugs, plane: ids.extend(mugs) or {}
-    )
+
+    def with_lost_parts(frames, rows, estimates, mugs, plane):
+        ids.extend(mugs)
+        return {}
+
+    monkeypatch.setattr(clutter, "with_lost_parts", with_lost_parts)
     row = [replace(scene.detected, pose_probabilities=np.eye(10)[pose])]
     estimates = {0: found(0, category=category, resting=resting)}
     assert clutter.completed((FRAME,), (row,), estimates, SupportPlane(), lambda rows: []) == {}
@@ -151,9 +155,7 @@ def test_a_completed_mug_replaces_what_explains_less(scene, monkeypatch):
     fitted = []
 
     def fit(rows):
-        fitted.extend(
-            (d.instance_id, bool(d.mask is larger or (d.mask == larger).all())) for row in rows for d in row
-        )
+        fitted.extend((d.instance_id, bool((d.mask == larger).all())) for row in rows for d in row)
         return [found(0, category="mug", resting="upside-down")]
 
     shares = iter([0.2, 0.1, 0.2, 0.3])
