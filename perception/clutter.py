@@ -183,7 +183,7 @@ def _extended(
     detection: ObjectDetection, masks: Mapping[int, Sequence[np.ndarray | None]], frame: int
 ) -> ObjectDetection:
     """Return a detection with its extended mask; without its id if none of its masks is extended."""
-    if detection.instance_id not in masks:
+    if detection.instance_id is None or detection.instance_id not in masks:
         return replace(detection, instance_id=None)
     mask = masks[detection.instance_id][frame]
     return detection if mask is None else replace(detection, mask=mask)

@@ -84,14 +84,13 @@ def run(config: TrainPoseConfig, out_dir: Path, progress: Progress | None = None
     """
     seed, folder = config.training.seed, out_dir / "pose_scenes"
     rendering = stage_progress(progress, 0.0, RENDERING_SHARE)
-    training, validation, test = (
-        load_crops([shard.path for shard in render_crops(folder, split, pictures, draw, rendering)])
-        for split, pictures, draw in (
-            ("train", config.pictures, seed),
-            ("train", config.validation, seed + 1),  # other shapes than those of training
-            ("test", config.test, seed),
-        )
-    )
+
+    def crops(split: Split, pictures: int, seed: int) -> LabelledCrops:
+        return load_crops([shard.path for shard in render_crops(folder, split, pictures, seed, rendering)])
+
+    training = crops("train", config.pictures, seed)
+    validation = crops("train", config.validation, seed + 1)  # other shapes than those of training
+    test = crops("test", config.test, seed)
     data = TrainingData(pose_targets(training), pose_targets(validation))
     trained = train_ensemble("pose", data, config, out_dir, stage_progress(progress, RENDERING_SHARE, 1.0))
     metrics = pose_metrics(test, trained.probabilities(test))

@@ -189,9 +189,10 @@ def _estimate(folder: Path, entry: Any, used: Set[int]) -> ObjectEstimate:
 def _one_of(entry: dict[str, Any], key: str, words: tuple[Word, ...]) -> Word:
     """Return a word of a list, the first one by default."""
     value = entry.get(key, words[0])
-    if not isinstance(value, str) or value not in words:
+    found = next((word for word in words if word == value), None)
+    if found is None:
         raise InvalidInputError(f"{key} {str(value)[:80]!r} is none of {', '.join(words)}")
-    return value
+    return found
 
 
 def _check_stacks(objects: Sequence[ObjectEstimate], path: Path) -> None:
