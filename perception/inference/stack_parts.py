@@ -11,11 +11,14 @@ from __future__ import annotations
 from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass, replace
 
+import cv2
 import numpy as np
 from jaxtyping import Bool, Float
+from scipy.spatial import KDTree
 
 from perception.depth_cleaning import clean_frame
 from perception.detection.completion import PoseNamer
+from perception.detection.geometry import points_of
 from perception.detection.instances import remove_specks
 from perception.inference.contents import VESSELS
 from perception.inference.observation import ObjectObservation
@@ -90,7 +93,8 @@ def split_stacks(
         points = instance_points(views, rows, id)
         before = unexplained(points, [estimates[id]] if id in estimates else [])
         if before > DOUBTFUL:
-            proposals = propose_parts(views, rows, id, planes, completer, free)
+            inside = parts_inside(views, rows, estimates.get(id), id, planes, completer, free)
+            proposals = [*inside, *propose_parts(views, rows, id, planes, completer, free)]
             if proposals:
                 open_[id] = proposals[:TRIALS], points, before
                 free += 2
@@ -143,6 +147,66 @@ def propose_parts(
         if all(any(d.instance_id == i for row in marked for d in row) for i in ids):
             proposals.append(Parts(marked, ids))
     return proposals
+
+
+def parts_inside(
+    views: Sequence[RgbdFrame],
+    rows: Rows,
+    vessel: ObjectEstimate | None,
+    id: int,
+    planes: Sequence[SupportPlane],
+    completer: PoseNamer,
+    free_id: int,
+) -> list[Parts]:
+    """Return the cut between an upright vessel and what it holds; none if it holds nothing.
+
+    No seam of the outline shows a bowl that is hidden in a larger one up to its rim: the upper part is what
+    the shape of the vessel leaves unexplained inside its opening.
+
+    Args:
+        views: Images without flying pixels.
+        rows: Associated detections of each frame.
+        vessel: Estimate of the instance as a single object.
+        id: Its id.
+        planes: Support planes, numbered by ``ObjectDetection.support``.
+        completer: Names the upper part.
+        free_id: Id of the lower part; that of the upper one follows.
+    """
+    if vessel is None or vessel.category not in VESSELS or vessel.resting != "upright":
+        return []
+    shown = {k: d for k, row in enumerate(rows) for d in row if d.instance_id == id}
+    surface = SurfaceSamples.of(vessel.mesh_world, np.random.default_rng(0), _SAMPLES).tree
+    held = {k: _held(views[k], d.mask, vessel, surface) for k, d in shown.items()}
+    large = {k: mask for k, mask in held.items() if mask.sum() >= MIN_PIXELS}
+    support = next(iter(shown.values())).support
+    named = _named(large, views, planes[support], completer, CATEGORIES)
+    if not named:
+        return []
+    marked: list[list[ObjectDetection]] = [[] for _ in rows]
+    for k, d in shown.items():
+        rest = d.mask & ~held[k]
+        if rest.sum() >= MIN_PIXELS:
+            marked[k].append(replace(d, mask=rest, instance_id=free_id, category=vessel.category))
+        if k in named:
+            marked[k].append(replace(named[k], instance_id=free_id + 1, support=support))
+    ids = (free_id, free_id + 1)
+    is_cut = all(any(d.instance_id == i for row in marked for d in row) for i in ids)
+    return [Parts(marked, ids)] if is_cut else []
+
+
+def _held(
+    view: RgbdFrame, mask: Bool[np.ndarray, "h w"], vessel: ObjectEstimate, surface: KDTree
+) -> Bool[np.ndarray, "h w"]:
+    """Return the pixels of a vessel's mask whose points are off its surface, within its radius."""
+    inside = mask & (view.depth > 0)
+    points = points_of(view, inside)
+    away = np.linalg.norm((points - vessel.T_world_object[:3, 3])[:, :2], axis=1) < vessel.radius
+    off = surface.query(points, distance_upper_bound=2 * FAR)[0] > FAR
+    result = np.zeros_like(mask)
+    result[inside] = off & away
+    kernel = np.ones((3, 3), np.uint8)
+    result = cv2.morphologyEx(result.astype(np.uint8), cv2.MORPH_OPEN, kernel) > 0
+    return remove_specks(result, _SPECK) if result.any() else result
 
 
 def unexplained(points: Float[np.ndarray, "n 3"], shapes: Sequence[ObjectEstimate]) -> float:

@@ -7,8 +7,16 @@ import pytest
 import trimesh
 
 from perception.inference import stack_parts
-from perception.inference.stack_parts import propose_parts, split_stacks, unexplained
-from perception.types import ObjectDetection, ObjectEstimate, SupportPlane, TriangleMesh, unclassified
+from perception.inference.stack_parts import parts_inside, propose_parts, split_stacks, unexplained
+from perception.types import (
+    CameraIntrinsics,
+    ObjectDetection,
+    ObjectEstimate,
+    RgbdFrame,
+    SupportPlane,
+    TriangleMesh,
+    unclassified,
+)
 
 PLANE = SupportPlane()
 
@@ -110,3 +118,44 @@ def test_the_unexplained_share_counts_points_far_from_all_surfaces(stack):
     assert unexplained(np.concatenate([on_it, above]), [can]) == pytest.approx(0.5)
     assert unexplained(on_it + np.array([0.0, 0.0, stack_parts.FAR / 2]), [can]) == 0.0
     assert unexplained(on_it, []) == 1.0
+
+
+def vessel_from_above(holds):
+    """A vessel of 0.06 m seen from above, with a cylinder of 0.025 m in it if it holds one."""
+    v, u = np.mgrid[:160, :200]
+    away = np.hypot(u - 99.5, v - 79.5) / 400.0  # of a pixel's ray from the axis at 1 m
+    depth = np.full((160, 200), 0.6, np.float32)
+    for radius, height in ((0.06, 0.05), (0.055, 0.004), *([(0.025, 0.035)] if holds else [])):
+        depth[away * (0.6 - height) < radius] = 0.6 - height
+    T = np.diag([1.0, -1.0, -1.0, 1.0])
+    T[2, 3] = 0.6
+    camera = CameraIntrinsics(200, 160, 400.0, 400.0, 99.5, 79.5)
+    view = RgbdFrame(0.0, np.zeros((160, 200, 3), np.uint8), depth, camera, T)
+    profile = [(0, 0), (0.06, 0), (0.06, 0.05), (0.055, 0.05), (0.055, 0.004), (0, 0.004)]
+    shape = trimesh.creation.revolve(np.array(profile), sections=64)
+    mesh = TriangleMesh(np.asarray(shape.vertices), np.asarray(shape.faces))
+    vessel = ObjectEstimate(4, "bowl", np.zeros(16), np.eye(4), np.full(3, 0.07), mesh, 0.9)
+    rows = [[ObjectDetection("bowl", 0.9, depth < 0.597, instance_id=4)]]
+    return view, vessel, rows
+
+
+def test_what_a_vessel_holds_below_its_rim_is_a_part_of_its_own():
+    view, vessel, rows = vessel_from_above(holds=True)
+    (parts,) = parts_inside([view], rows, vessel, 4, [PLANE], Namer(), 7)
+    lower, upper = parts.rows[0]
+    assert (lower.instance_id, lower.category) == (7, "bowl")
+    assert (upper.instance_id, upper.category) == (8, "can")
+    inner = np.isclose(view.depth, 0.565)
+    assert (upper.mask & inner).sum() > 0.9 * inner.sum()
+    assert (upper.mask & ~inner).sum() < 0.05 * inner.sum()
+    assert not (upper.mask & lower.mask).any() and ((upper.mask | lower.mask) == rows[0][0].mask).all()
+
+
+def test_empty_upside_down_and_closed_objects_hold_nothing():
+    view, vessel, rows = vessel_from_above(holds=False)
+    assert parts_inside([view], rows, vessel, 4, [PLANE], Namer(), 7) == []
+    view, vessel, rows = vessel_from_above(holds=True)
+    for other in (None, replace(vessel, resting="upside-down"), replace(vessel, category="can")):
+        assert parts_inside([view], rows, other, 4, [PLANE], Namer(), 7) == []
+    unnamed = Namer((0.0, 0.0, 0.0, 0.0, 1.0))
+    assert parts_inside([view], rows, vessel, 4, [PLANE], unnamed, 7) == []
