@@ -38,7 +38,8 @@ from perception.types import (
     unclassified,
 )
 
-UNCLASSIFIED_SCORE = 0.55  # least score of the fit of a candidate that the detector gave no class
+UNCLASSIFIED_SCORE = 0.55  # least score of the fit of a candidate that the detector gave no class, upright
+POSED_SCORE = 0.68  # the same in other poses: what is no object most often resembles lying ones
 TURNED_MUGS: tuple[PosedClass, ...] = (("mug", "upside-down"), ("mug", "lying"))
 TURNED = 0.3  # least probability of a mug that lies or stands upside down, whose handle is looked for
 REPEATED = 0.3  # largest unexplained share of a candidate's points if it is part of another object
@@ -78,7 +79,7 @@ def reconstruct_clutter(
     estimates = {
         e.id: e
         for e in reconstruct(frames, judged, decoder, planes, options=quiet)
-        if e.id not in candidates or e.score >= UNCLASSIFIED_SCORE
+        if e.id not in candidates or _is_clear(e)
     }
 
     def fit(parts: Rows, rests_on: Mapping[int, int]) -> list[ObjectEstimate]:
@@ -135,7 +136,7 @@ def renamed(
     return {
         e.id: e
         for e in fit(nameless)
-        if e.score >= UNCLASSIFIED_SCORE and unexplained(points[e.id], [e]) < CLEARLY * before[e.id]
+        if _is_clear(e) and unexplained(points[e.id], [e]) < CLEARLY * before[e.id]
     }
 
 
@@ -167,6 +168,11 @@ def completed(
     return {
         e.id: e for e in fit(whole) if e.category == "mug" and unexplained(points[e.id], [e]) < before[e.id]
     }
+
+
+def _is_clear(estimate: ObjectEstimate) -> bool:
+    """Return whether the score suffices for an object that the detector gave no class."""
+    return estimate.score >= (UNCLASSIFIED_SCORE if estimate.resting == "upright" else POSED_SCORE)
 
 
 def _may_be_turned_mug(estimate: ObjectEstimate, rows: Rows) -> bool:

@@ -7,7 +7,7 @@ import numpy as np
 import pytest
 
 from perception import clutter
-from perception.clutter import UNCLASSIFIED_SCORE, reconstruct_clutter
+from perception.clutter import POSED_SCORE, UNCLASSIFIED_SCORE, reconstruct_clutter
 from perception.inference.reconstruct import ReconstructOptions
 from perception.types import (
     POSED_CLASSES,
@@ -93,6 +93,16 @@ def test_candidates_are_objects_only_if_the_evidence_is_clear(scene):
     assert scene.run() == [0, 1]
     assert scene.fitted == [[0, 1, 2]], "a tall thing neither lies nor stands on its rim"
     assert [item.id for item in scene.rejected] == [0], "nobody misses what was no object before"
+
+
+def test_candidates_that_do_not_stand_need_a_higher_score(scene, monkeypatch):
+    lying = {1: POSED_SCORE - 0.01, 2: POSED_SCORE + 0.01}
+    monkeypatch.setattr(
+        clutter,
+        "reconstruct",
+        lambda *args, **options: [found(id, p, "can", "lying") for id, p in lying.items()],
+    )
+    assert scene.run() == [2]
 
 
 def test_all_candidates_may_be_stacks(scene):
