@@ -5,6 +5,7 @@ from __future__ import annotations
 import io
 import os
 import sys
+import warnings
 from typing import TYPE_CHECKING
 
 # Before anything loads numpy: its thread pool and torch's on the same cores slow both several times.
@@ -33,6 +34,8 @@ def run(arguments: list[str]) -> int:
     from app.caches import use_writable_caches
 
     use_writable_caches()
+    if not sys.warnoptions:  # of libraries, in source lines; -W or PYTHONWARNINGS show them
+        warnings.simplefilter("ignore")
     return cli.run(arguments)
 
 

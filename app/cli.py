@@ -68,6 +68,7 @@ COUNTS = {
     "epochs": (1, 10**6), "repeats": (1, 10**4), "drops": (1, 1000),
     "scenes": (0, 10**6), "frames": (0, 10**6),
 }  # fmt: skip
+MAX_WORKERS = COUNTS["workers"][1]
 MAX_SECONDS = 600.0  # of an AR video
 MAX_STAGE_LIMIT = 1e7  # [s]
 
@@ -175,6 +176,12 @@ def check(options: CommonOptions) -> None:
         raise UsageError(f"--seconds {seconds:g} must be more than 0 and at most {MAX_SECONDS:g}")
     if not 0 <= options.stage_limit <= MAX_STAGE_LIMIT:
         raise UsageError(f"--stage-limit {options.stage_limit:g} must be in 0..{MAX_STAGE_LIMIT:g}")
+    tolerance = getattr(options, "tolerance", 0.0)
+    if not 0 <= tolerance < 1:
+        raise UsageError(f"--tolerance {tolerance:g} must be at least 0 and below 1")
+    growth = getattr(options, "growth_workers", ())
+    if not all(1 <= workers <= MAX_WORKERS for workers in growth) or len(set(growth)) < len(growth):
+        raise UsageError(f"--growth-workers takes different numbers from 1 to {MAX_WORKERS}")
     port = getattr(options, "port", None)
     if port is not None and not 0 <= port < 2**16:
         raise UsageError(f"--port {port} must be in 0..65535")

@@ -35,6 +35,7 @@ _INPUT_ERRORS = {
     "perception.errors": "PerceptionError",
     "sim_assets.errors": "SimAssetsError",
     "manipulation.errors": "PlanningError",
+    "manipulation.remote.calibration": "CalibrationError",
 }
 _TASK_ERRORS = {"manipulation.errors": "ManipulationError"}
 _GL_FILES = ("gl_context.py", "osmesa.py", "glfw.py", "egl.py", "camera.py")

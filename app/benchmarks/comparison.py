@@ -9,7 +9,9 @@ from __future__ import annotations
 from collections.abc import Mapping, Sequence
 from dataclasses import asdict, dataclass, replace
 from pathlib import Path
+from typing import Annotated, Literal
 
+import msgspec
 from rich.markup import escape
 from rich.table import Table
 
@@ -19,6 +21,20 @@ from app.runs.report import Report
 from perception.io.files import read_json
 
 REMEDY = "give report.json of nodeslam bench, or its folder"
+
+
+class _StoredRow(msgspec.Struct):
+    name: str
+    ratio: float
+
+
+class _StoredMetrics(msgspec.Struct):
+    rows: Annotated[list[_StoredRow], msgspec.Meta(min_length=1)]
+
+
+class _Stored(msgspec.Struct):
+    command: Literal["bench"]
+    metrics: _StoredMetrics
 
 
 @dataclass(frozen=True)
@@ -68,11 +84,10 @@ def stored_ratios(path: Path) -> dict[str, float]:
     """
     report = read_json(path / "report.json" if path.is_dir() else path, REMEDY)
     try:
-        if report["command"] != "bench":
-            raise ValueError
-        ratios = {str(row["name"]): float(row["ratio"]) for row in report["metrics"]["rows"]}
-    except (KeyError, TypeError, ValueError):
+        stored = msgspec.convert(report, _Stored)
+    except msgspec.ValidationError:
         raise UsageError(f"--against {path} is not the report of a benchmark: {REMEDY}") from None
+    ratios = {row.name: row.ratio for row in stored.metrics.rows}
     if not all(0 < ratio < float("inf") for ratio in ratios.values()):
         raise UsageError(f"--against {path} has ratios that are not positive: {REMEDY}")
     return ratios

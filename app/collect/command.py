@@ -11,9 +11,13 @@ from collections.abc import Iterable, Sequence
 from dataclasses import fields
 from functools import cache, partial
 from pathlib import Path
+from typing import Annotated
+
+import msgspec
+from msgspec import Meta
 
 from app.collect.card import OF_THE_RUN, card
-from app.collect.lerobot import DatasetConfig, assemble, n_assembled, remove_parts
+from app.collect.lerobot import DatasetConfig, aggregate, assemble, check_part, n_assembled, remove_parts
 from app.collect.recording import record
 from app.environments.actions import codec_of
 from app.environments.environment import CAMERAS, CellEnv, PackEnv, SortEnv
@@ -32,6 +36,7 @@ from app.task.cell import robot_of
 from manipulation.kinematics import Kinematics
 from perception.io.files import write_atomically
 
+Count = Annotated[int, Meta(ge=0)]
 INSTRUCTIONS: dict[Task, str] = {
     "pack": "Pack all objects on the table into the box: nest the bowls and line up the mugs.",
     "sort": "Sort all objects on the table by size along the line, the smallest first.",
@@ -44,7 +49,7 @@ def run(options: CollectOptions, screen: Screen) -> Report:
     if options.fault != "none":
         raise UsageError("collect: --fault is an option of pack, sort and evaluate tasks")
     config = config_of(options)
-    format = LedgerFormat("collect", "episodes.jsonl", "seed")
+    format = LedgerFormat("collect", "episodes.jsonl", "seed", partial(check_line, options))
     ledger, finished = Ledger.open(options, format, _settings(options))
     folder, seeds = ledger.folder, range(options.seed, options.seed + options.episodes)
     to_run = [seed for seed in seeds if seed not in finished]
@@ -73,6 +78,31 @@ def run(options: CollectOptions, screen: Screen) -> Report:
     remove_parts(folder.path)
     screen.show(report.reason)
     return report
+
+
+class _FinishedLine(msgspec.Struct):
+    """What the data set and the report need of a line of the ledger."""
+
+    seed: Count
+    success: bool
+    reason: str
+    n_frames: Count
+    bytes: Count
+    wall_seconds: Annotated[float, Meta(ge=0)]
+    stats: dict[str, dict[str, list]] = msgspec.field(default_factory=dict)
+
+
+def check_line(options: CollectOptions, line: Line) -> None:
+    """Raise ValueError for a line that is malformed, or whose episode is not on disk.
+
+    A complete data set needs the files of its episodes no more.
+    """
+    finished = msgspec.convert(line, _FinishedLine)
+    assert options.out is not None  # as --resume requires
+    if not finished.n_frames or n_assembled(options.out) is not None:
+        return
+    check_part(options.out, finished.seed, finished.n_frames, () if options.no_images else tuple(CAMERAS))
+    aggregate([finished.stats])
 
 
 def _kept(options: CollectOptions, lines: Iterable[Line]) -> list[Line]:

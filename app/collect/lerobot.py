@@ -138,6 +138,17 @@ def assemble(folder: Path, lines: Sequence[Line], config: DatasetConfig) -> None
     write_json(folder / "meta/info.json", _info(config, lines))
 
 
+def check_part(folder: Path, seed: int, n_frames: int, cameras: Sequence[str]) -> None:
+    """Raise ValueError unless the files of an episode are there, with its number of frames."""
+    part = folder / PARTS / str(seed)
+    for path in (part / "objects.parquet", *(part / f"{camera}.mp4" for camera in cameras)):
+        if not path.is_file() or not path.stat().st_size:
+            raise ValueError(f"{path} is missing")
+    n_rows = pq.read_metadata(part / "frames.parquet").num_rows
+    if n_rows != n_frames:
+        raise ValueError(f"{part} has {n_rows} frames, not {n_frames}")
+
+
 def n_assembled(folder: Path) -> int | None:
     """Return the number of episodes in a complete data set; None if the folder holds none.
 

@@ -6,10 +6,12 @@ observations have a fixed rate; the physics advances by one control period per s
 
 from __future__ import annotations
 
-from dataclasses import dataclass, replace
+from dataclasses import dataclass, fields, replace
+from pathlib import Path
 from typing import Any, ClassVar
 
 import gymnasium
+import msgspec
 import numpy as np
 from gymnasium import spaces
 from jaxtyping import Float, UInt8
@@ -30,6 +32,8 @@ CAMERAS = {"wrist": "wrist", "scene": "overview"}  # name in observations: name 
 TABLE_REACH = 3.0  # [m]: bound of the objects' coordinates
 MAX_JOINT_SPEED = 10.0  # [rad/s], bound of the observed joint velocities
 MAX_SEED = 2**31 - 1
+MIN_RATE, MAX_RATE = 1.0, 200.0  # [Hz] of actions
+MIN_SIDE, MAX_SIDE = 16, 4096  # [px] of images
 
 Observation = dict[str, np.ndarray]
 
@@ -89,10 +93,17 @@ class CellEnv(gymnasium.Env[Any, np.ndarray]):
         """
         if control not in ("joint", "tcp") or reward not in ("sparse", "shaped"):
             raise UsageError(f"control={control!r}, reward={reward!r}: give joint or tcp, sparse or shaped")
-        try:
-            self.cell_options = CellOptions(**cell)
-        except TypeError as error:
-            raise UsageError(f"{error}: give options of the cell such as objects='6'") from None
+        if render_mode not in (None, "rgb_array"):
+            raise UsageError(f"render_mode={render_mode!r}: give 'rgb_array' or None")
+        if not MIN_RATE <= rate <= MAX_RATE:
+            raise UsageError(f"rate={rate:g}: give {MIN_RATE:g} to {MAX_RATE:g} actions per second")
+        if len(image_size) != 2 or not all(
+            isinstance(side, int) and MIN_SIDE <= side <= MAX_SIDE for side in image_size
+        ):
+            raise UsageError(
+                f"image_size={image_size!r}: give width and height of {MIN_SIDE} to {MAX_SIDE} px"
+            )
+        self.cell_options = _cell_options(cell)
         check_options(self.cell_options)
         self.render_mode, self.rate = render_mode, rate
         self.robot = robot_of(self.cell_options)
@@ -134,8 +145,14 @@ class CellEnv(gymnasium.Env[Any, np.ndarray]):
         return self._observe(), {"placed": placed, "success": False, "time": world.time}
 
     def step(self, action: np.ndarray) -> tuple[Observation, float, bool, bool, dict[str, Any]]:
-        """Execute an action for one control period."""
-        cell = self.cell
+        """Execute an action for one control period; it is clipped to the action space.
+
+        Raises:
+            UsageError: The action is of another shape or not finite, or there was no ``reset``.
+        """
+        cell, shape = self.cell, self.codec.space.shape
+        if np.shape(action) != shape or not np.isfinite(action).all():
+            raise UsageError(f"the action must hold {shape} finite numbers")
         q, width = self.codec.decode(
             np.clip(action, self.codec.space.low, self.codec.space.high), cell.control.q
         )
@@ -200,6 +217,23 @@ class CellEnv(gymnasium.Env[Any, np.ndarray]):
         if self._images:
             observation |= self.images()
         return observation
+
+
+def _cell_options(values: dict[str, Any]) -> CellOptions:
+    """Return options of the cell, whose names and types are checked; raise UsageError."""
+    try:
+        unknown = sorted(values.keys() - {field.name for field in fields(CellOptions)})
+        if unknown:
+            raise TypeError(f"there is no option {unknown[0]}")
+        return msgspec.convert(values, CellOptions, dec_hook=_path)
+    except (TypeError, msgspec.ValidationError) as error:
+        raise UsageError(f"{error}: give options of the cell such as objects='6'") from None
+
+
+def _path(kind: type, value: Any) -> Path:
+    if not isinstance(value, str | Path):
+        raise TypeError(f"{value!r} is no path")
+    return Path(value)
 
 
 class PackEnv(CellEnv):

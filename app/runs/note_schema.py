@@ -8,10 +8,12 @@ from typing import Any
 
 import numpy as np
 
+from perception.io.arrays import numbers_of
 from perception.types import CATEGORIES, CODE_SIZE, check_rigid
 
 Check = Callable[[Any], None]  # raises ValueError, with what the value must be
 MAX_NUMBER = 1e9  # of arrays: products of larger ones overflow
+MAX_LENGTH = 1e4  # [m] of positions
 COVARIANCE_TRIANGLE = 325  # elements of the upper triangle of a 25 x 25 matrix
 
 
@@ -62,47 +64,51 @@ def _number(value: Any) -> None:
     _require(is_finite_number(value), "must be a finite number")
 
 
-def _number_or_none(value: Any) -> None:
+def _not_negative(value: Any) -> None:
+    _number(value)
+    _require(value >= 0, "must not be negative")
+
+
+def _not_negative_or_none(value: Any) -> None:
     if value is not None:
-        _number(value)
+        _not_negative(value)
 
 
 def _category(value: Any) -> None:
     _require(value in CATEGORIES, f"must be one of {', '.join(CATEGORIES)}")
 
 
-def _numbers(*shape: int | None) -> Check:
-    """Return a check for finite numbers of a shape, in which None stands for any size."""
+def _numbers(*shape: int | None, limit: float = MAX_NUMBER) -> Check:
+    """Return a check for numbers of a shape, in which None stands for any size, and of limited magnitude."""
     size = " x ".join("n" if count is None else str(count) for count in shape)
 
     def check(value: Any) -> None:
         try:
-            array = np.asarray(value)
-        except ValueError:  # ragged lists
-            array = np.empty(0, dtype=object)
-        fits = array.dtype.kind in "if" and array.ndim == len(shape)
-        fits = fits and bool((np.abs(array) <= MAX_NUMBER).all())  # NaN fails as well
+            array = numbers_of(value)
+        except ValueError:
+            array = np.full(1, np.nan)
+        fits = array.ndim == len(shape) and bool((np.abs(array) <= limit).all())  # NaN fails as well
         sizes = zip(shape, array.shape, strict=False)
         _require(
             fits and all(count in (None, actual) for count, actual in sizes),
-            f"must hold {size} finite numbers",
+            f"must hold {size} finite numbers of at most {limit:g} in magnitude",
         )
 
     return check
 
 
 def _scale(value: Any) -> None:
-    _numbers(3)(value)
+    _numbers(3, limit=MAX_LENGTH)(value)
     _require(min(value) > 0, "must be positive")
 
 
 def _points(value: Any) -> None:
-    _numbers(None, 3)(value)
+    _numbers(None, 3, limit=MAX_LENGTH)(value)
     _require(len(value) >= 2, "must hold at least 2 points")
 
 
 def _pose(value: Any) -> None:
-    _numbers(4, 4)(value)
+    _numbers(4, 4, limit=MAX_LENGTH)(value)
     check_rigid(np.asarray(value, dtype=np.float64), "it")
 
 
@@ -124,7 +130,7 @@ def _mapping_of(check: Check) -> Check:
 def _pieces(value: Any) -> None:
     _require(isinstance(value, list) and len(value) > 0, "must be a list of pieces")
     for piece in value:
-        _numbers(None, 3)(piece)
+        _numbers(None, 3, limit=MAX_LENGTH)(piece)
         _require(len(piece) >= 4, "must hold pieces of at least 4 points")
 
 
@@ -140,12 +146,12 @@ def _placements(value: Any) -> None:
 PLACEMENT: Mapping[str, Check] = {
     "name": _text,
     "T_world_stand": _pose,
-    "position": _numbers(3),
+    "position": _numbers(3, limit=MAX_LENGTH),
     "yaws": _numbers(None),
 }
 REQUIRED: Mapping[str, Mapping[str, Check]] = {
     "stage": {"name": _text},
-    "done": {"name": _text, "seconds": _number},
+    "done": {"name": _text, "seconds": _not_negative},
     "look": {"index": _count},
     "found": {"index": _count, "count": _count},
     "fit": {
@@ -155,7 +161,7 @@ REQUIRED: Mapping[str, Mapping[str, Check]] = {
         "code": _numbers(CODE_SIZE),
         "T_world_object": _pose,
         "scale": _scale,
-        "residual": _number_or_none,
+        "residual": _not_negative_or_none,
     },
     "objects": {"covariances": _mapping_of(_numbers(COVARIANCE_TRIANGLE))},
     "obstacles": {"pieces": _mapping_of(_pieces)},
@@ -164,5 +170,12 @@ REQUIRED: Mapping[str, Mapping[str, Check]] = {
     "path": {"points": _points},
 }
 OPTIONAL: Mapping[str, Mapping[str, Check]] = {
-    "action": {"T_stand_tcp": _pose, "T_world_stand_rest": _pose, "grasps": _poses},
+    "path": {"name": _text},
+    "action": {
+        "done": _count,
+        "total": _count,
+        "T_stand_tcp": _pose,
+        "T_world_stand_rest": _pose,
+        "grasps": _poses,
+    },
 }

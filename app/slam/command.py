@@ -22,7 +22,7 @@ from perception.io.bop_results import write_bop_results
 from perception.io.files import write_json
 from perception.io.object_map import write_object_map
 from perception.io.recordings.sequence import open_sequence
-from perception.io.recordings.trajectory import write_trajectory
+from perception.io.recordings.trajectory import Trajectory, write_trajectory
 from perception.io.scan_folder import write_scan
 from perception.pipeline import load_decoder, load_detector
 from perception.slam.config import SlamConfig
@@ -34,7 +34,7 @@ from perception.types import ObjectDetection, ObjectEstimate
 def run(options: SlamOptions, screen: Screen) -> Report:
     """Run SLAM on the sequence; an interruption keeps the map and the trajectory so far."""
     begin = time.perf_counter()
-    sequence = open_sequence(options.sequence)
+    sequence, truth = open_sequence(options.sequence), read_true_trajectory(options.sequence)
     folder = RunFolder.create(options, "slam")
     with screen.stage("Loading networks"):
         decoder = load_decoder(options.device)
@@ -50,7 +50,7 @@ def run(options: SlamOptions, screen: Screen) -> Report:
         except KeyboardInterrupt:
             interrupted = True
     with screen.stage("Writing the map"):
-        objects = _write(folder, slam_run, recorder, decoder)
+        objects = _write(folder, slam_run, recorder, decoder, truth)
     report = _report(options, slam_run, objects, time.perf_counter() - begin, interrupted)
     folder.write_report(report)
     if interrupted:
@@ -71,7 +71,7 @@ def _progress(done: int, slam_run: SlamRun) -> str:
 
 
 def _write(
-    folder: RunFolder, slam_run: SlamRun, recorder: SlamRecorder, decoder: Any
+    folder: RunFolder, slam_run: SlamRun, recorder: SlamRecorder, decoder: Any, truth: Trajectory | None
 ) -> list[ObjectEstimate]:
     """Write all files of a run, complete or interrupted, and return the objects of the map."""
     slam = slam_run.slam
@@ -97,7 +97,6 @@ def _write(
         ],
     )
     recorder.write(folder.path)
-    truth = read_true_trajectory(slam_run.sequence.path)
     title = f"{len(objects)} objects, {len(slam_run.results)} frames, {len(slam.keyframes)} keyframes"
     mapped = MappedSequence(objects, slam_run.trajectory, slam.keyframes, truth)
     write_map_picture(folder.path / "overview.png", mapped, title)

@@ -2,16 +2,35 @@
 
 from __future__ import annotations
 
+import itertools
+
 import numpy as np
-import trimesh
 import viser
+from jaxtyping import Float, UInt32
+from scipy.spatial import ConvexHull, QhullError
 
 from app.viewer.display import DisplayOptions
 from app.viewer.snapshot import Snapshot
+from manipulation.hulls import hull_faces
 
 COLOR = (128, 128, 134)
 OPACITY = 0.45
 LABEL_HEIGHT = 0.02  # [m] above the thing
+
+
+def surface(points: Float[np.ndarray, "k 3"]) -> UInt32[np.ndarray, "f 3"]:
+    """Return the triangles of the convex hull; of flat points both sides, of points in a line none."""
+    try:
+        return hull_faces(points).reshape(-1, 3).astype(np.uint32)
+    except QhullError:
+        pass
+    axes = np.linalg.svd(points - points.mean(axis=0), full_matrices=False)[2]
+    try:
+        ring = ConvexHull(points @ axes[:2].T).vertices.astype(np.uint32)
+    except QhullError:
+        return np.zeros((0, 3), np.uint32)
+    fan = np.array([(ring[0], b, c) for b, c in itertools.pairwise(ring[1:])], np.uint32)
+    return np.concatenate([fan, fan[:, ::-1]])
 
 
 class ObstacleLayer:
@@ -40,15 +59,15 @@ class ObstacleLayer:
         handles: list[viser.SceneNodeHandle] = [
             scene.add_mesh_simple(
                 f"/obstacles/{name}/{index}",
-                mesh.vertices.astype(np.float32),
-                mesh.faces.astype(np.uint32),
+                points.astype(np.float32),
+                surface(points),
                 color=COLOR,
                 opacity=OPACITY,
                 flat_shading=True,
                 cast_shadow=False,
                 receive_shadow=False,
             )
-            for index, mesh in enumerate(map(trimesh.convex.convex_hull, pieces))
+            for index, points in enumerate(pieces)
         ]
         corners = np.concatenate(pieces)
         top = (corners.min(axis=0) + corners.max(axis=0)) / 2

@@ -70,7 +70,7 @@ def read_hand_eye(path: Path) -> HandEye:
         T = check_rigid(np.array(entries.T_tcp_camera), "T_tcp_camera")
     except OSError as error:
         raise CalibrationError(f"{path}: {error.strerror}; give the file of a hand-eye calibration") from None
-    except (tomllib.TOMLDecodeError, msgspec.ValidationError, InvalidInputError) as error:
+    except (ValueError, RecursionError, msgspec.ValidationError, InvalidInputError) as error:  # TOML, UTF-8
         raise CalibrationError(f"{path}: {error}; {remedy}") from None
     position, rotation = entries.residual_position, entries.residual_rotation
     if position > MAX_POSITION or rotation > MAX_ROTATION:

@@ -1,4 +1,4 @@
-"""NumPy archives (npz): bounded reading, without pickles."""
+"""NumPy files (npz, npy): bounded reading, without pickles; arrays of numbers in JSON."""
 
 from __future__ import annotations
 
@@ -6,6 +6,7 @@ import io
 import math
 import zipfile
 from pathlib import Path
+from typing import Any
 
 import numpy as np
 from numpy.lib import format
@@ -37,16 +38,37 @@ def read_arrays(path: Path, max_bytes: int = MAX_ARRAY_BYTES) -> dict[str, np.nd
         raise ValueError(" ".join(str(error).split()) or type(error).__name__) from error
 
 
+def numbers_of(value: Any) -> np.ndarray:
+    """Return a number, or nested lists of numbers, of a JSON file as a float64 array.
+
+    Raises:
+        ValueError: It holds texts, true, false or null, or lists of different lengths.
+    """
+    entries = np.array(value, dtype=object)
+    if not all(type(entry) in (int, float) for entry in entries.ravel()):
+        raise ValueError("it must hold numbers alone")
+    return entries.astype(np.float64)
+
+
 def _read_array(archive: zipfile.ZipFile, member: zipfile.ZipInfo) -> np.ndarray:
-    """Return one array, after comparing the size in its header with that of its data."""
+    """Return one array."""
     with archive.open(member) as stream:
-        data = io.BytesIO(stream.read(member.file_size + 1))
+        return parse_array(stream.read(member.file_size + 1), member.filename)
+
+
+def parse_array(content: bytes, name: str) -> np.ndarray:
+    """Return the array of an npy file, after comparing the size in its header with that of its data.
+
+    Raises:
+        ValueError: It is no npy file, is damaged, or holds objects; the message names it.
+    """
+    data = io.BytesIO(content)
     version = format.read_magic(data)
     header = format.read_array_header_1_0 if version == (1, 0) else format.read_array_header_2_0
     shape, is_fortran, dtype = header(data)
     if dtype.hasobject:
-        raise ValueError(f"{member.filename} holds Python objects")
+        raise ValueError(f"{name} holds Python objects")
     values = data.getvalue()[data.tell() :]
     if math.prod(shape) * dtype.itemsize != len(values):
-        raise ValueError(f"{member.filename} announces another size than it has")
+        raise ValueError(f"{name} announces another size than it has")
     return np.frombuffer(values, dtype).reshape(shape, order="F" if is_fortran else "C").copy()

@@ -15,12 +15,15 @@ from jaxtyping import Bool
 from pycocotools import mask as coco
 
 from perception.errors import InvalidInputError
+from perception.io.arrays import numbers_of
 from perception.io.files import read_json, write_json
-from perception.types import CATEGORIES, ObjectDetection, RgbdFrame, unclassified
+from perception.types import CATEGORIES, OTHER, ObjectDetection, RgbdFrame, unclassified
 
 FILE_NAME = "detections.json"
 Entry = tuple[int, Any]  # index of an entry in the file or among those of its image, and its JSON value
 MAX_PER_IMAGE = 200  # detections; COCO's evaluation counts 100
+MAX_SUM_ERROR = 0.01  # of probabilities: files hold rounded numbers
+MAX_YAW_BINS = 720
 MAX_MASK_BYTES = 4 * 2**30  # of all decoded masks of a scan
 _REMEDY = "repair it, or delete it to use the shipped detector"
 
@@ -152,20 +155,25 @@ def _detection(entry: dict[str, Any], frame: RgbdFrame, class_required: bool) ->
         category=category,
         score=float(score),
         mask=mask,
-        class_probabilities=_probabilities(entry, "class_probabilities"),
-        yaw_probabilities=_probabilities(entry, "yaw_probabilities"),
+        class_probabilities=_probabilities(entry, "class_probabilities", range(OTHER + 1, OTHER + 2)),
+        yaw_probabilities=_probabilities(entry, "yaw_probabilities", range(2, MAX_YAW_BINS + 1)),
         instance_id=instance,
     )
 
 
-def _probabilities(entry: dict[str, Any], key: str) -> np.ndarray:
+def _probabilities(entry: dict[str, Any], key: str, counts: range) -> np.ndarray:
+    """Return probabilities, of which there must be one of the counts or none; raise InvalidInputError."""
     value = entry.get(key, [])
     try:
-        numbers = np.asarray(value, dtype=np.float64)
-    except (TypeError, ValueError, OverflowError):
+        numbers = numbers_of(value)
+    except ValueError:
         numbers = np.full(1, np.nan)
     if numbers.ndim != 1 or not ((numbers >= 0) & (numbers <= 1)).all():
         raise InvalidInputError(f"{key} must be a list of numbers in 0..1")
+    if numbers.size and numbers.size not in counts:
+        raise InvalidInputError(f"{key} must hold {counts[0]} to {counts[-1]} numbers, not {numbers.size}")
+    if numbers.size and abs(numbers.sum() - 1) > MAX_SUM_ERROR:
+        raise InvalidInputError(f"{key} must sum to 1, not to {numbers.sum():.3g}")
     return numbers
 
 
@@ -191,7 +199,7 @@ def decode_mask(code: Any, size: tuple[int, int]) -> Bool[np.ndarray, "h w"]:
         )
     counts = code["counts"]
     try:
-        runs = _decompress(counts) if isinstance(counts, str) else [int(run) for run in counts]
+        runs = _decompress(counts) if isinstance(counts, str) else [_run(run) for run in counts]
     except (TypeError, ValueError, IndexError, OverflowError):
         raise InvalidInputError("mask counts do not decode as a COCO run-length code") from None
     pixels = size[0] * size[1]
@@ -201,6 +209,12 @@ def decode_mask(code: Any, size: tuple[int, int]) -> Bool[np.ndarray, "h w"]:
         )
     values = np.arange(len(runs)) % 2 == 1
     return np.repeat(values, runs).reshape(size[::-1]).T.copy()  # runs are in column-major order
+
+
+def _run(value: Any) -> int:
+    if type(value) is not int:
+        raise TypeError(value)
+    return value
 
 
 def _decompress(text: str) -> list[int]:

@@ -92,13 +92,13 @@ def read_bytes(path: Path, max_bytes: int) -> bytes:
 
 
 def read_text(path: Path) -> str:
-    """Read a regular text file of at most MAX_TEXT_BYTES in UTF-8.
+    """Read a regular text file of at most MAX_TEXT_BYTES in UTF-8, with or without byte order mark.
 
     Raises:
         InvalidInputError: It is not a regular file, or larger.
         OSError, UnicodeDecodeError: It is missing, cannot be read, or is not UTF-8.
     """
-    return read_bytes(path, MAX_TEXT_BYTES).decode("utf-8")
+    return read_bytes(path, MAX_TEXT_BYTES).decode("utf-8-sig")
 
 
 def read_json(path: Path, remedy: str) -> Any:
@@ -125,14 +125,14 @@ def read_json(path: Path, remedy: str) -> Any:
 
 
 def parse_json(data: bytes) -> Any:
-    """Parse JSON in UTF-8.
+    """Parse JSON in UTF-8, with or without byte order mark.
 
     Raises:
         ValueError: It is not JSON, is nested too deeply, or holds a number that is too large or text that
             cannot be encoded; the message continues a sentence that begins with the name of the file.
     """
     try:
-        value = json.loads(data.decode("utf-8"), parse_int=_integer, parse_float=_real)
+        value = json.loads(data.decode("utf-8-sig"), parse_int=_integer, parse_float=_real)
         if _SURROGATE.search(data):
             json.dumps(value, ensure_ascii=False).encode()  # fails if one of a pair is alone
         return value

@@ -33,6 +33,7 @@ logger = logging.getLogger(__name__)
 Word = TypeVar("Word", bound=str)
 PLANE = "plane"  # what an object rests on that rests on no other object
 SIZE_TOLERANCE = 0.05  # of height and radius relative to those of the mesh
+MIN_SCALE, MAX_SCALE = 1e-3, 10.0  # [m] of the half side of an object's grid
 MAX_DISTANCE = 200.0  # [m] of anything in a map, whose cameras are within 100 m
 _MESH_NAME = re.compile(r"\d+_[a-z]+\.ply")
 
@@ -153,8 +154,10 @@ def _estimate(folder: Path, entry: Any, used: Set[int]) -> ObjectEstimate:
     score, n_views, residual = (
         float(read_numbers(entry, key, 1)[0]) for key in ("score", "n_views", "residual")
     )
-    if not (scale > 0).all() or residual < 0 or not 0 <= score <= 1:
-        raise InvalidInputError("scale must be positive, residual not negative, score in 0..1")
+    if not (scale >= MIN_SCALE).all() or not (scale <= MAX_SCALE).all():
+        raise InvalidInputError(f"scale must be {MIN_SCALE:g} to {MAX_SCALE:g} m")
+    if residual < 0 or not 0 <= score <= 1:
+        raise InvalidInputError("residual must not be negative, score in 0..1")
     if n_views < 0 or n_views != int(n_views):
         raise InvalidInputError(f"n_views {n_views:g} is no number of images")
     name = f"{entry['id']}_{entry['category']}.ply"
@@ -163,8 +166,8 @@ def _estimate(folder: Path, entry: Any, used: Set[int]) -> ObjectEstimate:
     T_world_object = read_numbers(entry, "T_world_object", 16).reshape(4, 4)
     check_rigid(T_world_object, "T_world_object")
     mesh_world = read_ply(folder / "objects" / name)
-    if not max(np.abs(mesh_world.vertices).max(), np.abs(T_world_object).max(), scale.max()) <= MAX_DISTANCE:
-        raise InvalidInputError(f"its pose, scale and mesh must be within {MAX_DISTANCE:g} m")
+    if not max(np.abs(mesh_world.vertices).max(), np.abs(T_world_object).max()) <= MAX_DISTANCE:
+        raise InvalidInputError(f"its pose and mesh must be within {MAX_DISTANCE:g} m")
     estimate = ObjectEstimate(
         id=entry["id"],
         category=entry["category"],  # pyright: ignore[reportArgumentType]  # checked by ObjectEstimate

@@ -9,6 +9,7 @@ import numpy as np
 from jaxtyping import Float
 
 from perception.errors import InvalidInputError
+from perception.io.arrays import numbers_of
 from perception.types import CameraIntrinsics, RgbdFrame
 
 DEPTH_SCALE = 0.1  # of the depth images written here: a tenth of a millimetre, up to 6.5 m
@@ -73,12 +74,9 @@ def read_numbers(entry: Any, key: str, count: int) -> np.ndarray:
     """Return so many numbers of an entry, which may be nested lists; raise InvalidInputError."""
     value = entry.get(key) if isinstance(entry, dict) else None
     try:
-        numbers = np.asarray(value).ravel()
-    except ValueError:  # ragged lists
+        numbers = numbers_of(value).ravel()
+    except ValueError:
         numbers = np.zeros(0)
-    if numbers.dtype.kind not in "if":  # texts, true and false
-        numbers = np.zeros(0)
-    numbers = numbers.astype(np.float64)
     if numbers.size != count or not (np.abs(numbers) <= MAX_NUMBER).all():  # NaN fails as well
         what = "a finite number" if count == 1 else f"{count} finite numbers"
         raise InvalidInputError(f"{key} must be {what} of at most {MAX_NUMBER:g} in magnitude")

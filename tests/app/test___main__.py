@@ -63,3 +63,15 @@ def test_a_run_goes_on_when_its_progress_cannot_be_written():
     line = f"{sys.executable} -c {shlex.quote(code)} 2>/dev/full"
     done = subprocess.run(["bash", "-c", line], capture_output=True, text=True)
     assert (done.returncode, done.stdout) == (0, "result\n")
+
+
+@pytest.mark.parametrize(("variable", "shown"), [("", False), ("default", True)])
+def test_warnings_of_libraries_are_shown_on_request(variable, shown):
+    code = (
+        "import sys, types, warnings, app.__main__ as m; cli = types.ModuleType('app.cli'); "
+        "cli.run = lambda arguments: warnings.warn('overflow') or 0; sys.modules['app.cli'] = cli; "
+        "import app; app.cli = cli; m.run([])"
+    )
+    environment = os.environ | {"PYTHONWARNINGS": variable}
+    done = subprocess.run([sys.executable, "-c", code], capture_output=True, text=True, env=environment)
+    assert done.returncode == 0 and ("overflow" in done.stderr) == shown, done.stderr

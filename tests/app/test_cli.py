@@ -96,6 +96,8 @@ BAD_INPUT = {
     "no meshes": (["pack", "--object-meshes", "/nowhere"], "--object-meshes /nowhere is no folder"),
     "no robot": (["scan", "--robot", "/nowhere.toml"], "--robot /nowhere.toml is no robot file"),
     "epochs": (["train", "yaw", "--epochs", "0"], "--epochs 0 must be in 1..1000000"),
+    "tolerance: NaN": (["bench", "--tolerance", "nan"], "--tolerance nan must be at least 0 and below 1"),
+    "growth: workers": (["bench", "--growth-workers", "1", "0"], "different numbers from 1 to 256"),
     "workers": (["evaluate", "tasks", "--workers", "0"], "--workers 0 must be in 1..256"),
     "episodes": (
         ["evaluate", "tasks", "--episodes", "999999999999"],

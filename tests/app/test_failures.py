@@ -10,6 +10,7 @@ import pytest
 from app.errors import StalledError, UsageError
 from app.failures import LOG_FILE, LONGEST, Failure, failure_of, one_line, write_log
 from manipulation.errors import PlanningError, RobotError
+from manipulation.remote.calibration import CalibrationError
 from perception.errors import InvalidInputError
 
 EXPECTED = {
@@ -17,6 +18,7 @@ EXPECTED = {
     "input": (InvalidInputError("x is damaged"), Failure("x is damaged")),
     "stalled": (StalledError("Planning: no progress"), Failure("Planning: no progress", 1, expected=False)),
     "no plan": (PlanningError("no viewpoint"), Failure("no viewpoint")),
+    "calibration": (CalibrationError("a.toml: old"), Failure("a.toml: old")),
     "robot": (RobotError("the arm stopped"), Failure("the arm stopped", 1)),
     "extra": (
         ModuleNotFoundError("No module named 'mujoco.egl'", name="mujoco.egl"),

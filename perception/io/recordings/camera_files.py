@@ -10,7 +10,6 @@
 
 from __future__ import annotations
 
-import io
 from collections.abc import Mapping
 from pathlib import Path
 from typing import Any
@@ -18,6 +17,7 @@ from typing import Any
 import numpy as np
 
 from perception.errors import InvalidInputError
+from perception.io.arrays import numbers_of, parse_array
 from perception.io.files import read_bytes, read_json
 from perception.io.recordings.image_pairs import NominalCamera
 
@@ -56,10 +56,12 @@ def read_camera(path: Path) -> NominalCamera:
         InvalidInputError: The file is unreadable, or holds no intrinsics of a pinhole camera.
     """
     try:
+        size = (0, 0)
         if path.suffix == ".json":
-            numbers = _from_json(read_json(path, "it states the intrinsics"))
+            content = read_json(path, "it states the intrinsics")
+            numbers, size = _from_json(content), _stated_size(content)
         elif path.suffix == ".npy":
-            numbers = np.load(io.BytesIO(read_bytes(path, MAX_BYTES)), allow_pickle=False)
+            numbers = parse_array(read_bytes(path, MAX_BYTES), "it")
             if numbers.dtype.kind not in "iuf":
                 raise ValueError(f"its values are of type {numbers.dtype}")
         else:
@@ -69,7 +71,7 @@ def read_camera(path: Path) -> NominalCamera:
         raise InvalidInputError(
             f"{path} holds no intrinsics ({error}): give a 3x3 matrix, or fx fy cx cy in pixels"
         ) from None
-    return NominalCamera(fx, fy, cx, cy, ORIGINAL_WIDTH)
+    return NominalCamera(fx, fy, cx, cy, ORIGINAL_WIDTH, size)
 
 
 def _text(path: Path) -> str:
@@ -81,13 +83,21 @@ def _from_json(content: Any) -> np.ndarray:
     if not isinstance(content, Mapping):
         raise ValueError("no JSON object")
     if "intrinsic_matrix" in content:  # by columns, as Open3D and Eigen store it
-        numbers = np.array(content["intrinsic_matrix"], float)
+        numbers = numbers_of(content["intrinsic_matrix"])
         return numbers.reshape(3, 3).T if numbers.ndim == 1 else numbers
     for key in ("K", "k", "cam_K", "camera_matrix"):
         if key in content:
-            return np.array(content[key], float)
+            return numbers_of(content[key])
     centre = ("cx", "cy") if "cx" in content else ("ppx", "ppy")
-    return np.array([float(content[key]) for key in ("fx", "fy", *centre)])
+    return numbers_of([content[key] for key in ("fx", "fy", *centre)])
+
+
+def _stated_size(content: Mapping[str, Any]) -> tuple[int, int]:
+    """Return width and height of the images that a JSON object states; 0 for what it does not state."""
+    size = (content.get("width", 0), content.get("height", 0))
+    if not all(type(side) is int and side >= 0 for side in size):
+        raise ValueError(f"width and height {size} are no numbers of pixels")
+    return size
 
 
 def _parameters(numbers: np.ndarray) -> tuple[float, float, float, float]:

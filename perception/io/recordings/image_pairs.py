@@ -22,6 +22,7 @@ class NominalCamera(NamedTuple):
         fx, fy: Focal lengths.
         cx, cy: Principal point.
         width: Width of those images; 0 for the width of the recording's own images.
+        size: Width and height that the images must have; 0 for any.
     """
 
     fx: float
@@ -29,13 +30,21 @@ class NominalCamera(NamedTuple):
     cx: float
     cy: float
     width: float = NOMINAL_WIDTH
+    size: tuple[int, int] = (0, 0)
 
     def intrinsics(self, width: int, height: int) -> CameraIntrinsics:
         """Return the intrinsics for images of the given size and the same field of view.
 
         Raises:
-            InvalidInputError: The principal point lies outside such images.
+            InvalidInputError: The principal point lies outside such images, or the camera is stated for
+                images of another size.
         """
+        if any(stated not in (0, actual) for stated, actual in zip(self.size, (width, height))):
+            stated = "x".join(str(side or "?") for side in self.size)
+            raise InvalidInputError(
+                f"its camera is stated for images of {stated} px, not {width}x{height}: give --camera for "
+                "images of this size"
+            )
         fx, fy, cx, cy = np.array(self[:4], float) * (width / self.width if self.width else 1.0)
         if not (0 < cx < width and 0 < cy < height):
             raise InvalidInputError(

@@ -60,6 +60,12 @@ class NocsRecording:
             return []
         instances = read_image(self.folder, mask_name, ("L", "P", "RGB", "RGBA"), "8-bit grey")
         instances = instances if instances.ndim == 2 else instances[..., 0]
+        size = read_image(self.folder, f"{number}_color.png", ("RGB", "RGBA"), "8-bit RGB").shape[:2]
+        if instances.shape != size:
+            raise InvalidInputError(
+                f"{self.folder / mask_name} is {instances.shape[1]}x{instances.shape[0]} but its image is "
+                f"{size[1]}x{size[0]}"
+            )
         found = []
         for instance, class_id in _read_meta(meta):
             mask = instances == instance
@@ -102,11 +108,14 @@ def _read_meta(path: Path) -> list[tuple[int, int]]:
         if not words:
             continue
         try:
-            entries.append((int(words[0]), int(words[1])))
+            instance, class_id = int(words[0]), int(words[1])
         except (ValueError, IndexError):
             raise InvalidInputError(
                 f"{path}, line {number}: expected an instance and a class number"
             ) from None
+        if instance in dict(entries):
+            raise InvalidInputError(f"{path}, line {number}: instance {instance} is listed twice")
+        entries.append((instance, class_id))
     if len(entries) > MAX_PER_IMAGE:
         raise InvalidInputError(f"{path} lists {len(entries)} instances, at most {MAX_PER_IMAGE} are allowed")
     return entries

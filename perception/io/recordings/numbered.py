@@ -32,6 +32,7 @@ UNITS_PER_METRE = 1000.0  # of the depth images, where nothing else is stated
 COLOR_WORDS, DEPTH_WORDS, POSE_WORDS = ("color", "colour", "rgb", "image"), ("depth",), ("pose",)
 COLOR_SUFFIXES, DEPTH_SUFFIXES = (".png", ".jpg", ".jpeg"), (".png",)
 TRAJECTORY_LOG = "trajectory.log"
+MAX_NUMBER = 1e6  # of a pose: larger ones overflow
 MAX_ROTATION_ERROR = 1e-2  # of R R^T from the identity: files hold rounded numbers
 
 Key = tuple[str, ...]  # groups of digits in a file name
@@ -161,11 +162,13 @@ def _rigid(words: Iterable[str]) -> Float[np.ndarray, "4 4"]:
     if numbers.size != 16:
         raise ValueError(f"{numbers.size} numbers instead of 16")
     T = numbers.reshape(4, 4)
-    if not np.isfinite(T).all():
-        raise ValueError("it is not finite")
+    if not (np.abs(T) <= MAX_NUMBER).all():  # NaN fails as well
+        raise ValueError(f"it is not finite, or above {MAX_NUMBER:g}")
     R = T[:3, :3]
     if np.abs(R @ R.T - np.eye(3)).max() > MAX_ROTATION_ERROR or np.linalg.det(R) < 0:
         raise ValueError("its rotation is not orthonormal")
+    if not np.allclose(T[3], (0, 0, 0, 1), atol=1e-3):
+        raise ValueError("its fourth row is not 0 0 0 1")
     u, _, vt = np.linalg.svd(R)
     rigid = np.eye(4)
     rigid[:3, :3], rigid[:3, 3] = u @ vt, T[:3, 3]

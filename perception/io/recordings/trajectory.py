@@ -17,6 +17,9 @@ from scipy.spatial.transform import Rotation
 from perception.errors import InvalidInputError
 from perception.io.files import read_text, write_atomically
 
+MAX_POSITION = 1e6  # [m]
+MAX_LENGTH_ERROR = 0.05  # of a quaternion: files hold rounded numbers
+
 
 @dataclass(frozen=True)
 class Trajectory:
@@ -86,6 +89,8 @@ def _numbers(line: str) -> list[float]:
         raise ValueError(f"{len(numbers)} numbers instead of 8")
     if not all(map(math.isfinite, numbers)):
         raise ValueError("it is not finite")
-    if not 1e-3 < math.hypot(*numbers[4:]) < 1e3:
+    if max(map(abs, numbers[1:4])) > MAX_POSITION:
+        raise ValueError(f"its position is above {MAX_POSITION:g} m")
+    if abs(math.hypot(*numbers[4:]) - 1) > MAX_LENGTH_ERROR:
         raise ValueError("its quaternion is not of length 1")
     return numbers

@@ -49,6 +49,7 @@ def test_stored_results_are_read_from_folder_or_file(tmp_path):
 
 @pytest.mark.parametrize("rows, command", [
     ([("a", 1)], "pack"), ([("a", None)], "bench"), ([("a", -1)], "bench"),
+    ([], "bench"), ([("a", "2")], "bench"), ([("a", True)], "bench"), ([(3, 1)], "bench"),
 ])  # fmt: skip
 def test_other_reports_are_refused(tmp_path, rows, command):
     with pytest.raises(UsageError, match="--against"):

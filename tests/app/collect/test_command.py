@@ -119,3 +119,23 @@ def test_a_resumed_collection_needs_the_same_scene(tmp_path, fake):
 def test_faults_are_refused(tmp_path):
     with pytest.raises(UsageError, match="--fault is an option of pack, sort and evaluate tasks"):
         collected(tmp_path / "set", episodes=1, fault="any")
+
+
+@pytest.mark.parametrize("damage", ["line", "missing", "truncated"])
+def test_damaged_episodes_are_repeated(tmp_path, fake, monkeypatch, damage):
+    out, whole = tmp_path / "set", command.assemble
+    monkeypatch.setattr(command, "assemble", lambda *_: (_ for _ in ()).throw(KeyboardInterrupt))
+    with pytest.raises(KeyboardInterrupt):
+        collected(out, episodes=2)
+    monkeypatch.setattr(command, "assemble", whole)
+    frames = out / "episodes/0/frames.parquet"
+    if damage == "line":
+        first, *others = (out / "episodes.jsonl").read_text().splitlines()
+        line = {key: value for key, value in json.loads(first).items() if key != "n_frames"}
+        (out / "episodes.jsonl").write_text("\n".join([json.dumps(line), *others]) + "\n")
+    elif damage == "missing":
+        frames.unlink()
+    else:
+        frames.write_bytes(frames.read_bytes()[:-20])
+    assert collected(out, episodes=2, resume=True).metrics["n_kept"] == 2
+    assert fake == [0, 1, 0] and info(out)["total_episodes"] == 2

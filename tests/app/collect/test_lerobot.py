@@ -4,12 +4,13 @@ import json
 from dataclasses import replace
 
 import numpy as np
+import pyarrow as pa
 import pyarrow.parquet as pq
 import pytest
 
 from app.collect import lerobot
-from app.collect.lerobot import aggregate, assemble, n_assembled, remove_parts
-from app.collect.recording import record, stats_of
+from app.collect.lerobot import aggregate, assemble, check_part, n_assembled, remove_parts
+from app.collect.recording import parquet_bytes, record, stats_of
 
 
 @pytest.fixture
@@ -105,3 +106,15 @@ def test_statistics_of_parts_are_those_of_the_whole():
     together, whole = aggregate(parts)["x"], stats_of(values)
     for name, figure in whole.items():
         np.testing.assert_allclose(together[name], figure)
+
+
+def test_an_episode_is_whole_with_all_its_files_and_frames(tmp_path):
+    part = tmp_path / "episodes/7"
+    part.mkdir(parents=True)
+    for name in ("frames.parquet", "objects.parquet"):
+        (part / name).write_bytes(parquet_bytes(pa.table({"x": [1, 2, 3]})))
+    check_part(tmp_path, 7, 3, ())
+    with pytest.raises(ValueError, match="3 frames, not 4"):
+        check_part(tmp_path, 7, 4, ())
+    with pytest.raises(ValueError, match=r"wrist\.mp4 is missing"):
+        check_part(tmp_path, 7, 3, ("wrist",))

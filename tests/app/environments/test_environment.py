@@ -86,11 +86,24 @@ def test_a_diverged_simulation_ends_the_episode(env, monkeypatch):
     [
         ({"objekts": "3"}, "objekts"),
         ({"objects": "cup=1"}, "cup"),
+        ({"objects": 6}, "Expected `str`, got `int`"),
+        ({"lying": 0.5}, "Expected `int`, got `float`"),
+        ({"object_meshes": 3}, "no path"),
+        ({"rate": float("nan")}, "1 to 200 actions"),
+        ({"image_size": (0, 64)}, "16 to 4096 px"),
+        ({"render_mode": "human"}, "rgb_array"),
     ],
 )
 def test_wrong_options(wrong, message):
     with pytest.raises(UsageError, match=message):
         PackEnv(**wrong)
+
+
+@pytest.mark.parametrize("action", [np.full(8, np.nan), np.zeros(7), np.zeros((2, 8))])
+def test_actions_that_are_none_are_refused(env, action):
+    env.reset(seed=1)
+    with pytest.raises(UsageError, match="finite numbers"):
+        env.step(action)
 
 
 def test_a_step_before_the_first_reset():

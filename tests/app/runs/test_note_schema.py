@@ -42,6 +42,10 @@ def test_valid_notes_pass_and_every_field_is_required():
 @pytest.mark.parametrize(
     ("kind", "changes", "message"),
     [
+        ("done", {"seconds": -1}, "seconds must not be negative"),
+        ("fit", {"residual": -0.1}, "residual must not be negative"),
+        ("fit", {"scale": [True, 1, 1]}, "scale must hold 3 finite numbers"),
+        ("path", {"points": [[0, 0, 0], [0, 0, 1e5]]}, "points .* of at most 10000 in magnitude"),
         ("stage", {"name": 3}, "name must be text"),
         ("done", {"seconds": "2"}, "seconds must be a finite number"),
         ("done", {"seconds": True}, "seconds must be a finite number"),
@@ -71,6 +75,8 @@ def test_valid_notes_pass_and_every_field_is_required():
         ("action", {"grasps": [EYE, SHEAR]}, "grasps .*rigid"),
         ("action", {"grasps": EYE[0][0]}, "grasps must be a list"),
         ("path", {"points": [[0, 0, 0]]}, "points must hold at least 2 points"),
+        ("path", {"name": None}, "name must be text"),
+        ("action", {"total": "3"}, "total must be a non-negative integer"),
         ("path", {"points": [[0, 0], [1, 1]]}, "points must hold n x 3 finite numbers"),
     ],
 )

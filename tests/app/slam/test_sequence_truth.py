@@ -3,8 +3,10 @@
 import json
 
 import numpy as np
+import pytest
 
 from app.slam.sequence_truth import TRUTH, read_true_objects, read_true_trajectory
+from perception.errors import InvalidInputError
 from perception.io.files import write_atomically
 from perception.io.object_map import ply_bytes
 from perception.io.recordings.trajectory import Trajectory, write_trajectory
@@ -35,3 +37,19 @@ def test_true_objects_have_class_and_surface(tmp_path):
     ((category, read),) = read_true_objects(tmp_path)
     assert category == "mug"
     np.testing.assert_allclose(read.vertices, vertices, atol=1e-6)
+
+
+@pytest.mark.parametrize(
+    ("entries", "message"),
+    [
+        ({}, "Expected `array`"),
+        ([{"category": "mug"}], r"missing required field `mesh` - at `\$\[0\]`"),
+        ([{"category": "cup", "mesh": "objects/0_cup.ply"}], "Invalid enum value 'cup'"),
+        ([{"category": "mug", "mesh": "../../secret.ply"}], "leads out of the folder"),
+    ],
+)
+def test_malformed_truth_is_named(tmp_path, entries, message):
+    (tmp_path / TRUTH).mkdir()
+    (tmp_path / TRUTH / "objects.json").write_text(json.dumps(entries))
+    with pytest.raises(InvalidInputError, match=rf"objects\.json: .*{message}.* generated here"):
+        read_true_objects(tmp_path)

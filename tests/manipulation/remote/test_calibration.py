@@ -33,6 +33,8 @@ def test_a_calibration_is_read(tmp_path):
         ("calibrated", "made", "unknown field `made`"),
         ("2026-11-20", "'soon'", "RFC3339|date"),
         ("[[0.0", "[[[0.0", "Unclosed|Invalid"),
+        ("residual_rotation = 0.003", "residual_rotation = nan", ">= 0"),
+        ("0.0008", 5000 * "1", "digits"),
     ],
 )
 def test_each_fault_is_one_line_with_the_file(tmp_path, old, new, message):
@@ -46,3 +48,10 @@ def test_each_fault_is_one_line_with_the_file(tmp_path, old, new, message):
 def test_a_missing_file_is_named(tmp_path):
     with pytest.raises(CalibrationError, match="give the file of a hand-eye calibration"):
         read_hand_eye(tmp_path / "none.toml")
+
+
+def test_a_file_in_another_encoding_is_named(tmp_path):
+    path = tmp_path / "camera.toml"
+    path.write_bytes(GOOD.encode("utf-16"))
+    with pytest.raises(CalibrationError, match="can't decode"):
+        read_hand_eye(path)

@@ -10,7 +10,7 @@ from hypothesis import given
 from hypothesis import strategies as st
 
 from perception.errors import InvalidInputError
-from perception.io.arrays import read_arrays
+from perception.io.arrays import numbers_of, parse_array, read_arrays
 from tests.fuzzing import SHORT, damaged_bytes
 
 ARRAYS = {"a": np.arange(6.0).reshape(2, 3), "text": np.array(["x", "yz"]), "f": np.asfortranarray(np.eye(2))}
@@ -69,3 +69,20 @@ def test_random_damage_is_read_or_refused(tmp_path, data):
     except (ValueError, OSError):
         return
     assert all(isinstance(array, np.ndarray) for array in found.values())
+
+
+@pytest.mark.parametrize("value", [True, [1, True], "1", ["1"], None, [[1], [2, 3]], [[1, 2], 3], {"a": 1}])
+def test_values_that_are_no_numbers_are_refused(value):
+    with pytest.raises(ValueError):
+        numbers_of(value)
+
+
+def test_numbers_of_nested_lists():
+    np.testing.assert_array_equal(numbers_of([[1, 2.5], [3, 4]]), [[1, 2.5], [3, 4]])
+    assert numbers_of(3).shape == () and numbers_of([]).shape == (0,)
+
+
+@pytest.mark.parametrize("content", [b"", b"PK\x03\x04", b"\x93NUMPY\x01\x00\xff\xff{"])
+def test_other_files_are_no_arrays(content):
+    with pytest.raises(ValueError):
+        parse_array(content, "it")

@@ -121,10 +121,20 @@ BAD_DETECTIONS = {
     ),
     "cut short": (lambda d: cut(d, lambda counts: counts[:-2]), "run-length code"),
     "garbage": (lambda d: cut(d, lambda counts: "\u20ac"), "do not decode"),
+    "runs that are no whole numbers": (lambda d: cut(d, lambda counts: [0.9, H * W]), "do not decode"),
     "negative runs": (lambda d: cut(d, lambda counts: [-5, H * W + 5]), "damaged"),
     "no mask": (lambda d: [d[0] | {"segmentation": None}], "must be a COCO run-length code"),
     "polygons": (lambda d: [d[0] | {"segmentation": [[0, 0, 4, 4]]}], "must be a COCO run-length code"),
     "empty mask": (lambda d: cut(d, lambda counts: [H * W]), "mask of a mug is empty"),
+    "too few classes": (
+        lambda d: [d[0] | {"class_probabilities": [0.5, 0.5]}],
+        "must hold 5 to 5 numbers, not 2",
+    ),
+    "sum": (
+        lambda d: [d[0] | {"class_probabilities": [0.6] * 5}],
+        "class_probabilities must sum to 1, not to 3",
+    ),
+    "one bin": (lambda d: [d[0] | {"yaw_probabilities": [1]}], "must hold 2 to 720 numbers, not 1"),
     "yaw": (lambda d: [d[0] | {"yaw_probabilities": ["north"]}], "yaw_probabilities must be"),
 }
 

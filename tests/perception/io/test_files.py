@@ -17,6 +17,7 @@ from perception.io.files import (
     parse_json,
     read_bytes,
     read_json,
+    read_text,
     write_atomically,
     write_json,
 )
@@ -189,3 +190,9 @@ def test_surrogate_pairs_are_text():
 def test_names_that_are_no_unicode_can_be_written(tmp_path):
     write_json(tmp_path / "a.json", {"scan": "/\udcff", "\U0001f600": 1})
     assert read_json(tmp_path / "a.json", "") == {"scan": "/?", "\U0001f600": 1}
+
+
+def test_a_byte_order_mark_is_skipped(tmp_path):
+    (tmp_path / "a.json").write_text('{"a": 1}', encoding="utf-8-sig")
+    assert read_json(tmp_path / "a.json", "") == {"a": 1}
+    assert read_text(tmp_path / "a.json") == '{"a": 1}'

@@ -79,7 +79,7 @@ def test_what_is_not_finite_costs_that_object_alone(tmp_path, caplog):
 
 
 BAD_ENTRIES = {
-    "scale": (lambda e: e.update(scale=[0, 1, 1]), "scale must be positive"),
+    "scale": (lambda e: e.update(scale=[0, 1, 1]), "scale must be 0.001 to 10 m"),
     "code": (lambda e: e.update(code=[1, 2]), "code must be 16 finite numbers"),
     "missing": (lambda e: e.pop("T_world_object"), "T_world_object must be 16 finite numbers"),
     "pose": (lambda e: e.update(T_world_object=np.diag([2, 2, 2, 1]).tolist()), "rigid"),
@@ -138,7 +138,7 @@ def test_absurd_coordinates_are_refused_before_they_overflow(tmp_path):
     entries = json.loads((tmp_path / "objects.json").read_text())
     entries[0]["T_world_object"][0][3] = 201.0
     (tmp_path / "objects.json").write_text(json.dumps(entries))
-    with pytest.raises(InvalidInputError, match=r"object 0: its pose, scale and mesh must be within 200 m"):
+    with pytest.raises(InvalidInputError, match=r"object 0: its pose and mesh must be within 200 m"):
         read_object_map(tmp_path)
 
 

@@ -43,13 +43,23 @@ def test_every_notation_gives_the_same_camera(tmp_path: Path, name: str, content
     (tmp_path / name).write_text(content)
     camera = find_camera(tmp_path)
     assert camera is not None and camera[:4] == pytest.approx(CAMERA)
-    intrinsics = camera.intrinsics(1280, 720)  # in pixels of the images themselves, whatever their width
+    intrinsics = camera.intrinsics(640, 480)  # in pixels of the images themselves
     assert intrinsics.fx == pytest.approx(600.5) and intrinsics.cx == pytest.approx(321)
 
 
 def test_numpy_matrix(tmp_path: Path) -> None:
     np.save(tmp_path / "camK.npy", K)
     assert read_camera(tmp_path / "camK.npy")[:4] == pytest.approx(CAMERA)
+
+
+def test_images_of_another_size_than_stated_are_refused(tmp_path: Path) -> None:
+    (tmp_path / "intrinsic.json").write_text(
+        json.dumps({"K": K.tolist(), "width": 640, "height": 480}), encoding="utf-8-sig"
+    )
+    camera = find_camera(tmp_path)
+    assert camera is not None and camera.intrinsics(640, 480).fx == 600.5
+    with pytest.raises(InvalidInputError, match="stated for images of 640x480 px, not 1280x960"):
+        camera.intrinsics(1280, 960)
 
 
 @pytest.mark.filterwarnings("error")
@@ -88,6 +98,14 @@ def test_a_folder_without_such_files_has_no_camera(tmp_path: Path) -> None:
         ("intrinsic.json", b"[1, 2]"),
         ("intrinsic.json", b'{"intrinsic_matrix": "none"}'),
         ("camK.npy", b"no array"),
+        ("camK.npy", b"PK\x03\x04 an archive"),
+        (
+            "camK.npy",
+            b"\x93NUMPY\x01\x00v\x00{'descr': '<f8', 'fortran_order': False, 'shape': (3, 10000000000)}\n",
+        ),
+        ("intrinsic.json", b'{"fx": "600", "fy": 600, "cx": 320, "cy": 240}'),
+        ("intrinsic.json", b'{"fx": true, "fy": 600, "cx": 320, "cy": 240}'),
+        ("intrinsic.json", b'{"K": [600, 0, 320, 0, 600, 240, 0, 0, 1], "width": -640}'),
     ],
 )
 def test_unusable_files_are_named(tmp_path: Path, name: str, content: bytes) -> None:

@@ -48,12 +48,19 @@ def test_malformed_nocs_folders_are_named(nocs: Path, tmp_path: Path) -> None:
     (nocs / "0000_meta.txt").write_text("1 mug\n")
     with pytest.raises(InvalidInputError, match=r"0000_meta.txt, line 1"):
         open_nocs(nocs).detections(0)
-    (nocs / "0000_meta.txt").write_text(201 * "1 6 mug\n")
+    (nocs / "0000_meta.txt").write_text("1 6 mug\n1 2 bowl\n")
+    with pytest.raises(InvalidInputError, match=r"0000_meta.txt, line 2: instance 1 is listed twice"):
+        open_nocs(nocs).detections(0)
+    (nocs / "0000_meta.txt").write_text("".join(f"{i} 6 mug\n" for i in range(201)))
     with pytest.raises(InvalidInputError, match=r"0000_meta\.txt lists 201 instances, at most 200"):
         open_nocs(nocs).detections(0)
     (nocs / "0000_meta.txt").unlink()
     with pytest.raises(InvalidInputError, match=r"0000_meta\.txt cannot be read"):
         open_nocs(nocs).detections(0)
+    (nocs / "0001_meta.txt").write_text("1 6 mug\n")
+    save(nocs / "0001_mask.png", np.ones((240, 320), np.uint8))
+    with pytest.raises(InvalidInputError, match=r"0001_mask\.png is 320x240 but its image is 640x480"):
+        open_nocs(nocs).detections(1)
     save(nocs / "0001_depth.png", np.full((240, 320), 850, np.uint16))
     with pytest.raises(InvalidInputError, match="differ in size"):
         open_nocs(nocs).read(1)

@@ -101,7 +101,9 @@ def test_images_without_a_usable_pose_are_refused(tmp_path: Path) -> None:
     np.savetxt(folder / "pose/1.txt", np.full((4, 4), -np.inf))
     recording = open_numbered(folder, CAMERA)
     assert recording.read(0).T_world_camera is not None
-    with pytest.raises(InvalidInputError, match=r"pose/1\.txt holds no camera pose \(it is not finite\)"):
+    with pytest.raises(
+        InvalidInputError, match=r"pose/1\.txt holds no camera pose \(it is not finite, or above 1e\+06\)"
+    ):
         recording.read(1)
     with pytest.raises(InvalidInputError, match=r"color/2\.jpg has no pose file"):
         recording.read(2)
@@ -109,7 +111,13 @@ def test_images_without_a_usable_pose_are_refused(tmp_path: Path) -> None:
 
 @pytest.mark.parametrize(
     ("content", "words"),
-    [("1 2 3", "3 numbers instead of 16"), ("a " * 16, "could not convert"), ("2 " * 16, "not orthonormal")],
+    [
+        ("1 2 3", "3 numbers instead of 16"),
+        ("a " * 16, "could not convert"),
+        ("2 " * 16, "not orthonormal"),
+        ("1 0 0 0 0 1 0 0 0 0 1 0 0.1 0.2 0.5 1", "fourth row"),
+        ("1e300 " * 16, "above 1e\\+06"),
+    ],
 )
 def test_malformed_poses(tmp_path: Path, content: str, words: str) -> None:
     (tmp_path / "p.txt").write_text(content)

@@ -68,3 +68,15 @@ def test_the_nearest_pose_within_the_tolerance():
     assert nearest is not None and nearest[0, 3] == 5
     assert trajectory.nearest(0.5, 0.4) is None
     assert Trajectory.of([], []).nearest(0.0, 1.0) is None
+
+
+@pytest.mark.parametrize("line", ["0 1e7 0 0 0 0 0 1", "0 0 0 0 0 0 0 0.5", "0 0 0 0 1 1 1 1"])
+def test_implausible_poses_are_refused(tmp_path, line):
+    (tmp_path / "t.txt").write_text(line)
+    with pytest.raises(InvalidInputError, match=r"t\.txt, line 1 is not a pose \(its"):
+        read_trajectory(tmp_path / "t.txt")
+
+
+def test_a_byte_order_mark_is_skipped(tmp_path):
+    (tmp_path / "t.txt").write_text("# time\n0 1 2 3 0 0 0 1\n", encoding="utf-8-sig")
+    assert len(read_trajectory(tmp_path / "t.txt").times) == 1
