@@ -68,8 +68,9 @@ def reconstruct_clutter(
         options: Scheduling and progress.
     """
     more = associate_unclassified(frames, detections_per_frame, left_out, planes[0])
-    more = posed_detections(frames, more, planes, completer)
-    detections_per_frame = posed_detections(frames, detections_per_frame, planes, completer)
+    with single_threaded():
+        more = posed_detections(frames, more, planes, completer)
+        detections_per_frame = posed_detections(frames, detections_per_frame, planes, completer)
     candidates = {d.instance_id for row in more for d in row if d.instance_id is not None}
     rows = [[*row, *others] for row, others in zip(detections_per_frame, more, strict=True)]
     low = {id for id in candidates if is_low(frames, more, id, planes[0])}
@@ -147,9 +148,9 @@ def completed(
     plane: SupportPlane,
     fit: Callable[[Rows], Sequence[ObjectEstimate]],
 ) -> dict[int, ObjectEstimate]:
-    """Return estimates of mugs that lie or stand upside down with the parts that their masks lack.
+    """Return estimates of objects that do not stand upright with the parts that their masks lack.
 
-    Without its handle a mug upside down is a can.
+    Without its handle a mug upside down is a can, without its cap a bottle that lies cannot be grasped.
 
     Args:
         frames: Views with camera poses.
@@ -158,16 +159,29 @@ def completed(
         plane: Support plane.
         fit: Reconstructs instances; detections without an id only occlude others.
     """
-    mugs = [id for id, e in estimates.items() if _may_be_turned_mug(e, rows)]
-    masks = with_lost_parts(frames, rows, estimates, mugs, plane)
+    turned = [id for id, e in estimates.items() if e.resting == "lying" or _may_be_turned_mug(e, rows)]
+    masks = with_lost_parts(frames, rows, estimates, turned, plane) if turned else {}
     if not masks:
         return {}
     whole = [[_extended(d, masks, k) for d in row] for k, row in enumerate(rows)]
     points = {id: instance_points(frames, whole, id) for id in masks}
     before = {id: unexplained(points[id], [estimates[id]]) for id in masks}
     return {
-        e.id: e for e in fit(whole) if e.category == "mug" and unexplained(points[e.id], [e]) < before[e.id]
+        e.id: e
+        for e in fit(whole)
+        if _is_completed(estimates[e.id], e, before[e.id], unexplained(points[e.id], [e]))
     }
+
+
+def _is_completed(old: ObjectEstimate, new: ObjectEstimate, before: float, after: float) -> bool:
+    """Return whether a fit with the lost parts replaces the one without, given what they leave unexplained.
+
+    A handle tells a mug; what touches a lying bottle or can may be another thing.
+    """
+    if new.category == "mug":
+        return after < before
+    same_kind = old.category in ("bottle", "can") and new.category in ("bottle", "can")
+    return same_kind and new.resting == old.resting == "lying" and after < CLEARLY * before
 
 
 def _is_clear(estimate: ObjectEstimate) -> bool:

@@ -142,10 +142,11 @@ def test_what_is_fitted_has_its_pose_probabilities(scene):
         ("can", "upright", POSED_CLASSES.index(("mug", "upside-down")), True),
         ("can", "upright", POSED_CLASSES.index(("mug", "lying")), True),
         ("mug", "upright", 9, False),
+        ("bottle", "lying", 9, True),
         ("can", "upright", POSED_CLASSES.index(("can", "lying")), False),
     ],
 )
-def test_handles_of_turned_mugs_are_looked_for(scene, monkeypatch, category, resting, pose, searched):
+def test_parts_of_what_does_not_stand_are_looked_for(scene, monkeypatch, category, resting, pose, searched):
     ids = []
 
     def with_lost_parts(frames, rows, estimates, mugs, plane):
@@ -170,8 +171,25 @@ def test_a_completed_mug_replaces_what_explains_less(scene, monkeypatch):
 
     shares = iter([0.2, 0.1, 0.2, 0.3])
     monkeypatch.setattr(clutter, "unexplained", lambda points, shapes: next(shares))
-    rows, estimates = ((scene.detected, scene.tall),), {0: found(0)}
+    rows = ((scene.detected, scene.tall),)
+    estimates = {0: found(0, category="mug", resting="lying")}
     run: Any = getattr(clutter.completed, "__wrapped__", clutter.completed)
     better = run((FRAME,), rows, estimates, SupportPlane(), fit)
     assert better[0].category == "mug" and fitted == [(0, True), (None, False)]
     assert run((FRAME,), rows, estimates, SupportPlane(), fit) == {}
+
+
+@pytest.mark.parametrize(
+    ("old", "new", "after", "kept"),
+    [
+        (("can", "upright"), ("mug", "upside-down"), 0.19, True),
+        (("mug", "upside-down"), ("mug", "upside-down"), 0.21, False),
+        (("can", "lying"), ("bottle", "lying"), 0.09, True),
+        (("bottle", "lying"), ("bottle", "lying"), 0.11, False),  # perhaps of another thing
+        (("can", "lying"), ("bottle", "upright"), 0.01, False),
+        (("can", "upright"), ("bottle", "lying"), 0.01, False),
+    ],
+)
+def test_lost_parts_of_bottles_must_explain_more_than_handles(old, new, after, kept):
+    first, second = (found(0, category=category, resting=resting) for category, resting in (old, new))
+    assert clutter._is_completed(first, second, 0.2, after) == kept
