@@ -135,6 +135,10 @@ def _check_values(path: Path, tag: str, attributes: Mapping[str, str]) -> None:
             raise RobotFileError(f"{path}: {key} = {text[:40]} of <{tag}> must be at most {most}")
         if key in ("pos", "size", "quat") and not all(map(math.isfinite, map(_number, text.split()))):
             raise RobotFileError(f"{path}: {key} = {text[:40]} of <{tag}> must be finite numbers")
+        if key.endswith("range"):
+            low, high = [_number(word) for word in text.split()] if len(text.split()) == 2 else (0.0, 0.0)
+            if not low <= high:  # which MuJoCo reads as no limit at all
+                raise RobotFileError(f"{path}: {key} = {text[:40]} of <{tag}> must be two ascending numbers")
 
 
 def _count(path: Path, attributes: Mapping[str, str]) -> int:

@@ -33,6 +33,8 @@ REFUSED = {
     "nuser_geom = 1000000000 of <size> must be at most 1000": '<size nuser_geom="1000000000"/>',
     "pos = nan 0 0 of <body> must be finite": '<body pos="nan 0 0"/>',
     "size = x of <geom> must be finite": '<geom size="x"/>',
+    "forcerange = nan nan of <motor> must be two ascending": '<motor forcerange="nan nan"/>',
+    "range = 2 -2 of <joint> must be two ascending": '<joint range="2 -2"/>',
     "mismatched tag": "<body>",
 }
 
