@@ -45,7 +45,6 @@ _ROLLS: Mapping[Category, tuple[float, ...]] = {
     "bottle": (0.0, np.pi / 2),
     "can": (0.0,),
 }
-_SYMMETRIC: tuple[Category, ...] = ("can",)  # top and bottom look alike
 _CONTACT = 0.08  # height of a contact over the lowest point, in extents: the error of a fitted tilt
 _SLACK = 0.01  # [m] by which the hull of the contacts is widened: handles are fitted less exactly than bodies
 
@@ -157,7 +156,7 @@ def _lying_rotations(
 ) -> list[Float[np.ndarray, "3 3"]]:
     """Return rotations with the object's z along a direction in the plane, both ways, for all rolls."""
     rotations = []
-    for sign in (1.0,) if category in _SYMMETRIC else (1.0, -1.0):
+    for sign in (1.0, -1.0):  # some cans, too, are narrower above
         z = sign * (basis[:2].T @ along)
         side = np.cross(z, basis[2])
         for roll in _ROLLS[category]:
