@@ -26,7 +26,7 @@ BAD_USAGE = {
     "misspelt option": (["pack", "--sed", "3"], "did you mean --seed?"),
     "no number": (["pack", "--seed", "x"], "Error parsing --seed"),
     "no such choice": (["sort", "--shapes", "perfect"], "invalid choice 'perfect'"),
-    "no network": (["train"], "{shape,detector,yaw,acceptance}"),
+    "no network": (["train"], "{shape,detector,pose,yaw,acceptance}"),
     "nothing to evaluate": (["evaluate", "everything"], "invalid choice 'everything'"),
     "no scan": (["reconstruct"], "Scan folder"),
 }

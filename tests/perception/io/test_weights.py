@@ -33,6 +33,7 @@ COEFFICIENTS = WEIGHTS_DIRECTORY / "acceptance.json"
 LOADERS = {
     "shape": load_shape,
     "detector": lambda path: load_crop_network("class", path),
+    "pose": lambda path: load_crop_network("pose", path),
     "yaw": lambda path: load_crop_network("yaw", path),
     "scene": load_scene_network,
 }
