@@ -14,6 +14,7 @@ from perception.types import CameraIntrinsics, RgbdFrame
 
 DEPTH_SCALE = 0.1  # of the depth images written here: a tenth of a millimetre, up to 6.5 m
 MIN_TRANSLATION = 10.0  # [mm] length below which all translations together are suspicious
+MAX_ASPECT = 1.5  # of the pixels: focal lengths of images that were stretched differ by 4/3
 MAX_DISTANCE = 100.0  # [m] of a camera from the origin
 MAX_NUMBER = 1e9  # of a camera: 1000 km in millimetres; larger ones overflow
 
@@ -96,7 +97,10 @@ def suspicion_of_metres(entries: Sequence[Any]) -> str | None:
 
 
 def _check_focal_lengths(camera: CameraIntrinsics) -> None:
-    if not (0.05 * camera.width < camera.fx < 50 * camera.width and 0.5 < camera.fx / camera.fy < 2):
+    if not (
+        0.05 * camera.width < camera.fx < 50 * camera.width
+        and 1 / MAX_ASPECT < camera.fx / camera.fy < MAX_ASPECT
+    ):
         raise InvalidInputError(
             f"focal lengths {camera.fx:g}, {camera.fy:g} px are implausible for an image "
             f"{camera.width} px wide"

@@ -31,6 +31,7 @@ PATTERNS = (
     "intrinsic*/*intrinsic*depth*.txt",
 )
 MAX_BYTES = 2**20
+DISTORTION = ("coeffs", "distortion", "distortion_coefficients", "dist_coeffs")  # keys in JSON objects
 MAX_SKEW = 1e-3  # of the focal length: less than a pixel
 ORIGINAL_WIDTH = 0.0  # the files refer to the recording's own images
 
@@ -82,6 +83,9 @@ def _from_json(content: Any) -> np.ndarray:
     """Return the numbers of a JSON object: a matrix by rows, or four parameters."""
     if not isinstance(content, Mapping):
         raise ValueError("no JSON object")
+    for key in DISTORTION:
+        if isinstance(content.get(key), list) and numbers_of(content[key]).any():
+            raise ValueError(f"{key} states a distortion; undistort the images and remove it")
     if "intrinsic_matrix" in content:  # by columns, as Open3D and Eigen store it
         numbers = numbers_of(content["intrinsic_matrix"])
         return numbers.reshape(3, 3).T if numbers.ndim == 1 else numbers
@@ -105,8 +109,9 @@ def _parameters(numbers: np.ndarray) -> tuple[float, float, float, float]:
     if numbers.size in (9, 16):
         side = 3 if numbers.size == 9 else 4
         matrix = numbers.reshape(side, side)
-        if abs(matrix[0, 1]) > MAX_SKEW * abs(matrix[0, 0]):
-            raise ValueError(f"the skew {matrix[0, 1]:g} is not zero; undistort and rectify the images")
+        for skew in (matrix[0, 1], matrix[1, 0]):
+            if abs(skew) > MAX_SKEW * abs(matrix[0, 0]):
+                raise ValueError(f"the skew {skew:g} is not zero; undistort and rectify the images")
         if not np.allclose(matrix[2, :3], (0, 0, 1)):
             raise ValueError("the third row is not 0 0 1")
         numbers = matrix[[0, 1, 0, 1], [0, 1, 2, 2]]

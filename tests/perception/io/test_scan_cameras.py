@@ -73,3 +73,13 @@ def test_what_is_no_number_is_refused(value):
 def test_short_translations_are_probably_in_metres(length, suspected):
     message = suspicion_of_metres([{"cam_t_w2c": [0, 0, 0]}, {"cam_t_w2c": [0, length, 0]}])
     assert (message is not None) == suspected
+
+
+@pytest.mark.parametrize(("fy", "plausible"), [(41.0, True), (39.0, False), (89.0, True), (91.0, False)])
+def test_pixels_are_nearly_square(fy, plausible):
+    entry = camera_entry(frame()) | {"cam_K": [60.0, 0, 32, 0, fy, 24, 0, 0, 1]}
+    if plausible:
+        assert read_intrinsics(entry, 64, 48).fy == fy
+        return
+    with pytest.raises(InvalidInputError, match="implausible"):
+        read_intrinsics(entry, 64, 48)

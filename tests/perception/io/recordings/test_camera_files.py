@@ -34,7 +34,10 @@ def padded() -> np.ndarray:
         ("intrinsic/intrinsic_depth.txt", rows(padded())),
         ("camera_intrinsic.json", json.dumps({"width": 640, "intrinsic_matrix": K.T.ravel().tolist()})),
         ("intrinsic.json", json.dumps({"intrinsic_matrix": K.tolist()})),
-        ("intrinsics.json", json.dumps({"fx": 600.5, "fy": 601.5, "ppx": 321, "ppy": 239})),
+        (
+            "intrinsics.json",
+            json.dumps({"fx": 600.5, "fy": 601.5, "ppx": 321, "ppy": 239, "coeffs": [0] * 5}),
+        ),
         ("color_intrinsics.json", json.dumps({"K": K.ravel().tolist(), "height": 480})),
     ],
 )
@@ -98,6 +101,8 @@ def test_a_folder_without_such_files_has_no_camera(tmp_path: Path) -> None:
         ("intrinsic.json", b"[1, 2]"),
         ("intrinsic.json", b'{"intrinsic_matrix": "none"}'),
         ("camK.npy", b"no array"),
+        ("cam_K.txt", b"600 0 320 50 600 240 0 0 1"),
+        ("intrinsic.json", b'{"fx": 600, "fy": 600, "ppx": 320, "ppy": 240, "coeffs": [-0.4, 0.2, 0, 0, 0]}'),
         ("camK.npy", b"PK\x03\x04 an archive"),
         (
             "camK.npy",
