@@ -109,7 +109,7 @@ class Ledger:
             if not data.strip():
                 continue
             try:
-                line = parse_json(data)
+                line = parse_json(data, nan_allowed=True)  # scores of empty sets
                 key = line[self.format.key]
                 if type(key) not in (int, str):
                     raise TypeError(f"{self.format.key} is {type(key).__name__}")

@@ -21,7 +21,7 @@ import numpy as np
 import trimesh
 from jaxtyping import Float
 
-from app.runs.note_schema import check_note, is_finite_number
+from app.runs.note_schema import MAX_LENGTH, check_note, is_finite_number
 from perception.errors import InvalidInputError
 from perception.io.arrays import read_arrays
 from perception.io.files import read_json, write_atomically
@@ -191,8 +191,9 @@ def _read_notes(path: Path, remedy: str) -> tuple[tuple[str, ...], list[Note]]:
     lists = isinstance(content, dict) and all(
         isinstance(content.get(key), list) for key in ("bodies", "notes")
     )
-    if not lists or not all(isinstance(name, str) for name in content["bodies"]):
-        raise InvalidInputError(f"{path} must hold the lists bodies and notes: {remedy}")
+    names = content["bodies"] if lists else []
+    if not lists or not all(isinstance(name, str) for name in names) or len(set(names)) < len(names):
+        raise InvalidInputError(f"{path} must hold the lists bodies, of different names, and notes: {remedy}")
     notes: list[Note] = []
     for index, entry in enumerate(content["notes"]):
         try:
@@ -237,6 +238,8 @@ def _check_arrays(arrays: Mapping[str, np.ndarray]) -> None:
             raise ValueError(f"{name} must hold finite numbers")
         if len(array) != len(arrays["show_time"]):
             raise ValueError(f"{name} has {len(array)} samples, show_time {len(arrays['show_time'])}")
+    if np.abs(arrays["body_poses"]).max(initial=0.0) > MAX_LENGTH:
+        raise ValueError(f"body_poses must be within {MAX_LENGTH:g} m")
     times = arrays["show_time"]
     if times.ndim != 1 or (np.diff(times) < 0).any():
         raise ValueError("show_time must be in ascending order")

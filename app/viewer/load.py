@@ -18,6 +18,8 @@ from perception.io.files import read_json
 from perception.io.object_map import read_object_map
 from perception.io.scan_folder import Scan, read_scan
 
+MAX_NORM_ERROR = 1e-3  # of quaternions in single precision
+
 
 @dataclass(frozen=True)
 class RunSummary:
@@ -116,13 +118,14 @@ def _outcome(index: int, entry: Any) -> tuple[int, ObjectOutcome]:
 
 
 def _check_orientations(folder: Path, recorder: Recorder) -> None:
-    """Check that the quaternions of the bodies can be normalised."""
+    """Check that the quaternions of the bodies are of length 1."""
     for sample, poses in enumerate(recorder.poses):
-        zero = np.linalg.norm(poses[:, 3:], axis=1) < 1e-6
-        if zero.any():
-            body = recorder.bodies[int(zero.argmax())]
+        wrong = np.abs(np.linalg.norm(poses[:, 3:], axis=1) - 1) > MAX_NORM_ERROR
+        if wrong.any():
+            body = recorder.bodies[int(wrong.argmax())]
             raise InvalidInputError(
-                f"{folder}/replay.npz, sample {sample}: the quaternion of {body} is zero: run it again"
+                f"{folder}/replay.npz, sample {sample}: the quaternion of {body} is not of length 1: "
+                "run it again"
             )
 
 

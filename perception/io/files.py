@@ -124,15 +124,22 @@ def read_json(path: Path, remedy: str) -> Any:
         raise InvalidInputError(f"{path} {error}: {remedy}") from None
 
 
-def parse_json(data: bytes) -> Any:
-    """Parse JSON in UTF-8, with or without byte order mark.
+def parse_json(data: bytes, nan_allowed: bool = False) -> Any:
+    """Parse JSON in UTF-8, with or without byte order mark; NaN and infinity are no JSON, but may be allowed.
 
     Raises:
-        ValueError: It is not JSON, is nested too deeply, or holds a number that is too large or text that
-            cannot be encoded; the message continues a sentence that begins with the name of the file.
+        ValueError: It is not JSON, is nested too deeply, or holds NaN, a number that is too large, a name
+            twice in one object, or text that cannot be encoded; the message continues a sentence that
+            begins with the name of the file.
     """
     try:
-        value = json.loads(data.decode("utf-8-sig"), parse_int=_integer, parse_float=_real)
+        value = json.loads(
+            data.decode("utf-8-sig"),
+            parse_int=_integer,
+            parse_float=_real,
+            parse_constant=float if nan_allowed else _constant,
+            object_pairs_hook=_object,
+        )
         if _SURROGATE.search(data):
             json.dumps(value, ensure_ascii=False).encode()  # fails if one of a pair is alone
         return value
@@ -158,6 +165,19 @@ def _real(text: str) -> float:
     value = float(text)
     if not math.isfinite(value):
         raise ValueError(f"holds the number {text[:30]}, which is too large")
+    return value
+
+
+def _constant(name: str) -> float:
+    raise ValueError(f"holds {name}, which is no number in JSON")
+
+
+def _object(pairs: list[tuple[str, Any]]) -> dict[str, Any]:
+    value: dict[str, Any] = {}
+    for name, entry in pairs:
+        if name in value:
+            raise ValueError(f"holds the name {name[:80]!r} twice in one object")
+        value[name] = entry
     return value
 
 

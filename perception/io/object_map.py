@@ -35,6 +35,7 @@ PLANE = "plane"  # what an object rests on that rests on no other object
 SIZE_TOLERANCE = 0.05  # of height and radius relative to those of the mesh
 MIN_SCALE, MAX_SCALE = 1e-3, 10.0  # [m] of the half side of an object's grid
 MAX_DISTANCE = 200.0  # [m] of anything in a map, whose cameras are within 100 m
+MAX_OVERHANG = 3.0  # canonical units from the origin to any vertex; shapes are in [-1, 1]^3
 _MESH_NAME = re.compile(r"\d+_[a-z]+\.ply")
 
 
@@ -182,6 +183,8 @@ def _estimate(folder: Path, entry: Any, used: Set[int]) -> ObjectEstimate:
         resting=_one_of(entry, "resting", RESTING_POSES),
         rests_on=_rests_on(entry.get("rests_on", PLANE)),
     )
+    if not (np.abs(estimate.mesh.vertices) <= MAX_OVERHANG * scale.max()).all():
+        raise InvalidInputError(f"{name} is far from its pose")
     for key, measured in (("height", estimate.height), ("radius", estimate.radius)):
         stated = float(read_numbers(entry, key, 1)[0])
         if abs(stated - measured) > SIZE_TOLERANCE * max(measured, 0.01):

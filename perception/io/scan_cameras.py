@@ -16,6 +16,7 @@ DEPTH_SCALE = 0.1  # of the depth images written here: a tenth of a millimetre, 
 MIN_TRANSLATION = 10.0  # [mm] length below which all translations together are suspicious
 MAX_ASPECT = 1.5  # of the pixels: focal lengths of images that were stretched differ by 4/3
 MAX_DISTANCE = 100.0  # [m] of a camera from the origin
+MAX_TIME = 1e11  # [s]: the year 5138; larger ones are in other units
 MAX_NUMBER = 1e9  # of a camera: 1000 km in millimetres; larger ones overflow
 
 
@@ -34,8 +35,10 @@ def camera_entry(frame: RgbdFrame) -> dict[str, Any]:
 
 
 def check_camera(frame: RgbdFrame) -> None:
-    """Raise InvalidInputError if a scan with the frame would be refused for its camera."""
+    """Raise InvalidInputError if a scan with the frame would be refused for its camera or time."""
     _check_focal_lengths(frame.intrinsics)
+    if not abs(frame.time) <= MAX_TIME:
+        raise InvalidInputError(f"times are in seconds, at most {MAX_TIME:g}: divide nanoseconds by 1e9")
     if frame.T_world_camera is not None:
         _check_position(frame.T_world_camera)
 

@@ -12,7 +12,6 @@ See https://github.com/thodan/bop_toolkit, docs/bop_datasets_format.md.
 from __future__ import annotations
 
 import logging
-import math
 from collections.abc import Sequence
 from dataclasses import dataclass
 from pathlib import Path
@@ -27,6 +26,7 @@ from perception.io.files import read_json, write_atomically, write_json
 from perception.io.images import DEPTH_MODES, png_bytes, read_image
 from perception.io.scan_cameras import (
     DEPTH_SCALE,
+    MAX_TIME,
     camera_entry,
     read_intrinsics,
     read_numbers,
@@ -216,7 +216,7 @@ def _image_name(folder: Path, kind: str, image_id: int) -> str:
 
 
 def _has_pose(camera: Any) -> bool:
-    return isinstance(camera, dict) and "cam_R_w2c" in camera
+    return isinstance(camera, dict) and not camera.keys().isdisjoint(("cam_R_w2c", "cam_t_w2c"))
 
 
 def _read_cameras(folder: Path, max_images: int) -> dict[int, Any]:
@@ -234,7 +234,10 @@ def _read_cameras(folder: Path, max_images: int) -> dict[int, Any]:
     for key in entries:
         if not (key.isascii() and key.isdigit() and len(key) <= 9):
             raise InvalidInputError(f"{path}: image id '{key}' is not a number; ids name the image files")
-    return {int(key): entry for key, entry in entries.items()}
+    cameras = {int(key): entry for key, entry in entries.items()}
+    if len(cameras) < len(entries):
+        raise InvalidInputError(f"{path} lists an image twice: '1' and '01' are the same id")
+    return cameras
 
 
 def _read_frame(folder: Path, image_id: int, camera: Any, posed: bool) -> RgbdFrame:
@@ -267,6 +270,6 @@ def _depth_scale(camera: Any) -> float:
 
 def _time(camera: Any, default: float) -> float:
     time = camera.get("time", default)
-    if type(time) not in (int, float) or not math.isfinite(time):
+    if type(time) not in (int, float) or not abs(time) <= MAX_TIME:
         raise InvalidInputError(f"time must be seconds, got {time!r}")
     return float(time)

@@ -114,6 +114,8 @@ def _parameters(numbers: np.ndarray) -> tuple[float, float, float, float]:
                 raise ValueError(f"the skew {skew:g} is not zero; undistort and rectify the images")
         if not np.allclose(matrix[2, :3], (0, 0, 1)):
             raise ValueError("the third row is not 0 0 1")
+        if side == 4 and not (np.allclose(matrix[:, 3], (0, 0, 0, 1)) and np.allclose(matrix[3, :3], 0)):
+            raise ValueError("the fourth row and column are not 0 0 0 1")
         numbers = matrix[[0, 1, 0, 1], [0, 1, 2, 2]]
     if numbers.size != 4:
         raise ValueError(f"{numbers.size} numbers")

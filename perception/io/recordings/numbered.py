@@ -148,12 +148,21 @@ def read_trajectory_log(path: Path) -> Float[np.ndarray, "n 4 4"]:
     """
     try:
         lines = [line.split() for line in read_text(path).splitlines() if line.strip()]
-        blocks = [lines[k + 1 : k + 5] for k in range(0, len(lines), 5)]
-        return np.array([_rigid([word for line in block for word in line]) for block in blocks])
+        return np.array([_logged_pose(k // 5, lines[k : k + 5]) for k in range(0, len(lines), 5)])
     except (OSError, ValueError) as error:
         raise InvalidInputError(
             f"{path} is no trajectory ({error}): for each image a line of numbers and a 4x4 matrix"
         ) from None
+
+
+def _logged_pose(index: int, lines: list[list[str]]) -> Float[np.ndarray, "4 4"]:
+    """Return the pose in a line of integers and four lines of numbers."""
+    try:
+        for word in lines[0]:
+            int(word)
+        return _rigid([word for line in lines[1:] for word in line])
+    except ValueError as error:
+        raise ValueError(f"pose {index}: {error}") from None
 
 
 def _rigid(words: Iterable[str]) -> Float[np.ndarray, "4 4"]:

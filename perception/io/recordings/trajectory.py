@@ -16,6 +16,7 @@ from scipy.spatial.transform import Rotation
 
 from perception.errors import InvalidInputError
 from perception.io.files import read_text, write_atomically
+from perception.io.scan_cameras import MAX_TIME
 
 MAX_POSITION = 1e6  # [m]
 MAX_LENGTH_ERROR = 0.05  # of a quaternion: files hold rounded numbers
@@ -89,6 +90,8 @@ def _numbers(line: str) -> list[float]:
         raise ValueError(f"{len(numbers)} numbers instead of 8")
     if not all(map(math.isfinite, numbers)):
         raise ValueError("it is not finite")
+    if abs(numbers[0]) > MAX_TIME:
+        raise ValueError(f"its time is no number of seconds up to {MAX_TIME:g}")
     if max(map(abs, numbers[1:4])) > MAX_POSITION:
         raise ValueError(f"its position is above {MAX_POSITION:g} m")
     if abs(math.hypot(*numbers[4:]) - 1) > MAX_LENGTH_ERROR:

@@ -8,7 +8,6 @@ as ``intrinsics.txt`` with ``fx fy cx cy``.
 
 from __future__ import annotations
 
-import math
 from dataclasses import dataclass
 from pathlib import Path
 
@@ -19,6 +18,7 @@ from perception.errors import InvalidInputError
 from perception.io.files import read_text
 from perception.io.recordings.camera_files import find_camera
 from perception.io.recordings.image_pairs import ImagePair, NominalCamera, read_pair
+from perception.io.scan_cameras import MAX_TIME
 from perception.io.scan_folder import MAX_SEQUENCE
 from perception.types import RgbdFrame
 
@@ -121,7 +121,7 @@ def _read_list(path: Path) -> list[tuple[float, str]]:
             continue
         try:
             time = float(words[0])
-            if not math.isfinite(time):
+            if not abs(time) <= MAX_TIME:
                 raise ValueError(words[0])
             entries.append((time, words[1]))
         except (ValueError, IndexError):

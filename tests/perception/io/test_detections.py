@@ -113,7 +113,7 @@ BAD_DETECTIONS = {
     "no class": (lambda d: [d[0] | {"category_name": ["mug"]}], "is none of"),
     "unknown image": (lambda d: [d[0] | {"image_id": 77}], "image_id 77 is not in scene_camera.json"),
     "image is a list": (lambda d: [d[0] | {"image_id": [0]}], r"image_id \[0\] is not in"),
-    "score": (lambda d: [d[0] | {"score": float("nan")}], "score nan must be"),
+    "score": (lambda d: [d[0] | {"score": float("nan")}], "detections.json holds NaN"),
     "instance": (lambda d: [d[0] | {"instance_id": "first"}], "instance_id 'first' must be"),
     "size": (
         lambda d: [d[0] | {"segmentation": encode_mask(np.ones((4, 4), bool))}],

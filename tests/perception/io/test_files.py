@@ -196,3 +196,15 @@ def test_a_byte_order_mark_is_skipped(tmp_path):
     (tmp_path / "a.json").write_text('{"a": 1}', encoding="utf-8-sig")
     assert read_json(tmp_path / "a.json", "") == {"a": 1}
     assert read_text(tmp_path / "a.json") == '{"a": 1}'
+
+
+@pytest.mark.parametrize("text", ['{"a": 1, "b": 2, "a": 1}', '[{"x": {"a": 1, "a": 2}}]'])
+def test_a_name_occurs_once_in_an_object(text):
+    with pytest.raises(ValueError, match="holds the name 'a' twice in one object"):
+        parse_json(text.encode())
+
+
+def test_nan_is_no_number_unless_it_is_expected():
+    with pytest.raises(ValueError, match="holds -Infinity, which is no number in JSON"):
+        parse_json(b"[1, -Infinity]")
+    assert parse_json(b"[-Infinity]", nan_allowed=True) == [float("-inf")]

@@ -227,3 +227,12 @@ def test_entries_agree_with_each_other_and_the_mesh(tmp_path, key, value, proble
     (tmp_path / "objects.json").write_text(json.dumps(entries))
     with pytest.raises(InvalidInputError, match=problem):
         read_object_map(tmp_path)
+
+
+def test_a_mesh_far_from_its_pose_is_refused(tmp_path):
+    write_object_map(tmp_path, [estimate()])
+    entries = json.loads((tmp_path / "objects.json").read_text())
+    entries[0]["T_world_object"][0][3] += 1.0
+    (tmp_path / "objects.json").write_text(json.dumps(entries))
+    with pytest.raises(InvalidInputError, match=r"object 0: 3_can\.ply is far from its pose"):
+        read_object_map(tmp_path)

@@ -96,6 +96,8 @@ def test_a_folder_without_such_files_has_no_camera(tmp_path: Path) -> None:
         ("cam_K.txt", b"nan 600 320 240"),
         ("cam_K.txt", b"600 30 320 0 600 240 0 0 1"),
         ("cam_K.txt", b"600 0 320 0 600 240 0 0 2"),
+        ("cam_K.txt", b"600 0 320 30 600 240 0 0 1"),
+        ("cam_K.txt", b"600 0 320 5 0 600 240 0 0 0 1 0 0 0 0 1"),
         ("cam_K.txt", 2**20 * b"1 "),
         ("intrinsic.json", b'{"fx": 600}'),
         ("intrinsic.json", b"[1, 2]"),

@@ -143,7 +143,10 @@ def test_trajectory_log(tmp_path: Path) -> None:
     with pytest.raises(InvalidInputError, match="has 1 poses for 2 images"):
         open_numbered(folder, CAMERA)
     (folder / "trajectory.log").write_text("0 0 1\n1 0 0 0\n")
-    with pytest.raises(InvalidInputError, match=r"trajectory\.log is no trajectory \(4 numbers"):
+    with pytest.raises(InvalidInputError, match=r"trajectory\.log is no trajectory \(pose 0: 4 numbers"):
+        read_trajectory_log(folder / "trajectory.log")
+    (folder / "trajectory.log").write_text("\n".join(block.partition("\n")[2] for block in blocks))
+    with pytest.raises(InvalidInputError, match=r"pose 0: invalid literal for int"):  # no line of numbers
         read_trajectory_log(folder / "trajectory.log")
 
 
