@@ -169,7 +169,7 @@ def parts_inside(
         vessel: Estimate of the instance as a single object.
         id: Its id.
         planes: Support planes, numbered by ``ObjectDetection.support``.
-        completer: Names the upper part.
+        completer: Names the parts.
         free_id: Id of the lower part; that of the upper one follows.
     """
     if vessel is None or vessel.category not in VESSELS or vessel.resting != "upright":
@@ -177,21 +177,17 @@ def parts_inside(
     shown = {k: d for k, row in enumerate(rows) for d in row if d.instance_id == id}
     surface = SurfaceSamples.of(vessel.mesh_world, np.random.default_rng(0), _SAMPLES).tree
     held = {k: _held(views[k], d.mask, vessel, surface) for k, d in shown.items()}
-    large = {k: mask for k, mask in held.items() if mask.sum() >= MIN_PIXELS}
+    rest = {k: d.mask & ~held[k] for k, d in shown.items()}
     support = next(iter(shown.values())).support
-    named = _named(large, views, planes[support], completer, CATEGORIES)
-    if not named:
-        return []
     marked: list[list[ObjectDetection]] = [[] for _ in rows]
-    for k, d in shown.items():
-        rest = d.mask & ~held[k]
-        if rest.sum() >= MIN_PIXELS:
-            marked[k].append(replace(d, mask=rest, instance_id=free_id, category=vessel.category))
-        if k in named:
-            marked[k].append(replace(named[k], instance_id=free_id + 1, support=support))
-    ids = (free_id, free_id + 1)
-    is_cut = all(any(d.instance_id == i for row in marked for d in row) for i in ids)
-    return [Parts(marked, ids)] if is_cut else []
+    for number, (masks, classes) in enumerate(((rest, VESSELS), (held, CATEGORIES))):
+        large = {k: mask for k, mask in masks.items() if mask.sum() >= MIN_PIXELS}
+        named = _named(large, views, planes[support], completer, classes)
+        if not named:
+            return []
+        for k, d in named.items():
+            marked[k].append(replace(d, instance_id=free_id + number, support=support))
+    return [Parts(marked, (free_id, free_id + 1))]
 
 
 def _held(

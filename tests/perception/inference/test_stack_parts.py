@@ -141,7 +141,7 @@ def vessel_from_above(holds):
 
 def test_what_a_vessel_holds_below_its_rim_is_a_part_of_its_own():
     view, vessel, rows = vessel_from_above(holds=True)
-    (parts,) = parts_inside([view], rows, vessel, 4, [PLANE], Namer(), 7)
+    (parts,) = parts_inside([view], rows, vessel, 4, [PLANE], Namer((0.0, 0.45, 0.0, 0.5, 0.05)), 7)
     lower, upper = parts.rows[0]
     assert (lower.instance_id, lower.category) == (7, "bowl")
     assert (upper.instance_id, upper.category) == (8, "can")
