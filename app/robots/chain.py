@@ -23,7 +23,8 @@ class Chain:
     """Joints of an arm.
 
     Attributes:
-        root: body at which the arm begins, if the model has further parts with joints; else empty.
+        root: body at which the arm begins, if the model has further parts with joints or the body was given;
+            else empty.
         joints: names of the hinges from base to wrist.
         fingers: names of the one or two joints that drive the hand.
         assumptions: what was chosen among several possibilities.
@@ -70,7 +71,7 @@ def find_chain(model: MjModel, root: str = "") -> Chain:
             f"sites are {sites or 'none'}"
         )
     alone = len(roots) == 1 and body == roots[0]
-    return Chain("" if alone else model.body(body).name, joints, _driven(model, hand), assumptions)
+    return Chain(root if alone else model.body(body).name, joints, _driven(model, hand), assumptions)
 
 
 def _ends_with_jaw(model: MjModel, joints: tuple[str, ...]) -> bool:

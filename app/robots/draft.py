@@ -22,7 +22,8 @@ from sim_assets.rendering.headless import MjModel, mujoco
 from sim_assets.robots.hand_surface import geom_points
 from sim_assets.robots.mounting import Frame, HandFile, Mount, compiled
 from sim_assets.robots.robot_file import IDENTITY, RobotEntries, about_z, build_robot
-from sim_assets.robots.servos import DEFAULT_FORCE, joint_inertia, torque_limit
+from sim_assets.robots.servo_checks import can_follow
+from sim_assets.robots.servos import DEFAULT_FORCE, joint_inertia, joint_servos, torque_limit
 from sim_assets.robots.simulated_arm import SimulatedArm
 
 ORIGIN = Frame(np.zeros(3), np.array(IDENTITY))
@@ -165,7 +166,8 @@ def _entries(arm: Path, hand: HandFile | None, chain: Chain) -> RobotEntries:
 def _placed(entries: RobotEntries, model: MjModel, chain: Chain) -> RobotEntries:
     """Return the entries with the first joint's axis at the origin and the base standing on the table.
 
-    Home is the middle of the joints' ranges for now; accelerations suit the torque limits.
+    Home is the middle of the joints' ranges for now; accelerations suit the torque limits. Servos of the
+    model that are too soft or not damped are replaced by ones of the same torques.
     """
     ids = [model.joint(name).id for name in chain.joints]
     home = model.jnt_range[ids].mean(axis=1)
@@ -183,7 +185,11 @@ def _placed(entries: RobotEntries, model: MjModel, chain: Chain) -> RobotEntries
         if torque:
             moment = joint_inertia(model, data, int(model.jnt_dofadr[joint]))
             limits[1, index] = np.clip(TORQUE_SHARE * torque / moment, 1.0, limits[1, index])
-    return replace(entries, mount=replace(entries.mount, base=base), home=home, limits=limits)
+    torque = None
+    if not can_follow(model, chain.joints):
+        torque = np.array([servo.torque for servo in joint_servos(model, chain.joints, None)])
+    mount = replace(entries.mount, base=base)
+    return replace(entries, mount=mount, home=home, limits=limits, torque=torque)
 
 
 def _lowest_of_first_link(model: MjModel, data: Any, first: int) -> float:
@@ -213,6 +219,7 @@ def _text(entries: RobotEntries, folder: Path, assumptions: Sequence[str], model
         f"velocity = {_numbers(entries.limits[0])} # limits of all motions",
         f"acceleration = {_numbers(entries.limits[1])}",
         f"jerk = {_numbers(entries.limits[2])}",
+        *([] if entries.torque is None else [f"torque = {_numbers(entries.torque)} # of added servos"]),
         f"base = {_numbers(mount.base.position)} # the first joint's axis at the origin",
         *([f"base_yaw = {yaw:.4f} # the middle of the first joint's range looks ahead"] if yaw else []),
         "",

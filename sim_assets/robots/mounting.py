@@ -218,6 +218,12 @@ def _keep_only(spec: MjSpec, mount: Mount) -> None:
             for joint in list(carrier.joints):
                 _delete_joint(spec, joint)
         kept = carrier
+    left = {body.name for body in spec.bodies}
+    for camera in list(
+        spec.cameras
+    ):  # MuJoCo keeps cameras that look at a deleted body, and then refuses the model
+        if camera.targetbody and camera.targetbody not in left:
+            spec.delete(camera)
 
 
 def _has_joints(body: MjsBody) -> bool:

@@ -7,12 +7,12 @@ compensated.
 
 from __future__ import annotations
 
-from collections.abc import Iterator
+from collections.abc import Iterator, Sequence
 
 import numpy as np
 
 from sim_assets.rendering.headless import MjModel, mujoco
-from sim_assets.robots.servos import joint_inertia
+from sim_assets.robots.servos import actuators_of, is_servo, joint_inertia
 from sim_assets.robots.simulated_arm import SimulatedArm
 
 MIN_FREQUENCY = 5.0  # [rad/s]; slower servos lag behind by decimetres
@@ -31,8 +31,7 @@ def servo_problems(model: MjModel, robot: SimulatedArm) -> Iterator[str]:
         index, dof = model.actuator(actuator).id, int(model.joint(joint).dofadr[0])
         inertia, gain = joint_inertia(model, data, dof), float(model.actuator_gainprm[index, 0])
         needed, torque = inertia * acceleration, _torque(model, index)
-        frequency = np.sqrt(gain / inertia)
-        damping = (model.dof_damping[dof] - model.actuator_biasprm[index, 2]) / (2 * np.sqrt(gain * inertia))
+        frequency, damping = _oscillator(model, index, dof, inertia)
         if needed > torque:
             yield (
                 f"the servo of joint '{joint}' has {torque:.3g} Nm, but its acceleration limit of "
@@ -47,6 +46,33 @@ def servo_problems(model: MjModel, robot: SimulatedArm) -> Iterator[str]:
         elif damping < MIN_DAMPING:
             enough = 2 * np.sqrt(gain * inertia)
             yield f"the servo of joint '{joint}' is not damped: give it kv = {enough:.3g}, {_REMEDY}"
+
+
+def can_follow(model: MjModel, joints: Sequence[str]) -> bool:
+    """Return whether the model's own servos are stiff and damped enough, the joints being at their middle.
+
+    True too for joints without exactly one servo each, whose servos are added in any case.
+    """
+    ids = [model.joint(name).id for name in joints]
+    servos = [[index for index in actuators_of(model, [joint]) if is_servo(model, index)] for joint in ids]
+    if not all(len(found) == 1 for found in servos):
+        return True
+    data = mujoco.MjData(model)
+    data.qpos[model.jnt_qposadr[ids]] = model.jnt_range[ids].mean(axis=1)
+    mujoco.mj_forward(model, data)
+    for joint, (servo,) in zip(ids, servos, strict=True):
+        dof = int(model.jnt_dofadr[joint])
+        frequency, damping = _oscillator(model, servo, dof, joint_inertia(model, data, dof))
+        if frequency < MIN_FREQUENCY or damping < MIN_DAMPING:
+            return False
+    return True
+
+
+def _oscillator(model: MjModel, index: int, dof: int, inertia: float) -> tuple[float, float]:
+    """Return natural frequency [rad/s] and damping ratio of a servo about a joint of an inertia [kg m^2]."""
+    gain = float(model.actuator_gainprm[index, 0])
+    damping = float(model.dof_damping[dof] - model.actuator_biasprm[index, 2])
+    return float(np.sqrt(gain / inertia)), damping / (2 * float(np.sqrt(gain * inertia)))
 
 
 def _torque(model: MjModel, index: int) -> float:

@@ -80,6 +80,17 @@ def test_arm_and_hand_from_two_files(tmp_path):
         draft_robot(tmp_path / "arm.xml", tmp_path, tmp_path / "hand.xml", "tip")
 
 
+def test_one_arm_of_a_scene_with_two_and_a_camera_on_the_other(tmp_path):
+    """The drafted file keeps the given arm alone, although nothing else is left once it is cut out."""
+    other = '<body name="other"><joint name="o" type="slide"/><geom size=".1"/></body>'
+    camera = '<camera name="watch" mode="targetbody" target="other" pos="1 0 1"/>'
+    (tmp_path / "arm.xml").write_text(SLIDING.replace("<worldbody>", "<worldbody>" + camera + other))
+    text = draft_robot(tmp_path / "arm.xml", tmp_path, root="base").text
+    (tmp_path / "robot.toml").write_text(text)
+    assert tomllib.loads(text)["arm"]["body"] == "base"
+    assert load_robot(str(tmp_path / "robot.toml")).description.joint_names
+
+
 def test_a_base_is_raised_to_the_height_of_the_largest_cell(arm_file, tmp_path, monkeypatch):
     fits = {0.0: (1.0, 0.9), 0.1: (0.9, 1.0), 0.2: (0.95, 0.97), 0.3: (0.95, 0.96)}  # 1.0 is not reached
     monkeypatch.setattr(
@@ -110,6 +121,16 @@ def test_a_base_whose_first_joint_is_far_from_its_middle_is_turned(tmp_path, mon
     arm = load_robot(str(tmp_path / "robot.toml")).description
     T = Kinematics(arm).forward(arm.q_home)
     assert T[1, 3] == pytest.approx(0, abs=1e-3) and T[0, 3] > 0.1
+
+
+@pytest.mark.parametrize(("kv", "replaced"), [(0.0, True), (30.0, False)], ids=["swinging", "damped"])
+def test_servos_that_swing_are_replaced_by_ones_of_the_same_torque(tmp_path, kv, replaced):
+    servos = "".join(f'<position joint="{j}" kp="900" kv="{kv}" forcerange="-70 70"/>' for j in JOINTS)
+    (tmp_path / "arm.xml").write_text(SLIDING.replace("</mujoco>", f"<actuator>{servos}</actuator></mujoco>"))
+    text = draft_robot(tmp_path / "arm.xml", tmp_path).text
+    assert tomllib.loads(text)["arm"].get("torque") == ([70.0] * len(JOINTS) if replaced else None)
+    (tmp_path / "robot.toml").write_text(text)
+    assert ("servos" in " ".join(load_robot(str(tmp_path / "robot.toml")).assumptions)) == replaced
 
 
 def test_an_arm_with_one_jaw_is_drafted(tmp_path):

@@ -123,8 +123,10 @@ def test_scenery_is_left_out_and_unnamed_parts_get_names(mount):
 
 def test_one_arm_of_several_is_kept(mount):
     other = '<body name="other"><joint name="o" type="slide"/><geom size=".1"/></body>'
-    mount.mjcf.write_text(MJCF.replace("<worldbody>", "<worldbody>" + other))
-    assert compiled(replace(mount, root="link")).njnt == 2
+    camera = '<camera name="watch" mode="targetbody" target="other"/><camera name="fixed"/>'
+    mount.mjcf.write_text(MJCF.replace("<worldbody>", "<worldbody>" + camera + other))
+    model = compiled(replace(mount, root="link"))
+    assert (model.njnt, [model.camera(c).name for c in range(model.ncam)]) == (2, ["fixed"])
     with pytest.raises(RobotFileError, match=r"no body 'left' \(\[arm\] body\); it has other, link"):
         load(replace(mount, root="left"))
 

@@ -7,7 +7,7 @@ import pytest
 
 from sim_assets.rendering.headless import mujoco
 from sim_assets.robots.robot_file import RobotFileError, read_robot
-from sim_assets.robots.servo_checks import MIN_DAMPING, MIN_FREQUENCY
+from sim_assets.robots.servo_checks import MIN_DAMPING, MIN_FREQUENCY, can_follow
 from tests.sim_assets.robots.conftest import JOINTS, SLIDING
 
 
@@ -46,3 +46,14 @@ def test_servos_at_the_limits(write, inertia) -> None:
     assert problems(write, 0.8 * kp, kv, torque) == [(name, "too") for name in JOINTS]
     assert problems(write, kp, 0.8 * kv, torque) == [(name, "not") for name in JOINTS]
     assert [name for name, _ in problems(write, kp, kv, 0.8 * torque)] == list(JOINTS)
+
+
+def test_own_servos_follow_when_they_are_stiff_and_damped_enough():
+    def follows(kp, kv, joints=JOINTS):
+        servos = "".join(f'<position joint="{name}" kp="{kp}" kv="{kv}"/>' for name in joints)
+        mjcf = SLIDING.replace("</mujoco>", f"<actuator>{servos}</actuator></mujoco>")
+        return can_follow(mujoco.MjModel.from_xml_string(mjcf), JOINTS)
+
+    assert follows(900, 30)
+    assert not follows(900, 0.0) and not follows(1e-3, 1.0)
+    assert follows(900, 0.0, JOINTS[:-1])  # a joint has none: servos are added to all
