@@ -57,10 +57,14 @@ def find_home(arm: ArmDescription, kinematics: Kinematics) -> Float[np.ndarray, 
 
 
 def _score(kinematics: Kinematics, q: np.ndarray) -> float:
-    """Return the distance to the limits, less a little for postures that are low, twisted or not planar."""
+    """Return the distance to the limits, less a little for postures that are low, twisted or not planar.
+
+    An elbow below the wrist is low wherever it is: it meets the table where the hand reaches down.
+    """
     anchors = kinematics.anchors(q)
     sideways = float(np.ptp(anchors[1:, 1]))
-    low = max(0.0, 0.15 - float(anchors[2:, 2].min()))
+    lowest = float(anchors[2:, 2].min())
+    low = max(0.0, 0.15 - lowest) + max(0.0, float(anchors[-1, 2]) - lowest)
     twist = float(np.abs(q).max())
     middle = 0.5 * (kinematics.lower[0] + kinematics.upper[0])
     off = 0.15 * abs(float(q[0] - middle))  # room to turn to both sides

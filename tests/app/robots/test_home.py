@@ -5,7 +5,7 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
-from app.robots.home import arm_length, find_home
+from app.robots.home import _score, arm_length, find_home
 from manipulation.collision import CollisionWorld
 from manipulation.kinematics import Kinematics
 from manipulation.obstacles import TABLE
@@ -30,6 +30,20 @@ def test_home_points_down_and_is_free(arm):
     np.testing.assert_allclose(T[:3, 2], [0, 0, -1], atol=2e-3)
     assert T[0, 3] > 0.2 and T[2, 3] > 0.15 and kinematics.limit_distance(q) > 0.2
     assert CollisionWorld(arm, [], (TABLE,)).contact(q, arm.max_width) is None
+
+
+def test_an_elbow_above_the_wrist_is_better_than_one_below(arm):
+    """Both postures hold the hand at one place, far from the joints' limits."""
+    kinematics = Kinematics(arm)
+    T = kinematics.forward(arm.q_home)
+    T[2, 3] -= 0.2
+    starts = np.random.default_rng(0).uniform(-np.pi, np.pi, (40, 6))
+    found = [kinematics.inverse(T, [start], name="a posture") for start in starts]
+    postures = [result.q for result in found if result.converged]
+    elbow, wrist = (np.array([kinematics.anchors(q)[i, 2] for q in postures]) for i in (2, -1))
+    scores = np.array([_score(kinematics, q) for q in postures])
+    assert (elbow > wrist).any() and (elbow < wrist - 0.1).any()
+    assert scores[elbow > wrist].max() > scores[elbow < wrist - 0.1].max() + 0.2
 
 
 def test_an_arm_that_cannot_point_down_has_none(arm, monkeypatch):
