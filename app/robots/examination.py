@@ -29,6 +29,7 @@ from sim_assets.robots.simulated_arm import SimulatedArm
 
 SWING = 0.35  # [rad] of each joint in the test of the servos
 TRACKING = 0.03, 0.10  # [rad] of error beyond which servos are slow, and unusable
+GRIP_TOLERANCE = 0.006  # [m] that springs of a linkage may hold back
 HEAVY = 0.6  # [kg], the heaviest objects
 
 
@@ -71,7 +72,8 @@ def check_grip(world: World) -> RobotFinding:
     """Return whether the hand closes and opens in the simulation."""
     closed, opened = world.move_gripper(0.0), world.move_gripper(world.arm.max_width)
     found = f"closes to {1e3 * closed:.1f} mm and opens to {1e3 * opened:.1f} mm"
-    if opened < world.arm.max_width - 0.004 or closed > world.arm.gripper.min_width + 0.004:
+    short, wide = world.arm.max_width - opened, closed - world.arm.gripper.min_width
+    if short > GRIP_TOLERANCE or wide > GRIP_TOLERANCE:
         return RobotFinding("fault", "gripper", found, "check [gripper] joints, force, open and closed")
     return RobotFinding("good", "gripper", found)
 

@@ -23,6 +23,7 @@ from sim_assets.robots.simulated_arm import ARM_CONTACT, WRIST_CAMERA
 from sim_assets.robots.solid_geoms import is_solid, set_contacts
 
 PREFIX = "robot_"  # prefix of the arm's names in scenes and in planning
+_VERTICAL = 0.99  # least vertical component of an axis that counts as vertical
 HAND_PREFIX = "hand_"  # prefix of the names of a hand from a file of its own
 
 
@@ -134,9 +135,22 @@ def add_to_scene(mount: Mount, spec: MjSpec, fovy: float) -> None:
         )
     turn = Rotation.from_quat(optical.quat, scalar_first=True) * Rotation.from_euler("x", np.pi)
     _attach(spec, child, mount.base)
+    for body in _turning_links(model, mount):  # a link that only turns over the table may graze it
+        spec.add_exclude(bodyname1="world", bodyname2=PREFIX + body)
     spec.site(PREFIX + mount.camera_site).parent.add_camera(
         name=WRIST_CAMERA, pos=optical.pos, quat=turn.as_quat(scalar_first=True), fovy=fovy
     )  # MuJoCo's camera looks along -z, y up
+
+
+def _turning_links(model: MjModel, mount: Mount) -> list[str]:
+    """Return the bodies that the first joint alone moves, if its axis is vertical in the scene."""
+    data = mujoco.MjData(model)
+    mujoco.mj_forward(model, data)
+    first = model.joint(mount.joints[0])
+    axis = Rotation.from_quat(mount.base.quaternion, scalar_first=True).apply(data.xaxis[first.id])
+    if abs(axis[2]) < _VERTICAL:
+        return []
+    return [model.body(b).name for b in np.flatnonzero(model.body_weldid == first.bodyid[0])]
 
 
 def compiled(mount: Mount, visuals: bool = False) -> MjModel:

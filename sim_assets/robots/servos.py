@@ -14,6 +14,7 @@ from sim_assets.rendering.headless import MjModel, MjSpec, mujoco
 GRIPPER = "nodeslam_gripper"  # tendon and actuator that drive a hand
 DEFAULT_FORCE = 40.0  # [N] of each finger
 _SATURATION = 0.02  # [rad] of tracking error at which an added servo gives its full torque
+_POSTURES = 32  # random postures in which the inertia is computed
 _FASTEST = 150.0  # [rad/s], natural frequency up to which the simulation is accurate
 _JAW_SATURATION = 0.3  # share of a jaw's range at which its servo gives its full force
 _SLOWEST_JAW = 8.0  # [rad/s], least natural frequency of a jaw
@@ -65,16 +66,18 @@ def joint_servos(model: MjModel, joints: Sequence[str], torques: np.ndarray | No
     Args:
         model: the arm.
         joints: names of the joints.
-        torques: largest torques in [Nm]; None for those of the model's actuators.
+        torques: largest torques in [Nm]; None for those of the model's actuators, or where it states none,
+            twice what an acceleration of all joints by 4 rad/s^2 takes.
     """
     data = mujoco.MjData(model)
     mujoco.mj_forward(model, data)
+    needed = 8.0 * _coupled_inertia(model, joints)
     servos = []
     for index, name in enumerate(joints):
         dof = model.joint(name).dofadr[0]
         moment = joint_inertia(model, data, int(dof))
         given = None if torques is None else float(torques[index])
-        torque = given or torque_limit(model, name) or max(10.0, 8.0 * moment)
+        torque = given or torque_limit(model, name) or max(10.0, float(needed[index]))
         gain = float(np.clip(torque / _SATURATION, 900.0 * moment, _FASTEST**2 * moment))
         servos.append(JointServo(f"nodeslam_{name}", name, gain, torque))
     return tuple(servos)
@@ -82,10 +85,32 @@ def joint_servos(model: MjModel, joints: Sequence[str], torques: np.ndarray | No
 
 def joint_inertia(model: MjModel, data: Any, dof: int) -> float:
     """Return the inertia [kg m^2] about a joint in the present posture, all others held."""
-    unit, moment = np.zeros(model.nv), np.zeros(model.nv)
+    return float(_mass_row(model, data, dof)[dof])
+
+
+def _mass_row(model: MjModel, data: Any, dof: int) -> np.ndarray:
+    unit, row = np.zeros(model.nv), np.zeros(model.nv)
     unit[dof] = 1.0
-    mujoco.mj_mulM(model, data, moment, unit)
-    return float(moment[dof])
+    mujoco.mj_mulM(model, data, row, unit)
+    return row
+
+
+def _coupled_inertia(model: MjModel, joints: Sequence[str]) -> np.ndarray:
+    """Return the row sums of the mass matrix's magnitudes [kg m^2], the largest over postures of the arm.
+
+    Times an acceleration, this bounds the torque that any combination of the joints' accelerations takes.
+    """
+    ids = [model.joint(name).id for name in joints]
+    dofs = model.jnt_dofadr[ids]
+    low, high = np.clip(model.jnt_range[ids], -np.pi, np.pi).T
+    data = mujoco.MjData(model)
+    most = np.zeros(len(ids))
+    for posture in np.random.default_rng(0).uniform(low, high, (_POSTURES, len(ids))):
+        data.qpos[model.jnt_qposadr[ids]] = posture
+        mujoco.mj_forward(model, data)
+        sums = [np.abs(_mass_row(model, data, int(dof))[dofs]).sum() for dof in dofs]
+        np.maximum(most, sums, out=most)
+    return most
 
 
 def torque_limit(model: MjModel, joint: str) -> float | None:
