@@ -13,7 +13,7 @@ from manipulation.collision import CollisionWorld
 from manipulation.errors import PlanningError
 from manipulation.kinematics import Kinematics
 from manipulation.motions import MotionPlanner
-from manipulation.nearest_view import FULL_POSE, nearest_view
+from manipulation.nearest_view import FULL_POSE, nearest_view, view_angle
 from manipulation.obstacles import TABLE, Obstacle
 from manipulation.robot import Robot
 from manipulation.self_view import SelfView
@@ -25,6 +25,7 @@ logger = logging.getLogger(__name__)
 ROLLS = np.deg2rad(np.arange(0, 360, 45))  # of the camera about its optical axis, tried for each viewpoint
 MIN_LIMIT_DISTANCE = 0.1  # [rad] of each joint from its limits at a viewpoint
 _VIEW_SEEDS = 8  # start postures of an approximate view
+MAX_TURN = np.deg2rad(40)  # of the direction of an approximate view; beyond it adds little to the others
 # Keep-out volumes of the camera motions, over the areas where objects may be, known or unknown: the objects'
 # area at negative y, box and line at positive y. 0.28 m high: above most objects, below every viewpoint.
 KEEP_OUT = (
@@ -107,21 +108,26 @@ def viewpoint_ik(
 ) -> Float[np.ndarray, "n"] | None:
     """Return the posture [rad] with the camera at a viewpoint, over all rolls the one nearest to ``q_near``.
 
-    None if the viewpoint is out of reach. Arms with fewer than six joints take the nearest view.
+    Where that is out of reach, and always with fewer than six joints, the posture with the nearest view of
+    the target; None if it is out of sight or, with six joints or more, seen from another side.
     """
-    if len(kinematics.lower) < FULL_POSE:
-        T = viewpoint.camera_pose()
-        seeds = [q_near, *kinematics.seeds_toward(T, _VIEW_SEEDS)]
-        return nearest_view(kinematics, np.array(viewpoint.target), T[:3, 3], seeds, MIN_LIMIT_DISTANCE)
+    exact = len(kinematics.lower) >= FULL_POSE
     found = []
-    for roll in ROLLS:
+    for roll in ROLLS if exact else ():
         T_world_camera = viewpoint.camera_pose(roll)
         result = kinematics.inverse(
             T_world_camera, [q_near, kinematics.arm.q_home], frame="camera", name="a viewpoint"
         )
         if result.converged and kinematics.limit_distance(result.q) > MIN_LIMIT_DISTANCE:
             found.append(result.q)
-    return min(found, key=lambda q: float(np.abs(q - q_near).max()), default=None)
+    if found:
+        return min(found, key=lambda q: float(np.abs(q - q_near).max()))
+    T, target = viewpoint.camera_pose(), np.array(viewpoint.target)
+    seeds = [q_near, *kinematics.seeds_toward(T, _VIEW_SEEDS)]
+    q = nearest_view(kinematics, target, T[:3, 3], seeds, MIN_LIMIT_DISTANCE)
+    if q is None or (exact and view_angle(kinematics, q, target, T[:3, 3]) > MAX_TURN):
+        return None
+    return q
 
 
 class ViewpointScanner:

@@ -113,10 +113,14 @@ def check_home(arm: ArmDescription, kinematics: Kinematics) -> Iterator[RobotFin
 
 
 def reachable_radii(kinematics: Kinematics) -> Float[np.ndarray, "r"]:
-    """Return the distances from the base [m] at which the hand reaches down to 0.1 m, ahead of the arm."""
+    """Return the distances from the base [m] at which the hand, turned as at home, reaches down to 0.1 m."""
+    home = kinematics.forward(np.asarray(kinematics.arm.q_home, dtype=np.float64))
+    yaw = float(np.arctan2(home[1, 0], home[0, 0])) - kinematics.bearing(home)
+    c, s = np.cos(yaw), np.sin(yaw)
     reached = []
     for radius in RADII:
-        T = np.diag([1.0, -1.0, -1.0, 1.0])
+        T = np.eye(4)
+        T[:3, :3] = [[c, s, 0.0], [s, -c, 0.0], [0.0, 0.0, -1.0]]
         T[:3, 3] = kinematics.base[0] + radius, kinematics.base[1], REACH_HEIGHT
         if kinematics.inverse(T, kinematics.seeds_toward(T), name="the reach").converged:
             reached.append(float(radius))

@@ -31,6 +31,8 @@ def run_and_store(options: RunTaskOptions, perception: Perception, session: RunS
         with screen.stage("Drawing the overview"):
             writer.write_overview(report, result)
     screen.show(object_table(report))
+    if result.failure:
+        screen.show(escape(f"Ended early: {result.failure}"))
     screen.show(escape(f"Summary: {folder.path / 'overview.png'}; details: report.json"))
     return report
 

@@ -1,4 +1,5 @@
 import itertools
+from dataclasses import replace
 
 import numpy as np
 import pytest
@@ -6,12 +7,14 @@ import pytest
 from manipulation.collision import CollisionWorld
 from manipulation.errors import PlanningError
 from manipulation.kinematics import IkResult, Kinematics
+from manipulation.nearest_view import DISTANCES, MAX_OFF_AXIS, view_angle
 from manipulation.obstacles import TABLE
 from manipulation.robot import RobotState
 from manipulation.viewpoints import (
     BOX_VIEWPOINTS,
     KEEP_OUT,
     LINE_VIEWPOINTS,
+    MAX_TURN,
     ROLLS,
     SCAN_VIEWPOINTS,
     Viewpoint,
@@ -185,6 +188,23 @@ def test_the_nearest_solution_within_the_limit_distance_is_used(kinematics, monk
     monkeypatch.setattr(kinematics, "limit_distance", lambda q: 0.09 if q[0] == 0.2 else 0.11)
     found = viewpoint_ik(kinematics, SCAN_VIEWPOINTS[0], np.zeros(7))
     np.testing.assert_array_equal(found, np.full(7, 0.5))
+
+
+def test_a_viewpoint_out_of_reach_is_replaced_by_a_view_from_nearly_the_same_direction(kinematics):
+    """Farther away than the arm reaches; there is none from a side from which the wrist cannot look back."""
+    q, view = kinematics.arm.q_home, replace(SCAN_VIEWPOINTS[1], distance=1.0)
+    found, camera, target = (
+        viewpoint_ik(kinematics, view, q),
+        view.camera_pose()[:3, 3],
+        np.array(view.target),
+    )
+    assert found is not None and kinematics.limit_distance(found) > 0.09
+    T = kinematics.forward(found, "camera")
+    away = np.linalg.norm(target - T[:3, 3])
+    assert DISTANCES[0] < away < 0.98 and view_angle(kinematics, found, target, camera) < MAX_TURN
+    assert (target - T[:3, 3]) @ T[:3, 2] > away * np.cos(MAX_OFF_AXIS)
+    back = Viewpoint(view.target, azimuth=0.0, elevation=0.3, distance=0.5)
+    assert viewpoint_ik(kinematics, back, q) is None
 
 
 def test_viewpoints_out_of_reach_are_skipped_and_frames_reported(kinematics):

@@ -3,6 +3,7 @@ import threading
 
 import numpy as np
 import pytest
+from rich.markup import escape
 
 import app.task.run as task_run
 from app.options import PackOptions, SortOptions
@@ -44,11 +45,14 @@ def test_report_and_overview_are_stored(session, tmp_path, monkeypatch):
             task, options.seed, True, "all in place", {"total": 1.0}, [ObjectReport(0, "can", True)],
             {"n_placed": 1, "simulated_seconds": 3.0, "reconstruction": []},
         )  # fmt: skip
-        return report, TaskResult()
+        return report, TaskResult(failure="the arm [1] stopped")
 
     monkeypatch.setattr(task_run, "run_episode", episode)
+    shown = []
+    monkeypatch.setattr(session.screen, "show", shown.append)
     report = run_and_store(SortOptions(out=tmp_path, seed=9), object.__new__(Perception), session)
     assert calls == [(session.world, "sort")] and report.success
+    assert escape("Ended early: the arm [1] stopped") in shown
     stored = json.loads((tmp_path / "report.json").read_text())
     assert stored["command"] == "sort" and stored["seed"] == 9 and stored["success"]
     for name in ("overview.png", "replay.npz", "replay.json"):

@@ -76,6 +76,23 @@ def test_base_frame_places_the_arm(scene):
     np.testing.assert_allclose(data.body("robot_finger").xpos, expected, atol=1e-9)
 
 
+@pytest.mark.parametrize(("lean", "touching"), [(0.0, 0), (0.3, 1)], ids=["vertical", "leaning"])
+def test_a_link_that_turns_about_the_vertical_may_graze_the_table(mount, lean, touching):
+    """Its friction would hold the arm's first joint; a link that turns otherwise collides."""
+    spec = mujoco.MjSpec()
+    spec.worldbody.add_geom(
+        type=mujoco.mjtGeom.mjGEOM_BOX, size=(2, 2, 0.1), pos=(0, 0, 0.22), contype=1, conaffinity=2
+    )
+    quaternion = Rotation.from_euler("x", lean).as_quat(scalar_first=True)
+    add_to_scene(replace(mount, base=Frame(np.array([0.0, 0, 0.1]), quaternion)), spec, 52.0)
+    model = spec.compile()
+    data = at(model, 0.0)
+    link = model.body("robot_link").id
+    bodies = [set(model.geom_bodyid[contact.geom].tolist()) for contact in data.contact]
+    assert ({0, link} in bodies) == bool(touching)
+    assert {0, model.body("robot_finger").id} in bodies
+
+
 def test_camera_has_the_optical_frame_in_opengl_axes_and_its_field_of_view(scene):
     data = at(scene, -0.7)
     site, camera = data.site("robot_eye"), data.camera("wrist")

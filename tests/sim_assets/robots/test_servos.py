@@ -64,6 +64,23 @@ def test_servos_are_stiff_but_within_what_the_time_step_allows(motors):
     assert joint_servos(motors, JOINTS, np.array([1.0, 2, 3, 4]))[3].torque == 4
 
 
+def test_torques_that_no_model_states_suffice_for_all_joints_moving_at_once():
+    """The elbow of a stretched arm feels the shoulder's acceleration as well as its own."""
+    heavy = SLIDING.replace('<geom name="palm"', '<geom name="load" mass="8" size=".03"/><geom name="palm"')
+    model = mujoco.MjModel.from_xml_string(heavy)
+    data, dofs = mujoco.MjData(model), [int(model.joint(name).dofadr[0]) for name in JOINTS]
+    torques = np.array([servo.torque for servo in joint_servos(model, JOINTS, None)])
+    assert torques.max() > 20
+    for angles in np.random.default_rng(5).uniform(-2, 2, (20, len(JOINTS))):
+        for name, angle in zip(JOINTS, angles):
+            data.joint(name).qpos[0] = np.clip(angle, *model.joint(name).range)
+        mujoco.mj_forward(model, data)
+        acceleration, force = np.zeros(model.nv), np.zeros(model.nv)
+        acceleration[dofs] = 4.0 * np.sign(angles)
+        mujoco.mj_mulM(model, data, force, acceleration)
+        assert (np.abs(force[dofs]) < 0.75 * torques).all()
+
+
 def test_added_servos_replace_the_motors_of_their_joints_and_hold(motors):
     spec = mujoco.MjSpec.from_string(SLIDING.replace("</mujoco>", MOTORS))
     add_joint_servos(spec, joint_servos(motors, JOINTS, np.full(4, 50.0)))
