@@ -61,6 +61,8 @@ def parse_objects(
             raise UsageError(f"{usage}; '{name}' is none of {', '.join(CATEGORIES)}")
         if not (count.isascii() and count.isdigit()):
             raise UsageError(f"{usage}; '{part.strip()}' has no count")
+        if known in classes:
+            raise UsageError(f"{usage}; '{name}' is given twice")
         total += _count(count)
         classes.extend(known for _ in range(min(_count(count), most + 1)))
     _require_room(text, total, most)

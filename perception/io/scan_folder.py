@@ -41,6 +41,7 @@ FRAME_PERIOD = 1 / 30  # [s] between images of a folder that keeps no times
 MAX_IMAGES = 2000  # that are in memory together: 2 MB each at 640 x 480
 MAX_SEQUENCE = 100_000  # that are read one at a time
 MASK_FOLDERS = ("mask_visib", "mask")
+DEPTH_SCALES = (1e-3, 1e3)  # range of the millimetres per unit of depth images
 
 
 @dataclass(frozen=True)
@@ -263,8 +264,9 @@ def _read_frame(folder: Path, image_id: int, camera: Any, posed: bool) -> RgbdFr
 def _depth_scale(camera: Any) -> float:
     """Return the millimetres per unit of the depth image."""
     scale = float(read_numbers(camera, "depth_scale", 1)[0])
-    if not 0 < scale <= 1000:
-        raise InvalidInputError(f"depth_scale {scale} must be in 0..1000 (millimetres per unit)")
+    low, high = DEPTH_SCALES
+    if not low <= scale <= high:
+        raise InvalidInputError(f"depth_scale {scale:g} must be in {low:g}..{high:g} (millimetres per unit)")
     return scale
 
 

@@ -33,7 +33,7 @@ def test_counts_by_class():
 
 
 @pytest.mark.parametrize(
-    "text", ["", "six", "-1", "0", "21", "mug", "mug=", "mug=1,", "spoon=1", "mug=1.5", "²"]
+    "text", ["", "six", "-1", "0", "21", "mug", "mug=", "mug=1,", "spoon=1", "mug=1.5", "mug=1,mug=2", "²"]
 )
 def test_nonsense_is_refused(text):
     with pytest.raises(UsageError, match="--objects"):

@@ -165,6 +165,7 @@ BAD_CAMERAS = {
     "negative focal length": (lambda c: c["0"]["cam_K"].__setitem__(0, -30.0), "must be positive"),
     "principal point": (lambda c: c["0"]["cam_K"].__setitem__(2, 1e5), "principal point"),
     "scale zero": (lambda c: c["0"].update(depth_scale=0), "depth_scale 0"),
+    "tiny scale": (lambda c: c["0"].update(depth_scale=1e-9), "depth_scale 1e-09 must be in 0.001..1000"),
     "no scale": (lambda c: c["0"].pop("depth_scale"), "depth_scale must be a finite number"),
     "no rotation": (lambda c: c["0"].update(cam_R_w2c=[2, 0, 0, 0, 2, 0, 0, 0, 2]), "not a rotation matrix"),
     "half a pose": (lambda c: c["0"].pop("cam_t_w2c"), "has no pose"),
