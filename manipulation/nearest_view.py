@@ -21,7 +21,6 @@ _ELEVATED = 0.2  # error of the elevation in [rad]
 _SIDEWAYS = 0.8  # error of the azimuth in [rad], times the cosine of the elevation
 NEAREST = 0.26  # [m] least distance: nearer, tall objects are cut off, and depth cameras fail
 MAX_OFF_AXIS = np.deg2rad(12.0)
-_GOOD = 0.25  # cost, half the sum of squared residuals, at which no further start posture is tried
 DISTANCES = (0.6, 1.35)  # range of the distance, relative to the wanted one
 
 
@@ -38,7 +37,7 @@ def nearest_view(
         kinematics: the arm.
         target: point to look at in [m].
         camera: wanted position of the camera in [m]; if too near, one farther away in the same direction.
-        seeds: start postures, tried in order until one leads to a good view.
+        seeds: start postures.
         margin: distance from the joint limits in [rad].
 
     Returns:
@@ -60,14 +59,9 @@ def nearest_view(
         )
         return np.array([*(off_axis / _CENTRED), *others])
 
-    best, least = np.asarray(seeds[0]), np.inf
-    for seed in seeds:
-        start = np.clip(seed, low + 1e-3, high - 1e-3)
-        result = least_squares(residuals, start, bounds=(low, high), max_nfev=60)
-        if result.cost < least:
-            best, least = result.x, result.cost
-        if least < _GOOD:
-            break
+    starts = [np.clip(seed, low + 1e-3, high - 1e-3) for seed in seeds]
+    found = [least_squares(residuals, start, bounds=(low, high), max_nfev=60) for start in starts]
+    best = min(found, key=lambda result: result.cost).x
     off_axis, away = _view(kinematics, best, target)
     share = float(np.linalg.norm(away)) / distance
     seen = np.linalg.norm(off_axis) < MAX_OFF_AXIS and DISTANCES[0] < share < DISTANCES[1]

@@ -100,6 +100,7 @@ class ArmDescription:
         q_home: (n,) home posture in [rad].
         velocity_limit, acceleration_limit, jerk_limit: (n,) joint limits in [rad/s], [rad/s^2], [rad/s^3].
         gripper: geometry of the gripper.
+        near_views: whether viewpoints that the camera cannot reach are replaced by near ones.
     """
 
     mjcf: str
@@ -112,6 +113,7 @@ class ArmDescription:
     acceleration_limit: Float[np.ndarray, "n"]
     jerk_limit: Float[np.ndarray, "n"]
     gripper: GripperGeometry = field(default_factory=GripperGeometry)
+    near_views: bool = False
 
     @property
     def max_width(self) -> float:

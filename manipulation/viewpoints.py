@@ -2,9 +2,10 @@
 
 from __future__ import annotations
 
+import itertools
 import logging
 from collections.abc import Callable, Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 
 import numpy as np
 from jaxtyping import Float
@@ -15,7 +16,7 @@ from manipulation.kinematics import Kinematics
 from manipulation.motions import MotionPlanner
 from manipulation.nearest_view import FULL_POSE, nearest_view, view_angle
 from manipulation.obstacles import TABLE, Obstacle
-from manipulation.robot import Robot
+from manipulation.robot import ArmDescription, Robot
 from manipulation.self_view import SelfView
 from manipulation.trajectories import MotionConfig, line_postures
 from perception.types import RgbdFrame
@@ -25,6 +26,7 @@ logger = logging.getLogger(__name__)
 ROLLS = np.deg2rad(np.arange(0, 360, 45))  # of the camera about its optical axis, tried for each viewpoint
 MIN_LIMIT_DISTANCE = 0.1  # [rad] of each joint from its limits at a viewpoint
 _VIEW_SEEDS = 8  # start postures of an approximate view
+FEW = 4  # viewpoints below which too little of the table is seen
 MAX_TURN = np.deg2rad(40)  # of the direction of an approximate view; beyond it adds little to the others
 # Keep-out volumes of the camera motions, over the areas where objects may be, known or unknown: the objects'
 # area at negative y, box and line at positive y. 0.28 m high: above most objects, below every viewpoint.
@@ -108,8 +110,9 @@ def viewpoint_ik(
 ) -> Float[np.ndarray, "n"] | None:
     """Return the posture [rad] with the camera at a viewpoint, over all rolls the one nearest to ``q_near``.
 
-    Where that is out of reach, and always with fewer than six joints, the posture with the nearest view of
-    the target; None if it is out of sight or, with six joints or more, seen from another side.
+    Arms of fewer than six joints take the posture with the nearest view of the target, others only if
+    ``ArmDescription.near_views`` and the viewpoint is out of reach. None if the target is out of sight or,
+    with six joints or more, seen from another side.
     """
     exact = len(kinematics.lower) >= FULL_POSE
     found = []
@@ -122,12 +125,23 @@ def viewpoint_ik(
             found.append(result.q)
     if found:
         return min(found, key=lambda q: float(np.abs(q - q_near).max()))
+    if exact and not kinematics.arm.near_views:
+        return None
     T, target = viewpoint.camera_pose(), np.array(viewpoint.target)
     seeds = [q_near, *kinematics.seeds_toward(T, _VIEW_SEEDS)]
     q = nearest_view(kinematics, target, T[:3, 3], seeds, MIN_LIMIT_DISTANCE)
     if q is None or (exact and view_angle(kinematics, q, target, T[:3, 3]) > MAX_TURN):
         return None
     return q
+
+
+def with_near_views(arm: ArmDescription, viewpoints: Sequence[Viewpoint]) -> ArmDescription:
+    """Return the arm; it takes near views if it reaches fewer than FEW of the viewpoints exactly."""
+    kinematics = Kinematics(arm)
+    q = np.asarray(arm.q_home, dtype=np.float64)
+    reached = (viewpoint_ik(kinematics, viewpoint, q) is not None for viewpoint in viewpoints)
+    few = len(list(itertools.islice(filter(None, reached), FEW))) < FEW
+    return replace(arm, near_views=True) if few else arm
 
 
 class ViewpointScanner:

@@ -16,7 +16,7 @@ from manipulation.nearest_view import FULL_POSE
 from manipulation.obstacles import TABLE
 from manipulation.robot import ArmDescription
 from manipulation.self_view import SelfView
-from manipulation.viewpoints import viewpoint_ik
+from manipulation.viewpoints import FEW, viewpoint_ik
 from manipulation.workspace import ENOUGH, ReachFit, Workspace
 from perception.types import CATEGORIES, CameraIntrinsics
 
@@ -150,7 +150,9 @@ def check_viewpoints(kinematics: Kinematics, workspace: Workspace = Workspace())
     q = np.asarray(kinematics.arm.q_home, dtype=np.float64)
     count = sum(viewpoint_ik(kinematics, viewpoint, q) is not None for viewpoint in viewpoints)
     found = f"{count} of {len(viewpoints)} viewpoints of the scan are in reach"
-    if count < 4:
+    if kinematics.arm.near_views:
+        found += " or seen from nearly their direction"
+    if count < FEW:
         return RobotFinding("fault", "viewpoints", found, "mount the camera otherwise: [camera] site")
     verdict = "good" if count == len(viewpoints) else "warning"
     return RobotFinding(verdict, "viewpoints", found, "the others are skipped")

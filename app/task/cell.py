@@ -145,9 +145,22 @@ def load_arm(spec: str, check: bool = True) -> SimulatedArm:
         robot = load_robot(spec)
     except RobotFileError as error:
         raise ProblemsError(error.problems) from None
-    if check and spec not in SHIPPED:
+    if spec in SHIPPED:
+        return robot
+    robot = _with_views(robot)
+    if check:
         _require_usable(spec, robot)
     return robot
+
+
+def _with_views(robot: SimulatedArm) -> SimulatedArm:
+    """Return the arm, which takes near views if it reaches few viewpoints of its cell."""
+    from manipulation.viewpoints import with_near_views
+    from manipulation.workspace import arm_workspace
+
+    workspace = arm_workspace(robot.description).workspace
+    viewpoints = (*workspace.scan_viewpoints(), *workspace.box_viewpoints)
+    return replace(robot, description=with_near_views(robot.description, viewpoints))
 
 
 def _require_usable(spec: str, robot: SimulatedArm) -> None:

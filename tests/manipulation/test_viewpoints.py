@@ -12,6 +12,7 @@ from manipulation.obstacles import TABLE
 from manipulation.robot import RobotState
 from manipulation.viewpoints import (
     BOX_VIEWPOINTS,
+    FEW,
     KEEP_OUT,
     LINE_VIEWPOINTS,
     MAX_TURN,
@@ -23,6 +24,7 @@ from manipulation.viewpoints import (
     scan_viewpoints,
     viewpoint_ik,
     viewpoints_around,
+    with_near_views,
 )
 from perception.types import CameraIntrinsics, RgbdFrame
 from sim_assets.robots.panda_arm import arm_description
@@ -190,8 +192,9 @@ def test_the_nearest_solution_within_the_limit_distance_is_used(kinematics, monk
     np.testing.assert_array_equal(found, np.full(7, 0.5))
 
 
-def test_a_viewpoint_out_of_reach_is_replaced_by_a_view_from_nearly_the_same_direction(kinematics):
+def test_a_viewpoint_out_of_reach_is_replaced_by_a_view_from_nearly_the_same_direction():
     """Farther away than the arm reaches; there is none from a side from which the wrist cannot look back."""
+    kinematics = Kinematics(replace(arm_description(), near_views=True))
     q, view = kinematics.arm.q_home, replace(SCAN_VIEWPOINTS[1], distance=1.0)
     found, camera, target = (
         viewpoint_ik(kinematics, view, q),
@@ -205,6 +208,15 @@ def test_a_viewpoint_out_of_reach_is_replaced_by_a_view_from_nearly_the_same_dir
     assert (target - T[:3, 3]) @ T[:3, 2] > away * np.cos(MAX_OFF_AXIS)
     back = Viewpoint(view.target, azimuth=0.0, elevation=0.3, distance=0.5)
     assert viewpoint_ik(kinematics, back, q) is None
+    assert viewpoint_ik(Kinematics(arm_description()), view, q) is None
+
+
+@pytest.mark.parametrize(("reached", "near"), [(FEW - 1, True), (FEW, False)])
+def test_an_arm_that_reaches_few_viewpoints_takes_near_views(reached, near):
+    views = SCAN_VIEWPOINTS[:reached] + tuple(
+        replace(view, distance=2.0) for view in SCAN_VIEWPOINTS[reached:]
+    )
+    assert with_near_views(arm_description(), views).near_views == near
 
 
 def test_viewpoints_out_of_reach_are_skipped_and_frames_reported(kinematics):
