@@ -240,11 +240,12 @@ def _check_arrays(arrays: Mapping[str, np.ndarray]) -> None:
             raise ValueError(f"{name} has {len(array)} samples, show_time {len(arrays['show_time'])}")
     if np.abs(arrays["body_poses"]).max(initial=0.0) > MAX_LENGTH:
         raise ValueError(f"body_poses must be within {MAX_LENGTH:g} m")
-    times = arrays["show_time"]
-    if times.ndim != 1 or (np.diff(times) < 0).any():
-        raise ValueError("show_time must be in ascending order")
-    if (times < 0).any() or (times > MAX_TIME).any():
-        raise ValueError(f"show_time must be from 0 to {MAX_TIME:g} s")
+    for name in ("show_time", "time"):
+        times = arrays[name]
+        if times.ndim != 1 or (np.diff(times) < 0).any():
+            raise ValueError(f"{name} must be in ascending order")
+        if (times < 0).any() or (times > MAX_TIME).any():
+            raise ValueError(f"{name} must be from 0 to {MAX_TIME:g} s")
 
 
 def _read_arrays(path: Path, remedy: str) -> dict[str, np.ndarray]:

@@ -98,6 +98,8 @@ def _write_page(options: ViewOptions, folder: Path, path: Path, loaded: LoadedRu
 
     if path.exists() and not is_page(path):
         raise UsageError(f"--html {path} exists and is no page of this program: give another file")
+    if not path.parent.is_dir():
+        raise UsageError(f"--html {path}: {path.parent} is no folder: create it, or give another file")
     with screen.stage(f"Writing {path}"):
         size = write_page(path, loaded, *titles(loaded, folder))
     screen.show(escape(f"{path} ({size / 1e6:.1f} MB) opens in any browser, offline."))

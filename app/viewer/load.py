@@ -84,6 +84,7 @@ def read_summary(path: Path) -> RunSummary:
         if not isinstance(report, dict):
             raise ValueError("it must be an object")
         command, reason = (_typed(report, key, str, "text") or "" for key in ("command", "reason"))
+        _typed(report, "success", bool, "true or false")
         seed = _typed(report, "seed", int, "an integer")
         objects = _typed(report, "objects", list, "a list") or []
         outcomes = dict(_outcome(index, entry) for index, entry in enumerate(objects))

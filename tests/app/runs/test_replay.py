@@ -75,6 +75,16 @@ def test_samples_outside_four_hours_are_refused(tmp_path, times):
         read_recording(tmp_path)
 
 
+def test_robot_times_ascend(tmp_path):
+    recorder = Recorder(bodies=("tcp",))
+    for time in (1.0, 2.0):
+        recorder.sample(time, np.zeros(7), 0.04, np.array([[0.0, 0, 0, 1, 0, 0, 0]]))
+    recorder.times[0] = 3.0
+    recorder.write(tmp_path)
+    with pytest.raises(InvalidInputError, match=r"\(time must be in ascending order\): run it again"):
+        read_recording(tmp_path)
+
+
 def test_bodies_without_a_sample_are_refused(tmp_path):
     Recorder(bodies=("hand",)).write(tmp_path)
     with pytest.raises(InvalidInputError, match="there is no sample of the bodies"):

@@ -55,6 +55,12 @@ def test_a_page_needs_a_run(tmp_path):
         command.run(ViewOptions(run=tmp_path, html=tmp_path), QUIET)
 
 
+def test_the_folder_of_a_page_must_exist(run_folder, tmp_path):
+    with pytest.raises(UsageError, match="pages is no folder: create it, or give another file"):
+        command.run(ViewOptions(run=run_folder, html=tmp_path / "pages" / "page.html"), QUIET)
+    assert not (tmp_path / "pages").exists()
+
+
 def test_only_pages_are_replaced_by_a_page(run_folder, tmp_path):
     options = ViewOptions(run=run_folder, html=tmp_path / "thesis.html")
     options.html.write_text("<title>Thesis</title>")

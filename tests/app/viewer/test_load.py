@@ -112,6 +112,7 @@ def test_the_summary_holds_the_outcomes_by_id(tmp_path):
     [
         ({"command": 3}, "command must be text"),
         ({"reason": ["a"]}, "reason must be text"),
+        ({"success": "yes"}, "success must be true or false"),
         ({"seed": "3"}, "seed must be an integer"),
         ({"seed": True}, "seed must be an integer"),
         ({"objects": [{"placed": True}]}, "object 0: id is missing"),
