@@ -204,6 +204,13 @@ def _check_environment() -> None:
         r"\s*[1-9]\d{0,4}\s*(,\s*[1-9]\d{0,4}\s*)*", threads
     ):  # OpenMP prints a line of its own
         raise UsageError(f"OMP_NUM_THREADS={threads} is no number of threads: unset it")
+    epoch = os.environ.get("SOURCE_DATE_EPOCH", "0")
+    if not re.fullmatch(r"\d{1,18}", epoch, re.ASCII):  # numpy reads it on import
+        raise UsageError(f"SOURCE_DATE_EPOCH={epoch} is no time in seconds: unset it")
+    try:
+        Path.cwd()
+    except FileNotFoundError:  # libraries cannot be loaded from there
+        raise UsageError("the working directory was removed: change to another one") from None
     address_space, _ = resource.getrlimit(resource.RLIMIT_AS)
     if address_space != resource.RLIM_INFINITY and address_space < MIN_ADDRESS_SPACE:
         limit = f"{address_space / 2**20:.0f} MB of address space (ulimit -v)"

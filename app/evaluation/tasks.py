@@ -80,6 +80,8 @@ def _format(options: EvaluateOptions) -> LedgerFormat:
     def check(line: Line) -> None:
         if line.get("task", options.task) != options.task or type(line["success"]) is not bool:
             raise ValueError(f"not an episode of {options.task}")
+        if not all(isinstance(entry.get("placed"), bool | None) for entry in line["objects"]):
+            raise ValueError("placed is neither true, false nor null")
         summarise([line])
 
     return LedgerFormat("evaluate-tasks", EPISODES, "seed", check)

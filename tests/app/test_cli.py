@@ -67,6 +67,21 @@ def test_openmp_is_told_a_number_of_threads(monkeypatch, threads, valid):
             cli.check(DoctorOptions())
 
 
+def test_the_build_time_is_a_number(monkeypatch):
+    monkeypatch.setenv("SOURCE_DATE_EPOCH", "1700000000")
+    cli.check(DoctorOptions())
+    monkeypatch.setenv("SOURCE_DATE_EPOCH", "yesterday")
+    with pytest.raises(UsageError, match="SOURCE_DATE_EPOCH=yesterday is no time in seconds: unset it"):
+        cli.check(DoctorOptions())
+
+
+def test_the_working_directory_exists(monkeypatch, tmp_path):
+    monkeypatch.chdir(tmp_path)
+    tmp_path.rmdir()
+    with pytest.raises(UsageError, match="the working directory was removed: change to another one"):
+        cli.check(DoctorOptions())
+
+
 BAD_INPUT = {
     "objects: class": (["pack", "--objects", "spoon=2"], "'spoon' is none of mug, bowl, bottle, can"),
     "objects: count": (["sort", "--objects", "mug=two"], "'mug=two' has no count"),

@@ -141,6 +141,7 @@ def test_a_failed_episode_has_its_reason_and_time():
         lambda line: line.pop("objects"),
         lambda line: line["objects"][0].pop("placed"),
         lambda line: line.update(success="yes"),
+        lambda line: line["objects"][0].update(placed=7),
         lambda line: line.update(task="sort"),
         lambda line: line.update(objects=3),
     ],
