@@ -26,6 +26,7 @@ from perception.types import check_rigid
 
 # Above these residuals the standard deviation of a placed object exceeds the clearances of planning.
 MAX_POSITION, MAX_ROTATION = 0.005, 0.02
+MAX_DISTANCE = 1.0  # [m] of the camera from the tool frame
 
 _Row = Annotated[list[float], Meta(min_length=4, max_length=4)]
 
@@ -64,7 +65,7 @@ def read_hand_eye(path: Path) -> HandEye:
         CalibrationError: the file is missing or malformed, its matrix is no rigid motion, or its residual is
             too large for grasping.
     """
-    remedy = "see docs/robots.md for the entries"
+    remedy = "see docs/real_arm.md for the entries"
     try:
         entries = msgspec.convert(tomllib.loads(read_text(path)), _Entries)
         T = check_rigid(np.array(entries.T_tcp_camera), "T_tcp_camera")
@@ -72,6 +73,12 @@ def read_hand_eye(path: Path) -> HandEye:
         raise CalibrationError(f"{path}: {error.strerror}; give the file of a hand-eye calibration") from None
     except (ValueError, RecursionError, msgspec.ValidationError, InvalidInputError) as error:  # TOML, UTF-8
         raise CalibrationError(f"{path}: {error}; {remedy}") from None
+    distance = float(np.linalg.norm(T[:3, 3]))
+    if distance > MAX_DISTANCE:
+        raise CalibrationError(
+            f"{path}: the camera is {distance:.3g} m from the tool frame, at most {MAX_DISTANCE:g} m are allowed: "
+            "give metres"
+        )
     position, rotation = entries.residual_position, entries.residual_rotation
     if position > MAX_POSITION or rotation > MAX_ROTATION:
         found = f"{1e3 * position:.1f} mm and {np.rad2deg(rotation):.2f} degrees"
