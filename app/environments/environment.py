@@ -93,9 +93,6 @@ class CellEnv(gymnasium.Env[Any, np.ndarray]):
         """
         if control not in ("joint", "tcp") or reward not in ("sparse", "shaped"):
             raise UsageError(f"control={control!r}, reward={reward!r}: give joint or tcp, sparse or shaped")
-        for name, flag in (("images", images), ("privileged", privileged)):
-            if not isinstance(flag, bool):
-                raise UsageError(f"{name}={flag!r}: give True or False")
         if render_mode not in (None, "rgb_array"):
             raise UsageError(f"render_mode={render_mode!r}: give 'rgb_array' or None")
         if not MIN_RATE <= rate <= MAX_RATE:

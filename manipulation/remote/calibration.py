@@ -76,8 +76,8 @@ def read_hand_eye(path: Path) -> HandEye:
     distance = float(np.linalg.norm(T[:3, 3]))
     if distance > MAX_DISTANCE:
         raise CalibrationError(
-            f"{path}: the camera is {distance:.3g} m from the tool frame, at most {MAX_DISTANCE:g} m are allowed: "
-            "give metres"
+            f"{path}: the camera is {distance:.3g} m from the tool frame, at most {MAX_DISTANCE:g} m are "
+            "allowed: give metres"
         )
     position, rotation = entries.residual_position, entries.residual_rotation
     if position > MAX_POSITION or rotation > MAX_ROTATION:

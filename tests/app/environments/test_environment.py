@@ -91,7 +91,6 @@ def test_a_diverged_simulation_ends_the_episode(env, monkeypatch):
         ({"object_meshes": 3}, "no path"),
         ({"rate": float("nan")}, "1 to 200 actions"),
         ({"image_size": (0, 64)}, "16 to 4096 px"),
-        ({"images": "no"}, "images='no': give True or False"),
         ({"render_mode": "human"}, "rgb_array"),
     ],
 )

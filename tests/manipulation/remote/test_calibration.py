@@ -29,7 +29,7 @@ def test_a_calibration_is_read(tmp_path):
         (
             "0.0, -1.0, 0.0, 0.065",
             "0.0, -1.0, 0.0, 65.0",
-            r"the camera is 65 m from the tool frame, .* give metres",
+            "the camera is 65 m from the tool .* give metres",
         ),
         ("0.0, -1.0, 0.0, 0.065", "0.0, -1.0, 0.0", "length"),
         ("residual_position = 0.0008", "residual_position = 0.02", r"20\.0 mm .* calibrate again"),
