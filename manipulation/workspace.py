@@ -6,6 +6,7 @@ heights of motions are s times as far from the foot of the arm's first axis. Ima
 
 from __future__ import annotations
 
+from collections.abc import Sequence
 from dataclasses import dataclass, replace
 from typing import TYPE_CHECKING
 
@@ -173,16 +174,26 @@ def place_poses(kinematics: Kinematics, scale: float, lift: float = 0.0) -> list
 
     An arm that is to be raised by ``lift`` [m] sees the table that much lower.
     """
-    T_home = kinematics.forward(np.asarray(kinematics.arm.q_home, dtype=np.float64))
-    yaw = float(np.arctan2(T_home[1, 0], T_home[0, 0])) - kinematics.bearing(T_home)
+    yaw = hand_yaw(kinematics)
     poses = []
     for x, y in PLACES:
         for height in HEIGHTS:
             for turn in TURNS:
                 angle = yaw + np.arctan2(y, x) + turn
-                c, s = np.cos(angle), np.sin(angle)
-                T = np.eye(4)
-                T[:3, :3] = [[c, s, 0.0], [s, -c, 0.0], [0.0, 0.0, -1.0]]
-                T[:3, 3] = scale * x, scale * y, scale * height - lift
-                poses.append(T)
+                poses.append(hand_down((scale * x, scale * y, scale * height - lift), angle))
     return poses
+
+
+def hand_yaw(kinematics: Kinematics) -> float:
+    """Return the yaw [rad] of the hand at home, relative to its direction from the base."""
+    T_home = kinematics.forward(np.asarray(kinematics.arm.q_home, dtype=np.float64))
+    return float(np.arctan2(T_home[1, 0], T_home[0, 0])) - kinematics.bearing(T_home)
+
+
+def hand_down(position: Sequence[float], yaw: float) -> Float[np.ndarray, "4 4"]:
+    """Return ``T_world_tcp`` of a hand at a position [m] that points down, turned by ``yaw`` [rad]."""
+    c, s = np.cos(yaw), np.sin(yaw)
+    T = np.eye(4)
+    T[:3, :3] = [[c, s, 0.0], [s, -c, 0.0], [0.0, 0.0, -1.0]]
+    T[:3, 3] = position
+    return T

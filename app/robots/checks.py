@@ -17,7 +17,7 @@ from manipulation.obstacles import TABLE
 from manipulation.robot import ArmDescription
 from manipulation.self_view import SelfView
 from manipulation.viewpoints import FEW, viewpoint_ik
-from manipulation.workspace import ENOUGH, ReachFit, Workspace
+from manipulation.workspace import ENOUGH, ReachFit, Workspace, hand_down, hand_yaw
 from perception.types import CATEGORIES, CameraIntrinsics
 
 Verdict = Literal["good", "warning", "fault"]
@@ -114,14 +114,10 @@ def check_home(arm: ArmDescription, kinematics: Kinematics) -> Iterator[RobotFin
 
 def reachable_radii(kinematics: Kinematics) -> Float[np.ndarray, "r"]:
     """Return the distances from the base [m] at which the hand, turned as at home, reaches down to 0.1 m."""
-    home = kinematics.forward(np.asarray(kinematics.arm.q_home, dtype=np.float64))
-    yaw = float(np.arctan2(home[1, 0], home[0, 0])) - kinematics.bearing(home)
-    c, s = np.cos(yaw), np.sin(yaw)
+    yaw = hand_yaw(kinematics)
     reached = []
     for radius in RADII:
-        T = np.eye(4)
-        T[:3, :3] = [[c, s, 0.0], [s, -c, 0.0], [0.0, 0.0, -1.0]]
-        T[:3, 3] = kinematics.base[0] + radius, kinematics.base[1], REACH_HEIGHT
+        T = hand_down((kinematics.base[0] + radius, kinematics.base[1], REACH_HEIGHT), yaw)
         if kinematics.inverse(T, kinematics.seeds_toward(T), name="the reach").converged:
             reached.append(float(radius))
     return np.array(reached)

@@ -11,6 +11,7 @@ from manipulation.collision import CollisionWorld
 from manipulation.kinematics import Kinematics
 from manipulation.obstacles import TABLE
 from manipulation.robot import ArmDescription
+from manipulation.workspace import hand_down
 
 SHARES = (0.55, 0.45, 0.65, 0.35)  # of the arm's length: distances of the hand from the base
 YAWS = (0.0, np.pi, np.pi / 2, -np.pi / 2)  # [rad] of the hand; the camera looks ahead first
@@ -42,9 +43,8 @@ def find_home(arm: ArmDescription, kinematics: Kinematics) -> Float[np.ndarray, 
     best, best_score = None, -np.inf
     for yaw in YAWS:
         for share, height, _ in itertools.product(SHARES, HEIGHTS, range(_SEEDS)):
-            T = np.eye(4)
-            T[:3, :3] = [[np.cos(yaw), np.sin(yaw), 0], [np.sin(yaw), -np.cos(yaw), 0], [0, 0, -1]]
-            T[:3, 3] = kinematics.base[0] + share * length, kinematics.base[1], height * length
+            place = kinematics.base[0] + share * length, kinematics.base[1], height * length
+            T = hand_down(place, yaw)
             result = kinematics.inverse(T, [rng.uniform(low, high)], name="the home posture")
             if not result.converged or world.contact(result.q, arm.max_width) is not None:
                 continue

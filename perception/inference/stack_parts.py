@@ -196,10 +196,10 @@ def _held(
     """Return the pixels of a vessel's mask whose points are off its surface, within its radius."""
     inside = mask & (view.depth > 0)
     points = points_of(view, inside)
-    away = np.linalg.norm((points - vessel.T_world_object[:3, 3])[:, :2], axis=1) < vessel.radius
+    within = np.linalg.norm((points - vessel.T_world_object[:3, 3])[:, :2], axis=1) < vessel.radius
     off = surface.query(points, distance_upper_bound=2 * FAR)[0] > FAR
     result = np.zeros_like(mask)
-    result[inside] = off & away
+    result[inside] = off & within
     kernel = np.ones((3, 3), np.uint8)
     result = cv2.morphologyEx(result.astype(np.uint8), cv2.MORPH_OPEN, kernel) > 0
     return remove_specks(result, _SPECK) if result.any() else result
