@@ -60,6 +60,7 @@ GL_BACKENDS = ("", "egl", "osmesa", "glfw", "glx", "enable", "enabled", "on", "t
 # Values of PYOPENGL_PLATFORM that PyOpenGL accepts on Linux.
 GL_PLATFORMS = ("", "egl", "osmesa", "glx", "x11", "wayland", "linux")
 MIN_ADDRESS_SPACE = 2**30  # [bytes]: with much less, OpenBLAS never returns from its initialisation
+MIN_STACK = 2**19  # [bytes]: with half of it, libraries crash
 MAX_SEED = 2**64 - 1
 MIN_COLUMNS = 40  # of the help: in a few columns, laying it out takes minutes
 # Ranges of counts: what is asked for is listed in memory, and workers are processes of 1 GB each.
@@ -138,9 +139,16 @@ def parse(arguments: Sequence[str]) -> CommonOptions:
         UsageError: The arguments are invalid; the message is one line.
         SystemExit: Help was requested and printed.
     """
+    if list(arguments) == ["--version"]:
+        from app.runs.report import package_version
+
+        sys.stdout.write(f"nodeslam {package_version()}\n")
+        raise SystemExit(DONE)
     empty = next((a for a in arguments if re.fullmatch(r"(--[\w-]+=)?", a)), None)
     if empty is not None:
         raise UsageError(f"argument {empty!r} is empty: omit it, or check the shell variable it was made of")
+    # The shell leaves it in --out=~/runs, which would make a folder named ~.
+    arguments = [re.sub(r"^(--[\w-]+=)?(~(?:/.*)?)$", _at_home, a, flags=re.DOTALL) for a in arguments]
     kinds: list[Any] = [
         Annotated[kind, tyro.conf.subcommand(name, prefix_name=False)] for name, kind in COMMANDS.items()
     ]
@@ -158,6 +166,12 @@ def parse(arguments: Sequence[str]) -> CommonOptions:
         raise UsageError(_one_line(errors.getvalue())) from None
 
 
+def _at_home(argument: re.Match[str]) -> str:
+    """Return an argument with the home directory, if there is one, in place of the tilde of its path."""
+    option, path = argument.groups()
+    return (option or "") + os.path.expanduser(path)
+
+
 def check(options: CommonOptions) -> None:
     """Validate values before anything heavy is loaded.
 
@@ -165,6 +179,17 @@ def check(options: CommonOptions) -> None:
         UsageError: A value is invalid; the message is one line.
     """
     _check_environment()
+    for circumstance, names in options.without_effect().items():
+        for name in sorted(options.changed().intersection(names)):
+            raise UsageError(f"--{name.replace('_', '-')} has no effect {circumstance}: omit it")
+    if options.device == "cuda":  # some commands have no use for it, and would not say that there is none
+        from perception.errors import InvalidInputError
+        from perception.pipeline import resolve_device
+
+        try:
+            resolve_device(options.device)
+        except InvalidInputError as error:
+            raise UsageError(str(error)) from None
     if isinstance(options, CellOptions) and getattr(options, "what", None) != "reconstruction":
         from app.task.cell import check_options
 
@@ -199,6 +224,9 @@ def _check_environment() -> None:
     platform = os.environ.get("PYOPENGL_PLATFORM", "")
     if platform not in GL_PLATFORMS:
         raise UsageError(f"PYOPENGL_PLATFORM={platform} is no platform of PyOpenGL: unset it")
+    gpu = os.environ.get("MUJOCO_EGL_DEVICE_ID", "0")
+    if not re.fullmatch(r"\d{1,9}", gpu, re.ASCII):
+        raise UsageError(f"MUJOCO_EGL_DEVICE_ID={gpu} is no number of a GPU: unset it")
     threads = os.environ.get("OMP_NUM_THREADS", "1")
     if not re.fullmatch(
         r"\s*[1-9]\d{0,4}\s*(,\s*[1-9]\d{0,4}\s*)*", threads
@@ -215,6 +243,10 @@ def _check_environment() -> None:
     if address_space != resource.RLIM_INFINITY and address_space < MIN_ADDRESS_SPACE:
         limit = f"{address_space / 2**20:.0f} MB of address space (ulimit -v)"
         raise UsageError(f"{limit} are too little: allow {MIN_ADDRESS_SPACE / 2**20:.0f} MB or more")
+    stack, _ = resource.getrlimit(resource.RLIMIT_STACK)
+    if stack != resource.RLIM_INFINITY and stack < MIN_STACK:
+        limit = f"{stack / 2**10:.0f} kB of stack (ulimit -s)"
+        raise UsageError(f"{limit} are too little: allow {MIN_STACK / 2**10:.0f} kB or more")
 
 
 def _one_line(boxed: str) -> str:
@@ -223,6 +255,10 @@ def _one_line(boxed: str) -> str:
     text = "\n".join(line for line in lines if line and not line.startswith("─ "))  # without the title
     above, *below = re.split("─+|-{5,}", text)
     message = " ".join((above if "│" in boxed or not below else below[0]).split()).rstrip(".")
+    value = re.fullmatch(r"Error parsing (--[\w-]+): .*?\b(int|float)\b.*: '(.*?)'.*", message)
+    if value:
+        option, kind, given = value.groups()
+        message = f"{option} takes {'a whole number' if kind == 'int' else 'a number'}, not '{given}'"
     suggestion = re.search(r"Perhaps you meant\S*\s+(--[\w-]+)", text)
     if suggestion:
         message += f" (did you mean {suggestion.group(1)}?)"

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import errno
 import os
+import resource
 import sys
 import tempfile
 import traceback
@@ -86,10 +87,14 @@ def failure_of(error: Exception, command: str) -> Failure:
         return Failure(f"{where}{error.strerror}" + (f"; {remedy}" if remedy else ""), expected=False)
     backend = os.environ.get("MUJOCO_GL")
     if backend and _is_from_graphics(error):
-        return Failure(
-            f"MUJOCO_GL={backend} does not work on this machine ({error}): unset it", expected=False
-        )
+        name = "MUJOCO_EGL_DEVICE_ID" if "MUJOCO_EGL_DEVICE_ID" in str(error) else "MUJOCO_GL"
+        setting = f"{name}={os.environ[name]}"
+        return Failure(f"{setting} does not work on this machine ({error}): unset it", expected=False)
     what = f"{type(error).__name__}: {error}" if str(error) else type(error).__name__
+    address_space, _ = resource.getrlimit(resource.RLIMIT_AS)
+    if address_space != resource.RLIM_INFINITY:  # libraries report its exhaustion in many ways
+        allowed = f"the {address_space / 2**20:.0f} MB of address space that it was given (ulimit -v)"
+        return Failure(f"{command} failed ({what}), perhaps for {allowed}: allow more", expected=False)
     return Failure(f"{command} failed unexpectedly: {what}", TASK_FAILED, expected=False)
 
 

@@ -90,7 +90,11 @@ def run(options: ReconstructOptions, screen: Screen) -> Report:
             "candidates_left_out": left_out_as_json(detections.left_out),
             "surfaces": surfaces_as_json(detections.surfaces),
         },
-        warnings=[*scan.warnings, *(f"{item.name} is left out: {item.reason}" for item in rejected)],
+        warnings=[
+            *scan.warnings,
+            *(f"{item.name} is left out: {item.reason}" for item in rejected),
+            *_doubts(objects, len(rejected), len(scan.frames)),
+        ],
         settings={"scan": str(options.scan)},
     )
     folder.write_report(report)
@@ -143,6 +147,17 @@ def _summary(objects: Sequence[ObjectEstimate], rejected: Sequence[RejectedObjec
     if objects:
         return f"{len(objects)} objects" + (f"; {left_out}" if left_out else "")
     return f"no object was reconstructed: {left_out}" if left_out else ""
+
+
+def _doubts(objects: Sequence[ObjectEstimate], n_rejected: int, n_images: int) -> list[str]:
+    """Return a warning about the cameras if no object, of those found, fits what several images measured."""
+    if n_images < 2 or not (objects or n_rejected) or any(o.status != "implausible" for o in objects):
+        return []
+    return [
+        "no object fits all images: check that scene_camera.json has poses from world to camera with x right,"
+        " y down and z forward, translations in millimetres, cam_K for images of this size and depth_scale in"
+        " millimetres per unit"
+    ]
 
 
 def _write_pictures(

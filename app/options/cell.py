@@ -2,7 +2,8 @@
 
 from __future__ import annotations
 
-from dataclasses import dataclass
+from collections.abc import Collection, Mapping
+from dataclasses import dataclass, fields
 from pathlib import Path
 from typing import Annotated, Literal
 
@@ -93,6 +94,12 @@ class RunTaskOptions(TaskOptions, ViewerOptions):
     ] = None
     """Hand-eye calibration of the camera of --connect."""
 
+    def without_effect(self) -> Mapping[str, Collection[str]]:
+        """Options of the viewer and of the robot in another process, where there is none."""
+        return ({} if self.view else {"without --view": {"host", "port"}}) | (
+            {} if self.connect else {"without --connect": {"hand_eye"}}
+        )
+
 
 @dataclass(frozen=True, kw_only=True)
 class PackOptions(RunTaskOptions):
@@ -122,6 +129,13 @@ class ViewOptions(TaskOptions, ViewerOptions):
     """Task that is selected initially."""
     html: Annotated[Path | None, arg(metavar="FILE", help_behavior_hint="default: serve")] = None
     """Write the replay as one self-contained HTML page in place of serving it."""
+
+    def without_effect(self) -> Mapping[str, Collection[str]]:
+        """Options of the live cell where a run is shown, and of the server where a page is written."""
+        of_the_cell = {f.name for f in fields(TaskOptions)} - {f.name for f in fields(CommonOptions)}
+        return ({} if self.run is None else {"on the replay of a run": of_the_cell | {"task"}}) | (
+            {} if self.html is None else {"with --html": {"host", "port"}}
+        )
 
 
 @dataclass(frozen=True, kw_only=True)

@@ -2,7 +2,8 @@
 
 from __future__ import annotations
 
-from dataclasses import dataclass
+from collections.abc import Collection, Mapping
+from dataclasses import dataclass, fields
 from pathlib import Path
 from typing import Annotated, Literal
 
@@ -34,3 +35,11 @@ class CommonOptions:
     """Print the traceback of any error on standard error."""
     stage_limit: Annotated[float, arg(metavar="SECONDS")] = 3600.0
     """Time without progress after which a stage is ended; 0 for none. Training and viewer have no limit."""
+
+    def without_effect(self) -> Mapping[str, Collection[str]]:
+        """Return names of options that the others leave without effect, by the reason for it."""
+        return {}
+
+    def changed(self) -> set[str]:
+        """Return the names of the options that do not have their default."""
+        return {f.name for f in fields(self) if getattr(self, f.name) != f.default}

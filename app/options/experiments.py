@@ -2,7 +2,8 @@
 
 from __future__ import annotations
 
-from dataclasses import dataclass
+from collections.abc import Collection, Mapping
+from dataclasses import dataclass, fields
 from pathlib import Path
 from typing import Annotated, Literal, get_args
 
@@ -91,6 +92,19 @@ class EvaluateOptions(TaskOptions, WorkerOptions):
     perceive_only: bool = False
     """Tasks: scan and reconstruct without moving anything, to score the object map alone."""
 
+    def without_effect(self) -> Mapping[str, Collection[str]]:
+        """Options of other evaluations than this one."""
+        every = {f.name for f in fields(self)} - {f.name for f in fields(WorkerOptions)} - {"what"}
+        return {f"on `evaluate {self.what}`": every - OPTIONS_OF[self.what]}
+
+
+OPTIONS_OF = {
+    "detection": {"images", "renderer", "rooms", "fits", "depth_noise", "object_meshes"},
+    "reconstruction": {"views", "methods", "masks", "poses", "objects", "depth_noise", "object_meshes"},
+    "slam": {"scenes", "variants", "frames", "short_runs", "faults", "depth_noise"},
+    "tasks": {"task", "episodes", "perceive_only"} | {f.name for f in fields(TaskOptions)},
+}
+
 
 @dataclass(frozen=True, kw_only=True)
 class CollectOptions(TaskOptions, WorkerOptions):
@@ -126,3 +140,9 @@ class BenchOptions(CommonOptions):
     """Measure how times grow with objects, views, landmarks and workers, in place of the table."""
     growth_workers: tuple[int, ...] = (1, 2)
     """Numbers of worker processes that --growth runs episodes with; none to leave that curve out."""
+
+    def without_effect(self) -> Mapping[str, Collection[str]]:
+        """Options of the comparison without a stored result, and of growth without --growth."""
+        return ({} if self.growth else {"without --growth": {"growth_workers"}}) | (
+            {} if self.against is not None else {"without --against": {"tolerance"}}
+        )

@@ -9,6 +9,7 @@ from __future__ import annotations
 
 import asyncio
 import contextlib
+import errno
 import io
 import logging
 import socket
@@ -52,9 +53,9 @@ def _free_port(host: str, port: int | None) -> int:
     for candidate in candidates:
         try:
             return _probe(host, candidate)
-        except socket.gaierror:
-            raise UsageError(f"--host {host} is not an address of this machine: omit it") from None
         except OSError as error:
+            if isinstance(error, socket.gaierror) or error.errno == errno.EADDRNOTAVAIL:
+                raise UsageError(f"--host {host} is not an address of this machine: omit it") from None
             problem = (error.strerror or str(error)).lower()
     if port is None:
         raise UsageError(f"ports {DEFAULT_PORT} to {DEFAULT_PORT + PORTS_TRIED - 1}: {problem}; give --port")

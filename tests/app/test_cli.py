@@ -4,15 +4,17 @@ import contextlib
 import errno
 import json
 import os
+import re
 import resource
 import signal
 import subprocess
 import sys
+from pathlib import Path
 
 import pytest
 
 from app import cli
-from app.cli import run
+from app.cli import parse, run
 from app.errors import UsageError
 from app.options import BenchOptions, DoctorOptions, ScanOptions
 from app.runs.report import ObjectReport, Report
@@ -24,7 +26,8 @@ BAD_USAGE = {
     "no command": ([], "Expected one of {pack, sort,"),
     "unknown command": (["pakc"], "Unrecognized options: pakc"),
     "misspelt option": (["pack", "--sed", "3"], "did you mean --seed?"),
-    "no number": (["pack", "--seed", "x"], "Error parsing --seed"),
+    "no number": (["pack", "--seed", "x"], "--seed takes a whole number, not 'x'"),
+    "no optional number": (["scan", "--gap", "0,1"], "--gap takes a number, not '0,1'"),
     "no such choice": (["sort", "--shapes", "perfect"], "invalid choice 'perfect'"),
     "no network": (["train"], "{shape,detector,pose,yaw,acceptance}"),
     "nothing to evaluate": (["evaluate", "everything"], "invalid choice 'everything'"),
@@ -38,6 +41,56 @@ def test_bad_usage_is_one_line_and_exit_code_2(arguments, message, capsys):
     out, err = capsys.readouterr()
     assert out == "" and err.count("\n") == 1
     assert err.startswith("nodeslam: ") and message in err and "--help" in err
+
+
+@pytest.mark.parametrize(
+    ("arguments", "message"),
+    [
+        (["evaluate", "slam", "--episodes", "3"], "--episodes has no effect on `evaluate slam`"),
+        (["evaluate", "detection", "--clutter"], "--clutter has no effect on `evaluate detection`"),
+        (["evaluate", "tasks", "--views", "1"], "--views has no effect on `evaluate tasks`"),
+        (["view", "run", "--unknown", "2"], "--unknown has no effect on the replay of a run"),
+        (["view", "run", "--html", "page.html", "--port", "8090"], "--port has no effect with --html"),
+        (["pack", "--port", "8090"], "--port has no effect without --view"),
+        (["sort", "--hand-eye", "eye.toml"], "--hand-eye has no effect without --connect"),
+        (["bench", "--growth-workers", "1"], "--growth-workers has no effect without --growth"),
+        (["bench", "--tolerance", "0.5"], "--tolerance has no effect without --against"),
+    ],
+)  # fmt: skip
+def test_options_without_effect_are_refused(arguments, message, capsys):
+    assert run(arguments) == 2
+    assert capsys.readouterr().err == f"nodeslam: {message}: omit it\n"
+
+
+@pytest.mark.parametrize(
+    "arguments",
+    [
+        ["pack", "--view", "--port", "8090", "--connect", "ipc://robot", "--hand-eye", "eye.toml"],
+        ["view", "run", "--port", "8090"],
+        ["view", "--task", "sort", "--objects", "3"],
+        ["bench", "--against", "report.json", "--tolerance", "0.5"],
+        ["bench", "--growth", "--growth-workers", "1"],
+        ["evaluate", "tasks", "--task", "sort", "--clutter", "--workers", "2", "--episodes", "3"],
+        ["evaluate", "slam", "--scenes", "2", "--depth-noise", "kinect"],
+        ["evaluate", "reconstruction", "--objects", "mug=2", "--masks", "given"],
+        ["evaluate", "detection", "--rooms", "--object-meshes", "meshes"],
+    ],
+)
+def test_options_with_effect_are_accepted(arguments):
+    options = parse(arguments)
+    without_effect = set().union(*options.without_effect().values())
+    assert not options.changed() & without_effect
+
+
+def test_cuda_is_refused_where_there_is_none_also_by_commands_without_networks(capsys, monkeypatch):
+    monkeypatch.setattr("torch.cuda.is_available", lambda: False)
+    assert run(["convert", "recording", "--device", "cuda"]) == 2
+    assert capsys.readouterr().err.startswith("nodeslam: --device cuda: this machine has no usable CUDA")
+
+
+def test_the_version_is_printed(capsys):
+    assert run(["--version"]) == 0
+    assert re.fullmatch(r"nodeslam \d+\.\d+\.\d+\S*\n", capsys.readouterr().out)
 
 
 def test_bad_usage_is_told_in_ascii_too():
@@ -111,8 +164,14 @@ BAD_INPUT = {
     "no meshes": (["pack", "--object-meshes", "/nowhere"], "--object-meshes /nowhere is no folder"),
     "no robot": (["scan", "--robot", "/nowhere.toml"], "--robot /nowhere.toml is no robot file"),
     "epochs": (["train", "yaw", "--epochs", "0"], "--epochs 0 must be in 1..1000000"),
-    "tolerance: NaN": (["bench", "--tolerance", "nan"], "--tolerance nan must be at least 0 and below 1"),
-    "growth: workers": (["bench", "--growth-workers", "1", "0"], "different numbers from 1 to 256"),
+    "tolerance: NaN": (
+        ["bench", "--against", "report.json", "--tolerance", "nan"],
+        "--tolerance nan must be at least 0 and below 1",
+    ),
+    "growth: workers": (
+        ["bench", "--growth", "--growth-workers", "1", "0"],
+        "different numbers from 1 to 256",
+    ),
     "workers": (["evaluate", "tasks", "--workers", "0"], "--workers 0 must be in 1..256"),
     "episodes": (
         ["evaluate", "tasks", "--episodes", "999999999999"],
@@ -267,6 +326,33 @@ def test_too_little_address_space_is_refused_before_libraries_are_loaded(monkeyp
     assert capsys.readouterr().err == (
         "nodeslam: 200 MB of address space (ulimit -v) are too little: allow 1024 MB or more\n"
     )
+
+
+@pytest.mark.parametrize("stack, code", [(2**18, 2), (2**19, 0), (resource.RLIM_INFINITY, 0)])
+def test_a_stack_with_which_libraries_crash_is_refused(monkeypatch, stack, code):
+    limits = {resource.RLIMIT_STACK: stack}
+    monkeypatch.setattr(resource, "getrlimit", lambda kind: (limits.get(kind, resource.RLIM_INFINITY),) * 2)
+    if code == 0:
+        cli.check(DoctorOptions())
+    else:
+        with pytest.raises(UsageError, match=r"256 kB of stack \(ulimit -s\) are too little: allow 512 kB"):
+            cli.check(DoctorOptions())
+
+
+def test_the_gpu_of_the_renderer_is_a_number(monkeypatch):
+    monkeypatch.setenv("MUJOCO_EGL_DEVICE_ID", "0")
+    cli.check(DoctorOptions())
+    monkeypatch.setenv("MUJOCO_EGL_DEVICE_ID", "first")
+    with pytest.raises(UsageError, match="MUJOCO_EGL_DEVICE_ID=first is no number of a GPU: unset it"):
+        cli.check(DoctorOptions())
+
+
+def test_paths_that_the_shell_leaves_with_a_tilde_are_below_the_home_directory(monkeypatch, tmp_path):
+    monkeypatch.setenv("HOME", str(tmp_path))
+    assert parse(["pack", "--out=~/runs/one"]).out == tmp_path / "runs/one"
+    assert parse(["reconstruct", "~"]).scan == tmp_path
+    assert parse(["reconstruct", "~scan"]).scan == Path("~scan")  # of no user's home
+    assert parse(["reconstruct", "scan~/one"]).scan == Path("scan~/one")
 
 
 @pytest.fixture

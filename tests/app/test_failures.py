@@ -2,6 +2,7 @@
 
 import errno
 import os
+import resource
 import sys
 from pathlib import Path
 
@@ -105,16 +106,33 @@ def test_errors_of_packages_that_are_not_loaded_are_no_problem(monkeypatch):
 
 
 def test_an_opengl_backend_that_does_not_work_is_named(monkeypatch):
-    def raised_in(filename):
+    def raised_in(filename, message="division by zero"):
         try:
-            exec(compile("1 / 0", filename, "exec"), {})
-        except ZeroDivisionError as error:
+            exec(compile(f"raise RuntimeError({message!r})", filename, "exec"), {})
+        except RuntimeError as error:
             return error
 
     monkeypatch.setenv("MUJOCO_GL", "osmesa")
     found = failure_of(raised_in("site-packages/OpenGL/raw/GL/_errors.py"), "scan")
     assert found.message == "MUJOCO_GL=osmesa does not work on this machine (division by zero): unset it"
     assert found.code == 2 and not found.expected
+    monkeypatch.setenv("MUJOCO_EGL_DEVICE_ID", "9")
+    other = failure_of(
+        raised_in("site-packages/OpenGL/x.py", "MUJOCO_EGL_DEVICE_ID must be 0, got 9"), "scan"
+    )
+    assert other.message.startswith("MUJOCO_EGL_DEVICE_ID=9 does not work on this machine (MUJOCO_EGL")
     assert "failed unexpectedly" in failure_of(raised_in("somewhere/else.py"), "scan").message
     monkeypatch.delenv("MUJOCO_GL")
     assert "failed unexpectedly" in failure_of(raised_in("mujoco/osmesa/gl_context.py"), "scan").message
+
+
+def test_a_limit_of_the_address_space_is_named_as_the_likely_cause(monkeypatch):
+    monkeypatch.setattr(resource, "getrlimit", lambda kind: (2**30,) * 2)
+    found = failure_of(RuntimeError("cannot load x.so"), "scan")
+    assert found.code == 2 and not found.expected
+    assert found.message == (
+        "scan failed (RuntimeError: cannot load x.so), perhaps for the 1024 MB of address space that it was"
+        " given (ulimit -v): allow more"
+    )
+    monkeypatch.setattr(resource, "getrlimit", lambda kind: (resource.RLIM_INFINITY,) * 2)
+    assert failure_of(RuntimeError("x"), "scan").message == "scan failed unexpectedly: RuntimeError: x"

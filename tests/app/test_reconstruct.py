@@ -96,6 +96,25 @@ def test_the_summary_names_what_is_left_out() -> None:
     )
 
 
+@pytest.mark.parametrize(
+    ("statuses", "n_rejected", "n_images", "doubted"),
+    [
+        (["implausible", "implausible"], 0, 2, True),
+        ([], 1, 2, True),
+        (["implausible", "not_converged"], 1, 2, False),
+        (["implausible"], 0, 1, False),  # one image cannot contradict another
+        ([], 0, 2, False),
+    ],
+)
+def test_cameras_are_doubted_when_nothing_fits(
+    standing: Any, statuses: list[Any], n_rejected: int, n_images: int, doubted: bool
+) -> None:
+    objects = [replace(standing("can", i), status=status) for i, status in enumerate(statuses)]
+    warnings = reconstruct._doubts(objects, n_rejected, n_images)
+    assert [w for w in warnings if "from world to camera" in w] == warnings
+    assert bool(warnings) == doubted
+
+
 def test_other_detectors_are_named_in_full() -> None:
     with pytest.raises(InvalidInputError, match="neither shipped nor hf:MODEL"):
         load_huggingface("maskrcnn", "cpu")

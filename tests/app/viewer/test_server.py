@@ -131,6 +131,8 @@ def test_a_busy_port_is_reported_and_the_default_is_the_next_free_one(server, mo
     other.stop()
     with pytest.raises(UsageError, match=r"--host no\.such\.host is not an address of this machine"):
         open_server("no.such.host")
+    with pytest.raises(UsageError, match=r"--host 192\.0\.2\.1 is not an address of this machine"):
+        open_server("192.0.2.1")  # for documentation only, RFC 5737
 
 
 def encoded(**message):
