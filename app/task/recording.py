@@ -56,8 +56,7 @@ class CellRecorder(RunObserver):
         world = self.world
         truth = read_truth(world)
         free = (*truth.poses.values(), *truth.unknown.values())
-        there = np.array([_position_wxyz(T) for T in free]).reshape(-1, 7)
-        poses = np.concatenate([viewer_meshes.poses(world), there])
+        poses = np.concatenate([viewer_meshes.poses(world), _positions_wxyz(free)])
         with self._lock:
             self.recorder.sample(world.time, world.joint_positions(), world.gripper_width(), poses)
 
@@ -127,8 +126,12 @@ class CellRecorder(RunObserver):
         return np.array(points)
 
 
-def _position_wxyz(T: Float[np.ndarray, "4 4"]) -> Float[np.ndarray, "7"]:
-    return np.concatenate([T[:3, 3], Rotation.from_matrix(T[:3, :3]).as_quat(scalar_first=True)])
+def _positions_wxyz(poses: Sequence[Float[np.ndarray, "4 4"]]) -> Float[np.ndarray, "n 7"]:
+    if not poses:
+        return np.zeros((0, 7))
+    T = np.array(poses)
+    rotations = Rotation.from_matrix(T[:, :3, :3])
+    return np.concatenate([T[:, :3, 3], rotations.as_quat(scalar_first=True)], axis=1)
 
 
 def _covariances(estimates: Sequence[ObjectEstimate]) -> dict[str, Any]:
