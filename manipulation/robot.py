@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from dataclasses import dataclass, field
+from functools import cached_property
 from typing import Protocol, runtime_checkable
 
 import numpy as np
@@ -77,11 +78,14 @@ class FingerMotion:
 
     def width(self, driven: Float[np.ndarray, "_d"]) -> float:
         """Return the opening [m] at positions of the driven joints: the mean of what each implies."""
-        found = []
-        for position, column in zip(driven, self.positions.T[: self.n_driven], strict=True):
-            order = np.argsort(column)
-            found.append(np.interp(position, column[order], self.widths[order]))
+        found = [np.interp(position, *table) for position, table in zip(driven, self._tables, strict=True)]
         return float(np.mean(found))
+
+    @cached_property
+    def _tables(self) -> list[tuple[np.ndarray, np.ndarray]]:
+        """Ascending positions of each driven joint, and the openings there [m]."""
+        columns = self.positions.T[: self.n_driven]
+        return [(column[order], self.widths[order]) for column in columns for order in [np.argsort(column)]]
 
 
 @dataclass(frozen=True)

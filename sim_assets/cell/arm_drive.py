@@ -50,7 +50,7 @@ class ArmDrive:
 
     def joint_positions(self) -> Float[np.ndarray, "n"]:
         """Return the measured joint positions of the arm in [rad]."""
-        return self._data.qpos[self._q].copy()
+        return self._data.qpos[self._q]
 
     def joint_velocities(self) -> Float[np.ndarray, "n"]:
         """Return the measured joint velocities of the arm in [rad/s]."""

@@ -128,7 +128,7 @@ class PositionControl:
         self._opening = goal
         if width == 0 and 2 * goal <= self._world.arm.gripper.min_width:
             return np.full(self._n_steps, robot.press)
-        return np.array([robot.gripper_command(2 * opening) for opening in path])
+        return robot.gripper_commands(2 * path)
 
 
 def _hermite(s: Float[np.ndarray, "k"]) -> Float[np.ndarray, "3 k 3"]:

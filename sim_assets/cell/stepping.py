@@ -6,6 +6,9 @@ from sim_assets.cell.scene import TIMESTEP
 from sim_assets.errors import SimAssetsError
 from sim_assets.rendering.headless import MjData, MjModel, mujoco
 
+_KINDS = ("BADQPOS", "BADQVEL", "BADQACC", "BADCTRL")
+_DIVERGED = [int(getattr(mujoco.mjtWarning, f"mjWARN_{kind}")) for kind in _KINDS]
+
 
 class SimulationError(SimAssetsError, RuntimeError):
     """The simulation diverged, or an unknown camera was requested."""
@@ -27,7 +30,7 @@ def check_warnings(data: MjData) -> None:
     Raises:
         SimulationError: the physics diverged.
     """
-    for kind in ("BADQPOS", "BADQVEL", "BADQACC", "BADCTRL"):
-        warning = data.warning[int(getattr(mujoco.mjtWarning, f"mjWARN_{kind}"))]
-        if warning.number:
-            raise SimulationError(f"the physics diverged at {data.time:.3f} s ({kind.lower()})")
+    counts = data.warning.number[_DIVERGED]
+    if counts.any():
+        kind = _KINDS[int(counts.argmax())].lower()
+        raise SimulationError(f"the physics diverged at {data.time:.3f} s ({kind})")

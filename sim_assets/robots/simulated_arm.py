@@ -45,4 +45,8 @@ class SimulatedArm:
 
     def gripper_command(self, width: float) -> float:
         """Return the gripper command for an opening of ``width`` [m] between the pads."""
-        return float(np.interp(width, self.description.fingers.widths, self.commands))
+        return float(self.gripper_commands(np.array([width]))[0])
+
+    def gripper_commands(self, widths: Float[np.ndarray, "n"]) -> Float[np.ndarray, "n"]:
+        """Return the gripper's commands for openings of ``widths`` [m] between the pads."""
+        return np.interp(widths, self.description.fingers.widths, self.commands)
