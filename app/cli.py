@@ -85,6 +85,8 @@ def run(arguments: Sequence[str]) -> int:
         return _complain(str(error))
     except SystemExit as end:  # --help
         return int(end.code or 0)
+    except BrokenPipeError:  # the reader of the help has ended, such as `head`
+        return DONE
     except OSError as error:  # a path that cannot be examined
         return _complain(failure_of(error, "nodeslam").message)
     command = next(name for name, kind in COMMANDS.items() if type(options) is kind)

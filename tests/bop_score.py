@@ -36,9 +36,11 @@ from manipulation.workspace import Workspace
 from perception.io.bop_results import HEADER, OBJECT_IDS
 from perception.io.scan_folder import write_scan
 from perception.types import CATEGORIES, RgbdFrame
+from sim_assets.cell.world import IMAGE_SIZE
 from sim_assets.objects import sample_object
 
 DATA_SET, SCENES, MODELS = "icmi", range(1, 7), range(1, 7)
+LEAST_VISIBLE = 0.1
 ROUND = 0.0015  # [m]: largest distance of a turned body of revolution from samples of itself
 
 
@@ -126,40 +128,61 @@ def true_poses(frame: RgbdFrame, truth: Truth) -> list[dict[str, Any]]:
 
 
 def write_data_set(out: Path, seed: int, sequences: bool) -> None:
-    """Write images, models, true poses and the list of targets."""
+    """Write images, models and true poses."""
     folder, meshes = out / DATA_SET, out / "meshes"
     draw_objects(meshes, seed)
-    targets = []
     for scene in SCENES:
         frames, truth = record(seed + scene, meshes, sequences)
         place = folder / "test" / f"{scene:06d}"
         write_scan(place, frames)
         poses = {str(i): true_poses(frame, truth) for i, frame in enumerate(frames)}
         (place / "scene_gt.json").write_text(json.dumps(poses))
-        targets += [
-            {"im_id": int(i), "inst_count": 1, "obj_id": entry["obj_id"], "scene_id": scene}
-            for i, entries in poses.items() for entry in entries
-        ]  # fmt: skip
         if scene == SCENES[0]:
             write_models(folder, truth)
             camera = frames[0].intrinsics
             values = {"fx": camera.fx, "fy": camera.fy, "cx": camera.cx, "cy": camera.cy,
                       "width": camera.width, "height": camera.height, "depth_scale": 0.1}  # fmt: skip
             (folder / "camera.json").write_text(json.dumps(values))
-    (folder / "test_targets_bop19.json").write_text(json.dumps(targets))
 
 
-def write_visibility(place: Path) -> None:
-    """Write ``scene_gt_info.json`` of a scene from the toolkit's masks, whole and visible."""
-    information = {}
+def write_visibility(folder: Path, scene: int) -> list[dict[str, int]]:
+    """Write ``scene_gt_info.json`` of a scene from the toolkit's masks; return the targets in it.
+
+    As in the BOP challenge, objects of which a tenth is visible are targets; what is beyond the border of the
+    image counts as invisible.
+    """
+    place = folder / "test" / f"{scene:06d}"
+    cameras = json.loads((place / "scene_camera.json").read_text())
+    information, targets = {}, []
     for i, entries in json.loads((place / "scene_gt.json").read_text()).items():
-        counts = [[_area(place / kind / f"{int(i):06d}_{n:06d}.png") for kind in ("mask", "mask_visib")]
-                  for n in range(len(entries))]  # fmt: skip
-        information[i] = [
-            {"px_count_all": whole, "px_count_visib": visible, "visib_fract": visible / max(whole, 1)}
-            for whole, visible in counts
-        ]
+        K = np.reshape(cameras[i]["cam_K"], (3, 3))
+        information[i] = []
+        for number, entry in enumerate(entries):
+            name = f"{int(i):06d}_{number:06d}.png"
+            silhouette, visible = (_area(place / kind / name) for kind in ("mask", "mask_visib"))
+            share = visible / max(silhouette, 1) * _share_in_image(folder, entry, K)
+            information[i].append(
+                {"px_count_all": silhouette, "px_count_visib": visible, "visib_fract": share}
+            )
+            if share >= LEAST_VISIBLE:
+                target = {"im_id": int(i), "inst_count": 1, "obj_id": entry["obj_id"], "scene_id": scene}
+                targets.append(target)
     (place / "scene_gt_info.json").write_text(json.dumps(information))
+    return targets
+
+
+def _share_in_image(folder: Path, entry: dict[str, Any], K: np.ndarray) -> float:
+    """Return the share of the convex hull of an object's projection that is within the image."""
+    mesh = trimesh.load_mesh(folder / "models" / f"obj_{entry['obj_id']:06d}.ply")
+    points = mesh.vertices @ np.reshape(entry["cam_R_m2c"], (3, 3)).T + entry["cam_t_m2c"]
+    pixels = (points @ K.T)[:, :2] / points[:, 2:]
+    width, height = IMAGE_SIZE
+    canvas = np.zeros((5 * height, 5 * width), np.uint8)
+    corner = np.array([2 * width, 2 * height])  # of the image in the canvas
+    hull = cv2.convexHull((pixels + corner).round().astype(np.int32))
+    cv2.fillConvexPoly(canvas, hull, (1,))
+    inside = canvas[2 * height : 3 * height, 2 * width : 3 * width]
+    return np.count_nonzero(inside) / max(np.count_nonzero(canvas), 1)
 
 
 def _area(mask: Path) -> int:
@@ -197,8 +220,8 @@ def score(out: Path, toolkit: Path, python: str, path: Path) -> dict[str, Any]:
         subprocess.run(command, check=True, env=environment, cwd=toolkit)
 
     run("calc_gt_masks.py", "--dataset", DATA_SET)
-    for scene in SCENES:
-        write_visibility(out / DATA_SET / "test" / f"{scene:06d}")
+    targets = [target for scene in SCENES for target in write_visibility(out / DATA_SET, scene)]
+    (out / DATA_SET / "test_targets_bop19.json").write_text(json.dumps(targets))
     run("eval_bop19_pose.py", "--result_filenames", path.name)
     return json.loads((out / "scores" / path.stem / "scores_bop19.json").read_text())
 
@@ -211,7 +234,7 @@ def main() -> None:
     parser.add_argument("--seed", type=int, default=5200)
     parser.add_argument("--slam", action="store_true")
     options = parser.parse_args()
-    if not (options.out / DATA_SET / "test_targets_bop19.json").exists():
+    if not (options.out / DATA_SET / "test" / f"{SCENES[-1]:06d}" / "scene_gt.json").exists():
         write_data_set(options.out, options.seed, options.slam)
     results = estimate(options.out, "slam" if options.slam else "reconstruct")
     for name, value in score(options.out, options.toolkit, options.python, results).items():

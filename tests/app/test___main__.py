@@ -75,3 +75,12 @@ def test_warnings_of_libraries_are_shown_on_request(variable, shown):
     environment = os.environ | {"PYTHONWARNINGS": variable}
     done = subprocess.run([sys.executable, "-c", code], capture_output=True, text=True, env=environment)
     assert done.returncode == 0 and ("overflow" in done.stderr) == shown, done.stderr
+
+
+def test_help_whose_reader_has_ended_says_nothing():
+    environment = os.environ | {"PYTHONPATH": str(Path(main.__file__).parents[1])}
+    script = f"set -o pipefail; {sys.executable} -m app pack --help | true"
+    done = subprocess.run(
+        ["bash", "-c", script], capture_output=True, text=True, env=environment, timeout=120
+    )
+    assert (done.returncode, done.stderr) == (0, "")
