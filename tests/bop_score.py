@@ -14,6 +14,7 @@ and can are bodies of revolution, and declared so.
 from __future__ import annotations
 
 import argparse
+import functools
 import json
 import os
 import subprocess
@@ -173,16 +174,19 @@ def write_visibility(folder: Path, scene: int) -> list[dict[str, int]]:
 
 def _share_in_image(folder: Path, entry: dict[str, Any], K: np.ndarray) -> float:
     """Return the share of the convex hull of an object's projection that is within the image."""
-    mesh = trimesh.load_mesh(folder / "models" / f"obj_{entry['obj_id']:06d}.ply")
-    points = mesh.vertices @ np.reshape(entry["cam_R_m2c"], (3, 3)).T + entry["cam_t_m2c"]
-    pixels = (points @ K.T)[:, :2] / points[:, 2:]
+    vertices = _vertices(folder / "models" / f"obj_{entry['obj_id']:06d}.ply")
+    points = vertices @ np.reshape(entry["cam_R_m2c"], (3, 3)).T + entry["cam_t_m2c"]
+    if points[:, 2].min() <= 0:  # beside or behind the camera
+        return 0.0
     width, height = IMAGE_SIZE
-    canvas = np.zeros((5 * height, 5 * width), np.uint8)
-    corner = np.array([2 * width, 2 * height])  # of the image in the canvas
-    hull = cv2.convexHull((pixels + corner).round().astype(np.int32))
-    cv2.fillConvexPoly(canvas, hull, (1,))
-    inside = canvas[2 * height : 3 * height, 2 * width : 3 * width]
-    return np.count_nonzero(inside) / max(np.count_nonzero(canvas), 1)
+    hull = cv2.convexHull(((points @ K.T)[:, :2] / points[:, 2:]).astype(np.float32))
+    image = np.array([[0, 0], [width, 0], [width, height], [0, height]], dtype=np.float32)
+    return cv2.intersectConvexConvex(hull, image)[0] / cv2.contourArea(hull)
+
+
+@functools.cache
+def _vertices(path: Path) -> np.ndarray:
+    return np.asarray(trimesh.load_mesh(path).vertices)
 
 
 def _area(mask: Path) -> int:
