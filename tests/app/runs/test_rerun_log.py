@@ -1,6 +1,7 @@
 """Recordings for rerun: what is logged, and the file as its own reader sees it."""
 
 import sys
+from collections import Counter
 
 import numpy as np
 import pytest
@@ -77,3 +78,14 @@ def test_the_real_library_writes_a_file(recorder, tmp_path):
     pytest.importorskip("rerun")
     write_rerun(recorder, tmp_path)
     assert (tmp_path / FILE).read_bytes()[:4] in (b"RRF2", b"RRF0", b"RRIO")
+
+
+def test_the_file_as_the_librarys_own_reader_sees_it(recorder, tmp_path):
+    chunks = pytest.importorskip("rerun.chunk")  # from 0.41 on
+    write_rerun(recorder, tmp_path)
+    rows = Counter()
+    for chunk in chunks.RrdReader(tmp_path / FILE).stream():
+        rows[str(chunk.entity_path)] += chunk.num_rows
+    assert rows["/world/bodies/box"] == rows["/gripper_width"] == rows["/joints/1"] == 2  # samples
+    assert rows["/world/bodies/box/0"] == rows["/world/map/can_0"] == 1
+    assert rows["/events"] == 2 and rows["/world/camera/image/depth"] == 1
