@@ -17,6 +17,7 @@ from pathlib import Path
 import numpy as np
 from jaxtyping import Float
 
+from perception.geometry import transform_points
 from perception.io.files import write_atomically
 from perception.types import CATEGORIES, CameraIntrinsics, Category, ObjectEstimate
 
@@ -58,7 +59,8 @@ def write_bop_results(
         T_camera_world = np.linalg.inv(image.T_world_camera)
         for estimate in objects:
             T_camera_model = T_camera_world @ model_pose(estimate)
-            if in_view(T_camera_model[:3, 3], image.intrinsics):
+            T_camera_object = T_camera_world @ estimate.T_world_object
+            if in_view(transform_points(T_camera_object, estimate.mesh.vertices), image.intrinsics):
                 R = " ".join(f"{x:.9f}" for x in T_camera_model[:3, :3].ravel())
                 t = " ".join(f"{1000 * x:.6f}" for x in T_camera_model[:3, 3])
                 score = min(max(float(estimate.score), 0.0), 1.0)
@@ -75,10 +77,8 @@ def model_pose(estimate: ObjectEstimate) -> Float[np.ndarray, "4 4"]:
     return estimate.T_world_object @ T_object_model
 
 
-def in_view(point: Float[np.ndarray, "3"], camera: CameraIntrinsics) -> bool:
-    """Return whether a point of the camera frame [m] is in front of the camera and within the image."""
-    if point[2] <= 0:
-        return False
-    u = camera.fx * point[0] / point[2] + camera.cx
-    v = camera.fy * point[1] / point[2] + camera.cy
-    return bool(-0.5 <= u < camera.width - 0.5 and -0.5 <= v < camera.height - 0.5)
+def in_view(points: Float[np.ndarray, "n 3"], camera: CameraIntrinsics) -> bool:
+    """Return whether any point of the camera frame [m] is in front of the camera and within the image."""
+    x, y, z = points[points[:, 2] > 0].T
+    u, v = camera.fx * x / z + camera.cx, camera.fy * y / z + camera.cy
+    return bool(np.any((u >= -0.5) & (u < camera.width - 0.5) & (v >= -0.5) & (v < camera.height - 0.5)))

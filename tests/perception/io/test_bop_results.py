@@ -56,15 +56,24 @@ def test_folders_that_are_no_number_are_scene_0(tmp_path):
     assert rows(tmp_path / "bop.csv")[1][0] == "0" and rows(tmp_path / "bop.csv")[1][3] == "1.000000"
 
 
+def test_objects_of_which_a_part_is_in_the_image_have_a_line(tmp_path):
+    # At the height of the table the image ends 0.266 m beside its middle; the can is 0.03 m to each side.
+    for x, seen in ((0.1 + 0.266 + 0.025, True), (0.1 + 0.266 + 0.035, False)):
+        write_bop_results(tmp_path / "bop.csv", tmp_path, [can()], [overhead(0, x=x)], 1.0)
+        assert len(rows(tmp_path / "bop.csv")) == 1 + seen
+
+
 @pytest.mark.parametrize(
-    ("point", "seen"),
+    ("points", "seen"),
     [
-        ((0, 0, 1), True),
-        ((0, 0, -1), False),
-        ((0, 0, 0), False),
-        ((0.54, 0, 1), False),
-        ((0, -0.41, 1), False),
+        ([(0, 0, 1)], True),
+        ([(0, 0, -1)], False),
+        ([(0, 0, 0)], False),
+        ([(0.54, 0, 1)], False),
+        ([(0, -0.41, 1)], False),
+        ([(0.54, 0, 1), (0.52, 0, 1)], True),
+        ([(0.54, 0, 1), (0, 0.41, 1)], False),  # u is in the image in one, v in the other
     ],
 )
-def test_the_field_of_view(point, seen):
-    assert in_view(np.array(point, dtype=float), LENS) == seen
+def test_the_field_of_view(points, seen):
+    assert in_view(np.array(points, dtype=float), LENS) == seen
