@@ -77,7 +77,8 @@ def samples_between(
 ) -> wp.vec2i:
     """Return the first and last index of the samples between two corners, by the slab method.
 
-    A box with low > high along an axis is empty.
+    A box with low > high along an axis is empty. A ray that is nearly parallel to a face reaches it, if at
+    all, at a depth whose index is no int32, and one that is not finite has no samples.
     """
     enter = near
     leave = far
@@ -92,6 +93,8 @@ def samples_between(
             leave = wp.min(leave, wp.max(a, b))
         elif origin[axis] < low[axis] or origin[axis] > high[axis]:
             leave = near - 1.0
+    if not (wp.isfinite(origin) and wp.isfinite(direction) and enter <= leave):
+        return wp.vec2i(1, 0)
     first = wp.max(int(wp.ceil((enter - near) / step)), 1)
     last = wp.min(int(wp.floor((leave - near) / step)), samples)
     return wp.vec2i(first, last)

@@ -166,3 +166,16 @@ def test_samples_are_counted_from_one_to_the_last():
     """A range that lies inside the grid has all samples, 1..M: the nearest depth itself is no sample."""
     in_grid, _ = clipped(np.full((1, 3), 16.5), np.array([[0.0, 0, 1]]), 1.0, 3.0, 8, ([0] * 3, [32] * 3))
     assert in_grid[0].tolist() == [1, 8]
+
+
+@pytest.mark.parametrize("slope", [4e-6, -4e-6, 2e-9, 1e-6, 3e38, np.nan, np.inf])
+@pytest.mark.parametrize("axis", [0, 1, 2])
+@pytest.mark.parametrize("beside", [51.0, -18.0])
+def test_rays_beside_the_grid_have_no_samples_however_parallel_they_are(slope, axis, beside):
+    """They reach the planes of the faces at depths of millions of metres, if at all."""
+    origin, direction = np.full((1, 3), 16.5), np.full((1, 3), 30.0)
+    origin[0, axis], direction[0, axis] = beside, slope
+    for found in clipped(origin, direction, 0.4, 1.3, 64, ([5] * 3, [20] * 3)):
+        assert found[0, 1] < found[0, 0]
+    in_grid, _ = clipped(np.full((1, 3), np.nan), direction, 0.4, 1.3, 64, ([5] * 3, [20] * 3))
+    assert in_grid[0, 1] < in_grid[0, 0]
