@@ -203,7 +203,7 @@ class _Execution:
         number, n_before = self.task.objects[name].id, before.attempts if before else 0
         tried: list[Grasp] = []
         reason, attempts = "", 0
-        if before is not None:
+        if before is not None or name in self.planner.forgotten:
             reason = self._search(name)
             if reason:
                 return ObjectOutcome(number, name, False, n_before, reason)
@@ -295,6 +295,8 @@ class _Execution:
             return f"{name} is nowhere on the table within view: it was taken away or fell off"
         if finding.T_world_stand is not None:
             self.planner.moved(name, finding.T_world_stand)
+        elif name in self.planner.forgotten:
+            return f"{name} is nowhere within view, as before"
         return ""
 
     def _notify(self, phase: Phase, name: str, message: str = "", plan: PickPlacePlan | None = None) -> None:

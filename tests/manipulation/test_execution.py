@@ -390,6 +390,33 @@ def test_a_placed_object_that_blocks_another_is_set_aside_and_placed_again(scene
     assert outcomes[1].T_world_stand[:2, 3] == pytest.approx(goal)
 
 
+def test_a_blocker_lost_while_it_is_set_aside_is_searched_for_before_it_is_planned(scene, arm, monkeypatch):
+    task = plan_sort(scene[:2], Line(), arm, CONFIG)
+    first, second = (placement.name for placement in task.placements)
+    plan = PickPlacePlanner.plan
+
+    def blocked(self, placements, q_start, tried=(), grasps=None):
+        placements = [placements] if isinstance(placements, Placement) else placements
+        if placements[0].name == second and first not in self.forgotten:
+            raise NoPlanError("blocked", (first,))
+        assert placements[0].name not in self.forgotten
+        return plan(self, placements, q_start, tried, grasps)
+
+    monkeypatch.setattr(PickPlacePlanner, "plan", blocked)
+    robot = FakeRobot(arm)
+    watcher = Watcher(robot)
+
+    def grasps_nothing_aside(event):
+        watcher(event)
+        if event.phase == "aside":
+            robot.closing = [0.0]
+
+    observer = FakeObserver(**{first: [MISSING] * 9})
+    outcomes = {o.name: o for o in execute(task, robot, observer, grasps_nothing_aside, CONFIG)}
+    assert outcomes[second].placed and not outcomes[first].placed
+    assert "nowhere" in outcomes[first].reason
+
+
 def test_a_nested_bowl_is_placed_where_the_one_below_is(packing, arm):
     """The lower bowl is found 8 mm from its goal after its release."""
     goal = next(p for p in packing.placements if p.name == "bowl_2").position
