@@ -253,16 +253,20 @@ class _Execution:
                     raise
 
     def _clear(self, name: str, blockers: Sequence[str]) -> bool:
-        """Set one of an object's blockers aside, each at most once; return whether one was moved.
+        """Set one of an object's blockers aside, or the object itself; return whether one was moved.
 
-        One that was placed already is placed again afterwards; what was in the box before stays there.
+        Each is set aside at most once. The object itself comes last: between its neighbours it may only be
+        held with a hand that does not fit its goal, and on free table from all sides. What was placed already
+        is placed again afterwards; what was in the box before stays there.
         """
         placements = {p.name: p for p in self.task.placements if p.name in self.outcomes}
         covered = {below for placement in placements.values() for below in placement.stack}
-        movable = self._beside_box() - self._set_aside - covered - {name}
-        for plan in self.planning.plans_aside(blockers, movable, self.robot.joint_positions()):
+        movable = self._beside_box() - self._set_aside - covered
+        names = [*(blocker for blocker in blockers if blocker != name), name]
+        for plan in self.planning.plans_aside(names, movable, self.robot.joint_positions()):
             self._set_aside.add(plan.name)
-            self._notify("aside", plan.name, f"it blocks {name}")
+            reason = "its neighbours block its way" if plan.name == name else f"it blocks {name}"
+            self._notify("aside", plan.name, reason)
             if self.outcomes.pop(plan.name, None) is not None:
                 self._queue.append(placements[plan.name])
             try:

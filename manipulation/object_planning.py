@@ -25,7 +25,7 @@ from manipulation.types import Grasp, PickPlacePlan, Placement, TaskPlan
 
 _TURN_OVER = "turn it over by hand"
 _SPOTS = 4  # on free table that are tried for one object
-_BLOCKERS = 3  # that are tried for one object
+_ASIDE = 4  # objects that are tried in order to make room for one, itself included
 
 Posture = Float[np.ndarray, "n"]
 
@@ -75,17 +75,17 @@ class ObjectPlanning:
             raise error
 
     def plans_aside(
-        self, blockers: Sequence[str], movable: Collection[str], q: Posture
+        self, names: Sequence[str], movable: Collection[str], q: Posture
     ) -> Iterator[PickPlacePlan]:
-        """Yield plans that set one of the blockers aside on free table, the most frequent blocker first.
+        """Yield plans that set one object aside on free table, in the order given.
 
         Args:
-            blockers: names of what is in the way of an object.
+            names: names of what is in the way of an object, and of the object itself.
             movable: names of the objects that may be set aside.
             q: present posture in [rad].
         """
         planner = self._planner
-        for name in [name for name in blockers if name in movable][:_BLOCKERS]:
+        for name in [name for name in names if name in movable][:_ASIDE]:
             item, T = self._task.objects[name], planner.world.pose(name)
             goals = goals_aside(item, T, self._taken(name), self._config.free_area)
             spots = list(itertools.islice(goals, _SPOTS))

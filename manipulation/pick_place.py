@@ -29,6 +29,7 @@ from manipulation.reorientation import reorienting_grasps, rolled
 from manipulation.surroundings import points_around
 from manipulation.trajectories import MotionConfig, concatenate
 from manipulation.types import Grasp, GraspSet, PickPlacePlan, Placement, Rejected, StandingObject
+from manipulation.vessels import holds, vessel_pieces
 from perception.geometry import pose_from_yaw
 from perception.obstacles.obstacle import PerceivedObstacle
 
@@ -114,13 +115,24 @@ class PickPlacePlanner:
         self._tilted: dict[str, GraspSet] = {}
         self._forgotten: set[str] = set()
         self._n_changes = 0
-        self._build_world()
+        self._build_world({name: item.T_world_stand for name, item in self.items.items()})
 
-    def _build_world(self) -> None:
-        bodies = [Body(item.name, convex_pieces(item), item.T_world_stand) for item in self.items.values()]
+    def _build_world(self, poses: Mapping[str, Float[np.ndarray, "4 4"]]) -> None:
+        """Build the collision world with the objects at ``poses``, their T_world_stand."""
+        bodies = [Body(name, self._pieces(name, poses), T) for name, T in poses.items()]
         self.world = CollisionWorld(self.kinematics.arm, bodies, self._obstacles, self.config.collision)
         c = self.config
         self.motions = MotionPlanner(self.kinematics, self.world, c.motion, c.via_heights, c.middle_radius)
+
+    def _pieces(
+        self, name: str, poses: Mapping[str, Float[np.ndarray, "4 4"]]
+    ) -> tuple[Float[np.ndarray, "_k 3"], ...]:
+        """Return the convex pieces of an object: of a vessel that holds another one, with its cavity free."""
+        item = self.items[name]
+        others = [(self.items[n], T) for n, T in poses.items() if n != name and n not in self._forgotten]
+        if holds(item, poses[name], others):
+            return vessel_pieces(item, self.config.grasp)
+        return convex_pieces(item)
 
     @property
     def forgotten(self) -> frozenset[str]:
@@ -150,10 +162,9 @@ class PickPlacePlanner:
         known = tuple(o for o in self._obstacles if not isinstance(o, PerceivedObstacle))
         poses = {name: self.world.pose(name) for name in self.world.names}
         self._obstacles = (*known, *obstacles)
-        self._build_world()
+        self._build_world(poses)
         self._on_change()
-        for name, T in poses.items():
-            self.world.move(name, T)
+        for name in poses:
             self.world.set_present(name, name not in self._forgotten)
 
     def moved(self, name: str, T_world_stand: Float[np.ndarray, "4 4"]) -> None:

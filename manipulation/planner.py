@@ -26,7 +26,7 @@ from perception.types import ObjectEstimate, SupportPlane
 logger = logging.getLogger(__name__)
 
 _TURN_OVER = "turn it over by hand"
-_REACH_STRIDE = 4  # every fourth grasp is checked for reachability: neighbours are similar
+_REACHED = 24  # number of grasps, evenly spread, that are checked for reachability: neighbours are similar
 
 
 @dataclass(frozen=True)
@@ -185,7 +185,7 @@ def _item(estimate: ObjectEstimate, config: ManipulationConfig) -> StandingObjec
 
 def _is_reachable(item: StandingObject, grasps: GraspSet, kinematics: Kinematics) -> bool:
     """Return whether inverse kinematics reaches any grasp of the object, irrespective of collisions."""
-    for grasp in grasps.grasps[::_REACH_STRIDE]:
+    for grasp in grasps.grasps[:: max(1, len(grasps.grasps) // _REACHED)]:
         T_goal = item.T_world_stand @ grasp.T_stand_open
         if kinematics.inverse(T_goal, kinematics.seeds_toward(T_goal, 2), name=item.name).converged:
             return True

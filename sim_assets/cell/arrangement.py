@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import math
 from collections.abc import Sequence
 from dataclasses import dataclass, replace
 from functools import cache
@@ -64,8 +65,20 @@ class Group:
     mesh: trimesh.Trimesh
 
 
-def arrange(models: Sequence[ObjectModel], arrangement: Arrangement, rng: np.random.Generator) -> list[Group]:
+def arrange(
+    models: Sequence[ObjectModel],
+    arrangement: Arrangement,
+    rng: np.random.Generator,
+    span: float = math.inf,
+) -> list[Group]:
     """Choose at random which objects lie, stand on their rim or on others, and find their resting poses.
+
+    Args:
+        models: the objects.
+        arrangement: number of objects in each resting pose.
+        rng: source of random numbers.
+        span: diameter [m] up to which objects are preferred that stand on their rim: a hand turns them over
+            by their body.
 
     Raises:
         ArrangementError: too few of the objects rest that way; the message gives the option and the number.
@@ -73,7 +86,7 @@ def arrange(models: Sequence[ObjectModel], arrangement: Arrangement, rng: np.ran
     finder = _Finder(models, rng)
     while True:
         try:
-            return _Assignment(finder, arrangement, rng).groups()
+            return _Assignment(finder, arrangement, rng, span).groups()
         except ArrangementError as error:
             if not arrangement.at_most:
                 raise
@@ -142,14 +155,20 @@ class _Finder:
 class _Assignment:
     """Search with backtracking for disjoint objects, or pairs of them, that rest in the poses asked for."""
 
-    def __init__(self, finder: _Finder, arrangement: Arrangement, rng: np.random.Generator) -> None:
+    def __init__(
+        self, finder: _Finder, arrangement: Arrangement, rng: np.random.Generator, span: float
+    ) -> None:
         self._finder = finder
         # the scarcest first: vessels with a rim, then pairs that stand, then what can lie
         order = ("upside_down", "stacked", "lying")
         self._wanted = [pose for pose in order for _ in range(getattr(arrangement, pose))]
         everyone = [int(i) for i in rng.permutation(len(finder.models))]
-        self._singles = [(i,) for i in everyone]
-        self._pairs = list(permutations(everyone, 2))
+        by_span = sorted(everyone, key=lambda i: 2 * finder.models[i].radius > span)
+        self._candidates: dict[str, list[tuple[int, ...]]] = {
+            "upside_down": [(i,) for i in by_span],
+            "stacked": list(permutations(everyone, 2)),
+            "lying": [(i,) for i in everyone],
+        }
         self._steps = 0
         self._most: list[tuple[str, _Members]] = []  # the longest partial assignment
 
@@ -176,7 +195,7 @@ class _Assignment:
             return True
         pose = self._wanted[len(chosen)]
         taken = {i for _, members in chosen for i in members}
-        candidates = self._pairs if pose == "stacked" else self._singles
+        candidates = self._candidates[pose]
         for index in range(start, len(candidates)):
             if not taken.isdisjoint(candidates[index]):
                 continue

@@ -20,6 +20,7 @@ from sim_assets.rendering.headless import MjData, MjModel, MjSpec, mujoco
 LAYOUTS = 4  # tried for one in which nothing falls
 REARRANGED = 2  # layouts after which other objects lie or are stacked
 LOOSENED = 0.001  # [m] added to the gap of objects that are drawn together, from one layout to the next
+_SPARE = 0.008  # [m] of the opening of the hand, beyond the diameter of what it turns over
 SETTLING = 0.5  # [s] for which the arm and upright objects settle
 
 
@@ -87,7 +88,8 @@ def _groups(config: CellConfig, rng: np.random.Generator) -> tuple[list[Group], 
     if config.arrangement == Arrangement():
         groups = [Group({index: None}, model.mesh) for index, model in enumerate(config.objects)]
     else:
-        groups = arrange(config.objects, config.arrangement, rng)
+        span = config.robot.description.gripper.max_width - _SPARE
+        groups = arrange(config.objects, config.arrangement, rng, span)
     return groups, [rest_unknown(thing) for thing in config.unknown]
 
 

@@ -390,6 +390,32 @@ def test_a_placed_object_that_blocks_another_is_set_aside_and_placed_again(scene
     assert outcomes[1].T_world_stand[:2, 3] == pytest.approx(goal)
 
 
+def test_an_object_whose_neighbours_block_its_way_is_itself_set_aside(scene, arm, monkeypatch):
+    """Where no neighbour can be moved; from free table it is then placed at its goal."""
+    task = plan_sort(scene[:2], Line(), arm, CONFIG)
+    name = task.placements[0].name
+    start = task.objects[name].T_world_stand[:2, 3]
+    plan, goal = PickPlacePlanner.plan, np.array(task.placements[0].position[:2])
+
+    def blocked(self, placements, q_start, tried=(), grasps=None):
+        placements = [placements] if isinstance(placements, Placement) else placements
+        is_at_start = np.linalg.norm(self.world.pose(name)[:2, 3] - start) < 0.01
+        is_goal = np.linalg.norm(np.subtract(placements[0].position[:2], goal)) < 0.01
+        if placements[0].name == name and is_at_start and is_goal:
+            raise NoPlanError("blocked", ("obstacle_1",))
+        return plan(self, placements, q_start, tried, grasps)
+
+    monkeypatch.setattr(PickPlacePlanner, "plan", blocked)
+    robot = FakeRobot(arm)
+    watcher = Watcher(robot)
+    outcomes = {o.name: o for o in execute(task, robot, None, watcher, CONFIG)}
+    assert [(e.name, e.message) for e in watcher.events if e.phase == "aside"] == [
+        (name, "its neighbours block its way")
+    ]
+    assert outcomes[name].placed
+    assert outcomes[name].T_world_stand[:2, 3] == pytest.approx(goal)
+
+
 def test_a_blocker_lost_while_it_is_set_aside_is_searched_for_before_it_is_planned(scene, arm, monkeypatch):
     task = plan_sort(scene[:2], Line(), arm, CONFIG)
     first, second = (placement.name for placement in task.placements)

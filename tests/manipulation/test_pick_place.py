@@ -211,6 +211,19 @@ def test_new_obstacles_replace_the_perceived_ones_and_leave_the_objects(kinemati
     assert planner.world.contact(above, 0.08) is None
 
 
+@pytest.mark.slow
+def test_an_object_is_lifted_out_of_the_bowl_that_holds_it(kinematics, shapes, arm):
+    """With fingers below the rim, where the bowl's hull would be in their way."""
+    estimates = [
+        shapes.estimate(1, "can", shapes.can(0.02, 0.06), x=0.5, y=-0.25, lift=0.008),
+        shapes.estimate(2, "bowl", shapes.bowl(0.085, 0.07), x=0.5, y=-0.25),
+    ]
+    inside = {item.name: item for item in map(to_standing, estimates)}
+    planner = PickPlacePlanner(kinematics, inside, config=CONFIG)
+    plan = planner.plan(GOAL, np.array(arm.q_home))
+    assert (planner.world.pose("can_1") @ plan.grasp.T_stand_tcp)[2, 3] < 0.06
+
+
 def test_known_grasps_are_used(kinematics, items):
     known = PickPlacePlanner(kinematics, items, config=CONFIG).grasps("can_1")
     planner = PickPlacePlanner(kinematics, items, config=CONFIG, grasps={"can_1": known})

@@ -1,5 +1,6 @@
 """Objects lying, upside down and stacked: counts, resting poses, repeatability, refusals."""
 
+import math
 from types import SimpleNamespace
 
 import numpy as np
@@ -70,7 +71,9 @@ class Table(_Finder):
     """Stands in for the simulated resting poses: which objects lie, and which pairs stack."""
 
     def __init__(self, lying, pairs, count):
-        self.models = [SimpleNamespace(mesh=trimesh.creation.box((0.1, 0.1, 0.1))) for _ in range(count)]
+        self.models = [
+            SimpleNamespace(mesh=trimesh.creation.box((0.1, 0.1, 0.1)), radius=0.05) for _ in range(count)
+        ]
         self.lying = lambda index: np.eye(4) if index in lying else None
         self.upside_down = lambda index: None
         self.stack = lambda above, below: np.eye(4) if (above, below) in pairs else None
@@ -81,7 +84,7 @@ def test_the_only_assignment_is_found(seed):
     """Object 0 alone stands on 1, and 3 on 2; of those that lie, only 4 and 5 remain for that."""
     table = Table(lying={0, 1, 2, 3, 4, 5}, pairs={(0, 1), (3, 2)}, count=7)
     wanted = Arrangement(lying=2, stacked=2)
-    groups = _Assignment(table, wanted, np.random.default_rng(seed)).groups()
+    groups = _Assignment(table, wanted, np.random.default_rng(seed), math.inf).groups()
     members = sorted(tuple(sorted(group.Ts_group_object)) for group in groups)
     assert members == [(0, 1), (2, 3), (4,), (5,), (6,)]
     lying = {
@@ -93,10 +96,21 @@ def test_the_only_assignment_is_found(seed):
     assert lying == {4, 5}
 
 
+@pytest.mark.parametrize("seed", range(4))
+def test_what_the_hand_opens_around_stands_on_its_rim_first(seed):
+    table = Table(lying=(), pairs=set(), count=4)
+    table.upside_down = lambda index: np.eye(4)
+    table.models[2].radius = 0.03
+    for count, expected in ((1, {2}), (4, {0, 1, 2, 3})):
+        rng = np.random.default_rng(seed)
+        groups = _Assignment(table, Arrangement(upside_down=count), rng, 0.072).groups()
+        assert {i for g in groups for i, T in g.Ts_group_object.items() if T is not None} == expected
+
+
 def test_a_hopeless_search_ends():
     table = Table(lying=set(range(12)), pairs=set(), count=12)
     with pytest.raises(ArrangementError, match="--stacked 3: only 0"):
-        _Assignment(table, Arrangement(lying=3, stacked=3), np.random.default_rng(0)).groups()
+        _Assignment(table, Arrangement(lying=3, stacked=3), np.random.default_rng(0), math.inf).groups()
 
 
 def test_a_thing_of_no_class_comes_to_rest():
