@@ -70,12 +70,12 @@ def test_fewer_are_accepted_if_asked(models):
 class Table(_Finder):
     """Stands in for the simulated resting poses: which objects lie, and which pairs stack."""
 
-    def __init__(self, lying, pairs, count):
+    def __init__(self, lying, pairs, count, overturned=()):
         self.models = [
             SimpleNamespace(mesh=trimesh.creation.box((0.1, 0.1, 0.1)), radius=0.05) for _ in range(count)
         ]
         self.lying = lambda index: np.eye(4) if index in lying else None
-        self.upside_down = lambda index: None
+        self.upside_down = lambda index: np.eye(4) if index in overturned else None
         self.stack = lambda above, below: np.eye(4) if (above, below) in pairs else None
 
 
@@ -98,8 +98,7 @@ def test_the_only_assignment_is_found(seed):
 
 @pytest.mark.parametrize("seed", range(4))
 def test_what_the_hand_opens_around_stands_on_its_rim_first(seed):
-    table = Table(lying=(), pairs=set(), count=4)
-    table.upside_down = lambda index: np.eye(4)
+    table = Table(lying=(), pairs=set(), count=4, overturned=range(4))
     table.models[2].radius = 0.03
     for count, expected in ((1, {2}), (4, {0, 1, 2, 3})):
         rng = np.random.default_rng(seed)
