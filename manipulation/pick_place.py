@@ -207,9 +207,13 @@ class PickPlacePlanner:
         return self._tilted[name]
 
     def keeping_grasps(self, name: str) -> GraspSet:
-        """Return grasps at any angle with which an object keeps its orientation, clear of surroundings."""
+        """Return grasps at any angle with which an object stays upright, or is set upright if it leans.
+
+        They are clear of surroundings.
+        """
         up = self.world.pose(name)[2, :3]
-        return antipodal_grasps(self.items[name], (up,), self.config.grasp, self._points_around(name))
+        verticals = (up,) if up[2] > 1 - 1e-6 else (up, np.array([0.0, 0.0, 1.0]))
+        return antipodal_grasps(self.items[name], verticals, self.config.grasp, self._points_around(name))
 
     def _points_around(self, name: str) -> Float[np.ndarray, "n 3"]:
         """Return points of what is around an object, in its stand frame [m]."""

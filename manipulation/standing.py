@@ -16,6 +16,9 @@ HANDLE_HALF_ANGLE = np.deg2rad(60.0)  # half the sector around a mug's +x that i
 # Heights [m] of an object's base over the support from which on it stands on something else: where perception
 # found that, and where it did not, and the lowest part of the shape may be missing.
 RAISED, _RAISED_ALONE = 0.01, 0.03
+LEANING = np.deg2rad(8.0)  # tilt from which on an object on another one leans; less is an error of the fit
+    8.0
+)  # tilt from which on an object on another one leans; below, it is an error of the fit
 _ROUND_TOLERANCE = 0.12  # largest relative variation of the width over azimuth of a round body
 
 
@@ -24,7 +27,7 @@ def to_standing(estimate: ObjectEstimate, support: SupportPlane | None = None) -
 
     Yaw and horizontal position are those of the estimate; its tilt is discarded and the origin is placed on
     the support plane, because the object was observed standing; below an object that stands on another one,
-    it is at the object's base.
+    it is at the object's base. One that leans there, as a mug in a bowl, keeps its tilt.
 
     Raises:
         PlanningError: the mesh is empty, or the object is tilted by more than 45 degrees.
@@ -36,6 +39,8 @@ def to_standing(estimate: ObjectEstimate, support: SupportPlane | None = None) -
     tilt = float(np.arccos(np.clip(T[:3, 2] @ support.normal, -1.0, 1.0)))
     if tilt > np.deg2rad(45):
         raise PlanningError(f"{estimate.name} lies on its side (tilt {np.rad2deg(tilt):.0f} degrees)")
+    if estimate.rests_on is not None and tilt > LEANING:
+        return to_lying(estimate)
     axis = body_axis(vertices, faces, estimate.category)
     in_stand = vertices - np.array([*axis, 0.0])
     is_round = estimate.category != "mug" and _is_round(in_stand, faces)

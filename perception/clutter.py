@@ -15,6 +15,7 @@ import numpy as np
 from perception.detection.completion import PoseNamer, posed_detections
 from perception.detection.left_out import LeftOut
 from perception.detection.unclassified import associate_unclassified, is_low
+from perception.inference.explanation import unexplained
 from perception.inference.lost_parts import with_lost_parts
 from perception.inference.reconstruct import ReconstructOptions, mean_poses, reconstruct
 from perception.inference.shape_model import Decoder
@@ -24,7 +25,6 @@ from perception.inference.stack_parts import (
     Rows,
     instance_points,
     split_stacks,
-    unexplained,
 )
 from perception.threads import single_threaded
 from perception.types import (

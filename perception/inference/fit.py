@@ -19,7 +19,7 @@ from perception.inference.refine import refine_mesh
 from perception.inference.resting import tilt_error
 from perception.inference.shape_model import Decoder, decode_with_jacobian
 from perception.inference.uncertainty import calibrated_deviation
-from perception.types import FitStatus, ObjectEstimate, RestingPose, SupportPlane
+from perception.types import FitStatus, ObjectEstimate, SupportPlane
 
 
 class FitFailedError(PerceptionError):
@@ -117,7 +117,7 @@ def _estimate(
         score=views.score,
         n_views=len(views.observations),
         residual=residual,
-        status=_status(fit, plane, float(inliers.mean()), config.resting),
+        status=_status(fit, plane, float(inliers.mean()), config),
         covariance=covariance,
         resting=config.resting,
     )
@@ -125,9 +125,7 @@ def _estimate(
     return replace(estimate, surface_sigma=sigma), grid
 
 
-def _status(
-    fit: Fit, plane: SupportPlane, inlier_ratio: float, resting: RestingPose = "upright"
-) -> FitStatus:
+def _status(fit: Fit, plane: SupportPlane, inlier_ratio: float, config: FitConfig) -> FitStatus:
     """Return whether the fit converged to a plausible object: inliers, size, code, tilt."""
     pose = fit.state.pose
     plausible = (
@@ -135,7 +133,7 @@ def _status(
         and pose.scale.min() > 0.01
         and pose.scale.max() < 0.4
         and np.linalg.norm(fit.state.code) < 8.0
-        and tilt_error(pose.rotation, plane, resting) < np.deg2rad(15)
+        and tilt_error(pose.rotation, plane, config.resting) < config.max_tilt
         and np.isfinite(fit.evaluation.cost)
     )
     if not plausible:

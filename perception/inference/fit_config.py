@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import math
 from collections.abc import Mapping
 from dataclasses import dataclass, field
 
@@ -57,6 +58,7 @@ class FitConfig:
         refine: Refinement of the mesh on the measurements; None leaves the decoded surface.
         step_limits: Largest step of each parameter in one iteration.
         resting: Resting pose that is assumed: initial poses and the prior of the tilt.
+        max_tilt: Largest angle of a plausible object's axis to its direction in that pose, in radians.
     """
 
     step: Mapping[Category, float] = field(
@@ -79,3 +81,4 @@ class FitConfig:
     refine: RefineConfig | None = field(default_factory=RefineConfig)
     step_limits: StepLimits = field(default_factory=StepLimits)
     resting: RestingPose = "upright"
+    max_tilt: float = math.radians(15)

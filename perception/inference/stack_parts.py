@@ -21,6 +21,7 @@ from perception.detection.completion import PoseNamer
 from perception.detection.geometry import points_of
 from perception.detection.instances import remove_specks
 from perception.inference.contents import VESSELS
+from perception.inference.explanation import FAR, SAMPLES, unexplained
 from perception.inference.observation import ObjectObservation
 from perception.inference.seams import Seam, find_seams, part_masks
 from perception.metrics import SurfaceSamples
@@ -39,20 +40,19 @@ from perception.types import (
 Rows = Sequence[Sequence[ObjectDetection]]
 Fit = Callable[[Rows, Mapping[int, int]], Sequence[ObjectEstimate]]
 
-FAR = 0.008  # [m] from the surface of a shape, from which on it does not explain a measured point
 DOUBTFUL = 0.04  # share of unexplained points from which on an object may be several
 CLEARLY = 0.5  # largest share of them that the parts leave unexplained, relative to the whole
 MOST_UNEXPLAINED = 0.1  # by the parts
 BEYOND_DOUBT, BEYOND_DOUBT_SCORE = 0.15, 0.1  # share of them, and scores that suffice then
+WEAK, FAR_BETTER = 0.5, 0.3  # score below which an object may be several, and by how much theirs are higher
 MIN_CLASS = 0.3  # least mean class probability of a part
 MIN_SCORES = (0.2, 0.5)  # of the fits of the lower part, whose upper side is hidden, and of the upper one
 CARRIERS: tuple[Category, ...] = ("mug", "bowl", "can")  # nothing stands on a bottle
 MIN_PIXELS = 150  # of a part in a view
 NAMING_VIEWS = 3
-TRIALS = 2  # seams of one stack whose parts are fitted
+TRIALS = 2  # cuts of one stack whose parts are fitted
 _SPECK = 0.05  # smallest separate piece of a mask, as a share of its largest
 _POINTS = 4000
-_SAMPLES = 6000
 
 
 @dataclass(frozen=True)
@@ -66,6 +66,12 @@ class Parts:
 
     rows: Rows
     ids: tuple[int, int]
+
+    @property
+    def probability(self) -> float:
+        """Probability that both parts are of the classes that the networks name."""
+        score_of = {d.instance_id: d.score for row in self.rows for d in row}
+        return score_of[self.ids[0]] * score_of[self.ids[1]]
 
 
 def split_stacks(
@@ -92,11 +98,12 @@ def split_stacks(
     for id in sorted({d.instance_id for row in rows for d in row if d.instance_id is not None}):
         points = instance_points(views, rows, id)
         before = unexplained(points, [estimates[id]] if id in estimates else [])
-        if before > DOUBTFUL:
+        if before > DOUBTFUL or (id in estimates and estimates[id].score < WEAK):
             inside = parts_inside(views, rows, estimates.get(id), id, planes, completer, free)
             proposals = [*inside, *propose_parts(views, rows, id, planes, completer, free)]
             if proposals:
-                open_[id] = proposals[:TRIALS], points, before
+                likeliest = sorted(proposals, key=lambda parts: -parts.probability)
+                open_[id] = likeliest[:TRIALS], points, before
                 free += 2
     found: dict[int, tuple[ObjectEstimate, ObjectEstimate]] = {}
     for trial in range(TRIALS):
@@ -107,7 +114,7 @@ def split_stacks(
         fitted = {e.id: e for e in fit(_with_parts(rows, parts), above)}
         for id, part in parts.items():
             pair = [fitted[k] for k in part.ids if k in fitted]
-            if len(pair) == 2 and _is_better(pair, *open_[id][1:]):
+            if len(pair) == 2 and _is_better(pair, estimates.get(id), *open_[id][1:]):
                 found[id] = pair[0], pair[1]
     return found
 
@@ -175,7 +182,7 @@ def parts_inside(
     if vessel is None or vessel.category not in VESSELS or vessel.resting != "upright":
         return []
     shown = {k: d for k, row in enumerate(rows) for d in row if d.instance_id == id}
-    surface = SurfaceSamples.of(vessel.mesh_world, np.random.default_rng(0), _SAMPLES).tree
+    surface = SurfaceSamples.of(vessel.mesh_world, np.random.default_rng(0), SAMPLES).tree
     held = {k: _held(views[k], d.mask, vessel, surface) for k, d in shown.items()}
     rest = {k: d.mask & ~held[k] for k, d in shown.items()}
     support = next(iter(shown.values())).support
@@ -203,16 +210,6 @@ def _held(
     kernel = np.ones((3, 3), np.uint8)
     result = cv2.morphologyEx(result.astype(np.uint8), cv2.MORPH_OPEN, kernel) > 0
     return remove_specks(result, _SPECK) if result.any() else result
-
-
-def unexplained(points: Float[np.ndarray, "n 3"], shapes: Sequence[ObjectEstimate]) -> float:
-    """Return the share of measured points farther than ``FAR`` from the surfaces of shapes; 1 without any."""
-    if not shapes or not len(points):
-        return 1.0
-    rng = np.random.default_rng(0)
-    trees = [SurfaceSamples.of(shape.mesh_world, rng, _SAMPLES).tree for shape in shapes]
-    nearest = np.min([tree.query(points, distance_upper_bound=2 * FAR)[0] for tree in trees], axis=0)
-    return float((nearest > FAR).mean())
 
 
 def _bases(seam: Seam, plane: SupportPlane) -> tuple[SupportPlane, SupportPlane]:
@@ -263,9 +260,23 @@ def instance_points(views: Sequence[RgbdFrame], rows: Rows, id: int) -> Float[np
     return points[:: max(1, len(points) // _POINTS)]
 
 
-def _is_better(pair: Sequence[ObjectEstimate], points: Float[np.ndarray, "n 3"], before: float) -> bool:
-    """Return whether two fits are accepted and explain clearly more than the whole did."""
+def _is_better(
+    pair: Sequence[ObjectEstimate],
+    whole: ObjectEstimate | None,
+    points: Float[np.ndarray, "n 3"],
+    before: float,
+) -> bool:
+    """Return whether two fits are accepted and explain clearly more than the whole did.
+
+    Or as much, with far better scores: a large bowl on a mug is a bowl on a foot, but an unusual one.
+    """
     after = unexplained(points, pair)
+    if any(e.status == "implausible" for e in pair):
+        return False
     least = (BEYOND_DOUBT_SCORE,) * 2 if after < BEYOND_DOUBT * before else MIN_SCORES
-    accepted = all(e.score >= p and e.status != "implausible" for e, p in zip(pair, least, strict=True))
-    return accepted and after < min(CLEARLY * before, MOST_UNEXPLAINED)
+    accepted = all(e.score >= p for e, p in zip(pair, least, strict=True))
+    if accepted and after < min(CLEARLY * before, MOST_UNEXPLAINED):
+        return True
+    if whole is None or whole.score >= WEAK:
+        return False
+    return after < DOUBTFUL and min(e.score for e in pair) > whole.score + FAR_BETTER

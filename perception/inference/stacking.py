@@ -7,6 +7,7 @@ prior holds: its lowest part touches what is below it.
 
 from __future__ import annotations
 
+import math
 from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass, replace
 
@@ -16,6 +17,8 @@ import trimesh
 from jaxtyping import Float
 
 from perception.errors import PerceptionError
+from perception.inference.contents import VESSELS
+from perception.inference.explanation import unexplained
 from perception.inference.fit_config import FitConfig
 from perception.inference.initialise import plane_basis
 from perception.inference.observation import ObjectViews
@@ -28,6 +31,9 @@ _HIGHER = 0.008  # [m] by which the top of the upper object is above that of the
 _CELL = 0.002  # [m] of the height maps whose difference is the gap
 _FREE = 0.1  # [m] standard deviation of the height of the lowest part before the contact is known
 WORSE = 0.3  # by which the score of a fit on the contact may be below that of the fit at any height
+_LEANING = 0.3  # [rad] standard deviation of the tilt of an object in a vessel
+_MOST_LEANING = math.radians(40)
+_DOUBTFUL, _CLEARLY = 0.05, 0.6  # unexplained share without tilt, and largest ratio of that with tilt to it
 _VIEWS = 2  # in which an object is measured
 _CENTRAL = (
     0.25  # share of the points about the centre of the upper object under which the lower one is looked up
@@ -124,10 +130,40 @@ def rest_on(
     clearance = gap(first, lower.mesh_world, plane)
     if clearance is None:
         raise PerceptionError(f"{views.category}_{views.id} is not above {lower.name}")
-    contact = float(plane.height_above(first.vertices).min()) - clearance
+    lowest = float(plane.height_above(first.vertices).min())
+    contact = lowest - clearance
     touching = fit(views, _raised(plane, contact), config)
     best = floating if touching.score < floating.score - WORSE else touching
+    rim = float(plane.height_above(lower.mesh_world.vertices).max())
+    if lower.category in VESSELS and min(lowest, contact) < rim - _HIGHER:
+        best = _leaning(views, best, start, config, fit) or best
     return replace(best, rests_on=lower.id)
+
+
+def _leaning(
+    views: ObjectViews, upright: ObjectEstimate, plane: SupportPlane, config: FitConfig, fit: Fit
+) -> ObjectEstimate | None:
+    """Return the estimate of an object that leans on the wall of a vessel; None if it does not.
+
+    It may touch the vessel anywhere, so that neither tilt nor height are known.
+
+    Args:
+        views: Observations of the object.
+        upright: Its estimate without tilt.
+        plane: Plane at the height of the cavity below it.
+        config: Settings of the fits.
+        fit: Fits the object, given the plane that it stands on.
+    """
+    points = np.concatenate([seen.points_world(erode=2) for seen in views.observations])
+    before = unexplained(points, [upright])
+    if before < _DOUBTFUL:
+        return None
+    noise = replace(config.noise, tilt_sigma=_LEANING, support_sigma=_FREE)
+    try:
+        leaning = fit(views, plane, replace(config, noise=noise, max_tilt=_MOST_LEANING))
+    except PerceptionError:
+        return None
+    return leaning if unexplained(points, [leaning]) < _CLEARLY * before else None
 
 
 def gap(upper: TriangleMesh, lower: TriangleMesh, plane: SupportPlane) -> float | None:

@@ -3,6 +3,7 @@ from dataclasses import replace
 
 import numpy as np
 import pytest
+from scipy.spatial.transform import Rotation
 
 from manipulation.collision import AllowedContacts
 from manipulation.errors import PlanningError
@@ -187,6 +188,20 @@ def test_a_lying_object_has_grasps_across_its_axis_until_it_stands_again(kinemat
     assert planner.grasps("can_1") is grasps
     planner.moved("can_1", standing)
     assert {grasp.kind for grasp in planner.grasps("can_1").grasps} == {"top"}
+
+
+def test_the_hand_is_above_the_table_where_it_takes_a_leaning_object_and_where_it_sets_it_upright(
+    kinematics, items
+):
+    planner = PickPlacePlanner(kinematics, items, config=CONFIG)
+    leaning = planner.world.pose("can_1").copy()
+    leaning[:3, :3] = Rotation.from_euler("x", 25, degrees=True).as_matrix()
+    planner.moved("can_1", leaning)
+    grasps = planner.keeping_grasps("can_1").grasps
+    assert grasps
+    for grasp in grasps:
+        approach = grasp.T_stand_tcp[:3, 2]
+        assert (leaning[:3, :3] @ approach)[2] < 0 and approach[2] < 0
 
 
 def test_forgotten_objects_are_no_obstacles(kinematics, items):

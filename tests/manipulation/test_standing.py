@@ -3,6 +3,7 @@ from dataclasses import replace
 import numpy as np
 import pytest
 import trimesh
+from scipy.spatial.transform import Rotation
 
 from manipulation.errors import PlanningError
 from manipulation.standing import body_axis, split_handle, to_lying, to_standing
@@ -75,6 +76,19 @@ def test_the_tilt_of_an_estimate_is_discarded_up_to_45_degrees(shapes):
                 to_standing(tilted)
         else:
             assert to_standing(tilted).T_world_stand[2, 2] == 1.0
+
+
+def test_what_leans_on_another_object_keeps_its_tilt(shapes):
+    estimate = shapes.estimate(1, "mug", shapes.mug(), lift=0.02)
+    T = estimate.T_world_object.copy()
+    T[:3, :3] = Rotation.from_euler("x", 20, degrees=True).as_matrix() @ T[:3, :3]
+    alone = replace(estimate, T_world_object=T)
+    assert to_standing(alone).T_world_stand[2, 2] == pytest.approx(1.0)
+    leaning = to_standing(replace(alone, rests_on=2))
+    np.testing.assert_allclose(leaning.T_world_stand[:3, :3], T[:3, :3], atol=1e-9)
+    assert leaning.vertices[:, 2].min() == pytest.approx(0.0, abs=1e-6), "as it stands upright"
+    upright = replace(estimate, rests_on=2)
+    assert to_standing(upright).T_world_stand[2, 2] == pytest.approx(1.0)
 
 
 def test_a_lying_object_keeps_its_pose(shapes):

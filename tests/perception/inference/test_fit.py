@@ -174,11 +174,11 @@ def test_degenerate_depth_gives_finite_numbers_or_an_error(can, decoder, case) -
         assert case != "constant" and "measured points" in str(error)
 
 
-def status(can, scale=1.0, code=0.0, turn=0.0, inlier_ratio=0.9, converged=True):
+def status(can, scale=1.0, code=0.0, turn=0.0, inlier_ratio=0.9, converged=True, config=FitConfig()):
     pose = ObjectPose(so3_exp(np.array([turn, 0, 0])), can.pose.translation, scale * can.pose.scale)
     state = FitState(pose, np.full(16, code))
     evaluation = Evaluation(np.ones(1), np.ones((1, 25)), np.ones(1))
-    return _status(Fit(state, evaluation, np.ones(1, bool), (), converged), PLANE, inlier_ratio)
+    return _status(Fit(state, evaluation, np.ones(1, bool), (), converged), PLANE, inlier_ratio, config)
 
 
 def test_status(can) -> None:
@@ -190,3 +190,6 @@ def test_status(can) -> None:
         {"scale": 0.19}, {"scale": 8.1}, {"code": 2.01}, {"turn": np.deg2rad(16)}, {"inlier_ratio": 0.49},
     ):  # fmt: skip
         assert status(can, **implausible) == "implausible", implausible
+    leaning = FitConfig(max_tilt=np.deg2rad(40))
+    assert status(can, turn=np.deg2rad(39), config=leaning) == "converged"
+    assert status(can, turn=np.deg2rad(41), config=leaning) == "implausible"

@@ -7,7 +7,7 @@ import pytest
 import trimesh
 
 from perception.inference import stack_parts
-from perception.inference.stack_parts import parts_inside, propose_parts, split_stacks, unexplained
+from perception.inference.stack_parts import parts_inside, propose_parts, split_stacks
 from perception.types import (
     CameraIntrinsics,
     ObjectDetection,
@@ -110,14 +110,37 @@ def test_the_upper_part_is_named_on_the_seam_and_parts_without_a_class_are_none(
     assert propose_parts(frames_of(stack), rows, 4, [PLANE], thing, 9) == []
 
 
-def test_the_unexplained_share_counts_points_far_from_all_surfaces(stack):
-    can = cylinder(stack.lower, 0)
-    on_it = can.mesh_world.vertices
-    above = on_it + np.array([0.0, 0.0, 0.2])
-    assert unexplained(on_it, [can]) == 0.0
-    assert unexplained(np.concatenate([on_it, above]), [can]) == pytest.approx(0.5)
-    assert unexplained(on_it + np.array([0.0, 0.0, stack_parts.FAR / 2]), [can]) == 0.0
-    assert unexplained(on_it, []) == 1.0
+def test_parts_with_far_better_scores_replace_an_unusual_shape_that_explains_as_much(stack, rows):
+    whole = cylinder(stack.lower, 4, 0.2)
+    both = trimesh.util.concatenate(
+        [trimesh.Trimesh(e.mesh_world.vertices, e.mesh_world.faces, process=False)
+         for e in (cylinder(stack.lower, 0), cylinder(stack.higher, 0))]
+    )  # fmt: skip
+    mesh = TriangleMesh(np.asarray(both.vertices), np.asarray(both.faces))
+    whole = replace(whole, mesh=mesh.transformed(np.linalg.inv(whole.T_world_object)))
+    parts = [cylinder(stack.lower, 5, 0.6), cylinder(stack.higher, 6, 0.9)]
+    assert set(split(stack, rows, lambda *_: parts, [whole])) == {4}
+    assert split(stack, rows, lambda *_: parts, [replace(whole, score=0.4)]) == {}
+    assert split(stack, rows, lambda *_: parts, [replace(whole, score=0.6)]) == {}
+
+
+def test_the_likeliest_cuts_are_fitted(stack, rows, monkeypatch):
+    """Not the first ones: what the networks are surer of is more often right than the stronger seam."""
+
+    def cut(p):
+        marked = [[ObjectDetection("can", p, d.mask, instance_id=i) for i in (5, 6)] for (d,) in rows]
+        return stack_parts.Parts(marked, (5, 6))
+
+    cuts = [cut(p) for p in (0.4, 0.5, 0.9)]
+    monkeypatch.setattr(stack_parts, "propose_parts", lambda *_: cuts)
+    fitted = []
+
+    def fit(parts, rests_on):
+        fitted.append(parts[0][0].score)
+        return []
+
+    split(stack, rows, fit)
+    assert fitted == [0.9, 0.5]
 
 
 def vessel_from_above(holds):

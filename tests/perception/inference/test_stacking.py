@@ -1,10 +1,13 @@
 """Which object rests on which, and the gap between solids."""
 
+from dataclasses import replace
+
 import numpy as np
 import pytest
 import trimesh
 
 from perception.errors import PerceptionError
+from perception.inference import stacking
 from perception.inference.fit_config import FitConfig
 from perception.inference.observation import ObjectViews
 from perception.inference.stacking import LEAST_BASE, MeasuredExtent, find_stacks, gap, rest_on, stacked
@@ -84,6 +87,40 @@ def test_the_upper_object_is_fitted_on_the_contact(make_table) -> None:
     assert above.rests_on == 3
     np.testing.assert_allclose(offsets, [0.02, 0.02], atol=1e-9)
     assert free == [True, False]
+
+
+@pytest.mark.parametrize(
+    ("category", "shares", "leans"),
+    [
+        ("bowl", (0.3, 0.01), True),
+        ("bowl", (0.3, 0.25), False),  # the tilt explains hardly more
+        ("bowl", (0.04, 0.01), False),  # upright explains nearly all
+        ("can", (0.3, 0.01), False),  # nothing leans on the top of a can
+    ],
+)
+def test_what_leans_in_a_vessel_is_tilted_if_that_explains_more(
+    make_table, monkeypatch, category, shares, leans
+) -> None:
+    table = make_table("can", (), yaw=0.0)
+    views = ObjectViews(7, "can", 1.0, tuple(table.observations((0.0,))))
+    box = trimesh.creation.box((0.06, 0.06, 0.1))
+    lower = replace(estimate(3, as_mesh(box, 0.4, -0.1, 0.05)), category=category)
+    tilt = np.eye(4)
+    tilt[1:3, 1:3] = [[np.cos(0.3), -np.sin(0.3)], [np.sin(0.3), np.cos(0.3)]]
+
+    def fit(_: ObjectViews, plane: SupportPlane, config: FitConfig) -> ObjectEstimate:
+        upper = estimate(7, as_mesh(box, 0.4, -0.1, 0.07))  # its foot is below the rim
+        if config.noise.tilt_sigma < 0.1:
+            return upper
+        assert config.noise.support_sigma > 0.01 and config.max_tilt > np.deg2rad(30)
+        return replace(upper, T_world_object=tilt)
+
+    def share(points: np.ndarray, shapes: list[ObjectEstimate]) -> float:
+        return shares[int(shapes[0].T_world_object[2, 2] < 0.99)]
+
+    monkeypatch.setattr(stacking, "unexplained", share)
+    found = rest_on(views, lower, PLANE, FitConfig(), fit)
+    assert (found.T_world_object[2, 2] < 0.99) == leans and found.rests_on == 3
 
 
 def test_an_upper_object_that_is_not_above_is_an_error(make_table) -> None:
