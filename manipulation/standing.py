@@ -17,8 +17,6 @@ HANDLE_HALF_ANGLE = np.deg2rad(60.0)  # half the sector around a mug's +x that i
 # found that, and where it did not, and the lowest part of the shape may be missing.
 RAISED, _RAISED_ALONE = 0.01, 0.03
 LEANING = np.deg2rad(8.0)  # tilt from which on an object on another one leans; less is an error of the fit
-    8.0
-)  # tilt from which on an object on another one leans; below, it is an error of the fit
 _ROUND_TOLERANCE = 0.12  # largest relative variation of the width over azimuth of a round body
 
 
