@@ -9,6 +9,7 @@ from jaxtyping import Float
 from scipy.spatial import ConvexHull
 
 from manipulation.footprints import Footprint
+from manipulation.lying_grasps import lies
 from manipulation.types import Placement, StandingObject
 from perception.obstacles.obstacle import PerceivedObstacle
 
@@ -59,7 +60,9 @@ def goals_aside(
     taken: Sequence[Outline],
     area: Area = FREE_AREA,
 ) -> Iterator[Placement]:
-    """Yield goals on free table at which an object keeps its orientation but for the yaw, roomy ones first.
+    """Yield goals on free table at which an object stands, or lies as it does but for the yaw.
+
+    Roomy ones come first.
 
     Args:
         item: the object.
@@ -68,7 +71,8 @@ def goals_aside(
         area: ranges of x and y of the spots, in [m].
     """
     T_goal = np.eye(4)
-    T_goal[:3, :3] = T_world_stand[:3, :3]
+    if lies(T_world_stand):
+        T_goal[:3, :3] = T_world_stand[:3, :3]
     turned = item.vertices @ T_goal[:3, :3].T
     low, high = turned.min(axis=0), turned.max(axis=0)
     T_goal[:3, 3] = -(low[0] + high[0]) / 2, -(low[1] + high[1]) / 2, -low[2]

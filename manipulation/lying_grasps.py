@@ -32,11 +32,19 @@ def is_upside_down(T_world_stand: Float[np.ndarray, "4 4"]) -> bool:
 
 
 def lying_grasps(
-    item: StandingObject, T_world_stand: Float[np.ndarray, "4 4"], config: GraspConfig = GraspConfig()
+    item: StandingObject,
+    T_world_stand: Float[np.ndarray, "4 4"],
+    config: GraspConfig = GraspConfig(),
+    least_height: float = HAND_HEIGHT,
 ) -> GraspSet:
     """Return grasps from above across the axis of a lying object, the one nearest to its middle first.
 
-    Only those with which it can be set upright: the TCP is at least ``HAND_HEIGHT`` above its base.
+    Args:
+        item: the object.
+        T_world_stand: its pose.
+        config: settings of grasp generation.
+        least_height: smallest height of the TCP above the object's base in [m]; that with which it can be set
+            upright by default.
     """
     rejected: Counter[str] = Counter()
     if is_upside_down(T_world_stand):
@@ -45,6 +53,9 @@ def lying_grasps(
     sections = CrossSectionCache(item.vertices, item.faces)
     grasps: list[Grasp] = []
     for height in np.arange(0.03, item.top - _PAD_HALF_WIDTH, _STEP):
+        if height < least_height:
+            rejected["too near to the base to be set upright"] += 1
+            continue
         grasp = _across(item, sections, T_world_stand, float(height), config)
         if isinstance(grasp, Rejected):
             rejected[grasp.reason] += 1
@@ -62,8 +73,6 @@ def _across(
     config: GraspConfig,
 ) -> Grasp | Rejected:
     """Return the grasp that closes across the axis at a height [m] above the base."""
-    if height < HAND_HEIGHT:
-        return Rejected("too near to the base to be set upright")
     up = T_world_stand[:3, :3].T @ np.array([0.0, 0.0, 1.0])
     up = np.array([up[0], up[1], 0.0]) / np.linalg.norm(up[:2])  # across the axis, in the stand frame
     closing = np.cross((0.0, 0.0, 1.0), up)  # the hand's x, with the camera, points to the object's top

@@ -20,7 +20,7 @@ from manipulation.grasp_config import GraspConfig
 from manipulation.grasps import grasp_candidates
 from manipulation.hulls import convex_pieces
 from manipulation.kinematics import IkConfig, Kinematics
-from manipulation.lying_grasps import lies
+from manipulation.lying_grasps import lies, lying_grasps
 from manipulation.motions import MIDDLE_RADIUS, OUT_OF_REACH, MotionPlanner
 from manipulation.nesting import nest_heights
 from manipulation.obstacles import TABLE, Obstacle
@@ -207,13 +207,18 @@ class PickPlacePlanner:
         return self._tilted[name]
 
     def keeping_grasps(self, name: str) -> GraspSet:
-        """Return grasps at any angle with which an object stays upright, or is set upright if it leans.
+        """Return grasps at any angle, clear of surroundings, with which an object keeps its orientation.
 
-        They are clear of surroundings.
+        One that leans is set upright. Of one on its side, grasps across its axis come first.
         """
-        up = self.world.pose(name)[2, :3]
-        verticals = (up,) if up[2] > 1 - 1e-6 else (up, np.array([0.0, 0.0, 1.0]))
-        return antipodal_grasps(self.items[name], verticals, self.config.grasp, self._points_around(name))
+        item, T, config = self.items[name], self.world.pose(name), self.config.grasp
+        up, keeps = T[2, :3], lies(T) or T[2, 2] > 1 - 1e-6
+        verticals = (up,) if keeps else (up, np.array([0.0, 0.0, 1.0]))
+        between = antipodal_grasps(item, verticals, config, self._points_around(name))
+        if not lies(T):
+            return between
+        across = lying_grasps(item, T, config, least_height=0.0)
+        return GraspSet(across.grasps + between.grasps, across.rejected + between.rejected)
 
     def _points_around(self, name: str) -> Float[np.ndarray, "n 3"]:
         """Return points of what is around an object, in its stand frame [m]."""

@@ -40,6 +40,7 @@ from perception.types import (
 
 UNCLASSIFIED_SCORE = 0.55  # least score of the fit of a candidate that the detector gave no class, upright
 POSED_SCORE = 0.68  # the same in other poses: what is no object most often resembles lying ones
+UNCERTAIN = 0.4  # score of several views below which a detected object is more often a thing of no class
 TURNED_MUGS: tuple[PosedClass, ...] = (("mug", "upside-down"), ("mug", "lying"))
 TURNED = 0.3  # least probability of a mug that lies or stands upside down, whose handle is looked for
 REPEATED = 0.3  # largest unexplained share of a candidate's points if it is part of another object
@@ -96,12 +97,20 @@ def reconstruct_clutter(
         single |= renamed(frames, detections_per_frame, single, lambda doubtful: fit(doubtful, {}))
         single |= completed(frames, rows, single, planes[0], lambda whole: fit(whole, {}))
         single = without_repetitions(frames, rows, single, candidates)
+        uncertain = {id: e for id, e in single.items() if e.n_views > 1 and e.score < UNCERTAIN}
+        rejected += [_left_out(estimate) for estimate in uncertain.values()]
+        single = {id: estimate for id, estimate in single.items() if id not in uncertain}
     if options.on_rejected is not None:
         for item in rejected:
             if item.id not in candidates and item.id not in stacks:
                 options.on_rejected(item)
     parts = [part for pair in stacks.values() for part in pair]
     return sorted([*single.values(), *parts], key=lambda e: e.id)
+
+
+def _left_out(estimate: ObjectEstimate) -> RejectedObject:
+    reason = f"score {estimate.score:.2f} over all views: it is taken for a thing of no class"
+    return RejectedObject(estimate.id, estimate.category, reason, estimate.score)
 
 
 def renamed(

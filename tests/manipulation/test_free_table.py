@@ -73,3 +73,12 @@ def test_what_is_set_aside_keeps_its_orientation_and_lies_on_the_table(can):
         points = can.vertices @ T_rest[:3, :3].T + T_rest[:3, 3]
         assert points[:, 2].min() == pytest.approx(0.0, abs=1e-9)
         np.testing.assert_allclose(points[:, 1].mean(), goal.position[1], atol=2e-3)
+
+
+def test_what_stands_or_leans_is_set_aside_upright(can):
+    leaning = np.eye(4)
+    leaning[1:3, 1:3] = [[0.9, -(0.19**0.5)], [0.19**0.5, 0.9]]
+    for T in (pose_from_yaw(0.7, np.array([0.5, -0.2, 0.0])), leaning):
+        goal = next(goals_aside(can, T, []))
+        np.testing.assert_allclose(goal.T_goal_stand[:3, 2], (0, 0, 1), atol=1e-9)
+        assert (can.vertices @ goal.T_goal_stand[:3, :3].T + goal.T_goal_stand[:3, 3])[:, 2].min() == 0.0

@@ -41,6 +41,12 @@ def test_grasps_close_across_the_axis_from_above_with_the_camera_towards_the_top
         assert T_world_tcp[2, 3] == pytest.approx(0.03, abs=1e-3)
 
 
+def test_to_be_moved_as_it_lies_it_is_also_held_near_its_base(can):
+    held = lying_grasps(can, lying_pose(0.03), least_height=0.0)
+    assert min(grasp.T_stand_tcp[2, 3] for grasp in held.grasps) == pytest.approx(0.03)
+    assert not held.rejected["too near to the base to be set upright"]
+
+
 def test_set_upright_the_hand_is_horizontal_with_the_camera_above(can):
     for grasp in lying_grasps(can, lying_pose(0.03)).grasps:
         np.testing.assert_allclose(grasp.T_stand_tcp[:3, 0], UP, atol=1e-9)

@@ -204,6 +204,17 @@ def test_the_hand_is_above_the_table_where_it_takes_a_leaning_object_and_where_i
         assert (leaning[:3, :3] @ approach)[2] < 0 and approach[2] < 0
 
 
+def test_an_object_on_its_side_is_moved_as_it_lies_with_grasps_across_its_axis(kinematics, items):
+    planner = PickPlacePlanner(kinematics, items, config=CONFIG)
+    lying = planner.world.pose("can_1").copy()
+    lying[:3, :3] = [[0, 0, 1], [0, 1, 0], [-1, 0, 0]]
+    planner.moved("can_1", lying)
+    kept, turning = planner.keeping_grasps("can_1").grasps, planner.grasps("can_1").grasps
+    assert kept[0].kind == "waist"
+    across = [sum(grasp.kind == "waist" for grasp in grasps) for grasps in (kept, turning)]
+    assert across[0] > across[1], "also near its base"
+
+
 def test_forgotten_objects_are_no_obstacles(kinematics, items):
     planner = PickPlacePlanner(kinematics, items, config=CONFIG)
     q = posture(kinematics, 0.5, -0.25, 0.06)

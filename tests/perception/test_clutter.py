@@ -7,7 +7,7 @@ import numpy as np
 import pytest
 
 from perception import clutter
-from perception.clutter import POSED_SCORE, UNCLASSIFIED_SCORE, reconstruct_clutter
+from perception.clutter import POSED_SCORE, UNCERTAIN, UNCLASSIFIED_SCORE, reconstruct_clutter
 from perception.inference.reconstruct import ReconstructOptions
 from perception.types import (
     POSED_CLASSES,
@@ -25,9 +25,9 @@ CAMERA = CameraIntrinsics(4, 4, 4.0, 4.0, 1.5, 1.5)
 FRAME = RgbdFrame(0.0, np.zeros((4, 4, 3), np.uint8), np.ones((4, 4), np.float32), CAMERA, np.eye(4))
 
 
-def found(id, score=0.9, category="can", resting="upright"):
+def found(id, score=0.9, category="can", resting="upright", n_views=2):
     made = object.__new__(ObjectEstimate)
-    vars(made).update(id=id, score=score, n_views=2, category=category, resting=resting)
+    vars(made).update(id=id, score=score, n_views=n_views, category=category, resting=resting)
     return made
 
 
@@ -38,7 +38,7 @@ class Scene:
         self.detected, *self.candidates, self.tall = (
             ObjectDetection("can", 0.9, MASK, instance_id=i) for i in range(4)
         )
-        self.scores = {0: 0.1, 1: UNCLASSIFIED_SCORE + 0.01, 2: UNCLASSIFIED_SCORE - 0.01}
+        self.scores = {0: UNCERTAIN + 0.01, 1: UNCLASSIFIED_SCORE + 0.01, 2: UNCLASSIFIED_SCORE - 0.01}
         self.poses = [9, 8, 7, 6]  # upright or lying cans and bottles, or no objects
         self.posed_ids: list[list[int]] = []
         self.stacks, self.fitted, self.rejected, self.nameless = {}, [], [], []
@@ -93,6 +93,21 @@ def test_candidates_are_objects_only_if_the_evidence_is_clear(scene):
     assert scene.run() == [0, 1]
     assert scene.fitted == [[0, 1, 2]], "a tall thing neither lies nor stands on its rim"
     assert [item.id for item in scene.rejected] == [0], "nobody misses what was no object before"
+
+
+def test_what_several_views_leave_doubtful_is_reported_as_a_thing_of_no_class(scene):
+    scene.scores[0] = UNCERTAIN - 0.01
+    assert scene.run() == [1]
+    assert [item.reason for item in scene.rejected if item.id == 0][-1] == (
+        "score 0.39 over all views: it is taken for a thing of no class"
+    )
+
+
+def test_one_view_is_judged_by_the_acceptance_model_alone(scene, monkeypatch):
+    monkeypatch.setattr(
+        clutter, "reconstruct", lambda *args, **options: [found(0, UNCERTAIN - 0.1, n_views=1)]
+    )
+    assert scene.run() == [0]
 
 
 def test_candidates_that_do_not_stand_need_a_higher_score(scene, monkeypatch):
