@@ -223,9 +223,11 @@ def score(out: Path, toolkit: Path, python: str, path: Path) -> dict[str, Any]:
         command = [python, str(toolkit.resolve() / "scripts" / script), *arguments]
         subprocess.run(command, check=True, env=environment, cwd=toolkit)
 
+    targets_file = out / DATA_SET / "test_targets_bop19.json"
+    targets_file.write_text("[]")  # the masks are those of all poses, but the toolkit reads the file
     run("calc_gt_masks.py", "--dataset", DATA_SET)
     targets = [target for scene in SCENES for target in write_visibility(out / DATA_SET, scene)]
-    (out / DATA_SET / "test_targets_bop19.json").write_text(json.dumps(targets))
+    targets_file.write_text(json.dumps(targets))
     run("eval_bop19_pose.py", "--result_filenames", path.name)
     return json.loads((out / "scores" / path.stem / "scores_bop19.json").read_text())
 
