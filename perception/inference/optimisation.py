@@ -24,7 +24,9 @@ from perception.types import CODE_SIZE, GRID_RESOLUTION, SupportPlane
 
 # Root mean square of the last movements, in standard deviations, below which a fit has settled.
 SETTLED = 0.5
-LYING_BEAM = 2  # hypotheses of a lying object that reach the second stage, at least: both of its directions
+LYING_BEAM = (
+    4  # hypotheses of a lying object that reach the second stage: a bottle both ways round in both rolls
+)
 RESIDUAL_CAP = 0.03  # [m] largest contribution of one residual to the reported mean
 
 

@@ -7,6 +7,7 @@ import trimesh
 from perception.errors import InvalidInputError
 from perception.geometry import so3_exp, upright_rotation
 from perception.inference.initialise import initial_poses
+from perception.inference.optimisation import LYING_BEAM
 from perception.inference.resting import (
     ALTERNATIVES,
     initial_resting_poses,
@@ -72,6 +73,7 @@ def test_bottles_lie_either_way_round_with_the_first_axis_up_or_level(decoder) -
     for R in (first, *others):
         np.testing.assert_allclose(R @ R.T, np.eye(3), atol=1e-12)
         assert np.linalg.det(R) == pytest.approx(1.0)
+    assert len(poses) <= LYING_BEAM, "the coarse stage rules out no direction"
 
 
 def test_an_upside_down_mug_has_its_axis_down_and_all_yaws(make_table) -> None:
