@@ -24,9 +24,7 @@ from perception.types import CODE_SIZE, GRID_RESOLUTION, SupportPlane
 
 # Root mean square of the last movements, in standard deviations, below which a fit has settled.
 SETTLED = 0.5
-LYING_BEAM = (
-    4  # hypotheses of a lying object that reach the second stage: a bottle both ways round in both rolls
-)
+LYING_BEAM = 4  # hypotheses of a lying object that reach the second stage: two directions, two rolls
 RESIDUAL_CAP = 0.03  # [m] largest contribution of one residual to the reported mean
 
 
