@@ -35,6 +35,7 @@ from perception.support.surface import SupportSurface
 from perception.support.surfaces import find_surfaces
 from perception.threads import single_threaded
 from perception.types import ObjectDetection, ObjectEstimate, RgbdFrame, SupportPlane
+from perception.warp_runtime import warp_has_cuda
 
 if TYPE_CHECKING:
     from perception.detection.huggingface import HuggingFaceDetector
@@ -98,16 +99,25 @@ class Detections:
 
 
 def resolve_device(device: Device) -> str:
-    """Return the torch device: ``auto`` is CUDA where it is available, else the CPU.
+    """Return the device of the networks: ``auto`` is CUDA where it is available, else the CPU.
 
     Raises:
         InvalidInputError: ``cuda`` was requested but is not available.
     """
+    if device == "cpu" or not has_cuda():
+        if device == "cuda":
+            raise InvalidInputError("--device cuda: this machine has no usable CUDA device; use --device cpu")
+        return "cpu"
+    return "cuda"
+
+
+def has_cuda() -> bool:
+    """Return whether both Warp and PyTorch can use CUDA; PyTorch is loaded only where Warp can."""
+    if not warp_has_cuda():
+        return False
     import torch
 
-    if device == "cuda" and not torch.cuda.is_available():
-        raise InvalidInputError("--device cuda: this machine has no usable CUDA device; use --device cpu")
-    return ("cuda" if torch.cuda.is_available() else "cpu") if device == "auto" else device
+    return torch.cuda.is_available()
 
 
 def load_perception(device: Device) -> Perception:
@@ -128,8 +138,7 @@ def load_detector(device: Device) -> Detector:
 
 def load_decoder(device: Device) -> ShapeDecoder:
     """Load the decoder of the shipped shape prior; raises as ``load_perception``."""
-    with single_threaded():
-        return ShapeDecoder.load(device=resolve_device(device))
+    return ShapeDecoder.load(device=resolve_device(device))
 
 
 def load_huggingface(detector: str, device: Device) -> HuggingFaceDetector:

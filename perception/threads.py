@@ -2,26 +2,36 @@
 
 from __future__ import annotations
 
+import sys
 from collections.abc import Iterator
 from contextlib import contextmanager
 from functools import cache
 
-import torch
 from threadpoolctl import ThreadpoolController
 
 
 @contextmanager
 def single_threaded() -> Iterator[None]:
-    """Run torch and the BLAS of numpy and scipy on one thread each.
+    """Run the BLAS of numpy and scipy, and torch if it is loaded, on one thread each.
 
     Nested thread pools on the same cores are up to 15 times slower: hundreds of small arrays cost less than
     starting threads for them.
     """
+    with single_threaded_torch(), _pools().limit(limits=1, user_api="blas"):
+        yield
+
+
+@contextmanager
+def single_threaded_torch() -> Iterator[None]:
+    """Run torch on one thread; without effect where it is not loaded."""
+    torch = sys.modules.get("torch")
+    if torch is None:
+        yield
+        return
     threads = torch.get_num_threads()
     torch.set_num_threads(1)
     try:
-        with _pools().limit(limits=1, user_api="blas"):
-            yield
+        yield
     finally:
         torch.set_num_threads(threads)
 

@@ -43,6 +43,12 @@ def start_warp() -> None:
             _started = True
 
 
+def warp_has_cuda() -> bool:
+    """Return whether Warp can use a CUDA device."""
+    start_warp()
+    return wp.is_cuda_available()
+
+
 def launch(
     kernel: Any, dim: int | tuple[int, ...], inputs: Sequence[Any], outputs: Sequence[Any], device: str
 ) -> None:

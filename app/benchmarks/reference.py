@@ -14,8 +14,7 @@ from perception.inference.problem import FitState, NoiseConfig
 from perception.rendering.pose import canonical_from_camera
 from perception.rendering.reference import ReferenceRendering, render_reference
 from perception.rendering.renderer import RayBundle
-from perception.shape.decoder import ShapeDecoder
-from perception.shape.network import ShapeVae, class_one_hot
+from perception.shape.network import DecoderNetwork, ShapeVae, class_one_hot
 from perception.types import CATEGORIES, CODE_SIZE, Category
 
 
@@ -66,15 +65,16 @@ def plain_decoder(model: ShapeVae, category: Category) -> Callable[[Tensor], Ten
 
 
 def gradient_step(
-    decoder: ShapeDecoder, category: Category, pixels: PixelSet, state: FitState, noise: NoiseConfig
+    decoder: DecoderNetwork, category: Category, pixels: PixelSet, state: FitState, noise: NoiseConfig
 ) -> Callable[[], tuple[Tensor, ...]]:
     """Return a job: the gradient of a fit's cost with respect to code and camera maps."""
     A = torch.from_numpy(canonical_from_camera(state.pose, pixels.Ts_world_camera)).float().requires_grad_()
     code = torch.from_numpy(state.code).float()[None].requires_grad_()
+    one_hot = class_one_hot(torch.tensor([CATEGORIES.index(category)]))
     target, weight = torch.from_numpy(pixels.target), torch.from_numpy(pixels.weight)
 
     def gradient() -> tuple[Tensor, ...]:
-        image = plain_render(decoder(category, code)[0], pixels.rays, A)
+        image = plain_render(torch.sigmoid(decoder(code, one_hot))[0], pixels.rays, A)
         sigma2 = image.variance.detach() + noise.depth_sigma**2
         cost = (weight * (image.depth - target) ** 2 / sigma2).sum() + noise.code_prior * (code**2).sum()
         return torch.autograd.grad(cost, (code, A))

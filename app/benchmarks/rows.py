@@ -28,7 +28,7 @@ from perception.inference.observation import Crop, ObjectObservation, ObjectView
 from perception.inference.optimisation import FitStart, optimise_object
 from perception.inference.problem import FitProblem, FitState
 from perception.inference.reconstruct import ReconstructOptions, reconstruct
-from perception.inference.shape_model import SKIP_JACOBIAN, SKIP_OCCUPANCY, decode, mean_shape
+from perception.inference.shape_model import SKIP_JACOBIAN, SKIP_OCCUPANCY, mean_shape
 from perception.pipeline import detect
 from perception.rendering.renderer import RayBundle, ShapeGrid, render
 from perception.shape.decoder import ShapeDecoder
@@ -76,8 +76,7 @@ def _rendering(decoder: ShapeDecoder) -> Iterator[Benchmark]:
 
 
 def _decoding(decoder: ShapeDecoder) -> Iterator[Benchmark]:
-    code = torch.zeros(CODE_SIZE, device=decoder.device)
-    plain_code = torch.zeros(CODE_SIZE)
+    code, plain_code = np.zeros(CODE_SIZE), torch.zeros(CODE_SIZE)
     plain = plain_decoder(load_weights(), "mug")
 
     @torch.no_grad()
@@ -87,7 +86,7 @@ def _decoding(decoder: ShapeDecoder) -> Iterator[Benchmark]:
     yield Benchmark(
         "decode one code",
         "plain torch layers",
-        lambda: decode(decoder, "mug", np.zeros(CODE_SIZE)),
+        lambda: decoder("mug", code),
         decode_plain,
     )
     yield Benchmark(
@@ -134,7 +133,7 @@ def _fitting(scene: BenchScene, seed: int) -> Iterator[Benchmark]:
 
 
 def _scanning(scene: BenchScene) -> Iterator[Benchmark]:
-    grid, scale = decode(scene.decoder, "mug", np.zeros(CODE_SIZE)), np.full(3, 0.05)
+    grid, scale = scene.decoder("mug", np.zeros(CODE_SIZE)), np.full(3, 0.05)
     yield Benchmark(
         "mesh from a grid",
         "marching cubes alone",
@@ -188,23 +187,17 @@ def _on_cuda(decoder: ShapeDecoder) -> Iterator[Benchmark]:
         lambda: render(on_cuda, rays, A),
         lambda: render(on_cpu, rays, A),
     )
-    host, code = ShapeDecoder.load(), torch.zeros(CODE_SIZE, device="cuda")
-
-    def decode_on_cuda() -> None:
-        decoder.with_jacobian("mug", code)
-        torch.cuda.synchronize()
-
+    host, code = ShapeDecoder.load(), np.zeros(CODE_SIZE)
     yield Benchmark(
         "CUDA: decoder Jacobian",
         "one core",
-        decode_on_cuda,
-        lambda: host.with_jacobian("mug", code.cpu()),
+        lambda: decoder.with_jacobian("mug", code),
+        lambda: host.with_jacobian("mug", code),
     )
 
 
 def _mean_mug(decoder: ShapeDecoder) -> tuple[np.ndarray, np.ndarray]:
-    grid, jacobian = decoder.with_jacobian("mug", torch.zeros(CODE_SIZE))
-    return grid.cpu().numpy(), jacobian.cpu().numpy()
+    return decoder.with_jacobian("mug", np.zeros(CODE_SIZE))
 
 
 def _uploaded(grid: np.ndarray, jacobian: np.ndarray, device: str) -> ShapeGrid:
@@ -242,5 +235,5 @@ def _iteration(scene: BenchScene, views: ObjectViews, seed: int) -> tuple[Job, J
 
     return (
         lambda: minimise(evaluate, FitState.moved, state, once),
-        gradient_step(scene.decoder, category, pixels, state, config.noise),
+        gradient_step(load_weights().decoder, category, pixels, state, config.noise),
     )

@@ -6,6 +6,7 @@ A job that fails, whatever the reason, yields a line of results with that reason
 from __future__ import annotations
 
 import os
+import sys
 import time
 from collections.abc import Callable, Iterator, Sequence
 from dataclasses import dataclass
@@ -93,9 +94,9 @@ def attempt_job(work: Callable[[Item], Line], failed: Callable[[Item, Failure], 
 
 def single_threaded() -> None:
     """Let PyTorch use one thread in this process: workers would compete for the cores."""
-    import torch
-
-    torch.set_num_threads(1)
+    os.environ["OMP_NUM_THREADS"] = "1"  # read when PyTorch is loaded, which few jobs need
+    if "torch" in sys.modules:
+        sys.modules["torch"].set_num_threads(1)
 
 
 def reason_of(error: Exception) -> str:

@@ -7,7 +7,6 @@ from collections.abc import Iterator
 from dataclasses import dataclass, field, replace
 
 import numpy as np
-import torch
 
 from perception.errors import InvalidInputError
 from perception.inference.shape_model import Decoder
@@ -21,6 +20,7 @@ from perception.slam.frame_result import FrameResult
 from perception.slam.relocalise import Relocalisation
 from perception.slam.stage_timer import Clock
 from perception.slam.system import Slam
+from perception.threads import single_threaded_torch
 from perception.types import ObjectDetection, RgbdFrame, SupportPlane
 
 
@@ -71,13 +71,9 @@ class SlamRun:
 
     def steps(self) -> Iterator[tuple[RgbdFrame, FrameResult]]:
         """Process frame by frame. Torch uses one thread, as objects are processed in parallel."""
-        threads = torch.get_num_threads()
-        torch.set_num_threads(1)
-        try:
+        with single_threaded_torch():
             yield from self._steps()
             self.slam.finish()
-        finally:
-            torch.set_num_threads(threads)
 
     def _steps(self) -> Iterator[tuple[RgbdFrame, FrameResult]]:
         for number, frame in self.sequence.frames():

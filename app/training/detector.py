@@ -25,12 +25,8 @@ from app.training.scene_dataset import (
     render_shards,
 )
 from perception.detection.crop_network import (
-    ENSEMBLE_SIZE,
-    LABELS,
-    WEIGHTS_FILES,
     CropNet,
     CropNetwork,
-    Task,
     ensemble_of,
     predict,
     save_crop_network,
@@ -43,8 +39,9 @@ from perception.detection.crop_training import (
     calibrated_temperature,
     train_crop_network,
 )
-from perception.detection.scene_network import WEIGHTS_FILE, SceneNet, save_scene_network
+from perception.detection.scene_network import SceneNet, save_scene_network
 from perception.detection.scene_training import SceneTrainingConfig, train_scene_network
+from perception.detection.tasks import ENSEMBLE_SIZE, LABELS, SCENE_WEIGHTS_FILE, Task
 from perception.types import OTHER
 
 logger = logging.getLogger(__name__)
@@ -130,14 +127,14 @@ def run(config: TrainDetectorConfig, out_dir: Path, progress: Progress | None = 
     """
     data_sets = render_data_sets(config, out_dir, progress)
     scene = train_scene(load_scenes([s.scenes for s in data_sets.training]), config, out_dir, progress)
-    save_scene_network(scene, out_dir / WEIGHTS_FILE, provenance(config))
+    save_scene_network(scene, out_dir / SCENE_WEIGHTS_FILE, provenance(config))
     crops = data_sets.crops()
     data = TrainingData(class_targets(crops.training), class_targets(crops.validation))
     trained = train_ensemble("class", data, config, out_dir, stage_progress(progress, SCENE_SHARE, 1.0))
     metrics = class_metrics(crops.test, trained.probabilities(crops.test))
-    trained.save(out_dir / WEIGHTS_FILES["class"], "class", config)
+    trained.save(out_dir / SCENE_WEIGHTS_FILES["class"], "class", config)
     card = _card(config, metrics, scene, trained, len(crops.training))
-    card += checksums(out_dir / WEIGHTS_FILE, out_dir / WEIGHTS_FILES["class"])
+    card += checksums(out_dir / SCENE_WEIGHTS_FILE, out_dir / SCENE_WEIGHTS_FILES["class"])
     (out_dir / "detector.md").write_text(card, "utf-8")
     return metrics
 

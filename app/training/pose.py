@@ -33,8 +33,8 @@ from app.training.detector import (
 from app.training.files import checksums
 from app.training.scene_dataset import ASTRAY, SHARD, load_crops, training_scene_config
 from app.workers import Lost, map_in_processes
-from perception.detection.crop_network import POSE_LABELS, WEIGHTS_FILES
 from perception.detection.crop_training import CropSet, TrainingConfig, TrainingData
+from perception.detection.tasks import POSE_LABELS, WEIGHTS_FILES
 from perception.errors import PerceptionError
 from perception.types import POSED_CLASSES
 

@@ -28,6 +28,7 @@ from perception.shape.dataset import ShapeDataset, occupancies
 from perception.shape.decoder import ShapeDecoder
 from perception.shape.evaluation import decode, encode
 from perception.shape.network import ShapeVae
+from perception.shape.weights import decoder_weights
 from perception.types import CATEGORIES, CameraIntrinsics, Category, ObjectEstimate, RgbdFrame
 
 TILE = 112  # [px] side of the image of a shape
@@ -44,7 +45,7 @@ _SIDE_VIEW = Viewpoint((0.0, 0.0, 0.0), azimuth=np.deg2rad(180), elevation=np.de
 
 def draw_shape_pictures(model: ShapeVae, data: ShapeDataset, folder: Path, device: str = "cpu") -> list[Path]:
     """Write all four figures into the folder and return their paths; ``data`` are held-out shapes."""
-    decoder = ShapeDecoder(model.decoder, device)
+    decoder = ShapeDecoder(decoder_weights(model.decoder), device)
     category: Category = CATEGORIES[int(data.categories[0])]
     first = encode(model, occupancies(data.grids[:1]), data.categories[:1], device)[0]
     pictures = {
@@ -107,16 +108,16 @@ def pixel_derivative(
     side = 96
     rays, A = _camera(_SIDE_VIEW, side)
     grid, _ = decoder.with_jacobian(category, code)
-    image = render(ShapeGrid.upload(grid.cpu().numpy()), rays, A, gradients=False)
+    image = render(ShapeGrid.upload(grid), rays, A, gradients=False)
     pixel = _wall_pixel(image, side)
-    by_occupancy = _by_occupancies(grid.cpu(), rays, A, pixel)
+    by_occupancy = _by_occupancies(grid, rays, A, pixel)
 
     figure, (left, right) = _figure(1, 2, (7.2, 3.4))
     left.imshow(_without_background(image, rays, side), cmap="viridis_r")
     left.plot(pixel % side, pixel // side, "o", ms=9, mfc="none", mec="red", mew=1.8)
     left.set_title("rendered depth", fontsize=9)
     # the ray stays near the plane y = 0, so that a slice of the grid shows it
-    slice_, derivative = grid.cpu().numpy()[:, 15:17].mean(axis=1), by_occupancy.sum(axis=1)
+    slice_, derivative = grid[:, 15:17].mean(axis=1), by_occupancy.sum(axis=1)
     box = (-1.0, 1.0, -1.0, 1.0)
     right.imshow(1 - slice_.T, cmap="gray", vmin=0, vmax=1.25, origin="lower", extent=box)
     largest = float(np.abs(derivative).max())
@@ -134,7 +135,7 @@ def code_derivatives(
     """Return depth, its standard deviation, and its derivatives by the ten most effective code entries."""
     side = 96
     rays, A = _camera(_VIEW, side)
-    grid, jacobian = (array.cpu().numpy() for array in decoder.with_jacobian(category, code))
+    grid, jacobian = decoder.with_jacobian(category, code)
     image = render(ShapeGrid.upload(grid, jacobian), rays, A)
     assert image.d_code is not None
     strongest = np.sort(np.argsort(-np.linalg.norm(image.d_code, axis=0))[:10])
@@ -170,10 +171,10 @@ def _wall_pixel(image: Rendering, side: int) -> int:
 
 
 def _by_occupancies(
-    grid: torch.Tensor, rays: RayBundle, A: Float[np.ndarray, "1 3 4"], pixel: int
+    grid: Float[np.ndarray, "x y z"], rays: RayBundle, A: Float[np.ndarray, "1 3 4"], pixel: int
 ) -> Float[np.ndarray, "x y z"]:
     """Return the derivative of one pixel's depth with respect to the occupancies, in metres."""
-    leaf = grid.detach().clone().requires_grad_()
+    leaf = torch.tensor(grid, requires_grad=True)
     image = render_reference(
         leaf,
         torch.from_numpy(rays.directions[pixel : pixel + 1]),

@@ -23,8 +23,8 @@ from app.training.detector import (
     train_ensemble,
 )
 from app.training.files import checksums
-from perception.detection.crop_network import WEIGHTS_FILES
 from perception.detection.crop_training import CropSet, TrainingConfig, TrainingData
+from perception.detection.tasks import WEIGHTS_FILES
 from perception.detection.yaw import modes, soft_labels
 from perception.types import CATEGORIES
 

@@ -11,7 +11,6 @@ from app.runs.replay import Recorder
 from app.viewer.snapshot import ObjectState
 from perception.errors import PerceptionError
 from perception.inference.meshing import mesh_from_code
-from perception.inference.shape_model import decode_with_jacobian
 from perception.inference.uncertainty import surface_deviation
 from perception.shape.decoder import ShapeDecoder
 from perception.types import ObjectEstimate, TriangleMesh
@@ -64,7 +63,7 @@ class MeshCache:
             covariance = self._recorded_covariance(estimate.id)
         if covariance is None:
             return None
-        decoded = decode_with_jacobian(self._decoder, estimate.category, estimate.code)
+        decoded = self._decoder.with_jacobian(estimate.category, estimate.code)
         return deviation_colors(surface_deviation(estimate, covariance, *decoded))
 
     def _estimate(self, id: int) -> ObjectEstimate | None:

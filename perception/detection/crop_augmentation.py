@@ -7,7 +7,8 @@ from jaxtyping import Float, UInt8
 from torch import Tensor
 from torch.nn import functional
 
-from perception.detection.crop_network import Task, mirror_yaw_bins
+from perception.detection.crop_network import mirror_yaw_bins
+from perception.detection.tasks import Task
 
 
 def mirror_crops(

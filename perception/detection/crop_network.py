@@ -10,10 +10,8 @@ from __future__ import annotations
 
 import itertools
 import json
-import math
 from collections.abc import Sequence
 from pathlib import Path
-from typing import Literal
 
 import numpy as np
 import torch
@@ -21,27 +19,22 @@ from jaxtyping import Float, UInt8
 from torch import Tensor, nn
 from torch.nn import functional
 
+from perception.detection.architecture import CROP_HIDDEN, CROP_SQUEEZED, CROP_WIDTHS
 from perception.detection.crops import CHANNELS, CONTEXT, SIDE
-from perception.detection.weights import load_weights, save_weights
+from perception.detection.tasks import (
+    ENSEMBLE_SIZE,
+    LABELS,
+    OUTPUTS,
+    POSE_LABELS,
+    TRAINED_BY,
+    WEIGHTS_FILES,
+    Task,
+)
+from perception.detection.weights import load_weights, save_weights, temperature_of
 from perception.detection.yaw import YAW_BINS
-from perception.errors import PerceptionError
 from perception.io.weights import WEIGHTS_DIRECTORY
-from perception.types import CATEGORIES, POSED_CLASSES
 
-Task = Literal["class", "pose", "yaw"]
-LABELS: tuple[str, ...] = (*CATEGORIES, "other")
-POSE_LABELS: tuple[str, ...] = (*(" ".join(posed) for posed in POSED_CLASSES), "other")
-OUTPUTS: dict[Task, int] = {"class": len(LABELS), "pose": len(POSE_LABELS), "yaw": YAW_BINS}
-ENSEMBLE_SIZE: dict[Task, int] = {"class": 2, "pose": 1, "yaw": 1}  # networks per task
-WEIGHTS_FILES: dict[Task, str] = {
-    "class": "detector.safetensors",
-    "pose": "pose.safetensors",
-    "yaw": "yaw.safetensors",
-}
-_JOBS: dict[Task, str] = {"class": "detector", "pose": "pose", "yaw": "yaw"}  # of `nodeslam train`
 _NAMES: dict[Task, tuple[str, ...]] = {"class": LABELS, "pose": POSE_LABELS, "yaw": ()}
-_WIDTHS = (16, 32, 64, 128)
-_SQUEEZED = 48
 
 
 class CropNet(nn.Module):
@@ -56,14 +49,18 @@ class CropNet(nn.Module):
     def __init__(self, outputs: int) -> None:
         super().__init__()
         self.outputs = outputs
-        stages = [_convolution(CHANNELS, _WIDTHS[0], stride=2)]  # a second layer at 32 x 32 would cost most
-        for narrow, wide in itertools.pairwise(_WIDTHS):
+        stages = [
+            _convolution(CHANNELS, CROP_WIDTHS[0], stride=2)
+        ]  # a second layer at 32 x 32 would cost most
+        for narrow, wide in itertools.pairwise(CROP_WIDTHS):
             stages += [_convolution(narrow, wide, stride=2), _convolution(wide, wide, stride=1)]
-        squeeze = nn.Sequential(nn.Conv2d(_WIDTHS[-1], _SQUEEZED, 1), nn.ReLU(inplace=True))
+        squeeze = nn.Sequential(nn.Conv2d(CROP_WIDTHS[-1], CROP_SQUEEZED, 1), nn.ReLU(inplace=True))
         self.features = nn.Sequential(*stages, squeeze)
-        flat = _SQUEEZED * (SIDE // 2 ** len(_WIDTHS)) ** 2
-        self.head = nn.Sequential(nn.Linear(flat + CONTEXT, 128), nn.ReLU(inplace=True), nn.Dropout(0.2))
-        self.logits = nn.Linear(128, outputs)
+        flat = CROP_SQUEEZED * (SIDE // 2 ** len(CROP_WIDTHS)) ** 2
+        self.head = nn.Sequential(
+            nn.Linear(flat + CONTEXT, CROP_HIDDEN), nn.ReLU(inplace=True), nn.Dropout(0.2)
+        )
+        self.logits = nn.Linear(CROP_HIDDEN, outputs)
 
     def forward(
         self, images: Float[Tensor, "n 6 side side"], context: Float[Tensor, "n 2"]
@@ -173,14 +170,8 @@ def load_crop_network(
     """
     path = WEIGHTS_DIRECTORY / WEIGHTS_FILES[task] if path is None else path
     network = create_network(task)
-    about = load_weights(network, path, task, _JOBS[task])
-    temperature = about.get("temperature", "1.0")
-    try:
-        if not 0 < float(temperature) < math.inf:
-            raise ValueError
-    except ValueError:
-        raise PerceptionError(f"weights {path}: temperature {temperature[:80]!r} is not positive") from None
-    return network.to(device).eval(), float(temperature)
+    temperature = temperature_of(load_weights(network, path, task, TRAINED_BY[task]), path)
+    return network.to(device).eval(), temperature
 
 
 @torch.inference_mode()

@@ -24,13 +24,12 @@ from perception.detection.crop_augmentation import (
     warp_crops,
 )
 from perception.detection.crop_network import (
-    OUTPUTS,
     CropNet,
     CropNetwork,
-    Task,
     mirror_averaged_logits,
     normalise_crops,
 )
+from perception.detection.tasks import OUTPUTS, Task
 from perception.detection.training_state import TrainingState, resume_checkpoint, save_checkpoint
 from perception.detection.yaw import YAW_BINS
 from perception.errors import InvalidInputError

@@ -12,17 +12,21 @@ from dataclasses import dataclass, field, replace
 from pathlib import Path
 
 import numpy as np
-import torch
 from jaxtyping import Bool, Float
 from scipy.special import log_softmax, softmax
 
-from perception.detection.crop_network import WEIGHTS_FILES, CropNetwork, load_crop_network, predict
 from perception.detection.crops import Crop, FrameGeometry, crop, frame_geometry, mask_core, stack_crops
 from perception.detection.geometry import heading_angle
 from perception.detection.instances import InstanceConfig, find_instances, segment
 from perception.detection.left_out import LeftOut, of_no_class
 from perception.detection.parts import CERTAIN, SHARE, continued_share
-from perception.detection.scene_network import WEIGHTS_FILE, SceneNet, load_scene_network
+from perception.detection.predictors import (
+    CropPredictor,
+    ScenePredictor,
+    load_crop_predictor,
+    load_scene_predictor,
+)
+from perception.detection.tasks import SCENE_WEIGHTS_FILE, WEIGHTS_FILES, Task
 from perception.detection.yaw import rotate_yaw
 from perception.support.standing import MeasuredObject, StandingConfig, misplacement, support_of
 from perception.support.surface import SupportSurface
@@ -57,26 +61,20 @@ class Detector:
     Attributes:
         scene_network: Dense network for instances.
         class_network: Network or ensemble for the class of a crop.
-        class_temperature: Divisor of its logits.
         yaw_network: Network for the yaw of a mug's handle relative to the view.
-        yaw_temperature: Divisor of its logits.
         pose_network: Network for class and resting pose.
-        pose_temperature: Divisor of its logits.
         config: Parameters.
     """
 
-    scene_network: SceneNet
-    class_network: CropNetwork
-    class_temperature: float
-    yaw_network: CropNetwork
-    yaw_temperature: float
-    pose_network: CropNetwork
-    pose_temperature: float
+    scene_network: ScenePredictor
+    class_network: CropPredictor
+    yaw_network: CropPredictor
+    pose_network: CropPredictor
     config: DetectorConfig = DetectorConfig()
 
     @staticmethod
     def load(
-        device: str | torch.device = "cpu",
+        device: str = "cpu",
         directory: Path | None = None,
         config: DetectorConfig = DetectorConfig(),
     ) -> Detector:
@@ -85,15 +83,14 @@ class Detector:
         Raises:
             PerceptionError: Weights are missing, damaged or differ from their checksums.
         """
-        paths = {task: None if directory is None else directory / f for task, f in WEIGHTS_FILES.items()}
-        scene = None if directory is None else directory / WEIGHTS_FILE
-        return Detector(
-            load_scene_network(scene, device),
-            *load_crop_network("class", paths["class"], device),
-            *load_crop_network("yaw", paths["yaw"], device),
-            *load_crop_network("pose", paths["pose"], device),
-            config,
-        )
+        scene = None if directory is None else directory / SCENE_WEIGHTS_FILE
+
+        def on_crops(task: Task) -> CropPredictor:
+            path = None if directory is None else directory / WEIGHTS_FILES[task]
+            return load_crop_predictor(task, path, device)
+
+        network = load_scene_predictor(scene, device)
+        return Detector(network, on_crops("class"), on_crops("yaw"), on_crops("pose"), config)
 
     def __call__(self, frame: RgbdFrame, plane: SupportPlane) -> list[ObjectDetection]:
         """Return the detections in a frame by descending score, without distractors.
@@ -233,7 +230,7 @@ class Detector:
         usable = [i for i, d in enumerate(detections) if geometry.has_depth(d.mask)]
         crops = [crop(frame, detections[i].mask, plane, geometry) for i in usable]
         result = list(detections)
-        for i, p in zip(usable, predict(self.pose_network, self.pose_temperature, *stack_crops(crops))):
+        for i, p in zip(usable, self.pose_network(*stack_crops(crops))):
             result[i] = replace(detections[i], pose_probabilities=p)
         return result
 
@@ -251,12 +248,12 @@ class Detector:
         """Return class probabilities, and the crop of each mask that is its own core, None for the others."""
         cores = [inner if geometry.has_depth(inner := mask_core(mask)) else mask for mask in masks]
         crops = [crop(frame, inner, plane, geometry) for inner in cores]
-        classes = predict(self.class_network, self.class_temperature, *stack_crops(crops))
+        classes = self.class_network(*stack_crops(crops))
         return classes, [c if core is mask else None for c, core, mask in zip(crops, cores, masks)]
 
     def _yaws(self, crops: Sequence[Crop], plane: SupportPlane) -> list[Float[np.ndarray, "b"]]:
         """Return world yaw distributions; the crops are of whole masks, because a core has no handle."""
-        yaws = predict(self.yaw_network, self.yaw_temperature, *stack_crops(crops))
+        yaws = self.yaw_network(*stack_crops(crops))
         return [rotate_yaw(yaw, heading_angle(c.heading, plane)) for yaw, c in zip(yaws, crops)]
 
 

@@ -17,8 +17,9 @@ from scipy.special import expit, log_softmax
 
 from perception.detection.geometry import bounding_window, height_image
 from perception.detection.left_out import LeftOut
-from perception.detection.scene_network import CLASSES, VOTE_UNIT, SceneNet, predict_scene
+from perception.detection.predictors import ScenePredictor
 from perception.detection.table_margin import plan_image, without_table
+from perception.detection.tasks import CLASSES, VOTE_UNIT
 from perception.detection.working_view import WorkingView, downscale, fill_from_nearest, working_view
 from perception.types import RgbdFrame, SupportPlane
 
@@ -95,7 +96,7 @@ class ScenePrediction:
 def find_instances(
     frame: RgbdFrame,
     plane: SupportPlane,
-    network: SceneNet,
+    network: ScenePredictor,
     config: InstanceConfig = InstanceConfig(),
 ) -> list[Instance]:
     """Return the plausible instances of ``segment``."""
@@ -105,7 +106,7 @@ def find_instances(
 def segment(
     frame: RgbdFrame,
     plane: SupportPlane,
-    network: SceneNet,
+    network: ScenePredictor,
     config: InstanceConfig = InstanceConfig(),
 ) -> tuple[list[Instance], list[LeftOut]]:
     """Segment the objects and distractors on the plane; masks do not overlap.
@@ -113,7 +114,7 @@ def segment(
     Args:
         frame: RGB-D image; without a pose its camera is the world.
         plane: Support plane in the world frame.
-        network: Scene network in evaluation mode.
+        network: Scene network.
         config: Parameters.
 
     Returns:
@@ -123,7 +124,7 @@ def segment(
     if not (small.depth > 0).any():
         return [], []
     view = working_view(small, plane)
-    answer = decode_prediction(predict_scene(network, view.channels), view)
+    answer = decode_prediction(network(view.channels), view)
     peaks = find_peaks(answer, view, config)
     if not len(peaks):
         return [], []

@@ -17,17 +17,11 @@ from torch import Tensor, nn
 from torch.nn import functional
 from torch.nn.utils.fusion import fuse_conv_bn_eval
 
-from perception.detection.crop_network import LABELS
+from perception.detection.architecture import SCENE_JOINED, SCENE_WIDTHS
+from perception.detection.tasks import SCENE_OUTPUTS, SCENE_WEIGHTS_FILE
 from perception.detection.weights import load_weights, save_weights
 from perception.detection.working_view import CHANNELS
 from perception.io.weights import WEIGHTS_DIRECTORY
-
-WEIGHTS_FILE = "scene.safetensors"
-VOTE_UNIT = 32.0  # pixels of offset per unit of output
-CLASSES = len(LABELS)
-OUTPUTS = 4 + CLASSES + 2 + 1  # foreground of 2 x 2 sub-pixels, classes, offset, log of its standard error
-_WIDTHS = (24, 48, 80, 128, 160)
-_JOINED = (32, 48, 64)  # channels of the decoder, fine to coarse
 
 
 class SceneNet(nn.Module):
@@ -35,8 +29,8 @@ class SceneNet(nn.Module):
 
     def __init__(self) -> None:
         super().__init__()
-        a, b, c, d, e = _WIDTHS
-        fine, middle, coarse = _JOINED
+        a, b, c, d, e = SCENE_WIDTHS
+        fine, middle, coarse = SCENE_JOINED
         self.down = nn.ModuleList([
             _convolution(4 * CHANNELS, a),
             nn.Sequential(_convolution(a, b, 2), _convolution(b, b)),
@@ -45,11 +39,12 @@ class SceneNet(nn.Module):
             nn.Sequential(_convolution(d, e, 2), _Residual(e)),
         ])  # fmt: skip
         self.across = nn.ModuleList(
-            _lateral(wide, narrow) for wide, narrow in zip(_WIDTHS, (fine, middle, coarse, coarse, coarse))
+            _lateral(wide, narrow)
+            for wide, narrow in zip(SCENE_WIDTHS, (fine, middle, coarse, coarse, coarse))
         )
         self.narrower = nn.ModuleList([nn.Conv2d(middle, fine, 1), nn.Conv2d(coarse, middle, 1)])
         self.joined = nn.ModuleList(_convolution(n, n) for n in (fine, middle, coarse))
-        self.answer = nn.Conv2d(fine, OUTPUTS, 1)
+        self.answer = nn.Conv2d(fine, SCENE_OUTPUTS, 1)
 
     def forward(self, channels: Float[Tensor, "n 8 h w"]) -> Float[Tensor, "n 12 h2 w2"]:
         """Return the outputs at half the resolution; height and width must be even."""
@@ -119,7 +114,9 @@ def load_scene_network(path: Path | None = None, device: str | torch.device = "c
         PerceptionError: The file is missing, damaged, differs from its checksum, or is of another network.
     """
     network = SceneNet()
-    load_weights(network, WEIGHTS_DIRECTORY / WEIGHTS_FILE if path is None else path, "scene", "detector")
+    load_weights(
+        network, WEIGHTS_DIRECTORY / SCENE_WEIGHTS_FILE if path is None else path, "scene", "detector"
+    )
     network = _folded(network.eval()).to(device)
     network.to(memory_format=torch.channels_last)  # type: ignore[call-overload]
     return network

@@ -19,8 +19,9 @@ from torch import Tensor
 from torch.nn import functional
 
 from perception.detection.crop_training import TrainingJob, learning_rate_share
-from perception.detection.scene_network import CLASSES, VOTE_UNIT, SceneNet
+from perception.detection.scene_network import SceneNet
 from perception.detection.scene_patches import UNJUDGED, LabelledScene, TrainingPatch, sample_patch
+from perception.detection.tasks import CLASSES, VOTE_UNIT
 from perception.detection.training_state import TrainingState, resume_checkpoint, save_checkpoint
 from perception.types import OTHER
 

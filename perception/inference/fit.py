@@ -17,7 +17,7 @@ from perception.inference.observation import ObjectViews
 from perception.inference.optimisation import Fit, OnStep, optimise_object
 from perception.inference.refine import refine_mesh
 from perception.inference.resting import tilt_error
-from perception.inference.shape_model import Decoder, decode_with_jacobian
+from perception.inference.shape_model import Decoder
 from perception.inference.uncertainty import calibrated_deviation
 from perception.types import FitStatus, ObjectEstimate, SupportPlane
 
@@ -94,7 +94,7 @@ def _estimate(
 ) -> tuple[ObjectEstimate, Float[np.ndarray, "r r r"]]:
     """Mesh a fit, refine the mesh on the measurements and predict its deviations; also return the grid."""
     pose, code, category = fit.state.pose, fit.state.code, views.category
-    grid, jacobian = decode_with_jacobian(decoder, category, code, config.threads)
+    grid, jacobian = decoder.with_jacobian(category, code, config.threads)
     mesh = mesh_from_grid(grid, pose.scale, category, config.mesh)
     determined = np.zeros(len(mesh.vertices))
     if config.refine is not None:

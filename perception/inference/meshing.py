@@ -21,7 +21,7 @@ from scipy.spatial import KDTree
 from skimage import measure
 
 from perception.errors import PerceptionError
-from perception.inference.shape_model import Decoder, decode
+from perception.inference.shape_model import Decoder
 from perception.types import Category, TriangleMesh
 
 _SOLID_THICKNESS = 5  # [voxel] smallest thickness of solid parts, which have no ridge
@@ -63,7 +63,7 @@ def mesh_from_code(
     config: MeshConfig = MeshConfig(),
 ) -> TriangleMesh:
     """Decode a code and return its watertight mesh in the object frame, in metres."""
-    return mesh_from_grid(decode(decoder, category, code), scale, category, config)
+    return mesh_from_grid(decoder(category, code), scale, category, config)
 
 
 def mesh_from_grid(

@@ -10,9 +10,7 @@ from functools import lru_cache
 from typing import Protocol, runtime_checkable
 
 import numpy as np
-import torch
 from jaxtyping import Float
-from torch import Tensor
 
 from perception.rendering.renderer import ShapeGrid
 from perception.types import CATEGORIES, CODE_SIZE, Category
@@ -26,9 +24,15 @@ SKIP_JACOBIAN = 5e-3
 class Decoder(Protocol):
     """Interface of a shape prior; ``perception.shape.decoder.ShapeDecoder`` implements it."""
 
-    def __call__(self, category: Category, codes: Tensor) -> Tensor: ...
+    def __call__(self, category: Category, code: Float[np.ndarray, "16"]) -> Float[np.ndarray, "r r r"]:
+        """Return the occupancy grid of one code."""
+        ...
 
-    def with_jacobian(self, category: Category, code: Tensor, threads: int = 1) -> tuple[Tensor, Tensor]: ...
+    def with_jacobian(
+        self, category: Category, code: Float[np.ndarray, "16"], threads: int = 1
+    ) -> tuple[Float[np.ndarray, "r r r"], Float[np.ndarray, "r r r 16"]]:
+        """Return the occupancy grid of one code and its derivative with respect to the code."""
+        ...
 
 
 class LinearisedShape:
@@ -60,18 +64,4 @@ def linearise(
     decoder: Decoder, category: Category, code: Float[np.ndarray, "16"], threads: int = 1
 ) -> LinearisedShape:
     """Decode a code with its derivatives on ``threads`` cores."""
-    return LinearisedShape(*decode_with_jacobian(decoder, category, code, threads), code)
-
-
-def decode_with_jacobian(
-    decoder: Decoder, category: Category, code: Float[np.ndarray, "16"], threads: int = 1
-) -> tuple[Float[np.ndarray, "r r r"], Float[np.ndarray, "r r r 16"]]:
-    """Return the occupancy grid of one code and its derivative with respect to the code."""
-    grid, jacobian = decoder.with_jacobian(category, torch.as_tensor(code, dtype=torch.float32), threads)
-    return grid.cpu().numpy(), jacobian.cpu().numpy()
-
-
-def decode(decoder: Decoder, category: Category, code: Float[np.ndarray, "16"]) -> Float[np.ndarray, "r r r"]:
-    """Return the occupancy grid of one code."""
-    with torch.no_grad():
-        return decoder(category, torch.as_tensor(code, dtype=torch.float32)[None])[0].cpu().numpy()
+    return LinearisedShape(*decoder.with_jacobian(category, code, threads), code)

@@ -23,9 +23,9 @@ import torch.nn.functional as F
 from jaxtyping import Float, Int
 from torch import Tensor, nn
 
+from perception.shape.architecture import CHANNELS
 from perception.types import CATEGORIES, CODE_SIZE, GRID_RESOLUTION
 
-CHANNELS = (16, 32, 64, 128, 256)  # after each halving of the resolution: 16^3, 8^3, 4^3, 2^3, 1^3
 # Initial logit of every voxel: about a tenth of the cube is occupied.
 _EMPTY_LOGIT = -2.2
 

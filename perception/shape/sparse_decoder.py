@@ -10,7 +10,7 @@ one vector register) follow only at voxels from which a voxel near the surface i
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
 from itertools import pairwise
 from typing import Any
@@ -18,9 +18,8 @@ from typing import Any
 import numpy as np
 import warp as wp
 from jaxtyping import Float
-from torch import Tensor
 
-from perception.shape.network import CHANNELS, DecoderNetwork
+from perception.shape.architecture import CHANNELS
 from perception.shape.sparse_kernels import (
     jacobian_kernel,
     occupancy_kernel,
@@ -38,33 +37,37 @@ _MIN_SHARED_SIDE = 8  # [voxel]; smaller grids are computed by one thread
 
 
 class SparseDecoder:
-    """Decoder of single codes with analytic derivatives; thread-safe."""
+    """Decoder of single codes with analytic derivatives; thread-safe.
 
-    def __init__(self, network: DecoderNetwork, device: str) -> None:
+    Args:
+        weights: Parameters of ``network.DecoderNetwork`` by name.
+        device: "cpu" or "cuda:0".
+    """
+
+    def __init__(self, weights: Mapping[str, np.ndarray], device: str) -> None:
         start_warp()
         self._device = device
         c1, _, _, c4, c5 = CHANNELS
-        self._first_weight = _numpy(network.linear0.weight)
-        self._first_bias = _numpy(network.linear0.bias)
+        self._first_weight = weights["linear0.weight"]
+        self._first_bias = weights["linear0.bias"]
         centre = np.zeros((c5, c4, _TAPS, _TAPS, _TAPS), np.float32)
         # The linear layer from 1^3 to 2^3 is a transposed convolution of which only taps 1 and 2 are used.
-        centre[..., 1:3, 1:3, 1:3] = _numpy(network.linear1.weight).T.reshape(c5, c4, 2, 2, 2)
-        bias = _numpy(network.linear1.bias).reshape(c4, 8).T
+        centre[..., 1:3, 1:3, 1:3] = weights["linear1.weight"].T.reshape(c5, c4, 2, 2, 2)
+        bias = weights["linear1.bias"].reshape(c4, 8).T
         layers = [_Layer.of(1, centre, bias, device)]
-        for side, layer in ((2, network.up2), (4, network.up3), (8, network.up4)):
-            assert layer.bias is not None
-            layers.append(_Layer.of(side, _numpy(layer.weight), _numpy(layer.bias)[None], device))
+        for side, name in ((2, "up2"), (4, "up3"), (8, "up4")):
+            layers.append(_Layer.of(side, weights[f"{name}.weight"], weights[f"{name}.bias"][None], device))
         # tap = phase + 2 * neighbour: [input, neighbour x, phase x, ...] to [neighbour, input, phase]
-        out = _numpy(network.out_weight).reshape(c1, 2, 2, 2, 2, 2, 2).transpose(1, 3, 5, 0, 2, 4, 6)
+        out = weights["out_weight"].reshape(c1, 2, 2, 2, 2, 2, 2).transpose(1, 3, 5, 0, 2, 4, 6)
         self._layers = tuple(layers)
         self._out_weight = to_device(out.reshape(-1, 8), vec8, device)
-        self._out_bias = float(network.out_bias)
+        self._out_bias = float(weights["out_bias"][0])
         self._idle: dict[int, list[_Workspace]] = {}
 
     def __call__(
         self, code: Float[np.ndarray, "code"], category: int, with_jacobian: bool, threads: int = 1
-    ) -> tuple[Float[Tensor, "x y z"], Float[Tensor, "x y z code"] | None]:
-        """Decode one code on the decoder's device.
+    ) -> tuple[Float[np.ndarray, "x y z"], Float[np.ndarray, "x y z code"] | None]:
+        """Decode one code on the decoder's device and return the results in the host's memory.
 
         Args:
             code: Shape code.
@@ -81,8 +84,7 @@ class SparseDecoder:
         jacobian = empty((GRID_RESOLUTION,) * 3, vec16, self._device) if with_jacobian else None
         workspace.decode(*self._first(code, category), grid, jacobian)
         idle.append(workspace)
-        wp.synchronize_device(self._device)  # torch uses another stream
-        return wp.to_torch(grid), None if jacobian is None else wp.to_torch(jacobian)
+        return grid.numpy(), None if jacobian is None else jacobian.numpy()
 
     def _first(self, code: np.ndarray, category: int) -> tuple[np.ndarray, np.ndarray]:
         """Return pre-activations of the first linear layer and their derivatives with respect to the code."""
@@ -280,7 +282,3 @@ def _propagation(window: tuple[int, int, int], fine: _Mask, coarse: _Mask, devic
     """
     sizes = [*window, fine.side, coarse.side]
     return record(propagate_mask_kernel, (coarse.side,) * 3, [*sizes, fine.marks], [coarse.marks], device)
-
-
-def _numpy(parameter: Tensor) -> np.ndarray:
-    return parameter.detach().cpu().float().numpy()

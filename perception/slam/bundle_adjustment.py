@@ -10,7 +10,6 @@ from concurrent.futures import ThreadPoolExecutor
 from dataclasses import replace
 
 import numpy as np
-import torch
 from jaxtyping import Float
 
 from perception.geometry import invert, se3_exp, se3_log
@@ -42,7 +41,7 @@ def optimise_jointly(
         decoder: Shape prior.
         config: Budget and weights.
     """
-    with ThreadPoolExecutor(config.threads, initializer=torch.set_num_threads, initargs=(1,)) as pool:
+    with ThreadPoolExecutor(config.threads) as pool:
         return _Optimiser(window, decoder, config, pool).run()
 
 

@@ -33,7 +33,7 @@ class DelayedJob(Generic[Result]):
         assert self._future is None
         self.due = due
         if self._pool is not None:
-            self._future = self._pool.submit(_on_one_torch_thread, job)
+            self._future = self._pool.submit(_on_one_thread, job)
             return
         self._future = Future()
         self._future.set_result(job())
@@ -45,6 +45,6 @@ class DelayedJob(Generic[Result]):
         return future.result()
 
 
-def _on_one_torch_thread(job: Callable[[], Result]) -> Result:
+def _on_one_thread(job: Callable[[], Result]) -> Result:
     with single_threaded():
         return job()

@@ -8,8 +8,7 @@ from types import SimpleNamespace
 
 import numpy as np
 import pytest
-import torch
-from torch import Tensor
+from scipy.special import expit
 
 from perception.inference.problem import FitState
 from perception.inference.shape_model import linearise
@@ -111,25 +110,25 @@ class CylinderDecoder:
     """Solid cylinders; codes 0 and 1 change radius and height."""
 
     def __init__(self) -> None:
-        line = torch.linspace(-31 / 32, 31 / 32, 32, dtype=torch.float64)
-        self._points = torch.meshgrid(line, line, line, indexing="ij")
+        line = np.linspace(-31 / 32, 31 / 32, 32)
+        self._points = np.meshgrid(line, line, line, indexing="ij")
 
-    def _grid(self, code: Tensor) -> Tensor:
+    def _grid(self, code: np.ndarray) -> np.ndarray:
         x, y, z = self._points
-        side = torch.sqrt(x**2 + y**2) - (RADIUS + 0.08 * code[0])
-        return torch.sigmoid(-64 * torch.maximum(side, z.abs() - (HALF + 0.08 * code[1])))
+        side = np.sqrt(x**2 + y**2) - (RADIUS + 0.08 * code[0])
+        return expit(-64 * np.maximum(side, np.abs(z) - (HALF + 0.08 * code[1])))
 
-    def __call__(self, category: str, codes: Tensor) -> Tensor:
-        return torch.stack([self._grid(code).float() for code in codes])
+    def __call__(self, category: str, code: np.ndarray) -> np.ndarray:
+        return self._grid(code).astype(np.float32)
 
-    def with_jacobian(self, category: str, code: Tensor, threads: int = 1) -> tuple[Tensor, Tensor]:
-        code = code.double()
-        jacobian = torch.zeros((32, 32, 32, 16))
+    def with_jacobian(
+        self, category: str, code: np.ndarray, threads: int = 1
+    ) -> tuple[np.ndarray, np.ndarray]:
+        jacobian = np.zeros((32, 32, 32, 16), np.float32)
         for k in range(2):
-            step = torch.zeros(16, dtype=torch.float64)
-            step[k] = 1e-5
+            step = 1e-5 * np.eye(16)[k]
             jacobian[..., k] = (self._grid(code + step) - self._grid(code - step)) / 2e-5
-        return self._grid(code).float(), jacobian
+        return self(category, code), jacobian
 
 
 @dataclass(frozen=True)

@@ -10,11 +10,13 @@ import torch
 from app import options
 from perception import pipeline
 from perception.detection.detector import Detector
+from perception.detection.graph_predictors import GraphScenePredictor
 from perception.detection.left_out import LeftOut
 from perception.errors import InvalidInputError
 from perception.pipeline import (
     Detections,
     detect,
+    has_cuda,
     load_huggingface,
     load_perception,
     place_detections,
@@ -150,8 +152,8 @@ def _flat(callbacks):
 
 def test_perception_holds_the_shipped_detector_and_decoder(networks):
     assert isinstance(networks.detector, Detector) and isinstance(networks.decoder, ShapeDecoder)
-    devices = {p.device.type for p in networks.detector.scene_network.parameters()}
-    assert devices == {"cpu"}
+    assert isinstance(networks.detector.scene_network, GraphScenePredictor)
+    assert networks.decoder.device == "cpu"
 
 
 @pytest.mark.parametrize(
@@ -159,12 +161,20 @@ def test_perception_holds_the_shipped_detector_and_decoder(networks):
     [("auto", True, "cuda"), ("auto", False, "cpu"), ("cpu", True, "cpu"), ("cuda", True, "cuda")],
 )
 def test_auto_is_cuda_where_it_is_available(monkeypatch, device, available, expected):
-    monkeypatch.setattr(torch.cuda, "is_available", lambda: available)
+    monkeypatch.setattr(pipeline, "has_cuda", lambda: available)
     assert resolve_device(device) == expected
 
 
+@pytest.mark.parametrize("both", [(True, True), (True, False), (False, True)])
+def test_cuda_needs_warp_and_torch(monkeypatch, both):
+    warp_can, torch_can = both
+    monkeypatch.setattr(pipeline, "warp_has_cuda", lambda: warp_can)
+    monkeypatch.setattr(torch.cuda, "is_available", lambda: torch_can)
+    assert has_cuda() is all(both)
+
+
 def test_cuda_is_refused_where_it_is_not_available(monkeypatch):
-    monkeypatch.setattr(torch.cuda, "is_available", lambda: False)
+    monkeypatch.setattr(pipeline, "has_cuda", lambda: False)
     with pytest.raises(InvalidInputError, match="no usable CUDA device; use --device cpu"):
         resolve_device("cuda")
 

@@ -1,5 +1,8 @@
 """Threads of the numerical libraries inside and outside of ``single_threaded``."""
 
+import subprocess
+import sys
+
 import numpy as np
 import pytest
 import torch
@@ -30,3 +33,9 @@ def test_torch_and_blas_run_on_one_thread_and_then_as_before(two_threads) -> Non
         raise RuntimeError  # an error must not leave the process on one thread
     assert torch.get_num_threads() == 2
     assert blas_threads() == before
+
+
+def test_torch_is_not_loaded_for_its_threads() -> None:
+    code = "import sys; from perception.threads import single_threaded\nwith single_threaded(): pass\n"
+    code += "assert 'torch' not in sys.modules"
+    subprocess.run([sys.executable, "-c", code], check=True, timeout=60)

@@ -50,10 +50,12 @@ def test_gradient_of_a_fits_cost(decoder):
     def gradient(weight: np.ndarray, code_prior: float) -> np.ndarray:
         pixels = PixelSet(few, T[None], target, np.ones(n, bool), weight, None)
         noise = NoiseConfig(code_prior=code_prior)
-        return gradient_step(decoder, "mug", pixels, FitState(pose, code), noise)()[0][0].numpy()
+        return gradient_step(load_weights().decoder, "mug", pixels, FitState(pose, code), noise)()[0][
+            0
+        ].numpy()
 
     np.testing.assert_allclose(gradient(0 * weight, 0.4), 0.8 * code, rtol=1e-5)
-    grid, jacobian = (part.numpy() for part in decoder.with_jacobian("mug", code))
+    grid, jacobian = decoder.with_jacobian("mug", code)
     image = render(ShapeGrid.upload(grid, jacobian), few, canonical_from_camera(pose, T[None]))
     sigma2 = image.variance + NoiseConfig().depth_sigma ** 2
     expected = (2 * weight * (image.depth - target) / sigma2) @ image.d_code

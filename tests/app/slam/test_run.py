@@ -28,8 +28,6 @@ FOUND = [ObjectDetection("mug", 1.0, np.ones((6, 8), bool))]
 class Undecoded:
     """A shape prior that is not used."""
 
-    device = torch.device("cpu")
-
     def __call__(self, category, code):
         raise AssertionError
 

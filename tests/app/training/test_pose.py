@@ -8,8 +8,9 @@ import pytest
 import app.training.pose as train_pose
 from app.training.crop_dataset import LabelledCrops
 from app.workers import Lost
-from perception.detection.crop_network import POSE_LABELS, load_crop_network
+from perception.detection.crop_network import load_crop_network
 from perception.detection.crop_training import TrainingConfig
+from perception.detection.tasks import POSE_LABELS
 from perception.errors import PerceptionError
 from perception.types import POSED_CLASSES
 from sim_assets.datasets.labels import InstanceLabel

@@ -47,7 +47,7 @@ def test_the_derivative_is_that_of_the_depth_with_respect_to_each_occupancy():
     grid = torch.from_numpy(0.02 + 0.6 * cylinder(8))
     rays, A = shape_pictures._camera(shape_pictures._SIDE_VIEW, 9)
     pixel = 4 * 9 + 4
-    derivative = shape_pictures._by_occupancies(grid, rays, A, pixel)
+    derivative = shape_pictures._by_occupancies(grid.numpy(), rays, A, pixel)
 
     def depth(values):
         directions = torch.from_numpy(rays.directions[pixel : pixel + 1])

@@ -1,6 +1,7 @@
 """Meshes and uncertainty colours."""
 
 from dataclasses import replace
+from types import SimpleNamespace
 
 import numpy as np
 import pytest
@@ -55,8 +56,8 @@ def test_the_recorded_covariance_is_symmetric(recording, state, monkeypatch):
     recording.notes[:] = [note for note in recording.notes if note.kind != "objects"]
     recording.note("objects", covariances={"0": triangle.tolist()})
     used = []
-    monkeypatch.setattr(MeshCache, "_decoder", None)
-    monkeypatch.setattr(module, "decode_with_jacobian", lambda *_: (None, None))
+    decoder = SimpleNamespace(with_jacobian=lambda *_: (None, None))
+    monkeypatch.setattr(MeshCache, "_decoder", decoder)
     monkeypatch.setattr(
         module, "surface_deviation", lambda _, covariance, *__: used.append(covariance) or np.zeros(2)
     )

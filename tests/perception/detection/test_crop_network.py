@@ -6,8 +6,6 @@ import torch
 from safetensors.torch import save_file
 
 from perception.detection.crop_network import (
-    ENSEMBLE_SIZE,
-    OUTPUTS,
     CropNet,
     create_network,
     ensemble_of,
@@ -20,6 +18,7 @@ from perception.detection.crop_network import (
 )
 from perception.detection.crop_training import CropSet
 from perception.detection.crops import SIDE
+from perception.detection.tasks import ENSEMBLE_SIZE, OUTPUTS
 from perception.detection.yaw import YAW_BINS, soft_labels
 from perception.errors import PerceptionError
 

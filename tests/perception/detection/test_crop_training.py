@@ -5,7 +5,6 @@ import pytest
 import torch
 
 from perception.detection.crop_network import (
-    OUTPUTS,
     CropNet,
     normalise_crops,
     predict,
@@ -20,6 +19,7 @@ from perception.detection.crop_training import (
     validation_metrics,
 )
 from perception.detection.crops import SIDE
+from perception.detection.tasks import OUTPUTS
 from perception.detection.yaw import YAW_BINS, soft_labels
 from perception.errors import InvalidInputError, PerceptionError
 

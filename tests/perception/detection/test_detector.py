@@ -5,11 +5,12 @@ from dataclasses import replace
 import cv2
 import numpy as np
 import pytest
-import torch
 
-from perception.detection.crop_network import OUTPUTS, CropNet, create_network, save_crop_network
+from perception.detection.crop_network import create_network, save_crop_network
 from perception.detection.detector import Detector
-from perception.detection.scene_network import SceneNet, load_scene_network, save_scene_network
+from perception.detection.predictors import load_scene_predictor
+from perception.detection.scene_network import SceneNet, save_scene_network
+from perception.detection.tasks import OUTPUTS
 from perception.errors import PerceptionError
 from perception.support.surface import SupportSurface
 from perception.types import CATEGORIES, ObjectDetection, RgbdFrame, SupportPlane, unclassified
@@ -17,21 +18,15 @@ from perception.types import CATEGORIES, ObjectDetection, RgbdFrame, SupportPlan
 PLANE = SupportPlane()
 
 
-class Fixed(CropNet):
-    """ScenePrediction every crop with the same logits."""
-
-    def __init__(self, logits):
-        super().__init__(len(logits))
-        self.answer = torch.tensor(logits, dtype=torch.float32)
-
-    def forward(self, images, context):
-        return self.answer.expand(len(images), -1)
+def fixed(logits):
+    """Return a network that predicts the same probabilities for every crop."""
+    p = np.exp(logits) / np.exp(logits).sum()
+    return lambda images, context: np.tile(p, (len(images), 1))
 
 
 def fixed_detector(class_logits, yaw_bin=0, pose=0):
     yaw = np.where(np.arange(OUTPUTS["yaw"]) == yaw_bin, 20.0, 0.0)
-    networks = Fixed(class_logits), 1.0, Fixed(yaw), 1.0, Fixed(20.0 * np.eye(10)[pose]), 2.0
-    return Detector(load_scene_network(), *networks)
+    return Detector(load_scene_predictor(), fixed(class_logits), fixed(yaw), fixed(10.0 * np.eye(10)[pose]))
 
 
 def given(detector, scene):
@@ -126,7 +121,7 @@ def test_weights_from_a_folder(tmp_path):
     save_scene_network(SceneNet(), tmp_path / "scene.safetensors")
     for task, name in (("class", "detector"), ("pose", "pose"), ("yaw", "yaw")):
         save_crop_network(create_network(task), tmp_path / f"{name}.safetensors", task, 1.5)
-    assert Detector.load(directory=tmp_path).class_temperature == 1.5
+    assert Detector.load(directory=tmp_path).class_network.temperature == 1.5
     with pytest.raises(PerceptionError, match="are missing"):
         Detector.load(directory=tmp_path / "elsewhere")
 
@@ -164,5 +159,5 @@ def test_poses_are_named_for_all_masks_with_depth(two):
     found = [ObjectDetection("can", 0.9, mask, instance_id=k) for k, mask in enumerate(masks)]
     named, unseen = fixed_detector(np.zeros(5), pose=3).posed(blind, PLANE, found)
     assert named.pose_probabilities.argmax() == 3
-    np.testing.assert_allclose(named.pose_probabilities.max(), 1 / (1 + 9 * np.exp(-10.0)))  # temperature 2
+    np.testing.assert_allclose(named.pose_probabilities.max(), 1 / (1 + 9 * np.exp(-10.0)))
     assert (named.category, named.instance_id) == ("can", 0) and unseen is found[1]

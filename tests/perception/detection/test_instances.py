@@ -17,7 +17,8 @@ from perception.detection.instances import (
     upsample_labels,
 )
 from perception.detection.instances import segment as segment_instances
-from perception.detection.scene_network import CLASSES, OUTPUTS, VOTE_UNIT, SceneNet, load_scene_network
+from perception.detection.predictors import load_scene_predictor
+from perception.detection.tasks import CLASSES, SCENE_OUTPUTS, VOTE_UNIT
 from perception.detection.working_view import downscale, working_view
 from perception.types import RgbdFrame, SupportPlane
 
@@ -31,7 +32,7 @@ def perfect(frame, instances, places, noise=0.0):
     view = working_view(frame, PLANE)
     rng = np.random.default_rng(0)
     h, w = instances.shape
-    answer = np.zeros((h // 2, w // 2, OUTPUTS), np.float32)
+    answer = np.zeros((h // 2, w // 2, SCENE_OUTPUTS), np.float32)
     quarters = (instances >= 0).reshape(h // 2, 2, w // 2, 2).transpose(0, 2, 1, 3)
     answer[..., :4] = np.where(quarters.reshape(h // 2, w // 2, 4), 8, -8)
     coarse = instances[::2, ::2]
@@ -44,17 +45,14 @@ def perfect(frame, instances, places, noise=0.0):
     return answer
 
 
-class Oracle(SceneNet):
-    """ScenePrediction with what it is given."""
+class Oracle:
+    """Predicts what it is given."""
 
     def __init__(self, answer):
-        super().__init__()
         self.fixed = answer
 
-    def forward(self, channels):
-        import torch
-
-        return torch.from_numpy(self.fixed).permute(2, 0, 1)[None]
+    def __call__(self, channels):
+        return self.fixed
 
 
 @pytest.fixture
@@ -162,7 +160,7 @@ def test_an_instance_above_the_height_limit_is_left_out(scenes):
 def test_no_depth_no_instances(scenes):
     frame = scenes.render([], scenes.orbit(TARGET, 0.5, 60, 0)).frame
     blind = RgbdFrame(0.0, frame.rgb, 0 * frame.depth, frame.intrinsics, frame.T_world_camera)
-    assert find_instances(blind, PLANE, SceneNet().eval()) == []
+    assert find_instances(blind, PLANE, load_scene_predictor()) == []
 
 
 def test_pixels_with_scattered_votes_are_background(touching):
@@ -213,7 +211,7 @@ def test_an_instance_without_depth_is_left_out(touching):
 @pytest.fixture(scope="module")
 def segment():
     """Masks of the instances of a frame."""
-    network = load_scene_network()
+    network = load_scene_predictor()
 
     def masks(frame, plane, config=None):
         found = find_instances(frame, plane, network, config or InstanceConfig())

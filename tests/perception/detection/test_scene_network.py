@@ -5,12 +5,12 @@ import pytest
 import torch
 
 from perception.detection.scene_network import (
-    OUTPUTS,
     SceneNet,
     load_scene_network,
     predict_scene,
     save_scene_network,
 )
+from perception.detection.tasks import SCENE_OUTPUTS
 from perception.detection.working_view import CHANNELS
 from perception.errors import PerceptionError
 
@@ -22,7 +22,7 @@ def test_round_trip_of_weights_in_half_precision(tmp_path):
     loaded = load_scene_network(tmp_path / "scene.safetensors")
     channels = np.random.default_rng(0).standard_normal((47, 63, CHANNELS)).astype(np.float32)
     mine, theirs = predict_scene(network, channels), predict_scene(loaded, channels)
-    assert mine.shape == (24, 32, OUTPUTS)
+    assert mine.shape == (24, 32, SCENE_OUTPUTS)
     np.testing.assert_allclose(mine, theirs, atol=0.02)  # half precision
     with pytest.raises(PerceptionError, match="are missing"):
         load_scene_network(tmp_path / "elsewhere.safetensors")

@@ -5,11 +5,6 @@ import pytest
 import torch
 
 from perception.detection.crop_training import TrainingJob
-from perception.detection.scene_network import (
-    CLASSES,
-    OUTPUTS,
-    VOTE_UNIT,
-)
 from perception.detection.scene_patches import UNJUDGED, LabelledScene
 from perception.detection.scene_training import (
     SceneTargets,
@@ -17,6 +12,7 @@ from perception.detection.scene_training import (
     scene_losses,
     train_scene_network,
 )
+from perception.detection.tasks import CLASSES, SCENE_OUTPUTS, VOTE_UNIT
 from perception.errors import PerceptionError
 from perception.types import SupportPlane
 
@@ -34,7 +30,7 @@ def picture(scenes):
 
 
 def test_losses_in_closed_form():
-    answer = torch.zeros(1, OUTPUTS, 4, 4)
+    answer = torch.zeros(1, SCENE_OUTPUTS, 4, 4)
     things = torch.zeros(1, 8, 8, dtype=torch.uint8)
     things[:, :4] = 1
     label = torch.full((1, 4, 4), -1)
@@ -58,7 +54,7 @@ def test_unjudged_pixels_are_in_no_loss():
         torch.full((1, 8, 8), UNJUDGED, dtype=torch.uint8), torch.full((1, 4, 4), -1),
         torch.zeros(1, 4, 4, 2), torch.full((1, 4, 4), 0.003), torch.zeros(1, 4, 4),
     )  # fmt: skip
-    answer = torch.randn(1, OUTPUTS, 4, 4, generator=torch.Generator().manual_seed(0))
+    answer = torch.randn(1, SCENE_OUTPUTS, 4, 4, generator=torch.Generator().manual_seed(0))
     assert scene_losses(answer, targets, SceneTrainingConfig()).tolist() == [0, 0, 0]
 
 

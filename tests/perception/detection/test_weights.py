@@ -4,7 +4,7 @@ import pytest
 import torch
 from torch import nn
 
-from perception.detection.weights import load_weights, save_weights
+from perception.detection.weights import load_weights, save_weights, temperature_of
 from perception.errors import PerceptionError
 
 
@@ -41,3 +41,10 @@ def test_missing_and_damaged_files_are_named(saved):
         PerceptionError, match=r"w\.safetensors are missing; reinstall the package, or retrain"
     ):
         load_weights(nn.Linear(2, 1), path, "class", "detector")
+
+
+def test_temperatures_are_positive_numbers(tmp_path):
+    assert temperature_of({"temperature": "1.5"}, tmp_path) == 1.5 and temperature_of({}, tmp_path) == 1.0
+    for wrong in ("0", "-1.0", "nan", "inf", "warm"):
+        with pytest.raises(PerceptionError, match=rf"temperature '{wrong}' is not positive"):
+            temperature_of({"temperature": wrong}, tmp_path)

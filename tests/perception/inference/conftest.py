@@ -7,8 +7,7 @@ from dataclasses import dataclass, replace
 
 import numpy as np
 import pytest
-import torch
-from torch import Tensor
+from scipy.special import expit
 
 from perception.geometry import rigid, upright_rotation
 from perception.inference.observation import ObjectObservation, pixel_rays
@@ -22,32 +21,32 @@ class CupDecoder:
     """Solid cylinders, mugs with a knob on the +x side; codes 0, 1, 2: radius, height, knob."""
 
     def __init__(self) -> None:
-        line = torch.linspace(-31 / 32, 31 / 32, 32)
-        self._points = torch.stack(torch.meshgrid(line, line, line, indexing="ij"), dim=-1)
+        line = np.linspace(-31 / 32, 31 / 32, 32)
+        self._points = np.stack(np.meshgrid(line, line, line, indexing="ij"), axis=-1)
 
     @staticmethod
-    def distance(points: Tensor, code: Tensor, knob: bool) -> Tensor:
+    def distance(points: np.ndarray, code: np.ndarray, knob: bool) -> np.ndarray:
         """Signed distance to the surface in canonical units, a lower bound of it outside."""
-        x, y, z = points.unbind(-1)
+        x, y, z = np.moveaxis(points, -1, 0)
         radius, height, reach = 0.55 + 0.08 * code[0], 0.75 + 0.08 * code[1], 0.22 + 0.04 * code[2]
-        body = torch.maximum(torch.sqrt(x**2 + y**2 + 1e-6) - radius, z.abs() - height)
-        side = torch.sqrt((x - radius) ** 2 + y**2 + z**2 + 1e-6) - reach
-        return torch.minimum(body, side) if knob else body
+        body = np.maximum(np.sqrt(x**2 + y**2 + 1e-6) - radius, np.abs(z) - height)
+        side = np.sqrt((x - radius) ** 2 + y**2 + z**2 + 1e-6) - reach
+        return np.minimum(body, side) if knob else body
 
-    def _grid(self, code: Tensor, knob: bool) -> Tensor:
-        return torch.sigmoid(-64 * self.distance(self._points, code, knob))
+    def _grid(self, code: np.ndarray, knob: bool) -> np.ndarray:
+        return expit(-64 * self.distance(self._points, code, knob))
 
-    def __call__(self, category: str, codes: Tensor) -> Tensor:
-        return torch.stack([self._grid(code, category == "mug") for code in codes])
+    def __call__(self, category: str, code: np.ndarray) -> np.ndarray:
+        return self._grid(code, category == "mug").astype(np.float32)
 
-    def with_jacobian(self, category: str, code: Tensor, threads: int = 1) -> tuple[Tensor, Tensor]:
-        knob, code = category == "mug", code.double()
-        jacobian = torch.zeros((32, 32, 32, 16))
-        for k in range(3):  # central differences in double: functorch's forward mode is not safe in threads
-            step = torch.zeros(16, dtype=torch.float64)
-            step[k] = 1e-5
+    def with_jacobian(
+        self, category: str, code: np.ndarray, threads: int = 1
+    ) -> tuple[np.ndarray, np.ndarray]:
+        knob, jacobian = category == "mug", np.zeros((32, 32, 32, 16), np.float32)
+        for k in range(3):
+            step = 1e-5 * np.eye(16)[k]
             jacobian[..., k] = (self._grid(code + step, knob) - self._grid(code - step, knob)) / 2e-5
-        return self._grid(code, knob).float(), jacobian
+        return self(category, code), jacobian
 
 
 @dataclass(frozen=True)
@@ -94,15 +93,14 @@ class Table:
 
     def _trace(self, rays: np.ndarray, T_world_camera: np.ndarray) -> np.ndarray:
         """Depth of the true surface along rays by sphere tracing, 0 where they miss."""
-        A = torch.from_numpy(canonical_from_camera(self.pose, T_world_camera[None])[0]).float()
-        directions = torch.from_numpy(rays).float() @ A[:, :3].T
-        speed = directions.norm(dim=-1)
-        depth = torch.full((len(rays),), 0.2)
-        code, knob = torch.tensor(self.code, dtype=torch.float32), self.category == "mug"
+        A = canonical_from_camera(self.pose, T_world_camera[None])[0]
+        directions = rays @ A[:, :3].T
+        speed, depth = np.linalg.norm(directions, axis=-1), np.full(len(rays), 0.2)
         for _ in range(60):
-            gap = self.decoder.distance(depth[:, None] * directions + A[:, 3], code, knob)
+            points = depth[:, None] * directions + A[:, 3]
+            gap = self.decoder.distance(points, self.code, self.category == "mug")
             depth = depth + gap / speed
-        return torch.where((gap < 1e-3) & (depth < 2.0), depth, 0.0).numpy()
+        return np.where((gap < 1e-3) & (depth < 2.0), depth, 0.0)
 
     def observations(self, azimuths: tuple[float, ...], seed: int = 0) -> list[ObjectObservation]:
         rng = np.random.default_rng(seed)

@@ -14,7 +14,6 @@ from perception.inference.meshing import mesh_from_code
 from perception.inference.observation import ObjectObservation, ObjectViews
 from perception.inference.optimisation import Fit, optimise_object
 from perception.inference.problem import FitState
-from perception.inference.shape_model import decode_with_jacobian
 from perception.inference.uncertainty import CalibrationConfig, calibrated_deviation
 from perception.metrics import reconstruction_metrics
 from perception.rendering.pose import ObjectPose
@@ -127,7 +126,7 @@ def test_deviations_are_those_of_the_covariance(can, decoder) -> None:
     np.testing.assert_allclose(
         information @ (estimate.covariance / np.outer(scale, scale)), np.eye(25), atol=1e-2
     )
-    grid, jacobian = decode_with_jacobian(decoder, "can", fit.state.code)
+    grid, jacobian = decoder.with_jacobian("can", fit.state.code)
     undetermined = np.zeros(len(estimate.mesh.vertices))
     expected = calibrated_deviation(estimate, estimate.covariance, undetermined, grid, jacobian)
     np.testing.assert_allclose(estimate.surface_sigma, expected, rtol=1e-6)

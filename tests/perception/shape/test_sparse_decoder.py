@@ -8,6 +8,7 @@ import torch
 
 from perception.shape.network import ShapeVae
 from perception.shape.sparse_decoder import SparseDecoder
+from perception.shape.weights import decoder_weights
 
 
 @pytest.fixture(scope="module")
@@ -23,7 +24,7 @@ def network():
 
 @pytest.fixture(scope="module")
 def sparse(network):
-    return SparseDecoder(network, "cpu")
+    return SparseDecoder(decoder_weights(network), "cpu")
 
 
 def dense(network, code, category):
@@ -39,7 +40,7 @@ def codes(n: int) -> np.ndarray:
 @pytest.mark.parametrize("category", [0, 3])
 def test_grid_and_jacobian_equal_those_of_the_dense_network(network, sparse, category):
     code = codes(1)[0]
-    grid, jacobian = sparse(code, category, True)
+    grid, jacobian = (torch.from_numpy(part) for part in sparse(code, category, True))
     expected, derivative = dense(network, code, category)
     torch.testing.assert_close(grid, expected, atol=2e-6, rtol=1e-4)
     slope = expected * (1 - expected)
@@ -55,20 +56,20 @@ def test_memory_of_another_code_is_not_reused(sparse):
     grid, jacobian = sparse(first, 1, True)
     sparse(second, 2, True)
     again = sparse(first, 1, True)
-    assert torch.equal(again[0], grid) and torch.equal(again[1], jacobian)
+    assert np.array_equal(again[0], grid) and np.array_equal(again[1], jacobian)
 
 
 def test_without_the_jacobian_the_grid_is_the_same(sparse):
     code = codes(1)[0]
     grid, jacobian = sparse(code, 0, False)
-    assert jacobian is None and torch.equal(grid, sparse(code, 0, True)[0])
+    assert jacobian is None and np.array_equal(grid, sparse(code, 0, True)[0])
 
 
 @pytest.mark.parametrize("threads", [2, 3])
 def test_the_number_of_threads_does_not_change_the_result(sparse, threads):
     code = codes(1)[0]
     for shared, alone in zip(sparse(code, 1, True, threads), sparse(code, 1, True), strict=True):
-        assert torch.equal(shared, alone)
+        assert np.array_equal(shared, alone)
 
 
 def test_concurrent_calls_have_memory_of_their_own(sparse):
@@ -77,4 +78,4 @@ def test_concurrent_calls_have_memory_of_their_own(sparse):
     with ThreadPoolExecutor(3) as pool:
         together = list(pool.map(lambda code: sparse(code, 0, True), inputs))
     for a, b in zip(alone, together, strict=True):
-        assert torch.equal(a[0], b[0]) and torch.equal(a[1], b[1])
+        assert np.array_equal(a[0], b[0]) and np.array_equal(a[1], b[1])
