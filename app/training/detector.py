@@ -41,7 +41,7 @@ from perception.detection.crop_training import (
 )
 from perception.detection.scene_network import SceneNet, save_scene_network
 from perception.detection.scene_training import SceneTrainingConfig, train_scene_network
-from perception.detection.tasks import ENSEMBLE_SIZE, LABELS, SCENE_WEIGHTS_FILE, Task
+from perception.detection.tasks import ENSEMBLE_SIZE, LABELS, SCENE_WEIGHTS_FILE, WEIGHTS_FILES, Task
 from perception.types import OTHER
 
 logger = logging.getLogger(__name__)
@@ -132,9 +132,9 @@ def run(config: TrainDetectorConfig, out_dir: Path, progress: Progress | None = 
     data = TrainingData(class_targets(crops.training), class_targets(crops.validation))
     trained = train_ensemble("class", data, config, out_dir, stage_progress(progress, SCENE_SHARE, 1.0))
     metrics = class_metrics(crops.test, trained.probabilities(crops.test))
-    trained.save(out_dir / SCENE_WEIGHTS_FILES["class"], "class", config)
+    trained.save(out_dir / WEIGHTS_FILES["class"], "class", config)
     card = _card(config, metrics, scene, trained, len(crops.training))
-    card += checksums(out_dir / SCENE_WEIGHTS_FILE, out_dir / SCENE_WEIGHTS_FILES["class"])
+    card += checksums(out_dir / SCENE_WEIGHTS_FILE, out_dir / WEIGHTS_FILES["class"])
     (out_dir / "detector.md").write_text(card, "utf-8")
     return metrics
 

@@ -60,7 +60,7 @@ def fold_normalisations(tensors: Mapping[str, np.ndarray]) -> dict[str, np.ndarr
 
     Layer ``<block>.1`` is the normalisation of the convolution ``<block>.0``; other tensors are kept.
     """
-    folded = {name: np.asarray(value, np.float32) for name, value in tensors.items()}
+    folded: dict[str, np.ndarray] = {name: np.asarray(v, np.float32) for name, v in tensors.items()}
     for block in [
         name.removesuffix(".1.running_mean") for name in tensors if name.endswith(".1.running_mean")
     ]:
