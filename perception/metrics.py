@@ -15,7 +15,6 @@ from dataclasses import dataclass
 from functools import cached_property
 
 import numpy as np
-import trimesh
 from jaxtyping import Float, Int
 from scipy.spatial import KDTree
 
@@ -52,6 +51,8 @@ class SurfaceSamples:
 
     @staticmethod
     def of(mesh: TriangleMesh, rng: np.random.Generator, n: int = SAMPLES) -> SurfaceSamples:
+        import trimesh  # slow to import
+
         surface = trimesh.Trimesh(mesh.vertices, mesh.faces, process=False)
         points, faces = trimesh.sample.sample_surface(surface, n, seed=rng)[:2]
         return SurfaceSamples(np.asarray(points), surface.face_normals[faces], np.asarray(faces))

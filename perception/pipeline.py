@@ -16,7 +16,6 @@ from concurrent.futures import ThreadPoolExecutor
 from dataclasses import dataclass, replace
 from typing import TYPE_CHECKING, Literal, Protocol, runtime_checkable
 
-from perception.clutter import reconstruct_clutter
 from perception.detection.association import associate_on_surfaces
 from perception.detection.completion import PoseNamer
 from perception.detection.detector import Detector
@@ -260,5 +259,7 @@ def reconstruct_objects(
     )
     if clutter is None:
         return reconstruct(frames, detections.per_frame, decoder, detections.planes, options=options)
+    from perception.clutter import reconstruct_clutter  # slow to import
+
     rows, left_out = detections.per_frame, detections.left_out
     return reconstruct_clutter(frames, rows, left_out, decoder, detections.planes, clutter, options)

@@ -13,7 +13,6 @@ from __future__ import annotations
 from dataclasses import dataclass
 
 import numpy as np
-import trimesh
 from jaxtyping import Float, Int
 from scipy import ndimage, sparse
 from scipy.sparse import csgraph
@@ -22,6 +21,7 @@ from skimage import measure
 
 from perception.errors import PerceptionError
 from perception.inference.shape_model import Decoder
+from perception.surface_geometry import surface_area, vertex_normals
 from perception.types import Category, TriangleMesh
 
 _SOLID_THICKNESS = 5  # [voxel] smallest thickness of solid parts, which have no ridge
@@ -80,10 +80,9 @@ def mesh_from_grid(
     grid = np.asarray(grid, dtype=np.float32)
     _, sharp_volume = _surface(sharpen(grid, config), scale, category, config)
     whole, volume = _surface(grid / _divisor(grid, config), scale, category, config)
-    surface = trimesh.Trimesh(whole.vertices, whole.faces, process=False)
     farthest = config.inset * 2 * float(scale.max()) / grid.shape[0]
-    inset = float(np.clip((volume - sharp_volume) / surface.area, 0.0, farthest))
-    return TriangleMesh(whole.vertices - inset * surface.vertex_normals, whole.faces)
+    inset = float(np.clip((volume - sharp_volume) / surface_area(whole), 0.0, farthest))
+    return TriangleMesh(whole.vertices - inset * vertex_normals(whole), whole.faces)
 
 
 def _surface(

@@ -18,13 +18,13 @@ from functools import cached_property
 
 import cv2
 import numpy as np
-import trimesh
-from jaxtyping import Float
+from jaxtyping import Float, Int
 from scipy import sparse
 from scipy.sparse.linalg import cg
 
 from perception.geometry import invert, transform_points
 from perception.inference.observation import ObjectObservation, pixel_rays
+from perception.surface_geometry import mesh_edges, vertex_normals
 from perception.types import RgbdFrame, SupportPlane, TriangleMesh
 
 _MARGIN = 24  # [px] border of the image window around the mesh
@@ -93,13 +93,14 @@ def refine_mesh(
         config: Standard deviations and limits.
     """
     start = _smoothed(mesh_world, config.smoothing)
-    surface = trimesh.Trimesh(start, mesh_world.faces, process=False)
-    normals = np.asarray(surface.vertex_normals)
-    links = _links(surface) * config.roughness**-2
+    normals = vertex_normals(TriangleMesh(start, mesh_world.faces))
+    edges = mesh_edges(mesh_world.faces)
+    edge_length = float(np.median(np.linalg.norm(start[edges[:, 0]] - start[edges[:, 1]], axis=1)))
+    links = _links(edges, len(start)) * config.roughness**-2
     d, precision = np.zeros(len(normals)), np.zeros(len(normals))
     moved = start
     for _ in range(config.passes):  # a displaced vertex projects to another pixel
-        precision, information = _measurements(surface, moved, normals, observations, plane, config)
+        precision, information = _measurements(edge_length, moved, normals, observations, plane, config)
         d = _map_displacement(links, precision, precision * d + information, config)
         moved = start + d[:, None] * normals
     # The estimate is linear in the measured displacements: its response to 1 everywhere is their weight.
@@ -111,22 +112,21 @@ def refine_mesh(
 def _smoothed(mesh: TriangleMesh, passes: int) -> Float[np.ndarray, "n 3"]:
     """Return the vertices after a low-pass filter without shrinkage (Taubin, SIGGRAPH 1995)."""
     vertices = mesh.vertices
-    links = _links(trimesh.Trimesh(vertices, mesh.faces, process=False))
+    links = _links(mesh_edges(mesh.faces), len(vertices))
     mean = sparse.diags_array(1 / links.sum(axis=1)) @ links
     for factor in (0.5, -0.53) * passes:
         vertices = vertices + factor * (mean @ vertices - vertices)
     return vertices
 
 
-def _links(surface: trimesh.Trimesh) -> sparse.csr_array:
-    """Return the adjacency matrix of the vertices: 1 for every two that share an edge."""
-    i, j = np.asarray(surface.edges_unique).T
-    n = len(surface.vertices)
+def _links(edges: Int[np.ndarray, "e 2"], n: int) -> sparse.csr_array:
+    """Return the adjacency matrix of ``n`` vertices: 1 for every two that share an edge."""
+    i, j = edges.T
     return sparse.coo_array((np.ones(2 * len(i)), (np.r_[i, j], np.r_[j, i])), shape=(n, n)).tocsr()
 
 
 def _measurements(
-    surface: trimesh.Trimesh,
+    edge_length: float,
     vertices: Float[np.ndarray, "n 3"],
     normals: Float[np.ndarray, "n 3"],
     observations: Sequence[ObjectObservation],
@@ -142,7 +142,7 @@ def _measurements(
     precision = lowest / config.support_sigma**2
     information = precision * height  # along the normal, which points down
     for seen in observations:
-        view = _View.of(surface, vertices, normals, seen)
+        view = _View.of(edge_length, vertices, normals, seen)
         for w, d in (
             _depth_displacement(view, seen, config),
             _outline_displacement(view, seen, plane, config),
@@ -175,9 +175,7 @@ class _View:
     spacing: float
 
     @staticmethod
-    def of(
-        surface: trimesh.Trimesh, vertices: np.ndarray, normals: np.ndarray, seen: ObjectObservation
-    ) -> _View:
+    def of(edge_length: float, vertices: np.ndarray, normals: np.ndarray, seen: ObjectObservation) -> _View:
         camera, T_camera_world = seen.frame.intrinsics, invert(seen.T_world_camera)
         points = transform_points(T_camera_world, vertices)
         z = np.maximum(points[:, 2], 1e-3)
@@ -186,7 +184,7 @@ class _View:
         v = np.rint(camera.fy * rays[:, 1] + camera.cy).astype(int)
         inside = (u >= 0) & (u < camera.width) & (v >= 0) & (v < camera.height) & (points[:, 2] > 0.01)
         turned = normals @ T_camera_world[:3, :3].T
-        spacing = float(np.median(surface.edges_unique_length)) * camera.fx / float(np.median(z))
+        spacing = edge_length * camera.fx / float(np.median(z))
         rows, columns = (
             _around(index[inside], size) for index, size in ((v, camera.height), (u, camera.width))
         )

@@ -11,7 +11,6 @@ from collections.abc import Mapping, Sequence
 
 import cv2
 import numpy as np
-import trimesh
 from jaxtyping import Float
 
 from perception.errors import InvalidInputError
@@ -29,6 +28,7 @@ from perception.inference.initialise import (
 )
 from perception.inference.observation import ObjectObservation
 from perception.rendering.pose import ObjectPose
+from perception.surface_geometry import centre_of_mass
 from perception.types import POSES_OF, Category, RestingPose, SupportPlane, TriangleMesh
 
 ALTERNATIVES: Mapping[Category, tuple[RestingPose, ...]] = {
@@ -98,13 +98,12 @@ def rests_stably(mesh_world: TriangleMesh, plane: SupportPlane) -> bool:
     The vertical through its centre of mass passes through the convex hull of its contacts, the vertices near
     the height of the lowest one, with some slack.
     """
-    solid = trimesh.Trimesh(mesh_world.vertices, mesh_world.faces, process=False)
     height = plane.height_above(mesh_world.vertices)
     across = plane_basis(plane)[:2]
     reach = _CONTACT * float(np.ptp(mesh_world.vertices, axis=0).max())
     contacts = mesh_world.vertices[height <= height.min() + reach] @ across.T
     hull = cv2.convexHull((1000 * contacts).astype(np.float32))
-    mass = 1000 * across @ np.asarray(solid.center_mass)
+    mass = 1000 * across @ centre_of_mass(mesh_world)
     return cv2.pointPolygonTest(hull, mass.tolist(), True) > -1000 * _SLACK
 
 

@@ -13,7 +13,6 @@ from dataclasses import dataclass, replace
 
 import cv2
 import numpy as np
-import trimesh
 from jaxtyping import Float
 
 from perception.errors import PerceptionError
@@ -206,6 +205,8 @@ def _height_under(seen: MeasuredExtent, lower: TriangleMesh, plane: SupportPlane
 
 def _samples(mesh: TriangleMesh) -> Float[np.ndarray, "n 3"]:
     """Return points on the surface at most a cell apart."""
+    import trimesh  # slow to import
+
     return trimesh.remesh.subdivide_to_size(mesh.vertices, mesh.faces, max_edge=_CELL, max_iter=20)[0]
 
 

@@ -14,9 +14,9 @@ from collections.abc import Mapping
 from dataclasses import dataclass, field
 
 import numpy as np
-import trimesh
 from jaxtyping import Float
 
+from perception.surface_geometry import vertex_normals
 from perception.types import GRID_RESOLUTION, Category, ObjectEstimate
 
 MIN_SLOPE = 0.1  # [1/voxel] smallest occupancy gradient; faint walls would have unbounded deviations
@@ -74,7 +74,7 @@ def surface_deviation(
     Arguments as for ``calibrated_deviation``.
     """
     points = estimate.mesh.vertices
-    normals = trimesh.Trimesh(points, estimate.mesh.faces, process=False).vertex_normals
+    normals = vertex_normals(estimate.mesh)
     voxel = 2 * estimate.scale / GRID_RESOLUTION  # [m]
     where = (points / estimate.scale + 1) / 2 * GRID_RESOLUTION - 0.5
     gradients = _interpolated(np.stack([np.gradient(grid, axis=k) for k in range(3)], axis=-1), where) / voxel

@@ -137,7 +137,7 @@ def test_reconstruction_gets_frames_detections_plane_and_callbacks(networks, mon
 
 def test_with_a_namer_of_parts_the_table_may_be_cluttered(networks, monkeypatch):
     received = []
-    monkeypatch.setattr(pipeline, "reconstruct_clutter", lambda *args: received.extend(args) or [])
+    monkeypatch.setattr("perception.clutter.reconstruct_clutter", lambda *args: received.extend(args) or [])
     thing = LeftOut(np.ones((4, 4), np.bool_), "of none of the classes")
     detections = Detections(SupportPlane(), ((),), left_out=(thing,))
     assert reconstruct_objects((), detections, networks.decoder, clutter=networks.detector) == []

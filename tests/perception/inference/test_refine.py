@@ -8,6 +8,7 @@ import trimesh
 
 from perception.inference.observation import ObjectObservation
 from perception.inference.refine import RefineConfig, _depth_displacement, _View, refine_mesh
+from perception.surface_geometry import mesh_edges, vertex_normals
 from perception.types import SupportPlane, TriangleMesh
 
 PLANE = SupportPlane()
@@ -98,8 +99,10 @@ def test_smoothing_takes_the_staircase_and_not_the_size(can) -> None:
 
 def measured(mesh: TriangleMesh, seen: ObjectObservation, config: RefineConfig) -> tuple:
     """The view, and precision and displacement of every vertex, before any prior."""
-    surface = trimesh.Trimesh(mesh.vertices, mesh.faces, process=False)
-    view = _View.of(surface, mesh.vertices, np.asarray(surface.vertex_normals), seen)
+    normals = vertex_normals(mesh)
+    edges = mesh.vertices[mesh_edges(mesh.faces)]
+    length = float(np.median(np.linalg.norm(edges[:, 0] - edges[:, 1], axis=1)))
+    view = _View.of(length, mesh.vertices, normals, seen)
     return view, *_depth_displacement(view, seen, config)
 
 
