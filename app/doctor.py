@@ -33,7 +33,10 @@ WEIGHTS = {  # weights file without extension: the command that trains it
     "yaw": "nodeslam train yaw",
     "pose": "nodeslam train pose",
 }
-NEEDED = ("numpy", "scipy", "torch", "warp-lang", "safetensors", "trimesh", "scikit-image", "tyro", "rich")
+NEEDED = (
+    "numpy", "scipy", "torch", "onnxruntime", "warp-lang", "safetensors", "trimesh", "scikit-image", "tyro",
+    "rich",
+)  # fmt: skip
 SIMULATOR = ("mujoco", "mink", "daqp", "ruckig", "coacd")
 OPTIONAL = {"open3d-cpu": "eval", "tensorboard": "train", "transformers": "hf", "ray": "cluster"}
 PROBE_SECONDS = 60

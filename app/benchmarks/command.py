@@ -89,7 +89,7 @@ def _milliseconds(seconds: float) -> str:
 
 
 def _machine_text(machine: dict) -> str:
-    versions = ", ".join(f"{name} {machine[name]}" for name in ("torch", "warp-lang", "numpy"))
+    versions = ", ".join(f"{name} {machine[name]}" for name in ("torch", "onnxruntime", "warp-lang", "numpy"))
     cuda = f", {machine['cuda']}" if machine["cuda"] else ""
     return (
         f"{machine['processor']}, {machine['cores']} cores, load {machine['load']} at the start{cuda}; "

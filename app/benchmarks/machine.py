@@ -11,7 +11,7 @@ from typing import Any
 
 from app.runs.report import package_version
 
-LIBRARIES = ("numpy", "scipy", "torch", "warp-lang")
+LIBRARIES = ("numpy", "scipy", "torch", "onnxruntime", "warp-lang")
 
 
 def describe_machine(device: str) -> dict[str, Any]:

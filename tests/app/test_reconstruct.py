@@ -1,7 +1,9 @@
-"""Which source of detections the command uses."""
+"""Which source of detections the command uses, and that it does without PyTorch on the CPU."""
 
 from __future__ import annotations
 
+import subprocess
+import sys
 from dataclasses import replace
 from pathlib import Path
 from typing import Any
@@ -13,10 +15,12 @@ from app import reconstruct
 from app.errors import UsageError
 from app.options import ReconstructOptions
 from perception.errors import InvalidInputError
-from perception.io.scan_folder import Scan
+from perception.io.object_map import read_object_map
+from perception.io.scan_folder import Scan, write_scan
 from perception.pipeline import Detections, load_huggingface
 from perception.support.surface import SupportSurface
 from perception.types import CameraIntrinsics, ObjectDetection, RejectedObject, RgbdFrame, SupportPlane
+from sim_assets.datasets.sequences import SequenceConfig, TableSequence
 
 LENS = CameraIntrinsics(8, 6, 9.0, 9.0, 3.5, 2.5)
 FRAME = RgbdFrame(0.0, np.zeros((6, 8, 3), np.uint8), np.ones((6, 8), np.float32), LENS, np.eye(4))
@@ -118,3 +122,16 @@ def test_cameras_are_doubted_when_nothing_fits(
 def test_other_detectors_are_named_in_full() -> None:
     with pytest.raises(InvalidInputError, match="neither shipped nor hf:MODEL"):
         load_huggingface("maskrcnn", "cpu")
+
+
+def test_pytorch_is_not_loaded_on_the_cpu(tmp_path: Path) -> None:
+    config = SequenceConfig(frames=1, objects=2, categories=("mug", "can"), spread=0.1)
+    write_scan(tmp_path / "scan", [image.frame for image in TableSequence(1, config).render()])
+    code = "import sys; from app.cli import run; code = run(sys.argv[1:])\n"
+    code += "sys.exit(7 if 'torch' in sys.modules else code)"
+    arguments = ["reconstruct", tmp_path / "scan", "--device", "cpu", "--out", tmp_path / "run", "--quiet"]
+    done = subprocess.run(
+        [sys.executable, "-c", code, *arguments], capture_output=True, text=True, timeout=300
+    )
+    assert done.returncode == 0 and not done.stderr, done.stderr
+    assert read_object_map(tmp_path / "run")

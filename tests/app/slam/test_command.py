@@ -1,6 +1,8 @@
 """``nodeslam slam`` end to end: its files, an interruption, and ignored poses."""
 
 import json
+import subprocess
+import sys
 
 import numpy as np
 import pytest
@@ -94,3 +96,15 @@ def test_poses_after_the_first_are_ignored(sequence, finished, tmp_path):
     slam.run(options, Screen(quiet=True))
     mine, others = (read_trajectory(out / "trajectory.txt") for out in (options.out, finished[0]))
     np.testing.assert_allclose(mine.Ts_world_camera, others.Ts_world_camera, atol=1e-9)
+
+
+def test_pytorch_is_not_loaded_on_the_cpu(tmp_path):
+    write_sequence(tmp_path / "sequence", TableSequence(1, CONFIG))
+    code = "import sys; from app.cli import run; code = run(sys.argv[1:])\n"
+    code += "sys.exit(7 if 'torch' in sys.modules else code)"
+    arguments = ["slam", tmp_path / "sequence", "--device", "cpu", "--out", tmp_path / "run", "--quiet"]
+    done = subprocess.run(
+        [sys.executable, "-c", code, *arguments], capture_output=True, text=True, timeout=300
+    )
+    assert done.returncode == 0, done.stderr
+    assert read_object_map(tmp_path / "run")
