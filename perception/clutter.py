@@ -87,7 +87,13 @@ def reconstruct_clutter(
     def fit(parts: Rows, rests_on: Mapping[int, int]) -> list[ObjectEstimate]:
         ids = {d.instance_id for row in parts for d in row if d.instance_id is not None}
         silent = replace(
-            options, on_rejected=None, on_step=None, progress=None, tentative=ids, rests_on=rests_on
+            options,
+            on_rejected=None,
+            on_step=None,
+            progress=None,
+            tentative=ids,
+            rests_on=rests_on,
+            starts=(),
         )
         return reconstruct(frames, parts, decoder, planes, options=silent)
 

@@ -239,6 +239,7 @@ def reconstruct_objects(
     on_step: OnFitStep | None = None,
     on_rejected: OnRejected | None = None,
     clutter: PoseNamer | None = None,
+    starts: Sequence[ObjectEstimate] = (),
 ) -> list[ObjectEstimate]:
     """Estimate the complete shape and the pose of every detected object, ordered by id.
 
@@ -253,10 +254,12 @@ def reconstruct_objects(
         clutter: Names the parts of stacks. With it, objects that rest in other poses than upright, or on
             others, are looked for among the candidates that the detector gave no class and in the objects
             that no single shape explains; None for the detections alone.
+        starts: Estimates from fewer images, at which the fits of the same objects start.
     """
     options = ReconstructOptions(
-        progress=progress, on_step=on_step, on_rejected=on_rejected, acceptance=shipped_acceptance()
-    )
+        progress=progress, on_step=on_step, on_rejected=on_rejected, starts=starts,
+        acceptance=shipped_acceptance(),
+    )  # fmt: skip
     if clutter is None:
         return reconstruct(frames, detections.per_frame, decoder, detections.planes, options=options)
     from perception.clutter import reconstruct_clutter  # slow to import

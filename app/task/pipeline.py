@@ -45,6 +45,7 @@ from manipulation.robot import Robot
 from manipulation.types import Box, Line, ObjectOutcome, Task, TaskPlan
 from manipulation.viewpoints import ViewpointScanner
 from manipulation.workspace import Workspace
+from perception.early import EarlyReconstruction
 from perception.errors import PerceptionError
 from perception.inference.optimisation import FitStep
 from perception.inference.refit import PoseCheck, refit_pose
@@ -187,14 +188,14 @@ def run(
     stages = _Stages(robot, perception, request, observer)
     result = TaskResult()
     try:
-        frames = stages.scan(request.scan_views)
+        frames, starts = stages.scan_and_begin(request.scan_views)
         result = replace(result, frames=frames)
         observer.on_frames(frames)
         detections = stages.detect(frames, known_bounds(request.box))
         result = replace(result, detections=detections)
         observer.on_detections(detections)
         with observer.stage("reconstruct"):
-            reconstruct = request.reconstruction or prior_reconstruction(perception, observer)
+            reconstruct = request.reconstruction or prior_reconstruction(perception, observer, starts=starts)
             objects = reconstruct(frames, detections)
             result = replace(result, objects=objects, rejected=tuple(observer.rejected))
             observer.on_objects(objects)
@@ -241,11 +242,34 @@ class _Stages:
             robot, self.kinematics, keep_out=self._space.keep_out, via_heights=self._space.via_heights
         )
 
+    def scan_and_begin(self, count: int) -> tuple[list[RgbdFrame], Sequence[ObjectEstimate]]:
+        """Take images of the table; return them with the objects of the first half of them.
+
+        These are reconstructed while the arm moves, and are the starting points of the fits to all images.
+        """
+        after = count // 2 if self._request.reconstruction is None else 0
+        with EarlyReconstruction(self._first_objects, after) as early, self._observer.stage("scan"):
+            return self._capture(count, early.add), early.estimates()
+
     def scan(self, count: int) -> list[RgbdFrame]:
         """Take images of the table from a number of viewpoints."""
         with self._observer.stage("scan"):
-            viewpoints = self._space.scan_viewpoints(count)
-            return self.scanner.capture(viewpoints, self._observer.on_progress, self._observer.on_image)
+            return self._capture(count)
+
+    def _capture(
+        self, count: int, on_image: Callable[[RgbdFrame], None] = lambda frame: None
+    ) -> list[RgbdFrame]:
+        def receive(frame: RgbdFrame) -> None:
+            on_image(frame)
+            self._observer.on_image(frame)
+
+        viewpoints = self._space.scan_viewpoints(count)
+        return self.scanner.capture(viewpoints, self._observer.on_progress, receive)
+
+    def _first_objects(self, frames: Sequence[RgbdFrame]) -> list[ObjectEstimate]:
+        """Reconstruct upright objects; called from another thread, without reports to the observer."""
+        detector, decoder = self._perception.detector, self._perception.decoder
+        return reconstruct_objects(frames, detect(frames, detector, max_surfaces=1), decoder)
 
     def detect(self, frames: Sequence[RgbdFrame], known: Float[np.ndarray, "k 2 3"]) -> Detections:
         """Detect objects on the table besides known geometry, of which the bounds [m] are given."""
@@ -303,9 +327,19 @@ class _Stages:
 
 
 def prior_reconstruction(
-    perception: Perception, observer: RunObserver, shows_fits: bool = True
+    perception: Perception,
+    observer: RunObserver,
+    shows_fits: bool = True,
+    starts: Sequence[ObjectEstimate] = (),
 ) -> Reconstruction:
-    """Return the reconstruction by the learned shape prior; the observer may receive its fits."""
+    """Return the reconstruction by the learned shape prior.
+
+    Args:
+        perception: The networks.
+        observer: Receives progress and rejected objects.
+        shows_fits: Whether it receives the iterations of the fits.
+        starts: Estimates from fewer images, at which the fits start.
+    """
 
     def reconstruct(frames: Sequence[RgbdFrame], detections: Detections) -> list[ObjectEstimate]:
         return reconstruct_objects(
@@ -316,6 +350,7 @@ def prior_reconstruction(
             observer.on_fit_step if shows_fits else None,
             observer.on_rejected,
             clutter=perception.detector,
+            starts=starts,
         )
 
     return reconstruct

@@ -20,7 +20,7 @@ from perception.errors import InvalidInputError
 from perception.geometry import invert, transform_points
 from perception.rendering.pyramid import pyramid_operator
 from perception.rendering.renderer import RayBundle
-from perception.types import Category, RgbdFrame
+from perception.types import Category, ObjectEstimate, RgbdFrame
 
 SAMPLING_MARGIN = 0.015  # [m] added to an object's bounding sphere, so that the renderer's rays leave it
 RAY_SAMPLES = (24, 192)  # fewest and most samples of the renderer on a ray
@@ -94,6 +94,7 @@ class ObjectViews:
         class_probabilities: (5,) probabilities of CATEGORIES and 'other'; empty if unknown.
         pose_probabilities: (10,) probabilities of POSED_CLASSES and 'other', for any resting pose; empty if
             unknown.
+        start: Estimate from fewer images, at which the fit of its class starts; None for a fit from nothing.
     """
 
     id: int
@@ -102,6 +103,7 @@ class ObjectViews:
     observations: tuple[ObjectObservation, ...]
     class_probabilities: Float[np.ndarray, "k"] = field(default_factory=lambda: np.zeros(0))
     pose_probabilities: Float[np.ndarray, "p"] = field(default_factory=lambda: np.zeros(0))
+    start: ObjectEstimate | None = None
 
 
 @dataclass(frozen=True)

@@ -19,6 +19,7 @@ from perception.inference.observation import Crop, ObjectViews, PixelSet, Sampli
 from perception.inference.problem import FitProblem, FitState, SizePrior, SupportCamera
 from perception.inference.resting import initial_resting_poses
 from perception.inference.shape_model import Decoder, LinearisedShape, linearise, mean_shape
+from perception.inference.warm_start import warm_start
 from perception.rendering.pose import ObjectPose
 from perception.types import CODE_SIZE, GRID_RESOLUTION, SupportPlane
 
@@ -178,6 +179,18 @@ class _Fitter:
         self.start = FitStart.of(views, plane, config)
 
     def run(self) -> Fit:
+        config, views = self.config, self.views
+        start = warm_start(views.start, views.category, config.resting, self.start.poses)
+        return self._from_nothing() if start is None else self._from(start)
+
+    def _from(self, start: FitState) -> Fit:
+        """Run the last stage alone."""
+        self._report(0, start, float("nan"))
+        shape = linearise(self.decoder, self.views.category, start.code, self.config.threads)
+        last = self.config.stages[-1]
+        return self._stage(last, self._pixels(last), start, shape, self.config.lm.damping, 0).fit
+
+    def _from_nothing(self) -> Fit:
         first, *others = self.config.stages
         coarse, finer = self._pixels(first), [self._pixels(stage) for stage in others]
         starts = [FitState(pose, np.zeros(CODE_SIZE)) for pose in self.start.poses]

@@ -23,6 +23,7 @@ from perception.inference.observation import ObjectObservation, ObjectViews
 from perception.inference.optimisation import FitStep
 from perception.inference.shape_model import Decoder
 from perception.inference.stacking import find_stacks, rest_on
+from perception.inference.warm_start import find_warm_start
 from perception.threads import single_threaded
 from perception.types import (
     CATEGORIES,
@@ -57,6 +58,7 @@ class ReconstructOptions:
         on_rejected: Called with each object that is left out.
         tentative: Ids of candidates that may well be no objects: to leave them out is not worth a warning.
         rests_on: Id of the object below an object, by its id, where it is known; others are looked for.
+        starts: Estimates from fewer images, at which the fits of the same objects start.
         acceptance: Model that compares the classes of an object, and none, by the evidence of their fits and
             gives the score; None fits each object as its detected class, with the detection's score.
     """
@@ -68,6 +70,7 @@ class ReconstructOptions:
     on_rejected: OnRejected | None = None
     tentative: Collection[int] = ()
     rests_on: Mapping[int, int] = field(default_factory=dict)
+    starts: Sequence[ObjectEstimate] = ()
     acceptance: AcceptanceModel | None = None
 
 
@@ -95,6 +98,7 @@ def reconstruct(
         Estimates ordered by instance id.
     """
     instances = gather_instances(frames, detections_per_frame, options.max_views)
+    instances = [replace(views, start=find_warm_start(views, options.starts)) for views in instances]
     planes = (plane,) if isinstance(plane, SupportPlane) else tuple(plane)
     plane_of = {d.instance_id: planes[d.support] for row in detections_per_frame for d in row}
     estimates: dict[int, ObjectEstimate] = {}

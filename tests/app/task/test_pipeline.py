@@ -126,6 +126,30 @@ def stages(monkeypatch, overhead_frame, can_at, pack_plan):
     )
 
 
+def test_objects_of_the_first_half_of_the_images_are_the_starts_of_the_fits(stages, monkeypatch):
+    calls = []
+
+    def reconstruct_objects(frames, detections, decoder, *args, **options):
+        calls.append((len(frames), options.get("starts"), options.get("clutter")))
+        return stages.objects
+
+    monkeypatch.setattr(pipeline, "reconstruct_objects", reconstruct_objects)
+    request = TaskRequest("pack", scan_views=2, perceive_only=True)
+    run(StillRobot(), stages.perception, request)
+    assert calls == [(1, None, None), (1, tuple(stages.objects), "detector")]
+    calls.clear()
+    run(StillRobot(), stages.perception, TaskRequest("pack", scan_views=1, perceive_only=True))
+    assert calls == [(1, (), "detector")]
+
+
+def test_other_sources_of_shapes_need_no_early_fits(stages, monkeypatch):
+    monkeypatch.setattr(pipeline, "reconstruct_objects", lambda *args, **options: pytest.fail("fitted"))
+    request = TaskRequest(
+        "pack", reconstruction=lambda f, d: stages.objects, scan_views=2, perceive_only=True
+    )
+    assert run(StillRobot(), stages.perception, request).objects == stages.objects
+
+
 def test_stages_run_in_order_on_the_results_of_those_before(stages, pack_plan):
     observer, box = Recording(), Box(floor=0.01)
     result = run(StillRobot(), stages.perception, TaskRequest("pack", box, rounds=1), observer)
@@ -184,7 +208,7 @@ def test_another_reconstruction_replaces_the_shape_prior(stages, can_at):
 
 
 def test_objects_that_are_left_out_are_in_the_result(stages, monkeypatch):
-    def reconstruct(frames, detections, decoder, progress, on_step, on_rejected, clutter):
+    def reconstruct(frames, detections, decoder, progress, on_step, on_rejected, clutter, starts):
         on_rejected(RejectedObject(7, "mug", "the fit failed"))
         return stages.objects
 

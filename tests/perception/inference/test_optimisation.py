@@ -1,10 +1,13 @@
 """Stages, start, progress and convergence of a fit."""
 
+from dataclasses import replace
+
 import cv2
 import numpy as np
 import pytest
 
 from perception.errors import InvalidInputError
+from perception.inference.fit import fit_object
 from perception.inference.fit_config import FitConfig, FitStage
 from perception.inference.observation import ObjectObservation, ObjectViews
 from perception.inference.optimisation import FitStart, FitStep, _settled, optimise_object
@@ -28,6 +31,18 @@ def test_progress_counts_the_iterations_and_ends_at_the_result(can, decoder) -> 
     capped = np.minimum(np.abs(np.concatenate([fit.residual_object, fit.residual_background])), 0.03)
     assert steps[-1].residual == pytest.approx(capped.mean())
     assert len(fit.trace) == 8
+
+
+def test_a_start_from_fewer_views_leaves_the_last_stage_alone(can, decoder) -> None:
+    config = FitConfig(stages=(FitStage(24, 1, 8), FitStage(32, 0, 10)))
+    seen = views(can.observations((0.0, 1.5, 3.0, 4.5)), "can")
+    before = fit_object(replace(seen, observations=seen.observations[:2]), decoder, PLANE, config)
+    anew = optimise_object(seen, decoder, PLANE, config)
+    warm = optimise_object(replace(seen, start=before), decoder, PLANE, config)
+    assert len(warm.trace) <= 10 < len(anew.trace)
+    assert warm.trace[0].cost < 1.5 * warm.evaluation.cost
+    assert warm.evaluation.cost == pytest.approx(anew.evaluation.cost, rel=0.1)
+    np.testing.assert_allclose(warm.state.pose.translation, anew.state.pose.translation, atol=1e-3)
 
 
 def test_more_than_three_views_share_the_pixels_of_three(can, decoder) -> None:
