@@ -48,6 +48,9 @@ WEAK, FAR_BETTER = 0.5, 0.3  # score below which an object may be several, and b
 MIN_CLASS = 0.3  # least mean class probability of a part
 MIN_SCORES = (0.2, 0.5)  # of the fits of the lower part, whose upper side is hidden, and of the upper one
 CARRIERS: tuple[Category, ...] = ("mug", "bowl", "can")  # nothing stands on a bottle
+LEAST_HEIGHT = (
+    0.015  # [m] of a part; flatter ones are the bottom of a vessel that was fitted too low or too high
+)
 MIN_PIXELS = 150  # of a part in a view
 NAMING_VIEWS = 3
 TRIALS = 2  # cuts of one stack whose parts are fitted
@@ -271,7 +274,7 @@ def _is_better(
     Or as much, with far better scores: a large bowl on a mug is a bowl on a foot, but an unusual one.
     """
     after = unexplained(points, pair)
-    if any(e.status == "implausible" for e in pair):
+    if any(e.status == "implausible" or e.height < LEAST_HEIGHT for e in pair):
         return False
     least = (BEYOND_DOUBT_SCORE,) * 2 if after < BEYOND_DOUBT * before else MIN_SCORES
     accepted = all(e.score >= p for e, p in zip(pair, least, strict=True))

@@ -10,6 +10,8 @@ from jaxtyping import Bool, Float
 from scipy.spatial import KDTree
 
 from perception.detection.geometry import height_image, points_of
+from perception.geometry import invert, rigid, transform_points
+from perception.inference.contents import VESSELS
 from perception.metrics import SurfaceSamples
 from perception.obstacles.volume import lowest_height
 from perception.support.surface import SupportSurface
@@ -38,20 +40,55 @@ class ExplanationConfig:
 
 
 @dataclass(frozen=True)
+class Cavity:
+    """The cylinder between the foot of an upright vessel and its rim.
+
+    Attributes:
+        T_cavity_world: Transform to a frame with its z along the axis and its origin in the middle.
+        radius: Radius in metres.
+        half_height: Half its height in metres.
+    """
+
+    T_cavity_world: Float[np.ndarray, "4 4"]
+    radius: float
+    half_height: float
+
+    @staticmethod
+    def of(vessel: ObjectEstimate) -> Cavity:
+        """Return the cavity of a mug or bowl."""
+        low, high = vessel.mesh.vertices.min(axis=0), vessel.mesh.vertices.max(axis=0)
+        radius = (high[1] - low[1]) / 2
+        middle = np.array(
+            [low[0] + radius, (low[1] + high[1]) / 2, (low[2] + high[2]) / 2]
+        )  # handle along +x
+        T_world_cavity = vessel.T_world_object @ rigid(np.eye(3), middle)
+        return Cavity(invert(T_world_cavity), float(radius), float(high[2] - low[2]) / 2)
+
+    def contains(self, points: Float[np.ndarray, "n 3"]) -> Bool[np.ndarray, "n"]:
+        """Return which world points [m] it contains."""
+        local = transform_points(self.T_cavity_world, points)
+        return (np.hypot(local[:, 0], local[:, 1]) < self.radius) & (np.abs(local[:, 2]) < self.half_height)
+
+
+@dataclass(frozen=True)
 class KnownGeometry:
     """Objects of the object map and boxes of known geometry.
+
+    What lies in an upright vessel below its rim belongs to the vessel: it is moved together with it.
 
     Attributes:
         surface: Points on the objects' surfaces in the world frame, in metres.
         normals: (n, 3) outward normals at these points.
         bounds: Smallest and largest corner of each object in the world frame, by id.
         boxes: (b, 2, 3) smallest and largest corners of axis-aligned boxes in the world frame.
+        cavities: Cavities of the upright vessels.
     """
 
     surface: KDTree
     normals: Float[np.ndarray, "n 3"]
     bounds: Mapping[int, Float[np.ndarray, "2 3"]]
     boxes: Float[np.ndarray, "b 2 3"] = field(default_factory=lambda: np.zeros((0, 2, 3)))
+    cavities: Sequence[Cavity] = ()
 
     @staticmethod
     def of(
@@ -67,12 +104,16 @@ class KnownGeometry:
         }
         points = np.concatenate([_NOWHERE, *(sample.points for sample in samples)])
         normals = np.concatenate([np.zeros((1, 3)), *(sample.normals for sample in samples)])
-        return KnownGeometry(KDTree(points), normals, bounds, boxes)
+        vessels = (e for e in objects if e.category in VESSELS and e.resting == "upright")
+        return KnownGeometry(KDTree(points), normals, bounds, boxes, [Cavity.of(e) for e in vessels])
 
     def explains(self, points: Float[np.ndarray, "n 3"], margin: float) -> Bool[np.ndarray, "n"]:
-        """Return which points lie within ``margin`` metres of an object's surface or of a box."""
+        """Return which points lie within ``margin`` metres of an object or a box, or in a vessel."""
         distance = self.surface.query(points, distance_upper_bound=margin)[0]
-        return (distance < margin) | _in_boxes(points, self.boxes, margin)
+        explained = (distance < margin) | _in_boxes(points, self.boxes, margin)
+        for cavity in self.cavities:
+            explained |= cavity.contains(points)
+        return explained
 
     def occupies(self, points: Float[np.ndarray, "n 3"], margin: float) -> Bool[np.ndarray, "n"]:
         """Return which points lie inside an object or a box, or within ``margin`` metres of one."""

@@ -92,6 +92,19 @@ def test_weak_scores_suffice_for_parts_that_explain_nearly_all(stack, rows, monk
     assert split(stack, rows, lambda *_: weak) == {}
 
 
+def test_a_disc_is_no_part_although_it_explains_the_points(stack, rows, monkeypatch):
+    monkeypatch.setattr(stack_parts, "unexplained", lambda points, shapes: 0.05 if len(shapes) < 2 else 0.0)
+    lower, upper = cylinder(stack.lower, 5), cylinder(stack.higher, 6)
+
+    def with_height(height):
+        mesh = TriangleMesh(upper.mesh.vertices * [1, 1, height / upper.height], upper.mesh.faces)
+        return replace(upper, mesh=mesh)
+
+    for height, accepted in ((0.005, False), (0.02, True)):
+        found = split(stack, rows, lambda *_, h=height: [lower, with_height(h)], [cylinder(stack.lower, 4)])
+        assert bool(found) == accepted
+
+
 def test_what_one_shape_explains_is_not_cut(stack):
     single = [[ObjectDetection("can", 0.9, view.mask & ~upper, instance_id=2)]
               for view, upper in zip(stack.seen, stack.upper)]  # fmt: skip

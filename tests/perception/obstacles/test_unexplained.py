@@ -56,6 +56,17 @@ def test_boxes_and_the_edge_of_the_surface_bound_the_search(scene):
     assert len(beside) and beside[:, 0].max() < 0.02
 
 
+def test_what_is_in_an_upright_vessel_below_its_rim_belongs_to_it():
+    solid = cylinder(0.1, radius=0.03, height=0.08)
+    handle = np.array([[0.055, 0.0, 0.0]])  # along +x of the object
+    mesh = TriangleMesh(np.concatenate([solid.mesh.vertices, handle]), solid.mesh.faces)
+    mug = replace(solid, category="mug", mesh=mesh)
+    points = np.array([(0.1, 0.0, 0.04), (0.1, 0.012, 0.075), (0.1, 0.0, 0.12), (0.147, 0.0, 0.04)])
+    assert KnownGeometry.of([mug]).explains(points, 0.005).tolist() == [True, True, False, False]
+    for other in (solid, replace(mug, resting="upside-down")):
+        assert not KnownGeometry.of([other]).explains(points[:1], 0.005).any()
+
+
 def test_an_object_occupies_its_inside_and_a_margin():
     known = KnownGeometry.of([cylinder(0.0)])
     points = np.array([(0.0, 0.0, 0.05), (0.033, 0.0, 0.05), (0.045, 0.0, 0.05), (0.0, 0.0, 0.3)])
