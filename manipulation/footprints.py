@@ -12,6 +12,7 @@ from scipy.spatial import ConvexHull
 
 from manipulation.standing import split_handle
 from manipulation.types import Box, StandingObject
+from manipulation.uncertainty import outer_vertices
 
 _DIRECTIONS = 2 * np.pi * np.arange(32) / 32
 
@@ -49,8 +50,8 @@ class Footprint:
 
 
 def footprint(item: StandingObject) -> Footprint:
-    """Return the convex outlines of an object: body and handle of a mug, else one."""
-    parts = split_handle(item.vertices, item.category)
+    """Return the convex outlines, widened where uncertain: body and handle of a mug, else one."""
+    parts = split_handle(outer_vertices(item), item.category)
     return Footprint(tuple(_hull(part[:, :2]) for part in parts), item.top)
 
 

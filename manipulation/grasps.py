@@ -8,6 +8,7 @@ the cross-section fits between the fingers and is nearly constant over the heigh
 from __future__ import annotations
 
 from collections import Counter
+from dataclasses import replace
 
 import numpy as np
 
@@ -16,11 +17,15 @@ from manipulation.grasp_config import GraspConfig, on_hand
 from manipulation.rim_grasps import rim_grasps
 from manipulation.top_grasps import top_grasps
 from manipulation.types import GraspSet, StandingObject
+from manipulation.uncertainty import ranked
 from perception.mesh_sections import radial_hits
 
 
 def grasp_candidates(item: StandingObject, config: GraspConfig = GraspConfig()) -> GraspSet:
-    """Return all grasps for the object's category and shape, in descending order of score."""
+    """Return all grasps for the object's category and shape, in descending order of score.
+
+    Grasps at uncertain surfaces come later.
+    """
     rejected: Counter[str] = Counter()
     sections = CrossSectionCache(item.vertices, item.faces)
     if item.category in ("mug", "bowl"):
@@ -30,7 +35,8 @@ def grasp_candidates(item: StandingObject, config: GraspConfig = GraspConfig()) 
         if not grasps and _is_open(item, sections):
             grasps = rim_grasps(item, sections, config, rejected)
     ordered = tuple(sorted(grasps, key=lambda grasp: -grasp.score))
-    return on_hand(GraspSet(ordered, rejected), config.gripper)
+    found = on_hand(GraspSet(ordered, rejected), config.gripper)
+    return replace(found, grasps=ranked(item, found.grasps, config.gripper))
 
 
 def _is_open(item: StandingObject, sections: CrossSectionCache) -> bool:

@@ -9,13 +9,17 @@ from scipy.spatial import ConvexHull, QhullError
 from manipulation.errors import ManipulationError
 from manipulation.standing import split_handle
 from manipulation.types import StandingObject
+from manipulation.uncertainty import outer_vertices
 
 MAX_VERTICES = 48  # target; at most twice as many remain, one for each sampled direction
 
 
 def convex_pieces(item: StandingObject) -> tuple[Float[np.ndarray, "_k 3"], ...]:
-    """Return the object's convex pieces in its stand frame: body and handle of a mug, else one hull."""
-    return tuple(reduced_hull(part) for part in split_handle(item.vertices, item.category))
+    """Return the object's convex pieces in its stand frame: body and handle of a mug, else one hull.
+
+    Uncertain parts are widened.
+    """
+    return tuple(reduced_hull(part) for part in split_handle(outer_vertices(item), item.category))
 
 
 def reduced_hull(points: Float[np.ndarray, "n 3"], limit: int = MAX_VERTICES) -> Float[np.ndarray, "_k 3"]:

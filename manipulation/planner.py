@@ -6,6 +6,8 @@ import logging
 from collections.abc import Sequence
 from dataclasses import dataclass, field, replace
 
+import numpy as np
+
 from manipulation.errors import PlanningError
 from manipulation.free_table import FREE_AREA, Area
 from manipulation.grasps import grasp_candidates
@@ -21,6 +23,7 @@ from manipulation.sorting import SortingConfig
 from manipulation.sorting_rows import sort_rows
 from manipulation.standing import to_lying, to_standing
 from manipulation.types import Box, GraspSet, Line, StandingObject, TaskPlan
+from manipulation.uncertainty import outer_vertices
 from perception.types import ObjectEstimate, SupportPlane
 
 logger = logging.getLogger(__name__)
@@ -77,7 +80,11 @@ def plan_pack(
     """
     config = config.for_arm(arm)
     usable = find_usable(objects, kinematics or Kinematics(arm, config.pick_place.ik), config)
-    placements, no_room = pack(usable.candidates, box, config.packing, config.pick_place.grasp, usable.grasps)
+    grasp = config.pick_place.grasp
+    placements, no_room = pack(usable.candidates, box, config.packing, grasp, usable.grasps)
+    if no_room and usable.is_uncertain:
+        usable = usable.as_exact()
+        placements, no_room = pack(usable.candidates, box, config.packing, grasp, usable.grasps)
     return TaskPlan(
         "pack", usable.items, placements, usable.left_out | no_room, box=box, grasps=usable.grasps
     )
@@ -109,6 +116,9 @@ def plan_sort(
     config = config.for_arm(arm)
     usable = find_usable(objects, kinematics or Kinematics(arm, config.pick_place.ik), config)
     rows = sort_rows(usable.candidates, line, config.sorting)
+    if rows.left_out and usable.is_uncertain:
+        usable = usable.as_exact()
+        rows = sort_rows(usable.candidates, line, config.sorting)
     left_out = usable.left_out | rows.left_out
     return TaskPlan("sort", usable.items, rows.placements, left_out, box, line, usable.grasps, rows.lines[1:])
 
@@ -131,6 +141,15 @@ class Usable:
     def candidates(self) -> list[StandingObject]:
         """Objects that can be grasped and reached."""
         return [item for name, item in self.items.items() if name not in self.left_out]
+
+    @property
+    def is_uncertain(self) -> bool:
+        """Whether clearances are widened for any object."""
+        return any(outer_vertices(item) is not item.vertices for item in self.items.values())
+
+    def as_exact(self) -> Usable:
+        """Return the objects with ordinary clearances, for where there is no room for wider ones."""
+        return replace(self, items={name: replace(i, sigma=np.zeros(0)) for name, i in self.items.items()})
 
 
 def find_usable(

@@ -63,6 +63,7 @@ def to_standing(estimate: ObjectEstimate, support: SupportPlane | None = None) -
         T_world_stand=pose_from_yaw(yaw + turn, origin),
         size=estimate.size,
         is_round=is_round,
+        sigma=np.zeros(0) if estimate.surface_sigma is None else estimate.surface_sigma,
     )
 
 
@@ -90,6 +91,7 @@ def to_lying(estimate: ObjectEstimate) -> StandingObject:
         T_world_stand=estimate.T_world_object @ T_object_stand,
         size=estimate.size,
         is_round=is_round,
+        sigma=np.zeros(0) if estimate.surface_sigma is None else estimate.surface_sigma,
     )
 
 

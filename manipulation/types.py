@@ -97,6 +97,7 @@ class StandingObject:
         T_world_stand: (4, 4) pose of the stand frame.
         size: length that sorting compares, in [m].
         is_round: whether the body is rotationally symmetric, so that its yaw is arbitrary.
+        sigma: (v,) standard deviation of its vertices along their normals in [m]; empty if they are exact.
     """
 
     id: int
@@ -107,6 +108,7 @@ class StandingObject:
     T_world_stand: Float[np.ndarray, "4 4"]
     size: float
     is_round: bool
+    sigma: Float[np.ndarray, "_v"] = field(default_factory=lambda: np.zeros(0))
 
     @property
     def top(self) -> float:

@@ -99,6 +99,11 @@ def scan_viewpoints(count: int) -> tuple[Viewpoint, ...]:
     return tuple(SCAN_VIEWPOINTS[i] for i in sorted(_MOST_INFORMATIVE[:count]))
 
 
+def further_viewpoints(count: int) -> tuple[Viewpoint, ...]:
+    """Return the SCAN_VIEWPOINTS that ``scan_viewpoints(count)`` lacks, the most informative first."""
+    return tuple(SCAN_VIEWPOINTS[i] for i in _MOST_INFORMATIVE[count:])
+
+
 def closeup_viewpoints(target: tuple[float, float, float]) -> tuple[Viewpoint, ...]:
     """Return two viewpoints on one object: from above and from the side towards y = 0."""
     side = -1.0 if target[1] > 0 else 1.0

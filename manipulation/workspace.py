@@ -24,6 +24,7 @@ from manipulation.viewpoints import (
     VIA_HEIGHTS,
     Viewpoint,
     closeup_viewpoints,
+    further_viewpoints,
     scan_viewpoints,
 )
 
@@ -57,6 +58,10 @@ class Workspace:
     def scan_viewpoints(self, count: int = 6) -> tuple[Viewpoint, ...]:
         """Return the ``count`` most informative viewpoints on the area of the objects."""
         return tuple(self._scaled(viewpoint) for viewpoint in scan_viewpoints(count))
+
+    def further_viewpoints(self, count: int) -> tuple[Viewpoint, ...]:
+        """Return the viewpoints that ``scan_viewpoints(count)`` lacks, the most informative first."""
+        return tuple(self._scaled(viewpoint) for viewpoint in further_viewpoints(count))
 
     @property
     def box_viewpoints(self) -> tuple[Viewpoint, ...]:

@@ -19,8 +19,9 @@ from app.environments.actions import ActionCodec
 from app.environments.environment import CellEnv, Observation
 from app.options import Shapes, TaskOptions
 from app.task.episode import request_of
-from app.task.pipeline import RunObserver, Stage, TaskRequest
 from app.task.pipeline import run as run_pipeline
+from app.task.run_observer import RunObserver, Stage
+from app.task.task_types import TaskRequest
 from manipulation.errors import RobotError, RobotStoppedError
 from manipulation.execution import TaskEvent
 from manipulation.robot import ArmDescription, JointTrajectory, RobotState

@@ -62,6 +62,9 @@ class TaskOptions(CellOptions):
     """Object shapes for planning: learned prior, TSDF fusion, or true meshes and poses (oracle)."""
     scan_views: int = 6
     """Number of images of the scan, 1 to 6: fewer images make the robot faster."""
+    uncertainty: Literal["on", "off"] = "on"
+    """Use the standard deviations of shapes: wider clearances, grasps at certain surfaces first, and further
+    images of a scan of fewer than six where an object is uncertain."""
     fault: Fault = "none"
     """Fault put in by hand at a random moment: an object is knocked over, moved by 5 cm or taken away, slips
     from the hand, or a grasp is missed; any: one after the other over the seeds."""

@@ -15,9 +15,9 @@ from app.runs.report import ObjectReport, Report
 from app.task.arm_cell import cell_remarks
 from app.task.faults import faulty_robot, judge_fault
 from app.task.obstacles import obstacle_note, obstacle_rows
-from app.task.pipeline import Reconstruction, RunObserver, TaskRequest, TaskResult
 from app.task.pipeline import run as run_pipeline
 from app.task.restricted_robot import restricted
+from app.task.run_observer import RunObserver
 from app.task.scoring import (
     Truth,
     oracle_estimates,
@@ -26,6 +26,7 @@ from app.task.scoring import (
     score_task,
     unknown_moves,
 )
+from app.task.task_types import Reconstruction, TaskRequest, TaskResult
 from manipulation.types import Box, Line
 from manipulation.workspace import Workspace
 from perception.inference.refit import PoseCheck
@@ -112,7 +113,7 @@ def request_of(world: World, task: Task, options: TaskOptions) -> TaskRequest:
     scale = world.config.scale
     return TaskRequest(
         task, box, Line().scaled(scale), reconstruction,
-        scan_views=options.scan_views, workspace=Workspace(scale),
+        scan_views=options.scan_views, workspace=Workspace(scale), uncertainty=options.uncertainty == "on",
     )  # fmt: skip
 
 

@@ -12,7 +12,7 @@ from app.options import TaskOptions
 from app.runs.report import ObjectReport
 
 if TYPE_CHECKING:
-    from app.task.pipeline import TaskResult
+    from app.task.task_types import TaskResult
     from sim_assets.cell.faults import FaultyRobot
     from sim_assets.cell.world import World
 

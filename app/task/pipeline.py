@@ -16,16 +16,14 @@ intermediate results for display and storage and never modifies them.
 from __future__ import annotations
 
 import logging
-import time
-from collections.abc import Callable, Iterator, Mapping, Sequence
-from contextlib import contextmanager
-from dataclasses import dataclass, field, replace
+from collections.abc import Callable, Mapping, Sequence
+from dataclasses import replace
 from functools import partial
-from typing import Literal
 
 import numpy as np
 from jaxtyping import Float
 
+from app.task.further_views import most_useful_viewpoint
 from app.task.observation import WristObserver
 from app.task.obstacles import (
     beside_box,
@@ -36,148 +34,25 @@ from app.task.obstacles import (
     table_of,
 )
 from app.task.rounds import is_something_left, placed_estimates, placed_items, renumbered, with_round
-from manipulation.errors import ManipulationError
-from manipulation.execution import TaskEvent, execute
+from app.task.run_observer import RunObserver
+from app.task.task_types import Reconstruction, TaskRequest, TaskResult
+from manipulation.errors import ManipulationError, PlanningError
+from manipulation.execution import execute
 from manipulation.further_packing import plan_further
 from manipulation.kinematics import Kinematics
-from manipulation.planner import ManipulationConfig, plan_pack, plan_sort
+from manipulation.planner import plan_pack, plan_sort
 from manipulation.robot import Robot
-from manipulation.types import Box, Line, ObjectOutcome, Task, TaskPlan
-from manipulation.viewpoints import ViewpointScanner
-from manipulation.workspace import Workspace
+from manipulation.types import Box, ObjectOutcome, TaskPlan
+from manipulation.viewpoints import Viewpoint, ViewpointScanner
 from perception.early import EarlyReconstruction
 from perception.errors import PerceptionError
-from perception.inference.optimisation import FitStep
 from perception.inference.refit import PoseCheck, refit_pose
-from perception.obstacles.obstacle import PerceivedObstacle
 from perception.pipeline import Detections, Perception, detect, reconstruct_objects
-from perception.types import Category, ObjectEstimate, RejectedObject, RgbdFrame
+from perception.types import ObjectEstimate, RgbdFrame
 
 logger = logging.getLogger(__name__)
 
 FULL_SCAN = 6  # images of each further round
-Stage = Literal["scan", "detect", "reconstruct", "plan", "execute", "verify"]
-Reconstruction = Callable[[Sequence[RgbdFrame], Detections], list[ObjectEstimate]]
-
-
-@dataclass(frozen=True)
-class TaskRequest:
-    """Specification of a task.
-
-    Attributes:
-        task: "pack" or "sort".
-        box: Box to pack into, or an obstacle while sorting; None if there is no box.
-        line: Line to sort along.
-        reconstruction: Source of the object estimates; None for the learned shape prior.
-        manipulation: Settings of planning and execution.
-        scan_views: Number of images of the scan.
-        workspace: Viewpoints and heights of motions, scaled to the arm.
-        perceive_only: Whether the task ends with the object map, before anything is moved.
-        rounds: Most scans of a packing task; further ones look for what is left on the table.
-    """
-
-    task: Task
-    box: Box | None = None
-    line: Line = field(default_factory=Line)
-    reconstruction: Reconstruction | None = None
-    manipulation: ManipulationConfig = field(default_factory=ManipulationConfig)
-    scan_views: int = 6
-    workspace: Workspace = Workspace()
-    perceive_only: bool = False
-    rounds: int = 3
-
-
-@dataclass(frozen=True)
-class TaskResult:
-    """Results of all stages; those after a failed stage keep their defaults.
-
-    Attributes:
-        frames: Images of the scan.
-        detections: Detections in the images of the scan.
-        objects: Object map.
-        rejected: Detected objects that are not in the object map, with the reasons.
-        obstacles: Things of no class.
-        plan: Placements in their order of execution.
-        outcomes: Outcome of each placement as reported by execution.
-        checks: Pose check of each object that was placed, by object id.
-        final_frames: Images of the goal region after execution.
-        failure: Message of the error that ended the task; empty if there was none.
-        timings: Wall time of each stage without pauses, in seconds.
-    """
-
-    frames: Sequence[RgbdFrame] = ()
-    detections: Detections | None = None
-    objects: Sequence[ObjectEstimate] = ()
-    rejected: Sequence[RejectedObject] = ()
-    obstacles: Sequence[PerceivedObstacle] = ()
-    plan: TaskPlan | None = None
-    outcomes: Sequence[ObjectOutcome] = ()
-    checks: Mapping[int, PoseCheck] = field(default_factory=dict)
-    final_frames: Sequence[RgbdFrame] = ()
-    failure: str = ""
-    timings: Mapping[str, float] = field(default_factory=dict)
-
-
-class RunObserver:
-    """Receives intermediate results of a run; the base class keeps those that no stage returns.
-
-    Attributes:
-        timings: Wall time of each finished stage without pauses, of all rounds together, in seconds.
-        rejected: Detected objects that were not reconstructed.
-    """
-
-    def __init__(self) -> None:
-        self.timings: dict[str, float] = {}
-        self.rejected: list[RejectedObject] = []
-
-    @property
-    def paused_seconds(self) -> float:
-        """Total wall time that the run has been paused, in seconds."""
-        return 0.0
-
-    @contextmanager
-    def stage(self, name: Stage) -> Iterator[None]:
-        """Enclose a stage."""
-        begin, paused = time.perf_counter(), self.paused_seconds
-        try:
-            yield
-        finally:
-            seconds = time.perf_counter() - begin - (self.paused_seconds - paused)
-            self.timings[name] = self.timings.get(name, 0.0) + seconds
-
-    def on_remark(self, text: str) -> None:
-        """Called before the first stage with what is special about the cell, or impossible for the arm."""
-
-    def on_progress(self, done: int, total: int, subject: str = "") -> None:
-        """Called within a stage after each of its ``total`` steps."""
-
-    def on_image(self, frame: RgbdFrame) -> None:
-        """Called with each image of the wrist camera."""
-
-    def on_frames(self, frames: Sequence[RgbdFrame]) -> None:
-        """Called with all images of the scan."""
-
-    def on_detections(self, detections: Detections) -> None:
-        """Called with the detections in the images of the scan."""
-
-    def on_fit_step(self, object_id: int, category: Category, step: FitStep) -> None:
-        """Called after each iteration of the fit of an object, from several threads."""
-
-    def on_rejected(self, rejected: RejectedObject) -> None:
-        """Called with each detected object that is left out of the object map."""
-        self.rejected.append(rejected)
-
-    def on_objects(self, objects: Sequence[ObjectEstimate]) -> None:
-        """Called with the object map."""
-
-    def on_obstacles(self, obstacles: Sequence[PerceivedObstacle]) -> None:
-        """Called with the things of no class."""
-
-    def on_plan(self, plan: TaskPlan) -> None:
-        """Called with the task plan."""
-
-    def on_event(self, event: TaskEvent) -> None:
-        """Called at each step of execution."""
 
 
 def run(
@@ -189,26 +64,23 @@ def run(
     result = TaskResult()
     try:
         frames, starts = stages.scan_and_begin(request.scan_views)
-        result = replace(result, frames=frames)
-        observer.on_frames(frames)
-        detections = stages.detect(frames, known_bounds(request.box))
-        result = replace(result, detections=detections)
-        observer.on_detections(detections)
-        with observer.stage("reconstruct"):
-            reconstruct = request.reconstruction or prior_reconstruction(perception, observer, starts=starts)
-            objects = reconstruct(frames, detections)
-            result = replace(result, objects=objects, rejected=tuple(observer.rejected))
-            observer.on_objects(objects)
-            obstacles = obstacles_beside(objects, frames, detections, request.box, robot.arm)
-            result = replace(result, obstacles=obstacles)
-            observer.on_obstacles(obstacles)
+        while True:
+            result = replace(result, frames=frames)
+            observer.on_frames(frames)
+            detections = stages.detect(frames, known_bounds(request.box))
+            result = replace(result, detections=detections)
+            observer.on_detections(detections)
+            result, viewpoint = stages.reconstruct(result, starts)
+            if viewpoint is None:
+                break
+            frames, starts = [*frames, *stages.capture_further(viewpoint)], result.objects
         if request.perceive_only:
             return replace(result, timings=dict(observer.timings))
         with observer.stage("plan"):
-            plan = replace(plan_task(stages.kinematics, request, objects), obstacles=obstacles)
+            plan = replace(plan_task(stages.kinematics, request, result.objects), obstacles=result.obstacles)
             result = replace(result, plan=plan)
             observer.on_plan(plan)
-        result = replace(result, outcomes=stages.execute(plan, objects, detections))
+        result = replace(result, outcomes=stages.execute(plan, result.objects, detections))
         for _ in range(request.rounds - 1 if request.task == "pack" else 0):
             further = stages.look_again(result)
             if further is None:
@@ -238,6 +110,7 @@ class _Stages:
         self.kinematics = Kinematics(robot.arm, request.manipulation.pick_place.ik)
         self._space = request.workspace
         self._settings = self._space.adapted(request.manipulation)
+        self._is_out_of_reach = False  # a further viewpoint
         self.scanner = ViewpointScanner(
             robot, self.kinematics, keep_out=self._space.keep_out, via_heights=self._space.via_heights
         )
@@ -270,6 +143,45 @@ class _Stages:
         """Reconstruct upright objects; called from another thread, without reports to the observer."""
         detector, decoder = self._perception.detector, self._perception.decoder
         return reconstruct_objects(frames, detect(frames, detector, max_surfaces=1), decoder)
+
+    def reconstruct(
+        self, result: TaskResult, starts: Sequence[ObjectEstimate]
+    ) -> tuple[TaskResult, Viewpoint | None]:
+        """Estimate the objects in the images so far, and what is beside them.
+
+        Returns:
+            The results with them, or, where another image is needed first, its viewpoint.
+        """
+        request, observer, detections = self._request, self._observer, result.detections
+        assert detections is not None
+        with observer.stage("reconstruct"):
+            observer.rejected.clear()  # with fewer images
+            prior = prior_reconstruction(self._perception, observer, starts=starts)
+            objects = (request.reconstruction or prior)(result.frames, detections)
+            result = replace(result, objects=objects, rejected=tuple(observer.rejected))
+            viewpoint = self._further_viewpoint(result)
+            if viewpoint is None:
+                observer.on_objects(objects)
+                obstacles = obstacles_beside(objects, result.frames, detections, request.box, self._robot.arm)
+                result = replace(result, obstacles=obstacles)
+                observer.on_obstacles(obstacles)
+        return result, viewpoint
+
+    def _further_viewpoint(self, result: TaskResult) -> Viewpoint | None:
+        """Return the viewpoint of an image that uncertain objects need; None without, or if none is left."""
+        request, left = self._request, self._space.further_viewpoints(len(result.frames))
+        if not request.uncertainty or request.reconstruction is not None or self._is_out_of_reach or not left:
+            return None
+        return most_useful_viewpoint(result.objects, result.rejected, left, self._robot.arm, self._settings)
+
+    def capture_further(self, viewpoint: Viewpoint) -> list[RgbdFrame]:
+        """Take an image from a viewpoint; none, and no others later, if it is out of reach."""
+        with self._observer.stage("scan"):
+            try:
+                return self.scanner.capture([viewpoint], on_frame=self._observer.on_image)
+            except PlanningError:
+                self._is_out_of_reach = True
+                return []
 
     def detect(self, frames: Sequence[RgbdFrame], known: Float[np.ndarray, "k 2 3"]) -> Detections:
         """Detect objects on the table besides known geometry, of which the bounds [m] are given."""
@@ -363,6 +275,8 @@ def plan_task(kinematics: Kinematics, request: TaskRequest, objects: Sequence[Ob
         PlanningError: No object can be placed; the message gives the reasons.
     """
     settings = request.workspace.adapted(request.manipulation)
+    if not request.uncertainty:
+        objects = [replace(estimate, surface_sigma=None) for estimate in objects]
     if request.task == "pack":
         return plan_pack(objects, request.box or Box(), kinematics.arm, settings, kinematics)
     return plan_sort(objects, request.line, kinematics.arm, settings, request.box, kinematics)

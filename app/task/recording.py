@@ -14,7 +14,7 @@ from jaxtyping import Float
 from scipy.spatial.transform import Rotation
 
 from app.runs.replay import NoteKind, Recorder
-from app.task.pipeline import RunObserver, Stage
+from app.task.run_observer import RunObserver, Stage
 from app.task.scoring import read_truth
 from manipulation.execution import TaskEvent
 from manipulation.kinematics import Kinematics

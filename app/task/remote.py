@@ -22,9 +22,10 @@ from app.task.arm_cell import arm_cell, box_of
 from app.task.cell import load_arm, parse_box
 from app.task.episode import planned_box, seen_in_place
 from app.task.overview import Overview, write_overview
-from app.task.pipeline import RunObserver, Stage, TaskRequest, TaskResult
 from app.task.pipeline import run as run_pipeline
+from app.task.run_observer import RunObserver, Stage
 from app.task.run_writer import TITLES, plan_as_json
+from app.task.task_types import TaskRequest, TaskResult
 from manipulation.errors import ManipulationError
 from manipulation.execution import TaskEvent
 from manipulation.remote.calibration import read_hand_eye
@@ -75,7 +76,10 @@ def request_of(options: RunTaskOptions, task: Task, scale: float) -> TaskRequest
     """Return the task in a cell of a scale relative to the standard one."""
     box = planned_box(box_of(options, parse_box(options.box), scale)) if task == "pack" else None
     line, workspace = Line().scaled(scale), Workspace(scale)
-    return TaskRequest(task, box, line, scan_views=options.scan_views, workspace=workspace)
+    return TaskRequest(
+        task, box, line, scan_views=options.scan_views, workspace=workspace,
+        uncertainty=options.uncertainty == "on",
+    )  # fmt: skip
 
 
 def check_options(options: RunTaskOptions) -> None:

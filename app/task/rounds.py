@@ -18,7 +18,7 @@ from perception.obstacles.obstacle import PerceivedObstacle
 from perception.types import ObjectEstimate
 
 if TYPE_CHECKING:
-    from app.task.pipeline import TaskResult
+    from app.task.task_types import TaskResult
 
 SAME_PLACE = 0.06  # [m] between a new estimate and one of the round before, within which it replaces that
 

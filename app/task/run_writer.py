@@ -15,9 +15,10 @@ from app.runs.run_folder import RunFolder
 from app.screen import Screen
 from app.task.obstacles import picture_name, portrait_of
 from app.task.overview import Overview, write_overview
-from app.task.pipeline import RunObserver, Stage, TaskResult
 from app.task.recording import RATE, CellRecorder
 from app.task.run_control import RunControl
+from app.task.run_observer import RunObserver, Stage
+from app.task.task_types import TaskResult
 from app.task.video import RunVideo
 from manipulation.execution import TaskEvent
 from manipulation.types import TaskPlan

@@ -17,7 +17,7 @@ from PIL import Image, ImageDraw
 
 from app.drawing import draw_detections, draw_estimates, font
 from app.movie import MovieFile, Picture
-from app.task.pipeline import RunObserver, Stage
+from app.task.run_observer import RunObserver, Stage
 from manipulation.execution import TaskEvent
 from manipulation.types import Box, TaskPlan
 from perception.pipeline import Detections

@@ -18,9 +18,10 @@ from app.task.episode import (
     summary_of,
     with_check,
 )
-from app.task.pipeline import RunObserver, TaskResult
 from app.task.run import task_of
+from app.task.run_observer import RunObserver
 from app.task.scoring import read_truth
+from app.task.task_types import TaskResult
 from manipulation.robot import Robot
 from perception.inference.refit import PoseCheck
 from perception.pipeline import Perception, load_perception

@@ -7,7 +7,7 @@ from app.options import PackOptions
 from app.runs.report import ObjectReport
 from app.task import faults
 from app.task.faults import faulty_robot, judge_fault
-from app.task.pipeline import TaskResult
+from app.task.task_types import TaskResult
 from manipulation.types import ObjectOutcome
 from perception.geometry import pose_from_yaw
 

@@ -1,12 +1,15 @@
 """Order and data flow of the stages, with each stage replaced by one that records its arguments."""
 
+from dataclasses import replace
 from types import SimpleNamespace
 
 import numpy as np
 import pytest
 
 import app.task.pipeline as pipeline
-from app.task.pipeline import FULL_SCAN, RunObserver, TaskRequest, run, verify
+from app.task.pipeline import FULL_SCAN, run, verify
+from app.task.run_observer import RunObserver
+from app.task.task_types import TaskRequest
 from manipulation.errors import PlanningError
 from manipulation.planner import ManipulationConfig
 from manipulation.robot import RobotState
@@ -150,6 +153,60 @@ def test_other_sources_of_shapes_need_no_early_fits(stages, monkeypatch):
     assert run(StillRobot(), stages.perception, request).objects == stages.objects
 
 
+def test_a_further_image_is_fused_with_those_before_while_objects_are_uncertain(stages, monkeypatch):
+    answers, asked = [LINE_VIEWPOINTS[0], None], []
+
+    def choose(objects, rejected, viewpoints, arm, config):
+        asked.append((len(viewpoints), [item.name for item in rejected]))
+        return answers.pop(0)
+
+    def reconstruct(frames, detections, decoder, progress, on_step, on_rejected, clutter, starts):
+        on_rejected(RejectedObject(len(frames), "mug", "seen from one side"))
+        return stages.objects
+
+    monkeypatch.setattr(pipeline, "detect", lambda frames, *_, **__: empty(len(frames)))
+    monkeypatch.setattr(pipeline, "most_useful_viewpoint", choose)
+    monkeypatch.setattr(pipeline, "reconstruct_objects", reconstruct)
+    observer = Recording()
+    request = TaskRequest("pack", scan_views=1, perceive_only=True)
+    result = run(StillRobot(), stages.perception, request, observer)
+    assert len(result.frames) == 2 and stages.scanner.visited[1] == (LINE_VIEWPOINTS[0],)
+    assert asked == [(5, ["mug_1"]), (4, ["mug_2"])] and [r.id for r in result.rejected] == [2]
+    assert [c for c in observer.calls if isinstance(c, str) and c in result.timings] == [
+        "scan", "detect", "reconstruct", "scan", "detect", "reconstruct",
+    ]  # fmt: skip
+    assert sum(isinstance(c, tuple) and c[0] == "objects" for c in observer.calls) == 1
+
+
+def empty(n_frames):
+    return Detections(SupportPlane(), ((),) * n_frames)
+
+
+@pytest.mark.parametrize("error", [None, PlanningError("out of reach")])
+def test_the_scan_is_complete_where_nothing_more_can_be_seen(stages, monkeypatch, error):
+    def choose(*args):
+        stages.scanner.error = error
+        return LINE_VIEWPOINTS[0]
+
+    monkeypatch.setattr(pipeline, "detect", lambda frames, *_, **__: empty(len(frames)))
+    monkeypatch.setattr(pipeline, "most_useful_viewpoint", choose)
+    off = TaskRequest("pack", scan_views=1, perceive_only=True, uncertainty=False)
+    assert len(run(StillRobot(), stages.perception, off).frames) == 1
+    on = TaskRequest("pack", scan_views=1, perceive_only=True)
+    assert len(run(StillRobot(), stages.perception, on).frames) == (6 if error is None else 1)
+
+
+def test_without_uncertainty_the_plan_takes_shapes_as_exact(stages, can_at, monkeypatch):
+    monkeypatch.setattr(pipeline, "most_useful_viewpoint", lambda *args: None)
+    vague = replace(can_at(0), surface_sigma=np.full(len(can_at(0).mesh.vertices), 0.01))
+    stages.stage("reconstruct_objects", [vague])
+    for uncertainty in (True, False):
+        request = TaskRequest("pack", uncertainty=uncertainty, rounds=1)
+        assert run(StillRobot(), stages.perception, request).failure == ""
+        (planned,) = stages.calls["plan_pack"][0]
+        assert (planned.surface_sigma is not None) == uncertainty
+
+
 def test_stages_run_in_order_on_the_results_of_those_before(stages, pack_plan):
     observer, box = Recording(), Box(floor=0.01)
     result = run(StillRobot(), stages.perception, TaskRequest("pack", box, rounds=1), observer)
@@ -281,19 +338,3 @@ def test_placed_objects_are_verified_beside_one_another(stages, overhead_frame, 
         assert estimate.id == object_id and frames == [overhead_frame]
         np.testing.assert_array_equal(T, estimate.T_world_object)
         assert [other.id for other in others] == [1 - object_id]
-
-
-def test_timings_exclude_pauses():
-    class Paused(RunObserver):
-        seconds = 0.0
-
-        @property
-        def paused_seconds(self):
-            return self.seconds
-
-    observer = Paused()
-    observer.seconds = 50.0
-    with pytest.raises(KeyError), observer.stage("scan"):
-        observer.seconds += 100.0
-        raise KeyError
-    assert -100.0 < observer.timings["scan"] < -99.0  # measured time less the claimed pause

@@ -14,7 +14,7 @@ import app.task.remote as remote
 from app.errors import UsageError
 from app.options import PackOptions
 from app.screen import Screen
-from app.task.pipeline import TaskResult
+from app.task.task_types import TaskResult
 from manipulation.errors import RobotError, RobotStoppedError
 from manipulation.remote.server import RobotServer
 from manipulation.robot import RobotState

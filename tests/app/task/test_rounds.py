@@ -5,7 +5,6 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
-from app.task.pipeline import TaskResult
 from app.task.rounds import (
     expected_pose,
     is_something_left,
@@ -14,6 +13,7 @@ from app.task.rounds import (
     renumbered,
     with_round,
 )
+from app.task.task_types import TaskResult
 from manipulation.types import Box, ObjectOutcome
 from perception.geometry import pose_from_yaw
 from perception.types import RejectedObject

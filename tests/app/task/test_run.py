@@ -10,11 +10,11 @@ from app.options import PackOptions, SortOptions
 from app.runs.replay import Recorder
 from app.runs.report import ObjectReport, Report
 from app.screen import Screen
-from app.task.pipeline import TaskResult
 from app.task.recording import CellRecorder
 from app.task.run import run_and_store, task_of
 from app.task.run_control import RunControl, RunStopped
 from app.task.run_writer import RunSession
+from app.task.task_types import TaskResult
 from perception.pipeline import Perception
 from sim_assets.robots import panda
 

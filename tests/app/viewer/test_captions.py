@@ -2,7 +2,7 @@
 
 from typing import get_args
 
-from app.task.pipeline import Stage
+from app.task.run_observer import Stage
 from app.viewer.captions import ACTION_CAPTIONS, STAGE_CAPTIONS, action_caption, stage_caption
 from app.viewer.snapshot import SLAM_STAGES, STAGE_TITLES, TASK_STAGES
 from manipulation.execution import Phase

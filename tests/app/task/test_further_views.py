@@ -1,0 +1,46 @@
+"""A further image is taken for objects at risk, and for objects that were rejected by little."""
+
+from dataclasses import replace
+
+import numpy as np
+import pytest
+
+from app.task.further_views import most_useful_viewpoint
+from manipulation.planner import ManipulationConfig
+from manipulation.viewpoints import further_viewpoints, scan_viewpoints
+from perception.types import RejectedObject
+from sim_assets.robots import panda
+
+LEFT = further_viewpoints(2)
+
+
+@pytest.fixture
+def choose(can_at):
+    def viewpoint(score=0.95, sigma=0.001, rejected=(), tilt=0.0):
+        can = can_at(1)
+        T = can.T_world_object.copy()
+        T[:3, :3] = [[1, 0, 0], [0, np.cos(tilt), -np.sin(tilt)], [0, np.sin(tilt), np.cos(tilt)]]
+        deviations = np.full(len(can.mesh.vertices), sigma)
+        seen = replace(can, score=score, surface_sigma=deviations, T_world_object=T)
+        return most_useful_viewpoint([seen], rejected, LEFT, panda().description, ManipulationConfig())
+
+    return viewpoint
+
+
+def test_sure_objects_need_no_further_image(choose):
+    assert choose() is None
+
+
+@pytest.mark.parametrize("doubt", [{"score": 0.6}, {"sigma": 0.03}, {"tilt": 1.0}])
+def test_doubtful_class_uncertain_grasps_and_impossible_poses_are_worth_one(choose, doubt):
+    assert choose(**doubt) in LEFT
+
+
+@pytest.mark.parametrize("score, found", [(0.15, LEFT[0]), (0.05, None)])
+def test_a_rejected_object_is_looked_at_again_if_it_may_be_one(choose, score, found):
+    assert choose(rejected=[RejectedObject(2, "mug", "seen from one side", score)]) is found
+
+
+def test_viewpoints_are_those_that_the_scan_lacks():
+    assert set(LEFT) | set(scan_viewpoints(2)) == set(scan_viewpoints(6)) and len(LEFT) == 4
+    assert further_viewpoints(6) == () and further_viewpoints(1)[0] in scan_viewpoints(2)
