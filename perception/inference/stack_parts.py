@@ -48,9 +48,7 @@ WEAK, FAR_BETTER = 0.5, 0.3  # score below which an object may be several, and b
 MIN_CLASS = 0.3  # least mean class probability of a part
 MIN_SCORES = (0.2, 0.5)  # of the fits of the lower part, whose upper side is hidden, and of the upper one
 CARRIERS: tuple[Category, ...] = ("mug", "bowl", "can")  # nothing stands on a bottle
-LEAST_HEIGHT = (
-    0.015  # [m] of a part; flatter ones are the bottom of a vessel that was fitted too low or too high
-)
+LEAST_HEIGHT = 0.025  # [m] of a part; flatter ones are the thick floor of a bowl
 MIN_PIXELS = 150  # of a part in a view
 NAMING_VIEWS = 3
 TRIALS = 2  # cuts of one stack whose parts are fitted

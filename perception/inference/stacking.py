@@ -109,7 +109,8 @@ def rest_on(
     """Return the estimate of an object that rests on another one: touching it, and not inside it.
 
     Where that clearly contradicts the evidence, because the shape of the lower object is uncertain, the
-    estimate is that of the fit at any height.
+    estimate is that of the fit at any height. An object that is beside the other one, which hides its foot,
+    stands on the plane.
 
     Args:
         views: Observations of the upper object.
@@ -119,16 +120,19 @@ def rest_on(
         fit: Fits the upper object, given the plane that it stands on.
 
     Raises:
-        PerceptionError: A fit fails, or the objects do not overlap in the plane.
+        PerceptionError: A fit fails.
     """
     seen = MeasuredExtent.of(views, plane)
-    start = _raised(plane, _height_under(seen, lower.mesh_world, plane))
+    under = _height_under(seen, lower.mesh_world, plane)
+    if under is None:
+        return fit(views, plane, config)
+    start = _raised(plane, under)
     free = replace(config, noise=replace(config.noise, support_sigma=_FREE))
     floating = fit(views, start, free)
     first = floating.mesh_world
     clearance = gap(first, lower.mesh_world, plane)
     if clearance is None:
-        raise PerceptionError(f"{views.category}_{views.id} is not above {lower.name}")
+        return fit(views, plane, config)
     lowest = float(plane.height_above(first.vertices).min())
     contact = lowest - clearance
     touching = fit(views, _raised(plane, contact), config)
@@ -192,13 +196,13 @@ def _covers(plan: Float[np.ndarray, "n 2"], point: Float[np.ndarray, "2"]) -> bo
     return cv2.pointPolygonTest(hull, (1000 * point).tolist(), False) >= 0
 
 
-def _height_under(seen: MeasuredExtent, lower: TriangleMesh, plane: SupportPlane) -> float:
-    """Return the height of the lower object below the centre of the upper one, in metres."""
+def _height_under(seen: MeasuredExtent, lower: TriangleMesh, plane: SupportPlane) -> float | None:
+    """Return the height of the lower object below the centre of the upper one, in metres; None beside it."""
     reach = _CENTRAL * float(np.ptp(seen.plan, axis=0).max())
     points = _samples(lower)
     near = np.linalg.norm(points @ plane_basis(plane)[:2].T - seen.centre, axis=1) < max(reach, 0.01)
     if not near.any():
-        raise PerceptionError("the object below has no upper side under the centre")
+        return None
     _, top = _extreme_heights(points[near], plane, np.maximum)
     return max(float(np.median(top)), 0.0)
 

@@ -100,7 +100,7 @@ def test_a_disc_is_no_part_although_it_explains_the_points(stack, rows, monkeypa
         mesh = TriangleMesh(upper.mesh.vertices * [1, 1, height / upper.height], upper.mesh.faces)
         return replace(upper, mesh=mesh)
 
-    for height, accepted in ((0.005, False), (0.02, True)):
+    for height, accepted in ((0.02, False), (0.03, True)):
         found = split(stack, rows, lambda *_, h=height: [lower, with_height(h)], [cylinder(stack.lower, 4)])
         assert bool(found) == accepted
 

@@ -6,7 +6,6 @@ import numpy as np
 import pytest
 import trimesh
 
-from perception.errors import PerceptionError
 from perception.inference import stacking
 from perception.inference.fit_config import FitConfig
 from perception.inference.observation import ObjectViews
@@ -123,13 +122,20 @@ def test_what_leans_in_a_vessel_is_tilted_if_that_explains_more(
     assert (found.T_world_object[2, 2] < 0.99) == leans and found.rests_on == 3
 
 
-def test_an_upper_object_that_is_not_above_is_an_error(make_table) -> None:
+@pytest.mark.parametrize("lower_x, upper_x, fits", [(0.4, 2.0, 2), (1.0, 0.4, 1)])
+def test_an_object_beside_the_other_one_stands_on_the_plane(make_table, lower_x, upper_x, fits) -> None:
     table = make_table("can", (), yaw=0.0)
     views = ObjectViews(7, "can", 1.0, tuple(table.observations((0.0,))))
-    lower = estimate(3, as_mesh(trimesh.creation.box((0.06, 0.06, 0.1)), 0.4, -0.1, -0.03))
-    far = estimate(7, as_mesh(trimesh.creation.box((0.06, 0.06, 0.1)), 2.0, 0, 0))
-    with pytest.raises(PerceptionError, match=r"^can_7 is not above can_3$"):
-        rest_on(views, lower, PLANE, FitConfig(), lambda *_: far)
+    lower = estimate(3, as_mesh(trimesh.creation.box((0.06, 0.06, 0.1)), lower_x, -0.1, -0.03))
+    offsets = []
+
+    def fit(_: ObjectViews, plane: SupportPlane, config: FitConfig) -> ObjectEstimate:
+        offsets.append((plane.offset, config.noise.support_sigma))
+        return estimate(7, as_mesh(trimesh.creation.box((0.06, 0.06, 0.1)), upper_x, 0, 0))
+
+    found = rest_on(views, lower, PLANE, FitConfig(), fit)
+    assert found.rests_on is None and len(offsets) == fits
+    assert offsets[-1] == (PLANE.offset, FitConfig().noise.support_sigma)
 
 
 def test_one_object_is_not_measured() -> None:
