@@ -43,9 +43,8 @@ def check_processes(processes: int, device: str) -> None:
     if processes < 1:
         raise UsageError(f"--processes {processes}: at least one is needed")
     if device == "cuda" and processes > torch.cuda.device_count():
-        raise UsageError(
-            f"--processes {processes}: only {torch.cuda.device_count()} GPUs; one for each process"
-        )
+        found = torch.cuda.device_count()
+        raise UsageError(f"--processes {processes}: one GPU for each, here are {found}")
 
 
 def run_on_ranks(
