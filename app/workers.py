@@ -148,13 +148,7 @@ class _Worker(Generic[Item, Result]):
         context = multiprocessing.get_context("spawn")  # a GL context does not survive a fork
         near, far = context.Pipe()
         process = context.Process(target=_serve, args=(far, function, prepare), daemon=True)
-        # Ctrl-C reaches the whole process group: the parent decides, its workers inherit a blocked SIGINT.
-        resource_tracker.ensure_running()  # its start would unblock the signal
-        mask = signal.pthread_sigmask(signal.SIG_BLOCK, {signal.SIGINT})
-        try:
-            process.start()
-        finally:
-            signal.pthread_sigmask(signal.SIG_SETMASK, mask)
+        start_without_interrupts(process)
         far.close()  # so that the death of the worker is the end of the stream
         return _Worker(process, near)
 
@@ -190,12 +184,30 @@ class _Worker(Generic[Item, Result]):
             self.process.kill()
             self.process.join()
         self.connection.close()
-        code = self.process.exitcode or 0
-        if code >= 0:
-            return f"exit code {code}"
-        with contextlib.suppress(ValueError):
-            return signal.Signals(-code).name
-        return f"signal {-code}"
+        return how_ended(self.process)
+
+
+def start_without_interrupts(process: SpawnProcess) -> None:
+    """Start a process that inherits a blocked SIGINT.
+
+    Ctrl-C reaches the whole process group; the process of the command decides what becomes of the others.
+    """
+    resource_tracker.ensure_running()  # its start would unblock the signal
+    mask = signal.pthread_sigmask(signal.SIG_BLOCK, {signal.SIGINT})
+    try:
+        process.start()
+    finally:
+        signal.pthread_sigmask(signal.SIG_SETMASK, mask)
+
+
+def how_ended(process: SpawnProcess) -> str:
+    """Return the signal that ended a process, or its exit code."""
+    code = process.exitcode or 0
+    if code >= 0:
+        return f"exit code {code}"
+    with contextlib.suppress(ValueError):
+        return signal.Signals(-code).name
+    return f"signal {-code}"
 
 
 def _ready(busy: Sequence[_Worker[Item, Result]], limit: float) -> list[_Worker[Item, Result]]:

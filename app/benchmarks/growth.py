@@ -25,8 +25,8 @@ from app.benchmarks.growth_scene import (
 )
 from app.benchmarks.machine import describe_machine
 from app.benchmarks.timing import Job, clocked
-from app.evaluation.jobs import Jobs, run_jobs
 from app.evaluation.tasks import failed_seed, run_seed
+from app.jobs import Jobs, run_jobs
 from app.options import BenchOptions, EvaluateOptions
 from app.runs.report import Report
 from app.runs.run_folder import RunFolder

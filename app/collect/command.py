@@ -24,9 +24,9 @@ from app.environments.environment import CAMERAS, CellEnv, PackEnv, SortEnv
 from app.environments.expert import Expert
 from app.environments.registration import RATE
 from app.errors import UsageError
-from app.evaluation.jobs import Failure, Jobs, networks_on, run_jobs
 from app.evaluation.ledger import Ledger, LedgerFormat, Line
 from app.evaluation.statistics import wilson_interval
+from app.jobs import Failure, Jobs, networks_on, run_jobs
 from app.options import NOT_SETTINGS, CellOptions, CollectOptions, Task
 from app.runs.manifest import CARD_FILE, is_own_card
 from app.runs.report import Report

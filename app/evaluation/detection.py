@@ -23,8 +23,8 @@ from app.drawing import draw_detections
 from app.errors import UsageError
 from app.evaluation.detection_fits import judged_by_fits
 from app.evaluation.detection_scoring import is_accepted, score_image, summarise_detection
-from app.evaluation.jobs import Failure, Jobs, run_jobs
 from app.evaluation.ledger import Ledger, LedgerFormat, Line
+from app.jobs import Failure, Jobs, run_jobs
 from app.options import EvaluateOptions
 from app.runs.report import Report
 from app.screen import Screen

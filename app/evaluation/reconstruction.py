@@ -18,10 +18,10 @@ from typing import Any
 import numpy as np
 
 from app.errors import UsageError
-from app.evaluation.jobs import Failure, Jobs, run_jobs
 from app.evaluation.ledger import Ledger, LedgerFormat, Line
 from app.evaluation.reconstruction_object import MOST_SUBJECTS, Subject, evaluate_subject
 from app.evaluation.reconstruction_summary import reconstruction_tables, summarise_reconstruction
+from app.jobs import Failure, Jobs, run_jobs
 from app.options import EvaluateOptions
 from app.runs.report import Report
 from app.screen import Screen

@@ -20,7 +20,6 @@ import numpy as np
 
 from app.errors import UsageError
 from app.evaluation import slam_short
-from app.evaluation.jobs import Failure, Jobs, networks_on, resident_memory, run_jobs
 from app.evaluation.ledger import Ledger, LedgerFormat, Line
 from app.evaluation.slam_scoring import (
     CURVE_UPDATES,
@@ -31,6 +30,7 @@ from app.evaluation.slam_scoring import (
     surface_rows,
 )
 from app.evaluation.slam_summary import slam_tables, summarise_slam, write_plots
+from app.jobs import Failure, Jobs, networks_on, resident_memory, run_jobs
 from app.options import EvaluateOptions
 from app.runs.report import Report
 from app.screen import Screen

@@ -17,12 +17,12 @@ import numpy as np
 from rich.table import Table
 
 from app.errors import UsageError
-from app.evaluation.jobs import Failure, Jobs, networks_on, run_jobs
 from app.evaluation.ledger import Ledger, LedgerFormat, Line
 from app.evaluation.slam_faults import MOVED_AT, flickering, with_fault
 from app.evaluation.slam_scoring import TrueObjects, absolute_pose_error, places_of, surface_rows
 from app.evaluation.slam_summary import NAMES
 from app.evaluation.statistics import paired_difference, wilson_interval
+from app.jobs import Failure, Jobs, networks_on, run_jobs
 from app.options import EvaluateOptions, SlamFault
 from app.runs.report import Report
 from app.screen import Screen

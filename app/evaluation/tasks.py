@@ -12,9 +12,9 @@ from dataclasses import fields, replace
 from functools import partial
 from typing import Any
 
-from app.evaluation.jobs import Failure, Jobs, networks_on, run_jobs
 from app.evaluation.ledger import Ledger, LedgerFormat, Line
 from app.evaluation.statistics import summarise
+from app.jobs import Failure, Jobs, networks_on, run_jobs
 from app.options import NOT_SETTINGS, EvaluateOptions, TaskOptions
 from app.runs.report import Report
 from app.screen import Screen

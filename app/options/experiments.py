@@ -36,6 +36,13 @@ class TrainOptions(CommonOptions):
     """Training meshes: DIR/<synset>/<id>/models/model_normalized.obj (ShapeNet) or DIR/<class>/*.obj."""
     tensorboard: bool = False
     """Write training curves for TensorBoard into the run folder (extra: train; shape only)."""
+    workers: Annotated[int | None, arg(help_behavior_hint="default: one for each core")] = None
+    """Number of processes that render scenes, fit objects and sample shapes, with one thread each."""
+    ray: Annotated[str | None, arg(metavar="ADDRESS", help_behavior_hint="default: this machine")] = None
+    """Address of a Ray cluster to render, fit and sample on (extra: cluster)."""
+    processes: int = 1
+    """Number of processes that share each batch of the optimisation, with one GPU each on CUDA; not for
+    acceptance."""
 
 
 @dataclass(frozen=True, kw_only=True)

@@ -20,6 +20,7 @@ from app.training.acceptance_fits import collect
 from app.training.crop_dataset import Progress
 from app.training.detector import calibration_error
 from app.training.files import checksums
+from app.training.resources import Resources
 from perception.errors import PerceptionError
 from perception.inference.acceptance import (
     AGAINST,
@@ -91,7 +92,12 @@ class Samples:
     real: Bool[np.ndarray, "n"]
 
 
-def run(config: TrainAcceptanceConfig, out_dir: Path, progress: Progress | None = None) -> dict[str, Any]:
+def run(
+    config: TrainAcceptanceConfig,
+    out_dir: Path,
+    progress: Progress | None = None,
+    resources: Resources = Resources(),
+) -> dict[str, Any]:
     """Reconstruct rendered scenes, fit the regression and evaluate it on the test split.
 
     Writes `fits/`, `acceptance.json` and `acceptance.md` to the folder; finished chunks are reused.
@@ -100,8 +106,8 @@ def run(config: TrainAcceptanceConfig, out_dir: Path, progress: Progress | None 
         Metrics on the test split (``acceptance_metrics``).
     """
     seed, folder = config.training.seed, out_dir / "fits"
-    train = collect(folder, "train", config.pictures, seed, progress)
-    test = collect(folder, "test", config.test, seed, progress)
+    train = collect(folder, "train", config.pictures, seed, resources.workers, progress)
+    test = collect(folder, "test", config.test, seed, resources.workers, progress)
     model = fit_model(train, config.training)
     metrics = acceptance_metrics(model, test)
     model.save(out_dir / WEIGHTS_FILE)

@@ -7,7 +7,6 @@ mask shows an object of its class.
 from __future__ import annotations
 
 import json
-import os
 from dataclasses import dataclass, replace
 from functools import cache
 from pathlib import Path
@@ -15,9 +14,10 @@ from typing import Any
 
 import numpy as np
 
+from app.jobs import Workers
 from app.training.crop_dataset import Progress, Split, perturb_plane
 from app.training.scene_dataset import training_scene_config
-from app.workers import Lost, map_in_processes
+from app.training.shards import Contents, write_shards
 from perception.detection.detector import Detector, DetectorConfig
 from perception.errors import PerceptionError
 from perception.inference.evidence import measure_evidence
@@ -25,7 +25,6 @@ from perception.inference.fit import fit_with_grid
 from perception.inference.fit_config import FitConfig
 from perception.inference.observation import ObjectViews
 from perception.inference.reconstruct import gather_instances
-from perception.io.files import write_atomically
 from perception.pipeline import load_decoder
 from perception.shape.decoder import ShapeDecoder
 from perception.threads import single_threaded
@@ -58,31 +57,34 @@ class Chunk:
     def path(self) -> Path:
         return self.folder / f"fits_{self.split}_seed{self.seed}_n{self.count}_{self.number:03d}.json"
 
+    @property
+    def files(self) -> tuple[Path]:
+        """The file, for ``write_shards``."""
+        return (self.path,)
+
 
 def collect(
-    folder: Path, split: Split, pictures: int, seed: int, progress: Progress | None = None
+    folder: Path,
+    split: Split,
+    pictures: int,
+    seed: int,
+    workers: Workers = Workers(),
+    progress: Progress | None = None,
 ) -> list[dict[str, Any]]:
     """Return the fits in rendered scenes; chunks that are in the folder are not repeated.
 
     Raises:
-        PerceptionError: A process died.
+        PerceptionError: A chunk failed.
     """
     chunks = [
         Chunk(folder, split, seed, k, min(CHUNK, pictures - k * CHUNK)) for k in range(-(-pictures // CHUNK))
     ]
-    missing = [chunk for chunk in chunks if not chunk.path.is_file()]
-    done = len(chunks) - len(missing)
-    for chunk, result in map_in_processes(collect_chunk, missing, os.cpu_count() or 1):
-        if isinstance(result, Lost):
-            raise PerceptionError(f"chunk {chunk.number} of {split} scenes failed: {result.reason}")
-        done += 1
-        if progress:
-            progress(f"reconstructing {split} scenes", done / len(chunks))
+    write_shards(chunks, collect_chunk, workers, f"reconstructing {split} scenes", progress)
     return [row for chunk in chunks for row in json.loads(chunk.path.read_text("utf-8"))]
 
 
-def collect_chunk(chunk: Chunk) -> None:
-    """Render, detect and reconstruct the images of a chunk; write one row for each fit."""
+def collect_chunk(chunk: Chunk) -> Contents:
+    """Render, detect and reconstruct the images of a chunk; return its file, one row for each fit."""
     from sim_assets.datasets.training_scenes import TrainingScenes
 
     sequence = np.random.SeedSequence([chunk.seed, chunk.number, chunk.split == "test", 7])
@@ -101,7 +103,7 @@ def collect_chunk(chunk: Chunk) -> None:
                 label = _label(image, detection)
                 if label != "ignored":
                     rows += _fits(views, detection, label, decoder, plane)
-    write_atomically(chunk.path, json.dumps(rows))
+    return (json.dumps(rows).encode(),)
 
 
 def _label(image: Any, detection: ObjectDetection) -> str:

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import os
 import time
 from dataclasses import replace
 from typing import Any
@@ -9,10 +10,12 @@ from typing import Any
 from rich.markup import escape
 
 from app.errors import UsageError
+from app.jobs import Workers
 from app.options import TrainOptions
 from app.runs.report import Report
 from app.runs.run_folder import RunFolder
 from app.screen import Screen
+from app.training.resources import Resources
 from perception.pipeline import resolve_device
 
 _INSTALL = (
@@ -23,6 +26,7 @@ _INSTALL = (
 def run(options: TrainOptions, screen: Screen) -> Report:
     """Train into the run folder; the shipped weights are not touched."""
     device = resolve_device(options.device)
+    resources = _resources(options, device)
     train, config = _job(options)
     changes: dict[str, Any] = {"seed": options.seed}
     if options.epochs is not None:
@@ -38,7 +42,10 @@ def run(options: TrainOptions, screen: Screen) -> Report:
     begin = time.perf_counter()
     with screen.stage(f"Training {options.network}"):
         metrics = train(
-            config, folder.path, lambda what, share: screen.update(f"{100 * share:.0f} %, {what}")
+            config,
+            folder.path,
+            lambda what, share: screen.update(f"{100 * share:.0f} %, {what}"),
+            resources,
         )
     report = Report(
         command="train",
@@ -62,35 +69,43 @@ def _epochs(config: Any) -> int | None:
     return getattr(config.training, "epochs", None)
 
 
+def _resources(options: TrainOptions, device: str) -> Resources:
+    """Return the processes and machines that the command may use.
+
+    Raises:
+        UsageError: The machine has too few GPUs, or the network is not trained on several processes.
+    """
+    if options.workers is not None and options.workers < 1:
+        raise UsageError(f"--workers {options.workers}: at least one is needed")
+    if options.processes != 1:
+        if options.network == "acceptance":
+            raise UsageError("--processes is not for `train acceptance`, which is a regression")
+        from app.training.processes import check_processes
+
+        check_processes(options.processes, device)
+    return Resources(Workers(options.workers or os.cpu_count() or 1, options.ray), options.processes)
+
+
 def _job(options: TrainOptions) -> tuple[Any, Any]:
     """Return the training function of a network and its default configuration."""
-    if options.network == "shape":
-        from app.training.shape import TrainShapeConfig
-        from app.training.shape import run as train
+    match options.network:
+        case "shape":
+            from app.training import shape
 
-        return train, TrainShapeConfig()
-    if options.network == "detector":
-        from app.training.detector import TrainDetectorConfig
-        from app.training.detector import run as train
+            return shape.run, shape.TrainShapeConfig()
+        case "detector":
+            from app.training import detector
 
-        return train, TrainDetectorConfig()
-    if options.network == "acceptance":
-        from app.training.acceptance import TrainAcceptanceConfig
-        from app.training.acceptance import run as train
+            return detector.run, detector.TrainDetectorConfig()
+        case "pose":
+            from app.training import pose
 
-        return train, TrainAcceptanceConfig()
-    if options.network == "pose":
-        from app.training.pose import TrainPoseConfig
-        from app.training.pose import run as train
+            return pose.run, pose.TrainPoseConfig()
+        case "yaw":
+            from app.training import yaw
 
-        return train, TrainPoseConfig()
-    from app.training.yaw import TrainYawConfig
+            return yaw.run, yaw.TrainYawConfig()
+        case "acceptance":
+            from app.training import acceptance
 
-    if options.network == "pose":
-        from app.training.pose import TrainPoseConfig
-        from app.training.pose import run as train
-
-        return train, TrainPoseConfig()
-    from app.training.yaw import run as train
-
-    return train, TrainYawConfig()
+            return acceptance.run, acceptance.TrainAcceptanceConfig()

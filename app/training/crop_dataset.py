@@ -16,7 +16,8 @@ import cv2
 import numpy as np
 from jaxtyping import Bool, Float, Int, UInt8
 
-from app.training.files import load_arrays, save_arrays
+from app.training.files import load_arrays, packed_arrays
+from app.training.shards import Progress as Progress
 from perception.detection.crops import CHANNELS, CONTEXT, SIDE, crop, frame_geometry
 from perception.detection.geometry import bounding_window, heading_angle, points_of
 from perception.types import CATEGORIES, OTHER, SupportPlane
@@ -26,7 +27,6 @@ if TYPE_CHECKING:
 
 logger = logging.getLogger(__name__)
 IndexOf = Callable[["InstanceLabel | None"], "int | None"]
-Progress = Callable[[str, float], None]  # description of the current step, share of the job done
 Split = Literal["train", "test"]
 
 PURITY = 0.8  # smallest share of a mask's object pixels that belong to the object it is labelled with
@@ -61,13 +61,13 @@ class LabelledCrops:
         """Return the crops of the given rows."""
         return LabelledCrops(**{name: getattr(self, name)[rows] for name in _COLUMNS})
 
-    def save(self, path: Path) -> None:
-        """Write the arrays to an npz file, atomically."""
-        save_arrays(path, self, _COLUMNS)
+    def packed(self) -> bytes:
+        """Return the arrays as the content of an npz file."""
+        return packed_arrays(self, _COLUMNS)
 
     @staticmethod
     def load(path: Path) -> LabelledCrops:
-        """Read what ``save`` wrote; raises PerceptionError for a damaged file."""
+        """Read a file of ``packed`` arrays; raises PerceptionError for a damaged file."""
         return LabelledCrops(**load_arrays(path, _COLUMNS, "labelled crops"))
 
     @staticmethod

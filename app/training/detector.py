@@ -15,8 +15,11 @@ import numpy as np
 import torch
 from jaxtyping import Float, Int
 
+from app.jobs import Workers
 from app.training.crop_dataset import LabelledCrops, Progress, Split
 from app.training.files import checksums, summary_writer
+from app.training.fitting import fit_crop_network, fit_scene_network
+from app.training.resources import Resources
 from app.training.scene_dataset import (
     LabelledScenes,
     Shard,
@@ -37,10 +40,9 @@ from perception.detection.crop_training import (
     TrainingData,
     TrainingJob,
     calibrated_temperature,
-    train_crop_network,
 )
 from perception.detection.scene_network import SceneNet, save_scene_network
-from perception.detection.scene_training import SceneTrainingConfig, train_scene_network
+from perception.detection.scene_training import SceneTrainingConfig
 from perception.detection.tasks import ENSEMBLE_SIZE, LABELS, SCENE_WEIGHTS_FILE, WEIGHTS_FILES, Task
 from perception.types import OTHER
 
@@ -116,7 +118,12 @@ class DataSets:
         )
 
 
-def run(config: TrainDetectorConfig, out_dir: Path, progress: Progress | None = None) -> dict[str, Any]:
+def run(
+    config: TrainDetectorConfig,
+    out_dir: Path,
+    progress: Progress | None = None,
+    resources: Resources = Resources(),
+) -> dict[str, Any]:
     """Render the data set, train both networks and evaluate the class network.
 
     Writes `scenes/`, checkpoints, `scene.safetensors`, `detector.safetensors` and `detector.md` to the
@@ -125,12 +132,14 @@ def run(config: TrainDetectorConfig, out_dir: Path, progress: Progress | None = 
     Returns:
         Metrics of the class network on crops of the test families (``class_metrics``).
     """
-    data_sets = render_data_sets(config, out_dir, progress)
-    scene = train_scene(load_scenes([s.scenes for s in data_sets.training]), config, out_dir, progress)
+    data_sets, processes = render_data_sets(config, out_dir, progress, resources.workers), resources.processes
+    scenes = load_scenes([s.scenes for s in data_sets.training])
+    scene = train_scene(scenes, config, out_dir, progress, processes)
     save_scene_network(scene, out_dir / SCENE_WEIGHTS_FILE, provenance(config))
     crops = data_sets.crops()
     data = TrainingData(class_targets(crops.training), class_targets(crops.validation))
-    trained = train_ensemble("class", data, config, out_dir, stage_progress(progress, SCENE_SHARE, 1.0))
+    part = stage_progress(progress, SCENE_SHARE, 1.0)
+    trained = train_ensemble("class", data, config, out_dir, part, processes)
     metrics = class_metrics(crops.test, trained.probabilities(crops.test))
     trained.save(out_dir / WEIGHTS_FILES["class"], "class", config)
     card = _card(config, metrics, scene, trained, len(crops.training))
@@ -139,13 +148,15 @@ def run(config: TrainDetectorConfig, out_dir: Path, progress: Progress | None = 
     return metrics
 
 
-def render_data_sets(config: TrainDetectorConfig, out_dir: Path, progress: Progress | None) -> DataSets:
+def render_data_sets(
+    config: TrainDetectorConfig, out_dir: Path, progress: Progress | None, workers: Workers = Workers()
+) -> DataSets:
     """Render the three data sets, or find those already in the folder."""
     folder, seed = out_dir / "scenes", config.training.seed
 
     def shards(split: Split, pictures: int, seed: int, low: float, high: float) -> list[Shard]:
         part = stage_progress(progress, low * RENDERING_SHARE, high * RENDERING_SHARE)
-        return render_shards(folder, split, pictures, seed, part)
+        return render_shards(folder, split, pictures, seed, workers, part)
 
     return DataSets(
         shards("train", config.pictures, seed, 0.0, 0.9),
@@ -160,7 +171,11 @@ def stage_progress(progress: Progress | None, low: float, high: float) -> Progre
 
 
 def train_scene(
-    scenes: LabelledScenes, config: TrainDetectorConfig, out_dir: Path, progress: Progress | None
+    scenes: LabelledScenes,
+    config: TrainDetectorConfig,
+    out_dir: Path,
+    progress: Progress | None,
+    processes: int = 1,
 ) -> SceneNet:
     """Train the scene network, reporting progress."""
     settings = SceneTrainingConfig(epochs=config.scene_epochs, seed=config.training.seed)
@@ -170,8 +185,7 @@ def train_scene(
         share = RENDERING_SHARE + (SCENE_SHARE - RENDERING_SHARE) * step / steps
         _report(progress, f"scenes, step {step} of {steps}", share)
 
-    job = TrainingJob(out_dir, config.device, on_step)
-    return train_scene_network(scenes.labelled, len(scenes), settings, job)
+    return fit_scene_network(scenes, settings, TrainingJob(out_dir, config.device, on_step), processes)
 
 
 def train_ensemble(
@@ -180,6 +194,7 @@ def train_ensemble(
     config: TrainDetectorConfig,
     out_dir: Path,
     progress: Progress | None,
+    processes: int = 1,
 ) -> CalibratedNetwork:
     """Train and calibrate the network or ensemble of a task.
 
@@ -200,7 +215,7 @@ def train_ensemble(
 
         folder = out_dir if member == 0 else out_dir / f"member{member}"
         settings = replace(config.training, seed=config.training.seed + member)
-        return train_crop_network(task, data, settings, TrainingJob(folder, config.device, on_epoch))
+        return fit_crop_network(task, data, settings, TrainingJob(folder, config.device, on_epoch), processes)
 
     network = ensemble_of([train(member) for member in range(count)])
     return CalibratedNetwork(network, calibrated_temperature(network, data.validation))

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import io
 from collections.abc import Sequence
 from pathlib import Path
 from typing import Any
@@ -13,12 +14,11 @@ from perception.io.arrays import read_arrays
 from perception.io.weights import weights_checksum
 
 
-def save_arrays(path: Path, holder: Any, names: Sequence[str]) -> None:
-    """Write the named array attributes of an object atomically as an npz file."""
-    path.parent.mkdir(parents=True, exist_ok=True)
-    partial = path.with_suffix(".partial.npz")
-    np.savez(partial, **{name: getattr(holder, name) for name in names})
-    partial.replace(path)
+def packed_arrays(holder: Any, names: Sequence[str]) -> bytes:
+    """Return the named array attributes of an object as the content of an npz file."""
+    file = io.BytesIO()
+    np.savez(file, **{name: getattr(holder, name) for name in names})
+    return file.getvalue()
 
 
 def load_arrays(path: Path, names: Sequence[str], what: str) -> dict[str, np.ndarray]:

@@ -6,7 +6,6 @@ The scenes are those of `nodeslam train detector`, with many of the objects on t
 from __future__ import annotations
 
 import math
-import os
 from dataclasses import dataclass, field, replace
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
@@ -14,6 +13,7 @@ from typing import TYPE_CHECKING, Any
 import numpy as np
 from jaxtyping import Float
 
+from app.jobs import Workers
 from app.training.crop_dataset import (
     LabelledCrops,
     Progress,
@@ -31,11 +31,11 @@ from app.training.detector import (
     train_ensemble,
 )
 from app.training.files import checksums
+from app.training.resources import Resources
 from app.training.scene_dataset import ASTRAY, SHARD, load_crops, training_scene_config
-from app.workers import Lost, map_in_processes
+from app.training.shards import Contents, write_shards
 from perception.detection.crop_training import CropSet, TrainingConfig, TrainingData
 from perception.detection.tasks import POSE_LABELS, WEIGHTS_FILES
-from perception.errors import PerceptionError
 from perception.types import POSED_CLASSES
 
 if TYPE_CHECKING:
@@ -73,8 +73,18 @@ class PoseShard:
     number: int
     count: int
 
+    @property
+    def files(self) -> tuple[Path]:
+        """The file, for ``write_shards``."""
+        return (self.path,)
 
-def run(config: TrainPoseConfig, out_dir: Path, progress: Progress | None = None) -> dict[str, Any]:
+
+def run(
+    config: TrainPoseConfig,
+    out_dir: Path,
+    progress: Progress | None = None,
+    resources: Resources = Resources(),
+) -> dict[str, Any]:
     """Render the data set, train the pose network and evaluate it on the test families.
 
     Writes `pose_scenes/`, checkpoint, `pose.safetensors` and `pose.md` to the folder.
@@ -86,13 +96,15 @@ def run(config: TrainPoseConfig, out_dir: Path, progress: Progress | None = None
     rendering = stage_progress(progress, 0.0, RENDERING_SHARE)
 
     def crops(split: Split, pictures: int, seed: int) -> LabelledCrops:
-        return load_crops([shard.path for shard in render_crops(folder, split, pictures, seed, rendering)])
+        shards = render_crops(folder, split, pictures, seed, resources.workers, rendering)
+        return load_crops([shard.path for shard in shards])
 
     training = crops("train", config.pictures, seed)
     validation = crops("train", config.validation, seed + 1)  # other shapes than those of training
     test = crops("test", config.test, seed)
     data = TrainingData(pose_targets(training), pose_targets(validation))
-    trained = train_ensemble("pose", data, config, out_dir, stage_progress(progress, RENDERING_SHARE, 1.0))
+    part = stage_progress(progress, RENDERING_SHARE, 1.0)
+    trained = train_ensemble("pose", data, config, out_dir, part, resources.processes)
     metrics = pose_metrics(test, trained.probabilities(test))
     trained.save(out_dir / WEIGHTS_FILES["pose"], "pose", config)
     card = _card(config, metrics, trained, len(training))
@@ -101,9 +113,14 @@ def run(config: TrainPoseConfig, out_dir: Path, progress: Progress | None = None
 
 
 def render_crops(
-    folder: Path, split: Split, pictures: int, seed: int, progress: Progress | None = None
+    folder: Path,
+    split: Split,
+    pictures: int,
+    seed: int,
+    workers: Workers = Workers(),
+    progress: Progress | None = None,
 ) -> list[PoseShard]:
-    """Render random scenes, one process per core, and return the shards of crops; existing ones are reused.
+    """Render random scenes and return the shards of their crops; existing ones are reused.
 
     Raises:
         PerceptionError: A shard could not be rendered.
@@ -113,19 +130,12 @@ def render_crops(
         count = min(SHARD, pictures - number * SHARD)
         path = folder / f"crops_{split}_seed{seed}_n{count}_{number:03d}.npz"
         shards.append(PoseShard(path, split, seed, number, count))
-    missing = [shard for shard in shards if not shard.path.is_file()]
-    done = len(shards) - len(missing)
-    for shard, result in map_in_processes(render_shard, missing, os.cpu_count() or 1):
-        if isinstance(result, Lost):
-            raise PerceptionError(f"shard {shard.number} of {split} scenes was not rendered: {result.reason}")
-        done += 1
-        if progress:
-            progress(f"rendering {split} scenes", done / len(shards))
+    write_shards(shards, render_shard, workers, f"rendering {split} scenes", progress)
     return shards
 
 
-def render_shard(shard: PoseShard) -> None:
-    """Render the scenes of a shard and write its crops."""
+def render_shard(shard: PoseShard) -> Contents:
+    """Render the scenes of a shard and return the content of its file of crops."""
     from sim_assets.datasets.training_scenes import TrainingScenes
 
     seed = np.random.SeedSequence([shard.seed, shard.number, shard.split == "test"])
@@ -138,7 +148,7 @@ def render_shard(shard: PoseShard) -> None:
         for image in source.render(shard.count):
             masks = perturb_masks(image, rng, astray=ASTRAY)
             crops.append(label_crops(image, perturb_plane(image.plane, rng), masks, pose_index))
-    LabelledCrops.concatenate(crops).save(shard.path)
+    return (LabelledCrops.concatenate(crops).packed(),)
 
 
 def pose_index(item: InstanceLabel | None) -> int:

@@ -9,7 +9,6 @@ from __future__ import annotations
 
 import logging
 import math
-import os
 from collections.abc import Sequence
 from dataclasses import dataclass
 from pathlib import Path
@@ -18,6 +17,7 @@ from typing import TYPE_CHECKING
 import numpy as np
 from jaxtyping import Float, UInt8, UInt16
 
+from app.jobs import Workers
 from app.training.crop_dataset import (
     LabelledCrops,
     Progress,
@@ -26,11 +26,10 @@ from app.training.crop_dataset import (
     perturb_masks,
     perturb_plane,
 )
-from app.training.files import load_arrays, save_arrays
-from app.workers import Lost, map_in_processes
+from app.training.files import load_arrays, packed_arrays
+from app.training.shards import Contents, write_shards
 from perception.detection.scene_patches import UNJUDGED, LabelledScene
 from perception.detection.working_view import downscale
-from perception.errors import PerceptionError
 from perception.types import CATEGORIES, OTHER, CameraIntrinsics, RgbdFrame, SupportPlane
 
 if TYPE_CHECKING:
@@ -74,6 +73,11 @@ class Shard:
     def crops(self) -> Path:
         """File of the crops, for ``load_crops``."""
         return self._file("crops")
+
+    @property
+    def files(self) -> tuple[Path, Path]:
+        """Both files, in the order of ``render_shard``."""
+        return self.crops, self.scenes
 
     def _file(self, what: str) -> Path:
         return self.directory / f"{what}_{self.split}_seed{self.seed}_n{self.count}_{self.number:03d}.npz"
@@ -122,13 +126,13 @@ class LabelledScenes:
             SupportPlane(np.array(normal), float(offset)),
         )  # fmt: skip
 
-    def save(self, path: Path) -> None:
-        """Write the arrays to an npz file, atomically."""
-        save_arrays(path, self, _COLUMNS)
+    def packed(self) -> bytes:
+        """Return the arrays as the content of an npz file."""
+        return packed_arrays(self, _COLUMNS)
 
     @staticmethod
     def load(path: Path) -> LabelledScenes:
-        """Read what ``save`` wrote; raises PerceptionError for a damaged file."""
+        """Read a file of ``packed`` arrays; raises PerceptionError for a damaged file."""
         return LabelledScenes(**load_arrays(path, _COLUMNS, "scenes"))
 
     @staticmethod
@@ -141,9 +145,14 @@ _COLUMNS = ("rgb", "depth", "things", "label", "foot", "plane", "camera", "pose"
 
 
 def render_shards(
-    directory: Path, split: Split, pictures: int, seed: int, progress: Progress | None = None
+    directory: Path,
+    split: Split,
+    pictures: int,
+    seed: int,
+    workers: Workers = Workers(),
+    progress: Progress | None = None,
 ) -> list[Shard]:
-    """Render random scenes, one process per core, and return their shards; existing ones are reused.
+    """Render random scenes and return their shards; existing ones are reused.
 
     Raises:
         PerceptionError: A shard could not be rendered.
@@ -152,19 +161,12 @@ def render_shards(
         Shard(directory, split, seed, number, min(SHARD, pictures - number * SHARD))
         for number in range(max(1, math.ceil(pictures / SHARD)))
     ]
-    missing = [shard for shard in shards if not (shard.scenes.is_file() and shard.crops.is_file())]
-    done = len(shards) - len(missing)
-    for shard, result in map_in_processes(render_shard, missing, os.cpu_count() or 1):
-        if isinstance(result, Lost):
-            raise PerceptionError(f"shard {shard.number} of {split} scenes was not rendered: {result.reason}")
-        done += 1
-        if progress:
-            progress(f"rendering {split} scenes", done / len(shards))
+    write_shards(shards, render_shard, workers, f"rendering {split} scenes", progress)
     return shards
 
 
-def render_shard(shard: Shard) -> None:
-    """Render the scenes of a shard and write its two files."""
+def render_shard(shard: Shard) -> Contents:
+    """Render the scenes of a shard and return the content of its files."""
     from sim_assets.datasets.training_scenes import TrainingScenes
 
     seed = np.random.SeedSequence([shard.seed, shard.number, shard.split == "test"])
@@ -175,8 +177,7 @@ def render_shard(shard: Shard) -> None:
             scenes.append(downscale_image(image))
             masks = perturb_masks(image, rng, astray=ASTRAY)
             crops.append(label_crops(image, perturb_plane(image.plane, rng), masks))
-    LabelledCrops.concatenate(crops).save(shard.crops)
-    LabelledScenes.concatenate(scenes).save(shard.scenes)
+    return LabelledCrops.concatenate(crops).packed(), LabelledScenes.concatenate(scenes).packed()
 
 
 def training_scene_config() -> TrainingSceneConfig:

@@ -7,30 +7,34 @@ from __future__ import annotations
 
 import json
 import logging
-from collections.abc import Callable, Sequence
+from collections.abc import Sequence
 from dataclasses import asdict, dataclass, field, replace
 from pathlib import Path
-from typing import Any, Literal
+from typing import Any
 
 import numpy as np
 import torch
 
+from app.jobs import Workers
 from app.training.files import summary_writer
+from app.training.mapped import Mapped, folder_of_arrays
+from app.training.processes import Report, run_on_ranks
+from app.training.resources import Resources
 from app.training.shape_pictures import CODE, PIXEL, RECONSTRUCTIONS, WALK, draw_shape_pictures
+from app.training.shape_samples import cached_shapes
+from app.training.shards import Progress
+from perception.distributed import Ranks
 from perception.errors import PerceptionError
 from perception.io.files import read_json, write_atomically, write_json
 from perception.io.weights import weights_checksum
 from perception.shape.dataset import ShapeDataset
 from perception.shape.evaluation import OBJECT_VOXELS, ShapeScores, describe, evaluate
 from perception.shape.network import ShapeVae
-from perception.shape.training import EpochRecord, ShapeTrainingConfig, train
+from perception.shape.training import EpochRecord, OnBatch, ShapeTrainingConfig, train
 from perception.shape.weights import save_weights
 from perception.types import CATEGORIES, Category
 
 logger = logging.getLogger(__name__)
-
-Split = Literal["train", "test"]
-Progress = Callable[[str, float], None]  # current activity and completed fraction of the job
 
 
 @dataclass(frozen=True)
@@ -66,7 +70,12 @@ class TrainShapeConfig:
         return {"mug": self.mugs, "bowl": self.bowls, "bottle": self.bottles, "can": self.cans}
 
 
-def run(config: TrainShapeConfig, out_dir: Path, progress: Progress | None = None) -> dict[str, Any]:
+def run(
+    config: TrainShapeConfig,
+    out_dir: Path,
+    progress: Progress | None = None,
+    resources: Resources = Resources(),
+) -> dict[str, Any]:
     """Train into a folder: data, checkpoint, ``history.json``, ``shape.safetensors``, and ``shape.md``.
 
     An interrupted training continues after the last complete epoch; of a finished one only the evaluation and
@@ -78,16 +87,13 @@ def run(config: TrainShapeConfig, out_dir: Path, progress: Progress | None = Non
     tell = progress or (lambda what, share: None)
     out_dir.mkdir(parents=True, exist_ok=True)
     seed = config.training.seed
-    train_data, test_data, skipped = _shapes(config, out_dir, tell)
-    watcher = _Watcher(config, out_dir, test_data)
+    train_data, test_data, skipped = _shapes(config, out_dir, tell, resources.workers)
 
     def on_batch(epoch: int, done: int, batches: int) -> None:
         share = (epoch - 1 + done / batches) / config.training.epochs
         tell(f"epoch {epoch} of {config.training.epochs}", share)
 
-    model = train(
-        train_data, config.training, config.device, out_dir / "checkpoint.pt", watcher.on_epoch, on_batch
-    )
+    model = _fit(config, out_dir, (train_data, test_data), on_batch, resources.processes)
     scores = evaluate(model, test_data, config.device)
     weights = out_dir / "shape.safetensors"
     metadata = {
@@ -108,16 +114,20 @@ def run(config: TrainShapeConfig, out_dir: Path, progress: Progress | None = Non
 
 
 def _shapes(
-    config: TrainShapeConfig, out_dir: Path, tell: Progress
+    config: TrainShapeConfig, out_dir: Path, tell: Progress, workers: Workers
 ) -> tuple[ShapeDataset, ShapeDataset, Sequence[str]]:
     """Return training shapes, held-out shapes and skipped meshes; the shapes are cached in the folder."""
     train_path, test_path = out_dir / "train_shapes.npz", out_dir / "test_shapes.npz"
     seed = config.training.seed
     if config.meshes is None:
+
+        def sampling(what: str, share: float) -> None:
+            tell(f"{what} ({share:.0%})", 0.0)
+
         tell("sampling shapes", 0.0)
         test_counts: dict[Category, int] = dict.fromkeys(CATEGORIES, config.held_out)
-        train_data = cached_shapes(train_path, config.counts, "train", seed)
-        return train_data, cached_shapes(test_path, test_counts, "test", seed), ()
+        train_data = cached_shapes(train_path, config.counts, "train", seed, workers, sampling)
+        return train_data, cached_shapes(test_path, test_counts, "test", seed, workers, sampling), ()
     job = {"meshes": str(config.meshes.resolve()), "seed": seed}
     source = out_dir / "shapes.json"
     if source.exists() and train_path.exists() and test_path.exists():
@@ -137,32 +147,43 @@ def _shapes(
     return shapes.train, shapes.test, shapes.skipped
 
 
-def cached_shapes(path: Path, counts: dict[Category, int], split: Split, seed: int) -> ShapeDataset:
-    """Return shapes of the families, from the cache file if it exists.
-
-    Raises:
-        PerceptionError: The cache file has other numbers of shapes.
-    """
-    if path.exists():
-        data = ShapeDataset.load(path)
-        if {category: len(data.of(category)) for category in CATEGORIES} == counts:
-            return data
-        raise PerceptionError(f"{path} holds other shapes than asked for; delete it or choose another --out")
-    from sim_assets.objects.families import sample_training_grids
-
-    data = ShapeDataset.from_grids(
-        {category: sample_training_grids(category, n, seed, split) for category, n in counts.items()}
-    )
-    data.save(path)
-    return data
-
-
 def held_out(scores: dict[Category, ShapeScores]) -> dict[str, dict[str, float | None]]:
     """Return the scores as JSON values; null where a class has no handles or a shape no surface."""
     return {
         category: {name: value if np.isfinite(value) else None for name, value in asdict(s).items()}
         for category, s in scores.items()
     }
+
+
+def _fit(
+    config: TrainShapeConfig,
+    out_dir: Path,
+    data: tuple[ShapeDataset, ShapeDataset],
+    on_batch: OnBatch,
+    processes: int,
+) -> ShapeVae:
+    """Train on the first data set, evaluating on the second; several processes end with the checkpoint."""
+    training, test = data
+    checkpoint = out_dir / "checkpoint.pt"
+    if processes == 1:
+        on_epoch = _Watcher(config, out_dir, test).on_epoch
+        return train(training, config.training, config.device, checkpoint, on_epoch, on_batch)
+    with folder_of_arrays(out_dir) as folder:
+        mapped = Mapped.write(training, folder / "training"), Mapped.write(test, folder / "test")
+        run_on_ranks(_fit_on_rank, (config, out_dir, *mapped), processes, config.device, on_batch)
+    return train(training, config.training, config.device, checkpoint)
+
+
+_Work = tuple[TrainShapeConfig, Path, Mapped[ShapeDataset], Mapped[ShapeDataset]]
+
+
+def _fit_on_rank(work: _Work, ranks: Ranks, report: Report) -> None:
+    """Train in one of several processes; the first evaluates, writes and reports."""
+    config, out_dir, training, test = work
+    on_epoch = _Watcher(config, out_dir, test.open()).on_epoch if ranks.is_first else None
+    on_batch = report if ranks.is_first else None
+    checkpoint = out_dir / "checkpoint.pt"
+    train(training.open(), config.training, config.device, checkpoint, on_epoch, on_batch, ranks)
 
 
 class _Watcher:

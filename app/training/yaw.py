@@ -23,6 +23,7 @@ from app.training.detector import (
     train_ensemble,
 )
 from app.training.files import checksums
+from app.training.resources import Resources
 from perception.detection.crop_training import CropSet, TrainingConfig, TrainingData
 from perception.detection.tasks import WEIGHTS_FILES
 from perception.detection.yaw import modes, soft_labels
@@ -38,7 +39,12 @@ class TrainYawConfig(TrainDetectorConfig):
     training: TrainingConfig = field(default_factory=lambda: TrainingConfig(epochs=28))
 
 
-def run(config: TrainYawConfig, out_dir: Path, progress: Progress | None = None) -> dict[str, Any]:
+def run(
+    config: TrainYawConfig,
+    out_dir: Path,
+    progress: Progress | None = None,
+    resources: Resources = Resources(),
+) -> dict[str, Any]:
     """Render the data set, train the yaw network and evaluate it on the test families.
 
     Writes `scenes/`, checkpoint, `yaw.safetensors` and `yaw.md` to the folder.
@@ -46,10 +52,11 @@ def run(config: TrainYawConfig, out_dir: Path, progress: Progress | None = None)
     Returns:
         Metrics of the yaw network (``yaw_metrics``).
     """
-    crops = render_data_sets(config, out_dir, progress).crops()
+    crops = render_data_sets(config, out_dir, progress, resources.workers).crops()
     training, validation, test = (select_mugs(c) for c in (crops.training, crops.validation, crops.test))
     data = TrainingData(yaw_targets(training), yaw_targets(validation))
-    trained = train_ensemble("yaw", data, config, out_dir, stage_progress(progress, RENDERING_SHARE, 1.0))
+    part = stage_progress(progress, RENDERING_SHARE, 1.0)
+    trained = train_ensemble("yaw", data, config, out_dir, part, resources.processes)
     metrics = yaw_metrics(test, trained.probabilities(test))
     trained.save(out_dir / WEIGHTS_FILES["yaw"], "yaw", config)
     card = _card(config, metrics, trained, len(training))

@@ -14,10 +14,11 @@ from pathlib import Path
 import numpy as np
 import torch
 from jaxtyping import Float, Int, UInt8
-from torch import Tensor
+from torch import Tensor, nn
 from torch.nn import functional
 
 from perception.detection.crop_augmentation import (
+    Draws,
     mirror_crops,
     perturb_crops,
     truncate_crops,
@@ -32,6 +33,7 @@ from perception.detection.crop_network import (
 from perception.detection.tasks import OUTPUTS, Task
 from perception.detection.training_state import TrainingState, resume_checkpoint, save_checkpoint
 from perception.detection.yaw import YAW_BINS
+from perception.distributed import Ranks
 from perception.errors import InvalidInputError
 
 logger = logging.getLogger(__name__)
@@ -98,12 +100,14 @@ class TrainingJob:
     Attributes:
         directory: Folder of the checkpoint.
         device: Torch device.
-        progress: Called with (epochs or steps done, their total number, metrics).
+        progress: Called with (epochs or steps done, their total number, metrics), in the first process.
+        ranks: Processes that share each batch; the first writes the checkpoint.
     """
 
     directory: Path
     device: str | torch.device = "cpu"
     progress: TrainingProgress | None = None
+    ranks: Ranks = Ranks()
 
 
 def train_crop_network(task: Task, data: TrainingData, config: TrainingConfig, job: TrainingJob) -> CropNet:
@@ -130,8 +134,12 @@ def train_crop_network(task: Task, data: TrainingData, config: TrainingConfig, j
     checkpoint = job.directory / f"checkpoint_{task}.pt"
     start = resume_checkpoint(checkpoint, state)
 
+    network = job.ranks.parallel(state.network)
+
     for epoch in range(start, config.epochs):
-        loss = _train_epoch(task, training, config, state)
+        loss = _train_epoch(task, training, config, state, network, job.ranks)
+        if not job.ranks.is_first:
+            continue
         metrics = {"loss": loss, **validation_metrics(task, state.network, validation)}
         save_checkpoint(checkpoint, state, epoch + 1)
         logger.info("%s epoch %d: %s", task, epoch + 1, metrics)
@@ -171,32 +179,43 @@ def learning_rate_share(done: float, warmup: float) -> float:
     return 0.01 + 0.99 * 0.5 * (1 + math.cos(math.pi * min(1.0, (done - warmup) / (1 - warmup))))
 
 
-def _train_epoch(task: Task, crops: CropSet, config: TrainingConfig, state: TrainingState[CropNet]) -> float:
-    """Train for one epoch and return the mean loss."""
-    network, generator = state.network, state.generator
+def _train_epoch(
+    task: Task,
+    crops: CropSet,
+    config: TrainingConfig,
+    state: TrainingState[CropNet],
+    network: nn.Module,
+    ranks: Ranks,
+) -> float:
+    """Train for one epoch and return the mean loss; ``network`` is the state's, or parallel around it."""
     network.train()
     device = next(network.parameters()).device
-    order = torch.randperm(len(crops), generator=generator).numpy()
+    order = torch.randperm(len(crops), generator=state.generator).numpy()
     total = 0.0
     for rows in np.array_split(order, max(1, round(len(order) / config.batch))):
-        batch = crops.subset(np.sort(rows))
+        share = ranks.share(len(rows))
+        draws = Draws(state.generator, len(rows), share)
+        batch = crops.subset(np.sort(rows)[share])
         images = torch.from_numpy(batch.images).to(device)
         context, targets = (torch.from_numpy(a).to(device) for a in (batch.context, batch.targets))
-        images, targets = mirror_crops(task, images, targets, generator)
-        inputs = warp_crops(normalise_crops(truncate_crops(images, generator)), generator)
-        inputs, context = perturb_crops(inputs, context, generator)
+        images, targets = mirror_crops(task, images, targets, draws)
+        inputs = warp_crops(normalise_crops(truncate_crops(images, draws)), draws)
+        inputs, context = perturb_crops(inputs, context, draws)
         if task != "yaw":
             targets = (1 - config.label_smoothing) * targets + config.label_smoothing / targets.shape[1]
         with torch.autocast(device.type, torch.bfloat16):
             logits = network(inputs, context)
-        loss = functional.cross_entropy(logits.float(), targets)
+        mean = functional.cross_entropy(logits.float(), targets) if len(batch) else logits.float().sum()
+        loss = ranks.weighted(mean, len(batch), len(rows))
         state.optimizer.zero_grad(set_to_none=True)
         loss.backward()
         torch.nn.utils.clip_grad_norm_(network.parameters(), 5.0)
         state.optimizer.step()
         state.schedule.step()
         total += loss.item() * len(rows)
-    return total / len(order)
+    return (
+        float(ranks.total(torch.tensor(total, dtype=torch.float64, device=device))) / ranks.count / len(order)
+    )
 
 
 @torch.inference_mode()

@@ -15,7 +15,7 @@ from dataclasses import dataclass, fields
 import numpy as np
 import torch
 from jaxtyping import Float
-from torch import Tensor
+from torch import Tensor, nn
 from torch.nn import functional
 
 from perception.detection.crop_training import TrainingJob, learning_rate_share
@@ -23,6 +23,7 @@ from perception.detection.scene_network import SceneNet
 from perception.detection.scene_patches import UNJUDGED, LabelledScene, TrainingPatch, sample_patch
 from perception.detection.tasks import CLASSES, VOTE_UNIT
 from perception.detection.training_state import TrainingState, resume_checkpoint, save_checkpoint
+from perception.distributed import Ranks
 from perception.types import OTHER
 
 logger = logging.getLogger(__name__)
@@ -93,8 +94,9 @@ def train_scene_network(
     per_epoch = max(1, count // config.batch)
     steps = config.epochs * per_epoch
     state = _initial_state(config, steps, job.device)
-    network, checkpoint = state.network, job.directory / "checkpoint_scene.pt"
+    checkpoint, ranks = job.directory / "checkpoint_scene.pt", job.ranks
     done = resume_checkpoint(checkpoint, state)
+    network = ranks.parallel(state.network)
     network.train()
     saved, running = time.monotonic(), np.zeros(3)
 
@@ -103,13 +105,15 @@ def train_scene_network(
         return [sample_patch(scenes(int(i)), config.side, rng) for i in rows]
 
     for step, patches in _one_ahead(sample, _batches(count, per_epoch, config, done)):
-        losses = _step(network, patches, config)
+        losses = _step(network, patches, config, ranks)
         state.optimizer.zero_grad(set_to_none=True)
-        losses.sum().backward()
+        (ranks.count * losses.sum()).backward()  # the gradients of the ranks are averaged
         torch.nn.utils.clip_grad_norm_(network.parameters(), 5.0)
         state.optimizer.step()
         state.schedule.step()
-        running = 0.98 * running + 0.02 * losses.detach().cpu().numpy()
+        running = 0.98 * running + 0.02 * ranks.total(losses.detach()).cpu().numpy()
+        if not ranks.is_first:
+            continue
         if time.monotonic() - saved > _SAVE_EVERY or step + 1 == steps:
             save_checkpoint(checkpoint, state, step + 1)
             saved = time.monotonic()
@@ -119,7 +123,7 @@ def train_scene_network(
             logger.info("scene step %d of %d: %s", step + 1, steps, metrics)
             if job.progress:
                 job.progress(step + 1, steps, metrics)
-    return network.eval()
+    return state.network.eval()
 
 
 def _initial_state(
@@ -164,25 +168,42 @@ def _one_ahead(
             yield waiting[0], waiting[1].result()
 
 
-def _step(network: SceneNet, patches: list[TrainingPatch], config: SceneTrainingConfig) -> Float[Tensor, "3"]:
-    """Return the weighted losses of foreground, classes and votes of a batch."""
+def _step(
+    network: nn.Module, patches: list[TrainingPatch], config: SceneTrainingConfig, ranks: Ranks
+) -> Float[Tensor, "3"]:
+    """Return the weighted losses of foreground, classes and votes of a batch, or the part of a rank's share.
+
+    The parts of all ranks add up to the losses of the batch.
+    """
     device = next(network.parameters()).device
-    columns = {
-        field.name: torch.from_numpy(np.stack([getattr(patch, field.name) for patch in patches])).to(device)
+    whole = {
+        field.name: torch.from_numpy(np.stack([getattr(patch, field.name) for patch in patches]))
         for field in fields(TrainingPatch)
     }
+    share = ranks.share(len(patches))
+    columns = {name: column[share].to(device) for name, column in whole.items()}
+    channels = columns.pop("channels")
     with torch.autocast(device.type, torch.bfloat16):
-        outputs = network(columns.pop("channels").permute(0, 3, 1, 2))
-    return scene_losses(outputs.float(), SceneTargets(**columns), config)
+        outputs = network(channels.permute(0, 3, 1, 2)).float()
+    if not len(channels):
+        return outputs.sum() * outputs.new_zeros(3)
+    if ranks.count == 1:
+        return scene_losses(outputs, SceneTargets(**columns), config)
+    losses = scene_losses(outputs, SceneTargets(**columns), config, whole["weight"].sum().to(device))
+    return losses * losses.new_tensor([len(channels) / len(patches), 1, 1])  # the first is a mean
 
 
 def scene_losses(
-    outputs: Float[Tensor, "n 12 h w"], targets: SceneTargets, config: SceneTrainingConfig
+    outputs: Float[Tensor, "n 12 h w"],
+    targets: SceneTargets,
+    config: SceneTrainingConfig,
+    whole_weight: Float[Tensor, ""] | None = None,
 ) -> Float[Tensor, "3"]:
     """Return the weighted losses (foreground, classes, votes).
 
     Binary cross-entropy of the foreground; cross-entropy of the classes; negative log-likelihood of the vote
-    error r in centimetres under exp(-r / b) / b^2 with the predicted standard error b.
+    error r in centimetres under exp(-r / b) / b^2 with the predicted standard error b. Weights of classes and
+    votes are relative to ``whole_weight``, by default their sum.
     """
     things = functional.pixel_unshuffle(targets.things[:, None].float(), 2)
     judged = (things != UNJUDGED).float()
@@ -190,7 +211,8 @@ def scene_losses(
         outputs[:, :4], (things > 0).float(), reduction="none"
     )
     loss_foreground = (judged * by_quarter).mean()
-    weight = targets.weight / targets.weight.sum().clamp(min=1e-6)
+    total = targets.weight.sum() if whole_weight is None else whole_weight
+    weight = targets.weight / total.clamp(min=1e-6)
     logits = outputs[:, 4 : 4 + CLASSES]
     by_pixel = functional.cross_entropy(
         logits, targets.label, ignore_index=-1, reduction="none", label_smoothing=0.02

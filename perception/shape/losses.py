@@ -46,10 +46,14 @@ def shape_loss(
     log_variance: Float[Tensor, "batch code"],
     beta: float,
 ) -> tuple[Float[Tensor, ""], Float[Tensor, ""]]:
-    """Return reconstruction loss plus beta KL divergence, and the KL divergence; batch means in [nat]."""
+    """Return reconstruction loss plus beta KL divergence, and the KL divergence; batch means in [nat].
+
+    Both are 0 for an empty batch.
+    """
     reconstruction = F.binary_cross_entropy_with_logits(logits, grids, weights, reduction="sum")
     divergence = 0.5 * (mean.square() + log_variance.exp() - 1.0 - log_variance).sum()
-    return (reconstruction + beta * divergence) / len(grids), divergence.detach() / len(grids)
+    n = max(len(grids), 1)
+    return (reconstruction + beta * divergence) / n, divergence.detach() / n
 
 
 def voxel_weights(

@@ -17,6 +17,7 @@ from pathlib import Path
 import numpy as np
 import torch
 
+from perception.distributed import Ranks
 from perception.errors import InvalidInputError, PerceptionError
 from perception.io.weights import write_checkpoint
 from perception.shape.dataset import ShapeDataset, occupancies
@@ -82,20 +83,24 @@ class TrainingRun:
         model: Network on ``device``.
         optimizer: Optimiser of the model's parameters.
         device: "cpu" or "cuda".
+        ranks: Processes that share each batch.
+        network: The model, or parallel around it.
     """
 
     config: ShapeTrainingConfig
     model: ShapeVae
     optimizer: torch.optim.Optimizer
     device: str
+    ranks: Ranks
+    network: torch.nn.Module
 
     @staticmethod
-    def start(config: ShapeTrainingConfig, device: str) -> TrainingRun:
+    def start(config: ShapeTrainingConfig, device: str, ranks: Ranks = Ranks()) -> TrainingRun:
         """Initialise network and optimiser from the seed."""
         model = ShapeVae().initialise(torch.Generator().manual_seed(config.seed))
         channels_last(model, device)
         optimizer = torch.optim.Adam(model.parameters(), lr=config.learning_rate, fused=True)
-        return TrainingRun(config, model, optimizer, device)
+        return TrainingRun(config, model, optimizer, device, ranks, ranks.parallel(model))
 
 
 def train(
@@ -105,6 +110,7 @@ def train(
     checkpoint: Path | None = None,
     on_epoch: OnEpoch | None = None,
     on_batch: OnBatch | None = None,
+    ranks: Ranks = Ranks(),
 ) -> ShapeVae:
     """Train a new network, or resume from the checkpoint if the file exists.
 
@@ -119,6 +125,7 @@ def train(
         on_epoch: Called with the statistics and the network after every epoch; twice for an epoch if the
             process ends before its checkpoint is written.
         on_batch: Called after every batch.
+        ranks: Processes that share each batch; the first calls ``on_epoch`` and writes the checkpoint.
 
     Raises:
         InvalidInputError: ``data`` is empty.
@@ -126,13 +133,15 @@ def train(
     """
     if not len(data):
         raise InvalidInputError("there are no shapes to train on")
-    run = TrainingRun.start(config, device)
+    run = TrainingRun.start(config, device, ranks)
     done = 0
     if checkpoint is not None and checkpoint.exists():
         done = load_checkpoint(checkpoint, run)
         logger.info("resuming from %s after epoch %d", checkpoint, done)
     for epoch in range(done, config.epochs):
         record = train_epoch(run, data, epoch, on_batch)
+        if not ranks.is_first:
+            continue
         if on_epoch is not None:
             on_epoch(record, run.model)
         if checkpoint is not None:  # last: an epoch whose results were not stored is repeated
@@ -145,21 +154,24 @@ def train_epoch(
 ) -> EpochRecord:
     """Train for one pass over the data; ``epoch`` counts from 0."""
     started = time.monotonic()
-    config, model, optimizer, device = run.config, run.model, run.optimizer, run.device
+    config, optimizer, device, ranks = run.config, run.optimizer, run.device, run.ranks
     rng = np.random.default_rng([config.seed, epoch])
     noise_generator = torch.Generator().manual_seed(int(rng.integers(2**62)))
     n_batches = math.ceil(len(data) / config.batch_size)
     losses, divergences = [], []
-    model.train()
+    run.network.train()
     for index, (grids, categories) in enumerate(data.batches(config.batch_size, rng)):
         for group in optimizer.param_groups:
             group["lr"] = learning_rate(config, epoch * n_batches + index, config.epochs * n_batches)
-        noise = torch.randn(len(grids), CODE_SIZE, generator=noise_generator).to(device)
+        noise = torch.randn(len(grids), CODE_SIZE, generator=noise_generator)
+        whole, share = len(grids), ranks.share(len(grids))
+        grids, categories, noise = grids[share], categories[share], noise[share].to(device)
         targets = torch.from_numpy(occupancies(grids)).to(device)
         weights = torch.from_numpy(voxel_weights(grids, categories, config.loss)).to(device)
         one_hot = class_one_hot(torch.from_numpy(categories)).to(device)
-        logits, mean, log_variance = model(targets, one_hot, noise)
+        logits, mean, log_variance = run.network(targets, one_hot, noise)
         loss, divergence = shape_loss(logits, targets, weights, mean, log_variance, config.loss.beta)
+        loss, divergence = (ranks.weighted(value, len(grids), whole) for value in (loss, divergence))
         optimizer.zero_grad(set_to_none=True)
         loss.backward()
         optimizer.step()
@@ -167,7 +179,9 @@ def train_epoch(
         divergences.append(divergence)
         if on_batch is not None:
             on_batch(epoch + 1, index + 1, n_batches)
-    mean_loss, mean_divergence = (float(torch.stack(values).mean()) for values in (losses, divergences))
+    mean_loss, mean_divergence = (
+        float(ranks.total(torch.stack(values).mean())) / ranks.count for values in (losses, divergences)
+    )
     if not math.isfinite(mean_loss):
         raise PerceptionError(f"training diverged in epoch {epoch + 1}; lower the learning rate")
     return EpochRecord(epoch + 1, mean_loss, mean_divergence, time.monotonic() - started)

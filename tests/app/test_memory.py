@@ -6,7 +6,7 @@ import sys
 
 import pytest
 
-from app.evaluation.jobs import resident_memory
+from app.jobs import resident_memory
 from app.memory import MAX_ARENAS, limit_arenas, release_freed_memory
 
 BLOCK, BLOCKS = 2**16, 1600  # below the size from which the C library asks the system for each block

@@ -9,8 +9,8 @@ import pytest
 
 from app.errors import MissingExtraError, UsageError
 from app.evaluation import tasks as evaluate_tasks
-from app.evaluation.jobs import Failure
 from app.evaluation.ledger import SETTINGS
+from app.jobs import Failure
 from app.options import EvaluateOptions
 from app.runs.report import Report
 from app.screen import Screen

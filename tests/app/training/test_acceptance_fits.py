@@ -8,7 +8,6 @@ import pytest
 
 from app.training import acceptance_fits
 from app.training.acceptance_fits import Chunk, _label, collect
-from app.workers import Lost
 from perception.errors import PerceptionError
 from perception.types import ObjectDetection
 
@@ -33,22 +32,18 @@ def test_masks_are_attributed_to_the_item_they_show_most():
     assert label(slice(2, 6)) == "ignored"
 
 
-def test_finished_chunks_are_reused_and_lost_ones_reported(tmp_path, monkeypatch):
+def test_finished_chunks_are_reused_and_failed_ones_reported(tmp_path, monkeypatch):
     done = Chunk(tmp_path, "train", 3, 0, acceptance_fits.CHUNK)
     done.path.write_text(json.dumps([{"first": 1}]))
     asked = []
 
-    def in_processes(function, chunks, workers):
-        for chunk in chunks:
-            asked.append((chunk.number, chunk.count))
-            chunk.path.write_text(json.dumps([{"second": 2}]))
-            yield chunk, None
+    def fits(chunk):
+        asked.append((chunk.number, chunk.count))
+        return (json.dumps([{"second": 2}]).encode(),)
 
-    monkeypatch.setattr(acceptance_fits, "map_in_processes", in_processes)
+    monkeypatch.setattr(acceptance_fits, "collect_chunk", fits)
     assert collect(tmp_path, "train", acceptance_fits.CHUNK + 5, 3) == [{"first": 1}, {"second": 2}]
     assert asked == [(1, 5)]
-    monkeypatch.setattr(
-        acceptance_fits, "map_in_processes", lambda f, chunks, w: ((c, Lost("killed", 1.0)) for c in chunks)
-    )
-    with pytest.raises(PerceptionError, match="chunk 0 of test scenes failed: killed"):
+    monkeypatch.setattr(acceptance_fits, "collect_chunk", lambda chunk: 1 / 0)
+    with pytest.raises(PerceptionError, match="reconstructing test scenes: shard 0 crashed: ZeroDivision"):
         collect(tmp_path, "test", 5, 3)

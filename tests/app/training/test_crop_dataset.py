@@ -124,7 +124,7 @@ def synthetic(n=3):
 
 def test_crops_are_loaded_as_saved_and_concatenated(tmp_path):
     crops = synthetic()
-    crops.save(tmp_path / "a.npz")
+    (tmp_path / "a.npz").write_bytes(crops.packed())
     loaded = LabelledCrops.load(tmp_path / "a.npz")
     assert np.array_equal(loaded.images, crops.images)
     assert len(LabelledCrops.concatenate([crops, loaded])) == 6

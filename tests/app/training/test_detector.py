@@ -4,6 +4,7 @@ import numpy as np
 import pytest
 
 import app.training.detector as train_detector
+from app.jobs import Workers
 from app.training.crop_dataset import LabelledCrops
 from app.training.detector import (
     CalibratedNetwork,
@@ -11,6 +12,7 @@ from app.training.detector import (
     render_data_sets,
     stage_progress,
 )
+from app.training.resources import Resources
 from app.training.scene_dataset import Shard
 from perception.detection.crop_network import create_network, load_crop_network
 from perception.detection.crop_training import TrainingConfig
@@ -92,6 +94,27 @@ def test_training_and_validation_are_of_the_training_families_and_test_of_the_te
     assert calls == [("train", 7, 11), ("train", 3, 12), ("test", 2, 11)]
 
 
+def test_resources_reach_rendering_and_both_networks(tmp_path, monkeypatch):
+    used = {}
+
+    def render(folder, split, n, seed, workers, progress):
+        used["workers"] = workers
+        return [Shard(folder, split, seed, 0, n)]
+
+    def train(task, data, config, out_dir, progress, processes):
+        used["class"] = processes
+        return CalibratedNetwork(create_network("class").eval(), 1.0)
+
+    monkeypatch.setattr(train_detector, "render_shards", render)
+    monkeypatch.setattr(
+        train_detector, "train_scene", lambda *arguments: used.update(scene=arguments[-1]) or SceneNet()
+    )
+    monkeypatch.setattr(train_detector, "train_ensemble", train)
+    config = TrainDetectorConfig(training=TINY)
+    train_detector.run(config, tmp_path, None, Resources(Workers(5), processes=3))
+    assert used == {"workers": Workers(5), "scene": 3, "class": 3}
+
+
 def test_sets_are_used_for_training_calibration_and_evaluation(tmp_path, monkeypatch):
     """Sets differ in their sizes: training 20, validation 21, test 22."""
     used, sizes = {}, {("train", 0): 20, ("train", 1): 21, ("test", 0): 22}
@@ -122,16 +145,16 @@ def test_the_scenes_of_the_scene_network_are_those_for_training(tmp_path, monkey
 def test_members_of_an_ensemble_have_different_seeds_and_folders(tmp_path, monkeypatch):
     calls = []
 
-    def train(task, data, config, job):
-        calls.append((config.seed, job.directory))
+    def train(task, data, config, job, processes):
+        calls.append((config.seed, job.directory, processes))
         return train_detector.CropNet(5).eval()
 
-    monkeypatch.setattr(train_detector, "train_crop_network", train)
+    monkeypatch.setattr(train_detector, "fit_crop_network", train)
     crops = train_detector.class_targets(random_crops(0))
     data = train_detector.TrainingData(crops, crops)
     config = TrainDetectorConfig(training=TrainingConfig(seed=3))
-    train_detector.train_ensemble("class", data, config, tmp_path, None)
-    assert calls == [(3, tmp_path), (4, tmp_path / "member1")]
+    train_detector.train_ensemble("class", data, config, tmp_path, None, 2)
+    assert calls == [(3, tmp_path, 2), (4, tmp_path / "member1", 2)]
 
 
 def test_progress_of_a_stage_is_mapped_to_its_share_of_the_job():

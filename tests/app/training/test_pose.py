@@ -7,7 +7,6 @@ import pytest
 
 import app.training.pose as train_pose
 from app.training.crop_dataset import LabelledCrops
-from app.workers import Lost
 from perception.detection.crop_network import load_crop_network
 from perception.detection.crop_training import TrainingConfig
 from perception.detection.tasks import POSE_LABELS
@@ -37,8 +36,10 @@ def test_labels_are_classes_in_resting_poses():
 
 def test_the_pose_job_writes_weights_and_card(tmp_path, monkeypatch):
     monkeypatch.setattr(train_pose, "load_crops", lambda paths: random_crops(len(paths)))
-    monkeypatch.setattr(train_pose, "map_in_processes", lambda f, shards, n: ((s, None) for s in shards))
-    config = train_pose.TrainPoseConfig(training=TrainingConfig(epochs=1, batch=8))
+    monkeypatch.setattr(train_pose, "render_shard", lambda shard: (b"",))
+    config = train_pose.TrainPoseConfig(
+        pictures=5, validation=5, test=5, training=TrainingConfig(epochs=1, batch=8)
+    )
     metrics = train_pose.run(config, tmp_path)
     network, _ = load_crop_network("pose", tmp_path / "pose.safetensors")
     assert network.outputs == 10 and metrics["crops"] == 20
@@ -46,29 +47,29 @@ def test_the_pose_job_writes_weights_and_card(tmp_path, monkeypatch):
     assert "| bowl upside-down |" in card and "SHA-256" in card
 
 
-def test_shards_are_rendered_once_and_a_lost_one_is_an_error(tmp_path, monkeypatch):
+def test_shards_are_rendered_once_and_a_failed_one_is_an_error(tmp_path, monkeypatch):
     rendered = []
 
-    def render(function, shards, workers):
-        rendered.extend(shard.number for shard in shards)
-        return ((shard, None) for shard in shards)
+    def render(shard):
+        rendered.append(shard.number)
+        return (b"crops",)
 
-    monkeypatch.setattr(train_pose, "map_in_processes", render)
+    monkeypatch.setattr(train_pose, "render_shard", render)
     shards = train_pose.render_crops(tmp_path, "train", 250, seed=3)
     assert [shard.count for shard in shards] == [100, 100, 50]
-    shards[1].path.touch()
+    shards[1].path.unlink()
     train_pose.render_crops(tmp_path, "train", 250, seed=3)
-    assert rendered == [0, 1, 2, 0, 2]
-    gone = Lost("killed by signal 9", 1.0)
-    monkeypatch.setattr(train_pose, "map_in_processes", lambda f, shards, n: ((s, gone) for s in shards))
-    with pytest.raises(PerceptionError, match="shard 0 of train scenes was not rendered: killed"):
-        train_pose.render_crops(tmp_path, "train", 250, seed=3)
+    assert rendered == [0, 1, 2, 1] and shards[1].path.read_bytes() == b"crops"
+    monkeypatch.setattr(train_pose, "render_shard", lambda shard: 1 / 0)
+    with pytest.raises(PerceptionError, match="rendering test scenes: shard 0 crashed: ZeroDivisionError"):
+        train_pose.render_crops(tmp_path, "test", 250, seed=3)
 
 
 @pytest.mark.slow
 def test_a_shard_has_objects_in_all_poses(tmp_path: Path):
     shard = train_pose.PoseShard(tmp_path / "crops.npz", "train", 0, 0, 16)
-    train_pose.render_shard(shard)
+    (content,) = train_pose.render_shard(shard)
+    shard.path.write_bytes(content)
     labels = LabelledCrops.load(shard.path).label
     assert set(range(10)) == set(labels.tolist())
 

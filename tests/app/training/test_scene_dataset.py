@@ -17,7 +17,6 @@ from app.training.scene_dataset import (
     render_shards,
     training_scene_config,
 )
-from app.workers import Lost
 from perception.detection.scene_patches import UNJUDGED
 from perception.errors import PerceptionError
 from perception.types import SupportPlane
@@ -69,7 +68,7 @@ def test_things_around_the_table_are_not_judged(image, small):
 
 
 def test_round_trip_and_damaged_files(small, tmp_path):
-    small.save(tmp_path / "a.npz")
+    (tmp_path / "a.npz").write_bytes(small.packed())
     again = LabelledScenes.concatenate([LabelledScenes.load(tmp_path / "a.npz")] * 2)
     assert len(again) == 2
     np.testing.assert_array_equal(again.depth[1], small.depth[0])
@@ -94,28 +93,24 @@ def test_the_plane_is_the_one_that_the_image_shows(image):
 def test_finished_shards_are_not_rendered_again(tmp_path, monkeypatch):
     rendered = []
 
-    def render(function, items, workers):
-        for shard in items:
-            rendered.append((shard.number, shard.count))
-            shard.scenes.touch()
-            shard.crops.touch()
-            yield shard, None
+    def render(shard):
+        rendered.append((shard.number, shard.count))
+        return b"crops", b"scenes"
 
-    monkeypatch.setattr(pictures, "map_in_processes", render)
+    monkeypatch.setattr(pictures, "render_shard", render)
     render_shards(tmp_path, "train", pictures.SHARD + 10, seed=0)
     again = render_shards(tmp_path, "train", pictures.SHARD + 10, seed=0)
     assert rendered == [(0, pictures.SHARD), (1, 10)]
     assert [shard.number for shard in again] == [0, 1]
-    again[1].crops.unlink()  # interrupted between the two files
+    assert (again[0].crops.read_bytes(), again[0].scenes.read_bytes()) == (b"crops", b"scenes")
+    again[1].scenes.unlink()  # interrupted between the two files
     render_shards(tmp_path, "train", pictures.SHARD + 10, seed=0)
     assert rendered[2:] == [(1, 10)]
 
 
-def test_a_lost_shard_ends_the_job(tmp_path, monkeypatch):
-    monkeypatch.setattr(
-        pictures, "map_in_processes", lambda function, items, workers: [(items[0], Lost("killed", 1.0))]
-    )
-    with pytest.raises(PerceptionError, match="shard 0 of test scenes was not rendered: killed"):
+def test_a_failed_shard_ends_the_job(tmp_path, monkeypatch):
+    monkeypatch.setattr(pictures, "render_shard", lambda shard: 1 / 0)
+    with pytest.raises(PerceptionError, match="rendering test scenes: shard 0 crashed: ZeroDivisionError"):
         render_shards(tmp_path, "test", 5, seed=0)
 
 
@@ -133,7 +128,8 @@ def test_a_shard_holds_images_and_crops_of_its_split(tmp_path, monkeypatch):
         for split, seed, number in (("train", 0, 0), ("test", 0, 0), ("train", 1, 0), ("train", 0, 1))
     ]
     for shard in shards:
-        render_shard(shard)
+        for file, content in zip(shard.files, render_shard(shard), strict=True):
+            file.write_bytes(content)
     assert [split for split, _ in seeds] == ["train", "test", "train", "train"]
     assert len({seed for _, seed in seeds}) == 4
     assert len({file for shard in shards for file in (shard.scenes, shard.crops)}) == 8

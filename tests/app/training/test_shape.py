@@ -4,8 +4,8 @@ import json
 
 import pytest
 
-from app.training.shape import TrainShapeConfig, cached_shapes, run
-from perception.errors import PerceptionError
+from app.training.resources import Resources
+from app.training.shape import TrainShapeConfig, run
 from perception.io.weights import weights_checksum
 from perception.shape.decoder import ShapeDecoder
 from perception.shape.training import ShapeTrainingConfig
@@ -49,10 +49,17 @@ def test_an_interrupted_job_goes_on_and_leaves_weights_and_card(tmp_path):
     assert "6 mugs, 2 bowls, 2 bottles, 2 cans" in card
 
 
-def test_data_of_another_job_are_not_taken(tmp_path):
-    counts = {"mug": 1, "bowl": 0, "bottle": 0, "can": 1}
-    path = tmp_path / "shapes.npz"
-    first = cached_shapes(path, counts, "train", 0)
-    assert (cached_shapes(path, counts, "train", 0).grids == first.grids).all()
-    with pytest.raises(PerceptionError, match="other shapes than asked for; delete it"):
-        cached_shapes(path, counts | {"can": 2}, "train", 0)
+def test_several_processes_go_on_from_the_checkpoint_of_one(tmp_path):
+    def interrupt(what: str, share: float) -> None:
+        if what == "epoch 2 of 2":
+            raise KeyboardInterrupt
+
+    with pytest.raises(KeyboardInterrupt):
+        run(TINY, tmp_path, interrupt)
+    steps = []
+    metrics = run(TINY, tmp_path, lambda *step: steps.append(step), Resources(processes=2))
+    assert [what for what, _ in steps if what.startswith("epoch")] == ["epoch 2 of 2"] * 3
+    history = json.loads((tmp_path / "history.json").read_text())
+    assert [entry["epoch"] for entry in history] == [1, 2] and "held_out" in history[1]
+    assert metrics["sha256"] == weights_checksum(tmp_path / "shape.safetensors")
+    assert not (tmp_path / "mapped").exists()

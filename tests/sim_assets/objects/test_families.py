@@ -90,6 +90,12 @@ def test_same_seed_same_grids(category, split):
     assert (grids[0] != sample_training_grids(category, 2, seed=4, split=split)).any()
 
 
+@pytest.mark.parametrize(("category", "split"), EVERY)
+def test_a_later_part_of_the_sequence_is_that_of_the_whole(category, split):
+    whole = sample_training_grids(category, 4, seed=3, split=split)
+    np.testing.assert_array_equal(sample_training_grids(category, 2, 3, split, first=2), whole[2:])
+
+
 @pytest.mark.parametrize(
     ("families", "field", "category"),
     [

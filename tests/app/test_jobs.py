@@ -1,4 +1,4 @@
-"""Jobs in this process and in others; failures become lines of results."""
+"""Jobs in this process and in others; failures become results."""
 
 import os
 import sys
@@ -8,7 +8,7 @@ import pytest
 import torch
 
 from app.errors import MissingExtraError, UsageError
-from app.evaluation.jobs import Jobs, attempt_job, reason_of, resident_memory, run_jobs
+from app.jobs import Jobs, attempt_job, reason_of, resident_memory, run_jobs
 from app.options import EvaluateOptions
 
 

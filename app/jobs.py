@@ -1,6 +1,7 @@
 """Independent jobs of a command: in this process, in worker processes or on a Ray cluster.
 
-A job that fails, whatever the reason, yields a line of results with that reason; the others go on.
+A job that fails, whatever the reason, yields a result with that reason; the others go on. Results are
+returned to the process of the command: machines of a cluster need not share a file system.
 """
 
 from __future__ import annotations
@@ -8,16 +9,15 @@ from __future__ import annotations
 import os
 import sys
 import time
-from collections.abc import Callable, Iterator, Sequence
+from collections.abc import Callable, Generator, Iterator, Sequence
 from dataclasses import dataclass
 from functools import cache, partial
 from pathlib import Path
-from typing import TYPE_CHECKING, Generic, TypeVar
+from typing import TYPE_CHECKING, Generic, Protocol, TypeVar, runtime_checkable
 
 from app.errors import AppError, MissingExtraError
-from app.evaluation.ledger import Line
 from app.memory import release_freed_memory
-from app.options import Device, WorkerOptions
+from app.options import Device
 from app.workers import ATTEMPTS, Lost, map_in_processes
 from perception.errors import install_hint
 
@@ -25,6 +25,7 @@ if TYPE_CHECKING:
     from perception.pipeline import Perception
 
 Item = TypeVar("Item")
+Result = TypeVar("Result")
 _LONGEST_REASON = 500  # characters
 
 
@@ -42,22 +43,49 @@ class Failure:
 
 
 @dataclass(frozen=True)
-class Jobs(Generic[Item]):
+class Jobs(Generic[Item, Result]):
     """Independent jobs; both functions must be importable by other processes.
 
     Attributes:
         items: Items to work on.
-        work: Returns the line of results of an item.
-        failed: Returns the line of results of an item that failed.
+        work: Returns the result of an item.
+        failed: Returns the result of an item that failed.
     """
 
     items: Sequence[Item]
-    work: Callable[[Item], Line]
-    failed: Callable[[Item, Failure], Line]
+    work: Callable[[Item], Result]
+    failed: Callable[[Item, Failure], Result]
 
 
-def run_jobs(jobs: Jobs[Item], options: WorkerOptions) -> Iterator[Line]:
-    """Run jobs and yield their lines of results in order of completion.
+@runtime_checkable
+class WorkerSettings(Protocol):
+    """Where jobs run, as in ``app.options.WorkerOptions``.
+
+    Attributes:
+        workers: Number of processes; one is this process.
+        ray: Address of a Ray cluster to run on instead.
+        stage_limit: Time for one job in a worker process, in seconds; 0 for none.
+    """
+
+    @property
+    def workers(self) -> int: ...
+    @property
+    def ray(self) -> str | None: ...
+    @property
+    def stage_limit(self) -> float: ...
+
+
+@dataclass(frozen=True)
+class Workers:
+    """Where the jobs of a command without a limit for each run; attributes as in ``WorkerSettings``."""
+
+    workers: int = 1
+    ray: str | None = None
+    stage_limit: float = 0.0
+
+
+def run_jobs(jobs: Jobs[Item, Result], options: WorkerSettings) -> Generator[Result, None, None]:
+    """Run jobs and yield their results in order of completion.
 
     Every job runs single-threaded: sums of several threads round differently, and a fit amplifies that. The
     results depend on neither the number of workers nor their timing.
@@ -79,8 +107,10 @@ def run_jobs(jobs: Jobs[Item], options: WorkerOptions) -> Iterator[Line]:
             yield result
 
 
-def attempt_job(work: Callable[[Item], Line], failed: Callable[[Item, Failure], Line], item: Item) -> Line:
-    """Return the line of results of an item; an exception becomes the reason of its failure."""
+def attempt_job(
+    work: Callable[[Item], Result], failed: Callable[[Item, Failure], Result], item: Item
+) -> Result:
+    """Return the result of an item; an exception becomes the reason of its failure."""
     begin = time.perf_counter()
     try:
         return work(item)
@@ -123,23 +153,25 @@ def resident_memory() -> int | None:
     return pages * os.sysconf("SC_PAGE_SIZE")
 
 
-def _in_this_process(attempt: Callable[[Item], Line], items: Sequence[Item]) -> Iterator[Line]:
+def _in_this_process(attempt: Callable[[Item], Result], items: Sequence[Item]) -> Iterator[Result]:
     from perception.threads import single_threaded
 
     for item in items:
         with single_threaded():
-            line = attempt(item)
-        yield line
+            result = attempt(item)
+        yield result
 
 
-def _attempt_on_ray(functions: tuple[Callable[..., Line], Callable[..., Line]], item: Item) -> Line:
+def _attempt_on_ray(
+    functions: tuple[Callable[[Item], Result], Callable[[Item, Failure], Result]], item: Item
+) -> Result:
     from perception.threads import single_threaded
 
     with single_threaded():
         return attempt_job(*functions, item)
 
 
-def _on_ray(jobs: Jobs[Item], address: str) -> Iterator[Line]:
+def _on_ray(jobs: Jobs[Item, Result], address: str) -> Iterator[Result]:
     try:
         import ray
     except ImportError:
@@ -149,16 +181,17 @@ def _on_ray(jobs: Jobs[Item], address: str) -> Iterator[Line]:
     remote = ray.remote(num_cpus=1, max_retries=ATTEMPTS - 1)(_attempt_on_ray)
     functions = ray.put((jobs.work, jobs.failed))  # sent once to each machine, not with every item
     item_of = {remote.remote(functions, item): item for item in jobs.items}
-    waiting = list(item_of)
     try:
-        while waiting:
-            (finished,), waiting = ray.wait(waiting)
+        while item_of:
+            (finished,), _ = ray.wait(list(item_of))
+            item = item_of.pop(finished)
             try:
-                yield ray.get(finished)
+                result = ray.get(finished)
             except ray.exceptions.RayTaskError:  # raised by the job: a library is missing there
                 raise
             except ray.exceptions.RayError as error:  # its process or machine died
-                failure = Failure(reason_of(error), time.perf_counter() - begin)
-                yield jobs.failed(item_of[finished], failure)
+                result = jobs.failed(item, Failure(reason_of(error), time.perf_counter() - begin))
+            del finished  # the last reference to it: the cluster frees the result
+            yield result
     finally:
         ray.shutdown()
