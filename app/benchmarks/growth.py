@@ -174,7 +174,7 @@ def _over_workers(options: BenchOptions) -> Curve:
         episodes = EvaluateOptions(
             what="tasks",
             objects="can=1",
-            shapes="oracle",
+            shapes=("oracle",),
             episodes=_EPISODES,
             workers=workers,
             seed=options.seed,

@@ -7,6 +7,7 @@ from __future__ import annotations
 
 from app.options.cell import CellOptions as CellOptions
 from app.options.cell import DepthNoise as DepthNoise
+from app.options.cell import EpisodeOptions as EpisodeOptions
 from app.options.cell import Fault as Fault
 from app.options.cell import PackOptions as PackOptions
 from app.options.cell import RunTaskOptions as RunTaskOptions
@@ -14,6 +15,7 @@ from app.options.cell import ScanOptions as ScanOptions
 from app.options.cell import ServeOptions as ServeOptions
 from app.options.cell import Shapes as Shapes
 from app.options.cell import SortOptions as SortOptions
+from app.options.cell import Switch as Switch
 from app.options.cell import TaskOptions as TaskOptions
 from app.options.cell import ViewerOptions as ViewerOptions
 from app.options.cell import ViewOptions as ViewOptions

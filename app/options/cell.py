@@ -12,6 +12,7 @@ from tyro.conf import Positional, arg
 from app.options.common import CommonOptions, Task
 
 Shapes = Literal["nodeslam", "tsdf", "oracle"]
+Switch = Literal["on", "off"]
 DepthNoise = Literal["none", "gaussian", "realsense", "kinect", "tof"]
 Fault = Literal["none", "knock-over", "move", "take-away", "slip", "missed-grasp", "any"]
 
@@ -55,19 +56,25 @@ class CellOptions(CommonOptions):
 
 
 @dataclass(frozen=True, kw_only=True)
-class TaskOptions(CellOptions):
-    """Options of an episode of a task."""
+class EpisodeOptions(CellOptions):
+    """Options of an episode of a task, whatever is known about its objects."""
+
+    fault: Fault = "none"
+    """Fault put in by hand at a random moment: an object is knocked over, moved by 5 cm or taken away, slips
+    from the hand, or a grasp is missed; any: one after the other over the seeds."""
+
+
+@dataclass(frozen=True, kw_only=True)
+class TaskOptions(EpisodeOptions):
+    """Options of a task: what plans it, and from what."""
 
     shapes: Shapes = "nodeslam"
     """Object shapes for planning: learned prior, TSDF fusion, or true meshes and poses (oracle)."""
     scan_views: int = 6
     """Number of images of the scan, 1 to 6: fewer images make the robot faster."""
-    uncertainty: Literal["on", "off"] = "on"
+    uncertainty: Switch = "on"
     """Use the standard deviations of shapes: wider clearances, grasps at certain surfaces first, and further
     images of a scan of fewer than six where an object is uncertain."""
-    fault: Fault = "none"
-    """Fault put in by hand at a random moment: an object is knocked over, moved by 5 cm or taken away, slips
-    from the hand, or a grasp is missed; any: one after the other over the seeds."""
 
 
 @dataclass(frozen=True, kw_only=True)

@@ -9,7 +9,7 @@ from typing import Annotated, Literal, get_args
 
 from tyro.conf import Positional, arg
 
-from app.options.cell import TaskOptions
+from app.options.cell import EpisodeOptions, Shapes, Switch, TaskOptions
 from app.options.common import CommonOptions, Task
 
 Renderer = Literal["classic", "filament"]
@@ -58,7 +58,7 @@ class WorkerOptions(CommonOptions):
 
 
 @dataclass(frozen=True, kw_only=True)
-class EvaluateOptions(TaskOptions, WorkerOptions):
+class EvaluateOptions(EpisodeOptions, WorkerOptions):
     """Evaluate detection, reconstruction, SLAM, or the success of a task over many episodes, with the seeds
     --seed, --seed + 1, ..."""
 
@@ -96,6 +96,13 @@ class EvaluateOptions(TaskOptions, WorkerOptions):
     """Tasks: the task."""
     episodes: int = 20
     """Tasks: number of episodes."""
+    shapes: tuple[Shapes, ...] = ("nodeslam",)
+    """Tasks: sources of the object shapes, to be compared on the same seeds: learned prior, TSDF fusion, true
+    meshes and poses (oracle)."""
+    scan_views: Annotated[str, arg(metavar="N,N,...")] = "6"
+    """Tasks: numbers of images of the scan, 1 to 6, to be compared on the same seeds."""
+    uncertainty: tuple[Switch, ...] = ("on",)
+    """Tasks: whether standard deviations are used, as in nodeslam pack; on off compares both."""
     perceive_only: bool = False
     """Tasks: scan and reconstruct without moving anything, to score the object map alone."""
 

@@ -8,7 +8,7 @@ from typing import TYPE_CHECKING, Any
 import numpy as np
 
 from app.errors import UsageError
-from app.options import CellOptions, TaskOptions
+from app.options import CellOptions
 
 if TYPE_CHECKING:
     from sim_assets.cell.arrangement import Arrangement
@@ -34,11 +34,25 @@ def check_scene(options: CellOptions) -> None:
             raise UsageError(f"--{name.replace('_', '-')} {value} must be in 0..{most}")
     if options.gap is not None and not 0 <= options.gap <= GAP_MAX:
         raise UsageError(f"--gap {options.gap:g} m must be in 0..{GAP_MAX:g} m")
-    if isinstance(options, TaskOptions) and not 1 <= options.scan_views <= MOST_VIEWS:
-        raise UsageError(f"--scan-views {options.scan_views} must be in 1..{MOST_VIEWS}")
+    view_counts(getattr(options, "scan_views", MOST_VIEWS))
     camera_error(options)
     friction(options)
     region_limits(options)
+
+
+def view_counts(scan_views: int | str) -> tuple[int, ...]:
+    """Return the numbers of images of --scan-views: one, or several to be compared.
+
+    Raises:
+        UsageError: They are not different numbers in 1..MOST_VIEWS.
+    """
+    numbers = [text.strip() for text in str(scan_views).split(",")]
+    known = [int(text) for text in numbers if text.isdecimal() and len(text) < 3]
+    if len(known) < len(numbers) or not all(1 <= n <= MOST_VIEWS for n in known):
+        raise UsageError(f"--scan-views {scan_views} must be in 1..{MOST_VIEWS}")
+    if len(set(known)) < len(known):
+        raise UsageError(f"--scan-views {scan_views} takes different numbers")
+    return tuple(known)
 
 
 def counts(options: CellOptions, n_objects: int) -> dict[str, int]:

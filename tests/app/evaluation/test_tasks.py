@@ -161,3 +161,26 @@ def test_ray_without_ray_names_the_extra(tmp_path, monkeypatch):
     monkeypatch.setitem(sys.modules, "ray", None)
     with pytest.raises(MissingExtraError, match=r"pip install '\.\[cluster\]'"):
         evaluate_tasks.run(options(tmp_path, ray="auto"), Screen(quiet=True))
+
+
+def test_cells_run_the_same_seeds_and_are_compared(tmp_path, monkeypatch):
+    ran = []
+
+    def run_seed(options, seed):
+        ran.append((options.shapes, options.scan_views, seed))
+        thing = {"category": "can", "placed": options.scan_views == "6", "reason": "toppled"}
+        return {"seed": seed, "success": True, "reason": "", "objects": [thing], "wall_seconds": 1.0}
+
+    monkeypatch.setattr(evaluate_tasks, "run_seed", run_seed)
+    some = options(tmp_path, episodes=2, scan_views="1,6")
+    report = evaluate_tasks.run(some, Screen(quiet=True))
+    assert ran == [(("nodeslam",), views, seed) for views in ("1", "6") for seed in (10, 11)]
+    assert report.success and "4 of 4 episodes" in report.reason
+    assert [row["n_placed"] for row in report_in(tmp_path)["metrics"]["cells"]] == [0, 2]
+    assert (tmp_path / "study.svg").read_bytes().startswith(b"<?xml")
+    lines = (tmp_path / "episodes.jsonl").read_text().splitlines()
+    (tmp_path / "episodes.jsonl").write_text("\n".join(lines[:3]) + "\n")
+    evaluate_tasks.run(options(tmp_path, episodes=2, scan_views="1,6", resume=True), Screen(quiet=True))
+    assert ran[4:] == [(("nodeslam",), "6", 11)]
+    with pytest.raises(UsageError, match="another scan_views"):
+        evaluate_tasks.run(options(tmp_path, episodes=2, resume=True), Screen(quiet=True))

@@ -5,7 +5,15 @@ import pytest
 
 from app.errors import UsageError
 from app.options import EvaluateOptions, PackOptions
-from app.task.scene_options import camera_error, check_scene, counts, friction, region_limits, scene_settings
+from app.task.scene_options import (
+    camera_error,
+    check_scene,
+    counts,
+    friction,
+    region_limits,
+    scene_settings,
+    view_counts,
+)
 from sim_assets.cell.arrangement import Arrangement
 
 SEED = np.random.SeedSequence(0)
@@ -53,7 +61,6 @@ def test_clutter_is_a_mixture_and_single_options_take_precedence():
             {"region": "0.5,0.3,-0.4,-0.1"},
             "--region 0.5,0.3,-0.4,-0.1 must be ascending ranges in x 0.2..0.8",
         ),
-        ({"scan_views": 0}, "--scan-views 0 must be in 1..6"),
     ],
 )
 def test_impossible_values_are_refused(options, message):
@@ -62,3 +69,23 @@ def test_impossible_values_are_refused(options, message):
     assert message in str(error.value)
     with pytest.raises(UsageError):
         check_scene(EvaluateOptions(what="tasks", **options))
+
+
+@pytest.mark.parametrize(
+    "options", [PackOptions(scan_views=0), EvaluateOptions(what="tasks", scan_views="0")]
+)
+def test_a_scan_has_at_least_one_image(options):
+    with pytest.raises(UsageError, match=r"^--scan-views 0 must be in 1..6$"):
+        check_scene(options)
+
+
+def test_several_numbers_of_images_are_compared():
+    assert view_counts(4) == (4,) and view_counts("1, 2,6") == (1, 2, 6)
+    for text, problem in {
+        "1,7": "must be in",
+        "1,,2": "must be in",
+        "-1": "must be in",
+        "2,2": "different",
+    }.items():
+        with pytest.raises(UsageError, match=problem):
+            view_counts(text)
