@@ -21,6 +21,10 @@ ARCHITECTURES = (75, 80, 90)  # Turing, the oldest that CUDA 13 supports, Ampere
 ELF_MACHINE_CUDA = 190
 
 
+def _makes_kernel(decorator: ast.expr) -> bool:
+    return ast.unparse(decorator).partition("(")[0] in ("wp.kernel", "warp.kernel")
+
+
 def _kernels() -> dict[str, set[str]]:
     """Return the names of the kernels of each module that has any."""
     found = {}
@@ -28,7 +32,7 @@ def _kernels() -> dict[str, set[str]]:
         for path in sorted((ROOT / package).rglob("*.py")):
             nodes = ast.walk(ast.parse(path.read_text(encoding="utf-8")))
             functions = [node for node in nodes if isinstance(node, ast.FunctionDef)]
-            names = {f.name for f in functions if "wp.kernel" in map(ast.unparse, f.decorator_list)}
+            names = {f.name for f in functions if any(map(_makes_kernel, f.decorator_list))}
             if names:
                 found[".".join(path.relative_to(ROOT).with_suffix("").parts)] = names
     return found
