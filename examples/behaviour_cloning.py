@@ -10,7 +10,7 @@ Behaviour cloning of what the expert does with one object after its scan. It wor
 - It predicts the next 10 actions and executes 5 of them (action chunking: Zhao et al., RSS 2023).
 - In training the tool is displaced at random, by a share of the motion that follows, and the goal is kept:
   the policy learns to return to the expert's path, so that its errors do not accumulate.
-- Frames in which the expert pauses are left out: a policy without memory would pause forever.
+- Frames in which the expert pauses or moves slowly are left out: a policy without memory would stay there.
 
 Needs the extras `sim` and `collect`; no images are used.
 """
@@ -40,6 +40,7 @@ BEFORE = (5, 10)  # frames: widths of the gripper that long ago are inputs too
 NOISE = 0.3  # standard deviation of the displacement, as a share of the motion in the next AHEAD frames
 GRIPPING = 12  # frames that closing with full force takes
 NOISE_MIN = 0.001  # [m]
+STEP = 0.003  # [m] that the tool advances from frame to frame
 CLOSED = 0.01  # [m]: narrower commands close the gripper
 MAX_ACTIONS = 400  # of an episode of the test; the expert takes about 250
 
@@ -87,18 +88,19 @@ def load(folder: Path, kinematics: nodeslam.Kinematics) -> list[Episode]:
             closing, now = action[at, -1] < CLOSED, np.arange(at.sum())
             widths = state[at, -1][np.maximum(now[:, None] - [0, *BEFORE], 0)]
             columns = (tool, yaw, widths, thing[at], goal, goal_yaw, closing)
-            kept = ~idle(goal, closing)
+            kept = advancing(goal, closing)
             episodes.append(Episode(*(column[kept] for column in columns)))
     return episodes
 
 
-def idle(goal: np.ndarray, closing: np.ndarray) -> np.ndarray:
-    """Return the frames (n,) in which the arm pauses while the gripper does nothing either."""
-    now = np.arange(len(goal))
-    begins = np.where(np.diff(closing, prepend=closing[:1]), now, -GRIPPING)  # of opening and closing
-    gripping = now - np.maximum.accumulate(begins) < GRIPPING
-    step = np.linalg.norm(np.diff(goal, axis=0, append=goal[-1:]), axis=1)
-    return (step < 5e-4) & ~gripping
+def advancing(goal: np.ndarray, closing: np.ndarray) -> np.ndarray:
+    """Return the indices of frames in which the arm advances, STEP or more apart, or the gripper works."""
+    kept, changed = [0], -GRIPPING
+    for now in range(1, len(goal)):
+        changed = now if closing[now] != closing[now - 1] else changed
+        if now - changed < GRIPPING or np.linalg.norm(goal[now] - goal[kept[-1]]) >= STEP:
+            kept.append(now)
+    return np.array(kept)
 
 
 def tool_path(kinematics: nodeslam.Kinematics, postures: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
@@ -122,13 +124,15 @@ def samples(episodes: list[Episode], rng: np.random.Generator) -> tuple[np.ndarr
     for e in episodes:
         now = np.arange(len(e.tool))
         later = np.minimum(now[:, None] + np.arange(AHEAD), len(now) - 1)
-        size = NOISE * np.linalg.norm(e.goal[later[:, -1]] - e.tool, axis=1) + NOISE_MIN
+        beyond = np.maximum(now[:, None] + np.arange(AHEAD) - len(now) + 1, 0)  # the retreat goes on
+        goal = e.goal[later] + beyond[..., None] * (e.goal[-1] - e.goal[-2])
+        size = NOISE * np.linalg.norm(goal[:, -1] - e.tool, axis=1) + NOISE_MIN
         shift = size[:, None] * rng.standard_normal((len(now), 3))
         held = (e.thing[:, 2] > 0.01) & (e.widths[:, 0] < e.widths.max() - 0.005)  # moves with the tool
         thing = e.thing + np.pad(shift * held[:, None], ((0, 0), (0, 2)))
         yaw = e.yaw + 3 * size * rng.standard_normal(len(now))
         inputs.append(features(e.tool + shift, yaw, e.widths, thing))
-        move, turn = e.goal[later] - (e.tool + shift)[:, None], 2 * e.goal_yaw[later]
+        move, turn = goal - (e.tool + shift)[:, None], 2 * e.goal_yaw[later]
         columns = [*np.moveaxis(move, -1, 0), np.cos(turn), np.sin(turn), e.closing[later]]
         targets.append(np.stack(columns, axis=-1))
     return np.concatenate(inputs), np.concatenate(targets)
@@ -229,7 +233,8 @@ def main() -> None:
     parser = argparse.ArgumentParser(description=(__doc__ or "").partition("\n")[0])
     parser.add_argument("dataset", type=Path)
     parser.add_argument("--epochs", type=int, default=30)
-    parser.add_argument("--episodes", type=int, default=20, help="episodes of the test, with new seeds")
+    parser.add_argument("--episodes", type=int, default=20, help="episodes of the test")
+    parser.add_argument("--seed", type=int, help="first seed of the test; else the one after the data set")
     options = parser.parse_args()
     report = json.loads((options.dataset / "report.json").read_text())
     settings, rows = report["settings"], report["metrics"]["rows"]
@@ -244,7 +249,8 @@ def main() -> None:
     print(f"{len(episodes)} episodes, loss {losses[0]:.3f} to {losses[-1]:.3f}, {seconds:.0f} s on one core")
 
     expert = Expert(env, shapes=settings["shapes"])
-    first, placed = report["seed"] + len(rows), {"policy": 0, "expert": 0}
+    first = report["seed"] + len(rows) if options.seed is None else options.seed
+    placed = {"policy": 0, "expert": 0}
     for seed in range(first, first + options.episodes):
         result = {"policy": run_policy(policy, env, seed), "expert": run_expert(expert, env, seed)}
         placed = {who: placed[who] + result[who] for who in placed}

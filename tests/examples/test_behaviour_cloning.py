@@ -27,13 +27,12 @@ def example():
     del sys.modules["behaviour_cloning"]
 
 
-def test_pauses_are_left_out_but_those_in_which_the_gripper_works(example):
+def test_frames_advance_or_have_a_working_gripper(example):
     goal = np.zeros((60, 3))
-    goal[:10, 0], goal[10:, 0] = np.linspace(0, 0.1, 10), 0.1  # moves, then rests
-    closing = np.arange(60) >= 30
-    idle = example.idle(goal, closing)
-    expected = np.r_[np.zeros(9), np.ones(21), np.zeros(example.GRIPPING), np.ones(30 - example.GRIPPING)]
-    np.testing.assert_array_equal(idle, expected.astype(bool))
+    goal[:21, 0], goal[21:, 0] = 0.1 * example.STEP * np.arange(21), 2 * example.STEP  # slowly, then rests
+    goal[50:, 1] = 2 * example.STEP  # a jump
+    kept = example.advancing(goal * (1 + 1e-9), np.arange(60) >= 30)
+    assert kept.tolist() == [0, 10, 20, *range(30, 30 + example.GRIPPING), 50]
 
 
 def test_displaced_tools_are_led_back_to_the_path_and_carry_what_they_hold(example):
@@ -45,8 +44,10 @@ def test_displaced_tools_are_led_back_to_the_path_and_carry_what_they_hold(examp
     thing = np.column_stack([path - np.array([0, 0, 0.1]), np.full(n, 0.12), np.full(n, 0.03)])
     episode = example.Episode(path, yaw, widths, thing, path, yaw, held)
     inputs, targets = example.samples([episode], np.random.default_rng(0))
-    later = np.minimum(np.arange(n)[:, None] + np.arange(example.AHEAD), n - 1)
-    np.testing.assert_allclose(inputs[:, None, :3] + targets[..., :3], path[later])
+    ahead = np.arange(n)[:, None] + np.arange(example.AHEAD)
+    later = np.minimum(ahead, n - 1)
+    straight_on = path[0] + ahead[..., None] * (path[1] - path[0])  # beyond the end, too
+    np.testing.assert_allclose(inputs[:, None, :3] + targets[..., :3], straight_on)
     assert np.linalg.norm(inputs[:20, :3] - path[:20], axis=1).mean() > 0.01
     np.testing.assert_allclose(
         np.arctan2(targets[..., 4], targets[..., 3]) % (2 * np.pi), 2 * yaw[later] % (2 * np.pi)
