@@ -189,20 +189,40 @@ def main() -> None:
     main()
 
 
+def _found_at(name: str) -> str | None:
+    """Return where Python finds a package: None if nowhere, empty for a folder without code."""
+    spec = importlib.util.find_spec(name)
+    return None if spec is None else spec.origin or ""
+
+
+def _is_own(name: str) -> bool:
+    """Return whether a package of this project is not hidden by a module of another one."""
+    found = _found_at(name)
+    return bool(found) and Path(found).resolve() == _FOLDER / name / "__init__.py"
+
+
 def _refuse_foreign_packages() -> None:
     """Raise ImportError if a module of another project hides one of the packages."""
     for name in ("perception", "manipulation", "sim_assets"):
-        spec = importlib.util.find_spec(name)
-        expected = _FOLDER / name / "__init__.py"
-        if spec is None or spec.origin is None or Path(spec.origin).resolve() != expected:
-            found = "missing" if spec is None else f"hidden by {spec.origin or 'a folder of that name'}"
+        if not _is_own(name):
+            origin = _found_at(name)
+            found = "missing" if origin is None else f"hidden by {origin or 'a folder of that name'}"
             raise ImportError(
                 f"nodeslam's package '{name}' is {found}: rename that file, or take its folder off sys.path",
                 name=name,
             )
 
 
+def _register_with_gymnasium() -> None:
+    """Register the environments if Gymnasium is loaded; since 1.0 it looks for no entry points by itself."""
+    if sys.modules.get("gymnasium") is not None and _is_own("app"):
+        from app.environments import register_environments
+
+        register_environments()
+
+
 if __name__ == "__main__":
     main()
 else:
     _refuse_foreign_packages()
+    _register_with_gymnasium()

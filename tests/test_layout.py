@@ -17,6 +17,7 @@ SEVERAL_MODULES = {
     "app/viewer/test_live_in_browser.py",  # the whole viewer in a browser
     "app/viewer/test_page_in_browser.py",
     "app/viewer/test_replay_in_browser.py",
+    "perception/test_cuda_source.py",  # the kernels of all packages, through the CUDA compiler
     "sim_assets/cell/test_grasping.py",  # physics of grasps: arm, objects and world together
     "sim_assets/robots/test_sixaxis.py",  # a robot file with its model
 }

@@ -95,6 +95,34 @@ def test_a_foreign_app_does_not_matter_to_the_library(tmp_path):
     assert done.returncode == 0 and done.stdout == "(0.34, 0.3, 0.08)\n", done.stderr
 
 
+def test_import_after_gymnasium_registers_the_environments_and_loads_nothing_heavy(tmp_path):
+    code = (
+        "import sys; import gymnasium; before = set(sys.modules); import nodeslam; "
+        "print(gymnasium.spec('nodeslam/Sort-v0').entry_point, *(set(sys.modules) - before))"
+    )
+    done = python("-c", code, cwd=tmp_path)
+    assert done.returncode == 0 and not done.stderr, done.stderr
+    entry_point, *loaded = done.stdout.split()
+    assert entry_point == "app.environments.environment:SortEnv"
+    assert "nodeslam" in loaded and not {name.split(".")[0] for name in loaded} & set(HEAVY)
+
+
+def test_gymnasium_imports_the_package_that_the_name_of_an_environment_begins_with(tmp_path):
+    code = "import gymnasium; print(gymnasium.make('nodeslam:nodeslam/Pack-v0').unwrapped.task)"
+    done = python("-c", code, cwd=tmp_path)
+    assert (done.returncode, done.stdout, done.stderr) == (0, "pack\n", "")
+
+
+@pytest.mark.parametrize(
+    "before", ["", "import sys; sys.modules['gymnasium'] = None; ", "import gymnasium; "]
+)
+def test_import_is_silent_without_gymnasium_and_beside_a_foreign_app(before, tmp_path):
+    if "import gymnasium" in before:
+        (tmp_path / "app.py").write_text("raise RuntimeError('foreign')")
+    done = python("-c", f"{before}import nodeslam; print(nodeslam.Box.__name__)", cwd=tmp_path)
+    assert (done.returncode, done.stdout, done.stderr) == (0, "Box\n", "")
+
+
 @pytest.mark.parametrize("hidden", ["app.py", "perception.py"])
 def test_python_m_nodeslam_runs_beside_foreign_modules(hidden, tmp_path):
     (tmp_path / hidden).write_text("raise RuntimeError('foreign')")

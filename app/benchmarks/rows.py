@@ -6,7 +6,6 @@ import importlib.util
 import os
 from collections.abc import Callable, Iterator
 from dataclasses import replace
-from functools import partial
 
 import numpy as np
 import torch
@@ -48,7 +47,9 @@ def benchmarks(scene: BenchScene, device: str, seed: int) -> Iterator[Benchmark]
     yield from _fitting(scene, seed)
     yield from _scanning(scene)
     if importlib.util.find_spec("gymnasium") is not None:
-        yield from _acting(seed)
+        from app.benchmarks.environments import environment_rows
+
+        yield from environment_rows(seed)
     if device == "cuda":
         yield from _on_cuda(scene.decoder)
 
@@ -158,23 +159,6 @@ def _scanning(scene: BenchScene) -> Iterator[Benchmark]:
         lambda: reconstruct(views, masks, scene.decoder, found.plane, options=ReconstructOptions(workers=1)),
         expensive=True,
     )
-
-
-def _acting(seed: int) -> Iterator[Benchmark]:
-    from app.environments.environment import PackEnv
-
-    for control in ("joint", "tcp"):
-        env = PackEnv(control=control)
-        env.reset(seed=seed)
-        steady = env.cell.control
-        action = env.codec.encode(steady.q, env.robot.description.max_width, steady.q)
-        yield Benchmark(
-            f"step of the environment, six objects, {control} actions",
-            "MuJoCo alone, same scene",
-            partial(env.step, action),
-            steady.hold,
-        )
-        env.close()
 
 
 def _on_cuda(decoder: ShapeDecoder) -> Iterator[Benchmark]:

@@ -27,6 +27,7 @@ class Benchmark:
         scale: Factor of the job's times, one over the number of units of work per call.
         reference_scale: Factor of the reference's times; above 1 where it performs only a part of the work.
         expensive: Whether the job is repeated only a few times.
+        processor_time: Processor time so far of all processes that work on the job, in seconds.
     """
 
     name: str
@@ -36,6 +37,7 @@ class Benchmark:
     scale: float = 1.0
     reference_scale: float = 1.0
     expensive: bool = False
+    processor_time: Callable[[], float] = time.process_time
 
 
 @dataclass(frozen=True)
@@ -93,7 +95,7 @@ def measure(benchmark: Benchmark, config: TimingConfig = TimingConfig()) -> Row:
     while len(values) < fewest or (
         len(values) < config.max_repeats and time.perf_counter() - begin < config.seconds
     ):
-        wall, core = clocked(benchmark.job)
+        wall, core = clocked(benchmark.job, benchmark.processor_time)
         values.append(benchmark.scale * wall)
         cores.append(benchmark.scale * core)
         references.append(benchmark.reference_scale * clocked(benchmark.reference_job)[0])
@@ -110,8 +112,8 @@ def measure(benchmark: Benchmark, config: TimingConfig = TimingConfig()) -> Row:
     )
 
 
-def clocked(job: Job) -> tuple[float, float]:
+def clocked(job: Job, processor_time: Callable[[], float] = time.process_time) -> tuple[float, float]:
     """Return wall time and processor time of one call, in seconds."""
-    core, wall = time.process_time(), time.perf_counter()
+    core, wall = processor_time(), time.perf_counter()
     job()
-    return time.perf_counter() - wall, time.process_time() - core
+    return time.perf_counter() - wall, processor_time() - core

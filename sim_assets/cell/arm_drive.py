@@ -38,6 +38,7 @@ class ArmDrive:
         travel = np.abs(self._motion.positions[-1] - self._motion.positions[0])[: self._motion.n_driven]
         self._finger_scale = np.ptp(self._motion.widths) / 2 / np.maximum(travel, 1e-6)  # to [m/s]
         self._pads = pad_points(model, robot.description)
+        self._motion_of_all, self._torque_of_all = np.zeros(model.nv), np.zeros(model.nv)  # scratch
 
     def reset(self) -> None:
         """Set state and commands to the home posture with the hand open."""
@@ -74,12 +75,11 @@ class ArmDrive:
         Args:
             q, qd, qdd: wanted positions [rad], velocities [rad/s] and accelerations [rad/s^2].
         """
-        motion = np.zeros(self._model.nv)
+        motion, torque = self._motion_of_all, self._torque_of_all  # zero but at the arm's joints
         motion[self.dofs] = qdd
-        torque = np.zeros(self._model.nv)
         mujoco.mj_mulM(self._model, self._data, torque, motion)
         forward = torque[self.dofs] + self.damping * qd
-        self.command(q + forward / self.stiffness)
+        self._data.ctrl[self.servos] = q + forward / self.stiffness
 
     def blocking_reason(self, joint: int) -> str:
         """Return why a joint, by its place in the arm, is far from its command."""

@@ -209,7 +209,8 @@ class World:
         self.close()
 
     def _step(self) -> None:
-        if not math.isfinite(self._data.ctrl.sum()):  # of all commands, if of their sum
+        commands = self._data.ctrl
+        if not math.isfinite(commands.dot(commands)):  # the fastest reduction: this runs 500 times a second
             raise RobotError("a command is not finite; no command was sent to the actuators")
         mujoco.mj_step(self._model, self._data)
         self._steps += 1

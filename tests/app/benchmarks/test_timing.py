@@ -40,7 +40,7 @@ def test_a_row_holds_medians_the_best_time_and_core_time(monkeypatch):
         job: iter([(3.0, 1.0), (1.0, 5.0), (2.0, 3.0)]),
         reference: iter([(8.0, 0.0), (9.0, 0.0), (4.0, 0.0)]),
     }
-    monkeypatch.setattr(timing, "clocked", lambda called: next(times[called]))
+    monkeypatch.setattr(timing, "clocked", lambda called, *_: next(times[called]))
     row = measure(Benchmark("a", "b", job, reference, scale=0.5, reference_scale=2.0), QUICK)
     assert (row.value, row.best, row.core_seconds, row.reference_value) == (1.0, 0.5, 1.5, 16.0)
     assert row.ratio == 16.0 and row.as_json()["name"] == "a"
@@ -50,6 +50,12 @@ def test_cheap_jobs_are_repeated_while_there_is_time():
     benchmark = Benchmark("", "", lambda: None, lambda: None)
     assert measure(benchmark, TimingConfig(min_repeats=2, max_repeats=7, seconds=10.0)).repeats == 7
     assert measure(benchmark, TimingConfig(min_repeats=2, max_repeats=7, seconds=0.0)).repeats == 2
+
+
+def test_the_processor_time_of_a_job_in_other_processes_is_read_by_its_own_clock():
+    seconds = iter(range(0, 100, 7))
+    benchmark = Benchmark("", "", lambda: None, lambda: None, processor_time=lambda: next(seconds))
+    assert measure(benchmark, QUICK).core_seconds == 7
 
 
 def test_wall_and_core_time_of_a_call():

@@ -5,11 +5,15 @@ from dataclasses import replace
 import numpy as np
 import pytest
 import torch
+import warp as wp
 
 from perception.geometry import rigid, so3_exp
+from perception.rendering.kernel import mat34, render_kernel
 from perception.rendering.pose import ObjectPose, canonical_from_camera, pose_jacobian
 from perception.rendering.reference import render_reference
 from perception.rendering.renderer import RayBundle, Rendering, ShapeGrid, render
+from perception.rendering.sampling import vec16
+from perception.warp_runtime import empty, launch, to_device
 
 POSE = ObjectPose(
     so3_exp(np.array([0.2, -0.1, 0.7])), np.array([0.02, -0.01, 0.03]), np.array([0.05, 0.06, 0.07])
@@ -163,3 +167,40 @@ def test_rendering_without_gradients_gives_the_same_image(scene) -> None:
     np.testing.assert_allclose(image.depth, _rendered(scene)[0].depth, atol=1e-6)
     with pytest.raises(ValueError, match="gradients=True"):
         pose_jacobian(POSE, A, rays, image)
+
+
+def test_a_launch_as_on_cuda_gives_each_ray_a_stack_of_its_own(scene) -> None:
+    """On CUDA one launch renders all rays at once; only then ``stack_stride`` is not zero."""
+    grid, jacobian, rays, _ = scene
+    n, samples = len(rays.directions), rays.samples
+    expected, A = _rendered(scene)
+    shape = ShapeGrid.upload(grid, jacobian)
+    arrays = [
+        to_device(rays.directions, wp.vec3, "cpu"),
+        to_device(rays.view, wp.int32, "cpu"),
+        to_device(rays.depth_range, wp.vec2, "cpu"),
+        to_device(A, mat34, "cpu"),
+    ]
+    fields = [1, 1, shape.occupancy, shape.jacobian, shape.cells, shape.box]
+
+    def stacks(dim: int, begin: int) -> tuple[np.ndarray, np.ndarray]:
+        stack = to_device(np.full((dim * samples, 3), np.nan), wp.vec3, "cpu")
+        rows = empty((n, 2), vec16, "cpu")
+        launch(render_kernel, dim, [*arrays, samples, samples, begin, stack, *fields], [rows], "cpu")
+        return stack.numpy().reshape(dim, samples, 3), rows.numpy()
+
+    together, rows = stacks(n, 0)
+    np.testing.assert_array_equal(rows[:, 1, 12], expected.depth)
+    np.testing.assert_array_equal(rows[:, 0], expected.d_code)
+    assert np.isfinite(together[:, 0, 0]).mean() > 0.2
+    for ray in range(0, n, 97):
+        np.testing.assert_array_equal(stacks(1, ray)[0][0], together[ray])
+
+
+@pytest.mark.skipif(not torch.cuda.is_available(), reason="no CUDA device")
+def test_rendering_on_cuda_equals_the_one_on_cpu(scene) -> None:
+    grid, jacobian, rays, _ = scene
+    on_cpu, A = _rendered(scene)
+    on_cuda = render(ShapeGrid.upload(grid, jacobian, "cuda:0"), rays, A)
+    for name in ("depth", "variance", "mask", "d_code", "d_map"):
+        np.testing.assert_allclose(getattr(on_cuda, name), getattr(on_cpu, name), rtol=1e-3, atol=1e-4)
