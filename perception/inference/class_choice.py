@@ -35,7 +35,7 @@ from perception.inference.pose_choice import (
 )
 from perception.inference.pose_score import agreed, pose_mass
 from perception.inference.resting import ALTERNATIVES
-from perception.inference.right_way_up import is_turned_over
+from perception.inference.right_way_up import is_turned_over, turned_over
 from perception.inference.screening import comes_near, nearest_hypotheses
 from perception.inference.shape_model import Decoder
 from perception.types import (
@@ -166,17 +166,17 @@ def fit_best_class(
 
 
 def _right_way_up(fit: _Fit, best: ScoredFit, views: ObjectViews) -> ScoredFit:
-    """Return the fit, of a can with the wrong end up the other way round; the score does not judge that."""
+    """Return the fit, or one the other way round: of a lying bottle, or a can with the wrong end up."""
     estimate, p = best.estimate, dict(zip(POSED_CLASSES, views.pose_probabilities.tolist()))
-    is_bottle = p.get(("bottle", estimate.resting), 0.0) > p.get(("can", estimate.resting), 0.0)
-    if is_bottle or not is_turned_over(estimate, views.observations):
-        return best  # bottles may widen upwards
-    resting: RestingPose = "lying" if estimate.resting == "lying" else "upside-down"
-    x, y, z = (-estimate.T_world_object[:3, 2]).tolist()
-    turned, _ = _attempt(fit, estimate.category, None, resting, (x, y, z))
-    if turned is None or misfit(turned.evidence) > misfit(best.evidence) + ABOUT:
+    lies, turned = estimate.resting == "lying", is_turned_over(estimate, views.observations)
+    turned &= p.get(("bottle", estimate.resting), 0.0) <= p.get(("can", estimate.resting), 0.0)
+    if not turned and not (lies and estimate.category == "bottle"):
         return best
-    return replace(turned, estimate=replace(turned.estimate, score=estimate.score))
+    x, y, z = (-estimate.T_world_object[:3, 2]).tolist()
+    other, _ = _attempt(fit, estimate.category, None, "lying" if lies else "upside-down", (x, y, z))
+    if other is None or (not turned and misfit(other.evidence) > misfit(best.evidence)):
+        return best
+    return replace(other, estimate=turned_over(estimate, other.estimate)) if turned else other
 
 
 def _best_upright(

@@ -12,6 +12,7 @@ about an axis whose position and tilt are fitted as well.
 from __future__ import annotations
 
 from collections.abc import Sequence
+from dataclasses import replace
 
 import numpy as np
 from jaxtyping import Float
@@ -19,7 +20,7 @@ from scipy.optimize import least_squares
 
 from perception.geometry import invert, transform_points
 from perception.inference.observation import ObjectObservation
-from perception.types import ObjectEstimate
+from perception.types import ObjectEstimate, TriangleMesh
 
 WIDER = 0.16  # difference between the radii at top and bottom, relative to their mean
 _ENDS = 0.12  # share of the height at either end, where there are necks, seams and feet
@@ -36,6 +37,24 @@ def is_turned_over(estimate: ObjectEstimate, observations: Sequence[ObjectObserv
     points = np.concatenate([seen.points_world() for seen in observations])
     points = transform_points(invert(estimate.T_world_object), points)
     return widening(points, estimate.mesh.vertices) > WIDER
+
+
+def turned_over(estimate: ObjectEstimate, other: ObjectEstimate) -> ObjectEstimate:
+    """Return an estimate with its axis reversed, the code from a fit that way round.
+
+    Surface, score and status remain: the prior, which hardly contains such a can, explains it less well.
+    """
+    turn = np.diag([1.0, -1.0, -1.0, 1.0])
+    mesh = TriangleMesh(estimate.mesh.vertices * np.diag(turn)[:3], estimate.mesh.faces)
+    return replace(
+        other,
+        T_world_object=estimate.T_world_object @ turn,
+        mesh=mesh,
+        surface_sigma=estimate.surface_sigma,
+        score=estimate.score,
+        residual=estimate.residual,
+        status=estimate.status,
+    )
 
 
 def widening(points: Float[np.ndarray, "n 3"], vertices: Float[np.ndarray, "v 3"]) -> float:

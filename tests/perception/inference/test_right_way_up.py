@@ -4,7 +4,7 @@ import numpy as np
 import pytest
 
 from perception.inference.observation import ObjectObservation
-from perception.inference.right_way_up import WIDER, is_turned_over, widening
+from perception.inference.right_way_up import WIDER, is_turned_over, turned_over, widening
 from perception.types import CameraIntrinsics, ObjectEstimate, RgbdFrame, TriangleMesh
 
 HEIGHT, RADIUS = 0.1, 0.03
@@ -79,3 +79,16 @@ def seen_from_above(points: np.ndarray) -> ObjectObservation:
     blank = np.zeros((1, len(points)), np.float32)
     frame = RgbdFrame(0.0, np.zeros((1, len(points), 3), np.uint8), blank, camera, np.eye(4))
     return Cloud(frame, np.ones((1, len(points)), bool))
+
+
+def test_a_can_that_is_turned_over_keeps_its_surface() -> None:
+    T = np.array([[0, -1, 0, 0.4], [1, 0, 0, -0.1], [0, 0, 1, 0.05], [0, 0, 0, 1.0]])
+    sigma = np.linspace(0.001, 0.002, len(cylinder()))
+    mesh = TriangleMesh(cylinder() * (1.0, 1.0, 1.1), np.array([[0, 1, 60]]))
+    first = ObjectEstimate(3, "can", np.zeros(16), T, np.ones(3), mesh, 0.8, surface_sigma=sigma)
+    other = ObjectEstimate(3, "can", np.ones(16), np.eye(4), 2 * np.ones(3), mesh, 0.1, resting="upside-down")
+    turned = turned_over(first, other)
+    np.testing.assert_allclose(turned.mesh_world.vertices, first.mesh_world.vertices)
+    np.testing.assert_allclose(turned.T_world_object[:3, 2], (0, 0, -1))
+    assert turned.score == 0.8 and turned.resting == "upside-down" and turned.surface_sigma is not None
+    np.testing.assert_array_equal(turned.code, other.code)
