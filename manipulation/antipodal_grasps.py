@@ -172,11 +172,12 @@ class _HandSpace:
         for margin in _MARGINS:
             opening = min(gripper.max_width, width + 2 * margin)
             boxes = HandBoxes.of(gripper, opening, _CLEARANCE.hand_length)
-            if not self._is_above(boxes, R, position) or boxes.sweep_contains(own, back, _CLEARANCE.distance):
+            if not self._is_above(boxes, R, position):
                 continue
-            if not len(others) or not boxes.sweep_contains(others, back, _DISTANCE):
+            if len(others) and boxes.sweep_contains(others, back, _DISTANCE):
+                rejected = Rejected("blocked by what is around it")
+            elif not boxes.sweep_contains(own, back, _CLEARANCE.distance):
                 return opening
-            rejected = Rejected("blocked by what is around it")
         return rejected
 
     def _is_above(self, boxes: HandBoxes, R: np.ndarray, position: np.ndarray) -> bool:

@@ -1,7 +1,7 @@
 """Collision checks of the arm and a carried object against perceived objects and static obstacles.
 
-The collision world is a MuJoCo model built from the arm's MJCF and the perceived meshes alone. Every object
-has two bodies, one in the world and one attached to the hand, of which at most one is enabled.
+The collision world is a MuJoCo model of the arm's MJCF and the perceived meshes alone. Every object has two
+bodies, one in the world and one attached to the hand, of which at most one is enabled.
 """
 
 from __future__ import annotations
@@ -148,8 +148,8 @@ class CollisionWorld:
             ManipulationError: there is no object of that name.
         """
         self._check_name(name)
-        self._poses[name] = np.array(T_world_object, dtype=np.float64)
-        self._set_body_pose(f"world/{name}", self._poses[name])
+        self._poses[name] = T = np.array(T_world_object, dtype=np.float64)
+        self._set_body_pose(f"world/{name}", T)
 
     def base(self, name: str) -> float:
         """Return the height [m] of the lowest point of an object at its last pose outside the hand."""
@@ -200,11 +200,13 @@ class CollisionWorld:
                 return Contact("arm", obstacle, mover)
         return None
 
-    def carried_overlaps(self, q: Float[np.ndarray, "n"], width: float) -> dict[str, float]:
-        """Return how deep [m] the carried object is in others in a posture, by name.
+    def touched(self, q: Float[np.ndarray, "n"], width: float) -> frozenset[str]:
+        """Return the names of the objects and obstacles that the robot is in contact with in a posture."""
+        others = (other for _, other, _ in self._contacts(q, width, NO_CONTACT))
+        return frozenset(other.removeprefix("world/") for other in others if other.startswith("world/"))
 
-        Negative depths are distances within the clearances.
-        """
+    def carried_overlaps(self, q: Float[np.ndarray, "n"], width: float) -> dict[str, float]:
+        """Return how deep [m] the carried object is in others, by name; distances are negative depths."""
         depths: dict[str, float] = {}
         for mover, other, distance in self._contacts(q, width, NO_CONTACT):
             if mover.startswith("carried/"):

@@ -26,6 +26,7 @@ from manipulation.plan_execution import GraspFailedError, Phase, PlanExecution, 
 from manipulation.planner import ManipulationConfig
 from manipulation.robot import Robot
 from manipulation.types import Grasp, ObjectOutcome, PickPlacePlan, Placement, TaskPlan
+from manipulation.withdrawal import Withdrawal, WithdrawingObserver
 
 logger = logging.getLogger(__name__)
 
@@ -101,9 +102,11 @@ class _Execution:
         on_event: OnEvent | None,
     ) -> None:
         self.task, self.robot, self.planner, self.config = task, robot, planner, config
-        self.observer = observer
+        self.withdrawal = Withdrawal(robot, planner)
+        self.can_see = not isinstance(observer, NoObserver)
+        self.observer = WithdrawingObserver(observer, self.withdrawal) if self.can_see else observer
         self.on_event = on_event or (lambda event: None)
-        self.motion = PlanExecution(robot, planner, observer, config, self._notify)
+        self.motion = PlanExecution(robot, planner, self.observer, config, self._notify)
         self.planning = ObjectPlanning(task, planner, config)
         self.outcomes: dict[str, ObjectOutcome] = {}
         self._queue = deque(task.placements)
@@ -138,6 +141,7 @@ class _Execution:
             self._notify("placed" if outcome.placed else "failed", placement.name, outcome.reason)
             self._put_unblocked_first(outcome.name)
         with contextlib.suppress(RobotStoppedError):
+            self.withdrawal.leave()
             self.motion.go_home()
         return list(self.outcomes.values())
 
@@ -165,7 +169,7 @@ class _Execution:
     def _gets_another_chance(self, placement: Placement, outcome: ObjectOutcome) -> bool:
         """Return whether an object that was not placed is tried once more when the others are done."""
         name = placement.name
-        if outcome.placed or name in self._tried_before or isinstance(self.observer, NoObserver):
+        if outcome.placed or name in self._tried_before or not self.can_see:
             return False
         self._tried_before[name] = outcome
         return True
@@ -211,6 +215,7 @@ class _Execution:
             if attempts > self.config.max_retries:
                 break
             self._notify("plan", name)
+            self.withdrawal.leave()
             is_turned = lies(self.planner.world.pose(name))
             try:
                 plan = self._plan(placement, tried, effort)

@@ -17,6 +17,7 @@ FREE_AREA = ((0.30, 0.68), (-0.52, 0.02))  # [m] ranges of x and y
 N_YAWS = 12  # of a goal on free table
 _SPACING = 0.03  # [m] between the spots examined
 _APART = 0.07  # [m] between the spots that are found
+_FAR = 1.2  # distance of a spot from the base, relative to that of the middle, from which on it is far
 _CLEARANCES = (0.10, 0.06, 0.03)  # [m] between outlines, from most room to least
 
 Area = tuple[tuple[float, float], tuple[float, float]]
@@ -38,16 +39,19 @@ def free_spots(
 ) -> Iterator[tuple[float, float]]:
     """Yield spots in an area where a circle [m] is clear of outlines.
 
-    Those with room for the hand around them come first, then those near the middle.
+    Those with room for the hand around them come first, then those near the middle. A spot far from the base
+    counts as one with less room: a hand that is not vertical hardly reaches what lies there.
     """
     (x0, x1), (y0, y1) = area
     grid = np.stack(np.meshgrid(np.arange(x0, x1, _SPACING), np.arange(y0, y1, _SPACING)), axis=-1)
     spots = grid.reshape(-1, 2)
     around = Footprint(tuple(taken), 0.0)
     crowding = np.sum([around.covers(spots, radius + clearance) for clearance in _CLEARANCES], axis=0)
-    from_middle = np.linalg.norm(spots - [(x0 + x1) / 2, (y0 + y1) / 2], axis=1)
+    middle = np.array([(x0 + x1) / 2, (y0 + y1) / 2])
+    from_middle = np.linalg.norm(spots - middle, axis=1)
+    is_far = np.linalg.norm(spots, axis=1) > _FAR * np.linalg.norm(middle)
     found = np.zeros((0, 2))
-    for index in np.lexsort((from_middle, crowding)):
+    for index in np.lexsort((from_middle, crowding + is_far)):
         is_apart = (np.linalg.norm(found - spots[index], axis=1) >= _APART).all()
         if crowding[index] < len(_CLEARANCES) and is_apart:
             found = np.vstack([found, spots[index]])

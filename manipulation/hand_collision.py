@@ -84,10 +84,12 @@ class HandBoxes:
         s to an interval, and the intervals must have a point of [0, 1] in common.
         """
         step = np.where(np.abs(sweep) < 1e-9, 1e-9, sweep)
-        to_high = (points_tcp[:, None] - self.high - margin) / step
-        to_low = (points_tcp[:, None] - self.low + margin) / step
-        first = np.minimum(to_high, to_low).max(axis=2)
-        last = np.maximum(to_high, to_low).min(axis=2)
+        first, last = np.array(-np.inf), np.array(np.inf)
+        for axis, along in enumerate(points_tcp.T[..., None]):  # (n, 1); axis by axis, which is much faster
+            to_high = (along - self.high[:, axis] - margin) / step[axis]
+            to_low = (along - self.low[:, axis] + margin) / step[axis]
+            first = np.maximum(first, np.minimum(to_high, to_low))
+            last = np.minimum(last, np.maximum(to_high, to_low))
         return bool(((first < last) & (first < 1.0) & (last > 0.0)).any())
 
     def lowest(self, T_plane_tcp: Float[np.ndarray, "4 4"]) -> float:

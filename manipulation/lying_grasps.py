@@ -7,12 +7,13 @@ with the wrist camera above it.
 from __future__ import annotations
 
 from collections import Counter
+from dataclasses import replace
 
 import numpy as np
 from jaxtyping import Float
 
 from manipulation.cross_sections import CrossSectionCache, Extent, extent
-from manipulation.grasp_config import GraspConfig, on_hand, tcp_pose
+from manipulation.grasp_config import GraspConfig, half_turn, on_hand, tcp_pose
 from manipulation.types import TOO_WIDE, Grasp, GraspSet, Rejected, StandingObject
 
 LYING_TILT = np.deg2rad(45.0)  # of the axis to the vertical, from which on an object does not stand
@@ -60,7 +61,8 @@ def lying_grasps(
         if isinstance(grasp, Rejected):
             rejected[grasp.reason] += 1
         else:
-            grasps.append(grasp)
+            # With the hand the other way round, and the camera below when the object is set upright.
+            grasps += [grasp, replace(half_turn(grasp), score=grasp.score - 1.0)]
     ordered = tuple(sorted(grasps, key=lambda grasp: -grasp.score))
     return on_hand(GraspSet(ordered, rejected), config.gripper)
 

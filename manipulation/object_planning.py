@@ -91,8 +91,15 @@ class ObjectPlanning:
             spots = list(itertools.islice(goals, _SPOTS))
             if not spots:
                 continue
-            with contextlib.suppress(PlanningError):
-                yield planner.plan(spots, q, grasps=planner.keeping_grasps(name))
+            scene, _ = self._failures.get(("aside", name), (None, None))
+            if scene == planner.n_changes:
+                continue  # what failed is not tried again in the same scene
+            try:
+                plan = planner.plan(spots, q, grasps=planner.keeping_grasps(name))
+            except NoPlanError as error:
+                self._failures["aside", name] = planner.n_changes, error
+            else:
+                yield plan
 
     def _turn(
         self, placement: Placement, q: Posture, tried: Sequence[Grasp], effort: Effort

@@ -26,7 +26,7 @@ from manipulation.nesting import nest_heights
 from manipulation.obstacles import TABLE, Obstacle
 from manipulation.pick_place_segments import Pick, Place, PlaceGoal, SegmentConfig, find_pick, find_place
 from manipulation.reorientation import reorienting_grasps, rolled
-from manipulation.surroundings import points_around
+from manipulation.surroundings import Surfaces, points_around
 from manipulation.trajectories import MotionConfig, concatenate
 from manipulation.types import Grasp, GraspSet, PickPlacePlan, Placement, Rejected, StandingObject
 from manipulation.vessels import holds, vessel_pieces
@@ -113,6 +113,8 @@ class PickPlacePlanner:
         self._grasps = dict(grasps or {})
         self._lying: dict[str, GraspSet] = {}  # of objects that do not stand
         self._tilted: dict[str, GraspSet] = {}
+        self._keeping: dict[str, GraspSet] = {}
+        self._surfaces = Surfaces()
         self._forgotten: set[str] = set()
         self._n_changes = 0
         self._build_world({name: item.T_world_stand for name, item in self.items.items()})
@@ -152,6 +154,7 @@ class PickPlacePlanner:
     def _on_change(self) -> None:
         self._n_changes += 1
         self._tilted.clear()
+        self._keeping.clear()
 
     def poses(self) -> dict[str, Float[np.ndarray, "4 4"]]:
         """Return T_world_stand of every object that is not forgotten, by name."""
@@ -209,8 +212,14 @@ class PickPlacePlanner:
     def keeping_grasps(self, name: str) -> GraspSet:
         """Return grasps at any angle, clear of surroundings, with which an object keeps its orientation.
 
-        One that leans is set upright. Of one on its side, grasps across its axis come first.
+        One that leans is set upright. Of one on its side, grasps across its axis come first. They are
+        generated once for each state of the scene.
         """
+        if name not in self._keeping:
+            self._keeping[name] = self._make_keeping_grasps(name)
+        return self._keeping[name]
+
+    def _make_keeping_grasps(self, name: str) -> GraspSet:
         item, T, config = self.items[name], self.world.pose(name), self.config.grasp
         up, keeps = T[2, :3], lies(T) or T[2, 2] > 1 - 1e-6
         verticals = (up,) if keeps else (up, np.array([0.0, 0.0, 1.0]))
@@ -224,7 +233,7 @@ class PickPlacePlanner:
         """Return points of what is around an object, in its stand frame [m]."""
         T = self.world.pose(name)
         others = [(self.items[other], pose) for other, pose in self.poses().items() if other != name]
-        return points_around(T[:3, 3], others, self.perceived_obstacles) @ T[:3, :3]
+        return points_around(T[:3, 3], others, self.perceived_obstacles, self._surfaces) @ T[:3, :3]
 
     def resting_pose(self, placement: Placement, yaw: float) -> Float[np.ndarray, "4 4"]:
         """Return ``T_world_stand`` at rest, on the floor or in the bowls of its stack, at a yaw [rad]."""

@@ -8,6 +8,7 @@ from __future__ import annotations
 
 import itertools
 import logging
+from collections.abc import Iterator
 from typing import Literal, Protocol, runtime_checkable
 
 import numpy as np
@@ -18,7 +19,7 @@ from manipulation.observation import SceneObserver, classify_grip, is_displaced
 from manipulation.pick_place import PickPlacePlanner
 from manipulation.planner import ManipulationConfig
 from manipulation.pressing import LEANING, is_plausible, lean, plan_press
-from manipulation.robot import Robot
+from manipulation.robot import JointTrajectory, Robot
 from manipulation.trajectories import concatenate, joint_move, line_postures
 from manipulation.types import Grasp, PickPlacePlan
 from perception.geometry import levelled
@@ -26,6 +27,8 @@ from perception.geometry import levelled
 logger = logging.getLogger(__name__)
 
 MAX_PRESSES = 2  # of one bowl
+_RISES = (0.18, 0.12, 0.08, 0.04)  # [m] above where an object met something, tried in order
+_RETURNED = 0.05  # [rad] of each joint from the posture of the grasp
 MISPLACED = 0.02  # [m] from its goal, from which on a released object is grasped again
 
 Phase = Literal[
@@ -138,21 +141,52 @@ class PlanExecution:
 
     def _bring_back(self, plan: PickPlacePlan) -> None:
         """Bring an object that met something while it was lowered back to where it was grasped."""
-        robot, motions, transfer = self.robot, self.planner.motions, plan.transfer
-        q = robot.joint_positions()
+        for motions_back in (self._reversed_way(plan), self._planned_way(plan)):
+            try:
+                for motion in motions_back:
+                    self.robot.follow(motion)
+            except RobotError as error:
+                logger.warning("%s was not brought back: %s", plan.name, error)
+            else:
+                if np.abs(self.robot.joint_positions() - plan.lift.positions[0]).max() < _RETURNED:
+                    return
+
+    def _reversed_way(self, plan: PickPlacePlan) -> Iterator[JointTrajectory]:
+        """Yield motions straight up, and from there back along the transfer; none if that is impossible."""
+        q, motions, transfer = self.robot.joint_positions(), self.planner.motions, plan.transfer
         reached = int(np.abs(transfer.positions - q).max(axis=1).argmin())
         is_at_rest = np.abs(transfer.velocities[: reached + 1]).max(axis=1) < 1e-6
         above = int(np.flatnonzero(is_at_rest).max(initial=0))
         T_above = motions.kinematics.forward(transfer.positions[above])
         up = line_postures(motions.kinematics, q, T_above, motions.config) if above > 0 else None
-        if up is None:
-            return
+        if up is not None:
+            yield motions.time_line(up)
+            yield joint_move(up[-1], transfer.positions[above], motions.limits)
+            yield concatenate([transfer.until(above).reversed(), plan.lift.reversed()])
+
+    def _planned_way(self, plan: PickPlacePlan) -> Iterator[JointTrajectory]:
+        """Yield motions straight up, and from there along a free path; none if there is no such path."""
+        motions, grasp = self.planner.motions, plan.grasp
+        q = self.robot.joint_positions()
+        motions.world.carry(plan.name, np.linalg.inv(grasp.T_stand_tcp))
+        margins = self.config.pick_place.transit_margins
         try:
-            robot.follow(motions.time_line(up))
-            robot.follow(joint_move(up[-1], transfer.positions[above], motions.limits))
-            robot.follow(concatenate([transfer.until(above).reversed(), plan.lift.reversed()]))
-        except RobotError as error:
-            logger.warning("%s was not brought back: %s", plan.name, error)
+            for height in _RISES:
+                T_up = motions.kinematics.forward(q)
+                T_up[2, 3] += height
+                up = line_postures(motions.kinematics, q, T_up, motions.config)
+                if up is None:
+                    continue
+                path = motions.free_path(up[-1], plan.lift.positions[-1], grasp.held_width, margins)
+                if path is not None:
+                    break
+            else:
+                return
+        finally:
+            motions.world.release()
+        yield motions.time_line(up)
+        yield motions.time_path(path)
+        yield plan.lift.reversed()
 
     def _settle_in_stack(self, plan: PickPlacePlan) -> None:
         """Look at a bowl in others, follow those that moved, and press it level while it leans."""

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+from collections.abc import Callable, Sequence
 
 import numpy as np
 from jaxtyping import Float
@@ -17,10 +17,33 @@ REACH = 0.40  # [m] from the base of a grasped object to the far end of the hand
 _SPACING = 0.008  # [m] between the points that are kept; fingers are 17 mm wide
 
 
+class Surfaces:
+    """Points on the surfaces of objects and things of no class [m], computed once for each."""
+
+    def __init__(self) -> None:
+        self._known: dict[int, tuple[object, Float[np.ndarray, "_n 3"]]] = {}  # with what keeps its id
+
+    def of_object(self, item: StandingObject) -> Float[np.ndarray, "_n 3"]:
+        """Return points on an object in its stand frame."""
+        return self._once(item, lambda: surface_points(TriangleMesh(item.vertices, item.faces)))
+
+    def of_thing(self, obstacle: PerceivedObstacle) -> Float[np.ndarray, "_n 3"]:
+        """Return points on the pieces of a thing in the world frame."""
+        return self._once(obstacle, lambda: np.concatenate([_on_piece(piece) for piece in obstacle.pieces]))
+
+    def _once(
+        self, key: object, points: Callable[[], Float[np.ndarray, "_n 3"]]
+    ) -> Float[np.ndarray, "_n 3"]:
+        if id(key) not in self._known:
+            self._known[id(key)] = key, points()
+        return self._known[id(key)][1]
+
+
 def points_around(
     center: Float[np.ndarray, "3"],
     others: Sequence[tuple[StandingObject, Float[np.ndarray, "4 4"]]],
     obstacles: Sequence[PerceivedObstacle],
+    surfaces: Surfaces | None = None,
 ) -> Float[np.ndarray, "n 3"]:
     """Return points on everything near a point, relative to it in the axes of the world [m].
 
@@ -28,16 +51,18 @@ def points_around(
         center: the point.
         others: objects with T_world_stand.
         obstacles: things of no class.
+        surfaces: points that are known from calls before.
     """
+    surfaces = surfaces or Surfaces()
     found = [np.zeros((0, 3))]
-    for item, T in others:
-        found.append(surface_points(TriangleMesh(item.vertices, item.faces)) @ T[:3, :3].T + T[:3, 3])
-    for obstacle in obstacles:
-        for piece in obstacle.pieces:
-            vertices = reduced_hull(piece)
-            faces = hull_faces(vertices).reshape(-1, 3)
-            found.append(surface_points(TriangleMesh(vertices, faces)))
+    found += [surfaces.of_object(item) @ T[:3, :3].T + T[:3, 3] for item, T in others]
+    found += [surfaces.of_thing(obstacle) for obstacle in obstacles]
     points = np.concatenate(found) - center
     points = points[np.linalg.norm(points, axis=1) < REACH]
     _, kept = np.unique(np.floor(points / _SPACING).astype(np.int64), axis=0, return_index=True)
     return points[np.sort(kept)]
+
+
+def _on_piece(piece: Float[np.ndarray, "_k 3"]) -> Float[np.ndarray, "_n 3"]:
+    vertices = reduced_hull(piece)
+    return surface_points(TriangleMesh(vertices, hull_faces(vertices).reshape(-1, 3)))

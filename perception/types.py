@@ -29,7 +29,7 @@ FitStatus = Literal["converged", "not_converged", "implausible"]
 FIT_STATUSES: tuple[FitStatus, ...] = get_args(FitStatus)
 RestingPose = Literal["upright", "lying", "upside-down"]
 RESTING_POSES: tuple[RestingPose, ...] = get_args(RestingPose)
-# Resting poses of each class that differ in shape: a can upside down looks like an upright one.
+# Resting poses of each class that networks tell apart: a can upside down looks like an upright one.
 POSES_OF: Mapping[Category, tuple[RestingPose, ...]] = {
     "mug": ("upright", "upside-down", "lying"),
     "bowl": ("upright", "upside-down"),

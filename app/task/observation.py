@@ -21,7 +21,7 @@ from manipulation.viewpoints import Viewpoint, ViewpointScanner
 from manipulation.workspace import Workspace
 from perception.errors import PerceptionError
 from perception.geometry import levelled
-from perception.inference.refit import PoseCheck, refit_pose
+from perception.inference.refit import PoseCheck, refit_leaning, refit_pose
 from perception.inference.relocate import Region, SearchScene, relocate
 from perception.obstacles.obstacle import PerceivedObstacle
 from perception.types import ObjectEstimate, RgbdFrame
@@ -98,7 +98,8 @@ class WristObserver:
         try:
             frames = self._closeups(names[0], poses)
             for name in names:
-                check = self._check(name, now, frames)
+                others = self._others(name, now, NEIGHBOURHOOD)
+                check = refit_leaning(self._estimates[name], frames, self._object_pose(name, now), others)
                 if check.status == "seen" and check.visible_pixels >= MIN_PIXELS:
                     now[name] = self._stand_pose(name, check)
         except RobotStoppedError:

@@ -5,6 +5,7 @@ contradicts it, the next classes are fitted as well, and the one with the highes
 as an upright object is poor, the other resting poses of the class are tried. An object without a class is
 fitted as those classes in those resting poses that come near its depth in a few coarse iterations. In clutter
 a network names class and resting pose: what it is sure of is kept if it explains the depth about as well.
+A can that was fitted with the wrong end up is fitted again the other way round.
 """
 
 from __future__ import annotations
@@ -32,7 +33,9 @@ from perception.inference.pose_choice import (
     is_good,
     misfit,
 )
+from perception.inference.pose_score import agreed, pose_mass
 from perception.inference.resting import ALTERNATIVES
+from perception.inference.right_way_up import is_turned_over, turned_over
 from perception.inference.screening import comes_near, nearest_hypotheses
 from perception.inference.shape_model import Decoder
 from perception.types import (
@@ -57,7 +60,8 @@ ABOUT = 0.05  # by how much the misfit of what the pose network is sure of may b
 UNKNOWN = 0.5  # least score of an object of no class, or in a pose that the networks were not trained on
 
 
-_Fit = Callable[[Category, OnStep | None, RestingPose], "ScoredFit"]
+Axis = tuple[float, float, float] | None
+_Fit = Callable[[Category, OnStep | None, RestingPose, Axis], "ScoredFit"]
 
 
 class RejectedError(PerceptionError):
@@ -115,8 +119,13 @@ def fit_best_class(
         PerceptionError: No class can be fitted.
     """
 
-    def fit(category: Category, report: OnStep | None = None, resting: RestingPose = "upright") -> ScoredFit:
-        posed = replace(config, resting=resting)
+    def fit(
+        category: Category,
+        report: OnStep | None = None,
+        resting: RestingPose = "upright",
+        toward: Axis = None,
+    ) -> ScoredFit:
+        posed = replace(config, resting=resting, toward=toward)
         return _scored(replace(views, category=category), decoder, plane, model, posed, report)
 
     def near(category: Category, resting: RestingPose) -> bool:
@@ -126,18 +135,17 @@ def fit_best_class(
     threshold = max(model.threshold, UNKNOWN)
     unnamed = p.size > 0 and float(np.ptp(p)) == 0.0
     named = _as_named(fit, views, plane, threshold, or_upright=unnamed)
-    if unnamed and named is not None:
-        return named.estimate
     if unnamed:
-        near_ones = nearest_hypotheses(views, decoder, plane, config)
-        return _fit_unnamed(fit, near_ones, views, plane, model)
+        if named is None:
+            named = _fit_unnamed(fit, nearest_hypotheses(views, decoder, plane, config), views, plane, model)
+        return _right_way_up(fit, named, views).estimate
     first, problem = _attempt(fit, views.category, on_step)
     if not p.size:
         best = _best_pose(fit, near, first, (views.category,), views, plane)
         if best is None:
             assert problem is not None
             raise problem
-        return best.estimate
+        return _right_way_up(fit, best, views).estimate
     likely = _likely(p)
     upright = _best_upright(fit, first, [c for c in likely if c != views.category], views, plane, model)
     posed = likely if upright is None else (upright.estimate.category,)
@@ -147,6 +155,7 @@ def fit_best_class(
     if best is None:
         assert problem is not None
         raise problem
+    best = _right_way_up(fit, best, views)
     estimate = best.estimate
     if estimate.score < model.threshold and len(views.observations) <= 1:
         reason = model.reason(best.evidence, estimate.category, best.probability)
@@ -154,6 +163,20 @@ def fit_best_class(
     if estimate.category != views.category:
         logger.info("object %d: evidence for %s, not %s", views.id, estimate.category, views.category)
     return estimate
+
+
+def _right_way_up(fit: _Fit, best: ScoredFit, views: ObjectViews) -> ScoredFit:
+    """Return the fit, or one the other way round: of a lying bottle, or a can with the wrong end up."""
+    estimate, p = best.estimate, dict(zip(POSED_CLASSES, views.pose_probabilities.tolist()))
+    lies, turned = estimate.resting == "lying", is_turned_over(estimate, views.observations)
+    turned &= p.get(("bottle", estimate.resting), 0.0) <= p.get(("can", estimate.resting), 0.0)
+    if not turned and not (lies and estimate.category == "bottle"):
+        return best
+    x, y, z = (-estimate.T_world_object[:3, 2]).tolist()
+    other, _ = _attempt(fit, estimate.category, None, "lying" if lies else "upside-down", (x, y, z))
+    if other is None or (not turned and misfit(other.evidence) > misfit(best.evidence)):
+        return best
+    return replace(other, estimate=turned_over(estimate, other.estimate)) if turned else other
 
 
 def _best_upright(
@@ -227,7 +250,7 @@ def _fit_unnamed(
     views: ObjectViews,
     plane: SupportPlane,
     model: AcceptanceModel,
-) -> ObjectEstimate:
+) -> ScoredFit:
     """Return the fit of an object without a class that has the highest score of those at rest and good.
 
     Raises:
@@ -246,7 +269,7 @@ def _fit_unnamed(
     if best.estimate.score < max(model.threshold, UNKNOWN):
         reason = model.reason(best.evidence, best.estimate.category, best.probability)
         raise RejectedError(best.estimate.category, best.estimate.score, reason)
-    return best.estimate
+    return best
 
 
 def _likely(p: Float[np.ndarray, "k"]) -> tuple[Category, ...]:
@@ -292,11 +315,15 @@ def _best_pose(
 
 
 def _attempt(
-    fit: _Fit, category: Category, on_step: OnStep | None = None, resting: RestingPose = "upright"
+    fit: _Fit,
+    category: Category,
+    on_step: OnStep | None = None,
+    resting: RestingPose = "upright",
+    toward: Axis = None,
 ) -> tuple[ScoredFit | None, PerceptionError | None]:
     """Return the fit as a class in a resting pose, or the error that prevents it."""
     try:
-        return fit(category, on_step, resting), None
+        return fit(category, on_step, resting, toward), None
     except PerceptionError as error:
         return None, error
 
@@ -316,18 +343,7 @@ def _scored(
     probability = float(p[CATEGORIES.index(category)]) if known else None
     score = model.score(evidence, category, probability)
     if config.resting != "upright" and views.pose_probabilities.size:
-        score = _agreed(
+        score = agreed(
             pose_mass(views.pose_probabilities, config.resting), model.score(evidence, category, None)
         )
     return ScoredFit(replace(estimate, score=score), evidence, probability)
-
-
-def _agreed(p: float, q: float) -> float:
-    """Return the normalised geometric mean of two probabilities of the same event."""
-    yes, no = np.sqrt(p * q), np.sqrt((1 - p) * (1 - q))
-    return float(yes / max(yes + no, 1e-12))
-
-
-def pose_mass(p: Float[np.ndarray, "p"], resting: RestingPose) -> float:
-    """Return the probability that an object of any class rests in a pose; depth decides on the class."""
-    return float(sum(q for posed, q in zip(POSED_CLASSES, p.tolist()) if posed[1] == resting))

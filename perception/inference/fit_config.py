@@ -58,6 +58,7 @@ class FitConfig:
         refine: Refinement of the mesh on the measurements; None leaves the decoded surface.
         step_limits: Largest step of each parameter in one iteration.
         resting: Resting pose that is assumed: initial poses and the prior of the tilt.
+        toward: Direction within 90 degrees of which the object's axis starts; None for any in the pose.
         max_tilt: Largest angle of a plausible object's axis to its direction in that pose, in radians.
     """
 
@@ -81,4 +82,5 @@ class FitConfig:
     refine: RefineConfig | None = field(default_factory=RefineConfig)
     step_limits: StepLimits = field(default_factory=StepLimits)
     resting: RestingPose = "upright"
+    toward: tuple[float, float, float] | None = None
     max_tilt: float = math.radians(15)

@@ -51,6 +51,8 @@ class FitStart:
         category, noise = views.category, config.noise
         seen = views.observations[: config.start_views]
         poses, cloud = initial_resting_poses(seen, category, plane, config.resting)
+        if config.toward is not None:
+            poses = [pose for pose in poses if pose.rotation[:, 2] @ config.toward > 0] or poses
         scale, centre = poses[0].scale, poses[0].translation
         voxel = 2 * float(scale[0]) / GRID_RESOLUTION
         return FitStart(

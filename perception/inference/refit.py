@@ -8,7 +8,7 @@ those measured behind it; occluded pixels do not count.
 from __future__ import annotations
 
 from collections.abc import Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from typing import Literal
 
 import numpy as np
@@ -23,6 +23,13 @@ from perception.rendering.renderer import RayBundle, ShapeGrid, render
 from perception.types import GRID_RESOLUTION, ObjectEstimate, RgbdFrame, SupportPlane
 
 PoseStatus = Literal["seen", "not_there", "hidden"]
+
+_LEVEL, _ANY_TILT = (
+    0.01,
+    1.0,
+)  # [rad] deviations of the prior on the tilt of an object that is level, or leans
+_LEAN, _N_LEANS = np.deg2rad(20.0), 6  # tilt, and number of directions, of leaning initial poses
+_CLEARLY = 0.04  # share of the visible pixels by which a leaning pose must explain more
 
 
 @dataclass(frozen=True)
@@ -107,6 +114,43 @@ def refit_pose(
             expected.moved(np.array([0, 0, 0, *(config.starts * np.array(o)), 0, 0, 0])) for o in offsets
         ]
         best = max([best, *(search.refine(start) for start in starts)], key=search.share)
+    return _checked(search, best, expected)
+
+
+def refit_leaning(
+    estimate: ObjectEstimate,
+    frames: Sequence[RgbdFrame],
+    T_expected: Float[np.ndarray, "4 4"],
+    others: Sequence[ObjectEstimate] = (),
+    plane: SupportPlane = SupportPlane(),
+    config: RefitConfig = RefitConfig(),
+) -> PoseCheck:
+    """Find an object near its expected pose that may lean against another one.
+
+    Level and tilted poses are compared by the pixels that agree with them: a local fit from the level pose
+    misses a large tilt, and takes the errors of a coarse shape for a small one.
+
+    Args:
+        estimate, frames, T_expected, others, plane, config: As those of ``refit_pose``.
+    """
+    upright = replace(config, tilt_sigma=_LEVEL)
+    search = _Search(estimate, frames, T_expected, others, plane, upright)
+    expected = ObjectPose.of(T_expected, search.scale)
+    level = search.refine(expected)
+    search.config = config
+    turns = [
+        _LEAN * np.array([np.cos(a), np.sin(a), 0.0]) for a in 2 * np.pi * np.arange(_N_LEANS) / _N_LEANS
+    ]
+    starts = [level, *(expected.moved(np.concatenate([turn, np.zeros(6)])) for turn in turns)]
+    leaning = max((search.refine(start) for start in starts), key=search.gain)
+    agree, through = search.evidence(leaning)
+    is_clear = search.gain(leaning) > search.gain(level) + _CLEARLY * (agree + through)
+    return _checked(search, leaning if is_clear else level, expected)
+
+
+def _checked(search: _Search, best: ObjectPose, expected: ObjectPose) -> PoseCheck:
+    """Return what the measurements say of the best pose."""
+    config, plane = search.config, search.plane
     agree, through = search.evidence(best)
     visible = agree + through
     status: PoseStatus = "seen"

@@ -48,9 +48,13 @@ def test_spots_keep_clear_of_outlines_and_within_the_area():
     assert not list(free_spots(0.03, [np.array([0.2, -0.6]) + 8 * SQUARE]))
 
 
+def is_far(spots: np.ndarray) -> np.ndarray:
+    return np.linalg.norm(spots, axis=1) > 1.2 * np.linalg.norm(np.mean(FREE_AREA, axis=1))
+
+
 def test_spots_begin_in_the_middle_and_are_apart():
     spots = np.array(list(free_spots(0.03, [])))
-    distance = np.linalg.norm(spots - np.mean(FREE_AREA, axis=1), axis=1)
+    distance = np.linalg.norm(spots[~is_far(spots)] - np.mean(FREE_AREA, axis=1), axis=1)
     assert distance[0] < 0.03 and (np.diff(distance) > -1e-9).all()
     between = np.linalg.norm(spots[:, None] - spots, axis=-1) + np.eye(len(spots))
     assert between.min() >= 0.07
@@ -58,9 +62,18 @@ def test_spots_begin_in_the_middle_and_are_apart():
 
 def test_spots_with_room_for_the_hand_come_first():
     wall = np.array([[0.28, -0.6], [0.28, 0.1], [0.50, 0.1], [0.50, -0.6]])
-    x = np.array([spot[0] for spot in free_spots(0.03, [wall])])
+    spots = np.array(list(free_spots(0.03, [wall])))
+    x = spots[~is_far(spots), 0]
     roomy = x > 0.50 + 0.13 - 1e-9
     assert roomy.any() and not roomy.all() and roomy[: roomy.sum()].all()
+
+
+def test_spots_far_from_the_base_come_after_nearer_ones_with_as_much_room():
+    far = is_far(np.array(list(free_spots(0.03, []))))
+    assert far.any() and not far[: (~far).sum()].any()
+    crowded = [np.array([0.3, -0.3]) + 3 * SQUARE]  # most near spots have less room
+    far = is_far(np.array(list(free_spots(0.03, crowded))))
+    assert far[: (~far).sum()].any() and not far.all()
 
 
 def test_what_is_set_aside_keeps_its_orientation_and_lies_on_the_table(can):

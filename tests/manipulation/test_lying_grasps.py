@@ -1,6 +1,7 @@
 import numpy as np
 import pytest
 
+from manipulation.grasp_config import half_turn
 from manipulation.lying_grasps import HAND_HEIGHT, is_upside_down, lies, lying_grasps
 from manipulation.standing import to_standing
 from perception.geometry import pose_from_yaw
@@ -31,7 +32,7 @@ def test_grasps_close_across_the_axis_from_above_with_the_camera_towards_the_top
     found = lying_grasps(can, T_world_stand)
     assert found.grasps and found.rejected["too near to the base to be set upright"] > 0
     axis = T_world_stand[:3, 2]
-    for grasp in found.grasps:
+    for grasp in found.grasps[: len(found.grasps) // 2]:
         T_world_tcp = T_world_stand @ grasp.T_stand_tcp
         np.testing.assert_allclose(T_world_tcp[:3, 2], -UP, atol=1e-9)
         np.testing.assert_allclose(T_world_tcp[:3, 0], axis, atol=1e-9)
@@ -48,9 +49,19 @@ def test_to_be_moved_as_it_lies_it_is_also_held_near_its_base(can):
 
 
 def test_set_upright_the_hand_is_horizontal_with_the_camera_above(can):
-    for grasp in lying_grasps(can, lying_pose(0.03)).grasps:
+    grasps = lying_grasps(can, lying_pose(0.03)).grasps
+    for grasp in grasps[: len(grasps) // 2]:
         np.testing.assert_allclose(grasp.T_stand_tcp[:3, 0], UP, atol=1e-9)
         assert grasp.T_stand_tcp[2, 2] == pytest.approx(0.0, abs=1e-9)
+
+
+def test_the_hand_may_also_hold_the_other_way_round(can):
+    """After all grasps with the camera above: at the same places, with the fingers swapped."""
+    grasps = lying_grasps(can, lying_pose(0.03)).grasps
+    first, second = grasps[: len(grasps) // 2], grasps[len(grasps) // 2 :]
+    for grasp, other in zip(first, second, strict=True):
+        np.testing.assert_allclose(other.T_stand_tcp, half_turn(grasp).T_stand_tcp)
+        assert other.score < min(g.score for g in first)
 
 
 def test_what_is_too_wide_or_upside_down_has_no_grasp(shapes):

@@ -132,3 +132,13 @@ def test_a_blocker_is_set_aside_in_its_orientation_if_it_may_be_moved(items):
         assert apart > 0.08, "clear of the others"
     assert not list(aside)
     assert not list(planning(items, planner).plans_aside(("thing_0", "can_1"), {"bowl_2"}, Q))
+
+
+def test_what_cannot_be_set_aside_is_not_tried_again_in_the_same_scene(items):
+    planner = FakePlanner(items, lambda goals, grasps: False)
+    planned = planning(items, planner)
+    for _ in range(2):
+        assert not list(planned.plans_aside(("bowl_2",), {"bowl_2"}, Q))
+    assert len(planner.requests) == 1
+    planner._n_changes += 1
+    assert not list(planned.plans_aside(("bowl_2",), {"bowl_2"}, Q)) and len(planner.requests) == 2

@@ -91,6 +91,28 @@ def test_an_object_that_meets_something_is_brought_back_in_the_hand(item, arm, p
     assert robot.widths == [plan.grasp.opening, 0.0], "the hand stays closed on the way"
 
 
+class MeetsItAgain(MeetsSomething):
+    """Stops again on the way back along the transfer."""
+
+    again = True
+
+    def follow(self, trajectory):
+        if len(self.motions) == 4 and self.again:
+            self.again = False
+            raise RobotError("the arm is blocked")
+        super().follow(trajectory)
+
+
+def test_where_the_way_back_is_blocked_another_one_is_planned(item, arm, plan):
+    robot, planner = MeetsItAgain(arm, [plan.grasp.held_width]), planner_of(item, arm)
+    execution = PlanExecution(robot, planner, FakeObserver(), CONFIG, lambda *args, **options: None)
+    with pytest.raises(RobotError, match="blocked"):
+        execution.run(plan)
+    assert robot.q == pytest.approx(plan.lift.positions[0]), "where it was grasped"
+    assert len(robot.motions) == 7 and robot.widths == [plan.grasp.opening, 0.0]
+    assert planner.world.contact(plan.lift.positions[-1], plan.grasp.held_width) is None, "nothing is carried"
+
+
 @pytest.mark.parametrize("side", [0, 1])
 def test_widths_outside_the_range_are_no_grasp(cell, plan, side):
     width = plan.grasp.closed_width[side] + (2 * side - 1) * 0.0005

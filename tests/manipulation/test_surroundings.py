@@ -2,8 +2,9 @@ import numpy as np
 import pytest
 from scipy.spatial import KDTree
 
+from manipulation import surroundings
 from manipulation.standing import to_standing
-from manipulation.surroundings import REACH, points_around
+from manipulation.surroundings import REACH, Surfaces, points_around
 from perception.geometry import pose_from_yaw
 from perception.obstacles.obstacle import PerceivedObstacle
 
@@ -34,3 +35,18 @@ def test_things_of_no_class_are_covered_densely():
 def test_what_is_out_of_the_hands_reach_is_left_out():
     far = PerceivedObstacle(0, (np.array([0.5 + REACH, 0.0, 0.0]) + 0.01 + 0.05 * CORNERS,), 100)
     assert points_around(np.array([0.5, 0.0, 0.0]), [], [far]).shape == (0, 3)
+
+
+def test_surfaces_are_sampled_once(shapes, monkeypatch):
+    can = to_standing(shapes.estimate(1, "can", shapes.can(0.03, 0.1)))
+    block = PerceivedObstacle(0, (np.array([0.5, -0.2, 0.0]) + 0.08 * CORNERS,), 100)
+    surfaces, calls = Surfaces(), []
+    sample = surroundings.surface_points
+    monkeypatch.setattr(surroundings, "surface_points", lambda mesh: calls.append(mesh) or sample(mesh))
+    around = [
+        points_around(np.array([0.5, x, 0.0]), [(can, np.eye(4))], [block], surfaces) for x in (-0.2, -0.1)
+    ]
+    assert len(calls) == 2
+    np.testing.assert_array_equal(
+        around[1], points_around(np.array([0.5, -0.1, 0.0]), [(can, np.eye(4))], [block])
+    )

@@ -41,6 +41,7 @@ def scene(overhead_frame, can_at, pack_plan, monkeypatch):
         return answers[kind]
 
     monkeypatch.setattr(observation, "refit_pose", lambda *args: answer("check"))
+    monkeypatch.setattr(observation, "refit_leaning", lambda *args: answer("check"))
     monkeypatch.setattr(observation, "relocate", lambda *args, **options: answer("found"))
     watch = WristObserver(scanner, [can_at()], pack_plan.objects)
     poses = {"can_0": pack_plan.objects["can_0"].T_world_stand}
@@ -183,7 +184,7 @@ def test_a_closer_look_at_several_uses_the_poses_just_found(scene, can_at, pack_
         others.append([other.T_world_object[0, 3] for other in near])
         return shifted(can_at, 0.02)
 
-    monkeypatch.setattr(observation, "refit_pose", refit)
+    monkeypatch.setattr(observation, "refit_leaning", refit)
     watch = WristObserver(scanner, [can_at(), replace(can_at(), id=1)], items)
     poses = {name: item.T_world_stand for name in items}
     watch.look_closer(["can_1", "can_0"], poses)

@@ -84,3 +84,16 @@ def test_views_with_points_above_the_plane_are_required(can, decoder) -> None:
         optimise_object(views(can.observations((0.0,)), "can"), decoder, SupportPlane(offset=1.0))
     with pytest.raises(InvalidInputError, match="without any view"):
         optimise_object(views([], "can"), decoder, PLANE)
+
+
+def test_the_axis_starts_toward_a_direction(make_table, decoder) -> None:
+    """Of both ways round, those within 90 degrees; all if there are none."""
+    table = make_table("can", (0.0,), yaw=0.0)
+    seen = views(table.observations((0.0,)), "can")
+    lying = FitConfig(resting="lying")
+    both = np.array([pose.rotation[:, 2] for pose in FitStart.of(seen, PLANE, lying).poses])
+    toward = tuple(both[0].tolist())
+    one = [pose.rotation[:, 2] for pose in FitStart.of(seen, PLANE, replace(lying, toward=toward)).poses]
+    assert 0 < len(one) < len(both) and all(axis @ both[0] > 0 for axis in one)
+    up = replace(FitConfig(), toward=(0.0, 0.0, -1.0))
+    assert len(FitStart.of(seen, PLANE, up).poses) == len(FitStart.of(seen, PLANE, FitConfig()).poses)

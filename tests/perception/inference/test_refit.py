@@ -6,7 +6,7 @@ import trimesh
 
 from perception.geometry import rigid, so3_exp
 from perception.inference.meshing import mesh_from_code
-from perception.inference.refit import RefitConfig, _Search, refit_pose
+from perception.inference.refit import RefitConfig, _Search, refit_leaning, refit_pose
 from perception.rendering.pose import ObjectPose
 from perception.types import ObjectEstimate, RgbdFrame, SupportPlane, TriangleMesh
 
@@ -56,6 +56,17 @@ def test_tilt_is_measured(mug, estimate, make_table) -> None:
     check = refit_pose(estimate, _frames(leaning), mug.pose.T_world_object)
     assert check.status == "seen"
     assert check.tilt == pytest.approx(0.15, abs=0.03)
+
+
+@pytest.mark.parametrize("lean", [(0.4, 0.0), (-0.2, 0.3), (0.0, 0.0)])
+def test_an_object_that_may_lean_is_found_with_its_tilt_or_level(mug, estimate, lean) -> None:
+    """However large the tilt is; a level one is not given the small tilt of an inexact fit."""
+    leaning = type(mug)(mug.decoder, mug.category, mug.code, mug.pose.moved(np.array([*lean] + [0.0] * 7)))
+    check = refit_leaning(estimate, _frames(leaning), mug.pose.T_world_object)
+    assert check.status == "seen" and check.inlier_share > 0.9
+    assert check.tilt == pytest.approx(np.hypot(*lean), abs=0.05)
+    if not any(lean):
+        assert check.tilt < np.deg2rad(0.5)
 
 
 def test_absent_object_is_not_there(mug, estimate) -> None:

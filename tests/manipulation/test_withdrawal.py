@@ -1,0 +1,88 @@
+"""Motions of the hand away from what is around it, on a robot that follows exactly."""
+
+import numpy as np
+import pytest
+
+from manipulation.errors import RobotError
+from manipulation.kinematics import Kinematics
+from manipulation.observation import Finding
+from manipulation.pick_place import PickPlacePlanner
+from manipulation.standing import to_standing
+from manipulation.types import Rejected
+from manipulation.withdrawal import Withdrawal, WithdrawingObserver, way_out
+from tests.manipulation.test_execution import CONFIG, FakeObserver, FakeRobot
+
+
+@pytest.fixture
+def planner(shapes, arm):
+    item = to_standing(shapes.estimate(1, "can", shapes.can(), x=0.5, y=-0.25))
+    return PickPlacePlanner(Kinematics(arm), {"can_1": item}, config=CONFIG.pick_place)
+
+
+@pytest.fixture
+def among(planner, arm):
+    """The robot with its fingers on the can."""
+    robot = FakeRobot(arm)
+    grasp = planner.grasps("can_1").grasps[0]
+    T = planner.world.pose("can_1") @ grasp.T_stand_tcp
+    result = planner.kinematics.inverse(T, planner.kinematics.seeds_toward(T))
+    assert result.converged
+    robot.q, robot.width = result.q, grasp.held_width
+    return robot
+
+
+def height(planner, robot) -> float:
+    return float(planner.kinematics.forward(robot.q)[2, 3])
+
+
+def test_a_hand_among_objects_is_near_them_until_it_has_left(planner, among):
+    world = planner.world
+    assert world.touched(among.q, among.width) == {"can_1"}
+    line = way_out(planner.motions, among.q, among.width)
+    assert line is not None and world.contact(line[-1], among.width) is None
+    assert Withdrawal(among, planner).leave()
+    assert len(among.motions) == 1 and world.touched(among.q, among.width) == frozenset()
+    assert Withdrawal(among, planner).leave() and len(among.motions) == 1, "it is free already"
+
+
+def test_a_line_through_something_else_is_no_way_out(planner, among, monkeypatch):
+    monkeypatch.setattr(planner.motions, "free_line", lambda *_: Rejected("collide with thing_1"))
+    assert way_out(planner.motions, among.q, among.width) is None
+    assert not Withdrawal(among, planner).leave() and not among.motions
+
+
+def test_the_hand_rises_above_the_objects_once(planner, among):
+    withdrawal = Withdrawal(among, planner)
+    assert withdrawal.rise()
+    assert height(planner, among) == pytest.approx(planner.motions.via_heights[0], abs=1e-3)
+    n_motions = len(among.motions)
+    assert withdrawal.rise() and len(among.motions) == n_motions
+
+
+def test_where_nothing_is_free_above_the_hand_goes_home_around_it(planner, among, monkeypatch):
+    Withdrawal(among, planner).leave()
+    monkeypatch.setattr(planner.motions, "free_line", lambda *_: Rejected("out of reach"))
+    assert Withdrawal(among, planner).rise()
+    assert among.q == pytest.approx(among.arm.q_home)
+
+
+def test_the_camera_is_not_moved_where_the_hand_cannot_rise(planner, among, monkeypatch):
+    seen = FakeObserver(("in_place",), can_1=[Finding("missing")])
+    seen.closer = [{"can_1": np.eye(4)}]
+    observer = WithdrawingObserver(seen, Withdrawal(among, planner))
+    monkeypatch.setattr(planner.motions, "free_line", lambda *_: Rejected("collide with thing_1"))
+    monkeypatch.setattr(planner.motions, "free_path", lambda *_: None)
+    assert observer.find("can_1", planner.poses()).status == "unseen"
+    assert observer.look_closer(("can_1",), planner.poses()) == {} and not among.motions
+    assert observer.glance(planner.poses(), ("can_1",)) == {"can_1": "in_place"}, "needs no motion"
+    monkeypatch.undo()
+    assert observer.find("can_1", planner.poses()).status == "missing"
+    assert list(observer.look_closer(("can_1",), planner.poses())) == ["can_1"]
+
+
+def test_a_blocked_withdrawal_is_no_error(planner, among):
+    def blocked(trajectory):
+        raise RobotError("the arm is blocked")
+
+    among.follow = blocked
+    assert not Withdrawal(among, planner).leave() and not Withdrawal(among, planner).rise()

@@ -1,0 +1,94 @@
+"""Which end of a can is up, on cones and barrels of known profiles."""
+
+import numpy as np
+import pytest
+
+from perception.inference.observation import ObjectObservation
+from perception.inference.right_way_up import WIDER, is_turned_over, turned_over, widening
+from perception.types import CameraIntrinsics, ObjectEstimate, RgbdFrame, TriangleMesh
+
+HEIGHT, RADIUS = 0.1, 0.03
+
+
+def side(
+    slope: float, bulge: float = 0.0, seen: float = 2 * np.pi, low: float = -0.5, tilt: float = 0.0
+) -> np.ndarray:
+    """Noisy points of r(u) = RADIUS (1 + slope u + bulge u^2) over an angle, and from a height upwards."""
+    rng = np.random.default_rng(0)
+    angle, u = rng.uniform(0, seen, 4000), rng.uniform(low, 0.5, 4000)
+    r = RADIUS * (1 + slope * u + bulge * u**2) + rng.normal(0, 0.002, 4000)
+    return np.stack([r * np.cos(angle) + tilt * u, r * np.sin(angle), HEIGHT * u], axis=1)
+
+
+def cylinder() -> np.ndarray:
+    angle = np.linspace(0, 2 * np.pi, 60)
+    ring = RADIUS * np.stack([np.cos(angle), np.sin(angle)], axis=1)
+    return np.concatenate([np.c_[ring, np.full(60, z)] for z in (-HEIGHT / 2, HEIGHT / 2)])
+
+
+@pytest.mark.parametrize("slope", [-0.2, 0.0, 0.2])
+@pytest.mark.parametrize("seen", [2 * np.pi, 0.9 * np.pi])
+def test_widening_of_a_cone_from_all_sides_and_from_one(slope, seen) -> None:
+    assert widening(side(slope, seen=seen), cylinder()) == pytest.approx(slope, abs=0.06)
+
+
+def test_a_tilt_of_the_estimate_is_no_widening() -> None:
+    assert widening(side(0.0, tilt=0.01, seen=np.pi), cylinder()) == pytest.approx(0.0, abs=0.03)
+
+
+@pytest.mark.parametrize("bulge", [-0.8, 0.8])
+def test_barrels_and_waists_do_not_widen(bulge) -> None:
+    """Not even where their lower part was hardly measured."""
+    assert widening(side(0.0, bulge), cylinder()) == pytest.approx(0.0, abs=0.03)
+    assert abs(widening(side(0.0, bulge, low=-0.3), cylinder())) < WIDER
+
+
+def test_without_measurements_of_both_ends_nothing_is_known() -> None:
+    assert widening(side(0.2, low=-0.1), cylinder()) == 0.0
+    assert widening(np.zeros((0, 3)), cylinder()) == 0.0
+
+
+def test_flat_ends_and_what_is_far_from_the_side_do_not_count() -> None:
+    lid = side(0.2)[:400] * (0.6, 0.6, 1.0)
+    beside = side(0.0)[:400] + np.array([0.08, 0.0, 0.0])
+    points = np.concatenate([side(0.2), lid, beside])
+    assert widening(points, cylinder()) == pytest.approx(0.2, abs=0.03)
+
+
+@pytest.mark.parametrize(("category", "slope", "turned"), [
+    ("can", 0.2, True), ("can", 0.1, False), ("can", -0.2, False), ("bottle", 0.2, False),
+])  # fmt: skip
+def test_cans_that_widen_upwards_are_turned_over(category, slope, turned) -> None:
+    """In the frame of the estimate, wherever that is: here on its side, seen from above."""
+    T = np.array([[0, 0, 1, 0.4], [0, 1, 0, -0.1], [-1, 0, 0, 0.03], [0, 0, 0, 1.0]])
+    points = side(slope)
+    points = (points @ T[:3, :3].T + T[:3, 3])[points[:, 0] < 0.01]
+    mesh = TriangleMesh(cylinder(), np.array([[0, 1, 60]]))
+    estimate = ObjectEstimate(0, category, np.zeros(16), T, np.ones(3), mesh)
+    assert is_turned_over(estimate, (seen_from_above(points),)) == turned
+
+
+def seen_from_above(points: np.ndarray) -> ObjectObservation:
+    """An image in which every pixel is one of the points."""
+    camera = CameraIntrinsics(len(points), 1, 1.0, 1.0, 0.0, 0.0)
+
+    class Cloud(ObjectObservation):
+        def points_world(self) -> np.ndarray:
+            return points
+
+    blank = np.zeros((1, len(points)), np.float32)
+    frame = RgbdFrame(0.0, np.zeros((1, len(points), 3), np.uint8), blank, camera, np.eye(4))
+    return Cloud(frame, np.ones((1, len(points)), bool))
+
+
+def test_a_can_that_is_turned_over_keeps_its_surface() -> None:
+    T = np.array([[0, -1, 0, 0.4], [1, 0, 0, -0.1], [0, 0, 1, 0.05], [0, 0, 0, 1.0]])
+    sigma = np.linspace(0.001, 0.002, len(cylinder()))
+    mesh = TriangleMesh(cylinder() * (1.0, 1.0, 1.1), np.array([[0, 1, 60]]))
+    first = ObjectEstimate(3, "can", np.zeros(16), T, np.ones(3), mesh, 0.8, surface_sigma=sigma)
+    other = ObjectEstimate(3, "can", np.ones(16), np.eye(4), 2 * np.ones(3), mesh, 0.1, resting="upside-down")
+    turned = turned_over(first, other)
+    np.testing.assert_allclose(turned.mesh_world.vertices, first.mesh_world.vertices)
+    np.testing.assert_allclose(turned.T_world_object[:3, 2], (0, 0, -1))
+    assert turned.score == 0.8 and turned.resting == "upside-down" and turned.surface_sigma is not None
+    np.testing.assert_array_equal(turned.code, other.code)
