@@ -6,7 +6,7 @@ Each point is the processor time and the wall time of one call, medians of ``--r
 from __future__ import annotations
 
 import time
-from collections.abc import Iterator, Sequence
+from collections.abc import Callable, Iterator, Sequence
 from dataclasses import asdict, dataclass, replace
 from functools import partial
 from statistics import median
@@ -14,6 +14,7 @@ from typing import Any
 
 from rich.table import Table
 
+from app.benchmarks.growth_planning import PlanningTimes, planning_times
 from app.benchmarks.growth_plot import svg_of
 from app.benchmarks.growth_scene import (
     MAX_VIEWS,
@@ -40,6 +41,7 @@ from perception.slam.system import Slam
 from perception.threads import single_threaded
 
 OBJECTS = (1, 2, 5, 10, 20)
+PACKED = (2, 4, 6, 8, 10, 12)
 VIEWS = (1, 2, 5, 10, 20)
 LANDMARKS = (1, 3, 10, 30, 100)
 _OBJECTS_OF_VIEWS, _VIEWS_OF_OBJECTS = 6, 5
@@ -103,6 +105,7 @@ def run(options: BenchOptions, screen: Screen) -> Report:
 def _curves(networks: Perception, options: BenchOptions) -> Iterator[Curve]:
     repeats, seed = options.repeats, options.seed
     yield from _over_objects(networks, repeats, seed)
+    yield from _over_packed(networks, seed)
     yield from _over_views(networks, repeats, seed)
     yield from _over_landmarks(networks, seed)
     if options.growth_workers:
@@ -121,6 +124,18 @@ def _over_objects(networks: Perception, repeats: int, seed: int) -> Iterator[Cur
         fitted.append(_point(n_masks(scene.masks), repeats, _reconstruction(networks, scene)))
     yield Curve("detect the objects of one image", "objects", tuple(found))
     yield Curve(f"reconstruct from {_VIEWS_OF_OBJECTS} views", "objects", tuple(fitted))
+
+
+def _over_packed(networks: Perception, seed: int) -> Iterator[Curve]:
+    """Time planning: of the layout, and of the motions of each object, median and largest."""
+    times = {n: planning_times(networks, n, seed) for n in PACKED}
+    curves: dict[str, Callable[[PlanningTimes], float]] = {
+        "lay out a packing task": lambda t: t.layout,
+        "plan the motions of one object": lambda t: median(t.objects),
+        "plan the motions of the slowest object": lambda t: max(t.objects),
+    }
+    for name, of in curves.items():
+        yield Curve(name, "objects", tuple(Point(n, None, of(t)) for n, t in times.items()))
 
 
 def _over_views(networks: Perception, repeats: int, seed: int) -> Iterator[Curve]:

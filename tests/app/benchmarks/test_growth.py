@@ -7,6 +7,7 @@ import pytest
 
 from app.benchmarks import growth
 from app.benchmarks.growth import Curve, Point
+from app.benchmarks.growth_planning import PlanningTimes
 from app.cli import run
 from app.options import BenchOptions
 from app.screen import Screen
@@ -51,6 +52,15 @@ def test_a_point_is_the_median(monkeypatch):
     times = iter([(3.0, 1.0), (1.0, 3.0), (2.0, 9.0)])
     monkeypatch.setattr(growth, "clocked", lambda job: next(times))
     assert growth._point(5, 3, lambda: None) == Point(5, 2.0, 3.0)
+
+
+def test_planning_is_a_curve_of_layouts_and_two_of_objects(networks, monkeypatch):
+    times = {n: PlanningTimes(float(n), (0.2, 0.3, n / 2)) for n in growth.PACKED}
+    monkeypatch.setattr(growth, "planning_times", lambda networks, n, seed: times[n])
+    layout, one, slowest = growth._over_packed(networks, 0)
+    assert [point.at for point in layout.points] == [2, 4, 6, 8, 10, 12]
+    assert layout.points[0] == Point(2, None, 2.0)
+    assert one.points[5] == Point(12, None, 0.3) and slowest.points[5] == Point(12, None, 6.0)
 
 
 def test_stages_of_slam_are_curves(networks, monkeypatch):
