@@ -6,7 +6,6 @@ transfer with the carried object, release and retreat are all within reach and f
 
 from __future__ import annotations
 
-from collections import Counter
 from collections.abc import Collection, Iterator, Mapping, Sequence
 from dataclasses import dataclass, field, replace
 
@@ -14,6 +13,7 @@ import numpy as np
 from jaxtyping import Float
 
 from manipulation.antipodal_grasps import antipodal_grasps
+from manipulation.candidates import Tally, are_similar, ordered_yaws
 from manipulation.collision import Body, CollisionConfig, CollisionWorld
 from manipulation.errors import NoPlanError
 from manipulation.grasp_config import GraspConfig
@@ -21,7 +21,7 @@ from manipulation.grasps import grasp_candidates
 from manipulation.hulls import convex_pieces
 from manipulation.kinematics import IkConfig, Kinematics
 from manipulation.lying_grasps import lies, lying_grasps
-from manipulation.motions import MIDDLE_RADIUS, OUT_OF_REACH, MotionPlanner
+from manipulation.motions import MIDDLE_RADIUS, MotionPlanner
 from manipulation.nesting import nest_heights
 from manipulation.obstacles import TABLE, Obstacle
 from manipulation.pick_place_segments import Pick, Place, PlaceGoal, SegmentConfig, find_pick, find_place
@@ -32,8 +32,6 @@ from manipulation.types import Grasp, GraspSet, PickPlacePlan, Placement, Reject
 from manipulation.vessels import holds, vessel_pieces
 from perception.geometry import pose_from_yaw
 from perception.obstacles.obstacle import PerceivedObstacle
-
-_STEEP = -0.8  # vertical component of the approach, up to which the hand points down
 
 
 @dataclass(frozen=True)
@@ -63,29 +61,6 @@ class PickPlaceConfig:
     max_pairs: int = 150
     max_tilted_pairs: int = 50
     max_plans: int = 2
-
-
-@dataclass
-class _Tally:
-    """Number of discarded candidates by reason, for error messages."""
-
-    n_rejected: int = 0
-    reasons: Counter[str] = field(default_factory=Counter)
-    blockers: Counter[str] = field(default_factory=Counter)
-
-    def reject(self, rejected: Rejected) -> None:
-        self.n_rejected += 1
-        self.reasons[rejected.reason] += 1
-        if rejected.blocker:
-            self.blockers[rejected.blocker] += 1
-
-    @property
-    def in_the_way(self) -> tuple[str, ...]:
-        """Names of what discarded candidates collide with, the most frequent first."""
-        return tuple(name for name, _ in self.blockers.most_common())
-
-    def text(self, limit: int = 5) -> str:
-        return ", ".join(f"{count} {reason}" for reason, count in self.reasons.most_common(limit))
 
 
 class PickPlacePlanner:
@@ -261,7 +236,7 @@ class PickPlacePlanner:
         Raises:
             NoPlanError: no pair of grasp and yaw is feasible; the message counts the reasons.
         """
-        tally = _Tally()
+        tally = Tally()
         limit = self.config.max_pairs if grasps is None else self.config.max_tilted_pairs
         plans: list[PickPlacePlan] = []
         goals = (placement,) if isinstance(placement, Placement) else tuple(placement)
@@ -277,15 +252,15 @@ class PickPlacePlanner:
         finally:
             self.world.release()
         if not plans:
-            raise NoPlanError(_failure_message(goals[0].name, candidates, tally), tally.in_the_way)
+            raise NoPlanError(tally.failure_message(goals[0].name, candidates), tally.in_the_way)
         return min(plans, key=lambda plan: plan.duration)
 
     def _picks(
-        self, name: str, candidates: GraspSet, tried: Collection[Grasp], tally: _Tally
+        self, name: str, candidates: GraspSet, tried: Collection[Grasp], tally: Tally
     ) -> Iterator[Pick]:
         """Yield feasible picks in descending order of the grasps' scores."""
         for grasp in candidates.grasps:
-            if any(_are_similar(grasp, other) for other in tried):
+            if any(are_similar(grasp, other) for other in tried):
                 continue
             pick = find_pick(self.motions, name, grasp, self.config.segments)
             if isinstance(pick, Rejected):
@@ -294,7 +269,7 @@ class PickPlacePlanner:
                 yield pick
 
     def _complete(
-        self, pick: Pick, placement: Placement, q_start: np.ndarray, tally: _Tally
+        self, pick: Pick, placement: Placement, q_start: np.ndarray, tally: Tally
     ) -> PickPlacePlan | None:
         """Return the plan with a pick and the first feasible yaw at the goal; None if there is none.
 
@@ -306,7 +281,8 @@ class PickPlacePlanner:
             T_goal_stand = rolled(self.items[name], placement.T_goal_stand, grasp.away)
             placement = replace(placement, T_goal_stand=T_goal_stand)
         swinging: tuple[Place, PlaceGoal, list[Float[np.ndarray, "n"]]] | None = None
-        for yaw in self._ordered_yaws(pick, placement)[: c.max_yaws]:
+        T_now, T_goal = self.world.pose(name), self.resting_pose(placement, 0.0)
+        for yaw in ordered_yaws(T_now, T_goal, grasp.T_stand_tcp, placement)[: c.max_yaws]:
             T_rest = self.resting_pose(placement, yaw)
             goal = PlaceGoal(self.items[name], placement, T_rest)
             place = find_place(self.motions, pick, goal, self.config.segments)
@@ -332,7 +308,7 @@ class PickPlacePlanner:
         goal: PlaceGoal,
         carry: list[Float[np.ndarray, "n"]],
         q_start: np.ndarray,
-        tally: _Tally,
+        tally: Tally,
     ) -> PickPlacePlan | None:
         """Return the plan with a path to the object; None if there is none."""
         self.world.release()
@@ -343,26 +319,6 @@ class PickPlacePlanner:
             tally.reject(Rejected("without a collision-free path to the object"))
             return None
         return self._time(pick, place, goal, start, carry)
-
-    def _ordered_yaws(self, pick: Pick, placement: Placement) -> list[float]:
-        """Return the yaws at the goal by the rotation of the hand beyond that of the arm's base.
-
-        For a hand far from vertical, by the angle between its approach and the direction from the base.
-        """
-        T_stand_tcp = pick.grasp.T_stand_tcp
-        T_goal = self.resting_pose(placement, 0.0)
-        if (T_goal @ T_stand_tcp)[2, 2] > _STEEP:
-            return _outward_yaws(T_goal @ T_stand_tcp, placement)
-        T_now = self.world.pose(placement.name)
-        now, goal = T_now[:2, 3], np.array(placement.position[:2])
-        swing = np.arctan2(goal[1], goal[0]) - np.arctan2(now[1], now[0])
-        hand_now = _heading(T_now @ T_stand_tcp)
-
-        def turn(yaw: float) -> float:
-            hand = _heading(pose_from_yaw(yaw, np.zeros(3)) @ T_stand_tcp)
-            return abs(float(np.angle(np.exp(1j * (hand - hand_now - swing)))))
-
-        return sorted(placement.yaws, key=turn)
 
     def _time(
         self,
@@ -388,34 +344,3 @@ class PickPlacePlanner:
             settle=None if place.settle is None else self.motions.time_line(place.settle),
             retreat=self.motions.time_line(place.retreat),
         )
-
-
-def _failure_message(name: str, candidates: GraspSet, tally: _Tally) -> str:
-    if not candidates.grasps:
-        return candidates.failure_message(name)
-    remedy = "clear its surroundings or move the box"
-    if tally.reasons and tally.reasons.most_common(1)[0][0] == OUT_OF_REACH.reason:
-        remedy = "move it closer to the arm"
-    return f"No plan for {name}: of {tally.n_rejected} candidates, {tally.text()}; {remedy}"
-
-
-def _are_similar(first: Grasp, second: Grasp) -> bool:
-    """Return whether two grasps are of one kind and within 20 degrees and 3 mm of depth of each other."""
-    angle = abs(np.angle(np.exp(1j * (first.azimuth - second.azimuth))))
-    return bool(
-        first.kind == second.kind and angle < np.deg2rad(20) and abs(first.depth - second.depth) < 0.003
-    )
-
-
-def _outward_yaws(T_world_tcp: np.ndarray, placement: Placement) -> list[float]:
-    """Return the yaws by the angle from outwards of the approach of a hand that has a pose at yaw 0."""
-    approach = np.arctan2(T_world_tcp[1, 2], T_world_tcp[0, 2])
-    outward = np.arctan2(placement.position[1], placement.position[0])
-    return sorted(
-        placement.yaws, key=lambda yaw: abs(float(np.angle(np.exp(1j * (approach + yaw - outward)))))
-    )
-
-
-def _heading(T_world_tcp: np.ndarray) -> float:
-    """Return the azimuth [rad] of the hand's x axis."""
-    return float(np.arctan2(T_world_tcp[1, 0], T_world_tcp[0, 0]))

@@ -5,13 +5,13 @@ import numpy as np
 import pytest
 from scipy.spatial.transform import Rotation
 
+from manipulation.candidates import Tally
 from manipulation.collision import AllowedContacts
 from manipulation.errors import PlanningError
 from manipulation.grasp_config import GraspConfig
 from manipulation.kinematics import Kinematics
 from manipulation.obstacles import TABLE, Obstacle
-from manipulation.pick_place import PickPlaceConfig, PickPlacePlanner, _Tally
-from manipulation.pick_place_segments import Pick
+from manipulation.pick_place import PickPlaceConfig, PickPlacePlanner
 from manipulation.robot import JointTrajectory
 from manipulation.standing import to_standing
 from manipulation.trajectories import MotionConfig
@@ -117,19 +117,9 @@ def test_similar_grasps_are_not_tried_again(kinematics, items):
     config = PickPlaceConfig(grasp=GraspConfig(n_azimuths=24, top_depths=(0.02, 0.022, 0.03)))
     planner = PickPlacePlanner(kinematics, items, config=config)
     first = planner.grasps("can_1").grasps[0]
-    for pick, _ in zip(planner._picks("can_1", planner.grasps("can_1"), [first], _Tally()), range(4)):
+    for pick, _ in zip(planner._picks("can_1", planner.grasps("can_1"), [first], Tally()), range(4)):
         turn = np.abs(np.angle(np.exp(1j * (pick.grasp.azimuth - first.azimuth))))
         assert turn >= np.deg2rad(20) or abs(pick.grasp.depth - first.depth) >= 0.003
-
-
-def test_yaws_that_follow_the_rotation_of_the_base_come_first(kinematics, items):
-    planner = PickPlacePlanner(kinematics, items, config=CONFIG)
-    swing = 2 * np.arctan2(0.25, 0.5)
-    yaws = tuple(swing + np.array([2.0, -0.1, 0.4, -1.0]))
-    placement = Placement("can_1", (0.5, 0.25, 0.0), yaws)
-    nothing = np.zeros((2, 7))
-    pick = Pick(planner.grasps("can_1").grasps[0], nothing, nothing)
-    assert planner._ordered_yaws(pick, placement) == [yaws[1], yaws[2], yaws[3], yaws[0]]
 
 
 def test_resting_pose_is_at_the_yaw_and_raised_by_the_stack(kinematics, items):
@@ -148,15 +138,6 @@ def test_resting_pose_of_an_object_to_be_laid_down(kinematics, items):
     laid = planner.resting_pose(Placement("can_1", (0.5, -0.2, 0.0), (np.pi / 2,), T_goal_stand=T), np.pi / 2)
     np.testing.assert_allclose(laid[:3, 3], (0.5, -0.26, 0.03), atol=1e-12)
     np.testing.assert_allclose(laid[:3, 2], (0.0, 1.0, 0.0), atol=1e-12)
-
-
-def test_yaws_of_a_hand_far_from_vertical_point_it_away_from_the_base(kinematics, items):
-    planner = PickPlacePlanner(kinematics, items, config=CONFIG)
-    level = replace(planner.grasps("can_1").grasps[0], T_stand_tcp=np.eye(4)[[2, 1, 0, 3]])  # z along x
-    nothing = np.zeros((2, 7))
-    placement = Placement("can_1", (0.5, 0.5, 0.0), (0.0, np.pi, 0.7, -2.0))
-    yaws = planner._ordered_yaws(Pick(level, nothing, nothing), placement)
-    assert yaws == [0.7, 0.0, np.pi, -2.0]  # outwards is pi / 4
 
 
 def test_the_first_feasible_of_several_goals_is_taken(kinematics, items, arm):
