@@ -18,7 +18,7 @@ from manipulation.errors import RobotError
 from manipulation.observation import SceneObserver, classify_grip, is_displaced
 from manipulation.pick_place import PickPlacePlanner
 from manipulation.planner import ManipulationConfig
-from manipulation.pressing import LEANING, is_plausible, lean, plan_press
+from manipulation.pressing import LEANING, PRESSABLE, is_plausible, lean, plan_press
 from manipulation.robot import JointTrajectory, Robot
 from manipulation.trajectories import concatenate, joint_move, line_postures
 from manipulation.types import Grasp, PickPlacePlan
@@ -198,7 +198,7 @@ class PlanExecution:
                 return
             for other, T_world_stand in seen.items():
                 self.planner.moved(other, levelled(T_world_stand, float(before[other][2, 3])))
-            if name not in seen or lean(seen[name]) < LEANING or presses == MAX_PRESSES:
+            if name not in seen or presses == MAX_PRESSES or not LEANING <= lean(seen[name]) < PRESSABLE:
                 return
             # Pressed level, it will be over the middle of the one below.
             rest = self.planner.world.pose(below[0]).copy()

@@ -17,7 +17,7 @@ from perception.surface_geometry import vertex_normals
 from perception.types import TriangleMesh
 
 SIGMAS = 2.0  # standard deviations within which a surface is assumed: 98 % on one side
-COVERED = 0.004  # [m] of them that the ordinary clearances cover
+COVERED = 0.008  # [m] of them that the ordinary clearances and gaps cover
 MOST = 0.010  # [m] by which a shape is widened; thin parts, such as the end of a handle, have outliers
 SURE = 0.98  # probability of success from which on grasps are ranked by their score alone
 WEIGHT = 2.0  # of the probability that a grasp lacks, relative to the score

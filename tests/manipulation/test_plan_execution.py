@@ -156,7 +156,9 @@ def nested(shapes, arm):
     return planner, planner.plan(goal, arm.q_home)
 
 
-@pytest.mark.parametrize("looks, presses", [((0.0,), 0), ((0.25, 0.0), 1), ((0.25,) * 9, MAX_PRESSES)])
+@pytest.mark.parametrize(
+    "looks, presses", [((0.0,), 0), ((0.25, 0.0), 1), ((0.25,) * 9, MAX_PRESSES), ((0.3,), 0)]
+)
 def test_a_bowl_that_leans_in_another_is_pressed_level(nested, arm, looks, presses):
     planner, plan = nested
     robot, messages = FakeRobot(arm, [plan.grasp.held_width]), []
