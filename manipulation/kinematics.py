@@ -18,6 +18,9 @@ from manipulation.arm_model import joint_addresses, joint_range, kinematic_model
 from manipulation.errors import ManipulationError
 from manipulation.robot import ArmDescription
 
+_IDENTITY = np.eye(3)
+_ROTATION_TOLERANCE = 1e-5  # of the product of a rotation matrix and its transpose
+
 Frame = Literal["tcp", "camera"]
 IkStatus = Literal["converged", "not_converged"]
 
@@ -246,5 +249,6 @@ def _check_target(T: np.ndarray, name: str) -> None:
     if T.shape != (4, 4) or not np.isfinite(T).all():
         raise ManipulationError(f"the pose of {name} must be a finite 4x4 matrix, got {T.tolist()}")
     rotation = T[:3, :3]
-    if not np.allclose(rotation @ rotation.T, np.eye(3), atol=1e-5) or np.linalg.det(rotation) < 0:
+    error = np.abs(rotation @ rotation.T - _IDENTITY)  # np.allclose takes a tenth of the time of a solution
+    if error.max() > _ROTATION_TOLERANCE or np.linalg.det(rotation) < 0:
         raise ManipulationError(f"the pose of {name} is not a rigid motion: its rotation is not orthonormal")

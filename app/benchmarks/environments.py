@@ -6,21 +6,18 @@ MuJoCo alone repeats the last command for the same simulated time, in the same p
 
 from __future__ import annotations
 
-import os
 import time
 from collections.abc import Iterator
 from functools import partial
 from itertools import cycle
-from pathlib import Path
-from typing import Any
 
 import numpy as np
-from gymnasium.vector import AsyncVectorEnv
 from jaxtyping import Float
 
 from app.benchmarks.timing import Benchmark
 from app.environments.actions import Control
 from app.environments.environment import PackEnv
+from app.environments.vector import CellVectorEnv
 
 SWING = 0.1  # [rad] of each joint
 CIRCLE = 0.01  # [m] of the tool per action
@@ -39,10 +36,11 @@ class MeasuredEnv(PackEnv):
 
 
 def environment_rows(seed: int) -> Iterator[Benchmark]:
-    """Yield the rows of one environment with each kind of control, and that of a vector."""
+    """Yield the rows of one environment and of a vector with each kind of control."""
     for control in ("joint", "tcp"):
         yield from _single(control, seed)
-    yield from _vector(seed)
+    for control in ("joint", "tcp"):
+        yield from _vector(control, seed)
 
 
 def swing(env: PackEnv, control: Control) -> Float[np.ndarray, "k a"]:
@@ -71,12 +69,12 @@ def _single(control: Control, seed: int) -> Iterator[Benchmark]:
     env.close()
 
 
-def _vector(seed: int) -> Iterator[Benchmark]:
-    model = MeasuredEnv()
+def _vector(control: Control, seed: int) -> Iterator[Benchmark]:
+    model = MeasuredEnv(control=control)
     model.reset(seed=seed)
-    rows = cycle(np.repeat(swing(model, "joint")[:, None], IN_PARALLEL, axis=1))
+    rows = cycle(np.repeat(swing(model, control)[:, None], IN_PARALLEL, axis=1))
     model.close()
-    envs: Any = AsyncVectorEnv([MeasuredEnv] * IN_PARALLEL, context="spawn")
+    envs = CellVectorEnv(IN_PARALLEL, partial(MeasuredEnv, control=control))
     try:
         envs.reset(seed=seed)
 
@@ -86,19 +84,25 @@ def _vector(seed: int) -> Iterator[Benchmark]:
 
         per_step = 1 / (IN_PARALLEL * STEPS)
         yield Benchmark(
-            f"step of one of {IN_PARALLEL} vectorised environments, joint actions",
-            f"MuJoCo alone in {IN_PARALLEL} processes, same scenes",
+            f"step of one of {IN_PARALLEL} vectorised environments, {control} actions",
+            "MuJoCo alone in the same processes, same scenes",
             steps,
             partial(envs.call, "hold", STEPS),
             scale=per_step,
             reference_scale=per_step,
-            processor_time=lambda: time.process_time() + sum(_processor_time(p.pid) for p in envs.processes),
+            processor_time=lambda: (
+                time.process_time() + sum(processor_time(process.pid) for process in envs.processes)
+            ),
         )
     finally:
         envs.close()
 
 
-def _processor_time(pid: int) -> float:
-    """Return the processor time of a process in seconds, from Linux's table of processes."""
-    fields = Path(f"/proc/{pid}/stat").read_text(encoding="utf-8").rpartition(")")[2].split()
-    return (int(fields[11]) + int(fields[12])) / os.sysconf("SC_CLK_TCK")
+def processor_time(pid: int | None) -> float:
+    """Return the processor time of a process in seconds, from its clock; 0 for none, on Linux only.
+
+    ``/proc`` counts in ticks of 10 ms, of which a call takes too few. The number of the clock is that of
+    ``clock_getcpuclockid`` (posix-timers.h of the kernel: the complement of the process, and a kind).
+    """
+    scheduled = 2  # CPUCLOCK_SCHED, the time of all threads
+    return 0.0 if pid is None else time.clock_gettime(~pid << 3 | scheduled)

@@ -54,6 +54,7 @@ class Row:
         best: Shortest wall time, in seconds; the closest to that of an idle machine.
         core_seconds: Median processor time of all threads, in seconds.
         repeats: Number of repetitions.
+        reference_core_seconds: Median processor time of the reference, in seconds.
     """
 
     name: str
@@ -65,6 +66,7 @@ class Row:
     best: float
     core_seconds: float
     repeats: int
+    reference_core_seconds: float
 
     def as_json(self) -> dict[str, Any]:
         return asdict(self)
@@ -90,7 +92,7 @@ def measure(benchmark: Benchmark, config: TimingConfig = TimingConfig()) -> Row:
     fewest = (config.min_repeats + 1) // 2 if benchmark.expensive else config.min_repeats
     benchmark.job()
     benchmark.reference_job()
-    values, references, cores = [], [], []
+    values, references, cores, reference_cores = [], [], [], []
     begin = time.perf_counter()
     while len(values) < fewest or (
         len(values) < config.max_repeats and time.perf_counter() - begin < config.seconds
@@ -98,7 +100,9 @@ def measure(benchmark: Benchmark, config: TimingConfig = TimingConfig()) -> Row:
         wall, core = clocked(benchmark.job, benchmark.processor_time)
         values.append(benchmark.scale * wall)
         cores.append(benchmark.scale * core)
-        references.append(benchmark.reference_scale * clocked(benchmark.reference_job)[0])
+        wall, core = clocked(benchmark.reference_job, benchmark.processor_time)
+        references.append(benchmark.reference_scale * wall)
+        reference_cores.append(benchmark.reference_scale * core)
     return Row(
         name=benchmark.name,
         value=median(values),
@@ -109,6 +113,7 @@ def measure(benchmark: Benchmark, config: TimingConfig = TimingConfig()) -> Row:
         best=min(values),
         core_seconds=median(cores),
         repeats=len(values),
+        reference_core_seconds=median(reference_cores),
     )
 
 

@@ -60,6 +60,15 @@ class CellEnv(gymnasium.Env[Any, np.ndarray]):
 
     ``info`` has ``placed`` (whether each object is in place), ``success``, and ``time`` [s]. An episode
     terminates when all objects are in place, and is truncated when the physics diverges or the time is up.
+
+    Attributes:
+        task: Packing or sorting.
+        cell_options, render_mode, rate: Those of the constructor.
+        robot: The arm.
+        kinematics: Its kinematics.
+        codec: Translation of actions.
+        n_objects: Number of objects in each episode.
+        entries: Spaces of the entries of observations.
     """
 
     metadata: ClassVar[dict[str, Any]] = {"render_modes": ["rgb_array"], "render_fps": round(RATE)}  # pyright: ignore[reportIncompatibleVariableOverride]
@@ -112,9 +121,9 @@ class CellEnv(gymnasium.Env[Any, np.ndarray]):
         self.action_space = self.codec.space
         self._images, self._privileged, self._image_size = images, privileged, image_size
         self._reward_kind: RewardKind = reward
-        n_objects = len(parse_objects(self.cell_options.objects, np.random.default_rng(0)))
-        self._spaces = self._observation_spaces(n_objects)
-        self.observation_space = spaces.Dict({**self._spaces})
+        self.n_objects = len(parse_objects(self.cell_options.objects, np.random.default_rng(0)))
+        self.entries = self._observation_spaces(self.n_objects)
+        self.observation_space = spaces.Dict({**self.entries})
         self._cell: Cell | None = None
 
     @property
@@ -207,11 +216,11 @@ class CellEnv(gymnasium.Env[Any, np.ndarray]):
         return entries
 
     def _observe(self) -> Observation:
-        cell, space = self.cell, self._spaces["state"]
-        state = np.concatenate(
-            [cell.world.joint_positions(), cell.control.joint_velocities(), [cell.world.gripper_width()]]
-        ).astype(np.float32)
-        observation: Observation = {"state": np.clip(state, space.low, space.high)}
+        cell, space = self.cell, self.entries["state"]
+        q, state = cell.world.joint_positions(), np.empty(space.low.shape, dtype=np.float32)
+        state[: len(q)], state[len(q) : -1] = q, cell.control.joint_velocities()
+        state[-1] = cell.world.gripper_width()
+        observation: Observation = {"state": np.minimum(np.maximum(state, space.low), space.high)}
         if self._privileged:
             observation["objects"] = self.object_states().clip(-TABLE_REACH, TABLE_REACH)
         if self._images:

@@ -6,6 +6,7 @@ from app.errors import MissingExtraError
 from perception.errors import install_hint
 
 ENVIRONMENTS = {"nodeslam/Pack-v0": "PackEnv", "nodeslam/Sort-v0": "SortEnv"}
+VECTORS = {"nodeslam/Pack-v0": "pack_vector", "nodeslam/Sort-v0": "sort_vector"}
 MAX_SECONDS = 200.0  # of simulated time before an episode is truncated; six objects take the expert 60 to 90
 RATE = 20.0  # [Hz] of actions and observations
 
@@ -26,4 +27,5 @@ def register_environments() -> None:
                 name,
                 entry_point=f"app.environments.environment:{environment}",
                 max_episode_steps=round(MAX_SECONDS * RATE),
+                vector_entry_point=f"app.environments.vector:{VECTORS[name]}",
             )

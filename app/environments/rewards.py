@@ -81,7 +81,8 @@ class TaskReward:
         before = self._placed
         if np.abs(poses - self._judged).max() > MOVED and self._at_rest(poses, velocities, hand):
             self._placed = self._verdicts(poses)
-        reward = float(self._placed.mean() - before.mean())
+        changed = self._placed is not before  # most steps have no new verdict
+        reward = float(self._placed.mean() - before.mean()) if changed else 0.0
         if self._kind == "shaped":
             potential = self._potential_of(poses, hand)
             reward += potential - self._potential

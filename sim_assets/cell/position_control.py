@@ -51,11 +51,16 @@ class PositionControl:
         self._step = np.zeros_like(self.q)  # of the last period [rad]
         self._speed = np.zeros_like(self.q)  # at its end, in [rad] per period
         self._basis = _hermite(np.arange(1, self._n_steps + 1) / self._n_steps)
+        self._count = np.arange(1, self._n_steps + 1)
+        self._reach = np.asarray(world.arm.velocity_limit) * self.period  # of the joints in a period [rad]
+        self._ends = np.empty((3, len(self.q)))  # scratch, as are the following
+        self._torque_of_ends = np.empty_like(self._ends)
+        self._motion, self._torque = np.zeros(world._model.nv), np.empty(world._model.nv)
 
     def reachable(self, q: Float[np.ndarray, "n"]) -> Float[np.ndarray, "n"]:
         """Return the joint positions nearest to ``q`` within the limits of position and velocity."""
-        step = np.asarray(self._world.arm.velocity_limit) * self.period
-        return np.clip(np.clip(q, self.q - step, self.q + step), self.lower, self.upper)
+        near = np.minimum(np.maximum(q, self.q - self._reach), self.q + self._reach)
+        return np.minimum(np.maximum(near, self.lower), self.upper)
 
     def tcp_position(self) -> Float[np.ndarray, "3"]:
         """Return the position of the tool's centre point in [m] at the beginning of the last physics step."""
@@ -77,13 +82,13 @@ class PositionControl:
         if not (np.isfinite(q).all() and np.isfinite(width)):
             raise SimAssetsError("a command is not finite; the arm was not moved")
         world, q = self._world, self.reachable(q)
-        commands = self._commands(q)
-        openings = self._openings(float(np.clip(width, 0, world.arm.max_width)))
-        model, data, ctrl = world._model, world._data, world._data.ctrl
-        arm, gripper, step_physics = world._drive.servos, world._drive.gripper, mujoco.mj_step
-        for command, opening in zip(commands, openings, strict=True):
-            ctrl[arm] = command
-            ctrl[gripper] = opening
+        model, data, ctrl, step_physics = world._model, world._data, world._data.ctrl, mujoco.mj_step
+        rows = np.empty((self._n_steps, model.nu))
+        rows[:] = ctrl
+        rows[:, world._drive.servos] = self._commands(q)
+        rows[:, world._drive.gripper] = self._openings(min(max(float(width), 0.0), world.arm.max_width))
+        for row in rows:
+            ctrl[:] = row
             step_physics(model, data)
         check_warnings(data)
 
@@ -97,7 +102,8 @@ class PositionControl:
         # The speed at the end continues the trend of the last two steps; it never points backwards.
         speed = 1.5 * step - 0.5 * self._step
         speed = np.where(speed * step > 0, speed, 0.0)
-        ends = np.stack([step, self._speed, speed])
+        ends = self._ends
+        ends[0], ends[1], ends[2] = step, self._speed, speed
         position, velocity, _ = self._basis @ ends
         torque = self._basis[2] @ self._times_inertia(ends) / self.period**2
         torque += velocity / self.period * drive.damping
@@ -108,13 +114,12 @@ class PositionControl:
     def _times_inertia(self, rows: Float[np.ndarray, "k n"]) -> Float[np.ndarray, "k n"]:
         """Return each row multiplied by the arm's inertia matrix at the present posture."""
         model, data, dofs = self._world._model, self._world._data, self._world._drive.dofs
-        product = np.empty_like(rows)
-        for row, result in zip(rows, product, strict=True):
-            full, torque = np.zeros(model.nv), np.empty(model.nv)
-            full[dofs] = row
-            mujoco.mj_mulM(model, data, torque, full)
+        motion, torque = self._motion, self._torque  # zero but at the arm's joints
+        for row, result in zip(rows, self._torque_of_ends, strict=True):
+            motion[dofs] = row
+            mujoco.mj_mulM(model, data, torque, motion)
             result[:] = torque[dofs]
-        return product
+        return self._torque_of_ends
 
     def _openings(self, width: float) -> Float[np.ndarray, "steps"]:
         """Return the gripper's command at each physics step of a period."""
@@ -123,11 +128,12 @@ class PositionControl:
         if target > measured:  # fingers pressed against an object open at once
             self._opening = max(self._opening, measured)
         reach = FINGER_SPEED * self.period
-        goal = float(np.clip(target, self._opening - reach, self._opening + reach))
-        path = np.linspace(self._opening, goal, self._n_steps + 1)[1:]
+        start, goal = self._opening, min(max(target, self._opening - reach), self._opening + reach)
         self._opening = goal
         if width == 0 and 2 * goal <= self._world.arm.gripper.min_width:
             return np.full(self._n_steps, robot.press)
+        path = start + self._count * ((goal - start) / self._n_steps)
+        path[-1] = goal
         return robot.gripper_commands(2 * path)
 
 

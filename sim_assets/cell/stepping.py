@@ -2,12 +2,14 @@
 
 from __future__ import annotations
 
+import numpy as np
+
 from sim_assets.cell.scene import TIMESTEP
 from sim_assets.errors import SimAssetsError
 from sim_assets.rendering.headless import MjData, MjModel, mujoco
 
 _KINDS = ("BADQPOS", "BADQVEL", "BADQACC", "BADCTRL")
-_DIVERGED = [int(getattr(mujoco.mjtWarning, f"mjWARN_{kind}")) for kind in _KINDS]
+_DIVERGED = np.array([int(getattr(mujoco.mjtWarning, f"mjWARN_{kind}")) for kind in _KINDS])
 
 
 class SimulationError(SimAssetsError, RuntimeError):

@@ -13,7 +13,7 @@ from perception.errors import InvalidInputError
 
 
 def row(name, ratio):
-    return Row(name, 1.0, "s", "reference", ratio, ratio, 1.0, 1.0, 5)
+    return Row(name, 1.0, "s", "reference", ratio, ratio, 1.0, 1.0, 5, 1.0)
 
 
 def stored(folder, rows, command="bench"):

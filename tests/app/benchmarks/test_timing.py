@@ -38,12 +38,13 @@ def test_a_row_holds_medians_the_best_time_and_core_time(monkeypatch):
     job, reference = (lambda: None), (lambda: None)
     times = {
         job: iter([(3.0, 1.0), (1.0, 5.0), (2.0, 3.0)]),
-        reference: iter([(8.0, 0.0), (9.0, 0.0), (4.0, 0.0)]),
+        reference: iter([(8.0, 1.0), (9.0, 2.0), (4.0, 5.0)]),
     }
     monkeypatch.setattr(timing, "clocked", lambda called, *_: next(times[called]))
     row = measure(Benchmark("a", "b", job, reference, scale=0.5, reference_scale=2.0), QUICK)
     assert (row.value, row.best, row.core_seconds, row.reference_value) == (1.0, 0.5, 1.5, 16.0)
-    assert row.ratio == 16.0 and row.as_json()["name"] == "a"
+    assert row.reference_core_seconds == 4.0 and row.ratio == 16.0
+    assert row.as_json()["name"] == "a"
 
 
 def test_cheap_jobs_are_repeated_while_there_is_time():
@@ -55,7 +56,8 @@ def test_cheap_jobs_are_repeated_while_there_is_time():
 def test_the_processor_time_of_a_job_in_other_processes_is_read_by_its_own_clock():
     seconds = iter(range(0, 100, 7))
     benchmark = Benchmark("", "", lambda: None, lambda: None, processor_time=lambda: next(seconds))
-    assert measure(benchmark, QUICK).core_seconds == 7
+    row = measure(benchmark, QUICK)
+    assert (row.core_seconds, row.reference_core_seconds) == (7, 7)
 
 
 def test_wall_and_core_time_of_a_call():

@@ -1,14 +1,12 @@
-"""The environments: Gymnasium's own checker, seeds, images, episodes' ends, vectors."""
+"""The environments: Gymnasium's own checker, seeds, images, episodes' ends."""
 
 import warnings
 
-import gymnasium
 import numpy as np
 import pytest
 from gymnasium.utils.env_checker import check_env
 
 from app.environments.environment import PackEnv, SortEnv
-from app.environments.registration import register_environments
 from app.errors import UsageError
 from sim_assets.cell.stepping import SimulationError
 
@@ -109,13 +107,3 @@ def test_actions_that_are_none_are_refused(env, action):
 def test_a_step_before_the_first_reset():
     with pytest.raises(UsageError, match="reset"):
         PackEnv(objects="can=1").step(np.zeros(8, np.float32))
-
-
-@pytest.mark.slow
-def test_vectors_of_environments():
-    register_environments()
-    envs = gymnasium.make_vec("nodeslam/Sort-v0", num_envs=2, vectorization_mode="async", objects="can=1")
-    observation, _ = envs.reset(seed=5)
-    observation, reward, *_ = envs.step(envs.action_space.sample())
-    assert observation["state"].shape == (2, 15) and reward.shape == (2,)
-    envs.close()

@@ -16,6 +16,8 @@ def test_environments_are_registered_once():
         spec = gymnasium.spec(name)
         assert spec.max_episode_steps == MAX_SECONDS * RATE
         assert gymnasium.envs.registration.load_env_creator(spec.entry_point).task in name.lower()
+        make = gymnasium.envs.registration.load_env_creator(spec.vector_entry_point)
+        assert make.__name__.removesuffix("_vector") in name.lower()
 
 
 def test_without_gymnasium(monkeypatch):
