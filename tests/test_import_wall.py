@@ -14,6 +14,7 @@ READERS_OF_TRUTH = {"app/task/scoring.py", "app/environments/privileged.py"}
 PRIVATE_ACCESS = {
     ("app/interrupts.py", "_exit"),  # os._exit, a documented function
     ("app/watchdog.py", "_exit"),
+    ("app/training/processes.py", "_exit"),
     ("app/workers.py", "_exit"),
     ("app/slam/run.py", "_source"),  # its own class, in a factory
     ("app/viewer/server.py", "_gui_input_handle_from_uuid"),  # viser offers no hook for incoming messages
