@@ -1,4 +1,4 @@
-"""Reconstruction of the first images of a scan while the robot takes the others.
+"""Reconstruction of the first images of a scan while the robot takes the others::
 
     with EarlyReconstruction(reconstruct, after=3) as early:
         for frame in scan:
