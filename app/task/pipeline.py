@@ -15,6 +15,7 @@ intermediate results for display and storage and never modifies them.
 
 from __future__ import annotations
 
+import contextlib
 import logging
 from collections.abc import Callable, Mapping, Sequence
 from dataclasses import replace
@@ -110,7 +111,8 @@ class _Stages:
         self.kinematics = Kinematics(robot.arm, request.manipulation.pick_place.ik)
         self._space = request.workspace
         self._settings = self._space.adapted(request.manipulation)
-        self._is_out_of_reach = False  # a further viewpoint
+        uses_deviations = request.uncertainty and request.reconstruction is None
+        self._left = list(self._space.further_viewpoints(request.scan_views)) if uses_deviations else []
         self.scanner = ViewpointScanner(
             robot, self.kinematics, keep_out=self._space.keep_out, via_heights=self._space.via_heights
         )
@@ -169,19 +171,17 @@ class _Stages:
 
     def _further_viewpoint(self, result: TaskResult) -> Viewpoint | None:
         """Return the viewpoint of an image that uncertain objects need; None without, or if none is left."""
-        request, left = self._request, self._space.further_viewpoints(len(result.frames))
-        if not request.uncertainty or request.reconstruction is not None or self._is_out_of_reach or not left:
+        if not self._left:
             return None
-        return most_useful_viewpoint(result.objects, result.rejected, left, self._robot.arm, self._settings)
+        arm = self._robot.arm
+        return most_useful_viewpoint(result.objects, result.rejected, self._left, arm, self._settings)
 
     def capture_further(self, viewpoint: Viewpoint) -> list[RgbdFrame]:
-        """Take an image from a viewpoint; none, and no others later, if it is out of reach."""
-        with self._observer.stage("scan"):
-            try:
-                return self.scanner.capture([viewpoint], on_frame=self._observer.on_image)
-            except PlanningError:
-                self._is_out_of_reach = True
-                return []
+        """Take an image from a viewpoint that is left; none if it is out of reach."""
+        self._left.remove(viewpoint)
+        with self._observer.stage("scan"), contextlib.suppress(PlanningError):
+            return self.scanner.capture([viewpoint], on_frame=self._observer.on_image)
+        return []
 
     def detect(self, frames: Sequence[RgbdFrame], known: Float[np.ndarray, "k 2 3"]) -> Detections:
         """Detect objects on the table besides known geometry, of which the bounds [m] are given."""

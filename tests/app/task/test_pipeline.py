@@ -154,11 +154,13 @@ def test_other_sources_of_shapes_need_no_early_fits(stages, monkeypatch):
 
 
 def test_a_further_image_is_fused_with_those_before_while_objects_are_uncertain(stages, monkeypatch):
-    answers, asked = [LINE_VIEWPOINTS[0], None], []
+    answers, asked, offered = [2, None], [], []
 
     def choose(objects, rejected, viewpoints, arm, config):
         asked.append((len(viewpoints), [item.name for item in rejected]))
-        return answers.pop(0)
+        offered.append(tuple(viewpoints))
+        answer = answers.pop(0)
+        return None if answer is None else viewpoints[answer]
 
     def reconstruct(frames, detections, decoder, progress, on_step, on_rejected, clutter, starts):
         on_rejected(RejectedObject(len(frames), "mug", "seen from one side"))
@@ -170,7 +172,8 @@ def test_a_further_image_is_fused_with_those_before_while_objects_are_uncertain(
     observer = Recording()
     request = TaskRequest("pack", scan_views=1, perceive_only=True)
     result = run(StillRobot(), stages.perception, request, observer)
-    assert len(result.frames) == 2 and stages.scanner.visited[1] == (LINE_VIEWPOINTS[0],)
+    assert len(result.frames) == 2 and stages.scanner.visited[1] == (offered[0][2],)
+    assert set(offered[0]) - set(offered[1]) == {offered[0][2]}  # it is not offered again
     assert asked == [(5, ["mug_1"]), (4, ["mug_2"])] and [r.id for r in result.rejected] == [2]
     assert [c for c in observer.calls if isinstance(c, str) and c in result.timings] == [
         "scan", "detect", "reconstruct", "scan", "detect", "reconstruct",
@@ -184,9 +187,9 @@ def empty(n_frames):
 
 @pytest.mark.parametrize("error", [None, PlanningError("out of reach")])
 def test_the_scan_is_complete_where_nothing_more_can_be_seen(stages, monkeypatch, error):
-    def choose(*args):
+    def choose(objects, rejected, viewpoints, arm, config):
         stages.scanner.error = error
-        return LINE_VIEWPOINTS[0]
+        return viewpoints[0]
 
     monkeypatch.setattr(pipeline, "detect", lambda frames, *_, **__: empty(len(frames)))
     monkeypatch.setattr(pipeline, "most_useful_viewpoint", choose)
