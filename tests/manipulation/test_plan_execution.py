@@ -157,7 +157,7 @@ def nested(shapes, arm):
 
 
 @pytest.mark.parametrize(
-    "looks, presses", [((0.0,), 0), ((0.25, 0.0), 1), ((0.25,) * 9, MAX_PRESSES), ((0.3,), 0)]
+    "looks, presses", [((0.0,), 0), ((0.25, 0.0), 1), ((0.25,) * 9, MAX_PRESSES), ((0.4,), 0)]
 )
 def test_a_bowl_that_leans_in_another_is_pressed_level(nested, arm, looks, presses):
     planner, plan = nested
