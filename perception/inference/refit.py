@@ -24,7 +24,7 @@ from perception.types import GRID_RESOLUTION, ObjectEstimate, RgbdFrame, Support
 
 PoseStatus = Literal["seen", "not_there", "hidden"]
 
-_LEVEL, _ANY_TILT = 0.01, 1.0  # [rad] deviations of the prior on the tilt of level and of leaning objects
+_LEVEL = 0.01  # [rad] deviation of the prior on the tilt of an object that is level
 _LEAN, _N_LEANS = np.deg2rad(20.0), 6  # tilt, and number of directions, of leaning initial poses
 _CLEARLY = 0.04  # share of the visible pixels by which a leaning pose must explain more
 
