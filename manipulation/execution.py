@@ -14,21 +14,31 @@ from collections.abc import Callable, Sequence
 from dataclasses import dataclass, replace
 
 import numpy as np
+from jaxtyping import Float
 
 from manipulation.errors import NoPlanError, PlanningError, RobotError, RobotStoppedError
 from manipulation.kinematics import Kinematics
 from manipulation.lying_grasps import lies
 from manipulation.object_planning import Effort, ObjectPlanning
-from manipulation.observation import NoObserver, SceneObserver
+from manipulation.observation import NoObserver, SceneObserver, is_displaced
 from manipulation.obstacles import TABLE, box_obstacles
 from manipulation.pick_place import PickPlacePlanner
-from manipulation.plan_execution import GraspFailedError, Phase, PlanExecution, SceneChangedError
+from manipulation.plan_execution import (
+    MISPLACED,
+    GraspFailedError,
+    LeaningError,
+    Phase,
+    PlanExecution,
+    SceneChangedError,
+)
 from manipulation.planner import ManipulationConfig
 from manipulation.robot import Robot
 from manipulation.types import Grasp, ObjectOutcome, PickPlacePlan, Placement, TaskPlan
 from manipulation.withdrawal import Withdrawal, WithdrawingObserver
 
 logger = logging.getLogger(__name__)
+
+BESIDE = 0.15  # [m] between the axes of a moved object and of those that it may have pushed
 
 
 @dataclass(frozen=True)
@@ -113,6 +123,7 @@ class _Execution:
         self._to_place = {placement.name for placement in task.placements}
         self._set_aside: set[str] = set()
         self._blockers: dict[str, Sequence[str]] = {}  # of objects that had no plan
+        self._located: set[str] = set()  # objects that were found since they were knocked over
         self._tried_before: dict[str, ObjectOutcome] = {}  # first outcomes of objects that get another chance
 
     def run(self) -> list[ObjectOutcome]:
@@ -207,11 +218,14 @@ class _Execution:
         number, n_before = self.task.objects[name].id, before.attempts if before else 0
         tried: list[Grasp] = []
         reason, attempts = "", 0
-        if before is not None or name in self.planner.forgotten:
+        is_located = name in self._located
+        self._located.discard(name)
+        if (before is not None and not is_located) or name in self.planner.forgotten:
             reason = self._search(name)
             if reason:
                 return ObjectOutcome(number, name, False, n_before, reason)
         for _ in range(2 * (1 + self.config.max_retries)):
+            is_known = False
             if attempts > self.config.max_retries:
                 break
             self._notify("plan", name)
@@ -226,6 +240,7 @@ class _Execution:
                 return ObjectOutcome(number, name, False, n_before + attempts, reason)
             try:
                 self.motion.run(plan)
+                self._look_beside(plan)
                 if plan.placement is placement or not is_turned:
                     T = self.planner.world.pose(name)
                     return ObjectOutcome(number, name, True, n_before + attempts + 1, "", T)
@@ -233,16 +248,51 @@ class _Execution:
             except SceneChangedError as error:
                 reason = str(error)
             except (GraspFailedError, RobotError) as error:
-                reason = str(error)
+                reason, is_known = str(error), isinstance(error, LeaningError)
                 attempts += 1
                 tried.append(plan.grasp)
                 self.motion.back_off()
+                self._look_beside(plan)
             logger.info("%s, attempt %d: %s", name, attempts, reason)
             self._notify("retry", name, reason)
-            problem = self._search(name)
+            problem = "" if is_known else self._search(name)
             if problem:
                 return ObjectOutcome(number, name, False, n_before + attempts, f"{reason}; {problem}")
         return ObjectOutcome(number, name, False, n_before + attempts, reason)
+
+    def _look_beside(self, plan: PickPlacePlan) -> None:
+        """Follow what an object has pushed or knocked over; what was placed is placed again if need be."""
+        poses = self.planner.poses()
+        T = poses.get(plan.name, plan.T_world_stand_rest)
+        below = {plan.name, *plan.placement.stack}
+        beside = tuple(
+            name
+            for name, T_other in poses.items()
+            if name not in below and np.linalg.norm((T_other - T)[:2, 3]) < BESIDE
+        )
+        for name, presence in self.observer.glance(poses, beside).items() if beside else ():
+            if presence != "displaced":
+                continue
+            finding = self.observer.find(name, self.planner.poses())
+            if finding.T_world_stand is None:
+                continue  # it is searched for again when its turn comes
+            self.planner.moved(name, finding.T_world_stand)
+            outcome = self.outcomes.get(name)
+            if outcome is None or not outcome.placed or self._is_in_place(name, poses[name]):
+                continue
+            placement = next(p for p in self.task.placements if p.name == name)
+            if self._gets_another_chance(placement, replace(outcome, placed=False)):
+                self._notify("deferred", name, f"{name} was moved by {plan.name}")
+                del self.outcomes[name]
+                self._located.add(name)
+                self._queue.appendleft(placement)  # what comes later may block its way
+
+    def _is_in_place(self, name: str, T_before: Float[np.ndarray, "4 4"]) -> bool:
+        """Return whether a placed object that was moved still stands in the box; without one, at its goal."""
+        T, box = self.planner.world.pose(name), self.task.box
+        if box is None:
+            return not is_displaced(T_before, T, MISPLACED)
+        return not lies(T) and bool((2 * np.abs(T[:2, 3] - box.center) < box.size[:2]).all())
 
     def _plan(self, placement: Placement, tried: Sequence[Grasp], effort: Effort) -> PickPlacePlan:
         """Return the next plan for an object, after what blocks it was set aside if that helps.

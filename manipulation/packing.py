@@ -80,9 +80,11 @@ def pack(
         stacks, grasps, box, config, grasp_config, ShapeCache(items, cell), cell,
     )  # fmt: skip
     best: _Layout | None = None
-    for gap, wall_gap in itertools.product(config.gaps, config.wall_gaps):
-        if wall_gap > config.wall_gaps[0] and (best is None or best.left_out or wall_gap > narrowest):
+    for gap, wanted in itertools.product(config.gaps, config.wall_gaps):
+        if wanted > config.wall_gaps[0] and (best is None or best.left_out or wanted > narrowest):
             continue  # larger wall gaps help only where all objects fit but a release is blocked
+        # What swings a little in the fingers meets a wall as it meets a neighbour.
+        wall_gap = max(wanted, min(gap, config.roomy_wall_gap))
         # Stencils keep ``gap`` from occupied cells; the walls are moved so that ``wall_gap`` remains.
         empty = BoxRaster(box, wall_gap - gap)
         for strategy in strategies(problem, wall_gap):

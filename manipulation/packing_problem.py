@@ -18,6 +18,7 @@ class PackingConfig:
         gaps: distances between objects in [m], tried in order.
         wall_gaps: distances from the walls in [m]; the larger ones are for objects that a wall keeps the hand
             from releasing.
+        roomy_wall_gap: distance from the walls in [m] where the objects are at least as far apart.
         release_height: height above the floor at which an object is released, in [m].
         max_drop: largest height above its resting pose at which a nested bowl is released, in [m].
         enough_releases: number of collision-free releases of an object beyond which more do not count.
@@ -26,6 +27,7 @@ class PackingConfig:
 
     gaps: tuple[float, ...] = (0.024, 0.020, 0.016, 0.012, 0.008, 0.005)
     wall_gaps: tuple[float, ...] = (0.008, 0.04, 0.075)
+    roomy_wall_gap: float = 0.014
     release_height: float = 0.001
     max_drop: float = 0.044
     enough_releases: int = 4

@@ -31,7 +31,9 @@ class SegmentConfig:
         approach_heights, retreat_heights: lengths of approach and retreat in [m], tried in order. The
             approach begins so high that the wrist camera sees the object.
         lift_heights: heights of the vertical lift in [m], tried in order.
-        raise_heights: heights above the goal from which the object is lowered, in [m], tried in order.
+        raise_heights: heights above the goal from which the object is lowered, in [m]. The first is used at
+            which it has the largest clearance that any of them gives it.
+        raised_margins: clearances in [m] at that height, in descending order.
         lift_margin: clearance of the carried object from its neighbours during the lift in [m].
         placing_margin: clearance of the carried object from its neighbours while it is lowered, in [m].
         settle_depth: descent in [m] with loosened pads before they release what may hang on one.
@@ -43,6 +45,7 @@ class SegmentConfig:
     retreat_heights: tuple[float, ...] = (0.10, 0.06)
     lift_heights: tuple[float, ...] = (0.20, 0.12, 0.28)
     raise_heights: tuple[float, ...] = (0.12, 0.18, 0.25, 0.08)
+    raised_margins: tuple[float, ...] = (0.03, 0.012, 0.004)
     lift_margin: float = 0.002
     placing_margin: float = 0.001
     settle_depth: float = 0.004
@@ -185,10 +188,46 @@ def find_place(
     world.carry(name, np.linalg.inv(grasp.T_stand_tcp))
     into = AllowedContacts(stack, stack | {TABLE.name, BOX_FLOOR}, carried_margin=config.placing_margin)
     raised = [_raised(T_place, height) for height in config.raise_heights]
-    lowering = motions.free_line(result.q, raised, grasp.held_width, into)
+    lowering = _find_lowering(motions, result.q, raised, grasp.held_width, into, config.raised_margins)
     if isinstance(lowering, Rejected):
         return Rejected(f"{lowering.reason} while lowering", lowering.blocker)
     return Place(T_goal, lowering[::-1], release_opening, settle, retreat)
+
+
+def _find_lowering(
+    motions: MotionPlanner,
+    q: np.ndarray,
+    raised: Sequence[np.ndarray],
+    width: float,
+    allowed: AllowedContacts,
+    margins: Sequence[float],
+) -> Postures | Rejected:
+    """Return the postures from ``q`` up to the first target above what is around it.
+
+    The object arrives there sideways: a target between taller neighbours leaves it no clearance on the way.
+    """
+    rejected, found = OUT_OF_REACH, []
+    for target in raised:
+        line = motions.free_line(q, [target], width, allowed)
+        if isinstance(line, Rejected):
+            rejected = line
+            continue
+        rank = _first_kept(motions, line[-1], width, margins)
+        if rank == 0:
+            return line
+        found.append((rank, line))
+    return min(found, key=lambda ranked: ranked[0])[1] if found else rejected
+
+
+def _first_kept(motions: MotionPlanner, q: np.ndarray, width: float, margins: Sequence[float]) -> int:
+    """Return the index of the first clearance [m] that robot and carried object keep; the number if none."""
+    for index, margin in enumerate(margins):
+        if (
+            motions.world.contact(q, width, AllowedContacts(robot_margin=margin, carried_margin=margin))
+            is None
+        ):
+            return index
+    return len(margins)
 
 
 def _find_release(

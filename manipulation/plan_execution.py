@@ -18,7 +18,7 @@ from manipulation.errors import RobotError
 from manipulation.observation import SceneObserver, classify_grip, is_displaced
 from manipulation.pick_place import PickPlacePlanner
 from manipulation.planner import ManipulationConfig
-from manipulation.pressing import LEANING, PRESSABLE, is_plausible, lean, plan_press
+from manipulation.pressing import LEANING, LEVEL, PRESSABLE, is_plausible, lean, plan_press
 from manipulation.robot import JointTrajectory, Robot
 from manipulation.trajectories import concatenate, joint_move, line_postures
 from manipulation.types import Grasp, PickPlacePlan
@@ -59,6 +59,10 @@ class GraspFailedError(Exception):
     """The hand closed without holding the object, or the object was lost."""
 
 
+class LeaningError(GraspFailedError):
+    """An object leans in the one that it was put into; its pose in the planner's world is as it was seen."""
+
+
 class SceneChangedError(Exception):
     """The object is not where the plan expects it; nothing was touched."""
 
@@ -90,7 +94,7 @@ class PlanExecution:
 
         Raises:
             SceneChangedError: the object is not where it was expected.
-            GraspFailedError: the object is not held, or not where it was released.
+            GraspFailedError: the object is not held, not where it was released, or leans there.
             RobotError: the robot failed to execute a motion.
         """
         robot, grasp, name = self.robot, plan.grasp, plan.name
@@ -189,7 +193,11 @@ class PlanExecution:
         yield plan.lift.reversed()
 
     def _settle_in_stack(self, plan: PickPlacePlan) -> None:
-        """Look at a bowl in others, follow those that moved, and press it level while it leans."""
+        """Look at a bowl in others, follow those that moved, and press it level while it leans.
+
+        Raises:
+            LeaningError: it leans and cannot be pressed level.
+        """
         name, below = plan.name, tuple(reversed(plan.placement.stack))
         for presses in range(MAX_PRESSES + 1):
             before = self.planner.poses()
@@ -198,8 +206,16 @@ class PlanExecution:
                 return
             for other, T_world_stand in seen.items():
                 self.planner.moved(other, levelled(T_world_stand, float(before[other][2, 3])))
-            if name not in seen or presses == MAX_PRESSES or not LEANING <= lean(seen[name]) < PRESSABLE:
+            if name not in seen or lean(seen[name]) < LEANING:
                 return
+            if presses == MAX_PRESSES or lean(seen[name]) >= PRESSABLE:
+                if lean(seen[name]) < LEVEL:
+                    return
+                self.planner.moved(name, seen[name])
+                self.planner.observe_obstacles(self.planner.perceived_obstacles)  # a bowl below has a cavity
+                raise LeaningError(
+                    f"{name} leans by {np.rad2deg(lean(seen[name])):.0f} degrees in {below[0]}"
+                )
             # Pressed level, it will be over the middle of the one below.
             rest = self.planner.world.pose(below[0]).copy()
             rest[2, 3] = before[name][2, 3]

@@ -49,8 +49,8 @@ class WristObserver:
         obstacles: Things of no class, which explain depth as other objects do.
         find_obstacles: Finds things of no class beside objects at their present poses in images of the
             table; None to leave them as they are.
-        goal_views: Viewpoints of the table on the side of the goals, where what was dropped is searched for;
-            none if a box stands there.
+        goal_views: Viewpoints of the goals, where what was dropped or knocked over is searched for.
+        goal_region: Ranges of x and y [m] that are searched there.
     """
 
     def __init__(
@@ -62,8 +62,10 @@ class WristObserver:
         obstacles: Sequence[PerceivedObstacle] = (),
         find_obstacles: FindObstacles | None = None,
         goal_views: Sequence[Viewpoint] = (),
+        goal_region: Region | None = None,
     ) -> None:
         self._goal_views = tuple(goal_views)
+        self._goal_region = goal_region or _scaled(GOAL_REGION, workspace.scale)
         self._scanner, self._workspace, self._obstacles = scanner, workspace, tuple(obstacles)
         self._find_obstacles = find_obstacles
         self._has_updated = (
@@ -131,11 +133,14 @@ class WristObserver:
         return self._scanner.capture(self._workspace.closeup_viewpoints(float(x), float(y)))
 
     def _find_on_table(self, name: str, poses: Poses) -> Finding:
-        """Search for an object on the whole table, in any resting pose."""
-        frames = self._table_images()
-        check = self._search(name, poses, frames, REGION)
-        if check is None and self._goal_views:
-            check = self._search(name, poses, self._scanner.capture(self._goal_views), GOAL_REGION)
+        """Search for an object on the whole table and among the goals, in any resting pose."""
+        frames: list[RgbdFrame] = []
+        check = self._search_goals(name, poses) if self._is_at_goal(name, poses) else None
+        if check is None:
+            frames = self._table_images()
+            check = self._search(name, poses, frames, _scaled(REGION, self._workspace.scale))
+            if check is None and not self._is_at_goal(name, poses):
+                check = self._search_goals(name, poses)
         if check is None:
             return self._with_obstacles(Finding("missing"), name, poses, frames)
         T_world_stand = self._stand_pose(name, check)
@@ -143,14 +148,26 @@ class WristObserver:
             T_world_stand = self._standing(name, check, 0.0)
         return self._with_obstacles(Finding("found", T_world_stand), name, poses, frames)
 
+    def _is_at_goal(self, name: str, poses: Poses) -> bool:
+        """Return whether an object is expected in the region of the goals."""
+        if name not in poses or not self._goal_views:
+            return False
+        ranges = np.array(self._goal_region)
+        return bool(((ranges[:, 0] < poses[name][:2, 3]) & (poses[name][:2, 3] < ranges[:, 1])).all())
+
+    def _search_goals(self, name: str, poses: Poses) -> PoseCheck | None:
+        """Search for an object among the goals; None if there are no viewpoints or no image shows it."""
+        if not self._goal_views:
+            return None
+        return self._search(name, poses, self._scanner.capture(self._goal_views), self._goal_region)
+
     def _search(
         self, name: str, poses: Poses, frames: Sequence[RgbdFrame], region: Region
     ) -> PoseCheck | None:
-        """Return the pose of an object in a region [m] of the standard cell; None if no image shows it."""
+        """Return the pose of an object in a region [m]; None if no image shows it."""
         others = [*self._others(name, poses, np.inf), *self._bystanders]
-        (x0, x1), (y0, y1) = (tuple(self._workspace.scale * limit for limit in side) for side in region)
         before = self._object_pose(name, poses) if name in poses else None
-        scene = SearchScene(frames, ((x0, x1), (y0, y1)), others, self._obstacles)
+        scene = SearchScene(frames, region, others, self._obstacles)
         return relocate(self._estimates[name], scene, T_before=before)
 
     def _table_images(self) -> list[RgbdFrame]:
@@ -199,3 +216,9 @@ class WristObserver:
     def _standing(self, name: str, check: PoseCheck, support: float) -> Float[np.ndarray, "4 4"]:
         """Return the fitted pose of a standing object without its tilt, on a support of a height [m]."""
         return levelled(self._stand_pose(name, check), support)
+
+
+def _scaled(region: Region, scale: float) -> Region:
+    """Return a region of the standard cell in a cell of some scale."""
+    (x0, x1), (y0, y1) = region
+    return (scale * x0, scale * x1), (scale * y0, scale * y1)

@@ -14,6 +14,7 @@ from manipulation.robot import ArmDescription
 from manipulation.self_view import fixed_bounds
 from manipulation.types import Box
 from perception.detection.geometry import points_of, project
+from perception.inference.relocate import Region
 from perception.obstacles.find import find_obstacles
 from perception.obstacles.obstacle import PerceivedObstacle
 from perception.obstacles.unexplained import KnownGeometry
@@ -24,6 +25,7 @@ from perception.types import ObjectEstimate, RgbdFrame
 ABOVE_BOX = 0.25  # [m] over its walls: what is packed rises above them
 BOX_MARGIN = 0.015  # [m] from the box, within which points are measurements of it
 BOX_SHARE = 0.5  # of the points of what shows the box
+WALL_MARGIN = 0.006  # [m] from a wall of the box, within which points are measurements of it
 _PADDING = 12  # pixels around a thing in its picture
 
 
@@ -88,6 +90,13 @@ def known_bounds(box: Box | None) -> Float[np.ndarray, "k 2 3"]:
         [np.subtract(part.center, part.half_size), np.add(part.center, part.half_size)] for part in parts
     ]
     return np.array(corners).reshape(-1, 2, 3)
+
+
+def box_interior(box: Box) -> Region:
+    """Return the ranges of x and y [m] between the walls, without what may be a measurement of them."""
+    half = np.array(box.size[:2]) / 2 - WALL_MARGIN
+    low, high = np.array(box.center) - half, np.array(box.center) + half
+    return (float(low[0]), float(high[0])), (float(low[1]), float(high[1]))
 
 
 def filled_bounds(box: Box | None) -> Float[np.ndarray, "k 2 3"]:

@@ -28,6 +28,7 @@ from app.task.further_views import most_useful_viewpoint
 from app.task.observation import WristObserver
 from app.task.obstacles import (
     beside_box,
+    box_interior,
     filled_bounds,
     known_bounds,
     obstacles_beside,
@@ -197,10 +198,11 @@ class _Stages:
         with self._observer.stage("execute"):
             arm, box = self._robot.arm, self._request.box
             look_around = partial(obstacles_during, surface=table_of(detections), box=box, arm=arm)
-            on_table = self._space.line_viewpoints if box is None else ()
+            goal_views = self._space.line_viewpoints if box is None else self._space.box_viewpoints
             watch = WristObserver(
-                self.scanner, objects, plan.objects, self._space, plan.obstacles, look_around, on_table
-            )
+                self.scanner, objects, plan.objects, self._space, plan.obstacles, look_around,
+                goal_views, None if box is None else box_interior(box),
+            )  # fmt: skip
             return execute(plan, self._robot, watch, self._observer.on_event, self._settings, self.kinematics)
 
     def look_again(self, result: TaskResult) -> TaskResult | None:

@@ -18,7 +18,7 @@ from manipulation.robot import RobotState
 from manipulation.standing import to_standing
 from manipulation.trajectories import MotionConfig
 from manipulation.types import Box, Line, Placement
-from perception.geometry import pose_from_yaw
+from perception.geometry import pose_from_yaw, so3_exp
 from perception.obstacles.obstacle import PerceivedObstacle
 
 # Coarser than the defaults, for speed alone.
@@ -236,6 +236,57 @@ def test_an_object_seen_beside_its_goal_is_grasped_again(packing, arm):
     observer = FakeObserver(["in_place", "displaced"], **{name: [Finding("found", T)] * 2})
     (outcome,) = execute(single, robot, observer, Watcher(robot), CONFIG)
     assert outcome.placed and outcome.attempts == 2
+
+
+class Knocked(FakeObserver):
+    """Sees once that one object beside another has gone to a pose."""
+
+    def __init__(self, name, T_world_stand):
+        super().__init__()
+        self.name, self.T_world_stand = name, T_world_stand
+
+    def glance(self, poses, names):
+        gone = self.T_world_stand is not None and self.name in names and len(poses) > len(names) > 0
+        is_beside = gone and names != (self.name,)
+        return {n: "displaced" if is_beside and n == self.name else "in_place" for n in names}
+
+    def find(self, name, poses):
+        self.searched.append(name)
+        T, self.T_world_stand = self.T_world_stand, None
+        return Finding("found", T)
+
+
+@pytest.mark.parametrize(
+    ("to", "again"), [((0.45, -0.45, 0.0), True), ((0.43, 0.24, 0.0), False)], ids=["table", "box"]
+)
+def test_what_another_object_knocks_away_is_placed_again_unless_it_stands_in_the_box(
+    packing, arm, monkeypatch, to, again
+):
+    monkeypatch.setattr("manipulation.execution.BESIDE", 1.0)
+    packing = replace(packing, placements=(packing.placements[0], packing.placements[2]))
+    robot, name = FakeRobot(arm), packing.placements[0].name
+    observer, watcher = Knocked(name, pose_from_yaw(0.0, np.array(to))), Watcher(robot)
+    outcomes = {outcome.name: outcome for outcome in execute(packing, robot, observer, watcher, CONFIG)}
+    assert observer.searched == [name] and all(outcome.placed for outcome in outcomes.values())
+    assert watcher.phases(name).count("placed") == (2 if again else 1)
+    assert outcomes[name].attempts == (2 if again else 1)
+    assert ("deferred" in watcher.phases(name)) == again
+
+
+def test_a_bowl_that_leans_in_another_is_grasped_as_it_was_seen(scene, packing, arm):
+    two = replace(packing, placements=packing.placements[:2])
+    lower, upper = two.placements
+    assert upper.stack == (lower.name,)
+    T = pose_from_yaw(0.0, np.array([*lower.position[:2], 0.05]))
+    T[:3, :3] = so3_exp(np.array([np.deg2rad(25), 0.0, 0.0])) @ T[:3, :3]
+    robot, observer = FakeRobot(arm), FakeObserver()
+    observer.closer = [{upper.name: T}]
+    watcher = Watcher(robot)
+    outcomes = {o.name: o for o in execute(two, robot, observer, watcher, CONFIG)}
+    assert outcomes[upper.name].placed and outcomes[upper.name].attempts == 2 and not observer.searched
+    plan = watcher.plans[upper.name]
+    T_grasp = Kinematics(arm).forward(plan.approach.positions[-1])
+    np.testing.assert_allclose(T_grasp, T @ plan.grasp.T_stand_open, atol=2e-3)
 
 
 def test_object_that_cannot_be_held_fails_after_two_retries(packing, arm):

@@ -165,6 +165,16 @@ def test_nested_bowls_are_released_with_the_finger_above_all_rims(shapes):
     assert nest_drop([small, large], -0.1, CONFIG, hand) == CONFIG.release_height
 
 
+@pytest.mark.parametrize(("gap", "from_wall"), [(0.024, 0.014), (0.010, 0.010), (0.005, 0.008)])
+def test_walls_are_as_far_as_neighbours_up_to_a_limit(shapes, gap, from_wall):
+    (can,) = items_of(shapes, ("can", shapes.can(height=0.12)))
+    (placement,), _ = pack([can], Box(), PackingConfig(gaps=(gap,)))
+    low, high = (np.array(Box().center) + side * np.array(Box().size[:2]) / 2 for side in (-1, 1))
+    (outline,) = outlines(can, placement)
+    apart_from_walls = min((outline - low).min(), (high - outline).min())
+    assert from_wall - 1e-3 <= apart_from_walls <= from_wall + 0.006  # rounded to cells
+
+
 def test_objects_keep_the_gap_from_each_other_and_the_wall_gap(shapes):
     box = Box(size=(0.16, 0.1, 0.08))
     cans = items_of(shapes, *[("can", shapes.can(0.033, 0.12))] * 2)

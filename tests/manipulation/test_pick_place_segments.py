@@ -175,9 +175,33 @@ def test_place_lowers_the_object_to_the_release_height_and_retreats(kinematics, 
         touch_carried=frozenset({"table", "box_floor"}), carried_margin=CONFIG.placing_margin
     )
     assert lowering[1:] == (pick.grasp.held_width, floor, "can_1")
-    assert heights_above(T_place, lowering[0]) == pytest.approx(CONFIG.raise_heights)
+    assert heights_above(T_place, lowering[0]) == pytest.approx(CONFIG.raise_heights[:1])
     np.testing.assert_allclose(kinematics.forward(place.lowering[-1]), T_place, atol=2e-3)
     assert kinematics.forward(place.retreat[-1])[2, 3] == pytest.approx(T_place[2, 3] + 0.1, abs=1e-3)
+
+
+@pytest.mark.parametrize(
+    ("top", "gap", "heights", "height"),
+    [
+        (0.115, 0.008, CONFIG.raise_heights, 0.18),  # from 12 cm, it would pass 15 mm above the neighbour
+        (0.165, 0.008, CONFIG.raise_heights, 0.25),
+        (0.165, 0.040, CONFIG.raise_heights, 0.12),
+        (0.165, 0.008, (0.05, 0.08), 0.05),  # neither clears it
+    ],
+)
+def test_an_object_is_lowered_from_above_its_neighbours(kinematics, shapes, top, gap, heights, height):
+    can = to_standing(shapes.estimate(1, "can", shapes.can(0.03, 0.18), x=0.5, y=-0.2))
+    neighbour = to_standing(shapes.estimate(2, "can", shapes.can(0.03, top), x=0.7, y=-0.2))
+    motions = motions_among(kinematics, can, neighbour)
+    pick = reachable_pick(motions, can)
+    beside_fingers = pick.grasp.T_stand_tcp[:3, 0]  # horizontal, across their motion
+    at = np.array([0.5, 0.2, 0.0]) + (0.06 + gap) * beside_fingers
+    motions.world.move("can_2", pose_from_yaw(0.0, at))
+    place = find_place(motions, pick, goal_of(can), replace(CONFIG, raise_heights=heights))
+    assert isinstance(place, Place), place
+    T_place = place.T_world_stand_goal @ pick.grasp.T_stand_tcp
+    begin = kinematics.forward(place.lowering[0])
+    assert begin[2, 3] - T_place[2, 3] == pytest.approx(height, abs=1e-3)
 
 
 def test_release_openings_are_tried_from_wide_to_narrow(kinematics, can):
@@ -200,7 +224,7 @@ def test_reasons_of_a_rejected_place(kinematics, can):
     reason = "without a collision-free release (collide with mug_2)"
     assert find_place(motions, pick, goal_of(can), CONFIG) == Rejected(reason)
     motions.lines.clear()
-    motions.reject = {2: Rejected("collide with mug_2")}
+    motions.reject = dict.fromkeys(range(2, 6), Rejected("collide with mug_2"))
     assert find_place(motions, pick, goal_of(can), CONFIG) == Rejected("collide with mug_2 while lowering")
 
 

@@ -1,5 +1,7 @@
 """One plan on a robot that follows exactly: the steps, and what each check raises."""
 
+import contextlib
+
 import numpy as np
 import pytest
 from scipy.spatial.transform import Rotation
@@ -13,6 +15,7 @@ from manipulation.plan_execution import (
     MAX_PRESSES,
     MISPLACED,
     GraspFailedError,
+    LeaningError,
     PlanExecution,
     SceneChangedError,
 )
@@ -157,9 +160,16 @@ def nested(shapes, arm):
 
 
 @pytest.mark.parametrize(
-    "looks, presses", [((0.0,), 0), ((0.25, 0.0), 1), ((0.25,) * 9, MAX_PRESSES), ((0.4,), 0)]
+    "looks, presses, leans",
+    [
+        ((0.0,), 0, False),
+        ((0.25, 0.0), 1, False),
+        ((0.12,) * 9, MAX_PRESSES, False),
+        ((0.25,) * 9, MAX_PRESSES, True),
+        ((0.4,), 0, True),
+    ],
 )
-def test_a_bowl_that_leans_in_another_is_pressed_level(nested, arm, looks, presses):
+def test_a_bowl_that_leans_in_another_is_pressed_level_or_placed_again(nested, arm, looks, presses, leans):
     planner, plan = nested
     robot, messages = FakeRobot(arm, [plan.grasp.held_width]), []
     observer = FakeObserver()
@@ -173,9 +183,14 @@ def test_a_bowl_that_leans_in_another_is_pressed_level(nested, arm, looks, press
     execution = PlanExecution(
         robot, planner, observer, CONFIG, lambda phase, name, message="", plan=None: messages.append(message)
     )
-    execution.run(plan)
+    expected = pytest.raises(LeaningError, match=r"bowl_2 leans by \d+ degrees in bowl_1")
+    with expected if leans else contextlib.nullcontext():
+        execution.run(plan)
     assert observer.looked_at == [("bowl_2", "bowl_1")] * (presses + 1)
     assert messages.count("leans and is pressed level") == presses
+    if leans:
+        np.testing.assert_array_equal(planner.world.pose("bowl_2"), T)
+        return
     # Both bowls are where they were seen, without the tilt and at their heights.
     upper, lower = planner.world.pose("bowl_2"), planner.world.pose("bowl_1")
     assert upper[:3, 3] == pytest.approx(plan.T_world_stand_rest[:3, 3] + (0.005, 0.005, 0.0))

@@ -121,6 +121,25 @@ def test_what_was_dropped_is_searched_for_on_the_side_of_the_goals(scene, can_at
     assert regions[1][1][1] == pytest.approx(0.8 * observation.GOAL_REGION[1][1])
 
 
+def test_what_was_knocked_over_at_its_goal_is_searched_for_there_first(scene, can_at, pack_plan, monkeypatch):
+    _, poses, answers, scanner = scene
+    regions = []
+    monkeypatch.setattr(
+        observation, "relocate", lambda _, searched, **options: regions.append(searched.region)
+    )
+    answers["check"] = replace(SEEN, status="not_there")
+    x, y = poses["can_0"][:2, 3]
+    views = Workspace().box_viewpoints
+    around = ((x - 0.1, x + 0.1), (y - 0.1, y + 0.1))
+    watch = WristObserver(scanner, [can_at()], pack_plan.objects, goal_views=views, goal_region=around)
+    assert watch.find("can_0", poses).status == "missing"
+    assert regions == [around, observation.REGION] and views in scanner.visited
+    beside = ((x + 0.1, x + 0.2), (y - 0.1, y + 0.1))
+    watch = WristObserver(scanner, [can_at()], pack_plan.objects, goal_views=views, goal_region=beside)
+    watch.find("can_0", poses)
+    assert regions[2:] == [observation.REGION, beside]
+
+
 def test_a_search_of_the_table_shows_its_obstacles(scene, can_at, pack_plan):
     _, poses, answers, scanner = scene
     thing, given = PerceivedObstacle(1, (np.zeros((4, 3)),), 300), []

@@ -5,6 +5,7 @@ import pytest
 
 from app.task.obstacles import (
     beside_box,
+    box_interior,
     filled_bounds,
     known_bounds,
     obstacle_note,
@@ -76,6 +77,12 @@ def test_what_is_in_the_box_is_known_with_it():
     assert beside_box(known_bounds(box), [packed], detections) == detections
     assert beside_box(filled_bounds(box), [packed], detections).per_frame == ((),)
     assert filled_bounds(None).shape == (0, 2, 3)
+
+
+def test_the_interior_of_the_box_is_without_its_walls():
+    box = Box(center=(0.5, 0.2), size=(0.3, 0.2, 0.1))
+    (x0, x1), (y0, y1) = box_interior(box)
+    np.testing.assert_allclose((x0, x1, y0, y1), (0.356, 0.644, 0.106, 0.294))
 
 
 def test_during_a_run_what_stands_in_the_box_is_known():
