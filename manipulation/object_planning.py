@@ -15,7 +15,7 @@ import numpy as np
 from jaxtyping import Float
 
 from manipulation.errors import NoPlanError, PlanningError
-from manipulation.free_places import free_places
+from manipulation.free_places import free_places, roomier_place
 from manipulation.free_table import Outline, goals_aside, outline_of, outline_of_thing
 from manipulation.lying_grasps import is_upside_down, lies
 from manipulation.pick_place import PickPlacePlanner
@@ -61,8 +61,9 @@ class ObjectPlanning:
         """
         if lies(self._planner.world.pose(placement.name)):
             return self._turn(placement, q, tried, effort)
+        roomier = self._roomier(placement)
         try:
-            return self._plan([placement], q, tried)
+            return self._plan([placement] if roomier is placement else [roomier, placement], q, tried)
         except PlanningError as error:
             if effort == Effort.PLAIN:
                 raise
@@ -149,6 +150,23 @@ class ObjectPlanning:
         except NoPlanError as error:
             self._failures[key] = planner.n_changes, error
             raise
+
+    def _roomier(self, placement: Placement) -> Placement:
+        """Return the planned place in the box, or one beside it with more room as the box is filled now."""
+        box, objects, poses = self._task.box, self._task.objects, self._planner.poses()
+        if self._task.task != "pack" or box is None or placement.stack:
+            return placement
+        inside = {
+            name: (objects[name], T)
+            for name, T in poses.items()
+            if name != placement.name and (2 * np.abs(T[:2, 3] - box.center) < box.size[:2]).all()
+        }
+        waiting = [
+            (objects[goal.name], goal)
+            for goal in self._task.placements
+            if goal.name not in inside and goal.name != placement.name and not goal.stack
+        ]
+        return roomier_place(objects[placement.name], placement, list(inside.values()), waiting, box)
 
     def _places_elsewhere(self, placement: Placement) -> list[Placement]:
         """Return other places for an object on the floor of the box."""

@@ -44,8 +44,8 @@ class SegmentConfig:
     approach_heights: tuple[float, ...] = (0.16, 0.10, 0.06)
     retreat_heights: tuple[float, ...] = (0.10, 0.06)
     lift_heights: tuple[float, ...] = (0.20, 0.12, 0.28)
-    raise_heights: tuple[float, ...] = (0.12, 0.18, 0.25, 0.08)
-    raised_margins: tuple[float, ...] = (0.03, 0.012, 0.004)
+    raise_heights: tuple[float, ...] = (0.12, 0.18, 0.25, 0.32, 0.08)
+    raised_margins: tuple[float, ...] = (0.03, 0.02, 0.012, 0.008, 0.004)
     lift_margin: float = 0.002
     placing_margin: float = 0.001
     settle_depth: float = 0.004

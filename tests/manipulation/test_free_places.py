@@ -3,7 +3,17 @@
 import numpy as np
 import pytest
 
-from manipulation.free_places import APART, GAPS, MOST, free_places
+from manipulation.free_places import (
+    APART,
+    BESIDE,
+    BETWEEN,
+    ENOUGH,
+    GAPS,
+    MOST,
+    NARROW,
+    free_places,
+    roomier_place,
+)
 from manipulation.standing import to_standing
 from manipulation.types import Box, Placement
 from perception.geometry import pose_from_yaw
@@ -61,3 +71,32 @@ def test_a_tight_box_has_places_with_the_smaller_gap(can):
     tight = Box(center=(0.5, 0.3), size=(side, side, 0.08))
     (place, *_) = free_places(can, GOAL, [], tight)
     assert np.abs(np.array(place.position[:2]) - tight.center).max() < GAPS[0] - GAPS[1]
+
+
+def test_a_place_with_enough_room_is_kept(can):
+    other = at(0.5 - 2 * radius_of(can) - ENOUGH - CELL, 0.3)
+    assert roomier_place(can, GOAL, [(can, other)], [], BOX) is GOAL
+
+
+@pytest.mark.parametrize("gap", [0.006, 0.001, -0.006])
+def test_a_place_beside_what_moved_is_shifted_away_from_it(can, gap):
+    other = at(0.5 - 2 * radius_of(can) - gap, 0.3)
+    x, y, z = roomier_place(can, GOAL, [(can, other)], [], BOX).position
+    assert x - other[0, 3] - 2 * radius_of(can) > NARROW[0] - CELL
+    assert np.hypot(x - 0.5, y - 0.3) <= BESIDE and z == BOX.floor
+
+
+def test_a_shifted_place_leaves_room_for_what_comes_later(can):
+    other, between = at(0.5 - 2 * radius_of(can) - 0.001, 0.3), 0.004
+    later = Placement("can_2", (0.5 + 2 * radius_of(can) + between, 0.3, 0.0), (0.0,))
+    place = np.array(roomier_place(can, GOAL, [(can, other)], [(can, later)], BOX).position[:2])
+    assert np.linalg.norm(place - later.position[:2]) > 2 * radius_of(can) + BETWEEN - CELL
+    assert np.linalg.norm(place - other[:2, 3]) > 2 * radius_of(can) + NARROW[-1] - CELL
+
+
+def test_without_a_better_place_the_planned_one_is_kept(can):
+    side = 2 * radius_of(can) + 0.004
+    assert roomier_place(can, GOAL, [], [], Box(center=(0.5, 0.3), size=(side, side, 0.08))) is GOAL
+    around = [(can, at(0.5 + dx, 0.3)) for dx in (-2 * radius_of(can), 2 * radius_of(can))]
+    low = Box(center=(0.5, 0.3), size=(0.3, 2 * radius_of(can) + 0.006, 0.08))
+    assert roomier_place(can, GOAL, around, [], low) is GOAL

@@ -1,4 +1,5 @@
 from collections import Counter
+from dataclasses import replace
 from types import SimpleNamespace
 
 import numpy as np
@@ -10,6 +11,7 @@ from manipulation.pick_place import PickPlacePlanner
 from manipulation.planner import ManipulationConfig
 from manipulation.standing import to_standing
 from manipulation.types import Box, Grasp, GraspSet, PickPlacePlan, Placement, TaskPlan
+from perception.geometry import pose_from_yaw
 
 Q = np.zeros(7)
 GOAL = Placement("can_1", (0.5, 0.25, 0.004), (0.0,))
@@ -79,6 +81,31 @@ def test_what_failed_is_not_tried_again_until_the_scene_changes(items):
         with pytest.raises(NoPlanError):
             planned.next_plan(GOAL, Q)
         assert len(planner.requests) == n_requests
+
+
+def test_a_place_that_was_narrowed_is_shifted_and_the_planned_one_comes_second(items):
+    planner = FakePlanner(items, lambda goals, grasps: True)
+    beside = pose_from_yaw(0.0, np.array(GOAL.position))
+    beside[0, 3] -= 0.09  # the bowl is within 2 mm of where the can is to stand
+    planner.Ts["bowl_2"] = beside
+    planning(items, planner).next_plan(GOAL, Q)
+    ((shifted, planned), grasps) = planner.requests[0]
+    assert planned == GOAL and grasps is None and shifted.name == GOAL.name
+    assert shifted.position[0] > GOAL.position[0]
+
+
+def test_what_waits_is_no_obstacle_but_its_goal_is(items):
+    planner = FakePlanner(items, lambda goals, grasps: True)
+    beside = pose_from_yaw(0.0, np.array(GOAL.position))
+    beside[0, 3] -= 0.09
+    planner.Ts["bowl_2"] = beside
+    later = Placement("can_3", (GOAL.position[0] + 0.07, *GOAL.position[1:]), (0.0,))
+    objects = items | {"can_3": replace(items["can_1"], id=3, name="can_3")}
+    planner.Ts["can_3"] = items["can_1"].T_world_stand
+    task = TaskPlan("pack", objects, (GOAL, later), box=Box())
+    ObjectPlanning(task, planner, CONFIG).next_plan(GOAL, Q)
+    goals = planner.requests[0][0]
+    assert all(np.linalg.norm(np.subtract(g.position, later.position)) > 0.066 for g in goals)
 
 
 def test_more_effort_is_other_places_and_then_any_angle(items):
