@@ -249,6 +249,8 @@ class _Execution:
                 reason = str(error)
             except (GraspFailedError, RobotError) as error:
                 reason, is_known = str(error), isinstance(error, LeaningError)
+                if is_known:  # the box becomes fuller
+                    effort = max(effort, Effort.FLEXIBLE)
                 attempts += 1
                 tried.append(plan.grasp)
                 self.motion.back_off()

@@ -28,16 +28,27 @@ def free_places(
     placement: Placement,
     others: Sequence[tuple[StandingObject, Float[np.ndarray, "4 4"]]],
     box: Box,
+    waiting: Sequence[tuple[StandingObject, Placement]] = (),
 ) -> list[Placement]:
     """Return places on the free floor of a box at the planned yaw, the one with most room around it first.
+
+    They leave the goals of waiting objects free if there is such a place.
 
     Args:
         item: the object to be placed.
         placement: its planned goal.
         others: objects that may be in the box, with T_world_stand.
         box: the box.
+        waiting: objects that are not yet in the box, with their goals.
     """
-    raster = _filled(box, others)
+    if waiting and (
+        places := _free_places(item, placement, _reserved(_filled(box, others), box, waiting), box)
+    ):
+        return places
+    return _free_places(item, placement, _filled(box, others), box)
+
+
+def _free_places(item: StandingObject, placement: Placement, raster: BoxRaster, box: Box) -> list[Placement]:
     room = np.asarray(distance_transform_edt(~raster.taken))
     shape = footprint(item).rotated(placement.yaws[0])
     free = (raster.free_positions(Stencil.of(shape, gap, raster.cell)) for gap in GAPS)
@@ -70,10 +81,7 @@ def roomier_place(
         waiting: objects that are not yet there, with their goals.
         box: the box.
     """
-    raster, reserved = _filled(box, inside), _filled(box, ())
-    for other, goal in waiting:
-        stencil = Stencil.of(footprint(other).rotated(goal.yaws[0]), 0.0, reserved.cell)
-        reserved.add(stencil, _cell(reserved, np.array(goal.position[:2]) - box.center))
+    raster, reserved = _filled(box, inside), _reserved(BoxRaster(box, 0.0), box, waiting)
     shape = footprint(item).rotated(placement.yaws[0])
     planned = _cell(raster, np.array(placement.position[:2]) - box.center)
 
@@ -106,6 +114,14 @@ def _filled(box: Box, objects: Sequence[tuple[StandingObject, Float[np.ndarray, 
             outlines = tuple(part[ConvexHull(part[:, :2]).vertices, :2] for part in parts)
             shape = Footprint(outlines, max(float(part[:, 2].max()) for part in parts))
             raster.add(Stencil.of(shape, 0.0, raster.cell), _cell(raster, place))
+    return raster
+
+
+def _reserved(raster: BoxRaster, box: Box, waiting: Sequence[tuple[StandingObject, Placement]]) -> BoxRaster:
+    """Return the raster with the goals of objects occupied."""
+    for item, goal in waiting:
+        stencil = Stencil.of(footprint(item).rotated(goal.yaws[0]), 0.0, raster.cell)
+        raster.add(stencil, _cell(raster, np.array(goal.position[:2]) - box.center))
     return raster
 
 

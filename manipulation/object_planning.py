@@ -21,7 +21,7 @@ from manipulation.lying_grasps import is_upside_down, lies
 from manipulation.pick_place import PickPlacePlanner
 from manipulation.planner import ManipulationConfig
 from manipulation.reorientation import turning_goals
-from manipulation.types import Grasp, PickPlacePlan, Placement, TaskPlan
+from manipulation.types import Grasp, PickPlacePlan, Placement, StandingObject, TaskPlan
 
 _TURN_OVER = "turn it over by hand"
 _SPOTS = 4  # on free table that are tried for one object
@@ -153,20 +153,27 @@ class ObjectPlanning:
 
     def _roomier(self, placement: Placement) -> Placement:
         """Return the planned place in the box, or one beside it with more room as the box is filled now."""
-        box, objects, poses = self._task.box, self._task.objects, self._planner.poses()
+        box, objects = self._task.box, self._task.objects
         if self._task.task != "pack" or box is None or placement.stack:
             return placement
-        inside = {
-            name: (objects[name], T)
-            for name, T in poses.items()
-            if name != placement.name and (2 * np.abs(T[:2, 3] - box.center) < box.size[:2]).all()
+        inside = list(self._in_box(placement.name).values())
+        return roomier_place(objects[placement.name], placement, inside, self._waiting(placement.name), box)
+
+    def _in_box(self, name: str) -> dict[str, tuple[StandingObject, Float[np.ndarray, "4 4"]]]:
+        """Return the objects in the box but one, with T_world_stand, by name."""
+        box, objects = self._task.box, self._task.objects
+        return {
+            other: (objects[other], T)
+            for other, T in self._planner.poses().items()
+            if box is not None and other != name
+            if (2 * np.abs(T[:2, 3] - box.center) < box.size[:2]).all()
         }
-        waiting = [
-            (objects[goal.name], goal)
-            for goal in self._task.placements
-            if goal.name not in inside and goal.name != placement.name and not goal.stack
-        ]
-        return roomier_place(objects[placement.name], placement, list(inside.values()), waiting, box)
+
+    def _waiting(self, name: str) -> list[tuple[StandingObject, Placement]]:
+        """Return the objects but one that are to stand on the box's floor and are not in it, with goals."""
+        there = self._in_box(name).keys() | {name}
+        goals = (goal for goal in self._task.placements if goal.name not in there and not goal.stack)
+        return [(self._task.objects[goal.name], goal) for goal in goals]
 
     def _places_elsewhere(self, placement: Placement) -> list[Placement]:
         """Return other places for an object on the floor of the box."""
@@ -176,7 +183,8 @@ class ObjectPlanning:
             placement = replace(placement, stack=(), release_height=self._config.packing.release_height)
         objects = self._task.objects
         others = [(objects[n], T) for n, T in self._planner.poses().items() if n != placement.name]
-        return free_places(objects[placement.name], placement, others, self._task.box)
+        waiting = self._waiting(placement.name)
+        return free_places(objects[placement.name], placement, others, self._task.box, waiting)
 
     def _taken(self, name: str) -> list[Outline]:
         """Return the outlines of the top views of everything but one object."""

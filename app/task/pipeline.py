@@ -113,6 +113,7 @@ class _Stages:
         self._space = request.workspace
         self._settings = self._space.adapted(request.manipulation)
         uses_deviations = request.uncertainty and request.reconstruction is None
+        self._latest: list[ObjectOutcome] = []  # of the last round
         self._left = list(self._space.further_viewpoints(request.scan_views)) if uses_deviations else []
         self.scanner = ViewpointScanner(
             robot, self.kinematics, keep_out=self._space.keep_out, via_heights=self._space.via_heights
@@ -203,13 +204,16 @@ class _Stages:
                 self.scanner, objects, plan.objects, self._space, plan.obstacles, look_around,
                 goal_views, None if box is None else box_interior(box),
             )  # fmt: skip
-            return execute(plan, self._robot, watch, self._observer.on_event, self._settings, self.kinematics)
+            on_event = self._observer.on_event
+            outcomes = execute(plan, self._robot, watch, on_event, self._settings, self.kinematics)
+        self._latest = outcomes
+        return outcomes
 
     def look_again(self, result: TaskResult) -> TaskResult | None:
         """Return the results with those of one more round; None if there is nothing more to do."""
         request, observer = self._request, self._observer
         box, n_rejected = request.box or Box(), len(observer.rejected)
-        if not is_something_left(result):
+        if not is_something_left(result, self._latest):
             return None
         try:
             frames = self.scan(FULL_SCAN)

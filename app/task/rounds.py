@@ -23,12 +23,17 @@ if TYPE_CHECKING:
 SAME_PLACE = 0.06  # [m] between a new estimate and one of the round before, within which it replaces that
 
 
-def is_something_left(result: TaskResult) -> bool:
-    """Return whether anything but the packed objects was seen, and the last round has changed the table."""
+def is_something_left(result: TaskResult, latest: Sequence[ObjectOutcome]) -> bool:
+    """Return whether anything but the packed objects was seen, and the last round has changed the table.
+
+    Args:
+        result: results of all rounds so far.
+        latest: outcomes of the last one.
+    """
     assert result.plan is not None
     unplaced = any(not outcome.placed for outcome in result.outcomes)
     is_left = unplaced or result.plan.left_out or result.rejected or result.obstacles
-    return bool(is_left) and any(outcome.attempts for outcome in result.outcomes)
+    return bool(is_left) and any(outcome.attempts for outcome in latest)
 
 
 def placed_items(result: TaskResult) -> dict[str, StandingObject]:

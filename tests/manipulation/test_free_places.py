@@ -1,5 +1,7 @@
 """Free places in a box: room around them, distances kept, none in a full box."""
 
+from dataclasses import replace
+
 import numpy as np
 import pytest
 
@@ -59,6 +61,16 @@ def test_places_keep_their_distance_from_walls_objects_and_each_other(can):
 def test_objects_on_the_table_take_no_room(can):
     beside = [(can, at(0.5, -0.25)), (can, at(0.1, 0.3))]
     assert free_places(can, GOAL, beside, BOX) == free_places(can, GOAL, [], BOX)
+
+
+def test_places_leave_the_goals_of_waiting_objects_free_where_there_are_others(can):
+    later = Placement("can_2", (0.56, 0.3, 0.0), (0.0,))
+    places = free_places(can, GOAL, [], BOX, [(can, later)])
+    points = np.array([place.position[:2] for place in places])
+    assert (np.linalg.norm(points - later.position[:2], axis=1) > 2 * radius_of(can) + GAPS[1] - CELL).all()
+    full = [(can, at(0.5 + x, 0.3 + y)) for x in (-0.11, -0.03) for y in (-0.06, 0.02)]
+    only = free_places(can, GOAL, full, BOX)
+    assert only and free_places(can, GOAL, full, BOX, [(can, replace(later, position=only[0].position))])
 
 
 def test_a_full_box_has_no_place(can):

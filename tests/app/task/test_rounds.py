@@ -38,14 +38,15 @@ def test_the_expected_pose_is_that_of_the_object_carried_with_its_stand_frame(ca
 
 
 def test_a_round_follows_what_left_something_and_changed_the_table(result, pack_plan):
-    all_placed = replace(pack_plan, left_out={})
-    assert is_something_left(result), "an object without a goal"
-    assert not is_something_left(replace(result, plan=all_placed))
-    assert is_something_left(replace(result, plan=all_placed, rejected=[RejectedObject(7, "mug", "small")]))
-    (outcome,) = result.outcomes
+    all_placed, done = replace(result, plan=replace(pack_plan, left_out={})), result.outcomes
+    assert is_something_left(result, done), "an object without a goal"
+    assert not is_something_left(all_placed, done)
+    assert is_something_left(replace(all_placed, rejected=[RejectedObject(7, "mug", "small")]), done)
+    (outcome,) = done
     failed = replace(outcome, placed=False)
-    assert is_something_left(replace(result, plan=all_placed, outcomes=[failed]))
-    assert not is_something_left(replace(result, outcomes=[replace(failed, attempts=0)])), "nothing was moved"
+    assert is_something_left(replace(all_placed, outcomes=[failed]), [failed])
+    assert not is_something_left(result, [replace(failed, attempts=0)]), "nothing was moved"
+    assert not is_something_left(result, []), "in the last round"
 
 
 def test_placed_objects_are_where_they_were_placed(result):
