@@ -17,12 +17,14 @@ from manipulation.errors import PlanningError
 from manipulation.footprints import BoxRaster, bounding_area
 from manipulation.grasp_config import GraspConfig
 from manipulation.grasps import grasp_candidates
-from manipulation.nesting import nest_heights, stack_bowls
+from manipulation.nesting import RadialProfile, nest_heights, radial_profile, stack_bowls
 from manipulation.packing_problem import PackingConfig, PackingProblem, ShapeCache
 from manipulation.packing_strategies import Strategy, corner_cost, line_cost, strategies
 from manipulation.release_clearance import ReleasePose, count_free_releases
 from manipulation.robot import GripperGeometry
 from manipulation.types import Box, GraspSet, Placement, StandingObject
+
+_ABOVE_RIM = 0.006  # [m] of a lower bowl, from which on a fingertip is clear of it
 
 
 @dataclass
@@ -113,13 +115,31 @@ def nest_drop(
 ) -> float:
     """Return the height [m] above its resting pose at which the last bowl of a stack is released.
 
-    The outer finger, ``depth`` [m] below the bowl's rim, then clears all lower rims.
+    The outer finger, ``depth`` [m] below the bowl's rim, then clears all lower rims: it is above them, or
+    there is room for it between the walls. What falls far is caught by that finger, on one side.
     """
     heights = nest_heights(stack)
+    profiles = [radial_profile(bowl) for bowl in stack]
     upper = stack[-1]
     rims = max(height + bowl.top for height, bowl in zip(heights[:-1], stack[:-1]))
-    fingertip = heights[-1] + upper.top - depth - gripper.tip
-    return float(np.clip(rims - fingertip + 0.006, config.release_height, config.max_drop))
+    tip = heights[-1] + upper.top - depth - gripper.tip  # of the finger when the bowl rests
+    above = float(np.clip(rims - tip + _ABOVE_RIM, config.release_height, config.max_drop))
+    across = config.nest_opening + gripper.pad_thickness + config.nest_clearance
+    for drop in np.arange(config.release_height, above, 0.002):
+        z = np.arange(tip + drop, rims + _ABOVE_RIM, 0.002)
+        finger = across + np.interp(z - heights[-1] - drop, profiles[-1].heights, profiles[-1].outer)
+        if all(
+            (finger <= _cavity(profile, bowl.top, z - height)).all()
+            for profile, bowl, height in zip(profiles[:-1], stack[:-1], heights[:-1])
+        ):
+            return float(drop)
+    return above
+
+
+def _cavity(profile: RadialProfile, rim: float, heights: np.ndarray) -> np.ndarray:
+    """Return the inner radius [m] at heights [m] above the support; infinite clearly above the rim [m]."""
+    inner = np.interp(heights, profile.heights, profile.inner)
+    return np.where(heights > rim + _ABOVE_RIM - 1e-6, np.inf, inner)
 
 
 def _lay_out(

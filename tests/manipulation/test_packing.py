@@ -153,7 +153,7 @@ def test_admissible_yaws_of_each_kind(shapes):
 
 def test_nested_bowls_are_released_with_the_finger_above_all_rims(shapes):
     large, small = items_of(
-        shapes, ("bowl", shapes.bowl(0.075, 0.06, slope=0.3)), ("bowl", shapes.bowl(0.055, 0.045, slope=0.3))
+        shapes, ("bowl", shapes.bowl(0.075, 0.06, slope=0.3)), ("bowl", shapes.bowl(0.062, 0.045, slope=0.3))
     )
     hand = GripperGeometry()
     lift = nest_heights([large, small])[1]
@@ -163,6 +163,21 @@ def test_nested_bowls_are_released_with_the_finger_above_all_rims(shapes):
         assert nest_drop([large, small], depth, CONFIG, hand) == pytest.approx(expected)
     assert nest_drop([large, small], 0.1, CONFIG, hand) == CONFIG.max_drop
     assert nest_drop([small, large], -0.1, CONFIG, hand) == CONFIG.release_height
+
+
+def test_a_much_smaller_bowl_is_released_between_the_walls_of_the_one_below(shapes):
+    hand = GripperGeometry()
+    room = CONFIG.nest_opening + hand.pad_thickness + CONFIG.nest_clearance
+    for radius, drops in ((0.055, True), (0.049, False)):
+        large, small = items_of(
+            shapes,
+            ("bowl", shapes.bowl(0.085, 0.06, slope=0.0)),
+            ("bowl", shapes.bowl(radius, 0.045, slope=0.0)),
+        )
+        cavity = radial_profile(large).inner.max() - radial_profile(small).outer.max()
+        assert (cavity < room) == drops, "the case is what it is to be"
+        drop = nest_drop([large, small], 0.015, CONFIG, hand)
+        assert drop > 0.03 if drops else drop == CONFIG.release_height
 
 
 @pytest.mark.parametrize(("gap", "from_wall"), [(0.024, 0.014), (0.010, 0.010), (0.005, 0.008)])

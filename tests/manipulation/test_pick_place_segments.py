@@ -224,7 +224,7 @@ def test_reasons_of_a_rejected_place(kinematics, can):
     reason = "without a collision-free release (collide with mug_2)"
     assert find_place(motions, pick, goal_of(can), CONFIG) == Rejected(reason)
     motions.lines.clear()
-    motions.reject = dict.fromkeys(range(2, 6), Rejected("collide with mug_2"))
+    motions.reject = dict.fromkeys(range(2, 7), Rejected("collide with mug_2"))
     assert find_place(motions, pick, goal_of(can), CONFIG) == Rejected("collide with mug_2 while lowering")
 
 
