@@ -47,6 +47,8 @@ BEYOND_DOUBT, BEYOND_DOUBT_SCORE = 0.15, 0.1  # share of them, and scores that s
 WEAK, FAR_BETTER = 0.5, 0.3  # score below which an object may be several, and by how much theirs are higher
 MIN_CLASS = 0.3  # least mean class probability of a part
 MIN_SCORES = (0.2, 0.5)  # of the fits of the lower part, whose upper side is hidden, and of the upper one
+FULLY = 0.005  # share of unexplained points up to which a bottle explains all that is seen
+COAXIAL = 0.005  # [m] between the axes of two cans that are one bottle
 CARRIERS: tuple[Category, ...] = ("mug", "bowl", "can")  # nothing stands on a bottle
 LEAST_HEIGHT = 0.025  # [m] of a part; flatter ones are the thick floor of a bowl
 MIN_PIXELS = 150  # of a part in a view
@@ -82,8 +84,10 @@ def split_stacks(
     planes: Sequence[SupportPlane],
     completer: PoseNamer,
     fit: Fit,
-) -> dict[int, tuple[ObjectEstimate, ObjectEstimate]]:
+) -> dict[int, tuple[ObjectEstimate, ...]]:
     """Return the lower and the upper object of each instance that is a stack, by the instance's id.
+
+    Two cans with one axis that a bottle explains completely are that bottle, with their score.
 
     Args:
         frames: Views with camera poses.
@@ -106,7 +110,7 @@ def split_stacks(
                 likeliest = sorted(proposals, key=lambda parts: -parts.probability)
                 open_[id] = likeliest[:TRIALS], points, before
                 free += 2
-    found: dict[int, tuple[ObjectEstimate, ObjectEstimate]] = {}
+    found: dict[int, tuple[ObjectEstimate, ...]] = {}
     for trial in range(TRIALS):
         parts = {i: p[trial] for i, (p, *_) in open_.items() if trial < len(p) and i not in found}
         if not parts:
@@ -114,9 +118,13 @@ def split_stacks(
         above = {part.ids[1]: part.ids[0] for part in parts.values()}
         fitted = {e.id: e for e in fit(_with_parts(rows, parts), above)}
         for id, part in parts.items():
-            pair = [fitted[k] for k in part.ids if k in fitted]
-            if len(pair) == 2 and _is_better(pair, estimates.get(id), *open_[id][1:]):
-                found[id] = pair[0], pair[1]
+            pair, whole = [fitted[k] for k in part.ids if k in fitted], estimates.get(id)
+            if len(pair) < 2:
+                continue
+            if whole is not None and _is_one(pair, whole, open_[id][2]):
+                found[id] = (replace(whole, score=max(whole.score, min(e.score for e in pair))),)
+            elif _is_better(pair, whole, *open_[id][1:]):
+                found[id] = tuple(pair)
     return found
 
 
@@ -259,6 +267,16 @@ def instance_points(views: Sequence[RgbdFrame], rows: Rows, id: int) -> Float[np
     masks = [(view, d.mask) for view, row in zip(views, rows) for d in row if d.instance_id == id]
     points = np.concatenate([ObjectObservation(*shown).points_world(erode=2) for shown in masks])
     return points[:: max(1, len(points) // _POINTS)]
+
+
+def _is_one(pair: Sequence[ObjectEstimate], whole: ObjectEstimate, before: float) -> bool:
+    """Return whether two accepted cans are one upright bottle that leaves nothing unexplained."""
+    if before > FULLY or (whole.category, whole.resting) != ("bottle", "upright"):
+        return False
+    if any(e.category != "can" for e in pair):
+        return False
+    apart = np.linalg.norm((pair[0].T_world_object - pair[1].T_world_object)[:2, 3])
+    return bool(apart < COAXIAL) and all(e.score >= p for e, p in zip(pair, MIN_SCORES, strict=True))
 
 
 def _is_better(

@@ -137,6 +137,27 @@ def test_parts_with_far_better_scores_replace_an_unusual_shape_that_explains_as_
     assert split(stack, rows, lambda *_: parts, [replace(whole, score=0.6)]) == {}
 
 
+def test_two_cans_on_one_axis_are_the_bottle_that_explains_all(stack, rows, monkeypatch):
+    shares = {1: 0.0, 2: 0.0}
+    monkeypatch.setattr(stack_parts, "unexplained", lambda points, shapes: shares[len(shapes)])
+    whole = replace(cylinder(stack.lower, 4, 0.2), category="bottle")
+    lower, higher = cylinder(stack.lower, 5, 0.6), cylinder(stack.higher, 6, 0.9)
+    T = higher.T_world_object.copy()
+    T[:2, 3] = lower.T_world_object[:2, 3]
+    above = replace(higher, T_world_object=T)
+    ((one,),) = split(stack, rows, lambda *_: [lower, above], [whole]).values()
+    assert (one.id, one.category, one.score) == (4, "bottle", 0.6) and one.mesh is whole.mesh
+    T = T.copy()
+    T[0, 3] += stack_parts.COAXIAL + 1e-3
+    aside = replace(higher, T_world_object=T)
+    for parts in ([lower, aside], [lower, replace(above, category="bowl")]):
+        assert len(split(stack, rows, lambda *_, p=parts: p, [whole])[4]) == 2
+    for other in (replace(whole, resting="lying"), replace(whole, category="can")):
+        assert len(split(stack, rows, lambda *_: [lower, above], [other])[4]) == 2
+    shares[1] = 2 * stack_parts.FULLY
+    assert len(split(stack, rows, lambda *_: [lower, above], [whole])[4]) == 2
+
+
 def test_the_likeliest_cuts_are_fitted(stack, rows, monkeypatch):
     """Not the first ones: what the networks are surer of is more often right than the stronger seam."""
 
