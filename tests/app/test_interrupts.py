@@ -59,13 +59,15 @@ def test_a_second_signal_does_not_interrupt_the_end():
     assert signalled(AT_WORK.format(at_stake=True), signal.SIGINT, times=2) == (130, "kept\n", "")
 
 
-@pytest.mark.parametrize("delay", [0.15, 0.3, 0.6])
+@pytest.mark.parametrize("delay", [0.1, 0.2, 0.4])
 def test_an_interrupt_during_the_imports_is_one_line(delay, tmp_path):
     command = [sys.executable, "-c", "from app.__main__ import main; print('ready', flush=True); main()"]
     command += ["reconstruct", str(tmp_path)]
     process = subprocess.Popen(command, stdout=subprocess.PIPE, stderr=subprocess.PIPE, text=True)
     assert process.stdout is not None and process.stdout.readline() == "ready\n"
     time.sleep(delay)
+    if process.poll() is not None:
+        pytest.skip("on this machine the imports take less time")
     process.send_signal(signal.SIGINT)
     _, err = process.communicate(timeout=60)
     assert (process.returncode, err) == (130, "nodeslam: interrupted\n")

@@ -16,6 +16,7 @@ from perception.errors import PerceptionError
 def act(what: str, ranks, report) -> None:
     """Do something in the second process that leaves the first alone in a collective operation."""
     report(ranks.rank, os.getpid(), signal.SIGINT in signal.pthread_sigmask(signal.SIG_BLOCK, ()))
+    ranks.total(torch.ones(1))  # both have reported
     if ranks.rank == 1:
         if what == "die":
             os.kill(os.getpid(), signal.SIGKILL)
