@@ -20,7 +20,7 @@ from manipulation.errors import NoPlanError, PlanningError, RobotError, RobotSto
 from manipulation.kinematics import Kinematics
 from manipulation.lying_grasps import lies
 from manipulation.object_planning import Effort, ObjectPlanning
-from manipulation.observation import NoObserver, SceneObserver, is_displaced
+from manipulation.observation import Finding, NoObserver, SceneObserver, is_displaced
 from manipulation.obstacles import TABLE, box_obstacles
 from manipulation.pick_place import PickPlacePlanner
 from manipulation.plan_execution import (
@@ -275,26 +275,29 @@ class _Execution:
         for name, presence in self.observer.glance(poses, beside).items() if beside else ():
             if presence != "displaced":
                 continue
-            finding = self.observer.find(name, self.planner.poses())
-            if finding.T_world_stand is None:
-                continue  # it is searched for again when its turn comes
-            self.planner.moved(name, finding.T_world_stand)
             outcome = self.outcomes.get(name)
-            if outcome is None or not outcome.placed or self._is_in_place(name, poses[name]):
+            if self._find(name).T_world_stand is None or outcome is None or not outcome.placed:
+                continue  # what is not found is judged by the final verification, or searched for in its turn
+            if self._is_in_place(name, poses[name]):
                 continue
+            reason = f"{name} was moved by {plan.name}"
+            moved = replace(outcome, placed=False, reason=reason, T_world_stand=None)
             placement = next(p for p in self.task.placements if p.name == name)
-            if self._gets_another_chance(placement, replace(outcome, placed=False)):
-                self._notify("deferred", name, f"{name} was moved by {plan.name}")
+            if self._gets_another_chance(placement, moved):
+                self._notify("deferred", name, reason)
                 del self.outcomes[name]
                 self._located.add(name)
                 self._queue.appendleft(placement)  # what comes later may block its way
+            else:
+                self._notify("failed", name, reason)
+                self.outcomes[name] = moved
 
     def _is_in_place(self, name: str, T_before: Float[np.ndarray, "4 4"]) -> bool:
         """Return whether a placed object that was moved still stands in the box; without one, at its goal."""
         T, box = self.planner.world.pose(name), self.task.box
         if box is None:
             return not is_displaced(T_before, T, MISPLACED)
-        return not lies(T) and bool((2 * np.abs(T[:2, 3] - box.center) < box.size[:2]).all())
+        return not lies(T) and box.contains(T)
 
     def _plan(self, placement: Placement, tried: Sequence[Grasp], effort: Effort) -> PickPlacePlan:
         """Return the next plan for an object, after what blocks it was set aside if that helps.
@@ -339,26 +342,27 @@ class _Execution:
     def _beside_box(self) -> set[str]:
         """Return the names of the objects with a goal, and of those that are not in the box."""
         poses, box = self.planner.poses(), self.task.box
-        in_box = {
-            name
-            for name, T in poses.items()
-            if box is not None and (2 * np.abs(T[:2, 3] - box.center) < box.size[:2]).all()
-        }
+        in_box = {name for name, T in poses.items() if box is not None and box.contains(T)}
         return set(poses) - (in_box - self._to_place)
 
     def _search(self, name: str) -> str:
         """Search for an object and update the scene; return why a retry is impossible, or an empty string."""
-        finding = self.observer.find(name, self.planner.poses())
-        if finding.obstacles is not None:
-            self.planner.observe_obstacles(finding.obstacles)
+        finding = self._find(name)
         if finding.status == "missing":
             self.planner.forget(name)
             return f"{name} is nowhere on the table within view: it was taken away or fell off"
-        if finding.T_world_stand is not None:
-            self.planner.moved(name, finding.T_world_stand)
-        elif name in self.planner.forgotten:
+        if finding.T_world_stand is None and name in self.planner.forgotten:
             return f"{name} is nowhere within view, as before"
         return ""
+
+    def _find(self, name: str) -> Finding:
+        """Search for an object; update its pose and the things of no class as far as they were seen."""
+        finding = self.observer.find(name, self.planner.poses())
+        if finding.obstacles is not None:
+            self.planner.observe_obstacles(finding.obstacles)
+        if finding.T_world_stand is not None:
+            self.planner.moved(name, finding.T_world_stand)
+        return finding
 
     def _notify(self, phase: Phase, name: str, message: str = "", plan: PickPlacePlan | None = None) -> None:
         total = len(self.task.placements)

@@ -49,6 +49,7 @@ def free_places(
 
 
 def _free_places(item: StandingObject, placement: Placement, raster: BoxRaster, box: Box) -> list[Placement]:
+    """Return places on the cells of a raster that are not taken, the one with most room around it first."""
     room = np.asarray(distance_transform_edt(~raster.taken))
     shape = footprint(item).rotated(placement.yaws[0])
     free = (raster.free_positions(Stencil.of(shape, gap, raster.cell)) for gap in GAPS)

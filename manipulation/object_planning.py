@@ -165,8 +165,7 @@ class ObjectPlanning:
         return {
             other: (objects[other], T)
             for other, T in self._planner.poses().items()
-            if box is not None and other != name
-            if (2 * np.abs(T[:2, 3] - box.center) < box.size[:2]).all()
+            if box is not None and other != name and box.contains(T)
         }
 
     def _waiting(self, name: str) -> list[tuple[StandingObject, Placement]]:

@@ -222,10 +222,8 @@ def _find_lowering(
 def _first_kept(motions: MotionPlanner, q: np.ndarray, width: float, margins: Sequence[float]) -> int:
     """Return the index of the first clearance [m] that robot and carried object keep; the number if none."""
     for index, margin in enumerate(margins):
-        if (
-            motions.world.contact(q, width, AllowedContacts(robot_margin=margin, carried_margin=margin))
-            is None
-        ):
+        kept = AllowedContacts(robot_margin=margin, carried_margin=margin)
+        if motions.world.contact(q, width, kept) is None:
             return index
     return len(margins)
 

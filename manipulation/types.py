@@ -57,6 +57,10 @@ class Box:
         """Height of the upper edge of its walls above the table in [m]."""
         return self.floor + self.size[2]
 
+    def contains(self, T_world: Float[np.ndarray, "4 4"]) -> bool:
+        """Return whether the origin of a pose is between its walls as seen from above."""
+        return bool((2 * np.abs(T_world[:2, 3] - self.center) < self.size[:2]).all())
+
 
 @dataclass(frozen=True)
 class Line:

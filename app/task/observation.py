@@ -135,11 +135,12 @@ class WristObserver:
     def _find_on_table(self, name: str, poses: Poses) -> Finding:
         """Search for an object on the whole table and among the goals, in any resting pose."""
         frames: list[RgbdFrame] = []
-        check = self._search_goals(name, poses) if self._is_at_goal(name, poses) else None
+        is_at_goal = self._is_at_goal(name, poses)
+        check = self._search_goals(name, poses) if is_at_goal else None
         if check is None:
             frames = self._table_images()
             check = self._search(name, poses, frames, _scaled(REGION, self._workspace.scale))
-            if check is None and not self._is_at_goal(name, poses):
+            if check is None and not is_at_goal:
                 check = self._search_goals(name, poses)
         if check is None:
             return self._with_obstacles(Finding("missing"), name, poses, frames)

@@ -80,7 +80,7 @@ def renumbered(
             rests_on=None if estimate.rests_on is None else first + estimate.rests_on,
         )
         for estimate in objects
-        if box is None or not _is_inside(estimate, box)
+        if box is None or not box.contains(estimate.T_world_object)
     ]
 
 
@@ -126,8 +126,3 @@ def with_round(
         outcomes=[*(o for o in result.outcomes if o.name in names), *outcomes],
         obstacles=obstacles,
     )
-
-
-def _is_inside(estimate: ObjectEstimate, box: Box) -> bool:
-    away = np.abs(estimate.T_world_object[:2, 3] - np.array(box.center))
-    return bool((away < np.array(box.size[:2]) / 2).all())

@@ -273,6 +273,18 @@ def test_what_another_object_knocks_away_is_placed_again_unless_it_stands_in_the
     assert ("deferred" in watcher.phases(name)) == again
 
 
+def test_what_is_knocked_away_without_another_chance_is_reported(packing, arm, monkeypatch):
+    monkeypatch.setattr("manipulation.execution.BESIDE", 1.0)
+    monkeypatch.setattr("manipulation.execution._Execution._gets_another_chance", lambda *_: False)
+    packing = replace(packing, placements=(packing.placements[0], packing.placements[2]))
+    robot, (first, second) = FakeRobot(arm), (p.name for p in packing.placements)
+    observer = Knocked(first, pose_from_yaw(0.0, np.array([0.45, -0.45, 0.0])))
+    outcomes = {o.name: o for o in execute(packing, robot, observer, Watcher(robot), CONFIG)}
+    assert outcomes[second].placed and not outcomes[first].placed
+    assert outcomes[first].reason == f"{first} was moved by {second}"
+    assert outcomes[first].T_world_stand is None
+
+
 def test_a_bowl_that_leans_in_another_is_grasped_as_it_was_seen(scene, packing, arm):
     two = replace(packing, placements=packing.placements[:2])
     lower, upper = two.placements

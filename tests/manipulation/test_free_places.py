@@ -112,3 +112,8 @@ def test_without_a_better_place_the_planned_one_is_kept(can):
     around = [(can, at(0.5 + dx, 0.3)) for dx in (-2 * radius_of(can), 2 * radius_of(can))]
     low = Box(center=(0.5, 0.3), size=(0.3, 2 * radius_of(can) + 0.006, 0.08))
     assert roomier_place(can, GOAL, around, [], low) is GOAL
+
+
+def test_a_box_contains_what_is_between_its_walls():
+    assert BOX.contains(at(0.36, 0.21)) and BOX.contains(at(0.64, 0.39))
+    assert not BOX.contains(at(0.34, 0.3)) and not BOX.contains(at(0.5, 0.41))
