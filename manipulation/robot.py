@@ -226,3 +226,17 @@ class Robot(Protocol):
         at the robot. It is no substitute for an emergency stop.
         """
         ...
+
+
+@runtime_checkable
+class DepthCamera(Protocol):
+    """What a ``Robot`` may have besides: images that cost less because nobody reads their colour."""
+
+    def capture_depth(self) -> RgbdFrame:
+        """Return what ``Robot.capture`` returns, but for the colour image, which may be black."""
+        ...
+
+
+def capture_depth(robot: Robot) -> RgbdFrame:
+    """Return an image of which only depth and pose are read, in the least time that the robot offers."""
+    return robot.capture_depth() if isinstance(robot, DepthCamera) else robot.capture()

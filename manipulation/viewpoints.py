@@ -16,7 +16,7 @@ from manipulation.kinematics import Kinematics
 from manipulation.motions import MotionPlanner
 from manipulation.nearest_view import FULL_POSE, nearest_view, view_angle
 from manipulation.obstacles import TABLE, Obstacle
-from manipulation.robot import ArmDescription, Robot
+from manipulation.robot import ArmDescription, Robot, capture_depth
 from manipulation.self_view import SelfView
 from manipulation.trajectories import MotionConfig, line_postures
 from perception.types import RgbdFrame
@@ -210,9 +210,13 @@ class ViewpointScanner:
             )
         return frames
 
-    def look(self) -> RgbdFrame:
-        """Return an image from the present posture, without the depth of the arm itself."""
-        frame = self.robot.capture()
+    def look(self, color: bool = True) -> RgbdFrame:
+        """Return an image from the present posture, without the depth of the arm itself.
+
+        Args:
+            color: whether the colour is read; without it, the image may be black.
+        """
+        frame = self.robot.capture() if color else capture_depth(self.robot)
         q, width = self.robot.joint_positions(), self.robot.gripper_width()
         return self._self_view.without_arm(frame, q, width)
 

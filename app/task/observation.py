@@ -79,7 +79,7 @@ class WristObserver:
         }
 
     def glance(self, poses: Poses, names: tuple[str, ...]) -> Mapping[str, Presence]:
-        frame = self._scanner.look()
+        frame = self._scanner.look(color=False)
         return {name: self._presence(name, poses, frame) for name in names}
 
     def find(self, name: str, poses: Poses) -> Finding:

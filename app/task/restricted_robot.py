@@ -5,12 +5,12 @@ from __future__ import annotations
 import numpy as np
 from jaxtyping import Float
 
-from manipulation.robot import ArmDescription, JointTrajectory, Robot, RobotState
+from manipulation.robot import ArmDescription, JointTrajectory, Robot, RobotState, capture_depth
 from perception.types import RgbdFrame
 
 
 def restricted(robot: Robot) -> Robot:
-    """Return an object with exactly the members of ``Robot``, each forwarded to ``robot``.
+    """Return an object with the members of ``Robot`` and ``DepthCamera`` alone, each forwarded to ``robot``.
 
     A simulated robot has further members: its physics state, its configuration, cameras outside the arm. The
     returned object holds none of them, nor a reference to the robot in an attribute.
@@ -40,6 +40,9 @@ def restricted(robot: Robot) -> Robot:
 
         def capture(self) -> RgbdFrame:
             return robot.capture()
+
+        def capture_depth(self) -> RgbdFrame:
+            return capture_depth(robot)
 
         def stop(self, reason: str) -> None:
             robot.stop(reason)

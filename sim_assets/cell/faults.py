@@ -103,6 +103,9 @@ class FaultyRobot:
     def capture(self) -> RgbdFrame:
         return self._world.capture()
 
+    def capture_depth(self) -> RgbdFrame:
+        return self._world.capture_depth()
+
     def follow(self, trajectory: JointTrajectory) -> None:
         self._n_motions += 1
         if self._n_motions == 2 and 0 < self._n_closings == self._closing:  # the first one is the lift

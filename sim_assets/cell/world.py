@@ -22,7 +22,7 @@ from sim_assets.cell.config import CellConfig
 from sim_assets.cell.scene import TIMESTEP, VIEWS
 from sim_assets.cell.stepping import SimulationError, check_warnings
 from sim_assets.rendering.camera import OffscreenRenderer, intrinsics_of
-from sim_assets.rendering.depth_noise import add_depth_noise
+from sim_assets.rendering.depth_noise import SENSORS, add_depth_noise
 from sim_assets.rendering.headless import mujoco
 from sim_assets.robots.named_parts import grip_force
 from sim_assets.robots.simulated_arm import WRIST_CAMERA
@@ -95,6 +95,13 @@ class World:
 
     def capture(self) -> RgbdFrame:
         """Return a registered RGB-D image of the wrist camera, with its pose from the measured joints."""
+        return self._image(color=True)
+
+    def capture_depth(self) -> RgbdFrame:
+        """Return the image that ``capture`` would, black where its depth does not depend on the colour."""
+        return self._image(color=self.config.depth_noise in SENSORS)
+
+    def _image(self, color: bool) -> RgbdFrame:
         width, height = IMAGE_SIZE
         mujoco.mj_kinematics(self._model, self._data)
         mujoco.mj_camlight(self._model, self._data)
@@ -104,7 +111,9 @@ class World:
         T_world_camera[:3, 3] = optical.xpos
         intrinsics = intrinsics_of(width, height, self._robot.fovy)
         depth, _ = self._renderer.depth_and_ids(self._data, WRIST_CAMERA, width, height)
-        rgb = self._renderer.color(self._data, WRIST_CAMERA, width, height, reflections=False)
+        rgb = np.zeros((height, width, 3), dtype=np.uint8)
+        if color:
+            rgb = self._renderer.color(self._data, WRIST_CAMERA, width, height, reflections=False)
         return RgbdFrame(
             time=self.time,
             rgb=rgb,

@@ -119,6 +119,15 @@ def test_a_first_motion_may_start_inside_a_keep_out_volume(kinematics):
     assert np.abs(places[:, :2] - (0.45, -0.25)).max() < 0.003
 
 
+def test_looking_without_colour_is_left_to_the_robot(kinematics):
+    robot = Moving(kinematics.arm.q_home)
+    scanner = ViewpointScanner(robot, kinematics)
+    assert scanner.look(color=False).depth.shape == (3, 4)  # a robot without depth images captures
+    black = replace(robot.capture(), time=7.0)
+    robot.capture_depth = lambda: black
+    assert scanner.look(color=False).time == 7.0 and scanner.look().time == 0.0
+
+
 class Still:
     """A robot that must not be moved."""
 

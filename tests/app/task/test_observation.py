@@ -22,7 +22,7 @@ class Scanner(ViewpointScanner):
     def __init__(self, frame):
         self.frame, self.visited = frame, []
 
-    def look(self):
+    def look(self, color=True):
         return self.frame
 
     def capture(self, viewpoints):

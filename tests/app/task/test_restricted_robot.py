@@ -2,9 +2,9 @@ import numpy as np
 import pytest
 
 from app.task.restricted_robot import restricted
-from manipulation.robot import JointTrajectory, Robot, RobotState
+from manipulation.robot import DepthCamera, JointTrajectory, Robot, RobotState
 
-PROTOCOL = {name for name in vars(Robot) if not name.startswith("_")}
+PROTOCOL = {name for part in (Robot, DepthCamera) for name in vars(part) if not name.startswith("_")}
 
 
 class FullRobot:
@@ -76,3 +76,8 @@ def test_calls_are_forwarded():
     assert len(robot.arm.joint_names) == 7
     with pytest.raises(NotImplementedError, match="no camera"):
         robot.capture()
+    with pytest.raises(NotImplementedError, match="no camera"):  # it has no cheaper depth images
+        robot.capture_depth()
+    full.capture_depth = lambda: 1 / 0
+    with pytest.raises(ZeroDivisionError):
+        robot.capture_depth()

@@ -1,5 +1,7 @@
 """The simulated robot: stillness, motion, gripping, looking, and what it refuses."""
 
+from dataclasses import replace
+
 import numpy as np
 import pytest
 
@@ -106,6 +108,21 @@ def test_capture_shows_the_table_at_its_height_with_the_measured_pose(at_rest):
         seen = points[(mask == index) & (frame.depth > 0)]
         if len(seen) > 500:
             assert np.linalg.norm(np.median(seen, axis=0)[:2] - pose[:2, 3]) < 0.08
+
+
+@pytest.mark.parametrize(("noise", "is_black"), [("gaussian", True), ("realsense", False)])
+def test_depth_images_are_those_of_captures(at_rest, monkeypatch, noise, is_black):
+    """Whether colour is rendered changes no measured depth, now or later: runs repeat with either."""
+    monkeypatch.setattr(at_rest, "config", replace(at_rest.config, depth_noise=noise))
+
+    def images(*names):
+        monkeypatch.setattr(at_rest, "_noise", np.random.default_rng(3))
+        return [getattr(at_rest, name)() for name in names]
+
+    for depth, full in zip(images("capture_depth", "capture"), images("capture", "capture"), strict=True):
+        np.testing.assert_array_equal(depth.depth, full.depth)
+        np.testing.assert_array_equal(depth.T_world_camera, full.T_world_camera)
+    assert images("capture_depth")[0].rgb.any() != is_black and images("capture")[0].rgb.any()
 
 
 @pytest.mark.parametrize(
