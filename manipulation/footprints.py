@@ -131,6 +131,11 @@ class BoxRaster:
         result[self._inner] = covered > kernel.sum() - 0.5
         return result
 
+    def cell_of(self, position: Float[np.ndarray, "2"]) -> tuple[int, int]:
+        """Return the cell that contains a position [m] relative to the centre."""
+        i, j = np.floor(position / self.cell).astype(int) + np.array(self.taken.shape) // 2
+        return int(i), int(j)
+
     def add(self, stencil: Stencil, cell: tuple[int, int], base: float = 0.0) -> None:
         """Occupy the cells of a stencil with its origin in a cell and its base at a height [m]."""
         reach = len(stencil.exact) // 2

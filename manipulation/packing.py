@@ -1,51 +1,31 @@
 """Layout of objects in a box: nested bowls, mugs in a line with equal handle directions, cans and bottles.
 
-Objects are placed greedily on a raster for many strategies (line of the mugs, direction of their handles,
-first corner, gaps). Layouts are ranked by the number of objects that fit, the number of collision-free
-releases in the order of execution, and the occupied area.
+Objects are placed on a raster, greedily for many strategies (line of the mugs, direction of their handles,
+first corner, gaps), then in random order where a box is crowded. Layouts are ranked by the number of objects
+that fit and have a collision-free release in the order of execution, the number of releases, and the area.
 """
 
 from __future__ import annotations
 
-import itertools
-from collections.abc import Mapping, Sequence
-from dataclasses import dataclass, field, replace
+from collections.abc import Iterator, Mapping, Sequence
+from dataclasses import dataclass, replace
+from typing import Literal
 
 import numpy as np
 
 from manipulation.errors import PlanningError
-from manipulation.footprints import BoxRaster, bounding_area
+from manipulation.footprints import BoxRaster
 from manipulation.grasp_config import GraspConfig
 from manipulation.grasps import grasp_candidates
+from manipulation.layouts import Layout, unreleasable
 from manipulation.nesting import RadialProfile, nest_heights, radial_profile, stack_bowls
 from manipulation.packing_problem import PackingConfig, PackingProblem, ShapeCache
-from manipulation.packing_strategies import Strategy, corner_cost, line_cost, strategies
-from manipulation.release_clearance import ReleasePose, count_free_releases
+from manipulation.packing_strategies import greedy_layout, strategies
+from manipulation.relaxed_layouts import Relaxation
 from manipulation.robot import GripperGeometry
 from manipulation.types import Box, GraspSet, Placement, StandingObject
 
 _ABOVE_RIM = 0.006  # [m] of a lower bowl, from which on a fingertip is clear of it
-
-
-@dataclass
-class _Layout:
-    """A partial layout.
-
-    Attributes:
-        raster: occupied cells.
-        cells, positions, yaws: cell, position relative to the box's centre in [m] and yaw in [rad] by name.
-        left_out: names of the objects that do not fit.
-        n_blocked: number of objects without a collision-free release.
-        freedom: number of collision-free releases, limited for each object.
-    """
-
-    raster: BoxRaster
-    cells: dict[str, tuple[int, int]] = field(default_factory=dict)
-    positions: dict[str, np.ndarray] = field(default_factory=dict)
-    yaws: dict[str, float] = field(default_factory=dict)
-    left_out: list[str] = field(default_factory=list)
-    n_blocked: int = 0
-    freedom: int = 0
 
 
 def pack(
@@ -76,27 +56,11 @@ def pack(
         grasps = {item.name: grasp_candidates(item, grasp_config) for item in items}
     stacks = stack_bowls([item for item in items if item.category == "bowl"])
     cell = BoxRaster(box, 0.0).cell
-    narrowest = min(box.size[:2]) / 2 - 2 * cell
     problem = PackingProblem(
         {item.name: item for item in items},
         stacks, grasps, box, config, grasp_config, ShapeCache(items, cell), cell,
     )  # fmt: skip
-    best: _Layout | None = None
-    for gap, wanted in itertools.product(config.gaps, config.wall_gaps):
-        if wanted > config.wall_gaps[0] and (best is None or best.left_out or wanted > narrowest):
-            continue  # larger wall gaps help only where all objects fit but a release is blocked
-        # What swings a little in the fingers meets a wall as it meets a neighbour.
-        wall_gap = max(wanted, min(gap, config.roomy_wall_gap))
-        # Stencils keep ``gap`` from occupied cells; the walls are moved so that ``wall_gap`` remains.
-        empty = BoxRaster(box, wall_gap - gap)
-        for strategy in strategies(problem, wall_gap):
-            allowed = len(items) if best is None else len(best.left_out)
-            layout = _lay_out(problem, strategy, gap, empty, allowed)
-            if best is None or _rank(layout, problem) < _rank(best, problem):
-                best = layout
-        if best is not None and not best.left_out and not best.n_blocked:
-            break
-    assert best is not None
+    best = _best_layout(problem)
     if not best.positions:
         raise PlanningError(
             f"box too small: 0 of {len(items)} fit into {box.size[0]:.2f} x {box.size[1]:.2f} m; "
@@ -108,6 +72,73 @@ def pack(
         "use a larger box or fewer objects"
     )
     return _placements(problem, best), {name: reason for name in best.left_out}
+
+
+@dataclass(frozen=True)
+class _Search:
+    """A search for layouts: kind, distance between objects in [m], least distance from the walls in [m]."""
+
+    kind: Literal["greedy", "relaxed", "restarted"]
+    gap: float
+    wall_gap: float
+
+
+def _best_layout(problem: PackingProblem) -> Layout:
+    """Return the layout of the best rank of the searches, which end with the first complete one."""
+    config = problem.config
+    hopeless = unreleasable(problem)
+    relaxation = Relaxation(problem)
+    best: Layout | None = None
+
+    def is_complete(layout: Layout) -> bool:
+        return not layout.left_out and hopeless.issuperset(layout.blocked)
+
+    for search in _searches(config):
+        crowded = best is None or bool(best.left_out)
+        if search.wall_gap > config.wall_gaps[0] and (crowded or search.wall_gap > problem.narrowest):
+            continue  # larger wall gaps help only where all objects fit but a release is blocked
+        for layout in _layouts(problem, search, relaxation, best):
+            if best is None or layout.rank() < best.rank():
+                best = layout
+            if search.kind != "greedy" and is_complete(layout):
+                break
+        if best is not None and is_complete(best):
+            break
+    assert best is not None
+    return best
+
+
+def _searches(config: PackingConfig) -> Iterator[_Search]:
+    """Yield the searches in order: first what is neat, then what leaves the most room."""
+    n_roomy = max(1, sum(gap >= config.roomy_gap for gap in config.gaps))
+    roomy, tight = config.gaps[:n_roomy], config.gaps[n_roomy:]
+    near = config.wall_gaps[0]
+    yield from (_Search("greedy", gap, wall) for gap in roomy for wall in config.wall_gaps)
+    yield from (_Search("relaxed", gap, near) for gap in roomy)
+    for gap in tight:
+        yield _Search("relaxed", gap, near)
+        yield from (_Search("greedy", gap, wall) for wall in config.wall_gaps)
+    for _ in range(config.n_restarts):
+        for index, gap in enumerate(tight):
+            yield _Search("relaxed" if index else "restarted", gap, near)
+
+
+def _layouts(
+    problem: PackingProblem, search: _Search, relaxation: Relaxation, best: Layout | None
+) -> Iterator[Layout]:
+    """Yield the layouts of a search; greedy ones are given up where they are worse than the best so far."""
+    # What swings a little in the fingers meets a wall as it meets a neighbour.
+    wall_gap = max(search.wall_gap, min(search.gap, problem.config.roomy_wall_gap))
+    if search.kind != "greedy":
+        yield from relaxation.layouts(search.gap, wall_gap, afresh=search.kind == "restarted")
+        return
+    # Stencils keep the gap from occupied cells; the walls are moved so that ``wall_gap`` remains.
+    empty = BoxRaster(problem.box, wall_gap - search.gap)
+    allowed = len(problem.items) if best is None else best.missing
+    for strategy in strategies(problem, wall_gap):
+        layout = greedy_layout(problem, strategy, search.gap, empty, allowed)
+        allowed = min(allowed, layout.missing)
+        yield layout
 
 
 def nest_drop(
@@ -142,88 +173,7 @@ def _cavity(profile: RadialProfile, rim: float, heights: np.ndarray) -> np.ndarr
     return np.where(heights > rim + _ABOVE_RIM - 1e-6, np.inf, inner)
 
 
-def _lay_out(
-    problem: PackingProblem, strategy: Strategy, gap: float, empty: BoxRaster, allowed: int
-) -> _Layout:
-    """Place all objects greedily: the line of mugs, then bowls, bottles and cans, wide ones first.
-
-    Stops as soon as more than ``allowed`` objects do not fit.
-    """
-    layout = _Layout(empty.copy())
-    items = problem.items.values()
-    on_line = line_cost(layout.raster, strategy)
-    for mug in sorted((i for i in items if i.category == "mug"), key=lambda i: -i.size):
-        _place(layout, problem, mug.name, (strategy.handle_yaw,), on_line, gap)
-        if len(layout.left_out) > allowed:
-            return layout
-    cost = corner_cost(layout.raster, strategy)
-    for stack in problem.stacks:
-        lowest = stack[0].name
-        _place(layout, problem, lowest, (0.0,), cost, gap)
-        for bowl in stack[1:]:
-            if lowest in layout.positions:
-                layout.cells[bowl.name], layout.yaws[bowl.name] = layout.cells[lowest], 0.0
-                layout.positions[bowl.name] = layout.positions[lowest]
-            else:
-                layout.left_out.append(bowl.name)
-    for item in sorted(
-        (i for i in items if i.category not in ("mug", "bowl")), key=lambda i: -_top_view_size(i)
-    ):
-        _place(layout, problem, item.name, (0.0,) if item.is_round else (0.0, np.pi / 2), cost, gap)
-        if len(layout.left_out) > allowed:
-            return layout
-    if not layout.left_out:
-        _count_releases(layout, problem)
-    return layout
-
-
-def _place(
-    layout: _Layout, problem: PackingProblem, name: str, yaws: Sequence[float], cost: np.ndarray, gap: float
-) -> None:
-    """Place the object at the free cell of least cost at the first yaw that fits, or exclude it."""
-    for yaw in yaws:
-        stencil = problem.shapes.stencil(name, yaw, gap)
-        free = layout.raster.free_positions(stencil) & np.isfinite(cost)
-        if free.any():
-            i, j = np.unravel_index(np.argmin(np.where(free, cost, np.inf)), free.shape)
-            layout.raster.add(stencil, (int(i), int(j)))
-            layout.cells[name], layout.yaws[name] = (int(i), int(j)), yaw
-            layout.positions[name] = np.array([layout.raster.x[i], layout.raster.y[j]])
-            return
-    layout.left_out.append(name)
-
-
-def _top_view_size(item: StandingObject) -> float:
-    """Return the larger horizontal extent in [m]."""
-    return float(np.ptp(item.vertices[:, :2], axis=0).max())
-
-
-def _count_releases(layout: _Layout, problem: PackingProblem) -> None:
-    """Count the collision-free releases of each object in the order of execution."""
-    nested = {bowl.name for stack in problem.stacks for bowl in stack[1:]}
-    raster = BoxRaster(problem.box, 0.0, problem.cell)
-    base = problem.box.floor + problem.config.release_height
-    for name in problem.order:
-        yaw = layout.yaws[name]
-        if name not in nested:  # a nested bowl is released above all rims
-            pose = ReleasePose(layout.positions[name], yaw, base)
-            grasps = problem.grasps[name].grasps
-            count = count_free_releases(raster, grasps, pose, problem.grasp_config.gripper)
-            layout.n_blocked += count == 0
-            layout.freedom += min(count, problem.config.enough_releases)
-        raster.add(problem.shapes.stencil(name, yaw, 0.0), layout.cells[name], problem.box.floor)
-
-
-def _rank(layout: _Layout, problem: PackingProblem) -> tuple[float, ...]:
-    """Return the sort key of a layout, lower is better: left-out objects, blocked ones, releases, area."""
-    if layout.left_out:
-        return (len(layout.left_out), 0.0, 0.0, 0.0)
-    shapes = [problem.shapes.rotated(name, layout.yaws[name]) for name in layout.positions]
-    area = bounding_area(shapes, list(layout.positions.values()))
-    return (len(layout.left_out), layout.n_blocked, -layout.freedom, area)
-
-
-def _placements(problem: PackingProblem, layout: _Layout) -> tuple[Placement, ...]:
+def _placements(problem: PackingProblem, layout: Layout) -> tuple[Placement, ...]:
     """Return the placements of a layout in the order of execution."""
     by_name, grasps, box, config = problem.items, problem.grasps, problem.box, problem.config
     below = {

@@ -4,6 +4,9 @@ from __future__ import annotations
 
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
+from functools import cached_property
+
+import numpy as np
 
 from manipulation.footprints import Footprint, Stencil, footprint
 from manipulation.grasp_config import GraspConfig
@@ -25,6 +28,11 @@ class PackingConfig:
         nest_clearance: distance in [m] that this finger then keeps from the walls of lower bowls.
         enough_releases: number of collision-free releases of an object beyond which more do not count.
         n_handle_directions: number of handle directions.
+        roomy_gap: least gap in [m] that all layouts are searched for before smaller ones are.
+        row_width: largest distance of a mug from the line of all in relaxed layouts, in [m].
+        n_relaxed: number of random layouts that are relaxed.
+        n_restarts: how often others are relaxed, where not all objects fit.
+        seed: seed of the random layouts.
     """
 
     gaps: tuple[float, ...] = (0.024, 0.020, 0.016, 0.012, 0.008, 0.005)
@@ -36,6 +44,11 @@ class PackingConfig:
     nest_clearance: float = 0.005
     enough_releases: int = 4
     n_handle_directions: int = 8
+    roomy_gap: float = 0.016
+    row_width: float = 0.008
+    n_relaxed: int = 192
+    n_restarts: int = 3
+    seed: int = 0
 
 
 class ShapeCache:
@@ -43,9 +56,14 @@ class ShapeCache:
 
     def __init__(self, items: Sequence[StandingObject], cell: float) -> None:
         self._footprints = {item.name: footprint(item) for item in items}
+        self._widths = {item.name: float(np.ptp(item.vertices[:, :2], axis=0).max()) for item in items}
         self._cell = cell
         self._rotated: dict[tuple[str, float], Footprint] = {}
         self._stencils: dict[tuple[str, float, float], Stencil] = {}
+
+    def width(self, name: str) -> float:
+        """Return the larger horizontal extent in [m]."""
+        return self._widths[name]
 
     def rotated(self, name: str, yaw: float) -> Footprint:
         key = (name, round(yaw, 4))
@@ -72,6 +90,16 @@ class PackingProblem:
     grasp_config: GraspConfig
     shapes: ShapeCache
     cell: float
+
+    @property
+    def narrowest(self) -> float:
+        """Largest distance in [m] from the walls that leaves room for the centre of an object."""
+        return min(self.box.size[:2]) / 2 - 2 * self.cell
+
+    @cached_property
+    def nested(self) -> frozenset[str]:
+        """Names of the bowls that stand in another."""
+        return frozenset(bowl.name for stack in self.stacks for bowl in stack[1:])
 
     @property
     def order(self) -> list[str]:

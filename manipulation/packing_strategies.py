@@ -1,4 +1,4 @@
-"""Strategies of greedy layouts: line of the mugs, direction of their handles, first corner."""
+"""Greedy layouts: the mugs in a line with equal handle directions, then wide objects first from a corner."""
 
 from __future__ import annotations
 
@@ -6,10 +6,11 @@ import itertools
 from dataclasses import dataclass
 
 import numpy as np
-from jaxtyping import Float
 
 from manipulation.footprints import BoxRaster
+from manipulation.layouts import Cost, Layout
 from manipulation.packing_problem import PackingProblem
+from manipulation.types import StandingObject
 
 
 @dataclass(frozen=True)
@@ -58,7 +59,36 @@ def strategies(problem: PackingProblem, wall_gap: float) -> list[Strategy]:
     return found
 
 
-def line_cost(raster: BoxRaster, strategy: Strategy) -> Float[np.ndarray, "nx ny"]:
+def greedy_layout(
+    problem: PackingProblem, strategy: Strategy, gap: float, empty: BoxRaster, allowed: int
+) -> Layout:
+    """Return a layout at a gap [m], given up as soon as more than ``allowed`` objects do not fit."""
+    layout = Layout(problem, empty.copy())
+    items = problem.items.values()
+    on_line = line_cost(layout.raster, strategy)
+    for mug in sorted((i for i in items if i.category == "mug"), key=lambda i: -i.size):
+        layout.place(mug.name, [(strategy.handle_yaw, on_line)], gap)
+        if len(layout.left_out) > allowed:
+            return layout
+    cost = corner_cost(layout.raster, strategy.corner)
+    for stack in problem.stacks:
+        layout.place(stack[0].name, [(0.0, cost)], gap)
+        layout.nest(stack)
+    others = (i for i in items if i.category not in ("mug", "bowl"))
+    for item in sorted(others, key=lambda i: -problem.shapes.width(i.name)):
+        layout.place(item.name, [(yaw, cost) for yaw in yaws_of(item)], gap)
+        if len(layout.left_out) > allowed:
+            return layout
+    layout.count_releases()
+    return layout
+
+
+def yaws_of(item: StandingObject) -> tuple[float, ...]:
+    """Return the yaws [rad] at which an object other than a mug is tried."""
+    return (0.0,) if item.is_round or item.category == "bowl" else (0.0, np.pi / 2)
+
+
+def line_cost(raster: BoxRaster, strategy: Strategy) -> Cost:
     """Return the position along the mugs' line of the cells on it, infinity elsewhere."""
     cells = raster.centers - np.array(strategy.line_point)
     direction = np.array(strategy.line_direction)
@@ -66,6 +96,6 @@ def line_cost(raster: BoxRaster, strategy: Strategy) -> Float[np.ndarray, "nx ny
     return np.where(off_line <= 0.5001 * raster.cell, cells @ direction, np.inf)
 
 
-def corner_cost(raster: BoxRaster, strategy: Strategy) -> Float[np.ndarray, "nx ny"]:
-    """Return the distance from the strategy's corner along both walls, up to a constant."""
-    return -(raster.centers @ (np.array([1.0, 1.05]) * strategy.corner))
+def corner_cost(raster: BoxRaster, corner: tuple[float, float]) -> Cost:
+    """Return the distance from the corner with these signs along both walls [m], up to a constant."""
+    return -(raster.centers @ (np.array([1.0, 1.05]) * corner))

@@ -186,7 +186,7 @@ def training_scene_config() -> TrainingSceneConfig:
 
     return TrainingSceneConfig(
         width=_SIZE[0], height=_SIZE[1], pool=48, distractors=26, shares=(5, 2, 4, 5), household=0.7,
-        filled=0.12, toppled=0.06, random_parts=0.3, plain_tumblers=False, drawn_in=0.5,
+        free=0.4, filled=0.12, toppled=0.06, random_parts=0.45, plain_tumblers=False, drawn_in=0.5,
         pictures_per_pool=SHARD // 2, pictures_per_texture=5, textures_redrawn=20, objects=(2, 12),
         extras=(0, 8), spread=(0.14, 0.42), distance=(0.28, 1.4),
         elevation=(np.radians(14), np.radians(88)), fovy=(36.0, 56.0), upturned=0.12,

@@ -31,7 +31,12 @@ from perception.detection.crop_network import (
     normalise_crops,
 )
 from perception.detection.tasks import OUTPUTS, Task
-from perception.detection.training_state import TrainingState, resume_checkpoint, save_checkpoint
+from perception.detection.training_state import (
+    TrainingState,
+    mixed_precision,
+    resume_checkpoint,
+    save_checkpoint,
+)
 from perception.detection.yaw import YAW_BINS
 from perception.distributed import Ranks
 from perception.errors import InvalidInputError
@@ -203,7 +208,7 @@ def _train_epoch(
         inputs, context = perturb_crops(inputs, context, draws)
         if task != "yaw":
             targets = (1 - config.label_smoothing) * targets + config.label_smoothing / targets.shape[1]
-        with torch.autocast(device.type, torch.bfloat16):
+        with mixed_precision(device):
             logits = network(inputs, context)
         mean = functional.cross_entropy(logits.float(), targets) if len(batch) else logits.float().sum()
         loss = ranks.weighted(mean, len(batch), len(rows))

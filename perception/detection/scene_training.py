@@ -22,7 +22,12 @@ from perception.detection.crop_training import TrainingJob, learning_rate_share
 from perception.detection.scene_network import SceneNet
 from perception.detection.scene_patches import UNJUDGED, LabelledScene, TrainingPatch, sample_patch
 from perception.detection.tasks import CLASSES, VOTE_UNIT
-from perception.detection.training_state import TrainingState, resume_checkpoint, save_checkpoint
+from perception.detection.training_state import (
+    TrainingState,
+    mixed_precision,
+    resume_checkpoint,
+    save_checkpoint,
+)
 from perception.distributed import Ranks
 from perception.types import OTHER
 
@@ -183,7 +188,7 @@ def _step(
     share = ranks.share(len(patches))
     columns = {name: column[share].to(device) for name, column in whole.items()}
     channels = columns.pop("channels")
-    with torch.autocast(device.type, torch.bfloat16):
+    with mixed_precision(device):
         outputs = network(channels.permute(0, 3, 1, 2)).float()
     if not len(channels):
         return outputs.sum() * outputs.new_zeros(3)

@@ -43,6 +43,7 @@ class TrainingSceneConfig:
         pool, distractors: number of objects and of distractors compiled together.
         shares: relative frequencies of CATEGORIES among the objects of the pool.
         household: share of the objects with the sizes met in homes, others can be grasped.
+        free: share of the training split's objects with a body of free form, where their class has any.
         filled: share of the bowls and mugs with something in them.
         toppled: share of the objects that lie or stand on their heads; their class is not to be learned.
         posed: share of the objects in one of the resting poses of their class that are told apart; their
@@ -74,6 +75,7 @@ class TrainingSceneConfig:
     distractors: int = 14
     shares: tuple[int, int, int, int] = (1, 1, 1, 1)
     household: float = 0.0
+    free: float = 0.0
     filled: float = 0.0
     toppled: float = 0.0
     posed: float = 0.0

@@ -23,6 +23,7 @@ from sim_assets.datasets.table_top import TableTop
 from sim_assets.objects.bottle import BottleParameters
 from sim_assets.objects.can import FOOT, CanParameters
 from sim_assets.objects.families import Parameters, make_solid, sample_parameters
+from sim_assets.objects.free_forms import free_form
 from sim_assets.objects.household import contents_of, sample_household
 
 Split = Literal["train", "test"]
@@ -139,6 +140,8 @@ def _draw_parameters(
         p = sample(category, split, rng)
         if split == "train" and config.drawn_in > 0 and isinstance(p, CanParameters):
             p = _perhaps_drawn_in(p, config.drawn_in, rng)
+        if split == "train" and config.free > 0 and rng.random() < config.free:
+            p = free_form(p, rng)
         plain = isinstance(p, BottleParameters) and p.kind == "tumbler" and p.bend < PLAIN_BEND
         if config.plain_tumblers or not plain:
             return p

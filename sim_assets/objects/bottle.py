@@ -27,7 +27,7 @@ from typing import Literal
 
 import numpy as np
 
-from sim_assets.objects.profiles import Curve, smoothstep, soften
+from sim_assets.objects.profiles import Curve, body_curve, smoothstep, soften
 from sim_assets.objects.solids import Lathe, Solid, SuperellipseSection
 
 BottleKind = Literal[
@@ -59,6 +59,7 @@ class BottleParameters:
         cap_bottom: height of the cap's lower edge.
         aspect, exponent: shape of the superelliptic section; 1 and 2 give a circle.
         density: mass over the volume enclosed [kg/m³], contents included.
+        radii: relative radii of a body of free form (free_forms.py), in place of the kind's curve.
     """
 
     kind: BottleKind
@@ -76,13 +77,14 @@ class BottleParameters:
     aspect: float
     exponent: float
     density: float
+    radii: tuple[float, ...] = ()
 
 
 def bottle_profile(parameters: BottleParameters) -> Curve:
     """Return the closed profile (r, z)."""
     p = parameters
-    u = np.linspace(0.0, 1.0, 33)
-    relative = _relative_radius(p.kind, p.bend, u)
+    u = np.linspace(0.0, 1.0, max(33, 8 * len(p.radii) + 1))
+    relative = body_curve(p.radii, u) if p.radii else _relative_radius(p.kind, p.bend, u)
     body = np.stack([p.radius * relative / relative.max(), u * p.body_top], axis=1)
     u = np.linspace(0.0, 1.0, 17)
     start = body[-1, 0]

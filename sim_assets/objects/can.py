@@ -29,7 +29,7 @@ from typing import Literal
 
 import numpy as np
 
-from sim_assets.objects.profiles import Curve, soften
+from sim_assets.objects.profiles import Curve, body_curve, soften
 from sim_assets.objects.solids import Lathe, Solid
 
 CanKind = Literal[
@@ -70,6 +70,7 @@ class CanParameters:
         foot: difference between the radii of body and bottom.
         bend: depth of the beads, the waist, the belly or the taper, relative to the radius.
         density: mass over the volume enclosed [kg/m³], contents included.
+        radii: relative radii of a body of free form (free_forms.py), in place of the kind's curve.
     """
 
     kind: CanKind
@@ -84,12 +85,13 @@ class CanParameters:
     foot: float
     bend: float
     density: float
+    radii: tuple[float, ...] = ()
 
 
 def can_profile(parameters: CanParameters) -> Curve:
     """Return the closed profile (r, z)."""
     p = parameters
-    if p.bend > 0:
+    if p.bend > 0 or p.radii:
         return _curved_profile(p)
     body = p.radius - (p.seam if p.neck == 0 else 0.0)
     return soften(np.concatenate([_bottom(p, body), _top(p, body)]), 0.0012, angle=0.5)
@@ -100,7 +102,7 @@ def _curved_profile(p: CanParameters) -> Curve:
     widest = p.radius if p.kind in ("keg", "bowed") else p.radius - p.seam
     low, high = p.rim + p.seam, p.height - p.rim - p.neck_height - 0.001
     beads = max(2, round((high - low) / (RIB_PITCH if p.kind == "ribbed" else BEAD_PITCH)))
-    u = np.linspace(0.0, 1.0, 16 * beads + 1)
+    u = np.linspace(0.0, 1.0, 8 * len(p.radii) + 1 if p.radii else 16 * beads + 1)
     sides = {
         "beaded": 1.0 - p.bend * (0.5 - 0.5 * np.cos(2.0 * np.pi * beads * u)),
         "waisted": 1.0 - p.bend * (1.0 - (2.0 * u - 1.0) ** 2),
@@ -108,7 +110,7 @@ def _curved_profile(p: CanParameters) -> Curve:
         "tapered": 1.0 - p.bend * u,
     }
     slight = {"ribbed": "beaded", "bowed": "keg", "drawn": "waisted", "conic": "tapered"}
-    relative = sides[slight.get(p.kind, p.kind)]
+    relative = body_curve(p.radii, u) if p.radii else sides[slight.get(p.kind, p.kind)]
     body = widest * relative
     side = np.stack([body, low + u * (high - low)], axis=1)[1:-1]
     bottom = _bottom(replace(p, radius=body[0] + p.seam), body[0])

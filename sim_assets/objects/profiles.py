@@ -6,8 +6,11 @@ the outside, so that revolving it gives a closed surface wound outwards. All len
 
 from __future__ import annotations
 
+from collections.abc import Sequence
+
 import numpy as np
 from jaxtyping import Bool, Float
+from scipy.interpolate import PchipInterpolator
 
 Curve = Float[np.ndarray, "_ 2"]  # any number of points: functions change it
 
@@ -57,6 +60,15 @@ def soften(profile: Curve, radius: float, angle: float = 0.4) -> Curve:
     radii = np.zeros(len(profile))
     radii[1:-1] = np.where(turn > angle, radius, 0.0)
     return fillet(profile, radii)
+
+
+def body_curve(radii: Sequence[float], u: Float[np.ndarray, "*n"]) -> Float[np.ndarray, "*n"]:
+    """Return the relative radius at relative heights u of a body given by at least two radii.
+
+    The radii are at equal steps from 0 to 1, with monotone cubic interpolation between them: no bulge or
+    waist is deeper than the radii themselves.
+    """
+    return PchipInterpolator(np.linspace(0.0, 1.0, len(radii)), radii)(u)
 
 
 def without_repeats(curve: Curve, tolerance: float = 1e-6) -> Curve:

@@ -1,12 +1,20 @@
 """What the tests handle: the chain of the Franka Panda with capsules for links, and analytic objects."""
 
+from collections.abc import Callable
 from types import SimpleNamespace
 
 import numpy as np
 import pytest
 import trimesh
 
+from manipulation.footprints import BoxRaster
+from manipulation.grasp_config import GraspConfig
+from manipulation.grasps import grasp_candidates
+from manipulation.nesting import stack_bowls
+from manipulation.packing_problem import PackingConfig, PackingProblem, ShapeCache
 from manipulation.robot import ArmDescription, FingerMotion
+from manipulation.standing import to_standing
+from manipulation.types import Box
 from perception.geometry import pose_from_yaw
 from perception.types import ObjectEstimate, TriangleMesh
 
@@ -132,3 +140,20 @@ def shapes() -> SimpleNamespace:
     return SimpleNamespace(
         cup=cup, mug=mug, bowl=bowl, can=can, bottle=bottle, flat_bottle=flat_bottle, estimate=estimate
     )
+
+
+@pytest.fixture(scope="session")
+def problem_of(shapes) -> Callable[..., PackingProblem]:
+    """The problem of packing objects given as (category, mesh); changes are of the packing configuration."""
+
+    def make(*kinds, box=Box(), grasped=False, **changes) -> PackingProblem:
+        items = [to_standing(shapes.estimate(i, category, mesh)) for i, (category, mesh) in enumerate(kinds)]
+        stacks = stack_bowls([item for item in items if item.category == "bowl"])
+        grasps = {item.name: grasp_candidates(item, GraspConfig()) for item in items} if grasped else {}
+        cell = BoxRaster(box, 0.0).cell
+        return PackingProblem(
+            {item.name: item for item in items}, stacks, grasps, box, PackingConfig(**changes), GraspConfig(),
+            ShapeCache(items, cell), cell,
+        )  # fmt: skip
+
+    return make

@@ -6,6 +6,7 @@ import numpy as np
 import trimesh
 from trimesh import creation
 
+from sim_assets.datasets.distractors.odd_vessels import odd_vessel
 from sim_assets.datasets.distractors.shapes import (
     Mesh,
     ball,
@@ -189,8 +190,11 @@ def candlestick(rng: np.random.Generator) -> Mesh:
 
 
 def random_parts(rng: np.random.Generator) -> Mesh:
-    """Return a pebble, a prism, a lump or a union of random parts; for training only."""
+    """Return a pebble, a prism, a lump, an odd vessel or a union of random parts; for training only."""
     draw = rng.random()
+    if draw < 0.4:
+        return odd_vessel(rng)
+    draw = (draw - 0.4) / 0.6
     if draw < 0.25:
         pebble = trimesh.convex.convex_hull(rng.normal(size=(rng.integers(6, 20), 3)))
         pebble.apply_scale(rng.uniform(0.03, 0.10, 3) / np.ptp(pebble.bounds, axis=0))

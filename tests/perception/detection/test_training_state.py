@@ -5,7 +5,12 @@ from dataclasses import replace
 import pytest
 import torch
 
-from perception.detection.training_state import TrainingState, resume_checkpoint, save_checkpoint
+from perception.detection.training_state import (
+    TrainingState,
+    mixed_precision,
+    resume_checkpoint,
+    save_checkpoint,
+)
 from perception.errors import PerceptionError
 
 
@@ -57,3 +62,10 @@ def test_checkpoint_of_another_configuration_is_rejected(tmp_path):
         PerceptionError, match=r"checkpoint\.pt is of another configuration; use another --out"
     ):
         resume_checkpoint(path, replace(new_state(0), config="other"))
+
+
+@pytest.mark.parametrize(("capability", "dtype"), [("AVX512", torch.bfloat16), ("AVX2", torch.float32)])
+def test_bfloat16_is_used_only_where_the_cpu_computes_with_it(monkeypatch, capability, dtype):
+    monkeypatch.setattr(torch.backends.cpu, "get_cpu_capability", lambda: capability)
+    with mixed_precision(torch.device("cpu")):
+        assert torch.nn.Linear(2, 1)(torch.ones(1, 2)).dtype is dtype

@@ -131,6 +131,14 @@ def test_the_pool_is_shared_out_as_asked_and_straight_tumblers_stay_out(monkeypa
     assert len(drawn) == 10 + len(plain)
 
 
+@pytest.mark.parametrize(("split", "share"), [("train", 1.0), ("train", 0.0), ("test", 1.0)])
+def test_free_forms_are_of_the_training_split_alone(split, share):
+    rng = np.random.default_rng(6)
+    config = replace(SMALL, free=share, plain_tumblers=False)
+    drawn = [training_scenes._draw_parameters("can", split, config, rng) for _ in range(20)]
+    assert {bool(can.radii) for can in drawn} == {split == "train" and share == 1.0}
+
+
 def test_flat_and_lidded_training_cans_may_stand_on_a_foot_and_no_others_change():
     rng = np.random.default_rng(2)
     cans = [sample_can("train", rng) for _ in range(40)]

@@ -4,6 +4,7 @@ import numpy as np
 import pytest
 
 from sim_assets.objects.profiles import (
+    body_curve,
     fillet,
     inside_profile,
     radial_crossings,
@@ -53,6 +54,14 @@ def test_fillet_too_large_for_its_edges_shrinks():
 def test_soften_keeps_gentle_turns():
     gentle = np.array([(0, 0), (1, 0.1), (2, 0.3)])
     np.testing.assert_array_equal(soften(gentle, 0.2), gentle)
+
+
+def test_body_curves_pass_through_their_radii_and_stay_between_them():
+    radii = (1.0, 0.8, 0.9, 0.9)
+    np.testing.assert_allclose(body_curve(radii, np.linspace(0, 1, 4)), radii)
+    fine = body_curve(radii, np.linspace(0, 1, 100))
+    assert fine.min() == pytest.approx(0.8, abs=1e-3) and fine.max() == 1.0
+    np.testing.assert_allclose(body_curve((0.7, 1.0), np.array([0.5])), 0.85)
 
 
 def test_resample_steps_evenly():
