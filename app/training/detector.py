@@ -9,7 +9,7 @@ from __future__ import annotations
 import logging
 from dataclasses import dataclass, field, replace
 from pathlib import Path
-from typing import Any
+from typing import Any, cast
 
 import numpy as np
 import torch
@@ -21,6 +21,7 @@ from app.training.files import checksums, summary_writer
 from app.training.fitting import fit_crop_network, fit_scene_network
 from app.training.resources import Resources
 from app.training.scene_dataset import (
+    SHARD,
     LabelledScenes,
     Shard,
     load_crops,
@@ -30,6 +31,7 @@ from app.training.scene_dataset import (
 from perception.detection.crop_network import (
     CropNet,
     CropNetwork,
+    Ensemble,
     ensemble_of,
     predict,
     save_crop_network,
@@ -55,7 +57,8 @@ class TrainDetectorConfig:
     """Configuration of the job; the defaults are those of the shipped weights.
 
     Attributes:
-        pictures: Number of images of the training families, for all three networks.
+        pictures: Number of images of the training families, for the instance and yaw networks.
+        class_pictures: Number of these, from the first, that the class networks are trained on.
         validation: Number of further images of the training families for the calibration.
         test: Number of images of the test families for the evaluation.
         training: Hyperparameters of the class network; its seed is that of all networks.
@@ -65,6 +68,7 @@ class TrainDetectorConfig:
     """
 
     pictures: int = 10000
+    class_pictures: int = 6500
     validation: int = 300
     test: int = 300
     training: TrainingConfig = field(default_factory=lambda: TrainingConfig(epochs=16))
@@ -111,10 +115,11 @@ class DataSets:
     validation: list[Shard]
     test: list[Shard]
 
-    def crops(self) -> CropSplits:
-        """Return the crops of all shards."""
+    def crops(self, pictures: int | None = None) -> CropSplits:
+        """Return the crops of all shards, or of the training shards with the first ``pictures`` images."""
+        training = [s for s in self.training if pictures is None or s.number * SHARD < pictures]
         return CropSplits(
-            *(load_crops([s.crops for s in part]) for part in (self.training, self.validation, self.test))
+            *(load_crops([s.crops for s in part]) for part in (training, self.validation, self.test))
         )
 
 
@@ -136,7 +141,7 @@ def run(
     scenes = load_scenes([s.scenes for s in data_sets.training])
     scene = train_scene(scenes, config, out_dir, progress, processes)
     save_scene_network(scene, out_dir / SCENE_WEIGHTS_FILE, provenance(config))
-    crops = data_sets.crops()
+    crops = data_sets.crops(config.class_pictures)
     data = TrainingData(class_targets(crops.training), class_targets(crops.validation))
     part = stage_progress(progress, SCENE_SHARE, 1.0)
     trained = train_ensemble("class", data, config, out_dir, part, processes)
@@ -199,7 +204,7 @@ def train_ensemble(
     """Train and calibrate the network or ensemble of a task.
 
     The members of an ensemble differ in their seeds. The first has its checkpoint in ``out_dir``, the others
-    in subfolders.
+    in subfolders. Networks of classes do not depend on the classes' shares in the training data.
     """
     curves = summary_writer(out_dir) if config.tensorboard else None
     count = ENSEMBLE_SIZE[task]
@@ -218,7 +223,27 @@ def train_ensemble(
         return fit_crop_network(task, data, settings, TrainingJob(folder, config.device, on_epoch), processes)
 
     network = ensemble_of([train(member) for member in range(count)])
+    if task == "class":
+        equalise_priors(network, data.training.targets)
     return CalibratedNetwork(network, calibrated_temperature(network, data.validation))
+
+
+@torch.no_grad()
+def equalise_priors(network: CropNetwork, targets: Float[np.ndarray, "n 5"]) -> None:
+    """Shift the logits of the object classes in place as if all were equally frequent in the training data.
+
+    The shift is the negative logarithm of a class's frequency relative to their mean (logit adjustment:
+    Menon et al., "Long-tail learning via logit adjustment", ICLR 2021). That of 'other' stays.
+
+    Args:
+        network: Network or ensemble trained on the targets.
+        targets: One-hot classes.
+    """
+    counts = targets[:, :OTHER].sum(axis=0)
+    shift = torch.from_numpy(np.append(np.log(counts.mean() / np.maximum(counts, 1.0)), 0.0)).float()
+    for member in network.members if isinstance(network, Ensemble) else [network]:
+        bias = cast(CropNet, member).logits.bias
+        bias += shift.to(bias.device)
 
 
 def _report(progress: Progress | None, what: str, share: float) -> None:
@@ -303,25 +328,27 @@ object's footprint in the plane; instances are the clusters of these votes
 instance (colour, mask, height, relative depth, and the surroundings, `perception/detection/crops.py`, with
 the crop's size and elevation) as mug, bowl, bottle, can or other. An ensemble of {members} networks with
 different seeds, {parameters} parameters in total, float32. Logits are averaged over the ensemble and over
-the crop and its mirror image, and divided by the temperature {temperature:.2f}, which was fitted on further
-scenes of the training families. The detector averages the log-probabilities of instance and class networks;
-masks from other sources are classified by the class network alone.
+the crop and its mirror image, shifted as if all classes were equally frequent in training, and divided by
+the temperature {temperature:.2f}, which was fitted on further scenes of the training families. The detector
+averages the log-probabilities of class and instance networks with weights of 0.65 and 0.35; masks from other
+sources are classified by the class network alone.
 
 **Training**: `nodeslam train detector --seed {training.seed}` with torch {torch}: {scene_epochs} epochs of
 the instance network with batch size 8, {training.epochs} of each class network with batch size
-{training.batch}, AdamW with learning rate {training.learning_rate} and cosine decay, bfloat16 with float32
-weights, on a CPU.
+{training.batch}, AdamW with learning rate {training.learning_rate} and cosine decay, on a CPU, in
+bfloat16 with float32 weights where the CPU computes with it, else in float32.
 
 **Data**: {config.pictures} scenes with objects of the training families and distractors, rendered at 640 x
 480 by MuJoCo's classic renderer (`sim_assets/datasets/training_scenes.py`): seven in ten objects in the
-sizes met in homes, some filled, lying or upside down (those without a class); cartons, books, tools, desk
-and kitchen things, and random shapes; tables, floors, walls and furniture around, which is neither object
-nor background; random textures, prints, gloss, lights and cameras (0.3 to 1.4 m, never nearer than their
-sensor measures); gaps down to contact; depth of structured light, active stereo and time of flight
+sizes met in homes; two in five cans and bottles with sides of free form; some objects filled, lying or
+upside down (those without a class); cartons, books, tools, desk and kitchen things, random shapes and odd
+vessels; tables, floors, walls and furniture around, which is neither object nor background; random
+textures, prints, gloss, lights and cameras (0.3 to 1.4 m, never nearer than their sensor measures); gaps
+down to contact; depth of structured light, active stereo and time of flight
 (`sim_assets/rendering/depth_noise.py`), half of it with errors of calibration between colour and depth. The
-images are mirrored, recoloured, and lose further depth. From the same images {crops} crops for the class
-network: the true masks made ragged, truncated, incomplete, or extended by a part of a neighbour; crops are
-mirrored, warped, shifted, truncated and recoloured. No photographs.
+images are mirrored, recoloured, and lose further depth. From the first {config.class_pictures} images
+{crops} crops for the class network: the true masks made ragged, truncated, incomplete, or extended by a part
+of a neighbour; crops are mirrored, warped, shifted, truncated and recoloured. No photographs.
 
 **Evaluation of the class network** on {m[crops]} such masks in {config.test} such scenes of the test
 families and held-out distractors, single views: accuracy {m[accuracy]:.3f}, of objects alone

@@ -37,6 +37,8 @@ class AssociationConfig:
         miss_probability: Probability that such a view has no detection of an object of one of the classes.
             For 'other' it is the complement, since the detector suppresses that class.
         truncated_weight: Weight of the class vote of a mask that is truncated by the image border.
+        max_other: Largest probability of 'other' of what a single view shows; what is in doubt is left to the
+            evidence of its fit. Several views reject what is most probably 'other'.
         independence: Exponent of the effective number of views, n^independence: views err alike.
     """
 
@@ -46,6 +48,7 @@ class AssociationConfig:
     visible_share: float = 0.6
     miss_probability: float = 0.2
     truncated_weight: float = 0.5
+    max_other: float = 0.65
     independence: float = 0.5
 
 
@@ -150,7 +153,8 @@ def _fuse(
     n_views = len(group) + n_missed
     weight = np.exp((log - log.max()) * n_views ** (config.independence - 1))
     probabilities = weight / weight.sum()
-    if int(log.argmax()) == OTHER:
+    is_other = probabilities[OTHER] > config.max_other if n_views == 1 else log.argmax() == OTHER
+    if is_other:
         return "of none of the classes", f"p = {probabilities[OTHER]:.2f}"
     category = CATEGORIES[int(probabilities[:OTHER].argmax())]
     yaws = [f.detection.yaw_probabilities for f in group if len(f.detection.yaw_probabilities)]

@@ -2,6 +2,7 @@
 
 import numpy as np
 import pytest
+import torch
 
 import app.training.detector as train_detector
 from app.jobs import Workers
@@ -14,9 +15,10 @@ from app.training.detector import (
 )
 from app.training.resources import Resources
 from app.training.scene_dataset import Shard
-from perception.detection.crop_network import create_network, load_crop_network
-from perception.detection.crop_training import TrainingConfig
+from perception.detection.crop_network import create_network, ensemble_of, load_crop_network
+from perception.detection.crop_training import CropSet, TrainingConfig, TrainingData
 from perception.detection.scene_network import SceneNet, load_scene_network
+from perception.detection.tasks import OUTPUTS
 from perception.io.weights import weights_checksum
 
 TINY = TrainingConfig(epochs=1, batch=8)
@@ -142,6 +144,17 @@ def test_the_scenes_of_the_scene_network_are_those_for_training(tmp_path, monkey
     assert [file.name for file in loaded] == ["scenes_train_seed0_n5_000.npz"]
 
 
+def test_class_networks_are_trained_on_the_crops_of_the_first_images(tmp_path, monkeypatch):
+    loaded = []
+    monkeypatch.setattr(train_detector, "load_crops", lambda files: loaded.append(files) or random_crops(0))
+    training = [Shard(tmp_path, "train", 0, number, 100) for number in range(5)]
+    sets = train_detector.DataSets(training, training[:1], training[:2])
+    sets.crops(300)
+    assert [len(files) for files in loaded] == [3, 1, 2] and loaded[0] == [s.crops for s in training[:3]]
+    sets.crops()
+    assert len(loaded[3]) == 5
+
+
 def test_members_of_an_ensemble_have_different_seeds_and_folders(tmp_path, monkeypatch):
     calls = []
 
@@ -170,3 +183,33 @@ def test_progress_of_a_stage_is_mapped_to_its_share_of_the_job():
 def test_the_scene_network_has_its_share_of_the_epochs_but_at_least_one():
     assert TrainDetectorConfig().scene_epochs == 10
     assert TrainDetectorConfig(training=TrainingConfig(epochs=1)).scene_epochs == 1
+
+
+@pytest.mark.parametrize("members", [1, 2])
+def test_logits_of_classes_are_shifted_by_their_frequencies_and_other_is_not(members):
+    network = ensemble_of([train_detector.CropNet(5) for _ in range(members)]).eval()
+    targets = np.eye(5, dtype=np.float32)[[0] * 8 + [1] * 2 + [2] * 4 + [3] * 2 + [4] * 30]
+    images, context = torch.rand(3, 6, 64, 64), torch.rand(3, 2)
+    with torch.no_grad():
+        before = network(images, context)
+        train_detector.equalise_priors(network, targets)
+        shift = network(images, context) - before
+    expected = np.log([4 / 8, 4 / 2, 4 / 4, 4 / 2, 1.0])
+    np.testing.assert_allclose(shift, np.tile(expected, (3, 1)), atol=1e-5)
+
+
+def test_only_networks_of_classes_are_freed_from_frequencies(tmp_path, monkeypatch):
+    freed = []
+    monkeypatch.setattr(
+        train_detector, "equalise_priors", lambda network, targets: freed.append(len(targets))
+    )
+    monkeypatch.setattr(
+        train_detector, "fit_crop_network", lambda task, *_: train_detector.CropNet(OUTPUTS[task]).eval()
+    )
+    for task in ("class", "yaw"):
+        targets = np.eye(OUTPUTS[task], dtype=np.float32)[np.zeros(4, int)]
+        crops = CropSet(np.zeros((4, 64, 64, 6), np.uint8), np.zeros((4, 2), np.float32), targets)
+        train_detector.train_ensemble(
+            task, TrainingData(crops, crops), TrainDetectorConfig(training=TINY), tmp_path, None
+        )
+    assert freed == [4]
