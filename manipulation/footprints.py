@@ -6,7 +6,7 @@ from collections.abc import Sequence
 from dataclasses import dataclass
 
 import numpy as np
-from jaxtyping import Bool, Float
+from jaxtyping import Bool, Float, Int
 from scipy.signal import fftconvolve
 from scipy.spatial import ConvexHull
 
@@ -133,7 +133,7 @@ class BoxRaster:
 
     def cell_of(self, position: Float[np.ndarray, "2"]) -> tuple[int, int]:
         """Return the cell that contains a position [m] relative to the centre."""
-        i, j = np.floor(position / self.cell).astype(int) + np.array(self.taken.shape) // 2
+        i, j = self._indices(position)
         return int(i), int(j)
 
     def add(self, stencil: Stencil, cell: tuple[int, int], base: float = 0.0) -> None:
@@ -152,10 +152,13 @@ class BoxRaster:
     def highest(self, points: Float[np.ndarray, "*n 2"]) -> Float[np.ndarray, "*n"]:
         """Return the height [m] of the scene at points relative to the centre; 0 outside the raster."""
         nx, ny = self.heights.shape
-        i = np.floor(points[..., 0] / self.cell).astype(int) + nx // 2
-        j = np.floor(points[..., 1] / self.cell).astype(int) + ny // 2
+        i, j = np.moveaxis(self._indices(points), -1, 0)
         known = (i >= 0) & (i < nx) & (j >= 0) & (j < ny)
         return np.where(known, self.heights[np.where(known, i, 0), np.where(known, j, 0)], 0.0)
+
+    def _indices(self, points: Float[np.ndarray, "*n 2"]) -> Int[np.ndarray, "*n 2"]:
+        """Return the indices of the cells that contain points [m] relative to the centre, also outside."""
+        return np.floor(points / self.cell).astype(int) + np.array(self.taken.shape) // 2
 
 
 def bounding_area(shapes: Sequence[Footprint], positions: Sequence[Float[np.ndarray, "2"]]) -> float:

@@ -23,7 +23,7 @@ class Layout:
     Attributes:
         problem: objects and box.
         raster: occupied cells.
-        cells, positions, yaws: cell, position relative to the box's centre in [m] and yaw in [rad] by name.
+        positions, yaws: position relative to the box's centre in [m] and yaw in [rad] by name.
         left_out: names of the objects that do not fit.
         blocked: names of the objects without a collision-free release.
         freedom: number of collision-free releases, limited for each object.
@@ -31,22 +31,22 @@ class Layout:
 
     problem: PackingProblem
     raster: BoxRaster
-    cells: dict[str, tuple[int, int]] = field(default_factory=dict)
     positions: dict[str, Float[np.ndarray, "2"]] = field(default_factory=dict)
     yaws: dict[str, float] = field(default_factory=dict)
     left_out: list[str] = field(default_factory=list)
     blocked: list[str] = field(default_factory=list)
     freedom: int = 0
 
-    def place(self, name: str, costs: Iterable[tuple[float, Cost]], gap: float) -> None:
+    def place(self, name: str, yaws: Iterable[float], cost: Cost, gap: float) -> None:
         """Place an object at the free cell of least cost, or leave it out.
 
         Args:
             name: object.
-            costs: costs of the cells by yaw; the first yaw [rad] with a free cell of finite cost is taken.
+            yaws: yaws in [rad]; the first with a free cell of finite cost is taken.
+            cost: costs of the cells.
             gap: least distance from occupied cells in [m].
         """
-        for yaw, cost in costs:
+        for yaw in yaws:
             stencil = self.problem.shapes.stencil(name, yaw, gap)
             free = self.raster.free_positions(stencil) & np.isfinite(cost)
             if free.any():
@@ -57,17 +57,15 @@ class Layout:
 
     def put(self, name: str, position: Float[np.ndarray, "2"], yaw: float) -> None:
         """Put an object at a position [m] and a yaw [rad], whether or not there is room."""
-        cell = self.raster.cell_of(position)
-        self.raster.add(self.problem.shapes.stencil(name, yaw, 0.0), cell)
-        self.cells[name], self.positions[name], self.yaws[name] = cell, position, yaw
+        self.raster.add(self.problem.shapes.stencil(name, yaw, 0.0), self.raster.cell_of(position))
+        self.positions[name], self.yaws[name] = position, yaw
 
     def nest(self, stack: Sequence[StandingObject]) -> None:
         """Place the upper bowls of a stack where the lowest is, or leave them out with it."""
         lowest = stack[0].name
         for bowl in stack[1:]:
             if lowest in self.positions:
-                self.cells[bowl.name], self.yaws[bowl.name] = self.cells[lowest], self.yaws[lowest]
-                self.positions[bowl.name] = self.positions[lowest]
+                self.positions[bowl.name], self.yaws[bowl.name] = self.positions[lowest], self.yaws[lowest]
             else:
                 self.left_out.append(bowl.name)
 
@@ -85,7 +83,7 @@ class Layout:
                 self.blocked += [name] if count == 0 else []
                 self.freedom += min(count, problem.config.enough_releases)
             stencil = problem.shapes.stencil(name, self.yaws[name], 0.0)
-            raster.add(stencil, self.cells[name], problem.box.floor)
+            raster.add(stencil, raster.cell_of(self.positions[name]), problem.box.floor)
 
     @property
     def missing(self) -> int:

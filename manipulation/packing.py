@@ -9,6 +9,7 @@ from __future__ import annotations
 
 from collections.abc import Iterator, Mapping, Sequence
 from dataclasses import dataclass, replace
+from functools import cache, partial
 from typing import Literal
 
 import numpy as np
@@ -86,12 +87,12 @@ class _Search:
 def _best_layout(problem: PackingProblem) -> Layout:
     """Return the layout of the best rank of the searches, which end with the first complete one."""
     config = problem.config
-    hopeless = unreleasable(problem)
+    hopeless = cache(partial(unreleasable, problem))
     relaxation = Relaxation(problem)
     best: Layout | None = None
 
     def is_complete(layout: Layout) -> bool:
-        return not layout.left_out and hopeless.issuperset(layout.blocked)
+        return not layout.left_out and (not layout.blocked or hopeless().issuperset(layout.blocked))
 
     for search in _searches(config):
         crowded = best is None or bool(best.left_out)

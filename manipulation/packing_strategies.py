@@ -67,16 +67,16 @@ def greedy_layout(
     items = problem.items.values()
     on_line = line_cost(layout.raster, strategy)
     for mug in sorted((i for i in items if i.category == "mug"), key=lambda i: -i.size):
-        layout.place(mug.name, [(strategy.handle_yaw, on_line)], gap)
+        layout.place(mug.name, (strategy.handle_yaw,), on_line, gap)
         if len(layout.left_out) > allowed:
             return layout
     cost = corner_cost(layout.raster, strategy.corner)
     for stack in problem.stacks:
-        layout.place(stack[0].name, [(0.0, cost)], gap)
+        layout.place(stack[0].name, yaws_of(stack[0]), cost, gap)
         layout.nest(stack)
     others = (i for i in items if i.category not in ("mug", "bowl"))
     for item in sorted(others, key=lambda i: -problem.shapes.width(i.name)):
-        layout.place(item.name, [(yaw, cost) for yaw in yaws_of(item)], gap)
+        layout.place(item.name, yaws_of(item), cost, gap)
         if len(layout.left_out) > allowed:
             return layout
     layout.count_releases()

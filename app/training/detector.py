@@ -9,7 +9,7 @@ from __future__ import annotations
 import logging
 from dataclasses import dataclass, field, replace
 from pathlib import Path
-from typing import Any, cast
+from typing import Any
 
 import numpy as np
 import torch
@@ -31,7 +31,6 @@ from app.training.scene_dataset import (
 from perception.detection.crop_network import (
     CropNet,
     CropNetwork,
-    Ensemble,
     ensemble_of,
     predict,
     save_crop_network,
@@ -42,7 +41,9 @@ from perception.detection.crop_training import (
     TrainingData,
     TrainingJob,
     calibrated_temperature,
+    equalise_priors,
 )
+from perception.detection.detector import SCENE_SHARE as SCENE_WEIGHT
 from perception.detection.scene_network import SceneNet, save_scene_network
 from perception.detection.scene_training import SceneTrainingConfig
 from perception.detection.tasks import ENSEMBLE_SIZE, LABELS, SCENE_WEIGHTS_FILE, WEIGHTS_FILES, Task
@@ -228,24 +229,6 @@ def train_ensemble(
     return CalibratedNetwork(network, calibrated_temperature(network, data.validation))
 
 
-@torch.no_grad()
-def equalise_priors(network: CropNetwork, targets: Float[np.ndarray, "n 5"]) -> None:
-    """Shift the logits of the object classes in place as if all were equally frequent in the training data.
-
-    The shift is the negative logarithm of a class's frequency relative to their mean (logit adjustment:
-    Menon et al., "Long-tail learning via logit adjustment", ICLR 2021). That of 'other' stays.
-
-    Args:
-        network: Network or ensemble trained on the targets.
-        targets: One-hot classes.
-    """
-    counts = targets[:, :OTHER].sum(axis=0)
-    shift = torch.from_numpy(np.append(np.log(counts.mean() / np.maximum(counts, 1.0)), 0.0)).float()
-    for member in network.members if isinstance(network, Ensemble) else [network]:
-        bias = cast(CropNet, member).logits.bias
-        bias += shift.to(bias.device)
-
-
 def _report(progress: Progress | None, what: str, share: float) -> None:
     if progress:
         progress(what, share)
@@ -311,6 +294,7 @@ def _card(
         scene_parameters=sum(p.numel() for p in scene.parameters()),
         parameters=sum(p.numel() for p in trained.network.parameters()),
         temperature=trained.temperature, crops=crops,
+        class_share=1 - SCENE_WEIGHT, instance_share=SCENE_WEIGHT,
         members=ENSEMBLE_SIZE["class"], config=config, training=config.training,
         scene_epochs=config.scene_epochs, torch=torch.__version__.split("+")[0],
         confusion=f"{header}\n{rows}", m=metrics,
@@ -330,7 +314,8 @@ the crop's size and elevation) as mug, bowl, bottle, can or other. An ensemble o
 different seeds, {parameters} parameters in total, float32. Logits are averaged over the ensemble and over
 the crop and its mirror image, shifted as if all classes were equally frequent in training, and divided by
 the temperature {temperature:.2f}, which was fitted on further scenes of the training families. The detector
-averages the log-probabilities of class and instance networks with weights of 0.65 and 0.35; masks from other
+averages the log-probabilities of class and instance networks with weights of {class_share:.2f} and
+{instance_share:.2f}; masks from other
 sources are classified by the class network alone.
 
 **Training**: `nodeslam train detector --seed {training.seed}` with torch {torch}: {scene_epochs} epochs of

@@ -205,8 +205,9 @@ safetensors. Logits are divided by the temperature {temperature:.2f}; log-probab
 averaged. It proposes which shapes in which poses are fitted; depth decides.
 
 **Training**: `nodeslam train pose --seed {training.seed}` with torch {torch}: {training.epochs} epochs of
-AdamW with learning rate {training.learning_rate} and cosine decay, batch size {training.batch}, bfloat16
-with float32 weights, on a CPU. Crops are mirrored, warped, shifted, truncated and recoloured.
+AdamW with learning rate {training.learning_rate} and cosine decay, batch size {training.batch}, on a
+CPU, in bfloat16 with float32 weights where it computes with that, else in float32.
+Crops are mirrored, warped, shifted, truncated and recoloured.
 
 **Data**: {crops} crops of {config.pictures} scenes as those of the detector (see `detector.md`), in which
 {posed:.0%} of the objects do not stand upright: mugs and bowls upside down; mugs, bottles and cans on their

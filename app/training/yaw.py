@@ -130,8 +130,9 @@ parameters, float32 safetensors. Logits are divided by the temperature {temperat
 is wide where the handle is hidden; distributions of several views are multiplied.
 
 **Training**: `nodeslam train yaw --seed {training.seed}` with torch {torch}: {training.epochs} epochs of
-AdamW with learning rate {training.learning_rate} and cosine decay, batch size {training.batch}, bfloat16
-with float32 weights, on a CPU. Labels are wrapped Gaussians with a standard deviation of 7°; crops are
+AdamW with learning rate {training.learning_rate} and cosine decay, batch size {training.batch}, on a
+CPU, in bfloat16 with float32 weights where it computes with that, else in float32.
+Labels are wrapped Gaussians with a standard deviation of 7°; crops are
 mirrored (which negates the yaw), warped, shifted, truncated and recoloured.
 
 **Data**: the {mugs} mugs in {config.pictures} scenes of the training families (see `detector.md`).

@@ -37,8 +37,8 @@ class AssociationConfig:
         miss_probability: Probability that such a view has no detection of an object of one of the classes.
             For 'other' it is the complement, since the detector suppresses that class.
         truncated_weight: Weight of the class vote of a mask that is truncated by the image border.
-        max_other: Largest probability of 'other' of what a single view shows; what is in doubt is left to the
-            evidence of its fit. Several views reject what is most probably 'other'.
+        max_other: Largest probability of 'other' of an object detected in a single view: up to it, the
+            evidence of the fit decides. Several views reject what is most probably 'other'.
         independence: Exponent of the effective number of views, n^independence: views err alike.
     """
 

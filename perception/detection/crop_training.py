@@ -10,6 +10,7 @@ import math
 from collections.abc import Callable
 from dataclasses import dataclass
 from pathlib import Path
+from typing import cast
 
 import numpy as np
 import torch
@@ -27,6 +28,7 @@ from perception.detection.crop_augmentation import (
 from perception.detection.crop_network import (
     CropNet,
     CropNetwork,
+    Ensemble,
     mirror_averaged_logits,
     normalise_crops,
 )
@@ -40,6 +42,7 @@ from perception.detection.training_state import (
 from perception.detection.yaw import YAW_BINS
 from perception.distributed import Ranks
 from perception.errors import InvalidInputError
+from perception.types import OTHER
 
 logger = logging.getLogger(__name__)
 TrainingProgress = Callable[[int, int, dict[str, float]], None]  # steps done, steps in total, metrics
@@ -255,3 +258,21 @@ def calibrated_temperature(network: CropNetwork, crops: CropSet) -> float:
     grid = np.geomspace(0.3, 3.0, 60)
     losses = [float(functional.cross_entropy(logits / t, targets)) for t in grid]
     return float(grid[int(np.argmin(losses))])
+
+
+@torch.no_grad()
+def equalise_priors(network: CropNetwork, targets: Float[np.ndarray, "n 5"]) -> None:
+    """Shift the logits of the object classes in place as if all were equally frequent in the training data.
+
+    The shift is the negative logarithm of a class's frequency relative to their mean (logit adjustment:
+    Menon et al., "Long-tail learning via logit adjustment", ICLR 2021). That of 'other' stays.
+
+    Args:
+        network: Network or ensemble trained on the targets.
+        targets: One-hot classes.
+    """
+    counts = targets[:, :OTHER].sum(axis=0)
+    shift = torch.from_numpy(np.append(np.log(counts.mean() / np.maximum(counts, 1.0)), 0.0)).float()
+    for member in network.members if isinstance(network, Ensemble) else [network]:
+        bias = cast(CropNet, member).logits.bias
+        bias += shift.to(bias.device)

@@ -2,7 +2,6 @@
 
 import numpy as np
 import pytest
-import torch
 
 import app.training.detector as train_detector
 from app.jobs import Workers
@@ -15,7 +14,7 @@ from app.training.detector import (
 )
 from app.training.resources import Resources
 from app.training.scene_dataset import Shard
-from perception.detection.crop_network import create_network, ensemble_of, load_crop_network
+from perception.detection.crop_network import create_network, load_crop_network
 from perception.detection.crop_training import CropSet, TrainingConfig, TrainingData
 from perception.detection.scene_network import SceneNet, load_scene_network
 from perception.detection.tasks import OUTPUTS
@@ -183,19 +182,6 @@ def test_progress_of_a_stage_is_mapped_to_its_share_of_the_job():
 def test_the_scene_network_has_its_share_of_the_epochs_but_at_least_one():
     assert TrainDetectorConfig().scene_epochs == 10
     assert TrainDetectorConfig(training=TrainingConfig(epochs=1)).scene_epochs == 1
-
-
-@pytest.mark.parametrize("members", [1, 2])
-def test_logits_of_classes_are_shifted_by_their_frequencies_and_other_is_not(members):
-    network = ensemble_of([train_detector.CropNet(5) for _ in range(members)]).eval()
-    targets = np.eye(5, dtype=np.float32)[[0] * 8 + [1] * 2 + [2] * 4 + [3] * 2 + [4] * 30]
-    images, context = torch.rand(3, 6, 64, 64), torch.rand(3, 2)
-    with torch.no_grad():
-        before = network(images, context)
-        train_detector.equalise_priors(network, targets)
-        shift = network(images, context) - before
-    expected = np.log([4 / 8, 4 / 2, 4 / 4, 4 / 2, 1.0])
-    np.testing.assert_allclose(shift, np.tile(expected, (3, 1)), atol=1e-5)
 
 
 def test_only_networks_of_classes_are_freed_from_frequencies(tmp_path, monkeypatch):

@@ -290,7 +290,7 @@ def test_every_view_that_missed_the_object_votes_against_it(n_missed, kept):
 
 
 @pytest.mark.parametrize(("other", "kept"), [(0.55, True), (0.64, True), (0.66, False)])
-def test_a_single_view_leaves_what_is_in_doubt_to_its_fit(other, kept):
+def test_a_single_view_leaves_uncertain_classes_to_the_fit(other, kept):
     p = np.array([0.95 - other, 0.02, 0.02, 0.01, other])
     (row,) = associate([from_above(square(60))], [[with_probabilities(square(60), p)]], PLANE)
     assert [(d.category, round(d.score, 6)) for d in row] == (

@@ -6,6 +6,7 @@ import torch
 
 from perception.detection.crop_network import (
     CropNet,
+    ensemble_of,
     normalise_crops,
     predict,
 )
@@ -15,6 +16,7 @@ from perception.detection.crop_training import (
     TrainingData,
     TrainingJob,
     calibrated_temperature,
+    equalise_priors,
     train_crop_network,
     validation_metrics,
 )
@@ -137,3 +139,16 @@ def test_metrics_of_a_perfect_network():
             return torch.log(torch.from_numpy(crops.targets) + 1e-9)
 
     assert validation_metrics("yaw", Oracle(YAW_BINS), crops)["yaw_median"] == 0.0
+
+
+@pytest.mark.parametrize("members", [1, 2])
+def test_logits_of_classes_are_shifted_by_their_frequencies_and_other_is_not(members):
+    network = ensemble_of([CropNet(5) for _ in range(members)]).eval()
+    targets = np.eye(5, dtype=np.float32)[[0] * 8 + [1] * 2 + [2] * 4 + [3] * 2 + [4] * 30]
+    images, context = torch.rand(3, 6, 64, 64), torch.rand(3, 2)
+    with torch.no_grad():
+        before = network(images, context)
+        equalise_priors(network, targets)
+        shift = network(images, context) - before
+    expected = np.log([4 / 8, 4 / 2, 4 / 4, 4 / 2, 1.0])
+    np.testing.assert_allclose(shift, np.tile(expected, (3, 1)), atol=1e-5)

@@ -22,7 +22,7 @@ def test_they_rest_on_the_table_and_are_textured(vessels):
 
 
 def test_none_is_a_body_of_revolution(vessels):
-    """In a horizontal slice with the most points these spread unevenly, or the whole leans."""
+    """Seen from above, the vertices do not spread alike in all directions."""
     ratios = []
     for mesh in vessels:
         spread = np.linalg.eigvalsh(np.cov(mesh.vertices[:, :2].T))
