@@ -103,6 +103,10 @@ class CollisionWorld:
     The world is mutable: objects are moved, attached to the hand and released in the course of a plan.
     Links are checked against each other but for those of ``self_collision.link_contacts``. Links that turn
     about the vertical alone are not checked against the table: their distance to it depends on the mounting.
+
+    Attributes:
+        config: that of the constructor.
+        links: names of the links whose pose is not fixed by that of the hand.
     """
 
     def __init__(
@@ -125,6 +129,7 @@ class CollisionWorld:
             for body in range(1, self._model.nbody)
             if not self._model.body(body).name.startswith(("world/", "carried/"))
         ]
+        self.links = self._links_before_hand()
         self._carried: str | None = None
         self._poses = {b.name: np.array(b.T_world_object) for b in bodies}
         self._pieces = {b.name: b.pieces for b in bodies}
@@ -299,6 +304,19 @@ class CollisionWorld:
                 conaffinity=_ROBOT,
                 margin=self.config.perceived_margin,
             )
+
+    def _links_before_hand(self) -> frozenset[str]:
+        """Return the names of the links before the last joint of the arm."""
+        model = self._model
+        last = model.joint(self._arm.joint_names[-1]).bodyid[0]
+        names = set()
+        for body in self._robot_bodies:
+            above = body
+            while above not in (0, last):
+                above = model.body_parentid[above]
+            if above == 0:
+                names.add(model.body(body).name)
+        return frozenset(names)
 
     def _owner_of(self, geom: int) -> str:
         return self._model.body(self._model.geom_bodyid[geom]).name

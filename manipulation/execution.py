@@ -123,6 +123,7 @@ class _Execution:
         self._to_place = {placement.name for placement in task.placements}
         self._set_aside: set[str] = set()
         self._blockers: dict[str, Sequence[str]] = {}  # of objects that had no plan
+        self._made_way: set[tuple[str, str]] = set()  # objects and those that were moved before them
         self._located: set[str] = set()  # objects that were found since they were knocked over
         self._tried_before: dict[str, ObjectOutcome] = {}  # first outcomes of objects that get another chance
 
@@ -137,6 +138,9 @@ class _Execution:
                 self._give_up([placement, *queue], str(error))
                 return list(self.outcomes.values())
             if outcome is None:
+                if effort == Effort.PLAIN and self._make_way(placement):
+                    n_deferred = 0
+                    continue
                 queue.append(placement)
                 n_deferred += 1
                 if n_deferred == len(queue):
@@ -176,6 +180,28 @@ class _Execution:
         in_order = sorted(self._queue, key=lambda p: moved not in self._blockers.get(p.name, ()))
         self._queue.clear()
         self._queue.extend(in_order)
+
+    def _make_way(self, placement: Placement) -> bool:
+        """Put first what is in the way of an object and waits too, and then the object; return whether it is.
+
+        The layout is free in its order: an object that comes much later may find its place enclosed. What
+        would itself enclose it there is set aside.
+        """
+        name, waiting = placement.name, {goal.name: goal for goal in self._queue}
+        for blocker in self._blockers.get(name, ()):
+            goal = waiting.get(blocker)
+            in_stack = blocker in placement.stack or (goal is not None and name in goal.stack)
+            if goal is None or in_stack or (name, blocker) in self._made_way:
+                continue
+            self._made_way.add((name, blocker))
+            if not self._waits_for_stack(goal) and self.planner.can_place_after(placement, goal):
+                self._queue.remove(goal)
+                self._queue.extendleft((placement, goal))
+                return True
+            if self._clear(name, [blocker]):
+                self._queue.appendleft(placement)
+                return True
+        return False
 
     def _gets_another_chance(self, placement: Placement, outcome: ObjectOutcome) -> bool:
         """Return whether an object that was not placed is tried once more when the others are done."""
@@ -309,20 +335,27 @@ class _Execution:
             try:
                 return self.planning.next_plan(placement, self.robot.joint_positions(), tried, effort)
             except NoPlanError as error:
-                if effort < Effort.CLEARING or not self._clear(placement.name, error.blockers):
+                names = [
+                    *(blocker for blocker in error.blockers if blocker != placement.name),
+                    placement.name,
+                ]
+                if effort < Effort.CLEARING or not self._clear(placement.name, names):
                     raise
 
-    def _clear(self, name: str, blockers: Sequence[str]) -> bool:
-        """Set one of an object's blockers aside, or the object itself; return whether one was moved.
+    def _clear(self, name: str, names: Sequence[str]) -> bool:
+        """Set one of several objects aside for another one, or that one itself; return whether one was moved.
 
         Each is set aside at most once. The object itself comes last: between its neighbours it may only be
         held with a hand that does not fit its goal, and on free table from all sides. What was placed already
         is placed again afterwards; what was in the box before stays there.
+
+        Args:
+            name: the object that has no plan.
+            names: objects that may be set aside, in descending order of preference.
         """
         placements = {p.name: p for p in self.task.placements if p.name in self.outcomes}
         covered = {below for placement in placements.values() for below in placement.stack}
         movable = self._beside_box() - self._set_aside - covered
-        names = [*(blocker for blocker in blockers if blocker != name), name]
         for plan in self.planning.plans_aside(names, movable, self.robot.joint_positions()):
             self._set_aside.add(plan.name)
             reason = "its neighbours block its way" if plan.name == name else f"it blocks {name}"

@@ -6,7 +6,7 @@ small posture cost selects one of the redundant solutions; its bias of the pose 
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+from collections.abc import Iterator, Sequence
 from dataclasses import dataclass
 from typing import Literal
 
@@ -19,6 +19,7 @@ from manipulation.errors import ManipulationError
 from manipulation.robot import ArmDescription
 
 _IDENTITY = np.eye(3)
+_TASK_DIMENSIONS = 6  # of a pose
 _ROTATION_TOLERANCE = 1e-5  # of the product of a rotation matrix and its transpose
 
 Frame = Literal["tcp", "camera"]
@@ -197,6 +198,43 @@ class Kinematics:
         wrist = home.copy()
         wrist[-1] += np.pi / 2 if wrist[-1] < 0 else -np.pi / 2
         return [home, wrist, *(home + offset for offset in spread)][:count]
+
+    def self_motion(
+        self, q: Float[np.ndarray, "n"], step: float = 0.35, count: int = 3
+    ) -> Iterator[Float[np.ndarray, "n"]]:
+        """Yield other postures [rad] with the TCP where ``q`` has it, those next to ``q`` first.
+
+        They lie on the curve of self-motion through ``q``, whose tangent is the null space of the Jacobian of
+        the TCP. An arm of up to six joints has none.
+
+        Args:
+            q: (n,) joint positions in [rad].
+            step: distance between two of them, as that of the joint that moves most, in [rad].
+            count: largest number on each side of ``q``.
+        """
+        if len(q) <= _TASK_DIMENSIONS:
+            return
+        T, tangent = self.forward(q), self._self_motion_tangent(q)
+        sides = [(q, tangent), (q, -tangent)]
+        for _ in range(count):
+            going_on = []
+            for before, direction in sides:
+                start = before + step * direction / np.abs(direction).max()
+                result = self.inverse(T, [start], name="the pose of a posture")
+                moved = np.abs(result.q - before).max()
+                if result.converged and 0.5 * step < moved < 2.0 * step:
+                    yield result.q
+                    ahead = self._self_motion_tangent(result.q)
+                    going_on.append((result.q, ahead * np.sign(ahead @ direction)))
+            sides = going_on
+
+    def _self_motion_tangent(self, q: Float[np.ndarray, "n"]) -> Float[np.ndarray, "n"]:
+        """Return a unit vector of the null space of the Jacobian of the TCP."""
+        self.forward(q)
+        mujoco.mj_comPos(self._model, self._data)
+        jacobian = np.zeros((_TASK_DIMENSIONS, self._model.nv))
+        mujoco.mj_jacSite(self._model, self._data, jacobian[:3], jacobian[3:], self._site_ids["tcp"])
+        return np.linalg.svd(jacobian)[2][-1]
 
     def _descend(self, target: mink.SE3, seed: np.ndarray, frame: Frame) -> IkResult:
         """Iterate differential IK from one seed until the tolerances hold or progress stops."""

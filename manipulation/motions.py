@@ -8,7 +8,7 @@ from itertools import pairwise
 import numpy as np
 from jaxtyping import Float
 
-from manipulation.collision import NO_CONTACT, AllowedContacts, CollisionWorld
+from manipulation.collision import NO_CONTACT, AllowedContacts, CollisionWorld, Contact
 from manipulation.kinematics import Kinematics
 from manipulation.robot import JointTrajectory
 from manipulation.trajectories import JointLimits, MotionConfig, joint_path, line_motion, line_postures
@@ -59,6 +59,9 @@ class MotionPlanner:
             width: opening between the pads in [m].
             allowed: contacts that are no collisions.
         """
+        contact = self.world.contact(q, width, allowed)
+        if contact is not None:  # told without the inverse kinematics of a line
+            return self.rejection(contact)
         rejected = OUT_OF_REACH
         for T_world_target in targets:
             postures = line_postures(self.kinematics, q, T_world_target, self.config)
@@ -67,8 +70,12 @@ class MotionPlanner:
             contact = self.world.path_contact(postures, width, allowed)
             if contact is None:
                 return postures
-            rejected = Rejected(str(contact), contact.obstacle)
+            rejected = self.rejection(contact)
         return rejected
+
+    def rejection(self, contact: Contact) -> Rejected:
+        """Return why a candidate with a contact is discarded."""
+        return Rejected(str(contact), contact.obstacle, contact.link in self.world.links)
 
     def free_path(
         self,

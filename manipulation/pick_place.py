@@ -33,6 +33,8 @@ from manipulation.vessels import holds, vessel_pieces
 from perception.geometry import pose_from_yaw
 from perception.obstacles.obstacle import PerceivedObstacle
 
+_SAMPLES, _SAMPLED_YAWS = 12, 3  # grasps of an object and yaws of its goal that are looked at in advance
+
 
 @dataclass(frozen=True)
 class PickPlaceConfig:
@@ -217,6 +219,32 @@ class PickPlacePlanner:
         stack = [self.items[name] for name in (*placement.stack, placement.name)]
         lift = nest_heights(stack)[-1] if len(stack) > 1 else 0.0
         return pose_from_yaw(yaw, np.add(placement.position, (0.0, 0.0, lift)))
+
+    def can_place_after(self, placement: Placement, before: Placement) -> bool:
+        """Return whether an object has a free release at its goal once another one is at its own.
+
+        How the object is picked up, and the way there, are not examined.
+
+        Args:
+            placement: goal of the object.
+            before: goal of the other one.
+        """
+        T_now = self.world.pose(before.name)
+        self.world.move(before.name, self.resting_pose(before, before.yaws[0]))
+        home = np.asarray(self.kinematics.arm.q_home, dtype=np.float64)[None]
+        T_object, T_goal = self.world.pose(placement.name), self.resting_pose(placement, 0.0)
+        grasps = self.grasps(placement.name).grasps
+        try:
+            for grasp in grasps[:: max(1, len(grasps) // _SAMPLES)]:
+                for yaw in ordered_yaws(T_object, T_goal, grasp.T_stand_tcp, placement)[:_SAMPLED_YAWS]:
+                    goal = PlaceGoal(self.items[placement.name], placement, self.resting_pose(placement, yaw))
+                    pick = Pick(grasp, home, home)
+                    if not isinstance(find_place(self.motions, pick, goal, self.config.segments), Rejected):
+                        return True
+            return False
+        finally:
+            self.world.release()
+            self.world.move(before.name, T_now)
 
     def plan(
         self,

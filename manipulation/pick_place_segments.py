@@ -5,8 +5,9 @@ A segment is feasible if the arm reaches all of it and it has no contacts but th
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+from collections.abc import Callable, Sequence
 from dataclasses import dataclass, replace
+from typing import TypeVar
 
 import numpy as np
 from jaxtyping import Float
@@ -43,7 +44,7 @@ class SegmentConfig:
 
     approach_heights: tuple[float, ...] = (0.16, 0.10, 0.06)
     retreat_heights: tuple[float, ...] = (0.10, 0.06)
-    lift_heights: tuple[float, ...] = (0.20, 0.12, 0.28)
+    lift_heights: tuple[float, ...] = (0.20, 0.12)
     raise_heights: tuple[float, ...] = (0.12, 0.18, 0.25, 0.32, 0.08)
     raised_margins: tuple[float, ...] = (0.03, 0.02, 0.012, 0.008, 0.004)
     lift_margin: float = 0.002
@@ -103,31 +104,53 @@ class Place:
     retreat: Postures
 
 
+_Found = TypeVar("_Found", Pick, Place)
+
+
 def find_pick(motions: MotionPlanner, name: str, grasp: Grasp, config: SegmentConfig) -> Pick | Rejected:
-    """Return approach and lift of one grasp; on success the world has the object attached to the hand."""
-    world, kinematics = motions.world, motions.kinematics
-    world.release()
-    T_grasp = world.pose(name) @ grasp.T_stand_open
+    """Return approach and lift of one grasp; on success the world has the object attached to the hand.
+
+    Where a link is in the way, other postures with the same pose of the hand are examined.
+    """
+    T_grasp, kinematics = motions.world.pose(name) @ grasp.T_stand_open, motions.kinematics
     result = kinematics.inverse(T_grasp, kinematics.seeds_toward(T_grasp, 3), name=name)
     if not result.converged:
         return OUT_OF_REACH
+    return _first_free(motions, result.q, lambda q: _pick_in(motions, name, grasp, q, config))
+
+
+def _first_free(
+    motions: MotionPlanner, q: np.ndarray, examine: Callable[[np.ndarray], _Found | Rejected]
+) -> _Found | Rejected:
+    """Return what is found in a posture [rad]; in others with the same TCP pose if a link is in the way."""
+    found = examine(q)
+    if not (isinstance(found, Rejected) and found.by_link):
+        return found
+    others = (examine(other) for other in motions.kinematics.self_motion(q))
+    return next((other for other in others if not isinstance(other, Rejected)), found)
+
+
+def _pick_in(
+    motions: MotionPlanner, name: str, grasp: Grasp, q: np.ndarray, config: SegmentConfig
+) -> Pick | Rejected:
+    """Return approach and lift of a grasp in a posture [rad]."""
+    world = motions.world
+    world.release()
+    T_grasp = world.pose(name) @ grasp.T_stand_open
     touch_object = AllowedContacts(touch=frozenset({name}))
-    contact = world.contact(result.q, grasp.opening, touch_object)
-    if contact is not None:
-        return Rejected(str(contact), contact.obstacle)
     starts = _retreated(T_grasp, grasp, config.approach_heights)
-    approach = motions.free_line(result.q, starts, grasp.opening, touch_object)
+    approach = motions.free_line(q, starts, grasp.opening, touch_object)
     if isinstance(approach, Rejected):
         return approach
     world.carry(name, np.linalg.inv(grasp.T_stand_tcp))
     off_the_table = AllowedContacts(touch_carried=frozenset({TABLE.name}), carried_margin=config.lift_margin)
     lifted = [_raised(T_grasp, height) for height in config.lift_heights]
-    lift = motions.free_line(result.q, lifted, grasp.held_width, off_the_table)
+    lift = motions.free_line(q, lifted, grasp.held_width, off_the_table)
     if isinstance(lift, Rejected):
-        beside = _with_contacts(world, name, result.q, grasp.held_width, off_the_table)
+        beside = _with_contacts(world, name, q, grasp.held_width, off_the_table)
         if beside is None:
             return lift
-        lift = motions.free_line(result.q, lifted, grasp.held_width, beside)
+        lift = motions.free_line(q, lifted, grasp.held_width, beside)
     return lift if isinstance(lift, Rejected) else Pick(grasp, approach[::-1], lift)
 
 
@@ -158,39 +181,50 @@ def _with_contacts(
 def find_place(
     motions: MotionPlanner, pick: Pick, goal: PlaceGoal, config: SegmentConfig
 ) -> Place | Rejected:
-    """Return lowering, release and retreat at one goal; on success the object is attached to the hand."""
-    world, kinematics, grasp = motions.world, motions.kinematics, pick.grasp
-    name, placement = goal.item.name, goal.placement
-    T_goal = _raised(goal.T_world_stand_rest, placement.release_height)
-    T_place = T_goal @ grasp.T_stand_tcp
+    """Return lowering, release and retreat at one goal; on success the object is attached to the hand.
+
+    Where a link is in the way, other postures with the same pose of the hand are examined.
+    """
+    kinematics = motions.kinematics
+    T_place = _raised(goal.T_world_stand_rest, goal.placement.release_height) @ pick.grasp.T_stand_tcp
     seeds = [pick.lift[-1], *kinematics.seeds_toward(T_place, 2)]
-    result = kinematics.inverse(T_place, seeds, name=f"the goal of {name}")
+    result = kinematics.inverse(T_place, seeds, name=f"the goal of {goal.item.name}")
     if not result.converged:
         return Rejected("with the goal out of reach")
+    return _first_free(motions, result.q, lambda q: _place_in(motions, pick.grasp, goal, q, config))
+
+
+def _place_in(
+    motions: MotionPlanner, grasp: Grasp, goal: PlaceGoal, q: np.ndarray, config: SegmentConfig
+) -> Place | Rejected:
+    """Return lowering, release and retreat at one goal in a posture [rad]."""
+    world, name, placement = motions.world, goal.item.name, goal.placement
+    T_goal = _raised(goal.T_world_stand_rest, placement.release_height)
+    T_place = T_goal @ grasp.T_stand_tcp
     stack = frozenset(placement.stack)
     world.release()
     touch = AllowedContacts(touch=stack | {name})
     settle = None
     if grasp.stand_off > 0:  # the fixed pad leaves the object
-        line = motions.free_line(result.q, [T_goal @ grasp.T_stand_open], grasp.release_opening, touch)
+        line = motions.free_line(q, [T_goal @ grasp.T_stand_open], grasp.release_opening, touch)
         settle = None if isinstance(line, Rejected) else line
     elif goal.item.category in HANGING and not stack:
         # The pads are lowered past a lip or cap; the step is omitted where there is no room.
         lowered = [_raised(T_place, -config.settle_depth)]
-        line = motions.free_line(result.q, lowered, grasp.release_opening, touch)
+        line = motions.free_line(q, lowered, grasp.release_opening, touch)
         settle = None if isinstance(line, Rejected) else line
-    q_loose = result.q if settle is None else settle[-1]
+    q_loose = q if settle is None else settle[-1]
     ends = _retreated(T_place, grasp, config.retreat_heights)
     release = _find_release(motions, grasp, q_loose, ends, touch, config.release_extras)
     if isinstance(release, Rejected):
-        return Rejected(f"without a collision-free release ({release.reason})", release.blocker)
+        return replace(release, reason=f"without a collision-free release ({release.reason})")
     release_opening, retreat = release
     world.carry(name, np.linalg.inv(grasp.T_stand_tcp))
     into = AllowedContacts(stack, stack | {TABLE.name, BOX_FLOOR}, carried_margin=config.placing_margin)
     raised = [_raised(T_place, height) for height in config.raise_heights]
-    lowering = _find_lowering(motions, result.q, raised, grasp.held_width, into, config.raised_margins)
+    lowering = _find_lowering(motions, q, raised, grasp.held_width, into, config.raised_margins)
     if isinstance(lowering, Rejected):
-        return Rejected(f"{lowering.reason} while lowering", lowering.blocker)
+        return replace(lowering, reason=f"{lowering.reason} while lowering")
     return Place(T_goal, lowering[::-1], release_opening, settle, retreat)
 
 
@@ -206,11 +240,14 @@ def _find_lowering(
 
     The object arrives there sideways: a target between taller neighbours leaves it no clearance on the way.
     """
-    rejected, found = OUT_OF_REACH, []
+    rejected, blocked, found = OUT_OF_REACH, np.inf, []
     for target in raised:
+        if target[2, 3] > blocked:
+            continue
         line = motions.free_line(q, [target], width, allowed)
         if isinstance(line, Rejected):
             rejected = line
+            blocked = float(target[2, 3]) if line.blocker else blocked
             continue
         rank = _first_kept(motions, line[-1], width, margins)
         if rank == 0:

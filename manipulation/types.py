@@ -30,10 +30,12 @@ class Rejected:
     Attributes:
         reason: short phrase that fits behind a count, such as "out of reach".
         blocker: name of the object or thing that is in the way; empty if none is.
+        by_link: whether a link before the hand meets it, so that another posture of the arm may be free.
     """
 
     reason: str
     blocker: str = field(default="", compare=False)
+    by_link: bool = field(default=False, compare=False)
 
 
 @dataclass(frozen=True)

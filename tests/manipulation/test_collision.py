@@ -181,3 +181,8 @@ def test_a_thing_keeps_a_margin_of_its_own(arm, kinematics):
     assert world.contact(above(kinematics, 0.5, -0.3, 0.06 + 0.009 + 0.0035), WIDTH) == Contact(
         "arm", "thing_0"
     )
+
+
+def test_links_are_those_that_the_pose_of_the_hand_leaves_free(world):
+    assert {"link1", "link5", "link6"} <= world.links
+    assert not {"link7", "hand", "left_finger", "right_finger"} & world.links

@@ -432,6 +432,28 @@ def test_what_an_object_blocked_comes_next_once_that_is_moved(scene, shapes, arm
     assert [outcome.name for outcome in outcomes] == [second, first, third]
 
 
+def test_what_would_enclose_the_goal_of_what_it_blocks_is_set_aside_first(scene, shapes, arm, monkeypatch):
+    task = plan_sort(scene[:2], Line(), arm, CONFIG)
+    first, second = (placement.name for placement in task.placements)
+    plan, failed = PickPlacePlanner.plan, []
+
+    def blocked_at_first(self, placements, q_start, tried=(), grasps=None):
+        placements = [placements] if isinstance(placements, Placement) else placements
+        if placements[0].name == first and not failed:
+            failed.append(first)
+            raise NoPlanError("blocked", (second,))
+        return plan(self, placements, q_start, tried, grasps)
+
+    monkeypatch.setattr(PickPlacePlanner, "plan", blocked_at_first)
+    monkeypatch.setattr(PickPlacePlanner, "can_place_after", lambda *_: False)
+    robot = FakeRobot(arm)
+    watcher = Watcher(robot)
+    outcomes = execute(task, robot, None, watcher, CONFIG)
+    assert [outcome.name for outcome in outcomes] == [first, second]
+    assert all(outcome.placed for outcome in outcomes)
+    assert [event.name for event in watcher.events if event.phase == "aside"] == [second]
+
+
 def test_a_placed_object_that_blocks_another_is_set_aside_and_placed_again(scene, arm, monkeypatch):
     task = plan_sort(scene[:2], Line(), arm, CONFIG)
     first, second = (placement.name for placement in task.placements)

@@ -136,3 +136,19 @@ def test_seeds_are_home_toward_the_target_another_wrist_and_random_ones(kinemati
     np.testing.assert_allclose(seeds[1] - seeds[0], [0, 0, 0, 0, 0, 0, -np.pi / 2], atol=1e-12)
     assert 0.1 < np.abs(np.stack(seeds[2:]) - seeds[0]).mean() < 1.0
     np.testing.assert_array_equal(seeds[2], kinematics.seeds_toward(T)[2])
+
+
+def test_self_motion_moves_the_elbow_to_both_sides_and_keeps_the_hand(kinematics):
+    T = top_down(0.5, 0.2, 0.1)
+    q = kinematics.inverse(T, kinematics.seeds_toward(T)).q
+    others = list(kinematics.self_motion(q, step=0.3, count=2))
+    assert len(others) == 4
+    for other in others:
+        assert kinematics.forward(other) == pytest.approx(T, abs=2e-3)
+        assert kinematics.within_limits(other, margin=0.049)
+    # Along the curve: two to each side, the second twice as far, and the wrist's centre moves with the elbow.
+    first_joint = [other[0] - q[0] for other in others]
+    assert first_joint[0] * first_joint[1] < 0
+    assert np.abs(first_joint[2]) > 1.5 * np.abs(first_joint[0])
+    wrist = [kinematics.anchors(other)[4] for other in (q, *others)]
+    assert all(np.linalg.norm(there - wrist[0]) > 0.01 for there in wrist[1:])

@@ -91,6 +91,13 @@ def test_the_first_free_line_is_taken(kinematics):
     assert kinematics.forward(allowed[-1])[:3, 3] == pytest.approx([0.5, 0.2, 0.15], abs=2e-4)
 
 
+def test_a_line_from_a_posture_in_contact_is_rejected_without_inverse_kinematics(kinematics, monkeypatch):
+    q = posture(kinematics, 0.5, -0.2, -0.01)
+    monkeypatch.setattr(kinematics, "inverse", None)
+    rejected = motions_among(kinematics).free_line(q, [down(0.5, -0.2, 0.2)], WIDTH)
+    assert isinstance(rejected, Rejected) and rejected.blocker == TABLE.name and not rejected.by_link
+
+
 def test_lines_and_paths_are_timed_from_rest_to_rest(kinematics, ends):
     motions = motions_among(kinematics)
     line = motions.free_line(ends[0], [down(0.5, -0.2, 0.25)], WIDTH)

@@ -206,6 +206,15 @@ def test_forgotten_objects_are_no_obstacles(kinematics, items):
     assert planner.world.contact(q, 0.08) is not None, "found again"
 
 
+@pytest.mark.parametrize(("x", "expected"), [(0.5, False), (0.3, True)])
+def test_whether_a_place_stays_free_behind_another_object(kinematics, items, x, expected):
+    planner = PickPlacePlanner(kinematics, items, (TABLE,), CONFIG)
+    start = planner.world.pose("bowl_2")
+    assert planner.can_place_after(GOAL, Placement("bowl_2", (x, 0.25, 0.0), (0.0,))) is expected
+    assert planner.world.pose("bowl_2") == pytest.approx(start)
+    assert planner.world.pose("can_1") == pytest.approx(items["can_1"].T_world_stand)
+
+
 def test_new_obstacles_replace_the_perceived_ones_and_leave_the_objects(kinematics, items):
     planner = PickPlacePlanner(kinematics, items, config=CONFIG)
     above, over_can = posture(kinematics, 0.5, 0.1, 0.1), posture(kinematics, 0.5, -0.25, 0.06)

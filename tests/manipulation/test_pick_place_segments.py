@@ -98,7 +98,31 @@ def test_a_neighbour_between_the_fingers_rejects_the_grasp(kinematics, can, shap
     bottle = to_standing(shapes.estimate(2, "bottle", shapes.bottle(0.02, 0.25), x=float(x), y=float(y)))
     crowded = motions_among(kinematics, can, bottle)
     assert find_pick(crowded, can.name, grasp, CONFIG) == Rejected("collide with bottle_2 (link7)")
-    assert not crowded.lines, "rejected by the grasp posture alone"
+
+
+def test_the_elbow_gives_way_to_what_a_link_would_meet(kinematics, can):
+    """A post behind the can, where the forearm is in the first posture found for its grasp."""
+    corners = [[0.38 + i, -0.13 + j, z] for i in (-0.01, 0.01) for j in (-0.01, 0.01) for z in (0.25, 0.6)]
+    post = PerceivedObstacle(0, (np.array(corners),), 1)
+    bodies = [Body(can.name, convex_pieces(can), can.T_world_stand)]
+    motions = MotionPlanner(
+        kinematics,
+        CollisionWorld(kinematics.arm, bodies, (TABLE, post)),
+        MotionConfig(line_step=0.03),
+        (0.4,),
+    )
+    grasp = grasp_candidates(can).grasps[0]
+    T = can.T_world_stand @ grasp.T_stand_open
+    first = kinematics.inverse(T, kinematics.seeds_toward(T, 3)).q
+    contact = motions.world.contact(first, grasp.opening, AllowedContacts(touch=frozenset({can.name})))
+    assert contact.obstacle == post.name and motions.rejection(contact).by_link
+
+    pick = find_pick(motions, can.name, grasp, CONFIG)
+    assert isinstance(pick, Pick)
+    assert kinematics.forward(pick.approach[-1]) == pytest.approx(T, abs=2e-3)
+    placed = Placement(can.name, (0.5, -0.2, 0.0), (0.0,))
+    place = find_place(motions, pick, PlaceGoal(can, placed, can.T_world_stand), CONFIG)
+    assert isinstance(place, Place)
 
 
 def test_what_touches_another_object_is_lifted_along_it(kinematics, can, shapes):
