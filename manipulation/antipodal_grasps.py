@@ -17,7 +17,7 @@ import numpy as np
 from jaxtyping import Float
 from scipy.spatial import KDTree
 
-from manipulation.grasp_config import GraspConfig, on_hand, tcp_pose
+from manipulation.grasp_config import GraspConfig, half_turn, on_hand, tcp_pose
 from manipulation.hand_collision import HandBoxes, HandClearance, surface_points
 from manipulation.types import TOO_WIDE, Grasp, GraspSet, Rejected, StandingObject
 from perception.types import TriangleMesh
@@ -93,8 +93,10 @@ def antipodal_grasps(
         if not found:
             rejected[reason] += 1
         grasps += found
-    ordered = tuple(sorted(grasps, key=lambda grasp: -grasp.score)[:_N_GRASPS])
-    return on_hand(GraspSet(ordered, rejected), config.gripper)
+    ordered = sorted(grasps, key=lambda grasp: -grasp.score)[:_N_GRASPS]
+    # What is mounted on one side of the hand, as the camera, may be in the way with one of them alone.
+    both = tuple(turned for grasp in ordered for turned in (grasp, half_turn(grasp)))
+    return on_hand(GraspSet(both, rejected), config.gripper)
 
 
 @dataclass(frozen=True)

@@ -48,13 +48,13 @@ class CollisionConfig:
     Attributes:
         robot_margin: smallest clearance of the robot in [m].
         carried_margin: smallest clearance of the carried object in [m].
-        perceived_margin: smallest clearance of robot and carried object from perceived obstacles in [m].
+        perceived_margin: further clearance of robot and carried object from perceived obstacles in [m].
         joint_step: largest joint step between two checked postures of a path in [rad].
     """
 
     robot_margin: float = 0.004
     carried_margin: float = 0.004
-    perceived_margin: float = 0.004
+    perceived_margin: float = 0.001
     joint_step: float = 0.03
 
 
@@ -160,6 +160,12 @@ class CollisionWorld:
         """Return the height [m] of the lowest point of an object at its last pose outside the hand."""
         T = self._poses[name]
         return min(float((piece @ T[2, :3]).min()) for piece in self._pieces[name]) + float(T[2, 3])
+
+    def center(self, name: str) -> Float[np.ndarray, "3"]:
+        """Return the middle [m] of the pieces of an object in the world, or of an obstacle."""
+        geoms = self._geoms[self._body_id(f"world/{name}")]
+        mujoco.mj_kinematics(self._model, self._data)
+        return self._data.geom_xpos[geoms].mean(axis=0)
 
     def set_present(self, name: str, present: bool) -> None:
         """Enable or disable the object in the world."""

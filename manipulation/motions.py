@@ -14,7 +14,7 @@ from manipulation.robot import JointTrajectory
 from manipulation.trajectories import JointLimits, MotionConfig, joint_path, line_motion, line_postures
 from manipulation.types import Rejected
 
-OUT_OF_REACH = Rejected("out of reach")
+OUT_OF_REACH = Rejected("out of reach", by_arm=True)
 
 MIDDLE_RADIUS = 0.45  # [m]
 MAX_SWING = float(np.deg2rad(45))  # of a level path

@@ -61,7 +61,7 @@ class PickPlaceConfig:
     transit_margins: tuple[float, ...] = (0.03, 0.012, 0.004)
     max_yaws: int = 6
     max_pairs: int = 150
-    max_tilted_pairs: int = 50
+    max_tilted_pairs: int = 100
     max_plans: int = 2
 
 

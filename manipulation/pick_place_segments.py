@@ -32,6 +32,9 @@ class SegmentConfig:
         approach_heights, retreat_heights: lengths of approach and retreat in [m], tried in order. The
             approach begins so high that the wrist camera sees the object.
         lift_heights: heights of the vertical lift in [m], tried in order.
+        oblique_azimuths: azimuths in [rad] of a lift that is not vertical, from that away from what it would
+            meet, tried in order.
+        oblique_elevation: elevation of such a lift in [rad].
         raise_heights: heights above the goal from which the object is lowered, in [m]. The first is used at
             which it has the largest clearance that any of them gives it.
         raised_margins: clearances in [m] at that height, in descending order.
@@ -45,6 +48,8 @@ class SegmentConfig:
     approach_heights: tuple[float, ...] = (0.16, 0.10, 0.06)
     retreat_heights: tuple[float, ...] = (0.10, 0.06)
     lift_heights: tuple[float, ...] = (0.20, 0.12)
+    oblique_azimuths: tuple[float, ...] = (0.0, 0.8, -0.8)
+    oblique_elevation: float = 0.7
     raise_heights: tuple[float, ...] = (0.12, 0.18, 0.25, 0.32, 0.08)
     raised_margins: tuple[float, ...] = (0.03, 0.02, 0.012, 0.008, 0.004)
     lift_margin: float = 0.002
@@ -124,7 +129,7 @@ def _first_free(
 ) -> _Found | Rejected:
     """Return what is found in a posture [rad]; in others with the same TCP pose if a link is in the way."""
     found = examine(q)
-    if not (isinstance(found, Rejected) and found.by_link):
+    if not (isinstance(found, Rejected) and found.by_arm):
         return found
     others = (examine(other) for other in motions.kinematics.self_motion(q))
     return next((other for other in others if not isinstance(other, Rejected)), found)
@@ -143,15 +148,41 @@ def _pick_in(
     if isinstance(approach, Rejected):
         return approach
     world.carry(name, np.linalg.inv(grasp.T_stand_tcp))
-    off_the_table = AllowedContacts(touch_carried=frozenset({TABLE.name}), carried_margin=config.lift_margin)
-    lifted = [_raised(T_grasp, height) for height in config.lift_heights]
-    lift = motions.free_line(q, lifted, grasp.held_width, off_the_table)
-    if isinstance(lift, Rejected):
-        beside = _with_contacts(world, name, q, grasp.held_width, off_the_table)
-        if beside is None:
-            return lift
-        lift = motions.free_line(q, lifted, grasp.held_width, beside)
+    lift = _find_lift(motions, name, q, T_grasp, grasp.held_width, config)
     return lift if isinstance(lift, Rejected) else Pick(grasp, approach[::-1], lift)
+
+
+def _find_lift(
+    motions: MotionPlanner, name: str, q: np.ndarray, T_grasp: np.ndarray, width: float, config: SegmentConfig
+) -> Postures | Rejected:
+    """Return the postures of the lift of the carried object: up, or obliquely away from what it meets."""
+    world = motions.world
+    allowed = AllowedContacts(touch_carried=frozenset({TABLE.name}), carried_margin=config.lift_margin)
+    lifted = [_raised(T_grasp, height) for height in config.lift_heights]
+    lift = motions.free_line(q, lifted, width, allowed)
+    if not isinstance(lift, Rejected):
+        return lift
+    beside = _with_contacts(world, name, q, width, allowed)
+    if beside is not None:
+        allowed = beside
+        lift = motions.free_line(q, lifted, width, allowed)
+    if not isinstance(lift, Rejected) or not lift.blocker or lift.by_arm:
+        return lift
+    away = world.pose(name)[:2, 3] - world.center(lift.blocker)[:2]
+    for turn in config.oblique_azimuths:
+        direction = _oblique(away, turn, config.oblique_elevation)
+        oblique = [_moved(T_grasp, height * direction) for height in config.lift_heights]
+        line = motions.free_line(q, oblique, width, allowed)
+        if not isinstance(line, Rejected):
+            return line
+    return lift
+
+
+def _oblique(away: Float[np.ndarray, "2"], turn: float, elevation: float) -> Float[np.ndarray, "3"]:
+    """Return the unit vector at an elevation [rad] over a horizontal direction turned about z [rad]."""
+    azimuth = np.arctan2(away[1], away[0]) + turn
+    horizontal = np.array([np.cos(azimuth), np.sin(azimuth), 0.0])
+    return np.cos(elevation) * horizontal + np.array([0.0, 0.0, np.sin(elevation)])
 
 
 def _with_contacts(
@@ -295,6 +326,10 @@ def _retreated(T_world_tcp: np.ndarray, grasp: Grasp, distances: Sequence[float]
 
 
 def _raised(T: np.ndarray, height: float) -> np.ndarray:
-    raised = T.copy()
-    raised[2, 3] += height
-    return raised
+    return _moved(T, np.array([0.0, 0.0, height]))
+
+
+def _moved(T: np.ndarray, step: Float[np.ndarray, "3"]) -> np.ndarray:
+    moved = T.copy()
+    moved[:3, 3] += step
+    return moved

@@ -30,12 +30,13 @@ class Rejected:
     Attributes:
         reason: short phrase that fits behind a count, such as "out of reach".
         blocker: name of the object or thing that is in the way; empty if none is.
-        by_link: whether a link before the hand meets it, so that another posture of the arm may be free.
+        by_arm: whether a link before the hand meets something or a joint reaches its limit, so that another
+            posture with the same pose of the hand may be free.
     """
 
     reason: str
     blocker: str = field(default="", compare=False)
-    by_link: bool = field(default=False, compare=False)
+    by_arm: bool = field(default=False, compare=False)
 
 
 @dataclass(frozen=True)

@@ -87,3 +87,13 @@ def test_a_solid_wider_than_the_hand_has_no_grasp(shapes):
 def test_grasps_repeat(can, lying_grasps_of_can):
     again = antipodal_grasps(can, (X, UP)).grasps
     np.testing.assert_array_equal(again[0].T_stand_tcp, lying_grasps_of_can[0].T_stand_tcp)
+
+
+def test_each_grasp_is_offered_with_both_turns_of_the_hand(lying_grasps_of_can):
+    """What is mounted on one side of the hand is free with one of them."""
+    grasps = lying_grasps_of_can
+    assert len(grasps) % 2 == 0
+    for grasp, turned in zip(grasps[::2], grasps[1::2]):
+        assert turned.T_stand_tcp[:3, :2] == pytest.approx(-grasp.T_stand_tcp[:3, :2])
+        assert turned.T_stand_tcp[:3, 2:] == pytest.approx(grasp.T_stand_tcp[:3, 2:])
+        assert turned.score == grasp.score

@@ -95,7 +95,7 @@ def test_a_line_from_a_posture_in_contact_is_rejected_without_inverse_kinematics
     q = posture(kinematics, 0.5, -0.2, -0.01)
     monkeypatch.setattr(kinematics, "inverse", None)
     rejected = motions_among(kinematics).free_line(q, [down(0.5, -0.2, 0.2)], WIDTH)
-    assert isinstance(rejected, Rejected) and rejected.blocker == TABLE.name and not rejected.by_link
+    assert isinstance(rejected, Rejected) and rejected.blocker == TABLE.name and not rejected.by_arm
 
 
 def test_lines_and_paths_are_timed_from_rest_to_rest(kinematics, ends):

@@ -219,7 +219,7 @@ def test_new_obstacles_replace_the_perceived_ones_and_leave_the_objects(kinemati
     planner = PickPlacePlanner(kinematics, items, config=CONFIG)
     above, over_can = posture(kinematics, 0.5, 0.1, 0.1), posture(kinematics, 0.5, -0.25, 0.06)
     planner.forget("can_1")
-    thing = PerceivedObstacle(1, (np.array([0.5, 0.1, 0.1]) + 0.03 * CORNERS,), 500)
+    thing = PerceivedObstacle(1, (np.array([0.5, 0.1, 0.1]) + 0.04 * CORNERS,), 500)
     planner.observe_obstacles([thing])
     assert planner.world.contact(above, 0.08) is not None
     assert planner.world.contact(over_can, 0.08) is None, "what was forgotten stays so"

@@ -115,7 +115,7 @@ def test_the_elbow_gives_way_to_what_a_link_would_meet(kinematics, can):
     T = can.T_world_stand @ grasp.T_stand_open
     first = kinematics.inverse(T, kinematics.seeds_toward(T, 3)).q
     contact = motions.world.contact(first, grasp.opening, AllowedContacts(touch=frozenset({can.name})))
-    assert contact.obstacle == post.name and motions.rejection(contact).by_link
+    assert contact.obstacle == post.name and motions.rejection(contact).by_arm
 
     pick = find_pick(motions, can.name, grasp, CONFIG)
     assert isinstance(pick, Pick)
@@ -156,6 +156,28 @@ def test_what_touches_a_thing_of_no_class_is_lifted_along_it(kinematics, can, ov
     beside_thing = RecordingPlanner(kinematics, CollisionWorld(kinematics.arm, bodies, (TABLE, thing)))
     pick = find_pick(beside_thing, can.name, grasp, CONFIG)
     assert isinstance(pick, Pick) if is_lifted else pick == Rejected("collide with thing_0")
+
+
+def test_what_is_below_a_ledge_is_lifted_obliquely_away_from_it(kinematics, bowl):
+    grasp = reachable_pick(motions_among(kinematics, bowl), bowl).grasp
+    center = bowl.T_world_stand[:2, 3]
+    rim = (bowl.T_world_stand @ grasp.T_stand_tcp)[:2, 3] - center
+    along = rim / np.linalg.norm(rim)
+    across = np.array([-along[1], along[0]])
+    edge = np.ptp(bowl.vertices[:, 0]) / 2 - 0.02  # over 2 cm of the bowl, opposite to the hand
+    corners = [
+        [*(center - distance * along + side * across), height]
+        for distance in (edge, edge + 0.06)
+        for side in (-0.1, 0.1)
+        for height in (bowl.top + 0.04, bowl.top + 0.06)
+    ]
+    ledge = PerceivedObstacle(0, (np.array(corners),), 1000)
+    bodies = [Body(bowl.name, convex_pieces(bowl), bowl.T_world_stand)]
+    motions = RecordingPlanner(kinematics, CollisionWorld(kinematics.arm, bodies, (TABLE, ledge)))
+    pick = find_pick(motions, bowl.name, grasp, CONFIG)
+    assert isinstance(pick, Pick)
+    step = kinematics.forward(pick.lift[-1])[:3, 3] - kinematics.forward(pick.lift[0])[:3, 3]
+    assert step[:2] @ along > 0.05 and step[2] > 0.05
 
 
 def test_what_stands_in_another_object_is_lifted_out_of_its_hull(kinematics, shapes):
