@@ -59,8 +59,8 @@ class PickPlaceConfig:
     via_heights: tuple[float, ...] = (0.35, 0.45, 0.55)
     middle_radius: float = MIDDLE_RADIUS
     transit_margins: tuple[float, ...] = (0.03, 0.012, 0.004)
-    max_yaws: int = 6
-    max_pairs: int = 150
+    max_yaws: int = 16
+    max_pairs: int = 300
     max_tilted_pairs: int = 100
     max_plans: int = 2
 
