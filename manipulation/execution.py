@@ -184,17 +184,21 @@ class _Execution:
     def _make_way(self, placement: Placement) -> bool:
         """Put first what is in the way of an object and waits too, and then the object; return whether it is.
 
-        The layout is free in its order: an object that comes much later may find its place enclosed. What
-        would itself enclose it there is set aside.
+        The layout is free in its order. An object waits if its place is not enclosed once its turn comes again.
+        What is in its way comes first if it encloses no place of those before it, and is else set aside.
         """
-        name, waiting = placement.name, {goal.name: goal for goal in self._queue}
+        name, waiting = placement.name, list(self._queue)
         for blocker in self._blockers.get(name, ()):
-            goal = waiting.get(blocker)
+            goal = next((goal for goal in waiting if goal.name == blocker), None)
             in_stack = blocker in placement.stack or (goal is not None and name in goal.stack)
             if goal is None or in_stack or (name, blocker) in self._made_way:
                 continue
+            earlier = [placement, *waiting[: waiting.index(goal)]]
+            if self.planner.can_place_after(placement, [*earlier[1:], goal]):
+                return False
             self._made_way.add((name, blocker))
-            if not self._waits_for_stack(goal) and self.planner.can_place_after(placement, goal):
+            encloses = any(not self.planner.can_place_after(other, [goal]) for other in earlier)
+            if not self._waits_for_stack(goal) and not encloses:
                 self._queue.remove(goal)
                 self._queue.extendleft((placement, goal))
                 return True

@@ -220,17 +220,18 @@ class PickPlacePlanner:
         lift = nest_heights(stack)[-1] if len(stack) > 1 else 0.0
         return pose_from_yaw(yaw, np.add(placement.position, (0.0, 0.0, lift)))
 
-    def can_place_after(self, placement: Placement, before: Placement) -> bool:
-        """Return whether an object has a free release at its goal once another one is at its own.
+    def can_place_after(self, placement: Placement, before: Sequence[Placement]) -> bool:
+        """Return whether an object has a free release at its goal once others are at their own.
 
         How the object is picked up, and the way there, are not examined.
 
         Args:
             placement: goal of the object.
-            before: goal of the other one.
+            before: goals of the others.
         """
-        T_now = self.world.pose(before.name)
-        self.world.move(before.name, self.resting_pose(before, before.yaws[0]))
+        Ts_now = {goal.name: self.world.pose(goal.name) for goal in before}
+        for goal in before:
+            self.world.move(goal.name, self.resting_pose(goal, goal.yaws[0]))
         home = np.asarray(self.kinematics.arm.q_home, dtype=np.float64)[None]
         T_object, T_goal = self.world.pose(placement.name), self.resting_pose(placement, 0.0)
         grasps = self.grasps(placement.name).grasps
@@ -244,7 +245,8 @@ class PickPlacePlanner:
             return False
         finally:
             self.world.release()
-            self.world.move(before.name, T_now)
+            for name, T_now in Ts_now.items():
+                self.world.move(name, T_now)
 
     def plan(
         self,

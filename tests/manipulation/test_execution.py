@@ -432,6 +432,36 @@ def test_what_an_object_blocked_comes_next_once_that_is_moved(scene, shapes, arm
     assert [outcome.name for outcome in outcomes] == [second, first, third]
 
 
+@pytest.mark.parametrize(
+    ("enclosing", "order"),
+    [
+        ((), [1, 2, 0]),  # nothing encloses a place: the first object waits for its turn
+        ((1,), [2, 0, 1]),  # the second would enclose the first: the third, which is in its way, comes first
+    ],
+)
+def test_the_order_in_which_what_is_in_the_way_is_placed(shapes, arm, monkeypatch, enclosing, order):
+    cans = [shapes.estimate(i, "can", shapes.can(), x=0.3 + 0.1 * i, y=-0.3) for i in range(3)]
+    task = plan_sort(cans, Line(), arm, CONFIG)
+    names = [placement.name for placement in task.placements]
+    plan, failed = PickPlacePlanner.plan, []
+
+    def blocked_at_first(self, placements, q_start, tried=(), grasps=None):
+        placements = [placements] if isinstance(placements, Placement) else placements
+        if placements[0].name == names[0] and not failed:
+            failed.append(names[0])
+            raise NoPlanError("blocked", (names[2],))
+        return plan(self, placements, q_start, tried, grasps)
+
+    def can_place_after(self, placement, before):
+        return not {names[i] for i in enclosing} & {goal.name for goal in before}
+
+    monkeypatch.setattr(PickPlacePlanner, "plan", blocked_at_first)
+    monkeypatch.setattr(PickPlacePlanner, "can_place_after", can_place_after)
+    robot = FakeRobot(arm)
+    outcomes = execute(task, robot, None, Watcher(robot), CONFIG)
+    assert [outcome.name for outcome in outcomes] == [names[i] for i in order]
+
+
 def test_what_would_enclose_the_goal_of_what_it_blocks_is_set_aside_first(scene, shapes, arm, monkeypatch):
     task = plan_sort(scene[:2], Line(), arm, CONFIG)
     first, second = (placement.name for placement in task.placements)

@@ -210,7 +210,7 @@ def test_forgotten_objects_are_no_obstacles(kinematics, items):
 def test_whether_a_place_stays_free_behind_another_object(kinematics, items, x, expected):
     planner = PickPlacePlanner(kinematics, items, (TABLE,), CONFIG)
     start = planner.world.pose("bowl_2")
-    assert planner.can_place_after(GOAL, Placement("bowl_2", (x, 0.25, 0.0), (0.0,))) is expected
+    assert planner.can_place_after(GOAL, [Placement("bowl_2", (x, 0.25, 0.0), (0.0,))]) is expected
     assert planner.world.pose("bowl_2") == pytest.approx(start)
     assert planner.world.pose("can_1") == pytest.approx(items["can_1"].T_world_stand)
 
