@@ -184,8 +184,8 @@ class _Execution:
     def _make_way(self, placement: Placement) -> bool:
         """Put first what is in the way of an object and waits too, and then the object; return whether it is.
 
-        The layout is free in its order. An object waits if its place is not enclosed once its turn comes again.
-        What is in its way comes first if it encloses no place of those before it, and is else set aside.
+        The layout is free in its order. An object waits if its place is not enclosed by then,
+        what is in its way comes first if it encloses no place of those before it, and is else set aside.
         """
         name, waiting = placement.name, list(self._queue)
         for blocker in self._blockers.get(name, ()):
