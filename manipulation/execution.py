@@ -182,13 +182,13 @@ class _Execution:
         self._queue.extend(in_order)
 
     def _make_way(self, placement: Placement) -> bool:
-        """Put first what is in the way of an object and waits too, and then the object; return whether it is.
+        """Put first what is most in an object's way and waits too, and then the object; return whether it is.
 
         The layout is free in its order. An object waits if its place is not enclosed by then,
         what is in its way comes first if it encloses no place of those before it, and is else set aside.
         """
         name, waiting = placement.name, list(self._queue)
-        for blocker in self._blockers.get(name, ()):
+        for blocker in self._blockers.get(name, ())[:1]:
             goal = next((goal for goal in waiting if goal.name == blocker), None)
             in_stack = blocker in placement.stack or (goal is not None and name in goal.stack)
             if goal is None or in_stack or (name, blocker) in self._made_way:
