@@ -188,23 +188,23 @@ class _Execution:
         what is in its way comes first if it encloses no place of those before it, and is else set aside.
         """
         name, waiting = placement.name, list(self._queue)
-        for blocker in self._blockers.get(name, ())[:1]:
-            goal = next((goal for goal in waiting if goal.name == blocker), None)
-            in_stack = blocker in placement.stack or (goal is not None and name in goal.stack)
-            if goal is None or in_stack or (name, blocker) in self._made_way:
-                continue
-            earlier = [placement, *waiting[: waiting.index(goal)]]
-            if self.planner.can_place_after(placement, [*earlier[1:], goal]):
-                return False
-            self._made_way.add((name, blocker))
-            encloses = any(not self.planner.can_place_after(other, [goal]) for other in earlier)
-            if not self._waits_for_stack(goal) and not encloses:
-                self._queue.remove(goal)
-                self._queue.extendleft((placement, goal))
-                return True
-            if self._clear(name, [blocker]):
-                self._queue.appendleft(placement)
-                return True
+        blocker = next(iter(self._blockers.get(name, ())), "")
+        goal = next((goal for goal in waiting if goal.name == blocker), None)
+        if goal is None or (name, blocker) in self._made_way:
+            return False
+        earlier = [placement, *waiting[: waiting.index(goal)]]
+        is_in_stack = blocker in placement.stack or name in goal.stack
+        if is_in_stack or self.planner.can_place_after(placement, [*earlier[1:], goal]):
+            return False
+        self._made_way.add((name, blocker))
+        encloses = any(not self.planner.can_place_after(other, [goal]) for other in earlier)
+        if not encloses and not self._waits_for_stack(goal):
+            self._queue.remove(goal)
+            self._queue.extendleft((placement, goal))
+            return True
+        if self._clear(name, [blocker]):
+            self._queue.appendleft(placement)
+            return True
         return False
 
     def _gets_another_chance(self, placement: Placement, outcome: ObjectOutcome) -> bool:

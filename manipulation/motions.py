@@ -60,7 +60,7 @@ class MotionPlanner:
             allowed: contacts that are no collisions.
         """
         contact = self.world.contact(q, width, allowed)
-        if contact is not None:  # told without the inverse kinematics of a line
+        if contact is not None:  # before any inverse kinematics
             return self.rejection(contact)
         rejected = OUT_OF_REACH
         for T_world_target in targets:
@@ -75,7 +75,8 @@ class MotionPlanner:
 
     def rejection(self, contact: Contact) -> Rejected:
         """Return why a candidate with a contact is discarded."""
-        return Rejected(str(contact), contact.obstacle, contact.link in self.world.links)
+        by_arm = not self.world.links.isdisjoint((contact.link, contact.obstacle))
+        return Rejected(str(contact), contact.obstacle, by_arm)
 
     def free_path(
         self,

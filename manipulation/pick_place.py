@@ -46,7 +46,6 @@ class PickPlaceConfig:
         middle_radius: distance from the base of a waypoint between start and goal in [m].
         transit_margins: clearances in transit in [m], in descending order; a smaller one is used only if no
             path keeps a larger one. Large, because shapes are estimates and a bowl may sag in the fingers.
-        max_yaws: largest number of yaws at the goal that are examined for one grasp.
         max_pairs, max_tilted_pairs: numbers of discarded candidates after which the search ends.
         max_plans: number of complete plans that are compared; the shortest in time is returned.
     """
@@ -59,7 +58,6 @@ class PickPlaceConfig:
     via_heights: tuple[float, ...] = (0.35, 0.45, 0.55)
     middle_radius: float = MIDDLE_RADIUS
     transit_margins: tuple[float, ...] = (0.03, 0.012, 0.004)
-    max_yaws: int = 16
     max_pairs: int = 300
     max_tilted_pairs: int = 100
     max_plans: int = 2
@@ -223,12 +221,14 @@ class PickPlacePlanner:
     def can_place_after(self, placement: Placement, before: Sequence[Placement]) -> bool:
         """Return whether an object has a free release at its goal once others are at their own.
 
-        How the object is picked up, and the way there, are not examined.
+        How the object is picked up, and the way there, are not examined. Of a forgotten one nothing is: True.
 
         Args:
             placement: goal of the object.
             before: goals of the others.
         """
+        if placement.name in self._forgotten:
+            return True
         Ts_now = {goal.name: self.world.pose(goal.name) for goal in before}
         for goal in before:
             self.world.move(goal.name, self.resting_pose(goal, goal.yaws[0]))
@@ -312,7 +312,7 @@ class PickPlacePlanner:
             placement = replace(placement, T_goal_stand=T_goal_stand)
         swinging: tuple[Place, PlaceGoal, list[Float[np.ndarray, "n"]]] | None = None
         T_now, T_goal = self.world.pose(name), self.resting_pose(placement, 0.0)
-        for yaw in ordered_yaws(T_now, T_goal, grasp.T_stand_tcp, placement)[: c.max_yaws]:
+        for yaw in ordered_yaws(T_now, T_goal, grasp.T_stand_tcp, placement):
             T_rest = self.resting_pose(placement, yaw)
             goal = PlaceGoal(self.items[name], placement, T_rest)
             place = find_place(self.motions, pick, goal, self.config.segments)

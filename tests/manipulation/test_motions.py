@@ -98,6 +98,19 @@ def test_a_line_from_a_posture_in_contact_is_rejected_without_inverse_kinematics
     assert isinstance(rejected, Rejected) and rejected.blocker == TABLE.name and not rejected.by_arm
 
 
+@pytest.mark.parametrize(
+    ("contact", "by_arm"),
+    [
+        (Contact("arm", "can_1", "link5"), True),
+        (Contact("arm", "can_1", "hand"), False),
+        (Contact("arm", "link3", "hand"), True),  # the hand against the arm itself
+        (Contact("can_1", "can_2"), False),  # carried
+    ],
+)
+def test_other_postures_may_avoid_what_links_meet(kinematics, contact, by_arm):
+    assert motions_among(kinematics).rejection(contact).by_arm is by_arm
+
+
 def test_lines_and_paths_are_timed_from_rest_to_rest(kinematics, ends):
     motions = motions_among(kinematics)
     line = motions.free_line(ends[0], [down(0.5, -0.2, 0.25)], WIDTH)

@@ -215,6 +215,14 @@ def test_whether_a_place_stays_free_behind_another_object(kinematics, items, x, 
     assert planner.world.pose("can_1") == pytest.approx(items["can_1"].T_world_stand)
 
 
+def test_a_forgotten_object_stays_forgotten_when_its_place_is_examined(kinematics, items):
+    planner = PickPlacePlanner(kinematics, items, (TABLE,), CONFIG)
+    over_can = posture(kinematics, 0.5, -0.25, 0.06)
+    planner.forget("can_1")
+    assert planner.can_place_after(GOAL, [Placement("bowl_2", (0.5, 0.25, 0.0), (0.0,))])
+    assert planner.world.contact(over_can, 0.08) is None
+
+
 def test_new_obstacles_replace_the_perceived_ones_and_leave_the_objects(kinematics, items):
     planner = PickPlacePlanner(kinematics, items, config=CONFIG)
     above, over_can = posture(kinematics, 0.5, 0.1, 0.1), posture(kinematics, 0.5, -0.25, 0.06)
