@@ -9,7 +9,6 @@ from __future__ import annotations
 
 import contextlib
 import logging
-from collections import deque
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass, replace
 
@@ -20,7 +19,7 @@ from manipulation.errors import NoPlanError, PlanningError, RobotError, RobotSto
 from manipulation.kinematics import Kinematics
 from manipulation.lying_grasps import lies
 from manipulation.object_planning import Effort, ObjectPlanning
-from manipulation.observation import Finding, NoObserver, SceneObserver, is_displaced
+from manipulation.observation import NoObserver, SceneObserver, is_displaced
 from manipulation.obstacles import TABLE, box_obstacles
 from manipulation.pick_place import PickPlacePlanner
 from manipulation.plan_execution import (
@@ -33,12 +32,12 @@ from manipulation.plan_execution import (
 )
 from manipulation.planner import ManipulationConfig
 from manipulation.robot import Robot
+from manipulation.scene_following import SceneFollowing
+from manipulation.task_order import TaskOrder
 from manipulation.types import Grasp, ObjectOutcome, PickPlacePlan, Placement, TaskPlan
 from manipulation.withdrawal import Withdrawal, WithdrawingObserver
 
 logger = logging.getLogger(__name__)
-
-BESIDE = 0.15  # [m] between the axes of a moved object and of those that it may have pushed
 
 
 @dataclass(frozen=True)
@@ -119,42 +118,41 @@ class _Execution:
         self.motion = PlanExecution(robot, planner, self.observer, config, self._notify)
         self.planning = ObjectPlanning(task, planner, config)
         self.outcomes: dict[str, ObjectOutcome] = {}
-        self._queue = deque(task.placements)
+        self._order = TaskOrder(task.placements, planner)
+        self._scene = SceneFollowing(planner, self.observer)
         self._to_place = {placement.name for placement in task.placements}
         self._set_aside: set[str] = set()
-        self._blockers: dict[str, Sequence[str]] = {}  # of objects that had no plan
-        self._made_way: set[tuple[str, str]] = set()  # objects and those that were moved before them
         self._located: set[str] = set()  # objects that were found since they were knocked over
         self._tried_before: dict[str, ObjectOutcome] = {}  # first outcomes of objects that get another chance
 
     def run(self) -> list[ObjectOutcome]:
-        queue = self._queue
+        order = self._order
         effort, n_deferred = Effort.PLAIN, 0  # with this effort, in a row
-        while queue:
-            placement = queue.popleft()
+        while order:
+            placement = order.next()
             try:
                 outcome = self._attempt(placement, effort)
             except RobotStoppedError as error:
-                self._give_up([placement, *queue], str(error))
+                self._give_up([placement, *order], str(error))
                 return list(self.outcomes.values())
             if outcome is None:
                 if effort == Effort.PLAIN and self._make_way(placement):
                     n_deferred = 0
                     continue
-                queue.append(placement)
+                order.put_last(placement)
                 n_deferred += 1
-                if n_deferred == len(queue):
+                if n_deferred == len(order):
                     effort, n_deferred = Effort(effort + 1), 0
                 continue
             if outcome.attempts or outcome.name in self.planner.forgotten:
                 effort, n_deferred = Effort.PLAIN, 0
             if self._gets_another_chance(placement, outcome):
                 self._notify("deferred", placement.name, outcome.reason)
-                queue.append(placement)
+                order.put_last(placement)
                 continue
             self.outcomes[placement.name] = outcome
             self._notify("placed" if outcome.placed else "failed", placement.name, outcome.reason)
-            self._put_unblocked_first(outcome.name)
+            order.put_unblocked_first(outcome.name)
         with contextlib.suppress(RobotStoppedError):
             self.withdrawal.leave()
             self.motion.go_home()
@@ -163,7 +161,7 @@ class _Execution:
     def _attempt(self, placement: Placement, effort: Effort) -> ObjectOutcome | None:
         """Try to place one object; return None if it is deferred."""
         if self._waits_for_stack(placement) and effort < Effort.CLEARING:
-            self._blockers[placement.name] = placement.stack
+            self._order.note_blockers(placement.name, placement.stack)
             return None
         outcome = self._place(self._with_placed_stack(placement), effort)
         is_unplanned = outcome.attempts == 0 and placement.name not in self.planner.forgotten
@@ -172,38 +170,17 @@ class _Execution:
             return None
         return outcome
 
-    def _put_unblocked_first(self, moved: str) -> None:
-        """Put those first that an object blocked before it was moved.
-
-        They are next in the task's order, and what comes later may block their goals.
-        """
-        in_order = sorted(self._queue, key=lambda p: moved not in self._blockers.get(p.name, ()))
-        self._queue.clear()
-        self._queue.extend(in_order)
-
     def _make_way(self, placement: Placement) -> bool:
-        """Put first what is most in an object's way and waits too, and then the object; return whether it is.
-
-        The layout is free in its order. An object waits if its place is not enclosed by then,
-        what is in its way comes first if it encloses no place of those before it, and is else set aside.
-        """
-        name, waiting = placement.name, list(self._queue)
-        blocker = next(iter(self._blockers.get(name, ())), "")
-        goal = next((goal for goal in waiting if goal.name == blocker), None)
-        if goal is None or (name, blocker) in self._made_way:
+        """Put first or set aside what is most in an object's way, if that helps; return whether it was."""
+        order, blocker = self._order, self._order.first_blocker(placement.name)
+        if blocker is None:
             return False
-        earlier = [placement, *waiting[: waiting.index(goal)]]
-        is_in_stack = blocker in placement.stack or name in goal.stack
-        if is_in_stack or self.planner.can_place_after(placement, [*earlier[1:], goal]):
-            return False
-        self._made_way.add((name, blocker))
-        encloses = any(not self.planner.can_place_after(other, [goal]) for other in earlier)
-        if not encloses and not self._waits_for_stack(goal):
-            self._queue.remove(goal)
-            self._queue.extendleft((placement, goal))
+        remedy = order.remedy(placement, self._waits_for_stack(blocker))
+        if remedy == "placed first":
+            order.put_before(blocker, placement)
             return True
-        if self._clear(name, [blocker]):
-            self._queue.appendleft(placement)
+        if remedy == "set aside" and self._clear(placement.name, [blocker.name]):
+            order.put_first(placement)
             return True
         return False
 
@@ -251,7 +228,7 @@ class _Execution:
         is_located = name in self._located
         self._located.discard(name)
         if (before is not None and not is_located) or name in self.planner.forgotten:
-            reason = self._search(name)
+            reason = self._scene.search(name)
             if reason:
                 return ObjectOutcome(number, name, False, n_before, reason)
         for _ in range(2 * (1 + self.config.max_retries)):
@@ -265,7 +242,7 @@ class _Execution:
                 plan = self._plan(placement, tried, effort)
             except PlanningError as error:
                 reason = f"{reason}; then {error}" if reason else str(error)
-                self._blockers[name] = error.blockers if isinstance(error, NoPlanError) else ()
+                self._order.note_blockers(name, error.blockers if isinstance(error, NoPlanError) else ())
                 logger.info("%s", error)
                 return ObjectOutcome(number, name, False, n_before + attempts, reason)
             try:
@@ -287,29 +264,18 @@ class _Execution:
                 self._look_beside(plan)
             logger.info("%s, attempt %d: %s", name, attempts, reason)
             self._notify("retry", name, reason)
-            problem = "" if is_known else self._search(name)
+            problem = "" if is_known else self._scene.search(name)
             if problem:
                 return ObjectOutcome(number, name, False, n_before + attempts, f"{reason}; {problem}")
         return ObjectOutcome(number, name, False, n_before + attempts, reason)
 
     def _look_beside(self, plan: PickPlacePlan) -> None:
         """Follow what an object has pushed or knocked over; what was placed is placed again if need be."""
-        poses = self.planner.poses()
-        T = poses.get(plan.name, plan.T_world_stand_rest)
-        below = {plan.name, *plan.placement.stack}
-        beside = tuple(
-            name
-            for name, T_other in poses.items()
-            if name not in below and np.linalg.norm((T_other - T)[:2, 3]) < BESIDE
-        )
-        for name, presence in self.observer.glance(poses, beside).items() if beside else ():
-            if presence != "displaced":
-                continue
+        T = self.planner.poses().get(plan.name, plan.T_world_stand_rest)
+        for name, T_before in self._scene.displaced_near(T, but={plan.name, *plan.placement.stack}):
             outcome = self.outcomes.get(name)
-            if self._find(name).T_world_stand is None or outcome is None or not outcome.placed:
-                continue  # what is not found is judged by the final verification, or searched for in its turn
-            if self._is_in_place(name, poses[name]):
-                continue
+            if outcome is None or not outcome.placed or self._is_in_place(name, T_before):
+                continue  # searched for in its turn, or judged by the final verification
             reason = f"{name} was moved by {plan.name}"
             moved = replace(outcome, placed=False, reason=reason, T_world_stand=None)
             placement = next(p for p in self.task.placements if p.name == name)
@@ -317,7 +283,7 @@ class _Execution:
                 self._notify("deferred", name, reason)
                 del self.outcomes[name]
                 self._located.add(name)
-                self._queue.appendleft(placement)  # what comes later may block its way
+                self._order.put_first(placement)  # what comes later may block its way
             else:
                 self._notify("failed", name, reason)
                 self.outcomes[name] = moved
@@ -365,14 +331,14 @@ class _Execution:
             reason = "its neighbours block its way" if plan.name == name else f"it blocks {name}"
             self._notify("aside", plan.name, reason)
             if self.outcomes.pop(plan.name, None) is not None:
-                self._queue.append(placements[plan.name])
+                self._order.put_last(placements[plan.name])
             try:
                 self.motion.run(plan)
             except (SceneChangedError, GraspFailedError, RobotError) as error:
                 logger.info("%s was not set aside: %s", plan.name, error)
                 if not isinstance(error, SceneChangedError):
                     self.motion.back_off()
-                self._search(plan.name)
+                self._scene.search(plan.name)
             return True
         return False
 
@@ -381,25 +347,6 @@ class _Execution:
         poses, box = self.planner.poses(), self.task.box
         in_box = {name for name, T in poses.items() if box is not None and box.contains(T)}
         return set(poses) - (in_box - self._to_place)
-
-    def _search(self, name: str) -> str:
-        """Search for an object and update the scene; return why a retry is impossible, or an empty string."""
-        finding = self._find(name)
-        if finding.status == "missing":
-            self.planner.forget(name)
-            return f"{name} is nowhere on the table within view: it was taken away or fell off"
-        if finding.T_world_stand is None and name in self.planner.forgotten:
-            return f"{name} is nowhere within view, as before"
-        return ""
-
-    def _find(self, name: str) -> Finding:
-        """Search for an object; update its pose and the things of no class as far as they were seen."""
-        finding = self.observer.find(name, self.planner.poses())
-        if finding.obstacles is not None:
-            self.planner.observe_obstacles(finding.obstacles)
-        if finding.T_world_stand is not None:
-            self.planner.moved(name, finding.T_world_stand)
-        return finding
 
     def _notify(self, phase: Phase, name: str, message: str = "", plan: PickPlacePlan | None = None) -> None:
         total = len(self.task.placements)

@@ -262,7 +262,7 @@ class Knocked(FakeObserver):
 def test_what_another_object_knocks_away_is_placed_again_unless_it_stands_in_the_box(
     packing, arm, monkeypatch, to, again
 ):
-    monkeypatch.setattr("manipulation.execution.BESIDE", 1.0)
+    monkeypatch.setattr("manipulation.scene_following.BESIDE", 1.0)
     packing = replace(packing, placements=(packing.placements[0], packing.placements[2]))
     robot, name = FakeRobot(arm), packing.placements[0].name
     observer, watcher = Knocked(name, pose_from_yaw(0.0, np.array(to))), Watcher(robot)
@@ -274,7 +274,7 @@ def test_what_another_object_knocks_away_is_placed_again_unless_it_stands_in_the
 
 
 def test_what_is_knocked_away_without_another_chance_is_reported(packing, arm, monkeypatch):
-    monkeypatch.setattr("manipulation.execution.BESIDE", 1.0)
+    monkeypatch.setattr("manipulation.scene_following.BESIDE", 1.0)
     monkeypatch.setattr("manipulation.execution._Execution._gets_another_chance", lambda *_: False)
     packing = replace(packing, placements=(packing.placements[0], packing.placements[2]))
     robot, (first, second) = FakeRobot(arm), (p.name for p in packing.placements)

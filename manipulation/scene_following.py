@@ -1,0 +1,63 @@
+"""Follows the scene: the planner's collision world is set to what is seen of the objects."""
+
+from __future__ import annotations
+
+from collections.abc import Collection, Iterator
+
+import numpy as np
+from jaxtyping import Float
+
+from manipulation.observation import Finding, SceneObserver
+from manipulation.pick_place import PickPlacePlanner
+
+BESIDE = 0.15  # [m] between the axes of a moved object and of those that it may have pushed
+
+
+class SceneFollowing:
+    """Looks for objects and sets them, and the things of no class, to where they are.
+
+    Args:
+        planner: planner whose collision world follows the scene.
+        observer: looks at the scene.
+    """
+
+    def __init__(self, planner: PickPlacePlanner, observer: SceneObserver) -> None:
+        self._planner, self._observer = planner, observer
+
+    def find(self, name: str) -> Finding:
+        """Search for an object; update its pose and the things of no class as far as they were seen."""
+        finding = self._observer.find(name, self._planner.poses())
+        if finding.obstacles is not None:
+            self._planner.observe_obstacles(finding.obstacles)
+        if finding.T_world_stand is not None:
+            self._planner.moved(name, finding.T_world_stand)
+        return finding
+
+    def search(self, name: str) -> str:
+        """Search for an object and return why it cannot be handled, or an empty string."""
+        finding = self.find(name)
+        if finding.status == "missing":
+            self._planner.forget(name)
+            return f"{name} is nowhere on the table within view: it was taken away or fell off"
+        if finding.T_world_stand is None and name in self._planner.forgotten:
+            return f"{name} is nowhere within view, as before"
+        return ""
+
+    def displaced_near(
+        self, T_world_stand: Float[np.ndarray, "4 4"], but: Collection[str]
+    ) -> Iterator[tuple[str, Float[np.ndarray, "4 4"]]]:
+        """Yield the objects near a pose that are not where they were, once found, with their old poses.
+
+        Args:
+            T_world_stand: pose of an object that was moved.
+            but: names of the objects that are not looked at.
+        """
+        poses = self._planner.poses()
+        beside = tuple(
+            name
+            for name, T in poses.items()
+            if name not in but and np.linalg.norm((T - T_world_stand)[:2, 3]) < BESIDE
+        )
+        for name, presence in self._observer.glance(poses, beside).items() if beside else ():
+            if presence == "displaced" and self.find(name).T_world_stand is not None:
+                yield name, poses[name]

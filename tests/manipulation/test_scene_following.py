@@ -1,0 +1,72 @@
+"""The planner's world follows what an observer sees."""
+
+import numpy as np
+import pytest
+
+from manipulation.kinematics import Kinematics
+from manipulation.observation import Finding
+from manipulation.pick_place import PickPlacePlanner
+from manipulation.scene_following import BESIDE, SceneFollowing
+from manipulation.standing import to_standing
+from perception.geometry import pose_from_yaw
+from tests.manipulation.test_execution import CONFIG
+
+X = {"can_1": 0.4, "can_2": 0.4 + 0.9 * BESIDE, "can_3": 0.4 + 1.8 * BESIDE}
+
+
+class Observer:
+    """Sees ``seen``; ``displaced`` are the objects that a glance finds elsewhere."""
+
+    def __init__(self):
+        self.seen, self.displaced, self.glanced = {}, set(), ()
+
+    def glance(self, poses, names):
+        self.glanced = names
+        return {name: "displaced" if name in self.displaced else "in_place" for name in names}
+
+    def find(self, name, poses):
+        return self.seen.get(name, Finding("unseen"))
+
+    def look_closer(self, names, poses):
+        return {}
+
+
+@pytest.fixture
+def planner(shapes, arm):
+    items = {
+        name: to_standing(shapes.estimate(number, "can", shapes.can(), x=x, y=-0.25))
+        for number, (name, x) in enumerate(X.items(), 1)
+    }
+    return PickPlacePlanner(Kinematics(arm), items, config=CONFIG.pick_place)
+
+
+def test_a_found_object_is_where_it_was_seen(planner):
+    observer, T = Observer(), pose_from_yaw(0.3, np.array([0.5, 0.2, 0.0]))
+    observer.seen["can_1"] = Finding("found", T)
+    assert SceneFollowing(planner, observer).search("can_1") == ""
+    np.testing.assert_allclose(planner.poses()["can_1"], T)
+
+
+def test_a_missing_object_is_forgotten_and_stays_so_while_it_is_unseen(planner):
+    observer = Observer()
+    scene = SceneFollowing(planner, observer)
+    assert scene.search("can_1") == "" and not planner.forgotten, "unseen is not missing"
+    observer.seen["can_1"] = Finding("missing")
+    assert "taken away or fell off" in scene.search("can_1")
+    del observer.seen["can_1"]
+    assert planner.forgotten == {"can_1"} and "as before" in scene.search("can_1")
+
+
+def test_only_what_was_near_and_is_found_elsewhere_was_pushed(planner):
+    observer = Observer()
+    observer.displaced = {"can_2", "can_3"}
+    T = planner.poses()["can_1"]
+    scene = SceneFollowing(planner, observer)
+    assert list(scene.displaced_near(T, {"can_1"})) == [] and observer.glanced == ("can_2",), "not found"
+    before, T_seen = planner.poses()["can_2"], pose_from_yaw(0.0, np.array([0.7, 0.1, 0.0]))
+    observer.seen["can_2"] = Finding("found", T_seen)
+    assert list(scene.displaced_near(T, {"can_1", "can_2"})) == [], "what is below it is looked at by others"
+    ((name, T_before),) = scene.displaced_near(T, {"can_1"})
+    assert name == "can_2"
+    np.testing.assert_allclose(T_before, before)
+    np.testing.assert_allclose(planner.poses()["can_2"], T_seen)
