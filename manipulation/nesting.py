@@ -1,4 +1,4 @@
-"""Nesting of bowls from the radial profiles of their reconstructed meshes."""
+"""Nesting of bowls: which sits in which, and how high, from their reconstructed meshes."""
 
 from __future__ import annotations
 
@@ -7,6 +7,7 @@ from collections.abc import Sequence
 from dataclasses import dataclass
 
 import numpy as np
+import trimesh
 from jaxtyping import Float
 
 from manipulation.cross_sections import CrossSectionCache
@@ -14,6 +15,8 @@ from manipulation.types import StandingObject
 from perception.mesh_sections import radial_hits
 
 _STEP = 0.002  # [m] between heights of a profile
+_RADIUS_STEP = 0.001  # [m] of surfaces
+_PLANES = np.pi * np.arange(16) / 16 + 0.05  # azimuths [rad] of vertical planes, each with two sides
 _MAX_RELATIVE_LIFT = 0.7  # of a nested bowl's base, relative to the height of the lower bowl
 _AZIMUTHS = 2 * np.pi * np.arange(8) / 8 + 0.05  # offset from round angles, where meshes often have edges
 
@@ -55,34 +58,60 @@ def radial_profile(item: StandingObject) -> RadialProfile:
     return RadialProfile(heights[rows], outer[rows], inner[rows])
 
 
-def resting_height(upper: RadialProfile, lower: RadialProfile, clearance: float = 0.0005) -> float | None:
-    """Return the height [m] of the upper bowl's base above the lower one's; None if it does not fit inside.
+@dataclass(frozen=True)
+class RadialSurfaces:
+    """Topmost and lowest surface of an upright object about its axis, at radii in steps of 1 mm.
 
-    This is the smallest lift d, in steps of 1 mm, with outer_upper(z - d) + clearance <= inner_lower(z) at
-    every height z up to the lower rim.
+    Attributes:
+        top: (k,) largest height over all azimuths of the topmost surface in [m]; -inf where there is none.
+        bottom: (k,) least height of the lowest surface in [m]; inf where there is none.
     """
-    for lift in np.arange(0.0, lower.rim, 0.001):
-        z = upper.heights + lift
-        inside = z <= lower.rim
-        cavity = np.interp(z[inside], lower.heights, lower.inner, left=0.0)
-        if np.all(upper.outer[inside] + clearance <= cavity):
-            return float(lift)
-    return None
+
+    top: Float[np.ndarray, "k"]
+    bottom: Float[np.ndarray, "k"]
 
 
-def nests(upper: RadialProfile, lower: RadialProfile) -> float | None:
+def surfaces(item: StandingObject) -> RadialSurfaces:
+    """Return the surfaces of an object from sections with vertical planes through its axis."""
+    mesh = trimesh.Trimesh(item.vertices, item.faces, process=False)
+    radii = np.arange(0.0, np.linalg.norm(item.vertices[:, :2], axis=1).max() + _RADIUS_STEP, _RADIUS_STEP)
+    top, bottom = np.full(len(radii), -np.inf), np.full(len(radii), np.inf)
+    for azimuth in _PLANES:
+        outward = np.array([np.cos(azimuth), np.sin(azimuth), 0.0])
+        normal = np.array([-outward[1], outward[0], 0.0])
+        segments = trimesh.intersections.mesh_plane(mesh, normal, np.zeros(3))
+        (r0, r1), (z0, z1) = (segments @ outward).T, segments[..., 2].T
+        for side in (radii, -radii):
+            share = (side[:, None] - r0) / np.where(r1 == r0, np.inf, r1 - r0)
+            crosses = (np.minimum(r0, r1) <= side[:, None]) & (side[:, None] <= np.maximum(r0, r1))
+            z = z0 + share * (z1 - z0)
+            top = np.maximum(top, np.where(crosses, z, -np.inf).max(axis=1, initial=-np.inf))
+            bottom = np.minimum(bottom, np.where(crosses, z, np.inf).min(axis=1, initial=np.inf))
+    return RadialSurfaces(top, bottom)
+
+
+def resting_lift(upper: RadialSurfaces, lower: RadialSurfaces) -> float:
+    """Return the height [m] of the upper base above the lower one at the first contact, at any yaw.
+
+    The upper object is lowered along the common axis: d = max over r of top_lower(r) - bottom_upper(r).
+    """
+    shared = min(len(upper.bottom), len(lower.top))
+    return float((lower.top[:shared] - upper.bottom[:shared]).max())
+
+
+def nests(upper: RadialSurfaces, lower: RadialSurfaces) -> float | None:
     """Return the resting height [m] if it is at most 70 % of the lower bowl's height, else None."""
-    lift = resting_height(upper, lower)
-    return lift if lift is not None and lift <= _MAX_RELATIVE_LIFT * lower.rim else None
+    lift = resting_lift(upper, lower)
+    return lift if lift <= _MAX_RELATIVE_LIFT * lower.top.max() else None
 
 
 def stack_bowls(bowls: Sequence[StandingObject]) -> list[list[StandingObject]]:
     """Return stacks of nesting bowls, each from the largest up, built greedily from the largest bowl."""
     stacks: list[list[StandingObject]] = []
-    profiles = {bowl.name: radial_profile(bowl) for bowl in bowls}
-    for bowl in sorted(bowls, key=lambda b: -float(profiles[b.name].outer.max())):
+    of = {bowl.name: surfaces(bowl) for bowl in bowls}
+    for bowl in sorted(bowls, key=lambda b: -len(of[b.name].top)):
         for stack in stacks:
-            if nests(profiles[bowl.name], profiles[stack[-1].name]) is not None:
+            if nests(of[bowl.name], of[stack[-1].name]) is not None:
                 stack.append(bowl)
                 break
         else:
@@ -91,13 +120,6 @@ def stack_bowls(bowls: Sequence[StandingObject]) -> list[list[StandingObject]]:
 
 
 def nest_heights(stack: Sequence[StandingObject]) -> list[float]:
-    """Return the height [m] of each bowl's base above the lowest one's, for a stack from the lowest up.
-
-    A bowl that does not nest rests on the rim of the one below.
-    """
-    profiles = [radial_profile(bowl) for bowl in stack]
-    heights = [0.0]
-    for lower, upper in itertools.pairwise(profiles):
-        lift = nests(upper, lower)
-        heights.append(heights[-1] + (lower.rim if lift is None else lift))
-    return heights
+    """Return the height [m] of each bowl's base above the lowest one's, for a stack from the lowest up."""
+    lifts = [resting_lift(upper, lower) for lower, upper in itertools.pairwise(map(surfaces, stack))]
+    return [0.0, *map(float, np.cumsum(lifts))]

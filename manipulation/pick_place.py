@@ -90,6 +90,7 @@ class PickPlacePlanner:
         self._tilted: dict[str, GraspSet] = {}
         self._keeping: dict[str, GraspSet] = {}
         self._surfaces = Surfaces()
+        self._lifts: dict[tuple[str, ...], float] = {}  # of the last bowls of stacks
         self._forgotten: set[str] = set()
         self._n_changes = 0
         self._build_world({name: item.T_world_stand for name, item in self.items.items()})
@@ -214,9 +215,10 @@ class PickPlacePlanner:
         """Return ``T_world_stand`` at rest, on the floor or in the bowls of its stack, at a yaw [rad]."""
         if placement.T_goal_stand is not None:
             return pose_from_yaw(yaw, np.array(placement.position)) @ placement.T_goal_stand
-        stack = [self.items[name] for name in (*placement.stack, placement.name)]
-        lift = nest_heights(stack)[-1] if len(stack) > 1 else 0.0
-        return pose_from_yaw(yaw, np.add(placement.position, (0.0, 0.0, lift)))
+        names = (*placement.stack, placement.name)
+        if names not in self._lifts:
+            self._lifts[names] = nest_heights([self.items[name] for name in names])[-1]
+        return pose_from_yaw(yaw, np.add(placement.position, (0.0, 0.0, self._lifts[names])))
 
     def can_place_after(self, placement: Placement, before: Sequence[Placement]) -> bool:
         """Return whether an object has a free release at its goal once others are at their own.

@@ -202,7 +202,7 @@ class PlanExecution:
         for presses in range(MAX_PRESSES + 1):
             before = self.planner.poses()
             seen = self.observer.look_closer((name, *below), before)
-            if not is_plausible(seen, name):
+            if not is_plausible(seen):
                 return
             for other, T_world_stand in seen.items():
                 self.planner.moved(other, levelled(T_world_stand, float(before[other][2, 3])))

@@ -45,14 +45,9 @@ def lean(T_world_stand: Float[np.ndarray, "4 4"]) -> float:
     return float(np.arccos(np.clip(T_world_stand[2, 2], -1.0, 1.0)))
 
 
-def is_plausible(seen: Mapping[str, Float[np.ndarray, "4 4"]], upper: str) -> bool:
-    """Return whether bowls in one another can rest as they were seen: those below hardly lean.
-
-    Args:
-        seen: their poses, by name.
-        upper: the uppermost bowl.
-    """
-    return all(lean(T) < (STEEPEST if name == upper else 2 * LEANING) for name, T in seen.items())
+def is_plausible(seen: Mapping[str, Float[np.ndarray, "4 4"]]) -> bool:
+    """Return whether bowls in one another can rest in the poses in which they were seen."""
+    return all(lean(T) < STEEPEST for T in seen.values())
 
 
 def highest_rim_point(

@@ -14,18 +14,20 @@ from manipulation.standing import HANDLE_HALF_ANGLE
 from manipulation.types import Grasp, Rejected, StandingObject
 from perception.mesh_sections import radial_hits
 
+_AZIMUTHS = 2 * np.pi * np.arange(16) / 16  # at which the slope of a round wall is measured
+
 
 def rim_grasps(
     item: StandingObject, sections: CrossSectionCache, config: GraspConfig, rejected: Counter[str]
 ) -> list[Grasp]:
     """Return rim grasps over all azimuths; count the reasons of the others in ``rejected``."""
-    grasps = []
+    grasps, slopes = [], _Slopes(item, sections)
     for azimuth in 2 * np.pi * np.arange(config.n_azimuths) / config.n_azimuths:
         wrapped = np.angle(np.exp(1j * azimuth))
         if item.category == "mug" and abs(wrapped) < HANDLE_HALF_ANGLE - np.deg2rad(10):
             rejected["at the handle"] += 1
             continue
-        grasp = _rim_grasp(item, sections, float(wrapped), config)
+        grasp = _rim_grasp(item, sections, slopes, float(wrapped), config)
         if isinstance(grasp, Rejected):
             rejected[grasp.reason] += 1
             continue
@@ -87,13 +89,17 @@ def _rim_height(item: StandingObject, azimuth: float) -> float:
 
 
 def _rim_grasp(
-    item: StandingObject, sections: CrossSectionCache, azimuth: float, config: GraspConfig
+    item: StandingObject,
+    sections: CrossSectionCache,
+    slopes: _Slopes,
+    azimuth: float,
+    config: GraspConfig,
 ) -> Grasp | Rejected:
     """Return the deepest grasp at the rim whose inner fingertip is clear of the cavity's floor."""
     preferred = config.bowl_depth if item.category == "bowl" else config.mug_depth
     found: Grasp | Rejected = Rejected("too low")
     for fraction in config.depth_fractions:
-        grasp = _rim_grasp_at(item, sections, azimuth, fraction * preferred, config)
+        grasp = _rim_grasp_at(item, sections, slopes, azimuth, fraction * preferred, config)
         if isinstance(grasp, Rejected):
             found = found if isinstance(found, Grasp) else grasp
             continue
@@ -118,7 +124,12 @@ def _fingertip_fits(sections: CrossSectionCache, grasp: Grasp, config: GraspConf
 
 
 def _rim_grasp_at(
-    item: StandingObject, sections: CrossSectionCache, azimuth: float, depth: float, config: GraspConfig
+    item: StandingObject,
+    sections: CrossSectionCache,
+    slopes: _Slopes,
+    azimuth: float,
+    depth: float,
+    config: GraspConfig,
 ) -> Grasp | Rejected:
     """Return the grasp at the rim at an azimuth [rad] and a depth [m]."""
     gripper = config.gripper
@@ -126,7 +137,7 @@ def _rim_grasp_at(
     wall = wall_at(sections, rim - depth, azimuth, config)
     if wall is None:
         return Rejected("too thick at the rim")
-    slope = _slope(sections, rim, depth, azimuth)
+    slope = slopes.at(rim, depth, azimuth)
     hold = _depth_and_tilt(rim, depth, slope, config)
     if hold is None:
         return Rejected("too low")
@@ -160,24 +171,52 @@ def _rim_grasp_at(
     )
 
 
+class _Slopes:
+    """Slopes of a wall: between pads of another slope an object turns as soon as it is lifted.
+
+    Of a round object the median over all azimuths is taken; single places of a reconstruction are less exact.
+    """
+
+    def __init__(self, item: StandingObject, sections: CrossSectionCache) -> None:
+        self._sections, self._is_round, self._top = sections, item.is_round, item.top
+        self._of_round: dict[float, float] = {}
+
+    def at(self, rim: float, depth: float, azimuth: float) -> float:
+        """Return the angle [rad] of the wall to the vertical, positive if it widens upwards.
+
+        Args:
+            rim: height of the rim there in [m].
+            depth: depth of the pads below it in [m].
+            azimuth: azimuth in [rad].
+        """
+        if not self._is_round:
+            return _slope(self._sections, rim, depth, azimuth)
+        if depth not in self._of_round:
+            slopes = [_slope(self._sections, self._top, depth, a) for a in _AZIMUTHS]
+            self._of_round[depth] = float(np.median(slopes))
+        return self._of_round[depth]
+
+
 def _slope(sections: CrossSectionCache, rim: float, depth: float, azimuth: float) -> float:
-    """Return the angle [rad] of the outer side to the vertical below the rim, positive if it widens upwards.
+    """Return the mean angle [rad] of both sides of the wall to the vertical, of the outer one of a solid.
 
     Measured over the height of the pads but not at the rim, which is rounded and may be uneven.
     """
 
-    def outer(steps: Float[np.ndarray, "_k"]) -> tuple[float, float] | None:
+    def sides(steps: Float[np.ndarray, "_k"]) -> tuple[float, float, float] | None:
         for z in rim - depth + steps:
             hits = radial_hits(sections.at(z), np.zeros(2), azimuth + 0.003)
             if len(hits):
-                return z, float(hits[-1])
+                return z, float(hits[-1]), float(hits[-2]) if len(hits) > 1 else np.nan
         return None
 
-    above = outer(min(0.007, 0.5 * depth) * np.array([1.0, 0.7, 0.4]))
-    below = outer(np.array([-0.007, -0.005]))
+    above = sides(min(0.007, 0.5 * depth) * np.array([1.0, 0.7, 0.4]))
+    below = sides(np.array([-0.007, -0.005]))
     if above is None or below is None:
         return 0.0
-    return float(np.arctan2(above[1] - below[1], above[0] - below[0]))
+    rise = above[0] - below[0]
+    outer, inner = (float(np.arctan2(above[side] - below[side], rise)) for side in (1, 2))
+    return outer if np.isnan(inner) else 0.5 * (outer + inner)
 
 
 def _retreat_angle(

@@ -21,7 +21,7 @@ from manipulation.viewpoints import Viewpoint, ViewpointScanner
 from manipulation.workspace import Workspace
 from perception.errors import PerceptionError
 from perception.geometry import levelled
-from perception.inference.refit import PoseCheck, refit_leaning, refit_pose
+from perception.inference.refit import PoseCheck, refit_leaning, refit_pose, refit_standing
 from perception.inference.relocate import Region, SearchScene, relocate
 from perception.obstacles.obstacle import PerceivedObstacle
 from perception.types import ObjectEstimate, RgbdFrame
@@ -101,7 +101,9 @@ class WristObserver:
             frames = self._closeups(names[0], poses)
             for name in names:
                 others = self._others(name, now, NEIGHBOURHOOD)
-                check = refit_leaning(self._estimates[name], frames, self._object_pose(name, now), others)
+                # What carries the others stands on the ground; little of it is in view.
+                refit = refit_standing if len(names) > 1 and name == names[-1] else refit_leaning
+                check = refit(self._estimates[name], frames, self._object_pose(name, now), others)
                 if check.status == "seen" and check.visible_pixels >= MIN_PIXELS:
                     now[name] = self._stand_pose(name, check)
         except RobotStoppedError:

@@ -25,7 +25,9 @@ from perception.types import GRID_RESOLUTION, ObjectEstimate, RgbdFrame, Support
 PoseStatus = Literal["seen", "not_there", "hidden"]
 
 _LEVEL = 0.01  # [rad] deviation of the prior on the tilt of an object that is level
+_UPRIGHT = 1e-4  # [rad] that of one that cannot lean: its tilt stays as it is against any number of pixels
 _LEAN, _N_LEANS = np.deg2rad(20.0), 6  # tilt, and number of directions, of leaning initial poses
+_PIVOTS = (0.0, 0.05)  # [m] above the origin, about which they are turned: a bowl slides in the one below
 _CLEARLY = 0.04  # share of the visible pixels by which a leaning pose must explain more
 
 
@@ -125,7 +127,8 @@ def refit_leaning(
     """Find an object near its expected pose that may lean against another one.
 
     Level and tilted poses are compared by the pixels that agree with them: a local fit from the level pose
-    misses a large tilt, and takes the errors of a coarse shape for a small one.
+    misses a large tilt, and takes the errors of a coarse shape for a small one. Pixels that another object
+    explains do not count, so that a lower one does not lean into the surface of the one in it.
 
     Args:
         estimate, frames, T_expected, others, plane, config: As those of ``refit_pose``.
@@ -138,11 +141,34 @@ def refit_leaning(
     turns = [
         _LEAN * np.array([np.cos(a), np.sin(a), 0.0]) for a in 2 * np.pi * np.arange(_N_LEANS) / _N_LEANS
     ]
-    starts = [level, *(expected.moved(np.concatenate([turn, np.zeros(6)])) for turn in turns)]
-    leaning = max((search.refine(start) for start in starts), key=search.gain)
+    starts = [level, *(_turned(expected, turn, pivot) for turn in turns for pivot in _PIVOTS)]
+    leaning = max((search.refine(start) for start in starts), key=search.own_gain)
     agree, through = search.evidence(leaning)
-    is_clear = search.gain(leaning) > search.gain(level) + _CLEARLY * (agree + through)
+    is_clear = search.own_gain(leaning) > search.own_gain(level) + _CLEARLY * (agree + through)
     return _checked(search, leaning if is_clear else level, expected)
+
+
+def refit_standing(
+    estimate: ObjectEstimate,
+    frames: Sequence[RgbdFrame],
+    T_expected: Float[np.ndarray, "4 4"],
+    others: Sequence[ObjectEstimate] = (),
+    plane: SupportPlane = SupportPlane(),
+    config: RefitConfig = RefitConfig(),
+) -> PoseCheck:
+    """Find an object near its expected pose that stands level, whatever covers most of it.
+
+    Args:
+        estimate, frames, T_expected, others, plane, config: As those of ``refit_pose``.
+    """
+    return refit_pose(estimate, frames, T_expected, others, plane, replace(config, tilt_sigma=_UPRIGHT))
+
+
+def _turned(pose: ObjectPose, turn: Float[np.ndarray, "3"], pivot: float) -> ObjectPose:
+    """Return a pose turned by a rotation vector [rad] in its own frame about a point on its axis [m]."""
+    above = np.array([0.0, 0.0, pivot])
+    turned = pose.moved(np.concatenate([turn, np.zeros(6)]))
+    return replace(turned, translation=pose.translation + (pose.rotation - turned.rotation) @ above)
 
 
 def _checked(search: _Search, best: ObjectPose, expected: ObjectPose) -> PoseCheck:
@@ -318,6 +344,16 @@ class _Search:
         """
         agree, through = self.evidence(pose)
         return agree - through
+
+    def own_gain(self, pose: ObjectPose) -> float:
+        """Return the gain by pixels that no other object explains: one behind another gains nothing by it."""
+        if not len(self.measured):
+            return 0.0
+        image = render(self.shape, self.rays, canonical_from_camera(pose, self.cameras), gradients=False)
+        behind = self.measured - image.depth
+        on: Bool[np.ndarray, "n"] = image.mask > 0.8
+        own = on & (np.abs(behind) < self.config.agree) & (self.explained > self.config.agree)
+        return float(self.area[own].sum() - self.area[on & (behind >= self.config.agree)].sum())
 
     def share(self, pose: ObjectPose) -> float:
         """Return the share of the visible pixels that agree with the object at a pose."""

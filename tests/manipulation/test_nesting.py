@@ -3,22 +3,15 @@ import pytest
 import trimesh
 
 from manipulation.nesting import (
-    RadialProfile,
+    RadialSurfaces,
     nest_heights,
     nests,
     radial_profile,
-    resting_height,
+    resting_lift,
     stack_bowls,
+    surfaces,
 )
 from manipulation.standing import to_standing
-
-HEIGHTS = np.arange(0.001, 0.1, 0.002)  # rim of the lower bowl at 99 mm
-CONE = RadialProfile(HEIGHTS, 0.04 + 0.5 * HEIGHTS, 0.03 + 0.5 * HEIGHTS)
-
-
-def cylinder(radius):
-    heights = np.arange(0.001, 0.05, 0.002)
-    return RadialProfile(heights, np.full(len(heights), radius), np.zeros(len(heights)))
 
 
 def items_of(shapes, *meshes):
@@ -42,23 +35,67 @@ def test_radial_profile_of_straight_walls_is_exact(shapes):
     assert not profile.inner[profile.heights < 0.004].any()
 
 
-@pytest.mark.parametrize("radius", [0.034, 0.050, 0.064])
-def test_resting_height_is_where_the_radii_meet_with_clearance(radius):
-    """outer + 0.5 mm = 0.03 + 0.5 z at the lowest ring of the cylinder, rounded up to whole millimetres."""
-    exact = (radius + 0.0005 - 0.03) / 0.5 - 0.001
-    lift = resting_height(cylinder(radius), CONE)
-    assert exact - 1e-9 <= lift < exact + 0.001
-    assert resting_height(cylinder(radius), CONE, clearance=0.0) == pytest.approx(lift - 0.001)
+def vessel(shapes, number, rim, base, height=0.06, wall=0.004, floor=0.005, sections=48):
+    """A standing bowl with straight walls of one horizontal thickness, from its profile (r, z)."""
+    slope = (rim - base) / height
+    inner_base = base + slope * floor - wall
+    profile = [(0, 0), (base, 0), (rim, height), (rim - wall, height), (inner_base, floor), (0, floor)]
+    mesh = trimesh.creation.revolve(np.array(profile), sections=sections)
+    return to_standing(shapes.estimate(number, "bowl", mesh))
 
 
-def test_a_bowl_wider_than_the_lower_rim_does_not_rest_inside():
-    assert resting_height(cylinder(0.09), CONE) is None
+def lift(shapes, upper, lower):
+    return resting_lift(*(surfaces(vessel(shapes, i, **of)) for i, of in enumerate((upper, lower))))
+
+
+@pytest.mark.parametrize(
+    ("upper", "lower", "expected"),
+    [
+        # Alike cones rest on their walls, by their thickness over their slope, or on the floor.
+        (dict(rim=0.07, base=0.03, wall=0.008, floor=0.003), None, 0.008 / (0.04 / 0.06)),
+        (dict(rim=0.07, base=0.03, wall=0.002, floor=0.01), None, 0.01),
+        # A cylinder stands on the floor where it fits, and on the rim otherwise.
+        (dict(rim=0.05, base=0.05), dict(rim=0.06, base=0.06), 0.005),
+        (dict(rim=0.058, base=0.058), dict(rim=0.06, base=0.06), 0.06),
+        # A cone hangs on the rim of a cylinder where it is as wide as the opening.
+        (dict(rim=0.07, base=0.03), dict(rim=0.05, base=0.05), 0.06 - 0.016 / (0.04 / 0.06)),
+        # What is wider than the lower rim hangs on it with its flat base.
+        (dict(rim=0.09, base=0.08), dict(rim=0.06, base=0.04), 0.06),
+    ],
+)
+def test_resting_lift_is_that_of_the_first_contact(shapes, upper, lower, expected):
+    assert lift(shapes, upper, lower or upper) == pytest.approx(expected, abs=1.5e-3)
+
+
+def test_the_narrowest_side_of_a_polygon_carries_at_any_yaw(shapes):
+    """Between flats, a cavity of six sides is narrower by cos(30 degrees) than across its corners."""
+    round_, upper = dict(rim=0.07, base=0.05), dict(rim=0.068, base=0.03)
+    on_floor, on_flats = (lift(shapes, upper, {**round_, "sections": n}) for n in (48, 6))
+    assert on_floor == pytest.approx(0.005, abs=1e-3)
+    slope = 0.038 / 0.06
+    # The wall of the upper one meets the rim's flats from inside.
+    meets = (0.066 * np.cos(np.pi / 6) - 0.03) / slope
+    assert on_flats == pytest.approx(0.06 - meets, abs=2e-3)
+
+
+def test_surfaces_of_a_cylinder_with_a_step(shapes):
+    profile = np.array([(0, 0), (0.02, 0), (0.02, 0.01), (0.04, 0.03), (0, 0.03)])
+    (item,) = items_of(shapes, trimesh.creation.revolve(profile, sections=48))
+    found = surfaces(item)
+    radius = 0.001 * np.arange(len(found.top))
+    assert 0.04 <= radius[-1] < 0.042
+    within, beyond = (radius > 0.001) & (radius < 0.0195), (radius > 0.0205) & (radius < 0.0395)
+    np.testing.assert_allclose(found.top[within | beyond], 0.03, atol=1e-6)
+    np.testing.assert_allclose(found.bottom[within], 0.0, atol=1e-6)
+    np.testing.assert_allclose(found.bottom[beyond], 0.01 + (radius[beyond] - 0.02), atol=2e-4)
 
 
 def test_bowls_that_would_sit_above_70_percent_of_the_lower_height_do_not_nest():
-    assert nests(cylinder(0.064), CONE) == pytest.approx(0.068)  # 69 % of 99 mm
-    assert resting_height(cylinder(0.0655), CONE) == pytest.approx(0.071)  # 72 %
-    assert nests(cylinder(0.0655), CONE) is None
+    def of(top, bottom):
+        return RadialSurfaces(np.array([top, 0.1]), np.array([bottom, 0.1]))
+
+    assert nests(of(0.0, 0.0), of(0.069, 0.0)) == pytest.approx(0.069)
+    assert nests(of(0.0, 0.0), of(0.071, 0.0)) is None
 
 
 def test_fitting_bowls_form_one_stack_from_the_largest_up(shapes):
@@ -70,7 +107,7 @@ def test_fitting_bowls_form_one_stack_from_the_largest_up(shapes):
 
 def test_bowls_that_do_not_fit_into_each_other_form_separate_stacks(shapes):
     bowls = items_of(shapes, *[shapes.bowl(0.06, slope=0.0)] * 2)
-    assert nests(*(radial_profile(bowl) for bowl in bowls)) is None
+    assert nests(*map(surfaces, bowls)) is None
     assert names(stack_bowls(bowls)) == [["bowl_0"], ["bowl_1"]]
     assert nest_heights(bowls) == pytest.approx([0.0, 0.06], abs=0.0025)  # rim on base
     assert stack_bowls([]) == []
@@ -94,4 +131,4 @@ def test_a_ragged_rim_does_not_close_a_bowl(shapes):
     ragged, small = items_of(
         shapes, trimesh.Trimesh(vertices, whole.faces), shapes.bowl(0.055, 0.045, slope=0.3)
     )
-    assert nests(radial_profile(small), radial_profile(ragged)) == pytest.approx(0.005, abs=0.003)
+    assert nests(surfaces(small), surfaces(ragged)) == pytest.approx(0.005, abs=0.003)

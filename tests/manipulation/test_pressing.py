@@ -32,11 +32,9 @@ def test_lean():
 
 
 def test_what_bowls_in_one_another_cannot_look_like():
-    steep, slight = leaning(0.5, 0.2, tilt=0.5), leaning(0.5, 0.2, tilt=0.1)
-    assert is_plausible({"upper": steep, "lower": slight}, "upper")
-    assert not is_plausible({"upper": slight, "lower": steep}, "upper")
-    assert not is_plausible({"upper": leaning(0.5, 0.2, tilt=0.7)}, "upper")
-    assert is_plausible({}, "upper")
+    steep, slight = leaning(0.5, 0.2, tilt=0.7), leaning(0.5, 0.2, tilt=0.5)
+    assert is_plausible({"upper": slight, "lower": slight}) and is_plausible({})
+    assert not is_plausible({"upper": slight, "lower": steep})
 
 
 @pytest.mark.parametrize("towards", [0.0, 0.7, -2.5])

@@ -197,15 +197,21 @@ def test_a_closer_look_at_several_uses_the_poses_just_found(scene, can_at, pack_
     _, _, _, scanner = scene
     item = pack_plan.objects["can_0"]
     items = {"can_0": item, "can_1": replace(item, id=1)}
-    others = []
+    others, standing = [], []
 
     def refit(estimate, frames, T_expected, near):
         others.append([other.T_world_object[0, 3] for other in near])
         return shifted(can_at, 0.02)
 
+    def refit_lowest(estimate, *args):
+        standing.append(estimate.name)
+        return refit(estimate, *args)
+
     monkeypatch.setattr(observation, "refit_leaning", refit)
+    monkeypatch.setattr(observation, "refit_standing", refit_lowest)
     watch = WristObserver(scanner, [can_at(), replace(can_at(), id=1)], items)
     poses = {name: item.T_world_stand for name in items}
     watch.look_closer(["can_1", "can_0"], poses)
     x = can_at().T_world_object[0, 3]
     np.testing.assert_allclose(others, [[x], [x + 0.02]])
+    assert standing == ["can_0"], "the one below may not lean"

@@ -6,7 +6,14 @@ import trimesh
 
 from perception.geometry import rigid, so3_exp
 from perception.inference.meshing import mesh_from_code
-from perception.inference.refit import RefitConfig, _Search, refit_leaning, refit_pose
+from perception.inference.refit import (
+    RefitConfig,
+    _Search,
+    _turned,
+    refit_leaning,
+    refit_pose,
+    refit_standing,
+)
 from perception.rendering.pose import ObjectPose
 from perception.types import ObjectEstimate, RgbdFrame, SupportPlane, TriangleMesh
 
@@ -67,6 +74,31 @@ def test_an_object_that_may_lean_is_found_with_its_tilt_or_level(mug, estimate, 
     assert check.tilt == pytest.approx(np.hypot(*lean), abs=0.05)
     if not any(lean):
         assert check.tilt < np.deg2rad(0.5)
+
+
+def test_an_object_that_stands_is_found_level(mug, estimate) -> None:
+    leaning = type(mug)(mug.decoder, mug.category, mug.code, mug.pose.moved(np.array([0.15] + [0.0] * 8)))
+    check = refit_standing(estimate, _frames(leaning), mug.pose.T_world_object)
+    assert check.tilt < np.deg2rad(0.1)
+    assert refit_pose(estimate, _frames(leaning), mug.pose.T_world_object).tilt > np.deg2rad(6)
+
+
+def test_what_turns_about_a_point_on_its_axis_leaves_that_point_where_it_is(mug) -> None:
+    turned = _turned(mug.pose, np.array([0.3, -0.2, 0.0]), pivot=0.05)
+    point = np.array([0.0, 0.0, 0.05])
+    before, after = (p.rotation @ point + p.translation for p in (mug.pose, turned))
+    np.testing.assert_allclose(after, before, atol=1e-12)
+    lean = np.arccos(mug.pose.rotation[:, 2] @ turned.rotation[:, 2])
+    assert lean == pytest.approx(np.hypot(0.3, 0.2))
+
+
+def test_pixels_of_another_object_do_not_speak_for_a_pose(mug, estimate) -> None:
+    search = _search(mug, estimate)
+    pose = ObjectPose.of(mug.pose.T_world_object, search.scale)
+    agree, through = search.evidence(pose)
+    assert search.own_gain(pose) == pytest.approx(agree - through, rel=0.01)
+    search.explained = np.full_like(search.measured, 0.004)
+    assert search.own_gain(pose) == -through, "although it explains them as well as the other does"
 
 
 def test_absent_object_is_not_there(mug, estimate) -> None:
