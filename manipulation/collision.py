@@ -107,6 +107,7 @@ class CollisionWorld:
     Attributes:
         config: that of the constructor.
         links: names of the links whose pose is not fixed by that of the hand.
+        perceived: names of the obstacles of perceived geometry.
     """
 
     def __init__(
@@ -130,6 +131,7 @@ class CollisionWorld:
             if not self._model.body(body).name.startswith(("world/", "carried/"))
         ]
         self.links = self._links_before_hand()
+        self.perceived = frozenset(o.name for o in obstacles if isinstance(o, PerceivedObstacle))
         self._carried: str | None = None
         self._poses = {b.name: np.array(b.T_world_object) for b in bodies}
         self._pieces = {b.name: b.pieces for b in bodies}

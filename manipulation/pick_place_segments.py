@@ -20,6 +20,7 @@ from manipulation.types import Grasp, Placement, Rejected, StandingObject
 
 SLIDE_DEPTH = 0.002  # [m] by which an object may get deeper in what it is lifted along
 MAX_OVERLAP = 0.008  # [m] of estimated shapes in contact
+MAX_HULL_OVERLAP = 0.02  # [m] of an object and the hulls of a thing, which fill the hollow beside it
 
 Postures = Float[np.ndarray, "_k n"]  # several of them in one value differ in length
 
@@ -200,7 +201,7 @@ def _with_contacts(
         is_object = other in world.names
         if is_object and world.base(name) > world.base(other) + (RAISED if depth < MAX_OVERLAP else 0.0):
             around.add(other)
-        elif depth > MAX_OVERLAP:
+        elif depth > (MAX_HULL_OVERLAP if other in world.perceived else MAX_OVERLAP):
             return None
         else:
             along[other] = max(depth, 0.0) + SLIDE_DEPTH

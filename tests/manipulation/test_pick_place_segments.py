@@ -143,7 +143,7 @@ def block(x, y, half, height):
     return PerceivedObstacle(0, (low + corners * (high - low),), 1000)
 
 
-@pytest.mark.parametrize(("overlap", "is_lifted"), [(0.003, True), (0.03, False)])
+@pytest.mark.parametrize(("overlap", "is_lifted"), [(0.003, True), (0.015, True), (0.03, False)])
 def test_what_touches_a_thing_of_no_class_is_lifted_along_it(kinematics, can, overlap, is_lifted):
     motions = motions_among(kinematics, can)
     grasp = reachable_pick(motions, can).grasp

@@ -7,7 +7,7 @@ import trimesh
 from manipulation.cross_sections import CrossSectionCache
 from manipulation.grasp_config import GraspConfig
 from manipulation.grasps import grasp_candidates
-from manipulation.rim_grasps import rim_grasps, wall_at
+from manipulation.rim_grasps import _slope, _Slopes, rim_grasps, wall_at
 from manipulation.standing import to_standing
 
 CONFIG = GraspConfig()
@@ -160,3 +160,32 @@ def test_grasps_whose_fingertip_meets_the_floor_come_last(shapes):
     grasps = rim_grasps(item, CrossSectionCache(item.vertices, item.faces), CONFIG, Counter())
     assert {round(grasp.depth, 4) for grasp in grasps} <= {0.0093, 0.0124, 0.0155}
     assert max(grasp.score for grasp in grasps) <= 0.5 + 1e-9
+
+
+def tapered(shapes, category="bowl", dent=0.0):
+    """A vessel whose outer side leans by atan(0.2), its inner one vertical, with a dent at azimuth 0 [m]."""
+    mesh = trimesh.creation.revolve(
+        np.array([(0, 0), (0.06, 0), (0.072, 0.06), (0.055, 0.06), (0.055, 0.005), (0, 0.005)]), sections=48
+    )
+    vertices = np.array(mesh.vertices)
+    rim = (np.abs(np.arctan2(vertices[:, 1], vertices[:, 0])) < 0.1) & (vertices[:, 2] > 0.05)
+    vertices[rim, :2] *= 1 + dent / 0.06
+    return standing(shapes, category, trimesh.Trimesh(vertices, mesh.faces, process=False))
+
+
+def test_the_slope_of_a_wall_is_the_mean_of_both_sides(shapes):
+    item = tapered(shapes)
+    sections = CrossSectionCache(item.vertices, item.faces)
+    assert _slope(sections, 0.06, 0.015, 0.5) == pytest.approx(0.5 * np.arctan(0.2), abs=0.01)
+    solid = standing(shapes, "bowl", shapes.can(radius=0.03, height=0.06))
+    assert _slope(CrossSectionCache(solid.vertices, solid.faces), 0.06, 0.015, 0.5) == pytest.approx(0.0)
+
+
+def test_a_dent_changes_the_slope_of_a_mug_there_but_not_that_of_a_round_bowl(shapes):
+    dented = _Slopes(item := tapered(shapes, dent=0.006), CrossSectionCache(item.vertices, item.faces))
+    assert item.is_round
+    expected = 0.5 * np.arctan(0.2)
+    assert dented.at(0.06, 0.015, 0.0) == pytest.approx(expected, abs=0.01)
+    mug = tapered(shapes, "mug", dent=0.006)
+    dented = _Slopes(mug, CrossSectionCache(mug.vertices, mug.faces))
+    assert not mug.is_round and dented.at(0.06, 0.015, 0.0) > expected + 0.05
