@@ -99,10 +99,12 @@ def reconstruct_clutter(
 
     with single_threaded():
         stacks = split_stacks(frames, rows, estimates, planes, completer, fit)
+        stacks = without_repeated_stacks(frames, rows, stacks)
+        parts = [part for pair in stacks.values() for part in pair]
         single = {id: estimate for id, estimate in estimates.items() if id not in stacks}
         single |= renamed(frames, detections_per_frame, single, lambda doubtful: fit(doubtful, {}))
         single |= completed(frames, rows, single, planes[0], lambda whole: fit(whole, {}))
-        single = without_repetitions(frames, rows, single, candidates)
+        single = without_repetitions(frames, rows, single, candidates, parts)
         uncertain = {id: e for id, e in single.items() if e.n_views > 1 and e.score < UNCERTAIN}
         rejected += [_left_out(estimate) for estimate in uncertain.values()]
         single = {id: estimate for id, estimate in single.items() if id not in uncertain}
@@ -110,7 +112,6 @@ def reconstruct_clutter(
         for item in rejected:
             if item.id not in candidates and item.id not in stacks:
                 options.on_rejected(item)
-    parts = [part for pair in stacks.values() for part in pair]
     return sorted([*single.values(), *parts], key=lambda e: e.id)
 
 
@@ -224,25 +225,54 @@ def _extended(
     return detection if mask is None else replace(detection, mask=mask)
 
 
+def without_repeated_stacks(
+    frames: Sequence[RgbdFrame], rows: Rows, stacks: Mapping[int, tuple[ObjectEstimate, ...]]
+) -> dict[int, tuple[ObjectEstimate, ...]]:
+    """Return the stacks without those whose measured points another stack explains.
+
+    What the views show in part only may be associated as two instances, each of which is the same stack.
+
+    Args:
+        frames: Views with camera poses.
+        rows: Associated detections of each frame.
+        stacks: Parts of each instance that is a stack, by the instance's id.
+    """
+    kept: dict[int, tuple[ObjectEstimate, ...]] = {}
+    for id in sorted(stacks, key=lambda i: (-max(e.n_views for e in stacks[i]), i)):
+        others = [part for pair in kept.values() for part in pair]
+        if unexplained(instance_points(frames, rows, id), others) > REPEATED:
+            kept[id] = stacks[id]
+    return kept
+
+
 def without_repetitions(
     frames: Sequence[RgbdFrame],
     rows: Rows,
     estimates: Mapping[int, ObjectEstimate],
     candidates: Collection[int],
+    parts: Sequence[ObjectEstimate] = (),
 ) -> dict[int, ObjectEstimate]:
-    """Return the estimates without candidates whose measured points another object explains.
+    """Return the estimates without those whose measured points another object explains.
+
+    Objects that the detector gave a class are compared with the parts of stacks alone.
 
     Args:
         frames: Views with camera poses.
         rows: Associated detections of each frame, candidates included.
         estimates: Estimates by id.
-        candidates: Ids of the candidates; the others are kept.
+        candidates: Ids of those without a class of the detector.
+        parts: Parts of stacks.
     """
-    kept = {id: e for id, e in estimates.items() if id not in candidates}
+
+    def is_repeated(id: int, others: Sequence[ObjectEstimate]) -> bool:
+        if not others:
+            return False
+        return unexplained(instance_points(frames, rows, id), others) <= REPEATED
+
+    kept = {id: e for id, e in estimates.items() if id not in candidates and not is_repeated(id, parts)}
     uncertain = [e for id, e in estimates.items() if id in candidates]
     for estimate in sorted(uncertain, key=lambda e: (-e.n_views, -e.score)):
-        points = instance_points(frames, rows, estimate.id)
-        if unexplained(points, list(kept.values())) > REPEATED:
+        if not is_repeated(estimate.id, [*kept.values(), *parts]):
             kept[estimate.id] = estimate
     return kept
 

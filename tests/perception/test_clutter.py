@@ -131,6 +131,23 @@ def test_parts_replace_their_whole(scene):
     assert scene.rejected == []
 
 
+@pytest.mark.parametrize(("views", "kept"), [(2, [1, 5, 6]), (4, [1, 7, 8])])
+def test_a_stack_that_was_associated_as_two_instances_is_one(scene, views, kept):
+    """That of more views is kept."""
+    scene.stacks = {0: (found(5, n_views=3), found(6)), 3: (found(7, n_views=views), found(8))}
+    scene.explained |= {(3, 5), (0, 8)}
+    assert scene.run() == kept
+
+
+def test_an_object_that_a_part_of_a_stack_explains_is_that_part(scene):
+    scene.stacks = {3: (found(7), found(8))}
+    assert scene.run() == [0, 1, 7, 8]
+    scene.explained.add((0, 8))
+    assert scene.run() == [1, 7, 8]
+    scene.explained.add((1, 7))
+    assert scene.run() == [7, 8]
+
+
 def test_a_candidate_that_another_object_explains_is_part_of_it(scene):
     scene.explained.add((1, 0))
     assert scene.run() == [0]
