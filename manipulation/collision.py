@@ -1,7 +1,6 @@
 """Collision checks of the arm and a carried object against perceived objects and static obstacles.
 
-The collision world is a MuJoCo model of the arm's MJCF and the perceived meshes alone. Every object has two
-bodies, one in the world and one attached to the hand, of which at most one is enabled.
+The collision world is a MuJoCo model of the arm's MJCF and the perceived meshes alone (``collision_model``).
 """
 
 from __future__ import annotations
@@ -14,31 +13,12 @@ import numpy as np
 from jaxtyping import Float
 from scipy.spatial.transform import Rotation
 
-from manipulation.arm_model import MjsBody, MjSpec, collision_spec, joint_addresses, mujoco, site_index
+from manipulation.arm_model import joint_addresses, mujoco, site_index
+from manipulation.collision_model import OFF, ROBOT, WORLD, Body, collision_model
 from manipulation.errors import ManipulationError
-from manipulation.hulls import hull_faces, reduced_hull
-from manipulation.obstacles import TABLE, Obstacle
+from manipulation.obstacles import Obstacle
 from manipulation.robot import ArmDescription
-from manipulation.self_collision import link_contacts
 from perception.obstacles.obstacle import PerceivedObstacle
-
-# Contact bits: links and carried objects collide with the world, links with links.
-_OFF, _ROBOT, _WORLD, _LINK = 0, 1, 2, 4
-
-
-@dataclass(frozen=True)
-class Body:
-    """An object as a union of convex pieces.
-
-    Attributes:
-        name: unique identifier in the collision world.
-        pieces: (k, 3) vertices of each piece in the object frame in [m].
-        T_world_object: (4, 4) initial pose.
-    """
-
-    name: str
-    pieces: tuple[Float[np.ndarray, "_k 3"], ...]
-    T_world_object: Float[np.ndarray, "4 4"]
 
 
 @dataclass(frozen=True)
@@ -119,7 +99,7 @@ class CollisionWorld:
     ) -> None:
         self.config = config
         self._arm = arm
-        self._model = self._build(bodies, obstacles).compile()
+        self._model = collision_model(arm, bodies, obstacles, config.perceived_margin).compile()
         self._data = mujoco.MjData(self._model)
         self._address = joint_addresses(self._model, arm.joint_names)
         self._fingers = joint_addresses(self._model, arm.fingers.joint_names)
@@ -172,21 +152,21 @@ class CollisionWorld:
     def set_present(self, name: str, present: bool) -> None:
         """Enable or disable the object in the world."""
         self._check_name(name)
-        self._switch(f"world/{name}", *((_WORLD, _ROBOT) if present else (_OFF, _OFF)))
+        self._switch(f"world/{name}", *((WORLD, ROBOT) if present else (OFF, OFF)))
 
     def carry(self, name: str, T_tcp_object: Float[np.ndarray, "4 4"]) -> None:
         """Attach the object to the hand at ``T_tcp_object`` and disable it in the world."""
         self.release()
         self.set_present(name, False)
         self._set_body_pose(f"carried/{name}", self._T_hand_tcp @ T_tcp_object)
-        self._switch(f"carried/{name}", _ROBOT, _WORLD)
+        self._switch(f"carried/{name}", ROBOT, WORLD)
         self._carried = name
 
     def release(self) -> None:
         """Detach the carried object, if any, and enable it in the world at its last pose there."""
         if self._carried is None:
             return
-        self._switch(f"carried/{self._carried}", _OFF, _OFF)
+        self._switch(f"carried/{self._carried}", OFF, OFF)
         self.set_present(self._carried, True)
         self._carried = None
 
@@ -263,56 +243,6 @@ class CollisionWorld:
             self._model.geom_margin[self._geoms[body]] = margin
             self._model.body_margin[body] = margin
 
-    def _build(self, bodies: Sequence[Body], obstacles: Sequence[Obstacle | PerceivedObstacle]) -> MjSpec:
-        spec = collision_spec(self._arm.mjcf)
-        for geom in spec.geoms:
-            # Fixed links touch the table they are mounted on.
-            movable = geom.parent.name != "world" and _has_joint_above(geom.parent)
-            geom.contype, geom.conaffinity = (_ROBOT | _LINK, _WORLD | _LINK) if movable else (_LINK, _LINK)
-        contacts = link_contacts(self._arm)
-        for first, second in contacts.ignored:
-            spec.add_exclude(bodyname1=first, bodyname2=second)
-        hand = spec.site(self._arm.tcp_site).parent
-        for obstacle in obstacles:
-            if isinstance(obstacle, PerceivedObstacle):
-                self._add_perceived(spec, obstacle)
-                continue
-            body = spec.worldbody.add_body(name=f"world/{obstacle.name}", pos=obstacle.center)
-            body.add_geom(
-                type=mujoco.mjtGeom.mjGEOM_BOX,
-                size=obstacle.half_size,
-                contype=_WORLD,
-                conaffinity=_ROBOT,
-            )
-            if obstacle.name == TABLE.name:
-                for link in contacts.level:
-                    spec.add_exclude(bodyname1=link, bodyname2=body.name)
-        for body in bodies:
-            standing = spec.worldbody.add_body(name=f"world/{body.name}")
-            carried = hand.add_body(name=f"carried/{body.name}")
-            for index, vertices in enumerate(body.pieces):
-                name = f"{body.name}/{index}"
-                mesh = spec.add_mesh(name=name, uservert=vertices.ravel(), userface=hull_faces(vertices))
-                mesh.inertia = mujoco.mjtMeshInertia.mjMESH_INERTIA_CONVEX
-                mesh_type = mujoco.mjtGeom.mjGEOM_MESH
-                standing.add_geom(type=mesh_type, meshname=name, contype=_WORLD, conaffinity=_ROBOT, mass=0)
-                carried.add_geom(type=mesh_type, meshname=name, contype=_OFF, conaffinity=_OFF, mass=0)
-        return spec
-
-    def _add_perceived(self, spec: MjSpec, obstacle: PerceivedObstacle) -> None:
-        body = spec.worldbody.add_body(name=f"world/{obstacle.name}")
-        for index, piece in enumerate(obstacle.pieces):
-            name, vertices = f"{obstacle.name}/{index}", reduced_hull(piece)
-            mesh = spec.add_mesh(name=name, uservert=vertices.ravel(), userface=hull_faces(vertices))
-            mesh.inertia = mujoco.mjtMeshInertia.mjMESH_INERTIA_CONVEX
-            body.add_geom(
-                type=mujoco.mjtGeom.mjGEOM_MESH,
-                meshname=name,
-                contype=_WORLD,
-                conaffinity=_ROBOT,
-                margin=self.config.perceived_margin,
-            )
-
     def _links_before_hand(self) -> frozenset[str]:
         """Return the names of the links before the last joint of the arm."""
         model = self._model
@@ -364,11 +294,3 @@ def densify(postures: Float[np.ndarray, "k n"], step: float) -> Float[np.ndarray
         count = max(int(np.ceil(np.abs(end - start).max() / step)), 1)
         pieces.append(start + (end - start) * (np.arange(1, count + 1) / count)[:, None])
     return np.concatenate(pieces)
-
-
-def _has_joint_above(body: MjsBody) -> bool:
-    while body is not None and body.name != "world":
-        if len(body.joints) > 0:
-            return True
-        body = body.parent
-    return False
