@@ -79,7 +79,7 @@ def surfaces(item: StandingObject) -> RadialSurfaces:
     for azimuth in _PLANES:
         outward = np.array([np.cos(azimuth), np.sin(azimuth), 0.0])
         normal = np.array([-outward[1], outward[0], 0.0])
-        segments = np.asarray(trimesh.intersections.mesh_plane(mesh, normal, np.zeros(3)))
+        segments = np.reshape(trimesh.intersections.mesh_plane(mesh, normal, np.zeros(3)), (-1, 2, 3))
         (r0, r1), (z0, z1) = (segments @ outward).T, segments[..., 2].T
         for side in (radii, -radii):
             share = (side[:, None] - r0) / np.where(r1 == r0, np.inf, r1 - r0)

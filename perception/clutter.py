@@ -15,7 +15,7 @@ import numpy as np
 from perception.detection.completion import PoseNamer, posed_detections
 from perception.detection.left_out import LeftOut
 from perception.detection.unclassified import associate_unclassified, is_low
-from perception.inference.explanation import unexplained
+from perception.inference.explanation import shared_volume, unexplained
 from perception.inference.lost_parts import with_lost_parts
 from perception.inference.reconstruct import ReconstructOptions, mean_poses, reconstruct
 from perception.inference.shape_model import Decoder
@@ -43,6 +43,7 @@ POSED_SCORE = 0.68  # the same in other poses: what is no object most often rese
 UNCERTAIN = 0.4  # score of several views below which a detected object is more often a thing of no class
 TURNED_MUGS: tuple[PosedClass, ...] = (("mug", "upside-down"), ("mug", "lying"))
 TURNED = 0.3  # least probability of a mug that lies or stands upside down, whose handle is looked for
+INSIDE = 0.35  # share of an object's volume inside another from which on it is a part of that
 REPEATED = 0.3  # largest unexplained share of a candidate's points if it is part of another object
 
 
@@ -252,7 +253,7 @@ def without_repetitions(
     candidates: Collection[int],
     parts: Sequence[ObjectEstimate] = (),
 ) -> dict[int, ObjectEstimate]:
-    """Return the estimates without those whose measured points another object explains.
+    """Return the estimates without those whose measured points or volume belong to another object.
 
     Objects that the detector gave a class are compared with the parts of stacks alone.
 
@@ -267,6 +268,8 @@ def without_repetitions(
     def is_repeated(id: int, others: Sequence[ObjectEstimate]) -> bool:
         if not others:
             return False
+        if any(shared_volume(estimates[id], other) > INSIDE for other in others):
+            return True
         return unexplained(instance_points(frames, rows, id), others) <= REPEATED
 
     kept = {id: e for id, e in estimates.items() if id not in candidates and not is_repeated(id, parts)}

@@ -49,6 +49,8 @@ class Scene:
         monkeypatch.setattr(clutter, "with_lost_parts", lambda *_: {})
         monkeypatch.setattr(clutter, "instance_points", lambda frames, rows, id: self.points(id))
         monkeypatch.setattr(clutter, "unexplained", self.unexplained)
+        self.inside = {}  # share of the volume of one estimate in another
+        monkeypatch.setattr(clutter, "shared_volume", lambda a, b: self.inside.get((a.id, b.id), 0.0))
         self.explained = {(id, id) for id in range(4)}  # (points, estimate)
 
     def reconstruct(self, frames, rows, decoder, planes, options):
@@ -151,6 +153,12 @@ def test_an_object_that_a_part_of_a_stack_explains_is_that_part(scene):
 def test_a_candidate_that_another_object_explains_is_part_of_it(scene):
     scene.explained.add((1, 0))
     assert scene.run() == [0]
+
+
+@pytest.mark.parametrize(("share", "kept"), [(0.3, [0, 1]), (0.4, [0])])
+def test_a_candidate_inside_another_object_is_part_of_it(scene, share, kept):
+    scene.inside[1, 0] = share
+    assert scene.run() == kept
 
 
 def test_a_detected_object_that_its_class_does_not_explain_is_fitted_without_one(scene):
