@@ -18,7 +18,7 @@ from manipulation.errors import RobotError
 from manipulation.observation import SceneObserver, classify_grip, is_displaced
 from manipulation.pick_place import PickPlacePlanner
 from manipulation.planner import ManipulationConfig
-from manipulation.pressing import LEANING, LEVEL, PRESSABLE, is_plausible, lean, plan_press
+from manipulation.pressing import LEVEL, PRESSABLE, is_plausible, lean, lowest_leaning, plan_press
 from manipulation.robot import JointTrajectory, Robot
 from manipulation.trajectories import concatenate, joint_move, line_postures
 from manipulation.types import Grasp, PickPlacePlan
@@ -26,7 +26,7 @@ from perception.geometry import levelled
 
 logger = logging.getLogger(__name__)
 
-MAX_PRESSES = 2  # of one bowl
+MAX_PRESSES = 2  # of a bowl in another; one more for each further bowl below
 _RISES = (0.18, 0.12, 0.08, 0.04)  # [m] above where an object met something, tried in order
 _RETURNED = 0.05  # [rad] of each joint from the posture of the grasp
 MISPLACED = 0.02  # [m] from its goal, from which on a released object is grasped again
@@ -193,34 +193,38 @@ class PlanExecution:
         yield plan.lift.reversed()
 
     def _settle_in_stack(self, plan: PickPlacePlan) -> None:
-        """Look at a bowl in others, follow those that moved, and press it level while it leans.
+        """Look at a bowl in others, follow those that moved, and press level what leans, the lower one first.
+
+        Pressed level, an upper one may push the one below it aside.
 
         Raises:
-            LeaningError: it leans and cannot be pressed level.
+            LeaningError: the upper one leans and cannot be pressed level.
         """
-        name, below = plan.name, tuple(reversed(plan.placement.stack))
-        for presses in range(MAX_PRESSES + 1):
+        name, names = plan.name, (plan.name, *reversed(plan.placement.stack))
+        for presses in itertools.count():
             before = self.planner.poses()
-            seen = self.observer.look_closer((name, *below), before)
+            seen = self.observer.look_closer(names, before)
             if not is_plausible(seen):
                 return
             for other, T_world_stand in seen.items():
                 self.planner.moved(other, levelled(T_world_stand, float(before[other][2, 3])))
-            if name not in seen or lean(seen[name]) < LEANING:
+            leaning = lowest_leaning(names, seen)
+            if leaning is None:
                 return
-            if presses == MAX_PRESSES or lean(seen[name]) >= PRESSABLE:
-                if lean(seen[name]) < LEVEL:
+            beneath = names[names.index(leaning) + 1]
+            if presses == MAX_PRESSES + len(names) - 2 or lean(seen[leaning]) >= PRESSABLE:
+                if name not in seen or lean(seen[name]) < LEVEL:
                     return
                 self.planner.moved(name, seen[name])
                 self.planner.observe_obstacles(self.planner.perceived_obstacles)  # a bowl below has a cavity
                 raise LeaningError(
-                    f"{name} leans by {np.rad2deg(lean(seen[name])):.0f} degrees in {below[0]}"
+                    f"{name} leans by {np.rad2deg(lean(seen[name])):.0f} degrees in {names[1]}"
                 )
             # Pressed level, it will be over the middle of the one below.
-            rest = self.planner.world.pose(below[0]).copy()
-            rest[2, 3] = before[name][2, 3]
-            self.planner.moved(name, rest)
-            self._press(name, seen[name], frozenset((name, *below)))
+            rest = self.planner.world.pose(beneath).copy()
+            rest[2, 3] = before[leaning][2, 3]
+            self.planner.moved(leaning, rest)
+            self._press(leaning, seen[leaning], frozenset(names))
 
     def _press(self, name: str, T_world_stand: Float[np.ndarray, "4 4"], touched: frozenset[str]) -> None:
         """Press a leaning bowl down with the closed hand, as far as it gives."""

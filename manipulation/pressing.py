@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Mapping
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
 
 import numpy as np
@@ -48,6 +48,20 @@ def lean(T_world_stand: Float[np.ndarray, "4 4"]) -> float:
 def is_plausible(seen: Mapping[str, Float[np.ndarray, "4 4"]]) -> bool:
     """Return whether bowls in one another can rest in the poses in which they were seen."""
     return all(lean(T) < STEEPEST for T in seen.values())
+
+
+def lowest_leaning(names: Sequence[str], seen: Mapping[str, Float[np.ndarray, "4 4"]]) -> str | None:
+    """Return the lowest bowl of a stack that is to be pressed; None if none leans.
+
+    Those that are partly hidden are seen less exactly than the uppermost one.
+
+    Args:
+        names: the bowls from the uppermost down to the one on the ground, which does not lean.
+        seen: their poses, by name.
+    """
+    limits = [LEANING, *[LEVEL] * (len(names) - 2)]
+    leaning = [name for name, limit in zip(names, limits) if name in seen and lean(seen[name]) >= limit]
+    return leaning[-1] if leaning else None
 
 
 def highest_rim_point(

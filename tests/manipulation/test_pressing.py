@@ -5,7 +5,7 @@ from scipy.spatial.transform import Rotation
 from manipulation.kinematics import Kinematics
 from manipulation.obstacles import TABLE, box_obstacles
 from manipulation.pick_place import PickPlacePlanner
-from manipulation.pressing import highest_rim_point, is_plausible, lean, plan_press
+from manipulation.pressing import highest_rim_point, is_plausible, lean, lowest_leaning, plan_press
 from manipulation.standing import to_standing
 from manipulation.types import Box
 from perception.geometry import levelled, pose_from_yaw
@@ -35,6 +35,24 @@ def test_what_bowls_in_one_another_cannot_look_like():
     steep, slight = leaning(0.5, 0.2, tilt=0.7), leaning(0.5, 0.2, tilt=0.5)
     assert is_plausible({"upper": slight, "lower": slight}) and is_plausible({})
     assert not is_plausible({"upper": slight, "lower": steep})
+
+
+@pytest.mark.parametrize(
+    ("tilts", "pressed"),
+    [
+        ((0.02, 0.02), None),
+        ((0.1, 0.02), "upper"),
+        ((0.1, 0.1), "upper"),
+        ((0.1, 0.2), "middle"),
+        ((0, 0.2), "middle"),
+    ],
+)
+def test_the_lowest_bowl_that_leans_is_pressed_first(tilts, pressed):
+    """From 5 degrees on the uppermost, from 8 on those that it hides in part; the lowest stands."""
+    seen = {name: leaning(0.5, 0.2, tilt=a) for name, a in zip(("upper", "middle"), tilts, strict=True)}
+    names = ("upper", "middle", "lowest")
+    assert lowest_leaning(names, seen | {"lowest": leaning(0.5, 0.2, tilt=0.3)}) == pressed
+    assert lowest_leaning(names, {"lowest": seen["middle"]}) is None
 
 
 @pytest.mark.parametrize("towards", [0.0, 0.7, -2.5])
