@@ -195,12 +195,13 @@ class PlanExecution:
     def _settle_in_stack(self, plan: PickPlacePlan) -> None:
         """Look at a bowl in others, follow those that moved, and press level what leans, the lower one first.
 
-        Pressed level, an upper one may push the one below it aside.
+        Where the upper one, pressed level, pushes one below it aside, it is not pressed again.
 
         Raises:
             LeaningError: the upper one leans and cannot be pressed level.
         """
         name, names = plan.name, (plan.name, *reversed(plan.placement.stack))
+        has_pushed = False
         for presses in itertools.count():
             before = self.planner.poses()
             seen = self.observer.look_closer(names, before)
@@ -212,7 +213,8 @@ class PlanExecution:
             if leaning is None:
                 return
             beneath = names[names.index(leaning) + 1]
-            if presses == MAX_PRESSES + len(names) - 2 or lean(seen[leaning]) >= PRESSABLE:
+            in_vain = presses == MAX_PRESSES + len(names) - 2 or (has_pushed and leaning == name)
+            if in_vain or lean(seen[leaning]) >= PRESSABLE:
                 if name not in seen or lean(seen[name]) < LEVEL:
                     return
                 self.planner.moved(name, seen[name])
@@ -220,6 +222,7 @@ class PlanExecution:
                 raise LeaningError(
                     f"{name} leans by {np.rad2deg(lean(seen[name])):.0f} degrees in {names[1]}"
                 )
+            has_pushed |= presses > 0 and leaning != name
             # Pressed level, it will be over the middle of the one below.
             rest = self.planner.world.pose(beneath).copy()
             rest[2, 3] = before[leaning][2, 3]

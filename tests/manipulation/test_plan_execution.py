@@ -8,6 +8,7 @@ from scipy.spatial.transform import Rotation
 
 from manipulation.errors import RobotError
 from manipulation.kinematics import Kinematics
+from manipulation.nesting import nest_heights
 from manipulation.observation import Finding
 from manipulation.obstacles import TABLE, box_obstacles
 from manipulation.pick_place import PickPlacePlanner
@@ -21,6 +22,7 @@ from manipulation.plan_execution import (
 )
 from manipulation.standing import to_standing
 from manipulation.types import Box, Placement
+from perception.geometry import pose_from_yaw
 from tests.manipulation.test_execution import CONFIG, FakeObserver, FakeRobot
 
 
@@ -195,6 +197,45 @@ def test_a_bowl_that_leans_in_another_is_pressed_level_or_placed_again(nested, a
     upper, lower = planner.world.pose("bowl_2"), planner.world.pose("bowl_1")
     assert upper[:3, 3] == pytest.approx(plan.T_world_stand_rest[:3, 3] + (0.005, 0.005, 0.0))
     assert upper[2, 2] == pytest.approx(1.0) and lower[0, 3] == pytest.approx(Box().center[0] + 0.004)
+
+
+@pytest.mark.parametrize(
+    ("looks", "pressed", "leans"),
+    [
+        # Pressed level, the upper one pushes that below it aside: both are tried once, then it is taken out.
+        (((0.25, 0.0), (0.0, 0.25), (0.25, 0.0)), ["bowl_3", "bowl_2"], True),
+        (((0.25, 0.25), (0.12, 0.0), (0.0, 0.0)), ["bowl_2", "bowl_3"], False),
+        (((0.0, 0.25), (0.0, 0.0)), ["bowl_2"], False),
+    ],
+)
+def test_in_a_stack_of_three_the_lower_one_that_leans_is_pressed_first(shapes, arm, looks, pressed, leans):
+    sizes = ((0.09, 0.07), (0.075, 0.05), (0.06, 0.035))
+    places = (Box().center, Box().center, (0.5, -0.25))
+    bowls = [
+        to_standing(shapes.estimate(i, "bowl", shapes.bowl(*size, slope=0.3), *place))
+        for i, (size, place) in enumerate(zip(sizes, places, strict=True), 1)
+    ]
+    obstacles = (TABLE, *box_obstacles(Box()))
+    planner = PickPlacePlanner(Kinematics(arm), {b.name: b for b in bowls}, obstacles, CONFIG.pick_place)
+    for bowl, lift in zip(bowls, nest_heights(bowls[:2]), strict=False):
+        planner.moved(bowl.name, pose_from_yaw(0.0, np.array([*Box().center, lift])))
+    goal = Placement("bowl_3", (*Box().center, 0.0), (0.0,), ("bowl_1", "bowl_2"), 0.03)
+    plan = planner.plan(goal, arm.q_home)
+    observer, messages = FakeObserver(), []
+    for upper, middle in looks:
+        tilted = {"bowl_3": plan.T_world_stand_rest.copy(), "bowl_2": planner.world.pose("bowl_2").copy()}
+        for name, angle in (("bowl_3", upper), ("bowl_2", middle)):
+            tilted[name][:3, :3] = Rotation.from_euler("x", angle).as_matrix() @ tilted[name][:3, :3]
+        observer.closer.append(tilted)
+
+    def notify(phase, name, message="", plan=None):
+        messages.extend([name] if "pressed" in message else [])
+
+    execution = PlanExecution(FakeRobot(arm, [plan.grasp.held_width]), planner, observer, CONFIG, notify)
+    expected = pytest.raises(LeaningError, match="bowl_3 leans") if leans else contextlib.nullcontext()
+    with expected:
+        execution.run(plan)
+    assert messages == pressed
 
 
 def test_a_bowl_that_gives_no_further_does_not_stop_the_robot(nested, arm):
