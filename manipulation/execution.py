@@ -175,7 +175,7 @@ class _Execution:
         order, blocker = self._order, self._order.first_blocker(placement.name)
         if blocker is None:
             return False
-        remedy = order.remedy(placement, self._waits_for_stack(blocker))
+        remedy = order.remedy(placement, blocker, self._waits_for_stack(blocker))
         if remedy == "placed first":
             order.put_before(blocker, placement)
             return True

@@ -11,7 +11,7 @@ from jaxtyping import Float
 from manipulation.errors import PlanningError
 from manipulation.free_places import free_places
 from manipulation.kinematics import Kinematics
-from manipulation.nesting import nest_heights, nests, surfaces
+from manipulation.nesting import nest_heights, nests, radial_surfaces
 from manipulation.packing import admissible_yaws, nest_drop
 from manipulation.planner import ManipulationConfig, find_usable
 from manipulation.robot import ArmDescription
@@ -84,7 +84,7 @@ def _into_bowls(
     for lowest in bowls:
         axis = lowest.T_world_stand[:2, 3]
         stack = [b for b in bowls if np.linalg.norm(b.T_world_stand[:2, 3] - axis) < _IN_NEST]
-        if stack[0] is not lowest or nests(surfaces(item), surfaces(stack[-1])) is None:
+        if stack[0] is not lowest or nests(radial_surfaces(item), radial_surfaces(stack[-1])) is None:
             continue
         x, y = stack[-1].T_world_stand[:2, 3]
         grasp = config.pick_place.grasp

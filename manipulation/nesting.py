@@ -71,7 +71,7 @@ class RadialSurfaces:
     bottom: Float[np.ndarray, "k"]
 
 
-def surfaces(item: StandingObject) -> RadialSurfaces:
+def radial_surfaces(item: StandingObject) -> RadialSurfaces:
     """Return the surfaces of an object from sections with vertical planes through its axis."""
     mesh = trimesh.Trimesh(item.vertices, item.faces, process=False)
     radii = np.arange(0.0, np.linalg.norm(item.vertices[:, :2], axis=1).max() + _RADIUS_STEP, _RADIUS_STEP)
@@ -108,7 +108,7 @@ def nests(upper: RadialSurfaces, lower: RadialSurfaces) -> float | None:
 def stack_bowls(bowls: Sequence[StandingObject]) -> list[list[StandingObject]]:
     """Return stacks of nesting bowls, each from the largest up, built greedily from the largest bowl."""
     stacks: list[list[StandingObject]] = []
-    of = {bowl.name: surfaces(bowl) for bowl in bowls}
+    of = {bowl.name: radial_surfaces(bowl) for bowl in bowls}
     for bowl in sorted(bowls, key=lambda b: -len(of[b.name].top)):
         for stack in stacks:
             if nests(of[bowl.name], of[stack[-1].name]) is not None:
@@ -121,5 +121,5 @@ def stack_bowls(bowls: Sequence[StandingObject]) -> list[list[StandingObject]]:
 
 def nest_heights(stack: Sequence[StandingObject]) -> list[float]:
     """Return the height [m] of each bowl's base above the lowest one's, for a stack from the lowest up."""
-    lifts = [resting_lift(upper, lower) for lower, upper in itertools.pairwise(map(surfaces, stack))]
+    lifts = [resting_lift(upper, lower) for lower, upper in itertools.pairwise(map(radial_surfaces, stack))]
     return [0.0, *map(float, np.cumsum(lifts))]

@@ -68,8 +68,8 @@ class TaskOrder:
         blocker = next(iter(self._blockers.get(name, ())), "")
         return next((goal for goal in self._queue if goal.name == blocker), None)
 
-    def remedy(self, placement: Placement, waits_for_stack: bool) -> Remedy:
-        """Return what helps an object that its ``first_blocker`` blocks.
+    def remedy(self, placement: Placement, blocker: Placement, waits_for_stack: bool) -> Remedy:
+        """Return what helps an object that another one blocks.
 
         The layout is free in its order. An object waits if its place is not enclosed by then,
         what is in its way comes first if it encloses no place of those before it, and is else set aside.
@@ -77,10 +77,11 @@ class TaskOrder:
 
         Args:
             placement: goal of the object; it is not among the waiting ones.
+            blocker: its ``first_blocker``.
             waits_for_stack: whether the blocker goes into a bowl that has not been placed.
         """
-        blocker, name, places = self.first_blocker(placement.name), placement.name, self._places
-        if blocker is None or (name, blocker.name) in self._made_way:
+        name, places = placement.name, self._places
+        if (name, blocker.name) in self._made_way:
             return "none"
         waiting = list(self._queue)
         earlier = [placement, *waiting[: waiting.index(blocker)]]

@@ -21,7 +21,7 @@ from manipulation.viewpoints import Viewpoint, ViewpointScanner
 from manipulation.workspace import Workspace
 from perception.errors import PerceptionError
 from perception.geometry import levelled
-from perception.inference.refit import PoseCheck, refit_leaning, refit_pose, refit_standing
+from perception.inference.refit import STANDING, PoseCheck, refit_leaning, refit_pose
 from perception.inference.relocate import Region, SearchScene, relocate
 from perception.obstacles.obstacle import PerceivedObstacle
 from perception.types import ObjectEstimate, RgbdFrame
@@ -101,9 +101,11 @@ class WristObserver:
             frames = self._closeups(names[0], poses)
             for name in names:
                 others = self._others(name, now, NEIGHBOURHOOD)
-                # What carries the others stands on the ground; little of it is in view.
-                refit = refit_standing if len(names) > 1 and name == names[-1] else refit_leaning
-                check = refit(self._estimates[name], frames, self._object_pose(name, now), others)
+                estimate, T_expected = self._estimates[name], self._object_pose(name, now)
+                if len(names) > 1 and name == names[-1]:  # it carries the others; little of it is in view
+                    check = refit_pose(estimate, frames, T_expected, others, config=STANDING)
+                else:
+                    check = refit_leaning(estimate, frames, T_expected, others)
                 if check.status == "seen" and check.visible_pixels >= MIN_PIXELS:
                     now[name] = self._stand_pose(name, check)
         except RobotStoppedError:

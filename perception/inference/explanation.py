@@ -8,7 +8,7 @@ import numpy as np
 from jaxtyping import Float
 
 from perception.geometry import invert, transform_points
-from perception.inference.voxelise import voxelise
+from perception.inference.voxelise import voxels_of
 from perception.metrics import SurfaceSamples
 from perception.types import GRID_RESOLUTION, ObjectEstimate
 
@@ -28,19 +28,13 @@ def unexplained(points: Float[np.ndarray, "n 3"], shapes: Sequence[ObjectEstimat
 
 def shared_volume(shape: ObjectEstimate, other: ObjectEstimate) -> float:
     """Return the share of a shape's volume that is inside another one, in 0..1."""
-    grid, scale = _voxels(shape)
+    grid, scale = voxels_of(shape.mesh)
     centres = (2 * np.argwhere(grid > 0.5) + 1) / GRID_RESOLUTION - 1
     if not len(centres):
         return 0.0
     T_other_shape = invert(other.T_world_object) @ shape.T_world_object
-    grid, other_scale = _voxels(other)
+    grid, other_scale = voxels_of(other.mesh)
     points = transform_points(T_other_shape, centres * scale) / other_scale
     cells = np.floor((points + 1) * GRID_RESOLUTION / 2).astype(int)
     within = ((cells >= 0) & (cells < GRID_RESOLUTION)).all(axis=1)
     return float((grid[tuple(cells[within].T)] > 0.5).sum() / len(centres))
-
-
-def _voxels(shape: ObjectEstimate) -> tuple[Float[np.ndarray, "32 32 32"], Float[np.ndarray, "3"]]:
-    """Return the occupancy of a shape and the scale [m] of its grid."""
-    scale = np.maximum(np.abs(shape.mesh.vertices).max(axis=0) / 0.9, 1e-3)
-    return voxelise(shape.mesh, scale), scale

@@ -17,7 +17,7 @@ from jaxtyping import Bool, Float
 from perception.geometry import hat, invert, transform_points
 from perception.inference.levenberg_marquardt import Evaluation, LmConfig, minimise
 from perception.inference.observation import pixel_rays
-from perception.inference.voxelise import voxelise
+from perception.inference.voxelise import voxels_of
 from perception.rendering.pose import ObjectPose, canonical_from_camera, pose_jacobian
 from perception.rendering.renderer import RayBundle, ShapeGrid, render
 from perception.types import GRID_RESOLUTION, ObjectEstimate, RgbdFrame, SupportPlane
@@ -25,7 +25,6 @@ from perception.types import GRID_RESOLUTION, ObjectEstimate, RgbdFrame, Support
 PoseStatus = Literal["seen", "not_there", "hidden"]
 
 _LEVEL = 0.01  # [rad] deviation of the prior on the tilt of an object that is level
-_UPRIGHT = 1e-4  # [rad] that of one that cannot lean: its tilt stays as it is against any number of pixels
 _LEAN, _N_LEANS = np.deg2rad(20.0), 6  # tilt, and number of directions, of leaning initial poses
 _PIVOTS = (0.0, 0.05)  # [m] above the origin, about which they are turned: a bowl slides in the one below
 _CLEARLY = 0.04  # share of the visible pixels by which a leaning pose must explain more
@@ -60,6 +59,10 @@ class RefitConfig:
     min_pixels: int = 80
     min_share: float = 0.6
     starts: float = 0.02
+
+
+# An object that cannot lean, whatever covers it: its axis is vertical against any number of pixels.
+STANDING = RefitConfig(tilt_sigma=1e-4)
 
 
 @dataclass(frozen=True)
@@ -142,26 +145,10 @@ def refit_leaning(
         _LEAN * np.array([np.cos(a), np.sin(a), 0.0]) for a in 2 * np.pi * np.arange(_N_LEANS) / _N_LEANS
     ]
     starts = [level, *(_turned(expected, turn, pivot) for turn in turns for pivot in _PIVOTS)]
-    leaning = max((search.refine(start) for start in starts), key=search.own_gain)
-    agree, through = search.evidence(leaning)
-    is_clear = search.own_gain(leaning) > search.own_gain(level) + _CLEARLY * (agree + through)
+    leaning = max((search.refine(start) for start in starts), key=lambda pose: search.gain(pose, alone=True))
+    least = search.gain(level, alone=True) + _CLEARLY * sum(search.evidence(leaning))
+    is_clear = search.gain(leaning, alone=True) > least
     return _checked(search, leaning if is_clear else level, expected)
-
-
-def refit_standing(
-    estimate: ObjectEstimate,
-    frames: Sequence[RgbdFrame],
-    T_expected: Float[np.ndarray, "4 4"],
-    others: Sequence[ObjectEstimate] = (),
-    plane: SupportPlane = SupportPlane(),
-    config: RefitConfig = RefitConfig(),
-) -> PoseCheck:
-    """Find an object near its expected pose that stands level, whatever covers most of it.
-
-    Args:
-        estimate, frames, T_expected, others, plane, config: As those of ``refit_pose``.
-    """
-    return refit_pose(estimate, frames, T_expected, others, plane, replace(config, tilt_sigma=_UPRIGHT))
 
 
 def _turned(pose: ObjectPose, turn: Float[np.ndarray, "3"], pivot: float) -> ObjectPose:
@@ -219,12 +206,10 @@ class _Search:
         config: RefitConfig,
     ) -> None:
         self.config, self.plane = config, plane
-        mesh = estimate.mesh
-        # The cube is centred at the mesh's origin, with the usual margin of the grids.
-        self.scale = np.maximum(np.abs(mesh.vertices).max(axis=0) / 0.9, 1e-3)
-        self.shape = ShapeGrid.upload(voxelise(mesh, self.scale), skip_occupancy=1e-3)
+        grid, self.scale = voxels_of(estimate.mesh)
+        self.shape = ShapeGrid.upload(grid, skip_occupancy=1e-3)
         voxel = 2 * float(self.scale.mean()) / GRID_RESOLUTION
-        self.radius = float(np.linalg.norm(np.abs(mesh.vertices).max(axis=0)))
+        self.radius = float(np.linalg.norm(np.abs(estimate.mesh.vertices).max(axis=0)))
         self.samples = int(np.clip(2 * (self.radius + config.margin) / (config.step * voxel), 24, 256))
         centre = np.asarray(T_expected)[:3, 3]
         self.rays, self.measured, self.area, self.cameras = self._gather(frames, centre)
@@ -281,9 +266,9 @@ class _Search:
         if not len(self.measured):
             return nearest
         for other in others:
-            scale = np.maximum(np.abs(other.mesh.vertices).max(axis=0) / 0.9, 1e-3)
+            grid, scale = voxels_of(other.mesh)
             pose = ObjectPose.of(other.T_world_object, scale)
-            shape = ShapeGrid.upload(voxelise(other.mesh, scale), skip_occupancy=1e-3)
+            shape = ShapeGrid.upload(grid, skip_occupancy=1e-3)
             centres = [transform_points(invert(T), pose.translation[None])[0, 2] for T in self.cameras]
             reach = float(np.linalg.norm(0.9 * scale)) + 0.01
             ranges = np.array([(max(z - reach, 0.01), max(z + reach, 0.02)) for z in centres])
@@ -327,33 +312,27 @@ class _Search:
             np.concatenate([own * robust / sigma2, np.full(2, config.tilt_sigma**-2)]),
         )
 
-    def evidence(self, pose: ObjectPose) -> tuple[float, float]:
-        """Return the numbers of full-image pixels that agree with the object and that measure behind it."""
+    def evidence(self, pose: ObjectPose, alone: bool = False) -> tuple[float, float]:
+        """Return the numbers of full-image pixels that agree with the object and that measure behind it.
+
+        Those that another object explains better do not agree; with ``alone``, none that one explains at all.
+        """
         if not len(self.measured):
             return 0.0, 0.0
         image = render(self.shape, self.rays, canonical_from_camera(pose, self.cameras), gradients=False)
         behind = self.measured - image.depth
         on: Bool[np.ndarray, "n"] = image.mask > 0.8
-        own = on & (np.abs(behind) < self.config.agree) & (np.abs(behind) <= self.explained + 0.002)
+        least = self.config.agree if alone else np.abs(behind) - 0.002
+        own = on & (np.abs(behind) < self.config.agree) & (self.explained >= least)
         return float(self.area[own].sum()), float(self.area[on & (behind >= self.config.agree)].sum())
 
-    def gain(self, pose: ObjectPose) -> float:
+    def gain(self, pose: ObjectPose, alone: bool = False) -> float:
         """Return by how many pixels those that agree outnumber those that contradict.
 
         Unlike their share, it tells a pose that explains what is seen from one that hides behind it.
         """
-        agree, through = self.evidence(pose)
+        agree, through = self.evidence(pose, alone)
         return agree - through
-
-    def own_gain(self, pose: ObjectPose) -> float:
-        """Return the gain by pixels that no other object explains: one behind another gains nothing by it."""
-        if not len(self.measured):
-            return 0.0
-        image = render(self.shape, self.rays, canonical_from_camera(pose, self.cameras), gradients=False)
-        behind = self.measured - image.depth
-        on: Bool[np.ndarray, "n"] = image.mask > 0.8
-        own = on & (np.abs(behind) < self.config.agree) & (self.explained > self.config.agree)
-        return float(self.area[own].sum() - self.area[on & (behind >= self.config.agree)].sum())
 
     def share(self, pose: ObjectPose) -> float:
         """Return the share of the visible pixels that agree with the object at a pose."""

@@ -34,6 +34,15 @@ def voxelise(
     return blocks.mean(axis=(1, 3, 5)).astype(np.float32)
 
 
+def voxels_of(mesh: TriangleMesh) -> tuple[Float[np.ndarray, "32 32 32"], Float[np.ndarray, "3"]]:
+    """Return the occupancy of a watertight mesh and the scale [m] with which it fits into the cube.
+
+    The cube is centred at the mesh's origin, with the usual margin of the grids.
+    """
+    scale = np.maximum(np.abs(mesh.vertices).max(axis=0) / 0.9, 1e-3)
+    return voxelise(mesh, scale), scale
+
+
 def _crossings(
     points: Float[np.ndarray, "v 3"], faces: Int[np.ndarray, "f 3"], n: int
 ) -> tuple[Int[np.ndarray, "k"], Float[np.ndarray, "k"]]:

@@ -28,7 +28,7 @@ def bits(model, body):
     return set(zip(model.geom_contype[of].tolist(), model.geom_conaffinity[of].tolist(), strict=True))
 
 
-def test_an_object_is_in_the_world_and_its_copy_in_the_hand_is_disabled(model, arm):
+def test_an_object_is_in_the_world_and_its_copy_in_the_hand_is_disabled(model):
     assert bits(model, "world/can_1") == {(WORLD, ROBOT)}
     assert bits(model, "carried/can_1") == {(OFF, OFF)}
     assert model.body_parentid[model.body("carried/can_1").id] == model.body("hand").id
@@ -48,7 +48,6 @@ def test_links_that_turn_about_the_vertical_alone_are_not_checked_against_the_ta
 
 
 def test_the_base_meets_links_but_not_what_it_stands_on(model):
-    (base,) = bits(model, "base")
-    (hand,) = {pair for pair in bits(model, "hand")}
+    ((base,), (hand,)) = bits(model, "base"), bits(model, "hand")
     assert not base[0] & WORLD and not base[1] & WORLD and base[0] & hand[1]
     assert hand[0] & ROBOT and hand[1] & WORLD

@@ -7,9 +7,9 @@ from manipulation.nesting import (
     nest_heights,
     nests,
     radial_profile,
+    radial_surfaces,
     resting_lift,
     stack_bowls,
-    surfaces,
 )
 from manipulation.standing import to_standing
 
@@ -45,7 +45,7 @@ def vessel(shapes, number, rim, base, height=0.06, wall=0.004, floor=0.005, sect
 
 
 def lift(shapes, upper, lower):
-    return resting_lift(*(surfaces(vessel(shapes, i, **of)) for i, of in enumerate((upper, lower))))
+    return resting_lift(*(radial_surfaces(vessel(shapes, i, **of)) for i, of in enumerate((upper, lower))))
 
 
 @pytest.mark.parametrize(
@@ -81,7 +81,7 @@ def test_the_narrowest_side_of_a_polygon_carries_at_any_yaw(shapes):
 def test_surfaces_of_a_cylinder_with_a_step(shapes):
     profile = np.array([(0, 0), (0.02, 0), (0.02, 0.01), (0.04, 0.03), (0, 0.03)])
     (item,) = items_of(shapes, trimesh.creation.revolve(profile, sections=48))
-    found = surfaces(item)
+    found = radial_surfaces(item)
     radius = 0.001 * np.arange(len(found.top))
     assert 0.04 <= radius[-1] < 0.042
     within, beyond = (radius > 0.001) & (radius < 0.0195), (radius > 0.0205) & (radius < 0.0395)
@@ -107,7 +107,7 @@ def test_fitting_bowls_form_one_stack_from_the_largest_up(shapes):
 
 def test_bowls_that_do_not_fit_into_each_other_form_separate_stacks(shapes):
     bowls = items_of(shapes, *[shapes.bowl(0.06, slope=0.0)] * 2)
-    assert nests(*map(surfaces, bowls)) is None
+    assert nests(*map(radial_surfaces, bowls)) is None
     assert names(stack_bowls(bowls)) == [["bowl_0"], ["bowl_1"]]
     assert nest_heights(bowls) == pytest.approx([0.0, 0.06], abs=0.0025)  # rim on base
     assert stack_bowls([]) == []
@@ -131,4 +131,4 @@ def test_a_ragged_rim_does_not_close_a_bowl(shapes):
     ragged, small = items_of(
         shapes, trimesh.Trimesh(vertices, whole.faces), shapes.bowl(0.055, 0.045, slope=0.3)
     )
-    assert nests(surfaces(small), surfaces(ragged)) == pytest.approx(0.005, abs=0.003)
+    assert nests(radial_surfaces(small), radial_surfaces(ragged)) == pytest.approx(0.005, abs=0.003)

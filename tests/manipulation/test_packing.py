@@ -8,7 +8,7 @@ from hypothesis import strategies as st
 from manipulation.errors import PlanningError
 from manipulation.footprints import BoxRaster, footprint
 from manipulation.grasps import grasp_candidates
-from manipulation.nesting import nest_heights, nests, radial_profile, stack_bowls, surfaces
+from manipulation.nesting import nest_heights, nests, radial_profile, radial_surfaces, stack_bowls
 from manipulation.packing import admissible_yaws, nest_drop, pack
 from manipulation.packing_problem import PackingConfig
 from manipulation.release_clearance import ReleasePose, count_free_releases
@@ -122,7 +122,7 @@ def test_nothing_fits_and_nothing_to_pack_are_errors(kitchen):
 
 def test_bowls_that_do_not_fit_into_each_other_stand_apart(shapes):
     bowls = items_of(shapes, *[("bowl", shapes.bowl(0.06, slope=0.0))] * 2)
-    assert nests(*map(surfaces, bowls)) is None
+    assert nests(*map(radial_surfaces, bowls)) is None
     assert [len(stack) for stack in stack_bowls(bowls)] == [1, 1]
     placements, left_out = pack(bowls, Box(), CONFIG)
     assert not left_out and all(not placement.stack for placement in placements)

@@ -62,21 +62,19 @@ def test_what_an_object_blocked_comes_next_once_it_is_moved_in_the_tasks_order()
 def test_remedy_for_what_is_in_an_objects_way(closed, waits_for_stack, remedy):
     order = order_of("a", "b", "c", closed=closed, blocked={"a": ["c", "b"]})
     placement = order.next()
-    assert order.first_blocker("a").name == "c"
-    assert order.remedy(placement, waits_for_stack) == remedy
+    blocker = order.first_blocker("a")
+    assert blocker.name == "c" and order.remedy(placement, blocker, waits_for_stack) == remedy
     if remedy != "none":
-        assert order.remedy(placement, waits_for_stack) == "none", "each pair is considered once"
+        assert order.remedy(placement, blocker, waits_for_stack) == "none", "each pair is considered once"
 
 
 @pytest.mark.parametrize("stacks", [{"a": ["c"]}, {"c": ["a"]}])
 def test_bowls_of_one_stack_keep_their_order(stacks):
     order = TaskOrder([goal(name, stacks.get(name, ())) for name in "abc"], Enclosing(("a", "c")))
     order.note_blockers("a", ["c"])
-    assert order.remedy(order.next(), waits_for_stack=False) == "none"
+    assert order.remedy(order.next(), order.first_blocker("a"), waits_for_stack=False) == "none"
 
 
-def test_there_is_no_remedy_against_what_does_not_wait():
+def test_what_does_not_wait_is_no_first_blocker():
     order = order_of("a", "b", closed=[("a", "b")], blocked={"a": ["table", "b"]})
-    placement = order.next()
-    assert order.first_blocker("a") is None
-    assert order.remedy(placement, waits_for_stack=False) == "none"
+    assert order.next().name == "a" and order.first_blocker("a") is None

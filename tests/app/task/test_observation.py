@@ -203,15 +203,15 @@ def test_a_closer_look_at_several_uses_the_poses_just_found(scene, can_at, pack_
         others.append([other.T_world_object[0, 3] for other in near])
         return shifted(can_at, 0.02)
 
-    def refit_lowest(estimate, *args):
-        standing.append(estimate.name)
+    def refit_lowest(estimate, *args, config):
+        standing.append((estimate.name, config))
         return refit(estimate, *args)
 
     monkeypatch.setattr(observation, "refit_leaning", refit)
-    monkeypatch.setattr(observation, "refit_standing", refit_lowest)
+    monkeypatch.setattr(observation, "refit_pose", refit_lowest)
     watch = WristObserver(scanner, [can_at(), replace(can_at(), id=1)], items)
     poses = {name: item.T_world_stand for name in items}
     watch.look_closer(["can_1", "can_0"], poses)
     x = can_at().T_world_object[0, 3]
     np.testing.assert_allclose(others, [[x], [x + 0.02]])
-    assert standing == ["can_0"], "the one below may not lean"
+    assert standing == [("can_0", observation.STANDING)], "the one below may not lean"

@@ -7,12 +7,12 @@ import trimesh
 from perception.geometry import rigid, so3_exp
 from perception.inference.meshing import mesh_from_code
 from perception.inference.refit import (
+    STANDING,
     RefitConfig,
     _Search,
     _turned,
     refit_leaning,
     refit_pose,
-    refit_standing,
 )
 from perception.rendering.pose import ObjectPose
 from perception.types import ObjectEstimate, RgbdFrame, SupportPlane, TriangleMesh
@@ -78,7 +78,7 @@ def test_an_object_that_may_lean_is_found_with_its_tilt_or_level(mug, estimate, 
 
 def test_an_object_that_stands_is_found_level(mug, estimate) -> None:
     leaning = type(mug)(mug.decoder, mug.category, mug.code, mug.pose.moved(np.array([0.15] + [0.0] * 8)))
-    check = refit_standing(estimate, _frames(leaning), mug.pose.T_world_object)
+    check = refit_pose(estimate, _frames(leaning), mug.pose.T_world_object, config=STANDING)
     assert check.tilt < np.deg2rad(0.1)
     assert refit_pose(estimate, _frames(leaning), mug.pose.T_world_object).tilt > np.deg2rad(6)
 
@@ -96,9 +96,9 @@ def test_pixels_of_another_object_do_not_speak_for_a_pose(mug, estimate) -> None
     search = _search(mug, estimate)
     pose = ObjectPose.of(mug.pose.T_world_object, search.scale)
     agree, through = search.evidence(pose)
-    assert search.own_gain(pose) == pytest.approx(agree - through, rel=0.01)
+    assert search.gain(pose, alone=True) == pytest.approx(agree - through, rel=0.01)
     search.explained = np.full_like(search.measured, 0.004)
-    assert search.own_gain(pose) == -through, "although it explains them as well as the other does"
+    assert search.gain(pose, alone=True) == -through, "although it explains them as well as the other does"
 
 
 def test_absent_object_is_not_there(mug, estimate) -> None:
