@@ -167,10 +167,12 @@ def test_an_interrupt_ends_the_processes_at_once():
 
 
 def started(script, program):
+    """Start a program as in a terminal: what runs in the background of a script ignores SIGINT."""
     script.write_text(program)
     return subprocess.Popen(
         [sys.executable, script], stdout=subprocess.PIPE, stderr=subprocess.PIPE, text=True,
         env={**os.environ, "PYTHONPATH": str(ROOT)}, start_new_session=True,
+        preexec_fn=lambda: signal.signal(signal.SIGINT, signal.SIG_DFL),
     )  # fmt: skip
 
 

@@ -4,7 +4,7 @@ import numpy as np
 import pytest
 import trimesh
 
-from perception.inference.voxelise import voxelise
+from perception.inference.voxelise import voxelise, voxels_of
 from perception.types import TriangleMesh
 
 
@@ -45,3 +45,12 @@ def test_voxelise_leaves_cavities_empty() -> None:
     grid = voxelise(TriangleMesh(hollow.vertices, hollow.faces), np.full(3, 0.06))
     assert grid[16, 16, 16] == 0.0
     assert grid[16, 16, 5] == 1.0  # z = -0.039: in the shell
+
+
+def test_the_scale_of_a_mesh_leaves_the_usual_margin() -> None:
+    box = trimesh.creation.box((0.1, 0.06, 0.2))
+    mesh = TriangleMesh(np.asarray(box.vertices), np.asarray(box.faces))
+    grid, scale = voxels_of(mesh)
+    np.testing.assert_allclose(0.9 * scale, (0.05, 0.03, 0.1))
+    np.testing.assert_array_equal(grid, voxelise(mesh, scale))
+    assert grid.sum() * (2 * scale / len(grid)).prod() == pytest.approx(0.1 * 0.06 * 0.2, rel=0.1)
