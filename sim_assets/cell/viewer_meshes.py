@@ -8,9 +8,10 @@ from __future__ import annotations
 
 from typing import Any
 
+import manifold3d
 import numpy as np
 import trimesh
-from jaxtyping import Float
+from jaxtyping import Float, Int
 from PIL import Image
 from trimesh.visual import TextureVisuals
 from trimesh.visual.material import PBRMaterial
@@ -21,6 +22,7 @@ from sim_assets.rendering.headless import MjModel, mujoco
 COLLISION_GROUP = 3  # first geom group without visual geoms
 TEXTURE_SIDE = 512  # [px] largest side of a texture in a viewer
 LARGEST_MESH = 4000  # [triangles]; ten such objects stay interactive in a browser without a GPU
+FINEST_TOLERANCE = 0.0005  # relative to the diagonal, of the first pass of simplification
 SITES = ("tcp", "camera")
 SCENERY = "world"
 
@@ -157,27 +159,43 @@ def _merged(meshes: list[trimesh.Trimesh]) -> tuple[trimesh.Trimesh, ...]:
 
 
 def _simplified(mesh: trimesh.Trimesh) -> trimesh.Trimesh:
-    """Reduce a mesh to ``LARGEST_MESH`` triangles with texture coordinates of the nearest merged vertices."""
-    import fast_simplification
+    """Reduce a mesh to ``LARGEST_MESH`` triangles; texture coordinates go along with the vertices.
 
+    Each pass keeps the surface within a tolerance. (Decimation by quadric error fixes no position along flat
+    and conical walls, where vertices leave the object.)
+    """
     if len(mesh.faces) <= LARGEST_MESH:
         return mesh
-    *_, collapses = fast_simplification.simplify(
-        mesh.vertices, mesh.faces, target_count=LARGEST_MESH, return_collapses=True
-    )
-    vertices, faces, became = fast_simplification.replay_simplification(
-        mesh.vertices.astype(np.float32), mesh.faces, collapses
-    )
-    simple = trimesh.Trimesh(vertices, faces, process=False)
     assert isinstance(mesh.visual, TextureVisuals)
-    uv = mesh.visual.uv
-    if uv is not None:
-        far_first = np.argsort(-np.linalg.norm(vertices[became] - mesh.vertices, axis=1))
-        uv_simple = np.zeros((len(vertices), 2))
-        uv_simple[became[far_first]] = uv[far_first]
-        uv = uv_simple
-    simple.visual = TextureVisuals(uv=uv, material=mesh.visual.material)
+    uv, tolerance = mesh.visual.uv, FINEST_TOLERANCE * mesh.scale
+    rows = (mesh.vertices if uv is None else np.hstack([mesh.vertices, uv])).astype(np.float32)
+    surface = manifold3d.Mesh(rows, mesh.faces.astype(np.uint32))
+    surface.merge()
+    solid, faces = manifold3d.Manifold(surface), mesh.faces
+    while not solid.is_empty() and len(faces) > LARGEST_MESH:
+        solid = solid.simplify(tolerance)
+        reduced = solid.to_mesh()
+        rows, faces, tolerance = reduced.vert_properties, reduced.tri_verts, 1.5 * tolerance
+    while len(faces) > LARGEST_MESH:  # it encloses no volume
+        rows, faces = _clustered(rows, faces, tolerance)
+        tolerance *= 1.5
+    simple = trimesh.Trimesh(rows[:, :3], faces, process=False)
+    simple.visual = TextureVisuals(uv=None if uv is None else rows[:, 3:], material=mesh.visual.material)
     return simple
+
+
+def _clustered(
+    rows: Float[np.ndarray, "v k"], faces: Int[np.ndarray, "f 3"], cell: float
+) -> tuple[Float[np.ndarray, "u k"], Int[np.ndarray, "e 3"]]:
+    """Replace the vertices in each cell [m] of a grid by the first of them; triangles without area go.
+
+    Rossignac and Borrel, "Multi-resolution 3D approximations for rendering complex scenes", 1993.
+    """
+    cells = np.floor(rows[:, :3] / cell).astype(int)
+    _, first, became = np.unique(cells, axis=0, return_index=True, return_inverse=True)
+    merged = became.reshape(-1)[faces]
+    a, b, c = merged.T
+    return rows[first], merged[(a != b) & (b != c) & (c != a)]
 
 
 def _material(mesh: trimesh.Trimesh) -> Any:

@@ -3,6 +3,7 @@
 import numpy as np
 import pytest
 import trimesh
+from scipy.spatial import cKDTree
 from trimesh.visual import TextureVisuals
 from trimesh.visual.material import PBRMaterial
 
@@ -20,7 +21,7 @@ def ball(subdivisions: int, textured: bool) -> trimesh.Trimesh:
 def test_large_meshes_become_simple_and_keep_shape_and_texture(textured) -> None:
     mesh = ball(5, textured)
     simple = _simplified(mesh)
-    assert len(mesh.faces) > LARGEST_MESH >= len(simple.faces) > 0.9 * LARGEST_MESH
+    assert len(mesh.faces) > LARGEST_MESH >= len(simple.faces) > 0.3 * LARGEST_MESH
     np.testing.assert_allclose(np.linalg.norm(simple.vertices, axis=1), 0.05, rtol=0.01)
     assert simple.volume == pytest.approx(mesh.volume, rel=0.01)
     visual = simple.visual
@@ -28,6 +29,26 @@ def test_large_meshes_become_simple_and_keep_shape_and_texture(textured) -> None
     if textured:
         assert visual.uv is not None
         np.testing.assert_allclose(visual.uv, simple.vertices[:, :2] / 0.1 + 0.5, atol=0.03)
+
+
+@pytest.mark.parametrize("is_solid", [True, False])
+@pytest.mark.parametrize("sections", [8, 160], ids=["octagonal", "conical"])
+def test_flat_and_conical_walls_keep_their_place(sections, is_solid) -> None:
+    steps = np.linspace(0.0, 1.0, 60)[:, None]
+    wall = np.array([0.05, 0.0]) + steps * [0.02, 0.06]
+    profile = np.concatenate([[(0.0, 0.0)], wall, wall[::-1] - [0.003, -0.002], [(0.0, 0.002)]])
+    mesh = trimesh.creation.revolve(profile, sections=sections)
+    for _ in range(2 if sections == 8 else 0):
+        mesh = mesh.subdivide()
+    if not is_solid:
+        mesh = mesh.submesh([np.flatnonzero(mesh.triangles_center[:, 0] > -0.03)], append=True)
+    mesh.visual = TextureVisuals(material=PBRMaterial())
+    simple = _simplified(mesh)
+    assert len(mesh.faces) > LARGEST_MESH >= len(simple.faces)
+    assert cKDTree(mesh.vertices).query(simple.vertices)[0].max() < 1e-6
+    points, dense = (trimesh.sample.sample_surface(m, n, seed=0)[0] for m, n in ((simple, 2000), (mesh, 50000)))
+    assert cKDTree(dense).query(points)[0].max() < 0.006
+    np.testing.assert_allclose(simple.bounds, mesh.bounds, atol=0.002)
 
 
 def test_small_meshes_stay_as_they_are() -> None:
