@@ -20,6 +20,7 @@ LYING_TILT = np.deg2rad(45.0)  # of the axis to the vertical, from which on an o
 HAND_HEIGHT = 0.07  # [m] least height of the TCP over the support with the hand horizontal
 _STEP = 0.008  # [m] between grasps along the axis
 _PAD_HALF_WIDTH = 0.0085  # [m] along the axis
+_ROOM = 0.012  # [m] between the open pads beside the object, below which narrower places are preferred
 
 
 def lies(T_world_stand: Float[np.ndarray, "4 4"]) -> bool:
@@ -39,6 +40,8 @@ def lying_grasps(
     least_height: float = HAND_HEIGHT,
 ) -> GraspSet:
     """Return grasps from above across the axis of a lying object, the one nearest to its middle first.
+
+    Where that nearly fills the hand, narrower places come before it.
 
     Args:
         item: the object.
@@ -95,6 +98,7 @@ def _across(
     low = float((T_world_stand @ np.append(position, 1.0))[2]) - gripper.tip - config.fingertip_clearance
     position = position - min(low, 0.0) * up  # the fingertips stay above the support
     opening = min(gripper.max_width, width + 0.024)
+    narrowness = min(gripper.max_width - width, _ROOM) / _ROOM  # the estimated width may be too small
     return Grasp(
         kind="waist",
         T_stand_tcp=tcp_pose(position, approach=-up, closing=closing),
@@ -105,7 +109,7 @@ def _across(
         release_opening=min(width + 2 * config.release_gap, gripper.max_width),
         depth=item.top - height,
         azimuth=azimuth,
-        score=1.0 - abs(height - 0.55 * item.top) / item.top,
+        score=0.5 + 0.5 * narrowness - abs(height - 0.55 * item.top) / item.top,
     )
 
 

@@ -166,17 +166,24 @@ def fit_best_class(
 
 
 def _right_way_up(fit: _Fit, best: ScoredFit, views: ObjectViews) -> ScoredFit:
-    """Return the fit, or one the other way round: of a lying bottle, or a can with the wrong end up."""
+    """Return the fit, or one the other way round: of a lying bottle, or what has its lower end up."""
     estimate, p = best.estimate, dict(zip(POSED_CLASSES, views.pose_probabilities.tolist()))
-    lies, turned = estimate.resting == "lying", is_turned_over(estimate, views.observations)
-    turned &= p.get(("bottle", estimate.resting), 0.0) <= p.get(("can", estimate.resting), 0.0)
-    if not turned and not (lies and estimate.category == "bottle"):
+    both, resting = estimate.category == "bottle" and estimate.resting == "lying", estimate.resting
+    turned = is_turned_over(estimate, views.observations)
+    if estimate.category == "can":
+        turned &= p.get(("bottle", resting), 0.0) <= p.get(("can", resting), 0.0)
+    if not turned and not both:
         return best
     x, y, z = (-estimate.T_world_object[:3, 2]).tolist()
-    other, _ = _attempt(fit, estimate.category, None, "lying" if lies else "upside-down", (x, y, z))
-    if other is None or (not turned and misfit(other.evidence) > misfit(best.evidence)):
+    other, _ = _attempt(
+        fit, estimate.category, None, "lying" if resting == "lying" else "upside-down", (x, y, z)
+    )
+    if other is None:
         return best
-    return replace(other, estimate=turned_over(estimate, other.estimate)) if turned else other
+    if both and misfit(other.evidence) <= misfit(best.evidence):
+        best, other = other, best
+        turned = is_turned_over(best.estimate, views.observations)
+    return replace(other, estimate=turned_over(best.estimate, other.estimate)) if turned else best
 
 
 def _best_upright(

@@ -1,5 +1,6 @@
 import numpy as np
 import pytest
+import trimesh
 
 from manipulation.grasp_config import half_turn
 from manipulation.lying_grasps import HAND_HEIGHT, is_upside_down, lies, lying_grasps
@@ -62,6 +63,15 @@ def test_the_hand_may_also_hold_the_other_way_round(can):
     for grasp, other in zip(first, second, strict=True):
         np.testing.assert_allclose(other.T_stand_tcp, half_turn(grasp).T_stand_tcp)
         assert other.score < min(g.score for g in first)
+
+
+@pytest.mark.parametrize(("radius", "middle"), [(0.030, True), (0.038, False)])
+def test_where_the_middle_nearly_fills_the_hand_narrower_places_come_first(shapes, radius, middle):
+    """Of a body that narrows from 0.12 m above its base on."""
+    profile = [(0, 0), (radius, 0), (radius, 0.12), (radius - 0.007, 0.14), (radius - 0.007, 0.2), (0, 0.2)]
+    item = to_standing(shapes.estimate(1, "bottle", trimesh.creation.revolve(np.array(profile))))
+    best = lying_grasps(item, lying_pose(radius)).grasps[0]
+    assert (best.held_width > 2 * radius - 0.001) == middle
 
 
 def test_what_is_too_wide_or_upside_down_has_no_grasp(shapes):

@@ -1,10 +1,10 @@
-"""Which end of a can is up, on cones and barrels of known profiles."""
+"""Which end of a can or of a closed cup is up, on cones and barrels of known profiles."""
 
 import numpy as np
 import pytest
 
 from perception.inference.observation import ObjectObservation
-from perception.inference.right_way_up import WIDER, is_turned_over, turned_over, widening
+from perception.inference.right_way_up import WIDER, is_turned_over, side_profile, turned_over
 from perception.types import CameraIntrinsics, ObjectEstimate, RgbdFrame, TriangleMesh
 
 HEIGHT, RADIUS = 0.1, 0.03
@@ -20,6 +20,12 @@ def side(
     return np.stack([r * np.cos(angle) + tilt * u, r * np.sin(angle), HEIGHT * u], axis=1)
 
 
+def widening(points: np.ndarray) -> float:
+    profile = side_profile(points, cylinder())
+    assert profile is not None
+    return profile.widening
+
+
 def cylinder() -> np.ndarray:
     angle = np.linspace(0, 2 * np.pi, 60)
     ring = RADIUS * np.stack([np.cos(angle), np.sin(angle)], axis=1)
@@ -29,42 +35,54 @@ def cylinder() -> np.ndarray:
 @pytest.mark.parametrize("slope", [-0.2, 0.0, 0.2])
 @pytest.mark.parametrize("seen", [2 * np.pi, 0.9 * np.pi])
 def test_widening_of_a_cone_from_all_sides_and_from_one(slope, seen) -> None:
-    assert widening(side(slope, seen=seen), cylinder()) == pytest.approx(slope, abs=0.06)
+    assert widening(side(slope, seen=seen)) == pytest.approx(slope, abs=0.06)
 
 
 def test_a_tilt_of_the_estimate_is_no_widening() -> None:
-    assert widening(side(0.0, tilt=0.01, seen=np.pi), cylinder()) == pytest.approx(0.0, abs=0.03)
+    assert widening(side(0.0, tilt=0.01, seen=np.pi)) == pytest.approx(0.0, abs=0.03)
 
 
 @pytest.mark.parametrize("bulge", [-0.8, 0.8])
 def test_barrels_and_waists_do_not_widen(bulge) -> None:
     """Not even where their lower part was hardly measured."""
-    assert widening(side(0.0, bulge), cylinder()) == pytest.approx(0.0, abs=0.03)
-    assert abs(widening(side(0.0, bulge, low=-0.3), cylinder())) < WIDER
+    assert widening(side(0.0, bulge)) == pytest.approx(0.0, abs=0.03)
+    assert abs(widening(side(0.0, bulge, low=-0.3))) < WIDER
 
 
 def test_without_measurements_of_both_ends_nothing_is_known() -> None:
-    assert widening(side(0.2, low=-0.1), cylinder()) == 0.0
-    assert widening(np.zeros((0, 3)), cylinder()) == 0.0
+    assert side_profile(side(0.2, low=-0.1), cylinder()) is None
+    assert side_profile(np.zeros((0, 3)), cylinder()) is None
+
+
+def test_the_profile_is_that_of_the_body() -> None:
+    profile = side_profile(side(0.2, -0.6), cylinder())
+    assert profile is not None
+    assert (profile.radius, profile.bulge) == (pytest.approx(RADIUS, rel=0.03), pytest.approx(-0.6, abs=0.1))
 
 
 def test_flat_ends_and_what_is_far_from_the_side_do_not_count() -> None:
     lid = side(0.2)[:400] * (0.6, 0.6, 1.0)
     beside = side(0.0)[:400] + np.array([0.08, 0.0, 0.0])
     points = np.concatenate([side(0.2), lid, beside])
-    assert widening(points, cylinder()) == pytest.approx(0.2, abs=0.03)
+    assert widening(points) == pytest.approx(0.2, abs=0.03)
 
 
-@pytest.mark.parametrize(("category", "slope", "turned"), [
-    ("can", 0.2, True), ("can", 0.1, False), ("can", -0.2, False), ("bottle", 0.2, False),
-])  # fmt: skip
-def test_cans_that_widen_upwards_are_turned_over(category, slope, turned) -> None:
+@pytest.mark.parametrize(("category", "resting", "points", "turned"), [
+    ("can", "lying", side(0.2), True), ("can", "upside-down", side(0.2), True),
+    ("can", "lying", side(0.1), False), ("can", "lying", side(-0.2), False),
+    ("bottle", "lying", side(-0.25), True), ("bottle", "upright", side(-0.25), False),
+    ("bottle", "lying", side(0.25), False), ("bottle", "lying", side(-0.25, bulge=-1.0), False),
+    ("bottle", "lying", side(-0.25) * np.where(side(-0.25)[:, 2:] > 0.04, (0.5, 0.5, 1.0), 1.0), False),
+    ("bottle", "lying", side(-0.25)[side(-0.25)[:, 2] < 0.039], False),
+    ("mug", "lying", side(0.25), False),
+], ids=["can", "standing-can", "nearly-straight", "right-can", "closed-cup", "upright", "right-cup", "barrel",
+        "neck", "end-unseen", "mug"])  # fmt: skip
+def test_what_has_its_lower_end_up_is_turned_over(category, resting, points, turned) -> None:
     """In the frame of the estimate, wherever that is: here on its side, seen from above."""
     T = np.array([[0, 0, 1, 0.4], [0, 1, 0, -0.1], [-1, 0, 0, 0.03], [0, 0, 0, 1.0]])
-    points = side(slope)
     points = (points @ T[:3, :3].T + T[:3, 3])[points[:, 0] < 0.01]
     mesh = TriangleMesh(cylinder(), np.array([[0, 1, 60]]))
-    estimate = ObjectEstimate(0, category, np.zeros(16), T, np.ones(3), mesh)
+    estimate = ObjectEstimate(0, category, np.zeros(16), T, np.ones(3), mesh, resting=resting)
     assert is_turned_over(estimate, (seen_from_above(points),)) == turned
 
 
