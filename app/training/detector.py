@@ -72,8 +72,8 @@ class TrainDetectorConfig:
     class_pictures: int = 6500
     validation: int = 300
     test: int = 300
-    training: TrainingConfig = field(default_factory=lambda: TrainingConfig(epochs=16))
-    scene_passes: float = 0.625
+    training: TrainingConfig = field(default_factory=lambda: TrainingConfig(epochs=22))
+    scene_passes: float = 5 / 11
     tensorboard: bool = False
     device: str = "cpu"
 
@@ -295,7 +295,7 @@ def _card(
         parameters=sum(p.numel() for p in trained.network.parameters()),
         temperature=trained.temperature, crops=crops,
         class_share=1 - SCENE_WEIGHT, instance_share=SCENE_WEIGHT,
-        members=ENSEMBLE_SIZE["class"], config=config, training=config.training,
+        config=config, training=config.training,
         scene_epochs=config.scene_epochs, torch=torch.__version__.split("+")[0],
         confusion=f"{header}\n{rows}", m=metrics,
     )  # fmt: skip
@@ -310,16 +310,15 @@ object's footprint in the plane; instances are the clusters of these votes
 
 **Class network** (`detector.safetensors`): classifies a gravity-upright crop of 64 x 64 pixels around one
 instance (colour, mask, height, relative depth, and the surroundings, `perception/detection/crops.py`, with
-the crop's size and elevation) as mug, bowl, bottle, can or other. An ensemble of {members} networks with
-different seeds, {parameters} parameters in total, float32. Logits are averaged over the ensemble and over
-the crop and its mirror image, shifted as if all classes were equally frequent in training, and divided by
+the crop's size and elevation) as mug, bowl, bottle, can or other. {parameters} parameters, float32. Logits
+are averaged over the crop and its mirror image, shifted as if all classes were equally frequent in training, and divided by
 the temperature {temperature:.2f}, which was fitted on further scenes of the training families. The detector
 averages the log-probabilities of class and instance networks with weights of {class_share:.2f} and
 {instance_share:.2f}; masks from other
 sources are classified by the class network alone.
 
 **Training**: `nodeslam train detector --seed {training.seed}` with torch {torch}: {scene_epochs} epochs of
-the instance network with batch size 8, {training.epochs} of each class network with batch size
+the instance network with batch size 8, {training.epochs} of the class network with batch size
 {training.batch}, AdamW with learning rate {training.learning_rate} and cosine decay, on a CPU, in
 bfloat16 with float32 weights where the CPU computes with it, else in float32.
 

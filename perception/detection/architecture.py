@@ -6,6 +6,7 @@ For inference each batch normalisation is folded into the convolution before it,
 from __future__ import annotations
 
 from collections.abc import Mapping
+from dataclasses import dataclass
 from itertools import pairwise
 
 import numpy as np
@@ -13,9 +14,28 @@ import numpy as np
 from perception.detection import crops, working_view
 from perception.detection.tasks import ENSEMBLE_SIZE, OUTPUTS, SCENE_OUTPUTS, Task
 
-CROP_WIDTHS = (16, 32, 64, 128)
-CROP_SQUEEZED = 48
-CROP_HIDDEN = 128
+
+@dataclass(frozen=True)
+class CropSizes:
+    """Sizes of a network on crops.
+
+    Attributes:
+        widths: Channels of the convolution stages, each of stride two.
+        squeezed: Channels of the 1 x 1 bottleneck.
+        hidden: Outputs of the first linear layer.
+    """
+
+    widths: tuple[int, ...]
+    squeezed: int
+    hidden: int
+
+
+NARROW = CropSizes((16, 32, 64, 128), 48, 128)
+CROP_SIZES: dict[Task, CropSizes] = {
+    "class": CropSizes((32, 64, 128, 192), 64, 192),
+    "pose": NARROW,
+    "yaw": NARROW,
+}
 
 SCENE_WIDTHS = (24, 48, 80, 128, 160)
 SCENE_JOINED = (32, 48, 64)  # channels of the decoder, fine to coarse
@@ -31,7 +51,9 @@ def crop_shapes(task: Task) -> Shapes:
     members = ENSEMBLE_SIZE[task]
     prefixes = [""] if members == 1 else [f"members.{member}." for member in range(members)]
     return {
-        prefix + name: shape for prefix in prefixes for name, shape in _crop_shapes(OUTPUTS[task]).items()
+        prefix + name: shape
+        for prefix in prefixes
+        for name, shape in _crop_shapes(OUTPUTS[task], CROP_SIZES[task]).items()
     }
 
 
@@ -77,17 +99,17 @@ def fold_normalisations(tensors: Mapping[str, np.ndarray]) -> dict[str, np.ndarr
     return folded
 
 
-def _crop_shapes(outputs: int) -> Shapes:
-    shapes = _convolution("features.0.0", crops.CHANNELS, CROP_WIDTHS[0], 3)
+def _crop_shapes(outputs: int, sizes: CropSizes) -> Shapes:
+    shapes = _convolution("features.0.0", crops.CHANNELS, sizes.widths[0], 3)
     layer = 1
-    for narrow, wide in pairwise(CROP_WIDTHS):
+    for narrow, wide in pairwise(sizes.widths):
         shapes |= _convolution(f"features.{layer}.0", narrow, wide, 3)
         shapes |= _convolution(f"features.{layer + 1}.0", wide, wide, 3)
         layer += 2
-    shapes |= _convolution(f"features.{layer}.0", CROP_WIDTHS[-1], CROP_SQUEEZED, 1)
-    flat = CROP_SQUEEZED * (crops.SIDE // 2 ** len(CROP_WIDTHS)) ** 2
-    shapes |= {"head.0.weight": (CROP_HIDDEN, flat + crops.CONTEXT), "head.0.bias": (CROP_HIDDEN,)}
-    return shapes | {"logits.weight": (outputs, CROP_HIDDEN), "logits.bias": (outputs,)}
+    shapes |= _convolution(f"features.{layer}.0", sizes.widths[-1], sizes.squeezed, 1)
+    flat = sizes.squeezed * (crops.SIDE // 2 ** len(sizes.widths)) ** 2
+    shapes |= {"head.0.weight": (sizes.hidden, flat + crops.CONTEXT), "head.0.bias": (sizes.hidden,)}
+    return shapes | {"logits.weight": (outputs, sizes.hidden), "logits.bias": (outputs,)}
 
 
 def _convolution(name: str, inputs: int, outputs: int, side: int) -> Shapes:

@@ -2,7 +2,7 @@
 
 One architecture, three tasks: ``detector.safetensors`` predicts the class of upright objects,
 ``pose.safetensors`` class and resting pose of any, ``yaw.safetensors`` the bin of the handle's yaw relative
-to the view. The class comes from an ensemble (Lakshminarayanan et al., "Simple and
+to the view. A task may have an ensemble (Lakshminarayanan et al., "Simple and
 scalable predictive uncertainty estimation using deep ensembles", 2017), whose logits are averaged.
 """
 
@@ -19,7 +19,7 @@ from jaxtyping import Float, UInt8
 from torch import Tensor, nn
 from torch.nn import functional
 
-from perception.detection.architecture import CROP_HIDDEN, CROP_SQUEEZED, CROP_WIDTHS
+from perception.detection.architecture import CROP_SIZES, NARROW, CropSizes
 from perception.detection.crops import CHANNELS, CONTEXT, SIDE
 from perception.detection.tasks import (
     ENSEMBLE_SIZE,
@@ -38,35 +38,35 @@ _NAMES: dict[Task, tuple[str, ...]] = {"class": LABELS, "pose": POSE_LABELS, "ya
 
 
 class CropNet(nn.Module):
-    """Four convolution stages of stride two, a 1 x 1 bottleneck, two linear layers; 0.4 M weights.
+    """Four convolution stages of stride two, a 1 x 1 bottleneck, two linear layers.
 
     Features are flattened instead of pooled: their position in the upright crop carries information.
 
     Args:
         outputs: Number of logits.
+        sizes: Sizes of the layers.
     """
 
-    def __init__(self, outputs: int) -> None:
+    def __init__(self, outputs: int, sizes: CropSizes = NARROW) -> None:
         super().__init__()
         self.outputs = outputs
-        stages = [
-            _convolution(CHANNELS, CROP_WIDTHS[0], stride=2)
-        ]  # a second layer at 32 x 32 would cost most
-        for narrow, wide in itertools.pairwise(CROP_WIDTHS):
+        widths = sizes.widths
+        stages = [_convolution(CHANNELS, widths[0], stride=2)]  # a second layer at 32 x 32 would cost most
+        for narrow, wide in itertools.pairwise(widths):
             stages += [_convolution(narrow, wide, stride=2), _convolution(wide, wide, stride=1)]
-        squeeze = nn.Sequential(nn.Conv2d(CROP_WIDTHS[-1], CROP_SQUEEZED, 1), nn.ReLU(inplace=True))
+        squeeze = nn.Sequential(nn.Conv2d(widths[-1], sizes.squeezed, 1), nn.ReLU(inplace=True))
         self.features = nn.Sequential(*stages, squeeze)
-        flat = CROP_SQUEEZED * (SIDE // 2 ** len(CROP_WIDTHS)) ** 2
+        flat = sizes.squeezed * (SIDE // 2 ** len(widths)) ** 2
         self.head = nn.Sequential(
-            nn.Linear(flat + CONTEXT, CROP_HIDDEN), nn.ReLU(inplace=True), nn.Dropout(0.2)
+            nn.Linear(flat + CONTEXT, sizes.hidden), nn.ReLU(inplace=True), nn.Dropout(0.2)
         )
-        self.logits = nn.Linear(CROP_HIDDEN, outputs)
+        self.logits = nn.Linear(sizes.hidden, outputs)
 
     def forward(
         self, images: Float[Tensor, "n 6 side side"], context: Float[Tensor, "n 2"]
     ) -> Float[Tensor, "n outputs"]:
         """Return the logits of crops normalised by ``normalise_crops``."""
-        features = self.features(images).flatten(1)  # (n, 48 * 4 * 4)
+        features = self.features(images).flatten(1)
         return self.logits(self.head(torch.cat([features, context], dim=1)))
 
 
@@ -94,7 +94,12 @@ CropNetwork = CropNet | Ensemble
 
 def create_network(task: Task) -> CropNetwork:
     """Return an untrained network for a task, or an ensemble of ``ENSEMBLE_SIZE`` networks."""
-    return ensemble_of([CropNet(OUTPUTS[task]) for _ in range(ENSEMBLE_SIZE[task])])
+    return ensemble_of([create_member(task) for _ in range(ENSEMBLE_SIZE[task])])
+
+
+def create_member(task: Task) -> CropNet:
+    """Return an untrained network for a task, one of its ensemble."""
+    return CropNet(OUTPUTS[task], CROP_SIZES[task])
 
 
 def ensemble_of(members: Sequence[CropNet]) -> CropNetwork:

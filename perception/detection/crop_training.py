@@ -29,6 +29,7 @@ from perception.detection.crop_network import (
     CropNet,
     CropNetwork,
     Ensemble,
+    create_member,
     mirror_averaged_logits,
     normalise_crops,
 )
@@ -138,7 +139,7 @@ def train_crop_network(task: Task, data: TrainingData, config: TrainingConfig, j
     for name, crops in (("training", training), ("validation", validation)):
         if not len(crops) or crops.targets.shape[1] != OUTPUTS[task]:
             raise InvalidInputError(f"{name} crops for '{task}' must have (n > 0, {OUTPUTS[task]}) targets")
-    state = _initial_state(OUTPUTS[task], config, math.ceil(len(training) / config.batch), job.device)
+    state = _initial_state(task, config, math.ceil(len(training) / config.batch), job.device)
     checkpoint = job.directory / f"checkpoint_{task}.pt"
     start = resume_checkpoint(checkpoint, state)
 
@@ -157,12 +158,12 @@ def train_crop_network(task: Task, data: TrainingData, config: TrainingConfig, j
 
 
 def _initial_state(
-    outputs: int, config: TrainingConfig, steps_per_epoch: int, device: str | torch.device
+    task: Task, config: TrainingConfig, steps_per_epoch: int, device: str | torch.device
 ) -> TrainingState[CropNet]:
     generator = torch.Generator().manual_seed(config.seed)
     with torch.random.fork_rng(devices=[]):
         torch.manual_seed(config.seed)
-        network = CropNet(outputs)
+        network = create_member(task)
     network = network.to(device)
     network.to(memory_format=torch.channels_last)  # type: ignore[call-overload]
     optimizer = torch.optim.AdamW(

@@ -12,7 +12,7 @@ LABELS: tuple[str, ...] = (*CATEGORIES, "other")
 POSE_LABELS: tuple[str, ...] = (*(" ".join(posed) for posed in POSED_CLASSES), "other")
 CLASSES = len(LABELS)
 OUTPUTS: dict[Task, int] = {"class": CLASSES, "pose": len(POSE_LABELS), "yaw": YAW_BINS}
-ENSEMBLE_SIZE: dict[Task, int] = {"class": 2, "pose": 1, "yaw": 1}  # networks per task
+ENSEMBLE_SIZE: dict[Task, int] = {"class": 1, "pose": 1, "yaw": 1}  # networks per task
 WEIGHTS_FILES: dict[Task, str] = {
     "class": "detector.safetensors",
     "pose": "pose.safetensors",

@@ -14,10 +14,10 @@ from app.training.detector import (
 )
 from app.training.resources import Resources
 from app.training.scene_dataset import Shard
-from perception.detection.crop_network import create_network, load_crop_network
+from perception.detection.crop_network import create_member, create_network, load_crop_network
 from perception.detection.crop_training import CropSet, TrainingConfig, TrainingData
 from perception.detection.scene_network import SceneNet, load_scene_network
-from perception.detection.tasks import OUTPUTS
+from perception.detection.tasks import ENSEMBLE_SIZE, OUTPUTS
 from perception.io.weights import weights_checksum
 
 TINY = TrainingConfig(epochs=1, batch=8)
@@ -55,7 +55,7 @@ def test_the_detector_job_writes_weights_and_a_card(tmp_path):
     card = (tmp_path / "detector.md").read_text()
     assert "nodeslam train detector --seed 0" in card and "| mug |" in card
     assert all(weights_checksum(tmp_path / f"{name}.safetensors") in card for name in ("scene", "detector"))
-    assert reported[-1] == ("epoch 2 of 2", 1.0)
+    assert reported[-1] == ("epoch 1 of 1", 1.0)
     assert np.sum(metrics["confusion"]) == 20
     assert (tmp_path / "checkpoint_class.pt").is_file()
     assert (tmp_path / "member1" / "checkpoint_class.pt").is_file()
@@ -159,9 +159,10 @@ def test_members_of_an_ensemble_have_different_seeds_and_folders(tmp_path, monke
 
     def train(task, data, config, job, processes):
         calls.append((config.seed, job.directory, processes))
-        return train_detector.CropNet(5).eval()
+        return create_member(task).eval()
 
     monkeypatch.setattr(train_detector, "fit_crop_network", train)
+    monkeypatch.setitem(ENSEMBLE_SIZE, "class", 2)
     crops = train_detector.class_targets(random_crops(0))
     data = train_detector.TrainingData(crops, crops)
     config = TrainDetectorConfig(training=TrainingConfig(seed=3))
@@ -190,7 +191,7 @@ def test_only_networks_of_classes_are_freed_from_frequencies(tmp_path, monkeypat
         train_detector, "equalise_priors", lambda network, targets: freed.append(len(targets))
     )
     monkeypatch.setattr(
-        train_detector, "fit_crop_network", lambda task, *_: train_detector.CropNet(OUTPUTS[task]).eval()
+        train_detector, "fit_crop_network", lambda task, *_: create_member(task).eval()
     )
     for task in ("class", "yaw"):
         targets = np.eye(OUTPUTS[task], dtype=np.float32)[np.zeros(4, int)]
