@@ -58,7 +58,6 @@ def test_the_detector_job_writes_weights_and_a_card(tmp_path):
     assert reported[-1] == ("epoch 1 of 1", 1.0)
     assert np.sum(metrics["confusion"]) == 20
     assert (tmp_path / "checkpoint_class.pt").is_file()
-    assert (tmp_path / "member1" / "checkpoint_class.pt").is_file()
     load_scene_network(tmp_path / "scene.safetensors")
 
 
