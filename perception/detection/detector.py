@@ -33,7 +33,7 @@ from perception.support.surface import SupportSurface
 from perception.types import CATEGORIES, OTHER, ObjectDetection, RgbdFrame, SupportPlane, is_unclassified
 
 _MUG = CATEGORIES.index("mug")
-SCENE_SHARE = 0.5  # weight of the scene network in the class
+SCENE_SHARE = 0.35  # weight of the scene network in the class
 
 
 @dataclass(frozen=True)
