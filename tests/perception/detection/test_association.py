@@ -170,10 +170,10 @@ def test_a_single_frame_and_empty_lists_are_accepted(scan):
 
 def test_rejected_objects_are_returned_with_the_reason():
     left, right = square(20), square(100)
-    other = np.array([0.05, 0.05, 0.05, 0.05, 0.8])
+    other = np.array([0.025, 0.025, 0.025, 0.025, 0.9])
     rows, left_out = fuse_views([from_above(left, right)], [[with_probabilities(left, other)]], PLANE)
     assert rows == [[]]
-    assert [c.text for c in left_out] == ["of none of the classes (p = 0.80)"] and left_out[0].frame == 0
+    assert [c.text for c in left_out] == ["of none of the classes (p = 0.90)"] and left_out[0].frame == 0
     wide = square(0, size=H - 1) | square(W - H, size=H - 1)
     lenient = AssociationConfig(max_extent=0.02)
     _, left_out = fuse_views([from_above(wide)], [[with_probabilities(wide, A)]], PLANE, lenient)
@@ -289,7 +289,7 @@ def test_every_view_that_missed_the_object_votes_against_it(n_missed, kept):
         assert found[0][0].class_probabilities == pytest.approx(expected(logs, len(rows)))
 
 
-@pytest.mark.parametrize(("other", "kept"), [(0.55, True), (0.64, True), (0.66, False)])
+@pytest.mark.parametrize(("other", "kept"), [(0.55, True), (0.79, True), (0.81, False)])
 def test_a_single_view_leaves_uncertain_classes_to_the_fit(other, kept):
     p = np.array([0.95 - other, 0.02, 0.02, 0.01, other])
     (row,) = associate([from_above(square(60))], [[with_probabilities(square(60), p)]], PLANE)
