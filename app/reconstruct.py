@@ -66,6 +66,7 @@ def run(options: ReconstructOptions, screen: Screen) -> Report:
             decoder,
             lambda done, total, item="": screen.update(f"{done} of {total}"),
             on_rejected=rejected.append,
+            clutter=load_detector(options.device) if options.clutter else None,
         )
     timings["reconstruct"] = time.perf_counter() - started
     detections = replace(detections, per_frame=with_estimated_classes(detections.per_frame, objects))
@@ -95,7 +96,7 @@ def run(options: ReconstructOptions, screen: Screen) -> Report:
             *(f"{item.name} is left out: {item.reason}" for item in rejected),
             *_doubts(objects, len(rejected), len(scan.frames)),
         ],
-        settings={"scan": str(options.scan)},
+        settings={"scan": str(options.scan), "clutter": options.clutter},
     )
     folder.write_report(report)
     if objects:

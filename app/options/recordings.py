@@ -19,6 +19,9 @@ class ReconstructOptions(CommonOptions):
     """Scan folder in BOP scene layout; its detections or masks are used if present."""
     detector: Annotated[str, arg(metavar="shipped|hf:MODEL")] = "shipped"
     """Detector for folders without detections: the shipped networks or a Hugging Face model."""
+    clutter: bool = False
+    """Also look for objects that lie, are upside down, or stand on or in others; slower, and of a single image
+    with more that is none."""
 
 
 @dataclass(frozen=True, kw_only=True)

@@ -25,6 +25,7 @@ FAR = 0.006  # [m] from the surfaces of all shapes, from which on a measured poi
 ABOVE = 0.008  # [m] over the support
 REACH = 0.7  # how far from a mask its parts are looked for, in its longer sides
 SMALLEST, LARGEST = 0.01, 0.6  # pixels of a part relative to those of the mask
+SAME = 0.02  # [m] between points of one part in different views, which may show its two sides
 _MIN_PIXELS = 25
 _JUMP = 0.02  # [m] of depth between neighbouring pixels of one surface
 _SAMPLES = 8000
@@ -52,14 +53,44 @@ def with_lost_parts(
     points = [SurfaceSamples.of(e.mesh_world, rng, _SAMPLES).points for e in estimates.values()]
     surfaces = KDTree(np.concatenate([np.full((1, 3), 1e6), *points]))
     found: dict[int, list[Bool[np.ndarray, "h w"] | None]] = {id: [None] * len(frames) for id in ids}
-    for k, (frame, row) in enumerate(zip(frames, rows, strict=True)):
-        cleaned = replace(frame, depth=clean_depth(frame.depth, frame.intrinsics))
+    cleaned = [replace(frame, depth=clean_depth(frame.depth, frame.intrinsics)) for frame in frames]
+    parts: dict[int, dict[int, Bool[np.ndarray, "h w"]]] = {id: {} for id in ids}
+    for k, (frame, row) in enumerate(zip(cleaned, rows, strict=True)):
         for detection in row:
             if detection.instance_id in found:
-                part = _lost_part(cleaned, detection.mask, surfaces, plane)
+                part = _lost_part(frame, detection.mask, surfaces, plane)
                 if part.any():
-                    found[detection.instance_id][k] = detection.mask | part
+                    parts[detection.instance_id][k] = part
+                    found[detection.instance_id][k] = detection.mask
+    for id, masks in found.items():
+        agreed = _agreed(cleaned, parts[id])
+        found[id] = [
+            mask | agreed[k] if mask is not None and k in agreed else None for k, mask in enumerate(masks)
+        ]
     return {id: masks for id, masks in found.items() if any(mask is not None for mask in masks)}
+
+
+def _agreed(
+    frames: Sequence[RgbdFrame], parts: Mapping[int, Bool[np.ndarray, "h w"]]
+) -> dict[int, Bool[np.ndarray, "h w"]]:
+    """Return the pixels of parts, by view, near which at least half of the other views show a part as well.
+
+    What lies beside an object seems to continue it in some views only.
+    """
+    clouds = {k: points_of(frames[k], part) for k, part in parts.items()}
+    trees = {k: KDTree(cloud) for k, cloud in clouds.items() if len(cloud)}
+    agreed: dict[int, Bool[np.ndarray, "h w"]] = {}
+    for k, part in parts.items():
+        if k not in trees:
+            continue
+        others = [
+            tree.query(clouds[k], distance_upper_bound=SAME)[0] < SAME for j, tree in trees.items() if j != k
+        ]
+        kept = part.copy()
+        kept[part & (frames[k].depth > 0)] = np.mean(others, axis=0) >= 0.5 if others else True
+        if kept.sum() >= _MIN_PIXELS:
+            agreed[k] = kept
+    return agreed
 
 
 def _lost_part(

@@ -99,9 +99,7 @@ def turned_over(estimate: ObjectEstimate, other: ObjectEstimate) -> ObjectEstima
     )
 
 
-def side_profile(
-    points: Float[np.ndarray, "n 3"], vertices: Float[np.ndarray, "v 3"]
-) -> SideProfile | None:
+def side_profile(points: Float[np.ndarray, "n 3"], vertices: Float[np.ndarray, "v 3"]) -> SideProfile | None:
     """Return how the radius of a round body changes along its axis.
 
     Args:

@@ -14,6 +14,7 @@ import pytest
 from app import reconstruct
 from app.errors import UsageError
 from app.options import ReconstructOptions
+from app.screen import Screen
 from perception.errors import InvalidInputError
 from perception.io.object_map import read_object_map
 from perception.io.scan_folder import Scan, write_scan
@@ -122,6 +123,25 @@ def test_cameras_are_doubted_when_nothing_fits(
 def test_other_detectors_are_named_in_full() -> None:
     with pytest.raises(InvalidInputError, match="neither shipped nor hf:MODEL"):
         load_huggingface("maskrcnn", "cpu")
+
+
+@pytest.mark.parametrize("clutter", [False, True])
+def test_other_resting_poses_are_looked_for_on_request(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch, clutter: bool
+) -> None:
+    class Called(Exception):
+        pass
+
+    def check(*_: Any, clutter: Any, **__: Any) -> Any:
+        raise Called(clutter is not None and hasattr(clutter, "posed"))
+
+    monkeypatch.setattr(reconstruct, "reconstruct_objects", check)
+    config = SequenceConfig(frames=1, objects=2, categories=("mug", "can"), spread=0.1)
+    write_scan(tmp_path / "scan", [image.frame for image in TableSequence(1, config).render()])
+    options = ReconstructOptions(scan=tmp_path / "scan", out=tmp_path / "run", clutter=clutter, device="cpu")
+    with pytest.raises(Called) as caught:
+        reconstruct.run(options, Screen(quiet=True))
+    assert caught.value.args == (clutter,)
 
 
 def test_pytorch_is_not_loaded_on_the_cpu(tmp_path: Path) -> None:

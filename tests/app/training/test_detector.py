@@ -189,9 +189,7 @@ def test_only_networks_of_classes_are_freed_from_frequencies(tmp_path, monkeypat
     monkeypatch.setattr(
         train_detector, "equalise_priors", lambda network, targets: freed.append(len(targets))
     )
-    monkeypatch.setattr(
-        train_detector, "fit_crop_network", lambda task, *_: create_member(task).eval()
-    )
+    monkeypatch.setattr(train_detector, "fit_crop_network", lambda task, *_: create_member(task).eval())
     for task in ("class", "yaw"):
         targets = np.eye(OUTPUTS[task], dtype=np.float32)[np.zeros(4, int)]
         crops = CropSet(np.zeros((4, 64, 64, 6), np.uint8), np.zeros((4, 2), np.float32), targets)

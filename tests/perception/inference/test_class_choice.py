@@ -298,6 +298,7 @@ def test_of_a_lying_bottle_the_way_round_that_explains_the_depth_better_is_kept(
     monkeypatch, explained, closed_cup, turned
 ) -> None:
     """Unless that is a closed cup with its lid down."""
+
     def scored(views, decoder, plane, model, config, on_step):
         mesh, first = TriangleMesh(np.eye(3), np.arange(3)[None]), config.toward is None
         T = np.diag([1.0, 1.0, 1.0, 1.0]) if first else np.diag([1.0, -1.0, -1.0, 1.0])

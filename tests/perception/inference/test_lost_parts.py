@@ -31,17 +31,27 @@ def estimate(id, x, radius=0.04, height=0.1):
     )
 
 
-def lost(part, depth=0.52, others=()):
-    """The mask's extension by an area of the image at a depth [m], of which nothing else is known."""
+def image_with(part, depth=0.52):
+    """An image of the body and of an area at a depth [m], of which nothing else is known."""
     image = np.full((160, 200), HEIGHT, np.float32)
     image[part] = depth
     image[BODY] = 0.5
     camera = CameraIntrinsics(200, 160, F, F, 99.5, 79.5)
-    frame = RgbdFrame(0.0, np.zeros((160, 200, 3), np.uint8), image, camera, T_WORLD_CAMERA)
+    return RgbdFrame(0.0, np.zeros((160, 200, 3), np.uint8), image, camera, T_WORLD_CAMERA)
+
+
+def extensions(frames, others=()):
+    """The extensions of the body's masks by view; None if there are none."""
     row = [ObjectDetection("mug", 0.9, BODY, instance_id=7)]
     known = {e.id: e for e in (estimate(7, 0.0), *others)}
-    found = with_lost_parts([frame], [row], known, [7], SupportPlane())
-    return None if not found else found[7][0] & ~BODY
+    found = with_lost_parts(frames, [row] * len(frames), known, [7], SupportPlane())
+    return None if not found else [None if mask is None else mask & ~BODY for mask in found[7]]
+
+
+def lost(part, depth=0.52, others=()):
+    """The mask's extension in a single view."""
+    found = extensions([image_with(part, depth)], others)
+    return None if found is None else found[0]
 
 
 def strip(left, right):
@@ -67,3 +77,19 @@ def test_what_no_shape_explains_beside_a_mask_belongs_to_it():
 )
 def test_what_is_apart_too_large_or_known_does_not(case):
     assert lost(**case) is None
+
+
+def test_views_must_agree_on_a_part():
+    """Two views show a part on the right; one of these, and a third, something on the left."""
+    right, left = strip(131, 152), strip(47, 68)
+    frames = [image_with(right | left), image_with(right), image_with(right), image_with(left)]
+    found = extensions(frames)
+    for extension in found[:3]:
+        assert (extension & right).any() and not (extension & left).any()
+    assert found[3] is None
+
+
+def test_of_two_views_that_show_different_parts_none_counts():
+    assert extensions([image_with(strip(131, 152)), image_with(strip(47, 68))]) is None
+    both = extensions([image_with(strip(131, 152))] * 2)
+    assert all(extension.any() for extension in both)

@@ -46,7 +46,9 @@ def test_flat_and_conical_walls_keep_their_place(sections, is_solid) -> None:
     simple = _simplified(mesh)
     assert len(mesh.faces) > LARGEST_MESH >= len(simple.faces)
     assert cKDTree(mesh.vertices).query(simple.vertices)[0].max() < 1e-6
-    points, dense = (trimesh.sample.sample_surface(m, n, seed=0)[0] for m, n in ((simple, 2000), (mesh, 50000)))
+    points, dense = (
+        trimesh.sample.sample_surface(m, n, seed=0)[0] for m, n in ((simple, 2000), (mesh, 50000))
+    )
     assert cKDTree(dense).query(points)[0].max() < 0.006
     np.testing.assert_allclose(simple.bounds, mesh.bounds, atol=0.002)
 
