@@ -20,7 +20,7 @@ class ReconstructOptions(CommonOptions):
     detector: Annotated[str, arg(metavar="shipped|hf:MODEL")] = "shipped"
     """Detector for folders without detections: the shipped networks or a Hugging Face model."""
     clutter: bool = False
-    """Also look for objects that lie, are upside down, or stand on or in others; slower, and of a single image
+    """Also look for objects that lie, are upside down, or stand on or in others; slower, and of one image
     with more that is none."""
 
 

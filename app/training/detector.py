@@ -314,7 +314,8 @@ the crop's size and elevation) as mug, bowl, bottle, can or other. {parameters} 
 are averaged over the crop and its mirror image, shifted as if all classes were equally frequent in
 training, and divided by the temperature {temperature:.2f}, which was fitted on further scenes of the
 training families. The detector averages the log-probabilities of class and instance networks with weights of
-{class_share:.2f} and {instance_share:.2f}; masks from other sources are classified by the class network alone.
+{class_share:.2f} and {instance_share:.2f}; masks from other sources are classified by the class network
+alone.
 
 **Training**: `nodeslam train detector --seed {training.seed}` with torch {torch}: {scene_epochs} epochs of
 the instance network with batch size 8, {training.epochs} of the class network with batch size
