@@ -15,6 +15,7 @@ import numpy as np
 from perception.detection.completion import PoseNamer, posed_detections
 from perception.detection.left_out import LeftOut
 from perception.detection.unclassified import associate_unclassified, is_low
+from perception.inference.acceptance import AcceptanceModel
 from perception.inference.explanation import shared_volume, unexplained
 from perception.inference.lost_parts import with_lost_parts
 from perception.inference.reconstruct import ReconstructOptions, mean_poses, reconstruct
@@ -106,7 +107,11 @@ def reconstruct_clutter(
         single |= renamed(frames, detections_per_frame, single, lambda doubtful: fit(doubtful, {}))
         single |= completed(frames, rows, single, planes[0], lambda whole: fit(whole, {}))
         single = without_repetitions(frames, rows, single, candidates, parts)
-        uncertain = {id: e for id, e in single.items() if e.n_views > 1 and e.score < UNCERTAIN}
+        uncertain = {
+            id: e
+            for id, e in single.items()
+            if e.n_views > 1 and _existence(e, detections_per_frame, options.acceptance) < UNCERTAIN
+        }
         rejected += [_left_out(estimate) for estimate in uncertain.values()]
         single = {id: estimate for id, estimate in single.items() if id not in uncertain}
     if options.on_rejected is not None:
@@ -114,6 +119,15 @@ def reconstruct_clutter(
             if item.id not in candidates and item.id not in stacks:
                 options.on_rejected(item)
     return sorted([*single.values(), *parts], key=lambda e: e.id)
+
+
+def _existence(estimate: ObjectEstimate, rows: Rows, model: AcceptanceModel | None) -> float:
+    """Return the probability that an object is one of the classes; of others than upright ones the score."""
+    own = (d.class_probabilities for row in rows for d in row if d.instance_id == estimate.id)
+    p = next(own, np.zeros(0))
+    if model is None or not p.size or np.ptp(p) == 0 or estimate.resting != "upright":
+        return estimate.score
+    return model.existence(estimate.score, estimate.category, p)
 
 
 def _left_out(estimate: ObjectEstimate) -> RejectedObject:

@@ -21,7 +21,7 @@ from perception.errors import PerceptionError
 from perception.inference.evidence import Evidence
 from perception.io.files import read_json, write_json
 from perception.io.weights import WEIGHTS_DIRECTORY, verify_weights
-from perception.types import CATEGORIES, Category
+from perception.types import CATEGORIES, OTHER, Category
 
 WEIGHTS_FILE = "acceptance.json"
 LINEAR = (
@@ -133,6 +133,23 @@ class AcceptanceModel:
         """
         return float(1 / (1 + np.exp(-self.classes[category].log_odds(evidence, class_probability))))
 
+    def existence(
+        self, score: float, category: Category, class_probabilities: Float[np.ndarray, "k"]
+    ) -> float:
+        """Return the probability that an object is real, of whichever class.
+
+        Of an object that may be a bottle or a can, neither has a high score, although it is none of no class.
+
+        Args:
+            score: Probability that it is real and of a class, made with the class's probability.
+            category: That class.
+            class_probabilities: Probabilities of the detector, of no class as the last.
+        """
+        weight = float(self.classes[category].weights[COEFFICIENTS.index("class_logit")])
+        own, any_class = class_probabilities[CATEGORIES.index(category)], 1 - class_probabilities[OTHER]
+        log_odds = _logit(score, 1e-9) + weight * (_logit(float(any_class)) - _logit(float(own)))
+        return float(1 / (1 + np.exp(-log_odds)))
+
     def reason(
         self, evidence: Evidence, category: Category, class_probability: float | None = None, count: int = 2
     ) -> str:
@@ -185,8 +202,12 @@ def terms(
     squares = z[[LINEAR.index(name) for name in QUADRATIC]] ** 2
     if class_probability is None:
         return np.concatenate([z, squares, [0.0, 0.0]])
-    p = float(np.clip(class_probability, _LEAST, 1 - _LEAST))
-    return np.concatenate([z, squares, [np.log(p / (1 - p)), 1.0]])
+    return np.concatenate([z, squares, [_logit(class_probability), 1.0]])
+
+
+def _logit(probability: float, least: float = _LEAST) -> float:
+    p = min(max(probability, least), 1 - least)
+    return float(np.log(p / (1 - p)))
 
 
 @cache

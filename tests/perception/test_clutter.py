@@ -8,6 +8,7 @@ import pytest
 
 from perception import clutter
 from perception.clutter import POSED_SCORE, UNCERTAIN, UNCLASSIFIED_SCORE, reconstruct_clutter
+from perception.inference.acceptance import shipped_acceptance
 from perception.inference.reconstruct import ReconstructOptions
 from perception.types import (
     POSED_CLASSES,
@@ -103,6 +104,18 @@ def test_what_several_views_leave_doubtful_is_reported_as_a_thing_of_no_class(sc
     assert [item.reason for item in scene.rejected if item.id == 0][-1] == (
         "score 0.39 over all views: it is taken for a thing of no class"
     )
+
+
+@pytest.mark.parametrize(("can", "resting", "exists"), [
+    (0.62, "upright", True), (0.05, "upright", False), (0.62, "lying", False),
+])  # fmt: skip
+def test_what_may_be_a_bottle_or_a_can_is_no_thing_of_no_class(can, resting, exists):
+    p = np.array([0.0, 0.0, 0.38, can, 0.62 - can])
+    rows = [[ObjectDetection("can", 0.6, MASK, instance_id=0, class_probabilities=p)]]
+    estimate = found(0, 0.2, "bottle", resting)
+    assert (clutter._existence(estimate, rows, shipped_acceptance()) > UNCERTAIN) == exists
+    assert clutter._existence(estimate, rows, None) == 0.2
+    assert clutter._existence(estimate, [[]], shipped_acceptance()) == 0.2
 
 
 def test_one_view_is_judged_by_the_acceptance_model_alone(scene, monkeypatch):

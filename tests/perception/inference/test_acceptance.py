@@ -58,6 +58,14 @@ def test_the_class_probability_adds_its_log_odds_if_it_is_known() -> None:
     assert judged.score(TYPICAL, "can", 1.0) == pytest.approx(sigmoid(0.5 * np.log(99) + 0.25))
 
 
+def test_existence_is_the_score_with_the_probability_of_all_classes() -> None:
+    judged = model(bias=-0.3, class_logit=0.5)
+    p = np.array([0.0, 0.0, 0.3, 0.5, 0.2])
+    bottle = judged.score(TYPICAL, "bottle", 0.3)
+    assert judged.existence(bottle, "bottle", p) == pytest.approx(judged.score(TYPICAL, "bottle", 0.8))
+    assert judged.existence(1.0, "bottle", p) <= 1.0 and judged.existence(0.0, "bottle", p) < 1e-6
+
+
 def test_the_terms_match_their_names() -> None:
     values = terms(numbers_of(TYPICAL), np.zeros(len(LINEAR)), np.ones(len(LINEAR)), 0.3)
     assert values.shape == (len(COEFFICIENTS),) and np.isfinite(values).all()
