@@ -157,10 +157,7 @@ def fit_best_class(
         raise problem
     best = _right_way_up(fit, best, views)
     estimate = best.estimate
-    exists = estimate.score
-    if best.probability is not None and estimate.resting == "upright":
-        exists = model.existence(estimate.score, estimate.category, p)
-    if exists < model.threshold and len(views.observations) <= 1:
+    if estimate.score < model.threshold and len(views.observations) <= 1:
         reason = model.reason(best.evidence, estimate.category, best.probability)
         raise RejectedError(estimate.category, estimate.score, reason)
     if estimate.category != views.category:

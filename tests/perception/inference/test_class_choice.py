@@ -15,7 +15,6 @@ from perception.inference.fit_config import FitConfig
 from perception.inference.observation import ObjectObservation, ObjectViews
 from perception.types import (
     CATEGORIES,
-    OTHER,
     POSED_CLASSES,
     CameraIntrinsics,
     ObjectEstimate,
@@ -33,9 +32,6 @@ OBSERVATION = ObjectObservation(FRAME, np.ones((2, 2), bool))
 
 
 class Model(AcceptanceModel):
-    def existence(self, score, category, class_probabilities):
-        return max(score, 0.6 if class_probabilities[OTHER] < 0.05 else 0.0)
-
     def reason(self, evidence, category, class_probability=None, count=2):
         return "it floats"
 
@@ -100,12 +96,6 @@ def test_an_object_of_no_class_is_rejected_with_its_best_score(choose) -> None:
     with pytest.raises(RejectedError, match=r"^score 0\.30: it floats$") as caught:
         run({"mug": 0.2, "can": 0.3}, [0.5, 0.0, 0.0, 0.4, 0.1])
     assert (caught.value.category, caught.value.score) == ("can", 0.3)
-
-
-def test_an_object_that_may_be_of_either_class_is_not_rejected(choose) -> None:
-    run, _ = choose
-    estimate = run({"mug": 0.2, "can": 0.3}, [0.55, 0.0, 0.0, 0.42, 0.03])
-    assert (estimate.category, estimate.score) == ("can", 0.3)
 
 
 def test_an_object_confirmed_by_a_second_view_is_not_rejected(choose) -> None:
