@@ -57,6 +57,7 @@ MAX_CLASSES = 3
 SURE = 0.6  # probability of some classes in resting poses from which on they are fitted in any case
 LIKELY = 0.15  # least probability of each of them
 ABOUT = 0.05  # by how much the misfit of what the pose network is sure of may be larger
+ALIKE = 0.02  # difference of the misfits up to which a bottle may lie either way round
 UNKNOWN = 0.5  # least score of an object of no class, or in a pose that the networks were not trained on
 
 
@@ -183,6 +184,8 @@ def _right_way_up(fit: _Fit, best: ScoredFit, views: ObjectViews) -> ScoredFit:
     if both and misfit(other.evidence) <= misfit(best.evidence):
         best, other = other, best
         turned = is_turned_over(best.estimate, views.observations)
+    if both:
+        turned &= misfit(other.evidence) < misfit(best.evidence) + ALIKE
     return replace(other, estimate=turned_over(best.estimate, other.estimate)) if turned else best
 
 

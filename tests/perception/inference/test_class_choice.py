@@ -292,12 +292,12 @@ def test_a_can_with_the_wrong_end_up_is_fitted_the_other_way_round(monkeypatch, 
 
 
 @pytest.mark.parametrize(("explained", "closed_cup", "turned"), [
-    (0.98, False, True), (0.95, False, False), (0.98, True, False), (0.95, True, True),
+    (0.97, False, True), (0.95, False, False), (0.97, True, False), (0.95, True, True), (0.90, True, False),
 ])  # fmt: skip
 def test_of_a_lying_bottle_the_way_round_that_explains_the_depth_better_is_kept(
     monkeypatch, explained, closed_cup, turned
 ) -> None:
-    """Unless that is a closed cup with its lid down."""
+    """Unless that is a closed cup with its lid down, and the other way explains it about as well."""
 
     def scored(views, decoder, plane, model, config, on_step):
         mesh, first = TriangleMesh(np.eye(3), np.arange(3)[None]), config.toward is None
