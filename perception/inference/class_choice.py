@@ -5,7 +5,7 @@ contradicts it, the next classes are fitted as well, and the one with the highes
 as an upright object is poor, the other resting poses of the class are tried. An object without a class is
 fitted as those classes in those resting poses that come near its depth in a few coarse iterations. In clutter
 a network names class and resting pose: what it is sure of is kept if it explains the depth about as well.
-A can that was fitted with the wrong end up is fitted again the other way round.
+A can, or a lying bottle, that was fitted with the wrong end up is fitted again the other way round.
 """
 
 from __future__ import annotations
@@ -168,25 +168,26 @@ def fit_best_class(
 
 def _right_way_up(fit: _Fit, best: ScoredFit, views: ObjectViews) -> ScoredFit:
     """Return the fit, or one the other way round: of a lying bottle, or what has its lower end up."""
-    estimate, p = best.estimate, dict(zip(POSED_CLASSES, views.pose_probabilities.tolist()))
-    both, resting = estimate.category == "bottle" and estimate.resting == "lying", estimate.resting
-    turned = is_turned_over(estimate, views.observations)
-    if estimate.category == "can":
-        turned &= p.get(("bottle", resting), 0.0) <= p.get(("can", resting), 0.0)
-    if not turned and not both:
-        return best
+    estimate, resting = best.estimate, best.estimate.resting
+    may_be_either = estimate.category == "bottle" and resting == "lying"
+    if not may_be_either:
+        p = dict(zip(POSED_CLASSES, views.pose_probabilities.tolist()))
+        if p.get(("bottle", resting), 0.0) > p.get(("can", resting), 0.0):
+            return best
+        if not is_turned_over(estimate, views.observations):
+            return best
     x, y, z = (-estimate.T_world_object[:3, 2]).tolist()
-    other, _ = _attempt(
-        fit, estimate.category, None, "lying" if resting == "lying" else "upside-down", (x, y, z)
-    )
+    way = "lying" if resting == "lying" else "upside-down"
+    other, _ = _attempt(fit, estimate.category, None, way, (x, y, z))
     if other is None:
         return best
-    if both and misfit(other.evidence) <= misfit(best.evidence):
-        best, other = other, best
-        turned = is_turned_over(best.estimate, views.observations)
-    if both:
-        turned &= misfit(other.evidence) < misfit(best.evidence) + ALIKE
-    return replace(other, estimate=turned_over(best.estimate, other.estimate)) if turned else best
+    if may_be_either:
+        if misfit(other.evidence) <= misfit(best.evidence):
+            best, other = other, best
+        alike = misfit(other.evidence) < misfit(best.evidence) + ALIKE
+        if not alike or not is_turned_over(best.estimate, views.observations):
+            return best
+    return replace(other, estimate=turned_over(best.estimate, other.estimate))
 
 
 def _best_upright(

@@ -161,8 +161,9 @@ def _merged(meshes: list[trimesh.Trimesh]) -> tuple[trimesh.Trimesh, ...]:
 def _simplified(mesh: trimesh.Trimesh) -> trimesh.Trimesh:
     """Reduce a mesh to ``LARGEST_MESH`` triangles; texture coordinates go along with the vertices.
 
-    Each pass keeps the surface within a tolerance. (Decimation by quadric error fixes no position along flat
-    and conical walls, where vertices leave the object.)
+    Each pass keeps the surface within a tolerance; vertices of what encloses no volume are clustered.
+    (Decimation by quadric error fixes no position along flat and conical walls, where vertices leave the
+    object.)
     """
     if len(mesh.faces) <= LARGEST_MESH:
         return mesh
@@ -174,9 +175,11 @@ def _simplified(mesh: trimesh.Trimesh) -> trimesh.Trimesh:
     solid, faces = manifold3d.Manifold(surface), mesh.faces
     while not solid.is_empty() and len(faces) > LARGEST_MESH:
         solid = solid.simplify(tolerance)
+        if solid.is_empty():  # of many small parts none is left
+            break
         reduced = solid.to_mesh()
         rows, faces, tolerance = reduced.vert_properties, reduced.tri_verts, 1.5 * tolerance
-    while len(faces) > LARGEST_MESH:  # it encloses no volume
+    while len(faces) > LARGEST_MESH:
         rows, faces = _clustered(rows, faces, tolerance)
         tolerance *= 1.5
     simple = trimesh.Trimesh(rows[:, :3], faces, process=False)

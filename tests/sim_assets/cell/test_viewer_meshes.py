@@ -53,6 +53,16 @@ def test_flat_and_conical_walls_keep_their_place(sections, is_solid) -> None:
     np.testing.assert_allclose(simple.bounds, mesh.bounds, atol=0.002)
 
 
+def test_of_many_small_parts_some_remain() -> None:
+    parts = [
+        trimesh.creation.box((0.001,) * 3).apply_translation((0.01 * (k % 30), 0.01 * (k // 30), 0))
+        for k in range(600)
+    ]
+    mesh = trimesh.util.concatenate(parts)
+    mesh.visual = TextureVisuals(material=PBRMaterial())
+    assert len(mesh.faces) > LARGEST_MESH >= len(_simplified(mesh).faces) > 0
+
+
 def test_small_meshes_stay_as_they_are() -> None:
     mesh = ball(2, textured=True)
     assert _simplified(mesh) is mesh
