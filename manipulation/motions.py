@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Iterator, Sequence
+from collections.abc import Callable, Iterator, Sequence
 from itertools import pairwise
 
 import numpy as np
@@ -19,6 +19,9 @@ OUT_OF_REACH = Rejected("out of reach", by_arm=True)
 MIDDLE_RADIUS = 0.45  # [m]
 MAX_SWING = float(np.deg2rad(45))  # of a level path
 _SWING_STEP = 0.1  # [rad] between the postures at which the swing is looked at
+
+
+Path = list[Float[np.ndarray, "n"]]  # waypoints [rad]
 
 
 class MotionPlanner:
@@ -84,8 +87,7 @@ class MotionPlanner:
         q_goal: Float[np.ndarray, "n"],
         width: float,
         margins: Sequence[float | None] = (None,),
-        level: bool = False,
-    ) -> list[Float[np.ndarray, "n"]] | None:
+    ) -> Path | None:
         """Return waypoints of collision-free straight joint moves from start to goal, both included.
 
         A blocked direct move is replaced by moves over points above start, goal and between them.
@@ -93,21 +95,31 @@ class MotionPlanner:
         Args:
             q_start, q_goal: postures in [rad].
             width: opening between the pads in [m].
-            margins: clearances of arm and carried object in [m]; the first that some path keeps is used. None
-                is the clearance of the world's configuration.
-            level: whether only paths are taken on which the hand does not swing, see ``swing``.
+            margins: clearances of arm and carried object in [m], in descending order; the first that some
+                path keeps is used. None is the clearance of the world's configuration.
 
         Returns:
             The waypoints in [rad], or None if no candidate path is free.
         """
-        for margin in margins:
-            allowed = AllowedContacts(robot_margin=margin, carried_margin=margin)
-            for path in self._candidate_paths(q_start, q_goal):
-                if level and self.swing(path) > MAX_SWING:
-                    continue
-                if self.world.path_contact(np.stack(path), width, allowed) is None:
-                    return path
-        return None
+        return _Candidates(self, q_start, q_goal, width, margins).first(lambda path: True)
+
+    def carrying_path(
+        self,
+        q_start: Float[np.ndarray, "n"],
+        q_goal: Float[np.ndarray, "n"],
+        width: float,
+        margins: Sequence[float | None] = (None,),
+    ) -> tuple[Path, bool] | None:
+        """Return a path as ``free_path`` does, preferably one on which the hand is level, and whether it is.
+
+        It is level if the hand does not swing, see ``swing``; that comes before larger clearances.
+        """
+        candidates = _Candidates(self, q_start, q_goal, width, margins)
+        level = candidates.first(lambda path: self.swing(path) <= MAX_SWING)
+        if level is not None:
+            return level, True
+        path = candidates.first(lambda path: True)
+        return None if path is None else (path, False)
 
     def swing(self, path: Sequence[Float[np.ndarray, "n"]]) -> float:
         """Return how far [rad] what was vertical in the hand's first pose tilts on a path, beyond its end.
@@ -132,7 +144,10 @@ class MotionPlanner:
         start, end = (self.kinematics.forward(q)[:3, 3] for q in (postures[0], postures[-1]))
         return line_motion(postures, float(np.linalg.norm(end - start)), self.limits, self.config)
 
-    def _candidate_paths(self, q_start: np.ndarray, q_goal: np.ndarray) -> Iterator[list[np.ndarray]]:
+    def candidate_paths(
+        self, q_start: Float[np.ndarray, "n"], q_goal: Float[np.ndarray, "n"]
+    ) -> Iterator[Path]:
+        """Yield paths [rad] in descending order of preference, the direct one first, free or not."""
         yield [q_start, q_goal]
         for waypoints in self._waypoints(q_start, q_goal):
             yield [q_start, *waypoints, q_goal]
@@ -162,3 +177,65 @@ class MotionPlanner:
         T_above[:2, 3], T_above[2, 3] = xy, max(height, T_world_tcp[2, 3])
         result = self.kinematics.inverse(T_above, [q_seed], name="a waypoint")
         return result.q if result.converged else None
+
+
+class _Candidates:
+    """Candidate paths between two postures, and what is known of the clearances that they keep.
+
+    A path that does not keep the smallest clearance keeps none: that is checked first, except of the direct
+    path, which mostly is free. So a search that finds nothing checks every path about once.
+
+    Args:
+        motions: planner of the paths.
+        q_start, q_goal: postures in [rad].
+        width: opening between the pads in [m].
+        margins: clearances in [m], in descending order.
+    """
+
+    def __init__(
+        self,
+        motions: MotionPlanner,
+        q_start: np.ndarray,
+        q_goal: np.ndarray,
+        width: float,
+        margins: Sequence[float | None],
+    ) -> None:
+        self._motions, self._width, self._margins = motions, width, margins
+        self._remaining = motions.candidate_paths(q_start, q_goal)
+        self._paths: list[Path] = []
+        self._keeps: dict[tuple[int, int], bool] = {}  # by the numbers of path and margin
+
+    def first(self, is_suitable: Callable[[Path], bool]) -> Path | None:
+        """Return the first suitable path that keeps the largest clearance that any of them keeps."""
+        for margin in range(len(self._margins)):
+            for number, path in enumerate(self._all()):
+                if self._may_be_free(number, margin) and is_suitable(path) and self._is_free(number, margin):
+                    return path
+        return None
+
+    def _all(self) -> Iterator[Path]:
+        """Yield all paths; each is made once."""
+        yield from self._paths
+        for path in self._remaining:
+            self._paths.append(path)
+            yield path
+
+    def _may_be_free(self, number: int, margin: int) -> bool:
+        return self._keeps.get((number, len(self._margins) - 1), True) and self._keeps.get(
+            (number, margin), True
+        )
+
+    def _is_free(self, number: int, margin: int) -> bool:
+        last = len(self._margins) - 1
+        order = (margin,) if number == 0 else (last, margin)
+        return all(self._keeps_margin(number, m) for m in order)
+
+    def _keeps_margin(self, number: int, margin: int) -> bool:
+        if (number, margin) not in self._keeps:
+            allowed = AllowedContacts(
+                robot_margin=self._margins[margin], carried_margin=self._margins[margin]
+            )
+            postures = np.stack(self._paths[number])
+            contact = self._motions.world.path_contact(postures, self._width, allowed)
+            self._keeps[number, margin] = contact is None
+        return self._keeps[number, margin]

@@ -323,14 +323,15 @@ class PickPlacePlanner:
                 continue
             self.world.carry(name, np.linalg.inv(grasp.T_stand_tcp))
             ends, width, margins = (pick.lift[-1], place.lowering[0]), grasp.held_width, c.transit_margins
-            carry = self.motions.free_path(*ends, width, margins, level=True)
-            if carry is not None:
+            carrying = self.motions.carrying_path(*ends, width, margins)
+            if carrying is None:
+                if swinging is None:
+                    tally.reject(Rejected("without a collision-free path to the goal"))
+                continue
+            carry, is_level = carrying
+            if is_level:
                 return self._with_start(pick, place, goal, carry, q_start, tally)
-            carry = None if swinging else self.motions.free_path(*ends, width, margins)
-            if carry is not None:
-                swinging = place, goal, carry
-            elif swinging is None:
-                tally.reject(Rejected("without a collision-free path to the goal"))
+            swinging = swinging or (place, goal, carry)
         return self._with_start(pick, *swinging, q_start, tally) if swinging else None
 
     def _with_start(

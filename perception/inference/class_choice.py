@@ -353,7 +353,8 @@ def _scored(
     known = p.size > 0 and (config.resting == "upright" or np.ptp(p) > 0)  # networks know upright objects
     probability = float(p[CATEGORIES.index(category)]) if known else None
     score = model.score(evidence, category, probability)
-    if config.resting != "upright" and views.pose_probabilities.size:
+    unnamed = p.size > 0 and float(np.ptp(p)) == 0.0
+    if views.pose_probabilities.size and (unnamed or config.resting != "upright"):
         score = agreed(
             pose_mass(views.pose_probabilities, config.resting), model.score(evidence, category, None)
         )

@@ -138,8 +138,34 @@ def test_a_level_path_does_not_swing(kinematics, ends, monkeypatch):
     motions = motions_among(kinematics)
     start, goal = ends
     swinging, level = [start, start + 0.9 * np.eye(len(start))[5], start], [start, goal]
-    monkeypatch.setattr(motions, "_candidate_paths", lambda *_: iter([swinging, level]))
+    monkeypatch.setattr(motions, "candidate_paths", lambda *_: iter([swinging, level]))
     assert motions.free_path(start, goal, WIDTH) == swinging
-    assert motions.free_path(start, goal, WIDTH, level=True) == level
-    monkeypatch.setattr(motions, "_candidate_paths", lambda *_: iter([swinging]))
-    assert motions.free_path(start, goal, WIDTH, level=True) is None
+    assert motions.carrying_path(start, goal, WIDTH) == (level, True)
+    monkeypatch.setattr(motions, "candidate_paths", lambda *_: iter([swinging]))
+    assert motions.carrying_path(start, goal, WIDTH) == (swinging, False)
+
+
+def test_a_search_that_finds_nothing_checks_each_detour_once(kinematics, ends, monkeypatch):
+    motions = motions_among(kinematics, TALL_WALL)
+    n_detours = len(list(motions.candidate_paths(*ends))) - 1
+    checked = []
+    whole = motions.world.path_contact
+    monkeypatch.setattr(motions.world, "path_contact", lambda *args: checked.append(args) or whole(*args))
+    assert motions.carrying_path(*ends, WIDTH, (0.03, 0.012, 0.004)) is None
+    assert n_detours > 0 and len(checked) == 3 + n_detours
+
+
+def test_level_comes_before_a_larger_clearance(kinematics, ends, monkeypatch):
+    """The level path touches the wall at 6 cm, the swinging one is free there."""
+    motions = motions_among(kinematics)
+    start, goal = ends
+    swinging, level = [start, start + 0.9 * np.eye(len(start))[5], start], [start, goal]
+    monkeypatch.setattr(motions, "candidate_paths", lambda *_: iter([swinging, level]))
+
+    def contact(postures, width, allowed):
+        is_tight = len(postures) == 2 and allowed.robot_margin == 0.06
+        return Contact("arm", "wall") if is_tight else None
+
+    monkeypatch.setattr(motions.world, "path_contact", contact)
+    assert motions.carrying_path(start, goal, WIDTH, (0.06, 0.0)) == (level, True)
+    assert motions.free_path(start, goal, WIDTH, (0.06, 0.0)) == swinging
