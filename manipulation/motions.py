@@ -53,6 +53,7 @@ class MotionPlanner:
         targets: Sequence[Float[np.ndarray, "4 4"]],
         width: float,
         allowed: AllowedContacts = NO_CONTACT,
+        end_margin: float | None = None,
     ) -> Float[np.ndarray, "k n"] | Rejected:
         """Return the postures [rad] of the first collision-free straight line from ``q`` to a target.
 
@@ -61,6 +62,8 @@ class MotionPlanner:
             targets: TCP poses in descending order of preference.
             width: opening between the pads in [m].
             allowed: contacts that are no collisions.
+            end_margin: clearance of robot and carried object that the end of the line keeps from everything,
+                in [m]; None for none. What slides along a neighbour is not carried on from there.
         """
         contact = self.world.contact(q, width, allowed)
         if contact is not None:  # before any inverse kinematics
@@ -71,6 +74,9 @@ class MotionPlanner:
             if postures is None:
                 continue
             contact = self.world.path_contact(postures, width, allowed)
+            if contact is None and end_margin is not None:
+                clear = AllowedContacts(robot_margin=end_margin, carried_margin=end_margin)
+                contact = self.world.contact(postures[-1], width, clear)
             if contact is None:
                 return postures
             rejected = self.rejection(contact)

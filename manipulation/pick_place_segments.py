@@ -32,7 +32,7 @@ class SegmentConfig:
     Attributes:
         approach_heights, retreat_heights: lengths of approach and retreat in [m], tried in order. The
             approach begins so high that the wrist camera sees the object.
-        lift_heights: heights of the vertical lift in [m], tried in order.
+        lift_heights: heights of the vertical lift in [m], tried in order until its end is clear.
         oblique_azimuths: azimuths in [rad] of a lift that is not vertical, from that away from what it would
             meet, tried in order.
         oblique_elevation: elevation of such a lift in [rad].
@@ -40,6 +40,8 @@ class SegmentConfig:
             which it has the largest clearance that any of them gives it.
         raised_margins: clearances in [m] at that height, in descending order.
         lift_margin: clearance of the carried object from its neighbours during the lift in [m].
+        lifted_margin: clearance of robot and carried object at the end of the lift, from where it is carried
+            on, in [m].
         placing_margin: clearance of the carried object from its neighbours while it is lowered, in [m].
         settle_depth: descent in [m] with loosened pads before they release what may hang on one.
         release_extras: additional opening of each finger at release in [m], tried in order: a finger close to
@@ -48,12 +50,13 @@ class SegmentConfig:
 
     approach_heights: tuple[float, ...] = (0.16, 0.10, 0.06)
     retreat_heights: tuple[float, ...] = (0.10, 0.06)
-    lift_heights: tuple[float, ...] = (0.20, 0.12)
+    lift_heights: tuple[float, ...] = (0.20, 0.12, 0.28)
     oblique_azimuths: tuple[float, ...] = (0.0, 0.8, -0.8)
     oblique_elevation: float = 0.7
     raise_heights: tuple[float, ...] = (0.12, 0.18, 0.25, 0.32, 0.08)
     raised_margins: tuple[float, ...] = (0.03, 0.02, 0.012, 0.008, 0.004)
     lift_margin: float = 0.002
+    lifted_margin: float = 0.004
     placing_margin: float = 0.001
     settle_depth: float = 0.004
     release_extras: tuple[float, ...] = (0.008, 0.004, 0.0)
@@ -160,20 +163,20 @@ def _find_lift(
     world = motions.world
     allowed = AllowedContacts(touch_carried=frozenset({TABLE.name}), carried_margin=config.lift_margin)
     lifted = [_raised(T_grasp, height) for height in config.lift_heights]
-    lift = motions.free_line(q, lifted, width, allowed)
+    lift = motions.free_line(q, lifted, width, allowed, config.lifted_margin)
     if not isinstance(lift, Rejected):
         return lift
     beside = _with_contacts(world, name, q, width, allowed)
     if beside is not None:
         allowed = beside
-        lift = motions.free_line(q, lifted, width, allowed)
+        lift = motions.free_line(q, lifted, width, allowed, config.lifted_margin)
     if not isinstance(lift, Rejected) or not lift.blocker or lift.by_arm:
         return lift
     away = world.pose(name)[:2, 3] - world.center(lift.blocker)[:2]
     for turn in config.oblique_azimuths:
         direction = _oblique(away, turn, config.oblique_elevation)
         oblique = [_moved(T_grasp, height * direction) for height in config.lift_heights]
-        line = motions.free_line(q, oblique, width, allowed)
+        line = motions.free_line(q, oblique, width, allowed, config.lifted_margin)
         if not isinstance(line, Rejected):
             return line
     return lift

@@ -26,11 +26,11 @@ class RecordingPlanner(MotionPlanner):
         super().__init__(kinematics, world, MotionConfig(line_step=0.03), (0.4,))
         self.lines, self.reject = [], {}
 
-    def free_line(self, q, targets, width, allowed=None):
+    def free_line(self, q, targets, width, allowed=None, end_margin=None):
         self.lines.append((targets, width, allowed, self.world._carried))
         if len(self.lines) in self.reject:
             return self.reject[len(self.lines)]
-        return super().free_line(q, targets, width, allowed)
+        return super().free_line(q, targets, width, allowed, end_margin)
 
 
 @pytest.fixture(scope="module")
@@ -156,6 +156,27 @@ def test_what_touches_a_thing_of_no_class_is_lifted_along_it(kinematics, can, ov
     beside_thing = RecordingPlanner(kinematics, CollisionWorld(kinematics.arm, bodies, (TABLE, thing)))
     pick = find_pick(beside_thing, can.name, grasp, CONFIG)
     assert isinstance(pick, Pick) if is_lifted else pick == Rejected("collide with thing_0")
+
+
+@pytest.mark.parametrize(("height", "is_oblique"), [(0.04, False), (0.12, True)])
+def test_what_leans_against_a_tall_thing_is_carried_on_from_clear_of_it(kinematics, can, height, is_oblique):
+    """A vertical lift by 8 cm along a thing of 12 cm ends in contact with it."""
+    config = replace(CONFIG, lift_heights=(0.08,))
+    grasp = reachable_pick(motions_among(kinematics, can), can).grasp
+    beside = (can.T_world_stand @ grasp.T_stand_tcp)[:2, 0]  # across the closing direction
+    axis = np.argmax(np.abs(beside))
+    toward = np.zeros(2)
+    toward[axis] = np.sign(beside[axis])
+    distance = np.ptp(can.vertices[:, 0]) / 2 + 0.01 - 0.001
+    thing = block(*(can.T_world_stand[:2, 3] + distance * toward), 0.01, height)
+    bodies = [Body(can.name, convex_pieces(can), can.T_world_stand)]
+    motions = RecordingPlanner(kinematics, CollisionWorld(kinematics.arm, bodies, (TABLE, thing)))
+    pick = find_pick(motions, can.name, grasp, config)
+    assert isinstance(pick, Pick)
+    step = kinematics.forward(pick.lift[-1])[:3, 3] - kinematics.forward(pick.lift[0])[:3, 3]
+    assert bool(step[:2] @ toward < -0.04) is is_oblique
+    clear = AllowedContacts(robot_margin=CONFIG.lifted_margin, carried_margin=CONFIG.lifted_margin)
+    assert motions.world.contact(pick.lift[-1], grasp.held_width, clear) is None
 
 
 def test_what_is_below_a_ledge_is_lifted_obliquely_away_from_it(kinematics, bowl):
