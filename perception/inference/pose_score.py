@@ -1,4 +1,8 @@
-"""Scores of objects that do not stand: what the pose network and the evidence of a fit say together."""
+"""Scores where the class network is not asked: what the pose network and the evidence of a fit say together.
+
+The class network knows upright objects alone: of what it gave no class, and of what does not stand, the
+pose network knows more.
+"""
 
 from __future__ import annotations
 

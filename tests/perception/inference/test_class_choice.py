@@ -138,6 +138,23 @@ def test_scores_are_those_of_the_evidence(make_table, decoder) -> None:
     assert fit_best_class(known, decoder, SupportPlane(), model).score != estimate.score
 
 
+def test_the_pose_network_counts_where_the_class_network_gave_no_class(make_table, decoder) -> None:
+    """An orange is as round as a can: what names it none decides."""
+    table = make_table("can", (1.0, 0.5), yaw=0.0)
+    views = ObjectViews(0, "can", 0.2, tuple(table.observations((0.0,))), np.full(5, 0.2))
+    model = AcceptanceModel.load()
+
+    def choose_with(poses: dict[tuple[str, str] | None, float]) -> ObjectEstimate:
+        p = np.array([poses.get(posed, 0.0) for posed in (*POSED_CLASSES, None)])
+        return fit_best_class(replace(views, pose_probabilities=p), decoder, SupportPlane(), model)
+
+    doubtful = choose_with({("can", "upright"): 0.4, None: 0.6})
+    sure = choose_with({("can", "upright"): 0.9, None: 0.1})
+    assert doubtful.resting == sure.resting == "upright" and doubtful.score < sure.score
+    with pytest.raises(RejectedError):
+        choose_with({("can", "upright"): 0.01, None: 0.99})
+
+
 @pytest.fixture
 def choose_pose(monkeypatch):
     """A function from the shares explained in each pose to the choice, and the poses that it tried."""
