@@ -17,8 +17,14 @@ from perception.detection.left_out import LeftOut
 from perception.detection.unclassified import associate_unclassified, is_low
 from perception.inference.acceptance import AcceptanceModel
 from perception.inference.explanation import shared_volume, unexplained
+from perception.inference.hidden_support import on_hidden_supports
 from perception.inference.lost_parts import with_lost_parts
-from perception.inference.reconstruct import ReconstructOptions, mean_poses, reconstruct
+from perception.inference.reconstruct import (
+    ReconstructOptions,
+    gather_instances,
+    mean_poses,
+    reconstruct,
+)
 from perception.inference.shape_model import Decoder
 from perception.inference.stack_parts import (
     CLEARLY,
@@ -104,6 +110,16 @@ def reconstruct_clutter(
         stacks = without_repeated_stacks(frames, rows, stacks)
         parts = [part for pair in stacks.values() for part in pair]
         single = {id: estimate for id, estimate in estimates.items() if id not in stacks}
+        if options.acceptance is not None:
+            named = {d.instance_id: d.support for row in detections_per_frame for d in row}
+            single |= on_hidden_supports(
+                gather_instances(frames, rows, options.max_views),
+                single,
+                {id for id in named if id is not None and id not in stacks},
+                {id: planes[number] for id, number in named.items() if id is not None},
+                decoder,
+                options.acceptance,
+            )
         single |= renamed(frames, detections_per_frame, single, lambda doubtful: fit(doubtful, {}))
         single |= completed(frames, rows, single, planes[0], lambda whole: fit(whole, {}))
         single = without_repetitions(frames, rows, single, candidates, parts)

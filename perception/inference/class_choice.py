@@ -127,7 +127,7 @@ def fit_best_class(
         toward: Axis = None,
     ) -> ScoredFit:
         posed = replace(config, resting=resting, toward=toward)
-        return _scored(replace(views, category=category), decoder, plane, model, posed, report)
+        return scored_fit(replace(views, category=category), decoder, plane, model, posed, report)
 
     def near(category: Category, resting: RestingPose) -> bool:
         return comes_near(replace(views, category=category), decoder, plane, resting, config)
@@ -339,14 +339,19 @@ def _attempt(
         return None, error
 
 
-def _scored(
+def scored_fit(
     views: ObjectViews,
     decoder: Decoder,
     plane: SupportPlane,
     model: AcceptanceModel,
     config: FitConfig,
-    on_step: OnStep | None,
+    on_step: OnStep | None = None,
 ) -> ScoredFit:
+    """Return the fit of an object as the class of its views, scored by its evidence.
+
+    Raises:
+        PerceptionError: The object cannot be fitted.
+    """
     category, p = views.category, views.class_probabilities
     estimate, grid = fit_with_grid(views, decoder, plane, config, on_step)
     evidence = measure_evidence(estimate, grid, views.observations, plane, config.step[category])

@@ -28,7 +28,7 @@ Fit = Callable[[ObjectViews, SupportPlane, FitConfig], ObjectEstimate]
 LEAST_BASE = 0.012  # [m] height over the plane of the lowest measured points of an object on another one
 _HIGHER = 0.008  # [m] by which the top of the upper object is above that of the lower one, at least
 _CELL = 0.002  # [m] of the height maps whose difference is the gap
-_FREE = 0.1  # [m] standard deviation of the height of the lowest part before the contact is known
+FREE = 0.1  # [m] standard deviation of the height of the lowest part before the contact is known
 WORSE = 0.3  # by which the score of a fit on the contact may be below that of the fit at any height
 _LEANING = 0.3  # [rad] standard deviation of the tilt of an object in a vessel
 _MOST_LEANING = math.radians(40)
@@ -126,8 +126,8 @@ def rest_on(
     under = _height_under(seen, lower.mesh_world, plane)
     if under is None:
         return fit(views, plane, config)
-    start = _raised(plane, under)
-    free = replace(config, noise=replace(config.noise, support_sigma=_FREE))
+    start = raised(plane, under)
+    free = replace(config, noise=replace(config.noise, support_sigma=FREE))
     floating = fit(views, start, free)
     first = floating.mesh_world
     clearance = gap(first, lower.mesh_world, plane)
@@ -135,7 +135,7 @@ def rest_on(
         return fit(views, plane, config)
     lowest = float(plane.height_above(first.vertices).min())
     contact = lowest - clearance
-    touching = fit(views, _raised(plane, contact), config)
+    touching = fit(views, raised(plane, contact), config)
     best = floating if touching.score < floating.score - WORSE else touching
     rim = float(plane.height_above(lower.mesh_world.vertices).max())
     if lower.category in VESSELS and min(lowest, contact) < rim - _HIGHER:
@@ -161,7 +161,7 @@ def _leaning(
     before = unexplained(points, [upright])
     if before < _DOUBTFUL:
         return None
-    noise = replace(config.noise, tilt_sigma=_LEANING, support_sigma=_FREE)
+    noise = replace(config.noise, tilt_sigma=_LEANING, support_sigma=FREE)
     try:
         leaning = fit(views, plane, replace(config, noise=noise, max_tilt=_MOST_LEANING))
     except PerceptionError:
@@ -185,7 +185,8 @@ def gap(upper: TriangleMesh, lower: TriangleMesh, plane: SupportPlane) -> float 
     return float((low[at] - high[there]).min()) if len(at) else None
 
 
-def _raised(plane: SupportPlane, height: float) -> SupportPlane:
+def raised(plane: SupportPlane, height: float) -> SupportPlane:
+    """Return the plane moved upwards by a height in metres."""
     return replace(plane, offset=plane.offset + height)
 
 

@@ -55,7 +55,7 @@ def choose(monkeypatch):
             estimate = ObjectEstimate(3, views.category, np.zeros(16), np.eye(4), np.ones(3), mesh, score)
             return ScoredFit(estimate, EVIDENCE, known)
 
-        monkeypatch.setattr(class_choice, "_scored", scored)
+        monkeypatch.setattr(class_choice, "scored_fit", scored)
         monkeypatch.setattr(class_choice, "comes_near", lambda *_: True)
         monkeypatch.setattr(class_choice, "nearest_hypotheses", lambda *_: POSED_CLASSES)
         monkeypatch.setattr(pose_choice, "rests_stably", lambda mesh, plane: True)
@@ -174,7 +174,7 @@ def choose_pose(monkeypatch):
             )
             return ScoredFit(estimate, replace(EVIDENCE, explained=share), None)
 
-        monkeypatch.setattr(class_choice, "_scored", scored)
+        monkeypatch.setattr(class_choice, "scored_fit", scored)
         monkeypatch.setattr(class_choice, "comes_near", lambda *_: near)
         monkeypatch.setattr(class_choice, "nearest_hypotheses", lambda *_: hypotheses)
         monkeypatch.setattr(pose_choice, "rests_stably", lambda mesh, plane: resting_stably)
@@ -291,7 +291,7 @@ def test_a_can_with_the_wrong_end_up_is_fitted_the_other_way_round(monkeypatch, 
         )
         return ScoredFit(estimate, replace(EVIDENCE, explained=0.97 if first else 0.8), None)
 
-    monkeypatch.setattr(class_choice, "_scored", scored)
+    monkeypatch.setattr(class_choice, "scored_fit", scored)
     monkeypatch.setattr(class_choice, "is_turned_over", lambda estimate, seen: True)
     monkeypatch.setattr(class_choice, "nearest_hypotheses", lambda *_: [("can", pose)])
     monkeypatch.setattr(pose_choice, "rests_stably", lambda mesh, plane: True)
@@ -322,7 +322,7 @@ def test_of_a_lying_bottle_the_way_round_that_explains_the_depth_better_is_kept(
         estimate = ObjectEstimate(3, "bottle", np.zeros(16), T, np.ones(3), mesh, 0.9, resting=config.resting)
         return ScoredFit(estimate, replace(EVIDENCE, explained=0.96 if first else explained), None)
 
-    monkeypatch.setattr(class_choice, "_scored", scored)
+    monkeypatch.setattr(class_choice, "scored_fit", scored)
     monkeypatch.setattr(class_choice, "is_turned_over", lambda estimate, seen: closed_cup)
     monkeypatch.setattr(class_choice, "nearest_hypotheses", lambda *_: [("bottle", "lying")])
     monkeypatch.setattr(pose_choice, "rests_stably", lambda mesh, plane: True)

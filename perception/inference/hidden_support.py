@@ -1,0 +1,85 @@
+"""Objects on something that no image shows: a bowl on a mug that it hides.
+
+The prior lets an upright object stand on the plane, so that such a bowl becomes one on a high foot. None of
+its measured points is near the plane, and where its height is free it explains the depth far better.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Collection, Mapping, Sequence
+from dataclasses import replace
+
+from perception.errors import PerceptionError
+from perception.inference.acceptance import AcceptanceModel
+from perception.inference.class_choice import ScoredFit, scored_fit
+from perception.inference.fit_config import FitConfig
+from perception.inference.observation import ObjectViews
+from perception.inference.pose_choice import misfit
+from perception.inference.shape_model import Decoder
+from perception.inference.stacking import FREE, MeasuredExtent, raised
+from perception.types import ObjectEstimate, SupportPlane
+
+LEAST_BASE = 0.03  # [m] above the plane, of the lowest measured points and of the shape at any height
+_BELOW = 0.01  # [m] below the lowest measured points, where the fit starts
+CLEARLY = 0.65  # largest misfit at any height relative to that of the same class on the plane
+MOST = 0.25  # of its misfit
+
+
+def on_hidden_supports(
+    instances: Sequence[ObjectViews],
+    estimates: Mapping[int, ObjectEstimate],
+    ids: Collection[int],
+    planes: Mapping[int, SupportPlane],
+    decoder: Decoder,
+    model: AcceptanceModel,
+    config: FitConfig = FitConfig(),
+) -> dict[int, ObjectEstimate]:
+    """Return estimates of the upright objects that do not stand on the plane, by id.
+
+    Args:
+        instances: Views of the objects.
+        estimates: Estimates as objects on the plane, by id; rejected ones are missing.
+        ids: Ids of the objects that are examined.
+        planes: Support plane of each object.
+        decoder: Shape prior.
+        model: Scores the evidence.
+        config: Settings of the fits.
+    """
+    found = {}
+    for views in instances:
+        estimate = estimates.get(views.id)
+        if views.id not in ids or (estimate is not None and estimate.resting != "upright"):
+            continue
+        named = views if estimate is None else replace(views, category=estimate.category)
+        above = _above_plane(named, planes[views.id], decoder, model, config)
+        if above is not None:
+            found[views.id] = above
+    return found
+
+
+def _above_plane(
+    views: ObjectViews, plane: SupportPlane, decoder: Decoder, model: AcceptanceModel, config: FitConfig
+) -> ObjectEstimate | None:
+    """Return the estimate of an object above the plane; None if it may stand on it."""
+    base = MeasuredExtent.of(views, plane).base
+    if base < LEAST_BASE:
+        return None
+    anywhere = replace(config, noise=replace(config.noise, support_sigma=FREE))
+    above = _attempt(views, raised(plane, base - _BELOW), decoder, model, anywhere)
+    if above is None or above.estimate.status == "implausible" or misfit(above.evidence) > MOST:
+        return None
+    if plane.height_above(above.estimate.mesh_world.vertices).min() < LEAST_BASE:
+        return None
+    standing = _attempt(views, plane, decoder, model, config)
+    if standing is not None and misfit(above.evidence) > CLEARLY * misfit(standing.evidence):
+        return None
+    return above.estimate
+
+
+def _attempt(
+    views: ObjectViews, plane: SupportPlane, decoder: Decoder, model: AcceptanceModel, config: FitConfig
+) -> ScoredFit | None:
+    try:
+        return scored_fit(views, decoder, plane, model, config)
+    except PerceptionError:
+        return None

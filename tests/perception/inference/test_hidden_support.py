@@ -1,0 +1,51 @@
+"""An object over something that its masks do not show is estimated where it is, one on the plane stays there."""
+
+from dataclasses import replace
+
+import numpy as np
+import pytest
+
+from perception.inference import hidden_support
+from perception.inference.acceptance import AcceptanceModel
+from perception.inference.hidden_support import on_hidden_supports
+from perception.inference.observation import ObjectObservation, ObjectViews
+from perception.types import SupportPlane
+
+PLANE = SupportPlane()
+PROBABILITIES = np.array([0.01, 0.0, 0.0, 0.98, 0.01])
+
+
+def examine(views, decoder, estimates=None, ids=(5,)):
+    return on_hidden_supports([views], estimates or {}, ids, {5: PLANE}, decoder, AcceptanceModel.load())
+
+
+@pytest.fixture(scope="module")
+def upper(stack):
+    """A can on another one, whose pixels are in no mask."""
+    seen = [ObjectObservation(s.frame, mask) for s, mask in zip(stack.seen, stack.upper)]
+    return ObjectViews(5, "can", 0.9, tuple(seen), PROBABILITIES)
+
+
+def test_an_object_over_what_no_mask_shows_is_above_the_plane(upper, stack, decoder) -> None:
+    found = examine(upper, decoder)
+    heights = found[5].mesh_world.vertices[:, 2]
+    assert heights.min() == pytest.approx(stack.height, abs=0.006)
+    assert (found[5].resting, found[5].rests_on) == ("upright", None)
+
+
+def test_only_the_objects_that_are_named_are_examined(upper, decoder) -> None:
+    assert examine(upper, decoder, ids=()) == {}
+
+
+def test_what_does_not_stand_upright_is_left_as_it_is(upper, decoder) -> None:
+    lying = replace(examine(upper, decoder)[5], resting="lying")
+    assert examine(upper, decoder, {5: lying}) == {}
+
+
+def test_an_object_on_the_plane_is_not_raised(make_table, decoder, monkeypatch) -> None:
+    """Neither by its lowest points, nor, where these are hidden, by its misfit."""
+    table = make_table("can", (1.5, -1.0), yaw=0.0)
+    views = ObjectViews(5, "can", 0.9, tuple(table.observations((0.0, 2.1))), PROBABILITIES)
+    assert examine(views, decoder) == {}
+    monkeypatch.setattr(hidden_support, "LEAST_BASE", -1.0)
+    assert examine(views, decoder) == {}
