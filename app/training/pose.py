@@ -52,7 +52,7 @@ class TrainPoseConfig(TrainDetectorConfig):
     """Configuration of the job; the defaults are those of the shipped weights."""
 
     pictures: int = 5000
-    training: TrainingConfig = field(default_factory=lambda: TrainingConfig(epochs=16))
+    training: TrainingConfig = field(default_factory=lambda: TrainingConfig(epochs=22))
 
 
 @dataclass(frozen=True)

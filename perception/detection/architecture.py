@@ -31,11 +31,8 @@ class CropSizes:
 
 
 NARROW = CropSizes((16, 32, 64, 128), 48, 128)
-CROP_SIZES: dict[Task, CropSizes] = {
-    "class": CropSizes((32, 64, 128, 192), 64, 192),
-    "pose": NARROW,
-    "yaw": NARROW,
-}
+WIDE = CropSizes((32, 64, 128, 192), 64, 192)
+CROP_SIZES: dict[Task, CropSizes] = {"class": WIDE, "pose": WIDE, "yaw": NARROW}
 
 SCENE_WIDTHS = (24, 48, 80, 128, 160)
 SCENE_JOINED = (32, 48, 64)  # channels of the decoder, fine to coarse
