@@ -21,7 +21,9 @@ from perception.types import ObjectEstimate, SupportPlane
 
 LEAST_BASE = 0.03  # [m] above the plane, of the lowest measured points and of the shape at any height
 _BELOW = 0.01  # [m] below the lowest measured points, where the fit starts
-CLEARLY = 0.65  # largest misfit at any height relative to that of the same class on the plane
+# Largest misfit at any height relative to that of the same class on the plane; the second where only the
+# former fit converges.
+CLEARLY, CONVERGED = 0.65, 0.85
 MOST = 0.25  # of its misfit
 
 
@@ -71,9 +73,11 @@ def _above_plane(
     if plane.height_above(above.estimate.mesh_world.vertices).min() < LEAST_BASE:
         return None
     standing = _attempt(views, plane, decoder, model, config)
-    if standing is not None and misfit(above.evidence) > CLEARLY * misfit(standing.evidence):
-        return None
-    return above.estimate
+    if standing is None:
+        return above.estimate
+    statuses = above.estimate.status, standing.estimate.status
+    least = CONVERGED if statuses == ("converged", "not_converged") else CLEARLY
+    return above.estimate if misfit(above.evidence) < least * misfit(standing.evidence) else None
 
 
 def _attempt(

@@ -1,4 +1,4 @@
-"""An object over something that its masks do not show is estimated where it is, one on the plane stays there."""
+"""What is over something that its masks do not show is estimated where it is; on the plane it stays there."""
 
 from dataclasses import replace
 
@@ -49,3 +49,32 @@ def test_an_object_on_the_plane_is_not_raised(make_table, decoder, monkeypatch) 
     assert examine(views, decoder) == {}
     monkeypatch.setattr(hidden_support, "LEAST_BASE", -1.0)
     assert examine(views, decoder) == {}
+
+
+@pytest.mark.parametrize(
+    ("standing", "above", "status", "is_raised"),
+    [
+        (0.3, 0.19, "converged", True),
+        (0.3, 0.21, "converged", False),
+        (0.3, 0.21, "not_converged", True),
+        (0.25, 0.22, "not_converged", False),
+        (0.6, 0.26, "converged", False),  # explained too little
+    ],
+)
+def test_it_is_raised_where_it_explains_clearly_more(
+    upper, decoder, monkeypatch, standing, above, status, is_raised
+) -> None:
+    fitted = hidden_support.scored_fit
+
+    def fit(views, decoder, plane, model, config):
+        made = fitted(views, decoder, plane, model, config)
+        is_above = plane.offset > 0
+        share = 1 - (above if is_above else standing)
+        return replace(
+            made,
+            estimate=replace(made.estimate, status="converged" if is_above else status),
+            evidence=replace(made.evidence, explained=share, free_space=0.0),
+        )
+
+    monkeypatch.setattr(hidden_support, "scored_fit", fit)
+    assert (5 in examine(upper, decoder)) is is_raised
