@@ -28,6 +28,7 @@ from perception.metrics import SurfaceSamples
 from perception.types import (
     CATEGORIES,
     OTHER,
+    POSED_CLASSES,
     Category,
     ObjectDetection,
     ObjectEstimate,
@@ -235,7 +236,8 @@ def _named(
 ) -> dict[int, ObjectDetection]:
     """Return detections of a part in its views, with the class that those showing most of it agree on.
 
-    None if that is none of ``classes`` with a probability of ``MIN_CLASS``.
+    Where the class network names none of ``classes`` with a probability of ``MIN_CLASS``, the pose network,
+    which knows partly hidden objects better, is asked as well. None if both together name none of them.
     """
     largest = sorted(masks, key=lambda k: -int(masks[k].sum()))[:NAMING_VIEWS]
     named = {k: completer.complete(views[k], base, [unclassified(masks[k])])[0] for k in largest}
@@ -244,13 +246,31 @@ def _named(
     if not known:
         return {}
     possible = np.array([*(category in classes for category in CATEGORIES), True])
-    mean = np.mean([d.class_probabilities for d in known], axis=0) * possible
-    mean /= max(mean.sum(), 1e-9)
-    best = int(mean[:OTHER].argmax())
-    if mean[best] < MIN_CLASS:
+    means = (
+        np.mean([of(d) for d in known], axis=0) * possible for of in (_of_class_network, _of_both_networks)
+    )
+    named_by = (mean / max(mean.sum(), 1e-9) for mean in means)
+    mean = next((mean for mean in named_by if mean[:OTHER].max() >= MIN_CLASS), None)
+    if mean is None:
         return {}
+    best = int(mean[:OTHER].argmax())
     common = {"category": CATEGORIES[best], "score": float(mean[best]), "class_probabilities": mean}
     return {k: replace(named.get(k, unclassified(mask)), **common) for k, mask in masks.items()}
+
+
+def _of_class_network(detection: ObjectDetection) -> Float[np.ndarray, "k"]:
+    return detection.class_probabilities
+
+
+def _of_both_networks(detection: ObjectDetection) -> Float[np.ndarray, "k"]:
+    """Return class probabilities as the mean of those of the class and of the pose network, in any pose."""
+    posed = detection.pose_probabilities
+    if not posed.size:
+        return detection.class_probabilities
+    of_class = [
+        sum(p for (c, _), p in zip(POSED_CLASSES, posed.tolist()) if c == name) for name in CATEGORIES
+    ]
+    return (detection.class_probabilities + np.array([*of_class, posed[-1]])) / 2
 
 
 def _with_parts(rows: Rows, parts: Mapping[int, Parts]) -> Rows:

@@ -9,6 +9,7 @@ import trimesh
 from perception.inference import stack_parts
 from perception.inference.stack_parts import parts_inside, propose_parts, split_stacks
 from perception.types import (
+    POSED_CLASSES,
     CameraIntrinsics,
     ObjectDetection,
     ObjectEstimate,
@@ -121,6 +122,21 @@ def test_the_upper_part_is_named_on_the_seam_and_parts_without_a_class_are_none(
     assert {d.category for row in parts.rows for d in row} == {"can"}
     thing = Namer([0.1, 0.1, 0.05, 0.05, 0.7])
     assert propose_parts(frames_of(stack), rows, 4, [PLANE], thing, 9) == []
+
+
+@pytest.mark.parametrize(
+    ("network", "category"), [((0.1, 0.0, 0.1, 0.7, 0.1), "can"), ((0.2, 0, 0.5, 0, 0.3), "mug")]
+)
+def test_the_pose_network_is_asked_what_the_class_network_does_not_know(stack, rows, network, category):
+    """Nothing stands on a bottle: the lower part is none to the class network, and a mug to both."""
+
+    class OnMugs(Namer):
+        def posed(self, frame, plane, detections):
+            poses = np.array([posed == ("mug", "upright") for posed in POSED_CLASSES] + [False], float)
+            return [replace(d, pose_probabilities=poses) for d in detections]
+
+    (parts, *_) = propose_parts(frames_of(stack), rows, 4, [PLANE], OnMugs(network), 9)
+    assert {d.category for row in parts.rows for d in row if d.instance_id == 9} == {category}
 
 
 def test_parts_with_far_better_scores_replace_an_unusual_shape_that_explains_as_much(stack, rows):
