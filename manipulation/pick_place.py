@@ -12,20 +12,18 @@ from dataclasses import dataclass, field, replace
 import numpy as np
 from jaxtyping import Float
 
-from manipulation.antipodal_grasps import antipodal_grasps
 from manipulation.candidates import Tally, are_similar, ordered_yaws
 from manipulation.collision import Body, CollisionConfig, CollisionWorld
 from manipulation.errors import NoPlanError
 from manipulation.grasp_config import GraspConfig
-from manipulation.grasps import grasp_candidates
 from manipulation.hulls import convex_pieces
 from manipulation.kinematics import IkConfig, Kinematics
-from manipulation.lying_grasps import lies, lying_grasps
+from manipulation.known_grasps import KnownGrasps
 from manipulation.motions import MIDDLE_RADIUS, MotionPlanner
 from manipulation.nesting import nest_heights
 from manipulation.obstacles import TABLE, Obstacle
 from manipulation.pick_place_segments import Pick, Place, PlaceGoal, SegmentConfig, find_pick, find_place
-from manipulation.reorientation import reorienting_grasps, rolled
+from manipulation.reorientation import rolled
 from manipulation.surroundings import Surfaces, points_around
 from manipulation.trajectories import MotionConfig, concatenate
 from manipulation.types import Grasp, GraspSet, PickPlacePlan, Placement, Rejected, StandingObject
@@ -85,10 +83,7 @@ class PickPlacePlanner:
         self.kinematics, self.config = kinematics, config
         self.items = dict(items)
         self._obstacles = tuple(obstacles)
-        self._grasps = dict(grasps or {})
-        self._lying: dict[str, GraspSet] = {}  # of objects that do not stand
-        self._tilted: dict[str, GraspSet] = {}
-        self._keeping: dict[str, GraspSet] = {}
+        self._known = KnownGrasps(self.items, config.grasp, self._points_around, grasps)
         self._surfaces = Surfaces()
         self._lifts: dict[tuple[str, ...], float] = {}  # of the last bowls of stacks
         self._forgotten: set[str] = set()
@@ -129,8 +124,7 @@ class PickPlacePlanner:
 
     def _on_change(self) -> None:
         self._n_changes += 1
-        self._tilted.clear()
-        self._keeping.clear()
+        self._known.on_change()
 
     def poses(self) -> dict[str, Float[np.ndarray, "4 4"]]:
         """Return T_world_stand of every object that is not forgotten, by name."""
@@ -150,7 +144,7 @@ class PickPlacePlanner:
         """Set the pose of an object that was moved, in any orientation."""
         self.world.set_present(name, True)
         self.world.move(name, T_world_stand)
-        self._lying.pop(name, None)
+        self._known.on_move(name)
         self._on_change()
         self._forgotten.discard(name)
 
@@ -161,49 +155,16 @@ class PickPlacePlanner:
         self._forgotten.add(name)
 
     def grasps(self, name: str) -> GraspSet:
-        """Return the grasp candidates of an object at its present pose, generated once."""
-        T_world_stand = self.world.pose(name)
-        if lies(T_world_stand):
-            if name not in self._lying:
-                self._lying[name] = reorienting_grasps(self.items[name], T_world_stand, self.config.grasp)
-            return self._lying[name]
-        if name not in self._grasps:
-            self._grasps[name] = grasp_candidates(self.items[name], self.config.grasp)
-        return self._grasps[name]
+        """Return the grasp candidates of an object at its present pose, see ``KnownGrasps``."""
+        return self._known.at(name, self.world.pose(name))
 
     def tilted_grasps(self, name: str) -> GraspSet:
-        """Return grasps with which an object is turned, or kept as it is if it stands, clear of surroundings.
-
-        The hand is at any angle. They are generated once for each state of the scene.
-        """
-        if name not in self._tilted:
-            T = self.world.pose(name)
-            self._tilted[name] = (
-                reorienting_grasps(self.items[name], T, self.config.grasp, self._points_around(name))
-                if lies(T)
-                else self.keeping_grasps(name)
-            )
-        return self._tilted[name]
+        """Return grasps at any angle of the hand, clear of surroundings, see ``KnownGrasps``."""
+        return self._known.tilted(name, self.world.pose(name))
 
     def keeping_grasps(self, name: str) -> GraspSet:
-        """Return grasps at any angle, clear of surroundings, with which an object keeps its orientation.
-
-        One that leans is set upright. Of one on its side, grasps across its axis come first. They are
-        generated once for each state of the scene.
-        """
-        if name not in self._keeping:
-            self._keeping[name] = self._make_keeping_grasps(name)
-        return self._keeping[name]
-
-    def _make_keeping_grasps(self, name: str) -> GraspSet:
-        item, T, config = self.items[name], self.world.pose(name), self.config.grasp
-        up, keeps = T[2, :3], lies(T) or T[2, 2] > 1 - 1e-6
-        verticals = (up,) if keeps else (up, np.array([0.0, 0.0, 1.0]))
-        between = antipodal_grasps(item, verticals, config, self._points_around(name))
-        if not lies(T):
-            return between
-        across = lying_grasps(item, T, config, least_height=0.0)
-        return GraspSet(across.grasps + between.grasps, across.rejected + between.rejected)
+        """Return such grasps with which an object keeps its orientation, see ``KnownGrasps``."""
+        return self._known.keeping(name, self.world.pose(name))
 
     def _points_around(self, name: str) -> Float[np.ndarray, "n 3"]:
         """Return points of what is around an object, in its stand frame [m]."""
