@@ -12,7 +12,7 @@ from sim_assets.cell.free_bodies import Pose, set_friction
 from sim_assets.cell.layout import FreePose, PlanarPose, UnstableError, draw_together, sample_roomy_layout
 from sim_assets.cell.resting import damped
 from sim_assets.cell.scene import build_scene
-from sim_assets.cell.settling import settle_bodies
+from sim_assets.cell.settling import fallen_after_nudge, settle_bodies
 from sim_assets.cell.stepping import advance
 from sim_assets.errors import RobotFileError
 from sim_assets.rendering.headless import MjData, MjModel, MjSpec, mujoco
@@ -29,6 +29,8 @@ def build_settled(
 ) -> tuple[MjModel, MjData]:
     """Build a cell and let it settle; a layout in which something falls is replaced by another.
 
+    So is one in which something falls when nudged, if there is a better one.
+
     Args:
         config: the cell.
         layout: draws poses and resting poses.
@@ -41,7 +43,7 @@ def build_settled(
         LayoutError: the objects do not fit on the table.
         UnstableError: something falls in every layout.
     """
-    fallen = None
+    fallen, balanced = None, None  # the latter: the first cell in which nothing falls unless it is nudged
     names = [f"object{i}" for i in range(len(config.objects))]
     names += [f"unknown{i}" for i in range(len(config.unknown))]
     groups, others = _groups(config, layout)
@@ -64,7 +66,11 @@ def build_settled(
             advance(model, data, SETTLING)
         fallen = settle_bodies(model, data, names)
         if fallen is None:
-            return model, data
+            if fallen_after_nudge(model, data, names) is None:
+                return model, data
+            balanced = balanced or (model, data)
+    if balanced is not None:
+        return balanced
     assert fallen is not None
     reason = f"the objects do not rest stably in any of {LAYOUTS} layouts: {fallen.reason}"
     raise UnstableError(reason, fallen.name)

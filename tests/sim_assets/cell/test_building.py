@@ -59,6 +59,19 @@ def test_a_layout_in_which_something_falls_is_replaced(monkeypatch):
     assert next(answers, "none left") == "none left"
 
 
+def test_a_layout_in_which_something_only_balances_is_the_last_resort(monkeypatch):
+    stable, balancing = None, Unsettled("object0", "object0 fell")
+    answers = iter([balancing, stable])
+    monkeypatch.setattr(building, "fallen_after_nudge", lambda *_: next(answers))
+    second = poses(*build(drawn_together=True))
+    assert next(answers, "none left") == "none left"
+    monkeypatch.setattr(building, "fallen_after_nudge", lambda *_: stable)
+    first = poses(*build(drawn_together=True))
+    assert np.abs(second - first).max() > 1e-3
+    monkeypatch.setattr(building, "fallen_after_nudge", lambda *_: balancing)
+    np.testing.assert_array_equal(poses(*build(drawn_together=True)), first)
+
+
 def test_objects_that_never_rest_are_named(monkeypatch):
     monkeypatch.setattr(building, "LAYOUTS", 2)
     monkeypatch.setattr(building, "settle_bodies", lambda *_: Unsettled("object0", "object0 rolls on"))

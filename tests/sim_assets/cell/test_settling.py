@@ -3,7 +3,7 @@
 import numpy as np
 import pytest
 
-from sim_assets.cell.settling import settle_bodies
+from sim_assets.cell.settling import fallen_after_nudge, settle_bodies
 from sim_assets.rendering.headless import mujoco
 
 SCENE = """
@@ -59,3 +59,23 @@ def test_a_lying_body_may_roll_about_but_not_rise():
     assert settle_bodies(model, data, ["can"]) is None
     after = data.body("can").xmat.reshape(3, 3)[:, 2]
     assert before @ after < np.cos(np.radians(3)) and abs(after[2]) < 0.05
+
+
+@pytest.mark.parametrize(("half", "stands"), [(0.02, True), (0.001, False)])
+def test_what_balances_falls_when_nudged(half, stands):
+    """A block of 20 cm on a foot of 4 cm, and on one of 2 mm, which stands as long as nothing touches it."""
+    scene = f"""
+    <mujoco><option timestep="0.001"/><worldbody><geom type="plane" size="2 2 .1"/>
+      <body name="block" pos="0 0 .1"><freejoint name="block"/>
+        <geom type="box" size="{half} {half} .1"/></body>
+      <body name="can" pos="0.3 0 .03" euler="90 0 0"><freejoint name="can"/>
+        <geom type="cylinder" size=".03 .05" condim="6" friction="1 .01 .001"/></body>
+    </worldbody></mujoco>"""
+    model = mujoco.MjModel.from_xml_string(scene)
+    data = mujoco.MjData(model)
+    names = ["block", "can"]
+    assert settle_bodies(model, data, names) is None
+    time, before = data.time, data.qpos.copy()
+    fallen = fallen_after_nudge(model, data, names)
+    assert (fallen is None) if stands else (fallen is not None and fallen.name == "block")
+    assert data.time == time and (data.qpos == before).all()
