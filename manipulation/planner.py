@@ -11,6 +11,7 @@ import numpy as np
 from manipulation.errors import PlanningError
 from manipulation.free_table import FREE_AREA, Area
 from manipulation.grasps import grasp_candidates
+from manipulation.hidden_objects import hidden_objects
 from manipulation.kinematics import Kinematics
 from manipulation.lying_grasps import is_upside_down, lies
 from manipulation.nearest_view import FULL_POSE
@@ -22,7 +23,7 @@ from manipulation.robot import ArmDescription
 from manipulation.sorting import SortingConfig
 from manipulation.sorting_rows import sort_rows
 from manipulation.standing import to_lying, to_standing
-from manipulation.types import Box, GraspSet, Line, StandingObject, TaskPlan
+from manipulation.types import Box, GraspSet, Line, Placement, StandingObject, TaskPlan
 from manipulation.uncertainty import outer_vertices
 from perception.types import ObjectEstimate, SupportPlane
 
@@ -80,14 +81,32 @@ def plan_pack(
     """
     config = config.for_arm(arm)
     usable = find_usable(objects, kinematics or Kinematics(arm, config.pick_place.ik), config)
-    grasp = config.pick_place.grasp
-    placements, no_room = pack(usable.candidates, box, config.packing, grasp, usable.grasps)
-    if no_room and usable.is_uncertain:
-        usable = usable.as_exact()
-        placements, no_room = pack(usable.candidates, box, config.packing, grasp, usable.grasps)
+    usable, placements, no_room = _packed(usable, hidden_objects(objects, usable.items), box, config)
     return TaskPlan(
         "pack", usable.items, placements, usable.left_out | no_room, box=box, grasps=usable.grasps
     )
+
+
+def _packed(
+    usable: Usable, hidden: Sequence[StandingObject], box: Box, config: ManipulationConfig
+) -> tuple[Usable, tuple[Placement, ...], dict[str, str]]:
+    """Return the objects with their goals in a box, and what does not fit.
+
+    Where there is room for all, clearances are wide at uncertain surfaces, and places are left for what is
+    hidden below other objects.
+    """
+    grasp = config.pick_place.grasp
+    versions = (usable, usable.as_exact()) if usable.is_uncertain else (usable,)
+    extras: Sequence[Sequence[StandingObject]] = (hidden, ()) if hidden else ((),)
+    attempts = [(version, also) for also in extras for version in versions]
+    version, placements, no_room = usable, (), {}
+    for version, also in attempts:
+        grasps = usable.grasps | {item.name: grasp_candidates(item, grasp) for item in also}
+        placements, no_room = pack([*version.candidates, *also], box, config.packing, grasp, grasps)
+        if not no_room:
+            break
+    names = {item.name for item in hidden}
+    return version, tuple(goal for goal in placements if goal.name not in names), no_room
 
 
 def plan_sort(
