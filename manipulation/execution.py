@@ -231,8 +231,9 @@ class _Execution:
             reason = self._scene.search(name)
             if reason:
                 return ObjectOutcome(number, name, False, n_before, reason)
+        is_confirmed = False  # whether an object that one image did not show was found where it was expected
         for _ in range(2 * (1 + self.config.max_retries)):
-            is_known = False
+            is_known, is_missed = False, False
             if attempts > self.config.max_retries:
                 break
             self._notify("plan", name)
@@ -246,14 +247,14 @@ class _Execution:
                 logger.info("%s", error)
                 return ObjectOutcome(number, name, False, n_before + attempts, reason)
             try:
-                self.motion.run(plan)
+                self.motion.run(plan, looks_first=not is_confirmed)
                 self._look_beside(plan)
                 if plan.placement is placement or not is_turned:
                     T = self.planner.world.pose(name)
                     return ObjectOutcome(number, name, True, n_before + attempts + 1, "", T)
                 continue  # turned, to be grasped again
             except SceneChangedError as error:
-                reason = str(error)
+                reason, is_missed = str(error), True
             except (GraspFailedError, RobotError) as error:
                 reason, is_known = str(error), isinstance(error, LeaningError)
                 if is_known:  # the box becomes fuller
@@ -264,10 +265,18 @@ class _Execution:
                 self._look_beside(plan)
             logger.info("%s, attempt %d: %s", name, attempts, reason)
             self._notify("retry", name, reason)
+            before = self.planner.poses().get(name)
             problem = "" if is_known else self._scene.search(name)
             if problem:
                 return ObjectOutcome(number, name, False, n_before + attempts, f"{reason}; {problem}")
+            is_confirmed = is_missed and before is not None and self._is_found_again(name, before)
         return ObjectOutcome(number, name, False, n_before + attempts, reason)
+
+    def _is_found_again(self, name: str, T_before: Float[np.ndarray, "4 4"]) -> bool:
+        """Return whether an object was found where it was, although an image does not fit its estimate."""
+        T = self.planner.poses().get(name)
+        is_found = T is not None and not np.array_equal(T, T_before)  # else its pose is the old one
+        return is_found and not is_displaced(T_before, T)
 
     def _look_beside(self, plan: PickPlacePlan) -> None:
         """Follow what an object has pushed or knocked over; what was placed is placed again if need be."""

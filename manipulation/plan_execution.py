@@ -89,8 +89,12 @@ class PlanExecution:
         self.robot, self.planner, self.observer, self.config = robot, planner, observer, config
         self._notify = notify
 
-    def run(self, plan: PickPlacePlan) -> None:
+    def run(self, plan: PickPlacePlan, looks_first: bool = True) -> None:
         """Look, grasp, lift, transfer, place, retreat and look; the grasp is verified after each step.
+
+        Args:
+            plan: the plan.
+            looks_first: whether an image must show the object where it is expected before it is touched.
 
         Raises:
             SceneChangedError: the object is not where it was expected.
@@ -102,7 +106,8 @@ class PlanExecution:
         robot.move_gripper(grasp.opening)
         if plan.transit is not None:
             robot.follow(plan.transit)
-        self._require_in_place(name)
+        if looks_first:
+            self._require_in_place(name)
         robot.follow(plan.approach)
         self._notify("grasp", name)
         robot.move_gripper(0.0)

@@ -208,6 +208,23 @@ def test_an_object_that_moved_is_grasped_where_it_is_without_a_failed_attempt(pa
     np.testing.assert_allclose(T_grasp, T @ plan.grasp.T_stand_tcp, atol=2e-3)
 
 
+@pytest.mark.parametrize(("shift", "approaches"), [(0.002, 2), (0.03, 3)])
+def test_an_object_that_is_found_where_one_image_missed_it_is_grasped_without_another_look(
+    packing, arm, shift, approaches
+):
+    """The second of two images that miss it comes before the grasp only of an object that was moved."""
+    single = replace(packing, placements=packing.placements[:1])
+    name = single.placements[0].name
+    T = packing.objects[name].T_world_stand.copy()
+    T[0, 3] += shift
+    robot = FakeRobot(arm)
+    watcher = Watcher(robot)
+    observer = FakeObserver(["displaced"] * 2, **{name: [Finding("found", T)]})
+    (outcome,) = execute(single, robot, observer, watcher, CONFIG)
+    assert outcome.placed and outcome.attempts == 1
+    assert watcher.phases(name).count("approach") == approaches
+
+
 def test_an_object_that_was_taken_away_is_searched_for_twice_and_reported(packing, arm):
     name = "can_1"
     robot = FakeRobot(arm)
