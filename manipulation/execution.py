@@ -275,8 +275,9 @@ class _Execution:
     def _is_found_again(self, name: str, T_before: Float[np.ndarray, "4 4"]) -> bool:
         """Return whether an object was found where it was, although an image does not fit its estimate."""
         T = self.planner.poses().get(name)
-        is_found = T is not None and not np.array_equal(T, T_before)  # else its pose is the old one
-        return is_found and not is_displaced(T_before, T)
+        if T is None or np.array_equal(T, T_before):  # not found: its pose is the old one
+            return False
+        return not is_displaced(T_before, T)
 
     def _look_beside(self, plan: PickPlacePlan) -> None:
         """Follow what an object has pushed or knocked over; what was placed is placed again if need be."""
