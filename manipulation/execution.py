@@ -32,7 +32,7 @@ from manipulation.plan_execution import (
 )
 from manipulation.planner import ManipulationConfig
 from manipulation.robot import Robot
-from manipulation.scene_following import SceneFollowing
+from manipulation.scene_following import SceneFollowing, Searched
 from manipulation.task_order import TaskOrder
 from manipulation.types import Grasp, ObjectOutcome, PickPlacePlan, Placement, TaskPlan
 from manipulation.withdrawal import Withdrawal, WithdrawingObserver
@@ -228,7 +228,7 @@ class _Execution:
         is_located = name in self._located
         self._located.discard(name)
         if (before is not None and not is_located) or name in self.planner.forgotten:
-            reason = self._scene.search(name)
+            reason = self._scene.search(name).problem
             if reason:
                 return ObjectOutcome(number, name, False, n_before, reason)
         is_confirmed = False  # whether an object that one image did not show was found where it was expected
@@ -265,19 +265,11 @@ class _Execution:
                 self._look_beside(plan)
             logger.info("%s, attempt %d: %s", name, attempts, reason)
             self._notify("retry", name, reason)
-            before = self.planner.poses().get(name)
-            problem = "" if is_known else self._scene.search(name)
-            if problem:
-                return ObjectOutcome(number, name, False, n_before + attempts, f"{reason}; {problem}")
-            is_confirmed = is_missed and before is not None and self._is_found_again(name, before)
+            found = Searched() if is_known else self._scene.search(name)
+            if found.problem:
+                return ObjectOutcome(number, name, False, n_before + attempts, f"{reason}; {found.problem}")
+            is_confirmed = is_missed and found.is_in_place
         return ObjectOutcome(number, name, False, n_before + attempts, reason)
-
-    def _is_found_again(self, name: str, T_before: Float[np.ndarray, "4 4"]) -> bool:
-        """Return whether an object was found where it was, although an image does not fit its estimate."""
-        T = self.planner.poses().get(name)
-        if T is None or np.array_equal(T, T_before):  # not found: its pose is the old one
-            return False
-        return not is_displaced(T_before, T)
 
     def _look_beside(self, plan: PickPlacePlan) -> None:
         """Follow what an object has pushed or knocked over; what was placed is placed again if need be."""

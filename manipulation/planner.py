@@ -81,7 +81,8 @@ def plan_pack(
     """
     config = config.for_arm(arm)
     usable = find_usable(objects, kinematics or Kinematics(arm, config.pick_place.ik), config)
-    usable, placements, no_room = _packed(usable, hidden_objects(objects, usable.items), box, config)
+    hidden = hidden_objects(objects, usable.items, arm.gripper.max_width)
+    usable, placements, no_room = _packed(usable, hidden, box, config)
     return TaskPlan(
         "pack", usable.items, placements, usable.left_out | no_room, box=box, grasps=usable.grasps
     )

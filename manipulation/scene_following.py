@@ -3,14 +3,28 @@
 from __future__ import annotations
 
 from collections.abc import Collection, Iterator
+from dataclasses import dataclass
 
 import numpy as np
 from jaxtyping import Float
 
-from manipulation.observation import Finding, SceneObserver
+from manipulation.observation import Finding, SceneObserver, is_displaced
 from manipulation.pick_place import PickPlacePlanner
 
 BESIDE = 0.15  # [m] between the axes of a moved object and of those that it may have pushed
+
+
+@dataclass(frozen=True)
+class Searched:
+    """Result of a search for an object.
+
+    Attributes:
+        problem: why the object cannot be handled; empty if it can.
+        is_in_place: whether it was found where it was expected.
+    """
+
+    problem: str = ""
+    is_in_place: bool = False
 
 
 class SceneFollowing:
@@ -33,15 +47,17 @@ class SceneFollowing:
             self._planner.moved(name, finding.T_world_stand)
         return finding
 
-    def search(self, name: str) -> str:
-        """Search for an object and return why it cannot be handled, or an empty string."""
+    def search(self, name: str) -> Searched:
+        """Search for an object where it was, and then on the table."""
+        before = self._planner.poses().get(name)
         finding = self.find(name)
         if finding.status == "missing":
             self._planner.forget(name)
-            return f"{name} is nowhere on the table within view: it was taken away or fell off"
-        if finding.T_world_stand is None and name in self._planner.forgotten:
-            return f"{name} is nowhere within view, as before"
-        return ""
+            return Searched(f"{name} is nowhere on the table within view: it was taken away or fell off")
+        T = finding.T_world_stand
+        if T is None and name in self._planner.forgotten:
+            return Searched(f"{name} is nowhere within view, as before")
+        return Searched(is_in_place=T is not None and before is not None and not is_displaced(before, T))
 
     def displaced_near(
         self, T_world_stand: Float[np.ndarray, "4 4"], but: Collection[str]

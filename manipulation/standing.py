@@ -15,7 +15,7 @@ from perception.types import Category, ObjectEstimate, SupportPlane
 HANDLE_HALF_ANGLE = np.deg2rad(60.0)  # half the sector around a mug's +x that is excluded from its body
 # Heights [m] of an object's base over the support from which on it stands on something else: where perception
 # found that, and where it did not, and the lowest part of the shape may be missing.
-RAISED, _RAISED_ALONE = 0.01, 0.03
+RAISED, RAISED_ALONE = 0.01, 0.03
 LEANING = np.deg2rad(8.0)  # tilt from which on an object on another one leans; less is an error of the fit
 _ROUND_TOLERANCE = 0.12  # largest relative variation of the width over azimuth of a round body
 
@@ -51,7 +51,7 @@ def to_standing(estimate: ObjectEstimate, support: SupportPlane | None = None) -
     in_stand = in_stand @ pose_from_yaw(turn, np.zeros(3))[:3, :3]
     in_stand[:, 2] += height - origin[2]
     base = float(in_stand[:, 2].min())
-    if base > (_RAISED_ALONE if estimate.rests_on is None else RAISED):
+    if base > (RAISED_ALONE if estimate.rests_on is None else RAISED):
         in_stand[:, 2] -= base
         origin[2] += base
     return StandingObject(

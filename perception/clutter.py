@@ -111,15 +111,10 @@ def reconstruct_clutter(
         parts = [part for pair in stacks.values() for part in pair]
         single = {id: estimate for id, estimate in estimates.items() if id not in stacks}
         if options.acceptance is not None:
-            named = {d.instance_id: d.support for row in detections_per_frame for d in row}
-            single |= on_hidden_supports(
-                gather_instances(frames, rows, options.max_views),
-                single,
-                {id for id in named if id is not None and id not in stacks},
-                {id: planes[number] for id, number in named.items() if id is not None},
-                decoder,
-                options.acceptance,
-            )
+            named = {d.instance_id: planes[d.support] for row in detections_per_frame for d in row}
+            instances = gather_instances(frames, rows, options.max_views)
+            alone = [views for views in instances if views.id in named and views.id not in stacks]
+            single |= on_hidden_supports(alone, single, named, decoder, options.acceptance)
         single |= renamed(frames, detections_per_frame, single, lambda doubtful: fit(doubtful, {}))
         single |= completed(frames, rows, single, planes[0], lambda whole: fit(whole, {}))
         single = without_repetitions(frames, rows, single, candidates, parts)

@@ -86,7 +86,7 @@ class ScoredFit:
     Attributes:
         estimate: The estimate, with ``score``.
         evidence: Evidence of the fit.
-        probability: Class probability of the detector; None if unknown.
+        probability: Class probability of the detector in the score; None if unknown or not asked.
     """
 
     estimate: ObjectEstimate
@@ -134,9 +134,8 @@ def fit_best_class(
 
     p = views.class_probabilities
     threshold = max(model.threshold, UNKNOWN)
-    unnamed = p.size > 0 and float(np.ptp(p)) == 0.0
-    named = _as_named(fit, views, plane, threshold, or_upright=unnamed)
-    if unnamed:
+    named = _as_named(fit, views, plane, threshold, or_upright=views.is_unclassified)
+    if views.is_unclassified:
         if named is None:
             named = _fit_unnamed(fit, nearest_hypotheses(views, decoder, plane, config), views, plane, model)
         return _right_way_up(fit, named, views).estimate
@@ -355,12 +354,11 @@ def scored_fit(
     category, p = views.category, views.class_probabilities
     estimate, grid = fit_with_grid(views, decoder, plane, config, on_step)
     evidence = measure_evidence(estimate, grid, views.observations, plane, config.step[category])
-    known = p.size > 0 and (config.resting == "upright" or np.ptp(p) > 0)  # networks know upright objects
-    probability = float(p[CATEGORIES.index(category)]) if known else None
+    is_upright = config.resting == "upright"  # the class network knows upright objects alone
+    by_pose = views.pose_probabilities.size > 0 and (views.is_unclassified or not is_upright)
+    by_class = p.size > 0 and not by_pose and (is_upright or not views.is_unclassified)
+    probability = float(p[CATEGORIES.index(category)]) if by_class else None
     score = model.score(evidence, category, probability)
-    unnamed = p.size > 0 and float(np.ptp(p)) == 0.0
-    if views.pose_probabilities.size and (unnamed or config.resting != "upright"):
-        score = agreed(
-            pose_mass(views.pose_probabilities, config.resting), model.score(evidence, category, None)
-        )
+    if by_pose:
+        score = agreed(pose_mass(views.pose_probabilities, config.resting), score)
     return ScoredFit(replace(estimate, score=score), evidence, probability)

@@ -6,7 +6,7 @@ its measured points is near the plane, and where its height is free it explains 
 
 from __future__ import annotations
 
-from collections.abc import Collection, Mapping, Sequence
+from collections.abc import Mapping, Sequence
 from dataclasses import replace
 
 from perception.errors import PerceptionError
@@ -30,8 +30,7 @@ MOST = 0.25  # of its misfit
 def on_hidden_supports(
     instances: Sequence[ObjectViews],
     estimates: Mapping[int, ObjectEstimate],
-    ids: Collection[int],
-    planes: Mapping[int, SupportPlane],
+    planes: Mapping[int | None, SupportPlane],
     decoder: Decoder,
     model: AcceptanceModel,
     config: FitConfig = FitConfig(),
@@ -39,9 +38,8 @@ def on_hidden_supports(
     """Return estimates of the upright objects that do not stand on the plane, by id.
 
     Args:
-        instances: Views of the objects.
+        instances: Views of the objects that are examined.
         estimates: Estimates as objects on the plane, by id; rejected ones are missing.
-        ids: Ids of the objects that are examined.
         planes: Support plane of each object.
         decoder: Shape prior.
         model: Scores the evidence.
@@ -50,7 +48,7 @@ def on_hidden_supports(
     found = {}
     for views in instances:
         estimate = estimates.get(views.id)
-        if views.id not in ids or (estimate is not None and estimate.resting != "upright"):
+        if estimate is not None and estimate.resting != "upright":
             continue
         named = views if estimate is None else replace(views, category=estimate.category)
         above = _above_plane(named, planes[views.id], decoder, model, config)

@@ -105,6 +105,11 @@ class ObjectViews:
     pose_probabilities: Float[np.ndarray, "p"] = field(default_factory=lambda: np.zeros(0))
     start: ObjectEstimate | None = None
 
+    @property
+    def is_unclassified(self) -> bool:
+        """Whether no class is preferred: the detector found the object, but gave it none."""
+        return self.class_probabilities.size > 0 and float(np.ptp(self.class_probabilities)) == 0.0
+
 
 @dataclass(frozen=True)
 class PixelConfig:

@@ -23,12 +23,12 @@ from perception.detection.instances import remove_specks
 from perception.inference.contents import VESSELS
 from perception.inference.explanation import FAR, SAMPLES, unexplained
 from perception.inference.observation import ObjectObservation
+from perception.inference.pose_score import class_mass
 from perception.inference.seams import Seam, find_seams, part_masks
 from perception.metrics import SurfaceSamples
 from perception.types import (
     CATEGORIES,
     OTHER,
-    POSED_CLASSES,
     Category,
     ObjectDetection,
     ObjectEstimate,
@@ -246,20 +246,16 @@ def _named(
     if not known:
         return {}
     possible = np.array([*(category in classes for category in CATEGORIES), True])
-    means = (
-        np.mean([of(d) for d in known], axis=0) * possible for of in (_of_class_network, _of_both_networks)
-    )
-    named_by = (mean / max(mean.sum(), 1e-9) for mean in means)
-    mean = next((mean for mean in named_by if mean[:OTHER].max() >= MIN_CLASS), None)
-    if mean is None:
+    for probabilities in ([d.class_probabilities for d in known], [_of_both_networks(d) for d in known]):
+        mean = np.mean(probabilities, axis=0) * possible
+        mean /= max(mean.sum(), 1e-9)
+        best = int(mean[:OTHER].argmax())
+        if mean[best] >= MIN_CLASS:
+            break
+    else:
         return {}
-    best = int(mean[:OTHER].argmax())
     common = {"category": CATEGORIES[best], "score": float(mean[best]), "class_probabilities": mean}
     return {k: replace(named.get(k, unclassified(mask)), **common) for k, mask in masks.items()}
-
-
-def _of_class_network(detection: ObjectDetection) -> Float[np.ndarray, "k"]:
-    return detection.class_probabilities
 
 
 def _of_both_networks(detection: ObjectDetection) -> Float[np.ndarray, "k"]:
@@ -267,10 +263,8 @@ def _of_both_networks(detection: ObjectDetection) -> Float[np.ndarray, "k"]:
     posed = detection.pose_probabilities
     if not posed.size:
         return detection.class_probabilities
-    of_class = [
-        sum(p for (c, _), p in zip(POSED_CLASSES, posed.tolist()) if c == name) for name in CATEGORIES
-    ]
-    return (detection.class_probabilities + np.array([*of_class, posed[-1]])) / 2
+    in_any_pose = [class_mass(posed, category) for category in CATEGORIES]
+    return (detection.class_probabilities + np.array([*in_any_pose, posed[-1]])) / 2
 
 
 def _with_parts(rows: Rows, parts: Mapping[int, Parts]) -> Rows:

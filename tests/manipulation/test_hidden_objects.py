@@ -5,8 +5,9 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
+from manipulation import planner
 from manipulation.grasp_config import GraspConfig
-from manipulation.hidden_objects import RADIUS, hidden_objects
+from manipulation.hidden_objects import SHARE, hidden_objects
 from manipulation.packing_problem import PackingConfig
 from manipulation.pick_place import PickPlaceConfig
 from manipulation.planner import ManipulationConfig, plan_pack
@@ -34,31 +35,21 @@ def items_of(objects):
 
 
 def test_below_an_object_above_the_table_is_something_as_high_as_its_base(raised):
-    (hidden,) = hidden_objects(raised, items_of(raised))
+    (hidden,) = hidden_objects(raised, items_of(raised), 0.08)
     assert hidden.name == "hidden_1" and hidden.top == pytest.approx(0.07)
     assert hidden.T_world_stand[:3, 3] == pytest.approx([0.5, -0.2, 0.0], abs=1e-6)
-    assert np.ptp(hidden.vertices[:, 0]) == pytest.approx(2 * RADIUS)
+    assert np.ptp(hidden.vertices[:, 0]) == pytest.approx(SHARE * 0.08)
 
 
 def test_what_rests_on_a_known_object_or_has_no_item_hides_nothing(raised):
     items = items_of(raised)
-    assert hidden_objects([replace(raised[0], rests_on=2)], items) == []
-    assert hidden_objects(raised, {}) == []
+    assert hidden_objects([replace(raised[0], rests_on=2)], items, 0.08) == []
+    assert hidden_objects(raised, {}, 0.08) == []
 
 
-def test_a_place_is_left_for_it_where_there_is_room(raised, arm):
+@pytest.mark.parametrize(("box", "layouts"), [(Box(), 1), (Box(size=(0.18, 0.25, 0.10)), 2)])
+def test_a_place_is_left_for_it_where_there_is_room(raised, arm, monkeypatch, box, layouts):
     """In the second box there is room for the two objects alone."""
-    wide = plan_pack(raised, Box(), arm, CONFIG)
-    assert {goal.name for goal in wide.placements} == {"bowl_1", "can_2"} and not wide.left_out
-    tight = Box(size=(0.18, 0.26, 0.10))
-    narrow = plan_pack(raised, tight, arm, CONFIG)
-    assert {goal.name for goal in narrow.placements} == {"bowl_1", "can_2"}
-
-
-def test_the_place_is_free(raised, arm, monkeypatch):
-    """The goals are those of a layout of three objects."""
-    from manipulation import planner
-
     packed = []
     whole = planner.pack
 
@@ -67,5 +58,7 @@ def test_the_place_is_free(raised, arm, monkeypatch):
         return whole(items, *args)
 
     monkeypatch.setattr(planner, "pack", pack)
-    plan = plan_pack(raised, Box(), arm, CONFIG)
-    assert packed == [["bowl_1", "can_2", "hidden_1"]] and "hidden_1" not in plan.objects
+    plan = plan_pack(raised, box, arm, CONFIG)
+    assert packed == [["bowl_1", "can_2", "hidden_1"], ["bowl_1", "can_2"]][:layouts]
+    assert {goal.name for goal in plan.placements} == {"bowl_1", "can_2"} == set(plan.objects)
+    assert not plan.left_out

@@ -6,7 +6,7 @@ import pytest
 from manipulation.kinematics import Kinematics
 from manipulation.observation import Finding
 from manipulation.pick_place import PickPlacePlanner
-from manipulation.scene_following import BESIDE, SceneFollowing
+from manipulation.scene_following import BESIDE, SceneFollowing, Searched
 from manipulation.standing import to_standing
 from perception.geometry import pose_from_yaw
 from tests.manipulation.test_execution import CONFIG
@@ -43,18 +43,26 @@ def planner(shapes, arm):
 def test_a_found_object_is_where_it_was_seen(planner):
     observer, T = Observer(), pose_from_yaw(0.3, np.array([0.5, 0.2, 0.0]))
     observer.seen["can_1"] = Finding("found", T)
-    assert SceneFollowing(planner, observer).search("can_1") == ""
+    assert SceneFollowing(planner, observer).search("can_1") == Searched()
     np.testing.assert_allclose(planner.poses()["can_1"], T)
+
+
+@pytest.mark.parametrize(("shift", "is_in_place"), [(0.0, True), (0.002, True), (0.05, False)])
+def test_an_object_is_in_place_where_it_is_found_as_expected(planner, shift, is_in_place):
+    observer, T = Observer(), planner.poses()["can_1"].copy()
+    T[0, 3] += shift
+    observer.seen["can_1"] = Finding("found", T)
+    assert SceneFollowing(planner, observer).search("can_1").is_in_place is is_in_place
 
 
 def test_a_missing_object_is_forgotten_and_stays_so_while_it_is_unseen(planner):
     observer = Observer()
     scene = SceneFollowing(planner, observer)
-    assert scene.search("can_1") == "" and not planner.forgotten, "unseen is not missing"
+    assert scene.search("can_1") == Searched() and not planner.forgotten, "unseen is not missing"
     observer.seen["can_1"] = Finding("missing")
-    assert "taken away or fell off" in scene.search("can_1")
+    assert "taken away or fell off" in scene.search("can_1").problem
     del observer.seen["can_1"]
-    assert planner.forgotten == {"can_1"} and "as before" in scene.search("can_1")
+    assert planner.forgotten == {"can_1"} and "as before" in scene.search("can_1").problem
 
 
 def test_only_what_was_near_and_is_found_elsewhere_was_pushed(planner):
