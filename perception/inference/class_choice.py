@@ -181,12 +181,20 @@ def _right_way_up(fit: _Fit, best: ScoredFit, views: ObjectViews) -> ScoredFit:
     if other is None:
         return best
     if may_be_either:
-        if misfit(other.evidence) <= misfit(best.evidence):
+        if _explains_better(other.evidence, best.evidence):
             best, other = other, best
         alike = misfit(other.evidence) < misfit(best.evidence) + ALIKE
         if not alike or not is_turned_over(best.estimate, views.observations):
             return best
     return replace(other, estimate=turned_over(best.estimate, other.estimate))
+
+
+def _explains_better(one: Evidence, other: Evidence) -> bool:
+    """Return whether a fit explains more of the depth, and what both explain more closely.
+
+    A bottle the wrong way round may cover a few pixels more than the right one, but not with its own curve.
+    """
+    return misfit(one) <= misfit(other) and one.residual <= other.residual
 
 
 def _best_upright(

@@ -7,7 +7,8 @@ axis is measured on the depth itself, since the prior pulls towards parallel sid
 
     r(u) = a + b u + c u^2,  u in [-1/2, 1/2] from bottom to top,
 
-about an axis whose position and tilt are fitted as well.
+about an axis whose position is fitted as well, and of lying objects its tilt: seen from one side, a cone that
+stands looks like a cylinder that leans, which nothing does.
 """
 
 from __future__ import annotations
@@ -23,13 +24,16 @@ from perception.geometry import invert, transform_points
 from perception.inference.observation import ObjectObservation
 from perception.types import ObjectEstimate, TriangleMesh
 
-WIDER = 0.16  # difference between the radii at top and bottom, relative to their mean
+WIDER = 0.16  # difference between the radii at top and bottom, relative to their mean, of what lies
+STANDING_WIDER = 0.13  # of what stands, whose axis is known
 STRAIGHT = 0.5  # largest |c| of a cone, relative to the mean radius
 NECK = 0.8  # largest radius of a neck, relative to that of the cone at the same height
 _TOP = 0.1  # share of the height in which a neck is looked for
 _FEW = 20  # points there
 _ENDS = 0.12  # share of the height at either end, where there are necks, seams and feet
 _NEAR = 0.006  # [m] from the estimated radius, within which points belong to the side
+_OVERHANG = 0.2  # share of the height by which the estimate may reach beyond a measured lid
+_LID = 0.6  # share of the radius within which measured points are on a lid
 _FEWEST = 60  # points in the lower and in the upper third
 _MOST = 1500  # points that are fitted
 _NOISE = 0.002  # [m] scale of the robust loss
@@ -60,11 +64,12 @@ def is_turned_over(estimate: ObjectEstimate, observations: Sequence[ObjectObserv
         return False
     points = np.concatenate([seen.points_world() for seen in observations])
     points = transform_points(invert(estimate.T_world_object), points)
-    profile = side_profile(points, estimate.mesh.vertices)
+    lies = estimate.resting == "lying"
+    profile = side_profile(points, estimate.mesh.vertices, may_tilt=lies)
     if profile is None:
         return False
     if estimate.category == "can":
-        return profile.widening > WIDER
+        return profile.widening > (WIDER if lies else STANDING_WIDER)
     is_cone = profile.widening < -WIDER and abs(profile.bulge) < STRAIGHT
     return is_cone and not _has_neck(points, estimate.mesh.vertices, profile)
 
@@ -99,33 +104,56 @@ def turned_over(estimate: ObjectEstimate, other: ObjectEstimate) -> ObjectEstima
     )
 
 
-def side_profile(points: Float[np.ndarray, "n 3"], vertices: Float[np.ndarray, "v 3"]) -> SideProfile | None:
+def side_profile(
+    points: Float[np.ndarray, "n 3"], vertices: Float[np.ndarray, "v 3"], may_tilt: bool
+) -> SideProfile | None:
     """Return how the radius of a round body changes along its axis.
 
     Args:
         points: Measured points, in a frame whose z axis is about that of the body, in metres.
         vertices: Vertices of the estimated surface in the same frame, which select the points of the side.
+        may_tilt: Whether the axis may deviate from z.
 
     Returns:
         The profile; None where the lower or the upper third of the side was hardly measured.
     """
-    low, high = vertices[:, 2].min(), vertices[:, 2].max()
-    u = (points[:, 2] - low) / max(high - low, 1e-9) - 0.5
     middle = (vertices[:, :2].min(axis=0) + vertices[:, :2].max(axis=0)) / 2
     radius = float(np.ptp(vertices[:, :2], axis=0).mean()) / 2
     away = np.linalg.norm(points[:, :2] - middle, axis=1)
+    low, high = _ends(vertices[:, 2], points[away < _LID * radius, 2])
+    u = (points[:, 2] - low) / max(high - low, 1e-9) - 0.5
     side = (np.abs(u) < 0.5 - _ENDS) & (away > 0.7 * radius - _NEAR) & (away < radius + _NEAR)
     points, u = points[side], u[side]
-    if min((u < -1 / 6).sum(), (u > 1 / 6).sum()) < _FEWEST:
+    lower, upper = np.quantile([vertices[:, 2].min(), vertices[:, 2].max()], (1 / 3, 2 / 3))
+    if min((points[:, 2] < lower).sum(), (points[:, 2] > upper).sum()) < _FEWEST:
         return None
     chosen = np.linspace(0, len(u) - 1, min(len(u), _MOST)).astype(int)
     plan, u = points[chosen, :2] - middle, u[chosen]
 
-    def residuals(x: Float[np.ndarray, "7"]) -> Float[np.ndarray, "m"]:
-        centre, tilt, (a, b, c) = x[:2], x[2:4], x[4:]
+    def residuals(x: Float[np.ndarray, "k"]) -> Float[np.ndarray, "m"]:
+        centre, tilt, (a, b, c) = x[:2], x[5:] if may_tilt else np.zeros(2), x[2:5]
         return np.linalg.norm(plan - centre - np.outer(u, tilt), axis=1) - (a + b * u + c * u**2)
 
-    start = np.array([0.0, 0.0, 0.0, 0.0, radius, 0.0, 0.0])
+    start = np.array([0.0, 0.0, radius, 0.0, 0.0, *([0.0, 0.0] if may_tilt else [])])
     fitted = least_squares(residuals, start, loss="soft_l1", f_scale=_NOISE, x_scale=0.01).x
-    a, b, c = fitted[4:].tolist()
+    a, b, c = fitted[2:5].tolist()
     return SideProfile(a, b / max(a, 1e-9), c / max(a, 1e-9))
+
+
+def _ends(estimated: Float[np.ndarray, "v"], inside: Float[np.ndarray, "n"]) -> tuple[float, float]:
+    """Return both ends along the axis: those of the estimate, or a measured lid a little before one.
+
+    A lid below the top of a shape that is too high would count as a part of its side.
+
+    Args:
+        estimated: Positions of the estimated surface along the axis.
+        inside: Positions of the measured points near the axis, which are on a lid.
+    """
+    low, high = float(estimated.min()), float(estimated.max())
+    most = _OVERHANG * (high - low)
+    below, above = inside[inside < low + most], inside[inside > high - most]
+    if len(below) >= _FEWEST:
+        low = max(low, float(np.median(below)))
+    if len(above) >= _FEWEST:
+        high = min(high, float(np.median(above)))
+    return low, high

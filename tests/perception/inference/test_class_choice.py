@@ -308,19 +308,21 @@ def test_a_can_with_the_wrong_end_up_is_fitted_the_other_way_round(monkeypatch, 
     np.testing.assert_array_equal(estimate.mesh_world.vertices, np.eye(3))
 
 
-@pytest.mark.parametrize(("explained", "closed_cup", "turned"), [
-    (0.97, False, True), (0.95, False, False), (0.97, True, False), (0.95, True, True), (0.90, True, False),
-])  # fmt: skip
+@pytest.mark.parametrize(("explained", "residual", "closed_cup", "turned"), [
+    (0.97, 0.9, False, True), (0.95, 0.9, False, False), (0.97, 1.1, False, False),
+    (0.97, 0.9, True, False), (0.95, 0.9, True, True), (0.90, 0.9, True, False),
+], ids=["better", "worse", "more-but-less-closely", "better-cup", "cup", "poor-cup"])  # fmt: skip
 def test_of_a_lying_bottle_the_way_round_that_explains_the_depth_better_is_kept(
-    monkeypatch, explained, closed_cup, turned
+    monkeypatch, explained, residual, closed_cup, turned
 ) -> None:
-    """Unless that is a closed cup with its lid down, and the other way explains it about as well."""
+    """More of it, and more closely; unless that is a closed cup with its lid down, and both are alike."""
 
     def scored(views, decoder, plane, model, config, on_step):
         mesh, first = TriangleMesh(np.eye(3), np.arange(3)[None]), config.toward is None
         T = np.diag([1.0, 1.0, 1.0, 1.0]) if first else np.diag([1.0, -1.0, -1.0, 1.0])
         estimate = ObjectEstimate(3, "bottle", np.zeros(16), T, np.ones(3), mesh, 0.9, resting=config.resting)
-        return ScoredFit(estimate, replace(EVIDENCE, explained=0.96 if first else explained), None)
+        seen = (0.96, 1.0) if first else (explained, residual)
+        return ScoredFit(estimate, replace(EVIDENCE, explained=seen[0], residual=seen[1]), None)
 
     monkeypatch.setattr(class_choice, "scored_fit", scored)
     monkeypatch.setattr(class_choice, "is_turned_over", lambda estimate, seen: closed_cup)

@@ -20,8 +20,8 @@ def side(
     return np.stack([r * np.cos(angle) + tilt * u, r * np.sin(angle), HEIGHT * u], axis=1)
 
 
-def widening(points: np.ndarray) -> float:
-    profile = side_profile(points, cylinder())
+def widening(points: np.ndarray, may_tilt: bool = True) -> float:
+    profile = side_profile(points, cylinder(), may_tilt)
     assert profile is not None
     return profile.widening
 
@@ -42,6 +42,22 @@ def test_a_tilt_of_the_estimate_is_no_widening() -> None:
     assert widening(side(0.0, tilt=0.01, seen=np.pi)) == pytest.approx(0.0, abs=0.03)
 
 
+@pytest.mark.parametrize("seen", [2 * np.pi, 0.5 * np.pi])
+def test_of_what_stands_a_quarter_of_the_side_suffices(seen) -> None:
+    """Where the axis may tilt, a cone seen from one side is a cylinder that leans."""
+    assert widening(side(0.15, seen=seen), may_tilt=False) == pytest.approx(0.15, abs=0.03)
+
+
+def test_the_lid_of_a_can_that_is_estimated_too_high_is_no_side() -> None:
+    """The mesh reaches a tenth beyond the flat end, which has many more points than the side."""
+    rng = np.random.default_rng(1)
+    angle, r = rng.uniform(0, 2 * np.pi, 20000), 0.033 * np.sqrt(rng.uniform(0.4, 1, 20000))
+    end = np.stack([r * np.cos(angle), r * np.sin(angle), np.full(20000, 0.4 * HEIGHT)], axis=1)
+    cone = side(0.2)
+    points = np.concatenate([cone[cone[:, 2] < 0.4 * HEIGHT], end])
+    assert widening(points, may_tilt=False) == pytest.approx(0.18, abs=0.05)
+
+
 @pytest.mark.parametrize("bulge", [-0.8, 0.8])
 def test_barrels_and_waists_do_not_widen(bulge) -> None:
     """Not even where their lower part was hardly measured."""
@@ -50,12 +66,12 @@ def test_barrels_and_waists_do_not_widen(bulge) -> None:
 
 
 def test_without_measurements_of_both_ends_nothing_is_known() -> None:
-    assert side_profile(side(0.2, low=-0.1), cylinder()) is None
-    assert side_profile(np.zeros((0, 3)), cylinder()) is None
+    assert side_profile(side(0.2, low=-0.1), cylinder(), may_tilt=True) is None
+    assert side_profile(np.zeros((0, 3)), cylinder(), may_tilt=True) is None
 
 
 def test_the_profile_is_that_of_the_body() -> None:
-    profile = side_profile(side(0.2, -0.6), cylinder())
+    profile = side_profile(side(0.2, -0.6), cylinder(), may_tilt=True)
     assert profile is not None
     assert (profile.radius, profile.bulge) == (pytest.approx(RADIUS, rel=0.03), pytest.approx(-0.6, abs=0.1))
 
@@ -69,13 +85,15 @@ def test_flat_ends_and_what_is_far_from_the_side_do_not_count() -> None:
 
 @pytest.mark.parametrize(("category", "resting", "points", "turned"), [
     ("can", "lying", side(0.2), True), ("can", "upside-down", side(0.2), True),
-    ("can", "lying", side(0.1), False), ("can", "lying", side(-0.2), False),
+    ("can", "lying", side(0.14), False), ("can", "lying", side(-0.2), False),
+    ("can", "upright", side(0.15), True), ("can", "upright", side(0.1), False),
     ("bottle", "lying", side(-0.25), True), ("bottle", "upright", side(-0.25), False),
     ("bottle", "lying", side(0.25), False), ("bottle", "lying", side(-0.25, bulge=-1.0), False),
     ("bottle", "lying", side(-0.25) * np.where(side(-0.25)[:, 2:] > 0.04, (0.5, 0.5, 1.0), 1.0), False),
     ("bottle", "lying", side(-0.25)[side(-0.25)[:, 2] < 0.039], False),
     ("mug", "lying", side(0.25), False),
-], ids=["can", "standing-can", "nearly-straight", "right-can", "closed-cup", "upright", "right-cup", "barrel",
+], ids=["can", "standing-can", "nearly-straight", "right-can", "standing-cone", "standing-straight",
+        "closed-cup", "upright", "right-cup", "barrel",
         "neck", "end-unseen", "mug"])  # fmt: skip
 def test_what_has_its_lower_end_up_is_turned_over(category, resting, points, turned) -> None:
     """In the frame of the estimate, wherever that is: here on its side, seen from above."""
