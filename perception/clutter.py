@@ -3,6 +3,7 @@
 The networks know upright objects. Lying ones and those on their rim often get no class, although their masks
 are good: such candidates are fitted in all classes and resting poses and kept where the evidence is clear.
 Stacks are segmented as one thing, with a class or without: what no single shape explains is cut in parts.
+So are things that touch: what has no class is cut where its surface is concave.
 """
 
 from __future__ import annotations
@@ -25,6 +26,7 @@ from perception.inference.reconstruct import (
     mean_poses,
     reconstruct,
 )
+from perception.inference.recutting import Recutting, instance_ids
 from perception.inference.shape_model import Decoder
 from perception.inference.stack_parts import (
     CLEARLY,
@@ -47,6 +49,7 @@ from perception.types import (
 
 UNCLASSIFIED_SCORE = 0.55  # least score of the fit of a candidate that the detector gave no class, upright
 POSED_SCORE = 0.68  # the same in other poses: what is no object most often resembles lying ones
+PIECE_SCORE = 0.8  # the same of the pieces of one: a part of a thing resembles an object more often
 UNCERTAIN = 0.4  # score of several views below which a detected object is more often a thing of no class
 TURNED_MUGS: tuple[PosedClass, ...] = (("mug", "upside-down"), ("mug", "lying"))
 TURNED = 0.3  # least probability of a mug that lies or stands upside down, whose handle is looked for
@@ -110,6 +113,17 @@ def reconstruct_clutter(
         stacks = without_repeated_stacks(frames, rows, stacks)
         parts = [part for pair in stacks.values() for part in pair]
         single = {id: estimate for id, estimate in estimates.items() if id not in stacks}
+        lost = candidates - set(single) - set(stacks)
+        recutting = Recutting(frames, planes, completer, lambda cut: fit(cut, {}))
+        free = 1 + max((*instance_ids(rows), *(part.id for part in parts)), default=-1)
+        rows, pieces = recutting.separated(rows, lost, free)
+        single |= {id: e for id, e in pieces.items() if e.score >= PIECE_SCORE}
+        candidates |= instance_ids(rows) - instance_ids(detections_per_frame)
+        free = max(free, 1 + max(instance_ids(rows), default=-1))
+        rows, wholes = recutting.joined(rows, candidates - set(stacks), single, free)
+        single = {id: e for id, e in single.items() if _is_in(rows, id)}
+        single |= {id: e for id, e in wholes.items() if _is_clear(e)}
+        candidates |= set(wholes)
         if options.acceptance is not None:
             named = {d.instance_id: planes[d.support] for row in detections_per_frame for d in row}
             instances = gather_instances(frames, rows, options.max_views)

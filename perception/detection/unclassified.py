@@ -49,12 +49,29 @@ def associate_unclassified(
         is_known = any(_overlap(candidate.mask, mask) > SAME for mask in known)
         if candidate.reason == "of none of the classes" and not is_known:
             rows[candidate.frame].append(unclassified(candidate.mask))
+    ids = [found.instance_id for row in detections_per_frame for found in row]
+    first = 1 + max((i for i in ids if i is not None), default=-1)
+    return associate_candidates(frames, rows, plane, first)
+
+
+def associate_candidates(
+    frames: Sequence[RgbdFrame],
+    rows: Sequence[Sequence[ObjectDetection]],
+    plane: SupportPlane,
+    first_id: int,
+) -> list[list[ObjectDetection]]:
+    """Return those detections of no class that at least ``MIN_VIEWS`` views show, with ids from ``first_id``.
+
+    Args:
+        frames: Views with camera poses.
+        rows: Detections of no class of each frame.
+        plane: Support plane.
+        first_id: Least id.
+    """
     fused, _ = fuse_views(frames, rows, plane, _ASSOCIATION)
     views = Counter(found.instance_id for row in fused for found in row)
     enough = sorted(i for i, n in views.items() if i is not None and n >= min(MIN_VIEWS, len(frames)))
-    ids = [found.instance_id for row in detections_per_frame for found in row]
-    first = 1 + max((i for i in ids if i is not None), default=-1)
-    number = {i: first + k for k, i in enumerate(enough)}
+    number = {i: first_id + k for k, i in enumerate(enough)}
     return [
         [replace(found, instance_id=number[i]) for found in row if (i := found.instance_id) in number]
         for row in fused

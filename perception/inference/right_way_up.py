@@ -27,6 +27,7 @@ from perception.types import ObjectEstimate, TriangleMesh
 WIDER = 0.16  # difference between the radii at top and bottom, relative to their mean, of what lies
 STANDING_WIDER = 0.13  # of what stands, whose axis is known
 STRAIGHT = 0.5  # largest |c| of a cone, relative to the mean radius
+EVEN = 0.05  # largest unevenness of a cone: a bottle with a wide neck narrows between two cylinders
 NECK = 0.8  # largest radius of a neck, relative to that of the cone at the same height
 _TOP = 0.1  # share of the height in which a neck is looked for
 _FEW = 20  # points there
@@ -35,6 +36,7 @@ _NEAR = 0.006  # [m] from the estimated radius, within which points belong to th
 _OVERHANG = 0.2  # share of the height by which the estimate may reach beyond a measured lid
 _LID = 0.6  # share of the radius within which measured points are on a lid
 _FEWEST = 60  # points in the lower and in the upper third
+_SECTIONS = 8  # along the axis, in which the evenness of a side is judged
 _MOST = 1500  # points that are fitted
 _NOISE = 0.002  # [m] scale of the robust loss
 
@@ -47,11 +49,13 @@ class SideProfile:
         radius: a, in the middle, in [m].
         widening: b, the difference between top and bottom, relative to a.
         bulge: c, relative to a; negative where the body is widest in the middle.
+        unevenness: Largest deviation of the measured radius from the profile, relative to a.
     """
 
     radius: float
     widening: float
     bulge: float
+    unevenness: float
 
 
 def is_turned_over(estimate: ObjectEstimate, observations: Sequence[ObjectObservation]) -> bool:
@@ -70,7 +74,8 @@ def is_turned_over(estimate: ObjectEstimate, observations: Sequence[ObjectObserv
         return False
     if estimate.category == "can":
         return profile.widening > (WIDER if lies else STANDING_WIDER)
-    is_cone = profile.widening < -WIDER and abs(profile.bulge) < STRAIGHT
+    is_even = abs(profile.bulge) < STRAIGHT and profile.unevenness < EVEN
+    is_cone = profile.widening < -WIDER and is_even
     return is_cone and not _has_neck(points, estimate.mesh.vertices, profile)
 
 
@@ -137,7 +142,18 @@ def side_profile(
     start = np.array([0.0, 0.0, radius, 0.0, 0.0, *([0.0, 0.0] if may_tilt else [])])
     fitted = least_squares(residuals, start, loss="soft_l1", f_scale=_NOISE, x_scale=0.01).x
     a, b, c = fitted[2:5].tolist()
-    return SideProfile(a, b / max(a, 1e-9), c / max(a, 1e-9))
+    return SideProfile(a, *(value / max(a, 1e-9) for value in (b, c, _unevenness(u, residuals(fitted)))))
+
+
+def _unevenness(u: Float[np.ndarray, "n"], residuals: Float[np.ndarray, "n"]) -> float:
+    """Return the largest median of the residuals of a profile [m] in sections along the axis."""
+    section = np.floor((u + 0.5) * _SECTIONS).astype(int)
+    medians = [
+        abs(float(np.median(residuals[section == k])))
+        for k in range(_SECTIONS)
+        if (section == k).sum() >= _FEW
+    ]
+    return max(medians, default=0.0)
 
 
 def _ends(estimated: Float[np.ndarray, "v"], inside: Float[np.ndarray, "n"]) -> tuple[float, float]:

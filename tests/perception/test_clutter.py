@@ -7,7 +7,7 @@ import numpy as np
 import pytest
 
 from perception import clutter
-from perception.clutter import POSED_SCORE, UNCERTAIN, UNCLASSIFIED_SCORE, reconstruct_clutter
+from perception.clutter import PIECE_SCORE, POSED_SCORE, UNCERTAIN, UNCLASSIFIED_SCORE, reconstruct_clutter
 from perception.inference.acceptance import shipped_acceptance
 from perception.inference.reconstruct import ReconstructOptions
 from perception.types import (
@@ -47,6 +47,8 @@ class Scene:
         monkeypatch.setattr(clutter, "is_low", lambda frames, rows, id, plane: id != 3)
         monkeypatch.setattr(clutter, "reconstruct", self.reconstruct)
         monkeypatch.setattr(clutter, "split_stacks", self.split)
+        self.pieces, self.wholes = {}, {}
+        monkeypatch.setattr(clutter, "Recutting", lambda *_: self)
         monkeypatch.setattr(clutter, "with_lost_parts", lambda *_: {})
         monkeypatch.setattr(clutter, "instance_points", lambda frames, rows, id: self.points(id))
         monkeypatch.setattr(clutter, "unexplained", self.unexplained)
@@ -80,6 +82,22 @@ class Scene:
         self.known, self.rows = sorted(estimates), [[d.instance_id for d in row] for row in rows]
         return self.stacks
 
+    def separated(self, rows, ids, first_id):
+        self.lost, self.first_id = ids, first_id
+        return self.recut(rows, self.pieces, ids), {e.id: e for e in self.pieces.values()}
+
+    def joined(self, rows, ids, estimates, first_id):
+        self.nameless_ids, self.known_before = ids, sorted(estimates)
+        assert first_id > max(clutter.instance_ids(rows))
+        return self.recut(rows, self.wholes, ids), {e.id: e for e in self.wholes.values()}
+
+    def recut(self, rows, found, gone):
+        """Rows with instances in place of all others, if there are any."""
+        if not found:
+            return rows
+        new = [ObjectDetection("can", 0.9, MASK, instance_id=id) for id in found]
+        return [[*(d for d in row if d.instance_id not in gone), *new] for row in rows]
+
     def run(self):
         run: Any = getattr(reconstruct_clutter, "__wrapped__", reconstruct_clutter)
         options = ReconstructOptions(on_rejected=self.rejected.append)
@@ -96,6 +114,19 @@ def test_candidates_are_objects_only_if_the_evidence_is_clear(scene):
     assert scene.run() == [0, 1]
     assert scene.fitted == [[0, 1, 2]], "a tall thing neither lies nor stands on its rim"
     assert [item.id for item in scene.rejected] == [0], "nobody misses what was no object before"
+
+
+def test_pieces_of_what_no_shape_explains_need_a_high_score(scene):
+    scene.pieces = {4: found(4, PIECE_SCORE - 0.01), 5: found(5, PIECE_SCORE + 0.01)}
+    scene.explained |= {(5, 5)}
+    assert scene.run() == [0, 1, 5]
+    assert scene.lost == {2, 3}, "the tall thing as well"
+    assert scene.first_id == 4 and scene.nameless_ids >= {1, 4, 5} and scene.known_before == [0, 1, 5]
+
+
+def test_what_is_joined_replaces_its_parts(scene):
+    scene.wholes = {4: found(4)}
+    assert scene.run() == [0, 4]
 
 
 def test_what_several_views_leave_doubtful_is_reported_as_a_thing_of_no_class(scene):

@@ -4,7 +4,14 @@ import numpy as np
 import pytest
 
 from perception.inference.observation import ObjectObservation
-from perception.inference.right_way_up import WIDER, is_turned_over, side_profile, turned_over
+from perception.inference.right_way_up import (
+    EVEN,
+    STRAIGHT,
+    WIDER,
+    is_turned_over,
+    side_profile,
+    turned_over,
+)
 from perception.types import CameraIntrinsics, ObjectEstimate, RgbdFrame, TriangleMesh
 
 HEIGHT, RADIUS = 0.1, 0.03
@@ -63,6 +70,17 @@ def test_barrels_and_waists_do_not_widen(bulge) -> None:
     """Not even where their lower part was hardly measured."""
     assert widening(side(0.0, bulge)) == pytest.approx(0.0, abs=0.03)
     assert abs(widening(side(0.0, bulge, low=-0.3))) < WIDER
+
+
+def test_a_wide_neck_makes_a_side_uneven() -> None:
+    """Two cylinders and the shoulder between them, in place of the cone through both."""
+    cone, points = side(-0.3), side(0.0)
+    height = points[:, 2] / HEIGHT
+    points[:, :2] *= np.interp(height, (-0.5, -0.1, 0.1, 0.5), (1.15, 1.15, 0.85, 0.85))[:, None]
+    even, uneven = (side_profile(p, cylinder(), may_tilt=True) for p in (cone, points))
+    assert even is not None and uneven is not None
+    assert even.unevenness < 0.03 and uneven.unevenness > EVEN
+    assert uneven.widening < -WIDER and abs(uneven.bulge) < STRAIGHT
 
 
 def test_without_measurements_of_both_ends_nothing_is_known() -> None:

@@ -1,0 +1,138 @@
+"""Instances of no class that are cut in pieces, or joined, where a fit confirms it.
+
+The instance network knows upright objects best. It may join a lying one with what it touches, which leaves
+creases between them (``touching``), or cut it where its colour changes.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Collection, Mapping, Sequence
+from dataclasses import dataclass, replace
+from itertools import combinations
+
+import cv2
+import numpy as np
+
+from perception.depth_cleaning import clean_frame
+from perception.detection.completion import PoseNamer, posed_detections
+from perception.inference.explanation import unexplained
+from perception.inference.pose_score import pose_mass
+from perception.inference.reconstruct import mean_poses
+from perception.inference.stack_parts import Rows, instance_points
+from perception.inference.touching import touching_pieces
+from perception.types import ObjectDetection, ObjectEstimate, RgbdFrame, SupportPlane, unclassified
+
+LYING = 0.3  # least probability of lying of both instances that are joined
+MOST = 6  # pairs that are joined
+EXPLAINED = 0.12  # largest share of the points of both that their joint shape leaves unexplained
+GAP = 5  # [px] between the masks of one object
+
+
+@dataclass(frozen=True)
+class Recutting:
+    """Cuts and joins instances of one scene.
+
+    Attributes:
+        frames: Views with camera poses.
+        planes: Support planes, numbered by ``ObjectDetection.support``.
+        completer: Names pieces and pairs.
+        fit: Reconstructs instances; detections without an id only occlude others.
+    """
+
+    frames: Sequence[RgbdFrame]
+    planes: Sequence[SupportPlane]
+    completer: PoseNamer
+    fit: Callable[[Rows], Sequence[ObjectEstimate]]
+
+    def separated(
+        self, rows: Rows, ids: Collection[int], first_id: int
+    ) -> tuple[Rows, dict[int, ObjectEstimate]]:
+        """Return the detections with instances cut in their pieces, and the estimates of the pieces by id.
+
+        Args:
+            rows: Associated detections of each frame.
+            ids: Instances of no class that no shape explains.
+            first_id: Least id of a piece.
+        """
+        if not ids:
+            return rows, {}
+        views = [clean_frame(frame) for frame in self.frames]
+        cut = touching_pieces(views, rows, ids, self.planes[0], first_id)
+        pieces = [[d for d in row if _number(d) >= first_id] for row in cut]
+        if not any(pieces):
+            return rows, {}
+        named = posed_detections(self.frames, pieces, self.planes, self.completer)
+        others = [[d for d in row if _number(d) < first_id] for row in cut]
+        recut = [[*o, *p] for o, p in zip(others, named, strict=True)]
+        return recut, {e.id: e for e in self.fit(_only(recut, instance_ids(named)))}
+
+    def joined(
+        self, rows: Rows, ids: Collection[int], estimates: Mapping[int, ObjectEstimate], first_id: int
+    ) -> tuple[Rows, dict[int, ObjectEstimate]]:
+        """Return the detections with pairs that are one lying object as one, and its estimate by id.
+
+        Args:
+            rows: Associated detections of each frame.
+            ids: Instances of no class.
+            estimates: Estimates of instances by id; rejected ones are missing.
+            first_id: Least id of a pair.
+        """
+        pairs = touching_pairs(rows, [id for id in sorted(ids) if _may_lie(rows, id)])[:MOST]
+        found: dict[int, ObjectEstimate] = {}
+        for number, pair in enumerate(pairs, start=first_id):
+            if not instance_ids(rows) >= set(pair):
+                continue  # one of them belongs to another pair
+            points = np.concatenate([instance_points(self.frames, rows, id) for id in pair])
+            own = [[whole] if (whole := _union(row, pair, number)) else [] for row in rows]
+            named = posed_detections(self.frames, own, self.planes, self.completer)
+            others = [[d for d in row if d.instance_id not in pair] for row in rows]
+            paired = [[*o, *p] for o, p in zip(others, named, strict=True)]
+            estimate = next(iter(self.fit(_only(paired, {number}))), None)
+            if estimate is None or unexplained(points, [estimate]) > EXPLAINED:
+                continue
+            if estimate.score >= max((estimates[id].score for id in pair if id in estimates), default=0.0):
+                rows, found[number] = paired, estimate
+        return rows, found
+
+
+def instance_ids(rows: Rows) -> set[int]:
+    """Return the ids of all instances."""
+    return {d.instance_id for row in rows for d in row if d.instance_id is not None}
+
+
+def touching_pairs(rows: Rows, ids: Collection[int]) -> list[tuple[int, int]]:
+    """Return the pairs of instances whose masks touch in at least half of the views that show both.
+
+    Those that touch in most views come first.
+    """
+    kernel = np.ones((GAP, GAP), np.uint8)
+    touches: dict[tuple[int, int], list[bool]] = {}
+    for row in rows:
+        masks = {d.instance_id: d.mask for d in row if d.instance_id in ids}
+        wide = {id: cv2.dilate(mask.astype(np.uint8), kernel) > 0 for id, mask in masks.items()}
+        for one, other in combinations(sorted(id for id in masks if id is not None), 2):
+            touches.setdefault((one, other), []).append(bool((wide[one] & masks[other]).any()))
+    near = [pair for pair, seen in touches.items() if 2 * sum(seen) >= len(seen) and any(seen)]
+    return sorted(near, key=lambda pair: (-sum(touches[pair]), pair))
+
+
+def _only(rows: Rows, ids: Collection[int]) -> Rows:
+    """Return the detections, of which those of other instances have no id."""
+    return [[d if d.instance_id in ids else replace(d, instance_id=None) for d in row] for row in rows]
+
+
+def _number(detection: ObjectDetection) -> int:
+    return -1 if detection.instance_id is None else detection.instance_id
+
+
+def _may_lie(rows: Rows, id: int) -> bool:
+    views = [d.pose_probabilities for row in rows for d in row if d.instance_id == id]
+    return pose_mass(mean_poses([p for p in views if p.size]), "lying") >= LYING
+
+
+def _union(row: Sequence[ObjectDetection], pair: tuple[int, int], number: int) -> ObjectDetection | None:
+    """Return the detection of no class of two instances in one view; None if it shows neither."""
+    own = [d for d in row if d.instance_id in pair]
+    if not own:
+        return None
+    return replace(unclassified(np.any([d.mask for d in own], axis=0), number), support=own[0].support)
