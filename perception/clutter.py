@@ -53,6 +53,7 @@ PIECE_SCORE = 0.8  # the same of the pieces of one: a part of a thing resembles 
 UNCERTAIN = 0.4  # score of several views below which a detected object is more often a thing of no class
 TURNED_MUGS: tuple[PosedClass, ...] = (("mug", "upside-down"), ("mug", "lying"))
 TURNED = 0.3  # least probability of a mug that lies or stands upside down, whose handle is looked for
+WORSE = 0.1  # by which the score of a lying object with the parts that its mask lacked may be lower
 INSIDE = 0.35  # share of an object's volume inside another from which on it is a part of that
 REPEATED = 0.3  # largest unexplained share of a candidate's points if it is part of another object
 
@@ -237,7 +238,8 @@ def _is_completed(old: ObjectEstimate, new: ObjectEstimate, before: float, after
     if new.category == "mug":
         return after < before
     same_kind = old.category in ("bottle", "can") and new.category in ("bottle", "can")
-    return same_kind and new.resting == old.resting == "lying" and after < CLEARLY * before
+    is_as_good = new.resting == old.resting == "lying" and new.score > old.score - WORSE
+    return same_kind and is_as_good and after < CLEARLY * before
 
 
 def _is_clear(estimate: ObjectEstimate) -> bool:

@@ -18,10 +18,12 @@ from perception.detection.unclassified import associate_candidates
 from perception.types import ObjectDetection, RgbdFrame, SupportPlane, unclassified
 
 Rows = Sequence[Sequence[ObjectDetection]]
+Mask = Bool[np.ndarray, "h w"]
 
 JUMP = 0.012  # [m] of depth between neighbouring pixels, from which on they belong to two surfaces
 CREASE = np.radians(28)  # angle between the normals on both sides of a crease
 SMALLEST, MIN_PIXELS = 0.06, 150  # pixels of a piece: relative to those of the mask, and at least
+WHOLE = 0.96  # least share of a mask that is one piece
 CUT_VIEWS = 2  # in which an instance is more than one piece, if it has as many
 _BASELINE = 0.005  # [m] from a crease to the surfaces on both sides that are compared
 _APART = 0.06  # [m] between their points, from which on they are not one surface
@@ -41,19 +43,18 @@ def touching_pieces(
         plane: Support plane.
         free_id: Least id of the pieces, which are associated across views.
     """
-    cuts: dict[int, list[tuple[int, list[Bool[np.ndarray, "h w"]]]]] = {id: [] for id in ids}
+    cuts: dict[int, list[tuple[int, list[Mask]]]] = {id: [] for id in ids}
+    n_cut = dict.fromkeys(ids, 0)
     for k, (frame, row) in enumerate(zip(frames, rows, strict=True)):
         for detection in row:
             if detection.instance_id in cuts:
-                cuts[detection.instance_id].append((k, convex_pieces(frame, detection.mask)))
+                pieces = convex_pieces(frame, detection.mask)
+                cuts[detection.instance_id].append((k, pieces))
+                n_cut[detection.instance_id] += _is_cut(detection.mask, pieces)
     found: list[list[ObjectDetection]] = [[] for _ in frames]
-    whole = set(ids)
-    for id, views in cuts.items():
-        if views and sum(len(pieces) > 1 for _, pieces in views) >= min(CUT_VIEWS, len(views)):
-            whole.discard(id)
-            for k, pieces in views:
-                found[k] += [unclassified(piece) for piece in pieces]
-    gone = set(ids) - whole
+    gone = {id for id, views in cuts.items() if n_cut[id] >= min(CUT_VIEWS, max(len(views), 1))}
+    for k, pieces in (view for id in sorted(gone) for view in cuts[id]):
+        found[k] += [unclassified(piece) for piece in pieces]
     associated = associate_candidates(frames, found, plane, free_id)
     return [
         [*(d for d in row if d.instance_id not in gone), *pieces]
@@ -61,8 +62,10 @@ def touching_pieces(
     ]
 
 
-def convex_pieces(frame: RgbdFrame, mask: Bool[np.ndarray, "h w"]) -> list[Bool[np.ndarray, "h w"]]:
+def convex_pieces(frame: RgbdFrame, mask: Mask) -> list[Mask]:
     """Return the parts of a mask between creases and jumps of depth, the largest first.
+
+    Pixels beyond these that are far from any part are left out.
 
     Args:
         frame: Image without flying pixels.
@@ -89,13 +92,17 @@ def convex_pieces(frame: RgbdFrame, mask: Bool[np.ndarray, "h w"]) -> list[Bool[
     pieces = []
     for number in range(len(large)):
         piece = np.zeros_like(mask)
-        piece[window] = inside & (nearest == number)
+        piece[window] = inside & (nearest == number) & (away[number] <= 2 * reach)
         pieces.append(piece)
     return pieces
 
 
+def _is_cut(mask: Mask, pieces: Sequence[Mask]) -> bool:
+    return len(pieces) > 1 or (len(pieces) == 1 and bool(pieces[0].sum() < WHOLE * mask.sum()))
+
+
 def _smooth_points(
-    frame: RgbdFrame, window: tuple[slice, slice], measured: Bool[np.ndarray, "h w"], sigma: float
+    frame: RgbdFrame, window: tuple[slice, slice], measured: Mask, sigma: float
 ) -> Float[np.ndarray, "h w 3"]:
     """Return the points of a window in the camera frame [m], their depth smoothed over ``sigma`` pixels."""
     weight = measured.astype(np.float32)
@@ -108,7 +115,7 @@ def _smooth_points(
     return np.stack([(u - k.cx) / k.fx * smooth, (v - k.cy) / k.fy * smooth, smooth], axis=-1)
 
 
-def _jumps(depth: Float[np.ndarray, "h w"], measured: Bool[np.ndarray, "h w"]) -> Bool[np.ndarray, "h w"]:
+def _jumps(depth: Float[np.ndarray, "h w"], measured: Mask) -> Mask:
     """Return the pixels beside a step of depth."""
     kernel = np.ones((3, 3), np.uint8)
     nearest = cv2.erode(np.where(measured, depth, np.float32(np.inf)), kernel)
@@ -116,9 +123,7 @@ def _jumps(depth: Float[np.ndarray, "h w"], measured: Bool[np.ndarray, "h w"]) -
     return farthest - nearest > JUMP
 
 
-def _creases(
-    points: Float[np.ndarray, "h w 3"], measured: Bool[np.ndarray, "h w"], reach: int
-) -> Bool[np.ndarray, "h w"]:
+def _creases(points: Float[np.ndarray, "h w 3"], measured: Mask, reach: int) -> Mask:
     """Return the pixels at which the surface is concave.
 
     It is where the normals n and points x on both sides, ``reach`` pixels away, have (n1 - n2) (x1 - x2) < 0.

@@ -7,7 +7,14 @@ import numpy as np
 import pytest
 
 from perception import clutter
-from perception.clutter import PIECE_SCORE, POSED_SCORE, UNCERTAIN, UNCLASSIFIED_SCORE, reconstruct_clutter
+from perception.clutter import (
+    PIECE_SCORE,
+    POSED_SCORE,
+    UNCERTAIN,
+    UNCLASSIFIED_SCORE,
+    WORSE,
+    reconstruct_clutter,
+)
 from perception.inference.acceptance import shipped_acceptance
 from perception.inference.reconstruct import ReconstructOptions
 from perception.types import (
@@ -277,3 +284,6 @@ def test_a_completed_mug_replaces_what_explains_less(scene, monkeypatch):
 def test_lost_parts_of_bottles_must_explain_more_than_handles(old, new, after, kept):
     first, second = (found(0, category=category, resting=resting) for category, resting in (old, new))
     assert clutter._is_completed(first, second, 0.2, after) == kept
+    if new[0] == "bottle":
+        second = found(0, first.score - WORSE - 0.01, *new)
+        assert not clutter._is_completed(first, second, 0.2, after), "a neighbour's part makes a poor bottle"

@@ -65,6 +65,15 @@ def test_small_pieces_belong_to_what_is_nearest():
     assert len(convex_pieces(frame, mask)) == 1
 
 
+def test_what_is_far_from_every_piece_is_left_out():
+    """Specks of a neighbour behind a step: too small for a piece of their own."""
+    body = np.where(np.hypot(u - 70, v - 100) < 50, DISTANCE - 0.05, np.inf)
+    speck = np.where(np.hypot(u - 150, v - 100) < 9, DISTANCE - 0.01, np.inf)
+    frame, mask = view(body, speck)
+    (piece,) = convex_pieces(frame, mask)
+    np.testing.assert_array_equal(piece, mask & (u < 130))
+
+
 def test_without_depth_there_are_no_pieces():
     frame, mask = view(sphere(0.0, 0.03))
     assert convex_pieces(replace(frame, depth=np.zeros_like(frame.depth)), mask) == []
