@@ -123,7 +123,7 @@ def reconstruct_clutter(
         free = max(free, 1 + max(instance_ids(rows), default=-1))
         rows, wholes = recutting.joined(rows, candidates - set(stacks), single, free)
         single = {id: e for id, e in single.items() if _is_in(rows, id)}
-        single |= {id: e for id, e in wholes.items() if _is_clear(e)}
+        single |= wholes
         candidates |= set(wholes)
         if options.acceptance is not None:
             named = {d.instance_id: planes[d.support] for row in detections_per_frame for d in row}

@@ -22,9 +22,10 @@ from perception.inference.stack_parts import Rows, instance_points
 from perception.inference.touching import touching_pieces
 from perception.types import ObjectDetection, ObjectEstimate, RgbdFrame, SupportPlane, unclassified
 
-LYING = 0.3  # least probability of lying of both instances that are joined
-MOST = 6  # pairs that are joined
-EXPLAINED = 0.12  # largest share of the points of both that their joint shape leaves unexplained
+LYING = 0.3  # least probability of lying of each instance that is joined
+MOST = 6  # pairs that are tried
+EXPLAINED = 0.12  # largest share of their points that the joint shape leaves unexplained
+CLEAR = 0.75  # least score of what is joined
 GAP = 5  # [px] between the masks of one object
 
 
@@ -71,17 +72,19 @@ class Recutting:
     ) -> tuple[Rows, dict[int, ObjectEstimate]]:
         """Return the detections with pairs that are one lying object as one, and its estimate by id.
 
+        Its score is at least ``CLEAR``, and that of either part.
+
         Args:
             rows: Associated detections of each frame.
             ids: Instances of no class.
             estimates: Estimates of instances by id; rejected ones are missing.
-            first_id: Least id of a pair.
+            first_id: Least id of what is joined.
         """
         pairs = touching_pairs(rows, [id for id in sorted(ids) if _may_lie(rows, id)])[:MOST]
         found: dict[int, ObjectEstimate] = {}
         for number, pair in enumerate(pairs, start=first_id):
             if not instance_ids(rows) >= set(pair):
-                continue  # one of them belongs to another pair
+                continue  # one of them belongs to another object
             points = np.concatenate([instance_points(self.frames, rows, id) for id in pair])
             own = [[whole] if (whole := _union(row, pair, number)) else [] for row in rows]
             named = posed_detections(self.frames, own, self.planes, self.completer)
@@ -90,7 +93,7 @@ class Recutting:
             estimate = next(iter(self.fit(_only(paired, {number}))), None)
             if estimate is None or unexplained(points, [estimate]) > EXPLAINED:
                 continue
-            if estimate.score >= max((estimates[id].score for id in pair if id in estimates), default=0.0):
+            if estimate.score >= max([CLEAR, *(estimates[id].score for id in pair if id in estimates)]):
                 rows, found[number] = paired, estimate
         return rows, found
 

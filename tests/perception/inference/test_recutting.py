@@ -6,7 +6,7 @@ import numpy as np
 import pytest
 
 from perception.inference import recutting
-from perception.inference.recutting import EXPLAINED, LYING, Recutting, instance_ids, touching_pairs
+from perception.inference.recutting import CLEAR, EXPLAINED, LYING, Recutting, instance_ids, touching_pairs
 from perception.types import (
     POSED_CLASSES,
     CameraIntrinsics,
@@ -83,7 +83,7 @@ def test_halves_whose_joint_shape_explains_both_are_one(monkeypatch):
     ("scores", "unexplained", "lying"),
     [
         ({}, 0.0, 0.9),
-        ({8: 0.75}, 0.0, 0.9),
+        ({8: 0.79}, 0.0, 0.9),
         ({8: 0.9}, EXPLAINED + 0.01, 0.9),
         ({8: 0.9}, 0.0, LYING - 0.01),
     ],
@@ -94,6 +94,14 @@ def test_else_they_stay_as_they_are(monkeypatch, scores, unexplained, lying):
     before = halves(lying)
     rows, wholes = fits.recutting.joined(before, {3, 5}, {3: found(3, 0.7), 5: found(5, 0.8)}, 8)
     assert not wholes and instance_ids(rows) == {1, 3, 5}
+
+
+@pytest.mark.parametrize("beyond", [-0.01, 0.01])
+def test_what_is_joined_must_be_clear(monkeypatch, beyond):
+    """Also where neither half was an object."""
+    fits = Fits(monkeypatch, {8: CLEAR + beyond})
+    _, wholes = fits.recutting.joined(halves(), {3, 5}, {}, 8)
+    assert bool(wholes) == (beyond > 0)
 
 
 def test_an_instance_belongs_to_one_pair(monkeypatch):
