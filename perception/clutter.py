@@ -15,6 +15,7 @@ import numpy as np
 
 from perception.detection.completion import PoseNamer, posed_detections
 from perception.detection.left_out import LeftOut
+from perception.detection.parts import parts_of_things
 from perception.detection.unclassified import associate_unclassified, is_low
 from perception.inference.acceptance import AcceptanceModel
 from perception.inference.explanation import shared_volume, unexplained
@@ -80,6 +81,7 @@ def reconstruct_clutter(
         completer: Names the parts of stacks.
         options: Scheduling and progress.
     """
+    detections_per_frame = _without_fragments(frames, detections_per_frame, left_out, options)
     more = associate_unclassified(frames, detections_per_frame, left_out, planes[0])
     with single_threaded():
         more = posed_detections(frames, more, planes, completer)
@@ -159,6 +161,19 @@ def _existence(estimate: ObjectEstimate, rows: Rows, model: AcceptanceModel | No
 def _left_out(estimate: ObjectEstimate) -> RejectedObject:
     reason = f"score {estimate.score:.2f} over all views: it is taken for a thing of no class"
     return RejectedObject(estimate.id, estimate.category, reason, estimate.score)
+
+
+def _without_fragments(
+    frames: Sequence[RgbdFrame], rows: Rows, left_out: Sequence[LeftOut], options: ReconstructOptions
+) -> Rows:
+    """Return the detections, those of parts of things without an id, so that they only occlude others."""
+    fragments = parts_of_things(frames, rows, left_out)
+    named = {d.instance_id: d for row in rows for d in row if d.instance_id in fragments}
+    if options.on_rejected is not None:
+        for id in sorted(fragments):
+            reason = "its surface goes on in a thing of no class"
+            options.on_rejected(RejectedObject(id, named[id].category, reason, named[id].score))
+    return [[replace(d, instance_id=None) if d.instance_id in fragments else d for d in row] for row in rows]
 
 
 def renamed(

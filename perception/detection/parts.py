@@ -6,17 +6,48 @@ few pixels where it touches something.
 
 from __future__ import annotations
 
+from collections.abc import Sequence
+
 import cv2
 import numpy as np
 from jaxtyping import Bool, Float
 
 from perception.detection.geometry import bounding_window
+from perception.detection.left_out import LeftOut
+from perception.types import ObjectDetection, RgbdFrame
 
 SHARE = 0.12  # part of its outline along which the surface of a part goes on
 CERTAIN = 0.9  # probability of a class from which on an instance is no part
+VIEWS = 3  # fewest that contradict a class that is certain
 _WINDOW = 7  # side of the window in which the depth of both sides of an outline is averaged, in pixels
 _MIN_PIXELS = 3  # measured ones in it
 _GAP = (0.006, 0.004)  # depth difference of one surface: constant in metres, and per squared metre of depth
+
+
+def parts_of_things(
+    frames: Sequence[RgbdFrame],
+    rows: Sequence[Sequence[ObjectDetection]],
+    left_out: Sequence[LeftOut],
+) -> set[int]:
+    """Return the ids of the instances whose surface goes on in things of no class in most of their views.
+
+    The shaft of a boot is a mug by its shape, and each view's network is sure of it.
+
+    Args:
+        frames: Images.
+        rows: Associated detections of each frame.
+        left_out: What has no class in them.
+    """
+    nameless = [item for item in left_out if item.reason == "of none of the classes"]
+    shares: dict[int, list[float]] = {}
+    for k, (frame, row) in enumerate(zip(frames, rows, strict=True)):
+        things = [item.mask for item in nameless if item.frame == k]
+        others = np.any(things, axis=0) if things else np.zeros(frame.depth.shape, bool)
+        for d in row:
+            if d.instance_id is not None:
+                share = continued_share(d.mask, others & ~d.mask, frame.depth)
+                shares.setdefault(d.instance_id, []).append(share)
+    return {id for id, seen in shares.items() if len(seen) >= VIEWS and np.median(seen) > SHARE}
 
 
 def continued_share(

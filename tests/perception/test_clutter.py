@@ -54,7 +54,8 @@ class Scene:
         monkeypatch.setattr(clutter, "is_low", lambda frames, rows, id, plane: id != 3)
         monkeypatch.setattr(clutter, "reconstruct", self.reconstruct)
         monkeypatch.setattr(clutter, "split_stacks", self.split)
-        self.pieces, self.wholes = {}, {}
+        self.pieces, self.wholes, self.fragments = {}, {}, set()
+        monkeypatch.setattr(clutter, "parts_of_things", lambda *_: self.fragments)
         monkeypatch.setattr(clutter, "Recutting", lambda *_: self)
         monkeypatch.setattr(clutter, "with_lost_parts", lambda *_: {})
         monkeypatch.setattr(clutter, "instance_points", lambda frames, rows, id: self.points(id))
@@ -77,7 +78,7 @@ class Scene:
         raise AssertionError("all classes are given")
 
     def posed(self, frame, plane, detections):
-        return [replace(d, pose_probabilities=np.eye(10)[self.poses[d.instance_id]]) for d in detections]
+        return [replace(d, pose_probabilities=np.eye(10)[self.poses[d.instance_id or 0]]) for d in detections]
 
     def points(self, id):
         return np.full((1, 3), float(id))
@@ -129,6 +130,15 @@ def test_pieces_of_what_no_shape_explains_need_a_high_score(scene):
     assert scene.run() == [0, 1, 5]
     assert scene.lost == {2, 3}, "the tall thing as well"
     assert scene.first_id == 4 and scene.nameless_ids >= {1, 4, 5} and scene.known_before == [0, 1, 5]
+
+
+def test_a_part_of_a_thing_is_no_object_but_occludes_others(scene):
+    scene.fragments = {0}
+    assert scene.run() == [1]
+    assert scene.fitted == [[None, 1, 2]]
+    assert [(item.id, item.reason) for item in scene.rejected][:1] == [
+        (0, "its surface goes on in a thing of no class")
+    ]
 
 
 def test_what_is_joined_replaces_its_parts(scene):
