@@ -15,7 +15,7 @@ from jaxtyping import Float
 from scipy.spatial.transform import Rotation
 
 from perception.types import Category
-from sim_assets.cell.layout import ArrangementError, LayoutError
+from sim_assets.cell.layout import ArrangementError, UnstableError
 from sim_assets.cell.resting import settle, tilt
 from sim_assets.cell.unknown import UnknownThing
 from sim_assets.objects import ObjectModel
@@ -93,17 +93,21 @@ def arrange(
             arrangement = replace(arrangement, **{error.pose: getattr(arrangement, error.pose) - 1})
 
 
-def rest_unknown(thing: UnknownThing) -> Group:
+def rest_unknown(thing: UnknownThing, name: str) -> Group:
     """Return a thing of no class at rest, as the only member of its group, with index 0.
 
     The surface of the group is that of the collision pieces, so that neighbours never start inside them.
 
+    Args:
+        thing: The thing.
+        name: Name of its body.
+
     Raises:
-        LayoutError: it does not come to rest.
+        UnstableError: it does not come to rest.
     """
     settled = settle([(thing, _raised(np.eye(4), 0.001))])
     if not settled.at_rest:
-        raise LayoutError("a thing of no class does not come to rest")
+        raise UnstableError(f"the thing of no class {name} does not come to rest", name)
     return _group({0: settled.poses[0]}, {0: thing.hulls})
 
 

@@ -96,7 +96,7 @@ def _groups(config: CellConfig, rng: np.random.Generator) -> tuple[list[Group], 
     else:
         span = config.robot.description.gripper.max_width - _SPARE
         groups = arrange(config.objects, config.arrangement, rng, span)
-    return groups, [rest_unknown(thing) for thing in config.unknown]
+    return groups, [rest_unknown(thing, f"unknown{i}") for i, thing in enumerate(config.unknown)]
 
 
 def _sample_places(

@@ -7,9 +7,10 @@ import numpy as np
 import pytest
 import trimesh
 
+from sim_assets.cell import arrangement
 from sim_assets.cell.arrangement import Arrangement, _Assignment, _Finder, arrange, rest_unknown
-from sim_assets.cell.layout import ArrangementError
-from sim_assets.cell.resting import tilt
+from sim_assets.cell.layout import ArrangementError, UnstableError
+from sim_assets.cell.resting import Settled, tilt
 from sim_assets.cell.unknown import draw_unknown
 from sim_assets.objects import sample_object
 
@@ -113,5 +114,14 @@ def test_a_hopeless_search_ends():
 
 
 def test_a_thing_of_no_class_comes_to_rest():
-    group = rest_unknown(draw_unknown(1, np.random.default_rng(1))[0])
+    group = rest_unknown(draw_unknown(1, np.random.default_rng(1))[0], "unknown0")
     assert list(group.Ts_group_object) == [0] and abs(group.mesh.bounds[0, 2]) < 2e-3
+
+
+def test_a_thing_that_does_not_come_to_rest_is_named(monkeypatch):
+    """So that another one is drawn in its place."""
+    thing = draw_unknown(1, np.random.default_rng(1))[0]
+    monkeypatch.setattr(arrangement, "settle", lambda bodies: Settled((np.eye(4),), at_rest=False))
+    with pytest.raises(UnstableError, match="unknown2 does not come to rest") as caught:
+        rest_unknown(thing, "unknown2")
+    assert caught.value.body == "unknown2"
