@@ -3,12 +3,12 @@
 The networks know upright objects. Lying ones and those on their rim often get no class, although their masks
 are good: such candidates are fitted in all classes and resting poses and kept where the evidence is clear.
 Stacks are segmented as one thing, with a class or without: what no single shape explains is cut in parts.
-So are things that touch: what has no class is cut where its surface is concave.
+So are things that touch: what has no class is cut where its surface is concave, for lying objects in it.
 """
 
 from __future__ import annotations
 
-from collections.abc import Callable, Collection, Mapping, Sequence
+from collections.abc import Callable, Mapping, Sequence
 from dataclasses import replace
 
 import numpy as np
@@ -18,7 +18,7 @@ from perception.detection.left_out import LeftOut
 from perception.detection.parts import parts_of_things
 from perception.detection.unclassified import associate_unclassified, is_low
 from perception.inference.acceptance import AcceptanceModel
-from perception.inference.explanation import shared_volume, unexplained
+from perception.inference.explanation import unexplained
 from perception.inference.hidden_support import on_hidden_supports
 from perception.inference.lost_parts import with_lost_parts
 from perception.inference.reconstruct import (
@@ -28,6 +28,12 @@ from perception.inference.reconstruct import (
     reconstruct,
 )
 from perception.inference.recutting import Recutting, instance_ids
+from perception.inference.selection import (
+    PIECE_SCORE,
+    without_parts,
+    without_repeated_stacks,
+    without_repetitions,
+)
 from perception.inference.shape_model import Decoder
 from perception.inference.stack_parts import (
     CLEARLY,
@@ -50,13 +56,10 @@ from perception.types import (
 
 UNCLASSIFIED_SCORE = 0.55  # least score of the fit of a candidate that the detector gave no class, upright
 POSED_SCORE = 0.68  # the same in other poses: what is no object most often resembles lying ones
-PIECE_SCORE = 0.8  # the same of the pieces of one: a part of a thing resembles an object more often
 UNCERTAIN = 0.4  # score of several views below which a detected object is more often a thing of no class
 TURNED_MUGS: tuple[PosedClass, ...] = (("mug", "upside-down"), ("mug", "lying"))
 TURNED = 0.3  # least probability of a mug that lies or stands upside down, whose handle is looked for
 WORSE = 0.1  # by which the score of a lying object with the parts that its mask lacked may be lower
-INSIDE = 0.35  # share of an object's volume inside another from which on it is a part of that
-REPEATED = 0.3  # largest unexplained share of a candidate's points if it is part of another object
 
 
 def reconstruct_clutter(
@@ -120,13 +123,14 @@ def reconstruct_clutter(
         recutting = Recutting(frames, planes, completer, lambda cut: fit(cut, {}))
         free = 1 + max((*instance_ids(rows), *(part.id for part in parts)), default=-1)
         rows, pieces = recutting.separated(rows, lost, free)
-        single |= {id: e for id, e in pieces.items() if e.score >= PIECE_SCORE}
+        single |= {id: e for id, e in pieces.items() if e.resting == "lying" and e.score >= PIECE_SCORE}
         candidates |= instance_ids(rows) - instance_ids(detections_per_frame)
         free = max(free, 1 + max(instance_ids(rows), default=-1))
         rows, wholes = recutting.joined(rows, candidates - set(stacks), single, free)
-        single = {id: e for id, e in single.items() if _is_in(rows, id)}
+        single = {id: e for id, e in single.items() if id in instance_ids(rows)}
         single |= wholes
         candidates |= set(wholes)
+        single = without_parts(frames, rows, single, candidates)
         if options.acceptance is not None:
             named = {d.instance_id: planes[d.support] for row in detections_per_frame for d in row}
             instances = gather_instances(frames, rows, options.max_views)
@@ -192,7 +196,7 @@ def renamed(
         estimates: Estimates with the classes of the detections, by id.
         fit: Reconstructs instances; detections without an id only occlude others.
     """
-    points = {id: instance_points(frames, rows, id) for id in estimates if _is_in(rows, id)}
+    points = {id: instance_points(frames, rows, id) for id in estimates if id in instance_ids(rows)}
     before = {id: unexplained(points[id], [estimates[id]]) for id in points}
     doubtful = {id for id, share in before.items() if share > DOUBTFUL}
     if not doubtful:
@@ -280,61 +284,3 @@ def _extended(
         return replace(detection, instance_id=None)
     mask = masks[detection.instance_id][frame]
     return detection if mask is None else replace(detection, mask=mask)
-
-
-def without_repeated_stacks(
-    frames: Sequence[RgbdFrame], rows: Rows, stacks: Mapping[int, tuple[ObjectEstimate, ...]]
-) -> dict[int, tuple[ObjectEstimate, ...]]:
-    """Return the stacks without those whose measured points another stack explains.
-
-    What the views show in part only may be associated as two instances, each of which is the same stack.
-
-    Args:
-        frames: Views with camera poses.
-        rows: Associated detections of each frame.
-        stacks: Parts of each instance that is a stack, by the instance's id.
-    """
-    kept: dict[int, tuple[ObjectEstimate, ...]] = {}
-    for id in sorted(stacks, key=lambda i: (-max(e.n_views for e in stacks[i]), i)):
-        others = [part for pair in kept.values() for part in pair]
-        if unexplained(instance_points(frames, rows, id), others) > REPEATED:
-            kept[id] = stacks[id]
-    return kept
-
-
-def without_repetitions(
-    frames: Sequence[RgbdFrame],
-    rows: Rows,
-    estimates: Mapping[int, ObjectEstimate],
-    candidates: Collection[int],
-    parts: Sequence[ObjectEstimate] = (),
-) -> dict[int, ObjectEstimate]:
-    """Return the estimates without those whose measured points or volume belong to another object.
-
-    Objects that the detector gave a class are compared with the parts of stacks alone.
-
-    Args:
-        frames: Views with camera poses.
-        rows: Associated detections of each frame, candidates included.
-        estimates: Estimates by id.
-        candidates: Ids of those without a class of the detector.
-        parts: Parts of stacks.
-    """
-
-    def is_repeated(id: int, others: Sequence[ObjectEstimate]) -> bool:
-        if not others:
-            return False
-        if any(shared_volume(estimates[id], other) > INSIDE for other in others):
-            return True
-        return unexplained(instance_points(frames, rows, id), others) <= REPEATED
-
-    kept = {id: e for id, e in estimates.items() if id not in candidates and not is_repeated(id, parts)}
-    uncertain = [e for id, e in estimates.items() if id in candidates]
-    for estimate in sorted(uncertain, key=lambda e: (-e.n_views, -e.score)):
-        if not is_repeated(estimate.id, [*kept.values(), *parts]):
-            kept[estimate.id] = estimate
-    return kept
-
-
-def _is_in(rows: Rows, id: int) -> bool:
-    return any(d.instance_id == id for row in rows for d in row)

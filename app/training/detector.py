@@ -21,7 +21,6 @@ from app.training.files import checksums, summary_writer
 from app.training.fitting import fit_crop_network, fit_scene_network
 from app.training.resources import Resources
 from app.training.scene_dataset import (
-    SHARD,
     LabelledScenes,
     Shard,
     load_crops,
@@ -58,8 +57,7 @@ class TrainDetectorConfig:
     """Configuration of the job; the defaults are those of the shipped weights.
 
     Attributes:
-        pictures: Number of images of the training families, for the instance and yaw networks.
-        class_pictures: Number of these, from the first, that the class networks are trained on.
+        pictures: Number of images of the training families.
         validation: Number of further images of the training families for the calibration.
         test: Number of images of the test families for the evaluation.
         training: Hyperparameters of the class network; its seed is that of all networks.
@@ -69,7 +67,6 @@ class TrainDetectorConfig:
     """
 
     pictures: int = 10000
-    class_pictures: int = 6500
     validation: int = 300
     test: int = 300
     training: TrainingConfig = field(default_factory=lambda: TrainingConfig(epochs=22))
@@ -116,11 +113,10 @@ class DataSets:
     validation: list[Shard]
     test: list[Shard]
 
-    def crops(self, pictures: int | None = None) -> CropSplits:
-        """Return the crops of all shards, or of the training shards with the first ``pictures`` images."""
-        training = [s for s in self.training if pictures is None or s.number * SHARD < pictures]
+    def crops(self) -> CropSplits:
+        """Return the crops of all shards."""
         return CropSplits(
-            *(load_crops([s.crops for s in part]) for part in (training, self.validation, self.test))
+            *(load_crops([s.crops for s in part]) for part in (self.training, self.validation, self.test))
         )
 
 
@@ -142,7 +138,7 @@ def run(
     scenes = load_scenes([s.scenes for s in data_sets.training])
     scene = train_scene(scenes, config, out_dir, progress, processes)
     save_scene_network(scene, out_dir / SCENE_WEIGHTS_FILE, provenance(config))
-    crops = data_sets.crops(config.class_pictures)
+    crops = data_sets.crops()
     data = TrainingData(class_targets(crops.training), class_targets(crops.validation))
     part = stage_progress(progress, SCENE_SHARE, 1.0)
     trained = train_ensemble("class", data, config, out_dir, part, processes)
@@ -330,7 +326,7 @@ vessels; tables, floors, walls and furniture around, which is neither object nor
 textures, prints, gloss, lights and cameras (0.3 to 1.4 m, never nearer than their sensor measures); gaps
 down to contact; depth of structured light, active stereo and time of flight
 (`sim_assets/rendering/depth_noise.py`), half of it with errors of calibration between colour and depth. The
-images are mirrored, recoloured, and lose further depth. From the first {config.class_pictures} images
+images are mirrored, recoloured, and lose further depth. From these images
 {crops} crops for the class network: the true masks made ragged, truncated, incomplete, or extended by a part
 of a neighbour; crops are mirrored, warped, shifted, truncated and recoloured. No photographs.
 

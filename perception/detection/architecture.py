@@ -30,9 +30,7 @@ class CropSizes:
     hidden: int
 
 
-NARROW = CropSizes((16, 32, 64, 128), 48, 128)
-WIDE = CropSizes((32, 64, 128, 192), 64, 192)
-CROP_SIZES: dict[Task, CropSizes] = {"class": WIDE, "pose": WIDE, "yaw": NARROW}
+CROP_SIZES = CropSizes((32, 64, 128, 192), 64, 192)
 
 SCENE_WIDTHS = (24, 48, 80, 128, 160)
 SCENE_JOINED = (32, 48, 64)  # channels of the decoder, fine to coarse
@@ -50,7 +48,7 @@ def crop_shapes(task: Task) -> Shapes:
     return {
         prefix + name: shape
         for prefix in prefixes
-        for name, shape in _crop_shapes(OUTPUTS[task], CROP_SIZES[task]).items()
+        for name, shape in _crop_shapes(OUTPUTS[task], CROP_SIZES).items()
     }
 
 

@@ -19,7 +19,7 @@ from jaxtyping import Float, UInt8
 from torch import Tensor, nn
 from torch.nn import functional
 
-from perception.detection.architecture import CROP_SIZES, NARROW, CropSizes
+from perception.detection.architecture import CROP_SIZES
 from perception.detection.crops import CHANNELS, CONTEXT, SIDE
 from perception.detection.tasks import (
     ENSEMBLE_SIZE,
@@ -44,12 +44,11 @@ class CropNet(nn.Module):
 
     Args:
         outputs: Number of logits.
-        sizes: Sizes of the layers.
     """
 
-    def __init__(self, outputs: int, sizes: CropSizes = NARROW) -> None:
+    def __init__(self, outputs: int) -> None:
         super().__init__()
-        self.outputs = outputs
+        self.outputs, sizes = outputs, CROP_SIZES
         widths = sizes.widths
         stages = [_convolution(CHANNELS, widths[0], stride=2)]  # a second layer at 32 x 32 would cost most
         for narrow, wide in itertools.pairwise(widths):
@@ -99,7 +98,7 @@ def create_network(task: Task) -> CropNetwork:
 
 def create_member(task: Task) -> CropNet:
     """Return an untrained network for a task, one of its ensemble."""
-    return CropNet(OUTPUTS[task], CROP_SIZES[task])
+    return CropNet(OUTPUTS[task])
 
 
 def ensemble_of(members: Sequence[CropNet]) -> CropNetwork:

@@ -116,7 +116,7 @@ def crop_graph(task: Task) -> ModelProto:
     graph, logits, members = _Graph(crop_shapes(task)), [], ENSEMBLE_SIZE[task]
     for prefix in [""] if members == 1 else [f"members.{member}." for member in range(members)]:
         x = graph.convolution("images", f"{prefix}features.0.0", stride=2)
-        last = 2 * len(CROP_SIZES[task].widths) - 1
+        last = 2 * len(CROP_SIZES.widths) - 1
         for layer in range(1, last):
             x = graph.convolution(x, f"{prefix}features.{layer}.0", stride=2 if layer % 2 else 1)
         x = graph.add("Flatten", (graph.convolution(x, f"{prefix}features.{last}.0"),))

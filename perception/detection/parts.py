@@ -39,15 +39,31 @@ def parts_of_things(
         left_out: What has no class in them.
     """
     nameless = [item for item in left_out if item.reason == "of none of the classes"]
+    things = [[item.mask for item in nameless if item.frame == k] for k in range(len(frames))]
+    shares = continued_shares(frames, rows, things)
+    return {id for id, seen in shares.items() if len(seen) >= VIEWS and np.median(seen) > SHARE}
+
+
+def continued_shares(
+    frames: Sequence[RgbdFrame],
+    rows: Sequence[Sequence[ObjectDetection]],
+    things: Sequence[Sequence[Bool[np.ndarray, "H W"]]],
+) -> dict[int, list[float]]:
+    """Return the ``continued_share`` of each instance in each of its views, by id.
+
+    Args:
+        frames: Images.
+        rows: Associated detections of each frame.
+        things: Masks of things of no class in each frame.
+    """
     shares: dict[int, list[float]] = {}
-    for k, (frame, row) in enumerate(zip(frames, rows, strict=True)):
-        things = [item.mask for item in nameless if item.frame == k]
-        others = np.any(things, axis=0) if things else np.zeros(frame.depth.shape, bool)
+    for frame, row, masks in zip(frames, rows, things, strict=True):
+        others = np.any(masks, axis=0) if masks else np.zeros(frame.depth.shape, bool)
         for d in row:
             if d.instance_id is not None:
                 share = continued_share(d.mask, others & ~d.mask, frame.depth)
                 shares.setdefault(d.instance_id, []).append(share)
-    return {id for id, seen in shares.items() if len(seen) >= VIEWS and np.median(seen) > SHARE}
+    return shares
 
 
 def continued_share(

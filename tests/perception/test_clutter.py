@@ -7,16 +7,11 @@ import numpy as np
 import pytest
 
 from perception import clutter
-from perception.clutter import (
-    PIECE_SCORE,
-    POSED_SCORE,
-    UNCERTAIN,
-    UNCLASSIFIED_SCORE,
-    WORSE,
-    reconstruct_clutter,
-)
+from perception.clutter import POSED_SCORE, UNCERTAIN, UNCLASSIFIED_SCORE, WORSE, reconstruct_clutter
+from perception.inference import selection
 from perception.inference.acceptance import shipped_acceptance
 from perception.inference.reconstruct import ReconstructOptions
+from perception.inference.selection import CONTINUED, PIECE_SCORE
 from perception.types import (
     POSED_CLASSES,
     CameraIntrinsics,
@@ -56,12 +51,15 @@ class Scene:
         monkeypatch.setattr(clutter, "split_stacks", self.split)
         self.pieces, self.wholes, self.fragments = {}, {}, set()
         monkeypatch.setattr(clutter, "parts_of_things", lambda *_: self.fragments)
+        self.shares = {}  # of the outlines of candidates, in things
+        monkeypatch.setattr(selection, "continued_shares", self.continued_shares)
         monkeypatch.setattr(clutter, "Recutting", lambda *_: self)
         monkeypatch.setattr(clutter, "with_lost_parts", lambda *_: {})
-        monkeypatch.setattr(clutter, "instance_points", lambda frames, rows, id: self.points(id))
-        monkeypatch.setattr(clutter, "unexplained", self.unexplained)
+        for module in (clutter, selection):
+            monkeypatch.setattr(module, "instance_points", lambda frames, rows, id: self.points(id))
+            monkeypatch.setattr(module, "unexplained", self.unexplained)
         self.inside = {}  # share of the volume of one estimate in another
-        monkeypatch.setattr(clutter, "shared_volume", lambda a, b: self.inside.get((a.id, b.id), 0.0))
+        monkeypatch.setattr(selection, "shared_volume", lambda a, b: self.inside.get((a.id, b.id), 0.0))
         self.explained = {(id, id) for id in range(4)}  # (points, estimate)
 
     def reconstruct(self, frames, rows, decoder, planes, options):
@@ -99,6 +97,10 @@ class Scene:
         assert first_id > max(clutter.instance_ids(rows))
         return self.recut(rows, self.wholes, ids), {e.id: e for e in self.wholes.values()}
 
+    def continued_shares(self, frames, rows, things):
+        self.doubtful, self.things = clutter.instance_ids(rows), [len(masks) for masks in things]
+        return self.shares
+
     def recut(self, rows, found, gone):
         """Rows with instances in place of all others, if there are any."""
         if not found:
@@ -125,11 +127,12 @@ def test_candidates_are_objects_only_if_the_evidence_is_clear(scene):
 
 
 def test_pieces_of_what_no_shape_explains_need_a_high_score(scene):
-    scene.pieces = {4: found(4, PIECE_SCORE - 0.01), 5: found(5, PIECE_SCORE + 0.01)}
-    scene.explained |= {(5, 5)}
+    """They lie: an upright object is seldom segmented with what it touches."""
+    poses = {4: (PIECE_SCORE - 0.01, "lying"), 5: (PIECE_SCORE + 0.01, "lying"), 6: (0.99, "upright")}
+    scene.pieces = {id: found(id, score, resting=resting) for id, (score, resting) in poses.items()}
     assert scene.run() == [0, 1, 5]
     assert scene.lost == {2, 3}, "the tall thing as well"
-    assert scene.first_id == 4 and scene.nameless_ids >= {1, 4, 5} and scene.known_before == [0, 1, 5]
+    assert scene.first_id == 4 and scene.nameless_ids >= {1, 4, 5, 6} and scene.known_before == [0, 1, 5]
 
 
 def test_a_part_of_a_thing_is_no_object_but_occludes_others(scene):
@@ -139,6 +142,18 @@ def test_a_part_of_a_thing_is_no_object_but_occludes_others(scene):
     assert [(item.id, item.reason) for item in scene.rejected][:1] == [
         (0, "its surface goes on in a thing of no class")
     ]
+
+
+@pytest.mark.parametrize(("share", "score", "kept"), [
+    (CONTINUED - 0.01, PIECE_SCORE - 0.01, True), (CONTINUED + 0.01, PIECE_SCORE - 0.01, False),
+    (CONTINUED + 0.01, PIECE_SCORE + 0.01, True),
+])  # fmt: skip
+def test_a_doubtful_candidate_that_goes_on_in_a_thing_is_a_part_of_it(scene, share, score, kept):
+    scene.scores[1] = score
+    scene.shares = {1: [0.0, share, 1.0]} if score < PIECE_SCORE else {}
+    assert scene.run() == ([0, 1] if kept else [0])
+    if score < PIECE_SCORE:
+        assert scene.doubtful == {1} and scene.things == [2], "what was rejected, and what is too tall"
 
 
 def test_what_is_joined_replaces_its_parts(scene):

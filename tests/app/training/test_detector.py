@@ -142,17 +142,6 @@ def test_the_scenes_of_the_scene_network_are_those_for_training(tmp_path, monkey
     assert [file.name for file in loaded] == ["scenes_train_seed0_n5_000.npz"]
 
 
-def test_class_networks_are_trained_on_the_crops_of_the_first_images(tmp_path, monkeypatch):
-    loaded = []
-    monkeypatch.setattr(train_detector, "load_crops", lambda files: loaded.append(files) or random_crops(0))
-    training = [Shard(tmp_path, "train", 0, number, 100) for number in range(5)]
-    sets = train_detector.DataSets(training, training[:1], training[:2])
-    sets.crops(300)
-    assert [len(files) for files in loaded] == [3, 1, 2] and loaded[0] == [s.crops for s in training[:3]]
-    sets.crops()
-    assert len(loaded[3]) == 5
-
-
 def test_members_of_an_ensemble_have_different_seeds_and_folders(tmp_path, monkeypatch):
     calls = []
 

