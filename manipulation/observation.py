@@ -10,6 +10,7 @@ import numpy as np
 from jaxtyping import Float
 
 from manipulation.types import Grasp
+from perception.geometry import nearest_yaw
 from perception.obstacles.obstacle import PerceivedObstacle
 
 Poses = Mapping[str, Float[np.ndarray, "4 4"]]  # T_world_stand by name
@@ -18,6 +19,7 @@ Presence = Literal["in_place", "displaced", "unseen"]
 
 MOVED = 0.012  # [m] horizontally, from which on an object is not where it was expected
 TIPPED = np.deg2rad(20.0)  # of its axis from the expected direction
+TURNED = np.deg2rad(10.0)  # about the vertical, from which on the handle of a mug is elsewhere
 
 
 @dataclass(frozen=True)
@@ -90,3 +92,9 @@ def is_displaced(
     shift = float(np.linalg.norm((T_seen - T_expected)[:2, 3]))
     turn = float(np.arccos(np.clip(T_seen[:3, 2] @ T_expected[:3, 2], -1.0, 1.0)))
     return shift > moved or bool(turn > TIPPED)
+
+
+def is_turned(T_expected: Float[np.ndarray, "4 4"], T_seen: Float[np.ndarray, "4 4"]) -> bool:
+    """Return whether an object was turned about the vertical: the handles of mugs are aligned."""
+    difference = nearest_yaw(T_seen) - nearest_yaw(T_expected)
+    return bool(abs((difference + np.pi) % (2 * np.pi) - np.pi) > TURNED)

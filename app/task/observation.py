@@ -15,7 +15,7 @@ from jaxtyping import Float
 
 from manipulation.errors import ManipulationError, RobotStoppedError
 from manipulation.lying_grasps import lies
-from manipulation.observation import Finding, Poses, Presence, is_displaced
+from manipulation.observation import Finding, Poses, Presence, is_displaced, is_turned
 from manipulation.types import StandingObject
 from manipulation.viewpoints import Viewpoint, ViewpointScanner
 from manipulation.workspace import Workspace
@@ -73,6 +73,7 @@ class WristObserver:
         )
         self._bystanders = [estimate for estimate in objects if estimate.name not in items]
         self._estimates = {estimate.name: estimate for estimate in objects if estimate.name in items}
+        self._mugs = {name for name, item in items.items() if item.category == "mug"}
         self._Ts_stand_object = {
             name: np.linalg.inv(items[name].T_world_stand) @ estimate.T_world_object
             for name, estimate in self._estimates.items()
@@ -121,8 +122,9 @@ class WristObserver:
             return "unseen"
         if check.status == "not_there":
             return "displaced"
-        T_seen = self._stand_pose(name, check)
-        return "displaced" if is_displaced(poses[name], T_seen) else "in_place"
+        T_expected, T_seen = poses[name], self._stand_pose(name, check)
+        turned = name in self._mugs and not lies(T_expected) and is_turned(T_expected, T_seen)
+        return "displaced" if turned or is_displaced(T_expected, T_seen) else "in_place"
 
     def _find_nearby(self, name: str, poses: Poses) -> Finding | None:
         """Search for a standing object within a few centimetres of where it is expected."""

@@ -1,7 +1,16 @@
 import numpy as np
 import pytest
 
-from manipulation.observation import MOVED, TIPPED, Finding, NoObserver, classify_grip, is_displaced
+from manipulation.observation import (
+    MOVED,
+    TIPPED,
+    TURNED,
+    Finding,
+    NoObserver,
+    classify_grip,
+    is_displaced,
+    is_turned,
+)
 from manipulation.types import Grasp
 from perception.geometry import pose_from_yaw
 
@@ -31,6 +40,13 @@ def test_shift_and_tilt_decide_but_not_yaw_and_height():
     assert is_displaced(T, shifted)
     assert not is_displaced(T, raised) and not is_displaced(T, pose_from_yaw(2.0, T[:3, 3]))
     assert is_displaced(T, tilted(T, TIPPED + 0.01)) and not is_displaced(T, tilted(T, TIPPED - 0.01))
+
+
+@pytest.mark.parametrize("yaw", [0.3, 3.1, -3.1])
+def test_the_shorter_way_around_decides_about_a_turn(yaw):
+    T = pose_from_yaw(yaw, np.zeros(3))
+    for by, turned in ((TURNED + 0.01, True), (-TURNED - 0.01, True), (TURNED - 0.01, False)):
+        assert is_turned(T, pose_from_yaw(yaw + by, np.array([0.1, 0.0, 0.0]))) == turned
 
 
 def test_noise_of_a_fit_is_no_motion_and_5_cm_always_are():

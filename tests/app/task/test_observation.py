@@ -8,6 +8,7 @@ import pytest
 import app.task.observation as observation
 from app.task.observation import MIN_PIXELS, WristObserver
 from manipulation.errors import PlanningError, RobotStoppedError
+from manipulation.observation import TURNED
 from manipulation.viewpoints import ViewpointScanner
 from manipulation.workspace import Workspace
 from perception.errors import PerceptionError
@@ -66,6 +67,17 @@ def test_a_glance(scene, can_at):
         answers["check"] = check
         assert watch.glance(poses, ("can_0",)) == {"can_0": presence}
     assert scanner.visited == []
+
+
+@pytest.mark.parametrize(("category", "presence"), [("can", "in_place"), ("mug", "displaced")])
+def test_a_glance_at_what_was_turned(scene, can_at, pack_plan, category, presence):
+    """The yaw of a can is arbitrary; the handle of a mug is aligned with others."""
+    _, poses, answers, scanner = scene
+    items = {"can_0": replace(pack_plan.objects["can_0"], category=category)}
+    watch = WristObserver(scanner, [can_at()], items)
+    T = can_at().T_world_object @ pose_from_yaw(TURNED + 0.02, np.zeros(3))
+    answers["check"] = replace(SEEN, T_world_object=T)
+    assert watch.glance(poses, ("can_0",)) == {"can_0": presence}
 
 
 def test_a_moved_object_is_found_nearby_and_stands_on_its_support(scene, can_at):
