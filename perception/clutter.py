@@ -84,12 +84,12 @@ def reconstruct_clutter(
         completer: Names the parts of stacks.
         options: Scheduling and progress.
     """
-    detections_per_frame = _without_fragments(frames, detections_per_frame, left_out, options)
     more = associate_unclassified(frames, detections_per_frame, left_out, planes[0])
+    detections_per_frame = _without_fragments(frames, detections_per_frame, left_out, options)
     with single_threaded():
         more = posed_detections(frames, more, planes, completer)
         detections_per_frame = posed_detections(frames, detections_per_frame, planes, completer)
-    candidates = {d.instance_id for row in more for d in row if d.instance_id is not None}
+    candidates = instance_ids(more)
     rows = [[*row, *others] for row, others in zip(detections_per_frame, more, strict=True)]
     low = {id for id in candidates if is_low(frames, more, id, planes[0])}
     judged = [[d for d in row if d.instance_id not in candidates - low] for row in rows]
@@ -102,13 +102,12 @@ def reconstruct_clutter(
     }
 
     def fit(parts: Rows, rests_on: Mapping[int, int]) -> list[ObjectEstimate]:
-        ids = {d.instance_id for row in parts for d in row if d.instance_id is not None}
         silent = replace(
             options,
             on_rejected=None,
             on_step=None,
             progress=None,
-            tentative=ids,
+            tentative=instance_ids(parts),
             rests_on=rests_on,
             starts=(),
         )
@@ -127,8 +126,8 @@ def reconstruct_clutter(
         candidates |= instance_ids(rows) - instance_ids(detections_per_frame)
         free = max(free, 1 + max(instance_ids(rows), default=-1))
         rows, wholes = recutting.joined(rows, candidates - set(stacks), single, free)
-        single = {id: e for id, e in single.items() if id in instance_ids(rows)}
-        single |= wholes
+        remaining = instance_ids(rows)
+        single = {id: e for id, e in single.items() if id in remaining} | wholes
         candidates |= set(wholes)
         single = without_parts(frames, rows, single, candidates)
         if options.acceptance is not None:
@@ -196,7 +195,8 @@ def renamed(
         estimates: Estimates with the classes of the detections, by id.
         fit: Reconstructs instances; detections without an id only occlude others.
     """
-    points = {id: instance_points(frames, rows, id) for id in estimates if id in instance_ids(rows)}
+    known = instance_ids(rows)
+    points = {id: instance_points(frames, rows, id) for id in estimates if id in known}
     before = {id: unexplained(points[id], [estimates[id]]) for id in points}
     doubtful = {id for id, share in before.items() if share > DOUBTFUL}
     if not doubtful:

@@ -9,6 +9,7 @@ from __future__ import annotations
 
 from dataclasses import replace
 
+import cv2
 import numpy as np
 from jaxtyping import Bool, Float, UInt8
 
@@ -82,3 +83,13 @@ def _halves(shape: tuple[int, ...], rows: int, columns: int) -> tuple[Window, Wi
 def clean_frame(frame: RgbdFrame) -> RgbdFrame:
     """Return the frame with its depth cleaned."""
     return replace(frame, depth=clean_depth(frame.depth, frame.intrinsics))
+
+
+def beside_jumps(
+    pixels: Bool[np.ndarray, "h w"], depth: Float[np.ndarray, "h w"], jump: float
+) -> Bool[np.ndarray, "h w"]:
+    """Return which of some pixels are beside a step of depth of at least ``jump`` [m] to another of them."""
+    kernel = np.ones((3, 3), np.uint8)
+    nearest = cv2.erode(np.where(pixels, depth, np.float32(np.inf)).astype(np.float32), kernel)
+    farthest = cv2.dilate(np.where(pixels, depth, np.float32(0)).astype(np.float32), kernel)
+    return pixels & (farthest - nearest >= jump)

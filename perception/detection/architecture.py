@@ -17,7 +17,7 @@ from perception.detection.tasks import ENSEMBLE_SIZE, OUTPUTS, SCENE_OUTPUTS, Ta
 
 @dataclass(frozen=True)
 class CropSizes:
-    """Sizes of a network on crops.
+    """Sizes of the networks on crops.
 
     Attributes:
         widths: Channels of the convolution stages, each of stride two.
@@ -46,9 +46,7 @@ def crop_shapes(task: Task) -> Shapes:
     members = ENSEMBLE_SIZE[task]
     prefixes = [""] if members == 1 else [f"members.{member}." for member in range(members)]
     return {
-        prefix + name: shape
-        for prefix in prefixes
-        for name, shape in _crop_shapes(OUTPUTS[task], CROP_SIZES).items()
+        prefix + name: shape for prefix in prefixes for name, shape in _crop_shapes(OUTPUTS[task]).items()
     }
 
 
@@ -94,7 +92,8 @@ def fold_normalisations(tensors: Mapping[str, np.ndarray]) -> dict[str, np.ndarr
     return folded
 
 
-def _crop_shapes(outputs: int, sizes: CropSizes) -> Shapes:
+def _crop_shapes(outputs: int) -> Shapes:
+    sizes = CROP_SIZES
     shapes = _convolution("features.0.0", crops.CHANNELS, sizes.widths[0], 3)
     layer = 1
     for narrow, wide in pairwise(sizes.widths):

@@ -48,18 +48,18 @@ class CropNet(nn.Module):
 
     def __init__(self, outputs: int) -> None:
         super().__init__()
-        self.outputs, sizes = outputs, CROP_SIZES
-        widths = sizes.widths
+        self.outputs = outputs
+        widths = CROP_SIZES.widths
         stages = [_convolution(CHANNELS, widths[0], stride=2)]  # a second layer at 32 x 32 would cost most
         for narrow, wide in itertools.pairwise(widths):
             stages += [_convolution(narrow, wide, stride=2), _convolution(wide, wide, stride=1)]
-        squeeze = nn.Sequential(nn.Conv2d(widths[-1], sizes.squeezed, 1), nn.ReLU(inplace=True))
+        squeeze = nn.Sequential(nn.Conv2d(widths[-1], CROP_SIZES.squeezed, 1), nn.ReLU(inplace=True))
         self.features = nn.Sequential(*stages, squeeze)
-        flat = sizes.squeezed * (SIDE // 2 ** len(widths)) ** 2
+        flat = CROP_SIZES.squeezed * (SIDE // 2 ** len(widths)) ** 2
         self.head = nn.Sequential(
-            nn.Linear(flat + CONTEXT, sizes.hidden), nn.ReLU(inplace=True), nn.Dropout(0.2)
+            nn.Linear(flat + CONTEXT, CROP_SIZES.hidden), nn.ReLU(inplace=True), nn.Dropout(0.2)
         )
-        self.logits = nn.Linear(sizes.hidden, outputs)
+        self.logits = nn.Linear(CROP_SIZES.hidden, outputs)
 
     def forward(
         self, images: Float[Tensor, "n 6 side side"], context: Float[Tensor, "n 2"]

@@ -14,7 +14,7 @@ import numpy as np
 from jaxtyping import Bool, Float
 from scipy.spatial import KDTree
 
-from perception.depth_cleaning import clean_depth
+from perception.depth_cleaning import beside_jumps, clean_depth
 from perception.detection.geometry import bounding_window, height_image, points_of
 from perception.metrics import SurfaceSamples
 from perception.types import ObjectDetection, ObjectEstimate, RgbdFrame, SupportPlane
@@ -110,7 +110,9 @@ def _lost_part(
         return part
     distance = surfaces.query(points_of(frame, open_), distance_upper_bound=2 * FAR)[0]
     open_[open_] = distance > FAR
-    count, labels = cv2.connectedComponents(_cut_at_jumps(open_, frame.depth).astype(np.uint8))
+    count, labels = cv2.connectedComponents(
+        (open_ & ~beside_jumps(open_, frame.depth, _JUMP)).astype(np.uint8)
+    )
     size, own = np.bincount(labels.ravel(), minlength=count), int(mask.sum())
     around = _around(mask, frame)
     for label in np.unique(labels[around & (labels > 0)]):
@@ -126,16 +128,6 @@ def _around(mask: Bool[np.ndarray, "h w"], frame: RgbdFrame) -> Bool[np.ndarray,
     depth = np.median(frame.depth[mask & (frame.depth > 0)])
     side = 2 * int(1.5 * FAR * frame.intrinsics.fx / depth) + 5
     return cv2.dilate(mask.astype(np.uint8), np.ones((side, side), np.uint8)) > 0
-
-
-def _cut_at_jumps(
-    pixels: Bool[np.ndarray, "h w"], depth: Float[np.ndarray, "h w"]
-) -> Bool[np.ndarray, "h w"]:
-    """Return the pixels without those beside a step of depth."""
-    kernel = np.ones((3, 3), np.uint8)
-    nearest = cv2.erode(np.where(pixels, depth, np.float32(np.inf)).astype(np.float32), kernel)
-    farthest = cv2.dilate(np.where(pixels, depth, np.float32(0)).astype(np.float32), kernel)
-    return pixels & (farthest - nearest < _JUMP)
 
 
 def _continues(

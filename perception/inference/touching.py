@@ -13,6 +13,7 @@ import cv2
 import numpy as np
 from jaxtyping import Bool, Float
 
+from perception.depth_cleaning import beside_jumps
 from perception.detection.geometry import bounding_window
 from perception.detection.unclassified import associate_candidates
 from perception.types import ObjectDetection, RgbdFrame, SupportPlane, unclassified
@@ -79,7 +80,7 @@ def convex_pieces(frame: RgbdFrame, mask: Mask) -> list[Mask]:
     inside, depth = mask[window], frame.depth[window].astype(np.float32)
     measured = inside & (depth > 0)
     points = _smooth_points(frame, window, measured, max(1.0, _SMOOTHING * pixels_per_metre))
-    whole = measured & ~_jumps(depth, measured) & ~_creases(points, measured, reach)
+    whole = measured & ~beside_jumps(measured, depth, JUMP) & ~_creases(points, measured, reach)
     opened = cv2.morphologyEx(whole.astype(np.uint8), cv2.MORPH_OPEN, np.ones((3, 3), np.uint8))
     count, labels = cv2.connectedComponents(opened)
     size = np.bincount(labels.ravel(), minlength=count)
@@ -113,14 +114,6 @@ def _smooth_points(
     k, (rows, columns) = frame.intrinsics, window
     v, u = np.mgrid[rows.start : rows.start + len(depth), columns.start : columns.start + depth.shape[1]]
     return np.stack([(u - k.cx) / k.fx * smooth, (v - k.cy) / k.fy * smooth, smooth], axis=-1)
-
-
-def _jumps(depth: Float[np.ndarray, "h w"], measured: Mask) -> Mask:
-    """Return the pixels beside a step of depth."""
-    kernel = np.ones((3, 3), np.uint8)
-    nearest = cv2.erode(np.where(measured, depth, np.float32(np.inf)), kernel)
-    farthest = cv2.dilate(np.where(measured, depth, np.float32(0)), kernel)
-    return farthest - nearest > JUMP
 
 
 def _creases(points: Float[np.ndarray, "h w 3"], measured: Mask, reach: int) -> Mask:

@@ -3,7 +3,7 @@
 import numpy as np
 import pytest
 
-from perception.depth_cleaning import BAND, clean_depth, clean_frame
+from perception.depth_cleaning import BAND, beside_jumps, clean_depth, clean_frame
 from perception.types import CameraIntrinsics, RgbdFrame
 
 CAMERA = CameraIntrinsics(160, 120, 600.0, 600.0, 79.5, 59.5)
@@ -105,3 +105,16 @@ def test_a_frame_keeps_all_but_its_depth():
     cleaned = clean_frame(frame)
     assert cleaned.depth[5, 5] == 0 and frame.depth[5, 5] == np.float32(0.3)
     assert cleaned.time == 1.5 and cleaned.intrinsics == CAMERA and cleaned.T_world_camera is not None
+
+
+def test_pixels_on_both_sides_of_a_step_are_beside_it():
+    """Only steps between the given pixels count."""
+    depth = np.full((6, 8), 0.5, np.float32)
+    depth[:, 4:] = 0.52
+    every = np.ones(depth.shape, bool)
+    step = np.zeros(depth.shape, bool)
+    step[:, 3:5] = True
+    np.testing.assert_array_equal(beside_jumps(every, depth, 0.015), step)
+    assert not beside_jumps(every, depth, 0.025).any()
+    left = every & (np.arange(8) < 4)
+    assert not beside_jumps(left, depth, 0.015).any()
