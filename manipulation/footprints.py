@@ -124,11 +124,15 @@ class BoxRaster:
 
     def free_positions(self, stencil: Stencil) -> Bool[np.ndarray, "nx ny"]:
         """Return the cells at which the stencil, including its gap, covers no occupied cell."""
+        return self.free_within(stencil) > stencil.widened.sum() - 0.5
+
+    def free_within(self, stencil: Stencil) -> Float[np.ndarray, "nx ny"]:
+        """Return the number of free cells that the stencil, including its gap, covers at each cell."""
         free = ~self.taken[self._inner]
         kernel = stencil.widened[::-1, ::-1].astype(np.float32)
-        covered = fftconvolve(np.pad(free, len(kernel) // 2).astype(np.float32), kernel, mode="valid")
-        result = np.zeros(self.taken.shape, dtype=bool)
-        result[self._inner] = covered > kernel.sum() - 0.5
+        result = np.zeros(self.taken.shape, dtype=np.float32)
+        padded = np.pad(free, len(kernel) // 2).astype(np.float32)
+        result[self._inner] = fftconvolve(padded, kernel, mode="valid")
         return result
 
     def cell_of(self, position: Float[np.ndarray, "2"]) -> tuple[int, int]:

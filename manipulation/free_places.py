@@ -20,6 +20,7 @@ NARROW = (0.012, 0.008, 0.005, 0.003)  # [m] distances that a place beside it ma
 BESIDE = 0.03  # [m] of it from the planned place
 BETWEEN = 0.003  # [m] that it keeps from the goals of objects that are not yet in the box
 APART = 0.05  # [m] between two places
+SNUG = 0.05  # [m] around an object, within which the free floor is counted
 MOST = 4
 
 
@@ -29,6 +30,7 @@ def free_places(
     others: Sequence[tuple[StandingObject, Float[np.ndarray, "4 4"]]],
     box: Box,
     waiting: Sequence[tuple[StandingObject, Placement]] = (),
+    is_snug: bool = False,
 ) -> list[Placement]:
     """Return places on the free floor of a box at the planned yaw, the one with most room around it first.
 
@@ -40,26 +42,32 @@ def free_places(
         others: objects that may be in the box, with T_world_stand.
         box: the box.
         waiting: objects that are not yet in the box, with their goals.
+        is_snug: whether the place with the least room around it comes first, which leaves more to others.
     """
     if waiting and (
-        places := _free_places(item, placement, _reserved(_filled(box, others), box, waiting), box)
+        places := _free_places(item, placement, _reserved(_filled(box, others), box, waiting), box, is_snug)
     ):
         return places
-    return _free_places(item, placement, _filled(box, others), box)
+    return _free_places(item, placement, _filled(box, others), box, is_snug)
 
 
-def _free_places(item: StandingObject, placement: Placement, raster: BoxRaster, box: Box) -> list[Placement]:
-    """Return places on the cells of a raster that are not taken, the one with most room around it first."""
-    room = np.asarray(distance_transform_edt(~raster.taken))
+def _free_places(
+    item: StandingObject, placement: Placement, raster: BoxRaster, box: Box, is_snug: bool
+) -> list[Placement]:
+    """Return places on the cells of a raster that are not taken, the one with most or least room first."""
     shape = footprint(item).rotated(placement.yaws[0])
+    if is_snug:
+        rank = 1.0 / (1.0 + raster.free_within(Stencil.of(shape, SNUG, raster.cell)))
+    else:
+        rank = np.asarray(distance_transform_edt(~raster.taken))
     free = (raster.free_positions(Stencil.of(shape, gap, raster.cell)) for gap in GAPS)
-    room = np.where(next((places for places in free if places.any()), False), room, 0.0)
+    rank = np.where(next((places for places in free if places.any()), False), rank, 0.0)
     found: list[Placement] = []
-    while len(found) < MOST and room.any():
-        i, j = np.unravel_index(np.argmax(room), room.shape)
+    while len(found) < MOST and rank.any():
+        i, j = np.unravel_index(np.argmax(rank), rank.shape)
         x, y = raster.centers[i, j] + box.center
         found.append(replace(placement, position=(float(x), float(y), box.floor)))
-        room[np.linalg.norm(raster.centers - raster.centers[i, j], axis=-1) < APART] = 0.0
+        rank[np.linalg.norm(raster.centers - raster.centers[i, j], axis=-1) < APART] = 0.0
     return found
 
 

@@ -1,4 +1,7 @@
-"""Plan for what is packed after the others: goals on the floor that is left, and bowls into bowls."""
+"""Plan for what is packed after the others: goals on the floor that is left, and bowls into bowls.
+
+Where something finds no room, one of the objects in the box is moved if that makes room.
+"""
 
 from __future__ import annotations
 
@@ -11,6 +14,7 @@ from jaxtyping import Float
 from manipulation.errors import PlanningError
 from manipulation.free_places import free_places
 from manipulation.kinematics import Kinematics
+from manipulation.lying_grasps import lies
 from manipulation.nesting import nest_heights, nests, radial_surfaces
 from manipulation.packing import admissible_yaws, nest_drop
 from manipulation.planner import ManipulationConfig, find_usable
@@ -31,7 +35,7 @@ def plan_further(
     config: ManipulationConfig = ManipulationConfig(),
     kinematics: Kinematics | None = None,
 ) -> TaskPlan:
-    """Plan to pack objects into a box that holds others, which keep their places.
+    """Plan to pack objects into a box that holds others, of which at most one is moved to make room.
 
     Args:
         objects: object map of what is beside the box.
@@ -46,14 +50,8 @@ def plan_further(
     """
     config = config.for_arm(arm)
     usable = find_usable(objects, kinematics or Kinematics(arm, config.pick_place.ik), config)
-    there, placements, no_room = dict(placed), [], {}
-    for item in sorted(usable.candidates, key=_order):
-        goal = _into_bowls(item, there, box, config) or _on_the_floor(item, there, box, config)
-        if goal is None:
-            no_room[item.name] = f"no room for {item.name} is left in the box; use a larger box"
-            continue
-        placements.append(goal)
-        there[item.name] = replace(item, T_world_stand=_resting_pose(item, goal, there))
+    items = sorted(usable.candidates, key=_order)
+    placements, no_room = _most_in_place(items, placed, box, config)
     if not placements:
         raise PlanningError("; ".join(no_room.values()))
     return TaskPlan(
@@ -64,6 +62,62 @@ def plan_further(
         box=box,
         grasps=usable.grasps,
     )
+
+
+def _most_in_place(
+    items: Sequence[StandingObject],
+    placed: Mapping[str, StandingObject],
+    box: Box,
+    config: ManipulationConfig,
+) -> tuple[list[Placement], dict[str, str]]:
+    """Return goals that leave as few objects out as possible, and the reason by name for each of those.
+
+    The first of these ways that leaves none out: with much room around each object, with little room, and
+    with one object in the box moved, the narrowest first.
+    """
+    best = _in_place(items, placed, box, config)
+    if not best[1]:
+        return best
+    ways = [(items, dict(placed))]
+    for moved in sorted(_movable(placed), key=_floor_space):
+        ways.append(((*items, moved), {name: other for name, other in placed.items() if name != moved.name}))
+    for wanted, there in ways:
+        goals, no_room = _in_place(wanted, there, box, config, is_snug=True)
+        if len(no_room) < len(best[1]) and not no_room.keys() & placed.keys():
+            # What is moved makes room for the others.
+            best = sorted(goals, key=lambda goal: goal.name not in placed), no_room
+        if not best[1]:
+            break
+    return best
+
+
+def _in_place(
+    items: Sequence[StandingObject],
+    placed: Mapping[str, StandingObject],
+    box: Box,
+    config: ManipulationConfig,
+    is_snug: bool = False,
+) -> tuple[list[Placement], dict[str, str]]:
+    """Return a goal for each object in turn, and the reason by name for each that finds no room."""
+    there, placements, no_room = dict(placed), [], {}
+    for item in items:
+        goal = _into_bowls(item, there, box, config) or _on_the_floor(item, there, box, config, is_snug)
+        if goal is None:
+            no_room[item.name] = f"no room for {item.name} is left in the box; use a larger box"
+            continue
+        placements.append(goal)
+        there[item.name] = replace(item, T_world_stand=_resting_pose(item, goal, there))
+    return placements, no_room
+
+
+def _movable(placed: Mapping[str, StandingObject]) -> list[StandingObject]:
+    """Return the upright objects in the box that are no bowls: these may hold others."""
+    return [item for item in placed.values() if item.category != "bowl" and not lies(item.T_world_stand)]
+
+
+def _floor_space(item: StandingObject) -> float:
+    """Return the area of the top view's bounding rectangle in [m²]."""
+    return float(np.prod(np.ptp(item.vertices[:, :2], axis=0)))
 
 
 def _order(item: StandingObject) -> tuple[bool, float]:
@@ -97,9 +151,16 @@ def _into_bowls(
 
 
 def _on_the_floor(
-    item: StandingObject, there: Mapping[str, StandingObject], box: Box, config: ManipulationConfig
+    item: StandingObject,
+    there: Mapping[str, StandingObject],
+    box: Box,
+    config: ManipulationConfig,
+    is_snug: bool,
 ) -> Placement | None:
-    """Return a goal where most floor is free; a mug is aligned with those in the box. None without room."""
+    """Return a goal where most floor is free, or least; a mug is aligned with those in the box.
+
+    None without room.
+    """
     others = [(other, other.T_world_stand) for other in there.values()]
     for yaw in _yaws(item, there):
         goal = Placement(
@@ -108,7 +169,7 @@ def _on_the_floor(
             admissible_yaws(item, yaw),
             release_height=config.packing.release_height,
         )
-        places = free_places(item, goal, others, box)
+        places = free_places(item, goal, others, box, is_snug=is_snug)
         if places:
             return places[0]
     return None

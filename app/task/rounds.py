@@ -93,7 +93,8 @@ def with_round(
 ) -> TaskResult:
     """Return the results of all rounds so far together.
 
-    An object that was not placed is replaced by what was found in its place.
+    An object that was not placed is replaced by what was found in its place. One that was to be moved in the
+    box, and never was touched, is where it was.
 
     Args:
         result: results of the rounds before.
@@ -112,10 +113,14 @@ def with_round(
         or not (np.linalg.norm(places - estimate.T_world_object[:2, 3], axis=1) < SAME_PLACE).any()
     ]
     names = {estimate.name for estimate in kept}
+    untouched = {o.name for o in outcomes if o.id in placed and not o.placed and not o.attempts}
+    latest = [o for o in outcomes if o.name not in untouched]
+    renewed = {o.name for o in latest}
+    goals = {p.name for p in plan.placements}
     merged = replace(
         plan,
         objects=dict(plan.objects) | dict(result.plan.objects),
-        placements=(*(p for p in result.plan.placements if p.name in names), *plan.placements),
+        placements=(*(p for p in result.plan.placements if p.name in names - goals), *plan.placements),
         left_out={n: why for n, why in result.plan.left_out.items() if n in names} | dict(plan.left_out),
         obstacles=tuple(obstacles),
     )
@@ -123,6 +128,6 @@ def with_round(
         result,
         objects=[*kept, *found],
         plan=merged,
-        outcomes=[*(o for o in result.outcomes if o.name in names), *outcomes],
+        outcomes=[*(o for o in result.outcomes if o.name in names - renewed), *latest],
         obstacles=obstacles,
     )

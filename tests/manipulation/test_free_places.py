@@ -58,6 +58,17 @@ def test_places_keep_their_distance_from_walls_objects_and_each_other(can):
     assert apart.min() >= APART
 
 
+def test_the_snuggest_place_is_in_a_corner_and_beside_what_is_there(can):
+    def from_corner(place):
+        return np.array(BOX.size[:2]) / 2 - np.abs(np.array(place.position[:2]) - BOX.center)
+
+    place = free_places(can, GOAL, [], BOX, is_snug=True)[0]
+    assert (from_corner(place) < radius_of(can) + GAPS[0] + 2 * CELL).all()
+    corners = [(can, at(0.5 + x, 0.3 + y)) for x in (-0.105, 0.105) for y in (-0.055, 0.055)][:3]
+    (x, y) = free_places(can, GOAL, corners, BOX, is_snug=True)[0].position[:2]
+    assert x > 0.5 and y > 0.3, "the last corner"
+
+
 def test_objects_on_the_table_take_no_room(can):
     beside = [(can, at(0.5, -0.25)), (can, at(0.1, 0.3))]
     assert free_places(can, GOAL, beside, BOX) == free_places(can, GOAL, [], BOX)

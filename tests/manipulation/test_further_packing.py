@@ -62,3 +62,26 @@ def test_a_full_box_has_no_room(shapes, arm):
     small = replace(BOX, size=(0.1, 0.1, 0.08))
     with pytest.raises(PlanningError, match="no room for can_2 is left in the box; use a larger box"):
         plan_further([shapes.estimate(2, "can", shapes.can(), x=0.5)], placed, small, arm, CONFIG)
+
+
+def test_one_object_in_the_box_makes_room_for_what_found_none(shapes, arm):
+    small = replace(BOX, size=(0.20, 0.10, 0.08))
+    in_the_middle = in_box(shapes.estimate(1, "can", shapes.can(0.025, 0.1)))
+    wide = shapes.estimate(2, "can", shapes.can(0.036, 0.1), x=0.5)
+    plan = plan_further([wide], in_the_middle, small, arm, CONFIG)
+    assert [goal.name for goal in plan.placements] == ["can_1", "can_2"], "what is in the way comes first"
+    assert not plan.left_out
+    first, second = (np.array(goal.position[:2]) - small.center for goal in plan.placements)
+    assert np.linalg.norm(first - second) > 0.025 + 0.036 + 0.004
+    for place, radius in ((first, 0.025), (second, 0.036)):
+        assert (np.abs(place) + radius < np.array(small.size[:2]) / 2 - 0.004).all()
+
+
+def test_nothing_is_moved_in_vain_and_bowls_never(shapes, arm):
+    small = replace(BOX, size=(0.20, 0.10, 0.08))
+    wide = shapes.estimate(2, "can", shapes.can(0.036, 0.1), x=0.5)
+    placed = in_box(shapes.estimate(1, "can", shapes.can(0.025, 0.1)), x=-0.07)
+    assert [goal.name for goal in plan_further([wide], placed, small, arm, CONFIG).placements] == ["can_2"]
+    bowl = in_box(shapes.estimate(1, "bowl", shapes.bowl(0.045, 0.04)))
+    with pytest.raises(PlanningError, match="no room for can_2"):
+        plan_further([wide], bowl, replace(small, size=(0.18, 0.10, 0.08)), arm, CONFIG)

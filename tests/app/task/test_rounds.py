@@ -80,3 +80,14 @@ def test_what_was_not_placed_is_replaced_by_what_is_found_in_its_place(result, c
     assert [estimate.id for estimate in far.objects] == [0, 1, 2] and far.plan.left_out == {
         "can_1": "too far"
     }
+
+
+@pytest.mark.parametrize("attempts", [0, 1])
+def test_what_is_moved_in_the_box_has_its_latest_outcome_unless_it_was_never_touched(
+    result, pack_plan, attempts
+):
+    (before,) = result.outcomes
+    failed = replace(before, placed=False, attempts=attempts, reason="no plan", T_world_stand=None)
+    merged = with_round(result, [], pack_plan, [failed], ())
+    assert list(merged.outcomes) == [before if attempts == 0 else failed]
+    assert [p.name for p in merged.plan.placements].count("can_0") == 1
