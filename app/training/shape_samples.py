@@ -94,7 +94,7 @@ def list_shards(folder: Path, counts: Mapping[Category, int], split: Split, seed
 
 def sample_shard(shard: GridShard) -> Contents:
     """Sample the shapes of a shard and return the content of its file."""
-    from sim_assets.objects.families import sample_training_grids
+    from sim_assets.objects.training_grids import sample_training_grids
 
     grids = sample_training_grids(shard.category, shard.count, shard.seed, shard.split, shard.first)
     return (packed_arrays(_Grids(grids), ("grids",)),)

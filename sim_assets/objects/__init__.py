@@ -7,7 +7,6 @@ from sim_assets.objects.families import (
     make_solid,
     occupancy_grid_of,
     sample_parameters,
-    sample_training_grids,
 )
 from sim_assets.objects.model import (
     CollisionPiece,
@@ -17,6 +16,7 @@ from sim_assets.objects.model import (
     occupancy_grid,
     sample_object,
 )
+from sim_assets.objects.training_grids import sample_training_grids
 from sim_assets.objects.user import load_user_object, load_user_objects
 
 __all__ = [

@@ -1,17 +1,17 @@
-"""The four object families: parameters, solids and training grids."""
+"""The four object families: parameters, solids and occupancy grids."""
 
 from __future__ import annotations
 
 from typing import Literal
 
 import numpy as np
-from jaxtyping import Float, UInt8
+from jaxtyping import Float
 
 from perception.types import Category
 from sim_assets.objects.bottle import BottleParameters, bottle_solid, sample_bottle
 from sim_assets.objects.bowl import BowlParameters, bowl_solid, sample_bowl
 from sim_assets.objects.can import CanParameters, can_solid, sample_can
-from sim_assets.objects.grids import solid_counts, solid_grid
+from sim_assets.objects.grids import solid_grid
 from sim_assets.objects.mug import MugParameters, mug_solid, sample_mug
 from sim_assets.objects.solids import Solid
 
@@ -45,29 +45,3 @@ def occupancy_grid_of(
 ) -> Float[np.ndarray, "r r r"]:
     """Return the occupancy grid in [0, 1] of an object; conventions in grids.py."""
     return solid_grid(make_solid(parameters), resolution, supersample)
-
-
-def sample_training_grids(
-    category: Category,
-    count: int,
-    seed: int | np.random.SeedSequence,
-    split: Split = "train",
-    first: int = 0,
-) -> UInt8[np.ndarray, "n 32 32 32"]:
-    """Return ``count`` random grids of a category, occupancy 0..1 as 0..255; a few ms each on one core.
-
-    Args:
-        category: Class of the shapes.
-        count: Number of grids.
-        seed: Seed of the sequence of shapes.
-        split: Families of the shapes.
-        first: Position of the first grid in the sequence; those before it cost less than 0.1 ms each.
-    """
-    rng = np.random.default_rng(seed)
-    for _ in range(first):
-        sample_parameters(category, split, rng)
-    grids = np.empty((count, 32, 32, 32), dtype=np.uint8)
-    to_byte = np.round(np.arange(65) * 255 / 64).astype(np.uint8)
-    for grid in grids:
-        grid[:] = to_byte[solid_counts(make_solid(sample_parameters(category, split, rng)))]
-    return grids

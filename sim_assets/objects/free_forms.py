@@ -1,10 +1,9 @@
-"""Bodies of free form for the detector's training: cans and bottles with random smooth or beaded sides.
+"""Bodies of free form for training: cans and bottles with random smooth or beaded sides.
 
 What makes a can or a bottle is not the curve of its side: a can is closed and about as wide at its ends as
 between them, a bottle narrows to a neck. The families have few curves, and networks trained on these alone
 take any other can with curved sides for a bottle. A free form is a member of a training family whose side
-is replaced by random radii; it covers what the test families do without having their formulas. The shape
-prior is not trained on free forms.
+is replaced by random radii; it covers what the test families do without having their formulas.
 """
 
 from __future__ import annotations

@@ -8,7 +8,7 @@ from app.training import shape_samples
 from app.training.shape_samples import cached_shapes, list_shards, sample_shard
 from perception.errors import PerceptionError
 from perception.shape.dataset import ShapeDataset
-from sim_assets.objects.families import sample_training_grids
+from sim_assets.objects.training_grids import sample_training_grids
 
 COUNTS = {"mug": 5, "bowl": 0, "bottle": 4, "can": 1}
 

@@ -18,7 +18,6 @@ from sim_assets.objects import (
     occupancy_grid_of,
     sample_object,
     sample_parameters,
-    sample_training_grids,
 )
 from sim_assets.objects.grids import LONGEST_SIDE, sampled_grid
 
@@ -80,20 +79,6 @@ def test_grid_index_order_is_x_y_z_and_handles_point_along_x():
     assert grid[28:].sum() > 0, "the handle reaches the far end of x"
     assert grid[:, :2].sum() == 0 and grid[:, -2:].sum() == 0, "y is the narrow direction"
     np.testing.assert_array_equal(grid, grid[:, ::-1])
-
-
-@pytest.mark.parametrize(("category", "split"), EVERY)
-def test_same_seed_same_grids(category, split):
-    grids = [sample_training_grids(category, 2, seed=3, split=split) for _ in range(2)]
-    assert grids[0].dtype == np.uint8 and grids[0].max() == 255
-    np.testing.assert_array_equal(*grids)
-    assert (grids[0] != sample_training_grids(category, 2, seed=4, split=split)).any()
-
-
-@pytest.mark.parametrize(("category", "split"), EVERY)
-def test_a_later_part_of_the_sequence_is_that_of_the_whole(category, split):
-    whole = sample_training_grids(category, 4, seed=3, split=split)
-    np.testing.assert_array_equal(sample_training_grids(category, 2, 3, split, first=2), whole[2:])
 
 
 @pytest.mark.parametrize(
