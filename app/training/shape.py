@@ -54,10 +54,10 @@ class TrainShapeConfig:
         device: "cpu" or "cuda".
     """
 
-    mugs: int = 4500
+    mugs: int = 6000
     bowls: int = 3000
     bottles: int = 3000
-    cans: int = 2400
+    cans: int = 2500
     held_out: int = 200
     meshes: Path | None = None
     training: ShapeTrainingConfig = field(default_factory=ShapeTrainingConfig)
@@ -247,8 +247,9 @@ def model_card(
 
 
 _FAMILIES = """sampled with the seed above from the
-training families of `sim_assets/objects`: procedural shapes only, no scanned object. Of the cans
-60 %, of the bottles 40 % have sides of free form (`sim_assets/objects/training_grids.py`)"""
+training families of `sim_assets/objects`: procedural shapes only, no scanned object. Some have
+the proportions met in homes, and some cans and bottles sides of free form
+(`sim_assets/objects/training_grids.py`)"""
 _MESHES = "from a user's folder of meshes"
 _HELD_OUT = """{config.held_out} shapes of each class from the test families (other handle styles and
 profiles)"""

@@ -35,7 +35,7 @@ class LossConfig:
 
     beta: float = 0.5
     thin: float = 1.0
-    handle: float = 3.0
+    handle: float = 6.0
 
 
 def shape_loss(

@@ -41,7 +41,7 @@ class ShapeTrainingConfig:
         seed: Seed of the initial weights, the order of the shapes, the mirroring and the latent noise.
     """
 
-    epochs: int = 18
+    epochs: int = 16
     batch_size: int = 16
     learning_rate: float = 2e-3
     warmup_steps: int = 200

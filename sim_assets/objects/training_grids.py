@@ -1,7 +1,8 @@
 """Occupancy grids that the shape prior is trained and evaluated on.
 
-Some of the training cans and bottles have a side of free form (free_forms.py): the families' cans are
-straight, and a prior trained on these alone has no code for any other can.
+Some of the training shapes have the proportions met in homes (household.py), from flat tins to tubes, and
+some cans and bottles a side of free form (free_forms.py): the families' cans are straight and of usual
+proportions, and a prior trained on these alone has no code for any other can.
 """
 
 from __future__ import annotations
@@ -15,16 +16,20 @@ from perception.types import Category
 from sim_assets.objects.families import Parameters, Split, make_solid, sample_parameters
 from sim_assets.objects.free_forms import free_form
 from sim_assets.objects.grids import solid_counts
+from sim_assets.objects.household import sample_household
 
-FREE: Mapping[Category, float] = {"can": 0.6, "bottle": 0.4}  # share of the training shapes of free form
+# Shares of the training shapes.
+HOUSEHOLD: Mapping[Category, float] = {"mug": 0.0, "bowl": 0.4, "bottle": 0.4, "can": 0.5}
+FREE: Mapping[Category, float] = {"mug": 0.0, "bowl": 0.0, "bottle": 0.4, "can": 0.6}
 
 
 def sample_training_shape(category: Category, split: Split, rng: np.random.Generator) -> Parameters:
-    """Sample a shape of a split; of the training split, the shares FREE of the classes have a free form."""
-    parameters = sample_parameters(category, split, rng)
-    if split == "train" and category in FREE and rng.random() < FREE[category]:
-        return free_form(parameters, rng)
-    return parameters
+    """Sample a shape of a split; of the training split, some have proportions of homes or a free form."""
+    if split == "test":
+        return sample_parameters(category, split, rng)
+    sample = sample_household if rng.random() < HOUSEHOLD[category] else sample_parameters
+    parameters = sample(category, split, rng)
+    return free_form(parameters, rng) if rng.random() < FREE[category] else parameters
 
 
 def sample_training_grids(

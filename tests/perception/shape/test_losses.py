@@ -73,7 +73,7 @@ def test_loss_by_hand():
 
 
 def test_default_weights_are_those_of_the_shipped_network():
-    assert LossConfig() == LossConfig(beta=0.5, thin=1.0, handle=3.0)
+    assert LossConfig() == LossConfig(beta=0.5, thin=1.0, handle=6.0)
 
 
 def test_the_surroundings_of_thin_structures_weigh_as_much():

@@ -5,7 +5,7 @@ import pytest
 
 from perception.types import CATEGORIES
 from sim_assets.objects import SPLITS, sample_parameters, sample_training_grids
-from sim_assets.objects.training_grids import FREE, sample_training_shape
+from sim_assets.objects.training_grids import FREE, HOUSEHOLD, sample_training_shape
 
 EVERY = [(category, split) for category in CATEGORIES for split in SPLITS]
 
@@ -24,17 +24,12 @@ def test_a_later_part_of_the_sequence_is_that_of_the_whole(category, split):
     np.testing.assert_array_equal(sample_training_grids(category, 2, 3, split, first=2), whole[2:])
 
 
-def test_free_forms_have_their_share_of_the_training_shapes_and_no_test_shape_has_one():
+def test_free_forms_and_sizes_of_homes_have_their_share_and_no_test_shape_has_one():
     rng = np.random.default_rng(5)
-    free = np.mean([bool(sample_training_shape("can", "train", rng).radii) for _ in range(600)])
-    assert free == pytest.approx(FREE["can"], abs=0.07)
+    cans = [sample_training_shape("can", "train", rng) for _ in range(600)]
+    assert np.mean([bool(can.radii) for can in cans]) == pytest.approx(FREE["can"], abs=0.07)
+    unusual = [not 0.9 <= can.height / (2 * can.radius) <= 2.9 for can in cans]
+    assert 0.2 < np.mean(unusual) < HOUSEHOLD["can"], "flat tins and tubes"
     for category in CATEGORIES:
         shapes = [sample_training_shape(category, "test", np.random.default_rng(k)) for k in range(20)]
         assert shapes == [sample_parameters(category, "test", np.random.default_rng(k)) for k in range(20)]
-
-
-def test_the_model_card_tells_the_shares():
-    from app.training.shape import _FAMILIES
-
-    text = " ".join(_FAMILIES.split())
-    assert f"Of the cans {100 * FREE['can']:.0f} %, of the bottles {100 * FREE['bottle']:.0f} %" in text
