@@ -32,7 +32,7 @@ def free_places(
     waiting: Sequence[tuple[StandingObject, Placement]] = (),
     is_snug: bool = False,
 ) -> list[Placement]:
-    """Return places on the free floor of a box at the planned yaw, the one with most room around it first.
+    """Return places on the free floor of a box at the planned yaw, the one with most or least room first.
 
     They leave the goals of waiting objects free if there is such a place.
 
