@@ -11,10 +11,10 @@ from dataclasses import replace
 
 from perception.errors import PerceptionError
 from perception.inference.acceptance import AcceptanceModel
-from perception.inference.class_choice import ScoredFit, scored_fit
 from perception.inference.fit_config import FitConfig
 from perception.inference.observation import ObjectViews
 from perception.inference.pose_choice import misfit
+from perception.inference.scored_fits import ScoredFit, scored_fit
 from perception.inference.shape_model import Decoder
 from perception.inference.stacking import FREE, MeasuredExtent, raised
 from perception.types import ObjectEstimate, SupportPlane

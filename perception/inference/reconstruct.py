@@ -16,11 +16,12 @@ from scipy.special import softmax
 
 from perception.depth_cleaning import clean_frame
 from perception.inference.acceptance import AcceptanceModel
-from perception.inference.class_choice import RejectedError, fit_best_class
+from perception.inference.class_choice import fit_best_class
 from perception.inference.fit import fit_object
 from perception.inference.fit_config import FitConfig
 from perception.inference.observation import ObjectObservation, ObjectViews
 from perception.inference.optimisation import FitStep
+from perception.inference.scored_fits import RejectedError
 from perception.inference.shape_model import Decoder
 from perception.inference.stacking import find_stacks, rest_on
 from perception.inference.warm_start import find_warm_start

@@ -6,13 +6,14 @@ import numpy as np
 import pytest
 
 from perception.errors import PerceptionError
-from perception.inference import class_choice, pose_choice
+from perception.inference import class_choice, pose_choice, resting_choice, scored_fits
 from perception.inference.acceptance import AcceptanceModel
-from perception.inference.class_choice import RejectedError, ScoredFit, fit_best_class
+from perception.inference.class_choice import fit_best_class
 from perception.inference.evidence import Evidence
 from perception.inference.fit import FitFailedError
 from perception.inference.fit_config import FitConfig
 from perception.inference.observation import ObjectObservation, ObjectViews
+from perception.inference.scored_fits import RejectedError, ScoredFit
 from perception.types import (
     CATEGORIES,
     POSED_CLASSES,
@@ -37,7 +38,7 @@ class Model(AcceptanceModel):
 
 
 @pytest.fixture
-def choose(monkeypatch):
+def choose(monkeypatch, decoder):
     """A function from scores and class probabilities to the choice, and the classes that it tried."""
     tried = []
 
@@ -55,22 +56,14 @@ def choose(monkeypatch):
             estimate = ObjectEstimate(3, views.category, np.zeros(16), np.eye(4), np.ones(3), mesh, score)
             return ScoredFit(estimate, EVIDENCE, known)
 
-        monkeypatch.setattr(class_choice, "scored_fit", scored)
-        monkeypatch.setattr(class_choice, "comes_near", lambda *_: True)
-        monkeypatch.setattr(class_choice, "nearest_hypotheses", lambda *_: POSED_CLASSES)
+        monkeypatch.setattr(scored_fits, "scored_fit", scored)
+        monkeypatch.setattr(resting_choice, "comes_near", lambda *_: True)
+        monkeypatch.setattr(resting_choice, "nearest_hypotheses", lambda *_: POSED_CLASSES)
         monkeypatch.setattr(pose_choice, "rests_stably", lambda mesh, plane: True)
         views = ObjectViews(3, category, 0.9, (OBSERVATION,) * seen, np.array(probabilities))
-        return fit_best_class(views, None, SupportPlane(), Model({}, 0.4), FitConfig())
+        return fit_best_class(views, decoder, SupportPlane(), Model({}, 0.4), FitConfig())
 
-    _skip_type_check(monkeypatch)
     return run, tried
-
-
-def _skip_type_check(monkeypatch) -> None:
-    """Call ``fit_best_class`` without the check of the stub decoder's type."""
-    choose_class = getattr(fit_best_class, "__wrapped__", None)
-    if choose_class is not None:
-        monkeypatch.setitem(globals(), "fit_best_class", choose_class)
 
 
 def test_a_clear_object_is_fitted_once(choose) -> None:
@@ -156,7 +149,7 @@ def test_the_pose_network_counts_where_the_class_network_gave_no_class(make_tabl
 
 
 @pytest.fixture
-def choose_pose(monkeypatch):
+def choose_pose(monkeypatch, decoder):
     """A function from the shares explained in each pose to the choice, and the poses that it tried."""
     tried = []
 
@@ -174,16 +167,15 @@ def choose_pose(monkeypatch):
             )
             return ScoredFit(estimate, replace(EVIDENCE, explained=share), None)
 
-        monkeypatch.setattr(class_choice, "scored_fit", scored)
-        monkeypatch.setattr(class_choice, "comes_near", lambda *_: near)
-        monkeypatch.setattr(class_choice, "nearest_hypotheses", lambda *_: hypotheses)
+        monkeypatch.setattr(scored_fits, "scored_fit", scored)
+        monkeypatch.setattr(resting_choice, "comes_near", lambda *_: near)
+        monkeypatch.setattr(resting_choice, "nearest_hypotheses", lambda *_: hypotheses)
         monkeypatch.setattr(pose_choice, "rests_stably", lambda mesh, plane: resting_stably)
         named = named if isinstance(named, dict) else {} if named is None else {named: 1.0}
         posed = np.array([named.get(h, 0.0) for h in POSED_CLASSES] + [0.0]) if named else np.zeros(0)
         views = ObjectViews(3, "bottle", 0.9, (OBSERVATION,), np.array(probabilities), posed)
-        return fit_best_class(views, None, SupportPlane(), Model({}, 0.4), FitConfig())
+        return fit_best_class(views, decoder, SupportPlane(), Model({}, 0.4), FitConfig())
 
-    _skip_type_check(monkeypatch)
     return run, tried
 
 
@@ -279,7 +271,7 @@ def test_depth_decides_between_classes_that_are_about_as_probable(choose_pose, c
 
 
 @pytest.mark.parametrize("pose", ["upright", "lying"])
-def test_a_can_with_the_wrong_end_up_is_fitted_the_other_way_round(monkeypatch, pose) -> None:
+def test_a_can_with_the_wrong_end_up_is_fitted_the_other_way_round(monkeypatch, decoder, pose) -> None:
     """Away from the first axis; the surface and the score stay."""
     axes = []
 
@@ -291,17 +283,16 @@ def test_a_can_with_the_wrong_end_up_is_fitted_the_other_way_round(monkeypatch, 
         )
         return ScoredFit(estimate, replace(EVIDENCE, explained=0.97 if first else 0.8), None)
 
-    monkeypatch.setattr(class_choice, "scored_fit", scored)
+    monkeypatch.setattr(scored_fits, "scored_fit", scored)
     monkeypatch.setattr(class_choice, "is_turned_over", lambda estimate, seen: True)
-    monkeypatch.setattr(class_choice, "nearest_hypotheses", lambda *_: [("can", pose)])
+    monkeypatch.setattr(resting_choice, "nearest_hypotheses", lambda *_: [("can", pose)])
     monkeypatch.setattr(pose_choice, "rests_stably", lambda mesh, plane: True)
-    _skip_type_check(monkeypatch)
     views = ObjectViews(3, "can", 0.9, (OBSERVATION,), np.full(5, 0.2))
     bottle = np.array([0.5 * (posed == ("bottle", pose)) for posed in POSED_CLASSES] + [0.5])
     named = replace(views, pose_probabilities=bottle)
-    assert fit_best_class(named, None, SupportPlane(), Model({}, 0.4), FitConfig()).resting == pose
+    assert fit_best_class(named, decoder, SupportPlane(), Model({}, 0.4), FitConfig()).resting == pose
     axes.clear()
-    estimate = fit_best_class(views, None, SupportPlane(), Model({}, 0.4), FitConfig())
+    estimate = fit_best_class(views, decoder, SupportPlane(), Model({}, 0.4), FitConfig())
     assert axes == [None, (0.0, 0.0, -1.0)]
     assert estimate.resting == ("lying" if pose == "lying" else "upside-down") and estimate.score == 0.8
     np.testing.assert_array_equal(estimate.T_world_object, np.diag([1.0, -1.0, -1.0, 1.0]))
@@ -313,7 +304,7 @@ def test_a_can_with_the_wrong_end_up_is_fitted_the_other_way_round(monkeypatch, 
     (0.97, 0.9, True, False), (0.95, 0.9, True, True), (0.90, 0.9, True, False),
 ], ids=["better", "worse", "more-but-less-closely", "better-cup", "cup", "poor-cup"])  # fmt: skip
 def test_of_a_lying_bottle_the_way_round_that_explains_the_depth_better_is_kept(
-    monkeypatch, explained, residual, closed_cup, turned
+    monkeypatch, decoder, explained, residual, closed_cup, turned
 ) -> None:
     """More of it, and more closely; unless that is a closed cup with its lid down, and both are alike."""
 
@@ -324,11 +315,10 @@ def test_of_a_lying_bottle_the_way_round_that_explains_the_depth_better_is_kept(
         seen = (0.96, 1.0) if first else (explained, residual)
         return ScoredFit(estimate, replace(EVIDENCE, explained=seen[0], residual=seen[1]), None)
 
-    monkeypatch.setattr(class_choice, "scored_fit", scored)
+    monkeypatch.setattr(scored_fits, "scored_fit", scored)
     monkeypatch.setattr(class_choice, "is_turned_over", lambda estimate, seen: closed_cup)
-    monkeypatch.setattr(class_choice, "nearest_hypotheses", lambda *_: [("bottle", "lying")])
+    monkeypatch.setattr(resting_choice, "nearest_hypotheses", lambda *_: [("bottle", "lying")])
     monkeypatch.setattr(pose_choice, "rests_stably", lambda mesh, plane: True)
-    _skip_type_check(monkeypatch)
     views = ObjectViews(3, "bottle", 0.9, (OBSERVATION,), np.full(5, 0.2))
-    estimate = fit_best_class(views, None, SupportPlane(), Model({}, 0.4), FitConfig())
+    estimate = fit_best_class(views, decoder, SupportPlane(), Model({}, 0.4), FitConfig())
     assert (estimate.T_world_object[2, 2] < 0) == turned

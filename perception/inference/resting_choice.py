@@ -1,0 +1,111 @@
+"""Choice between the resting poses of an object, and between classes in resting poses where none is known."""
+
+from __future__ import annotations
+
+import logging
+from collections.abc import Sequence
+from dataclasses import replace
+
+from perception.inference.contents import VESSELS
+from perception.inference.pose_choice import has_closed_top, is_better, is_doubtful, is_good, misfit
+from perception.inference.resting import ALTERNATIVES
+from perception.inference.scored_fits import ObjectFits, RejectedError, ScoredFit
+from perception.inference.screening import comes_near, nearest_hypotheses
+from perception.inference.upright_choice import CLEAR
+from perception.types import POSED_CLASSES, Category
+
+logger = logging.getLogger(__name__)
+
+SURE = 0.6  # probability of some classes in resting poses from which on they are fitted in any case
+LIKELY = 0.15  # least probability of each of them
+ABOUT = 0.05  # by how much the misfit of what the pose network is sure of may be larger
+UNKNOWN = 0.5  # least score of an object of no class, or in a pose that the networks were not trained on
+
+
+def as_named(fits: ObjectFits, or_upright: bool) -> ScoredFit | None:
+    """Return the best good fit as one of the classes in resting poses that the pose network names.
+
+    Args:
+        fits: Fits the object.
+        or_upright: Whether upright poses count, which other networks know better.
+    """
+    likely = {
+        posed: p
+        for posed, p in zip(POSED_CLASSES, fits.views.pose_probabilities.tolist())
+        if p >= LIKELY and (or_upright or posed[1] != "upright")
+    }
+    if sum(likely.values()) < SURE:
+        return None
+    good: list[tuple[float, ScoredFit]] = []
+    for (category, resting), p in likely.items():
+        made = fits.attempt(category, resting)
+        if made is not None and made.estimate.score >= _least_score(fits) and _is_good(made, fits):
+            good.append((misfit(made.evidence) - ABOUT * p, made))
+    return min(good, key=lambda item: item[0])[1] if good else None
+
+
+def is_as_named(named: ScoredFit, other: ScoredFit | None) -> bool:
+    """Return whether what the pose network names explains the depth about as well as another fit."""
+    return other is None or misfit(named.evidence) < misfit(other.evidence) + ABOUT
+
+
+def fit_unnamed(fits: ObjectFits) -> ScoredFit:
+    """Return the fit of an object without a class that has the highest score of those at rest and good.
+
+    Raises:
+        RejectedError: There is none, or its score is below ``UNKNOWN``.
+    """
+    good: list[ScoredFit] = []
+    for category, resting in nearest_hypotheses(fits.views, fits.decoder, fits.plane, fits.config):
+        made = fits.attempt(category, resting)
+        if made is not None and _is_good(made, fits):
+            good.append(made)
+            if made.estimate.score > CLEAR:
+                break
+    best = max(good, key=lambda scored: scored.estimate.score, default=None)
+    if best is None:
+        raise RejectedError(fits.views.category, 0.0, "no shape in any resting pose explains the depth")
+    if best.estimate.score < _least_score(fits):
+        reason = fits.model.reason(best.evidence, best.estimate.category, best.probability)
+        raise RejectedError(best.estimate.category, best.estimate.score, reason)
+    return best
+
+
+def best_pose(
+    fits: ObjectFits, upright: ScoredFit | None, categories: Sequence[Category], is_given: bool
+) -> ScoredFit | None:
+    """Return the upright fit, or one of another class or pose that explains the depth clearly better.
+
+    Args:
+        fits: Fits the object.
+        upright: Best upright fit; None if there is none.
+        categories: Classes whose other poses are tried.
+        is_given: Whether the class was given, so that its poses need no least score.
+    """
+    views, plane = fits.views, fits.plane
+    closed = any(c in VESSELS for c in categories) and has_closed_top(views.observations, plane)
+    if upright is not None and not closed and not is_doubtful(upright.evidence, upright.estimate.category):
+        return upright
+    others = [
+        fits.attempt(c, pose)
+        for c in categories
+        for pose in ALTERNATIVES[c]
+        if comes_near(replace(views, category=c), fits.decoder, plane, pose, fits.config)
+    ]
+    before = None if upright is None else upright.evidence
+    least = 0.0 if is_given else _least_score(fits)
+    scored = [o for o in others if o is not None and o.estimate.score >= least]
+    better = [o for o in scored if is_better(o.evidence, o.estimate, before, plane, closed)]
+    if not better:
+        return upright
+    best = min(better, key=lambda scored: misfit(scored.evidence))
+    logger.info("object %d: %s", views.id, best.estimate.resting)
+    return best
+
+
+def _least_score(fits: ObjectFits) -> float:
+    return max(fits.model.threshold, UNKNOWN)
+
+
+def _is_good(scored: ScoredFit, fits: ObjectFits) -> bool:
+    return is_good(scored.evidence, scored.estimate, fits.plane)
