@@ -7,6 +7,7 @@ from collections.abc import Sequence
 import numpy as np
 from jaxtyping import Float
 
+from perception.inference.observation import ObjectObservation
 from perception.inference.pose_choice import is_contradicted, is_good, misfit
 from perception.inference.scored_fits import ObjectFits, ScoredFit
 from perception.types import CATEGORIES, OTHER, Category
@@ -14,7 +15,10 @@ from perception.types import CATEGORIES, OTHER, Category
 CLEAR = 0.9  # class probability from which on a class with good evidence is not compared with others
 MIN_PROBABILITY = 0.02  # of a class that is tried
 MAX_CLASSES = 3
-POOR_DEPTH = 0.02  # [m] standard deviation of depth that may be wrong: of overexposed or shiny surfaces
+CLOSE = 0.1  # difference of the scores of two classes that does not decide between them
+OVEREXPOSED = 0.5  # share of a mask in which a colour channel is at its limit
+LIMIT = 254  # of a colour channel
+POOR_DEPTH = 0.02  # [m] standard deviation of the depth of overexposed surfaces
 
 
 def likely_classes(p: Float[np.ndarray, "k"]) -> tuple[Category, ...]:
@@ -52,19 +56,28 @@ def best_upright(fits: ObjectFits, first: ScoredFit | None, rivals: Sequence[Cat
 
 
 def in_poor_depth(fits: ObjectFits) -> ScoredFit | None:
-    """Return the fit as the most probable class if the depth may be wrong by centimetres; None if it fails.
+    """Return the fit of an overexposed object with less trust in its depth; None if it is not, or that fails.
 
-    Overexposed and shiny surfaces get depth that no shape of the class explains: the closest one is none of
-    its usual shapes, and is rejected for that. With less trust in the depth the prior gives a usual one.
+    Cameras that match patterns measure bright surfaces wrongly by centimetres. The shape of the most probable
+    class that comes closest to such depth is an unusual one, for which it is rejected.
     """
+    if not all(_is_overexposed(seen) for seen in fits.views.observations):
+        return None
     return fits.attempt(fits.views.category, depth_sigma=POOR_DEPTH)
 
 
+def _is_overexposed(seen: ObjectObservation) -> bool:
+    brightest = seen.frame.rgb[seen.mask].max(axis=1)
+    return bool((brightest >= LIMIT).mean() >= OVEREXPOSED)
+
+
 def _surpasses(one: ScoredFit, other: ScoredFit) -> bool:
-    """Return whether the detector holds a fit's class more probable and the depth agrees in every respect.
+    """Return whether a fit with about the same score is of a more probable class and nearer to the depth.
 
     Scores of different classes are probabilities of different models: close ones do not decide.
     """
+    if one.estimate.score < other.estimate.score - CLOSE:
+        return False
     if one.probability is None or other.probability is None or one.probability <= other.probability:
         return False
     return misfit(one.evidence) < misfit(other.evidence) and one.evidence.residual < other.evidence.residual

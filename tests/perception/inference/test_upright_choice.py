@@ -39,15 +39,15 @@ def table(make_table):
 @pytest.mark.parametrize(
     ("other", "kept"),
     [
-        (scored("can", 0.7), "mug"),  # the score decides
+        (scored("can", 0.75), "mug"),  # the score decides
         (scored("can", 0.9, probability=0.2), "can"),
-        (scored("can", 0.7, explained=0.95, residual=0.8, probability=0.45), "can"),  # all else for the can
-        (scored("can", 0.3, explained=0.95, residual=0.8, probability=0.45), "mug"),  # but no object
-        (scored("can", 0.7, explained=0.85, residual=0.8, probability=0.45), "mug"),
-        (scored("can", 0.7, explained=0.95, residual=1.2, probability=0.45), "mug"),
-        (scored("can", 0.7, explained=0.95, residual=0.8, probability=0.35), "mug"),
+        (scored("can", 0.75, explained=0.95, residual=0.8, probability=0.45), "can"),  # all else for the can
+        (scored("can", 0.65, explained=0.95, residual=0.8, probability=0.45), "mug"),
+        (scored("can", 0.75, explained=0.85, residual=0.8, probability=0.45), "mug"),
+        (scored("can", 0.75, explained=0.95, residual=1.2, probability=0.45), "mug"),
+        (scored("can", 0.75, explained=0.95, residual=0.8, probability=0.35), "mug"),
     ],
-    ids=["score", "higher", "surpassed", "rejected", "explains-less", "less-closely", "less-probable"],
+    ids=["score", "higher", "surpassed", "much-lower", "explains-less", "less-closely", "less-probable"],
 )  # fmt: skip
 def test_a_fit_gives_way_to_one_of_a_more_probable_class_that_explains_the_depth_better(
     fits, monkeypatch, other, kept
@@ -68,7 +68,12 @@ def test_no_fit_at_all_leaves_none(fits, monkeypatch) -> None:
         fits.fit("can")
 
 
-def test_poor_depth_is_trusted_less(fits, monkeypatch) -> None:
+@pytest.mark.parametrize(
+    ("level", "share", "is_fitted"), [(255, 0.6, True), (255, 0.4, False), (240, 1.0, False)]
+)
+def test_the_depth_of_overexposed_surfaces_is_trusted_less(
+    fits, monkeypatch, level, share, is_fitted
+) -> None:
     asked = []
 
     def fit(self, category, resting="upright", toward=None, depth_sigma=None):
@@ -76,8 +81,17 @@ def test_poor_depth_is_trusted_less(fits, monkeypatch) -> None:
         return scored(category, 0.5)
 
     monkeypatch.setattr(ObjectFits, "fit", fit)
-    assert in_poor_depth(fits) is not None
-    assert asked == [("mug", "upright", POOR_DEPTH)] and FitConfig().noise.depth_sigma < POOR_DEPTH
+    (seen,) = fits.views.observations
+    rgb = np.zeros_like(seen.frame.rgb)
+    rows, columns = np.nonzero(seen.mask)
+    bright = slice(0, int(share * len(rows)))
+    rgb[rows[bright], columns[bright], 1] = level  # one channel is enough
+    bright_seen = replace(seen, frame=replace(seen.frame, rgb=rgb))
+    made = in_poor_depth(replace(fits, views=replace(fits.views, observations=(bright_seen,))))
+    assert (made is not None) is is_fitted
+    assert (
+        asked == [("mug", "upright", POOR_DEPTH)] * is_fitted and FitConfig().noise.depth_sigma < POOR_DEPTH
+    )
 
 
 def test_likely_classes_are_ordered_and_leave_out_no_class_and_what_is_ruled_out() -> None:
