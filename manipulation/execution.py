@@ -9,6 +9,7 @@ from __future__ import annotations
 
 import contextlib
 import logging
+from collections import Counter
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass, replace
 
@@ -38,6 +39,8 @@ from manipulation.types import Grasp, ObjectOutcome, PickPlacePlan, Placement, T
 from manipulation.withdrawal import Withdrawal, WithdrawingObserver
 
 logger = logging.getLogger(__name__)
+
+MAX_PUSHES = 2  # of one object
 
 
 @dataclass(frozen=True)
@@ -122,6 +125,7 @@ class _Execution:
         self._scene = SceneFollowing(planner, self.observer)
         self._to_place = {placement.name for placement in task.placements}
         self._set_aside: set[str] = set()
+        self._pushes: Counter[str] = Counter()
         self._located: set[str] = set()  # objects that were found since they were knocked over
         self._tried_before: dict[str, ObjectOutcome] = {}  # first outcomes of objects that get another chance
 
@@ -298,7 +302,9 @@ class _Execution:
         return not lies(T) and box.contains(T)
 
     def _plan(self, placement: Placement, tried: Sequence[Grasp], effort: Effort) -> PickPlacePlan:
-        """Return the next plan for an object, after what blocks it was set aside if that helps.
+        """Return the next plan for an object.
+
+        What blocks it is set aside before, or the object is pushed, if that helps.
 
         Raises:
             PlanningError: there is none.
@@ -311,7 +317,9 @@ class _Execution:
                     *(blocker for blocker in error.blockers if blocker != placement.name),
                     placement.name,
                 ]
-                if effort < Effort.CLEARING or not self._clear(placement.name, names):
+                if effort < Effort.CLEARING:
+                    raise
+                if not self._clear(placement.name, names) and not self._push(placement.name):
                     raise
 
     def _clear(self, name: str, names: Sequence[str]) -> bool:
@@ -343,6 +351,23 @@ class _Execution:
                 self._scene.search(plan.name)
             return True
         return False
+
+    def _push(self, name: str) -> bool:
+        """Push an object to where it can be grasped, at most ``MAX_PUSHES`` times; return whether it was."""
+        push = None
+        if self.can_see and self._pushes[name] < MAX_PUSHES:
+            push = self.planning.push(name, self.robot.joint_positions())
+        if push is None:
+            return False
+        self._pushes[name] += 1
+        self._notify("push", name, "no hand fits beside it")
+        try:
+            self.motion.push(push)
+        except RobotError as error:
+            logger.info("%s was not pushed: %s", name, error)
+            self.motion.back_off()
+        self._scene.search(name)
+        return name not in self.planner.forgotten
 
     def _beside_box(self) -> set[str]:
         """Return the names of the objects with a goal, and of those that are not in the box."""

@@ -12,6 +12,7 @@ from manipulation.types import Grasp, GraspSet
 
 _NEARER = 0.008  # [m] by which the fixed pad of a hand with one moving jaw is nearer to the object
 _STAND_OFF = 0.003  # [m], the least if there is room
+_SHALLOW = 0.002  # [m] of the TCP below the rim: the pads reach to the fingertips, about 1 cm further
 
 
 @dataclass(frozen=True)
@@ -55,6 +56,10 @@ class GraspConfig:
     top_clearance: float = -0.0015
     max_taper: float = np.deg2rad(27.0)
     fingertip_clearance: float = 0.005
+
+    def shallow(self) -> GraspConfig:
+        """Return the parameters of rim grasps as near to the rim as the pads hold it."""
+        return replace(self, mug_depth=_SHALLOW, bowl_depth=_SHALLOW, min_depth=_SHALLOW)
 
 
 def tcp_pose(

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from collections import Counter
 from collections.abc import Callable, Mapping
 
 import numpy as np
@@ -15,6 +16,8 @@ from manipulation.reorientation import reorienting_grasps
 from manipulation.types import GraspSet, StandingObject
 
 _UP = np.array([0.0, 0.0, 1.0])
+_RIMMED = ("mug", "bowl")
+_NONE = GraspSet((), Counter())
 
 
 class KnownGrasps:
@@ -79,7 +82,8 @@ class KnownGrasps:
     def keeping(self, name: str, T_world_stand: Float[np.ndarray, "4 4"]) -> GraspSet:
         """Return grasps at any angle, clear of surroundings, with which an object keeps its orientation.
 
-        One that leans is set upright. Of one on its side, grasps across its axis come first.
+        One that leans is set upright. Of one on its side, grasps across its axis come first; of an upright
+        mug or bowl, those at the uppermost part of its rim, with the fingertips over what it stands in.
         """
         if name not in self._keeping:
             self._keeping[name] = self._make_keeping(name, T_world_stand)
@@ -90,6 +94,9 @@ class KnownGrasps:
         up, keeps = T[2, :3], lies(T) or T[2, 2] > 1 - 1e-6
         between = antipodal_grasps(item, (up,) if keeps else (up, _UP), config, self._points_around(name))
         if not lies(T):
-            return between
+            shallow = (
+                grasp_candidates(item, config.shallow()) if item.category in _RIMMED and keeps else _NONE
+            )
+            return GraspSet(shallow.grasps + between.grasps, shallow.rejected + between.rejected)
         across = lying_grasps(item, T, config, least_height=0.0)
         return GraspSet(across.grasps + between.grasps, across.rejected + between.rejected)

@@ -20,6 +20,7 @@ from manipulation.free_table import Outline, goals_aside, outline_of, outline_of
 from manipulation.lying_grasps import is_upside_down, lies
 from manipulation.pick_place import PickPlacePlanner
 from manipulation.planner import ManipulationConfig
+from manipulation.pushing import Push, plan_push
 from manipulation.reorientation import turning_goals
 from manipulation.types import Grasp, PickPlacePlan, Placement, StandingObject, TaskPlan
 
@@ -35,7 +36,7 @@ class Effort(IntEnum):
 
     PLAIN = 0  # to the goal, with the grasps of the object's shape
     FLEXIBLE = 1  # other places in the box; any angle of the hand
-    CLEARING = 2  # what blocks an object is set aside
+    CLEARING = 2  # what blocks an object is set aside, or it is pushed to where it can be grasped
 
 
 class ObjectPlanning:
@@ -101,6 +102,19 @@ class ObjectPlanning:
                 self._failures["aside", name] = planner.n_changes, error
             else:
                 yield plan
+
+    def push(self, name: str, q: Posture) -> Push | None:
+        """Return a push after which an object can be grasped; None if there is none, or it is in the box."""
+        planner, box = self._planner, self._task.box
+        if box is not None and box.contains(planner.world.pose(name)):
+            return None
+        scene, _ = self._failures.get(("push", name), (None, None))
+        if scene == planner.n_changes:
+            return None
+        push = plan_push(planner.motions, self._task.objects[name], q, lambda T: planner.can_pick(name, T))
+        if push is None:
+            self._failures["push", name] = planner.n_changes, NoPlanError(f"no push helps {name}")
+        return push
 
     def _turn(
         self, placement: Placement, q: Posture, tried: Sequence[Grasp], effort: Effort

@@ -248,6 +248,16 @@ class PickPlacePlanner:
             raise NoPlanError(tally.failure_message(goals[0].name, candidates), tally.in_the_way)
         return min(plans, key=lambda plan: plan.duration)
 
+    def can_pick(self, name: str, T_world_stand: Float[np.ndarray, "4 4"]) -> bool:
+        """Return whether an object could be grasped and lifted at another place, turned as it is."""
+        T_now, candidates = self.world.pose(name), self.grasps(name)
+        self.world.move(name, T_world_stand)
+        try:
+            return next(iter(self._picks(name, candidates, (), Tally())), None) is not None
+        finally:
+            self.world.release()
+            self.world.move(name, T_now)
+
     def _picks(
         self, name: str, candidates: GraspSet, tried: Collection[Grasp], tally: Tally
     ) -> Iterator[Pick]:

@@ -166,7 +166,7 @@ def _find_lift(
     lift = motions.free_line(q, lifted, width, allowed, config.lifted_margin)
     if not isinstance(lift, Rejected):
         return lift
-    beside = _with_contacts(world, name, q, width, allowed)
+    beside = in_contact(world, name, q, width, allowed)
     if beside is not None:
         allowed = beside
         lift = motions.free_line(q, lifted, width, allowed, config.lifted_margin)
@@ -189,7 +189,7 @@ def _oblique(away: Float[np.ndarray, "2"], turn: float, elevation: float) -> Flo
     return np.cos(elevation) * horizontal + np.array([0.0, 0.0, np.sin(elevation)])
 
 
-def _with_contacts(
+def in_contact(
     world: CollisionWorld, name: str, q: np.ndarray, width: float, allowed: AllowedContacts
 ) -> AllowedContacts | None:
     """Return ``allowed`` with what an object in its place may touch; None if it touches nothing or is stuck.

@@ -19,6 +19,7 @@ from manipulation.observation import SceneObserver, classify_grip, is_displaced
 from manipulation.pick_place import PickPlacePlanner
 from manipulation.planner import ManipulationConfig
 from manipulation.pressing import LEVEL, PRESSABLE, is_plausible, lean, lowest_leaning, plan_press
+from manipulation.pushing import Push
 from manipulation.robot import JointTrajectory, Robot
 from manipulation.trajectories import concatenate, joint_move, line_postures
 from manipulation.types import Grasp, PickPlacePlan
@@ -39,6 +40,7 @@ Phase = Literal[
     "place",
     "retreat",
     "aside",
+    "push",
     "placed",
     "retry",
     "deferred",
@@ -254,6 +256,18 @@ class PlanExecution:
             self.back_off()
         else:
             robot.follow(press.up)
+
+    def push(self, push: Push) -> None:
+        """Push an object along the table with the closed hand; its pose is as expected then.
+
+        Raises:
+            RobotError: the robot failed to execute a motion.
+        """
+        robot = self.robot
+        robot.move_gripper(0.0)
+        for motion in (push.transit, push.approach, push.push, push.retreat):
+            robot.follow(motion)
+        self.planner.moved(push.name, push.T_world_stand)
 
     def _release(self, plan: PickPlacePlan) -> None:
         """Open the gripper; first loosen it, to lower the pads past a lip or cap or to step aside."""

@@ -73,7 +73,8 @@ class TaskOrder:
 
         The layout is free in its order. An object waits if its place is not enclosed by then,
         what is in its way comes first if it encloses no place of those before it, and is else set aside.
-        A pair is considered once.
+        A bowl in its way that is to go into it, as the upper one of nested bowls, is set aside. A pair is
+        considered once.
 
         Args:
             placement: goal of the object; it is not among the waiting ones.
@@ -85,10 +86,13 @@ class TaskOrder:
             return "none"
         waiting = list(self._queue)
         earlier = [placement, *waiting[: waiting.index(blocker)]]
-        is_in_stack = blocker.name in placement.stack or name in blocker.stack
-        if is_in_stack or places.can_place_after(placement, [*earlier[1:], blocker]):
+        goes_into = name in blocker.stack
+        is_below = blocker.name in placement.stack
+        if is_below or (not goes_into and places.can_place_after(placement, [*earlier[1:], blocker])):
             return "none"
         self._made_way.add((name, blocker.name))
+        if goes_into:
+            return "set aside"
         encloses = any(not places.can_place_after(other, [blocker]) for other in earlier)
         return "set aside" if encloses or waits_for_stack else "placed first"
 

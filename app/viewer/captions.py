@@ -26,6 +26,7 @@ ACTION_CAPTIONS = {
     "retry": "{} slipped; retrying",
     "deferred": "{} is deferred",
     "aside": "{} is set aside",
+    "push": "{} is pushed",
     "failed": "{} is not placed",
 }
 

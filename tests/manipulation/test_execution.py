@@ -4,9 +4,10 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
+from manipulation import object_planning
 from manipulation.collision import AllowedContacts
 from manipulation.errors import NoPlanError, PlanningError, RobotError, RobotStoppedError
-from manipulation.execution import execute
+from manipulation.execution import MAX_PUSHES, execute
 from manipulation.grasp_config import GraspConfig
 from manipulation.kinematics import Kinematics
 from manipulation.observation import Finding
@@ -14,9 +15,10 @@ from manipulation.obstacles import TABLE, box_obstacles
 from manipulation.packing_problem import PackingConfig
 from manipulation.pick_place import PickPlaceConfig, PickPlacePlanner
 from manipulation.planner import ManipulationConfig, plan_pack, plan_sort
+from manipulation.pushing import Push
 from manipulation.robot import RobotState
 from manipulation.standing import to_standing
-from manipulation.trajectories import MotionConfig
+from manipulation.trajectories import MotionConfig, joint_move
 from manipulation.types import Box, Line, Placement
 from perception.geometry import pose_from_yaw, so3_exp
 from perception.obstacles.obstacle import PerceivedObstacle
@@ -691,3 +693,35 @@ def test_object_lost_during_the_lift_is_detected(packing, arm):
     robot.follow = lose
     (outcome,) = execute(single, robot, on_event=watcher, config=replace(CONFIG, max_retries=0))
     assert not outcome.placed and outcome.reason.startswith("bowl_2 was lost during the lift")
+
+
+def test_an_object_that_no_hand_fits_beside_is_pushed_and_grasped_where_it_is_found(scene, arm, monkeypatch):
+    """At most MAX_PUSHES times; here the first push does not move it."""
+    task = plan_sort(scene[:2], Line(), arm, CONFIG)
+    name = task.placements[0].name
+    start = task.objects[name].T_world_stand
+    pushed = pose_from_yaw(0.0, start[:3, 3] + np.array([0.05, 0.0, 0.0]))
+    plan = PickPlacePlanner.plan
+
+    def blocked(self, placements, q_start, tried=(), grasps=None):
+        placements = [placements] if isinstance(placements, Placement) else placements
+        if placements[0].name == name and np.allclose(self.world.pose(name), start):
+            raise NoPlanError("blocked", ("thing_1",))
+        return plan(self, placements, q_start, tried, grasps)
+
+    def plan_stub(motions, item, q_start, helps):
+        still = joint_move(q_start, q_start, motions.limits)
+        return Push(item.name, still, still, still, still, pushed)
+
+    monkeypatch.setattr(PickPlacePlanner, "plan", blocked)
+    monkeypatch.setattr(object_planning, "plan_push", plan_stub)
+    for found, n_pushes in (([start, pushed], 2), ([start] * 9, MAX_PUSHES)):
+        robot = FakeRobot(arm)
+        watcher = Watcher(robot)
+        observer = FakeObserver(**{name: [Finding("found", T) for T in found]})
+        outcomes = {o.name: o for o in execute(task, robot, observer, watcher, CONFIG)}
+        assert watcher.phases(name).count("push") == n_pushes
+        assert outcomes[name].placed == (len(found) == 2)
+    watcher = Watcher(FakeRobot(arm))
+    execute(task, watcher.robot, None, watcher, CONFIG)
+    assert "push" not in watcher.phases(name), "without an observer nobody knows where it ends"

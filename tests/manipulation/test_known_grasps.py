@@ -69,6 +69,21 @@ def test_hands_at_any_angle_avoid_the_surroundings_as_they_are(known, can, lying
     assert antipodal[0] > antipodal[1]
 
 
+def test_a_bowl_in_another_can_be_held_by_the_top_of_its_rim(shapes):
+    """The fingertips stay above the rim of the bowl that it stands in, here 14 mm below its own."""
+    bowl = to_standing(shapes.estimate(2, "bowl", shapes.bowl(0.05, 0.055), x=0.5, y=-0.25))
+    known = KnownGrasps({bowl.name: bowl}, CONFIG, lambda name: np.zeros((0, 3)))
+    tip = CONFIG.gripper.tip
+
+    def lowest(grasps):
+        rim = [g.T_stand_tcp for g in grasps.grasps if g.kind == "rim"]
+        assert rim
+        return max((T[:3, 3] + tip * T[:3, 2])[2] for T in rim)
+
+    assert lowest(known.keeping(bowl.name, bowl.T_world_stand)) > bowl.top - 0.014
+    assert lowest(known.at(bowl.name, bowl.T_world_stand)) < bowl.top - 0.014
+
+
 def test_what_stands_is_not_turned(known, can):
     assert known.tilted(can.name, can.T_world_stand) is known.keeping(can.name, can.T_world_stand)
 

@@ -5,10 +5,12 @@ from types import SimpleNamespace
 import numpy as np
 import pytest
 
+from manipulation import object_planning
 from manipulation.errors import NoPlanError, PlanningError
 from manipulation.object_planning import Effort, ObjectPlanning
 from manipulation.pick_place import PickPlacePlanner
 from manipulation.planner import ManipulationConfig
+from manipulation.pushing import Push
 from manipulation.standing import to_standing
 from manipulation.types import Box, Grasp, GraspSet, PickPlacePlan, Placement, TaskPlan
 from perception.geometry import pose_from_yaw
@@ -28,7 +30,7 @@ class FakePlanner(PickPlacePlanner):
         self.items, self.feasible, self.requests = items, feasible, []
         self._obstacles, self.found, self._n_changes = (), GRASPS, 0
         self.Ts = {name: item.T_world_stand for name, item in items.items()}
-        self.world = SimpleNamespace(pose=self.Ts.__getitem__)
+        self.world, self.motions = SimpleNamespace(pose=self.Ts.__getitem__), None
 
     def poses(self):
         return dict(self.Ts)
@@ -169,3 +171,22 @@ def test_what_cannot_be_set_aside_is_not_tried_again_in_the_same_scene(items):
     assert len(planner.requests) == 1
     planner._n_changes += 1
     assert not list(planned.plans_aside(("bowl_2",), {"bowl_2"}, Q)) and len(planner.requests) == 2
+
+
+def test_a_push_that_does_not_help_is_not_planned_again_in_the_same_scene(items, monkeypatch):
+    asked = []
+    monkeypatch.setattr(object_planning, "plan_push", lambda *_: asked.append(1))
+    planner = FakePlanner(items, lambda goals, grasps: False)
+    planned = planning(items, planner)
+    assert planned.push("can_1", Q) is None and planned.push("can_1", Q) is None and len(asked) == 1
+    planner._n_changes += 1
+    assert planned.push("can_1", Q) is None and len(asked) == 2
+
+
+def test_nothing_is_pushed_in_the_box(items, monkeypatch):
+    push = object.__new__(Push)
+    monkeypatch.setattr(object_planning, "plan_push", lambda *_: push)
+    planner = FakePlanner(items, lambda goals, grasps: False)
+    assert planning(items, planner).push("can_1", Q) is push
+    planner.Ts["can_1"] = pose_from_yaw(0.0, np.array([*GOAL.position[:2], 0.0]))
+    assert planning(items, planner).push("can_1", Q) is None

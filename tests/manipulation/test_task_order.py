@@ -68,11 +68,16 @@ def test_remedy_for_what_is_in_an_objects_way(closed, waits_for_stack, remedy):
         assert order.remedy(placement, blocker, waits_for_stack) == "none", "each pair is considered once"
 
 
-@pytest.mark.parametrize("stacks", [{"a": ["c"]}, {"c": ["a"]}])
-def test_bowls_of_one_stack_keep_their_order(stacks):
+@pytest.mark.parametrize(
+    ("stacks", "remedy"),
+    [({"a": ["c"]}, "none"), ({"c": ["a"]}, "set aside")],
+    ids=["lower-one-in-the-way", "upper-one-in-the-way"],
+)
+def test_of_bowls_of_one_stack_the_lower_one_comes_first(stacks, remedy):
+    """What stands in the lower one already, as in nested bowls on the table, is set aside."""
     order = TaskOrder([goal(name, stacks.get(name, ())) for name in "abc"], Enclosing(("a", "c")))
     order.note_blockers("a", ["c"])
-    assert order.remedy(order.next(), order.first_blocker("a"), waits_for_stack=False) == "none"
+    assert order.remedy(order.next(), order.first_blocker("a"), waits_for_stack=False) == remedy
 
 
 def test_what_does_not_wait_is_no_first_blocker():
