@@ -19,6 +19,7 @@ from perception.detection.parts import parts_of_things
 from perception.detection.unclassified import associate_unclassified, is_low
 from perception.inference.acceptance import AcceptanceModel
 from perception.inference.explanation import unexplained
+from perception.inference.handle import with_seen_handles
 from perception.inference.hidden_support import on_hidden_supports
 from perception.inference.lost_parts import with_lost_parts
 from perception.inference.reconstruct import (
@@ -145,11 +146,12 @@ def reconstruct_clutter(
         }
         rejected += [_left_out(estimate) for estimate in uncertain.values()]
         single = {id: estimate for id, estimate in single.items() if id not in uncertain}
+        found = with_seen_handles([*single.values(), *parts], frames, planes[0], completer)
     if options.on_rejected is not None:
         for item in rejected:
             if item.id not in candidates and item.id not in stacks:
                 options.on_rejected(item)
-    return sorted([*single.values(), *parts], key=lambda e: e.id)
+    return sorted(found, key=lambda e: e.id)
 
 
 def _existence(estimate: ObjectEstimate, rows: Rows, model: AcceptanceModel | None) -> float:

@@ -19,12 +19,14 @@ from manipulation.observation import Finding, Poses, Presence, is_displaced, is_
 from manipulation.types import StandingObject
 from manipulation.viewpoints import Viewpoint, ViewpointScanner
 from manipulation.workspace import Workspace
+from perception.detection.completion import Completer
 from perception.errors import PerceptionError
 from perception.geometry import levelled
+from perception.inference.handle import turned_to_handle
 from perception.inference.refit import STANDING, PoseCheck, refit_leaning, refit_pose
 from perception.inference.relocate import Region, SearchScene, relocate
 from perception.obstacles.obstacle import PerceivedObstacle
-from perception.types import ObjectEstimate, RgbdFrame
+from perception.types import ObjectEstimate, RgbdFrame, SupportPlane
 
 logger = logging.getLogger(__name__)
 
@@ -51,6 +53,7 @@ class WristObserver:
             table; None to leave them as they are.
         goal_views: Viewpoints of the goals, where what was dropped or knocked over is searched for.
         goal_region: Ranges of x and y [m] that are searched there.
+        handles: Network that tells the directions of mugs' handles; None to tell them by depth alone.
     """
 
     def __init__(
@@ -63,7 +66,9 @@ class WristObserver:
         find_obstacles: FindObstacles | None = None,
         goal_views: Sequence[Viewpoint] = (),
         goal_region: Region | None = None,
+        handles: Completer | None = None,
     ) -> None:
+        self._handles = handles
         self._goal_views = tuple(goal_views)
         self._goal_region = goal_region or _scaled(GOAL_REGION, workspace.scale)
         self._scanner, self._workspace, self._obstacles = scanner, workspace, tuple(obstacles)
@@ -80,7 +85,8 @@ class WristObserver:
         }
 
     def glance(self, poses: Poses, names: tuple[str, ...]) -> Mapping[str, Presence]:
-        frame = self._scanner.look(color=False)
+        needs_color = self._handles is not None and not self._mugs.isdisjoint(names)
+        frame = self._scanner.look(color=needs_color)
         return {name: self._presence(name, poses, frame) for name in names}
 
     def find(self, name: str, poses: Poses) -> Finding:
@@ -123,15 +129,34 @@ class WristObserver:
         if check.status == "not_there":
             return "displaced"
         T_expected, T_seen = poses[name], self._stand_pose(name, check)
-        turned = name in self._mugs and not lies(T_expected) and is_turned(T_expected, T_seen)
-        return "displaced" if turned or is_displaced(T_expected, T_seen) else "in_place"
+        if is_displaced(T_expected, T_seen):
+            return "displaced"
+        if name in self._mugs and not lies(T_expected):
+            turned = self._turned_to_handle(name, check, poses, [frame])
+            T_seen = T_seen if turned is None else self._stand_of(name, turned)
+            return "displaced" if is_turned(T_expected, T_seen) else "in_place"
+        return "in_place"
 
     def _find_nearby(self, name: str, poses: Poses) -> Finding | None:
         """Search for a standing object within a few centimetres of where it is expected."""
-        check = self._check(name, poses, self._closeups(name, poses))
+        frames = self._closeups(name, poses)
+        check = self._check(name, poses, frames)
         if check.status != "seen" or check.visible_pixels < MIN_PIXELS or check.tilt > MAX_TILT:
             return None
+        turned = self._turned_to_handle(name, check, poses, frames) if name in self._mugs else None
+        if turned is not None:
+            check = replace(check, T_world_object=turned.T_world_object)
         return Finding("found", self._standing(name, check, poses[name][2, 3]))
+
+    def _turned_to_handle(
+        self, name: str, check: PoseCheck, poses: Poses, frames: Sequence[RgbdFrame]
+    ) -> ObjectEstimate | None:
+        """Return a standing mug turned to where images show its handle; None if it points there already."""
+        if self._handles is None:
+            return None
+        estimate = replace(self._estimates[name], T_world_object=check.T_world_object)
+        others = self._others(name, poses, NEIGHBOURHOOD)
+        return turned_to_handle(estimate, frames, others, SupportPlane(), self._handles)
 
     def _closeups(self, name: str, poses: Poses) -> Sequence[RgbdFrame]:
         """Take images of where an object is expected."""
@@ -219,6 +244,9 @@ class WristObserver:
 
     def _stand_pose(self, name: str, check: PoseCheck) -> Float[np.ndarray, "4 4"]:
         return check.T_world_object @ np.linalg.inv(self._Ts_stand_object[name])
+
+    def _stand_of(self, name: str, estimate: ObjectEstimate) -> Float[np.ndarray, "4 4"]:
+        return estimate.T_world_object @ np.linalg.inv(self._Ts_stand_object[name])
 
     def _standing(self, name: str, check: PoseCheck, support: float) -> Float[np.ndarray, "4 4"]:
         """Return the fitted pose of a standing object without its tilt, on a support of a height [m]."""

@@ -24,6 +24,7 @@ from functools import partial
 import numpy as np
 from jaxtyping import Float
 
+from app.task.fallen import fallen_objects
 from app.task.further_views import most_useful_viewpoint
 from app.task.observation import WristObserver
 from app.task.obstacles import (
@@ -88,15 +89,12 @@ def run(
             if further is None:
                 break
             result = further
-        with observer.stage("verify"):
-            viewpoints = (
-                request.workspace.box_viewpoints
-                if request.task == "pack"
-                else request.workspace.line_viewpoints
-            )
-            final_frames = stages.scanner.capture(viewpoints, observer.on_progress, observer.on_image)
-            result = replace(result, final_frames=final_frames)
-            result = replace(result, checks=verify(placed_estimates(result), final_frames))
+        result = stages.verify(result)
+        for _ in range(request.rounds - 1 if request.task == "pack" else 0):
+            further = stages.place_again(result)
+            if further is None:
+                break
+            result = stages.verify(further)
     except (ManipulationError, PerceptionError) as error:
         result = replace(result, failure=str(error))
     return replace(result, timings=dict(observer.timings))
@@ -203,11 +201,46 @@ class _Stages:
             watch = WristObserver(
                 self.scanner, objects, plan.objects, self._space, plan.obstacles, look_around,
                 goal_views, None if box is None else box_interior(box),
+                self._perception.detector if self._request.reconstruction is None else None,
             )  # fmt: skip
             on_event = self._observer.on_event
             outcomes = execute(plan, self._robot, watch, on_event, self._settings, self.kinematics)
         self._latest = outcomes
         return outcomes
+
+    def verify(self, result: TaskResult) -> TaskResult:
+        """Return the results with images of the goals and the pose checks of the placed objects in them."""
+        request, observer = self._request, self._observer
+        with observer.stage("verify"):
+            space = request.workspace
+            viewpoints = space.box_viewpoints if request.task == "pack" else space.line_viewpoints
+            frames = self.scanner.capture(viewpoints, observer.on_progress, observer.on_image)
+            result = replace(result, final_frames=frames)
+            return replace(result, checks=verify(placed_estimates(result), frames))
+
+    def place_again(self, result: TaskResult) -> TaskResult | None:
+        """Return the results after what lies or leans in the box was placed again; None if nothing was."""
+        box, observer = self._request.box or Box(), self._observer
+        placed = placed_estimates(result)
+        fallen = fallen_objects(placed, result.checks, result.final_frames, box)
+        if not fallen or result.detections is None:
+            return None
+        again = {estimate.name for estimate in fallen}
+        beside = [e for e in placed.values() if e.name not in again]
+        items = {name: item for name, item in placed_items(result).items() if name not in again}
+        try:
+            with observer.stage("plan"):
+                plan = plan_further(fallen, items, box, self._robot.arm, self._settings, self.kinematics)
+                plan = replace(plan, obstacles=result.obstacles)
+        except (ManipulationError, PerceptionError) as error:
+            logger.info("%s cannot be placed again: %s", ", ".join(sorted(again)), error)
+            return None
+        planned = with_round(result, fallen, plan, (), result.obstacles)
+        assert planned.plan is not None
+        observer.on_objects(planned.objects)
+        observer.on_plan(planned.plan)
+        outcomes = self.execute(plan, [*beside, *fallen], result.detections)
+        return with_round(result, fallen, plan, outcomes, result.obstacles)
 
     def look_again(self, result: TaskResult) -> TaskResult | None:
         """Return the results with those of one more round; None if there is nothing more to do."""

@@ -93,8 +93,8 @@ def with_round(
 ) -> TaskResult:
     """Return the results of all rounds so far together.
 
-    An object that was not placed is replaced by what was found in its place. One that was to be moved in the
-    box, and never was touched, is where it was.
+    An object that was not placed is replaced by what was found in its place, and any by an estimate with its
+    id. One that was to be moved in the box, and never was touched, is where it was.
 
     Args:
         result: results of the rounds before.
@@ -106,11 +106,15 @@ def with_round(
     assert result.plan is not None
     placed = {outcome.id for outcome in result.outcomes if outcome.placed}
     places = np.array([estimate.T_world_object[:2, 3] for estimate in found]).reshape(-1, 2)
+    again = {estimate.id for estimate in found}
     kept = [
         estimate
         for estimate in result.objects
-        if estimate.id in placed
-        or not (np.linalg.norm(places - estimate.T_world_object[:2, 3], axis=1) < SAME_PLACE).any()
+        if estimate.id not in again
+        and (
+            estimate.id in placed
+            or not (np.linalg.norm(places - estimate.T_world_object[:2, 3], axis=1) < SAME_PLACE).any()
+        )
     ]
     names = {estimate.name for estimate in kept}
     untouched = {o.name for o in outcomes if o.id in placed and not o.placed and not o.attempts}
@@ -119,7 +123,9 @@ def with_round(
     goals = {p.name for p in plan.placements}
     merged = replace(
         plan,
-        objects=dict(plan.objects) | dict(result.plan.objects),
+        objects=dict(plan.objects)
+        | dict(result.plan.objects)
+        | {estimate.name: plan.objects[estimate.name] for estimate in found if estimate.name in plan.objects},
         placements=(*(p for p in result.plan.placements if p.name in names - goals), *plan.placements),
         left_out={n: why for n, why in result.plan.left_out.items() if n in names} | dict(plan.left_out),
         obstacles=tuple(obstacles),

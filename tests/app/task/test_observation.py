@@ -227,3 +227,33 @@ def test_a_closer_look_at_several_uses_the_poses_just_found(scene, can_at, pack_
     x = can_at().T_world_object[0, 3]
     np.testing.assert_allclose(others, [[x], [x + 0.02]])
     assert standing == [("can_0", observation.STANDING)], "the one below may not lean"
+
+
+class Handles:
+    """A yaw network, which is replaced by what a test says it finds."""
+
+    def complete(self, frame, plane, detections):
+        return list(detections)
+
+
+@pytest.mark.parametrize(("turn", "presence"), [(None, "in_place"), (0.5, "displaced"), (0.05, "in_place")])
+def test_a_glance_at_a_mugs_handle(scene, can_at, pack_plan, monkeypatch, turn, presence):
+    """Depth alone hardly shows where it points."""
+    _, poses, answers, scanner = scene
+    items = {"can_0": replace(pack_plan.objects["can_0"], category="mug")}
+    looks = []
+
+    def turned_to_handle(estimate, frames, *_):
+        looks.append(len(frames))
+        T = estimate.T_world_object @ pose_from_yaw(turn, np.zeros(3)) if turn is not None else None
+        return None if T is None else replace(estimate, T_world_object=T)
+
+    monkeypatch.setattr(observation, "turned_to_handle", turned_to_handle)
+    answers["check"] = replace(SEEN, T_world_object=can_at().T_world_object)
+    watch = WristObserver(scanner, [can_at()], items, handles=Handles())
+    assert watch.glance(poses, ("can_0",)) == {"can_0": presence} and looks == [1]
+    found = watch.find("can_0", poses).T_world_stand
+    expected = poses["can_0"] @ pose_from_yaw(turn or 0.0, np.zeros(3))
+    np.testing.assert_allclose(found, expected, atol=1e-9)
+    without = WristObserver(scanner, [can_at()], items)
+    assert without.glance(poses, ("can_0",)) == {"can_0": "in_place"} and len(looks) == 2

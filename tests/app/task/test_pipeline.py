@@ -98,6 +98,14 @@ SEEN = PoseCheck(np.eye(4), "seen", 0.9, 500, 0.01, 0.02)
 FOUND = Detections(SupportPlane(), ((),))
 
 
+class FakeDetector:
+    def complete(self, frame, plane, detections):
+        return list(detections)
+
+
+DETECTOR = FakeDetector()
+
+
 @pytest.fixture
 def stages(monkeypatch, overhead_frame, can_at, pack_plan):
     """The replaced stages, and what they were called with."""
@@ -122,7 +130,7 @@ def stages(monkeypatch, overhead_frame, can_at, pack_plan):
     stage("execute", outcomes)
     stage("refit_pose", SEEN)
     perception = object.__new__(Perception)
-    object.__setattr__(perception, "detector", "detector")
+    object.__setattr__(perception, "detector", DETECTOR)
     object.__setattr__(perception, "decoder", "decoder")
     return SimpleNamespace(
         scanner=scanner, calls=calls, objects=objects, outcomes=outcomes, perception=perception, stage=stage
@@ -139,10 +147,10 @@ def test_objects_of_the_first_half_of_the_images_are_the_starts_of_the_fits(stag
     monkeypatch.setattr(pipeline, "reconstruct_objects", reconstruct_objects)
     request = TaskRequest("pack", scan_views=2, perceive_only=True)
     run(StillRobot(), stages.perception, request)
-    assert calls == [(1, None, None), (1, tuple(stages.objects), "detector")]
+    assert calls == [(1, None, None), (1, tuple(stages.objects), DETECTOR)]
     calls.clear()
     run(StillRobot(), stages.perception, TaskRequest("pack", scan_views=1, perceive_only=True))
-    assert calls == [(1, (), "detector")]
+    assert calls == [(1, (), DETECTOR)]
 
 
 def test_other_sources_of_shapes_need_no_early_fits(stages, monkeypatch):
@@ -221,7 +229,7 @@ def test_stages_run_in_order_on_the_results_of_those_before(stages, pack_plan):
         "plan", pack_plan, "execute", "verify", "image",
     ]  # fmt: skip
     calls = stages.calls
-    assert calls["detect"][:2] == (result.frames, "detector")
+    assert calls["detect"][:2] == (result.frames, DETECTOR)
     assert calls["detect"][-1] == ("max_surfaces", 1)  # the planner knows the table alone
     assert calls["reconstruct_objects"][:3] == (result.frames, FOUND, "decoder")
     assert calls["plan_pack"][:2] == (stages.objects, box) and "plan_sort" not in calls
@@ -341,3 +349,42 @@ def test_placed_objects_are_verified_beside_one_another(stages, overhead_frame, 
         assert estimate.id == object_id and frames == [overhead_frame]
         np.testing.assert_array_equal(T, estimate.T_world_object)
         assert [other.id for other in others] == [1 - object_id]
+
+
+def test_what_fell_in_the_box_is_placed_again_and_verified_again(stages, pack_plan, monkeypatch):
+    lying = replace(stages.objects[0], T_world_object=pose_from_yaw(0.3, np.array([0.4, 0.3, 0.03])))
+    results, executed, plans = iter([[lying], []]), [], []
+    again = replace(stages.outcomes[0], attempts=2)
+
+    def execute(plan, *args):
+        executed.append(plan)
+        return stages.outcomes if len(executed) == 1 else [again]
+
+    def plan_further(objects, placed, box, *args):
+        plans.append((objects, dict(placed)))
+        name = objects[0].name
+        item = replace(first.objects[name], T_world_stand=pose_from_yaw(0.3, np.array([0.4, 0.3, 0.0])))
+        return replace(first, objects={name: item}, left_out={})
+
+    first = pack_plan
+    monkeypatch.setattr(pipeline, "fallen_objects", lambda *args: next(results))
+    monkeypatch.setattr(pipeline, "execute", execute)
+    monkeypatch.setattr(pipeline, "plan_further", plan_further)
+    monkeypatch.setattr(pipeline, "is_something_left", lambda *args: False)
+    result = run(StillRobot(), stages.perception, TaskRequest("pack", Box()))
+    assert result.failure == "" and len(executed) == 2
+    ((objects, placed),) = plans
+    assert objects == [lying] and placed == {}, "it is no longer among what stands in the box"
+    assert [o.attempts for o in result.outcomes] == [2]
+    np.testing.assert_array_equal(
+        next(e for e in result.objects if e.id == 0).T_world_object, lying.T_world_object
+    )
+    assert len(stages.scanner.visited) == 3, "one scan and two verifications"
+
+
+def test_what_cannot_be_placed_again_ends_the_task_as_it_is(stages, monkeypatch):
+    monkeypatch.setattr(pipeline, "fallen_objects", lambda *args: [stages.objects[0]])
+    monkeypatch.setattr(pipeline, "is_something_left", lambda *args: False)
+    stages.stage("plan_further", PlanningError("no room"))
+    result = run(StillRobot(), stages.perception, TaskRequest("pack", Box()))
+    assert result.failure == "" and result.outcomes == stages.outcomes and result.checks == {0: SEEN}

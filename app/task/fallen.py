@@ -1,0 +1,80 @@
+"""What does not stand in the box as it was placed: knocked over by what came later, or leaning.
+
+Shapes are known; only poses are estimated again, in the images of the box that verify the task.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Mapping, Sequence
+from dataclasses import replace
+
+import numpy as np
+from jaxtyping import Float
+
+from app.task.obstacles import box_interior
+from manipulation.lying_grasps import LYING_TILT
+from manipulation.types import Box
+from perception.inference.refit import PoseCheck
+from perception.inference.relocate import SearchScene, relocate
+from perception.types import ObjectEstimate, RestingPose, RgbdFrame
+
+LEANING = np.deg2rad(15.0)  # tilt of what counts as leaning; images show it to a few degrees
+AGREES = 0.75  # share of the visible pixels from which on an object is surely where it was placed
+BETTER = 0.1  # by which another pose in the box must explain more of them
+
+
+def fallen_objects(
+    placed: Mapping[int, ObjectEstimate],
+    checks: Mapping[int, PoseCheck],
+    frames: Sequence[RgbdFrame],
+    box: Box,
+) -> list[ObjectEstimate]:
+    """Return the placed objects that lie or lean in the box, at their poses there, by ascending id.
+
+    What is not seen at all where it was placed, nor elsewhere in the box, is not among them.
+
+    Args:
+        placed: Estimates of the placed objects at their expected poses, by id.
+        checks: Their pose checks.
+        frames: Images of the box.
+        box: The box.
+    """
+    doubtful = {id for id, check in checks.items() if _is_doubtful(check)}
+    now = {
+        id: replace(placed[id], T_world_object=check.T_world_object)
+        for id, check in checks.items()
+        if check.status != "not_there"
+    }
+    found: list[ObjectEstimate] = []
+    for id in sorted(doubtful):
+        before, others = checks[id], [now[other] for other in sorted(now) if other != id]
+        scene = SearchScene(frames, box_interior(box), others)
+        anywhere = relocate(placed[id], scene, T_before=placed[id].T_world_object)
+        least = before.inlier_share + BETTER if before.status == "seen" else 0.0
+        check = anywhere if anywhere is not None and anywhere.inlier_share > least else before
+        if check.status == "seen" and check.tilt > LEANING:
+            now[id] = _resting(placed[id], check.T_world_object, others)
+            found.append(now[id])
+    return found
+
+
+def _is_doubtful(check: PoseCheck) -> bool:
+    """Return whether an object may not stand where it was placed; what is hidden is believed to."""
+    if check.status != "seen":
+        return check.status == "not_there"
+    return bool(check.tilt > LEANING or check.inlier_share < AGREES)
+
+
+def _resting(
+    estimate: ObjectEstimate, T: Float[np.ndarray, "4 4"], others: Sequence[ObjectEstimate]
+) -> ObjectEstimate:
+    """Return an estimate at a pose in the box; what leans rests on the nearest other object."""
+    tilt = float(np.arccos(np.clip(T[2, 2], -1.0, 1.0)))
+    resting: RestingPose = "upright"
+    if tilt > LYING_TILT:
+        resting = "upside-down" if tilt > np.pi - LYING_TILT else "lying"
+    rests_on = None
+    if resting == "upright" and others:
+        nearest = min(others, key=lambda o: float(np.linalg.norm((o.T_world_object - T)[:2, 3])))
+        rests_on = nearest.id
+    return replace(estimate, T_world_object=T, resting=resting, rests_on=rests_on)

@@ -1,0 +1,90 @@
+"""What is found to have fallen or to lean in the box, for given pose checks."""
+
+import numpy as np
+import pytest
+
+from app.task import fallen
+from app.task.fallen import LEANING, fallen_objects
+from manipulation.types import Box
+from perception.geometry import pose_from_yaw, so3_exp
+from perception.inference.refit import PoseCheck
+
+AT = np.array([0.5, 0.27, 0.054])
+
+
+def tilted(angle):
+    T = pose_from_yaw(0.0, AT)
+    T[:3, :3] = so3_exp(np.array([angle, 0.0, 0.0]))
+    return T
+
+
+def check(status="seen", tilt=0.0, T=None, share=0.9):
+    T = tilted(tilt) if T is None else T
+    return PoseCheck(T, status, share, 5000, float(np.arccos(np.clip(T[2, 2], -1, 1))), 0.0)
+
+
+@pytest.fixture
+def placed(can_at):
+    return {id: can_at(id, 0.45 + 0.1 * id, 0.27) for id in (0, 1, 2)}
+
+
+def find(placed, checks, monkeypatch, relocated=None):
+    scenes = []
+
+    def relocate(estimate, scene, T_before):
+        scenes.append((estimate.id, scene, T_before))
+        return relocated
+
+    monkeypatch.setattr(fallen, "relocate", relocate)
+    checks = {id: check(T=e.T_world_object) for id, e in placed.items()} | checks
+    return fallen_objects(placed, checks, (), Box()), scenes
+
+
+def test_what_stands_is_left_as_it_is(placed, monkeypatch) -> None:
+    found, scenes = find(placed, {1: check(tilt=0.9 * LEANING), 2: check("hidden")}, monkeypatch)
+    assert found == [] and scenes == []
+
+
+def test_what_leans_is_placed_again_off_what_it_leans_on(placed, monkeypatch) -> None:
+    leaning = tilted(1.1 * LEANING)
+    leaning[0, 3] = placed[2].T_world_object[0, 3] - 0.03
+    (found,), _ = find(placed, {1: check(T=leaning)}, monkeypatch)
+    assert (found.id, found.resting, found.rests_on) == (1, "upright", 2)
+    np.testing.assert_array_equal(found.T_world_object, leaning)
+
+
+@pytest.mark.parametrize(("angle", "resting"), [(1.5, "lying"), (3.1, "upside-down"), (0.5, "upright")])
+def test_what_is_not_there_is_searched_for_in_the_box(placed, monkeypatch, angle, resting) -> None:
+    found, scenes = find(placed, {0: check("not_there")}, monkeypatch, check(T=tilted(angle)))
+    assert [(e.id, e.resting) for e in found] == [(0, resting)]
+    ((id, scene, T_before),) = scenes
+    assert id == 0 and [other.id for other in scene.others] == [1, 2]
+    np.testing.assert_array_equal(T_before, placed[0].T_world_object)
+    (x0, x1), (y0, y1) = scene.region
+    box = Box()
+    assert x1 - x0 < box.size[0] and y1 - y0 < box.size[1], "the walls are no object"
+
+
+@pytest.mark.parametrize(
+    ("share", "elsewhere", "is_fallen"), [(0.7, 0.85, True), (0.7, 0.75, False), (0.8, 0.95, False)]
+)
+def test_what_agrees_in_part_is_believed_where_another_pose_explains_clearly_more(
+    placed, monkeypatch, share, elsewhere, is_fallen
+) -> None:
+    """A lying mug agrees with the lower part of an upright one."""
+    lying = check(T=tilted(1.5), share=elsewhere)
+    found, _ = find(placed, {0: check(T=placed[0].T_world_object, share=share)}, monkeypatch, lying)
+    assert [e.resting for e in found] == ["lying"] * is_fallen
+
+
+def test_others_are_where_they_were_seen(placed, monkeypatch) -> None:
+    """Depth of a neighbour that was shifted is not the fallen object's."""
+    T = placed[1].T_world_object.copy()
+    T[0, 3] += 0.01
+    _, ((_, scene, _),) = find(placed, {0: check("not_there"), 1: check(T=T)}, monkeypatch)
+    np.testing.assert_array_equal(scene.others[0].T_world_object, T)
+
+
+def test_what_is_nowhere_in_the_box_or_stands_elsewhere_in_it_is_not_fallen(placed, monkeypatch) -> None:
+    assert find(placed, {0: check("not_there")}, monkeypatch)[0] == []
+    assert find(placed, {0: check("not_there")}, monkeypatch, check())[0] == []
