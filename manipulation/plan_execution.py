@@ -15,7 +15,8 @@ import numpy as np
 from jaxtyping import Float
 
 from manipulation.errors import RobotError
-from manipulation.observation import SceneObserver, classify_grip, is_displaced
+from manipulation.lying_grasps import lies
+from manipulation.observation import SceneObserver, classify_grip, is_displaced, is_turned
 from manipulation.pick_place import PickPlacePlanner
 from manipulation.planner import ManipulationConfig
 from manipulation.pressing import LEVEL, PRESSABLE, is_plausible, lean, lowest_leaning, plan_press
@@ -139,7 +140,7 @@ class PlanExecution:
             raise SceneChangedError(f"{name} is not where it was seen before")
 
     def _require_released(self, plan: PickPlacePlan) -> None:
-        """Raise GraspFailedError if a released object is seen elsewhere."""
+        """Raise GraspFailedError if a released object is seen elsewhere, or a mug is seen turned."""
         name = plan.name
         if self.observer.glance(self.planner.poses(), (name,)).get(name) != "displaced":
             return
@@ -149,6 +150,9 @@ class PlanExecution:
         self.planner.moved(name, finding.T_world_stand)
         if is_displaced(plan.T_world_stand_rest, finding.T_world_stand, MISPLACED):
             raise GraspFailedError(f"{name} is not where it was released")
+        is_mug = self.planner.items[name].category == "mug" and not lies(finding.T_world_stand)
+        if is_mug and is_turned(plan.T_world_stand_rest, finding.T_world_stand):
+            raise GraspFailedError(f"{name} was turned when it was released")
 
     def _bring_back(self, plan: PickPlacePlan) -> None:
         """Bring an object that met something while it was lowered back to where it was grasped."""

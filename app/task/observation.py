@@ -21,7 +21,7 @@ from manipulation.viewpoints import Viewpoint, ViewpointScanner
 from manipulation.workspace import Workspace
 from perception.detection.completion import Completer
 from perception.errors import PerceptionError
-from perception.geometry import levelled
+from perception.geometry import levelled, nearest_yaw, pose_from_yaw
 from perception.inference.handle import turned_to_handle
 from perception.inference.refit import STANDING, PoseCheck, refit_leaning, refit_pose
 from perception.inference.relocate import Region, SearchScene, relocate
@@ -132,8 +132,7 @@ class WristObserver:
         if is_displaced(T_expected, T_seen):
             return "displaced"
         if name in self._mugs and not lies(T_expected):
-            turned = self._turned_to_handle(name, check, poses, [frame])
-            T_seen = T_seen if turned is None else self._stand_of(name, turned)
+            T_seen = self._seen_standing(name, check, poses, [frame])
             return "displaced" if is_turned(T_expected, T_seen) else "in_place"
         return "in_place"
 
@@ -143,20 +142,25 @@ class WristObserver:
         check = self._check(name, poses, frames)
         if check.status != "seen" or check.visible_pixels < MIN_PIXELS or check.tilt > MAX_TILT:
             return None
-        turned = self._turned_to_handle(name, check, poses, frames) if name in self._mugs else None
-        if turned is not None:
-            check = replace(check, T_world_object=turned.T_world_object)
-        return Finding("found", self._standing(name, check, poses[name][2, 3]))
+        return Finding("found", self._seen_standing(name, check, poses, frames))
 
-    def _turned_to_handle(
+    def _seen_standing(
         self, name: str, check: PoseCheck, poses: Poses, frames: Sequence[RgbdFrame]
-    ) -> ObjectEstimate | None:
-        """Return a standing mug turned to where images show its handle; None if it points there already."""
-        if self._handles is None:
-            return None
-        estimate = replace(self._estimates[name], T_world_object=check.T_world_object)
+    ) -> Float[np.ndarray, "4 4"]:
+        """Return the pose of a standing object without its tilt, on its support.
+
+        A mug's handle points to where the network sees it, and as expected where that leaves it open: depth
+        alone hardly tells.
+        """
+        T_expected = poses[name]
+        T_seen = self._standing(name, check, T_expected[2, 3])
+        if name not in self._mugs or self._handles is None:
+            return T_seen
+        T_seen = pose_from_yaw(nearest_yaw(T_expected), T_seen[:3, 3])
+        estimate = replace(self._estimates[name], T_world_object=T_seen @ self._Ts_stand_object[name])
         others = self._others(name, poses, NEIGHBOURHOOD)
-        return turned_to_handle(estimate, frames, others, SupportPlane(), self._handles)
+        turned = turned_to_handle(estimate, frames, others, SupportPlane(), self._handles)
+        return T_seen if turned is None else self._stand_of(name, turned)
 
     def _closeups(self, name: str, poses: Poses) -> Sequence[RgbdFrame]:
         """Take images of where an object is expected."""

@@ -51,7 +51,7 @@ DISTANCE = (0.28, 1.0)  # [m] of the cameras
 class TrainPoseConfig(TrainDetectorConfig):
     """Configuration of the job; the defaults are those of the shipped weights."""
 
-    pictures: int = 5000
+    pictures: int = 10000
     training: TrainingConfig = field(default_factory=lambda: TrainingConfig(epochs=22))
 
 

@@ -1,6 +1,7 @@
 """One plan on a robot that follows exactly: the steps, and what each check raises."""
 
 import contextlib
+from dataclasses import replace
 
 import numpy as np
 import pytest
@@ -138,6 +139,22 @@ def test_an_object_seen_beside_its_goal(cell, plan, shift, raises):
     _, planner, _, execution = cell("in_place", "displaced", can_1=[Finding("found", seen)])
     if raises:
         with pytest.raises(GraspFailedError, match="can_1 is not where it was released"):
+            execution.run(plan)
+    else:
+        execution.run(plan)
+    np.testing.assert_array_equal(planner.world.pose("can_1"), seen)
+
+
+@pytest.mark.parametrize(
+    ("category", "turn", "raises"), [("mug", 0.3, True), ("mug", 0.1, False), ("can", 0.3, False)]
+)
+def test_a_mug_that_was_turned_when_it_was_released(cell, plan, category, turn, raises):
+    """Handles are aligned; of a can nobody knows the yaw."""
+    seen = plan.T_world_stand_rest @ pose_from_yaw(turn, np.zeros(3))
+    _, planner, _, execution = cell("in_place", "displaced", can_1=[Finding("found", seen)])
+    planner.items["can_1"] = replace(planner.items["can_1"], category=category)
+    if raises:
+        with pytest.raises(GraspFailedError, match="can_1 was turned when it was released"):
             execution.run(plan)
     else:
         execution.run(plan)
