@@ -56,7 +56,7 @@ from perception.types import (
 )
 
 UNCLASSIFIED_SCORE = 0.55  # least score of the fit of a candidate that the detector gave no class, upright
-POSED_SCORE = 0.68  # the same in other poses: what is no object most often resembles lying ones
+POSED_SCORE = 0.85  # the same in other poses: what is no object most often resembles lying ones
 UNCERTAIN = 0.4  # score of several views below which a detected object is more often a thing of no class
 TURNED_MUGS: tuple[PosedClass, ...] = (("mug", "upside-down"), ("mug", "lying"))
 TURNED = 0.3  # least probability of a mug that lies or stands upside down, whose handle is looked for

@@ -19,7 +19,7 @@ from perception.inference.relocate import SearchScene, relocate
 from perception.types import ObjectEstimate, RestingPose, RgbdFrame
 
 LEANING = np.deg2rad(15.0)  # tilt of what counts as leaning; images show it to a few degrees
-AGREES = 0.75  # share of the visible pixels from which on an object is surely where it was placed
+AGREES = 0.65  # share of the visible pixels from which on an object is surely where it was placed
 BETTER = 0.1  # by which another pose in the box must explain more of them
 
 
