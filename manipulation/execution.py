@@ -123,7 +123,7 @@ class _Execution:
         self.outcomes: dict[str, ObjectOutcome] = {}
         self._order = TaskOrder(task.placements, planner)
         self._scene = SceneFollowing(planner, self.observer)
-        self._to_place = {placement.name for placement in task.placements}
+        self._goals = {placement.name: placement for placement in task.placements}
         self._set_aside: set[str] = set()
         self._pushes: Counter[str] = Counter()
         self._located: set[str] = set()  # objects that were found since they were knocked over
@@ -206,7 +206,7 @@ class _Execution:
 
     def _waits_for_stack(self, placement: Placement) -> bool:
         """Return whether a bowl below it has not been processed."""
-        return any(name in self._to_place and name not in self.outcomes for name in placement.stack)
+        return any(name in self._goals and name not in self.outcomes for name in placement.stack)
 
     def _with_placed_stack(self, placement: Placement) -> Placement:
         """Return the placement with its stack reduced to the bowls that were placed, at the uppermost one."""
@@ -221,7 +221,7 @@ class _Execution:
 
     def _is_there(self, name: str) -> bool:
         """Return whether a bowl was placed, or was in the box before."""
-        return name not in self._to_place or (name in self.outcomes and self.outcomes[name].placed)
+        return name not in self._goals or (name in self.outcomes and self.outcomes[name].placed)
 
     def _place(self, placement: Placement, effort: Effort) -> ObjectOutcome:
         """Try to place one object; the outcome has 0 attempts if there is no plan for the first."""
@@ -284,7 +284,7 @@ class _Execution:
                 continue  # searched for in its turn, or judged by the final verification
             reason = f"{name} was moved by {plan.name}"
             moved = replace(outcome, placed=False, reason=reason, T_world_stand=None)
-            placement = next(p for p in self.task.placements if p.name == name)
+            placement = self._goals[name]
             if self._gets_another_chance(placement, moved):
                 self._notify("deferred", name, reason)
                 del self.outcomes[name]
@@ -326,22 +326,26 @@ class _Execution:
         """Set one of several objects aside for another one, or that one itself; return whether one was moved.
 
         Each is set aside at most once. The object itself comes last: between its neighbours it may only be
-        held with a hand that does not fit its goal, and on free table from all sides. What was placed already
-        is placed again afterwards; what was in the box before stays there.
+        held with a hand that does not fit its goal, and on free table from all sides. What was placed
+        already, or stood in the box before, is placed again afterwards.
 
         Args:
             name: the object that has no plan.
             names: objects that may be set aside, in descending order of preference.
         """
-        placements = {p.name: p for p in self.task.placements if p.name in self.outcomes}
-        covered = {below for placement in placements.values() for below in placement.stack}
-        movable = self._beside_box() - self._set_aside - covered
+        placed = [self._goals[done] for done in self.outcomes]
+        covered = {below for placement in placed for below in placement.stack}
+        before = self.planning.goals_in_box(self._goals)
+        movable = (self._beside_box() | before.keys()) - self._set_aside - covered
         for plan in self.planning.plans_aside(names, movable, self.robot.joint_positions()):
             self._set_aside.add(plan.name)
             reason = "its neighbours block its way" if plan.name == name else f"it blocks {name}"
             self._notify("aside", plan.name, reason)
-            if self.outcomes.pop(plan.name, None) is not None:
-                self._order.put_last(placements[plan.name])
+            if plan.name in before:
+                self._goals[plan.name] = before[plan.name]
+                self._order.put_last(before[plan.name])
+            elif self.outcomes.pop(plan.name, None) is not None:
+                self._order.put_last(self._goals[plan.name])
             try:
                 self.motion.run(plan)
             except (SceneChangedError, GraspFailedError, RobotError) as error:
@@ -373,9 +377,9 @@ class _Execution:
         """Return the names of the objects with a goal, and of those that are not in the box."""
         poses, box = self.planner.poses(), self.task.box
         in_box = {name for name, T in poses.items() if box is not None and box.contains(T)}
-        return set(poses) - (in_box - self._to_place)
+        return set(poses) - (in_box - self._goals.keys())
 
     def _notify(self, phase: Phase, name: str, message: str = "", plan: PickPlacePlan | None = None) -> None:
-        total = len(self.task.placements)
+        total = len(self._goals)
         candidates = tuple(self.planner.grasps(name).grasps) if plan else ()
         self.on_event(TaskEvent(phase, name, len(self.outcomes), total, message, plan, candidates))

@@ -18,11 +18,13 @@ from manipulation.errors import NoPlanError, PlanningError
 from manipulation.free_places import free_places, roomier_place
 from manipulation.free_table import Outline, goals_aside, outline_of, outline_of_thing
 from manipulation.lying_grasps import is_upside_down, lies
+from manipulation.packing import admissible_yaws
 from manipulation.pick_place import PickPlacePlanner
 from manipulation.planner import ManipulationConfig
 from manipulation.pushing import Push, plan_push
 from manipulation.reorientation import turning_goals
 from manipulation.types import Grasp, PickPlacePlan, Placement, StandingObject, TaskPlan
+from perception.geometry import nearest_yaw
 
 _TURN_OVER = "turn it over by hand"
 _SPOTS = 4  # on free table that are tried for one object
@@ -102,6 +104,25 @@ class ObjectPlanning:
                 self._failures["aside", name] = planner.n_changes, error
             else:
                 yield plan
+
+    def goals_in_box(self, known: Collection[str]) -> dict[str, Placement]:
+        """Return the goals of keeping upright objects in the box where they are, by name.
+
+        Args:
+            known: names of objects with other goals. Bowls are left out as well: they may hold something.
+        """
+        task, config = self._task, self._config
+        goals: dict[str, Placement] = {}
+        for name, T in self._planner.poses().items():
+            item = task.objects[name]
+            if task.task != "pack" or task.box is None or name in known or item.category == "bowl":
+                continue
+            if task.box.contains(T) and not lies(T):
+                position = (float(T[0, 3]), float(T[1, 3]), task.box.floor)
+                yaws = admissible_yaws(item, nearest_yaw(T))
+                height = config.packing.release_height
+                goals[name] = Placement(name, position, yaws, release_height=height)
+        return goals
 
     def push(self, name: str, q: Posture) -> Push | None:
         """Return a push after which an object can be grasped; None if there is none, or it is in the box."""

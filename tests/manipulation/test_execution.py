@@ -725,3 +725,33 @@ def test_an_object_that_no_hand_fits_beside_is_pushed_and_grasped_where_it_is_fo
     watcher = Watcher(FakeRobot(arm))
     execute(task, watcher.robot, None, watcher, CONFIG)
     assert "push" not in watcher.phases(name), "without an observer nobody knows where it ends"
+
+
+def test_what_stood_in_the_box_before_is_set_aside_for_another_object_and_put_back(scene, arm, monkeypatch):
+    """It has no goal of its own in this round."""
+    task = plan_pack(scene[:2], Box(), arm, CONFIG)
+    old, new = "can_1", "bowl_2"
+    goals = {placement.name: placement for placement in task.placements}
+    there = pose_from_yaw(0.0, np.array([*goals[old].position[:2], Box().floor]))
+    task = replace(
+        task,
+        placements=(goals[new],),
+        objects=dict(task.objects) | {old: replace(task.objects[old], T_world_stand=there)},
+    )
+    plan = PickPlacePlanner.plan
+
+    def blocked(self, placements, q_start, tried=(), grasps=None):
+        placements = [placements] if isinstance(placements, Placement) else placements
+        is_there = np.linalg.norm((self.world.pose(old) - there)[:2, 3]) < 0.01
+        if placements[0].name == new and is_there:
+            raise NoPlanError("blocked", (old,))
+        return plan(self, placements, q_start, tried, grasps)
+
+    monkeypatch.setattr(PickPlacePlanner, "plan", blocked)
+    robot = FakeRobot(arm)
+    watcher = Watcher(robot)
+    outcomes = execute(task, robot, FakeObserver(), watcher, CONFIG)
+    assert [(outcome.name, outcome.placed) for outcome in outcomes] == [(new, True), (old, True)]
+    assert [event.name for event in watcher.events if event.phase == "aside"] == [old]
+    assert outcomes[1].T_world_stand[:2, 3] == pytest.approx(there[:2, 3], abs=0.05)
+    assert max(event.done for event in watcher.events) <= max(event.total for event in watcher.events)

@@ -190,3 +190,21 @@ def test_nothing_is_pushed_in_the_box(items, monkeypatch):
     assert planning(items, planner).push("can_1", Q) is push
     planner.Ts["can_1"] = pose_from_yaw(0.0, np.array([*GOAL.position[:2], 0.0]))
     assert planning(items, planner).push("can_1", Q) is None
+
+
+def test_what_stands_in_the_box_may_be_moved_and_put_back(items):
+    """But bowls, which may hold something, what lies there, and what has another goal."""
+    planner = FakePlanner(items)
+    planned = planning(items, planner)
+    assert planned.goals_in_box(()) == {}, "both are on the table"
+    T = pose_from_yaw(0.4, np.array([*GOAL.position[:2], 0.005]))
+    planner.Ts["can_1"] = planner.Ts["bowl_2"] = T
+    (goal,) = planned.goals_in_box(()).values()
+    assert goal.name == "can_1" and goal.position == (*GOAL.position[:2], Box().floor) and goal.stack == ()
+    assert goal.yaws[0] == pytest.approx(0.4) and goal.release_height == CONFIG.packing.release_height
+    assert planned.goals_in_box(("can_1",)) == {}
+    planner.Ts["can_1"] = T @ np.array([[0, 0, 1, 0], [0, 1, 0, 0], [-1, 0, 0, 0], [0, 0, 0, 1.0]])
+    assert planned.goals_in_box(()) == {}
+    task = TaskPlan("sort", items, (GOAL,), box=Box())
+    planner.Ts["can_1"] = T
+    assert ObjectPlanning(task, planner, CONFIG).goals_in_box(()) == {}, "the box is an obstacle"
