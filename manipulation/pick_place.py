@@ -253,7 +253,7 @@ class PickPlacePlanner:
         T_now, candidates = self.world.pose(name), self.grasps(name)
         self.world.move(name, T_world_stand)
         try:
-            return next(iter(self._picks(name, candidates, (), Tally())), None) is not None
+            return next(self._picks(name, candidates, (), Tally()), None) is not None
         finally:
             self.world.release()
             self.world.move(name, T_now)

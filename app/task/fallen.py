@@ -12,7 +12,7 @@ import numpy as np
 from jaxtyping import Float
 
 from app.task.obstacles import box_interior
-from manipulation.lying_grasps import LYING_TILT
+from manipulation.lying_grasps import is_upside_down, lies
 from manipulation.types import Box
 from perception.inference.refit import PoseCheck
 from perception.inference.relocate import SearchScene, relocate
@@ -69,12 +69,9 @@ def _resting(
     estimate: ObjectEstimate, T: Float[np.ndarray, "4 4"], others: Sequence[ObjectEstimate]
 ) -> ObjectEstimate:
     """Return an estimate at a pose in the box; what leans rests on the nearest other object."""
-    tilt = float(np.arccos(np.clip(T[2, 2], -1.0, 1.0)))
-    resting: RestingPose = "upright"
-    if tilt > LYING_TILT:
-        resting = "upside-down" if tilt > np.pi - LYING_TILT else "lying"
-    rests_on = None
-    if resting == "upright" and others:
-        nearest = min(others, key=lambda o: float(np.linalg.norm((o.T_world_object - T)[:2, 3])))
-        rests_on = nearest.id
-    return replace(estimate, T_world_object=T, resting=resting, rests_on=rests_on)
+    if lies(T):
+        resting: RestingPose = "upside-down" if is_upside_down(T) else "lying"
+        return replace(estimate, T_world_object=T, resting=resting, rests_on=None)
+    nearest = min(others, key=lambda o: float(np.linalg.norm((o.T_world_object - T)[:2, 3])), default=None)
+    rests_on = None if nearest is None else nearest.id
+    return replace(estimate, T_world_object=T, resting="upright", rests_on=rests_on)

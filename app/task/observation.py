@@ -160,7 +160,7 @@ class WristObserver:
         estimate = replace(self._estimates[name], T_world_object=T_seen @ self._Ts_stand_object[name])
         others = self._others(name, poses, NEIGHBOURHOOD)
         turned = turned_to_handle(estimate, frames, others, SupportPlane(), self._handles)
-        return T_seen if turned is None else self._stand_of(name, turned)
+        return T_seen if turned is None else self._stand_pose(name, turned)
 
     def _closeups(self, name: str, poses: Poses) -> Sequence[RgbdFrame]:
         """Take images of where an object is expected."""
@@ -246,11 +246,8 @@ class WristObserver:
     def _object_pose(self, name: str, poses: Poses) -> Float[np.ndarray, "4 4"]:
         return poses[name] @ self._Ts_stand_object[name]
 
-    def _stand_pose(self, name: str, check: PoseCheck) -> Float[np.ndarray, "4 4"]:
-        return check.T_world_object @ np.linalg.inv(self._Ts_stand_object[name])
-
-    def _stand_of(self, name: str, estimate: ObjectEstimate) -> Float[np.ndarray, "4 4"]:
-        return estimate.T_world_object @ np.linalg.inv(self._Ts_stand_object[name])
+    def _stand_pose(self, name: str, seen: PoseCheck | ObjectEstimate) -> Float[np.ndarray, "4 4"]:
+        return seen.T_world_object @ np.linalg.inv(self._Ts_stand_object[name])
 
     def _standing(self, name: str, check: PoseCheck, support: float) -> Float[np.ndarray, "4 4"]:
         """Return the fitted pose of a standing object without its tilt, on a support of a height [m]."""

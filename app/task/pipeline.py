@@ -50,6 +50,7 @@ from manipulation.viewpoints import Viewpoint, ViewpointScanner
 from perception.early import EarlyReconstruction
 from perception.errors import PerceptionError
 from perception.inference.refit import PoseCheck, refit_pose
+from perception.obstacles.obstacle import PerceivedObstacle
 from perception.pipeline import Detections, Perception, detect, reconstruct_objects
 from perception.types import ObjectEstimate, RgbdFrame
 
@@ -235,12 +236,34 @@ class _Stages:
         except (ManipulationError, PerceptionError) as error:
             logger.info("%s cannot be placed again: %s", ", ".join(sorted(again)), error)
             return None
-        planned = with_round(result, fallen, plan, (), result.obstacles)
+        return self._carry_out(result, fallen, plan, beside, result.obstacles, result.detections)
+
+    def _carry_out(
+        self,
+        result: TaskResult,
+        found: Sequence[ObjectEstimate],
+        plan: TaskPlan,
+        in_box: Sequence[ObjectEstimate],
+        obstacles: Sequence[PerceivedObstacle],
+        detections: Detections,
+    ) -> TaskResult:
+        """Return the results with those of the plan of one more round.
+
+        Args:
+            result: Results of the rounds before.
+            found: Objects that the plan has goals for.
+            plan: The plan.
+            in_box: Other objects in the box.
+            obstacles: Things of no class.
+            detections: Detections, of which the surface of the table is used.
+        """
+        planned = with_round(result, found, plan, (), obstacles)
         assert planned.plan is not None
-        observer.on_objects(planned.objects)
-        observer.on_plan(planned.plan)
-        outcomes = self.execute(plan, [*beside, *fallen], result.detections)
-        return with_round(result, fallen, plan, outcomes, result.obstacles)
+        self._observer.on_objects(planned.objects)
+        self._observer.on_obstacles(obstacles)
+        self._observer.on_plan(planned.plan)
+        outcomes = self.execute(plan, [*in_box, *found], detections)
+        return with_round(result, found, plan, outcomes, obstacles)
 
     def look_again(self, result: TaskResult) -> TaskResult | None:
         """Return the results with those of one more round; None if there is nothing more to do."""
@@ -268,13 +291,7 @@ class _Stages:
             logger.info("nothing more to do: %s", error)
             return None
         result = replace(result, rejected=tuple(observer.rejected[n_rejected:]))
-        planned = with_round(result, found, plan, (), obstacles)
-        assert planned.plan is not None
-        observer.on_objects(planned.objects)
-        observer.on_obstacles(obstacles)
-        observer.on_plan(planned.plan)
-        outcomes = self.execute(plan, [*in_box, *found], detections)
-        return with_round(result, found, plan, outcomes, obstacles)
+        return self._carry_out(result, found, plan, in_box, obstacles, detections)
 
 
 def prior_reconstruction(

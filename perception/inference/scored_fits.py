@@ -52,7 +52,7 @@ class ObjectFits:
     """Fits of one object.
 
     Attributes:
-        views: Observations of the object; its class is not used.
+        views: Observations of the object with its most probable class; each fit has a class of its own.
         decoder: Shape prior.
         plane: Support plane of the object.
         model: Scores the evidence.

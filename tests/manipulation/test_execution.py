@@ -724,7 +724,7 @@ def test_an_object_that_no_hand_fits_beside_is_pushed_and_grasped_where_it_is_fo
         assert outcomes[name].placed == (len(found) == 2)
     watcher = Watcher(FakeRobot(arm))
     execute(task, watcher.robot, None, watcher, CONFIG)
-    assert "push" not in watcher.phases(name), "without an observer nobody knows where it ends"
+    assert "push" not in watcher.phases(name), "without an observer its pose afterwards is unknown"
 
 
 def test_what_stood_in_the_box_before_is_set_aside_for_another_object_and_put_back(scene, arm, monkeypatch):

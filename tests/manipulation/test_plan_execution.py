@@ -149,7 +149,7 @@ def test_an_object_seen_beside_its_goal(cell, plan, shift, raises):
     ("category", "turn", "raises"), [("mug", 0.3, True), ("mug", 0.1, False), ("can", 0.3, False)]
 )
 def test_a_mug_that_was_turned_when_it_was_released(cell, plan, category, turn, raises):
-    """Handles are aligned; of a can nobody knows the yaw."""
+    """Handles are aligned; the yaw of a can is unknown."""
     seen = plan.T_world_stand_rest @ pose_from_yaw(turn, np.zeros(3))
     _, planner, _, execution = cell("in_place", "displaced", can_1=[Finding("found", seen)])
     planner.items["can_1"] = replace(planner.items["can_1"], category=category)

@@ -230,7 +230,7 @@ def test_a_closer_look_at_several_uses_the_poses_just_found(scene, can_at, pack_
 
 
 class Handles:
-    """A yaw network, which is replaced by what a test says it finds."""
+    """Stub of the yaw network."""
 
     def complete(self, frame, plane, detections):
         return list(detections)
