@@ -16,13 +16,15 @@ from scipy.spatial.transform import Rotation
 
 from perception.types import Category
 from sim_assets.cell.layout import ArrangementError, UnstableError
-from sim_assets.cell.resting import settle, tilt
+from sim_assets.cell.resting import Settled, settle, tilt
+from sim_assets.cell.settling import FALLEN_TILT
 from sim_assets.cell.unknown import UnknownThing
 from sim_assets.objects import ObjectModel
 
 LYING_TILT = (np.deg2rad(60), np.deg2rad(120))
 UPSIDE_DOWN_TILT = np.deg2rad(165)
 STACKED_TILT = np.deg2rad(25)  # largest tilt of an object that stands on or in another one
+TILTED = np.deg2rad(6)  # by which a thing of no class is tilted: what balances falls
 SUPPORTED = 0.005  # [m], smallest height of its base above the table
 MOST_STEPS = 3000  # candidates that a search examines before the counts are refused
 _LYING: tuple[Category, ...] = ("bottle", "can", "mug")
@@ -96,7 +98,8 @@ def arrange(
 def rest_unknown(thing: UnknownThing, name: str) -> Group:
     """Return a thing of no class at rest, as the only member of its group, with index 0.
 
-    The surface of the group is that of the collision pieces, so that neighbours never start inside them.
+    What falls when it is tilted a little, as an egg on its tip, rests as it lies then. The surface of the
+    group is that of the collision pieces, so that neighbours never start inside them.
 
     Args:
         thing: The thing.
@@ -106,9 +109,25 @@ def rest_unknown(thing: UnknownThing, name: str) -> Group:
         UnstableError: it does not come to rest.
     """
     settled = settle([(thing, _raised(np.eye(4), 0.001))])
+    if settled.at_rest:
+        settled = _fallen_when_tilted(thing, settled.poses[0]) or settled
     if not settled.at_rest:
         raise UnstableError(f"the thing of no class {name} does not come to rest", name)
     return _group({0: settled.poses[0]}, {0: thing.hulls})
+
+
+def _fallen_when_tilted(thing: UnknownThing, T_world_thing: Float[np.ndarray, "4 4"]) -> Settled | None:
+    """Return where a thing comes to rest after a slight tilt to either side; None if that is as before."""
+    corners = np.asarray(thing.hulls.vertices)
+    for side in (1.0, -1.0):
+        T = T_world_thing.copy()
+        T[:3, :3] = Rotation.from_rotvec(side * TILTED * np.array([1.0, 1.0, 0.0])).as_matrix() @ T[:3, :3]
+        lowest = float((corners @ T[2, :3]).min())
+        T[2, 3] = 0.001 - lowest
+        settled = settle([(thing, T)])
+        if abs(tilt(settled.poses[0]) - tilt(T_world_thing)) > FALLEN_TILT:
+            return settled
+    return None
 
 
 class _Finder:

@@ -11,8 +11,9 @@ from sim_assets.cell import arrangement
 from sim_assets.cell.arrangement import Arrangement, _Assignment, _Finder, arrange, rest_unknown
 from sim_assets.cell.layout import ArrangementError, UnstableError
 from sim_assets.cell.resting import Settled, tilt
-from sim_assets.cell.unknown import draw_unknown
+from sim_assets.cell.unknown import UnknownThing, draw_unknown
 from sim_assets.objects import sample_object
+from sim_assets.objects.convex.pieces import hull
 
 
 @pytest.fixture(scope="module")
@@ -116,6 +117,18 @@ def test_a_hopeless_search_ends():
 def test_a_thing_of_no_class_comes_to_rest():
     group = rest_unknown(draw_unknown(1, np.random.default_rng(1))[0], "unknown0")
     assert list(group.Ts_group_object) == [0] and abs(group.mesh.bounds[0, 2]) < 2e-3
+
+
+def test_an_egg_on_its_tip_lies_down_and_a_carton_stays():
+    egg = trimesh.creation.icosphere(3, 0.03).apply_scale((1, 1, 1.6))
+    carton = trimesh.creation.box((0.05, 0.05, 0.15))
+    tilts = []
+    for mesh in (egg, carton):
+        mesh.apply_translation((0, 0, -mesh.bounds[0, 2]))
+        vertices = np.asarray(mesh.vertices)
+        thing = UnknownThing(mesh, (hull(vertices),), 0.1)
+        tilts.append(tilt(rest_unknown(thing, "unknown0").Ts_group_object[0]))
+    assert abs(tilts[0] - np.pi / 2) < 0.3 and tilts[1] < 0.05
 
 
 def test_a_thing_that_does_not_come_to_rest_is_named(monkeypatch):
