@@ -14,10 +14,11 @@ from jaxtyping import Bool, Float
 
 from perception.detection.geometry import bounding_window
 from perception.detection.left_out import LeftOut
-from perception.types import ObjectDetection, RgbdFrame
+from perception.types import Category, ObjectDetection, RgbdFrame
 
 SHARE = 0.12  # part of its outline along which the surface of a part goes on
 CERTAIN = 0.9  # probability of a class from which on an instance is no part
+OPEN: tuple[Category, ...] = ("mug", "bowl")
 VIEWS = 3  # fewest that contradict a class that is certain
 _WINDOW = 7  # side of the window in which the depth of both sides of an outline is averaged, in pixels
 _MIN_PIXELS = 3  # measured ones in it
@@ -29,9 +30,10 @@ def parts_of_things(
     rows: Sequence[Sequence[ObjectDetection]],
     left_out: Sequence[LeftOut],
 ) -> set[int]:
-    """Return the ids of the instances whose surface goes on in things of no class in most of their views.
+    """Return the ids of mugs and bowls whose surface goes on in things of no class in most of their views.
 
-    The shaft of a boot is a mug by its shape, and each view's network is sure of it.
+    The shaft of a boot is a mug by its shape, each view's network is sure of it, and a mug fits. Bottles and
+    cans are closed: what the networks are sure of is whole, and touches the thing.
 
     Args:
         frames: Images.
@@ -41,7 +43,10 @@ def parts_of_things(
     nameless = [item for item in left_out if item.reason == "of none of the classes"]
     things = [[item.mask for item in nameless if item.frame == k] for k in range(len(frames))]
     shares = continued_shares(frames, rows, things)
-    return {id for id, seen in shares.items() if len(seen) >= VIEWS and np.median(seen) > SHARE}
+    open_ = {d.instance_id for row in rows for d in row if d.category in OPEN}
+    return {
+        id for id, seen in shares.items() if id in open_ and len(seen) >= VIEWS and np.median(seen) > SHARE
+    }
 
 
 def continued_shares(

@@ -17,9 +17,11 @@ from scipy.ndimage import maximum_filter
 
 from perception.geometry import pose_from_yaw, rigid, so3_log
 from perception.inference.depth_votes import DepthVotes, VisibleSamples
+from perception.metrics import SurfaceSamples
 from perception.types import ObjectEstimate, SupportPlane
 
 COARSE, FINE = 0.02, 0.012  # [m] of depth that agrees, in the two passes
+ROUND = 1.12  # largest ratio of the widths of a shape without a handle or corners
 SHAPE_SAMPLES = 1500  # points on the surface from which its extent is taken
 
 
@@ -30,8 +32,9 @@ class CandidateConfig:
     Attributes:
         cell: Distance between places, in metres.
         cell_points: Least number of points at a place.
-        n_yaws, n_azimuths, n_rolls: Numbers of rotations about the vertical of what stands and has a handle,
-            of the axis of what does not stand, and about that axis of what has a handle.
+        n_yaws, n_rolls: Numbers of rotations of what is not round: about the vertical if it stands, about its
+            axis if not.
+        n_azimuths: Numbers of directions of the axis of what does not stand, round and not round.
         leans: Elevations of the axis of what does not stand, in radians.
         lean_penalty: By how much the score of what leans counts less.
         samples: Numbers of points on the surface in the two passes.
@@ -39,16 +42,16 @@ class CandidateConfig:
         n_coarse, n_fine: Largest numbers of candidates after the two passes.
         coarse_apart, fine_apart: Least distance in metres, or angle in radians, between them.
         steps: Offsets of the second pass across and along the vertical, in metres.
-        turn: Offset of the yaw of what has a handle there, in radians.
+        turn: Offset of the yaw of what is not round there, in radians.
         min_score: Least score.
     """
 
     cell: float = 0.02
     cell_points: int = 3
     n_yaws: int = 12
-    n_azimuths: int = 16
+    n_azimuths: tuple[int, int] = (24, 12)
     n_rolls: int = 6
-    leans: tuple[float, ...] = (-np.pi / 6, 0.0, np.pi / 6)
+    leans: tuple[float, ...] = (-np.pi / 3, -np.pi / 6, 0.0, np.pi / 6, np.pi / 3)
     lean_penalty: float = 0.05
     samples: tuple[int, int] = (120, 300)
     per_orientation: int = 6
@@ -78,7 +81,7 @@ def pose_candidates(
     """Return poses that the images agree with and that differ from each other, the best first.
 
     Args:
-        estimate: Object of known shape; its pose is not used. All but mugs are taken to be round.
+        estimate: Object of known shape; its pose is not used.
         votes: Images of the scene.
         plane: Support plane.
         config: Settings.
@@ -86,9 +89,9 @@ def pose_candidates(
     places = _Places.of(votes.points, config)
     if places is None:
         return []
-    is_round = estimate.category != "mug"
     samples = [VisibleSamples(estimate.mesh, count) for count in config.samples]
-    surface = VisibleSamples(estimate.mesh, SHAPE_SAMPLES).points
+    surface = SurfaceSamples.of(estimate.mesh, np.random.default_rng(0), SHAPE_SAMPLES).points
+    is_round = _is_round(surface)
     coarse: list[Candidate] = []
     wider = votes.widened(config.cell / 2)
     for R in _orientations(is_round, config):
@@ -99,6 +102,13 @@ def pose_candidates(
     coarse = _distinct(coarse, config.n_coarse, config.coarse_apart, is_round, config)
     fine = [_improved(candidate, samples[1], votes, is_round, config) for candidate in coarse]
     return _distinct(fine, config.n_fine, config.fine_apart, is_round, config)
+
+
+def _is_round(surface: Float[np.ndarray, "m 3"]) -> bool:
+    """Return whether a surface is about as wide in all directions across its axis."""
+    turns = np.pi * np.arange(12) / 12
+    widths = np.ptp(surface[:, :2] @ np.stack([np.cos(turns), np.sin(turns)]), axis=0)
+    return bool(widths.max() < ROUND * widths.min())
 
 
 @dataclass(frozen=True)
@@ -153,7 +163,8 @@ def _orientations(is_round: bool, config: CandidateConfig) -> Iterator[Float[np.
         yield _yaw(yaw)
         yield _yaw(yaw) @ upside_down
     rolls = 2 * np.pi * np.arange(1 if is_round else config.n_rolls) / config.n_rolls
-    azimuths = 2 * np.pi * np.arange(config.n_azimuths) / config.n_azimuths
+    n_azimuths = config.n_azimuths[0 if is_round else 1]
+    azimuths = 2 * np.pi * np.arange(n_azimuths) / n_azimuths
     for azimuth, lean, roll in itertools.product(azimuths, config.leans, rolls):
         c, s = np.cos(lean), np.sin(lean)
         lying = np.array([[s, 0.0, c], [0.0, 1.0, 0.0], [-c, 0.0, s]])  # z of the object along x, raised

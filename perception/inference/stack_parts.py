@@ -52,6 +52,7 @@ FULLY = 0.005  # share of unexplained points up to which a bottle explains all t
 COAXIAL = 0.005  # [m] between the axes of two cans that are one bottle
 CARRIERS: tuple[Category, ...] = ("mug", "bowl", "can")  # nothing stands on a bottle
 LEAST_HEIGHT = 0.025  # [m] of a part; flatter ones are the thick floor of a bowl
+SLENDER = 1.5  # least height of a bottle, in diameters
 MIN_PIXELS = 150  # of a part in a view
 NAMING_VIEWS = 3
 TRIALS = 2  # cuts of one stack whose parts are fitted
@@ -293,6 +294,11 @@ def _is_one(pair: Sequence[ObjectEstimate], whole: ObjectEstimate, before: float
     return bool(apart < COAXIAL) and all(e.score >= p for e, p in zip(pair, MIN_SCORES, strict=True))
 
 
+def _is_knob(estimate: ObjectEstimate) -> bool:
+    """Return whether a part is a bottle hardly taller than wide: the upper half of a teapot is none."""
+    return estimate.category == "bottle" and estimate.height < SLENDER * 2 * estimate.radius
+
+
 def _is_better(
     pair: Sequence[ObjectEstimate],
     whole: ObjectEstimate | None,
@@ -304,7 +310,7 @@ def _is_better(
     Or as much, with far better scores: a large bowl on a mug is a bowl on a foot, but an unusual one.
     """
     after = unexplained(points, pair)
-    if any(e.status == "implausible" or e.height < LEAST_HEIGHT for e in pair):
+    if any(e.status == "implausible" or e.height < LEAST_HEIGHT or _is_knob(e) for e in pair):
         return False
     least = (BEYOND_DOUBT_SCORE,) * 2 if after < BEYOND_DOUBT * before else MIN_SCORES
     accepted = all(e.score >= p for e, p in zip(pair, least, strict=True))

@@ -56,8 +56,10 @@ def test_what_goes_on_in_a_thing_in_most_views_is_a_part_of_it(joined, views, is
     shaft, foot = rectangle(20, 60, 30, 60), rectangle(60, 100, 30, 100)
     frames = [seen(DEPTH if k < joined else np.where(shaft, 0.7, DEPTH)) for k in range(views)]
     rows = [[ObjectDetection("mug", 0.99, shaft, instance_id=4)]] * views
+    cans = [[ObjectDetection("can", 0.99, shaft, instance_id=4)]] * views
     left_out = [LeftOut(foot, "of none of the classes", frame=k) for k in range(views)]
     assert parts_of_things(frames, rows, left_out) == ({4} if is_part else set())
+    assert parts_of_things(frames, cans, left_out) == set()
     table = [LeftOut(foot, "does not rise above the support surface", frame=k) for k in range(views)]
     assert parts_of_things(frames, rows, table) == set()
     assert parts_of_things(frames, [[]] * views, left_out) == set()

@@ -106,6 +106,18 @@ def test_a_disc_is_no_part_although_it_explains_the_points(stack, rows, monkeypa
         assert bool(found) == accepted
 
 
+@pytest.mark.parametrize(("height", "accepted"), [(1.4, False), (1.6, True)])
+def test_the_knob_of_a_lid_is_no_bottle(stack, rows, monkeypatch, height, accepted):
+    monkeypatch.setattr(stack_parts, "unexplained", lambda points, shapes: 0.05 if len(shapes) < 2 else 0.0)
+    lower, upper = cylinder(stack.lower, 5), cylinder(stack.higher, 6)
+    factor = height * 2 * upper.radius / upper.height
+    bottle = replace(
+        upper, category="bottle", mesh=TriangleMesh(upper.mesh.vertices * [1, 1, factor], upper.mesh.faces)
+    )
+    found = split(stack, rows, lambda *_: [lower, bottle], [cylinder(stack.lower, 4)])
+    assert bool(found) == accepted
+
+
 def test_what_one_shape_explains_is_not_cut(stack):
     single = [[ObjectDetection("can", 0.9, view.mask & ~upper, instance_id=2)]
               for view, upper in zip(stack.seen, stack.upper)]  # fmt: skip
