@@ -57,6 +57,8 @@ from perception.types import (
 
 UNCLASSIFIED_SCORE = 0.55  # least score of the fit of a candidate that the detector gave no class, upright
 POSED_SCORE = 0.85  # the same in other poses: what is no object most often resembles lying ones
+# Of bottles that so many images show: pieces of things are seen in few, and resemble cans.
+BOTTLE_SCORE, BOTTLE_VIEWS = 0.78, 5
 UNCERTAIN = 0.4  # score of several views below which a detected object is more often a thing of no class
 TURNED_MUGS: tuple[PosedClass, ...] = (("mug", "upside-down"), ("mug", "lying"))
 TURNED = 0.3  # least probability of a mug that lies or stands upside down, whose handle is looked for
@@ -265,7 +267,10 @@ def _is_completed(old: ObjectEstimate, new: ObjectEstimate, before: float, after
 
 def _is_clear(estimate: ObjectEstimate) -> bool:
     """Return whether the score suffices for an object that the detector gave no class."""
-    return estimate.score >= (UNCLASSIFIED_SCORE if estimate.resting == "upright" else POSED_SCORE)
+    if estimate.resting == "upright":
+        return estimate.score >= UNCLASSIFIED_SCORE
+    is_well_seen = estimate.category == "bottle" and estimate.n_views >= BOTTLE_VIEWS
+    return estimate.score >= (BOTTLE_SCORE if is_well_seen else POSED_SCORE)
 
 
 def _may_be_turned_mug(estimate: ObjectEstimate, rows: Rows) -> bool:

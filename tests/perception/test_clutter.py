@@ -7,7 +7,15 @@ import numpy as np
 import pytest
 
 from perception import clutter
-from perception.clutter import POSED_SCORE, UNCERTAIN, UNCLASSIFIED_SCORE, WORSE, reconstruct_clutter
+from perception.clutter import (
+    BOTTLE_SCORE,
+    BOTTLE_VIEWS,
+    POSED_SCORE,
+    UNCERTAIN,
+    UNCLASSIFIED_SCORE,
+    WORSE,
+    reconstruct_clutter,
+)
 from perception.inference import selection
 from perception.inference.acceptance import shipped_acceptance
 from perception.inference.reconstruct import ReconstructOptions
@@ -312,3 +320,19 @@ def test_lost_parts_of_bottles_must_explain_more_than_handles(old, new, after, k
     if new[0] == "bottle":
         second = found(0, first.score - WORSE - 0.01, *new)
         assert not clutter._is_completed(first, second, 0.2, after), "a neighbour's part makes a poor bottle"
+
+
+@pytest.mark.parametrize(
+    ("category", "resting", "n_views", "least"),
+    [
+        ("can", "upright", 6, UNCLASSIFIED_SCORE),
+        ("can", "lying", 6, POSED_SCORE),
+        ("bottle", "lying", BOTTLE_VIEWS - 1, POSED_SCORE),
+        ("bottle", "lying", BOTTLE_VIEWS, BOTTLE_SCORE),
+    ],
+)
+def test_what_has_no_class_needs_a_score_by_pose_class_and_number_of_images(
+    category, resting, n_views, least
+):
+    assert clutter._is_clear(found(1, least + 0.01, category, resting, n_views))
+    assert not clutter._is_clear(found(1, least - 0.01, category, resting, n_views))
