@@ -9,13 +9,13 @@ from __future__ import annotations
 
 import contextlib
 import logging
-from collections import Counter
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass, replace
 
 import numpy as np
 from jaxtyping import Float
 
+from manipulation.clearing import Clearing
 from manipulation.errors import NoPlanError, PlanningError, RobotError, RobotStoppedError
 from manipulation.kinematics import Kinematics
 from manipulation.lying_grasps import lies
@@ -39,8 +39,6 @@ from manipulation.types import Grasp, ObjectOutcome, PickPlacePlan, Placement, T
 from manipulation.withdrawal import Withdrawal, WithdrawingObserver
 
 logger = logging.getLogger(__name__)
-
-MAX_PUSHES = 2  # of one object
 
 
 @dataclass(frozen=True)
@@ -124,8 +122,7 @@ class _Execution:
         self._order = TaskOrder(task.placements, planner)
         self._scene = SceneFollowing(planner, self.observer)
         self._goals = {placement.name: placement for placement in task.placements}
-        self._set_aside: set[str] = set()
-        self._pushes: Counter[str] = Counter()
+        self._clearing = Clearing(robot, self.planning, self.motion, self._scene)
         self._located: set[str] = set()  # objects that were found since they were knocked over
         self._tried_before: dict[str, ObjectOutcome] = {}  # first outcomes of objects that get another chance
 
@@ -325,9 +322,9 @@ class _Execution:
     def _clear(self, name: str, names: Sequence[str]) -> bool:
         """Set one of several objects aside for another one, or that one itself; return whether one was moved.
 
-        Each is set aside at most once. The object itself comes last: between its neighbours it may only be
-        held with a hand that does not fit its goal, and on free table from all sides. What was placed
-        already, or stood in the box before, is placed again afterwards.
+        The object itself comes last: between its neighbours it may only be held with a hand that does not fit
+        its goal, and on free table from all sides. What was placed already, or stood in the box before, is
+        placed again afterwards.
 
         Args:
             name: the object that has no plan.
@@ -336,41 +333,26 @@ class _Execution:
         placed = [self._goals[done] for done in self.outcomes]
         covered = {below for placement in placed for below in placement.stack}
         before = self.planning.goals_in_box(self._goals)
-        movable = (self._beside_box() | before.keys()) - self._set_aside - covered
-        for plan in self.planning.plans_aside(names, movable, self.robot.joint_positions()):
-            self._set_aside.add(plan.name)
-            reason = "its neighbours block its way" if plan.name == name else f"it blocks {name}"
-            self._notify("aside", plan.name, reason)
-            if plan.name in before:
-                self._goals[plan.name] = before[plan.name]
-                self._order.put_last(before[plan.name])
-            elif self.outcomes.pop(plan.name, None) is not None:
-                self._order.put_last(self._goals[plan.name])
-            try:
-                self.motion.run(plan)
-            except (SceneChangedError, GraspFailedError, RobotError) as error:
-                logger.info("%s was not set aside: %s", plan.name, error)
-                if not isinstance(error, SceneChangedError):
-                    self.motion.back_off()
-                self._scene.search(plan.name)
-            return True
-        return False
+        plan = self._clearing.plan_aside(names, (self._beside_box() | before.keys()) - covered)
+        if plan is None:
+            return False
+        reason = "its neighbours block its way" if plan.name == name else f"it blocks {name}"
+        self._notify("aside", plan.name, reason)
+        if plan.name in before:
+            self._goals[plan.name] = before[plan.name]
+            self._order.put_last(before[plan.name])
+        elif self.outcomes.pop(plan.name, None) is not None:
+            self._order.put_last(self._goals[plan.name])
+        self._clearing.set_aside(plan)
+        return True
 
     def _push(self, name: str) -> bool:
-        """Push an object to where it can be grasped, at most ``MAX_PUSHES`` times; return whether it was."""
-        push = None
-        if self.can_see and self._pushes[name] < MAX_PUSHES:
-            push = self.planning.push(name, self.robot.joint_positions())
+        """Push an object to where it can be grasped; return whether it was, and is in view."""
+        push = self._clearing.plan_push(name) if self.can_see else None
         if push is None:
             return False
-        self._pushes[name] += 1
         self._notify("push", name, "no hand fits beside it")
-        try:
-            self.motion.push(push)
-        except RobotError as error:
-            logger.info("%s was not pushed: %s", name, error)
-            self.motion.back_off()
-        self._scene.search(name)
+        self._clearing.push(push)
         return name not in self.planner.forgotten
 
     def _beside_box(self) -> set[str]:

@@ -5,9 +5,10 @@ import numpy as np
 import pytest
 
 from manipulation import object_planning
+from manipulation.clearing import MAX_PUSHES
 from manipulation.collision import AllowedContacts
 from manipulation.errors import NoPlanError, PlanningError, RobotError, RobotStoppedError
-from manipulation.execution import MAX_PUSHES, execute
+from manipulation.execution import execute
 from manipulation.grasp_config import GraspConfig
 from manipulation.kinematics import Kinematics
 from manipulation.observation import Finding
