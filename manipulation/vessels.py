@@ -28,6 +28,7 @@ _SECTORS = 16  # of the wall
 _LEVELS = 4  # heights between which the wall is divided
 _STEP = 0.004  # [m], between the heights at which the floor of the cavity is searched for
 _RIM = 0.002  # [m], distance of the highest cross-section from the rim, which is rounded
+_UNEVEN = 0.012  # [m], largest distance between the highest and the lowest place of a rim
 _HOLLOW = 0.75  # smallest fraction of a cross-section's azimuths with a wall
 
 
@@ -86,7 +87,9 @@ def _rings(
     for z in np.arange(top - _RIM, 0.0, -_STEP):
         radii = _radii(sections, float(z), azimuths, config)
         if radii is None:
-            break
+            if hollow or z < top - _UNEVEN:
+                break
+            continue
         hollow[float(z)] = radii
     if len(hollow) < _LEVELS:
         return None

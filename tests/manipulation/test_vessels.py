@@ -73,3 +73,14 @@ def test_a_mesh_without_a_cavity_is_one_hull(shapes):
     full = replace(to_standing(shapes.estimate(1, "can", shapes.can())), category="bowl")
     pieces = vessel_pieces(full)
     assert len(pieces) == 1 and len(pieces[0]) == len(convex_pieces(full)[0])
+
+
+def test_an_uneven_rim_leaves_the_cavity_free(shapes, bowl):
+    """As estimated shapes have it: near its highest place there is no closed ring of wall."""
+    x, y, z = bowl.vertices.T
+    tilted = np.stack([x, y, z * (1 + 0.08 * x / np.abs(x).max())], axis=1)
+    uneven = replace(bowl, vertices=tilted)
+    pieces = vessel_pieces(uneven)
+    assert len(pieces) > 1
+    axis = np.stack([np.zeros(8), np.zeros(8), np.linspace(0.4, 1.0, 8) * bowl.top], axis=1)
+    assert not inside(pieces, axis).any()
