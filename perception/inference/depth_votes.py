@@ -9,7 +9,6 @@ tabulated once for all directions.
 from __future__ import annotations
 
 from collections.abc import Sequence
-from copy import copy
 from dataclasses import dataclass, replace
 
 import numpy as np
@@ -73,21 +72,29 @@ class VisibleSamples:
         return self._seen[np.argmax(toward_camera @ self._directions.T, axis=1)]
 
 
+@dataclass(frozen=True)
 class DepthVotes:
-    """Depth images in which what other objects explain is marked.
-
-    Args:
-        scene: Images, and what is known.
-        stride: Every ``stride``-th pixel is used.
-        min_height: Least height above the support of a point that is not part of it, in metres.
-        explained: Distance from another object within which a point belongs to it, in metres.
+    """Depth images in which what other objects explain is marked. Create it with ``of``.
 
     Attributes:
+        views: The images.
         points: (n, 3) measured points in the world frame that nothing else explains, in metres.
     """
 
-    def __init__(self, scene: SearchScene, stride: int, min_height: float, explained: float) -> None:
-        self._views: list[_View] = []
+    views: tuple[View, ...]
+    points: Float[np.ndarray, "n 3"]
+
+    @staticmethod
+    def of(scene: SearchScene, stride: int, min_height: float, explained: float) -> DepthVotes:
+        """Return the depth images of a scene.
+
+        Args:
+            scene: Images, and what is known.
+            stride: Every ``stride``-th pixel is used.
+            min_height: Least height above the support of a point that is not part of it, in metres.
+            explained: Distance from another object within which a point belongs to it, in metres.
+        """
+        views: list[View] = []
         clouds = [np.zeros((0, 3))]
         for frame in scene.frames:
             assert frame.T_world_camera is not None
@@ -100,17 +107,15 @@ class DepthVotes:
             own = np.zeros(depth.shape, dtype=bool)
             own[measured] = unexplained
             clouds.append(points[unexplained])
-            self._views.append(_View(depth, own, frame.T_world_camera, frame.intrinsics, stride))
-        self.points: Float[np.ndarray, "n 3"] = np.concatenate(clouds)
+            views.append(View(depth, own, frame.T_world_camera, frame.intrinsics, stride))
+        return DepthVotes(tuple(views), np.concatenate(clouds))
 
     def widened(self, distance: float) -> DepthVotes:
         """Return the votes of images in which what is unexplained is wider by a distance [m] on all sides.
 
         A pose beside the right one by less has fewer points against it.
         """
-        wider = copy(self)
-        wider._views = [view.widened(distance) for view in self._views]
-        return wider
+        return replace(self, views=tuple(view.widened(distance) for view in self.views))
 
     def score(
         self,
@@ -133,17 +138,25 @@ class DepthVotes:
         turned = samples.points @ rotation.T.astype(np.float32)
         posed = turned + positions[:, None].astype(np.float32)
         counts = np.zeros((3, len(positions)), int)
-        for view in self._views:
+        for view in self.views:
             seen = samples.seen_from((view.T_world_camera[:3, 3] - positions) @ rotation)
             counts += view.votes(posed, seen, near)
         agree, through, covered = counts
-        missing = 0.5 * _MISSING * len(samples.points) * len(self._views)
+        missing = 0.5 * _MISSING * len(samples.points) * len(self.views)
         return (agree - through) / (agree + through + covered + missing)
 
 
 @dataclass(frozen=True)
-class _View:
-    """A depth image in [m], with a mask ``own`` of the pixels that nothing else explains."""
+class View:
+    """Every ``stride``-th pixel of a depth image.
+
+    Attributes:
+        depth: Measured depth in metres; 0 where it is missing.
+        own: Pixels that nothing else explains.
+        T_world_camera: Pose of the camera.
+        camera: Intrinsics of the full image.
+        stride: Distance between the pixels in the full image.
+    """
 
     depth: Float[np.ndarray, "h w"]
     own: Bool[np.ndarray, "h w"]
@@ -151,7 +164,7 @@ class _View:
     camera: CameraIntrinsics
     stride: int
 
-    def widened(self, distance: float) -> _View:
+    def widened(self, distance: float) -> View:
         """Return the view with the own pixels spread over their surroundings, the nearest depth first."""
         if not self.own.any():
             return self

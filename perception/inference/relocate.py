@@ -70,7 +70,7 @@ def relocate(
         T_before: (4, 4) last known pose. Of poses that the images show equally well, as the two directions of
             a can, the one with its base nearest to where it was is returned: things tip over their base.
     """
-    votes = DepthVotes(scene, config.stride, config.min_height, config.explained)
+    votes = DepthVotes.of(scene, config.stride, config.min_height, config.explained)
     if len(votes.points) < config.min_points:
         return None
     samples = VisibleSamples(estimate.mesh, config.samples)

@@ -12,7 +12,7 @@ from tests.perception.inference.drawn_cans import HEIGHT, RADIUS, REGION, drawn,
 
 
 def votes_of(frames, **known):
-    return DepthVotes(SearchScene(frames, REGION, **known), stride=2, min_height=0.012, explained=0.012)
+    return DepthVotes.of(SearchScene(frames, REGION, **known), stride=2, min_height=0.012, explained=0.012)
 
 
 def score(votes, T, samples=None):
@@ -92,5 +92,5 @@ def test_without_images_there_are_no_points():
 @pytest.mark.parametrize("height", [0.012, HEIGHT / 2])
 def test_points_below_the_least_height_are_of_the_support(height):
     scene = SearchScene(drawn(estimate(upright(0.45, -0.25))), REGION)
-    points = DepthVotes(scene, stride=2, min_height=height, explained=0.012).points
+    points = DepthVotes.of(scene, stride=2, min_height=height, explained=0.012).points
     assert len(points) > 0 and points[:, 2].min() > height

@@ -10,7 +10,7 @@ from tests.perception.inference.drawn_cans import HEIGHT, REGION, drawn, estimat
 
 def candidates(*objects, others=(), config=CandidateConfig()):
     scene = SearchScene(drawn(*objects), REGION, others)
-    votes = DepthVotes(scene, stride=2, min_height=0.012, explained=0.012)
+    votes = DepthVotes.of(scene, stride=2, min_height=0.012, explained=0.012)
     return pose_candidates(estimate(), votes, config=config)
 
 
