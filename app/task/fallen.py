@@ -14,8 +14,9 @@ from jaxtyping import Float
 from app.task.obstacles import box_interior
 from manipulation.lying_grasps import is_upside_down, lies
 from manipulation.types import Box
+from perception.inference.depth_votes import SearchScene
 from perception.inference.refit import PoseCheck
-from perception.inference.relocate import SearchScene, relocate
+from perception.inference.relocate import relocate
 from perception.types import ObjectEstimate, RestingPose, RgbdFrame
 
 LEANING = np.deg2rad(15.0)  # tilt of what counts as leaning; images show it to a few degrees

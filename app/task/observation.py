@@ -22,9 +22,10 @@ from manipulation.workspace import Workspace
 from perception.detection.completion import Completer
 from perception.errors import PerceptionError
 from perception.geometry import levelled, nearest_yaw, pose_from_yaw
+from perception.inference.depth_votes import Region, SearchScene
 from perception.inference.handle import turned_to_handle
 from perception.inference.refit import STANDING, PoseCheck, refit_leaning, refit_pose
-from perception.inference.relocate import Region, SearchScene, relocate
+from perception.inference.relocate import relocate
 from perception.obstacles.obstacle import PerceivedObstacle
 from perception.types import ObjectEstimate, RgbdFrame, SupportPlane
 

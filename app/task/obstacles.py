@@ -14,7 +14,7 @@ from manipulation.robot import ArmDescription
 from manipulation.self_view import fixed_bounds
 from manipulation.types import Box
 from perception.detection.geometry import points_of, project
-from perception.inference.relocate import Region
+from perception.inference.depth_votes import Region
 from perception.obstacles.find import find_obstacles
 from perception.obstacles.obstacle import PerceivedObstacle
 from perception.obstacles.unexplained import KnownGeometry

@@ -14,12 +14,10 @@ from jaxtyping import Float
 from scipy.spatial import KDTree
 
 from perception.geometry import transform_points
-from perception.inference.depth_votes import DepthVotes, Region, SearchScene, VisibleSamples
+from perception.inference.depth_votes import DepthVotes, SearchScene, VisibleSamples
 from perception.inference.pose_candidates import CandidateConfig, pose_candidates
 from perception.inference.refit import PoseCheck, RefitConfig, refit_pose
 from perception.types import ObjectEstimate
-
-__all__ = ["Region", "RelocateConfig", "SearchScene", "relocate"]
 
 
 @dataclass(frozen=True)

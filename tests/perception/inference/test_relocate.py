@@ -7,7 +7,8 @@ import pytest
 import trimesh
 
 from perception.geometry import pose_from_yaw
-from perception.inference.relocate import RelocateConfig, SearchScene, relocate
+from perception.inference.depth_votes import SearchScene
+from perception.inference.relocate import RelocateConfig, relocate
 from perception.obstacles.obstacle import PerceivedObstacle
 from perception.types import TriangleMesh
 from tests.perception.inference.drawn_cans import HEIGHT, RADIUS, REGION, drawn, estimate, lying, upright
