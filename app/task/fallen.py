@@ -1,4 +1,4 @@
-"""What does not stand in the box as it was placed: knocked over by what came later, or leaning.
+"""What does not stand in the box as it was placed: knocked over by what came later, leaning, or turned.
 
 Shapes are known; only poses are estimated again, in the images of the box that verify the task.
 """
@@ -14,12 +14,14 @@ from jaxtyping import Float
 from app.task.obstacles import box_interior
 from manipulation.lying_grasps import is_upside_down, lies
 from manipulation.types import Box
+from perception.geometry import levelled, nearest_yaw
 from perception.inference.depth_votes import SearchScene
 from perception.inference.refit import PoseCheck
 from perception.inference.relocate import relocate
 from perception.types import ObjectEstimate, RestingPose, RgbdFrame
 
 LEANING = np.deg2rad(15.0)  # tilt of what counts as leaning; images show it to a few degrees
+TURNED = np.deg2rad(12.0)  # about the vertical, from which on the handle of a mug is not in line with others
 AGREES = 0.65  # share of the visible pixels from which on an object is surely where it was placed
 BETTER = 0.1  # by which another pose in the box must explain more of them
 
@@ -30,7 +32,7 @@ def fallen_objects(
     frames: Sequence[RgbdFrame],
     box: Box,
 ) -> list[ObjectEstimate]:
-    """Return the placed objects that lie or lean in the box, at their poses there, by ascending id.
+    """Return what lies or leans in the box, and mugs that were turned, at their poses there, by ascending id.
 
     What is not seen at all where it was placed, nor elsewhere in the box, is not among them.
 
@@ -56,7 +58,11 @@ def fallen_objects(
         if check.status == "seen" and check.tilt > LEANING:
             now[id] = _resting(placed[id], check.T_world_object, others)
             found.append(now[id])
-    return found
+    for id in sorted(checks.keys() - doubtful):
+        if placed[id].category == "mug" and _is_turned(placed[id], checks[id]):
+            upright = levelled(checks[id].T_world_object, placed[id].T_world_object[2, 3])
+            found.append(replace(placed[id], T_world_object=upright, resting="upright", rests_on=None))
+    return sorted(found, key=lambda estimate: estimate.id)
 
 
 def _is_doubtful(check: PoseCheck) -> bool:
@@ -64,6 +70,12 @@ def _is_doubtful(check: PoseCheck) -> bool:
     if check.status != "seen":
         return check.status == "not_there"
     return bool(check.tilt > LEANING or check.inlier_share < AGREES)
+
+
+def _is_turned(placed: ObjectEstimate, check: PoseCheck) -> bool:
+    """Return whether a standing object was turned about the vertical since it was placed."""
+    turn = nearest_yaw(check.T_world_object) - nearest_yaw(placed.T_world_object)
+    return check.status == "seen" and bool(abs((turn + np.pi) % (2 * np.pi) - np.pi) > TURNED)
 
 
 def _resting(

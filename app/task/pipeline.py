@@ -24,7 +24,7 @@ from functools import partial
 import numpy as np
 from jaxtyping import Float
 
-from app.task.fallen import fallen_objects
+from app.task.fallen import LEANING, fallen_objects
 from app.task.further_views import most_useful_viewpoint
 from app.task.observation import WristObserver
 from app.task.obstacles import (
@@ -50,6 +50,7 @@ from manipulation.viewpoints import Viewpoint, ViewpointScanner
 from perception.early import EarlyReconstruction
 from perception.errors import PerceptionError
 from perception.inference.refit import PoseCheck, refit_pose
+from perception.inference.turned import refit_turned
 from perception.obstacles.obstacle import PerceivedObstacle
 from perception.pipeline import Detections, Perception, detect, reconstruct_objects
 from perception.types import ObjectEstimate, RgbdFrame
@@ -220,7 +221,7 @@ class _Stages:
             return replace(result, checks=verify(placed_estimates(result), frames))
 
     def place_again(self, result: TaskResult) -> TaskResult | None:
-        """Return the results after what lies or leans in the box was placed again; None if nothing was."""
+        """Return the results after what fell, leans or was turned in the box was placed again; else None."""
         box, observer = self._request.box or Box(), self._observer
         placed = placed_estimates(result)
         fallen = fallen_objects(placed, result.checks, result.final_frames, box)
@@ -339,9 +340,16 @@ def plan_task(kinematics: Kinematics, request: TaskRequest, objects: Sequence[Ob
 
 
 def verify(placed: Mapping[int, ObjectEstimate], frames: Sequence[RgbdFrame]) -> dict[int, PoseCheck]:
-    """Fit the poses of the placed objects to images of the goal region; return the checks by object id."""
+    """Fit the poses of the placed objects to images of the goal region; return the checks by object id.
+
+    Upright mugs are tried with their handles in other directions as well.
+    """
     checks = {}
     for object_id, estimate in placed.items():
         others = [other for other in placed.values() if other is not estimate]
-        checks[object_id] = refit_pose(estimate, frames, estimate.T_world_object, others)
+        T = estimate.T_world_object
+        check = refit_pose(estimate, frames, T, others)
+        if estimate.category == "mug" and check.status == "seen" and check.tilt < LEANING:
+            check = refit_turned(estimate, frames, T, others) or check
+        checks[object_id] = check
     return checks

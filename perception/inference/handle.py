@@ -81,7 +81,7 @@ def turned_to_handle(
     if abs(turn) < LEAST_TURN:
         return None
     about = np.eye(4)
-    about[:3, 3] = _body_axis(estimate)
+    about[:3, 3] = body_axis(estimate)
     T = estimate.T_world_object @ about @ pose_from_yaw(float(turn), np.zeros(3)) @ invert(about)
     return replace(estimate, T_world_object=T)
 
@@ -126,7 +126,7 @@ def mask_around(
         others: Surfaces of other objects in the world frame.
     """
     assert frame.T_world_camera is not None
-    vertices, axis = estimate.mesh.vertices, _body_axis(estimate)
+    vertices, axis = estimate.mesh.vertices, body_axis(estimate)
     reach = 0.5 * float(np.ptp(vertices[:, 1])) + HANDLE
     low, high = float(vertices[:, 2].min()), float(vertices[:, 2].max())
     T_object_camera = invert(estimate.T_world_object) @ frame.T_world_camera
@@ -168,7 +168,7 @@ def _window(
     return slice(int(top), int(bottom)), slice(int(left), int(right))
 
 
-def _body_axis(estimate: ObjectEstimate) -> Float[np.ndarray, "3"]:
+def body_axis(estimate: ObjectEstimate) -> Float[np.ndarray, "3"]:
     """Return the point [m] of the axis of a mug's body at z = 0 in its frame; the handle is along +x."""
     vertices = estimate.mesh.vertices
     radius = 0.5 * float(np.ptp(vertices[:, 1]))

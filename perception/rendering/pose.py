@@ -47,6 +47,11 @@ class ObjectPose:
         u, _, vt = np.linalg.svd(rotation)
         return ObjectPose(u @ vt, self.translation + step[3:6], self.scale * np.exp(step[6:]))
 
+    def turned(self, turn: Float[np.ndarray, "3"], about: Float[np.ndarray, "3"]) -> ObjectPose:
+        """Return the pose after a turn [rad], a rotation vector, about a point [m]; both in its own frame."""
+        rotation = self.moved(np.concatenate([turn, np.zeros(6)])).rotation
+        return ObjectPose(rotation, self.translation + (self.rotation - rotation) @ about, self.scale)
+
 
 def object_by_camera(pose: ObjectPose, T_world_camera: Float[np.ndarray, "4 4"]) -> Float[np.ndarray, "6 6"]:
     """The motion of an object that looks the same as a small motion Exp(xi) of the camera on its right.

@@ -1,10 +1,12 @@
 """What is found to have fallen or to lean in the box, for given pose checks."""
 
+from dataclasses import replace
+
 import numpy as np
 import pytest
 
 from app.task import fallen
-from app.task.fallen import LEANING, fallen_objects
+from app.task.fallen import LEANING, TURNED, fallen_objects
 from manipulation.types import Box
 from perception.geometry import pose_from_yaw, so3_exp
 from perception.inference.refit import PoseCheck
@@ -88,3 +90,21 @@ def test_others_are_where_they_were_seen(placed, monkeypatch) -> None:
 def test_what_is_nowhere_in_the_box_or_stands_elsewhere_in_it_is_not_fallen(placed, monkeypatch) -> None:
     assert find(placed, {0: check("not_there")}, monkeypatch)[0] == []
     assert find(placed, {0: check("not_there")}, monkeypatch, check())[0] == []
+
+
+@pytest.mark.parametrize(
+    ("turn", "is_found"), [(1.2 * TURNED, True), (-1.2 * TURNED, True), (0.8 * TURNED, False)]
+)
+def test_a_mug_whose_handle_was_turned_is_placed_again(placed, monkeypatch, turn, is_found) -> None:
+    placed[1] = replace(placed[1], category="mug")
+    T = placed[1].T_world_object @ pose_from_yaw(turn, np.zeros(3))
+    found, scenes = find(placed, {1: check(T=T)}, monkeypatch)
+    assert [(e.id, e.resting, e.rests_on) for e in found] == [(1, "upright", None)] * is_found
+    assert scenes == []
+    if found:
+        np.testing.assert_allclose(found[0].T_world_object, T, atol=1e-12)
+
+
+def test_a_can_that_was_turned_is_left(placed, monkeypatch) -> None:
+    T = placed[1].T_world_object @ pose_from_yaw(2 * TURNED, np.zeros(3))
+    assert find(placed, {1: check(T=T)}, monkeypatch)[0] == []

@@ -8,14 +8,10 @@ from perception.geometry import rigid, so3_exp
 from perception.inference.meshing import mesh_from_code
 from perception.inference.refit import (
     STANDING,
-    RefitConfig,
-    _Search,
-    _turned,
     refit_leaning,
     refit_pose,
 )
-from perception.rendering.pose import ObjectPose
-from perception.types import ObjectEstimate, RgbdFrame, SupportPlane, TriangleMesh
+from perception.types import ObjectEstimate, RgbdFrame, TriangleMesh
 
 AZIMUTHS = (0.3, 1.5, 2.7)
 
@@ -83,24 +79,6 @@ def test_an_object_that_stands_is_found_level(mug, estimate) -> None:
     assert refit_pose(estimate, _frames(leaning), mug.pose.T_world_object).tilt > np.deg2rad(6)
 
 
-def test_what_turns_about_a_point_on_its_axis_leaves_that_point_where_it_is(mug) -> None:
-    turned = _turned(mug.pose, np.array([0.3, -0.2, 0.0]), pivot=0.05)
-    point = np.array([0.0, 0.0, 0.05])
-    before, after = (p.rotation @ point + p.translation for p in (mug.pose, turned))
-    np.testing.assert_allclose(after, before, atol=1e-12)
-    lean = np.arccos(mug.pose.rotation[:, 2] @ turned.rotation[:, 2])
-    assert lean == pytest.approx(np.hypot(0.3, 0.2))
-
-
-def test_pixels_of_another_object_do_not_speak_for_a_pose(mug, estimate) -> None:
-    search = _search(mug, estimate)
-    pose = ObjectPose.of(mug.pose.T_world_object, search.scale)
-    agree, through = search.evidence(pose)
-    assert search.gain(pose, alone=True) == pytest.approx(agree - through, rel=0.01)
-    search.explained = np.full_like(search.measured, 0.004)
-    assert search.gain(pose, alone=True) == -through, "although it explains them as well as the other does"
-
-
 def test_absent_object_is_not_there(mug, estimate) -> None:
     check = refit_pose(estimate, _frames(mug, present=False), mug.pose.T_world_object)
     assert check.status == "not_there"
@@ -130,43 +108,6 @@ def test_a_neighbour_is_not_taken_for_the_object(mug, estimate) -> None:
     neighbour = ObjectEstimate(1, "mug", mug.code, beside.pose.T_world_object, mug.pose.scale, estimate.mesh)
     check = refit_pose(estimate, _frames(beside), mug.pose.T_world_object, [neighbour])
     assert check.status == "not_there"
-
-
-def _search(table, estimate, others=()) -> _Search:
-    frames = _frames(table)[:1]
-    return _Search(estimate, frames, table.pose.T_world_object, others, SupportPlane(), RefitConfig())
-
-
-def test_depth_that_another_object_explains_better_is_not_evidence(mug, estimate) -> None:
-    search = _search(mug, estimate)
-    agree, behind = search.evidence(mug.pose)
-    assert agree > 500 and search._evaluate(mug.pose, 0.03).weights[:-2].any()
-    search.explained = np.full_like(search.measured, -1.0)
-    assert search.evidence(mug.pose) == (0.0, behind)
-    assert not search._evaluate(mug.pose, 0.03).weights[:-2].any()
-
-
-def test_a_pose_behind_what_is_seen_gains_less_than_the_true_one(mug, estimate) -> None:
-    """Most pixels measure depth in front of a pose behind the object; only their number tells it."""
-    search = _search(mug, estimate)
-    pose = ObjectPose.of(mug.pose.T_world_object, search.scale)
-    behind = pose.moved(np.concatenate([np.zeros(3), 0.012 * search.cameras[0][:3, 2], np.zeros(3)]))
-    agree, through = search.evidence(pose)
-    assert search.gain(pose) == agree - through
-    assert search.share(behind) > 0.5 * search.share(pose)
-    assert search.gain(behind) < 0.2 * search.gain(pose)
-
-
-def test_the_nearest_of_several_objects_explains_the_depth(mug, estimate) -> None:
-    neighbours = []
-    for offset in (0.01, 0.05):
-        pose = mug.pose.moved(np.array([0, 0, 0, offset, 0, 0, 0, 0, 0]))
-        neighbours.append(
-            ObjectEstimate(1, "mug", mug.code, pose.T_world_object, mug.pose.scale, estimate.mesh)
-        )
-    near, far = (_search(mug, estimate, [other]).explained for other in neighbours)
-    assert (near < far).any() and np.isinf(np.maximum(near, far)).any()
-    np.testing.assert_array_equal(_search(mug, estimate, neighbours).explained, np.minimum(near, far))
 
 
 def test_contents_do_not_lift_a_bowl(scenes) -> None:

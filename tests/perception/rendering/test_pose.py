@@ -30,6 +30,14 @@ def test_steps_turn_in_the_object_frame_move_in_the_world_and_scale_by_factors()
     np.testing.assert_allclose(moved.scale, POSE.scale * np.exp([0.5, 0, -0.5]))
 
 
+def test_a_turn_about_a_point_leaves_that_point_where_it_is() -> None:
+    point, turn = np.array([0.01, 0.02, 0.05]), np.array([0.3, -0.2, 0.0])
+    turned = POSE.turned(turn, point)
+    before, after = (p.rotation @ point + p.translation for p in (POSE, turned))
+    np.testing.assert_allclose(after, before, atol=1e-12)
+    np.testing.assert_allclose(turned.rotation, POSE.rotation @ so3_exp(turn), atol=1e-12)
+
+
 def test_rotations_stay_orthonormal() -> None:
     drifted = ObjectPose(POSE.rotation * 1.001, POSE.translation, POSE.scale).moved(np.zeros(9))
     np.testing.assert_allclose(drifted.rotation @ drifted.rotation.T, np.eye(3), atol=1e-12)

@@ -1,0 +1,49 @@
+"""Check of a mug's handle by depth: whether it points to another direction than expected.
+
+A pose fit from the expected pose does not find the handle elsewhere: beside the surface of the body, depth of
+the handle is out of its reach. The mug is therefore turned about the axis of its body in steps, each with a
+fit of its own, and the number of pixels that agree decides.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+
+import numpy as np
+from jaxtyping import Float
+
+from perception.inference.handle import body_axis
+from perception.inference.pose_search import PoseSearch, RefitConfig
+from perception.inference.refit import PoseCheck, checked
+from perception.rendering.pose import ObjectPose
+from perception.types import ObjectEstimate, RgbdFrame, SupportPlane
+
+TURNS = np.deg2rad([-60, -45, -30, -15, 15, 30, 45, 60])  # about the axis of the body, of the initial poses
+CLEARLY = 0.05  # share of the visible pixels by which a turned mug must explain more
+
+
+def refit_turned(
+    estimate: ObjectEstimate,
+    frames: Sequence[RgbdFrame],
+    T_expected: Float[np.ndarray, "4 4"],
+    others: Sequence[ObjectEstimate] = (),
+    plane: SupportPlane = SupportPlane(),
+    config: RefitConfig = RefitConfig(),
+) -> PoseCheck | None:
+    """Find an upright mug near its expected pose whose handle does not point where it is expected.
+
+    Args:
+        estimate, frames, T_expected, others, plane, config: As those of ``refit_pose``.
+
+    Returns:
+        The check at the pose with the handle elsewhere; None if the images do not clearly show it there.
+    """
+    search = PoseSearch(estimate, frames, T_expected, others, plane, config)
+    expected = ObjectPose.of(T_expected, search.scale)
+    ahead = search.refine(expected)
+    about = body_axis(estimate)
+    last_pass = config.reaches[-1:]  # a wider reach lets the handle's depth shift the body
+    starts = (ahead.turned(np.array([0.0, 0.0, turn]), about) for turn in TURNS)
+    turned = max((search.refine(start, last_pass) for start in starts), key=search.gain)
+    least = search.gain(ahead) + CLEARLY * sum(search.evidence(ahead))
+    return checked(search, turned, expected) if search.gain(turned) > least else None

@@ -1,0 +1,76 @@
+"""Handles of standing mugs that point elsewhere, found by depth."""
+
+import numpy as np
+import pytest
+
+from perception.geometry import nearest_yaw, so3_exp
+from perception.inference.handle import body_axis
+from perception.inference.meshing import mesh_from_code
+from perception.inference.refit import refit_pose
+from perception.inference.turned import refit_turned
+from perception.rendering.pose import ObjectPose
+from perception.types import ObjectEstimate, RgbdFrame
+
+AZIMUTHS = (0.3, 1.5, 2.7)
+
+
+@pytest.fixture(scope="module")
+def mug(make_table):
+    return make_table("mug", (0.0, 0.0, 1.0), yaw=0.8)
+
+
+@pytest.fixture(scope="module")
+def estimate(mug) -> ObjectEstimate:
+    mesh = mesh_from_code(mug.decoder, mug.category, mug.code, mug.pose.scale)
+    return ObjectEstimate(0, "mug", mug.code, mug.pose.T_world_object, mug.pose.scale, mesh)
+
+
+@pytest.fixture(scope="module")
+def frames(mug) -> list[RgbdFrame]:
+    rng = np.random.default_rng(5)
+    return [mug.frame(mug.camera(azimuth), rng)[0] for azimuth in AZIMUTHS]
+
+
+def expected(mug, estimate, degrees: float) -> np.ndarray:
+    """The pose of the mug with its handle turned away from where it is."""
+    turn = np.array([0.0, 0.0, np.deg2rad(degrees)])
+    return mug.pose.turned(turn, body_axis(estimate)).T_world_object
+
+
+@pytest.mark.parametrize("degrees", [-50, -24, 24, 50])
+def test_a_handle_that_points_elsewhere_is_found(mug, estimate, frames, degrees) -> None:
+    T = expected(mug, estimate, degrees)
+    near = refit_pose(estimate, frames, T)
+    check = refit_turned(estimate, frames, T) or near
+    assert check.status == "seen"
+    assert nearest_yaw(check.T_world_object) == pytest.approx(0.8, abs=np.deg2rad(9))
+    np.testing.assert_allclose(check.T_world_object[:3, 3], mug.pose.translation, atol=0.003)
+    if degrees == -50:
+        assert abs(nearest_yaw(near.T_world_object) - 0.8) > np.deg2rad(10), "the fit nearby does not find it"
+
+
+def test_a_handle_where_it_is_expected_is_left(mug, estimate, frames) -> None:
+    assert refit_turned(estimate, frames, expected(mug, estimate, 0.0)) is None
+    assert refit_turned(estimate, frames, expected(mug, estimate, 5.0)) is None
+
+
+def test_a_handle_out_of_view_is_left(mug, estimate) -> None:
+    """From one side, with the handle behind the body, no direction of it explains more."""
+    rng = np.random.default_rng(5)
+    behind = mug.pose.T_world_object[:3, 0]
+    azimuth = float(np.arctan2(-behind[1], -behind[0]))
+    frame = mug.frame(mug.camera(azimuth), rng)[0]
+    T = expected(mug, estimate, 25.0)
+    assert refit_turned(estimate, [frame], T) is None
+
+
+def test_poses_turn_about_the_axis_of_the_body(mug, estimate) -> None:
+    T = expected(mug, estimate, 70.0)
+    axis = body_axis(estimate)
+    np.testing.assert_allclose(
+        T[:3, :3] @ axis + T[:3, 3], mug.pose.rotation @ axis + mug.pose.translation, atol=1e-12
+    )
+    pose = ObjectPose.of(T, mug.pose.scale)
+    np.testing.assert_allclose(
+        pose.rotation, mug.pose.rotation @ so3_exp(np.array([0, 0, np.deg2rad(70.0)])), atol=1e-12
+    )
