@@ -142,7 +142,7 @@ class _Execution:
                     continue
                 order.put_last(placement)
                 n_deferred += 1
-                if n_deferred == len(order):
+                if n_deferred >= len(order):
                     effort, n_deferred = Effort(effort + 1), 0
                 continue
             if outcome.attempts or outcome.name in self.planner.forgotten:
@@ -166,7 +166,8 @@ class _Execution:
             return None
         outcome = self._place(self._with_placed_stack(placement), effort)
         is_unplanned = outcome.attempts == 0 and placement.name not in self.planner.forgotten
-        if is_unplanned and effort < Effort.CLEARING:
+        most = Effort.BESIDE if placement.stack else Effort.CLEARING
+        if is_unplanned and effort < most:
             self._notify("deferred", placement.name, outcome.reason)
             return None
         return outcome
@@ -259,7 +260,7 @@ class _Execution:
             except (GraspFailedError, RobotError) as error:
                 reason, is_known = str(error), isinstance(error, LeaningError)
                 if is_known:  # the box becomes fuller
-                    effort = max(effort, Effort.FLEXIBLE)
+                    effort = Effort.BESIDE
                 attempts += 1
                 tried.append(plan.grasp)
                 self.motion.back_off()

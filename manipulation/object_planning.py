@@ -39,6 +39,7 @@ class Effort(IntEnum):
     PLAIN = 0  # to the goal, with the grasps of the object's shape
     FLEXIBLE = 1  # other places in the box; any angle of the hand
     CLEARING = 2  # what blocks an object is set aside, or it is pushed to where it can be grasped
+    BESIDE = 3  # a bowl is placed beside those that it was to be put in
 
 
 class ObjectPlanning:
@@ -70,7 +71,8 @@ class ObjectPlanning:
         except PlanningError as error:
             if effort == Effort.PLAIN:
                 raise
-            elsewhere = self._places_elsewhere(placement)
+            is_free = not placement.stack or effort == Effort.BESIDE
+            elsewhere = self._places_elsewhere(placement) if is_free else []
             if elsewhere:
                 with contextlib.suppress(PlanningError):
                     return self._plan(elsewhere, q, tried)

@@ -121,6 +121,19 @@ def test_more_effort_is_other_places_and_then_any_angle(items):
         assert (np.abs(np.subtract(goal.position[:2], box.center)) < np.array(box.size[:2]) / 2).all()
 
 
+def test_a_bowl_goes_beside_the_one_below_only_when_nothing_else_helps(items):
+    goal = Placement("can_1", GOAL.position, GOAL.yaws, ("bowl_2",), 0.05)
+    for effort in (Effort.FLEXIBLE, Effort.CLEARING):
+        planner = FakePlanner(items)
+        with pytest.raises(NoPlanError):
+            planning(items, planner).next_plan(goal, Q, effort=effort)
+        assert all(g == goal for goals, _ in planner.requests for g in goals)
+    planner = FakePlanner(items, lambda goals, grasps: goal not in goals)
+    planning(items, planner).next_plan(goal, Q, effort=Effort.BESIDE)
+    (goals, _) = planner.requests[-1]
+    assert goals and all(g.stack == () for g in goals)
+
+
 def lying(items):
     T = np.eye(4)
     T[:3, :3] = [[0, 0, 1], [0, 1, 0], [-1, 0, 0]]

@@ -9,7 +9,8 @@ import pytest
 from perception import clutter
 from perception.clutter import (
     BOTTLE_SCORE,
-    BOTTLE_VIEWS,
+    LENGTH,
+    LENGTH_POWER,
     POSED_SCORE,
     UNCERTAIN,
     UNCLASSIFIED_SCORE,
@@ -28,6 +29,7 @@ from perception.types import (
     RejectedObject,
     RgbdFrame,
     SupportPlane,
+    TriangleMesh,
     is_unclassified,
 )
 
@@ -36,9 +38,10 @@ CAMERA = CameraIntrinsics(4, 4, 4.0, 4.0, 1.5, 1.5)
 FRAME = RgbdFrame(0.0, np.zeros((4, 4, 3), np.uint8), np.ones((4, 4), np.float32), CAMERA, np.eye(4))
 
 
-def found(id, score=0.9, category="can", resting="upright", n_views=2):
+def found(id, score=0.9, category="can", resting="upright", n_views=2, length=LENGTH):
     made = object.__new__(ObjectEstimate)
-    vars(made).update(id=id, score=score, n_views=n_views, category=category, resting=resting)
+    mesh = TriangleMesh(np.diag([0.03, 0.03, length]), np.array([[0, 1, 2]]))
+    vars(made).update(id=id, score=score, n_views=n_views, category=category, resting=resting, mesh=mesh)
     return made
 
 
@@ -322,17 +325,29 @@ def test_lost_parts_of_bottles_must_explain_more_than_handles(old, new, after, k
         assert not clutter._is_completed(first, second, 0.2, after), "a neighbour's part makes a poor bottle"
 
 
+def bottle_score(length):
+    """The least score of a lying bottle, by its length in units of LENGTH."""
+    return BOTTLE_SCORE / (BOTTLE_SCORE + (1 - BOTTLE_SCORE) * length**LENGTH_POWER)
+
+
 @pytest.mark.parametrize(
-    ("category", "resting", "n_views", "least"),
+    ("category", "resting", "length", "least"),
     [
-        ("can", "upright", 6, UNCLASSIFIED_SCORE),
-        ("can", "lying", 6, POSED_SCORE),
-        ("bottle", "lying", BOTTLE_VIEWS - 1, POSED_SCORE),
-        ("bottle", "lying", BOTTLE_VIEWS, BOTTLE_SCORE),
+        ("can", "upright", LENGTH, UNCLASSIFIED_SCORE),
+        ("can", "lying", 2 * LENGTH, POSED_SCORE),
+        ("mug", "upside-down", 2 * LENGTH, POSED_SCORE),
+        ("bottle", "lying", LENGTH, BOTTLE_SCORE),
+        ("bottle", "lying", 0.5 * LENGTH, bottle_score(0.5)),
+        ("bottle", "lying", 1.2 * LENGTH, bottle_score(1.2)),
+        ("bottle", "lying", 2 * LENGTH, UNCERTAIN),
     ],
-)
-def test_what_has_no_class_needs_a_score_by_pose_class_and_number_of_images(
-    category, resting, n_views, least
+)  # fmt: skip
+def test_what_has_no_class_needs_a_score_by_pose_and_class_and_bottles_by_length(
+    category, resting, length, least
 ):
-    assert clutter._is_clear(found(1, least + 0.01, category, resting, n_views))
-    assert not clutter._is_clear(found(1, least - 0.01, category, resting, n_views))
+    above, below = (
+        found(1, score, category, resting, length=length) for score in (least + 0.01, least - 0.01)
+    )
+    assert clutter._is_clear(above) and not clutter._is_clear(below)
+    if category == "bottle":
+        assert clutter._is_clear(found(1, 1.0, category, resting, length=length))
