@@ -155,7 +155,7 @@ class _Execution:
             self._notify("placed" if outcome.placed else "failed", placement.name, outcome.reason)
             order.put_unblocked_first(outcome.name)
         with contextlib.suppress(RobotStoppedError):
-            self.withdrawal.leave()
+            self.withdrawal.rise()
             self.motion.go_home()
         return list(self.outcomes.values())
 

@@ -24,6 +24,7 @@ from manipulation.pushing import Push
 from manipulation.robot import JointTrajectory, Robot
 from manipulation.trajectories import concatenate, joint_move, line_postures
 from manipulation.types import Grasp, PickPlacePlan
+from manipulation.withdrawal import HOME_MARGINS
 from perception.geometry import levelled
 
 logger = logging.getLogger(__name__)
@@ -309,14 +310,20 @@ class PlanExecution:
                 return
 
     def go_home(self) -> None:
-        """Return to the home posture, over waypoints if necessary."""
-        robot = self.robot
+        """Return to the home posture, over waypoints if necessary.
+
+        Where no path is known to be free, over a point above the hand: the direct way sweeps the table.
+        """
+        robot, motions = self.robot, self.planner.motions
         q, home = robot.joint_positions(), np.asarray(robot.arm.q_home, dtype=np.float64)
         if np.abs(q - home).max() < 1e-3:
             return
-        path = self.planner.motions.free_path(q, home, robot.gripper_width()) or [q, home]
+        path = motions.free_path(q, home, robot.gripper_width(), (None, *HOME_MARGINS))
+        if path is None:
+            direct, *others = itertools.islice(motions.candidate_paths(q, home), 2)
+            path = others[0] if others else direct
         try:
             for start, goal in itertools.pairwise(path):
-                robot.follow(joint_move(start, goal, self.planner.motions.limits))
+                robot.follow(joint_move(start, goal, motions.limits))
         except RobotError as error:
             logger.warning("return to the home posture was blocked: %s", error)

@@ -26,7 +26,7 @@ from manipulation.types import Rejected
 logger = logging.getLogger(__name__)
 
 _STEPS = (0.03, 0.06, 0.10, 0.15)  # [m] lengths of lines out of clearances, the shortest first
-_MARGINS = (0.012, 0.004)  # [m] of paths to the home posture
+HOME_MARGINS = (0.012, 0.004)  # [m] of paths to the home posture, in descending order
 
 
 def way_out(
@@ -94,7 +94,7 @@ class Withdrawal:
         if not isinstance(up, Rejected):
             return self._follow(motions, [up], ())
         home = np.asarray(robot.arm.q_home, dtype=np.float64)
-        path = motions.free_path(q, home, width, _MARGINS)
+        path = motions.free_path(q, home, width, HOME_MARGINS)
         return path is not None and self._follow(motions, [], path)
 
     def _follow(

@@ -36,7 +36,14 @@ from app.task.obstacles import (
     obstacles_during,
     table_of,
 )
-from app.task.rounds import is_something_left, placed_estimates, placed_items, renumbered, with_round
+from app.task.rounds import (
+    is_something_left,
+    placed_estimates,
+    placed_items,
+    renumbered,
+    with_round,
+    without_covered,
+)
 from app.task.run_observer import RunObserver
 from app.task.task_types import Reconstruction, TaskRequest, TaskResult
 from manipulation.errors import ManipulationError, PlanningError
@@ -83,11 +90,13 @@ def run(
             return replace(result, timings=dict(observer.timings))
         with observer.stage("plan"):
             plan = replace(plan_task(stages.kinematics, request, result.objects), obstacles=result.obstacles)
+            if request.task == "pack" and request.rounds > 1:
+                plan = without_covered(plan, result.objects)
             result = replace(result, plan=plan)
             observer.on_plan(plan)
         result = replace(result, outcomes=stages.execute(plan, result.objects, detections))
-        for _ in range(request.rounds - 1 if request.task == "pack" else 0):
-            further = stages.look_again(result)
+        for left in reversed(range(request.rounds - 1 if request.task == "pack" else 0)):
+            further = stages.look_again(result, is_last=left == 0)
             if further is None:
                 break
             result = further
@@ -266,7 +275,7 @@ class _Stages:
         outcomes = self.execute(plan, [*in_box, *found], detections)
         return with_round(result, found, plan, outcomes, obstacles)
 
-    def look_again(self, result: TaskResult) -> TaskResult | None:
+    def look_again(self, result: TaskResult, is_last: bool) -> TaskResult | None:
         """Return the results with those of one more round; None if there is nothing more to do."""
         request, observer = self._request, self._observer
         box, n_rejected = request.box or Box(), len(observer.rejected)
@@ -288,6 +297,7 @@ class _Stages:
                 items = placed_items(result)
                 plan = plan_further(found, items, box, self._robot.arm, self._settings, self.kinematics)
                 plan = replace(plan, obstacles=obstacles)
+                plan = plan if is_last else without_covered(plan, found)
         except (ManipulationError, PerceptionError) as error:
             logger.info("nothing more to do: %s", error)
             return None

@@ -20,6 +20,7 @@ from perception.types import ObjectEstimate
 if TYPE_CHECKING:
     from app.task.task_types import TaskResult
 
+COVERED = "what rests on it is packed first, then it is looked at again"
 SAME_PLACE = 0.06  # [m] between a new estimate and one of the round before, within which it replaces that
 
 
@@ -34,6 +35,27 @@ def is_something_left(result: TaskResult, latest: Sequence[ObjectOutcome]) -> bo
     unplaced = any(not outcome.placed for outcome in result.outcomes)
     is_left = unplaced or result.plan.left_out or result.rejected or result.obstacles
     return bool(is_left) and any(outcome.attempts for outcome in latest)
+
+
+def without_covered(plan: TaskPlan, objects: Sequence[ObjectEstimate]) -> TaskPlan:
+    """Return a plan without goals of what carries other objects that have one: the next round sees it whole.
+
+    Of what is below or in another object, class and shape are the least certain. Bowls that were to be put in
+    such a bowl come after it. The places of all of them stay free.
+
+    Args:
+        plan: plan of a round that is not the last.
+        objects: its objects, with what they rest on.
+    """
+    goals = {placement.name for placement in plan.placements}
+    carrying = {estimate.rests_on for estimate in objects if estimate.name in goals}
+    covered = {estimate.name for estimate in objects if estimate.id in carrying} & goals
+    later = {p.name for p in plan.placements if p.name in covered or covered.intersection(p.stack)}
+    return replace(
+        plan,
+        placements=tuple(p for p in plan.placements if p.name not in later),
+        left_out=dict(plan.left_out) | {name: COVERED for name in sorted(later)},
+    )
 
 
 def placed_items(result: TaskResult) -> dict[str, StandingObject]:

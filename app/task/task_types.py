@@ -43,7 +43,7 @@ class TaskRequest:
     workspace: Workspace = Workspace()
     uncertainty: bool = True
     perceive_only: bool = False
-    rounds: int = 3
+    rounds: int = 4
 
 
 @dataclass(frozen=True)

@@ -23,6 +23,7 @@ from manipulation.plan_execution import (
 )
 from manipulation.standing import to_standing
 from manipulation.types import Box, Placement
+from manipulation.withdrawal import HOME_MARGINS
 from perception.geometry import pose_from_yaw
 from tests.manipulation.test_execution import CONFIG, FakeObserver, FakeRobot
 
@@ -278,3 +279,18 @@ def test_home_is_reached_and_a_blocked_way_home_is_no_error(cell):
     robot.q = home + np.array([0.3, 0, 0, 0, 0, 0, 0])
     robot.follow = lambda trajectory: (_ for _ in ()).throw(RobotError("blocked"))
     execution.go_home()
+
+
+def test_where_no_way_home_is_known_to_be_free_it_leads_over_a_point_above_the_hand(cell, monkeypatch):
+    """The direct way would sweep the table: it toppled a carton beside the forearm."""
+    robot, planner, _, execution = cell()
+    low = planner.kinematics.forward(robot.arm.q_home)
+    low[2, 3] = 0.12
+    robot.q = planner.kinematics.inverse(low, [robot.arm.q_home], name="").q
+    before, margins = len(robot.motions), []
+    monkeypatch.setattr(planner.motions, "free_path", lambda q, home, width, m: margins.append(m))
+    execution.go_home()
+    first, second = robot.motions[before:]
+    assert planner.kinematics.forward(first.positions[-1])[2, 3] > 0.2
+    assert second.positions[-1] == pytest.approx(robot.arm.q_home)
+    assert margins == [(None, *HOME_MARGINS)], "narrow ways are tried before"

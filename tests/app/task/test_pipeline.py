@@ -327,6 +327,22 @@ def test_what_is_left_on_the_table_is_looked_at_and_packed_in_another_round(stag
     assert observer.calls.count("execute") == 2 and ("objects", [0, 2]) in observer.calls
 
 
+@pytest.mark.parametrize(("rounds", "first"), [(1, ["can_0"]), (2, [])])
+def test_what_carries_an_object_has_a_goal_in_the_last_round_alone(
+    stages, pack_plan, monkeypatch, rounds, first
+):
+    lower, upper = stages.objects
+    upper = replace(upper, rests_on=lower.id)
+    (goal,) = pack_plan.placements
+    plan = replace(pack_plan, placements=(goal, replace(goal, name=upper.name)))
+    executed = []
+    monkeypatch.setattr(pipeline, "reconstruct_objects", lambda *args, **options: [lower, upper])
+    monkeypatch.setattr(pipeline, "plan_pack", lambda *args: plan)
+    monkeypatch.setattr(pipeline, "execute", lambda plan, *args: executed.append(plan) or [])
+    run(StillRobot(), stages.perception, TaskRequest("pack", rounds=rounds))
+    assert [p.name for p in executed[0].placements] == [*first, "can_1"]
+
+
 @pytest.mark.parametrize("error", [PerceptionError("no plane"), PlanningError("none can be manipulated")])
 def test_a_further_round_that_fails_keeps_the_results(stages, monkeypatch, error):
     stages.stage("plan_further", error)

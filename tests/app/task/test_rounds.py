@@ -6,12 +6,14 @@ import numpy as np
 import pytest
 
 from app.task.rounds import (
+    COVERED,
     expected_pose,
     is_something_left,
     placed_estimates,
     placed_items,
     renumbered,
     with_round,
+    without_covered,
 )
 from app.task.task_types import TaskResult
 from manipulation.types import Box, ObjectOutcome
@@ -91,3 +93,25 @@ def test_what_is_moved_in_the_box_has_its_latest_outcome_unless_it_was_never_tou
     merged = with_round(result, [], pack_plan, [failed], ())
     assert list(merged.outcomes) == [before if attempts == 0 else failed]
     assert [p.name for p in merged.plan.placements].count("can_0") == 1
+
+
+def test_what_carries_others_waits_for_the_next_round_and_so_do_bowls_that_go_into_it(can_at, pack_plan):
+    """0 carries 1, which is packed; 2 goes into 0; 3 carries 4, which cannot be packed."""
+    objects = [replace(can_at(i), rests_on={1: 0, 4: 3}.get(i)) for i in range(5)]
+    (goal,) = pack_plan.placements
+    goals = [replace(goal, name=f"can_{i}", stack=("can_0",) if i == 2 else ()) for i in range(4)]
+    plan = replace(pack_plan, placements=tuple(goals), left_out={"can_4": "too far"})
+    waiting = without_covered(plan, objects)
+    assert [p.name for p in waiting.placements] == ["can_1", "can_3"]
+    assert waiting.left_out == {"can_4": "too far", "can_0": COVERED, "can_2": COVERED}
+    assert waiting.objects is plan.objects, "they are in the way of others"
+    free = [replace(estimate, rests_on=None) for estimate in objects]
+    assert without_covered(plan, free).placements == plan.placements
+
+
+def test_what_waits_is_looked_at_again(result, can_at):
+    above = replace(can_at(1, 0.5), rests_on=0)
+    plan = replace(result.plan, left_out={})
+    both = replace(plan, placements=(*plan.placements, replace(plan.placements[0], name="can_1")))
+    waiting = without_covered(both, [can_at(0), above])
+    assert is_something_left(replace(result, plan=waiting), result.outcomes)
