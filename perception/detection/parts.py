@@ -16,7 +16,7 @@ from perception.detection.geometry import bounding_window
 from perception.detection.left_out import LeftOut
 from perception.types import Category, ObjectDetection, RgbdFrame
 
-SHARE = 0.12  # part of its outline along which the surface of a part goes on
+SHARE = 0.16  # part of its outline along which the surface of a part goes on
 CERTAIN = 0.9  # probability of a class from which on an instance is no part
 OPEN: tuple[Category, ...] = ("mug", "bowl")
 VIEWS = 3  # fewest that contradict a class that is certain
