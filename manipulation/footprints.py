@@ -14,6 +14,7 @@ from manipulation.standing import split_handle
 from manipulation.types import Box, StandingObject
 from manipulation.uncertainty import outer_vertices
 
+RIM = 0.002  # [m] above the walls, as far as which a hand that sinks along them in a corner is not free
 _DIRECTIONS = 2 * np.pi * np.arange(32) / 32
 
 
@@ -111,7 +112,7 @@ class BoxRaster:
         self.taken = np.asarray((distance > half - wall_gap).any(axis=-1))
         inside = (distance <= half).all(axis=-1)
         within = (distance <= half + box.wall + cell).all(axis=-1)
-        self.heights = np.where(inside, box.floor, np.where(within, box.top, 0.0))
+        self.heights = np.where(inside, box.floor, np.where(within, box.top + RIM, 0.0))
         # Objects stand inside the walls: the search is limited to the free interior.
         rows, columns = np.nonzero(~self.taken)
         self._inner = slice(rows.min(), rows.max() + 1), slice(columns.min(), columns.max() + 1)

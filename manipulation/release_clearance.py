@@ -15,7 +15,7 @@ from perception.geometry import pose_from_yaw
 
 _PALM_SAMPLES = 15  # number of samples of the palm along the closing axis
 _PALM_INNER = 0.015  # [m] of the inner samples of the palm across the closing axis
-_FINGER_CLEARANCE, _PALM_CLEARANCE = 0.003, 0.006  # [m]
+FINGER_CLEARANCE, PALM_CLEARANCE = 0.003, 0.006  # [m]
 
 
 @dataclass(frozen=True)
@@ -55,14 +55,14 @@ def count_free_releases(
     palm_along = np.linspace(-gripper.palm_half_length, gripper.palm_half_length, _PALM_SAMPLES)
     palm_across = np.array([-gripper.palm_half_width, -_PALM_INNER, _PALM_INNER, gripper.palm_half_width])
     palm = _points(Ts, np.broadcast_to(palm_along, (len(Ts), _PALM_SAMPLES)), palm_across, -gripper.palm)
-    free = _is_above(raster, palm, _PALM_CLEARANCE)
+    free = _is_above(raster, palm, PALM_CLEARANCE)
     finger_along = np.linspace(0.0, gripper.finger_reach, 4)
     finger_across = gripper.finger_half_width * np.array([-1.0, 0.0, 1.0])
     middle = np.array([gripper.pads_middle(grasp.release_opening) for grasp in grasps])
     half_opening = np.array([grasp.release_opening / 2 for grasp in grasps])
     for side in (-1, 1):
         along = middle[:, None] + side * (half_opening[:, None] + finger_along)
-        free &= _is_above(raster, _points(Ts, along, finger_across, gripper.tip), _FINGER_CLEARANCE)
+        free &= _is_above(raster, _points(Ts, along, finger_across, gripper.tip), FINGER_CLEARANCE)
     return int(free.sum())
 
 

@@ -29,6 +29,7 @@ from perception.types import POSED_CLASSES, ObjectEstimate, SupportPlane
 
 logger = logging.getLogger(__name__)
 
+CLOSER = 0.8  # ratio of the residuals from which on the depth tells which way round a bottle lies
 ALIKE = 0.02  # difference of the misfits up to which a bottle may lie either way round
 
 
@@ -124,7 +125,7 @@ def _right_way_up(fits: ObjectFits, best: ScoredFit) -> ScoredFit:
     if other is None:
         return best
     if may_be_either:
-        if _explains_better(other.evidence, best.evidence):
+        if _is_right_way_up(other, best):
             best, other = other, best
         alike = misfit(other.evidence) < misfit(best.evidence) + ALIKE
         if not alike or not is_turned_over(best.estimate, views.observations):
@@ -132,9 +133,16 @@ def _right_way_up(fits: ObjectFits, best: ScoredFit) -> ScoredFit:
     return replace(other, estimate=turned_over(best.estimate, other.estimate))
 
 
-def _explains_better(one: Evidence, other: Evidence) -> bool:
-    """Return whether a fit explains more of the depth, and what both explain more closely.
+def _is_right_way_up(one: ScoredFit, other: ScoredFit) -> bool:
+    """Return whether a lying bottle lies as in one of two fits, and not the other way round as in the other.
 
-    A bottle the wrong way round may cover a few pixels more than the right one, but not with its own curve.
+    The depth decides where it is clear; else the score, which knows that bottles have necks.
     """
-    return misfit(one) <= misfit(other) and one.residual <= other.residual
+    if _is_clearly_closer(one.evidence, other.evidence):
+        return True
+    return one.estimate.score > other.estimate.score and not _is_clearly_closer(other.evidence, one.evidence)
+
+
+def _is_clearly_closer(one: Evidence, other: Evidence) -> bool:
+    """Return whether a fit explains no less of the depth, and what both explain much more closely."""
+    return misfit(one) <= misfit(other) and one.residual < CLOSER * other.residual

@@ -1,7 +1,7 @@
 import numpy as np
 import pytest
 
-from manipulation.footprints import BoxRaster, Footprint, Stencil, bounding_area, footprint
+from manipulation.footprints import RIM, BoxRaster, Footprint, Stencil, bounding_area, footprint
 from manipulation.standing import to_standing
 from manipulation.types import Box
 
@@ -21,7 +21,7 @@ def test_raster_keeps_walls_and_gaps(shapes):
     middle = (len(raster.x) // 2, len(raster.y) // 2)
     raster.add(stencil, middle, base=0.004)
     assert raster.highest(np.zeros(2)) == pytest.approx(0.124, abs=1e-3)
-    assert raster.highest(np.array([0.104, 0.0])) == pytest.approx(Box().top)
+    assert raster.highest(np.array([0.104, 0.0])) == pytest.approx(Box().top + RIM)
     assert raster.highest(np.array([5.0, 0.0])) == 0
     i, _ = np.nonzero(raster.free_positions(stencil))
     assert np.abs(raster.x[i]).min(initial=np.inf) >= 0.03 + 0.03
@@ -58,7 +58,7 @@ def test_heights_of_an_empty_box():
     box = Box(size=(0.2, 0.1, 0.08))
     raster = BoxRaster(box, 0.0)
     assert raster.highest(np.array([0.0, 0.0])) == box.floor
-    assert raster.highest(np.array([0.104, 0.0])) == box.top
+    assert raster.highest(np.array([0.104, 0.0])) == box.top + RIM
     assert raster.highest(np.array([0.13, 0.0])) == 0.0
 
 

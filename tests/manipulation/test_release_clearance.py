@@ -6,7 +6,12 @@ import pytest
 from manipulation.footprints import BoxRaster, Stencil, footprint
 from manipulation.grasp_config import tcp_pose
 from manipulation.grasps import grasp_candidates
-from manipulation.release_clearance import ReleasePose, count_free_releases
+from manipulation.release_clearance import (
+    FINGER_CLEARANCE,
+    PALM_CLEARANCE,
+    ReleasePose,
+    count_free_releases,
+)
 from manipulation.robot import GripperGeometry
 from manipulation.standing import to_standing
 from manipulation.types import Box, Grasp
@@ -66,7 +71,7 @@ ORIGIN = ReleasePose(np.zeros(2), 0.0, 0.0)
 def test_each_finger_is_above_the_scene(side):
     """At an opening of 40 mm the fingers are 20 to 40.5 mm from the axis, their tips 9.5 mm below the TCP."""
     grasp = grasp_at(0.1, 0.04)
-    clear = 0.1 - HAND.tip - 0.003
+    clear = 0.1 - HAND.tip - FINGER_CLEARANCE
     for offset in (0.022, 0.038):
         assert count_free_releases(raster_with_post(0.0, side * offset, clear - 0.001), [grasp], ORIGIN) == 1
         assert count_free_releases(raster_with_post(0.0, side * offset, clear + 0.001), [grasp], ORIGIN) == 0
@@ -81,13 +86,13 @@ def test_each_finger_is_above_the_scene(side):
 @pytest.mark.parametrize("offset", [(0.015, 0.1), (-0.015, -0.1), (0.033, 0.05), (-0.033, 0.0)])
 def test_the_palm_is_above_the_scene(offset):
     """The palm, 210 mm by 70 mm, is 37 mm above the TCP."""
-    grasp, clear = grasp_at(0.1, 0.04), 0.1 + HAND.palm - 0.006
+    grasp, clear = grasp_at(0.1, 0.04), 0.1 + HAND.palm - PALM_CLEARANCE
     assert count_free_releases(raster_with_post(*offset, clear - 0.001), [grasp], ORIGIN) == 1
     assert count_free_releases(raster_with_post(*offset, clear + 0.001), [grasp], ORIGIN) == 0
 
 
 def test_the_hand_moves_with_the_release_pose():
-    grasp, clear = grasp_at(0.1, 0.04), 0.1 - HAND.tip - 0.003
+    grasp, clear = grasp_at(0.1, 0.04), 0.1 - HAND.tip - FINGER_CLEARANCE
     raster = raster_with_post(0.1 - 0.03, 0.05, clear + 0.02)
     at_post = ReleasePose(np.array([0.1, 0.05]), np.pi / 2, 0.0)  # fingers along x
     assert count_free_releases(raster, [grasp], at_post) == 0

@@ -299,20 +299,23 @@ def test_a_can_with_the_wrong_end_up_is_fitted_the_other_way_round(monkeypatch, 
     np.testing.assert_array_equal(estimate.mesh_world.vertices, np.eye(3))
 
 
-@pytest.mark.parametrize(("explained", "residual", "closed_cup", "turned"), [
-    (0.97, 0.9, False, True), (0.95, 0.9, False, False), (0.97, 1.1, False, False),
-    (0.97, 0.9, True, False), (0.95, 0.9, True, True), (0.90, 0.9, True, False),
-], ids=["better", "worse", "more-but-less-closely", "better-cup", "cup", "poor-cup"])  # fmt: skip
-def test_of_a_lying_bottle_the_way_round_that_explains_the_depth_better_is_kept(
-    monkeypatch, decoder, explained, residual, closed_cup, turned
+@pytest.mark.parametrize(("explained", "residual", "score", "closed_cup", "turned"), [
+    (0.97, 0.7, 0.8, False, True), (0.95, 0.7, 0.8, False, False), (0.97, 0.9, 0.8, False, False),
+    (0.95, 1.2, 0.95, False, True), (0.95, 1.3, 0.95, False, False),
+    (0.97, 0.7, 0.8, True, False), (0.95, 0.9, 0.8, True, True), (0.90, 0.9, 0.8, True, False),
+], ids=[
+    "closer", "less", "hardly-closer", "likelier", "likelier-but-less-close", "closer-cup", "cup", "poor-cup",
+])  # fmt: skip
+def test_of_a_lying_bottle_the_way_round_that_is_clearly_closer_or_likelier_is_kept(
+    monkeypatch, decoder, explained, residual, score, closed_cup, turned
 ) -> None:
-    """More of it, and more closely; unless that is a closed cup with its lid down, and both are alike."""
+    """Unless that is a closed cup with its lid down, and both are alike."""
 
     def scored(views, decoder, plane, model, config, on_step):
         mesh, first = TriangleMesh(np.eye(3), np.arange(3)[None]), config.toward is None
         T = np.diag([1.0, 1.0, 1.0, 1.0]) if first else np.diag([1.0, -1.0, -1.0, 1.0])
-        estimate = ObjectEstimate(3, "bottle", np.zeros(16), T, np.ones(3), mesh, 0.9, resting=config.resting)
-        seen = (0.96, 1.0) if first else (explained, residual)
+        p, *seen = (0.9, 0.96, 1.0) if first else (score, explained, residual)
+        estimate = ObjectEstimate(3, "bottle", np.zeros(16), T, np.ones(3), mesh, p, resting=config.resting)
         return ScoredFit(estimate, replace(EVIDENCE, explained=seen[0], residual=seen[1]), None)
 
     monkeypatch.setattr(scored_fits, "scored_fit", scored)
