@@ -37,6 +37,7 @@ from app.task.obstacles import (
     table_of,
 )
 from app.task.rounds import (
+    has_changed,
     is_something_left,
     placed_estimates,
     placed_items,
@@ -297,7 +298,8 @@ class _Stages:
                 items = placed_items(result)
                 plan = plan_further(found, items, box, self._robot.arm, self._settings, self.kinematics)
                 plan = replace(plan, obstacles=obstacles)
-                plan = plan if is_last else without_covered(plan, found)
+                if has_changed(self._latest) and not is_last:
+                    plan = without_covered(plan, found)
         except (ManipulationError, PerceptionError) as error:
             logger.info("nothing more to do: %s", error)
             return None

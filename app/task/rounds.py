@@ -27,6 +27,8 @@ SAME_PLACE = 0.06  # [m] between a new estimate and one of the round before, wit
 def is_something_left(result: TaskResult, latest: Sequence[ObjectOutcome]) -> bool:
     """Return whether anything but the packed objects was seen, and the last round has changed the table.
 
+    Or something waits for it.
+
     Args:
         result: results of all rounds so far.
         latest: outcomes of the last one.
@@ -34,22 +36,35 @@ def is_something_left(result: TaskResult, latest: Sequence[ObjectOutcome]) -> bo
     assert result.plan is not None
     unplaced = any(not outcome.placed for outcome in result.outcomes)
     is_left = unplaced or result.plan.left_out or result.rejected or result.obstacles
-    return bool(is_left) and any(outcome.attempts for outcome in latest)
+    waits = COVERED in result.plan.left_out.values()
+    return bool(is_left) and (waits or has_changed(latest))
+
+
+def has_changed(outcomes: Sequence[ObjectOutcome]) -> bool:
+    """Return whether a round has changed the table; if not, nothing need wait for the next one."""
+    return any(outcome.attempts for outcome in outcomes)
 
 
 def without_covered(plan: TaskPlan, objects: Sequence[ObjectEstimate]) -> TaskPlan:
     """Return a plan without goals of what carries other objects that have one: the next round sees it whole.
 
     Of what is below or in another object, class and shape are the least certain. Bowls that were to be put in
-    such a bowl come after it. The places of all of them stay free.
+    such a bowl come after it. The places of all of them stay free. A bowl that carries what goes into it in
+    the box as well does not wait: neither of the two would come first.
 
     Args:
         plan: plan of a round that is not the last.
         objects: its objects, with what they rest on.
     """
-    goals = {placement.name for placement in plan.placements}
-    carrying = {estimate.rests_on for estimate in objects if estimate.name in goals}
-    covered = {estimate.name for estimate in objects if estimate.id in carrying} & goals
+    goals = {placement.name: placement for placement in plan.placements}
+    names = {estimate.id: estimate.name for estimate in objects}
+    covered = {
+        names[estimate.rests_on]
+        for estimate in objects
+        if estimate.name in goals
+        and estimate.rests_on in names
+        and names[estimate.rests_on] not in goals[estimate.name].stack
+    } & goals.keys()
     later = {p.name for p in plan.placements if p.name in covered or covered.intersection(p.stack)}
     return replace(
         plan,

@@ -343,6 +343,23 @@ def test_what_carries_an_object_has_a_goal_in_the_last_round_alone(
     assert [p.name for p in executed[0].placements] == [*first, "can_1"]
 
 
+def test_after_a_round_that_moved_nothing_nothing_waits(stages, pack_plan, monkeypatch):
+    lower, upper = stages.objects
+    (goal,) = pack_plan.placements
+    plan = replace(pack_plan, placements=(goal, replace(goal, name=upper.name)), left_out={})
+    further = [replace(p, name=name) for p, name in zip(plan.placements, ("can_2", "can_3"), strict=True)]
+    executed = []
+    stacked = [lower, replace(upper, rests_on=lower.id)]
+    monkeypatch.setattr(pipeline, "reconstruct_objects", lambda *args, **options: stacked)
+    monkeypatch.setattr(pipeline, "plan_pack", lambda *args: plan)
+    items = dict(zip(("can_2", "can_3"), plan.objects.values(), strict=True))
+    second = replace(plan, objects=items, placements=tuple(further))
+    monkeypatch.setattr(pipeline, "plan_further", lambda *args: second)
+    monkeypatch.setattr(pipeline, "execute", lambda plan, *args: executed.append(plan) or [])
+    run(StillRobot(), stages.perception, TaskRequest("pack", Box(), rounds=4))
+    assert [[p.name for p in plan.placements] for plan in executed] == [["can_1"], ["can_2", "can_3"]]
+
+
 @pytest.mark.parametrize("error", [PerceptionError("no plane"), PlanningError("none can be manipulated")])
 def test_a_further_round_that_fails_keeps_the_results(stages, monkeypatch, error):
     stages.stage("plan_further", error)

@@ -8,6 +8,7 @@ import pytest
 from app.task.rounds import (
     COVERED,
     expected_pose,
+    has_changed,
     is_something_left,
     placed_estimates,
     placed_items,
@@ -109,9 +110,23 @@ def test_what_carries_others_waits_for_the_next_round_and_so_do_bowls_that_go_in
     assert without_covered(plan, free).placements == plan.placements
 
 
+def test_a_bowl_in_the_one_that_it_goes_into_does_not_keep_it_waiting(can_at, pack_plan):
+    """Else both would wait for each other, in every round: 1 is in 0, and goes into 0."""
+    objects = [can_at(0), replace(can_at(1), rests_on=0)]
+    (goal,) = pack_plan.placements
+    plan = replace(pack_plan, placements=(goal, replace(goal, name="can_1", stack=("can_0",))), left_out={})
+    assert without_covered(plan, objects) == plan
+    above = [*objects, replace(can_at(2), rests_on=1)]  # but what covers it as well does
+    plan = replace(plan, placements=(*plan.placements, replace(goal, name="can_2")))
+    waiting = without_covered(plan, above)
+    assert [p.name for p in waiting.placements] == ["can_0", "can_2"] and list(waiting.left_out) == ["can_1"]
+
+
 def test_what_waits_is_looked_at_again(result, can_at):
     above = replace(can_at(1, 0.5), rests_on=0)
     plan = replace(result.plan, left_out={})
     both = replace(plan, placements=(*plan.placements, replace(plan.placements[0], name="can_1")))
     waiting = without_covered(both, [can_at(0), above])
     assert is_something_left(replace(result, plan=waiting), result.outcomes)
+    assert is_something_left(replace(result, plan=waiting), []), "although nothing was moved"
+    assert has_changed(result.outcomes) and not has_changed([replace(result.outcomes[0], attempts=0)])
