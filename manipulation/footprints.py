@@ -14,7 +14,9 @@ from manipulation.standing import split_handle
 from manipulation.types import Box, StandingObject
 from manipulation.uncertainty import outer_vertices
 
-RIM = 0.002  # [m] above the walls, as far as which a hand that sinks along them in a corner is not free
+RIM = (
+    0.002  # [m] added to the walls: the planner lets no hand in where the samples of the palm just clear them
+)
 _DIRECTIONS = 2 * np.pi * np.arange(32) / 32
 
 

@@ -71,8 +71,8 @@ class ObjectPlanning:
         except PlanningError as error:
             if effort == Effort.PLAIN:
                 raise
-            is_free = not placement.stack or effort == Effort.BESIDE
-            elsewhere = self._places_elsewhere(placement) if is_free else []
+            may_be_elsewhere = not placement.stack or effort == Effort.BESIDE
+            elsewhere = self._places_elsewhere(placement) if may_be_elsewhere else []
             if elsewhere:
                 with contextlib.suppress(PlanningError):
                     return self._plan(elsewhere, q, tried)

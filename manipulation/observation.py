@@ -94,7 +94,9 @@ def is_displaced(
     return shift > moved or bool(turn > TIPPED)
 
 
-def is_turned(T_expected: Float[np.ndarray, "4 4"], T_seen: Float[np.ndarray, "4 4"]) -> bool:
+def is_turned(
+    T_expected: Float[np.ndarray, "4 4"], T_seen: Float[np.ndarray, "4 4"], turned: float = TURNED
+) -> bool:
     """Return whether an object was turned about the vertical: the handles of mugs are aligned."""
     difference = nearest_yaw(T_seen) - nearest_yaw(T_expected)
-    return bool(abs((difference + np.pi) % (2 * np.pi) - np.pi) > TURNED)
+    return bool(abs((difference + np.pi) % (2 * np.pi) - np.pi) > turned)

@@ -13,8 +13,9 @@ from jaxtyping import Float
 
 from app.task.obstacles import box_interior
 from manipulation.lying_grasps import is_upside_down, lies
+from manipulation.observation import is_turned
 from manipulation.types import Box
-from perception.geometry import levelled, nearest_yaw
+from perception.geometry import levelled
 from perception.inference.depth_votes import SearchScene
 from perception.inference.refit import PoseCheck
 from perception.inference.relocate import relocate
@@ -59,8 +60,9 @@ def fallen_objects(
             now[id] = _resting(placed[id], check.T_world_object, others)
             found.append(now[id])
     for id in sorted(checks.keys() - doubtful):
-        if placed[id].category == "mug" and _is_turned(placed[id], checks[id]):
-            upright = levelled(checks[id].T_world_object, placed[id].T_world_object[2, 3])
+        T_placed, T_seen = placed[id].T_world_object, checks[id].T_world_object
+        if placed[id].category == "mug" and is_turned(T_placed, T_seen, TURNED):
+            upright = levelled(T_seen, T_placed[2, 3])
             found.append(replace(placed[id], T_world_object=upright, resting="upright", rests_on=None))
     return sorted(found, key=lambda estimate: estimate.id)
 
@@ -70,12 +72,6 @@ def _is_doubtful(check: PoseCheck) -> bool:
     if check.status != "seen":
         return check.status == "not_there"
     return bool(check.tilt > LEANING or check.inlier_share < AGREES)
-
-
-def _is_turned(placed: ObjectEstimate, check: PoseCheck) -> bool:
-    """Return whether a standing object was turned about the vertical since it was placed."""
-    turn = nearest_yaw(check.T_world_object) - nearest_yaw(placed.T_world_object)
-    return check.status == "seen" and bool(abs((turn + np.pi) % (2 * np.pi) - np.pi) > TURNED)
 
 
 def _resting(

@@ -25,9 +25,9 @@ SAME_PLACE = 0.06  # [m] between a new estimate and one of the round before, wit
 
 
 def is_something_left(result: TaskResult, latest: Sequence[ObjectOutcome]) -> bool:
-    """Return whether anything but the packed objects was seen, and the last round has changed the table.
+    """Return whether anything but the packed objects was seen, and another round may help.
 
-    Or something waits for it.
+    It may where the last one has changed the table, or where something waits for it.
 
     Args:
         result: results of all rounds so far.

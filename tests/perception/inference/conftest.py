@@ -10,9 +10,10 @@ import pytest
 from scipy.special import expit
 
 from perception.geometry import rigid, upright_rotation
+from perception.inference.meshing import mesh_from_code
 from perception.inference.observation import ObjectObservation, pixel_rays
 from perception.rendering.pose import ObjectPose, canonical_from_camera
-from perception.types import CameraIntrinsics, RgbdFrame
+from perception.types import CameraIntrinsics, ObjectEstimate, RgbdFrame
 
 CAMERA = CameraIntrinsics(width=320, height=240, fx=290.0, fy=290.0, cx=159.5, cy=119.5)
 
@@ -160,3 +161,16 @@ def stack(make_table) -> Stack:
         seen.append(ObjectObservation(frame, mask_below | mask_above))
         upper.append(first)
     return Stack(lower, higher, seen, upper, top)
+
+
+@pytest.fixture(scope="module")
+def mug(make_table) -> Table:
+    """An upright mug on a table."""
+    return make_table("mug", (0.0, 0.0, 1.0), yaw=0.8)
+
+
+@pytest.fixture(scope="module")
+def estimate(mug) -> ObjectEstimate:
+    """The mug as it is."""
+    mesh = mesh_from_code(mug.decoder, mug.category, mug.code, mug.pose.scale)
+    return ObjectEstimate(0, "mug", mug.code, mug.pose.T_world_object, mug.pose.scale, mesh)

@@ -3,21 +3,9 @@
 import numpy as np
 import pytest
 
-from perception.inference.meshing import mesh_from_code
 from perception.inference.pose_search import PoseSearch, RefitConfig
 from perception.rendering.pose import ObjectPose
 from perception.types import ObjectEstimate, SupportPlane
-
-
-@pytest.fixture(scope="module")
-def mug(make_table):
-    return make_table("mug", (0.0, 0.0, 1.0), yaw=0.8)
-
-
-@pytest.fixture(scope="module")
-def estimate(mug) -> ObjectEstimate:
-    mesh = mesh_from_code(mug.decoder, mug.category, mug.code, mug.pose.scale)
-    return ObjectEstimate(0, "mug", mug.code, mug.pose.T_world_object, mug.pose.scale, mesh)
 
 
 def _search(table, estimate, others=()) -> PoseSearch:

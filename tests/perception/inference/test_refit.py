@@ -5,7 +5,6 @@ import pytest
 import trimesh
 
 from perception.geometry import rigid, so3_exp
-from perception.inference.meshing import mesh_from_code
 from perception.inference.refit import (
     STANDING,
     refit_leaning,
@@ -14,17 +13,6 @@ from perception.inference.refit import (
 from perception.types import ObjectEstimate, RgbdFrame, TriangleMesh
 
 AZIMUTHS = (0.3, 1.5, 2.7)
-
-
-@pytest.fixture(scope="module")
-def mug(make_table):
-    return make_table("mug", (0.0, 0.0, 1.0), yaw=0.8)
-
-
-@pytest.fixture(scope="module")
-def estimate(mug) -> ObjectEstimate:
-    mesh = mesh_from_code(mug.decoder, mug.category, mug.code, mug.pose.scale)
-    return ObjectEstimate(0, "mug", mug.code, mug.pose.T_world_object, mug.pose.scale, mesh)
 
 
 def _frames(table, present: bool = True) -> list[RgbdFrame]:

@@ -5,24 +5,12 @@ import pytest
 
 from perception.geometry import nearest_yaw, so3_exp
 from perception.inference.handle import body_axis
-from perception.inference.meshing import mesh_from_code
 from perception.inference.refit import refit_pose
 from perception.inference.turned import refit_turned
 from perception.rendering.pose import ObjectPose
-from perception.types import ObjectEstimate, RgbdFrame
+from perception.types import RgbdFrame
 
 AZIMUTHS = (0.3, 1.5, 2.7)
-
-
-@pytest.fixture(scope="module")
-def mug(make_table):
-    return make_table("mug", (0.0, 0.0, 1.0), yaw=0.8)
-
-
-@pytest.fixture(scope="module")
-def estimate(mug) -> ObjectEstimate:
-    mesh = mesh_from_code(mug.decoder, mug.category, mug.code, mug.pose.scale)
-    return ObjectEstimate(0, "mug", mug.code, mug.pose.T_world_object, mug.pose.scale, mesh)
 
 
 @pytest.fixture(scope="module")
