@@ -5,6 +5,7 @@ The collision world is a MuJoCo model of the arm's MJCF and the perceived meshes
 
 from __future__ import annotations
 
+import contextlib
 import itertools
 from collections.abc import Iterator, Mapping, Sequence
 from dataclasses import dataclass, field
@@ -112,7 +113,8 @@ class CollisionWorld:
         ]
         self.links = self._links_before_hand()
         self.perceived = frozenset(o.name for o in obstacles if isinstance(o, PerceivedObstacle))
-        self._carried: str | None = None
+        self._contents: dict[str, tuple[str, ...]] = {}
+        self._carried: tuple[str, ...] = ()
         self._poses = {b.name: np.array(b.T_world_object) for b in bodies}
         self._pieces = {b.name: b.pieces for b in bodies}
         self._T_hand_tcp = self._tcp_in_hand()
@@ -154,21 +156,33 @@ class CollisionWorld:
         self._check_name(name)
         self._switch(f"world/{name}", *((WORLD, ROBOT) if present else (OFF, OFF)))
 
+    @contextlib.contextmanager
+    def containing(self, name: str, contents: Sequence[str]) -> Iterator[None]:
+        """Carry other objects with an object whenever it is carried, each where it is in that one."""
+        self._contents[name] = tuple(contents)
+        try:
+            yield
+        finally:
+            self.release()
+            del self._contents[name]
+
     def carry(self, name: str, T_tcp_object: Float[np.ndarray, "4 4"]) -> None:
         """Attach the object to the hand at ``T_tcp_object`` and disable it in the world."""
         self.release()
-        self.set_present(name, False)
-        self._set_body_pose(f"carried/{name}", self._T_hand_tcp @ T_tcp_object)
-        self._switch(f"carried/{name}", ROBOT, WORLD)
-        self._carried = name
+        self._carried = (name, *self._contents.get(name, ()))
+        T_tcp_world = T_tcp_object @ np.linalg.inv(self._poses[name])
+        for carried in self._carried:
+            T_tcp_carried = T_tcp_object if carried == name else T_tcp_world @ self._poses[carried]
+            self.set_present(carried, False)
+            self._set_body_pose(f"carried/{carried}", self._T_hand_tcp @ T_tcp_carried)
+            self._switch(f"carried/{carried}", ROBOT, WORLD)
 
     def release(self) -> None:
-        """Detach the carried object, if any, and enable it in the world at its last pose there."""
-        if self._carried is None:
-            return
-        self._switch(f"carried/{self._carried}", OFF, OFF)
-        self.set_present(self._carried, True)
-        self._carried = None
+        """Detach what is carried, if anything, and enable it in the world at its last pose there."""
+        for carried in self._carried:
+            self._switch(f"carried/{carried}", OFF, OFF)
+            self.set_present(carried, True)
+        self._carried = ()
 
     def contact(
         self, q: Float[np.ndarray, "n"], width: float, allowed: AllowedContacts = NO_CONTACT
@@ -234,9 +248,8 @@ class CollisionWorld:
             return default if requested is None else requested
 
         self._set_margin(self._robot_bodies, either(allowed.robot_margin, self.config.robot_margin))
-        if self._carried is not None:
-            carried = self._body_id(f"carried/{self._carried}")
-            self._set_margin([carried], either(allowed.carried_margin, self.config.carried_margin))
+        carried = [self._body_id(f"carried/{name}") for name in self._carried]
+        self._set_margin(carried, either(allowed.carried_margin, self.config.carried_margin))
 
     def _set_margin(self, bodies: Sequence[int], margin: float) -> None:
         for body in bodies:

@@ -252,6 +252,7 @@ class _Execution:
                 self.motion.run(plan, looks_first=not is_confirmed)
                 self._look_beside(plan)
                 if plan.placement is placement or not is_turned:
+                    self._note_contents(plan)
                     T = self.planner.world.pose(name)
                     return ObjectOutcome(number, name, True, n_before + attempts + 1, "", T)
                 continue  # turned, to be grasped again
@@ -268,15 +269,27 @@ class _Execution:
             logger.info("%s, attempt %d: %s", name, attempts, reason)
             self._notify("retry", name, reason)
             found = Searched() if is_known else self._scene.search(name)
+            for inside in plan.contents:
+                self._scene.search(inside)
             if found.problem:
                 return ObjectOutcome(number, name, False, n_before + attempts, f"{reason}; {found.problem}")
             is_confirmed = is_missed and found.is_in_place
         return ObjectOutcome(number, name, False, n_before + attempts, reason)
 
+    def _note_contents(self, plan: PickPlacePlan) -> None:
+        """Record that the bowls in a placed one were placed with it."""
+        for name in plan.contents:
+            T = self.planner.world.pose(name)
+            self.outcomes[name] = ObjectOutcome(self.task.objects[name].id, name, True, 1, "", T)
+            self._order.drop(name)
+            self._notify("placed", name, f"in {plan.name}")
+
     def _look_beside(self, plan: PickPlacePlan) -> None:
         """Follow what an object has pushed or knocked over; what was placed is placed again if need be."""
         T = self.planner.poses().get(plan.name, plan.T_world_stand_rest)
-        for name, T_before in self._scene.displaced_near(T, but={plan.name, *plan.placement.stack}):
+        for name, T_before in self._scene.displaced_near(
+            T, but={plan.name, *plan.contents, *plan.placement.stack}
+        ):
             outcome = self.outcomes.get(name)
             if outcome is None or not outcome.placed or self._is_in_place(name, T_before):
                 continue  # searched for in its turn, or judged by the final verification

@@ -12,6 +12,7 @@ from manipulation.types import Grasp, GraspSet
 
 _NEARER = 0.008  # [m] by which the fixed pad of a hand with one moving jaw is nearer to the object
 _STAND_OFF = 0.003  # [m], the least if there is room
+_NARROW = 0.007  # [m] of each pad from the middle of the wall
 _SHALLOW = 0.002  # [m] of the TCP below the rim: the pads reach to the fingertips, about 1 cm further
 
 
@@ -60,6 +61,10 @@ class GraspConfig:
     def shallow(self) -> GraspConfig:
         """Return the parameters of rim grasps as near to the rim as the pads hold it."""
         return replace(self, mug_depth=_SHALLOW, bowl_depth=_SHALLOW, min_depth=_SHALLOW)
+
+    def narrow(self) -> GraspConfig:
+        """Return the parameters of grasps between walls that are close to each other."""
+        return replace(self, half_opening=_NARROW, min_half_opening=_NARROW)
 
 
 def tcp_pose(

@@ -83,7 +83,8 @@ class KnownGrasps:
         """Return grasps at any angle, clear of surroundings, with which an object keeps its orientation.
 
         One that leans is set upright. Of one on its side, grasps across its axis come first; of an upright
-        mug or bowl, those at the uppermost part of its rim, with the fingertips over what it stands in.
+        mug or bowl, those at the uppermost part of its rim, with the fingertips over what it stands in, and
+        last those with the fingers near to its wall.
         """
         if name not in self._keeping:
             self._keeping[name] = self._make_keeping(name, T_world_stand)
@@ -94,9 +95,11 @@ class KnownGrasps:
         up, keeps = T[2, :3], lies(T) or T[2, 2] > 1 - 1e-6
         between = antipodal_grasps(item, (up,) if keeps else (up, _UP), config, self._points_around(name))
         if not lies(T):
-            shallow = (
-                grasp_candidates(item, config.shallow()) if item.category in _RIMMED and keeps else _NONE
+            shallow, narrow = (
+                grasp_candidates(item, at_rim) if item.category in _RIMMED and keeps else _NONE
+                for at_rim in (config.shallow(), config.shallow().narrow())
             )
-            return GraspSet(shallow.grasps + between.grasps, shallow.rejected + between.rejected)
+            grasps = shallow.grasps + between.grasps + narrow.grasps
+            return GraspSet(grasps, shallow.rejected + between.rejected + narrow.rejected)
         across = lying_grasps(item, T, config, least_height=0.0)
         return GraspSet(across.grasps + between.grasps, across.rejected + between.rejected)

@@ -53,6 +53,7 @@ class ObjectPlanning:
 
     def __init__(self, task: TaskPlan, planner: PickPlacePlanner, config: ManipulationConfig) -> None:
         self._task, self._planner, self._config = task, planner, config
+        self._goals = {placement.name for placement in task.placements}
         self._failures: dict[Hashable, tuple[int, NoPlanError]] = {}  # with the state of the scene
 
     def next_plan(
@@ -78,6 +79,8 @@ class ObjectPlanning:
                     return self._plan(elsewhere, q, tried)
             with contextlib.suppress(PlanningError):
                 return self._plan([placement, *elsewhere], q, tried, is_tilted=True)
+            with contextlib.suppress(PlanningError):
+                return self._plan_with_contents([placement, *elsewhere], q, tried)
             raise error
 
     def plans_aside(
@@ -169,8 +172,27 @@ class ObjectPlanning:
                     return self._plan([*goals, *elsewhere], q, tried, is_tilted=True)
             raise NoPlanError(f"{at} and cannot be turned: {error}", error.blockers) from error
 
+    def _plan_with_contents(
+        self, goals: Sequence[Placement], q: Posture, tried: Sequence[Grasp]
+    ) -> PickPlacePlan:
+        """Return the plan that carries a bowl with the bowls in it that wait for their turn.
+
+        Raises:
+            PlanningError: there is none, or the bowl is empty.
+        """
+        name = goals[0].name
+        contents = self._planner.bowls_in(name)
+        if self._task.task != "pack" or not contents or not set(contents) <= self._goals:
+            raise PlanningError(f"{name} holds no bowls that are to be packed")
+        return self._plan(goals, q, tried, is_tilted=True, contents=contents)
+
     def _plan(
-        self, goals: Sequence[Placement], q: Posture, tried: Sequence[Grasp], is_tilted: bool = False
+        self,
+        goals: Sequence[Placement],
+        q: Posture,
+        tried: Sequence[Grasp],
+        is_tilted: bool = False,
+        contents: Sequence[str] = (),
     ) -> PickPlacePlan:
         """Return the plan to the first feasible goal; what failed is not tried again in the same scene.
 
@@ -178,12 +200,18 @@ class ObjectPlanning:
             NoPlanError: there is none.
         """
         planner = self._planner
-        key = (is_tilted, len(tried), *((goal.name, goal.position, goal.stack) for goal in goals))
+        key = (
+            is_tilted,
+            len(tried),
+            tuple(contents),
+            *((goal.name, goal.position, goal.stack) for goal in goals),
+        )
         scene, failure = self._failures.get(key, (None, None))
         if failure is not None and scene == planner.n_changes:
             raise failure
         try:
-            return planner.plan(goals, q, tried, planner.tilted_grasps(goals[0].name) if is_tilted else None)
+            grasps = planner.tilted_grasps(goals[0].name) if is_tilted else None
+            return planner.plan(goals, q, tried, grasps, contents)
         except NoPlanError as error:
             self._failures[key] = planner.n_changes, error
             raise

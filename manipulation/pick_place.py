@@ -19,6 +19,7 @@ from manipulation.grasp_config import GraspConfig
 from manipulation.hulls import convex_pieces
 from manipulation.kinematics import IkConfig, Kinematics
 from manipulation.known_grasps import KnownGrasps
+from manipulation.lying_grasps import lies
 from manipulation.motions import MIDDLE_RADIUS, MotionPlanner
 from manipulation.nesting import nest_heights
 from manipulation.obstacles import TABLE, Obstacle
@@ -181,6 +182,13 @@ class PickPlacePlanner:
             self._lifts[names] = nest_heights([self.items[name] for name in names])[-1]
         return pose_from_yaw(yaw, np.add(placement.position, (0.0, 0.0, self._lifts[names])))
 
+    def bowls_in(self, name: str) -> tuple[str, ...]:
+        """Return the names of the upright bowls in the cavity of a bowl; none if it holds anything else."""
+        item, poses = self.items[name], self.poses()
+        inside = [n for n, T in poses.items() if n != name and holds(item, poses[name], [(self.items[n], T)])]
+        are_bowls = all(self.items[n].category == "bowl" and not lies(poses[n]) for n in (name, *inside))
+        return tuple(inside) if are_bowls else ()
+
     def can_place_after(self, placement: Placement, before: Sequence[Placement]) -> bool:
         """Return whether an object has a free release at its goal once others are at their own.
 
@@ -217,6 +225,7 @@ class PickPlacePlanner:
         q_start: Float[np.ndarray, "n"],
         tried: Collection[Grasp] = (),
         grasps: GraspSet | None = None,
+        contents: Sequence[str] = (),
     ) -> PickPlacePlan:
         """Plan all motions for one object from the present posture.
 
@@ -225,6 +234,7 @@ class PickPlacePlanner:
             q_start: (n,) present joint positions in [rad].
             tried: grasps that failed; these and similar ones are excluded.
             grasps: candidates other than those of ``grasps``.
+            contents: names of objects in it that are carried with it.
 
         Raises:
             NoPlanError: no pair of grasp and yaw is feasible; the message counts the reasons.
@@ -233,19 +243,18 @@ class PickPlacePlanner:
         limit = self.config.max_pairs if grasps is None else self.config.max_tilted_pairs
         plans: list[PickPlacePlan] = []
         goals = (placement,) if isinstance(placement, Placement) else tuple(placement)
-        try:
-            candidates = grasps or self.grasps(goals[0].name)
-            for pick in self._picks(goals[0].name, candidates, tried, tally):
+        name = goals[0].name
+        candidates = grasps or self.grasps(name)
+        with self.world.containing(name, contents):
+            for pick in self._picks(name, candidates, tried, tally):
                 completed = (self._complete(pick, goal, q_start, tally) for goal in goals)
                 plan = next((plan for plan in completed if plan is not None), None)
                 if plan is not None:
-                    plans.append(plan)
+                    plans.append(replace(plan, contents=tuple(contents)))
                 if len(plans) >= self.config.max_plans or tally.n_rejected > limit:
                     break
-        finally:
-            self.world.release()
         if not plans:
-            raise NoPlanError(tally.failure_message(goals[0].name, candidates), tally.in_the_way)
+            raise NoPlanError(tally.failure_message(name, candidates), tally.in_the_way)
         return min(plans, key=lambda plan: plan.duration)
 
     def can_pick(self, name: str, T_world_stand: Float[np.ndarray, "4 4"]) -> bool:

@@ -128,7 +128,9 @@ class PlanExecution:
         self._notify("place", name)
         self._require_held(grasp, f"{name} was lost during the transfer")
         self._release(plan)
-        self.planner.moved(name, plan.T_world_stand_rest)
+        T_rest_now = plan.T_world_stand_rest @ np.linalg.inv(self.planner.world.pose(name))
+        for moved in (name, *plan.contents):
+            self.planner.moved(moved, T_rest_now @ self.planner.world.pose(moved))
         self._notify("retreat", name)
         robot.follow(plan.retreat)
         if plan.placement.stack:

@@ -52,6 +52,10 @@ class TaskOrder:
         """Give a goal the last turn."""
         self._queue.append(goal)
 
+    def drop(self, name: str) -> None:
+        """Remove the goal of an object that needs no turn."""
+        self._queue = deque(goal for goal in self._queue if goal.name != name)
+
     def note_blockers(self, name: str, blockers: Sequence[str]) -> None:
         """Remember what blocks an object that had no plan, in descending order of importance."""
         self._blockers[name] = blockers

@@ -263,6 +263,7 @@ class PickPlacePlan:
         transfer: motion from there to a point above the goal and down to the goal.
         settle: short descent with loosened pads, so that a lip or cap comes off a pad; None if not needed.
         retreat: motion away from the released object.
+        contents: names of what stays in the object while it is carried.
     """
 
     name: str
@@ -277,6 +278,7 @@ class PickPlacePlan:
     transfer: JointTrajectory
     settle: JointTrajectory | None
     retreat: JointTrajectory
+    contents: tuple[str, ...] = ()
 
     @property
     def duration(self) -> float:

@@ -144,6 +144,21 @@ def test_carrying_another_object_returns_the_first_to_its_last_pose(world, kinem
     assert world.contact(above(kinematics, 0.5, -0.3, 0.06), WIDTH) == Contact("arm", "can_1")
 
 
+def test_contents_are_carried_with_what_holds_them(world, kinematics):
+    """The mug is 0.15 m before and 0.3 m beside the can, and remains there."""
+    T_tcp_stand = np.diag([1.0, -1.0, -1.0, 1.0])
+    T_tcp_stand[2, 3] = 0.1
+    q = above(kinematics, 0.5 + 0.15, 0.2 - 0.3, 0.15)  # the mug is where the bottle stands
+    with world.containing("can_1", ["mug_3"]):
+        world.carry("can_1", T_tcp_stand)
+        hit = world.contact(q, 0.06)
+        assert hit is not None and hit.mover == "mug_3"
+        assert "bottle_2" in world.carried_overlaps(q, 0.06)
+    assert world.contact(above(kinematics, 0.35, 0.0, 0.06), WIDTH) == Contact("arm", "mug_3")
+    world.carry("can_1", T_tcp_stand)
+    assert world.contact(q, 0.06) is None
+
+
 def block(low, high):
     return np.array(
         [(x, y, z) for x in (low[0], high[0]) for y in (low[1], high[1]) for z in (low[2], high[2])]

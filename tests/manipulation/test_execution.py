@@ -416,7 +416,7 @@ def test_blocked_object_is_deferred_until_the_others_are_moved(packing, arm, mon
     planned = []
     plan = PickPlacePlanner.plan
 
-    def blocked_at_first(self, placement, q_start, tried=(), grasps=None):
+    def blocked_at_first(self, placement, q_start, tried=(), grasps=None, contents=()):
         planned.append(placement[0].name)
         if placement[0].name == "bowl_2" and planned.count("bowl_2") == 1:
             raise PlanningError("No plan for bowl_2: of 9 candidates, 9 collide with can_1; clear it")
@@ -440,7 +440,7 @@ def test_what_an_object_blocked_comes_next_once_that_is_moved(scene, shapes, arm
     first, second, third = (placement.name for placement in task.placements)
     plan, failed = PickPlacePlanner.plan, []
 
-    def blocked_at_first(self, placement, q_start, tried=(), grasps=None):
+    def blocked_at_first(self, placement, q_start, tried=(), grasps=None, contents=()):
         if placement[0].name == first and not failed:
             failed.append(first)
             raise NoPlanError("blocked", (second,))
@@ -465,7 +465,7 @@ def test_the_order_in_which_what_is_in_the_way_is_placed(shapes, arm, monkeypatc
     names = [placement.name for placement in task.placements]
     plan, failed = PickPlacePlanner.plan, []
 
-    def blocked_at_first(self, placements, q_start, tried=(), grasps=None):
+    def blocked_at_first(self, placements, q_start, tried=(), grasps=None, contents=()):
         placements = [placements] if isinstance(placements, Placement) else placements
         if placements[0].name == names[0] and not failed:
             failed.append(names[0])
@@ -487,7 +487,7 @@ def test_what_would_enclose_the_goal_of_what_it_blocks_is_set_aside_first(scene,
     first, second = (placement.name for placement in task.placements)
     plan, failed = PickPlacePlanner.plan, []
 
-    def blocked_at_first(self, placements, q_start, tried=(), grasps=None):
+    def blocked_at_first(self, placements, q_start, tried=(), grasps=None, contents=()):
         placements = [placements] if isinstance(placements, Placement) else placements
         if placements[0].name == first and not failed:
             failed.append(first)
@@ -509,7 +509,7 @@ def test_a_placed_object_that_blocks_another_is_set_aside_and_placed_again(scene
     first, second = (placement.name for placement in task.placements)
     plan, goal = PickPlacePlanner.plan, np.array(task.placements[0].position[:2])
 
-    def blocked(self, placements, q_start, tried=(), grasps=None):
+    def blocked(self, placements, q_start, tried=(), grasps=None, contents=()):
         placements = [placements] if isinstance(placements, Placement) else placements
         is_blocked = np.linalg.norm(self.world.pose(first)[:2, 3] - goal) < 0.01
         if placements[0].name == second and is_blocked:
@@ -532,7 +532,7 @@ def test_an_object_whose_neighbours_block_its_way_is_itself_set_aside(scene, arm
     start = task.objects[name].T_world_stand[:2, 3]
     plan, goal = PickPlacePlanner.plan, np.array(task.placements[0].position[:2])
 
-    def blocked(self, placements, q_start, tried=(), grasps=None):
+    def blocked(self, placements, q_start, tried=(), grasps=None, contents=()):
         placements = [placements] if isinstance(placements, Placement) else placements
         is_at_start = np.linalg.norm(self.world.pose(name)[:2, 3] - start) < 0.01
         is_goal = np.linalg.norm(np.subtract(placements[0].position[:2], goal)) < 0.01
@@ -556,7 +556,7 @@ def test_a_blocker_lost_while_it_is_set_aside_is_searched_for_before_it_is_plann
     first, second = (placement.name for placement in task.placements)
     plan = PickPlacePlanner.plan
 
-    def blocked(self, placements, q_start, tried=(), grasps=None):
+    def blocked(self, placements, q_start, tried=(), grasps=None, contents=()):
         placements = [placements] if isinstance(placements, Placement) else placements
         if placements[0].name == second and first not in self.forgotten:
             raise NoPlanError("blocked", (first,))
@@ -592,10 +592,29 @@ def test_a_nested_bowl_is_placed_where_the_one_below_is(packing, arm):
     assert outcomes["bowl_3"].placed and nested[:2, 3] == pytest.approx(T[:2, 3])
 
 
+def test_bowls_that_no_finger_fits_between_are_carried_as_one(shapes, arm):
+    """The upper rim is 5 mm below the lower one and 22 mm inside it."""
+    nested = [
+        shapes.estimate(1, "bowl", shapes.bowl(0.08, 0.07), x=0.5, y=-0.25),
+        shapes.estimate(2, "bowl", shapes.bowl(0.053, 0.033), x=0.5, y=-0.25, lift=0.032),
+    ]
+    task = plan_pack(nested, Box(), arm, CONFIG)
+    robot = FakeRobot(arm)
+    watcher = Watcher(robot)
+    outcomes = execute(task, robot, on_event=watcher, config=CONFIG)
+    assert sorted((o.name, o.placed) for o in outcomes) == [("bowl_1", True), ("bowl_2", True)]
+    assert list(watcher.plans) == ["bowl_1"] and watcher.plans["bowl_1"].contents == ("bowl_2",)
+    lower, upper = (
+        next(o for o in outcomes if o.name == name).T_world_stand for name in ("bowl_1", "bowl_2")
+    )
+    assert upper[:3, 3] - lower[:3, 3] == pytest.approx((0, 0, 0.032), abs=1e-6)
+    assert Box().contains(upper)
+
+
 def test_object_that_stays_blocked_fails_and_releases_its_stack(packing, arm, monkeypatch):
     plan = PickPlacePlanner.plan
 
-    def never(self, placement, q_start, tried=(), grasps=None):
+    def never(self, placement, q_start, tried=(), grasps=None, contents=()):
         if len(placement) > 1 or placement[0].name == "bowl_2":
             raise PlanningError("No plan for bowl_2")
         return plan(self, placement, q_start, tried)
@@ -613,7 +632,7 @@ def test_object_whose_goal_stays_blocked_is_placed_elsewhere_in_the_box(packing,
     plan = PickPlacePlanner.plan
     (goal,) = (placement for placement in packing.placements if placement.name == "can_1")
 
-    def blocked(self, placement, q_start, tried=(), grasps=None):
+    def blocked(self, placement, q_start, tried=(), grasps=None, contents=()):
         if placement == [goal]:
             raise PlanningError("No plan for can_1")
         return plan(self, placement, q_start, tried)
@@ -704,7 +723,7 @@ def test_an_object_that_no_hand_fits_beside_is_pushed_and_grasped_where_it_is_fo
     pushed = pose_from_yaw(0.0, start[:3, 3] + np.array([0.05, 0.0, 0.0]))
     plan = PickPlacePlanner.plan
 
-    def blocked(self, placements, q_start, tried=(), grasps=None):
+    def blocked(self, placements, q_start, tried=(), grasps=None, contents=()):
         placements = [placements] if isinstance(placements, Placement) else placements
         if placements[0].name == name and np.allclose(self.world.pose(name), start):
             raise NoPlanError("blocked", ("thing_1",))
@@ -741,7 +760,7 @@ def test_what_stood_in_the_box_before_is_set_aside_for_another_object_and_put_ba
     )
     plan = PickPlacePlanner.plan
 
-    def blocked(self, placements, q_start, tried=(), grasps=None):
+    def blocked(self, placements, q_start, tried=(), grasps=None, contents=()):
         placements = [placements] if isinstance(placements, Placement) else placements
         is_there = np.linalg.norm((self.world.pose(old) - there)[:2, 3]) < 0.01
         if placements[0].name == new and is_there:

@@ -84,6 +84,14 @@ def test_a_bowl_in_another_can_be_held_by_the_top_of_its_rim(shapes):
     assert lowest(known.at(bowl.name, bowl.T_world_stand)) < bowl.top - 0.014
 
 
+def test_between_close_walls_the_fingers_stay_near_to_the_one_that_they_grasp(shapes):
+    bowl = to_standing(shapes.estimate(2, "bowl", shapes.bowl(0.05, 0.055), x=0.5, y=-0.25))
+    known = KnownGrasps({bowl.name: bowl}, CONFIG, lambda name: np.zeros((0, 3)))
+    openings = [grasp.opening for grasp in known.keeping(bowl.name, bowl.T_world_stand).grasps]
+    assert openings[0] == pytest.approx(2 * CONFIG.half_opening)
+    assert openings[-1] == pytest.approx(2 * CONFIG.narrow().half_opening)
+
+
 def test_what_stands_is_not_turned(known, can):
     assert known.tilted(can.name, can.T_world_stand) is known.keeping(can.name, can.T_world_stand)
 

@@ -27,7 +27,7 @@ class FakePlanner(PickPlacePlanner):
     """Records what it is asked to plan; ``feasible`` decides by goals and grasps."""
 
     def __init__(self, items, feasible=lambda goals, grasps: False):
-        self.items, self.feasible, self.requests = items, feasible, []
+        self.items, self.feasible, self.requests, self.contents = items, feasible, [], []
         self._obstacles, self.found, self._n_changes = (), GRASPS, 0
         self.Ts = {name: item.T_world_stand for name, item in items.items()}
         self.world, self.motions = SimpleNamespace(pose=self.Ts.__getitem__), None
@@ -44,9 +44,10 @@ class FakePlanner(PickPlacePlanner):
     def keeping_grasps(self, name):
         return KEEPING
 
-    def plan(self, goals, q, tried=(), grasps=None):
+    def plan(self, goals, q, tried=(), grasps=None, contents=()):
         goals = [goals] if isinstance(goals, Placement) else list(goals)
         self.requests.append((goals, grasps))
+        self.contents.append(contents)
         if not self.feasible(goals, grasps):
             raise NoPlanError("No plan", ("bowl_2",))
         plan = object.__new__(PickPlacePlan)
@@ -132,6 +133,44 @@ def test_a_bowl_goes_beside_the_one_below_only_when_nothing_else_helps(items):
     planning(items, planner).next_plan(goal, Q, effort=Effort.BESIDE)
     (goals, _) = planner.requests[-1]
     assert goals and all(g.stack == () for g in goals)
+
+
+def nest(shapes, height=0.02, category="bowl", mesh=None):
+    """A planner with a bowl in the cavity of another one, or on the table beside it."""
+    found = [
+        shapes.estimate(1, "bowl", shapes.bowl(0.08, 0.07), x=0.5, y=-0.2),
+        shapes.estimate(2, category, mesh or shapes.bowl(0.05, 0.04), x=0.5, y=-0.2, lift=height),
+    ]
+    held = {estimate.name: to_standing(estimate) for estimate in found}
+    return FakePlanner(held, lambda goals, grasps: grasps is TILTED)
+
+
+def test_a_bowl_is_carried_with_the_bowl_in_it_if_nothing_else_is_possible(shapes):
+    planner = nest(shapes)
+    planner.feasible = lambda goals, grasps: bool(planner.contents[-1])
+    goals = tuple(Placement(name, GOAL.position, GOAL.yaws) for name in planner.items)
+    task = TaskPlan("pack", planner.items, goals, box=Box())
+    with pytest.raises(NoPlanError):
+        ObjectPlanning(task, planner, CONFIG).next_plan(goals[0], Q)
+    ObjectPlanning(task, planner, CONFIG).next_plan(goals[0], Q, effort=Effort.FLEXIBLE)
+    assert planner.contents[-1] == ("bowl_2",) and not any(planner.contents[:-1])
+    planner.contents.clear()
+    only = replace(task, placements=goals[:1])  # what is not to be packed is not carried along
+    with pytest.raises(NoPlanError):
+        ObjectPlanning(only, planner, CONFIG).next_plan(goals[0], Q, effort=Effort.FLEXIBLE)
+    assert not any(planner.contents)
+
+
+def test_only_upright_bowls_are_carried_in_a_bowl(shapes):
+    assert nest(shapes).bowls_in("bowl_1") == ("bowl_2",)
+    assert nest(shapes).bowls_in("bowl_2") == ()
+    assert nest(shapes, height=0.2).bowls_in("bowl_1") == ()
+    assert nest(shapes, category="can", mesh=shapes.can(0.02, 0.06)).bowls_in("bowl_1") == ()
+    tipped = nest(shapes)
+    tipped.Ts["bowl_2"] = tipped.Ts["bowl_2"].copy()
+    tipped.Ts["bowl_2"][:3, :3] = [[0, 0, 1], [0, 1, 0], [-1, 0, 0]]
+    tipped.Ts["bowl_2"][2, 3] = 0.06
+    assert tipped.bowls_in("bowl_1") == ()
 
 
 def lying(items):

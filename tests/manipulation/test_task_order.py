@@ -31,6 +31,13 @@ def names(order):
     return [placement.name for placement in order]
 
 
+def test_what_needs_no_turn_gets_none():
+    order = order_of("a", "b", "c")
+    order.drop("b")
+    order.drop("d")
+    assert names(order) == ["a", "c"]
+
+
 def test_turns_follow_the_task_and_can_be_changed():
     order = order_of("a", "b", "c")
     first = order.next()
