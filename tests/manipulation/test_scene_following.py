@@ -30,6 +30,9 @@ class Observer:
     def look_closer(self, names, poses):
         return {}
 
+    def seen_through(self, things):
+        return {}
+
 
 @pytest.fixture
 def planner(shapes, arm):
