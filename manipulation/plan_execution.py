@@ -34,7 +34,7 @@ MAX_PRESSES = 2  # of a bowl in another; one more for each further bowl below
 _RISES = (0.18, 0.12, 0.08, 0.04)  # [m] above where an object met something, tried in order
 _RETURNED = 0.05  # [rad] of each joint from the posture of the grasp
 _TOUCHING = 0.01  # [m] between an object and a thing that it may be a part of
-_GONE = 0.5  # of a thing's volume that is empty all at once, from which on it was moved
+_GONE, _THERE = 0.7, 0.3  # of the place of a thing that is seen to be empty: after it was moved, and before
 MISPLACED = 0.02  # [m] from its goal, from which on a released object is grasped again
 
 Phase = Literal[
@@ -170,10 +170,11 @@ class PlanExecution:
         Args:
             plan: the plan.
             things: things beside the object.
-            before: share of their volumes that was seen to be empty when the object was in its place.
+            before: share of their volumes that was seen to be empty when the object was in its place, where
+                the image showed them.
         """
-        after = self.observer.seen_through(things) if before else {}
-        gone = [name for name in before.keys() & after.keys() if after[name] - before[name] > _GONE]
+        after = self.observer.seen_through(things) if things else {}
+        gone = [name for name, share in after.items() if share > _GONE and before.get(name, 0.0) < _THERE]
         if not gone:
             return
         self.robot.follow(plan.lift.reversed())

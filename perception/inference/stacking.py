@@ -32,7 +32,8 @@ FREE = 0.1  # [m] standard deviation of the height of the lowest part before the
 WORSE = 0.3  # by which the score of a fit on the contact may be below that of the fit at any height
 _LEANING = 0.3  # [rad] standard deviation of the tilt of an object in a vessel
 _MOST_LEANING = math.radians(40)
-_DOUBTFUL, _CLEARLY = 0.05, 0.6  # unexplained share without tilt, and largest ratio of that with tilt to it
+_DOUBTFUL, _CLEARLY = 0.05, 0.6  # unexplained share of a poor fit, and largest ratio of that of a better one
+_BELOW = 0.01  # [m] below the lowest measured points, where the foot of an object on something hidden may be
 _VIEWS = 2  # in which an object is measured
 _CENTRAL = (
     0.25  # share of the points about the centre of the upper object under which the lower one is looked up
@@ -128,7 +129,11 @@ def rest_on(
         return fit(views, plane, config)
     start = raised(plane, under)
     free = replace(config, noise=replace(config.noise, support_sigma=FREE))
+    points = np.concatenate([view.points_world(erode=2) for view in views.observations])
     floating = fit(views, start, free)
+    if seen.base - _BELOW > under + _HIGHER:  # the lower object is perhaps taller than what is seen of it
+        higher = fit(views, raised(plane, seen.base - _BELOW), free)
+        floating = higher if _explains_more(points, higher, floating) else floating
     first = floating.mesh_world
     clearance = gap(first, lower.mesh_world, plane)
     if clearance is None:
@@ -136,15 +141,29 @@ def rest_on(
     lowest = float(plane.height_above(first.vertices).min())
     contact = lowest - clearance
     touching = fit(views, raised(plane, contact), config)
-    best = floating if touching.score < floating.score - WORSE else touching
+    contradicted = touching.score < floating.score - WORSE
+    if lower.category not in VESSELS:
+        contradicted |= _explains_more(points, floating, touching)
+    best = floating if contradicted else touching
     rim = float(plane.height_above(lower.mesh_world.vertices).max())
     if lower.category in VESSELS and min(lowest, contact) < rim - _HIGHER:
-        best = _leaning(views, best, start, config, fit) or best
+        best = _leaning(views, points, best, start, config, fit) or best
     return replace(best, rests_on=lower.id)
 
 
+def _explains_more(points: Float[np.ndarray, "n 3"], one: ObjectEstimate, other: ObjectEstimate) -> bool:
+    """Return whether an estimate explains the measured points clearly better than a poor other one."""
+    before = unexplained(points, [other])
+    return before >= _DOUBTFUL and unexplained(points, [one]) < _CLEARLY * before
+
+
 def _leaning(
-    views: ObjectViews, upright: ObjectEstimate, plane: SupportPlane, config: FitConfig, fit: Fit
+    views: ObjectViews,
+    points: Float[np.ndarray, "n 3"],
+    upright: ObjectEstimate,
+    plane: SupportPlane,
+    config: FitConfig,
+    fit: Fit,
 ) -> ObjectEstimate | None:
     """Return the estimate of an object that leans on the wall of a vessel; None if it does not.
 
@@ -152,21 +171,20 @@ def _leaning(
 
     Args:
         views: Observations of the object.
+        points: Its measured points in the world frame, in metres.
         upright: Its estimate without tilt.
         plane: Plane at the height of the cavity below it.
         config: Settings of the fits.
         fit: Fits the object, given the plane that it stands on.
     """
-    points = np.concatenate([seen.points_world(erode=2) for seen in views.observations])
-    before = unexplained(points, [upright])
-    if before < _DOUBTFUL:
+    if unexplained(points, [upright]) < _DOUBTFUL:
         return None
     noise = replace(config.noise, tilt_sigma=_LEANING, support_sigma=FREE)
     try:
         leaning = fit(views, plane, replace(config, noise=noise, max_tilt=_MOST_LEANING))
     except PerceptionError:
         return None
-    return leaning if unexplained(points, [leaning]) < _CLEARLY * before else None
+    return leaning if _explains_more(points, leaning, upright) else None
 
 
 def gap(upper: TriangleMesh, lower: TriangleMesh, plane: SupportPlane) -> float | None:

@@ -12,7 +12,7 @@ from perception.types import RgbdFrame, SupportPlane
 BEHIND = 0.015  # [m] from a point of the thing to what is seen behind it, from which on it is not there
 THICK = 0.08  # [m] by which a surface of the thing itself may be nearer to the camera than a point in it
 LEAST_HEIGHT = 0.025  # [m] above the table: nearer to it, what is behind a point is hardly farther away
-LEAST_SHOWN = 0.3  # share of the points that the image must show
+LEAST_SHOWN = 0.15  # share of the points that the image must show
 _SHRUNK = (0.25, 0.5, 0.75)  # of the vertices towards the middle of their piece
 
 

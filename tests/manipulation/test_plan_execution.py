@@ -99,7 +99,6 @@ def test_what_is_a_part_of_a_thing_is_put_back(cell, plan, item):
     [
         (0.54, [{"thing_4": 0.2}, {"thing_4": 0.3}]),  # it is there
         (0.54, [{"thing_4": 0.6}, {"thing_4": 0.9}]),  # it was seen through before: its hulls are too large
-        (0.54, [{}, {"thing_4": 0.9}]),
         (0.54, [{"thing_4": 0.2}, {}]),  # hidden
         (0.58, [{"thing_4": 0.2}, {"thing_4": 0.9}]),  # too far away to be a part of the same
     ],
