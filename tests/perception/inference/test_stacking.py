@@ -88,6 +88,32 @@ def test_the_upper_object_is_fitted_on_the_contact(make_table) -> None:
     assert free == [True, False]
 
 
+@pytest.mark.parametrize(("low_share", "stands_high"), [(0.3, True), (0.04, False), (0.012, False)])
+def test_the_lower_object_may_be_taller_than_what_is_seen_of_it(
+    make_table, monkeypatch, low_share, stands_high
+) -> None:
+    """A can that a bowl hides ends at 2 cm; what is measured of the bowl begins at 6 cm above the plane."""
+    table = make_table("can", (), yaw=0.0)
+    views = ObjectViews(7, "can", 1.0, tuple(table.observations((0.0,))))
+    box = trimesh.creation.box((0.06, 0.06, 0.1))
+    lower = estimate(3, as_mesh(box, 0.4, -0.1, -0.05 + 0.02))
+    seen = replace(MeasuredExtent.of(views, PLANE), base=0.06)
+    starts = []
+
+    def fit(_: ObjectViews, plane: SupportPlane, config: FitConfig) -> ObjectEstimate:
+        starts.append(round(plane.offset, 3))
+        return estimate(7, as_mesh(box, 0.4, -0.1, 0.05 + plane.offset))
+
+    def share(_: np.ndarray, shapes: list[ObjectEstimate]) -> float:
+        return 0.01 if shapes[0].mesh_world.vertices[:, 2].min() > 0.04 else low_share
+
+    monkeypatch.setattr(MeasuredExtent, "of", lambda *_: seen)
+    monkeypatch.setattr(stacking, "unexplained", share)
+    found = rest_on(views, lower, PLANE, FitConfig(), fit)
+    assert starts == [0.02, 0.05, 0.02] and found.rests_on == 3
+    assert found.mesh_world.vertices[:, 2].min() == pytest.approx(0.05 if stands_high else 0.02, abs=1e-6)
+
+
 @pytest.mark.parametrize(
     ("category", "shares", "leans"),
     [
