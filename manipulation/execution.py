@@ -27,7 +27,6 @@ from manipulation.plan_execution import (
     MISPLACED,
     GraspFailedError,
     LeaningError,
-    PartError,
     Phase,
     PlanExecution,
     SceneChangedError,
@@ -190,7 +189,7 @@ class _Execution:
     def _gets_another_chance(self, placement: Placement, outcome: ObjectOutcome) -> bool:
         """Return whether an object that was not placed is tried once more when the others are done."""
         name = placement.name
-        if outcome.placed or outcome.is_part or name in self._tried_before or not self.can_see:
+        if outcome.placed or name in self._tried_before or not self.can_see:
             return False
         self._tried_before[name] = outcome
         return True
@@ -267,8 +266,6 @@ class _Execution:
                 tried.append(plan.grasp)
                 self.motion.back_off()
                 self._look_beside(plan)
-                if isinstance(error, PartError):
-                    return ObjectOutcome(number, name, False, n_before + attempts, reason, is_part=True)
             logger.info("%s, attempt %d: %s", name, attempts, reason)
             self._notify("retry", name, reason)
             found = Searched() if is_known else self._scene.search(name)

@@ -61,13 +61,6 @@ class SceneObserver(Protocol):
         """
         ...
 
-    def seen_through(self, things: Sequence[PerceivedObstacle]) -> Mapping[str, float]:
-        """Return from one image, without a motion, the share of each thing's volume that is seen to be empty.
-
-        Things whose place the image does not show are missing.
-        """
-        ...
-
 
 class NoObserver:
     """Sees nothing; execution then relies on the width between the fingers alone."""
@@ -79,9 +72,6 @@ class NoObserver:
         return Finding("unseen")
 
     def look_closer(self, names: Sequence[str], poses: Poses) -> Poses:
-        return {}
-
-    def seen_through(self, things: Sequence[PerceivedObstacle]) -> Mapping[str, float]:
         return {}
 
 

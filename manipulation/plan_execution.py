@@ -8,7 +8,7 @@ from __future__ import annotations
 
 import itertools
 import logging
-from collections.abc import Iterator, Mapping, Sequence
+from collections.abc import Iterator
 from typing import Literal, Protocol, runtime_checkable
 
 import numpy as np
@@ -26,15 +26,12 @@ from manipulation.trajectories import concatenate, joint_move, line_postures
 from manipulation.types import Grasp, PickPlacePlan
 from manipulation.withdrawal import HOME_MARGINS
 from perception.geometry import levelled
-from perception.obstacles.obstacle import PerceivedObstacle
 
 logger = logging.getLogger(__name__)
 
 MAX_PRESSES = 2  # of a bowl in another; one more for each further bowl below
 _RISES = (0.18, 0.12, 0.08, 0.04)  # [m] above where an object met something, tried in order
 _RETURNED = 0.05  # [rad] of each joint from the posture of the grasp
-_TOUCHING = 0.01  # [m] between an object and a thing that it may be a part of
-_GONE, _THERE = 0.7, 0.3  # of the place of a thing that is seen to be empty: after it was moved, and before
 MISPLACED = 0.02  # [m] from its goal, from which on a released object is grasped again
 
 Phase = Literal[
@@ -64,10 +61,6 @@ class Notify(Protocol):
 
 class GraspFailedError(Exception):
     """The hand closed without holding the object, or the object was lost."""
-
-
-class PartError(GraspFailedError):
-    """What was lifted is a part of a thing of no class; it was put back."""
 
 
 class LeaningError(GraspFailedError):
@@ -109,8 +102,7 @@ class PlanExecution:
 
         Raises:
             SceneChangedError: the object is not where it was expected.
-            GraspFailedError: the object is not held, a part of a thing, not where it was released, or leans
-                there.
+            GraspFailedError: the object is not held, not where it was released, or leans there.
             RobotError: the robot failed to execute a motion.
         """
         robot, grasp, name = self.robot, plan.grasp, plan.name
@@ -120,8 +112,6 @@ class PlanExecution:
             robot.follow(plan.transit)
         if looks_first:
             self._require_in_place(name)
-        things = self._things_beside(name)
-        before = self.observer.seen_through(things) if things else {}
         robot.follow(plan.approach)
         self._notify("grasp", name)
         robot.move_gripper(0.0)
@@ -129,7 +119,6 @@ class PlanExecution:
         robot.follow(plan.lift)
         # The closed width is wide enough for an object that shifts between the pads.
         self._require_held(grasp, f"{name} was lost during the lift")
-        self._require_whole(plan, things, before)
         self._notify("transfer", name)
         try:
             robot.follow(plan.transfer)
@@ -153,34 +142,6 @@ class PlanExecution:
         """Raise SceneChangedError if an image shows that an object is not where it was expected."""
         if self.observer.glance(self.planner.poses(), (name,)).get(name) == "displaced":
             raise SceneChangedError(f"{name} is not where it was seen before")
-
-    def _things_beside(self, name: str) -> list[PerceivedObstacle]:
-        """Return the things of no class that an object may touch."""
-        item, T = self.planner.items[name], self.planner.world.pose(name)
-        vertices = item.vertices @ T[:3, :3].T + T[:3, 3]
-        low, high = vertices.min(axis=0) - _TOUCHING, vertices.max(axis=0) + _TOUCHING
-        things = self.planner.perceived_obstacles
-        return [t for t in things if (t.bounds[0] < high).all() and (t.bounds[1] > low).all()]
-
-    def _require_whole(
-        self, plan: PickPlacePlan, things: Sequence[PerceivedObstacle], before: Mapping[str, float]
-    ) -> None:
-        """Put back what was lifted, and raise PartError, if a thing beside it is not where it was any more.
-
-        Args:
-            plan: the plan.
-            things: things beside the object.
-            before: share of their volumes that was seen to be empty when the object was in its place, where
-                the image showed them.
-        """
-        after = self.observer.seen_through(things) if things else {}
-        gone = [name for name, share in after.items() if share > _GONE and before.get(name, 0.0) < _THERE]
-        if not gone:
-            return
-        self.robot.follow(plan.lift.reversed())
-        self.robot.move_gripper(plan.grasp.opening)
-        self.robot.follow(plan.approach.reversed())
-        raise PartError(f"{plan.name} was put back: {min(gone)}, of no class, moves with it")
 
     def _require_released(self, plan: PickPlacePlan) -> None:
         """Raise GraspFailedError if a released object is seen elsewhere, or a mug is seen turned."""

@@ -297,7 +297,6 @@ class ObjectOutcome:
         attempts: number of executed grasps.
         reason: cause of the failure; empty if placed.
         T_world_stand: (4, 4) expected resting pose; None if not placed.
-        is_part: whether it turned out to be a part of a thing of no class, and was put back.
     """
 
     id: int
@@ -306,4 +305,3 @@ class ObjectOutcome:
     attempts: int
     reason: str = ""
     T_world_stand: Float[np.ndarray, "4 4"] | None = None
-    is_part: bool = False

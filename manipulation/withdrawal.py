@@ -22,7 +22,6 @@ from manipulation.pick_place import PickPlacePlanner
 from manipulation.robot import Robot
 from manipulation.trajectories import joint_move
 from manipulation.types import Rejected
-from perception.obstacles.obstacle import PerceivedObstacle
 
 logger = logging.getLogger(__name__)
 
@@ -134,6 +133,3 @@ class WithdrawingObserver:
 
     def look_closer(self, names: Sequence[str], poses: Poses) -> Poses:
         return self._observer.look_closer(names, poses) if self._withdrawal.rise() else {}
-
-    def seen_through(self, things: Sequence[PerceivedObstacle]) -> dict[str, float]:
-        return dict(self._observer.seen_through(things))

@@ -26,7 +26,6 @@ from perception.inference.depth_votes import Region, SearchScene
 from perception.inference.handle import turned_to_handle
 from perception.inference.refit import STANDING, PoseCheck, refit_leaning, refit_pose
 from perception.inference.relocate import relocate
-from perception.obstacles.absence import seen_through
 from perception.obstacles.obstacle import PerceivedObstacle
 from perception.types import ObjectEstimate, RgbdFrame, SupportPlane
 
@@ -122,11 +121,6 @@ class WristObserver:
         except (ManipulationError, PerceptionError) as error:
             logger.info("cannot look closer at %s: %s", names[0], error)
         return {name: now[name] for name in names if now[name] is not poses[name]}
-
-    def seen_through(self, things: Sequence[PerceivedObstacle]) -> Mapping[str, float]:
-        frame = self._scanner.look(color=False)
-        shares = {thing.name: seen_through(thing, frame) for thing in things}
-        return {name: share for name, share in shares.items() if share is not None}
 
     def _presence(self, name: str, poses: Poses, frame: RgbdFrame) -> Presence:
         """Return whether one image shows an object where it is expected."""

@@ -44,7 +44,6 @@ from app.task.rounds import (
     renumbered,
     with_round,
     without_covered,
-    without_parts,
 )
 from app.task.run_observer import RunObserver
 from app.task.task_types import Reconstruction, TaskRequest, TaskResult
@@ -125,7 +124,6 @@ class _Stages:
         self._settings = self._space.adapted(request.manipulation)
         uses_deviations = request.uncertainty and request.reconstruction is None
         self._latest: list[ObjectOutcome] = []  # of the last round
-        self._parts: list[ObjectEstimate] = []  # of things of no class, that were lifted and put back
         self._left = list(self._space.further_viewpoints(request.scan_views)) if uses_deviations else []
         self.scanner = ViewpointScanner(
             robot, self.kinematics, keep_out=self._space.keep_out, via_heights=self._space.via_heights
@@ -220,8 +218,6 @@ class _Stages:
             on_event = self._observer.on_event
             outcomes = execute(plan, self._robot, watch, on_event, self._settings, self.kinematics)
         self._latest = outcomes
-        parts = {outcome.id for outcome in outcomes if outcome.is_part}
-        self._parts += [estimate for estimate in objects if estimate.id in parts]
         return outcomes
 
     def verify(self, result: TaskResult) -> TaskResult:
@@ -294,8 +290,7 @@ class _Stages:
                 reconstruct = request.reconstruction or prior_reconstruction(
                     self._perception, observer, shows_fits=False
                 )
-                seen = renumbered(reconstruct(frames, detections), result.objects, box)
-                found = without_parts(seen, self._parts)
+                found = renumbered(reconstruct(frames, detections), result.objects, box)
                 in_box = list(placed_estimates(result).values())
                 table = table_of(detections)
                 obstacles = obstacles_during([*in_box, *found], frames, table, box, self._robot.arm)

@@ -73,24 +73,6 @@ def without_covered(plan: TaskPlan, objects: Sequence[ObjectEstimate]) -> TaskPl
     )
 
 
-def without_parts(found: Sequence[ObjectEstimate], parts: Sequence[ObjectEstimate]) -> list[ObjectEstimate]:
-    """Return the estimates but those of what turned out to be a part of a thing of no class before.
-
-    Args:
-        found: estimates of a round.
-        parts: estimates of such parts, of rounds before.
-    """
-    return [
-        estimate
-        for estimate in found
-        if not any(
-            part.category == estimate.category
-            and np.linalg.norm((part.T_world_object - estimate.T_world_object)[:2, 3]) < SAME_PLACE
-            for part in parts
-        )
-    ]
-
-
 def placed_items(result: TaskResult) -> dict[str, StandingObject]:
     """Return the packed objects where they are now, by name."""
     assert result.plan is not None

@@ -15,7 +15,6 @@ from manipulation.observation import Finding
 from manipulation.obstacles import TABLE, box_obstacles
 from manipulation.packing_problem import PackingConfig
 from manipulation.pick_place import PickPlaceConfig, PickPlacePlanner
-from manipulation.plan_execution import PartError, PlanExecution
 from manipulation.planner import ManipulationConfig, plan_pack, plan_sort
 from manipulation.pushing import Push
 from manipulation.robot import RobotState
@@ -167,7 +166,6 @@ class FakeObserver:
     def __init__(self, presence=(), **findings):
         self.presence, self.findings, self.searched = list(presence), findings, []
         self.closer, self.looked_at = [], []
-        self.shares, self.watched = [], []
 
     def glance(self, poses, names):
         return {name: self.presence.pop(0) if self.presence else "in_place" for name in names}
@@ -180,10 +178,6 @@ class FakeObserver:
     def look_closer(self, names, poses):
         self.looked_at.append(tuple(names))
         return self.closer.pop(0) if self.closer else {}
-
-    def seen_through(self, things):
-        self.watched.append({thing.name for thing in things})
-        return self.shares.pop(0) if self.shares else {thing.name: 0.1 for thing in things}
 
 
 MISSING = Finding("missing")
@@ -376,24 +370,6 @@ def test_a_search_updates_the_obstacles(packing, arm):
     assert all(outcome.placed for outcome in outcomes)
     deferred = next(event for event in watcher.events if event.phase == "deferred")
     assert deferred.name == "bowl_2" and "thing_7" in deferred.message
-
-
-def test_a_part_of_a_thing_is_not_grasped_again(packing, arm, monkeypatch):
-    run = PlanExecution.run
-
-    def part(self, plan, looks_first=True):
-        if plan.name == "can_1":
-            raise PartError("can_1 was put back: thing_4, of no class, moves with it")
-        run(self, plan, looks_first)
-
-    monkeypatch.setattr(PlanExecution, "run", part)
-    robot = FakeRobot(arm)
-    watcher = Watcher(robot)
-    outcomes = {o.name: o for o in execute(packing, robot, FakeObserver(), watcher, CONFIG)}
-    failed = outcomes.pop("can_1")
-    assert (failed.placed, failed.is_part, failed.attempts) == (False, True, 1) and "thing_4" in failed.reason
-    assert watcher.phases("can_1") == ["plan", "failed"], "no second chance either"
-    assert all(outcome.placed and not outcome.is_part for outcome in outcomes.values())
 
 
 def test_blocked_arm_counts_as_a_failed_attempt(packing, arm):

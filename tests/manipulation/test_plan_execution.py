@@ -18,7 +18,6 @@ from manipulation.plan_execution import (
     MISPLACED,
     GraspFailedError,
     LeaningError,
-    PartError,
     PlanExecution,
     SceneChangedError,
 )
@@ -26,7 +25,6 @@ from manipulation.standing import to_standing
 from manipulation.types import Box, Placement
 from manipulation.withdrawal import HOME_MARGINS
 from perception.geometry import pose_from_yaw
-from perception.obstacles.obstacle import PerceivedObstacle
 from tests.manipulation.test_execution import CONFIG, FakeObserver, FakeRobot
 
 
@@ -72,44 +70,6 @@ def test_nothing_is_touched_where_the_scene_has_changed(cell, plan, item):
         execution.run(plan)
     assert robot.motions == [plan.transit] and 0.0 not in robot.widths
     np.testing.assert_array_equal(planner.world.pose("can_1"), item.T_world_stand)
-
-
-def beside(x):
-    """A thing of which the near side is at x [m]; the can's far side is at 0.533 m."""
-    corners = np.array([(a, b, c) for a in (0, 0.06) for b in (-0.03, 0.03) for c in (0, 0.08)])
-    return PerceivedObstacle(4, (corners + np.array([x, -0.25, 0.0]),), 500)
-
-
-def test_what_is_a_part_of_a_thing_is_put_back(cell, plan, item):
-    robot, planner, phases, execution = cell()
-    planner.observe_obstacles([beside(0.54)])
-    execution.observer.shares = [{"thing_4": 0.2}, {"thing_4": 0.9}]
-    with pytest.raises(PartError, match="can_1 was put back: thing_4, of no class, moves with it"):
-        execution.run(plan)
-    there = [plan.transit, plan.approach, plan.lift]
-    assert robot.motions[:3] == there and phases == ["approach", "grasp"]
-    for back, motion in zip(robot.motions[3:], (plan.lift, plan.approach), strict=True):
-        np.testing.assert_array_equal(back.positions, motion.positions[::-1])
-    assert robot.widths == [plan.grasp.opening, 0.0, plan.grasp.opening]
-    np.testing.assert_array_equal(planner.world.pose("can_1"), item.T_world_stand)
-
-
-@pytest.mark.parametrize(
-    ("x", "shares"),
-    [
-        (0.54, [{"thing_4": 0.2}, {"thing_4": 0.3}]),  # it is there
-        (0.54, [{"thing_4": 0.6}, {"thing_4": 0.9}]),  # it was seen through before: its hulls are too large
-        (0.54, [{"thing_4": 0.2}, {}]),  # hidden
-        (0.58, [{"thing_4": 0.2}, {"thing_4": 0.9}]),  # too far away to be a part of the same
-    ],
-)
-def test_what_things_beside_it_do_not_follow_is_whole(cell, plan, x, shares):
-    _, planner, phases, execution = cell()
-    planner.observe_obstacles([beside(x)])
-    execution.observer.shares = shares
-    execution.run(plan)
-    assert phases[-1] == "retreat"
-    assert ({"thing_4"} in execution.observer.watched) is (x < 0.55)
 
 
 class MeetsSomething(FakeRobot):

@@ -30,9 +30,6 @@ class Observer:
     def look_closer(self, names, poses):
         return {}
 
-    def seen_through(self, things):
-        return {}
-
 
 @pytest.fixture
 def planner(shapes, arm):

@@ -69,15 +69,6 @@ def test_a_glance(scene, can_at):
     assert scanner.visited == []
 
 
-def test_one_image_shows_what_things_are_gone(scene, monkeypatch):
-    watch, _, _, scanner = scene
-    shares = {"thing_1": 0.9, "thing_2": None}
-    things = [PerceivedObstacle(number, (np.zeros((4, 3)),), 300) for number in (1, 2)]
-    monkeypatch.setattr(observation, "seen_through", lambda thing, frame: shares[thing.name])
-    assert watch.seen_through(things) == {"thing_1": 0.9}, "nothing is known of the other one"
-    assert scanner.visited == []
-
-
 @pytest.mark.parametrize(("category", "presence"), [("can", "in_place"), ("mug", "displaced")])
 def test_a_glance_at_what_was_turned(scene, can_at, pack_plan, category, presence):
     """The yaw of a can is arbitrary; the handle of a mug is aligned with others."""

@@ -15,7 +15,6 @@ from app.task.rounds import (
     renumbered,
     with_round,
     without_covered,
-    without_parts,
 )
 from app.task.task_types import TaskResult
 from manipulation.types import Box, ObjectOutcome
@@ -121,12 +120,6 @@ def test_a_bowl_in_the_one_that_it_goes_into_does_not_keep_it_waiting(can_at, pa
     plan = replace(plan, placements=(*plan.placements, replace(goal, name="can_2")))
     waiting = without_covered(plan, above)
     assert [p.name for p in waiting.placements] == ["can_0", "can_2"] and list(waiting.left_out) == ["can_1"]
-
-
-def test_what_was_a_part_of_a_thing_before_is_no_object(can_at):
-    found = [can_at(3, 0.5), can_at(4, 0.54), can_at(5, 0.58), replace(can_at(6, 0.52), category="mug")]
-    assert [e.id for e in without_parts(found, [can_at(0, 0.51)])] == [5, 6]
-    assert without_parts(found, []) == found
 
 
 def test_what_waits_is_looked_at_again(result, can_at):
