@@ -105,9 +105,52 @@ def _in_place(
         if goal is None:
             no_room[item.name] = f"no room for {item.name} is left in the box; use a larger box"
             continue
-        placements.append(goal)
-        there[item.name] = replace(item, T_world_stand=_resting_pose(item, goal, there))
+        for moved, to in (item, goal), *_into_larger(item, goal, there, placed, box, config):
+            placements.append(to)
+            there[moved.name] = replace(moved, T_world_stand=_resting_pose(moved, to, there))
     return placements, no_room
+
+
+def _into_larger(
+    item: StandingObject,
+    goal: Placement,
+    there: Mapping[str, StandingObject],
+    placed: Mapping[str, StandingObject],
+    box: Box,
+    config: ManipulationConfig,
+) -> list[tuple[StandingObject, Placement]]:
+    """Return the bowls in the box that go into one that comes later, with their goals, at most one.
+
+    A bowl that lay in a larger one on the table may be in the box before that.
+
+    Args:
+        item: what comes, and its goal on the floor.
+        goal: its goal.
+        there: objects in the box by then.
+        placed: those that are there now.
+        box: target box.
+        config: settings.
+    """
+    if item.category != "bowl" or goal.stack:
+        return []
+    standing = replace(item, T_world_stand=_resting_pose(item, goal, there))
+    alone = [
+        other
+        for other in placed.values()
+        if other.category == "bowl" and not lies(other.T_world_stand) and not _shares_axis(other, there)
+    ]
+    for inner in sorted(alone, key=lambda bowl: -bowl.size):
+        nest = _into_bowls(inner, {item.name: standing}, box, config)
+        if nest is not None:
+            return [(inner, nest)]
+    return []
+
+
+def _shares_axis(bowl: StandingObject, there: Mapping[str, StandingObject]) -> bool:
+    """Return whether another object stands in or under a bowl."""
+    axis = bowl.T_world_stand[:2, 3]
+    others = (other for name, other in there.items() if name != bowl.name)
+    return any(np.linalg.norm(other.T_world_stand[:2, 3] - axis) < _IN_NEST for other in others)
 
 
 def _movable(placed: Mapping[str, StandingObject]) -> list[StandingObject]:

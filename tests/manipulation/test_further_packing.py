@@ -51,10 +51,18 @@ def test_a_bowl_goes_into_the_uppermost_bowl_that_holds_it(shapes, arm):
     assert goal.stack == ("bowl_1", "bowl_2")
     assert goal.position == pytest.approx((BOX.center[0] + 0.055, BOX.center[1], BOX.floor))
     assert goal.release_height > CONFIG.packing.release_height
+
+
+def test_a_bowl_in_the_box_goes_into_a_larger_one_that_comes_later(shapes, arm):
+    small = in_box(shapes.estimate(1, "bowl", shapes.bowl(0.06, 0.045)), x=-0.09)
     wide = shapes.estimate(3, "bowl", shapes.bowl(0.085, 0.06), x=0.5)
-    (beside,) = plan_further([wide], in_box(shapes.estimate(1, "bowl", shapes.bowl(0.06, 0.045)), x=-0.09),
-                             BOX, arm, CONFIG).placements  # fmt: skip
-    assert beside.stack == ()
+    beside, into = plan_further([wide], small, BOX, arm, CONFIG).placements
+    assert beside.name == "bowl_3" and beside.stack == ()
+    assert np.linalg.norm(np.subtract(beside.position, small["bowl_1"].T_world_stand[:3, 3])) > 0.06 + 0.085
+    assert into.name == "bowl_1" and into.stack == ("bowl_3",) and into.position == beside.position
+    can = in_box(shapes.estimate(2, "can", shapes.can(0.02, 0.06)), x=-0.09, z=BOX.floor + 0.008)
+    (alone,) = plan_further([wide], small | can, BOX, arm, CONFIG).placements
+    assert alone == beside, "what holds something stays"
 
 
 def test_a_full_box_has_no_room(shapes, arm):
