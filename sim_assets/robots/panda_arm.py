@@ -30,7 +30,7 @@ VISUAL_GROUP = 2
 
 Q_READY = np.array([0, -np.pi / 4, 0, -3 * np.pi / 4, 0, np.pi / 2, np.pi / 4])
 MAX_WIDTH = 0.08  # [m] between the pads
-FINGER_FORCE = 40.0  # [N], force of each finger
+FINGER_FORCE = 70.0  # [N], force of each finger
 TCP_BELOW_HAND = 0.1034  # [m] along the hand's z
 CAMERA_IN_HAND = (0.065, 0.0, 0.052)
 
