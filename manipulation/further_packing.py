@@ -64,6 +64,24 @@ def plan_further(
     )
 
 
+def loose_bowl(
+    placed: Mapping[str, StandingObject], box: Box, config: ManipulationConfig = ManipulationConfig()
+) -> StandingObject | None:
+    """Return the smallest bowl that stands alone in the box although it fits into another; None without any.
+
+    Args:
+        placed: objects in the box where they are, by name.
+        box: the box.
+        config: settings.
+    """
+    bowls = [item for item in placed.values() if item.category == "bowl" and not lies(item.T_world_stand)]
+    for bowl in sorted(bowls, key=lambda bowl: bowl.size):
+        others = {item.name: item for item in bowls if item.name != bowl.name}
+        if not _shares_axis(bowl, placed) and _into_bowls(bowl, others, box, config) is not None:
+            return bowl
+    return None
+
+
 def _most_in_place(
     items: Sequence[StandingObject],
     placed: Mapping[str, StandingObject],

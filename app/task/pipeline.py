@@ -26,6 +26,7 @@ from jaxtyping import Float
 
 from app.task.fallen import LEANING, fallen_objects
 from app.task.further_views import most_useful_viewpoint
+from app.task.nests import with_bowls_named
 from app.task.observation import WristObserver
 from app.task.obstacles import (
     beside_box,
@@ -49,7 +50,7 @@ from app.task.run_observer import RunObserver
 from app.task.task_types import Reconstruction, TaskRequest, TaskResult
 from manipulation.errors import ManipulationError, PlanningError
 from manipulation.execution import execute
-from manipulation.further_packing import plan_further
+from manipulation.further_packing import loose_bowl, plan_further
 from manipulation.kinematics import Kinematics
 from manipulation.planner import plan_pack, plan_sort
 from manipulation.robot import Robot
@@ -124,6 +125,7 @@ class _Stages:
         self._settings = self._space.adapted(request.manipulation)
         uses_deviations = request.uncertainty and request.reconstruction is None
         self._latest: list[ObjectOutcome] = []  # of the last round
+        self._nested: set[int] = set()  # bowls that were to go into others once all was packed
         self._left = list(self._space.further_viewpoints(request.scan_views)) if uses_deviations else []
         self.scanner = ViewpointScanner(
             robot, self.kinematics, keep_out=self._space.keep_out, via_heights=self._space.via_heights
@@ -231,10 +233,16 @@ class _Stages:
             return replace(result, checks=verify(placed_estimates(result), frames))
 
     def place_again(self, result: TaskResult) -> TaskResult | None:
-        """Return the results after what fell, leans or was turned in the box was placed again; else None."""
+        """Return the results after what fell, leans, was turned or does not nest in the box was placed again.
+
+        None if nothing was.
+        """
         box, observer = self._request.box or Box(), self._observer
         placed = placed_estimates(result)
         fallen = fallen_objects(placed, result.checks, result.final_frames, box)
+        if not fallen:
+            result, fallen = self._with_loose_bowl(result, box)
+            placed = placed_estimates(result)
         if not fallen or result.detections is None:
             return None
         again = {estimate.name for estimate in fallen}
@@ -248,6 +256,16 @@ class _Stages:
             logger.info("%s cannot be placed again: %s", ", ".join(sorted(again)), error)
             return None
         return self._carry_out(result, fallen, plan, beside, result.obstacles, result.detections)
+
+    def _with_loose_bowl(self, result: TaskResult, box: Box) -> tuple[TaskResult, list[ObjectEstimate]]:
+        """Return the results with all bowls named, and one that is to go into another, each once at most."""
+        if self._request.reconstruction is None:
+            result = with_bowls_named(result, box, self._perception)
+        bowl = loose_bowl(placed_items(result), box, self._settings.for_arm(self._robot.arm))
+        if bowl is None or bowl.id in self._nested:
+            return result, []
+        self._nested.add(bowl.id)
+        return result, [placed_estimates(result)[bowl.id]]
 
     def _carry_out(
         self,
