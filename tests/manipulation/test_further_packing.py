@@ -6,7 +6,7 @@ import numpy as np
 import pytest
 
 from manipulation.errors import PlanningError
-from manipulation.further_packing import plan_further
+from manipulation.further_packing import loose_bowl, plan_further
 from manipulation.nesting import nest_heights
 from manipulation.standing import to_standing
 from manipulation.types import Box
@@ -63,6 +63,23 @@ def test_a_bowl_in_the_box_goes_into_a_larger_one_that_comes_later(shapes, arm):
     can = in_box(shapes.estimate(2, "can", shapes.can(0.02, 0.06)), x=-0.09, z=BOX.floor + 0.008)
     (alone,) = plan_further([wide], small | can, BOX, arm, CONFIG).placements
     assert alone == beside, "what holds something stays"
+
+
+def test_the_smallest_bowl_that_fits_into_another_stands_loose(shapes):
+    def standing(number, radius, height, x):
+        return in_box(shapes.estimate(number, "bowl", shapes.bowl(radius, height)), x=x)
+
+    wide, middle = standing(1, 0.085, 0.06, 0.08), standing(2, 0.07, 0.05, -0.08)
+    small = standing(3, 0.055, 0.04, 0.0)
+    assert loose_bowl(wide | middle | small, BOX, CONFIG).name == "bowl_3"
+    assert loose_bowl(wide | middle, BOX, CONFIG).name == "bowl_2"
+    assert loose_bowl(wide, BOX, CONFIG) is None
+    equal = standing(2, 0.085, 0.06, -0.09)
+    inside = in_box(shapes.estimate(4, "can", shapes.can(0.02, 0.06)), x=-0.08)
+    assert loose_bowl(wide | middle | inside, BOX, CONFIG) is None, "what holds something stays"
+    tilted = {"bowl_2": replace(middle["bowl_2"], T_world_stand=np.diag([1.0, -1.0, -1.0, 1.0]))}
+    assert loose_bowl(wide | tilted, BOX, CONFIG) is None
+    assert loose_bowl(wide | equal, BOX, CONFIG) is not None, "equal bowls go into each other"
 
 
 def test_a_full_box_has_no_room(shapes, arm):

@@ -13,6 +13,7 @@ from app.task.task_types import TaskRequest
 from manipulation.errors import PlanningError
 from manipulation.planner import ManipulationConfig
 from manipulation.robot import RobotState
+from manipulation.standing import to_standing
 from manipulation.types import Box, Line, ObjectOutcome
 from manipulation.viewpoints import (
     BOX_VIEWPOINTS,
@@ -129,6 +130,7 @@ def stages(monkeypatch, overhead_frame, can_at, pack_plan):
     stage("plan_sort", pack_plan)
     stage("execute", outcomes)
     stage("refit_pose", SEEN)
+    monkeypatch.setattr(pipeline, "with_bowls_named", lambda result, *args: result)
     perception = object.__new__(Perception)
     object.__setattr__(perception, "detector", DETECTOR)
     object.__setattr__(perception, "decoder", "decoder")
@@ -413,6 +415,26 @@ def test_what_fell_in_the_box_is_placed_again_and_verified_again(stages, pack_pl
         next(e for e in result.objects if e.id == 0).T_world_object, lying.T_world_object
     )
     assert len(stages.scanner.visited) == 3, "one scan and two verifications"
+
+
+def test_a_bowl_beside_the_one_that_it_fits_into_is_placed_again_once(stages, pack_plan, monkeypatch):
+    loose = to_standing(stages.objects[0])
+    again = replace(stages.outcomes[0], attempts=2)
+    executed, named = [], []
+    monkeypatch.setattr(pipeline, "fallen_objects", lambda *args: [])
+    monkeypatch.setattr(pipeline, "loose_bowl", lambda *args: loose)
+    monkeypatch.setattr(pipeline, "with_bowls_named", lambda result, *args: named.append(result) or result)
+
+    def execute(plan, *args):
+        executed.append(plan)
+        return stages.outcomes if len(executed) == 1 else [again]
+
+    monkeypatch.setattr(pipeline, "execute", execute)
+    monkeypatch.setattr(pipeline, "plan_further", lambda found, *args: pack_plan)
+    monkeypatch.setattr(pipeline, "is_something_left", lambda *args: False)
+    result = run(StillRobot(), stages.perception, TaskRequest("pack", Box()))
+    assert result.failure == "" and len(executed) == 2 and len(named) == 2
+    assert [o.attempts for o in result.outcomes] == [2]
 
 
 def test_what_cannot_be_placed_again_ends_the_task_as_it_is(stages, monkeypatch):
