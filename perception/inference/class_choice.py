@@ -24,8 +24,8 @@ from perception.inference.resting_choice import as_named, best_pose, fit_unnamed
 from perception.inference.right_way_up import is_turned_over, turned_over
 from perception.inference.scored_fits import ObjectFits, RejectedError, ScoredFit
 from perception.inference.shape_model import Decoder
-from perception.inference.upright_choice import best_upright, in_poor_depth, likely_classes
-from perception.types import POSED_CLASSES, ObjectEstimate, SupportPlane
+from perception.inference.upright_choice import CLEAR, best_upright, in_poor_depth, likely_classes
+from perception.types import CATEGORIES, POSED_CLASSES, Category, ObjectEstimate, SupportPlane
 
 logger = logging.getLogger(__name__)
 
@@ -115,7 +115,8 @@ def _right_way_up(fits: ObjectFits, best: ScoredFit) -> ScoredFit:
     may_be_either = estimate.category == "bottle" and resting == "lying"
     if not may_be_either:
         p = dict(zip(POSED_CLASSES, views.pose_probabilities.tolist()))
-        if p.get(("bottle", resting), 0.0) > p.get(("can", resting), 0.0):
+        may_be_bottle = p.get(("bottle", resting), 0.0) > p.get(("can", resting), 0.0)
+        if may_be_bottle and not _is_sure_of(views, "can"):
             return best
         if not is_turned_over(estimate, views.observations):
             return best
@@ -131,6 +132,12 @@ def _right_way_up(fits: ObjectFits, best: ScoredFit) -> ScoredFit:
         if not alike or not is_turned_over(best.estimate, views.observations):
             return best
     return replace(other, estimate=turned_over(best.estimate, other.estimate))
+
+
+def _is_sure_of(views: ObjectViews, category: Category) -> bool:
+    """Return whether the class network is sure of a class: a can on its narrow end resembles a bottle."""
+    p = views.class_probabilities
+    return bool(p.size) and float(p[CATEGORIES.index(category)]) >= CLEAR
 
 
 def _is_right_way_up(one: ScoredFit, other: ScoredFit) -> bool:
