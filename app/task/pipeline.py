@@ -38,6 +38,7 @@ from app.task.obstacles import (
     table_of,
 )
 from app.task.rounds import (
+    as_first_seen,
     has_changed,
     is_something_left,
     placed_estimates,
@@ -255,7 +256,8 @@ class _Stages:
         except (ManipulationError, PerceptionError) as error:
             logger.info("%s cannot be placed again: %s", ", ".join(sorted(again)), error)
             return None
-        return self._carry_out(result, fallen, plan, beside, result.obstacles, result.detections)
+        again = self._carry_out(result, fallen, plan, beside, result.obstacles, result.detections)
+        return as_first_seen(again, result)
 
     def _with_loose_bowl(self, result: TaskResult, box: Box) -> tuple[TaskResult, list[ObjectEstimate]]:
         """Return the results with all bowls named, and one that is to go into another, each once at most."""

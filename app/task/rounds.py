@@ -105,6 +105,24 @@ def placed_estimates(result: TaskResult) -> dict[int, ObjectEstimate]:
     }
 
 
+def as_first_seen(result: TaskResult, before: TaskResult) -> TaskResult:
+    """Return the results with the objects where they were on the table, not where they were found in the box.
+
+    Args:
+        result: results after objects were placed again.
+        before: those before that.
+    """
+    assert result.plan is not None
+    first, items = {estimate.id: estimate for estimate in before.objects}, dict(result.plan.objects)
+    for estimate in result.objects:
+        if estimate.id in first and estimate.name in items:
+            back = first[estimate.id].T_world_object @ np.linalg.inv(estimate.T_world_object)
+            item = items[estimate.name]
+            items[estimate.name] = replace(item, T_world_stand=back @ item.T_world_stand)
+    objects = [first.get(estimate.id, estimate) for estimate in result.objects]
+    return replace(result, objects=objects, plan=replace(result.plan, objects=items))
+
+
 def renumbered(
     objects: Sequence[ObjectEstimate], before: Sequence[ObjectEstimate], box: Box | None
 ) -> list[ObjectEstimate]:

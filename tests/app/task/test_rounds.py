@@ -7,6 +7,7 @@ import pytest
 
 from app.task.rounds import (
     COVERED,
+    as_first_seen,
     expected_pose,
     has_changed,
     is_something_left,
@@ -120,6 +121,22 @@ def test_a_bowl_in_the_one_that_it_goes_into_does_not_keep_it_waiting(can_at, pa
     plan = replace(plan, placements=(*plan.placements, replace(goal, name="can_2")))
     waiting = without_covered(plan, above)
     assert [p.name for p in waiting.placements] == ["can_0", "can_2"] and list(waiting.left_out) == ["can_1"]
+
+
+def test_what_was_placed_again_is_in_the_map_where_it_was_on_the_table(result, can_at):
+    """It was found upside down in the box, and stands at its goal now."""
+    T = pose_from_yaw(0.4, np.array([0.45, 0.3, 0.05])) @ np.diag([1.0, -1.0, -1.0, 1.0])
+    found = replace(can_at(0), T_world_object=T)
+    item = replace(
+        result.plan.objects["can_0"], T_world_stand=T @ pose_from_yaw(0.0, np.array([0, 0, -0.05]))
+    )
+    plan = replace(result.plan, objects={**result.plan.objects, "can_0": item})
+    again = replace(result, objects=[found, result.objects[1]], plan=plan)
+    kept = as_first_seen(again, result)
+    for estimate, first in zip(kept.objects, result.objects, strict=True):
+        np.testing.assert_allclose(estimate.T_world_object, first.T_world_object, atol=1e-9)
+    expected, found_at = placed_estimates(kept)[0].T_world_object, placed_estimates(again)[0].T_world_object
+    np.testing.assert_allclose(expected, found_at, atol=1e-9, err_msg="where it is now is as before")
 
 
 def test_what_waits_is_looked_at_again(result, can_at):
