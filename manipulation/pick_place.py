@@ -250,7 +250,7 @@ class PickPlacePlanner:
                 completed = (self._complete(pick, goal, q_start, tally) for goal in goals)
                 plan = next((plan for plan in completed if plan is not None), None)
                 if plan is not None:
-                    plans.append(replace(plan, contents=tuple(contents)))
+                    plans.append(replace(plan, contents=tuple(contents)) if contents else plan)
                 if len(plans) >= self.config.max_plans or tally.n_rejected > limit:
                     break
         if not plans:

@@ -236,7 +236,7 @@ class Detector:
 
     def _may_be_mug(self, detection: ObjectDetection) -> bool:
         p = detection.class_probabilities
-        return detection.category == "mug" or (p.size > 0 and p[_MUG] >= self.config.min_mug)
+        return detection.category == "mug" or bool(p.size and p[_MUG] >= self.config.min_mug)
 
     def _classes(
         self,

@@ -27,7 +27,7 @@ class RecordingPlanner(MotionPlanner):
         self.lines, self.reject = [], {}
 
     def free_line(self, q, targets, width, allowed=None, end_margin=None):
-        self.lines.append((targets, width, allowed, self.world._carried))
+        self.lines.append((targets, width, allowed, next(iter(self.world._carried), None)))
         if len(self.lines) in self.reject:
             return self.reject[len(self.lines)]
         return super().free_line(q, targets, width, allowed, end_margin)
