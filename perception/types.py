@@ -187,6 +187,9 @@ def is_unclassified(detection: ObjectDetection) -> bool:
     return bool(detection.class_probabilities.size) and float(np.ptp(detection.class_probabilities)) == 0.0
 
 
+_DIRECTIONS = 36  # in which the width of a bowl is measured
+
+
 @dataclass(frozen=True)
 class TriangleMesh:
     """Vertices in [m] and triangles wound outwards."""
@@ -268,8 +271,17 @@ class ObjectEstimate:
 
     @property
     def size(self) -> float:
-        """Diagonal of the upright profile in [m]: the size by which objects are sorted."""
-        return profile_size(self.height, self.radius)
+        """Diagonal of the upright profile in [m]: the size by which objects are sorted.
+
+        Bowls may be polygons, whose direction the estimate does not have: their largest width counts.
+        """
+        return profile_size(self.height, self._widest() if self.category == "bowl" else self.radius)
+
+    def _widest(self) -> float:
+        """Return half the largest horizontal extent in any direction in [m]."""
+        angles = np.pi * np.arange(_DIRECTIONS) / _DIRECTIONS
+        across = self.mesh.vertices[:, :2] @ np.stack([np.cos(angles), np.sin(angles)])
+        return float(np.ptp(across, axis=0).max() / 2)
 
 
 @dataclass(frozen=True)

@@ -1,5 +1,7 @@
 """Validation of the core types, and measures of object estimates."""
 
+from dataclasses import replace
+
 import numpy as np
 import pytest
 
@@ -93,6 +95,16 @@ def test_measures_of_an_estimate_exclude_the_handle():
     assert mug.radius == pytest.approx(0.02)
     assert mug.size == pytest.approx(np.hypot(0.06, 0.04))
     np.testing.assert_allclose(mug.mesh_world.vertices[-1], (1.08, 0.0, 0.0))
+
+
+@pytest.mark.parametrize("turn", [0.0, 0.2, np.pi / 8])
+def test_the_size_of_a_polygonal_bowl_is_that_across_its_corners(turn):
+    angles = np.pi / 4 * np.arange(8) + turn
+    rim = np.stack([0.07 * np.cos(angles), 0.07 * np.sin(angles), np.full(8, 0.03)], axis=1)
+    mesh = TriangleMesh(np.concatenate([rim, rim * (0.5, 0.5, -1.0)]), np.array([[0, 1, 2]]))
+    bowl = ObjectEstimate(1, "bowl", np.zeros(16), np.eye(4), np.ones(3), mesh)
+    assert bowl.size == pytest.approx(np.hypot(0.06, 0.14), rel=1e-3)
+    assert replace(bowl, category="can").size <= bowl.size + 1e-12
 
 
 def test_an_unclassified_mask_is_told_from_a_classified_one() -> None:
