@@ -24,6 +24,7 @@ CATEGORIES: tuple[Category, ...] = get_args(Category)
 OTHER = len(CATEGORIES)  # index of 'other' (distractors) in class probabilities
 GRID_RESOLUTION = 32
 CODE_SIZE = 16
+_DIRECTIONS = 36  # in which the width of a bowl is measured
 
 FitStatus = Literal["converged", "not_converged", "implausible"]
 FIT_STATUSES: tuple[FitStatus, ...] = get_args(FitStatus)
@@ -185,9 +186,6 @@ def unclassified(mask: Bool[np.ndarray, "h w"], instance_id: int | None = None) 
 def is_unclassified(detection: ObjectDetection) -> bool:
     """Return whether a detection was made by ``unclassified``: its category has no meaning."""
     return bool(detection.class_probabilities.size) and float(np.ptp(detection.class_probabilities)) == 0.0
-
-
-_DIRECTIONS = 36  # in which the width of a bowl is measured
 
 
 @dataclass(frozen=True)

@@ -246,15 +246,15 @@ class _Stages:
             placed = placed_estimates(result)
         if not fallen or result.detections is None:
             return None
-        again = {estimate.name for estimate in fallen}
-        beside = [e for e in placed.values() if e.name not in again]
-        items = {name: item for name, item in placed_items(result).items() if name not in again}
+        names = {estimate.name for estimate in fallen}
+        beside = [e for e in placed.values() if e.name not in names]
+        items = {name: item for name, item in placed_items(result).items() if name not in names}
         try:
             with observer.stage("plan"):
                 plan = plan_further(fallen, items, box, self._robot.arm, self._settings, self.kinematics)
                 plan = replace(plan, obstacles=result.obstacles)
         except (ManipulationError, PerceptionError) as error:
-            logger.info("%s cannot be placed again: %s", ", ".join(sorted(again)), error)
+            logger.info("%s cannot be placed again: %s", ", ".join(sorted(names)), error)
             return None
         again = self._carry_out(result, fallen, plan, beside, result.obstacles, result.detections)
         return as_first_seen(again, result)

@@ -16,11 +16,10 @@ from perception.inference.observation import ObjectViews
 from perception.inference.pose_choice import misfit
 from perception.inference.scored_fits import ScoredFit, scored_fit
 from perception.inference.shape_model import Decoder
-from perception.inference.stacking import FREE, MeasuredExtent, raised
+from perception.inference.stacking import BELOW, FREE, MeasuredExtent, raised
 from perception.types import ObjectEstimate, SupportPlane
 
 LEAST_BASE = 0.03  # [m] above the plane, of the lowest measured points and of the shape at any height
-_BELOW = 0.01  # [m] below the lowest measured points, where the fit starts
 # Largest misfit at any height relative to that of the same class on the plane; the second where only the
 # former fit converges.
 CLEARLY, CONVERGED = 0.65, 0.85
@@ -65,7 +64,7 @@ def _above_plane(
     if base < LEAST_BASE:
         return None
     anywhere = replace(config, noise=replace(config.noise, support_sigma=FREE))
-    above = _attempt(views, raised(plane, base - _BELOW), decoder, model, anywhere)
+    above = _attempt(views, raised(plane, base - BELOW), decoder, model, anywhere)
     if above is None or above.estimate.status == "implausible" or misfit(above.evidence) > MOST:
         return None
     if plane.height_above(above.estimate.mesh_world.vertices).min() < LEAST_BASE:

@@ -51,9 +51,10 @@ def mistaken_bowls(
         decoder: Shape prior.
     """
     views = [clean_frame(frame) for frame in frames]
+    points = [points_of(view, view.depth > 0) for view in views]
     rows: list[list[ObjectDetection]] = [[] for _ in views]
     for id, estimate in sorted(estimates.items()):
-        masks = {} if estimate.category == "bowl" else _masks(estimate, views, plane)
+        masks = {} if estimate.category == "bowl" else _masks(estimate, views, points, plane)
         if len(masks) < VIEWS:
             continue
         share = bowl_probability(masks, views, plane, network)
@@ -87,20 +88,28 @@ def bowl_probability(
 
 
 def _masks(
-    estimate: ObjectEstimate, views: Sequence[RgbdFrame], plane: SupportPlane
+    estimate: ObjectEstimate,
+    views: Sequence[RgbdFrame],
+    points: Sequence[Float[np.ndarray, "_n 3"]],
+    plane: SupportPlane,
 ) -> dict[int, Bool[np.ndarray, "H W"]]:
-    """Return the pixels around an estimate's axis and above its support by the index of the view."""
+    """Return the pixels around an estimate's axis and above its support by the index of the view.
+
+    Args:
+        estimate: Object at its pose.
+        views: Images.
+        points: Their measured points in the world frame, in metres, in the order of the pixels.
+        plane: Support plane.
+    """
     vertices, axis = estimate.mesh_world.vertices, estimate.T_world_object[:2, 3]
     radius = float(np.linalg.norm(vertices[:, :2] - axis, axis=1).max())
     top = float(plane.height_above(vertices).max())
     masks = {}
-    for k, view in enumerate(views):
-        measured = view.depth > 0
-        points = points_of(view, measured)
-        height = plane.height_above(points)
+    for k, (view, seen) in enumerate(zip(views, points, strict=True)):
+        height = plane.height_above(seen)
         mask = np.zeros(view.depth.shape, dtype=bool)
-        mask[measured] = (
-            (np.linalg.norm(points[:, :2] - axis, axis=1) < radius + _BESIDE)
+        mask[view.depth > 0] = (
+            (np.linalg.norm(seen[:, :2] - axis, axis=1) < radius + _BESIDE)
             & (height > _FLOOR)
             & (height < top + _ABOVE)
         )

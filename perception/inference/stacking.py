@@ -33,7 +33,7 @@ WORSE = 0.3  # by which the score of a fit on the contact may be below that of t
 _LEANING = 0.3  # [rad] standard deviation of the tilt of an object in a vessel
 _MOST_LEANING = math.radians(40)
 _DOUBTFUL, _CLEARLY = 0.05, 0.6  # unexplained share of a poor fit, and largest ratio of that of a better one
-_BELOW = 0.01  # [m] below the lowest measured points, where the foot of an object on something hidden may be
+BELOW = 0.01  # [m] below the lowest measured points, where the foot of an object on something hidden may be
 _VIEWS = 2  # in which an object is measured
 _CENTRAL = (
     0.25  # share of the points about the centre of the upper object under which the lower one is looked up
@@ -131,8 +131,9 @@ def rest_on(
     free = replace(config, noise=replace(config.noise, support_sigma=FREE))
     points = np.concatenate([view.points_world(erode=2) for view in views.observations])
     floating = fit(views, start, free)
-    if seen.base - _BELOW > under + _HIGHER:  # the lower object is perhaps taller than what is seen of it
-        higher = fit(views, raised(plane, seen.base - _BELOW), free)
+    may_be_higher = seen.base - BELOW > under + _HIGHER  # the lower object may be taller than what is seen
+    if may_be_higher and unexplained(points, [floating]) >= _DOUBTFUL:
+        higher = fit(views, raised(plane, seen.base - BELOW), free)
         floating = higher if _explains_more(points, higher, floating) else floating
     first = floating.mesh_world
     clearance = gap(first, lower.mesh_world, plane)

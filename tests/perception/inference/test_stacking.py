@@ -110,7 +110,8 @@ def test_the_lower_object_may_be_taller_than_what_is_seen_of_it(
     monkeypatch.setattr(MeasuredExtent, "of", lambda *_: seen)
     monkeypatch.setattr(stacking, "unexplained", share)
     found = rest_on(views, lower, PLANE, FitConfig(), fit)
-    assert starts == [0.02, 0.05, 0.02] and found.rests_on == 3
+    poor = low_share >= 0.05  # only then a second start is worth a fit
+    assert starts == ([0.02, 0.05, 0.02] if poor else [0.02, 0.02]) and found.rests_on == 3
     assert found.mesh_world.vertices[:, 2].min() == pytest.approx(0.05 if stands_high else 0.02, abs=1e-6)
 
 
