@@ -2,8 +2,9 @@
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+from collections.abc import Iterator, Mapping, Sequence
 from dataclasses import dataclass
+from itertools import permutations, product
 
 import numpy as np
 from jaxtyping import Float
@@ -13,9 +14,9 @@ from manipulation.footprints import footprint
 from manipulation.sorting import SortingConfig, line_yaws, sort_line
 from manipulation.types import Line, Placement, StandingObject
 
-OFFSETS = (0.17, -0.16)  # [m] of the further rows from the line, towards the base and away from it
+OFFSETS = ((0.17, 0.19, 0.14), (-0.16, -0.18, -0.13))  # [m] tried, of rows on the base's side and beyond
 REACH = (0.27, 0.73)  # [m] from the base, of the goals of further rows
-AREA = ((-0.15, 0.70), (0.14, 0.50))  # [m], x and y of the goals of further rows
+AREA = ((-0.12, 0.70), (0.14, 0.50))  # [m], x and y of the goals of further rows
 ROW_GAPS = (0.05, 0.04)  # [m] between neighbours, tried before the smallest gap
 _STEP = 0.01  # [m] along a row
 
@@ -47,25 +48,36 @@ def sort_rows(items: Sequence[StandingObject], line: Line, config: SortingConfig
     placements, left_out = sort_line(items, line, config)
     if not left_out:
         return Rows(placements, left_out, (line,))
-    lines = (line, *further_lines(line))
+    spans = {item.name: _spans(item, line) for item in items}
+    arrangements = list(_arrangements(line))
     kept, excluded = sorted(items, key=lambda item: item.size), []
     while kept:
-        for gap in (*ROW_GAPS, config.min_gap):
-            rows = _fill(kept, lines, gap)
+        for gap, lines in product((*ROW_GAPS, config.min_gap), arrangements):
+            rows = _fill(kept, lines, line, gap, spans)
             if sum(len(row) for row in rows) == len(kept):
                 return _rows(rows, lines, excluded, config)
-        widest = max(kept, key=lambda item: sum(_spans(item, lines[0])[:2]))
+        widest = max(kept, key=lambda item: sum(spans[item.name][:2]))
         kept.remove(widest)
         excluded.append(widest.name)
     raise PlanningError(f"line too short: none of {len(items)} objects fits on {line.length:.2f} m")
 
 
-def further_lines(line: Line) -> tuple[Line, ...]:
-    """Return rows parallel to a line within the arm's reach, in the order in which they are filled."""
+def _arrangements(line: Line) -> Iterator[tuple[Line, ...]]:
+    """Yield the rows in the order in which they are filled: the line first, then other orders and offsets.
+
+    What fits depends on both, because wide objects are at the end of the order and rows differ in length.
+    """
+    for offsets in product(*OFFSETS):
+        further = further_lines(line, offsets)
+        yield from permutations((line, *further))
+
+
+def further_lines(line: Line, offsets: Sequence[float]) -> tuple[Line, ...]:
+    """Return rows parallel to a line within the arm's reach, at offsets towards the base [m]."""
     normal = _normal(line)
     steps = np.arange(-0.5, line.length + 0.5, _STEP)
     rows = []
-    for offset in OFFSETS:
+    for offset in offsets:
         points = np.array(line.start) + offset * normal + steps[:, None] * line.direction
         radius = np.linalg.norm(points, axis=1)
         inside = (radius >= REACH[0]) & (radius <= REACH[1])
@@ -77,62 +89,50 @@ def further_lines(line: Line) -> tuple[Line, ...]:
     return tuple(rows)
 
 
+# Extents [m] of an object on a row from its stand frame: behind, ahead, away from the base, towards it.
+_Spans = tuple[float, float, float, float]
+
+
 def _fill(
-    ascending: Sequence[StandingObject], lines: Sequence[Line], gap: float
+    ascending: Sequence[StandingObject],
+    lines: Sequence[Line],
+    first: Line,
+    gap: float,
+    spans: Mapping[str, _Spans],
 ) -> list[list[tuple[StandingObject, float]]]:
     """Return for each row its objects with their positions along it [m]; the last ones may be missing."""
     remaining = list(ascending)
-    taken: list[tuple[float, float, float, float]] = []  # rectangles in the frame of the first line
+    taken: list[tuple[float, float, float, float]] = []  # left, right, low, high from ``first`` [m]
     rows: list[list[tuple[StandingObject, float]]] = []
     for line in lines:
+        offset = np.array(line.start) - np.array(first.start)
+        along, across = float(offset @ first.direction), float(offset @ _normal(first))
+        # The whole object stays within the line, but only the frame within the reach of further rows.
+        margin = 1.0 if line is first else 0.0
         row: list[tuple[StandingObject, float]] = []
-        progress = 0.0
+        progress = -np.inf
         while remaining:
-            position = _free_position(remaining[0], line, lines[0], progress, gap, taken)
-            if position is None:
+            behind, ahead, away, toward = spans[remaining[0].name]
+            low, high = across - away, across + toward
+            start = max(progress + behind, margin * behind)
+            positions = np.arange(start, line.length - margin * ahead + 1e-9, _STEP / 2)
+            free = np.ones(len(positions), bool)
+            for left, right, below, above in taken:
+                if low < above + gap and below < high + gap:
+                    at = along + positions
+                    free &= (at - behind >= right + gap) | (at + ahead <= left - gap)
+            if not free.any():
                 break
-            item = remaining.pop(0)
-            row.append((item, position))
-            taken.append(_rectangle(item, line, lines[0], position))
-            progress = position + _spans(item, line)[1] + gap
+            position = float(positions[free.argmax()])
+            row.append((remaining.pop(0), position))
+            taken.append((along + position - behind, along + position + ahead, low, high))
+            progress = position + ahead + gap
         rows.append(row)
     return rows
 
 
-def _free_position(
-    item: StandingObject,
-    line: Line,
-    first: Line,
-    progress: float,
-    gap: float,
-    taken: Sequence[tuple[float, float, float, float]],
-) -> float | None:
-    """Return the first position along a row, from ``progress`` on, without overlap; None if there is none."""
-    before, after = _spans(item, line)[:2]
-    for position in np.arange(progress + before, line.length - after + 1e-9, _STEP / 2):
-        rectangle = _rectangle(item, line, first, float(position))
-        if all(_apart(rectangle, other, gap) for other in taken):
-            return float(position)
-    return None
-
-
-def _apart(a: tuple[float, float, float, float], b: tuple[float, float, float, float], gap: float) -> bool:
-    """Return whether two rectangles (left, right, low, high) are ``gap`` [m] apart along one of the axes."""
-    return a[1] + gap <= b[0] or b[1] + gap <= a[0] or a[3] + gap <= b[2] or b[3] + gap <= a[2]
-
-
-def _rectangle(
-    item: StandingObject, line: Line, first: Line, position: float
-) -> tuple[float, float, float, float]:
-    """Return the object's extent along and across the first line: left, right, low, high [m]."""
-    before, after, back, forth = _spans(item, line)
-    offset = np.array(line.start) + position * line.direction - np.array(first.start)
-    along, across = float(offset @ first.direction), float(offset @ _normal(first))
-    return along - before, along + after, across - back, across + forth
-
-
-def _spans(item: StandingObject, line: Line) -> tuple[float, float, float, float]:
-    """Return the extents [m] of an object behind, ahead, away from the base and towards it on a row."""
+def _spans(item: StandingObject, line: Line) -> _Spans:
+    """Return the extents of an object on rows parallel to a line."""
     u, n = line.direction, _normal(line)
     shape = footprint(item)
     turned = [shape.rotated(yaw) for yaw in line_yaws(item, float(np.arctan2(u[1], u[0])))[:2]]

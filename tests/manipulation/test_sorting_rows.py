@@ -1,6 +1,6 @@
 """Rows of sorted objects: unchanged where one line suffices, ascending, apart and within reach otherwise."""
 
-from itertools import combinations, pairwise
+from itertools import combinations, pairwise, product
 
 import numpy as np
 import pytest
@@ -8,7 +8,7 @@ import pytest
 from manipulation.errors import PlanningError
 from manipulation.footprints import footprint
 from manipulation.sorting import SortingConfig, sort_line
-from manipulation.sorting_rows import AREA, REACH, further_lines, sort_rows
+from manipulation.sorting_rows import AREA, OFFSETS, REACH, further_lines, sort_rows
 from manipulation.standing import to_standing
 from manipulation.types import Line
 
@@ -64,6 +64,18 @@ def test_twelve_objects_ascend_from_row_to_row_without_overlap(crowd):
                 assert apart(corners(items[a.name], a, yaw_a), corners(items[b.name], b, yaw_b))
 
 
+def test_other_orders_of_rows_are_tried_when_wide_objects_come_last(shapes):
+    """Filled in the order line, near row, far row, the last bowl finds no room on the short far row."""
+    meshes = [("mug", shapes.mug(radius=0.04 + 0.003 * k, height=0.08 + 0.01 * k)) for k in range(3)]
+    meshes += [("bowl", shapes.bowl(radius=0.082 + 0.004 * k, height=0.06)) for k in range(3)]
+    meshes += [("can", shapes.can(0.03 + 0.002 * k, 0.1 + 0.01 * k)) for k in range(2)]
+    meshes += [("bottle", shapes.bottle())] * 2
+    items = [to_standing(shapes.estimate(i, category, mesh)) for i, (category, mesh) in enumerate(meshes)]
+    rows = sort_rows(items, Line())
+    assert not rows.left_out and len(rows.placements) == 10
+    assert set(rows.lines) - {Line()} and rows.lines[0] != Line()
+
+
 def test_far_rows_are_filled_first_and_low_objects_first_in_each(crowd):
     rows = sort_rows(crowd, Line())
     items = {item.name: item for item in crowd}
@@ -80,7 +92,9 @@ def test_far_rows_are_filled_first_and_low_objects_first_in_each(crowd):
 
 def test_further_rows_are_parallel_and_within_reach():
     line = Line()
-    for row in further_lines(line):
+    rows = [row for offsets in product(*OFFSETS) for row in further_lines(line, offsets)]
+    assert len(rows) == 2 * 9
+    for row in rows:
         assert abs(row.direction @ line.direction) == pytest.approx(1)
         for end in (row.start, row.end):
             assert REACH[0] - 1e-6 <= np.hypot(*end) <= REACH[1] + 1e-6
