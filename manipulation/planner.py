@@ -140,7 +140,7 @@ def plan_sort(
         usable = usable.as_exact()
         rows = sort_rows(usable.candidates, line, config.sorting)
     left_out = usable.left_out | rows.left_out
-    return TaskPlan("sort", usable.items, rows.placements, left_out, box, line, usable.grasps, rows.lines[1:])
+    return TaskPlan("sort", usable.items, rows.placements, left_out, box, rows.lines, usable.grasps)
 
 
 @dataclass(frozen=True)

@@ -224,9 +224,8 @@ class TaskPlan:
         placements: goals in the order of execution.
         left_out: name and reason of each object without a placement.
         box: the box of a packing task.
-        line: the line of a sorting task.
+        lines: rows of a sorting task in the order of sizes.
         grasps: grasp candidates by name of the object; execution generates those that are missing.
-        further_lines: rows that continue a line that is too short, in the order of sizes.
         obstacles: things of no class, which nothing may touch.
     """
 
@@ -235,15 +234,9 @@ class TaskPlan:
     placements: tuple[Placement, ...]
     left_out: Mapping[str, str] = field(default_factory=dict)
     box: Box | None = None
-    line: Line | None = None
+    lines: tuple[Line, ...] = ()
     grasps: Mapping[str, GraspSet] = field(default_factory=dict)
-    further_lines: tuple[Line, ...] = ()
     obstacles: tuple[PerceivedObstacle, ...] = ()
-
-    @property
-    def lines(self) -> tuple[Line, ...]:
-        """All rows of a sorting task in the order of sizes."""
-        return () if self.line is None else (self.line, *self.further_lines)
 
 
 @dataclass(frozen=True)

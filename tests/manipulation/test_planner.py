@@ -3,6 +3,7 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
+from manipulation import planner
 from manipulation.errors import PlanningError
 from manipulation.grasp_config import GraspConfig
 from manipulation.grasps import grasp_candidates
@@ -11,6 +12,7 @@ from manipulation.packing_problem import PackingConfig
 from manipulation.pick_place import PickPlaceConfig
 from manipulation.planner import ManipulationConfig, _is_reachable, plan_pack, plan_sort
 from manipulation.robot import GripperGeometry
+from manipulation.sorting_rows import Rows
 from manipulation.standing import to_standing
 from manipulation.types import Box, Line
 
@@ -85,14 +87,21 @@ def test_plans_hold_all_objects_their_grasps_and_the_goal_geometry(scene, shapes
     wide = shapes.estimate(5, "can", shapes.can(radius=0.05), x=0.4, y=-0.4)
     kinematics = Kinematics(arm)
     packing = plan_pack([*scene, wide], Box(), arm, CONFIG, kinematics)
-    assert packing.task == "pack" and packing.box == Box() and packing.line is None
+    assert packing.task == "pack" and packing.box == Box() and packing.lines == ()
     assert set(packing.objects) == set(packing.grasps) == {"can_1", "bowl_2", "can_5"}
     assert packing.left_out == {"can_5": packing.grasps["can_5"].failure_message("can_5")}
     assert packing.grasps["can_1"].grasps and not packing.grasps["can_5"].grasps
     sorting = plan_sort(scene, Line(), arm, CONFIG, Box(), kinematics)
-    assert sorting.task == "sort" and sorting.line == Line() and sorting.box == Box()
+    assert sorting.task == "sort" and sorting.lines == (Line(),) and sorting.box == Box()
     assert {placement.name for placement in sorting.placements} == {"can_1", "bowl_2"}
     assert plan_sort(scene, Line(), arm, CONFIG).box is None
+
+
+def test_the_plan_has_the_rows_in_the_order_in_which_they_are_filled(scene, arm, monkeypatch):
+    near = Line((0.32, 0.15), (-0.1, 0.38))
+    rows = Rows((), {}, (near, Line()))
+    monkeypatch.setattr(planner, "sort_rows", lambda *_: rows)
+    assert plan_sort(scene, Line(), arm, CONFIG).lines == (near, Line())
 
 
 def test_objects_that_do_not_stand_are_planned_where_they_can_be_turned(scene, arm):
