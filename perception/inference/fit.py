@@ -99,7 +99,9 @@ def _estimate(
     determined = np.zeros(len(mesh.vertices))
     if config.refine is not None:
         in_world = mesh.transformed(pose.T_world_object)
-        refined = refine_mesh(in_world, views.observations, plane, config.refine)
+        # The prior knows bottles with corners; cans are round, and the handles of mugs follow no harmonics.
+        sections = pose.T_world_object if category == "bowl" else None
+        refined = refine_mesh(in_world, views.observations, plane, config.refine, sections)
         mesh, determined = refined.mesh.transformed(invert(pose.T_world_object)), refined.determined
     hessian, _ = fit.evaluation.normal_equations()
     inliers = np.abs(fit.residual_object) < config.noise.huber * config.noise.depth_sigma

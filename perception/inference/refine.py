@@ -6,8 +6,11 @@ displacement is
 
     d_v = r_v (n_v . b_v),    r_v measured minus predicted depth, b_v ray (z = 1), n_v normal of the vertex,
 
-with a Gaussian prior on d: smooth over the surface, with a component common to all vertices (a surface too
-large or too small), and small where nothing is measured. The MAP estimate of d solves a sparse linear system.
+with a Gaussian prior on d: smooth over the surface, small where nothing is measured, and with components that
+many vertices share. One is common to all (a surface too large or too small). The others are sections that are
+not round, which the shape prior does not have: harmonics cos(m phi) and sin(m phi) of the radius in the
+azimuth phi about the object's axis, of the orders of regular polygons. The MAP estimate solves a sparse
+linear system.
 """
 
 from __future__ import annotations
@@ -39,6 +42,8 @@ class RefineConfig:
         floor_sigma: Standard deviation that averaging the measurements of a vertex cannot reduce, in metres.
         prior_sigma: Prior standard deviation of a vertex's own displacement, in metres.
         common_sigma: Prior standard deviation of the displacement common to all vertices, in metres.
+        section_sigma: Prior standard deviation of the amplitude of each harmonic of the section, in metres.
+        sections: Orders of these harmonics.
         roughness: Prior standard deviation of the difference of displacements over one mesh edge, in metres.
         reach: Largest distance of a measurement from the vertex along the ray, in metres.
         steepest: Smallest cosine between ray and normal of a measured vertex.
@@ -54,6 +59,8 @@ class RefineConfig:
     floor_sigma: float = 0.0005
     prior_sigma: float = 0.003
     common_sigma: float = 0.002
+    section_sigma: float = 0.002
+    sections: tuple[int, ...] = (4, 5, 6, 8, 12, 16)
     roughness: float = 0.0005
     reach: float = 0.012
     steepest: float = 0.25
@@ -83,6 +90,7 @@ def refine_mesh(
     observations: Sequence[ObjectObservation],
     plane: SupportPlane,
     config: RefineConfig = RefineConfig(),
+    T_world_object: Float[np.ndarray, "4 4"] | None = None,
 ) -> RefinedMesh:
     """Displace the vertices of a mesh onto the measured depth.
 
@@ -91,17 +99,23 @@ def refine_mesh(
         observations: Views of the object.
         plane: Support plane, which the refined mesh does not penetrate.
         config: Standard deviations and limits.
+        T_world_object: Pose of an object whose sections about its z axis need not be round; None for others.
     """
     start = _smoothed(mesh_world, config.smoothing)
     normals = vertex_normals(TriangleMesh(start, mesh_world.faces))
     edges = mesh_edges(mesh_world.faces)
     edge_length = float(np.median(np.linalg.norm(start[edges[:, 0]] - start[edges[:, 1]], axis=1)))
     links = _links(edges, len(start)) * config.roughness**-2
+    shared, sigmas = np.ones((len(normals), 1)), np.array([config.common_sigma])
+    if T_world_object is not None and config.sections:
+        harmonics = _section_harmonics(start, normals, T_world_object, config.sections)
+        shared = np.column_stack([shared, harmonics])
+        sigmas = np.append(sigmas, np.full(harmonics.shape[1], config.section_sigma))
     d, precision = np.zeros(len(normals)), np.zeros(len(normals))
     moved = start
     for _ in range(config.passes):  # a displaced vertex projects to another pixel
         precision, information = _measurements(edge_length, moved, normals, observations, plane, config)
-        d = _map_displacement(links, precision, precision * d + information, config)
+        d = _map_displacement(links, precision, precision * d + information, shared, sigmas, config)
         moved = start + d[:, None] * normals
     # The estimate is linear in the measured displacements: its response to 1 everywhere is their weight.
     determined = np.clip(_solved(_posterior_precision(links, precision, config), precision), 0.0, 1.0)
@@ -276,20 +290,43 @@ def _heights(frame: RgbdFrame, plane: SupportPlane, view: _View) -> Float[np.nda
     return plane.height_above(transform_points(frame.T_world_camera, points))
 
 
+def _section_harmonics(
+    vertices: Float[np.ndarray, "n 3"],
+    normals: Float[np.ndarray, "n 3"],
+    T_world_object: Float[np.ndarray, "4 4"],
+    orders: Sequence[int],
+) -> Float[np.ndarray, "n k"]:
+    """Return the displacements of the vertices along their normals by unit amplitudes of the harmonics.
+
+    A change of the radius moves inner and outer walls alike: along the normal by its radial component.
+    """
+    local = transform_points(invert(T_world_object), vertices)[:, :2]
+    radial = local - (local.min(axis=0) + local.max(axis=0)) / 2
+    azimuth = np.arctan2(radial[:, 1], radial[:, 0])
+    turned = (normals @ T_world_object[:3, :2] * np.column_stack([np.cos(azimuth), np.sin(azimuth)])).sum(1)
+    angles = azimuth[:, None] * np.array(orders)
+    return turned[:, None] * np.column_stack([np.cos(angles), np.sin(angles)])
+
+
 def _map_displacement(
-    links: sparse.csr_array, precision: np.ndarray, information: np.ndarray, config: RefineConfig
+    links: sparse.csr_array,
+    precision: Float[np.ndarray, "n"],
+    information: Float[np.ndarray, "n"],
+    shared: Float[np.ndarray, "n k"],
+    sigmas: Float[np.ndarray, "k"],
+    config: RefineConfig,
 ) -> Float[np.ndarray, "n"]:
-    """Return the MAP displacement of each vertex: its own smooth component plus the common one."""
+    """Return the MAP displacement of each vertex: its own smooth component plus the shared ones."""
     n = len(precision)
-    common = np.array([[precision.sum() + config.common_sigma**-2]])
+    weighted = precision[:, None] * shared
     A = sparse.block_array(
         [
-            [_posterior_precision(links, precision, config), sparse.csr_array(precision[:, None])],
-            [sparse.csr_array(precision[None]), common],
+            [_posterior_precision(links, precision, config), sparse.csr_array(weighted)],
+            [sparse.csr_array(weighted.T), sparse.csr_array(shared.T @ weighted + np.diag(sigmas**-2))],
         ]
     )
-    x = _solved(sparse.csr_array(A), np.r_[information, information.sum()])
-    return np.clip(x[:n] + x[n], -config.limit, config.limit)
+    x = _solved(sparse.csr_array(A), np.r_[information, shared.T @ information])
+    return np.clip(x[:n] + shared @ x[n:], -config.limit, config.limit)
 
 
 def _posterior_precision(

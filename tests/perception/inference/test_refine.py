@@ -6,8 +6,15 @@ import numpy as np
 import pytest
 import trimesh
 
+from perception.geometry import transform_points
 from perception.inference.observation import ObjectObservation
-from perception.inference.refine import RefineConfig, _depth_displacement, _View, refine_mesh
+from perception.inference.refine import (
+    RefineConfig,
+    _depth_displacement,
+    _section_harmonics,
+    _View,
+    refine_mesh,
+)
 from perception.surface_geometry import mesh_edges, vertex_normals
 from perception.types import SupportPlane, TriangleMesh
 
@@ -65,6 +72,37 @@ def test_nothing_moves_without_a_common_part_where_nothing_is_seen(can) -> None:
     refined = refine_mesh(start, can.observations((0.0,)), PLANE, config).mesh
     farthest = start.vertices[:, 0] < can.pose.translation[0] - 0.028
     assert np.abs(radii(refined, can) - radii(start, can))[farthest & on_side(start)].max() < 0.0006
+
+
+def test_corners_that_all_heights_share_are_found_although_the_surface_is_stiff(can) -> None:
+    """An octagonal start becomes round; without harmonics, a stiff surface keeps its corners."""
+    x, y = can.pose.translation[:2]
+    start = cylinder(can)
+    flat = start.vertices[:, :2] - (x, y)
+    wave = 1 + 0.06 * np.cos(8 * np.arctan2(flat[:, 1], flat[:, 0]) + 0.7)
+    octagon = np.column_stack([flat * wave[:, None] + (x, y), start.vertices[:, 2]])
+    start = TriangleMesh(octagon, start.faces)
+    stiff = RefineConfig(roughness=2e-5)
+    seen, side = can.observations((0.0, 1.6, 3.1, 4.7)), on_side(start)
+    uneven = [
+        radii(refine_mesh(start, seen, PLANE, stiff, T).mesh, can)[side].std()
+        for T in (None, can.pose.T_world_object)
+    ]
+    assert uneven[0] > 0.001 > 0.0004 > uneven[1]
+
+
+def test_harmonics_move_inner_and_outer_walls_to_the_same_side() -> None:
+    """Azimuths are those in the object frame, about the middle of the extents."""
+    T = np.eye(4)
+    T[:3, :3] = [[0, -1, 0], [1, 0, 0], [0, 0, 1]]
+    T[:3, 3] = [1.0, 2.0, 0.5]
+    local = np.array([[0.05, 0.0, 0.1], [0.04, 0.0, 0.1], [0.0, 0.05, 0.1], [-0.05, -0.05, 0.1]])
+    normals = np.array([[1.0, 0.0, 0.0], [-1.0, 0.0, 0.0], [0.0, 0.6, 0.8], [0.0, 0.0, 1.0]])
+    found = _section_harmonics(transform_points(T, local), normals @ T[:3, :3].T, T, (4, 6))
+    # cos(4 phi), cos(6 phi), sin(4 phi), sin(6 phi) by the radial component of the normal
+    np.testing.assert_allclose(
+        found, [[1, 1, 0, 0], [-1, -1, 0, 0], [0.6, -0.6, 0, 0], [0, 0, 0, 0]], atol=1e-9
+    )
 
 
 def test_background_beside_the_mask_trims_what_sticks_out(can) -> None:
