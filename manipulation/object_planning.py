@@ -6,7 +6,6 @@ Planning makes the least effort first; more is made when no object has a plan wi
 from __future__ import annotations
 
 import contextlib
-import itertools
 from collections.abc import Collection, Hashable, Iterator, Sequence
 from dataclasses import replace
 from enum import IntEnum
@@ -22,12 +21,13 @@ from manipulation.packing import admissible_yaws
 from manipulation.pick_place import PickPlacePlanner
 from manipulation.planner import ManipulationConfig
 from manipulation.pushing import Push, plan_push
-from manipulation.reorientation import turning_goals
+from manipulation.reorientation import reorienting_grasps, turning_goals
 from manipulation.types import Grasp, PickPlacePlan, Placement, StandingObject, TaskPlan
 from perception.geometry import nearest_yaw
 
 _TURN_OVER = "turn it over by hand"
 _SPOTS = 4  # on free table that are tried for one object
+_EVERY_YAW = 3  # of those at a goal is examined for the next grasp
 _ASIDE = 4  # objects that are tried in order to make room for one, itself included
 
 Posture = Float[np.ndarray, "n"]
@@ -96,13 +96,13 @@ class ObjectPlanning:
         planner = self._planner
         for name in [name for name in names if name in movable][:_ASIDE]:
             item, T = self._task.objects[name], planner.world.pose(name)
-            goals = goals_aside(item, T, self._taken(name), self._config.free_area)
-            spots = list(itertools.islice(goals, _SPOTS))
-            if not spots:
-                continue
             scene, _ = self._failures.get(("aside", name), (None, None))
             if scene == planner.n_changes:
                 continue  # what failed is not tried again in the same scene
+            goals = list(goals_aside(item, T, self._taken(name), self._config.free_area))
+            spots = self._best_to_turn(goals) if lies(T) else goals[:_SPOTS]
+            if not spots:
+                continue
             try:
                 plan = planner.plan(spots, q, grasps=planner.keeping_grasps(name))
             except NoPlanError as error:
@@ -158,9 +158,8 @@ class ObjectPlanning:
         grasps = planner.grasps(name)
         if not grasps.grasps:
             raise PlanningError(f"{at}: {grasps.failure_message(name, _TURN_OVER if overturned else '')}")
-        spots = turning_goals(item, T_world_stand, self._taken(name), self._config.free_area)
-        goals = [] if overturned else [placement]
-        goals += itertools.islice(spots, _SPOTS)
+        spots = list(turning_goals(item, T_world_stand, self._taken(name), self._config.free_area))
+        goals = self._best_to_turn(spots) if overturned else [placement, *spots[:_SPOTS]]
         if not goals:
             raise PlanningError(f"{at}: no free table to turn it")
         try:
@@ -171,6 +170,24 @@ class ObjectPlanning:
                 with contextlib.suppress(PlanningError):
                     return self._plan([*goals, *elsewhere], q, tried, is_tilted=True)
             raise NoPlanError(f"{at} and cannot be turned: {error}", error.blockers) from error
+
+    def _best_to_turn(self, goals: Sequence[Placement]) -> list[Placement]:
+        """Return the first goals of an object that does not stand from which it can be turned by 90 degrees.
+
+        Their yaws are those at which it could be grasped then. Where there are none, the first goals.
+        """
+        planner, config = self._planner, self._config.pick_place.grasp
+        found: list[Placement] = []
+        for goal in goals:
+            assert goal.T_goal_stand is not None
+            grasps = reorienting_grasps(planner.items[goal.name], goal.T_goal_stand, config)
+            poses = {yaw: planner.resting_pose(goal, yaw) for yaw in goal.yaws[::_EVERY_YAW]}
+            yaws = tuple(yaw for yaw, T in poses.items() if planner.can_pick(goal.name, T, grasps))
+            if yaws:
+                found.append(replace(goal, yaws=yaws))
+            if len(found) == _SPOTS:
+                break
+        return found or list(goals[:_SPOTS])
 
     def _plan_with_contents(
         self, goals: Sequence[Placement], q: Posture, tried: Sequence[Grasp]

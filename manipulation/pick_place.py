@@ -257,9 +257,17 @@ class PickPlacePlanner:
             raise NoPlanError(tally.failure_message(name, candidates), tally.in_the_way)
         return min(plans, key=lambda plan: plan.duration)
 
-    def can_pick(self, name: str, T_world_stand: Float[np.ndarray, "4 4"]) -> bool:
-        """Return whether an object could be grasped and lifted at another place, turned as it is."""
-        T_now, candidates = self.world.pose(name), self.grasps(name)
+    def can_pick(
+        self, name: str, T_world_stand: Float[np.ndarray, "4 4"], grasps: GraspSet | None = None
+    ) -> bool:
+        """Return whether an object could be grasped and lifted at another pose.
+
+        Args:
+            name: name of the object.
+            T_world_stand: the pose.
+            grasps: candidates there; without them those at its present pose.
+        """
+        T_now, candidates = self.world.pose(name), self.grasps(name) if grasps is None else grasps
         self.world.move(name, T_world_stand)
         try:
             return next(self._picks(name, candidates, (), Tally()), None) is not None

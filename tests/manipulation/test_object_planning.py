@@ -29,6 +29,7 @@ class FakePlanner(PickPlacePlanner):
     def __init__(self, items, feasible=lambda goals, grasps: False):
         self.items, self.feasible, self.requests, self.contents = items, feasible, [], []
         self._obstacles, self.found, self._n_changes = (), GRASPS, 0
+        self.pickable, self.examined = (lambda T: True), []
         self.Ts = {name: item.T_world_stand for name, item in items.items()}
         self.world, self.motions = SimpleNamespace(pose=self.Ts.__getitem__), None
 
@@ -43,6 +44,10 @@ class FakePlanner(PickPlacePlanner):
 
     def keeping_grasps(self, name):
         return KEEPING
+
+    def can_pick(self, name, T_world_stand, grasps=None):
+        self.examined.append((T_world_stand, grasps))
+        return self.pickable(T_world_stand)
 
     def plan(self, goals, q, tried=(), grasps=None, contents=()):
         goals = [goals] if isinstance(goals, Placement) else list(goals)
@@ -190,6 +195,45 @@ def test_a_lying_object_is_turned_at_its_goal_or_on_free_table(items):
     assert goals[0] is GOAL and len(goals) > 1 and all(goal.position[1] < 0.1 for goal in goals[1:])
     planning(items, planner).next_plan(GOAL, Q, effort=Effort.FLEXIBLE)
     assert planner.requests[-1][1] is TILTED
+
+
+def overturned(items, pickable):
+    planner = lying(items)
+    planner.Ts["can_1"] = pose_from_yaw(0.0, np.array([0.5, -0.3, 0.1])) @ np.diag([1.0, -1.0, -1.0, 1.0])
+    planner.pickable = pickable
+    return planner
+
+
+def test_what_is_upside_down_is_laid_where_it_can_be_grasped_again(items):
+    """With the grasps of its pose there, and at the yaws at which it can be."""
+    planner = overturned(items, lambda T: T[0, 3] < 0.45 and T[0, 2] > 0.9)  # the axis along +x
+    with pytest.raises(PlanningError, match="stands upside down"):
+        planning(items, planner).next_plan(GOAL, Q)
+    ((goals, _),) = planner.requests
+    assert goals
+    for goal in goals:
+        (yaw,) = goal.yaws
+        T = planner.resting_pose(goal, yaw)
+        assert T[0, 3] < 0.45 and T[0, 2] > 0.9
+    T, grasps = planner.examined[0]
+    up = grasps.grasps[0].T_stand_tcp[:3, 2] @ T[:3, :3].T  # approach of the hand, in the world
+    assert grasps.grasps and up[2] < -0.9
+
+
+def test_it_is_laid_anyhow_where_it_can_be_grasped_nowhere(items):
+    planner = overturned(items, lambda T: False)
+    with pytest.raises(PlanningError, match="stands upside down"):
+        planning(items, planner).next_plan(GOAL, Q)
+    ((goals, _),) = planner.requests
+    assert goals and all(len(goal.yaws) > 4 for goal in goals)
+
+
+def test_what_lies_is_set_aside_where_it_can_be_turned(items):
+    planner = lying(items)
+    planner.pickable = lambda T: T[0, 3] < 0.45
+    assert next(planning(items, planner).plans_aside(("can_1",), {"can_1"}, Q)).name == "can_1"
+    ((goals, _),) = planner.requests
+    assert goals and all(planner.resting_pose(goal, goal.yaws[0])[0, 3] < 0.45 for goal in goals)
 
 
 def test_an_object_without_a_grasp_is_reported_with_its_pose(items):
