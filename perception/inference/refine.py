@@ -44,7 +44,7 @@ class RefineConfig:
         common_sigma: Prior standard deviation of the displacement common to all vertices, in metres.
         section_sigma: Prior standard deviation of the amplitude of each harmonic of the section, in metres.
         sections: Orders of these harmonics.
-        roughness: Prior standard deviation of the difference of displacements over one mesh edge, in metres.
+        roughness: Prior standard deviation of the difference of displacements over one mesh edge, per its length.
         reach: Largest distance of a measurement from the vertex along the ray, in metres.
         steepest: Smallest cosine between ray and normal of a measured vertex.
         edge: Width of the border of the mask that is not used, in pixels.
@@ -61,13 +61,13 @@ class RefineConfig:
     common_sigma: float = 0.002
     section_sigma: float = 0.002
     sections: tuple[int, ...] = (4, 5, 6, 8, 12, 16)
-    roughness: float = 0.0005
+    roughness: float = 0.35
     reach: float = 0.012
     steepest: float = 0.25
     edge: int = 3
     outline_sigma: float = 0.001
     support_sigma: float = 0.0007
-    limit: float = 0.006
+    limit: float = 0.010
     passes: int = 2
     smoothing: int = 5
 
@@ -105,7 +105,7 @@ def refine_mesh(
     normals = vertex_normals(TriangleMesh(start, mesh_world.faces))
     edges = mesh_edges(mesh_world.faces)
     edge_length = float(np.median(np.linalg.norm(start[edges[:, 0]] - start[edges[:, 1]], axis=1)))
-    links = _links(edges, len(start)) * config.roughness**-2
+    links = _links(edges, len(start)) * (config.roughness * edge_length) ** -2
     shared, sigmas = np.ones((len(normals), 1)), np.array([config.common_sigma])
     if T_world_object is not None and config.sections:
         harmonics = _section_harmonics(start, normals, T_world_object, config.sections)

@@ -33,10 +33,10 @@ class CalibrationConfig:
     """
 
     inflation: Mapping[Category, float] = field(
-        default_factory=lambda: {"mug": 0.425, "bowl": 0.51, "bottle": 0.88, "can": 0.47}
+        default_factory=lambda: {"mug": 0.395, "bowl": 0.45, "bottle": 0.62, "can": 0.47}
     )
     floor: Mapping[Category, float] = field(
-        default_factory=lambda: {"mug": 6.0e-4, "bowl": 7.5e-4, "bottle": 4.3e-4, "can": 3.85e-4}
+        default_factory=lambda: {"mug": 5.6e-4, "bowl": 6.6e-4, "bottle": 3.0e-4, "can": 3.85e-4}
     )
 
 

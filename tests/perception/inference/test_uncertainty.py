@@ -69,8 +69,8 @@ def test_calibration_inflates_what_is_not_measured_and_keeps_a_floor(ball):
 
 def test_default_calibration_is_the_measured_one():
     config = CalibrationConfig()
-    assert config.inflation == {"mug": 0.425, "bowl": 0.51, "bottle": 0.88, "can": 0.47}
-    assert config.floor == {"mug": 6.0e-4, "bowl": 7.5e-4, "bottle": 4.3e-4, "can": 3.85e-4}
+    assert config.inflation == {"mug": 0.395, "bowl": 0.45, "bottle": 0.62, "can": 0.47}
+    assert config.floor == {"mug": 5.6e-4, "bowl": 6.6e-4, "bottle": 3.0e-4, "can": 3.85e-4}
 
 
 def test_faint_walls_have_bounded_deviations(ball):
