@@ -44,7 +44,7 @@ class RefineConfig:
         common_sigma: Prior standard deviation of the displacement common to all vertices, in metres.
         section_sigma: Prior standard deviation of the amplitude of each harmonic of the section, in metres.
         sections: Orders of these harmonics.
-        roughness: Prior standard deviation of the difference of displacements over one mesh edge, per its length.
+        roughness: Prior standard deviation of the difference of displacements over a mesh edge, per length.
         reach: Largest distance of a measurement from the vertex along the ray, in metres.
         steepest: Smallest cosine between ray and normal of a measured vertex.
         edge: Width of the border of the mask that is not used, in pixels.

@@ -26,11 +26,11 @@ def can(make_table):
     return make_table("can", (1.0, 0.0), yaw=0.0)
 
 
-def cylinder(can, wider: float = 0.0, higher: float = 0.0) -> TriangleMesh:
+def cylinder(can, wider: float = 0.0, higher: float = 0.0, edge: float = 0.004) -> TriangleMesh:
     """A closed cylinder about the can's axis, standing on the plane, in the world."""
     x, y = can.pose.translation[:2]
     radius, height = 0.63 * 0.05 + wider, 2 * 0.75 * 0.05 + higher
-    mesh = trimesh.creation.cylinder(radius, height, sections=48).subdivide_to_size(0.004)
+    mesh = trimesh.creation.cylinder(radius, height, sections=48).subdivide_to_size(edge)
     return TriangleMesh(mesh.vertices + np.array([x, y, height / 2]), mesh.faces)
 
 
@@ -52,6 +52,18 @@ def test_a_can_too_narrow_and_too_high_is_put_right(can) -> None:
     assert abs(np.median(refined.vertices[middle, 2]) - 0.075) < 0.0005
     assert abs(refined.vertices[:, 2].min()) < 0.001
     assert (refined.faces == start.faces).all()
+
+
+def test_a_dome_on_a_coarse_mesh_is_flattened(can) -> None:
+    """The stiffness is per length: few long edges bend as much as many short ones."""
+    for edge in (0.009, 0.0045):
+        start = cylinder(can, edge=edge)
+        top = (start.vertices[:, 2] > 0.0749) & (radii(start, can) < 0.028)
+        dome = start.vertices.copy()
+        dome[top, 2] += 0.005 * (1 - (radii(start, can)[top] / 0.028) ** 2)
+        seen = can.observations((0.0, 2.1, 4.2))
+        refined = refine_mesh(TriangleMesh(dome, start.faces), seen, PLANE).mesh
+        assert np.abs(refined.vertices[top & (radii(start, can) < 0.02), 2] - 0.075).max() < 0.001
 
 
 def test_the_hidden_side_follows_what_all_sides_share(can) -> None:
