@@ -27,7 +27,7 @@ from perception.geometry import nearest_yaw
 
 _TURN_OVER = "turn it over by hand"
 _SPOTS = 4  # on free table that are tried for one object
-_EVERY_YAW = 3  # of those at a goal is examined for the next grasp
+_EXAMINED, _EVERY_YAW = 12, 3  # goals, and which of their yaws, that are examined for the next grasp
 _ASIDE = 4  # objects that are tried in order to make room for one, itself included
 
 Posture = Float[np.ndarray, "n"]
@@ -55,6 +55,7 @@ class ObjectPlanning:
         self._task, self._planner, self._config = task, planner, config
         self._goals = {placement.name for placement in task.placements}
         self._failures: dict[Hashable, tuple[int, NoPlanError]] = {}  # with the state of the scene
+        self._turnable: dict[Hashable, tuple[int, list[Placement]]] = {}  # likewise
 
     def next_plan(
         self, placement: Placement, q: Posture, tried: Sequence[Grasp] = (), effort: Effort = Effort.PLAIN
@@ -177,8 +178,12 @@ class ObjectPlanning:
         Their yaws are those at which it could be grasped then. Where there are none, the first goals.
         """
         planner, config = self._planner, self._config.pick_place.grasp
+        key = tuple((goal.name, goal.position) for goal in goals)
+        scene, known = self._turnable.get(key, (None, []))
+        if scene == planner.n_changes:
+            return known
         found: list[Placement] = []
-        for goal in goals:
+        for goal in goals[:_EXAMINED]:
             assert goal.T_goal_stand is not None
             grasps = reorienting_grasps(planner.items[goal.name], goal.T_goal_stand, config)
             poses = {yaw: planner.resting_pose(goal, yaw) for yaw in goal.yaws[::_EVERY_YAW]}
@@ -187,7 +192,8 @@ class ObjectPlanning:
                 found.append(replace(goal, yaws=yaws))
             if len(found) == _SPOTS:
                 break
-        return found or list(goals[:_SPOTS])
+        self._turnable[key] = planner.n_changes, found or list(goals[:_SPOTS])
+        return self._turnable[key][1]
 
     def _plan_with_contents(
         self, goals: Sequence[Placement], q: Posture, tried: Sequence[Grasp]

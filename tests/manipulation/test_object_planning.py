@@ -228,6 +228,18 @@ def test_it_is_laid_anyhow_where_it_can_be_grasped_nowhere(items):
     assert goals and all(len(goal.yaws) > 4 for goal in goals)
 
 
+def test_places_to_lay_it_are_examined_once_in_a_scene(items):
+    planner = overturned(items, lambda T: T[0, 3] < 0.45)
+    planned = planning(items, planner)
+    counts = []
+    for changes in (0, 0, 1):
+        planner._n_changes = changes
+        with pytest.raises(PlanningError, match="stands upside down"):
+            planned.next_plan(GOAL, Q, effort=Effort.PLAIN)
+        counts.append(len(planner.examined))
+    assert counts[0] == counts[1] == counts[2] / 2 > 0
+
+
 def test_what_lies_is_set_aside_where_it_can_be_turned(items):
     planner = lying(items)
     planner.pickable = lambda T: T[0, 3] < 0.45
