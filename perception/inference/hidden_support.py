@@ -20,10 +20,12 @@ from perception.inference.stacking import BELOW, FREE, MeasuredExtent, raised
 from perception.types import ObjectEstimate, SupportPlane
 
 LEAST_BASE = 0.03  # [m] above the plane, of the lowest measured points and of the shape at any height
-# Largest misfit at any height relative to that of the same class on the plane; the second where only the
-# former fit converges.
-CLEARLY, CONVERGED = 0.65, 0.85
-GAIN = 0.05  # least difference of the two: the feet of bottles are hard to see from above
+# Largest misfit at any height relative to that of the same class on the plane: where the latter is poor,
+# where moreover only the former fit converges, and where the latter is good. Of 20 raised objects in 30 scans
+# that stood on something it was 0.2 and more; bottles whose feet are hard to see had up to 0.1.
+CLEARLY, CONVERGED, FAR_BETTER = 0.65, 0.85, 0.2
+POOR = 0.15
+GAIN = 0.05  # least difference of the two
 MOST = 0.25  # of its misfit
 
 
@@ -73,9 +75,11 @@ def _above_plane(
     standing = _attempt(views, plane, decoder, model, config)
     if standing is None:
         return above.estimate
+    high, low = misfit(above.evidence), misfit(standing.evidence)
     statuses = above.estimate.status, standing.estimate.status
     least = CONVERGED if statuses == ("converged", "not_converged") else CLEARLY
-    high, low = misfit(above.evidence), misfit(standing.evidence)
+    if low < POOR:
+        least = FAR_BETTER
     return above.estimate if high < min(least * low, low - GAIN) else None
 
 
