@@ -21,8 +21,8 @@ from perception.types import ObjectEstimate, SupportPlane
 
 LEAST_BASE = 0.03  # [m] above the plane, of the lowest measured points and of the shape at any height
 # Largest misfit at any height relative to that of the same class on the plane: where the latter is poor,
-# where moreover only the former fit converges, and where the latter is good. Of 20 raised objects in 30 scans
-# that stood on something it was 0.2 and more; bottles whose feet are hard to see had up to 0.1.
+# where moreover only the former fit converges, and where the latter is good. For 20 raised objects that
+# stood on something it was 0.2 and more; bottles whose feet are hard to see had up to 0.1.
 CLEARLY, CONVERGED, FAR_BETTER = 0.65, 0.85, 0.2
 POOR = 0.15
 GAIN = 0.05  # least difference of the two
