@@ -107,15 +107,14 @@ def _fill(
     for line in lines:
         offset = np.array(line.start) - np.array(first.start)
         along, across = float(offset @ first.direction), float(offset @ _normal(first))
-        # The whole object stays within the line, but only the frame within the reach of further rows.
-        margin = 1.0 if line is first else 0.0
         row: list[tuple[StandingObject, float]] = []
         progress = -np.inf
         while remaining:
             behind, ahead, away, toward = spans[remaining[0].name]
             low, high = across - away, across + toward
-            start = max(progress + behind, margin * behind)
-            positions = np.arange(start, line.length - margin * ahead + 1e-9, _STEP / 2)
+            # The whole object stays within the line, but only the frame within the reach of further rows.
+            least, most = (behind, line.length - ahead) if line is first else (0.0, line.length)
+            positions = np.arange(max(progress + behind, least), most + 1e-9, _STEP / 2)
             free = np.ones(len(positions), bool)
             for left, right, below, above in taken:
                 if low < above + gap and below < high + gap:
