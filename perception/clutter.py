@@ -43,6 +43,7 @@ from perception.inference.stack_parts import (
     instance_points,
     split_stacks,
 )
+from perception.obstacles.attached import carriers_of_parts
 from perception.threads import single_threaded
 from perception.types import (
     POSED_CLASSES,
@@ -60,9 +61,11 @@ POSED_SCORE = 0.85  # the same in other poses: what is no object most often rese
 # The same of lying bottles, with the odds of their score times (length / LENGTH) ** LENGTH_POWER: pieces of
 # things are shorter. Score and length of 118 true and 76 false fits in 70 scans of training families.
 BOTTLE_SCORE, LENGTH, LENGTH_POWER = 0.7, 0.12, 4.2
+THINNEST = 0.021  # [m] radius of one: bottles have 25 mm and more, the handles of things 18 mm
 UNCERTAIN = 0.4  # score of several views below which a detected object is more often a thing of no class
 TURNED_MUGS: tuple[PosedClass, ...] = (("mug", "upside-down"), ("mug", "lying"))
 TURNED = 0.3  # least probability of a mug that lies or stands upside down, whose handle is looked for
+CARRIES = "something that belongs to none of the classes is attached to it"
 WORSE = 0.1  # by which the score of a lying object with the parts that its mask lacked may be lower
 
 
@@ -126,7 +129,11 @@ def reconstruct_clutter(
         recutting = Recutting(frames, planes, completer, lambda cut: fit(cut, {}))
         free = 1 + max((*instance_ids(rows), *(part.id for part in parts)), default=-1)
         rows, pieces = recutting.separated(rows, lost, free)
-        single |= {id: e for id, e in pieces.items() if e.resting == "lying" and e.score >= PIECE_SCORE}
+        single |= {
+            id: e
+            for id, e in pieces.items()
+            if e.resting == "lying" and e.score >= PIECE_SCORE and not _is_thin(e)
+        }
         candidates |= instance_ids(rows) - instance_ids(detections_per_frame)
         free = max(free, 1 + max(instance_ids(rows), default=-1))
         rows, wholes = recutting.joined(rows, candidates - set(stacks), single, free)
@@ -150,6 +157,8 @@ def reconstruct_clutter(
         rejected += [_left_out(estimate) for estimate in uncertain.values()]
         single = {id: estimate for id, estimate in single.items() if id not in uncertain}
         found = with_seen_handles([*single.values(), *parts], frames, planes[0], completer)
+        found, carriers = _without_carriers(found, [*stacks.values()], frames, planes[0])
+        rejected += [item for item in carriers if item.id in single]
     if options.on_rejected is not None:
         for item in rejected:
             if item.id not in candidates and item.id not in stacks:
@@ -169,6 +178,20 @@ def _existence(estimate: ObjectEstimate, rows: Rows, model: AcceptanceModel | No
 def _left_out(estimate: ObjectEstimate) -> RejectedObject:
     reason = f"score {estimate.score:.2f} over all views: it is taken for a thing of no class"
     return RejectedObject(estimate.id, estimate.category, reason, estimate.score)
+
+
+def _without_carriers(
+    found: Sequence[ObjectEstimate],
+    stacks: Sequence[Sequence[ObjectEstimate]],
+    frames: Sequence[RgbdFrame],
+    plane: SupportPlane,
+) -> tuple[list[ObjectEstimate], list[RejectedObject]]:
+    """Return the objects without those that carry a part of no class, and these; a stack goes as a whole."""
+    carriers = carriers_of_parts(found, frames, plane)
+    carriers |= {part.id for stack in stacks if carriers & {e.id for e in stack} for part in stack}
+    left = [e for e in found if e.id in carriers]
+    kept = [e for e in found if e.id not in carriers]
+    return kept, [RejectedObject(e.id, e.category, CARRIES, e.score) for e in left]
 
 
 def _without_fragments(
@@ -272,8 +295,14 @@ def _is_clear(estimate: ObjectEstimate) -> bool:
         return estimate.score >= UNCLASSIFIED_SCORE
     if (estimate.category, estimate.resting) == ("bottle", "lying"):
         odds = estimate.score / max(1 - estimate.score, 1e-9) * (estimate.height / LENGTH) ** LENGTH_POWER
-        return estimate.score >= UNCERTAIN and odds >= BOTTLE_SCORE / (1 - BOTTLE_SCORE)
+        is_likely = estimate.score >= UNCERTAIN and odds >= BOTTLE_SCORE / (1 - BOTTLE_SCORE)
+        return is_likely and not _is_thin(estimate)
     return estimate.score >= POSED_SCORE
+
+
+def _is_thin(estimate: ObjectEstimate) -> bool:
+    """Return whether a bottle is thinner than bottles are."""
+    return estimate.category == "bottle" and estimate.radius < THINNEST
 
 
 def _may_be_turned_mug(estimate: ObjectEstimate, rows: Rows) -> bool:

@@ -61,9 +61,9 @@ class SurfaceSamples:
     def tree(self) -> KDTree:
         return KDTree(self.points)
 
-    def distance(self, points: Float[np.ndarray, "m 3"]) -> Float[np.ndarray, "m"]:
-        """Return the distance of each point to the nearest sample, in metres."""
-        return np.asarray(self.tree.query(points)[0])
+    def distance(self, points: Float[np.ndarray, "m 3"], limit: float = np.inf) -> Float[np.ndarray, "m"]:
+        """Return the distance of each point to the nearest sample, in metres; infinite beyond a limit."""
+        return np.asarray(self.tree.query(points, distance_upper_bound=limit)[0])
 
     def distance_along_normal(self, points: Float[np.ndarray, "m 3"]) -> Float[np.ndarray, "m"]:
         """Return the distance in metres of each point to the tangent plane at the nearest sample.

@@ -140,7 +140,8 @@ def mask_around(
     world = transform_points(estimate.T_world_object, points[near] + axis)
     for other in others:
         if len(near):
-            near, world = (values[other.distance(world) > _EXPLAINED] for values in (near, world))
+            is_free = other.distance(world, limit=2 * _EXPLAINED) > _EXPLAINED
+            near, world = near[is_free], world[is_free]
     mask[v[near], u[near]] = 1
     count, labels, stats, _ = cv2.connectedComponentsWithStats(mask, connectivity=8)
     if count < 2:

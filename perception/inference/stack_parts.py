@@ -51,6 +51,7 @@ MIN_SCORES = (0.2, 0.5)  # of the fits of the lower part, whose upper side is hi
 FULLY = 0.005  # share of unexplained points up to which a bottle explains all that is seen
 COAXIAL = 0.005  # [m] between the axes of two cans that are one bottle
 CARRIERS: tuple[Category, ...] = ("mug", "bowl", "can")  # nothing stands on a bottle
+GAP = 0.02  # [m] between two parts, one above the other, from which on neither carries the other
 LEAST_HEIGHT = 0.025  # [m] of a part; flatter ones are the thick floor of a bowl
 SLENDER = 1.5  # least height of a bottle, in diameters
 MIN_PIXELS = 150  # of a part in a view
@@ -121,7 +122,7 @@ def split_stacks(
         fitted = {e.id: e for e in fit(_with_parts(rows, parts), above)}
         for id, part in parts.items():
             pair, whole = [fitted[k] for k in part.ids if k in fitted], estimates.get(id)
-            if len(pair) < 2:
+            if len(pair) < 2 or _gap(*pair, planes[0]) > GAP:
                 continue
             if whole is not None and _is_one(pair, whole, open_[id][2]):
                 found[id] = (replace(whole, score=max(whole.score, min(e.score for e in pair))),)
@@ -292,6 +293,12 @@ def _is_one(pair: Sequence[ObjectEstimate], whole: ObjectEstimate, before: float
         return False
     apart = np.linalg.norm((pair[0].T_world_object - pair[1].T_world_object)[:2, 3])
     return bool(apart < COAXIAL) and all(e.score >= p for e, p in zip(pair, MIN_SCORES, strict=True))
+
+
+def _gap(lower: ObjectEstimate, upper: ObjectEstimate, plane: SupportPlane) -> float:
+    """Return the height of the upper part's base above the top of the lower one [m]; negative inside it."""
+    base = (upper.mesh_world.vertices @ plane.normal).min()
+    return float(base - (lower.mesh_world.vertices @ plane.normal).max())
 
 
 def _is_knob(estimate: ObjectEstimate) -> bool:

@@ -18,7 +18,7 @@ from perception.inference.refit import PoseCheck, checked
 from perception.rendering.pose import ObjectPose
 from perception.types import ObjectEstimate, RgbdFrame, SupportPlane
 
-TURNS = np.deg2rad([-60, -45, -30, -15, 15, 30, 45, 60])  # about the axis of the body, of the initial poses
+TURNS = np.deg2rad(np.arange(15, 360, 15))  # about the axis of the body, of the initial poses
 CLEARLY = 0.05  # share of the visible pixels by which a turned mug must explain more
 
 

@@ -9,9 +9,11 @@ import pytest
 from perception import clutter
 from perception.clutter import (
     BOTTLE_SCORE,
+    CARRIES,
     LENGTH,
     LENGTH_POWER,
     POSED_SCORE,
+    THINNEST,
     UNCERTAIN,
     UNCLASSIFIED_SCORE,
     WORSE,
@@ -38,9 +40,11 @@ CAMERA = CameraIntrinsics(4, 4, 4.0, 4.0, 1.5, 1.5)
 FRAME = RgbdFrame(0.0, np.zeros((4, 4, 3), np.uint8), np.ones((4, 4), np.float32), CAMERA, np.eye(4))
 
 
-def found(id, score=0.9, category="can", resting="upright", n_views=2, length=LENGTH):
+def found(id, score=0.9, category="can", resting="upright", n_views=2, length=LENGTH, radius=0.03):
     made = object.__new__(ObjectEstimate)
-    mesh = TriangleMesh(np.diag([0.03, 0.03, length]), np.array([[0, 1, 2]]))
+    mesh = TriangleMesh(
+        np.array([[0.03, -radius, 0.0], [0.0, radius, 0.0], [0.0, 0.0, length]]), np.array([[0, 1, 2]])
+    )
     vars(made).update(id=id, score=score, n_views=n_views, category=category, resting=resting, mesh=mesh)
     return made
 
@@ -69,6 +73,8 @@ class Scene:
         for module in (clutter, selection):
             monkeypatch.setattr(module, "instance_points", lambda frames, rows, id: self.points(id))
             monkeypatch.setattr(module, "unexplained", self.unexplained)
+        self.carriers = set()
+        monkeypatch.setattr(clutter, "carriers_of_parts", lambda *_: set(self.carriers))
         self.inside = {}  # share of the volume of one estimate in another
         monkeypatch.setattr(selection, "shared_volume", lambda a, b: self.inside.get((a.id, b.id), 0.0))
         self.explained = {(id, id) for id in range(4)}  # (points, estimate)
@@ -165,6 +171,31 @@ def test_a_doubtful_candidate_that_goes_on_in_a_thing_is_a_part_of_it(scene, sha
     assert scene.run() == ([0, 1] if kept else [0])
     if score < PIECE_SCORE:
         assert scene.doubtful == {1} and scene.things == [2], "what was rejected, and what is too tall"
+
+
+def test_a_lying_bottle_that_is_thinner_than_bottles_is_a_handle(scene):
+    thin, thick = (
+        found(id, 0.99, "bottle", "lying", radius=THINNEST + more) for id, more in ((4, -0.001), (5, 0.001))
+    )
+    scene.pieces = {4: thin, 5: thick}
+    assert scene.run() == [0, 1, 5]
+    assert not clutter._is_clear(thin) and clutter._is_clear(thick)
+
+
+def test_what_carries_a_part_of_no_class_is_part_of_a_thing(scene):
+    scene.carriers = {0}
+    assert scene.run() == [1]
+    assert [(item.id, item.reason) for item in scene.rejected][-1] == (0, CARRIES)
+    scene.carriers = {1}
+    assert scene.run() == [0], "a candidate is left out without a report"
+    assert scene.rejected[-1].id == 0
+
+
+def test_a_stack_of_which_a_part_carries_something_is_left_out_as_a_whole(scene):
+    scene.stacks = {0: (found(5), found(6)), 3: (found(7), found(8))}
+    scene.carriers = {5}
+    assert scene.run() == [1, 7, 8]
+    assert scene.rejected == []
 
 
 def test_what_is_joined_replaces_its_parts(scene):

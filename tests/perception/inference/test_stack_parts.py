@@ -106,6 +106,17 @@ def test_a_disc_is_no_part_although_it_explains_the_points(stack, rows, monkeypa
         assert bool(found) == accepted
 
 
+@pytest.mark.parametrize(("gap", "accepted"), [(0.01, True), (0.03, False)])
+def test_what_is_apart_from_what_is_below_it_does_not_stand_on_it(stack, rows, monkeypatch, gap, accepted):
+    monkeypatch.setattr(stack_parts, "unexplained", lambda points, shapes: 0.05 if len(shapes) < 2 else 0.0)
+    lower, upper = cylinder(stack.lower, 5), cylinder(stack.higher, 6)
+    T = upper.T_world_object.copy()
+    T[2, 3] += gap
+    raised = replace(upper, T_world_object=T)
+    found = split(stack, rows, lambda *_: [lower, raised], [cylinder(stack.lower, 4)])
+    assert bool(found) == accepted
+
+
 @pytest.mark.parametrize(("height", "accepted"), [(1.4, False), (1.6, True)])
 def test_the_knob_of_a_lid_is_no_bottle(stack, rows, monkeypatch, height, accepted):
     monkeypatch.setattr(stack_parts, "unexplained", lambda points, shapes: 0.05 if len(shapes) < 2 else 0.0)

@@ -25,7 +25,7 @@ def expected(mug, estimate, degrees: float) -> np.ndarray:
     return mug.pose.turned(turn, body_axis(estimate)).T_world_object
 
 
-@pytest.mark.parametrize("degrees", [-50, -24, 24, 50])
+@pytest.mark.parametrize("degrees", [-136, -50, -24, 24, 50, 180])
 def test_a_handle_that_points_elsewhere_is_found(mug, estimate, frames, degrees) -> None:
     T = expected(mug, estimate, degrees)
     near = refit_pose(estimate, frames, T)
