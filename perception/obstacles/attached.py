@@ -111,10 +111,11 @@ def _parts(
     is_open = (count >= config.min_cell_points) & ~known.explains(means, config.margin)
     grid = np.zeros(int(np.prod(shape)), bool)
     grid[filled[is_open]] = True
-    labels, n_parts = ndimage.label(grid.reshape(shape), np.ones((3, 3, 3)))
+    labels = np.zeros(shape, np.int32)
+    ndimage.label(grid.reshape(shape), np.ones((3, 3, 3)), output=labels)
     label_of = labels.ravel()[filled]
-    sizes = np.bincount(label_of, minlength=n_parts + 1)
-    for label in range(1, n_parts + 1):
+    sizes = np.bincount(label_of)
+    for label in range(1, len(sizes)):
         own = label_of == label
         if sizes[label] < config.min_cells or len(np.unique(seen_by[own[number]])) < config.min_views:
             continue
