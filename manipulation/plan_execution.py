@@ -32,6 +32,7 @@ logger = logging.getLogger(__name__)
 MAX_PRESSES = 2  # of a bowl in another; one more for each further bowl below
 _RISES = (0.18, 0.12, 0.08, 0.04)  # [m] above where an object met something, tried in order
 _RETURNED = 0.05  # [rad] of each joint from the posture of the grasp
+_ABOVE = 0.003  # [m] by which the base of an object is above that of one that carries it, at least
 MISPLACED = 0.02  # [m] from its goal, from which on a released object is grasped again
 
 Phase = Literal[
@@ -119,6 +120,7 @@ class PlanExecution:
         robot.follow(plan.lift)
         # The closed width is wide enough for an object that shifts between the pads.
         self._require_held(grasp, f"{name} was lost during the lift")
+        self._require_alone(plan)
         self._notify("transfer", name)
         try:
             robot.follow(plan.transfer)
@@ -157,6 +159,38 @@ class PlanExecution:
         is_mug = self.planner.items[name].category == "mug" and not lies(finding.T_world_stand)
         if is_mug and is_turned(plan.T_world_stand_rest, finding.T_world_stand):
             raise GraspFailedError(f"{name} was turned when it was released")
+
+    def _require_alone(self, plan: PickPlacePlan) -> None:
+        """Lower an object again, and raise GraspFailedError, if what it stood in or on was lifted with it.
+
+        A bowl that is pinched at its rim may jam in the mug below, whose collision geometry the transfer does
+        not have.
+        """
+        below = self._carriers(plan)
+        if not below:
+            return
+        kinematics, positions = self.planner.kinematics, plan.lift.positions
+        lift = kinematics.forward(positions[-1]) @ np.linalg.inv(kinematics.forward(positions[0]))
+        poses = dict(self.planner.poses())
+        for name in (plan.name, *plan.contents, *below):
+            poses[name] = lift @ poses[name]
+        seen = self.observer.glance(poses, below)
+        stuck = [name for name in below if seen.get(name) == "in_place"]
+        if stuck:
+            self.robot.follow(plan.lift.reversed())
+            raise GraspFailedError(f"{' and '.join(stuck)} was lifted with {plan.name}")
+
+    def _carriers(self, plan: PickPlacePlan) -> tuple[str, ...]:
+        """Return the names of the objects in or on which an object of a plan stands."""
+        poses, items = self.planner.poses(), self.planner.items
+        place = poses[plan.name][:3, 3]
+
+        def is_below(name: str) -> bool:
+            apart = poses[name][:3, 3] - place
+            outline = np.linalg.norm(items[name].vertices[:, :2], axis=1).max()
+            return bool(apart[2] < -_ABOVE and np.linalg.norm(apart[:2]) < outline)
+
+        return tuple(name for name in poses if is_below(name))
 
     def _bring_back(self, plan: PickPlacePlan) -> None:
         """Bring an object that met something while it was lowered back to where it was grasped."""

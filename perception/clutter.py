@@ -44,6 +44,7 @@ from perception.inference.stack_parts import (
     split_stacks,
 )
 from perception.obstacles.attached import carriers_of_parts
+from perception.obstacles.handleless import mugs_without_handle
 from perception.threads import single_threaded
 from perception.types import (
     POSED_CLASSES,
@@ -66,6 +67,7 @@ UNCERTAIN = 0.4  # score of several views below which a detected object is more 
 TURNED_MUGS: tuple[PosedClass, ...] = (("mug", "upside-down"), ("mug", "lying"))
 TURNED = 0.3  # least probability of a mug that lies or stands upside down, whose handle is looked for
 CARRIES = "something that belongs to none of the classes is attached to it"
+HANDLELESS = "it has no handle where a mug has one, but goes on in a thing of no class"
 WORSE = 0.1  # by which the score of a lying object with the parts that its mask lacked may be lower
 
 
@@ -157,8 +159,8 @@ def reconstruct_clutter(
         rejected += [_left_out(estimate) for estimate in uncertain.values()]
         single = {id: estimate for id, estimate in single.items() if id not in uncertain}
         found = with_seen_handles([*single.values(), *parts], frames, planes[0], completer)
-        found, carriers = _without_carriers(found, [*stacks.values()], frames, planes[0])
-        rejected += [item for item in carriers if item.id in single]
+        found, left = _without_parts_of_things(found, [*stacks.values()], frames, planes[0])
+        rejected += [item for item in left if item.id in single]
     if options.on_rejected is not None:
         for item in rejected:
             if item.id not in candidates and item.id not in stacks:
@@ -180,18 +182,20 @@ def _left_out(estimate: ObjectEstimate) -> RejectedObject:
     return RejectedObject(estimate.id, estimate.category, reason, estimate.score)
 
 
-def _without_carriers(
+def _without_parts_of_things(
     found: Sequence[ObjectEstimate],
     stacks: Sequence[Sequence[ObjectEstimate]],
     frames: Sequence[RgbdFrame],
     plane: SupportPlane,
 ) -> tuple[list[ObjectEstimate], list[RejectedObject]]:
-    """Return the objects without those that carry a part of no class, and these; a stack goes as a whole."""
-    carriers = carriers_of_parts(found, frames, plane)
-    carriers |= {part.id for stack in stacks if carriers & {e.id for e in stack} for part in stack}
-    left = [e for e in found if e.id in carriers]
-    kept = [e for e in found if e.id not in carriers]
-    return kept, [RejectedObject(e.id, e.category, CARRIES, e.score) for e in left]
+    """Return the objects without those that go on in things of no class, and these; stacks go as a whole."""
+    reasons = dict.fromkeys(carriers_of_parts(found, frames, plane), CARRIES)
+    reasons |= dict.fromkeys(mugs_without_handle(found, frames, plane), HANDLELESS)
+    for stack in stacks:
+        known = [reasons[part.id] for part in stack if part.id in reasons]
+        reasons |= {part.id: known[0] for part in stack if known}
+    left = [RejectedObject(e.id, e.category, reasons[e.id], e.score) for e in found if e.id in reasons]
+    return [e for e in found if e.id not in reasons], left
 
 
 def _without_fragments(

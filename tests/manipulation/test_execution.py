@@ -160,14 +160,19 @@ def test_motions_are_free_of_contact_in_the_planners_world(packing, arm):
 class FakeObserver:
     """Reports what ``presence`` lists, then objects in place; finds objects where ``poses`` says.
 
-    ``closer`` lists what closer looks at stacks show, each by name; after them, nothing.
+    ``closer`` lists what closer looks at stacks show, each by name; after them, nothing. Nothing hangs in the
+    air but ``lifted``.
     """
+
+    lifted = ()
 
     def __init__(self, presence=(), **findings):
         self.presence, self.findings, self.searched = list(presence), findings, []
         self.closer, self.looked_at = [], []
 
     def glance(self, poses, names):
+        if any(poses[name][2, 3] > IN_THE_AIR for name in names):
+            return {name: "in_place" if name in self.lifted else "displaced" for name in names}
         return {name: self.presence.pop(0) if self.presence else "in_place" for name in names}
 
     def find(self, name, poses):
@@ -181,6 +186,7 @@ class FakeObserver:
 
 
 MISSING = Finding("missing")
+IN_THE_AIR = 0.05  # [m] of the base of an object
 
 
 def test_a_failed_grasp_is_retried_with_another_grasp_after_a_search(packing, arm):

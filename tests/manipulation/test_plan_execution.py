@@ -72,6 +72,29 @@ def test_nothing_is_touched_where_the_scene_has_changed(cell, plan, item):
     np.testing.assert_array_equal(planner.world.pose("can_1"), item.T_world_stand)
 
 
+@pytest.mark.parametrize("lifted", [(), ("mug_2",)])
+def test_what_an_object_stood_in_is_put_back_with_it(shapes, arm, lifted):
+    bowl = to_standing(shapes.estimate(1, "bowl", shapes.bowl(0.035, 0.04), 0.5, -0.25))
+    mug = to_standing(shapes.estimate(2, "mug", shapes.mug(), 0.5, -0.25))
+    beside = to_standing(shapes.estimate(3, "can", shapes.can(), 0.5, 0.0))
+    raised = bowl.T_world_stand.copy()
+    raised[2, 3] = 0.09
+    bowl = replace(bowl, T_world_stand=raised)
+    items = {item.name: item for item in (bowl, mug, beside)}
+    planner = PickPlacePlanner(Kinematics(arm), items, config=CONFIG.pick_place)
+    plan = planner.plan(Placement("bowl_1", (0.5, 0.25, 0.0), (0.0,)), arm.q_home)
+    robot, observer = FakeRobot(arm, [plan.grasp.held_width]), FakeObserver()
+    observer.lifted = lifted
+    execution = PlanExecution(robot, planner, observer, CONFIG, lambda *args, **options: None)
+    if not lifted:
+        execution.run(plan, looks_first=False)
+        return
+    with pytest.raises(GraspFailedError, match="mug_2 was lifted with bowl_1"):
+        execution.run(plan, looks_first=False)
+    assert robot.q == pytest.approx(plan.lift.positions[0]), "where it was grasped"
+    np.testing.assert_array_equal(planner.world.pose("bowl_1"), raised)
+
+
 class MeetsSomething(FakeRobot):
     """Stops on the way of its transfer, at a share of its samples."""
 

@@ -10,6 +10,7 @@ from perception import clutter
 from perception.clutter import (
     BOTTLE_SCORE,
     CARRIES,
+    HANDLELESS,
     LENGTH,
     LENGTH_POWER,
     POSED_SCORE,
@@ -75,6 +76,8 @@ class Scene:
             monkeypatch.setattr(module, "unexplained", self.unexplained)
         self.carriers = set()
         monkeypatch.setattr(clutter, "carriers_of_parts", lambda *_: set(self.carriers))
+        self.handleless = set()
+        monkeypatch.setattr(clutter, "mugs_without_handle", lambda *_: set(self.handleless))
         self.inside = {}  # share of the volume of one estimate in another
         monkeypatch.setattr(selection, "shared_volume", lambda a, b: self.inside.get((a.id, b.id), 0.0))
         self.explained = {(id, id) for id in range(4)}  # (points, estimate)
@@ -189,6 +192,12 @@ def test_what_carries_a_part_of_no_class_is_part_of_a_thing(scene):
     scene.carriers = {1}
     assert scene.run() == [0], "a candidate is left out without a report"
     assert scene.rejected[-1].id == 0
+
+
+def test_a_mug_without_a_handle_is_part_of_a_thing(scene):
+    scene.handleless, scene.stacks = {0, 7}, {3: (found(7), found(8))}
+    assert scene.run() == [1]
+    assert [(item.id, item.reason) for item in scene.rejected][-1] == (0, HANDLELESS)
 
 
 def test_a_stack_of_which_a_part_carries_something_is_left_out_as_a_whole(scene):
