@@ -135,7 +135,7 @@ class _Execution:
                 outcome = self._attempt(placement, effort)
             except RobotStoppedError as error:
                 self._give_up([placement, *order], str(error))
-                return list(self.outcomes.values())
+                return self._outcomes()
             if outcome is None:
                 if effort == Effort.PLAIN and self._make_way(placement):
                     n_deferred = 0
@@ -157,7 +157,15 @@ class _Execution:
         with contextlib.suppress(RobotStoppedError):
             self.withdrawal.rise()
             self.motion.go_home()
-        return list(self.outcomes.values())
+        return self._outcomes()
+
+    def _outcomes(self) -> list[ObjectOutcome]:
+        """Return the outcomes, with the poses in which objects that were not placed were left."""
+        poses = self.planner.poses()
+        return [
+            outcome if outcome.placed else replace(outcome, T_world_left=poses.get(outcome.name))
+            for outcome in self.outcomes.values()
+        ]
 
     def _attempt(self, placement: Placement, effort: Effort) -> ObjectOutcome | None:
         """Try to place one object; return None if it is deferred."""

@@ -116,10 +116,17 @@ def _in_place(
     config: ManipulationConfig,
     is_snug: bool = False,
 ) -> tuple[list[Placement], dict[str, str]]:
-    """Return a goal for each object in turn, and the reason by name for each that finds no room."""
+    """Return a goal for each object in turn, and the reason by name for each that finds no room.
+
+    What lies in the box takes the place of others until it is turned.
+    """
     there, placements, no_room = dict(placed), [], {}
+    there |= {
+        item.name: item for item in items if lies(item.T_world_stand) and box.contains(item.T_world_stand)
+    }
     for item in items:
-        goal = _into_bowls(item, there, box, config) or _on_the_floor(item, there, box, config, is_snug)
+        others = {name: other for name, other in there.items() if name != item.name}
+        goal = _into_bowls(item, others, box, config) or _on_the_floor(item, others, box, config, is_snug)
         if goal is None:
             no_room[item.name] = f"no room for {item.name} is left in the box; use a larger box"
             continue

@@ -290,6 +290,7 @@ class ObjectOutcome:
         attempts: number of executed grasps.
         reason: cause of the failure; empty if placed.
         T_world_stand: (4, 4) expected resting pose; None if not placed.
+        T_world_left: (4, 4) pose in which an object that was not placed was seen last; None if it is unknown.
     """
 
     id: int
@@ -298,3 +299,4 @@ class ObjectOutcome:
     attempts: int
     reason: str = ""
     T_world_stand: Float[np.ndarray, "4 4"] | None = None
+    T_world_left: Float[np.ndarray, "4 4"] | None = None

@@ -12,6 +12,7 @@ import numpy as np
 from jaxtyping import Float
 
 from app.task.obstacles import box_interior
+from app.task.task_types import TaskResult
 from manipulation.lying_grasps import is_upside_down, lies
 from manipulation.observation import is_turned
 from manipulation.types import Box
@@ -65,6 +66,32 @@ def fallen_objects(
             upright = levelled(T_seen, T_placed[2, 3])
             found.append(replace(placed[id], T_world_object=upright, resting="upright", rests_on=None))
     return sorted(found, key=lambda estimate: estimate.id)
+
+
+def left_in_box(result: TaskResult, box: Box) -> list[ObjectEstimate]:
+    """Return what is in the box although it was not placed there, where it was seen last, by ascending id.
+
+    It toppled when it was released, for instance, and could not be turned.
+
+    Args:
+        result: results of all rounds so far.
+        box: the box.
+    """
+    if result.plan is None:
+        return []
+    by_id, items = {estimate.id: estimate for estimate in result.objects}, result.plan.objects
+    found: list[ObjectEstimate] = []
+    for outcome in sorted(result.outcomes, key=lambda outcome: outcome.id):
+        T_stand = outcome.T_world_left
+        if outcome.placed or T_stand is None or not box.contains(T_stand) or outcome.id not in by_id:
+            continue
+        before = by_id[outcome.id]
+        T = T_stand @ np.linalg.inv(items[outcome.name].T_world_stand) @ before.T_world_object
+        resting: RestingPose = "upright"
+        if lies(T):
+            resting = "upside-down" if is_upside_down(T) else "lying"
+        found.append(replace(before, T_world_object=T, resting=resting, rests_on=None))
+    return found
 
 
 def _is_doubtful(check: PoseCheck) -> bool:

@@ -24,7 +24,7 @@ from functools import partial
 import numpy as np
 from jaxtyping import Float
 
-from app.task.fallen import LEANING, fallen_objects
+from app.task.fallen import LEANING, fallen_objects, left_in_box
 from app.task.further_views import most_useful_viewpoint
 from app.task.nests import with_bowls_named
 from app.task.observation import WristObserver
@@ -311,6 +311,7 @@ class _Stages:
                     self._perception, observer, shows_fits=False
                 )
                 found = renumbered(reconstruct(frames, detections), result.objects, box)
+                found += left_in_box(result, box)
                 in_box = list(placed_estimates(result).values())
                 table = table_of(detections)
                 obstacles = obstacles_during([*in_box, *found], frames, table, box, self._robot.arm)
@@ -324,7 +325,8 @@ class _Stages:
             logger.info("nothing more to do: %s", error)
             return None
         result = replace(result, rejected=tuple(observer.rejected[n_rejected:]))
-        return self._carry_out(result, found, plan, in_box, obstacles, detections)
+        further = self._carry_out(result, found, plan, in_box, obstacles, detections)
+        return as_first_seen(further, result)
 
 
 def prior_reconstruction(

@@ -33,6 +33,19 @@ def test_a_can_gets_a_place_clear_of_what_is_there(shapes, arm):
     assert "can_1" in plan.objects and plan.placements[0].position[2] == BOX.floor
 
 
+def test_what_lies_in_the_box_takes_the_place_of_others_until_it_is_turned(shapes, arm):
+    lying = shapes.estimate(1, "can", shapes.can())
+    T = pose_from_yaw(0.0, np.array([*BOX.center, 0.04]))
+    T[:3, :3] = np.array([[0.0, 0.0, 1.0], [0.0, 1.0, 0.0], [-1.0, 0.0, 0.0]])
+    lying = replace(lying, T_world_object=T, resting="lying")
+    other = shapes.estimate(2, "can", shapes.can(), x=0.5, y=-0.3)
+    plan = plan_further([lying, other], {}, BOX, arm, CONFIG)
+    goals = {p.name: np.array(p.position[:2]) for p in plan.placements}
+    beside = np.maximum(np.abs(goals["can_2"] - BOX.center) - (0.06, 0.033), 0)
+    assert np.linalg.norm(beside) > 0.033, "clear of the body that lies in the middle"
+    assert set(goals) == {"can_1", "can_2"}
+
+
 def test_a_mug_is_aligned_with_the_mugs_in_the_box(shapes, arm):
     placed = in_box(shapes.estimate(1, "mug", shapes.mug()), x=-0.08, yaw=0.7)
     plan = plan_further([shapes.estimate(2, "mug", shapes.mug(), x=0.5)], placed, BOX, arm, CONFIG)

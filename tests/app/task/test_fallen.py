@@ -6,8 +6,9 @@ import numpy as np
 import pytest
 
 from app.task import fallen
-from app.task.fallen import LEANING, TURNED, fallen_objects
-from manipulation.types import Box
+from app.task.fallen import LEANING, TURNED, fallen_objects, left_in_box
+from app.task.task_types import TaskResult
+from manipulation.types import Box, ObjectOutcome
 from perception.geometry import pose_from_yaw, so3_exp
 from perception.inference.refit import PoseCheck
 
@@ -108,3 +109,35 @@ def test_a_mug_whose_handle_was_turned_is_placed_again(placed, monkeypatch, turn
 def test_a_can_that_was_turned_is_left(placed, monkeypatch) -> None:
     T = placed[1].T_world_object @ pose_from_yaw(2 * TURNED, np.zeros(3))
     assert find(placed, {1: check(T=T)}, monkeypatch)[0] == []
+
+
+@pytest.mark.parametrize(
+    ("angle", "resting"), [(0.0, "upright"), (np.pi / 2, "lying"), (np.pi, "upside-down")]
+)
+def test_what_was_not_placed_but_is_in_the_box_is_left_there(can_at, pack_plan, angle, resting) -> None:
+    """Its shape is carried with its stand frame to where it was seen last."""
+    T_stand = pack_plan.objects["can_1"].T_world_stand
+    turn = np.eye(4)
+    turn[:3, :3] = so3_exp(np.array([angle, 0.0, 0.0]))
+    T_left = pose_from_yaw(0.3, np.array([0.5, 0.27, 0.05])) @ turn
+    outcomes = [ObjectOutcome(1, "can_1", False, 3, "toppled", None, T_left)]
+    result = TaskResult(objects=[can_at(0), can_at(1, 0.5)], plan=pack_plan, outcomes=outcomes)
+    (found,) = left_in_box(result, Box())
+    assert found.id == 1 and found.resting == resting
+    T_stand_object = np.linalg.inv(T_stand) @ can_at(1, 0.5).T_world_object
+    np.testing.assert_allclose(found.T_world_object, T_left @ T_stand_object, atol=1e-9)
+
+
+def test_what_was_placed_or_is_beside_the_box_or_nowhere_is_not(can_at, pack_plan) -> None:
+    beside, inside = (
+        pose_from_yaw(0.0, np.array([0.5, -0.2, 0.0])),
+        pose_from_yaw(0.0, np.array([0.5, 0.27, 0.0])),
+    )
+    base = TaskResult(objects=[can_at(0), can_at(1, 0.5)], plan=pack_plan)
+    for outcome in (
+        ObjectOutcome(1, "can_1", False, 1, "", None, beside),
+        ObjectOutcome(1, "can_1", False, 1),
+        ObjectOutcome(1, "can_1", True, 1, "", inside),
+    ):
+        assert left_in_box(replace(base, outcomes=[outcome]), Box()) == []
+    assert left_in_box(replace(base, plan=None), Box()) == []

@@ -370,6 +370,20 @@ def test_a_further_round_that_fails_keeps_the_results(stages, monkeypatch, error
     assert len(stages.scanner.visited) == 3, "two scans and the verification"
 
 
+def test_what_was_left_in_the_box_is_placed_in_the_next_round(stages, monkeypatch):
+    lying = replace(stages.objects[1], T_world_object=pose_from_yaw(0.3, np.array([0.4, 0.3, 0.03])))
+    planned = []
+
+    def plan_further(objects, *args):
+        planned.append(objects)
+        raise PlanningError("no room")
+
+    monkeypatch.setattr(pipeline, "left_in_box", lambda result, box: [lying])
+    monkeypatch.setattr(pipeline, "plan_further", plan_further)
+    run(StillRobot(), stages.perception, TaskRequest("pack", Box()))
+    assert planned[0][-1] is lying
+
+
 def test_sorting_has_one_round(stages):
     run(StillRobot(), stages.perception, TaskRequest("sort", Box()))
     assert len(stages.scanner.visited) == 2
