@@ -41,6 +41,7 @@ from app.task.rounds import (
     as_first_seen,
     has_changed,
     is_something_left,
+    is_something_unplaced,
     placed_estimates,
     placed_items,
     renumbered,
@@ -108,6 +109,8 @@ def run(
             further = stages.place_again(result)
             if further is None:
                 break
+            if is_something_unplaced(further):  # there may be room now
+                further = stages.look_again(further, is_last=True) or further
             result = stages.verify(further)
     except (ManipulationError, PerceptionError) as error:
         result = replace(result, failure=str(error))

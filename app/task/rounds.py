@@ -34,10 +34,15 @@ def is_something_left(result: TaskResult, latest: Sequence[ObjectOutcome]) -> bo
         latest: outcomes of the last one.
     """
     assert result.plan is not None
-    unplaced = any(not outcome.placed for outcome in result.outcomes)
-    is_left = unplaced or result.plan.left_out or result.rejected or result.obstacles
+    is_left = is_something_unplaced(result) or result.rejected or result.obstacles
     waits = COVERED in result.plan.left_out.values()
     return bool(is_left) and (waits or has_changed(latest))
+
+
+def is_something_unplaced(result: TaskResult) -> bool:
+    """Return whether an object has no goal, or is not there."""
+    assert result.plan is not None
+    return bool(result.plan.left_out) or any(not outcome.placed for outcome in result.outcomes)
 
 
 def has_changed(outcomes: Sequence[ObjectOutcome]) -> bool:

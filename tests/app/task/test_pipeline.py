@@ -450,6 +450,20 @@ def test_a_bowl_beside_the_one_that_it_fits_into_is_placed_again_once(stages, pa
     assert [o.attempts for o in result.outcomes] == [2]
 
 
+@pytest.mark.parametrize(("unplaced", "rounds"), [(True, 3), (False, 2)])
+def test_once_something_was_placed_again_there_may_be_room(stages, pack_plan, monkeypatch, unplaced, rounds):
+    loose, executed = to_standing(stages.objects[0]), []
+    monkeypatch.setattr(pipeline, "fallen_objects", lambda *args: [])
+    monkeypatch.setattr(pipeline, "loose_bowl", lambda *args: loose)
+    monkeypatch.setattr(pipeline, "with_bowls_named", lambda result, *args: result)
+    monkeypatch.setattr(pipeline, "execute", lambda plan, *args: executed.append(plan) or stages.outcomes)
+    monkeypatch.setattr(pipeline, "plan_further", lambda found, *args: pack_plan)
+    monkeypatch.setattr(pipeline, "is_something_left", lambda *args: len(executed) == 2)
+    monkeypatch.setattr(pipeline, "is_something_unplaced", lambda result: unplaced)
+    result = run(StillRobot(), stages.perception, TaskRequest("pack", Box()))
+    assert result.failure == "" and len(executed) == rounds
+
+
 def test_what_cannot_be_placed_again_ends_the_task_as_it_is(stages, monkeypatch):
     monkeypatch.setattr(pipeline, "fallen_objects", lambda *args: [stages.objects[0]])
     monkeypatch.setattr(pipeline, "is_something_left", lambda *args: False)

@@ -11,6 +11,7 @@ from app.task.rounds import (
     expected_pose,
     has_changed,
     is_something_left,
+    is_something_unplaced,
     placed_estimates,
     placed_items,
     renumbered,
@@ -51,6 +52,14 @@ def test_a_round_follows_what_left_something_and_changed_the_table(result, pack_
     assert is_something_left(replace(all_placed, outcomes=[failed]), [failed])
     assert not is_something_left(result, [replace(failed, attempts=0)]), "nothing was moved"
     assert not is_something_left(result, []), "in the last round"
+
+
+def test_what_has_no_goal_or_is_not_there_is_unplaced(result):
+    assert is_something_unplaced(result), "the other can has no goal"
+    all_placed = replace(result, plan=replace(result.plan, left_out={}))
+    assert not is_something_unplaced(all_placed)
+    failed = replace(result.outcomes[0], placed=False)
+    assert is_something_unplaced(replace(all_placed, outcomes=[failed]))
 
 
 def test_placed_objects_are_where_they_were_placed(result):
