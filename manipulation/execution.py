@@ -340,6 +340,8 @@ class _Execution:
                     raise
                 if not self._clear(placement.name, names) and not self._push(placement.name):
                     raise
+                if placement.name in self.planner.forgotten:  # lost on the way
+                    raise
 
     def _clear(self, name: str, names: Sequence[str]) -> bool:
         """Set one of several objects aside for another one, or that one itself; return whether one was moved.

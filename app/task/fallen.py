@@ -15,7 +15,7 @@ from app.task.obstacles import box_interior
 from app.task.task_types import TaskResult
 from manipulation.lying_grasps import is_upside_down, lies
 from manipulation.observation import is_turned
-from manipulation.types import Box
+from manipulation.types import Box, StandingObject
 from perception.geometry import levelled
 from perception.inference.depth_votes import SearchScene
 from perception.inference.refit import PoseCheck
@@ -92,6 +92,17 @@ def left_in_box(result: TaskResult, box: Box) -> list[ObjectEstimate]:
             resting = "upside-down" if is_upside_down(T) else "lying"
         found.append(replace(before, T_world_object=T, resting=resting, rests_on=None))
     return found
+
+
+def items_left(result: TaskResult, left: Sequence[ObjectEstimate]) -> dict[str, StandingObject]:
+    """Return what ``left_in_box`` returns as it is there, by name."""
+    assert result.plan is not None
+    T_left = {outcome.id: outcome.T_world_left for outcome in result.outcomes}
+    return {
+        estimate.name: replace(result.plan.objects[estimate.name], T_world_stand=T)
+        for estimate in left
+        if (T := T_left[estimate.id]) is not None
+    }
 
 
 def _is_doubtful(check: PoseCheck) -> bool:

@@ -24,7 +24,7 @@ from functools import partial
 import numpy as np
 from jaxtyping import Float
 
-from app.task.fallen import LEANING, fallen_objects, left_in_box
+from app.task.fallen import LEANING, fallen_objects, items_left, left_in_box
 from app.task.further_views import most_useful_viewpoint
 from app.task.nests import with_bowls_named
 from app.task.observation import WristObserver
@@ -129,6 +129,7 @@ class _Stages:
         self._settings = self._space.adapted(request.manipulation)
         uses_deviations = request.uncertainty and request.reconstruction is None
         self._latest: list[ObjectOutcome] = []  # of the last round
+        self._left_before: set[int] = set()  # what was left in the box and was to be placed once more
         self._nested: set[int] = set()  # bowls that were to go into others once all was packed
         self._left = list(self._space.further_viewpoints(request.scan_views)) if uses_deviations else []
         self.scanner = ViewpointScanner(
@@ -314,12 +315,15 @@ class _Stages:
                     self._perception, observer, shows_fits=False
                 )
                 found = renumbered(reconstruct(frames, detections), result.objects, box)
-                found += left_in_box(result, box)
-                in_box = list(placed_estimates(result).values())
+                left = left_in_box(result, box)
+                found += [estimate for estimate in left if estimate.id not in self._left_before]
+                stuck = [estimate for estimate in left if estimate.id in self._left_before]
+                self._left_before |= {estimate.id for estimate in left}
+                in_box = [*placed_estimates(result).values(), *stuck]
                 table = table_of(detections)
                 obstacles = obstacles_during([*in_box, *found], frames, table, box, self._robot.arm)
             with observer.stage("plan"):
-                items = placed_items(result)
+                items = placed_items(result) | items_left(result, stuck)
                 plan = plan_further(found, items, box, self._robot.arm, self._settings, self.kinematics)
                 plan = replace(plan, obstacles=obstacles)
                 if has_changed(self._latest) and not is_last:

@@ -557,6 +557,34 @@ def test_an_object_whose_neighbours_block_its_way_is_itself_set_aside(scene, arm
     assert outcomes[name].T_world_stand[:2, 3] == pytest.approx(goal)
 
 
+def test_an_object_lost_while_it_is_itself_set_aside_is_not_planned(scene, arm, monkeypatch):
+    task = plan_sort(scene[:2], Line(), arm, CONFIG)
+    name, goal = task.placements[0].name, task.placements[0].position[:2]
+    plan = PickPlacePlanner.plan
+
+    def blocked(self, placements, q_start, tried=(), grasps=None, contents=()):
+        placements = [placements] if isinstance(placements, Placement) else placements
+        assert placements[0].name not in self.forgotten
+        if placements[0].name == name and np.allclose(placements[0].position[:2], goal):
+            raise NoPlanError("blocked", ("obstacle_1",))
+        return plan(self, placements, q_start, tried, grasps)
+
+    monkeypatch.setattr(PickPlacePlanner, "plan", blocked)
+    robot = FakeRobot(arm)
+    watcher = Watcher(robot)
+
+    def grasps_nothing_aside(event):
+        watcher(event)
+        if event.phase == "aside":
+            robot.closing = [0.0]
+
+    observer = FakeObserver(**{name: [MISSING] * 9})
+    outcomes = {o.name: o for o in execute(task, robot, observer, grasps_nothing_aside, CONFIG)}
+    assert any(event.phase == "aside" and event.name == name for event in watcher.events)
+    assert not outcomes[name].placed and outcomes[task.placements[1].name].placed
+    assert outcomes[name].T_world_left is None, "it is nowhere"
+
+
 def test_a_blocker_lost_while_it_is_set_aside_is_searched_for_before_it_is_planned(scene, arm, monkeypatch):
     task = plan_sort(scene[:2], Line(), arm, CONFIG)
     first, second = (placement.name for placement in task.placements)

@@ -6,7 +6,7 @@ import numpy as np
 import pytest
 
 from app.task import fallen
-from app.task.fallen import LEANING, TURNED, fallen_objects, left_in_box
+from app.task.fallen import LEANING, TURNED, fallen_objects, items_left, left_in_box
 from app.task.task_types import TaskResult
 from manipulation.types import Box, ObjectOutcome
 from perception.geometry import pose_from_yaw, so3_exp
@@ -126,6 +126,9 @@ def test_what_was_not_placed_but_is_in_the_box_is_left_there(can_at, pack_plan, 
     assert found.id == 1 and found.resting == resting
     T_stand_object = np.linalg.inv(T_stand) @ can_at(1, 0.5).T_world_object
     np.testing.assert_allclose(found.T_world_object, T_left @ T_stand_object, atol=1e-9)
+    (item,) = items_left(result, [found]).values()
+    np.testing.assert_array_equal(item.T_world_stand, T_left)
+    assert item.vertices is pack_plan.objects["can_1"].vertices
 
 
 def test_what_was_placed_or_is_beside_the_box_or_nowhere_is_not(can_at, pack_plan) -> None:

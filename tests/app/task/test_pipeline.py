@@ -370,18 +370,27 @@ def test_a_further_round_that_fails_keeps_the_results(stages, monkeypatch, error
     assert len(stages.scanner.visited) == 3, "two scans and the verification"
 
 
-def test_what_was_left_in_the_box_is_placed_in_the_next_round(stages, monkeypatch):
+def test_what_was_left_in_the_box_is_tried_once_more_and_then_stays_there(stages, pack_plan, monkeypatch):
     lying = replace(stages.objects[1], T_world_object=pose_from_yaw(0.3, np.array([0.4, 0.3, 0.03])))
-    planned = []
+    planned, executed = [], []
 
-    def plan_further(objects, *args):
-        planned.append(objects)
-        raise PlanningError("no room")
+    def plan_further(objects, placed, *args):
+        planned.append(([e for e in objects if e is lying], "can_1" in placed))
+        return pack_plan
+
+    def execute(plan, *args):
+        executed.append(plan)
+        return stages.outcomes
 
     monkeypatch.setattr(pipeline, "left_in_box", lambda result, box: [lying])
+    monkeypatch.setattr(
+        pipeline, "items_left", lambda result, left: {e.name: to_standing(stages.objects[1]) for e in left}
+    )
     monkeypatch.setattr(pipeline, "plan_further", plan_further)
+    monkeypatch.setattr(pipeline, "execute", execute)
+    monkeypatch.setattr(pipeline, "is_something_left", lambda *args: len(executed) < 3)
     run(StillRobot(), stages.perception, TaskRequest("pack", Box()))
-    assert planned[0][-1] is lying
+    assert planned[:2] == [([lying], False), ([], True)]
 
 
 def test_sorting_has_one_round(stages):
