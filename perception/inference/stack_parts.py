@@ -122,7 +122,7 @@ def split_stacks(
         fitted = {e.id: e for e in fit(_with_parts(rows, parts), above)}
         for id, part in parts.items():
             pair, whole = [fitted[k] for k in part.ids if k in fitted], estimates.get(id)
-            if len(pair) < 2 or _gap(*pair, planes[0]) > GAP:
+            if len(pair) < 2 or _gap(pair[0], pair[1], planes[0]) > GAP:
                 continue
             if whole is not None and _is_one(pair, whole, open_[id][2]):
                 found[id] = (replace(whole, score=max(whole.score, min(e.score for e in pair))),)
