@@ -13,6 +13,7 @@ from dataclasses import replace
 
 import numpy as np
 
+from perception.depth_cleaning import clean_frame
 from perception.detection.completion import PoseNamer, posed_detections
 from perception.detection.left_out import LeftOut
 from perception.detection.parts import parts_of_things
@@ -189,8 +190,9 @@ def _without_parts_of_things(
     plane: SupportPlane,
 ) -> tuple[list[ObjectEstimate], list[RejectedObject]]:
     """Return the objects without those that go on in things of no class, and these; stacks go as a whole."""
-    reasons = dict.fromkeys(carriers_of_parts(found, frames, plane), CARRIES)
-    reasons |= dict.fromkeys(mugs_without_handle(found, frames, plane), HANDLELESS)
+    views = [clean_frame(frame) for frame in frames]
+    reasons = dict.fromkeys(carriers_of_parts(found, views, plane), CARRIES)
+    reasons |= dict.fromkeys(mugs_without_handle(found, views, plane), HANDLELESS)
     for stack in stacks:
         known = [reasons[part.id] for part in stack if part.id in reasons]
         reasons |= {part.id: known[0] for part in stack if known}

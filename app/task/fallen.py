@@ -12,6 +12,7 @@ import numpy as np
 from jaxtyping import Float
 
 from app.task.obstacles import box_interior
+from app.task.rounds import expected_pose
 from app.task.task_types import TaskResult
 from manipulation.lying_grasps import is_upside_down, lies
 from manipulation.observation import is_turned
@@ -77,20 +78,16 @@ def left_in_box(result: TaskResult, box: Box) -> list[ObjectEstimate]:
         result: results of all rounds so far.
         box: the box.
     """
-    if result.plan is None:
-        return []
-    by_id, items = {estimate.id: estimate for estimate in result.objects}, result.plan.objects
+    by_id = {estimate.id: estimate for estimate in result.objects}
     found: list[ObjectEstimate] = []
     for outcome in sorted(result.outcomes, key=lambda outcome: outcome.id):
-        T_stand = outcome.T_world_left
-        if outcome.placed or T_stand is None or not box.contains(T_stand) or outcome.id not in by_id:
+        T_left = outcome.T_world_left
+        if outcome.placed or T_left is None or not box.contains(T_left) or outcome.id not in by_id:
             continue
+        assert result.plan is not None
         before = by_id[outcome.id]
-        T = T_stand @ np.linalg.inv(items[outcome.name].T_world_stand) @ before.T_world_object
-        resting: RestingPose = "upright"
-        if lies(T):
-            resting = "upside-down" if is_upside_down(T) else "lying"
-        found.append(replace(before, T_world_object=T, resting=resting, rests_on=None))
+        T = expected_pose(before, result.plan, replace(outcome, T_world_stand=T_left))
+        found.append(_resting(before, T, ()))
     return found
 
 

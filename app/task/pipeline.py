@@ -129,7 +129,7 @@ class _Stages:
         self._settings = self._space.adapted(request.manipulation)
         uses_deviations = request.uncertainty and request.reconstruction is None
         self._latest: list[ObjectOutcome] = []  # of the last round
-        self._left_before: set[int] = set()  # what was left in the box and was to be placed once more
+        self._tried_in_box: set[int] = set()  # what was left in the box and has been planned for once more
         self._nested: set[int] = set()  # bowls that were to go into others once all was packed
         self._left = list(self._space.further_viewpoints(request.scan_views)) if uses_deviations else []
         self.scanner = ViewpointScanner(
@@ -316,9 +316,9 @@ class _Stages:
                 )
                 found = renumbered(reconstruct(frames, detections), result.objects, box)
                 left = left_in_box(result, box)
-                found += [estimate for estimate in left if estimate.id not in self._left_before]
-                stuck = [estimate for estimate in left if estimate.id in self._left_before]
-                self._left_before |= {estimate.id for estimate in left}
+                found += [estimate for estimate in left if estimate.id not in self._tried_in_box]
+                stuck = [estimate for estimate in left if estimate.id in self._tried_in_box]
+                self._tried_in_box |= {estimate.id for estimate in left}
                 in_box = [*placed_estimates(result).values(), *stuck]
                 table = table_of(detections)
                 obstacles = obstacles_during([*in_box, *found], frames, table, box, self._robot.arm)

@@ -8,21 +8,23 @@ that only the object can hold it.
 from __future__ import annotations
 
 from collections.abc import Iterator, Sequence
-from dataclasses import dataclass, replace
+from dataclasses import dataclass
 
 import cv2
 import numpy as np
-from jaxtyping import Bool, Float
-from scipy import ndimage
+from jaxtyping import Bool, Float, Int
+from scipy.sparse import coo_array
+from scipy.sparse.csgraph import connected_components
+from scipy.spatial import KDTree
 
-from perception.depth_cleaning import clean_depth
-from perception.detection.geometry import height_image, plan_coordinates, points_of, project
+from perception.detection.geometry import plan_coordinates, points_of, project
 from perception.metrics import SurfaceSamples
-from perception.obstacles.unexplained import KnownGeometry
-from perception.obstacles.volume import lowest_height
+from perception.obstacles.unexplained import KnownGeometry, raised_pixels
 from perception.types import ObjectEstimate, RgbdFrame, SupportPlane
 
 _SAMPLES = 6000  # of an object's surface
+_BITS = 20  # of a cell's number along each axis
+_NEIGHBOURS = 1.8  # distance of cells that touch, at a corner at least, in cells
 
 
 @dataclass(frozen=True)
@@ -63,7 +65,7 @@ class AttachmentConfig:
 
 def carriers_of_parts(
     objects: Sequence[ObjectEstimate],
-    frames: Sequence[RgbdFrame],
+    views: Sequence[RgbdFrame],
     plane: SupportPlane,
     config: AttachmentConfig = AttachmentConfig(),
 ) -> set[int]:
@@ -71,13 +73,13 @@ def carriers_of_parts(
 
     Args:
         objects: Object map.
-        frames: Views with poses, without the robot; fewer than ``config.min_views`` show nothing.
+        views: Images without flying pixels and without the robot, with camera poses; fewer than
+            ``config.min_views`` show nothing.
         plane: Support plane.
         config: Parameters.
     """
-    if len(frames) < config.min_views or not objects:
+    if len(views) < config.min_views or not objects:
         return set()
-    views = [replace(frame, depth=clean_depth(frame.depth, frame.intrinsics)) for frame in frames]
     rng = np.random.default_rng(0)
     surfaces = [SurfaceSamples.of(e.mesh_world, rng, _SAMPLES) for e in objects]
     carriers: set[int] = set()
@@ -102,25 +104,31 @@ def _parts(
     points, seen_by = _points(views, plane, config)
     if not len(points):
         return
-    low = points.min(axis=0)
-    cells = ((points - low) / config.cell).astype(np.int64)
-    shape = cells.max(axis=0) + 1
-    flat = np.ravel_multi_index(tuple(cells.T), tuple(shape))
-    filled, number, count = np.unique(flat, return_inverse=True, return_counts=True)
+    index = np.floor((points - points.min(axis=0)) / config.cell).astype(np.int64)
+    _, first, number, count = np.unique(
+        index @ (1 << np.array([2 * _BITS, _BITS, 0])),
+        return_index=True, return_inverse=True, return_counts=True,
+    )  # fmt: skip
+    cells = index[first]
     means = np.stack([np.bincount(number, p) for p in points.T], axis=1) / count[:, None]
     is_open = (count >= config.min_cell_points) & ~known.explains(means, config.margin)
-    grid = np.zeros(int(np.prod(shape)), bool)
-    grid[filled[is_open]] = True
-    labels = np.zeros(shape, np.int32)
-    ndimage.label(grid.reshape(shape), np.ones((3, 3, 3)), output=labels)
-    label_of = labels.ravel()[filled]
-    sizes = np.bincount(label_of)
-    for label in range(1, len(sizes)):
-        own = label_of == label
-        if sizes[label] < config.min_cells or len(np.unique(seen_by[own[number]])) < config.min_views:
+    part_of = np.full(len(cells), -1)
+    part_of[is_open] = _connected(cells[is_open])
+    for part in range(int(part_of.max()) + 1):
+        own = part_of == part
+        if own.sum() < config.min_cells or len(np.unique(seen_by[own[number]])) < config.min_views:
             continue
         if (means[own] @ plane.normal).min() - plane.offset > config.lowest:
             yield means[own]
+
+
+def _connected(cells: Int[np.ndarray, "n 3"]) -> Int[np.ndarray, "n"]:
+    """Return the number of the connected component of each cell, at whatever distance they are."""
+    if not len(cells):
+        return np.zeros(0, np.int64)
+    pairs = KDTree(cells).query_pairs(_NEIGHBOURS, output_type="ndarray")
+    links = coo_array((np.ones(len(pairs)), tuple(pairs.T)), shape=(len(cells), len(cells)))
+    return connected_components(links, directed=False)[1]
 
 
 def _points(
@@ -129,8 +137,7 @@ def _points(
     """Return the measured points above the support in the world frame [m], and the view of each."""
     points, seen_by = [np.zeros((0, 3))], [np.zeros(0)]
     for k, view in enumerate(views):
-        height = height_image(view, plane)
-        raised = (view.depth > 0) & (height > lowest_height(view.depth)) & (height < config.max_height)
+        raised = raised_pixels(view, plane, config.max_height)
         if raised.any():
             points.append(points_of(view, raised))
             seen_by.append(np.full(len(points[-1]), float(k)))

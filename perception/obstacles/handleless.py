@@ -7,17 +7,17 @@ unexplained: nothing was measured where the handle should be, and a thing of no 
 from __future__ import annotations
 
 from collections.abc import Sequence
-from dataclasses import dataclass, replace
+from dataclasses import dataclass
 
 import numpy as np
 from jaxtyping import Bool, Float
+from scipy.spatial import KDTree
 
-from perception.depth_cleaning import clean_depth
-from perception.detection.geometry import height_image, points_of
+from perception.detection.geometry import points_of
 from perception.geometry import invert, transform_points
 from perception.inference.handle import body_axis
 from perception.metrics import SurfaceSamples
-from perception.obstacles.volume import lowest_height
+from perception.obstacles.unexplained import raised_pixels
 from perception.types import ObjectEstimate, RgbdFrame, SupportPlane
 
 _SAMPLES = 5000  # of an object's surface
@@ -48,7 +48,7 @@ class HandleConfig:
 
 def mugs_without_handle(
     objects: Sequence[ObjectEstimate],
-    frames: Sequence[RgbdFrame],
+    views: Sequence[RgbdFrame],
     plane: SupportPlane,
     config: HandleConfig = HandleConfig(),
 ) -> set[int]:
@@ -56,7 +56,7 @@ def mugs_without_handle(
 
     Args:
         objects: Object map.
-        frames: Images with camera poses, without the robot.
+        views: Images without flying pixels and without the robot, with camera poses.
         plane: Support plane.
         config: What a handle is.
     """
@@ -69,21 +69,25 @@ def mugs_without_handle(
     found = {e.id for e in mugs if handles[e.id].mean() > config.largest}
     upright = [e for e in mugs if e.id not in found and e.resting == "upright"]
     upright = [e for e in upright if e.n_views >= config.least_views and handles[e.id].any()]
-    points = _points(frames, plane) if upright else np.zeros((0, 3))
+    points = np.concatenate([np.zeros((0, 3)), *(_raised(view, plane) for view in views if upright)])
     for mug in upright:
         reach = float(np.linalg.norm(np.abs(mug.mesh.vertices).max(axis=0))) + config.touching
         near = points[np.linalg.norm(points - mug.T_world_object[:3, 3], axis=1) < reach]
-        if not len(near):
-            continue
-        measured = SurfaceSamples(near, near, np.zeros(len(near), np.int64))
         handle = surfaces[mug.id].points[handles[mug.id]]
-        is_measured = measured.distance(handle, limit=2 * config.explained) < config.explained
-        if is_measured.mean() < config.measured:
-            others = [surface.distance(near, limit=0.02) for surface in surfaces.values()]
-            free = near[np.min(others, axis=0) > config.beyond]
-            if _angle_around(mug, free, config) >= config.around:
-                found.add(mug.id)
+        if not len(near) or _measured(handle, near, config) >= config.measured:
+            continue
+        distances = [surface.distance(near, limit=2 * config.beyond) for surface in surfaces.values()]
+        if _angle_around(mug, near[np.min(distances, axis=0) > config.beyond], config) >= config.around:
+            found.add(mug.id)
     return found
+
+
+def _measured(
+    handle: Float[np.ndarray, "n 3"], points: Float[np.ndarray, "m 3"], config: HandleConfig
+) -> float:
+    """Return the share of a handle's surface at which there are measured points."""
+    distance = KDTree(points).query(handle, distance_upper_bound=2 * config.explained)[0]
+    return float((distance < config.explained).mean())
 
 
 def _is_handle(
@@ -109,12 +113,7 @@ def _about_axis(mug: ObjectEstimate, points: Float[np.ndarray, "n 3"]) -> Float[
     return transform_points(invert(mug.T_world_object), points) - body_axis(mug)
 
 
-def _points(frames: Sequence[RgbdFrame], plane: SupportPlane) -> Float[np.ndarray, "n 3"]:
+def _raised(view: RgbdFrame, plane: SupportPlane) -> Float[np.ndarray, "n 3"]:
     """Return the measured points above the support in the world frame, in metres."""
-    clouds = [np.zeros((0, 3))]
-    for frame in frames:
-        view = replace(frame, depth=clean_depth(frame.depth, frame.intrinsics))
-        raised = (view.depth > 0) & (height_image(view, plane) > lowest_height(view.depth))
-        if raised.any():
-            clouds.append(points_of(view, raised))
-    return np.concatenate(clouds)
+    raised = raised_pixels(view, plane)
+    return points_of(view, raised) if raised.any() else np.zeros((0, 3))

@@ -15,7 +15,7 @@ from perception.inference.contents import VESSELS
 from perception.metrics import SurfaceSamples
 from perception.obstacles.volume import lowest_height
 from perception.support.surface import SupportSurface
-from perception.types import ObjectDetection, ObjectEstimate, RgbdFrame
+from perception.types import ObjectDetection, ObjectEstimate, RgbdFrame, SupportPlane
 
 _SAMPLES = 4000  # of an object's surface: about 3 mm apart
 _NOWHERE = np.full((1, 3), 1e6)  # a tree needs a point
@@ -140,8 +140,7 @@ def unexplained_points(
         surface: Support surface.
         config: Parameters.
     """
-    height = height_image(frame, surface.plane)
-    raised = (frame.depth > 0) & (height > lowest_height(frame.depth)) & (height < config.max_height)
+    raised = raised_pixels(frame, surface.plane, config.max_height)
     if not raised.any():
         return np.zeros((0, 3))
     points = points_of(frame, raised)
@@ -152,6 +151,14 @@ def unexplained_points(
             free &= ~(found.mask[raised] & _in_boxes(points, bounds[None], config.mask_margin))
     points = points[free]
     return points[~known.explains(points, config.margin)]
+
+
+def raised_pixels(
+    frame: RgbdFrame, plane: SupportPlane, max_height: float = np.inf
+) -> Bool[np.ndarray, "h w"]:
+    """Return the measured pixels above a plane, by more than noise and less than ``max_height`` [m]."""
+    height = height_image(frame, plane)
+    return (frame.depth > 0) & (height > lowest_height(frame.depth)) & (height < max_height)
 
 
 def _in_boxes(

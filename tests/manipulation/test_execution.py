@@ -557,6 +557,17 @@ def test_an_object_whose_neighbours_block_its_way_is_itself_set_aside(scene, arm
     assert outcomes[name].T_world_stand[:2, 3] == pytest.approx(goal)
 
 
+def grasps_nothing_aside(robot, watcher):
+    """A watcher in whose sight what is set aside is not held."""
+
+    def watch(event):
+        watcher(event)
+        if event.phase == "aside":
+            robot.closing = [0.0]
+
+    return watch
+
+
 def test_an_object_lost_while_it_is_itself_set_aside_is_not_planned(scene, arm, monkeypatch):
     task = plan_sort(scene[:2], Line(), arm, CONFIG)
     name, goal = task.placements[0].name, task.placements[0].position[:2]
@@ -573,13 +584,10 @@ def test_an_object_lost_while_it_is_itself_set_aside_is_not_planned(scene, arm, 
     robot = FakeRobot(arm)
     watcher = Watcher(robot)
 
-    def grasps_nothing_aside(event):
-        watcher(event)
-        if event.phase == "aside":
-            robot.closing = [0.0]
-
     observer = FakeObserver(**{name: [MISSING] * 9})
-    outcomes = {o.name: o for o in execute(task, robot, observer, grasps_nothing_aside, CONFIG)}
+    outcomes = {
+        o.name: o for o in execute(task, robot, observer, grasps_nothing_aside(robot, watcher), CONFIG)
+    }
     assert any(event.phase == "aside" and event.name == name for event in watcher.events)
     assert not outcomes[name].placed and outcomes[task.placements[1].name].placed
     assert outcomes[name].T_world_left is None, "it is nowhere"
@@ -601,13 +609,10 @@ def test_a_blocker_lost_while_it_is_set_aside_is_searched_for_before_it_is_plann
     robot = FakeRobot(arm)
     watcher = Watcher(robot)
 
-    def grasps_nothing_aside(event):
-        watcher(event)
-        if event.phase == "aside":
-            robot.closing = [0.0]
-
     observer = FakeObserver(**{first: [MISSING] * 9})
-    outcomes = {o.name: o for o in execute(task, robot, observer, grasps_nothing_aside, CONFIG)}
+    outcomes = {
+        o.name: o for o in execute(task, robot, observer, grasps_nothing_aside(robot, watcher), CONFIG)
+    }
     assert outcomes[second].placed and not outcomes[first].placed
     assert "nowhere" in outcomes[first].reason
 

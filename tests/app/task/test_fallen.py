@@ -143,4 +143,3 @@ def test_what_was_placed_or_is_beside_the_box_or_nowhere_is_not(can_at, pack_pla
         ObjectOutcome(1, "can_1", True, 1, "", inside),
     ):
         assert left_in_box(replace(base, outcomes=[outcome]), Box()) == []
-    assert left_in_box(replace(base, plan=None), Box()) == []
