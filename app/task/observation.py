@@ -24,6 +24,7 @@ from perception.errors import PerceptionError
 from perception.geometry import levelled, nearest_yaw, pose_from_yaw
 from perception.inference.depth_votes import Region, SearchScene
 from perception.inference.handle import turned_to_handle
+from perception.inference.handle_depth import shows_handle
 from perception.inference.refit import STANDING, PoseCheck, refit_leaning, refit_pose
 from perception.inference.relocate import relocate
 from perception.obstacles.obstacle import PerceivedObstacle
@@ -160,6 +161,8 @@ class WristObserver:
         T_seen = pose_from_yaw(nearest_yaw(T_expected), T_seen[:3, 3])
         estimate = replace(self._estimates[name], T_world_object=T_seen @ self._Ts_stand_object[name])
         others = self._others(name, poses, NEIGHBOURHOOD)
+        if shows_handle(estimate, frames, others):
+            return T_seen
         turned = turned_to_handle(estimate, frames, others, SupportPlane(), self._handles)
         return T_seen if turned is None else self._stand_pose(name, turned)
 

@@ -1,18 +1,20 @@
 """Check of a mug's handle by depth: whether it points to another direction than expected.
 
 A pose fit from the expected pose does not find the handle elsewhere: beside the surface of the body, depth of
-the handle is out of its reach. The mug is therefore turned about the axis of its body in steps, each with a
-fit of its own, and the number of pixels that agree decides.
+the handle is out of its reach. Where the handle is not seen where it is expected, the mug is therefore turned
+about the axis of its body in steps, each with a fit of its own, and the number of pixels that agree decides.
 """
 
 from __future__ import annotations
 
 from collections.abc import Sequence
+from dataclasses import replace
 
 import numpy as np
 from jaxtyping import Float
 
 from perception.inference.handle import body_axis
+from perception.inference.handle_depth import shows_handle
 from perception.inference.pose_search import PoseSearch, RefitConfig
 from perception.inference.refit import PoseCheck, checked
 from perception.rendering.pose import ObjectPose
@@ -41,6 +43,8 @@ def refit_turned(
     search = PoseSearch(estimate, frames, T_expected, others, plane, config)
     expected = ObjectPose.of(T_expected, search.scale)
     ahead = search.refine(expected)
+    if shows_handle(replace(estimate, T_world_object=ahead.T_world_object), frames, others):
+        return None
     about = body_axis(estimate)
     last_pass = config.reaches[-1:]  # a wider reach lets the handle's depth shift the body
     starts = (ahead.turned(np.array([0.0, 0.0, turn]), about) for turn in TURNS)

@@ -249,6 +249,7 @@ def test_a_glance_at_a_mugs_handle(scene, can_at, pack_plan, monkeypatch, turn, 
         return None if T is None else replace(estimate, T_world_object=T)
 
     monkeypatch.setattr(observation, "turned_to_handle", turned_to_handle)
+    monkeypatch.setattr(observation, "shows_handle", lambda *_: False)
     drifted = can_at().T_world_object @ pose_from_yaw(0.3, np.zeros(3))
     answers["check"] = replace(SEEN, T_world_object=drifted)
     watch = WristObserver(scanner, [can_at()], items, handles=Handles())
@@ -258,3 +259,6 @@ def test_a_glance_at_a_mugs_handle(scene, can_at, pack_plan, monkeypatch, turn, 
     np.testing.assert_allclose(found, expected, atol=1e-9)
     without = WristObserver(scanner, [can_at()], items)
     assert without.glance(poses, ("can_0",)) == {"can_0": "displaced"} and len(looks) == 2
+    monkeypatch.setattr(observation, "shows_handle", lambda *_: True)
+    assert watch.glance(poses, ("can_0",)) == {"can_0": "in_place"}, "depth shows it where it is expected"
+    assert len(looks) == 2, "the network is not asked"
