@@ -45,11 +45,13 @@ from app.task.rounds import (
     placed_estimates,
     placed_items,
     renumbered,
+    unplaced_estimates,
     with_round,
     without_covered,
 )
 from app.task.run_observer import RunObserver
 from app.task.task_types import Reconstruction, TaskRequest, TaskResult
+from app.task.unchanged import with_judged
 from manipulation.errors import ManipulationError, PlanningError
 from manipulation.execution import execute
 from manipulation.further_packing import loose_bowl, plan_further
@@ -129,6 +131,7 @@ class _Stages:
         self._settings = self._space.adapted(request.manipulation)
         uses_deviations = request.uncertainty and request.reconstruction is None
         self._latest: list[ObjectOutcome] = []  # of the last round
+        self._scanned: Sequence[RgbdFrame] = ()  # images of the last round but the first
         self._tried_in_box: set[int] = set()  # what was left in the box and has been planned for once more
         self._nested: set[int] = set()  # bowls that were to go into others once all was packed
         self._left = list(self._space.further_viewpoints(request.scan_views)) if uses_deviations else []
@@ -309,6 +312,10 @@ class _Stages:
         try:
             frames = self.scan(FULL_SCAN)
             detections = self.detect(frames, filled_bounds(box))
+            detections = with_judged(
+                detections, frames, self._scanned or result.frames, unplaced_estimates(result)
+            )
+            self._scanned = frames
             with observer.stage("reconstruct"):
                 # The ids of these fits are not yet those of the objects.
                 reconstruct = request.reconstruction or prior_reconstruction(

@@ -88,6 +88,12 @@ def placed_items(result: TaskResult) -> dict[str, StandingObject]:
     }
 
 
+def unplaced_estimates(result: TaskResult) -> list[ObjectEstimate]:
+    """Return the estimates of the objects that were not placed, where they were found."""
+    placed = {outcome.id for outcome in result.outcomes if outcome.placed}
+    return [estimate for estimate in result.objects if estimate.id not in placed]
+
+
 def expected_pose(
     estimate: ObjectEstimate, plan: TaskPlan, outcome: ObjectOutcome
 ) -> Float[np.ndarray, "4 4"]:

@@ -40,12 +40,14 @@ class LeftOut:
         reason: Why it was left out.
         detail: The figure that decided, for instance ``p = 0.93``; may be empty.
         frame: Index of the image.
+        was_judged: Whether images before showed it as it is, so that fits would not tell more of it.
     """
 
     mask: Bool[np.ndarray, "h w"]
     reason: Reason
     detail: str = ""
     frame: int = 0
+    was_judged: bool = False
 
     @property
     def text(self) -> str:

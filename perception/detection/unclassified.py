@@ -36,7 +36,7 @@ def associate_unclassified(
     Args:
         frames: Views with camera poses.
         detections_per_frame: Associated detections of each frame.
-        left_out: Candidates that are not among them.
+        left_out: Candidates that are not among them; what was judged before is none.
         plane: Support plane.
 
     Returns:
@@ -47,7 +47,8 @@ def associate_unclassified(
     for candidate in left_out:
         known = [found.mask for found in detections_per_frame[candidate.frame]]
         is_known = any(_overlap(candidate.mask, mask) > SAME for mask in known)
-        if candidate.reason == "of none of the classes" and not is_known:
+        is_open = candidate.reason == "of none of the classes" and not candidate.was_judged
+        if is_open and not is_known:
             rows[candidate.frame].append(unclassified(candidate.mask))
     ids = [found.instance_id for row in detections_per_frame for found in row]
     first = 1 + max((i for i in ids if i is not None), default=-1)

@@ -15,6 +15,7 @@ from app.task.rounds import (
     placed_estimates,
     placed_items,
     renumbered,
+    unplaced_estimates,
     with_round,
     without_covered,
 )
@@ -66,6 +67,12 @@ def test_placed_objects_are_where_they_were_placed(result):
     assert list(placed_items(result)) == ["can_0"] and list(placed_estimates(result)) == [0]
     np.testing.assert_array_equal(placed_items(result)["can_0"].T_world_stand, REST)
     assert placed_estimates(result)[0].T_world_object[:3, 3] == pytest.approx((0.5, 0.27, 0.054))
+
+
+def test_what_was_not_placed_is_where_it_was_found(result):
+    (left,) = unplaced_estimates(result)
+    assert left is result.objects[1]
+    assert unplaced_estimates(replace(result, outcomes=[])) == result.objects
 
 
 def test_new_estimates_get_new_ids_and_keep_what_rests_on_what(result, can_at):

@@ -1,5 +1,7 @@
 """Candidates of no class become detections that all classes share, with ids after those of the objects."""
 
+from dataclasses import replace
+
 import numpy as np
 
 from perception.detection.left_out import LeftOut, of_no_class
@@ -74,6 +76,13 @@ def test_candidates_left_out_for_other_reasons_stay_out():
     frames = [from_above(square(30))]
     left_out = [LeftOut(square(30), "too small")]
     assert associate_unclassified(frames, [()], left_out, PLANE) == [[]]
+
+
+def test_what_was_judged_before_is_no_candidate():
+    masks = [square(30), square(100)]
+    left_out = [replace(of_no_class(m, 0.9, k), was_judged=m is masks[0]) for k in (0, 1) for m in masks]
+    rows = associate_unclassified([from_above(*masks)] * 2, [()] * 2, left_out, PLANE)
+    assert [[bool(f.mask[50, 110]) for f in row] for row in rows] == [[True], [True]]
 
 
 def test_what_most_views_show_as_high_does_not_lie():
