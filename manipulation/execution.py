@@ -9,7 +9,7 @@ from __future__ import annotations
 
 import contextlib
 import logging
-from collections.abc import Callable, Sequence
+from collections.abc import Callable, Collection, Sequence
 from dataclasses import dataclass, replace
 
 import numpy as np
@@ -328,6 +328,7 @@ class _Execution:
         Raises:
             PlanningError: there is none.
         """
+        worth: set[str] | None = None  # moving what is in its place already
         while True:
             try:
                 return self.planning.next_plan(placement, self.robot.joint_positions(), tried, effort)
@@ -338,12 +339,32 @@ class _Execution:
                 ]
                 if effort < Effort.CLEARING:
                     raise
-                if not self._clear(placement.name, names) and not self._push(placement.name):
+                if worth is None:
+                    worth = self._worth_moving(placement, tried, effort, error.blockers)
+                if not self._clear(placement.name, names, worth) and not self._push(placement.name):
                     raise
                 if placement.name in self.planner.forgotten:  # lost on the way
                     raise
 
-    def _clear(self, name: str, names: Sequence[str]) -> bool:
+    def _worth_moving(
+        self, placement: Placement, tried: Sequence[Grasp], effort: Effort, blockers: Sequence[str]
+    ) -> set[str]:
+        """Return which of the objects that are in their places are to be moved for one that has no plan.
+
+        None if it had no plan without them either: each that is moved may be lost.
+        """
+        settled = self._settled()
+        if settled.isdisjoint(blockers):
+            return set()
+        q, movable = self.robot.joint_positions(), self._beside_box() | settled
+        return settled & self.planning.in_the_way(placement, q, tried, effort, movable)
+
+    def _settled(self) -> set[str]:
+        """Return the names of the objects that were placed, or stood in the box before."""
+        placed = {name for name, outcome in self.outcomes.items() if outcome.placed}
+        return placed | self.planning.goals_in_box(self._goals).keys()
+
+    def _clear(self, name: str, names: Sequence[str], worth: Collection[str] = ()) -> bool:
         """Set one of several objects aside for another one, or that one itself; return whether one was moved.
 
         The object itself comes last: between its neighbours it may only be held with a hand that does not fit
@@ -353,11 +374,13 @@ class _Execution:
         Args:
             name: the object that has no plan.
             names: objects that may be set aside, in descending order of preference.
+            worth: those of the objects in their places that may be moved.
         """
         placed = [self._goals[done] for done in self.outcomes]
         covered = {below for placement in placed for below in placement.stack}
         before = self.planning.goals_in_box(self._goals)
-        plan = self._clearing.plan_aside(names, (self._beside_box() | before.keys()) - covered)
+        movable = (self._beside_box() | before.keys()) - covered - (self._settled() - set(worth))
+        plan = self._clearing.plan_aside(names, movable)
         if plan is None:
             return False
         reason = "its neighbours block its way" if plan.name == name else f"it blocks {name}"

@@ -98,7 +98,7 @@ class ObjectPlanning:
         for name in [name for name in names if name in movable][:_ASIDE]:
             item, T = self._task.objects[name], planner.world.pose(name)
             scene, _ = self._failures.get(("aside", name), (None, None))
-            if scene == planner.n_changes:
+            if scene == planner.state:
                 continue  # what failed is not tried again in the same scene
             goals = list(goals_aside(item, T, self._taken(name), self._config.free_area))
             spots = self._best_to_turn(goals) if lies(T) else goals[:_SPOTS]
@@ -107,9 +107,50 @@ class ObjectPlanning:
             try:
                 plan = planner.plan(spots, q, grasps=planner.keeping_grasps(name))
             except NoPlanError as error:
-                self._failures["aside", name] = planner.n_changes, error
+                self._failures["aside", name] = planner.state, error
             else:
                 yield plan
+
+    def in_the_way(
+        self,
+        placement: Placement,
+        q: Posture,
+        tried: Sequence[Grasp],
+        effort: Effort,
+        movable: Collection[str],
+    ) -> set[str]:
+        """Return the objects without which an object that has no plan has one; none if nothing helps.
+
+        Args:
+            placement: goal of the object.
+            q: present posture in [rad].
+            tried: grasps that failed.
+            effort: means of planning.
+            movable: names of the objects that may be moved.
+        """
+
+        def blockers_without(absent: Collection[str]) -> set[str] | None:
+            """Return what blocks the object once others are gone; None if it has a plan then."""
+            with self._planner.without(absent):
+                try:
+                    self.next_plan(placement, q, tried, effort)
+                except NoPlanError as error:
+                    return set(error.blockers)
+                except PlanningError:
+                    return set()
+            return None
+
+        absent: set[str] = set()
+        others = set(movable) - {placement.name}
+        while (blockers := blockers_without(absent)) is not None:
+            found = (blockers & others) - absent
+            if not found:
+                return set()
+            absent |= found
+        for name in sorted(absent):
+            if blockers_without(absent - {name}) is None:
+                absent.discard(name)
+        return absent
 
     def goals_in_box(self, known: Collection[str]) -> dict[str, Placement]:
         """Return the goals of keeping upright objects in the box where they are, by name.
@@ -136,11 +177,11 @@ class ObjectPlanning:
         if box is not None and box.contains(planner.world.pose(name)):
             return None
         scene, _ = self._failures.get(("push", name), (None, None))
-        if scene == planner.n_changes:
+        if scene == planner.state:
             return None
         push = plan_push(planner.motions, self._task.objects[name], q, lambda T: planner.can_pick(name, T))
         if push is None:
-            self._failures["push", name] = planner.n_changes, NoPlanError(f"no push helps {name}")
+            self._failures["push", name] = planner.state, NoPlanError(f"no push helps {name}")
         return push
 
     def _turn(
@@ -180,7 +221,7 @@ class ObjectPlanning:
         planner, config = self._planner, self._config.pick_place.grasp
         key = tuple((goal.name, goal.position) for goal in goals)
         scene, known = self._turnable.get(key, (None, []))
-        if scene == planner.n_changes:
+        if scene == planner.state:
             return known
         found: list[Placement] = []
         for goal in goals[:_EXAMINED]:
@@ -192,7 +233,7 @@ class ObjectPlanning:
                 found.append(replace(goal, yaws=yaws))
             if len(found) == _SPOTS:
                 break
-        self._turnable[key] = planner.n_changes, found or list(goals[:_SPOTS])
+        self._turnable[key] = planner.state, found or list(goals[:_SPOTS])
         return self._turnable[key][1]
 
     def _plan_with_contents(
@@ -230,13 +271,13 @@ class ObjectPlanning:
             *((goal.name, goal.position, goal.stack) for goal in goals),
         )
         scene, failure = self._failures.get(key, (None, None))
-        if failure is not None and scene == planner.n_changes:
+        if failure is not None and scene == planner.state:
             raise failure
         try:
             grasps = planner.tilted_grasps(goals[0].name) if is_tilted else None
             return planner.plan(goals, q, tried, grasps, contents)
         except NoPlanError as error:
-            self._failures[key] = planner.n_changes, error
+            self._failures[key] = planner.state, error
             raise
 
     def _roomier(self, placement: Placement) -> Placement:

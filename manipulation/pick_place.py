@@ -6,6 +6,8 @@ transfer with the carried object, release and retreat are all within reach and f
 
 from __future__ import annotations
 
+import contextlib
+import itertools
 from collections.abc import Collection, Iterator, Mapping, Sequence
 from dataclasses import dataclass, field, replace
 
@@ -88,7 +90,7 @@ class PickPlacePlanner:
         self._surfaces = Surfaces()
         self._lifts: dict[tuple[str, ...], float] = {}  # of the last bowls of stacks
         self._forgotten: set[str] = set()
-        self._n_changes = 0
+        self._states, self._state = itertools.count(1), 0
         self._build_world({name: item.T_world_stand for name, item in self.items.items()})
 
     def _build_world(self, poses: Mapping[str, Float[np.ndarray, "4 4"]]) -> None:
@@ -119,12 +121,12 @@ class PickPlacePlanner:
         return tuple(o for o in self._obstacles if isinstance(o, PerceivedObstacle))
 
     @property
-    def n_changes(self) -> int:
-        """Number of changes of the scene so far."""
-        return self._n_changes
+    def state(self) -> int:
+        """Number of the state of the scene: what failed in it fails again."""
+        return self._state
 
     def _on_change(self) -> None:
-        self._n_changes += 1
+        self._state = next(self._states)
         self._known.on_change()
 
     def poses(self) -> dict[str, Float[np.ndarray, "4 4"]]:
@@ -154,6 +156,23 @@ class PickPlacePlanner:
         self.world.set_present(name, False)
         self._on_change()
         self._forgotten.add(name)
+
+    @contextlib.contextmanager
+    def without(self, names: Collection[str]) -> Iterator[None]:
+        """Plan as if some objects were not there; the scene is the same again afterwards."""
+        absent, state = set(names) - self._forgotten, self._state
+        self._forgotten |= absent
+        for name in absent:
+            self.world.set_present(name, False)
+        self._on_change()
+        try:
+            yield
+        finally:
+            self._forgotten -= absent
+            for name in absent:
+                self.world.set_present(name, True)
+            self._known.on_change()
+            self._state = state
 
     def grasps(self, name: str) -> GraspSet:
         """Return the grasp candidates of an object at its present pose, see ``KnownGrasps``."""

@@ -518,7 +518,7 @@ def test_a_placed_object_that_blocks_another_is_set_aside_and_placed_again(scene
     def blocked(self, placements, q_start, tried=(), grasps=None, contents=()):
         placements = [placements] if isinstance(placements, Placement) else placements
         is_blocked = np.linalg.norm(self.world.pose(first)[:2, 3] - goal) < 0.01
-        if placements[0].name == second and is_blocked:
+        if placements[0].name == second and is_blocked and first not in self.forgotten:
             raise NoPlanError("blocked", (first,))
         return plan(self, placements, q_start, tried, grasps)
 
@@ -529,6 +529,25 @@ def test_a_placed_object_that_blocks_another_is_set_aside_and_placed_again(scene
     assert [(outcome.name, outcome.placed) for outcome in outcomes] == [(second, True), (first, True)]
     assert [event.name for event in watcher.events if event.phase == "aside"] == [first]
     assert outcomes[1].T_world_stand[:2, 3] == pytest.approx(goal)
+
+
+def test_a_placed_object_is_not_moved_for_one_that_has_no_plan_without_it_either(scene, arm, monkeypatch):
+    task = plan_sort(scene[:2], Line(), arm, CONFIG)
+    first, second = (placement.name for placement in task.placements)
+    plan = PickPlacePlanner.plan
+
+    def blocked(self, placements, q_start, tried=(), grasps=None, contents=()):
+        placements = [placements] if isinstance(placements, Placement) else placements
+        if placements[0].name == second:
+            raise NoPlanError("blocked", ("table",) if first in self.forgotten else (first, "table"))
+        return plan(self, placements, q_start, tried, grasps)
+
+    monkeypatch.setattr(PickPlacePlanner, "plan", blocked)
+    robot = FakeRobot(arm)
+    watcher = Watcher(robot)
+    outcomes = {o.name: o.placed for o in execute(task, robot, None, watcher, CONFIG)}
+    assert outcomes == {first: True, second: False}
+    assert not [event for event in watcher.events if event.phase == "aside"]
 
 
 def test_an_object_whose_neighbours_block_its_way_is_itself_set_aside(scene, arm, monkeypatch):
@@ -802,7 +821,7 @@ def test_what_stood_in_the_box_before_is_set_aside_for_another_object_and_put_ba
     def blocked(self, placements, q_start, tried=(), grasps=None, contents=()):
         placements = [placements] if isinstance(placements, Placement) else placements
         is_there = np.linalg.norm((self.world.pose(old) - there)[:2, 3]) < 0.01
-        if placements[0].name == new and is_there:
+        if placements[0].name == new and is_there and old not in self.forgotten:
             raise NoPlanError("blocked", (old,))
         return plan(self, placements, q_start, tried, grasps)
 

@@ -1,3 +1,4 @@
+import contextlib
 from collections import Counter
 from dataclasses import replace
 from types import SimpleNamespace
@@ -28,13 +29,21 @@ class FakePlanner(PickPlacePlanner):
 
     def __init__(self, items, feasible=lambda goals, grasps: False):
         self.items, self.feasible, self.requests, self.contents = items, feasible, [], []
-        self._obstacles, self.found, self._n_changes = (), GRASPS, 0
+        self._obstacles, self.found, self._state = (), GRASPS, 0
+        self.absent: frozenset[str] = frozenset()
         self.pickable, self.examined = (lambda T: True), []
         self.Ts = {name: item.T_world_stand for name, item in items.items()}
         self.world, self.motions = SimpleNamespace(pose=self.Ts.__getitem__), None
 
     def poses(self):
         return dict(self.Ts)
+
+    @contextlib.contextmanager
+    def without(self, names):
+        before, self.absent, state = self.absent, frozenset(names), self._state
+        self._state += 1 + hash(self.absent)
+        yield
+        self.absent, self._state = before, state
 
     def grasps(self, name):
         return self.found
@@ -84,8 +93,8 @@ def test_the_plain_effort_is_the_goal_with_the_grasps_of_the_shape(items):
 def test_what_failed_is_not_tried_again_until_the_scene_changes(items):
     planner = FakePlanner(items)
     planned = planning(items, planner)
-    for n_changes, n_requests in ((0, 1), (0, 1), (1, 2)):
-        planner._n_changes = n_changes
+    for state, n_requests in ((0, 1), (0, 1), (1, 2)):
+        planner._state = state
         with pytest.raises(NoPlanError):
             planned.next_plan(GOAL, Q)
         assert len(planner.requests) == n_requests
@@ -232,8 +241,8 @@ def test_places_to_lay_it_are_examined_once_in_a_scene(items):
     planner = overturned(items, lambda T: T[0, 3] < 0.45)
     planned = planning(items, planner)
     counts = []
-    for changes in (0, 0, 1):
-        planner._n_changes = changes
+    for state in (0, 0, 1):
+        planner._state = state
         with pytest.raises(PlanningError, match="stands upside down"):
             planned.next_plan(GOAL, Q, effort=Effort.PLAIN)
         counts.append(len(planner.examined))
@@ -271,13 +280,44 @@ def test_a_blocker_is_set_aside_in_its_orientation_if_it_may_be_moved(items):
     assert not list(planning(items, planner).plans_aside(("thing_0", "can_1"), {"bowl_2"}, Q))
 
 
+class Blocked(FakePlanner):
+    """A planner for which ``needed`` must be absent; ``blockers`` lists what is met first."""
+
+    needed, blockers = frozenset({"bowl_2"}), ("bowl_2", "mug_3", "table")
+
+    def plan(self, goals, q, tried=(), grasps=None, contents=()):
+        if self.needed <= self.absent:
+            return object.__new__(PickPlacePlan)
+        raise NoPlanError("No plan", tuple(name for name in self.blockers if name not in self.absent))
+
+
+@pytest.mark.parametrize(
+    ("needed", "movable", "expected"),
+    [
+        ({"bowl_2"}, {"bowl_2", "mug_3"}, {"bowl_2"}),
+        ({"bowl_2", "mug_3"}, {"bowl_2", "mug_3"}, {"bowl_2", "mug_3"}),
+        ({"bowl_2", "mug_3"}, {"bowl_2"}, set()),
+        ({"table"}, {"bowl_2", "mug_3"}, set()),
+        (set(), {"bowl_2"}, set()),
+    ],
+)
+def test_what_is_moved_for_an_object_is_what_it_needs_and_nothing_if_that_does_not_help(
+    items, needed, movable, expected
+):
+    planner = Blocked(items)
+    planner.needed = frozenset(needed)
+    planned = planning(items, planner)
+    assert planned.in_the_way(GOAL, Q, (), Effort.CLEARING, movable) == expected
+    assert not planner.absent
+
+
 def test_what_cannot_be_set_aside_is_not_tried_again_in_the_same_scene(items):
     planner = FakePlanner(items, lambda goals, grasps: False)
     planned = planning(items, planner)
     for _ in range(2):
         assert not list(planned.plans_aside(("bowl_2",), {"bowl_2"}, Q))
     assert len(planner.requests) == 1
-    planner._n_changes += 1
+    planner._state += 1
     assert not list(planned.plans_aside(("bowl_2",), {"bowl_2"}, Q)) and len(planner.requests) == 2
 
 
@@ -287,7 +327,7 @@ def test_a_push_that_does_not_help_is_not_planned_again_in_the_same_scene(items,
     planner = FakePlanner(items, lambda goals, grasps: False)
     planned = planning(items, planner)
     assert planned.push("can_1", Q) is None and planned.push("can_1", Q) is None and len(asked) == 1
-    planner._n_changes += 1
+    planner._state += 1
     assert planned.push("can_1", Q) is None and len(asked) == 2
 
 

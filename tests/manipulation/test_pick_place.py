@@ -223,6 +223,22 @@ def test_a_forgotten_object_stays_forgotten_when_its_place_is_examined(kinematic
     assert planner.world.contact(over_can, 0.08) is None
 
 
+def test_what_is_planned_without_an_object_leaves_the_scene_as_it_was(kinematics, items):
+    planner = PickPlacePlanner(kinematics, items, config=CONFIG)
+    planner.forget("bowl_2")
+    before, over_can = planner.state, posture(kinematics, 0.5, -0.25, 0.06)
+    poses = planner.poses()
+    with planner.without(["can_1", "bowl_2"]):
+        within = planner.state
+        assert within != before and list(planner.poses()) == ["bowl_3"]
+        assert planner.world.contact(over_can, 0.08) is None
+    assert planner.state == before and planner.forgotten == {"bowl_2"}
+    assert planner.poses().keys() == poses.keys()
+    assert planner.world.contact(over_can, 0.08) is not None
+    planner.moved("can_1", poses["can_1"])
+    assert planner.state not in (before, within), "what failed without an object says nothing of other scenes"
+
+
 def test_new_obstacles_replace_the_perceived_ones_and_leave_the_objects(kinematics, items):
     planner = PickPlacePlanner(kinematics, items, config=CONFIG)
     above, over_can = posture(kinematics, 0.5, 0.1, 0.1), posture(kinematics, 0.5, -0.25, 0.06)
