@@ -37,6 +37,7 @@ class GraspConfig:
             because the estimated body may be too wide.
         max_taper: largest mean angle of a body's sides to the vertical over the pads' height, in [rad]; the
             limit of friction.
+        height_error: error in [m] of the height at which shoulders begin, which counts in the scores.
         fingertip_clearance: height of the fingertips above the support in [m].
     """
 
@@ -56,6 +57,7 @@ class GraspConfig:
     max_inward_tilt: float = 0.15
     top_clearance: float = -0.0015
     max_taper: float = np.deg2rad(27.0)
+    height_error: float = 0.004
     fingertip_clearance: float = 0.005
 
     def shallow(self) -> GraspConfig:

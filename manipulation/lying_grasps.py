@@ -41,7 +41,8 @@ def lying_grasps(
 ) -> GraspSet:
     """Return grasps from above across the axis of a lying object, the one nearest to its middle first.
 
-    Where that nearly fills the hand, narrower places come before it.
+    Where that nearly fills the hand, narrower places come before it, and where its sides are tapered, so that
+    it slides along its axis when the pads close, places with parallel sides.
 
     Args:
         item: the object.
@@ -65,7 +66,7 @@ def lying_grasps(
             rejected[grasp.reason] += 1
         else:
             # With the hand the other way round, and the camera below when the object is set upright.
-            grasps += [grasp, replace(half_turn(grasp), score=grasp.score - 1.0)]
+            grasps += [grasp, replace(half_turn(grasp), score=grasp.score - 2.0)]
     ordered = tuple(sorted(grasps, key=lambda grasp: -grasp.score))
     return on_hand(GraspSet(ordered, rejected), config.gripper)
 
@@ -90,7 +91,8 @@ def _across(
     width = max(widths)
     if width > gripper.max_width - 0.004:
         return Rejected(f"{TOO_WIDE} for {gripper.max_width:.2f} m")
-    if np.arctan2(np.ptp(widths) / 2, 2 * _PAD_HALF_WIDTH) > config.max_taper:
+    taper = float(np.arctan2(np.ptp(widths) / 2, 2 * _PAD_HALF_WIDTH))
+    if taper > config.max_taper:
         return Rejected("too tapered")
     sideways = np.array([-closing[1], closing[0], 0.0])
     position = across[1].middle * closing + vertical[1].middle * sideways
@@ -109,7 +111,7 @@ def _across(
         release_opening=min(width + 2 * config.release_gap, gripper.max_width),
         depth=item.top - height,
         azimuth=azimuth,
-        score=0.5 + 0.5 * narrowness - abs(height - 0.55 * item.top) / item.top,
+        score=0.5 + 0.5 * narrowness - abs(height - 0.55 * item.top) / item.top - taper,
     )
 
 

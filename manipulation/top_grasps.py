@@ -48,9 +48,14 @@ def _top_grasp(
     reach = max(max(e.high - middle, middle - e.low) for e in above)
     if 2 * (reach + config.top_clearance) > gripper.max_width:
         return Rejected(f"{TOO_WIDE} for {gripper.max_width:.2f} m")
-    taper = float(np.arctan2(np.ptp(widths) / 2, np.ptp(heights)))
+    taper = _taper(heights, widths)
     if taper > config.max_taper:
         return Rejected("too tapered")
+    higher = heights + config.height_error
+    higher = higher[higher < item.top - 1e-4]
+    widths_higher = np.array([e.width for e in _extents(sections, higher, azimuth)])
+    if len(widths_higher) == len(higher) > 1:
+        taper = max(taper, _taper(higher, widths_higher))
     across = extent(sections.at(z), azimuth + np.pi / 2)
     offset = across.middle if across is not None else 0.0
     closing = np.array([np.cos(azimuth), np.sin(azimuth), 0.0])
@@ -71,6 +76,11 @@ def _top_grasp(
         azimuth=azimuth,
         score=1.0 - 1.5 * taper - 2.0 * max(width - (gripper.max_width - 0.014), 0.0) / 0.01,
     )
+
+
+def _taper(heights: Float[np.ndarray, "k"], widths: Float[np.ndarray, "_k"]) -> float:
+    """Return the mean angle of the sides to the vertical in [rad]."""
+    return float(np.arctan2(np.ptp(widths) / 2, np.ptp(heights)))
 
 
 def _extents(sections: CrossSectionCache, heights: Float[np.ndarray, "_k"], azimuth: float) -> list[Extent]:

@@ -65,6 +65,15 @@ def test_the_hand_may_also_hold_the_other_way_round(can):
         assert other.score < min(g.score for g in first)
 
 
+def test_places_with_parallel_sides_come_before_tapered_ones(shapes):
+    """A cone from 6 cm above the base on, with its middle where the object is usually held."""
+    outline = np.array([(0, 0), (0.034, 0), (0.034, 0.06), (0.014, 0.12), (0.014, 0.18), (0, 0.18)])
+    mesh = trimesh.creation.revolve(outline, sections=48)
+    item = to_standing(shapes.estimate(1, "bottle", mesh))
+    best = lying_grasps(item, lying_pose(0.034)).grasps[0]
+    assert best.T_stand_tcp[2, 3] > 0.12 or best.T_stand_tcp[2, 3] < 0.06
+
+
 @pytest.mark.parametrize(("radius", "middle"), [(0.030, True), (0.038, False)])
 def test_where_the_middle_nearly_fills_the_hand_narrower_places_come_first(shapes, radius, middle):
     """Of a body that narrows from 0.12 m above its base on."""

@@ -1,4 +1,5 @@
 from collections import Counter
+from dataclasses import replace
 
 import numpy as np
 import pytest
@@ -73,6 +74,18 @@ def test_tapered_bodies_are_rejected_beyond_the_limit_of_friction(shapes):
         grasps, rejected = candidates(item, GraspConfig(top_depths=(0.02,)))
         assert bool(grasps) == held, rejected
     assert rejected == {"too tapered": 12}
+
+
+def test_pads_stay_away_from_a_shoulder_that_may_begin_lower(shapes):
+    """The body is straight up to 17 mm below its top; there the pads of the usual depth end."""
+    outline = np.array([(0, 0), (0.032, 0), (0.032, 0.143), (0.012, 0.16), (0, 0.16)])
+    item = standing(shapes, "bottle", trimesh.creation.revolve(outline, sections=48))
+    grasps, _ = candidates(item)
+    best = {grasp.depth: grasp.score for grasp in grasps}
+    usual, deeper = CONFIG.top_depths[0], max(CONFIG.top_depths)
+    assert best[deeper] > best.get(usual, -1.0) + 0.1
+    exact = {grasp.depth: grasp.score for grasp in candidates(item, replace(CONFIG, height_error=0.0))[0]}
+    assert exact.get(usual, 0.0) >= best.get(usual, 0.0)
 
 
 def test_low_bodies_are_rejected_where_the_fingertips_would_touch_the_support(shapes):
