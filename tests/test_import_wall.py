@@ -138,7 +138,10 @@ def test_the_physics_state_is_not_accessed_by_name():
 
 
 def test_files_of_true_states_are_unknown_to_perception_and_planning():
-    for path in [*sources("perception", "manipulation"), ROOT / "app/task/pipeline.py"]:
+    for path in [
+        *sources("perception", "manipulation"),
+        *(ROOT / f"app/task/{name}.py" for name in ("pipeline", "stages", "further_rounds")),
+    ]:
         names = [text for text in strings(tree_of(path)) if "truth" in text or "scene_gt" in text]
         assert not names, relative(path)
 

@@ -1,0 +1,156 @@
+"""Rounds of a packing task after the first: another look at the table, and what is to be placed again.
+
+``app.task.rounds`` merges their results.
+"""
+
+from __future__ import annotations
+
+import logging
+from collections.abc import Sequence
+from dataclasses import replace
+
+from app.task.fallen import fallen_objects, items_left, left_in_box
+from app.task.nests import with_bowls_named
+from app.task.obstacles import filled_bounds, obstacles_during, table_of
+from app.task.rounds import (
+    as_first_seen,
+    has_changed,
+    is_something_left,
+    placed_estimates,
+    placed_items,
+    renumbered,
+    unplaced_estimates,
+    with_round,
+    without_covered,
+)
+from app.task.stages import FULL_SCAN, Stages, prior_reconstruction
+from app.task.task_types import TaskResult
+from app.task.unchanged import with_judged
+from manipulation.errors import ManipulationError
+from manipulation.further_packing import loose_bowl, plan_further
+from manipulation.types import Box, TaskPlan
+from perception.errors import PerceptionError
+from perception.obstacles.obstacle import PerceivedObstacle
+from perception.pipeline import Detections
+from perception.types import ObjectEstimate, RgbdFrame
+
+logger = logging.getLogger(__name__)
+
+
+class FurtherRounds:
+    """Further rounds of a task.
+
+    Args:
+        stages: The stages, which are repeated.
+    """
+
+    def __init__(self, stages: Stages) -> None:
+        self._stages = stages
+        self._scanned: Sequence[RgbdFrame] = ()  # images of the last round but the first
+        self._tried_in_box: set[int] = set()  # what was left in the box and has been planned for once more
+        self._nested: set[int] = set()  # bowls that were to go into others once all was packed
+
+    def place_again(self, result: TaskResult) -> TaskResult | None:
+        """Return the results after what fell, leans, was turned or does not nest in the box was placed again.
+
+        None if nothing was.
+        """
+        stages = self._stages
+        box, observer = stages.request.box or Box(), stages.observer
+        placed = placed_estimates(result)
+        fallen = fallen_objects(placed, result.checks, result.final_frames, box)
+        if not fallen:
+            result, fallen = self._with_loose_bowl(result, box)
+            placed = placed_estimates(result)
+        if not fallen or result.detections is None:
+            return None
+        names = {estimate.name for estimate in fallen}
+        beside = [e for e in placed.values() if e.name not in names]
+        items = {name: item for name, item in placed_items(result).items() if name not in names}
+        try:
+            with observer.stage("plan"):
+                plan = plan_further(fallen, items, box, stages.robot.arm, stages.settings, stages.kinematics)
+                plan = replace(plan, obstacles=result.obstacles)
+        except (ManipulationError, PerceptionError) as error:
+            logger.info("%s cannot be placed again: %s", ", ".join(sorted(names)), error)
+            return None
+        again = self._carry_out(result, fallen, plan, beside, result.obstacles, result.detections)
+        return as_first_seen(again, result)
+
+    def _with_loose_bowl(self, result: TaskResult, box: Box) -> tuple[TaskResult, list[ObjectEstimate]]:
+        """Return the results with all bowls named, and one that is to go into another, each once at most."""
+        stages = self._stages
+        if stages.request.reconstruction is None:
+            result = with_bowls_named(result, box, stages.perception)
+        bowl = loose_bowl(placed_items(result), box, stages.settings.for_arm(stages.robot.arm))
+        if bowl is None or bowl.id in self._nested:
+            return result, []
+        self._nested.add(bowl.id)
+        return result, [placed_estimates(result)[bowl.id]]
+
+    def _carry_out(
+        self,
+        result: TaskResult,
+        found: Sequence[ObjectEstimate],
+        plan: TaskPlan,
+        in_box: Sequence[ObjectEstimate],
+        obstacles: Sequence[PerceivedObstacle],
+        detections: Detections,
+    ) -> TaskResult:
+        """Return the results with those of the plan of one more round.
+
+        Args:
+            result: Results of the rounds before.
+            found: Objects that the plan has goals for.
+            plan: The plan.
+            in_box: Other objects in the box.
+            obstacles: Things of no class.
+            detections: Detections, of which the surface of the table is used.
+        """
+        planned, observer = with_round(result, found, plan, (), obstacles), self._stages.observer
+        assert planned.plan is not None
+        observer.on_objects(planned.objects)
+        observer.on_obstacles(obstacles)
+        observer.on_plan(planned.plan)
+        outcomes = self._stages.execute(plan, [*in_box, *found], detections)
+        return with_round(result, found, plan, outcomes, obstacles)
+
+    def look_again(self, result: TaskResult, is_last: bool) -> TaskResult | None:
+        """Return the results with those of one more round; None if there is nothing more to do."""
+        stages = self._stages
+        request, observer = stages.request, stages.observer
+        box, n_rejected = request.box or Box(), len(observer.rejected)
+        if not is_something_left(result, stages.latest):
+            return None
+        try:
+            frames = stages.scan(FULL_SCAN)
+            detections = stages.detect(frames, filled_bounds(box))
+            detections = with_judged(
+                detections, frames, self._scanned or result.frames, unplaced_estimates(result)
+            )
+            self._scanned = frames
+            with observer.stage("reconstruct"):
+                # The ids of these fits are not yet those of the objects.
+                reconstruct = request.reconstruction or prior_reconstruction(
+                    stages.perception, observer, shows_fits=False
+                )
+                found = renumbered(reconstruct(frames, detections), result.objects, box)
+                left = left_in_box(result, box)
+                found += [estimate for estimate in left if estimate.id not in self._tried_in_box]
+                stuck = [estimate for estimate in left if estimate.id in self._tried_in_box]
+                self._tried_in_box |= {estimate.id for estimate in left}
+                in_box = [*placed_estimates(result).values(), *stuck]
+                table = table_of(detections)
+                obstacles = obstacles_during([*in_box, *found], frames, table, box, stages.robot.arm)
+            with observer.stage("plan"):
+                items = placed_items(result) | items_left(result, stuck)
+                plan = plan_further(found, items, box, stages.robot.arm, stages.settings, stages.kinematics)
+                plan = replace(plan, obstacles=obstacles)
+                if has_changed(stages.latest) and not is_last:
+                    plan = without_covered(plan, found)
+        except (ManipulationError, PerceptionError) as error:
+            logger.info("nothing more to do: %s", error)
+            return None
+        result = replace(result, rejected=tuple(observer.rejected[n_rejected:]))
+        further = self._carry_out(result, found, plan, in_box, obstacles, detections)
+        return as_first_seen(further, result)

@@ -1,0 +1,176 @@
+"""Rounds after the first, with each stage replaced by one that records its arguments."""
+
+from dataclasses import replace
+
+import numpy as np
+import pytest
+
+from app.task.pipeline import run
+from app.task.stages import FULL_SCAN
+from app.task.task_types import TaskRequest
+from manipulation.errors import PlanningError
+from manipulation.standing import to_standing
+from manipulation.types import Box, ObjectOutcome
+from manipulation.workspace import Workspace
+from perception.errors import PerceptionError
+from perception.geometry import pose_from_yaw
+from tests.app.task.conftest import SEEN, Recording, StillRobot
+
+
+def test_what_is_left_on_the_table_is_looked_at_and_packed_in_another_round(stages, can_at):
+    """The second can had no goal; in the second scan it stands free and is found anew."""
+    second = ObjectOutcome(2, "can_2", True, 1, "", pose_from_yaw(0.0, np.array([0.6, 0.3, 0.004])))
+    results = iter([stages.objects, [can_at(0, 0.5), can_at(1, 0.5, 0.27)]])  # and the one in the box
+    outcomes = iter([stages.outcomes, [second]])
+    executed = []
+
+    def execute(plan, *args):
+        executed.append(plan)
+        return next(outcomes)
+
+    stages.replace("reconstruct_objects", lambda *args, **options: next(results))
+    stages.replace("execute", execute)
+    observer = Recording()
+    result = run(StillRobot(), stages.perception, TaskRequest("pack", Box(), rounds=2), observer)
+    assert result.failure == "" and len(executed) == 2
+    assert [estimate.id for estimate in result.objects] == [0, 2]
+    assert [(o.name, o.placed) for o in result.outcomes] == [("can_0", True), ("can_2", True)]
+    assert [p.name for p in result.plan.placements] == ["can_0", "can_2"] and result.plan.left_out == {}
+    # The plan of the second round has what is in the box where it is now, and a goal for the rest alone.
+    assert [p.name for p in executed[1].placements] == ["can_2"]
+    assert executed[1].objects["can_0"].T_world_stand[:2, 3] == pytest.approx((0.5, 0.27))
+    assert set(result.checks) == {0, 2}
+    assert stages.scanner.visited[1] == Workspace().scan_viewpoints(FULL_SCAN)
+    assert observer.calls.count("execute") == 2 and ("objects", [0, 2]) in observer.calls
+
+
+@pytest.mark.parametrize(("rounds", "first"), [(1, ["can_0"]), (2, [])])
+def test_what_carries_an_object_has_a_goal_in_the_last_round_alone(stages, pack_plan, rounds, first):
+    lower, upper = stages.objects
+    upper = replace(upper, rests_on=lower.id)
+    (goal,) = pack_plan.placements
+    plan = replace(pack_plan, placements=(goal, replace(goal, name=upper.name)))
+    executed = []
+    stages.replace("reconstruct_objects", lambda *args, **options: [lower, upper])
+    stages.replace("plan_pack", lambda *args: plan)
+    stages.replace("execute", lambda plan, *args: executed.append(plan) or [])
+    run(StillRobot(), stages.perception, TaskRequest("pack", rounds=rounds))
+    assert [p.name for p in executed[0].placements] == [*first, "can_1"]
+
+
+def test_after_a_round_that_moved_nothing_nothing_waits(stages, pack_plan):
+    lower, upper = stages.objects
+    (goal,) = pack_plan.placements
+    plan = replace(pack_plan, placements=(goal, replace(goal, name=upper.name)), left_out={})
+    further = [replace(p, name=name) for p, name in zip(plan.placements, ("can_2", "can_3"), strict=True)]
+    executed = []
+    stacked = [lower, replace(upper, rests_on=lower.id)]
+    stages.replace("reconstruct_objects", lambda *args, **options: stacked)
+    stages.replace("plan_pack", lambda *args: plan)
+    items = dict(zip(("can_2", "can_3"), plan.objects.values(), strict=True))
+    second = replace(plan, objects=items, placements=tuple(further))
+    stages.replace("plan_further", lambda *args: second)
+    stages.replace("execute", lambda plan, *args: executed.append(plan) or [])
+    run(StillRobot(), stages.perception, TaskRequest("pack", Box(), rounds=4))
+    assert [[p.name for p in plan.placements] for plan in executed] == [["can_1"], ["can_2", "can_3"]]
+
+
+@pytest.mark.parametrize("error", [PerceptionError("no plane"), PlanningError("none can be manipulated")])
+def test_a_further_round_that_fails_keeps_the_results(stages, error):
+    stages.stage("plan_further", error)
+    result = run(StillRobot(), stages.perception, TaskRequest("pack", Box()))
+    assert result.failure == "" and result.outcomes == stages.outcomes and result.checks == {0: SEEN}
+    assert len(stages.scanner.visited) == 3, "two scans and the verification"
+
+
+def test_what_was_left_in_the_box_is_tried_once_more_and_then_stays_there(stages, pack_plan):
+    lying = replace(stages.objects[1], T_world_object=pose_from_yaw(0.3, np.array([0.4, 0.3, 0.03])))
+    planned, executed = [], []
+
+    def plan_further(objects, placed, *args):
+        planned.append(([e for e in objects if e is lying], "can_1" in placed))
+        return pack_plan
+
+    def execute(plan, *args):
+        executed.append(plan)
+        return stages.outcomes
+
+    stages.replace("left_in_box", lambda result, box: [lying])
+    stages.replace("items_left", lambda result, left: {e.name: to_standing(stages.objects[1]) for e in left})
+    stages.replace("plan_further", plan_further)
+    stages.replace("execute", execute)
+    stages.replace("is_something_left", lambda *args: len(executed) < 3)
+    run(StillRobot(), stages.perception, TaskRequest("pack", Box()))
+    assert planned[:2] == [([lying], False), ([], True)]
+
+
+def test_what_fell_in_the_box_is_placed_again_and_verified_again(stages, pack_plan):
+    lying = replace(stages.objects[0], T_world_object=pose_from_yaw(0.3, np.array([0.4, 0.3, 0.03])))
+    results, executed, plans = iter([[lying], []]), [], []
+    again = replace(stages.outcomes[0], attempts=2)
+
+    def execute(plan, *args):
+        executed.append(plan)
+        return stages.outcomes if len(executed) == 1 else [again]
+
+    def plan_further(objects, placed, box, *args):
+        plans.append((objects, dict(placed)))
+        name = objects[0].name
+        item = replace(first.objects[name], T_world_stand=pose_from_yaw(0.3, np.array([0.4, 0.3, 0.0])))
+        return replace(first, objects={name: item}, left_out={})
+
+    first = pack_plan
+    stages.replace("fallen_objects", lambda *args: next(results))
+    stages.replace("execute", execute)
+    stages.replace("plan_further", plan_further)
+    stages.replace("is_something_left", lambda *args: False)
+    result = run(StillRobot(), stages.perception, TaskRequest("pack", Box()))
+    assert result.failure == "" and len(executed) == 2
+    ((objects, placed),) = plans
+    assert objects == [lying] and placed == {}, "it is no longer among what stands in the box"
+    assert [o.attempts for o in result.outcomes] == [2]
+    (first,) = (e for e in result.objects if e.id == 0)
+    np.testing.assert_allclose(first.T_world_object, stages.objects[0].T_world_object, atol=1e-9)
+    assert len(stages.scanner.visited) == 3, "one scan and two verifications"
+
+
+def test_a_bowl_beside_the_one_that_it_fits_into_is_placed_again_once(stages, pack_plan):
+    loose = to_standing(stages.objects[0])
+    again = replace(stages.outcomes[0], attempts=2)
+    executed, named = [], []
+    stages.replace("fallen_objects", lambda *args: [])
+    stages.replace("loose_bowl", lambda *args: loose)
+    stages.replace("with_bowls_named", lambda result, *args: named.append(result) or result)
+
+    def execute(plan, *args):
+        executed.append(plan)
+        return stages.outcomes if len(executed) == 1 else [again]
+
+    stages.replace("execute", execute)
+    stages.replace("plan_further", lambda found, *args: pack_plan)
+    stages.replace("is_something_left", lambda *args: False)
+    result = run(StillRobot(), stages.perception, TaskRequest("pack", Box()))
+    assert result.failure == "" and len(executed) == 2 and len(named) == 2
+    assert [o.attempts for o in result.outcomes] == [2]
+
+
+@pytest.mark.parametrize(("unplaced", "rounds"), [(True, 3), (False, 2)])
+def test_once_something_was_placed_again_there_may_be_room(stages, pack_plan, unplaced, rounds):
+    loose, executed = to_standing(stages.objects[0]), []
+    stages.replace("fallen_objects", lambda *args: [])
+    stages.replace("loose_bowl", lambda *args: loose)
+    stages.replace("with_bowls_named", lambda result, *args: result)
+    stages.replace("execute", lambda plan, *args: executed.append(plan) or stages.outcomes)
+    stages.replace("plan_further", lambda found, *args: pack_plan)
+    stages.replace("is_something_left", lambda *args: len(executed) == 2)
+    stages.replace("is_something_unplaced", lambda result: unplaced)
+    result = run(StillRobot(), stages.perception, TaskRequest("pack", Box()))
+    assert result.failure == "" and len(executed) == rounds
+
+
+def test_what_cannot_be_placed_again_ends_the_task_as_it_is(stages):
+    stages.replace("fallen_objects", lambda *args: [stages.objects[0]])
+    stages.replace("is_something_left", lambda *args: False)
+    stages.stage("plan_further", PlanningError("no room"))
+    result = run(StillRobot(), stages.perception, TaskRequest("pack", Box()))
+    assert result.failure == "" and result.outcomes == stages.outcomes and result.checks == {0: SEEN}
