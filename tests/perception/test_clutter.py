@@ -14,6 +14,7 @@ from perception.clutter import (
     LENGTH,
     LENGTH_POWER,
     POSED_SCORE,
+    SAME_COLOUR,
     THINNEST,
     UNCERTAIN,
     UNCLASSIFIED_SCORE,
@@ -78,6 +79,8 @@ class Scene:
         monkeypatch.setattr(clutter, "carriers_of_parts", lambda *_: set(self.carriers))
         self.handleless = set()
         monkeypatch.setattr(clutter, "mugs_without_handle", lambda *_: set(self.handleless))
+        self.continued = set()
+        monkeypatch.setattr(clutter, "continued_in_colour", lambda *_: set(self.continued))
         self.inside = {}  # share of the volume of one estimate in another
         monkeypatch.setattr(selection, "shared_volume", lambda a, b: self.inside.get((a.id, b.id), 0.0))
         self.explained = {(id, id) for id in range(4)}  # (points, estimate)
@@ -198,6 +201,12 @@ def test_a_mug_without_a_handle_is_part_of_a_thing(scene):
     scene.handleless, scene.stacks = {0, 7}, {3: (found(7), found(8))}
     assert scene.run() == [1]
     assert [(item.id, item.reason) for item in scene.rejected][-1] == (0, HANDLELESS)
+
+
+def test_what_goes_on_in_its_own_colour_is_part_of_a_thing(scene):
+    scene.continued = {0}
+    assert scene.run() == [1]
+    assert [(item.id, item.reason) for item in scene.rejected][-1] == (0, SAME_COLOUR)
 
 
 def test_a_stack_of_which_a_part_carries_something_is_left_out_as_a_whole(scene):
