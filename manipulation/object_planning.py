@@ -22,9 +22,10 @@ from manipulation.pick_place import PickPlacePlanner
 from manipulation.planner import ManipulationConfig
 from manipulation.pushing import Push, plan_push
 from manipulation.reorientation import reorienting_grasps, turning_goals
-from manipulation.types import Grasp, PickPlacePlan, Placement, StandingObject, TaskPlan
+from manipulation.types import Grasp, GraspSet, PickPlacePlan, Placement, StandingObject, TaskPlan
 from perception.geometry import nearest_yaw
 
+DOUBTFUL = -1.5  # score of grasps of what nearly fills the hand, below which those at any angle come first
 _TURN_OVER = "turn it over by hand"
 _SPOTS = 4  # on free table that are tried for one object
 _EXAMINED, _EVERY_YAW = 12, 3  # goals, and which of their yaws, that are examined for the next grasp
@@ -67,9 +68,10 @@ class ObjectPlanning:
         """
         if lies(self._planner.world.pose(placement.name)):
             return self._turn(placement, q, tried, effort)
-        roomier = self._roomier(placement)
+        roomier, sure = self._roomier(placement), self._sure_grasps(placement.name)
+        goals = [placement] if roomier is placement else [roomier, placement]
         try:
-            return self._plan([placement] if roomier is placement else [roomier, placement], q, tried)
+            return self._plan(goals, q, tried, sure)
         except PlanningError as error:
             if effort == Effort.PLAIN:
                 raise
@@ -77,12 +79,21 @@ class ObjectPlanning:
             elsewhere = self._places_elsewhere(placement) if may_be_elsewhere else []
             if elsewhere:
                 with contextlib.suppress(PlanningError):
-                    return self._plan(elsewhere, q, tried)
+                    return self._plan(elsewhere, q, tried, sure)
             with contextlib.suppress(PlanningError):
                 return self._plan([placement, *elsewhere], q, tried, is_tilted=True)
             with contextlib.suppress(PlanningError):
                 return self._plan_with_contents([placement, *elsewhere], q, tried)
+            if sure is not None:
+                with contextlib.suppress(PlanningError):
+                    return self._plan([*goals, *elsewhere], q, tried)
             raise error
+
+    def _sure_grasps(self, name: str) -> GraspSet | None:
+        """Return the grasps of an object but those that its estimated width hardly allows; None if all."""
+        known = self._planner.grasps(name)
+        sure = tuple(grasp for grasp in known.grasps if grasp.score > DOUBTFUL)
+        return None if len(sure) == len(known.grasps) else replace(known, grasps=sure)
 
     def plans_aside(
         self, names: Sequence[str], movable: Collection[str], q: Posture
@@ -255,6 +266,7 @@ class ObjectPlanning:
         goals: Sequence[Placement],
         q: Posture,
         tried: Sequence[Grasp],
+        grasps: GraspSet | None = None,
         is_tilted: bool = False,
         contents: Sequence[str] = (),
     ) -> PickPlacePlan:
@@ -266,6 +278,7 @@ class ObjectPlanning:
         planner = self._planner
         key = (
             is_tilted,
+            grasps is None,
             len(tried),
             tuple(contents),
             *((goal.name, goal.position, goal.stack) for goal in goals),
@@ -274,7 +287,7 @@ class ObjectPlanning:
         if failure is not None and scene == planner.state:
             raise failure
         try:
-            grasps = planner.tilted_grasps(goals[0].name) if is_tilted else None
+            grasps = planner.tilted_grasps(goals[0].name) if is_tilted else grasps
             return planner.plan(goals, q, tried, grasps, contents)
         except NoPlanError as error:
             self._failures[key] = planner.state, error

@@ -8,7 +8,7 @@ import pytest
 
 from manipulation import object_planning
 from manipulation.errors import NoPlanError, PlanningError
-from manipulation.object_planning import Effort, ObjectPlanning
+from manipulation.object_planning import DOUBTFUL, Effort, ObjectPlanning
 from manipulation.pick_place import PickPlacePlanner
 from manipulation.planner import ManipulationConfig
 from manipulation.pushing import Push
@@ -21,7 +21,14 @@ GOAL = Placement("can_1", (0.5, 0.25, 0.004), (0.0,))
 CONFIG = ManipulationConfig()
 
 
-GRASPS, TILTED, KEEPING = (GraspSet((object.__new__(Grasp),), Counter()) for _ in range(3))
+def grasp(score=0.5):
+    """A grasp of which nothing but the score is known."""
+    made = object.__new__(Grasp)
+    object.__setattr__(made, "score", score)
+    return made
+
+
+GRASPS, TILTED, KEEPING = (GraspSet((grasp(),), Counter()) for _ in range(3))
 
 
 class FakePlanner(PickPlacePlanner):
@@ -134,6 +141,21 @@ def test_more_effort_is_other_places_and_then_any_angle(items):
     box = Box()
     for goal in elsewhere[0]:
         assert (np.abs(np.subtract(goal.position[:2], box.center)) < np.array(box.size[:2]) / 2).all()
+
+
+def test_grasps_of_what_nearly_fills_the_hand_come_after_those_at_any_angle(items):
+    sure, doubtful = grasp(), grasp(DOUBTFUL - 0.1)
+    planner = FakePlanner(items)
+    planner.found = GraspSet((sure, doubtful), Counter({"too wide": 3}))
+    with pytest.raises(NoPlanError):
+        planning(items, planner).next_plan(GOAL, Q, effort=Effort.FLEXIBLE)
+    grasps = [used for _, used in planner.requests]
+    only_sure = GraspSet((sure,), Counter({"too wide": 3}))
+    assert grasps == [only_sure, only_sure, TILTED, None], "None: all of its shape"
+    planner.requests.clear()
+    with pytest.raises(NoPlanError):
+        planning(items, planner).next_plan(GOAL, Q)
+    assert [used for _, used in planner.requests] == [only_sure]
 
 
 def test_a_bowl_goes_beside_the_one_below_only_when_nothing_else_helps(items):
