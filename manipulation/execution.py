@@ -351,13 +351,18 @@ class _Execution:
     ) -> set[str]:
         """Return which of the objects that are in their places are to be moved for one that has no plan.
 
-        None if it had no plan without them either: each that is moved may be lost.
+        It is empty if the object had no plan without them either: each that is moved may be lost.
         """
         settled = self._settled()
         if settled.isdisjoint(blockers):
             return set()
-        q, movable = self.robot.joint_positions(), self._beside_box() | settled
-        return settled & self.planning.in_the_way(placement, q, tried, effort, movable)
+        q = self.robot.joint_positions()
+        return settled & self.planning.in_the_way(placement, q, tried, effort, self._movable())
+
+    def _movable(self) -> set[str]:
+        """Return the names of the objects that can be set aside and put back; bowls below others cannot."""
+        covered = {below for done in self.outcomes for below in self._goals[done].stack}
+        return (self._beside_box() | self.planning.goals_in_box(self._goals).keys()) - covered
 
     def _settled(self) -> set[str]:
         """Return the names of the objects that were placed, or stood in the box before."""
@@ -376,11 +381,9 @@ class _Execution:
             names: objects that may be set aside, in descending order of preference.
             worth: those of the objects in their places that may be moved.
         """
-        placed = [self._goals[done] for done in self.outcomes]
-        covered = {below for placement in placed for below in placement.stack}
         before = self.planning.goals_in_box(self._goals)
-        movable = (self._beside_box() | before.keys()) - covered - (self._settled() - set(worth))
-        plan = self._clearing.plan_aside(names, movable)
+        kept = self._settled() - set(worth)
+        plan = self._clearing.plan_aside(names, self._movable() - kept)
         if plan is None:
             return False
         reason = "its neighbours block its way" if plan.name == name else f"it blocks {name}"

@@ -109,7 +109,7 @@ class ObjectPlanning:
         for name in [name for name in names if name in movable][:_ASIDE]:
             item, T = self._task.objects[name], planner.world.pose(name)
             scene, _ = self._failures.get(("aside", name), (None, None))
-            if scene == planner.state:
+            if scene == planner.scene_state:
                 continue  # what failed is not tried again in the same scene
             goals = list(goals_aside(item, T, self._taken(name), self._config.free_area))
             spots = self._best_to_turn(goals) if lies(T) else goals[:_SPOTS]
@@ -118,7 +118,7 @@ class ObjectPlanning:
             try:
                 plan = planner.plan(spots, q, grasps=planner.keeping_grasps(name))
             except NoPlanError as error:
-                self._failures["aside", name] = planner.state, error
+                self._failures["aside", name] = planner.scene_state, error
             else:
                 yield plan
 
@@ -188,11 +188,11 @@ class ObjectPlanning:
         if box is not None and box.contains(planner.world.pose(name)):
             return None
         scene, _ = self._failures.get(("push", name), (None, None))
-        if scene == planner.state:
+        if scene == planner.scene_state:
             return None
         push = plan_push(planner.motions, self._task.objects[name], q, lambda T: planner.can_pick(name, T))
         if push is None:
-            self._failures["push", name] = planner.state, NoPlanError(f"no push helps {name}")
+            self._failures["push", name] = planner.scene_state, NoPlanError(f"no push helps {name}")
         return push
 
     def _turn(
@@ -232,7 +232,7 @@ class ObjectPlanning:
         planner, config = self._planner, self._config.pick_place.grasp
         key = tuple((goal.name, goal.position) for goal in goals)
         scene, known = self._turnable.get(key, (None, []))
-        if scene == planner.state:
+        if scene == planner.scene_state:
             return known
         found: list[Placement] = []
         for goal in goals[:_EXAMINED]:
@@ -244,7 +244,7 @@ class ObjectPlanning:
                 found.append(replace(goal, yaws=yaws))
             if len(found) == _SPOTS:
                 break
-        self._turnable[key] = planner.state, found or list(goals[:_SPOTS])
+        self._turnable[key] = planner.scene_state, found or list(goals[:_SPOTS])
         return self._turnable[key][1]
 
     def _plan_with_contents(
@@ -284,13 +284,13 @@ class ObjectPlanning:
             *((goal.name, goal.position, goal.stack) for goal in goals),
         )
         scene, failure = self._failures.get(key, (None, None))
-        if failure is not None and scene == planner.state:
+        if failure is not None and scene == planner.scene_state:
             raise failure
         try:
             grasps = planner.tilted_grasps(goals[0].name) if is_tilted else grasps
             return planner.plan(goals, q, tried, grasps, contents)
         except NoPlanError as error:
-            self._failures[key] = planner.state, error
+            self._failures[key] = planner.scene_state, error
             raise
 
     def _roomier(self, placement: Placement) -> Placement:

@@ -121,7 +121,7 @@ class PickPlacePlanner:
         return tuple(o for o in self._obstacles if isinstance(o, PerceivedObstacle))
 
     @property
-    def state(self) -> int:
+    def scene_state(self) -> int:
         """Number of the state of the scene: what failed in it fails again."""
         return self._state
 

@@ -15,7 +15,7 @@ from perception.depth_cleaning import clean_frame
 from perception.detection.geometry import project
 from perception.geometry import transform_points
 from perception.inference.handle import body_axis
-from perception.metrics import SurfaceSamples
+from perception.metrics import SurfaceSamples, sample_surface
 from perception.types import ObjectEstimate, RgbdFrame
 
 BEYOND = 0.010  # [m] beyond the body, from which on points are of the handle
@@ -38,7 +38,7 @@ def shows_handle(
         frames: Images with camera poses.
         others: Objects beside it at their poses; what they explain shows no handle.
     """
-    points = np.asarray(SurfaceSamples.of(estimate.mesh, np.random.default_rng(0), _SAMPLES).tree.data)
+    points = sample_surface(estimate.mesh, np.random.default_rng(0), _SAMPLES)
     radius = 0.5 * float(np.ptp(estimate.mesh.vertices[:, 1]))
     is_handle = np.linalg.norm((points - body_axis(estimate))[:, :2], axis=1) > radius + BEYOND
     world = transform_points(estimate.T_world_object, points)

@@ -73,7 +73,7 @@ def continued_in_colour(
     if not lying:
         return set()
     rng, known = np.random.default_rng(0), KnownGeometry.of(objects)
-    surfaces = {e.id: SurfaceSamples.of(e.mesh_world, rng, _SAMPLES).tree for e in lying}
+    surfaces = {e.id: SurfaceSamples.of(e.mesh_world, rng, _SAMPLES) for e in lying}
     n_views = dict.fromkeys(surfaces, 0)
     for view in views:
         raised = raised_pixels(view, plane)
@@ -88,7 +88,7 @@ def continued_in_colour(
 
 def _continues(
     estimate: ObjectEstimate,
-    surface: KDTree,
+    surface: SurfaceSamples,
     points: Float[np.ndarray, "n 3"],
     raised: Bool[np.ndarray, "h w"],
     is_open: Bool[np.ndarray, "h w"],
@@ -99,7 +99,7 @@ def _continues(
 
     Args:
         estimate: The object.
-        surface: Points on its surface in the world frame [m].
+        surface: Its surface in the world frame.
         points: World points of the raised pixels [m].
         raised: Pixels above the support.
         is_open: Those of them that belong to no object.
@@ -107,7 +107,7 @@ def _continues(
         config: What continues an object.
     """
     distance = np.full(raised.shape, np.inf)
-    distance[raised] = surface.query(points, distance_upper_bound=config.near)[0]
+    distance[raised] = surface.distance(points, config.near)
     touching = is_open & (distance < config.contact)
     if not touching.any():
         return False

@@ -226,17 +226,17 @@ def test_a_forgotten_object_stays_forgotten_when_its_place_is_examined(kinematic
 def test_what_is_planned_without_an_object_leaves_the_scene_as_it_was(kinematics, items):
     planner = PickPlacePlanner(kinematics, items, config=CONFIG)
     planner.forget("bowl_2")
-    before, over_can = planner.state, posture(kinematics, 0.5, -0.25, 0.06)
+    before, over_can = planner.scene_state, posture(kinematics, 0.5, -0.25, 0.06)
     poses = planner.poses()
     with planner.without(["can_1", "bowl_2"]):
-        within = planner.state
+        within = planner.scene_state
         assert within != before and list(planner.poses()) == ["bowl_3"]
         assert planner.world.contact(over_can, 0.08) is None
-    assert planner.state == before and planner.forgotten == {"bowl_2"}
+    assert planner.scene_state == before and planner.forgotten == {"bowl_2"}
     assert planner.poses().keys() == poses.keys()
     assert planner.world.contact(over_can, 0.08) is not None
     planner.moved("can_1", poses["can_1"])
-    assert planner.state not in (before, within), "what failed without an object says nothing of other scenes"
+    assert planner.scene_state not in (before, within), "failures without an object are not reused"
 
 
 def test_new_obstacles_replace_the_perceived_ones_and_leave_the_objects(kinematics, items):
