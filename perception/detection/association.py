@@ -48,7 +48,7 @@ class AssociationConfig:
     visible_share: float = 0.6
     miss_probability: float = 0.2
     truncated_weight: float = 0.5
-    max_other: float = 0.8
+    max_other: float = 0.9
     independence: float = 0.5
 
 

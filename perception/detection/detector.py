@@ -50,7 +50,7 @@ class DetectorConfig:
 
     instances: InstanceConfig = field(default_factory=InstanceConfig)
     standing: StandingConfig = field(default_factory=StandingConfig)
-    max_other: float = 0.8
+    max_other: float = 0.9
     min_mug: float = 0.05
 
 
