@@ -170,10 +170,10 @@ def test_a_single_frame_and_empty_lists_are_accepted(scan):
 
 def test_rejected_objects_are_returned_with_the_reason():
     left, right = square(20), square(100)
-    other = np.array([0.025, 0.025, 0.025, 0.025, 0.9])
+    other = np.array([0.015, 0.015, 0.015, 0.015, 0.94])
     rows, left_out = fuse_views([from_above(left, right)], [[with_probabilities(left, other)]], PLANE)
     assert rows == [[]]
-    assert [c.text for c in left_out] == ["of none of the classes (p = 0.90)"] and left_out[0].frame == 0
+    assert [c.text for c in left_out] == ["of none of the classes (p = 0.94)"] and left_out[0].frame == 0
     wide = square(0, size=H - 1) | square(W - H, size=H - 1)
     lenient = AssociationConfig(max_extent=0.02)
     _, left_out = fuse_views([from_above(wide)], [[with_probabilities(wide, A)]], PLANE, lenient)
