@@ -29,7 +29,7 @@ from perception.geometry import levelled
 
 logger = logging.getLogger(__name__)
 
-MAX_PRESSES = 2  # of a bowl in another; one more for each further bowl below
+MAX_PRESSES = 3  # of a bowl in another; one more for each further bowl below
 _RISES = (0.18, 0.12, 0.08, 0.04)  # [m] above where an object met something, tried in order
 _RETURNED = 0.05  # [rad] of each joint from the posture of the grasp
 _ABOVE = 0.003  # [m] by which the base of an object is above that of one that carries it, at least
@@ -276,15 +276,18 @@ class PlanExecution:
             rest = self.planner.world.pose(beneath).copy()
             rest[2, 3] = before[leaning][2, 3]
             self.planner.moved(leaning, rest)
-            self._press(leaning, seen[leaning], frozenset(names))
+            self._press(leaning, seen[leaning], frozenset(names), draws=presses > 0)
 
-    def _press(self, name: str, T_world_stand: Float[np.ndarray, "4 4"], touched: frozenset[str]) -> None:
-        """Press a leaning bowl down with the closed hand, as far as it gives."""
+    def _press(
+        self, name: str, T_world_stand: Float[np.ndarray, "4 4"], touched: frozenset[str], draws: bool
+    ) -> None:
+        """Press a leaning bowl down with the closed hand, as far as it gives, and draw it to the middle."""
         robot, planner = self.robot, self.planner
-        rest_height = float(planner.world.pose(name)[2, 3])
-        press = plan_press(
-            planner.motions, planner.items[name], T_world_stand, rest_height, robot.joint_positions(), touched
-        )
+        motions, item, T_rest = planner.motions, planner.items[name], planner.world.pose(name)
+        q = robot.joint_positions()
+        ways = (True, False) if draws else (False,)
+        presses = (plan_press(motions, item, T_world_stand, T_rest, q, touched, way) for way in ways)
+        press = next((found for found in presses if found is not None), None)
         if press is None:
             logger.info("%s leans and cannot be pressed level", name)
             return
@@ -293,6 +296,8 @@ class PlanExecution:
         robot.follow(press.transit)
         try:
             robot.follow(press.down)
+            if press.draw is not None:
+                robot.follow(press.draw)
         except RobotError as error:
             logger.info("%s gives no further: %s", name, error)
             self.back_off()

@@ -1,4 +1,8 @@
-"""A bowl that leans in the one below it is pressed level: the closed hand pushes down its highest point."""
+"""A bowl that leans in the one below it is pressed level: the closed hand pushes down its highest point.
+
+Where it is jammed beside the middle of the lower bowl, that one tips up instead, and both fall back. The hand
+then draws the point that it presses to the middle, which frees the bowl.
+"""
 
 from __future__ import annotations
 
@@ -21,6 +25,7 @@ STEEPEST = np.deg2rad(35.0)  # that a bowl leans in another; images that show mo
 _ABOVE = 0.04  # [m] over the highest point, where the motion begins
 _DEEPER = 0.002  # [m] below the rim's height at rest: the rim springs back
 _INWARDS = 0.003  # [m] from the outline: fingertips must not slip off the rim
+_FURTHER = 0.004  # [m] beyond the middle, to which a bowl is drawn: it lags behind the fingertips
 _DOWN = Rotation.from_matrix(np.diag([1.0, -1.0, -1.0]))  # approach along -z, fingers close along y
 _YAWS = np.deg2rad([0, 45, 90, -45])  # of the closed hand
 
@@ -32,11 +37,13 @@ class Press:
     Attributes:
         transit: to above the point.
         down: to the height that the point has at rest.
-        up: back again.
+        draw: to the middle of the lower bowl, at that height; None for a press alone.
+        up: to the height above.
     """
 
     transit: JointTrajectory
     down: JointTrajectory
+    draw: JointTrajectory | None
     up: JointTrajectory
 
 
@@ -79,9 +86,10 @@ def plan_press(
     motions: MotionPlanner,
     item: StandingObject,
     T_world_stand: Float[np.ndarray, "4 4"],
-    rest_height: float,
+    T_world_rest: Float[np.ndarray, "4 4"],
     q_start: Float[np.ndarray, "n"],
     touched: frozenset[str],
+    draws: bool = False,
 ) -> Press | None:
     """Return the motions that press a leaning object level, or None if no direction of the hand is free.
 
@@ -89,25 +97,60 @@ def plan_press(
         motions: plans motions of the closed hand.
         item: the object.
         T_world_stand: its pose, leaning.
-        rest_height: height of its stand frame where it belongs, in [m].
+        T_world_rest: the same where it belongs.
         q_start: present posture in [rad].
         touched: names of objects that the hand may touch: this one, and those that it leans on.
+        draws: whether the point that is pressed is drawn to the middle.
     """
     kinematics, gripper = motions.kinematics, motions.kinematics.arm.gripper
     x, y, z = highest_rim_point(item, T_world_stand)
+    inward = _inward(T_world_stand, T_world_rest, np.array([x, y])) if draws else np.zeros(2)
     allowed = AllowedContacts(touch=touched)
     for yaw in _YAWS + np.arctan2(y - kinematics.base[1], x - kinematics.base[0]):
         T_over, T_at = np.eye(4), np.eye(4)
         T_over[:3, :3] = T_at[:3, :3] = (Rotation.from_rotvec([0, 0, yaw]) * _DOWN).as_matrix()
         T_over[:3, 3] = x, y, z + gripper.tip + _ABOVE
-        T_at[:3, 3] = x, y, rest_height + item.top + gripper.tip - _DEEPER
+        T_at[:3, 3] = x, y, T_world_rest[2, 3] + item.top + gripper.tip - _DEEPER
         over = kinematics.inverse(T_over, [q_start, *kinematics.seeds_toward(T_over, 2)], name=item.name)
         if not over.converged:
             continue
         down = motions.free_line(over.q, [T_at], gripper.min_width, allowed)
         if isinstance(down, Rejected):
             continue
+        draw, up = None, down[::-1]
+        if inward.any():
+            draw = _line(motions, down[-1], T_at, (*inward, 0.0), allowed)
+            back = None if draw is None else _line(motions, draw[-1], T_over, (*inward, 0.0), allowed)
+            if back is None:
+                continue
+            up = back
         path = motions.free_path(q_start, over.q, gripper.min_width)
         if path is not None:
-            return Press(motions.time_path(path), motions.time_line(down), motions.time_line(down[::-1]))
+            drawn = None if draw is None else motions.time_line(draw)
+            return Press(motions.time_path(path), motions.time_line(down), drawn, motions.time_line(up))
     return None
+
+
+def _inward(
+    T_world_stand: Float[np.ndarray, "4 4"],
+    T_world_rest: Float[np.ndarray, "4 4"],
+    point: Float[np.ndarray, "2"],
+) -> Float[np.ndarray, "2"]:
+    """Return the horizontal step [m] that draws a point of the rim, and its bowl, to where that belongs."""
+    inward = T_world_stand[:2, 3] - point
+    inward = inward / max(np.linalg.norm(inward), 1e-9)
+    return (max(float((T_world_rest - T_world_stand)[:2, 3] @ inward), 0.0) + _FURTHER) * inward
+
+
+def _line(
+    motions: MotionPlanner,
+    q: Float[np.ndarray, "n"],
+    T: Float[np.ndarray, "4 4"],
+    step: tuple[float, float, float],
+    allowed: AllowedContacts,
+) -> Float[np.ndarray, "k n"] | None:
+    """Return the postures [rad] of the closed hand from ``q`` straight to a pose moved by ``step`` [m]."""
+    T_moved = T.copy()
+    T_moved[:3, 3] += step
+    line = motions.free_line(q, [T_moved], motions.kinematics.arm.gripper.min_width, allowed)
+    return None if isinstance(line, Rejected) else line

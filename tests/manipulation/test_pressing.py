@@ -73,8 +73,9 @@ def test_the_closed_hand_goes_down_to_the_height_at_rest(bowl, arm):
     )
     T = leaning(*Box().center)
     planner.moved("bowl_1", levelled(T, 0.012))
-    press = plan_press(planner.motions, bowl, T, 0.012, arm.q_home, frozenset({"bowl_1"}))
-    assert press is not None
+    rest = pose_from_yaw(0.0, np.array([*Box().center, 0.012]))
+    press = plan_press(planner.motions, bowl, T, rest, arm.q_home, frozenset({"bowl_1"}))
+    assert press is not None and press.draw is None
     kinematics = planner.motions.kinematics
     over, at = (kinematics.forward(press.down.positions[i]) for i in (0, -1))
     tip = arm.gripper.tip
@@ -86,11 +87,31 @@ def test_the_closed_hand_goes_down_to_the_height_at_rest(bowl, arm):
     assert press.up.positions[-1] == pytest.approx(press.down.positions[0], abs=1e-6)
 
 
+@pytest.mark.parametrize("aside", [0.0, 0.012])
+def test_a_point_that_is_pressed_is_drawn_to_the_middle(bowl, arm, aside):
+    """By how far the bowl is aside, and 4 mm, away from where it is highest; then straight up."""
+    planner = PickPlacePlanner(
+        Kinematics(arm), {"bowl_1": bowl}, (TABLE, *box_obstacles(Box())), CONFIG.pick_place
+    )
+    T, towards = leaning(*Box().center), 0.7
+    uphill = -np.array([np.cos(towards), np.sin(towards)])
+    planner.moved("bowl_1", levelled(T, 0.012))
+    rest = pose_from_yaw(0.0, np.array([*(np.array(Box().center) - aside * uphill), 0.012]))
+    press = plan_press(planner.motions, bowl, T, rest, arm.q_home, frozenset({"bowl_1"}), draws=True)
+    assert press is not None and press.draw is not None
+    forward = planner.motions.kinematics.forward
+    at, drawn, above = (forward(m.positions[-1])[:3, 3] for m in (press.down, press.draw, press.up))
+    assert drawn - at == pytest.approx((*(-(aside + 0.004) * uphill), 0.0), abs=1e-3)
+    assert above[:2] == pytest.approx(drawn[:2], abs=1e-3)
+    assert above[2] == pytest.approx(forward(press.down.positions[0])[2, 3], abs=1e-3)
+
+
 def test_there_is_no_press_where_the_hand_cannot_go(bowl, arm):
     planner = PickPlacePlanner(Kinematics(arm), {"bowl_1": bowl}, (TABLE,), CONFIG.pick_place)
     touched = frozenset({"bowl_1"})
-    assert plan_press(planner.motions, bowl, leaning(1.3, 0.2), 0.0, arm.q_home, touched) is None
+    rest = pose_from_yaw(0.0, np.array([0.5, 0.2, 0.0]))
+    assert plan_press(planner.motions, bowl, leaning(1.3, 0.2), rest, arm.q_home, touched) is None
     planner.moved("bowl_1", levelled(leaning(0.5, 0.2), 0.0))
-    assert plan_press(planner.motions, bowl, leaning(0.5, 0.2), 0.0, arm.q_home, frozenset()) is None, (
+    assert plan_press(planner.motions, bowl, leaning(0.5, 0.2), rest, arm.q_home, frozenset()) is None, (
         "nothing may be touched"
     )
