@@ -19,7 +19,7 @@ from perception.inference.evidence import Evidence
 from perception.inference.fit_config import FitConfig
 from perception.inference.observation import ObjectViews
 from perception.inference.optimisation import OnStep
-from perception.inference.pose_choice import misfit
+from perception.inference.pose_choice import is_much_closer, misfit
 from perception.inference.resting_choice import as_named, best_pose, fit_unnamed, is_as_named
 from perception.inference.right_way_up import is_turned_over, turned_over
 from perception.inference.scored_fits import ObjectFits, RejectedError, ScoredFit
@@ -110,28 +110,64 @@ def _may_be_rejected(views: ObjectViews) -> bool:
 
 
 def _right_way_up(fits: ObjectFits, best: ScoredFit) -> ScoredFit:
-    """Return the fit, or one the other way round: of a lying bottle, or what has its lower end up."""
-    views, estimate, resting = fits.views, best.estimate, best.estimate.resting
-    may_be_either = estimate.category == "bottle" and resting == "lying"
-    if not may_be_either:
-        p = dict(zip(POSED_CLASSES, views.pose_probabilities.tolist()))
-        may_be_bottle = p.get(("bottle", resting), 0.0) > p.get(("can", resting), 0.0)
-        if may_be_bottle and not _is_sure_of(views, "can"):
-            return best
-        if not is_turned_over(estimate, views.observations):
-            return best
-    x, y, z = (-estimate.T_world_object[:3, 2]).tolist()
-    way = "lying" if resting == "lying" else "upside-down"
-    other = fits.attempt(estimate.category, way, (x, y, z))
+    """Return the fit, or one the other way round: of what lies, or has its lower end up."""
+    posed = (best.estimate.category, best.estimate.resting)
+    if posed == ("bottle", "lying"):
+        return _lying_bottle(fits, best)
+    if posed == ("can", "lying"):
+        return _lying_can(fits, best)
+    if not _narrows_downwards(fits.views, best):
+        return best
+    other = _other_way_round(fits, best)
+    return best if other is None else _turned_over(best, other)
+
+
+def _lying_bottle(fits: ObjectFits, best: ScoredFit) -> ScoredFit:
+    """Return the fit of a lying bottle, or the one the other way round."""
+    other = _other_way_round(fits, best)
     if other is None:
         return best
-    if may_be_either:
-        if _is_right_way_up(other, best):
-            best, other = other, best
-        alike = misfit(other.evidence) < misfit(best.evidence) + ALIKE
-        if not alike or not is_turned_over(best.estimate, views.observations):
-            return best
+    if _is_right_way_up(other, best):
+        best, other = other, best
+    alike = misfit(other.evidence) < misfit(best.evidence) + ALIKE
+    if not alike or not is_turned_over(best.estimate, fits.views.observations):
+        return best
+    return _turned_over(best, other)
+
+
+def _lying_can(fits: ObjectFits, best: ScoredFit) -> ScoredFit:
+    """Return the fit of a lying can, or the one the other way round: by the depth, else by its sides.
+
+    A bottle that is narrower at its base is often named a can, whose sides do not widen upwards.
+    """
+    other = _other_way_round(fits, best)
+    if other is None or is_much_closer(best.evidence, other.evidence):
+        return best
+    if is_much_closer(other.evidence, best.evidence):
+        return other
+    return _turned_over(best, other) if _narrows_downwards(fits.views, best) else best
+
+
+def _other_way_round(fits: ObjectFits, fit: ScoredFit) -> ScoredFit | None:
+    """Return a fit of the same class with the axis reversed; None if there is none."""
+    x, y, z = (-fit.estimate.T_world_object[:3, 2]).tolist()
+    way = "lying" if fit.estimate.resting == "lying" else "upside-down"
+    return fits.attempt(fit.estimate.category, way, (x, y, z))
+
+
+def _turned_over(best: ScoredFit, other: ScoredFit) -> ScoredFit:
+    """Return a fit with its axis reversed, given one that was made that way round."""
     return replace(other, estimate=turned_over(best.estimate, other.estimate))
+
+
+def _narrows_downwards(views: ObjectViews, best: ScoredFit) -> bool:
+    """Return whether a can has its lower end up by its sides; what may well be a bottle has not."""
+    p = dict(zip(POSED_CLASSES, views.pose_probabilities.tolist()))
+    resting = best.estimate.resting
+    may_be_bottle = p.get(("bottle", resting), 0.0) > p.get(("can", resting), 0.0)
+    if may_be_bottle and not _is_sure_of(views, "can"):
+        return False
+    return is_turned_over(best.estimate, views.observations)
 
 
 def _is_sure_of(views: ObjectViews, category: Category) -> bool:

@@ -7,7 +7,14 @@ from collections.abc import Sequence
 from dataclasses import replace
 
 from perception.inference.contents import VESSELS
-from perception.inference.pose_choice import has_closed_top, is_better, is_doubtful, is_good, misfit
+from perception.inference.pose_choice import (
+    has_closed_top,
+    is_better,
+    is_doubtful,
+    is_good,
+    is_much_closer,
+    misfit,
+)
 from perception.inference.resting import ALTERNATIVES
 from perception.inference.scored_fits import ObjectFits, RejectedError, ScoredFit
 from perception.inference.screening import comes_near, nearest_hypotheses
@@ -19,9 +26,6 @@ logger = logging.getLogger(__name__)
 SURE = 0.6  # probability of some classes in resting poses from which on they are fitted in any case
 LIKELY = 0.15  # least probability of each of them
 ABOUT = 0.05  # by how much the misfit of what the pose network is sure of may be larger
-# Misfit and systematic deviation, relative to those of a lying can, below which a bottle that lies the other
-# way round is kept: sides hardly tell the ends of a can apart. 72 lying objects of training families.
-HALF, FLOOR, SYSTEMATIC = 0.5, 0.005, 0.8
 UNKNOWN = 0.5  # least score of an object of no class, or in a pose that the networks were not trained on
 
 
@@ -56,8 +60,7 @@ def _tells_ends_apart(bottle: ScoredFit, can: ScoredFit) -> bool:
     if fitted != [("bottle", "lying"), ("can", "lying")]:
         return False
     along = bottle.estimate.T_world_object[:3, 2] @ can.estimate.T_world_object[:3, 2]
-    explains = misfit(bottle.evidence) + FLOOR < HALF * (misfit(can.evidence) + FLOOR)
-    return bool(along < 0 and explains and bottle.evidence.systematic < SYSTEMATIC * can.evidence.systematic)
+    return bool(along < 0 and is_much_closer(bottle.evidence, can.evidence))
 
 
 def is_as_named(named: ScoredFit, other: ScoredFit | None) -> bool:

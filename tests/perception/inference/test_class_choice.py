@@ -304,6 +304,35 @@ def test_a_can_with_the_wrong_end_up_is_fitted_the_other_way_round(monkeypatch, 
     np.testing.assert_array_equal(estimate.mesh_world.vertices, np.eye(3))
 
 
+@pytest.mark.parametrize(
+    ("first", "second", "systematic", "narrows_downwards", "turned"),
+    [
+        (0.984, 0.992, 0.3, False, True),  # 0.008 + 0.005 is less than 0.65 (0.016 + 0.005)
+        (0.992, 0.992, 0.3, False, False),  # as much is explained
+        (0.984, 0.992, 0.45, False, False),  # the surface is hardly closer
+        (0.984, 0.984, 0.5, True, True),  # its sides tell, where the depth does not
+        (0.992, 0.984, 0.7, True, False),  # where it does, they are those of a bottle
+    ],
+)
+def test_a_can_lies_the_way_round_that_explains_much_more(
+    monkeypatch, decoder, first, second, systematic, narrows_downwards, turned
+) -> None:
+    def scored(views, decoder, plane, model, config, on_step):
+        mesh, is_first = TriangleMesh(np.eye(3), np.arange(3)[None]), config.toward is None
+        T = np.eye(4) if is_first else np.diag([1.0, -1.0, -1.0, 1.0])
+        estimate = ObjectEstimate(3, "can", np.zeros(16), T, np.ones(3), mesh, 0.8, resting=config.resting)
+        explained, deviation = (first, 0.5) if is_first else (second, systematic)
+        return ScoredFit(estimate, replace(EVIDENCE, explained=explained, systematic=deviation), None)
+
+    monkeypatch.setattr(scored_fits, "scored_fit", scored)
+    monkeypatch.setattr(class_choice, "is_turned_over", lambda estimate, seen: narrows_downwards)
+    monkeypatch.setattr(resting_choice, "nearest_hypotheses", lambda *_: [("can", "lying")])
+    monkeypatch.setattr(pose_choice, "rests_stably", lambda mesh, plane: True)
+    views = ObjectViews(3, "can", 0.9, (OBSERVATION,), np.full(5, 0.2))
+    estimate = fit_best_class(views, decoder, SupportPlane(), Model({}, 0.4), FitConfig())
+    assert (estimate.T_world_object[2, 2] < 0) == turned
+
+
 @pytest.mark.parametrize(("explained", "residual", "score", "closed_cup", "turned"), [
     (0.97, 0.7, 0.8, False, True), (0.95, 0.7, 0.8, False, False), (0.97, 0.9, 0.8, False, False),
     (0.95, 1.2, 0.95, False, True), (0.95, 1.3, 0.95, False, False),

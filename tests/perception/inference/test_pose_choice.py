@@ -15,6 +15,7 @@ from perception.inference.pose_choice import (
     has_closed_top,
     is_better,
     is_doubtful,
+    is_much_closer,
     misfit,
 )
 from perception.types import CATEGORIES, ObjectEstimate, SupportPlane, TriangleMesh
@@ -85,3 +86,13 @@ def _points(view: ObjectObservation) -> np.ndarray:
     rays = np.stack([(u - camera.cx) / camera.fx, (v - camera.cy) / camera.fy, np.ones(u.shape)], axis=-1)
     points = rays * view.frame.depth[..., None]
     return points @ view.T_world_camera[:3, :3].T + view.T_world_camera[:3, 3]
+
+
+@pytest.mark.parametrize(
+    ("other", "systematic", "closer"), [(0.03, 1.3, True), (0.017, 1.3, False), (0.03, 1.2, False)]
+)
+def test_a_fit_is_much_closer_if_misfit_and_surface_say_so(other, systematic, closer) -> None:
+    """0.008 + 0.005 against 0.65 of the other's misfit + 0.005, and 1 against 0.8 of its deviation."""
+    one = with_misfit(0.008, systematic=1.0)
+    assert is_much_closer(one, with_misfit(other, systematic=systematic)) == closer
+    assert not is_much_closer(with_misfit(other, systematic=systematic), one)
