@@ -27,7 +27,7 @@ def test_the_reconstruction_decides(monkeypatch) -> None:
         detection("mug", 0.9, 0.05, 0.0, 0.0, 0.05),
         detection("bottle", 0.0, 0.0, 0.6, 0.3, 0.1),  # fits better as a can
         detection("can", 0.0, 0.0, 0.1, 0.8, 0.1),  # rejected
-        detection("bowl", 0.0, 0.1, 0.0, 0.0, 0.9),  # too improbable to be tried
+        detection("bowl", 0.0, 0.05, 0.0, 0.0, 0.95),  # too improbable to be tried
     ]
     tried = []
 
