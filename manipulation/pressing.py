@@ -119,8 +119,8 @@ def plan_press(
             continue
         draw, up = None, down[::-1]
         if inward.any():
-            draw = _line(motions, down[-1], T_at, (*inward, 0.0), allowed)
-            back = None if draw is None else _line(motions, draw[-1], T_over, (*inward, 0.0), allowed)
+            draw = _aside(motions, down[-1], T_at, inward, allowed)
+            back = None if draw is None else _aside(motions, draw[-1], T_over, inward, allowed)
             if back is None:
                 continue
             up = back
@@ -142,15 +142,15 @@ def _inward(
     return (max(float((T_world_rest - T_world_stand)[:2, 3] @ inward), 0.0) + _FURTHER) * inward
 
 
-def _line(
+def _aside(
     motions: MotionPlanner,
     q: Float[np.ndarray, "n"],
     T: Float[np.ndarray, "4 4"],
-    step: tuple[float, float, float],
+    step: Float[np.ndarray, "2"],
     allowed: AllowedContacts,
 ) -> Float[np.ndarray, "k n"] | None:
-    """Return the postures [rad] of the closed hand from ``q`` straight to a pose moved by ``step`` [m]."""
+    """Return the postures [rad] of the closed hand straight to a pose moved aside by ``step`` [m]."""
     T_moved = T.copy()
-    T_moved[:3, 3] += step
+    T_moved[:2, 3] += step
     line = motions.free_line(q, [T_moved], motions.kinematics.arm.gripper.min_width, allowed)
     return None if isinstance(line, Rejected) else line
