@@ -116,7 +116,7 @@ def _right_way_up(fits: ObjectFits, best: ScoredFit) -> ScoredFit:
         return _lying_bottle(fits, best)
     if posed == ("can", "lying"):
         return _lying_can(fits, best)
-    if not _narrows_downwards(fits.views, best):
+    if not _has_lower_end_up(fits.views, best):
         return best
     other = _other_way_round(fits, best)
     return best if other is None else _turned_over(best, other)
@@ -145,7 +145,7 @@ def _lying_can(fits: ObjectFits, best: ScoredFit) -> ScoredFit:
         return best
     if is_much_closer(other.evidence, best.evidence):
         return other
-    return _turned_over(best, other) if _narrows_downwards(fits.views, best) else best
+    return _turned_over(best, other) if _has_lower_end_up(fits.views, best) else best
 
 
 def _other_way_round(fits: ObjectFits, fit: ScoredFit) -> ScoredFit | None:
@@ -160,7 +160,7 @@ def _turned_over(best: ScoredFit, other: ScoredFit) -> ScoredFit:
     return replace(other, estimate=turned_over(best.estimate, other.estimate))
 
 
-def _narrows_downwards(views: ObjectViews, best: ScoredFit) -> bool:
+def _has_lower_end_up(views: ObjectViews, best: ScoredFit) -> bool:
     """Return whether a can has its lower end up by its sides; what may well be a bottle has not."""
     p = dict(zip(POSED_CLASSES, views.pose_probabilities.tolist()))
     resting = best.estimate.resting

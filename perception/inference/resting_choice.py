@@ -51,10 +51,11 @@ def as_named(fits: ObjectFits, or_upright: bool) -> ScoredFit | None:
     if not good:
         return None
     best = min(good, key=lambda item: item[0])[1]
-    return next((made for _, made in good if _tells_ends_apart(made, best)), best)
+    # Sides alone hardly tell the ends of a can apart: as a bottle the same object may.
+    return next((made for _, made in good if _contradicts(made, best)), best)
 
 
-def _tells_ends_apart(bottle: ScoredFit, can: ScoredFit) -> bool:
+def _contradicts(bottle: ScoredFit, can: ScoredFit) -> bool:
     """Return whether a lying bottle explains the depth much better than a can the other way round."""
     fitted = [(made.estimate.category, made.estimate.resting) for made in (bottle, can)]
     if fitted != [("bottle", "lying"), ("can", "lying")]:

@@ -3,11 +3,14 @@
 import re
 import shlex
 import tomllib
+from importlib import metadata
 from pathlib import Path
 from textwrap import dedent
 
 import pytest
 import yaml
+from packaging.specifiers import Specifier, SpecifierSet
+from packaging.utils import canonicalize_name
 
 import nodeslam
 from app.cli import parse
@@ -136,6 +139,24 @@ def test_every_pin_but_the_build_of_pytorch_has_a_digest():
     digests = (ROOT / ".ci" / "requirements.hashes").read_text("utf-8")
     hashed = re.findall(r"^(\S+==\S+) --hash=sha256:[0-9a-f]{64}$", digests, re.M)
     assert hashed == [pin for pin in pins if not pin.startswith("torch==")], "run .ci/update-hashes"
+
+
+def test_every_pin_suits_the_least_python():
+    """The lock is written with a later Python, whose releases another one with the same minor may lack."""
+    project = tomllib.loads((ROOT / "pyproject.toml").read_text("utf-8"))["project"]
+    least = Specifier(project["requires-python"].split(",")[0]).version + ".0"
+    installed = {canonicalize_name(d.metadata["Name"]): d for d in metadata.distributions()}
+    unsuited, judged = [], 0
+    for pin in (ROOT / "requirements.lock").read_text("utf-8").split():
+        name, version = pin.split("==")
+        found = installed.get(canonicalize_name(name))
+        if found is None or found.version != version:
+            continue  # this environment was not installed from the lock
+        judged += 1
+        needed = found.metadata.get("Requires-Python")
+        if needed and not SpecifierSet(needed).contains(least):
+            unsuited.append(f"{pin} requires Python {needed}")
+    assert not unsuited and judged
 
 
 def test_every_dependency_of_the_documentation_is_pinned():

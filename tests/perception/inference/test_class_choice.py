@@ -304,8 +304,24 @@ def test_a_can_with_the_wrong_end_up_is_fitted_the_other_way_round(monkeypatch, 
     np.testing.assert_array_equal(estimate.mesh_world.vertices, np.eye(3))
 
 
+@pytest.fixture
+def fit_lying(monkeypatch, decoder):
+    """Fits a lying object of a class and tells whether the second fit, the other way round, was kept."""
+
+    def run(category, scored, by_sides) -> bool:
+        monkeypatch.setattr(scored_fits, "scored_fit", scored)
+        monkeypatch.setattr(class_choice, "is_turned_over", lambda estimate, seen: by_sides)
+        monkeypatch.setattr(resting_choice, "nearest_hypotheses", lambda *_: [(category, "lying")])
+        monkeypatch.setattr(pose_choice, "rests_stably", lambda mesh, plane: True)
+        views = ObjectViews(3, category, 0.9, (OBSERVATION,), np.full(5, 0.2))
+        estimate = fit_best_class(views, decoder, SupportPlane(), Model({}, 0.4), FitConfig())
+        return bool(estimate.T_world_object[2, 2] < 0)
+
+    return run
+
+
 @pytest.mark.parametrize(
-    ("first", "second", "systematic", "narrows_downwards", "turned"),
+    ("first", "second", "systematic", "by_sides", "turned"),
     [
         (0.984, 0.992, 0.3, False, True),  # 0.008 + 0.005 is less than 0.65 (0.016 + 0.005)
         (0.992, 0.992, 0.3, False, False),  # as much is explained
@@ -315,7 +331,7 @@ def test_a_can_with_the_wrong_end_up_is_fitted_the_other_way_round(monkeypatch, 
     ],
 )
 def test_a_can_lies_the_way_round_that_explains_much_more(
-    monkeypatch, decoder, first, second, systematic, narrows_downwards, turned
+    fit_lying, first, second, systematic, by_sides, turned
 ) -> None:
     def scored(views, decoder, plane, model, config, on_step):
         mesh, is_first = TriangleMesh(np.eye(3), np.arange(3)[None]), config.toward is None
@@ -324,13 +340,7 @@ def test_a_can_lies_the_way_round_that_explains_much_more(
         explained, deviation = (first, 0.5) if is_first else (second, systematic)
         return ScoredFit(estimate, replace(EVIDENCE, explained=explained, systematic=deviation), None)
 
-    monkeypatch.setattr(scored_fits, "scored_fit", scored)
-    monkeypatch.setattr(class_choice, "is_turned_over", lambda estimate, seen: narrows_downwards)
-    monkeypatch.setattr(resting_choice, "nearest_hypotheses", lambda *_: [("can", "lying")])
-    monkeypatch.setattr(pose_choice, "rests_stably", lambda mesh, plane: True)
-    views = ObjectViews(3, "can", 0.9, (OBSERVATION,), np.full(5, 0.2))
-    estimate = fit_best_class(views, decoder, SupportPlane(), Model({}, 0.4), FitConfig())
-    assert (estimate.T_world_object[2, 2] < 0) == turned
+    assert fit_lying("can", scored, by_sides) == turned
 
 
 @pytest.mark.parametrize(("explained", "residual", "score", "closed_cup", "turned"), [
@@ -341,7 +351,7 @@ def test_a_can_lies_the_way_round_that_explains_much_more(
     "closer", "less", "hardly-closer", "likelier", "likelier-but-less-close", "closer-cup", "cup", "poor-cup",
 ])  # fmt: skip
 def test_of_a_lying_bottle_the_way_round_that_is_clearly_closer_or_likelier_is_kept(
-    monkeypatch, decoder, explained, residual, score, closed_cup, turned
+    fit_lying, explained, residual, score, closed_cup, turned
 ) -> None:
     """Unless that is a closed cup with its lid down, and both are alike."""
 
@@ -352,10 +362,4 @@ def test_of_a_lying_bottle_the_way_round_that_is_clearly_closer_or_likelier_is_k
         estimate = ObjectEstimate(3, "bottle", np.zeros(16), T, np.ones(3), mesh, p, resting=config.resting)
         return ScoredFit(estimate, replace(EVIDENCE, explained=seen[0], residual=seen[1]), None)
 
-    monkeypatch.setattr(scored_fits, "scored_fit", scored)
-    monkeypatch.setattr(class_choice, "is_turned_over", lambda estimate, seen: closed_cup)
-    monkeypatch.setattr(resting_choice, "nearest_hypotheses", lambda *_: [("bottle", "lying")])
-    monkeypatch.setattr(pose_choice, "rests_stably", lambda mesh, plane: True)
-    views = ObjectViews(3, "bottle", 0.9, (OBSERVATION,), np.full(5, 0.2))
-    estimate = fit_best_class(views, decoder, SupportPlane(), Model({}, 0.4), FitConfig())
-    assert (estimate.T_world_object[2, 2] < 0) == turned
+    assert fit_lying("bottle", scored, closed_cup) == turned

@@ -72,9 +72,7 @@ def lies(posed, toward, explained, systematic=0.5) -> ScoredFit:
     ("toward", "explained", "systematic", "kept"),
     [(-1, 0.99, 0.3, LYING), (1, 0.99, 0.3, CAN), (-1, 0.98, 0.3, CAN), (-1, 0.99, 0.45, CAN)],
 )
-def test_a_bottle_that_explains_twice_as_much_turns_a_can_round(
-    make_fits, toward, explained, systematic, kept
-):
+def test_a_bottle_that_explains_much_more_turns_a_can_round(make_fits, toward, explained, systematic, kept):
     """The can misses 3 %; the bottle 1 or 2 %, and the can is four times as probable."""
     made = {CAN: lies(CAN, 1, 0.97), LYING: lies(LYING, toward, explained, systematic)}
     assert as_named(make_fits(made, {CAN: 0.8, LYING: 0.2}), True) is made[kept]
