@@ -27,7 +27,7 @@ TURNED = 0.9  # the same for upside-down vessels with a closed top
 # Largest misfit of another pose, or of an object without a class.
 GOOD: Mapping[Category, float] = {"mug": 0.25, "bowl": 0.15, "bottle": 0.15, "can": 0.15}
 # Misfit (plus an offset) and systematic deviation, relative to those of a fit the other way round, below
-# which the depth tells the ends of a can apart. Set on 114 lying bottles and cans, a quarter of training families.
+# which the depth tells the ends of a can apart. Set on 114 lying objects, a quarter of training families.
 CLOSER_MISFIT, MISFIT_OFFSET, CLOSER_SURFACE = 0.65, 0.005, 0.8
 CLOSED = 0.93  # height of the middle of a closed top, in heights of its edge
 _INNER = 0.6  # part of the radius that is the middle of the top
