@@ -15,6 +15,7 @@ import numpy as np
 from jaxtyping import Float
 
 from manipulation.candidates import Tally, are_similar, ordered_yaws
+from manipulation.carrying import carrying_path
 from manipulation.collision import Body, CollisionConfig, CollisionWorld
 from manipulation.errors import NoPlanError
 from manipulation.grasp_config import GraspConfig
@@ -27,11 +28,12 @@ from manipulation.nesting import nest_heights
 from manipulation.obstacles import TABLE, Obstacle
 from manipulation.pick_place_segments import Pick, Place, PlaceGoal, SegmentConfig, find_pick, find_place
 from manipulation.reorientation import rolled
+from manipulation.robot import JointTrajectory
 from manipulation.surroundings import Surfaces, points_around
 from manipulation.trajectories import MotionConfig, concatenate
 from manipulation.types import Grasp, GraspSet, PickPlacePlan, Placement, Rejected, StandingObject
 from manipulation.vessels import holds, vessel_pieces
-from perception.geometry import pose_from_yaw
+from perception.geometry import invert, pose_from_yaw, transform_points
 from perception.obstacles.obstacle import PerceivedObstacle
 
 _SAMPLES, _SAMPLED_YAWS = 12, 3  # grasps of an object and yaws of its goal that are looked at in advance
@@ -370,6 +372,7 @@ class PickPlacePlanner:
     ) -> PickPlacePlan:
         """Return the plan with trajectories for all motions."""
         moves = np.abs(start[0] - start[-1]).max() > 1e-6
+        lowering = self.motions.time_line(place.lowering)
         return PickPlacePlan(
             name=goal.item.name,
             grasp=pick.grasp,
@@ -380,7 +383,15 @@ class PickPlacePlanner:
             transit=self.motions.time_path(start) if moves else None,
             approach=self.motions.time_line(pick.approach),
             lift=self.motions.time_line(pick.lift),
-            transfer=concatenate([self.motions.time_path(carry), self.motions.time_line(place.lowering)]),
+            transfer=concatenate([self._time_carry(goal.item, pick.grasp, carry), lowering]),
             settle=None if place.settle is None else self.motions.time_line(place.settle),
             retreat=self.motions.time_line(place.retreat),
         )
+
+    def _time_carry(
+        self, item: StandingObject, grasp: Grasp, path: Sequence[Float[np.ndarray, "n"]]
+    ) -> JointTrajectory:
+        """Return the trajectory of a path [rad] with the object in the hand."""
+        centre = 0.5 * (item.vertices.min(axis=0) + item.vertices.max(axis=0))
+        centre_in_hand = transform_points(invert(grasp.T_stand_tcp), centre[None])[0]
+        return carrying_path(self.kinematics, path, centre_in_hand, self.motions.limits)
