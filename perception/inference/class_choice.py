@@ -20,12 +20,19 @@ from perception.inference.fit_config import FitConfig
 from perception.inference.observation import ObjectViews
 from perception.inference.optimisation import OnStep
 from perception.inference.pose_choice import is_much_closer, misfit
-from perception.inference.resting_choice import as_named, best_pose, fit_unnamed, is_as_named
+from perception.inference.resting_choice import (
+    LIKELY,
+    as_named,
+    best_pose,
+    fit_unnamed,
+    is_as_named,
+    is_named_well,
+)
 from perception.inference.right_way_up import is_turned_over, turned_over
 from perception.inference.scored_fits import ObjectFits, RejectedError, ScoredFit
 from perception.inference.shape_model import Decoder
 from perception.inference.upright_choice import CLEAR, best_upright, in_poor_depth, likely_classes
-from perception.types import CATEGORIES, POSED_CLASSES, Category, ObjectEstimate, SupportPlane
+from perception.types import CATEGORIES, Category, ObjectEstimate, SupportPlane
 
 logger = logging.getLogger(__name__)
 
@@ -116,7 +123,7 @@ def _right_way_up(fits: ObjectFits, best: ScoredFit) -> ScoredFit:
         return _lying_bottle(fits, best)
     if posed == ("can", "lying"):
         return _lying_can(fits, best)
-    if not _has_lower_end_up(fits.views, best):
+    if not _has_lower_end_up(fits, best):
         return best
     other = _other_way_round(fits, best)
     return best if other is None else _turned_over(best, other)
@@ -136,16 +143,34 @@ def _lying_bottle(fits: ObjectFits, best: ScoredFit) -> ScoredFit:
 
 
 def _lying_can(fits: ObjectFits, best: ScoredFit) -> ScoredFit:
-    """Return the fit of a lying can, or the one the other way round: by the depth, else by its sides.
+    """Return the fit of a lying can, either way round, or that of a bottle which contradicts it.
 
     A bottle that is narrower at its base is often named a can, whose sides do not widen upwards.
     """
+    can = _can_by_its_ends(fits, best)
+    bottle = fits.attempt("bottle", "lying") if fits.pose_probability("bottle", "lying") >= LIKELY else None
+    if bottle is None or not is_named_well(bottle, fits) or not _contradicts(bottle, can):
+        return can
+    return _lying_bottle(fits, bottle)
+
+
+def _can_by_its_ends(fits: ObjectFits, best: ScoredFit) -> ScoredFit:
+    """Return the fit of a lying can, or the one the other way round: by the depth, else by its sides."""
     other = _other_way_round(fits, best)
     if other is None or is_much_closer(best.evidence, other.evidence):
         return best
     if is_much_closer(other.evidence, best.evidence):
         return other
-    return _turned_over(best, other) if _has_lower_end_up(fits.views, best) else best
+    return _turned_over(best, other) if _has_lower_end_up(fits, best) else best
+
+
+def _contradicts(bottle: ScoredFit, can: ScoredFit) -> bool:
+    """Return whether a lying bottle explains the depth much better than a can the other way round.
+
+    Sides alone hardly tell the ends of a can apart: as a bottle the same object may.
+    """
+    along = bottle.estimate.T_world_object[:3, 2] @ can.estimate.T_world_object[:3, 2]
+    return bool(along < 0 and is_much_closer(bottle.evidence, can.evidence))
 
 
 def _other_way_round(fits: ObjectFits, fit: ScoredFit) -> ScoredFit | None:
@@ -160,14 +185,13 @@ def _turned_over(best: ScoredFit, other: ScoredFit) -> ScoredFit:
     return replace(other, estimate=turned_over(best.estimate, other.estimate))
 
 
-def _has_lower_end_up(views: ObjectViews, best: ScoredFit) -> bool:
+def _has_lower_end_up(fits: ObjectFits, best: ScoredFit) -> bool:
     """Return whether a can has its lower end up by its sides; what may well be a bottle has not."""
-    p = dict(zip(POSED_CLASSES, views.pose_probabilities.tolist()))
     resting = best.estimate.resting
-    may_be_bottle = p.get(("bottle", resting), 0.0) > p.get(("can", resting), 0.0)
-    if may_be_bottle and not _is_sure_of(views, "can"):
+    may_be_bottle = fits.pose_probability("bottle", resting) > fits.pose_probability("can", resting)
+    if may_be_bottle and not _is_sure_of(fits.views, "can"):
         return False
-    return is_turned_over(best.estimate, views.observations)
+    return is_turned_over(best.estimate, fits.views.observations)
 
 
 def _is_sure_of(views: ObjectViews, category: Category) -> bool:

@@ -12,7 +12,6 @@ from perception.inference.pose_choice import (
     is_better,
     is_doubtful,
     is_good,
-    is_much_closer,
     misfit,
 )
 from perception.inference.resting import ALTERNATIVES
@@ -46,22 +45,14 @@ def as_named(fits: ObjectFits, or_upright: bool) -> ScoredFit | None:
     good: list[tuple[float, ScoredFit]] = []
     for (category, resting), p in likely.items():
         made = fits.attempt(category, resting)
-        if made is not None and made.estimate.score >= _least_score(fits) and _is_good(made, fits):
+        if made is not None and is_named_well(made, fits):
             good.append((misfit(made.evidence) - ABOUT * p, made))
-    if not good:
-        return None
-    best = min(good, key=lambda item: item[0])[1]
-    # Sides alone hardly tell the ends of a can apart: as a bottle the same object may.
-    return next((made for _, made in good if _contradicts(made, best)), best)
+    return min(good, key=lambda item: item[0])[1] if good else None
 
 
-def _contradicts(bottle: ScoredFit, can: ScoredFit) -> bool:
-    """Return whether a lying bottle explains the depth much better than a can the other way round."""
-    fitted = [(made.estimate.category, made.estimate.resting) for made in (bottle, can)]
-    if fitted != [("bottle", "lying"), ("can", "lying")]:
-        return False
-    along = bottle.estimate.T_world_object[:3, 2] @ can.estimate.T_world_object[:3, 2]
-    return bool(along < 0 and is_much_closer(bottle.evidence, can.evidence))
+def is_named_well(made: ScoredFit, fits: ObjectFits) -> bool:
+    """Return whether a fit as what the pose network names is good, and its score is high enough."""
+    return made.estimate.score >= _least_score(fits) and _is_good(made, fits)
 
 
 def is_as_named(named: ScoredFit, other: ScoredFit | None) -> bool:

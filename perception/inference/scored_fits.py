@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from dataclasses import dataclass, replace
+from dataclasses import dataclass, field, replace
 
 from perception.errors import PerceptionError
 from perception.inference.acceptance import AcceptanceModel
@@ -13,9 +13,17 @@ from perception.inference.observation import ObjectViews
 from perception.inference.optimisation import OnStep
 from perception.inference.pose_score import agreed, pose_mass
 from perception.inference.shape_model import Decoder
-from perception.types import CATEGORIES, Category, ObjectEstimate, RestingPose, SupportPlane
+from perception.types import (
+    CATEGORIES,
+    POSED_CLASSES,
+    Category,
+    ObjectEstimate,
+    RestingPose,
+    SupportPlane,
+)
 
 Axis = tuple[float, float, float]  # direction in world coordinates
+_Attempt = tuple[Category, RestingPose, Axis | None, float | None]  # the arguments of an attempt
 
 
 class RejectedError(PerceptionError):
@@ -64,6 +72,12 @@ class ObjectFits:
     plane: SupportPlane
     model: AcceptanceModel
     config: FitConfig
+    _attempts: dict[_Attempt, ScoredFit | None] = field(default_factory=dict, init=False, repr=False)
+
+    def pose_probability(self, category: Category, resting: RestingPose) -> float:
+        """Return the pose network's probability of a class in a resting pose; 0 if it was not asked."""
+        p = dict(zip(POSED_CLASSES, self.views.pose_probabilities.tolist()))
+        return p.get((category, resting), 0.0)
 
     def fit(
         self,
@@ -98,11 +112,14 @@ class ObjectFits:
         toward: Axis | None = None,
         depth_sigma: float | None = None,
     ) -> ScoredFit | None:
-        """Return the same fit; None if the object cannot be fitted so."""
-        try:
-            return self.fit(category, resting, toward, depth_sigma)
-        except PerceptionError:
-            return None
+        """Return the same fit, which is made once; None if the object cannot be fitted so."""
+        key = (category, resting, toward, depth_sigma)
+        if key not in self._attempts:
+            try:
+                self._attempts[key] = self.fit(*key)
+            except PerceptionError:
+                self._attempts[key] = None
+        return self._attempts[key]
 
 
 def scored_fit(

@@ -343,6 +343,40 @@ def test_a_can_lies_the_way_round_that_explains_much_more(
     assert fit_lying("can", scored, by_sides) == turned
 
 
+@pytest.mark.parametrize(
+    ("along", "explained", "systematic", "by_sides", "named", "kept"),
+    [
+        (-1, 0.99, 0.3, False, 0.2, "bottle"),  # the can misses 3 %
+        (1, 0.99, 0.3, False, 0.2, "can"),  # lies the same way round
+        (1, 0.99, 0.3, True, 0.2, "bottle"),  # but the can's sides tell the opposite
+        (-1, 0.99, 0.3, True, 0.2, "can"),
+        (-1, 0.98, 0.3, False, 0.2, "can"),  # hardly explains more
+        (-1, 0.99, 0.45, False, 0.2, "can"),  # the surface is hardly closer
+        (-1, 0.99, 0.3, False, 0.1, "can"),  # the pose network does not think of a bottle
+    ],
+)
+def test_a_bottle_that_explains_much_more_contradicts_a_can_the_other_way_round(
+    monkeypatch, decoder, along, explained, systematic, by_sides, named, kept
+) -> None:
+    def scored(views, decoder, plane, model, config, on_step):
+        is_can = views.category == "can"
+        way = along if not is_can else (1 if config.toward is None else -1)
+        T = np.diag([1.0, way, way, 1.0])
+        mesh = TriangleMesh(np.eye(3), np.arange(3)[None])
+        estimate = ObjectEstimate(3, views.category, np.zeros(16), T, np.ones(3), mesh, 0.8, resting="lying")
+        seen = (0.97, 0.5) if is_can else (explained, systematic)
+        return ScoredFit(estimate, replace(EVIDENCE, explained=seen[0], systematic=seen[1]), None)
+
+    monkeypatch.setattr(scored_fits, "scored_fit", scored)
+    turned_over = lambda estimate, seen: by_sides and estimate.category == "can"  # noqa: E731
+    monkeypatch.setattr(class_choice, "is_turned_over", turned_over)
+    monkeypatch.setattr(pose_choice, "rests_stably", lambda mesh, plane: True)
+    p = {("can", "lying"): 0.9 - named, ("bottle", "lying"): named}
+    poses = np.array([p.get(posed, 0.0) for posed in POSED_CLASSES] + [0.1])
+    views = ObjectViews(3, "mug", 0.9, (OBSERVATION,), np.full(5, 0.2), poses)
+    assert fit_best_class(views, decoder, SupportPlane(), Model({}, 0.4), FitConfig()).category == kept
+
+
 @pytest.mark.parametrize(("explained", "residual", "score", "closed_cup", "turned"), [
     (0.97, 0.7, 0.8, False, True), (0.95, 0.7, 0.8, False, False), (0.97, 0.9, 0.8, False, False),
     (0.95, 1.2, 0.95, False, True), (0.95, 1.3, 0.95, False, False),

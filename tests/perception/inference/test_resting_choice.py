@@ -58,26 +58,6 @@ def test_several_named_poses_are_sure_together(make_fits) -> None:
     assert as_named(make_fits(made, {LYING: 0.7, OVER: 0.3}), True) is made[LYING]  # more probable
 
 
-CAN = ("can", "lying")
-
-
-def lies(posed, toward, explained, systematic=0.5) -> ScoredFit:
-    fit = scored(posed, explained=explained)
-    pose = np.diag([1.0, toward, toward, 1.0])
-    evidence = replace(fit.evidence, systematic=systematic)
-    return replace(fit, estimate=replace(fit.estimate, T_world_object=pose), evidence=evidence)
-
-
-@pytest.mark.parametrize(
-    ("toward", "explained", "systematic", "kept"),
-    [(-1, 0.99, 0.3, LYING), (1, 0.99, 0.3, CAN), (-1, 0.98, 0.3, CAN), (-1, 0.99, 0.45, CAN)],
-)
-def test_a_bottle_that_explains_much_more_turns_a_can_round(make_fits, toward, explained, systematic, kept):
-    """The can misses 3 %; the bottle 1 or 2 %, and the can is four times as probable."""
-    made = {CAN: lies(CAN, 1, 0.97), LYING: lies(LYING, toward, explained, systematic)}
-    assert as_named(make_fits(made, {CAN: 0.8, LYING: 0.2}), True) is made[kept]
-
-
 @pytest.mark.parametrize("poor", [scored(LYING, score=UNKNOWN - 0.1), scored(LYING, explained=0.8)])
 def test_a_named_pose_must_have_its_score_and_explain_the_depth(make_fits, poor) -> None:
     assert as_named(make_fits({LYING: poor}, {LYING: 1.0}), True) is None
