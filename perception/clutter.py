@@ -45,6 +45,7 @@ from perception.inference.stack_parts import (
     split_stacks,
 )
 from perception.obstacles.attached import carriers_of_parts
+from perception.obstacles.crossed import crossed
 from perception.obstacles.handleless import mugs_without_handle
 from perception.obstacles.same_colour import continued_in_colour
 from perception.threads import single_threaded
@@ -70,6 +71,7 @@ TURNED_MUGS: tuple[PosedClass, ...] = (("mug", "upside-down"), ("mug", "lying"))
 TURNED = 0.3  # least probability of a mug that lies or stands upside down, whose handle is looked for
 CARRIES = "something that belongs to none of the classes is attached to it"
 SAME_COLOUR = "something that belongs to none of the classes continues it in its colour"
+CROSSED = "something that belongs to none of the classes goes through it"
 HANDLELESS = "it has no handle where a mug has one, but goes on in a thing of no class"
 WORSE = 0.1  # by which the score of a lying object with the parts that its mask lacked may be lower
 
@@ -196,6 +198,7 @@ def _without_parts_of_things(
     reasons = dict.fromkeys(carriers_of_parts(found, views, plane), CARRIES)
     reasons |= dict.fromkeys(mugs_without_handle(found, views, plane), HANDLELESS)
     reasons |= dict.fromkeys(continued_in_colour(found, views, plane), SAME_COLOUR)
+    reasons |= dict.fromkeys(crossed(found, views, plane), CROSSED)
     for stack in stacks:
         known = [reasons[part.id] for part in stack if part.id in reasons]
         reasons |= {part.id: known[0] for part in stack if known}
