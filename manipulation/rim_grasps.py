@@ -12,8 +12,11 @@ from manipulation.cross_sections import CrossSectionCache
 from manipulation.grasp_config import GraspConfig, half_turn, tcp_pose
 from manipulation.standing import HANDLE_HALF_ANGLE
 from manipulation.types import Grasp, Rejected, StandingObject
-from perception.mesh_sections import radial_hits
+from perception.mesh_sections import outermost, radial_hits
 
+_PLAN_SAMPLES = 9  # of a wall between the edges of the pads
+_MOST_TURNED = float(np.deg2rad(25))  # of a wall's normal: an octagon's is turned by 22.5 degrees
+_BENT = 0.5  # score that a grasp loses for each radian by which the wall bends between the pads
 _AZIMUTHS = 2 * np.pi * np.arange(16) / 16  # at which the slope of a round wall is measured
 
 
@@ -150,17 +153,19 @@ def _rim_grasp_at(
         return Rejected("too narrow inside")
     if wall.thickness < gripper.min_width + 0.0008:
         return Rejected(f"thinner than the closed hand, {1e3 * gripper.min_width:.1f} mm")
+    turn, bend = _turn_and_bend(sections, pad_height, azimuth, config)
     outward = np.array([np.cos(azimuth), np.sin(azimuth), 0.0])
+    normal = np.array([np.cos(azimuth + turn), np.sin(azimuth + turn), 0.0])
     up = np.array([0.0, 0.0, 1.0])
-    along_wall = np.sin(tilt) * outward + np.cos(tilt) * up
-    across = np.cos(tilt) * outward - np.sin(tilt) * up
+    along_wall = np.sin(tilt) * normal + np.cos(tilt) * up
+    across = np.cos(tilt) * normal - np.sin(tilt) * up
     T = tcp_pose(wall.middle * outward + pad_height * up, approach=-along_wall, closing=across)
     retreat_angle = _retreat_angle(sections, rim, pad_height, azimuth, tilt)
-    score = 1.0 - 2.0 * abs(slope - tilt) - 0.5 * abs(tilt)
+    score = 1.0 - 2.0 * abs(slope - tilt) - 0.5 * abs(tilt) - _BENT * bend
     return Grasp(
         kind="rim",
         T_stand_tcp=T,
-        away=np.sin(retreat_angle) * outward + np.cos(retreat_angle) * up,
+        away=np.sin(retreat_angle) * normal + np.cos(retreat_angle) * up,
         opening=min(2 * half, gripper.max_width),
         held_width=wall.thickness,
         closed_width=(gripper.min_width + 0.0008, max(min(wall.thickness + 0.014, 2 * half - 0.004), 0.012)),
@@ -217,6 +222,32 @@ def _slope(sections: CrossSectionCache, rim: float, depth: float, azimuth: float
     rise = above[0] - below[0]
     outer, inner = (float(np.arctan2(above[side] - below[side], rise)) for side in (1, 2))
     return outer if np.isnan(inner) else 0.5 * (outer + inner)
+
+
+def _turn_and_bend(
+    sections: CrossSectionCache, z: float, azimuth: float, config: GraspConfig
+) -> tuple[float, float]:
+    """Return how a wall runs between the pads at a height [m] and an azimuth [rad].
+
+    The first value is the angle [rad] of its normal to the radial direction, in plan view: pads of another
+    direction turn a polygonal bowl when they close. The second is the angle [rad] by which the wall bends
+    between the pads' edges, beyond that of a round one: at the corner of a polygon they touch edges only.
+    """
+    wall = wall_at(sections, z, azimuth, config)
+    if wall is None:
+        return 0.0, 0.0
+    half = config.gripper.finger_half_width / wall.outer
+    steps = np.linspace(-half, half, _PLAN_SAMPLES)
+    radii = outermost(sections.at(z), azimuth + steps)
+    if not (radii < wall.outer + config.max_wall).all():  # beside a handle
+        return 0.0, 0.0
+    points = radii[:, None] * np.column_stack([np.cos(steps), np.sin(steps)])
+    directions = np.diff(points, axis=0)  # tangents; the normal of a round wall at step a is at a
+    normals = np.arctan2(-directions[:, 0], directions[:, 1])
+    middle = _PLAN_SAMPLES // 2
+    before, after = float(normals[:middle].mean()), float(normals[middle:].mean())
+    turn = float(np.clip(0.5 * (before + after), -_MOST_TURNED, _MOST_TURNED))
+    return turn, max(0.0, after - before - half)
 
 
 def _retreat_angle(

@@ -42,9 +42,9 @@ class MotionConfig:
     velocity_scale: float = 1.0
     acceleration_scale: float = 1.0
     jerk_scale: float = 1.0
-    line_speed: float = 0.25
-    line_acceleration: float = 1.0
-    line_jerk: float = 15.0
+    line_speed: float = 0.4
+    line_acceleration: float = 2.0
+    line_jerk: float = 40.0
     line_step: float = 0.006
     max_line_joint_step: float = 0.2
 

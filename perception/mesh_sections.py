@@ -42,3 +42,23 @@ def radial_hits(
     hits = (relative[:, 0] + fraction[:, None] * (relative[:, 1] - relative[:, 0])) @ direction
     hits = np.sort(hits[hits > 0])
     return hits[np.append(True, np.diff(hits) > 1e-4)] if len(hits) else hits
+
+
+def outermost(
+    segments: Float[np.ndarray, "s 2 2"], azimuths: Float[np.ndarray, "k"]
+) -> Float[np.ndarray, "k"]:
+    """Return the largest distance [m] at which a ray from the origin crosses the segments, infinite if none.
+
+    Args:
+        segments: End points in [m].
+        azimuths: Directions of the rays in [rad].
+    """
+    directions = np.stack([np.cos(azimuths), np.sin(azimuths)])
+    side = segments @ np.stack([-directions[1], directions[0]])  # (s, 2, k)
+    along = segments @ directions
+    crossing = (side[:, 0] >= 0) != (side[:, 1] >= 0)
+    with np.errstate(divide="ignore", invalid="ignore"):
+        fraction = side[:, 0] / (side[:, 0] - side[:, 1])
+        hits = along[:, 0] + fraction * (along[:, 1] - along[:, 0])
+    hits = np.where(crossing & (hits > 0), hits, -np.inf).max(axis=0, initial=-np.inf)
+    return np.where(hits > 0, hits, np.inf)

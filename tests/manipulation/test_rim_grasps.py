@@ -1,4 +1,5 @@
 from collections import Counter
+from dataclasses import replace
 
 import numpy as np
 import pytest
@@ -7,7 +8,7 @@ import trimesh
 from manipulation.cross_sections import CrossSectionCache
 from manipulation.grasp_config import GraspConfig
 from manipulation.grasps import grasp_candidates
-from manipulation.rim_grasps import _slope, _Slopes, rim_grasps, wall_at
+from manipulation.rim_grasps import _slope, _Slopes, _turn_and_bend, rim_grasps, wall_at
 from manipulation.standing import to_standing
 
 CONFIG = GraspConfig()
@@ -189,3 +190,41 @@ def test_a_dent_changes_the_slope_of_a_mug_there_but_not_that_of_a_round_bowl(sh
     mug = tapered(shapes, "mug", dent=0.006)
     dented = _Slopes(mug, CrossSectionCache(mug.vertices, mug.faces))
     assert not mug.is_round and dented.at(0.06, 0.015, 0.0) > expected + 0.05
+
+
+def octagonal(shapes):
+    """A bowl whose sides are those of an octagon, with the middle of one at azimuth 0."""
+    round_bowl = shapes.bowl()
+    vertices = np.array(round_bowl.vertices)
+    azimuth = np.arctan2(vertices[:, 1], vertices[:, 0])
+    off = (azimuth + np.pi / 8) % (np.pi / 4) - np.pi / 8  # from the middle of the nearest side
+    vertices[:, :2] *= (np.cos(np.pi / 8) / np.cos(off))[:, None]
+    return trimesh.Trimesh(vertices, round_bowl.faces, process=False)
+
+
+def test_the_pads_meet_the_sides_of_a_polygonal_bowl_squarely(shapes):
+    """Else they turn it when they close."""
+    for grasp in grasp_candidates(standing(shapes, "bowl", octagonal(shapes)), CONFIG).grasps:
+        closing = np.arctan2(*grasp.T_stand_tcp[[1, 0], 1])
+        side = np.round(grasp.azimuth / (np.pi / 4)) * np.pi / 4
+        from_corner = np.pi / 8 - abs(grasp.azimuth - side)
+        if from_corner * 0.075 > CONFIG.gripper.finger_half_width:
+            turn = (closing - side + np.pi / 2) % np.pi - np.pi / 2  # either order of the fingers
+            assert abs(turn) < np.deg2rad(2.5)
+
+
+def test_corners_of_a_polygonal_bowl_come_last(shapes):
+    item = standing(shapes, "bowl", octagonal(shapes))
+    config = replace(CONFIG, n_azimuths=16)
+    scores = {0: [], 1: []}
+    for grasp in rim_grasps(item, CrossSectionCache(item.vertices, item.faces), config, Counter()):
+        scores[round(grasp.azimuth / (np.pi / 8)) % 2].append(grasp.score)
+    assert max(scores[1]) < min(scores[0]) - 0.2
+
+
+def test_a_round_wall_neither_turns_nor_bends(shapes):
+    item = standing(shapes, "bowl", shapes.bowl())
+    sections = CrossSectionCache(item.vertices, item.faces)
+    for azimuth in np.linspace(0.0, 6.0, 7):
+        turn, bend = _turn_and_bend(sections, 0.05, azimuth, CONFIG)
+        assert abs(turn) < np.deg2rad(1.5) and bend < np.deg2rad(3)

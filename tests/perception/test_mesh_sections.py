@@ -2,7 +2,7 @@ import numpy as np
 import pytest
 import trimesh
 
-from perception.mesh_sections import cross_section, radial_hits
+from perception.mesh_sections import cross_section, outermost, radial_hits
 
 TUBE = trimesh.creation.annulus(r_min=0.036, r_max=0.04, height=0.1, sections=128)
 
@@ -50,3 +50,17 @@ def test_rays_start_at_the_centre_and_hits_are_sorted():
 def test_hits_closer_than_a_tenth_of_a_millimetre_are_one():
     walls = np.array([[[x, -1.0], [x, 1.0]] for x in (0.1, 0.10005, 0.1003)])
     assert radial_hits(walls, np.zeros(2), 0.0) == pytest.approx([0.1, 0.1003])
+
+
+def test_outermost_crossings_are_those_of_single_rays():
+    outline = cut(trimesh.creation.box((0.2, 0.1, 0.3)), 0.07)
+    beyond = np.array([[[0.3, -1.0], [0.3, 1.0]]])  # seen along +x only
+    found = outermost(np.concatenate([outline, beyond]), np.array([0.0, np.pi / 2, np.pi, -2.0]))
+    single = radial_hits(outline, np.zeros(2), -2.0)[-1]
+    assert found == pytest.approx([0.3, 0.05, 0.1, single])
+
+
+def test_a_ray_that_crosses_nothing_is_infinite():
+    walls = np.array([[[0.1, -1.0], [0.1, 1.0]]])
+    assert outermost(walls, np.array([0.0, np.pi])) == pytest.approx([0.1, np.inf])
+    assert np.isinf(outermost(np.zeros((0, 2, 2)), np.zeros(1))).all()
