@@ -16,7 +16,7 @@ from perception.mesh_sections import outermost, radial_hits
 
 _PLAN_SAMPLES = 9  # of a wall between the edges of the pads
 _MOST_TURNED = float(np.deg2rad(25))  # of a wall's normal: an octagon's is turned by 22.5 degrees
-_BENT = 0.5  # score that a grasp loses for each radian by which the wall bends between the pads
+_BENT = 2.0  # score that a grasp loses for each radian by which the wall bends between the pads
 _AZIMUTHS = 2 * np.pi * np.arange(16) / 16  # at which the slope of a round wall is measured
 
 

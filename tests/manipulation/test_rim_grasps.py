@@ -219,7 +219,7 @@ def test_corners_of_a_polygonal_bowl_come_last(shapes):
     scores = {0: [], 1: []}
     for grasp in rim_grasps(item, CrossSectionCache(item.vertices, item.faces), config, Counter()):
         scores[round(grasp.azimuth / (np.pi / 8)) % 2].append(grasp.score)
-    assert max(scores[1]) < min(scores[0]) - 0.2
+    assert max(scores[1]) < min(scores[0]) - 0.8
 
 
 def test_a_round_wall_neither_turns_nor_bends(shapes):
