@@ -47,7 +47,7 @@ from perception.inference.stack_parts import (
 from perception.obstacles.attached import carriers_of_parts
 from perception.obstacles.crossed import crossed
 from perception.obstacles.handleless import mugs_without_handle
-from perception.obstacles.same_colour import continued_in_colour
+from perception.obstacles.same_colour import SAME_COLOUR, continued_in_colour
 from perception.threads import single_threaded
 from perception.types import (
     POSED_CLASSES,
@@ -70,7 +70,6 @@ UNCERTAIN = 0.4  # score of several views below which a detected object is more 
 TURNED_MUGS: tuple[PosedClass, ...] = (("mug", "upside-down"), ("mug", "lying"))
 TURNED = 0.3  # least probability of a mug that lies or stands upside down, whose handle is looked for
 CARRIES = "something that belongs to none of the classes is attached to it"
-SAME_COLOUR = "something that belongs to none of the classes continues it in its colour"
 CROSSED = "something that belongs to none of the classes goes through it"
 HANDLELESS = "it has no handle where a mug has one, but goes on in a thing of no class"
 WORSE = 0.1  # by which the score of a lying object with the parts that its mask lacked may be lower

@@ -29,11 +29,13 @@ from perception.inference.reconstruct import (
     ReconstructOptions,
     reconstruct,
 )
+from perception.obstacles.one_view import parts_of_things_in_one_view
+from perception.obstacles.same_colour import SAME_COLOUR
 from perception.shape.decoder import ShapeDecoder
 from perception.support.surface import SupportSurface
 from perception.support.surfaces import find_surfaces
 from perception.threads import single_threaded
-from perception.types import ObjectDetection, ObjectEstimate, RgbdFrame, SupportPlane
+from perception.types import ObjectDetection, ObjectEstimate, RejectedObject, RgbdFrame, SupportPlane
 from perception.warp_runtime import warp_has_cuda
 
 if TYPE_CHECKING:
@@ -260,9 +262,25 @@ def reconstruct_objects(
         progress=progress, on_step=on_step, on_rejected=on_rejected, starts=starts,
         acceptance=shipped_acceptance(),
     )  # fmt: skip
+    rows, left_out = detections.per_frame, detections.left_out
     if clutter is None:
-        return reconstruct(frames, detections.per_frame, decoder, detections.planes, options=options)
+        found = reconstruct(frames, rows, decoder, detections.planes, options=options)
+        return _without_parts_of_things(found, frames, detections, on_rejected)
     from perception.clutter import reconstruct_clutter  # slow to import
 
-    rows, left_out = detections.per_frame, detections.left_out
     return reconstruct_clutter(frames, rows, left_out, decoder, detections.planes, clutter, options)
+
+
+def _without_parts_of_things(
+    objects: Sequence[ObjectEstimate],
+    frames: Sequence[RgbdFrame],
+    detections: Detections,
+    on_rejected: OnRejected | None,
+) -> list[ObjectEstimate]:
+    """Return the objects without those which a single image shows to be parts of things of no class."""
+    parts = parts_of_things_in_one_view(objects, frames, detections.per_frame, detections.planes)
+    if on_rejected is not None:
+        for e in objects:
+            if e.id in parts:
+                on_rejected(RejectedObject(e.id, e.category, SAME_COLOUR, e.score))
+    return [e for e in objects if e.id not in parts]

@@ -11,6 +11,7 @@ from perception.detection.detector import DetectorConfig
 from perception.inference.acceptance import AcceptanceModel
 from perception.inference.reconstruct import ReconstructOptions, reconstruct
 from perception.inference.shape_model import Decoder
+from perception.obstacles.one_view import parts_of_things_in_one_view
 from perception.types import CATEGORIES, OTHER, ObjectDetection, RgbdFrame, SupportPlane
 
 
@@ -37,7 +38,9 @@ def judged_by_fits(
         for k, detection in enumerate(found)
     ]
     options = ReconstructOptions(workers=1, acceptance=model)
-    kept = {e.id: e for e in reconstruct([frame], [tried], decoder, plane, options=options)}
+    estimates = reconstruct([frame], [tried], decoder, plane, options=options)
+    parts = parts_of_things_in_one_view(estimates, [frame], [tried], (plane,))
+    kept = {e.id: e for e in estimates if e.id not in parts}
     judged: list[ObjectDetection] = []
     for k, detection in enumerate(found):
         label = CATEGORIES.index(kept[k].category) if k in kept else OTHER

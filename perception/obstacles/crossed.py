@@ -92,10 +92,10 @@ def _is_crossed(
         near = is_low & (along >= low) & (along < low + config.width)
         near &= (outside > 0) & (outside < config.reach)
         sides = [np.flatnonzero(near & (offset > 0)), np.flatnonzero(near & (offset < 0))]
-        if all(_goes_on(outside[side], config) for side in sides) and _are_alike(
-            *(np.column_stack([height[side], colors[side]]) for side in sides), config
-        ):
-            return True
+        if all(_goes_on(outside[side], config) for side in sides):
+            right, left = (np.column_stack([height[side], colors[side]]) for side in sides)
+            if _are_alike(right, left, config):
+                return True
     return False
 
 
@@ -123,7 +123,8 @@ def _raised(
     views: Sequence[RgbdFrame], plane: SupportPlane
 ) -> tuple[Float[np.ndarray, "n 3"], Float[np.ndarray, "n 3"]]:
     """Return the measured points above the support in the world frame [m], and their colours in CIE Lab."""
-    points, colors = [np.zeros((0, 3))], [np.zeros((0, 3), np.float32)]
+    points: list[np.ndarray] = [np.zeros((0, 3))]
+    colors: list[np.ndarray] = [np.zeros((0, 3), np.float32)]
     for view in views:
         raised = raised_pixels(view, plane)
         if raised.any():

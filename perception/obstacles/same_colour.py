@@ -1,4 +1,4 @@
-"""Lying bottles and cans that go on in their own colour: the barrel of a hair dryer, the lens of a camera.
+"""Objects that go on in their own colour: the barrel of a hair dryer, the lens of a camera, a shoe's shaft.
 
 What lies beside another thing seldom has its colour as well. Where an object is continued without a step in
 colour by what no object explains, away from its axis and farther than a cap may, both are one thing.
@@ -6,7 +6,7 @@ colour by what no object explains, away from its axis and farther than a cap may
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+from collections.abc import Iterator, Mapping, Sequence
 from dataclasses import dataclass
 
 import cv2
@@ -20,6 +20,7 @@ from perception.metrics import SurfaceSamples
 from perception.obstacles.unexplained import KnownGeometry, raised_pixels
 from perception.types import ObjectEstimate, RgbdFrame, SupportPlane
 
+SAME_COLOUR = "something that belongs to none of the classes continues it in its colour"
 _SAMPLES = 8000  # of an object's surface
 
 
@@ -40,6 +41,7 @@ class ColourConfig:
         relative_chroma: The same of colourful ones, relative to their chroma, which shading changes too.
         min_pixels: Smallest number of pixels of the object, and of what reaches so far, in one image.
         min_views: Smallest number of images that show so.
+        lowest: Least height above the support of what continues an object.
     """
 
     margin: float = 0.008
@@ -53,6 +55,10 @@ class ColourConfig:
     relative_chroma: float = 0.15
     min_pixels: int = 100
     min_views: int = 3
+    lowest: float = 0.0
+
+
+ONE_VIEW = ColourConfig(lowest=0.03)  # saucers and plates are lower
 
 
 def continued_in_colour(
@@ -70,20 +76,64 @@ def continued_in_colour(
         config: What continues an object.
     """
     lying = [e for e in objects if e.resting == "lying" and e.category in ("bottle", "can")]
-    if not lying:
+    surfaces, known = _surfaces(lying), KnownGeometry.of(objects) if lying else None
+    shown = [id for view in views if known for id in _continued(lying, surfaces, known, view, plane, config)]
+    return {id for id in surfaces if shown.count(id) >= config.min_views}
+
+
+def continued_in_one_view(
+    objects: Sequence[ObjectEstimate],
+    known: Sequence[ObjectEstimate],
+    view: RgbdFrame,
+    plane: SupportPlane,
+    occupied: Bool[np.ndarray, "h w"],
+    config: ColourConfig = ONE_VIEW,
+) -> set[int]:
+    """Return the ids of objects that something of no class continues in their colour: the shaft of a shoe.
+
+    A single image shows a mug without its handle; what it goes on in is seen all the same.
+
+    Args:
+        objects: The objects in question, seen in this image.
+        known: All objects.
+        view: Image without flying pixels, with its camera pose.
+        plane: Support plane.
+        occupied: Pixels of what may be further objects, although they were left out.
+        config: What continues an object.
+    """
+    if not objects:
         return set()
-    rng, known = np.random.default_rng(0), KnownGeometry.of(objects)
-    surfaces = {e.id: SurfaceSamples.of(e.mesh_world, rng, _SAMPLES) for e in lying}
-    n_views = dict.fromkeys(surfaces, 0)
-    for view in views:
-        raised = raised_pixels(view, plane)
-        points = points_of(view, raised)
-        colors = cv2.cvtColor(view.rgb.astype(np.float32) / 255, cv2.COLOR_RGB2LAB)
-        is_open = np.zeros_like(raised)
-        is_open[raised] = ~known.explains(points, config.margin)
-        for e in lying:
-            n_views[e.id] += _continues(e, surfaces[e.id], points, raised, is_open, colors, config)
-    return {id for id, n in n_views.items() if n >= config.min_views}
+    return set(
+        _continued(objects, _surfaces(objects), KnownGeometry.of(known), view, plane, config, occupied)
+    )
+
+
+def _surfaces(objects: Sequence[ObjectEstimate]) -> dict[int, SurfaceSamples]:
+    rng = np.random.default_rng(0)
+    return {e.id: SurfaceSamples.of(e.mesh_world, rng, _SAMPLES) for e in objects}
+
+
+def _continued(
+    objects: Sequence[ObjectEstimate],
+    surfaces: Mapping[int, SurfaceSamples],
+    known: KnownGeometry,
+    view: RgbdFrame,
+    plane: SupportPlane,
+    config: ColourConfig,
+    occupied: Bool[np.ndarray, "h w"] | None = None,
+) -> Iterator[int]:
+    """Yield the ids of the objects that something of no class continues in one image."""
+    raised = raised_pixels(view, plane)
+    points = points_of(view, raised)
+    colors = cv2.cvtColor(view.rgb.astype(np.float32) / 255, cv2.COLOR_RGB2LAB)
+    is_open = np.zeros_like(raised)
+    is_high = plane.height_above(points) > config.lowest
+    is_open[raised] = is_high & ~known.explains(points, config.margin)
+    if occupied is not None:
+        is_open &= ~occupied
+    for e in objects:
+        if _continues(e, surfaces[e.id], points, raised, is_open, colors, config):
+            yield e.id
 
 
 def _continues(

@@ -6,7 +6,7 @@ import numpy as np
 import pytest
 import trimesh
 
-from perception.obstacles.same_colour import continued_in_colour
+from perception.obstacles.same_colour import continued_in_colour, continued_in_one_view
 from perception.types import ObjectEstimate, SupportPlane, TriangleMesh
 
 VIEWS = [(45, 0), (45, 90), (45, 180), (45, 270), (80, 30)]  # elevation, azimuth [deg]
@@ -31,9 +31,12 @@ def beside(gap=0.002, length=0.08, x=None):
     return {"x": middle, "y": 0.0, "height": 0.04, "half": (length / 2, 0.025)}
 
 
-def continued(scenes, thing, color, estimate=None, views=VIEWS, is_thing=lambda p: p[..., 0] > HALF + 0.001):
+def continued(scenes, thing, color, estimate=None, views=VIEWS):
     """The ids of what is continued, where the bar is red and the thing has a colour."""
-    estimate = estimate or bar()
+    return continued_in_colour([estimate or bar()], images(scenes, thing, color, views), SupportPlane())
+
+
+def images(scenes, thing, color, views, is_thing=lambda p: p[..., 0] > HALF + 0.001):
     frames = []
     for view in views:
         solids = [scenes.Solid(**BAR), scenes.Solid(**thing)]
@@ -44,7 +47,7 @@ def continued(scenes, thing, color, estimate=None, views=VIEWS, is_thing=lambda 
         world = (rays * frame.depth[..., None]) @ T[:3, :3].T + T[:3, 3]
         rgb = np.where(is_thing(world)[..., None], color, RED).astype(np.uint8)
         frames.append(replace(frame, rgb=rgb))
-    return continued_in_colour([estimate], frames, SupportPlane())
+    return frames
 
 
 @pytest.mark.parametrize(("color", "expected"), [(RED, {3}), (DARK_RED, {3}), (BLUE, set())])
@@ -75,3 +78,24 @@ def test_other_objects_are_not_asked(scenes):
 
 def test_two_views_show_too_little(scenes):
     assert continued(scenes, beside(), RED, views=VIEWS[:2]) == set()
+
+
+def in_one_view(scenes, thing, color, occupied=False):
+    """Whether the first view shows that an upright mug is continued, where masks may be occupied."""
+    frame = images(scenes, thing, color, VIEWS[:1])[0]
+    mug = bar("upright", "mug")
+    masks = np.full(frame.depth.shape, occupied)
+    return continued_in_one_view([mug], [mug], frame, SupportPlane(), masks) == {3}
+
+
+def test_one_view_shows_that_a_mug_is_the_shaft_of_a_shoe(scenes):
+    assert in_one_view(scenes, beside(), RED)
+    assert not in_one_view(scenes, beside(), BLUE)
+
+
+def test_what_is_as_low_as_a_plate_continues_no_mug(scenes):
+    assert not in_one_view(scenes, beside() | {"height": 0.028}, RED)
+
+
+def test_what_may_be_another_object_continues_none(scenes):
+    assert not in_one_view(scenes, beside(), RED, occupied=True)
