@@ -52,4 +52,4 @@ def _occupied(row: Sequence[ObjectDetection], objects: Sequence[ObjectEstimate])
 
 def _may_be_object(detection: ObjectDetection) -> bool:
     p = detection.class_probabilities
-    return len(p) != OTHER + 1 or p[OTHER] < LIKELY
+    return len(p) != OTHER + 1 or bool(p[OTHER] < LIKELY)
