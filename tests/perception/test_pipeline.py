@@ -25,7 +25,7 @@ from perception.pipeline import (
 )
 from perception.shape.decoder import ShapeDecoder
 from perception.support.surface import SupportSurface
-from perception.types import ObjectDetection, SupportPlane
+from perception.types import ObjectDetection, ObjectEstimate, SupportPlane, TriangleMesh
 
 TARGET = (0.45, -0.2, 0.03)
 
@@ -128,11 +128,24 @@ def test_reconstruction_gets_frames_detections_plane_and_callbacks(networks, mon
         return None
 
     monkeypatch.setattr(pipeline, "reconstruct", reconstruct)
-    detections = Detections(SupportPlane(), ((),))
+    detections = Detections(SupportPlane(), ())
     reconstruct_objects((), detections, networks.decoder, progress, on_step)
-    assert received["per_frame"] == ((),) and received["plane"] == (detections.plane,)
+    assert received["per_frame"] == () and received["plane"] == (detections.plane,)
     assert received["decoder"] is networks.decoder
     assert progress in _flat(received["callbacks"]) and on_step in _flat(received["callbacks"])
+
+
+def test_parts_of_things_are_left_out_with_the_reason(networks, monkeypatch):
+    mesh = TriangleMesh(np.eye(3), np.arange(3)[None])
+    mugs = [ObjectEstimate(id, "mug", np.zeros(16), np.eye(4), np.ones(3), mesh, 0.9) for id in (2, 5)]
+    monkeypatch.setattr(pipeline, "reconstruct", lambda *args, **options: mugs)
+    monkeypatch.setattr(pipeline, "parts_of_things_in_one_view", lambda objects, *_: {objects[1].id})
+    rejected = []
+    detections = Detections(SupportPlane(), ())
+    found = reconstruct_objects((), detections, networks.decoder, on_rejected=rejected.append)
+    assert [e.id for e in found] == [2]
+    assert [(r.id, r.category, r.score) for r in rejected] == [(5, "mug", 0.9)]
+    assert "colour" in rejected[0].reason
 
 
 def test_with_a_namer_of_parts_the_table_may_be_cluttered(networks, monkeypatch):
