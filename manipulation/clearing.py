@@ -6,9 +6,9 @@ import logging
 from collections import Counter
 from collections.abc import Collection, Sequence
 
-from manipulation.errors import RobotError
+from manipulation.errors import GraspFailedError, RobotError, SceneChangedError
 from manipulation.object_planning import ObjectPlanning
-from manipulation.plan_execution import GraspFailedError, PlanExecution, SceneChangedError
+from manipulation.plan_execution import PlanExecution
 from manipulation.pushing import Push
 from manipulation.robot import Robot
 from manipulation.scene_following import SceneFollowing

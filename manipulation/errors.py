@@ -27,3 +27,15 @@ class RobotError(ManipulationError):
 
 class RobotStoppedError(ManipulationError):
     """The robot was stopped, or stopped itself, and accepts no motion; the task ends with this reason."""
+
+
+class GraspFailedError(ManipulationError):
+    """The hand closed without holding the object, or the object was lost."""
+
+
+class LeaningError(GraspFailedError):
+    """An object leans in the one that it was put into; its pose in the planner's world is as it was seen."""
+
+
+class SceneChangedError(ManipulationError):
+    """The object is not where the plan expects it; nothing was touched."""

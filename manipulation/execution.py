@@ -16,21 +16,22 @@ import numpy as np
 from jaxtyping import Float
 
 from manipulation.clearing import Clearing
-from manipulation.errors import NoPlanError, PlanningError, RobotError, RobotStoppedError
+from manipulation.errors import (
+    GraspFailedError,
+    LeaningError,
+    NoPlanError,
+    PlanningError,
+    RobotError,
+    RobotStoppedError,
+    SceneChangedError,
+)
 from manipulation.kinematics import Kinematics
 from manipulation.lying_grasps import lies
 from manipulation.object_planning import Effort, ObjectPlanning
 from manipulation.observation import NoObserver, SceneObserver, is_displaced
 from manipulation.obstacles import TABLE, box_obstacles
 from manipulation.pick_place import PickPlacePlanner
-from manipulation.plan_execution import (
-    MISPLACED,
-    GraspFailedError,
-    LeaningError,
-    Phase,
-    PlanExecution,
-    SceneChangedError,
-)
+from manipulation.plan_execution import MISPLACED, Phase, PlanExecution
 from manipulation.planner import ManipulationConfig
 from manipulation.robot import Robot
 from manipulation.scene_following import SceneFollowing, Searched

@@ -8,29 +8,26 @@ from __future__ import annotations
 
 import itertools
 import logging
-from collections.abc import Iterator
+from functools import partial
 from typing import Literal, Protocol, runtime_checkable
 
 import numpy as np
-from jaxtyping import Float
 
-from manipulation.errors import RobotError
+from manipulation.errors import GraspFailedError, RobotError, SceneChangedError
 from manipulation.lying_grasps import lies
 from manipulation.observation import SceneObserver, classify_grip, is_displaced, is_turned
 from manipulation.pick_place import PickPlacePlanner
 from manipulation.planner import ManipulationConfig
-from manipulation.pressing import LEVEL, PRESSABLE, is_plausible, lean, lowest_leaning, plan_press
 from manipulation.pushing import Push
-from manipulation.robot import JointTrajectory, Robot
-from manipulation.trajectories import concatenate, joint_move, line_postures
+from manipulation.robot import Robot
+from manipulation.stack_settling import StackSettling
+from manipulation.trajectories import joint_move, line_postures
 from manipulation.types import Grasp, PickPlacePlan
+from manipulation.ways_back import planned_way, reversed_way
 from manipulation.withdrawal import HOME_MARGINS
-from perception.geometry import levelled
 
 logger = logging.getLogger(__name__)
 
-MAX_PRESSES = 3  # of a bowl in another; one more for each further bowl below
-_RISES = (0.18, 0.12, 0.08, 0.04)  # [m] above where an object met something, tried in order
 _RETURNED = 0.05  # [rad] of each joint from the posture of the grasp
 _ABOVE = 0.003  # [m] by which the base of an object is above that of one that carries it, at least
 MISPLACED = 0.02  # [m] from its goal, from which on a released object is grasped again
@@ -60,18 +57,6 @@ class Notify(Protocol):
     ) -> None: ...
 
 
-class GraspFailedError(Exception):
-    """The hand closed without holding the object, or the object was lost."""
-
-
-class LeaningError(GraspFailedError):
-    """An object leans in the one that it was put into; its pose in the planner's world is as it was seen."""
-
-
-class SceneChangedError(Exception):
-    """The object is not where the plan expects it; nothing was touched."""
-
-
 class PlanExecution:
     """Executes plans on a robot and checks each step.
 
@@ -93,6 +78,10 @@ class PlanExecution:
     ) -> None:
         self.robot, self.planner, self.observer, self.config = robot, planner, observer, config
         self._notify = notify
+        self._settling = StackSettling(
+            robot, planner, observer, self.back_off,
+            lambda name: notify("place", name, "leans and is pressed level"),
+        )  # fmt: skip
 
     def run(self, plan: PickPlacePlan, looks_first: bool = True) -> None:
         """Look, grasp, lift, transfer, place, retreat and look; the grasp is verified after each step.
@@ -137,7 +126,7 @@ class PlanExecution:
         self._notify("retreat", name)
         robot.follow(plan.retreat)
         if plan.placement.stack:
-            self._settle_in_stack(plan)
+            self._settling.settle(plan)
         self._require_released(plan)
 
     def _require_in_place(self, name: str) -> None:
@@ -194,115 +183,16 @@ class PlanExecution:
 
     def _bring_back(self, plan: PickPlacePlan) -> None:
         """Bring an object that met something while it was lowered back to where it was grasped."""
-        for motions_back in (self._reversed_way(plan), self._planned_way(plan)):
+        motions, margins = self.planner.motions, self.config.pick_place.transit_margins
+        for way_back in (reversed_way, partial(planned_way, margins=margins)):
             try:
-                for motion in motions_back:
+                for motion in way_back(plan, self.robot.joint_positions(), motions):
                     self.robot.follow(motion)
             except RobotError as error:
                 logger.warning("%s was not brought back: %s", plan.name, error)
             else:
                 if np.abs(self.robot.joint_positions() - plan.lift.positions[0]).max() < _RETURNED:
                     return
-
-    def _reversed_way(self, plan: PickPlacePlan) -> Iterator[JointTrajectory]:
-        """Yield motions straight up, and from there back along the transfer; none if that is impossible."""
-        q, motions, transfer = self.robot.joint_positions(), self.planner.motions, plan.transfer
-        reached = int(np.abs(transfer.positions - q).max(axis=1).argmin())
-        is_at_rest = np.abs(transfer.velocities[: reached + 1]).max(axis=1) < 1e-6
-        above = int(np.flatnonzero(is_at_rest).max(initial=0))
-        T_above = motions.kinematics.forward(transfer.positions[above])
-        up = line_postures(motions.kinematics, q, T_above, motions.config) if above > 0 else None
-        if up is not None:
-            yield motions.time_line(up)
-            yield joint_move(up[-1], transfer.positions[above], motions.limits)
-            yield concatenate([transfer.until(above).reversed(), plan.lift.reversed()])
-
-    def _planned_way(self, plan: PickPlacePlan) -> Iterator[JointTrajectory]:
-        """Yield motions straight up, and from there along a free path; none if there is no such path."""
-        motions, grasp = self.planner.motions, plan.grasp
-        q = self.robot.joint_positions()
-        motions.world.carry(plan.name, np.linalg.inv(grasp.T_stand_tcp))
-        margins = self.config.pick_place.transit_margins
-        try:
-            for height in _RISES:
-                T_up = motions.kinematics.forward(q)
-                T_up[2, 3] += height
-                up = line_postures(motions.kinematics, q, T_up, motions.config)
-                if up is None:
-                    continue
-                path = motions.free_path(up[-1], plan.lift.positions[-1], grasp.held_width, margins)
-                if path is not None:
-                    break
-            else:
-                return
-        finally:
-            motions.world.release()
-        yield motions.time_line(up)
-        yield motions.time_path(path)
-        yield plan.lift.reversed()
-
-    def _settle_in_stack(self, plan: PickPlacePlan) -> None:
-        """Look at a bowl in others, follow those that moved, and press level what leans, the lower one first.
-
-        Where the upper one, pressed level, pushes one below it aside, it is not pressed again.
-
-        Raises:
-            LeaningError: the upper one leans and cannot be pressed level.
-        """
-        name, names = plan.name, (plan.name, *reversed(plan.placement.stack))
-        has_pushed = False
-        for presses in itertools.count():
-            before = self.planner.poses()
-            seen = self.observer.look_closer(names, before)
-            if not is_plausible(seen):
-                return
-            for other, T_world_stand in seen.items():
-                self.planner.moved(other, levelled(T_world_stand, float(before[other][2, 3])))
-            leaning = lowest_leaning(names, seen)
-            if leaning is None:
-                return
-            beneath = names[names.index(leaning) + 1]
-            in_vain = presses == MAX_PRESSES + len(names) - 2 or (has_pushed and leaning == name)
-            if in_vain or lean(seen[leaning]) >= PRESSABLE:
-                if name not in seen or lean(seen[name]) < LEVEL:
-                    return
-                self.planner.moved(name, seen[name])
-                self.planner.observe_obstacles(self.planner.perceived_obstacles)  # a bowl below has a cavity
-                raise LeaningError(
-                    f"{name} leans by {np.rad2deg(lean(seen[name])):.0f} degrees in {names[1]}"
-                )
-            has_pushed |= presses > 0 and leaning != name
-            # Pressed level, it will be over the middle of the one below.
-            rest = self.planner.world.pose(beneath).copy()
-            rest[2, 3] = before[leaning][2, 3]
-            self.planner.moved(leaning, rest)
-            self._press(leaning, seen[leaning], frozenset(names), draws=presses > 0)
-
-    def _press(
-        self, name: str, T_world_stand: Float[np.ndarray, "4 4"], touched: frozenset[str], draws: bool
-    ) -> None:
-        """Press a leaning bowl down with the closed hand, as far as it gives, and draw it to the middle."""
-        robot, planner = self.robot, self.planner
-        motions, item, T_rest = planner.motions, planner.items[name], planner.world.pose(name)
-        q = robot.joint_positions()
-        ways = (True, False) if draws else (False,)
-        presses = (plan_press(motions, item, T_world_stand, T_rest, q, touched, way) for way in ways)
-        press = next((found for found in presses if found is not None), None)
-        if press is None:
-            logger.info("%s leans and cannot be pressed level", name)
-            return
-        self._notify("place", name, "leans and is pressed level")
-        robot.move_gripper(0.0)
-        robot.follow(press.transit)
-        try:
-            robot.follow(press.down)
-            if press.draw is not None:
-                robot.follow(press.draw)
-        except RobotError as error:
-            logger.info("%s gives no further: %s", name, error)
-            self.back_off()
-        else:
-            robot.follow(press.up)
 
     def push(self, push: Push) -> None:
         """Push an object along the table with the closed hand; its pose is as expected then.

@@ -4,9 +4,9 @@ import numpy as np
 import pytest
 
 from manipulation.clearing import MAX_PUSHES, Clearing
-from manipulation.errors import RobotError, RobotStoppedError
+from manipulation.errors import GraspFailedError, RobotError, RobotStoppedError, SceneChangedError
 from manipulation.object_planning import ObjectPlanning
-from manipulation.plan_execution import GraspFailedError, PlanExecution, SceneChangedError
+from manipulation.plan_execution import PlanExecution
 from manipulation.pushing import Push
 from manipulation.scene_following import SceneFollowing, Searched
 from manipulation.types import PickPlacePlan
