@@ -50,6 +50,8 @@ from perception.obstacles.handleless import mugs_without_handle
 from perception.obstacles.same_colour import SAME_COLOUR, continued_in_colour
 from perception.threads import single_threaded
 from perception.types import (
+    CATEGORIES,
+    OTHER,
     POSED_CLASSES,
     ObjectDetection,
     ObjectEstimate,
@@ -67,6 +69,7 @@ POSED_SCORE = 0.85  # the same in other poses: what is no object most often rese
 BOTTLE_SCORE, LENGTH, LENGTH_POWER = 0.7, 0.12, 4.2
 THINNEST = 0.021  # [m] radius of one: bottles have 25 mm and more, the handles of things 18 mm
 UNCERTAIN = 0.4  # score of several views below which a detected object is more often a thing of no class
+POSSIBLE = 0.05  # probability in some view below which the class network rules a class out
 TURNED_MUGS: tuple[PosedClass, ...] = (("mug", "upside-down"), ("mug", "lying"))
 TURNED = 0.3  # least probability of a mug that lies or stands upside down, whose handle is looked for
 CARRIES = "something that belongs to none of the classes is attached to it"
@@ -226,7 +229,8 @@ def renamed(
 ) -> dict[int, ObjectEstimate]:
     """Return estimates of detected objects that another class in another pose explains clearly better.
 
-    A mug upside down, for instance, is named a can by the networks, and its handle is left unexplained.
+    A mug upside down, for instance, is named a can by the networks, and its handle is left unexplained. What
+    stands upright is of no class that the class network rules out.
 
     Args:
         frames: Views with camera poses.
@@ -252,8 +256,19 @@ def renamed(
     return {
         e.id: e
         for e in fit(nameless)
-        if _is_clear(e) and unexplained(points[e.id], [e]) < CLEARLY * before[e.id]
+        if _is_clear(e)
+        and not _is_ruled_out(e, rows)
+        and unexplained(points[e.id], [e]) < CLEARLY * before[e.id]
     }
+
+
+def _is_ruled_out(estimate: ObjectEstimate, rows: Rows) -> bool:
+    """Return whether the class network, which knows upright objects alone, denies a class in all views."""
+    own = (d.class_probabilities for row in rows for d in row if d.instance_id == estimate.id)
+    views = [p for p in own if len(p) == OTHER + 1]
+    if estimate.resting != "upright" or not views:
+        return False
+    return bool(np.max(views, axis=0)[CATEGORIES.index(estimate.category)] < POSSIBLE)
 
 
 def completed(

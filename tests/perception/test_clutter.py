@@ -10,16 +10,19 @@ from perception import clutter
 from perception.clutter import (
     BOTTLE_SCORE,
     CARRIES,
+    CROSSED,
     HANDLELESS,
     LENGTH,
     LENGTH_POWER,
     POSED_SCORE,
+    POSSIBLE,
     SAME_COLOUR,
     THINNEST,
     UNCERTAIN,
     UNCLASSIFIED_SCORE,
     WORSE,
     reconstruct_clutter,
+    renamed,
 )
 from perception.inference import selection
 from perception.inference.acceptance import shipped_acceptance
@@ -81,6 +84,8 @@ class Scene:
         monkeypatch.setattr(clutter, "mugs_without_handle", lambda *_: set(self.handleless))
         self.continued = set()
         monkeypatch.setattr(clutter, "continued_in_colour", lambda *_: set(self.continued))
+        self.crossed = set()
+        monkeypatch.setattr(clutter, "crossed", lambda *_: set(self.crossed))
         self.inside = {}  # share of the volume of one estimate in another
         monkeypatch.setattr(selection, "shared_volume", lambda a, b: self.inside.get((a.id, b.id), 0.0))
         self.explained = {(id, id) for id in range(4)}  # (points, estimate)
@@ -209,6 +214,12 @@ def test_what_goes_on_in_its_own_colour_is_part_of_a_thing(scene):
     assert [(item.id, item.reason) for item in scene.rejected][-1] == (0, SAME_COLOUR)
 
 
+def test_what_something_goes_through_is_part_of_a_thing(scene):
+    scene.crossed = {0}
+    assert scene.run() == [1]
+    assert [(item.id, item.reason) for item in scene.rejected][-1] == (0, CROSSED)
+
+
 def test_a_stack_of_which_a_part_carries_something_is_left_out_as_a_whole(scene):
     scene.stacks = {0: (found(5), found(6)), 3: (found(7), found(8))}
     scene.carriers = {5}
@@ -302,6 +313,21 @@ def test_a_detected_object_that_its_class_does_not_explain_is_fitted_without_one
     scene.scores[0] = 0.9
     scene.run()
     assert scene.fitted == [[0, 1, 2], [0]] and scene.nameless == [{0}]
+
+
+@pytest.mark.parametrize(
+    ("can", "resting", "is_renamed"),
+    [(0.0, "upright", False), (POSSIBLE, "upright", True), (0.0, "upside-down", True)],
+)
+def test_the_class_network_may_rule_out_what_stands_upright(monkeypatch, can, resting, is_renamed):
+    """A bowl whose fit is poor, of which a can explains much more."""
+    bowl, fitted = found(0, category="bowl"), found(0, category="can", resting=resting)
+    monkeypatch.setattr(clutter, "instance_points", lambda *_: np.zeros((1, 3)))
+    monkeypatch.setattr(clutter, "unexplained", lambda points, shapes: 1.0 if shapes[0] is bowl else 0.0)
+    views = [np.array([0.0, 1.0 - p, 0.0, p, 0.0]) for p in (0.0, can)]
+    rows = [[ObjectDetection("bowl", 1.0, MASK, instance_id=0, class_probabilities=p)] for p in views]
+    known = renamed([FRAME, FRAME], rows, {0: bowl}, lambda nameless: [fitted])
+    assert known == ({0: fitted} if is_renamed else {})
 
 
 def test_what_is_fitted_has_its_pose_probabilities(scene):
