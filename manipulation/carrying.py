@@ -18,11 +18,11 @@ from manipulation.kinematics import Kinematics
 from manipulation.robot import JointTrajectory
 from manipulation.trajectories import JointLimits, concatenate, joint_move
 
-MAX_TORQUE = 0.35  # [N m / kg] largest |r x a|; bottles held by their necks slip from 0.5 on
+MAX_TORQUE = 0.35  # [N m / kg] largest |r x a|; a bottle held by its neck slipped out at 0.73
 _SAMPLES = 40  # of a move at which the acceleration is looked at
 
 
-def carrying_path(
+def carrying_motion(
     kinematics: Kinematics,
     waypoints: Sequence[Float[np.ndarray, "n"]],
     centre: Float[np.ndarray, "3"],

@@ -15,7 +15,7 @@ import numpy as np
 from jaxtyping import Float
 
 from manipulation.candidates import Tally, are_similar, ordered_yaws
-from manipulation.carrying import carrying_path
+from manipulation.carrying import carrying_motion
 from manipulation.collision import Body, CollisionConfig, CollisionWorld
 from manipulation.errors import NoPlanError
 from manipulation.grasp_config import GraspConfig
@@ -394,4 +394,4 @@ class PickPlacePlanner:
         """Return the trajectory of a path [rad] with the object in the hand."""
         centre = 0.5 * (item.vertices.min(axis=0) + item.vertices.max(axis=0))
         centre_in_hand = transform_points(invert(grasp.T_stand_tcp), centre[None])[0]
-        return carrying_path(self.kinematics, path, centre_in_hand, self.motions.limits)
+        return carrying_motion(self.kinematics, path, centre_in_hand, self.motions.limits)

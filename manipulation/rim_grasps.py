@@ -153,7 +153,7 @@ def _rim_grasp_at(
         return Rejected("too narrow inside")
     if wall.thickness < gripper.min_width + 0.0008:
         return Rejected(f"thinner than the closed hand, {1e3 * gripper.min_width:.1f} mm")
-    turn, bend = _turn_and_bend(sections, pad_height, azimuth, config)
+    turn, bend = _turn_and_bend(sections, pad_height, azimuth, wall, config)
     outward = np.array([np.cos(azimuth), np.sin(azimuth), 0.0])
     normal = np.array([np.cos(azimuth + turn), np.sin(azimuth + turn), 0.0])
     up = np.array([0.0, 0.0, 1.0])
@@ -225,17 +225,14 @@ def _slope(sections: CrossSectionCache, rim: float, depth: float, azimuth: float
 
 
 def _turn_and_bend(
-    sections: CrossSectionCache, z: float, azimuth: float, config: GraspConfig
+    sections: CrossSectionCache, z: float, azimuth: float, wall: Wall, config: GraspConfig
 ) -> tuple[float, float]:
-    """Return how a wall runs between the pads at a height [m] and an azimuth [rad].
+    """Return how a wall runs between the pads at a height [m] and an azimuth [rad], where it was measured.
 
     The first value is the angle [rad] of its normal to the radial direction, in plan view: pads of another
     direction turn a polygonal bowl when they close. The second is the angle [rad] by which the wall bends
     between the pads' edges, beyond that of a round one: at the corner of a polygon they touch edges only.
     """
-    wall = wall_at(sections, z, azimuth, config)
-    if wall is None:
-        return 0.0, 0.0
     half = config.gripper.finger_half_width / wall.outer
     steps = np.linspace(-half, half, _PLAN_SAMPLES)
     radii = outermost(sections.at(z), azimuth + steps)

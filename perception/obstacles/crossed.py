@@ -11,7 +11,7 @@ from dataclasses import dataclass
 
 import cv2
 import numpy as np
-from jaxtyping import Float, Int
+from jaxtyping import Float
 
 from perception.detection.geometry import points_of
 from perception.geometry import invert, transform_points
@@ -101,13 +101,9 @@ def _is_crossed(
 
 def _goes_on(outside: Float[np.ndarray, "n"], config: CrossingConfig) -> bool:
     """Return whether points lie at all distances from an object, the first of which the margin leaves out."""
-    counts = _histogram(outside, config)
-    return bool((counts[1:] >= config.min_points).all())
-
-
-def _histogram(outside: Float[np.ndarray, "n"], config: CrossingConfig) -> Int[np.ndarray, "b"]:
     edges = np.arange(0.0, config.reach + config.step / 2, config.step)
-    return np.histogram(outside, edges)[0]
+    counts, _ = np.histogram(outside, edges)
+    return bool((counts[1:] >= config.min_points).all())
 
 
 def _are_alike(

@@ -76,8 +76,10 @@ def continued_in_colour(
         config: What continues an object.
     """
     lying = [e for e in objects if e.resting == "lying" and e.category in ("bottle", "can")]
-    surfaces, known = _surfaces(lying), KnownGeometry.of(objects) if lying else None
-    shown = [id for view in views if known for id in _continued(lying, surfaces, known, view, plane, config)]
+    if not lying:
+        return set()
+    surfaces, known = _surfaces(lying), KnownGeometry.of(objects)
+    shown = [id for view in views for id in _continued(lying, surfaces, known, view, plane, config)]
     return {id for id in surfaces if shown.count(id) >= config.min_views}
 
 

@@ -226,5 +226,6 @@ def test_a_round_wall_neither_turns_nor_bends(shapes):
     item = standing(shapes, "bowl", shapes.bowl())
     sections = CrossSectionCache(item.vertices, item.faces)
     for azimuth in np.linspace(0.0, 6.0, 7):
-        turn, bend = _turn_and_bend(sections, 0.05, azimuth, CONFIG)
+        wall = wall_at(sections, 0.05, azimuth, CONFIG)
+        turn, bend = _turn_and_bend(sections, 0.05, azimuth, wall, CONFIG)
         assert abs(turn) < np.deg2rad(1.5) and bend < np.deg2rad(3)

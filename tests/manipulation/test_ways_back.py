@@ -4,11 +4,11 @@ import pytest
 
 from manipulation.errors import RobotError
 from manipulation.kinematics import Kinematics
-from manipulation.pick_place import PickPlacePlanner
 from manipulation.plan_execution import PlanExecution
 from manipulation.standing import to_standing
 from manipulation.types import Placement
 from tests.manipulation.test_execution import CONFIG, FakeObserver, FakeRobot
+from tests.manipulation.test_plan_execution import planner_of
 
 
 @pytest.fixture(scope="module")
@@ -19,10 +19,6 @@ def item(shapes):
 @pytest.fixture(scope="module")
 def plan(item, arm):
     return planner_of(item, arm).plan(Placement("can_1", (0.5, 0.1, 0.0), (0.0,)), arm.q_home)
-
-
-def planner_of(item, arm):
-    return PickPlacePlanner(Kinematics(arm), {"can_1": item}, config=CONFIG.pick_place)
 
 
 class MeetsSomething(FakeRobot):
