@@ -74,6 +74,7 @@ def execute(
     on_event: OnEvent | None = None,
     config: ManipulationConfig = ManipulationConfig(),
     kinematics: Kinematics | None = None,
+    ends_home: bool = True,
 ) -> list[ObjectOutcome]:
     """Place the objects of a task one by one, in its order unless one is blocked.
 
@@ -88,6 +89,7 @@ def execute(
         on_event: receives progress.
         config: settings.
         kinematics: kinematics of the robot's arm; built if None.
+        ends_home: whether the arm returns to its home posture; else the hand rises above the objects.
 
     Returns:
         One outcome per placement of the task, in the order of completion. Once the robot is stopped, the
@@ -97,7 +99,7 @@ def execute(
     kinematics = kinematics or Kinematics(robot.arm, config.pick_place.ik)
     obstacles = (TABLE, *(box_obstacles(task.box) if task.box is not None else ()), *task.obstacles)
     planner = PickPlacePlanner(kinematics, task.objects, obstacles, config.pick_place, task.grasps)
-    return _Execution(task, robot, planner, config, observer or NoObserver(), on_event).run()
+    return _Execution(task, robot, planner, config, observer or NoObserver(), on_event).run(ends_home)
 
 
 class _Execution:
@@ -127,7 +129,7 @@ class _Execution:
         self._located: set[str] = set()  # objects that were found since they were knocked over
         self._tried_before: dict[str, ObjectOutcome] = {}  # first outcomes of objects that get another chance
 
-    def run(self) -> list[ObjectOutcome]:
+    def run(self, ends_home: bool) -> list[ObjectOutcome]:
         order = self._order
         effort, n_deferred = Effort.PLAIN, 0  # with this effort, in a row
         while order:
@@ -157,7 +159,8 @@ class _Execution:
             order.put_unblocked_first(outcome.name)
         with contextlib.suppress(RobotStoppedError):
             self.withdrawal.rise()
-            self.motion.go_home()
+            if ends_home:
+                self.motion.go_home()
         return self._outcomes()
 
     def _outcomes(self) -> list[ObjectOutcome]:

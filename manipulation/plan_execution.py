@@ -19,7 +19,7 @@ from manipulation.observation import SceneObserver, classify_grip, is_displaced,
 from manipulation.pick_place import PickPlacePlanner
 from manipulation.planner import ManipulationConfig
 from manipulation.pushing import Push
-from manipulation.robot import Robot
+from manipulation.robot import Robot, follow_opening
 from manipulation.stack_settling import StackSettling
 from manipulation.trajectories import joint_move, line_postures
 from manipulation.types import Grasp, PickPlacePlan
@@ -97,9 +97,10 @@ class PlanExecution:
         """
         robot, grasp, name = self.robot, plan.grasp, plan.name
         self._notify("approach", name, plan=plan)
-        robot.move_gripper(grasp.opening)
-        if plan.transit is not None:
-            robot.follow(plan.transit)
+        if plan.transit is None:
+            robot.move_gripper(grasp.opening)
+        else:
+            follow_opening(robot, plan.transit, grasp.opening)
         if looks_first:
             self._require_in_place(name)
         robot.follow(plan.approach)

@@ -237,6 +237,27 @@ class DepthCamera(Protocol):
         ...
 
 
+@runtime_checkable
+class HandInMotion(Protocol):
+    """What a ``Robot`` may have besides: its hand opens while the arm moves, which saves the time for it."""
+
+    def follow_opening(self, trajectory: JointTrajectory, width: float) -> float:
+        """Do what ``Robot.follow`` and ``Robot.move_gripper`` do, at the same time; return the width reached.
+
+        It returns when the arm is at rest and the pads are ``width`` [m] apart or at rest.
+        """
+        ...
+
+
+def follow_opening(robot: Robot, trajectory: JointTrajectory, width: float) -> float:
+    """Move arm and empty hand, at the same time if the robot can; return the opening reached in [m]."""
+    if isinstance(robot, HandInMotion):
+        return robot.follow_opening(trajectory, width)
+    reached = robot.move_gripper(width)
+    robot.follow(trajectory)
+    return reached
+
+
 def capture_depth(robot: Robot) -> RgbdFrame:
     """Return an image of which only depth and pose are read, in the least time that the robot offers."""
     return robot.capture_depth() if isinstance(robot, DepthCamera) else robot.capture()

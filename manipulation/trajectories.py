@@ -23,6 +23,7 @@ from scipy.spatial.transform import Rotation
 
 from manipulation.errors import PlanningError
 from manipulation.kinematics import Kinematics
+from manipulation.path_timing import PathLimits, fastest
 from manipulation.robot import ArmDescription, JointTrajectory
 
 PERIOD = 0.002  # [s] between samples
@@ -42,9 +43,9 @@ class MotionConfig:
     velocity_scale: float = 1.0
     acceleration_scale: float = 1.0
     jerk_scale: float = 1.0
-    line_speed: float = 0.4
-    line_acceleration: float = 2.0
-    line_jerk: float = 40.0
+    line_speed: float = 0.8
+    line_acceleration: float = 3.0
+    line_jerk: float = 120.0
     line_step: float = 0.006
     max_line_joint_step: float = 0.2
 
@@ -144,30 +145,32 @@ def line_motion(
 ) -> JointTrajectory:
     """Return the trajectory along a cubic spline through the postures of a line of ``length`` [m].
 
-    A line that exceeds the joint limits, as near a singularity, is slowed down as a whole.
+    It is slow where the joint limits require it, as near a singularity or where a joint reaches its end.
 
     Raises:
         PlanningError: the limits cannot be kept.
     """
     spline = CubicSpline(np.linspace(0.0, 1.0, len(postures)), postures, axis=0)
     length = max(length, 1e-6)
-    slowdown = 1.0
+    allowed = PathLimits(
+        limits.velocity,
+        limits.acceleration,
+        config.line_speed / length,
+        config.line_acceleration / length,
+        window=2.0 * config.line_acceleration / config.line_jerk,
+    )
     for _ in range(8):
-        s, ds, dds = _profile(
-            config.line_speed / length / slowdown,
-            config.line_acceleration / length / slowdown**2,
-            config.line_jerk / length / slowdown**3,
-        )
-        tangent, curvature = spline(s, 1), spline(s, 2)
-        velocities = tangent * ds[:, None]
-        accelerations = tangent * dds[:, None] + curvature * (ds**2)[:, None]
+        motion = fastest(spline, allowed, PERIOD)
+        tangent, curvature = spline(motion.s, 1), spline(motion.s, 2)
+        velocities = tangent * motion.ds[:, None]
+        accelerations = tangent * motion.dds[:, None] + curvature * (motion.ds**2)[:, None]
         excess = max(
             np.max(np.abs(velocities) / limits.velocity),
             np.sqrt(np.max(np.abs(accelerations) / limits.acceleration)),
         )
         if excess <= 1.0:
-            return JointTrajectory(PERIOD, spline(s), velocities, accelerations)
-        slowdown *= 1.02 * excess
+            return JointTrajectory(PERIOD, spline(motion.s), velocities, accelerations)
+        allowed = allowed.slower(1.02 * float(excess))
     raise PlanningError("a straight line passes too close to a singularity to keep the joint limits")
 
 

@@ -5,13 +5,21 @@ from __future__ import annotations
 import numpy as np
 from jaxtyping import Float
 
-from manipulation.robot import ArmDescription, JointTrajectory, Robot, RobotState, capture_depth
+from manipulation.robot import (
+    ArmDescription,
+    JointTrajectory,
+    Robot,
+    RobotState,
+    capture_depth,
+    follow_opening,
+)
 from perception.types import RgbdFrame
 
 
 def restricted(robot: Robot) -> Robot:
-    """Return an object with the members of ``Robot`` and ``DepthCamera`` alone, each forwarded to ``robot``.
+    """Return an object with the members of ``Robot`` and its extensions alone, each forwarded to ``robot``.
 
+    The extensions are ``DepthCamera`` and ``HandInMotion``; a robot without them does what they do otherwise.
     A simulated robot has further members: its physics state, its configuration, cameras outside the arm. The
     returned object holds none of them, nor a reference to the robot in an attribute.
     """
@@ -37,6 +45,9 @@ def restricted(robot: Robot) -> Robot:
 
         def move_gripper(self, width: float) -> float:
             return robot.move_gripper(width)
+
+        def follow_opening(self, trajectory: JointTrajectory, width: float) -> float:
+            return follow_opening(robot, trajectory, width)
 
         def capture(self) -> RgbdFrame:
             return robot.capture()

@@ -150,7 +150,9 @@ class Stages:
                 self.perception.detector if self.request.reconstruction is None else None,
             )  # fmt: skip
             on_event = self.observer.on_event
-            outcomes = execute(plan, self.robot, watch, on_event, self.settings, self.kinematics)
+            outcomes = execute(
+                plan, self.robot, watch, on_event, self.settings, self.kinematics, ends_home=False
+            )
         self.latest = outcomes
         return outcomes
 

@@ -145,6 +145,10 @@ class RemoteRobot:
     def move_gripper(self, width: float) -> float:
         return self._move(m.MoveGripper(float(width)), 1.0).gripper_width
 
+    def follow_opening(self, trajectory: JointTrajectory, width: float) -> float:
+        command = m.Follow.of(trajectory, float(width))
+        return self._move(command, trajectory.duration + 1.0).gripper_width
+
     def capture(self) -> RgbdFrame:
         return self._measure(m.Capture(), self._read_image)
 

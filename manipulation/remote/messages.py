@@ -20,7 +20,7 @@ from manipulation.errors import RobotError
 from manipulation.robot import JointTrajectory, RobotState
 from perception.types import CameraIntrinsics, RgbdFrame
 
-VERSION = 1
+VERSION = 2
 BUSY_PERIOD = 0.5  # [s]
 MAX_PORT = 65535
 MAX_REQUEST_BYTES = 16 * 2**20
@@ -30,6 +30,7 @@ MAX_JOINTS, MAX_SAMPLES, MAX_SIDE, MAX_TEXT = 32, 60_000, 4096, 1000
 Joints = Annotated[list[float], Meta(min_length=1, max_length=MAX_JOINTS)]
 Samples = Annotated[list[Joints], Meta(min_length=1, max_length=MAX_SAMPLES)]
 Side = Annotated[int, Meta(gt=0, le=MAX_SIDE)]
+Width = Annotated[float, Meta(ge=0, le=1)]
 Text = Annotated[str, Meta(max_length=MAX_TEXT)]
 
 
@@ -52,17 +53,21 @@ class Capture(_Message, frozen=True):
 
 
 class Follow(_Message, frozen=True):
-    """Execute a joint trajectory with a sample every ``period``; answered by ``State`` when the arm rests."""
+    """Execute a joint trajectory with a sample every ``period``; answered by ``State`` when the arm rests.
+
+    With an ``opening``, the pads move toward it [m] at the same time, or before.
+    """
 
     period: Annotated[float, Meta(gt=0, le=1)]
     positions: Samples
     velocities: Samples
     accelerations: Samples
+    opening: Width | None = None
 
     @staticmethod
-    def of(trajectory: JointTrajectory) -> Follow:
+    def of(trajectory: JointTrajectory, opening: float | None = None) -> Follow:
         arrays = (trajectory.positions, trajectory.velocities, trajectory.accelerations)
-        return Follow(trajectory.period, *(array.tolist() for array in arrays))
+        return Follow(trajectory.period, *(array.tolist() for array in arrays), opening)
 
     def trajectory(self) -> JointTrajectory:
         """Return the trajectory.
@@ -81,7 +86,7 @@ class Follow(_Message, frozen=True):
 class MoveGripper(_Message, frozen=True):
     """Move the pads toward a width; answered by ``State``."""
 
-    width: Annotated[float, Meta(ge=0, le=1)]
+    width: Width
 
 
 class Stop(_Message, frozen=True):

@@ -17,7 +17,7 @@ from manipulation.errors import RobotError, RobotStoppedError
 from manipulation.remote import messages as m
 from manipulation.remote.client import DEFAULT_ADDRESS
 from manipulation.remote.limits import MotionLimits
-from manipulation.robot import Robot
+from manipulation.robot import Robot, follow_opening
 from perception.errors import PerceptionError
 
 zmq: Any = importlib.import_module("zmq")
@@ -132,7 +132,10 @@ class RobotServer:
             case m.Follow():
                 trajectory = command.trajectory()
                 self._limits.check(trajectory, robot.joint_positions())
-                robot.follow(trajectory)
+                if command.opening is None:
+                    robot.follow(trajectory)
+                else:
+                    follow_opening(robot, trajectory, command.opening)
             case m.MoveGripper():
                 robot.move_gripper(command.width)
         return m.State.of(robot.state(), self._clock())

@@ -7,7 +7,7 @@ settling, only the arm moves them. Only ``ground_truth`` reads their true poses.
 from __future__ import annotations
 
 import math
-from collections.abc import Callable
+from collections.abc import Callable, Sequence
 
 import numpy as np
 from jaxtyping import Float, UInt8
@@ -32,6 +32,10 @@ START_TOLERANCE = 0.03  # largest deviation of a trajectory's start from the arm
 STOP_ERROR = 0.2  # tracking error at which the arm stops [rad]
 REACHED_ERROR = 0.03  # final error above which a motion counts as blocked [rad]
 FINGER_SPEED = 0.08  # [m/s], speed of one finger
+_STILL = 5e-3  # [rad/s] of each joint at the end of a motion: the servos' remaining errors are below 0.5 mrad
+_AT_REST = 1e-3  # [m/s] of each finger
+_ARRIVED = 1e-3  # [m] between the opening of fingers at rest and their command
+_QUIET_TIME, _GRIP_TIME = 0.05, 0.1  # [s] for which fingers are at rest after they have opened, or closed
 WARNINGS_CHECKED_EVERY = 50  # steps
 
 Observer = Callable[["World"], None]
@@ -132,6 +136,24 @@ class World:
         """
         self._require_running()
         self._check_trajectory(trajectory)
+        self._follow(trajectory)
+
+    def follow_opening(self, trajectory: JointTrajectory, width: float) -> float:
+        """Execute the motion while the pads move toward ``width`` [m]; return the width reached.
+
+        Raises:
+            RobotError, RobotStoppedError: as ``follow`` and ``move_gripper``; nothing was moved if a command
+                is wrong.
+        """
+        self._require_running()
+        self._check_trajectory(trajectory)
+        self._check_width(width)
+        self._follow(trajectory, self._openings(width))
+        arrived = abs(self.gripper_width() - width) < _ARRIVED and self._drive.finger_speed() < _AT_REST
+        return self.gripper_width() if arrived else self.move_gripper(width)
+
+    def _follow(self, trajectory: JointTrajectory, openings: Sequence[float] = ()) -> None:
+        """Execute a motion with the given openings [m] of the pads in its first time steps."""
         times = np.arange(0, trajectory.duration + TIMESTEP / 2, TIMESTEP)
         samples = np.arange(len(trajectory.positions)) * trajectory.period
 
@@ -140,8 +162,10 @@ class World:
 
         positions, velocities = resampled(trajectory.positions), resampled(trajectory.velocities)
         accelerations = resampled(trajectory.accelerations)
-        for q, qd, qdd in zip(positions, velocities, accelerations, strict=True):
+        for step, (q, qd, qdd) in enumerate(zip(positions, velocities, accelerations, strict=True)):
             self._drive.command_motion(q, qd, qdd)
+            if step < len(openings):
+                self._drive.command_width(openings[step])
             self._step()
             self._require_running()
             self._stop_if_blocked(q, STOP_ERROR)
@@ -150,20 +174,28 @@ class World:
     def move_gripper(self, width: float) -> float:
         """Open or close toward ``width`` in [m] (0 closes with full force) and return the width reached."""
         self._require_running()
-        drive, widest = self._drive, self.arm.max_width
-        if not (np.isfinite(width) and 0 <= width <= widest + 1e-6):
-            raise RobotError(f"gripper width {width} m is outside 0..{widest} m")
-        start = self.gripper_width()
-        steps = int(np.ceil(abs(width - start) / (2 * FINGER_SPEED * TIMESTEP)))
-        for wanted in np.linspace(start, width, steps + 1)[1:]:
+        self._check_width(width)
+        drive, start = self._drive, self.gripper_width()
+        for wanted in self._openings(width):
             drive.command_width(wanted)
             self._step()
             self._require_running()
             if width < start and self._fingers_stalled(wanted):
                 break
         drive.press() if width == 0 else drive.command_width(width)
-        self._wait_for_fingers()
+        self._wait_for_fingers(_GRIP_TIME if width == 0 else _QUIET_TIME)
         return self.gripper_width()
+
+    def _check_width(self, width: float) -> None:
+        widest = self.arm.max_width
+        if not (np.isfinite(width) and 0 <= width <= widest + 1e-6):
+            raise RobotError(f"gripper width {width} m is outside 0..{widest} m")
+
+    def _openings(self, width: float) -> Sequence[float]:
+        """Return the openings [m] at each time step while the fingers move to ``width`` [m]."""
+        start = self.gripper_width()
+        steps = int(np.ceil(abs(width - start) / (2 * FINGER_SPEED * TIMESTEP)))
+        return list(np.linspace(start, width, steps + 1)[1:])
 
     def stop(self, reason: str) -> None:
         """Stop the motion that is under way, at its next time step, and refuse further ones."""
@@ -266,7 +298,7 @@ class World:
         self._drive.command(q)
         for _ in range(250):
             self._step()
-            still = np.abs(self._drive.joint_velocities()).max() < 1e-3
+            still = np.abs(self._drive.joint_velocities()).max() < _STILL
             if still and np.abs(self.joint_positions() - q).max() < 1e-3:
                 return
         self._stop_if_blocked(q, REACHED_ERROR)
@@ -284,13 +316,13 @@ class World:
         """Return whether contact stopped the fingers: at rest, each 4 mm off the wanted width [m]."""
         return bool(0.5 * (self.gripper_width() - wanted) > 0.004 and self._drive.finger_speed() < 0.005)
 
-    def _wait_for_fingers(self) -> None:
-        """Advance until the fingers have been still for 0.15 s, by 1 s at most."""
+    def _wait_for_fingers(self, duration: float) -> None:
+        """Advance until the fingers have been still for a time [s], by 1 s at most."""
         quiet = 0
         for _ in range(500):
             self._step()
-            quiet = quiet + 1 if self._drive.finger_speed() < 1e-3 else 0
-            if quiet >= 75:
+            quiet = quiet + 1 if self._drive.finger_speed() < _AT_REST else 0
+            if quiet >= duration / TIMESTEP:
                 return
 
 

@@ -44,7 +44,7 @@ FULL_CLOSE = -0.1  # [m], unreachable command: the fingers press with full force
 _VELOCITY = np.array([2.175, 2.175, 2.175, 2.175, 2.61, 2.61, 2.61])
 _ACCELERATION = np.array([15, 7.5, 10, 12.5, 15, 20, 20])
 _JERK = np.array([7500.0, 3750, 5000, 6250, 7500, 10000, 10000])
-_VELOCITY_SHARE, _ACCELERATION_SHARE, _JERK_SHARE = 0.8, 0.45, 0.06
+_VELOCITY_SHARE, _ACCELERATION_SHARE, _JERK_SHARE = 0.9, 0.65, 0.1
 
 
 @dataclass(frozen=True)
