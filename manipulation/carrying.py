@@ -16,19 +16,19 @@ from jaxtyping import Float
 
 from manipulation.kinematics import Kinematics
 from manipulation.robot import JointTrajectory
-from manipulation.trajectories import JointLimits, concatenate, joint_move
+from manipulation.trajectories import JointLimits, joint_move
 
 MAX_TORQUE = 0.35  # [N m / kg] largest |r x a|; a bottle held by its neck slipped out at 0.73
 _SAMPLES = 40  # of a move at which the acceleration is looked at
 
 
-def carrying_motion(
+def carrying_moves(
     kinematics: Kinematics,
     waypoints: Sequence[Float[np.ndarray, "n"]],
     centre: Float[np.ndarray, "3"],
     limits: JointLimits,
     max_torque: float = MAX_TORQUE,
-) -> JointTrajectory:
+) -> list[JointTrajectory]:
     """Return joint moves through waypoints [rad], at rest in each, as fast as the grasp of the object allows.
 
     Args:
@@ -43,7 +43,7 @@ def carrying_motion(
         move = joint_move(begin, end, limits)
         slowdown = np.sqrt(max(1.0, inertial_torque(kinematics, move, centre) / max_torque))
         moves.append(move if slowdown == 1.0 else joint_move(begin, end, slower(limits, float(slowdown))))
-    return concatenate(moves)
+    return moves
 
 
 def inertial_torque(kinematics: Kinematics, motion: JointTrajectory, centre: Float[np.ndarray, "3"]) -> float:

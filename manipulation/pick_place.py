@@ -15,7 +15,6 @@ import numpy as np
 from jaxtyping import Float
 
 from manipulation.candidates import Tally, are_similar, ordered_yaws
-from manipulation.carrying import carrying_motion
 from manipulation.collision import Body, CollisionConfig, CollisionWorld
 from manipulation.errors import NoPlanError
 from manipulation.grasp_config import GraspConfig
@@ -27,13 +26,13 @@ from manipulation.motions import MIDDLE_RADIUS, MotionPlanner
 from manipulation.nesting import nest_heights
 from manipulation.obstacles import TABLE, Obstacle
 from manipulation.pick_place_segments import Pick, Place, PlaceGoal, SegmentConfig, find_pick, find_place
+from manipulation.plan_timing import PlanTiming
 from manipulation.reorientation import rolled
-from manipulation.robot import JointTrajectory
 from manipulation.surroundings import Surfaces, points_around
-from manipulation.trajectories import MotionConfig, concatenate
+from manipulation.trajectories import MotionConfig
 from manipulation.types import Grasp, GraspSet, PickPlacePlan, Placement, Rejected, StandingObject
 from manipulation.vessels import holds, vessel_pieces
-from perception.geometry import invert, pose_from_yaw, transform_points
+from perception.geometry import pose_from_yaw
 from perception.obstacles.obstacle import PerceivedObstacle
 
 _SAMPLES, _SAMPLED_YAWS = 12, 3  # grasps of an object and yaws of its goal that are looked at in advance
@@ -51,6 +50,7 @@ class PickPlaceConfig:
             path keeps a larger one. Large, because shapes are estimates and a bowl may sag in the fingers.
         max_pairs, max_tilted_pairs: numbers of discarded candidates after which the search ends.
         max_plans: number of complete plans that are compared; the shortest in time is returned.
+        max_score_loss: by how much the score of a grasp may be below the best one's for that.
     """
 
     ik: IkConfig = field(default_factory=IkConfig)
@@ -63,7 +63,8 @@ class PickPlaceConfig:
     transit_margins: tuple[float, ...] = (0.03, 0.012, 0.004)
     max_pairs: int = 300
     max_tilted_pairs: int = 100
-    max_plans: int = 2
+    max_plans: int = 5
+    max_score_loss: float = 0.03
 
 
 class PickPlacePlanner:
@@ -101,6 +102,7 @@ class PickPlacePlanner:
         self.world = CollisionWorld(self.kinematics.arm, bodies, self._obstacles, self.config.collision)
         c = self.config
         self.motions = MotionPlanner(self.kinematics, self.world, c.motion, c.via_heights, c.middle_radius)
+        self._timing = PlanTiming(self.motions)
 
     def _pieces(
         self, name: str, poses: Mapping[str, Float[np.ndarray, "4 4"]]
@@ -263,14 +265,19 @@ class PickPlacePlanner:
         tally = Tally()
         limit = self.config.max_pairs if grasps is None else self.config.max_tilted_pairs
         plans: list[PickPlacePlan] = []
+        least_score = -np.inf
         goals = (placement,) if isinstance(placement, Placement) else tuple(placement)
         name = goals[0].name
         candidates = grasps or self.grasps(name)
         with self.world.containing(name, contents):
             for pick in self._picks(name, candidates, tried, tally):
+                if plans and pick.grasp.score < least_score:
+                    break
                 completed = (self._complete(pick, goal, q_start, tally) for goal in goals)
                 plan = next((plan for plan in completed if plan is not None), None)
                 if plan is not None:
+                    if not plans:
+                        least_score = pick.grasp.score - self.config.max_score_loss
                     plans.append(replace(plan, contents=tuple(contents)) if contents else plan)
                 if len(plans) >= self.config.max_plans or tally.n_rejected > limit:
                     break
@@ -368,11 +375,11 @@ class PickPlacePlanner:
         place: Place,
         goal: PlaceGoal,
         start: list[np.ndarray],
-        carry: list[np.ndarray],
+        way: list[np.ndarray],
     ) -> PickPlacePlan:
         """Return the plan with trajectories for all motions."""
         moves = np.abs(start[0] - start[-1]).max() > 1e-6
-        lowering = self.motions.time_line(place.lowering)
+        carry, transfer = self._timing.transfer(goal.item, pick.grasp, way, place.lowering)
         return PickPlacePlan(
             name=goal.item.name,
             grasp=pick.grasp,
@@ -380,18 +387,11 @@ class PickPlacePlanner:
             T_world_stand_goal=place.T_world_stand_goal,
             T_world_stand_rest=goal.T_world_stand_rest,
             release_opening=place.release_opening,
-            transit=self.motions.time_path(start) if moves else None,
+            transit=self._timing.transit(start, pick.grasp.opening) if moves else None,
             approach=self.motions.time_line(pick.approach),
             lift=self.motions.time_line(pick.lift),
-            transfer=concatenate([self._time_carry(goal.item, pick.grasp, carry), lowering]),
+            transfer=transfer,
+            carry=carry,
             settle=None if place.settle is None else self.motions.time_line(place.settle),
             retreat=self.motions.time_line(place.retreat),
         )
-
-    def _time_carry(
-        self, item: StandingObject, grasp: Grasp, path: Sequence[Float[np.ndarray, "n"]]
-    ) -> JointTrajectory:
-        """Return the trajectory of a path [rad] with the object in the hand."""
-        centre = 0.5 * (item.vertices.min(axis=0) + item.vertices.max(axis=0))
-        centre_in_hand = transform_points(invert(grasp.T_stand_tcp), centre[None])[0]
-        return carrying_motion(self.kinematics, path, centre_in_hand, self.motions.limits)

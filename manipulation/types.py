@@ -254,6 +254,7 @@ class PickPlacePlan:
         approach: straight motion from there to the grasp.
         lift: vertical motion from the grasp.
         transfer: motion from there to a point above the goal and down to the goal.
+        carry: its first part, with a stop above the goal.
         settle: short descent with loosened pads, so that a lip or cap comes off a pad; None if not needed.
         retreat: motion away from the released object.
         contents: names of what stays in the object while it is carried.
@@ -269,6 +270,7 @@ class PickPlacePlan:
     approach: JointTrajectory
     lift: JointTrajectory
     transfer: JointTrajectory
+    carry: JointTrajectory
     settle: JointTrajectory | None
     retreat: JointTrajectory
     contents: tuple[str, ...] = ()

@@ -18,23 +18,22 @@ _RISES = (0.18, 0.12, 0.08, 0.04)  # [m] above where an object met something, tr
 def reversed_way(
     plan: PickPlacePlan, q: Float[np.ndarray, "n"], motions: MotionPlanner
 ) -> Iterator[JointTrajectory]:
-    """Yield motions straight up, and from there back along the transfer; none if that is impossible.
+    """Yield motions straight up, and from there back as the object was carried; none if that is impossible.
 
     Args:
         plan: the plan that was under way.
-        q: present posture in [rad].
+        q: present posture in [rad]; there is no such way unless the object was being lowered.
         motions: motions in the world as it is known.
     """
-    transfer = plan.transfer
-    reached = int(np.abs(transfer.positions - q).max(axis=1).argmin())
-    is_at_rest = np.abs(transfer.velocities[: reached + 1]).max(axis=1) < 1e-6
-    above = int(np.flatnonzero(is_at_rest).max(initial=0))
-    T_above = motions.kinematics.forward(transfer.positions[above])
-    up = line_postures(motions.kinematics, q, T_above, motions.config) if above > 0 else None
+    reached = int(np.abs(plan.transfer.positions - q).max(axis=1).argmin())
+    if reached < len(plan.carry.positions):
+        return
+    q_above = plan.carry.positions[-1]
+    up = line_postures(motions.kinematics, q, motions.kinematics.forward(q_above), motions.config)
     if up is not None:
         yield motions.time_line(up)
-        yield joint_move(up[-1], transfer.positions[above], motions.limits)
-        yield concatenate([transfer.until(above).reversed(), plan.lift.reversed()])
+        yield joint_move(up[-1], q_above, motions.limits)
+        yield concatenate([plan.carry.reversed(), plan.lift.reversed()])
 
 
 def planned_way(

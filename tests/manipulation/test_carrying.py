@@ -3,10 +3,10 @@
 import numpy as np
 import pytest
 
-from manipulation.carrying import MAX_TORQUE, carrying_motion, inertial_torque, slower
+from manipulation.carrying import MAX_TORQUE, carrying_moves, inertial_torque, slower
 from manipulation.kinematics import Kinematics
 from manipulation.robot import ArmDescription
-from manipulation.trajectories import JointLimits, MotionConfig, joint_move, joint_path
+from manipulation.trajectories import JointLimits, MotionConfig, concatenate, joint_move, joint_path
 
 HANGING = np.array([0.0, 0.0, 0.11])  # centre of a bottle held by its neck, in the frame of the TCP
 
@@ -49,7 +49,7 @@ def test_a_fast_move_is_slowed_down_to_the_limit(kinematics: Kinematics, limits:
     waypoints = [turned(kinematics, angle) for angle in (-1.2, 1.2, 1.1)]
     fast = joint_path(waypoints, limits)
     assert inertial_torque(kinematics, fast, HANGING) > 1.2 * MAX_TORQUE
-    carried = carrying_motion(kinematics, waypoints, HANGING, limits)
+    carried = concatenate(carrying_moves(kinematics, waypoints, HANGING, limits))
     assert inertial_torque(kinematics, carried, HANGING) == pytest.approx(MAX_TORQUE, rel=0.05)
     np.testing.assert_allclose(carried.positions[[0, -1]], fast.positions[[0, -1]], atol=1e-9)
 
@@ -58,7 +58,7 @@ def test_what_is_held_at_its_centre_is_carried_at_full_speed(
     kinematics: Kinematics, limits: JointLimits
 ) -> None:
     waypoints = [turned(kinematics, angle) for angle in (-1.2, 1.2)]
-    carried = carrying_motion(kinematics, waypoints, np.array([0.0, 0.0, 0.01]), limits)
+    (carried,) = carrying_moves(kinematics, waypoints, np.array([0.0, 0.0, 0.01]), limits)
     np.testing.assert_array_equal(carried.positions, joint_path(waypoints, limits).positions)
 
 

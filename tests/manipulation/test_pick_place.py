@@ -12,6 +12,7 @@ from manipulation.grasp_config import GraspConfig
 from manipulation.kinematics import Kinematics
 from manipulation.obstacles import TABLE, Obstacle
 from manipulation.pick_place import PickPlaceConfig, PickPlacePlanner
+from manipulation.pick_place_segments import Pick
 from manipulation.robot import JointTrajectory
 from manipulation.standing import to_standing
 from manipulation.trajectories import MotionConfig
@@ -105,12 +106,22 @@ def plan_of(duration):
     return plan
 
 
-def test_the_shortest_of_several_plans_is_returned(kinematics, items, monkeypatch):
+@pytest.mark.parametrize(
+    ("scores", "duration"),
+    [((1.0, 1.0, 1.0, 0.98, 0.98), 2.0), ((1.0, 1.0, 0.9, 0.9, 0.9), 3.0)],
+)
+def test_the_shortest_plan_of_grasps_that_are_as_good_is_returned(
+    kinematics, items, monkeypatch, scores, duration
+):
+    """At most three plans are compared, none of a grasp whose score is much lower than that of the first."""
     planner = PickPlacePlanner(kinematics, items, config=PickPlaceConfig(grasp=CONFIG.grasp, max_plans=3))
     plans = iter([plan_of(3.0), None, plan_of(2.0), plan_of(4.0), plan_of(1.0)])
-    monkeypatch.setattr(planner, "_picks", lambda *_: iter(range(5)))
+    scored = planner.grasps("can_1").grasps[0]
+    still = np.zeros((1, 7))
+    picks = [Pick(replace(scored, score=score), still, still) for score in scores]
+    monkeypatch.setattr(planner, "_picks", lambda *_: iter(picks))
     monkeypatch.setattr(planner, "_complete", lambda *_: next(plans))
-    assert planner.plan(GOAL, kinematics.arm.q_home).duration == 2.0
+    assert planner.plan(GOAL, kinematics.arm.q_home).duration == duration
 
 
 def test_similar_grasps_are_not_tried_again(kinematics, items):

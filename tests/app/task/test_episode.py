@@ -22,12 +22,14 @@ from app.task.run import task_of
 from app.task.run_observer import RunObserver
 from app.task.scoring import read_truth
 from app.task.task_types import TaskResult
-from manipulation.robot import DepthCamera, Robot
+from manipulation.robot import DepthCamera, HandInMotion, Robot
 from perception.inference.refit import PoseCheck
 from perception.pipeline import Perception, load_perception
 from sim_assets.cell import ground_truth
 
-PROTOCOL = {name for part in (Robot, DepthCamera) for name in vars(part) if not name.startswith("_")}
+PROTOCOL = {
+    name for part in (Robot, DepthCamera, HandInMotion) for name in vars(part) if not name.startswith("_")
+}
 
 
 class TruthRead(AssertionError):

@@ -2,9 +2,11 @@ import numpy as np
 import pytest
 
 from app.task.restricted_robot import restricted
-from manipulation.robot import DepthCamera, JointTrajectory, Robot, RobotState
+from manipulation.robot import DepthCamera, HandInMotion, JointTrajectory, Robot, RobotState
 
-PROTOCOL = {name for part in (Robot, DepthCamera) for name in vars(part) if not name.startswith("_")}
+PROTOCOL = {
+    name for part in (Robot, DepthCamera, HandInMotion) for name in vars(part) if not name.startswith("_")
+}
 
 
 class FullRobot:

@@ -87,9 +87,9 @@ def test_masses_and_limits_are_the_published_ones(arm):
     assert [model.joint(i).name for i in range(model.njnt)] == [*ARM_JOINTS, *FINGER_JOINTS]
     assert model.body_mass.sum() == pytest.approx(17.45, abs=0.02)
     np.testing.assert_allclose(model.jnt_range[3], (-3.0718, -0.0698), atol=1e-5)
-    np.testing.assert_allclose(description.velocity_limit[0], 0.8 * 2.175)
-    np.testing.assert_allclose(description.acceleration_limit[1], 0.45 * 7.5)
-    np.testing.assert_allclose(description.jerk_limit[6], 0.06 * 10000)
+    np.testing.assert_allclose(description.velocity_limit[0], 0.9 * 2.175)
+    np.testing.assert_allclose(description.acceleration_limit[1], 0.65 * 7.5)
+    np.testing.assert_allclose(description.jerk_limit[6], 0.1 * 10000)
 
 
 def test_every_geom_of_the_plain_arm_is_a_collision_shape(arm):
