@@ -111,6 +111,14 @@ def packing(scene, arm):
     return plan_pack(scene, Box(), arm, CONFIG)
 
 
+def test_the_arm_may_stay_above_the_objects_at_the_end(packing, arm):
+    robot = FakeRobot(arm)
+    execute(packing, robot, on_event=Watcher(robot), config=CONFIG, ends_home=False)
+    assert np.abs(robot.q - arm.q_home).max() > 0.1
+    height = Kinematics(arm).forward(robot.q)[2, 3]
+    assert height >= CONFIG.pick_place.via_heights[0] - 2e-3
+
+
 def test_all_objects_are_placed_at_their_goals(packing, arm):
     robot = FakeRobot(arm)
     watcher = Watcher(robot)

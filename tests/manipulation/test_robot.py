@@ -3,7 +3,15 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
-from manipulation.robot import FingerMotion, GripperGeometry, JointTrajectory, Robot
+from manipulation.robot import (
+    FingerMotion,
+    GripperGeometry,
+    HandInMotion,
+    JointTrajectory,
+    Robot,
+    follow_opening,
+)
+from tests.manipulation.test_execution import FakeRobot
 
 
 def test_duration_counts_the_intervals_between_samples():
@@ -35,6 +43,23 @@ def test_objects_without_all_members_are_no_robots(arm):
             return arm.q_home
 
     assert not isinstance(Incomplete(), Robot)
+
+
+def test_a_hand_that_cannot_open_in_motion_opens_before(arm):
+    robot, still = FakeRobot(arm), np.array(arm.q_home)[None]
+    motion = JointTrajectory(0.01, still, 0 * still, 0 * still)
+    robot.follow = lambda trajectory: robot.motions.append((trajectory, robot.width))
+    assert not isinstance(robot, HandInMotion)
+    assert follow_opening(robot, motion, 0.03) == 0.03
+    assert robot.motions == [(motion, 0.03)]
+
+
+def test_a_hand_that_can_opens_in_motion(arm):
+    robot, still = FakeRobot(arm), np.array(arm.q_home)[None]
+    motion, calls = JointTrajectory(0.01, still, 0 * still, 0 * still), []
+    robot.follow_opening = lambda *call: calls.append(call) or 0.029
+    assert follow_opening(robot, motion, 0.03) == 0.029
+    assert calls == [(motion, 0.03)] and not robot.motions and not robot.widths
 
 
 def test_openings_and_joint_positions_of_sliding_fingers_are_inverse():

@@ -33,6 +33,20 @@ def test_motions_are_carried_out(client, robot):
     client.follow(move)
     np.testing.assert_array_equal(robot.q, move.positions[-1])
     assert client.move_gripper(0.03) == 0.03 == client.gripper_width()
+    assert client.follow_opening(move.reversed(), 0.05) == 0.05 == robot.width
+    np.testing.assert_array_equal(robot.q, move.positions[0])
+
+
+def test_the_hand_opens_in_motion_where_the_robot_beside_the_server_can(client, robot):
+    calls = []
+
+    def follow_opening(trajectory, width):
+        calls.append((trajectory.duration, width))
+        return width
+
+    robot.follow_opening = follow_opening
+    client.follow_opening(a_move(robot.arm), 0.05)
+    assert calls == [(pytest.approx(0.2), 0.05)] and robot.calls == []
 
 
 def test_a_refused_trajectory_is_named_and_the_robot_goes_on(client, robot):

@@ -28,7 +28,8 @@ def test_states_are_exact(q, time, width):
 
 def test_trajectories_are_exact(arm):
     sent = a_move(arm)
-    request = m.decode_request(m.encode(m.Request(1, m.Follow.of(sent))))
+    request = m.decode_request(m.encode(m.Request(1, m.Follow.of(sent, 0.04))))
+    assert request.command.opening == 0.04 and m.Follow.of(sent).opening is None
     received = request.command.trajectory()
     assert received.period == sent.period
     for name in ("positions", "velocities", "accelerations"):
@@ -60,6 +61,8 @@ def test_samples_of_different_lengths_are_refused():
         {"number": -1, "command": {"type": "Bye"}},
         {"number": 1, "command": {"type": "Reboot"}},
         {"number": 1, "command": {"type": "MoveGripper", "width": -0.1}},
+        {"number": 1, "command": {"type": "Follow", "period": 0.1, "positions": [[0.0]],
+                                  "velocities": [[0.0]], "accelerations": [[0.0]], "opening": 1.1}},
         {"number": 1, "command": {"type": "MoveGripper", "width": float("nan")}},
         {"number": 1, "command": {"type": "MoveGripper", "width": 0.1, "force": 1e9}},
         {"number": 1, "command": {"type": "Stop", "reason": "x" * 2000}},

@@ -10,7 +10,7 @@ from manipulation.robot import JointTrajectory
 from sim_assets.cell import ground_truth
 from sim_assets.cell.config import CellConfig
 from sim_assets.cell.stepping import SimulationError
-from sim_assets.cell.world import World
+from sim_assets.cell.world import FINGER_SPEED, World
 from sim_assets.objects import sample_object
 from sim_assets.robots.panda_arm import Q_READY
 
@@ -71,6 +71,33 @@ def test_follow_tracks_within_a_milliradian_and_settles(at_rest):
             wanted = [np.interp(time - start - 0.002, times, column) for column in trajectory.positions.T]
             assert np.abs(q - wanted).max() < 3e-3
     np.testing.assert_allclose(world.joint_positions(), end, atol=1e-3)
+
+
+@pytest.mark.parametrize("duration", [0.2, 1.2])
+def test_the_hand_opens_while_the_arm_moves(at_rest, duration):
+    """The arm arrives when it does without the hand, and the hand when both have had their time."""
+    world = at_rest
+    world.move_gripper(0.01)
+    end = Q_READY + 0.1 * duration * np.array([1.0, 0.3, -0.3, 0.2, 0.4, -0.3, 0.6])
+    start, widths = world.time, []
+    world.observe(lambda w: widths.append((w.time - start, w.gripper_width())), fps=500)
+    trajectory = quintic(world.joint_positions(), end, duration)
+    reached = world.follow_opening(trajectory, 0.07)
+    world.observe(None)
+    assert reached == world.gripper_width() == pytest.approx(0.07, abs=1e-3)
+    np.testing.assert_allclose(world.joint_positions(), end, atol=1e-3)
+    halfway = np.interp(0.19, *zip(*widths, strict=True))
+    assert halfway == pytest.approx(0.01 + 0.19 * 2 * FINGER_SPEED, abs=0.01)
+    opening = 0.06 / (2 * FINGER_SPEED)
+    assert world.time - start < max(duration, opening) + 0.25
+
+
+def test_a_wrong_opening_moves_nothing(at_rest):
+    world = at_rest
+    before = world.time
+    with pytest.raises(RobotError, match=r"gripper width 0\.2 m is outside"):
+        world.follow_opening(quintic(world.joint_positions(), Q_READY + 0.1), 0.2)
+    assert world.time == before
 
 
 def test_gripper_opens_to_a_width_and_closes_with_force(at_rest):
