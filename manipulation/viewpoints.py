@@ -184,6 +184,8 @@ class ViewpointScanner:
     ) -> list[RgbdFrame]:
         """Capture an image at each viewpoint that can be reached, without the depth of the arm itself.
 
+        What cannot be reached in its turn is tried again from the last viewpoint.
+
         Args:
             viewpoints: viewpoints in order.
             progress: receives the number of visited and of all viewpoints.
@@ -195,15 +197,21 @@ class ViewpointScanner:
         width = self.robot.gripper_width()
         self._rise(width)
         frames: list[RgbdFrame] = []
-        for index, viewpoint in enumerate(viewpoints):
-            path = self._path_to(viewpoint, width)
-            if path is None:
-                logger.warning("viewpoint %d of %d is out of reach and skipped", index + 1, len(viewpoints))
-                continue
-            self.robot.follow(self.motions.time_path(path))
-            frames.append(self.look())
-            on_frame(frames[-1])
-            progress(index + 1, len(viewpoints))
+        remaining = list(range(len(viewpoints)))
+        for _ in range(2):
+            missed = []
+            for index in remaining:
+                path = self._path_to(viewpoints[index], width)
+                if path is None:
+                    missed.append(index)
+                    continue
+                self.robot.follow(self.motions.time_path(path))
+                frames.append(self.look())
+                on_frame(frames[-1])
+                progress(len(frames) + len(missed), len(viewpoints))
+            remaining = missed
+        for index in remaining:
+            logger.warning("viewpoint %d of %d is out of reach and skipped", index + 1, len(viewpoints))
         if not frames:
             raise PlanningError(
                 f"none of {len(viewpoints)} viewpoints can be reached: choose a nearer target"

@@ -239,6 +239,21 @@ def test_viewpoints_out_of_reach_are_skipped_and_frames_reported(kinematics):
     assert steps == [(1, 3), (3, 3)]
 
 
+def test_a_viewpoint_that_is_blocked_in_its_turn_is_visited_last(kinematics, monkeypatch, caplog):
+    scanner, steps, asked = ViewpointScanner(Moving(kinematics.arm.q_home), kinematics), [], []
+    path_to = scanner._path_to
+
+    def blocked_at_first(viewpoint, width):
+        asked.append(viewpoint)
+        return None if len(asked) == 2 else path_to(viewpoint, width)
+
+    monkeypatch.setattr(scanner, "_path_to", blocked_at_first)
+    first, blocked, last = SCAN_VIEWPOINTS[:3]
+    captured = scanner.capture([first, blocked, last], lambda *step: steps.append(step))
+    assert asked == [first, blocked, last, blocked] and len(captured) == 3 and not caplog.records
+    assert steps == [(1, 3), (3, 3), (3, 3)]
+
+
 def test_a_blocked_motion_from_free_space_is_not_executed(kinematics, monkeypatch):
     scanner = ViewpointScanner(Still(), kinematics)
     monkeypatch.setattr(scanner.motions, "free_path", lambda *_: None)
