@@ -19,7 +19,7 @@ from manipulation.trajectories import JointTrajectory
 from manipulation.types import Rejected, StandingObject
 
 LEANING = np.deg2rad(5.0)  # from which on a bowl is pressed; images show the tilt to about 2 degrees
-PRESSABLE = np.deg2rad(20.0)  # up to which it is pressed: one that leans more is levered out of the one below
+PRESSABLE = np.deg2rad(26.0)  # up to which it is pressed: one that leans more is levered out of the one below
 LEVEL = np.deg2rad(8.0)  # up to which it stays as it is when pressing does not help
 STEEPEST = np.deg2rad(35.0)  # that a bowl leans in another; images that show more were misunderstood
 _ABOVE = 0.04  # [m] over the highest point, where the motion begins

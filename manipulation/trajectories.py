@@ -2,8 +2,9 @@
 
 Every trajectory is a 1-D time-optimal profile along a path: of ruckig along the straight segment between two
 postures, of ``path_timing`` along a spline through IK solutions every few millimetres of a straight TCP line.
-The arm therefore stays on the path that was checked for collisions. (Ruckig's phase synchronisation of several
-joints can fall back to time synchronisation, which deviates from the straight segment by up to 0.05 rad.)
+The arm therefore stays on the path that was checked for collisions. (Ruckig's phase synchronisation of
+several joints can fall back to time synchronisation, which deviates from the straight segment by up to 0.05
+rad.)
 
 Ruckig computes paths with intermediate positions in a remote service, so they are never set: moves through
 several waypoints are chained, each ending at rest.

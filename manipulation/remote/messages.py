@@ -67,7 +67,7 @@ class Follow(_Message, frozen=True):
     @staticmethod
     def of(trajectory: JointTrajectory, opening: float | None = None) -> Follow:
         arrays = (trajectory.positions, trajectory.velocities, trajectory.accelerations)
-        return Follow(trajectory.period, *(array.tolist() for array in arrays), opening)
+        return Follow(trajectory.period, *(array.tolist() for array in arrays), opening=opening)
 
     def trajectory(self) -> JointTrajectory:
         """Return the trajectory.
