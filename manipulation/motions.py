@@ -11,7 +11,14 @@ from jaxtyping import Float
 from manipulation.collision import NO_CONTACT, AllowedContacts, CollisionWorld, Contact
 from manipulation.kinematics import Kinematics
 from manipulation.robot import JointTrajectory
-from manipulation.trajectories import JointLimits, MotionConfig, joint_path, line_motion, line_postures
+from manipulation.trajectories import (
+    JointLimits,
+    Load,
+    MotionConfig,
+    joint_path,
+    line_motion,
+    line_postures,
+)
 from manipulation.types import Rejected
 
 OUT_OF_REACH = Rejected("out of reach", by_arm=True)
@@ -145,10 +152,10 @@ class MotionPlanner:
         """Return the trajectory of joint moves through waypoints [rad], at rest in each."""
         return joint_path(path, self.limits)
 
-    def time_line(self, postures: Float[np.ndarray, "k n"]) -> JointTrajectory:
+    def time_line(self, postures: Float[np.ndarray, "k n"], load: Load = "none") -> JointTrajectory:
         """Return the trajectory along the postures [rad] of a straight TCP line."""
         start, end = (self.kinematics.forward(q)[:3, 3] for q in (postures[0], postures[-1]))
-        return line_motion(postures, float(np.linalg.norm(end - start)), self.limits, self.config)
+        return line_motion(postures, float(np.linalg.norm(end - start)), self.limits, self.config, load)
 
     def candidate_paths(
         self, q_start: Float[np.ndarray, "n"], q_goal: Float[np.ndarray, "n"]

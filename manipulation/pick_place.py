@@ -389,7 +389,7 @@ class PickPlacePlanner:
             release_opening=place.release_opening,
             transit=self._timing.transit(start, pick.grasp.opening) if moves else None,
             approach=self.motions.time_line(pick.approach),
-            lift=self.motions.time_line(pick.lift),
+            lift=self.motions.time_line(pick.lift, "carried"),
             transfer=transfer,
             carry=carry,
             settle=None if place.settle is None else self.motions.time_line(place.settle),

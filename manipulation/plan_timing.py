@@ -65,7 +65,7 @@ class PlanTiming:
         try:
             moves = carrying_moves(kinematics, path, centre_in_hand, limits)
             carry = blended(moves, limits, allows)
-            return carry, blended([carry, motions.time_line(lowering)], limits, allows)
+            return carry, blended([carry, motions.time_line(lowering, "carried")], limits, allows)
         finally:
             motions.world.release()
 

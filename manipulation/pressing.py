@@ -126,8 +126,10 @@ def plan_press(
             up = back
         path = motions.free_path(q_start, over.q, gripper.min_width)
         if path is not None:
-            drawn = None if draw is None else motions.time_line(draw)
-            return Press(motions.time_path(path), motions.time_line(down), drawn, motions.time_line(up))
+            drawn = None if draw is None else motions.time_line(draw, "pushed")
+            return Press(
+                motions.time_path(path), motions.time_line(down, "pushed"), drawn, motions.time_line(up)
+            )
     return None
 
 

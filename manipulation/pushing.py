@@ -157,9 +157,8 @@ def _push(
         return None
     T_after = _moved(world.pose(name), step)
     time_line = motions.time_line
-    return Push(
-        name, motions.time_path(path), time_line(down[::-1]), time_line(push), time_line(leave), T_after
-    )
+    pushed = time_line(push, "pushed")
+    return Push(name, motions.time_path(path), time_line(down[::-1]), pushed, time_line(leave), T_after)
 
 
 def _slides(

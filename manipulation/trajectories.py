@@ -15,6 +15,7 @@ from __future__ import annotations
 import itertools
 from collections.abc import Sequence
 from dataclasses import dataclass
+from typing import Literal
 
 import numpy as np
 import ruckig
@@ -29,6 +30,8 @@ from manipulation.robot import ArmDescription, JointTrajectory
 
 PERIOD = 0.002  # [s] between samples
 
+Load = Literal["none", "carried", "pushed"]  # what an object has to do with the motion of the hand
+
 
 @dataclass(frozen=True)
 class MotionConfig:
@@ -36,7 +39,10 @@ class MotionConfig:
 
     Attributes:
         velocity_scale, acceleration_scale, jerk_scale: factors on the arm's joint limits.
-        line_speed, line_acceleration, line_jerk: limits of straight TCP lines in [m/s], [m/s^2], [m/s^3].
+        line_speed, line_acceleration: limits of straight TCP lines of the empty hand in [m/s], [m/s^2].
+        carrying_speed, carrying_acceleration: the same with an object in the hand.
+        pushing_speed, pushing_acceleration: the same while the hand pushes or presses an object.
+        line_averaging: time in [s] over which the acceleration along a line changes from 0 to its limit.
         line_step: spacing of the IK solutions along a line in [m].
         max_line_joint_step: largest joint step between two of them in [rad]; more is a change of IK branch.
     """
@@ -46,9 +52,21 @@ class MotionConfig:
     jerk_scale: float = 1.0
     line_speed: float = 0.8
     line_acceleration: float = 3.0
-    line_jerk: float = 120.0
+    carrying_speed: float = 0.8
+    carrying_acceleration: float = 2.0
+    pushing_speed: float = 0.25
+    pushing_acceleration: float = 1.0
+    line_averaging: float = 0.05
     line_step: float = 0.006
     max_line_joint_step: float = 0.2
+
+    def of_line(self, load: Load) -> tuple[float, float]:
+        """Return speed and acceleration of a straight line in [m/s], [m/s^2]."""
+        if load == "carried":
+            return self.carrying_speed, self.carrying_acceleration
+        if load == "pushed":
+            return self.pushing_speed, self.pushing_acceleration
+        return self.line_speed, self.line_acceleration
 
 
 @dataclass(frozen=True)
@@ -142,7 +160,11 @@ def line_postures(
 
 
 def line_motion(
-    postures: Float[np.ndarray, "k n"], length: float, limits: JointLimits, config: MotionConfig
+    postures: Float[np.ndarray, "k n"],
+    length: float,
+    limits: JointLimits,
+    config: MotionConfig,
+    load: Load = "none",
 ) -> JointTrajectory:
     """Return the trajectory along a cubic spline through the postures of a line of ``length`` [m].
 
@@ -153,12 +175,13 @@ def line_motion(
     """
     spline = CubicSpline(np.linspace(0.0, 1.0, len(postures)), postures, axis=0)
     length = max(length, 1e-6)
+    speed, acceleration = config.of_line(load)
     allowed = PathLimits(
         limits.velocity,
         limits.acceleration,
-        config.line_speed / length,
-        config.line_acceleration / length,
-        window=2.0 * config.line_acceleration / config.line_jerk,
+        speed / length,
+        acceleration / length,
+        window=config.line_averaging,
     )
     for _ in range(8):
         motion = fastest(spline, allowed, PERIOD)

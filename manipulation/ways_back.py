@@ -31,7 +31,7 @@ def reversed_way(
     q_above = plan.carry.positions[-1]
     up = line_postures(motions.kinematics, q, motions.kinematics.forward(q_above), motions.config)
     if up is not None:
-        yield motions.time_line(up)
+        yield motions.time_line(up, "carried")
         yield joint_move(up[-1], q_above, motions.limits)
         yield concatenate([plan.carry.reversed(), plan.lift.reversed()])
 
@@ -63,6 +63,6 @@ def planned_way(
             return
     finally:
         motions.world.release()
-    yield motions.time_line(up)
+    yield motions.time_line(up, "carried")
     yield motions.time_path(path)
     yield plan.lift.reversed()

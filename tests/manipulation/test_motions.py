@@ -111,15 +111,24 @@ def test_other_postures_may_avoid_what_links_meet(kinematics, contact, by_arm):
     assert motions_among(kinematics).rejection(contact).by_arm is by_arm
 
 
-def test_lines_and_paths_are_timed_from_rest_to_rest(kinematics, ends):
+@pytest.mark.parametrize("load", ["none", "carried", "pushed"])
+def test_lines_are_timed_from_rest_to_rest_by_what_they_do(kinematics, ends, load):
     motions = motions_among(kinematics)
     line = motions.free_line(ends[0], [down(0.5, -0.2, 0.25)], WIDTH)
-    timed = motions.time_line(line)
+    timed = motions.time_line(line, load)
     assert timed.positions[0] == pytest.approx(line[0]) and timed.positions[-1] == pytest.approx(line[-1])
-    # At least the time at full speed and that of speeding up and slowing down.
-    config = motions.config
-    least = 0.1 / config.line_speed + config.line_speed / config.line_acceleration
-    assert least <= timed.duration < 1.3 * least
+    c = motions.config
+    v, a = {
+        "none": (c.line_speed, c.line_acceleration),
+        "carried": (c.carrying_speed, c.carrying_acceleration),
+        "pushed": (c.pushing_speed, c.pushing_acceleration),
+    }[load]
+    least = 0.1 / v + v / a if v**2 / a < 0.1 else 2 * np.sqrt(0.1 / a)
+    assert least + c.line_averaging <= timed.duration < 1.1 * (least + c.line_averaging)
+
+
+def test_paths_are_timed_from_rest_to_rest(kinematics, ends):
+    motions = motions_among(kinematics)
     middle = 0.5 * (ends[0] + ends[1])
     path = motions.time_path([ends[0], middle, ends[1]])
     assert path.positions[-1] == pytest.approx(ends[1])

@@ -42,7 +42,7 @@ def test_a_carried_object_is_lowered_before_it_has_stopped(item, arm, carried):
     grasp, path, down = carried
     planner = planner_of(item, arm)
     carry, transfer = PlanTiming(planner.motions).transfer(item, grasp, path, down)
-    lowering = planner.motions.time_line(down)
+    lowering = planner.motions.time_line(down, "carried")
     assert transfer.duration < carry.duration + lowering.duration - 0.05
     np.testing.assert_allclose(carry.positions[-1], path[-1])
     np.testing.assert_array_equal(carry.velocities[-1], 0.0)
