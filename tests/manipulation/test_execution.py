@@ -324,7 +324,7 @@ def test_a_bowl_that_leans_in_another_is_grasped_as_it_was_seen(scene, packing, 
     lower, upper = two.placements
     assert upper.stack == (lower.name,)
     T = pose_from_yaw(0.0, np.array([*lower.position[:2], 0.05]))
-    T[:3, :3] = so3_exp(np.array([np.deg2rad(25), 0.0, 0.0])) @ T[:3, :3]
+    T[:3, :3] = so3_exp(np.array([np.deg2rad(28), 0.0, 0.0])) @ T[:3, :3]
     robot, observer = FakeRobot(arm), FakeObserver()
     observer.closer = [{upper.name: T}]
     watcher = Watcher(robot)

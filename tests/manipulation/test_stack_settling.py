@@ -43,7 +43,7 @@ def nested(shapes, arm):
         ((0.25, 0.0), 1, False),
         ((0.12,) * 9, MAX_PRESSES, False),
         ((0.25,) * 9, MAX_PRESSES, True),
-        ((0.4,), 0, True),
+        ((0.5,), 0, True),
     ],
 )
 def test_a_bowl_that_leans_in_another_is_pressed_level_or_placed_again(nested, arm, looks, presses, leans):

@@ -24,7 +24,7 @@ def test_what_is_left_on_the_table_is_looked_at_and_packed_in_another_round(stag
     outcomes = iter([stages.outcomes, [second]])
     executed = []
 
-    def execute(plan, *args):
+    def execute(plan, *args, **options):
         executed.append(plan)
         return next(outcomes)
 
@@ -53,7 +53,7 @@ def test_what_carries_an_object_has_a_goal_in_the_last_round_alone(stages, pack_
     executed = []
     stages.replace("reconstruct_objects", lambda *args, **options: [lower, upper])
     stages.replace("plan_pack", lambda *args: plan)
-    stages.replace("execute", lambda plan, *args: executed.append(plan) or [])
+    stages.replace("execute", lambda plan, *args, **options: executed.append(plan) or [])
     run(StillRobot(), stages.perception, TaskRequest("pack", rounds=rounds))
     assert [p.name for p in executed[0].placements] == [*first, "can_1"]
 
@@ -70,7 +70,7 @@ def test_after_a_round_that_moved_nothing_nothing_waits(stages, pack_plan):
     items = dict(zip(("can_2", "can_3"), plan.objects.values(), strict=True))
     second = replace(plan, objects=items, placements=tuple(further))
     stages.replace("plan_further", lambda *args: second)
-    stages.replace("execute", lambda plan, *args: executed.append(plan) or [])
+    stages.replace("execute", lambda plan, *args, **options: executed.append(plan) or [])
     run(StillRobot(), stages.perception, TaskRequest("pack", Box(), rounds=4))
     assert [[p.name for p in plan.placements] for plan in executed] == [["can_1"], ["can_2", "can_3"]]
 
@@ -91,7 +91,7 @@ def test_what_was_left_in_the_box_is_tried_once_more_and_then_stays_there(stages
         planned.append(([e for e in objects if e is lying], "can_1" in placed))
         return pack_plan
 
-    def execute(plan, *args):
+    def execute(plan, *args, **options):
         executed.append(plan)
         return stages.outcomes
 
@@ -109,7 +109,7 @@ def test_what_fell_in_the_box_is_placed_again_and_verified_again(stages, pack_pl
     results, executed, plans = iter([[lying], []]), [], []
     again = replace(stages.outcomes[0], attempts=2)
 
-    def execute(plan, *args):
+    def execute(plan, *args, **options):
         executed.append(plan)
         return stages.outcomes if len(executed) == 1 else [again]
 
@@ -142,7 +142,7 @@ def test_a_bowl_beside_the_one_that_it_fits_into_is_placed_again_once(stages, pa
     stages.replace("loose_bowl", lambda *args: loose)
     stages.replace("with_bowls_named", lambda result, *args: named.append(result) or result)
 
-    def execute(plan, *args):
+    def execute(plan, *args, **options):
         executed.append(plan)
         return stages.outcomes if len(executed) == 1 else [again]
 
@@ -160,7 +160,7 @@ def test_once_something_was_placed_again_there_may_be_room(stages, pack_plan, un
     stages.replace("fallen_objects", lambda *args: [])
     stages.replace("loose_bowl", lambda *args: loose)
     stages.replace("with_bowls_named", lambda result, *args: result)
-    stages.replace("execute", lambda plan, *args: executed.append(plan) or stages.outcomes)
+    stages.replace("execute", lambda plan, *args, **options: executed.append(plan) or stages.outcomes)
     stages.replace("plan_further", lambda found, *args: pack_plan)
     stages.replace("is_something_left", lambda *args: len(executed) == 2)
     stages.replace("is_something_unplaced", lambda result: unplaced)
