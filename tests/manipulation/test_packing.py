@@ -168,7 +168,7 @@ def test_nested_bowls_are_released_with_the_finger_above_all_rims(shapes):
 def test_a_much_smaller_bowl_is_released_between_the_walls_of_the_one_below(shapes):
     hand = GripperGeometry()
     room = CONFIG.nest_opening + hand.pad_thickness + CONFIG.nest_clearance
-    for radius, drops in ((0.055, True), (0.049, False)):
+    for radius, drops in ((0.063, True), (0.057, False)):
         large, small = items_of(
             shapes,
             ("bowl", shapes.bowl(0.085, 0.06, slope=0.0)),
