@@ -21,7 +21,8 @@ from scipy.ndimage import minimum_filter1d
 _INTERVALS = 200
 _CURVATURE_SHARE = 0.7
 _AROUND = 3
-_ROUNDS = 3
+_ROUNDS = 3  # of the two passes
+_LEAST_SAMPLES = 10  # of a motion, however short its path
 _TINY = 1e-9
 
 
@@ -73,16 +74,19 @@ def fastest(path: CubicSpline, limits: PathLimits, period: float) -> PathMotion:
         limits: limits of the motion; near narrow bends the average may exceed them slightly.
         period: time between samples in [s].
     """
+    quickest = 1.0 / (_LEAST_SAMPLES * period)
+    path_velocity = min(limits.path_velocity, quickest)
+    path_acceleration = min(limits.path_acceleration, quickest**2)
     s = np.linspace(0.0, 1.0, _INTERVALS + 1)
     tangent, curvature = np.abs(path(s, 1)) + _TINY, np.abs(path(s, 2)) + _TINY
     bent = np.sqrt(_CURVATURE_SHARE * limits.acceleration / curvature)
-    speed = np.minimum(limits.path_velocity, np.minimum(limits.velocity / tangent, bent).min(axis=1))
+    speed = np.minimum(path_velocity, np.minimum(limits.velocity / tangent, bent).min(axis=1))
     speed = minimum_filter1d(speed, _AROUND)
     speed[[0, -1]] = 0.0
     x = most = speed**2
     for _ in range(_ROUNDS):
         left = limits.acceleration - curvature * x[:, None]  # by the speeds of the round before
-        pull = np.minimum(limits.path_acceleration, (left / tangent).min(axis=1))
+        pull = np.minimum(path_acceleration, (left / tangent).min(axis=1))
         x = _profile(most, minimum_filter1d(pull, _AROUND), s[1] - s[0])
     velocity = np.sqrt(x)
     steps = 2.0 * np.diff(s) / np.maximum(velocity[:-1] + velocity[1:], _TINY)

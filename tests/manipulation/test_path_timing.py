@@ -57,6 +57,15 @@ def test_a_motion_goes_from_rest_to_rest_and_its_derivatives_are_its_own(values,
     assert (np.abs(acceleration) <= 1.6 * LIMITS.acceleration).all()
 
 
+@pytest.mark.parametrize("length", [0.0, 1e-9, 1e-5])
+def test_a_path_of_hardly_any_length_is_no_error(length):
+    limits = PathLimits(LIMITS.velocity, LIMITS.acceleration, 8e5, 3e6, WINDOW)
+    motion = fastest(straight(length), limits, PERIOD)
+    assert (motion.s[0], motion.s[-1]) == (pytest.approx(0, abs=1e-9), 1.0)
+    assert (np.diff(motion.s) >= -1e-12).all() and motion.ds[-1] == motion.dds[-1] == 0.0
+    assert PERIOD * len(motion.s) < WINDOW + 0.1
+
+
 def test_a_bend_slows_the_motion_down_only_where_it_is():
     path = bent(0.6)
     motion = fastest(path, LIMITS, PERIOD)
