@@ -64,14 +64,14 @@ def _overlapping(
 ) -> tuple[JointTrajectory, JointTrajectory]:
     """Return both motions with ``count`` periods of them at the same time, and what the arm does in these."""
     start = len(before.positions) - count - 1
-    step = after.positions[: count + 1] - after.positions[0]
+    end, begin = before.part(start), after.part(0, count + 1)
     around = JointTrajectory(
         before.period,
-        before.positions[start:] + step,
-        before.velocities[start:] + after.velocities[: count + 1],
-        before.accelerations[start:] + after.accelerations[: count + 1],
+        end.positions + begin.positions - after.positions[0],
+        end.velocities + begin.velocities,
+        end.accelerations + begin.accelerations,
     )
-    pieces = [_part(before, 0, start), around, _part(after, count + 1, None)]
+    pieces = [before.part(0, start), around, after.part(count + 1)]
     whole = JointTrajectory(
         before.period,
         np.concatenate([piece.positions for piece in pieces]),
@@ -79,15 +79,6 @@ def _overlapping(
         np.concatenate([piece.accelerations for piece in pieces]),
     )
     return whole, around
-
-
-def _part(motion: JointTrajectory, begin: int, end: int | None) -> JointTrajectory:
-    return JointTrajectory(
-        motion.period,
-        motion.positions[begin:end],
-        motion.velocities[begin:end],
-        motion.accelerations[begin:end],
-    )
 
 
 def _keeps(motion: JointTrajectory, limits: JointLimits) -> bool:

@@ -153,7 +153,7 @@ class MotionPlanner:
         return joint_path(path, self.limits)
 
     def time_line(self, postures: Float[np.ndarray, "k n"], load: Load = "none") -> JointTrajectory:
-        """Return the trajectory along the postures [rad] of a straight TCP line."""
+        """Return the trajectory along the postures [rad] of a straight TCP line, see ``MotionConfig``."""
         start, end = (self.kinematics.forward(q)[:3, 3] for q in (postures[0], postures[-1]))
         return line_motion(postures, float(np.linalg.norm(end - start)), self.limits, self.config, load)
 

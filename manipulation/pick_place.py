@@ -271,7 +271,7 @@ class PickPlacePlanner:
         candidates = grasps or self.grasps(name)
         with self.world.containing(name, contents):
             for pick in self._picks(name, candidates, tried, tally):
-                if plans and pick.grasp.score < least_score:
+                if pick.grasp.score < least_score:
                     break
                 completed = (self._complete(pick, goal, q_start, tally) for goal in goals)
                 plan = next((plan for plan in completed if plan is not None), None)

@@ -144,11 +144,11 @@ class JointTrajectory:
         """Time from the first to the last sample in [s]."""
         return self.period * (len(self.positions) - 1)
 
-    def until(self, index: int) -> JointTrajectory:
-        """Return the trajectory up to and including a sample at rest."""
-        end = index + 1
+    def part(self, begin: int, end: int | None = None) -> JointTrajectory:
+        """Return the samples from ``begin`` up to, but without, ``end``; to the last one if None."""
+        rows = slice(begin, end)
         return JointTrajectory(
-            self.period, self.positions[:end], self.velocities[:end], self.accelerations[:end]
+            self.period, self.positions[rows], self.velocities[rows], self.accelerations[rows]
         )
 
     def reversed(self) -> JointTrajectory:

@@ -168,7 +168,8 @@ def line_motion(
 ) -> JointTrajectory:
     """Return the trajectory along a cubic spline through the postures of a line of ``length`` [m].
 
-    It is slow where the joint limits require it, as near a singularity or where a joint reaches its end.
+    It is slow where the joint limits require it, as near a singularity or where a joint reaches its end;
+    ``load`` chooses its speed and acceleration.
 
     Raises:
         PlanningError: the limits cannot be kept.

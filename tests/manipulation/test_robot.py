@@ -22,7 +22,7 @@ def test_duration_counts_the_intervals_between_samples():
 def test_a_part_of_a_trajectory_run_backwards():
     time = 0.1 * np.arange(11)[:, None]
     there = JointTrajectory(0.1, np.sin(time), np.cos(time), -np.sin(time))
-    back = there.until(6).reversed()
+    back = there.part(0, 7).reversed()
     assert back.duration == pytest.approx(0.6)
     np.testing.assert_array_equal(back.positions, there.positions[6::-1])
     np.testing.assert_allclose(
