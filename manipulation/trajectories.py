@@ -1,7 +1,7 @@
 """Jerk-limited trajectories: joint-space moves and straight lines of the TCP.
 
 Every trajectory is a 1-D time-optimal profile along a path: of ruckig along the straight segment between two
-postures, of ``path_timing`` along a spline through IK solutions every few millimetres of a straight TCP line.
+postures, of ``path_timing`` along a spline through IK solutions on a straight TCP line.
 The arm therefore stays on the path that was checked for collisions. (Ruckig's phase synchronisation of
 several joints can fall back to time synchronisation, which deviates from the straight segment by up to 0.05
 rad.)
@@ -30,6 +30,10 @@ from manipulation.robot import ArmDescription, JointTrajectory
 
 PERIOD = 0.002  # [s] between samples
 
+_ROTATION_STEP, _ROTATION_SPACING = 0.2, 0.05  # [rad] between IK solutions and postures on a line, at most
+_HALVINGS = 2  # of the distance between IK solutions
+_OFF_LINE, _TURNED_OFF = 3e-4, 2e-3  # [m], [rad] from the line between two solutions, at most
+
 Load = Literal["none", "carried", "pushed"]  # what an object has to do with the motion of the hand
 
 
@@ -43,8 +47,10 @@ class MotionConfig:
         carrying_speed, carrying_acceleration: the same with an object in the hand.
         pushing_speed, pushing_acceleration: the same while the hand pushes or presses an object.
         line_averaging: time in [s] over which the acceleration along a line changes from 0 to its limit.
-        line_step: spacing of the IK solutions along a line in [m].
-        max_line_joint_step: largest joint step between two of them in [rad]; more is a change of IK branch.
+        line_step: largest distance of the IK solutions along a line in [m].
+        line_spacing: largest distance of the postures along it, between which joints move straight, in [m].
+        max_line_joint_step: largest joint step between two of the solutions, which are up to 4 times closer
+            where it is exceeded, in [rad]; more is a change of IK branch.
     """
 
     velocity_scale: float = 1.0
@@ -57,7 +63,8 @@ class MotionConfig:
     pushing_speed: float = 0.25
     pushing_acceleration: float = 1.0
     line_averaging: float = 0.05
-    line_step: float = 0.006
+    line_step: float = 0.024
+    line_spacing: float = 0.006
     max_line_joint_step: float = 0.2
 
     def of_line(self, load: Load) -> tuple[float, float]:
@@ -141,22 +148,83 @@ def line_postures(
 ) -> Float[np.ndarray, "k n"] | None:
     """Return postures [rad] along the straight TCP line from ``q_start`` to the goal; None if IK fails on it.
 
-    Position is interpolated linearly, orientation along the geodesic, in steps of at most ``line_step``.
+    Position is interpolated linearly, orientation along the geodesic. A cubic spline goes through IK
+    solutions at most ``line_step`` apart, closer where it would leave the line; the postures are at most
+    ``line_spacing`` apart.
     """
-    T_start = kinematics.forward(q_start)
-    rotation = Rotation.from_matrix(T_start[:3, :3].T @ T_world_goal[:3, :3]).as_rotvec()
-    length = np.linalg.norm(T_world_goal[:3, 3] - T_start[:3, 3])
-    n_steps = max(int(np.ceil(length / config.line_step)), int(np.ceil(np.linalg.norm(rotation) / 0.05)), 2)
+    line = _TcpLine.between(kinematics.forward(q_start), T_world_goal)
+    n_postures = line.intervals(config.line_spacing, _ROTATION_SPACING)
+    for halving in range(_HALVINGS + 1):
+        n_solutions = line.intervals(config.line_step / 2**halving, _ROTATION_STEP / 2**halving)
+        postures = _solve(kinematics, q_start, line, n_solutions, name)
+        if postures is None:
+            return None
+        if np.abs(np.diff(postures, axis=0)).max() > config.max_line_joint_step:
+            continue
+        spline = CubicSpline(np.linspace(0.0, 1.0, n_solutions + 1), postures, axis=0)
+        if halving == _HALVINGS or _is_on_line(kinematics, spline, line, n_solutions):
+            return spline(np.linspace(0.0, 1.0, n_postures + 1))
+    return None
+
+
+@dataclass(frozen=True)
+class _TcpLine:
+    """A straight line of the TCP between two poses T_world_tcp.
+
+    Attributes:
+        T_start: (4, 4) first pose.
+        shift: (3,) translation to the last one in [m].
+        rotation: (3,) rotation vector to it in the frame of the first one, in [rad].
+    """
+
+    T_start: Float[np.ndarray, "4 4"]
+    shift: Float[np.ndarray, "3"]
+    rotation: Float[np.ndarray, "3"]
+
+    @staticmethod
+    def between(T_start: Float[np.ndarray, "4 4"], T_goal: Float[np.ndarray, "4 4"]) -> _TcpLine:
+        rotation = Rotation.from_matrix(T_start[:3, :3].T @ T_goal[:3, :3]).as_rotvec()
+        return _TcpLine(T_start, T_goal[:3, 3] - T_start[:3, 3], rotation)
+
+    def intervals(self, length: float, angle: float) -> int:
+        """Return into how many equal ones of at most a length [m] and an angle [rad] the line is divided."""
+        by_length = np.linalg.norm(self.shift) / length
+        return max(int(np.ceil(max(by_length, np.linalg.norm(self.rotation) / angle))), 2)
+
+    def poses(self, shares: Float[np.ndarray, "k"]) -> Float[np.ndarray, "k 4 4"]:
+        """Return the poses at shares of the line."""
+        T = np.tile(np.eye(4), (len(shares), 1, 1))
+        T[:, :3, 3] = self.T_start[:3, 3] + np.outer(shares, self.shift)
+        T[:, :3, :3] = (
+            self.T_start[:3, :3] @ Rotation.from_rotvec(np.outer(shares, self.rotation)).as_matrix()
+        )
+        return T
+
+
+def _solve(
+    kinematics: Kinematics, q_start: Float[np.ndarray, "n"], line: _TcpLine, n_steps: int, name: str
+) -> Float[np.ndarray, "k n"] | None:
+    """Return IK solutions [rad] at equal steps of a line, its start included; None if one is missing.
+
+    Each search starts where the two solutions before it point to.
+    """
     postures = [np.asarray(q_start, dtype=np.float64)]
-    for fraction in np.arange(1, n_steps + 1) / n_steps:
-        T = np.eye(4)
-        T[:3, 3] = (1 - fraction) * T_start[:3, 3] + fraction * T_world_goal[:3, 3]
-        T[:3, :3] = T_start[:3, :3] @ Rotation.from_rotvec(fraction * rotation).as_matrix()
-        result = kinematics.inverse(T, [postures[-1]], name=name)
-        if not result.converged or np.abs(result.q - postures[-1]).max() > config.max_line_joint_step:
+    for T in line.poses(np.arange(1, n_steps + 1) / n_steps):
+        seeds = [2 * postures[-1] - postures[-2]] if len(postures) > 1 else []
+        result = kinematics.inverse(T, [*seeds, postures[-1]], name=name)
+        if not result.converged:
             return None
         postures.append(result.q)
     return np.stack(postures)
+
+
+def _is_on_line(kinematics: Kinematics, spline: CubicSpline, line: _TcpLine, n_steps: int) -> bool:
+    """Return whether a spline through solutions at equal steps is on the line half-way between them too."""
+    shares = (np.arange(n_steps) + 0.5) / n_steps
+    error = np.stack([kinematics.forward(q) for q in spline(shares)]) - line.poses(shares)
+    off = np.linalg.norm(error[:, :3, 3], axis=1).max()
+    turn = np.linalg.norm(error[:, :3, :3], axis=(1, 2)).max() / np.sqrt(2)  # of a small angle
+    return bool(off <= _OFF_LINE and turn <= _TURNED_OFF)
 
 
 def line_motion(

@@ -124,6 +124,31 @@ def test_straight_line_stays_straight_upright_and_within_limits(arm, limits):
     assert poses[-1][:3, 3] == pytest.approx(T_goal[:3, 3], abs=3e-4)
 
 
+def test_few_solutions_of_the_inverse_kinematics_make_a_line(arm, monkeypatch):
+    kinematics, solved = Kinematics(arm), []
+    inverse = kinematics.inverse
+    monkeypatch.setattr(kinematics, "inverse", lambda T, *a, **k: solved.append(T) or inverse(T, *a, **k))
+    T_goal = kinematics.forward(arm.q_home)
+    T_goal[2, 3] -= 0.24
+    postures = line_postures(kinematics, arm.q_home, T_goal, CONFIG)
+    assert len(postures) == 1 + 40, "postures every 6 mm"
+    assert len(solved) == 10, "solutions every 24 mm"
+    heights = [kinematics.forward(q)[2, 3] for q in postures]
+    np.testing.assert_allclose(np.diff(heights), -0.006, atol=2e-4)
+
+
+def test_solutions_are_closer_where_the_spline_would_leave_the_line(arm):
+    kinematics = Kinematics(arm)
+    T = kinematics.forward(arm.q_home)
+    T_goal = T.copy()
+    T_goal[:3, 3] += (0.1, 0.45, -0.3)
+    config = MotionConfig(line_step=0.3, max_line_joint_step=2.0)
+    postures = line_postures(kinematics, arm.q_home, T_goal, config)
+    offset = np.array([kinematics.forward(q)[:3, 3] for q in postures]) - T[:3, 3]
+    direction = (T_goal[:3, 3] - T[:3, 3]) / np.linalg.norm(T_goal[:3, 3] - T[:3, 3])
+    assert np.linalg.norm(offset - np.outer(offset @ direction, direction), axis=1).max() < 5e-4
+
+
 def test_line_is_slowed_down_where_a_joint_would_be_too_fast(arm, limits):
     slow = JointLimits(0.05 * limits.velocity, limits.acceleration, limits.jerk)
     kinematics = Kinematics(arm)
