@@ -8,7 +8,7 @@ from __future__ import annotations
 from dataclasses import dataclass
 
 import numpy as np
-from jaxtyping import Float
+from jaxtyping import Bool, Float
 
 from manipulation.robot import GripperGeometry
 from perception.types import TriangleMesh
@@ -78,7 +78,13 @@ class HandBoxes:
     def sweep_contains(
         self, points_tcp: Float[np.ndarray, "n 3"], sweep: Float[np.ndarray, "3"], margin: float = 0.0
     ) -> bool:
-        """Return whether a grown box meets a point while it moves along ``sweep`` (slab method).
+        """Return whether a grown box meets a point while it moves along ``sweep``."""
+        return bool(self.swept(points_tcp, sweep, margin).any())
+
+    def swept(
+        self, points_tcp: Float[np.ndarray, "n 3"], sweep: Float[np.ndarray, "3"], margin: float = 0.0
+    ) -> Bool[np.ndarray, "n"]:
+        """Return which points a box grown by ``margin`` meets while it moves along ``sweep`` (slab method).
 
         The box, moved by s * sweep, contains p if low < p - s * sweep < high on every axis; each axis bounds
         s to an interval, and the intervals must have a point of [0, 1] in common.
@@ -90,7 +96,7 @@ class HandBoxes:
             to_low = (along - self.low[:, axis] + margin) / step[axis]
             first = np.maximum(first, np.minimum(to_high, to_low))
             last = np.minimum(last, np.maximum(to_high, to_low))
-        return bool(((first < last) & (first < 1.0) & (last > 0.0)).any())
+        return np.any((first < last) & (first < 1.0) & (last > 0.0), axis=1)
 
     def lowest(self, T_plane_tcp: Float[np.ndarray, "4 4"]) -> float:
         """Return the height of the lowest corner above the support plane in metres."""

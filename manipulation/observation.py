@@ -2,18 +2,19 @@
 
 from __future__ import annotations
 
-from collections.abc import Mapping, Sequence
+from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass
 from typing import Literal, Protocol, runtime_checkable
 
 import numpy as np
-from jaxtyping import Float
+from jaxtyping import Bool, Float
 
 from manipulation.types import Grasp
 from perception.geometry import nearest_yaw
 from perception.obstacles.obstacle import PerceivedObstacle
 
 Poses = Mapping[str, Float[np.ndarray, "4 4"]]  # T_world_stand by name
+Volume = Callable[[Float[np.ndarray, "n 3"]], Bool[np.ndarray, "n"]]  # which world points [m] are in it
 Grip = Literal["held", "empty", "wide"]
 Presence = Literal["in_place", "displaced", "unseen"]
 
@@ -50,6 +51,18 @@ class SceneObserver(Protocol):
         """
         ...
 
+    def unexpected(
+        self, poses: Poses, obstacles: Sequence[PerceivedObstacle], region: Volume
+    ) -> Float[np.ndarray, "n 3"]:
+        """Return the world points [m] in a region that one image shows and that nothing known explains.
+
+        Args:
+            poses: expected poses of all objects.
+            obstacles: known things of no class.
+            region: where unknown things are looked for.
+        """
+        ...
+
     def find(self, name: str, poses: Poses) -> Finding:
         """Move the camera and search for an object: first where it is expected, then on the whole table."""
         ...
@@ -67,6 +80,11 @@ class NoObserver:
 
     def glance(self, poses: Poses, names: tuple[str, ...]) -> Mapping[str, Presence]:
         return {}
+
+    def unexpected(
+        self, poses: Poses, obstacles: Sequence[PerceivedObstacle], region: Volume
+    ) -> Float[np.ndarray, "n 3"]:
+        return np.zeros((0, 3))
 
     def find(self, name: str, poses: Poses) -> Finding:
         return Finding("unseen")

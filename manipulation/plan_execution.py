@@ -12,8 +12,10 @@ from functools import partial
 from typing import Literal, Protocol, runtime_checkable
 
 import numpy as np
+from jaxtyping import Bool, Float
 
 from manipulation.errors import GraspFailedError, RobotError, SceneChangedError
+from manipulation.hand_collision import HandBoxes, HandClearance
 from manipulation.lying_grasps import lies
 from manipulation.observation import SceneObserver, classify_grip, is_displaced, is_turned
 from manipulation.pick_place import PickPlacePlanner
@@ -25,11 +27,14 @@ from manipulation.trajectories import joint_move, line_postures
 from manipulation.types import Grasp, PickPlacePlan
 from manipulation.ways_back import planned_way, reversed_way
 from manipulation.withdrawal import HOME_MARGINS
+from perception.geometry import invert, transform_points
 
 logger = logging.getLogger(__name__)
 
 _RETURNED = 0.05  # [rad] of each joint from the posture of the grasp
 _ABOVE = 0.003  # [m] by which the base of an object is above that of one that carries it, at least
+_INSIDE = 0.004  # [m] by which a point is in the way of the hand at least, which covers noise
+_UNKNOWN = 60  # measured points that nothing known explains are a thing
 MISPLACED = 0.02  # [m] from its goal, from which on a released object is grasped again
 
 Phase = Literal[
@@ -92,7 +97,8 @@ class PlanExecution:
 
         Raises:
             SceneChangedError: the object is not where it was expected.
-            GraspFailedError: the object is not held, not where it was released, or leans there.
+            GraspFailedError: something unknown is in the way, or the object is not held, not where it was
+                released, or leans there.
             RobotError: the robot failed to execute a motion.
         """
         robot, grasp, name = self.robot, plan.grasp, plan.name
@@ -103,6 +109,7 @@ class PlanExecution:
             follow_opening(robot, plan.transit, grasp.opening)
         if looks_first:
             self._require_in_place(name)
+        self._require_free_way(plan)
         robot.follow(plan.approach)
         self._notify("grasp", name)
         robot.move_gripper(0.0)
@@ -134,6 +141,27 @@ class PlanExecution:
         """Raise SceneChangedError if an image shows that an object is not where it was expected."""
         if self.observer.glance(self.planner.poses(), (name,)).get(name) == "displaced":
             raise SceneChangedError(f"{name} is not where it was seen before")
+
+    def _require_free_way(self, plan: PickPlacePlan) -> None:
+        """Raise GraspFailedError if an image shows something unknown where the hand is about to go.
+
+        The neck of a bottle that was taken for its body alone, for instance, is above what the hand avoids.
+        """
+        planner, gripper = self.planner, self.robot.arm.gripper
+        T_first, T_grasp = (planner.kinematics.forward(plan.approach.positions[k]) for k in (0, -1))
+        boxes = HandBoxes.of(gripper, plan.grasp.opening, HandClearance().hand_length)
+        boxes = boxes.moved(gripper.pads_middle(plan.grasp.opening))
+        back = T_grasp[:3, :3].T @ (T_first - T_grasp)[:3, 3]
+
+        def is_on_the_way(points: Float[np.ndarray, "n 3"]) -> Bool[np.ndarray, "n"]:
+            return boxes.swept(transform_points(invert(T_grasp), points), back, -_INSIDE)
+
+        unknown = self.observer.unexpected(planner.poses(), planner.perceived_obstacles, is_on_the_way)
+        if len(unknown) >= _UNKNOWN:
+            x, y, z = np.median(unknown, axis=0)
+            raise GraspFailedError(
+                f"something unknown at ({x:.2f}, {y:.2f}, {z:.2f}) m is in the way of the hand to {plan.name}"
+            )
 
     def _require_released(self, plan: PickPlacePlan) -> None:
         """Raise GraspFailedError if a released object is seen elsewhere, or a mug is seen turned."""

@@ -17,11 +17,12 @@ from jaxtyping import Float
 from manipulation.collision import AllowedContacts
 from manipulation.errors import RobotError
 from manipulation.motions import MotionPlanner
-from manipulation.observation import Finding, Poses, Presence, SceneObserver
+from manipulation.observation import Finding, Poses, Presence, SceneObserver, Volume
 from manipulation.pick_place import PickPlacePlanner
 from manipulation.robot import Robot
 from manipulation.trajectories import joint_move
 from manipulation.types import Rejected
+from perception.obstacles.obstacle import PerceivedObstacle
 
 logger = logging.getLogger(__name__)
 
@@ -127,6 +128,11 @@ class WithdrawingObserver:
 
     def glance(self, poses: Poses, names: tuple[str, ...]) -> dict[str, Presence]:
         return dict(self._observer.glance(poses, names))
+
+    def unexpected(
+        self, poses: Poses, obstacles: Sequence[PerceivedObstacle], region: Volume
+    ) -> Float[np.ndarray, "n 3"]:
+        return self._observer.unexpected(poses, obstacles, region)
 
     def find(self, name: str, poses: Poses) -> Finding:
         return self._observer.find(name, poses) if self._withdrawal.rise() else Finding("unseen")

@@ -204,7 +204,11 @@ def _without_parts_of_things(
     for stack in stacks:
         known = [reasons[part.id] for part in stack if part.id in reasons]
         reasons |= {part.id: known[0] for part in stack if known}
-    left = [RejectedObject(e.id, e.category, reasons[e.id], e.score) for e in found if e.id in reasons]
+    left = [
+        RejectedObject(e.id, e.category, reasons[e.id], e.score, is_part=True)
+        for e in found
+        if e.id in reasons
+    ]
     return [e for e in found if e.id not in reasons], left
 
 
@@ -217,7 +221,7 @@ def _without_fragments(
     if options.on_rejected is not None:
         for id in sorted(fragments):
             reason = "its surface goes on in a thing of no class"
-            options.on_rejected(RejectedObject(id, named[id].category, reason, named[id].score))
+            options.on_rejected(RejectedObject(id, named[id].category, reason, named[id].score, is_part=True))
     return [[replace(d, instance_id=None) if d.instance_id in fragments else d for d in row] for row in rows]
 
 

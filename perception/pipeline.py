@@ -282,5 +282,5 @@ def _without_parts_of_things(
     if on_rejected is not None:
         for e in objects:
             if e.id in parts:
-                on_rejected(RejectedObject(e.id, e.category, SAME_COLOUR, e.score))
+                on_rejected(RejectedObject(e.id, e.category, SAME_COLOUR, e.score, is_part=True))
     return [e for e in objects if e.id not in parts]

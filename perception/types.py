@@ -291,12 +291,14 @@ class RejectedObject:
         category: Class of its detections.
         reason: Why it was left out, in one line.
         score: Probability that it is an object of that class, in 0..1.
+        is_part: Whether it is left out as a part of a thing of no class.
     """
 
     id: int
     category: Category
     reason: str
     score: float = 0.0
+    is_part: bool = False
 
     @property
     def name(self) -> str:

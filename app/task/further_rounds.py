@@ -25,14 +25,19 @@ from app.task.rounds import (
 )
 from app.task.stages import FULL_SCAN, Stages, prior_reconstruction
 from app.task.task_types import TaskResult
-from app.task.unchanged import with_judged
+from app.task.unchanged import (
+    ScannedRound,
+    parts_as_before,
+    with_judged,
+    without_instances,
+)
 from manipulation.errors import ManipulationError
 from manipulation.further_packing import loose_bowl, plan_further
 from manipulation.types import Box, TaskPlan
 from perception.errors import PerceptionError
 from perception.obstacles.obstacle import PerceivedObstacle
 from perception.pipeline import Detections
-from perception.types import ObjectEstimate, RgbdFrame
+from perception.types import ObjectEstimate
 
 logger = logging.getLogger(__name__)
 
@@ -46,7 +51,7 @@ class FurtherRounds:
 
     def __init__(self, stages: Stages) -> None:
         self._stages = stages
-        self._scanned: Sequence[RgbdFrame] = ()  # images of the last round but the first
+        self._seen: ScannedRound | None = None  # by the last round but the first
         self._tried_in_box: set[int] = set()  # what was left in the box and has been planned for once more
         self._nested: set[int] = set()  # bowls that were to go into others once all was packed
 
@@ -125,16 +130,20 @@ class FurtherRounds:
         try:
             frames = stages.scan(FULL_SCAN)
             detections = stages.detect(frames, filled_bounds(box))
-            detections = with_judged(
-                detections, frames, self._scanned or result.frames, unplaced_estimates(result)
-            )
-            self._scanned = frames
+            assert result.detections is not None
+            before = self._seen or ScannedRound(result.frames, result.detections, result.rejected)
+            detections = with_judged(detections, frames, before.frames, unplaced_estimates(result))
+            parts = parts_as_before(detections, frames, before)
             with observer.stage("reconstruct"):
+                for part in parts:
+                    observer.on_rejected(part)
                 # The ids of these fits are not yet those of the objects.
                 reconstruct = request.reconstruction or prior_reconstruction(
                     stages.perception, observer, shows_fits=False
                 )
-                found = renumbered(reconstruct(frames, detections), result.objects, box)
+                whole = without_instances(detections, [part.id for part in parts])
+                found = renumbered(reconstruct(frames, whole), result.objects, box)
+                self._seen = ScannedRound(frames, detections, tuple(observer.rejected[n_rejected:]))
                 left = left_in_box(result, box)
                 found += [estimate for estimate in left if estimate.id not in self._tried_in_box]
                 stuck = [estimate for estimate in left if estimate.id in self._tried_in_box]

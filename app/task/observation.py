@@ -15,11 +15,13 @@ from jaxtyping import Float
 
 from manipulation.errors import ManipulationError, RobotStoppedError
 from manipulation.lying_grasps import lies
-from manipulation.observation import Finding, Poses, Presence, is_displaced, is_turned
+from manipulation.observation import Finding, Poses, Presence, Volume, is_displaced, is_turned
 from manipulation.types import StandingObject
 from manipulation.viewpoints import Viewpoint, ViewpointScanner
 from manipulation.workspace import Workspace
+from perception.depth_cleaning import clean_frame
 from perception.detection.completion import Completer
+from perception.detection.geometry import points_of
 from perception.errors import PerceptionError
 from perception.geometry import levelled, nearest_yaw, pose_from_yaw
 from perception.inference.depth_votes import Region, SearchScene
@@ -33,6 +35,10 @@ from perception.types import ObjectEstimate, RgbdFrame, SupportPlane
 logger = logging.getLogger(__name__)
 
 FindObstacles = Callable[[Sequence[ObjectEstimate], Sequence[RgbdFrame]], Sequence[PerceivedObstacle]]
+FindUnexplained = Callable[
+    [Float[np.ndarray, "n 3"], Sequence[ObjectEstimate], Sequence[PerceivedObstacle]],
+    Float[np.ndarray, "_m 3"],
+]
 
 REGION: Region = ((0.18, 0.85), (-0.60, 0.06))  # [m] of the table in the standard cell, to be searched
 GOAL_REGION: Region = ((0.05, 0.85), (0.06, 0.62))  # [m] of the table on the side of the goals
@@ -53,6 +59,7 @@ class WristObserver:
         obstacles: Things of no class, which explain depth as other objects do.
         find_obstacles: Finds things of no class beside objects at their present poses in images of the
             table; None to leave them as they are.
+        find_unexplained: Finds those of measured points that nothing known explains; None to know of none.
         goal_views: Viewpoints of the goals, where what was dropped or knocked over is searched for.
         goal_region: Ranges of x and y [m] that are searched there.
         handles: Network that tells the directions of mugs' handles; None to tell them by depth alone.
@@ -66,6 +73,7 @@ class WristObserver:
         workspace: Workspace = Workspace(),
         obstacles: Sequence[PerceivedObstacle] = (),
         find_obstacles: FindObstacles | None = None,
+        find_unexplained: FindUnexplained | None = None,
         goal_views: Sequence[Viewpoint] = (),
         goal_region: Region | None = None,
         handles: Completer | None = None,
@@ -74,7 +82,7 @@ class WristObserver:
         self._goal_views = tuple(goal_views)
         self._goal_region = goal_region or _scaled(GOAL_REGION, workspace.scale)
         self._scanner, self._workspace, self._obstacles = scanner, workspace, tuple(obstacles)
-        self._find_obstacles = find_obstacles
+        self._find_obstacles, self._find_unexplained = find_obstacles, find_unexplained
         self._has_updated = (
             False  # whether obstacles may be of objects that were not where they were expected
         )
@@ -90,6 +98,17 @@ class WristObserver:
         needs_color = self._handles is not None and not self._mugs.isdisjoint(names)
         frame = self._scanner.look(color=needs_color)
         return {name: self._presence(name, poses, frame) for name in names}
+
+    def unexpected(
+        self, poses: Poses, obstacles: Sequence[PerceivedObstacle], region: Volume
+    ) -> Float[np.ndarray, "n 3"]:
+        frame = self._scanner.look(color=False)
+        if self._find_unexplained is None or not region(points_of(frame, frame.depth > 0)).any():
+            return np.zeros((0, 3))
+        frame = clean_frame(frame)
+        points = points_of(frame, frame.depth > 0)
+        points = points[region(points)]
+        return self._find_unexplained(points, self._at(poses), obstacles)
 
     def find(self, name: str, poses: Poses) -> Finding:
         try:
@@ -222,14 +241,17 @@ class WristObserver:
         now = {other: T for other, T in poses.items() if other != name}
         if finding.T_world_stand is not None:
             now[name] = finding.T_world_stand
-        objects = [
-            replace(self._estimates[other], T_world_object=self._object_pose(other, now))
-            for other in now
-            if other in self._estimates
-        ]
         seen = frames or self._table_images()
         self._has_updated = True
-        return replace(finding, obstacles=tuple(self._find_obstacles([*objects, *self._bystanders], seen)))
+        return replace(finding, obstacles=tuple(self._find_obstacles(self._at(now), seen)))
+
+    def _at(self, poses: Poses) -> list[ObjectEstimate]:
+        """Return the estimates of all objects: at their poses, where these are known."""
+        known = (name for name in poses if name in self._estimates)
+        moved = (
+            replace(self._estimates[name], T_world_object=self._object_pose(name, poses)) for name in known
+        )
+        return [*moved, *self._bystanders]
 
     def _check(self, name: str, poses: Poses, frames: Sequence[RgbdFrame]) -> PoseCheck:
         others = self._others(name, poses, NEIGHBOURHOOD)

@@ -17,7 +17,7 @@ from perception.detection.geometry import points_of, project
 from perception.inference.depth_votes import Region
 from perception.obstacles.find import find_obstacles
 from perception.obstacles.obstacle import PerceivedObstacle
-from perception.obstacles.unexplained import KnownGeometry
+from perception.obstacles.unexplained import ExplanationConfig, KnownGeometry
 from perception.pipeline import Detections
 from perception.support.surface import SupportSurface
 from perception.types import ObjectEstimate, RgbdFrame
@@ -61,6 +61,31 @@ def obstacles_during(
     known = np.concatenate([fixed_bounds(arm), filled_bounds(box)])
     masks = [()] * len(frames)
     return tuple(find_obstacles(frames, masks, objects, surface, known))
+
+
+def unexplained_during(
+    points: Float[np.ndarray, "n 3"],
+    objects: Sequence[ObjectEstimate],
+    obstacles: Sequence[PerceivedObstacle],
+    surface: SupportSurface,
+    box: Box | None,
+) -> Float[np.ndarray, "_m 3"]:
+    """Return the world points [m] above the table that are measurements of nothing known.
+
+    Args:
+        points: Measured points without flying pixels and without the robot.
+        objects: Objects where they are.
+        obstacles: Known things of no class.
+        surface: Surface of the table.
+        box: The box; whatever is in or above it counts as known.
+    """
+    margin = ExplanationConfig().margin
+    known = KnownGeometry.of(objects, filled_bounds(box))
+    open_ = points[surface.plane.height_above(points) > margin]
+    open_ = open_[~known.explains(open_, margin)]
+    for obstacle in obstacles:
+        open_ = open_[~obstacle.explains(open_, margin)]
+    return open_
 
 
 def beside_box(

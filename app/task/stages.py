@@ -13,7 +13,14 @@ from jaxtyping import Float
 from app.task.fallen import LEANING
 from app.task.further_views import most_useful_viewpoint
 from app.task.observation import WristObserver
-from app.task.obstacles import beside_box, box_interior, obstacles_beside, obstacles_during, table_of
+from app.task.obstacles import (
+    beside_box,
+    box_interior,
+    obstacles_beside,
+    obstacles_during,
+    table_of,
+    unexplained_during,
+)
 from app.task.rounds import placed_estimates
 from app.task.run_observer import RunObserver
 from app.task.task_types import Reconstruction, TaskRequest, TaskResult
@@ -142,11 +149,13 @@ class Stages:
         """Carry out a plan while the wrist camera watches."""
         with self.observer.stage("execute"):
             arm, box = self.robot.arm, self.request.box
-            look_around = partial(obstacles_during, surface=table_of(detections), box=box, arm=arm)
+            table = table_of(detections)
+            look_around = partial(obstacles_during, surface=table, box=box, arm=arm)
+            unexplained = partial(unexplained_during, surface=table, box=box)
             goal_views = self._space.line_viewpoints if box is None else self._space.box_viewpoints
             watch = WristObserver(
                 self.scanner, objects, plan.objects, self._space, plan.obstacles, look_around,
-                goal_views, None if box is None else box_interior(box),
+                unexplained, goal_views, None if box is None else box_interior(box),
                 self.perception.detector if self.request.reconstruction is None else None,
             )  # fmt: skip
             on_event = self.observer.on_event

@@ -1,13 +1,14 @@
-"""Candidates of no class that look as in the round before: they were judged then.
+"""What looks as in the round before was judged then: candidates of no class, and parts of such things.
 
 The images of two rounds are taken from the same viewpoints. Where nothing near a candidate has moved since,
-and nothing in front of it, its fits would be repeated on the same measurements.
+and nothing in front of it, its fits would be repeated on the same measurements. A part of a thing remains one
+even where what stood beside it was taken away: without it there is less to tell that by.
 """
 
 from __future__ import annotations
 
-from collections.abc import Sequence
-from dataclasses import replace
+from collections.abc import Callable, Iterable, Sequence
+from dataclasses import dataclass, replace
 
 import cv2
 import numpy as np
@@ -16,16 +17,34 @@ from scipy.spatial import KDTree
 
 from perception.depth_cleaning import clean_frame
 from perception.detection.geometry import plan_coordinates, points_of
+from perception.inference.recutting import instance_ids
 from perception.pipeline import Detections
-from perception.types import ObjectEstimate, RgbdFrame, SupportPlane
+from perception.types import ObjectEstimate, RejectedObject, RgbdFrame, SupportPlane
 
 SAME_VIEW = 0.003  # [m] and [rad] between two poses of the camera
 CHANGED = 0.015  # [m] between the depths of a pixel, from which on something has moved
 NEAR = 0.03  # [m] in plan view from what has moved or was left, within which a candidate is judged again
 FEW = 0.02  # share of a candidate's points that may be near it
+AT = 0.01  # [m] in plan view from a part, or from what has moved, within which a part is the same, or is not
+MOST = 0.8  # share of a part's points that are where one was before, at least
 _CELL = 0.005  # [m] in which changed points are counted
 _LEAST = 4  # changed points in a cell: fewer are noise
 _POINTS = 500  # of a candidate
+
+
+@dataclass(frozen=True)
+class ScannedRound:
+    """What a round saw.
+
+    Attributes:
+        frames: Images with camera poses, without the robot.
+        detections: Detections in them.
+        rejected: Detected objects that it did not report, by the ids of the detections.
+    """
+
+    frames: Sequence[RgbdFrame]
+    detections: Detections
+    rejected: Sequence[RejectedObject] = ()
 
 
 def with_judged(
@@ -42,23 +61,15 @@ def with_judged(
         before: Images of the round before; without one from each of the same viewpoints nothing is marked.
         left: Objects that were found then and were not placed: they are fitted again.
     """
-    pairs = [(_from_same_view(frame, before), frame) for frame in frames]
-    changed = [_changes(old, new, detections.plane) for old, new in pairs if old is not None]
-    if not frames or len(changed) < len(frames):
+    changed = _changed_places(frames, before, detections.plane, with_hidden=True)
+    if changed is None:
         return detections
-    cells, count = np.unique(
-        np.floor(np.concatenate(changed) / _CELL).astype(np.int64), axis=0, return_counts=True
-    )
-    places = [(cells[count >= _LEAST] + 0.5) * _CELL]
-    places += [plan_coordinates(estimate.mesh_world.vertices, detections.plane) for estimate in left]
-    tree = KDTree(np.concatenate(places)) if any(len(place) for place in places) else None
+    places = [plan_coordinates(estimate.mesh_world.vertices, detections.plane) for estimate in left]
+    distance = _distance_to([changed, *places])
 
     def is_unchanged(frame: RgbdFrame, mask: Bool[np.ndarray, "h w"]) -> bool:
-        if tree is None:
-            return True
-        points = points_of(frame, mask)
-        plan = plan_coordinates(points[:: max(1, len(points) // _POINTS)], detections.plane)
-        return len(plan) > 0 and bool((tree.query(plan)[0] < NEAR).mean() <= FEW)
+        plan = _plan_points([(frame, mask)], detections.plane)
+        return len(plan) > 0 and bool((distance(plan) < NEAR).mean() <= FEW)
 
     return replace(
         detections,
@@ -67,6 +78,90 @@ def with_judged(
             for candidate in detections.left_out
         ),
     )
+
+
+def parts_as_before(
+    detections: Detections, frames: Sequence[RgbdFrame], before: ScannedRound
+) -> list[RejectedObject]:
+    """Return the detected objects that the round before saw, unchanged, as parts of things of no class.
+
+    Args:
+        detections: Detections in the images.
+        frames: Images with camera poses, without the robot.
+        before: The round before; without an image from each of the same viewpoints nothing is known.
+    """
+    parts = [item for item in before.rejected if item.is_part]
+    plane = detections.plane
+    changed = _changed_places(frames, before.frames, plane, with_hidden=False) if parts else None
+    if changed is None:
+        return []
+    distance_to_changed = _distance_to([changed])
+    places = [
+        (part, _distance_to([_plan_points(_masks(before.detections, before.frames, part.id), plane)]))
+        for part in parts
+    ]
+    found: list[RejectedObject] = []
+    for id in sorted(instance_ids(detections.per_frame)):
+        plan = _plan_points(_masks(detections, frames, id), plane)
+        if not len(plan) or (distance_to_changed(plan) < AT).mean() > FEW:
+            continue
+        same = (part for part, distance_to in places if (distance_to(plan) < AT).mean() > MOST)
+        found += [replace(part, id=id) for part in same][:1]
+    return found
+
+
+def without_instances(detections: Detections, ids: Iterable[int]) -> Detections:
+    """Return the detections, those of some instances without an id, so that they only occlude others."""
+    left = frozenset(ids)
+    rows = (
+        tuple(replace(d, instance_id=None) if d.instance_id in left else d for d in row)
+        for row in detections.per_frame
+    )
+    return replace(detections, per_frame=tuple(rows)) if left else detections
+
+
+def _masks(
+    detections: Detections, frames: Sequence[RgbdFrame], id: int
+) -> list[tuple[RgbdFrame, Bool[np.ndarray, "h w"]]]:
+    """Return the masks of an instance with their images."""
+    rows = zip(frames, detections.per_frame, strict=True)
+    return [(frame, d.mask) for frame, row in rows for d in row if d.instance_id == id]
+
+
+def _plan_points(
+    masks: Iterable[tuple[RgbdFrame, Bool[np.ndarray, "h w"]]], plane: SupportPlane
+) -> Float[np.ndarray, "n 2"]:
+    """Return the plan coordinates [m] of some measured points of masks, as many of each mask at most."""
+    plans = [np.zeros((0, 2))]
+    for frame, mask in masks:
+        points = points_of(frame, mask)
+        plans.append(plan_coordinates(points[:: max(1, len(points) // _POINTS)], plane))
+    return np.concatenate(plans)
+
+
+def _distance_to(
+    places: Sequence[Float[np.ndarray, "_n 2"]],
+) -> Callable[[Float[np.ndarray, "m 2"]], Float[np.ndarray, "m"]]:
+    """Return the function that gives the distance [m] of plan coordinates to the nearest of places."""
+    known = np.concatenate([np.zeros((0, 2)), *places])
+    if not len(known):
+        return lambda plan: np.full(len(plan), np.inf)
+    tree = KDTree(known)
+    return lambda plan: tree.query(plan)[0]
+
+
+def _changed_places(
+    frames: Sequence[RgbdFrame], before: Sequence[RgbdFrame], plane: SupportPlane, with_hidden: bool
+) -> Float[np.ndarray, "n 2"] | None:
+    """Return the plan coordinates [m] of what has changed since images before; None if they do not tell."""
+    pairs = [(_from_same_view(frame, before), frame) for frame in frames]
+    changed = [_changes(old, new, plane, with_hidden) for old, new in pairs if old is not None]
+    if not frames or len(changed) < len(frames):
+        return None
+    cells, count = np.unique(
+        np.floor(np.concatenate(changed) / _CELL).astype(np.int64), axis=0, return_counts=True
+    )
+    return (cells[count >= _LEAST] + 0.5) * _CELL
 
 
 def _from_same_view(frame: RgbdFrame, others: Sequence[RgbdFrame]) -> RgbdFrame | None:
@@ -82,11 +177,22 @@ def _from_same_view(frame: RgbdFrame, others: Sequence[RgbdFrame]) -> RgbdFrame 
     return next(same, None)
 
 
-def _changes(before: RgbdFrame, after: RgbdFrame, plane: SupportPlane) -> Float[np.ndarray, "n 2"]:
-    """Return the plan coordinates [m] of what only one of two images from the same viewpoint shows."""
+def _changes(
+    before: RgbdFrame, after: RgbdFrame, plane: SupportPlane, with_hidden: bool
+) -> Float[np.ndarray, "n 2"]:
+    """Return the plan coordinates [m] of what only one of two images from the same viewpoint shows.
+
+    Args:
+        before, after: The images.
+        plane: Support plane.
+        with_hidden: Whether what was taken away had hidden counts, and what is hidden now.
+    """
     old, new = clean_frame(before), clean_frame(after)
     is_measured = (old.depth > 0) & (new.depth > 0)
     differs = is_measured & (np.abs(old.depth - new.depth) > CHANGED)
     opened = cv2.morphologyEx(differs.astype(np.uint8), cv2.MORPH_OPEN, np.ones((3, 3), np.uint8)) > 0
-    points = np.concatenate([points_of(old, opened), points_of(new, opened)])
+    gone, come = old.depth < new.depth, old.depth > new.depth
+    points = np.concatenate(
+        [points_of(old, opened & (gone | with_hidden)), points_of(new, opened & (come | with_hidden))]
+    )
     return plan_coordinates(points, plane)

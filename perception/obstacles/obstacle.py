@@ -5,7 +5,8 @@ from __future__ import annotations
 from dataclasses import dataclass
 
 import numpy as np
-from jaxtyping import Float
+from jaxtyping import Bool, Float
+from scipy.spatial import ConvexHull
 
 
 @dataclass(frozen=True)
@@ -31,3 +32,11 @@ class PerceivedObstacle:
         """Smallest and largest corner in the world frame, in metres."""
         vertices = np.concatenate(self.pieces)
         return np.stack([vertices.min(axis=0), vertices.max(axis=0)])
+
+    def explains(self, points: Float[np.ndarray, "n 3"], margin: float) -> Bool[np.ndarray, "n"]:
+        """Return which world points [m] are in a piece or at most ``margin`` beyond each of its faces."""
+        explained = np.zeros(len(points), bool)
+        for piece in self.pieces:
+            faces = ConvexHull(piece).equations
+            explained |= (points @ faces[:, :3].T + faces[:, 3] <= margin).all(axis=1)
+        return explained

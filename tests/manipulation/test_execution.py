@@ -169,10 +169,11 @@ class FakeObserver:
     """Reports what ``presence`` lists, then objects in place; finds objects where ``poses`` says.
 
     ``closer`` lists what closer looks at stacks show, each by name; after them, nothing. Nothing hangs in the
-    air but ``lifted``.
+    air but ``lifted``. ``unknown`` are the points that nothing known explains.
     """
 
     lifted = ()
+    unknown = np.zeros((0, 3))
 
     def __init__(self, presence=(), **findings):
         self.presence, self.findings, self.searched = list(presence), findings, []
@@ -182,6 +183,9 @@ class FakeObserver:
         if any(poses[name][2, 3] > IN_THE_AIR for name in names):
             return {name: "in_place" if name in self.lifted else "displaced" for name in names}
         return {name: self.presence.pop(0) if self.presence else "in_place" for name in names}
+
+    def unexpected(self, poses, obstacles, region):
+        return self.unknown[region(self.unknown)]
 
     def find(self, name, poses):
         self.searched.append(name)

@@ -53,6 +53,16 @@ def test_margins_grow_the_boxes_on_every_side():
     assert HAND.sweep_contains(beside, np.zeros(3), 0.002)
 
 
+def test_which_points_the_hand_meets_on_its_way():
+    finger = 0.03 + GRIPPER.finger_reach / 2
+    points = np.array([[0.0, finger, 0.0], [0.0, finger, -0.2], [0.0, finger, -0.2 - GRIPPER.palm - 0.11]])
+    points = np.vstack([points, [[0.0, 0.0, 0.0], [0.0085, finger, 0.0]]])
+    back = np.array([0.0, 0.0, -0.2])
+    assert HAND.swept(points, back).tolist() == [True, True, False, False, True]
+    assert HAND.swept(points, back, -0.002).tolist() == [True, True, False, False, False]
+    assert HAND.swept(points, np.zeros(3)).tolist() == [True, False, False, False, True]
+
+
 def test_the_palm_alone_leaves_the_fingers_out():
     assert not HAND.palm.contain(np.array([[0.0, 0.035, 0.0]]))
     assert HAND.palm.contain(np.array([[0.0, 0.0, -GRIPPER.palm - 0.01]]))

@@ -61,6 +61,29 @@ def test_nothing_is_touched_where_the_scene_has_changed(cell, plan, item):
     np.testing.assert_array_equal(planner.world.pose("can_1"), item.T_world_stand)
 
 
+@pytest.mark.parametrize(
+    ("where", "is_free"),
+    [("above", False), ("beside", True), ("in a finger", False), ("few points above", True)],
+)
+def test_the_hand_does_not_go_where_something_unknown_is(shapes, item, arm, plan, where, is_free):
+    """A neck that the estimate of the can lacks, in the way of the palm; what is beside that is not."""
+    T_grasp = Kinematics(arm).forward(plan.approach.positions[-1])
+    finger = plan.grasp.opening / 2 + 0.008
+    offset = {"beside": (0.05, 0.0, -0.02), "in a finger": (0.0, finger, 0.0)}.get(where, (0, 0, -0.06))
+    middle = T_grasp[:3, :3] @ np.array(offset) + T_grasp[:3, 3]
+    robot, observer = FakeRobot(arm, [plan.grasp.held_width]), FakeObserver()
+    count = 20 if where.startswith("few") else 100
+    observer.unknown = middle + np.random.default_rng(0).uniform(-0.003, 0.003, (count, 3))
+    planner = planner_of(item, arm)
+    execution = PlanExecution(robot, planner, observer, CONFIG, lambda *args, **options: None)
+    if is_free:
+        execution.run(plan)
+        return
+    with pytest.raises(GraspFailedError, match=r"something unknown at .* is in the way of the hand to can_1"):
+        execution.run(plan)
+    assert robot.motions == [plan.transit] and 0.0 not in robot.widths
+
+
 @pytest.mark.parametrize("lifted", [(), ("mug_2",)])
 def test_what_an_object_stood_in_is_put_back_with_it(shapes, arm, lifted):
     bowl = to_standing(shapes.estimate(1, "bowl", shapes.bowl(0.035, 0.04), 0.5, -0.25))

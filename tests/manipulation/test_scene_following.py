@@ -24,6 +24,9 @@ class Observer:
         self.glanced = names
         return {name: "displaced" if name in self.displaced else "in_place" for name in names}
 
+    def unexpected(self, poses, obstacles, region):
+        raise AssertionError("not asked for")
+
     def find(self, name, poses):
         return self.seen.get(name, Finding("unseen"))
 

@@ -75,6 +75,10 @@ def test_the_camera_is_not_moved_where_the_hand_cannot_rise(planner, among, monk
     assert observer.find("can_1", planner.poses()).status == "unseen"
     assert observer.look_closer(("can_1",), planner.poses()) == {} and not among.motions
     assert observer.glance(planner.poses(), ("can_1",)) == {"can_1": "in_place"}, "needs no motion"
+    seen.unknown = np.eye(3)
+    np.testing.assert_array_equal(
+        observer.unexpected(planner.poses(), (), lambda points: points[:, 0] > 0.5), np.eye(3)[:1]
+    )
     monkeypatch.undo()
     assert observer.find("can_1", planner.poses()).status == "missing"
     assert list(observer.look_closer(("can_1",), planner.poses())) == ["can_1"]

@@ -11,6 +11,7 @@ from manipulation.errors import PlanningError, RobotStoppedError
 from manipulation.observation import TURNED
 from manipulation.viewpoints import ViewpointScanner
 from manipulation.workspace import Workspace
+from perception.detection.geometry import points_of
 from perception.errors import PerceptionError
 from perception.geometry import pose_from_yaw, so3_exp
 from perception.inference.refit import PoseCheck
@@ -170,6 +171,29 @@ def test_a_search_of_the_table_shows_its_obstacles(scene, can_at, pack_plan):
     answers["check"] = shifted(can_at, 0.02)
     assert watch.find("can_0", poses).obstacles == (thing,), "it may have been among the things before"
     assert given == [[], ["can_0"], ["can_0"]]
+
+
+def test_points_in_a_region_that_nothing_explains(scene, can_at, pack_plan):
+    _, poses, _, scanner = scene
+    moved = {"can_0": poses["can_0"].copy()}
+    moved["can_0"][0, 3] += 0.05
+    thing, given = PerceivedObstacle(1, (np.zeros((4, 3)),), 300), []
+
+    def find_unexplained(points, objects, obstacles):
+        given.append((objects[0].T_world_object[0, 3] - can_at().T_world_object[0, 3], obstacles))
+        return points[points[:, 0] > middle]
+
+    bystander = replace(can_at(), id=7)
+    watch = WristObserver(
+        scanner, [can_at(), bystander], pack_plan.objects, find_unexplained=find_unexplained
+    )
+    shown = points_of(scanner.frame, scanner.frame.depth > 0)
+    middle = float(np.median(shown[:, 0]))
+    found = watch.unexpected(moved, (thing,), lambda points: points[:, 1] > np.median(shown[:, 1]))
+    assert given == [(pytest.approx(0.05), (thing,))]
+    assert len(found) and (found[:, 0] > middle).all() and (found[:, 1] > np.median(shown[:, 1])).all()
+    nothing = watch.unexpected(moved, (thing,), lambda points: points[:, 2] > 9.0)
+    assert nothing.shape == (0, 3) and len(given) == 1
 
 
 def test_a_stopped_robot_is_no_missing_image(scene):

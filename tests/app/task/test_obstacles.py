@@ -14,6 +14,7 @@ from app.task.obstacles import (
     obstacles_during,
     portrait_of,
     table_of,
+    unexplained_during,
 )
 from manipulation.types import Box
 from perception.detection.left_out import of_no_class
@@ -122,3 +123,19 @@ def test_rows_and_notes_name_place_and_size():
     assert row["image"] == 0 and len(row["box"]) == 4
     assert "image" not in obstacle_rows([thing], [])[0]
     assert obstacle_note(thing) == "thing_0: a thing of no class, 6 x 6 x 6 cm, at (0.50, -0.20) m is avoided"
+
+
+def test_points_of_nothing_known(can_at):
+    """Points of a can, a thing and the table, one above the box, and one that nothing explains."""
+    can, thing, box = can_at(0), block(0.6, -0.3), Box()
+    T = can.T_world_object
+    on_can = max(can.mesh_world.vertices, key=lambda vertex: vertex[2])
+    unknown = T[:3, 3] + (0.0, 0.0, 0.12)
+    points = np.array(
+        [on_can, (0.6, -0.3, 0.07), (0.4, -0.4, 0.01), (*box.center, 0.15), unknown], dtype=np.float64
+    )
+    surface = table_of(Detections(SupportPlane(), ((),)))
+    found = unexplained_during(points, [can], [thing], surface, box)
+    np.testing.assert_array_equal(found, points[4:])
+    found = unexplained_during(points, [], [], surface, None)
+    np.testing.assert_array_equal(found, points[[0, 1, 3, 4]])

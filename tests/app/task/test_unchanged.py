@@ -5,10 +5,10 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
-from app.task.unchanged import with_judged
+from app.task.unchanged import ScannedRound, parts_as_before, with_judged, without_instances
 from perception.detection.left_out import of_no_class
 from perception.pipeline import Detections
-from perception.types import RgbdFrame, SupportPlane
+from perception.types import RejectedObject, RgbdFrame, SupportPlane, unclassified
 from tests.app.task.test_obstacles import block, overhead
 
 NEAR, FAR = (0.43, -0.2), (0.62, -0.2)  # two things; the block that is taken away is beside the first
@@ -77,3 +77,47 @@ def test_without_an_image_from_the_same_viewpoint_nothing_is_known(things):
     assert judged(with_judged(candidates(*things), [image(*things)], [other])) == [False, False]
     assert judged(with_judged(candidates(*things), [image(*things)], [])) == [False, False]
     assert with_judged(Detections(SupportPlane(), ()), [], []).left_out == ()
+
+
+def detected(*things):
+    """Detections of things with ids from 5 on."""
+    masks = [overhead(*PLACE, obstacle=thing).depth < 0.47 for thing in things]
+    return Detections(SupportPlane(), (tuple(unclassified(mask, 5 + k) for k, mask in enumerate(masks)),))
+
+
+def rejected_before(things, *others, is_part=True):
+    """The round before, which saw the second of the things as a part, as its detection 5, and others."""
+    item = RejectedObject(5, "mug", "it goes on", 0.9, is_part=is_part)
+    return ScannedRound([image(*things, *others, seed=1)], detected(things[1]), (item,))
+
+
+def test_a_part_of_a_thing_remains_one(things):
+    before = rejected_before(things)
+    (part,) = parts_as_before(detected(*things), [image(*things)], before)
+    assert part == replace(before.rejected[0], id=6)
+
+
+def test_a_part_remains_one_where_what_stood_beside_it_was_taken_away(things):
+    removed = block(FAR[0] - 0.055, FAR[1], half=0.02)  # in the image it hides some of the thing
+    before = rejected_before(things, removed)
+    assert [part.id for part in parts_as_before(detected(*things), [image(*things)], before)] == [6]
+
+
+@pytest.mark.parametrize("change", ["moved", "touched", "another reason", "other viewpoint"])
+def test_what_may_be_no_part_is_judged_again(things, change):
+    now = list(things)
+    before = rejected_before(things, is_part=change != "another reason")
+    if change == "moved":
+        now[1] = block(FAR[0] - 0.02, FAR[1], half=0.02)
+    if change == "touched":
+        before = rejected_before(things, block(FAR[0] - 0.04, FAR[1], half=0.02))
+    shift = 0.02 if change == "other viewpoint" else 0.0
+    assert parts_as_before(detected(*now), [image(*now, shift=shift)], before) == []
+
+
+def test_instances_without_an_id_only_occlude(things):
+    detections = detected(*things)
+    ((first, second),) = without_instances(detections, [6]).per_frame
+    assert (first.instance_id, second.instance_id) == (5, None)
+    np.testing.assert_array_equal(second.mask, detections.per_frame[0][1].mask)
+    assert without_instances(detections, []) is detections
