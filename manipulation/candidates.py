@@ -12,6 +12,7 @@ from manipulation.motions import OUT_OF_REACH
 from manipulation.types import Grasp, GraspSet, Placement, Rejected
 from perception.geometry import pose_from_yaw
 
+NO_WAY = Rejected("without a collision-free path to the object")
 _STEEP = -0.8  # vertical component of the approach, up to which the hand points down
 
 
@@ -34,6 +35,11 @@ class Tally:
     def in_the_way(self) -> tuple[str, ...]:
         """Names of what discarded candidates collide with, the most frequent first."""
         return tuple(name for name, _ in self.blockers.most_common())
+
+    @property
+    def is_enclosed(self) -> bool:
+        """Whether candidates were discarded because no path leads to them."""
+        return self.reasons[NO_WAY.reason] > 0
 
     def failure_message(self, name: str, candidates: GraspSet) -> str:
         """Return the error message for an object without a plan: counts by reason and a remedy."""

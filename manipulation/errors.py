@@ -14,11 +14,12 @@ class NoPlanError(PlanningError):
 
     Attributes:
         blockers: names of the objects and things that are in the way, the most frequent first.
+        is_enclosed: whether no path was found from the present posture to an object that could be grasped.
     """
 
-    def __init__(self, message: str, blockers: tuple[str, ...] = ()) -> None:
+    def __init__(self, message: str, blockers: tuple[str, ...] = (), is_enclosed: bool = False) -> None:
         super().__init__(message)
-        self.blockers = blockers
+        self.blockers, self.is_enclosed = blockers, is_enclosed
 
 
 class RobotError(ManipulationError):

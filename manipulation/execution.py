@@ -327,7 +327,8 @@ class _Execution:
     def _plan(self, placement: Placement, tried: Sequence[Grasp], effort: Effort) -> PickPlacePlan:
         """Return the next plan for an object.
 
-        What blocks it is set aside before, or the object is pushed, if that helps.
+        A hand that no path leads away from is moved above the objects first. What blocks the object is set
+        aside before, or the object is pushed, if that helps.
 
         Raises:
             PlanningError: there is none.
@@ -337,6 +338,8 @@ class _Execution:
             try:
                 return self.planning.next_plan(placement, self.robot.joint_positions(), tried, effort)
             except NoPlanError as error:
+                if error.is_enclosed and self.withdrawal.has_risen():
+                    continue
                 names = [
                     *(blocker for blocker in error.blockers if blocker != placement.name),
                     placement.name,

@@ -10,6 +10,7 @@ from jaxtyping import Float
 
 from manipulation.collision import NO_CONTACT, AllowedContacts, CollisionWorld, Contact
 from manipulation.kinematics import Kinematics
+from manipulation.path_search import search_path
 from manipulation.robot import JointTrajectory
 from manipulation.trajectories import (
     JointLimits,
@@ -115,6 +116,30 @@ class MotionPlanner:
             The waypoints in [rad], or None if no candidate path is free.
         """
         return _Candidates(self, q_start, q_goal, width, margins).first(lambda path: True)
+
+    def any_path(
+        self,
+        q_start: Float[np.ndarray, "n"],
+        q_goal: Float[np.ndarray, "n"],
+        width: float,
+        margins: Sequence[float | None] = (None,),
+    ) -> Path | None:
+        """Return a path as ``free_path`` does, or one that is found by a search (``path_search``).
+
+        The search takes up to seconds where there is none: it is for ways that must be found, not for
+        candidates of a plan. It keeps the smallest clearance.
+        """
+        path = self.free_path(q_start, q_goal, width, margins)
+        if path is not None:
+            return path
+        allowed = AllowedContacts(robot_margin=margins[-1], carried_margin=margins[-1])
+
+        def is_free(begin: np.ndarray, end: np.ndarray) -> bool:
+            return self.world.path_contact(np.stack([begin, end]), width, allowed) is None
+
+        if not (is_free(q_start, q_start) and is_free(q_goal, q_goal)):
+            return None
+        return search_path(q_start, q_goal, is_free, (self.kinematics.lower, self.kinematics.upper))
 
     def carrying_path(
         self,

@@ -222,7 +222,9 @@ class ObjectPlanning:
                 elsewhere = [] if overturned else self._places_elsewhere(placement)
                 with contextlib.suppress(PlanningError):
                     return self._plan([*goals, *elsewhere], q, tried, is_tilted=True)
-            raise NoPlanError(f"{at} and cannot be turned: {error}", error.blockers) from error
+            raise NoPlanError(
+                f"{at} and cannot be turned: {error}", error.blockers, error.is_enclosed
+            ) from error
 
     def _best_to_turn(self, goals: Sequence[Placement]) -> list[Placement]:
         """Return the first goals of an object that does not stand from which it can be turned by 90 degrees.
@@ -290,7 +292,8 @@ class ObjectPlanning:
             grasps = planner.tilted_grasps(goals[0].name) if is_tilted else grasps
             return planner.plan(goals, q, tried, grasps, contents)
         except NoPlanError as error:
-            self._failures[key] = planner.scene_state, error
+            if not error.is_enclosed:  # which depends on the posture too
+                self._failures[key] = planner.scene_state, error
             raise
 
     def _roomier(self, placement: Placement) -> Placement:

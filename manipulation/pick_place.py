@@ -14,7 +14,7 @@ from dataclasses import dataclass, field, replace
 import numpy as np
 from jaxtyping import Float
 
-from manipulation.candidates import Tally, are_similar, ordered_yaws
+from manipulation.candidates import NO_WAY, Tally, are_similar, ordered_yaws
 from manipulation.collision import Body, CollisionConfig, CollisionWorld
 from manipulation.errors import NoPlanError
 from manipulation.grasp_config import GraspConfig
@@ -282,7 +282,7 @@ class PickPlacePlanner:
                 if len(plans) >= self.config.max_plans or tally.n_rejected > limit:
                     break
         if not plans:
-            raise NoPlanError(tally.failure_message(name, candidates), tally.in_the_way)
+            raise NoPlanError(tally.failure_message(name, candidates), tally.in_the_way, tally.is_enclosed)
         return min(plans, key=lambda plan: plan.duration)
 
     def can_pick(
@@ -365,7 +365,7 @@ class PickPlacePlanner:
             q_start, pick.approach[0], pick.grasp.opening, self.config.transit_margins
         )
         if start is None:
-            tally.reject(Rejected("without a collision-free path to the object"))
+            tally.reject(NO_WAY)
             return None
         return self._time(pick, place, goal, start, carry)
 

@@ -279,7 +279,7 @@ class PlanExecution:
         q, home = robot.joint_positions(), np.asarray(robot.arm.q_home, dtype=np.float64)
         if np.abs(q - home).max() < 1e-3:
             return
-        path = motions.free_path(q, home, robot.gripper_width(), (None, *HOME_MARGINS))
+        path = motions.any_path(q, home, robot.gripper_width(), (None, *HOME_MARGINS))
         if path is None:
             direct, *others = itertools.islice(motions.candidate_paths(q, home), 2)
             path = others[0] if others else direct

@@ -27,6 +27,7 @@ from perception.obstacles.obstacle import PerceivedObstacle
 logger = logging.getLogger(__name__)
 
 _STEPS = (0.03, 0.06, 0.10, 0.15)  # [m] lengths of lines out of clearances, the shortest first
+_MOVED = 0.05  # [rad] of a joint
 HOME_MARGINS = (0.012, 0.004)  # [m] of paths to the home posture, in descending order
 
 
@@ -95,8 +96,13 @@ class Withdrawal:
         if not isinstance(up, Rejected):
             return self._follow(motions, [up], ())
         home = np.asarray(robot.arm.q_home, dtype=np.float64)
-        path = motions.free_path(q, home, width, HOME_MARGINS)
+        path = motions.any_path(q, home, width, HOME_MARGINS)
         return path is not None and self._follow(motions, [], path)
+
+    def has_risen(self) -> bool:
+        """Move above the objects; return whether the arm is elsewhere then."""
+        before = self._robot.joint_positions()
+        return self.rise() and bool(np.abs(self._robot.joint_positions() - before).max() > _MOVED)
 
     def _follow(
         self, motions: MotionPlanner, lines: Sequence[np.ndarray], path: Sequence[np.ndarray]

@@ -6,7 +6,7 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
-from manipulation.candidates import Tally, are_similar, ordered_yaws
+from manipulation.candidates import NO_WAY, Tally, are_similar, ordered_yaws
 from manipulation.grasps import grasp_candidates
 from manipulation.motions import OUT_OF_REACH
 from manipulation.standing import to_standing
@@ -80,3 +80,11 @@ def test_yaws_of_a_hand_far_from_vertical_point_it_away_from_the_base(item):
     placement = Placement("can_1", (0.5, 0.5, 0.0), (0.0, np.pi, 0.7, -2.0))
     yaws = ordered_yaws(item.T_world_stand, at(np.eye(4), 0.5, 0.5), level, placement)
     assert yaws == [0.7, 0.0, np.pi, -2.0]  # outwards is pi / 4
+
+
+def test_a_posture_that_no_path_leads_from_is_enclosed():
+    tally = Tally()
+    tally.reject(OUT_OF_REACH)
+    assert not tally.is_enclosed
+    tally.reject(NO_WAY)
+    assert tally.is_enclosed and "without a collision-free path to the object" in tally.reasons

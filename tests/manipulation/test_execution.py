@@ -451,6 +451,24 @@ def test_blocked_object_is_deferred_until_the_others_are_moved(packing, arm, mon
     assert [event.name for event in deferred] == ["bowl_2"] and "9 collide with can_1" in deferred[0].message
 
 
+def test_a_hand_that_no_path_leads_away_from_is_moved_above_the_objects(packing, arm, monkeypatch):
+    """After the first object the hand is low; the plan for the next one begins above via height."""
+    plan, starts, kinematics = PickPlacePlanner.plan, [], Kinematics(arm)
+
+    def enclosed_when_low(self, placement, q, *args, **options):
+        starts.append(kinematics.forward(q)[2, 3])
+        if starts[-1] < CONFIG.pick_place.via_heights[0] - 2e-3:
+            raise NoPlanError("no way", (), is_enclosed=True)
+        return plan(self, placement, q, *args, **options)
+
+    monkeypatch.setattr(PickPlacePlanner, "plan", enclosed_when_low)
+    robot = FakeRobot(arm)
+    watcher = Watcher(robot)
+    outcomes = execute(packing, robot, on_event=watcher, config=CONFIG)
+    assert all(outcome.placed for outcome in outcomes) and min(starts) < 0.3
+    assert not any(event.phase == "deferred" for event in watcher.events)
+
+
 def test_what_an_object_blocked_comes_next_once_that_is_moved(scene, shapes, arm, monkeypatch):
     """Not after all others, whose places may block its goal."""
     cans = [shapes.estimate(i, "can", shapes.can(), x=0.1 * i, y=-0.4) for i in (4, 5)]

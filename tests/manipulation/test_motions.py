@@ -63,6 +63,21 @@ def test_no_path_through_an_obstacle_that_cannot_be_avoided(kinematics, ends):
     assert motions_among(kinematics, TALL_WALL).free_path(*ends, WIDTH) is None
 
 
+def test_where_no_simple_path_is_free_one_is_searched_for(kinematics, ends, monkeypatch):
+    motions = motions_among(kinematics, WALL)
+    simple = motions.any_path(*ends, WIDTH, (0.06, 0.004))
+    np.testing.assert_array_equal(simple, motions.free_path(*ends, WIDTH, (0.06, 0.004)))
+    monkeypatch.setattr(motions, "free_path", lambda *_: None)
+    path = motions.any_path(*ends, WIDTH, (0.06, 0.004))
+    assert path[0] == pytest.approx(ends[0]) and path[-1] == pytest.approx(ends[1])
+    kept = AllowedContacts(robot_margin=0.004)
+    assert motions.world.path_contact(np.stack(path), WIDTH, kept) is None
+    assert all(kinematics.within_limits(q) for q in path)
+    under = posture(kinematics, 0.5, 0.0, 0.05)
+    assert motions.world.contact(under, WIDTH) is not None
+    assert motions.any_path(under, ends[1], WIDTH) is None, "it begins in the wall"
+
+
 def test_the_first_margin_that_some_path_keeps_is_used(kinematics, ends):
     motions = motions_among(kinematics, WALL)
     assert motions.free_path(*ends, WIDTH, (0.5,)) is None

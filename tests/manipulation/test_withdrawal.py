@@ -59,6 +59,13 @@ def test_the_hand_rises_above_the_objects_once(planner, among):
     assert withdrawal.rise() and len(among.motions) == n_motions
 
 
+def test_a_hand_has_risen_only_if_it_was_moved(planner, among, monkeypatch):
+    withdrawal = Withdrawal(among, planner)
+    assert withdrawal.has_risen() and not withdrawal.has_risen()
+    monkeypatch.setattr(withdrawal, "rise", lambda: False)
+    assert not withdrawal.has_risen()
+
+
 def test_where_nothing_is_free_above_the_hand_goes_home_around_it(planner, among, monkeypatch):
     Withdrawal(among, planner).leave()
     monkeypatch.setattr(planner.motions, "free_line", lambda *_: Rejected("out of reach"))
