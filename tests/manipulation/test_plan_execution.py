@@ -169,7 +169,7 @@ def test_where_no_way_home_is_known_to_be_free_it_leads_over_a_point_above_the_h
     low[2, 3] = 0.12
     robot.q = planner.kinematics.inverse(low, [robot.arm.q_home], name="").q
     before, margins = len(robot.motions), []
-    monkeypatch.setattr(planner.motions, "free_path", lambda q, home, width, m: margins.append(m))
+    monkeypatch.setattr(planner.motions, "any_path", lambda q, home, width, m: margins.append(m))
     execution.go_home()
     first, second = robot.motions[before:]
     assert planner.kinematics.forward(first.positions[-1])[2, 3] > 0.2
