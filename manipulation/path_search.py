@@ -82,10 +82,10 @@ def search_path(
         growing, other = trees if from_start else trees[::-1]
         between = q_start + rng.uniform() * (np.asarray(q_goal) - q_start)
         sample = np.clip(between + config.spread * rng.standard_normal(len(between)), *limits)
-        reached = _grow(growing, sample, is_free, config.step, 1)
+        reached = _grow(growing, sample, is_free, config.step)
         if reached is not None:
             target = growing.postures[reached]
-            met = _grow(other, target, is_free, config.step, None)
+            met = _grow(other, target, is_free, config.step, to_target=True)
             if met is not None and np.array_equal(other.postures[met], target):
                 there, back = growing.branch(reached), other.branch(met)[::-1]
                 path = there + back[1:]
@@ -94,10 +94,10 @@ def search_path(
     return None
 
 
-def _grow(tree: _Tree, target: Posture, is_free: IsFree, step: float, most: int | None) -> int | None:
-    """Grow a branch towards a posture by at most a number of steps; return its end, None if it is empty."""
+def _grow(tree: _Tree, target: Posture, is_free: IsFree, step: float, to_target: bool = False) -> int | None:
+    """Grow a branch towards a posture, by one step or as far as it is free; return its end, None if empty."""
     index, end = tree.nearest(target), None
-    while most is None or most > 0:
+    while True:
         q = tree.postures[index]
         distance = float(np.abs(target - q).max())
         if distance == 0.0:
@@ -106,8 +106,8 @@ def _grow(tree: _Tree, target: Posture, is_free: IsFree, step: float, most: int 
         if not is_free(q, q_next):
             return end
         index = end = tree.add(q_next, index)
-        most = None if most is None else most - 1
-    return end
+        if not to_target:
+            return end
 
 
 def _shortened(

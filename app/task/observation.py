@@ -105,7 +105,7 @@ class WristObserver:
         frame = self._scanner.look(color=False)
         if self._find_unexplained is None or not region(points_of(frame, frame.depth > 0)).any():
             return np.zeros((0, 3))
-        frame = clean_frame(frame)
+        frame = clean_frame(frame)  # which takes longer than the question whether it is needed
         points = points_of(frame, frame.depth > 0)
         points = points[region(points)]
         return self._find_unexplained(points, self._at(poses), obstacles)

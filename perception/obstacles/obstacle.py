@@ -37,6 +37,6 @@ class PerceivedObstacle:
         """Return which world points [m] are in a piece or at most ``margin`` beyond each of its faces."""
         explained = np.zeros(len(points), bool)
         for piece in self.pieces:
-            faces = ConvexHull(piece).equations
+            faces = ConvexHull(piece, qhull_options="QJ").equations  # a flat piece has a hull, too
             explained |= (points @ faces[:, :3].T + faces[:, 3] <= margin).all(axis=1)
         return explained

@@ -14,6 +14,8 @@ from manipulation.types import Box, ObjectOutcome
 from manipulation.workspace import Workspace
 from perception.errors import PerceptionError
 from perception.geometry import pose_from_yaw
+from perception.pipeline import Detections
+from perception.types import RejectedObject, SupportPlane, unclassified
 from tests.app.task.conftest import SEEN, Recording, StillRobot
 
 
@@ -81,6 +83,29 @@ def test_a_further_round_that_fails_keeps_the_results(stages, error):
     result = run(StillRobot(), stages.perception, TaskRequest("pack", Box()))
     assert result.failure == "" and result.outcomes == stages.outcomes and result.checks == {0: SEEN}
     assert len(stages.scanner.visited) == 3, "two scans and the verification"
+
+
+def test_a_part_of_a_thing_is_not_fitted_again_in_further_rounds(stages):
+    """Each round compares with what the one before saw, the first included, and reports the part again."""
+    part = RejectedObject(4, "mug", "it goes on", 0.9, is_part=True)
+    mask = np.ones(stages.scanner.frame.depth.shape, bool)
+    detections = Detections(SupportPlane(), ((unclassified(mask, 3), unclassified(mask, 4)),))
+    compared, fitted = [], []
+    stages.stage("detect", detections)
+    stages.replace("with_judged", lambda detections, *args: detections)
+    stages.replace("parts_as_before", lambda found, frames, before: compared.append(before) or [part])
+
+    def reconstruct(frames, detections, *args, **options):
+        fitted.append([d.instance_id for d in detections.per_frame[0]])
+        return stages.objects
+
+    stages.replace("reconstruct_objects", reconstruct)
+    result = run(StillRobot(), stages.perception, TaskRequest("pack", Box(), rounds=3))
+    assert fitted == [[3, 4], [3, None], [3, None]]
+    assert [list(before.rejected) for before in compared] == [[], [part]]
+    masks = [[d.instance_id for d in before.detections.per_frame[0]] for before in compared]
+    assert masks == [[3, 4], [3, 4]], "the part has its masks, where the next round looks for it"
+    assert list(result.rejected) == [part]
 
 
 def test_what_was_left_in_the_box_is_tried_once_more_and_then_stays_there(stages, pack_plan):
