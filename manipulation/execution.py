@@ -33,9 +33,11 @@ from manipulation.obstacles import TABLE, box_obstacles
 from manipulation.pick_place import PickPlacePlanner
 from manipulation.plan_execution import MISPLACED, Phase, PlanExecution
 from manipulation.planner import ManipulationConfig
+from manipulation.planning_ahead import PlanningAhead
 from manipulation.robot import Robot
 from manipulation.scene_following import SceneFollowing, Searched
 from manipulation.task_order import TaskOrder
+from manipulation.task_progress import TaskProgress
 from manipulation.types import Grasp, ObjectOutcome, PickPlacePlan, Placement, TaskPlan
 from manipulation.withdrawal import Withdrawal, WithdrawingObserver
 
@@ -103,7 +105,7 @@ def execute(
 
 
 class _Execution:
-    """State of one execution: the planner with its collision world, and the outcomes so far."""
+    """State of one execution: the planner with its collision world, and the progress so far."""
 
     def __init__(
         self,
@@ -121,24 +123,35 @@ class _Execution:
         self.on_event = on_event or (lambda event: None)
         self.motion = PlanExecution(robot, planner, self.observer, config, self._notify)
         self.planning = ObjectPlanning(task, planner, config)
-        self.outcomes: dict[str, ObjectOutcome] = {}
+        self._ahead = PlanningAhead(task, planner, config)
         self._order = TaskOrder(task.placements, planner)
+        ids = {name: item.id for name, item in task.objects.items()}
+        self._progress = TaskProgress(ids, task.placements, config.packing.release_height)
         self._scene = SceneFollowing(planner, self.observer)
-        self._goals = {placement.name: placement for placement in task.placements}
         self._clearing = Clearing(robot, self.planning, self.motion, self._scene)
         self._located: set[str] = set()  # objects that were found since they were knocked over
-        self._tried_before: dict[str, ObjectOutcome] = {}  # first outcomes of objects that get another chance
 
     def run(self, ends_home: bool) -> list[ObjectOutcome]:
-        order = self._order
+        with self._ahead:
+            if self._place_all():
+                with contextlib.suppress(RobotStoppedError):
+                    self.withdrawal.rise()
+                    if ends_home:
+                        self.motion.go_home()
+        return self._progress.results(self.planner.poses())
+
+    def _place_all(self) -> bool:
+        """Give each object its turns; return whether the robot was not stopped."""
+        order, progress = self._order, self._progress
         effort, n_deferred = Effort.PLAIN, 0  # with this effort, in a row
         while order:
             placement = order.next()
             try:
                 outcome = self._attempt(placement, effort)
             except RobotStoppedError as error:
-                self._give_up([placement, *order], str(error))
-                return self._outcomes()
+                for given_up in progress.give_up([goal.name for goal in (placement, *order)], str(error)):
+                    self._notify("failed", given_up.name, given_up.reason)
+                return False
             if outcome is None:
                 if effort == Effort.PLAIN and self._make_way(placement):
                     n_deferred = 0
@@ -150,33 +163,21 @@ class _Execution:
                 continue
             if outcome.attempts or outcome.name in self.planner.forgotten:
                 effort, n_deferred = Effort.PLAIN, 0
-            if self._gets_another_chance(placement, outcome):
+            if self.can_see and progress.gets_another_chance(outcome):
                 self._notify("deferred", placement.name, outcome.reason)
                 order.put_last(placement)
                 continue
-            self.outcomes[placement.name] = outcome
+            progress.record(outcome)
             self._notify("placed" if outcome.placed else "failed", placement.name, outcome.reason)
             order.put_unblocked_first(outcome.name)
-        with contextlib.suppress(RobotStoppedError):
-            self.withdrawal.rise()
-            if ends_home:
-                self.motion.go_home()
-        return self._outcomes()
-
-    def _outcomes(self) -> list[ObjectOutcome]:
-        """Return the outcomes, with the poses in which objects that were not placed were left."""
-        poses = self.planner.poses()
-        return [
-            outcome if outcome.placed else replace(outcome, T_world_left=poses.get(outcome.name))
-            for outcome in self.outcomes.values()
-        ]
+        return True
 
     def _attempt(self, placement: Placement, effort: Effort) -> ObjectOutcome | None:
         """Try to place one object; return None if it is deferred."""
-        if self._waits_for_stack(placement) and effort < Effort.CLEARING:
+        if self._progress.waits_for_stack(placement) and effort < Effort.CLEARING:
             self._order.note_blockers(placement.name, placement.stack)
             return None
-        outcome = self._place(self._with_placed_stack(placement), effort)
+        outcome = self._place(self._progress.with_placed_stack(placement, self.planner.poses()), effort)
         is_unplanned = outcome.attempts == 0 and placement.name not in self.planner.forgotten
         most = Effort.BESIDE if placement.stack else Effort.CLEARING
         if is_unplanned and effort < most:
@@ -189,7 +190,7 @@ class _Execution:
         order, blocker = self._order, self._order.first_blocker(placement.name)
         if blocker is None:
             return False
-        remedy = order.remedy(placement, blocker, self._waits_for_stack(blocker))
+        remedy = order.remedy(placement, blocker, self._progress.waits_for_stack(blocker))
         if remedy == "placed first":
             order.put_before(blocker, placement)
             return True
@@ -198,44 +199,9 @@ class _Execution:
             return True
         return False
 
-    def _gets_another_chance(self, placement: Placement, outcome: ObjectOutcome) -> bool:
-        """Return whether an object that was not placed is tried once more when the others are done."""
-        name = placement.name
-        if outcome.placed or name in self._tried_before or not self.can_see:
-            return False
-        self._tried_before[name] = outcome
-        return True
-
-    def _give_up(self, placements: Sequence[Placement], reason: str) -> None:
-        """Record that the robot was stopped while it handled the first placement."""
-        for index, placement in enumerate(placements):
-            name, before = placement.name, self._tried_before.get(placement.name)
-            attempts = (before.attempts if before else 0) + (1 if index == 0 else 0)
-            self.outcomes[name] = ObjectOutcome(self.task.objects[name].id, name, False, attempts, reason)
-            self._notify("failed", name, reason)
-
-    def _waits_for_stack(self, placement: Placement) -> bool:
-        """Return whether a bowl below it has not been processed."""
-        return any(name in self._goals and name not in self.outcomes for name in placement.stack)
-
-    def _with_placed_stack(self, placement: Placement) -> Placement:
-        """Return the placement with its stack reduced to the bowls that were placed, at the uppermost one."""
-        if not placement.stack:
-            return placement
-        stack = tuple(name for name in placement.stack if self._is_there(name))
-        if not stack:
-            return replace(placement, stack=(), release_height=self.config.packing.release_height)
-        # The bowl below may have moved when it was released or pressed.
-        x, y = self.planner.poses()[stack[-1]][:2, 3]
-        return replace(placement, stack=stack, position=(float(x), float(y), placement.position[2]))
-
-    def _is_there(self, name: str) -> bool:
-        """Return whether a bowl was placed, or was in the box before."""
-        return name not in self._goals or (name in self.outcomes and self.outcomes[name].placed)
-
     def _place(self, placement: Placement, effort: Effort) -> ObjectOutcome:
         """Try to place one object; the outcome has 0 attempts if there is no plan for the first."""
-        name, before = placement.name, self._tried_before.get(placement.name)
+        name, before = placement.name, self._progress.before(placement.name)
         number, n_before = self.task.objects[name].id, before.attempts if before else 0
         tried: list[Grasp] = []
         reason, attempts = "", 0
@@ -244,7 +210,7 @@ class _Execution:
         if (before is not None and not is_located) or name in self.planner.forgotten:
             reason = self._scene.search(name).problem
             if reason:
-                return ObjectOutcome(number, name, False, n_before, reason)
+                return self._progress.failed_attempt(name, 0, reason)
         is_confirmed = False  # whether an object that one image did not show was found where it was expected
         for _ in range(2 * (1 + self.config.max_retries)):
             is_known, is_missed = False, False
@@ -259,7 +225,8 @@ class _Execution:
                 reason = f"{reason}; then {error}" if reason else str(error)
                 self._order.note_blockers(name, error.blockers if isinstance(error, NoPlanError) else ())
                 logger.info("%s", error)
-                return ObjectOutcome(number, name, False, n_before + attempts, reason)
+                return self._progress.failed_attempt(name, attempts, reason)
+            self._ahead.begin(plan, self._following(plan, placement, is_turned))
             try:
                 self.motion.run(plan, looks_first=not is_confirmed)
                 self._look_beside(plan)
@@ -284,15 +251,26 @@ class _Execution:
             for inside in plan.contents:
                 self._scene.search(inside)
             if found.problem:
-                return ObjectOutcome(number, name, False, n_before + attempts, f"{reason}; {found.problem}")
+                return self._progress.failed_attempt(name, attempts, f"{reason}; {found.problem}")
             is_confirmed = is_missed and found.is_in_place
-        return ObjectOutcome(number, name, False, n_before + attempts, reason)
+        return self._progress.failed_attempt(name, attempts, reason)
+
+    def _following(self, plan: PickPlacePlan, placement: Placement, is_turned: bool) -> Placement | None:
+        """Return the goal that is planned next if a plan is executed as expected; None if it has to wait."""
+        if is_turned and plan.placement is not placement:
+            return placement  # grasped again
+        name, progress = plan.name, self._progress
+        following = self._order.following(name, but=plan.contents)
+        if following is None or progress.waits_for_stack(following, besides=name):
+            return None
+        poses = self.planner.poses()
+        return progress.with_placed_stack(following, {**poses, **plan.poses_after(poses)}, besides=name)
 
     def _note_contents(self, plan: PickPlacePlan) -> None:
         """Record that the bowls in a placed one were placed with it."""
         for name in plan.contents:
             T = self.planner.world.pose(name)
-            self.outcomes[name] = ObjectOutcome(self.task.objects[name].id, name, True, 1, "", T)
+            self._progress.record(ObjectOutcome(self.task.objects[name].id, name, True, 1, "", T))
             self._order.drop(name)
             self._notify("placed", name, f"in {plan.name}")
 
@@ -302,20 +280,19 @@ class _Execution:
         for name, T_before in self._scene.displaced_near(
             T, but={plan.name, *plan.contents, *plan.placement.stack}
         ):
-            outcome = self.outcomes.get(name)
-            if outcome is None or not outcome.placed or self._is_in_place(name, T_before):
+            if not self._progress.is_placed(name) or self._is_in_place(name, T_before):
                 continue  # searched for in its turn, or judged by the final verification
             reason = f"{name} was moved by {plan.name}"
+            outcome = self._progress.outcomes[name]
             moved = replace(outcome, placed=False, reason=reason, T_world_stand=None)
-            placement = self._goals[name]
-            if self._gets_another_chance(placement, moved):
+            if self.can_see and self._progress.gets_another_chance(moved):
                 self._notify("deferred", name, reason)
-                del self.outcomes[name]
+                self._progress.reopen(name)
                 self._located.add(name)
-                self._order.put_first(placement)  # what comes later may block its way
+                self._order.put_first(self._progress.goals[name])  # what comes later may block its way
             else:
                 self._notify("failed", name, reason)
-                self.outcomes[name] = moved
+                self._progress.record(moved)
 
     def _is_in_place(self, name: str, T_before: Float[np.ndarray, "4 4"]) -> bool:
         """Return whether a placed object that was moved still stands in the box; without one, at its goal."""
@@ -325,7 +302,7 @@ class _Execution:
         return not lies(T) and box.contains(T)
 
     def _plan(self, placement: Placement, tried: Sequence[Grasp], effort: Effort) -> PickPlacePlan:
-        """Return the next plan for an object.
+        """Return the next plan for an object: the one that was made ahead, or one for what is there now.
 
         A hand that no path leads away from is moved above the objects first. What blocks the object is set
         aside before, or the object is pushed, if that helps.
@@ -335,8 +312,10 @@ class _Execution:
         """
         worth: set[str] | None = None  # moving what is in its place already
         while True:
+            q = self.robot.joint_positions()
             try:
-                return self.planning.next_plan(placement, self.robot.joint_positions(), tried, effort)
+                ahead = self._ahead.take(placement, q) if effort == Effort.PLAIN and not tried else None
+                return ahead or self.planning.next_plan(placement, q, tried, effort)
             except NoPlanError as error:
                 if error.is_enclosed and self.withdrawal.has_risen():
                     continue
@@ -368,13 +347,12 @@ class _Execution:
 
     def _movable(self) -> set[str]:
         """Return the names of the objects that can be set aside and put back; bowls below others cannot."""
-        covered = {below for done in self.outcomes for below in self._goals[done].stack}
-        return (self._beside_box() | self.planning.goals_in_box(self._goals).keys()) - covered
+        in_box = self.planning.goals_in_box(self._progress.goals).keys()
+        return (self._beside_box() | in_box) - self._progress.below_others()
 
     def _settled(self) -> set[str]:
         """Return the names of the objects that were placed, or stood in the box before."""
-        placed = {name for name, outcome in self.outcomes.items() if outcome.placed}
-        return placed | self.planning.goals_in_box(self._goals).keys()
+        return self._progress.placed() | self.planning.goals_in_box(self._progress.goals).keys()
 
     def _clear(self, name: str, names: Sequence[str], worth: Collection[str] = ()) -> bool:
         """Set one of several objects aside for another one, or that one itself; return whether one was moved.
@@ -388,7 +366,8 @@ class _Execution:
             names: objects that may be set aside, in descending order of preference.
             worth: those of the objects in their places that may be moved.
         """
-        before = self.planning.goals_in_box(self._goals)
+        goals = self._progress.goals
+        before = self.planning.goals_in_box(goals)
         kept = self._settled() - set(worth)
         plan = self._clearing.plan_aside(names, self._movable() - kept)
         if plan is None:
@@ -396,10 +375,10 @@ class _Execution:
         reason = "its neighbours block its way" if plan.name == name else f"it blocks {name}"
         self._notify("aside", plan.name, reason)
         if plan.name in before:
-            self._goals[plan.name] = before[plan.name]
-            self._order.put_last(before[plan.name])
-        elif self.outcomes.pop(plan.name, None) is not None:
-            self._order.put_last(self._goals[plan.name])
+            goals[plan.name] = before[plan.name]
+            self._order.put_last(goals[plan.name])
+        elif self._progress.reopen(plan.name):
+            self._order.put_last(goals[plan.name])
         self._clearing.set_aside(plan)
         return True
 
@@ -416,9 +395,9 @@ class _Execution:
         """Return the names of the objects with a goal, and of those that are not in the box."""
         poses, box = self.planner.poses(), self.task.box
         in_box = {name for name, T in poses.items() if box is not None and box.contains(T)}
-        return set(poses) - (in_box - self._goals.keys())
+        return set(poses) - (in_box - self._progress.goals.keys())
 
     def _notify(self, phase: Phase, name: str, message: str = "", plan: PickPlacePlan | None = None) -> None:
-        total = len(self._goals)
+        done, total = len(self._progress.outcomes), len(self._progress.goals)
         candidates = tuple(self.planner.grasps(name).grasps) if plan else ()
-        self.on_event(TaskEvent(phase, name, len(self.outcomes), total, message, plan, candidates))
+        self.on_event(TaskEvent(phase, name, done, total, message, plan, candidates))

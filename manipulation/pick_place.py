@@ -120,6 +120,11 @@ class PickPlacePlanner:
         return frozenset(self._forgotten)
 
     @property
+    def obstacles(self) -> tuple[Obstacle | PerceivedObstacle, ...]:
+        """The static obstacles, of known geometry or perceived."""
+        return self._obstacles
+
+    @property
     def perceived_obstacles(self) -> tuple[PerceivedObstacle, ...]:
         """The obstacles of perceived geometry."""
         return tuple(o for o in self._obstacles if isinstance(o, PerceivedObstacle))

@@ -127,10 +127,8 @@ class PlanExecution:
         self._notify("place", name)
         self._require_held(grasp, f"{name} was lost during the transfer")
         self._release(plan)
-        T_rest_before = plan.T_world_stand_rest @ np.linalg.inv(self.planner.world.pose(name))
-        self.planner.moved(name, plan.T_world_stand_rest)
-        for inside in plan.contents:
-            self.planner.moved(inside, T_rest_before @ self.planner.world.pose(inside))
+        for moved, T in plan.poses_after(self.planner.poses()).items():
+            self.planner.moved(moved, T)
         self._notify("retreat", name)
         robot.follow(plan.retreat)
         if plan.placement.stack:

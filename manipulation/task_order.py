@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from collections import deque
-from collections.abc import Iterator, Sequence
+from collections.abc import Collection, Iterator, Sequence
 from typing import Literal, Protocol, runtime_checkable
 
 from manipulation.types import Placement
@@ -65,7 +65,19 @@ class TaskOrder:
 
         They are next in the task's order, and what comes later may block their goals.
         """
-        self._queue = deque(sorted(self._queue, key=lambda p: moved not in self._blockers.get(p.name, ())))
+        self._queue = deque(self._unblocked_first(moved))
+
+    def following(self, moved: str, but: Collection[str] = ()) -> Placement | None:
+        """Return the goal whose turn it will be once an object has been moved; None for none.
+
+        Args:
+            moved: name of the object.
+            but: names of those that will need no turn then.
+        """
+        return next((goal for goal in self._unblocked_first(moved) if goal.name not in but), None)
+
+    def _unblocked_first(self, moved: str) -> list[Placement]:
+        return sorted(self._queue, key=lambda p: moved not in self._blockers.get(p.name, ()))
 
     def first_blocker(self, name: str) -> Placement | None:
         """Return the goal of what is most in an object's way, if it waits too."""

@@ -281,6 +281,17 @@ class PickPlacePlan:
         parts = (self.transit, self.approach, self.lift, self.transfer, self.settle, self.retreat)
         return sum(part.duration for part in parts if part is not None)
 
+    def poses_after(
+        self, poses: Mapping[str, Float[np.ndarray, "4 4"]]
+    ) -> dict[str, Float[np.ndarray, "4 4"]]:
+        """Return T_world_stand of the object and of its contents after the plan, by name.
+
+        Args:
+            poses: T_world_stand before it.
+        """
+        moved = self.T_world_stand_rest @ np.linalg.inv(poses[self.name])
+        return {self.name: self.T_world_stand_rest} | {name: moved @ poses[name] for name in self.contents}
+
 
 @dataclass(frozen=True)
 class ObjectOutcome:

@@ -1,4 +1,5 @@
 import itertools
+import threading
 from dataclasses import replace
 
 import numpy as np
@@ -19,6 +20,7 @@ from manipulation.planner import ManipulationConfig, plan_pack, plan_sort
 from manipulation.pushing import Push
 from manipulation.robot import RobotState
 from manipulation.standing import to_standing
+from manipulation.task_progress import TaskProgress
 from manipulation.trajectories import MotionConfig, joint_move
 from manipulation.types import Box, Line, Placement
 from perception.geometry import pose_from_yaw, so3_exp
@@ -145,6 +147,35 @@ def test_all_objects_are_placed_at_their_goals(packing, arm):
     phases = ["plan", "approach", "grasp", "transfer", "place", "retreat", "placed"]
     assert watcher.phases("can_1") == phases
     assert outcomes[1].T_world_stand[2, 3] > outcomes[0].T_world_stand[2, 3], "nested bowl stands higher"
+
+
+def plans_here(monkeypatch):
+    """Record the names of the objects that are planned in the thread of the execution."""
+    names, plan = [], object_planning.ObjectPlanning.next_plan
+
+    def recorded(self, placement, *args):
+        if threading.current_thread() is threading.main_thread():
+            names.append(placement.name)
+        return plan(self, placement, *args)
+
+    monkeypatch.setattr(object_planning.ObjectPlanning, "next_plan", recorded)
+    return names
+
+
+def test_all_but_the_first_are_planned_while_the_arm_moves(packing, arm, monkeypatch):
+    """The third is a bowl that goes into the second, where that one was released."""
+    robot, names = FakeRobot(arm), plans_here(monkeypatch)
+    outcomes = execute(packing, robot, on_event=Watcher(robot), config=CONFIG)
+    assert all(outcome.placed for outcome in outcomes)
+    assert names == [packing.placements[0].name]
+
+
+def test_what_is_not_as_expected_is_planned_again(packing, arm, monkeypatch):
+    """The first grasp fails, and the stack of bowls is looked at from elsewhere before the last object."""
+    robot, names = FakeRobot(arm, closing=[0.0]), plans_here(monkeypatch)
+    execute(packing, robot, FakeObserver(), Watcher(robot), CONFIG)
+    first, _, last = (placement.name for placement in packing.placements)
+    assert names == [first, first, last]
 
 
 def test_motions_are_free_of_contact_in_the_planners_world(packing, arm):
@@ -313,7 +344,7 @@ def test_what_another_object_knocks_away_is_placed_again_unless_it_stands_in_the
 
 def test_what_is_knocked_away_without_another_chance_is_reported(packing, arm, monkeypatch):
     monkeypatch.setattr("manipulation.scene_following.BESIDE", 1.0)
-    monkeypatch.setattr("manipulation.execution._Execution._gets_another_chance", lambda *_: False)
+    monkeypatch.setattr(TaskProgress, "gets_another_chance", lambda *_: False)
     packing = replace(packing, placements=(packing.placements[0], packing.placements[2]))
     robot, (first, second) = FakeRobot(arm), (p.name for p in packing.placements)
     observer = Knocked(first, pose_from_yaw(0.0, np.array([0.45, -0.45, 0.0])))

@@ -31,6 +31,14 @@ def names(order):
     return [placement.name for placement in order]
 
 
+def test_what_follows_is_what_gets_the_next_turn():
+    order = order_of("a", "b", "c", blocked={"c": ["x"]})
+    assert order.following("y").name == "a" and order.following("x").name == "c"
+    assert order.following("y", but=["a", "b"]).name == "c" and order.following("x", but="abc") is None
+    order.put_unblocked_first("x")
+    assert order.next().name == "c"
+
+
 def test_what_needs_no_turn_gets_none():
     order = order_of("a", "b", "c")
     order.drop("b")

@@ -1,11 +1,14 @@
 from collections import Counter
 from dataclasses import replace
 
+import numpy as np
 import pytest
 
 from manipulation.grasps import grasp_candidates
+from manipulation.robot import JointTrajectory
 from manipulation.standing import to_standing
-from manipulation.types import Box, GraspSet, Line
+from manipulation.types import Box, GraspSet, Line, PickPlacePlan, Placement
+from perception.geometry import pose_from_yaw
 
 
 def standing(shapes, category, mesh, **where):
@@ -14,6 +17,21 @@ def standing(shapes, category, mesh, **where):
 
 def test_box_height_is_the_floor_and_the_depth():
     assert Box(size=(0.3, 0.2, 0.1), floor=0.006).top == pytest.approx(0.106)
+
+
+def test_contents_move_as_what_they_are_in(shapes):
+    """A quarter turn about the object's new place takes its contents along."""
+    T_rest = pose_from_yaw(np.pi / 2, np.array([0.5, 0.3, 0.1]))
+    grasp = grasp_candidates(standing(shapes, "can", shapes.can())).grasps[0]
+    goal = Placement("bowl", (0.5, 0.3, 0.1), (0.0,))
+    still = JointTrajectory(0.01, *np.zeros((3, 1, 7)))
+    motions = dict.fromkeys(("transit", "approach", "lift", "transfer", "carry", "settle", "retreat"), still)
+    plan = PickPlacePlan("bowl", grasp, goal, T_rest, T_rest, 0.05, **motions, contents=("inner",))
+    poses = {"bowl": np.eye(4), "inner": pose_from_yaw(0.0, np.array([0.1, 0.0, 0.0])), "beside": np.eye(4)}
+    after = plan.poses_after(poses)
+    assert after.keys() == {"bowl", "inner"}
+    np.testing.assert_allclose(after["bowl"], T_rest)
+    np.testing.assert_allclose(after["inner"][:3, 3], [0.5, 0.4, 0.1], atol=1e-12)
 
 
 def test_length_and_direction_of_a_line():
