@@ -5,6 +5,7 @@ from __future__ import annotations
 from collections.abc import Sequence
 from dataclasses import dataclass
 
+import cv2
 import numpy as np
 from jaxtyping import Bool, Float, Int
 from scipy.signal import fftconvolve
@@ -127,7 +128,11 @@ class BoxRaster:
 
     def free_positions(self, stencil: Stencil) -> Bool[np.ndarray, "nx ny"]:
         """Return the cells at which the stencil, including its gap, covers no occupied cell."""
-        return self.free_within(stencil) > stencil.widened.sum() - 0.5
+        free = np.zeros(self.taken.shape, dtype=bool)
+        taken, kernel = self.taken[self._inner].astype(np.uint8), stencil.widened.astype(np.uint8)
+        # Dilation takes a half to a tenth of the time of a convolution for stencils of this size.
+        free[self._inner] = cv2.dilate(taken, kernel, borderType=cv2.BORDER_CONSTANT, borderValue=1) == 0
+        return free
 
     def free_within(self, stencil: Stencil) -> Float[np.ndarray, "nx ny"]:
         """Return the number of free cells that the stencil, including its gap, covers at each cell."""

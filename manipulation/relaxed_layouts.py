@@ -14,6 +14,7 @@ from __future__ import annotations
 import itertools
 from collections.abc import Iterator, Sequence
 from dataclasses import dataclass, replace
+from functools import cached_property
 
 import numpy as np
 from jaxtyping import Bool, Float, Int
@@ -62,6 +63,13 @@ class Parts:
         ]
         paired = np.array(pairs, dtype=int).reshape(-1, 2).T
         return Parts(owner, paired, directions, np.array(support, np.float32), mugs)
+
+    @cached_property
+    def reach(self) -> Float[np.ndarray, "s m d"]:
+        """h_A(d) + h_B(-d) of each pair in [m]: how far apart along d their origins are when they touch."""
+        (a, b), ahead = self.pairs, _DIRECTIONS // 2
+        opposite = np.concatenate([self.support[..., ahead:], self.support[..., :ahead]], axis=2)
+        return self.support[:, a] + opposite[:, b]
 
     def chosen(self, starts: Int[np.ndarray, "c"]) -> Parts:
         """Return the outlines of some of the starts."""
@@ -187,9 +195,7 @@ def _pushes(
     """
     (a, b), directions = parts.pairs, parts.directions
     at = places[:, parts.owner]
-    ahead = _DIRECTIONS // 2
-    opposite = np.concatenate([parts.support[..., ahead:], parts.support[..., :ahead]], axis=2)
-    apart = (at[:, b] - at[:, a]) @ directions.T - parts.support[:, a] - opposite[:, b]  # (s, m, d)
+    apart = (at[:, b] - at[:, a]) @ directions.T - parts.reach  # (s, m, d)
     best = apart.argmax(axis=2)
     short = np.maximum(room.gap - np.take_along_axis(apart, best[..., None], 2)[..., 0], 0.0)
     force = 0.5 * short[..., None] * directions[best]
