@@ -17,6 +17,7 @@ from perception.mesh_sections import outermost, radial_hits
 _PLAN_SAMPLES = 9  # of a wall between the edges of the pads
 _MOST_TURNED = float(np.deg2rad(25))  # of a wall's normal: an octagon's is turned by 22.5 degrees
 _BENT = 2.0  # score that a grasp loses for each radian by which the wall bends between the pads
+_UNEVEN = 0.012  # [m] below a reconstructed rim, from which on the wall is closed and its direction exact
 _AZIMUTHS = 2 * np.pi * np.arange(16) / 16  # at which the slope of a round wall is measured
 
 
@@ -153,7 +154,10 @@ def _rim_grasp_at(
         return Rejected("too narrow inside")
     if wall.thickness < gripper.min_width + 0.0008:
         return Rejected(f"thinner than the closed hand, {1e3 * gripper.min_width:.1f} mm")
-    turn, bend = _turn_and_bend(sections, pad_height, azimuth, wall, config)
+    even = min(pad_height, max(rim - _UNEVEN, 0.5 * rim))
+    turn, bend = _turn_and_bend(
+        sections, even, azimuth, wall_at(sections, even, azimuth, config) or wall, config
+    )
     outward = np.array([np.cos(azimuth), np.sin(azimuth), 0.0])
     normal = np.array([np.cos(azimuth + turn), np.sin(azimuth + turn), 0.0])
     up = np.array([0.0, 0.0, 1.0])

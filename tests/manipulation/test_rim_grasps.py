@@ -202,15 +202,39 @@ def octagonal(shapes):
     return trimesh.Trimesh(vertices, round_bowl.faces, process=False)
 
 
+def nearest_side(grasp):
+    """Return the azimuth of the middle of the octagon's side that a grasp is at."""
+    return np.round(grasp.azimuth / (np.pi / 4)) * np.pi / 4
+
+
+def from_corner(grasp):
+    """Return the angle between a grasp's azimuth and the nearest corner of the octagon."""
+    return np.pi / 8 - abs(grasp.azimuth - nearest_side(grasp))
+
+
+def turn_of_pads(grasp):
+    """Return the angle between the pads and the octagon's side, for either order of the fingers."""
+    closing = np.arctan2(*grasp.T_stand_tcp[[1, 0], 1])
+    return abs((closing - nearest_side(grasp) + np.pi / 2) % np.pi - np.pi / 2)
+
+
 def test_the_pads_meet_the_sides_of_a_polygonal_bowl_squarely(shapes):
     """Else they turn it when they close."""
     for grasp in grasp_candidates(standing(shapes, "bowl", octagonal(shapes)), CONFIG).grasps:
-        closing = np.arctan2(*grasp.T_stand_tcp[[1, 0], 1])
-        side = np.round(grasp.azimuth / (np.pi / 4)) * np.pi / 4
-        from_corner = np.pi / 8 - abs(grasp.azimuth - side)
-        if from_corner * 0.075 > CONFIG.gripper.finger_half_width:
-            turn = (closing - side + np.pi / 2) % np.pi - np.pi / 2  # either order of the fingers
-            assert abs(turn) < np.deg2rad(2.5)
+        if from_corner(grasp) * 0.075 > CONFIG.gripper.finger_half_width:
+            assert turn_of_pads(grasp) < np.deg2rad(2.5)
+
+
+def test_an_uneven_rim_does_not_hide_the_sides_of_a_polygonal_bowl(shapes):
+    """Pads that hold the uppermost part alone are where the rim of a reconstruction ends here and there."""
+    mesh = octagonal(shapes)
+    rng, top = np.random.default_rng(0), mesh.vertices[:, 2].max()
+    at_rim = mesh.vertices[:, 2] > top - 0.004
+    mesh.vertices[at_rim, 2] -= rng.uniform(0.0, 0.003, at_rim.sum())
+    item, config = standing(shapes, "bowl", mesh), CONFIG.shallow()
+    found = rim_grasps(item, CrossSectionCache(item.vertices, item.faces), config, Counter())
+    on_sides = [g for g in found if from_corner(g) * 0.075 > CONFIG.gripper.finger_half_width]
+    assert len(on_sides) >= 16 and max(turn_of_pads(grasp) for grasp in on_sides) < np.deg2rad(4)
 
 
 def test_corners_of_a_polygonal_bowl_come_last(shapes):
