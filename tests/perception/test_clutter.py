@@ -7,51 +7,28 @@ import numpy as np
 import pytest
 
 from perception import clutter
-from perception.clutter import (
-    BOTTLE_SCORE,
-    CARRIES,
-    CROSSED,
-    HANDLELESS,
-    LENGTH,
-    LENGTH_POWER,
-    POSED_SCORE,
-    POSSIBLE,
-    SAME_COLOUR,
-    THINNEST,
-    UNCERTAIN,
-    UNCLASSIFIED_SCORE,
-    WORSE,
-    reconstruct_clutter,
-    renamed,
-)
-from perception.inference import selection
+from perception.clutter import UNCERTAIN, reconstruct_clutter
+from perception.inference import doubtful_shapes, selection
 from perception.inference.acceptance import shipped_acceptance
+from perception.inference.clear_evidence import POSED_SCORE, THINNEST, UNCLASSIFIED_SCORE, is_clear
 from perception.inference.reconstruct import ReconstructOptions
 from perception.inference.selection import CONTINUED, PIECE_SCORE
+from perception.obstacles import parts_of_things
+from perception.obstacles.parts_of_things import CARRIES, CROSSED, HANDLELESS
+from perception.obstacles.same_colour import SAME_COLOUR
 from perception.types import (
-    POSED_CLASSES,
     CameraIntrinsics,
     ObjectDetection,
-    ObjectEstimate,
     RejectedObject,
     RgbdFrame,
     SupportPlane,
-    TriangleMesh,
     is_unclassified,
 )
+from tests.perception.bare_estimates import found
 
 MASK = np.ones((4, 4), np.bool_)
 CAMERA = CameraIntrinsics(4, 4, 4.0, 4.0, 1.5, 1.5)
 FRAME = RgbdFrame(0.0, np.zeros((4, 4, 3), np.uint8), np.ones((4, 4), np.float32), CAMERA, np.eye(4))
-
-
-def found(id, score=0.9, category="can", resting="upright", n_views=2, length=LENGTH, radius=0.03):
-    made = object.__new__(ObjectEstimate)
-    mesh = TriangleMesh(
-        np.array([[0.03, -radius, 0.0], [0.0, radius, 0.0], [0.0, 0.0, length]]), np.array([[0, 1, 2]])
-    )
-    vars(made).update(id=id, score=score, n_views=n_views, category=category, resting=resting, mesh=mesh)
-    return made
 
 
 class Scene:
@@ -74,18 +51,18 @@ class Scene:
         self.shares = {}  # of the outlines of candidates, in things
         monkeypatch.setattr(selection, "continued_shares", self.continued_shares)
         monkeypatch.setattr(clutter, "Recutting", lambda *_: self)
-        monkeypatch.setattr(clutter, "with_lost_parts", lambda *_: {})
-        for module in (clutter, selection):
+        monkeypatch.setattr(doubtful_shapes, "with_lost_parts", lambda *_: {})
+        for module in (doubtful_shapes, selection):
             monkeypatch.setattr(module, "instance_points", lambda frames, rows, id: self.points(id))
             monkeypatch.setattr(module, "unexplained", self.unexplained)
         self.carriers = set()
-        monkeypatch.setattr(clutter, "carriers_of_parts", lambda *_: set(self.carriers))
+        monkeypatch.setattr(parts_of_things, "carriers_of_parts", lambda *_: set(self.carriers))
         self.handleless = set()
-        monkeypatch.setattr(clutter, "mugs_without_handle", lambda *_: set(self.handleless))
+        monkeypatch.setattr(parts_of_things, "mugs_without_handle", lambda *_: set(self.handleless))
         self.continued = set()
-        monkeypatch.setattr(clutter, "continued_in_colour", lambda *_: set(self.continued))
+        monkeypatch.setattr(parts_of_things, "continued_in_colour", lambda *_: set(self.continued))
         self.crossed = set()
-        monkeypatch.setattr(clutter, "crossed", lambda *_: set(self.crossed))
+        monkeypatch.setattr(parts_of_things, "crossed", lambda *_: set(self.crossed))
         self.inside = {}  # share of the volume of one estimate in another
         monkeypatch.setattr(selection, "shared_volume", lambda a, b: self.inside.get((a.id, b.id), 0.0))
         self.explained = {(id, id) for id in range(4)}  # (points, estimate)
@@ -190,7 +167,7 @@ def test_a_lying_bottle_that_is_thinner_than_bottles_is_a_handle(scene):
     )
     scene.pieces = {4: thin, 5: thick}
     assert scene.run() == [0, 1, 5]
-    assert not clutter._is_clear(thin) and clutter._is_clear(thick)
+    assert not is_clear(thin) and is_clear(thick)
 
 
 def test_what_carries_a_part_of_no_class_is_part_of_a_thing(scene):
@@ -315,114 +292,8 @@ def test_a_detected_object_that_its_class_does_not_explain_is_fitted_without_one
     assert scene.fitted == [[0, 1, 2], [0]] and scene.nameless == [{0}]
 
 
-@pytest.mark.parametrize(
-    ("can", "resting", "is_renamed"),
-    [(0.0, "upright", False), (POSSIBLE, "upright", True), (0.0, "upside-down", True)],
-)
-def test_the_class_network_may_rule_out_what_stands_upright(monkeypatch, can, resting, is_renamed):
-    """A bowl whose fit is poor, of which a can explains much more."""
-    bowl, fitted = found(0, category="bowl"), found(0, category="can", resting=resting)
-    monkeypatch.setattr(clutter, "instance_points", lambda *_: np.zeros((1, 3)))
-    monkeypatch.setattr(clutter, "unexplained", lambda points, shapes: 1.0 if shapes[0] is bowl else 0.0)
-    views = [np.array([0.0, 1.0 - p, 0.0, p, 0.0]) for p in (0.0, can)]
-    rows = [[ObjectDetection("bowl", 1.0, MASK, instance_id=0, class_probabilities=p)] for p in views]
-    known = renamed([FRAME, FRAME], rows, {0: bowl}, lambda nameless: [fitted])
-    assert known == ({0: fitted} if is_renamed else {})
-
-
 def test_what_is_fitted_has_its_pose_probabilities(scene):
     scene.explained -= {(0, 0)}
     scene.scores[0] = 0.9
     scene.run()
     assert scene.posed_ids == [[9, 8, 7], [9]]
-
-
-@pytest.mark.parametrize(
-    ("category", "resting", "pose", "searched"),
-    [
-        ("mug", "upside-down", 9, True),
-        ("can", "upright", POSED_CLASSES.index(("mug", "upside-down")), True),
-        ("can", "upright", POSED_CLASSES.index(("mug", "lying")), True),
-        ("mug", "upright", 9, False),
-        ("bottle", "lying", 9, True),
-        ("can", "upright", POSED_CLASSES.index(("can", "lying")), False),
-    ],
-)
-def test_parts_of_what_does_not_stand_are_looked_for(scene, monkeypatch, category, resting, pose, searched):
-    ids = []
-
-    def with_lost_parts(frames, rows, estimates, mugs, plane):
-        ids.extend(mugs)
-        return {}
-
-    monkeypatch.setattr(clutter, "with_lost_parts", with_lost_parts)
-    row = [replace(scene.detected, pose_probabilities=np.eye(10)[pose])]
-    estimates = {0: found(0, category=category, resting=resting)}
-    assert clutter.completed((FRAME,), (row,), estimates, SupportPlane(), lambda rows: []) == {}
-    assert ids == ([0] if searched else [])
-
-
-def test_a_completed_mug_replaces_what_explains_less(scene, monkeypatch):
-    larger = ~np.eye(4, dtype=bool)
-    monkeypatch.setattr(clutter, "with_lost_parts", lambda *_: {0: [larger]})
-    fitted = []
-
-    def fit(rows):
-        fitted.extend((d.instance_id, bool((d.mask == larger).all())) for row in rows for d in row)
-        return [found(0, category="mug", resting="upside-down")]
-
-    shares = iter([0.2, 0.1, 0.2, 0.3])
-    monkeypatch.setattr(clutter, "unexplained", lambda points, shapes: next(shares))
-    rows = ((scene.detected, scene.tall),)
-    estimates = {0: found(0, category="mug", resting="lying")}
-    run: Any = getattr(clutter.completed, "__wrapped__", clutter.completed)
-    better = run((FRAME,), rows, estimates, SupportPlane(), fit)
-    assert better[0].category == "mug" and fitted == [(0, True), (None, False)]
-    assert run((FRAME,), rows, estimates, SupportPlane(), fit) == {}
-
-
-@pytest.mark.parametrize(
-    ("old", "new", "after", "kept"),
-    [
-        (("can", "upright"), ("mug", "upside-down"), 0.19, True),
-        (("mug", "upside-down"), ("mug", "upside-down"), 0.21, False),
-        (("can", "lying"), ("bottle", "lying"), 0.09, True),
-        (("bottle", "lying"), ("bottle", "lying"), 0.11, False),  # perhaps of another thing
-        (("can", "lying"), ("bottle", "upright"), 0.01, False),
-        (("can", "upright"), ("bottle", "lying"), 0.01, False),
-    ],
-)
-def test_lost_parts_of_bottles_must_explain_more_than_handles(old, new, after, kept):
-    first, second = (found(0, category=category, resting=resting) for category, resting in (old, new))
-    assert clutter._is_completed(first, second, 0.2, after) == kept
-    if new[0] == "bottle":
-        second = found(0, first.score - WORSE - 0.01, *new)
-        assert not clutter._is_completed(first, second, 0.2, after), "a neighbour's part makes a poor bottle"
-
-
-def bottle_score(length):
-    """The least score of a lying bottle, by its length in units of LENGTH."""
-    return BOTTLE_SCORE / (BOTTLE_SCORE + (1 - BOTTLE_SCORE) * length**LENGTH_POWER)
-
-
-@pytest.mark.parametrize(
-    ("category", "resting", "length", "least"),
-    [
-        ("can", "upright", LENGTH, UNCLASSIFIED_SCORE),
-        ("can", "lying", 2 * LENGTH, POSED_SCORE),
-        ("mug", "upside-down", 2 * LENGTH, POSED_SCORE),
-        ("bottle", "lying", LENGTH, BOTTLE_SCORE),
-        ("bottle", "lying", 0.5 * LENGTH, bottle_score(0.5)),
-        ("bottle", "lying", 1.2 * LENGTH, bottle_score(1.2)),
-        ("bottle", "lying", 2 * LENGTH, UNCERTAIN),
-    ],
-)  # fmt: skip
-def test_what_has_no_class_needs_a_score_by_pose_and_class_and_bottles_by_length(
-    category, resting, length, least
-):
-    above, below = (
-        found(1, score, category, resting, length=length) for score in (least + 0.01, least - 0.01)
-    )
-    assert clutter._is_clear(above) and not clutter._is_clear(below)
-    if category == "bottle":
-        assert clutter._is_clear(found(1, 1.0, category, resting, length=length))

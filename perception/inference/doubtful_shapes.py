@@ -1,0 +1,145 @@
+"""Objects whose shape does not explain the measurements: fitted in another pose, or with lost parts."""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Mapping, Sequence
+from dataclasses import replace
+
+import numpy as np
+
+from perception.inference.clear_evidence import is_clear
+from perception.inference.explanation import unexplained
+from perception.inference.lost_parts import with_lost_parts
+from perception.inference.reconstruct import mean_poses
+from perception.inference.recutting import instance_ids
+from perception.inference.stack_parts import CLEARLY, DOUBTFUL, Rows, instance_points
+from perception.types import (
+    CATEGORIES,
+    OTHER,
+    POSED_CLASSES,
+    ObjectDetection,
+    ObjectEstimate,
+    PosedClass,
+    RgbdFrame,
+    SupportPlane,
+    unclassified,
+)
+
+POSSIBLE = 0.05  # probability in some view below which the class network rules a class out
+TURNED_MUGS: tuple[PosedClass, ...] = (("mug", "upside-down"), ("mug", "lying"))
+TURNED = 0.3  # least probability of a mug that lies or stands upside down, whose handle is looked for
+WORSE = 0.1  # by which the score of a lying object with the parts that its mask lacked may be lower
+
+
+def renamed(
+    frames: Sequence[RgbdFrame],
+    rows: Rows,
+    estimates: Mapping[int, ObjectEstimate],
+    fit: Callable[[Rows], Sequence[ObjectEstimate]],
+) -> dict[int, ObjectEstimate]:
+    """Return estimates of detected objects that another class in another pose explains clearly better.
+
+    A mug upside down, for instance, is named a can by the networks, and its handle is left unexplained. What
+    stands upright is of no class that the class network rules out.
+
+    Args:
+        frames: Views with camera poses.
+        rows: Associated detections of each frame.
+        estimates: Estimates with the classes of the detections, by id.
+        fit: Reconstructs instances; detections without an id only occlude others.
+    """
+    known = instance_ids(rows)
+    points = {id: instance_points(frames, rows, id) for id in estimates if id in known}
+    before = {id: unexplained(points[id], [estimates[id]]) for id in points}
+    doubtful = {id for id, share in before.items() if share > DOUBTFUL}
+    if not doubtful:
+        return {}
+    nameless = [
+        [
+            replace(unclassified(d.mask, d.instance_id), pose_probabilities=d.pose_probabilities)
+            if d.instance_id in doubtful
+            else replace(d, instance_id=None)
+            for d in row
+        ]
+        for row in rows
+    ]
+    return {
+        e.id: e
+        for e in fit(nameless)
+        if is_clear(e)
+        and not _is_ruled_out(e, rows)
+        and unexplained(points[e.id], [e]) < CLEARLY * before[e.id]
+    }
+
+
+def _is_ruled_out(estimate: ObjectEstimate, rows: Rows) -> bool:
+    """Return whether the class network, which knows upright objects alone, denies a class in all views."""
+    own = (d.class_probabilities for row in rows for d in row if d.instance_id == estimate.id)
+    views = [p for p in own if len(p) == OTHER + 1]
+    if estimate.resting != "upright" or not views:
+        return False
+    return bool(np.max(views, axis=0)[CATEGORIES.index(estimate.category)] < POSSIBLE)
+
+
+def completed(
+    frames: Sequence[RgbdFrame],
+    rows: Rows,
+    estimates: Mapping[int, ObjectEstimate],
+    plane: SupportPlane,
+    fit: Callable[[Rows], Sequence[ObjectEstimate]],
+) -> dict[int, ObjectEstimate]:
+    """Return estimates of objects that do not stand upright with the parts that their masks lack.
+
+    Without its handle a mug upside down is a can, without its cap a bottle that lies cannot be grasped.
+
+    Args:
+        frames: Views with camera poses.
+        rows: Associated detections of each frame.
+        estimates: Estimates of all objects, by id.
+        plane: Support plane.
+        fit: Reconstructs instances; detections without an id only occlude others.
+    """
+    turned = [id for id, e in estimates.items() if e.resting == "lying" or _may_be_turned_mug(e, rows)]
+    masks = with_lost_parts(frames, rows, estimates, turned, plane) if turned else {}
+    if not masks:
+        return {}
+    whole = [[_extended(d, masks, k) for d in row] for k, row in enumerate(rows)]
+    points = {id: instance_points(frames, whole, id) for id in masks}
+    before = {id: unexplained(points[id], [estimates[id]]) for id in masks}
+    return {
+        e.id: e
+        for e in fit(whole)
+        if _is_completed(estimates[e.id], e, before[e.id], unexplained(points[e.id], [e]))
+    }
+
+
+def _is_completed(old: ObjectEstimate, new: ObjectEstimate, before: float, after: float) -> bool:
+    """Return whether a fit with the lost parts replaces the one without, given what they leave unexplained.
+
+    A handle tells a mug; what touches a lying bottle or can may be another thing.
+    """
+    if new.category == "mug":
+        return after < before
+    same_kind = old.category in ("bottle", "can") and new.category in ("bottle", "can")
+    is_as_good = new.resting == old.resting == "lying" and new.score > old.score - WORSE
+    return same_kind and is_as_good and after < CLEARLY * before
+
+
+def _may_be_turned_mug(estimate: ObjectEstimate, rows: Rows) -> bool:
+    """Return whether an object is a mug that does not stand upright, or is named one by the pose network."""
+    if estimate.category == "mug" and estimate.resting != "upright":
+        return True
+    views = [d.pose_probabilities for row in rows for d in row if d.instance_id == estimate.id]
+    mean = mean_poses([p for p in views if p.size])
+    turned = sum(p for posed, p in zip(POSED_CLASSES, mean.tolist()) if posed in TURNED_MUGS)
+    return turned > TURNED
+
+
+def _extended(
+    detection: ObjectDetection, masks: Mapping[int, Sequence[np.ndarray | None]], frame: int
+) -> ObjectDetection:
+    """Return a detection with its extended mask; without its id if none of its masks is extended."""
+    if detection.instance_id is None or detection.instance_id not in masks:
+        return replace(detection, instance_id=None)
+    mask = masks[detection.instance_id][frame]
+    return detection if mask is None else replace(detection, mask=mask)

@@ -1,0 +1,46 @@
+"""Objects that are parts of things of no class, as what is attached to them, their handle or colour tells."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+
+from perception.depth_cleaning import clean_frame
+from perception.obstacles.attached import carriers_of_parts
+from perception.obstacles.crossed import crossed
+from perception.obstacles.handleless import mugs_without_handle
+from perception.obstacles.same_colour import SAME_COLOUR, continued_in_colour
+from perception.types import ObjectEstimate, RejectedObject, RgbdFrame, SupportPlane
+
+CARRIES = "something that belongs to none of the classes is attached to it"
+CROSSED = "something that belongs to none of the classes goes through it"
+HANDLELESS = "it has no handle where a mug has one, but goes on in a thing of no class"
+
+
+def without_parts_of_things(
+    found: Sequence[ObjectEstimate],
+    stacks: Sequence[Sequence[ObjectEstimate]],
+    frames: Sequence[RgbdFrame],
+    plane: SupportPlane,
+) -> tuple[list[ObjectEstimate], list[RejectedObject]]:
+    """Return the objects without those that go on in things of no class, and these; stacks go as a whole.
+
+    Args:
+        found: Estimates of all objects.
+        stacks: Those that were segmented as one thing.
+        frames: Views with camera poses.
+        plane: Support plane.
+    """
+    views = [clean_frame(frame) for frame in frames]
+    reasons = dict.fromkeys(carriers_of_parts(found, views, plane), CARRIES)
+    reasons |= dict.fromkeys(mugs_without_handle(found, views, plane), HANDLELESS)
+    reasons |= dict.fromkeys(continued_in_colour(found, views, plane), SAME_COLOUR)
+    reasons |= dict.fromkeys(crossed(found, views, plane), CROSSED)
+    for stack in stacks:
+        known = [reasons[part.id] for part in stack if part.id in reasons]
+        reasons |= {part.id: known[0] for part in stack if known}
+    left = [
+        RejectedObject(e.id, e.category, reasons[e.id], e.score, is_part=True)
+        for e in found
+        if e.id in reasons
+    ]
+    return [e for e in found if e.id not in reasons], left

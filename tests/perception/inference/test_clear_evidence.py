@@ -1,0 +1,42 @@
+"""Least scores by class, resting pose and, of lying bottles, length."""
+
+import pytest
+
+from perception.inference.clear_evidence import (
+    BOTTLE_SCORE,
+    LEAST_SCORE,
+    LENGTH,
+    LENGTH_POWER,
+    POSED_SCORE,
+    UNCLASSIFIED_SCORE,
+    is_clear,
+)
+from tests.perception.bare_estimates import found
+
+
+def bottle_score(length):
+    """The least score of a lying bottle, by its length in units of LENGTH."""
+    return BOTTLE_SCORE / (BOTTLE_SCORE + (1 - BOTTLE_SCORE) * length**LENGTH_POWER)
+
+
+@pytest.mark.parametrize(
+    ("category", "resting", "length", "least"),
+    [
+        ("can", "upright", LENGTH, UNCLASSIFIED_SCORE),
+        ("can", "lying", 2 * LENGTH, POSED_SCORE),
+        ("mug", "upside-down", 2 * LENGTH, POSED_SCORE),
+        ("bottle", "lying", LENGTH, BOTTLE_SCORE),
+        ("bottle", "lying", 0.5 * LENGTH, bottle_score(0.5)),
+        ("bottle", "lying", 1.2 * LENGTH, bottle_score(1.2)),
+        ("bottle", "lying", 2 * LENGTH, LEAST_SCORE),
+    ],
+)  # fmt: skip
+def test_what_has_no_class_needs_a_score_by_pose_and_class_and_bottles_by_length(
+    category, resting, length, least
+):
+    above, below = (
+        found(1, score, category, resting, length=length) for score in (least + 0.01, least - 0.01)
+    )
+    assert is_clear(above) and not is_clear(below)
+    if category == "bottle":
+        assert is_clear(found(1, 1.0, category, resting, length=length))

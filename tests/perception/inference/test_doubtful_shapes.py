@@ -1,0 +1,99 @@
+"""What is fitted anew, and which of the new fits replace the old ones."""
+
+from dataclasses import replace
+from typing import Any
+
+import numpy as np
+import pytest
+
+from perception.inference import doubtful_shapes
+from perception.inference.doubtful_shapes import POSSIBLE, WORSE, completed, renamed
+from perception.types import POSED_CLASSES, CameraIntrinsics, ObjectDetection, RgbdFrame, SupportPlane
+from tests.perception.bare_estimates import found
+
+MASK = np.ones((4, 4), np.bool_)
+CAMERA = CameraIntrinsics(4, 4, 4.0, 4.0, 1.5, 1.5)
+FRAME = RgbdFrame(0.0, np.zeros((4, 4, 3), np.uint8), np.ones((4, 4), np.float32), CAMERA, np.eye(4))
+DETECTED, BESIDE = (ObjectDetection("can", 0.9, MASK, instance_id=i) for i in (0, 3))
+
+
+@pytest.mark.parametrize(
+    ("can", "resting", "is_renamed"),
+    [(0.0, "upright", False), (POSSIBLE, "upright", True), (0.0, "upside-down", True)],
+)
+def test_the_class_network_may_rule_out_what_stands_upright(monkeypatch, can, resting, is_renamed):
+    """A bowl whose fit is poor, of which a can explains much more."""
+    bowl, fitted = found(0, category="bowl"), found(0, category="can", resting=resting)
+    monkeypatch.setattr(doubtful_shapes, "instance_points", lambda *_: np.zeros((1, 3)))
+    monkeypatch.setattr(
+        doubtful_shapes, "unexplained", lambda points, shapes: 1.0 if shapes[0] is bowl else 0.0
+    )
+    views = [np.array([0.0, 1.0 - p, 0.0, p, 0.0]) for p in (0.0, can)]
+    rows = [[ObjectDetection("bowl", 1.0, MASK, instance_id=0, class_probabilities=p)] for p in views]
+    known = renamed([FRAME, FRAME], rows, {0: bowl}, lambda nameless: [fitted])
+    assert known == ({0: fitted} if is_renamed else {})
+
+
+@pytest.mark.parametrize(
+    ("category", "resting", "pose", "searched"),
+    [
+        ("mug", "upside-down", 9, True),
+        ("can", "upright", POSED_CLASSES.index(("mug", "upside-down")), True),
+        ("can", "upright", POSED_CLASSES.index(("mug", "lying")), True),
+        ("mug", "upright", 9, False),
+        ("bottle", "lying", 9, True),
+        ("can", "upright", POSED_CLASSES.index(("can", "lying")), False),
+    ],
+)
+def test_parts_of_what_does_not_stand_are_looked_for(monkeypatch, category, resting, pose, searched):
+    ids = []
+
+    def with_lost_parts(frames, rows, estimates, mugs, plane):
+        ids.extend(mugs)
+        return {}
+
+    monkeypatch.setattr(doubtful_shapes, "with_lost_parts", with_lost_parts)
+    row = [replace(DETECTED, pose_probabilities=np.eye(10)[pose])]
+    estimates = {0: found(0, category=category, resting=resting)}
+    assert completed((FRAME,), (row,), estimates, SupportPlane(), lambda rows: []) == {}
+    assert ids == ([0] if searched else [])
+
+
+def test_a_completed_mug_replaces_what_explains_less(monkeypatch):
+    larger = ~np.eye(4, dtype=bool)
+    monkeypatch.setattr(doubtful_shapes, "with_lost_parts", lambda *_: {0: [larger]})
+    fitted = []
+
+    def fit(rows):
+        fitted.extend((d.instance_id, bool((d.mask == larger).all())) for row in rows for d in row)
+        return [found(0, category="mug", resting="upside-down")]
+
+    shares = iter([0.2, 0.1, 0.2, 0.3])
+    monkeypatch.setattr(doubtful_shapes, "unexplained", lambda points, shapes: next(shares))
+    rows = ((DETECTED, BESIDE),)
+    estimates = {0: found(0, category="mug", resting="lying")}
+    run: Any = getattr(completed, "__wrapped__", completed)
+    better = run((FRAME,), rows, estimates, SupportPlane(), fit)
+    assert better[0].category == "mug" and fitted == [(0, True), (None, False)]
+    assert run((FRAME,), rows, estimates, SupportPlane(), fit) == {}
+
+
+@pytest.mark.parametrize(
+    ("old", "new", "after", "kept"),
+    [
+        (("can", "upright"), ("mug", "upside-down"), 0.19, True),
+        (("mug", "upside-down"), ("mug", "upside-down"), 0.21, False),
+        (("can", "lying"), ("bottle", "lying"), 0.09, True),
+        (("bottle", "lying"), ("bottle", "lying"), 0.11, False),  # perhaps of another thing
+        (("can", "lying"), ("bottle", "upright"), 0.01, False),
+        (("can", "upright"), ("bottle", "lying"), 0.01, False),
+    ],
+)
+def test_lost_parts_of_bottles_must_explain_more_than_handles(old, new, after, kept):
+    first, second = (found(0, category=category, resting=resting) for category, resting in (old, new))
+    assert doubtful_shapes._is_completed(first, second, 0.2, after) == kept
+    if new[0] == "bottle":
+        second = found(0, first.score - WORSE - 0.01, *new)
+        assert not doubtful_shapes._is_completed(first, second, 0.2, after), (
+            "a neighbour's part makes a poor bottle"
+        )
