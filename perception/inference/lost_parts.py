@@ -58,7 +58,8 @@ def with_lost_parts(
     for k, (frame, row) in enumerate(zip(cleaned, rows, strict=True)):
         for detection in row:
             if detection.instance_id in found:
-                part = _lost_part(frame, detection.mask, surfaces, plane)
+                others = [other.mask for other in row if other is not detection]
+                part = _lost_part(frame, detection.mask, others, surfaces, plane)
                 if part.any():
                     parts[detection.instance_id][k] = part
                     found[detection.instance_id][k] = detection.mask
@@ -94,9 +95,16 @@ def _agreed(
 
 
 def _lost_part(
-    frame: RgbdFrame, mask: Bool[np.ndarray, "h w"], surfaces: KDTree, plane: SupportPlane
+    frame: RgbdFrame,
+    mask: Bool[np.ndarray, "h w"],
+    others: Sequence[Bool[np.ndarray, "h w"]],
+    surfaces: KDTree,
+    plane: SupportPlane,
 ) -> Bool[np.ndarray, "h w"]:
-    """Return the unexplained pixels that continue a mask."""
+    """Return the unexplained pixels that continue a mask.
+
+    What is in the mask of something else is a piece of its own: a part may touch a thing that is none.
+    """
     rows, columns = bounding_window(mask)
     reach = int(REACH * max(rows.stop - rows.start, columns.stop - columns.start)) + 1
     window = bounding_window(mask, reach)
@@ -110,16 +118,17 @@ def _lost_part(
         return part
     distance = surfaces.query(points_of(frame, open_), distance_upper_bound=2 * FAR)[0]
     open_[open_] = distance > FAR
-    count, labels = cv2.connectedComponents(
-        (open_ & ~beside_jumps(open_, frame.depth, _JUMP)).astype(np.uint8)
-    )
-    size, own = np.bincount(labels.ravel(), minlength=count), int(mask.sum())
-    around = _around(mask, frame)
-    for label in np.unique(labels[around & (labels > 0)]):
-        piece = labels == label
-        fits = max(SMALLEST * own, _MIN_PIXELS) <= size[label] <= LARGEST * own
-        if fits and _continues(piece & around, mask, frame.depth):
-            part |= piece
+    open_ &= ~beside_jumps(open_, frame.depth, _JUMP)
+    own, around = int(mask.sum()), _around(mask, frame)
+    in_others = np.any([np.zeros_like(mask), *others], axis=0)
+    for region in (~in_others, *others):
+        count, labels = cv2.connectedComponents((open_ & region).astype(np.uint8))
+        size = np.bincount(labels.ravel(), minlength=count)
+        for label in np.unique(labels[around & (labels > 0)]):
+            piece = labels == label
+            fits = max(SMALLEST * own, _MIN_PIXELS) <= size[label] <= LARGEST * own
+            if fits and _continues(piece & around, mask, frame.depth):
+                part |= piece
     return part
 
 

@@ -93,3 +93,13 @@ def test_of_two_views_that_show_different_parts_none_counts():
     assert extensions([image_with(strip(131, 152)), image_with(strip(47, 68))]) is None
     both = extensions([image_with(strip(131, 152))] * 2)
     assert all(extension.any() for extension in both)
+
+
+def test_a_thing_that_touches_a_part_is_none():
+    """A part of 0.03 m meets a thing, with a mask of its own, at its far end."""
+    part, thing = strip(131, 152), (np.abs(v - 79.5) < 30) & (u >= 152) & (u < 180)
+    row = [ObjectDetection("mug", 0.9, BODY, instance_id=7), ObjectDetection("mug", 0.9, thing)]
+    frame = image_with(part | thing)
+    found = with_lost_parts([frame], [row], {7: estimate(7, 0.0)}, [7], SupportPlane())
+    extension = found[7][0] & ~BODY
+    assert (extension & part).sum() > 0.7 * (part & ~BODY).sum() and not (extension & thing).any()
