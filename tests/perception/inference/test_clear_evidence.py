@@ -7,7 +7,9 @@ from perception.inference.clear_evidence import (
     LEAST_SCORE,
     LENGTH,
     LENGTH_POWER,
+    LONG,
     POSED_SCORE,
+    THINNEST,
     UNCLASSIFIED_SCORE,
     is_clear,
 )
@@ -40,3 +42,12 @@ def test_what_has_no_class_needs_a_score_by_pose_and_class_and_bottles_by_length
     assert is_clear(above) and not is_clear(below)
     if category == "bottle":
         assert is_clear(found(1, 1.0, category, resting, length=length))
+
+
+@pytest.mark.parametrize(
+    ("more", "longer", "kept"), [(-1e-4, -1e-3, False), (1e-4, -1e-3, True), (-1e-4, 1e-3, True)]
+)
+def test_what_is_as_thin_as_a_handle_must_be_longer(more, longer, kept):
+    lying = found(1, 0.99, "bottle", "lying", length=LONG + longer, radius=THINNEST + more)
+    assert is_clear(lying) == kept
+    assert is_clear(found(1, 0.99, "can", "lying", length=0.1, radius=THINNEST - 1e-3)), "of bottles alone"
