@@ -10,8 +10,8 @@ POSED_SCORE = 0.85  # the same in other poses: what is no object most often rese
 # things are shorter. Score and length of 118 true and 76 false fits in 70 scans of training families.
 BOTTLE_SCORE, LENGTH, LENGTH_POWER = 0.7, 0.12, 4.2
 LEAST_SCORE = 0.4  # of a lying bottle of any length
-# [m] radius and length below which a lying bottle is a handle: among 223 fits in 74 scans, true ones thinner than
-# 21 mm were 0.24 m long and more, false ones of at least the least score at most 0.16 m.
+# [m] radius and length below which a lying bottle is a handle: among 223 fits in 74 scans, true ones thinner
+# than 21 mm were 0.24 m long and more, false ones of at least the least score at most 0.16 m.
 THINNEST, LONG = 0.021, 0.18
 
 
