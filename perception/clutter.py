@@ -18,14 +18,13 @@ from perception.detection.left_out import LeftOut
 from perception.detection.parts import parts_of_things
 from perception.detection.unclassified import associate_unclassified, is_low
 from perception.inference.acceptance import AcceptanceModel
-from perception.inference.clear_evidence import is_clear, is_thin
+from perception.inference.clear_evidence import is_clear, may_be_part
 from perception.inference.doubtful_shapes import completed, renamed
 from perception.inference.handle import with_seen_handles
 from perception.inference.hidden_support import on_hidden_supports
 from perception.inference.reconstruct import ReconstructOptions, gather_instances, reconstruct
 from perception.inference.recutting import Recutting, instance_ids
 from perception.inference.selection import (
-    PIECE_SCORE,
     without_parts,
     without_repeated_stacks,
     without_repetitions,
@@ -99,11 +98,8 @@ def reconstruct_clutter(
         recutting = Recutting(frames, planes, completer, lambda cut: fit(cut, {}))
         free = 1 + max((*instance_ids(rows), *(part.id for part in parts)), default=-1)
         rows, pieces = recutting.separated(rows, lost, free)
-        single |= {
-            id: e
-            for id, e in pieces.items()
-            if e.resting == "lying" and e.score >= PIECE_SCORE and not is_thin(e)
-        }
+        # An upright object is seldom segmented with what it touches.
+        single |= {id: e for id, e in pieces.items() if e.resting == "lying" and not may_be_part(e)}
         candidates |= instance_ids(rows) - instance_ids(detections_per_frame)
         free = max(free, 1 + max(instance_ids(rows), default=-1))
         rows, wholes = recutting.joined(rows, candidates - set(stacks), single, free)

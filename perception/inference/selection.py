@@ -7,11 +7,11 @@ from collections.abc import Collection, Mapping, Sequence
 import numpy as np
 
 from perception.detection.parts import continued_shares
+from perception.inference.clear_evidence import may_be_part
 from perception.inference.explanation import shared_volume, unexplained
 from perception.inference.stack_parts import Rows, instance_points
 from perception.types import ObjectEstimate, RgbdFrame
 
-PIECE_SCORE = 0.85  # least score of what may be a part of a thing: parts resemble objects more often
 CONTINUED = 0.08  # share of its outline along which the surface of such a part goes on in the thing
 INSIDE = 0.35  # share of an object's volume inside another from which on it is a part of that
 REPEATED = 0.3  # largest unexplained share of a candidate's points if it is part of another object
@@ -33,7 +33,7 @@ def without_parts(
         estimates: Estimates by id.
         candidates: Ids of those without a class of the detector.
     """
-    doubtful = {id for id, e in estimates.items() if id in candidates and e.score < PIECE_SCORE}
+    doubtful = {id for id, e in estimates.items() if id in candidates and may_be_part(e)}
     if not doubtful:
         return dict(estimates)
     lost = set(candidates) - estimates.keys()

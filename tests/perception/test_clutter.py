@@ -10,9 +10,9 @@ from perception import clutter
 from perception.clutter import UNCERTAIN, reconstruct_clutter
 from perception.inference import doubtful_shapes, selection
 from perception.inference.acceptance import shipped_acceptance
-from perception.inference.clear_evidence import POSED_SCORE, THINNEST, UNCLASSIFIED_SCORE
+from perception.inference.clear_evidence import PIECE_SCORE, POSED_SCORE, THINNEST, UNCLASSIFIED_SCORE
 from perception.inference.reconstruct import ReconstructOptions
-from perception.inference.selection import CONTINUED, PIECE_SCORE
+from perception.inference.selection import CONTINUED
 from perception.obstacles import parts_of_things
 from perception.obstacles.parts_of_things import CARRIES, CROSSED, HANDLELESS
 from perception.obstacles.same_colour import SAME_COLOUR

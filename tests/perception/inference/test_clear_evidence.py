@@ -4,21 +4,24 @@ import pytest
 
 from perception.inference.clear_evidence import (
     BOTTLE_SCORE,
+    LEAST_PIECE_SCORE,
     LEAST_SCORE,
     LENGTH,
     LENGTH_POWER,
     LONG,
+    PIECE_SCORE,
     POSED_SCORE,
     THINNEST,
     UNCLASSIFIED_SCORE,
     is_clear,
+    may_be_part,
 )
 from tests.perception.bare_estimates import found
 
 
-def bottle_score(length):
+def bottle_score(length, usual=BOTTLE_SCORE):
     """The least score of a lying bottle, by its length in units of LENGTH."""
-    return BOTTLE_SCORE / (BOTTLE_SCORE + (1 - BOTTLE_SCORE) * length**LENGTH_POWER)
+    return usual / (usual + (1 - usual) * length**LENGTH_POWER)
 
 
 @pytest.mark.parametrize(
@@ -51,3 +54,20 @@ def test_what_is_as_thin_as_a_handle_must_be_longer(more, longer, kept):
     lying = found(1, 0.99, "bottle", "lying", length=LONG + longer, radius=THINNEST + more)
     assert is_clear(lying) == kept
     assert is_clear(found(1, 0.99, "can", "lying", length=0.1, radius=THINNEST - 1e-3)), "of bottles alone"
+
+
+@pytest.mark.parametrize(
+    ("category", "length", "least"),
+    [
+        ("can", 2 * LENGTH, PIECE_SCORE),
+        ("bottle", LENGTH, PIECE_SCORE),
+        ("bottle", 1.2 * LENGTH, bottle_score(1.2, PIECE_SCORE)),
+        ("bottle", 2 * LENGTH, LEAST_PIECE_SCORE),
+    ],
+)
+def test_what_may_be_a_part_needs_a_high_score_or_the_length_of_a_bottle(category, length, least):
+    above, below = (found(1, least + more, category, "lying", length=length) for more in (0.01, -0.01))
+    assert may_be_part(below) and not may_be_part(above)
+    assert may_be_part(found(1, PIECE_SCORE - 0.01, "bottle", "upright", length=length)), (
+        "length tells of lying ones"
+    )

@@ -4,26 +4,21 @@ import numpy as np
 import pytest
 
 from perception.inference import selection
+from perception.inference.clear_evidence import PIECE_SCORE
 from perception.inference.selection import (
     CONTINUED,
     INSIDE,
-    PIECE_SCORE,
     REPEATED,
     without_parts,
     without_repeated_stacks,
     without_repetitions,
 )
-from perception.types import CameraIntrinsics, ObjectDetection, ObjectEstimate, RgbdFrame
+from perception.types import CameraIntrinsics, ObjectDetection, RgbdFrame
+from tests.perception.bare_estimates import found
 
 MASK = np.ones((4, 4), np.bool_)
 CAMERA = CameraIntrinsics(4, 4, 4.0, 4.0, 1.5, 1.5)
 FRAME = RgbdFrame(0.0, np.zeros((4, 4, 3), np.uint8), np.ones((4, 4), np.float32), CAMERA, np.eye(4))
-
-
-def found(id, score=0.9, n_views=2):
-    made = object.__new__(ObjectEstimate)
-    vars(made).update(id=id, score=score, n_views=n_views)
-    return made
 
 
 def by_id(*estimates):
