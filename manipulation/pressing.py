@@ -23,6 +23,7 @@ PRESSABLE = np.deg2rad(26.0)  # up to which it is pressed: one that leans more i
 LEVEL = np.deg2rad(8.0)  # up to which it stays as it is when pressing does not help
 STEEPEST = np.deg2rad(35.0)  # that a bowl leans in another; images that show more were misunderstood
 _ABOVE = 0.04  # [m] over the highest point, where the motion begins
+_RISE = 0.004  # [m] error of the height at which a bowl is seen
 _DEEPER = 0.002  # [m] below the rim's height at rest: the rim springs back
 _INWARDS = 0.003  # [m] from the outline: fingertips must not slip off the rim
 _FURTHER = 0.004  # [m] beyond the middle, to which a bowl is drawn: it lags behind the fingertips
@@ -55,6 +56,25 @@ def lean(T_world_stand: Float[np.ndarray, "4 4"]) -> float:
 def is_plausible(seen: Mapping[str, Float[np.ndarray, "4 4"]]) -> bool:
     """Return whether bowls in one another can rest in the poses in which they were seen."""
     return all(lean(T) < STEEPEST for T in seen.values())
+
+
+def can_lean(
+    item: StandingObject, T_world_rest: Float[np.ndarray, "4 4"], T_world_stand: Float[np.ndarray, "4 4"]
+) -> bool:
+    """Return whether a bowl can lean as it was seen.
+
+    It leans about a point of its outline, so that the middle of its base rises by at most the radius times
+    the sine of the angle. What is seen higher is level: its shape was reconstructed too low, as what stands
+    in something is hidden in part.
+
+    Args:
+        item: the bowl.
+        T_world_rest: its pose at rest.
+        T_world_stand: the pose in which it was seen.
+    """
+    radius = float(np.linalg.norm(item.vertices[:, :2], axis=1).max())
+    rise = float(T_world_stand[2, 3] - T_world_rest[2, 3])
+    return bool(rise <= radius * np.sin(lean(T_world_stand)) + _RISE)
 
 
 def lowest_leaning(names: Sequence[str], seen: Mapping[str, Float[np.ndarray, "4 4"]]) -> str | None:

@@ -12,7 +12,15 @@ from jaxtyping import Float
 from manipulation.errors import LeaningError, RobotError
 from manipulation.observation import SceneObserver
 from manipulation.pick_place import PickPlacePlanner
-from manipulation.pressing import LEVEL, PRESSABLE, is_plausible, lean, lowest_leaning, plan_press
+from manipulation.pressing import (
+    LEVEL,
+    PRESSABLE,
+    can_lean,
+    is_plausible,
+    lean,
+    lowest_leaning,
+    plan_press,
+)
 from manipulation.robot import Robot
 from manipulation.types import PickPlacePlan
 from perception.geometry import levelled
@@ -62,7 +70,9 @@ class StackSettling:
                 return
             for other, T_world_stand in seen.items():
                 self._planner.moved(other, levelled(T_world_stand, float(before[other][2, 3])))
-            leaning = lowest_leaning(names, seen)
+            items = self._planner.items
+            possible = {n: T for n, T in seen.items() if can_lean(items[n], before[n], T)}
+            leaning = lowest_leaning(names, possible)
             if leaning is None:
                 return
             beneath = names[names.index(leaning) + 1]

@@ -5,7 +5,14 @@ from scipy.spatial.transform import Rotation
 from manipulation.kinematics import Kinematics
 from manipulation.obstacles import TABLE, box_obstacles
 from manipulation.pick_place import PickPlacePlanner
-from manipulation.pressing import highest_rim_point, is_plausible, lean, lowest_leaning, plan_press
+from manipulation.pressing import (
+    can_lean,
+    highest_rim_point,
+    is_plausible,
+    lean,
+    lowest_leaning,
+    plan_press,
+)
 from manipulation.standing import to_standing
 from manipulation.types import Box
 from perception.geometry import levelled, pose_from_yaw
@@ -35,6 +42,16 @@ def test_what_bowls_in_one_another_cannot_look_like():
     steep, slight = leaning(0.5, 0.2, tilt=0.7), leaning(0.5, 0.2, tilt=0.5)
     assert is_plausible({"upper": slight, "lower": slight}) and is_plausible({})
     assert not is_plausible({"upper": slight, "lower": steep})
+
+
+@pytest.mark.parametrize(
+    ("rise", "tilt", "possible"),
+    [(0.0, 0.1, True), (0.009, 0.1, True), (0.012, 0.1, False), (0.012, 0.2, True), (0.012, 0.0, False)],
+)
+def test_a_leaning_bowl_rises_no_more_than_its_radius_allows(bowl, rise, tilt, possible):
+    """At 0.1 rad the middle of a base of 0.06 m rises by 6 mm."""
+    seen = leaning(0.5, 0.2, z=0.02 + rise, tilt=tilt)
+    assert can_lean(bowl, pose_from_yaw(0.4, np.array([0.5, 0.2, 0.02])), seen) == possible
 
 
 @pytest.mark.parametrize(

@@ -74,6 +74,22 @@ def test_a_bowl_that_leans_in_another_is_pressed_level_or_placed_again(nested, a
     assert upper[2, 2] == pytest.approx(1.0) and lower[0, 3] == pytest.approx(Box().center[0] + 0.004)
 
 
+def test_what_is_seen_higher_than_a_bowl_can_lean_is_level(nested, arm):
+    """A bowl that was reconstructed too low fits where its rim is, and its errors look like a tilt."""
+    planner, plan = nested
+    robot, messages, observer = FakeRobot(arm, [plan.grasp.held_width]), [], FakeObserver()
+    T = plan.T_world_stand_rest.copy()
+    T[2, 3] += 0.02
+    T[:3, :3] = Rotation.from_euler("x", 0.12).as_matrix() @ T[:3, :3]
+    observer.closer = [{"bowl_2": T, "bowl_1": planner.world.pose("bowl_1")}]
+    execution = PlanExecution(
+        robot, planner, observer, CONFIG, lambda phase, name, message="", plan=None: messages.append(message)
+    )
+    execution.run(plan)
+    assert observer.looked_at == [("bowl_2", "bowl_1")] and "leans and is pressed level" not in messages
+    assert planner.world.pose("bowl_2")[2, 3] == pytest.approx(plan.T_world_stand_rest[2, 3])
+
+
 @pytest.mark.parametrize(
     ("looks", "pressed", "leans"),
     [
