@@ -1,5 +1,6 @@
 """Least scores by class, resting pose and, of lying bottles, length."""
 
+import numpy as np
 import pytest
 
 from perception.inference.clear_evidence import (
@@ -9,6 +10,7 @@ from perception.inference.clear_evidence import (
     LENGTH,
     LENGTH_POWER,
     LONG,
+    NECK,
     PIECE_SCORE,
     POSED_SCORE,
     THINNEST,
@@ -16,6 +18,7 @@ from perception.inference.clear_evidence import (
     is_clear,
     may_be_part,
 )
+from perception.types import TriangleMesh
 from tests.perception.bare_estimates import found
 
 
@@ -71,3 +74,22 @@ def test_what_may_be_a_part_needs_a_high_score_or_the_length_of_a_bottle(categor
     assert may_be_part(found(1, PIECE_SCORE - 0.01, "bottle", "upright", length=length)), (
         "length tells of lying ones"
     )
+
+
+def with_top(share, score, length=LENGTH):
+    """A lying bottle whose uppermost quarter has a share of the radius of the rest."""
+    bottle = found(1, score, "bottle", "lying", length=length)
+    angle, z = np.meshgrid(np.linspace(0, 2 * np.pi, 32), np.linspace(0, length, 40))
+    radius = 0.03 * np.where(z > 0.75 * length, share, 1.0)
+    vertices = np.stack([radius * np.cos(angle), radius * np.sin(angle), z], axis=-1).reshape(-1, 3)
+    vars(bottle)["mesh"] = TriangleMesh(vertices, np.array([[0, 1, 2]]))
+    return bottle
+
+
+@pytest.mark.parametrize(
+    ("share", "least"),
+    [(np.sqrt(NECK) - 0.02, BOTTLE_SCORE), (np.sqrt(NECK) + 0.02, PIECE_SCORE)],
+    ids=["neck", "no neck"],
+)
+def test_a_lying_bottle_without_a_neck_needs_a_higher_score(share, least):
+    assert is_clear(with_top(share, least + 0.01)) and not is_clear(with_top(share, least - 0.01))
