@@ -24,6 +24,7 @@ LEVEL = np.deg2rad(8.0)  # up to which it stays as it is when pressing does not 
 STEEPEST = np.deg2rad(35.0)  # that a bowl leans in another; images that show more were misunderstood
 _ABOVE = 0.04  # [m] over the highest point, where the motion begins
 _RISE = 0.004  # [m] error of the height at which a bowl is seen
+_SURE = np.deg2rad(15.0)  # tilt that errors of a shape do not look like; 8 degrees were seen of a level bowl
 _DEEPER = 0.002  # [m] below the rim's height at rest: the rim springs back
 _INWARDS = 0.003  # [m] from the outline: fingertips must not slip off the rim
 _FURTHER = 0.004  # [m] beyond the middle, to which a bowl is drawn: it lags behind the fingertips
@@ -64,8 +65,8 @@ def can_lean(
     """Return whether a bowl can lean as it was seen.
 
     It leans about a point of its outline, so that the middle of its base rises by at most the radius times
-    the sine of the angle. What is seen higher is level: its shape was reconstructed too low, as what stands
-    in something is hidden in part.
+    the sine of the angle. What leans slightly and is seen higher is level: its shape was reconstructed too
+    low, as what stands in something is hidden in part. A large tilt is no error of a shape.
 
     Args:
         item: the bowl.
@@ -74,7 +75,8 @@ def can_lean(
     """
     radius = float(np.linalg.norm(item.vertices[:, :2], axis=1).max())
     rise = float(T_world_stand[2, 3] - T_world_rest[2, 3])
-    return bool(rise <= radius * np.sin(lean(T_world_stand)) + _RISE)
+    tilt = lean(T_world_stand)
+    return bool(tilt >= _SURE or rise <= radius * np.sin(tilt) + _RISE)
 
 
 def lowest_leaning(names: Sequence[str], seen: Mapping[str, Float[np.ndarray, "4 4"]]) -> str | None:
