@@ -111,7 +111,7 @@ def rest_on(
 
     Where that clearly contradicts the evidence, because the shape of the lower object is uncertain, the
     estimate is that of the fit at any height. An object that is beside the other one, which hides its foot,
-    stands on the plane.
+    stands on the plane, and so does one above an object on its side: nothing stands on what can roll.
 
     Args:
         views: Observations of the upper object.
@@ -125,7 +125,7 @@ def rest_on(
     """
     seen = MeasuredExtent.of(views, plane)
     under = _height_under(seen, lower.mesh_world, plane)
-    if under is None:
+    if under is None or lower.resting == "lying":
         return fit(views, plane, config)
     start = raised(plane, under)
     free = replace(config, noise=replace(config.noise, support_sigma=FREE))

@@ -165,5 +165,21 @@ def test_an_object_beside_the_other_one_stands_on_the_plane(make_table, lower_x,
     assert offsets[-1] == (PLANE.offset, FitConfig().noise.support_sigma)
 
 
+def test_nothing_stands_on_an_object_on_its_side(make_table) -> None:
+    """It hides the foot of what stands behind it, whose lowest measured points are above it."""
+    table = make_table("can", (), yaw=0.0)
+    views = ObjectViews(7, "can", 1.0, tuple(table.observations((0.0,))))
+    box = trimesh.creation.box((0.06, 0.06, 0.1))
+    lower = estimate(3, as_mesh(box, 0.4, -0.1, -0.03), resting="lying")
+    planes = []
+
+    def fit(_: ObjectViews, plane: SupportPlane, config: FitConfig) -> ObjectEstimate:
+        planes.append((plane, config))
+        return estimate(7, as_mesh(box, 0.4, -0.1, 0.08))
+
+    assert rest_on(views, lower, PLANE, FitConfig(), fit).rests_on is None
+    assert planes == [(PLANE, FitConfig())]
+
+
 def test_one_object_is_not_measured() -> None:
     assert find_stacks([ObjectViews(1, "can", 1.0, ())], {1: PLANE}) == {}
