@@ -12,12 +12,12 @@ POSED_SCORE = 0.85  # the same in other poses: what is no object most often rese
 BOTTLE_SCORE, LENGTH, LENGTH_POWER = 0.7, 0.12, 4.2
 LEAST_SCORE = 0.4  # of a lying bottle of any length
 PIECE_SCORE = 0.85  # least score of what may be a part of a thing: parts resemble objects more often
-# Area of a section near the top, relative to the largest one, from which on a lying bottle has no neck, and
-# needs the odds of PIECE_SCORE: in 74 scans, that left out 7 of 14 false fits and 4 of 114 true ones.
-NECK = 0.8
 # The same of lying bottles, which need the odds of PIECE_SCORE for their length. Of the fits between the two
 # scores that had them, in 74 scans, 25 were true, 6 were of a bottle in part, and 1 was of a can.
 LEAST_PIECE_SCORE = 0.6
+# Area of a section near the top, relative to the largest one, from which on a lying bottle has no neck, and
+# needs the odds of PIECE_SCORE: in 74 scans, that left out 7 of 14 false fits and 4 of 114 true ones.
+NECK = 0.8
 # [m] radius and length below which a lying bottle is a handle: among 223 fits in 74 scans, true ones thinner
 # than 21 mm were 0.24 m long and more, false ones of at least the least score at most 0.16 m.
 THINNEST, LONG = 0.021, 0.18

@@ -1,5 +1,6 @@
 """Plans that are made ahead: used in the scene that they were made for, and in no other."""
 
+import itertools
 from dataclasses import replace
 
 import numpy as np
@@ -15,6 +16,7 @@ from manipulation.planner import ManipulationConfig, plan_pack
 from manipulation.planning_ahead import PlanningAhead, Scene
 from manipulation.trajectories import MotionConfig
 from manipulation.types import Box
+from perception.obstacles.obstacle import PerceivedObstacle
 
 CONFIG = ManipulationConfig(  # coarser than the defaults, for speed alone
     pick_place=PickPlaceConfig(
@@ -93,10 +95,13 @@ def forgotten(task, planner, present, q):
     return task.placements[1], q
 
 
-def new_obstacles(task, planner, present, q):
-    planner.observe_obstacles(())
-    planner.forget(present.name)
-    planner.moved(present.name, present.T_world_stand_rest)
+def new_obstacle(task, planner, present, q):
+    corners = np.array(list(itertools.product((0.70, 0.72), (-0.40, -0.38), (0.0, 0.02))))
+    planner.observe_obstacles([PerceivedObstacle(0, (corners,), 100)])
+    return task.placements[1], q
+
+
+def another_posture(task, planner, present, q):
     return task.placements[1], q + 0.02
 
 
@@ -105,7 +110,9 @@ def another_goal(task, planner, present, q):
     return replace(task.placements[1], position=(x, y + 0.001, z)), q
 
 
-@pytest.mark.parametrize("change", [elsewhere, another_moved, forgotten, new_obstacles, another_goal])
+@pytest.mark.parametrize(
+    "change", [elsewhere, another_moved, forgotten, new_obstacle, another_posture, another_goal]
+)
 def test_a_plan_is_dropped_where_something_else_happened(task, planner, ahead, present, change):
     ahead.begin(present, task.placements[1])
     planner.moved(present.name, present.T_world_stand_rest)

@@ -1,8 +1,17 @@
-"""Estimates that have no more than what the rules of cluttered tables look at."""
+"""Estimates and an image that have no more than what the rules of cluttered tables look at."""
 
 import numpy as np
 
-from perception.types import ObjectEstimate, TriangleMesh
+from perception.types import CameraIntrinsics, ObjectEstimate, RgbdFrame, TriangleMesh
+
+MASK = np.ones((4, 4), np.bool_)
+FRAME = RgbdFrame(
+    0.0,
+    np.zeros((4, 4, 3), np.uint8),
+    np.ones((4, 4), np.float32),
+    CameraIntrinsics(4, 4, 4.0, 4.0, 1.5, 1.5),
+    np.eye(4),
+)
 
 
 def found(id, score=0.9, category="can", resting="upright", n_views=2, length=0.12, radius=0.03):

@@ -17,18 +17,12 @@ from perception.obstacles import parts_of_things
 from perception.obstacles.parts_of_things import CARRIES, CROSSED, HANDLELESS
 from perception.obstacles.same_colour import SAME_COLOUR
 from perception.types import (
-    CameraIntrinsics,
     ObjectDetection,
     RejectedObject,
-    RgbdFrame,
     SupportPlane,
     is_unclassified,
 )
-from tests.perception.bare_estimates import found
-
-MASK = np.ones((4, 4), np.bool_)
-CAMERA = CameraIntrinsics(4, 4, 4.0, 4.0, 1.5, 1.5)
-FRAME = RgbdFrame(0.0, np.zeros((4, 4, 3), np.uint8), np.ones((4, 4), np.float32), CAMERA, np.eye(4))
+from tests.perception.bare_estimates import FRAME, MASK, found
 
 
 class Scene:

@@ -8,12 +8,9 @@ import pytest
 
 from perception.inference import doubtful_shapes
 from perception.inference.doubtful_shapes import POSSIBLE, WORSE, completed, renamed
-from perception.types import POSED_CLASSES, CameraIntrinsics, ObjectDetection, RgbdFrame, SupportPlane
-from tests.perception.bare_estimates import found
+from perception.types import POSED_CLASSES, ObjectDetection, SupportPlane
+from tests.perception.bare_estimates import FRAME, MASK, found
 
-MASK = np.ones((4, 4), np.bool_)
-CAMERA = CameraIntrinsics(4, 4, 4.0, 4.0, 1.5, 1.5)
-FRAME = RgbdFrame(0.0, np.zeros((4, 4, 3), np.uint8), np.ones((4, 4), np.float32), CAMERA, np.eye(4))
 DETECTED, BESIDE = (ObjectDetection("can", 0.9, MASK, instance_id=i) for i in (0, 3))
 
 

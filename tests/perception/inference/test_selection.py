@@ -13,12 +13,8 @@ from perception.inference.selection import (
     without_repeated_stacks,
     without_repetitions,
 )
-from perception.types import CameraIntrinsics, ObjectDetection, RgbdFrame
-from tests.perception.bare_estimates import found
-
-MASK = np.ones((4, 4), np.bool_)
-CAMERA = CameraIntrinsics(4, 4, 4.0, 4.0, 1.5, 1.5)
-FRAME = RgbdFrame(0.0, np.zeros((4, 4, 3), np.uint8), np.ones((4, 4), np.float32), CAMERA, np.eye(4))
+from perception.types import ObjectDetection
+from tests.perception.bare_estimates import FRAME, MASK, found
 
 
 def by_id(*estimates):

@@ -1,16 +1,12 @@
 """Objects and stacks that are parts of things, with the reason."""
 
-import numpy as np
 import pytest
 
 from perception.obstacles import parts_of_things
 from perception.obstacles.parts_of_things import CARRIES, CROSSED, HANDLELESS, without_parts_of_things
 from perception.obstacles.same_colour import SAME_COLOUR
-from perception.types import CameraIntrinsics, RgbdFrame, SupportPlane
-from tests.perception.bare_estimates import found
-
-CAMERA = CameraIntrinsics(4, 4, 4.0, 4.0, 1.5, 1.5)
-FRAME = RgbdFrame(0.0, np.zeros((4, 4, 3), np.uint8), np.ones((4, 4), np.float32), CAMERA, np.eye(4))
+from perception.types import SupportPlane
+from tests.perception.bare_estimates import FRAME, found
 
 
 @pytest.fixture
