@@ -35,6 +35,7 @@ _RETURNED = 0.05  # [rad] of each joint from the posture of the grasp
 _ABOVE = 0.003  # [m] by which the base of an object is above that of one that carries it, at least
 _INSIDE = 0.004  # [m] by which a point is in the way of the hand at least, which covers noise
 _UNKNOWN = 60  # measured points that nothing known explains are a thing
+_SLIP = 0.003  # [m] by which the fingers close further during the lift, from which on they lose an object
 MISPLACED = 0.02  # [m] from its goal, from which on a released object is grasped again
 
 Phase = Literal[
@@ -97,8 +98,8 @@ class PlanExecution:
 
         Raises:
             SceneChangedError: the object is not where it was expected.
-            GraspFailedError: something unknown is in the way, or the object is not held, not where it was
-                released, or leans there.
+            GraspFailedError: something unknown is in the way, or the object is not held, slips between the
+                fingers, is not where it was released, or leans there.
             RobotError: the robot failed to execute a motion.
         """
         robot, grasp, name = self.robot, plan.grasp, plan.name
@@ -114,9 +115,11 @@ class PlanExecution:
         self._notify("grasp", name)
         robot.move_gripper(0.0)
         self._require_held(grasp, f"no object between the fingers after closing on {name}")
+        closed = robot.gripper_width()
         robot.follow(plan.lift)
         # The closed width is wide enough for an object that shifts between the pads.
         self._require_held(grasp, f"{name} was lost during the lift")
+        self._require_firm(plan, closed)
         self._require_alone(plan)
         self._notify("transfer", name)
         try:
@@ -175,6 +178,20 @@ class PlanExecution:
         is_mug = self.planner.items[name].category == "mug" and not lies(finding.T_world_stand)
         if is_mug and is_turned(plan.T_world_stand_rest, finding.T_world_stand):
             raise GraspFailedError(f"{name} was turned when it was released")
+
+    def _require_firm(self, plan: PickPlacePlan, closed: float) -> None:
+        """Lower an object again, and raise GraspFailedError, if the fingers went on closing as it was lifted.
+
+        Pads that hold it at the very edge, or beside the middle of a round body, squeeze it out.
+
+        Args:
+            plan: the plan, after its lift.
+            closed: width at which the fingers had closed, in [m].
+        """
+        slip = closed - self.robot.gripper_width()
+        if slip > _SLIP:
+            self.robot.follow(plan.lift.reversed())
+            raise GraspFailedError(f"{plan.name} slips between the fingers ({1e3 * slip:.0f} mm in the lift)")
 
     def _require_alone(self, plan: PickPlacePlan) -> None:
         """Lower an object again, and raise GraspFailedError, if what it stood in or on was lifted with it.

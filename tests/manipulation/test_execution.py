@@ -38,7 +38,10 @@ CONFIG = ManipulationConfig(
 
 
 class FakeRobot:
-    """Follows every motion exactly; ``closing`` lists the widths at which the gripper closes."""
+    """Follows every motion exactly; ``closing`` lists the widths at which the gripper closes.
+
+    During the motion of number ``slipping[0]`` the closed fingers come ``slipping[1]`` metres nearer.
+    """
 
     def __init__(self, arm, closing=()):
         self.arm = arm
@@ -47,6 +50,7 @@ class FakeRobot:
         self.closing = list(closing)
         self.expected = 0.01
         self.blocked_motions = set()
+        self.slipping = (0, 0.0)
         self.motions = []
         self.widths = []
 
@@ -68,6 +72,8 @@ class FakeRobot:
         if len(self.motions) in self.blocked_motions:
             raise RobotError("the arm is blocked: joint4")
         self.q = trajectory.positions[-1].copy()
+        if len(self.motions) == self.slipping[0]:
+            self.width -= self.slipping[1]
 
     def move_gripper(self, width):
         assert 0 <= width <= self.arm.max_width
