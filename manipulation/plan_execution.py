@@ -35,7 +35,7 @@ _RETURNED = 0.05  # [rad] of each joint from the posture of the grasp
 _ABOVE = 0.003  # [m] by which the base of an object is above that of one that carries it, at least
 _INSIDE = 0.004  # [m] by which a point is in the way of the hand at least, which covers noise
 _UNKNOWN = 60  # measured points that nothing known explains are a thing
-_SLIP = 0.003  # [m] by which the fingers close further during the lift, from which on they lose an object
+_SLIP = 0.005  # [m] by which the fingers close further during the lift, from which on they lose an object
 MISPLACED = 0.02  # [m] from its goal, from which on a released object is grasped again
 
 Phase = Literal[

@@ -30,6 +30,7 @@ _HIGHER = 0.008  # [m] by which the top of the upper object is above that of the
 _CELL = 0.002  # [m] of the height maps whose difference is the gap
 FREE = 0.1  # [m] standard deviation of the height of the lowest part before the contact is known
 WORSE = 0.3  # by which the score of a fit on the contact may be below that of the fit at any height
+_TOPPLING = 0.005  # [m] beside the other object's outline that the middle of an object on it may seem to be
 _LEANING = 0.3  # [rad] standard deviation of the tilt of an object in a vessel
 _MOST_LEANING = math.radians(40)
 _DOUBTFUL, _CLEARLY = 0.05, 0.6  # unexplained share of a poor fit, and largest ratio of that of a better one
@@ -110,8 +111,8 @@ def rest_on(
     """Return the estimate of an object that rests on another one: touching it, and not inside it.
 
     Where that clearly contradicts the evidence, because the shape of the lower object is uncertain, the
-    estimate is that of the fit at any height. An object that is beside the other one, which hides its foot,
-    stands on the plane, and so does one above an object on its side: nothing stands on what can roll.
+    estimate is that of the fit at any height. An object whose middle is not over the other one, which hides its
+    foot, stands on the plane, and so does one above an object on its side: nothing stands on what can roll.
 
     Args:
         views: Observations of the upper object.
@@ -137,7 +138,7 @@ def rest_on(
         floating = higher if _explains_more(points, higher, floating) else floating
     first = floating.mesh_world
     clearance = gap(first, lower.mesh_world, plane)
-    if clearance is None:
+    if clearance is None or not _is_over(first, lower.mesh_world, plane):
         return fit(views, plane, config)
     lowest = float(plane.height_above(first.vertices).min())
     contact = lowest - clearance
@@ -209,11 +210,18 @@ def raised(plane: SupportPlane, height: float) -> SupportPlane:
     return replace(plane, offset=plane.offset + height)
 
 
-def _covers(plan: Float[np.ndarray, "n 2"], point: Float[np.ndarray, "2"]) -> bool:
+def _is_over(upper: TriangleMesh, lower: TriangleMesh, plane: SupportPlane) -> bool:
+    """Return whether the middle of one object is over the outline of another one: else it would topple."""
+    basis = plane_basis(plane)[:2].T
+    return _covers(lower.vertices @ basis, upper.vertices.mean(axis=0) @ basis, _TOPPLING)
+
+
+def _covers(plan: Float[np.ndarray, "n 2"], point: Float[np.ndarray, "2"], margin: float = 0.0) -> bool:
+    """Return whether a point is in the convex hull of others, or at most ``margin`` metres beside it."""
     if len(plan) < 3:
         return False
     hull = cv2.convexHull((1000 * plan).astype(np.float32))
-    return cv2.pointPolygonTest(hull, (1000 * point).tolist(), False) >= 0
+    return cv2.pointPolygonTest(hull, (1000 * point).tolist(), True) >= -1000 * margin
 
 
 def _height_under(seen: MeasuredExtent, lower: TriangleMesh, plane: SupportPlane) -> float | None:

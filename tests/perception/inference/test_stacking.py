@@ -165,6 +165,25 @@ def test_an_object_beside_the_other_one_stands_on_the_plane(make_table, lower_x,
     assert offsets[-1] == (PLANE.offset, FitConfig().noise.support_sigma)
 
 
+@pytest.mark.parametrize("beside, rests_on", [(0.012, None), (0.002, 3), (-0.02, 3)])
+def test_an_object_whose_middle_is_beside_the_other_one_stands_on_the_plane(
+    make_table, beside, rests_on
+) -> None:
+    """Their outlines overlap, and the measured part of the upper one is above the lower one's edge."""
+    table = make_table("can", (), yaw=0.0)
+    views = ObjectViews(7, "can", 1.0, tuple(table.observations((0.0,))))
+    box = trimesh.creation.box((0.06, 0.06, 0.1))
+    lower = estimate(3, as_mesh(box, 0.4, -0.1, -0.03))
+    planes = []
+
+    def fit(_: ObjectViews, plane: SupportPlane, config: FitConfig) -> ObjectEstimate:
+        planes.append(plane)
+        return estimate(7, as_mesh(box, 0.4 + 0.03 + beside, -0.1, 0.05 + plane.offset))
+
+    assert rest_on(views, lower, PLANE, FitConfig(), fit).rests_on == rests_on
+    assert (planes[-1] == PLANE) == (rests_on is None)
+
+
 def test_nothing_stands_on_an_object_on_its_side(make_table) -> None:
     """It hides the foot of what stands behind it, whose lowest measured points are above it."""
     table = make_table("can", (), yaw=0.0)
