@@ -26,7 +26,7 @@ SlamFault = Literal["none", "dropped", "dark", "flicker", "moved"]
 class TrainOptions(CommonOptions):
     """Train a network, by default as the shipped weights; the same command with the same --out resumes."""
 
-    network: Positional[Literal["shape", "detector", "pose", "yaw", "acceptance"]]
+    network: Positional[Literal["shape", "detector", "pose", "yaw", "acceptance", "verifier"]]
     """Network to train, or the acceptance model of reconstructed objects."""
     epochs: Annotated[int | None, arg(help_behavior_hint="default: the shipped weights' schedule")] = None
     """Number of epochs; not for acceptance."""
@@ -42,7 +42,7 @@ class TrainOptions(CommonOptions):
     """Address of a Ray cluster to render, fit and sample on (extra: cluster)."""
     processes: int = 1
     """Number of processes that share each batch of the optimisation, with one GPU each on CUDA; not for
-    acceptance."""
+    acceptance and verifier."""
 
 
 @dataclass(frozen=True, kw_only=True)

@@ -56,7 +56,7 @@ _OWN_NAMES = re.compile(
             r"(?:data|privileged)/chunk-\d+/file-\d+\.parquet",
             r"videos/observation\.images\.\w+/chunk-\d+/file-\d+\.mp4",
             # training
-            r"(?:shape|detector|scene|yaw|pose)\.(?:safetensors|md)",
+            r"(?:shape|detector|scene|yaw|pose|verifier)\.(?:safetensors|md)",
             r"acceptance\.(?:json|md)",
             r"shape_(?:reconstructions|walk|pixel_derivative|code_derivatives)\.png",
             r"(?:train|test)_shapes\.npz",

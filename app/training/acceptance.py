@@ -111,7 +111,9 @@ def run(
     model = fit_model(train, config.training)
     metrics = acceptance_metrics(model, test)
     model.save(out_dir / WEIGHTS_FILE)
-    card = _CARD.format(config=config, t=config.training, n=len(train), m=metrics, table=_table(metrics))
+    card = _CARD.format(
+        config=config, t=config.training, n=len(train), m=metrics, table=acceptance_table(metrics)
+    )
     (out_dir / "acceptance.md").write_text(card + checksums(out_dir / WEIGHTS_FILE), "utf-8")
     return metrics
 
@@ -213,13 +215,25 @@ def logistic_regression(
 
 
 def acceptance_metrics(model: AcceptanceModel, rows: Sequence[dict[str, Any]]) -> dict[str, Any]:
-    """Return shares of accepted fits and the calibration error, of first choices of the detector.
-
-    The detector alone accepts what has a class probability above one half.
-    """
+    """Return the ``share_metrics`` of a model."""
     scores = np.array([
         model.score(Evidence(**row["evidence"]), row["category"], row["probability"]) for row in rows
     ])  # fmt: skip
+    return share_metrics(scores, model.threshold, rows)
+
+
+def share_metrics(
+    scores: Float[np.ndarray, "n"], threshold: float, rows: Sequence[dict[str, Any]]
+) -> dict[str, Any]:
+    """Return shares of accepted fits and the calibration error, of first choices of the detector.
+
+    The detector alone accepts what has a class probability above one half.
+
+    Args:
+        scores: Scores of the fits.
+        threshold: Score from which on they are accepted.
+        rows: The fits.
+    """
     first = np.array([row["rank"] == 0 for row in rows])
     real = np.array([row["real"] for row in rows])
     sure = np.array([row["probability"] > 0.5 for row in rows])
@@ -230,7 +244,7 @@ def acceptance_metrics(model: AcceptanceModel, rows: Sequence[dict[str, Any]]) -
     }
     for category in CATEGORIES:
         own = first & np.array([row["category"] == category for row in rows])
-        kept = scores >= model.threshold
+        kept = scores >= threshold
         metrics["classes"][category] = {
             "objects": int((own & real).sum()),
             "objects_accepted": float(kept[own & real].mean()) if (own & real).any() else None,
@@ -242,8 +256,8 @@ def acceptance_metrics(model: AcceptanceModel, rows: Sequence[dict[str, Any]]) -
     return metrics
 
 
-def _table(metrics: dict[str, Any]) -> str:
-    """Return the shares of accepted fits as a Markdown table."""
+def acceptance_table(metrics: dict[str, Any]) -> str:
+    """Return the shares of accepted fits (``share_metrics``) as a Markdown table."""
     head = (
         "| class | objects | accepted | by the detector alone | others | accepted | by the detector alone |"
     )

@@ -140,6 +140,7 @@ def _fits(
                 "real": label == category,
                 "label": label,
                 "probability": float(probabilities[number]),
+                "probabilities": probabilities.tolist(),
                 "evidence": evidence.as_dict(),
             }
         )

@@ -78,8 +78,8 @@ def _resources(options: TrainOptions, device: str) -> Resources:
     if options.workers is not None and options.workers < 1:
         raise UsageError(f"--workers {options.workers}: at least one is needed")
     if options.processes != 1:
-        if options.network == "acceptance":
-            raise UsageError("--processes is not for `train acceptance`, which is a regression")
+        if options.network in ("acceptance", "verifier"):
+            raise UsageError(f"--processes is not for `train {options.network}`, which fits few numbers")
         from app.training.processes import check_processes
 
         check_processes(options.processes, device)
@@ -109,3 +109,7 @@ def _job(options: TrainOptions) -> tuple[Any, Any]:
             from app.training import acceptance
 
             return acceptance.run, acceptance.TrainAcceptanceConfig()
+        case "verifier":
+            from app.training import verifier
+
+            return verifier.run, verifier.TrainVerifierConfig()

@@ -3,13 +3,14 @@
 One logistic model for each class on the numbers of ``evidence`` and the class probability of the detector.
 Numbers are compared with those of true objects of the class: z is their standardised and clipped difference,
 and the log odds are b + sum of w z over all numbers + sum of q z^2 over those with a typical value, such as
-sizes. ``nodeslam train acceptance`` fits the coefficients.
+sizes. ``nodeslam train acceptance`` fits the coefficients. Upright fits to a single view are scored by the
+``verifier`` instead.
 """
 
 from __future__ import annotations
 
 from collections.abc import Mapping
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from functools import cache
 from pathlib import Path
 from typing import Any
@@ -19,6 +20,7 @@ from jaxtyping import Float
 
 from perception.errors import PerceptionError
 from perception.inference.evidence import Evidence
+from perception.inference.verifier import Verifier, verifier_inputs
 from perception.io.files import read_json, write_json
 from perception.io.weights import WEIGHTS_DIRECTORY, verify_weights
 from perception.types import CATEGORIES, OTHER, Category
@@ -97,10 +99,12 @@ class AcceptanceModel:
     Attributes:
         classes: Logistic model of each class.
         threshold: Score below which an object is rejected.
+        verifier: Scores upright fits to single views; None for the logistic models.
     """
 
     classes: Mapping[Category, ClassModel]
     threshold: float = 0.5
+    verifier: Verifier | None = None
 
     @staticmethod
     def load(path: Path | None = None) -> AcceptanceModel:
@@ -132,6 +136,32 @@ class AcceptanceModel:
             class_probability: Probability of the class by the detector; None if unknown.
         """
         return float(1 / (1 + np.exp(-self.classes[category].log_odds(evidence, class_probability))))
+
+    def score_single_view(
+        self, evidence: Evidence, category: Category, class_probabilities: Float[np.ndarray, "k"]
+    ) -> float:
+        """Return the same probability for an upright fit to one view, by the verifier if there is one.
+
+        Args:
+            evidence: Evidence of its fit as that class.
+            category: The class.
+            class_probabilities: Probabilities of the detector, of no class as the last.
+        """
+        if self.verifier is None:
+            return self.score(evidence, category, float(class_probabilities[CATEGORIES.index(category)]))
+        return self.verifier.score(self.verifier_inputs(evidence, category, class_probabilities))
+
+    def verifier_inputs(
+        self, evidence: Evidence, category: Category, class_probabilities: Float[np.ndarray, "k"]
+    ) -> Float[np.ndarray, "n"]:
+        """Return the verifier's inputs; arguments as in ``score_single_view``."""
+        model = self.classes[category]
+        z = standardised(numbers_of(evidence), model.mean, model.std)
+        return verifier_inputs(z, model.log_odds(evidence, None), category, class_probabilities)
+
+    def least_score(self, n_views: int) -> float:
+        """Return the score below which an object of known class probabilities is rejected."""
+        return self.threshold if self.verifier is None or n_views > 1 else self.verifier.threshold
 
     def existence(
         self, score: float, category: Category, class_probabilities: Float[np.ndarray, "k"]
@@ -191,6 +221,13 @@ def numbers_of(evidence: Evidence) -> Float[np.ndarray, "n"]:
     return np.array([values[name] for name in LINEAR])
 
 
+def standardised(
+    numbers: Float[np.ndarray, "n"], mean: Float[np.ndarray, "n"], std: Float[np.ndarray, "n"]
+) -> Float[np.ndarray, "n"]:
+    """Return the differences from true objects in standard deviations, clipped."""
+    return np.clip((numbers - mean) / std, -_CLIP, _CLIP)
+
+
 def terms(
     numbers: Float[np.ndarray, "n"],
     mean: Float[np.ndarray, "n"],
@@ -198,7 +235,7 @@ def terms(
     class_probability: float | None,
 ) -> Float[np.ndarray, "k"]:
     """Return the values that ``COEFFICIENTS`` multiply."""
-    z = np.clip((numbers - mean) / std, -_CLIP, _CLIP)
+    z = standardised(numbers, mean, std)
     squares = z[[LINEAR.index(name) for name in QUADRATIC]] ** 2
     if class_probability is None:
         return np.concatenate([z, squares, [0.0, 0.0]])
@@ -212,8 +249,8 @@ def _logit(probability: float, least: float = _LEAST) -> float:
 
 @cache
 def shipped_acceptance() -> AcceptanceModel:
-    """Load the shipped model once."""
-    return AcceptanceModel.load()
+    """Load the shipped model with the verifier once."""
+    return replace(AcceptanceModel.load(), verifier=Verifier.load(len(LINEAR)))
 
 
 def _class_model(content: Any) -> ClassModel:

@@ -103,9 +103,9 @@ def _best_of_classes(fits: ObjectFits, named: ScoredFit | None, on_step: OnStep 
         assert problem is not None
         raise problem
     best = _right_way_up(fits, best)
-    if _may_be_rejected(views) and best.estimate.score < model.threshold:
+    if _may_be_rejected(views) and best.estimate.score < fits.threshold:
         usual = in_poor_depth(fits)
-        if usual is not None and usual.estimate.score >= model.threshold:
+        if usual is not None and usual.estimate.score >= fits.threshold:
             return usual
         reason = model.reason(best.evidence, best.estimate.category, best.probability)
         raise RejectedError(best.estimate.category, best.estimate.score, reason)

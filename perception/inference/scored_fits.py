@@ -74,6 +74,11 @@ class ObjectFits:
     config: FitConfig
     _attempts: dict[_Attempt, ScoredFit | None] = field(default_factory=dict, init=False, repr=False)
 
+    @property
+    def threshold(self) -> float:
+        """Score below which the object is rejected."""
+        return self.model.least_score(len(self.views.observations))
+
     def pose_probability(self, category: Category, resting: RestingPose) -> float:
         """Return the pose network's probability of a class in a resting pose; 0 if it was not asked."""
         p = dict(zip(POSED_CLASSES, self.views.pose_probabilities.tolist()))
@@ -142,7 +147,10 @@ def scored_fit(
     by_pose = views.pose_probabilities.size > 0 and (views.is_unclassified or not is_upright)
     by_class = p.size > 0 and not by_pose and (is_upright or not views.is_unclassified)
     probability = float(p[CATEGORIES.index(category)]) if by_class else None
-    score = model.score(evidence, category, probability)
+    if by_class and is_upright and len(views.observations) == 1:
+        score = model.score_single_view(evidence, category, p)
+    else:
+        score = model.score(evidence, category, probability)
     if by_pose:
         score = agreed(pose_mass(views.pose_probabilities, config.resting), score)
     return ScoredFit(replace(estimate, score=score), evidence, probability)

@@ -111,8 +111,9 @@ def rest_on(
     """Return the estimate of an object that rests on another one: touching it, and not inside it.
 
     Where that clearly contradicts the evidence, because the shape of the lower object is uncertain, the
-    estimate is that of the fit at any height. An object whose middle is not over the other one, which hides its
-    foot, stands on the plane, and so does one above an object on its side: nothing stands on what can roll.
+    estimate is that of the fit at any height. An object whose middle is not over the other one, which hides
+    its foot, stands on the plane, and so does one above an object on its side: nothing stands on what can
+    roll.
 
     Args:
         views: Observations of the upper object.

@@ -38,7 +38,7 @@ def best_upright(fits: ObjectFits, first: ScoredFit | None, rivals: Sequence[Cat
         rivals: Next classes, the most probable first. Where the detector is sure of the first one and only
             the evidence is against it, they must explain the depth well.
     """
-    views, threshold = fits.views, fits.model.threshold
+    views, threshold = fits.views, fits.threshold
     made = [] if first is None else [first]
     unsure = first is None or first.estimate.score < threshold
     unsure = unsure or views.class_probabilities[CATEGORIES.index(views.category)] < CLEAR

@@ -63,6 +63,7 @@ def test_data_are_generated_on_all_cores_by_default(monkeypatch):
         ({"workers": 0}, "--workers 0: at least one is needed"),
         ({"processes": 0}, "--processes 0: at least one is needed"),
         ({"network": "acceptance", "processes": 2}, "--processes is not for `train acceptance`"),
+        ({"network": "verifier", "processes": 2}, "--processes is not for `train verifier`"),
     ],
 )
 def test_impossible_numbers_of_processes_are_refused(change, message, tmp_path):

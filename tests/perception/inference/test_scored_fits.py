@@ -5,7 +5,7 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
-from perception.inference.acceptance import AcceptanceModel
+from perception.inference.acceptance import AcceptanceModel, shipped_acceptance
 from perception.inference.fit_config import FitConfig
 from perception.inference.observation import ObjectViews
 from perception.inference.scored_fits import ObjectFits, RejectedError
@@ -24,6 +24,24 @@ def test_a_fit_has_the_score_of_its_evidence_and_the_probability_of_its_class(fi
     made = fits.fit("can")
     assert made.probability == 0.8 and made.estimate.category == "can"
     assert made.estimate.score == fits.model.score(made.evidence, "can", 0.8)
+
+
+def test_one_view_with_class_probabilities_is_scored_by_the_verifier(fits) -> None:
+    model = shipped_acceptance()
+    one = replace(fits, model=model)
+    made = one.fit("can")
+    p = fits.views.class_probabilities
+    assert made.estimate.score == model.score_single_view(made.evidence, "can", p)
+    assert made.estimate.score != model.score(made.evidence, "can", 0.8)
+    assert model.verifier is not None and one.threshold == model.verifier.threshold
+    seen = fits.views.observations[0]
+    two = replace(one, views=replace(fits.views, observations=(seen, seen)))
+    again = two.fit("can")
+    assert (
+        again.estimate.score == model.score(again.evidence, "can", 0.8) and two.threshold == model.threshold
+    )
+    unknown = replace(one, views=replace(fits.views, class_probabilities=np.zeros(0))).fit("can")
+    assert unknown.estimate.score == model.score(unknown.evidence, "can")
 
 
 def test_the_classes_of_upright_objects_say_nothing_of_other_poses(fits) -> None:

@@ -15,6 +15,8 @@ from safetensors.torch import save_file
 from perception.detection.crop_network import load_crop_network
 from perception.detection.scene_network import load_scene_network
 from perception.errors import PerceptionError
+from perception.inference.acceptance import LINEAR
+from perception.inference.verifier import Verifier
 from perception.io.weights import (
     CHECKSUMS_FILE,
     WEIGHTS_DIRECTORY,
@@ -38,6 +40,7 @@ LOADERS = {
     "pose": lambda path: load_crop_network("pose", path),
     "yaw": lambda path: load_crop_network("yaw", path),
     "scene": load_scene_network,
+    "verifier": lambda path: Verifier.load(len(LINEAR), path),
 }
 
 
