@@ -20,6 +20,7 @@ Presence = Literal["in_place", "displaced", "unseen"]
 
 MOVED = 0.012  # [m] horizontally, from which on an object is not where it was expected
 TIPPED = np.deg2rad(20.0)  # of its axis from the expected direction
+LEVER = 0.08  # [m] from the middle of an object on its side to where a turn moves it as much as a shift
 TURNED = np.deg2rad(10.0)  # about the vertical, from which on the handle of a mug is elsewhere
 
 
@@ -105,11 +106,13 @@ def is_displaced(
     """Return whether an object is not where it was expected: shifted, or its axis turned.
 
     A rotation about its axis and a difference in height do not count: they are uncertain for round objects
-    and for those on others.
+    and for those on others. The axis of an object on its side may turn less: fingers that close on a neck
+    meet it elsewhere.
     """
     shift = float(np.linalg.norm((T_seen - T_expected)[:2, 3]))
     turn = float(np.arccos(np.clip(T_seen[:3, 2] @ T_expected[:3, 2], -1.0, 1.0)))
-    return shift > moved or bool(turn > TIPPED)
+    is_on_side = bool(abs(T_expected[2, 2]) < np.sqrt(0.5))
+    return shift > moved or bool(turn > (min(TIPPED, moved / LEVER) if is_on_side else TIPPED))
 
 
 def is_turned(

@@ -2,6 +2,7 @@ import numpy as np
 import pytest
 
 from manipulation.observation import (
+    LEVER,
     MOVED,
     TIPPED,
     TURNED,
@@ -40,6 +41,16 @@ def test_shift_and_tilt_decide_but_not_yaw_and_height():
     assert is_displaced(T, shifted)
     assert not is_displaced(T, raised) and not is_displaced(T, pose_from_yaw(2.0, T[:3, 3]))
     assert is_displaced(T, tilted(T, TIPPED + 0.01)) and not is_displaced(T, tilted(T, TIPPED - 0.01))
+
+
+@pytest.mark.parametrize("moved", [MOVED, 0.1])
+def test_an_object_on_its_side_may_turn_by_what_its_ends_may_shift(moved):
+    """About the vertical; one on its head as one that stands."""
+    T, limit = tilted(np.eye(4), np.pi / 2), min(TIPPED, moved / LEVER)
+    for by in (limit + 0.01, limit - 0.01):
+        assert is_displaced(T, pose_from_yaw(by, np.zeros(3)) @ T, moved) == (by > limit)
+    on_head = tilted(np.eye(4), np.pi)
+    assert not is_displaced(on_head, tilted(on_head, TIPPED - 0.01), moved)
 
 
 @pytest.mark.parametrize("yaw", [0.3, 3.1, -3.1])
