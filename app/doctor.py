@@ -32,6 +32,7 @@ WEIGHTS = {  # weights file without extension: the command that trains it
     "scene": "nodeslam train detector",
     "yaw": "nodeslam train yaw",
     "pose": "nodeslam train pose",
+    "verifier": "nodeslam train verifier",
 }
 NEEDED = (
     "numpy", "scipy", "torch", "onnxruntime", "warp-lang", "safetensors", "trimesh", "scikit-image", "tyro",

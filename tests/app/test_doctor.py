@@ -42,6 +42,11 @@ def test_the_shipped_weights_pass(name):
     assert doctor.check_weights(name).status == "ok"
 
 
+def test_all_shipped_networks_are_checked():
+    shipped = {path.stem for path in doctor.WEIGHTS_DIRECTORY.glob("*.safetensors")}
+    assert shipped == doctor.WEIGHTS.keys()
+
+
 def test_missing_weights_say_how_to_get_them(tmp_path):
     finding = doctor.check_weights("shape", tmp_path)
     assert finding.status == "missing" and "nodeslam train shape" in finding.remedy
