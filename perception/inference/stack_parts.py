@@ -51,7 +51,9 @@ MIN_SCORES = (0.2, 0.5)  # of the fits of the lower part, whose upper side is hi
 FULLY = 0.005  # share of unexplained points up to which a bottle explains all that is seen
 COAXIAL = 0.005  # [m] between the axes of two cans that are one bottle
 CARRIERS: tuple[Category, ...] = ("mug", "bowl", "can")  # nothing stands on a bottle
-GAP = 0.02  # [m] between two parts, one above the other, from which on neither carries the other
+# [m] between two parts, one above the other, from which on neither carries the other: a wide bowl hides the
+# uppermost part of the can below it.
+GAP = 0.03
 LEAST_HEIGHT = 0.025  # [m] of a part; flatter ones are the thick floor of a bowl
 SLENDER = 1.5  # least height of a bottle, in diameters
 MIN_PIXELS = 150  # of a part in a view

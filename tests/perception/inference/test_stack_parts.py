@@ -106,7 +106,7 @@ def test_a_disc_is_no_part_although_it_explains_the_points(stack, rows, monkeypa
         assert bool(found) == accepted
 
 
-@pytest.mark.parametrize(("gap", "accepted"), [(0.01, True), (0.03, False)])
+@pytest.mark.parametrize(("gap", "accepted"), [(0.026, True), (0.035, False)])
 def test_what_is_apart_from_what_is_below_it_does_not_stand_on_it(stack, rows, monkeypatch, gap, accepted):
     monkeypatch.setattr(stack_parts, "unexplained", lambda points, shapes: 0.05 if len(shapes) < 2 else 0.0)
     lower, upper = cylinder(stack.lower, 5), cylinder(stack.higher, 6)
