@@ -61,7 +61,7 @@ class VerifierTraining:
     smoothing: float = 0.01
     class_noise: float = 2.0
     class_dropout: float = 0.4
-    threshold: float = 0.25
+    threshold: float = 0.2
 
 
 @dataclass(frozen=True)

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import math
 from dataclasses import dataclass, field, replace
 
 from perception.errors import PerceptionError
@@ -48,11 +49,25 @@ class ScoredFit:
         estimate: The estimate, with ``score``.
         evidence: Evidence of the fit.
         probability: Class probability of the detector in the score; None if unknown or not asked.
+        logistic: Score of the logistic model, where the verifier gave the estimate's; else None.
     """
 
     estimate: ObjectEstimate
     evidence: Evidence
     probability: float | None
+    logistic: float | None = None
+
+    @property
+    def preference(self) -> float:
+        """Score for the choice between classes: the mean log odds of both models, if both were asked.
+
+        They are different models of different classes, and together they err less often.
+        """
+        if self.logistic is None:
+            return self.estimate.score
+        odds = [p / max(1 - p, 1e-12) for p in (self.estimate.score, self.logistic)]
+        mean = math.sqrt(odds[0] * odds[1])
+        return mean / (1 + mean)
 
 
 @dataclass(frozen=True)
@@ -147,10 +162,9 @@ def scored_fit(
     by_pose = views.pose_probabilities.size > 0 and (views.is_unclassified or not is_upright)
     by_class = p.size > 0 and not by_pose and (is_upright or not views.is_unclassified)
     probability = float(p[CATEGORIES.index(category)]) if by_class else None
-    if by_class and is_upright and len(views.observations) == 1:
-        score = model.score_single_view(evidence, category, p)
-    else:
-        score = model.score(evidence, category, probability)
+    score, logistic = model.score(evidence, category, probability), None
+    if by_class and is_upright and len(views.observations) == 1 and model.verifier is not None:
+        score, logistic = model.score_single_view(evidence, category, p), score
     if by_pose:
         score = agreed(pose_mass(views.pose_probabilities, config.resting), score)
-    return ScoredFit(replace(estimate, score=score), evidence, probability)
+    return ScoredFit(replace(estimate, score=score), evidence, probability, logistic)

@@ -76,7 +76,7 @@ def _surpasses(one: ScoredFit, other: ScoredFit) -> bool:
 
     Scores of different classes are probabilities of different models: close ones do not decide.
     """
-    if one.estimate.score < other.estimate.score - CLOSE:
+    if one.preference < other.preference - CLOSE:
         return False
     if one.probability is None or other.probability is None or one.probability <= other.probability:
         return False
@@ -88,4 +88,4 @@ def _is_good(scored: ScoredFit, fits: ObjectFits) -> bool:
 
 
 def _score(scored: ScoredFit) -> float:
-    return scored.estimate.score
+    return scored.preference

@@ -33,6 +33,8 @@ def test_one_view_with_class_probabilities_is_scored_by_the_verifier(fits) -> No
     p = fits.views.class_probabilities
     assert made.estimate.score == model.score_single_view(made.evidence, "can", p)
     assert made.estimate.score != model.score(made.evidence, "can", 0.8)
+    log_odds = [np.log(p / (1 - p)) for p in (made.estimate.score, model.score(made.evidence, "can", 0.8))]
+    assert np.log(made.preference / (1 - made.preference)) == pytest.approx(np.mean(log_odds))
     assert model.verifier is not None and one.threshold == model.verifier.threshold
     seen = fits.views.observations[0]
     two = replace(one, views=replace(fits.views, observations=(seen, seen)))
@@ -41,7 +43,7 @@ def test_one_view_with_class_probabilities_is_scored_by_the_verifier(fits) -> No
         again.estimate.score == model.score(again.evidence, "can", 0.8) and two.threshold == model.threshold
     )
     unknown = replace(one, views=replace(fits.views, class_probabilities=np.zeros(0))).fit("can")
-    assert unknown.estimate.score == model.score(unknown.evidence, "can")
+    assert unknown.estimate.score == unknown.preference == model.score(unknown.evidence, "can")
 
 
 def test_the_classes_of_upright_objects_say_nothing_of_other_poses(fits) -> None:
