@@ -111,7 +111,7 @@ def is_displaced(
     """
     shift = float(np.linalg.norm((T_seen - T_expected)[:2, 3]))
     turn = float(np.arccos(np.clip(T_seen[:3, 2] @ T_expected[:3, 2], -1.0, 1.0)))
-    is_on_side = bool(abs(T_expected[2, 2]) < np.sqrt(0.5))
+    is_on_side = abs(T_expected[2, 2]) < np.sqrt(0.5)
     return shift > moved or bool(turn > (min(TIPPED, moved / LEVER) if is_on_side else TIPPED))
 
 

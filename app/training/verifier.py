@@ -16,7 +16,7 @@ import torch
 from jaxtyping import Bool, Float
 from torch import nn
 
-from app.training.acceptance import acceptance_table, share_metrics
+from app.training.acceptance import acceptance_metrics, acceptance_table, share_metrics
 from app.training.acceptance_fits import collect
 from app.training.crop_dataset import Progress
 from app.training.files import checksums
@@ -24,7 +24,7 @@ from app.training.resources import Resources
 from perception.errors import PerceptionError
 from perception.inference.acceptance import LINEAR, AcceptanceModel
 from perception.inference.evidence import Evidence
-from perception.inference.verifier import WEIGHTS_FILE, Verifier
+from perception.inference.verifier import LOGIT_SCALE, WEIGHTS_FILE, Verifier
 from perception.types import OTHER
 
 _CONTEXT = slice(len(LINEAR), len(LINEAR) + OTHER + 2)  # inputs that depend on the class probabilities
@@ -97,14 +97,12 @@ def run(
     seed, folder, model = config.training.seed, out_dir / "fits", AcceptanceModel.load()
     train = collect(folder, "train", config.pictures, seed, resources.workers, progress)
     test = collect(folder, "test", config.test, seed, resources.workers, progress)
-    verifier = train_verifier(inputs_of(train, model), _is_real(train), config.training)
+    real = np.array([row["real"] for row in train], dtype=bool)
+    verifier = train_verifier(inputs_of(train, model), real, config.training)
     verifier.save(out_dir / WEIGHTS_FILE)
     scores = np.array([verifier.score(x) for x in inputs_of(test, model)])
-    before = np.array([
-        model.score(Evidence(**row["evidence"]), row["category"], row["probability"]) for row in test
-    ])  # fmt: skip
     metrics = share_metrics(scores, verifier.threshold, test)
-    logistic = share_metrics(before, model.threshold, test)
+    logistic = acceptance_metrics(model, test)
     card = _CARD.format(
         config=config, t=config.training, n=len(train), m=metrics, b=logistic, old=model.threshold,
         table=acceptance_table(metrics), before=acceptance_table(logistic),
@@ -183,14 +181,10 @@ def _train_member(x: torch.Tensor, y: torch.Tensor, training: VerifierTraining, 
 def _disturbed(x: torch.Tensor, training: VerifierTraining) -> torch.Tensor:
     """Return inputs whose class probabilities are noisy, or missing in a share of the rows."""
     x, columns = x.clone(), x[:, _CONTEXT]
-    noise = training.class_noise / 3.0 * torch.randn(len(x), 1)
+    noise = training.class_noise / LOGIT_SCALE * torch.randn(len(x), 1)
     known = torch.rand(len(x), 1) >= training.class_dropout
     x[:, _CONTEXT] = torch.where(known, columns + noise, 0.0)
     return x
-
-
-def _is_real(rows: Sequence[dict[str, Any]]) -> Bool[np.ndarray, "n"]:
-    return np.array([row["real"] for row in rows], dtype=bool)
 
 
 _CARD = """# Verifier of single views

@@ -137,24 +137,16 @@ class AcceptanceModel:
         """
         return float(1 / (1 + np.exp(-self.classes[category].log_odds(evidence, class_probability))))
 
-    def score_single_view(
-        self, evidence: Evidence, category: Category, class_probabilities: Float[np.ndarray, "k"]
-    ) -> float:
-        """Return the same probability for an upright fit to one view, by the verifier if there is one.
-
-        Args:
-            evidence: Evidence of its fit as that class.
-            category: The class.
-            class_probabilities: Probabilities of the detector, of no class as the last.
-        """
-        if self.verifier is None:
-            return self.score(evidence, category, float(class_probabilities[CATEGORIES.index(category)]))
-        return self.verifier.score(self.verifier_inputs(evidence, category, class_probabilities))
-
     def verifier_inputs(
         self, evidence: Evidence, category: Category, class_probabilities: Float[np.ndarray, "k"]
     ) -> Float[np.ndarray, "n"]:
-        """Return the verifier's inputs; arguments as in ``score_single_view``."""
+        """Return the verifier's inputs for an upright fit to one view.
+
+        Args:
+            evidence: Evidence of its fit as a class.
+            category: The class.
+            class_probabilities: Probabilities of the detector, of no class as the last.
+        """
         model = self.classes[category]
         z = standardised(numbers_of(evidence), model.mean, model.std)
         return verifier_inputs(z, model.log_odds(evidence, None), category, class_probabilities)

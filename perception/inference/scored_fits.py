@@ -164,7 +164,7 @@ def scored_fit(
     probability = float(p[CATEGORIES.index(category)]) if by_class else None
     score, logistic = model.score(evidence, category, probability), None
     if by_class and is_upright and len(views.observations) == 1 and model.verifier is not None:
-        score, logistic = model.score_single_view(evidence, category, p), score
+        score, logistic = model.verifier.score(model.verifier_inputs(evidence, category, p)), score
     if by_pose:
         score = agreed(pose_mass(views.pose_probabilities, config.resting), score)
     return ScoredFit(replace(estimate, score=score), evidence, probability, logistic)

@@ -28,7 +28,7 @@ def likely_classes(p: Float[np.ndarray, "k"]) -> tuple[Category, ...]:
 
 
 def best_upright(fits: ObjectFits, first: ScoredFit | None, rivals: Sequence[Category]) -> ScoredFit | None:
-    """Return the upright fit with the highest score that no other one surpasses.
+    """Return the upright fit that is preferred by its score and that no other one surpasses.
 
     One that the evidence contradicts gives way to one that explains the depth well.
 

@@ -19,10 +19,10 @@ from perception.io.weights import WEIGHTS_DIRECTORY, check_shapes, read_weights,
 from perception.types import CATEGORIES, OTHER, Category
 
 WEIGHTS_FILE = "verifier.safetensors"
+LOGIT_SCALE = 3.0  # by which log odds are divided
 N_CONTEXT = OTHER + 1 + 1 + len(CATEGORIES) + 1  # inputs beside the numbers of the evidence
 
 _LEAST = 1e-3  # smallest class probability, and its largest distance from 1
-_LOGIT_SCALE = 3.0  # of log odds
 _REMEDY = "reinstall the package, or retrain with `nodeslam train verifier`"
 
 
@@ -40,8 +40,8 @@ def verifier_inputs(
     p = np.clip(probabilities, _LEAST, 1 - _LEAST)
     logits = np.log(p) - np.log1p(-p)
     number = CATEGORIES.index(category)
-    context = [*logits / _LOGIT_SCALE, logits[number] / _LOGIT_SCALE, *np.eye(len(CATEGORIES))[number]]
-    return np.array([*z, *context, log_odds / _LOGIT_SCALE])
+    context = [*logits / LOGIT_SCALE, logits[number] / LOGIT_SCALE, *np.eye(len(CATEGORIES))[number]]
+    return np.array([*z, *context, log_odds / LOGIT_SCALE])
 
 
 @dataclass(frozen=True)

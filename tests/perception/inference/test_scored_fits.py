@@ -31,11 +31,12 @@ def test_one_view_with_class_probabilities_is_scored_by_the_verifier(fits) -> No
     one = replace(fits, model=model)
     made = one.fit("can")
     p = fits.views.class_probabilities
-    assert made.estimate.score == model.score_single_view(made.evidence, "can", p)
+    assert model.verifier is not None
+    assert made.estimate.score == model.verifier.score(model.verifier_inputs(made.evidence, "can", p))
     assert made.estimate.score != model.score(made.evidence, "can", 0.8)
     log_odds = [np.log(p / (1 - p)) for p in (made.estimate.score, model.score(made.evidence, "can", 0.8))]
     assert np.log(made.preference / (1 - made.preference)) == pytest.approx(np.mean(log_odds))
-    assert model.verifier is not None and one.threshold == model.verifier.threshold
+    assert one.threshold == model.verifier.threshold
     seen = fits.views.observations[0]
     two = replace(one, views=replace(fits.views, observations=(seen, seen)))
     again = two.fit("can")
