@@ -11,6 +11,7 @@ A can, or a lying bottle, that was fitted with the wrong end up is fitted again 
 from __future__ import annotations
 
 import logging
+from collections.abc import Mapping
 from dataclasses import replace
 
 from perception.errors import PerceptionError
@@ -32,12 +33,17 @@ from perception.inference.right_way_up import is_turned_over, turned_over
 from perception.inference.scored_fits import ObjectFits, RejectedError, ScoredFit
 from perception.inference.shape_model import Decoder
 from perception.inference.upright_choice import CLEAR, best_upright, in_poor_depth, likely_classes
-from perception.types import CATEGORIES, Category, ObjectEstimate, SupportPlane
+from perception.types import CATEGORIES, Category, ObjectEstimate, RestingPose, SupportPlane
 
 logger = logging.getLogger(__name__)
 
 CLOSER = 0.8  # ratio of the residuals from which on the depth tells which way round a bottle lies
 ALIKE = 0.02  # difference of the misfits up to which a bottle may lie either way round
+REVERSED: Mapping[RestingPose, RestingPose] = {
+    "upright": "upside-down",
+    "upside-down": "upright",
+    "lying": "lying",
+}  # resting poses with the axis reversed
 
 
 def fit_best_class(
@@ -176,8 +182,7 @@ def _contradicts(bottle: ScoredFit, can: ScoredFit) -> bool:
 def _other_way_round(fits: ObjectFits, fit: ScoredFit) -> ScoredFit | None:
     """Return a fit of the same class with the axis reversed; None if there is none."""
     x, y, z = (-fit.estimate.T_world_object[:3, 2]).tolist()
-    way = "lying" if fit.estimate.resting == "lying" else "upside-down"
-    return fits.attempt(fit.estimate.category, way, (x, y, z))
+    return fits.attempt(fit.estimate.category, REVERSED[fit.estimate.resting], (x, y, z))
 
 
 def _turned_over(best: ScoredFit, other: ScoredFit) -> ScoredFit:

@@ -50,9 +50,8 @@ class FitStart:
         """Measure the masked clouds; raises InvalidInputError if none has points above the plane."""
         category, noise = views.category, config.noise
         seen = views.observations[: config.start_views]
-        poses, cloud = initial_resting_poses(seen, category, plane, config.resting)
-        if config.toward is not None:
-            poses = [pose for pose in poses if pose.rotation[:, 2] @ config.toward > 0] or poses
+        toward = None if config.toward is None else np.array(config.toward)
+        poses, cloud = initial_resting_poses(seen, category, plane, config.resting, toward)
         scale, centre = poses[0].scale, poses[0].translation
         voxel = 2 * float(scale[0]) / GRID_RESOLUTION
         return FitStart(

@@ -54,6 +54,7 @@ def initial_resting_poses(
     category: Category,
     plane: SupportPlane,
     resting: RestingPose = "upright",
+    toward: Float[np.ndarray, "3"] | None = None,
 ) -> tuple[list[ObjectPose], CloudMeasures]:
     """Return initial poses in one resting pose, the most probable first, and the measures they come from.
 
@@ -62,12 +63,14 @@ def initial_resting_poses(
         category: Class of the object.
         plane: What the object rests on.
         resting: Resting pose.
+        toward: Direction of the axis in world coordinates, to which that of a lying object is levelled; None
+            for any.
 
     Raises:
         InvalidInputError: No view has enough points above the plane.
     """
     if resting == "lying":
-        return _lying_poses(observations, category, plane)
+        return _lying_poses(observations, category, plane, toward)
     poses, measures = initial_poses(observations, category, plane)
     if resting == "upside-down":
         poses = [_turned_over(poses[0], plane, yaw) for yaw in _yaws(category)]
@@ -124,7 +127,10 @@ def _yaws(category: Category) -> list[float]:
 
 
 def _lying_poses(
-    observations: Sequence[ObjectObservation], category: Category, plane: SupportPlane
+    observations: Sequence[ObjectObservation],
+    category: Category,
+    plane: SupportPlane,
+    toward: Float[np.ndarray, "3"] | None,
 ) -> tuple[list[ObjectPose], CloudMeasures]:
     basis = plane_basis(plane)
     height = measure_clouds(observations, plane, basis).height
@@ -136,8 +142,13 @@ def _lying_poses(
     strip = plan[plane.height_above(points) > _STRIP * height]
     if len(strip) < 3:
         raise InvalidInputError(f"no view shows the upper side of the lying {category}")
-    axis, elongation = principal_axis(strip)
-    axes = [axis] if elongation > _ROUND else [axis, np.array([-axis[1], axis[0]])]
+    if toward is not None:  # a strip that is wide at one end hardly shows the axis
+        level = basis[:2] @ toward
+        axes, signs = [level / np.linalg.norm(level)], (1.0,)
+    else:
+        axis, elongation = principal_axis(strip)
+        axes = [axis] if elongation > _ROUND else [axis, np.array([-axis[1], axis[0]])]
+        signs = (1.0, -1.0)  # some cans, too, are narrower above
     poses, reach = [], 0.0
     for along in axes:
         across = np.array([-along[1], along[0]])
@@ -146,16 +157,19 @@ def _lying_poses(
         middle = basis[:2].T @ centre + plane.normal * (plane.offset + height / 2)
         scale = np.full(3, max(length, width, height) / LONGEST_SIDE)
         reach = max(reach, float(np.hypot(length, width) / 2))
-        poses += [ObjectPose(R, middle, scale) for R in _lying_rotations(category, basis, along)]
+        poses += [ObjectPose(R, middle, scale) for R in _lying_rotations(category, basis, along, signs)]
     return poses, CloudMeasures(poses[0].translation @ basis[:2].T, reach, height, plan)
 
 
 def _lying_rotations(
-    category: Category, basis: Float[np.ndarray, "3 3"], along: Float[np.ndarray, "2"]
+    category: Category,
+    basis: Float[np.ndarray, "3 3"],
+    along: Float[np.ndarray, "2"],
+    signs: Sequence[float],
 ) -> list[Float[np.ndarray, "3 3"]]:
-    """Return rotations with the object's z along a direction in the plane, both ways, for all rolls."""
+    """Return rotations with the object's z along a direction in the plane, times each sign, for all rolls."""
     rotations = []
-    for sign in (1.0, -1.0):  # some cans, too, are narrower above
+    for sign in signs:
         z = sign * (basis[:2].T @ along)
         side = np.cross(z, basis[2])
         for roll in _ROLLS[category]:

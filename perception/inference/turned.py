@@ -3,6 +3,8 @@
 A pose fit from the expected pose does not find the handle elsewhere: beside the surface of the body, depth of
 the handle is out of its reach. Where the handle is not seen where it is expected, the mug is therefore turned
 about the axis of its body in steps, each with a fit of its own, and the number of pixels that agree decides.
+It was turned only if depth shows the handle there: from above, a body that is a little too low or too wide
+agrees better in some directions than in others.
 """
 
 from __future__ import annotations
@@ -50,4 +52,7 @@ def refit_turned(
     starts = (ahead.turned(np.array([0.0, 0.0, turn]), about) for turn in TURNS)
     turned = max((search.refine(start, last_pass) for start in starts), key=search.gain)
     least = search.gain(ahead) + CLEARLY * sum(search.evidence(ahead))
-    return checked(search, turned, expected) if search.gain(turned) > least else None
+    if search.gain(turned) <= least:
+        return None
+    is_seen = shows_handle(replace(estimate, T_world_object=turned.T_world_object), frames, others)
+    return checked(search, turned, expected) if is_seen else None

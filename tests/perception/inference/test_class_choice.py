@@ -270,7 +270,7 @@ def test_depth_decides_between_classes_that_are_about_as_probable(choose_pose, c
     assert set(tried) == set(explained)
 
 
-@pytest.mark.parametrize("pose", ["upright", "lying"])
+@pytest.mark.parametrize("pose", ["upright", "lying", "upside-down"])
 def test_a_can_with_the_wrong_end_up_is_fitted_the_other_way_round(monkeypatch, decoder, pose) -> None:
     """Away from the first axis; the surface and the score stay."""
     axes = []
@@ -290,7 +290,8 @@ def test_a_can_with_the_wrong_end_up_is_fitted_the_other_way_round(monkeypatch, 
     views = ObjectViews(3, "can", 0.9, (OBSERVATION,), np.full(5, 0.2))
     bottle = np.array([0.5 * (posed == ("bottle", pose)) for posed in POSED_CLASSES] + [0.5])
     named = replace(views, pose_probabilities=bottle)
-    assert fit_best_class(named, decoder, SupportPlane(), Model({}, 0.4), FitConfig()).resting == pose
+    if ("bottle", pose) in POSED_CLASSES:
+        assert fit_best_class(named, decoder, SupportPlane(), Model({}, 0.4), FitConfig()).resting == pose
     if pose == "upright":  # a can on its narrow end resembles a bottle, but not for the class network
         for p_can, resting in ((0.85, pose), (0.97, "upside-down")):
             sure = replace(named, class_probabilities=np.array([0.0, 0.0, 0.98 - p_can, p_can, 0.02]))
@@ -299,7 +300,8 @@ def test_a_can_with_the_wrong_end_up_is_fitted_the_other_way_round(monkeypatch, 
     axes.clear()
     estimate = fit_best_class(views, decoder, SupportPlane(), Model({}, 0.4), FitConfig())
     assert axes == [None, (0.0, 0.0, -1.0)]
-    assert estimate.resting == ("lying" if pose == "lying" else "upside-down") and estimate.score == 0.8
+    reversed_pose = {"upright": "upside-down", "upside-down": "upright", "lying": "lying"}[pose]
+    assert estimate.resting == reversed_pose and estimate.score == 0.8
     np.testing.assert_array_equal(estimate.T_world_object, np.diag([1.0, -1.0, -1.0, 1.0]))
     np.testing.assert_array_equal(estimate.mesh_world.vertices, np.eye(3))
 

@@ -76,6 +76,17 @@ def test_bottles_lie_either_way_round_with_the_first_axis_up_or_level(decoder) -
     assert len(poses) <= LYING_BEAM, "the coarse stage rules out no direction"
 
 
+@pytest.mark.parametrize("azimuth", [0.2, 1.4, 3.9])
+def test_a_lying_object_starts_in_the_direction_that_is_given(decoder, azimuth) -> None:
+    """Whatever the measured points suggest: a cone is no strip along its axis."""
+    seen = lying(decoder, 0.5).observations((1.0, 3.0))
+    level = np.array([np.cos(azimuth), np.sin(azimuth), 0.0])
+    poses, _ = initial_resting_poses(seen, "bottle", PLANE, "lying", level + (0.0, 0.0, 0.2))
+    np.testing.assert_allclose([pose.rotation[:, 2] for pose in poses], [level] * len(poses), atol=1e-12)
+    rolls = {tuple(pose.rotation[:, 0].round(6)) for pose in poses}
+    assert len(rolls) == len(poses) == 2
+
+
 def test_an_upside_down_mug_has_its_axis_down_and_all_yaws(make_table) -> None:
     seen = make_table("mug", (), yaw=1.0).observations((0.0,))
     upright, _ = initial_poses(seen, "mug", PLANE)
