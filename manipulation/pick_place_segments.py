@@ -6,23 +6,17 @@ A segment is feasible if the arm reaches all of it and it has no contacts but th
 from __future__ import annotations
 
 from collections.abc import Callable, Sequence
-from dataclasses import dataclass, replace
+from dataclasses import dataclass, field, replace
 from typing import TypeVar
 
 import numpy as np
 from jaxtyping import Float
 
-from manipulation.collision import AllowedContacts, CollisionWorld
+from manipulation.collision import AllowedContacts
+from manipulation.lifting import LiftConfig, Postures, find_lift, moved
 from manipulation.motions import OUT_OF_REACH, MotionPlanner
 from manipulation.obstacles import BOX_FLOOR, TABLE
-from manipulation.standing import RAISED
 from manipulation.types import Grasp, Placement, Rejected, StandingObject
-
-SLIDE_DEPTH = 0.002  # [m] by which an object may get deeper in what it is lifted along
-MAX_OVERLAP = 0.008  # [m] of estimated shapes in contact
-MAX_HULL_OVERLAP = 0.02  # [m] of an object and the hulls of a thing, which fill the hollow beside it
-
-Postures = Float[np.ndarray, "_k n"]  # several of them in one value differ in length
 
 
 @dataclass(frozen=True)
@@ -32,16 +26,10 @@ class SegmentConfig:
     Attributes:
         approach_heights, retreat_heights: lengths of approach and retreat in [m], tried in order. The
             approach begins so high that the wrist camera sees the object.
-        lift_heights: heights of the vertical lift in [m], tried in order until its end is clear.
-        oblique_azimuths: azimuths in [rad] of a lift that is not vertical, from that away from what it would
-            meet, tried in order.
-        oblique_elevation: elevation of such a lift in [rad].
+        lift: settings of the lift.
         raise_heights: heights above the goal from which the object is lowered, in [m]. The first is used at
             which it has the largest clearance that any of them gives it.
         raised_margins: clearances in [m] at that height, in descending order.
-        lift_margin: clearance of the carried object from its neighbours during the lift in [m].
-        lifted_margin: clearance of robot and carried object at the end of the lift, from where it is carried
-            on, in [m].
         placing_margin: clearance of the carried object from its neighbours while it is lowered, in [m].
         settle_depth: descent in [m] with loosened pads before they release what may hang on one.
         release_extras: additional opening of each finger at release in [m], tried in order: a finger close to
@@ -50,13 +38,9 @@ class SegmentConfig:
 
     approach_heights: tuple[float, ...] = (0.16, 0.10, 0.06)
     retreat_heights: tuple[float, ...] = (0.10, 0.06)
-    lift_heights: tuple[float, ...] = (0.20, 0.12, 0.28)
-    oblique_azimuths: tuple[float, ...] = (0.0, 0.8, -0.8)
-    oblique_elevation: float = 0.7
+    lift: LiftConfig = field(default_factory=LiftConfig)
     raise_heights: tuple[float, ...] = (0.12, 0.18, 0.25, 0.32, 0.08)
     raised_margins: tuple[float, ...] = (0.03, 0.02, 0.012, 0.008, 0.004)
-    lift_margin: float = 0.002
-    lifted_margin: float = 0.004
     placing_margin: float = 0.001
     settle_depth: float = 0.004
     release_extras: tuple[float, ...] = (0.008, 0.004, 0.0)
@@ -152,65 +136,8 @@ def _pick_in(
     if isinstance(approach, Rejected):
         return approach
     world.carry(name, np.linalg.inv(grasp.T_stand_tcp))
-    lift = _find_lift(motions, name, q, T_grasp, grasp.held_width, config)
+    lift = find_lift(motions, name, grasp, q, T_grasp, config.lift)
     return lift if isinstance(lift, Rejected) else Pick(grasp, approach[::-1], lift)
-
-
-def _find_lift(
-    motions: MotionPlanner, name: str, q: np.ndarray, T_grasp: np.ndarray, width: float, config: SegmentConfig
-) -> Postures | Rejected:
-    """Return the postures of the lift of the carried object: up, or obliquely away from what it meets."""
-    world = motions.world
-    allowed = AllowedContacts(touch_carried=frozenset({TABLE.name}), carried_margin=config.lift_margin)
-    lifted = [_raised(T_grasp, height) for height in config.lift_heights]
-    lift = motions.free_line(q, lifted, width, allowed, config.lifted_margin)
-    if not isinstance(lift, Rejected):
-        return lift
-    beside = in_contact(world, name, q, width, allowed)
-    if beside is not None:
-        allowed = beside
-        lift = motions.free_line(q, lifted, width, allowed, config.lifted_margin)
-    if not isinstance(lift, Rejected) or not lift.blocker or lift.by_arm:
-        return lift
-    away = world.pose(name)[:2, 3] - world.center(lift.blocker)[:2]
-    for turn in config.oblique_azimuths:
-        direction = _oblique(away, turn, config.oblique_elevation)
-        oblique = [_moved(T_grasp, height * direction) for height in config.lift_heights]
-        line = motions.free_line(q, oblique, width, allowed, config.lifted_margin)
-        if not isinstance(line, Rejected):
-            return line
-    return lift
-
-
-def _oblique(away: Float[np.ndarray, "2"], turn: float, elevation: float) -> Float[np.ndarray, "3"]:
-    """Return the unit vector at an elevation [rad] over a horizontal direction turned about z [rad]."""
-    azimuth = np.arctan2(away[1], away[0]) + turn
-    horizontal = np.array([np.cos(azimuth), np.sin(azimuth), 0.0])
-    return np.cos(elevation) * horizontal + np.array([0.0, 0.0, np.sin(elevation)])
-
-
-def in_contact(
-    world: CollisionWorld, name: str, q: np.ndarray, width: float, allowed: AllowedContacts
-) -> AllowedContacts | None:
-    """Return ``allowed`` with what an object in its place may touch; None if it touches nothing or is stuck.
-
-    It slides along what it touches, hardly deeper in it than it is now: estimated shapes overlap. Hulls close
-    cavities, so that it may be deep in what it stands in or on.
-    """
-    around, along = set(allowed.touch_carried), {}
-    for other, depth in world.carried_overlaps(q, width).items():
-        if other in allowed.touch_carried:
-            continue
-        is_object = other in world.names
-        if is_object and world.base(name) > world.base(other) + (RAISED if depth < MAX_OVERLAP else 0.0):
-            around.add(other)
-        elif depth > (MAX_HULL_OVERLAP if other in world.perceived else MAX_OVERLAP):
-            return None
-        else:
-            along[other] = max(depth, 0.0) + SLIDE_DEPTH
-    if not along and around == allowed.touch_carried:
-        return None
-    return replace(allowed, touch_carried=frozenset(around), slide_carried=along)
 
 
 def find_place(
@@ -330,10 +257,4 @@ def _retreated(T_world_tcp: np.ndarray, grasp: Grasp, distances: Sequence[float]
 
 
 def _raised(T: np.ndarray, height: float) -> np.ndarray:
-    return _moved(T, np.array([0.0, 0.0, height]))
-
-
-def _moved(T: np.ndarray, step: Float[np.ndarray, "3"]) -> np.ndarray:
-    moved = T.copy()
-    moved[:3, 3] += step
-    return moved
+    return moved(T, np.array([0.0, 0.0, height]))

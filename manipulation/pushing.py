@@ -18,10 +18,10 @@ from manipulation.collision import AllowedContacts
 from manipulation.free_table import outline_of
 from manipulation.grasp_config import tcp_pose
 from manipulation.hand_collision import surface_points
+from manipulation.lifting import in_contact
 from manipulation.lying_grasps import lies
 from manipulation.motions import MotionPlanner
 from manipulation.obstacles import TABLE
-from manipulation.pick_place_segments import in_contact
 from manipulation.robot import GripperGeometry
 from manipulation.trajectories import JointTrajectory
 from manipulation.types import Rejected, StandingObject

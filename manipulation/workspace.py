@@ -96,7 +96,7 @@ class Workspace:
         pick_place = config.pick_place
         segments = replace(
             pick_place.segments,
-            lift_heights=self._lengths(pick_place.segments.lift_heights),
+            lift=replace(pick_place.segments.lift, heights=self._lengths(pick_place.segments.lift.heights)),
             raise_heights=self._lengths(pick_place.segments.raise_heights),
         )
         pick_place = replace(

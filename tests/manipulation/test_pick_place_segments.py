@@ -74,8 +74,8 @@ def test_pick_approaches_from_above_and_lifts_with_the_object_attached(kinematic
     (approach, lift) = motions.lines
     assert heights_above(T_grasp, approach[0]) == pytest.approx(CONFIG.approach_heights)
     assert approach[1:] == (grasp.opening, AllowedContacts(touch=frozenset({"can_1"})), None)
-    assert heights_above(T_grasp, lift[0]) == pytest.approx(CONFIG.lift_heights)
-    table = AllowedContacts(touch_carried=frozenset({"table"}), carried_margin=CONFIG.lift_margin)
+    assert heights_above(T_grasp, lift[0]) == pytest.approx(CONFIG.lift.heights)
+    table = AllowedContacts(touch_carried=frozenset({"table"}), carried_margin=CONFIG.lift.margin)
     assert lift[1:] == (grasp.held_width, table, "can_1")
     np.testing.assert_allclose(kinematics.forward(pick.approach[-1]), T_grasp, atol=2e-3)
     assert kinematics.forward(pick.approach[0])[2, 3] == pytest.approx(T_grasp[2, 3] + 0.16, abs=1e-3)
@@ -123,95 +123,6 @@ def test_the_elbow_gives_way_to_what_a_link_would_meet(kinematics, can):
     placed = Placement(can.name, (0.5, -0.2, 0.0), (0.0,))
     place = find_place(motions, pick, PlaceGoal(can, placed, can.T_world_stand), CONFIG)
     assert isinstance(place, Place)
-
-
-def test_what_touches_another_object_is_lifted_along_it(kinematics, can, shapes):
-    motions = motions_among(kinematics, can)
-    grasp = reachable_pick(motions, can).grasp
-    beside = (can.T_world_stand @ grasp.T_stand_tcp)[:2, 0]  # across the closing direction
-    x, y = can.T_world_stand[:2, 3] + 0.0525 * beside  # the sum of the radii less half a millimetre
-    low = to_standing(shapes.estimate(2, "can", shapes.can(0.02, 0.05), x=float(x), y=float(y)))
-    touching = motions_among(kinematics, can, low)
-    assert isinstance(find_pick(touching, can.name, grasp, CONFIG), Pick)
-    allowed = [line[2].slide_carried for line in touching.lines if line[3] == "can_1"]
-    assert allowed == [{}, {"can_2": pytest.approx(0.0025, abs=5e-4)}]
-
-
-def block(x, y, half, height):
-    corners = np.array(list(np.ndindex(2, 2, 2)), dtype=float)
-    low, high = np.array([x - half, y - half, 0.0]), np.array([x + half, y + half, height])
-    return PerceivedObstacle(0, (low + corners * (high - low),), 1000)
-
-
-@pytest.mark.parametrize(("overlap", "is_lifted"), [(0.003, True), (0.015, True), (0.03, False)])
-def test_what_touches_a_thing_of_no_class_is_lifted_along_it(kinematics, can, overlap, is_lifted):
-    motions = motions_among(kinematics, can)
-    grasp = reachable_pick(motions, can).grasp
-    beside = (can.T_world_stand @ grasp.T_stand_tcp)[:2, 0]  # across the closing direction
-    axis = np.argmax(np.abs(beside))
-    away = np.zeros(2)
-    away[axis] = np.sign(beside[axis]) * (np.ptp(can.vertices[:, 0]) / 2 + 0.01 - overlap)
-    thing = block(*(can.T_world_stand[:2, 3] + away), 0.01, 0.04)
-    bodies = [Body(can.name, convex_pieces(can), can.T_world_stand)]
-    beside_thing = RecordingPlanner(kinematics, CollisionWorld(kinematics.arm, bodies, (TABLE, thing)))
-    pick = find_pick(beside_thing, can.name, grasp, CONFIG)
-    assert isinstance(pick, Pick) if is_lifted else pick == Rejected("collide with thing_0")
-
-
-@pytest.mark.parametrize(("height", "is_oblique"), [(0.04, False), (0.12, True)])
-def test_what_leans_against_a_tall_thing_is_carried_on_from_clear_of_it(kinematics, can, height, is_oblique):
-    """A vertical lift by 8 cm along a thing of 12 cm ends in contact with it."""
-    config = replace(CONFIG, lift_heights=(0.08,))
-    grasp = reachable_pick(motions_among(kinematics, can), can).grasp
-    beside = (can.T_world_stand @ grasp.T_stand_tcp)[:2, 0]  # across the closing direction
-    axis = np.argmax(np.abs(beside))
-    toward = np.zeros(2)
-    toward[axis] = np.sign(beside[axis])
-    distance = np.ptp(can.vertices[:, 0]) / 2 + 0.01 - 0.001
-    thing = block(*(can.T_world_stand[:2, 3] + distance * toward), 0.01, height)
-    bodies = [Body(can.name, convex_pieces(can), can.T_world_stand)]
-    motions = RecordingPlanner(kinematics, CollisionWorld(kinematics.arm, bodies, (TABLE, thing)))
-    pick = find_pick(motions, can.name, grasp, config)
-    assert isinstance(pick, Pick)
-    step = kinematics.forward(pick.lift[-1])[:3, 3] - kinematics.forward(pick.lift[0])[:3, 3]
-    assert bool(step[:2] @ toward < -0.04) is is_oblique
-    clear = AllowedContacts(robot_margin=CONFIG.lifted_margin, carried_margin=CONFIG.lifted_margin)
-    assert motions.world.contact(pick.lift[-1], grasp.held_width, clear) is None
-
-
-def test_what_is_below_a_ledge_is_lifted_obliquely_away_from_it(kinematics, bowl):
-    grasp = reachable_pick(motions_among(kinematics, bowl), bowl).grasp
-    center = bowl.T_world_stand[:2, 3]
-    rim = (bowl.T_world_stand @ grasp.T_stand_tcp)[:2, 3] - center
-    along = rim / np.linalg.norm(rim)
-    across = np.array([-along[1], along[0]])
-    edge = np.ptp(bowl.vertices[:, 0]) / 2 - 0.02  # over 2 cm of the bowl, opposite to the hand
-    corners = [
-        [*(center - distance * along + side * across), height]
-        for distance in (edge, edge + 0.06)
-        for side in (-0.1, 0.1)
-        for height in (bowl.top + 0.04, bowl.top + 0.06)
-    ]
-    ledge = PerceivedObstacle(0, (np.array(corners),), 1000)
-    bodies = [Body(bowl.name, convex_pieces(bowl), bowl.T_world_stand)]
-    motions = RecordingPlanner(kinematics, CollisionWorld(kinematics.arm, bodies, (TABLE, ledge)))
-    pick = find_pick(motions, bowl.name, grasp, CONFIG)
-    assert isinstance(pick, Pick)
-    step = kinematics.forward(pick.lift[-1])[:3, 3] - kinematics.forward(pick.lift[0])[:3, 3]
-    assert step[:2] @ along > 0.05 and step[2] > 0.05
-
-
-def test_what_stands_in_another_object_is_lifted_out_of_its_hull(kinematics, shapes):
-    estimates = [
-        shapes.estimate(1, "can", shapes.can(0.03, 0.1), x=0.5, y=-0.2, lift=0.02),
-        shapes.estimate(2, "bowl", shapes.bowl(0.08, 0.05), x=0.5, y=-0.2),
-    ]
-    inside, around = to_standing(replace(estimates[0], rests_on=2)), to_standing(estimates[1])
-    assert inside.T_world_stand[2, 3] == pytest.approx(0.02)
-    motions = motions_among(kinematics, inside, around)
-    pick = reachable_pick(motions, inside)
-    find_pick(motions, inside.name, pick.grasp, CONFIG)
-    assert motions.lines[-1][2].touch_carried == {"table", "bowl_2"}
 
 
 def test_picks_beyond_the_reach(kinematics, can):

@@ -52,8 +52,8 @@ def test_heights_of_motions_scale_and_margins_do_not():
     np.testing.assert_allclose(adapted.free_area, 0.5 * np.array(config.free_area))
     small = adapted.pick_place
     np.testing.assert_allclose(small.via_heights, 0.5 * np.array(config.pick_place.via_heights))
-    assert small.segments.lift_heights[0] == 0.5 * config.pick_place.segments.lift_heights[0]
-    assert small.segments.lift_margin == config.pick_place.segments.lift_margin
+    assert small.segments.lift.heights[0] == 0.5 * config.pick_place.segments.lift.heights[0]
+    assert small.segments.lift.margin == config.pick_place.segments.lift.margin
 
 
 def test_places_are_vertical_poses_over_the_scaled_cell(kinematics):

@@ -81,7 +81,7 @@ def test_a_lying_object_starts_in_the_direction_that_is_given(decoder, azimuth) 
     """Whatever the measured points suggest: a cone is no strip along its axis."""
     seen = lying(decoder, 0.5).observations((1.0, 3.0))
     level = np.array([np.cos(azimuth), np.sin(azimuth), 0.0])
-    poses, _ = initial_resting_poses(seen, "bottle", PLANE, "lying", level + (0.0, 0.0, 0.2))
+    poses, _ = initial_resting_poses(seen, "bottle", PLANE, "lying", level + np.array([0.0, 0.0, 0.2]))
     np.testing.assert_allclose([pose.rotation[:, 2] for pose in poses], [level] * len(poses), atol=1e-12)
     rolls = {tuple(pose.rotation[:, 0].round(6)) for pose in poses}
     assert len(rolls) == len(poses) == 2
