@@ -47,7 +47,7 @@ class GraspConfig:
     bowl_depth: float = 0.0155
     depth_fractions: tuple[float, ...] = (1.0, 0.8, 0.6)
     min_depth: float = 0.008
-    top_depths: tuple[float, ...] = (0.022, 0.016, 0.028, 0.012, 0.032)
+    top_depths: tuple[float, ...] = (0.022, 0.016, 0.028, 0.012, 0.032, 0.006)
     max_wall: float = 0.02
     default_wall: float = 0.005
     half_opening: float = 0.016

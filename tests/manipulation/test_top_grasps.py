@@ -12,6 +12,7 @@ from manipulation.standing import to_standing
 from manipulation.top_grasps import top_grasps
 
 CONFIG = GraspConfig()
+HAND, CLEARANCE = 0.037, 0.004  # [m] from the TCP to the hand, and between the hand and what it passes
 
 
 def standing(shapes, category, mesh, **where):
@@ -27,12 +28,20 @@ def candidates(item, config=CONFIG):
 def test_can_is_held_around_its_axis_from_above(shapes):
     item = standing(shapes, "can", shapes.can(radius=0.033, height=0.12))
     for grasp in grasp_candidates(item, CONFIG).grasps:
-        assert grasp.kind == "top" and 0.012 <= grasp.depth <= 0.032
+        assert grasp.kind == "top" and grasp.depth in CONFIG.top_depths
         assert grasp.T_stand_tcp[:2, 3] == pytest.approx([0, 0], abs=3e-4)
         assert grasp.T_stand_tcp[2, 3] == pytest.approx(0.12 - grasp.depth)
         assert grasp.held_width == pytest.approx(0.066, abs=2e-4)
         low, high = grasp.closed_width  # a body a fifth wider than it looked is held all the same
         assert low < 0.066 and 0.074 < high < grasp.opening
+
+
+def test_a_body_is_held_by_its_uppermost_part_only_if_nothing_else_is_possible(shapes):
+    """The hand, which is 37 mm above the TCP, clears a wall of 80 mm beside a can of 54 mm."""
+    grasps = grasp_candidates(standing(shapes, "can", shapes.can(height=0.054)), CONFIG).grasps
+    clear = {grasp.depth for grasp in grasps if grasp.T_stand_tcp[2, 3] > 0.08 + CLEARANCE - HAND}
+    assert clear == {min(CONFIG.top_depths)}
+    assert all(grasp.depth not in clear for grasp in grasps[: len(grasps) // 2])
 
 
 def test_bottle_is_held_at_its_neck(shapes):
@@ -62,7 +71,7 @@ def test_bodies_wider_than_the_opening_are_rejected(shapes):
     fits, _ = candidates(standing(shapes, "can", shapes.can(radius=0.0412)))
     assert fits and max(grasp.opening for grasp in fits) == CONFIG.gripper.max_width
     none, rejected = candidates(standing(shapes, "can", shapes.can(radius=0.0418)))
-    assert not none and rejected == {"too wide for 0.08 m": 60}
+    assert not none and rejected == {"too wide for 0.08 m": 12 * len(CONFIG.top_depths)}
 
 
 def test_tapered_bodies_are_rejected_beyond_the_limit_of_friction(shapes):
