@@ -30,6 +30,8 @@ _TURN_OVER = "turn it over by hand"
 _SPOTS = 4  # on free table that are tried for one object
 _EXAMINED, _EVERY_YAW = 12, 3  # goals, and which of their yaws, that are examined for the next grasp
 _ASIDE = 4  # objects that are tried in order to make room for one, itself included
+LOW = 0.10  # [m] height of objects that may be dropped: the hand meets the walls of the box beside lower ones
+DROP = 0.015  # [m] by which they may fall
 
 Posture = Float[np.ndarray, "n"]
 
@@ -38,7 +40,7 @@ class Effort(IntEnum):
     """Means of planning, each in addition to those before it."""
 
     PLAIN = 0  # to the goal, with the grasps of the object's shape
-    FLEXIBLE = 1  # other places in the box; any angle of the hand
+    FLEXIBLE = 1  # other places in the box; any angle of the hand; released from a little higher
     CLEARING = 2  # what blocks an object is set aside, or it is pushed to where it can be grasped
     BESIDE = 3  # a bowl is placed beside those that it was to be put in
 
@@ -82,12 +84,22 @@ class ObjectPlanning:
                     return self._plan(elsewhere, q, tried, sure)
             with contextlib.suppress(PlanningError):
                 return self._plan([placement, *elsewhere], q, tried, is_tilted=True)
+            dropped = self._from_higher([*goals, *elsewhere])
+            if dropped:
+                with contextlib.suppress(PlanningError):
+                    return self._plan(dropped, q, tried, sure)
             with contextlib.suppress(PlanningError):
                 return self._plan_with_contents([placement, *elsewhere], q, tried)
             if sure is not None:
                 with contextlib.suppress(PlanningError):
                     return self._plan([*goals, *elsewhere], q, tried)
             raise error
+
+    def _from_higher(self, goals: Sequence[Placement]) -> list[Placement]:
+        """Return the goals of a low object on the floor of the box, dropped from a little above."""
+        if self._task.task != "pack" or self._task.objects[goals[0].name].top > LOW:
+            return []
+        return [replace(g, release_height=g.release_height + DROP) for g in goals if not g.stack]
 
     def _sure_grasps(self, name: str) -> GraspSet | None:
         """Return the grasps of an object but those that its estimated width hardly allows; None if all."""
@@ -283,7 +295,7 @@ class ObjectPlanning:
             grasps is None,
             len(tried),
             tuple(contents),
-            *((goal.name, goal.position, goal.stack) for goal in goals),
+            *((goal.name, goal.position, goal.stack, goal.release_height) for goal in goals),
         )
         scene, failure = self._failures.get(key, (None, None))
         if failure is not None and scene == planner.scene_state:

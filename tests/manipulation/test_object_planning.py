@@ -8,7 +8,7 @@ import pytest
 
 from manipulation import object_planning
 from manipulation.errors import NoPlanError, PlanningError
-from manipulation.object_planning import DOUBTFUL, Effort, ObjectPlanning
+from manipulation.object_planning import DOUBTFUL, DROP, LOW, Effort, ObjectPlanning
 from manipulation.pick_place import PickPlacePlanner
 from manipulation.planner import ManipulationConfig
 from manipulation.pushing import Push
@@ -141,6 +141,23 @@ def test_more_effort_is_other_places_and_then_any_angle(items):
     box = Box()
     for goal in elsewhere[0]:
         assert (np.abs(np.subtract(goal.position[:2], box.center)) < np.array(box.size[:2]) / 2).all()
+
+
+@pytest.mark.parametrize(("height", "is_dropped"), [(LOW - 0.01, True), (LOW + 0.01, False)])
+def test_a_low_object_is_dropped_where_it_cannot_be_put_down(shapes, height, is_dropped):
+    item = to_standing(shapes.estimate(1, "can", shapes.can(height=height), x=0.55, y=-0.2))
+    planner = FakePlanner({"can_1": item}, lambda goals, grasps: goals[0].release_height > 0.01)
+    planned = planning({"can_1": item}, planner)
+    with pytest.raises(NoPlanError):
+        planned.next_plan(GOAL, Q)
+    if not is_dropped:
+        with pytest.raises(NoPlanError):
+            planned.next_plan(GOAL, Q, effort=Effort.FLEXIBLE)
+        return
+    planned.next_plan(GOAL, Q, effort=Effort.FLEXIBLE)
+    (goals, _) = planner.requests[-1]
+    assert goals[0] == replace(GOAL, release_height=GOAL.release_height + DROP)
+    assert len(goals) > 1 and len(planner.requests) > 3, "after all that puts it down"
 
 
 def test_grasps_of_what_nearly_fills_the_hand_come_after_those_at_any_angle(items):
