@@ -12,13 +12,14 @@ from collections.abc import Mapping, Sequence
 from dataclasses import replace
 
 import numpy as np
+from jaxtyping import Float
 
 from perception.detection.completion import PoseNamer, posed_detections
 from perception.detection.left_out import LeftOut
 from perception.detection.parts import parts_of_things
 from perception.detection.unclassified import associate_unclassified, is_low
 from perception.inference.acceptance import AcceptanceModel
-from perception.inference.clear_evidence import is_clear, may_be_part
+from perception.inference.clear_evidence import is_clear, may_be_part, shows_ends
 from perception.inference.doubtful_shapes import completed, renamed
 from perception.inference.handle import with_seen_handles
 from perception.inference.hidden_support import on_hidden_supports
@@ -30,7 +31,7 @@ from perception.inference.selection import (
     without_repetitions,
 )
 from perception.inference.shape_model import Decoder
-from perception.inference.stack_parts import Rows, split_stacks
+from perception.inference.stack_parts import Rows, instance_points, split_stacks
 from perception.obstacles.parts_of_things import without_parts_of_things
 from perception.threads import single_threaded
 from perception.types import ObjectEstimate, RejectedObject, RgbdFrame, SupportPlane
@@ -99,7 +100,9 @@ def reconstruct_clutter(
         free = 1 + max((*instance_ids(rows), *(part.id for part in parts)), default=-1)
         rows, pieces = recutting.separated(rows, lost, free)
         # An upright object is seldom segmented with what it touches.
-        single |= {id: e for id, e in pieces.items() if e.resting == "lying" and not may_be_part(e)}
+        single |= {
+            id: e for id, e in pieces.items() if _is_lying_object(e, instance_points(frames, rows, id))
+        }
         candidates |= instance_ids(rows) - instance_ids(detections_per_frame)
         free = max(free, 1 + max(instance_ids(rows), default=-1))
         rows, wholes = recutting.joined(rows, candidates - set(stacks), single, free)
@@ -130,6 +133,11 @@ def reconstruct_clutter(
             if item.id not in candidates and item.id not in stacks:
                 options.on_rejected(item)
     return sorted(found, key=lambda e: e.id)
+
+
+def _is_lying_object(piece: ObjectEstimate, points: Float[np.ndarray, "n 3"]) -> bool:
+    """Return whether a piece of what was cut lies there as an object of its own."""
+    return piece.resting == "lying" and not may_be_part(piece) and shows_ends(piece, points)
 
 
 def _existence(estimate: ObjectEstimate, rows: Rows, model: AcceptanceModel | None) -> float:

@@ -2,6 +2,10 @@
 
 from __future__ import annotations
 
+import numpy as np
+from jaxtyping import Float
+
+from perception.geometry import invert, transform_points
 from perception.inference.evidence import section_shapes
 from perception.types import ObjectEstimate
 
@@ -21,6 +25,9 @@ NECK = 0.8
 # [m] radius and length below which a lying bottle is a handle: among 223 fits in 74 scans, true ones thinner
 # than 21 mm were 0.24 m long and more, false ones of at least the least score at most 0.16 m.
 THINNEST, LONG = 0.021, 0.18
+_LID = 0.6  # share of the radius within which points are on an end
+_AT_END = 0.01  # [m] from it
+_FEWEST = 10  # of 2000 to 5000 points
 
 
 def is_clear(estimate: ObjectEstimate) -> bool:
@@ -38,6 +45,24 @@ def may_be_part(estimate: ObjectEstimate) -> bool:
     if (estimate.category, estimate.resting) == ("bottle", "lying"):
         return not _is_likely_bottle(estimate, LEAST_PIECE_SCORE, PIECE_SCORE)
     return estimate.score < PIECE_SCORE
+
+
+def shows_ends(estimate: ObjectEstimate, points: Float[np.ndarray, "n 3"]) -> bool:
+    """Return whether both ends of a lying can were measured; of other objects they need not be.
+
+    A lens, or the end of a handle, is a can one of whose ends is on the rest of the thing.
+
+    Args:
+        estimate: The estimate.
+        points: Measured points of the object in the world frame, in metres.
+    """
+    if (estimate.category, estimate.resting) != ("can", "lying"):
+        return True
+    own = transform_points(invert(estimate.T_world_object), points)
+    low, high = estimate.mesh.vertices.min(axis=0), estimate.mesh.vertices.max(axis=0)
+    from_axis = np.linalg.norm((own - (low + high) / 2)[:, :2], axis=1)
+    inner = own[from_axis < _LID * estimate.radius, 2]
+    return all((np.abs(inner - end) < _AT_END).sum() >= _FEWEST for end in (low[2], high[2]))
 
 
 def _is_likely_bottle(estimate: ObjectEstimate, least: float, usual: float) -> bool:

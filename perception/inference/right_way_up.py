@@ -29,6 +29,10 @@ STANDING_WIDER = 0.13  # of what stands, whose axis is known
 STRAIGHT = 0.5  # largest |c| of a cone, relative to the mean radius
 EVEN = 0.05  # largest unevenness of a cone: a bottle with a wide neck narrows between two cylinders
 NECK = 0.8  # largest radius of a neck, relative to that of the cone at the same height
+LEAST_RADIUS, LARGEST_RADIUS = (
+    0.75,
+    1.25,
+)  # of a profile in its middle, relative to the estimate's largest one
 _TOP = 0.1  # share of the height in which a neck is looked for
 _FEW = 20  # points there
 _ENDS = 0.12  # share of the height at either end, where there are necks, seams and feet
@@ -120,7 +124,8 @@ def side_profile(
         may_tilt: Whether the axis may deviate from z.
 
     Returns:
-        The profile; None where the lower or the upper third of the side was hardly measured.
+        The profile; None where the lower or the upper third of the side was hardly measured, or the points,
+        all on one side, do not determine the radius.
     """
     middle = (vertices[:, :2].min(axis=0) + vertices[:, :2].max(axis=0)) / 2
     radius = float(np.ptp(vertices[:, :2], axis=0).mean()) / 2
@@ -142,6 +147,8 @@ def side_profile(
     start = np.array([0.0, 0.0, radius, 0.0, 0.0, *([0.0, 0.0] if may_tilt else [])])
     fitted = least_squares(residuals, start, loss="soft_l1", f_scale=_NOISE, x_scale=0.01).x
     a, b, c = fitted[2:5].tolist()
+    if not LEAST_RADIUS < a / radius < LARGEST_RADIUS:
+        return None
     return SideProfile(a, *(value / max(a, 1e-9) for value in (b, c, _unevenness(u, residuals(fitted)))))
 
 

@@ -125,13 +125,15 @@ def test_candidates_are_objects_only_if_the_evidence_is_clear(scene):
     assert [item.id for item in scene.rejected] == [0], "nobody misses what was no object before"
 
 
-def test_pieces_of_what_no_shape_explains_need_a_high_score(scene):
-    """They lie: an upright object is seldom segmented with what it touches."""
+def test_pieces_of_what_no_shape_explains_need_a_high_score(scene, monkeypatch):
+    """They lie: an upright object is seldom segmented with what it touches; and they show their ends."""
     poses = {4: (PIECE_SCORE - 0.01, "lying"), 5: (PIECE_SCORE + 0.01, "lying"), 6: (0.99, "upright")}
+    poses[7] = (0.98, "lying")
+    monkeypatch.setattr(clutter, "shows_ends", lambda estimate, points: estimate.id != 7)
     scene.pieces = {id: found(id, score, resting=resting) for id, (score, resting) in poses.items()}
     assert scene.run() == [0, 1, 5]
     assert scene.lost == {2, 3}, "the tall thing as well"
-    assert scene.first_id == 4 and scene.nameless_ids >= {1, 4, 5, 6} and scene.known_before == [0, 1, 5]
+    assert scene.first_id == 4 and scene.nameless_ids >= {1, 4, 5, 6, 7} and scene.known_before == [0, 1, 5]
 
 
 def test_a_part_of_a_thing_is_no_object_but_occludes_others(scene):

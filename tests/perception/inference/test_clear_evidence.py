@@ -3,6 +3,7 @@
 import numpy as np
 import pytest
 
+from perception.geometry import so3_exp, transform_points
 from perception.inference.clear_evidence import (
     BOTTLE_SCORE,
     LEAST_PIECE_SCORE,
@@ -17,8 +18,9 @@ from perception.inference.clear_evidence import (
     UNCLASSIFIED_SCORE,
     is_clear,
     may_be_part,
+    shows_ends,
 )
-from perception.types import TriangleMesh
+from perception.types import ObjectEstimate, TriangleMesh
 from tests.perception.bare_estimates import found
 
 
@@ -93,3 +95,29 @@ def with_top(share, score, length=LENGTH):
 )
 def test_a_lying_bottle_without_a_neck_needs_a_higher_score(share, least):
     assert is_clear(with_top(share, least + 0.01)) and not is_clear(with_top(share, least - 0.01))
+
+
+@pytest.mark.parametrize(
+    ("low", "high", "category", "resting", "shown"),
+    [
+        (True, True, "can", "lying", True),
+        (False, True, "can", "lying", False),
+        (True, False, "can", "lying", False),
+        (False, False, "bottle", "lying", True),
+        (False, False, "can", "upright", True),
+    ],
+)
+def test_a_can_that_was_cut_from_a_thing_shows_both_of_its_ends(low, high, category, resting, shown):
+    """Ends are measured near the axis: points of the side that are as far along it do not count."""
+    rng = np.random.default_rng(3)
+    radius, half, n = 0.03, 0.05, 800
+    angle = rng.uniform(0, np.pi, n)
+    side = np.stack([radius * np.cos(angle), radius * np.sin(angle), rng.uniform(-half, half, n)], axis=1)
+    lid = 0.5 * radius * rng.uniform(-1, 1, (40, 3))
+    lids = [np.c_[lid[:, :2], np.full(40, end)] for end, seen in ((-half, low), (half, high)) if seen]
+    T = np.eye(4)
+    T[:3, :3], T[:3, 3] = so3_exp(np.array([0.3, 1.5, 0.0])), (0.5, -0.2, radius)
+    corners = np.array(list(np.ndindex(2, 2, 2))) * 2.0 - 1.0
+    mesh = TriangleMesh(corners * (radius, radius, half), np.array([[0, 1, 2]]))
+    estimate = ObjectEstimate(0, category, np.zeros(16), T, np.ones(3), mesh, resting=resting)
+    assert shows_ends(estimate, transform_points(T, np.concatenate([side, *lids]))) is shown

@@ -39,6 +39,13 @@ def cylinder() -> np.ndarray:
     return np.concatenate([np.c_[ring, np.full(60, z)] for z in (-HEIGHT / 2, HEIGHT / 2)])
 
 
+@pytest.mark.parametrize("seen", [0.1 * np.pi, 0.15 * np.pi])
+def test_a_narrow_strip_of_a_side_does_not_tell_how_wide_it_is(seen) -> None:
+    """Noise makes a cone of it: a cylinder of which 36 degrees were seen seemed to end in a point."""
+    for slope in (-0.25, 0.0, 0.25):
+        assert side_profile(side(slope, seen=seen), cylinder(), may_tilt=True) is None
+
+
 @pytest.mark.parametrize("slope", [-0.2, 0.0, 0.2])
 @pytest.mark.parametrize("seen", [2 * np.pi, 0.9 * np.pi])
 def test_widening_of_a_cone_from_all_sides_and_from_one(slope, seen) -> None:
