@@ -14,7 +14,6 @@ from dataclasses import dataclass, replace
 import numpy as np
 from jaxtyping import Bool, Float, Int
 from scipy.ndimage import minimum_filter
-from scipy.spatial import ConvexHull
 
 from perception.geometry import invert, transform_points
 from perception.inference.observation import pixel_rays
@@ -204,9 +203,8 @@ def _unexplained(
     for other in scene.others:
         samples = SurfaceSamples.of(other.mesh_world, np.random.default_rng(0), SAMPLES_OF_OTHERS)
         left = left[samples.distance(points[left]) > explained]
-    for piece in (piece for obstacle in scene.obstacles for piece in obstacle.pieces):
-        faces = np.asarray(ConvexHull(piece).equations)  # outward normals and offsets
-        left = left[(points[left] @ faces[:, :3].T + faces[:, 3]).max(axis=1, initial=-1.0) > explained]
+    for obstacle in scene.obstacles:
+        left = left[~obstacle.explains(points[left], explained)]
     mask = np.zeros(len(points), dtype=bool)
     mask[left] = True
     return mask

@@ -15,6 +15,7 @@ from scipy.spatial import ConvexHull, QhullError
 
 from perception.obstacles.volume import Solid
 
+FLAT = 0.1  # thickness, in voxels, below which a sheet of voxels is taken for flat
 _CUTS = np.linspace(0.1, 0.9, 5)  # candidate planes, as shares of the extent
 _FACETS = 24  # against which points are tested at once: most are outside the first ones
 
@@ -88,12 +89,16 @@ def _piece(
 
 
 def _hull(points: Float[np.ndarray, "n 3"], voxel: float) -> ConvexHull:
-    """Return the convex hull; that of whole voxels where the points span no volume."""
+    """Return the convex hull; that of whole voxels where the points span hardly any volume."""
     try:
-        return ConvexHull(points)
+        hull = ConvexHull(points)
+        is_flat = 2 * hull.volume < FLAT * voxel * hull.area  # of a sheet, the area counts both sides
     except QhullError:
+        hull, is_flat = None, True
+    if hull is None or is_flat:  # a sheet that is not quite flat has a hull, parts of it may have none
         corners = (np.stack(np.meshgrid(*[(-0.5, 0.5)] * 3), axis=-1) * voxel).reshape(-1, 3)
         return ConvexHull((points[:, None] + corners).reshape(-1, 3))
+    return hull
 
 
 def _inside(hull: ConvexHull, points: Float[np.ndarray, "n 3"], depth: float) -> int:

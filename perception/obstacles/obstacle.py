@@ -6,7 +6,9 @@ from dataclasses import dataclass
 
 import numpy as np
 from jaxtyping import Bool, Float
-from scipy.spatial import ConvexHull
+from scipy.spatial import ConvexHull, QhullError
+
+_THIN = 1e-3  # [m] thickness of a piece that spans no volume
 
 
 @dataclass(frozen=True)
@@ -37,6 +39,15 @@ class PerceivedObstacle:
         """Return which world points [m] are in a piece or at most ``margin`` beyond each of its faces."""
         explained = np.zeros(len(points), bool)
         for piece in self.pieces:
-            faces = ConvexHull(piece, qhull_options="QJ").equations  # a flat piece has a hull, too
+            faces = _faces(piece)
             explained |= (points @ faces[:, :3].T + faces[:, 3] <= margin).all(axis=1)
         return explained
+
+
+def _faces(piece: Float[np.ndarray, "k 3"]) -> Float[np.ndarray, "f 4"]:
+    """Return outward normals and offsets [m] of a convex piece's faces; a flat one is given a thickness."""
+    try:
+        return np.asarray(ConvexHull(piece).equations)
+    except QhullError:
+        corners = _THIN / 2 * (2.0 * np.array(list(np.ndindex(2, 2, 2))) - 1.0)
+        return np.asarray(ConvexHull((piece[:, None] + corners).reshape(-1, 3)).equations)

@@ -78,6 +78,14 @@ def test_things_of_no_class_explain_depth():
     assert np.linalg.norm(points[:, :2] - (0.45, -0.25), axis=1).max() < RADIUS + 0.01
 
 
+def test_flat_things_of_no_class_explain_depth_too():
+    """A piece without volume has no convex hull."""
+    views = drawn(estimate(upright(0.45, -0.25)))
+    sheet = np.array([[0.6, -0.1, 0.02], [0.7, -0.1, 0.02], [0.7, 0.0, 0.02], [0.6, 0.0, 0.02]])
+    points = votes_of(views, obstacles=[PerceivedObstacle(1, (sheet,), 500)]).points
+    assert len(points) == len(votes_of(views).points) > 0
+
+
 def test_in_widened_images_a_pose_beside_the_right_one_has_less_against_it():
     votes = votes_of(drawn(estimate(upright(0.45, -0.25))))
     beside = upright(0.459, -0.25)

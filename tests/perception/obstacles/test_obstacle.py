@@ -25,5 +25,5 @@ def test_what_is_near_a_piece_is_a_measurement_of_it():
 def test_a_flat_piece_explains_what_is_near_it():
     square = np.array([[0.0, 0.0, 0.02], [0.1, 0.0, 0.02], [0.1, 0.1, 0.02], [0.0, 0.1, 0.02]])
     thing = PerceivedObstacle(0, (square,), 100)
-    points = np.array([[0.05, 0.05, 0.025], [0.05, 0.05, 0.05]])
-    assert thing.explains(points, 0.01).tolist() == [True, False]
+    points = np.array([[0.05, 0.05, 0.025], [0.05, 0.05, 0.05], [0.15, 0.05, 0.02], [0.05, -0.2, 0.02]])
+    assert thing.explains(points, 0.01).tolist() == [True, False, False, False]
