@@ -89,7 +89,7 @@ def test_neighbours_block_the_grasps_on_their_side(shapes, can):
 
 
 def test_the_palm_must_clear_the_object(can):
-    assert not find_grasps(can, gripper=GripperGeometry(palm=0.010))
+    assert not find_grasps(can, gripper=GripperGeometry(palm=0.004))
 
 
 def test_grippers_too_narrow_find_nothing(can):

@@ -69,5 +69,5 @@ def test_a_wider_gripper_is_a_remedy_for_what_is_too_wide_alone():
 def test_failure_message_of_a_can_that_is_too_wide(shapes):
     found = grasp_candidates(standing(shapes, "can", shapes.can(radius=0.05)))
     assert found.failure_message("can_1") == (
-        "No grasp for can_1: of 60 candidates, 60 too wide for 0.08 m; exclude it or use a wider gripper"
+        "No grasp for can_1: of 72 candidates, 72 too wide for 0.08 m; exclude it or use a wider gripper"
     )
