@@ -12,6 +12,7 @@ from manipulation.types import StandingObject
 from manipulation.uncertainty import outer_vertices
 
 MAX_VERTICES = 48  # target; at most twice as many remain, one for each sampled direction
+_FLAT = 1e-5  # [m] deviation of points from a plane below which they are flat
 
 
 def convex_pieces(item: StandingObject) -> tuple[Float[np.ndarray, "_k 3"], ...]:
@@ -37,7 +38,10 @@ def reduced_hull(points: Float[np.ndarray, "n 3"], limit: int = MAX_VERTICES) ->
     if len(vertices) <= limit:
         return vertices
     directions = _fibonacci_sphere(2 * limit)
-    return vertices[np.unique(np.argmax(vertices @ directions.T, axis=0))]
+    reduced = vertices[np.unique(np.argmax(vertices @ directions.T, axis=0))]
+    # A low apex of a wide sheet is extreme in few directions; without it, nothing spans a volume.
+    thickness = np.linalg.svd(reduced - reduced.mean(axis=0), compute_uv=False)[-1] / np.sqrt(len(reduced))
+    return reduced if len(reduced) > 3 and thickness > _FLAT else vertices
 
 
 def _fibonacci_sphere(count: int) -> np.ndarray:

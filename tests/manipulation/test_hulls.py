@@ -30,6 +30,16 @@ def test_hulls_with_few_vertices_are_unchanged():
     assert np.einsum("ij,ij->i", a, np.cross(b, c)).sum() / 6 == pytest.approx(1.0)
 
 
+def test_a_wide_sheet_with_a_low_apex_keeps_its_volume():
+    """The apex is extreme within 2 degrees of the vertical, which no sampled direction is."""
+    angle = 2 * np.pi * np.arange(200) / 200
+    sheet = np.stack([0.1 * np.cos(angle), 0.1 * np.sin(angle), np.zeros(200)], axis=1)
+    points = np.concatenate([sheet, [[0.0, 0.0, 0.004]]])
+    reduced = reduced_hull(points)
+    assert reduced[:, 2].max() == 0.004
+    assert len(hull_faces(reduced)) % 3 == 0
+
+
 def test_flat_meshes_are_an_error():
     with pytest.raises(ManipulationError, match="flat or too small"):
         reduced_hull(np.zeros((8, 3)))
