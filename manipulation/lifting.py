@@ -61,8 +61,9 @@ def find_lift(
 ) -> Postures | Rejected:
     """Return the postures of the lift of the carried object, or why there is none.
 
-    It is straight up where that is free, even if the object sags. Where it is not, or along what the object
-    touches, an oblique lift away from that is preferred; it does without where there is none.
+    It is straight up if that is free even with the object sagging. Else it is oblique, away from what the
+    object touches or would sag into. If no such lift is free, it is straight up all the same, along what the
+    object touches, and last oblique without regard to sagging.
 
     Args:
         motions: planner; its world has the object attached to the hand.

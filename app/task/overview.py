@@ -199,7 +199,7 @@ def _outline(axis: Any, vertices: np.ndarray, T: np.ndarray, color: np.ndarray, 
 def _draw_obstacle(axis: Any, obstacle: PerceivedObstacle) -> None:
     """Draw the convex pieces of a thing of no class in top view."""
     for piece in obstacle.pieces:
-        hull = piece[ConvexHull(piece[:, :2], qhull_options="QJ").vertices]  # upright sheets have one, too
+        hull = piece[ConvexHull(piece[:, :2]).vertices]
         axis.fill(hull[:, 1], hull[:, 0], facecolor="#b9bcc4", edgecolor="#8a8d96", linewidth=0.8)
     x, y = obstacle.bounds.mean(axis=0)[:2]
     axis.text(y, x, f"{obstacle.name.replace('_', ' ')}\nof no class", ha="center", va="center", fontsize=8)

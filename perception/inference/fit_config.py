@@ -58,7 +58,7 @@ class FitConfig:
         refine: Refinement of the mesh on the measurements; None leaves the decoded surface.
         step_limits: Largest step of each parameter in one iteration.
         resting: Resting pose that is assumed: initial poses and the prior of the tilt.
-        toward: Direction within 90 degrees of which the object's axis starts; None for any in the pose.
+        toward: Direction, levelled, in which the axis of a lying object starts; None for any in the pose.
         max_tilt: Largest angle of a plausible object's axis to its direction in that pose, in radians.
     """
 

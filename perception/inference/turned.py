@@ -3,8 +3,8 @@
 A pose fit from the expected pose does not find the handle elsewhere: beside the surface of the body, depth of
 the handle is out of its reach. Where the handle is not seen where it is expected, the mug is therefore turned
 about the axis of its body in steps, each with a fit of its own, and the number of pixels that agree decides.
-It was turned only if depth shows the handle there: from above, a body that is a little too low or too wide
-agrees better in some directions than in others.
+It was turned only if depth shows the handle there: where the handle is hidden, a little more agreement of
+the body with what is measured says nothing about it.
 """
 
 from __future__ import annotations

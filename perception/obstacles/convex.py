@@ -7,12 +7,14 @@ the hulls of the two parts are smallest (a plain form of approximate convex deco
 
 from __future__ import annotations
 
+import contextlib
 from dataclasses import dataclass
 
 import numpy as np
 from jaxtyping import Float
 from scipy.spatial import ConvexHull, QhullError
 
+from perception.obstacles.obstacle import thickened
 from perception.obstacles.volume import Solid
 
 FLAT = 0.1  # thickness, in voxels, below which a sheet of voxels is taken for flat
@@ -90,15 +92,11 @@ def _piece(
 
 def _hull(points: Float[np.ndarray, "n 3"], voxel: float) -> ConvexHull:
     """Return the convex hull; that of whole voxels where the points span hardly any volume."""
-    try:
+    with contextlib.suppress(QhullError):
         hull = ConvexHull(points)
-        is_flat = 2 * hull.volume < FLAT * voxel * hull.area  # of a sheet, the area counts both sides
-    except QhullError:
-        hull, is_flat = None, True
-    if hull is None or is_flat:  # a sheet that is not quite flat has a hull, parts of it may have none
-        corners = (np.stack(np.meshgrid(*[(-0.5, 0.5)] * 3), axis=-1) * voxel).reshape(-1, 3)
-        return ConvexHull((points[:, None] + corners).reshape(-1, 3))
-    return hull
+        if 2 * hull.volume >= FLAT * voxel * hull.area:  # of a sheet, the area counts both sides
+            return hull
+    return ConvexHull(thickened(points, voxel))
 
 
 def _inside(hull: ConvexHull, points: Float[np.ndarray, "n 3"], depth: float) -> int:

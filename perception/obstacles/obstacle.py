@@ -44,10 +44,15 @@ class PerceivedObstacle:
         return explained
 
 
+def thickened(points: Float[np.ndarray, "n 3"], edge: float) -> Float[np.ndarray, "m 3"]:
+    """Return the corners of a cube with edges of a length [m] about each point."""
+    corners = edge * (np.array(list(np.ndindex(2, 2, 2))) - 0.5)
+    return (points[:, None] + corners).reshape(-1, 3)
+
+
 def _faces(piece: Float[np.ndarray, "k 3"]) -> Float[np.ndarray, "f 4"]:
     """Return outward normals and offsets [m] of a convex piece's faces; a flat one is given a thickness."""
     try:
         return np.asarray(ConvexHull(piece).equations)
     except QhullError:
-        corners = _THIN / 2 * (2.0 * np.array(list(np.ndindex(2, 2, 2))) - 1.0)
-        return np.asarray(ConvexHull((piece[:, None] + corners).reshape(-1, 3)).equations)
+        return np.asarray(ConvexHull(thickened(piece, _THIN)).equations)

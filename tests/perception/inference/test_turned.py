@@ -4,6 +4,7 @@ import numpy as np
 import pytest
 
 from perception.geometry import nearest_yaw, so3_exp
+from perception.inference import turned
 from perception.inference.handle import body_axis
 from perception.inference.refit import refit_pose
 from perception.inference.turned import refit_turned
@@ -40,6 +41,14 @@ def test_a_handle_that_points_elsewhere_is_found(mug, estimate, frames, degrees)
 def test_a_handle_where_it_is_expected_is_left(mug, estimate, frames) -> None:
     assert refit_turned(estimate, frames, expected(mug, estimate, 0.0)) is None
     assert refit_turned(estimate, frames, expected(mug, estimate, 5.0)) is None
+
+
+def test_a_handle_that_depth_shows_nowhere_is_left(mug, estimate, frames, monkeypatch) -> None:
+    """However much better the mug agrees when it is turned."""
+    T = expected(mug, estimate, -136)
+    assert refit_turned(estimate, frames, T) is not None
+    monkeypatch.setattr(turned, "shows_handle", lambda estimate, frames, others: False)
+    assert refit_turned(estimate, frames, T) is None
 
 
 def test_a_handle_out_of_view_is_left(mug, estimate) -> None:
