@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Iterator, Sequence
+from collections.abc import Collection, Iterator, Mapping, Sequence
 
 import numpy as np
 from jaxtyping import Float
@@ -19,6 +19,8 @@ _SPACING = 0.03  # [m] between the spots examined
 _APART = 0.07  # [m] between the spots that are found
 _FAR = 1.2  # distance of a spot from the base, relative to that of the middle, from which on it is far
 _CLEARANCES = (0.10, 0.06, 0.03)  # [m] between outlines, from most room to least
+_ROOMS = (1.3, 1.0, 0.7, 0.4)  # shares of an object's reach from the TCP that are free around it
+_MOST = 4  # roomy spots
 
 Area = tuple[tuple[float, float], tuple[float, float]]
 Outline = Float[np.ndarray, "_k 2"]  # convex, in the world frame in [m]
@@ -34,6 +36,17 @@ def outline_of_thing(obstacle: PerceivedObstacle) -> Outline:
     return _hull(np.concatenate(obstacle.pieces)[:, :2])
 
 
+def outlines_of_others(
+    items: Mapping[str, StandingObject],
+    poses: Mapping[str, Float[np.ndarray, "4 4"]],
+    things: Sequence[PerceivedObstacle],
+    but: Collection[str],
+) -> list[Outline]:
+    """Return the outlines of the top views of all objects but some, at T_world_stand, and of things."""
+    objects = [outline_of(items[name], T) for name, T in poses.items() if name not in but]
+    return objects + [outline_of_thing(thing) for thing in things]
+
+
 def free_spots(
     radius: float, taken: Sequence[Outline], area: Area = FREE_AREA
 ) -> Iterator[tuple[float, float]]:
@@ -43,8 +56,7 @@ def free_spots(
     counts as one with less room: a hand that is not vertical hardly reaches what lies there.
     """
     (x0, x1), (y0, y1) = area
-    grid = np.stack(np.meshgrid(np.arange(x0, x1, _SPACING), np.arange(y0, y1, _SPACING)), axis=-1)
-    spots = grid.reshape(-1, 2)
+    spots = _grid(area)
     around = Footprint(tuple(taken), 0.0)
     crowding = np.sum([around.covers(spots, radius + clearance) for clearance in _CLEARANCES], axis=0)
     middle = np.array([(x0 + x1) / 2, (y0 + y1) / 2])
@@ -56,6 +68,28 @@ def free_spots(
         if crowding[index] < len(_CLEARANCES) and is_apart:
             found = np.vstack([found, spots[index]])
             yield float(spots[index][0]), float(spots[index][1])
+
+
+def roomy_spots(
+    place: tuple[float, float], reach: float, taken: Sequence[Outline], area: Area = FREE_AREA
+) -> list[tuple[float, float]]:
+    """Return some spots in an area with more room around them than a place has, the nearest one first.
+
+    Args:
+        place: x and y in [m].
+        reach: largest distance in [m] of a point of an object from the TCP, about which it may turn.
+        taken: outlines of the top views of all other things.
+        area: ranges of x and y of the spots, in [m].
+    """
+    around, spots, here = Footprint(tuple(taken), 0.0), _grid(area), np.array(place)
+    for room in _ROOMS:
+        if not around.covers(here, room * reach):
+            return []
+        free = spots[~around.covers(spots, room * reach)]
+        if len(free):
+            by_distance = free[np.argsort(np.linalg.norm(free - here, axis=1))]
+            return [(float(x), float(y)) for x, y in by_distance[:: 1 + len(free) // _MOST]]
+    return []
 
 
 def goals_aside(
@@ -84,6 +118,13 @@ def goals_aside(
     yaws = tuple(2 * np.pi * np.arange(N_YAWS) / N_YAWS)
     for x, y in free_spots(radius, taken, area):
         yield Placement(item.name, (x, y, 0.0), yaws, T_goal_stand=T_goal)
+
+
+def _grid(area: Area) -> Float[np.ndarray, "n 2"]:
+    """Return the spots of an area that are examined."""
+    (x0, x1), (y0, y1) = area
+    grid = np.stack(np.meshgrid(np.arange(x0, x1, _SPACING), np.arange(y0, y1, _SPACING)), axis=-1)
+    return grid.reshape(-1, 2)
 
 
 def _hull(points: Float[np.ndarray, "n 2"]) -> Outline:

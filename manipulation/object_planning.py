@@ -15,7 +15,7 @@ from jaxtyping import Float
 
 from manipulation.errors import NoPlanError, PlanningError
 from manipulation.free_places import free_places, roomier_place
-from manipulation.free_table import Outline, goals_aside, outline_of, outline_of_thing
+from manipulation.free_table import Outline, goals_aside, outlines_of_others
 from manipulation.lying_grasps import is_upside_down, lies
 from manipulation.packing import admissible_yaws
 from manipulation.pick_place import PickPlacePlanner
@@ -345,5 +345,4 @@ class ObjectPlanning:
     def _taken(self, name: str) -> list[Outline]:
         """Return the outlines of the top views of everything but one object."""
         planner = self._planner
-        objects = [outline_of(self._task.objects[n], T) for n, T in planner.poses().items() if n != name]
-        return objects + [outline_of_thing(obstacle) for obstacle in planner.perceived_obstacles]
+        return outlines_of_others(self._task.objects, planner.poses(), planner.perceived_obstacles, {name})

@@ -15,6 +15,7 @@ import numpy as np
 from jaxtyping import Bool, Float
 
 from manipulation.errors import GraspFailedError, RobotError, SceneChangedError
+from manipulation.free_table import outlines_of_others, roomy_spots
 from manipulation.hand_collision import HandBoxes, HandClearance
 from manipulation.lying_grasps import lies
 from manipulation.observation import SceneObserver, classify_grip, is_displaced, is_turned
@@ -25,13 +26,14 @@ from manipulation.robot import Robot, follow_opening
 from manipulation.stack_settling import StackSettling
 from manipulation.trajectories import joint_move, line_postures
 from manipulation.types import Grasp, PickPlacePlan
-from manipulation.ways_back import planned_way, reversed_way
+from manipulation.ways_back import planned_way, reversed_way, way_to_room
 from manipulation.withdrawal import HOME_MARGINS
 from perception.geometry import invert, transform_points
 
 logger = logging.getLogger(__name__)
 
-_RETURNED = 0.05  # [rad] of each joint from the posture of the grasp
+_ASIDE = 0.03  # [m] of the hand from where it brings an object back, horizontally
+_LOWERED = 0.12  # [m] above it
 _ABOVE = 0.003  # [m] by which the base of an object is above that of one that carries it, at least
 _INSIDE = 0.004  # [m] by which a point is in the way of the hand at least, which covers noise
 _UNKNOWN = 60  # measured points that nothing known explains are a thing
@@ -226,17 +228,51 @@ class PlanExecution:
         return tuple(name for name in poses if is_below(name))
 
     def _bring_back(self, plan: PickPlacePlan) -> None:
-        """Bring an object that met something while it was lowered back to where it was grasped."""
-        motions, margins = self.planner.motions, self.config.pick_place.transit_margins
-        for way_back in (reversed_way, partial(planned_way, margins=margins)):
+        """Bring an object that met something, and may have turned in the hand, back to the table."""
+        planner, robot, margins = self.planner, self.robot, self.config.pick_place.transit_margins
+        spots, base = self._places_to_set_down(plan)
+        for way_back in (
+            partial(way_to_room, spots=spots, base=base, margins=margins),
+            reversed_way,
+            partial(planned_way, margins=margins),
+        ):
+            way = way_back(plan, robot.joint_positions(), planner.motions)
             try:
-                for motion in way_back(plan, self.robot.joint_positions(), motions):
-                    self.robot.follow(motion)
+                for motion in way:
+                    robot.follow(motion)
             except RobotError as error:
                 logger.warning("%s was not brought back: %s", plan.name, error)
-            else:
-                if np.abs(self.robot.joint_positions() - plan.lift.positions[0]).max() < _RETURNED:
-                    return
+            if way and self._is_over(way[-1].positions[-1]):
+                self._note_set_down(plan)
+                return
+
+    def _places_to_set_down(self, plan: PickPlacePlan) -> tuple[list[tuple[float, float]], float]:
+        """Return spots with room for an object however it is turned, and the height [m] of its base now."""
+        planner = self.planner
+        T, vertices = planner.world.pose(plan.name), planner.items[plan.name].vertices
+        reach = np.linalg.norm(vertices - plan.grasp.T_stand_tcp[:3, 3], axis=1).max()
+        others = outlines_of_others(
+            planner.items, planner.poses(), planner.perceived_obstacles, {plan.name, *plan.contents}
+        )
+        x, y, _ = planner.kinematics.forward(plan.lift.positions[0])[:3, 3]
+        spots = roomy_spots((float(x), float(y)), float(reach), others, self.config.free_area)
+        return spots, float((vertices @ T[2, :3]).min() + T[2, 3])
+
+    def _is_over(self, q: Float[np.ndarray, "n"]) -> bool:
+        """Return whether the hand is where a posture has it, or could not be lowered as far."""
+        forward = self.planner.kinematics.forward
+        apart = (forward(self.robot.joint_positions()) - forward(q))[:3, 3]
+        return bool(np.linalg.norm(apart[:2]) < _ASIDE and apart[2] < _LOWERED)
+
+    def _note_set_down(self, plan: PickPlacePlan) -> None:
+        """Expect an object where the hand has brought it, as if it had not turned."""
+        planner = self.planner
+        T_grasped = planner.kinematics.forward(plan.lift.positions[0])
+        moved = planner.kinematics.forward(self.robot.joint_positions()) @ invert(T_grasped)
+        if np.linalg.norm(moved[:3] @ T_grasped[:, 3] - T_grasped[:3, 3]) > _ASIDE:
+            for name, T in planner.poses().items():
+                if name in (plan.name, *plan.contents):
+                    planner.moved(name, moved @ T)
 
     def push(self, push: Push) -> None:
         """Push an object along the table with the closed hand; its pose is as expected then.

@@ -7,6 +7,8 @@ from manipulation.free_table import (
     goals_aside,
     outline_of,
     outline_of_thing,
+    outlines_of_others,
+    roomy_spots,
 )
 from manipulation.standing import to_standing
 from perception.geometry import pose_from_yaw
@@ -95,3 +97,29 @@ def test_what_stands_or_leans_is_set_aside_upright(can):
         goal = next(goals_aside(can, T, []))
         np.testing.assert_allclose(goal.T_goal_stand[:3, 2], (0, 0, 1), atol=1e-9)
         assert (can.vertices @ goal.T_goal_stand[:3, :3].T + goal.T_goal_stand[:3, 3])[:, 2].min() == 0.0
+
+
+def test_outlines_of_others_are_those_of_all_but_some_and_of_things(can):
+    corners = np.array(list(np.ndindex(2, 2, 2)), dtype=float)
+    things = [PerceivedObstacle(0, (corners,), 100)]
+    poses = {"a": np.eye(4), "b": pose_from_yaw(0.0, np.array([0.5, 0.0, 0.0]))}
+    one, thing = outlines_of_others({"a": can, "b": can}, poses, things, {"a"})
+    assert one[:, 0].min() == pytest.approx(0.47, abs=1e-3) and thing.max() == 1.0
+
+
+def test_roomy_spots_have_more_room_than_a_crowded_place(can):
+    x, y = 0.45, -0.3
+    neighbour = SQUARE + np.array([x + 0.02, y - 0.05])
+    spots = np.array(roomy_spots((x, y), 0.1, [neighbour]))
+    beyond = np.maximum(neighbour.min(axis=0) - spots, spots - neighbour.max(axis=0)).clip(0.0)
+    assert len(spots) and (np.linalg.norm(beyond, axis=1) > 0.13 - 1e-9).all()
+    apart = np.linalg.norm(spots - (x, y), axis=1)
+    assert (np.diff(apart) >= 0).all() and apart[0] < 0.15
+    assert not roomy_spots((x, y), 0.1, [neighbour + np.array([0.2, 0.0])]), "there is room where it is"
+
+
+def test_with_little_free_table_spots_are_as_roomy_as_possible():
+    (x0, x1), _ = area = ((0.3, 0.6), (-0.3, 0.0))
+    walls = [6 * SQUARE + np.array([x, -0.5]) for x in (x0 - 0.6, x1)]  # 0.3 m apart
+    spots = np.array(roomy_spots((x0 + 0.01, -0.1), 0.18, walls, area))
+    assert len(spots) and (np.abs(spots[:, 0] - 0.45) < 0.3 / 2 - 0.7 * 0.18 + 1e-6).all()
