@@ -1,6 +1,7 @@
 """Search for an object of known shape anywhere on its support, in any resting pose.
 
-Poses that the depth of all images agrees with are found without rendering, and the best are fitted. A pose is
+Poses that the depth of all images agrees with are found without rendering, and the best are fitted; what does
+not stand, with its axis reversed as well, for a search may miss one of two poses that look alike. A pose is
 accepted only if the images show the object there, and if it explains nearly all that is measured around it:
 either alone would accept a piece of something else.
 """
@@ -18,6 +19,8 @@ from perception.inference.depth_votes import DepthVotes, SearchScene, VisibleSam
 from perception.inference.pose_candidates import CandidateConfig, pose_candidates
 from perception.inference.refit import PoseCheck, RefitConfig, refit_pose
 from perception.types import ObjectEstimate
+
+_STANDS = np.cos(np.deg2rad(30))  # component of the axis along the vertical from which on an object stands
 
 
 @dataclass(frozen=True)
@@ -72,17 +75,21 @@ def relocate(
     if len(votes.points) < config.min_points:
         return None
     samples = VisibleSamples(estimate.mesh, config.samples)
-    found: list[tuple[float, PoseCheck]] = []
-    for candidate in pose_candidates(estimate, votes, scene.plane, config.candidates):
-        T = candidate.T_world_object
+
+    def judged(T: Float[np.ndarray, "4 4"]) -> list[tuple[float, PoseCheck]]:
+        """Return the fit that starts at a pose and its score, if it is accepted."""
         check = refit_pose(estimate, scene.frames, T, scene.others, scene.plane, config.refit)
-        if check.status != "seen":
-            continue
         T = check.T_world_object
         score = float(votes.score(samples, T[:3, :3], T[None, :3, 3], config.near)[0])
         coverage = _coverage(transform_points(T, samples.points), votes.points, config)
-        if score > config.min_score and coverage > config.min_coverage:
-            found.append((score, check))
+        is_there = check.status == "seen" and score > config.min_score and coverage > config.min_coverage
+        return [(score, check)] if is_there else []
+
+    candidates = pose_candidates(estimate, votes, scene.plane, config.candidates)
+    found = [fit for candidate in candidates for fit in judged(candidate.T_world_object)]
+    for _, check in list(found):
+        if check.T_world_object[2, 2] < _STANDS:
+            found += judged(_reversed(check.T_world_object, estimate))
     if not found:
         return None
     best = max(score for score, _ in found)
@@ -94,6 +101,13 @@ def relocate(
         (check for score, check in found if score > best - config.alike),
         key=lambda check: float(np.linalg.norm(transform_points(check.T_world_object, base)[:2] - was)),
     )
+
+
+def _reversed(T_world_object: Float[np.ndarray, "4 4"], estimate: ObjectEstimate) -> Float[np.ndarray, "4 4"]:
+    """Return the pose at which the same place is taken with the axis the other way round."""
+    T_turn = np.diag([1.0, -1.0, -1.0, 1.0])
+    T_turn[2, 3] = estimate.mesh.vertices[:, 2].min() + estimate.mesh.vertices[:, 2].max()
+    return T_world_object @ T_turn
 
 
 def _coverage(

@@ -7,7 +7,9 @@ import pytest
 import trimesh
 
 from perception.geometry import pose_from_yaw
+from perception.inference import relocate as module
 from perception.inference.depth_votes import SearchScene
+from perception.inference.pose_candidates import Candidate
 from perception.inference.relocate import RelocateConfig, relocate
 from perception.obstacles.obstacle import PerceivedObstacle
 from perception.types import TriangleMesh
@@ -34,6 +36,16 @@ def test_a_can_that_was_knocked_over_lies_with_its_base_where_it_stood(azimuth):
     before = upright(*(T[:2, 3] - 0.5 * HEIGHT * T[:2, 2]))
     check = relocate(estimate(), SearchScene(drawn(estimate(T)), REGION), CONFIG, before)
     assert check is not None and check.T_world_object[:3, 2] @ T[:3, 2] > 0.99
+
+
+def test_a_pose_that_the_search_missed_is_found_as_the_reverse_of_another(monkeypatch):
+    """Both ways round look alike; the base is where it was."""
+    T = lying(0.7, 0.5, -0.25)
+    the_other_way = T @ np.diag([1.0, -1.0, -1.0, 1.0])
+    monkeypatch.setattr(module, "pose_candidates", lambda *args: [Candidate(1.0, the_other_way)])
+    check = relocate(estimate(), SearchScene(drawn(estimate(T)), REGION), CONFIG, T)
+    assert check is not None and check.T_world_object[:3, 2] @ T[:3, 2] > 0.99
+    np.testing.assert_allclose(check.T_world_object[:3, 3], T[:3, 3], atol=0.006)
 
 
 @pytest.mark.slow
