@@ -8,7 +8,8 @@ axis is measured on the depth itself, since the prior pulls towards parallel sid
     r(u) = a + b u + c u^2,  u in [-1/2, 1/2] from bottom to top,
 
 about an axis whose position is fitted as well, and of lying objects its tilt: seen from one side, a cone that
-stands looks like a cylinder that leans, which nothing does.
+stands looks like a cylinder that leans, which nothing does. Of a standing object of which only a part is in
+view, c is taken for 0: a can that bulges, or is narrow in the middle, is the same either way round.
 """
 
 from __future__ import annotations
@@ -40,6 +41,7 @@ _NEAR = 0.006  # [m] from the estimated radius, within which points belong to th
 _OVERHANG = 0.2  # share of the height by which the estimate may reach beyond a measured lid
 _LID = 0.6  # share of the radius within which measured points are on a lid
 _FEWEST = 60  # points in the lower and in the upper third
+_PART, _FEWEST_OF_PART = 0.35, 40  # share of the height that a part of a side has, and points in its thirds
 _SECTIONS = 8  # along the axis, in which the evenness of a side is judged
 _MOST = 1500  # points that are fitted
 _NOISE = 0.002  # [m] scale of the robust loss
@@ -54,12 +56,14 @@ class SideProfile:
         widening: b, the difference between top and bottom, relative to a.
         bulge: c, relative to a; negative where the body is widest in the middle.
         unevenness: Largest deviation of the measured radius from the profile, relative to a.
+        deviation: Standard deviation of b, relative to a.
     """
 
     radius: float
     widening: float
     bulge: float
     unevenness: float
+    deviation: float
 
 
 def is_turned_over(estimate: ObjectEstimate, observations: Sequence[ObjectObservation]) -> bool:
@@ -77,7 +81,7 @@ def is_turned_over(estimate: ObjectEstimate, observations: Sequence[ObjectObserv
     if profile is None:
         return False
     if estimate.category == "can":
-        return profile.widening > (WIDER if lies else STANDING_WIDER)
+        return profile.widening - profile.deviation > (WIDER if lies else STANDING_WIDER)
     is_even = abs(profile.bulge) < STRAIGHT and profile.unevenness < EVEN
     is_cone = profile.widening < -WIDER and is_even
     return is_cone and not _has_neck(points, estimate.mesh.vertices, profile)
@@ -124,8 +128,8 @@ def side_profile(
         may_tilt: Whether the axis may deviate from z.
 
     Returns:
-        The profile; None where the lower or the upper third of the side was hardly measured, or the points,
-        all on one side, do not determine the radius.
+        The profile; None where the lower or the upper third of the side was hardly measured, of what stands
+        too little of it, or where the points, all on one side, do not determine the radius.
     """
     middle = (vertices[:, :2].min(axis=0) + vertices[:, :2].max(axis=0)) / 2
     radius = float(np.ptp(vertices[:, :2], axis=0).mean()) / 2
@@ -135,21 +139,35 @@ def side_profile(
     side = (np.abs(u) < 0.5 - _ENDS) & (away > 0.7 * radius - _NEAR) & (away < radius + _NEAR)
     points, u = points[side], u[side]
     lower, upper = np.quantile([vertices[:, 2].min(), vertices[:, 2].max()], (1 / 3, 2 / 3))
-    if min((points[:, 2] < lower).sum(), (points[:, 2] > upper).sum()) < _FEWEST:
+    is_whole = min((points[:, 2] < lower).sum(), (points[:, 2] > upper).sum()) >= _FEWEST
+    if not is_whole and (may_tilt or not _shows_part(u)):
         return None
     chosen = np.linspace(0, len(u) - 1, min(len(u), _MOST)).astype(int)
     plan, u = points[chosen, :2] - middle, u[chosen]
 
     def residuals(x: Float[np.ndarray, "k"]) -> Float[np.ndarray, "m"]:
-        centre, tilt, (a, b, c) = x[:2], x[5:] if may_tilt else np.zeros(2), x[2:5]
-        return np.linalg.norm(plan - centre - np.outer(u, tilt), axis=1) - (a + b * u + c * u**2)
+        (centre, (a, b)), (c, *tilt) = np.split(x[:4], 2), x[4:] if is_whole else [0.0]
+        axis = centre + np.outer(u, tilt if may_tilt else np.zeros(2))
+        return np.linalg.norm(plan - axis, axis=1) - (a + b * u + c * u**2)
 
-    start = np.array([0.0, 0.0, radius, 0.0, 0.0, *([0.0, 0.0] if may_tilt else [])])
-    fitted = least_squares(residuals, start, loss="soft_l1", f_scale=_NOISE, x_scale=0.01).x
-    a, b, c = fitted[2:5].tolist()
+    start = np.array([0.0, 0.0, radius, 0.0, *([0.0] if is_whole else []), *([0.0, 0.0] if may_tilt else [])])
+    fit = least_squares(residuals, start, loss="soft_l1", f_scale=_NOISE, x_scale=0.01)
+    a, b, c = float(fit.x[2]), float(fit.x[3]), float(fit.x[4]) if is_whole else 0.0
     if not LEAST_RADIUS < a / radius < LARGEST_RADIUS:
         return None
-    return SideProfile(a, *(value / max(a, 1e-9) for value in (b, c, _unevenness(u, residuals(fitted)))))
+    covariance = _NOISE**2 * np.linalg.pinv(fit.jac.T @ fit.jac)
+    relative = b, c, _unevenness(u, residuals(fit.x)), float(np.sqrt(covariance[3, 3]))
+    return SideProfile(a, *(value / max(a, 1e-9) for value in relative))
+
+
+def _shows_part(u: Float[np.ndarray, "n"]) -> bool:
+    """Return whether points on a side spread along a part of the axis that tells how the radius changes."""
+    if len(u) < _FEWEST_OF_PART:
+        return False
+    low, high = np.quantile(u, (0.03, 0.97))
+    third = (high - low) / 3
+    ends = (u < low + third).sum(), (u > high - third).sum()
+    return bool(high - low > _PART and min(ends) >= _FEWEST_OF_PART)
 
 
 def _unevenness(u: Float[np.ndarray, "n"], residuals: Float[np.ndarray, "n"]) -> float:

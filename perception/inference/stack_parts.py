@@ -20,6 +20,7 @@ from perception.depth_cleaning import clean_frame
 from perception.detection.completion import PoseNamer
 from perception.detection.geometry import points_of
 from perception.detection.instances import remove_specks
+from perception.inference.color_cuts import color_cut
 from perception.inference.contents import VESSELS
 from perception.inference.explanation import FAR, SAMPLES, unexplained
 from perception.inference.observation import ObjectObservation
@@ -109,8 +110,11 @@ def split_stacks(
         points = instance_points(views, rows, id)
         before = unexplained(points, [estimates[id]] if id in estimates else [])
         if before > DOUBTFUL or (id in estimates and estimates[id].score < WEAK):
-            inside = parts_inside(views, rows, estimates.get(id), id, planes, completer, free)
-            proposals = [*inside, *propose_parts(views, rows, id, planes, completer, free)]
+            proposals = [
+                *parts_inside(views, rows, estimates.get(id), id, planes, completer, free),
+                *propose_parts(views, rows, id, planes, completer, free),
+                *parts_of_two_colors(views, rows, id, planes, completer, free),
+            ]
             if proposals:
                 likeliest = sorted(proposals, key=lambda parts: -parts.probability)
                 open_[id] = likeliest[:TRIALS], points, before
@@ -204,6 +208,42 @@ def parts_inside(
     for number, (masks, classes) in enumerate(((rest, VESSELS), (held, CATEGORIES))):
         large = {k: mask for k, mask in masks.items() if mask.sum() >= MIN_PIXELS}
         named = _named(large, views, planes[support], completer, classes)
+        if not named:
+            return []
+        for k, d in named.items():
+            marked[k].append(replace(d, instance_id=free_id + number, support=support))
+    return [Parts(marked, (free_id, free_id + 1))]
+
+
+def parts_of_two_colors(
+    views: Sequence[RgbdFrame],
+    rows: Rows,
+    id: int,
+    planes: Sequence[SupportPlane],
+    completer: PoseNamer,
+    free_id: int,
+) -> list[Parts]:
+    """Return the cut between two objects of different colour; none if there is none.
+
+    Args:
+        views: Images without flying pixels.
+        rows: Associated detections of each frame.
+        id: Id of the instance.
+        planes: Support planes, numbered by ``ObjectDetection.support``.
+        completer: Names the parts.
+        free_id: Id of the lower part; that of the upper one follows.
+    """
+    shown = {k: d for k, row in enumerate(rows) for d in row if d.instance_id == id}
+    support = next(iter(shown.values())).support
+    plane = planes[support]
+    cut = color_cut({k: ObjectObservation(views[k], d.mask) for k, d in shown.items()}, plane)
+    if cut is None:
+        return []
+    bases = plane, replace(plane, offset=plane.offset + cut.height)
+    marked: list[list[ObjectDetection]] = [[] for _ in rows]
+    for number, classes in enumerate((CARRIERS, CATEGORIES)):
+        large = {k: masks[number] for k, masks in cut.masks.items() if masks[number].sum() >= MIN_PIXELS}
+        named = _named(large, views, bases[number], completer, classes)
         if not named:
             return []
         for k, d in named.items():

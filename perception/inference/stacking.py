@@ -30,6 +30,7 @@ _HIGHER = 0.008  # [m] by which the top of the upper object is above that of the
 _CELL = 0.002  # [m] of the height maps whose difference is the gap
 FREE = 0.1  # [m] standard deviation of the height of the lowest part before the contact is known
 WORSE = 0.3  # by which the score of a fit on the contact may be below that of the fit at any height
+_SUNK = 0.005  # [m] by which the lowest measured points may be below the base
 _TOPPLING = 0.005  # [m] beside the other object's outline that the middle of an object on it may seem to be
 _LEANING = 0.3  # [rad] standard deviation of the tilt of an object in a vessel
 _MOST_LEANING = math.radians(40)
@@ -111,9 +112,10 @@ def rest_on(
     """Return the estimate of an object that rests on another one: touching it, and not inside it.
 
     Where that clearly contradicts the evidence, because the shape of the lower object is uncertain, the
-    estimate is that of the fit at any height. An object whose middle is not over the other one, which hides
-    its foot, stands on the plane, and so does one above an object on its side: nothing stands on what can
-    roll.
+    estimate is that of the fit at any height: where the fit is far worse, or measured points are below the
+    contact, as the floor of a bowl in a mug whose rim it hides. An object whose middle is not over the other
+    one, which hides its foot, stands on the plane, and so does one above an object on its side: nothing
+    stands on what can roll.
 
     Args:
         views: Observations of the upper object.
@@ -144,7 +146,7 @@ def rest_on(
     lowest = float(plane.height_above(first.vertices).min())
     contact = lowest - clearance
     touching = fit(views, raised(plane, contact), config)
-    contradicted = touching.score < floating.score - WORSE
+    contradicted = touching.score < floating.score - WORSE or seen.base < contact - _SUNK
     if lower.category not in VESSELS:
         contradicted |= _explains_more(points, floating, touching)
     best = floating if contradicted else touching

@@ -7,7 +7,7 @@ import pytest
 
 from perception.inference import hidden_support
 from perception.inference.acceptance import AcceptanceModel
-from perception.inference.hidden_support import on_hidden_supports
+from perception.inference.hidden_support import CUT_OFF, cut_off, on_hidden_supports
 from perception.inference.observation import ObjectObservation, ObjectViews
 from perception.types import SupportPlane
 
@@ -31,6 +31,25 @@ def test_an_object_over_what_no_mask_shows_is_above_the_plane(upper, stack, deco
     heights = found[5].mesh_world.vertices[:, 2]
     assert heights.min() == pytest.approx(stack.height, abs=0.006)
     assert (found[5].resting, found[5].rests_on) == ("upright", None)
+
+
+def behind_a_wall(views, nearer):
+    """The same views with the depth below the lower edge nearer by a distance [m], where it is nothing's."""
+    hidden = []
+    for seen in views.observations:
+        depth, rows = seen.frame.depth.copy(), np.nonzero(seen.mask.any(axis=1))[0]
+        below = ~seen.mask & (np.arange(len(depth)) > rows.mean())[:, None]
+        depth[below] = np.median(depth[seen.mask]) - nearer
+        hidden.append(replace(seen, frame=replace(seen.frame, depth=depth)))
+    return replace(views, observations=tuple(hidden))
+
+
+def test_what_something_nearer_cuts_off_may_stand_on_the_plane(upper, decoder) -> None:
+    """The same can is raised with nothing before it: its base is not where its masks end."""
+    assert cut_off(upper, PLANE) < CUT_OFF / 2
+    behind = behind_a_wall(upper, 0.05)
+    assert cut_off(behind, PLANE) > 0.9 and examine(behind, decoder) == {}
+    assert cut_off(behind_a_wall(upper, -0.1), PLANE) < CUT_OFF / 2, "what is farther away hides nothing"
 
 
 def test_what_does_not_stand_upright_is_left_as_it_is(upper, decoder) -> None:

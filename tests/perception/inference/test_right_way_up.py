@@ -62,6 +62,22 @@ def test_of_what_stands_a_quarter_of_the_side_suffices(seen) -> None:
     assert widening(side(0.15, seen=seen), may_tilt=False) == pytest.approx(0.15, abs=0.03)
 
 
+def test_of_what_stands_a_part_of_the_side_suffices() -> None:
+    """Its lower half is hidden by what is before it."""
+    profile = side_profile(side(0.2, low=0.0, seen=0.8 * np.pi), cylinder(), may_tilt=False)
+    assert profile is not None and profile.widening == pytest.approx(0.2, abs=0.05)
+    assert profile.bulge == 0.0 and 0.0 < profile.deviation < 0.05
+    assert side_profile(side(0.2, low=0.0), cylinder(), may_tilt=True) is None, "it may lean"
+    assert side_profile(side(0.2, low=0.25), cylinder(), may_tilt=False) is None, "too little is seen"
+
+
+def test_the_fewer_points_the_less_certain_is_the_widening() -> None:
+    many = side_profile(side(0.1), cylinder(), may_tilt=False)
+    few = side_profile(side(0.1)[::20], cylinder(), may_tilt=False)
+    assert many is not None and few is not None
+    assert few.deviation > 1.5 * many.deviation
+
+
 def test_the_lid_of_a_can_that_is_estimated_too_high_is_no_side() -> None:
     """The mesh reaches a tenth beyond the flat end, which has many more points than the side."""
     rng = np.random.default_rng(1)

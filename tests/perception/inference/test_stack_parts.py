@@ -7,7 +7,7 @@ import pytest
 import trimesh
 
 from perception.inference import stack_parts
-from perception.inference.stack_parts import parts_inside, propose_parts, split_stacks
+from perception.inference.stack_parts import parts_inside, parts_of_two_colors, propose_parts, split_stacks
 from perception.types import (
     POSED_CLASSES,
     CameraIntrinsics,
@@ -160,6 +160,24 @@ def test_the_pose_network_is_asked_what_the_class_network_does_not_know(stack, r
 
     (parts, *_) = propose_parts(frames_of(stack), rows, 4, [PLANE], OnMugs(network), 9)
     assert {d.category for row in parts.rows for d in row if d.instance_id == 9} == {category}
+
+
+def test_objects_of_two_colors_are_parts(stack, rows):
+    """The lower one is red, the upper one blue; in one colour they are not parted."""
+    namer = Namer()
+    assert parts_of_two_colors(frames_of(stack), rows, 4, [PLANE], namer, 9) == []
+    frames = []
+    for view, upper in zip(stack.seen, stack.upper):
+        rgb = np.where(upper[..., None], (30, 60, 200), (200, 40, 30)).astype(np.uint8)
+        frames.append(replace(view.frame, rgb=rgb))
+    (parts,) = parts_of_two_colors(frames, rows, 4, [PLANE], namer, 9)
+    assert parts.ids == (9, 10)
+    assert sorted(set(np.round(namer.bases, 2))) == [0.0, pytest.approx(stack.height, abs=0.02)]
+    for row, upper in zip(parts.rows, stack.upper):
+        (high,) = (d.mask for d in row if d.instance_id == 10)
+        assert (high & upper).sum() > 0.95 * upper.sum() and (high & ~upper).sum() < 0.05 * upper.sum()
+    thing = Namer([0.1, 0.1, 0.05, 0.05, 0.7])
+    assert parts_of_two_colors(frames, rows, 4, [PLANE], thing, 9) == []
 
 
 def test_parts_with_far_better_scores_replace_an_unusual_shape_that_explains_as_much(stack, rows):

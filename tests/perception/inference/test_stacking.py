@@ -115,6 +115,28 @@ def test_the_lower_object_may_be_taller_than_what_is_seen_of_it(
     assert found.mesh_world.vertices[:, 2].min() == pytest.approx(0.05 if stands_high else 0.02, abs=1e-6)
 
 
+@pytest.mark.parametrize(("base", "floats"), [(0.073, True), (0.077, False)])
+def test_what_was_measured_below_the_contact_does_not_rest_on_it(
+    make_table, monkeypatch, base, floats
+) -> None:
+    """A mug whose rim a bowl hides is estimated too high, and the floor of the bowl in it is below that."""
+    table = make_table("can", (), yaw=0.0)
+    views = ObjectViews(7, "can", 1.0, tuple(table.observations((0.0,))))
+    box = trimesh.creation.box((0.06, 0.06, 0.1))
+    lower = estimate(3, as_mesh(box, 0.4, -0.1, -0.05 + 0.08))
+    seen = MeasuredExtent(square() + np.array([0.4, -0.1]), base, 0.15)
+    monkeypatch.setattr(MeasuredExtent, "of", lambda *_: seen)
+    monkeypatch.setattr(stacking, "unexplained", lambda *_: 0.01)
+
+    def fit(_: ObjectViews, plane: SupportPlane, config: FitConfig) -> ObjectEstimate:
+        bottom = 0.06 if config.noise.support_sigma == stacking.FREE else plane.offset
+        return estimate(7, as_mesh(box, 0.4, -0.1, 0.05 + bottom))
+
+    found = rest_on(views, lower, PLANE, FitConfig(), fit)
+    assert found.rests_on == 3
+    assert found.mesh_world.vertices[:, 2].min() == pytest.approx(0.06 if floats else 0.08, abs=1e-6)
+
+
 @pytest.mark.parametrize(
     ("category", "shares", "leans"),
     [
