@@ -23,10 +23,8 @@ from perception.types import SupportPlane
 LIGHTNESS = 0.3  # weight of the lightness, which shading changes, relative to both other axes of CIELAB
 LEAST_CONTRAST = 15.0  # between the mean colours of both groups, in CIELAB
 DISTINCT = 2.0  # the same, in standard deviations of the colours of a group
-WHOLE = 0.8  # least share of a group's pixels that are in one piece in each image
-HIGHER = (
-    0.01  # [m] by which the lowest and the mean point of the upper group are above those of the lower one
-)
+WHOLE = 0.6  # least share of a group's pixels that are in one piece: a handle parts a bowl below it
+HIGHER = 0.01  # [m] by which lowest and mean point of the upper group are above those of the lower one
 SPECK = 0.05  # smallest separate piece of a group, as a share of its largest
 _LOWEST = 0.05  # quantile of the heights that is the lowest point of a group
 _SMOOTH = 5  # pixels across the window in which the majority decides

@@ -47,9 +47,11 @@ CLEARLY = 0.5  # largest share of them that the parts leave unexplained, relativ
 MOST_UNEXPLAINED = 0.1  # by the parts
 BEYOND_DOUBT, BEYOND_DOUBT_SCORE = 0.15, 0.1  # share of them, and scores that suffice then
 WEAK, FAR_BETTER = 0.5, 0.3  # score below which an object may be several, and by how much theirs are higher
+WEAK_BOTTLE = 0.9  # the same of an upright bottle
 MIN_CLASS = 0.3  # least mean class probability of a part
 MIN_SCORES = (0.2, 0.5)  # of the fits of the lower part, whose upper side is hidden, and of the upper one
 FULLY = 0.005  # share of unexplained points up to which a bottle explains all that is seen
+WIDER = 1.1  # radius of the upper of two cans relative to the lower one, from which on they are no bottle
 COAXIAL = 0.005  # [m] between the axes of two cans that are one bottle
 CARRIERS: tuple[Category, ...] = ("mug", "bowl", "can")  # nothing stands on a bottle
 # [m] between two parts, one above the other, from which on neither carries the other: a wide bowl hides the
@@ -59,7 +61,7 @@ LEAST_HEIGHT = 0.025  # [m] of a part; flatter ones are the thick floor of a bow
 SLENDER = 1.5  # least height of a bottle, in diameters
 MIN_PIXELS = 150  # of a part in a view
 NAMING_VIEWS = 3
-TRIALS = 2  # cuts of one stack whose parts are fitted
+TRIALS = 2  # cuts of one stack whose parts are fitted, besides that between two colours, which comes first
 _SPECK = 0.05  # smallest separate piece of a mask, as a share of its largest
 _POINTS = 4000
 
@@ -109,18 +111,18 @@ def split_stacks(
     for id in sorted({d.instance_id for row in rows for d in row if d.instance_id is not None}):
         points = instance_points(views, rows, id)
         before = unexplained(points, [estimates[id]] if id in estimates else [])
-        if before > DOUBTFUL or (id in estimates and estimates[id].score < WEAK):
-            proposals = [
+        if before > DOUBTFUL or (id in estimates and _may_be_two(estimates[id])):
+            by_shape = [
                 *parts_inside(views, rows, estimates.get(id), id, planes, completer, free),
                 *propose_parts(views, rows, id, planes, completer, free),
-                *parts_of_two_colors(views, rows, id, planes, completer, free),
             ]
+            likeliest = sorted(by_shape, key=lambda parts: -parts.probability)[:TRIALS]
+            proposals = [*parts_of_two_colors(views, rows, id, planes, completer, free), *likeliest]
             if proposals:
-                likeliest = sorted(proposals, key=lambda parts: -parts.probability)
-                open_[id] = likeliest[:TRIALS], points, before
+                open_[id] = proposals, points, before
                 free += 2
     found: dict[int, tuple[ObjectEstimate, ...]] = {}
-    for trial in range(TRIALS):
+    for trial in range(1 + TRIALS):
         parts = {i: p[trial] for i, (p, *_) in open_.items() if trial < len(p) and i not in found}
         if not parts:
             break
@@ -327,11 +329,20 @@ def instance_points(views: Sequence[RgbdFrame], rows: Rows, id: int) -> Float[np
     return points[:: max(1, len(points) // _POINTS)]
 
 
+def _may_be_two(whole: ObjectEstimate) -> bool:
+    """Return whether an object that explains what is measured may be several: two cans look like a bottle."""
+    is_bottle = (whole.category, whole.resting) == ("bottle", "upright")
+    return whole.score < (WEAK_BOTTLE if is_bottle else WEAK)
+
+
 def _is_one(pair: Sequence[ObjectEstimate], whole: ObjectEstimate, before: float) -> bool:
-    """Return whether two accepted cans are one upright bottle that leaves nothing unexplained."""
+    """Return whether two accepted cans, the upper one not the wider, are one upright bottle.
+
+    It leaves nothing unexplained.
+    """
     if before > FULLY or (whole.category, whole.resting) != ("bottle", "upright"):
         return False
-    if any(e.category != "can" for e in pair):
+    if any(e.category != "can" for e in pair) or pair[1].radius > WIDER * pair[0].radius:
         return False
     apart = np.linalg.norm((pair[0].T_world_object - pair[1].T_world_object)[:2, 3])
     return bool(apart < COAXIAL) and all(e.score >= p for e, p in zip(pair, MIN_SCORES, strict=True))
@@ -356,7 +367,8 @@ def _is_better(
 ) -> bool:
     """Return whether two fits are accepted and explain clearly more than the whole did.
 
-    Or as much, with far better scores: a large bowl on a mug is a bowl on a foot, but an unusual one.
+    Or as much, with far better scores: a large bowl on a mug is a bowl on a foot, but an unusual one. Those
+    of two cans need only be better than that of a bottle.
     """
     after = unexplained(points, pair)
     if any(e.status == "implausible" or e.height < LEAST_HEIGHT or _is_knob(e) for e in pair):
@@ -365,6 +377,7 @@ def _is_better(
     accepted = all(e.score >= p for e, p in zip(pair, least, strict=True))
     if accepted and after < min(CLEARLY * before, MOST_UNEXPLAINED):
         return True
-    if whole is None or whole.score >= WEAK:
+    if whole is None or not _may_be_two(whole):
         return False
-    return after < DOUBTFUL and min(e.score for e in pair) > whole.score + FAR_BETTER
+    are_cans = whole.category == "bottle" and all(e.category == "can" for e in pair)
+    return after < DOUBTFUL and min(e.score for e in pair) > whole.score + (0.0 if are_cans else FAR_BETTER)

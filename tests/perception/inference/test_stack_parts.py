@@ -201,7 +201,10 @@ def test_two_cans_on_one_axis_are_the_bottle_that_explains_all(stack, rows, monk
     lower, higher = cylinder(stack.lower, 5, 0.6), cylinder(stack.higher, 6, 0.9)
     T = higher.T_world_object.copy()
     T[:2, 3] = lower.T_world_object[:2, 3]
-    above = replace(higher, T_world_object=T)
+    narrower = TriangleMesh(higher.mesh.vertices * [0.8, 0.8, 1.0], higher.mesh.faces)
+    wide = replace(higher, T_world_object=T)
+    above = replace(wide, mesh=narrower)
+    assert len(split(stack, rows, lambda *_: [lower, wide], [whole])[4]) == 2, "no bottle widens upwards"
     ((one,),) = split(stack, rows, lambda *_: [lower, above], [whole]).values()
     assert (one.id, one.category, one.score) == (4, "bottle", 0.6) and one.mesh is whole.mesh
     T = T.copy()
@@ -213,6 +216,17 @@ def test_two_cans_on_one_axis_are_the_bottle_that_explains_all(stack, rows, monk
         assert len(split(stack, rows, lambda *_: [lower, above], [other])[4]) == 2
     shares[1] = 2 * stack_parts.FULLY
     assert len(split(stack, rows, lambda *_: [lower, above], [whole])[4]) == 2
+
+
+@pytest.mark.parametrize(("score", "are_two"), [(0.7, True), (0.8, False), (0.95, False)])
+def test_a_bottle_of_low_score_may_be_two_cans_with_better_ones(stack, rows, monkeypatch, score, are_two):
+    """They explain as much as it does."""
+    monkeypatch.setattr(stack_parts, "unexplained", lambda points, shapes: 0.02)
+    whole = replace(cylinder(stack.lower, 4, score), category="bottle")
+    cans = [cylinder(stack.lower, 5, 0.75), cylinder(stack.higher, 6, 0.9)]
+    assert bool(split(stack, rows, lambda *_: cans, [whole])) is are_two
+    with_bowl = [cans[0], replace(cans[1], category="bowl")]
+    assert split(stack, rows, lambda *_: with_bowl, [whole]) == {}
 
 
 def test_the_likeliest_cuts_are_fitted(stack, rows, monkeypatch):
