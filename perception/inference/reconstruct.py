@@ -23,7 +23,7 @@ from perception.inference.observation import ObjectObservation, ObjectViews
 from perception.inference.optimisation import FitStep
 from perception.inference.scored_fits import RejectedError
 from perception.inference.shape_model import Decoder
-from perception.inference.stacking import find_stacks, rest_on
+from perception.inference.stacking import find_stacks, lowered_below, rest_on
 from perception.inference.warm_start import find_warm_start
 from perception.threads import single_threaded
 from perception.types import (
@@ -142,6 +142,10 @@ def reconstruct(
         by_id = {views.id: views for views in instances}
         for done, upper in enumerate(below, start=len(jobs) + 1):  # what is below is estimated first
             finish(by_id[upper], partial(fit_stacked, by_id[upper]), done)
+            found = estimates.get(upper)
+            if found is not None and found.rests_on in estimates:
+                lower = estimates[found.rests_on]
+                estimates[lower.id] = lowered_below(lower, found, plane_of[lower.id])
     return [estimates[key] for key in sorted(estimates)]
 
 

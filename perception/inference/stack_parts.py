@@ -47,6 +47,9 @@ CLEARLY = 0.5  # largest share of them that the parts leave unexplained, relativ
 MOST_UNEXPLAINED = 0.1  # by the parts
 BEYOND_DOUBT, BEYOND_DOUBT_SCORE = 0.15, 0.1  # share of them, and scores that suffice then
 WEAK, FAR_BETTER = 0.5, 0.3  # score below which an object may be several, and by how much theirs are higher
+# Least probability of the networks' names, and least scores of the fits, of two vessels that look like one;
+# height [m] of the upper one's base, and its share of that of its rim: mugs have thinner floors.
+SURE, SURE_SCORE, THICK, THICK_SHARE = 0.7, 0.8, 0.03, 0.35
 WEAK_BOTTLE = 0.9  # the same of an upright bottle
 MIN_CLASS = 0.3  # least mean class probability of a part
 MIN_SCORES = (0.2, 0.5)  # of the fits of the lower part, whose upper side is hidden, and of the upper one
@@ -84,6 +87,12 @@ class Parts:
         score_of = {d.instance_id: d.score for row in self.rows for d in row}
         return score_of[self.ids[0]] * score_of[self.ids[1]]
 
+    @property
+    def categories(self) -> tuple[Category, Category]:
+        """Classes of the lower and of the upper part."""
+        class_of: dict[int | None, Category] = {d.instance_id: d.category for row in self.rows for d in row}
+        return class_of[self.ids[0]], class_of[self.ids[1]]
+
 
 def split_stacks(
     frames: Sequence[RgbdFrame],
@@ -111,16 +120,21 @@ def split_stacks(
     for id in sorted({d.instance_id for row in rows for d in row if d.instance_id is not None}):
         points = instance_points(views, rows, id)
         before = unexplained(points, [estimates[id]] if id in estimates else [])
-        if before > DOUBTFUL or (id in estimates and _may_be_two(estimates[id])):
+        whole = estimates.get(id)
+        proposals: list[Parts] = []
+        if _is_doubtful(whole, before):
             by_shape = [
-                *parts_inside(views, rows, estimates.get(id), id, planes, completer, free),
+                *parts_inside(views, rows, whole, id, planes, completer, free),
                 *propose_parts(views, rows, id, planes, completer, free),
             ]
             likeliest = sorted(by_shape, key=lambda parts: -parts.probability)[:TRIALS]
             proposals = [*parts_of_two_colors(views, rows, id, planes, completer, free), *likeliest]
-            if proposals:
-                open_[id] = proposals, points, before
-                free += 2
+        elif whole is not None and _is_vessel(whole):
+            parted = parts_of_two_colors(views, rows, id, planes, completer, free)
+            proposals = [p for p in parted if p.probability >= SURE and set(p.categories) <= set(VESSELS)]
+        if proposals:
+            open_[id] = proposals, points, before
+            free += 2
     found: dict[int, tuple[ObjectEstimate, ...]] = {}
     for trial in range(1 + TRIALS):
         parts = {i: p[trial] for i, (p, *_) in open_.items() if trial < len(p) and i not in found}
@@ -134,7 +148,7 @@ def split_stacks(
                 continue
             if whole is not None and _is_one(pair, whole, open_[id][2]):
                 found[id] = (replace(whole, score=max(whole.score, min(e.score for e in pair))),)
-            elif _is_better(pair, whole, *open_[id][1:]):
+            elif _are_two(pair, whole, *open_[id][1:], planes[0]):
                 found[id] = tuple(pair)
     return found
 
@@ -327,6 +341,45 @@ def instance_points(views: Sequence[RgbdFrame], rows: Rows, id: int) -> Float[np
     masks = [(view, d.mask) for view, row in zip(views, rows) for d in row if d.instance_id == id]
     points = np.concatenate([ObjectObservation(*shown).points_world(erode=2) for shown in masks])
     return points[:: max(1, len(points) // _POINTS)]
+
+
+def _is_doubtful(whole: ObjectEstimate | None, before: float) -> bool:
+    """Return whether an instance may be several, by its estimate and the share that it leaves unexplained."""
+    return before > DOUBTFUL or (whole is not None and _may_be_two(whole))
+
+
+def _are_two(
+    pair: Sequence[ObjectEstimate],
+    whole: ObjectEstimate | None,
+    points: Float[np.ndarray, "n 3"],
+    before: float,
+    plane: SupportPlane,
+) -> bool:
+    """Return whether two fits replace the whole."""
+    if whole is None or _is_doubtful(whole, before):
+        return _is_better(pair, whole, points, before)
+    return _is_vessel_on_vessel(pair, whole, points, plane)
+
+
+def _is_vessel(estimate: ObjectEstimate) -> bool:
+    return estimate.category in VESSELS and estimate.resting == "upright"
+
+
+def _is_vessel_on_vessel(
+    pair: Sequence[ObjectEstimate],
+    whole: ObjectEstimate,
+    points: Float[np.ndarray, "n 3"],
+    plane: SupportPlane,
+) -> bool:
+    """Return whether a vessel that explains what is measured is two, the upper one raised by the lower one.
+
+    A bowl in a mug looks like a mug with a thick floor. The inside of a mug of two colours reaches down to
+    the plane.
+    """
+    if not all(_is_vessel(e) and e.score >= SURE_SCORE for e in (*pair, whole)):
+        return False
+    base, top = (f(plane.height_above(pair[1].mesh_world.vertices)) for f in (np.min, np.max))
+    return bool(base > max(THICK, THICK_SHARE * top) and unexplained(points, pair) < DOUBTFUL)
 
 
 def _may_be_two(whole: ObjectEstimate) -> bool:

@@ -30,6 +30,10 @@ _HIGHER = 0.008  # [m] by which the top of the upper object is above that of the
 _CELL = 0.002  # [m] of the height maps whose difference is the gap
 FREE = 0.1  # [m] standard deviation of the height of the lowest part before the contact is known
 WORSE = 0.3  # by which the score of a fit on the contact may be below that of the fit at any height
+_OVERLAP, _LEAST_SHARE = (
+    0.003,
+    0.7,
+)  # [m] by which two objects may overlap, and share of a height that is left
 _SUNK = 0.005  # [m] by which the lowest measured points may be below the base
 _TOPPLING = 0.005  # [m] beside the other object's outline that the middle of an object on it may seem to be
 _LEANING = 0.3  # [rad] standard deviation of the tilt of an object in a vessel
@@ -206,6 +210,32 @@ def gap(upper: TriangleMesh, lower: TriangleMesh, plane: SupportPlane) -> float 
     others, high = _extreme_heights(_samples(lower), plane, np.maximum)
     _, at, there = np.intersect1d(cells, others, return_indices=True)
     return float((low[at] - high[there]).min()) if len(at) else None
+
+
+def lowered_below(lower: ObjectEstimate, upper: ObjectEstimate, plane: SupportPlane) -> ObjectEstimate:
+    """Return an upright object so low that one on it, estimated at any height, is not inside it.
+
+    What is on it hides its top, which the prior alone estimates. It is returned as it is if both hardly
+    overlap, or by far too much.
+
+    Args:
+        lower: Estimate of the object below.
+        upper: Estimate of the object on it.
+        plane: Support plane of the object below.
+    """
+    if lower.resting != "upright":
+        return lower
+    cells, low = _extreme_heights(_samples(upper.mesh_world), plane, np.minimum)
+    others, high = _extreme_heights(_samples(lower.mesh_world), plane, np.maximum)
+    _, at, there = np.intersect1d(cells, others, return_indices=True)
+    share = float(((low[at] + _OVERLAP) / np.maximum(high[there], _CELL)).min(initial=1.0))
+    if not _LEAST_SHARE < share < 1.0:
+        return lower
+    T = lower.T_world_object.copy()
+    T[:3, 3] += (share - 1.0) * float(plane.height_above(T[None, :3, 3])[0]) * plane.normal
+    z = np.array([1.0, 1.0, share])
+    mesh = TriangleMesh(lower.mesh.vertices * z, lower.mesh.faces)
+    return replace(lower, T_world_object=T, scale=lower.scale * z, mesh=mesh)
 
 
 def raised(plane: SupportPlane, height: float) -> SupportPlane:

@@ -229,6 +229,33 @@ def test_a_bottle_of_low_score_may_be_two_cans_with_better_ones(stack, rows, mon
     assert split(stack, rows, lambda *_: with_bowl, [whole]) == {}
 
 
+@pytest.mark.parametrize(
+    ("raised", "score", "name", "are_two"),
+    [
+        (True, 0.95, "bowl", True),
+        (False, 0.95, "bowl", False),  # the inside of a mug of two colours
+        (True, 0.7, "bowl", False),
+        (True, 0.95, "can", False),  # what is not named a vessel is not cut from one that explains all
+    ],
+)
+def test_a_vessel_that_explains_all_may_be_two_of_different_colors(
+    stack, rows, monkeypatch, raised, score, name, are_two
+):
+    monkeypatch.setattr(stack_parts, "unexplained", lambda points, shapes: 0.01)
+    whole = replace(cylinder(stack.lower, 4, 0.97), category="mug", resting="upright")
+
+    def part(number, id):
+        row = [ObjectDetection(("mug", name)[number], 0.95, view.mask, instance_id=id) for view in stack.seen]
+        return [[d] for d in row]
+
+    both = [[*a, *b] for a, b in zip(part(0, 5), part(1, 6))]
+    monkeypatch.setattr(stack_parts, "parts_of_two_colors", lambda *_: [stack_parts.Parts(both, (5, 6))])
+    lower = replace(cylinder(stack.lower, 5, 0.95), category="mug", resting="upright")
+    upper = cylinder(stack.higher if raised else stack.lower, 6, score)
+    upper = replace(upper, category="bowl", resting="upright")
+    assert bool(split(stack, rows, lambda *_: [lower, upper], [whole])) is are_two
+
+
 def test_the_likeliest_cuts_are_fitted(stack, rows, monkeypatch):
     """Not the first ones: what the networks are surer of is more often right than the stronger seam."""
 

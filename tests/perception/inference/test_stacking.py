@@ -9,7 +9,15 @@ import trimesh
 from perception.inference import stacking
 from perception.inference.fit_config import FitConfig
 from perception.inference.observation import ObjectViews
-from perception.inference.stacking import LEAST_BASE, MeasuredExtent, find_stacks, gap, rest_on, stacked
+from perception.inference.stacking import (
+    LEAST_BASE,
+    MeasuredExtent,
+    find_stacks,
+    gap,
+    lowered_below,
+    rest_on,
+    stacked,
+)
 from perception.types import ObjectEstimate, SupportPlane, TriangleMesh
 
 PLANE = SupportPlane()
@@ -68,6 +76,24 @@ def test_gap_to_the_floor_of_a_bowl() -> None:
     box = trimesh.creation.box((0.04, 0.04, 0.04))
     assert gap(as_mesh(box, 0, 0, 0.08), bowl, PLANE) == pytest.approx(0.05, abs=1e-6)
     assert gap(as_mesh(box, 0.05, 0, 0.08), bowl, PLANE) == pytest.approx(0.0, abs=1e-6)  # on the rim
+
+
+@pytest.mark.parametrize(("base", "height"), [(0.08, 0.088), (0.095, 0.1), (0.05, 0.1)])
+def test_what_is_hidden_below_an_object_does_not_reach_into_it(base, height) -> None:
+    """Its foot stays on the plane; where both hardly overlap, or far too much, it is as it was."""
+    box = trimesh.creation.box((0.06, 0.06, 0.1))
+    T = np.eye(4)
+    T[2, 3] = 0.05
+    lower = replace(estimate(3, as_mesh(box, 0, 0, 0)), T_world_object=T, resting="upright")
+    upper = estimate(4, as_mesh(box, 0.01, 0, 0.05 + base))
+    found = lowered_below(lower, upper, PLANE)
+    heights = found.mesh_world.vertices[:, 2]
+    assert heights.min() == pytest.approx(0.0, abs=1e-9) and heights.max() == pytest.approx(height, abs=1e-6)
+    np.testing.assert_allclose(found.scale, lower.scale * [1, 1, height / 0.1])
+    np.testing.assert_allclose(np.ptp(found.mesh.vertices[:, :2], axis=0), 0.06)
+    assert lowered_below(replace(lower, resting="lying"), upper, PLANE).height == pytest.approx(0.1)
+    beside = estimate(4, as_mesh(box, 0.1, 0, 0.05 + base))
+    assert lowered_below(lower, beside, PLANE).height == pytest.approx(0.1)
 
 
 def test_the_upper_object_is_fitted_on_the_contact(make_table) -> None:
