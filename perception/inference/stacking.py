@@ -30,10 +30,8 @@ _HIGHER = 0.008  # [m] by which the top of the upper object is above that of the
 _CELL = 0.002  # [m] of the height maps whose difference is the gap
 FREE = 0.1  # [m] standard deviation of the height of the lowest part before the contact is known
 WORSE = 0.3  # by which the score of a fit on the contact may be below that of the fit at any height
-_OVERLAP, _LEAST_SHARE = (
-    0.003,
-    0.7,
-)  # [m] by which two objects may overlap, and share of a height that is left
+_OVERLAP = 0.008  # [m] by which two objects may overlap: estimated rims are thicker than real ones
+_LEAST_SHARE = 0.7  # of a height that is left
 _SUNK = 0.005  # [m] by which the lowest measured points may be below the base
 _TOPPLING = 0.005  # [m] beside the other object's outline that the middle of an object on it may seem to be
 _LEANING = 0.3  # [rad] standard deviation of the tilt of an object in a vessel
