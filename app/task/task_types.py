@@ -43,7 +43,7 @@ class TaskRequest:
     workspace: Workspace = Workspace()
     uncertainty: bool = True
     perceive_only: bool = False
-    rounds: int = 4
+    rounds: int = 6
 
 
 @dataclass(frozen=True)
