@@ -29,6 +29,7 @@ SPECK = 0.05  # smallest separate piece of a group, as a share of its largest
 _LOWEST = 0.05  # quantile of the heights that is the lowest point of a group
 _SMOOTH = 5  # pixels across the window in which the majority decides
 _SAMPLES = 6000  # pixels of all views whose colours are grouped
+_ENDS = 0.05, 0.95  # quantiles along each principal axis of the colours, at which the groups begin
 _FEWEST = 100  # measured points of a group
 
 
@@ -89,13 +90,19 @@ def _two_means(colors: Float[np.ndarray, "n 3"]) -> Float[np.ndarray, "2 3"] | N
     if len(colors) < _FEWEST:
         return None
     sample = colors[:: max(1, len(colors) // _SAMPLES)].astype(np.float64)
-    away = sample - sample.mean(axis=0)
-    along = away @ np.linalg.eigh(away.T @ away)[1][:, -1]
-    ends = np.stack([sample[np.argsort(along)[round(q * (len(sample) - 1))]] for q in (0.05, 0.95)])
-    if np.linalg.norm(ends[1] - ends[0]) < LEAST_CONTRAST:
+    best: tuple[float, Float[np.ndarray, "2 3"]] | None = None
+    for axis in np.linalg.eigh(np.cov(sample.T))[1].T:
+        order = np.argsort(sample @ axis)
+        ends = sample[order[[round(q * (len(order) - 1)) for q in _ENDS]]]
+        if np.linalg.norm(ends[1] - ends[0]) < LEAST_CONTRAST / 2:
+            continue
+        means, group = kmeans2(sample, ends, minit="matrix")
+        deviation = float(np.sqrt(np.square(sample - means[group]).sum(axis=1).mean()))
+        if best is None or deviation < best[0]:
+            best = deviation, means
+    if best is None:
         return None
-    means, group = kmeans2(sample, ends, minit="matrix")
-    deviation = float(np.sqrt(np.square(sample - means[group]).sum(axis=1).mean()))
+    deviation, means = best
     apart = float(np.linalg.norm(means[1] - means[0]))
     return means if apart > max(LEAST_CONTRAST, DISTINCT * deviation) else None
 

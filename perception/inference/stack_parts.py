@@ -260,6 +260,8 @@ def parts_of_two_colors(
     for number, classes in enumerate((CARRIERS, CATEGORIES)):
         large = {k: masks[number] for k, masks in cut.masks.items() if masks[number].sum() >= MIN_PIXELS}
         named = _named(large, views, bases[number], completer, classes)
+        if not named and number == 0:  # a rim may be all that is seen of it: the fits of all classes tell
+            named = {k: unclassified(mask) for k, mask in large.items()}
         if not named:
             return []
         for k, d in named.items():
