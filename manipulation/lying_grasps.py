@@ -6,6 +6,7 @@ with the wrist camera above it.
 
 from __future__ import annotations
 
+import itertools
 from collections import Counter
 from dataclasses import replace
 
@@ -20,6 +21,9 @@ LYING_TILT = np.deg2rad(45.0)  # of the axis to the vertical, from which on an o
 HAND_HEIGHT = 0.07  # [m] least height of the TCP over the support with the hand horizontal
 _STEP = 0.008  # [m] between grasps along the axis
 _PAD_HALF_WIDTH = 0.0085  # [m] along the axis
+_FEW = 4  # places along the axis up to which the hand comes obliquely as well
+_ROLLS = np.deg2rad([25.0, -25.0, 45.0, -45.0])  # about the axis
+_OBLIQUE = 1.0  # by which the score of such a grasp is lower
 _ROOM = 0.012  # [m] between the open pads beside the object, below which narrower places are preferred
 
 
@@ -42,7 +46,8 @@ def lying_grasps(
     """Return grasps from above across the axis of a lying object, the one nearest to its middle first.
 
     Where that nearly fills the hand, narrower places come before it, and where its sides are tapered, so that
-    it slides along its axis when the pads close, places with parallel sides.
+    it slides along its axis when the pads close, places with parallel sides. If there are few, as at the neck
+    of a bottle whose body is too wide, obliquely from above come last: the palm is beside the object then.
 
     Args:
         item: the object.
@@ -57,6 +62,7 @@ def lying_grasps(
         return GraspSet((), rejected)
     sections = CrossSectionCache(item.vertices, item.faces)
     grasps: list[Grasp] = []
+    found: list[float] = []
     for height in np.arange(0.03, item.top - _PAD_HALF_WIDTH, _STEP):
         if height < least_height:
             rejected["too near to the base to be set upright"] += 1
@@ -65,8 +71,15 @@ def lying_grasps(
         if isinstance(grasp, Rejected):
             rejected[grasp.reason] += 1
         else:
-            # With the hand the other way round, and the camera below when the object is set upright.
-            grasps += [grasp, replace(half_turn(grasp), score=grasp.score - 2.0)]
+            found.append(float(height))
+            grasps.append(grasp)
+    if len(found) <= _FEW:
+        for height, roll in itertools.product(found, _ROLLS):
+            oblique = _across(item, sections, T_world_stand, height, config, roll)
+            if isinstance(oblique, Grasp):
+                grasps.append(replace(oblique, score=oblique.score - _OBLIQUE))
+    # With the hand the other way round, and the camera below when the object is set upright.
+    grasps += [replace(half_turn(grasp), score=grasp.score - 2.0) for grasp in grasps]
     ordered = tuple(sorted(grasps, key=lambda grasp: -grasp.score))
     return on_hand(GraspSet(ordered, rejected), config.gripper)
 
@@ -77,10 +90,15 @@ def _across(
     T_world_stand: Float[np.ndarray, "4 4"],
     height: float,
     config: GraspConfig,
+    roll: float = 0.0,
 ) -> Grasp | Rejected:
-    """Return the grasp that closes across the axis at a height [m] above the base."""
-    up = T_world_stand[:3, :3].T @ np.array([0.0, 0.0, 1.0])
-    up = np.array([up[0], up[1], 0.0]) / np.linalg.norm(up[:2])  # across the axis, in the stand frame
+    """Return the grasp that closes across the axis at a height [m] above the base.
+
+    The hand comes from above, turned about the axis by ``roll`` [rad].
+    """
+    vertical_stand = T_world_stand[:3, :3].T @ np.array([0.0, 0.0, 1.0])
+    angle = np.arctan2(vertical_stand[1], vertical_stand[0]) + roll
+    up = np.array([np.cos(angle), np.sin(angle), 0.0])  # across the axis, in the stand frame
     closing = np.cross((0.0, 0.0, 1.0), up)  # the hand's x, with the camera, points to the object's top
     azimuth = float(np.arctan2(closing[1], closing[0]))
     across = _extents(sections, height, azimuth)
@@ -97,8 +115,9 @@ def _across(
     sideways = np.array([-closing[1], closing[0], 0.0])
     position = across[1].middle * closing + vertical[1].middle * sideways
     position = position + np.array([0.0, 0.0, height])
-    low = float((T_world_stand @ np.append(position, 1.0))[2]) - gripper.tip - config.fingertip_clearance
-    position = position - min(low, 0.0) * up  # the fingertips stay above the support
+    tips = float((T_world_stand @ np.append(position - gripper.tip * up, 1.0))[2])
+    low = tips - np.sin(abs(roll)) * width / 2 - config.fingertip_clearance
+    position = position - min(low, 0.0) / np.cos(roll) * up  # the fingertips stay above the support
     opening = min(gripper.max_width, width + 0.024)
     narrowness = min(gripper.max_width - width, _ROOM) / _ROOM  # the estimated width may be too small
     return Grasp(

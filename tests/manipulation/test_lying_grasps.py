@@ -87,3 +87,27 @@ def test_what_is_too_wide_or_upside_down_has_no_grasp(shapes):
     wide = to_standing(shapes.estimate(1, "can", shapes.can(radius=0.045, height=0.14)))
     assert not lying_grasps(wide, lying_pose(0.045)).grasps
     assert lying_grasps(wide, np.diag([1.0, -1, -1, 1])).rejected["upside down"] == 1
+
+
+def test_where_only_a_short_neck_fits_the_hand_it_comes_obliquely_too(shapes):
+    """Last, turned about the axis, with the fingertips above the support."""
+    profile = np.array([(0, 0), (0.045, 0), (0.045, 0.16), (0.014, 0.18), (0.014, 0.215), (0, 0.215)])
+    item = to_standing(shapes.estimate(1, "bottle", trimesh.creation.revolve(profile, sections=48)))
+    T_world_stand = lying_pose(0.045)
+    grasps = lying_grasps(item, T_world_stand).grasps
+    approaches = np.array([(T_world_stand @ grasp.T_stand_tcp)[:3, 2] for grasp in grasps])
+    angles = np.degrees(np.arccos(np.clip(-approaches[:, 2], -1, 1)))
+    assert sorted(set(angles.round())) == [0, 25, 45]
+    straight = angles < 1
+    n_straight = straight[: len(grasps) // 2].sum()
+    assert straight[:n_straight].all() and not straight[n_straight : len(grasps) // 2].any()
+    np.testing.assert_allclose(approaches @ T_world_stand[:3, 2], 0.0, atol=1e-9)
+    for grasp in grasps:
+        assert grasp.T_stand_tcp[2, 2] == pytest.approx(0.0, abs=1e-9), "set upright, the hand is horizontal"
+        tip = T_world_stand @ np.append(grasp.T_stand_tcp[:3, 3] - 0.01 * grasp.away, 1.0)
+        assert tip[2] > 0.0
+    long = np.array([(0, 0), (0.03, 0), (0.03, 0.2), (0, 0.2)])
+    item = to_standing(shapes.estimate(1, "can", trimesh.creation.revolve(long)))
+    T_world_stand = lying_pose(0.03)
+    for grasp in lying_grasps(item, T_world_stand).grasps:
+        assert (T_world_stand @ grasp.T_stand_tcp)[2, 2] == pytest.approx(-1.0), "there are enough places"
