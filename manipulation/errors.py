@@ -26,6 +26,10 @@ class RobotError(ManipulationError):
     """The robot rejected a command or failed to execute it."""
 
 
+class GoalBlockedError(RobotError):
+    """An object in the hand met something on its way to its goal, and was brought back to the table."""
+
+
 class RobotStoppedError(ManipulationError):
     """The robot was stopped, or stopped itself, and accepts no motion; the task ends with this reason."""
 

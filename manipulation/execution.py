@@ -9,6 +9,7 @@ from __future__ import annotations
 
 import contextlib
 import logging
+from collections import Counter
 from collections.abc import Callable, Collection, Sequence
 from dataclasses import dataclass, replace
 
@@ -17,6 +18,7 @@ from jaxtyping import Float
 
 from manipulation.clearing import Clearing
 from manipulation.errors import (
+    GoalBlockedError,
     GraspFailedError,
     LeaningError,
     NoPlanError,
@@ -130,6 +132,7 @@ class _Execution:
         self._scene = SceneFollowing(planner, self.observer)
         self._clearing = Clearing(robot, self.planning, self.motion, self._scene)
         self._located: set[str] = set()  # objects that were found since they were knocked over
+        self._blocked: Counter[str] = Counter()  # how often objects met something on the way to their goals
 
     def run(self, ends_home: bool) -> list[ObjectOutcome]:
         with self._ahead:
@@ -243,6 +246,7 @@ class _Execution:
                     effort = Effort.BESIDE
                 attempts += 1
                 tried.append(plan.grasp)
+                self._blocked[name] += isinstance(error, GoalBlockedError)
                 self.motion.back_off()
                 self._look_beside(plan)
             logger.info("%s, attempt %d: %s", name, attempts, reason)
@@ -311,11 +315,13 @@ class _Execution:
             PlanningError: there is none.
         """
         worth: set[str] | None = None  # moving what is in its place already
+        blocked = self._blocked[placement.name]
         while True:
             q = self.robot.joint_positions()
             try:
-                ahead = self._ahead.take(placement, q) if effort == Effort.PLAIN and not tried else None
-                return ahead or self.planning.next_plan(placement, q, tried, effort)
+                may_be_ahead = effort == Effort.PLAIN and not tried and not blocked
+                ahead = self._ahead.take(placement, q) if may_be_ahead else None
+                return ahead or self.planning.next_plan(placement, q, tried, effort, blocked)
             except NoPlanError as error:
                 if error.is_enclosed and self.withdrawal.has_risen():
                     continue

@@ -61,17 +61,32 @@ class ObjectPlanning:
         self._turnable: dict[Hashable, tuple[int, list[Placement]]] = {}  # likewise
 
     def next_plan(
-        self, placement: Placement, q: Posture, tried: Sequence[Grasp] = (), effort: Effort = Effort.PLAIN
+        self,
+        placement: Placement,
+        q: Posture,
+        tried: Sequence[Grasp] = (),
+        effort: Effort = Effort.PLAIN,
+        blocked: int = 0,
     ) -> PickPlacePlan:
         """Return the plan that places an object, or that turns it if it does not stand.
+
+        Args:
+            placement: its goal.
+            q: present posture in [rad].
+            tried: grasps that failed.
+            effort: means of planning.
+            blocked: how often it met something on its way to the goal: other places come first then, for what
+                is to stand in others from the second time on.
 
         Raises:
             PlanningError: there is none with this effort.
         """
         if lies(self._planner.world.pose(placement.name)):
-            return self._turn(placement, q, tried, effort)
+            return self._turn(placement, q, tried, effort, blocked)
         roomier, sure = self._roomier(placement), self._sure_grasps(placement.name)
         goals = [placement] if roomier is placement else [roomier, placement]
+        if blocked > len(placement.stack[:1]):
+            goals = [*self._places_elsewhere(placement), *goals]
         try:
             return self._plan(goals, q, tried, sure)
         except PlanningError as error:
@@ -208,9 +223,11 @@ class ObjectPlanning:
         return push
 
     def _turn(
-        self, placement: Placement, q: Posture, tried: Sequence[Grasp], effort: Effort
+        self, placement: Placement, q: Posture, tried: Sequence[Grasp], effort: Effort, blocked: int
     ) -> PickPlacePlan:
         """Return the plan that turns an object: at its goal if it is on its side, else on free table.
+
+        One that met something on the way to its goal is turned on free table rather than there.
 
         Raises:
             PlanningError: there is none.
@@ -225,6 +242,8 @@ class ObjectPlanning:
             raise PlanningError(f"{at}: {grasps.failure_message(name, _TURN_OVER if overturned else '')}")
         spots = list(turning_goals(item, T_world_stand, self._taken(name), self._config.free_area))
         goals = self._best_to_turn(spots) if overturned else [placement, *spots[:_SPOTS]]
+        if blocked and not overturned:
+            goals = [*goals[1:], placement]
         if not goals:
             raise PlanningError(f"{at}: no free table to turn it")
         try:

@@ -14,7 +14,7 @@ from typing import Literal, Protocol, runtime_checkable
 import numpy as np
 from jaxtyping import Bool, Float
 
-from manipulation.errors import GraspFailedError, RobotError, SceneChangedError
+from manipulation.errors import GoalBlockedError, GraspFailedError, RobotError, SceneChangedError
 from manipulation.free_table import outlines_of_others, roomy_spots
 from manipulation.hand_collision import HandBoxes, HandClearance
 from manipulation.lying_grasps import lies
@@ -102,7 +102,8 @@ class PlanExecution:
             SceneChangedError: the object is not where it was expected.
             GraspFailedError: something unknown is in the way, or the object is not held, slips between the
                 fingers, is not where it was released, or leans there.
-            RobotError: the robot failed to execute a motion.
+            GoalBlockedError: the object met something on its way to the goal.
+            RobotError: the robot failed to execute another motion.
         """
         robot, grasp, name = self.robot, plan.grasp, plan.name
         self._notify("approach", name, plan=plan)
@@ -126,9 +127,9 @@ class PlanExecution:
         self._notify("transfer", name)
         try:
             robot.follow(plan.transfer)
-        except RobotError:
+        except RobotError as error:
             self._bring_back(plan)
-            raise
+            raise GoalBlockedError(str(error)) from error
         self._notify("place", name)
         self._require_held(grasp, f"{name} was lost during the transfer")
         self._release(plan)

@@ -434,6 +434,26 @@ def test_blocked_arm_counts_as_a_failed_attempt(packing, arm):
     assert outcomes[0].placed and outcomes[0].attempts == 2
 
 
+def test_what_met_something_on_its_way_is_placed_elsewhere(packing, arm):
+    class Meeting(FakeRobot):
+        met = False
+
+        def follow(self, trajectory):
+            if watcher.events[-1].phase == "transfer" and not self.met:
+                self.met = True
+                raise RobotError("the arm is blocked")
+            super().follow(trajectory)
+
+    robot = Meeting(arm)
+    watcher = Watcher(robot)
+    outcomes = execute(packing, robot, None, watcher, CONFIG)
+    name = packing.placements[0].name
+    plans = [event.plan for event in watcher.events if event.phase == "approach" and event.name == name]
+    first, second = (np.array(plan.placement.position) for plan in plans)
+    assert np.linalg.norm(second - first) > 0.02
+    assert outcomes[0].placed and outcomes[0].attempts == 2
+
+
 def test_a_stopped_robot_ends_the_task_and_keeps_what_was_placed(packing, arm):
     class Stopping(FakeRobot):
         def follow(self, trajectory):

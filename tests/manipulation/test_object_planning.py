@@ -132,6 +132,31 @@ def test_what_waits_is_no_obstacle_but_its_goal_is(items):
     assert all(np.linalg.norm(np.subtract(g.position, later.position)) > 0.066 for g in goals)
 
 
+@pytest.mark.parametrize(
+    ("stack", "blocked", "is_elsewhere"), [((), 1, True), (("bowl_2",), 1, False), (("bowl_2",), 2, True)]
+)
+def test_what_met_something_on_its_way_goes_elsewhere_first(items, stack, blocked, is_elsewhere):
+    """The goal itself remains the last resort; what is to stand in a bowl gets a second chance there."""
+    planner = FakePlanner(items, lambda goals, grasps: True)
+    goal = replace(GOAL, stack=stack)
+    planning(items, planner).next_plan(goal, Q, blocked=blocked)
+    goals = planner.requests[0][0]
+    assert goals[-1] == goal and (len(goals) > 1) is is_elsewhere
+    assert all(other.position != goal.position for other in goals[:-1])
+
+
+def test_what_lies_and_met_something_is_turned_on_free_table_first(items):
+    planner = FakePlanner(items, lambda goals, grasps: True)
+    T = np.eye(4)
+    T[:3, :3] = [[0, 0, 1], [0, 1, 0], [-1, 0, 0]]
+    T[:3, 3] = 0.5, -0.2, 0.033
+    planner.Ts["can_1"] = T
+    for blocked in (0, 1):
+        planning(items, planner).next_plan(GOAL, Q, blocked=blocked)
+    before, after = (goals for goals, _ in planner.requests)
+    assert before[0] == GOAL and after == [*before[1:], GOAL] and len(after) > 1
+
+
 def test_more_effort_is_other_places_and_then_any_angle(items):
     planner = FakePlanner(items, lambda goals, grasps: grasps is not None)
     planning(items, planner).next_plan(GOAL, Q, effort=Effort.FLEXIBLE)
