@@ -12,7 +12,8 @@ from perception.inference.explanation import unexplained
 from perception.inference.lost_parts import with_lost_parts
 from perception.inference.reconstruct import mean_poses
 from perception.inference.recutting import instance_ids
-from perception.inference.stack_parts import CLEARLY, DOUBTFUL, Rows, instance_points
+from perception.inference.stack_choice import CLEARLY, DOUBTFUL
+from perception.inference.stack_parts import Rows, instance_points
 from perception.types import (
     CATEGORIES,
     OTHER,

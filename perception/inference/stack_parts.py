@@ -26,6 +26,7 @@ from perception.inference.explanation import FAR, SAMPLES, unexplained
 from perception.inference.observation import ObjectObservation
 from perception.inference.pose_score import class_mass
 from perception.inference.seams import Seam, find_seams, part_masks
+from perception.inference.stack_choice import GAP, are_one, are_two, gap_between, is_doubtful, is_vessel
 from perception.metrics import SurfaceSamples
 from perception.types import (
     CATEGORIES,
@@ -42,26 +43,9 @@ from perception.types import (
 Rows = Sequence[Sequence[ObjectDetection]]
 Fit = Callable[[Rows, Mapping[int, int]], Sequence[ObjectEstimate]]
 
-DOUBTFUL = 0.04  # share of unexplained points from which on an object may be several
-CLEARLY = 0.5  # largest share of them that the parts leave unexplained, relative to the whole
-MOST_UNEXPLAINED = 0.1  # by the parts
-BEYOND_DOUBT, BEYOND_DOUBT_SCORE = 0.15, 0.1  # share of them, and scores that suffice then
-WEAK, FAR_BETTER = 0.5, 0.3  # score below which an object may be several, and by how much theirs are higher
-# Least probability of the networks' names, and least scores of the fits, of two vessels that look like one;
-# height [m] of the upper one's base, and its share of that of its rim: mugs have thinner floors.
-SURE, SURE_SCORE, THICK, THICK_SHARE = 0.7, 0.8, 0.03, 0.35
-WEAK_BOTTLE = 0.9  # the same of an upright bottle
+SURE = 0.7  # least probability of the networks' names of two vessels that look like one
 MIN_CLASS = 0.3  # least mean class probability of a part
-MIN_SCORES = (0.2, 0.5)  # of the fits of the lower part, whose upper side is hidden, and of the upper one
-FULLY = 0.005  # share of unexplained points up to which a bottle explains all that is seen
-WIDER = 1.1  # radius of the upper of two cans relative to the lower one, from which on they are no bottle
-COAXIAL = 0.005  # [m] between the axes of two cans that are one bottle
 CARRIERS: tuple[Category, ...] = ("mug", "bowl", "can")  # nothing stands on a bottle
-# [m] between two parts, one above the other, from which on neither carries the other: a wide bowl hides the
-# uppermost part of the can below it.
-GAP = 0.03
-LEAST_HEIGHT = 0.025  # [m] of a part; flatter ones are the thick floor of a bowl
-SLENDER = 1.5  # least height of a bottle, in diameters
 MIN_PIXELS = 150  # of a part in a view
 NAMING_VIEWS = 3
 TRIALS = 2  # cuts of one stack whose parts are fitted, besides that between two colours, which comes first
@@ -122,14 +106,14 @@ def split_stacks(
         before = unexplained(points, [estimates[id]] if id in estimates else [])
         whole = estimates.get(id)
         proposals: list[Parts] = []
-        if _is_doubtful(whole, before):
+        if is_doubtful(whole, before):
             by_shape = [
                 *parts_inside(views, rows, whole, id, planes, completer, free),
                 *propose_parts(views, rows, id, planes, completer, free),
             ]
             likeliest = sorted(by_shape, key=lambda parts: -parts.probability)[:TRIALS]
             proposals = [*parts_of_two_colors(views, rows, id, planes, completer, free), *likeliest]
-        elif whole is not None and _is_vessel(whole):
+        elif whole is not None and is_vessel(whole):
             parted = parts_of_two_colors(views, rows, id, planes, completer, free)
             proposals = [p for p in parted if p.probability >= SURE and set(p.categories) <= set(VESSELS)]
         if proposals:
@@ -144,11 +128,11 @@ def split_stacks(
         fitted = {e.id: e for e in fit(_with_parts(rows, parts), above)}
         for id, part in parts.items():
             pair, whole = [fitted[k] for k in part.ids if k in fitted], estimates.get(id)
-            if len(pair) < 2 or _gap(pair[0], pair[1], planes[0]) > GAP:
+            if len(pair) < 2 or gap_between(pair[0], pair[1], planes[0]) > GAP:
                 continue
-            if whole is not None and _is_one(pair, whole, open_[id][2]):
+            if whole is not None and are_one(pair, whole, open_[id][2]):
                 found[id] = (replace(whole, score=max(whole.score, min(e.score for e in pair))),)
-            elif _are_two(pair, whole, *open_[id][1:], planes[0]):
+            elif are_two(pair, whole, *open_[id][1:], planes[0]):
                 found[id] = tuple(pair)
     return found
 
@@ -343,96 +327,3 @@ def instance_points(views: Sequence[RgbdFrame], rows: Rows, id: int) -> Float[np
     masks = [(view, d.mask) for view, row in zip(views, rows) for d in row if d.instance_id == id]
     points = np.concatenate([ObjectObservation(*shown).points_world(erode=2) for shown in masks])
     return points[:: max(1, len(points) // _POINTS)]
-
-
-def _is_doubtful(whole: ObjectEstimate | None, before: float) -> bool:
-    """Return whether an instance may be several, by its estimate and the share that it leaves unexplained."""
-    return before > DOUBTFUL or (whole is not None and _may_be_two(whole))
-
-
-def _are_two(
-    pair: Sequence[ObjectEstimate],
-    whole: ObjectEstimate | None,
-    points: Float[np.ndarray, "n 3"],
-    before: float,
-    plane: SupportPlane,
-) -> bool:
-    """Return whether two fits replace the whole."""
-    if whole is None or _is_doubtful(whole, before):
-        return _is_better(pair, whole, points, before)
-    return _is_vessel_on_vessel(pair, whole, points, plane)
-
-
-def _is_vessel(estimate: ObjectEstimate) -> bool:
-    return estimate.category in VESSELS and estimate.resting == "upright"
-
-
-def _is_vessel_on_vessel(
-    pair: Sequence[ObjectEstimate],
-    whole: ObjectEstimate,
-    points: Float[np.ndarray, "n 3"],
-    plane: SupportPlane,
-) -> bool:
-    """Return whether a vessel that explains what is measured is two, the upper one raised by the lower one.
-
-    A bowl in a mug looks like a mug with a thick floor. The inside of a mug of two colours reaches down to
-    the plane.
-    """
-    if not all(_is_vessel(e) and e.score >= SURE_SCORE for e in (*pair, whole)):
-        return False
-    base, top = (f(plane.height_above(pair[1].mesh_world.vertices)) for f in (np.min, np.max))
-    return bool(base > max(THICK, THICK_SHARE * top) and unexplained(points, pair) < DOUBTFUL)
-
-
-def _may_be_two(whole: ObjectEstimate) -> bool:
-    """Return whether an object that explains what is measured may be several: two cans look like a bottle."""
-    is_bottle = (whole.category, whole.resting) == ("bottle", "upright")
-    return whole.score < (WEAK_BOTTLE if is_bottle else WEAK)
-
-
-def _is_one(pair: Sequence[ObjectEstimate], whole: ObjectEstimate, before: float) -> bool:
-    """Return whether two accepted cans, the upper one not the wider, are one upright bottle.
-
-    It leaves nothing unexplained.
-    """
-    if before > FULLY or (whole.category, whole.resting) != ("bottle", "upright"):
-        return False
-    if any(e.category != "can" for e in pair) or pair[1].radius > WIDER * pair[0].radius:
-        return False
-    apart = np.linalg.norm((pair[0].T_world_object - pair[1].T_world_object)[:2, 3])
-    return bool(apart < COAXIAL) and all(e.score >= p for e, p in zip(pair, MIN_SCORES, strict=True))
-
-
-def _gap(lower: ObjectEstimate, upper: ObjectEstimate, plane: SupportPlane) -> float:
-    """Return the height of the upper part's base above the top of the lower one [m]; negative inside it."""
-    base = (upper.mesh_world.vertices @ plane.normal).min()
-    return float(base - (lower.mesh_world.vertices @ plane.normal).max())
-
-
-def _is_knob(estimate: ObjectEstimate) -> bool:
-    """Return whether a part is a bottle hardly taller than wide: the upper half of a teapot is none."""
-    return estimate.category == "bottle" and estimate.height < SLENDER * 2 * estimate.radius
-
-
-def _is_better(
-    pair: Sequence[ObjectEstimate],
-    whole: ObjectEstimate | None,
-    points: Float[np.ndarray, "n 3"],
-    before: float,
-) -> bool:
-    """Return whether two fits are accepted and explain clearly more than the whole did.
-
-    Or as much, with far better scores: a large bowl on a mug is a bowl on a foot, but an unusual one. Those
-    of two cans need only be better than that of a bottle.
-    """
-    after = unexplained(points, pair)
-    if any(e.status == "implausible" or e.height < LEAST_HEIGHT or _is_knob(e) for e in pair):
-        return False
-    least = (BEYOND_DOUBT_SCORE,) * 2 if after < BEYOND_DOUBT * before else MIN_SCORES
-    accepted = all(e.score >= p for e, p in zip(pair, least, strict=True))
-    if accepted and after < min(CLEARLY * before, MOST_UNEXPLAINED):
-        return True
-    if whole is None or not _may_be_two(whole):
-        return False
-    are_cans = whole.category == "bottle" and all(e.category == "can" for e in pair)
-    return after < DOUBTFUL and min(e.score for e in pair) > whole.score + (0.0 if are_cans else FAR_BETTER)

@@ -1,0 +1,141 @@
+"""When the fits of two parts replace that of the whole, on cylinders with given scores."""
+
+from dataclasses import replace
+
+import numpy as np
+import pytest
+import trimesh
+
+from perception.inference import stack_choice
+from perception.inference.stack_choice import (
+    COAXIAL,
+    DOUBTFUL,
+    FULLY,
+    LEAST_HEIGHT,
+    SLENDER,
+    WEAK,
+    WEAK_BOTTLE,
+    are_one,
+    are_two,
+    gap_between,
+    is_doubtful,
+)
+from perception.types import ObjectEstimate, SupportPlane, TriangleMesh
+
+PLANE = SupportPlane()
+POINTS = np.zeros((10, 3))
+
+
+def shape(category="can", base=0.0, height=0.1, radius=0.03, score=0.9, resting="upright", x=0.0):
+    cylinder = trimesh.creation.cylinder(radius, height)
+    T = np.eye(4)
+    T[:3, 3] = x, 0.0, base + height / 2
+    mesh = TriangleMesh(np.asarray(cylinder.vertices), np.asarray(cylinder.faces))
+    return ObjectEstimate(1, category, np.zeros(16), T, np.ones(3), mesh, score, resting=resting)
+
+
+CANS = [shape(), shape(base=0.1)]
+
+
+@pytest.fixture
+def leave(monkeypatch):
+    """A function that sets the share of the points that two parts leave unexplained."""
+    return lambda share: monkeypatch.setattr(stack_choice, "unexplained", lambda points, shapes: share)
+
+
+def test_a_gap_is_measured_along_the_vertical():
+    assert gap_between(shape(), shape(base=0.12, x=0.01), PLANE) == pytest.approx(0.02)
+    assert gap_between(shape(), shape(base=0.05), PLANE) == pytest.approx(-0.05)
+
+
+def test_what_leaves_points_unexplained_or_has_a_low_score_is_doubtful():
+    assert is_doubtful(None, 2 * DOUBTFUL) and not is_doubtful(None, DOUBTFUL / 2)
+    for whole, limit in ((shape(), WEAK), (shape("bottle"), WEAK_BOTTLE)):
+        assert is_doubtful(replace(whole, score=limit - 0.01), 0.0)
+        assert not is_doubtful(replace(whole, score=limit + 0.01), 0.0)
+    assert not is_doubtful(shape("bottle", resting="lying", score=0.7), 0.0)
+
+
+@pytest.mark.parametrize(
+    ("before", "after", "scores", "are_better"),
+    [
+        (0.2, 0.09, (0.3, 0.6), True),
+        (0.2, 0.11, (0.3, 0.6), False),  # more than half of it remains, and more than a tenth of all
+        (0.4, 0.11, (0.3, 0.6), False),
+        (0.2, 0.09, (0.1, 0.6), False),
+        (0.2, 0.09, (0.3, 0.4), False),
+        (0.2, 0.02, (0.15, 0.15), True),  # beyond doubt
+        (0.2, 0.02, (0.15, 0.05), False),
+    ],
+)
+def test_parts_explain_clearly_more_and_have_scores(leave, before, after, scores, are_better):
+    leave(after)
+    pair = [replace(part, score=score) for part, score in zip(CANS, scores)]
+    for whole in (None, shape(score=0.95)):
+        assert are_two(pair, whole, POINTS, before, PLANE) is are_better
+
+
+@pytest.mark.parametrize(
+    ("part", "accepted"),
+    [
+        (shape(base=0.1, height=LEAST_HEIGHT - 0.002), False),
+        (shape(base=0.1, height=LEAST_HEIGHT + 0.002), True),
+        (replace(CANS[1], status="implausible"), False),
+        (shape("bottle", base=0.1, height=0.06 * SLENDER - 0.002), False),
+        (shape("bottle", base=0.1, height=0.06 * SLENDER + 0.002), True),
+    ],
+)
+def test_discs_knobs_and_what_is_implausible_are_no_parts(leave, part, accepted):
+    leave(0.0)
+    assert are_two([CANS[0], part], None, POINTS, 1.0, PLANE) is accepted
+
+
+def test_far_better_scores_replace_an_unusual_shape_that_explains_as_much(leave):
+    leave(0.02)
+    for score, accepted in ((0.45, True), (0.49, False), (0.55, False)):
+        pair = [replace(CANS[0], score=0.78), CANS[1]]
+        assert are_two(pair, shape("bowl", score=score), POINTS, 0.02, PLANE) is accepted
+
+
+@pytest.mark.parametrize(("score", "accepted"), [(0.7, True), (0.8, False), (0.95, False)])
+@pytest.mark.parametrize("after", [0.02, 0.001])
+def test_a_bottle_of_low_score_may_be_two_cans_with_better_ones(leave, score, accepted, after):
+    """Where it explains all that is seen, it does not matter that they explain a little more."""
+    leave(after)
+    pair = [replace(CANS[0], score=0.75), CANS[1]]
+    whole = shape("bottle", height=0.2, score=score)
+    assert are_two(pair, whole, POINTS, 0.02, PLANE) is accepted
+    assert not are_two([pair[0], replace(pair[1], category="bowl")], whole, POINTS, 0.02, PLANE)
+
+
+def test_two_cans_on_one_axis_are_the_bottle_that_explains_all():
+    whole = shape("bottle", height=0.2, score=0.2)
+    assert are_one(CANS, whole, FULLY / 2)
+    assert not are_one(CANS, whole, 2 * FULLY)
+    assert not are_one(CANS, replace(whole, resting="lying"), 0.0)
+    assert not are_one(CANS, replace(whole, category="can"), 0.0)
+    for upper in (
+        shape(base=0.1, x=COAXIAL + 1e-3),
+        shape("bowl", base=0.1),
+        shape(base=0.1, radius=0.034),  # no bottle widens upwards
+        shape(base=0.1, score=0.4),
+    ):
+        assert not are_one([CANS[0], upper], whole, 0.0)
+
+
+@pytest.mark.parametrize(
+    ("upper", "accepted"),
+    [
+        (shape("bowl", base=0.06, height=0.04), True),
+        (shape("bowl", base=0.028, height=0.04), False),  # the floor of a mug of two colours
+        (shape("bowl", base=0.04, height=0.1), False),
+        (shape("can", base=0.06, height=0.04), False),
+        (shape("bowl", base=0.06, height=0.04, score=0.75), False),
+    ],
+)
+def test_a_vessel_that_explains_all_may_be_two(leave, upper, accepted):
+    leave(0.01)
+    lower, whole = shape("mug", height=0.08, score=0.95), shape("mug", score=0.97)
+    assert are_two([lower, upper], whole, POINTS, 0.0, PLANE) is accepted
+    leave(2 * DOUBTFUL)
+    assert not are_two([lower, upper], whole, POINTS, 0.0, PLANE)
