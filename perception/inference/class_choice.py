@@ -38,6 +38,9 @@ from perception.types import CATEGORIES, Category, ObjectEstimate, RestingPose, 
 logger = logging.getLogger(__name__)
 
 CLOSER = 0.8  # ratio of the residuals from which on the depth tells which way round a bottle lies
+# Area of a section near the top, relative to the largest one, from which on a bottle has hardly a neck. Of 28
+# lying bottles in 19 scans two had more either way round: those whose score was better the wrong way round.
+NO_NECK = 0.65
 ALIKE = 0.02  # difference of the misfits up to which a bottle may lie either way round
 REVERSED: Mapping[RestingPose, RestingPose] = {
     "upright": "upside-down",
@@ -208,10 +211,13 @@ def _is_sure_of(views: ObjectViews, category: Category) -> bool:
 def _is_right_way_up(one: ScoredFit, other: ScoredFit) -> bool:
     """Return whether a lying bottle lies as in one of two fits, and not the other way round as in the other.
 
-    The depth decides where it is clear; else the score, which knows that bottles have necks.
+    The depth decides where it is clear; else the score, which knows that bottles have necks. Where neither
+    fit has one, the score knows nothing of it, and the depth decides again.
     """
     if _is_clearly_closer(one.evidence, other.evidence):
         return True
+    if min(one.evidence.neck, other.evidence.neck) > NO_NECK:
+        return one.evidence.systematic < other.evidence.systematic
     return one.estimate.score > other.estimate.score and not _is_clearly_closer(other.evidence, one.evidence)
 
 

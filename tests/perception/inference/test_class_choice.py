@@ -399,3 +399,26 @@ def test_of_a_lying_bottle_the_way_round_that_is_clearly_closer_or_likelier_is_k
         return ScoredFit(estimate, replace(EVIDENCE, explained=seen[0], residual=seen[1]), None)
 
     assert fit_lying("bottle", scored, closed_cup) == turned
+
+
+@pytest.mark.parametrize(
+    ("necks", "systematic", "turned"),
+    [
+        ((0.7, 0.7), 0.4, True),  # the score, 0.95 against 0.9 for the first, knows nothing of the ends
+        ((0.7, 0.7), 0.6, False),
+        ((0.6, 0.9), 0.4, False),  # the first has a neck
+        ((0.9, 0.6), 0.4, False),  # so has the second, with the lower score
+    ],
+)
+def test_of_a_lying_bottle_without_a_neck_the_way_round_that_is_closer_is_kept(
+    fit_lying, necks, systematic, turned
+) -> None:
+    def scored(views, decoder, plane, model, config, on_step):
+        mesh, first = TriangleMesh(np.eye(3), np.arange(3)[None]), config.toward is None
+        T = np.diag([1.0, 1.0, 1.0, 1.0]) if first else np.diag([1.0, -1.0, -1.0, 1.0])
+        p = 0.95 if first else 0.9
+        estimate = ObjectEstimate(3, "bottle", np.zeros(16), T, np.ones(3), mesh, p, resting=config.resting)
+        seen = {"neck": necks[not first], "systematic": 0.5 if first else systematic}
+        return ScoredFit(estimate, replace(EVIDENCE, **seen), None)
+
+    assert fit_lying("bottle", scored, False) == turned
