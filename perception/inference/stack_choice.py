@@ -124,6 +124,8 @@ def _is_better(
     is_poor = whole is None or before > DOUBTFUL or whole.score < WEAK
     if any(e.status == "implausible" or e.height < LEAST_HEIGHT or _is_knob(e) for e in pair):
         return False
+    if pair[0].resting == "lying":  # nothing stands on what can roll
+        return False
     least = (BEYOND_DOUBT_SCORE,) * 2 if after < BEYOND_DOUBT * before else MIN_SCORES
     accepted = all(e.score >= p for e, p in zip(pair, least, strict=True))
     if is_poor and accepted and after < min(CLEARLY * before, MOST_UNEXPLAINED):

@@ -27,6 +27,7 @@ from perception.inference.observation import ObjectObservation
 from perception.inference.pose_score import class_mass
 from perception.inference.seams import Seam, find_seams, part_masks
 from perception.inference.stack_choice import GAP, are_one, are_two, gap_between, is_doubtful, is_vessel
+from perception.inference.stacking import raised
 from perception.metrics import SurfaceSamples
 from perception.types import (
     CATEGORIES,
@@ -45,6 +46,8 @@ Fit = Callable[[Rows, Mapping[int, int]], Sequence[ObjectEstimate]]
 
 SURE = 0.7  # least probability of the networks' names of two vessels that look like one
 MIN_CLASS = 0.3  # least mean class probability of a part
+BOTH_NAMED = 0.3  # least probability of the names of two parts of different colour: things have two as well
+CLEARLY_NAMED = 0.9  # least probability of the name of the upper one if the lower one has no name
 CARRIERS: tuple[Category, ...] = ("mug", "bowl", "can")  # nothing stands on a bottle
 MIN_PIXELS = 150  # of a part in a view
 NAMING_VIEWS = 3
@@ -112,7 +115,8 @@ def split_stacks(
                 *propose_parts(views, rows, id, planes, completer, free),
             ]
             likeliest = sorted(by_shape, key=lambda parts: -parts.probability)[:TRIALS]
-            proposals = [*parts_of_two_colors(views, rows, id, planes, completer, free), *likeliest]
+            parted = parts_of_two_colors(views, rows, id, planes, completer, free, whole is not None)
+            proposals = [*parted, *likeliest]
         elif whole is not None and is_vessel(whole):
             parted = parts_of_two_colors(views, rows, id, planes, completer, free)
             proposals = [p for p in parted if p.probability >= SURE and set(p.categories) <= set(VESSELS)]
@@ -222,8 +226,9 @@ def parts_of_two_colors(
     planes: Sequence[SupportPlane],
     completer: PoseNamer,
     free_id: int,
+    may_be_hidden: bool = False,
 ) -> list[Parts]:
-    """Return the cut between two objects of different colour; none if there is none.
+    """Return the cut between two objects of different colour; none if the networks do not name both.
 
     Args:
         views: Images without flying pixels.
@@ -232,6 +237,8 @@ def parts_of_two_colors(
         planes: Support planes, numbered by ``ObjectDetection.support``.
         completer: Names the parts.
         free_id: Id of the lower part; that of the upper one follows.
+        may_be_hidden: Whether the lower part may be without a name, to be fitted in all classes, below a
+            clearly named one: a rim may be all that is seen of it.
     """
     shown = {k: d for k, row in enumerate(rows) for d in row if d.instance_id == id}
     support = next(iter(shown.values())).support
@@ -239,18 +246,26 @@ def parts_of_two_colors(
     cut = color_cut({k: ObjectObservation(views[k], d.mask) for k, d in shown.items()}, plane)
     if cut is None:
         return []
-    bases = plane, replace(plane, offset=plane.offset + cut.height)
+    lower, upper = (
+        {k: masks[number] for k, masks in cut.masks.items() if masks[number].sum() >= MIN_PIXELS}
+        for number in (0, 1)
+    )
+    below = _named(lower, views, plane, completer, CARRIERS)
+    above = _named(upper, views, raised(plane, cut.height), completer, CATEGORIES)
+    if not below and may_be_hidden and above and _score_of(above) >= CLEARLY_NAMED:
+        below = {k: unclassified(mask) for k, mask in lower.items()}
+    elif not below or not above or _score_of(below) * _score_of(above) < BOTH_NAMED:
+        return []
     marked: list[list[ObjectDetection]] = [[] for _ in rows]
-    for number, classes in enumerate((CARRIERS, CATEGORIES)):
-        large = {k: masks[number] for k, masks in cut.masks.items() if masks[number].sum() >= MIN_PIXELS}
-        named = _named(large, views, bases[number], completer, classes)
-        if not named and number == 0:  # a rim may be all that is seen of it: the fits of all classes tell
-            named = {k: unclassified(mask) for k, mask in large.items()}
-        if not named:
-            return []
+    for number, named in enumerate((below, above)):
         for k, d in named.items():
             marked[k].append(replace(d, instance_id=free_id + number, support=support))
     return [Parts(marked, (free_id, free_id + 1))]
+
+
+def _score_of(named: Mapping[int, ObjectDetection]) -> float:
+    """Return the probability of the class of a part, which is that of all its detections."""
+    return next(iter(named.values())).score
 
 
 def _held(
@@ -270,7 +285,7 @@ def _held(
 
 def _bases(seam: Seam, plane: SupportPlane) -> tuple[SupportPlane, SupportPlane]:
     """Return what the lower and the upper object of a stack stand on, for the networks."""
-    return plane, plane if seam.nested else replace(plane, offset=plane.offset + seam.height)
+    return plane, plane if seam.nested else raised(plane, seam.height)
 
 
 def _named(

@@ -88,6 +88,7 @@ def test_parts_explain_clearly_more_and_have_scores(leave, before, after, scores
 def test_discs_knobs_and_what_is_implausible_are_no_parts(leave, part, accepted):
     leave(0.0)
     assert are_two([CANS[0], part], None, POINTS, 1.0, PLANE) is accepted
+    assert not are_two([shape("bottle", resting="lying"), part], None, POINTS, 1.0, PLANE), "it may roll"
 
 
 def test_far_better_scores_replace_an_unusual_shape_that_explains_as_much(leave):

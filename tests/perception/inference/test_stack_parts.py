@@ -16,6 +16,7 @@ from perception.types import (
     RgbdFrame,
     SupportPlane,
     TriangleMesh,
+    is_unclassified,
     unclassified,
 )
 
@@ -152,8 +153,29 @@ def test_objects_of_two_colors_are_parts(stack, rows):
     for row, upper in zip(parts.rows, stack.upper):
         (high,) = (d.mask for d in row if d.instance_id == 10)
         assert (high & upper).sum() > 0.95 * upper.sum() and (high & ~upper).sum() < 0.05 * upper.sum()
-    thing = Namer([0.1, 0.1, 0.05, 0.05, 0.7])
-    assert parts_of_two_colors(frames, rows, 4, [PLANE], thing, 9) == []
+    for unsure in ([0.1, 0.1, 0.05, 0.05, 0.7], [0.1, 0.1, 0.05, 0.5, 0.25]):
+        assert parts_of_two_colors(frames, rows, 4, [PLANE], Namer(unsure), 9, True) == []
+
+
+def test_below_a_clearly_named_object_a_part_may_be_without_a_name(stack, rows):
+    """Only its rim is seen; what is no object with a single shape is not taken for one on another."""
+
+    class KnowsTheUpper(Namer):
+        def complete(self, frame, plane, detections):
+            p = [0.0, 0.0, 0.0, 0.95, 0.05] if plane.offset > 0 else [0.0, 0.0, 0.0, 0.05, 0.95]
+            return [replace(d, class_probabilities=np.array(p)) for d in detections]
+
+        def posed(self, frame, plane, detections):
+            return detections
+
+    frames = []
+    for view, upper in zip(stack.seen, stack.upper):
+        rgb = np.where(upper[..., None], (30, 60, 200), (200, 40, 30)).astype(np.uint8)
+        frames.append(replace(view.frame, rgb=rgb))
+    (parts,) = parts_of_two_colors(frames, rows, 4, [PLANE], KnowsTheUpper(), 9, True)
+    below = [d for row in parts.rows for d in row if d.instance_id == 9]
+    assert below and all(is_unclassified(d) for d in below)
+    assert parts_of_two_colors(frames, rows, 4, [PLANE], KnowsTheUpper(), 9) == []
 
 
 def test_parts_with_far_better_scores_replace_an_unusual_shape_that_explains_as_much(stack, rows):
