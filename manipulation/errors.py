@@ -27,7 +27,7 @@ class RobotError(ManipulationError):
 
 
 class GoalBlockedError(RobotError):
-    """An object in the hand met something on its way to its goal, and was brought back to the table."""
+    """An object in the hand met something on its way to its goal; it was set down where possible."""
 
 
 class RobotStoppedError(ManipulationError):

@@ -96,14 +96,14 @@ def _across(
 
     The hand comes from above, turned about the axis by ``roll`` [rad].
     """
-    vertical_stand = T_world_stand[:3, :3].T @ np.array([0.0, 0.0, 1.0])
-    angle = np.arctan2(vertical_stand[1], vertical_stand[0]) + roll
+    vertical = T_world_stand[:3, :3].T @ np.array([0.0, 0.0, 1.0])
+    angle = np.arctan2(vertical[1], vertical[0]) + roll
     up = np.array([np.cos(angle), np.sin(angle), 0.0])  # across the axis, in the stand frame
     closing = np.cross((0.0, 0.0, 1.0), up)  # the hand's x, with the camera, points to the object's top
     azimuth = float(np.arctan2(closing[1], closing[0]))
     across = _extents(sections, height, azimuth)
-    vertical = _extents(sections, height, azimuth + np.pi / 2)
-    if len(across) < 3 or len(vertical) < 3:
+    along = _extents(sections, height, azimuth + np.pi / 2)  # the approach
+    if len(across) < 3 or len(along) < 3:
         return Rejected("without material between the pads")
     gripper, widths = config.gripper, [e.width for e in across]
     width = max(widths)
@@ -113,7 +113,7 @@ def _across(
     if taper > config.max_taper:
         return Rejected("too tapered")
     sideways = np.array([-closing[1], closing[0], 0.0])
-    position = across[1].middle * closing + vertical[1].middle * sideways
+    position = across[1].middle * closing + along[1].middle * sideways
     position = position + np.array([0.0, 0.0, height])
     tips = float((T_world_stand @ np.append(position - gripper.tip * up, 1.0))[2])
     low = tips - np.sin(abs(roll)) * width / 2 - config.fingertip_clearance

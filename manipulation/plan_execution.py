@@ -26,14 +26,13 @@ from manipulation.robot import Robot, follow_opening
 from manipulation.stack_settling import StackSettling
 from manipulation.trajectories import joint_move, line_postures
 from manipulation.types import Grasp, PickPlacePlan
-from manipulation.ways_back import planned_way, reversed_way, way_to_room
+from manipulation.ways_back import DESCENT, planned_way, reversed_way, way_to_room
 from manipulation.withdrawal import HOME_MARGINS
 from perception.geometry import invert, transform_points
 
 logger = logging.getLogger(__name__)
 
-_ASIDE = 0.03  # [m] of the hand from where it brings an object back, horizontally
-_LOWERED = 0.12  # [m] above it
+_ASIDE = 0.03  # [m] of the hand from where it was to set an object down, or from where it grasped it
 _ABOVE = 0.003  # [m] by which the base of an object is above that of one that carries it, at least
 _INSIDE = 0.004  # [m] by which a point is in the way of the hand at least, which covers noise
 _UNKNOWN = 60  # measured points that nothing known explains are a thing
@@ -263,17 +262,17 @@ class PlanExecution:
         """Return whether the hand is where a posture has it, or could not be lowered as far."""
         forward = self.planner.kinematics.forward
         apart = (forward(self.robot.joint_positions()) - forward(q))[:3, 3]
-        return bool(np.linalg.norm(apart[:2]) < _ASIDE and apart[2] < _LOWERED)
+        return bool(np.linalg.norm(apart[:2]) < _ASIDE and apart[2] < DESCENT)
 
     def _note_set_down(self, plan: PickPlacePlan) -> None:
         """Expect an object where the hand has brought it, as if it had not turned."""
         planner = self.planner
-        T_grasped = planner.kinematics.forward(plan.lift.positions[0])
-        moved = planner.kinematics.forward(self.robot.joint_positions()) @ invert(T_grasped)
-        if np.linalg.norm(moved[:3] @ T_grasped[:, 3] - T_grasped[:3, 3]) > _ASIDE:
-            for name, T in planner.poses().items():
-                if name in (plan.name, *plan.contents):
-                    planner.moved(name, moved @ T)
+        T_grasped, T_now = map(
+            planner.kinematics.forward, (plan.lift.positions[0], self.robot.joint_positions())
+        )
+        if np.linalg.norm((T_now - T_grasped)[:3, 3]) > _ASIDE:
+            for name in (plan.name, *plan.contents):
+                planner.moved(name, T_now @ invert(T_grasped) @ planner.world.pose(name))
 
     def push(self, push: Push) -> None:
         """Push an object along the table with the closed hand; its pose is as expected then.

@@ -19,7 +19,7 @@ from manipulation.types import PickPlacePlan, Rejected
 from perception.geometry import pose_from_yaw
 
 _RISES = (0.18, 0.12, 0.08, 0.04)  # [m] above where an object met something, tried in order
-_DESCENT = 0.12  # [m] of the hand to where an object is set down
+DESCENT = 0.12  # [m] of the hand to where an object is set down
 _ABOVE_TABLE = 0.01  # [m] of the base of an object that has not turned, as it is set down
 
 
@@ -50,7 +50,7 @@ def way_to_room(
             turn = kinematics.bearing(T_down) - kinematics.bearing(T_grasp)
             T_down[:3, :3] = pose_from_yaw(turn, np.zeros(3))[:3, :3] @ T_grasp[:3, :3]
             T_above = T_down.copy()
-            T_above[2, 3] += _DESCENT
+            T_above[2, 3] += DESCENT
             above = kinematics.inverse(T_above, [plan.lift.positions[-1], q], name="a place to set it down")
             down = motions.free_line(above.q, [T_down], width) if above.converged else None
             if down is None or isinstance(down, Rejected):

@@ -39,7 +39,7 @@ logger = logging.getLogger(__name__)
 
 CLOSER = 0.8  # ratio of the residuals from which on the depth tells which way round a bottle lies
 # Area of a section near the top, relative to the largest one, from which on a bottle has hardly a neck. Of 28
-# lying bottles in 19 scans two had more either way round: those whose score was better the wrong way round.
+# lying bottles in 19 scans two had more either way round: the two that were kept the wrong way round.
 NO_NECK = 0.65
 ALIKE = 0.02  # difference of the misfits up to which a bottle may lie either way round
 REVERSED: Mapping[RestingPose, RestingPose] = {
@@ -216,9 +216,11 @@ def _is_right_way_up(one: ScoredFit, other: ScoredFit) -> bool:
     """
     if _is_clearly_closer(one.evidence, other.evidence):
         return True
+    if _is_clearly_closer(other.evidence, one.evidence):
+        return False
     if min(one.evidence.neck, other.evidence.neck) > NO_NECK:
         return one.evidence.systematic < other.evidence.systematic
-    return one.estimate.score > other.estimate.score and not _is_clearly_closer(other.evidence, one.evidence)
+    return one.estimate.score > other.estimate.score
 
 
 def _is_clearly_closer(one: Evidence, other: Evidence) -> bool:

@@ -42,6 +42,7 @@ from perception.types import (
 )
 
 Rows = Sequence[Sequence[ObjectDetection]]
+Named = Mapping[int, ObjectDetection]  # detections of one part, by the numbers of the frames
 Fit = Callable[[Rows, Mapping[int, int]], Sequence[ObjectEstimate]]
 
 SURE = 0.7  # least probability of the networks' names of two vessels that look like one
@@ -67,6 +68,15 @@ class Parts:
 
     rows: Rows
     ids: tuple[int, int]
+
+    @staticmethod
+    def of(count: int, below: Named, above: Named, free_id: int, support: int) -> Parts:
+        """Return the parts, detected in some of ``count`` frames, the lower one with the first free id."""
+        rows: list[list[ObjectDetection]] = [[] for _ in range(count)]
+        for id, named in enumerate((below, above), start=free_id):
+            for k, d in named.items():
+                rows[k].append(replace(d, instance_id=id, support=support))
+        return Parts(rows, (free_id, free_id + 1))
 
     @property
     def probability(self) -> float:
@@ -105,9 +115,8 @@ def split_stacks(
     free = 1 + max((d.instance_id for row in rows for d in row if d.instance_id is not None), default=-1)
     open_: dict[int, tuple[list[Parts], Float[np.ndarray, "n 3"], float]] = {}
     for id in sorted({d.instance_id for row in rows for d in row if d.instance_id is not None}):
-        points = instance_points(views, rows, id)
-        before = unexplained(points, [estimates[id]] if id in estimates else [])
-        whole = estimates.get(id)
+        points, whole = instance_points(views, rows, id), estimates.get(id)
+        before = unexplained(points, [] if whole is None else [whole])
         proposals: list[Parts] = []
         if is_doubtful(whole, before):
             by_shape = [
@@ -165,16 +174,13 @@ def propose_parts(
     proposals = []
     for seam in find_seams(tuple(seen.values()), planes[support]):
         masks = {k: part_masks(view, seam, planes[support]) for k, view in seen.items()}
-        marked: list[list[ObjectDetection]] = [[] for _ in rows]
+        named = []
         for number, base in enumerate(_bases(seam, planes[support])):
             own = {k: remove_specks(m[number], _SPECK) for k, m in masks.items() if m[number].any()}
-            large = {k: mask for k, mask in own.items() if mask.sum() >= MIN_PIXELS}
             classes = CATEGORIES if number else VESSELS if seam.nested else CARRIERS
-            for k, d in _named(large, views, base, completer, classes).items():
-                marked[k].append(replace(d, instance_id=free_id + number, support=support))
-        ids = (free_id, free_id + 1)
-        if all(any(d.instance_id == i for row in marked for d in row) for i in ids):
-            proposals.append(Parts(marked, ids))
+            named.append(_named(_large(own), views, base, completer, classes))
+        if all(named):
+            proposals.append(Parts.of(len(rows), named[0], named[1], free_id, support))
     return proposals
 
 
@@ -208,15 +214,9 @@ def parts_inside(
     held = {k: _held(views[k], d.mask, vessel, surface) for k, d in shown.items()}
     rest = {k: d.mask & ~held[k] for k, d in shown.items()}
     support = next(iter(shown.values())).support
-    marked: list[list[ObjectDetection]] = [[] for _ in rows]
-    for number, (masks, classes) in enumerate(((rest, VESSELS), (held, CATEGORIES))):
-        large = {k: mask for k, mask in masks.items() if mask.sum() >= MIN_PIXELS}
-        named = _named(large, views, planes[support], completer, classes)
-        if not named:
-            return []
-        for k, d in named.items():
-            marked[k].append(replace(d, instance_id=free_id + number, support=support))
-    return [Parts(marked, (free_id, free_id + 1))]
+    below = _named(_large(rest), views, planes[support], completer, VESSELS)
+    above = _named(_large(held), views, planes[support], completer, CATEGORIES) if below else {}
+    return [Parts.of(len(rows), below, above, free_id, support)] if above else []
 
 
 def parts_of_two_colors(
@@ -246,24 +246,22 @@ def parts_of_two_colors(
     cut = color_cut({k: ObjectObservation(views[k], d.mask) for k, d in shown.items()}, plane)
     if cut is None:
         return []
-    lower, upper = (
-        {k: masks[number] for k, masks in cut.masks.items() if masks[number].sum() >= MIN_PIXELS}
-        for number in (0, 1)
-    )
+    lower, upper = (_large({k: masks[number] for k, masks in cut.masks.items()}) for number in (0, 1))
     below = _named(lower, views, plane, completer, CARRIERS)
     above = _named(upper, views, raised(plane, cut.height), completer, CATEGORIES)
     if not below and may_be_hidden and above and _score_of(above) >= CLEARLY_NAMED:
         below = {k: unclassified(mask) for k, mask in lower.items()}
     elif not below or not above or _score_of(below) * _score_of(above) < BOTH_NAMED:
         return []
-    marked: list[list[ObjectDetection]] = [[] for _ in rows]
-    for number, named in enumerate((below, above)):
-        for k, d in named.items():
-            marked[k].append(replace(d, instance_id=free_id + number, support=support))
-    return [Parts(marked, (free_id, free_id + 1))]
+    return [Parts.of(len(rows), below, above, free_id, support)]
 
 
-def _score_of(named: Mapping[int, ObjectDetection]) -> float:
+def _large(masks: Mapping[int, Bool[np.ndarray, "h w"]]) -> dict[int, Bool[np.ndarray, "h w"]]:
+    """Return the masks with enough pixels, by the numbers of the frames."""
+    return {k: mask for k, mask in masks.items() if mask.sum() >= MIN_PIXELS}
+
+
+def _score_of(named: Named) -> float:
     """Return the probability of the class of a part, which is that of all its detections."""
     return next(iter(named.values())).score
 

@@ -7,6 +7,7 @@ import pytest
 
 from manipulation.errors import RobotError
 from manipulation.kinematics import Kinematics
+from manipulation.observation import NoObserver
 from manipulation.pick_place import PickPlacePlanner
 from manipulation.plan_execution import PlanExecution
 from manipulation.standing import to_standing
@@ -80,12 +81,14 @@ def test_where_the_way_back_is_blocked_another_one_is_planned(item, arm, plan):
     assert planner.world.contact(plan.lift.positions[-1], plan.grasp.held_width) is None, "nothing is carried"
 
 
-def blocked_beside(item, beside, arm, plan, share=0.9):
+def blocked_beside(item, beside, arm, plan, share=0.9, observer=None):
     """Execute a plan that is blocked, of a can that stands beside another one."""
     robot = MeetsSomething(arm, [plan.grasp.held_width])
     robot.share = share
     planner = PickPlacePlanner(Kinematics(arm), {"can_1": item, "can_2": beside}, config=CONFIG.pick_place)
-    execution = PlanExecution(robot, planner, FakeObserver(), CONFIG, lambda *args, **options: None)
+    execution = PlanExecution(
+        robot, planner, observer or FakeObserver(), CONFIG, lambda *args, **options: None
+    )
     with pytest.raises(RobotError, match="blocked"):
         execution.run(plan)
     return robot, planner
@@ -109,12 +112,16 @@ def test_among_others_it_is_set_down_where_there_is_room(item, beside, arm, plan
     )
 
 
-def test_it_is_lowered_to_the_table_from_a_stack(item, beside, arm, plan):
-    """What was lifted from another object is not lowered onto that again."""
-    below = replace(beside, T_world_stand=pose_from_yaw(0.0, np.array([0.5, -0.25, -item.top])))
-    _, planner = blocked_beside(item, below, arm, plan)
+def test_what_stood_on_another_object_is_lowered_to_the_table(item, shapes, arm):
+    """Not onto that again, from which it would fall."""
+    above = replace(item, T_world_stand=pose_from_yaw(0.0, np.array([0.5, -0.25, item.top + 0.001])))
+    below = to_standing(shapes.estimate(2, "can", shapes.can(), x=0.5, y=-0.25))
+    both = PickPlacePlanner(Kinematics(arm), {"can_1": above, "can_2": below}, config=CONFIG.pick_place)
+    plan = both.plan(Placement("can_1", (0.5, 0.1, 0.0), (0.0,)), arm.q_home)
+    _, planner = blocked_beside(above, below, arm, plan, observer=NoObserver())
     T = planner.world.pose("can_1")
-    assert np.linalg.norm((T - item.T_world_stand)[:2, 3]) > 0.05 and T[2, 3] < 0.012
+    assert np.linalg.norm((T - above.T_world_stand)[:2, 3]) > 0.05
+    assert T[2, 3] == pytest.approx(0.01, abs=1e-3), "lower than before by the height of the other one"
 
 
 class MeetsTheTable(MeetsSomething):
