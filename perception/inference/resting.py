@@ -40,7 +40,7 @@ _ROUND = 1.5  # ratio of the strip's standard deviations below which its axis is
 # Angles from the upward direction to the object's x axis about its z axis. Handles of mugs touch the plane on
 # one side, or are in the air; sections of bottles may be rectangular.
 _ROLLS: Mapping[Category, tuple[float, ...]] = {
-    "mug": (np.deg2rad(60), np.deg2rad(110), np.deg2rad(-60), np.deg2rad(-110)),
+    "mug": tuple(np.deg2rad([60.0, 110.0, -60.0, -110.0, 0.0]).tolist()),
     "bowl": (0.0,),
     "bottle": (0.0, np.pi / 2),
     "can": (0.0,),

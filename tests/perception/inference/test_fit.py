@@ -86,6 +86,18 @@ def test_a_lying_can_is_found_on_its_side(decoder, azimuths) -> None:
     assert abs(estimate.mesh_world.vertices[:, 2].min()) < 0.002
 
 
+@pytest.mark.parametrize("roll", [0.0, 75.0])
+def test_the_handle_of_a_lying_mug_points_where_depth_shows_it(decoder, roll) -> None:
+    """Among its neighbours a mug may lie with its handle straight up."""
+    table = lying(decoder, 0.9, "mug")
+    about_axis = so3_exp(np.array([0.0, 0.0, np.deg2rad(roll)]))
+    pose = ObjectPose(table.pose.rotation @ about_axis, table.pose.translation, table.pose.scale)
+    table = replace(table, pose=pose)
+    config = FitConfig(resting="lying")
+    estimate = fit_object(views(table.observations((0.4, 2.5, 4.6)), "mug"), decoder, PLANE, config)
+    assert estimate.T_world_object[:3, 0] @ pose.rotation[:, 0] > np.cos(np.deg2rad(12))
+
+
 def test_depth_holes_and_covered_pixels_are_left_out(can, decoder) -> None:
     observations = []
     for seen in can.observations((0.0, 2.0, 4.0)):
