@@ -194,12 +194,16 @@ def _turned_over(best: ScoredFit, other: ScoredFit) -> ScoredFit:
 
 
 def _has_lower_end_up(fits: ObjectFits, best: ScoredFit) -> bool:
-    """Return whether a can has its lower end up by its sides; what may well be a bottle has not."""
+    """Return whether a can has its lower end up by its sides.
+
+    What may well be a bottle has not if it lies, and has to widen more if it stands.
+    """
     resting = best.estimate.resting
     may_be_bottle = fits.pose_probability("bottle", resting) > fits.pose_probability("can", resting)
-    if may_be_bottle and not _is_sure_of(fits.views, "can"):
+    is_doubtful = may_be_bottle and not _is_sure_of(fits.views, "can")
+    if is_doubtful and resting == "lying":
         return False
-    return is_turned_over(best.estimate, fits.views.observations)
+    return is_turned_over(best.estimate, fits.views.observations, is_doubtful)
 
 
 def _is_sure_of(views: ObjectViews, category: Category) -> bool:

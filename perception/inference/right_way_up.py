@@ -27,6 +27,7 @@ from perception.types import ObjectEstimate, TriangleMesh
 
 WIDER = 0.16  # difference between the radii at top and bottom, relative to their mean, of what lies
 STANDING_WIDER = 0.13  # of what stands, whose axis is known
+CLEARLY_WIDER = 0.2  # of what stands and may well be a bottle
 STRAIGHT = 0.5  # largest |c| of a cone, relative to the mean radius
 EVEN = 0.05  # largest unevenness of a cone: a bottle with a wide neck narrows between two cylinders
 NECK = 0.8  # largest radius of a neck, relative to that of the cone at the same height
@@ -66,11 +67,18 @@ class SideProfile:
     deviation: float
 
 
-def is_turned_over(estimate: ObjectEstimate, observations: Sequence[ObjectObservation]) -> bool:
+def is_turned_over(
+    estimate: ObjectEstimate, observations: Sequence[ObjectObservation], is_doubtful: bool = False
+) -> bool:
     """Return whether an estimate has its lower end up, by its measured sides.
 
     It is a can that widens upwards, in its own frame, or a lying bottle that narrows evenly towards a top
     without a neck.
+
+    Args:
+        estimate: The estimate.
+        observations: Views of the object.
+        is_doubtful: Whether a standing can may well be a bottle, and has to widen more.
     """
     if estimate.category != "can" and (estimate.category, estimate.resting) != ("bottle", "lying"):
         return False
@@ -81,7 +89,8 @@ def is_turned_over(estimate: ObjectEstimate, observations: Sequence[ObjectObserv
     if profile is None:
         return False
     if estimate.category == "can":
-        return profile.widening - profile.deviation > (WIDER if lies else STANDING_WIDER)
+        standing = CLEARLY_WIDER if is_doubtful else STANDING_WIDER
+        return profile.widening - profile.deviation > (WIDER if lies else standing)
     is_even = abs(profile.bulge) < STRAIGHT and profile.unevenness < EVEN
     is_cone = profile.widening < -WIDER and is_even
     return is_cone and not _has_neck(points, estimate.mesh.vertices, profile)

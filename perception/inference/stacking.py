@@ -37,6 +37,10 @@ _TOPPLING = 0.005  # [m] beside the other object's outline that the middle of an
 _LEANING = 0.3  # [rad] standard deviation of the tilt of an object in a vessel
 _MOST_LEANING = math.radians(40)
 _DOUBTFUL, _CLEARLY = 0.05, 0.6  # unexplained share of a poor fit, and largest ratio of that of a better one
+# Ratio of the residuals, and difference of the scores, from which on an object in a vessel leans although its
+# points are about explained without tilt. In 9 scans it was 0.66 to 0.78 for what leaned by 15 degrees and
+# more, 0.95 and more for what stood.
+_CLOSER, _AS_GOOD = 0.85, 0.02
 BELOW = 0.01  # [m] below the lowest measured points, where the foot of an object on something hidden may be
 _VIEWS = 2  # in which an object is measured
 _CENTRAL = (
@@ -184,14 +188,13 @@ def _leaning(
         config: Settings of the fits.
         fit: Fits the object, given the plane that it stands on.
     """
-    if unexplained(points, [upright]) < _DOUBTFUL:
-        return None
     noise = replace(config.noise, tilt_sigma=_LEANING, support_sigma=FREE)
     try:
         leaning = fit(views, plane, replace(config, noise=noise, max_tilt=_MOST_LEANING))
     except PerceptionError:
         return None
-    return leaning if _explains_more(points, leaning, upright) else None
+    is_closer = leaning.residual < _CLOSER * upright.residual and leaning.score >= upright.score - _AS_GOOD
+    return leaning if is_closer or _explains_more(points, leaning, upright) else None
 
 
 def gap(upper: TriangleMesh, lower: TriangleMesh, plane: SupportPlane) -> float | None:

@@ -284,7 +284,9 @@ def test_a_can_with_the_wrong_end_up_is_fitted_the_other_way_round(monkeypatch, 
         return ScoredFit(estimate, replace(EVIDENCE, explained=0.97 if first else 0.8), None)
 
     monkeypatch.setattr(scored_fits, "scored_fit", scored)
-    monkeypatch.setattr(class_choice, "is_turned_over", lambda estimate, seen: True)
+    monkeypatch.setattr(
+        class_choice, "is_turned_over", lambda estimate, seen, is_doubtful=False: not is_doubtful
+    )
     monkeypatch.setattr(resting_choice, "nearest_hypotheses", lambda *_: [("can", pose)])
     monkeypatch.setattr(pose_choice, "rests_stably", lambda mesh, plane: True)
     views = ObjectViews(3, "can", 0.9, (OBSERVATION,), np.full(5, 0.2))
@@ -312,7 +314,7 @@ def fit_lying(monkeypatch, decoder):
 
     def run(category, scored, by_sides) -> bool:
         monkeypatch.setattr(scored_fits, "scored_fit", scored)
-        monkeypatch.setattr(class_choice, "is_turned_over", lambda estimate, seen: by_sides)
+        monkeypatch.setattr(class_choice, "is_turned_over", lambda *_: by_sides)
         monkeypatch.setattr(resting_choice, "nearest_hypotheses", lambda *_: [(category, "lying")])
         monkeypatch.setattr(pose_choice, "rests_stably", lambda mesh, plane: True)
         views = ObjectViews(3, category, 0.9, (OBSERVATION,), np.full(5, 0.2))
@@ -370,7 +372,7 @@ def test_a_bottle_that_explains_much_more_contradicts_a_can_the_other_way_round(
         return ScoredFit(estimate, replace(EVIDENCE, explained=seen[0], systematic=seen[1]), None)
 
     monkeypatch.setattr(scored_fits, "scored_fit", scored)
-    turned_over = lambda estimate, seen: by_sides and estimate.category == "can"  # noqa: E731
+    turned_over = lambda estimate, *_: by_sides and estimate.category == "can"  # noqa: E731
     monkeypatch.setattr(class_choice, "is_turned_over", turned_over)
     monkeypatch.setattr(pose_choice, "rests_stably", lambda mesh, plane: True)
     p = {("can", "lying"): 0.9 - named, ("bottle", "lying"): named}

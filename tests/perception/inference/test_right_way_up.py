@@ -145,6 +145,16 @@ def test_what_has_its_lower_end_up_is_turned_over(category, resting, points, tur
     assert is_turned_over(estimate, (seen_from_above(points),)) == turned
 
 
+@pytest.mark.parametrize(("slope", "turned"), [(0.25, True), (0.16, False)])
+def test_what_may_be_a_bottle_has_to_widen_more(slope, turned) -> None:
+    T = np.eye(4)
+    mesh = TriangleMesh(cylinder(), np.array([[0, 1, 60]]))
+    can = ObjectEstimate(0, "can", np.zeros(16), T, np.ones(3), mesh)
+    views = (seen_from_above(side(slope)),)
+    assert is_turned_over(can, views)
+    assert is_turned_over(can, views, is_doubtful=True) == turned
+
+
 def seen_from_above(points: np.ndarray) -> ObjectObservation:
     """An image in which every pixel is one of the points."""
     camera = CameraIntrinsics(len(points), 1, 1.0, 1.0, 0.0, 0.0)
