@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Sequence
-from dataclasses import replace
+from dataclasses import dataclass, replace
 
 import numpy as np
 from jaxtyping import Bool, Float
@@ -11,8 +11,10 @@ from scipy.ndimage import distance_transform_edt
 from scipy.spatial import ConvexHull
 
 from manipulation.footprints import BoxRaster, Footprint, Stencil, footprint
+from manipulation.release_clearance import ReleasePose, count_free_releases
+from manipulation.robot import GripperGeometry
 from manipulation.standing import split_handle
-from manipulation.types import Box, Placement, StandingObject
+from manipulation.types import Box, Grasp, Placement, StandingObject
 
 GAPS = (0.012, 0.005)  # [m] smallest distance from walls and other objects; the smaller if there is no place
 ENOUGH = 0.008  # [m] from what is in the box, with which the planned place is kept
@@ -22,6 +24,32 @@ BETWEEN = 0.003  # [m] that it keeps from the goals of objects that are not yet 
 APART = 0.05  # [m] between two places
 SNUG = 0.05  # [m] around an object, within which the free floor is counted
 MOST = 4
+_YAWS = 2  # of a place at which the hand is looked at: grasps of round objects are all around them
+
+
+@dataclass(frozen=True)
+class Hold:
+    """How the hand may hold an object that it releases.
+
+    Attributes:
+        grasps: grasps of the object.
+        gripper: geometry of the hand.
+    """
+
+    grasps: Sequence[Grasp]
+    gripper: GripperGeometry
+
+    def has_room(self, place: Placement, raster: BoxRaster, box: Box) -> bool:
+        """Return whether some grasp is above the scene at a place.
+
+        Args:
+            place: goal of the object.
+            raster: heights of the scene.
+            box: the box.
+        """
+        position, base = np.subtract(place.position[:2], box.center), place.position[2] + place.release_height
+        poses = [ReleasePose(position, yaw, base) for yaw in place.yaws[:_YAWS]]
+        return any(count_free_releases(raster, self.grasps, pose, self.gripper) for pose in poses)
 
 
 def free_places(
@@ -31,10 +59,12 @@ def free_places(
     box: Box,
     waiting: Sequence[tuple[StandingObject, Placement]] = (),
     is_snug: bool = False,
+    hold: Hold | None = None,
 ) -> list[Placement]:
     """Return places on the free floor of a box at the planned yaw, the one with most or least room first.
 
-    They leave the goals of waiting objects free if there is such a place.
+    They leave the goals of waiting objects free if there is such a place. Those at which the hand has no room
+    to release the object come last.
 
     Args:
         item: the object to be placed.
@@ -43,16 +73,22 @@ def free_places(
         box: the box.
         waiting: objects that are not yet in the box, with their goals.
         is_snug: whether the place with the least room around it comes first, which leaves more to others.
+        hold: how the hand may hold the object; None if it need not have room.
     """
-    if waiting and (
-        places := _free_places(item, placement, _reserved(_filled(box, others), box, waiting), box, is_snug)
-    ):
+    filled = _filled(box, others)
+    reserved = _reserved(filled.copy(), box, waiting)
+    if waiting and (places := _free_places(item, placement, reserved, box, is_snug, hold)):
         return places
-    return _free_places(item, placement, _filled(box, others), box, is_snug)
+    return _free_places(item, placement, filled, box, is_snug, hold)
 
 
 def _free_places(
-    item: StandingObject, placement: Placement, raster: BoxRaster, box: Box, is_snug: bool
+    item: StandingObject,
+    placement: Placement,
+    raster: BoxRaster,
+    box: Box,
+    is_snug: bool,
+    hold: Hold | None,
 ) -> list[Placement]:
     """Return places on the cells of a raster that are not taken, the one with most or least room first."""
     shape = footprint(item).rotated(placement.yaws[0])
@@ -63,12 +99,14 @@ def _free_places(
     free = (raster.free_positions(Stencil.of(shape, gap, raster.cell)) for gap in GAPS)
     rank = np.where(next((places for places in free if places.any()), False), rank, 0.0)
     found: list[Placement] = []
+    without_room: list[Placement] = []
     while len(found) < MOST and rank.any():
         i, j = np.unravel_index(np.argmax(rank), rank.shape)
         x, y = raster.centers[i, j] + box.center
-        found.append(replace(placement, position=(float(x), float(y), box.floor)))
+        place = replace(placement, position=(float(x), float(y), box.floor))
+        (found if hold is None or hold.has_room(place, raster, box) else without_room).append(place)
         rank[np.linalg.norm(raster.centers - raster.centers[i, j], axis=-1) < APART] = 0.0
-    return found
+    return [*found, *without_room][:MOST]
 
 
 def roomier_place(
@@ -122,7 +160,7 @@ def _filled(box: Box, objects: Sequence[tuple[StandingObject, Float[np.ndarray, 
             parts = [part @ T_world_stand[:3, :3].T for part in split_handle(item.vertices, item.category)]
             outlines = tuple(part[ConvexHull(part[:, :2]).vertices, :2] for part in parts)
             shape = Footprint(outlines, max(float(part[:, 2].max()) for part in parts))
-            raster.add(Stencil.of(shape, 0.0, raster.cell), _cell(raster, place))
+            raster.add(Stencil.of(shape, 0.0, raster.cell), _cell(raster, place), float(T_world_stand[2, 3]))
     return raster
 
 

@@ -12,14 +12,15 @@ import numpy as np
 from jaxtyping import Float
 
 from manipulation.errors import PlanningError
-from manipulation.free_places import free_places
+from manipulation.free_places import Hold, free_places
+from manipulation.grasps import grasp_candidates
 from manipulation.kinematics import Kinematics
 from manipulation.lying_grasps import lies
 from manipulation.nesting import nest_heights, nests, radial_surfaces
 from manipulation.packing import admissible_yaws, nest_drop
 from manipulation.planner import ManipulationConfig, find_usable
 from manipulation.robot import ArmDescription
-from manipulation.types import Box, Placement, StandingObject, TaskPlan
+from manipulation.types import Box, GraspSet, Placement, StandingObject, TaskPlan
 from perception.geometry import pose_from_yaw, yaw_of
 from perception.types import ObjectEstimate
 
@@ -51,7 +52,7 @@ def plan_further(
     config = config.for_arm(arm)
     usable = find_usable(objects, kinematics or Kinematics(arm, config.pick_place.ik), config)
     items = sorted(usable.candidates, key=_order)
-    placements, no_room = _most_in_place(items, placed, box, config)
+    placements, no_room = _most_in_place(items, placed, box, config, usable.grasps)
     if not placements:
         raise PlanningError("; ".join(no_room.values()))
     return TaskPlan(
@@ -87,20 +88,21 @@ def _most_in_place(
     placed: Mapping[str, StandingObject],
     box: Box,
     config: ManipulationConfig,
+    grasps: Mapping[str, GraspSet],
 ) -> tuple[list[Placement], dict[str, str]]:
     """Return goals that leave as few objects out as possible, and the reason by name for each of those.
 
     The first of these ways that leaves none out: with much room around each object, with little room, and
     with one object in the box moved, the narrowest first.
     """
-    best = _in_place(items, placed, box, config)
+    best = _in_place(items, placed, box, config, grasps)
     if not best[1]:
         return best
     ways = [(items, dict(placed))]
     for moved in sorted(_movable(placed), key=_floor_space):
         ways.append(((*items, moved), {name: other for name, other in placed.items() if name != moved.name}))
     for wanted, there in ways:
-        goals, no_room = _in_place(wanted, there, box, config, is_snug=True)
+        goals, no_room = _in_place(wanted, there, box, config, grasps, is_snug=True)
         if len(no_room) < len(best[1]) and not no_room.keys() & placed.keys():
             # What is moved makes room for the others.
             best = sorted(goals, key=lambda goal: goal.name not in placed), no_room
@@ -114,6 +116,7 @@ def _in_place(
     placed: Mapping[str, StandingObject],
     box: Box,
     config: ManipulationConfig,
+    grasps: Mapping[str, GraspSet],
     is_snug: bool = False,
 ) -> tuple[list[Placement], dict[str, str]]:
     """Return a goal for each object in turn, and the reason by name for each that finds no room.
@@ -126,7 +129,11 @@ def _in_place(
     }
     for item in items:
         others = {name: other for name, other in there.items() if name != item.name}
-        goal = _into_bowls(item, others, box, config) or _on_the_floor(item, others, box, config, is_snug)
+        goal = _into_bowls(item, others, box, config)
+        if goal is None:
+            known = grasps.get(item.name) or grasp_candidates(item, config.pick_place.grasp)
+            hold = Hold(known.grasps, config.pick_place.grasp.gripper)
+            goal = _on_the_floor(item, others, box, config, hold, is_snug)
         if goal is None:
             no_room[item.name] = f"no room for {item.name} is left in the box; use a larger box"
             continue
@@ -223,11 +230,12 @@ def _on_the_floor(
     there: Mapping[str, StandingObject],
     box: Box,
     config: ManipulationConfig,
+    hold: Hold,
     is_snug: bool,
 ) -> Placement | None:
     """Return a goal where most floor is free, or least; a mug is aligned with those in the box.
 
-    None without room.
+    One with room for the hand comes first. None without room.
     """
     others = [(other, other.T_world_stand) for other in there.values()]
     for yaw in _yaws(item, there):
@@ -237,7 +245,7 @@ def _on_the_floor(
             admissible_yaws(item, yaw),
             release_height=config.packing.release_height,
         )
-        places = free_places(item, goal, others, box, is_snug=is_snug)
+        places = free_places(item, goal, others, box, is_snug=is_snug, hold=hold)
         if places:
             return places[0]
     return None

@@ -14,7 +14,7 @@ import numpy as np
 from jaxtyping import Float
 
 from manipulation.errors import NoPlanError, PlanningError
-from manipulation.free_places import free_places, roomier_place
+from manipulation.free_places import Hold, free_places, roomier_place
 from manipulation.free_table import Outline, goals_aside, outlines_of_others
 from manipulation.lying_grasps import is_upside_down, lies
 from manipulation.packing import admissible_yaws
@@ -359,7 +359,8 @@ class ObjectPlanning:
         objects = self._task.objects
         others = [(objects[n], T) for n, T in self._planner.poses().items() if n != placement.name]
         waiting = self._waiting(placement.name)
-        return free_places(objects[placement.name], placement, others, self._task.box, waiting)
+        hold = Hold(self._planner.grasps(placement.name).grasps, self._config.pick_place.grasp.gripper)
+        return free_places(objects[placement.name], placement, others, self._task.box, waiting, hold=hold)
 
     def _taken(self, name: str) -> list[Outline]:
         """Return the outlines of the top views of everything but one object."""

@@ -10,6 +10,7 @@ from __future__ import annotations
 from collections.abc import Iterator, Mapping, Sequence
 from dataclasses import dataclass, replace
 from functools import cache, partial
+from types import MappingProxyType
 from typing import Literal
 
 import numpy as np
@@ -20,7 +21,7 @@ from manipulation.grasp_config import GraspConfig
 from manipulation.grasps import grasp_candidates
 from manipulation.layouts import Layout, unreleasable
 from manipulation.nesting import RadialProfile, nest_heights, radial_profile, stack_bowls
-from manipulation.packing_problem import PackingConfig, PackingProblem, ShapeCache
+from manipulation.packing_problem import PackingConfig, PackingProblem, ShapeCache, placed_later
 from manipulation.packing_strategies import greedy_layout, strategies
 from manipulation.relaxed_layouts import Relaxation
 from manipulation.robot import GripperGeometry
@@ -35,6 +36,7 @@ def pack(
     config: PackingConfig = PackingConfig(),
     grasp_config: GraspConfig = GraspConfig(),
     grasps: Mapping[str, GraspSet] | None = None,
+    resting: Mapping[str, str] = MappingProxyType({}),
 ) -> tuple[tuple[Placement, ...], dict[str, str]]:
     """Search for a layout of objects in a box.
 
@@ -44,6 +46,7 @@ def pack(
         config: settings of the search.
         grasp_config: settings of grasp generation.
         grasps: grasp candidates by name; generated if None.
+        resting: by the name of an object, that of the one that it rests on now, and that comes after it.
 
     Returns:
         Placements in the order of execution, and the reason by name for each object that does not fit.
@@ -60,6 +63,7 @@ def pack(
     problem = PackingProblem(
         {item.name: item for item in items},
         stacks, grasps, box, config, grasp_config, ShapeCache(items, cell), cell,
+        placed_later(resting, {item.name: () for item in items} | _below(stacks)),
     )  # fmt: skip
     best = _best_layout(problem)
     if not best.positions:
@@ -177,11 +181,7 @@ def _cavity(profile: RadialProfile, rim: float, heights: np.ndarray) -> np.ndarr
 def _placements(problem: PackingProblem, layout: Layout) -> tuple[Placement, ...]:
     """Return the placements of a layout in the order of execution."""
     by_name, grasps, box, config = problem.items, problem.grasps, problem.box, problem.config
-    below = {
-        bowl.name: tuple(other.name for other in stack[:index])
-        for stack in problem.stacks
-        for index, bowl in enumerate(stack)
-    }
+    below = _below(problem.stacks)
     placements = []
     for name in problem.order:
         if name not in layout.positions:
@@ -202,6 +202,15 @@ def _placements(problem: PackingProblem, layout: Layout) -> tuple[Placement, ...
             placement = replace(placement, release_height=drop)
         placements.append(placement)
     return tuple(placements)
+
+
+def _below(stacks: Sequence[Sequence[StandingObject]]) -> dict[str, tuple[str, ...]]:
+    """Return the names of the bowls that each bowl goes into, from the lowest up."""
+    return {
+        bowl.name: tuple(other.name for other in stack[:index])
+        for stack in stacks
+        for index, bowl in enumerate(stack)
+    }
 
 
 def admissible_yaws(item: StandingObject, yaw: float) -> tuple[float, ...]:

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Mapping, Sequence
+from collections.abc import Collection, Mapping, Sequence
 from dataclasses import dataclass
 from functools import cached_property
 
@@ -78,9 +78,30 @@ class ShapeCache:
         return self._stencils[key]
 
 
+def placed_later(resting: Mapping[str, str], below: Mapping[str, Collection[str]]) -> frozenset[str]:
+    """Return the names of the objects that others rest on, and of the bowls that go into such ones.
+
+    They come when the others have been taken away. A bowl that carries what goes into it in the box as well
+    does not wait: neither of the two would come first.
+
+    Args:
+        resting: by the name of an object, that of the one that it rests on.
+        below: by the name of each object with a goal, those of the bowls that it goes into.
+    """
+    covered = {
+        lower
+        for upper, lower in resting.items()
+        if upper in below and lower in below and lower not in below[upper]
+    }
+    return frozenset(name for name, stack in below.items() if name in covered or covered.intersection(stack))
+
+
 @dataclass(frozen=True)
 class PackingProblem:
-    """Input of the layout search: objects by name, stacks of bowls, grasps, box, settings."""
+    """Input of the layout search: objects by name, stacks of bowls, grasps, box, settings.
+
+    ``later`` are the names of the objects that come after all others.
+    """
 
     items: Mapping[str, StandingObject]
     stacks: Sequence[Sequence[StandingObject]]
@@ -90,6 +111,7 @@ class PackingProblem:
     grasp_config: GraspConfig
     shapes: ShapeCache
     cell: float
+    later: frozenset[str] = frozenset()
 
     @property
     def narrowest(self) -> float:
@@ -103,7 +125,10 @@ class PackingProblem:
 
     @property
     def order(self) -> list[str]:
-        """Order of execution: bowls from the largest up, then the others by height to keep the hand above."""
+        """Order of execution: bowls from the largest up, then the others by height to keep the hand above.
+
+        Those that others rest on come last.
+        """
         bowls = [bowl.name for stack in self.stacks for bowl in stack]
         others = sorted((i for i in self.items.values() if i.category != "bowl"), key=lambda i: i.top)
-        return bowls + [item.name for item in others]
+        return sorted(bowls + [item.name for item in others], key=self.later.__contains__)

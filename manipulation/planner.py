@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import logging
-from collections.abc import Sequence
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, field, replace
 
 import numpy as np
@@ -82,14 +82,25 @@ def plan_pack(
     config = config.for_arm(arm)
     usable = find_usable(objects, kinematics or Kinematics(arm, config.pick_place.ik), config)
     hidden = hidden_objects(objects, usable.items, arm.gripper.max_width)
-    usable, placements, no_room = _packed(usable, hidden, box, config)
+    usable, placements, no_room = _packed(usable, hidden, _resting(objects, hidden), box, config)
     return TaskPlan(
         "pack", usable.items, placements, usable.left_out | no_room, box=box, grasps=usable.grasps
     )
 
 
+def _resting(objects: Sequence[ObjectEstimate], hidden: Sequence[StandingObject]) -> dict[str, str]:
+    """Return what each object rests on that rests on another one or on something hidden, all by name."""
+    names = {estimate.id: estimate.name for estimate in objects}
+    on_hidden = {names[item.id]: item.name for item in hidden}
+    return on_hidden | {e.name: names[e.rests_on] for e in objects if e.rests_on in names}
+
+
 def _packed(
-    usable: Usable, hidden: Sequence[StandingObject], box: Box, config: ManipulationConfig
+    usable: Usable,
+    hidden: Sequence[StandingObject],
+    resting: Mapping[str, str],
+    box: Box,
+    config: ManipulationConfig,
 ) -> tuple[Usable, tuple[Placement, ...], dict[str, str]]:
     """Return the objects with their goals in a box, and what does not fit.
 
@@ -103,7 +114,7 @@ def _packed(
     version, placements, no_room = usable, (), {}
     for version, also in attempts:
         grasps = usable.grasps | {item.name: grasp_candidates(item, grasp) for item in also}
-        placements, no_room = pack([*version.candidates, *also], box, config.packing, grasp, grasps)
+        placements, no_room = pack([*version.candidates, *also], box, config.packing, grasp, grasps, resting)
         if not no_room:
             break
     names = {item.name for item in hidden}

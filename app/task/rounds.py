@@ -13,6 +13,7 @@ from typing import TYPE_CHECKING
 import numpy as np
 from jaxtyping import Float
 
+from manipulation.packing_problem import placed_later
 from manipulation.types import Box, ObjectOutcome, StandingObject, TaskPlan
 from perception.obstacles.obstacle import PerceivedObstacle
 from perception.types import ObjectEstimate
@@ -54,23 +55,15 @@ def without_covered(plan: TaskPlan, objects: Sequence[ObjectEstimate]) -> TaskPl
     """Return a plan without goals of what carries other objects that have one: the next round sees it whole.
 
     Of what is below or in another object, class and shape are the least certain. Bowls that were to be put in
-    such a bowl come after it. The places of all of them stay free. A bowl that carries what goes into it in
-    the box as well does not wait: neither of the two would come first.
+    such a bowl come after it. The places of all of them stay free.
 
     Args:
         plan: plan of a round that is not the last.
         objects: its objects, with what they rest on.
     """
-    goals = {placement.name: placement for placement in plan.placements}
     names = {estimate.id: estimate.name for estimate in objects}
-    covered = {
-        names[estimate.rests_on]
-        for estimate in objects
-        if estimate.name in goals
-        and estimate.rests_on in names
-        and names[estimate.rests_on] not in goals[estimate.name].stack
-    } & goals.keys()
-    later = {p.name for p in plan.placements if p.name in covered or covered.intersection(p.stack)}
+    resting = {e.name: names[e.rests_on] for e in objects if e.rests_on in names}
+    later = placed_later(resting, {goal.name: goal.stack for goal in plan.placements})
     return replace(
         plan,
         placements=tuple(p for p in plan.placements if p.name not in later),

@@ -5,6 +5,7 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
+from manipulation.footprints import BoxRaster
 from manipulation.free_places import (
     APART,
     BESIDE,
@@ -13,9 +14,12 @@ from manipulation.free_places import (
     GAPS,
     MOST,
     NARROW,
+    Hold,
     free_places,
     roomier_place,
 )
+from manipulation.grasps import grasp_candidates
+from manipulation.robot import GripperGeometry
 from manipulation.standing import to_standing
 from manipulation.types import Box, Placement
 from perception.geometry import pose_from_yaw
@@ -94,6 +98,24 @@ def test_a_tight_box_has_places_with_the_smaller_gap(can):
     tight = Box(center=(0.5, 0.3), size=(side, side, 0.08))
     (place, *_) = free_places(can, GOAL, [], tight)
     assert np.abs(np.array(place.position[:2]) - tight.center).max() < GAPS[0] - GAPS[1]
+
+
+def test_places_without_room_for_the_hand_come_last(can, monkeypatch):
+    def count(raster, grasps, pose, gripper):
+        return int(pose.position[0] > 0.01)
+
+    monkeypatch.setattr("manipulation.free_places.count_free_releases", count)
+    assert free_places(can, GOAL, [], BOX)[0].position[0] < 0.51
+    places = free_places(can, GOAL, [], BOX, hold=Hold((), GripperGeometry()))
+    has_room = [place.position[0] > 0.51 for place in places]
+    assert has_room[0] and has_room == sorted(has_room, reverse=True)
+
+
+@pytest.mark.parametrize(("height", "has_room"), [(0.08, True), (0.30, False)])
+def test_between_high_walls_there_is_no_room_for_the_hand(can, height, has_room):
+    box = replace(BOX, size=(0.12, 0.12, height))
+    hold = Hold(grasp_candidates(can).grasps, GripperGeometry())
+    assert hold.has_room(GOAL, BoxRaster(box, 0.0), box) == has_room
 
 
 def test_a_place_with_enough_room_is_kept(can):

@@ -55,6 +55,7 @@ def test_a_place_is_left_for_it_where_there_is_room(raised, arm, monkeypatch, bo
 
     def pack(items, *args):
         packed.append([item.name for item in items])
+        assert args[-1] == {"bowl_1": "hidden_1"}  # which comes after the bowl
         return whole(items, *args)
 
     monkeypatch.setattr(planner, "pack", pack)

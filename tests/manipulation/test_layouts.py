@@ -1,5 +1,7 @@
 """Partial layouts: places, nests, releases, ranks."""
 
+from dataclasses import replace
+
 import numpy as np
 
 from manipulation.footprints import BoxRaster
@@ -69,6 +71,17 @@ def test_releases_are_counted_in_the_order_of_execution(shapes, problem_of):
             layout.put(f"can_{number + 1}", place, 0.0)
         layout.count_releases()
         assert ("can_0" in layout.blocked) == is_blocked
+
+
+def test_what_comes_later_is_released_beside_all_others(shapes, problem_of):
+    cans = [("can", shapes.can(0.03, 0.07)), *[("can", shapes.can(0.03, 0.13))] * 6]
+    problem = problem_of(*cans, box=BOX, grasped=True)
+    layout = empty_layout(replace(problem, later=frozenset({"can_0"})))
+    layout.put("can_0", np.zeros(2), 0.0)
+    for number, angle in enumerate(2 * np.pi * np.arange(6) / 6):
+        layout.put(f"can_{number + 1}", 0.064 * np.array([np.cos(angle), np.sin(angle)]), 0.0)
+    layout.count_releases()
+    assert "can_0" in layout.blocked
 
 
 def test_counting_twice_does_not_add_up(shapes, problem_of):

@@ -81,6 +81,13 @@ def test_bowls_nest_largest_lowest_and_come_first(kitchen):
     assert later == sorted(later), "low objects are released before tall ones are beside them"
 
 
+def test_bowls_that_something_rests_on_come_last_where_the_hand_reaches_them(kitchen):
+    placements, left_out = pack(kitchen, Box(), CONFIG, resting={"can_3": "bowl_5"})
+    assert not left_out
+    assert [goal.name for goal in placements[-2:]] == ["bowl_5", "bowl_1"]
+    assert placements[-1].stack == ("bowl_5",)
+
+
 def test_mugs_stand_in_line_with_handles_alike(shapes):
     mugs = items_of(shapes, *[("mug", shapes.mug(radius=r)) for r in (0.038, 0.04, 0.042)])
     placements, left_out = pack(mugs, Box(), CONFIG)

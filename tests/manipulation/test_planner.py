@@ -118,3 +118,13 @@ def test_objects_that_do_not_stand_are_planned_where_they_can_be_turned(scene, a
     assert {placement.name for placement in packing.placements} == {"can_1"}
     assert packing.left_out["bowl_2"].startswith("bowl_2 stands upside down at")
     assert packing.left_out["bowl_2"].endswith("turn it over by hand")
+
+
+def test_what_others_rest_on_is_packed_after_them(shapes, arm):
+    """The place of the bowl is one that the hand reaches beside all others."""
+    bowl = shapes.estimate(1, "bowl", shapes.bowl(), x=0.5, y=-0.2)
+    can = shapes.estimate(2, "can", shapes.can(0.025, 0.08), x=0.5, y=-0.2)
+    alone = plan_pack([bowl, can], Box(), arm, CONFIG)
+    assert [goal.name for goal in alone.placements] == ["bowl_1", "can_2"]
+    stacked = plan_pack([bowl, replace(can, rests_on=1)], Box(), arm, CONFIG)
+    assert [goal.name for goal in stacked.placements] == ["can_2", "bowl_1"]

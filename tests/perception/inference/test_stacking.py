@@ -164,16 +164,17 @@ def test_what_was_measured_below_the_contact_does_not_rest_on_it(
 
 
 @pytest.mark.parametrize(
-    ("category", "shares", "leans"),
+    ("category", "shares", "residuals", "leans"),
     [
-        ("bowl", (0.3, 0.01), True),
-        ("bowl", (0.3, 0.25), False),  # the tilt explains hardly more
-        ("bowl", (0.04, 0.01), False),  # upright explains nearly all
-        ("can", (0.3, 0.01), False),  # nothing leans on the top of a can
+        ("bowl", (0.3, 0.01), (0.006, 0.006), True),
+        ("bowl", (0.3, 0.25), (0.006, 0.006), False),  # the tilt explains hardly more
+        ("bowl", (0.04, 0.01), (0.006, 0.006), False),  # upright explains nearly all, and as closely
+        ("bowl", (0.01, 0.01), (0.006, 0.0045), True),
+        ("can", (0.3, 0.01), (0.006, 0.0045), False),  # nothing leans on the top of a can
     ],
 )
-def test_what_leans_in_a_vessel_is_tilted_if_that_explains_more(
-    make_table, monkeypatch, category, shares, leans
+def test_what_leans_in_a_vessel_is_tilted_if_that_explains_it_better(
+    make_table, monkeypatch, category, shares, residuals, leans
 ) -> None:
     table = make_table("can", (), yaw=0.0)
     views = ObjectViews(7, "can", 1.0, tuple(table.observations((0.0,))))
@@ -185,9 +186,9 @@ def test_what_leans_in_a_vessel_is_tilted_if_that_explains_more(
     def fit(_: ObjectViews, plane: SupportPlane, config: FitConfig) -> ObjectEstimate:
         upper = estimate(7, as_mesh(box, 0.4, -0.1, 0.07))  # its foot is below the rim
         if config.noise.tilt_sigma < 0.1:
-            return upper
+            return replace(upper, residual=residuals[0])
         assert config.noise.support_sigma > 0.01 and config.max_tilt > np.deg2rad(30)
-        return replace(upper, T_world_object=tilt)
+        return replace(upper, T_world_object=tilt, residual=residuals[1])
 
     def share(points: np.ndarray, shapes: list[ObjectEstimate]) -> float:
         return shares[int(shapes[0].T_world_object[2, 2] < 0.99)]
