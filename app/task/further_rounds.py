@@ -132,7 +132,7 @@ class FurtherRounds:
             detections = stages.detect(frames, filled_bounds(box))
             assert result.detections is not None
             before = self._seen or ScannedRound(result.frames, result.detections, result.rejected)
-            detections = with_judged(detections, frames, before.frames, unplaced_estimates(result))
+            detections = with_judged(detections, frames, before, unplaced_estimates(result))
             parts = parts_as_before(detections, frames, before)
             with observer.stage("reconstruct"):
                 for part in parts:

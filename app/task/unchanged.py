@@ -1,8 +1,9 @@
 """What looks as in the round before was judged then: candidates of no class, and parts of such things.
 
 The images of two rounds are taken from the same viewpoints. Where nothing near a candidate has moved since,
-and nothing in front of it, its fits would be repeated on the same measurements. A part of a thing remains one
-even where what stood beside it was taken away: without it there is less to tell that by.
+and nothing in front of it, its fits would be repeated on the same measurements. So they would where a
+candidate was segmented then as it is now, whatever was taken away beside it. A part of a thing remains one
+even there: without what stood beside it there is less to tell that by.
 """
 
 from __future__ import annotations
@@ -17,6 +18,8 @@ from scipy.spatial import KDTree
 
 from perception.depth_cleaning import clean_frame
 from perception.detection.geometry import plan_coordinates, points_of
+from perception.detection.left_out import LeftOut
+from perception.detection.unclassified import is_open
 from perception.inference.recutting import instance_ids
 from perception.pipeline import Detections
 from perception.types import ObjectEstimate, RejectedObject, RgbdFrame, SupportPlane
@@ -27,6 +30,8 @@ NEAR = 0.03  # [m] in plan view from what has moved or was left, within which a 
 FEW = 0.02  # share of a candidate's points that may be near it
 AT = 0.01  # [m] in plan view from a part, or from what has moved, within which a part is the same, or is not
 MOST = 0.8  # share of a part's points that are where one was before, at least
+SAME_MASK = 0.7  # intersection over union of two masks of one candidate, at least
+ALIKE = 0.9  # share of its pixels whose depth has not changed, at least
 _CELL = 0.005  # [m] in which changed points are counted
 _LEAST = 4  # changed points in a cell: fewer are noise
 _POINTS = 500  # of a candidate
@@ -50,7 +55,7 @@ class ScannedRound:
 def with_judged(
     detections: Detections,
     frames: Sequence[RgbdFrame],
-    before: Sequence[RgbdFrame],
+    before: ScannedRound,
     left: Sequence[ObjectEstimate] = (),
 ) -> Detections:
     """Return the detections with the candidates marked that look as they did in images taken before.
@@ -58,24 +63,27 @@ def with_judged(
     Args:
         detections: Detections in the images.
         frames: Images with camera poses, without the robot.
-        before: Images of the round before; without one from each of the same viewpoints nothing is marked.
+        before: The round before; without an image from each of the same viewpoints nothing is marked.
         left: Objects that were found then and were not placed: they are fitted again.
     """
-    changed = _changed_places(frames, before, detections.plane, with_hidden=True)
+    changed = _changed_places(frames, before.frames, detections.plane, with_hidden=True)
     if changed is None:
         return detections
     places = [plan_coordinates(estimate.mesh_world.vertices, detections.plane) for estimate in left]
-    distance = _distance_to([changed, *places])
+    to_left, to_changed = _distance_to(places), _distance_to([changed])
 
-    def is_unchanged(frame: RgbdFrame, mask: Bool[np.ndarray, "h w"]) -> bool:
-        plan = _plan_points([(frame, mask)], detections.plane)
-        return len(plan) > 0 and bool((distance(plan) < NEAR).mean() <= FEW)
+    def was_judged(candidate: LeftOut) -> bool:
+        frame = frames[candidate.frame]
+        plan = _plan_points([(frame, candidate.mask)], detections.plane)
+        if not len(plan) or (to_left(plan) < NEAR).mean() > FEW:
+            return False
+        is_unchanged = (np.minimum(to_left(plan), to_changed(plan)) < NEAR).mean() <= FEW
+        return bool(is_unchanged) or _was_candidate(candidate, frame, before)
 
     return replace(
         detections,
         left_out=tuple(
-            replace(candidate, was_judged=is_unchanged(frames[candidate.frame], candidate.mask))
-            for candidate in detections.left_out
+            replace(candidate, was_judged=was_judged(candidate)) for candidate in detections.left_out
         ),
     )
 
@@ -108,6 +116,19 @@ def parts_as_before(
         same = (part for part, distance_to in places if (distance_to(plan) < AT).mean() > MOST)
         found += [replace(part, id=id) for part in same][:1]
     return found
+
+
+def _was_candidate(candidate: LeftOut, frame: RgbdFrame, before: ScannedRound) -> bool:
+    """Return whether an image from the same viewpoint had a candidate with the same mask and depth."""
+    old = _from_same_view(frame, before.frames)
+    if old is None:
+        return False
+    measured = candidate.mask & (old.depth > 0) & (frame.depth > 0)
+    is_same = np.abs(old.depth - frame.depth)[measured] < CHANGED
+    if not measured.any() or is_same.mean() < ALIKE:
+        return False
+    masks = [c.mask for c in before.detections.left_out if before.frames[c.frame] is old and is_open(c)]
+    return any((m & candidate.mask).sum() >= SAME_MASK * (m | candidate.mask).sum() for m in masks)
 
 
 def without_instances(detections: Detections, ids: Iterable[int]) -> Detections:

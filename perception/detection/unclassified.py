@@ -36,23 +36,47 @@ def associate_unclassified(
     Args:
         frames: Views with camera poses.
         detections_per_frame: Associated detections of each frame.
-        left_out: Candidates that are not among them; what was judged before is none.
+        left_out: Candidates that are not among them; what was judged before in half of its views is none.
         plane: Support plane.
 
     Returns:
-        Detections of candidates that at least ``MIN_VIEWS`` views show. Their ``instance_id`` continues those
+        Detections of candidates that at least ``MIN_VIEWS`` views show. Their ``instance_id`` are above those
         of the detected objects.
     """
     rows: list[list[ObjectDetection]] = [[] for _ in frames]
     for candidate in left_out:
         known = [found.mask for found in detections_per_frame[candidate.frame]]
         is_known = any(_overlap(candidate.mask, mask) > SAME for mask in known)
-        is_open = candidate.reason == "of none of the classes" and not candidate.was_judged
-        if is_open and not is_known:
+        if is_open(candidate) and not is_known:
             rows[candidate.frame].append(unclassified(candidate.mask))
     ids = [found.instance_id for row in detections_per_frame for found in row]
     first = 1 + max((i for i in ids if i is not None), default=-1)
-    return associate_candidates(frames, rows, plane, first)
+    return _without_judged(associate_candidates(frames, rows, plane, first), left_out)
+
+
+def is_open(candidate: LeftOut) -> bool:
+    """Return whether the class network alone left a candidate out, so that its fits may decide."""
+    return candidate.reason == "of none of the classes"
+
+
+def _without_judged(
+    rows: Sequence[Sequence[ObjectDetection]], left_out: Sequence[LeftOut]
+) -> list[list[ObjectDetection]]:
+    """Return the detections of the instances of which less than half of the views were judged before.
+
+    Fits to the other views alone would know less than those before did.
+    """
+    judged = [[c.mask for c in left_out if c.frame == k and c.was_judged] for k in range(len(rows))]
+    views = Counter(found.instance_id for row in rows for found in row)
+    before = Counter(
+        found.instance_id
+        for row, masks in zip(rows, judged, strict=True)
+        for found in row
+        if any(_overlap(found.mask, mask) > SAME for mask in masks)
+    )
+    return [
+        [found for found in row if 2 * before[found.instance_id] < views[found.instance_id]] for row in rows
+    ]
 
 
 def associate_candidates(

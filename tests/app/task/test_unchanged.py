@@ -36,6 +36,11 @@ def things():
     return block(*NEAR, half=0.02), block(*FAR, half=0.02)
 
 
+def seen(*images, detections=None):
+    """A round before; without detections no candidate was segmented then."""
+    return ScannedRound(images, detections or Detections(SupportPlane(), ((),)))
+
+
 def judged(detections):
     return [candidate.was_judged for candidate in detections.left_out]
 
@@ -43,19 +48,40 @@ def judged(detections):
 def test_what_looks_as_before_was_judged(things):
     detections = candidates(*things)
     before, now = image(*things, seed=1), image(*things, seed=2)
-    marked = with_judged(detections, [now], [before])
+    marked = with_judged(detections, [now], seen(before))
     assert judged(marked) == [True, True]
     assert marked == replace(detections, left_out=marked.left_out)
 
 
 def test_what_something_was_taken_away_from_is_judged_again(things):
     removed = block(PLACE[0] - 0.02, PLACE[1], half=0.02)
-    marked = with_judged(candidates(*things), [image(*things)], [image(*things, removed, seed=1)])
+    marked = with_judged(candidates(*things), [image(*things)], seen(image(*things, removed, seed=1)))
     assert judged(marked) == [False, True]
 
 
+@pytest.mark.parametrize("change", ["none", "other mask", "other reason", "hidden", "left"])
+def test_what_was_segmented_as_it_is_now_was_judged_whatever_was_taken_away_beside_it(things, change, can_at):
+    removed = block(PLACE[0] - 0.02, PLACE[1], half=0.02)
+    then = candidates(*things)
+    if change == "other mask":
+        then = candidates(block(*NEAR, half=0.03), things[1])
+    if change == "other reason":
+        then = replace(then, left_out=tuple(replace(c, reason="too high") for c in then.left_out))
+    hidden = [block(NEAR[0] + 0.01, NEAR[1], half=0.02, height=0.09)] if change == "hidden" else []
+    left = can_at(3, NEAR[0])
+    at_near = left.T_world_object.copy()
+    at_near[:2, 3] = NEAR
+    marked = with_judged(
+        candidates(*things),
+        [image(*things)],
+        seen(image(*things, removed, *hidden, seed=1), detections=then),
+        [replace(left, T_world_object=at_near)] if change == "left" else [],
+    )
+    assert judged(marked) == [change == "none", True]
+
+
 def test_what_appeared_or_moved_is_judged(things):
-    marked = with_judged(candidates(*things), [image(*things)], [image(things[1], seed=1)])
+    marked = with_judged(candidates(*things), [image(*things)], seen(image(things[1], seed=1)))
     assert judged(marked) == [False, True]
 
 
@@ -66,7 +92,7 @@ def test_an_object_that_was_left_is_fitted_again(things, can_at):
     marked = with_judged(
         candidates(*things),
         [image(*things)],
-        [image(*things, seed=1)],
+        seen(image(*things, seed=1)),
         [replace(left, T_world_object=at_far)],
     )
     assert judged(marked) == [True, False]
@@ -74,9 +100,9 @@ def test_an_object_that_was_left_is_fitted_again(things, can_at):
 
 def test_without_an_image_from_the_same_viewpoint_nothing_is_known(things):
     other = image(*things, shift=0.02)
-    assert judged(with_judged(candidates(*things), [image(*things)], [other])) == [False, False]
-    assert judged(with_judged(candidates(*things), [image(*things)], [])) == [False, False]
-    assert with_judged(Detections(SupportPlane(), ()), [], []).left_out == ()
+    assert judged(with_judged(candidates(*things), [image(*things)], seen(other))) == [False, False]
+    assert judged(with_judged(candidates(*things), [image(*things)], seen())) == [False, False]
+    assert with_judged(Detections(SupportPlane(), ()), [], seen()).left_out == ()
 
 
 def detected(*things):

@@ -3,6 +3,7 @@
 from dataclasses import replace
 
 import numpy as np
+import pytest
 
 from perception.detection.left_out import LeftOut, of_no_class
 from perception.detection.unclassified import MAX_HEIGHT, associate_unclassified, is_low
@@ -83,6 +84,14 @@ def test_what_was_judged_before_is_no_candidate():
     left_out = [replace(of_no_class(m, 0.9, k), was_judged=m is masks[0]) for k in (0, 1) for m in masks]
     rows = associate_unclassified([from_above(*masks)] * 2, [()] * 2, left_out, PLANE)
     assert [[bool(f.mask[50, 110]) for f in row] for row in rows] == [[True], [True]]
+
+
+@pytest.mark.parametrize(("n_judged", "n_views"), [(1, 3), (2, 0), (3, 0)])
+def test_what_was_judged_in_half_of_its_views_is_no_candidate_and_else_has_all_its_views(n_judged, n_views):
+    mask = square(30)
+    left_out = [replace(of_no_class(mask.copy(), 0.9, k), was_judged=k < n_judged) for k in range(3)]
+    rows = associate_unclassified([from_above(mask)] * 3, [()] * 3, left_out, PLANE)
+    assert sum(len(row) for row in rows) == n_views
 
 
 def test_what_most_views_show_as_high_does_not_lie():
