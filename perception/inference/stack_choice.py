@@ -21,6 +21,9 @@ MIN_SCORES = (0.2, 0.5)  # of the fits of the lower part, whose upper side is hi
 # Least scores of the fits of two vessels that look like one; height [m] of the upper one's base, and share of
 # that of its rim: mugs have thinner floors.
 SURE_SCORE, THICK, THICK_SHARE = 0.8, 0.03, 0.35
+# Of a mug in a bowl that looks like a mug: least score of the fit of the bowl, by how much that of the mug is
+# higher than that of both as one mug, ratio of the radii, and height [m] of the mug's base.
+SHALLOW_SCORE, MUCH_BETTER, BROADER, FLOOR = 0.7, 0.05, 1.05, 0.01
 FULLY = 0.005  # share of unexplained points up to which a bottle explains all that is seen
 WIDER = 1.1  # radius of the upper of two cans relative to the lower one, from which on they are no bottle
 COAXIAL = 0.005  # [m] between the axes of two cans that are one bottle
@@ -54,7 +57,9 @@ def are_two(
     """
     if whole is None or is_doubtful(whole, before):
         return _is_better(pair, whole, points, before)
-    return _are_vessels(pair, whole, points, plane)
+    if unexplained(points, pair) >= DOUBTFUL or not all(is_vessel(e) for e in (*pair, whole)):
+        return False
+    return _is_raised(pair, whole, plane) or _is_mug_in_bowl(pair, whole, plane)
 
 
 def is_vessel(estimate: ObjectEstimate) -> bool:
@@ -62,21 +67,26 @@ def is_vessel(estimate: ObjectEstimate) -> bool:
     return estimate.category in VESSELS and estimate.resting == "upright"
 
 
-def _are_vessels(
-    pair: Sequence[ObjectEstimate],
-    whole: ObjectEstimate,
-    points: Float[np.ndarray, "n 3"],
-    plane: SupportPlane,
-) -> bool:
+def _is_raised(pair: Sequence[ObjectEstimate], whole: ObjectEstimate, plane: SupportPlane) -> bool:
     """Return whether a vessel that explains what is measured is two, the upper one raised by the lower one.
 
     A bowl in a mug looks like a mug with a thick floor. The inside of a mug of two colours reaches down to
     the plane.
     """
-    if not all(is_vessel(e) and e.score >= SURE_SCORE for e in (*pair, whole)):
-        return False
     base, top = (f(plane.height_above(pair[1].mesh_world.vertices)) for f in (np.min, np.max))
-    return bool(base > max(THICK, THICK_SHARE * top) and unexplained(points, pair) < DOUBTFUL)
+    return min(e.score for e in (*pair, whole)) >= SURE_SCORE and bool(base > max(THICK, THICK_SHARE * top))
+
+
+def _is_mug_in_bowl(pair: Sequence[ObjectEstimate], whole: ObjectEstimate, plane: SupportPlane) -> bool:
+    """Return whether a mug that explains what is measured is one in a shallow bowl, which is broader.
+
+    A mug of two colours is as likely as one.
+    """
+    lower, upper = pair
+    base = float(plane.height_above(upper.mesh_world.vertices).min())
+    is_likelier = lower.score >= SHALLOW_SCORE and upper.score >= whole.score + MUCH_BETTER
+    is_broader = lower.radius > BROADER * upper.radius and base > FLOOR
+    return (lower.category, upper.category) == ("bowl", "mug") and is_likelier and is_broader
 
 
 def _may_be_two(whole: ObjectEstimate) -> bool:

@@ -140,3 +140,23 @@ def test_a_vessel_that_explains_all_may_be_two(leave, upper, accepted):
     assert are_two([lower, upper], whole, POINTS, 0.0, PLANE) is accepted
     leave(2 * DOUBTFUL)
     assert not are_two([lower, upper], whole, POINTS, 0.0, PLANE)
+
+
+@pytest.mark.parametrize(
+    ("lower", "upper", "accepted"),
+    [
+        ({}, {}, True),
+        ({"radius": 0.046}, {}, False),  # the lower part of a mug of two colours is as wide as the upper one
+        ({"score": 0.6}, {}, False),
+        ({"category": "mug"}, {}, False),
+        ({}, {"score": 0.94}, False),  # one mug is as likely
+        ({}, {"base": 0.005}, False),
+        ({}, {"category": "bowl"}, False),
+    ],
+)
+def test_a_mug_that_explains_all_may_be_one_in_a_shallow_bowl(leave, lower, upper, accepted):
+    leave(0.01)
+    bowl = {"category": "bowl", "height": 0.05, "radius": 0.054, "score": 0.78} | lower
+    mug = {"category": "mug", "base": 0.028, "height": 0.12, "radius": 0.045, "score": 0.99} | upper
+    whole = shape("mug", height=0.148, radius=0.05, score=0.91)
+    assert are_two([shape(**bowl), shape(**mug)], whole, POINTS, 0.0, PLANE) is accepted
