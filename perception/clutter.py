@@ -72,11 +72,9 @@ def reconstruct_clutter(
     judged = [[d for d in row if d.instance_id not in candidates - low] for row in rows]
     rejected: list[RejectedObject] = []
     quiet = replace(options, on_rejected=rejected.append, tentative=candidates)
-    estimates = {
-        e.id: e
-        for e in reconstruct(frames, judged, decoder, planes, options=quiet)
-        if e.id not in candidates or is_clear(e)
-    }
+    fitted = reconstruct(frames, judged, decoder, planes, options=quiet)
+    estimates = {e.id: e for e in fitted if e.id not in candidates or is_clear(e)}
+    unclear = [e for e in fitted if e.id not in estimates]
 
     def fit(parts: Rows, rests_on: Mapping[int, int]) -> list[ObjectEstimate]:
         silent = replace(
@@ -126,7 +124,7 @@ def reconstruct_clutter(
         rejected += [_left_out(estimate) for estimate in uncertain.values()]
         single = {id: estimate for id, estimate in single.items() if id not in uncertain}
         found = with_seen_handles([*single.values(), *parts], frames, planes[0], completer)
-        found, left = without_parts_of_things(found, [*stacks.values()], frames, planes[0])
+        found, left = without_parts_of_things(found, [*stacks.values()], frames, planes[0], unclear)
         rejected += [item for item in left if item.id in single]
     if options.on_rejected is not None:
         for item in rejected:

@@ -68,9 +68,9 @@ def shows_ends(estimate: ObjectEstimate, points: Float[np.ndarray, "n 3"]) -> bo
 def _is_likely_bottle(estimate: ObjectEstimate, least: float, usual: float) -> bool:
     """Return whether a lying bottle has at least a score, and the odds of another one for its length."""
     odds = estimate.score / max(1 - estimate.score, 1e-9) * (estimate.height / LENGTH) ** LENGTH_POWER
-    return estimate.score >= least and odds >= usual / (1 - usual) and not _is_handle(estimate)
+    return estimate.score >= least and odds >= usual / (1 - usual) and not is_thin(estimate)
 
 
-def _is_handle(estimate: ObjectEstimate) -> bool:
+def is_thin(estimate: ObjectEstimate) -> bool:
     """Return whether a lying bottle is as thin as the handles of things, and not clearly longer."""
     return estimate.radius < THINNEST and estimate.height < LONG

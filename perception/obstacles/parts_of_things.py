@@ -7,12 +7,14 @@ from collections.abc import Sequence
 from perception.depth_cleaning import clean_frame
 from perception.obstacles.attached import carriers_of_parts
 from perception.obstacles.crossed import crossed
+from perception.obstacles.handled import with_handle
 from perception.obstacles.handleless import mugs_without_handle
 from perception.obstacles.same_colour import SAME_COLOUR, continued_in_colour
 from perception.types import ObjectEstimate, RejectedObject, RgbdFrame, SupportPlane
 
 CARRIES = "something that belongs to none of the classes is attached to it"
 CROSSED = "something that belongs to none of the classes goes through it"
+HANDLED = "a handle that belongs to none of the classes begins at it, in its colour"
 HANDLELESS = "it has no handle where a mug has one, but goes on in a thing of no class"
 
 
@@ -21,6 +23,7 @@ def without_parts_of_things(
     stacks: Sequence[Sequence[ObjectEstimate]],
     frames: Sequence[RgbdFrame],
     plane: SupportPlane,
+    pieces: Sequence[ObjectEstimate] = (),
 ) -> tuple[list[ObjectEstimate], list[RejectedObject]]:
     """Return the objects without those that go on in things of no class, and these; stacks go as a whole.
 
@@ -29,12 +32,14 @@ def without_parts_of_things(
         stacks: Those that were segmented as one thing.
         frames: Views with camera poses.
         plane: Support plane.
+        pieces: Estimates of what is no object, because its shape does not suffice.
     """
     views = [clean_frame(frame) for frame in frames]
     reasons = dict.fromkeys(carriers_of_parts(found, views, plane), CARRIES)
     reasons |= dict.fromkeys(mugs_without_handle(found, views, plane), HANDLELESS)
     reasons |= dict.fromkeys(continued_in_colour(found, views, plane), SAME_COLOUR)
     reasons |= dict.fromkeys(crossed(found, views, plane), CROSSED)
+    reasons |= dict.fromkeys(with_handle(found, pieces, views, plane), HANDLED)
     for stack in stacks:
         known = [reasons[part.id] for part in stack if part.id in reasons]
         reasons |= {part.id: known[0] for part in stack if known}

@@ -3,7 +3,13 @@
 import pytest
 
 from perception.obstacles import parts_of_things
-from perception.obstacles.parts_of_things import CARRIES, CROSSED, HANDLELESS, without_parts_of_things
+from perception.obstacles.parts_of_things import (
+    CARRIES,
+    CROSSED,
+    HANDLED,
+    HANDLELESS,
+    without_parts_of_things,
+)
 from perception.obstacles.same_colour import SAME_COLOUR
 from perception.types import SupportPlane
 from tests.perception.bare_estimates import FRAME, found
@@ -13,7 +19,7 @@ from tests.perception.bare_estimates import FRAME, found
 def rules(monkeypatch):
     """Ids that each rule returns."""
     ids = {"carriers_of_parts": set(), "mugs_without_handle": set(), "continued_in_colour": set()}
-    ids["crossed"] = set()
+    ids |= {"crossed": set(), "with_handle": set()}
     for name in ids:
         monkeypatch.setattr(parts_of_things, name, lambda *_, name=name: set(ids[name]))
     return ids
@@ -27,7 +33,7 @@ def judged(objects, stacks=()):
 
 @pytest.mark.parametrize(("rule", "reason"), [
     ("carriers_of_parts", CARRIES), ("mugs_without_handle", HANDLELESS),
-    ("continued_in_colour", SAME_COLOUR), ("crossed", CROSSED),
+    ("continued_in_colour", SAME_COLOUR), ("crossed", CROSSED), ("with_handle", HANDLED),
 ])  # fmt: skip
 def test_each_rule_has_its_reason(rules, rule, reason):
     rules[rule] = {1}

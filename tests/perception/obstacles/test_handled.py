@@ -1,0 +1,74 @@
+"""A bar with a thinner one that begins at its side, in closed form."""
+
+from dataclasses import replace
+
+import numpy as np
+import pytest
+import trimesh
+
+from perception.obstacles.handled import with_handle
+from perception.types import ObjectEstimate, SupportPlane, TriangleMesh
+from tests.perception.obstacles.test_crossed import DARK_GREEN, GREEN, GREY, HALF, LENGTH, VIEWS, bar
+
+THIN, LONG = 0.018, 0.12  # radius and length of the handle in [m]
+
+
+def handle(gap=0.001, angle=0.0, radius=THIN, middle=0.0):
+    """The handle as it is estimated, its axis at an angle [deg] from x, ``gap`` [m] beside the bar."""
+    shape = trimesh.creation.cylinder(radius, LONG, sections=24).subdivide().subdivide()
+    c, s = np.cos(np.deg2rad(angle)), np.sin(np.deg2rad(angle))
+    T = np.eye(4)
+    T[:3, :3] = [[0, -s, c], [0, c, s], [-1, 0, 0]]
+    reach = c * LONG / 2 + s * radius
+    T[:3, 3] = HALF + gap + reach + middle, 0.0, radius
+    mesh = TriangleMesh(np.asarray(shape.vertices), np.asarray(shape.faces))
+    return ObjectEstimate(7, "bottle", np.zeros(16), T, np.full(3, 0.1), mesh, resting="lying")
+
+
+def frames_of(scenes, body, grip):
+    """Images of a bar and its handle in these colours."""
+    frames = []
+    solids = [
+        scenes.Solid(x=0.0, y=0.0, height=2 * HALF, half=(HALF, LENGTH / 2)),
+        scenes.Solid(x=HALF + LONG / 2, y=0.0, height=2 * THIN, half=(LONG / 2, THIN)),
+    ]
+    for view in VIEWS:
+        frame = scenes.render(solids, scenes.orbit((0, 0, 0.02), 0.5, *view), 0.001).frame
+        T, k = frame.T_world_camera, frame.intrinsics
+        v, u = np.mgrid[: k.height, : k.width]
+        rays = np.stack([(u - k.cx) / k.fx, (v - k.cy) / k.fy, np.ones(u.shape)], axis=-1)
+        x = ((rays * frame.depth[..., None]) @ T[0, :3] + T[0, 3])[..., None]
+        frames.append(replace(frame, rgb=np.where(x > HALF, grip, body).astype(np.uint8)))
+    return frames
+
+
+@pytest.fixture
+def found(scenes):
+    def run(piece, objects=(bar(),), body=GREEN, grip=DARK_GREEN):
+        return with_handle(objects, [piece], frames_of(scenes, body, grip), SupportPlane())
+
+    return run
+
+
+def test_a_thin_piece_that_begins_at_the_side_of_a_body_in_its_colour_is_its_handle(found):
+    assert found(handle()) == {3}
+    assert found(handle(angle=30)) == {3}
+
+
+@pytest.mark.parametrize(
+    "piece",
+    [handle(gap=0.01), handle(angle=60), handle(radius=0.024), handle(middle=-HALF - LONG / 2),
+     replace(handle(), resting="upright")],
+    ids=["apart", "along-it", "thick", "across-it", "upright"],
+)  # fmt: skip
+def test_other_pieces_are_none(found, piece):
+    assert found(piece) == set()
+
+
+def test_what_has_another_colour_is_none(found):
+    assert found(handle(), grip=GREY) == set()
+
+
+def test_other_objects_have_none(found):
+    for other in (bar(resting="upright"), bar(category="mug"), replace(bar(), id=7)):
+        assert found(handle(), objects=(other,)) == set()
