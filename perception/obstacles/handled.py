@@ -1,7 +1,8 @@
 """Lying bottles and cans that a handle belongs to: the barrel of a hair dryer, the head of a hammer.
 
 Alone, either is fitted well. A thin piece whose end meets the side of a body, across its axis and in its
-colour, is its handle; prints of several colours on both hide that one goes on in the other.
+colours, is its handle. Colours are compared by their histograms: of a thing with prints there is seldom one
+colour that goes on from one to the other.
 """
 
 from __future__ import annotations
@@ -21,6 +22,8 @@ from perception.obstacles.unexplained import raised_pixels
 from perception.types import ObjectEstimate, RgbdFrame, SupportPlane
 
 _SAMPLES = 6000  # of a surface
+_BINS = np.arange(-96.0, 97.0, 16.0)  # of a and b
+_SMOOTHING = 0.7  # standard deviation in bins
 
 
 @dataclass(frozen=True)
@@ -32,22 +35,19 @@ class HandledConfig:
         end: Distance from its end, in its radii, up to which it meets the body.
         across: Least angle between both axes, in radians.
         own: Distance from a surface up to which a measured point shows it.
-        near: Distance from the contact up to which the colour of the body is looked at.
-        min_points: Smallest number of points that show the colour of either.
-        lightness: Largest difference of lightness.
-        chroma: Largest difference of a and b of greyish colours.
-        relative_chroma: The same of colourful ones, relative to their chroma.
+        min_points: Smallest number of points that show the colours of either.
+        lightness: Largest difference of their median lightness.
+        alike: Least intersection of the histograms of a and b. In four scans it was 0.80, 0.89 and 0.96 for
+            hair dryers, 0.58 and less for bottles beside them.
     """
 
     contact: float = 0.006
     end: float = 1.5
     across: float = np.radians(50)
     own: float = 0.005
-    near: float = 0.05
     min_points: int = 100
     lightness: float = 15.0
-    chroma: float = 8.0
-    relative_chroma: float = 0.5
+    alike: float = 0.7
 
 
 def with_handle(
@@ -68,60 +68,65 @@ def with_handle(
     """
     bodies = [e for e in objects if e.resting == "lying" and e.category in ("bottle", "can")]
     handles = [e for e in pieces if e.resting == "lying" and is_thin(e)]
-    found: set[int] = set()
-    for body in bodies if handles else ():
-        surface = _surface(body)
-        for handle in handles:
-            contact = _contact(body, surface, handle, config)
-            if contact is not None and _are_alike(surface, _surface(handle), contact, views, plane, config):
-                found.add(body.id)
-    return found
+    return {
+        body.id
+        for body in bodies
+        if any(
+            _begins_at(handle, body, config) and _are_alike(handle, body, views, plane, config)
+            for handle in handles
+        )
+    }
 
 
 def _surface(estimate: ObjectEstimate) -> SurfaceSamples:
     return SurfaceSamples.of(estimate.mesh_world, np.random.default_rng(0), _SAMPLES)
 
 
-def _contact(
-    body: ObjectEstimate, surface: SurfaceSamples, handle: ObjectEstimate, config: HandledConfig
-) -> Float[np.ndarray, "3"] | None:
-    """Return the world point [m] at which the end of a handle meets a body; None if it does not."""
+def _begins_at(handle: ObjectEstimate, body: ObjectEstimate, config: HandledConfig) -> bool:
+    """Return whether the end of a handle meets a body, across its axis."""
     along = abs(body.T_world_object[:3, 2] @ handle.T_world_object[:3, 2])
     if handle.id == body.id or along > np.cos(config.across):
-        return None
+        return False
     points = _surface(handle).points
-    distance = surface.distance(points, 2 * config.contact)
+    distance = _surface(body).distance(points, 2 * config.contact)
     nearest = int(distance.argmin())
     z = transform_points(invert(handle.T_world_object), points[nearest][None])[0, 2]
     low, high = handle.mesh.vertices[:, 2].min(), handle.mesh.vertices[:, 2].max()
-    at_end = min(z - low, high - z) < config.end * handle.radius
-    return points[nearest] if at_end and distance[nearest] < config.contact else None
+    return bool(distance[nearest] < config.contact and min(z - low, high - z) < config.end * handle.radius)
 
 
 def _are_alike(
-    body: SurfaceSamples,
-    handle: SurfaceSamples,
-    contact: Float[np.ndarray, "3"],
+    one: ObjectEstimate,
+    other: ObjectEstimate,
     views: Sequence[RgbdFrame],
     plane: SupportPlane,
     config: HandledConfig,
 ) -> bool:
-    """Return whether a handle and the body around their contact have one colour, in the median."""
-    of_body: list[np.ndarray] = [np.zeros((0, 3), np.float32)]
-    of_handle: list[np.ndarray] = [np.zeros((0, 3), np.float32)]
+    """Return whether all that is measured of two objects has the same colours."""
+    colors = [_colors(e, views, plane, config) for e in (one, other)]
+    if min(map(len, colors)) < config.min_points:
+        return False
+    first, second = (np.median(lab[:, 0]) for lab in colors)
+    alike = float(np.minimum(*(_histogram(lab[:, 1:]) for lab in colors)).sum())
+    return bool(abs(first - second) < config.lightness and alike > config.alike)
+
+
+def _colors(
+    estimate: ObjectEstimate, views: Sequence[RgbdFrame], plane: SupportPlane, config: HandledConfig
+) -> Float[np.ndarray, "n 3"]:
+    """Return the colours in CIE Lab of the points that show an object, over all views."""
+    surface = _surface(estimate)
+    shown: list[np.ndarray] = [np.zeros((0, 3), np.float32)]
     for view in views:
         raised = raised_pixels(view, plane)
-        if not raised.any():
-            continue
-        points = points_of(view, raised)
-        colors = cv2.cvtColor(view.rgb.astype(np.float32) / 255, cv2.COLOR_RGB2LAB)[raised]
-        near = np.linalg.norm(points - contact, axis=1) < config.near
-        of_body.append(colors[near & (body.distance(points, 2 * config.own) < config.own)])
-        of_handle.append(colors[handle.distance(points, 2 * config.own) < config.own])
-    one, other = np.concatenate(of_body), np.concatenate(of_handle)
-    if min(len(one), len(other)) < config.min_points:
-        return False
-    color = np.median(one, axis=0)
-    lightness, *chroma = np.abs(color - np.median(other, axis=0))
-    most = max(config.chroma, config.relative_chroma * float(np.hypot(*color[1:])))
-    return bool(lightness < config.lightness and np.hypot(*chroma) < most)
+        if raised.any():
+            lab = cv2.cvtColor(view.rgb.astype(np.float32) / 255, cv2.COLOR_RGB2LAB)[raised]
+            shown.append(lab[surface.distance(points_of(view, raised), 2 * config.own) < config.own])
+    return np.concatenate(shown)
+
+
+def _histogram(colors: Float[np.ndarray, "n 2"]) -> Float[np.ndarray, "b b"]:
+    """Return the smoothed histogram of a and b, with sum 1."""
+    counts = np.histogramdd(colors, bins=[_BINS, _BINS])[0]
+    smooth = cv2.GaussianBlur(counts, (3, 3), _SMOOTHING)
+    return np.asarray(smooth / max(smooth.sum(), 1e-9))

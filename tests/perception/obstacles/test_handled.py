@@ -8,7 +8,7 @@ import trimesh
 
 from perception.obstacles.handled import with_handle
 from perception.types import ObjectEstimate, SupportPlane, TriangleMesh
-from tests.perception.obstacles.test_crossed import DARK_GREEN, GREEN, GREY, HALF, LENGTH, VIEWS, bar
+from tests.perception.obstacles.test_crossed import BLUE, DARK_GREEN, GREEN, GREY, HALF, LENGTH, VIEWS, bar
 
 THIN, LONG = 0.018, 0.12  # radius and length of the handle in [m]
 
@@ -65,8 +65,9 @@ def test_other_pieces_are_none(found, piece):
     assert found(piece) == set()
 
 
-def test_what_has_another_colour_is_none(found):
-    assert found(handle(), grip=GREY) == set()
+@pytest.mark.parametrize("grip", [GREY, BLUE, tuple(2 * c for c in GREEN)])
+def test_what_has_another_colour_is_none(found, grip):
+    assert found(handle(), grip=grip) == set()
 
 
 def test_other_objects_have_none(found):
