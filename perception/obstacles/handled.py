@@ -37,7 +37,7 @@ class HandledConfig:
         own: Distance from a surface up to which a measured point shows it.
         min_points: Smallest number of points that show the colours of either.
         lightness: Largest difference of their median lightness.
-        alike: Least intersection of the histograms of a and b. In four scans it was 0.80, 0.89 and 0.96 for
+        alike: Least intersection of the histograms of a and b. In two scans it was 0.80, 0.89 and 0.96 for
             hair dryers, 0.58 and less for bottles beside them.
     """
 
