@@ -25,6 +25,9 @@ NECK = 0.8
 # [m] radius and length below which a lying bottle is a handle: among 223 fits in 74 scans, true ones thinner
 # than 21 mm were 0.24 m long and more, false ones of at least the least score at most 0.16 m.
 THINNEST, LONG = 0.021, 0.18
+# Height of a lying bottle in diameters below which it is none: 247 true ones had 1.87 and more, a camera and
+# a can 1.35 and 1.65.
+STUBBY = 1.75
 _LID = 0.6  # share of the radius within which points are on an end
 _AT_END = 0.01  # [m] from it
 _FEWEST = 10  # of 2000 to 5000 points
@@ -35,6 +38,8 @@ def is_clear(estimate: ObjectEstimate) -> bool:
     if estimate.resting == "upright":
         return estimate.score >= UNCLASSIFIED_SCORE
     if (estimate.category, estimate.resting) == ("bottle", "lying"):
+        if _is_stubby(estimate):
+            return False
         has_neck = section_shapes(estimate)[0] < NECK
         return _is_likely_bottle(estimate, LEAST_SCORE, BOTTLE_SCORE if has_neck else PIECE_SCORE)
     return estimate.score >= POSED_SCORE
@@ -69,6 +74,11 @@ def _is_likely_bottle(estimate: ObjectEstimate, least: float, usual: float) -> b
     """Return whether a lying bottle has at least a score, and the odds of another one for its length."""
     odds = estimate.score / max(1 - estimate.score, 1e-9) * (estimate.height / LENGTH) ** LENGTH_POWER
     return estimate.score >= least and odds >= usual / (1 - usual) and not is_thin(estimate)
+
+
+def _is_stubby(estimate: ObjectEstimate) -> bool:
+    """Return whether an object is too short for a bottle of its diameter."""
+    return estimate.height < STUBBY * 2 * estimate.radius
 
 
 def is_thin(estimate: ObjectEstimate) -> bool:

@@ -14,6 +14,7 @@ from perception.inference.clear_evidence import (
     NECK,
     PIECE_SCORE,
     POSED_SCORE,
+    STUBBY,
     THINNEST,
     UNCLASSIFIED_SCORE,
     is_clear,
@@ -36,7 +37,7 @@ def bottle_score(length, usual=BOTTLE_SCORE):
         ("can", "lying", 2 * LENGTH, POSED_SCORE),
         ("mug", "upside-down", 2 * LENGTH, POSED_SCORE),
         ("bottle", "lying", LENGTH, BOTTLE_SCORE),
-        ("bottle", "lying", 0.5 * LENGTH, bottle_score(0.5)),
+        ("bottle", "lying", 0.8 * LENGTH, bottle_score(0.8)),
         ("bottle", "lying", 1.2 * LENGTH, bottle_score(1.2)),
         ("bottle", "lying", 2 * LENGTH, LEAST_SCORE),
     ],
@@ -45,11 +46,19 @@ def test_what_has_no_class_needs_a_score_by_pose_and_class_and_bottles_by_length
     category, resting, length, least
 ):
     above, below = (
-        found(1, score, category, resting, length=length) for score in (least + 0.01, least - 0.01)
+        found(1, score, category, resting, length=length, radius=0.024)
+        for score in (least + 0.01, least - 0.01)
     )
     assert is_clear(above) and not is_clear(below)
     if category == "bottle":
-        assert is_clear(found(1, 1.0, category, resting, length=length))
+        assert is_clear(found(1, 1.0, category, resting, length=length, radius=0.024))
+
+
+@pytest.mark.parametrize(("more", "kept"), [(-0.02, False), (0.02, True)])
+def test_a_lying_bottle_is_longer_than_wide(more, kept):
+    length = (STUBBY + more) * 2 * 0.04
+    assert is_clear(found(1, 0.99, "bottle", "lying", length=length, radius=0.04)) == kept
+    assert is_clear(found(1, 0.99, "can", "lying", length=length, radius=0.04)), "bottles alone are slender"
 
 
 @pytest.mark.parametrize(
