@@ -76,9 +76,10 @@ def free_places(
         hold: how the hand may hold the object; None if it need not have room.
     """
     filled = _filled(box, others)
-    reserved = _reserved(filled.copy(), box, waiting)
-    if waiting and (places := _free_places(item, placement, reserved, box, is_snug, hold)):
-        return places
+    if waiting:
+        reserved = _reserved(filled.copy(), box, waiting)
+        if places := _free_places(item, placement, reserved, box, is_snug, hold):
+            return places
     return _free_places(item, placement, filled, box, is_snug, hold)
 
 

@@ -10,7 +10,6 @@ from __future__ import annotations
 from collections.abc import Iterator, Mapping, Sequence
 from dataclasses import dataclass, replace
 from functools import cache, partial
-from types import MappingProxyType
 from typing import Literal
 
 import numpy as np
@@ -36,7 +35,7 @@ def pack(
     config: PackingConfig = PackingConfig(),
     grasp_config: GraspConfig = GraspConfig(),
     grasps: Mapping[str, GraspSet] | None = None,
-    resting: Mapping[str, str] = MappingProxyType({}),
+    resting: Mapping[str, str] | None = None,
 ) -> tuple[tuple[Placement, ...], dict[str, str]]:
     """Search for a layout of objects in a box.
 
@@ -63,7 +62,7 @@ def pack(
     problem = PackingProblem(
         {item.name: item for item in items},
         stacks, grasps, box, config, grasp_config, ShapeCache(items, cell), cell,
-        placed_later(resting, {item.name: () for item in items} | _below(stacks)),
+        placed_later(resting or {}, {item.name: () for item in items} | _below(stacks)),
     )  # fmt: skip
     best = _best_layout(problem)
     if not best.positions:

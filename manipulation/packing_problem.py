@@ -11,6 +11,7 @@ import numpy as np
 from manipulation.footprints import Footprint, Stencil, footprint
 from manipulation.grasp_config import GraspConfig
 from manipulation.types import Box, GraspSet, StandingObject
+from perception.types import ObjectEstimate
 
 
 @dataclass(frozen=True)
@@ -76,6 +77,12 @@ class ShapeCache:
         if key not in self._stencils:
             self._stencils[key] = Stencil.of(self.rotated(name, yaw), gap, self._cell)
         return self._stencils[key]
+
+
+def resting_on(objects: Sequence[ObjectEstimate]) -> dict[str, str]:
+    """Return what each object rests on that rests on another one of the object map, all by name."""
+    names = {estimate.id: estimate.name for estimate in objects}
+    return {e.name: names[e.rests_on] for e in objects if e.rests_on in names}
 
 
 def placed_later(resting: Mapping[str, str], below: Mapping[str, Collection[str]]) -> frozenset[str]:

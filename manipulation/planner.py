@@ -16,7 +16,7 @@ from manipulation.kinematics import Kinematics
 from manipulation.lying_grasps import is_upside_down, lies
 from manipulation.nearest_view import FULL_POSE
 from manipulation.packing import pack
-from manipulation.packing_problem import PackingConfig
+from manipulation.packing_problem import PackingConfig, resting_on
 from manipulation.pick_place import PickPlaceConfig
 from manipulation.reorientation import reorienting_grasps
 from manipulation.robot import ArmDescription
@@ -82,17 +82,12 @@ def plan_pack(
     config = config.for_arm(arm)
     usable = find_usable(objects, kinematics or Kinematics(arm, config.pick_place.ik), config)
     hidden = hidden_objects(objects, usable.items, arm.gripper.max_width)
-    usable, placements, no_room = _packed(usable, hidden, _resting(objects, hidden), box, config)
+    names = {estimate.id: estimate.name for estimate in objects}
+    resting = resting_on(objects) | {names[item.id]: item.name for item in hidden}
+    usable, placements, no_room = _packed(usable, hidden, resting, box, config)
     return TaskPlan(
         "pack", usable.items, placements, usable.left_out | no_room, box=box, grasps=usable.grasps
     )
-
-
-def _resting(objects: Sequence[ObjectEstimate], hidden: Sequence[StandingObject]) -> dict[str, str]:
-    """Return what each object rests on that rests on another one or on something hidden, all by name."""
-    names = {estimate.id: estimate.name for estimate in objects}
-    on_hidden = {names[item.id]: item.name for item in hidden}
-    return on_hidden | {e.name: names[e.rests_on] for e in objects if e.rests_on in names}
 
 
 def _packed(

@@ -13,7 +13,7 @@ from typing import TYPE_CHECKING
 import numpy as np
 from jaxtyping import Float
 
-from manipulation.packing_problem import placed_later
+from manipulation.packing_problem import placed_later, resting_on
 from manipulation.types import Box, ObjectOutcome, StandingObject, TaskPlan
 from perception.obstacles.obstacle import PerceivedObstacle
 from perception.types import ObjectEstimate
@@ -61,9 +61,7 @@ def without_covered(plan: TaskPlan, objects: Sequence[ObjectEstimate]) -> TaskPl
         plan: plan of a round that is not the last.
         objects: its objects, with what they rest on.
     """
-    names = {estimate.id: estimate.name for estimate in objects}
-    resting = {e.name: names[e.rests_on] for e in objects if e.rests_on in names}
-    later = placed_later(resting, {goal.name: goal.stack for goal in plan.placements})
+    later = placed_later(resting_on(objects), {goal.name: goal.stack for goal in plan.placements})
     return replace(
         plan,
         placements=tuple(p for p in plan.placements if p.name not in later),

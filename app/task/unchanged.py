@@ -75,9 +75,10 @@ def with_judged(
     def was_judged(candidate: LeftOut) -> bool:
         frame = frames[candidate.frame]
         plan = _plan_points([(frame, candidate.mask)], detections.plane)
-        if not len(plan) or (to_left(plan) < NEAR).mean() > FEW:
+        near_left = to_left(plan) < NEAR
+        if not len(plan) or near_left.mean() > FEW:
             return False
-        is_unchanged = (np.minimum(to_left(plan), to_changed(plan)) < NEAR).mean() <= FEW
+        is_unchanged = (near_left | (to_changed(plan) < NEAR)).mean() <= FEW
         return bool(is_unchanged) or _was_candidate(candidate, frame, before)
 
     return replace(

@@ -38,7 +38,7 @@ _LEANING = 0.3  # [rad] standard deviation of the tilt of an object in a vessel
 _MOST_LEANING = math.radians(40)
 _DOUBTFUL, _CLEARLY = 0.05, 0.6  # unexplained share of a poor fit, and largest ratio of that of a better one
 # Ratio of the residuals, and difference of the scores, from which on an object in a vessel leans although its
-# points are about explained without tilt. In 9 scans it was 0.66 to 0.78 for what leaned by 15 degrees and
+# points are about explained without tilt. In 8 scans it was 0.66 to 0.78 for what leaned by 15 degrees and
 # more, 0.95 and more for what stood.
 _CLOSER, _AS_GOOD = 0.85, 0.02
 BELOW = 0.01  # [m] below the lowest measured points, where the foot of an object on something hidden may be

@@ -33,6 +33,16 @@ def test_a_can_gets_a_place_clear_of_what_is_there(shapes, arm):
     assert "can_1" in plan.objects and plan.placements[0].position[2] == BOX.floor
 
 
+@pytest.mark.parametrize("side", [-1, 1])
+def test_the_hand_has_room_where_an_object_is_placed(shapes, arm, monkeypatch, side):
+    count = lambda raster, grasps, pose, gripper: int(len(grasps) and side * pose.position[0] > 0.02)  # noqa: E731
+    monkeypatch.setattr("manipulation.free_places.count_free_releases", count)
+    (goal,) = plan_further(
+        [shapes.estimate(2, "can", shapes.can(), x=0.5, y=-0.3)], {}, BOX, arm, CONFIG
+    ).placements
+    assert side * (goal.position[0] - BOX.center[0]) > 0.02
+
+
 def test_what_lies_in_the_box_takes_the_place_of_others_until_it_is_turned(shapes, arm):
     lying = shapes.estimate(1, "can", shapes.can())
     T = pose_from_yaw(0.0, np.array([*BOX.center, 0.04]))

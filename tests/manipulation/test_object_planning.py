@@ -150,6 +150,19 @@ def test_what_met_something_on_its_way_goes_elsewhere_first(items, stack, blocke
     assert all(other.position != goal.position for other in goals[:-1])
 
 
+def test_of_other_places_those_with_room_for_the_hand_come_first(items, monkeypatch):
+    def count(raster, grasps, pose, gripper):
+        assert grasps is GRASPS.grasps
+        return int(pose.position[1] < 0)
+
+    monkeypatch.setattr("manipulation.free_places.count_free_releases", count)
+    planner = FakePlanner(items, lambda goals, grasps: True)
+    planning(items, planner).next_plan(GOAL, Q, blocked=1)
+    *elsewhere, _ = planner.requests[0][0]
+    has_room = [goal.position[1] < Box().center[1] for goal in elsewhere]
+    assert has_room[0] and has_room == sorted(has_room, reverse=True)
+
+
 def test_what_lies_and_met_something_is_turned_on_free_table_first(items):
     planner = FakePlanner(items, lambda goals, grasps: True)
     T = np.eye(4)

@@ -31,20 +31,25 @@ def wing(side=1, y=0.0, gap=0.001, length=0.06, height=0.03, depth=0.04):
     }  # fmt: skip
 
 
-def found(scenes, right, left, colors=(GREEN, GREEN), estimate=None):
-    """The ids of what is crossed, where the bar is grey and the things at its sides have colours."""
+def painted(scenes, solids, body, right, left):
+    """Images of solids in the colours of the bar, and of what is at its right and at its left."""
     frames = []
-    solids = [scenes.Solid(x=0.0, y=0.0, height=2 * HALF, half=(HALF, LENGTH / 2))]
-    solids += [scenes.Solid(**thing) for thing in (right, left) if thing is not None]
     for view in VIEWS:
         frame = scenes.render(solids, scenes.orbit((0, 0, 0.02), 0.5, *view), 0.001).frame
         T, k = frame.T_world_camera, frame.intrinsics
         v, u = np.mgrid[: k.height, : k.width]
         rays = np.stack([(u - k.cx) / k.fx, (v - k.cy) / k.fy, np.ones(u.shape)], axis=-1)
         x = ((rays * frame.depth[..., None]) @ T[0, :3] + T[0, 3])[..., None]
-        rgb = np.where(x > HALF, colors[0], np.where(x < -HALF, colors[1], GREY)).astype(np.uint8)
+        rgb = np.where(x > HALF, right, np.where(x < -HALF, left, body)).astype(np.uint8)
         frames.append(replace(frame, rgb=rgb))
-    return crossed([estimate or bar()], frames, SupportPlane())
+    return frames
+
+
+def found(scenes, right, left, colors=(GREEN, GREEN), estimate=None):
+    """The ids of what is crossed, where the bar is grey and the things at its sides have colours."""
+    solids = [scenes.Solid(x=0.0, y=0.0, height=2 * HALF, half=(HALF, LENGTH / 2))]
+    solids += [scenes.Solid(**thing) for thing in (right, left) if thing is not None]
+    return crossed([estimate or bar()], painted(scenes, solids, GREY, *colors), SupportPlane())
 
 
 @pytest.mark.parametrize(

@@ -8,7 +8,7 @@ import trimesh
 
 from perception.obstacles.handled import with_handle
 from perception.types import ObjectEstimate, SupportPlane, TriangleMesh
-from tests.perception.obstacles.test_crossed import BLUE, DARK_GREEN, GREEN, GREY, HALF, LENGTH, VIEWS, bar
+from tests.perception.obstacles.test_crossed import BLUE, DARK_GREEN, GREEN, GREY, HALF, LENGTH, bar, painted
 
 THIN, LONG = 0.018, 0.12  # radius and length of the handle in [m]
 
@@ -25,27 +25,17 @@ def handle(gap=0.001, angle=0.0, radius=THIN, middle=0.0):
     return ObjectEstimate(7, "bottle", np.zeros(16), T, np.full(3, 0.1), mesh, resting="lying")
 
 
-def frames_of(scenes, body, grip):
-    """Images of a bar and its handle in these colours."""
-    frames = []
+@pytest.fixture
+def found(scenes):
+    """A function that returns the ids of the objects that have a piece as their handle."""
     solids = [
         scenes.Solid(x=0.0, y=0.0, height=2 * HALF, half=(HALF, LENGTH / 2)),
         scenes.Solid(x=HALF + LONG / 2, y=0.0, height=2 * THIN, half=(LONG / 2, THIN)),
     ]
-    for view in VIEWS:
-        frame = scenes.render(solids, scenes.orbit((0, 0, 0.02), 0.5, *view), 0.001).frame
-        T, k = frame.T_world_camera, frame.intrinsics
-        v, u = np.mgrid[: k.height, : k.width]
-        rays = np.stack([(u - k.cx) / k.fx, (v - k.cy) / k.fy, np.ones(u.shape)], axis=-1)
-        x = ((rays * frame.depth[..., None]) @ T[0, :3] + T[0, 3])[..., None]
-        frames.append(replace(frame, rgb=np.where(x > HALF, grip, body).astype(np.uint8)))
-    return frames
 
-
-@pytest.fixture
-def found(scenes):
     def run(piece, objects=(bar(),), body=GREEN, grip=DARK_GREEN):
-        return with_handle(objects, [piece], frames_of(scenes, body, grip), SupportPlane())
+        frames = painted(scenes, solids, body, grip, body)
+        return with_handle(objects, [piece], frames, SupportPlane())
 
     return run
 
