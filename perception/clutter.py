@@ -89,12 +89,12 @@ def reconstruct_clutter(
         return reconstruct(frames, parts, decoder, planes, options=silent)
 
     with single_threaded():
-        stacks = split_stacks(frames, rows, estimates, planes, completer, fit)
+        stacks = split_stacks(frames, rows, estimates, planes, completer, fit, options.workers)
         stacks = without_repeated_stacks(frames, rows, stacks)
         parts = [part for pair in stacks.values() for part in pair]
         single = {id: estimate for id, estimate in estimates.items() if id not in stacks}
         lost = candidates - set(single) - set(stacks)
-        recutting = Recutting(frames, planes, completer, lambda cut: fit(cut, {}))
+        recutting = Recutting(frames, planes, completer, lambda cut: fit(cut, {}), options.workers)
         free = 1 + max((*instance_ids(rows), *(part.id for part in parts)), default=-1)
         rows, pieces = recutting.separated(rows, lost, free)
         # An upright object is seldom segmented with what it touches.

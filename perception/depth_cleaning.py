@@ -8,6 +8,7 @@ and towards the far one in the other. A surface does that only if it is seen at 
 from __future__ import annotations
 
 from dataclasses import replace
+from weakref import WeakKeyDictionary
 
 import cv2
 import numpy as np
@@ -80,9 +81,15 @@ def _halves(shape: tuple[int, ...], rows: int, columns: int) -> tuple[Window, Wi
     return (up, left), (down, right)
 
 
+_cleaned: WeakKeyDictionary[RgbdFrame, RgbdFrame] = WeakKeyDictionary()
+
+
 def clean_frame(frame: RgbdFrame) -> RgbdFrame:
-    """Return the frame with its depth cleaned."""
-    return replace(frame, depth=clean_depth(frame.depth, frame.intrinsics))
+    """Return the frame with its depth cleaned, which is done once for each frame."""
+    cleaned = _cleaned.get(frame)
+    if cleaned is None:
+        cleaned = _cleaned[frame] = replace(frame, depth=clean_depth(frame.depth, frame.intrinsics))
+    return cleaned
 
 
 def beside_jumps(

@@ -63,7 +63,13 @@ class SurfaceSamples:
 
     def distance(self, points: Float[np.ndarray, "m 3"], limit: float = np.inf) -> Float[np.ndarray, "m"]:
         """Return the distance of each point to the nearest sample, in metres; infinite beyond a limit."""
-        return np.asarray(self.tree.query(points, distance_upper_bound=limit)[0])
+        if not np.isfinite(limit):
+            return np.asarray(self.tree.query(points)[0])
+        low, high = self.points.min(axis=0) - limit, self.points.max(axis=0) + limit
+        near = ((points >= low) & (points <= high)).all(axis=1)  # in a scene most points are far away
+        distance = np.full(len(points), np.inf)
+        distance[near] = self.tree.query(points[near], distance_upper_bound=limit)[0]
+        return distance
 
     def distance_along_normal(self, points: Float[np.ndarray, "m 3"]) -> Float[np.ndarray, "m"]:
         """Return the distance in metres of each point to the tangent plane at the nearest sample.

@@ -95,7 +95,7 @@ class CameraIntrinsics:
         return np.array([[self.fx, 0, self.cx], [0, self.fy, self.cy], [0, 0, 1]], dtype=np.float64)
 
 
-@dataclass(frozen=True)
+@dataclass(frozen=True, eq=False)  # equal if it is the same image: what is computed from it is kept for it
 class RgbdFrame:
     """One RGB-D image with its camera.
 

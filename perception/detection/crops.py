@@ -15,7 +15,7 @@ import cv2
 import numpy as np
 from jaxtyping import Bool, Float, Shaped, UInt8
 
-from perception.depth_cleaning import clean_depth
+from perception.depth_cleaning import clean_frame
 from perception.detection.geometry import bounding_window, camera_pose, height_image, view_heading
 from perception.errors import InvalidInputError
 from perception.types import RgbdFrame, SupportPlane
@@ -70,7 +70,7 @@ class FrameGeometry:
 
 def frame_geometry(frame: RgbdFrame, plane: SupportPlane) -> FrameGeometry:
     """Return the frame's cleaned and filtered depth and heights."""
-    depth = cv2.medianBlur(clean_depth(frame.depth, frame.intrinsics), 5)
+    depth = cv2.medianBlur(clean_frame(frame).depth, 5)
     measured = (depth > 0).astype(np.float32)
     return FrameGeometry(cv2.merge([measured, depth, height_image(frame, plane, depth) * measured]))
 

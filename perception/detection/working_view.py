@@ -12,7 +12,7 @@ import cv2
 import numpy as np
 from jaxtyping import Bool, Float, Shaped
 
-from perception.depth_cleaning import clean_depth
+from perception.depth_cleaning import clean_frame
 from perception.detection.geometry import camera_pose, height_image, linear_in_depth
 from perception.types import CameraIntrinsics, RgbdFrame, SupportPlane
 
@@ -53,7 +53,7 @@ def downscale(frame: RgbdFrame) -> RgbdFrame:
     discontinuities.
     """
     k = frame.intrinsics
-    depth = cv2.medianBlur(clean_depth(frame.depth, k), 3)
+    depth = cv2.medianBlur(clean_frame(frame).depth, 3)
     longer = max(k.width, k.height)
     if longer <= LONGER_SIDE:
         return RgbdFrame(frame.time, frame.rgb, depth, k, frame.T_world_camera)

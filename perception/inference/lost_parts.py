@@ -7,14 +7,13 @@ and that continue an object in an image are taken to be parts of it.
 from __future__ import annotations
 
 from collections.abc import Mapping, Sequence
-from dataclasses import replace
 
 import cv2
 import numpy as np
 from jaxtyping import Bool, Float
 from scipy.spatial import KDTree
 
-from perception.depth_cleaning import beside_jumps, clean_depth
+from perception.depth_cleaning import beside_jumps, clean_frame
 from perception.detection.geometry import bounding_window, height_image, points_of
 from perception.metrics import SurfaceSamples
 from perception.types import ObjectDetection, ObjectEstimate, RgbdFrame, SupportPlane
@@ -53,7 +52,7 @@ def with_lost_parts(
     points = [SurfaceSamples.of(e.mesh_world, rng, _SAMPLES).points for e in estimates.values()]
     surfaces = KDTree(np.concatenate([np.full((1, 3), 1e6), *points]))
     found: dict[int, list[Bool[np.ndarray, "h w"] | None]] = {id: [None] * len(frames) for id in ids}
-    cleaned = [replace(frame, depth=clean_depth(frame.depth, frame.intrinsics)) for frame in frames]
+    cleaned = [clean_frame(frame) for frame in frames]
     parts: dict[int, dict[int, Bool[np.ndarray, "h w"]]] = {id: {} for id in ids}
     for k, (frame, row) in enumerate(zip(cleaned, rows, strict=True)):
         for detection in row:

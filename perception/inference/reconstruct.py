@@ -4,10 +4,10 @@ from __future__ import annotations
 
 import logging
 import os
-from collections.abc import Callable, Collection, Mapping, Sequence
+from collections.abc import Callable, Collection, Iterator, Mapping, Sequence
 from concurrent.futures import ThreadPoolExecutor, as_completed
 from dataclasses import dataclass, field, replace
-from functools import partial
+from itertools import count, zip_longest
 
 import cv2
 import numpy as np
@@ -114,8 +114,8 @@ def reconstruct(
             return fit_object(views, decoder, plane, config, report)
         return fit_best_class(views, decoder, plane, options.acceptance, config, report)
 
-    def fit_stacked(views: ObjectViews) -> ObjectEstimate:
-        lower = estimates.get(below[views.id])
+    def fit_resting(views: ObjectViews, fitted: Mapping[int, ObjectEstimate]) -> ObjectEstimate:
+        lower = fitted.get(below[views.id]) if views.id in below else None
         if lower is None:
             return fit(views, plane_of[views.id])
         return rest_on(views, lower, plane_of[views.id], config, fit)
@@ -134,19 +134,40 @@ def reconstruct(
         if options.progress is not None:
             options.progress(done, len(instances), name)
 
-    below = {**find_stacks(instances, plane_of), **options.rests_on}
+    known, seen = options.rests_on, find_stacks(instances, plane_of)
+    below = {upper: lower for upper, lower in {**seen, **known}.items() if known.get(lower) != upper}
+    done = count(1)
     with single_threaded(), ThreadPoolExecutor(workers) as pool:
-        jobs = {pool.submit(fit, v, plane_of[v.id]): v for v in instances if v.id not in below}
-        for done, job in enumerate(as_completed(jobs), start=1):
-            finish(jobs[job], job.result, done)
-        by_id = {views.id: views for views in instances}
-        for done, upper in enumerate(below, start=len(jobs) + 1):  # what is below is estimated first
-            finish(by_id[upper], partial(fit_stacked, by_id[upper]), done)
-            found = estimates.get(upper)
-            if found is not None and found.rests_on in estimates:
-                lower = estimates[found.rests_on]
-                estimates[lower.id] = lowered_below(lower, found, plane_of[lower.id])
+        for wave in waves_of_stacks(instances, below):
+            fitted = dict(estimates)
+            jobs = {pool.submit(fit_resting, views, fitted): views for views in wave}
+            for job in as_completed(jobs):
+                finish(jobs[job], job.result, next(done))
+            for found in [estimates[views.id] for views in wave if views.id in estimates]:
+                if found.rests_on in estimates:
+                    lower = estimates[found.rests_on]
+                    estimates[lower.id] = lowered_below(lower, found, plane_of[lower.id])
     return [estimates[key] for key in sorted(estimates)]
+
+
+def waves_of_stacks(
+    instances: Sequence[ObjectViews], below: Mapping[int, int]
+) -> Iterator[Sequence[ObjectViews]]:
+    """Yield objects that do not depend on each other: those on the support first, then one of each stack.
+
+    Args:
+        instances: Objects.
+        below: Id of the object below an object, the lowest first.
+    """
+    yield [views for views in instances if views.id not in below]
+    by_id = {views.id: views for views in instances}
+    stacks: dict[int, list[ObjectViews]] = {}
+    for upper, lowest in below.items():
+        for _ in below:  # never more steps than objects, even if two are said to rest on each other
+            lowest = below.get(lowest, lowest)
+        stacks.setdefault(lowest, []).append(by_id[upper])
+    for wave in zip_longest(*stacks.values()):
+        yield [views for views in wave if views is not None]
 
 
 def gather_instances(

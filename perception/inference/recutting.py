@@ -6,8 +6,11 @@ creases between them (``touching``), or cut it where its colour changes.
 
 from __future__ import annotations
 
+import os
 from collections.abc import Callable, Collection, Mapping, Sequence
+from concurrent.futures import ThreadPoolExecutor
 from dataclasses import dataclass, replace
+from functools import partial
 from itertools import combinations
 
 import cv2
@@ -38,12 +41,14 @@ class Recutting:
         planes: Support planes, numbered by ``ObjectDetection.support``.
         completer: Names pieces and pairs.
         fit: Reconstructs instances; detections without an id only occlude others.
+        workers: Number of pairs that are fitted at a time; None for the number of cores.
     """
 
     frames: Sequence[RgbdFrame]
     planes: Sequence[SupportPlane]
     completer: PoseNamer
     fit: Callable[[Rows], Sequence[ObjectEstimate]]
+    workers: int | None = None
 
     def separated(
         self, rows: Rows, ids: Collection[int], first_id: int
@@ -81,21 +86,33 @@ class Recutting:
             first_id: Least id of what is joined.
         """
         pairs = touching_pairs(rows, [id for id in sorted(ids) if _may_lie(rows, id)])[:MOST]
+        numbers = range(first_id, first_id + len(pairs))
+        with ThreadPoolExecutor(self.workers or os.cpu_count() or 1) as pool:
+            tried = list(pool.map(partial(self._joined_pair, rows), pairs, numbers))
         found: dict[int, ObjectEstimate] = {}
-        for number, pair in enumerate(pairs, start=first_id):
+        for number, pair, one in zip(numbers, pairs, tried):
             if not instance_ids(rows) >= set(pair):
                 continue  # one of them belongs to another object
-            points = np.concatenate([instance_points(self.frames, rows, id) for id in pair])
-            own = [[whole] if (whole := _union(row, pair, number)) else [] for row in rows]
-            named = posed_detections(self.frames, own, self.planes, self.completer)
-            others = [[d for d in row if d.instance_id not in pair] for row in rows]
-            paired = [[*o, *p] for o, p in zip(others, named, strict=True)]
-            estimate = next(iter(self.fit(_only(paired, {number}))), None)
-            if estimate is None or unexplained(points, [estimate]) > EXPLAINED:
+            paired, estimate = self._joined_pair(rows, pair, number) if found else one  # others were joined
+            if estimate is None:
                 continue
             if estimate.score >= max([CLEAR, *(estimates[id].score for id in pair if id in estimates)]):
                 rows, found[number] = paired, estimate
         return rows, found
+
+    def _joined_pair(
+        self, rows: Rows, pair: tuple[int, int], number: int
+    ) -> tuple[Rows, ObjectEstimate | None]:
+        """Return the detections with two instances as one, and its estimate if it explains enough of both."""
+        points = np.concatenate([instance_points(self.frames, rows, id) for id in pair])
+        own = [[whole] if (whole := _union(row, pair, number)) else [] for row in rows]
+        named = posed_detections(self.frames, own, self.planes, self.completer)
+        others = [[d for d in row if d.instance_id not in pair] for row in rows]
+        paired = [[*o, *p] for o, p in zip(others, named, strict=True)]
+        estimate = next(iter(self.fit(_only(paired, {number}))), None)
+        if estimate is None or unexplained(points, [estimate]) > EXPLAINED:
+            return paired, None
+        return paired, estimate
 
 
 def instance_ids(rows: Rows) -> set[int]:

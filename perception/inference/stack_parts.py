@@ -8,7 +8,9 @@ accepted and together explain clearly more of the measured points.
 
 from __future__ import annotations
 
+import os
 from collections.abc import Callable, Mapping, Sequence
+from concurrent.futures import ThreadPoolExecutor
 from dataclasses import dataclass, replace
 
 import cv2
@@ -98,6 +100,7 @@ def split_stacks(
     planes: Sequence[SupportPlane],
     completer: PoseNamer,
     fit: Fit,
+    workers: int | None = None,
 ) -> dict[int, tuple[ObjectEstimate, ...]]:
     """Return the lower and the upper object of each instance that is a stack, by the instance's id.
 
@@ -110,28 +113,20 @@ def split_stacks(
         planes: Support planes, numbered by ``ObjectDetection.support``.
         completer: Names the parts.
         fit: Reconstructs instances, given which rests on which; detections without an id only occlude others.
+        workers: Number of instances cut at a time; None for the number of cores.
     """
     views = [clean_frame(frame) for frame in frames]
-    free = 1 + max((d.instance_id for row in rows for d in row if d.instance_id is not None), default=-1)
-    open_: dict[int, tuple[list[Parts], Float[np.ndarray, "n 3"], float]] = {}
-    for id in sorted({d.instance_id for row in rows for d in row if d.instance_id is not None}):
+    ids = sorted({d.instance_id for row in rows for d in row if d.instance_id is not None})
+    free = 1 + max(ids, default=-1)
+
+    def cuts(number: int) -> tuple[list[Parts], Float[np.ndarray, "n 3"], float]:
+        id, free_id = ids[number], free + 2 * number
         points, whole = instance_points(views, rows, id), estimates.get(id)
         before = unexplained(points, [] if whole is None else [whole])
-        proposals: list[Parts] = []
-        if is_doubtful(whole, before):
-            by_shape = [
-                *parts_inside(views, rows, whole, id, planes, completer, free),
-                *propose_parts(views, rows, id, planes, completer, free),
-            ]
-            likeliest = sorted(by_shape, key=lambda parts: -parts.probability)[:TRIALS]
-            parted = parts_of_two_colors(views, rows, id, planes, completer, free, whole is not None)
-            proposals = [*parted, *likeliest]
-        elif whole is not None and is_vessel(whole):
-            parted = parts_of_two_colors(views, rows, id, planes, completer, free)
-            proposals = [p for p in parted if p.probability >= SURE and set(p.categories) <= set(VESSELS)]
-        if proposals:
-            open_[id] = proposals, points, before
-            free += 2
+        return _cuts(views, rows, id, whole, before, planes, completer, free_id), points, before
+
+    with ThreadPoolExecutor(workers or os.cpu_count() or 1) as pool:
+        open_ = {id: found for id, found in zip(ids, pool.map(cuts, range(len(ids)))) if found[0]}
     found: dict[int, tuple[ObjectEstimate, ...]] = {}
     for trial in range(1 + TRIALS):
         parts = {i: p[trial] for i, (p, *_) in open_.items() if trial < len(p) and i not in found}
@@ -148,6 +143,37 @@ def split_stacks(
             elif are_two(pair, whole, *open_[id][1:], planes[0]):
                 found[id] = tuple(pair)
     return found
+
+
+def _cuts(
+    views: Sequence[RgbdFrame],
+    rows: Rows,
+    id: int,
+    whole: ObjectEstimate | None,
+    before: float,
+    planes: Sequence[SupportPlane],
+    completer: PoseNamer,
+    free_id: int,
+) -> list[Parts]:
+    """Return ways to cut an instance that are tried, as in ``propose_parts``.
+
+    Args:
+        views, rows, id, planes, completer, free_id: As there.
+        whole: Estimate of the instance as a single object.
+        before: Share of its points which that leaves unexplained.
+    """
+    if is_doubtful(whole, before):
+        by_shape = [
+            *parts_inside(views, rows, whole, id, planes, completer, free_id),
+            *propose_parts(views, rows, id, planes, completer, free_id),
+        ]
+        likeliest = sorted(by_shape, key=lambda parts: -parts.probability)[:TRIALS]
+        parted = parts_of_two_colors(views, rows, id, planes, completer, free_id, whole is not None)
+        return [*parted, *likeliest]
+    if whole is not None and is_vessel(whole):
+        parted = parts_of_two_colors(views, rows, id, planes, completer, free_id)
+        return [p for p in parted if p.probability >= SURE and set(p.categories) <= set(VESSELS)]
+    return []
 
 
 def propose_parts(

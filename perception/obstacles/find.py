@@ -12,7 +12,7 @@ import cv2
 import numpy as np
 from jaxtyping import Float, Int
 
-from perception.depth_cleaning import clean_depth
+from perception.depth_cleaning import clean_frame
 from perception.detection.geometry import plane_axes
 from perception.geometry import invert, rigid, transform_points
 from perception.obstacles.convex import ConvexConfig, convex_pieces
@@ -67,7 +67,7 @@ def find_obstacles(
             frame, in metres.
         config: Parameters.
     """
-    views = [replace(frame, depth=clean_depth(frame.depth, frame.intrinsics)) for frame in frames]
+    views = [clean_frame(frame) for frame in frames]
     known = KnownGeometry.of(objects, boxes)
     points = np.concatenate(
         [np.zeros((0, 3))]

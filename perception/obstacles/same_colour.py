@@ -159,14 +159,13 @@ def _continues(
         config: What continues an object.
     """
     distance = np.full(raised.shape, np.inf)
-    distance[raised] = surface.distance(points, config.near)
+    distance[raised] = surface.distance(points, config.reach)
     touching = is_open & (distance < config.contact)
     if not touching.any():
         return False
-    to_contact = np.full(raised.shape, np.inf)
+    own = distance < config.own
     at_contact = KDTree(points[touching[raised]])
-    to_contact[raised] = at_contact.query(points, distance_upper_bound=config.reach)[0]
-    own = (distance < config.own) & np.isfinite(to_contact)
+    own[own] = np.isfinite(at_contact.query(points[own[raised]], distance_upper_bound=config.reach)[0])
     if own.sum() < config.min_pixels:
         return False
     color = np.median(colors[own], axis=0)
@@ -178,8 +177,9 @@ def _continues(
     rest = cv2.morphologyEx((is_open & same).astype(np.uint8), cv2.MORPH_OPEN, np.ones((3, 3), np.uint8))
     _, labels = cv2.connectedComponents(rest, connectivity=4)
     connected = np.isin(labels, np.setdiff1d(labels[touching & (rest > 0)], [0]))
-    far = connected & (distance > config.reach) & np.isfinite(distance)
+    far = connected & ~np.isfinite(distance)
     far[raised] &= _is_aside(estimate, points, config)
+    far[far] = np.isfinite(surface.distance(points[far[raised]], config.near))
     return int(far.sum()) >= config.min_pixels
 
 

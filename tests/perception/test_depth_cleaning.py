@@ -1,5 +1,8 @@
 """Cleaning of depth: flying and isolated pixels go, surfaces, rims and thin parts stay."""
 
+import gc
+import weakref
+
 import numpy as np
 import pytest
 
@@ -105,6 +108,20 @@ def test_a_frame_keeps_all_but_its_depth():
     cleaned = clean_frame(frame)
     assert cleaned.depth[5, 5] == 0 and frame.depth[5, 5] == np.float32(0.3)
     assert cleaned.time == 1.5 and cleaned.intrinsics == CAMERA and cleaned.T_world_camera is not None
+
+
+def test_a_frame_is_cleaned_once_and_forgotten_with_it():
+    def seen():
+        return RgbdFrame(0.0, np.zeros((120, 160, 3), np.uint8), box_before_wall(), CAMERA)
+
+    frame = seen()
+    cleaned = clean_frame(frame)
+    assert clean_frame(frame) is cleaned and clean_frame(seen()) is not cleaned
+    assert clean_frame(cleaned) is not cleaned  # cleaning twice removes more at the edges of what is left
+    kept = weakref.ref(cleaned)
+    del frame, cleaned
+    gc.collect()
+    assert kept() is None
 
 
 def test_pixels_on_both_sides_of_a_step_are_beside_it():

@@ -56,3 +56,14 @@ def test_distance_along_the_normal_is_free_of_the_spacing() -> None:
     points = sample_surface(sphere(0.052), np.random.default_rng(1), 500)
     along = sparse.distance_along_normal(points)
     assert np.median(np.abs(along - 0.002)) < 1e-4 < np.median(np.abs(sparse.distance(points) - 0.002))
+
+
+def test_distances_up_to_a_limit_are_those_without_one() -> None:
+    rng = np.random.default_rng(2)
+    surface = SurfaceSamples.of(sphere(0.05), rng, 2000)
+    points = rng.uniform(-0.2, 0.2, (5000, 3))
+    exact = surface.distance(points)
+    for limit in (0.0, 0.03, 0.1):
+        expected = np.where(exact < limit, exact, np.inf)
+        np.testing.assert_array_equal(surface.distance(points, limit), expected)
+    assert 0 < (exact < 0.03).mean() < 0.5

@@ -7,6 +7,7 @@ import numpy as np
 import pytest
 
 from perception.inference import fit
+from perception.inference import reconstruct as reconstruction
 from perception.inference.fit_config import FitConfig, FitStage
 from perception.inference.reconstruct import (
     ReconstructOptions,
@@ -14,6 +15,7 @@ from perception.inference.reconstruct import (
     hidden_by,
     mean_poses,
     reconstruct,
+    waves_of_stacks,
 )
 from perception.types import ObjectDetection, RejectedObject, SupportPlane
 
@@ -113,6 +115,33 @@ def test_workers_do_not_change_the_result(scan, decoder) -> None:
     one, two = (reconstruct(*scan, decoder, SupportPlane(), QUICK, ReconstructOptions(n))[0] for n in (1, 2))
     np.testing.assert_array_equal(one.code, two.code)
     np.testing.assert_array_equal(one.mesh.vertices, two.mesh.vertices)
+
+
+def test_stacks_are_fitted_from_the_lowest_object_up(scan) -> None:
+    (_, views) = gather_instances(*scan)
+    piles = [replace(views, id=id) for id in range(6)]
+    below = {1: 0, 4: 3, 2: 1}  # 2 on 1 on 0, 4 on 3, and 5 alone
+    waves = [[views.id for views in wave] for wave in waves_of_stacks(piles, below)]
+    assert waves == [[0, 3, 5], [1, 4], [2]]
+    beside = [[views.id for views in wave] for wave in waves_of_stacks(piles[:3], {1: 0, 2: 0})]
+    assert beside == [[0], [1], [2]]  # both may lower what is below them
+    assert [len(wave) for wave in waves_of_stacks(piles[:2], {0: 1, 1: 0})] == [0, 2]
+
+
+def test_what_is_known_to_be_below_is_fitted_first(scan, decoder, monkeypatch) -> None:
+    """Although by what is measured of it, it rests on the other one."""
+    order = []
+
+    def found(views, *_):
+        order.append(views.id)
+        raise ValueError
+
+    monkeypatch.setattr(reconstruction, "find_stacks", lambda *_: {4: 2})
+    monkeypatch.setattr(reconstruction, "fit_object", found)
+    for known, first in (({2: 4}, 4), ({}, 2)):
+        order.clear()
+        reconstruct(*scan, decoder, SupportPlane(), QUICK, ReconstructOptions(rests_on=known))
+        assert order[0] == first and len(order) == 2
 
 
 def test_what_is_clearly_behind_hides_nothing(scan) -> None:
