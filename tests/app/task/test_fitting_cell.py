@@ -1,6 +1,5 @@
 """What is changed in a cell that cannot be laid out, and that every seed gives a scene."""
 
-import time
 from itertools import pairwise
 
 import numpy as np
@@ -100,12 +99,10 @@ def test_nothing_narrower_is_no_replacement(config):
 @pytest.mark.slow
 @pytest.mark.parametrize("objects", ["6", "8", "12", "bowl=12", "mug=12", "bottle=12", "can=12"])
 @pytest.mark.parametrize("clutter", [False, True])
-def test_every_seed_gives_a_scene_in_seconds(objects, clutter):
+def test_every_seed_gives_a_scene(objects, clutter):
     for seed in range(700, 703):
-        begin = time.process_time()
         with build_world(PackOptions(objects=objects, seed=seed, clutter=clutter), "pack") as world:
             assert len(world.config.objects) == sum(int(part.split("=")[-1]) for part in objects.split(","))
             poses = ground_truth.object_poses(world).values()
             assert min(T[2, 3] for T in poses) > -0.01
             assert clutter or max(tilt(T) for T in poses) < np.deg2rad(2)
-        assert time.process_time() - begin < 30
