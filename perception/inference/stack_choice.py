@@ -8,7 +8,7 @@ import numpy as np
 from jaxtyping import Float
 
 from perception.inference.contents import VESSELS
-from perception.inference.explanation import unexplained
+from perception.inference.explanation import shared_volume, unexplained
 from perception.types import ObjectEstimate, SupportPlane
 
 DOUBTFUL = 0.04  # share of unexplained points from which on an object may be several
@@ -18,6 +18,8 @@ BEYOND_DOUBT, BEYOND_DOUBT_SCORE = 0.15, 0.1  # share of them, and scores that s
 WEAK, FAR_BETTER = 0.5, 0.3  # score below which an object may be several, and by how much theirs are higher
 WEAK_BOTTLE = 0.9  # the same of an upright bottle
 MIN_SCORES = (0.2, 0.5)  # of the fits of the lower part, whose upper side is hidden, and of the upper one
+BESIDE_SCORE = 0.5  # least score of two parts beside each other: neither hides the other
+SHARED = 0.15  # share of a part's volume in the other one from which on they are no two objects
 # Least scores of the fits of two vessels that look like one; height [m] of the upper one's base, and share of
 # that of its rim: mugs have thinner floors.
 SURE_SCORE, THICK, THICK_SHARE = 0.8, 0.03, 0.35
@@ -136,7 +138,11 @@ def _is_better(
         return False
     if pair[0].resting == "lying":  # nothing stands on what can roll
         return False
+    if max(shared_volume(pair[0], pair[1]), shared_volume(pair[1], pair[0])) > SHARED:
+        return False
     least = (BEYOND_DOUBT_SCORE,) * 2 if after < BEYOND_DOUBT * before else MIN_SCORES
+    if pair[1].rests_on != pair[0].id:
+        least = (BESIDE_SCORE,) * 2
     accepted = all(e.score >= p for e, p in zip(pair, least, strict=True))
     if is_poor and accepted and after < min(CLEARLY * before, MOST_UNEXPLAINED):
         return True

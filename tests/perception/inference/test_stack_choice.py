@@ -8,10 +8,12 @@ import trimesh
 
 from perception.inference import stack_choice
 from perception.inference.stack_choice import (
+    BESIDE_SCORE,
     COAXIAL,
     DOUBTFUL,
     FULLY,
     LEAST_HEIGHT,
+    SHARED,
     SLENDER,
     WEAK,
     WEAK_BOTTLE,
@@ -31,7 +33,8 @@ def shape(category="can", base=0.0, height=0.1, radius=0.03, score=0.9, resting=
     T = np.eye(4)
     T[:3, 3] = x, 0.0, base + height / 2
     mesh = TriangleMesh(np.asarray(cylinder.vertices), np.asarray(cylinder.faces))
-    return ObjectEstimate(1, category, np.zeros(16), T, np.ones(3), mesh, score, resting=resting)
+    made = ObjectEstimate(1, category, np.zeros(16), T, np.ones(3), mesh, score, resting=resting)
+    return replace(made, rests_on=1 if base > 0 else None)
 
 
 CANS = [shape(), shape(base=0.1)]
@@ -89,6 +92,28 @@ def test_discs_knobs_and_what_is_implausible_are_no_parts(leave, part, accepted)
     leave(0.0)
     assert are_two([CANS[0], part], None, POINTS, 1.0, PLANE) is accepted
     assert not are_two([shape("bottle", resting="lying"), part], None, POINTS, 1.0, PLANE), "it may roll"
+
+
+@pytest.mark.parametrize(
+    ("scores", "accepted"),
+    [
+        ((BESIDE_SCORE + 0.01, BESIDE_SCORE + 0.01), True),
+        ((BESIDE_SCORE - 0.01, 0.9), False),
+        ((0.9, BESIDE_SCORE - 0.01), False),
+    ],
+)
+def test_parts_beside_each_other_hide_nothing_that_excuses_low_scores(leave, scores, accepted):
+    leave(0.0)
+    beside = [shape(), shape(x=0.07)]
+    pair = [replace(part, score=score) for part, score in zip(beside, scores)]
+    assert are_two(pair, None, POINTS, 1.0, PLANE) is accepted
+
+
+@pytest.mark.parametrize(("sunk", "accepted"), [(0.6, True), (1.6, False)])
+def test_one_object_does_not_pass_through_another(leave, sunk, accepted):
+    leave(0.0)
+    upper = shape(base=0.1 - sunk * SHARED * 0.1)
+    assert are_two([shape(), upper], None, POINTS, 1.0, PLANE) is accepted
 
 
 def test_far_better_scores_replace_an_unusual_shape_that_explains_as_much(leave):

@@ -88,7 +88,7 @@ def test_parts_that_are_not_accepted_leave_the_whole(stack, rows):
 
 
 def test_weak_scores_suffice_for_parts_that_explain_nearly_all(stack, rows, monkeypatch):
-    weak = [cylinder(stack.lower, 5, 0.25), cylinder(stack.higher, 6, 0.4)]
+    weak = [cylinder(stack.lower, 5, 0.25), replace(cylinder(stack.higher, 6, 0.4), rests_on=5)]
     assert set(split(stack, rows, lambda *_: weak)) == {4}
     monkeypatch.setattr(stack_choice, "BEYOND_DOUBT", 0.0)
     assert split(stack, rows, lambda *_: weak) == {}
