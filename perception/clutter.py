@@ -124,7 +124,9 @@ def reconstruct_clutter(
         rejected += [_left_out(estimate) for estimate in uncertain.values()]
         single = {id: estimate for id, estimate in single.items() if id not in uncertain}
         found = with_seen_handles([*single.values(), *parts], frames, planes[0], completer)
-        found, left = without_parts_of_things(found, [*stacks.values()], frames, planes[0], unclear)
+        found, left = without_parts_of_things(
+            found, [*stacks.values()], frames, planes[0], unclear, options.workers
+        )
         rejected += [item for item in left if item.id in single]
     if options.on_rejected is not None:
         for item in rejected:

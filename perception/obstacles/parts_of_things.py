@@ -2,7 +2,9 @@
 
 from __future__ import annotations
 
+import os
 from collections.abc import Sequence
+from concurrent.futures import ThreadPoolExecutor
 
 from perception.depth_cleaning import clean_frame
 from perception.obstacles.attached import carriers_of_parts
@@ -24,6 +26,7 @@ def without_parts_of_things(
     frames: Sequence[RgbdFrame],
     plane: SupportPlane,
     pieces: Sequence[ObjectEstimate] = (),
+    workers: int | None = None,
 ) -> tuple[list[ObjectEstimate], list[RejectedObject]]:
     """Return the objects without those that go on in things of no class, and these; stacks go as a whole.
 
@@ -33,13 +36,18 @@ def without_parts_of_things(
         frames: Views with camera poses.
         plane: Support plane.
         pieces: Estimates of what is no object, because its shape does not suffice.
+        workers: Number of threads; None for the number of cores.
     """
     views = [clean_frame(frame) for frame in frames]
-    reasons = dict.fromkeys(carriers_of_parts(found, views, plane), CARRIES)
-    reasons |= dict.fromkeys(mugs_without_handle(found, views, plane), HANDLELESS)
-    reasons |= dict.fromkeys(continued_in_colour(found, views, plane), SAME_COLOUR)
-    reasons |= dict.fromkeys(crossed(found, views, plane), CROSSED)
-    reasons |= dict.fromkeys(with_handle(found, pieces, views, plane), HANDLED)
+    with ThreadPoolExecutor(workers or os.cpu_count() or 1) as pool:
+        checks = {
+            CARRIES: pool.submit(carriers_of_parts, found, views, plane),
+            HANDLELESS: pool.submit(mugs_without_handle, found, views, plane),
+            SAME_COLOUR: pool.submit(continued_in_colour, found, views, plane),
+            CROSSED: pool.submit(crossed, found, views, plane),
+            HANDLED: pool.submit(with_handle, found, pieces, views, plane),
+        }
+        reasons = {id: reason for reason, check in checks.items() for id in check.result()}
     for stack in stacks:
         known = [reasons[part.id] for part in stack if part.id in reasons]
         reasons |= {part.id: known[0] for part in stack if known}

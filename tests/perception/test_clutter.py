@@ -83,7 +83,7 @@ class Scene:
     def unexplained(self, points, shapes):
         return 0.0 if any((int(points[0, 0]), shape.id) in self.explained for shape in shapes) else 1.0
 
-    def split(self, frames, rows, estimates, planes, completer, fit):
+    def split(self, frames, rows, estimates, planes, completer, fit, workers=None):
         self.known, self.rows = sorted(estimates), [[d.instance_id for d in row] for row in rows]
         return self.stacks
 
