@@ -23,7 +23,7 @@ from perception.inference.observation import ObjectObservation, ObjectViews
 from perception.inference.optimisation import FitStep
 from perception.inference.scored_fits import RejectedError
 from perception.inference.shape_model import Decoder
-from perception.inference.stacking import find_stacks, lowered_below, rest_on
+from perception.inference.stacking import ending_below, find_stacks, rest_on
 from perception.inference.warm_start import find_warm_start
 from perception.threads import single_threaded
 from perception.types import (
@@ -146,7 +146,7 @@ def reconstruct(
             for found in [estimates[views.id] for views in wave if views.id in estimates]:
                 if found.rests_on in estimates:
                     lower = estimates[found.rests_on]
-                    estimates[lower.id] = lowered_below(lower, found, plane_of[lower.id])
+                    estimates[lower.id] = ending_below(lower, found, plane_of[lower.id])
     return [estimates[key] for key in sorted(estimates)]
 
 

@@ -31,7 +31,7 @@ _CELL = 0.002  # [m] of the height maps whose difference is the gap
 FREE = 0.1  # [m] standard deviation of the height of the lowest part before the contact is known
 WORSE = 0.3  # by which the score of a fit on the contact may be below that of the fit at any height
 _OVERLAP = 0.008  # [m] by which two objects may overlap: estimated rims are thicker than real ones
-_LEAST_SHARE = 0.7  # of a height that is left
+_SHARES = (0.7, 1.4)  # of a height after and before, at least and at most
 _SUNK = 0.005  # [m] by which the lowest measured points may be below the base
 _TOPPLING = 0.005  # [m] beside the other object's outline that the middle of an object on it may seem to be
 _LEANING = 0.3  # [rad] standard deviation of the tilt of an object in a vessel
@@ -153,7 +153,8 @@ def rest_on(
     contact = lowest - clearance
     touching = fit(views, raised(plane, contact), config)
     contradicted = touching.score < floating.score - WORSE or seen.base < contact - _SUNK
-    if lower.category not in VESSELS:
+    if lower.category not in VESSELS:  # its top is hidden
+        contradicted |= floating.score >= touching.score - _AS_GOOD
         contradicted |= _explains_more(points, floating, touching)
     best = floating if contradicted else touching
     rim = float(plane.height_above(lower.mesh_world.vertices).max())
@@ -213,11 +214,11 @@ def gap(upper: TriangleMesh, lower: TriangleMesh, plane: SupportPlane) -> float 
     return float((low[at] - high[there]).min()) if len(at) else None
 
 
-def lowered_below(lower: ObjectEstimate, upper: ObjectEstimate, plane: SupportPlane) -> ObjectEstimate:
-    """Return an upright object so low that one on it, estimated at any height, is not inside it.
+def ending_below(lower: ObjectEstimate, upper: ObjectEstimate, plane: SupportPlane) -> ObjectEstimate:
+    """Return an upright object that ends where one on it, estimated at any height, begins.
 
-    What is on it hides its top, which the prior alone estimates. It is returned as it is if both hardly
-    overlap, or by far too much.
+    What is on it hides its top, which the prior alone estimates. A vessel, whose rim is seen, may end below.
+    It is returned as it is if both hardly overlap, or by far too much.
 
     Args:
         lower: Estimate of the object below.
@@ -229,8 +230,13 @@ def lowered_below(lower: ObjectEstimate, upper: ObjectEstimate, plane: SupportPl
     cells, low = _extreme_heights(_samples(upper.mesh_world), plane, np.minimum)
     others, high = _extreme_heights(_samples(lower.mesh_world), plane, np.maximum)
     _, at, there = np.intersect1d(cells, others, return_indices=True)
-    share = float(((low[at] + _OVERLAP) / np.maximum(high[there], _CELL)).min(initial=1.0))
-    if not _LEAST_SHARE < share < 1.0:
+    if not len(at):
+        return lower
+    before = np.maximum(high[there], _CELL)
+    share = min(float(((low[at] + _OVERLAP) / before).min()), 1.0)
+    if share == 1.0 and lower.category not in VESSELS:
+        share = max(float((low[at] / before).min()), 1.0)
+    if share == 1.0 or not _SHARES[0] < share < _SHARES[1]:
         return lower
     T = lower.T_world_object.copy()
     T[:3, 3] += (share - 1.0) * float(plane.height_above(T[None, :3, 3])[0]) * plane.normal

@@ -12,9 +12,9 @@ from perception.inference.observation import ObjectViews
 from perception.inference.stacking import (
     LEAST_BASE,
     MeasuredExtent,
+    ending_below,
     find_stacks,
     gap,
-    lowered_below,
     rest_on,
     stacked,
 )
@@ -78,22 +78,35 @@ def test_gap_to_the_floor_of_a_bowl() -> None:
     assert gap(as_mesh(box, 0.05, 0, 0.08), bowl, PLANE) == pytest.approx(0.0, abs=1e-6)  # on the rim
 
 
-@pytest.mark.parametrize(("base", "height"), [(0.08, 0.088), (0.095, 0.1), (0.05, 0.1)])
-def test_what_is_hidden_below_an_object_does_not_reach_into_it(base, height) -> None:
-    """Its foot stays on the plane; where both hardly overlap, or far too much, it is as it was."""
+@pytest.mark.parametrize(
+    ("category", "base", "height"),
+    [
+        ("can", 0.08, 0.088),
+        ("can", 0.095, 0.1),
+        ("can", 0.05, 0.1),
+        ("can", 0.13, 0.13),
+        ("can", 0.15, 0.1),
+        ("bowl", 0.08, 0.088),
+        ("bowl", 0.13, 0.1),  # whose rim is seen
+    ],
+)
+def test_what_is_hidden_below_an_object_ends_where_that_begins(category, base, height) -> None:
+    """Its foot stays on the plane; where both hardly overlap, or the height is far off, it is as it was."""
     box = trimesh.creation.box((0.06, 0.06, 0.1))
     T = np.eye(4)
     T[2, 3] = 0.05
-    lower = replace(estimate(3, as_mesh(box, 0, 0, 0)), T_world_object=T, resting="upright")
+    lower = replace(
+        estimate(3, as_mesh(box, 0, 0, 0)), category=category, T_world_object=T, resting="upright"
+    )
     upper = estimate(4, as_mesh(box, 0.01, 0, 0.05 + base))
-    found = lowered_below(lower, upper, PLANE)
+    found = ending_below(lower, upper, PLANE)
     heights = found.mesh_world.vertices[:, 2]
     assert heights.min() == pytest.approx(0.0, abs=1e-9) and heights.max() == pytest.approx(height, abs=1e-6)
     np.testing.assert_allclose(found.scale, lower.scale * [1, 1, height / 0.1])
     np.testing.assert_allclose(np.ptp(found.mesh.vertices[:, :2], axis=0), 0.06)
-    assert lowered_below(replace(lower, resting="lying"), upper, PLANE).height == pytest.approx(0.1)
+    assert ending_below(replace(lower, resting="lying"), upper, PLANE).height == pytest.approx(0.1)
     beside = estimate(4, as_mesh(box, 0.1, 0, 0.05 + base))
-    assert lowered_below(lower, beside, PLANE).height == pytest.approx(0.1)
+    assert ending_below(lower, beside, PLANE).height == pytest.approx(0.1)
 
 
 def test_the_upper_object_is_fitted_on_the_contact(make_table) -> None:
@@ -112,6 +125,31 @@ def test_the_upper_object_is_fitted_on_the_contact(make_table) -> None:
     assert above.rests_on == 3
     np.testing.assert_allclose(offsets, [0.02, 0.02], atol=1e-9)
     assert free == [True, False]
+
+
+@pytest.mark.parametrize(
+    ("category", "on_contact", "height"),
+    [("can", 0.9, 0.03), ("can", 0.96, 0.02), ("bowl", 0.9, 0.02), ("bowl", 0.5, 0.03)],
+)
+def test_the_hidden_top_of_what_is_below_does_not_pull_an_object_down(
+    make_table, monkeypatch, category, on_contact, height
+) -> None:
+    """The fit at any height is kept on a can if it is as good; on a vessel only if it is clearly better."""
+    table = make_table("can", (), yaw=0.0)
+    views = ObjectViews(7, "can", 1.0, tuple(table.observations((0.0,))))
+    box = trimesh.creation.box((0.06, 0.06, 0.1))
+    lower = replace(estimate(3, as_mesh(box, 0.4, -0.1, -0.05 + 0.02)), category=category)
+    seen = replace(MeasuredExtent.of(views, PLANE), base=0.03)
+    monkeypatch.setattr(MeasuredExtent, "of", lambda *_: seen)
+    monkeypatch.setattr(stacking, "unexplained", lambda *_: 0.01)
+
+    def fit(_: ObjectViews, plane: SupportPlane, config: FitConfig) -> ObjectEstimate:
+        is_free = config.noise.support_sigma > 0.01
+        base, score = (0.03, 0.91) if is_free else (0.02, on_contact)
+        return estimate(7, as_mesh(box, 0.4, -0.1, 0.05 + base), score=score)
+
+    found = rest_on(views, lower, PLANE, FitConfig(), fit)
+    assert found.mesh_world.vertices[:, 2].min() == pytest.approx(height)
 
 
 @pytest.mark.parametrize(("low_share", "stands_high"), [(0.3, True), (0.04, False), (0.012, False)])
@@ -149,7 +187,7 @@ def test_what_was_measured_below_the_contact_does_not_rest_on_it(
     table = make_table("can", (), yaw=0.0)
     views = ObjectViews(7, "can", 1.0, tuple(table.observations((0.0,))))
     box = trimesh.creation.box((0.06, 0.06, 0.1))
-    lower = estimate(3, as_mesh(box, 0.4, -0.1, -0.05 + 0.08))
+    lower = replace(estimate(3, as_mesh(box, 0.4, -0.1, -0.05 + 0.08)), category="mug")
     seen = MeasuredExtent(square() + np.array([0.4, -0.1]), base, 0.15)
     monkeypatch.setattr(MeasuredExtent, "of", lambda *_: seen)
     monkeypatch.setattr(stacking, "unexplained", lambda *_: 0.01)
