@@ -7,34 +7,18 @@ import pytest
 import trimesh
 
 from perception.inference import stack_choice, stack_parts
-from perception.inference.stack_parts import parts_inside, parts_of_two_colors, propose_parts, split_stacks
+from perception.inference.stack_cuts import Parts, StackCuts
+from perception.inference.stack_parts import split_stacks
 from perception.types import (
-    POSED_CLASSES,
-    CameraIntrinsics,
     ObjectDetection,
     ObjectEstimate,
-    RgbdFrame,
     SupportPlane,
     TriangleMesh,
-    is_unclassified,
     unclassified,
 )
+from tests.perception.inference.namers import Namer
 
 PLANE = SupportPlane()
-
-
-class Namer:
-    """Names every mask a can, or something else, and keeps what it stood on."""
-
-    def __init__(self, probabilities=(0.1, 0.0, 0.1, 0.7, 0.1)):
-        self.probabilities, self.bases = np.array(probabilities), []
-
-    def complete(self, frame, plane, detections):
-        self.bases.append(plane.offset)
-        return [replace(d, class_probabilities=self.probabilities) for d in detections]
-
-    def posed(self, frame, plane, detections):
-        return [replace(d, pose_probabilities=np.full(10, 0.1)) for d in detections]
 
 
 def cylinder(table, id, score=0.9):
@@ -114,70 +98,6 @@ def test_what_one_shape_explains_is_not_cut(stack):
     assert namer.bases == []
 
 
-def test_the_upper_part_is_named_on_the_seam_and_parts_without_a_class_are_none(stack, rows):
-    namer = Namer()
-    (parts, *_) = propose_parts(frames_of(stack), rows, 4, [PLANE], namer, 9)
-    assert parts.ids == (9, 10)
-    assert sorted(set(np.round(namer.bases[:6], 2))) == [0.0, pytest.approx(stack.height, abs=0.01)]
-    assert {d.category for row in parts.rows for d in row} == {"can"}
-    thing = Namer([0.1, 0.1, 0.05, 0.05, 0.7])
-    assert propose_parts(frames_of(stack), rows, 4, [PLANE], thing, 9) == []
-
-
-@pytest.mark.parametrize(
-    ("network", "category"), [((0.1, 0.0, 0.1, 0.7, 0.1), "can"), ((0.2, 0, 0.5, 0, 0.3), "mug")]
-)
-def test_the_pose_network_is_asked_what_the_class_network_does_not_know(stack, rows, network, category):
-    """Nothing stands on a bottle: the lower part is none to the class network, and a mug to both."""
-
-    class OnMugs(Namer):
-        def posed(self, frame, plane, detections):
-            poses = np.array([posed == ("mug", "upright") for posed in POSED_CLASSES] + [False], float)
-            return [replace(d, pose_probabilities=poses) for d in detections]
-
-    (parts, *_) = propose_parts(frames_of(stack), rows, 4, [PLANE], OnMugs(network), 9)
-    assert {d.category for row in parts.rows for d in row if d.instance_id == 9} == {category}
-
-
-def test_objects_of_two_colors_are_parts(stack, rows):
-    """The lower one is red, the upper one blue; in one colour they are not parted."""
-    namer = Namer()
-    assert parts_of_two_colors(frames_of(stack), rows, 4, [PLANE], namer, 9) == []
-    frames = []
-    for view, upper in zip(stack.seen, stack.upper):
-        rgb = np.where(upper[..., None], (30, 60, 200), (200, 40, 30)).astype(np.uint8)
-        frames.append(replace(view.frame, rgb=rgb))
-    (parts,) = parts_of_two_colors(frames, rows, 4, [PLANE], namer, 9)
-    assert parts.ids == (9, 10)
-    assert sorted(set(np.round(namer.bases, 2))) == [0.0, pytest.approx(stack.height, abs=0.02)]
-    for row, upper in zip(parts.rows, stack.upper):
-        (high,) = (d.mask for d in row if d.instance_id == 10)
-        assert (high & upper).sum() > 0.95 * upper.sum() and (high & ~upper).sum() < 0.05 * upper.sum()
-    for unsure in ([0.1, 0.1, 0.05, 0.05, 0.7], [0.1, 0.1, 0.05, 0.5, 0.25]):
-        assert parts_of_two_colors(frames, rows, 4, [PLANE], Namer(unsure), 9, True) == []
-
-
-def test_below_a_clearly_named_object_a_part_may_be_without_a_name(stack, rows):
-    """Only its rim is seen; what is no object with a single shape is not taken for one on another."""
-
-    class KnowsTheUpper(Namer):
-        def complete(self, frame, plane, detections):
-            p = [0.0, 0.0, 0.0, 0.95, 0.05] if plane.offset > 0 else [0.0, 0.0, 0.0, 0.05, 0.95]
-            return [replace(d, class_probabilities=np.array(p)) for d in detections]
-
-        def posed(self, frame, plane, detections):
-            return detections
-
-    frames = []
-    for view, upper in zip(stack.seen, stack.upper):
-        rgb = np.where(upper[..., None], (30, 60, 200), (200, 40, 30)).astype(np.uint8)
-        frames.append(replace(view.frame, rgb=rgb))
-    (parts,) = parts_of_two_colors(frames, rows, 4, [PLANE], KnowsTheUpper(), 9, True)
-    below = [d for row in parts.rows for d in row if d.instance_id == 9]
-    assert below and all(is_unclassified(d) for d in below)
-    assert parts_of_two_colors(frames, rows, 4, [PLANE], KnowsTheUpper(), 9) == []
-
-
 def test_parts_with_far_better_scores_replace_an_unusual_shape_that_explains_as_much(stack, rows):
     whole = cylinder(stack.lower, 4, 0.2)
     both = trimesh.util.concatenate(
@@ -213,7 +133,7 @@ def test_a_vessel_that_explains_all_may_be_two_of_different_colors(
         return [[d] for d in row]
 
     both = [[*a, *b] for a, b in zip(part(0, 5), part(1, 6))]
-    monkeypatch.setattr(stack_parts, "parts_of_two_colors", lambda *_: [stack_parts.Parts(both, (5, 6))])
+    monkeypatch.setattr(StackCuts, "between_colors", lambda *_: [Parts(both, (5, 6))])
     lower = replace(cylinder(stack.lower, 5, 0.95), category="mug", resting="upright")
     upper = cylinder(stack.higher if raised else stack.lower, 6, score)
     upper = replace(upper, category="bowl", resting="upright")
@@ -225,10 +145,10 @@ def test_the_likeliest_cuts_are_fitted(stack, rows, monkeypatch):
 
     def cut(p):
         marked = [[ObjectDetection("can", p, d.mask, instance_id=i) for i in (5, 6)] for (d,) in rows]
-        return stack_parts.Parts(marked, (5, 6))
+        return Parts(marked, (5, 6))
 
     cuts = [cut(p) for p in (0.4, 0.5, 0.9)]
-    monkeypatch.setattr(stack_parts, "propose_parts", lambda *_: cuts)
+    monkeypatch.setattr(StackCuts, "at_seams", lambda *_: cuts)
     fitted = []
 
     def fit(parts, rests_on):
@@ -237,44 +157,3 @@ def test_the_likeliest_cuts_are_fitted(stack, rows, monkeypatch):
 
     split(stack, rows, fit)
     assert fitted == [0.9, 0.5]
-
-
-def vessel_from_above(holds):
-    """A vessel of 0.06 m seen from above, with a cylinder of 0.025 m in it if it holds one."""
-    v, u = np.mgrid[:160, :200]
-    away = np.hypot(u - 99.5, v - 79.5) / 400.0  # of a pixel's ray from the axis at 1 m
-    depth = np.full((160, 200), 0.6, np.float32)
-    for radius, height in ((0.06, 0.05), (0.055, 0.004), *([(0.025, 0.035)] if holds else [])):
-        depth[away * (0.6 - height) < radius] = 0.6 - height
-    T = np.diag([1.0, -1.0, -1.0, 1.0])
-    T[2, 3] = 0.6
-    camera = CameraIntrinsics(200, 160, 400.0, 400.0, 99.5, 79.5)
-    view = RgbdFrame(0.0, np.zeros((160, 200, 3), np.uint8), depth, camera, T)
-    profile = [(0, 0), (0.06, 0), (0.06, 0.05), (0.055, 0.05), (0.055, 0.004), (0, 0.004)]
-    shape = trimesh.creation.revolve(np.array(profile), sections=64)
-    mesh = TriangleMesh(np.asarray(shape.vertices), np.asarray(shape.faces))
-    vessel = ObjectEstimate(4, "bowl", np.zeros(16), np.eye(4), np.full(3, 0.07), mesh, 0.9)
-    rows = [[ObjectDetection("bowl", 0.9, depth < 0.597, instance_id=4)]]
-    return view, vessel, rows
-
-
-def test_what_a_vessel_holds_below_its_rim_is_a_part_of_its_own():
-    view, vessel, rows = vessel_from_above(holds=True)
-    (parts,) = parts_inside([view], rows, vessel, 4, [PLANE], Namer((0.0, 0.45, 0.0, 0.5, 0.05)), 7)
-    lower, upper = parts.rows[0]
-    assert (lower.instance_id, lower.category) == (7, "bowl")
-    assert (upper.instance_id, upper.category) == (8, "can")
-    inner = np.isclose(view.depth, 0.565)
-    assert (upper.mask & inner).sum() > 0.9 * inner.sum()
-    assert (upper.mask & ~inner).sum() < 0.05 * inner.sum()
-    assert not (upper.mask & lower.mask).any() and ((upper.mask | lower.mask) == rows[0][0].mask).all()
-
-
-def test_empty_upside_down_and_closed_objects_hold_nothing():
-    view, vessel, rows = vessel_from_above(holds=False)
-    assert parts_inside([view], rows, vessel, 4, [PLANE], Namer(), 7) == []
-    view, vessel, rows = vessel_from_above(holds=True)
-    for other in (None, replace(vessel, resting="upside-down"), replace(vessel, category="can")):
-        assert parts_inside([view], rows, other, 4, [PLANE], Namer(), 7) == []
-    unnamed = Namer((0.0, 0.0, 0.0, 0.0, 1.0))
-    assert parts_inside([view], rows, vessel, 4, [PLANE], unnamed, 7) == []
