@@ -119,9 +119,10 @@ def rest_on(
 
     Where that clearly contradicts the evidence, because the shape of the lower object is uncertain, the
     estimate is that of the fit at any height: where the fit is far worse, or measured points are below the
-    contact, as the floor of a bowl in a mug whose rim it hides. An object whose middle is not over the other
-    one, which hides its foot, stands on the plane, and so does one above an object on its side: nothing
-    stands on what can roll.
+    contact, as the floor of a bowl in a mug whose rim it hides. On a can, whose top it hides, that fit only
+    has to be about as good, and not far inside the can. An object whose middle is not over the other one,
+    which hides its foot, stands on the plane, and so does one above an object on its side: nothing stands on
+    what can roll.
 
     Args:
         views: Observations of the upper object.
@@ -154,7 +155,8 @@ def rest_on(
     touching = fit(views, raised(plane, contact), config)
     contradicted = touching.score < floating.score - WORSE or seen.base < contact - _SUNK
     if lower.category not in VESSELS:  # its top is hidden
-        contradicted |= floating.score >= touching.score - _AS_GOOD
+        is_possible = lowest > _SHARES[0] * contact
+        contradicted |= is_possible and floating.score >= touching.score - _AS_GOOD
         contradicted |= _explains_more(points, floating, touching)
     best = floating if contradicted else touching
     rim = float(plane.height_above(lower.mesh_world.vertices).max())

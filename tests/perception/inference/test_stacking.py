@@ -128,11 +128,18 @@ def test_the_upper_object_is_fitted_on_the_contact(make_table) -> None:
 
 
 @pytest.mark.parametrize(
-    ("category", "on_contact", "height"),
-    [("can", 0.9, 0.03), ("can", 0.96, 0.02), ("bowl", 0.9, 0.02), ("bowl", 0.5, 0.03)],
+    ("category", "on_contact", "floating", "height"),
+    [
+        ("can", 0.9, 0.03, 0.03),
+        ("can", 0.9, 0.015, 0.015),
+        ("can", 0.9, 0.013, 0.02),  # far inside the can
+        ("can", 0.96, 0.03, 0.02),
+        ("bowl", 0.9, 0.03, 0.02),
+        ("bowl", 0.5, 0.03, 0.03),
+    ],
 )
 def test_the_hidden_top_of_what_is_below_does_not_pull_an_object_down(
-    make_table, monkeypatch, category, on_contact, height
+    make_table, monkeypatch, category, on_contact, floating, height
 ) -> None:
     """The fit at any height is kept on a can if it is as good; on a vessel only if it is clearly better."""
     table = make_table("can", (), yaw=0.0)
@@ -145,7 +152,7 @@ def test_the_hidden_top_of_what_is_below_does_not_pull_an_object_down(
 
     def fit(_: ObjectViews, plane: SupportPlane, config: FitConfig) -> ObjectEstimate:
         is_free = config.noise.support_sigma > 0.01
-        base, score = (0.03, 0.91) if is_free else (0.02, on_contact)
+        base, score = (floating, 0.91) if is_free else (0.02, on_contact)
         return estimate(7, as_mesh(box, 0.4, -0.1, 0.05 + base), score=score)
 
     found = rest_on(views, lower, PLANE, FitConfig(), fit)
