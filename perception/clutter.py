@@ -36,7 +36,7 @@ from perception.obstacles.parts_of_things import without_parts_of_things
 from perception.threads import single_threaded
 from perception.types import ObjectEstimate, RejectedObject, RgbdFrame, SupportPlane
 
-UNCERTAIN = 0.4  # score of several views below which a detected object is more often a thing of no class
+UNCERTAIN = 0.4  # score in a scan below which a detected object is more often a thing of no class
 
 
 def reconstruct_clutter(
@@ -119,7 +119,7 @@ def reconstruct_clutter(
         uncertain = {
             id: e
             for id, e in single.items()
-            if e.n_views > 1 and _existence(e, detections_per_frame, options.acceptance) < UNCERTAIN
+            if len(frames) > 1 and _existence(e, detections_per_frame, options.acceptance) < UNCERTAIN
         }
         rejected += [_left_out(estimate) for estimate in uncertain.values()]
         single = {id: estimate for id, estimate in single.items() if id not in uncertain}

@@ -32,11 +32,12 @@ class Scene:
         self.detected, *self.candidates, self.tall = (
             ObjectDetection("can", 0.9, MASK, instance_id=i) for i in range(4)
         )
+        self.n_frames = 1  # of which the first one shows everything
         self.scores = {0: UNCERTAIN + 0.01, 1: UNCLASSIFIED_SCORE + 0.01, 2: UNCLASSIFIED_SCORE - 0.01}
         self.poses = [9, 8, 7, 6]  # upright or lying cans and bottles, or no objects
         self.posed_ids: list[list[int]] = []
         self.stacks, self.fitted, self.rejected, self.nameless = {}, [], [], []
-        monkeypatch.setattr(clutter, "associate_unclassified", lambda *args: [[*self.candidates, self.tall]])
+        monkeypatch.setattr(clutter, "associate_unclassified", lambda *args: self.unclassified())
         monkeypatch.setattr(clutter, "is_low", lambda frames, rows, id, plane: id != 3)
         monkeypatch.setattr(clutter, "reconstruct", self.reconstruct)
         monkeypatch.setattr(clutter, "split_stacks", self.split)
@@ -60,6 +61,9 @@ class Scene:
         self.inside = {}  # share of the volume of one estimate in another
         monkeypatch.setattr(selection, "shared_volume", lambda a, b: self.inside.get((a.id, b.id), 0.0))
         self.explained = {(id, id) for id in range(4)}  # (points, estimate)
+
+    def unclassified(self):
+        return [[*self.candidates, self.tall], *([] for _ in range(self.n_frames - 1))]
 
     def reconstruct(self, frames, rows, decoder, planes, options):
         self.fitted.append([d.instance_id for row in rows for d in row])
@@ -110,7 +114,8 @@ class Scene:
     def run(self):
         run: Any = getattr(reconstruct_clutter, "__wrapped__", reconstruct_clutter)
         options = ReconstructOptions(on_rejected=self.rejected.append)
-        estimates = run((FRAME,), ((self.detected,),), (), None, (SupportPlane(),), self, options)
+        frames, empty = (FRAME,) * self.n_frames, ((),) * (self.n_frames - 1)
+        estimates = run(frames, ((self.detected,), *empty), (), None, (SupportPlane(),), self, options)
         return [e.id for e in estimates]
 
 
@@ -205,7 +210,8 @@ def test_what_is_joined_replaces_its_parts(scene):
 
 
 def test_what_several_views_leave_doubtful_is_reported_as_a_thing_of_no_class(scene):
-    scene.scores[0] = UNCERTAIN - 0.01
+    """Also where one of them alone shows it."""
+    scene.scores[0], scene.n_frames = UNCERTAIN - 0.01, 2
     assert scene.run() == [1]
     assert [item.reason for item in scene.rejected if item.id == 0][-1] == (
         "score 0.39 over all views: it is taken for a thing of no class"
@@ -224,10 +230,8 @@ def test_what_may_be_a_bottle_or_a_can_is_no_thing_of_no_class(can, resting, exi
     assert clutter._existence(estimate, [[]], shipped_acceptance()) == 0.2
 
 
-def test_one_view_is_judged_by_the_acceptance_model_alone(scene, monkeypatch):
-    monkeypatch.setattr(
-        clutter, "reconstruct", lambda *args, **options: [found(0, UNCERTAIN - 0.1, n_views=1)]
-    )
+def test_a_single_image_is_judged_by_the_acceptance_model_alone(scene, monkeypatch):
+    monkeypatch.setattr(clutter, "reconstruct", lambda *args, **options: [found(0, UNCERTAIN - 0.1)])
     assert scene.run() == [0]
 
 
