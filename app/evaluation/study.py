@@ -5,12 +5,15 @@ from __future__ import annotations
 import io
 from collections.abc import Hashable, Mapping, Sequence
 from dataclasses import asdict
-from typing import Any
+from typing import TYPE_CHECKING, Any
 
 from rich.table import Table
 
 from app.evaluation.cells import Cell
 from app.evaluation.statistics import paired_difference, summarise
+
+if TYPE_CHECKING:
+    from matplotlib.axes import Axes
 
 _FIGURES = (
     "n_episodes", "n_successes", "success_rate", "success_rate_ci",
@@ -87,7 +90,7 @@ def study_svg(rows: Sequence[Mapping[str, Any]]) -> bytes:
     """Return the shares of placed objects over the images of the scan, with 95 % intervals, as SVG.
 
     The same rows give the same bytes. A source of shapes that was run with one number of images is a
-    horizontal line.
+    horizontal line; if all were run with the same one, they are side by side.
     """
     from matplotlib import rc_context
     from matplotlib.figure import Figure
@@ -95,28 +98,54 @@ def study_svg(rows: Sequence[Mapping[str, Any]]) -> bytes:
     with rc_context({"svg.hashsalt": "nodeslam", "svg.fonttype": "none", "font.size": 8}):
         figure = Figure(figsize=(4.2, 3.0), layout="constrained")
         axes = figure.subplots()
-        series: dict[tuple[str, str], list[Mapping[str, Any]]] = {}
-        for row in rows:
-            series.setdefault((row["shapes"], row["uncertainty"]), []).append(row)
-        for (shapes, uncertainty), points in series.items():
-            label = shapes + (", uncertainty off" if uncertainty == "off" else "")
-            rates = [100 * p["object_success_rate"] for p in points]
-            if len(points) == 1 and len(rows) > 1:
-                axes.axhline(
-                    rates[0], ls=":", color="0.4", label=f"{label}, {points[0]['scan_views']} images"
-                )
-                continue
-            low, high = zip(*(p["object_success_rate_ci"] for p in points), strict=True)
-            error = [[r - 100 * a for r, a in zip(rates, low)], [100 * b - r for r, b in zip(rates, high)]]
-            axes.errorbar(
-                [p["scan_views"] for p in points], rates, error,
-                marker="o", ms=3, capsize=2, ls=_STYLES[uncertainty], label=label,
-            )  # fmt: skip
-        axes.set_xlabel("images of the scan")
+        counts = sorted({row["scan_views"] for row in rows})
+        if len(counts) == 1:
+            _draw_side_by_side(axes, rows)
+            axes.set_xlabel(f"shapes, from {counts[0]} image{'s' if counts[0] > 1 else ''}")
+        else:
+            _draw_curves(axes, rows)
+            axes.set_xlabel("images of the scan")
+            axes.set_xticks(counts)
+            axes.legend(frameon=False, fontsize=7)
         axes.set_ylabel("objects in place [%]")
-        axes.set_xticks(sorted({row["scan_views"] for row in rows}))
         axes.grid(alpha=0.3)
-        axes.legend(frameon=False, fontsize=7)
         file = io.BytesIO()
         figure.savefig(file, format="svg", metadata={"Date": None})
     return file.getvalue()
+
+
+def _draw_side_by_side(axes: Axes, rows: Sequence[Mapping[str, Any]]) -> None:
+    """Draw one point with its interval for each source of shapes."""
+    for k, row in enumerate(rows):
+        rate, error = _with_interval([row])
+        axes.errorbar([k], rate, error, marker="o", ms=4, capsize=3, ls="", color="C0")
+    axes.set_xticks(range(len(rows)), [_label(row) for row in rows])
+    axes.set_xlim(-0.5, len(rows) - 0.5)
+
+
+def _draw_curves(axes: Axes, rows: Sequence[Mapping[str, Any]]) -> None:
+    """Draw the share over the number of images for each source of shapes."""
+    series: dict[str, list[Mapping[str, Any]]] = {}
+    for row in rows:
+        series.setdefault(_label(row), []).append(row)
+    for label, points in series.items():
+        rates, error = _with_interval(points)
+        if len(points) == 1:
+            axes.axhline(rates[0], ls=":", color="0.4", label=f"{label}, {points[0]['scan_views']} images")
+            continue
+        axes.errorbar(
+            [p["scan_views"] for p in points], rates, error,
+            marker="o", ms=3, capsize=2, ls=_STYLES[points[0]["uncertainty"]], label=label,
+        )  # fmt: skip
+
+
+def _label(row: Mapping[str, Any]) -> str:
+    return row["shapes"] + (", uncertainty off" if row["uncertainty"] == "off" else "")
+
+
+def _with_interval(points: Sequence[Mapping[str, Any]]) -> tuple[list[float], list[list[float]]]:
+    """Return shares in per cent, and how far their intervals reach below and above them."""
+    rates = [100 * p["object_success_rate"] for p in points]
+    low, high = zip(*(p["object_success_rate_ci"] for p in points), strict=True)
+    below = [rate - 100 * a for rate, a in zip(rates, low)]
+    return rates, [below, [100 * b - rate for rate, b in zip(rates, high)]]

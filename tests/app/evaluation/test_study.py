@@ -64,3 +64,11 @@ def test_the_plot_has_a_curve_for_each_source_and_is_reproducible(rows):
     svg = study_svg(rows)
     assert svg == study_svg(rows)
     assert b"images of the scan" in svg and b"oracle, 6 images" in svg and b"nodeslam" in svg
+
+
+def test_sources_with_one_number_of_images_are_side_by_side(rows):
+    same = [row for row in rows if row["scan_views"] == 6]
+    svg = study_svg(same)
+    assert b"from 6 images" in svg and b"oracle" in svg and b"nodeslam" in svg
+    assert b"oracle, 6 images" not in svg  # no line without an interval
+    assert b"from 1 image<" in study_svg([{**row, "scan_views": 1} for row in same])
