@@ -10,9 +10,7 @@ frame.
 
 from __future__ import annotations
 
-import os
 from collections.abc import Callable, Sequence
-from concurrent.futures import ThreadPoolExecutor
 from dataclasses import dataclass, replace
 from typing import TYPE_CHECKING, Literal, Protocol, runtime_checkable
 
@@ -34,7 +32,7 @@ from perception.obstacles.same_colour import SAME_COLOUR
 from perception.shape.decoder import ShapeDecoder
 from perception.support.surface import SupportSurface
 from perception.support.surfaces import find_surfaces
-from perception.threads import single_threaded
+from perception.threads import single_threaded, worker_pool
 from perception.types import ObjectDetection, ObjectEstimate, RejectedObject, RgbdFrame, SupportPlane
 from perception.warp_runtime import warp_has_cuda
 
@@ -190,7 +188,7 @@ def detect(
         surfaces = (SupportSurface(plane),) if plane else find_surfaces(frames)[:max_surfaces]
     found: list[list[ObjectDetection]] = []
     left_out: list[LeftOut] = []
-    with single_threaded(), ThreadPoolExecutor(workers or os.cpu_count() or 1) as pool:
+    with single_threaded(), worker_pool(workers) as pool:
         for there, rest in pool.map(lambda frame: examine_frame(frame, detector, surfaces), frames):
             left_out += [replace(candidate, frame=len(found)) for candidate in rest]
             found.append(there)

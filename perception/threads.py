@@ -1,9 +1,11 @@
-"""One thread for each numerical library, where frames and objects already occupy the cores."""
+"""Threads for frames and objects, and one for each numerical library where those already occupy the cores."""
 
 from __future__ import annotations
 
+import os
 import sys
 from collections.abc import Iterator
+from concurrent.futures import ThreadPoolExecutor
 from contextlib import contextmanager
 from functools import cache
 
@@ -34,6 +36,11 @@ def single_threaded_torch() -> Iterator[None]:
         yield
     finally:
         torch.set_num_threads(threads)
+
+
+def worker_pool(workers: int | None = None) -> ThreadPoolExecutor:
+    """Return a pool of ``workers`` threads; None for one for each core."""
+    return ThreadPoolExecutor(workers or os.cpu_count() or 1)
 
 
 @cache

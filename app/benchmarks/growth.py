@@ -25,6 +25,7 @@ from app.benchmarks.growth_scene import (
     table_views,
 )
 from app.benchmarks.machine import describe_machine
+from app.benchmarks.scene import as_captured
 from app.benchmarks.timing import Job, clocked
 from app.evaluation.tasks import failed_seed, run_seed
 from app.jobs import Jobs, run_jobs
@@ -35,10 +36,11 @@ from app.screen import Screen
 from perception.inference.acceptance import shipped_acceptance
 from perception.inference.reconstruct import ReconstructOptions, reconstruct
 from perception.io.files import write_atomically
-from perception.pipeline import Perception, detect, load_perception, resolve_device
+from perception.pipeline import Detections, Perception, detect, load_perception, resolve_device
 from perception.slam.config import SlamConfig
 from perception.slam.system import Slam
 from perception.threads import single_threaded
+from perception.types import RgbdFrame
 
 OBJECTS = (1, 2, 5, 10, 20)
 PACKED = (2, 4, 6, 8, 10, 12)
@@ -120,7 +122,7 @@ def _over_objects(networks: Perception, repeats: int, seed: int) -> Iterator[Cur
         if not found:  # compiled kernels are loaded by the first call
             detect(frame, networks.detector)
             _reconstruction(networks, scene)()
-        found.append(_point(n, repeats, lambda frame=frame: detect(frame, networks.detector, workers=1)))
+        found.append(_point(n, repeats, lambda frame=frame: _detect(frame, networks)))
         fitted.append(_point(n_masks(scene.masks), repeats, _reconstruction(networks, scene)))
     yield Curve("detect the objects of one image", "objects", tuple(found))
     yield Curve(f"reconstruct from {_VIEWS_OF_OBJECTS} views", "objects", tuple(fitted))
@@ -144,7 +146,7 @@ def _over_views(networks: Perception, repeats: int, seed: int) -> Iterator[Curve
     for n in VIEWS:
         views = scene.spread(n)
         frames = views.frames
-        found.append(_point(n, repeats, lambda frames=frames: detect(frames, networks.detector, workers=1)))
+        found.append(_point(n, repeats, lambda frames=frames: _detect(frames, networks)))
         fitted.append(_point(n, repeats, _reconstruction(networks, views)))
     yield Curve("detect", "views", tuple(found))
     yield Curve(f"reconstruct {_OBJECTS_OF_VIEWS} objects", "views", tuple(fitted))
@@ -153,7 +155,13 @@ def _over_views(networks: Perception, repeats: int, seed: int) -> Iterator[Curve
 def _reconstruction(networks: Perception, scene: Any) -> Job:
     fit = ReconstructOptions(workers=1, acceptance=shipped_acceptance())
     plane = plane_of_table()
-    return lambda: reconstruct(scene.frames, scene.masks, networks.decoder, (plane,), options=fit)
+    return lambda: reconstruct(
+        as_captured(scene.frames), scene.masks, networks.decoder, (plane,), options=fit
+    )
+
+
+def _detect(frames: Sequence[RgbdFrame], networks: Perception) -> Detections:
+    return detect(as_captured(frames), networks.detector, workers=1)
 
 
 def _over_landmarks(networks: Perception, seed: int) -> Iterator[Curve]:

@@ -17,7 +17,7 @@ from app.benchmarks.reference import (
     plain_jacobian_rows,
     plain_render,
 )
-from app.benchmarks.scene import BenchScene, square_view
+from app.benchmarks.scene import BenchScene, as_captured, square_view
 from app.benchmarks.timing import Benchmark, Job
 from perception.inference.fit import fit_object
 from perception.inference.fit_config import FitConfig
@@ -145,18 +145,19 @@ def _scanning(scene: BenchScene) -> Iterator[Benchmark]:
     yield Benchmark(
         f"detect the objects of a frame, {cores} cores",
         "one core",
-        lambda: detect(frames, scene.detector),
-        lambda: detect(frames, scene.detector, workers=1),
+        lambda: detect(as_captured(frames), scene.detector),
+        lambda: detect(as_captured(frames), scene.detector, workers=1),
         scale=1 / len(frames),
         reference_scale=1 / len(frames),
         expensive=True,
     )
     views, masks = frames[:SCAN_VIEWS], found.per_frame[:SCAN_VIEWS]
+    decoder, plane, alone = scene.decoder, found.plane, ReconstructOptions(workers=1)
     yield Benchmark(
         f"reconstruct {found.n_objects} objects from {len(views)} views, {cores} cores",
         "one core",
-        lambda: reconstruct(views, masks, scene.decoder, found.plane),
-        lambda: reconstruct(views, masks, scene.decoder, found.plane, options=ReconstructOptions(workers=1)),
+        lambda: reconstruct(as_captured(views), masks, decoder, plane),
+        lambda: reconstruct(as_captured(views), masks, decoder, plane, options=alone),
         expensive=True,
     )
 

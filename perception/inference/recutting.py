@@ -6,9 +6,7 @@ creases between them (``touching``), or cut it where its colour changes.
 
 from __future__ import annotations
 
-import os
 from collections.abc import Callable, Collection, Mapping, Sequence
-from concurrent.futures import ThreadPoolExecutor
 from dataclasses import dataclass, replace
 from functools import partial
 from itertools import combinations
@@ -23,6 +21,7 @@ from perception.inference.pose_score import pose_mass
 from perception.inference.reconstruct import mean_poses
 from perception.inference.stack_parts import Rows, instance_points
 from perception.inference.touching import touching_pieces
+from perception.threads import worker_pool
 from perception.types import ObjectDetection, ObjectEstimate, RgbdFrame, SupportPlane, unclassified
 
 LYING = 0.3  # least probability of lying of each instance that is joined
@@ -87,7 +86,7 @@ class Recutting:
         """
         pairs = touching_pairs(rows, [id for id in sorted(ids) if _may_lie(rows, id)])[:MOST]
         numbers = range(first_id, first_id + len(pairs))
-        with ThreadPoolExecutor(self.workers or os.cpu_count() or 1) as pool:
+        with worker_pool(self.workers) as pool:
             tried = list(pool.map(partial(self._joined_pair, rows), pairs, numbers))
         found: dict[int, ObjectEstimate] = {}
         for number, pair, one in zip(numbers, pairs, tried):

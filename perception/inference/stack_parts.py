@@ -7,9 +7,7 @@ the whole if both are accepted and together explain clearly more of the measured
 
 from __future__ import annotations
 
-import os
 from collections.abc import Callable, Mapping, Sequence
-from concurrent.futures import ThreadPoolExecutor
 from dataclasses import dataclass, replace
 
 import numpy as np
@@ -21,6 +19,7 @@ from perception.inference.explanation import unexplained
 from perception.inference.observation import ObjectObservation
 from perception.inference.stack_choice import GAP, are_one, are_two, gap_between
 from perception.inference.stack_cuts import TRIALS, Parts, Rows, StackCuts
+from perception.threads import worker_pool
 from perception.types import ObjectEstimate, RgbdFrame, SupportPlane
 
 Fit = Callable[[Rows, Mapping[int, int]], Sequence[ObjectEstimate]]
@@ -70,7 +69,7 @@ def split_stacks(
         before = unexplained(points, [] if whole is None else [whole])
         return _PossibleStack(cuts.worth_fitting(id, free_id, whole, before), points, before)
 
-    with ThreadPoolExecutor(workers or os.cpu_count() or 1) as pool:
+    with worker_pool(workers) as pool:
         possible = dict(zip(ids, pool.map(possible_stack, range(len(ids)))))
     found: dict[int, tuple[ObjectEstimate, ...]] = {}
     for trial in range(1 + TRIALS):

@@ -2,9 +2,7 @@
 
 from __future__ import annotations
 
-import os
 from collections.abc import Sequence
-from concurrent.futures import ThreadPoolExecutor
 
 from perception.depth_cleaning import clean_frame
 from perception.obstacles.attached import carriers_of_parts
@@ -12,6 +10,7 @@ from perception.obstacles.crossed import crossed
 from perception.obstacles.handled import with_handle
 from perception.obstacles.handleless import mugs_without_handle
 from perception.obstacles.same_colour import SAME_COLOUR, continued_in_colour
+from perception.threads import worker_pool
 from perception.types import ObjectEstimate, RejectedObject, RgbdFrame, SupportPlane
 
 CARRIES = "something that belongs to none of the classes is attached to it"
@@ -39,7 +38,7 @@ def without_parts_of_things(
         workers: Number of threads; None for the number of cores.
     """
     views = [clean_frame(frame) for frame in frames]
-    with ThreadPoolExecutor(workers or os.cpu_count() or 1) as pool:
+    with worker_pool(workers) as pool:
         checks = {
             CARRIES: pool.submit(carriers_of_parts, found, views, plane),
             HANDLELESS: pool.submit(mugs_without_handle, found, views, plane),

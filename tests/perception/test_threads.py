@@ -2,13 +2,15 @@
 
 import subprocess
 import sys
+import threading
+import time
 
 import numpy as np
 import pytest
 import torch
 from threadpoolctl import threadpool_info, threadpool_limits
 
-from perception.threads import single_threaded
+from perception.threads import single_threaded, worker_pool
 
 
 def blas_threads():
@@ -33,6 +35,14 @@ def test_torch_and_blas_run_on_one_thread_and_then_as_before(two_threads) -> Non
         raise RuntimeError  # an error must not leave the process on one thread
     assert torch.get_num_threads() == 2
     assert blas_threads() == before
+
+
+def test_a_pool_has_one_thread_for_each_core_unless_told(monkeypatch) -> None:
+    monkeypatch.setattr("os.cpu_count", lambda: 3)
+    for workers, expected in ((None, 3), (2, 2)):
+        with worker_pool(workers) as pool:
+            threads = list(pool.map(lambda _: (time.sleep(0.02), threading.get_ident())[1], range(12)))
+        assert len(set(threads)) == expected
 
 
 def test_torch_is_not_loaded_for_its_threads() -> None:

@@ -4,8 +4,10 @@ import numpy as np
 import pytest
 
 from app.benchmarks import scene
-from app.benchmarks.scene import prepare, square_view
+from app.benchmarks.scene import as_captured, prepare, square_view
+from perception.depth_cleaning import clean_frame
 from perception.errors import InvalidInputError
+from perception.types import CameraIntrinsics, RgbdFrame
 
 
 def test_the_square_view_looks_down_at_the_object():
@@ -26,3 +28,12 @@ def test_scans_without_objects_cannot_be_timed(monkeypatch, tmp_path):
     monkeypatch.setattr(scene, "gather_instances", lambda *_: [])
     with pytest.raises(InvalidInputError, match=r"no object is found in .*scan: nothing to time"):
         prepare(tmp_path / "scan", 0, "cpu")
+
+
+def test_nothing_is_kept_for_images_that_are_timed_again():
+    camera = CameraIntrinsics(8, 6, 8.0, 8.0, 3.5, 2.5)
+    frame = RgbdFrame(0.0, np.zeros((6, 8, 3), np.uint8), np.ones((6, 8), np.float32), camera)
+    cleaned = clean_frame(frame)
+    (again,) = as_captured([frame])
+    np.testing.assert_array_equal(again.depth, frame.depth)
+    assert clean_frame(frame) is cleaned and clean_frame(again) is not cleaned
