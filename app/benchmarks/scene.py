@@ -59,7 +59,7 @@ def prepare(scan: Path | None, seed: int, device: Device) -> BenchScene:
 
 
 def as_captured(frames: Sequence[RgbdFrame]) -> tuple[RgbdFrame, ...]:
-    """Return the images as if just captured: what is computed once for an image is computed, and timed, again."""
+    """Return the images as if just captured: what is computed once for each image is timed again."""
     return tuple(replace(frame) for frame in frames)
 
 
