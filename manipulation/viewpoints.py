@@ -175,12 +175,14 @@ class ViewpointScanner:
         world = CollisionWorld(robot.arm, [], (TABLE, *keep_out))
         self.motions = MotionPlanner(kinematics, world, motion, via_heights)
         self._self_view = SelfView(robot.arm)
+        self._visited: dict[Viewpoint, Float[np.ndarray, "n"]] = {}  # postures [rad], to be taken again
 
     def capture(
         self,
         viewpoints: Sequence[Viewpoint],
         progress: Callable[[int, int], None] = lambda done, total: None,
         on_frame: Callable[[RgbdFrame], None] = lambda frame: None,
+        as_before: bool = False,
     ) -> list[RgbdFrame]:
         """Capture an image at each viewpoint that can be reached, without the depth of the arm itself.
 
@@ -190,6 +192,8 @@ class ViewpointScanner:
             viewpoints: viewpoints in order.
             progress: receives the number of visited and of all viewpoints.
             on_frame: receives each image.
+            as_before: whether each viewpoint is visited in the posture of the last such capture if that can
+                be reached, so that their images can be compared pixel by pixel; else in the nearest posture.
 
         Raises:
             PlanningError: no viewpoint can be reached.
@@ -201,10 +205,12 @@ class ViewpointScanner:
         for _ in range(2):
             missed = []
             for index in remaining:
-                path = self._path_to(viewpoints[index], width)
+                path = self._path_to(viewpoints[index], width, as_before)
                 if path is None:
                     missed.append(index)
                     continue
+                if as_before:
+                    self._visited[viewpoints[index]] = path[-1]
                 self.robot.follow(self.motions.time_path(path))
                 frames.append(self.look())
                 on_frame(frames[-1])
@@ -241,9 +247,15 @@ class ViewpointScanner:
                 self.robot.follow(self.motions.time_line(postures))
                 return
 
-    def _path_to(self, viewpoint: Viewpoint, width: float) -> list[Float[np.ndarray, "n"]] | None:
+    def _path_to(
+        self, viewpoint: Viewpoint, width: float, as_before: bool
+    ) -> list[Float[np.ndarray, "n"]] | None:
         """Return waypoints [rad] from the present posture to a viewpoint; None if it cannot be reached."""
         q_now = self.robot.joint_positions()
+        if as_before and viewpoint in self._visited:
+            path = self.motions.free_path(q_now, self._visited[viewpoint], width, MARGINS)
+            if path is not None:
+                return path
         q = viewpoint_ik(self.kinematics, viewpoint, q_now)
         if q is None:
             return None

@@ -131,7 +131,9 @@ class FurtherRounds:
             frames = stages.scan(FULL_SCAN)
             detections = stages.detect(frames, filled_bounds(box))
             assert result.detections is not None
-            before = self._seen or ScannedRound(result.frames, result.detections, result.rejected)
+            before = self._seen or ScannedRound(
+                result.frames, result.detections, result.rejected, result.objects
+            )
             detections = with_judged(detections, frames, before, unplaced_estimates(result))
             parts = parts_as_before(detections, frames, before)
             with observer.stage("reconstruct"):
@@ -143,7 +145,9 @@ class FurtherRounds:
                 )
                 whole = without_instances(detections, [part.id for part in parts])
                 found = renumbered(reconstruct(frames, whole), result.objects, box)
-                self._seen = ScannedRound(frames, detections, tuple(observer.rejected[n_rejected:]))
+                self._seen = ScannedRound(
+                    frames, detections, tuple(observer.rejected[n_rejected:]), tuple(found)
+                )
                 left = left_in_box(result, box)
                 found += [estimate for estimate in left if estimate.id not in self._tried_in_box]
                 stuck = [estimate for estimate in left if estimate.id in self._tried_in_box]

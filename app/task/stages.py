@@ -92,7 +92,7 @@ class Stages:
             self.observer.on_image(frame)
 
         viewpoints = self._space.scan_viewpoints(count)
-        return self.scanner.capture(viewpoints, self.observer.on_progress, receive)
+        return self.scanner.capture(viewpoints, self.observer.on_progress, receive, as_before=True)
 
     def _first_objects(self, frames: Sequence[RgbdFrame]) -> list[ObjectEstimate]:
         """Reconstruct upright objects; called from another thread, without reports to the observer."""
@@ -133,7 +133,7 @@ class Stages:
         """Take an image from a viewpoint that is left; none if it is out of reach."""
         self._left.remove(viewpoint)
         with self.observer.stage("scan"), contextlib.suppress(PlanningError):
-            return self.scanner.capture([viewpoint], on_frame=self.observer.on_image)
+            return self.scanner.capture([viewpoint], on_frame=self.observer.on_image, as_before=True)
         return []
 
     def detect(self, frames: Sequence[RgbdFrame], known: Float[np.ndarray, "k 2 3"]) -> Detections:

@@ -3,7 +3,8 @@
 The images of two rounds are taken from the same viewpoints. Where nothing near a candidate has moved since,
 and nothing in front of it, its fits would be repeated on the same measurements. So they would where a
 candidate was segmented then as it is now, whatever was taken away beside it. A part of a thing remains one
-even there: without what stood beside it there is less to tell that by.
+where an object was taken away beside it: that was not what it went on in, and without it there is less to
+tell that by.
 """
 
 from __future__ import annotations
@@ -45,11 +46,13 @@ class ScannedRound:
         frames: Images with camera poses, without the robot.
         detections: Detections in them.
         rejected: Detected objects that it did not report, by the ids of the detections.
+        objects: Objects that it found.
     """
 
     frames: Sequence[RgbdFrame]
     detections: Detections
     rejected: Sequence[RejectedObject] = ()
+    objects: Sequence[ObjectEstimate] = ()
 
 
 def with_judged(
@@ -69,8 +72,7 @@ def with_judged(
     changed = _changed_places(frames, before.frames, detections.plane, with_hidden=True)
     if changed is None:
         return detections
-    places = [plan_coordinates(estimate.mesh_world.vertices, detections.plane) for estimate in left]
-    to_left, to_changed = _distance_to(places), _distance_to([changed])
+    to_left, to_changed = _distance_to(_places(left, detections.plane)), _distance_to([changed])
 
     def was_judged(candidate: LeftOut) -> bool:
         frame = frames[candidate.frame]
@@ -104,7 +106,8 @@ def parts_as_before(
     changed = _changed_places(frames, before.frames, plane, with_hidden=False) if parts else None
     if changed is None:
         return []
-    distance_to_changed = _distance_to([changed])
+    known = _distance_to(_places(before.objects, plane))(changed) < AT
+    distance_to_changed = _distance_to([changed[~known]])
     places = [
         (part, _distance_to([_plan_points(_masks(before.detections, before.frames, part.id), plane)]))
         for part in parts
@@ -140,6 +143,11 @@ def without_instances(detections: Detections, ids: Iterable[int]) -> Detections:
         for row in detections.per_frame
     )
     return replace(detections, per_frame=tuple(rows)) if left else detections
+
+
+def _places(objects: Iterable[ObjectEstimate], plane: SupportPlane) -> list[Float[np.ndarray, "_n 2"]]:
+    """Return the plan coordinates [m] of the surfaces of objects."""
+    return [plan_coordinates(estimate.mesh_world.vertices, plane) for estimate in objects]
 
 
 def _masks(

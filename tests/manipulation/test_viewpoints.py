@@ -239,13 +239,41 @@ def test_viewpoints_out_of_reach_are_skipped_and_frames_reported(kinematics):
     assert steps == [(1, 3), (3, 3)]
 
 
+def test_a_viewpoint_is_visited_again_in_the_posture_of_before(kinematics, monkeypatch):
+    """From elsewhere another roll of the camera would be nearer; it is taken if the way there is blocked."""
+    robot, (view, *_, away) = Moving(kinematics.arm.q_home), BOX_VIEWPOINTS
+    scanner = ViewpointScanner(robot, kinematics)
+    scanner.capture([view], as_before=True)
+    q_first = robot.q
+    q_away = viewpoint_ik(kinematics, away, q_first)
+    q_away[6] += np.pi / 2 * (1 if q_away[6] < 0 else -1)
+    robot.q = q_away
+    scanner.capture([view], as_before=True)
+    np.testing.assert_allclose(robot.q, q_first, atol=1e-9)
+    free_path = scanner.motions.free_path
+    q_nearest = viewpoint_ik(kinematics, view, q_away)
+    assert np.abs(q_nearest - q_first).max() > 0.3
+
+    def blocked(q, to, *args):
+        return None if np.allclose(to, q_first) else free_path(q, to, *args)
+
+    for is_blocked in (False, True):  # images that are not compared leave no trace
+        robot.q = q_away
+        scanner.capture([view], as_before=is_blocked)
+        np.testing.assert_allclose(robot.q, q_nearest, atol=1e-9)
+        monkeypatch.setattr(scanner.motions, "free_path", blocked)
+    robot.q = q_first
+    scanner.capture([view], as_before=True)  # the last posture counts
+    np.testing.assert_allclose(robot.q, q_nearest, atol=1e-9)
+
+
 def test_a_viewpoint_that_is_blocked_in_its_turn_is_visited_last(kinematics, monkeypatch, caplog):
     scanner, steps, asked = ViewpointScanner(Moving(kinematics.arm.q_home), kinematics), [], []
     path_to = scanner._path_to
 
-    def blocked_at_first(viewpoint, width):
+    def blocked_at_first(viewpoint, *args):
         asked.append(viewpoint)
-        return None if len(asked) == 2 else path_to(viewpoint, width)
+        return None if len(asked) == 2 else path_to(viewpoint, *args)
 
     monkeypatch.setattr(scanner, "_path_to", blocked_at_first)
     first, blocked, last = SCAN_VIEWPOINTS[:3]

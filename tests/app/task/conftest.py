@@ -87,13 +87,14 @@ class StillRobot:
 
 
 class Scanner(ViewpointScanner):
-    """Returns one image per call; records the viewpoints."""
+    """Returns one image per call; records the viewpoints and whether postures of before were asked for."""
 
     def __init__(self, frame):
-        self.frame, self.visited, self.error = frame, [], None
+        self.frame, self.visited, self.as_before, self.error = frame, [], [], None
 
-    def capture(self, viewpoints, progress=None, on_frame=None):
+    def capture(self, viewpoints, progress=None, on_frame=None, as_before=False):
         self.visited.append(tuple(viewpoints))
+        self.as_before.append(as_before)
         if self.error is not None:
             raise self.error
         if on_frame is not None:

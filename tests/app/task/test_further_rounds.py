@@ -105,6 +105,8 @@ def test_a_part_of_a_thing_is_not_fitted_again_in_further_rounds(stages):
     assert [list(before.rejected) for before in compared] == [[], [part]]
     masks = [[d.instance_id for d in before.detections.per_frame[0]] for before in compared]
     assert masks == [[3, 4], [3, 4]], "the part has its masks, where the next round looks for it"
+    assert [len(before.objects) for before in compared] == 2 * [len(stages.objects)], "known beside it"
+    assert stages.scanner.as_before[:2] == [True, True], "the images of two rounds are compared"
     assert list(result.rejected) == [part]
 
 

@@ -129,6 +129,16 @@ def test_a_part_remains_one_where_what_stood_beside_it_was_taken_away(things):
     assert [part.id for part in parts_as_before(detected(*things), [image(*things)], before)] == [6]
 
 
+@pytest.mark.parametrize("was_known", [True, False])
+def test_a_part_remains_one_where_a_known_object_beside_it_was_taken_away(things, can_at, was_known):
+    """What was none could be what the part went on in."""
+    known = can_at(3, FAR[0] - 0.06, FAR[1])
+    before = rejected_before(things, block(FAR[0] - 0.06, FAR[1], half=0.035))
+    before = replace(before, objects=[known] if was_known else [])
+    parts = parts_as_before(detected(*things), [image(*things)], before)
+    assert [part.id for part in parts] == ([6] if was_known else [])
+
+
 @pytest.mark.parametrize("change", ["moved", "touched", "another reason", "other viewpoint"])
 def test_what_may_be_no_part_is_judged_again(things, change):
     now = list(things)
