@@ -26,6 +26,7 @@ OUT_OF_REACH = Rejected("out of reach", by_arm=True)
 
 MIDDLE_RADIUS = 0.45  # [m]
 MAX_SWING = float(np.deg2rad(45))  # of a level path
+_ON_LINE, _NOT_TURNED = 1e-3, 5e-3  # [m], [rad] from a line, of the accuracy of inverse kinematics
 _SWING_STEP = 0.1  # [rad] between the postures at which the swing is looked at
 
 
@@ -76,13 +77,23 @@ class MotionPlanner:
         contact = self.world.contact(q, width, allowed)
         if contact is not None:  # before any inverse kinematics
             return self.rejection(contact)
-        rejected = OUT_OF_REACH
+        rejected, T_start, blocked = OUT_OF_REACH, self.kinematics.forward(q), None
         for T_world_target in targets:
-            postures = line_postures(self.kinematics, q, T_world_target, self.config)
+            if blocked is not None and _leads_through(T_start, T_world_target, blocked):
+                continue
+            postures = line_postures(
+                self.kinematics,
+                q,
+                T_world_target,
+                self.config,
+                is_free=lambda posture: self.world.contact(posture, width, allowed) is None,
+            )
             if postures is None:
                 continue
             contact = self.world.path_contact(postures, width, allowed)
-            if contact is None and end_margin is not None:
+            if contact is not None:
+                blocked = self.kinematics.forward(postures[-1])
+            elif end_margin is not None:
                 clear = AllowedContacts(robot_margin=end_margin, carried_margin=end_margin)
                 contact = self.world.contact(postures[-1], width, clear)
             if contact is None:
@@ -277,3 +288,15 @@ class _Candidates:
             contact = self._motions.world.path_contact(postures, self._width, allowed)
             self._keeps[number, margin] = contact is None
         return self._keeps[number, margin]
+
+
+def _leads_through(
+    T_start: Float[np.ndarray, "4 4"], T_goal: Float[np.ndarray, "4 4"], T_between: Float[np.ndarray, "4 4"]
+) -> bool:
+    """Return whether a line without rotation from one pose to another goes through a third one."""
+    whole, part = T_goal[:3, 3] - T_start[:3, 3], T_between[:3, 3] - T_start[:3, 3]
+    length = max(float(np.linalg.norm(whole)), 1e-9)
+    along = float(part @ whole) / length
+    is_on_line = 0.0 < along <= length + _ON_LINE and np.linalg.norm(part - along * whole / length) < _ON_LINE
+    turned = max(np.abs(T[:3, :3] - T_start[:3, :3]).max() for T in (T_goal, T_between))
+    return bool(is_on_line and turned < _NOT_TURNED)

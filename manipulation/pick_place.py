@@ -8,7 +8,7 @@ from __future__ import annotations
 
 import contextlib
 import itertools
-from collections.abc import Collection, Iterator, Mapping, Sequence
+from collections.abc import Collection, Hashable, Iterator, Mapping, Sequence
 from dataclasses import dataclass, field, replace
 
 import numpy as np
@@ -94,6 +94,7 @@ class PickPlacePlanner:
         self._lifts: dict[tuple[str, ...], float] = {}  # of the last bowls of stacks
         self._forgotten: set[str] = set()
         self._states, self._state = itertools.count(1), 0
+        self._examined: dict[Hashable, tuple[Grasp, Pick | Rejected]] = {}  # picks in this scene
         self._build_world({name: item.T_world_stand for name, item in self.items.items()})
 
     def _build_world(self, poses: Mapping[str, Float[np.ndarray, "4 4"]]) -> None:
@@ -135,7 +136,7 @@ class PickPlacePlanner:
         return self._state
 
     def _on_change(self) -> None:
-        self._state = next(self._states)
+        self._state, self._examined = next(self._states), {}
         self._known.on_change()
 
     def poses(self) -> dict[str, Float[np.ndarray, "4 4"]]:
@@ -169,7 +170,7 @@ class PickPlacePlanner:
     @contextlib.contextmanager
     def without(self, names: Collection[str]) -> Iterator[None]:
         """Plan as if some objects were not there; the scene is the same again afterwards."""
-        absent, state = set(names) - self._forgotten, self._state
+        absent, state, examined = set(names) - self._forgotten, self._state, self._examined
         self._forgotten |= absent
         for name in absent:
             self.world.set_present(name, False)
@@ -181,7 +182,7 @@ class PickPlacePlanner:
             for name in absent:
                 self.world.set_present(name, True)
             self._known.on_change()
-            self._state = state
+            self._state, self._examined = state, examined
 
     def grasps(self, name: str) -> GraspSet:
         """Return the grasp candidates of an object at its present pose, see ``KnownGrasps``."""
@@ -275,7 +276,7 @@ class PickPlacePlanner:
         name = goals[0].name
         candidates = grasps or self.grasps(name)
         with self.world.containing(name, contents):
-            for pick in self._picks(name, candidates, tried, tally):
+            for pick in self._picks(name, candidates, tried, tally, contents):
                 if pick.grasp.score < least_score:
                     break
                 completed = (self._complete(pick, goal, q_start, tally) for goal in goals)
@@ -301,25 +302,40 @@ class PickPlacePlanner:
             grasps: candidates there; without them those at its present pose.
         """
         T_now, candidates = self.world.pose(name), self.grasps(name) if grasps is None else grasps
+        examined, self._examined = self._examined, {}
         self.world.move(name, T_world_stand)
         try:
             return next(self._picks(name, candidates, (), Tally()), None) is not None
         finally:
             self.world.release()
             self.world.move(name, T_now)
+            self._examined = examined
 
     def _picks(
-        self, name: str, candidates: GraspSet, tried: Collection[Grasp], tally: Tally
+        self,
+        name: str,
+        candidates: GraspSet,
+        tried: Collection[Grasp],
+        tally: Tally,
+        contents: Sequence[str] = (),
     ) -> Iterator[Pick]:
-        """Yield feasible picks in descending order of the grasps' scores."""
+        """Yield feasible picks, best grasp first; the world has the object in the hand then."""
         for grasp in candidates.grasps:
             if any(are_similar(grasp, other) for other in tried):
                 continue
-            pick = find_pick(self.motions, name, grasp, self.config.segments)
+            key = (name, tuple(contents), id(grasp))
+            known = self._examined.get(key)
+            if known is None:
+                pick = find_pick(self.motions, name, grasp, self.config.segments)
+                self._examined[key] = grasp, pick  # kept, so that nothing else gets its id
+            else:
+                pick = known[1]
             if isinstance(pick, Rejected):
                 tally.reject(pick)
-            else:
-                yield pick
+                continue
+            if known is not None:
+                self.world.carry(name, np.linalg.inv(grasp.T_stand_tcp))
+            yield pick
 
     def _complete(
         self, pick: Pick, placement: Placement, q_start: np.ndarray, tally: Tally

@@ -7,6 +7,7 @@ What it touches it slides along.
 
 from __future__ import annotations
 
+import functools
 import itertools
 from collections.abc import Callable, Iterator
 from dataclasses import dataclass
@@ -78,17 +79,23 @@ def plan_push(
     T = motions.world.pose(item.name)
     if helps(T):
         return None
-    directions = list(_directions(item, T))
+    gripper, directions = motions.kinematics.arm.gripper, list(_directions(item, T))
+
+    @functools.cache
+    def starts(number: int) -> list[Pose]:
+        """Return where a push in a direction may begin: what meets something when short does when long."""
+        poses, step = _starts(item, T, directions[number], gripper), DISTANCES[0] * directions[number]
+        return [pose for pose in poses if _stroke(motions, item, pose, step) is not None]
+
     for distance in DISTANCES:
-        for direction in directions:
-            T_after = T.copy()
-            T_after[:3, 3] += distance * direction
-            if not helps(T_after):
+        for number, direction in enumerate(directions):
+            # Whether a push helps takes much longer to tell than whether there is one.
+            if not starts(number) or not helps(_moved(T, distance * direction)):
                 continue
-            for T_world_tcp in _starts(item, T, direction, motions.kinematics.arm.gripper):
-                push = _push(motions, item, T_world_tcp, distance * direction, q_start)
-                if push is not None:
-                    return push
+            pushes = (_push(motions, item, pose, distance * direction, q_start) for pose in starts(number))
+            push = next((push for push in pushes if push is not None), None)
+            if push is not None:
+                return push
     return None
 
 
@@ -136,7 +143,31 @@ def _push(
     motions: MotionPlanner, item: StandingObject, T: Pose, step: Float[np.ndarray, "3"], q_start: np.ndarray
 ) -> Push | None:
     """Return the motions of a push by ``step`` [m] from a TCP pose; None if they are not free."""
-    world, name, width = motions.world, item.name, motions.kinematics.arm.gripper.min_width
+    stroke = _stroke(motions, item, T, step)
+    if stroke is None:
+        return None
+    down, push = stroke
+    name, width = item.name, motions.kinematics.arm.gripper.min_width
+    direction = step / np.linalg.norm(step)
+    touch = AllowedContacts(touch=frozenset({name}))
+    T_leave = _moved(T, step + (_GAP - _BACK) * direction - _UP * _DOWN)
+    leave = motions.free_line(push[-1], [T_leave], width, touch)
+    if isinstance(leave, Rejected):
+        return None
+    path = motions.free_path(q_start, down[-1], width)
+    if path is None:
+        return None
+    T_after = _moved(motions.world.pose(name), step)
+    time_line = motions.time_line
+    pushed = time_line(push, "pushed")
+    return Push(name, motions.time_path(path), time_line(down[::-1]), pushed, time_line(leave), T_after)
+
+
+def _stroke(
+    motions: MotionPlanner, item: StandingObject, T: Pose, step: Float[np.ndarray, "3"]
+) -> tuple[Float[np.ndarray, "_j n"], Float[np.ndarray, "_k n"]] | None:
+    """Return the postures [rad] up from a TCP pose, and from it along a push; None if they are not free."""
+    name, width = item.name, motions.kinematics.arm.gripper.min_width
     found = motions.kinematics.inverse(T, motions.kinematics.seeds_toward(T, 2), name=name)
     if not found.converged:
         return None
@@ -149,16 +180,7 @@ def _push(
     push = motions.free_line(found.q, [T_end], width, touch)
     if isinstance(push, Rejected) or not _slides(motions, name, push, step):
         return None
-    leave = motions.free_line(push[-1], [_moved(T_end, -_BACK * direction - _UP * _DOWN)], width, touch)
-    if isinstance(leave, Rejected):
-        return None
-    path = motions.free_path(q_start, down[-1], width)
-    if path is None:
-        return None
-    T_after = _moved(world.pose(name), step)
-    time_line = motions.time_line
-    pushed = time_line(push, "pushed")
-    return Push(name, motions.time_path(path), time_line(down[::-1]), pushed, time_line(leave), T_after)
+    return down, push
 
 
 def _slides(

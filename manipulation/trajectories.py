@@ -13,7 +13,7 @@ several waypoints are chained, each ending at rest.
 from __future__ import annotations
 
 import itertools
-from collections.abc import Sequence
+from collections.abc import Callable, Sequence
 from dataclasses import dataclass
 from typing import Literal
 
@@ -145,20 +145,22 @@ def line_postures(
     T_world_goal: Float[np.ndarray, "4 4"],
     config: MotionConfig,
     name: str = "line",
+    is_free: Callable[[Float[np.ndarray, "n"]], bool] = lambda q: True,
 ) -> Float[np.ndarray, "k n"] | None:
     """Return postures [rad] along the straight TCP line from ``q_start`` to the goal; None if IK fails on it.
 
     Position is interpolated linearly, orientation along the geodesic. A cubic spline goes through IK
     solutions at most ``line_step`` apart, closer where it would leave the line; the postures are at most
-    ``line_spacing`` apart.
+    ``line_spacing`` apart. An IK solution that is not free ends the line: it is the last posture then, and
+    the postures are the solutions.
     """
     line = _TcpLine.between(kinematics.forward(q_start), T_world_goal)
     n_postures = line.intervals(config.line_spacing, _ROTATION_SPACING)
     for halving in range(_HALVINGS + 1):
         n_solutions = line.intervals(config.line_step / 2**halving, _ROTATION_STEP / 2**halving)
-        postures = _solve(kinematics, q_start, line, n_solutions, name)
-        if postures is None:
-            return None
+        postures = _solve(kinematics, q_start, line, n_solutions, name, is_free)
+        if postures is None or len(postures) <= n_solutions:
+            return postures
         if np.abs(np.diff(postures, axis=0)).max() > config.max_line_joint_step:
             continue
         spline = CubicSpline(np.linspace(0.0, 1.0, n_solutions + 1), postures, axis=0)
@@ -202,11 +204,16 @@ class _TcpLine:
 
 
 def _solve(
-    kinematics: Kinematics, q_start: Float[np.ndarray, "n"], line: _TcpLine, n_steps: int, name: str
+    kinematics: Kinematics,
+    q_start: Float[np.ndarray, "n"],
+    line: _TcpLine,
+    n_steps: int,
+    name: str,
+    is_free: Callable[[Float[np.ndarray, "n"]], bool],
 ) -> Float[np.ndarray, "k n"] | None:
     """Return IK solutions [rad] at equal steps of a line, its start included; None if one is missing.
 
-    Each search starts where the two solutions before it point to.
+    Each search starts where the two solutions before it point to. One that is not free is the last.
     """
     postures = [np.asarray(q_start, dtype=np.float64)]
     for T in line.poses(np.arange(1, n_steps + 1) / n_steps):
@@ -215,6 +222,8 @@ def _solve(
         if not result.converged:
             return None
         postures.append(result.q)
+        if not is_free(result.q):
+            break
     return np.stack(postures)
 
 

@@ -36,6 +36,7 @@ def run(options: EvaluateOptions, screen: Screen) -> Report:
     cells, seeds = cells_of(options), range(options.seed, options.seed + options.episodes)
     of_key = {_key(cells, cell, seed): (cell, seed) for cell in cells for seed in seeds}
     to_run = [item for key, item in of_key.items() if key not in finished]
+    to_run.sort(key=lambda item: item[1])  # all cells on a seed: what is interrupted can be compared
     if finished:
         screen.note(f"{len(of_key) - len(to_run)} of {len(of_key)} episodes are finished already")
     jobs = Jobs(to_run, partial(_run, options, cells), partial(_failed, options, cells))

@@ -106,6 +106,23 @@ def test_the_first_free_line_is_taken(kinematics):
     assert kinematics.forward(allowed[-1])[:3, 3] == pytest.approx([0.5, 0.2, 0.15], abs=2e-4)
 
 
+def test_behind_what_a_line_meets_nothing_is_looked_for(kinematics, monkeypatch):
+    """Neither the rest of that line nor a longer one; a shorter one, or one elsewhere, may be free."""
+    q, solved = posture(kinematics, 0.5, -0.2, 0.15), []
+    motions = motions_among(kinematics, WALL)
+    inverse = kinematics.inverse
+    monkeypatch.setattr(
+        kinematics, "inverse", lambda T, *a, **k: solved.append(T[1, 3]) or inverse(T, *a, **k)
+    )
+    whole, longer, shorter = (down(0.5, y, 0.15) for y in (0.2, 0.25, -0.16))
+    line = motions.free_line(q, [whole, longer, shorter], WIDTH)
+    assert kinematics.forward(line[-1])[:3, 3] == pytest.approx([0.5, -0.16, 0.15], abs=2e-4)
+    assert max(solved) < 0.0 and len(solved) < 10
+    solved.clear()
+    motions.free_line(q, [whole, down(0.5, 0.2, 0.16)], WIDTH)
+    assert sum(y == pytest.approx(-0.18, abs=2e-3) for y in solved) == 2, "another line is followed as far"
+
+
 def test_a_line_from_a_posture_in_contact_is_rejected_without_inverse_kinematics(kinematics, monkeypatch):
     q = posture(kinematics, 0.5, -0.2, -0.01)
     monkeypatch.setattr(kinematics, "inverse", None)

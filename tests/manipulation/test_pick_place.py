@@ -5,6 +5,7 @@ import numpy as np
 import pytest
 from scipy.spatial.transform import Rotation
 
+from manipulation import pick_place
 from manipulation.candidates import Tally
 from manipulation.collision import AllowedContacts
 from manipulation.errors import PlanningError
@@ -131,6 +132,46 @@ def test_similar_grasps_are_not_tried_again(kinematics, items):
     for pick, _ in zip(planner._picks("can_1", planner.grasps("can_1"), [first], Tally()), range(4)):
         turn = np.abs(np.angle(np.exp(1j * (pick.grasp.azimuth - first.azimuth))))
         assert turn >= np.deg2rad(20) or abs(pick.grasp.depth - first.depth) >= 0.003
+
+
+def test_a_grasp_is_examined_once_as_long_as_nothing_moves(kinematics, items, monkeypatch):
+    planner = PickPlacePlanner(kinematics, items, config=CONFIG)
+    examined, find_pick = [], pick_place.find_pick
+
+    def find(motions, name, grasp, config):
+        examined.append(grasp)
+        return find_pick(motions, name, grasp, config)
+
+    monkeypatch.setattr(pick_place, "find_pick", find)
+    T, grasps = planner.world.pose("can_1"), planner.grasps("can_1")
+
+    def picks():
+        examined.clear()
+        tally = Tally()
+        found = []
+        for pick in planner._picks("can_1", grasps, (), tally):
+            assert planner.world.contact(pick.lift[-1], pick.grasp.held_width) is None
+            assert planner.world.carried_overlaps(pick.lift[0], pick.grasp.held_width), "it is in the hand"
+            found.append(pick)
+        planner.world.release()
+        return found, tally
+
+    first, tally = picks()
+    assert first and len(examined) == len(grasps.grasps)
+    again, same_tally = picks()
+    assert not examined and all(a is b for a, b in zip(first, again, strict=True))
+    assert same_tally == tally
+    T_far = T.copy()
+    T_far[0, 3] += 1.0
+    assert not planner.can_pick("can_1", T_far) and len(examined) == len(grasps.grasps)
+    with planner.without(["bowl_2"]):
+        picks()
+        assert len(examined) == len(grasps.grasps), "without something there may be more"
+    picks()
+    assert not examined
+    planner.moved("can_1", T)
+    picks()
+    assert len(examined) == len(grasps.grasps)
 
 
 def test_resting_pose_is_at_the_yaw_and_raised_by_the_stack(kinematics, items):

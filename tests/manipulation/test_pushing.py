@@ -99,7 +99,14 @@ def test_nothing_is_pushed_into_other_things(make_planner, can, arm) -> None:
     """Walls at both ends of the axis: the only free directions are oblique ones, into the blocks beside."""
     ends = [block(f"end_{s}", AT[0] + s * (HEIGHT / 2 + 0.04), AT[1], 0.01, 0.06) for s in (-1, 1)]
     planner, T = make_planner(blocks=[*beside(), *ends])
-    assert push_of(planner, can, arm, lambda T_after: not np.array_equal(T_after, T)) is None
+    asked = []
+
+    def helps(T_after):
+        asked.append(T_after)
+        return not np.array_equal(T_after, T)
+
+    assert push_of(planner, can, arm, helps) is None
+    assert len(asked) == 1, "where nothing can be pushed to, no grasp is looked for"
 
 
 @pytest.mark.parametrize(("blocked", "sign"), [(None, 1), (-1, None)])

@@ -149,6 +149,21 @@ def test_solutions_are_closer_where_the_spline_would_leave_the_line(arm):
     assert np.linalg.norm(offset - np.outer(offset @ direction, direction), axis=1).max() < 5e-4
 
 
+def test_a_line_ends_at_the_first_solution_that_is_not_free(arm, monkeypatch):
+    kinematics, solved = Kinematics(arm), []
+    inverse = kinematics.inverse
+    monkeypatch.setattr(kinematics, "inverse", lambda T, *a, **k: solved.append(T) or inverse(T, *a, **k))
+    T_goal = kinematics.forward(arm.q_home)
+    begin = T_goal[2, 3]
+    T_goal[2, 3] -= 0.24
+    postures = line_postures(
+        kinematics, arm.q_home, T_goal, CONFIG, is_free=lambda q: kinematics.forward(q)[2, 3] > begin - 0.06
+    )
+    heights = [kinematics.forward(q)[2, 3] - begin for q in postures]
+    np.testing.assert_allclose(heights, [0.0, -0.024, -0.048, -0.072], atol=2e-4)
+    assert len(solved) == 3
+
+
 def test_line_is_slowed_down_where_a_joint_would_be_too_fast(arm, limits):
     slow = JointLimits(0.05 * limits.velocity, limits.acceleration, limits.jerk)
     kinematics = Kinematics(arm)

@@ -174,7 +174,7 @@ def test_cells_run_the_same_seeds_and_are_compared(tmp_path, monkeypatch):
     monkeypatch.setattr(evaluate_tasks, "run_seed", run_seed)
     some = options(tmp_path, episodes=2, scan_views="1,6")
     report = evaluate_tasks.run(some, Screen(quiet=True))
-    assert ran == [(("nodeslam",), views, seed) for views in ("1", "6") for seed in (10, 11)]
+    assert ran == [(("nodeslam",), views, seed) for seed in (10, 11) for views in ("1", "6")], "in pairs"
     assert report.success and "4 of 4 episodes" in report.reason
     assert [row["n_placed"] for row in report_in(tmp_path)["metrics"]["cells"]] == [0, 2]
     assert (tmp_path / "study.svg").read_bytes().startswith(b"<?xml")
