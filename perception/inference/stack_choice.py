@@ -19,6 +19,7 @@ WEAK, FAR_BETTER = 0.5, 0.3  # score below which an object may be several, and b
 WEAK_BOTTLE = 0.9  # the same of an upright bottle
 MIN_SCORES = (0.2, 0.5)  # of the fits of the lower part, whose upper side is hidden, and of the upper one
 BESIDE_SCORE = 0.5  # least score of two parts beside each other: neither hides the other
+ALIKE_SCORE = 0.5  # least score of two parts of the same colours, which are seldom two objects
 SHARED = 0.15  # share of a part's volume in the other one from which on they are no two objects
 # Least scores of the fits of two vessels that look like one; height [m] of the upper one's base, and share of
 # that of its rim: mugs have thinner floors.
@@ -108,6 +109,11 @@ def are_one(pair: Sequence[ObjectEstimate], whole: ObjectEstimate, before: float
         return False
     apart = np.linalg.norm((pair[0].T_world_object - pair[1].T_world_object)[:2, 3])
     return bool(apart < COAXIAL) and all(e.score >= p for e, p in zip(pair, MIN_SCORES, strict=True))
+
+
+def are_likely(pair: Sequence[ObjectEstimate]) -> bool:
+    """Return whether two accepted parts are objects even if their colours are the same."""
+    return all(e.score >= ALIKE_SCORE for e in pair)
 
 
 def gap_between(lower: ObjectEstimate, upper: ObjectEstimate, plane: SupportPlane) -> float:

@@ -17,7 +17,8 @@ from perception.depth_cleaning import clean_frame
 from perception.detection.completion import PoseNamer
 from perception.inference.explanation import unexplained
 from perception.inference.observation import ObjectObservation
-from perception.inference.stack_choice import GAP, are_one, are_two, gap_between
+from perception.inference.part_colors import ALIKE, color_overlap
+from perception.inference.stack_choice import GAP, are_likely, are_one, are_two, gap_between
 from perception.inference.stack_cuts import TRIALS, Parts, Rows, StackCuts
 from perception.threads import worker_pool
 from perception.types import ObjectEstimate, RgbdFrame, SupportPlane
@@ -89,9 +90,20 @@ def split_stacks(
             stack = possible[id]
             if whole is not None and are_one(pair, whole, stack.before):
                 found[id] = (replace(whole, score=max(whole.score, min(e.score for e in pair))),)
-            elif are_two(pair, whole, stack.points, stack.before, planes[0]):
+            elif are_two(pair, whole, stack.points, stack.before, planes[0]) and (
+                are_likely(pair) or not _are_alike(views, part)
+            ):
                 found[id] = tuple(pair)
     return found
+
+
+def _are_alike(views: Sequence[RgbdFrame], parts: Parts) -> bool:
+    """Return whether two parts have the same colours."""
+    shown = [
+        [(view, d.mask) for view, row in zip(views, parts.rows) for d in row if d.instance_id == id]
+        for id in parts.ids
+    ]
+    return color_overlap(*shown) > ALIKE
 
 
 def _with_parts(rows: Rows, parts: Mapping[int, Parts]) -> Rows:
