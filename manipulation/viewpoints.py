@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import itertools
 import logging
-from collections.abc import Callable, Sequence
+from collections.abc import Callable, Iterator, Sequence
 from dataclasses import dataclass, replace
 
 import numpy as np
@@ -25,14 +25,17 @@ logger = logging.getLogger(__name__)
 
 ROLLS = np.deg2rad(np.arange(0, 360, 45))  # of the camera about its optical axis, tried for each viewpoint
 MIN_LIMIT_DISTANCE = 0.1  # [rad] of each joint from its limits at a viewpoint
+_PATHS = 4  # postures at a viewpoint, free of contacts, to which a path is looked for
 _VIEW_SEEDS = 8  # start postures of an approximate view
 FEW = 4  # viewpoints below which too little of the table is seen
 MAX_TURN = np.deg2rad(40)  # of the direction of an approximate view; beyond it adds little to the others
 # Keep-out volumes of the camera motions, over the areas where objects may be, known or unknown: the objects'
 # area at negative y, box and line at positive y. 0.28 m high: above most objects, below every viewpoint.
+# There is room around the base, where no goals are: the shoulder of many arms is beside their first axis.
 KEEP_OUT = (
     Obstacle("objects", (0.46, -0.275, 0.14), (0.20, 0.27, 0.14)),
-    Obstacle("goal", (0.32, 0.37, 0.14), (0.42, 0.24, 0.14)),
+    Obstacle("goal", (0.47, 0.37, 0.14), (0.27, 0.24, 0.14)),
+    Obstacle("goal beside the base", (0.05, 0.43, 0.14), (0.15, 0.18, 0.14)),
 )
 MARGINS = (
     0.03,
@@ -110,34 +113,45 @@ def closeup_viewpoints(target: tuple[float, float, float]) -> tuple[Viewpoint, .
     return viewpoints_around(target, [(side * 90, 80, 0.45), (side * 70, 58, 0.50)])
 
 
-def viewpoint_ik(
+def viewpoint_postures(
     kinematics: Kinematics, viewpoint: Viewpoint, q_near: Float[np.ndarray, "n"]
-) -> Float[np.ndarray, "n"] | None:
-    """Return the posture [rad] with the camera at a viewpoint, over all rolls the one nearest to ``q_near``.
+) -> Iterator[Float[np.ndarray, "n"]]:
+    """Yield postures [rad] with the camera at a viewpoint, the preferred ones first.
+
+    At any roll, from ``q_near``, those nearest to it first; then from the home posture, whose elbow may be on
+    the other side.
 
     Arms of fewer than six joints take the posture with the nearest view of the target, others only if
-    ``ArmDescription.near_views`` and the viewpoint is out of reach. None if the target is out of sight or,
-    with six joints or more, seen from another side.
+    ``ArmDescription.near_views`` and the viewpoint is out of reach. There are none if the target is out of
+    sight or, with six joints or more, seen from another side.
     """
     exact = len(kinematics.lower) >= FULL_POSE
-    found = []
-    for roll in ROLLS if exact else ():
-        T_world_camera = viewpoint.camera_pose(roll)
-        result = kinematics.inverse(
-            T_world_camera, [q_near, kinematics.arm.q_home], frame="camera", name="a viewpoint"
+    home = np.asarray(kinematics.arm.q_home, dtype=np.float64)
+    is_reached = False
+    for seeds in ((q_near, home), (home,)) if exact else ():
+        results = (
+            kinematics.inverse(viewpoint.camera_pose(roll), seeds, frame="camera", name="a viewpoint")
+            for roll in ROLLS
         )
-        if result.converged and kinematics.limit_distance(result.q) > MIN_LIMIT_DISTANCE:
-            found.append(result.q)
-    if found:
-        return min(found, key=lambda q: float(np.abs(q - q_near).max()))
-    if exact and not kinematics.arm.near_views:
-        return None
+        reached = [
+            r.q for r in results if r.converged and kinematics.limit_distance(r.q) > MIN_LIMIT_DISTANCE
+        ]
+        yield from sorted(reached, key=lambda q: float(np.abs(q - q_near).max()))
+        is_reached |= bool(reached)
+    if is_reached or (exact and not kinematics.arm.near_views):
+        return
     T, target = viewpoint.camera_pose(), np.array(viewpoint.target)
     seeds = [q_near, *kinematics.seeds_toward(T, _VIEW_SEEDS)]
     q = nearest_view(kinematics, target, T[:3, 3], seeds, MIN_LIMIT_DISTANCE)
-    if q is None or (exact and view_angle(kinematics, q, target, T[:3, 3]) > MAX_TURN):
-        return None
-    return q
+    if q is not None and not (exact and view_angle(kinematics, q, target, T[:3, 3]) > MAX_TURN):
+        yield q
+
+
+def viewpoint_ik(
+    kinematics: Kinematics, viewpoint: Viewpoint, q_near: Float[np.ndarray, "n"]
+) -> Float[np.ndarray, "n"] | None:
+    """Return the first of ``viewpoint_postures``; None if there is none."""
+    return next(viewpoint_postures(kinematics, viewpoint, q_near), None)
 
 
 def with_near_views(arm: ArmDescription, viewpoints: Sequence[Viewpoint]) -> ArmDescription:
@@ -256,10 +270,14 @@ class ViewpointScanner:
             path = self.motions.free_path(q_now, self._visited[viewpoint], width, MARGINS)
             if path is not None:
                 return path
-        q = viewpoint_ik(self.kinematics, viewpoint, q_now)
-        if q is None:
+        postures = viewpoint_postures(self.kinematics, viewpoint, q_now)
+        q_first = next(postures, None)
+        if q_first is None:
             return None
-        path = self.motions.free_path(q_now, q, width, MARGINS)
-        if path is None and self.motions.world.contact(q_now, width) is not None:
-            return [q_now, q]
-        return path
+        contact = self.motions.world.contact
+        free = (q for q in itertools.chain([q_first], postures) if contact(q, width) is None)
+        for q in itertools.islice(free, _PATHS):
+            path = self.motions.free_path(q_now, q, width, MARGINS)
+            if path is not None:
+                return path
+        return None if contact(q_now, width) is None else [q_now, q_first]

@@ -27,6 +27,7 @@ from manipulation.viewpoints import (
     with_near_views,
 )
 from perception.types import CameraIntrinsics, RgbdFrame
+from sim_assets.robots import load_robot
 from sim_assets.robots.panda_arm import arm_description
 
 
@@ -199,6 +200,30 @@ def test_the_nearest_solution_within_the_limit_distance_is_used(kinematics, monk
     monkeypatch.setattr(kinematics, "limit_distance", lambda q: 0.09 if q[0] == 0.2 else 0.11)
     found = viewpoint_ik(kinematics, SCAN_VIEWPOINTS[0], np.zeros(7))
     np.testing.assert_array_equal(found, np.full(7, 0.5))
+
+
+@pytest.mark.parametrize("name", ["panda", "sixaxis"])
+def test_the_arm_at_home_is_outside_the_keep_out_volumes(name):
+    """From inside one, motions are not checked; the six-axis arm has its shoulder beside the first axis."""
+    arm = load_robot(name).description
+    assert CollisionWorld(arm, [], (TABLE, *KEEP_OUT)).contact(np.array(arm.q_home), 0.08) is None
+
+
+def test_a_viewpoint_is_visited_with_the_elbow_on_the_other_side_if_the_arm_is_in_the_way(monkeypatch):
+    """Of the six-axis arm, whose nearest postures at a viewpoint may have the elbow among the objects."""
+    arm = load_robot("sixaxis").description
+    kinematics, view = Kinematics(arm), SCAN_VIEWPOINTS[5]
+    q_low = np.array([-1.32, 0.81, -0.06, 1.24, -1.3, -3.39])
+    robot = Moving(q_low)
+    robot.arm = arm
+    scanner = ViewpointScanner(robot, kinematics)
+    world = scanner.motions.world
+    assert world.contact(q_low, 0.08) is None
+    assert world.contact(viewpoint_ik(kinematics, view, q_low), 0.08) is not None, "the elbow is low there"
+    assert len(scanner.capture([view])) == 1
+    T = kinematics.forward(robot.q, "camera")
+    np.testing.assert_allclose(T[:3, 3], view.camera_pose()[:3, 3], atol=2e-4)
+    assert all(world.path_contact(track[::10], 0.08) is None for track in robot.tracks)
 
 
 def test_a_viewpoint_out_of_reach_is_replaced_by_a_view_from_nearly_the_same_direction():
