@@ -95,6 +95,8 @@ def reconstruct_clutter(
         single = {id: estimate for id, estimate in estimates.items() if id not in stacks}
         lost = candidates - set(single) - set(stacks)
         recutting = Recutting(frames, planes, completer, lambda cut: fit(cut, {}), options.workers)
+        rows, agreed = recutting.agreed(rows, lost, is_clear)
+        single, lost = single | agreed, lost - set(agreed)
         free = 1 + max((*instance_ids(rows), *(part.id for part in parts)), default=-1)
         rows, pieces = recutting.separated(rows, lost, free)
         # An upright object is seldom segmented with what it touches.

@@ -1,7 +1,7 @@
 """Instances of no class that are cut in pieces, or joined, where a fit confirms it.
 
 The instance network knows upright objects best. It may join a lying one with what it touches, which leaves
-creases between them (``touching``), or cut it where its colour changes.
+creases between them (``touching``), in some views only (``agreement``), or cut it where its colour changes.
 """
 
 from __future__ import annotations
@@ -16,6 +16,7 @@ import numpy as np
 
 from perception.depth_cleaning import clean_frame
 from perception.detection.completion import PoseNamer, posed_detections
+from perception.inference.agreement import agreed_masks
 from perception.inference.explanation import unexplained
 from perception.inference.pose_score import pose_mass
 from perception.inference.reconstruct import mean_poses
@@ -28,6 +29,7 @@ LYING = 0.3  # least probability of lying of each instance that is joined
 MOST = 6  # pairs that are tried
 EXPLAINED = 0.12  # largest share of their points that the joint shape leaves unexplained
 CLEAR = 0.75  # least score of what is joined
+WORSE = 0.05  # by how much it may be lower than that of a part beside which the other one is no object
 GAP = 5  # [px] between the masks of one object
 
 
@@ -71,12 +73,36 @@ class Recutting:
         recut = [[*o, *p] for o, p in zip(others, named, strict=True)]
         return recut, {e.id: e for e in self.fit(_only(recut, instance_ids(named)))}
 
+    def agreed(
+        self, rows: Rows, ids: Collection[int], is_kept: Callable[[ObjectEstimate], bool]
+    ) -> tuple[Rows, dict[int, ObjectEstimate]]:
+        """Return the detections, with the masks of instances on which their views agree where that helps.
+
+        And the estimates of these instances by id.
+
+        Args:
+            rows: Associated detections of each frame.
+            ids: Instances of no class that no shape explains.
+            is_kept: Whether an estimate is good enough.
+        """
+        own = agreed_masks([clean_frame(frame) for frame in self.frames], rows, ids) if ids else []
+        if not any(own):
+            return rows, {}
+        named = posed_detections(self.frames, own, self.planes, self.completer)
+        others = [[d for d in row if d.instance_id not in instance_ids(own)] for row in rows]
+        recut = [[*o, *n] for o, n in zip(others, named, strict=True)]
+        kept = {e.id: e for e in self.fit(_only(recut, instance_ids(named))) if is_kept(e)}
+        return [
+            [*(d for d in row if d.instance_id not in kept), *(d for d in new if d.instance_id in kept)]
+            for row, new in zip(rows, named, strict=True)
+        ], kept
+
     def joined(
         self, rows: Rows, ids: Collection[int], estimates: Mapping[int, ObjectEstimate], first_id: int
     ) -> tuple[Rows, dict[int, ObjectEstimate]]:
         """Return the detections with pairs that are one lying object as one, and its estimate by id.
 
-        Its score is at least ``CLEAR``, and that of either part.
+        Its score is at least ``CLEAR``, and that of either part, or a little less if one is none alone.
 
         Args:
             rows: Associated detections of each frame.
@@ -95,7 +121,9 @@ class Recutting:
             paired, estimate = self._joined_pair(rows, pair, number) if found else one  # others were joined
             if estimate is None:
                 continue
-            if estimate.score >= max([CLEAR, *(estimates[id].score for id in pair if id in estimates)]):
+            alone = [estimates[id].score for id in pair if id in estimates]
+            worse = WORSE if len(alone) == 1 else 0.0
+            if estimate.score >= max([CLEAR, *(score - worse for score in alone)]):
                 rows, found[number] = paired, estimate
         return rows, found
 

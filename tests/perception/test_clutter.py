@@ -42,6 +42,7 @@ class Scene:
         monkeypatch.setattr(clutter, "reconstruct", self.reconstruct)
         monkeypatch.setattr(clutter, "split_stacks", self.split)
         self.pieces, self.wholes, self.fragments = {}, {}, set()
+        self.agreed_on = {}  # estimates from masks on which the views agree
         monkeypatch.setattr(clutter, "parts_of_things", lambda *_: self.fragments)
         self.shares = {}  # of the outlines of candidates, in things
         monkeypatch.setattr(selection, "continued_shares", self.continued_shares)
@@ -91,6 +92,10 @@ class Scene:
         self.known, self.rows = sorted(estimates), [[d.instance_id for d in row] for row in rows]
         return self.stacks
 
+    def agreed(self, rows, ids, is_kept):
+        self.unexplained_ids = set(ids)
+        return rows, {e.id: e for e in self.agreed_on.values() if e.id in ids and is_kept(e)}
+
     def separated(self, rows, ids, first_id):
         self.lost, self.first_id = ids, first_id
         return self.recut(rows, self.pieces, ids), {e.id: e for e in self.pieces.values()}
@@ -128,6 +133,15 @@ def test_candidates_are_objects_only_if_the_evidence_is_clear(scene):
     assert scene.run() == [0, 1]
     assert scene.fitted == [[0, 1, 2]], "a tall thing neither lies nor stands on its rim"
     assert [item.id for item in scene.rejected] == [0], "nobody misses what was no object before"
+
+
+@pytest.mark.parametrize("beyond", [-0.01, 0.01])
+def test_what_no_shape_explains_may_be_an_object_where_the_views_agree(scene, beyond):
+    """It is not cut in pieces then."""
+    scene.agreed_on = {2: found(2, UNCLASSIFIED_SCORE + beyond)}
+    assert scene.run() == ([0, 1, 2] if beyond > 0 else [0, 1])
+    assert scene.unexplained_ids == {2, 3}
+    assert scene.lost == ({3} if beyond > 0 else {2, 3})
 
 
 def test_pieces_of_what_no_shape_explains_need_a_high_score(scene, monkeypatch):

@@ -6,7 +6,15 @@ import numpy as np
 import pytest
 
 from perception.inference import recutting
-from perception.inference.recutting import CLEAR, EXPLAINED, LYING, Recutting, instance_ids, touching_pairs
+from perception.inference.recutting import (
+    CLEAR,
+    EXPLAINED,
+    LYING,
+    WORSE,
+    Recutting,
+    instance_ids,
+    touching_pairs,
+)
 from perception.types import (
     POSED_CLASSES,
     CameraIntrinsics,
@@ -97,6 +105,13 @@ def test_else_they_stay_as_they_are(monkeypatch, scores, unexplained, lying):
 
 
 @pytest.mark.parametrize("beyond", [-0.01, 0.01])
+def test_what_is_no_object_alone_may_make_a_joint_shape_a_little_less_likely(monkeypatch, beyond):
+    fits = Fits(monkeypatch, {8: 0.9 - WORSE + beyond})
+    _, wholes = fits.recutting.joined(halves(), {3, 5}, {3: found(3, 0.9)}, 8)
+    assert bool(wholes) == (beyond > 0)
+
+
+@pytest.mark.parametrize("beyond", [-0.01, 0.01])
 def test_what_is_joined_must_be_clear(monkeypatch, beyond):
     """Also where neither half was an object."""
     fits = Fits(monkeypatch, {8: CLEAR + beyond})
@@ -138,3 +153,22 @@ def test_without_instances_or_pieces_nothing_is_fitted(monkeypatch):
     assert fits.recutting.separated(before, set(), 6) == (before, {})
     assert fits.recutting.separated(before, {3}, 6) == (before, {})
     assert not fits.rows
+
+
+@pytest.mark.parametrize("is_kept", [True, False])
+def test_masks_on_which_the_views_agree_replace_those_that_no_shape_explains(monkeypatch, is_kept):
+    fits = Fits(monkeypatch, {3: 0.9})
+    trimmed = [[seen(3, 0, 2)], []]
+    monkeypatch.setattr(
+        recutting, "agreed_masks", lambda views, rows, ids: trimmed if ids == {3} else [[], []]
+    )
+    before = halves()
+    rows, agreed = fits.recutting.agreed(before, {3}, lambda e: is_kept and e.score > 0.8)
+    (fitted,) = fits.rows
+    assert instance_ids(fitted) == {3} and len(fitted[0]) == 3  # what is beside it occludes it
+    assert agreed.keys() == ({3} if is_kept else set())
+    masks = [[d.mask.sum() for d in row if d.instance_id == 3] for row in rows]
+    assert masks == ([[8], []] if is_kept else [[16], [16]]), "the second view shows something else"
+    assert instance_ids(rows) == {1, 3, 5}
+    assert fits.recutting.agreed(before, {5}, lambda e: True) == (before, {})
+    assert fits.recutting.agreed(before, set(), lambda e: True) == (before, {})
