@@ -18,6 +18,9 @@ N_YAWS = 12  # of a goal on free table
 _SPACING = 0.03  # [m] between the spots examined
 _APART = 0.07  # [m] between the spots that are found
 _FAR = 1.2  # distance of a spot from the base, relative to that of the middle, from which on it is far
+# Distance of a spot from the middle, and height of an object there, up to which half of the images of a scan
+# show all of the object, in half diagonals of the area: a cone.
+_VIEW, _VIEW_HEIGHT = 1.15, 1.7
 _CLEARANCES = (0.10, 0.06, 0.03)  # [m] between outlines, from most room to least
 _ROOMS = (1.3, 1.0, 0.7, 0.4)  # shares of an object's reach from the TCP that are free around it
 _MOST = 4  # roomy spots
@@ -48,12 +51,19 @@ def outlines_of_others(
 
 
 def free_spots(
-    radius: float, taken: Sequence[Outline], area: Area = FREE_AREA
+    radius: float, taken: Sequence[Outline], area: Area = FREE_AREA, height: float = 0.0
 ) -> Iterator[tuple[float, float]]:
     """Yield spots in an area where a circle [m] is clear of outlines.
 
     Those with room for the hand around them come first, then those near the middle. A spot far from the base
-    counts as one with less room: a hand that is not vertical hardly reaches what lies there.
+    counts as one with less room: a hand that is not vertical hardly reaches what lies there. So does one
+    where few images show the top of an object: it is looked at again if it cannot be grasped.
+
+    Args:
+        radius: radius of the circle in [m].
+        taken: outlines of the top views of all other things.
+        area: ranges of x and y of the spots, in [m].
+        height: height of the object there in [m].
     """
     (x0, x1), (y0, y1) = area
     spots = _grid(area)
@@ -62,8 +72,10 @@ def free_spots(
     middle = np.array([(x0 + x1) / 2, (y0 + y1) / 2])
     from_middle = np.linalg.norm(spots - middle, axis=1)
     is_far = np.linalg.norm(spots, axis=1) > _FAR * np.linalg.norm(middle)
+    size = float(np.hypot(x1 - x0, y1 - y0)) / 2
+    is_cut = from_middle > _VIEW * (size - height / _VIEW_HEIGHT)
     found = np.zeros((0, 2))
-    for index in np.lexsort((from_middle, crowding + is_far)):
+    for index in np.lexsort((from_middle, crowding + is_far + is_cut)):
         is_apart = (np.linalg.norm(found - spots[index], axis=1) >= _APART).all()
         if crowding[index] < len(_CLEARANCES) and is_apart:
             found = np.vstack([found, spots[index]])
@@ -116,7 +128,7 @@ def goals_aside(
     T_goal[:3, 3] = -(low[0] + high[0]) / 2, -(low[1] + high[1]) / 2, -low[2]
     radius = float(np.linalg.norm((turned + T_goal[:3, 3])[:, :2], axis=1).max())
     yaws = tuple(2 * np.pi * np.arange(N_YAWS) / N_YAWS)
-    for x, y in free_spots(radius, taken, area):
+    for x, y in free_spots(radius, taken, area, float(high[2] - low[2])):
         yield Placement(item.name, (x, y, 0.0), yaws, T_goal_stand=T_goal)
 
 

@@ -114,7 +114,8 @@ def turning_goals(
     poses: list[Float[np.ndarray, "4 4"] | None] = [None]
     if is_upside_down(T_world_stand):
         poses = [_laid(item, side) for side in lying_sides(item)[:_N_SIDES]]
-    for spot in free_spots(_radius(item, poses[0]) if poses else 0.0, taken, area):
+    radius, height = _extent(item, poses[0]) if poses else (0.0, 0.0)
+    for spot in free_spots(radius, taken, area, height):
         yaws = tuple(2 * np.pi * k / N_YAWS for k in range(N_YAWS))
         for T_goal_stand in poses:
             yield Placement(item.name, (*spot, 0.0), yaws, T_goal_stand=T_goal_stand)
@@ -130,9 +131,9 @@ def _laid(item: StandingObject, up: Float[np.ndarray, "3"]) -> Float[np.ndarray,
     return T
 
 
-def _radius(item: StandingObject, T_goal_stand: Float[np.ndarray, "4 4"] | None) -> float:
-    """Return the radius [m] of the circle about the goal's origin that holds the object's top view."""
+def _extent(item: StandingObject, T_goal_stand: Float[np.ndarray, "4 4"] | None) -> tuple[float, float]:
+    """Return the radius [m] of the circle about a goal's origin around the top view, and the height [m]."""
     points = item.vertices
     if T_goal_stand is not None:
         points = points @ T_goal_stand[:3, :3].T + T_goal_stand[:3, 3]
-    return float(np.linalg.norm(points[:, :2], axis=1).max())
+    return float(np.linalg.norm(points[:, :2], axis=1).max()), float(np.ptp(points[:, 2]))

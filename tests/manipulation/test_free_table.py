@@ -78,6 +78,16 @@ def test_spots_far_from_the_base_come_after_nearer_ones_with_as_much_room():
     assert far[: (~far).sum()].any() and not far.all()
 
 
+@pytest.mark.parametrize(("height", "seen_within"), [(0.20, 0.245), (0.26, 0.205)])
+def test_spots_where_few_images_show_the_top_of_a_tall_object_come_last(height, seen_within):
+    spots = np.array(list(free_spots(0.03, [], height=height)))
+    is_cut = np.linalg.norm(spots - np.mean(FREE_AREA, axis=1), axis=1) > seen_within + 0.02
+    is_sure = np.linalg.norm(spots - np.mean(FREE_AREA, axis=1), axis=1) < seen_within - 0.02
+    near = ~is_far(spots)
+    assert np.flatnonzero(near & is_sure).max() < np.flatnonzero(near & is_cut).min()
+    assert is_cut.any() and not (is_cut & near)[: is_sure.sum() // 2].any()
+
+
 def test_what_is_set_aside_keeps_its_orientation_and_lies_on_the_table(can):
     T = on_side()
     goals = list(goals_aside(can, T, []))
