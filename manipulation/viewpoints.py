@@ -270,14 +270,17 @@ class ViewpointScanner:
             path = self.motions.free_path(q_now, self._visited[viewpoint], width, MARGINS)
             if path is not None:
                 return path
-        postures = viewpoint_postures(self.kinematics, viewpoint, q_now)
-        q_first = next(postures, None)
-        if q_first is None:
-            return None
-        contact = self.motions.world.contact
-        free = (q for q in itertools.chain([q_first], postures) if contact(q, width) is None)
-        for q in itertools.islice(free, _PATHS):
+        world, reached, free = self.motions.world, [], []
+        for q in viewpoint_postures(self.kinematics, viewpoint, q_now):
+            reached.append(q)
+            if world.contact(q, width) is not None:
+                continue
+            free.append(q)
             path = self.motions.free_path(q_now, q, width, MARGINS)
             if path is not None:
                 return path
-        return None if contact(q_now, width) is None else [q_now, q_first]
+            if len(free) == _PATHS:
+                break
+        if not reached or world.contact(q_now, width) is None:
+            return None
+        return [q_now, (free or reached)[0]]

@@ -24,7 +24,7 @@ VOTES = 2  # least number of views that exclude a pixel
 SAME_SURFACE = 0.008  # [m] between a point and the depth that another view measures there
 TRIMMED = 0.1  # least share of a mask that the other views exclude: less is noise at its border
 LEFT = 0.1  # share of a mask that is left, below which the view does not show the instance
-_BORDER = 5  # [px] size of the filter that widens the voting masks, and smooths the result
+_BORDER = np.ones((5, 5), np.uint8)  # [px] of the filter that widens the voting masks, and smooths the result
 
 
 def agreed_masks(views: Sequence[RgbdFrame], rows: Rows, ids: Collection[int]) -> list[list[ObjectDetection]]:
@@ -40,8 +40,7 @@ def agreed_masks(views: Sequence[RgbdFrame], rows: Rows, ids: Collection[int]) -
         seen = {k: d for k, row in enumerate(rows) for d in row if d.instance_id == id}
         if len(seen) < VIEWS:
             continue
-        kernel = np.ones((_BORDER, _BORDER), np.uint8)
-        wide = {k: cv2.dilate(d.mask.astype(np.uint8), kernel) > 0 for k, d in seen.items()}
+        wide = {k: cv2.dilate(d.mask.astype(np.uint8), _BORDER) > 0 for k, d in seen.items()}
         masks = {k: _agreed(views, k, d.mask, wide) for k, d in seen.items()}
         if all(masks[k] is d.mask for k, d in seen.items()):
             continue
@@ -67,8 +66,7 @@ def _agreed(views: Sequence[RgbdFrame], k: int, mask: Mask, wide: dict[int, Mask
         return mask
     kept = measured.copy()
     kept[measured] = ~is_excluded
-    kernel = np.ones((_BORDER, _BORDER), np.uint8)
-    kept = (cv2.morphologyEx(kept.astype(np.uint8), cv2.MORPH_OPEN, kernel) > 0) & mask
+    kept = (cv2.morphologyEx(kept.astype(np.uint8), cv2.MORPH_OPEN, _BORDER) > 0) & mask
     return kept if kept.sum() >= LEFT * mask.sum() else np.zeros_like(mask)
 
 
