@@ -15,7 +15,7 @@ import numpy as np
 from jaxtyping import Float
 
 from perception.detection.footprints import Footprint, GroupingConfig, clusters, separate
-from perception.detection.geometry import project, touches_border
+from perception.detection.geometry import in_image, project, touches_border
 from perception.detection.left_out import LeftOut, Reason
 from perception.detection.yaw import fuse_yaws
 from perception.errors import InvalidInputError
@@ -192,8 +192,7 @@ def _count_missed_views(
     for view in set(range(len(frames))) - {f.view for f in group}:
         frame = frames[view]
         pixels, z = project(frame, points)
-        size = (frame.intrinsics.width, frame.intrinsics.height)
-        inside = (z > 0) & (pixels >= 0).all(1) & (pixels < size).all(1)
+        inside = in_image(frame, pixels, z)
         u, v = pixels[inside].T
         measured = frame.depth[v, u]
         unoccluded = (measured == 0) | (measured > z[inside] - 0.03)

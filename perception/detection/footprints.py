@@ -20,7 +20,7 @@ import numpy as np
 from jaxtyping import Bool, Float
 from scipy.sparse.csgraph import connected_components
 
-from perception.detection.geometry import plan_coordinates, points_of, project
+from perception.detection.geometry import in_image, plan_coordinates, points_of, project
 from perception.types import OTHER, ObjectDetection, RgbdFrame, SupportPlane
 
 _POINTS = 2000  # most points of a footprint
@@ -137,8 +137,7 @@ def _is_behind(hidden: Footprint, seen: Footprint, config: GroupingConfig) -> bo
     frame = seen.frame
     points = thinned(hidden.points, _PROBES)
     pixels, z = project(frame, points)
-    size = (frame.intrinsics.width, frame.intrinsics.height)
-    inside = (z > 0) & (pixels >= 0).all(1) & (pixels < size).all(1)
+    inside = in_image(frame, pixels, z)
     u, v = pixels[inside].T
     in_mask = seen.detection.mask[v, u]
     if in_mask.sum() < config.min_shown * len(points):

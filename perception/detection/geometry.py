@@ -94,6 +94,14 @@ def project(
     return np.rint(np.stack([u, v], axis=1)).astype(np.int64), z
 
 
+def in_image(
+    frame: RgbdFrame, pixels: Int[np.ndarray, "n 2"], depth: Float[np.ndarray, "n"]
+) -> Bool[np.ndarray, "n"]:
+    """Return which projected points are in front of the camera and in the image, see ``project``."""
+    size = (frame.intrinsics.width, frame.intrinsics.height)
+    return (depth > 0) & ((pixels >= 0) & (pixels < size)).all(axis=1)
+
+
 def view_heading(
     frame: RgbdFrame, plane: SupportPlane, point_world: Float[np.ndarray, "3"]
 ) -> Float[np.ndarray, "3"]:

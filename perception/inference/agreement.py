@@ -13,7 +13,7 @@ import cv2
 import numpy as np
 from jaxtyping import Bool, Float
 
-from perception.detection.geometry import points_of, project
+from perception.detection.geometry import in_image, points_of, project
 from perception.types import ObjectDetection, RgbdFrame, unclassified
 
 Rows = Sequence[Sequence[ObjectDetection]]
@@ -75,8 +75,7 @@ def _votes(
 ) -> tuple[Bool[np.ndarray, "n"], Bool[np.ndarray, "n"]]:
     """Return which world points [m] a view sees, and which of them are in its mask."""
     pixels, depth = project(view, points)
-    height, width = own.shape
-    is_seen = (depth > 0) & (pixels >= 0).all(axis=1) & (pixels < (width, height)).all(axis=1)
+    is_seen = in_image(view, pixels, depth)
     u, v = np.where(is_seen[:, None], pixels, 0).T
     is_seen &= np.abs(view.depth[v, u] - depth) < SAME_SURFACE
     return is_seen, own[v, u]

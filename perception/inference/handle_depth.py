@@ -12,7 +12,7 @@ import numpy as np
 from jaxtyping import Bool, Float
 
 from perception.depth_cleaning import clean_frame
-from perception.detection.geometry import project
+from perception.detection.geometry import in_image, project
 from perception.geometry import transform_points
 from perception.inference.handle import body_axis
 from perception.metrics import SurfaceSamples, sample_surface
@@ -64,8 +64,7 @@ def _behind(
         chosen: Points to be compared.
     """
     pixels, depth = project(frame, points)
-    size = (frame.intrinsics.width, frame.intrinsics.height)
-    inside = (depth > 0) & ((pixels >= 0) & (pixels < size)).all(axis=1)
+    inside = in_image(frame, pixels, depth)
     pixels, depth = pixels[inside], depth[inside]
     _, cell = np.unique(pixels // _CELL, axis=0, return_inverse=True)
     nearest = np.full(len(depth), np.inf)

@@ -76,9 +76,9 @@ class Recutting:
     def agreed(
         self, rows: Rows, ids: Collection[int], is_kept: Callable[[ObjectEstimate], bool]
     ) -> tuple[Rows, dict[int, ObjectEstimate]]:
-        """Return the detections, with the masks of instances on which their views agree where that helps.
+        """Return the detections with the masks of instances trimmed, and the estimates from these, by id.
 
-        And the estimates of these instances by id.
+        Of each mask that is left on which the views agree (``agreement``), where the fit to that is kept.
 
         Args:
             rows: Associated detections of each frame.

@@ -17,7 +17,7 @@ from scipy.sparse import coo_array
 from scipy.sparse.csgraph import connected_components
 from scipy.spatial import KDTree
 
-from perception.detection.geometry import plan_coordinates, points_of, project
+from perception.detection.geometry import in_image, plan_coordinates, points_of, project
 from perception.metrics import SurfaceSamples
 from perception.obstacles.unexplained import KnownGeometry, raised_pixels
 from perception.types import ObjectEstimate, RgbdFrame, SupportPlane
@@ -185,8 +185,7 @@ def _seen_through(
     free = np.zeros(len(points), bool)
     for view in views:
         pixels, depth = project(view, points)
-        size = (view.intrinsics.width, view.intrinsics.height)
-        inside = (depth > 0) & ((pixels >= 0) & (pixels < size)).all(axis=1)
+        inside = in_image(view, pixels, depth)
         u, v = np.where(inside[:, None], pixels, 0).T
         free |= inside & (view.depth[v, u] > depth + config.seen_through)
     return free

@@ -15,7 +15,7 @@ import numpy as np
 from jaxtyping import Bool, Float, Int
 from scipy import ndimage
 
-from perception.detection.geometry import height_image, project
+from perception.detection.geometry import height_image, in_image, project
 from perception.support.samples import depth_noise
 from perception.types import RgbdFrame, SupportPlane
 
@@ -133,8 +133,7 @@ def _votes(
     plane = SupportPlane(normal, float(normal @ T_world_plane[:3, 3]))
     for frame in frames:
         pixels, depth = project(frame, centres)
-        camera = frame.intrinsics
-        inside = (depth > 0) & ((pixels >= 0) & (pixels < (camera.width, camera.height))).all(axis=1)
+        inside = in_image(frame, pixels, depth)
         u, v = np.where(inside[:, None], pixels, 0).T
         seen = frame.depth[v, u]
         tolerance = 0.5 * config.voxel + depth_noise(seen)

@@ -13,7 +13,7 @@ import cv2
 import numpy as np
 from jaxtyping import Bool, Float
 
-from perception.detection.geometry import bounding_window, points_of, project
+from perception.detection.geometry import bounding_window, in_image, points_of, project
 from perception.detection.left_out import LeftOut
 from perception.support.samples import depth_noise
 from perception.support.surface import SupportSurface
@@ -140,11 +140,10 @@ def _is_clear_below(
     """
     low = height <= np.percentile(height, 20)
     clear = np.ones(int(low.sum()), bool)
-    k = seen.frame.intrinsics
     for share in (1 / 3, 2 / 3):
         between = seen.points[low] - share * height[low, None] * surface.plane.normal
         pixels, z = project(seen.frame, between)
-        u, v = np.clip(pixels, 0, (k.width - 1, k.height - 1)).T
-        inside = (z > 0) & (pixels == np.stack([u, v], axis=1)).all(1)
+        inside = in_image(seen.frame, pixels, z)
+        u, v = np.where(inside[:, None], pixels, 0).T
         clear &= inside & (seen.frame.depth[v, u] > z + margin)  # missing depth is 0: not clear
     return bool(clear.mean() > 0.5)

@@ -8,6 +8,7 @@ from perception.detection.geometry import (
     camera_pose,
     heading_angle,
     height_image,
+    in_image,
     linear_in_depth,
     plan_coordinates,
     plane_axes,
@@ -108,6 +109,13 @@ def test_projection_inverts_back_projection():
     np.testing.assert_array_equal(pixels, np.stack([u.ravel(), v.ravel()], 1))
     np.testing.assert_allclose(z, 1.5)
     assert project(frame, np.array([[0.0, 0.0, 1.0]]))[1][0] == -1.0  # behind the camera
+
+
+def test_what_is_in_the_image_is_within_its_borders_and_in_front_of_the_camera():
+    frame = flat_frame(1.5)
+    pixels = np.array([[0, 0], [3, 2], [-1, 0], [0, -1], [4, 2], [3, 3], [1, 1]])
+    depth = np.array([1.0, 1.0, 1.0, 1.0, 1.0, 1.0, -1.0])
+    np.testing.assert_array_equal(in_image(frame, pixels, depth), [True, True, *[False] * 5])
 
 
 def test_heights_are_linear_in_depth():
