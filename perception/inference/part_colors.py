@@ -5,8 +5,8 @@ so that a colour at the edge of a cell is not another one. The overlap of two is
 
     o = sum_k min(p_k, q_k).
 
-Of 26 stacks of two objects in generated scenes it is 0.49 at most, of three things that were taken for stacks
-0.73 at least.
+Of the pairs in 25 scans of generated tables that would be accepted otherwise, it is 0.80 for the two that are
+teapots, and 0.54 at most for the other 48.
 """
 
 from __future__ import annotations
