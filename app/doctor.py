@@ -32,6 +32,7 @@ WEIGHTS = {  # weights file without extension: the command that trains it
     "scene": "nodeslam train detector",
     "yaw": "nodeslam train yaw",
     "pose": "nodeslam train pose",
+    "axis": "nodeslam train axis",
     "verifier": "nodeslam train verifier",
 }
 NEEDED = (

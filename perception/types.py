@@ -157,6 +157,8 @@ class ObjectDetection:
         support: Index of the support plane that the object stands on; 0 is the main one.
         pose_probabilities: (10,) probabilities of POSED_CLASSES and 'other', for objects in any resting pose;
             empty if unknown.
+        axis_probabilities: (A,) the same bins of the direction of the axis from base to top, of what lies;
+            empty if unknown.
     """
 
     category: Category
@@ -167,6 +169,7 @@ class ObjectDetection:
     instance_id: int | None = None
     support: int = 0
     pose_probabilities: Float[np.ndarray, "p"] = field(default_factory=lambda: np.zeros(0))
+    axis_probabilities: Float[np.ndarray, "a"] = field(default_factory=lambda: np.zeros(0))
 
     def __post_init__(self) -> None:
         _require(

@@ -26,7 +26,7 @@ SlamFault = Literal["none", "dropped", "dark", "flicker", "moved"]
 class TrainOptions(CommonOptions):
     """Train a network, by default as the shipped weights; the same command with the same --out resumes."""
 
-    network: Positional[Literal["shape", "detector", "pose", "yaw", "acceptance", "verifier"]]
+    network: Positional[Literal["shape", "detector", "pose", "axis", "yaw", "acceptance", "verifier"]]
     """Network to train, or the acceptance model of reconstructed objects."""
     epochs: Annotated[int | None, arg(help_behavior_hint="default: the shipped weights' schedule")] = None
     """Number of epochs; not for acceptance."""

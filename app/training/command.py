@@ -101,6 +101,10 @@ def _job(options: TrainOptions) -> tuple[Any, Any]:
             from app.training import pose
 
             return pose.run, pose.TrainPoseConfig()
+        case "axis":
+            from app.training import axis
+
+            return axis.run, axis.TrainAxisConfig()
         case "yaw":
             from app.training import yaw
 

@@ -43,8 +43,8 @@ class LabelledCrops:
         images: (n, SIDE, SIDE, 6) as in ``perception.detection.crops.Crop``.
         context: (n, 2) as in ``perception.detection.crops.Crop``.
         label: (n,) index into CATEGORIES, OTHER for distractors and background.
-        yaw: (n,) angle of a mug's handle (object +x) relative to the crop's heading, in radians; 0 for
-            others.
+        yaw: (n,) direction of a mug's handle (object +x), or of the axis of what lies from base to top,
+            relative to the crop's heading, in radians; 0 for others.
         handle: (n,) share of a mug's visible points that lie on its handle; 0 for others.
     """
 
@@ -108,9 +108,10 @@ def label_crops(
             continue
         piece = crop(frame, mask, plane, geometry)
         yaw, handle = 0.0, 0.0
-        if label == CATEGORIES.index("mug"):
-            thing = image.labels[index]
-            yaw = (thing.yaw - heading_angle(piece.heading, plane) + np.pi) % (2 * np.pi) - np.pi
+        thing = None if label == index_of(None) else image.labels[index]
+        if thing is not None and (thing.category == "mug" or thing.resting == "lying"):
+            yaw = (thing.direction - heading_angle(piece.heading, plane) + np.pi) % (2 * np.pi) - np.pi
+        if thing is not None and (thing.category, thing.resting) == ("mug", "upright"):
             handle = handle_share(points_of(frame, truth == index, geometry.depth), thing.T_world_object)
         rows.append((piece.image, piece.context, label, yaw, handle))
 

@@ -25,6 +25,7 @@ from app.training.crop_dataset import (
 from app.training.detector import (
     RENDERING_SHARE,
     CalibratedNetwork,
+    CropSplits,
     TrainDetectorConfig,
     provenance,
     stage_progress,
@@ -41,7 +42,6 @@ from perception.types import POSED_CLASSES
 if TYPE_CHECKING:
     from sim_assets.datasets.labels import InstanceLabel
 
-POSED = 0.5  # share of the objects that do not stand upright
 OTHER_POSE = len(POSED_CLASSES)  # label of what is no object
 ELEVATION = (np.radians(25), np.radians(90))  # of the cameras, which look down on clutter
 DISTANCE = (0.28, 1.0)  # [m] of the cameras
@@ -56,6 +56,21 @@ class TrainPoseConfig(TrainDetectorConfig):
 
 
 @dataclass(frozen=True)
+class PoseMix:
+    """Which objects are in the scenes, and how they rest.
+
+    Attributes:
+        posed: Share of the objects that do not stand upright.
+        shares: Relative numbers of mugs, bowls, bottles and cans.
+        folder: Name of the folder of the crops.
+    """
+
+    posed: float = 0.5
+    shares: tuple[int, int, int, int] = (5, 2, 4, 5)
+    folder: str = "pose_scenes"
+
+
+@dataclass(frozen=True)
 class PoseShard:
     """Crops of scenes that are rendered together.
 
@@ -65,6 +80,7 @@ class PoseShard:
         seed: Seed of the data set.
         number: Number of the shard in the data set.
         count: Number of images.
+        mix: Objects of the scenes.
     """
 
     path: Path
@@ -72,6 +88,7 @@ class PoseShard:
     seed: int
     number: int
     count: int
+    mix: PoseMix = PoseMix()
 
     @property
     def files(self) -> tuple[Path]:
@@ -92,24 +109,37 @@ def run(
     Returns:
         Metrics of the pose network (``pose_metrics``).
     """
-    seed, folder = config.training.seed, out_dir / "pose_scenes"
+    crops = posed_crops(config, out_dir, progress, resources.workers)
+    data = TrainingData(pose_targets(crops.training), pose_targets(crops.validation))
+    part = stage_progress(progress, RENDERING_SHARE, 1.0)
+    trained = train_ensemble("pose", data, config, out_dir, part, resources.processes)
+    metrics = pose_metrics(crops.test, trained.probabilities(crops.test))
+    trained.save(out_dir / WEIGHTS_FILES["pose"], "pose", config)
+    card = _card(config, metrics, trained, len(crops.training))
+    (out_dir / "pose.md").write_text(card + checksums(out_dir / WEIGHTS_FILES["pose"]), "utf-8")
+    return metrics
+
+
+def posed_crops(
+    config: TrainPoseConfig,
+    out_dir: Path,
+    progress: Progress | None,
+    workers: Workers = Workers(),
+    mix: PoseMix = PoseMix(),
+) -> CropSplits:
+    """Return the crops of each purpose, rendered to the folder of the mix or found there."""
+    seed, folder = config.training.seed, out_dir / mix.folder
     rendering = stage_progress(progress, 0.0, RENDERING_SHARE)
 
     def crops(split: Split, pictures: int, seed: int) -> LabelledCrops:
-        shards = render_crops(folder, split, pictures, seed, resources.workers, rendering)
+        shards = render_crops(folder, split, pictures, seed, workers, rendering, mix)
         return load_crops([shard.path for shard in shards])
 
-    training = crops("train", config.pictures, seed)
-    validation = crops("train", config.validation, seed + 1)  # other shapes than those of training
-    test = crops("test", config.test, seed)
-    data = TrainingData(pose_targets(training), pose_targets(validation))
-    part = stage_progress(progress, RENDERING_SHARE, 1.0)
-    trained = train_ensemble("pose", data, config, out_dir, part, resources.processes)
-    metrics = pose_metrics(test, trained.probabilities(test))
-    trained.save(out_dir / WEIGHTS_FILES["pose"], "pose", config)
-    card = _card(config, metrics, trained, len(training))
-    (out_dir / "pose.md").write_text(card + checksums(out_dir / WEIGHTS_FILES["pose"]), "utf-8")
-    return metrics
+    return CropSplits(
+        crops("train", config.pictures, seed),
+        crops("train", config.validation, seed + 1),  # other shapes than those of training
+        crops("test", config.test, seed),
+    )
 
 
 def render_crops(
@@ -119,6 +149,7 @@ def render_crops(
     seed: int,
     workers: Workers = Workers(),
     progress: Progress | None = None,
+    mix: PoseMix = PoseMix(),
 ) -> list[PoseShard]:
     """Render random scenes and return the shards of their crops; existing ones are reused.
 
@@ -129,7 +160,7 @@ def render_crops(
     for number in range(max(1, math.ceil(pictures / SHARD))):
         count = min(SHARD, pictures - number * SHARD)
         path = folder / f"crops_{split}_seed{seed}_n{count}_{number:03d}.npz"
-        shards.append(PoseShard(path, split, seed, number, count))
+        shards.append(PoseShard(path, split, seed, number, count, mix))
     write_shards(shards, render_shard, workers, f"rendering {split} scenes", progress)
     return shards
 
@@ -141,8 +172,9 @@ def render_shard(shard: PoseShard) -> Contents:
     seed = np.random.SeedSequence([shard.seed, shard.number, shard.split == "test"])
     rng = np.random.default_rng(seed.spawn(1)[0])
     config = replace(
-        training_scene_config(), toppled=0.0, posed=POSED, elevation=ELEVATION, distance=DISTANCE
-    )
+        training_scene_config(), toppled=0.0, posed=shard.mix.posed, shares=shard.mix.shares,
+        elevation=ELEVATION, distance=DISTANCE,
+    )  # fmt: skip
     crops = []
     with TrainingScenes(shard.split, int(seed.generate_state(1)[0]), config) as source:
         for image in source.render(shard.count):
@@ -193,7 +225,7 @@ def _card(config: TrainPoseConfig, metrics: dict[str, Any], trained: CalibratedN
     return _CARD.format(
         parameters=sum(p.numel() for p in trained.network.parameters()), temperature=trained.temperature,
         crops=crops, config=config, training=config.training, torch=provenance(config)["torch"].split("+")[0],
-        confusion=f"{header}\n{rows}", m=metrics, posed=POSED,
+        confusion=f"{header}\n{rows}", m=metrics, posed=PoseMix.posed,
     )  # fmt: skip
 
 

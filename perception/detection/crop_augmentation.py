@@ -10,7 +10,7 @@ from torch import Tensor
 from torch.nn import functional
 
 from perception.detection.crop_network import mirror_yaw_bins
-from perception.detection.tasks import Task
+from perception.detection.tasks import DIRECTIONS, Task
 
 
 @dataclass(frozen=True)
@@ -37,10 +37,10 @@ class Draws:
 
 
 def mirror_crops(task: Task, images: Tensor, targets: Tensor, draws: Draws) -> tuple[Tensor, Tensor]:
-    """Flip half of the crops left to right; their yaw relative to the view changes its sign."""
+    """Flip half of the crops left to right; a direction relative to the view changes its sign."""
     flip = draws.uniform().to(images.device) < 0.5
     images = torch.where(flip[:, None, None, None], images.flip(2), images)
-    if task == "yaw":
+    if task in DIRECTIONS:
         targets = torch.where(flip[:, None], mirror_yaw_bins(targets), targets)
     return images, targets
 

@@ -1,9 +1,10 @@
-"""The convolutional network on crops for classes, poses and yaw, ensembles of it, and their weights files.
+"""The convolutional network on crops for classes, poses and directions, ensembles of it, and weights files.
 
-One architecture, three tasks: ``detector.safetensors`` predicts the class of upright objects,
+One architecture, four tasks: ``detector.safetensors`` predicts the class of upright objects,
 ``pose.safetensors`` class and resting pose of any, ``yaw.safetensors`` the bin of the handle's yaw relative
-to the view. A task may have an ensemble (Lakshminarayanan et al., "Simple and
-scalable predictive uncertainty estimation using deep ensembles", 2017), whose logits are averaged.
+to the view, ``axis.safetensors`` that of the axis of what lies. A task may have an ensemble
+(Lakshminarayanan et al., "Simple and scalable predictive uncertainty estimation using deep ensembles",
+2017), whose logits are averaged.
 """
 
 from __future__ import annotations
@@ -34,7 +35,7 @@ from perception.detection.weights import load_weights, save_weights, temperature
 from perception.detection.yaw import YAW_BINS
 from perception.io.weights import WEIGHTS_DIRECTORY
 
-_NAMES: dict[Task, tuple[str, ...]] = {"class": LABELS, "pose": POSE_LABELS, "yaw": ()}
+_NAMES: dict[Task, tuple[str, ...]] = {"class": LABELS, "pose": POSE_LABELS, "yaw": (), "axis": ()}
 
 
 class CropNet(nn.Module):

@@ -1,4 +1,4 @@
-"""Training of the crop networks: cross-entropy with one-hot classes or with soft yaw bins.
+"""Training of the crop networks: cross-entropy with one-hot classes or soft bins of directions.
 
 The data set is given as arrays (``app.training.crop_dataset`` renders it).
 """
@@ -33,7 +33,7 @@ from perception.detection.crop_network import (
     mirror_averaged_logits,
     normalise_crops,
 )
-from perception.detection.tasks import OUTPUTS, Task
+from perception.detection.tasks import DIRECTIONS, OUTPUTS, Task
 from perception.detection.training_state import (
     TrainingState,
     mixed_precision,
@@ -56,7 +56,7 @@ class CropSet:
     Attributes:
         images: (n, SIDE, SIDE, 6) uint8 as in ``crops.Crop``.
         context: (n, 2) float32 as in ``crops.Crop``.
-        targets: (n, k) float32 target distributions: one-hot classes, or soft yaw bins.
+        targets: (n, k) float32 target distributions: one-hot classes, or soft bins of directions.
     """
 
     images: UInt8[np.ndarray, "n side side 6"]
@@ -81,7 +81,7 @@ class TrainingConfig:
         learning_rate: Peak of the cosine schedule.
         warmup: Share of the steps with linear warm-up.
         weight_decay: Weight decay of AdamW.
-        label_smoothing: Share of the target distributed evenly over the classes; not of yaw.
+        label_smoothing: Share of the target distributed evenly over the classes; not of directions.
         seed: Seed of initialisation, order and augmentation.
     """
 
@@ -210,7 +210,7 @@ def _train_epoch(
         images, targets = mirror_crops(task, images, targets, draws)
         inputs = warp_crops(normalise_crops(truncate_crops(images, draws)), draws)
         inputs, context = perturb_crops(inputs, context, draws)
-        if task != "yaw":
+        if task not in DIRECTIONS:
             targets = (1 - config.label_smoothing) * targets + config.label_smoothing / targets.shape[1]
         with mixed_precision(device):
             logits = network(inputs, context)
@@ -240,14 +240,14 @@ def _logits(network: CropNetwork, crops: CropSet, batch: int = 512) -> Tensor:
 
 
 def validation_metrics(task: Task, network: CropNetwork, crops: CropSet) -> dict[str, float]:
-    """Return cross-entropy and accuracy; for yaw the median error of the most probable bin, in radians."""
+    """Return cross-entropy and accuracy; of directions the median error of the best bin, in rad."""
     logits, targets = _logits(network, crops), torch.from_numpy(crops.targets)
     metrics = {"validation_loss": float(functional.cross_entropy(logits, targets))}
     best, true = logits.argmax(1), targets.argmax(1)
-    if task != "yaw":
+    if task not in DIRECTIONS:
         return metrics | {"accuracy": float((best == true).double().mean())}
     error = ((best - true + YAW_BINS // 2) % YAW_BINS - YAW_BINS // 2).abs() * (2 * math.pi / YAW_BINS)
-    return metrics | {"yaw_median": float(error.median())}
+    return metrics | {f"{task}_median": float(error.median())}
 
 
 def calibrated_temperature(network: CropNetwork, crops: CropSet) -> float:

@@ -2,7 +2,8 @@
 
 The scene network segments instances by Hough voting; an ensemble of two networks on context crops decides
 their class, with a share of the scene network; the yaw network predicts where the handles of mugs
-point. The pose network tells what rests on its side or upside down in clutter.
+point. In clutter the pose network tells what rests on its side or upside down, and the axis network in which
+direction it lies.
 """
 
 from __future__ import annotations
@@ -20,6 +21,7 @@ from perception.detection.geometry import heading_angle
 from perception.detection.instances import InstanceConfig, find_instances, segment
 from perception.detection.left_out import LeftOut, of_no_class
 from perception.detection.parts import CERTAIN, SHARE, continued_share
+from perception.detection.poses import pose_mass
 from perception.detection.predictors import (
     CropPredictor,
     ScenePredictor,
@@ -46,12 +48,14 @@ class DetectorConfig:
         max_other: Largest probability of 'other' (distractors) of a detection. Well above one half, so that
             several views can still vote (``association.associate``); the score of such a detection is low.
         min_mug: Smallest probability of 'mug' for which yaw is estimated.
+        min_lying: Smallest probability of lying for which the direction of the axis is estimated.
     """
 
     instances: InstanceConfig = field(default_factory=InstanceConfig)
     standing: StandingConfig = field(default_factory=StandingConfig)
     max_other: float = 0.9
     min_mug: float = 0.05
+    min_lying: float = 0.05
 
 
 @dataclass(frozen=True)
@@ -63,6 +67,7 @@ class Detector:
         class_network: Network or ensemble for the class of a crop.
         yaw_network: Network for the yaw of a mug's handle relative to the view.
         pose_network: Network for class and resting pose.
+        axis_network: Network for the direction of the axis of what lies relative to the view.
         config: Parameters.
     """
 
@@ -70,6 +75,7 @@ class Detector:
     class_network: CropPredictor
     yaw_network: CropPredictor
     pose_network: CropPredictor
+    axis_network: CropPredictor
     config: DetectorConfig = DetectorConfig()
 
     @staticmethod
@@ -90,7 +96,8 @@ class Detector:
             return load_crop_predictor(task, path, device)
 
         network = load_scene_predictor(scene, device)
-        return Detector(network, on_crops("class"), on_crops("yaw"), on_crops("pose"), config)
+        networks = (on_crops("class"), on_crops("yaw"), on_crops("pose"), on_crops("axis"))
+        return Detector(network, *networks, config)
 
     def __call__(self, frame: RgbdFrame, plane: SupportPlane) -> list[ObjectDetection]:
         """Return the detections in a frame by descending score, without distractors.
@@ -173,7 +180,7 @@ class Detector:
             classes = combine_probabilities(classes, scene)
         mugs = np.flatnonzero(classes[:, _MUG] >= self.config.min_mug).tolist()
         whole = [crops[i] or crop(frame, masks[i], plane, geometry) for i in mugs]
-        yaw_of = dict(zip(mugs, self._yaws(whole, plane)))
+        yaw_of = dict(zip(mugs, self._directions(self.yaw_network, whole, plane)))
         things = [mask for mask, p in zip(masks, classes) if p[OTHER] > self.config.max_other]
         detections = []
         for i, (mask, probabilities) in enumerate(zip(masks, classes)):
@@ -210,7 +217,7 @@ class Detector:
                 )
         blind = [i for i in usable if not result[i].yaw_probabilities.size and self._may_be_mug(result[i])]
         crops = [crop(frame, result[i].mask, plane, geometry) for i in blind]
-        for i, yaw in zip(blind, self._yaws(crops, plane)):
+        for i, yaw in zip(blind, self._directions(self.yaw_network, crops, plane)):
             result[i] = replace(result[i], yaw_probabilities=yaw)
         return result
 
@@ -218,6 +225,8 @@ class Detector:
         self, frame: RgbdFrame, plane: SupportPlane, detections: Sequence[ObjectDetection]
     ) -> list[ObjectDetection]:
         """Return the detections, in their order, with probabilities of classes in all resting poses.
+
+        What may lie also gets those of the direction of its axis.
 
         Detections whose mask contains no depth stay as they are.
 
@@ -230,8 +239,12 @@ class Detector:
         usable = [i for i, d in enumerate(detections) if geometry.has_depth(d.mask)]
         crops = [crop(frame, detections[i].mask, plane, geometry) for i in usable]
         result = list(detections)
-        for i, p in zip(usable, self.pose_network(*stack_crops(crops))):
-            result[i] = replace(detections[i], pose_probabilities=p)
+        poses = self.pose_network(*stack_crops(crops))
+        lying = [k for k, p in enumerate(poses) if pose_mass(p, "lying") >= self.config.min_lying]
+        axes = dict(zip(lying, self._directions(self.axis_network, [crops[k] for k in lying], plane)))
+        for k, i in enumerate(usable):
+            axis = axes.get(k, np.zeros(0))
+            result[i] = replace(detections[i], pose_probabilities=poses[k], axis_probabilities=axis)
         return result
 
     def _may_be_mug(self, detection: ObjectDetection) -> bool:
@@ -251,10 +264,12 @@ class Detector:
         classes = self.class_network(*stack_crops(crops))
         return classes, [c if core is mask else None for c, core, mask in zip(crops, cores, masks)]
 
-    def _yaws(self, crops: Sequence[Crop], plane: SupportPlane) -> list[Float[np.ndarray, "b"]]:
-        """Return world yaw distributions; the crops are of whole masks, because a core has no handle."""
-        yaws = self.yaw_network(*stack_crops(crops))
-        return [rotate_yaw(yaw, heading_angle(c.heading, plane)) for yaw, c in zip(yaws, crops)]
+    def _directions(
+        self, network: CropPredictor, crops: Sequence[Crop], plane: SupportPlane
+    ) -> list[Float[np.ndarray, "b"]]:
+        """Return world distributions of a network; the crops are of whole masks: a core has no handle."""
+        found = network(*stack_crops(crops)) if crops else []
+        return [rotate_yaw(p, heading_angle(c.heading, plane)) for p, c in zip(found, crops)]
 
 
 def _classified(

@@ -36,9 +36,10 @@ class TrainingState(Generic[Net]):
 def mixed_precision(device: torch.device) -> torch.autocast:
     """Return the context of forward passes: bfloat16 where the device computes with it, else float32.
 
-    On a CPU without AVX-512, bfloat16 is emulated: a training step takes ten times as long as in float32.
+    On a CPU without AMX a training step takes 1.4 times as long in bfloat16 as in float32 with AVX-512, ten
+    times as long without that.
     """
-    capable = device.type != "cpu" or torch.backends.cpu.get_cpu_capability() == "AVX512"
+    capable = device.type != "cpu" or bool(torch.cpu.get_capabilities().get("amx_bf16", False))
     return torch.autocast(device.type, torch.bfloat16, enabled=capable)
 
 

@@ -10,7 +10,7 @@ import numpy as np
 from perception.inference.clear_evidence import is_clear
 from perception.inference.explanation import unexplained
 from perception.inference.lost_parts import with_lost_parts
-from perception.inference.reconstruct import mean_poses
+from perception.inference.reconstruct import mean_probabilities
 from perception.inference.recutting import instance_ids
 from perception.inference.stack_choice import CLEARLY, DOUBTFUL
 from perception.inference.stack_parts import Rows, instance_points
@@ -57,7 +57,11 @@ def renamed(
         return {}
     nameless = [
         [
-            replace(unclassified(d.mask, d.instance_id), pose_probabilities=d.pose_probabilities)
+            replace(
+                unclassified(d.mask, d.instance_id),
+                pose_probabilities=d.pose_probabilities,
+                axis_probabilities=d.axis_probabilities,
+            )
             if d.instance_id in doubtful
             else replace(d, instance_id=None)
             for d in row
@@ -131,7 +135,7 @@ def _may_be_turned_mug(estimate: ObjectEstimate, rows: Rows) -> bool:
     if estimate.category == "mug" and estimate.resting != "upright":
         return True
     views = [d.pose_probabilities for row in rows for d in row if d.instance_id == estimate.id]
-    mean = mean_poses([p for p in views if p.size])
+    mean = mean_probabilities([p for p in views if p.size])
     turned = sum(p for posed, p in zip(POSED_CLASSES, mean.tolist()) if posed in TURNED_MUGS)
     return turned > TURNED
 

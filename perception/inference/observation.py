@@ -94,6 +94,7 @@ class ObjectViews:
         class_probabilities: (5,) probabilities of CATEGORIES and 'other'; empty if unknown.
         pose_probabilities: (10,) probabilities of POSED_CLASSES and 'other', for any resting pose; empty if
             unknown.
+        axis_probabilities: (A,) of the direction of a lying axis as in ObjectDetection; empty if unknown.
         start: Estimate from fewer images, at which the fit of its class starts; None for a fit from nothing.
     """
 
@@ -103,6 +104,7 @@ class ObjectViews:
     observations: tuple[ObjectObservation, ...]
     class_probabilities: Float[np.ndarray, "k"] = field(default_factory=lambda: np.zeros(0))
     pose_probabilities: Float[np.ndarray, "p"] = field(default_factory=lambda: np.zeros(0))
+    axis_probabilities: Float[np.ndarray, "a"] = field(default_factory=lambda: np.zeros(0))
     start: ObjectEstimate | None = None
 
     @property

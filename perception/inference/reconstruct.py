@@ -43,7 +43,7 @@ Progress = Callable[[int, int, str], None]
 OnFitStep = Callable[[int, Category, FitStep], None]
 OnRejected = Callable[[RejectedObject], None]
 
-_LEAST = 0.005  # smallest probability of a pose in one view, so that a single view cannot rule it out
+_LEAST = 0.005  # smallest probability in one view, so that a single view cannot rule anything out
 _OCCLUSION_MARGIN = 0.03  # [m] pixels this far behind an object do not occlude it
 
 
@@ -205,13 +205,14 @@ def gather_instances(
         )
         known = [d.class_probabilities for _, d, _ in seen if len(d.class_probabilities) == OTHER + 1]
         probabilities = np.mean(known, axis=0) if known else np.zeros(0)
-        posed = mean_poses([d.pose_probabilities for _, d, _ in seen if d.pose_probabilities.size])
-        instances.append(ObjectViews(key, category, score, observations, probabilities, posed))
+        posed = mean_probabilities([d.pose_probabilities for _, d, _ in seen if d.pose_probabilities.size])
+        axes = mean_probabilities([d.axis_probabilities for _, d, _ in seen if d.axis_probabilities.size])
+        instances.append(ObjectViews(key, category, score, observations, probabilities, posed, axes))
     return instances
 
 
-def mean_poses(per_view: Sequence[Float[np.ndarray, "p"]]) -> Float[np.ndarray, "p"]:
-    """Return the normalised geometric mean of the pose probabilities of several views; empty for none."""
+def mean_probabilities(per_view: Sequence[Float[np.ndarray, "p"]]) -> Float[np.ndarray, "p"]:
+    """Return the normalised geometric mean of the probabilities of several views; empty for none."""
     if not per_view:
         return np.zeros(0)
     return softmax(np.mean([np.log(np.maximum(p, _LEAST)) for p in per_view], axis=0))

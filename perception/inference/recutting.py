@@ -16,10 +16,10 @@ import numpy as np
 
 from perception.depth_cleaning import clean_frame
 from perception.detection.completion import PoseNamer, posed_detections
+from perception.detection.poses import pose_mass
 from perception.inference.agreement import agreed_masks
 from perception.inference.explanation import unexplained
-from perception.inference.pose_score import pose_mass
-from perception.inference.reconstruct import mean_poses
+from perception.inference.reconstruct import mean_probabilities
 from perception.inference.stack_parts import Rows, instance_points
 from perception.inference.touching import touching_pieces
 from perception.threads import worker_pool
@@ -174,7 +174,7 @@ def _number(detection: ObjectDetection) -> int:
 
 def _may_lie(rows: Rows, id: int) -> bool:
     views = [d.pose_probabilities for row in rows for d in row if d.instance_id == id]
-    return pose_mass(mean_poses([p for p in views if p.size]), "lying") >= LYING
+    return pose_mass(mean_probabilities([p for p in views if p.size]), "lying") >= LYING
 
 
 def _union(row: Sequence[ObjectDetection], pair: tuple[int, int], number: int) -> ObjectDetection | None:

@@ -5,6 +5,7 @@ from __future__ import annotations
 import math
 from dataclasses import dataclass, field, replace
 
+from perception.detection.poses import pose_mass
 from perception.errors import PerceptionError
 from perception.inference.acceptance import AcceptanceModel
 from perception.inference.evidence import Evidence, measure_evidence
@@ -12,7 +13,7 @@ from perception.inference.fit import fit_with_grid
 from perception.inference.fit_config import FitConfig
 from perception.inference.observation import ObjectViews
 from perception.inference.optimisation import OnStep
-from perception.inference.pose_score import agreed, pose_mass
+from perception.inference.pose_score import agreed
 from perception.inference.shape_model import Decoder
 from perception.types import (
     CATEGORIES,

@@ -17,11 +17,11 @@ from scipy.spatial import KDTree
 from perception.detection.completion import PoseNamer
 from perception.detection.geometry import points_of
 from perception.detection.instances import remove_specks
+from perception.detection.poses import class_mass
 from perception.inference.color_cuts import color_cut
 from perception.inference.contents import VESSELS
 from perception.inference.explanation import FAR, SAMPLES
 from perception.inference.observation import ObjectObservation
-from perception.inference.pose_score import class_mass
 from perception.inference.seams import Seam, find_seams, part_masks
 from perception.inference.stack_choice import is_doubtful, is_vessel
 from perception.inference.stacking import raised

@@ -40,6 +40,14 @@ class InstanceLabel:
         """Angle of the object's +x about the world's z in [rad]."""
         return float(np.arctan2(self.T_world_object[1, 0], self.T_world_object[0, 0]))
 
+    @property
+    def direction(self) -> float:
+        """Angle about the world's z in [rad] of a mug's handle, or of the axis of what lies, base to top.
+
+        The axis of a lying item is along -y of its mesh.
+        """
+        return self.yaw - np.pi / 2 if self.resting == "lying" else self.yaw
+
 
 @dataclass(frozen=True)
 class LabelledImage:

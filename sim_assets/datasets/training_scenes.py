@@ -25,6 +25,7 @@ from sim_assets.objects.can import FOOT, CanParameters
 from sim_assets.objects.families import Parameters, make_solid, sample_parameters
 from sim_assets.objects.free_forms import free_form
 from sim_assets.objects.household import contents_of, sample_household
+from sim_assets.rendering.texture_coordinates import ATTRIBUTE, around
 
 Split = Literal["train", "test"]
 _HANDLE_ROLL = np.radians(105)  # largest angle of the handle of a lying mug from the vertical
@@ -115,7 +116,7 @@ def _resting(
     roll = rng.uniform(-np.pi, np.pi)
     if category == "mug" and resting == "lying":
         roll = np.pi / 2 + rng.uniform(-1, 1) * _HANDLE_ROLL  # the turn about x takes +y up
-    mesh = mesh.copy()
+    mesh = _printed(mesh)
     mesh.apply_transform(turn(roll, (0, 0, 1)))
     mesh.apply_transform(turn(np.pi if resting == "upside-down" else np.pi / 2, (1, 0, 0)))
     mesh.apply_translation((*-mesh.bounds[:, :2].mean(axis=0), -mesh.bounds[0, 2]))
@@ -126,9 +127,16 @@ def _toppled(mesh: trimesh.Trimesh, rng: np.random.Generator) -> trimesh.Trimesh
     """Return an upright mesh lying on its side at a random roll, or upside down, on z = 0."""
     turn = trimesh.transformations.rotation_matrix
     down = np.pi if rng.random() < 0.3 else np.pi / 2
-    mesh = mesh.copy()
+    mesh = _printed(mesh)
     mesh.apply_transform(turn(down, (1, 0, 0)) @ turn(rng.uniform(-np.pi, np.pi), (0, 0, 1)))
     mesh.apply_translation((*-mesh.bounds[:, :2].mean(axis=0), -mesh.bounds[0, 2]))
+    return mesh
+
+
+def _printed(mesh: trimesh.Trimesh) -> trimesh.Trimesh:
+    """Return an upright mesh with its own texture coordinates, so that its print turns with it."""
+    mesh = mesh.copy()
+    mesh.face_attributes[ATTRIBUTE] = around(mesh).reshape(-1, 3, 2)
     return mesh
 
 

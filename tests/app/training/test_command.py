@@ -14,7 +14,7 @@ from app.training import command
 from app.training.resources import Resources
 
 
-@pytest.mark.parametrize("network", ["shape", "detector", "yaw", "pose"])
+@pytest.mark.parametrize("network", ["shape", "detector", "yaw", "pose", "axis"])
 def test_options_reach_the_job(network, tmp_path, monkeypatch):
     _, default = command._job(TrainOptions(network=network))
     jobs = []

@@ -1,5 +1,6 @@
 """Labelled crops: classes of masks, yaw of handles, perturbed masks, files."""
 
+from dataclasses import replace
 from types import SimpleNamespace
 
 import numpy as np
@@ -8,6 +9,8 @@ import pytest
 from app.training.crop_dataset import LabelledCrops, handle_share, label_crops, perturb_masks, perturb_plane
 from perception.errors import PerceptionError
 from perception.types import CameraIntrinsics, RgbdFrame, SupportPlane
+from sim_assets.cell.layout import PlanarPose
+from sim_assets.datasets.labels import InstanceLabel
 
 K = CameraIntrinsics(320, 240, 290.0, 290.0, 159.5, 119.5)
 DOWN = np.diag([1.0, -1.0, -1.0, 1.0])  # a camera with a vertical optical axis, image x along world x
@@ -28,8 +31,8 @@ def picture(things, patches):
         instances=instances,
         surroundings=None,
         labels=tuple(
-            SimpleNamespace(category=category, yaw=yaw, T_world_object=np.eye(4), ignored=False)
-            for category, yaw in things
+            InstanceLabel(category, PlanarPose(0, 0, yaw).matrix, 0, 0.0, 0.1, np.zeros(3), False, *resting)
+            for category, yaw, *resting in things
         ),
     )
 
@@ -63,6 +66,14 @@ def test_yaw_is_relative_to_the_upward_direction_of_the_crop():
     image = picture([("mug", 0.3)], [(160, 120, 30, 0)])
     crops = label_crops(image, SupportPlane(), true_masks(image))
     assert crops.yaw == pytest.approx([0.3 - np.pi / 2], abs=0.02)
+
+
+def test_the_direction_of_what_lies_is_that_of_its_axis():
+    """The axis of a lying item is a right angle behind the yaw of its mesh."""
+    for resting, expected in (("lying", 0.3 - np.pi), ("upright", 0.0)):
+        image = picture([("can", 0.3, resting)], [(160, 120, 30, 0)])
+        crops = label_crops(image, SupportPlane(), true_masks(image))
+        assert crops.yaw == pytest.approx([expected], abs=0.02)
 
 
 def test_perturbed_masks_overlap_the_true_ones_and_those_of_distractors_less():
@@ -138,7 +149,7 @@ def test_the_error_of_a_damaged_file_has_its_name(tmp_path):
 
 def test_objects_whose_class_is_not_to_be_learned_give_no_crop():
     image = picture([("can", 0.0), ("bowl", 0.0)], [(60, 60, 25, 0), (160, 60, 25, 1)])
-    image.labels[0].ignored = True
+    image.labels = (replace(image.labels[0], ignored=True), image.labels[1])
     assert label_crops(image, SupportPlane(), true_masks(image)).label.tolist() == [1]
 
 

@@ -6,14 +6,23 @@ import cv2
 import numpy as np
 import pytest
 
+from perception.detection.axis import log_odds
 from perception.detection.crop_network import create_network, save_crop_network
+from perception.detection.crops import crop
 from perception.detection.detector import Detector
 from perception.detection.predictors import load_scene_predictor
 from perception.detection.scene_network import SceneNet, save_scene_network
 from perception.detection.tasks import OUTPUTS
 from perception.errors import PerceptionError
 from perception.support.surface import SupportSurface
-from perception.types import CATEGORIES, ObjectDetection, RgbdFrame, SupportPlane, unclassified
+from perception.types import (
+    CATEGORIES,
+    POSED_CLASSES,
+    ObjectDetection,
+    RgbdFrame,
+    SupportPlane,
+    unclassified,
+)
 
 PLANE = SupportPlane()
 
@@ -24,9 +33,10 @@ def fixed(logits):
     return lambda images, context: np.tile(p, (len(images), 1))
 
 
-def fixed_detector(class_logits, yaw_bin=0, pose=0):
-    yaw = np.where(np.arange(OUTPUTS["yaw"]) == yaw_bin, 20.0, 0.0)
-    return Detector(load_scene_predictor(), fixed(class_logits), fixed(yaw), fixed(10.0 * np.eye(10)[pose]))
+def fixed_detector(class_logits, yaw_bin=0, pose=0, axis_bin=0):
+    yaw, axis = (20.0 * np.eye(OUTPUTS["yaw"])[number] for number in (yaw_bin, axis_bin))
+    networks = (fixed(class_logits), fixed(yaw), fixed(10.0 * np.eye(10)[pose]), fixed(axis))
+    return Detector(load_scene_predictor(), *networks)
 
 
 def given(detector, scene):
@@ -119,7 +129,7 @@ def test_most_certain_first(shipped, two):
 
 def test_weights_from_a_folder(tmp_path):
     save_scene_network(SceneNet(), tmp_path / "scene.safetensors")
-    for task, name in (("class", "detector"), ("pose", "pose"), ("yaw", "yaw")):
+    for task, name in (("class", "detector"), ("pose", "pose"), ("yaw", "yaw"), ("axis", "axis")):
         save_crop_network(create_network(task), tmp_path / f"{name}.safetensors", task, 1.5)
     assert Detector.load(directory=tmp_path).class_network.temperature == 1.5
     with pytest.raises(PerceptionError, match="are missing"):
@@ -161,3 +171,18 @@ def test_poses_are_named_for_all_masks_with_depth(two):
     assert named.pose_probabilities.argmax() == 3
     np.testing.assert_allclose(named.pose_probabilities.max(), 1 / (1 + 9 * np.exp(-10.0)))
     assert (named.category, named.instance_id) == ("can", 0) and unseen is found[1]
+
+
+@pytest.mark.parametrize("posed", POSED_CLASSES)
+def test_the_direction_of_the_axis_is_estimated_of_what_lies(two, posed):
+    """Bin 9 of the network is a quarter turn left of up in the crop, which is the way the camera looks."""
+    found = [ObjectDetection("can", 0.9, two.instances == 0)]
+    detector = fixed_detector(np.zeros(5), pose=POSED_CLASSES.index(posed), axis_bin=9)
+    (named,) = detector.posed(two.frame, PLANE, found)
+    if posed[1] != "lying":
+        assert named.axis_probabilities.size == 0
+        return
+    heading = crop(two.frame, found[0].mask, PLANE).heading
+    left = np.array([-heading[1], heading[0]])
+    assert log_odds(named.axis_probabilities, left) > 3
+    assert named.axis_probabilities.sum() == pytest.approx(1.0)

@@ -13,7 +13,7 @@ from perception.inference.reconstruct import (
     ReconstructOptions,
     gather_instances,
     hidden_by,
-    mean_poses,
+    mean_probabilities,
     reconstruct,
     waves_of_stacks,
 )
@@ -161,5 +161,5 @@ def test_what_is_clearly_behind_hides_nothing(scan) -> None:
 def test_poses_of_several_views_are_averaged_in_log_space() -> None:
     a, b = np.array([0.8, 0.2, 0.0]), np.array([0.2, 0.2, 0.6])
     ratio = np.sqrt(np.array([0.8 * 0.2, 0.2 * 0.2, 0.005 * 0.6]))  # no view alone rules a pose out
-    np.testing.assert_allclose(mean_poses([a, b]), ratio / ratio.sum())
-    assert mean_poses([]).size == 0
+    np.testing.assert_allclose(mean_probabilities([a, b]), ratio / ratio.sum())
+    assert mean_probabilities([]).size == 0

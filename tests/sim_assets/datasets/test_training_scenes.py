@@ -15,6 +15,7 @@ from sim_assets.datasets.scene_config import TrainingSceneConfig
 from sim_assets.datasets.training_scenes import TrainingScenes
 from sim_assets.objects.can import FOOT, sample_can
 from sim_assets.objects.families import make_solid, sample_parameters
+from sim_assets.rendering.texture_coordinates import ATTRIBUTE
 
 SMALL = TrainingSceneConfig(
     width=160,
@@ -187,6 +188,20 @@ def test_a_cylinder_lies_as_high_as_it_is_wide_and_stands_on_its_head_as_high_as
     lying, down = (training_scenes._resting(can, "can", p, rng) for p in ("lying", "upside-down"))
     assert np.ptp(lying.bounds[:, 2]) == pytest.approx(0.04, abs=1e-3)
     assert np.ptp(down.bounds[:, 2]) == pytest.approx(0.1)
+
+
+@pytest.mark.parametrize("turned", [training_scenes._toppled, None])
+def test_the_print_of_an_object_turns_with_it(turned):
+    """The print begins at the base, wherever that lies."""
+    rng, cone = np.random.default_rng(0), creation.cone(0.03, 0.1)
+    mesh = turned(cone, rng) if turned else training_scenes._resting(cone, "bottle", "lying", rng)
+    coordinates = mesh.face_attributes[ATTRIBUTE]
+    assert coordinates.shape == (len(mesh.faces), 3, 2)
+    v = coordinates[..., 1].ravel()
+    base, top = (mesh.vertices[mesh.faces].reshape(-1, 3)[v == at].mean(axis=0) for at in (0, 1))
+    assert np.linalg.norm(top - base) == pytest.approx(0.1, abs=0.01)
+    if not turned:
+        np.testing.assert_allclose((top - base)[:2] / 0.1, (0, -1), atol=0.1)
 
 
 def test_the_handle_of_a_lying_mug_is_beside_it_or_above():
