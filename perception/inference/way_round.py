@@ -58,14 +58,15 @@ def _lying(fits: ObjectFits, best: ScoredFit) -> ScoredFit:
 def _along_named_axis(fits: ObjectFits, best: ScoredFit) -> ScoredFit:
     """Return the fit of what lies, or the one the other way round if the axis network contradicts.
 
-    The depth decides where it is clear.
+    The depth decides where it is clear. The score, that it is an object of the class, remains.
     """
     if _axis_odds(fits, best) > -CONTRADICTED:
         return best
     other = _other_way_round(fits, best)
     if other is None or _axis_odds(fits, other) < 0 or _is_clearly_closer(best.evidence, other.evidence):
         return best
-    return other
+    score = max(best.estimate.score, other.estimate.score)
+    return replace(other, estimate=replace(other.estimate, score=score))
 
 
 def _axis_odds(fits: ObjectFits, fit: ScoredFit) -> float:

@@ -208,7 +208,8 @@ def test_what_lies_points_where_the_axis_network_says(
         way = 1.0 if config.toward is None else -1.0
         T = np.array([[0, 0, way, 0], [0, 1, 0, 0], [-way, 0, 0, 0], [0, 0, 0, 1]])
         mesh = TriangleMesh(np.eye(3), np.arange(3)[None])
-        estimate = ObjectEstimate(3, category, np.zeros(16), T, np.ones(3), mesh, 0.8, resting="lying")
+        score = 0.8 if way > 0 else 0.7
+        estimate = ObjectEstimate(3, category, np.zeros(16), T, np.ones(3), mesh, score, resting="lying")
         return ScoredFit(estimate, replace(EVIDENCE, residual=residual if way > 0 else 0.5), None)
 
     monkeypatch.setattr(scored_fits, "scored_fit", scored)
@@ -219,4 +220,4 @@ def test_what_lies_points_where_the_axis_network_says(
     p = sure * soft_labels(angle)[0].astype(np.float64) + (1 - sure) / YAW_BINS
     views = replace(VIEWS, category=category, axis_probabilities=p if named else np.zeros(0))
     estimate = fit_best_class(views, decoder, SupportPlane(), MODEL, FitConfig())
-    assert (estimate.T_world_object[0, 2] < 0) == turned
+    assert (estimate.T_world_object[0, 2] < 0) == turned and estimate.score == 0.8
