@@ -39,6 +39,7 @@ LOADERS = {
     "detector": lambda path: load_crop_network("class", path),
     "pose": lambda path: load_crop_network("pose", path),
     "yaw": lambda path: load_crop_network("yaw", path),
+    "axis": lambda path: load_crop_network("axis", path),
     "scene": load_scene_network,
     "verifier": lambda path: Verifier.load(len(LINEAR), path),
 }
