@@ -29,7 +29,7 @@ BAD_USAGE = {
     "no number": (["pack", "--seed", "x"], "--seed takes a whole number, not 'x'"),
     "no optional number": (["scan", "--gap", "0,1"], "--gap takes a number, not '0,1'"),
     "no such choice": (["sort", "--shapes", "perfect"], "invalid choice 'perfect'"),
-    "no network": (["train"], "{shape,detector,pose,yaw,acceptance,verifier}"),
+    "no network": (["train"], "{shape,detector,pose,axis,yaw,acceptance,verifier}"),
     "nothing to evaluate": (["evaluate", "everything"], "invalid choice 'everything'"),
     "no scan": (["reconstruct"], "Scan folder"),
 }
