@@ -1,6 +1,6 @@
 """Detection of the objects in one RGB-D frame.
 
-The scene network segments instances by Hough voting; an ensemble of two networks on context crops decides
+The scene network segments instances by Hough voting; a network on context crops decides
 their class, with a share of the scene network; the yaw network predicts where the handles of mugs
 point. In clutter the pose network tells what rests on its side or upside down, and the axis network in which
 direction it lies.
