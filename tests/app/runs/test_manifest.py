@@ -26,7 +26,8 @@ OWN = (
     "urdf/meshes/can_1_collision_001.obj", "pictures/000000.png", "sequences/scene_0/rgb/000001.png",
     "sequences/scene_0/ground_truth/objects/can_2.ply", "shape.safetensors", "checkpoint_class.pt",
     "member1/checkpoint_yaw.pt", "scenes/train_n8_000.npz", "objects_mug.png", "error.log",
-    "pose_scenes/crops_train_seed0_n100_000.npz", "pose.md", "fits/fits_test_seed0_n20_000.json",
+    "pose_scenes/crops_train_seed0_n100_000.npz", "pose.md", "axis.safetensors",
+    "axis_scenes/crops_test_seed0_n100_000.npz", "fits/fits_test_seed0_n20_000.json",
     "train_shapes/train_mug_seed0_first0_n500.npz", "member1/mapped/training/images.npy",
 )  # fmt: skip
 FOREIGN = (
