@@ -57,7 +57,8 @@ class TrainDetectorConfig:
     """Configuration of the job; the defaults are those of the shipped weights.
 
     Attributes:
-        pictures: Number of images of the training families.
+        pictures: Number of images of the training families, for both networks.
+        further: Number of further such images, for the class network alone.
         validation: Number of further images of the training families for the calibration.
         test: Number of images of the test families for the evaluation.
         training: Hyperparameters of the class network; its seed is that of all networks.
@@ -67,10 +68,11 @@ class TrainDetectorConfig:
     """
 
     pictures: int = 10000
+    further: int = 20000
     validation: int = 300
     test: int = 300
-    training: TrainingConfig = field(default_factory=lambda: TrainingConfig(epochs=22))
-    scene_passes: float = 5 / 11
+    training: TrainingConfig = field(default_factory=lambda: TrainingConfig(epochs=8))
+    scene_passes: float = 5 / 4
     tensorboard: bool = False
     device: str = "cpu"
 
@@ -107,17 +109,17 @@ class CropSplits:
 
 @dataclass(frozen=True)
 class DataSets:
-    """Rendered shards of each purpose; those for training and validation are of the training families."""
+    """Rendered shards of each purpose; all but those of the test are of the training families."""
 
     training: list[Shard]
+    further: list[Shard]
     validation: list[Shard]
     test: list[Shard]
 
     def crops(self) -> CropSplits:
         """Return the crops of all shards."""
-        return CropSplits(
-            *(load_crops([s.crops for s in part]) for part in (self.training, self.validation, self.test))
-        )
+        parts = (self.training + self.further, self.validation, self.test)
+        return CropSplits(*(load_crops([shard.crops for shard in part]) for part in parts))
 
 
 def run(
@@ -153,17 +155,21 @@ def run(
 def render_data_sets(
     config: TrainDetectorConfig, out_dir: Path, progress: Progress | None, workers: Workers = Workers()
 ) -> DataSets:
-    """Render the three data sets, or find those already in the folder."""
-    folder, seed = out_dir / "scenes", config.training.seed
+    """Render the data sets, or find those already in the folder."""
+    folder, seed, done = out_dir / "scenes", config.training.seed, 0
+    total = config.pictures + config.further + config.validation + config.test
 
-    def shards(split: Split, pictures: int, seed: int, low: float, high: float) -> list[Shard]:
-        part = stage_progress(progress, low * RENDERING_SHARE, high * RENDERING_SHARE)
-        return render_shards(folder, split, pictures, seed, workers, part)
+    def shards(split: Split, pictures: int, seed: int, crops_only: bool = False) -> list[Shard]:
+        nonlocal done
+        low, done = done, done + pictures
+        part = stage_progress(progress, *(RENDERING_SHARE * count / total for count in (low, done)))
+        return render_shards(folder, split, pictures, seed, workers, part, crops_only=crops_only)
 
-    return DataSets(
-        shards("train", config.pictures, seed, 0.0, 0.9),
-        shards("train", config.validation, seed + 1, 0.9, 0.95),  # other shapes than those of training
-        shards("test", config.test, seed, 0.95, 1.0),
+    return DataSets(  # other seeds: the shapes of validation are not those of training
+        shards("train", config.pictures, seed),
+        shards("train", config.further, seed + 2, crops_only=True) if config.further else [],
+        shards("train", config.validation, seed + 1),
+        shards("test", config.test, seed),
     )
 
 
@@ -326,9 +332,9 @@ vessels; tables, floors, walls and furniture around, which is neither object nor
 textures, prints, gloss, lights and cameras (0.3 to 1.4 m, never nearer than their sensor measures); gaps
 down to contact; depth of structured light, active stereo and time of flight
 (`sim_assets/rendering/depth_noise.py`), half of it with errors of calibration between colour and depth. The
-images are mirrored, recoloured, and lose further depth. From these images
-{crops} crops for the class network: the true masks made ragged, truncated, incomplete, or extended by a part
-of a neighbour; crops are mirrored, warped, shifted, truncated and recoloured. No photographs.
+images are mirrored, recoloured, and lose further depth. From these images and {config.further} more of
+their kind {crops} crops for the class network: the true masks made ragged, truncated, incomplete, or extended
+by a part of a neighbour; crops are mirrored, warped, shifted, truncated and recoloured. No photographs.
 
 **Evaluation of the class network** on {m[crops]} such masks in {config.test} such scenes of the test
 families and held-out distractors, single views: accuracy {m[accuracy]:.3f}, of objects alone

@@ -52,6 +52,7 @@ class TrainPoseConfig(TrainDetectorConfig):
     """Configuration of the job; the defaults are those of the shipped weights."""
 
     pictures: int = 10000
+    further: int = 0
     training: TrainingConfig = field(default_factory=lambda: TrainingConfig(epochs=22))
 
 

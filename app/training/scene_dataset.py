@@ -1,8 +1,8 @@
 """Rendered data sets on disk: small images for the scene network, and crops for the class and yaw networks.
 
 Scenes are rendered at 640 x 480; crops are taken at this resolution, images are stored at that of the scene
-network. Every shard holds the images and the crops of some scenes in two files; existing shards are reused,
-so that an interrupted run can be resumed.
+network. Every shard holds the images and the crops of some scenes in two files, or the crops alone; existing
+shards are reused, so that an interrupted run can be resumed.
 """
 
 from __future__ import annotations
@@ -56,6 +56,7 @@ class Shard:
         seed: Seed of the data set.
         number: Number of the shard in the data set.
         count: Number of images.
+        crops_only: Whether the images are not kept.
     """
 
     directory: Path
@@ -63,6 +64,7 @@ class Shard:
     seed: int
     number: int
     count: int
+    crops_only: bool = False
 
     @property
     def scenes(self) -> Path:
@@ -75,9 +77,9 @@ class Shard:
         return self._file("crops")
 
     @property
-    def files(self) -> tuple[Path, Path]:
-        """Both files, in the order of ``render_shard``."""
-        return self.crops, self.scenes
+    def files(self) -> tuple[Path, ...]:
+        """Files of the shard, in the order of ``render_shard``."""
+        return (self.crops,) if self.crops_only else (self.crops, self.scenes)
 
     def _file(self, what: str) -> Path:
         return self.directory / f"{what}_{self.split}_seed{self.seed}_n{self.count}_{self.number:03d}.npz"
@@ -151,14 +153,25 @@ def render_shards(
     seed: int,
     workers: Workers = Workers(),
     progress: Progress | None = None,
+    *,
+    crops_only: bool = False,
 ) -> list[Shard]:
     """Render random scenes and return their shards; existing ones are reused.
+
+    Args:
+        directory: Folder of the shards.
+        split: Families of objects and kinds of distractors.
+        pictures: Number of images.
+        seed: Seed of the data set.
+        workers: Where they are rendered.
+        progress: Called after every shard.
+        crops_only: Whether only crops are kept, which are a third of the data.
 
     Raises:
         PerceptionError: A shard could not be rendered.
     """
     shards = [
-        Shard(directory, split, seed, number, min(SHARD, pictures - number * SHARD))
+        Shard(directory, split, seed, number, min(SHARD, pictures - number * SHARD), crops_only)
         for number in range(max(1, math.ceil(pictures / SHARD)))
     ]
     write_shards(shards, render_shard, workers, f"rendering {split} scenes", progress)
@@ -174,10 +187,12 @@ def render_shard(shard: Shard) -> Contents:
     scenes, crops = [], []
     with TrainingScenes(shard.split, int(seed.generate_state(1)[0]), training_scene_config()) as source:
         for image in source.render(shard.count):
-            scenes.append(downscale_image(image))
+            if not shard.crops_only:
+                scenes.append(downscale_image(image))
             masks = perturb_masks(image, rng, astray=ASTRAY)
             crops.append(label_crops(image, perturb_plane(image.plane, rng), masks))
-    return LabelledCrops.concatenate(crops).packed(), LabelledScenes.concatenate(scenes).packed()
+    packed = LabelledCrops.concatenate(crops).packed()
+    return (packed, LabelledScenes.concatenate(scenes).packed()) if scenes else (packed,)
 
 
 def training_scene_config() -> TrainingSceneConfig:

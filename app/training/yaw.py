@@ -36,6 +36,7 @@ HANDLE_VISIBLE = 0.01  # smallest share of a mug's visible points on a handle th
 class TrainYawConfig(TrainDetectorConfig):
     """Configuration of the job; more epochs than for the detector, since only mugs are trained on."""
 
+    further: int = 0
     training: TrainingConfig = field(default_factory=lambda: TrainingConfig(epochs=28))
 
 

@@ -1,5 +1,7 @@
 """The detector's training job on synthetic crops: stages, splits, ensemble seeds, files, metrics."""
 
+from dataclasses import replace
+
 import numpy as np
 import pytest
 
@@ -32,13 +34,15 @@ def random_crops(seed):
     return LabelledCrops(images, np.zeros((n, 2), np.float32), label, yaw, handle)
 
 
+def one_shard(folder, split, pictures, seed, *_, crops_only=False):
+    return [Shard(folder, split, seed, 0, pictures, crops_only)]
+
+
 @pytest.fixture(autouse=True)
 def no_rendering(monkeypatch):
     """Replace rendered crops by random ones, and the trained scene network by an untrained one."""
     monkeypatch.setattr(train_detector, "load_crops", lambda shards: random_crops(len(shards)))
-    monkeypatch.setattr(
-        train_detector, "render_shards", lambda folder, split, n, seed, *_: [Shard(folder, split, seed, 0, n)]
-    )
+    monkeypatch.setattr(train_detector, "render_shards", one_shard)
     monkeypatch.setattr(train_detector, "load_scenes", lambda shards: None)
     monkeypatch.setattr(train_detector, "train_scene", lambda *_: SceneNet())
 
@@ -87,19 +91,46 @@ def test_training_and_validation_are_of_the_training_families_and_test_of_the_te
     tmp_path, monkeypatch
 ):
     calls = []
-    monkeypatch.setattr(train_detector, "render_shards", lambda folder, *args: calls.append(args[:3]) or [])
-    config = TrainDetectorConfig(pictures=7, validation=3, test=2, training=TrainingConfig(seed=11))
-    render_data_sets(config, tmp_path, None)
-    # another seed for the validation: its shapes are not those of training
-    assert calls == [("train", 7, 11), ("train", 3, 12), ("test", 2, 11)]
+
+    def render(folder, split, pictures, seed, workers, progress, *, crops_only):
+        progress("rendering", 1.0)
+        calls.append((split, pictures, seed, crops_only))
+        return []
+
+    monkeypatch.setattr(train_detector, "render_shards", render)
+    reported = []
+    config = TrainDetectorConfig(
+        pictures=8, further=4, validation=5, test=3, training=TrainingConfig(seed=11)
+    )
+    render_data_sets(config, tmp_path, lambda _, share: reported.append(share))
+    # other seeds for validation and further crops: their shapes are not those of training
+    assert calls == [
+        ("train", 8, 11, False), ("train", 4, 13, True), ("train", 5, 12, False), ("test", 3, 11, False)
+    ]  # fmt: skip
+    assert reported == pytest.approx(np.array([0.4, 0.6, 0.85, 1.0]) * train_detector.RENDERING_SHARE)
+    render_data_sets(replace(config, further=0), tmp_path, None)
+    assert [split for split, *_ in calls[4:]] == ["train", "train", "test"]
+
+
+def test_the_class_network_alone_learns_from_further_crops(tmp_path, monkeypatch):
+    loaded = []
+    monkeypatch.setattr(train_detector, "load_crops", lambda files: loaded.append(files) or random_crops(0))
+    data_sets = render_data_sets(TrainDetectorConfig(pictures=5, further=6), tmp_path, None)
+    data_sets.crops()
+    names = [[file.name for file in files] for files in loaded]
+    assert names[0] == ["crops_train_seed0_n5_000.npz", "crops_train_seed2_n6_000.npz"]
+    assert [name[0] for name in names[1:]] == [
+        "crops_train_seed1_n300_000.npz",
+        "crops_test_seed0_n300_000.npz",
+    ]
 
 
 def test_resources_reach_rendering_and_both_networks(tmp_path, monkeypatch):
     used = {}
 
-    def render(folder, split, n, seed, workers, progress):
+    def render(folder, split, pictures, seed, workers, progress, **options):
         used["workers"] = workers
-        return [Shard(folder, split, seed, 0, n)]
+        return one_shard(folder, split, pictures, seed, **options)
 
     def train(task, data, config, out_dir, progress, processes):
         used["class"] = processes

@@ -108,6 +108,17 @@ def test_finished_shards_are_not_rendered_again(tmp_path, monkeypatch):
     assert rendered[2:] == [(1, 10)]
 
 
+def test_shards_without_images_have_the_same_crops(tmp_path, monkeypatch):
+    monkeypatch.setattr(pictures, "training_scene_config", lambda: CONFIG)
+    shard = Shard(tmp_path, "train", 0, 0, 1)
+    alone = replace(shard, crops_only=True)
+    assert alone.files == shard.files[:1]
+    assert render_shard(alone) == render_shard(shard)[:1]
+    monkeypatch.setattr(pictures, "render_shard", lambda shard: (b"crops",))
+    (found,) = render_shards(tmp_path, "train", 1, seed=0, crops_only=True)
+    assert found.crops.read_bytes() == b"crops" and not found.scenes.exists()
+
+
 def test_a_failed_shard_ends_the_job(tmp_path, monkeypatch):
     monkeypatch.setattr(pictures, "render_shard", lambda shard: 1 / 0)
     with pytest.raises(PerceptionError, match="rendering test scenes: shard 0 crashed: ZeroDivisionError"):

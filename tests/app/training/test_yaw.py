@@ -29,7 +29,9 @@ def no_rendering(monkeypatch):
     """Replace rendered crops by random ones, and the trained scene network by an untrained one."""
     monkeypatch.setattr(train_detector, "load_crops", lambda shards: random_crops(len(shards)))
     monkeypatch.setattr(
-        train_detector, "render_shards", lambda folder, split, n, seed, *_: [Shard(folder, split, seed, 0, n)]
+        train_detector,
+        "render_shards",
+        lambda folder, split, n, seed, *_, **__: [Shard(folder, split, seed, 0, n)],
     )
     monkeypatch.setattr(train_detector, "load_scenes", lambda shards: None)
     monkeypatch.setattr(train_detector, "train_scene", lambda *_: SceneNet())
