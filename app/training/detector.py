@@ -156,20 +156,20 @@ def render_data_sets(
     config: TrainDetectorConfig, out_dir: Path, progress: Progress | None, workers: Workers = Workers()
 ) -> DataSets:
     """Render the data sets, or find those already in the folder."""
-    folder, seed, done = out_dir / "scenes", config.training.seed, 0
+    folder, seed = out_dir / "scenes", config.training.seed
     total = config.pictures + config.further + config.validation + config.test
 
-    def shards(split: Split, pictures: int, seed: int, crops_only: bool = False) -> list[Shard]:
-        nonlocal done
-        low, done = done, done + pictures
-        part = stage_progress(progress, *(RENDERING_SHARE * count / total for count in (low, done)))
+    def shards(split: Split, first: int, pictures: int, seed: int, crops_only: bool = False) -> list[Shard]:
+        low, high = (RENDERING_SHARE * count / total for count in (first, first + pictures))
+        part = stage_progress(progress, low, high)
         return render_shards(folder, split, pictures, seed, workers, part, crops_only=crops_only)
 
+    trained_on = config.pictures + config.further
     return DataSets(  # other seeds: the shapes of validation are not those of training
-        shards("train", config.pictures, seed),
-        shards("train", config.further, seed + 2, crops_only=True) if config.further else [],
-        shards("train", config.validation, seed + 1),
-        shards("test", config.test, seed),
+        shards("train", 0, config.pictures, seed),
+        shards("train", config.pictures, config.further, seed + 2, True) if config.further else [],
+        shards("train", trained_on, config.validation, seed + 1),
+        shards("test", trained_on + config.validation, config.test, seed),
     )
 
 

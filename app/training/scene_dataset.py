@@ -165,7 +165,7 @@ def render_shards(
         seed: Seed of the data set.
         workers: Where they are rendered.
         progress: Called after every shard.
-        crops_only: Whether only crops are kept, which are a third of the data.
+        crops_only: Whether only crops are kept, which are about a quarter of the data.
 
     Raises:
         PerceptionError: A shard could not be rendered.
