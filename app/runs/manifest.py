@@ -60,17 +60,17 @@ _OWN_NAMES = re.compile(
             r"acceptance\.(?:json|md)",
             r"shape_(?:reconstructions|walk|pixel_derivative|code_derivatives)\.png",
             r"(?:train|test)_shapes\.npz",
-            r"(?:member\d+/)?checkpoint(?:_\w+)?\.pt",
+            r"(?:second/)?(?:member\d+/)?checkpoint(?:_\w+)?\.pt",
             r"(?:scenes|pose_scenes|axis_scenes|train_shapes|test_shapes)/\w+\.npz",
             r"fits/\w+\.json",
-            r"(?:member\d+/)?mapped/\w+/\w+\.npy",
+            r"(?:second/)?(?:member\d+/)?mapped/\w+/\w+\.npy",
             r"events\.out\.tfevents\.[\w.-]+",
         )
     )
 )
 _OWN_FOLDERS = re.compile(
-    r"scan|scan/(?:rgb|depth)|objects|pictures|meshes|urdf|urdf/meshes|scenes|member\d+"
-    r"|pose_scenes|axis_scenes|train_shapes|test_shapes|fits|(?:member\d+/)?mapped(?:/\w+)?"
+    r"scan|scan/(?:rgb|depth)|objects|pictures|meshes|urdf|urdf/meshes|scenes|second|(?:second/)?member\d+"
+    r"|pose_scenes|axis_scenes|train_shapes|test_shapes|fits|(?:second/)?(?:member\d+/)?mapped(?:/\w+)?"
     r"|episodes|episodes/\d+|meta|meta/episodes|(?:meta/episodes|data|privileged)/chunk-\d+|data|privileged"
     r"|videos|videos/[\w.]+|videos/[\w.]+/chunk-\d+"
     r"|sequences|sequences/\w+|sequences/\w+/(?:rgb|depth|ground_truth|ground_truth/objects)"

@@ -31,6 +31,7 @@ from perception.detection.crop_network import (
     CropNet,
     CropNetwork,
     ensemble_of,
+    members_of,
     predict,
     save_crop_network,
 )
@@ -50,6 +51,7 @@ from perception.types import OTHER
 
 logger = logging.getLogger(__name__)
 RENDERING_SHARE, SCENE_SHARE = 0.25, 0.9  # progress of the job after rendering and after the scene network
+STACKED = 0.5  # share of the images of the second cycle with objects on or in others
 
 
 @dataclass(frozen=True)
@@ -59,9 +61,12 @@ class TrainDetectorConfig:
     Attributes:
         pictures: Number of images of the training families, for both networks.
         further: Number of further such images, for the class network alone.
+        stacked: Number of images, half of them with objects on or in others, for a second cycle of the class
+            network; none without them.
         validation: Number of further images of the training families for the calibration.
         test: Number of images of the test families for the evaluation.
         training: Hyperparameters of the class network; its seed is that of all networks.
+        second: Hyperparameters of its second cycle, which starts from the network of the first.
         scene_passes: Epochs of the scene network relative to those of the class network.
         tensorboard: Whether to write TensorBoard curves (extra `train`).
         device: Torch device for training.
@@ -69,9 +74,11 @@ class TrainDetectorConfig:
 
     pictures: int = 10000
     further: int = 20000
+    stacked: int = 12000
     validation: int = 300
     test: int = 300
     training: TrainingConfig = field(default_factory=lambda: TrainingConfig(epochs=8))
+    second: TrainingConfig = field(default_factory=lambda: TrainingConfig(epochs=8, learning_rate=1e-3))
     scene_passes: float = 5 / 4
     tensorboard: bool = False
     device: str = "cpu"
@@ -100,26 +107,30 @@ class CalibratedNetwork:
 
 @dataclass(frozen=True)
 class CropSplits:
-    """Labelled crops of each purpose; training and validation crops are of the training families."""
+    """Labelled crops of each purpose; all but those of the tests are of the training families."""
 
     training: LabelledCrops
     validation: LabelledCrops
     test: LabelledCrops
+    stacked: LabelledCrops | None = None
+    stacked_test: LabelledCrops | None = None
 
 
 @dataclass(frozen=True)
 class DataSets:
-    """Rendered shards of each purpose; all but those of the test are of the training families."""
+    """Rendered shards of each purpose; all but those of the tests are of the training families."""
 
     training: list[Shard]
     further: list[Shard]
     validation: list[Shard]
     test: list[Shard]
+    stacked: list[Shard]
+    stacked_test: list[Shard]
 
     def crops(self) -> CropSplits:
         """Return the crops of all shards."""
-        parts = (self.training + self.further, self.validation, self.test)
-        return CropSplits(*(load_crops([shard.crops for shard in part]) for part in parts))
+        parts = (self.training + self.further, self.validation, self.test, self.stacked, self.stacked_test)
+        return CropSplits(*(load_crops([shard.crops for shard in part]) for part in parts if part))
 
 
 def run(
@@ -141,10 +152,11 @@ def run(
     scene = train_scene(scenes, config, out_dir, progress, processes)
     save_scene_network(scene, out_dir / SCENE_WEIGHTS_FILE, provenance(config))
     crops = data_sets.crops()
-    data = TrainingData(class_targets(crops.training), class_targets(crops.validation))
-    part = stage_progress(progress, SCENE_SHARE, 1.0)
-    trained = train_ensemble("class", data, config, out_dir, part, processes)
+    trained = train_class(crops, config, out_dir, stage_progress(progress, SCENE_SHARE, 1.0), processes)
     metrics = class_metrics(crops.test, trained.probabilities(crops.test))
+    if crops.stacked_test is not None:
+        stacked = class_metrics(crops.stacked_test, trained.probabilities(crops.stacked_test))
+        metrics |= {"accuracy_with_stacks": stacked["accuracy"]}
     trained.save(out_dir / WEIGHTS_FILES["class"], "class", config)
     card = _card(config, metrics, scene, trained, len(crops.training))
     card += checksums(out_dir / SCENE_WEIGHTS_FILE, out_dir / WEIGHTS_FILES["class"])
@@ -157,19 +169,23 @@ def render_data_sets(
 ) -> DataSets:
     """Render the data sets, or find those already in the folder."""
     folder, seed = out_dir / "scenes", config.training.seed
-    total = config.pictures + config.further + config.validation + config.test
+    tested = config.test if config.stacked else 0
+    parts = (config.pictures, config.further, config.validation, config.test, config.stacked, tested)
+    ends = RENDERING_SHARE * np.cumsum(parts) / sum(parts)
 
-    def shards(split: Split, first: int, pictures: int, seed: int, crops_only: bool = False) -> list[Shard]:
-        low, high = (RENDERING_SHARE * count / total for count in (first, first + pictures))
-        part = stage_progress(progress, low, high)
-        return render_shards(folder, split, pictures, seed, workers, part, crops_only=crops_only)
+    def shards(number: int, split: Split, seed: int, **options: Any) -> list[Shard]:
+        if not parts[number]:
+            return []
+        part = stage_progress(progress, ends[number - 1] if number else 0.0, ends[number])
+        return render_shards(folder, split, parts[number], seed, workers, part, **options)
 
-    trained_on = config.pictures + config.further
     return DataSets(  # other seeds: the shapes of validation are not those of training
-        shards("train", 0, config.pictures, seed),
-        shards("train", config.pictures, config.further, seed + 2, True) if config.further else [],
-        shards("train", trained_on, config.validation, seed + 1),
-        shards("test", trained_on + config.validation, config.test, seed),
+        shards(0, "train", seed),
+        shards(1, "train", seed + 2, crops_only=True),
+        shards(2, "train", seed + 1),
+        shards(3, "test", seed),
+        shards(4, "train", seed + 3, crops_only=True, stacked=STACKED),
+        shards(5, "test", seed + 3, crops_only=True, stacked=STACKED),
     )
 
 
@@ -196,6 +212,30 @@ def train_scene(
     return fit_scene_network(scenes, settings, TrainingJob(out_dir, config.device, on_step), processes)
 
 
+def train_class(
+    crops: CropSplits,
+    config: TrainDetectorConfig,
+    out_dir: Path,
+    progress: Progress | None,
+    processes: int = 1,
+) -> CalibratedNetwork:
+    """Train the class network in one cycle, or in a second one on images with stacks too.
+
+    The second cycle has its checkpoint in the subfolder `second`.
+    """
+    validation = class_targets(crops.validation)
+    data = TrainingData(class_targets(crops.training), validation)
+    if crops.stacked is None:
+        return train_ensemble("class", data, config, out_dir, progress, processes)
+    samples = [len(crops.training) * config.training.epochs, len(crops.stacked) * config.second.epochs]
+    share = samples[0] / sum(samples)
+    first = train_ensemble("class", data, config, out_dir, stage_progress(progress, 0.0, share), processes)
+    data = TrainingData(class_targets(crops.stacked), validation)
+    settings = replace(config, training=replace(config.second, seed=config.training.seed))
+    part = stage_progress(progress, share, 1.0)
+    return train_ensemble("class", data, settings, out_dir / "second", part, processes, first.network)
+
+
 def train_ensemble(
     task: Task,
     data: TrainingData,
@@ -203,12 +243,15 @@ def train_ensemble(
     out_dir: Path,
     progress: Progress | None,
     processes: int = 1,
+    start: CropNetwork | None = None,
 ) -> CalibratedNetwork:
     """Train and calibrate the network or ensemble of a task.
 
     The members of an ensemble differ in their seeds. The first has its checkpoint in ``out_dir``, the others
     in subfolders. Networks of classes do not depend on the classes' shares in the training data.
+    ``start`` is a network or ensemble to go on from.
     """
+    starts = [None] * ENSEMBLE_SIZE[task] if start is None else members_of(start)
     curves = summary_writer(out_dir) if config.tensorboard else None
     count = ENSEMBLE_SIZE[task]
 
@@ -223,7 +266,8 @@ def train_ensemble(
 
         folder = out_dir if member == 0 else out_dir / f"member{member}"
         settings = replace(config.training, seed=config.training.seed + member)
-        return fit_crop_network(task, data, settings, TrainingJob(folder, config.device, on_epoch), processes)
+        job = TrainingJob(folder, config.device, on_epoch, start=starts[member])
+        return fit_crop_network(task, data, settings, job, processes)
 
     network = ensemble_of([train(member) for member in range(count)])
     if task == "class":

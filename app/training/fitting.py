@@ -30,7 +30,7 @@ def fit_crop_network(
         with folder_of_arrays(job.directory) as folder:
             training = Mapped.write(data.training, folder / "training")
             validation = Mapped.write(data.validation, folder / "validation")
-            work = _CropWork(task, training, validation, config, job.directory, str(job.device))
+            work = _CropWork(task, training, validation, config, job.directory, str(job.device), job.start)
             run_on_ranks(_fit_crops, work, processes, str(job.device), job.progress)
     return train_crop_network(task, data, config, job)
 
@@ -57,11 +57,13 @@ class _CropWork:
     config: TrainingConfig
     directory: Path
     device: str
+    start: CropNet | None
 
 
 def _fit_crops(work: _CropWork, ranks: Ranks, report: Report) -> None:
     data = TrainingData(work.training.open(), work.validation.open())
-    train_crop_network(work.task, data, work.config, TrainingJob(work.directory, work.device, report, ranks))
+    job = TrainingJob(work.directory, work.device, report, ranks, work.start)
+    train_crop_network(work.task, data, work.config, job)
 
 
 @dataclass(frozen=True)

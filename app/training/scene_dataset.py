@@ -10,7 +10,7 @@ from __future__ import annotations
 import logging
 import math
 from collections.abc import Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from pathlib import Path
 from typing import TYPE_CHECKING
 
@@ -57,6 +57,7 @@ class Shard:
         number: Number of the shard in the data set.
         count: Number of images.
         crops_only: Whether the images are not kept.
+        stacked: Share of the images with objects on or in others.
     """
 
     directory: Path
@@ -65,6 +66,7 @@ class Shard:
     number: int
     count: int
     crops_only: bool = False
+    stacked: float = 0.0
 
     @property
     def scenes(self) -> Path:
@@ -155,6 +157,7 @@ def render_shards(
     progress: Progress | None = None,
     *,
     crops_only: bool = False,
+    stacked: float = 0.0,
 ) -> list[Shard]:
     """Render random scenes and return their shards; existing ones are reused.
 
@@ -166,12 +169,13 @@ def render_shards(
         workers: Where they are rendered.
         progress: Called after every shard.
         crops_only: Whether only crops are kept, which are about a quarter of the data.
+        stacked: Share of the images with objects on or in others.
 
     Raises:
         PerceptionError: A shard could not be rendered.
     """
     shards = [
-        Shard(directory, split, seed, number, min(SHARD, pictures - number * SHARD), crops_only)
+        Shard(directory, split, seed, number, min(SHARD, pictures - number * SHARD), crops_only, stacked)
         for number in range(max(1, math.ceil(pictures / SHARD)))
     ]
     write_shards(shards, render_shard, workers, f"rendering {split} scenes", progress)
@@ -185,7 +189,8 @@ def render_shard(shard: Shard) -> Contents:
     seed = np.random.SeedSequence([shard.seed, shard.number, shard.split == "test"])
     rng = np.random.default_rng(seed.spawn(1)[0])
     scenes, crops = [], []
-    with TrainingScenes(shard.split, int(seed.generate_state(1)[0]), training_scene_config()) as source:
+    config = replace(training_scene_config(), stacked=shard.stacked)
+    with TrainingScenes(shard.split, int(seed.generate_state(1)[0]), config) as source:
         for image in source.render(shard.count):
             if not shard.crops_only:
                 scenes.append(downscale_image(image))

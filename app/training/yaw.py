@@ -37,6 +37,7 @@ class TrainYawConfig(TrainDetectorConfig):
     """Configuration of the job; more epochs than for the detector, since only mugs are trained on."""
 
     further: int = 0
+    stacked: int = 0
     training: TrainingConfig = field(default_factory=lambda: TrainingConfig(epochs=28))
 
 

@@ -13,6 +13,7 @@ import itertools
 import json
 from collections.abc import Sequence
 from pathlib import Path
+from typing import cast
 
 import numpy as np
 import torch
@@ -105,6 +106,11 @@ def create_member(task: Task) -> CropNet:
 def ensemble_of(members: Sequence[CropNet]) -> CropNetwork:
     """Return the network itself if there is one, an ensemble of several."""
     return members[0] if len(members) == 1 else Ensemble(members)
+
+
+def members_of(network: CropNetwork) -> list[CropNet]:
+    """Return the networks of an ensemble, or the network itself."""
+    return [cast(CropNet, m) for m in network.members] if isinstance(network, Ensemble) else [network]
 
 
 def _convolution(narrow: int, wide: int, stride: int) -> nn.Module:

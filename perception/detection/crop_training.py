@@ -10,7 +10,6 @@ import math
 from collections.abc import Callable
 from dataclasses import dataclass
 from pathlib import Path
-from typing import cast
 
 import numpy as np
 import torch
@@ -28,8 +27,8 @@ from perception.detection.crop_augmentation import (
 from perception.detection.crop_network import (
     CropNet,
     CropNetwork,
-    Ensemble,
     create_member,
+    members_of,
     mirror_averaged_logits,
     normalise_crops,
 )
@@ -111,12 +110,14 @@ class TrainingJob:
         device: Torch device.
         progress: Called with (epochs or steps done, their total number, metrics), in the first process.
         ranks: Processes that share each batch; the first writes the checkpoint.
+        start: Network whose weights training starts from; random ones if None.
     """
 
     directory: Path
     device: str | torch.device = "cpu"
     progress: TrainingProgress | None = None
     ranks: Ranks = Ranks()
+    start: CropNet | None = None
 
 
 def train_crop_network(task: Task, data: TrainingData, config: TrainingConfig, job: TrainingJob) -> CropNet:
@@ -139,7 +140,7 @@ def train_crop_network(task: Task, data: TrainingData, config: TrainingConfig, j
     for name, crops in (("training", training), ("validation", validation)):
         if not len(crops) or crops.targets.shape[1] != OUTPUTS[task]:
             raise InvalidInputError(f"{name} crops for '{task}' must have (n > 0, {OUTPUTS[task]}) targets")
-    state = _initial_state(task, config, math.ceil(len(training) / config.batch), job.device)
+    state = _initial_state(task, config, math.ceil(len(training) / config.batch), job)
     checkpoint = job.directory / f"checkpoint_{task}.pt"
     start = resume_checkpoint(checkpoint, state)
 
@@ -158,13 +159,15 @@ def train_crop_network(task: Task, data: TrainingData, config: TrainingConfig, j
 
 
 def _initial_state(
-    task: Task, config: TrainingConfig, steps_per_epoch: int, device: str | torch.device
+    task: Task, config: TrainingConfig, steps_per_epoch: int, job: TrainingJob
 ) -> TrainingState[CropNet]:
     generator = torch.Generator().manual_seed(config.seed)
     with torch.random.fork_rng(devices=[]):
         torch.manual_seed(config.seed)
         network = create_member(task)
-    network = network.to(device)
+    if job.start is not None:
+        network.load_state_dict(job.start.state_dict())
+    network = network.to(job.device)
     network.to(memory_format=torch.channels_last)  # type: ignore[call-overload]
     optimizer = torch.optim.AdamW(
         network.parameters(), config.learning_rate, weight_decay=config.weight_decay
@@ -274,6 +277,6 @@ def equalise_priors(network: CropNetwork, targets: Float[np.ndarray, "n 5"]) -> 
     """
     counts = targets[:, :OTHER].sum(axis=0)
     shift = torch.from_numpy(np.append(np.log(counts.mean() / np.maximum(counts, 1.0)), 0.0)).float()
-    for member in network.members if isinstance(network, Ensemble) else [network]:
-        bias = cast(CropNet, member).logits.bias
+    for member in members_of(network):
+        bias = member.logits.bias
         bias += shift.to(bias.device)

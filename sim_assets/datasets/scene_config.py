@@ -56,6 +56,7 @@ class TrainingSceneConfig:
         textures_redrawn: number of items that get a new texture then; the ground always does.
         objects, extras: smallest and largest number of objects and of distractors in an image.
         gap: range of the minimum distance between neighbours in [m], sampled per image.
+        stacked: share of images with one to three further objects on or in others.
         crowded: share of images in which a random share of the items touch, or nearly touch, a neighbour.
         spread: range of the half side of the square that holds the items, in [m].
         distance, elevation, fovy: ranges of the camera's distance in [m], elevation in [rad] and vertical
@@ -88,6 +89,7 @@ class TrainingSceneConfig:
     objects: tuple[int, int] = (3, 10)
     extras: tuple[int, int] = (0, 4)
     gap: tuple[float, float] = (0.002, 0.05)
+    stacked: float = 0.0
     crowded: float = 0.6
     spread: tuple[float, float] = (0.18, 0.30)
     distance: tuple[float, float] = (0.35, 0.85)

@@ -81,7 +81,7 @@ def render_single_object(
         table.redraw_textures(rng)
         x, y = rng.uniform(-0.1, 0.1, 2)
         pose = PlanarPose(x, y, rng.uniform(-np.pi, np.pi))
-        table.show([0], [pose])
+        table.show([0], [pose.matrix])
         table.light(rng)
         longest = float(model.mesh.extents.max())
         height = model.height if T_rest is None else float(item.mesh.bounds[1, 2])

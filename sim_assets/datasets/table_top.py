@@ -8,9 +8,9 @@ import cv2
 import numpy as np
 import trimesh
 from jaxtyping import Float, Int
+from scipy.spatial.transform import Rotation
 
 from perception.types import CameraIntrinsics, RgbdFrame
-from sim_assets.cell.layout import PlanarPose
 from sim_assets.datasets.labels import InstanceLabel, LabelledImage
 from sim_assets.datasets.perceived import (
     TABLE,
@@ -33,6 +33,7 @@ from sim_assets.datasets.room import (
 )
 from sim_assets.datasets.scatter import TableItem, scatter
 from sim_assets.datasets.scene_config import TrainingSceneConfig
+from sim_assets.datasets.stacks import Stacks
 from sim_assets.rendering.camera import OPENCV_FROM_MUJOCO, OffscreenRenderer, intrinsics_of, look_at
 from sim_assets.rendering.depth_noise import DEPTH_NOISES, DepthNoise, add_depth_noise, nearest_depth
 from sim_assets.rendering.depth_sensors.registration import misregister
@@ -64,6 +65,7 @@ class TableTop:
     ) -> None:
         """Compile the model; ``surroundings`` are z up, standing on z = 0, in [m]."""
         self.items, self.config = items, config
+        self.stacks = Stacks(items)
         self.model = _build(items, surroundings, rng).compile()
         self.data = mujoco.MjData(self.model)
         self.room = Room(self.model, config.room, surroundings)
@@ -115,12 +117,18 @@ class TableTop:
         gap, spread = rng.uniform(*config.gap), rng.uniform(*config.spread)
         poses = scatter([self.items[i] for i in chosen], rng, gap, spread, touching)
         shown = [index for index, pose in zip(chosen, poses, strict=True) if pose is not None]
-        placed = [pose for pose in poses if pose is not None]
+        placed = [pose.matrix for pose in poses if pose is not None]
+        if config.stacked > 0 and rng.random() < config.stacked:
+            stacked = self.stacks.draw(shown, placed, rng)
+            shown, placed = [*shown, *stacked], [*placed, *stacked.values()]
         self.show(shown, placed)
         self.light(rng)
         fovy = rng.uniform(*config.fovy)
         noise = DEPTH_NOISES[rng.choice(len(DEPTH_NOISES), p=config.noises)]
-        heights = [float(self.items[int(index)].mesh.bounds[1, 2]) for index in shown]
+        heights = [
+            float(pose[2, 3] + self.items[index].mesh.bounds[1, 2])
+            for index, pose in zip(shown, placed, strict=True)
+        ]
         T_world_camera = self._aim(placed, rng, heights, nearest_depth(noise))
         self.room.vary(rng, spread, float(np.arctan2(T_world_camera[1, 3], T_world_camera[0, 3])))
         true, ids = self.capture(T_world_camera, fovy, rng.random() < config.shadows)
@@ -142,21 +150,21 @@ class TableTop:
     def _label(
         self,
         item: TableItem,
-        pose: PlanarPose,
+        T_world_item: Float[np.ndarray, "4 4"],
         pixels: int,
         frame: RgbdFrame,
         camera: CameraIntrinsics,
         scale: float = 1.0,
     ) -> InstanceLabel:
         assert frame.T_world_camera is not None
-        T_camera_object = np.linalg.inv(frame.T_world_camera) @ pose.matrix
+        T_camera_object = np.linalg.inv(frame.T_world_camera) @ T_world_item
         corners = item.mesh.vertices @ T_camera_object[:3, :3].T + T_camera_object[:3, 3]
         image = corners[:, :2] / np.maximum(corners[:, 2:], 0.05) * (camera.fx, camera.fy)
         area = float(cv2.contourArea(cv2.convexHull(image.astype(np.float32))))
-        foot = perceived_points(pose.matrix[None, :3, 3], camera, frame, scale)[0]
+        foot = perceived_points(T_world_item[None, :3, 3], camera, frame, scale)[0]
         height = float(item.mesh.bounds[1, 2])
         return InstanceLabel(
-            item.category, pose.matrix, pixels, area, height, foot, item.ignored, item.resting
+            item.category, T_world_item, pixels, area, height, foot, item.ignored, item.resting
         )
 
     def capture(
@@ -205,16 +213,16 @@ class TableTop:
         extras = rng.choice(np.flatnonzero(~kind), rng.integers(low, high + 1), replace=False)
         return [int(i) for i in rng.permutation(np.concatenate([objects, extras]))]
 
-    def show(self, shown: Sequence[int], placed: Sequence[PlanarPose]) -> None:
-        """Place some of the items and hide all others."""
+    def show(self, shown: Sequence[int], placed: Sequence[Float[np.ndarray, "4 4"]]) -> None:
+        """Place some of the items at their T_world_item and hide all others."""
         geoms = self._item_geoms()
         here = np.isin(self.item_of_geom[geoms], list(shown))
         self.model.geom_group[geoms] = np.where(here, SHOWN, HIDDEN)
         self.model.body_pos[self.model.geom_bodyid[geoms], 2] = BELOW  # some renderers draw all groups
         for index, pose in zip(shown, placed, strict=True):
             body = self.model.body(f"{_ITEM}{index}").id
-            self.model.body_pos[body] = (pose.x, pose.y, 0)
-            self.model.body_quat[body] = pose.quat_wxyz
+            self.model.body_pos[body] = pose[:3, 3]
+            self.model.body_quat[body] = Rotation.from_matrix(pose[:3, :3]).as_quat(scalar_first=True)
 
     def light(self, rng: np.random.Generator) -> None:
         """Randomise the lighting."""
@@ -231,7 +239,7 @@ class TableTop:
 
     def _aim(
         self,
-        placed: Sequence[PlanarPose],
+        placed: Sequence[Float[np.ndarray, "4 4"]],
         rng: np.random.Generator,
         heights: Sequence[float] = (),
         nearest: float = 0.0,
@@ -243,8 +251,8 @@ class TableTop:
         """
         azimuth, elevation = rng.uniform(-np.pi, np.pi), rng.uniform(*self.config.elevation)
         distance = rng.uniform(*self.config.distance)
-        seen = placed[int(rng.integers(len(placed)))] if placed else PlanarPose(0, 0, 0)
-        target = rng.uniform(0.3, 1.0) * np.array([seen.x, seen.y, 0]) + (0, 0, rng.uniform(0, 0.08))
+        seen = placed[int(rng.integers(len(placed)))] if placed else np.eye(4)
+        target = rng.uniform(0.3, 1.0) * np.array([*seen[:2, 3], 0]) + (0, 0, rng.uniform(0, 0.08))
         away = np.array([
             np.cos(elevation) * np.cos(azimuth), np.cos(elevation) * np.sin(azimuth), np.sin(elevation)
         ])  # fmt: skip
@@ -255,10 +263,12 @@ class TableTop:
         return look_at(target + distance * away, target, roll)
 
 
-def _closest(placed: Sequence[PlanarPose], heights: Sequence[float], eye: Float[np.ndarray, "3"]) -> float:
+def _closest(
+    placed: Sequence[Float[np.ndarray, "4 4"]], heights: Sequence[float], eye: Float[np.ndarray, "3"]
+) -> float:
     """Return the distance in [m] from a point to the nearest of the items' axes."""
     gaps = [
-        np.hypot(np.hypot(eye[0] - pose.x, eye[1] - pose.y), eye[2] - np.clip(eye[2], 0.0, height))
+        np.hypot(np.hypot(*(eye[:2] - pose[:2, 3])), eye[2] - np.clip(eye[2], 0.0, height))
         for pose, height in zip(placed, heights, strict=True)
     ]
     return float(min(gaps, default=np.inf))

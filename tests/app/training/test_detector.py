@@ -10,9 +10,11 @@ from app.jobs import Workers
 from app.training.crop_dataset import LabelledCrops
 from app.training.detector import (
     CalibratedNetwork,
+    CropSplits,
     TrainDetectorConfig,
     render_data_sets,
     stage_progress,
+    train_class,
 )
 from app.training.resources import Resources
 from app.training.scene_dataset import Shard
@@ -34,8 +36,8 @@ def random_crops(seed):
     return LabelledCrops(images, np.zeros((n, 2), np.float32), label, yaw, handle)
 
 
-def one_shard(folder, split, pictures, seed, *_, crops_only=False):
-    return [Shard(folder, split, seed, 0, pictures, crops_only)]
+def one_shard(folder, split, pictures, seed, *_, **options):
+    return [Shard(folder, split, seed, 0, pictures, **options)]
 
 
 @pytest.fixture(autouse=True)
@@ -50,7 +52,7 @@ def no_rendering(monkeypatch):
 def test_the_detector_job_writes_weights_and_a_card(tmp_path):
     reported = []
     metrics = train_detector.run(
-        train_detector.TrainDetectorConfig(training=TINY),
+        TrainDetectorConfig(training=TINY, second=TINY),
         tmp_path,
         lambda what, share: reported.append((what, share)),
     )
@@ -62,6 +64,8 @@ def test_the_detector_job_writes_weights_and_a_card(tmp_path):
     assert reported[-1] == ("epoch 1 of 1", 1.0)
     assert np.sum(metrics["confusion"]) == 20
     assert (tmp_path / "checkpoint_class.pt").is_file()
+    assert (tmp_path / "second" / "checkpoint_class.pt").is_file()
+    assert 0 <= metrics["accuracy_with_stacks"] <= 1
     load_scene_network(tmp_path / "scene.safetensors")
 
 
@@ -92,37 +96,67 @@ def test_training_and_validation_are_of_the_training_families_and_test_of_the_te
 ):
     calls = []
 
-    def render(folder, split, pictures, seed, workers, progress, *, crops_only):
+    def render(folder, split, pictures, seed, workers, progress, **options):
         progress("rendering", 1.0)
-        calls.append((split, pictures, seed, crops_only))
+        calls.append((split, pictures, seed, options))
         return []
 
     monkeypatch.setattr(train_detector, "render_shards", render)
     reported = []
     config = TrainDetectorConfig(
-        pictures=8, further=4, validation=5, test=3, training=TrainingConfig(seed=11)
+        pictures=8, further=4, validation=5, test=3, stacked=7, training=TrainingConfig(seed=11)
     )
     render_data_sets(config, tmp_path, lambda _, share: reported.append(share))
     # other seeds for validation and further crops: their shapes are not those of training
+    alone, stacks = {"crops_only": True}, {"crops_only": True, "stacked": 0.5}
     assert calls == [
-        ("train", 8, 11, False), ("train", 4, 13, True), ("train", 5, 12, False), ("test", 3, 11, False)
+        ("train", 8, 11, {}), ("train", 4, 13, alone), ("train", 5, 12, {}), ("test", 3, 11, {}),
+        ("train", 7, 14, stacks), ("test", 3, 14, stacks),
     ]  # fmt: skip
-    assert reported == pytest.approx(np.array([0.4, 0.6, 0.85, 1.0]) * train_detector.RENDERING_SHARE)
-    render_data_sets(replace(config, further=0), tmp_path, None)
-    assert [split for split, *_ in calls[4:]] == ["train", "train", "test"]
+    shares = np.cumsum([8, 4, 5, 3, 7, 3]) / 30
+    assert reported == pytest.approx(shares * train_detector.RENDERING_SHARE)
+    render_data_sets(replace(config, further=0, stacked=0), tmp_path, None)
+    assert [split for split, *_ in calls[6:]] == ["train", "train", "test"]
 
 
 def test_the_class_network_alone_learns_from_further_crops(tmp_path, monkeypatch):
     loaded = []
     monkeypatch.setattr(train_detector, "load_crops", lambda files: loaded.append(files) or random_crops(0))
-    data_sets = render_data_sets(TrainDetectorConfig(pictures=5, further=6), tmp_path, None)
+    data_sets = render_data_sets(TrainDetectorConfig(pictures=5, further=6, stacked=7), tmp_path, None)
     data_sets.crops()
     names = [[file.name for file in files] for files in loaded]
     assert names[0] == ["crops_train_seed0_n5_000.npz", "crops_train_seed2_n6_000.npz"]
     assert [name[0] for name in names[1:]] == [
         "crops_train_seed1_n300_000.npz",
         "crops_test_seed0_n300_000.npz",
+        "crops_train_seed3_n7_000.npz",
+        "crops_test_seed3_n300_000.npz",
     ]
+
+
+def test_the_second_cycle_goes_on_from_the_first_on_images_with_stacks(tmp_path, monkeypatch):
+    calls, progress = [], []
+
+    def fit(task, data, config, job, processes):
+        calls.append((len(data.training), config, job, create_member(task).eval()))
+        job.progress(config.epochs, config.epochs, {})
+        return calls[-1][-1]
+
+    monkeypatch.setattr(train_detector, "fit_crop_network", fit)
+    crops = random_crops(0)
+    splits = CropSplits(crops, crops, crops, crops.subset(np.arange(10)))
+    config = TrainDetectorConfig(
+        training=replace(TINY, seed=5), second=TrainingConfig(epochs=2, learning_rate=1e-4)
+    )
+    trained = train_class(splits, config, tmp_path, lambda _, share: progress.append(share))
+    (first, second), folders = calls, [job.directory for _, _, job, _ in calls]
+    assert (first[0], second[0]) == (20, 10) and folders == [tmp_path, tmp_path / "second"]
+    assert first[1] == config.training and second[1] == replace(config.second, seed=5)
+    assert first[2].start is None and second[2].start is first[3] and trained.network is second[3]
+    assert progress == [0.5, 1.0]  # as many crops in each cycle
+    calls.clear()
+    train_class(replace(splits, stacked=None), config, tmp_path, None)
+    assert len(calls) == 1
 
 
 def test_resources_reach_rendering_and_both_networks(tmp_path, monkeypatch):
@@ -132,7 +166,7 @@ def test_resources_reach_rendering_and_both_networks(tmp_path, monkeypatch):
         used["workers"] = workers
         return one_shard(folder, split, pictures, seed, **options)
 
-    def train(task, data, config, out_dir, progress, processes):
+    def train(task, data, config, out_dir, progress, processes, start=None):
         used["class"] = processes
         return CalibratedNetwork(create_network("class").eval(), 1.0)
 
@@ -147,8 +181,9 @@ def test_resources_reach_rendering_and_both_networks(tmp_path, monkeypatch):
 
 
 def test_sets_are_used_for_training_calibration_and_evaluation(tmp_path, monkeypatch):
-    """Sets differ in their sizes: training 20, validation 21, test 22."""
-    used, sizes = {}, {("train", 0): 20, ("train", 1): 21, ("test", 0): 22}
+    """Sets differ in their sizes: training 20, validation 21, test 22, with stacks 23 and 24."""
+    used = {}
+    sizes = {("train", 0): 20, ("train", 1): 21, ("test", 0): 22, ("train", 3): 23, ("test", 3): 24}
 
     def crops(files):
         (split, seed), crops = files[0].name.split("_")[1:3], random_crops(0)
@@ -158,18 +193,19 @@ def test_sets_are_used_for_training_calibration_and_evaluation(tmp_path, monkeyp
     monkeypatch.setattr(train_detector, "load_crops", crops)
 
     def train(task, data, *_):
-        used.update(training=len(data.training), validation=len(data.validation))
+        used.setdefault("training", []).append(len(data.training))
+        used["validation"] = len(data.validation)
         return CalibratedNetwork(create_network("class").eval(), 1.0)
 
     monkeypatch.setattr(train_detector, "train_ensemble", train)
     metrics = train_detector.run(TrainDetectorConfig(training=TINY), tmp_path)
-    assert used == {"training": 20, "validation": 21} and metrics["crops"] == 22
+    assert used == {"training": [20, 23], "validation": 21} and metrics["crops"] == 22
 
 
 def test_the_scenes_of_the_scene_network_are_those_for_training(tmp_path, monkeypatch):
     loaded = []
     monkeypatch.setattr(train_detector, "load_scenes", loaded.extend)
-    train_detector.run(TrainDetectorConfig(training=TINY, pictures=5), tmp_path)
+    train_detector.run(TrainDetectorConfig(training=TINY, second=TINY, pictures=5), tmp_path)
     assert [file.name for file in loaded] == ["scenes_train_seed0_n5_000.npz"]
 
 

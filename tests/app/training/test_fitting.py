@@ -7,9 +7,10 @@ import torch
 from app.training import fitting
 from app.training.fitting import fit_crop_network, fit_scene_network
 from app.training.scene_dataset import MAX_THINGS, LabelledScenes
-from perception.detection.crop_network import predict
+from perception.detection.crop_network import create_member, predict
 from perception.detection.crop_training import CropSet, TrainingConfig, TrainingData, TrainingJob
 from perception.detection.scene_training import SceneTrainingConfig
+from perception.distributed import Ranks
 
 
 def crops(count):
@@ -61,6 +62,17 @@ def test_the_scene_network_is_fitted_by_several_processes(tmp_path):
     alone = fit_scene_network(scenes(3), config, TrainingJob(tmp_path / "alone"))
     for name, value in alone.state_dict().items():
         torch.testing.assert_close(network.state_dict()[name], value, rtol=0.1, atol=0.02)
+
+
+def test_several_processes_start_from_the_given_weights(tmp_path, monkeypatch):
+    def in_this_process(function, work, processes, device, report=None):
+        function(work, Ranks(), report or (lambda *_: None))
+
+    monkeypatch.setattr(fitting, "run_on_ranks", in_this_process)
+    data, start = TrainingData(crops(9), crops(4)), create_member("class")
+    config = TrainingConfig(epochs=1, batch=9, learning_rate=1e-9, warmup=0.0)
+    network = fit_crop_network("class", data, config, TrainingJob(tmp_path, start=start), processes=2)
+    torch.testing.assert_close(network.logits.weight, start.logits.weight, rtol=0.0, atol=1e-6)
 
 
 def test_one_process_starts_no_others(tmp_path, monkeypatch):

@@ -119,6 +119,20 @@ def test_shards_without_images_have_the_same_crops(tmp_path, monkeypatch):
     assert found.crops.read_bytes() == b"crops" and not found.scenes.exists()
 
 
+def test_a_share_of_the_images_of_a_shard_has_stacks(tmp_path, monkeypatch):
+    used = []
+
+    class Recorded(TrainingScenes):
+        def __init__(self, split, seed, config):
+            used.append(config.stacked)
+            super().__init__(split, seed, CONFIG)
+
+    monkeypatch.setattr("sim_assets.datasets.training_scenes.TrainingScenes", Recorded)
+    render_shards(tmp_path, "train", 1, seed=3, crops_only=True, stacked=0.5)
+    render_shards(tmp_path, "train", 1, seed=4, crops_only=True)
+    assert used == [0.5, 0.0]
+
+
 def test_a_failed_shard_ends_the_job(tmp_path, monkeypatch):
     monkeypatch.setattr(pictures, "render_shard", lambda shard: 1 / 0)
     with pytest.raises(PerceptionError, match="rendering test scenes: shard 0 crashed: ZeroDivisionError"):

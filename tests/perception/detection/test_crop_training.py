@@ -6,6 +6,7 @@ import torch
 
 from perception.detection.crop_network import (
     CropNet,
+    create_member,
     ensemble_of,
     normalise_crops,
     predict,
@@ -85,6 +86,16 @@ def test_a_resumed_run_ends_like_an_uninterrupted_one(tmp_path):
     x = normalise_crops(torch.from_numpy(validation.images)), torch.from_numpy(validation.context)
     # Dropout draws from the global generator, so weights agree only nearly.
     assert torch.allclose(whole(*x), resumed(*x), atol=0.5)
+
+
+def test_training_starts_from_the_given_weights(tmp_path):
+    crops = synthetic(32)[0]
+    data, start = TrainingData(crops, crops), create_member("class")
+    config = TrainingConfig(epochs=1, batch=32, learning_rate=1e-9, warmup=0.0)
+    for given in (start, None):
+        job = TrainingJob(tmp_path / str(given is None), start=given)
+        network = train_crop_network("class", data, config, job)
+        assert torch.allclose(network.logits.weight, start.logits.weight, atol=1e-6) == (given is start)
 
 
 def test_a_checkpoint_of_another_configuration_is_rejected(tmp_path):

@@ -34,7 +34,7 @@ def table():
 @pytest.fixture
 def overhead(table):
     """A camera 0.8 m above the origin, image x along world x: item 0 rotated by 90° at (0.1, 0.05)."""
-    table.show([0], [PlanarPose(0.1, 0.05, np.pi / 2)])
+    table.show([0], [PlanarPose(0.1, 0.05, np.pi / 2).matrix])
     T = np.diag([1.0, -1.0, -1.0, 1.0])
     T[2, 3] = 0.8
     return table.capture(T, FOVY, False)
@@ -59,7 +59,7 @@ def test_hidden_items_are_in_no_image(table, overhead):
     assert set(np.unique(overhead[1])) == {-1, 0}
     T = np.diag([1.0, -1.0, -1.0, 1.0])
     T[2, 3] = 0.8
-    table.show([2, 1], [PlanarPose(-0.1, 0.0, 0.0), PlanarPose(0.1, 0.0, 0.3)])
+    table.show([2, 1], [PlanarPose(-0.1, 0.0, 0.0).matrix, PlanarPose(0.1, 0.0, 0.3).matrix])
     ids = table.capture(T, FOVY, False)[1]
     assert set(np.unique(ids)) == {-1, 1, 2}
     assert np.nonzero(ids == 2)[1].mean() < 80 < np.nonzero(ids == 1)[1].mean()
@@ -67,12 +67,12 @@ def test_hidden_items_are_in_no_image(table, overhead):
 
 def test_label_has_the_area_of_the_projected_hull(table, overhead):
     frame, _ = overhead
-    pose = PlanarPose(0.0, 0.0, 0.0)
+    pose = PlanarPose(0.0, 0.0, 0.0).matrix
     label = table._label(table.items[0], pose, 17, frame, frame.intrinsics)
     z, f = 0.7, frame.intrinsics.fx
     assert label.outline_pixels == pytest.approx(0.04 * 0.12 * (f / z) ** 2, rel=1e-3)
     assert (label.category, label.pixels, label.height) == ("can", 17, pytest.approx(0.1))
-    np.testing.assert_allclose(label.T_world_object, pose.matrix)
+    np.testing.assert_allclose(label.T_world_object, pose)
     np.testing.assert_allclose(label.foot, (0, 0, 0), atol=1e-9)
 
 
@@ -87,7 +87,7 @@ def test_depth_noise_is_drawn_with_its_probabilities(table, monkeypatch):
 
 
 def test_a_frame_is_sensed_with_noise_and_calibration_errors(table):
-    table.show([0], [PlanarPose(0.0, 0.0, 0.0)])
+    table.show([0], [PlanarPose(0.0, 0.0, 0.0).matrix])
     true, _ = table.capture(look_at(np.array([0.3, 0.0, 0.6]), np.zeros(3)), FOVY, False)
     gaussian = table.sense(true, "gaussian", np.random.default_rng(0))
     assert np.std(gaussian.depth - true.depth) == pytest.approx(0.002, rel=0.1)
@@ -125,7 +125,7 @@ def test_number_of_objects_and_distractors_is_in_its_range(table):
 
 def test_camera_looks_near_an_item_from_the_configured_range(table):
     rng = np.random.default_rng(1)
-    placed = [PlanarPose(0.2, 0.1, 0.0)]
+    placed = [PlanarPose(0.2, 0.1, 0.0).matrix]
     for _ in range(50):
         T = table._aim(placed, rng)
         low, high = CONFIG.distance
@@ -141,12 +141,36 @@ def test_camera_looks_near_an_item_from_the_configured_range(table):
 def test_camera_keeps_the_distance_of_its_sensor(table):
     """A tall item under the camera counts with its top, not with its foot."""
     rng = np.random.default_rng(2)
-    placed, heights = [PlanarPose(0.2, 0.1, 0.0), PlanarPose(-0.1, 0.0, 0.0)], [0.05, 0.25]
+    poses = PlanarPose(0.2, 0.1, 0.0), PlanarPose(-0.1, 0.0, 0.0)
+    placed, heights = [pose.matrix for pose in poses], [0.05, 0.25]
     for _ in range(30):
         eye = table._aim(placed, rng, heights, nearest=0.6)[:3, 3]
-        for pose, height in zip(placed, heights, strict=True):
+        for pose, height in zip(poses, heights, strict=True):
             points = np.array([(pose.x, pose.y, z) for z in np.linspace(0, height, 26)])
             assert np.linalg.norm(points - eye, axis=1).min() > 0.6 - 1e-3
+
+
+def test_stacked_items_are_rendered_and_labelled_at_their_height():
+    items = [make_item("bowl", box(0.09, 0.09, 0.05)), make_item("can", box(0.03, 0.03, 0.06))]
+    table = TableTop(
+        items, replace(CONFIG, objects=(1, 1), extras=(0, 0), stacked=1.0), np.random.default_rng(0)
+    )
+    images = [table.picture(np.random.default_rng(seed)) for seed in range(12)]
+    table.close()
+    assert all(len(image.labels) == 2 for image in images)
+    upper = [image for image in images if image.labels[1].category == "can"]
+    assert 0 < len(upper) < 12
+    for image in upper:
+        T = image.labels[1].T_world_object
+        assert T[2, 3] == pytest.approx(0.05, abs=0.025)  # up to 22 degrees of tilt
+        v, u = np.nonzero(image.instances == 1)
+        if len(v) < 30:
+            continue
+        k, z = image.frame.intrinsics, image.frame.depth[v, u]
+        eye = image.frame.T_world_camera
+        points = np.stack([(u - k.cx) / k.fx * z, (v - k.cy) / k.fy * z, z], 1) @ eye[:3, :3].T + eye[:3, 3]
+        local = (points - T[:3, 3]) @ T[:3, :3]
+        assert (np.abs(local - (0, 0, 0.03)) < (0.0165, 0.0165, 0.0315)).all(axis=1).mean() > 0.9
 
 
 def test_furniture_is_no_item_but_marked():
