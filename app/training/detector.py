@@ -78,7 +78,7 @@ class TrainDetectorConfig:
     validation: int = 300
     test: int = 300
     training: TrainingConfig = field(default_factory=lambda: TrainingConfig(epochs=8))
-    second: TrainingConfig = field(default_factory=lambda: TrainingConfig(epochs=8, learning_rate=1e-3))
+    second: TrainingConfig = field(default_factory=lambda: TrainingConfig(epochs=12, learning_rate=1e-3))
     scene_passes: float = 5 / 4
     tensorboard: bool = False
     device: str = "cpu"
@@ -158,7 +158,7 @@ def run(
         stacked = class_metrics(crops.stacked_test, trained.probabilities(crops.stacked_test))
         metrics |= {"accuracy_with_stacks": stacked["accuracy"]}
     trained.save(out_dir / WEIGHTS_FILES["class"], "class", config)
-    card = _card(config, metrics, scene, trained, len(crops.training))
+    card = _card(config, metrics, scene, trained, crops)
     card += checksums(out_dir / SCENE_WEIGHTS_FILE, out_dir / WEIGHTS_FILES["class"])
     (out_dir / "detector.md").write_text(card, "utf-8")
     return metrics
@@ -328,7 +328,7 @@ def _card(
     metrics: dict[str, Any],
     scene: SceneNet,
     trained: CalibratedNetwork,
-    crops: int,
+    crops: CropSplits,
 ) -> str:
     """Return the model card in Markdown: architecture, training, data, evaluation and limitations."""
     header = "| true \\ predicted | " + " | ".join(LABELS) + " | right |\n|" + " --- |" * (len(LABELS) + 2)
@@ -336,10 +336,16 @@ def _card(
         f"| {name} | " + " | ".join(str(n) for n in row) + f" | {metrics['accuracy_per_class'][name]:.3f} |"
         for name, row in zip(LABELS, metrics["confusion"])
     )
+    second = stacked = evaluated = ""
+    if crops.stacked is not None:
+        second = _SECOND.format(second=config.second)
+        stacked = _STACKED.format(config=config, crops=len(crops.stacked), share=STACKED)
+        evaluated = f", {metrics['accuracy_with_stacks']:.3f} on as many scenes with stacks in half of them"
     return _CARD.format(
         scene_parameters=sum(p.numel() for p in scene.parameters()),
         parameters=sum(p.numel() for p in trained.network.parameters()),
-        temperature=trained.temperature, crops=crops,
+        temperature=trained.temperature, crops=len(crops.training),
+        second=second, stacked=stacked, evaluated=evaluated,
         class_share=1 - SCENE_WEIGHT, instance_share=SCENE_WEIGHT,
         config=config, training=config.training,
         scene_epochs=config.scene_epochs, torch=torch.__version__.split("+")[0],
@@ -365,7 +371,7 @@ alone.
 
 **Training**: `nodeslam train detector --seed {training.seed}` with torch {torch}: {scene_epochs} epochs of
 the instance network with batch size 8, {training.epochs} of the class network with batch size
-{training.batch}, AdamW with learning rate {training.learning_rate} and cosine decay, on a CPU, in
+{training.batch}, AdamW with learning rate {training.learning_rate} and cosine decay{second}. On a CPU, in
 bfloat16 with float32 weights where the CPU computes with it, else in float32.
 
 **Data**: {config.pictures} scenes with objects of the training families and distractors, rendered at 640 x
@@ -378,10 +384,11 @@ down to contact; depth of structured light, active stereo and time of flight
 (`sim_assets/rendering/depth_noise.py`), half of it with errors of calibration between colour and depth. The
 images are mirrored, recoloured, and lose further depth. From these images and {config.further} more of
 their kind {crops} crops for the class network: the true masks made ragged, truncated, incomplete, or extended
-by a part of a neighbour; crops are mirrored, warped, shifted, truncated and recoloured. No photographs.
+by a part of a neighbour; crops are mirrored, warped, shifted, truncated and recoloured.{stacked} No
+photographs.
 
 **Evaluation of the class network** on {m[crops]} such masks in {config.test} such scenes of the test
-families and held-out distractors, single views: accuracy {m[accuracy]:.3f}, of objects alone
+families and held-out distractors, single views: accuracy {m[accuracy]:.3f}{evaluated}; of objects alone
 {m[accuracy_objects]:.3f}; distractors classified as objects {m[distractors_taken_for_objects]:.3f}, objects
 classified as other {m[objects_taken_for_distractors]:.3f}; expected calibration error
 {m[calibration_error]:.3f}.
@@ -390,6 +397,14 @@ classified as other {m[objects_taken_for_distractors]:.3f}; expected calibration
 
 `nodeslam evaluate detection` evaluates the whole detector.
 
-**Limitations**: upright objects on a plane. Most errors occur with strong occlusion and with parts
-truncated by the image border. Stacked objects, clear glass and real images are not in the training data.
+**Limitations**: upright objects, on a plane or on and in each other. Most errors occur with strong occlusion
+and with parts truncated by the image border. Clear glass and real images are not in the training data, stacks
+not in those of the instance network.
 """
+
+_SECOND = """; the class network goes on in a second
+cycle of {second.epochs} epochs with learning rate {second.learning_rate}"""
+
+_STACKED = """
+The second cycle learns from {crops} crops of {config.stacked} other images, {share:.0%} of which show objects
+that stand on or in others (`sim_assets/datasets/stacks.py`)."""

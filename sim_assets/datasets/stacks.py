@@ -33,11 +33,8 @@ _LEANING = 0.4  # share of the objects in bowls and mugs that lean
 _MOST_LEANING = np.radians(22)
 _SUPPORTED = 0.005  # [m], smallest height of the upper object's base above the table
 _TRIES = 8
-_WIDEST: dict[Category, float] = {
-    "bowl": 1.05,
-    "can": 3.0,
-    "mug": 3.0,
-}  # reach of the upper object, as a multiple of the lower's
+# Largest reach of the upper object, as a multiple of the lower one's, by the class of the lower.
+_WIDEST: dict[Category, float] = {"bowl": 1.05, "can": 3.0, "mug": 3.0}
 
 
 class Stacks:
