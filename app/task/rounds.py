@@ -22,6 +22,7 @@ if TYPE_CHECKING:
     from app.task.task_types import TaskResult
 
 COVERED = "what rests on it is packed first, then it is looked at again"
+NOT_FOUND_AGAIN = "what came before it was packed, but it was not recognised again"
 SAME_PLACE = 0.06  # [m] between a new estimate and one of the round before, within which it replaces that
 
 
@@ -184,7 +185,12 @@ def with_round(
         | dict(result.plan.objects)
         | {estimate.name: plan.objects[estimate.name] for estimate in found if estimate.name in plan.objects},
         placements=(*(p for p in result.plan.placements if p.name in names - goals), *plan.placements),
-        left_out={n: why for n, why in result.plan.left_out.items() if n in names} | dict(plan.left_out),
+        left_out={
+            name: NOT_FOUND_AGAIN if why == COVERED else why
+            for name, why in result.plan.left_out.items()
+            if name in names
+        }
+        | dict(plan.left_out),
         obstacles=tuple(obstacles),
     )
     return replace(

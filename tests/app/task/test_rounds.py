@@ -7,6 +7,7 @@ import pytest
 
 from app.task.rounds import (
     COVERED,
+    NOT_FOUND_AGAIN,
     as_first_seen,
     expected_pose,
     has_changed,
@@ -100,6 +101,13 @@ def test_what_was_not_placed_is_replaced_by_what_is_found_in_its_place(result, c
     assert [estimate.id for estimate in far.objects] == [0, 1, 2] and far.plan.left_out == {
         "can_1": "too far"
     }
+
+
+def test_what_waited_and_was_not_found_again_waits_no_longer(result, can_at, pack_plan):
+    waited = replace(result, plan=replace(pack_plan, left_out={"can_1": COVERED, "can_9": COVERED}))
+    plan = replace(pack_plan, objects={}, placements=(), left_out={"can_2": COVERED})
+    merged = with_round(waited, [can_at(2, 0.8)], plan, [], ())
+    assert merged.plan.left_out == {"can_1": NOT_FOUND_AGAIN, "can_2": COVERED}
 
 
 @pytest.mark.parametrize("attempts", [0, 1])
