@@ -64,7 +64,7 @@ _OWN_NAMES = re.compile(
             r"(?:scenes|pose_scenes|axis_scenes|train_shapes|test_shapes)/\w+\.npz",
             r"fits/\w+\.json",
             r"(?:second/)?(?:member\d+/)?mapped/\w+/\w+\.npy",
-            r"events\.out\.tfevents\.[\w.-]+",
+            r"(?:second/)?events\.out\.tfevents\.[\w.-]+",
         )
     )
 )

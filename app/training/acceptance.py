@@ -17,8 +17,8 @@ from jaxtyping import Bool, Float
 from scipy.optimize import minimize
 
 from app.training.acceptance_fits import collect
+from app.training.class_metrics import calibration_error
 from app.training.crop_dataset import Progress
-from app.training.detector import calibration_error
 from app.training.files import checksums
 from app.training.resources import Resources
 from perception.errors import PerceptionError

@@ -13,9 +13,10 @@ from typing import Any
 
 import numpy as np
 import torch
-from jaxtyping import Float, Int
+from jaxtyping import Float
 
 from app.jobs import Workers
+from app.training.class_metrics import class_metrics
 from app.training.crop_dataset import LabelledCrops, Progress, Split
 from app.training.files import checksums, summary_writer
 from app.training.fitting import fit_crop_network, fit_scene_network
@@ -47,7 +48,6 @@ from perception.detection.detector import SCENE_SHARE as SCENE_WEIGHT
 from perception.detection.scene_network import SceneNet, save_scene_network
 from perception.detection.scene_training import SceneTrainingConfig
 from perception.detection.tasks import ENSEMBLE_SIZE, LABELS, SCENE_WEIGHTS_FILE, WEIGHTS_FILES, Task
-from perception.types import OTHER
 
 logger = logging.getLogger(__name__)
 RENDERING_SHARE, SCENE_SHARE = 0.25, 0.9  # progress of the job after rendering and after the scene network
@@ -66,7 +66,8 @@ class TrainDetectorConfig:
         validation: Number of further images of the training families for the calibration.
         test: Number of images of the test families for the evaluation.
         training: Hyperparameters of the class network; its seed is that of all networks.
-        second: Hyperparameters of its second cycle, which starts from the network of the first.
+        second: Hyperparameters of its second cycle, which starts from the network of the first; all but the
+            seed.
         scene_passes: Epochs of the scene network relative to those of the class network.
         tensorboard: Whether to write TensorBoard curves (extra `train`).
         device: Torch device for training.
@@ -169,23 +170,22 @@ def render_data_sets(
 ) -> DataSets:
     """Render the data sets, or find those already in the folder."""
     folder, seed = out_dir / "scenes", config.training.seed
-    tested = config.test if config.stacked else 0
-    parts = (config.pictures, config.further, config.validation, config.test, config.stacked, tested)
-    ends = RENDERING_SHARE * np.cumsum(parts) / sum(parts)
+    tested, done = config.test if config.stacked else 0, 0
+    total = config.pictures + config.further + config.validation + config.test + config.stacked + tested
 
-    def shards(number: int, split: Split, seed: int, **options: Any) -> list[Shard]:
-        if not parts[number]:
-            return []
-        part = stage_progress(progress, ends[number - 1] if number else 0.0, ends[number])
-        return render_shards(folder, split, parts[number], seed, workers, part, **options)
+    def shards(split: Split, pictures: int, seed: int, **options: Any) -> list[Shard]:
+        nonlocal done
+        low, done = done, done + pictures
+        part = stage_progress(progress, *(RENDERING_SHARE * count / total for count in (low, done)))
+        return render_shards(folder, split, pictures, seed, workers, part, **options) if pictures else []
 
     return DataSets(  # other seeds: the shapes of validation are not those of training
-        shards(0, "train", seed),
-        shards(1, "train", seed + 2, crops_only=True),
-        shards(2, "train", seed + 1),
-        shards(3, "test", seed),
-        shards(4, "train", seed + 3, crops_only=True, stacked=STACKED),
-        shards(5, "test", seed + 3, crops_only=True, stacked=STACKED),
+        shards("train", config.pictures, seed),
+        shards("train", config.further, seed + 2, crops_only=True),
+        shards("train", config.validation, seed + 1),
+        shards("test", config.test, seed),
+        shards("train", config.stacked, seed + 3, crops_only=True, stacked=STACKED),
+        shards("test", tested, seed + 3, crops_only=True, stacked=STACKED),
     )
 
 
@@ -283,39 +283,6 @@ def _report(progress: Progress | None, what: str, share: float) -> None:
 def class_targets(crops: LabelledCrops) -> CropSet:
     """Return the crops with one-hot class targets."""
     return CropSet(crops.images, crops.context, np.eye(len(LABELS), dtype=np.float32)[crops.label])
-
-
-def class_metrics(crops: LabelledCrops, probabilities: Float[np.ndarray, "n 5"]) -> dict[str, Any]:
-    """Return accuracies, confusion matrix and calibration error of class probabilities on crops."""
-    best = probabilities.argmax(1)
-    confusion = confusion_matrix(crops.label, best)
-    objects, distractors = crops.label != OTHER, crops.label == OTHER
-    confidence = probabilities[np.arange(len(best)), best]
-    return {
-        "crops": len(crops),
-        "accuracy": float((best == crops.label).mean()),
-        "accuracy_objects": float((best == crops.label)[objects].mean()),
-        "accuracy_per_class": {
-            name: float(confusion[i, i] / max(confusion[i].sum(), 1)) for i, name in enumerate(LABELS)
-        },
-        "distractors_taken_for_objects": float((best[distractors] != OTHER).mean()),
-        "objects_taken_for_distractors": float((best[objects] == OTHER).mean()),
-        "calibration_error": calibration_error(confidence, best == crops.label),
-        "confusion": confusion.tolist(),
-    }
-
-
-def confusion_matrix(true: Int[np.ndarray, "n"], predicted: Int[np.ndarray, "n"]) -> Int[np.ndarray, "5 5"]:
-    """Return the counts of (true class, predicted class); rows are true classes."""
-    size = len(LABELS)
-    return np.bincount(true * size + predicted, minlength=size**2).reshape(size, size)
-
-
-def calibration_error(score: Float[np.ndarray, "n"], correct: np.ndarray, bins: int = 10) -> float:
-    """Return the expected calibration error: mean gap of confidence and accuracy over equal bins of score."""
-    index = np.minimum((score * bins).astype(int), bins - 1)
-    gaps = [abs((score - correct)[index == b].sum()) for b in range(bins)]
-    return float(sum(gaps) / len(score))
 
 
 def provenance(config: TrainDetectorConfig) -> dict[str, str]:

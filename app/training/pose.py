@@ -53,6 +53,7 @@ class TrainPoseConfig(TrainDetectorConfig):
 
     pictures: int = 10000
     further: int = 0
+    stacked: int = 0
     training: TrainingConfig = field(default_factory=lambda: TrainingConfig(epochs=22))
 
 

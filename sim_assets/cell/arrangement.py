@@ -29,7 +29,7 @@ SUPPORTED = 0.005  # [m], smallest height of its base above the table
 MOST_STEPS = 3000  # candidates that a search examines before the counts are refused
 _LYING: tuple[Category, ...] = ("bottle", "can", "mug")
 _UPSIDE_DOWN: tuple[Category, ...] = ("mug", "bowl", "can")
-_STACKS: tuple[tuple[Category, Category], ...] = (  # (above, below)
+STACKS: tuple[tuple[Category, Category], ...] = (  # (above, below)
     ("bowl", "bowl"), ("can", "can"), ("mug", "bowl"), ("can", "bowl"), ("bowl", "can"), ("bowl", "mug"),
     ("mug", "can"),
 )  # fmt: skip
@@ -164,7 +164,7 @@ class _Finder:
     def _stack(self, above: int, below: int) -> Float[np.ndarray, "4 4"] | None:
         """Return T_below_above at rest on or in the object below; None if the stack does not stand."""
         top, base = self.models[above], self.models[below]
-        if (top.category, base.category) not in _STACKS or top.radius > _WIDEST[base.category] * base.radius:
+        if (top.category, base.category) not in STACKS or top.radius > _WIDEST[base.category] * base.radius:
             return None
         start = _raised(np.eye(4), base.height + 0.002)
         settled = settle([(base, _raised(np.eye(4), 0.001)), (top, start)])

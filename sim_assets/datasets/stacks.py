@@ -1,7 +1,7 @@
 """Objects that stand on or in others, in scenes without physics: the upper one sinks until both touch.
 
 Reliefs stand in for solids: the upper side of the lower object is sampled on a grid, and the upper object
-comes down vertically until one of its points meets it.
+comes down vertically until one of its points meets it. What fills a vessel is not in its way.
 """
 
 from __future__ import annotations
@@ -17,11 +17,12 @@ from scipy.spatial.transform import Rotation
 
 from perception.geometry import rigid
 from perception.types import Category
+from sim_assets.cell import arrangement
 from sim_assets.datasets.scatter import TableItem
 
-STACKS: tuple[tuple[Category, Category], ...] = (  # (above, below)
-    ("bowl", "bowl"), ("can", "can"), ("mug", "bowl"), ("can", "bowl"), ("bowl", "can"), ("bowl", "mug"),
-    ("mug", "can"), ("mug", "mug"), ("can", "mug"), ("bottle", "bowl"),
+# (above, below): those of the tables of tasks, and more.
+STACKS: tuple[tuple[Category, Category], ...] = (
+    *arrangement.STACKS, ("mug", "mug"), ("can", "mug"), ("bottle", "bowl"),
 )  # fmt: skip
 MOST = 3  # stacks in an image
 _CELL = 0.002  # of a relief [m]
@@ -31,7 +32,6 @@ _EMPTY = -1.0  # height where a relief has no surface [m]
 _OFF_CENTRE = 0.2  # largest offset of the upper object, relative to the lower one's reach
 _LEANING = 0.4  # share of the objects in bowls and mugs that lean
 _MOST_LEANING = np.radians(22)
-_SUPPORTED = 0.005  # [m], smallest height of the upper object's base above the table
 _TRIES = 8
 # Largest reach of the upper object, as a multiple of the lower one's, by the class of the lower.
 _WIDEST: dict[Category, float] = {"bowl": 1.05, "can": 3.0, "mug": 3.0}
@@ -66,15 +66,15 @@ class Stacks:
         for place in rng.permutation(carriers):
             if len(added) == wanted:
                 break
-            below, T_below = shown[place], poses[place]
-            for above in rng.permutation(free)[:_TRIES]:
-                T = self.rest(int(above), below, rng)
-                if int(above) in added or T is None:
+            below, T_world_below = shown[place], poses[place]
+            others = [(k, T) for k, T in zip(shown, poses, strict=True) if k != below] + list(added.items())
+            for above in rng.permutation(free)[:_TRIES].tolist():
+                T_below_above = self.rest(above, below, rng)
+                if above in added or T_below_above is None:
                     continue
-                T = T_below @ T
-                others = [(k, P) for k, P in zip(shown, poses, strict=True) if k != below]
-                if self._is_clear(int(above), T, [*others, *added.items()]):
-                    added[int(above)] = T
+                T_world_above = T_world_below @ T_below_above
+                if self._is_clear(above, T_world_above, others):
+                    added[above] = T_world_above
                     break
         return added
 
@@ -97,7 +97,7 @@ class Stacks:
         offset = np.append(_OFF_CENTRE * lower.reach * rng.uniform(-1, 1, 2), 0.0)
         points = R.apply(self._samples(above)[:_FEW]) + offset
         height = sink(points, self._relief(below))
-        if height is None or height < _SUPPORTED or height + points[:, 2].min() < 0:
+        if height is None or height < arrangement.SUPPORTED or height + points[:, 2].min() < 0:
             return None
         return rigid(R.as_matrix(), offset + np.array([0.0, 0.0, height]))
 
@@ -107,13 +107,14 @@ class Stacks:
     def _is_clear(
         self,
         above: int,
-        T: Float[np.ndarray, "4 4"],
+        T_world_above: Float[np.ndarray, "4 4"],
         others: Sequence[tuple[int, Float[np.ndarray, "4 4"]]],
     ) -> bool:
         """Return whether none of the others reaches up to the item beside it; circles stand for outlines."""
         for item, pose in others:
-            near = np.hypot(*(pose[:2, 3] - T[:2, 3])) < self._items[item].reach + self._items[above].reach
-            if near and pose[2, 3] + self._items[item].mesh.bounds[1, 2] > T[2, 3]:
+            distance = np.hypot(*(pose[:2, 3] - T_world_above[:2, 3]))
+            near = distance < self._items[item].reach + self._items[above].reach
+            if near and pose[2, 3] + self._items[item].mesh.bounds[1, 2] > T_world_above[2, 3]:
                 return False
         return True
 

@@ -29,7 +29,8 @@ OWN = (
     "pose_scenes/crops_train_seed0_n100_000.npz", "pose.md", "axis.safetensors",
     "axis_scenes/crops_test_seed0_n100_000.npz", "fits/fits_test_seed0_n20_000.json",
     "train_shapes/train_mug_seed0_first0_n500.npz", "member1/mapped/training/images.npy",
-    "second/checkpoint_class.pt", "second/member1/mapped/training/images.npy",
+    "second/checkpoint_class.pt", "second/events.out.tfevents.1.host.2",
+    "second/member1/mapped/training/images.npy",
 )  # fmt: skip
 FOREIGN = (
     "notes.txt", "Report.json", "report.json.bak", "scan/mine.png", "scan/rgb/cat.png", "scan/notes.txt",

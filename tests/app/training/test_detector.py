@@ -69,28 +69,6 @@ def test_the_detector_job_writes_weights_and_a_card(tmp_path):
     load_scene_network(tmp_path / "scene.safetensors")
 
 
-def test_class_metrics_of_known_probabilities():
-    crops = random_crops(0)
-    probabilities = np.full((20, 5), 0.05)
-    probabilities[np.arange(20), crops.label] = 0.8
-    probabilities[4] = (0.8, 0.05, 0.05, 0.05, 0.05)  # a distractor classified as a mug
-    metrics = train_detector.class_metrics(crops, probabilities)
-    assert metrics["accuracy"] == 0.95 and metrics["accuracy_objects"] == 1.0
-    assert metrics["distractors_taken_for_objects"] == 0.25
-    assert metrics["confusion"][4] == [1, 0, 0, 0, 3]
-    assert metrics["calibration_error"] == pytest.approx(0.15)
-
-
-def test_calibration_error_is_the_mean_gap_over_bins():
-    score, correct = np.array([0.95, 0.95, 0.55, 0.55]), np.array([True, True, True, False])
-    assert train_detector.calibration_error(score, correct) == pytest.approx((2 * 0.05 + 0.1) / 4)
-
-
-def test_rows_of_the_confusion_matrix_are_true_classes():
-    matrix = train_detector.confusion_matrix(np.array([0, 0, 4]), np.array([1, 0, 3]))
-    assert matrix[0, 1] == matrix[0, 0] == matrix[4, 3] == 1 and matrix.sum() == 3
-
-
 def test_training_and_validation_are_of_the_training_families_and_test_of_the_test_families(
     tmp_path, monkeypatch
 ):
