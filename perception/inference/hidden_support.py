@@ -1,8 +1,9 @@
 """Objects on something that no image shows: a bowl on a mug that it hides.
 
 The prior lets an upright object stand on the plane, so that such a bowl becomes one on a high foot. None of
-its measured points is near the plane, and where its height is free it explains the depth far better. Where
-something nearer to the camera cuts it off below, that says nothing of where its base is.
+its measured points is near the plane, and where its height is free it explains the depth far better; or it
+explains it better, and the shape on the plane is far from its class. Where something nearer to the camera
+cuts it off below, that says nothing of where its base is.
 """
 
 from __future__ import annotations
@@ -20,6 +21,7 @@ from perception.inference.observation import ObjectObservation, ObjectViews
 from perception.inference.pose_choice import misfit
 from perception.inference.scored_fits import ScoredFit, scored_fit
 from perception.inference.shape_model import Decoder
+from perception.inference.stack_choice import has_unlikely_shape
 from perception.inference.stacking import BELOW, FREE, MeasuredExtent, raised
 from perception.types import ObjectEstimate, SupportPlane
 
@@ -86,6 +88,8 @@ def _above_plane(
     if standing is None:
         return above.estimate
     on_plane, statuses = misfit(standing.evidence), (above.estimate.status, standing.estimate.status)
+    if has_unlikely_shape(standing.estimate) and not has_unlikely_shape(above.estimate):
+        return above.estimate if misfit(above.evidence) < on_plane else None
     if on_plane < POOR:
         most = FAR_BETTER
     else:

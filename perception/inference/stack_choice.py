@@ -34,12 +34,19 @@ COAXIAL = 0.005  # [m] between the axes of two cans that are one bottle
 # uppermost part of the can below it.
 GAP = 0.03
 LEAST_HEIGHT = 0.025  # [m] of a part; flatter ones are the thick floor of a bowl
+TALL = 1.3  # height of a bowl in radii, from which on it is none
 SLENDER = 1.5  # least height of a bottle, in diameters
 
 
 def is_doubtful(whole: ObjectEstimate | None, before: float) -> bool:
     """Return whether an instance may be several, by its estimate and the share that it leaves unexplained."""
     return before > DOUBTFUL or (whole is not None and _may_be_two(whole))
+
+
+def has_unlikely_shape(estimate: ObjectEstimate) -> bool:
+    """Return whether a shape is far from its class: a bowl on something becomes one on a high foot."""
+    is_tall_bowl = estimate.category == "bowl" and estimate.height > TALL * estimate.radius
+    return estimate.status == "implausible" or (is_tall_bowl and estimate.resting == "upright")
 
 
 def are_two(
@@ -95,7 +102,7 @@ def _is_mug_in_bowl(pair: Sequence[ObjectEstimate], whole: ObjectEstimate, plane
 def _may_be_two(whole: ObjectEstimate) -> bool:
     """Return whether an object that explains what is measured may be several: two cans look like a bottle."""
     is_bottle = (whole.category, whole.resting) == ("bottle", "upright")
-    return whole.score < (WEAK_BOTTLE if is_bottle else WEAK)
+    return whole.score < (WEAK_BOTTLE if is_bottle else WEAK) or has_unlikely_shape(whole)
 
 
 def are_one(pair: Sequence[ObjectEstimate], whole: ObjectEstimate, before: float) -> bool:
@@ -154,5 +161,7 @@ def _is_better(
         return True
     if whole is None or not _may_be_two(whole):
         return False
+    if accepted and has_unlikely_shape(whole):
+        return after < DOUBTFUL
     are_cans = whole.category == "bottle" and all(e.category == "can" for e in pair)
     return after < DOUBTFUL and min(e.score for e in pair) > whole.score + (0.0 if are_cans else FAR_BETTER)

@@ -77,6 +77,8 @@ def test_an_object_on_the_plane_is_not_raised(make_table, decoder, monkeypatch) 
         (0.14, 0.05, "not_converged", False),  # the plane explains it: the foot of a bottle, seen from above
         (0.14, 0.02, "not_converged", True),
         (0.04, 0.001, "not_converged", False),  # a difference of a few pixels
+        (0.14, 0.13, "implausible", True),  # no shape of the class reaches the plane
+        (0.14, 0.15, "implausible", False),
     ],
 )
 def test_it_is_raised_where_it_explains_clearly_more(

@@ -15,11 +15,13 @@ from perception.inference.stack_choice import (
     LEAST_HEIGHT,
     SHARED,
     SLENDER,
+    TALL,
     WEAK,
     WEAK_BOTTLE,
     are_one,
     are_two,
     gap_between,
+    has_unlikely_shape,
     is_doubtful,
 )
 from perception.types import ObjectEstimate, SupportPlane, TriangleMesh
@@ -28,12 +30,16 @@ PLANE = SupportPlane()
 POINTS = np.zeros((10, 3))
 
 
-def shape(category="can", base=0.0, height=0.1, radius=0.03, score=0.9, resting="upright", x=0.0):
+def shape(
+    category="can", base=0.0, height=0.1, radius=0.03, score=0.9, resting="upright", x=0.0, status="converged"
+):
     cylinder = trimesh.creation.cylinder(radius, height)
     T = np.eye(4)
     T[:3, 3] = x, 0.0, base + height / 2
     mesh = TriangleMesh(np.asarray(cylinder.vertices), np.asarray(cylinder.faces))
-    made = ObjectEstimate(1, category, np.zeros(16), T, np.ones(3), mesh, score, resting=resting)
+    made = ObjectEstimate(
+        1, category, np.zeros(16), T, np.ones(3), mesh, score, status=status, resting=resting
+    )
     return replace(made, rests_on=1 if base > 0 else None)
 
 
@@ -120,7 +126,28 @@ def test_far_better_scores_replace_an_unusual_shape_that_explains_as_much(leave)
     leave(0.02)
     for score, accepted in ((0.45, True), (0.49, False), (0.55, False)):
         pair = [replace(CANS[0], score=0.78), CANS[1]]
-        assert are_two(pair, shape("bowl", score=score), POINTS, 0.02, PLANE) is accepted
+        assert are_two(pair, shape("bowl", radius=0.1, score=score), POINTS, 0.02, PLANE) is accepted
+
+
+@pytest.mark.parametrize(
+    ("whole", "is_unlikely"),
+    [
+        (shape("bowl", height=0.08 * TALL + 0.002, radius=0.08), True),
+        (shape("bowl", height=0.08 * TALL - 0.002, radius=0.08), False),
+        (shape("bowl", height=0.16, radius=0.08, resting="lying"), False),
+        (shape("mug", height=0.10, radius=0.04), False),
+        (shape("mug", height=0.10, radius=0.04, status="implausible"), True),
+    ],
+)
+def test_parts_that_explain_all_replace_a_bowl_on_a_high_foot(leave, whole, is_unlikely):
+    """A bowl on a can whose pixels are in its masks, or in none, explains what is measured."""
+    leave(0.0)
+    pair = [shape(score=0.3), shape("bowl", base=0.1, height=0.06, radius=0.07)]
+    assert has_unlikely_shape(whole) is is_doubtful(whole, 0.0) is is_unlikely
+    assert are_two(pair, whole, POINTS, 0.0, PLANE) is is_unlikely
+    assert not are_two([replace(pair[0], score=0.1), pair[1]], whole, POINTS, 0.0, PLANE)
+    leave(2 * DOUBTFUL)
+    assert not are_two(pair, whole, POINTS, 0.0, PLANE)
 
 
 @pytest.mark.parametrize(("score", "accepted"), [(0.7, True), (0.8, False), (0.95, False)])
