@@ -9,8 +9,8 @@ from perception.geometry import invert, transform_points
 from perception.inference.evidence import section_shapes
 from perception.types import ObjectEstimate
 
-# Least score of the fit of an upright candidate that the detector gave no class. In 21 scans of cluttered tables
-# true objects had 0.77 and more, a stool that two images showed 0.57.
+# Least score of the fit of an upright candidate that the detector gave no class. In 21 scans of clutter true
+# objects had 0.77 and more, a stool that two images showed 0.57.
 UNCLASSIFIED_SCORE = 0.65
 POSED_SCORE = 0.85  # the same in other poses: what is no object most often resembles lying ones
 # The same of lying bottles, with the odds of their score times (length / LENGTH) ** LENGTH_POWER: pieces of
