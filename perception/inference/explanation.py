@@ -6,6 +6,7 @@ from collections.abc import Sequence
 
 import numpy as np
 from jaxtyping import Float
+from scipy.spatial import ConvexHull
 
 from perception.geometry import invert, transform_points
 from perception.inference.voxelise import voxels_of
@@ -16,14 +17,27 @@ FAR = 0.008  # [m] from the surface of a shape, from which on it does not explai
 SAMPLES = 6000  # of a surface
 
 
-def unexplained(points: Float[np.ndarray, "n 3"], shapes: Sequence[ObjectEstimate]) -> float:
-    """Return the share of measured points farther than ``FAR`` from the surfaces of shapes; 1 without any."""
+def unexplained(
+    points: Float[np.ndarray, "n 3"], shapes: Sequence[ObjectEstimate], vessel: ObjectEstimate | None = None
+) -> float:
+    """Return the share of measured points farther than ``FAR`` from the surfaces of shapes; 1 without any.
+
+    Args:
+        points: Measured points in the world frame, in metres.
+        shapes: The shapes.
+        vessel: One whose cavity may be shallower than that of its shape: points in its convex hull count as
+            explained.
+    """
     if not shapes or not len(points):
         return 1.0
     rng = np.random.default_rng(0)
     trees = [SurfaceSamples.of(shape.mesh_world, rng, SAMPLES).tree for shape in shapes]
     nearest = np.min([tree.query(points, distance_upper_bound=2 * FAR)[0] for tree in trees], axis=0)
-    return float((nearest > FAR).mean())
+    is_open = nearest > FAR
+    if vessel is not None:
+        faces = ConvexHull(vessel.mesh_world.vertices).equations
+        is_open &= (points @ faces[:, :3].T + faces[:, 3] > 0).any(axis=1)
+    return float(is_open.mean())
 
 
 def shared_volume(shape: ObjectEstimate, other: ObjectEstimate) -> float:

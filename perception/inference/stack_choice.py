@@ -143,7 +143,8 @@ def _is_better(
     """Return whether two fits are accepted and explain clearly more than the whole did.
 
     Or as much, with far better scores: a large bowl on a mug is a bowl on a foot, but an unusual one. Those
-    of two cans need only be better than that of a bottle.
+    of two cans need only be better than that of a bottle. The floor of a shallow bowl may be thicker than
+    that of its shape.
     """
     after = unexplained(points, pair)
     is_poor = whole is None or before > DOUBTFUL or whole.score < WEAK
@@ -164,4 +165,6 @@ def _is_better(
     if accepted and has_unlikely_shape(whole):
         return after < DOUBTFUL
     are_cans = whole.category == "bottle" and all(e.category == "can" for e in pair)
-    return after < DOUBTFUL and min(e.score for e in pair) > whole.score + (0.0 if are_cans else FAR_BETTER)
+    if min(e.score for e in pair) <= whole.score + (0.0 if are_cans else FAR_BETTER):
+        return False
+    return unexplained(points, pair, pair[1] if is_vessel(pair[1]) else None) < DOUBTFUL

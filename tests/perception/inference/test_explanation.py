@@ -20,6 +20,11 @@ def test_the_unexplained_share_counts_points_far_from_all_surfaces() -> None:
     assert unexplained(on_it + np.array([0.0, 0.0, FAR / 2]), [can]) == 0.0
     assert unexplained(on_it, []) == 1.0
     assert unexplained(np.zeros((0, 3)), [can]) == 1.0
+    middle = np.zeros((1, 3))
+    both = np.concatenate([middle, above[:1]])
+    assert (unexplained(both, [can]), unexplained(both, [can], can)) == (1.0, 0.5), (
+        "a cavity may be shallower"
+    )
 
 
 def cylinder(radius: float, height: float, T_world_object=np.eye(4)) -> ObjectEstimate:

@@ -48,8 +48,15 @@ CANS = [shape(), shape(base=0.1)]
 
 @pytest.fixture
 def leave(monkeypatch):
-    """A function that sets the share of the points that two parts leave unexplained."""
-    return lambda share: monkeypatch.setattr(stack_choice, "unexplained", lambda points, shapes: share)
+    """A function that sets the share of the points that two parts leave unexplained, also beside a cavity."""
+
+    def set_shares(share, beside=None):
+        def unexplained(points, shapes, vessel=None):
+            return share if vessel is None or beside is None else beside
+
+        monkeypatch.setattr(stack_choice, "unexplained", unexplained)
+
+    return set_shares
 
 
 def test_a_gap_is_measured_along_the_vertical():
@@ -148,6 +155,21 @@ def test_parts_that_explain_all_replace_a_bowl_on_a_high_foot(leave, whole, is_u
     assert not are_two([replace(pair[0], score=0.1), pair[1]], whole, POINTS, 0.0, PLANE)
     leave(2 * DOUBTFUL)
     assert not are_two(pair, whole, POINTS, 0.0, PLANE)
+
+
+@pytest.mark.parametrize(
+    ("upper", "beside", "accepted"),
+    [
+        (shape("bowl", base=0.1, radius=0.07), 0.02, True),
+        (shape("bowl", base=0.1, radius=0.07), 2 * DOUBTFUL, False),
+        (shape(base=0.1), 0.02, False),
+    ],
+)
+def test_the_floor_of_a_vessel_with_a_far_better_score_may_be_thicker_than_its_shapes(
+    leave, upper, beside, accepted
+):
+    leave(0.3, beside)
+    assert are_two([shape(), upper], shape(score=0.23), POINTS, 0.08, PLANE) is accepted
 
 
 @pytest.mark.parametrize(("score", "accepted"), [(0.7, True), (0.8, False), (0.95, False)])
