@@ -25,10 +25,14 @@ from perception.types import TriangleMesh
 MIN_ELEVATION = np.deg2rad(20.0)  # of the hand over a plane that the object rests on
 _N_POINTS = 500  # of the surface, for which opposite ones are looked for
 _N_DENSE = 2500  # points of the surface
+# [m] below the top of a mug or bowl, where points are denser by a factor: one on its side that is wider than
+# the hand can be held there alone.
+_RIM, _DENSER = 0.02, 10.0
+_RIMMED = ("mug", "bowl")
 _SMOOTHING = 0.006  # [m] over which normals are averaged: about half a pad
 _FRICTION_ANGLE = np.deg2rad(18.0)
 _LATERAL = 0.003  # [m] largest distance of the opposite point from the line
-_N_PAIRS, _N_GRASPS, _PER_PAIR = 120, 48, 3  # upper limits
+_N_PAIRS, _N_GRASPS, _PER_PAIR = 160, 48, 3  # upper limits
 _APART, _TURNED = 0.010, np.deg2rad(25.0)  # [m], [rad], of which pairs differ by one at least
 _N_APPROACHES = 24  # about the closing direction
 _MARGINS = (0.012, 0.006, 0.003)  # [m] of each finger beside the object before closing, in order
@@ -75,7 +79,7 @@ def antipodal_grasps(
     rejected: Counter[str] = Counter()
     surface = _Surface.of(item)
     planes = [(*ups, side) for side in sides] or [tuple(ups)]
-    hands = [_HandSpace(item, surface.points, normals, surroundings, config) for normals in planes]
+    hands = [_HandSpace(item, surface.tree.data, normals, surroundings, config) for normals in planes]
     pairs = antipodal_pairs(surface)
     fitting = [pair for pair in pairs if pair.width <= config.gripper.max_width - 0.004]
     if len(fitting) < len(pairs):
@@ -104,8 +108,8 @@ class _Surface:
     """Points of a surface.
 
     Attributes:
-        points, normals: (n, 3) points spread evenly in [m], and outward normals averaged over a pad's half.
-        tree: denser points.
+        points, normals: (n, 3) points in [m], denser at rims, and outward normals averaged over a pad's half.
+        tree: denser points, spread evenly.
     """
 
     points: Float[np.ndarray, "n 3"]
@@ -118,7 +122,9 @@ class _Surface:
         a, b, c = np.moveaxis(item.vertices[item.faces], 1, 0)
         crossed = np.cross(b - a, c - a)
         area = np.linalg.norm(crossed, axis=1)
-        face = rng.choice(len(area), _N_DENSE, p=area / area.sum())
+        is_rim = (a + b + c)[:, 2] / 3 > (item.top - _RIM if item.category in _RIMMED else np.inf)
+        weight = np.where(is_rim, _DENSER, 1.0) * area
+        face = rng.choice(len(area), _N_DENSE, p=weight / weight.sum())
         u, v = rng.random((2, _N_DENSE, 1))
         u, v = np.where(u + v > 1, 1 - u, u), np.where(u + v > 1, 1 - v, v)
         points = a[face] + u * (b - a)[face] + v * (c - a)[face]
@@ -196,7 +202,7 @@ def _at_pair(pair: Pair, hand: _HandSpace, surface: _Surface) -> list[Grasp] | R
         return Rejected("thinner than the closed hand")
     found: list[Grasp] = []
     reason = "without an approach from above"
-    center = surface.points.mean(axis=0)
+    center = surface.tree.data.mean(axis=0)
     for elevation, approach in _approaches(pair.closing, hand.ups):
         T = tcp_pose(pair.middle, approach, pair.closing)
         contact = _contact(T, pair.width, surface.tree)

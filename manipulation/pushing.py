@@ -1,8 +1,8 @@
 """An object that no hand fits beside is pushed along the table, until a grasp of it is free.
 
-The closed hand pushes through the middle of the object's top view, where it does not turn. An object on its
-side is pushed about along its axis, for across it it rolls; one that stands, near its base, in any direction.
-What it touches it slides along.
+The closed hand pushes through the middle of the object's top view, where it does not turn. A round object on
+its side is pushed about along its axis, for across it it rolls; another one, and one that stands, near its
+base, in any direction. What it touches it slides along.
 """
 
 from __future__ import annotations
@@ -36,7 +36,7 @@ _FINGERS = 0.05  # [m] height over the tips up to which the fingers may touch th
 _TILTS = np.deg2rad([0.0, 20.0, 40.0])  # of the hand, with the fingertips ahead
 _RAISED = (0.12, 0.06)  # [m] above the beginning, where the hand comes from
 _BACK, _UP = 0.03, 0.08  # [m] by which the hand leaves the object
-_N_DIRECTIONS = 8  # in which an upright object is pushed
+_N_DIRECTIONS = 8  # in which an object is pushed that cannot roll
 _OBLIQUE = np.deg2rad([0.0, 20.0, -20.0])  # to the axis of an object on its side
 _DOWN = np.array([0.0, 0.0, -1.0])
 
@@ -100,9 +100,9 @@ def plan_push(
 
 
 def _directions(item: StandingObject, T: Pose) -> Iterator[Float[np.ndarray, "3"]]:
-    """Yield horizontal unit vectors: of an object on its side about along its axis, from its base first."""
+    """Yield horizontal unit vectors: of what can roll about along its axis, from its base first."""
     azimuths = 2 * np.pi * np.arange(_N_DIRECTIONS) / _N_DIRECTIONS
-    if lies(T):
+    if lies(T) and item.is_round:
         along = np.arctan2(T[1, 2], T[0, 2])
         azimuths = np.concatenate([along + _OBLIQUE, along + np.pi + _OBLIQUE])
     for azimuth in azimuths:

@@ -74,6 +74,14 @@ def test_a_cup_too_wide_for_the_hand_is_held_by_its_wall(cup):
     assert found.rejected["too wide for 0.08 m"] > 0
 
 
+def test_a_cup_on_its_side_is_held_at_several_places_of_its_rim(cup):
+    grasps = antipodal_grasps(cup, (X, UP)).grasps
+    beside = {
+        np.sign(grasp.T_stand_tcp[1, 3]) for grasp in grasps if cup.top - grasp.T_stand_tcp[2, 3] < 0.02
+    }
+    assert beside == {-1, 1} and len(grasps) >= 12
+
+
 def test_no_hand_is_above_the_top_and_the_bottom_of_an_object(can):
     found = antipodal_grasps(can, (-UP, UP))
     assert not found.grasps and found.rejected["without an approach from above"] > 0

@@ -1,6 +1,7 @@
 """Pushes of the closed hand along the table."""
 
 import itertools
+from dataclasses import replace
 
 import numpy as np
 import pytest
@@ -120,6 +121,17 @@ def test_it_is_pushed_from_its_base_if_the_hand_fits_behind_that(
     assert (push is None) == (sign is None)
     if push is not None:
         assert push.T_world_stand[0, 3] > T[0, 3]
+
+
+@pytest.mark.parametrize("is_round", [True, False])
+def test_only_what_cannot_roll_is_pushed_across_its_axis(make_planner, can, arm, is_round) -> None:
+    planner, T = make_planner()
+    item = replace(can, is_round=is_round)
+    push = push_of(planner, item, arm, lambda T_after: abs(T_after[1, 3] - T[1, 3]) > 0.028)
+    assert push is not None
+    step = (push.T_world_stand - T)[:2, 3]
+    assert np.linalg.norm(step) == pytest.approx(DISTANCES[-1] if is_round else DISTANCES[0])
+    assert (abs(step[0]) < 1e-6) is not is_round
 
 
 def test_the_object_is_where_it_was_in_the_planners_world(make_planner, can, arm) -> None:
