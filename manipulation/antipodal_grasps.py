@@ -19,7 +19,7 @@ from scipy.spatial import KDTree
 
 from manipulation.grasp_config import GraspConfig, half_turn, on_hand, tcp_pose
 from manipulation.hand_collision import HandBoxes, HandClearance, surface_points
-from manipulation.types import TOO_WIDE, Grasp, GraspSet, Rejected, StandingObject
+from manipulation.types import RIMMED, TOO_WIDE, Grasp, GraspSet, Rejected, StandingObject
 from perception.types import TriangleMesh
 
 MIN_ELEVATION = np.deg2rad(20.0)  # of the hand over a plane that the object rests on
@@ -28,7 +28,6 @@ _N_DENSE = 2500  # points of the surface
 # [m] below the top of a mug or bowl, where points are denser by a factor: one on its side that is wider than
 # the hand can be held there alone.
 _RIM, _DENSER = 0.02, 10.0
-_RIMMED = ("mug", "bowl")
 _SMOOTHING = 0.006  # [m] over which normals are averaged: about half a pad
 _FRICTION_ANGLE = np.deg2rad(18.0)
 _LATERAL = 0.003  # [m] largest distance of the opposite point from the line
@@ -122,7 +121,7 @@ class _Surface:
         a, b, c = np.moveaxis(item.vertices[item.faces], 1, 0)
         crossed = np.cross(b - a, c - a)
         area = np.linalg.norm(crossed, axis=1)
-        is_rim = (a + b + c)[:, 2] / 3 > (item.top - _RIM if item.category in _RIMMED else np.inf)
+        is_rim = (a + b + c)[:, 2] / 3 > (item.top - _RIM if item.category in RIMMED else np.inf)
         weight = np.where(is_rim, _DENSER, 1.0) * area
         face = rng.choice(len(area), _N_DENSE, p=weight / weight.sum())
         u, v = rng.random((2, _N_DENSE, 1))

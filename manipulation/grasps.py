@@ -16,7 +16,7 @@ from manipulation.cross_sections import CrossSectionCache
 from manipulation.grasp_config import GraspConfig, on_hand
 from manipulation.rim_grasps import rim_grasps
 from manipulation.top_grasps import top_grasps
-from manipulation.types import GraspSet, StandingObject
+from manipulation.types import RIMMED, GraspSet, StandingObject
 from manipulation.uncertainty import ranked
 from perception.mesh_sections import radial_hits
 
@@ -28,7 +28,7 @@ def grasp_candidates(item: StandingObject, config: GraspConfig = GraspConfig()) 
     """
     rejected: Counter[str] = Counter()
     sections = CrossSectionCache(item.vertices, item.faces)
-    if item.category in ("mug", "bowl"):
+    if item.category in RIMMED:
         grasps = rim_grasps(item, sections, config, rejected)
     else:
         grasps = top_grasps(item, sections, config, rejected)

@@ -13,10 +13,9 @@ from manipulation.grasp_config import GraspConfig
 from manipulation.grasps import grasp_candidates
 from manipulation.lying_grasps import lies, lying_grasps
 from manipulation.reorientation import reorienting_grasps
-from manipulation.types import GraspSet, StandingObject
+from manipulation.types import RIMMED, GraspSet, StandingObject
 
 _UP = np.array([0.0, 0.0, 1.0])
-_RIMMED = ("mug", "bowl")
 _NONE = GraspSet((), Counter())
 
 
@@ -96,7 +95,7 @@ class KnownGrasps:
         between = antipodal_grasps(item, (up,) if keeps else (up, _UP), config, self._points_around(name))
         if not lies(T):
             shallow, narrow = (
-                grasp_candidates(item, at_rim) if item.category in _RIMMED and keeps else _NONE
+                grasp_candidates(item, at_rim) if item.category in RIMMED and keeps else _NONE
                 for at_rim in (config.shallow(), config.shallow().narrow())
             )
             grasps = shallow.grasps + between.grasps + narrow.grasps

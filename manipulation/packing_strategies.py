@@ -10,7 +10,7 @@ import numpy as np
 from manipulation.footprints import BoxRaster
 from manipulation.layouts import Cost, Layout
 from manipulation.packing_problem import PackingProblem
-from manipulation.types import StandingObject
+from manipulation.types import RIMMED, StandingObject
 
 
 @dataclass(frozen=True)
@@ -74,7 +74,7 @@ def greedy_layout(
     for stack in problem.stacks:
         layout.place(stack[0].name, yaws_of(stack[0]), cost, gap)
         layout.nest(stack)
-    others = (i for i in items if i.category not in ("mug", "bowl"))
+    others = (i for i in items if i.category not in RIMMED)
     for item in sorted(others, key=lambda i: -problem.shapes.width(i.name)):
         layout.place(item.name, yaws_of(item), cost, gap)
         if len(layout.left_out) > allowed:

@@ -164,6 +164,7 @@ class Grasp:
         return T
 
 
+RIMMED: tuple[Category, ...] = ("mug", "bowl")  # classes that are grasped at their rims
 TOO_WIDE = "too wide"  # how the reasons of grasps that exceed the opening begin
 
 

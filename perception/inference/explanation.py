@@ -6,11 +6,11 @@ from collections.abc import Sequence
 
 import numpy as np
 from jaxtyping import Float
-from scipy.spatial import ConvexHull
 
 from perception.geometry import invert, transform_points
 from perception.inference.voxelise import voxels_of
 from perception.metrics import SurfaceSamples
+from perception.obstacles.obstacle import is_within
 from perception.types import GRID_RESOLUTION, ObjectEstimate
 
 FAR = 0.008  # [m] from the surface of a shape, from which on it does not explain a measured point
@@ -35,8 +35,7 @@ def unexplained(
     nearest = np.min([tree.query(points, distance_upper_bound=2 * FAR)[0] for tree in trees], axis=0)
     is_open = nearest > FAR
     if vessel is not None:
-        faces = ConvexHull(vessel.mesh_world.vertices).equations
-        is_open &= (points @ faces[:, :3].T + faces[:, 3] > 0).any(axis=1)
+        is_open &= ~is_within(points, vessel.mesh_world.vertices)
     return float(is_open.mean())
 
 

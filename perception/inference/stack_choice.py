@@ -167,4 +167,4 @@ def _is_better(
     are_cans = whole.category == "bottle" and all(e.category == "can" for e in pair)
     if min(e.score for e in pair) <= whole.score + (0.0 if are_cans else FAR_BETTER):
         return False
-    return unexplained(points, pair, pair[1] if is_vessel(pair[1]) else None) < DOUBTFUL
+    return after < DOUBTFUL or (is_vessel(pair[1]) and unexplained(points, pair, pair[1]) < DOUBTFUL)

@@ -39,9 +39,16 @@ class PerceivedObstacle:
         """Return which world points [m] are in a piece or at most ``margin`` beyond each of its faces."""
         explained = np.zeros(len(points), bool)
         for piece in self.pieces:
-            faces = _faces(piece)
-            explained |= (points @ faces[:, :3].T + faces[:, 3] <= margin).all(axis=1)
+            explained |= is_within(points, piece, margin)
         return explained
+
+
+def is_within(
+    points: Float[np.ndarray, "n 3"], piece: Float[np.ndarray, "k 3"], margin: float = 0.0
+) -> Bool[np.ndarray, "n"]:
+    """Return which points are in a piece's hull or at most ``margin`` beyond each of its faces, in [m]."""
+    faces = _faces(piece)
+    return np.asarray((points @ faces[:, :3].T + faces[:, 3] <= margin).all(axis=1))
 
 
 def thickened(points: Float[np.ndarray, "n 3"], edge: float) -> Float[np.ndarray, "m 3"]:
