@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import logging
-from collections.abc import Sequence
+from collections.abc import Mapping, Sequence
 from dataclasses import replace
 
 from perception.inference.contents import VESSELS
@@ -18,7 +18,7 @@ from perception.inference.resting import ALTERNATIVES
 from perception.inference.scored_fits import ObjectFits, RejectedError, ScoredFit
 from perception.inference.screening import comes_near, nearest_hypotheses
 from perception.inference.upright_choice import CLEAR
-from perception.types import POSED_CLASSES, Category
+from perception.types import POSED_CLASSES, Category, RestingPose
 
 logger = logging.getLogger(__name__)
 
@@ -26,6 +26,11 @@ SURE = 0.6  # probability of some classes in resting poses from which on they ar
 LIKELY = 0.15  # least probability of each of them
 ABOUT = 0.05  # by how much the misfit of what the pose network is sure of may be larger
 UNKNOWN = 0.5  # least score of an object of no class, or in a pose that the networks were not trained on
+REVERSED: Mapping[RestingPose, RestingPose] = {
+    "upright": "upside-down",
+    "upside-down": "upright",
+    "lying": "lying",
+}  # resting poses with the axis reversed
 
 
 def as_named(fits: ObjectFits, or_upright: bool) -> ScoredFit | None:
@@ -44,7 +49,7 @@ def as_named(fits: ObjectFits, or_upright: bool) -> ScoredFit | None:
         return None
     good: list[tuple[float, ScoredFit]] = []
     for (category, resting), p in likely.items():
-        made = fits.attempt(category, resting)
+        made = _either_way_round(fits, category, resting)
         if made is not None and is_named_well(made, fits):
             good.append((misfit(made.evidence) - ABOUT * p, made))
     return min(good, key=lambda item: item[0])[1] if good else None
@@ -68,7 +73,7 @@ def fit_unnamed(fits: ObjectFits) -> ScoredFit:
     """
     good: list[ScoredFit] = []
     for category, resting in nearest_hypotheses(fits.views, fits.decoder, fits.plane, fits.config):
-        made = fits.attempt(category, resting)
+        made = _either_way_round(fits, category, resting)
         if made is not None and _is_good(made, fits):
             good.append(made)
             if made.estimate.score > CLEAR:
@@ -98,7 +103,7 @@ def best_pose(
     if upright is not None and not closed and not is_doubtful(upright.evidence, upright.estimate.category):
         return upright
     others = [
-        fits.attempt(c, pose)
+        _either_way_round(fits, c, pose)
         for c in categories
         for pose in ALTERNATIVES[c]
         if comes_near(replace(views, category=c), fits.decoder, plane, pose, fits.config)
@@ -112,6 +117,26 @@ def best_pose(
     best = min(better, key=lambda scored: misfit(scored.evidence))
     logger.info("object %d: %s", views.id, best.estimate.resting)
     return best
+
+
+def other_way_round(fits: ObjectFits, fit: ScoredFit) -> ScoredFit | None:
+    """Return a fit of the same class with the axis reversed; None if there is none."""
+    x, y, z = (-fit.estimate.T_world_object[:3, 2]).tolist()
+    return fits.attempt(fit.estimate.category, REVERSED[fit.estimate.resting], (x, y, z))
+
+
+def _either_way_round(fits: ObjectFits, category: Category, resting: RestingPose) -> ScoredFit | None:
+    """Return a fit; of what lies and has a low score, the one the other way round if it is good and higher.
+
+    A bottle that was fitted from its neck has none, and therefore a low score.
+    """
+    made = fits.attempt(category, resting)
+    if made is None or resting != "lying" or made.estimate.score >= _least_score(fits):
+        return made
+    other = other_way_round(fits, made)
+    if other is None or not _is_good(other, fits) or other.estimate.score <= made.estimate.score:
+        return made
+    return other
 
 
 def _least_score(fits: ObjectFits) -> float:

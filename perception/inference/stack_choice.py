@@ -162,9 +162,8 @@ def _is_better(
         return True
     if whole is None or not _may_be_two(whole):
         return False
-    if accepted and has_unlikely_shape(whole):
-        return after < DOUBTFUL
     are_cans = whole.category == "bottle" and all(e.category == "can" for e in pair)
-    if min(e.score for e in pair) <= whole.score + (0.0 if are_cans else FAR_BETTER):
+    are_far_better = min(e.score for e in pair) > whole.score + (0.0 if are_cans else FAR_BETTER)
+    if not are_far_better and not (accepted and has_unlikely_shape(whole)):
         return False
     return after < DOUBTFUL or (is_vessel(pair[1]) and unexplained(points, pair, pair[1]) < DOUBTFUL)

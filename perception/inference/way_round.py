@@ -6,7 +6,6 @@ know necks, lids and tapers alone; the axis network also sees print and caps.
 
 from __future__ import annotations
 
-from collections.abc import Mapping
 from dataclasses import replace
 
 from perception.detection.axis import log_odds
@@ -14,11 +13,11 @@ from perception.detection.geometry import plane_axes
 from perception.inference.evidence import Evidence
 from perception.inference.observation import ObjectViews
 from perception.inference.pose_choice import is_much_closer, misfit
-from perception.inference.resting_choice import LIKELY, is_named_well
+from perception.inference.resting_choice import LIKELY, is_named_well, other_way_round
 from perception.inference.right_way_up import is_turned_over, turned_over
 from perception.inference.scored_fits import ObjectFits, ScoredFit
 from perception.inference.upright_choice import CLEAR
-from perception.types import CATEGORIES, Category, RestingPose
+from perception.types import CATEGORIES, Category
 
 CLOSER = 0.8  # ratio of the residuals from which on the depth tells which way round a bottle lies
 # Area of a section near the top, relative to the largest one, from which on a bottle has hardly a neck. Of 28
@@ -28,11 +27,6 @@ NO_NECK = 0.65
 # lying bottles in scans of clutter 16 were the wrong way round without the network, 4 with any value to 0.5.
 CONTRADICTED = 0.5
 ALIKE = 0.02  # difference of the misfits up to which a bottle may lie either way round
-REVERSED: Mapping[RestingPose, RestingPose] = {
-    "upright": "upside-down",
-    "upside-down": "upright",
-    "lying": "lying",
-}  # resting poses with the axis reversed
 
 
 def right_way_up(fits: ObjectFits, best: ScoredFit) -> ScoredFit:
@@ -41,7 +35,7 @@ def right_way_up(fits: ObjectFits, best: ScoredFit) -> ScoredFit:
         return _along_named_axis(fits, _lying(fits, best))
     if not _has_lower_end_up(fits, best):
         return best
-    other = _other_way_round(fits, best)
+    other = other_way_round(fits, best)
     return best if other is None else _turned_over(best, other)
 
 
@@ -63,7 +57,7 @@ def _along_named_axis(fits: ObjectFits, best: ScoredFit) -> ScoredFit:
     """
     if _axis_odds(fits, best) > -CONTRADICTED:
         return best
-    other = _other_way_round(fits, best)
+    other = other_way_round(fits, best)
     if other is None or _axis_odds(fits, other) < 0 or _is_clearly_closer(best.evidence, other.evidence):
         return best
     score = max(best.estimate.score, other.estimate.score)
@@ -79,7 +73,7 @@ def _axis_odds(fits: ObjectFits, fit: ScoredFit) -> float:
 
 def _lying_bottle(fits: ObjectFits, best: ScoredFit) -> ScoredFit:
     """Return the fit of a lying bottle, or the one the other way round."""
-    other = _other_way_round(fits, best)
+    other = other_way_round(fits, best)
     if other is None:
         return best
     if _is_right_way_up(other, best):
@@ -104,7 +98,7 @@ def _lying_can(fits: ObjectFits, best: ScoredFit) -> ScoredFit:
 
 def _can_by_its_ends(fits: ObjectFits, best: ScoredFit) -> ScoredFit:
     """Return the fit of a lying can, or the one the other way round: by the depth, else by its sides."""
-    other = _other_way_round(fits, best)
+    other = other_way_round(fits, best)
     if other is None or is_much_closer(best.evidence, other.evidence):
         return best
     if is_much_closer(other.evidence, best.evidence):
@@ -119,12 +113,6 @@ def _contradicts(bottle: ScoredFit, can: ScoredFit) -> bool:
     """
     along = bottle.estimate.T_world_object[:3, 2] @ can.estimate.T_world_object[:3, 2]
     return bool(along < 0 and is_much_closer(bottle.evidence, can.evidence))
-
-
-def _other_way_round(fits: ObjectFits, fit: ScoredFit) -> ScoredFit | None:
-    """Return a fit of the same class with the axis reversed; None if there is none."""
-    x, y, z = (-fit.estimate.T_world_object[:3, 2]).tolist()
-    return fits.attempt(fit.estimate.category, REVERSED[fit.estimate.resting], (x, y, z))
 
 
 def _turned_over(best: ScoredFit, other: ScoredFit) -> ScoredFit:

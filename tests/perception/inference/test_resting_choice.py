@@ -39,11 +39,17 @@ def make_fits(make_table, decoder, monkeypatch):
     monkeypatch.setattr(resting_choice, "has_closed_top", lambda *_: False)
     table = make_table("can", (1.0, 0.5), yaw=0.0)
 
-    def make(made, named=()):
+    def make(made, named=(), reversed_fits=()):
         monkeypatch.setattr(resting_choice, "nearest_hypotheses", lambda *_: list(made))
-        monkeypatch.setattr(
-            ObjectFits, "attempt", lambda self, category, resting="upright": made.get((category, resting))
-        )
+
+        def attempt(self, category, resting="upright", toward=None, depth_sigma=None):
+            return (
+                made.get((category, resting))
+                if toward is None
+                else dict(reversed_fits).get((category, resting))
+            )
+
+        monkeypatch.setattr(ObjectFits, "attempt", attempt)
         p = np.array([dict(named).get(posed, 0.0) for posed in POSED_CLASSES] + [0.0])
         views = ObjectViews(3, "bottle", 0.9, tuple(table.observations((0.0,))), np.zeros(0), p)
         return ObjectFits(views, decoder, SupportPlane(), Model({}, 0.4), FitConfig())
@@ -84,6 +90,28 @@ def test_of_no_class_the_highest_score_counts_if_it_is_high_enough(make_fits) ->
         fit_unnamed(make_fits({LYING: scored(LYING, 0.3)}))
     with pytest.raises(RejectedError, match="no shape in any resting pose"):
         fit_unnamed(make_fits({LYING: scored(LYING, 0.9, explained=0.5)}))
+
+
+@pytest.mark.parametrize(
+    ("first", "other", "is_turned"),
+    [
+        (scored(LYING, 0.2), scored(LYING, 0.7), True),
+        (scored(LYING, 0.2, explained=0.8), scored(LYING, 0.7), True),
+        (scored(LYING, 0.2), scored(LYING, 0.7, explained=0.8), False),
+        (scored(LYING, 0.55), scored(LYING, 0.7), False),
+        (scored(LYING, 0.2), None, False),
+    ],
+)
+def test_what_lies_and_has_a_low_score_is_fitted_the_other_way_round(make_fits, first, other, is_turned):
+    """A bottle that was fitted from its neck is hardly one."""
+    fits = make_fits({LYING: first}, {LYING: 1.0}, {LYING: other})
+    low = first.estimate.score < UNKNOWN
+    assert as_named(fits, True) is (other if is_turned else None if low else first)
+    if is_turned or not low:
+        assert fit_unnamed(fits) is (other if is_turned else first)
+    upright = scored(STANDING, explained=0.6)
+    kept = other if is_turned else upright if low else first
+    assert best_pose(fits, upright, ["bottle"], is_given=False) is kept
 
 
 def test_another_pose_needs_a_score_unless_the_class_is_given(make_fits) -> None:

@@ -165,11 +165,13 @@ def test_parts_that_explain_all_replace_a_bowl_on_a_high_foot(leave, whole, is_u
         (shape(base=0.1), 0.02, False),
     ],
 )
-def test_the_floor_of_a_vessel_with_a_far_better_score_may_be_thicker_than_its_shapes(
-    leave, upper, beside, accepted
-):
+@pytest.mark.parametrize(
+    "whole", [shape(score=0.23), shape("bowl", height=0.13, radius=0.074, status="implausible")]
+)
+def test_the_floor_of_a_vessel_may_be_thicker_than_its_shapes(leave, upper, beside, accepted, whole):
+    """Where the parts have far better scores, or the whole is far from its class."""
     leave(0.3, beside)
-    assert are_two([shape(), upper], shape(score=0.23), POINTS, 0.08, PLANE) is accepted
+    assert are_two([shape(), upper], whole, POINTS, 0.08, PLANE) is accepted
 
 
 @pytest.mark.parametrize(("score", "accepted"), [(0.7, True), (0.8, False), (0.95, False)])
