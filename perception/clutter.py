@@ -3,7 +3,7 @@
 The networks know upright objects. Lying ones and those on their rim often get no class, although their masks
 are good: such candidates are fitted in all classes and resting poses and kept where the evidence is clear.
 Stacks are segmented as one thing, with a class or without: what no single shape explains is cut in parts.
-So are things that touch: what has no class is cut where its surface is concave, for lying objects in it.
+So are things that touch: what has no class is cut where its surface is concave, for objects in it.
 """
 
 from __future__ import annotations
@@ -95,14 +95,17 @@ def reconstruct_clutter(
         single = {id: estimate for id, estimate in estimates.items() if id not in stacks}
         lost = candidates - set(single) - set(stacks)
         recutting = Recutting(frames, planes, completer, lambda cut: fit(cut, {}), options.workers)
-        rows, agreed = recutting.agreed(rows, lost, is_clear)
+        named, model = detections_per_frame, options.acceptance
+        weak = _uncertain(single, named, model)
+
+        def is_kept(e: ObjectEstimate) -> bool:
+            return is_clear(e) if e.id in candidates else _existence(e, named, model) >= UNCERTAIN
+
+        rows, agreed = recutting.agreed(rows, lost | weak, is_kept)
         single, lost = single | agreed, lost - set(agreed)
         free = 1 + max((*instance_ids(rows), *(part.id for part in parts)), default=-1)
         rows, pieces = recutting.separated(rows, lost, free)
-        # An upright object is seldom segmented with what it touches.
-        single |= {
-            id: e for id, e in pieces.items() if _is_lying_object(e, instance_points(frames, rows, id))
-        }
+        single |= {id: e for id, e in pieces.items() if _is_object(e, instance_points(frames, rows, id))}
         candidates |= instance_ids(rows) - instance_ids(detections_per_frame)
         free = max(free, 1 + max(instance_ids(rows), default=-1))
         rows, wholes = recutting.joined(rows, candidates - set(stacks), single, free)
@@ -110,20 +113,16 @@ def reconstruct_clutter(
         single = {id: e for id, e in single.items() if id in remaining} | wholes
         candidates |= set(wholes)
         single = without_parts(frames, rows, single, candidates)
-        if options.acceptance is not None:
-            named = {d.instance_id: planes[d.support] for row in detections_per_frame for d in row}
+        if model is not None:
+            support = {d.instance_id: planes[d.support] for row in named for d in row}
             instances = gather_instances(frames, rows, options.max_views)
-            alone = [views for views in instances if views.id in named and views.id not in stacks]
-            single |= on_hidden_supports(alone, single, named, decoder, options.acceptance)
+            alone = [views for views in instances if views.id in support and views.id not in stacks]
+            single |= on_hidden_supports(alone, single, support, decoder, model)
         single |= renamed(frames, detections_per_frame, single, lambda doubtful: fit(doubtful, {}))
         single |= completed(frames, rows, single, planes[0], lambda whole: fit(whole, {}))
         single = without_repetitions(frames, rows, single, candidates, parts)
-        uncertain = {
-            id: e
-            for id, e in single.items()
-            if len(frames) > 1 and _existence(e, detections_per_frame, options.acceptance) < UNCERTAIN
-        }
-        rejected += [_left_out(estimate) for estimate in uncertain.values()]
+        uncertain = _uncertain(single, named, model)
+        rejected += [_left_out(single[id]) for id in sorted(uncertain)]
         single = {id: estimate for id, estimate in single.items() if id not in uncertain}
         found = with_seen_handles([*single.values(), *parts], frames, planes[0], completer)
         found, left = without_parts_of_things(
@@ -137,9 +136,18 @@ def reconstruct_clutter(
     return sorted(found, key=lambda e: e.id)
 
 
-def _is_lying_object(piece: ObjectEstimate, points: Float[np.ndarray, "n 3"]) -> bool:
-    """Return whether a piece of what was cut lies there as an object of its own."""
-    return piece.resting == "lying" and not may_be_part(piece) and shows_ends(piece, points)
+def _is_object(piece: ObjectEstimate, points: Float[np.ndarray, "n 3"]) -> bool:
+    """Return whether a piece of what was cut lies or stands there as an object of its own."""
+    return piece.resting != "upside-down" and not may_be_part(piece) and shows_ends(piece, points)
+
+
+def _uncertain(
+    estimates: Mapping[int, ObjectEstimate], rows: Rows, model: AcceptanceModel | None
+) -> set[int]:
+    """Return the ids of the objects that are more often things of no class; a single image tells none."""
+    if len(rows) <= 1:
+        return set()
+    return {id for id, e in estimates.items() if _existence(e, rows, model) < UNCERTAIN}
 
 
 def _existence(estimate: ObjectEstimate, rows: Rows, model: AcceptanceModel | None) -> float:

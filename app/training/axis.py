@@ -38,6 +38,7 @@ SPREAD = np.radians(10.0)  # standard deviation of the labels
 class TrainAxisConfig(TrainPoseConfig):
     """Configuration of the job; more epochs than for the pose, since only what lies is trained on."""
 
+    stacked: int = 0
     training: TrainingConfig = field(default_factory=lambda: TrainingConfig(epochs=24))
 
 

@@ -7,6 +7,7 @@ command resumes an interrupted run.
 from __future__ import annotations
 
 import logging
+from collections.abc import Callable
 from dataclasses import dataclass, field, replace
 from pathlib import Path
 from typing import Any
@@ -153,7 +154,8 @@ def run(
     scene = train_scene(scenes, config, out_dir, progress, processes)
     save_scene_network(scene, out_dir / SCENE_WEIGHTS_FILE, provenance(config))
     crops = data_sets.crops()
-    trained = train_class(crops, config, out_dir, stage_progress(progress, SCENE_SHARE, 1.0), processes)
+    part = stage_progress(progress, SCENE_SHARE, 1.0)
+    trained = train_cycles("class", crops, class_targets, config, out_dir, part, processes)
     metrics = class_metrics(crops.test, trained.probabilities(crops.test))
     if crops.stacked_test is not None:
         stacked = class_metrics(crops.stacked_test, trained.probabilities(crops.stacked_test))
@@ -212,28 +214,30 @@ def train_scene(
     return fit_scene_network(scenes, settings, TrainingJob(out_dir, config.device, on_step), processes)
 
 
-def train_class(
+def train_cycles(
+    task: Task,
     crops: CropSplits,
+    targets: Callable[[LabelledCrops], CropSet],
     config: TrainDetectorConfig,
     out_dir: Path,
     progress: Progress | None,
     processes: int = 1,
 ) -> CalibratedNetwork:
-    """Train the class network in one cycle, or in a second one on images with stacks too.
+    """Train a network in one cycle, or in a second one on images with stacks too.
 
     The second cycle has its checkpoint in the subfolder `second`.
     """
-    validation = class_targets(crops.validation)
-    data = TrainingData(class_targets(crops.training), validation)
+    validation = targets(crops.validation)
+    data = TrainingData(targets(crops.training), validation)
     if crops.stacked is None:
-        return train_ensemble("class", data, config, out_dir, progress, processes)
+        return train_ensemble(task, data, config, out_dir, progress, processes)
     samples = [len(crops.training) * config.training.epochs, len(crops.stacked) * config.second.epochs]
     share = samples[0] / sum(samples)
-    first = train_ensemble("class", data, config, out_dir, stage_progress(progress, 0.0, share), processes)
-    data = TrainingData(class_targets(crops.stacked), validation)
+    first = train_ensemble(task, data, config, out_dir, stage_progress(progress, 0.0, share), processes)
+    data = TrainingData(targets(crops.stacked), validation)
     settings = replace(config, training=replace(config.second, seed=config.training.seed))
     part = stage_progress(progress, share, 1.0)
-    return train_ensemble("class", data, settings, out_dir / "second", part, processes, first.network)
+    return train_ensemble(task, data, settings, out_dir / "second", part, processes, first.network)
 
 
 def train_ensemble(

@@ -24,18 +24,19 @@ from app.training.crop_dataset import (
 )
 from app.training.detector import (
     RENDERING_SHARE,
+    STACKED,
     CalibratedNetwork,
     CropSplits,
     TrainDetectorConfig,
     provenance,
     stage_progress,
-    train_ensemble,
+    train_cycles,
 )
 from app.training.files import checksums
 from app.training.resources import Resources
 from app.training.scene_dataset import ASTRAY, SHARD, load_crops, training_scene_config
 from app.training.shards import Contents, write_shards
-from perception.detection.crop_training import CropSet, TrainingConfig, TrainingData
+from perception.detection.crop_training import CropSet, TrainingConfig
 from perception.detection.tasks import POSE_LABELS, WEIGHTS_FILES
 from perception.types import POSED_CLASSES
 
@@ -53,8 +54,9 @@ class TrainPoseConfig(TrainDetectorConfig):
 
     pictures: int = 10000
     further: int = 0
-    stacked: int = 0
+    stacked: int = 9000
     training: TrainingConfig = field(default_factory=lambda: TrainingConfig(epochs=22))
+    second: TrainingConfig = field(default_factory=lambda: TrainingConfig(epochs=10, learning_rate=1e-3))
 
 
 @dataclass(frozen=True)
@@ -83,6 +85,7 @@ class PoseShard:
         number: Number of the shard in the data set.
         count: Number of images.
         mix: Objects of the scenes.
+        has_stacks: Whether some images have objects on or in others.
     """
 
     path: Path
@@ -91,6 +94,7 @@ class PoseShard:
     number: int
     count: int
     mix: PoseMix = PoseMix()
+    has_stacks: bool = False
 
     @property
     def files(self) -> tuple[Path]:
@@ -112,12 +116,14 @@ def run(
         Metrics of the pose network (``pose_metrics``).
     """
     crops = posed_crops(config, out_dir, progress, resources.workers)
-    data = TrainingData(pose_targets(crops.training), pose_targets(crops.validation))
     part = stage_progress(progress, RENDERING_SHARE, 1.0)
-    trained = train_ensemble("pose", data, config, out_dir, part, resources.processes)
+    trained = train_cycles("pose", crops, pose_targets, config, out_dir, part, resources.processes)
     metrics = pose_metrics(crops.test, trained.probabilities(crops.test))
+    if crops.stacked_test is not None:
+        stacked = pose_metrics(crops.stacked_test, trained.probabilities(crops.stacked_test))
+        metrics |= {"accuracy_with_stacks": stacked["accuracy"]}
     trained.save(out_dir / WEIGHTS_FILES["pose"], "pose", config)
-    card = _card(config, metrics, trained, len(crops.training))
+    card = _card(config, metrics, trained, crops)
     (out_dir / "pose.md").write_text(card + checksums(out_dir / WEIGHTS_FILES["pose"]), "utf-8")
     return metrics
 
@@ -133,15 +139,19 @@ def posed_crops(
     seed, folder = config.training.seed, out_dir / mix.folder
     rendering = stage_progress(progress, 0.0, RENDERING_SHARE)
 
-    def crops(split: Split, pictures: int, seed: int) -> LabelledCrops:
-        shards = render_crops(folder, split, pictures, seed, workers, rendering, mix)
+    def crops(split: Split, pictures: int, seed: int, has_stacks: bool = False) -> LabelledCrops:
+        shards = render_crops(folder, split, pictures, seed, workers, rendering, mix, has_stacks)
         return load_crops([shard.path for shard in shards])
 
-    return CropSplits(
+    first = (
         crops("train", config.pictures, seed),
         crops("train", config.validation, seed + 1),  # other shapes than those of training
         crops("test", config.test, seed),
     )
+    if not config.stacked:
+        return CropSplits(*first)
+    stacked = crops("train", config.stacked, seed + 3, True)
+    return CropSplits(*first, stacked, crops("test", config.test, seed + 3, True))
 
 
 def render_crops(
@@ -152,6 +162,7 @@ def render_crops(
     workers: Workers = Workers(),
     progress: Progress | None = None,
     mix: PoseMix = PoseMix(),
+    has_stacks: bool = False,
 ) -> list[PoseShard]:
     """Render random scenes and return the shards of their crops; existing ones are reused.
 
@@ -162,7 +173,7 @@ def render_crops(
     for number in range(max(1, math.ceil(pictures / SHARD))):
         count = min(SHARD, pictures - number * SHARD)
         path = folder / f"crops_{split}_seed{seed}_n{count}_{number:03d}.npz"
-        shards.append(PoseShard(path, split, seed, number, count, mix))
+        shards.append(PoseShard(path, split, seed, number, count, mix, has_stacks))
     write_shards(shards, render_shard, workers, f"rendering {split} scenes", progress)
     return shards
 
@@ -175,7 +186,7 @@ def render_shard(shard: PoseShard) -> Contents:
     rng = np.random.default_rng(seed.spawn(1)[0])
     config = replace(
         training_scene_config(), toppled=0.0, posed=shard.mix.posed, shares=shard.mix.shares,
-        elevation=ELEVATION, distance=DISTANCE,
+        stacked=STACKED if shard.has_stacks else 0.0, elevation=ELEVATION, distance=DISTANCE,
     )  # fmt: skip
     crops = []
     with TrainingScenes(shard.split, int(seed.generate_state(1)[0]), config) as source:
@@ -212,7 +223,9 @@ def pose_metrics(crops: LabelledCrops, probabilities: Float[np.ndarray, "n 10"])
     }
 
 
-def _card(config: TrainPoseConfig, metrics: dict[str, Any], trained: CalibratedNetwork, crops: int) -> str:
+def _card(
+    config: TrainPoseConfig, metrics: dict[str, Any], trained: CalibratedNetwork, crops: CropSplits
+) -> str:
     """Return the model card in Markdown: architecture, training, data, evaluation and limitations."""
     header = (
         "| true \\ predicted | "
@@ -224,9 +237,15 @@ def _card(config: TrainPoseConfig, metrics: dict[str, Any], trained: CalibratedN
         f"| {name} | " + " | ".join(str(n) for n in row) + f" | {metrics['accuracy_per_pose'][name]:.3f} |"
         for name, row in zip(POSE_LABELS, metrics["confusion"])
     )
+    second = stacked = evaluated = ""
+    if crops.stacked is not None:
+        second = _SECOND.format(second=config.second)
+        stacked = _STACKED.format(config=config, crops=len(crops.stacked), share=STACKED)
+        evaluated = f", {metrics['accuracy_with_stacks']:.3f} on as many scenes with stacks in half of them"
     return _CARD.format(
         parameters=sum(p.numel() for p in trained.network.parameters()), temperature=trained.temperature,
-        crops=crops, config=config, training=config.training, torch=provenance(config)["torch"].split("+")[0],
+        second=second, stacked=stacked, evaluated=evaluated, crops=len(crops.training),
+        config=config, training=config.training, torch=provenance(config)["torch"].split("+")[0],
         confusion=f"{header}\n{rows}", m=metrics, posed=PoseMix.posed,
     )  # fmt: skip
 
@@ -239,18 +258,25 @@ safetensors. Logits are divided by the temperature {temperature:.2f}; log-probab
 averaged. It proposes which shapes in which poses are fitted; depth decides.
 
 **Training**: `nodeslam train pose --seed {training.seed}` with torch {torch}: {training.epochs} epochs of
-AdamW with learning rate {training.learning_rate} and cosine decay, batch size {training.batch}, on a
+AdamW with learning rate {training.learning_rate} and cosine decay, batch size {training.batch}{second}, on a
 CPU, in bfloat16 with float32 weights where it computes with that, else in float32.
 Crops are mirrored, warped, shifted, truncated and recoloured.
 
 **Data**: {crops} crops of {config.pictures} scenes as those of the detector (see `detector.md`), in which
 {posed:.0%} of the objects do not stand upright: mugs and bowls upside down; mugs, bottles and cans on their
-sides, at random rolls, handles of mugs beside them or above. A can upside down counts as upright.
+sides, at random rolls, handles of mugs beside them or above. A can upside down counts as upright.{stacked}
 
 **Evaluation** on {m[crops]} masks, as imperfect as those of training, in {config.test} such scenes of the
-test families and held-out distractors, single views: accuracy {m[accuracy]:.3f}.
+test families and held-out distractors, single views: accuracy {m[accuracy]:.3f}{evaluated}.
 
 {confusion}
 
-**Limitations**: rendered images only; no stacks, no leaning objects, no bottles on their caps.
+**Limitations**: rendered images only; no leaning objects but in others, no bottles on their caps.
 """
+
+_SECOND = """; a second
+cycle of {second.epochs} epochs with learning rate {second.learning_rate}"""
+
+_STACKED = """
+The second cycle learns from {crops} crops of {config.stacked} other images, {share:.0%} of which show objects
+that stand on or in others (`sim_assets/datasets/stacks.py`)."""

@@ -6,6 +6,7 @@ import logging
 from collections.abc import Mapping, Sequence
 from dataclasses import replace
 
+from perception.inference.clear_evidence import is_stubby
 from perception.inference.contents import VESSELS
 from perception.inference.pose_choice import (
     has_closed_top,
@@ -144,4 +145,7 @@ def _least_score(fits: ObjectFits) -> float:
 
 
 def _is_good(scored: ScoredFit, fits: ObjectFits) -> bool:
-    return is_good(scored.evidence, scored.estimate, fits.plane)
+    """Return whether a fit is good, and no lying bottle that is too short for one."""
+    estimate = scored.estimate
+    is_short = estimate.resting == "lying" and is_stubby(estimate)
+    return not is_short and is_good(scored.evidence, estimate, fits.plane)

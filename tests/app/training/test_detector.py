@@ -12,9 +12,10 @@ from app.training.detector import (
     CalibratedNetwork,
     CropSplits,
     TrainDetectorConfig,
+    class_targets,
     render_data_sets,
     stage_progress,
-    train_class,
+    train_cycles,
 )
 from app.training.resources import Resources
 from app.training.scene_dataset import Shard
@@ -126,14 +127,16 @@ def test_the_second_cycle_goes_on_from_the_first_on_images_with_stacks(tmp_path,
     config = TrainDetectorConfig(
         training=replace(TINY, seed=5), second=TrainingConfig(epochs=2, learning_rate=1e-4)
     )
-    trained = train_class(splits, config, tmp_path, lambda _, share: progress.append(share))
+    trained = train_cycles(
+        "class", splits, class_targets, config, tmp_path, lambda _, share: progress.append(share)
+    )
     (first, second), folders = calls, [job.directory for _, _, job, _ in calls]
     assert (first[0], second[0]) == (20, 10) and folders == [tmp_path, tmp_path / "second"]
     assert first[1] == config.training and second[1] == replace(config.second, seed=5)
     assert first[2].start is None and second[2].start is first[3] and trained.network is second[3]
     assert progress == [0.5, 1.0]  # as many crops in each cycle
     calls.clear()
-    train_class(replace(splits, stacked=None), config, tmp_path, None)
+    train_cycles("class", replace(splits, stacked=None), class_targets, config, tmp_path, None)
     assert len(calls) == 1
 
 

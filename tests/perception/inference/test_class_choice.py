@@ -168,6 +168,7 @@ def choose_pose(monkeypatch, decoder):
             return ScoredFit(estimate, replace(EVIDENCE, explained=share), None)
 
         monkeypatch.setattr(scored_fits, "scored_fit", scored)
+        monkeypatch.setattr(resting_choice, "is_stubby", lambda _: False)
         monkeypatch.setattr(resting_choice, "comes_near", lambda *_: near)
         monkeypatch.setattr(resting_choice, "nearest_hypotheses", lambda *_: hypotheses)
         monkeypatch.setattr(pose_choice, "rests_stably", lambda mesh, plane: resting_stably)

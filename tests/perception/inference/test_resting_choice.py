@@ -36,6 +36,7 @@ def make_fits(make_table, decoder, monkeypatch):
     """Makes fits from the fit as each class in each pose, and the probabilities of the pose network."""
     monkeypatch.setattr(pose_choice, "rests_stably", lambda mesh, plane: True)
     monkeypatch.setattr(resting_choice, "comes_near", lambda *_: True)
+    monkeypatch.setattr(resting_choice, "is_stubby", lambda _: False)
     monkeypatch.setattr(resting_choice, "has_closed_top", lambda *_: False)
     table = make_table("can", (1.0, 0.5), yaw=0.0)
 
@@ -112,6 +113,18 @@ def test_what_lies_and_has_a_low_score_is_fitted_the_other_way_round(make_fits, 
     upright = scored(STANDING, explained=0.6)
     kept = other if is_turned else upright if low else first
     assert best_pose(fits, upright, ["bottle"], is_given=False) is kept
+
+
+def test_a_lying_bottle_that_is_too_short_for_one_is_none(make_fits, monkeypatch):
+    """A lying mug resembles it."""
+    can = ("can", "lying")
+    made = {LYING: scored(LYING, 0.9), can: scored(can, 0.8, explained=0.9)}
+    assert as_named(make_fits(made, {LYING: 0.6, can: 0.4}), True) is made[LYING]
+    monkeypatch.setattr(resting_choice, "is_stubby", lambda estimate: estimate.category == "bottle")
+    assert as_named(make_fits(made, {LYING: 0.6, can: 0.4}), True) is made[can]
+    assert fit_unnamed(make_fits(made)) is made[can]
+    standing = {STANDING: scored(STANDING)}
+    assert fit_unnamed(make_fits(standing)) is standing[STANDING], "of lying bottles alone"
 
 
 def test_another_pose_needs_a_score_unless_the_class_is_given(make_fits) -> None:
