@@ -30,13 +30,14 @@ class ExplanationConfig:
         max_height: Largest height above the surface.
         beyond: Distance outside the outline of the surface up to which things stand on it.
         margin: Distance from a known object within which points are measurements of it.
-        mask_margin: The same for points in the object's detection mask, along each axis.
+        mask_margin: The same for points in the object's detection mask. A mask that extends over a neighbour
+            does not hide it.
     """
 
     max_height: float = 0.4
     beyond: float = 0.02
     margin: float = 0.015
-    mask_margin: float = 0.05
+    mask_margin: float = 0.04
 
 
 @dataclass(frozen=True)
@@ -79,14 +80,14 @@ class KnownGeometry:
     Attributes:
         surface: Points on the objects' surfaces in the world frame, in metres.
         normals: (n, 3) outward normals at these points.
-        bounds: Smallest and largest corner of each object in the world frame, by id.
+        own: The points on the surface of each object, by id.
         boxes: (b, 2, 3) smallest and largest corners of axis-aligned boxes in the world frame.
         cavities: Cavities of the upright vessels.
     """
 
     surface: KDTree
     normals: Float[np.ndarray, "n 3"]
-    bounds: Mapping[int, Float[np.ndarray, "2 3"]]
+    own: Mapping[int, KDTree]
     boxes: Float[np.ndarray, "b 2 3"] = field(default_factory=lambda: np.zeros((0, 2, 3)))
     cavities: Sequence[Cavity] = ()
 
@@ -96,16 +97,12 @@ class KnownGeometry:
     ) -> KnownGeometry:
         """Return the geometry of object estimates and boxes."""
         rng = np.random.default_rng(0)
-        meshes = {estimate.id: estimate.mesh_world for estimate in objects}
-        samples = [SurfaceSamples.of(mesh, rng, _SAMPLES) for mesh in meshes.values()]
-        bounds = {
-            key: np.stack([mesh.vertices.min(axis=0), mesh.vertices.max(axis=0)])
-            for key, mesh in meshes.items()
-        }
-        points = np.concatenate([_NOWHERE, *(sample.points for sample in samples)])
-        normals = np.concatenate([np.zeros((1, 3)), *(sample.normals for sample in samples)])
+        samples = {e.id: SurfaceSamples.of(e.mesh_world, rng, _SAMPLES) for e in objects}
+        points = np.concatenate([_NOWHERE, *(sample.points for sample in samples.values())])
+        normals = np.concatenate([np.zeros((1, 3)), *(sample.normals for sample in samples.values())])
+        own = {key: KDTree(sample.points) for key, sample in samples.items()}
         vessels = (e for e in objects if e.category in VESSELS and e.resting == "upright")
-        return KnownGeometry(KDTree(points), normals, bounds, boxes, [Cavity.of(e) for e in vessels])
+        return KnownGeometry(KDTree(points), normals, own, boxes, [Cavity.of(e) for e in vessels])
 
     def explains(self, points: Float[np.ndarray, "n 3"], margin: float) -> Bool[np.ndarray, "n"]:
         """Return which points lie within ``margin`` metres of an object or a box, or in a vessel."""
@@ -146,9 +143,10 @@ def unexplained_points(
     points = points_of(frame, raised)
     free = surface.beyond(points) < config.beyond
     for found in detections:
-        bounds = known.bounds.get(-1 if found.instance_id is None else found.instance_id)
-        if bounds is not None:
-            free &= ~(found.mask[raised] & _in_boxes(points, bounds[None], config.mask_margin))
+        surface_points = known.own.get(-1 if found.instance_id is None else found.instance_id)
+        if surface_points is not None:
+            masked, margin = found.mask[raised], config.mask_margin
+            free[masked] &= surface_points.query(points[masked], distance_upper_bound=margin)[0] >= margin
     points = points[free]
     return points[~known.explains(points, config.margin)]
 

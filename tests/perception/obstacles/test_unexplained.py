@@ -42,10 +42,24 @@ def test_what_no_object_explains_remains(scene):
 def test_a_mask_explains_up_to_its_margin(scene):
     wrong = [cylinder(-0.08), cylinder(0.08, radius=0.008, height=0.04, number=1)]
     mask = ObjectDetection("can", 0.9, scene.instances == 1, instance_id=1)
-    far = ExplanationConfig().mask_margin + 0.04  # [m], the largest height of what the mask explains
     without, with_mask = points_beside(scene, wrong), points_beside(scene, wrong, [mask])
-    assert len(with_mask) < len(without) / 2 and with_mask[:, 2].min() > far - 1e-6
+    beside = np.hypot(with_mask[:, 0] - 0.08, with_mask[:, 1]) - 0.008
+    away = np.hypot(np.maximum(beside, 0.0), np.maximum(with_mask[:, 2] - 0.04, 0.0))  # from the wrong shape
+    assert len(with_mask) < 0.7 * len(without) and away.min() > ExplanationConfig().mask_margin - 1e-6
     assert len(points_beside(scene, wrong, [replace(mask, instance_id=7)])) == len(without)
+
+
+def test_a_mask_does_not_explain_a_neighbour_that_it_extends_over(scene):
+    """A bar across the table, in whose bounds both cans stand."""
+    mesh = trimesh.creation.box((0.3, 0.01, 0.1))
+    shape = TriangleMesh(np.asarray(mesh.vertices), np.asarray(mesh.faces))
+    T = trimesh.transformations.rotation_matrix(np.pi / 4, (0, 0, 1))
+    T[2, 3] = 0.05
+    bar = ObjectEstimate(1, "bottle", np.zeros(16), T, np.full(3, 0.1), shape)
+    mask = ObjectDetection("bottle", 0.9, scene.instances >= 0, instance_id=1)
+    points = points_beside(scene, [bar], [mask])
+    from_bar = np.abs(points[:, 0] - points[:, 1]) / np.sqrt(2) - 0.005
+    assert len(points) > 500 and from_bar.min() > ExplanationConfig().mask_margin - 0.002
 
 
 def test_boxes_and_the_edge_of_the_surface_bound_the_search(scene):
