@@ -7,7 +7,7 @@ import numpy as np
 import pytest
 
 from perception import clutter
-from perception.clutter import UNCERTAIN, reconstruct_clutter
+from perception.clutter import UNCERTAIN, UPRIGHT_PIECE, reconstruct_clutter
 from perception.inference import doubtful_shapes, selection
 from perception.inference.acceptance import shipped_acceptance
 from perception.inference.clear_evidence import PIECE_SCORE, POSED_SCORE, THINNEST, UNCLASSIFIED_SCORE
@@ -159,7 +159,7 @@ def test_a_named_object_is_not_left_out_where_the_views_agree_on_less(scene, bey
 def test_pieces_of_what_no_shape_explains_need_a_high_score(scene, monkeypatch):
     """They lie or stand upright, and show their ends."""
     poses = {4: (PIECE_SCORE - 0.01, "lying"), 5: (PIECE_SCORE + 0.01, "lying"), 6: (0.99, "upside-down")}
-    poses |= {7: (0.98, "lying"), 8: (PIECE_SCORE + 0.01, "upright"), 9: (PIECE_SCORE - 0.01, "upright")}
+    poses |= {7: (0.98, "lying"), 8: (UPRIGHT_PIECE + 0.01, "upright"), 9: (UPRIGHT_PIECE - 0.01, "upright")}
     monkeypatch.setattr(clutter, "shows_ends", lambda estimate, points: estimate.id != 7)
     scene.pieces = {id: found(id, score, resting=resting) for id, (score, resting) in poses.items()}
     assert scene.run() == [0, 1, 5, 8]
