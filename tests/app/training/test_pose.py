@@ -36,15 +36,26 @@ def test_labels_are_classes_in_resting_poses():
 
 def test_the_pose_job_writes_weights_and_card(tmp_path, monkeypatch):
     monkeypatch.setattr(train_pose, "load_crops", lambda paths: random_crops(len(paths)))
-    monkeypatch.setattr(train_pose, "render_shard", lambda shard: (b"",))
+    rendered = []
+
+    def render(shard):
+        rendered.append((shard.split, shard.seed, shard.count, shard.has_stacks))
+        return (b"",)
+
+    monkeypatch.setattr(train_pose, "render_shard", render)
+    tiny = TrainingConfig(epochs=1, batch=8)
     config = train_pose.TrainPoseConfig(
-        pictures=5, validation=5, test=5, training=TrainingConfig(epochs=1, batch=8)
+        pictures=5, validation=4, test=6, stacked=7, training=tiny, second=tiny
     )
     metrics = train_pose.run(config, tmp_path)
+    first = [("train", 0, 5, False), ("train", 1, 4, False), ("test", 0, 6, False)]
+    assert rendered == [*first, ("train", 3, 7, True), ("test", 3, 6, True)]
+    assert 0 <= metrics["accuracy_with_stacks"] <= 1 and (tmp_path / "second").is_dir()
     network, _ = load_crop_network("pose", tmp_path / "pose.safetensors")
     assert network.outputs == 10 and metrics["crops"] == 20
     card = (tmp_path / "pose.md").read_text()
     assert "| bowl upside-down |" in card and "SHA-256" in card
+    assert "20 crops of 7 other images, 50%" in card
 
 
 def test_shards_are_rendered_once_and_a_failed_one_is_an_error(tmp_path, monkeypatch):
