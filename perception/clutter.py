@@ -65,12 +65,12 @@ def reconstruct_clutter(
         options: Scheduling and progress.
     """
     more = associate_unclassified(frames, detections_per_frame, left_out, planes[0])
-    detections_per_frame = _without_fragments(frames, detections_per_frame, left_out, options)
+    named = _without_fragments(frames, detections_per_frame, left_out, options)
     with single_threaded():
         more = posed_detections(frames, more, planes, completer)
-        detections_per_frame = posed_detections(frames, detections_per_frame, planes, completer)
+        named = posed_detections(frames, named, planes, completer)
     candidates = instance_ids(more)
-    rows = [[*row, *others] for row, others in zip(detections_per_frame, more, strict=True)]
+    rows = [[*row, *others] for row, others in zip(named, more, strict=True)]
     low = {id for id in candidates if is_low(frames, more, id, planes[0])}
     judged = [[d for d in row if d.instance_id not in candidates - low] for row in rows]
     rejected: list[RejectedObject] = []
@@ -98,7 +98,7 @@ def reconstruct_clutter(
         single = {id: estimate for id, estimate in estimates.items() if id not in stacks}
         lost = candidates - set(single) - set(stacks)
         recutting = Recutting(frames, planes, completer, lambda cut: fit(cut, {}), options.workers)
-        named, model = detections_per_frame, options.acceptance
+        model = options.acceptance
         weak = _uncertain(single, named, model)
 
         def is_kept(e: ObjectEstimate) -> bool:
@@ -109,7 +109,7 @@ def reconstruct_clutter(
         free = 1 + max((*instance_ids(rows), *(part.id for part in parts)), default=-1)
         rows, pieces = recutting.separated(rows, lost, free)
         single |= {id: e for id, e in pieces.items() if _is_object(e, instance_points(frames, rows, id))}
-        candidates |= instance_ids(rows) - instance_ids(detections_per_frame)
+        candidates |= instance_ids(rows) - instance_ids(named)
         free = max(free, 1 + max(instance_ids(rows), default=-1))
         rows, wholes = recutting.joined(rows, candidates - set(stacks), single, free)
         remaining = instance_ids(rows)
@@ -121,7 +121,7 @@ def reconstruct_clutter(
             instances = gather_instances(frames, rows, options.max_views)
             alone = [views for views in instances if views.id in support and views.id not in stacks]
             single |= on_hidden_supports(alone, single, support, decoder, model)
-        single |= renamed(frames, detections_per_frame, single, lambda doubtful: fit(doubtful, {}))
+        single |= renamed(frames, named, single, lambda doubtful: fit(doubtful, {}))
         single |= completed(frames, rows, single, planes[0], lambda whole: fit(whole, {}))
         single = without_repetitions(frames, rows, single, candidates, parts)
         uncertain = _uncertain(single, named, model)

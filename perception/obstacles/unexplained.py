@@ -80,14 +80,14 @@ class KnownGeometry:
     Attributes:
         surface: Points on the objects' surfaces in the world frame, in metres.
         normals: (n, 3) outward normals at these points.
-        own: The points on the surface of each object, by id.
+        samples: Points on the surface of each object, by id.
         boxes: (b, 2, 3) smallest and largest corners of axis-aligned boxes in the world frame.
         cavities: Cavities of the upright vessels.
     """
 
     surface: KDTree
     normals: Float[np.ndarray, "n 3"]
-    own: Mapping[int, KDTree]
+    samples: Mapping[int, SurfaceSamples]
     boxes: Float[np.ndarray, "b 2 3"] = field(default_factory=lambda: np.zeros((0, 2, 3)))
     cavities: Sequence[Cavity] = ()
 
@@ -100,9 +100,8 @@ class KnownGeometry:
         samples = {e.id: SurfaceSamples.of(e.mesh_world, rng, _SAMPLES) for e in objects}
         points = np.concatenate([_NOWHERE, *(sample.points for sample in samples.values())])
         normals = np.concatenate([np.zeros((1, 3)), *(sample.normals for sample in samples.values())])
-        own = {key: KDTree(sample.points) for key, sample in samples.items()}
         vessels = (e for e in objects if e.category in VESSELS and e.resting == "upright")
-        return KnownGeometry(KDTree(points), normals, own, boxes, [Cavity.of(e) for e in vessels])
+        return KnownGeometry(KDTree(points), normals, samples, boxes, [Cavity.of(e) for e in vessels])
 
     def explains(self, points: Float[np.ndarray, "n 3"], margin: float) -> Bool[np.ndarray, "n"]:
         """Return which points lie within ``margin`` metres of an object or a box, or in a vessel."""
@@ -143,10 +142,10 @@ def unexplained_points(
     points = points_of(frame, raised)
     free = surface.beyond(points) < config.beyond
     for found in detections:
-        surface_points = known.own.get(-1 if found.instance_id is None else found.instance_id)
-        if surface_points is not None:
-            masked, margin = found.mask[raised], config.mask_margin
-            free[masked] &= surface_points.query(points[masked], distance_upper_bound=margin)[0] >= margin
+        own = known.samples.get(-1 if found.instance_id is None else found.instance_id)
+        if own is not None:
+            masked = found.mask[raised]
+            free[masked] &= own.distance(points[masked], config.mask_margin) >= config.mask_margin
     points = points[free]
     return points[~known.explains(points, config.margin)]
 

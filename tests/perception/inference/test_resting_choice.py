@@ -44,11 +44,7 @@ def make_fits(make_table, decoder, monkeypatch):
         monkeypatch.setattr(resting_choice, "nearest_hypotheses", lambda *_: list(made))
 
         def attempt(self, category, resting="upright", toward=None, depth_sigma=None):
-            return (
-                made.get((category, resting))
-                if toward is None
-                else dict(reversed_fits).get((category, resting))
-            )
+            return (made if toward is None else dict(reversed_fits)).get((category, resting))
 
         monkeypatch.setattr(ObjectFits, "attempt", attempt)
         p = np.array([dict(named).get(posed, 0.0) for posed in POSED_CLASSES] + [0.0])
