@@ -26,6 +26,10 @@ class RobotError(ManipulationError):
     """The robot rejected a command or failed to execute it."""
 
 
+class ApproachBlockedError(RobotError):
+    """The empty hand met something on its way to an object."""
+
+
 class GoalBlockedError(RobotError):
     """An object in the hand met something on its way to its goal; it was set down where possible."""
 
@@ -36,6 +40,10 @@ class RobotStoppedError(ManipulationError):
 
 class GraspFailedError(ManipulationError):
     """The hand closed without holding the object, or the object was lost."""
+
+
+class UnknownInTheWayError(GraspFailedError):
+    """An image shows something unknown where the hand was about to go; nothing was touched."""
 
 
 class LeaningError(GraspFailedError):

@@ -18,6 +18,7 @@ from jaxtyping import Float
 
 from manipulation.clearing import Clearing
 from manipulation.errors import (
+    ApproachBlockedError,
     GoalBlockedError,
     GraspFailedError,
     LeaningError,
@@ -26,6 +27,7 @@ from manipulation.errors import (
     RobotError,
     RobotStoppedError,
     SceneChangedError,
+    UnknownInTheWayError,
 )
 from manipulation.kinematics import Kinematics
 from manipulation.lying_grasps import lies
@@ -44,6 +46,8 @@ from manipulation.types import Grasp, ObjectOutcome, PickPlacePlan, Placement, T
 from manipulation.withdrawal import Withdrawal, WithdrawingObserver
 
 logger = logging.getLogger(__name__)
+
+_MAX_UNKNOWN = 2  # times that something unknown is in the hand's way to an object, until it is left
 
 
 @dataclass(frozen=True)
@@ -133,6 +137,7 @@ class _Execution:
         self._clearing = Clearing(robot, self.planning, self.motion, self._scene)
         self._located: set[str] = set()  # objects that were found since they were knocked over
         self._blocked: Counter[str] = Counter()  # how often objects met something on the way to their goals
+        self._unknown: Counter[str] = Counter()  # how often something unknown was in the hand's way to them
 
     def run(self, ends_home: bool) -> list[ObjectOutcome]:
         with self._ahead:
@@ -216,7 +221,7 @@ class _Execution:
                 return self._progress.failed_attempt(name, 0, reason)
         is_confirmed = False  # whether an object that one image did not show was found where it was expected
         for _ in range(2 * (1 + self.config.max_retries)):
-            is_known, is_missed = False, False
+            is_known, is_missed, is_unknown = False, False, False
             if attempts > self.config.max_retries:
                 break
             self._notify("plan", name)
@@ -247,6 +252,7 @@ class _Execution:
                 attempts += 1
                 tried.append(plan.grasp)
                 self._blocked[name] += isinstance(error, GoalBlockedError)
+                is_unknown = isinstance(error, UnknownInTheWayError | ApproachBlockedError)
                 self.motion.back_off()
                 self._look_beside(plan)
             logger.info("%s, attempt %d: %s", name, attempts, reason)
@@ -256,8 +262,22 @@ class _Execution:
                 self._scene.search(inside)
             if found.problem:
                 return self._progress.failed_attempt(name, attempts, f"{reason}; {found.problem}")
+            if is_unknown and not self._may_go_round(name):
+                break
             is_confirmed = is_missed and found.is_in_place
         return self._progress.failed_attempt(name, attempts, reason)
+
+    def _may_go_round(self, name: str) -> bool:
+        """Look for what was in the hand's way to an object; return whether the hand may try other ways.
+
+        What is met again and again is the object itself, or a neighbour that is not as it was taken to be:
+        each touch may move it.
+        """
+        self._unknown[name] += 1
+        if self._unknown[name] >= _MAX_UNKNOWN:
+            return False
+        self._scene.renew_obstacles()
+        return True
 
     def _following(self, plan: PickPlacePlan, placement: Placement, is_turned: bool) -> Placement | None:
         """Return the goal that is planned next if a plan is executed as expected; None if it has to wait."""

@@ -68,6 +68,14 @@ class SceneObserver(Protocol):
         """Move the camera and search for an object: first where it is expected, then on the whole table."""
         ...
 
+    def find_obstacles(self, poses: Poses) -> tuple[PerceivedObstacle, ...] | None:
+        """Move the camera and return the things of no class on the table; None if it cannot be seen.
+
+        Args:
+            poses: poses of the known objects, which are none.
+        """
+        ...
+
     def look_closer(self, names: Sequence[str], poses: Poses) -> Poses:
         """Move the camera to objects that touch each other, the uppermost first.
 
@@ -89,6 +97,9 @@ class NoObserver:
 
     def find(self, name: str, poses: Poses) -> Finding:
         return Finding("unseen")
+
+    def find_obstacles(self, poses: Poses) -> None:
+        return None
 
     def look_closer(self, names: Sequence[str], poses: Poses) -> Poses:
         return {}

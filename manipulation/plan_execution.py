@@ -14,7 +14,14 @@ from typing import Literal, Protocol, runtime_checkable
 import numpy as np
 from jaxtyping import Bool, Float
 
-from manipulation.errors import GoalBlockedError, GraspFailedError, RobotError, SceneChangedError
+from manipulation.errors import (
+    ApproachBlockedError,
+    GoalBlockedError,
+    GraspFailedError,
+    RobotError,
+    SceneChangedError,
+    UnknownInTheWayError,
+)
 from manipulation.free_table import outlines_of_others, roomy_spots
 from manipulation.hand_collision import HandBoxes, HandClearance
 from manipulation.lying_grasps import lies
@@ -99,21 +106,26 @@ class PlanExecution:
 
         Raises:
             SceneChangedError: the object is not where it was expected.
-            GraspFailedError: something unknown is in the way, or the object is not held, slips between the
-                fingers, is not where it was released, or leans there.
+            UnknownInTheWayError: an image shows something unknown where the hand was about to go.
+            ApproachBlockedError: the hand met something on its way to the object.
+            GraspFailedError: the object is not held, slips between the fingers, is not where it was released,
+                or leans there.
             GoalBlockedError: the object met something on its way to the goal.
             RobotError: the robot failed to execute another motion.
         """
         robot, grasp, name = self.robot, plan.grasp, plan.name
         self._notify("approach", name, plan=plan)
-        if plan.transit is None:
-            robot.move_gripper(grasp.opening)
-        else:
-            follow_opening(robot, plan.transit, grasp.opening)
-        if looks_first:
-            self._require_in_place(name)
-        self._require_free_way(plan)
-        robot.follow(plan.approach)
+        try:
+            if plan.transit is None:
+                robot.move_gripper(grasp.opening)
+            else:
+                follow_opening(robot, plan.transit, grasp.opening)
+            if looks_first:
+                self._require_in_place(name)
+            self._require_free_way(plan)
+            robot.follow(plan.approach)
+        except RobotError as error:
+            raise ApproachBlockedError(str(error)) from error
         self._notify("grasp", name)
         robot.move_gripper(0.0)
         self._require_held(grasp, f"no object between the fingers after closing on {name}")
@@ -146,7 +158,7 @@ class PlanExecution:
             raise SceneChangedError(f"{name} is not where it was seen before")
 
     def _require_free_way(self, plan: PickPlacePlan) -> None:
-        """Raise GraspFailedError if an image shows something unknown where the hand is about to go.
+        """Raise UnknownInTheWayError if an image shows something where the hand is about to go.
 
         The neck of a bottle that was taken for its body alone, for instance, is above what the hand avoids.
         """
@@ -162,7 +174,7 @@ class PlanExecution:
         unknown = self.observer.unexpected(planner.poses(), planner.perceived_obstacles, is_on_the_way)
         if len(unknown) >= _UNKNOWN:
             x, y, z = np.median(unknown, axis=0)
-            raise GraspFailedError(
+            raise UnknownInTheWayError(
                 f"something unknown at ({x:.2f}, {y:.2f}, {z:.2f}) m is in the way of the hand to {plan.name}"
             )
 

@@ -59,6 +59,12 @@ class SceneFollowing:
             return Searched(f"{name} is nowhere within view, as before")
         return Searched(is_in_place=T is not None and before is not None and not is_displaced(before, T))
 
+    def renew_obstacles(self) -> None:
+        """Look for the things of no class anew, beside the objects as they are."""
+        obstacles = self._observer.find_obstacles(self._planner.poses())
+        if obstacles is not None:
+            self._planner.observe_obstacles(obstacles)
+
     def displaced_near(
         self, T_world_stand: Float[np.ndarray, "4 4"], but: Collection[str]
     ) -> Iterator[tuple[str, Float[np.ndarray, "4 4"]]]:

@@ -143,5 +143,8 @@ class WithdrawingObserver:
     def find(self, name: str, poses: Poses) -> Finding:
         return self._observer.find(name, poses) if self._withdrawal.rise() else Finding("unseen")
 
+    def find_obstacles(self, poses: Poses) -> tuple[PerceivedObstacle, ...] | None:
+        return self._observer.find_obstacles(poses) if self._withdrawal.rise() else None
+
     def look_closer(self, names: Sequence[str], poses: Poses) -> Poses:
         return self._observer.look_closer(names, poses) if self._withdrawal.rise() else {}

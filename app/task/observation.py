@@ -14,7 +14,7 @@ import numpy as np
 from jaxtyping import Float
 
 from manipulation.errors import ManipulationError, RobotStoppedError
-from manipulation.lying_grasps import lies
+from manipulation.lying_grasps import LYING_TILT, lies
 from manipulation.observation import Finding, Poses, Presence, Volume, is_displaced, is_turned
 from manipulation.types import StandingObject
 from manipulation.viewpoints import Viewpoint, ViewpointScanner
@@ -45,7 +45,8 @@ GOAL_REGION: Region = ((0.05, 0.85), (0.06, 0.62))  # [m] of the table on the si
 SEARCH_VIEWS = 4  # images of a search
 NEIGHBOURHOOD = 0.2  # [m] between the axes of an object and of others that may explain depth beside it
 MIN_PIXELS = 1500  # visible pixels of an object in one image, for a decision
-MAX_TILT = np.deg2rad(20)  # of a pose that is fitted to an object that stood
+MAX_TILT = np.deg2rad(20)  # of a pose that is fitted to an object that stood level
+LEANING = np.deg2rad(5)  # tilt from which on an object that does not lie leans against another one
 
 
 class WristObserver:
@@ -123,6 +124,15 @@ class WristObserver:
             logger.info("cannot observe %s: %s", name, error)
             return Finding("unseen")
 
+    def find_obstacles(self, poses: Poses) -> tuple[PerceivedObstacle, ...] | None:
+        try:
+            return self._obstacles_beside(poses, self._table_images() if self._find_obstacles else ())
+        except RobotStoppedError:
+            raise
+        except (ManipulationError, PerceptionError) as error:
+            logger.info("cannot look at the table: %s", error)
+            return None
+
     def look_closer(self, names: Sequence[str], poses: Poses) -> Poses:
         now = dict(poses)
         try:
@@ -161,19 +171,22 @@ class WristObserver:
         """Search for a standing object within a few centimetres of where it is expected."""
         frames = self._closeups(name, poses)
         check = self._check(name, poses, frames)
-        if check.status != "seen" or check.visible_pixels < MIN_PIXELS or check.tilt > MAX_TILT:
+        most = LYING_TILT if _leans(poses[name]) else MAX_TILT
+        if check.status != "seen" or check.visible_pixels < MIN_PIXELS or check.tilt > most:
             return None
         return Finding("found", self._seen_standing(name, check, poses, frames))
 
     def _seen_standing(
         self, name: str, check: PoseCheck, poses: Poses, frames: Sequence[RgbdFrame]
     ) -> Float[np.ndarray, "4 4"]:
-        """Return the pose of a standing object without its tilt, on its support.
+        """Return the pose of a standing object without its tilt, on its support; one that leant keeps a tilt.
 
         A mug's handle points to where the network sees it, and as expected where that leaves it open: depth
         alone hardly tells.
         """
         T_expected = poses[name]
+        if _leans(T_expected):
+            return self._stand_pose(name, check)
         T_seen = self._standing(name, check, T_expected[2, 3])
         if name not in self._mugs or self._handles is None:
             return T_seen
@@ -241,9 +254,16 @@ class WristObserver:
         now = {other: T for other, T in poses.items() if other != name}
         if finding.T_world_stand is not None:
             now[name] = finding.T_world_stand
-        seen = frames or self._table_images()
+        return replace(finding, obstacles=self._obstacles_beside(now, frames or self._table_images()))
+
+    def _obstacles_beside(
+        self, poses: Poses, frames: Sequence[RgbdFrame]
+    ) -> tuple[PerceivedObstacle, ...] | None:
+        """Return the things of no class in images of the table; None if they are left as they are."""
+        if self._find_obstacles is None:
+            return None
         self._has_updated = True
-        return replace(finding, obstacles=tuple(self._find_obstacles(self._at(now), seen)))
+        return tuple(self._find_obstacles(self._at(poses), frames))
 
     def _at(self, poses: Poses) -> list[ObjectEstimate]:
         """Return the estimates of all objects: at their poses, where these are known."""
@@ -278,6 +298,11 @@ class WristObserver:
     def _standing(self, name: str, check: PoseCheck, support: float) -> Float[np.ndarray, "4 4"]:
         """Return the fitted pose of a standing object without its tilt, on a support of a height [m]."""
         return levelled(self._stand_pose(name, check), support)
+
+
+def _leans(T_world_stand: Float[np.ndarray, "4 4"]) -> bool:
+    """Return whether an object neither stands level nor lies."""
+    return not lies(T_world_stand) and bool(T_world_stand[2, 2] < np.cos(LEANING))
 
 
 def _scaled(region: Region, scale: float) -> Region:

@@ -215,6 +215,7 @@ class FakeObserver:
     def __init__(self, presence=(), **findings):
         self.presence, self.findings, self.searched = list(presence), findings, []
         self.closer, self.looked_at = [], []
+        self.obstacles = []  # things of no class that each look at the table shows
 
     def glance(self, poses, names):
         if any(poses[name][2, 3] > IN_THE_AIR for name in names):
@@ -228,6 +229,9 @@ class FakeObserver:
         self.searched.append(name)
         answers = self.findings.get(name, [])
         return answers.pop(0) if answers else Finding("found", poses[name]) if name in poses else MISSING
+
+    def find_obstacles(self, poses):
+        return self.obstacles.pop(0) if self.obstacles else None
 
     def look_closer(self, names, poses):
         self.looked_at.append(tuple(names))
@@ -425,6 +429,38 @@ def test_a_search_updates_the_obstacles(packing, arm):
     assert all(outcome.placed for outcome in outcomes)
     deferred = next(event for event in watcher.events if event.phase == "deferred")
     assert deferred.name == "bowl_2" and "thing_7" in deferred.message
+
+
+def thing_over(T_world_stand):
+    corners = np.array(list(itertools.product((-0.06, 0.06), (-0.06, 0.06), (0.1, 0.14))))
+    return PerceivedObstacle(7, (T_world_stand[:3, 3] + corners,), 500)
+
+
+@pytest.mark.parametrize("is_seen", [True, False], ids=["seen", "felt"])
+def test_what_is_met_on_the_way_to_an_object_is_an_obstacle_from_then_on(packing, arm, is_seen):
+    """The thing is not in the object map, and covers the can that the hand goes for."""
+    single = replace(packing, placements=tuple(p for p in packing.placements if p.name == "can_1"))
+    T = packing.objects["can_1"].T_world_stand
+    robot, observer = FakeRobot(arm), FakeObserver()
+    if is_seen:
+        observer.unknown = T[:3, 3] + np.random.default_rng(0).uniform(-0.03, 0.03, (2000, 3)) + (0, 0, 0.12)
+    else:
+        robot.blocked_motions = {2}  # the approach
+    observer.obstacles = [(thing_over(T),)]
+    (outcome,) = execute(single, robot, observer, Watcher(robot), CONFIG)
+    assert not outcome.placed and outcome.attempts == 1 and "thing_7" in outcome.reason
+
+
+def test_an_object_to_which_something_unknown_bars_the_way_is_left_soon(packing, arm):
+    """Each touch may move what is unknown: two attempts, and one more once the others are placed."""
+    name = packing.placements[0].name
+    T = packing.objects[name].T_world_stand
+    robot, observer = FakeRobot(arm), FakeObserver()
+    observer.unknown = T[:3, 3] + np.random.default_rng(0).uniform(-0.05, 0.05, (9000, 3)) + (0, 0, 0.12)
+    watcher = Watcher(robot)
+    outcomes = {o.name: o for o in execute(packing, robot, observer, watcher, CONFIG)}
+    assert not outcomes[name].placed and outcomes[name].attempts == 3
+    assert "something unknown" in outcomes[name].reason and "grasp" not in watcher.phases(name)
 
 
 def test_blocked_arm_counts_as_a_failed_attempt(packing, arm):

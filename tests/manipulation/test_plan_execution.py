@@ -5,7 +5,13 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
-from manipulation.errors import GraspFailedError, RobotError, SceneChangedError
+from manipulation.errors import (
+    ApproachBlockedError,
+    GraspFailedError,
+    RobotError,
+    SceneChangedError,
+    UnknownInTheWayError,
+)
 from manipulation.kinematics import Kinematics
 from manipulation.observation import Finding
 from manipulation.pick_place import PickPlacePlanner
@@ -79,9 +85,23 @@ def test_the_hand_does_not_go_where_something_unknown_is(shapes, item, arm, plan
     if is_free:
         execution.run(plan)
         return
-    with pytest.raises(GraspFailedError, match=r"something unknown at .* is in the way of the hand to can_1"):
+    with pytest.raises(
+        UnknownInTheWayError, match=r"something unknown at .* is in the way of the hand to can_1"
+    ):
         execution.run(plan)
     assert robot.motions == [plan.transit] and 0.0 not in robot.widths
+
+
+@pytest.mark.parametrize(
+    ("number", "error"), [(1, ApproachBlockedError), (2, ApproachBlockedError), (3, RobotError)]
+)
+def test_what_blocks_the_hand_before_it_is_at_the_object(cell, plan, number, error):
+    """Transit and approach, but not the lift."""
+    robot, _, _, execution = cell()
+    robot.blocked_motions = {number}
+    with pytest.raises(RobotError, match="joint4") as raised:
+        execution.run(plan)
+    assert type(raised.value) is error
 
 
 @pytest.mark.parametrize("lifted", [(), ("mug_2",)])

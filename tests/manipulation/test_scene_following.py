@@ -9,6 +9,7 @@ from manipulation.pick_place import PickPlacePlanner
 from manipulation.scene_following import BESIDE, SceneFollowing, Searched
 from manipulation.standing import to_standing
 from perception.geometry import pose_from_yaw
+from perception.obstacles.obstacle import PerceivedObstacle
 from tests.manipulation.test_execution import CONFIG
 
 X = {"can_1": 0.4, "can_2": 0.4 + 0.9 * BESIDE, "can_3": 0.4 + 1.8 * BESIDE}
@@ -18,7 +19,7 @@ class Observer:
     """Sees ``seen``; ``displaced`` are the objects that a glance finds elsewhere."""
 
     def __init__(self):
-        self.seen, self.displaced, self.glanced = {}, set(), ()
+        self.seen, self.displaced, self.glanced, self.obstacles = {}, set(), (), None
 
     def glance(self, poses, names):
         self.glanced = names
@@ -29,6 +30,9 @@ class Observer:
 
     def find(self, name, poses):
         return self.seen.get(name, Finding("unseen"))
+
+    def find_obstacles(self, poses):
+        return self.obstacles
 
     def look_closer(self, names, poses):
         return {}
@@ -66,6 +70,18 @@ def test_a_missing_object_is_forgotten_and_stays_so_while_it_is_unseen(planner):
     assert "taken away or fell off" in scene.search("can_1").problem
     del observer.seen["can_1"]
     assert planner.forgotten == {"can_1"} and "as before" in scene.search("can_1").problem
+
+
+def test_things_of_no_class_are_looked_for_anew(planner):
+    observer = Observer()
+    scene = SceneFollowing(planner, observer)
+    thing = PerceivedObstacle(0, (np.add(np.eye(4, 3), (0.3, -0.4, 0.0)),), 300)
+    planner.observe_obstacles([thing])
+    scene.renew_obstacles()
+    assert planner.perceived_obstacles == (thing,), "the table could not be seen"
+    observer.obstacles = ()
+    scene.renew_obstacles()
+    assert planner.perceived_obstacles == ()
 
 
 def test_only_what_was_near_and_is_found_elsewhere_was_pushed(planner):

@@ -76,11 +76,13 @@ def test_where_nothing_is_free_above_the_hand_goes_home_around_it(planner, among
 def test_the_camera_is_not_moved_where_the_hand_cannot_rise(planner, among, monkeypatch):
     seen = FakeObserver(("in_place",), can_1=[Finding("missing")])
     seen.closer = [{"can_1": np.eye(4)}]
+    seen.obstacles = [()]
     observer = WithdrawingObserver(seen, Withdrawal(among, planner))
     monkeypatch.setattr(planner.motions, "free_line", lambda *_: Rejected("collide with thing_1"))
     monkeypatch.setattr(planner.motions, "free_path", lambda *_: None)
     assert observer.find("can_1", planner.poses()).status == "unseen"
-    assert observer.look_closer(("can_1",), planner.poses()) == {} and not among.motions
+    assert observer.look_closer(("can_1",), planner.poses()) == {}
+    assert observer.find_obstacles(planner.poses()) is None and not among.motions
     assert observer.glance(planner.poses(), ("can_1",)) == {"can_1": "in_place"}, "needs no motion"
     seen.unknown = np.eye(3)
     np.testing.assert_array_equal(
@@ -89,6 +91,7 @@ def test_the_camera_is_not_moved_where_the_hand_cannot_rise(planner, among, monk
     monkeypatch.undo()
     assert observer.find("can_1", planner.poses()).status == "missing"
     assert list(observer.look_closer(("can_1",), planner.poses())) == ["can_1"]
+    assert observer.find_obstacles(planner.poses()) == ()
 
 
 def test_a_blocked_withdrawal_is_no_error(planner, among):

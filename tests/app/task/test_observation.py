@@ -173,6 +173,36 @@ def test_a_search_of_the_table_shows_its_obstacles(scene, can_at, pack_plan):
     assert given == [[], ["can_0"], ["can_0"]]
 
 
+def test_things_of_no_class_are_found_in_images_of_the_table(scene, can_at, pack_plan, monkeypatch):
+    watch, poses, answers, scanner = scene
+    assert watch.find_obstacles(poses) is None and scanner.visited == [], "there is nothing that finds them"
+    thing = PerceivedObstacle(1, (np.zeros((4, 3)),), 300)
+    watch = WristObserver(scanner, [can_at()], pack_plan.objects, find_obstacles=lambda *_: [thing])
+    assert watch.find_obstacles(poses) == (thing,)
+    assert scanner.visited == [Workspace().scan_viewpoints(observation.SEARCH_VIEWS)]
+    answers["check"] = shifted(can_at, 0.02)
+    assert watch.find("can_0", poses).obstacles == (thing,), "some may be parts of what was displaced"
+
+    def unreachable(viewpoints, **options):
+        raise PlanningError("out of reach")
+
+    monkeypatch.setattr(scanner, "capture", unreachable)
+    assert watch.find_obstacles(poses) is None
+
+
+def test_a_leaning_object_keeps_its_tilt(scene, can_at):
+    """It leans against something: the hand that takes it to be level meets its rim elsewhere."""
+    watch, poses, answers, _ = scene
+    leaning = {"can_0": poses["can_0"].copy()}
+    leaning["can_0"][:3, :3] = so3_exp(np.array([np.deg2rad(16), 0.0, 0.0]))
+    T = np.array(can_at().T_world_object)
+    T[:3, :3] = so3_exp(np.array([0.4, 0.0, 0.0])) @ T[:3, :3]
+    answers["check"] = replace(SEEN, T_world_object=T, tilt=0.4)
+    found = watch.find("can_0", leaning)
+    assert np.arccos(found.T_world_stand[2, 2]) == pytest.approx(0.4)
+    assert watch.find("can_0", poses).status == "missing", "what stood level does not lean by 23 degrees"
+
+
 def test_points_in_a_region_that_nothing_explains(scene, can_at, pack_plan):
     _, poses, _, scanner = scene
     moved = {"can_0": poses["can_0"].copy()}
