@@ -122,8 +122,13 @@ def best_pose(
 
 def other_way_round(fits: ObjectFits, fit: ScoredFit) -> ScoredFit | None:
     """Return a fit of the same class with the axis reversed; None if there is none."""
-    x, y, z = (-fit.estimate.T_world_object[:3, 2]).tolist()
-    return fits.attempt(fit.estimate.category, REVERSED[fit.estimate.resting], (x, y, z))
+    category, resting = fit.estimate.category, REVERSED[fit.estimate.resting]
+    reversed_axis = -fit.estimate.T_world_object[:3, 2]
+    first = fits.attempt(category, resting) if resting == "lying" else None
+    if first is not None and first.estimate.T_world_object[:3, 2] @ reversed_axis > 0:
+        return first  # of which the given one is the reverse
+    x, y, z = reversed_axis.tolist()
+    return fits.attempt(category, resting, (x, y, z))
 
 
 def _either_way_round(fits: ObjectFits, category: Category, resting: RestingPose) -> ScoredFit | None:

@@ -10,7 +10,14 @@ from perception.inference.acceptance import AcceptanceModel
 from perception.inference.evidence import Evidence
 from perception.inference.fit_config import FitConfig
 from perception.inference.observation import ObjectViews
-from perception.inference.resting_choice import UNKNOWN, as_named, best_pose, fit_unnamed, is_as_named
+from perception.inference.resting_choice import (
+    UNKNOWN,
+    as_named,
+    best_pose,
+    fit_unnamed,
+    is_as_named,
+    other_way_round,
+)
 from perception.inference.scored_fits import ObjectFits, RejectedError, ScoredFit
 from perception.types import POSED_CLASSES, ObjectEstimate, SupportPlane, TriangleMesh
 
@@ -109,6 +116,16 @@ def test_what_lies_and_has_a_low_score_is_fitted_the_other_way_round(make_fits, 
     upright = scored(STANDING, explained=0.6)
     kept = other if is_turned else upright if low else first
     assert best_pose(fits, upright, ["bottle"], is_given=False) is kept
+
+
+def test_the_reverse_of_a_reversed_fit_is_the_first_one(make_fits):
+    """It is not made again, toward the opposite of the axis that the other one came to."""
+    first, other = scored(LYING), scored(LYING)
+    T = np.diag([1.0, -1.0, -1.0, 1.0])
+    other = replace(other, estimate=replace(other.estimate, T_world_object=T))
+    fits = make_fits({LYING: first}, reversed_fits={LYING: other})
+    assert other_way_round(fits, first) is other
+    assert other_way_round(fits, other) is first
 
 
 def test_a_lying_bottle_that_is_too_short_for_one_is_none(make_fits, monkeypatch):

@@ -202,7 +202,8 @@ def test_of_a_lying_bottle_without_a_neck_the_way_round_that_is_closer_is_kept(
         (1, 0.9, 0.5, False),
         (-1, 0.0, 0.5, False),  # the network knows nothing of it
         (0, 0.9, 0.5, False),  # it was not asked
-        (-1, 0.9, 0.3, False),  # the depth is clear
+        (-1, 0.5, 0.3, False),  # the depth is clear
+        (-1, 0.9, 0.3, True),  # but the network is sure
     ],
 )
 def test_what_lies_points_where_the_axis_network_says(
