@@ -18,6 +18,7 @@ from app.task.rounds import (
     is_something_left,
     placed_estimates,
     placed_items,
+    places_of_left,
     renumbered,
     unplaced_estimates,
     with_round,
@@ -40,6 +41,8 @@ from perception.pipeline import Detections
 from perception.types import ObjectEstimate
 
 logger = logging.getLogger(__name__)
+
+MOST_CLOSER = 3  # objects that are looked at from nearby before another round
 
 
 class FurtherRounds:
@@ -129,13 +132,15 @@ class FurtherRounds:
             return None
         try:
             frames = stages.scan(FULL_SCAN)
+            n_scanned = len(frames)
+            frames += stages.look_closer(places_of_left(stages.latest, box)[:MOST_CLOSER])
             detections = stages.detect(frames, filled_bounds(box))
             assert result.detections is not None
             before = self._seen or ScannedRound(
                 result.frames, result.detections, result.rejected, result.objects
             )
-            detections = with_judged(detections, frames, before, unplaced_estimates(result))
-            parts = parts_as_before(detections, frames, before)
+            detections = with_judged(detections, frames, before, unplaced_estimates(result), n_scanned)
+            parts = parts_as_before(detections, frames, before, n_scanned)
             with observer.stage("reconstruct"):
                 for part in parts:
                     observer.on_rejected(part)

@@ -41,6 +41,17 @@ def is_something_left(result: TaskResult, latest: Sequence[ObjectOutcome]) -> bo
     return bool(is_left) and (waits or has_changed(latest))
 
 
+def places_of_left(outcomes: Sequence[ObjectOutcome], box: Box | None) -> list[tuple[float, float]]:
+    """Return the places (x, y) [m] on the table where objects were left that could not be placed.
+
+    Args:
+        outcomes: outcomes of a round.
+        box: the box, in which nothing is looked for.
+    """
+    left = [o.T_world_left for o in outcomes if not o.placed and o.T_world_left is not None]
+    return [(float(T[0, 3]), float(T[1, 3])) for T in left if box is None or not box.contains(T)]
+
+
 def is_something_unplaced(result: TaskResult) -> bool:
     """Return whether an object has no goal, or is not there."""
     assert result.plan is not None

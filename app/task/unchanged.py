@@ -1,10 +1,10 @@
 """What looks as in the round before was judged then: candidates of no class, and parts of such things.
 
-The images of two rounds are taken from the same viewpoints. Where nothing near a candidate has moved since,
-and nothing in front of it, its fits would be repeated on the same measurements. So they would where a
-candidate was segmented then as it is now, whatever was taken away beside it. A part of a thing remains one
-where an object was taken away beside it: that was not what it went on in, and without it there is less to
-tell that by.
+The scans of two rounds are from the same viewpoints; images of what was left, from nearby, come after them.
+Where nothing near a candidate has moved since, and nothing in front of it, its fits would be repeated on the
+same measurements. So they would where a candidate was segmented then as it is now, whatever was taken away
+beside it. A part of a thing remains one where an object was taken away beside it: that was not what it went
+on in, and without it there is less to tell that by.
 """
 
 from __future__ import annotations
@@ -60,16 +60,18 @@ def with_judged(
     frames: Sequence[RgbdFrame],
     before: ScannedRound,
     left: Sequence[ObjectEstimate] = (),
+    n_scanned: int | None = None,
 ) -> Detections:
     """Return the detections with the candidates marked that look as they did in images taken before.
 
     Args:
         detections: Detections in the images.
         frames: Images with camera poses, without the robot.
-        before: The round before; without an image from each of the same viewpoints nothing is marked.
+        before: The round before; without an image from each viewpoint of the scan nothing is marked.
         left: Objects that were found then and were not placed: they are fitted again.
+        n_scanned: Number of the first images that are the scan, see ``_changed_places``; all if None.
     """
-    changed = _changed_places(frames, before.frames, detections.plane, with_hidden=True)
+    changed = _changed_places(frames[:n_scanned], before.frames, detections.plane, with_hidden=True)
     if changed is None:
         return detections
     to_left, to_changed = _distance_to(_places(left, detections.plane)), _distance_to([changed])
@@ -92,18 +94,23 @@ def with_judged(
 
 
 def parts_as_before(
-    detections: Detections, frames: Sequence[RgbdFrame], before: ScannedRound
+    detections: Detections,
+    frames: Sequence[RgbdFrame],
+    before: ScannedRound,
+    n_scanned: int | None = None,
 ) -> list[RejectedObject]:
     """Return the detected objects that the round before saw, unchanged, as parts of things of no class.
 
     Args:
         detections: Detections in the images.
         frames: Images with camera poses, without the robot.
-        before: The round before; without an image from each of the same viewpoints nothing is known.
+        before: The round before; without an image from each viewpoint of the scan nothing is known.
+        n_scanned: Number of the first images that are the scan, see ``_changed_places``; all if None.
     """
     parts = [item for item in before.rejected if item.is_part]
     plane = detections.plane
-    changed = _changed_places(frames, before.frames, plane, with_hidden=False) if parts else None
+    scanned = frames[:n_scanned]
+    changed = _changed_places(scanned, before.frames, plane, with_hidden=False) if parts else None
     if changed is None:
         return []
     known = _distance_to(_places(before.objects, plane))(changed) < AT
@@ -183,7 +190,10 @@ def _distance_to(
 def _changed_places(
     frames: Sequence[RgbdFrame], before: Sequence[RgbdFrame], plane: SupportPlane, with_hidden: bool
 ) -> Float[np.ndarray, "n 2"] | None:
-    """Return the plan coordinates [m] of what has changed since images before; None if they do not tell."""
+    """Return the plan coordinates [m] of what has changed since images before; None if they do not tell.
+
+    They do if each of the images has one from the same viewpoint among those before.
+    """
     pairs = [(_from_same_view(frame, before), frame) for frame in frames]
     changed = [_changes(old, new, plane, with_hidden) for old, new in pairs if old is not None]
     if not frames or len(changed) < len(frames):

@@ -46,6 +46,26 @@ def test_what_is_left_on_the_table_is_looked_at_and_packed_in_another_round(stag
     assert observer.calls.count("execute") == 2 and ("objects", [0, 2]) in observer.calls
 
 
+def test_what_could_not_be_placed_is_looked_at_from_nearby_before_another_round(stages):
+    """Its top may be beyond the border of every image of the scan: where it stands now, it was set aside."""
+    left = pose_from_yaw(0.0, np.array([0.3, 0.02, 0.0]))
+    failed = ObjectOutcome(0, "can_0", False, 2, "something unknown is in the way", T_world_left=left)
+    given = []
+
+    def with_judged(detections, frames, before, unplaced, n_scanned):
+        given.append((len(frames), n_scanned))
+        return detections
+
+    nothing = lambda frames, *args, **options: Detections(SupportPlane(), ((),) * len(frames))  # noqa: E731
+    stages.replace("detect", nothing)
+    stages.replace("with_judged", with_judged)
+    stages.replace("execute", lambda *args, **options: [failed])
+    run(StillRobot(), stages.perception, TaskRequest("pack", Box(), rounds=2))
+    assert stages.scanner.visited[1] == Workspace().scan_viewpoints(FULL_SCAN)
+    assert stages.scanner.visited[2] == Workspace().closeup_viewpoints(0.3, 0.02)
+    assert given == [(2, 1)], "the closer image has no counterpart in the round before"
+
+
 @pytest.mark.parametrize(("rounds", "first"), [(1, ["can_0"]), (2, [])])
 def test_what_carries_an_object_has_a_goal_in_the_last_round_alone(stages, pack_plan, rounds, first):
     lower, upper = stages.objects
@@ -93,7 +113,7 @@ def test_a_part_of_a_thing_is_not_fitted_again_in_further_rounds(stages):
     compared, fitted = [], []
     stages.stage("detect", detections)
     stages.replace("with_judged", lambda detections, *args: detections)
-    stages.replace("parts_as_before", lambda found, frames, before: compared.append(before) or [part])
+    stages.replace("parts_as_before", lambda found, frames, before, n: compared.append(before) or [part])
 
     def reconstruct(frames, detections, *args, **options):
         fitted.append([d.instance_id for d in detections.per_frame[0]])

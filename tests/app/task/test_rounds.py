@@ -15,6 +15,7 @@ from app.task.rounds import (
     is_something_unplaced,
     placed_estimates,
     placed_items,
+    places_of_left,
     renumbered,
     unplaced_estimates,
     with_round,
@@ -54,6 +55,16 @@ def test_a_round_follows_what_left_something_and_changed_the_table(result, pack_
     assert is_something_left(replace(all_placed, outcomes=[failed]), [failed])
     assert not is_something_left(result, [replace(failed, attempts=0)]), "nothing was moved"
     assert not is_something_left(result, []), "in the last round"
+
+
+def test_the_places_of_what_was_left_on_the_table():
+    def left(number, T=None, placed=False):
+        return ObjectOutcome(number, f"can_{number}", placed, 1, "", T_world_left=T)
+
+    box, on_table, in_box = Box(), pose_from_yaw(0.3, np.array([0.4, -0.2, 0.0])), REST
+    outcomes = [left(0, on_table), left(1, in_box), left(2), left(3, on_table, placed=True)]
+    assert places_of_left(outcomes, box) == [(0.4, -0.2)]
+    assert places_of_left(outcomes, None) == [(0.4, -0.2), (0.5, 0.27)]
 
 
 def test_what_has_no_goal_or_is_not_there_is_unplaced(result):

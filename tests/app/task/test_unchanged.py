@@ -103,6 +103,10 @@ def test_without_an_image_from_the_same_viewpoint_nothing_is_known(things):
     assert judged(with_judged(candidates(*things), [image(*things)], seen(other))) == [False, False]
     assert judged(with_judged(candidates(*things), [image(*things)], seen())) == [False, False]
     assert with_judged(Detections(SupportPlane(), ()), [], seen()).left_out == ()
+    frames, before = [image(*things), other], seen(image(*things, seed=1))
+    assert judged(with_judged(candidates(*things), frames, before)) == [False, False]
+    marked = with_judged(candidates(*things), frames, before, n_scanned=1)
+    assert judged(marked) == [True, True], "the second image is not of the scan"
 
 
 def detected(*things):
