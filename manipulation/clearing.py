@@ -56,7 +56,7 @@ class Clearing:
         except (SceneChangedError, GraspFailedError, RobotError) as error:
             logger.info("%s was not set aside: %s", plan.name, error)
             if not isinstance(error, SceneChangedError):
-                self._motion.back_off()
+                self._motion.back_off(plan.grasp)
             self._scene.search(plan.name)
 
     def plan_push(self, name: str) -> Push | None:

@@ -253,7 +253,7 @@ class _Execution:
                 tried.append(plan.grasp)
                 self._blocked[name] += isinstance(error, GoalBlockedError)
                 is_unknown = isinstance(error, UnknownInTheWayError | ApproachBlockedError)
-                self.motion.back_off()
+                self.motion.back_off(plan.grasp)
                 self._look_beside(plan)
             logger.info("%s, attempt %d: %s", name, attempts, reason)
             self._notify("retry", name, reason)

@@ -31,7 +31,7 @@ from manipulation.planner import ManipulationConfig
 from manipulation.pushing import Push
 from manipulation.robot import Robot, follow_opening
 from manipulation.stack_settling import StackSettling
-from manipulation.trajectories import joint_move, line_postures
+from manipulation.trajectories import JointTrajectory, joint_move, line_postures
 from manipulation.types import Grasp, PickPlacePlan
 from manipulation.ways_back import DESCENT, planned_way, reversed_way, way_to_room
 from manipulation.withdrawal import HOME_MARGINS
@@ -43,6 +43,8 @@ _ASIDE = 0.03  # [m] of the hand from where it was to set an object down, or fro
 _ABOVE = 0.003  # [m] by which the base of an object is above that of one that carries it, at least
 _INSIDE = 0.004  # [m] by which a point is in the way of the hand at least, which covers noise
 _UNKNOWN = 60  # measured points that nothing known explains are a thing
+_HANGING = 0.08  # [m] around the TCP in which something hangs on the fingers, once they have risen
+_CLEAR = 0.04  # [m] by which that is less than the rise: what was not lifted may have moved, and is unknown
 _SLIP = 0.005  # [m] by which the fingers close further during the lift, from which on they lose an object
 MISPLACED = 0.02  # [m] from its goal, from which on a released object is grasped again
 
@@ -316,22 +318,57 @@ class PlanExecution:
                 f"{message} (width {1e3 * width:.1f} mm, expected {1e3 * low:.1f} to {1e3 * high:.1f})"
             )
 
-    def back_off(self) -> None:
-        """Open the gripper and retreat vertically if that is possible."""
+    def back_off(self, grasp: Grasp | None = None) -> None:
+        """Retreat vertically if that is possible; after a grasp with the fingers as far apart as before it.
+
+        Wider, they would jam a small bowl from inside. What hangs on them all the same is put down once, and
+        let go with the fingers nearer to each other.
+        """
+        robot = self.robot
+        if grasp is not None:
+            robot.move_gripper(grasp.opening)
+        rise = self._rise()
+        if grasp is None or rise is None or not self._something_hangs(rise):
+            return
+        logger.info("something hangs on the fingers and is put down again")
+        try:
+            robot.follow(rise.reversed())
+        except RobotError as error:
+            logger.warning("what hangs on the fingers met something: %s", error)
+        robot.move_gripper(0.5 * (grasp.held_width + grasp.opening))
+        self._rise()
+
+    def _rise(self) -> JointTrajectory | None:
+        """Move the hand straight up; return the motion, or None if it was not possible."""
         robot, planner = self.robot, self.planner
-        robot.move_gripper(robot.arm.max_width)
         q = robot.joint_positions()
         T_up = planner.kinematics.forward(q)
         for height in (0.15, 0.08):
             T_goal = T_up.copy()
             T_goal[2, 3] += height
             postures = line_postures(planner.kinematics, q, T_goal, planner.motions.config)
-            if postures is not None:
-                try:
-                    robot.follow(planner.motions.time_line(postures))
-                except RobotError as error:
-                    logger.warning("retreat after a failed grasp was blocked: %s", error)
-                return
+            if postures is None:
+                continue
+            rise = planner.motions.time_line(postures)
+            try:
+                robot.follow(rise)
+            except RobotError as error:
+                logger.warning("retreat after a failed grasp was blocked: %s", error)
+                return None
+            return rise
+        return None
+
+    def _something_hangs(self, rise: JointTrajectory) -> bool:
+        """Return whether an image shows something unknown between or beside the fingers after a rise."""
+        planner = self.planner
+        before, now = (planner.kinematics.forward(rise.positions[k])[:3, 3] for k in (0, -1))
+        reach = min(_HANGING, float((now - before)[2]) - _CLEAR)
+
+        def is_near(points: Float[np.ndarray, "n 3"]) -> Bool[np.ndarray, "n"]:
+            return np.linalg.norm(points - now, axis=1) < reach
+
+        unknown = self.observer.unexpected(planner.poses(), planner.perceived_obstacles, is_near)
+        return len(unknown) >= _UNKNOWN
 
     def go_home(self) -> None:
         """Return to the home posture, over waypoints if necessary.

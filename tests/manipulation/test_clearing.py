@@ -20,7 +20,7 @@ def made(cls, **values):
 
 
 def plan_of(name):
-    return made(PickPlacePlan, name=name)
+    return made(PickPlacePlan, name=name, grasp=None)
 
 
 class Planning(ObjectPlanning):
@@ -48,7 +48,7 @@ class Motion(PlanExecution):
         if self.error is not None:
             raise self.error
 
-    def back_off(self):
+    def back_off(self, grasp=None):
         self.calls.append(("back off",))
 
 

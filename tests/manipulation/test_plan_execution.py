@@ -135,9 +135,37 @@ def test_widths_outside_the_range_are_no_grasp(cell, plan, side):
         execution.run(plan)
     assert phases == ["approach", "grasp"]
     height = Kinematics(robot.arm).forward(robot.q)[2, 3]
-    execution.back_off()
-    assert robot.widths[-1] == robot.arm.max_width
+    execution.back_off(plan.grasp)
+    assert robot.widths[-1] == plan.grasp.opening
     assert Kinematics(robot.arm).forward(robot.q)[2, 3] - height == pytest.approx(0.15, abs=1e-3)
+
+
+@pytest.mark.parametrize(("offset", "hangs"), [(0.03, True), (0.09, False)])
+def test_what_hangs_on_the_fingers_is_put_down_and_let_go(cell, plan, offset, hangs):
+    """A bowl that a finger jams would be carried about by the camera's next motion."""
+    robot, _, _, execution = cell(closing=[0.0])
+    with pytest.raises(GraspFailedError, match="no object between the fingers"):
+        execution.run(plan)
+    before, n_before = robot.q, len(robot.motions)
+    T = Kinematics(robot.arm).forward(before)
+    raised = T[:3, 3] + (0.0, 0.0, 0.15 - offset)
+    execution.observer.unknown = raised + np.random.default_rng(0).uniform(-0.003, 0.003, (100, 3))
+    execution.back_off(plan.grasp)
+    assert len(robot.motions) - n_before == (3 if hangs else 1)
+    if hangs:
+        assert robot.motions[-2].positions[-1] == pytest.approx(before)
+        held, opening = plan.grasp.held_width, plan.grasp.opening
+        assert robot.widths[-2:] == [opening, pytest.approx(0.5 * (held + opening))]
+    assert Kinematics(robot.arm).forward(robot.q)[2, 3] - T[2, 3] == pytest.approx(0.15, abs=1e-3)
+
+
+def test_a_closed_hand_stays_closed_when_it_backs_off(cell, plan):
+    """It pushed or pressed: among objects, or in a bowl, there is no room to open."""
+    robot, _, _, execution = cell()
+    robot.q = plan.approach.positions[-1].copy()
+    execution.observer.unknown = np.full((100, 3), 0.5)
+    execution.back_off()
+    assert robot.widths == [] and len(robot.motions) == 1
 
 
 @pytest.mark.parametrize("slip, raises", [(0.006, True), (0.004, False)])
