@@ -137,20 +137,31 @@ class WristObserver:
         now = dict(poses)
         try:
             frames = self._closeups(names[0], poses)
-            for name in names:
-                others = self._others(name, now, NEIGHBOURHOOD)
-                estimate, T_expected = self._estimates[name], self._object_pose(name, now)
-                if len(names) > 1 and name == names[-1]:  # it carries the others; little of it is in view
-                    check = refit_pose(estimate, frames, T_expected, others, config=STANDING)
-                else:
-                    check = refit_leaning(estimate, frames, T_expected, others)
-                if check.status == "seen" and check.visible_pixels >= MIN_PIXELS:
-                    now[name] = self._stand_pose(name, check)
+            now = self._look_at_stack(names, now, frames)
+            if any(is_displaced(poses[name], now[name]) for name in names[1:]):
+                # What is above was seen with these where they had been.
+                now = self._look_at_stack(names, now, frames)
         except RobotStoppedError:
             raise
         except (ManipulationError, PerceptionError) as error:
             logger.info("cannot look closer at %s: %s", names[0], error)
         return {name: now[name] for name in names if now[name] is not poses[name]}
+
+    def _look_at_stack(
+        self, names: Sequence[str], poses: Poses, frames: Sequence[RgbdFrame]
+    ) -> dict[str, Float[np.ndarray, "4 4"]]:
+        """Return the poses of all objects, those of a stack as images show them, the uppermost one first."""
+        now = dict(poses)
+        for name in names:
+            others = self._others(name, now, NEIGHBOURHOOD)
+            estimate, T_expected = self._estimates[name], self._object_pose(name, now)
+            if len(names) > 1 and name == names[-1]:  # it carries the others; little of it is in view
+                check = refit_pose(estimate, frames, T_expected, others, config=STANDING)
+            else:
+                check = refit_leaning(estimate, frames, T_expected, others)
+            if check.status == "seen" and check.visible_pixels >= MIN_PIXELS:
+                now[name] = self._stand_pose(name, check)
+        return now
 
     def _presence(self, name: str, poses: Poses, frame: RgbdFrame) -> Presence:
         """Return whether one image shows an object where it is expected."""

@@ -25,6 +25,9 @@ _LEAN, _N_LEANS = np.deg2rad(20.0), 6  # tilt, and number of directions, of lean
 _PIVOTS = (np.zeros(3), np.array([0.0, 0.0, 0.05]))
 _CLEARLY = 0.04  # share of the visible pixels by which a leaning pose must explain more
 
+_WELL = 0.9  # share of the visible pixels from which on a level pose agrees well
+_WIDE = RefitConfig(margin=0.08)  # of a search for one that was pushed aside
+_GRIDS = ((0.06, 0.02), (0.01, 0.01))  # [m] reaches and steps of such a search, along x and y
 
 # An object that cannot lean, whatever covers it: its axis is vertical against any number of pixels.
 STANDING = RefitConfig(tilt_sigma=1e-4)
@@ -96,15 +99,22 @@ def refit_leaning(
 
     Level and tilted poses are compared by the pixels that agree with them: a local fit from the level pose
     misses a large tilt, and takes the errors of a coarse shape for a small one. Pixels that another object
-    explains do not count, so that a lower one does not lean into the surface of the one in it.
+    explains do not count, so that a lower one does not lean into the surface of the one in it. Where the
+    level pose agrees poorly, the object may have been pushed aside together with what it is in, whose pixels
+    mislead the fit then: level poses around are compared first.
 
     Args:
         estimate, frames, T_expected, others, plane, config: As those of ``refit_pose``.
     """
     upright = replace(config, tilt_sigma=_LEVEL)
     search = PoseSearch(estimate, frames, T_expected, others, plane, upright)
-    expected = ObjectPose.of(T_expected, search.scale)
+    before = expected = ObjectPose.of(T_expected, search.scale)
     level = search.refine(expected)
+    if search.share(level) < _WELL:
+        expected = _level_nearby(PoseSearch(estimate, frames, T_expected, others, plane, _WIDE), expected)
+        search = PoseSearch(estimate, frames, expected.T_world_object, others, plane, upright)
+        starts = [level, expected, search.refine(expected, config.reaches[-1:])]
+        level = max(starts, key=lambda pose: search.gain(pose, alone=True))
     search.config = config
     turns = [
         _LEAN * np.array([np.cos(a), np.sin(a), 0.0]) for a in 2 * np.pi * np.arange(_N_LEANS) / _N_LEANS
@@ -113,7 +123,18 @@ def refit_leaning(
     leaning = max((search.refine(start) for start in starts), key=lambda pose: search.gain(pose, alone=True))
     least = search.gain(level, alone=True) + _CLEARLY * sum(search.evidence(leaning))
     is_clear = search.gain(leaning, alone=True) > least
-    return checked(search, leaning if is_clear else level, expected)
+    return checked(search, leaning if is_clear else level, before)
+
+
+def _level_nearby(search: PoseSearch, expected: ObjectPose) -> ObjectPose:
+    """Return the pose, of those beside the expected one on a grid, with which most pixels agree."""
+    for reach, step in _GRIDS:
+        offsets = np.arange(-reach, reach + step / 2, step)
+        steps = [np.array([0, 0, 0, x, y, 0, 0, 0, 0]) for x in offsets for y in offsets]
+        expected = max(
+            (expected.moved(step) for step in steps), key=lambda pose: search.gain(pose, alone=True)
+        )
+    return expected
 
 
 def checked(search: PoseSearch, best: ObjectPose, expected: ObjectPose) -> PoseCheck:

@@ -259,7 +259,11 @@ def test_a_closer_look_keeps_the_tilt_and_gives_each_the_poses_before_it(
         watch.look_closer(["can_0"], poses)
 
 
-def test_a_closer_look_at_several_uses_the_poses_just_found(scene, can_at, pack_plan, monkeypatch):
+@pytest.mark.parametrize(("shift", "times"), [(0.005, 1), (0.02, 2)])
+def test_a_closer_look_at_several_uses_the_poses_just_found(
+    scene, can_at, pack_plan, monkeypatch, shift, times
+):
+    """Where the lower one was pushed aside, the upper one is fitted again beside its new pose."""
     _, _, _, scanner = scene
     item = pack_plan.objects["can_0"]
     items = {"can_0": item, "can_1": replace(item, id=1)}
@@ -267,7 +271,7 @@ def test_a_closer_look_at_several_uses_the_poses_just_found(scene, can_at, pack_
 
     def refit(estimate, frames, T_expected, near):
         others.append([other.T_world_object[0, 3] for other in near])
-        return shifted(can_at, 0.02)
+        return shifted(can_at, shift)
 
     def refit_lowest(estimate, *args, config):
         standing.append((estimate.name, config))
@@ -279,8 +283,8 @@ def test_a_closer_look_at_several_uses_the_poses_just_found(scene, can_at, pack_
     poses = {name: item.T_world_stand for name in items}
     watch.look_closer(["can_1", "can_0"], poses)
     x = can_at().T_world_object[0, 3]
-    np.testing.assert_allclose(others, [[x], [x + 0.02]])
-    assert standing == [("can_0", observation.STANDING)], "the one below may not lean"
+    np.testing.assert_allclose(others, [[x], *[[x + shift]] * (2 * times - 1)])
+    assert standing == [("can_0", observation.STANDING)] * times, "the one below may not lean"
 
 
 class Handles:

@@ -60,6 +60,17 @@ def test_an_object_that_may_lean_is_found_with_its_tilt_or_level(mug, estimate, 
         assert check.tilt < np.deg2rad(0.5)
 
 
+def test_an_object_that_was_pushed_aside_is_found_level(mug, estimate) -> None:
+    """Farther than a fit from its expected pose reaches."""
+    aside = np.array([0.055, -0.02, 0.0])
+    step = np.array([0.0, 0.0, 0.0, *aside, 0.0, 0.0, 0.0])
+    pushed = type(mug)(mug.decoder, mug.category, mug.code, mug.pose.moved(step))
+    check = refit_leaning(estimate, _frames(pushed), mug.pose.T_world_object)
+    assert check.status == "seen" and check.inlier_share > 0.9 and check.tilt < np.deg2rad(1.0)
+    np.testing.assert_allclose(check.T_world_object[:3, 3], pushed.pose.translation, atol=0.002)
+    assert check.shift == pytest.approx(np.linalg.norm(aside), abs=0.002)
+
+
 def test_an_object_that_stands_is_found_level(mug, estimate) -> None:
     leaning = type(mug)(mug.decoder, mug.category, mug.code, mug.pose.moved(np.array([0.15] + [0.0] * 8)))
     check = refit_pose(estimate, _frames(leaning), mug.pose.T_world_object, config=STANDING)
