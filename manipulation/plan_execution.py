@@ -321,8 +321,8 @@ class PlanExecution:
     def back_off(self, grasp: Grasp | None = None) -> None:
         """Retreat vertically if that is possible; after a grasp with the fingers as far apart as before it.
 
-        Wider, they would jam a small bowl from inside. What hangs on them all the same is put down once, and
-        let go with the fingers nearer to each other.
+        Wider, they would jam a small bowl from inside. An object that is lifted nevertheless is put down
+        once, and released with a smaller opening.
         """
         robot = self.robot
         if grasp is not None:

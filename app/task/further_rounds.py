@@ -133,7 +133,7 @@ class FurtherRounds:
         try:
             frames = stages.scan(FULL_SCAN)
             n_scanned = len(frames)
-            frames += stages.look_closer(places_of_left(stages.latest, box)[:MOST_CLOSER])
+            frames += stages.capture_nearby(places_of_left(stages.latest, box)[:MOST_CLOSER])
             detections = stages.detect(frames, filled_bounds(box))
             assert result.detections is not None
             before = self._seen or ScannedRound(

@@ -16,6 +16,8 @@ from jaxtyping import Float
 from manipulation.errors import ManipulationError, RobotStoppedError
 from manipulation.lying_grasps import LYING_TILT, lies
 from manipulation.observation import Finding, Poses, Presence, Volume, is_displaced, is_turned
+from manipulation.pressing import lean
+from manipulation.standing import LEANING
 from manipulation.types import StandingObject
 from manipulation.viewpoints import Viewpoint, ViewpointScanner
 from manipulation.workspace import Workspace
@@ -46,7 +48,6 @@ SEARCH_VIEWS = 4  # images of a search
 NEIGHBOURHOOD = 0.2  # [m] between the axes of an object and of others that may explain depth beside it
 MIN_PIXELS = 1500  # visible pixels of an object in one image, for a decision
 MAX_TILT = np.deg2rad(20)  # of a pose that is fitted to an object that stood level
-LEANING = np.deg2rad(5)  # tilt from which on an object that does not lie leans against another one
 
 
 class WristObserver:
@@ -313,7 +314,7 @@ class WristObserver:
 
 def _leans(T_world_stand: Float[np.ndarray, "4 4"]) -> bool:
     """Return whether an object neither stands level nor lies."""
-    return not lies(T_world_stand) and bool(T_world_stand[2, 2] < np.cos(LEANING))
+    return bool(LEANING <= lean(T_world_stand) < LYING_TILT)
 
 
 def _scaled(region: Region, scale: float) -> Region:

@@ -84,7 +84,7 @@ class Stages:
         with self.observer.stage("scan"):
             return self._capture(count)
 
-    def look_closer(self, places: Sequence[tuple[float, float]]) -> list[RgbdFrame]:
+    def capture_nearby(self, places: Sequence[tuple[float, float]]) -> list[RgbdFrame]:
         """Take images of places (x, y) [m] on the table from nearby; none if they are out of reach."""
         viewpoints = [v for x, y in places for v in self._space.closeup_viewpoints(x, y)]
         with self.observer.stage("scan"), contextlib.suppress(PlanningError):

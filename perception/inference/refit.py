@@ -26,7 +26,7 @@ _PIVOTS = (np.zeros(3), np.array([0.0, 0.0, 0.05]))
 _CLEARLY = 0.04  # share of the visible pixels by which a leaning pose must explain more
 
 _WELL = 0.9  # share of the visible pixels from which on a level pose agrees well
-_WIDE = RefitConfig(margin=0.08)  # of a search for one that was pushed aside
+_WIDE = 0.08  # [m] around the object that a search for one that was pushed aside looks at
 _GRIDS = ((0.06, 0.02), (0.01, 0.01))  # [m] reaches and steps of such a search, along x and y
 
 # An object that cannot lean, whatever covers it: its axis is vertical against any number of pixels.
@@ -101,7 +101,7 @@ def refit_leaning(
     misses a large tilt, and takes the errors of a coarse shape for a small one. Pixels that another object
     explains do not count, so that a lower one does not lean into the surface of the one in it. Where the
     level pose agrees poorly, the object may have been pushed aside together with what it is in, whose pixels
-    mislead the fit then: level poses around are compared first.
+    are then taken for its own: level poses around are compared first.
 
     Args:
         estimate, frames, T_expected, others, plane, config: As those of ``refit_pose``.
@@ -111,7 +111,8 @@ def refit_leaning(
     before = expected = ObjectPose.of(T_expected, search.scale)
     level = search.refine(expected)
     if search.share(level) < _WELL:
-        expected = _level_nearby(PoseSearch(estimate, frames, T_expected, others, plane, _WIDE), expected)
+        wide = replace(upright, margin=_WIDE)
+        expected = _level_nearby(PoseSearch(estimate, frames, T_expected, others, plane, wide), expected)
         search = PoseSearch(estimate, frames, expected.T_world_object, others, plane, upright)
         starts = [level, expected, search.refine(expected, config.reaches[-1:])]
         level = max(starts, key=lambda pose: search.gain(pose, alone=True))
