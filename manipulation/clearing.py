@@ -56,7 +56,7 @@ class Clearing:
         except (SceneChangedError, GraspFailedError, RobotError) as error:
             logger.info("%s was not set aside: %s", plan.name, error)
             if not isinstance(error, SceneChangedError):
-                self._motion.back_off(plan.grasp)
+                self._motion.recovery.back_off(plan.grasp)
             self._scene.search(plan.name)
 
     def plan_push(self, name: str) -> Push | None:
@@ -72,5 +72,5 @@ class Clearing:
             self._motion.push(push)
         except RobotError as error:
             logger.info("%s was not pushed: %s", push.name, error)
-            self._motion.back_off()
+            self._motion.recovery.back_off()
         self._scene.search(push.name)

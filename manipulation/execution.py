@@ -145,7 +145,7 @@ class _Execution:
                 with contextlib.suppress(RobotStoppedError):
                     self.withdrawal.rise()
                     if ends_home:
-                        self.motion.go_home()
+                        self.motion.recovery.go_home()
         return self._progress.results(self.planner.poses())
 
     def _place_all(self) -> bool:
@@ -253,7 +253,7 @@ class _Execution:
                 tried.append(plan.grasp)
                 self._blocked[name] += isinstance(error, GoalBlockedError)
                 is_unknown = isinstance(error, UnknownInTheWayError | ApproachBlockedError)
-                self.motion.back_off(plan.grasp)
+                self.motion.recovery.back_off(plan.grasp)
                 self._look_beside(plan)
             logger.info("%s, attempt %d: %s", name, attempts, reason)
             self._notify("retry", name, reason)

@@ -21,6 +21,7 @@ Presence = Literal["in_place", "displaced", "unseen"]
 MOVED = 0.012  # [m] horizontally, from which on an object is not where it was expected
 TIPPED = np.deg2rad(20.0)  # of its axis from the expected direction
 LEVER = 0.08  # [m] from the middle of an object on its side to where a turn moves it as much as a shift
+FEWEST_UNKNOWN = 60  # points of ``unexpected`` from which on they are a thing
 TURNED = np.deg2rad(10.0)  # about the vertical, from which on the handle of a mug is elsewhere
 
 

@@ -6,9 +6,7 @@ was expected before the grasp and after the release.
 
 from __future__ import annotations
 
-import itertools
 import logging
-from functools import partial
 from typing import Literal, Protocol, runtime_checkable
 
 import numpy as np
@@ -22,29 +20,22 @@ from manipulation.errors import (
     SceneChangedError,
     UnknownInTheWayError,
 )
-from manipulation.free_table import outlines_of_others, roomy_spots
 from manipulation.hand_collision import HandBoxes, HandClearance
 from manipulation.lying_grasps import lies
-from manipulation.observation import SceneObserver, classify_grip, is_displaced, is_turned
+from manipulation.observation import FEWEST_UNKNOWN, SceneObserver, classify_grip, is_displaced, is_turned
 from manipulation.pick_place import PickPlacePlanner
 from manipulation.planner import ManipulationConfig
 from manipulation.pushing import Push
+from manipulation.recovery import Recovery
 from manipulation.robot import Robot, follow_opening
 from manipulation.stack_settling import StackSettling
-from manipulation.trajectories import JointTrajectory, joint_move, line_postures
 from manipulation.types import Grasp, PickPlacePlan
-from manipulation.ways_back import DESCENT, planned_way, reversed_way, way_to_room
-from manipulation.withdrawal import HOME_MARGINS
 from perception.geometry import invert, transform_points
 
 logger = logging.getLogger(__name__)
 
-_ASIDE = 0.03  # [m] of the hand from where it was to set an object down, or from where it grasped it
 _ABOVE = 0.003  # [m] by which the base of an object is above that of one that carries it, at least
 _INSIDE = 0.004  # [m] by which a point is in the way of the hand at least, which covers noise
-_UNKNOWN = 60  # measured points that nothing known explains are a thing
-_HANGING = 0.08  # [m] around the TCP in which something hangs on the fingers, once they have risen
-_CLEAR = 0.04  # [m] by which that is less than the rise: what was not lifted may have moved, and is unknown
 _SLIP = 0.005  # [m] by which the fingers close further during the lift, from which on they lose an object
 MISPLACED = 0.02  # [m] from its goal, from which on a released object is grasped again
 
@@ -82,6 +73,9 @@ class PlanExecution:
         observer: looks at the scene.
         config: settings.
         notify: receives the phases.
+
+    Attributes:
+        recovery: motions after one that failed.
     """
 
     def __init__(
@@ -94,8 +88,9 @@ class PlanExecution:
     ) -> None:
         self.robot, self.planner, self.observer, self.config = robot, planner, observer, config
         self._notify = notify
+        self.recovery = Recovery(robot, planner, observer, config)
         self._settling = StackSettling(
-            robot, planner, observer, self.back_off,
+            robot, planner, observer, self.recovery.back_off,
             lambda name: notify("place", name, "leans and is pressed level"),
         )  # fmt: skip
 
@@ -141,7 +136,7 @@ class PlanExecution:
         try:
             robot.follow(plan.transfer)
         except RobotError as error:
-            self._bring_back(plan)
+            self.recovery.bring_back(plan)
             raise GoalBlockedError(str(error)) from error
         self._notify("place", name)
         self._require_held(grasp, f"{name} was lost during the transfer")
@@ -174,7 +169,7 @@ class PlanExecution:
             return boxes.swept(transform_points(invert(T_grasp), points), back, -_INSIDE)
 
         unknown = self.observer.unexpected(planner.poses(), planner.perceived_obstacles, is_on_the_way)
-        if len(unknown) >= _UNKNOWN:
+        if len(unknown) >= FEWEST_UNKNOWN:
             x, y, z = np.median(unknown, axis=0)
             raise UnknownInTheWayError(
                 f"something unknown at ({x:.2f}, {y:.2f}, {z:.2f}) m is in the way of the hand to {plan.name}"
@@ -241,53 +236,6 @@ class PlanExecution:
 
         return tuple(name for name in poses if is_below(name))
 
-    def _bring_back(self, plan: PickPlacePlan) -> None:
-        """Bring an object that met something, and may have turned in the hand, back to the table."""
-        planner, robot, margins = self.planner, self.robot, self.config.pick_place.transit_margins
-        spots, base = self._places_to_set_down(plan)
-        for way_back in (
-            partial(way_to_room, spots=spots, base=base, margins=margins),
-            reversed_way,
-            partial(planned_way, margins=margins),
-        ):
-            way = way_back(plan, robot.joint_positions(), planner.motions)
-            try:
-                for motion in way:
-                    robot.follow(motion)
-            except RobotError as error:
-                logger.warning("%s was not brought back: %s", plan.name, error)
-            if way and self._is_over(way[-1].positions[-1]):
-                self._note_set_down(plan)
-                return
-
-    def _places_to_set_down(self, plan: PickPlacePlan) -> tuple[list[tuple[float, float]], float]:
-        """Return spots with room for an object however it is turned, and the height [m] of its base now."""
-        planner = self.planner
-        T, vertices = planner.world.pose(plan.name), planner.items[plan.name].vertices
-        reach = np.linalg.norm(vertices - plan.grasp.T_stand_tcp[:3, 3], axis=1).max()
-        others = outlines_of_others(
-            planner.items, planner.poses(), planner.perceived_obstacles, {plan.name, *plan.contents}
-        )
-        x, y, _ = planner.kinematics.forward(plan.lift.positions[0])[:3, 3]
-        spots = roomy_spots((float(x), float(y)), float(reach), others, self.config.free_area)
-        return spots, float((vertices @ T[2, :3]).min() + T[2, 3])
-
-    def _is_over(self, q: Float[np.ndarray, "n"]) -> bool:
-        """Return whether the hand is where a posture has it, or could not be lowered as far."""
-        forward = self.planner.kinematics.forward
-        apart = (forward(self.robot.joint_positions()) - forward(q))[:3, 3]
-        return bool(np.linalg.norm(apart[:2]) < _ASIDE and apart[2] < DESCENT)
-
-    def _note_set_down(self, plan: PickPlacePlan) -> None:
-        """Expect an object where the hand has brought it, as if it had not turned."""
-        planner = self.planner
-        T_grasped, T_now = map(
-            planner.kinematics.forward, (plan.lift.positions[0], self.robot.joint_positions())
-        )
-        if np.linalg.norm((T_now - T_grasped)[:3, 3]) > _ASIDE:
-            for name in (plan.name, *plan.contents):
-                planner.moved(name, T_now @ invert(T_grasped) @ planner.world.pose(name))
-
     def push(self, push: Push) -> None:
         """Push an object along the table with the closed hand; its pose is as expected then.
 
@@ -317,74 +265,3 @@ class PlanExecution:
             raise GraspFailedError(
                 f"{message} (width {1e3 * width:.1f} mm, expected {1e3 * low:.1f} to {1e3 * high:.1f})"
             )
-
-    def back_off(self, grasp: Grasp | None = None) -> None:
-        """Retreat vertically if that is possible; after a grasp with the fingers as far apart as before it.
-
-        Wider, they would jam a small bowl from inside. An object that is lifted nevertheless is put down
-        once, and released with a smaller opening.
-        """
-        robot = self.robot
-        if grasp is not None:
-            robot.move_gripper(grasp.opening)
-        rise = self._rise()
-        if grasp is None or rise is None or not self._something_hangs(rise):
-            return
-        logger.info("something hangs on the fingers and is put down again")
-        try:
-            robot.follow(rise.reversed())
-        except RobotError as error:
-            logger.warning("what hangs on the fingers met something: %s", error)
-        robot.move_gripper(0.5 * (grasp.held_width + grasp.opening))
-        self._rise()
-
-    def _rise(self) -> JointTrajectory | None:
-        """Move the hand straight up; return the motion, or None if it was not possible."""
-        robot, planner = self.robot, self.planner
-        q = robot.joint_positions()
-        T_up = planner.kinematics.forward(q)
-        for height in (0.15, 0.08):
-            T_goal = T_up.copy()
-            T_goal[2, 3] += height
-            postures = line_postures(planner.kinematics, q, T_goal, planner.motions.config)
-            if postures is None:
-                continue
-            rise = planner.motions.time_line(postures)
-            try:
-                robot.follow(rise)
-            except RobotError as error:
-                logger.warning("retreat after a failed grasp was blocked: %s", error)
-                return None
-            return rise
-        return None
-
-    def _something_hangs(self, rise: JointTrajectory) -> bool:
-        """Return whether an image shows something unknown between or beside the fingers after a rise."""
-        planner = self.planner
-        before, now = (planner.kinematics.forward(rise.positions[k])[:3, 3] for k in (0, -1))
-        reach = min(_HANGING, float((now - before)[2]) - _CLEAR)
-
-        def is_near(points: Float[np.ndarray, "n 3"]) -> Bool[np.ndarray, "n"]:
-            return np.linalg.norm(points - now, axis=1) < reach
-
-        unknown = self.observer.unexpected(planner.poses(), planner.perceived_obstacles, is_near)
-        return len(unknown) >= _UNKNOWN
-
-    def go_home(self) -> None:
-        """Return to the home posture, over waypoints if necessary.
-
-        Where no path is known to be free, over a point above the hand: the direct way sweeps the table.
-        """
-        robot, motions = self.robot, self.planner.motions
-        q, home = robot.joint_positions(), np.asarray(robot.arm.q_home, dtype=np.float64)
-        if np.abs(q - home).max() < 1e-3:
-            return
-        path = motions.any_path(q, home, robot.gripper_width(), (None, *HOME_MARGINS))
-        if path is None:
-            direct, *others = itertools.islice(motions.candidate_paths(q, home), 2)
-            path = others[0] if others else direct
-        try:
-            for start, goal in itertools.pairwise(path):
-                robot.follow(joint_move(start, goal, motions.limits))
-        except RobotError as error:
-            logger.warning("return to the home posture was blocked: %s", error)

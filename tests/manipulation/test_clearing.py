@@ -39,6 +39,7 @@ class Motion(PlanExecution):
 
     def __init__(self, calls):
         self.calls, self.error = calls, None
+        self.recovery = self
 
     def run(self, plan, looks_first=True):
         self.push(plan)

@@ -18,7 +18,6 @@ from manipulation.pick_place import PickPlacePlanner
 from manipulation.plan_execution import MISPLACED, PlanExecution
 from manipulation.standing import to_standing
 from manipulation.types import Placement
-from manipulation.withdrawal import HOME_MARGINS
 from perception.geometry import pose_from_yaw
 from tests.manipulation.test_execution import CONFIG, FakeObserver, FakeRobot
 
@@ -130,42 +129,10 @@ def test_what_an_object_stood_in_is_put_back_with_it(shapes, arm, lifted):
 @pytest.mark.parametrize("side", [0, 1])
 def test_widths_outside_the_range_are_no_grasp(cell, plan, side):
     width = plan.grasp.closed_width[side] + (2 * side - 1) * 0.0005
-    robot, _, phases, execution = cell(closing=[width])
+    _, _, phases, execution = cell(closing=[width])
     with pytest.raises(GraspFailedError, match="no object between the fingers after closing on can_1"):
         execution.run(plan)
     assert phases == ["approach", "grasp"]
-    height = Kinematics(robot.arm).forward(robot.q)[2, 3]
-    execution.back_off(plan.grasp)
-    assert robot.widths[-1] == plan.grasp.opening
-    assert Kinematics(robot.arm).forward(robot.q)[2, 3] - height == pytest.approx(0.15, abs=1e-3)
-
-
-@pytest.mark.parametrize(("offset", "hangs"), [(0.03, True), (0.09, False)])
-def test_what_hangs_on_the_fingers_is_put_down_and_let_go(cell, plan, offset, hangs):
-    """A bowl that a finger jams would be carried about by the camera's next motion."""
-    robot, _, _, execution = cell(closing=[0.0])
-    with pytest.raises(GraspFailedError, match="no object between the fingers"):
-        execution.run(plan)
-    before, n_before = robot.q, len(robot.motions)
-    T = Kinematics(robot.arm).forward(before)
-    raised = T[:3, 3] + (0.0, 0.0, 0.15 - offset)
-    execution.observer.unknown = raised + np.random.default_rng(0).uniform(-0.003, 0.003, (100, 3))
-    execution.back_off(plan.grasp)
-    assert len(robot.motions) - n_before == (3 if hangs else 1)
-    if hangs:
-        assert robot.motions[-2].positions[-1] == pytest.approx(before)
-        held, opening = plan.grasp.held_width, plan.grasp.opening
-        assert robot.widths[-2:] == [opening, pytest.approx(0.5 * (held + opening))]
-    assert Kinematics(robot.arm).forward(robot.q)[2, 3] - T[2, 3] == pytest.approx(0.15, abs=1e-3)
-
-
-def test_a_closed_hand_stays_closed_when_it_backs_off(cell, plan):
-    """It pushed or pressed: among objects, or in a bowl, there is no room to open."""
-    robot, _, _, execution = cell()
-    robot.q = plan.approach.positions[-1].copy()
-    execution.observer.unknown = np.full((100, 3), 0.5)
-    execution.back_off()
-    assert robot.widths == [] and len(robot.motions) == 1
 
 
 @pytest.mark.parametrize("slip, raises", [(0.006, True), (0.004, False)])
@@ -211,31 +178,3 @@ def test_a_mug_that_was_turned_when_it_was_released(cell, plan, category, turn, 
     else:
         execution.run(plan)
     np.testing.assert_array_equal(planner.world.pose("can_1"), seen)
-
-
-def test_home_is_reached_and_a_blocked_way_home_is_no_error(cell):
-    robot, _, _, execution = cell()
-    home = robot.arm.q_home
-    execution.go_home()
-    assert not robot.motions, "it is there"
-    robot.q = home + np.array([0.3, 0, 0, 0, 0, 0, 0])
-    execution.go_home()
-    assert robot.q == pytest.approx(home)
-    robot.q = home + np.array([0.3, 0, 0, 0, 0, 0, 0])
-    robot.follow = lambda trajectory: (_ for _ in ()).throw(RobotError("blocked"))
-    execution.go_home()
-
-
-def test_where_no_way_home_is_known_to_be_free_it_leads_over_a_point_above_the_hand(cell, monkeypatch):
-    """The direct way would sweep the table: it toppled a carton beside the forearm."""
-    robot, planner, _, execution = cell()
-    low = planner.kinematics.forward(robot.arm.q_home)
-    low[2, 3] = 0.12
-    robot.q = planner.kinematics.inverse(low, [robot.arm.q_home], name="").q
-    before, margins = len(robot.motions), []
-    monkeypatch.setattr(planner.motions, "any_path", lambda q, home, width, m: margins.append(m))
-    execution.go_home()
-    first, second = robot.motions[before:]
-    assert planner.kinematics.forward(first.positions[-1])[2, 3] > 0.2
-    assert second.positions[-1] == pytest.approx(robot.arm.q_home)
-    assert margins == [(None, *HOME_MARGINS)], "narrow ways are tried before"
