@@ -28,6 +28,8 @@ NECK = 0.8
 # 223 fits in 74 scans, true ones thinner than 21 mm were 0.24 m long and more, false ones of at least the
 # least score at most 0.16 m; bottles of 40 mm and 0.16 m are met as well.
 THINNEST, LONG = 0.0195, 0.18
+# [m] half widths of a flat bottle, as of ketchup, from which on it is none: handles are about round.
+FLAT, BROAD = 0.015, 0.024
 # Height of a lying bottle in diameters below which it is none: 247 true ones had 1.87 and more, a camera and
 # a can 1.35 and 1.65.
 STUBBY = 1.75
@@ -85,5 +87,8 @@ def is_stubby(estimate: ObjectEstimate) -> bool:
 
 
 def is_thin(estimate: ObjectEstimate) -> bool:
-    """Return whether a lying bottle is as thin as the handles of things, and not clearly longer."""
-    return estimate.radius < THINNEST and estimate.height < LONG
+    """Return whether a lying bottle is as thin as the handles of things, and neither longer nor flat."""
+    if estimate.radius >= THINNEST or estimate.height >= LONG:
+        return False
+    broad = float(np.ptp(estimate.mesh.vertices[:, 0]) / 2)
+    return estimate.radius < FLAT or broad < BROAD

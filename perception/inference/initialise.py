@@ -16,6 +16,7 @@ from jaxtyping import Float
 from perception.errors import InvalidInputError
 from perception.geometry import upright_rotation
 from perception.inference.observation import ObjectObservation
+from perception.inference.yaw_prior import yaw_modes
 from perception.rendering.pose import ObjectPose
 from perception.types import Category, SupportPlane
 
@@ -24,9 +25,6 @@ LONGEST_SIDE = 1.8  # longest side of an object in the canonical cube of side 2
 MIN_HEIGHT = 0.003  # [m] points lower than this belong to the plane
 MIN_POINTS = 30
 _STEEP = np.deg2rad(68.0)  # elevation of the camera above which near and far side are visible
-_MAX_YAWS = 5
-_LEAST_LIKELY = 0.3  # smallest probability of a hypothesis relative to the most probable yaw
-_YAW_REACH = np.deg2rad(25.0)  # initial yaw error from which a fit converges to the handle
 BLIND_YAWS = 6  # hypotheses for a mug without a yaw distribution
 
 
@@ -146,36 +144,10 @@ def yaw_hypotheses(
 ) -> list[float]:
     """Return yaw hypotheses about the plane's normal, in radians, the most probable first."""
     if category == "mug":
-        return _modes([o.yaw_probabilities for o in observations if o.yaw_probabilities.size])
+        yaws = yaw_modes(observations)
+        return yaws or [2 * np.pi * k / BLIND_YAWS for k in range(BLIND_YAWS)]
     if category == "bottle":  # sections may be rectangular, with the long or the short side along x
         (_, (along, across), degrees) = cv2.minAreaRect(measures.outline.astype(np.float32))
         yaw = np.deg2rad(degrees) + (0.0 if along >= across else np.pi / 2)
         return [yaw, yaw + np.pi / 2]
     return [0.0]
-
-
-def _modes(distributions: list[np.ndarray]) -> list[float]:
-    """Return the modes of the fused yaw distribution in radians, or uniform yaws without a distribution.
-
-    Non-maximum suppression over ``_YAW_REACH``: one mode of a sharp distribution, several of a flat one.
-    Distributions that are not finite, are zero, or differ in the number of bins from the first are not used.
-    """
-    valid = [p for p in distributions if np.isfinite(p).all() and p.sum() > 0]
-    distributions = [p for p in valid if len(p) == len(valid[0])]
-    if not distributions:
-        return [2 * np.pi * k / BLIND_YAWS for k in range(BLIND_YAWS)]
-    bins = len(distributions[0])
-    log_p = np.mean([np.log(np.maximum(p, 1e-4)) for p in distributions], axis=0)
-    p = np.exp(log_p - log_p.max())
-    left, reach, yaws = p.copy(), int(_YAW_REACH / (2 * np.pi) * bins), []
-    while len(yaws) < _MAX_YAWS and left.max() > _LEAST_LIKELY:
-        k = int(left.argmax())
-        yaws.append(2 * np.pi * (k + _vertex(p[k - 1], p[k], p[(k + 1) % bins])) / bins)
-        left[np.arange(k - reach, k + reach + 1) % bins] = 0.0
-    return yaws
-
-
-def _vertex(left: float, middle: float, right: float) -> float:
-    """Return the offset of the vertex of the parabola through three neighbours, in bins."""
-    curvature = left - 2 * middle + right
-    return 0.0 if curvature >= 0 else float(np.clip(0.5 * (left - right) / curvature, -0.5, 0.5))

@@ -20,6 +20,7 @@ from perception.inference.problem import FitProblem, FitState, SizePrior, Suppor
 from perception.inference.resting import initial_resting_poses
 from perception.inference.shape_model import Decoder, LinearisedShape, linearise, mean_shape
 from perception.inference.warm_start import warm_start
+from perception.inference.yaw_prior import YawPrior, yaw_prior
 from perception.rendering.pose import ObjectPose
 from perception.types import CODE_SIZE, GRID_RESOLUTION, SupportPlane
 
@@ -38,12 +39,14 @@ class FitStart:
         sampling: Depth range of the rays.
         support: Virtual camera under the object.
         size: Prior on the scale.
+        yaw: Prior on the direction of a mug's handle.
     """
 
     poses: tuple[ObjectPose, ...]
     sampling: SamplingRange
     support: SupportCamera
     size: SizePrior
+    yaw: YawPrior | None
 
     @staticmethod
     def of(views: ObjectViews, plane: SupportPlane, config: FitConfig) -> FitStart:
@@ -59,6 +62,7 @@ class FitStart:
             sampling=SamplingRange.around(centre, cloud.bounding_radius, config.step[category] * voxel),
             support=SupportCamera.under(poses[0], plane, 1.2 * cloud.radius, max(cloud.height, 0.04)),
             size=SizePrior(scale, noise.mug_size_sigma if category == "mug" else noise.size_sigma),
+            yaw=yaw_prior(seen, plane) if (category, config.resting) == ("mug", "upright") else None,
         )
 
 
@@ -240,7 +244,7 @@ class _Fitter:
     def _problem(self, pixels: PixelSet, shape: LinearisedShape) -> FitProblem:
         config, start = self.config, self.start
         return FitProblem(
-            pixels, shape, start.support, config.noise, start.size, config.renderer, config.resting
+            pixels, shape, start.support, config.noise, start.size, start.yaw, config.renderer, config.resting
         )
 
     def _pixels(self, stage: FitStage) -> PixelSet:

@@ -15,6 +15,7 @@ from perception.geometry import hat, rigid, so3_log
 from perception.inference.levenberg_marquardt import Evaluation
 from perception.inference.observation import PixelSet
 from perception.inference.shape_model import LinearisedShape
+from perception.inference.yaw_prior import YawPrior
 from perception.rendering.comparison import BACKDROP, RENDERERS, RendererName
 from perception.rendering.pose import (
     POSE_SIZE,
@@ -48,6 +49,7 @@ class NoiseConfig:
         mug_size_sigma: The same for mugs, whose handle, part of the longest side, may be hidden.
         section_sigma: Standard deviation of the log ratio of the scales along x and y.
         aspect_sigma: Standard deviation of the log ratio of the scale along z and the mean of x and y.
+        yaw_sigma: Standard deviation of the direction of a handle that the yaw network is sure of, in rad.
     """
 
     depth_sigma: float = 0.005
@@ -62,6 +64,7 @@ class NoiseConfig:
     mug_size_sigma: float = 1.0
     section_sigma: float = 0.03
     aspect_sigma: float = 0.15
+    yaw_sigma: float = 0.25
 
 
 @dataclass(frozen=True)
@@ -175,6 +178,7 @@ class FitProblem:
         support: SupportCamera,
         noise: NoiseConfig,
         size: SizePrior | None = None,
+        yaw: YawPrior | None = None,
         renderer: RendererName = "probabilistic",
         resting: RestingPose = "upright",
     ) -> None:
@@ -183,7 +187,7 @@ class FitProblem:
         if renderer == "silhouette":
             self._target = np.where(pixels.inside, 0.0, BACKDROP).astype(np.float32)
         self.pixels, self.shape, self.support, self.noise, self.size = pixels, shape, support, noise, size
-        self.resting = resting
+        self.yaw, self.resting = yaw, resting
 
     def __call__(self, state: FitState) -> Evaluation:
         grid = self.shape.at(state.code)
@@ -193,6 +197,8 @@ class FitProblem:
             self._tilt_rows(state),
             self._support_row(state, grid),
         ]
+        if self.yaw is not None:
+            blocks.append(self._yaw_row(state, self.yaw))
         residuals, jacobians, weights = (np.concatenate(part) for part in zip(*blocks))
         rendered = len(self.pixels.is_object)
         jacobian = np.empty((rendered + len(residuals), PARAMETERS), np.float32)
@@ -256,6 +262,21 @@ class FitProblem:
         jacobian = np.zeros((len(normal[rows]), PARAMETERS), np.float32)
         jacobian[:, _TURN] = hat(normal)[rows]
         return normal[rows], jacobian, np.full(len(jacobian), sigma**-2)
+
+    def _yaw_row(self, state: FitState, prior: YawPrior) -> _Rows:
+        """Return the angle about the plane's normal from the nearest mode to the x axis of the object.
+
+        With m the normal in the object frame and e the x axis, it changes by (m - m_x e) / (1 - m_x^2) omega.
+        """
+        normal, x = self.support.plane.normal, state.pose.rotation[:, 0]
+        angles = np.arctan2(np.cross(prior.directions, x) @ normal, prior.directions @ x)
+        nearest = int(np.abs(angles).argmin())
+        m = state.pose.rotation.T @ normal
+        jacobian = np.zeros((1, PARAMETERS), np.float32)
+        jacobian[0, _TURN] = (m - [m[0], 0.0, 0.0]) / (1 - m[0] ** 2)
+        angle, sigma = angles[nearest], self.noise.yaw_sigma
+        robust = min(1.0, self.noise.huber * sigma / max(abs(angle), 1e-9))
+        return np.full(1, angle), jacobian, np.full(1, prior.certainties[nearest] * robust / sigma**2)
 
     def _support_row(self, state: FitState, grid: ShapeGrid) -> _Rows:
         """Return the mean height over the plane of the lowest parts that the camera underneath sees."""

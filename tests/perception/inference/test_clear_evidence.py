@@ -6,6 +6,8 @@ import pytest
 from perception.geometry import so3_exp, transform_points
 from perception.inference.clear_evidence import (
     BOTTLE_SCORE,
+    BROAD,
+    FLAT,
     LEAST_PIECE_SCORE,
     LEAST_SCORE,
     LENGTH,
@@ -18,6 +20,7 @@ from perception.inference.clear_evidence import (
     THINNEST,
     UNCLASSIFIED_SCORE,
     is_clear,
+    is_thin,
     may_be_part,
     shows_ends,
 )
@@ -68,6 +71,17 @@ def test_what_is_as_thin_as_a_handle_must_be_longer(more, longer, kept):
     lying = found(1, 0.99, "bottle", "lying", length=LONG + longer, radius=THINNEST + more)
     assert is_clear(lying) == kept
     assert is_clear(found(1, 0.99, "can", "lying", length=0.1, radius=THINNEST - 1e-3)), "of bottles alone"
+
+
+@pytest.mark.parametrize(
+    ("thin", "broad", "kept"), [(1e-4, 1e-4, True), (-1e-4, 1e-4, False), (1e-4, -1e-4, False)]
+)
+def test_a_flat_bottle_is_no_handle(thin, broad, kept):
+    x, y = BROAD + broad, FLAT + thin
+    vertices = np.array([[-x, -y, 0.0], [x, y, 0.0], [0.0, 0.0, 0.15]])
+    lying = found(1, 0.99, "bottle", "lying")
+    vars(lying).update(mesh=TriangleMesh(vertices, np.array([[0, 1, 2]])))
+    assert is_thin(lying) != kept
 
 
 @pytest.mark.parametrize(

@@ -3,7 +3,7 @@
 import numpy as np
 import pytest
 
-from perception.geometry import so3_exp
+from perception.geometry import so3_exp, upright_rotation
 from perception.inference.levenberg_marquardt import Evaluation
 from perception.inference.observation import Crop, PixelConfig, SamplingRange, gather_pixels
 from perception.inference.problem import (
@@ -15,6 +15,7 @@ from perception.inference.problem import (
     SupportCamera,
 )
 from perception.inference.shape_model import linearise
+from perception.inference.yaw_prior import YawPrior
 from perception.rendering.comparison import BACKDROP, render_silhouette
 from perception.rendering.pose import ObjectPose, canonical_from_camera
 from perception.rendering.renderer import render
@@ -189,6 +190,36 @@ def test_a_step_leads_from_one_state_to_another(can):
     np.testing.assert_allclose(moved.step_from(start), step, atol=1e-9)
     np.testing.assert_allclose(moved.code, start.code + step[:16])
     np.testing.assert_allclose(moved.pose.scale, start.pose.scale * np.exp(step[22:]))
+
+
+@pytest.mark.parametrize(
+    ("yaw", "angle", "weight"),
+    [(0.45, 0.05, 0.9 / 0.2**2), (1.9, -0.1, 0.3 / 0.2**2), (1.4, -0.6, 0.2 / 0.2**2)],
+)
+def test_yaw_prior_is_the_angle_from_the_nearest_mode(can, shape, yaw, angle, weight):
+    """Modes at 0.4 and 2.0; beyond two standard deviations the weight falls as Huber's."""
+    modes = np.array([[np.cos(a), np.sin(a), 0.0] for a in (0.4, 2.0)])
+    prior = YawPrior(modes, np.array([0.9, 0.3]))
+    noise = NoiseConfig(yaw_sigma=0.2, huber=2.0)
+    pose = ObjectPose(upright_rotation(PLANE.normal, yaw), can.pose.translation, can.pose.scale)
+    _, found = evaluated(can, shape, pose, noise=noise, yaw=prior)
+    assert found.residuals[-1] == pytest.approx(angle, abs=1e-6)
+    assert found.weights[-1] == pytest.approx(weight, rel=1e-4)
+    _, without = evaluated(can, shape, pose, noise=noise)
+    assert len(found.residuals) == len(without.residuals) + 1
+
+
+def test_derivative_of_the_yaw_prior_of_a_tilted_object(can, shape):
+    prior = YawPrior(np.array([[1.0, 0.0, 0.0]]), np.ones(1))
+    pose = ObjectPose(so3_exp(np.array([0.2, -0.3, 0.4])), can.pose.translation, can.pose.scale)
+    problem = FitProblem(pixels_of(can), shape, support_of(can), NOISE, yaw=prior)
+    state = FitState(pose, can.code)
+    jacobian = problem(state).jacobian[-1]
+    for k in range(25):
+        step = np.zeros(25)
+        step[k] = 1e-4
+        ahead, behind = (problem(state.moved(sign * step)).residuals[-1] for sign in (1, -1))
+        assert jacobian[k] == pytest.approx((ahead - behind) / 2e-4, abs=1e-5), k
 
 
 @pytest.mark.parametrize("level", [0, 1])
