@@ -106,12 +106,18 @@ class TaskProgress:
         return outcomes
 
     def results(self, poses: Poses) -> list[ObjectOutcome]:
-        """Return all outcomes, with the poses in which objects that were not placed were left.
+        """Return all outcomes, with the poses in which the objects are now.
+
+        A bowl may have moved when another one was put into it, and others as something came down beside them.
 
         Args:
             poses: T_world_stand of the objects of known pose.
         """
-        return [
-            outcome if outcome.placed else replace(outcome, T_world_left=poses.get(outcome.name))
-            for outcome in self.outcomes.values()
-        ]
+
+        def with_pose(outcome: ObjectOutcome) -> ObjectOutcome:
+            T = poses.get(outcome.name)
+            if not outcome.placed:
+                return replace(outcome, T_world_left=T)
+            return outcome if T is None else replace(outcome, T_world_stand=T)
+
+        return [with_pose(outcome) for outcome in self.outcomes.values()]

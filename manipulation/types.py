@@ -303,7 +303,7 @@ class ObjectOutcome:
         placed: whether the object was released at its goal.
         attempts: number of executed grasps.
         reason: cause of the failure; empty if placed.
-        T_world_stand: (4, 4) expected resting pose; None if not placed.
+        T_world_stand: (4, 4) resting pose in which it is expected; None if not placed.
         T_world_left: (4, 4) pose in which an object that was not placed was seen last; None if it is unknown.
     """
 
