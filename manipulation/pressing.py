@@ -25,6 +25,9 @@ STEEPEST = np.deg2rad(35.0)  # that a bowl leans in another; images that show mo
 _ABOVE = 0.04  # [m] over the highest point, where the motion begins
 _RISE = 0.004  # [m] error of the height at which a bowl is seen
 _SURE = np.deg2rad(15.0)  # tilt that errors of a shape do not look like; 8 degrees were seen of a level bowl
+_LOWER = (
+    0.008  # [m] below its planned height, from which on a bowl is where it is seen: two errors of a height
+)
 _DEEPER = 0.002  # [m] below the rim's height at rest: the rim springs back
 _INWARDS = 0.003  # [m] from the outline: fingertips must not slip off the rim
 _FURTHER = 0.004  # [m] beyond the middle, to which a bowl is drawn: it lags behind the fingertips
@@ -77,6 +80,21 @@ def can_lean(
     rise = float(T_world_stand[2, 3] - T_world_rest[2, 3])
     tilt = lean(T_world_stand)
     return bool(tilt >= _SURE or rise <= radius * np.sin(tilt) + _RISE)
+
+
+def resting_height(T_world_rest: Float[np.ndarray, "4 4"], T_world_stand: Float[np.ndarray, "4 4"]) -> float:
+    """Return the height [m] of a bowl's base, level in another one: as planned, unless it is seen lower.
+
+    It was planned for the first contact at any yaw: between the corners of a polygon a bowl goes deeper. The
+    middle of one that leans is not below its place; one that is level must be seen clearly lower.
+
+    Args:
+        T_world_rest: pose at rest as planned.
+        T_world_stand: the pose in which it was seen.
+    """
+    planned, seen = float(T_world_rest[2, 3]), float(T_world_stand[2, 3])
+    least = planned if lean(T_world_stand) >= LEANING else planned - _LOWER
+    return seen if seen < least else planned
 
 
 def lowest_leaning(names: Sequence[str], seen: Mapping[str, Float[np.ndarray, "4 4"]]) -> str | None:

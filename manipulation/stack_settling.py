@@ -20,6 +20,7 @@ from manipulation.pressing import (
     lean,
     lowest_leaning,
     plan_press,
+    resting_height,
 )
 from manipulation.robot import Robot
 from manipulation.types import PickPlacePlan
@@ -68,8 +69,9 @@ class StackSettling:
             seen = self._observer.look_closer(names, before)
             if not is_plausible(seen):
                 return
+            heights = {other: resting_height(before[other], T) for other, T in seen.items()}
             for other, T_world_stand in seen.items():
-                self._planner.moved(other, levelled(T_world_stand, float(before[other][2, 3])))
+                self._planner.moved(other, levelled(T_world_stand, heights[other]))
             items = self._planner.items
             possible = {n: T for n, T in seen.items() if can_lean(items[n], before[n], T)}
             leaning = lowest_leaning(names, possible)
@@ -89,7 +91,7 @@ class StackSettling:
             has_pushed |= presses > 0 and leaning != name
             # Pressed level, it will be over the middle of the one below.
             rest = self._planner.world.pose(beneath).copy()
-            rest[2, 3] = before[leaning][2, 3]
+            rest[2, 3] = heights[leaning]
             self._planner.moved(leaning, rest)
             self._press(leaning, seen[leaning], frozenset(names), draws=presses > 0)
 

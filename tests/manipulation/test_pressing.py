@@ -12,6 +12,7 @@ from manipulation.pressing import (
     lean,
     lowest_leaning,
     plan_press,
+    resting_height,
 )
 from manipulation.standing import to_standing
 from manipulation.types import Box
@@ -139,3 +140,13 @@ def test_there_is_no_press_where_the_hand_cannot_go(bowl, arm):
     assert plan_press(planner.motions, bowl, leaning(0.5, 0.2), rest, arm.q_home, frozenset()) is None, (
         "nothing may be touched"
     )
+
+
+@pytest.mark.parametrize(
+    ("seen", "tilt", "height"),
+    [(0.053, 0.0, 0.060), (0.051, 0.0, 0.051), (0.058, 0.2, 0.058), (0.065, 0.0, 0.060), (0.065, 0.2, 0.060)],
+)
+def test_a_bowl_is_at_its_planned_height_unless_it_is_seen_lower(seen, tilt, height):
+    planned, found = pose_from_yaw(0.0, np.array([0, 0, 0.06])), pose_from_yaw(0.0, np.array([0, 0, seen]))
+    found[:3, :3] = Rotation.from_euler("x", tilt).as_matrix()
+    assert resting_height(planned, found) == pytest.approx(height)

@@ -74,6 +74,22 @@ def test_a_bowl_that_leans_in_another_is_pressed_level_or_placed_again(nested, a
     assert upper[2, 2] == pytest.approx(1.0) and lower[0, 3] == pytest.approx(Box().center[0] + 0.004)
 
 
+def test_a_bowl_that_went_deeper_than_planned_is_pressed_down_to_there(nested, arm):
+    """Between the corners of a polygon: pressed to the planned height, the hand would not reach it."""
+    planner, plan = nested
+    robot, observer, deeper = FakeRobot(arm, [plan.grasp.held_width]), FakeObserver(), 0.012
+    for angle in (0.25, 0.0):
+        T = plan.T_world_stand_rest.copy()
+        T[2, 3] -= deeper
+        T[:3, :3] = Rotation.from_euler("x", angle).as_matrix() @ T[:3, :3]
+        observer.closer.append({"bowl_2": T})
+    PlanExecution(robot, planner, observer, CONFIG, lambda *args, **options: None).run(plan)
+    height = planner.items["bowl_2"].top + plan.T_world_stand_rest[2, 3] - deeper
+    lowest = min(planner.kinematics.forward(m.positions[-1])[2, 3] for m in robot.motions[-2:])
+    assert lowest - robot.arm.gripper.tip == pytest.approx(height, abs=0.004)
+    assert planner.world.pose("bowl_2")[2, 3] == pytest.approx(plan.T_world_stand_rest[2, 3] - deeper)
+
+
 def test_what_is_seen_higher_than_a_bowl_can_lean_is_level(nested, arm):
     """A bowl that was reconstructed too low fits where its rim is, and its errors look like a tilt."""
     planner, plan = nested
