@@ -7,6 +7,7 @@ from dataclasses import replace
 
 from manipulation.observation import Poses
 from manipulation.types import ObjectOutcome, Placement
+from perception.geometry import rigid
 
 
 class TaskProgress:
@@ -109,6 +110,7 @@ class TaskProgress:
         """Return all outcomes, with the poses in which the objects are now.
 
         A bowl may have moved when another one was put into it, and others as something came down beside them.
+        Objects that were placed keep the direction in which they are to stand: that of a mug is verified.
 
         Args:
             poses: T_world_stand of the objects of known pose.
@@ -118,6 +120,8 @@ class TaskProgress:
             T = poses.get(outcome.name)
             if not outcome.placed:
                 return replace(outcome, T_world_left=T)
-            return outcome if T is None else replace(outcome, T_world_stand=T)
+            if T is None or outcome.T_world_stand is None:
+                return outcome
+            return replace(outcome, T_world_stand=rigid(outcome.T_world_stand[:3, :3], T[:3, 3]))
 
         return [with_pose(outcome) for outcome in self.outcomes.values()]
