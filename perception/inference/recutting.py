@@ -102,6 +102,7 @@ class Recutting:
     ) -> tuple[Rows, dict[int, ObjectEstimate]]:
         """Return the detections with pairs that are one lying object as one, and its estimate by id.
 
+        What was joined is tried with what it touches in turn: bottles have caps and labels of other colours.
         Its score is at least ``CLEAR``, and that of either part, or a little less if one is none alone.
 
         Args:
@@ -110,7 +111,27 @@ class Recutting:
             estimates: Estimates of instances by id; rejected ones are missing.
             first_id: Least id of what is joined.
         """
-        pairs = touching_pairs(rows, [id for id in sorted(ids) if _may_lie(rows, id)])[:MOST]
+        found: dict[int, ObjectEstimate] = {}
+        latest: set[int] | None = None  # what the last pass has joined
+        while latest is None or latest:
+            left = sorted((set(ids) | set(found)) & instance_ids(rows))
+            pairs = touching_pairs(rows, [id for id in left if _may_lie(rows, id)])
+            if latest is not None:
+                pairs = [pair for pair in pairs if latest & set(pair)]
+            free = max([first_id - 1, *found]) + 1
+            rows, joint = self._join(rows, pairs[:MOST], {**estimates, **found}, free)
+            found |= joint
+            latest = set(joint)
+        return rows, {id: estimate for id, estimate in found.items() if id in instance_ids(rows)}
+
+    def _join(
+        self,
+        rows: Rows,
+        pairs: Sequence[tuple[int, int]],
+        estimates: Mapping[int, ObjectEstimate],
+        first_id: int,
+    ) -> tuple[Rows, dict[int, ObjectEstimate]]:
+        """Return the detections with the pairs that are one lying object as one, and its estimate by id."""
         numbers = range(first_id, first_id + len(pairs))
         with worker_pool(self.workers) as pool:
             tried = list(pool.map(partial(self._joined_pair, rows), pairs, numbers))

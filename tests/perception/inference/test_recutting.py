@@ -120,10 +120,27 @@ def test_what_is_joined_must_be_clear(monkeypatch, beyond):
 
 
 def test_an_instance_belongs_to_one_pair(monkeypatch):
-    fits = Fits(monkeypatch, {10: 0.9, 11: 0.9, 12: 0.9})
+    fits = Fits(monkeypatch, {10: 0.9, 12: 0.9})
     row = [seen(3, 0, 4), seen(4, 4, 8), seen(5, 8, 12)]
     rows, wholes = fits.recutting.joined([row, row], {3, 4, 5}, {}, 10)
     assert wholes.keys() == {10} and instance_ids(rows) == {5, 10}
+
+
+def test_what_was_joined_is_joined_with_what_it_touches_in_turn(monkeypatch):
+    """A bottle whose cap and label have colours of their own."""
+    fits = Fits(monkeypatch, {10: 0.85, 11: 0.9})
+    lies = seen(0, 0, 1).pose_probabilities
+    monkeypatch.setattr(
+        recutting,
+        "posed_detections",
+        lambda frames, rows, planes, completer: [
+            [replace(d, pose_probabilities=lies) for d in r] for r in rows
+        ],
+    )
+    row = [seen(3, 0, 4), seen(4, 4, 8), seen(5, 8, 12)]
+    rows, wholes = fits.recutting.joined([row, row], {3, 4, 5}, {}, 10)
+    assert wholes.keys() == {11} and instance_ids(rows) == {11}, "the last one replaces that of the two"
+    np.testing.assert_array_equal(rows[0][0].mask, columns(0, 12))
 
 
 def test_masks_must_touch_in_half_of_the_views_that_show_both():
