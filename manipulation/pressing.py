@@ -25,9 +25,7 @@ STEEPEST = np.deg2rad(35.0)  # that a bowl leans in another; images that show mo
 _ABOVE = 0.04  # [m] over the highest point, where the motion begins
 _RISE = 0.004  # [m] error of the height at which a bowl is seen
 _SURE = np.deg2rad(15.0)  # tilt that errors of a shape do not look like; 8 degrees were seen of a level bowl
-_LOWER = (
-    0.008  # [m] below its planned height, from which on a bowl is where it is seen: two errors of a height
-)
+_LOWER = 0.008  # [m] below its planned height, from which on a level bowl is where it is seen
 _DEEPER = 0.002  # [m] below the rim's height at rest: the rim springs back
 _INWARDS = 0.003  # [m] from the outline: fingertips must not slip off the rim
 _FURTHER = 0.004  # [m] beyond the middle, to which a bowl is drawn: it lags behind the fingertips

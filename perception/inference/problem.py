@@ -273,7 +273,7 @@ class FitProblem:
         nearest = int(np.abs(angles).argmin())
         m = state.pose.rotation.T @ normal
         jacobian = np.zeros((1, PARAMETERS), np.float32)
-        jacobian[0, _TURN] = (m - [m[0], 0.0, 0.0]) / (1 - m[0] ** 2)
+        jacobian[0, _TURN] = (m - [m[0], 0.0, 0.0]) / max(1 - m[0] ** 2, 1e-6)
         angle, sigma = angles[nearest], self.noise.yaw_sigma
         robust = min(1.0, self.noise.huber * sigma / max(abs(angle), 1e-9))
         return np.full(1, angle), jacobian, np.full(1, prior.certainties[nearest] * robust / sigma**2)
