@@ -11,6 +11,7 @@ from dataclasses import dataclass
 import numpy as np
 from jaxtyping import Float
 
+from perception.detection.yaw import bin_centres
 from perception.geometry import upright_rotation
 from perception.inference.observation import ObjectObservation
 from perception.types import SupportPlane
@@ -97,9 +98,8 @@ def _peaks(p: Float[np.ndarray, "b"]) -> tuple[list[float], list[float]]:
 
 def _spread(p: Float[np.ndarray, "b"], yaw: float) -> float:
     """Return the standard deviation of a yaw distribution around one of its modes, in radians."""
-    bin_width = 2 * np.pi / len(p)
-    offsets = (bin_width * np.arange(len(p)) - yaw + np.pi) % (2 * np.pi) - np.pi
-    near = np.abs(offsets) < max(2 * _YAW_REACH, bin_width)
+    offsets = (bin_centres(len(p)) - yaw + np.pi) % (2 * np.pi) - np.pi
+    near = np.abs(offsets) < max(2 * _YAW_REACH, 2 * np.pi / len(p))
     return float(np.sqrt(np.average(offsets[near] ** 2, weights=p[near])))
 
 
