@@ -1,8 +1,9 @@
 """Lying bottles and cans that a handle belongs to: the barrel of a hair dryer, the head of a hammer.
 
 Alone, either is fitted well. A thin piece whose end meets the side of a body, across its axis and in its
-colours, is its handle. Colours are compared by their histograms: of a thing with prints there is seldom one
-colour that goes on from one to the other.
+colours, is its handle, and so is what was taken for an object itself, if it is slender beside the body: the
+grip of a drill. Colours are compared by their histograms: a thing with prints seldom has one colour that goes
+on from one to the other.
 """
 
 from __future__ import annotations
@@ -34,6 +35,8 @@ class HandledConfig:
         contact: Largest distance of its end from the body.
         end: Distance from its end, in its radii, up to which it meets the body.
         across: Least angle between both axes, in radians.
+        slender: Largest radius of a handle that was taken for an object, relative to that of the body: two
+            of the same product may lie at right angles.
         own: Distance from a surface up to which a measured point shows it.
         min_points: Smallest number of points that show the colours of either.
         lightness: Largest difference of their median lightness.
@@ -44,6 +47,7 @@ class HandledConfig:
     contact: float = 0.006
     end: float = 1.5
     across: float = np.radians(50)
+    slender: float = 0.7
     own: float = 0.005
     min_points: int = 100
     lightness: float = 15.0
@@ -57,7 +61,7 @@ def with_handle(
     plane: SupportPlane,
     config: HandledConfig = HandledConfig(),
 ) -> set[int]:
-    """Return the ids of the lying bottles and cans that have a handle.
+    """Return the ids of the lying bottles and cans that have a handle, and of such handles among the objects.
 
     Args:
         objects: Object map.
@@ -66,16 +70,20 @@ def with_handle(
         plane: Support plane.
         config: What a handle is.
     """
-    bodies = [e for e in objects if e.resting == "lying" and e.category in ("bottle", "can")]
-    handles = [e for e in pieces if e.resting == "lying" and is_thin(e)]
-    return {
-        body.id
-        for body in bodies
-        if any(
-            _begins_at(handle, body, config) and _are_alike(handle, body, views, plane, config)
-            for handle in handles
-        )
-    }
+    lying = [e for e in objects if e.resting == "lying"]
+    bodies = [e for e in lying if e.category in ("bottle", "can")]
+    thin = [e for e in pieces if e.resting == "lying" and is_thin(e)]
+
+    def is_handle(one: ObjectEstimate, body: ObjectEstimate) -> bool:
+        return _begins_at(one, body, config) and _are_alike(one, body, views, plane, config)
+
+    parts: set[int] = set()
+    for body in bodies:
+        slender = [e for e in lying if e.radius < config.slender * body.radius]
+        taken = {e.id for e in slender if is_handle(e, body)}
+        if taken or any(is_handle(piece, body) for piece in thin):
+            parts |= {body.id, *taken}
+    return parts
 
 
 def _surface(estimate: ObjectEstimate) -> SurfaceSamples:

@@ -33,9 +33,9 @@ def found(scenes):
         scenes.Solid(x=HALF + LONG / 2, y=0.0, height=2 * THIN, half=(LONG / 2, THIN)),
     ]
 
-    def run(piece, objects=(bar(),), body=GREEN, grip=DARK_GREEN):
+    def run(*pieces, objects=(bar(),), body=GREEN, grip=DARK_GREEN):
         frames = painted(scenes, solids, body, grip, body)
-        return with_handle(objects, [piece], frames, SupportPlane())
+        return with_handle(objects, pieces, frames, SupportPlane())
 
     return run
 
@@ -63,3 +63,21 @@ def test_what_has_another_colour_is_none(found, grip):
 def test_other_objects_have_none(found):
     for other in (bar(resting="upright"), bar(category="mug"), replace(bar(), id=7)):
         assert found(handle(), objects=(other,)) == set()
+
+
+def test_a_slender_object_is_a_handle_too_and_a_part_of_the_same_thing(found):
+    for category in ("bottle", "can", "mug"):
+        slender = replace(handle(radius=0.65 * HALF), category=category)
+        assert found(objects=(bar(), slender)) == {3, 7}
+
+
+def test_objects_of_one_product_or_of_other_colours_are_no_handles(found):
+    slender = handle(radius=0.65 * HALF)
+    assert found(objects=(bar(), handle(radius=HALF))) == set()
+    assert found(objects=(bar(), slender), grip=BLUE) == set()
+    assert found(objects=(bar(), replace(slender, resting="upright"))) == set()
+
+
+def test_a_piece_never_makes_an_object_of_its_number_a_part(found):
+    other = replace(bar(resting="upright"), id=7)
+    assert found(handle(), objects=(bar(), other)) == {3}
