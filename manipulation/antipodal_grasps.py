@@ -12,6 +12,7 @@ from __future__ import annotations
 from collections import Counter
 from collections.abc import Iterator, Sequence
 from dataclasses import dataclass
+from functools import lru_cache
 
 import numpy as np
 from jaxtyping import Float
@@ -75,16 +76,17 @@ def antipodal_grasps(
             grasps.
         sides: normals of further planes, of which the hand is to be above at least one.
     """
+    max_width = config.gripper.max_width
+    rim = item.top - _RIM if item.category in RIMMED else np.inf
+    opposite = _opposite_places(_ById(item.vertices), _ById(item.faces), rim, max_width - 0.004)
     rejected: Counter[str] = Counter()
-    surface = _Surface.of(item)
+    if opposite.n_too_wide:
+        rejected[f"{TOO_WIDE} for {max_width:.2f} m"] = opposite.n_too_wide
+    surface = opposite.surface
     planes = [(*ups, side) for side in sides] or [tuple(ups)]
     hands = [_HandSpace(item, surface.tree.data, normals, surroundings, config) for normals in planes]
-    pairs = antipodal_pairs(surface)
-    fitting = [pair for pair in pairs if pair.width <= config.gripper.max_width - 0.004]
-    if len(fitting) < len(pairs):
-        rejected[f"{TOO_WIDE} for {config.gripper.max_width:.2f} m"] = len(pairs) - len(fitting)
     grasps: list[Grasp] = []
-    for pair in _distinct(fitting):
+    for pair in opposite.pairs:
         found: list[Grasp] = []
         reason = ""
         for hand in hands:
@@ -116,13 +118,13 @@ class _Surface:
     tree: KDTree
 
     @staticmethod
-    def of(item: StandingObject) -> _Surface:
+    def of(mesh: TriangleMesh, rim: float = np.inf) -> _Surface:
+        """Return points of a surface, which are denser above the height ``rim`` [m]."""
         rng = np.random.default_rng(0)
-        a, b, c = np.moveaxis(item.vertices[item.faces], 1, 0)
+        a, b, c = np.moveaxis(mesh.vertices[mesh.faces], 1, 0)
         crossed = np.cross(b - a, c - a)
         area = np.linalg.norm(crossed, axis=1)
-        is_rim = (a + b + c)[:, 2] / 3 > (item.top - _RIM if item.category in RIMMED else np.inf)
-        weight = np.where(is_rim, _DENSER, 1.0) * area
+        weight = np.where((a + b + c)[:, 2] / 3 > rim, _DENSER, 1.0) * area
         face = rng.choice(len(area), _N_DENSE, p=weight / weight.sum())
         u, v = rng.random((2, _N_DENSE, 1))
         u, v = np.where(u + v > 1, 1 - u, u), np.where(u + v > 1, 1 - v, v)
@@ -133,7 +135,7 @@ class _Surface:
             same_side = normals[near] @ normals[index] > 0.3  # not those of the other side of a wall
             smooth[index] = normals[near][same_side].sum(axis=0)
         smooth /= np.linalg.norm(smooth, axis=1, keepdims=True)
-        return _Surface(points, smooth, KDTree(surface_points(TriangleMesh(item.vertices, item.faces))))
+        return _Surface(points, smooth, KDTree(surface_points(mesh)))
 
 
 def antipodal_pairs(surface: _Surface) -> list[Pair]:
@@ -150,6 +152,51 @@ def antipodal_pairs(surface: _Surface) -> list[Pair]:
     closings /= np.linalg.norm(closings, axis=1, keepdims=True)
     middles, widths = (first[i] + surface.points[j]) / 2, (closings * apart[i, j]).sum(axis=1)
     return [Pair(middle, closing, float(width)) for middle, closing, width in zip(middles, closings, widths)]
+
+
+@dataclass(frozen=True)
+class _OppositePlaces:
+    """Places of a surface between which it can be held.
+
+    Attributes:
+        surface: the surface.
+        pairs: distinct pairs within the width.
+        n_too_wide: number of pairs beyond it.
+    """
+
+    surface: _Surface
+    pairs: tuple[Pair, ...]
+    n_too_wide: int
+
+
+class _ById:
+    """An array as the key of a cache, the same only as itself."""
+
+    __slots__ = ("array",)
+
+    def __init__(self, array: np.ndarray) -> None:
+        self.array = array
+
+    def __hash__(self) -> int:
+        return id(self.array)
+
+    def __eq__(self, other: object) -> bool:
+        return isinstance(other, _ById) and self.array is other.array
+
+
+@lru_cache(maxsize=64)
+def _opposite_places(vertices: _ById, faces: _ById, rim: float, width: float) -> _OppositePlaces:
+    """Return the opposite places of a mesh; its grasps are looked for in many poses and scenes.
+
+    Args:
+        vertices, faces: the mesh.
+        rim: height [m] above which points are denser.
+        width: largest width of a pair in [m].
+    """
+    surface = _Surface.of(TriangleMesh(vertices.array, faces.array), rim)
+    pairs = antipodal_pairs(surface)
+    fitting = [pair for pair in pairs if pair.width <= width]
+    return _OppositePlaces(surface, tuple(_distinct(fitting)), len(pairs) - len(fitting))
 
 
 @dataclass(frozen=True)

@@ -6,6 +6,7 @@ Planning makes the least effort first; more is made when no object has a plan wi
 from __future__ import annotations
 
 import contextlib
+from collections import Counter
 from collections.abc import Collection, Hashable, Iterator, Sequence
 from dataclasses import replace
 from enum import IntEnum
@@ -159,6 +160,9 @@ class ObjectPlanning:
     ) -> set[str]:
         """Return the objects without which an object that has no plan has one; none if nothing helps.
 
+        First all that any candidate meets is left out; then what the plan that is found so, or another one,
+        can do with is put back.
+
         Args:
             placement: goal of the object.
             q: present posture in [rad].
@@ -166,27 +170,26 @@ class ObjectPlanning:
             effort: means of planning.
             movable: names of the objects that may be moved.
         """
-
-        def blockers_without(absent: Collection[str]) -> set[str] | None:
-            """Return what blocks the object once others are gone; None if it has a plan then."""
-            with self._planner.without(absent):
-                try:
-                    self.next_plan(placement, q, tried, effort)
-                except NoPlanError as error:
-                    return set(error.blockers)
-                except PlanningError:
-                    return set()
-            return None
-
+        planner, plan = self._planner, None
         absent: set[str] = set()
-        others = set(movable) - {placement.name}
-        while (blockers := blockers_without(absent)) is not None:
-            found = (blockers & others) - absent
-            if not found:
-                return set()
-            absent |= found
+        while plan is None:
+            with planner.without(absent):
+                try:
+                    plan = self.next_plan(placement, q, tried, effort)
+                except PlanningError as error:
+                    blockers = set(error.blockers) if isinstance(error, NoPlanError) else set()
+                    found = (blockers & set(movable)) - absent - {placement.name}
+                    if not found:
+                        return set()
+                    absent |= found
+        same = GraspSet((plan.grasp,), Counter())
         for name in sorted(absent):
-            if blockers_without(absent - {name}) is None:
+            with planner.without(absent - {name}), contextlib.suppress(NoPlanError):
+                planner.plan(plan.placement, q, grasps=same, contents=plan.contents)
+                absent.discard(name)
+        for name in sorted(absent) if len(absent) > 1 else ():
+            with planner.without(absent - {name}), contextlib.suppress(PlanningError):
+                self.next_plan(placement, q, tried, effort)
                 absent.discard(name)
         return absent
 
@@ -268,9 +271,13 @@ class ObjectPlanning:
         if scene == planner.scene_state:
             return known
         found: list[Placement] = []
+        on_side: dict[int, GraspSet] = {}  # by the goal's orientation, which many have in common
         for goal in goals[:_EXAMINED]:
             assert goal.T_goal_stand is not None
-            grasps = reorienting_grasps(planner.items[goal.name], goal.T_goal_stand, config)
+            grasps = on_side.get(id(goal.T_goal_stand))
+            if grasps is None:
+                grasps = reorienting_grasps(planner.items[goal.name], goal.T_goal_stand, config)
+                on_side[id(goal.T_goal_stand)] = grasps
             poses = {yaw: planner.resting_pose(goal, yaw) for yaw in goal.yaws[::_EVERY_YAW]}
             yaws = tuple(yaw for yaw, T in poses.items() if planner.can_pick(goal.name, T, grasps))
             if yaws:

@@ -1,10 +1,15 @@
+from dataclasses import replace
+
 import numpy as np
 import pytest
 
+from manipulation import antipodal_grasps as module
 from manipulation.antipodal_grasps import MIN_ELEVATION, _Surface, antipodal_grasps, antipodal_pairs
 from manipulation.grasp_config import GraspConfig
 from manipulation.hand_collision import HandBoxes
 from manipulation.standing import to_standing
+from perception.geometry import pose_from_yaw
+from perception.types import TriangleMesh
 
 UP, X = np.array([0.0, 0.0, 1.0]), np.array([1.0, 0.0, 0.0])
 
@@ -25,7 +30,7 @@ def lying_grasps_of_can(can):
 
 
 def test_pairs_of_a_cylinder_are_on_diameters_or_on_its_ends(can):
-    pairs = antipodal_pairs(_Surface.of(can))
+    pairs = antipodal_pairs(_Surface.of(TriangleMesh(can.vertices, can.faces)))
     inner = [p for p in pairs if 0.015 < p.middle[2] < 0.085]
     across = [p for p in inner if abs(p.closing[2]) < 0.3]
     assert len(across) > 20
@@ -36,7 +41,7 @@ def test_pairs_of_a_cylinder_are_on_diameters_or_on_its_ends(can):
 
 
 def test_pairs_across_a_wall_have_its_thickness(cup):
-    pairs = antipodal_pairs(_Surface.of(cup))
+    pairs = antipodal_pairs(_Surface.of(TriangleMesh(cup.vertices, cup.faces), cup.top - 0.02))
     walls = [p for p in pairs if p.width < 0.02 and 0.015 < p.middle[2] < 0.085]
     assert walls
     for pair in walls:
@@ -105,3 +110,16 @@ def test_each_grasp_is_offered_with_both_turns_of_the_hand(lying_grasps_of_can):
         assert turned.T_stand_tcp[:3, :2] == pytest.approx(-grasp.T_stand_tcp[:3, :2])
         assert turned.T_stand_tcp[:3, 2:] == pytest.approx(grasp.T_stand_tcp[:3, 2:])
         assert turned.score == grasp.score
+
+
+def test_opposite_places_are_looked_for_once_for_each_mesh(shapes, monkeypatch):
+    looked = []
+    search = module.antipodal_pairs
+    monkeypatch.setattr(module, "antipodal_pairs", lambda surface: looked.append(1) or search(surface))
+    first, second = (to_standing(shapes.estimate(1, "can", shapes.can(radius=0.031))) for _ in range(2))
+    poses = [replace(first, T_world_stand=pose_from_yaw(yaw, np.zeros(3))) for yaw in (0.0, 1.0)]
+    found = [antipodal_grasps(item, ups).grasps for item in poses for ups in ((UP,), (X, UP))]
+    assert len(looked) == 1
+    assert len(found[0]) != len(found[1]), "planes count all the same"
+    antipodal_grasps(second, (UP,))
+    assert len(looked) == 2, "an equal mesh of another object is another one"

@@ -34,6 +34,7 @@ def room_for_the_hand_everywhere(monkeypatch):
 
 
 GRASPS, TILTED, KEEPING = (GraspSet((grasp(),), Counter()) for _ in range(3))
+FOUND = grasp()  # that of a plan
 
 
 class FakePlanner(PickPlacePlanner):
@@ -363,13 +364,24 @@ def test_a_blocker_is_set_aside_in_its_orientation_if_it_may_be_moved(items):
 
 
 class Blocked(FakePlanner):
-    """A planner for which ``needed`` must be absent; ``blockers`` lists what is met first."""
+    """A planner for which ``needed`` must be absent; ``blockers`` lists what is met first.
+
+    The plan that it finds without all of them is blocked by each of ``also``.
+    """
 
     needed, blockers = frozenset({"bowl_2"}), ("bowl_2", "mug_3", "table")
+    also: frozenset[str] = frozenset()
 
     def plan(self, goals, q, tried=(), grasps=None, contents=()):
-        if self.needed <= self.absent:
-            return object.__new__(PickPlacePlan)
+        self.requests.append((goals, grasps))
+        needed = self.needed
+        if grasps is not None and grasps.grasps[0] is FOUND:
+            assert goals is GOAL, "the place of the plan that was found"
+            needed |= self.also
+        if needed <= self.absent:
+            plan = object.__new__(PickPlacePlan)
+            plan.__dict__.update(name="can_1", grasp=FOUND, placement=GOAL, contents=())
+            return plan
         raise NoPlanError("No plan", tuple(name for name in self.blockers if name not in self.absent))
 
 
@@ -391,6 +403,21 @@ def test_what_is_moved_for_an_object_is_what_it_needs_and_nothing_if_that_does_n
     planned = planning(items, planner)
     assert planned.in_the_way(GOAL, Q, (), Effort.CLEARING, movable) == expected
     assert not planner.absent
+
+
+def test_what_blocks_the_plan_that_was_found_alone_is_not_moved(items):
+    planner = Blocked(items)
+    planner.needed, planner.also = frozenset({"mug_3"}), frozenset({"bowl_2"})
+    planned = planning(items, planner)
+    assert planned.in_the_way(GOAL, Q, (), Effort.CLEARING, {"bowl_2", "mug_3"}) == {"mug_3"}
+
+
+def test_what_does_not_block_the_plan_that_was_found_costs_no_further_search(items):
+    planner = Blocked(items)
+    planner.needed = frozenset({"bowl_2"})
+    planning(items, planner).in_the_way(GOAL, Q, (), Effort.PLAIN, {"bowl_2", "mug_3"})
+    full = [grasps for _, grasps in planner.requests if grasps is None or grasps.grasps[0] is not FOUND]
+    assert len(full) == 2, "with all there, and without both"
 
 
 def test_what_cannot_be_set_aside_is_not_tried_again_in_the_same_scene(items):
