@@ -19,7 +19,7 @@ from manipulation.trajectories import JointTrajectory
 from manipulation.types import Rejected, StandingObject
 
 LEANING = np.deg2rad(5.0)  # from which on a bowl is pressed; images show the tilt to about 2 degrees
-PRESSABLE = np.deg2rad(26.0)  # up to which it is pressed: one that leans more is levered out of the one below
+PRESSABLE = np.deg2rad(26.0)  # up to which it is pressed anywhere; one that leans more may be levered out
 LEVEL = np.deg2rad(8.0)  # up to which it stays as it is when pressing does not help
 STEEPEST = np.deg2rad(35.0)  # that a bowl leans in another; images that show more were misunderstood
 _ABOVE = 0.04  # [m] over the highest point, where the motion begins
@@ -28,6 +28,7 @@ _SURE = np.deg2rad(15.0)  # tilt that errors of a shape do not look like; 8 degr
 _LOWER = 0.008  # [m] below its planned height, from which on a level bowl is where it is seen
 _DEEPER = 0.002  # [m] below the rim's height at rest: the rim springs back
 _INWARDS = 0.003  # [m] from the outline: fingertips must not slip off the rim
+_WITHIN = 0.006  # [m] from the rim of the lower bowl, inside of which a press cannot lever the upper one out
 _FURTHER = 0.004  # [m] beyond the middle, to which a bowl is drawn: it lags behind the fingertips
 _DOWN = Rotation.from_matrix(np.diag([1.0, -1.0, -1.0]))  # approach along -z, fingers close along y
 _YAWS = np.deg2rad([0, 45, 90, -45])  # of the closed hand
@@ -109,14 +110,33 @@ def lowest_leaning(names: Sequence[str], seen: Mapping[str, Float[np.ndarray, "4
     return leaning[-1] if leaning else None
 
 
+def is_pressable(
+    item: StandingObject,
+    T_world_stand: Float[np.ndarray, "4 4"],
+    beneath: StandingObject,
+    T_world_beneath: Float[np.ndarray, "4 4"],
+) -> bool:
+    """Return whether a press levels a leaning bowl: over the wall of the one below it would lever it out.
+
+    Args:
+        item: the bowl.
+        T_world_stand: its pose.
+        beneath: the bowl that it is in.
+        T_world_beneath: the pose of that one.
+    """
+    if lean(T_world_stand) < PRESSABLE:
+        return True
+    aside = highest_rim_point(item, T_world_stand)[:2] - T_world_beneath[:2, 3]
+    return bool(np.linalg.norm(aside) < _rim_radius(beneath) - _WITHIN)
+
+
 def highest_rim_point(
     item: StandingObject, T_world_stand: Float[np.ndarray, "4 4"]
 ) -> Float[np.ndarray, "3"]:
     """Return the highest point [m] of the rim of a leaning object, in the world frame."""
     axis = T_world_stand[:3, 2]
     uphill = np.array([0.0, 0.0, 1.0]) - axis[2] * axis
-    upper = item.vertices[item.vertices[:, 2] > 0.8 * item.top]
-    radius = float(np.median(np.linalg.norm(upper[:, :2], axis=1))) - _INWARDS
+    radius = _rim_radius(item) - _INWARDS
     return T_world_stand[:3, 3] + item.top * axis + radius * uphill / max(np.linalg.norm(uphill), 1e-9)
 
 
@@ -169,6 +189,12 @@ def plan_press(
                 motions.time_path(path), motions.time_line(down, "pushed"), drawn, motions.time_line(up)
             )
     return None
+
+
+def _rim_radius(item: StandingObject) -> float:
+    """Return the median radius [m] of an object near its rim."""
+    upper = item.vertices[item.vertices[:, 2] > 0.8 * item.top]
+    return float(np.median(np.linalg.norm(upper[:, :2], axis=1)))
 
 
 def _inward(

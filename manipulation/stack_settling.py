@@ -14,9 +14,9 @@ from manipulation.observation import SceneObserver
 from manipulation.pick_place import PickPlacePlanner
 from manipulation.pressing import (
     LEVEL,
-    PRESSABLE,
     can_lean,
     is_plausible,
+    is_pressable,
     lean,
     lowest_leaning,
     plan_press,
@@ -79,7 +79,8 @@ class StackSettling:
                 return
             beneath = names[names.index(leaning) + 1]
             in_vain = presses == MAX_PRESSES + len(names) - 2 or (has_pushed and leaning == name)
-            if in_vain or lean(seen[leaning]) >= PRESSABLE:
+            T_beneath = self._planner.world.pose(beneath)
+            if in_vain or not is_pressable(items[leaning], seen[leaning], items[beneath], T_beneath):
                 if name not in seen or lean(seen[name]) < LEVEL:
                     return
                 self._planner.moved(name, seen[name])

@@ -9,6 +9,7 @@ from manipulation.pressing import (
     can_lean,
     highest_rim_point,
     is_plausible,
+    is_pressable,
     lean,
     lowest_leaning,
     plan_press,
@@ -90,6 +91,22 @@ def test_the_highest_point_is_opposite_to_where_the_bowl_leans(bowl, towards):
     assert point[2] == pytest.approx(0.02 + HEIGHT * np.cos(TILT) + r * np.sin(TILT), abs=0.002)
     assert along == pytest.approx(HEIGHT * np.sin(TILT) - r * np.cos(TILT), abs=0.003)
     assert np.cross(direction, point[:2] - (0.5, 0.2)) == pytest.approx(0.0, abs=1e-3)
+
+
+@pytest.mark.parametrize(
+    ("tilt", "radius", "x", "pressable"),
+    [
+        (0.5, 0.06, 0.5, True),
+        (0.5, 0.06, 0.535, False),
+        (0.5, 0.08, 0.535, True),
+        (0.4, 0.06, 0.535, True),
+    ],
+)
+def test_a_bowl_that_leans_much_is_pressed_over_a_cavity_alone(bowl, shapes, tilt, radius, x, pressable):
+    """At 0.5 rad its highest point is 28 mm beside the middle of its base, on the side that is in the way."""
+    beneath = to_standing(shapes.estimate(2, "bowl", shapes.bowl(radius, 0.06)))
+    seen = leaning(0.5, 0.2, towards=0.0, tilt=tilt)
+    assert is_pressable(bowl, seen, beneath, pose_from_yaw(0.0, np.array([x, 0.2, 0.0]))) == pressable
 
 
 def test_the_closed_hand_goes_down_to_the_height_at_rest(bowl, arm):

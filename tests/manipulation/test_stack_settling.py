@@ -43,7 +43,7 @@ def nested(shapes, arm):
         ((0.25, 0.0), 1, False),
         ((0.12,) * 9, MAX_PRESSES, False),
         ((0.25,) * 9, MAX_PRESSES, True),
-        ((0.5,), 0, True),
+        ((0.5, 0.0), 1, False),
     ],
 )
 def test_a_bowl_that_leans_in_another_is_pressed_level_or_placed_again(nested, arm, looks, presses, leans):
@@ -72,6 +72,22 @@ def test_a_bowl_that_leans_in_another_is_pressed_level_or_placed_again(nested, a
     upper, lower = planner.world.pose("bowl_2"), planner.world.pose("bowl_1")
     assert upper[:3, 3] == pytest.approx(plan.T_world_stand_rest[:3, 3] + (0.005, 0.005, 0.0))
     assert upper[2, 2] == pytest.approx(1.0) and lower[0, 3] == pytest.approx(Box().center[0] + 0.004)
+
+
+def test_a_bowl_that_would_be_levered_out_is_not_pressed(nested, arm):
+    """The high side of its rim is beyond that of the bowl below."""
+    planner, plan = nested
+    robot, messages, observer = FakeRobot(arm, [plan.grasp.held_width]), [], FakeObserver()
+    T = plan.T_world_stand_rest.copy()
+    T[1, 3] += 0.05
+    T[:3, :3] = Rotation.from_euler("x", 0.5).as_matrix() @ T[:3, :3]
+    observer.closer = [{"bowl_2": T}]
+    execution = PlanExecution(
+        robot, planner, observer, CONFIG, lambda phase, name, message="", plan=None: messages.append(message)
+    )
+    with pytest.raises(LeaningError, match="bowl_2 leans by 29 degrees in bowl_1"):
+        execution.run(plan)
+    assert "leans and is pressed level" not in messages
 
 
 def test_a_bowl_that_went_deeper_than_planned_is_pressed_down_to_there(nested, arm):
