@@ -102,6 +102,7 @@ def reconstruct(
     instances = [replace(views, start=find_warm_start(views, options.starts)) for views in instances]
     planes = (plane,) if isinstance(plane, SupportPlane) else tuple(plane)
     plane_of = {d.instance_id: planes[d.support] for row in detections_per_frame for d in row}
+    by_id = {views.id: views for views in instances}
     estimates: dict[int, ObjectEstimate] = {}
     workers = options.workers or os.cpu_count() or 1
     if len(instances) < workers:  # idle cores render for the objects there are
@@ -146,7 +147,7 @@ def reconstruct(
             for found in [estimates[views.id] for views in wave if views.id in estimates]:
                 if found.rests_on in estimates:
                     lower = estimates[found.rests_on]
-                    estimates[lower.id] = ending_below(lower, found, plane_of[lower.id])
+                    estimates[lower.id] = ending_below(lower, found, plane_of[lower.id], by_id[lower.id])
     return [estimates[key] for key in sorted(estimates)]
 
 

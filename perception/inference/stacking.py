@@ -31,7 +31,9 @@ _CELL = 0.002  # [m] of the height maps whose difference is the gap
 FREE = 0.1  # [m] standard deviation of the height of the lowest part before the contact is known
 WORSE = 0.3  # by which the score of a fit on the contact may be below that of the fit at any height
 _OVERLAP = 0.008  # [m] by which two objects may overlap: estimated rims are thicker than real ones
-_SHARES = (0.7, 1.4)  # of a height after and before, at least and at most
+_SHARES = (0.55, 1.4)  # of a height after and before, at least and at most
+_DEEP = 0.7  # height of a base relative to the contact, below which it is far inside the object below
+_HIDDEN = 0.05  # share of measured points that may be unexplained once a hidden top has another height
 _SUNK = 0.005  # [m] by which the lowest measured points may be below the base
 _TOPPLING = 0.005  # [m] beside the other object's outline that the middle of an object on it may seem to be
 _LEANING = 0.3  # [rad] standard deviation of the tilt of an object in a vessel
@@ -140,7 +142,7 @@ def rest_on(
         return fit(views, plane, config)
     start = raised(plane, under)
     free = replace(config, noise=replace(config.noise, support_sigma=FREE))
-    points = np.concatenate([view.points_world(erode=2) for view in views.observations])
+    points = measured_points(views)
     floating = fit(views, start, free)
     may_be_higher = seen.base - BELOW > under + _HIGHER  # the lower object may be taller than what is seen
     if may_be_higher and unexplained(points, [floating]) >= _DOUBTFUL:
@@ -155,7 +157,7 @@ def rest_on(
     touching = fit(views, raised(plane, contact), config)
     contradicted = touching.score < floating.score - WORSE or seen.base < contact - _SUNK
     if lower.category not in VESSELS:  # its top is hidden
-        is_possible = lowest > _SHARES[0] * contact
+        is_possible = lowest > _DEEP * contact
         contradicted |= is_possible and floating.score >= touching.score - _AS_GOOD
         contradicted |= _explains_more(points, floating, touching)
     best = floating if contradicted else touching
@@ -216,16 +218,20 @@ def gap(upper: TriangleMesh, lower: TriangleMesh, plane: SupportPlane) -> float 
     return float((low[at] - high[there]).min()) if len(at) else None
 
 
-def ending_below(lower: ObjectEstimate, upper: ObjectEstimate, plane: SupportPlane) -> ObjectEstimate:
+def ending_below(
+    lower: ObjectEstimate, upper: ObjectEstimate, plane: SupportPlane, views: ObjectViews | None = None
+) -> ObjectEstimate:
     """Return an upright object that ends where one on it, estimated at any height, begins.
 
     What is on it hides its top, which the prior alone estimates. A vessel, whose rim is seen, may end below.
-    It is returned as it is if both hardly overlap, or by far too much.
+    It is returned as it is if both hardly overlap, or by far too much, or if its measured points contradict:
+    the handle of a mug may be estimated through the rim of the bowl that it is in.
 
     Args:
         lower: Estimate of the object below.
         upper: Estimate of the object on it.
         plane: Support plane of the object below.
+        views: Observations of the object below; None for no such test.
     """
     if lower.resting != "upright":
         return lower
@@ -244,7 +250,16 @@ def ending_below(lower: ObjectEstimate, upper: ObjectEstimate, plane: SupportPla
     T[:3, 3] += (share - 1.0) * float(plane.height_above(T[None, :3, 3])[0]) * plane.normal
     z = np.array([1.0, 1.0, share])
     mesh = TriangleMesh(lower.mesh.vertices * z, lower.mesh.faces)
-    return replace(lower, T_world_object=T, scale=lower.scale * z, mesh=mesh)
+    ended = replace(lower, T_world_object=T, scale=lower.scale * z, mesh=mesh)
+    points = measured_points(views) if views is not None else np.zeros((0, 3))
+    if len(points) and unexplained(points, [ended, upper]) > unexplained(points, [lower, upper]) + _HIDDEN:
+        return lower
+    return ended
+
+
+def measured_points(views: ObjectViews) -> Float[np.ndarray, "n 3"]:
+    """Return the measured points of an object in all views, in the world frame, in metres."""
+    return np.concatenate([view.points_world(erode=2) for view in views.observations])
 
 
 def raised(plane: SupportPlane, height: float) -> SupportPlane:

@@ -83,7 +83,8 @@ def test_gap_to_the_floor_of_a_bowl() -> None:
     [
         ("can", 0.08, 0.088),
         ("can", 0.095, 0.1),
-        ("can", 0.05, 0.1),
+        ("can", 0.06, 0.068),
+        ("can", 0.04, 0.1),
         ("can", 0.13, 0.13),
         ("can", 0.15, 0.1),
         ("bowl", 0.08, 0.088),
@@ -107,6 +108,23 @@ def test_what_is_hidden_below_an_object_ends_where_that_begins(category, base, h
     assert ending_below(replace(lower, resting="lying"), upper, PLANE).height == pytest.approx(0.1)
     beside = estimate(4, as_mesh(box, 0.1, 0, 0.05 + base))
     assert ending_below(lower, beside, PLANE).height == pytest.approx(0.1)
+
+
+@pytest.mark.parametrize(("highest", "height"), [(0.05, 0.068), (0.1, 0.1)])
+def test_a_rim_that_is_measured_stays_where_it_is(make_table, monkeypatch, highest, height) -> None:
+    """The handle of a mug may be estimated through the rim of the bowl that it is in."""
+    table = make_table("can", (), yaw=0.0)
+    views = ObjectViews(3, "bowl", 1.0, tuple(table.observations((0.0,))))
+    side = np.stack([np.full(50, -0.03), np.zeros(50), np.linspace(0.0, highest, 50)], axis=1)
+    monkeypatch.setattr(stacking, "measured_points", lambda seen: side if seen is views else None)
+    box = trimesh.creation.box((0.06, 0.06, 0.1))
+    T = np.eye(4)
+    T[2, 3] = 0.05
+    mesh = as_mesh(box, 0, 0, 0)
+    lower = replace(estimate(3, mesh), category="bowl", T_world_object=T, resting="upright")
+    upper = estimate(4, as_mesh(box, 0.04, 0, 0.05 + 0.06))
+    assert ending_below(lower, upper, PLANE, views).height == pytest.approx(height, abs=1e-6)
+    assert ending_below(lower, upper, PLANE).height == pytest.approx(0.068, abs=1e-6)
 
 
 def test_the_upper_object_is_fitted_on_the_contact(make_table) -> None:
