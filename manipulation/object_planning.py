@@ -160,8 +160,8 @@ class ObjectPlanning:
     ) -> set[str]:
         """Return the objects without which an object that has no plan has one; none if nothing helps.
 
-        First all that any candidate meets is left out; then what the plan that is found so, or another one,
-        can do with is put back.
+        First all that candidates meet are left out. Then each is put back if the plan that is found so stays
+        feasible or, where several are left, if there is another plan.
 
         Args:
             placement: goal of the object.

@@ -82,6 +82,11 @@ class ObjectObservation:
         )
 
 
+def measured_points(observations: Sequence[ObjectObservation], erode: int = 1) -> Float[np.ndarray, "n 3"]:
+    """Return the points of ``points_world`` of several observations together."""
+    return np.concatenate([np.zeros((0, 3)), *(seen.points_world(erode) for seen in observations)])
+
+
 @dataclass(frozen=True)
 class ObjectViews:
     """All observations of one object instance.

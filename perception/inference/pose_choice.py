@@ -14,7 +14,7 @@ import numpy as np
 from perception.inference.contents import find_rim
 from perception.inference.evidence import Evidence
 from perception.inference.initialise import plane_basis
-from perception.inference.observation import ObjectObservation
+from perception.inference.observation import ObjectObservation, measured_points
 from perception.inference.resting import rests_stably
 from perception.types import Category, ObjectEstimate, SupportPlane
 
@@ -57,7 +57,7 @@ def is_contradicted(evidence: Evidence) -> bool:
 
 def has_closed_top(observations: Sequence[ObjectObservation], plane: SupportPlane) -> bool:
     """Return whether the middle of the upper side is as high as its edge: a vessel upside down, or full."""
-    points = np.concatenate([seen.points_world() for seen in observations])
+    points = measured_points(observations)
     plan, height = points @ plane_basis(plane)[:2].T, plane.height_above(points)
     rim = find_rim(plan, height)
     if rim is None:

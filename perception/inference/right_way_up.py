@@ -22,7 +22,7 @@ from jaxtyping import Float
 from scipy.optimize import least_squares
 
 from perception.geometry import invert, transform_points
-from perception.inference.observation import ObjectObservation
+from perception.inference.observation import ObjectObservation, measured_points
 from perception.types import ObjectEstimate, TriangleMesh
 
 WIDER = 0.16  # difference between the radii at top and bottom, relative to their mean, of what lies
@@ -82,7 +82,7 @@ def is_turned_over(
     """
     if estimate.category != "can" and (estimate.category, estimate.resting) != ("bottle", "lying"):
         return False
-    points = np.concatenate([seen.points_world() for seen in observations])
+    points = measured_points(observations)
     points = transform_points(invert(estimate.T_world_object), points)
     lies = estimate.resting == "lying"
     profile = side_profile(points, estimate.mesh.vertices, may_tilt=lies)

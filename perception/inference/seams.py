@@ -18,7 +18,7 @@ from scipy.ndimage import median_filter
 from perception.geometry import transform_points
 from perception.inference.contents import circle, outermost
 from perception.inference.initialise import plane_basis
-from perception.inference.observation import ObjectObservation, pixel_rays
+from perception.inference.observation import ObjectObservation, measured_points, pixel_rays
 from perception.types import SupportPlane
 
 SLICE = 0.003  # [m] height of a section
@@ -123,7 +123,7 @@ class Seam:
 
 def find_seams(observations: Sequence[ObjectObservation], plane: SupportPlane) -> list[Seam]:
     """Return possible seams of an object over its support, the strongest first."""
-    points = np.concatenate([np.zeros((0, 3)), *(seen.points_world(erode=2) for seen in observations)])
+    points = measured_points(observations, erode=2)
     return seams_of(Outline.of(points @ plane_basis(plane)[:2].T, plane.height_above(points)))
 
 

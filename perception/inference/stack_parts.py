@@ -16,7 +16,7 @@ from jaxtyping import Float
 from perception.depth_cleaning import clean_frame
 from perception.detection.completion import PoseNamer
 from perception.inference.explanation import unexplained
-from perception.inference.observation import ObjectObservation
+from perception.inference.observation import ObjectObservation, measured_points
 from perception.inference.part_colors import ALIKE, color_overlap
 from perception.inference.stack_choice import GAP, are_likely, are_one, are_two, gap_between
 from perception.inference.stack_cuts import TRIALS, Parts, Rows, StackCuts
@@ -118,5 +118,5 @@ def _with_parts(rows: Rows, parts: Mapping[int, Parts]) -> Rows:
 def instance_points(views: Sequence[RgbdFrame], rows: Rows, id: int) -> Float[np.ndarray, "n 3"]:
     """Return a sample of an instance's measured points in the world frame, in metres."""
     masks = [(view, d.mask) for view, row in zip(views, rows) for d in row if d.instance_id == id]
-    points = np.concatenate([ObjectObservation(*shown).points_world(erode=2) for shown in masks])
+    points = measured_points([ObjectObservation(*shown) for shown in masks], erode=2)
     return points[:: max(1, len(points) // _POINTS)]

@@ -20,7 +20,7 @@ from perception.inference.contents import VESSELS
 from perception.inference.explanation import unexplained
 from perception.inference.fit_config import FitConfig
 from perception.inference.initialise import plane_basis
-from perception.inference.observation import ObjectViews
+from perception.inference.observation import ObjectViews, measured_points
 from perception.types import ObjectEstimate, SupportPlane, TriangleMesh
 
 Fit = Callable[[ObjectViews, SupportPlane, FitConfig], ObjectEstimate]
@@ -33,7 +33,7 @@ WORSE = 0.3  # by which the score of a fit on the contact may be below that of t
 _OVERLAP = 0.008  # [m] by which two objects may overlap: estimated rims are thicker than real ones
 _SHARES = (0.55, 1.4)  # of a height after and before, at least and at most
 _DEEP = 0.7  # height of a base relative to the contact, below which it is far inside the object below
-_HIDDEN = 0.05  # share of measured points that may be unexplained once a hidden top has another height
+_HIDDEN = 0.05  # by which the unexplained share may grow with another height of a hidden top
 _SUNK = 0.005  # [m] by which the lowest measured points may be below the base
 _TOPPLING = 0.005  # [m] beside the other object's outline that the middle of an object on it may seem to be
 _LEANING = 0.3  # [rad] standard deviation of the tilt of an object in a vessel
@@ -142,7 +142,7 @@ def rest_on(
         return fit(views, plane, config)
     start = raised(plane, under)
     free = replace(config, noise=replace(config.noise, support_sigma=FREE))
-    points = measured_points(views)
+    points = measured_points(views.observations, erode=2)
     floating = fit(views, start, free)
     may_be_higher = seen.base - BELOW > under + _HIGHER  # the lower object may be taller than what is seen
     if may_be_higher and unexplained(points, [floating]) >= _DOUBTFUL:
@@ -251,15 +251,10 @@ def ending_below(
     z = np.array([1.0, 1.0, share])
     mesh = TriangleMesh(lower.mesh.vertices * z, lower.mesh.faces)
     ended = replace(lower, T_world_object=T, scale=lower.scale * z, mesh=mesh)
-    points = measured_points(views) if views is not None else np.zeros((0, 3))
+    points = measured_points(() if views is None else views.observations, erode=2)
     if len(points) and unexplained(points, [ended, upper]) > unexplained(points, [lower, upper]) + _HIDDEN:
         return lower
     return ended
-
-
-def measured_points(views: ObjectViews) -> Float[np.ndarray, "n 3"]:
-    """Return the measured points of an object in all views, in the world frame, in metres."""
-    return np.concatenate([view.points_world(erode=2) for view in views.observations])
 
 
 def raised(plane: SupportPlane, height: float) -> SupportPlane:

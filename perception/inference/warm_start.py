@@ -12,7 +12,7 @@ from collections.abc import Sequence
 import numpy as np
 from jaxtyping import Float
 
-from perception.inference.observation import ObjectViews
+from perception.inference.observation import ObjectViews, measured_points
 from perception.inference.problem import FitState
 from perception.rendering.pose import ObjectPose
 from perception.types import Category, ObjectEstimate, RestingPose
@@ -30,7 +30,7 @@ def find_warm_start(views: ObjectViews, estimates: Sequence[ObjectEstimate]) -> 
     """
     if not estimates:
         return None
-    points = np.concatenate([seen.points_world() for seen in views.observations])
+    points = measured_points(views.observations)
     if not len(points):
         return None
     low, high = points.min(axis=0), points.max(axis=0)

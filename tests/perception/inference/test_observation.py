@@ -13,6 +13,7 @@ from perception.inference.observation import (
     PixelConfig,
     SamplingRange,
     gather_pixels,
+    measured_points,
     pixel_rays,
     ray_samples,
     sampling_radius,
@@ -142,6 +143,15 @@ def test_small_masks_keep_their_border():
     mask = np.zeros_like(seen.mask)
     mask[30:34, 30:34] = True
     assert len(ObjectObservation(seen.frame, mask).points_world()) == 16
+
+
+def test_measured_points_of_several_views(can):
+    """Eroded by more, fewer are left; without a view there are none."""
+    views = can.observations((0.0, 1.5))
+    points = measured_points(views)
+    np.testing.assert_array_equal(points, np.concatenate([view.points_world() for view in views]))
+    assert 0 < len(measured_points(views, erode=3)) < len(points)
+    assert measured_points(()).shape == (0, 3)
 
 
 def test_rays_of_several_views_follow_each_other():

@@ -160,7 +160,7 @@ def seen_from_above(points: np.ndarray) -> ObjectObservation:
     camera = CameraIntrinsics(len(points), 1, 1.0, 1.0, 0.0, 0.0)
 
     class Cloud(ObjectObservation):
-        def points_world(self) -> np.ndarray:
+        def points_world(self, erode: int) -> np.ndarray:
             return points
 
     blank = np.zeros((1, len(points)), np.float32)
