@@ -35,7 +35,7 @@ from manipulation.object_planning import Effort, ObjectPlanning
 from manipulation.observation import NoObserver, SceneObserver, is_displaced
 from manipulation.obstacles import TABLE, box_obstacles
 from manipulation.pick_place import PickPlacePlanner
-from manipulation.plan_execution import MISPLACED, Phase, PlanExecution
+from manipulation.plan_execution import MISPLACED, OFF_ROW, Phase, PlanExecution
 from manipulation.planner import ManipulationConfig
 from manipulation.planning_ahead import PlanningAhead
 from manipulation.robot import Robot
@@ -127,7 +127,8 @@ class _Execution:
         self.can_see = not isinstance(observer, NoObserver)
         self.observer = WithdrawingObserver(observer, self.withdrawal) if self.can_see else observer
         self.on_event = on_event or (lambda event: None)
-        self.motion = PlanExecution(robot, planner, self.observer, config, self._notify)
+        misplaced = OFF_ROW if task.box is None else MISPLACED
+        self.motion = PlanExecution(robot, planner, self.observer, config, self._notify, misplaced)
         self.planning = ObjectPlanning(task, planner, config)
         self._ahead = PlanningAhead(task, planner, config)
         self._order = TaskOrder(task.placements, planner)
@@ -322,7 +323,7 @@ class _Execution:
         """Return whether a placed object that was moved still stands in the box; without one, at its goal."""
         T, box = self.planner.world.pose(name), self.task.box
         if box is None:
-            return not is_displaced(T_before, T, MISPLACED)
+            return not is_displaced(T_before, T, self.motion.misplaced)
         return not lies(T) and box.contains(T)
 
     def _plan(self, placement: Placement, tried: Sequence[Grasp], effort: Effort) -> PickPlacePlan:

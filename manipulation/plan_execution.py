@@ -37,7 +37,8 @@ logger = logging.getLogger(__name__)
 _ABOVE = 0.003  # [m] by which the base of an object is above that of one that carries it, at least
 _INSIDE = 0.004  # [m] by which a point is in the way of the hand at least, which covers noise
 _SLIP = 0.005  # [m] by which the fingers close further during the lift, from which on they lose an object
-MISPLACED = 0.02  # [m] from its goal, from which on a released object is grasped again
+# [m] from its goal, from which on a released object is grasped again: in a box, and in a row.
+MISPLACED, OFF_ROW = 0.02, 0.012
 
 Phase = Literal[
     "plan",
@@ -73,6 +74,7 @@ class PlanExecution:
         observer: looks at the scene.
         config: settings.
         notify: receives the phases.
+        misplaced: distance from its goal in [m], from which on a released object is grasped again.
 
     Attributes:
         recovery: motions after one that failed.
@@ -85,8 +87,10 @@ class PlanExecution:
         observer: SceneObserver,
         config: ManipulationConfig,
         notify: Notify,
+        misplaced: float = MISPLACED,
     ) -> None:
         self.robot, self.planner, self.observer, self.config = robot, planner, observer, config
+        self.misplaced = misplaced
         self._notify = notify
         self.recovery = Recovery(robot, planner, observer, config)
         self._settling = StackSettling(
@@ -184,7 +188,7 @@ class PlanExecution:
         if finding.T_world_stand is None:
             return  # the final verification judges what cannot be seen from here
         self.planner.moved(name, finding.T_world_stand)
-        if is_displaced(plan.T_world_stand_rest, finding.T_world_stand, MISPLACED):
+        if is_displaced(plan.T_world_stand_rest, finding.T_world_stand, self.misplaced):
             raise GraspFailedError(f"{name} is not where it was released")
         is_mug = self.planner.items[name].category == "mug" and not lies(finding.T_world_stand)
         if is_mug and is_turned(plan.T_world_stand_rest, finding.T_world_stand):

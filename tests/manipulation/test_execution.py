@@ -5,7 +5,7 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
-from manipulation import object_planning
+from manipulation import execution, object_planning
 from manipulation.clearing import MAX_PUSHES
 from manipulation.collision import AllowedContacts
 from manipulation.errors import NoPlanError, PlanningError, RobotError, RobotStoppedError
@@ -16,6 +16,7 @@ from manipulation.observation import Finding
 from manipulation.obstacles import TABLE, box_obstacles
 from manipulation.packing_problem import PackingConfig
 from manipulation.pick_place import PickPlaceConfig, PickPlacePlanner
+from manipulation.plan_execution import MISPLACED, OFF_ROW, PlanExecution
 from manipulation.planner import ManipulationConfig, plan_pack, plan_sort
 from manipulation.pushing import Push
 from manipulation.robot import RobotState
@@ -956,3 +957,18 @@ def test_what_stood_in_the_box_before_is_set_aside_for_another_object_and_put_ba
     assert [event.name for event in watcher.events if event.phase == "aside"] == [old]
     assert outcomes[1].T_world_stand[:2, 3] == pytest.approx(there[:2, 3], abs=0.05)
     assert max(event.done for event in watcher.events) <= max(event.total for event in watcher.events)
+
+
+def test_in_a_row_less_is_misplaced_than_in_a_box(packing, arm, monkeypatch):
+    limits = []
+
+    class Recorded(PlanExecution):
+        def __init__(self, *args):
+            super().__init__(*args)
+            limits.append(self.misplaced)
+
+    monkeypatch.setattr(execution, "PlanExecution", Recorded)
+    for task in (packing, replace(packing, task="sort", box=None)):
+        robot = FakeRobot(arm)
+        execute(task, robot, on_event=Watcher(robot), config=CONFIG)
+    assert limits == [MISPLACED, OFF_ROW]

@@ -15,7 +15,7 @@ from manipulation.errors import (
 from manipulation.kinematics import Kinematics
 from manipulation.observation import Finding
 from manipulation.pick_place import PickPlacePlanner
-from manipulation.plan_execution import MISPLACED, PlanExecution
+from manipulation.plan_execution import MISPLACED, OFF_ROW, PlanExecution
 from manipulation.standing import to_standing
 from manipulation.types import Placement
 from perception.geometry import pose_from_yaw
@@ -151,11 +151,14 @@ def test_an_object_that_slips_during_the_lift_is_put_down_again(cell, plan, slip
     assert robot.q == pytest.approx(plan.lift.positions[0]), "where it was grasped"
 
 
-@pytest.mark.parametrize("shift, raises", [(MISPLACED + 0.002, True), (MISPLACED - 0.002, False)])
-def test_an_object_seen_beside_its_goal(cell, plan, shift, raises):
+@pytest.mark.parametrize("misplaced", [MISPLACED, OFF_ROW])
+@pytest.mark.parametrize("beyond, raises", [(0.002, True), (-0.002, False)])
+def test_an_object_seen_beside_its_goal(cell, plan, misplaced, beyond, raises):
     seen = plan.T_world_stand_rest.copy()
-    seen[0, 3] += shift
+    seen[0, 3] += misplaced + beyond
     _, planner, _, execution = cell("in_place", "displaced", can_1=[Finding("found", seen)])
+    assert execution.misplaced == MISPLACED, "unless it is given"
+    execution.misplaced = misplaced
     if raises:
         with pytest.raises(GraspFailedError, match="can_1 is not where it was released"):
             execution.run(plan)
