@@ -83,7 +83,7 @@ class ObjectObservation:
 
 
 def measured_points(observations: Sequence[ObjectObservation], erode: int = 1) -> Float[np.ndarray, "n 3"]:
-    """Return the points of ``points_world`` of several observations together."""
+    """Return the measured points of several observations in the world frame, in metres: ``points_world``."""
     return np.concatenate([np.zeros((0, 3)), *(seen.points_world(erode) for seen in observations)])
 
 

@@ -19,7 +19,7 @@ from perception.inference.acceptance import AcceptanceModel
 from perception.inference.class_choice import fit_best_class
 from perception.inference.fit import fit_object
 from perception.inference.fit_config import FitConfig
-from perception.inference.observation import ObjectObservation, ObjectViews
+from perception.inference.observation import ObjectObservation, ObjectViews, measured_points
 from perception.inference.optimisation import FitStep
 from perception.inference.scored_fits import RejectedError
 from perception.inference.shape_model import Decoder
@@ -147,7 +147,8 @@ def reconstruct(
             for found in [estimates[views.id] for views in wave if views.id in estimates]:
                 if found.rests_on in estimates:
                     lower = estimates[found.rests_on]
-                    estimates[lower.id] = ending_below(lower, found, plane_of[lower.id], by_id[lower.id])
+                    points = measured_points(by_id[lower.id].observations, erode=2)
+                    estimates[lower.id] = ending_below(lower, found, plane_of[lower.id], points)
     return [estimates[key] for key in sorted(estimates)]
 
 

@@ -219,7 +219,7 @@ def gap(upper: TriangleMesh, lower: TriangleMesh, plane: SupportPlane) -> float 
 
 
 def ending_below(
-    lower: ObjectEstimate, upper: ObjectEstimate, plane: SupportPlane, views: ObjectViews | None = None
+    lower: ObjectEstimate, upper: ObjectEstimate, plane: SupportPlane, points: Float[np.ndarray, "n 3"]
 ) -> ObjectEstimate:
     """Return an upright object that ends where one on it, estimated at any height, begins.
 
@@ -231,7 +231,7 @@ def ending_below(
         lower: Estimate of the object below.
         upper: Estimate of the object on it.
         plane: Support plane of the object below.
-        views: Observations of the object below; None for no such test.
+        points: Measured points of the object below in the world frame, in metres.
     """
     if lower.resting != "upright":
         return lower
@@ -251,10 +251,8 @@ def ending_below(
     z = np.array([1.0, 1.0, share])
     mesh = TriangleMesh(lower.mesh.vertices * z, lower.mesh.faces)
     ended = replace(lower, T_world_object=T, scale=lower.scale * z, mesh=mesh)
-    points = measured_points(() if views is None else views.observations, erode=2)
-    if len(points) and unexplained(points, [ended, upper]) > unexplained(points, [lower, upper]) + _HIDDEN:
-        return lower
-    return ended
+    is_contradicted = unexplained(points, [ended, upper]) > unexplained(points, [lower, upper]) + _HIDDEN
+    return lower if is_contradicted else ended
 
 
 def raised(plane: SupportPlane, height: float) -> SupportPlane:

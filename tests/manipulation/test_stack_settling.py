@@ -36,6 +36,16 @@ def nested(shapes, arm):
     return planner, planner.plan(goal, arm.q_home)
 
 
+def watched(robot, planner, observer):
+    """Return the execution of plans, and the list that its messages are appended to."""
+    messages = []
+
+    def notify(phase, name, message="", plan=None):
+        messages.append(message)
+
+    return PlanExecution(robot, planner, observer, CONFIG, notify), messages
+
+
 @pytest.mark.parametrize(
     "looks, presses, leans",
     [
@@ -48,7 +58,7 @@ def nested(shapes, arm):
 )
 def test_a_bowl_that_leans_in_another_is_pressed_level_or_placed_again(nested, arm, looks, presses, leans):
     planner, plan = nested
-    robot, messages = FakeRobot(arm, [plan.grasp.held_width]), []
+    robot = FakeRobot(arm, [plan.grasp.held_width])
     observer = FakeObserver()
     for angle in looks:
         T = plan.T_world_stand_rest.copy()
@@ -57,9 +67,7 @@ def test_a_bowl_that_leans_in_another_is_pressed_level_or_placed_again(nested, a
         lower = planner.world.pose("bowl_1").copy()
         lower[0, 3] = Box().center[0] + 0.004
         observer.closer.append({"bowl_2": T, "bowl_1": lower})
-    execution = PlanExecution(
-        robot, planner, observer, CONFIG, lambda phase, name, message="", plan=None: messages.append(message)
-    )
+    execution, messages = watched(robot, planner, observer)
     expected = pytest.raises(LeaningError, match=r"bowl_2 leans by \d+ degrees in bowl_1")
     with expected if leans else contextlib.nullcontext():
         execution.run(plan)
@@ -77,14 +85,12 @@ def test_a_bowl_that_leans_in_another_is_pressed_level_or_placed_again(nested, a
 def test_a_bowl_that_would_be_levered_out_is_not_pressed(nested, arm):
     """The high side of its rim is beyond that of the bowl below."""
     planner, plan = nested
-    robot, messages, observer = FakeRobot(arm, [plan.grasp.held_width]), [], FakeObserver()
+    robot, observer = FakeRobot(arm, [plan.grasp.held_width]), FakeObserver()
     T = plan.T_world_stand_rest.copy()
     T[1, 3] += 0.05
     T[:3, :3] = Rotation.from_euler("x", 0.5).as_matrix() @ T[:3, :3]
     observer.closer = [{"bowl_2": T}]
-    execution = PlanExecution(
-        robot, planner, observer, CONFIG, lambda phase, name, message="", plan=None: messages.append(message)
-    )
+    execution, messages = watched(robot, planner, observer)
     with pytest.raises(LeaningError, match="bowl_2 leans by 29 degrees in bowl_1"):
         execution.run(plan)
     assert "leans and is pressed level" not in messages
@@ -109,14 +115,12 @@ def test_a_bowl_that_went_deeper_than_planned_is_pressed_down_to_there(nested, a
 def test_what_is_seen_higher_than_a_bowl_can_lean_is_level(nested, arm):
     """A bowl that was reconstructed too low fits where its rim is, and its errors look like a tilt."""
     planner, plan = nested
-    robot, messages, observer = FakeRobot(arm, [plan.grasp.held_width]), [], FakeObserver()
+    robot, observer = FakeRobot(arm, [plan.grasp.held_width]), FakeObserver()
     T = plan.T_world_stand_rest.copy()
     T[2, 3] += 0.02
     T[:3, :3] = Rotation.from_euler("x", 0.12).as_matrix() @ T[:3, :3]
     observer.closer = [{"bowl_2": T, "bowl_1": planner.world.pose("bowl_1")}]
-    execution = PlanExecution(
-        robot, planner, observer, CONFIG, lambda phase, name, message="", plan=None: messages.append(message)
-    )
+    execution, messages = watched(robot, planner, observer)
     execution.run(plan)
     assert observer.looked_at == [("bowl_2", "bowl_1")] and "leans and is pressed level" not in messages
     assert planner.world.pose("bowl_2")[2, 3] == pytest.approx(plan.T_world_stand_rest[2, 3])
