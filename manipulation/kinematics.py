@@ -21,6 +21,7 @@ from manipulation.robot import ArmDescription
 _IDENTITY = np.eye(3)
 _TASK_DIMENSIONS = 6  # of a pose
 _ROTATION_TOLERANCE = 1e-5  # of the product of a rotation matrix and its transpose
+_REMEMBERED = 50_000  # descents: a plan without some of the objects repeats most of those with them
 
 Frame = Literal["tcp", "camera"]
 IkStatus = Literal["converged", "not_converged"]
@@ -111,6 +112,7 @@ class Kinematics:
         up = self._data.xaxis[first, 2]
         self.base_turn = float(np.sign(up)) if abs(up) > 0.9 else 0.0
         self._home_bearing = round(self.bearing(T_world_home), 6)
+        self._descents: dict[tuple[Frame, bytes, bytes], IkResult] = {}
         self._posture = mink.PostureTask(self._model, cost=self.config.posture_cost)
         self._tasks = {
             frame: mink.FrameTask(
@@ -170,14 +172,14 @@ class Kinematics:
         _check_target(T_world_target, name)
         if not seeds:
             raise ManipulationError(f"no start posture for the inverse kinematics of {name}")
-        target = mink.SE3.from_matrix(np.asarray(T_world_target, dtype=np.float64))
+        target = np.ascontiguousarray(T_world_target, dtype=np.float64)
         best: IkResult | None = None
         iterations = 0
         for seed in seeds:
-            result = self._descend(target, np.asarray(seed, dtype=np.float64), frame)
+            result = self._descend_once(target, np.ascontiguousarray(seed, dtype=np.float64), frame)
             iterations += result.iterations
             result = IkResult(
-                result.q, result.status, result.position_error, result.rotation_error, iterations
+                result.q.copy(), result.status, result.position_error, result.rotation_error, iterations
             )
             if result.converged:
                 return result
@@ -235,6 +237,17 @@ class Kinematics:
         jacobian = np.zeros((_TASK_DIMENSIONS, self._model.nv))
         mujoco.mj_jacSite(self._model, self._data, jacobian[:3], jacobian[3:], self._site_ids["tcp"])
         return np.linalg.svd(jacobian)[2][-1]
+
+    def _descend_once(self, T_world_target: np.ndarray, seed: np.ndarray, frame: Frame) -> IkResult:
+        """Return what ``_descend`` returns, from memory if it was asked for the same before."""
+        key = (frame, T_world_target.tobytes(), seed.tobytes())
+        result = self._descents.get(key)
+        if result is None:
+            result = self._descend(mink.SE3.from_matrix(T_world_target), seed, frame)
+            if len(self._descents) >= _REMEMBERED:
+                self._descents.clear()
+            self._descents[key] = result
+        return result
 
     def _descend(self, target: mink.SE3, seed: np.ndarray, frame: Frame) -> IkResult:
         """Iterate differential IK from one seed until the tolerances hold or progress stops."""

@@ -171,6 +171,9 @@ class PickPlacePlanner:
     def without(self, names: Collection[str]) -> Iterator[None]:
         """Plan as if some objects were not there; the scene is the same again afterwards."""
         absent, state, examined = set(names) - self._forgotten, self._state, self._examined
+        if not absent:
+            yield
+            return
         self._forgotten |= absent
         for name in absent:
             self.world.set_present(name, False)

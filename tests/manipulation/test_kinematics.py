@@ -1,5 +1,6 @@
 from dataclasses import replace
 
+import mink
 import numpy as np
 import pytest
 from scipy.spatial.transform import Rotation
@@ -152,3 +153,19 @@ def test_self_motion_moves_the_elbow_to_both_sides_and_keeps_the_hand(kinematics
     assert np.abs(first_joint[2]) > 1.5 * np.abs(first_joint[0])
     wrist = [kinematics.anchors(other)[4] for other in (q, *others)]
     assert all(np.linalg.norm(there - wrist[0]) > 0.01 for there in wrist[1:])
+
+
+def test_same_target_and_start_are_solved_once(arm, monkeypatch):
+    kinematics, steps = Kinematics(arm), []
+    solve = mink.solve_ik
+    monkeypatch.setattr(mink, "solve_ik", lambda *a, **k: steps.append(1) or solve(*a, **k))
+    T = top_down(0.5, 0.1, 0.2)
+    seeds = kinematics.seeds_toward(T)
+    first = kinematics.inverse(T, seeds)
+    q, solved = first.q.copy(), len(steps)
+    first.q[0] += 1.0  # the caller's own
+    again = kinematics.inverse(T.copy(), [seed.copy() for seed in seeds])
+    assert solved and len(steps) == solved
+    assert np.array_equal(again.q, q) and again.iterations == first.iterations
+    camera = kinematics.inverse(T, seeds, "camera")  # another frame at the same target
+    assert len(steps) > solved and not np.allclose(camera.q, q)
