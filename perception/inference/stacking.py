@@ -251,8 +251,11 @@ def ending_below(
     z = np.array([1.0, 1.0, share])
     mesh = TriangleMesh(lower.mesh.vertices * z, lower.mesh.faces)
     ended = replace(lower, T_world_object=T, scale=lower.scale * z, mesh=mesh)
-    is_contradicted = unexplained(points, [ended, upper]) > unexplained(points, [lower, upper]) + _HIDDEN
-    return lower if is_contradicted else ended
+    # A handle ends up too low, which only a fit would mend: what is measured above the new top counts.
+    top = plane.height_above(ended.mesh_world.vertices).max()
+    above = points[plane.height_above(points) > top]
+    more = unexplained(above, [ended, upper]) - unexplained(above, [lower, upper])
+    return lower if more * len(above) > _HIDDEN * len(points) else ended
 
 
 def raised(plane: SupportPlane, height: float) -> SupportPlane:

@@ -124,6 +124,18 @@ def test_a_rim_that_is_measured_stays_where_it_is(highest, height) -> None:
     assert ending_below(lower, upper, PLANE, side).height == pytest.approx(height, abs=1e-6)
 
 
+def test_a_handle_that_ends_up_too_low_does_not_contradict() -> None:
+    box, handle = trimesh.creation.box((0.06, 0.06, 0.1)), trimesh.creation.box((0.03, 0.01, 0.01))
+    handle.apply_translation((-0.045, 0, 0.01))
+    T = np.eye(4)
+    T[2, 3] = 0.05
+    mesh = as_mesh(trimesh.util.concatenate([box, handle]), 0, 0, 0)
+    lower = replace(estimate(3, mesh), category="mug", T_world_object=T, resting="upright")
+    upper = estimate(4, as_mesh(box, 0, 0, 0.05 + 0.06))
+    outer = np.stack([np.full(50, -0.06), np.zeros(50), np.full(50, 0.062)], axis=1)  # of the handle
+    assert ending_below(lower, upper, PLANE, outer).height == pytest.approx(0.068, abs=1e-6)
+
+
 def test_the_upper_object_is_fitted_on_the_contact(make_table) -> None:
     table = make_table("can", (), yaw=0.0)
     views = ObjectViews(7, "can", 1.0, tuple(table.observations((0.0,))))
