@@ -364,13 +364,17 @@ class _Execution:
     ) -> set[str]:
         """Return which of the objects that are in their places are to be moved for one that has no plan.
 
-        It is empty if the object had no plan without them either: each that is moved may be lost.
+        It is empty if the object had no plan without them either, or if one of them could not be put back:
+        each that is moved may be lost.
         """
         settled = self._settled()
         if settled.isdisjoint(blockers):
             return set()
-        q = self.robot.joint_positions()
-        return settled & self.planning.in_the_way(placement, q, tried, effort, self._movable())
+        q, poses = self.robot.joint_positions(), self.planner.poses()
+        goals = self._progress.goals | self.planning.goals_in_box(self._progress.goals)
+        places = {name: self._progress.with_placed_stack(goals[name], poses) for name in settled}
+        movable = self._movable()
+        return settled & self.planning.in_the_way(placement, q, tried, effort, movable, places)
 
     def _movable(self) -> set[str]:
         """Return the names of the objects that can be set aside and put back; bowls below others cannot."""

@@ -7,9 +7,10 @@ from __future__ import annotations
 
 import contextlib
 from collections import Counter
-from collections.abc import Collection, Hashable, Iterator, Sequence
+from collections.abc import Collection, Hashable, Iterator, Mapping, Sequence
 from dataclasses import replace
 from enum import IntEnum
+from types import MappingProxyType
 
 import numpy as np
 from jaxtyping import Float
@@ -157,11 +158,13 @@ class ObjectPlanning:
         tried: Sequence[Grasp],
         effort: Effort,
         movable: Collection[str],
+        settled: Mapping[str, Placement] = MappingProxyType({}),
     ) -> set[str]:
         """Return the objects without which an object that has no plan has one; none if nothing helps.
 
         First all that candidates meet are left out. Then each is put back if the plan that is found so stays
-        feasible or, where several are left, if there is another plan.
+        feasible or, where several are left, if there is another plan. Nothing helps if one of them is in its
+        place, and would have none beside the object.
 
         Args:
             placement: goal of the object.
@@ -169,6 +172,7 @@ class ObjectPlanning:
             tried: grasps that failed.
             effort: means of planning.
             movable: names of the objects that may be moved.
+            settled: goals of those that are in their places, by name.
         """
         planner, plan = self._planner, None
         absent: set[str] = set()
@@ -189,9 +193,25 @@ class ObjectPlanning:
                 absent.discard(name)
         for name in sorted(absent) if len(absent) > 1 else ():
             with planner.without(absent - {name}), contextlib.suppress(PlanningError):
-                self.next_plan(placement, q, tried, effort)
+                plan = self.next_plan(placement, q, tried, effort)
                 absent.discard(name)
-        return absent
+        goals = [settled[name] for name in sorted(absent & settled.keys())]
+        return absent if all(self._has_place_after(goal, plan, absent) for goal in goals) else set()
+
+    def _has_place_after(self, goal: Placement, plan: PickPlacePlan, absent: Collection[str]) -> bool:
+        """Return whether an object has a free place, at its goal or elsewhere, once a plan is carried out.
+
+        Args:
+            goal: its goal.
+            plan: plan of another object.
+            absent: what is not there then.
+        """
+        planner = self._planner
+        with (
+            planner.without(set(absent) - {goal.name}),
+            planner.supposing(plan.name, plan.T_world_stand_rest),
+        ):
+            return any(planner.can_place_after(g, ()) for g in (goal, *self._places_elsewhere(goal)))
 
     def goals_in_box(self, known: Collection[str]) -> dict[str, Placement]:
         """Return the goals of keeping upright objects in the box where they are, by name.

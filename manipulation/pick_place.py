@@ -170,20 +170,42 @@ class PickPlacePlanner:
     @contextlib.contextmanager
     def without(self, names: Collection[str]) -> Iterator[None]:
         """Plan as if some objects were not there; the scene is the same again afterwards."""
-        absent, state, examined = set(names) - self._forgotten, self._state, self._examined
+        absent = set(names) - self._forgotten
         if not absent:
             yield
             return
-        self._forgotten |= absent
-        for name in absent:
-            self.world.set_present(name, False)
+        with self._other_scene():
+            self._forgotten |= absent
+            for name in absent:
+                self.world.set_present(name, False)
+            try:
+                yield
+            finally:
+                self._forgotten -= absent
+                for name in absent:
+                    self.world.set_present(name, True)
+
+    @contextlib.contextmanager
+    def supposing(self, name: str, T_world_stand: Float[np.ndarray, "4 4"]) -> Iterator[None]:
+        """Plan as if an object of known pose were at another one; the scene is the same again afterwards."""
+        T_now = self.world.pose(name)
+        with self._other_scene():
+            self.world.move(name, T_world_stand)
+            self._known.on_move(name)
+            try:
+                yield
+            finally:
+                self.world.move(name, T_now)
+                self._known.on_move(name)
+
+    @contextlib.contextmanager
+    def _other_scene(self) -> Iterator[None]:
+        """Let nothing that is found in another scene be used in this one, nor the other way round."""
+        state, examined = self._state, self._examined
         self._on_change()
         try:
             yield
         finally:
-            self._forgotten -= absent
-            for name in absent:
-                self.world.set_present(name, True)
             self._known.on_change()
             self._state, self._examined = state, examined
 

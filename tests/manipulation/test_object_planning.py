@@ -363,6 +363,9 @@ def test_a_blocker_is_set_aside_in_its_orientation_if_it_may_be_moved(items):
     assert not list(planning(items, planner).plans_aside(("thing_0", "can_1"), {"bowl_2"}, Q))
 
 
+AT_GOAL = pose_from_yaw(0.0, np.array(GOAL.position))
+
+
 class Blocked(FakePlanner):
     """A planner for which ``needed`` must be absent; ``blockers`` lists what is met first.
 
@@ -372,6 +375,10 @@ class Blocked(FakePlanner):
     needed, blockers = frozenset({"bowl_2"}), ("bowl_2", "mug_3", "table")
     also: frozenset[str] = frozenset()
 
+    def __init__(self, items):
+        super().__init__(items)
+        self.asked, self.free = [], ()  # places that were examined, and the x of those that are free
+
     def plan(self, goals, q, tried=(), grasps=None, contents=()):
         self.requests.append((goals, grasps))
         needed = self.needed
@@ -380,9 +387,22 @@ class Blocked(FakePlanner):
             needed |= self.also
         if needed <= self.absent:
             plan = object.__new__(PickPlacePlan)
-            plan.__dict__.update(name="can_1", grasp=FOUND, placement=GOAL, contents=())
+            plan.__dict__.update(
+                name="can_1", grasp=FOUND, placement=GOAL, contents=(), T_world_stand_rest=AT_GOAL
+            )
             return plan
         raise NoPlanError("No plan", tuple(name for name in self.blockers if name not in self.absent))
+
+    @contextlib.contextmanager
+    def supposing(self, name, T_world_stand):
+        T_now, self.Ts[name] = self.Ts[name], T_world_stand
+        yield
+        self.Ts[name] = T_now
+
+    def can_place_after(self, placement, before):
+        assert self.Ts["can_1"] is AT_GOAL and placement.name not in self.absent and not before
+        self.asked.append(placement)
+        return placement.position[0] in self.free
 
 
 @pytest.mark.parametrize(
@@ -410,6 +430,28 @@ def test_what_blocks_the_plan_that_was_found_alone_is_not_moved(items):
     planner.needed, planner.also = frozenset({"mug_3"}), frozenset({"bowl_2"})
     planned = planning(items, planner)
     assert planned.in_the_way(GOAL, Q, (), Effort.CLEARING, {"bowl_2", "mug_3"}) == {"mug_3"}
+
+
+@pytest.mark.parametrize(
+    ("free", "elsewhere", "expected"),
+    [((), (), set()), ((0.45,), (), {"bowl_2"}), ((0.5,), (0.5,), {"bowl_2"}), ((), (0.5,), set())],
+)
+def test_what_is_in_its_place_is_moved_only_if_it_has_one_afterwards(
+    items, monkeypatch, free, elsewhere, expected
+):
+    """At its goal or elsewhere, once the object is at its own; with it, all stay where they are."""
+    own = Placement("bowl_2", (0.45, 0.3, 0.0), (0.0,))
+    others = [replace(own, position=(x, 0.3, 0.0)) for x in elsewhere]
+    planner = Blocked(items)
+    planner.free = free
+    planned = planning(items, planner)
+    monkeypatch.setattr(object_planning, "free_places", lambda *_, **__: others)
+    movable = {"bowl_2", "mug_3"}
+    assert planned.in_the_way(GOAL, Q, (), Effort.PLAIN, movable, {"bowl_2": own}) == expected
+    assert planner.asked and planner.Ts["can_1"] is not AT_GOAL
+    planner.asked.clear()
+    assert planned.in_the_way(GOAL, Q, (), Effort.PLAIN, movable, {"mug_3": own}) == {"bowl_2"}
+    assert not planner.asked, "only what is moved has to be put back"
 
 
 def test_what_does_not_block_the_plan_that_was_found_costs_no_further_search(items):

@@ -18,6 +18,7 @@ from manipulation.robot import JointTrajectory
 from manipulation.standing import to_standing
 from manipulation.trajectories import MotionConfig
 from manipulation.types import PickPlacePlan, Placement
+from perception.geometry import pose_from_yaw
 from perception.obstacles.obstacle import PerceivedObstacle
 
 CONFIG = PickPlaceConfig(
@@ -291,6 +292,22 @@ def test_what_is_planned_without_an_object_leaves_the_scene_as_it_was(kinematics
     assert planner.world.contact(over_can, 0.08) is not None
     planner.moved("can_1", poses["can_1"])
     assert planner.scene_state not in (before, within), "failures without an object are not reused"
+
+
+def test_what_is_planned_with_an_object_elsewhere_leaves_the_scene_as_it_was(kinematics, items):
+    planner = PickPlacePlanner(kinematics, items, config=CONFIG)
+    before, T_before = planner.scene_state, planner.poses()["can_1"]
+    T = pose_from_yaw(0.0, np.array([0.5, 0.1, 0.0]))
+    over_can, over_other = posture(kinematics, 0.5, -0.25, 0.06), posture(kinematics, 0.5, 0.1, 0.06)
+    with planner.supposing("can_1", T):
+        assert planner.scene_state != before
+        np.testing.assert_array_equal(planner.poses()["can_1"], T)
+        assert planner.world.contact(over_can, 0.08) is None
+        assert planner.world.contact(over_other, 0.08) is not None
+    assert planner.scene_state == before
+    np.testing.assert_array_equal(planner.poses()["can_1"], T_before)
+    assert planner.world.contact(over_can, 0.08) is not None
+    assert planner.world.contact(over_other, 0.08) is None
 
 
 def test_new_obstacles_replace_the_perceived_ones_and_leave_the_objects(kinematics, items):
