@@ -371,26 +371,25 @@ class _Execution:
         if settled.isdisjoint(blockers):
             return set()
         q, poses = self.robot.joint_positions(), self.planner.poses()
-        goals = self._progress.goals | self.planning.goals_in_box(self._progress.goals)
+        goals = self._progress.goals | self.planning.goals_in_place(self._progress.goals)
         places = {name: self._progress.with_placed_stack(goals[name], poses) for name in settled}
         movable = self._movable()
         return settled & self.planning.in_the_way(placement, q, tried, effort, movable, places)
 
     def _movable(self) -> set[str]:
         """Return the names of the objects that can be set aside and put back; bowls below others cannot."""
-        in_box = self.planning.goals_in_box(self._progress.goals).keys()
-        return (self._beside_box() | in_box) - self._progress.below_others()
+        kept = self.planning.goals_in_place(self._progress.goals).keys()
+        return (self._beside_box() | kept) - self._progress.below_others()
 
     def _settled(self) -> set[str]:
-        """Return the names of the objects that were placed, or stood in the box before."""
-        return self._progress.placed() | self.planning.goals_in_box(self._progress.goals).keys()
+        """Return the names of the objects that were placed, or stood in the box or on a row before."""
+        return self._progress.placed() | self.planning.goals_in_place(self._progress.goals).keys()
 
     def _clear(self, name: str, names: Sequence[str], worth: Collection[str] = ()) -> bool:
         """Set one of several objects aside for another one, or that one itself; return whether one was moved.
 
         The object itself comes last: between its neighbours it may only be held with a hand that does not fit
-        its goal, and on free table from all sides. What was placed already, or stood in the box before, is
-        placed again afterwards.
+        its goal, and on free table from all sides. What stood in its place before is placed again afterwards.
 
         Args:
             name: the object that has no plan.
@@ -398,7 +397,7 @@ class _Execution:
             worth: those of the objects in their places that may be moved.
         """
         goals = self._progress.goals
-        before = self.planning.goals_in_box(goals)
+        before = self.planning.goals_in_place(goals)
         kept = self._settled() - set(worth)
         plan = self._clearing.plan_aside(names, self._movable() - kept)
         if plan is None:

@@ -34,6 +34,7 @@ _EXAMINED, _EVERY_YAW = 12, 3  # goals, and which of their yaws, that are examin
 _ASIDE = 4  # objects that are tried in order to make room for one, itself included
 LOW = 0.10  # [m] height of objects that may be dropped: the hand meets the walls of the box beside lower ones
 DROP = 0.015  # [m] by which they may fall
+ON_ROW = 0.02  # [m] from a row, up to which an object stands on it
 
 Posture = Float[np.ndarray, "n"]
 
@@ -213,24 +214,32 @@ class ObjectPlanning:
         ):
             return any(planner.can_place_after(g, ()) for g in (goal, *self._places_elsewhere(goal)))
 
-    def goals_in_box(self, known: Collection[str]) -> dict[str, Placement]:
-        """Return the goals of keeping upright objects in the box where they are, by name.
+    def goals_in_place(self, known: Collection[str]) -> dict[str, Placement]:
+        """Return the goals of keeping upright objects where they stand in the box or on a row, by name.
 
         Args:
-            known: names of objects with other goals. Bowls are left out as well: they may hold something.
+            known: names of objects with other goals. Bowls in the box are left out as well: they may hold
+                something.
         """
         task, config = self._task, self._config
         goals: dict[str, Placement] = {}
         for name, T in self._planner.poses().items():
             item = task.objects[name]
-            if task.task != "pack" or task.box is None or name in known or item.category == "bowl":
+            if name in known or lies(T) or not self._is_in_place(item, T):
                 continue
-            if task.box.contains(T) and not lies(T):
-                position = (float(T[0, 3]), float(T[1, 3]), task.box.floor)
-                yaws = admissible_yaws(item, nearest_yaw(T))
-                height = config.packing.release_height
-                goals[name] = Placement(name, position, yaws, release_height=height)
+            floor = task.box.floor if task.task == "pack" and task.box is not None else 0.0
+            settings = config.packing if task.task == "pack" else config.sorting
+            position = (float(T[0, 3]), float(T[1, 3]), floor)
+            yaws = admissible_yaws(item, nearest_yaw(T))
+            goals[name] = Placement(name, position, yaws, release_height=settings.release_height)
         return goals
+
+    def _is_in_place(self, item: StandingObject, T: Float[np.ndarray, "4 4"]) -> bool:
+        """Return whether an object at a pose is in the box, and no bowl, or on a row."""
+        task = self._task
+        if task.task == "sort":
+            return any(line.position(T[:2, 3])[1] < ON_ROW for line in task.lines)
+        return task.box is not None and item.category != "bowl" and task.box.contains(T)
 
     def push(self, name: str, q: Posture) -> Push | None:
         """Return a push after which an object can be grasped; None if there is none, or it is in the box."""

@@ -48,7 +48,7 @@ def sort_rows(items: Sequence[StandingObject], line: Line, config: SortingConfig
     placements, left_out = sort_line(items, line, config)
     if not left_out:
         return Rows(placements, left_out, (line,))
-    spans = {item.name: _spans(item, line) for item in items}
+    spans = {item.name: spans_along(item, line) for item in items}
     arrangements = list(_arrangements(line))
     kept, excluded = sorted(items, key=lambda item: item.size), []
     while kept:
@@ -74,7 +74,7 @@ def _arrangements(line: Line) -> Iterator[tuple[Line, ...]]:
 
 def further_lines(line: Line, offsets: Sequence[float]) -> tuple[Line, ...]:
     """Return rows parallel to a line within the arm's reach, at offsets towards the base [m]."""
-    normal = _normal(line)
+    normal = normal_of(line)
     steps = np.arange(-0.5, line.length + 0.5, _STEP)
     rows = []
     for offset in offsets:
@@ -90,7 +90,7 @@ def further_lines(line: Line, offsets: Sequence[float]) -> tuple[Line, ...]:
 
 
 # Extents [m] of an object on a row from its stand frame: behind, ahead, away from the base, towards it.
-_Spans = tuple[float, float, float, float]
+Spans = tuple[float, float, float, float]
 
 
 def _fill(
@@ -98,7 +98,7 @@ def _fill(
     lines: Sequence[Line],
     first: Line,
     gap: float,
-    spans: Mapping[str, _Spans],
+    spans: Mapping[str, Spans],
 ) -> list[list[tuple[StandingObject, float]]]:
     """Return for each row its objects with their positions along it [m]; the last ones may be missing."""
     remaining = list(ascending)
@@ -106,7 +106,7 @@ def _fill(
     rows: list[list[tuple[StandingObject, float]]] = []
     for line in lines:
         offset = np.array(line.start) - np.array(first.start)
-        along, across = float(offset @ first.direction), float(offset @ _normal(first))
+        along, across = float(offset @ first.direction), float(offset @ normal_of(first))
         row: list[tuple[StandingObject, float]] = []
         progress = -np.inf
         while remaining:
@@ -130,16 +130,16 @@ def _fill(
     return rows
 
 
-def _spans(item: StandingObject, line: Line) -> _Spans:
-    """Return the extents of an object on rows parallel to a line."""
-    u, n = line.direction, _normal(line)
+def spans_along(item: StandingObject, line: Line) -> Spans:
+    """Return the extents [m] of an object on rows parallel to a line, at the widest of its yaws there."""
+    u, n = line.direction, normal_of(line)
     shape = footprint(item)
     turned = [shape.rotated(yaw) for yaw in line_yaws(item, float(np.arctan2(u[1], u[0])))[:2]]
     behind, ahead, away, toward = (max(s.reach(d) for s in turned) for d in (-u, u, -n, n))
     return behind, ahead, away, toward
 
 
-def _normal(line: Line) -> Float[np.ndarray, "2"]:
+def normal_of(line: Line) -> Float[np.ndarray, "2"]:
     """Return the unit normal of a line towards the robot's base."""
     normal = np.array([-line.direction[1], line.direction[0]])
     return -normal if normal @ np.array(line.start) > 0 else normal
@@ -175,4 +175,4 @@ def _rows(
 
 def _distance(line: Line) -> float:
     """Return the distance of a line from the base in [m]."""
-    return float(np.array(line.start) @ -_normal(line))
+    return float(np.array(line.start) @ -normal_of(line))

@@ -92,6 +92,13 @@ class Line:
         """Unit vector from start to end."""
         return (np.array(self.end) - np.array(self.start)) / self.length
 
+    def position(self, point: Float[np.ndarray, "2"]) -> tuple[float, float]:
+        """Return the position of a point (x, y) along the line, and its distance from the segment, in [m]."""
+        offset = np.asarray(point) - np.array(self.start)
+        along = float(offset @ self.direction)
+        nearest = np.clip(along, 0.0, self.length) * self.direction
+        return along, float(np.linalg.norm(offset - nearest))
+
 
 @dataclass(frozen=True)
 class StandingObject:

@@ -1,4 +1,4 @@
-"""Rounds of a packing task after the first: another look at the table, and what is to be placed again.
+"""Rounds of a task after the first: another look at the table, and what is to be placed again.
 
 ``app.task.rounds`` merges their results.
 """
@@ -9,9 +9,11 @@ import logging
 from collections.abc import Sequence
 from dataclasses import replace
 
+import numpy as np
+
 from app.task.fallen import fallen_objects, items_left, left_in_box
 from app.task.nests import with_bowls_named
-from app.task.obstacles import filled_bounds, obstacles_during, table_of
+from app.task.obstacles import bounds_of, filled_bounds, known_bounds, obstacles_during, table_of
 from app.task.rounds import (
     as_first_seen,
     has_changed,
@@ -34,6 +36,7 @@ from app.task.unchanged import (
 )
 from manipulation.errors import ManipulationError
 from manipulation.further_packing import loose_bowl, plan_further
+from manipulation.further_sorting import plan_further_sort
 from manipulation.types import Box, TaskPlan
 from perception.errors import PerceptionError
 from perception.obstacles.obstacle import PerceivedObstacle
@@ -61,10 +64,12 @@ class FurtherRounds:
     def place_again(self, result: TaskResult) -> TaskResult | None:
         """Return the results after what fell, leans, was turned or does not nest in the box was placed again.
 
-        None if nothing was.
+        None if nothing was, or if there is no box to fill.
         """
         stages = self._stages
-        box, observer = stages.request.box or Box(), stages.observer
+        box, observer = stages.request.filled_box, stages.observer
+        if box is None:
+            return None
         placed = placed_estimates(result)
         fallen = fallen_objects(placed, result.checks, result.final_frames, box)
         if not fallen:
@@ -101,7 +106,7 @@ class FurtherRounds:
         result: TaskResult,
         found: Sequence[ObjectEstimate],
         plan: TaskPlan,
-        in_box: Sequence[ObjectEstimate],
+        others: Sequence[ObjectEstimate],
         obstacles: Sequence[PerceivedObstacle],
         detections: Detections,
     ) -> TaskResult:
@@ -111,7 +116,7 @@ class FurtherRounds:
             result: Results of the rounds before.
             found: Objects that the plan has goals for.
             plan: The plan.
-            in_box: Other objects in the box.
+            others: Objects that have their places, or are stuck in the box.
             obstacles: Things of no class.
             detections: Detections, of which the surface of the table is used.
         """
@@ -120,21 +125,24 @@ class FurtherRounds:
         observer.on_objects(planned.objects)
         observer.on_obstacles(obstacles)
         observer.on_plan(planned.plan)
-        outcomes = self._stages.execute(plan, [*in_box, *found], detections)
+        outcomes = self._stages.execute(plan, [*others, *found], detections)
         return with_round(result, found, plan, outcomes, obstacles)
 
     def look_again(self, result: TaskResult, is_last: bool) -> TaskResult | None:
         """Return the results with those of one more round; None if there is nothing more to do."""
         stages = self._stages
         request, observer = stages.request, stages.observer
-        box, n_rejected = request.box or Box(), len(observer.rejected)
+        box, n_rejected = request.filled_box, len(observer.rejected)
         if not is_something_left(result, stages.latest):
             return None
         try:
             frames = stages.scan(FULL_SCAN)
             n_scanned = len(frames)
             frames += stages.capture_nearby(places_of_left(stages.latest, box)[:MOST_CLOSER])
-            detections = stages.detect(frames, filled_bounds(box))
+            placed = list(placed_estimates(result).values())
+            rows = () if box else placed
+            on_rows = np.concatenate([known_bounds(request.box), bounds_of(rows)])
+            detections = stages.detect(frames, filled_bounds(box) if box else on_rows)
             assert result.detections is not None
             before = self._seen or ScannedRound(
                 result.frames, result.detections, result.rejected, result.objects
@@ -149,26 +157,44 @@ class FurtherRounds:
                     stages.perception, observer, shows_fits=False
                 )
                 whole = without_instances(detections, [part.id for part in parts])
-                found = renumbered(reconstruct(frames, whole), result.objects, box)
+                found = renumbered(reconstruct(frames, whole), result.objects, box, rows)
                 self._seen = ScannedRound(
                     frames, detections, tuple(observer.rejected[n_rejected:]), tuple(found)
                 )
-                left = left_in_box(result, box)
+                left = left_in_box(result, box) if box else []
                 found += [estimate for estimate in left if estimate.id not in self._tried_in_box]
                 stuck = [estimate for estimate in left if estimate.id in self._tried_in_box]
                 self._tried_in_box |= {estimate.id for estimate in left}
-                in_box = [*placed_estimates(result).values(), *stuck]
                 table = table_of(detections)
-                obstacles = obstacles_during([*in_box, *found], frames, table, box, stages.robot.arm)
+                known = [*placed, *stuck]
+                any_box = box or request.box
+                obstacles = obstacles_during([*known, *found], frames, table, any_box, stages.robot.arm)
             with observer.stage("plan"):
-                items = placed_items(result) | items_left(result, stuck)
-                plan = plan_further(found, items, box, stages.robot.arm, stages.settings, stages.kinematics)
-                plan = replace(plan, obstacles=obstacles)
+                plan = replace(self._plan(result, found, stuck), obstacles=obstacles)
                 if has_changed(stages.latest) and not is_last:
                     plan = without_covered(plan, found)
         except (ManipulationError, PerceptionError) as error:
             logger.info("nothing more to do: %s", error)
             return None
         result = replace(result, rejected=tuple(observer.rejected[n_rejected:]))
-        further = self._carry_out(result, found, plan, in_box, obstacles, detections)
+        further = self._carry_out(result, found, plan, known, obstacles, detections)
         return as_first_seen(further, result)
+
+    def _plan(
+        self, result: TaskResult, found: Sequence[ObjectEstimate], stuck: Sequence[ObjectEstimate]
+    ) -> TaskPlan:
+        """Return the plan for what was found, beside what has its place or is stuck in the box.
+
+        Raises:
+            PlanningError: nothing can be placed.
+        """
+        stages = self._stages
+        request, arm, settings = stages.request, stages.robot.arm, stages.settings
+        items = placed_items(result) | items_left(result, stuck)
+        if request.filled_box:
+            return plan_further(found, items, request.filled_box, arm, settings, stages.kinematics)
+        assert result.plan is not None
+        lines = result.plan.lines
+        return plan_further_sort(
+            found, items, lines, request.line, arm, settings, request.box, stages.kinematics
+        )

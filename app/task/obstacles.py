@@ -133,6 +133,12 @@ def filled_bounds(box: Box | None) -> Float[np.ndarray, "k 2 3"]:
     return np.array([[corners[:, 0].min(axis=0), corners[:, 1].max(axis=0) + above]])
 
 
+def bounds_of(objects: Sequence[ObjectEstimate]) -> Float[np.ndarray, "k 2 3"]:
+    """Return the lower and upper corners of the bounding boxes of objects in metres."""
+    vertices = [estimate.mesh_world.vertices for estimate in objects]
+    return np.array([[v.min(axis=0), v.max(axis=0)] for v in vertices]).reshape(-1, 2, 3)
+
+
 @dataclass(frozen=True)
 class Portrait:
     """A thing in the image that shows it best.

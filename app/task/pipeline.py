@@ -5,8 +5,8 @@ Read this file first. Each stage is a function from values to a new value, and d
     robot ──scan──▶ frames ──detect──▶ detections ──reconstruct──▶ object map, obstacles
           ──plan──▶ task plan ──execute──▶ outcomes ──verify──▶ pose checks
 
-``app.task.stages`` has the stages. While a packing task leaves something on the table, all of them before the
-verification are repeated (``app.task.further_rounds``).
+``app.task.stages`` has the stages. While something is left on the table, all of them before the verification
+are repeated (``app.task.further_rounds``).
 
 The robot is any implementation of ``manipulation.robot.Robot``. This module imports neither the simulator nor
 ground truth: the robot's images and joint positions are its only measurements. A ``RunObserver`` receives
@@ -53,18 +53,18 @@ def run(
             return replace(result, timings=dict(observer.timings))
         with observer.stage("plan"):
             plan = replace(plan_task(stages.kinematics, request, result.objects), obstacles=result.obstacles)
-            if request.task == "pack" and request.rounds > 1:
+            if request.rounds > 1:
                 plan = without_covered(plan, result.objects)
             result = replace(result, plan=plan)
             observer.on_plan(plan)
         result = replace(result, outcomes=stages.execute(plan, result.objects, detections))
-        for left in reversed(range(request.rounds - 1 if request.task == "pack" else 0)):
+        for left in reversed(range(request.rounds - 1)):
             latest = rounds.look_again(result, is_last=left == 0)
             if latest is None:
                 break
             result = latest
         result = stages.verify(result)
-        for _ in range(request.rounds - 1 if request.task == "pack" else 0):
+        for _ in range(request.rounds - 1):
             latest = rounds.place_again(result)
             if latest is None:
                 break

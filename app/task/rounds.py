@@ -1,4 +1,4 @@
-"""Further rounds of a packing task: what is left on the table is looked at, planned and placed again.
+"""Further rounds of a task: what is left on the table is looked at, planned and placed again.
 
 What the first scan could not see behind or below other objects stands free once these are packed, what fell
 lies somewhere else, and what was named wrongly is seen from all sides.
@@ -23,6 +23,7 @@ if TYPE_CHECKING:
 
 COVERED = "what rests on it is packed first, then it is looked at again"
 NOT_FOUND_AGAIN = "what came before it was packed, but it was not recognised again"
+SAME_OBJECT = 0.03  # [m] between an estimate and an object on a row, within which it is that
 SAME_PLACE = 0.06  # [m] between a new estimate and one of the round before, within which it replaces that
 
 
@@ -138,10 +139,14 @@ def as_first_seen(result: TaskResult, before: TaskResult) -> TaskResult:
 
 
 def renumbered(
-    objects: Sequence[ObjectEstimate], before: Sequence[ObjectEstimate], box: Box | None
+    objects: Sequence[ObjectEstimate],
+    before: Sequence[ObjectEstimate],
+    box: Box | None,
+    on_rows: Sequence[ObjectEstimate] = (),
 ) -> list[ObjectEstimate]:
-    """Return the estimates beside the box, with ids after those of the rounds before."""
+    """Return the estimates beside the box and the objects on the rows, with ids after those of before."""
     first = 1 + max((estimate.id for estimate in before), default=-1)
+    taken = np.array([estimate.T_world_object[:2, 3] for estimate in on_rows]).reshape(-1, 2)
     return [
         replace(
             estimate,
@@ -149,7 +154,8 @@ def renumbered(
             rests_on=None if estimate.rests_on is None else first + estimate.rests_on,
         )
         for estimate in objects
-        if box is None or not box.contains(estimate.T_world_object)
+        if (box is None or not box.contains(estimate.T_world_object))
+        and not (np.linalg.norm(taken - estimate.T_world_object[:2, 3], axis=1) < SAME_OBJECT).any()
     ]
 
 

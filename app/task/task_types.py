@@ -31,7 +31,7 @@ class TaskRequest:
         uncertainty: Whether the standard deviations of the estimates widen clearances, rank grasps, and ask
             for further images of the scan.
         perceive_only: Whether the task ends with the object map, before anything is moved.
-        rounds: Most scans of a packing task; further ones look for what is left on the table.
+        rounds: Most scans of a task; further ones look for what is left on the table.
     """
 
     task: Task
@@ -44,6 +44,11 @@ class TaskRequest:
     uncertainty: bool = True
     perceive_only: bool = False
     rounds: int = 6
+
+    @property
+    def filled_box(self) -> Box | None:
+        """Box of a packing task; None for sorting, where a box is an obstacle."""
+        return (self.box or Box()) if self.task == "pack" else None
 
 
 @dataclass(frozen=True)

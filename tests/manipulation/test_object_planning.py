@@ -13,7 +13,7 @@ from manipulation.pick_place import PickPlacePlanner
 from manipulation.planner import ManipulationConfig
 from manipulation.pushing import Push
 from manipulation.standing import to_standing
-from manipulation.types import Box, Grasp, GraspSet, PickPlacePlan, Placement, TaskPlan
+from manipulation.types import Box, Grasp, GraspSet, Line, PickPlacePlan, Placement, TaskPlan
 from perception.geometry import pose_from_yaw
 
 Q = np.zeros(7)
@@ -495,15 +495,26 @@ def test_what_stands_in_the_box_may_be_moved_and_put_back(items):
     """But bowls, which may hold something, what lies there, and what has another goal."""
     planner = FakePlanner(items)
     planned = planning(items, planner)
-    assert planned.goals_in_box(()) == {}, "both are on the table"
+    assert planned.goals_in_place(()) == {}, "both are on the table"
     T = pose_from_yaw(0.4, np.array([*GOAL.position[:2], 0.005]))
     planner.Ts["can_1"] = planner.Ts["bowl_2"] = T
-    (goal,) = planned.goals_in_box(()).values()
+    (goal,) = planned.goals_in_place(()).values()
     assert goal.name == "can_1" and goal.position == (*GOAL.position[:2], Box().floor) and goal.stack == ()
     assert goal.yaws[0] == pytest.approx(0.4) and goal.release_height == CONFIG.packing.release_height
-    assert planned.goals_in_box(("can_1",)) == {}
+    assert planned.goals_in_place(("can_1",)) == {}
     planner.Ts["can_1"] = T @ np.array([[0, 0, 1, 0], [0, 1, 0, 0], [-1, 0, 0, 0], [0, 0, 0, 1.0]])
-    assert planned.goals_in_box(()) == {}
+    assert planned.goals_in_place(()) == {}
     task = TaskPlan("sort", items, (GOAL,), box=Box())
     planner.Ts["can_1"] = T
-    assert ObjectPlanning(task, planner, CONFIG).goals_in_box(()) == {}, "the box is an obstacle"
+    assert ObjectPlanning(task, planner, CONFIG).goals_in_place(()) == {}, "the box is an obstacle"
+
+
+def test_what_stands_on_a_row_may_be_moved_and_put_back(items):
+    planner = FakePlanner(items)
+    planned = ObjectPlanning(TaskPlan("sort", items, (GOAL,), lines=(Line(),)), planner, CONFIG)
+    assert planned.goals_in_place(()) == {}, "both are beside it"
+    x, y = np.array(Line().start) + 0.3 * Line().direction
+    planner.Ts["can_1"] = planner.Ts["bowl_2"] = pose_from_yaw(0.4, np.array([x, y, 0.002]))
+    goals = planned.goals_in_place(("can_1",))
+    assert goals.keys() == {"bowl_2"} and goals["bowl_2"].position == pytest.approx((x, y, 0.0))
+    assert goals["bowl_2"].release_height == CONFIG.sorting.release_height

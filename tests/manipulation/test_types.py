@@ -71,3 +71,12 @@ def test_failure_message_of_a_can_that_is_too_wide(shapes):
     assert found.failure_message("can_1") == (
         "No grasp for can_1: of 72 candidates, 72 too wide for 0.08 m; exclude it or use a wider gripper"
     )
+
+
+def test_the_position_on_a_line_and_the_distance_from_its_segment():
+    line = Line((0.2, 0.1), (0.2, 0.5))
+    assert line.position(np.array([0.23, 0.3])) == pytest.approx((0.2, 0.03))
+    assert line.position(np.array([0.2, 0.53])) == pytest.approx((0.43, 0.03))
+    assert line.position(np.array([0.17, 0.06])) == pytest.approx((-0.04, 0.05)), (
+        "beyond the start and beside it"
+    )

@@ -10,7 +10,7 @@ from app.task.stages import FULL_SCAN
 from app.task.task_types import TaskRequest
 from manipulation.errors import PlanningError
 from manipulation.standing import to_standing
-from manipulation.types import Box, ObjectOutcome
+from manipulation.types import Box, Line, ObjectOutcome
 from manipulation.workspace import Workspace
 from perception.errors import PerceptionError
 from perception.geometry import pose_from_yaw
@@ -44,6 +44,41 @@ def test_what_is_left_on_the_table_is_looked_at_and_packed_in_another_round(stag
     assert set(result.checks) == {0, 2}
     assert stages.scanner.visited[1] == Workspace().scan_viewpoints(FULL_SCAN)
     assert observer.calls.count("execute") == 2 and ("objects", [0, 2]) in observer.calls
+
+
+def test_what_is_left_after_sorting_is_sorted_in_another_round(stages, can_at, pack_plan):
+    """Beside the rows: what stands on them is known, and is neither detected nor reconstructed again."""
+    at = np.array([*Line().start, 0.0])
+    outcomes = iter(
+        [
+            [ObjectOutcome(0, "can_0", True, 1, "", pose_from_yaw(0.0, at))],
+            [ObjectOutcome(2, "can_2", True, 1, "", pose_from_yaw(0.0, np.array([0.5, 0.25, 0.0])))],
+        ]
+    )
+    results = iter([stages.objects, [can_at(0, 0.5), can_at(1, *at[:2] + 0.01)]])
+    executed, known = [], []
+
+    def execute(plan, *args, **options):
+        executed.append(plan)
+        return next(outcomes)
+
+    def beside_box(bounds, frames, found):
+        known.append(bounds)
+        return found
+
+    plan = replace(pack_plan, task="sort", box=None, lines=(Line(),))
+    stages.replace("plan_sort", lambda *args: plan)
+    stages.replace("reconstruct_objects", lambda *args, **options: next(results))
+    stages.replace("execute", execute)
+    stages.replace("beside_box", beside_box)
+    result = run(StillRobot(), stages.perception, TaskRequest("sort", rounds=2))
+    assert result.failure == "" and len(executed) == 2
+    assert [(o.name, o.placed) for o in result.outcomes] == [("can_0", True), ("can_2", True)]
+    assert executed[1].task == "sort" and [p.name for p in executed[1].placements] == ["can_2"]
+    assert executed[1].objects["can_0"].T_world_stand[:2, 3] == pytest.approx(at[:2])
+    assert result.plan.lines == (Line(),)
+    assert len(known[0]) == 0 and len(known[1]) == 1, "what stands on the row"
+    assert (known[1][0][0][:2] < at[:2]).all() and (known[1][0][1][:2] > at[:2]).all()
 
 
 def test_what_could_not_be_placed_is_looked_at_from_nearby_before_another_round(stages):

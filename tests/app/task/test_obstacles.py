@@ -5,6 +5,7 @@ import pytest
 
 from app.task.obstacles import (
     beside_box,
+    bounds_of,
     box_interior,
     filled_bounds,
     known_bounds,
@@ -139,3 +140,13 @@ def test_points_of_nothing_known(can_at):
     np.testing.assert_array_equal(found, points[4:])
     found = unexplained_during(points, [], [], surface, None)
     np.testing.assert_array_equal(found, points[[0, 1, 3, 4]])
+
+
+def test_the_bounds_of_objects_are_those_of_their_meshes(can_at):
+    near, far = can_at(0, 0.4), can_at(1, 0.5, 0.2)
+    bounds = bounds_of([near, far])
+    np.testing.assert_allclose(
+        bounds[1] - bounds[0], np.tile([0.1, 0.2 - near.T_world_object[1, 3], 0.0], (2, 1))
+    )
+    np.testing.assert_allclose(bounds[0].mean(axis=0), near.mesh_world.vertices.mean(axis=0), atol=0.01)
+    assert bounds_of([]).shape == (0, 2, 3)

@@ -60,6 +60,7 @@ def test_other_exceptions_are_not_results(stages):
         run(StillRobot(), stages.perception, TaskRequest("pack"))
 
 
-def test_sorting_has_one_round(stages):
-    run(StillRobot(), stages.perception, TaskRequest("sort", Box()))
-    assert len(stages.scanner.visited) == 2
+@pytest.mark.parametrize(("rounds", "visits"), [(1, 2), (2, 3)])
+def test_sorting_looks_again_as_often_as_it_may_while_something_is_left(stages, rounds, visits):
+    run(StillRobot(), stages.perception, TaskRequest("sort", Box(), rounds=rounds))
+    assert len(stages.scanner.visited) == visits, "the last time to verify"

@@ -92,6 +92,7 @@ def test_new_estimates_get_new_ids_and_keep_what_rests_on_what(result, can_at):
     found = renumbered(stacked, result.objects, Box())
     assert [(estimate.id, estimate.rests_on) for estimate in found] == [(2, None), (3, 2)], "not in the box"
     assert len(renumbered(stacked, [], None)) == 3
+    assert [e.id for e in renumbered(stacked, [], None, [can_at(7, 0.41)])] == [2], "not what is on a row"
 
 
 def test_what_was_not_placed_is_replaced_by_what_is_found_in_its_place(result, can_at, pack_plan):
