@@ -60,8 +60,9 @@ class ObjectPlanning:
     def __init__(self, task: TaskPlan, planner: PickPlacePlanner, config: ManipulationConfig) -> None:
         self._task, self._planner, self._config = task, planner, config
         self._goals = {placement.name for placement in task.placements}
-        self._failures: dict[Hashable, tuple[int, NoPlanError]] = {}  # with the state of the scene
-        self._turnable: dict[Hashable, tuple[int, list[Placement]]] = {}  # likewise
+        # By the state of the scene, to which planning without some objects returns, and what was asked for.
+        self._failures: dict[tuple[int, Hashable], NoPlanError] = {}
+        self._turnable: dict[tuple[int, Hashable], list[Placement]] = {}
 
     def next_plan(
         self,
@@ -138,8 +139,7 @@ class ObjectPlanning:
         planner = self._planner
         for name in [name for name in names if name in movable][:_ASIDE]:
             item, T = self._task.objects[name], planner.world.pose(name)
-            scene, _ = self._failures.get(("aside", name), (None, None))
-            if scene == planner.scene_state:
+            if (planner.scene_state, ("aside", name)) in self._failures:
                 continue  # what failed is not tried again in the same scene
             goals = list(goals_aside(item, T, self._taken(name), self._config.free_area))
             spots = self._best_to_turn(goals) if lies(T) else goals[:_SPOTS]
@@ -148,7 +148,7 @@ class ObjectPlanning:
             try:
                 plan = planner.plan(spots, q, grasps=planner.keeping_grasps(name))
             except NoPlanError as error:
-                self._failures["aside", name] = planner.scene_state, error
+                self._failures[planner.scene_state, ("aside", name)] = error
             else:
                 yield plan
 
@@ -246,12 +246,11 @@ class ObjectPlanning:
         planner, box = self._planner, self._task.box
         if box is not None and box.contains(planner.world.pose(name)):
             return None
-        scene, _ = self._failures.get(("push", name), (None, None))
-        if scene == planner.scene_state:
+        if (planner.scene_state, ("push", name)) in self._failures:
             return None
         push = plan_push(planner.motions, self._task.objects[name], q, lambda T: planner.can_pick(name, T))
         if push is None:
-            self._failures["push", name] = planner.scene_state, NoPlanError(f"no push helps {name}")
+            self._failures[planner.scene_state, ("push", name)] = NoPlanError(f"no push helps {name}")
         return push
 
     def _turn(
@@ -295,10 +294,9 @@ class ObjectPlanning:
         Their yaws are those at which it could be grasped then. Where there are none, the first goals.
         """
         planner, config = self._planner, self._config.pick_place.grasp
-        key = tuple((goal.name, goal.position) for goal in goals)
-        scene, known = self._turnable.get(key, (None, []))
-        if scene == planner.scene_state:
-            return known
+        key = planner.scene_state, tuple((goal.name, goal.position) for goal in goals)
+        if key in self._turnable:
+            return self._turnable[key]
         found: list[Placement] = []
         on_side: dict[int, GraspSet] = {}  # by the goal's orientation, which many have in common
         for goal in goals[:_EXAMINED]:
@@ -313,8 +311,8 @@ class ObjectPlanning:
                 found.append(replace(goal, yaws=yaws))
             if len(found) == _SPOTS:
                 break
-        self._turnable[key] = planner.scene_state, found or list(goals[:_SPOTS])
-        return self._turnable[key][1]
+        self._turnable[key] = found or list(goals[:_SPOTS])
+        return self._turnable[key]
 
     def _plan_with_contents(
         self, goals: Sequence[Placement], q: Posture, tried: Sequence[Grasp]
@@ -352,15 +350,15 @@ class ObjectPlanning:
             tuple(contents),
             *((goal.name, goal.position, goal.stack, goal.release_height) for goal in goals),
         )
-        scene, failure = self._failures.get(key, (None, None))
-        if failure is not None and scene == planner.scene_state:
+        failure = self._failures.get((planner.scene_state, key))
+        if failure is not None:
             raise failure
         try:
             grasps = planner.tilted_grasps(goals[0].name) if is_tilted else grasps
             return planner.plan(goals, q, tried, grasps, contents)
         except NoPlanError as error:
             if not error.is_enclosed:  # which depends on the posture too
-                self._failures[key] = planner.scene_state, error
+                self._failures[planner.scene_state, key] = error
             raise
 
     def _roomier(self, placement: Placement) -> Placement:

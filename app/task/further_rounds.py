@@ -140,9 +140,9 @@ class FurtherRounds:
             n_scanned = len(frames)
             frames += stages.capture_nearby(places_of_left(stages.latest, box)[:MOST_CLOSER])
             placed = list(placed_estimates(result).values())
-            rows = () if box else placed
-            on_rows = np.concatenate([known_bounds(request.box), bounds_of(rows)])
-            detections = stages.detect(frames, filled_bounds(box) if box else on_rows)
+            on_rows = () if box else placed
+            known = np.concatenate([known_bounds(request.box), bounds_of(on_rows)])
+            detections = stages.detect(frames, filled_bounds(box) if box else known)
             assert result.detections is not None
             before = self._seen or ScannedRound(
                 result.frames, result.detections, result.rejected, result.objects
@@ -157,7 +157,7 @@ class FurtherRounds:
                     stages.perception, observer, shows_fits=False
                 )
                 whole = without_instances(detections, [part.id for part in parts])
-                found = renumbered(reconstruct(frames, whole), result.objects, box, rows)
+                found = renumbered(reconstruct(frames, whole), result.objects, box, on_rows)
                 self._seen = ScannedRound(
                     frames, detections, tuple(observer.rejected[n_rejected:]), tuple(found)
                 )
@@ -166,9 +166,8 @@ class FurtherRounds:
                 stuck = [estimate for estimate in left if estimate.id in self._tried_in_box]
                 self._tried_in_box |= {estimate.id for estimate in left}
                 table = table_of(detections)
-                known = [*placed, *stuck]
-                any_box = box or request.box
-                obstacles = obstacles_during([*known, *found], frames, table, any_box, stages.robot.arm)
+                others, any_box = [*placed, *stuck], box or request.box
+                obstacles = obstacles_during([*others, *found], frames, table, any_box, stages.robot.arm)
             with observer.stage("plan"):
                 plan = replace(self._plan(result, found, stuck), obstacles=obstacles)
                 if has_changed(stages.latest) and not is_last:
@@ -177,7 +176,7 @@ class FurtherRounds:
             logger.info("nothing more to do: %s", error)
             return None
         result = replace(result, rejected=tuple(observer.rejected[n_rejected:]))
-        further = self._carry_out(result, found, plan, known, obstacles, detections)
+        further = self._carry_out(result, found, plan, others, obstacles, detections)
         return as_first_seen(further, result)
 
     def _plan(

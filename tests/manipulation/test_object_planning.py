@@ -472,6 +472,23 @@ def test_what_cannot_be_set_aside_is_not_tried_again_in_the_same_scene(items):
     assert not list(planned.plans_aside(("bowl_2",), {"bowl_2"}, Q)) and len(planner.requests) == 2
 
 
+def test_what_failed_is_remembered_while_plans_without_some_objects_are_made(items):
+    planner = FakePlanner(items)
+    planned = planning(items, planner)
+
+    def attempt():
+        with pytest.raises(NoPlanError):
+            planned.next_plan(GOAL, Q)
+
+    attempt()
+    first = len(planner.requests)
+    with planner.without({"bowl_2"}):
+        attempt()
+    assert len(planner.requests) == 2 * first
+    attempt()
+    assert len(planner.requests) == 2 * first, "back in the scene of before"
+
+
 def test_a_push_that_does_not_help_is_not_planned_again_in_the_same_scene(items, monkeypatch):
     asked = []
     monkeypatch.setattr(object_planning, "plan_push", lambda *_: asked.append(1))
