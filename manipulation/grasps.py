@@ -2,7 +2,8 @@
 
 Hollow objects (mugs, bowls, open tumblers) are grasped at the rim with one finger inside, the hand tilted to
 the slope of the wall at the pads. Cans and bottles are grasped from above around body, neck or cap, where
-the cross-section fits between the fingers and is nearly constant over the height of the pads.
+the cross-section fits between the fingers and is nearly constant over the height of the pads. Without such a
+place, as on a bottle that tapers all the way up, the hand may be at any angle.
 """
 
 from __future__ import annotations
@@ -12,6 +13,7 @@ from dataclasses import replace
 
 import numpy as np
 
+from manipulation.antipodal_grasps import antipodal_grasps
 from manipulation.cross_sections import CrossSectionCache
 from manipulation.grasp_config import GraspConfig, on_hand
 from manipulation.rim_grasps import rim_grasps
@@ -19,6 +21,8 @@ from manipulation.top_grasps import top_grasps
 from manipulation.types import RIMMED, GraspSet, StandingObject
 from manipulation.uncertainty import ranked
 from perception.mesh_sections import radial_hits
+
+_UP = np.array([0.0, 0.0, 1.0])
 
 
 def grasp_candidates(item: StandingObject, config: GraspConfig = GraspConfig()) -> GraspSet:
@@ -36,6 +40,8 @@ def grasp_candidates(item: StandingObject, config: GraspConfig = GraspConfig()) 
             grasps = rim_grasps(item, sections, config, rejected)
     ordered = tuple(sorted(grasps, key=lambda grasp: -grasp.score))
     found = on_hand(GraspSet(ordered, rejected), config.gripper)
+    if not found.grasps:
+        found = replace(found, grasps=antipodal_grasps(item, (_UP,), config).grasps)
     return replace(found, grasps=ranked(item, found.grasps, config.gripper))
 
 

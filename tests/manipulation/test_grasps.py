@@ -1,6 +1,13 @@
+from collections import Counter
+
+import numpy as np
+import trimesh
+
+from manipulation.cross_sections import CrossSectionCache
 from manipulation.grasp_config import GraspConfig
 from manipulation.grasps import grasp_candidates
 from manipulation.standing import to_standing
+from manipulation.top_grasps import top_grasps
 
 CONFIG = GraspConfig()
 
@@ -26,6 +33,19 @@ def test_open_tumbler_too_wide_for_the_hand_is_held_by_its_rim(shapes):
 
 def test_closed_bodies_too_wide_for_the_hand_have_no_rim_grasps(shapes):
     assert not grasp_candidates(standing(shapes, "bottle", shapes.can(radius=0.045, height=0.15))).grasps
+
+
+def test_what_tapers_all_the_way_up_is_held_at_any_angle_of_the_hand(shapes):
+    """A ball that goes on as a cone: the pads do not reach its middle from above."""
+    angle = np.linspace(-np.pi / 2, np.deg2rad(33), 30)
+    ball = np.stack([0.035 * np.cos(angle), 0.035 * (1 + np.sin(angle))], axis=1)
+    profile = np.concatenate([np.maximum(ball, [0.0, 0.0]), [[0.003, 0.095], [0.0, 0.095]]])
+    item = standing(shapes, "bottle", trimesh.creation.revolve(profile, sections=48))
+    sections = CrossSectionCache(item.vertices, item.faces)
+    assert not top_grasps(item, sections, CONFIG, Counter()), "the shape cannot be held from above"
+    found = grasp_candidates(item, CONFIG).grasps
+    assert found and {grasp.kind for grasp in found} == {"antipodal"}
+    assert all(grasp.opening <= CONFIG.gripper.max_width + 1e-9 for grasp in found)
 
 
 def test_grasps_are_sorted_by_descending_score(shapes):
