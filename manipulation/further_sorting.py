@@ -1,4 +1,4 @@
-"""Plan for what is sorted after the others: between those that stand on the rows, or on rows for all.
+"""Plan for what is sorted after the others: between those that stand on the rows, few of which make room.
 
 What the first scan could not see stands free once what hid it is sorted.
 """
@@ -13,7 +13,7 @@ import numpy as np
 from manipulation.kinematics import Kinematics
 from manipulation.planner import ManipulationConfig, find_usable
 from manipulation.robot import ArmDescription
-from manipulation.sorting import SortingConfig, line_yaws
+from manipulation.sorting import SortingConfig, goal_on_line
 from manipulation.sorting_rows import Spans, normal_of, sort_rows, spans_along
 from manipulation.types import Box, Line, Placement, StandingObject, TaskPlan
 from perception.types import ObjectEstimate
@@ -38,7 +38,7 @@ def plan_further_sort(
     Args:
         objects: object map of what is beside the rows.
         placed: objects on the rows where they are, by name.
-        lines: the rows in the order of sizes.
+        lines: the rows in the order of sizes, at least one.
         line: target line, for rows that have room for all.
         arm: description of the arm.
         config: settings.
@@ -50,7 +50,7 @@ def plan_further_sort(
     """
     config = config.for_arm(arm)
     usable = find_usable(objects, kinematics or Kinematics(arm, config.pick_place.ik), config)
-    placements, no_room = _between(usable.candidates, placed, lines or (line,), config.sorting)
+    placements, no_room = _between(usable.candidates, placed, lines, config.sorting)
     if no_room:
         rows = sort_rows([*usable.candidates, *placed.values()], line, config.sorting)
         moving = [goal for goal in rows.placements if not _stays(goal, placed)]
@@ -107,15 +107,7 @@ def _between(
         if found is None:
             continue
         there.append(found)
-        row = lines[found.row]
-        x, y = np.array(row.start) + found.position * row.direction
-        along = float(np.arctan2(row.direction[1], row.direction[0]))
-        placements[item.name] = Placement(
-            name=item.name,
-            position=(float(x), float(y), 0.0),
-            yaws=line_yaws(item, along),
-            release_height=config.release_height,
-        )
+        placements[item.name] = goal_on_line(item, lines[found.row], found.position, config)
     order = sorted(items, key=lambda item: item.top)
     reasons = {
         item.name: f"no room for {item.name} between those of its size on {len(lines)} rows"

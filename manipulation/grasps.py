@@ -28,7 +28,26 @@ _UP = np.array([0.0, 0.0, 1.0])
 def grasp_candidates(item: StandingObject, config: GraspConfig = GraspConfig()) -> GraspSet:
     """Return all grasps for the object's category and shape, in descending order of score.
 
-    Grasps at uncertain surfaces come later.
+    Grasps at uncertain surfaces come later. What nothing holds from above has antipodal grasps, if the hand
+    can be tilted.
+
+    Args:
+        item: Object with its mesh in the stand frame, in metres.
+        config: Settings of grasp generation.
+    """
+    found = grasps_from_above(item, config)
+    if found.grasps or config.max_tilt == 0:
+        return found
+    between = antipodal_grasps(item, (_UP,), config)
+    return replace(found, grasps=ranked(item, between.grasps, config.gripper))
+
+
+def grasps_from_above(item: StandingObject, config: GraspConfig = GraspConfig()) -> GraspSet:
+    """Return the grasps at the rim, or around body, neck or cap, in descending order of score.
+
+    Args:
+        item: Object with its mesh in the stand frame, in metres.
+        config: Settings of grasp generation.
     """
     rejected: Counter[str] = Counter()
     sections = CrossSectionCache(item.vertices, item.faces)
@@ -40,8 +59,6 @@ def grasp_candidates(item: StandingObject, config: GraspConfig = GraspConfig()) 
             grasps = rim_grasps(item, sections, config, rejected)
     ordered = tuple(sorted(grasps, key=lambda grasp: -grasp.score))
     found = on_hand(GraspSet(ordered, rejected), config.gripper)
-    if not found.grasps:
-        found = replace(found, grasps=antipodal_grasps(item, (_UP,), config).grasps)
     return replace(found, grasps=ranked(item, found.grasps, config.gripper))
 
 

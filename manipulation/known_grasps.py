@@ -10,7 +10,7 @@ from jaxtyping import Float
 
 from manipulation.antipodal_grasps import antipodal_grasps
 from manipulation.grasp_config import GraspConfig
-from manipulation.grasps import grasp_candidates
+from manipulation.grasps import grasp_candidates, grasps_from_above
 from manipulation.lying_grasps import lies, lying_grasps
 from manipulation.reorientation import reorienting_grasps
 from manipulation.types import RIMMED, GraspSet, StandingObject
@@ -95,7 +95,7 @@ class KnownGrasps:
         between = antipodal_grasps(item, (up,) if keeps else (up, _UP), config, self._points_around(name))
         if not lies(T):
             shallow, narrow = (
-                grasp_candidates(item, at_rim) if item.category in RIMMED and keeps else _NONE
+                grasps_from_above(item, at_rim) if item.category in RIMMED and keeps else _NONE
                 for at_rim in (config.shallow(), config.shallow().narrow())
             )
             grasps = shallow.grasps + between.grasps + narrow.grasps

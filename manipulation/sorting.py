@@ -58,17 +58,23 @@ def sort_line(
     placements, progress = {}, config.margin
     for item in kept:
         before, after = _extents(item, along)
-        x, y = np.array(line.start) + line.direction * (progress + before)
-        placements[item.name] = Placement(
-            name=item.name,
-            position=(float(x), float(y), 0.0),
-            yaws=line_yaws(item, along),
-            release_height=config.release_height,
-        )
+        placements[item.name] = goal_on_line(item, line, progress + before, config)
         progress += before + after + gap
     order = sorted(kept, key=lambda item: item.top)
     reason = f"line too short: {len(kept)} of {len(items)} fit on {line.length:.2f} m; use fewer objects"
     return tuple(placements[item.name] for item in order), {name: reason for name in left_out}
+
+
+def goal_on_line(item: StandingObject, line: Line, position: float, config: SortingConfig) -> Placement:
+    """Return the goal of an object at a position along a line, in metres from its start."""
+    x, y = np.array(line.start) + position * line.direction
+    along = float(np.arctan2(line.direction[1], line.direction[0]))
+    return Placement(
+        name=item.name,
+        position=(float(x), float(y), 0.0),
+        yaws=line_yaws(item, along),
+        release_height=config.release_height,
+    )
 
 
 def line_yaws(item: StandingObject, along: float) -> tuple[float, ...]:

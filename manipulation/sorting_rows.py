@@ -11,7 +11,7 @@ from jaxtyping import Float
 
 from manipulation.errors import PlanningError
 from manipulation.footprints import footprint
-from manipulation.sorting import SortingConfig, line_yaws, sort_line
+from manipulation.sorting import SortingConfig, goal_on_line, line_yaws, sort_line
 from manipulation.types import Line, Placement, StandingObject
 
 OFFSETS = ((0.17, 0.19, 0.14), (-0.16, -0.18, -0.13))  # [m] tried, of rows on the base's side and beyond
@@ -153,19 +153,11 @@ def _rows(
 ) -> Rows:
     """Return the goals of filled rows."""
     used = [(line, row) for line, row in zip(lines, rows, strict=True) if row]
-    placements: list[Placement] = []
-    for line, row in sorted(used, key=lambda pair: -_distance(pair[0])):
-        for item, position in sorted(row, key=lambda pair: pair[0].top):
-            x, y = np.array(line.start) + position * line.direction
-            along = float(np.arctan2(line.direction[1], line.direction[0]))
-            placements.append(
-                Placement(
-                    name=item.name,
-                    position=(float(x), float(y), 0.0),
-                    yaws=line_yaws(item, along),
-                    release_height=config.release_height,
-                )
-            )
+    placements = [
+        goal_on_line(item, line, position, config)
+        for line, row in sorted(used, key=lambda pair: -_distance(pair[0]))
+        for item, position in sorted(row, key=lambda pair: pair[0].top)
+    ]
     n_kept = len(placements)
     reason = (
         f"lines too short: {n_kept} of {n_kept + len(excluded)} fit on {len(lines)} rows; use fewer objects"

@@ -141,8 +141,8 @@ class FurtherRounds:
             frames += stages.capture_nearby(places_of_left(stages.latest, box)[:MOST_CLOSER])
             placed = list(placed_estimates(result).values())
             on_rows = () if box else placed
-            known = np.concatenate([known_bounds(request.box), bounds_of(on_rows)])
-            detections = stages.detect(frames, filled_bounds(box) if box else known)
+            known = [known_bounds(request.box), bounds_of(on_rows)]
+            detections = stages.detect(frames, filled_bounds(box) if box else np.concatenate(known))
             assert result.detections is not None
             before = self._seen or ScannedRound(
                 result.frames, result.detections, result.rejected, result.objects

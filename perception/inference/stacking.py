@@ -251,7 +251,7 @@ def ending_below(
     z = np.array([1.0, 1.0, share])
     mesh = TriangleMesh(lower.mesh.vertices * z, lower.mesh.faces)
     ended = replace(lower, T_world_object=T, scale=lower.scale * z, mesh=mesh)
-    # A handle ends up too low, which only a fit would mend: what is measured above the new top counts.
+    # A handle is scaled with the rest, and is too low then: only points above the new top contradict.
     top = plane.height_above(ended.mesh_world.vertices).max()
     above = points[plane.height_above(points) > top]
     more = unexplained(above, [ended, upper]) - unexplained(above, [lower, upper])

@@ -1,4 +1,4 @@
-"""What is sorted later: between its neighbours in size where there is room, else all on new rows."""
+"""What is sorted later: between its neighbours in size where there is room, else few make room."""
 
 from dataclasses import replace
 
@@ -83,8 +83,8 @@ def test_without_room_between_few_objects_make_room(cans, arm, others, is_sorted
 def test_what_fits_nowhere_is_left_out_and_nothing_is_moved(cans, arm):
     short = Line((0.60, 0.2), (0.60, 0.46))
     placed = on_rows(cans[:2], short)
-    wide = [replace(can, id=10 + k) for k, can in enumerate(cans * 6)]
-    plan = plan_further_sort(wide, placed, (short,), short, arm)
+    many = [replace(can, id=10 + k) for k, can in enumerate(cans * 6)]
+    plan = plan_further_sort(many, placed, (short,), short, arm)
     assert plan.left_out and all("no room" in reason for reason in plan.left_out.values())
     assert not {goal.name for goal in plan.placements} & placed.keys()
 

@@ -1,11 +1,12 @@
 from collections import Counter
+from dataclasses import replace
 
 import numpy as np
 import trimesh
 
 from manipulation.cross_sections import CrossSectionCache
 from manipulation.grasp_config import GraspConfig
-from manipulation.grasps import grasp_candidates
+from manipulation.grasps import grasp_candidates, grasps_from_above
 from manipulation.standing import to_standing
 from manipulation.top_grasps import top_grasps
 
@@ -46,6 +47,8 @@ def test_what_tapers_all_the_way_up_is_held_at_any_angle_of_the_hand(shapes):
     found = grasp_candidates(item, CONFIG).grasps
     assert found and {grasp.kind for grasp in found} == {"antipodal"}
     assert all(grasp.opening <= CONFIG.gripper.max_width + 1e-9 for grasp in found)
+    vertical = replace(CONFIG, max_tilt=0.0, max_inward_tilt=0.0)  # the hand of an arm with five joints
+    assert not grasp_candidates(item, vertical).grasps and not grasps_from_above(item, CONFIG).grasps
 
 
 def test_grasps_are_sorted_by_descending_score(shapes):
