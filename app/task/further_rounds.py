@@ -193,7 +193,7 @@ class FurtherRounds:
         if request.filled_box:
             return plan_further(found, items, request.filled_box, arm, settings, stages.kinematics)
         assert result.plan is not None
-        lines = result.plan.lines
+        lines = result.plan.lines or (request.line,)
         return plan_further_sort(
             found, items, lines, request.line, arm, settings, request.box, stages.kinematics
         )
