@@ -103,11 +103,13 @@ def best_pose(
     closed = any(c in VESSELS for c in categories) and has_closed_top(views.observations, plane)
     if upright is not None and not closed and not is_doubtful(upright.evidence, upright.estimate.category):
         return upright
+    # A coarse upright fit that ignores a closed top, as if it were of contents, says nothing against that pose.
     others = [
         _either_way_round(fits, c, pose)
         for c in categories
         for pose in ALTERNATIVES[c]
-        if comes_near(replace(views, category=c), fits.decoder, plane, pose, fits.config)
+        if (closed and pose == "upside-down")
+        or comes_near(replace(views, category=c), fits.decoder, plane, pose, fits.config)
     ]
     before = None if upright is None else upright.evidence
     least = 0.0 if is_given else _least_score(fits)
