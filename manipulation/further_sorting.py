@@ -20,6 +20,7 @@ from perception.types import ObjectEstimate
 
 MOST_MOVED = 2  # objects on rows that are moved for others: each may be lost
 STAYS = 0.015  # [m] between an object on a row and its goal, up to which it is not moved
+SAME_SIZE = 0.002  # [m] of difference, up to which either order counts
 _STEP = 0.005  # [m] along a row
 
 
@@ -65,6 +66,22 @@ def plan_further_sort(
         tuple(lines),
         usable.grasps,
     )
+
+
+def out_of_order(placed: Mapping[str, StandingObject], lines: Sequence[Line]) -> set[str]:
+    """Return the names of as few objects on the rows as leave the others in the order of size.
+
+    Args:
+        placed: objects on the rows where they are, by name.
+        lines: the rows in the order of sizes.
+    """
+    there = {name: _where(item, lines) for name, item in placed.items()}
+    names = sorted(there, key=lambda name: (there[name].row, there[name].position))
+    kept: list[tuple[str, ...]] = []  # the longest ascending sequence that ends at each object
+    for name in names:
+        before = [one for one in kept if there[one[-1]].size < there[name].size + SAME_SIZE]
+        kept.append((*max(before, key=len, default=()), name))
+    return set(names) - set(max(kept, key=len, default=()))
 
 
 def _stays(goal: Placement, placed: Mapping[str, StandingObject]) -> bool:

@@ -6,7 +6,7 @@
 from __future__ import annotations
 
 import logging
-from collections.abc import Sequence
+from collections.abc import Mapping, Sequence
 from dataclasses import replace
 
 import numpy as np
@@ -26,6 +26,7 @@ from app.task.rounds import (
     with_round,
     without_covered,
 )
+from app.task.row_order import partly_hidden, with_sizes_measured
 from app.task.stages import FULL_SCAN, Stages, prior_reconstruction
 from app.task.task_types import TaskResult
 from app.task.unchanged import (
@@ -36,8 +37,8 @@ from app.task.unchanged import (
 )
 from manipulation.errors import ManipulationError
 from manipulation.further_packing import loose_bowl, plan_further
-from manipulation.further_sorting import plan_further_sort
-from manipulation.types import Box, TaskPlan
+from manipulation.further_sorting import out_of_order, plan_further_sort
+from manipulation.types import Box, Line, StandingObject, TaskPlan
 from perception.errors import PerceptionError
 from perception.obstacles.obstacle import PerceivedObstacle
 from perception.pipeline import Detections
@@ -59,36 +60,50 @@ class FurtherRounds:
         self._stages = stages
         self._seen: ScannedRound | None = None  # by the last round but the first
         self._tried_in_box: set[int] = set()  # what was left in the box and has been planned for once more
+        self._remeasured: set[int] = set()  # objects on the rows
         self._nested: set[int] = set()  # bowls that were to go into others once all was packed
 
     def place_again(self, result: TaskResult) -> TaskResult | None:
-        """Return the results after what fell, leans, was turned or does not nest in the box was placed again.
+        """Return the results after what is not as it was to be was placed again; None if nothing was.
 
-        None if nothing was, or if there is no box to fill.
+        In the box that is what fell, leans, was turned or does not nest, on the rows what is out of order.
         """
-        stages = self._stages
-        box, observer = stages.request.filled_box, stages.observer
+        box = self._stages.request.filled_box
         if box is None:
-            return None
-        placed = placed_estimates(result)
-        fallen = fallen_objects(placed, result.checks, result.final_frames, box)
-        if not fallen:
-            result, fallen = self._with_loose_bowl(result, box)
+            result, wrong = self._out_of_order(result)
+        else:
             placed = placed_estimates(result)
-        if not fallen or result.detections is None:
+            wrong = fallen_objects(placed, result.checks, result.final_frames, box)
+            if not wrong:
+                result, wrong = self._with_loose_bowl(result, box)
+        if not wrong or result.detections is None:
             return None
-        names = {estimate.name for estimate in fallen}
-        beside = [e for e in placed.values() if e.name not in names]
+        names = {estimate.name for estimate in wrong}
+        beside = [e for e in placed_estimates(result).values() if e.name not in names]
         items = {name: item for name, item in placed_items(result).items() if name not in names}
         try:
-            with observer.stage("plan"):
-                plan = plan_further(fallen, items, box, stages.robot.arm, stages.settings, stages.kinematics)
-                plan = replace(plan, obstacles=result.obstacles)
+            with self._stages.observer.stage("plan"):
+                plan = replace(self._plan(result, wrong, items), obstacles=result.obstacles)
         except (ManipulationError, PerceptionError) as error:
             logger.info("%s cannot be placed again: %s", ", ".join(sorted(names)), error)
             return None
-        again = self._carry_out(result, fallen, plan, beside, result.obstacles, result.detections)
+        again = self._carry_out(result, wrong, plan, beside, result.obstacles, result.detections)
         return as_first_seen(again, result)
+
+    def _out_of_order(self, result: TaskResult) -> tuple[TaskResult, list[ObjectEstimate]]:
+        """Return the results with sizes measured on the rows, and what is out of order, each once at most."""
+        stages = self._stages
+        if stages.request.reconstruction is not None or result.plan is None:
+            return result, []
+        hidden = partly_hidden(result) - self._remeasured
+        if not hidden:
+            return result, []
+        self._remeasured |= hidden
+        with stages.observer.stage("verify"):
+            result = with_sizes_measured(result, hidden, stages.perception)
+        wrong = out_of_order(placed_items(result), self._lines(result))
+        standing = (e for _, e in sorted(placed_estimates(result).items()) if e.name in wrong)
+        return result, [replace(estimate, resting="upright", rests_on=None) for estimate in standing]
 
     def _with_loose_bowl(self, result: TaskResult, box: Box) -> tuple[TaskResult, list[ObjectEstimate]]:
         """Return the results with all bowls named, and one that is to go into another, each once at most."""
@@ -169,7 +184,8 @@ class FurtherRounds:
                 others, any_box = [*placed, *stuck], box or request.box
                 obstacles = obstacles_during([*others, *found], frames, table, any_box, stages.robot.arm)
             with observer.stage("plan"):
-                plan = replace(self._plan(result, found, stuck), obstacles=obstacles)
+                items = placed_items(result) | items_left(result, stuck)
+                plan = replace(self._plan(result, found, items), obstacles=obstacles)
                 if has_changed(stages.latest) and not is_last:
                     plan = without_covered(plan, found)
         except (ManipulationError, PerceptionError) as error:
@@ -180,20 +196,23 @@ class FurtherRounds:
         return as_first_seen(further, result)
 
     def _plan(
-        self, result: TaskResult, found: Sequence[ObjectEstimate], stuck: Sequence[ObjectEstimate]
+        self, result: TaskResult, found: Sequence[ObjectEstimate], items: Mapping[str, StandingObject]
     ) -> TaskPlan:
-        """Return the plan for what was found, beside what has its place or is stuck in the box.
+        """Return the plan for what was found, beside what has its place or is stuck in the box, by name.
 
         Raises:
             PlanningError: nothing can be placed.
         """
         stages = self._stages
         request, arm, settings = stages.request, stages.robot.arm, stages.settings
-        items = placed_items(result) | items_left(result, stuck)
         if request.filled_box:
             return plan_further(found, items, request.filled_box, arm, settings, stages.kinematics)
-        assert result.plan is not None
-        lines = result.plan.lines or (request.line,)
+        lines = self._lines(result)
         return plan_further_sort(
             found, items, lines, request.line, arm, settings, request.box, stages.kinematics
         )
+
+    def _lines(self, result: TaskResult) -> Sequence[Line]:
+        """Return the rows of a task that sorts."""
+        assert result.plan is not None
+        return result.plan.lines or (self._stages.request.line,)

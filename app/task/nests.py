@@ -67,7 +67,10 @@ def with_new_names(result: TaskResult, seen: Mapping[int, ObjectEstimate], floor
         item = to_standing(estimate, floor)
         T_rest = item.T_world_stand
         first[id] = replace(
-            estimate, T_world_object=back @ estimate.T_world_object, rests_on=before[id].rests_on
+            estimate,
+            T_world_object=back @ estimate.T_world_object,
+            resting=before[id].resting,
+            rests_on=before[id].rests_on,
         )
         items[item.name] = replace(item, T_world_stand=back @ T_rest)
         rests[item.name] = T_rest

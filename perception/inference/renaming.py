@@ -16,6 +16,7 @@ from perception.detection.completion import Completer
 from perception.detection.geometry import points_of
 from perception.inference.reconstruct import ReconstructOptions, reconstruct
 from perception.inference.shape_model import Decoder
+from perception.inference.standing_masks import standing_masks
 from perception.types import (
     CATEGORIES,
     OTHER,
@@ -29,9 +30,6 @@ from perception.types import (
 SURE = 0.9  # least probability of a bowl among the classes
 KNOWN = 0.2  # least probability that it is of one of the classes
 VIEWS = 2  # that show it, at least
-_PIXELS = 1500  # of a mask
-_BESIDE, _ABOVE = 0.004, 0.02  # [m] beyond the radius and over the top of the estimate
-_FLOOR = 0.006  # [m] above the plane, from which on points are not of it
 
 
 def mistaken_bowls(
@@ -54,7 +52,7 @@ def mistaken_bowls(
     points = [points_of(view, view.depth > 0) for view in views]
     rows: list[list[ObjectDetection]] = [[] for _ in views]
     for id, estimate in sorted(estimates.items()):
-        masks = {} if estimate.category == "bowl" else _masks(estimate, views, points, plane)
+        masks = {} if estimate.category == "bowl" else standing_masks(estimate, views, points, plane)
         if len(masks) < VIEWS:
             continue
         share = bowl_probability(masks, views, plane, network)
@@ -85,34 +83,3 @@ def bowl_probability(
     p: Float[np.ndarray, "k"] = np.average([d.class_probabilities for d in seen], axis=0, weights=weights)
     known = float(p[:OTHER].sum())
     return float(p[CATEGORIES.index("bowl")]) / known if known > KNOWN else 0.0
-
-
-def _masks(
-    estimate: ObjectEstimate,
-    views: Sequence[RgbdFrame],
-    points: Sequence[Float[np.ndarray, "_n 3"]],
-    plane: SupportPlane,
-) -> dict[int, Bool[np.ndarray, "H W"]]:
-    """Return the pixels around an estimate's axis and above its support by the index of the view.
-
-    Args:
-        estimate: Object at its pose.
-        views: Images.
-        points: Their measured points in the world frame, in metres, in the order of the pixels.
-        plane: Support plane.
-    """
-    vertices, axis = estimate.mesh_world.vertices, estimate.T_world_object[:2, 3]
-    radius = float(np.linalg.norm(vertices[:, :2] - axis, axis=1).max())
-    top = float(plane.height_above(vertices).max())
-    masks = {}
-    for k, (view, seen) in enumerate(zip(views, points, strict=True)):
-        height = plane.height_above(seen)
-        mask = np.zeros(view.depth.shape, dtype=bool)
-        mask[view.depth > 0] = (
-            (np.linalg.norm(seen[:, :2] - axis, axis=1) < radius + _BESIDE)
-            & (height > _FLOOR)
-            & (height < top + _ABOVE)
-        )
-        if mask.sum() >= _PIXELS:
-            masks[k] = mask
-    return masks

@@ -103,7 +103,7 @@ def best_pose(
     closed = any(c in VESSELS for c in categories) and has_closed_top(views.observations, plane)
     if upright is not None and not closed and not is_doubtful(upright.evidence, upright.estimate.category):
         return upright
-    # A coarse upright fit that ignores a closed top, as if it were of contents, says nothing against that pose.
+    # The coarse upright fit ignores a closed top as if it were of contents, and comes nearer than it should.
     others = [
         _either_way_round(fits, c, pose)
         for c in categories

@@ -5,7 +5,7 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
-from perception.inference import renaming
+from perception.inference import renaming, standing_masks
 from perception.inference.renaming import bowl_probability, mistaken_bowls
 from perception.types import SupportPlane, is_unclassified
 from tests.perception.inference.test_handle import AT, BODY, CAMERA, RADIUS, at, mug, seen_from_above
@@ -31,7 +31,7 @@ class Network:
 def fitted(monkeypatch):
     """The rows that are reconstructed."""
     rows = []
-    monkeypatch.setattr(renaming, "_PIXELS", 100)
+    monkeypatch.setattr(standing_masks, "PIXELS", 100)
     monkeypatch.setattr(
         renaming, "reconstruct", lambda frames, given, decoder, plane, options: rows.extend(given) or []
     )

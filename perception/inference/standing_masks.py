@@ -1,0 +1,53 @@
+"""Masks of objects whose place is known: the measured points around their axes, above what they stand on."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+
+import numpy as np
+from jaxtyping import Bool, Float
+from scipy.spatial import KDTree
+
+from perception.types import ObjectEstimate, RgbdFrame, SupportPlane
+
+PIXELS = 1500  # of a mask, at least
+_BESIDE, _ABOVE = 0.004, 0.02  # [m] beyond the radius and over the top of the estimate
+_FLOOR = 0.006  # [m] above the plane, from which on points are not of it
+
+
+def standing_masks(
+    estimate: ObjectEstimate,
+    views: Sequence[RgbdFrame],
+    points: Sequence[Float[np.ndarray, "_n 3"]],
+    plane: SupportPlane,
+    others: Sequence[ObjectEstimate] = (),
+) -> dict[int, Bool[np.ndarray, "H W"]]:
+    """Return the pixels around an estimate's axis and above its support by the index of the view.
+
+    Args:
+        estimate: Object at its pose.
+        views: Images.
+        points: Their measured points in the world frame, in metres, in the order of the pixels.
+        plane: Support plane.
+        others: Objects beside it; points that are nearer to one of them are left out.
+    """
+    vertices, axis = estimate.mesh_world.vertices, estimate.T_world_object[:2, 3]
+    radius = float(np.linalg.norm(vertices[:, :2] - axis, axis=1).max())
+    top = float(plane.height_above(vertices).max())
+    own = KDTree(vertices)
+    beside = KDTree(np.concatenate([o.mesh_world.vertices for o in others])) if others else None
+    masks = {}
+    for k, (view, seen) in enumerate(zip(views, points, strict=True)):
+        height = plane.height_above(seen)
+        around = (
+            (np.linalg.norm(seen[:, :2] - axis, axis=1) < radius + _BESIDE)
+            & (height > _FLOOR)
+            & (height < top + _ABOVE)
+        )
+        if beside is not None:
+            around[around] = own.query(seen[around])[0] <= beside.query(seen[around])[0]
+        mask = np.zeros(view.depth.shape, dtype=bool)
+        mask[view.depth > 0] = around
+        if mask.sum() >= PIXELS:
+            masks[k] = mask
+    return masks
