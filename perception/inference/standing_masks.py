@@ -8,10 +8,12 @@ import numpy as np
 from jaxtyping import Bool, Float
 from scipy.spatial import KDTree
 
+from perception.metrics import SurfaceSamples
 from perception.types import ObjectEstimate, RgbdFrame, SupportPlane
 
 PIXELS = 1500  # of a mask, at least
 _BESIDE, _ABOVE = 0.004, 0.02  # [m] beyond the radius and over the top of the estimate
+_SAMPLES = 3000  # of a surface
 _FLOOR = 0.006  # [m] above the plane, from which on points are not of it
 
 
@@ -34,8 +36,7 @@ def standing_masks(
     vertices, axis = estimate.mesh_world.vertices, estimate.T_world_object[:2, 3]
     radius = float(np.linalg.norm(vertices[:, :2] - axis, axis=1).max())
     top = float(plane.height_above(vertices).max())
-    own = KDTree(vertices)
-    beside = KDTree(np.concatenate([o.mesh_world.vertices for o in others])) if others else None
+    own, *beside = (_surface(e) for e in (estimate, *others))
     masks = {}
     for k, (view, seen) in enumerate(zip(views, points, strict=True)):
         height = plane.height_above(seen)
@@ -44,10 +45,15 @@ def standing_masks(
             & (height > _FLOOR)
             & (height < top + _ABOVE)
         )
-        if beside is not None:
-            around[around] = own.query(seen[around])[0] <= beside.query(seen[around])[0]
+        if beside:
+            near = seen[around]
+            around[around] = own.query(near)[0] <= np.min([tree.query(near)[0] for tree in beside], axis=0)
         mask = np.zeros(view.depth.shape, dtype=bool)
         mask[view.depth > 0] = around
         if mask.sum() >= PIXELS:
             masks[k] = mask
     return masks
+
+
+def _surface(estimate: ObjectEstimate) -> KDTree:
+    return SurfaceSamples.of(estimate.mesh_world, np.random.default_rng(0), _SAMPLES).tree

@@ -5,7 +5,7 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
-from manipulation.further_sorting import MOST_MOVED, STAYS, plan_further_sort
+from manipulation.further_sorting import MOST_MOVED, SAME_SIZE, STAYS, out_of_order, plan_further_sort
 from manipulation.packing import admissible_yaws
 from manipulation.sorting import sort_line
 from manipulation.standing import to_standing
@@ -91,3 +91,31 @@ def test_what_fits_nowhere_is_left_out_and_nothing_is_moved(cans, arm):
 
 def _point(position):
     return np.array(LINE.start) + position * LINE.direction
+
+
+def test_as_few_as_possible_are_out_of_order(cans):
+    placed = on_rows(cans)
+    assert out_of_order(placed, (LINE,)) == set() == out_of_order({}, (LINE,))
+    for name, size in (("can_1", 0.2), ("can_3", 0.05)):
+        wrong = placed | {name: replace(placed[name], size=size)}
+        assert out_of_order(wrong, (LINE,)) == {name}
+    first, last = placed["can_0"], placed["can_4"]
+    swapped = placed | {"can_0": replace(first, size=last.size), "can_4": replace(last, size=first.size)}
+    assert out_of_order(swapped, (LINE,)) == {"can_0", "can_4"}
+
+
+def test_either_order_of_about_the_same_size_counts(cans):
+    placed = on_rows(cans)
+    for beyond, expected in ((0.9, set()), (1.1, {"can_1"})):
+        size = placed["can_2"].size + beyond * SAME_SIZE
+        three = {name: item for name, item in placed.items() if name in ("can_0", "can_1", "can_2")}
+        found = out_of_order(three | {"can_1": replace(three["can_1"], size=size)}, (LINE,))
+        assert len(found) == len(expected)
+
+
+def test_rows_follow_each_other(cans):
+    """The first row ends before the second begins."""
+    first, second = Line((0.60, 0.2), (0.60, 0.46)), Line((0.45, 0.2), (0.45, 0.46))
+    low, high = on_rows(cans[:2], first), on_rows(cans[2:4], second)
+    assert out_of_order(low | high, (first, second)) == set()
+    assert len(out_of_order(low | high, (second, first))) == 2

@@ -256,3 +256,71 @@ def test_what_cannot_be_placed_again_ends_the_task_as_it_is(stages):
     stages.stage("plan_further", PlanningError("no room"))
     result = run(StillRobot(), stages.perception, TaskRequest("pack", Box()))
     assert result.failure == "" and result.outcomes == stages.outcomes and result.checks == {0: SEEN}
+
+
+@pytest.fixture
+def sorted_cans(stages, can_at, pack_plan):
+    """A task that sorts two cans, of which the higher one, which lay, turns out to be the lower one."""
+    plan = replace(pack_plan, task="sort", box=None, lines=(Line(),), left_out={})
+    (goal,) = plan.placements
+    plan = replace(plan, placements=(goal, replace(goal, name="can_1")))
+    at = [np.array([*np.array(Line().start) + x * Line().direction, 0.0]) for x in (0.2, 0.4)]
+    outcomes = [ObjectOutcome(id, f"can_{id}", True, 1, "", pose_from_yaw(0.0, at[id])) for id in range(2)]
+    executed, measured = [], []
+
+    def execute(plan, *args, **options):
+        executed.append(plan)
+        return outcomes if len(executed) == 1 else [replace(outcomes[1], attempts=2)]
+
+    def with_sizes_measured(result, ids, perception):
+        measured.append(set(ids))
+        items = dict(result.plan.objects)
+        items["can_1"] = replace(items["can_1"], size=items["can_0"].size - 0.02)
+        return replace(result, plan=replace(result.plan, objects=items))
+
+    stages.replace("reconstruct_objects", lambda *args, **options: [can_at(0), lying(can_at(1, 0.5))])
+    stages.replace("plan_sort", lambda *args: plan)
+    stages.replace("execute", execute)
+    stages.replace("with_sizes_measured", with_sizes_measured)
+    stages.replace("is_something_left", lambda *args: False)
+    stages.replace("out_of_order", lambda placed, lines: {"can_1"})
+    stages.measured, stages.executed = measured, executed
+    return stages
+
+
+def lying(estimate):
+    return replace(estimate, resting="lying")
+
+
+def test_what_is_out_of_order_on_the_rows_is_placed_again_once(sorted_cans):
+    given = []
+
+    def plan_further_sort(objects, placed, lines, *args):
+        given.append((objects, set(placed), lines))
+        return replace(sorted_cans.executed[0], placements=sorted_cans.executed[0].placements[1:])
+
+    sorted_cans.replace("plan_further_sort", plan_further_sort)
+    result = run(StillRobot(), sorted_cans.perception, TaskRequest("sort"))
+    assert result.failure == "" and sorted_cans.measured == [{1}]
+    (((moved,), others, lines),) = given
+    assert (moved.name, moved.resting, others, lines) == ("can_1", "upright", {"can_0"}, (Line(),))
+    np.testing.assert_allclose(moved.T_world_object[:2, 3], Line().start + 0.4 * Line().direction, atol=1e-9)
+    assert [[p.name for p in plan.placements] for plan in sorted_cans.executed] == [
+        ["can_0", "can_1"],
+        ["can_1"],
+    ]
+    assert {o.name: o.attempts for o in result.outcomes} == {"can_0": 1, "can_1": 2}
+    assert [e.resting for e in result.objects] == ["upright", "lying"], "as it was found"
+
+
+def test_what_has_no_place_in_the_order_stays(sorted_cans):
+    sorted_cans.stage("plan_further_sort", PlanningError("no room"))
+    result = run(StillRobot(), sorted_cans.perception, TaskRequest("sort"))
+    assert result.failure == "" and len(sorted_cans.executed) == 1
+    assert [o.placed for o in result.outcomes] == [True, True]
+
+
+def test_true_shapes_are_not_measured(sorted_cans, can_at):
+    shapes = lambda frames, detections: [can_at(0), lying(can_at(1, 0.5))]  # noqa: E731
+    run(StillRobot(), sorted_cans.perception, TaskRequest("sort", reconstruction=shapes))
+    assert sorted_cans.measured == [] and len(sorted_cans.executed) == 1

@@ -148,3 +148,13 @@ def test_another_pose_needs_a_score_unless_the_class_is_given(make_fits) -> None
     good = scored(STANDING, explained=0.95)
     assert best_pose(fits, good, ["bottle"], is_given=True) is good
     assert best_pose(make_fits({}), None, ["bottle"], is_given=True) is None
+
+
+def test_a_closed_top_is_tried_upside_down_whatever_the_coarse_fit_says(make_fits, monkeypatch) -> None:
+    """That of an upright mug ignores the top."""
+    upright, over = scored(("mug", "upright"), explained=0.85), scored(OVER)
+    fits = make_fits({OVER: over, ("mug", "lying"): scored(("mug", "lying"), explained=0.99)})
+    monkeypatch.setattr(resting_choice, "comes_near", lambda *_: False)
+    assert best_pose(fits, upright, ["mug"], is_given=True) is upright
+    monkeypatch.setattr(resting_choice, "has_closed_top", lambda *_: True)
+    assert best_pose(fits, upright, ["mug"], is_given=True) is over

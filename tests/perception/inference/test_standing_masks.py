@@ -1,0 +1,53 @@
+"""Masks around objects whose place is known."""
+
+from dataclasses import replace
+
+import numpy as np
+import pytest
+
+from perception.detection.geometry import points_of
+from perception.geometry import pose_from_yaw
+from perception.inference import standing_masks as module
+from perception.inference.standing_masks import standing_masks
+from perception.types import SupportPlane, TriangleMesh
+from tests.perception.inference.test_handle import BODY, HEIGHT, RADIUS, at, block, mug, seen_from_above
+
+__all__ = ["mug"]
+
+
+@pytest.fixture
+def masks(mug, monkeypatch):
+    """The masks of the mug in images of boxes, beside other objects."""
+    monkeypatch.setattr(module, "PIXELS", 100)
+
+    def make(*boxes, others=(), plane=SupportPlane()):
+        views = [seen_from_above(*boxes)]
+        points = [points_of(view, view.depth > 0) for view in views]
+        return standing_masks(mug, views, points, plane, others)
+
+    return make
+
+
+def test_a_mask_has_what_is_around_the_axis_and_above_the_support(mug, masks):
+    far = (at(0.2, 0.0, 0.0), at(0.25, 0.05, 0.1))
+    mask = masks(BODY, far)[0]
+    assert mask.sum() == masks(BODY)[0].sum() > 800
+    assert masks(BODY, plane=SupportPlane(offset=HEIGHT)) == {}, "nothing is above that"
+
+
+def test_what_is_nearer_to_another_object_is_not_in_it(mug, masks):
+    """Within the reach of the handle, which points elsewhere."""
+    beside = block((-0.02, -0.015, 0.0), (0.02, 0.015, 0.06))
+    place = at(-RADIUS - 0.028, 0.0, 0.0)
+    other = replace(mug, id=2, mesh=TriangleMesh(beside.vertices, beside.faces))
+    other = replace(other, T_world_object=pose_from_yaw(0.0, place))
+    box = (place + beside.vertices.min(axis=0), place + beside.vertices.max(axis=0))
+    alone, without = masks(BODY)[0].sum(), masks(BODY, box, others=[other])[0].sum()
+    assert masks(BODY, box)[0].sum() > 1.1 * alone
+    assert without == pytest.approx(alone, rel=0.02)
+
+
+def test_views_that_show_little_have_no_mask(mug, masks, monkeypatch):
+    monkeypatch.setattr(module, "PIXELS", 10000)
+    assert masks(BODY) == {}
+    assert not np.any([mask.any() for mask in masks().values()])
