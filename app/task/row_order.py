@@ -40,7 +40,8 @@ def with_sizes_measured(result: TaskResult, ids: Collection[int], perception: Pe
         perception: The networks.
     """
     plane, placed = SupportPlane(), placed_estimates(result)
-    seen = {id for id in ids if id in result.checks and result.checks[id].status == "seen"}
+    # What is much higher than estimated is not seen where it is.
+    seen = {id for id in ids if id in result.checks and result.checks[id].status != "hidden"}
     found = remeasured(
         {id: placed[id] for id in seen},
         [estimate for id, estimate in placed.items() if id not in seen],

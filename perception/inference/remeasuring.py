@@ -21,6 +21,7 @@ from perception.inference.standing_masks import standing_masks
 from perception.types import ObjectDetection, ObjectEstimate, RgbdFrame, SupportPlane
 
 MOST_UNEXPLAINED = 0.04  # share of an object's measured points: more, and it does not stand there upright
+MARGINS = (0.015, 0.08)  # [m] by which it may be wider and higher: nothing stands on it
 NEAR = 0.02  # [m] between the axes of the estimates before and after
 
 
@@ -47,7 +48,7 @@ def remeasured(
     masks: list[list[ObjectDetection]] = [[] for _ in views]
     for id, estimate in sorted(estimates.items()):
         beside = [*others, *(other for key, other in estimates.items() if key != id)]
-        for k, mask in standing_masks(estimate, views, points, plane, beside).items():
+        for k, mask in standing_masks(estimate, views, points, plane, beside, MARGINS).items():
             masks[k].append(ObjectDetection(estimate.category, 1.0, mask, instance_id=id))
     rows = [network.complete(view, plane, row) for view, row in zip(views, masks)]
     found = {e.id: e for e in reconstruct(frames, rows, decoder, plane)}

@@ -12,7 +12,7 @@ from perception.metrics import SurfaceSamples
 from perception.types import ObjectEstimate, RgbdFrame, SupportPlane
 
 PIXELS = 1500  # of a mask, at least
-_BESIDE, _ABOVE = 0.004, 0.02  # [m] beyond the radius and over the top of the estimate
+MARGINS = (0.004, 0.02)  # [m] beyond the radius and over the top of the estimate
 _SAMPLES = 3000  # of a surface
 _FLOOR = 0.006  # [m] above the plane, from which on points are not of it
 
@@ -23,6 +23,7 @@ def standing_masks(
     points: Sequence[Float[np.ndarray, "_n 3"]],
     plane: SupportPlane,
     others: Sequence[ObjectEstimate] = (),
+    margins: tuple[float, float] = MARGINS,
 ) -> dict[int, Bool[np.ndarray, "H W"]]:
     """Return the pixels around an estimate's axis and above its support by the index of the view.
 
@@ -32,6 +33,7 @@ def standing_masks(
         points: Their measured points in the world frame, in metres, in the order of the pixels.
         plane: Support plane.
         others: Objects beside it; points that are nearer to one of them are left out.
+        margins: How far beyond the estimate's radius and over its top points are of it, in metres.
     """
     vertices, axis = estimate.mesh_world.vertices, estimate.T_world_object[:2, 3]
     radius = float(np.linalg.norm(vertices[:, :2] - axis, axis=1).max())
@@ -41,9 +43,9 @@ def standing_masks(
     for k, (view, seen) in enumerate(zip(views, points, strict=True)):
         height = plane.height_above(seen)
         around = (
-            (np.linalg.norm(seen[:, :2] - axis, axis=1) < radius + _BESIDE)
+            (np.linalg.norm(seen[:, :2] - axis, axis=1) < radius + margins[0])
             & (height > _FLOOR)
-            & (height < top + _ABOVE)
+            & (height < top + margins[1])
         )
         if beside:
             near = seen[around]

@@ -10,7 +10,17 @@ from perception.geometry import pose_from_yaw
 from perception.inference import standing_masks as module
 from perception.inference.standing_masks import standing_masks
 from perception.types import SupportPlane, TriangleMesh
-from tests.perception.inference.test_handle import BODY, HEIGHT, RADIUS, at, block, mug, seen_from_above
+from tests.perception.inference.test_handle import (
+    BODY,
+    CAMERA,
+    HEIGHT,
+    RADIUS,
+    REACH,
+    at,
+    block,
+    mug,
+    seen_from_above,
+)
 
 __all__ = ["mug"]
 
@@ -20,10 +30,10 @@ def masks(mug, monkeypatch):
     """The masks of the mug in images of boxes, beside other objects."""
     monkeypatch.setattr(module, "PIXELS", 100)
 
-    def make(*boxes, others=(), plane=SupportPlane()):
+    def make(*boxes, others=(), plane=SupportPlane(), margins=module.MARGINS):
         views = [seen_from_above(*boxes)]
         points = [points_of(view, view.depth > 0) for view in views]
-        return standing_masks(mug, views, points, plane, others)
+        return standing_masks(mug, views, points, plane, others, margins)
 
     return make
 
@@ -45,6 +55,17 @@ def test_what_is_nearer_to_another_object_is_not_in_it(mug, masks):
     alone, without = masks(BODY)[0].sum(), masks(BODY, box, others=[other])[0].sum()
     assert masks(BODY, box)[0].sum() > 1.1 * alone
     assert without == pytest.approx(alone, rel=0.02)
+
+
+@pytest.mark.parametrize(("margins", "is_whole"), [((0.004, 0.02), False), ((0.02, 0.05), True)])
+def test_what_is_larger_than_estimated_is_whole_within_the_margins(mug, masks, margins, is_whole):
+    """By 4 cm in height, and by 1.5 cm beyond the handle."""
+    taller = (at(-RADIUS, -RADIUS, 0.0), at(RADIUS, RADIUS, HEIGHT + 0.04))
+    assert bool(masks(taller, margins=margins)) is is_whole
+    wide = (at(-0.085, -0.02, 0.0), at(0.085, 0.02, 0.05))
+    _, u = np.nonzero(masks(wide, margins=margins)[0])
+    reach = np.abs(u - CAMERA.cx).max() * (0.5 - 0.05) / CAMERA.fx
+    assert reach == pytest.approx(0.085 if is_whole else RADIUS + REACH + margins[0], abs=0.003)
 
 
 def test_views_that_show_little_have_no_mask(mug, masks, monkeypatch):
