@@ -19,6 +19,7 @@ WEAK, FAR_BETTER = 0.5, 0.3  # score below which an object may be several, and b
 WEAK_BOTTLE = 0.9  # the same of an upright bottle
 MIN_SCORES = (0.2, 0.5)  # of the fits of the lower part, whose upper side is hidden, and of the upper one
 BESIDE_SCORE = 0.5  # least score of two parts beside each other: neither hides the other
+LIKELY_WHOLE = 0.8  # score from which on a can or a bottle is likely one, and its parts have that least score
 ALIKE_SCORE = 0.5  # least score of two parts of the same colours, which are seldom two objects
 SHARED = 0.15  # share of a part's volume in the other one from which on they are no two objects
 # Least scores of the fits of two vessels that look like one; height [m] of the upper one's base, and share of
@@ -105,6 +106,12 @@ def _may_be_two(whole: ObjectEstimate) -> bool:
     return whole.score < (WEAK_BOTTLE if is_bottle else WEAK) or has_unlikely_shape(whole)
 
 
+def _is_likely_one(whole: ObjectEstimate) -> bool:
+    """Return whether an object is likely no stack: a closed one with a high score, which holds nothing."""
+    is_closed = whole.category not in VESSELS and whole.status != "implausible"
+    return is_closed and whole.score >= LIKELY_WHOLE
+
+
 def are_one(pair: Sequence[ObjectEstimate], whole: ObjectEstimate, before: float) -> bool:
     """Return whether two accepted cans, the upper one not the wider, are one upright bottle.
 
@@ -155,7 +162,7 @@ def _is_better(
     if max(shared_volume(pair[0], pair[1]), shared_volume(pair[1], pair[0])) > SHARED:
         return False
     least = (BEYOND_DOUBT_SCORE,) * 2 if after < BEYOND_DOUBT * before else MIN_SCORES
-    if pair[1].rests_on != pair[0].id:
+    if pair[1].rests_on != pair[0].id or (whole is not None and _is_likely_one(whole)):
         least = (BESIDE_SCORE,) * 2
     accepted = all(e.score >= p for e, p in zip(pair, least, strict=True))
     if is_poor and accepted and after < min(CLEARLY * before, MOST_UNEXPLAINED):

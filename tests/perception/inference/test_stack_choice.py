@@ -13,6 +13,7 @@ from perception.inference.stack_choice import (
     DOUBTFUL,
     FULLY,
     LEAST_HEIGHT,
+    LIKELY_WHOLE,
     SHARED,
     SLENDER,
     TALL,
@@ -87,7 +88,7 @@ def test_what_leaves_points_unexplained_or_has_a_low_score_is_doubtful():
 def test_parts_explain_clearly_more_and_have_scores(leave, before, after, scores, are_better):
     leave(after)
     pair = [replace(part, score=score) for part, score in zip(CANS, scores)]
-    for whole in (None, shape(score=0.95)):
+    for whole in (None, shape("mug", score=0.95)):
         assert are_two(pair, whole, POINTS, before, PLANE) is are_better
 
 
@@ -120,6 +121,24 @@ def test_parts_beside_each_other_hide_nothing_that_excuses_low_scores(leave, sco
     beside = [shape(), shape(x=0.07)]
     pair = [replace(part, score=score) for part, score in zip(beside, scores)]
     assert are_two(pair, None, POINTS, 1.0, PLANE) is accepted
+
+
+@pytest.mark.parametrize(
+    ("whole", "are_better"),
+    [
+        ({"score": LIKELY_WHOLE + 0.01}, False),
+        ({"score": LIKELY_WHOLE - 0.01}, True),
+        ({"score": LIKELY_WHOLE + 0.01, "status": "implausible"}, True),
+        ({"score": LIKELY_WHOLE + 0.01, "category": "mug"}, True),
+    ],
+)
+def test_a_likely_object_is_not_replaced_by_an_unlikely_part(leave, whole, are_better):
+    """A tall can is no mug, hardly seen, below a can."""
+    leave(0.02)
+    single = shape(height=0.2, **whole)
+    unlikely = [replace(CANS[0], score=BESIDE_SCORE - 0.1), CANS[1]]
+    assert are_two(unlikely, single, POINTS, 0.1, PLANE) is are_better
+    assert are_two(CANS, single, POINTS, 0.1, PLANE)
 
 
 @pytest.mark.parametrize(("sunk", "accepted"), [(0.6, True), (1.6, False)])
