@@ -10,6 +10,7 @@ from collections import Counter
 from collections.abc import Collection, Hashable, Iterator, Mapping, Sequence
 from dataclasses import replace
 from enum import IntEnum
+from itertools import islice
 from types import MappingProxyType
 
 import numpy as np
@@ -272,7 +273,7 @@ class ObjectPlanning:
         if not grasps.grasps:
             raise PlanningError(f"{at}: {grasps.failure_message(name, _TURN_OVER if overturned else '')}")
         spots = list(turning_goals(item, T_world_stand, self._taken(name), self._config.free_area))
-        goals = self._best_to_turn(spots) if overturned else [placement, *spots[:_SPOTS]]
+        goals = self._best_to_turn(spots) if overturned else [placement, *self._in_reach(spots)]
         if blocked and not overturned:
             goals = [*goals[1:], placement]
         if not goals:
@@ -313,6 +314,14 @@ class ObjectPlanning:
                 break
         self._turnable[key] = found or list(goals[:_SPOTS])
         return self._turnable[key]
+
+    def _in_reach(self, goals: Sequence[Placement]) -> list[Placement]:
+        """Return the first goals on free table from which an object that is set upright can be taken on.
+
+        Where there are none, the first goals.
+        """
+        reached = filter(self._planner.reaches, goals[:_EXAMINED])
+        return list(islice(reached, _SPOTS)) or list(goals[:_SPOTS])
 
     def _plan_with_contents(
         self, goals: Sequence[Placement], q: Posture, tried: Sequence[Grasp]

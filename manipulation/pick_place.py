@@ -27,6 +27,7 @@ from manipulation.nesting import nest_heights
 from manipulation.obstacles import TABLE, Obstacle
 from manipulation.pick_place_segments import Pick, Place, PlaceGoal, SegmentConfig, find_pick, find_place
 from manipulation.plan_timing import PlanTiming
+from manipulation.reach import reaches_any
 from manipulation.reorientation import rolled
 from manipulation.surroundings import Surfaces, points_around
 from manipulation.trajectories import MotionConfig
@@ -235,6 +236,11 @@ class PickPlacePlanner:
         if names not in self._lifts:
             self._lifts[names] = nest_heights([self.items[name] for name in names])[-1]
         return pose_from_yaw(yaw, np.add(placement.position, (0.0, 0.0, self._lifts[names])))
+
+    def reaches(self, placement: Placement) -> bool:
+        """Return whether the arm reaches an object at its goal, whatever the hand meets there."""
+        T = self.resting_pose(placement, placement.yaws[0])
+        return reaches_any(self.kinematics, placement.name, T, self._known.at(placement.name, T))
 
     def bowls_in(self, name: str) -> tuple[str, ...]:
         """Return the names of the upright bowls in the cavity of a bowl; none if it holds anything else."""

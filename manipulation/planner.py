@@ -18,6 +18,7 @@ from manipulation.nearest_view import FULL_POSE
 from manipulation.packing import pack
 from manipulation.packing_problem import PackingConfig, resting_on
 from manipulation.pick_place import PickPlaceConfig
+from manipulation.reach import reaches_any
 from manipulation.reorientation import reorienting_grasps
 from manipulation.robot import ArmDescription
 from manipulation.sorting import SortingConfig
@@ -30,7 +31,6 @@ from perception.types import ObjectEstimate, SupportPlane
 logger = logging.getLogger(__name__)
 
 _TURN_OVER = "turn it over by hand"
-_REACHED = 24  # number of grasps, evenly spread, that are checked for reachability: neighbours are similar
 
 
 @dataclass(frozen=True)
@@ -206,7 +206,7 @@ def find_usable(
             overturned = is_upside_down(item.T_world_stand)
             how, remedy = ("stands upside down", _TURN_OVER) if overturned else ("lies on its side", "")
             left_out[name] = f"{name} {how} at ({x:.2f}, {y:.2f}) m: {now.failure_message(name, remedy)}"
-        elif not _is_reachable(item, now, kinematics):
+        elif not reaches_any(kinematics, name, item.T_world_stand, now):
             left_out[name] = f"{name} at ({x:.2f}, {y:.2f}) m is out of the arm's reach; move it closer"
     for reason in left_out.values():
         logger.warning("excluded: %s", reason)
@@ -226,12 +226,3 @@ def _item(estimate: ObjectEstimate, config: ManipulationConfig) -> StandingObjec
     if lies(estimate.T_world_object):
         return to_lying(estimate)
     return to_standing(estimate, config.support)
-
-
-def _is_reachable(item: StandingObject, grasps: GraspSet, kinematics: Kinematics) -> bool:
-    """Return whether inverse kinematics reaches any grasp of the object, irrespective of collisions."""
-    for grasp in grasps.grasps[:: max(1, len(grasps.grasps) // _REACHED)]:
-        T_goal = item.T_world_stand @ grasp.T_stand_open
-        if kinematics.inverse(T_goal, kinematics.seeds_toward(T_goal, 2), name=item.name).converged:
-            return True
-    return False

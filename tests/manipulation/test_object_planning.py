@@ -45,6 +45,7 @@ class FakePlanner(PickPlacePlanner):
         self._obstacles, self.found, self._state = (), GRASPS, 0
         self.absent: frozenset[str] = frozenset()
         self.pickable, self.examined = (lambda T: True), []
+        self.within_reach = lambda position: True
         self.Ts = {name: item.T_world_stand for name, item in items.items()}
         self.world, self.motions = SimpleNamespace(pose=self.Ts.__getitem__), None
 
@@ -70,6 +71,9 @@ class FakePlanner(PickPlacePlanner):
     def can_pick(self, name, T_world_stand, grasps=None):
         self.examined.append((T_world_stand, grasps))
         return self.pickable(T_world_stand)
+
+    def reaches(self, placement):
+        return self.within_reach(placement.position)
 
     def plan(self, goals, q, tried=(), grasps=None, contents=()):
         goals = [goals] if isinstance(goals, Placement) else list(goals)
@@ -287,6 +291,18 @@ def test_a_lying_object_is_turned_at_its_goal_or_on_free_table(items):
     assert goals[0] is GOAL and len(goals) > 1 and all(goal.position[1] < 0.1 for goal in goals[1:])
     planning(items, planner).next_plan(GOAL, Q, effort=Effort.FLEXIBLE)
     assert planner.requests[-1][1] is TILTED
+
+
+@pytest.mark.parametrize("far", [0.45, 0.0])
+def test_what_lies_is_set_upright_where_it_can_be_taken_on(items, far):
+    """Or anywhere, if that is nowhere within reach."""
+    planner = lying(items)
+    planner.within_reach = lambda position: position[0] < far
+    with pytest.raises(PlanningError, match="lies on its side"):
+        planning(items, planner).next_plan(GOAL, Q)
+    ((goals, _),) = planner.requests
+    assert len(goals) == 5 and goals[0] is GOAL
+    assert all(goal.position[0] < far for goal in goals[1:]) is (far > 0)
 
 
 def overturned(items, pickable):

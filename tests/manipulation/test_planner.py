@@ -6,14 +6,12 @@ import pytest
 from manipulation import planner
 from manipulation.errors import PlanningError
 from manipulation.grasp_config import GraspConfig
-from manipulation.grasps import grasp_candidates
-from manipulation.kinematics import IkResult, IkStatus, Kinematics
+from manipulation.kinematics import Kinematics
 from manipulation.packing_problem import PackingConfig
 from manipulation.pick_place import PickPlaceConfig
-from manipulation.planner import ManipulationConfig, _is_reachable, plan_pack, plan_sort
+from manipulation.planner import ManipulationConfig, plan_pack, plan_sort
 from manipulation.robot import GripperGeometry
 from manipulation.sorting_rows import Rows
-from manipulation.standing import to_standing
 from manipulation.types import Box, Line
 
 # Coarser than the defaults, for speed alone.
@@ -38,23 +36,6 @@ def test_unreachable_object_is_named_and_left_out(scene, shapes, arm):
     assert "can_9" in task.objects and all(p.name != "can_9" for p in task.placements)
     with pytest.raises(PlanningError, match="none of 1 objects can be manipulated: can_9"):
         plan_pack([far], Box(), arm, CONFIG)
-
-
-def test_one_grasp_of_few_within_reach_is_enough(scene, arm, monkeypatch):
-    """A short list of grasps is checked in full: neighbours on it may be far apart."""
-    kinematics = Kinematics(arm)
-    item = to_standing(scene[0])
-    grasps = grasp_candidates(item, CONFIG.pick_place.grasp)
-    few = replace(grasps, grasps=grasps.grasps[:3])
-    checked = []
-
-    def only_the_last(T_goal, seeds, frame="tcp", name="target"):
-        checked.append(T_goal)
-        status: IkStatus = "converged" if len(checked) == 3 else "not_converged"
-        return IkResult(np.array(arm.q_home), status, 0.0, 0.0, 1)
-
-    monkeypatch.setattr(kinematics, "inverse", only_the_last)
-    assert _is_reachable(item, few, kinematics) and len(checked) == 3
 
 
 def test_nothing_perceived_is_an_error(arm):
