@@ -141,16 +141,17 @@ class _Surface:
 def antipodal_pairs(surface: _Surface) -> list[Pair]:
     """Return pairs of a surface's points in descending order of the alignment of their normals."""
     first, inward = surface.points[:_N_POINTS], -surface.normals[:_N_POINTS]
-    apart = surface.points[None] - first[:, None]  # (i, j): from i to j
-    depth = np.einsum("ijk,ik->ij", apart, inward)
-    lateral = (apart**2).sum(axis=-1) - depth**2
     opposition = inward @ surface.normals.T
-    i, j = np.nonzero((lateral < _LATERAL**2) & (depth > 1e-3) & (opposition > np.cos(2 * _FRICTION_ANGLE)))
-    order = np.argsort(-opposition[i, j], kind="stable")
-    i, j = i[order], j[order]
+    i, j = np.nonzero(opposition > np.cos(2 * _FRICTION_ANGLE))
+    apart = surface.points[j] - first[i]
+    depth = (apart * inward[i]).sum(axis=1)
+    lateral = (apart**2).sum(axis=1) - depth**2
+    possible = np.flatnonzero((lateral < _LATERAL**2) & (depth > 1e-3))
+    order = possible[np.argsort(-opposition[i[possible], j[possible]], kind="stable")]
+    i, j, apart = i[order], j[order], apart[order]
     closings = surface.normals[j] + inward[i]
     closings /= np.linalg.norm(closings, axis=1, keepdims=True)
-    middles, widths = (first[i] + surface.points[j]) / 2, (closings * apart[i, j]).sum(axis=1)
+    middles, widths = (first[i] + surface.points[j]) / 2, (closings * apart).sum(axis=1)
     return [Pair(middle, closing, float(width)) for middle, closing, width in zip(middles, closings, widths)]
 
 

@@ -14,6 +14,7 @@ from manipulation.robot import GripperGeometry
 from perception.types import TriangleMesh
 
 _SPACING = 0.003  # [m] between neighbouring surface points
+_ROUNDING = 1e-9  # [m]
 
 
 @dataclass(frozen=True)
@@ -90,13 +91,17 @@ class HandBoxes:
         s to an interval, and the intervals must have a point of [0, 1] in common.
         """
         step = np.where(np.abs(sweep) < 1e-9, 1e-9, sweep)
+        low = self.low.min(axis=0) + np.minimum(sweep, 0.0) - margin - _ROUNDING
+        high = self.high.max(axis=0) + np.maximum(sweep, 0.0) + margin + _ROUNDING
+        met = ((points_tcp > low) & (points_tcp < high)).all(axis=1)
         first, last = np.array(-np.inf), np.array(np.inf)
-        for axis, along in enumerate(points_tcp.T[..., None]):  # (n, 1); axis by axis, which is much faster
+        for axis, along in enumerate(points_tcp[met].T[..., None]):  # (n, 1); by axis, which is much faster
             to_high = (along - self.high[:, axis] - margin) / step[axis]
             to_low = (along - self.low[:, axis] + margin) / step[axis]
             first = np.maximum(first, np.minimum(to_high, to_low))
             last = np.minimum(last, np.maximum(to_high, to_low))
-        return np.any((first < last) & (first < 1.0) & (last > 0.0), axis=1)
+        met[met] = np.any((first < last) & (first < 1.0) & (last > 0.0), axis=1)
+        return met
 
     def lowest(self, T_plane_tcp: Float[np.ndarray, "4 4"]) -> float:
         """Return the height of the lowest corner above the support plane in metres."""
@@ -139,6 +144,19 @@ def surface_points(mesh: TriangleMesh) -> Float[np.ndarray, "n 3"]:
         i, j = np.nonzero(np.add.outer(np.arange(n + 1), np.arange(n + 1)) <= n)
         weights = np.stack([i, j, n - i - j], axis=1) / n  # barycentric
         points.append(np.einsum("wc,tcx->twx", weights, corners[divisions == n]).reshape(-1, 3))
-    dense = np.concatenate(points)
-    _, kept = np.unique(np.floor(dense / _SPACING).astype(np.int64), axis=0, return_index=True)
-    return dense[np.sort(kept)]
+    return one_per_cell(np.concatenate(points), _SPACING)
+
+
+def one_per_cell(points: Float[np.ndarray, "n 3"], cell: float) -> Float[np.ndarray, "m 3"]:
+    """Return the first of the points in each cell of a grid, in their order.
+
+    Args:
+        points: the points in [m].
+        cell: width of a cell in [m].
+    """
+    if not len(points):
+        return points
+    cells = np.floor(points / cell).astype(np.int64)
+    cells -= cells.min(axis=0)
+    number = np.ravel_multi_index(cells.T, cells.max(axis=0) + 1)  # sorts much faster than rows
+    return points[np.sort(np.unique(number, return_index=True)[1])]

@@ -7,7 +7,7 @@ from collections.abc import Callable, Sequence
 import numpy as np
 from jaxtyping import Float
 
-from manipulation.hand_collision import surface_points
+from manipulation.hand_collision import one_per_cell, surface_points
 from manipulation.hulls import hull_faces, reduced_hull
 from manipulation.types import StandingObject
 from perception.obstacles.obstacle import PerceivedObstacle
@@ -58,9 +58,7 @@ def points_around(
     found += [surfaces.of_object(item) @ T[:3, :3].T + T[:3, 3] for item, T in others]
     found += [surfaces.of_thing(obstacle) for obstacle in obstacles]
     points = np.concatenate(found) - center
-    points = points[np.linalg.norm(points, axis=1) < REACH]
-    _, kept = np.unique(np.floor(points / _SPACING).astype(np.int64), axis=0, return_index=True)
-    return points[np.sort(kept)]
+    return one_per_cell(points[np.linalg.norm(points, axis=1) < REACH], _SPACING)
 
 
 def _on_piece(piece: Float[np.ndarray, "_k 3"]) -> Float[np.ndarray, "_n 3"]:

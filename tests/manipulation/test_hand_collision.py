@@ -5,7 +5,13 @@ import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
-from manipulation.hand_collision import HandBoxes, HandClearance, hand_is_free, surface_points
+from manipulation.hand_collision import (
+    HandBoxes,
+    HandClearance,
+    hand_is_free,
+    one_per_cell,
+    surface_points,
+)
 from manipulation.robot import GripperGeometry
 from perception.types import TriangleMesh
 
@@ -123,6 +129,16 @@ def test_surface_points_fill_large_triangles_and_thin_small_ones():
     assert np.linalg.norm(lattice[:, None] - points, axis=2).min(axis=1).max() < 0.005
     fine = TriangleMesh(np.random.default_rng(0).uniform(0, 0.006, (3000, 3)), np.arange(3000).reshape(-1, 3))
     assert len(surface_points(fine)) <= 2**3
+
+
+def test_of_each_cell_the_first_point_is_kept():
+    points = np.random.default_rng(0).uniform(-0.1, 0.1, (3000, 3)) * (1.0, 0.5, 0.1)
+    kept = one_per_cell(points, 0.01)
+    seen: dict[tuple[int, ...], int] = {}
+    for number, point in enumerate(points):
+        seen.setdefault(tuple(np.floor(point / 0.01).astype(int)), number)
+    np.testing.assert_array_equal(kept, points[sorted(seen.values())])
+    assert one_per_cell(points[:0], 0.01).shape == (0, 3)
 
 
 def test_boxes_move_along_the_closing_direction():
