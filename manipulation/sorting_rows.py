@@ -7,7 +7,7 @@ from dataclasses import dataclass
 from itertools import permutations, product
 
 import numpy as np
-from jaxtyping import Float
+from jaxtyping import Bool, Float
 
 from manipulation.errors import PlanningError
 from manipulation.footprints import footprint
@@ -91,6 +91,8 @@ def further_lines(line: Line, offsets: Sequence[float]) -> tuple[Line, ...]:
 
 # Extents [m] of an object on a row from its stand frame: behind, ahead, away from the base, towards it.
 Spans = tuple[float, float, float, float]
+# Extents [m] of an object in the axes of the first row: left, right along it; low, high across, to the base.
+Extents = tuple[float, float, float, float]
 
 
 def _fill(
@@ -102,32 +104,64 @@ def _fill(
 ) -> list[list[tuple[StandingObject, float]]]:
     """Return for each row its objects with their positions along it [m]; the last ones may be missing."""
     remaining = list(ascending)
-    taken: list[tuple[float, float, float, float]] = []  # left, right, low, high from ``first`` [m]
+    taken: list[Extents] = []
     rows: list[list[tuple[StandingObject, float]]] = []
     for line in lines:
-        offset = np.array(line.start) - np.array(first.start)
-        along, across = float(offset @ first.direction), float(offset @ normal_of(first))
         row: list[tuple[StandingObject, float]] = []
         progress = -np.inf
         while remaining:
-            behind, ahead, away, toward = spans[remaining[0].name]
-            low, high = across - away, across + toward
+            own = behind, ahead, *_ = spans[remaining[0].name]
             # The whole object stays within the line, but only the frame within the reach of further rows.
             least, most = (behind, line.length - ahead) if line is first else (0.0, line.length)
             positions = np.arange(max(progress + behind, least), most + 1e-9, _STEP / 2)
-            free = np.ones(len(positions), bool)
-            for left, right, below, above in taken:
-                if low < above + gap and below < high + gap:
-                    at = along + positions
-                    free &= (at - behind >= right + gap) | (at + ahead <= left - gap)
+            free = are_free(positions, line, own, taken, first, gap)
             if not free.any():
                 break
             position = float(positions[free.argmax()])
             row.append((remaining.pop(0), position))
-            taken.append((along + position - behind, along + position + ahead, low, high))
+            taken.append(extents_of(position, line, own, first))
             progress = position + ahead + gap
         rows.append(row)
     return rows
+
+
+def extents_of(position: float, line: Line, spans: Spans, first: Line) -> Extents:
+    """Return the extents of an object at a position [m] along a row in the axes of the first one."""
+    (along, across), (behind, ahead, away, toward) = offset_of(line, first), spans
+    at = along + position
+    return at - behind, at + ahead, across - away, across + toward
+
+
+def are_free(
+    positions: Float[np.ndarray, "n"],
+    line: Line,
+    spans: Spans,
+    taken: Sequence[Extents],
+    first: Line,
+    gap: float,
+) -> Bool[np.ndarray, "n"]:
+    """Return at which positions along a row an object is clear of others by a gap.
+
+    Args:
+        positions: positions in [m].
+        line: the row.
+        spans: extents of the object.
+        taken: extents of the others in the axes of the first row.
+        first: the first row.
+        gap: distance kept in [m].
+    """
+    _, _, low, high = extents_of(0.0, line, spans, first)
+    at, free = offset_of(line, first)[0] + positions, np.ones(len(positions), bool)
+    for left, right, below, above in taken:
+        if low < above + gap and below < high + gap:
+            free &= (at - spans[0] >= right + gap) | (at + spans[1] <= left - gap)
+    return free
+
+
+def offset_of(line: Line, first: Line) -> tuple[float, float]:
+    """Return where a row starts along the first one and across it, towards the base, in [m]."""
+    offset = np.array(line.start) - np.array(first.start)
+    return float(offset @ first.direction), float(offset @ normal_of(first))
 
 
 def spans_along(item: StandingObject, line: Line) -> Spans:

@@ -1,11 +1,12 @@
 """What is sorted later: between its neighbours in size where there is room, else few make room."""
 
 from dataclasses import replace
+from itertools import combinations
 
 import numpy as np
 import pytest
 
-from manipulation.further_sorting import MOST_MOVED, SAME_SIZE, STAYS, out_of_order, plan_further_sort
+from manipulation.further_sorting import MOST_MOVED, SAME_SIZE, out_of_order, plan_further_sort
 from manipulation.packing import admissible_yaws
 from manipulation.sorting import sort_line
 from manipulation.standing import to_standing
@@ -37,6 +38,18 @@ def on_rows(estimates, line=LINE):
     }
 
 
+def at_positions(items, positions, line=LINE):
+    """Objects on a line at given positions [m], in the order of size, by name."""
+    ascending = sorted(items.values(), key=lambda item: item.size)
+    return {
+        item.name: replace(
+            item,
+            T_world_stand=pose_from_yaw(0.0, np.array([*np.array(line.start) + x * line.direction, 0.0])),
+        )
+        for item, x in zip(ascending, positions, strict=True)
+    }
+
+
 def along(plan, placed, line=LINE):
     """Positions of all objects on the line once the plan is carried out, by size."""
     goals = {goal.name: np.array(goal.position[:2]) for goal in plan.placements}
@@ -58,39 +71,61 @@ def test_what_comes_later_stands_between_its_neighbours_in_size(cans, arm, late)
     assert goal.yaws and set(goal.yaws) <= set(admissible_yaws(plan.objects[goal.name], goal.yaws[0]))
 
 
-@pytest.mark.parametrize(("others", "is_sorted_anew"), [((1, 3), True), ((0, 1, 3, 4), False)])
-def test_without_room_between_few_objects_make_room(cans, arm, others, is_sorted_anew):
-    """Of those that stand there, the ones that are at their new places are not moved."""
-    items = sorted(on_rows([cans[k] for k in others]).values(), key=lambda item: item.size)
-    tight = {
-        item.name: replace(item, T_world_stand=pose_from_yaw(0.0, np.array([*_point(0.05 + 0.09 * k), 0.0])))
-        for k, item in enumerate(items)
-    }
+@pytest.mark.parametrize(
+    ("apart", "n_moved"),
+    [((0.0, 0.09, 0.27, 0.36), 0), ((0.0, 0.09, 0.18, 0.45), 1), ((0.0, 0.09, 0.18, 0.27), 2)],
+)
+def test_without_room_between_as_few_objects_as_possible_make_room(cans, arm, apart, n_moved):
+    """They are moved first."""
+    others = [can for can in cans if can is not cans[2]]
+    tight = at_positions(on_rows(others), [0.05 + x for x in apart])
     plan = plan_further_sort([cans[2]], tight, (LINE,), LINE, arm)
-    if not is_sorted_anew:
-        assert not plan.placements and plan.left_out.keys() == {cans[2].name}
-        return
-    moved = {goal.name for goal in plan.placements} & tight.keys()
-    assert not plan.left_out and cans[2].name in {goal.name for goal in plan.placements}
-    assert 0 < len(moved) <= MOST_MOVED
-    assert (np.diff(along(plan, tight)) >= 0.06 + 0.03 - STAYS - 1e-9).all()
-    for goal in plan.placements:
-        if goal.name in moved:
-            apart = np.array(goal.position[:2]) - tight[goal.name].T_world_stand[:2, 3]
-            assert np.linalg.norm(apart) >= STAYS
+    *moved, last = [goal.name for goal in plan.placements]
+    assert last == cans[2].name and len(moved) == n_moved <= MOST_MOVED and not plan.left_out
+    assert plan.lines == (LINE,) and set(moved) <= tight.keys()
+    assert (np.diff(along(plan, tight)) >= 0.06 + 0.03 - 0.005 - 1e-9).all()
+
+
+@pytest.mark.parametrize("late", range(5))
+def test_where_the_rows_are_full_there_is_another_one_before_or_after_them(cans, arm, late):
+    """The others stay in their row, but for two at most."""
+    others = [can for k, can in enumerate(cans) if k != late]
+    line = Line((0.60, 0.16), (0.60, 0.50))
+    placed = at_positions(on_rows(others), [0.03, 0.12, 0.21, 0.30], line)
+    plan = plan_further_sort([cans[late]], placed, (line,), line, arm)
+    assert not plan.left_out and len(plan.lines) == 2 and line in plan.lines
+    assert len({goal.name for goal in plan.placements} & placed.keys()) <= MOST_MOVED
+    goals = {goal.name: goal.position for goal in plan.placements}
+    places = {name: goals.get(name, item.T_world_stand[:3, 3]) for name, item in plan.objects.items()}
+    there = {
+        name: replace(item, T_world_stand=pose_from_yaw(0.0, np.array(places[name])))
+        for name, item in plan.objects.items()
+    }
+    assert out_of_order(there, plan.lines) == set()
+    away = [np.linalg.norm(there[a].T_world_stand[:2, 3] - there[b].T_world_stand[:2, 3])
+            for a, b in combinations(there, 2)]  # fmt: skip
+    assert min(away) >= 0.06 + 0.03 - 1e-9
+
+
+def test_on_each_side_of_the_line_there_is_one_row_at_most(cans, arm):
+    line, sides = Line((0.45, 0.2), (0.45, 0.46)), ((0.60, 0.2), (0.30, 0.2))
+    beyond, near = (Line(start, (start[0], 0.46)) for start in sides)
+    for lines, n_rows in (((line,), 2), ((line, beyond), 3), ((near, line, beyond), 3)):
+        placed = {}
+        for row in lines:
+            some = [replace(can, id=can.id + 10 * len(placed)) for can in cans[1:4]]
+            placed |= at_positions(on_rows(some), [0.03, 0.12, 0.21], row)
+        plan = plan_further_sort([cans[0]], placed, lines, line, arm)
+        assert len(plan.lines) == n_rows if not plan.left_out else len(plan.lines) == len(lines)
 
 
 def test_what_fits_nowhere_is_left_out_and_nothing_is_moved(cans, arm):
     short = Line((0.60, 0.2), (0.60, 0.46))
     placed = on_rows(cans[:2], short)
-    many = [replace(can, id=10 + k) for k, can in enumerate(cans * 6)]
+    many = [replace(can, id=10 + k) for k, can in enumerate(cans * 3)]
     plan = plan_further_sort(many, placed, (short,), short, arm)
     assert plan.left_out and all("no room" in reason for reason in plan.left_out.values())
     assert not {goal.name for goal in plan.placements} & placed.keys()
-
-
-def _point(position):
-    return np.array(LINE.start) + position * LINE.direction
 
 
 def test_as_few_as_possible_are_out_of_order(cans):
