@@ -17,7 +17,9 @@ from perception.types import SupportPlane
 if TYPE_CHECKING:
     from app.task.task_types import TaskResult
 
-CHANGED = 0.002  # [m] between the sizes before and after, from which on the new one counts
+# [m] between the sizes before and after, from which on the new one counts: of what was partly hidden, and of
+# what stood free, which was measured in more images.
+CHANGED, CLEARLY_CHANGED = 0.002, 0.006
 
 
 def partly_hidden(result: TaskResult) -> set[int]:
@@ -31,24 +33,22 @@ def partly_hidden(result: TaskResult) -> set[int]:
     }
 
 
-def with_sizes_measured(result: TaskResult, ids: Collection[int], perception: Perception) -> TaskResult:
-    """Return the results with the shapes of some placed objects as the images of the rows show them.
+def with_sizes_measured(result: TaskResult, hidden: Collection[int], perception: Perception) -> TaskResult:
+    """Return the results with the shapes of the placed objects as the images of the rows show them.
 
     Args:
-        result: Results with images of the rows and the checks made in them.
-        ids: Objects to measure.
+        result: Results with images of the rows.
+        hidden: Objects that were partly hidden where they were found.
         perception: The networks.
     """
     plane, placed = SupportPlane(), placed_estimates(result)
-    # What is much higher than estimated is not seen where it is.
-    seen = {id for id in ids if id in result.checks and result.checks[id].status != "hidden"}
     found = remeasured(
-        {id: placed[id] for id in seen},
-        [estimate for id, estimate in placed.items() if id not in seen],
+        placed,
         result.final_frames,
         plane,
         perception.detector,
         perception.decoder,
     )
-    changed = {id: e for id, e in found.items() if abs(e.size - placed[id].size) > CHANGED}
+    least = {id: CHANGED if id in hidden else CLEARLY_CHANGED for id in found}
+    changed = {id: e for id, e in found.items() if abs(e.size - placed[id].size) > least[id]}
     return with_new_names(result, changed, plane) if changed else result

@@ -9,6 +9,7 @@ from collections.abc import Mapping, Sequence
 from dataclasses import replace
 
 import numpy as np
+from jaxtyping import Bool
 
 from perception.depth_cleaning import clean_frame
 from perception.detection.completion import Completer
@@ -27,17 +28,17 @@ NEAR = 0.02  # [m] between the axes of the estimates before and after
 
 def remeasured(
     estimates: Mapping[int, ObjectEstimate],
-    others: Sequence[ObjectEstimate],
     frames: Sequence[RgbdFrame],
     plane: SupportPlane,
     network: Completer,
     decoder: Decoder,
 ) -> dict[int, ObjectEstimate]:
-    """Return upright objects as further images show them, by id; those that cannot be fitted are missing.
+    """Return upright objects as further images show them, by id.
+
+    Those that no image shows whole, or that cannot be fitted, are missing.
 
     Args:
         estimates: Objects that stand on the plane, at their poses, by id.
-        others: Objects beside them.
         frames: Images of them, with camera poses.
         plane: Support plane.
         network: Predicts the yaw of mugs.
@@ -47,9 +48,10 @@ def remeasured(
     points = [points_of(view, view.depth > 0) for view in views]
     masks: list[list[ObjectDetection]] = [[] for _ in views]
     for id, estimate in sorted(estimates.items()):
-        beside = [*others, *(other for key, other in estimates.items() if key != id)]
+        beside = [other for key, other in estimates.items() if key != id]
         for k, mask in standing_masks(estimate, views, points, plane, beside, MARGINS).items():
-            masks[k].append(ObjectDetection(estimate.category, 1.0, mask, instance_id=id))
+            if not _is_cut(mask):  # a tall object would become a lower one
+                masks[k].append(ObjectDetection(estimate.category, 1.0, mask, instance_id=id))
     rows = [network.complete(view, plane, row) for view, row in zip(views, masks)]
     found = {e.id: e for e in reconstruct(frames, rows, decoder, plane)}
     return {
@@ -59,3 +61,8 @@ def remeasured(
         and np.linalg.norm((e.T_world_object - estimates[id].T_world_object)[:2, 3]) < NEAR
         and unexplained(instance_points(views, rows, id), [e]) < MOST_UNEXPLAINED
     }
+
+
+def _is_cut(mask: Bool[np.ndarray, "h w"]) -> bool:
+    """Return whether a mask reaches the border of the image."""
+    return bool(mask[[0, -1]].any() or mask[:, [0, -1]].any())

@@ -7,16 +7,14 @@ import pytest
 
 from app.task import row_order
 from app.task.rounds import placed_estimates, placed_items
-from app.task.row_order import CHANGED, partly_hidden, with_sizes_measured
+from app.task.row_order import CHANGED, CLEARLY_CHANGED, partly_hidden, with_sizes_measured
 from app.task.task_types import TaskResult
 from manipulation.types import ObjectOutcome
 from perception.geometry import pose_from_yaw
-from perception.inference.refit import PoseCheck
 from perception.pipeline import Perception
 from perception.types import TriangleMesh
 
 AT = pose_from_yaw(0.4, np.array([0.5, 0.25, 0.0]))
-CHECK = PoseCheck(np.eye(4), "seen", 0.9, 5000, 0.0, 0.0)
 
 
 @pytest.fixture
@@ -36,7 +34,7 @@ def result(can_at, pack_plan):
     ]
     objects = [replace(can_at(0), resting="lying"), can_at(1, 0.5)]
     plan = replace(pack_plan, task="sort", box=None)
-    return TaskResult(objects=objects, plan=plan, outcomes=outcomes, checks={0: CHECK, 1: CHECK})
+    return TaskResult(objects=objects, plan=plan, outcomes=outcomes)
 
 
 def test_what_lay_stood_on_something_or_carried_something_was_partly_hidden(result, can_at):
@@ -49,37 +47,38 @@ def test_what_lay_stood_on_something_or_carried_something_was_partly_hidden(resu
     assert partly_hidden(replace(result, outcomes=failed)) == set()
 
 
-@pytest.mark.parametrize(("change", "is_new"), [(2.0, True), (0.4, False)])
+@pytest.mark.parametrize(
+    ("change", "hidden", "is_new"),
+    [
+        (1.2 * CHANGED, {0}, True),
+        (0.8 * CHANGED, {0}, False),
+        (0.9 * CLEARLY_CHANGED, {1}, False),
+        (1.2 * CLEARLY_CHANGED, {1}, True),
+    ],
+)
 def test_a_size_that_changes_is_that_of_the_object_from_then_on(
-    result, networks, monkeypatch, change, is_new
+    result, networks, monkeypatch, change, hidden, is_new
 ):
+    """Of what stood free, it changes by more."""
     asked = []
 
-    def remeasured(estimates, others, frames, plane, network, decoder):
-        asked.append((set(estimates), [e.id for e in others], network, decoder))
-        mesh = estimates[0].mesh
-        scale = np.array([1.0, 1.0, 1.0 + 2 * change * CHANGED / 0.1])  # half of it above the middle
-        taller = TriangleMesh(mesh.vertices * scale, mesh.faces)
-        return {0: replace(estimates[0], mesh=taller, resting="upright")}
+    def remeasured(estimates, frames, plane, network, decoder):
+        asked.append((set(estimates), network, decoder))
+        before = estimates[0]
+        height = np.sqrt((before.size + change) ** 2 - 0.07**2)
+        taller = TriangleMesh(before.mesh.vertices * (1.0, 1.0, height / 0.1), before.mesh.faces)
+        return {0: replace(before, mesh=taller, resting="upright")}
 
     monkeypatch.setattr(row_order, "remeasured", remeasured)
-    measured = with_sizes_measured(result, {0}, networks)
-    assert asked == [({0}, [1], "detector", "decoder")]
+    measured = with_sizes_measured(result, hidden, networks)
+    assert asked == [({0, 1}, "detector", "decoder")]
     if not is_new:
         assert measured is result
         return
     now = placed_estimates(measured)[0]
-    assert now.size > placed_estimates(result)[0].size + CHANGED
+    assert now.size == pytest.approx(placed_estimates(result)[0].size + change)
     assert placed_items(measured)["can_0"].size == now.size
     assert measured.objects[0].resting == "lying" and measured.objects[1] is result.objects[1]
     np.testing.assert_allclose(
         measured.objects[0].T_world_object, result.objects[0].T_world_object, atol=1e-9
     )
-
-
-def test_what_is_not_seen_is_not_measured(result, networks, monkeypatch):
-    asked = []
-    monkeypatch.setattr(row_order, "remeasured", lambda estimates, *_: asked.append(set(estimates)) or {})
-    for checks in ({0: replace(CHECK, status="hidden")}, {1: CHECK}):
-        assert with_sizes_measured(replace(result, checks=checks), {0}, networks).plan is result.plan
-    assert asked == [set(), set()]
