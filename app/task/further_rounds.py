@@ -100,7 +100,7 @@ class FurtherRounds:
             return result, []
         self._remeasured |= hidden
         with stages.observer.stage("verify"):
-            result = with_sizes_measured(result, hidden, stages.perception)
+            result = with_sizes_measured(result, hidden, stages.perception, stages.look_at)
         wrong = out_of_order(placed_items(result), self._lines(result))
         standing = (e for _, e in sorted(placed_estimates(result).items()) if e.name in wrong)
         return result, [replace(estimate, resting="upright", rests_on=None) for estimate in standing]

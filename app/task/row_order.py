@@ -5,18 +5,20 @@ Of what lay, stood in or on something else, or carried something, a part was hid
 
 from __future__ import annotations
 
-from collections.abc import Collection
+from collections.abc import Callable, Sequence, Set
 from typing import TYPE_CHECKING
 
 from app.task.nests import with_new_names
 from app.task.rounds import placed_estimates
 from perception.inference.remeasuring import remeasured
 from perception.pipeline import Perception
-from perception.types import SupportPlane
+from perception.types import RgbdFrame, SupportPlane
 
 if TYPE_CHECKING:
     from app.task.task_types import TaskResult
 
+Look = Callable[[Sequence[tuple[float, float]]], Sequence[RgbdFrame]]  # from places (x, y) [m] to images
+MOST_CLOSER = 3  # objects that are looked at from nearby
 # [m] between the sizes before and after, from which on the new one counts: of what was partly hidden, and of
 # what stood free, which was measured in more images.
 CHANGED, CLEARLY_CHANGED = 0.002, 0.006
@@ -33,22 +35,25 @@ def partly_hidden(result: TaskResult) -> set[int]:
     }
 
 
-def with_sizes_measured(result: TaskResult, hidden: Collection[int], perception: Perception) -> TaskResult:
+def with_sizes_measured(
+    result: TaskResult, hidden: Set[int], perception: Perception, look: Look
+) -> TaskResult:
     """Return the results with the shapes of the placed objects as the images of the rows show them.
 
     Args:
         result: Results with images of the rows.
         hidden: Objects that were partly hidden where they were found.
         perception: The networks.
+        look: Takes images of the objects among them that no image of the rows shows whole.
     """
     plane, placed = SupportPlane(), placed_estimates(result)
-    found = remeasured(
-        placed,
-        result.final_frames,
-        plane,
-        perception.detector,
-        perception.decoder,
-    )
+    networks = perception.detector, perception.decoder
+    found = remeasured(placed, result.final_frames, plane, *networks)
+    cut = sorted(hidden - found.keys())[:MOST_CLOSER]
+    if cut:
+        frames = look([(float(x), float(y)) for x, y in (placed[id].T_world_object[:2, 3] for id in cut)])
+        closer = remeasured(placed, frames, plane, *networks)
+        found |= {id: closer[id] for id in cut if id in closer}
     least = {id: CHANGED if id in hidden else CLEARLY_CHANGED for id in found}
     changed = {id: e for id, e in found.items() if abs(e.size - placed[id].size) > least[id]}
     return with_new_names(result, changed, plane) if changed else result

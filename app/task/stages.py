@@ -86,8 +86,13 @@ class Stages:
 
     def capture_nearby(self, places: Sequence[tuple[float, float]]) -> list[RgbdFrame]:
         """Take images of places (x, y) [m] on the table from nearby; none if they are out of reach."""
+        with self.observer.stage("scan"):
+            return self.look_at(places)
+
+    def look_at(self, places: Sequence[tuple[float, float]]) -> list[RgbdFrame]:
+        """Take the same images within another stage."""
         viewpoints = [v for x, y in places for v in self._space.closeup_viewpoints(x, y)]
-        with self.observer.stage("scan"), contextlib.suppress(PlanningError):
+        with contextlib.suppress(PlanningError):
             return self.scanner.capture(viewpoints, on_frame=self.observer.on_image) if viewpoints else []
         return []
 

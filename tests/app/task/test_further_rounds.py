@@ -272,7 +272,7 @@ def sorted_cans(stages, can_at, pack_plan):
         executed.append(plan)
         return outcomes if len(executed) == 1 else [replace(outcomes[1], attempts=2)]
 
-    def with_sizes_measured(result, ids, perception):
+    def with_sizes_measured(result, ids, perception, look):
         measured.append(set(ids))
         items = dict(result.plan.objects)
         items["can_1"] = replace(items["can_1"], size=items["can_0"].size - 0.02)

@@ -70,8 +70,8 @@ def test_a_size_that_changes_is_that_of_the_object_from_then_on(
         return {0: replace(before, mesh=taller, resting="upright")}
 
     monkeypatch.setattr(row_order, "remeasured", remeasured)
-    measured = with_sizes_measured(result, hidden, networks)
-    assert asked == [({0, 1}, "detector", "decoder")]
+    measured = with_sizes_measured(result, hidden, networks, lambda places: [])
+    assert asked[0] == ({0, 1}, "detector", "decoder")
     if not is_new:
         assert measured is result
         return
@@ -82,3 +82,19 @@ def test_a_size_that_changes_is_that_of_the_object_from_then_on(
     np.testing.assert_allclose(
         measured.objects[0].T_world_object, result.objects[0].T_world_object, atol=1e-9
     )
+
+
+def test_what_no_image_of_the_rows_shows_whole_is_looked_at_from_nearby(result, networks, monkeypatch):
+    """If it was partly hidden before."""
+    looked, used = [], []
+
+    def remeasured(estimates, frames, *_):
+        used.append(list(frames))
+        return {1: estimates[1]} if len(used) == 1 else {0: estimates[0], 1: estimates[1]}
+
+    monkeypatch.setattr(row_order, "remeasured", remeasured)
+    for hidden, n_used in ((set(), 1), ({1}, 1), ({0}, 2)):
+        used.clear()
+        with_sizes_measured(result, hidden, networks, lambda places: looked.extend(places) or ["near"])
+        assert len(used) == n_used
+    assert used == [[], ["near"]] and looked == [pytest.approx(AT[:2, 3].tolist())]
