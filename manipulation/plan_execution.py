@@ -229,16 +229,21 @@ class PlanExecution:
             raise GraspFailedError(f"{' and '.join(stuck)} was lifted with {plan.name}")
 
     def _carriers(self, plan: PickPlacePlan) -> tuple[str, ...]:
-        """Return the names of the objects in or on which an object of a plan stands."""
+        """Return the names of the objects in or on which an object of a plan stands.
+
+        The floor of a bowl is thin: what stands in one may be estimated to stand as low.
+        """
         poses, items = self.planner.poses(), self.planner.items
         place = poses[plan.name][:3, 3]
 
-        def is_below(name: str) -> bool:
+        def carries(name: str) -> bool:
             apart = poses[name][:3, 3] - place
             outline = np.linalg.norm(items[name].vertices[:, :2], axis=1).max()
-            return bool(apart[2] < -_ABOVE and np.linalg.norm(apart[:2]) < outline)
+            is_bowl = items[name].category == "bowl" and not lies(poses[name])
+            return bool(apart[2] < (_ABOVE if is_bowl else -_ABOVE) and np.linalg.norm(apart[:2]) < outline)
 
-        return tuple(name for name in poses if is_below(name))
+        others = poses.keys() - {plan.name, *plan.contents}
+        return tuple(name for name in poses if name in others and carries(name))
 
     def push(self, push: Push) -> None:
         """Push an object along the table with the closed hand; its pose is as expected then.

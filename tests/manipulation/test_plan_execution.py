@@ -126,6 +126,27 @@ def test_what_an_object_stood_in_is_put_back_with_it(shapes, arm, lifted):
     np.testing.assert_array_equal(planner.world.pose("bowl_1"), raised)
 
 
+@pytest.mark.parametrize(
+    ("category", "x", "is_asked"), [("bowl", 0.51, True), ("mug", 0.55, False), ("bowl", 0.35, False)]
+)
+def test_a_bowl_carries_what_is_estimated_to_stand_as_low(item, plan, arm, shapes, category, x, is_asked):
+    """Not what stands beside it, nor a mug what is within the reach of its handle."""
+    mesh = shapes.bowl(0.08, 0.04) if category == "bowl" else shapes.mug()
+    other = to_standing(shapes.estimate(2, category, mesh, x, -0.25))
+    planner = PickPlacePlanner(Kinematics(arm), {"can_1": item, other.name: other}, config=CONFIG.pick_place)
+    looked = []
+
+    class Observer(FakeObserver):
+        def glance(self, poses, names):
+            looked.append(tuple(names))
+            return {}
+
+    robot = FakeRobot(arm, [plan.grasp.held_width])
+    execution = PlanExecution(robot, planner, Observer(), CONFIG, lambda *args, **options: None)
+    execution.run(plan, looks_first=False)
+    assert ((other.name,) in looked) is is_asked
+
+
 @pytest.mark.parametrize("side", [0, 1])
 def test_widths_outside_the_range_are_no_grasp(cell, plan, side):
     width = plan.grasp.closed_width[side] + (2 * side - 1) * 0.0005
