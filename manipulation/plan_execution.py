@@ -7,10 +7,12 @@ was expected before the grasp and after the release.
 from __future__ import annotations
 
 import logging
+from collections.abc import Mapping, Sequence
 from typing import Literal, Protocol, runtime_checkable
 
 import numpy as np
 from jaxtyping import Bool, Float
+from scipy.spatial import KDTree
 
 from manipulation.errors import (
     ApproachBlockedError,
@@ -35,6 +37,8 @@ from perception.geometry import invert, transform_points
 logger = logging.getLogger(__name__)
 
 _ABOVE = 0.003  # [m] by which the base of an object is above that of one that carries it, at least
+_BESIDE = 0.02  # [m] from a lifted object, from which on a measured point is not of it
+_HANGING = 1000  # of these points, from which on something hangs on it
 _INSIDE = 0.004  # [m] by which a point is in the way of the hand at least, which covers noise
 _SLIP = 0.005  # [m] by which the fingers close further during the lift, from which on they lose an object
 # [m] from its goal, from which on a released object is grasped again: in a box, and in a row.
@@ -219,14 +223,39 @@ class PlanExecution:
             return
         kinematics, positions = self.planner.kinematics, plan.lift.positions
         lift = kinematics.forward(positions[-1]) @ np.linalg.inv(kinematics.forward(positions[0]))
-        poses = dict(self.planner.poses())
-        for name in (plan.name, *plan.contents, *below):
-            poses[name] = lift @ poses[name]
-        seen = self.observer.glance(poses, below)
+        now = dict(self.planner.poses())
+        for name in (plan.name, *plan.contents):
+            now[name] = lift @ now[name]
+        seen = self.observer.glance(now | {name: lift @ now[name] for name in below}, below)
         stuck = [name for name in below if seen.get(name) == "in_place"]
-        if stuck:
+        if stuck or self._hangs_on(plan.name, below, now):
             self.robot.follow(plan.lift.reversed())
-            raise GraspFailedError(f"{' and '.join(stuck)} was lifted with {plan.name}")
+            raise GraspFailedError(f"{' and '.join(stuck or below)} was lifted with {plan.name}")
+
+    def _hangs_on(
+        self, name: str, below: Sequence[str], poses: Mapping[str, Float[np.ndarray, "4 4"]]
+    ) -> bool:
+        """Return whether what was below a lifted object is no longer there, and something is beside that.
+
+        A bowl that hangs on the handle of the mug in it is tilted.
+
+        Args:
+            name: the object.
+            below: names of what it stood in or on.
+            poses: poses of all objects if nothing else was lifted.
+        """
+        if "in_place" in self.observer.glance(poses, tuple(below)).values():
+            return False
+        items = self.planner.items
+        own = KDTree(transform_points(poses[name], items[name].vertices))
+        reach = max(np.linalg.norm(items[other].vertices, axis=1).max() for other in below)
+
+        def is_beside(points: Float[np.ndarray, "n 3"]) -> Bool[np.ndarray, "n"]:
+            apart = own.query(points, distance_upper_bound=reach)[0]
+            return (apart > _BESIDE) & np.isfinite(apart) & (points[:, 2] > own.mins[2] - _BESIDE)
+
+        unknown = self.observer.unexpected(poses, self.planner.perceived_obstacles, is_beside)
+        return len(unknown) >= _HANGING
 
     def _carriers(self, plan: PickPlacePlan) -> tuple[str, ...]:
         """Return the names of the objects in or on which an object of a plan stands.

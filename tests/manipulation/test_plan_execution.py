@@ -127,6 +127,42 @@ def test_what_an_object_stood_in_is_put_back_with_it(shapes, arm, lifted):
 
 
 @pytest.mark.parametrize(
+    ("presence", "n_beside", "is_raised"),
+    [("displaced", 1500, True), ("unseen", 1500, True), ("in_place", 1500, False), ("displaced", 500, False)],
+)
+def test_a_bowl_that_hangs_on_what_stood_in_it_is_put_back(
+    item, plan, arm, shapes, presence, n_beside, is_raised
+):
+    """It is tilted, and nowhere where it is looked for."""
+    bowl = to_standing(shapes.estimate(2, "bowl", shapes.bowl(0.08, 0.04), 0.5, -0.25))
+    planner = PickPlacePlanner(Kinematics(arm), {"can_1": item, "bowl_2": bowl}, config=CONFIG.pick_place)
+    forward = planner.kinematics.forward
+    risen = (forward(plan.lift.positions[-1]) - forward(plan.lift.positions[0]))[:3, 3]
+    beside = item.T_world_stand[:3, 3] + risen + np.array([0.0, 0.06, 0.01])
+    far = beside + np.array([0.0, 0.3, 0.0])
+
+    class Observer(FakeObserver):
+        def glance(self, poses, names):
+            is_there = np.allclose(poses["bowl_2"], bowl.T_world_stand)
+            return {name: presence if is_there else "unseen" for name in names}
+
+        def unexpected(self, poses, obstacles, region):
+            if poses["can_1"][2, 3] < risen[2] / 2:  # on the way to it
+                return np.zeros((0, 3))
+            points = np.repeat([beside, far, item.T_world_stand[:3, 3]], (n_beside, 2000, 2000), axis=0)
+            return points[region(points)]
+
+    robot = FakeRobot(arm, [plan.grasp.held_width])
+    execution = PlanExecution(robot, planner, Observer(), CONFIG, lambda *args, **options: None)
+    if not is_raised:
+        execution.run(plan, looks_first=False)
+        return
+    with pytest.raises(GraspFailedError, match="bowl_2 was lifted with can_1"):
+        execution.run(plan, looks_first=False)
+    assert robot.q == pytest.approx(plan.lift.positions[0]), "where it was grasped"
+
+
+@pytest.mark.parametrize(
     ("category", "x", "is_asked"), [("bowl", 0.51, True), ("mug", 0.55, False), ("bowl", 0.35, False)]
 )
 def test_a_bowl_carries_what_is_estimated_to_stand_as_low(item, plan, arm, shapes, category, x, is_asked):
