@@ -12,6 +12,7 @@ from dataclasses import replace
 import numpy as np
 
 from app.task.fallen import fallen_objects, items_left, left_in_box
+from app.task.further_views import MOST_CLOSER
 from app.task.nests import with_bowls_named
 from app.task.obstacles import bounds_of, filled_bounds, known_bounds, obstacles_during, table_of
 from app.task.rounds import (
@@ -45,8 +46,6 @@ from perception.pipeline import Detections
 from perception.types import ObjectEstimate
 
 logger = logging.getLogger(__name__)
-
-MOST_CLOSER = 3  # objects that are looked at from nearby before another round
 
 
 class FurtherRounds:

@@ -1,8 +1,10 @@
-"""Whether the scan needs a further image, and from where."""
+"""Whether the scan needs further images, and from where."""
 
 from __future__ import annotations
 
 from collections.abc import Sequence
+
+import numpy as np
 
 from manipulation.errors import PlanningError
 from manipulation.grasps import grasp_candidates
@@ -11,8 +13,13 @@ from manipulation.planner import ManipulationConfig
 from manipulation.robot import ArmDescription
 from manipulation.standing import to_standing
 from manipulation.viewpoints import Viewpoint
-from perception.types import ObjectEstimate, RejectedObject
+from perception.geometry import invert, transform_points
+from perception.types import ObjectEstimate, RejectedObject, RgbdFrame
 
+WHOLE = 0.98  # share of an object's vertices within an image, from which on that shows it whole
+BORDER = 8  # [pixels] of the image beside which they are not within it
+VIEWS = 2  # that show it whole, at least, if there are as many
+MOST_CLOSER = 3  # objects that are looked at from nearby at a time
 WORTH_A_LOOK = 0.1  # least score of an object that was rejected: other images may show what it is
 
 
@@ -46,3 +53,34 @@ def most_useful_viewpoint(
     if found is None and any(item.score >= WORTH_A_LOOK for item in rejected):
         return viewpoints[0]
     return found
+
+
+def cut_by_borders(
+    objects: Sequence[ObjectEstimate], frames: Sequence[RgbdFrame]
+) -> list[tuple[float, float]]:
+    """Return the places (x, y) [m] of the objects that fewer than ``VIEWS`` images show whole.
+
+    Of a bottle whose body is beyond the border in most of them the neck may be taken for its body.
+
+    Args:
+        objects: Object map.
+        frames: Images with camera poses.
+    """
+    least = min(VIEWS, len(frames))
+    cut = [e for e in objects if sum(_shows_whole(frame, e) for frame in frames) < least]
+    return [(float(x), float(y)) for x, y in (_middle(e) for e in cut)]
+
+
+def _shows_whole(frame: RgbdFrame, estimate: ObjectEstimate) -> bool:
+    assert frame.T_world_camera is not None
+    camera = frame.intrinsics
+    points = transform_points(invert(frame.T_world_camera), estimate.mesh_world.vertices)
+    depth = np.maximum(points[:, 2], 1e-6)
+    u, v = camera.fx * points[:, 0] / depth + camera.cx, camera.fy * points[:, 1] / depth + camera.cy
+    inside = (u > BORDER) & (u < camera.width - BORDER) & (v > BORDER) & (v < camera.height - BORDER)
+    return bool((inside & (points[:, 2] > 0)).mean() > WHOLE)
+
+
+def _middle(estimate: ObjectEstimate) -> np.ndarray:
+    vertices = estimate.mesh_world.vertices
+    return (vertices.min(axis=0) + vertices.max(axis=0))[:2] / 2

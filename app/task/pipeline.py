@@ -45,10 +45,10 @@ def run(
             detections = stages.detect(frames, known_bounds(request.box))
             result = replace(result, detections=detections)
             observer.on_detections(detections)
-            result, viewpoint = stages.reconstruct(result, starts)
-            if viewpoint is None:
+            result, viewpoints = stages.reconstruct(result, starts)
+            if not viewpoints:
                 break
-            frames, starts = [*frames, *stages.capture_further(viewpoint)], result.objects
+            frames, starts = [*frames, *stages.capture_further(viewpoints)], result.objects
         if request.perceive_only:
             return replace(result, timings=dict(observer.timings))
         with observer.stage("plan"):

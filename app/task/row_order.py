@@ -8,6 +8,7 @@ from __future__ import annotations
 from collections.abc import Callable, Sequence, Set
 from typing import TYPE_CHECKING
 
+from app.task.further_views import MOST_CLOSER
 from app.task.nests import with_new_names
 from app.task.rounds import placed_estimates
 from perception.inference.remeasuring import remeasured
@@ -18,7 +19,6 @@ if TYPE_CHECKING:
     from app.task.task_types import TaskResult
 
 Look = Callable[[Sequence[tuple[float, float]]], Sequence[RgbdFrame]]  # from places (x, y) [m] to images
-MOST_CLOSER = 3  # objects that are looked at from nearby
 # [m] between the sizes before and after, from which on the new one counts: of what was partly hidden, and of
 # what stood free, which was measured in more images.
 CHANGED, CLEARLY_CHANGED = 0.002, 0.006

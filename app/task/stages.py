@@ -11,7 +11,7 @@ import numpy as np
 from jaxtyping import Float
 
 from app.task.fallen import LEANING
-from app.task.further_views import most_useful_viewpoint
+from app.task.further_views import MOST_CLOSER, cut_by_borders, most_useful_viewpoint
 from app.task.observation import WristObserver
 from app.task.obstacles import (
     beside_box,
@@ -65,6 +65,7 @@ class Stages:
         self.settings = self._space.adapted(request.manipulation)
         uses_deviations = request.uncertainty and request.reconstruction is None
         self.latest: list[ObjectOutcome] = []
+        self._looked_closer = False
         self._left = list(self._space.further_viewpoints(request.scan_views)) if uses_deviations else []
         self.scanner = ViewpointScanner(
             robot, self.kinematics, keep_out=self._space.keep_out, via_heights=self._space.via_heights
@@ -91,7 +92,7 @@ class Stages:
 
     def look_at(self, places: Sequence[tuple[float, float]]) -> list[RgbdFrame]:
         """Take the same images within another stage."""
-        viewpoints = [v for x, y in places for v in self._space.closeup_viewpoints(x, y)]
+        viewpoints = self._closeups(places)
         with contextlib.suppress(PlanningError):
             return self.scanner.capture(viewpoints, on_frame=self.observer.on_image) if viewpoints else []
         return []
@@ -113,11 +114,11 @@ class Stages:
 
     def reconstruct(
         self, result: TaskResult, starts: Sequence[ObjectEstimate]
-    ) -> tuple[TaskResult, Viewpoint | None]:
+    ) -> tuple[TaskResult, Sequence[Viewpoint]]:
         """Estimate the objects in the images so far, and what is beside them.
 
         Returns:
-            The results with them, or, where another image is needed first, its viewpoint.
+            The results with them, or, where other images are needed first, their viewpoints.
         """
         request, observer, detections = self.request, self.observer, result.detections
         assert detections is not None
@@ -126,27 +127,38 @@ class Stages:
             prior = prior_reconstruction(self.perception, observer, starts=starts)
             objects = (request.reconstruction or prior)(result.frames, detections)
             result = replace(result, objects=objects, rejected=tuple(observer.rejected))
-            viewpoint = self._further_viewpoint(result)
-            if viewpoint is None:
+            viewpoints = self._further_viewpoints(result)
+            if not viewpoints:
                 observer.on_objects(objects)
                 obstacles = obstacles_beside(objects, result.frames, detections, request.box, self.robot.arm)
                 result = replace(result, obstacles=obstacles)
                 observer.on_obstacles(obstacles)
-        return result, viewpoint
+        return result, viewpoints
 
-    def _further_viewpoint(self, result: TaskResult) -> Viewpoint | None:
-        """Return the viewpoint of an image that uncertain objects need; None without, or if none is left."""
-        if not self._left:
-            return None
-        arm = self.robot.arm
-        return most_useful_viewpoint(result.objects, result.rejected, self._left, arm, self.settings)
+    def _further_viewpoints(self, result: TaskResult) -> Sequence[Viewpoint]:
+        """Return the viewpoint of an image that uncertain objects need, or, once, those of what borders cut.
 
-    def capture_further(self, viewpoint: Viewpoint) -> list[RgbdFrame]:
-        """Take an image from a viewpoint that is left; none if it is out of reach."""
-        self._left.remove(viewpoint)
+        None if nothing needs one, or none is left.
+        """
+        if self._left:
+            arm = self.robot.arm
+            found = most_useful_viewpoint(result.objects, result.rejected, self._left, arm, self.settings)
+            if found is not None:
+                return (found,)
+        if self._looked_closer or self.request.reconstruction is not None:
+            return ()
+        self._looked_closer = True
+        return self._closeups(cut_by_borders(result.objects, result.frames)[:MOST_CLOSER])
+
+    def capture_further(self, viewpoints: Sequence[Viewpoint]) -> list[RgbdFrame]:
+        """Take images from further viewpoints; none if they are out of reach."""
+        self._left = [viewpoint for viewpoint in self._left if viewpoint not in viewpoints]
         with self.observer.stage("scan"), contextlib.suppress(PlanningError):
-            return self.scanner.capture([viewpoint], on_frame=self.observer.on_image, as_before=True)
+            return self.scanner.capture(viewpoints, on_frame=self.observer.on_image, as_before=True)
         return []
+
+    def _closeups(self, places: Sequence[tuple[float, float]]) -> list[Viewpoint]:
+        return [v for x, y in places for v in self._space.closeup_viewpoints(x, y)]
 
     def detect(self, frames: Sequence[RgbdFrame], known: Float[np.ndarray, "k 2 3"]) -> Detections:
         """Detect objects on the table besides known geometry, of which the bounds [m] are given."""

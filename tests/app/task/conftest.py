@@ -172,6 +172,7 @@ def stages(monkeypatch, overhead_frame, can_at, pack_plan):
     stage("execute", outcomes)
     stage("refit_pose", SEEN)
     replace("with_bowls_named", lambda result, *args: result)
+    replace("cut_by_borders", lambda *args: [])
     perception = object.__new__(Perception)
     object.__setattr__(perception, "detector", DETECTOR)
     object.__setattr__(perception, "decoder", "decoder")

@@ -5,10 +5,10 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
-from app.task.further_views import most_useful_viewpoint
+from app.task.further_views import BORDER, cut_by_borders, most_useful_viewpoint
 from manipulation.planner import ManipulationConfig
 from manipulation.viewpoints import further_viewpoints, scan_viewpoints
-from perception.types import RejectedObject
+from perception.types import CameraIntrinsics, RejectedObject, RgbdFrame
 from sim_assets.robots import panda
 
 LEFT = further_viewpoints(2)
@@ -44,3 +44,31 @@ def test_a_rejected_object_is_looked_at_again_if_it_may_be_one(choose, score, fo
 def test_viewpoints_are_those_that_the_scan_lacks():
     assert set(LEFT) | set(scan_viewpoints(2)) == set(scan_viewpoints(6)) and len(LEFT) == 4
     assert further_viewpoints(6) == () and further_viewpoints(1)[0] in scan_viewpoints(2)
+
+
+CAMERA = CameraIntrinsics(320, 240, 300.0, 300.0, 159.5, 119.5)
+
+
+def seen_from(x):
+    """An image from above (x, -0.2), 0.6 m over the table; what stands there is in its middle."""
+    T = np.diag([1.0, -1.0, -1.0, 1.0])
+    T[:3, 3] = x, -0.2, 0.6
+    depth = np.ones((CAMERA.height, CAMERA.width), np.float32)
+    return RgbdFrame(0.0, np.zeros((*depth.shape, 3), np.uint8), depth, CAMERA, T)
+
+
+def test_what_fewer_than_two_images_show_whole_is_cut(can_at):
+    """A can of 0.1 m height and 35 mm radius: its top is 0.5 m below the camera."""
+    can = can_at(0, 0.4)
+    whole = 0.5 * (160 - BORDER) / 300 - 0.035  # [m] from the middle of the image
+    inside, outside = seen_from(0.4 + whole - 0.005), seen_from(0.4 + whole + 0.01)
+    assert cut_by_borders([can], [inside, seen_from(0.4), outside]) == []
+    assert cut_by_borders([can], [inside, outside, outside]) == [pytest.approx((0.4, -0.2))]
+    assert cut_by_borders([can], [inside]) == [] and len(cut_by_borders([can], [outside])) == 1
+
+
+def test_what_is_behind_the_camera_is_not_seen(can_at):
+    frame = seen_from(0.4)
+    T = frame.T_world_camera.copy()
+    T[2, 3] = -0.5
+    assert len(cut_by_borders([can_at(0, 0.4)], [replace(frame, T_world_camera=T)] * 2)) == 1

@@ -5,6 +5,7 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
+from app.task.further_views import MOST_CLOSER
 from app.task.pipeline import run
 from app.task.stages import verify
 from app.task.task_types import TaskRequest
@@ -85,6 +86,23 @@ def test_the_scan_is_complete_where_nothing_more_can_be_seen(stages, error):
     assert len(run(StillRobot(), stages.perception, off).frames) == 1
     on = TaskRequest("pack", scan_views=1, perceive_only=True)
     assert len(run(StillRobot(), stages.perception, on).frames) == (6 if error is None else 1)
+
+
+def test_what_the_borders_cut_is_looked_at_from_nearby_once(stages, can_at):
+    asked = []
+
+    def cut_by_borders(objects, frames):
+        asked.append((objects, len(frames)))
+        return [(0.3, -0.05)] * 4
+
+    stages.replace("detect", lambda frames, *_, **__: empty(len(frames)))
+    stages.replace("cut_by_borders", cut_by_borders)
+    request = TaskRequest("pack", perceive_only=True)
+    result = run(StillRobot(), stages.perception, request)
+    assert asked == [(stages.objects, 1)] and len(result.frames) == 2
+    assert stages.scanner.visited[1] == Workspace().closeup_viewpoints(0.3, -0.05) * MOST_CLOSER
+    shapes = replace(request, reconstruction=lambda frames, detections: stages.objects)
+    assert len(run(StillRobot(), stages.perception, shapes).frames) == 1, "true shapes are known whole"
 
 
 def test_without_uncertainty_the_plan_takes_shapes_as_exact(stages, can_at):
