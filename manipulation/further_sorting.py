@@ -48,7 +48,7 @@ def plan_further_sort(
         objects: object map of what is beside the rows.
         placed: objects on the rows where they are, by name.
         lines: the rows in the order of sizes, at least one.
-        line: target line, for rows that have room for all.
+        line: target line, beside which another row may be.
         arm: description of the arm.
         config: settings.
         box: box that is an obstacle; None if there is none.

@@ -43,18 +43,18 @@ def with_bowls_named(result: TaskResult, box: Box, perception: Perception) -> Ta
         and abs(items[estimate.name].T_world_stand[2, 3] - box.floor) < ON_FLOOR
     }
     bowls = mistaken_bowls(standing, result.final_frames, floor, perception.detector, perception.decoder)
-    return with_new_names(result, bowls, floor) if bowls else result
+    return as_seen_now(result, bowls, floor) if bowls else result
 
 
-def with_new_names(result: TaskResult, seen: Mapping[int, ObjectEstimate], floor: SupportPlane) -> TaskResult:
-    """Return the results with placed objects as they were seen in the box, with their true classes.
+def as_seen_now(result: TaskResult, seen: Mapping[int, ObjectEstimate], floor: SupportPlane) -> TaskResult:
+    """Return the results with placed objects as they were seen where they are now, of any class and size.
 
-    The object map keeps them where they were when it was made.
+    The object map keeps them where and as they lay or stood when it was made.
 
     Args:
         result: results of all rounds so far.
-        seen: estimates in the box by id, of other classes than before.
-        floor: the floor of the box.
+        seen: estimates where the objects are now, by id.
+        floor: what they stand on.
     """
     assert result.plan is not None
     plan, before, now = result.plan, {e.id: e for e in result.objects}, placed_estimates(result)

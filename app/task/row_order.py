@@ -9,7 +9,7 @@ from collections.abc import Callable, Sequence, Set
 from typing import TYPE_CHECKING
 
 from app.task.further_views import MOST_CLOSER
-from app.task.nests import with_new_names
+from app.task.nests import as_seen_now
 from app.task.rounds import placed_estimates
 from perception.inference.remeasuring import remeasured
 from perception.pipeline import Perception
@@ -56,4 +56,4 @@ def with_sizes_measured(
         found |= {id: closer[id] for id in cut if id in closer}
     least = {id: CHANGED if id in hidden else CLEARLY_CHANGED for id in found}
     changed = {id: e for id, e in found.items() if abs(e.size - placed[id].size) > least[id]}
-    return with_new_names(result, changed, plane) if changed else result
+    return as_seen_now(result, changed, plane) if changed else result

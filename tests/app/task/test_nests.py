@@ -7,7 +7,7 @@ import numpy as np
 import pytest
 
 from app.task import nests
-from app.task.nests import with_bowls_named, with_new_names
+from app.task.nests import as_seen_now, with_bowls_named
 from app.task.rounds import placed_estimates, placed_items
 from app.task.task_types import TaskResult
 from manipulation.types import Box, GraspSet, ObjectOutcome, Placement
@@ -45,7 +45,7 @@ def bowl(result):
 
 
 def test_a_renamed_object_is_in_the_box_where_it_was_seen(result, bowl):
-    named = with_new_names(result, {0: bowl}, FLOOR)
+    named = as_seen_now(result, {0: bowl}, FLOOR)
     np.testing.assert_allclose(placed_estimates(named)[0].T_world_object, bowl.T_world_object, atol=1e-9)
     np.testing.assert_allclose(
         placed_items(named)["bowl_0"].T_world_stand[:3, 3], (0.506, 0.27, BOX.floor), atol=1e-9
@@ -57,7 +57,7 @@ def test_a_renamed_object_is_in_the_box_where_it_was_seen(result, bowl):
 
 
 def test_a_renamed_object_was_on_the_table_where_it_was_found(result, bowl, can_at):
-    first, other = with_new_names(result, {0: bowl}, FLOOR).objects
+    first, other = as_seen_now(result, {0: bowl}, FLOOR).objects
     assert first.name == "bowl_0" and other is result.objects[1]
     # The difference to the place that was expected is kept, in the frame of the object.
     moved = first.T_world_object - can_at(0).T_world_object
@@ -65,7 +65,7 @@ def test_a_renamed_object_was_on_the_table_where_it_was_found(result, bowl, can_
 
 
 def test_the_plan_and_the_outcomes_have_the_new_name(result, bowl):
-    named = with_new_names(result, {0: bowl}, FLOOR)
+    named = as_seen_now(result, {0: bowl}, FLOOR)
     assert [p.name for p in named.plan.placements] == ["bowl_0", "can_1"]
     assert [p.stack for p in named.plan.placements] == [(), ("bowl_0",)]
     assert set(named.plan.objects) == {"bowl_0", "can_1"} and set(named.plan.grasps) == {"can_1"}
