@@ -78,11 +78,10 @@ def out_of_order(placed: Mapping[str, StandingObject], lines: Sequence[Line]) ->
         placed: objects on the rows where they are, by name.
         lines: the rows in the order of sizes.
     """
-    there = {name: _where(item, lines, spans_along(item, lines[0])) for name, item in placed.items()}
-    names = sorted(there, key=lambda name: (there[name].row, there[name].position))
+    names = sorted(placed, key=lambda name: _place(placed[name], lines))
     kept: list[tuple[str, ...]] = []  # the longest ascending sequence that ends at each object
     for name in names:
-        before = [one for one in kept if there[one[-1]].size < there[name].size + SAME_SIZE]
+        before = [one for one in kept if placed[one[-1]].size < placed[name].size + SAME_SIZE]
         kept.append((*max(before, key=len, default=()), name))
     return set(names) - set(max(kept, key=len, default=()))
 
@@ -175,7 +174,7 @@ def _between(
         config: settings.
         is_tight: whether each is next to the smaller one rather than in the middle of the free places.
     """
-    on_rows = [_where(item, lines, spans[name]) for name, item in there.items()]
+    on_rows = [_OnRow(item.size, *_place(item, lines), spans[name]) for name, item in there.items()]
     placements: dict[str, Placement] = {}
     for item in sorted((*items, *moved), key=lambda item: item.size):
         found = _free_position(item, spans[item.name], on_rows, lines, config.min_gap, is_tight)
@@ -192,11 +191,11 @@ def _between(
     return _Arrangement([placements[item.name] for item in order if item.name in placements], reasons, lines)
 
 
-def _where(item: StandingObject, lines: Sequence[Line], spans: Spans) -> _OnRow:
-    """Return where an object is on the row that is nearest to it."""
+def _place(item: StandingObject, lines: Sequence[Line]) -> tuple[int, float]:
+    """Return the number of the row that is nearest to an object, and its position along it in [m]."""
     at = [line.position(item.T_world_stand[:2, 3]) for line in lines]
     row = min(range(len(lines)), key=lambda k: at[k][1])
-    return _OnRow(item.size, row, at[row][0], spans)
+    return row, at[row][0]
 
 
 def _free_position(

@@ -13,7 +13,7 @@ from manipulation.planner import ManipulationConfig
 from manipulation.robot import ArmDescription
 from manipulation.standing import to_standing
 from manipulation.viewpoints import Viewpoint
-from perception.geometry import invert, transform_points
+from perception.detection.geometry import project
 from perception.types import ObjectEstimate, RejectedObject, RgbdFrame
 
 WHOLE = 0.98  # share of an object's vertices within an image, from which on that shows it whole
@@ -68,19 +68,12 @@ def cut_by_borders(
     """
     least = min(VIEWS, len(frames))
     cut = [e for e in objects if sum(_shows_whole(frame, e) for frame in frames) < least]
-    return [(float(x), float(y)) for x, y in (_middle(e) for e in cut)]
+    return [(float(x), float(y)) for x, y in (e.T_world_object[:2, 3] for e in cut)]
 
 
 def _shows_whole(frame: RgbdFrame, estimate: ObjectEstimate) -> bool:
-    assert frame.T_world_camera is not None
-    camera = frame.intrinsics
-    points = transform_points(invert(frame.T_world_camera), estimate.mesh_world.vertices)
-    depth = np.maximum(points[:, 2], 1e-6)
-    u, v = camera.fx * points[:, 0] / depth + camera.cx, camera.fy * points[:, 1] / depth + camera.cy
-    inside = (u > BORDER) & (u < camera.width - BORDER) & (v > BORDER) & (v < camera.height - BORDER)
-    return bool((inside & (points[:, 2] > 0)).mean() > WHOLE)
-
-
-def _middle(estimate: ObjectEstimate) -> np.ndarray:
-    vertices = estimate.mesh_world.vertices
-    return (vertices.min(axis=0) + vertices.max(axis=0))[:2] / 2
+    """Return whether almost all of an object is within an image, whatever hides it."""
+    pixels, depth = project(frame, estimate.mesh_world.vertices)
+    size = np.array([frame.intrinsics.width, frame.intrinsics.height])
+    inside = ((pixels >= BORDER) & (pixels < size - BORDER)).all(axis=1) & (depth > 0)
+    return bool(inside.mean() > WHOLE)

@@ -52,8 +52,7 @@ def with_sizes_measured(
     cut = sorted(hidden - found.keys())[:MOST_CLOSER]
     if cut:
         frames = look([(float(x), float(y)) for x, y in (placed[id].T_world_object[:2, 3] for id in cut)])
-        closer = remeasured(placed, frames, plane, *networks)
-        found |= {id: closer[id] for id in cut if id in closer}
+        found |= remeasured(placed, frames, plane, *networks, ids=cut)
     least = {id: CHANGED if id in hidden else CLEARLY_CHANGED for id in found}
     changed = {id: e for id, e in found.items() if abs(e.size - placed[id].size) > least[id]}
     return as_seen_now(result, changed, plane) if changed else result

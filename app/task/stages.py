@@ -138,7 +138,7 @@ class Stages:
     def _further_viewpoints(self, result: TaskResult) -> Sequence[Viewpoint]:
         """Return the viewpoint of an image that uncertain objects need, or, once, those of what borders cut.
 
-        None if nothing needs one, or none is left.
+        Empty if nothing needs one, or none is left.
         """
         if self._left:
             arm = self.robot.arm

@@ -62,7 +62,7 @@ def test_a_size_that_changes_is_that_of_the_object_from_then_on(
     """Of what stood free, it changes by more."""
     asked = []
 
-    def remeasured(estimates, frames, plane, network, decoder):
+    def remeasured(estimates, frames, plane, network, decoder, ids=None):
         asked.append((set(estimates), network, decoder))
         before = estimates[0]
         height = np.sqrt((before.size + change) ** 2 - 0.07**2)
@@ -88,13 +88,13 @@ def test_what_no_image_of_the_rows_shows_whole_is_looked_at_from_nearby(result, 
     """If it was partly hidden before."""
     looked, used = [], []
 
-    def remeasured(estimates, frames, *_):
-        used.append(list(frames))
-        return {1: estimates[1]} if len(used) == 1 else {0: estimates[0], 1: estimates[1]}
+    def remeasured(estimates, frames, plane, network, decoder, ids=None):
+        used.append((list(frames), ids))
+        return {1: estimates[1]} if ids is None else {id: estimates[id] for id in ids}
 
     monkeypatch.setattr(row_order, "remeasured", remeasured)
     for hidden, n_used in ((set(), 1), ({1}, 1), ({0}, 2)):
         used.clear()
         with_sizes_measured(result, hidden, networks, lambda places: looked.extend(places) or ["near"])
         assert len(used) == n_used
-    assert used == [[], ["near"]] and looked == [pytest.approx(AT[:2, 3].tolist())]
+    assert used == [([], None), (["near"], [0])] and looked == [pytest.approx(AT[:2, 3].tolist())]

@@ -39,10 +39,10 @@ def measure(box, decoder, monkeypatch):
     """What is made of a fit of the box in two images, and the network that was asked."""
     monkeypatch.setattr(standing_masks, "PIXELS", 100)
 
-    def run(fit, estimates=None, frames=(seen_from_above(BODY),) * 2):
+    def run(fit, estimates=None, frames=(seen_from_above(BODY),) * 2, ids=None):
         network = Network()
         monkeypatch.setattr(remeasuring, "reconstruct", lambda frames, rows, decoder, plane: [fit])
-        return remeasured(estimates or {1: box}, frames, PLANE, network, decoder), network
+        return remeasured(estimates or {1: box}, frames, PLANE, network, decoder, ids), network
 
     return run
 
@@ -71,8 +71,12 @@ def test_what_stands_beside_it_is_not_in_its_masks(box, measure):
     own = replace(box, mesh=block((0.0, -RADIUS, 0.0), (RADIUS, RADIUS, HEIGHT)))
     _, together = measure(box)
     _, network = measure(own, {1: own, 2: replace(box, id=2, mesh=half)})
-    (first, *_), _ = network.rows
+    (first, second), _ = network.rows
+    assert (first.instance_id, second.instance_id) == (1, 2)
     assert first.mask.sum() == pytest.approx(together.rows[0][0].mask.sum() / 2, rel=0.1)
+    _, alone = measure(own, {1: own, 2: replace(box, id=2, mesh=half)}, ids=[1])
+    assert [[d.instance_id for d in row] for row in alone.rows] == [[1]] * 2
+    assert (alone.rows[0][0].mask == first.mask).all(), "what is not measured hides it all the same"
 
 
 def test_images_that_cut_it_are_not_used(box, measure):
