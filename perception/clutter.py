@@ -91,15 +91,16 @@ def reconstruct_clutter(
         )
         return reconstruct(frames, parts, decoder, planes, options=silent)
 
+    model = options.acceptance
     with single_threaded():
-        stacks = split_stacks(frames, rows, estimates, planes, completer, fit, options.workers)
+        unlikely = _uncertain(estimates, named, model)
+        stacks = split_stacks(frames, rows, estimates, planes, completer, fit, options.workers, unlikely)
         stacks = without_repeated_stacks(frames, rows, stacks)
         parts = [part for pair in stacks.values() for part in pair]
         single = {id: estimate for id, estimate in estimates.items() if id not in stacks}
         lost = candidates - set(single) - set(stacks)
         recutting = Recutting(frames, planes, completer, lambda cut: fit(cut, {}), options.workers)
-        model = options.acceptance
-        weak = _uncertain(single, named, model)
+        weak = unlikely - set(stacks)
 
         def is_kept(e: ObjectEstimate) -> bool:
             return is_clear(e) if e.id in candidates else _existence(e, named, model) >= UNCERTAIN

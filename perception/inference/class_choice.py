@@ -22,7 +22,6 @@ from perception.inference.resting_choice import (
     fit_unnamed,
     is_as_named,
 )
-from perception.inference.rings import is_ring
 from perception.inference.scored_fits import ObjectFits, RejectedError, ScoredFit
 from perception.inference.shape_model import Decoder
 from perception.inference.upright_choice import best_upright, in_poor_depth, likely_classes
@@ -54,8 +53,7 @@ def fit_best_class(
         on_step: Called with the progress of the fit as the first class.
 
     Raises:
-        RejectedError: The object is seen once, or of no class, and its best score is below the threshold, or
-            it has no floor.
+        RejectedError: The object is seen once, or of no class, and its best score is below the threshold.
         PerceptionError: No class can be fitted.
     """
     fits = ObjectFits(views, decoder, plane, model, config)
@@ -64,8 +62,6 @@ def fit_best_class(
         estimate = right_way_up(fits, named or fit_unnamed(fits)).estimate
     else:
         estimate = _best_of_classes(fits, named, on_step).estimate
-    if views.class_probabilities.size and is_ring(estimate, views.observations, plane):
-        raise RejectedError(estimate.category, estimate.score, "what it stands on is seen through it: a ring")
     if not views.is_unclassified and estimate.category != views.category:
         logger.info("object %d: evidence for %s, not %s", views.id, estimate.category, views.category)
     return estimate

@@ -21,6 +21,7 @@ from perception.inference.fit import fit_object
 from perception.inference.fit_config import FitConfig
 from perception.inference.observation import ObjectObservation, ObjectViews, measured_points
 from perception.inference.optimisation import FitStep
+from perception.inference.rings import is_ring
 from perception.inference.scored_fits import RejectedError
 from perception.inference.shape_model import Decoder
 from perception.inference.stacking import ending_below, find_stacks, rest_on
@@ -116,10 +117,13 @@ def reconstruct(
         return fit_best_class(views, decoder, plane, options.acceptance, config, report)
 
     def fit_resting(views: ObjectViews, fitted: Mapping[int, ObjectEstimate]) -> ObjectEstimate:
-        lower = fitted.get(below[views.id]) if views.id in below else None
-        if lower is None:
-            return fit(views, plane_of[views.id])
-        return rest_on(views, lower, plane_of[views.id], config, fit)
+        lower, plane = fitted.get(below[views.id]) if views.id in below else None, plane_of[views.id]
+        found = fit(views, plane) if lower is None else rest_on(views, lower, plane, config, fit)
+        is_judged = options.acceptance is not None and views.class_probabilities.size > 0
+        if is_judged and found.rests_on is None and is_ring(found, views.observations, plane):
+            reason = "what it stands on is seen through it: a ring"
+            raise RejectedError(found.category, found.score, reason)
+        return found
 
     def finish(views: ObjectViews, result: Callable[[], ObjectEstimate], done: int) -> None:
         name = f"{views.category}_{views.id}"

@@ -56,6 +56,7 @@ def are_two(
     points: Float[np.ndarray, "n 3"],
     before: float,
     plane: SupportPlane,
+    is_left_out: bool = False,
 ) -> bool:
     """Return whether two fits replace the whole.
 
@@ -65,7 +66,10 @@ def are_two(
         points: Their measured points in the world frame, in metres.
         before: Share of the points that the whole leaves unexplained.
         plane: Support plane.
+        is_left_out: Whether the whole is taken for a thing of no class, so that likely parts need not be better.
     """
+    if is_left_out and are_likely(pair):
+        whole, before = None, 1.0
     if whole is None or is_doubtful(whole, before):
         return _is_better(pair, whole, points, before)
     if unexplained(points, pair) >= DOUBTFUL or not all(is_vessel(e) for e in (*pair, whole)):

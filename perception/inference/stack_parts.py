@@ -7,7 +7,7 @@ the whole if both are accepted and together explain clearly more of the measured
 
 from __future__ import annotations
 
-from collections.abc import Callable, Mapping, Sequence
+from collections.abc import Callable, Collection, Mapping, Sequence
 from dataclasses import dataclass, replace
 
 import numpy as np
@@ -45,6 +45,7 @@ def split_stacks(
     completer: PoseNamer,
     fit: Fit,
     workers: int | None = None,
+    uncertain: Collection[int] = (),
 ) -> dict[int, tuple[ObjectEstimate, ...]]:
     """Return the lower and the upper object of each instance that is a stack, by the instance's id.
 
@@ -58,6 +59,7 @@ def split_stacks(
         completer: Names the parts.
         fit: Reconstructs instances, given which rests on which; detections without an id only occlude others.
         workers: Number of instances cut at a time; None for the number of cores.
+        uncertain: Ids of estimates that are taken for things of no class.
     """
     views = [clean_frame(frame) for frame in frames]
     cuts = StackCuts(views, rows, planes, completer)
@@ -90,7 +92,7 @@ def split_stacks(
             stack = possible[id]
             if whole is not None and are_one(pair, whole, stack.before):
                 found[id] = (replace(whole, score=max(whole.score, min(e.score for e in pair))),)
-            elif are_two(pair, whole, stack.points, stack.before, planes[0]) and (
+            elif are_two(pair, whole, stack.points, stack.before, planes[0], id in uncertain) and (
                 are_likely(pair) or not _are_alike(views, part)
             ):
                 found[id] = tuple(pair)

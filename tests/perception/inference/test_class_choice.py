@@ -110,17 +110,6 @@ def test_a_given_class_is_kept(choose) -> None:
     assert (estimate.category, estimate.score, tried) == ("mug", 0.1, ["mug"])
 
 
-@pytest.mark.parametrize("probabilities", [[0.95, 0.02, 0.01, 0.01, 0.01], [0.2] * 5])
-def test_a_ring_is_no_mug_however_high_its_score(choose, monkeypatch, probabilities) -> None:
-    run, _ = choose
-    scores = dict.fromkeys(CATEGORIES, 0.1) | {"mug": 0.95}
-    assert run(scores, probabilities, seen=2).category == "mug"
-    monkeypatch.setattr(class_choice, "is_ring", lambda estimate, *_: estimate.category == "mug")
-    with pytest.raises(RejectedError, match=r"score 0\.95: .* a ring"):
-        run(scores, probabilities, seen=2)
-    assert run({"mug": 0.95}, []).category == "mug", "its class is given"
-
-
 def test_a_fit_that_fails_leaves_the_other_classes(choose) -> None:
     run, _ = choose
     failure = FitFailedError("the fit failed")

@@ -8,6 +8,7 @@ import pytest
 
 from perception.inference import fit
 from perception.inference import reconstruct as reconstruction
+from perception.inference.acceptance import AcceptanceModel
 from perception.inference.fit_config import FitConfig, FitStage
 from perception.inference.reconstruct import (
     ReconstructOptions,
@@ -142,6 +143,26 @@ def test_what_is_known_to_be_below_is_fitted_first(scan, decoder, monkeypatch) -
         order.clear()
         reconstruct(*scan, decoder, SupportPlane(), QUICK, ReconstructOptions(rests_on=known))
         assert order[0] == first and len(order) == 2
+
+
+@pytest.mark.parametrize("rests_on", [None, 2])
+def test_a_ring_on_its_support_is_left_out(scan, decoder, monkeypatch, rests_on) -> None:
+    """Of what rests on another object the height of its floor above that is not known well enough."""
+    frames, rows = scan
+    known = [[replace(d, class_probabilities=np.full(5, 0.2)) for d in row] for row in rows]
+    monkeypatch.setattr(reconstruction, "is_ring", lambda estimate, *_: estimate.id == 4)
+    monkeypatch.setattr(reconstruction, "find_stacks", lambda *_: {4: 2})
+    whole = reconstruct(*scan, decoder, SupportPlane(), QUICK)[0]
+    for name in ("fit_best_class", "rest_on"):
+        monkeypatch.setattr(
+            reconstruction, name, lambda views, *_: replace(whole, id=views.id, rests_on=rests_on)
+        )
+    rejected: list[RejectedObject] = []
+    options = ReconstructOptions(acceptance=AcceptanceModel({}, 0.4), on_rejected=rejected.append)
+    found = {e.id for e in reconstruct(frames, known, decoder, SupportPlane(), QUICK, options)}
+    assert (found, [item.id for item in rejected]) == (({2}, [4]) if rests_on is None else ({2, 4}, []))
+    given = {e.id for e in reconstruct(*scan, decoder, SupportPlane(), QUICK, options)}
+    assert given == {2, 4}, "a class that was given is kept"
 
 
 def test_what_is_clearly_behind_hides_nothing(scan) -> None:

@@ -141,6 +141,17 @@ def test_a_likely_object_is_not_replaced_by_an_unlikely_part(leave, whole, are_b
     assert are_two(CANS, single, POINTS, 0.1, PLANE)
 
 
+@pytest.mark.parametrize(("score", "accepted"), [(0.55, True), (0.45, False)])
+def test_likely_parts_replace_what_is_taken_for_a_thing(leave, score, accepted):
+    """They need not explain clearly more than its shape does."""
+    leave(0.05)
+    pair = [CANS[0], replace(CANS[1], score=score)]
+    assert are_two(pair, shape(score=0.2), POINTS, 0.08, PLANE, is_left_out=True) is accepted
+    assert not are_two(pair, shape(score=0.2), POINTS, 0.08, PLANE)
+    leave(0.2)
+    assert not are_two(CANS, shape(score=0.2), POINTS, 0.3, PLANE, is_left_out=True)
+
+
 @pytest.mark.parametrize(("sunk", "accepted"), [(0.6, True), (1.6, False)])
 def test_one_object_does_not_pass_through_another(leave, sunk, accepted):
     leave(0.0)
