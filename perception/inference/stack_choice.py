@@ -66,7 +66,7 @@ def are_two(
         points: Their measured points in the world frame, in metres.
         before: Share of the points that the whole leaves unexplained.
         plane: Support plane.
-        is_left_out: Whether the whole is taken for a thing of no class, so that likely parts need not be better.
+        is_left_out: Whether the whole is taken for a thing of no class: likely parts need not be better then.
     """
     if is_left_out and are_likely(pair):
         whole, before = None, 1.0

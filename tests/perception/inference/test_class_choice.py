@@ -6,7 +6,7 @@ import numpy as np
 import pytest
 
 from perception.errors import PerceptionError
-from perception.inference import class_choice, pose_choice, resting_choice, scored_fits
+from perception.inference import pose_choice, resting_choice, scored_fits
 from perception.inference.acceptance import AcceptanceModel
 from perception.inference.class_choice import fit_best_class
 from perception.inference.evidence import Evidence
