@@ -12,7 +12,7 @@ import numpy as np
 from jaxtyping import Float
 
 from app.task.obstacles import box_interior
-from app.task.rounds import expected_pose
+from app.task.rounds import expected_pose, placed_estimates
 from app.task.task_types import TaskResult
 from manipulation.lying_grasps import is_upside_down, lies
 from manipulation.observation import is_turned
@@ -89,6 +89,40 @@ def left_in_box(result: TaskResult, box: Box) -> list[ObjectEstimate]:
         T = expected_pose(before, result.plan, replace(outcome, T_world_stand=T_left))
         found.append(_resting(before, T, ()))
     return found
+
+
+def are_lost(result: TaskResult) -> bool:
+    """Return whether something is neither in its place nor was found anywhere."""
+    return any(not outcome.placed and outcome.T_world_left is None for outcome in result.outcomes)
+
+
+def with_lost_found(result: TaskResult, frames: Sequence[RgbdFrame], box: Box) -> TaskResult:
+    """Return the results with the places of what was lost above the box and lies in it.
+
+    While it was looked for, others that it had knocked over may not have been where they were expected.
+
+    Args:
+        result: results of all rounds so far.
+        frames: images of the box.
+        box: the box.
+    """
+    assert result.plan is not None
+    by_id, known = {e.id: e for e in result.objects}, result.plan.objects
+    others = list(placed_estimates(result).values())
+    outcomes = list(result.outcomes)
+    for number, outcome in enumerate(outcomes):
+        if outcome.placed or outcome.T_world_left is not None or outcome.name not in known:
+            continue
+        if outcome.id not in by_id:
+            continue
+        scene = SearchScene(frames, box_interior(box), others)
+        check = relocate(by_id[outcome.id], scene)
+        if check is not None and check.inlier_share >= AGREES:
+            T_object_stand = (
+                np.linalg.inv(by_id[outcome.id].T_world_object) @ known[outcome.name].T_world_stand
+            )
+            outcomes[number] = replace(outcome, T_world_left=check.T_world_object @ T_object_stand)
+    return replace(result, outcomes=outcomes)
 
 
 def items_left(result: TaskResult, left: Sequence[ObjectEstimate]) -> dict[str, StandingObject]:

@@ -97,6 +97,11 @@ class Stages:
             return self.scanner.capture(viewpoints, on_frame=self.observer.on_image) if viewpoints else []
         return []
 
+    def look_into_box(self) -> list[RgbdFrame]:
+        """Take images of the box."""
+        with self.observer.stage("scan"):
+            return self.scanner.capture(self._space.box_viewpoints, on_frame=self.observer.on_image)
+
     def _capture(
         self, count: int, on_image: Callable[[RgbdFrame], None] = lambda frame: None
     ) -> list[RgbdFrame]:

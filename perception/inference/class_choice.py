@@ -10,6 +10,7 @@ a network names class and resting pose: what it is sure of is kept if it explain
 from __future__ import annotations
 
 import logging
+from dataclasses import replace
 
 from perception.errors import PerceptionError
 from perception.inference.acceptance import AcceptanceModel
@@ -30,6 +31,9 @@ from perception.types import ObjectEstimate, SupportPlane
 
 logger = logging.getLogger(__name__)
 
+POOR = 0.5  # score below which a fit that has not converged is made again
+LONGER = 3  # with so many times the iterations
+
 
 def fit_best_class(
     views: ObjectViews,
@@ -38,6 +42,7 @@ def fit_best_class(
     model: AcceptanceModel,
     config: FitConfig = FitConfig(),
     on_step: OnStep | None = None,
+    is_detected: bool = True,
 ) -> ObjectEstimate:
     """Reconstruct one object as the class with the best evidence; its score is the probability of that class.
 
@@ -51,6 +56,7 @@ def fit_best_class(
         model: Scores the evidence.
         config: Settings of the fits.
         on_step: Called with the progress of the fit as the first class.
+        is_detected: Whether the detector named the object: a poor fit as its class is given more iterations.
 
     Raises:
         RejectedError: The object is seen once, or of no class, and its best score is below the threshold.
@@ -61,24 +67,27 @@ def fit_best_class(
     if views.is_unclassified:
         estimate = right_way_up(fits, named or fit_unnamed(fits)).estimate
     else:
-        estimate = _best_of_classes(fits, named, on_step).estimate
+        estimate = _best_of_classes(fits, named, on_step, is_detected).estimate
     if not views.is_unclassified and estimate.category != views.category:
         logger.info("object %d: evidence for %s, not %s", views.id, estimate.category, views.category)
     return estimate
 
 
-def _best_of_classes(fits: ObjectFits, named: ScoredFit | None, on_step: OnStep | None) -> ScoredFit:
+def _best_of_classes(
+    fits: ObjectFits, named: ScoredFit | None, on_step: OnStep | None, is_detected: bool
+) -> ScoredFit:
     """Return the best fit of an object of known or uncertain class.
 
     Args:
         fits: Fits the object.
         named: Good fit as what the pose network names; None if there is none.
         on_step: Called with the progress of the fit as the first class.
+        is_detected: Whether the detector named the object.
     """
     views, model = fits.views, fits.model
     problem: PerceptionError | None = None
     try:
-        first = fits.fit(views.category, on_step=on_step)
+        first = _as_detected(fits, on_step) if is_detected else fits.fit(views.category, on_step=on_step)
     except PerceptionError as error:
         first, problem = None, error
     if not views.class_probabilities.size:
@@ -101,6 +110,23 @@ def _best_of_classes(fits: ObjectFits, named: ScoredFit | None, on_step: OnStep 
         reason = model.reason(best.evidence, best.estimate.category, best.probability)
         raise RejectedError(best.estimate.category, best.estimate.score, reason)
     return best
+
+
+def _as_detected(fits: ObjectFits, on_step: OnStep | None) -> ScoredFit:
+    """Return the fit as the detected class; that of several views that is poor is given more iterations.
+
+    Unusual shapes that others hide in part take longer to converge.
+    """
+    first = fits.fit(fits.views.category, on_step=on_step)
+    is_poor = first.estimate.status == "not_converged" and first.estimate.score < POOR
+    if not is_poor or len(fits.views.observations) == 1 or not fits.views.class_probabilities.size:
+        return first
+    stages = [replace(stage, iterations=LONGER * stage.iterations) for stage in fits.config.stages]
+    again = replace(
+        fits, config=replace(fits.config, stages=tuple(stages)), views=replace(fits.views, start=None)
+    )
+    longer = again.attempt(fits.views.category)
+    return first if longer is None or longer.estimate.score <= first.estimate.score else longer
 
 
 def _may_be_rejected(views: ObjectViews) -> bool:

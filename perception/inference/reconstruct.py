@@ -114,7 +114,8 @@ def reconstruct(
         report = None if on_step is None else lambda step: on_step(views.id, views.category, step)
         if options.acceptance is None:
             return fit_object(views, decoder, plane, config, report)
-        return fit_best_class(views, decoder, plane, options.acceptance, config, report)
+        is_detected = views.id not in options.tentative
+        return fit_best_class(views, decoder, plane, options.acceptance, config, report, is_detected)
 
     def fit_resting(views: ObjectViews, fitted: Mapping[int, ObjectEstimate]) -> ObjectEstimate:
         lower, plane = fitted.get(below[views.id]) if views.id in below else None, plane_of[views.id]

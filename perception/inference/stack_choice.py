@@ -29,7 +29,9 @@ SURE_SCORE, THICK, THICK_SHARE = 0.8, 0.03, 0.35
 # higher than that of both as one mug, ratio of the radii, and height [m] of the mug's base.
 SHALLOW_SCORE, MUCH_BETTER, BROADER, FLOOR = 0.7, 0.05, 1.05, 0.01
 FULLY = 0.005  # share of unexplained points up to which a bottle explains all that is seen
-WIDER = 1.1  # radius of the upper of two cans relative to the lower one, from which on they are no bottle
+# Radius of the upper of two cans relative to the lower one where they meet, from which on they are no bottle.
+WIDER = 1.1
+NEAR_END = (0.1, 0.35)  # shares of the height between which that radius is measured
 COAXIAL = 0.005  # [m] between the axes of two cans that are one bottle
 # [m] between two parts, one above the other, from which on neither carries the other: a wide bowl hides the
 # uppermost part of the can below it.
@@ -117,16 +119,28 @@ def _is_likely_one(whole: ObjectEstimate) -> bool:
 
 
 def are_one(pair: Sequence[ObjectEstimate], whole: ObjectEstimate, before: float) -> bool:
-    """Return whether two accepted cans, the upper one not the wider, are one upright bottle.
+    """Return whether two accepted cans, the upper one not the wider where they meet, are one upright bottle.
 
-    It leaves nothing unexplained.
+    It leaves nothing unexplained. A can that tapers is named a bottle as well.
     """
     if before > FULLY or (whole.category, whole.resting) != ("bottle", "upright"):
         return False
-    if any(e.category != "can" for e in pair) or pair[1].radius > WIDER * pair[0].radius:
+    if any(e.category != "can" for e in pair):
+        return False
+    lower, upper = (_radius_near(e, end) for e, end in zip(pair, (1.0, 0.0), strict=True))
+    if upper > WIDER * lower:
         return False
     apart = np.linalg.norm((pair[0].T_world_object - pair[1].T_world_object)[:2, 3])
     return bool(apart < COAXIAL) and all(e.score >= p for e, p in zip(pair, MIN_SCORES, strict=True))
+
+
+def _radius_near(estimate: ObjectEstimate, end: float) -> float:
+    """Return the radius of an upright object near its base (0) or top (1), beside the rounded edge [m]."""
+    z = estimate.mesh.vertices[:, 2]
+    share = np.abs((z - z.min()) / np.ptp(z) - end)
+    near = estimate.mesh.vertices[(share > NEAR_END[0]) & (share < NEAR_END[1]), :2]
+    middle = (estimate.mesh.vertices[:, :2].min(axis=0) + estimate.mesh.vertices[:, :2].max(axis=0)) / 2
+    return float(np.median(np.linalg.norm(near - middle, axis=1))) if len(near) else estimate.radius
 
 
 def are_likely(pair: Sequence[ObjectEstimate]) -> bool:

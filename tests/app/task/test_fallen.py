@@ -6,7 +6,16 @@ import numpy as np
 import pytest
 
 from app.task import fallen
-from app.task.fallen import LEANING, TURNED, fallen_objects, items_left, left_in_box
+from app.task.fallen import (
+    AGREES,
+    LEANING,
+    TURNED,
+    are_lost,
+    fallen_objects,
+    items_left,
+    left_in_box,
+    with_lost_found,
+)
 from app.task.task_types import TaskResult
 from manipulation.types import Box, ObjectOutcome
 from perception.geometry import pose_from_yaw, so3_exp
@@ -143,3 +152,35 @@ def test_what_was_placed_or_is_beside_the_box_or_nowhere_is_not(can_at, pack_pla
         ObjectOutcome(1, "can_1", True, 1, "", inside),
     ):
         assert left_in_box(replace(base, outcomes=[outcome]), Box()) == []
+
+
+@pytest.mark.parametrize(("share", "is_found"), [(AGREES, True), (0.9 * AGREES, False), (None, False)])
+def test_what_was_lost_is_found_where_it_lies_in_the_box(
+    can_at, pack_plan, monkeypatch, share, is_found
+) -> None:
+    lying = tilted(1.5)
+    scenes = []
+
+    def relocate(estimate, scene):
+        scenes.append((estimate.id, [other.id for other in scene.others]))
+        return None if share is None else check(T=lying, share=share)
+
+    monkeypatch.setattr(fallen, "relocate", relocate)
+    objects = {id: can_at(id, 0.3 + 0.1 * id) for id in range(3)}
+    plan = replace(pack_plan, objects={e.name: pack_plan.objects["can_1"] for e in objects.values()})
+    inside = pose_from_yaw(0.0, np.array([0.5, 0.27, 0.004]))
+    outcomes = [
+        ObjectOutcome(0, "can_0", True, 1, "", inside),
+        ObjectOutcome(1, "can_1", False, 1, "lost"),
+        ObjectOutcome(2, "can_2", False, 1, "stuck", None, inside),
+    ]
+    result = TaskResult(objects=list(objects.values()), plan=plan, outcomes=outcomes)
+    assert are_lost(result)
+    latest = with_lost_found(result, (), Box())
+    assert scenes == [(1, [0])], "it alone is searched for, beside what has its place"
+    assert latest.outcomes[0] is outcomes[0] and latest.outcomes[2] is outcomes[2]
+    assert are_lost(latest) is not is_found
+    if is_found:
+        (found,) = (e for e in left_in_box(latest, Box()) if e.id == 1)
+        np.testing.assert_allclose(found.T_world_object, lying, atol=1e-9)
+        assert found.resting == "lying"

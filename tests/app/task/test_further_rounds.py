@@ -186,6 +186,16 @@ def test_what_was_left_in_the_box_is_tried_once_more_and_then_stays_there(stages
     assert planned[:2] == [([lying], False), ([], True)]
 
 
+def test_what_was_lost_is_looked_for_in_the_box_before_another_round(stages):
+    """It may have slipped from the hand above it."""
+    searched = []
+    lost = ObjectOutcome(0, "can_0", False, 1, "lost during the transfer")
+    stages.replace("execute", lambda *args, **options: [lost])
+    stages.replace("with_lost_found", lambda result, frames, box: searched.append(len(frames)) or result)
+    run(StillRobot(), stages.perception, TaskRequest("pack", Box(), rounds=2))
+    assert stages.scanner.visited[1] == Workspace().box_viewpoints and searched == [1]
+
+
 def test_what_fell_in_the_box_is_placed_again_and_verified_again(stages, pack_plan):
     lying = replace(stages.objects[0], T_world_object=pose_from_yaw(0.3, np.array([0.4, 0.3, 0.03])))
     results, executed, plans = iter([[lying], []]), [], []

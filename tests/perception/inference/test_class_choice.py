@@ -1,6 +1,7 @@
 """Which classes are fitted, and which is kept, for given scores."""
 
 from dataclasses import fields, replace
+from functools import partial
 
 import numpy as np
 import pytest
@@ -8,7 +9,7 @@ import pytest
 from perception.errors import PerceptionError
 from perception.inference import pose_choice, resting_choice, scored_fits
 from perception.inference.acceptance import AcceptanceModel
-from perception.inference.class_choice import fit_best_class
+from perception.inference.class_choice import LONGER, fit_best_class
 from perception.inference.evidence import Evidence
 from perception.inference.fit import FitFailedError
 from perception.inference.fit_config import FitConfig
@@ -82,6 +83,45 @@ def test_weak_evidence_is_compared_although_the_detector_is_sure(choose) -> None
     run, tried = choose
     estimate = run({"mug": 0.2, "bowl": 0.7}, [0.95, 0.03, 0.01, 0.0, 0.01])
     assert (estimate.category, tried) == ("bowl", ["mug", "bowl"])
+
+
+@pytest.mark.parametrize(
+    ("first", "longer", "seen", "is_detected", "iterations", "score"),
+    [
+        ((0.3, "not_converged"), 0.7, 2, True, [30, 30 * LONGER], 0.7),
+        ((0.3, "not_converged"), 0.2, 2, True, [30, 30 * LONGER], 0.3),
+        ((0.3, "converged"), 0.7, 2, True, [30], 0.3),
+        ((0.6, "not_converged"), 0.7, 2, True, [30], 0.6),
+        ((0.3, "not_converged"), 0.7, 1, True, [30], None),
+        ((0.3, "not_converged"), 0.7, 2, False, [30], 0.3),
+    ],
+)
+def test_a_poor_fit_to_several_views_that_has_not_converged_is_continued(
+    monkeypatch, decoder, first, longer, seen, is_detected, iterations, score
+) -> None:
+    """Of an object that the detector named: the parts of what may be a stack are many."""
+    done = []
+
+    def scored(views, decoder, plane, model, config, on_step):
+        if views.category != "mug":
+            raise PerceptionError("no")
+        done.append(sum(stage.iterations for stage in config.stages))
+        value, status = first if len(done) == 1 else (longer, "converged")
+        mesh = TriangleMesh(np.eye(3), np.arange(3)[None])
+        made = ObjectEstimate(3, "mug", np.zeros(16), np.eye(4), np.ones(3), mesh, value, status=status)
+        return ScoredFit(made, EVIDENCE, 0.9)
+
+    monkeypatch.setattr(scored_fits, "scored_fit", scored)
+    monkeypatch.setattr(resting_choice, "comes_near", lambda *_: False)
+    p = np.array([0.96, 0.01, 0.01, 0.01, 0.01])
+    views = ObjectViews(3, "mug", 0.9, (OBSERVATION,) * seen, p)
+    call = partial(fit_best_class, views, decoder, SupportPlane(), Model({}, 0.4), FitConfig())
+    if score is None:
+        with pytest.raises(RejectedError):
+            call(is_detected=is_detected)
+    else:
+        assert call(is_detected=is_detected).score == score
+    assert done[: len(iterations)] == iterations and (len(done) == len(iterations) or seen == 1)
 
 
 def test_an_object_of_no_class_is_rejected_with_its_best_score(choose) -> None:

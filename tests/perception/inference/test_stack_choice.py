@@ -230,6 +230,26 @@ def test_two_cans_on_one_axis_are_the_bottle_that_explains_all():
         assert not are_one([CANS[0], upper], whole, 0.0)
 
 
+@pytest.mark.parametrize(("base", "is_one"), [(0.03, True), (0.034, False)])
+def test_a_can_that_widens_upwards_is_one_where_its_halves_have_the_same_radius(base, is_one):
+    """Not what their largest radii are tells, but those where they meet."""
+
+    def widening(estimate, low, high):
+        v = estimate.mesh.vertices.copy()
+        share = (v[:, 2] - v[:, 2].min()) / np.ptp(v[:, 2])
+        v[:, :2] *= ((low + share * (high - low)) / estimate.radius)[:, None]
+        return replace(estimate, mesh=TriangleMesh(v, estimate.mesh.faces))
+
+    def rings(estimate):
+        mesh = trimesh.creation.cylinder(estimate.radius, estimate.height).subdivide().subdivide()
+        return replace(estimate, mesh=TriangleMesh(np.asarray(mesh.vertices), np.asarray(mesh.faces)))
+
+    lower, upper = (rings(e) for e in CANS)
+    pair = [widening(lower, 0.025, 0.03), widening(upper, base, base + 0.006)]
+    assert pair[1].radius > 1.15 * pair[0].radius
+    assert are_one(pair, shape("bottle", height=0.2, score=0.4), 0.0) is is_one
+
+
 @pytest.mark.parametrize(
     ("upper", "accepted"),
     [
