@@ -131,5 +131,10 @@ def is_turned(
     T_expected: Float[np.ndarray, "4 4"], T_seen: Float[np.ndarray, "4 4"], turned: float = TURNED
 ) -> bool:
     """Return whether an object was turned about the vertical: the handles of mugs are aligned."""
+    return bool(abs(turn_between(T_expected, T_seen)) > turned)
+
+
+def turn_between(T_expected: Float[np.ndarray, "4 4"], T_seen: Float[np.ndarray, "4 4"]) -> float:
+    """Return the angle [rad] in [-pi, pi) by which an object was turned about the vertical."""
     difference = nearest_yaw(T_seen) - nearest_yaw(T_expected)
-    return bool(abs((difference + np.pi) % (2 * np.pi) - np.pi) > turned)
+    return float((difference + np.pi) % (2 * np.pi) - np.pi)

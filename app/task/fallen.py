@@ -15,7 +15,7 @@ from app.task.obstacles import box_interior
 from app.task.rounds import expected_pose, placed_estimates
 from app.task.task_types import TaskResult
 from manipulation.lying_grasps import is_upside_down, lies
-from manipulation.observation import is_turned
+from manipulation.observation import turn_between
 from manipulation.types import Box, StandingObject
 from perception.geometry import levelled
 from perception.inference.depth_votes import SearchScene
@@ -24,7 +24,9 @@ from perception.inference.relocate import relocate
 from perception.types import ObjectEstimate, RestingPose, RgbdFrame
 
 LEANING = np.deg2rad(15.0)  # tilt of what counts as leaning; images show it to a few degrees
-TURNED = np.deg2rad(12.0)  # about the vertical, from which on the handle of a mug is not in line with others
+TURNED = np.deg2rad(
+    12.0
+)  # about the vertical, from which on two handles are not in line; images show 2 degrees
 AGREES = 0.65  # share of the visible pixels from which on an object is surely where it was placed
 BETTER = 0.1  # by which another pose in the box must explain more of them
 
@@ -61,11 +63,10 @@ def fallen_objects(
         if check.status == "seen" and check.tilt > LEANING:
             now[id] = _resting(placed[id], check.T_world_object, others)
             found.append(now[id])
-    for id in sorted(checks.keys() - doubtful):
-        T_placed, T_seen = placed[id].T_world_object, checks[id].T_world_object
-        if placed[id].category == "mug" and is_turned(T_placed, T_seen, TURNED):
-            upright = levelled(T_seen, T_placed[2, 3])
-            found.append(replace(placed[id], T_world_object=upright, resting="upright", rests_on=None))
+    mugs = {id: placed[id] for id in checks.keys() - doubtful if placed[id].category == "mug"}
+    for id in _out_of_line(mugs, checks):
+        upright = levelled(checks[id].T_world_object, placed[id].T_world_object[2, 3])
+        found.append(replace(placed[id], T_world_object=upright, resting="upright", rests_on=None))
     return sorted(found, key=lambda estimate: estimate.id)
 
 
@@ -134,6 +135,21 @@ def items_left(result: TaskResult, left: Sequence[ObjectEstimate]) -> dict[str, 
         for estimate in left
         if (T := T_left[estimate.id]) is not None
     }
+
+
+def _out_of_line(mugs: Mapping[int, ObjectEstimate], checks: Mapping[int, PoseCheck]) -> list[int]:
+    """Return the ids of mugs whose handles are not in line, those turned most.
+
+    Each may be turned a little, and two of them to different sides.
+    """
+    turns = {id: turn_between(mug.T_world_object, checks[id].T_world_object) for id, mug in mugs.items()}
+    found = [id for id, turn in turns.items() if abs(turn) > TURNED]
+    rest = {id: turn for id, turn in turns.items() if id not in found}
+    while rest and max(rest.values()) - min(rest.values()) > TURNED:
+        most = max(rest, key=lambda id: abs(rest[id]))
+        found.append(most)
+        del rest[most]
+    return found
 
 
 def _is_doubtful(check: PoseCheck) -> bool:

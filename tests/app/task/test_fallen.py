@@ -115,6 +115,21 @@ def test_a_mug_whose_handle_was_turned_is_placed_again(placed, monkeypatch, turn
         np.testing.assert_allclose(found[0].T_world_object, T, atol=1e-12)
 
 
+@pytest.mark.parametrize(
+    ("turns", "expected"), [((0.6, -0.5, 0.0), [0]), ((0.4, -0.5, 0.0), []), ((0.6, 0.6, -0.7), [2])]
+)
+def test_the_most_turned_of_mugs_whose_handles_are_not_in_line_is_placed_again(
+    placed, monkeypatch, turns, expected
+) -> None:
+    placed = {id: replace(e, category="mug") for id, e in placed.items()}
+    checks = {
+        id: check(T=e.T_world_object @ pose_from_yaw(turns[id] * TURNED, np.zeros(3)))
+        for id, e in placed.items()
+    }
+    found, _ = find(placed, checks, monkeypatch)
+    assert [e.id for e in found] == expected
+
+
 def test_a_can_that_was_turned_is_left(placed, monkeypatch) -> None:
     T = placed[1].T_world_object @ pose_from_yaw(2 * TURNED, np.zeros(3))
     assert find(placed, {1: check(T=T)}, monkeypatch)[0] == []
