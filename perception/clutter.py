@@ -112,6 +112,13 @@ def reconstruct_clutter(
         single |= {id: e for id, e in pieces.items() if _is_object(e, instance_points(frames, rows, id))}
         candidates |= instance_ids(rows) - instance_ids(named)
         free = max(free, 1 + max(instance_ids(rows), default=-1))
+        lost = candidates & instance_ids(rows) - set(single) - set(stacks)
+        rows, parted = recutting.parted(
+            rows, lost, free, lambda e, cut: _is_object(e, instance_points(frames, cut, e.id))
+        )
+        single |= parted
+        candidates |= instance_ids(rows) - instance_ids(named)
+        free = max(free, 1 + max(instance_ids(rows), default=-1))
         rows, wholes = recutting.joined(rows, candidates - set(stacks), single, free)
         remaining = instance_ids(rows)
         single = {id: e for id, e in single.items() if id in remaining} | wholes

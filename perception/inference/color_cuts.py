@@ -53,17 +53,8 @@ def color_cut(seen: Mapping[int, ObjectObservation], plane: SupportPlane) -> Col
         seen: the instance in each view, by the number of the view.
         plane: its support plane.
     """
-    colors = {k: _colors(view) for k, view in seen.items()}
-    means = _two_means(np.concatenate([colors[k][view.mask] for k, view in seen.items()]))
-    if means is None:
-        return None
-    groups: dict[int, list[Bool[np.ndarray, "h w"]]] = {}
-    for k, view in seen.items():
-        nearer = np.linalg.norm(colors[k][:, :, None] - means, axis=-1).argmin(axis=-1)
-        votes = np.where(view.mask, 2.0 * nearer - 1.0, 0.0)
-        second = cv2.blur(votes, (_SMOOTH, _SMOOTH)) > 0
-        groups[k] = [view.mask & ~second, view.mask & second]
-    if any(_largest_piece([masks[g] for masks in groups.values()]) < WHOLE for g in (0, 1)):
+    groups = _color_groups(seen)
+    if groups is None:
         return None
     heights = [
         np.concatenate([_heights(view, groups[k][g], plane) for k, view in seen.items()]) for g in (0, 1)
@@ -77,6 +68,42 @@ def color_cut(seen: Mapping[int, ObjectObservation], plane: SupportPlane) -> Col
         return None
     masks = {k: (_tidy(g[1 - upper]), _tidy(g[upper])) for k, g in groups.items()}
     return ColorCut(masks, lowest)
+
+
+def color_pieces(
+    seen: Mapping[int, ObjectObservation],
+) -> Mapping[int, tuple[Bool[np.ndarray, "h w"], Bool[np.ndarray, "h w"]]] | None:
+    """Return the two pieces of an instance of two colours in each view; None if it has not two.
+
+    Small spots of the other colour belong to the piece that they are in.
+
+    Args:
+        seen: the instance in each view, by the number of the view.
+    """
+    groups = _color_groups(seen)
+    if groups is None:
+        return None
+    large = {k: (_tidy(one), _tidy(other)) for k, (one, other) in groups.items()}
+    return {k: (_tidy(seen[k].mask & ~b), _tidy(seen[k].mask & ~a)) for k, (a, b) in large.items()}
+
+
+def _color_groups(
+    seen: Mapping[int, ObjectObservation],
+) -> dict[int, tuple[Bool[np.ndarray, "h w"], Bool[np.ndarray, "h w"]]] | None:
+    """Return the pixels of both colours in each view; None if there are not two, each about in one piece."""
+    colors = {k: _colors(view) for k, view in seen.items()}
+    means = _two_means(np.concatenate([colors[k][view.mask] for k, view in seen.items()]))
+    if means is None:
+        return None
+    groups: dict[int, tuple[Bool[np.ndarray, "h w"], Bool[np.ndarray, "h w"]]] = {}
+    for k, view in seen.items():
+        nearer = np.linalg.norm(colors[k][:, :, None] - means, axis=-1).argmin(axis=-1)
+        votes = np.where(view.mask, 2.0 * nearer - 1.0, 0.0)
+        second = cv2.blur(votes, (_SMOOTH, _SMOOTH)) > 0
+        groups[k] = (view.mask & ~second, view.mask & second)
+    if any(_largest_piece([masks[g] for masks in groups.values()]) < WHOLE for g in (0, 1)):
+        return None
+    return groups
 
 
 def _colors(view: ObjectObservation) -> Float[np.ndarray, "h w 3"]:

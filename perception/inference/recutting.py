@@ -13,12 +13,15 @@ from itertools import combinations
 
 import cv2
 import numpy as np
+from jaxtyping import Float
 
 from perception.depth_cleaning import clean_frame
 from perception.detection.completion import PoseNamer, posed_detections
 from perception.detection.poses import pose_mass
 from perception.inference.agreement import agreed_masks
+from perception.inference.color_cuts import color_pieces
 from perception.inference.explanation import unexplained
+from perception.inference.observation import ObjectObservation
 from perception.inference.reconstruct import mean_probabilities
 from perception.inference.stack_parts import Rows, instance_points
 from perception.inference.touching import touching_pieces
@@ -30,6 +33,7 @@ MOST = 6  # pairs that are tried
 EXPLAINED = 0.12  # largest share of their points that the joint shape leaves unexplained
 CLEAR = 0.75  # least score of what is joined
 WORSE = 0.05  # by how much it may be lower than that of a part beside which the other one is no object
+MIN_PIXELS = 150  # of a piece in a view
 GAP = 5  # [px] between the masks of one object
 
 
@@ -72,6 +76,55 @@ class Recutting:
         others = [[d for d in row if _number(d) < first_id] for row in cut]
         recut = [[*o, *p] for o, p in zip(others, named, strict=True)]
         return recut, {e.id: e for e in self.fit(_only(recut, instance_ids(named)))}
+
+    def parted(
+        self,
+        rows: Rows,
+        ids: Collection[int],
+        first_id: int,
+        is_kept: Callable[[ObjectEstimate, Rows], bool],
+    ) -> tuple[Rows, dict[int, ObjectEstimate]]:
+        """Return the detections with instances cut between two colours, and the estimates of pieces, by id.
+
+        Of those that the pose network takes for something turned, where the fit to a piece is kept: they are
+        joined with what they touch, and no crease is seen between the two.
+
+        Args:
+            rows: Associated detections of each frame.
+            ids: Instances of no class that no shape explains.
+            first_id: Least id of a piece.
+            is_kept: Whether the estimate of a piece, given the detections with it, is good enough.
+        """
+        views = [clean_frame(frame) for frame in self.frames] if ids else []
+        pieces: dict[int, int] = {}  # ids of the instances, by those of their pieces
+        cut: list[list[ObjectDetection]] = [[] for _ in rows]
+        for id in sorted(id for id in ids if _may_be_turned(rows, id)):
+            own = {k: d for k, row in enumerate(rows) for d in row if d.instance_id == id}
+            found = color_pieces({k: ObjectObservation(views[k], d.mask) for k, d in own.items()})
+            if found is None:
+                continue
+            for number in (0, 1):
+                piece = first_id + len(pieces)
+                pieces[piece] = id
+                for k, masks in found.items():
+                    if masks[number].sum() >= MIN_PIXELS:
+                        cut[k].append(replace(unclassified(masks[number], piece), support=own[k].support))
+        if not pieces:
+            return rows, {}
+        named = posed_detections(self.frames, cut, self.planes, self.completer)
+        gone = set(pieces.values())
+        recut = [
+            [*(d for d in row if d.instance_id not in gone), *n] for row, n in zip(rows, named, strict=True)
+        ]
+        kept = {e.id: e for e in self.fit(_only(recut, instance_ids(named))) if is_kept(e, recut)}
+        gone = {pieces[piece] for piece in kept}
+        return [
+            [
+                *(d for d in row if d.instance_id not in gone),
+                *(d for d in new if d.instance_id is not None and pieces[d.instance_id] in gone),
+            ]
+            for row, new in zip(rows, named, strict=True)
+        ], kept
 
     def agreed(
         self, rows: Rows, ids: Collection[int], is_kept: Callable[[ObjectEstimate], bool]
@@ -194,8 +247,18 @@ def _number(detection: ObjectDetection) -> int:
 
 
 def _may_lie(rows: Rows, id: int) -> bool:
+    return pose_mass(_pose_probabilities(rows, id), "lying") >= LYING
+
+
+def _may_be_turned(rows: Rows, id: int) -> bool:
+    p = _pose_probabilities(rows, id)
+    return pose_mass(p, "lying") + pose_mass(p, "upside-down") >= LYING
+
+
+def _pose_probabilities(rows: Rows, id: int) -> Float[np.ndarray, "k"]:
+    """Return the mean of the pose network's probabilities of an instance over its views."""
     views = [d.pose_probabilities for row in rows for d in row if d.instance_id == id]
-    return pose_mass(mean_probabilities([p for p in views if p.size]), "lying") >= LYING
+    return mean_probabilities([p for p in views if p.size])
 
 
 def _union(row: Sequence[ObjectDetection], pair: tuple[int, int], number: int) -> ObjectDetection | None:

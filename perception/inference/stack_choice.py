@@ -18,6 +18,8 @@ BEYOND_DOUBT, BEYOND_DOUBT_SCORE = 0.15, 0.1  # share of them, and scores that s
 WEAK, FAR_BETTER = 0.5, 0.3  # score below which an object may be several, and by how much theirs are higher
 WEAK_BOTTLE = 0.9  # the same of an upright bottle
 MIN_SCORES = (0.2, 0.5)  # of the fits of the lower part, whose upper side is hidden, and of the upper one
+# The same of what has no class: foot and shade of a lamp had 0.45 and 0.6.
+UNNAMED_SCORES = (0.5, 0.65)
 BESIDE_SCORE = 0.5  # least score of two parts beside each other: neither hides the other
 LIKELY_WHOLE = 0.8  # score from which on a can or a bottle is likely one, and its parts have that least score
 ALIKE_SCORE = 0.5  # least score of two parts of the same colours, which are seldom two objects
@@ -180,6 +182,8 @@ def _is_better(
     if max(shared_volume(pair[0], pair[1]), shared_volume(pair[1], pair[0])) > SHARED:
         return False
     least = (BEYOND_DOUBT_SCORE,) * 2 if after < BEYOND_DOUBT * before else MIN_SCORES
+    if whole is None:
+        least = UNNAMED_SCORES
     if pair[1].rests_on != pair[0].id or (whole is not None and _is_likely_one(whole)):
         least = (BESIDE_SCORE,) * 2
     accepted = all(e.score >= p for e, p in zip(pair, least, strict=True))

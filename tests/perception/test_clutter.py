@@ -41,7 +41,7 @@ class Scene:
         monkeypatch.setattr(clutter, "is_low", lambda frames, rows, id, plane: id != 3)
         monkeypatch.setattr(clutter, "reconstruct", self.reconstruct)
         monkeypatch.setattr(clutter, "split_stacks", self.split)
-        self.pieces, self.wholes, self.fragments = {}, {}, set()
+        self.pieces, self.halves, self.wholes, self.fragments = {}, {}, {}, set()
         self.agreed_on = {}  # estimates from masks on which the views agree
         monkeypatch.setattr(clutter, "parts_of_things", lambda *_: self.fragments)
         self.shares = {}  # of the outlines of candidates, in things
@@ -88,7 +88,8 @@ class Scene:
     def unexplained(self, points, shapes):
         return 0.0 if any((int(points[0, 0]), shape.id) in self.explained for shape in shapes) else 1.0
 
-    def split(self, frames, rows, estimates, planes, completer, fit, workers=None):
+    def split(self, frames, rows, estimates, planes, completer, fit, workers, uncertain):
+        self.uncertain = set(uncertain)
         self.known, self.rows = sorted(estimates), [[d.instance_id for d in row] for row in rows]
         return self.stacks
 
@@ -99,6 +100,11 @@ class Scene:
     def separated(self, rows, ids, first_id):
         self.lost, self.first_id = ids, first_id
         return self.recut(rows, self.pieces, ids), {e.id: e for e in self.pieces.values()}
+
+    def parted(self, rows, ids, first_id, is_kept):
+        self.left = set(ids)
+        assert first_id > max(clutter.instance_ids(rows))
+        return self.recut(rows, self.halves, ids), {e.id: e for e in self.halves.values() if is_kept(e, rows)}
 
     def joined(self, rows, ids, estimates, first_id):
         self.nameless_ids, self.known_before = ids, sorted(estimates)
@@ -166,6 +172,22 @@ def test_pieces_of_what_no_shape_explains_need_a_high_score(scene, monkeypatch):
     assert scene.lost == {2, 3}, "the tall thing as well"
     assert scene.first_id == 4 and scene.nameless_ids >= {1, *range(4, 10)}
     assert scene.known_before == [0, 1, 5, 8]
+
+
+def test_what_remains_may_be_two_objects_of_different_colours(scene, monkeypatch):
+    monkeypatch.setattr(clutter, "shows_ends", lambda estimate, points: True)
+    scene.pieces = {4: found(4, PIECE_SCORE - 0.01, resting="lying")}
+    scene.halves = {5: found(5, PIECE_SCORE + 0.01, resting="lying"), 6: found(6, 0.5, resting="lying")}
+    assert scene.run() == [0, 1, 5]
+    assert scene.left == {4}, "what no shape explains, or was cut from that and is no object"
+    assert scene.nameless_ids >= {1, 5, 6} and scene.known_before == [0, 1, 5]
+
+
+@pytest.mark.parametrize(("beyond", "expected"), [(-0.01, {0}), (0.01, set())])
+def test_a_stack_may_replace_what_is_taken_for_a_thing(scene, beyond, expected):
+    scene.scores[0], scene.n_frames = UNCERTAIN + beyond, 2
+    scene.run()
+    assert scene.uncertain == expected
 
 
 def test_a_part_of_a_thing_is_no_object_but_occludes_others(scene):

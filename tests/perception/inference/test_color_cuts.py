@@ -3,7 +3,7 @@
 import numpy as np
 import pytest
 
-from perception.inference.color_cuts import color_cut
+from perception.inference.color_cuts import color_cut, color_pieces
 from perception.inference.observation import ObjectObservation
 from perception.types import CameraIntrinsics, RgbdFrame, SupportPlane
 
@@ -64,3 +64,18 @@ def test_stripes_and_patterns_are_no_objects() -> None:
     beside = np.where(columns < 32, PINK, BROWN) * np.ones((64, 64, 1))
     for colors in (stripes, beside):
         assert color_cut({0: view(colors)}, PLANE) is None
+
+
+def test_pieces_of_two_colours_may_be_beside_each_other() -> None:
+    """Spots of the other colour belong to the piece that they are in."""
+    columns = np.arange(64)[None, :]
+    beside = np.where(columns[..., None] < 32, PINK, BROWN) * np.ones((64, 64, 1))
+    beside[24:29, 24:29] = BROWN
+    pieces = color_pieces({0: view(beside), 2: view(painted(BROWN, BROWN))})
+    assert pieces is not None and set(pieces) == {0, 2}
+    left, right = sorted(pieces[0], key=lambda mask: np.argwhere(mask)[:, 1].mean())
+    mask = view(beside).mask
+    assert (left ^ (mask & (columns < 32))).sum() <= 8, "but for pixels at its corners"
+    assert (right ^ (mask & (columns >= 32))).sum() <= 8
+    assert sorted(int(m.sum()) for m in pieces[2]) == [0, 32 * 24], "the other view shows one of them alone"
+    assert color_pieces({0: view(painted(BROWN, BROWN))}) is None

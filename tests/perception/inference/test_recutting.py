@@ -189,3 +189,42 @@ def test_masks_on_which_the_views_agree_replace_those_that_no_shape_explains(mon
     assert instance_ids(rows) == {1, 3, 5}
     assert fits.recutting.agreed(before, {5}, lambda e: True) == (before, {})
     assert fits.recutting.agreed(before, set(), lambda e: True) == (before, {})
+
+
+@pytest.fixture
+def two_colors(monkeypatch):
+    """Each instance is of two colours, its left and right half; the second view shows the left one alone."""
+
+    def color_pieces(shown):
+        def halves(view):
+            u = np.argwhere(view.mask)[:, 1]
+            left = view.mask & (np.arange(12) < (u.min() + u.max() + 1) / 2)
+            return left, view.mask & ~left
+
+        pieces = {k: halves(view) for k, view in shown.items()}
+        return pieces | {1: (pieces[1][0], np.zeros((4, 12), bool))}
+
+    monkeypatch.setattr(recutting, "color_pieces", color_pieces)
+    monkeypatch.setattr(recutting, "MIN_PIXELS", 1)
+
+
+def test_what_touches_without_a_crease_is_parted_by_colour(monkeypatch, two_colors):
+    fits = Fits(monkeypatch, {10: 0.9, 11: 0.4})
+    kept = lambda e, rows: e.score > 0.5 and e.id in instance_ids(rows)  # noqa: E731
+    rows, found = fits.recutting.parted(halves(), {3, 5}, 10, kept)
+    assert found.keys() == {10} and instance_ids(rows) == {1, 5, 10, 11}, "nothing of 5 is an object"
+    masks = {d.instance_id: d.mask for d in rows[0]}
+    np.testing.assert_array_equal(masks[10], columns(0, 2))
+    np.testing.assert_array_equal(masks[11], columns(2, 4))
+    assert 11 not in instance_ids([rows[1]])
+    (fitted,) = fits.rows
+    assert instance_ids(fitted) == {10, 11, 12, 13}
+
+
+def test_what_does_not_lie_or_has_one_colour_is_not_parted(monkeypatch, two_colors):
+    fits = Fits(monkeypatch, {10: 0.9})
+    before = halves(LYING - 0.1)
+    assert fits.recutting.parted(before, {3}, 10, lambda *_: True) == (before, {})
+    monkeypatch.setattr(recutting, "color_pieces", lambda shown: None)
+    before = halves()
+    assert fits.recutting.parted(before, {3, 5}, 10, lambda *_: True) == (before, {}) and not fits.rows

@@ -17,6 +17,7 @@ from perception.inference.stack_choice import (
     SHARED,
     SLENDER,
     TALL,
+    UNNAMED_SCORES,
     WEAK,
     WEAK_BOTTLE,
     are_one,
@@ -88,8 +89,9 @@ def test_what_leaves_points_unexplained_or_has_a_low_score_is_doubtful():
 def test_parts_explain_clearly_more_and_have_scores(leave, before, after, scores, are_better):
     leave(after)
     pair = [replace(part, score=score) for part, score in zip(CANS, scores)]
-    for whole in (None, shape("mug", score=0.95)):
-        assert are_two(pair, whole, POINTS, before, PLANE) is are_better
+    assert are_two(pair, shape("mug", score=0.95), POINTS, before, PLANE) is are_better
+    sure = all(score >= least for score, least in zip(scores, UNNAMED_SCORES))
+    assert are_two(pair, None, POINTS, before, PLANE) is (are_better and sure), "of no class"
 
 
 @pytest.mark.parametrize(
@@ -141,7 +143,7 @@ def test_a_likely_object_is_not_replaced_by_an_unlikely_part(leave, whole, are_b
     assert are_two(CANS, single, POINTS, 0.1, PLANE)
 
 
-@pytest.mark.parametrize(("score", "accepted"), [(0.55, True), (0.45, False)])
+@pytest.mark.parametrize(("score", "accepted"), [(0.7, True), (0.6, False)])
 def test_likely_parts_replace_what_is_taken_for_a_thing(leave, score, accepted):
     """They need not explain clearly more than its shape does."""
     leave(0.05)
